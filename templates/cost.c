@@ -4,29 +4,26 @@
 static real_t nodal_cost(const solver_t *s)
 {
     real_t total = R(0);
-#if HAS_TERMINAL_COST
     TERMINAL_COST(s, &total);
-#endif
-#if HAS_START_COST
-    real_t l_0;
-    START_COST(s, &l_0);
-    total += l_0;
-#endif
-#if HAS_PATH_COST
-    for (int k = 0; k < N; k++) {
-        real_t l;
-        PATH_COST(s, k, &l);
-        total += l;
+    if (HAS_START_COST) {
+        real_t l_0;
+        START_COST(s, &l_0);
+        total += l_0;
     }
-#endif
+    if (HAS_PATH_COST) {
+        for (int k = 0; k < N; k++) {
+            real_t l;
+            PATH_COST(s, k, &l);
+            total += l;
+        }
+    }
     return total;
 }
 
-#if SOFT_ROWS
 /* Penalty l1 v + l2/2 v^2 of a violation v >= 0 of the soft row m. */
 static real_t soft_penalty(int m, real_t v)
 {
-    return row_l1[row_id[m]] * v + R(0.5) * ROW_CURVATURE(m) * v * v;
+    return row_l1(m) * v + R(0.5) * row_l2(m) * v * v;
 }
 
 /* Sum of the penalties of all soft rows at the present iterate. */
@@ -35,10 +32,9 @@ static real_t soft_penalties(const solver_t *s)
     real_t value[NG], total = R(0);
     evaluate_rows(s, value);
     for (int m = 0; m < NG; m++) {
-        if (IS_SOFT(m)) {
+        if (row_is_soft(m)) {
             total += soft_penalty(m, outside(s, m, value[m]));
         }
     }
     return total;
 }
-#endif

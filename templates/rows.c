@@ -1,10 +1,8 @@
 /* Rows (constraints other than the control bounds), sorted by node: state bounds, general rows h and, at the end,
  * coupled rows r(x_0, x_N). */
 
-#if STATE_ROWS + GENERAL_ROWS + (NE > 0) > 1
-enum { ROW_STATE = 0, ROW_GENERAL = 1, ROW_COUPLED = 2 }; /* values of row_kind */
+#include "generated/rows.c"
 
-#endif
 #include "clip.c"
 
 static int all_finite(const real_t *v, int n)
@@ -17,7 +15,6 @@ static int all_finite(const real_t *v, int n)
     return 1;
 }
 
-#if CHECK_STEP || (CONDENSED_QP && NG)
 /* size = max(size, |v|) by components, n of them; NaN where v has not been finite. */
 static inline void widen(real_t *size, const real_t *v, int n)
 {
@@ -27,36 +24,184 @@ static inline void widen(real_t *size, const real_t *v, int n)
     }
 }
 
-#endif
-#if NG
+static inline real_t control_lower(const solver_t *s, int k, int j)
+{
+    if (control_row[j] < 0) {
+        return -INF;
+    }
+    return PATH_LOWER(s, k, control_row[j]);
+}
+
+static inline real_t control_upper(const solver_t *s, int k, int j)
+{
+    if (control_row[j] < 0) {
+        return INF;
+    }
+    return PATH_UPPER(s, k, control_row[j]);
+}
+
+/* What control j is compared with in the cost, or 0. */
+static inline real_t reference_of_control(const solver_t *s, int k, int j)
+{
+    if (control_reference[j] < 0) {
+        return R(0);
+    }
+    return YREF(s, k)[control_reference[j]];
+}
+
+/* Value of row m, where h and r hold the general rows of its node and the coupled rows. */
+static inline real_t row_value(const solver_t *s, int m, const real_t *h, const real_t *r)
+{
+    if (row_is_state(m)) {
+        return s->x[row_node(m)][row_index(m)];
+    }
+    if (NE > 0 && (NH + NH_N == 0 || row_is_coupled(m))) {
+        return r[row_index(m)];
+    }
+    return h[row_index(m)];
+}
+
+/* Value of row m at the linearisation point. */
+static inline real_t row_constant(const solver_t *s, int m)
+{
+    if (row_is_state(m)) {
+        return s->x[row_node(m)][row_index(m)];
+    }
+    if (NE > 0 && (NH + NH_N == 0 || row_is_coupled(m))) {
+        return s->coupled.r[row_index(m)];
+    }
+    if (NH_N > 0 && (NH == 0 || row_node(m) == N)) {
+        return s->terminal.h[row_index(m)];
+    }
+    return s->node[row_node(m)].h[row_index(m)];
+}
+
+/* Stored gradient of the general or coupled row m: NZ entries at a path node, NX at the terminal node. For a coupled
+ * row it is dr / dx_N. */
+static inline const real_t *row_gradient(const solver_t *s, int m)
+{
+    if (NE > 0 && (NH + NH_N == 0 || row_is_coupled(m))) {
+        return s->coupled.J_N[row_index(m)];
+    }
+    if (NH_N > 0 && (NH == 0 || row_node(m) == N)) {
+        return s->terminal.J[row_index(m)];
+    }
+    return s->node[row_node(m)].J[row_index(m)];
+}
+
+/* The same of any row m, in all NZ variables of a path node. */
+static void copy_row_gradient(const solver_t *s, int m, real_t *a)
+{
+    memset(a, 0, NZ * sizeof *a);
+    if (row_is_state(m)) {
+        a[row_index(m)] = R(1);
+        return;
+    }
+    memcpy(a, row_gradient(s, m), (size_t)((row_node(m) < N) ? NZ : NX) * sizeof *a);
+}
+
+/* Where the multiplier of row m is stored. */
+static inline real_t *row_multiplier_place(solver_t *s, int m)
+{
+    if (row_is_state(m)) {
+        return &s->mu_x[row_node(m)][row_index(m)];
+    }
+    if (NE > 0 && (NH + NH_N == 0 || row_is_coupled(m))) {
+        return &s->eta[row_index(m)];
+    }
+    if (NH_N > 0 && (NH == 0 || row_node(m) == N)) {
+        return &s->mu_N[row_index(m)];
+    }
+    return &s->mu[row_node(m)][row_index(m)];
+}
+
+static inline real_t row_multiplier(const solver_t *s, int m)
+{
+    if (row_is_state(m)) {
+        return s->mu_x[row_node(m)][row_index(m)];
+    }
+    if (NE > 0 && (NH + NH_N == 0 || row_is_coupled(m))) {
+        return s->eta[row_index(m)];
+    }
+    if (NH_N > 0 && (NH == 0 || row_node(m) == N)) {
+        return s->mu_N[row_index(m)];
+    }
+    return s->mu[row_node(m)][row_index(m)];
+}
+
+/* Penalty l1 v of a violation v of row m; infinite for a hard row. */
+static inline real_t row_l1(int m)
+{
+    return penalty_l1[row_id(m)];
+}
+
+/* Its quadratic part, l2/2 v^2. */
+static inline real_t row_l2(int m)
+{
+    if (SOFT_ROWS == 0) {
+        return R(0);
+    }
+    return penalty_l2[row_id(m)];
+}
+
+static inline int row_is_soft(int m)
+{
+    if (SOFT_ROWS == 0) {
+        return 0;
+    }
+    if (HARD_ROWS == 0) {
+        return 1;
+    }
+    return row_l1(m) < INF;
+}
+
+/* Penalty of row m in a sample; where hard rows are relaxed, theirs is that of a violation in the scale of the row. */
+static inline real_t row_penalty(const solver_t *s, int m)
+{
+    if (SOFT_ROWS > 0 && (RELAXATION == 0 || row_is_soft(m))) {
+        return row_l1(m);
+    }
+    if (RELAXATION == 0) {
+        return INF;
+    }
+    const real_t scale = s->row_scale[row_id(m)];
+    return (s->relaxation < INF && scale > R(0)) ? s->relaxation / scale : s->relaxation;
+}
+
 /* How far a value of row m is outside of its bounds. */
 static inline real_t outside(const solver_t *s, int m, real_t value)
 {
-    return FABS(value - clip(value, ROW_LOWER(s, m), ROW_UPPER(s, m)));
+    return FABS(value - clip(value, row_lower(s, m), row_upper(s, m)));
 }
 
 /* Values of all rows at the present iterate. */
 static void evaluate_rows(const solver_t *s, real_t *value)
 {
-#if GENERAL_ROWS
     real_t h[NH + NH_N] = {R(0)}, J[(NH + NH_N) * NZ];
-#endif
-#if NE
     real_t r[NE], J_0[NE * NX], J_N[NE * NX];
     COUPLED_ROWS(s, r, J_0, J_N);
-#endif
     for (int m = 0; m < NG; m++) {
-#if NH
-        if (row_node[m] < N && m == row_first[row_node[m]]) {
-            PATH_ROWS(s, row_node[m], h, J);
+        if (NH > 0 && row_node(m) < N && m == row_first[row_node(m)]) {
+            PATH_ROWS(s, row_node(m), h, J);
         }
-#endif
-#if NH_N
-        if (row_node[m] == N && m == row_first[N]) {
+        if (NH_N > 0 && row_node(m) == N && m == row_first[N]) {
             TERMINAL_ROWS(s, h, J);
         }
-#endif
-        value[m] = ROW_VALUE(s, m, h, r);
+        value[m] = row_value(s, m, h, r);
     }
 }
-#endif
+
+/* Sum of the magnitudes of the terms of row m, where size[] holds those of (dx, du). */
+static real_t row_terms(const solver_t *s, int m, const real_t *size)
+{
+    const real_t constant = FABS(row_constant(s, m));
+    if (row_is_state(m)) {
+        return constant + size[row_index(m)];
+    }
+    const real_t *J = row_gradient(s, m);
+    real_t terms = constant;
+    for (int i = 0; i < (row_node(m) < N ? NZ : NX); i++) {
+        terms += FABS(J[i]) * size[i];
+    }
+    return terms;
+}

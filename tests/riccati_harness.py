@@ -22,12 +22,13 @@ from nmpc_codegen.package.memory import Field, Size, Struct
 from nmpc_codegen.runtime.compilers import find_compiler, with_required_options
 from verification.qp.harness import (
     FAST,
+    FEATURES,
     SCALARS,
     STATUSES,
-    SWITCHES,
     WARNINGS,
     build_directory,
     part_text,
+    pruned,
     struct_text,
     unit_head,
 )
@@ -129,7 +130,7 @@ def structs(shape: Shape, owned: tuple[Struct, ...] = ()) -> tuple[Struct, ...]:
 
 
 def _existing(struct: Struct) -> Struct:
-    fields = (f for f in struct.fields if all(f.values) and SWITCHES.get(f.only, 1))
+    fields = (f for f in struct.fields if all(f.values) and (f.only is None or f.only(FEATURES)))
     return replace(struct, fields=tuple(fields))
 
 
@@ -140,8 +141,9 @@ def source(
     owned: tuple[Struct, ...] = (),
     precision: str = "double",
     lanes: int = 1,
+    entries: str = KERNEL,
 ) -> str:
-    """Self-contained C text of a part that works on stages; with ``lanes`` > 1 in register tiles."""
+    """Self-contained C text of a part that works on stages, with entry points; ``lanes`` > 1: in register tiles."""
     dims = vars(shape.dims)
     values = {size.text: size.value for size in dims.values() if isinstance(size, Size)}
     values |= {"PACK_WIDTH": lanes, "TILES": int(lanes > 1)}
@@ -157,15 +159,17 @@ def source(
         "is_accumulator": [0] * shape.nx,
     }
     lines = [unit_head(values, precision)]
-    for name, entries in tables.items():
+    for name, numbers in tables.items():
         if name.startswith("stage_") and not shape.rows:
             continue
-        text = ", ".join(map(str, entries)) or "0"
-        lines.append(f"static const int {name}[{max(1, len(entries))}] = {{ {text} }};")
+        text = ", ".join(map(str, numbers)) or "0"
+        lines.append(f"static const int {name}[{max(1, len(numbers))}] = {{ {text} }};")
     lines += [struct_text(struct) for struct in structs(shape, owned)]
-    return (
-        "\n".join(lines) + ACCESSORS + (ROW_ACCESSOR if shape.rows else "") + part_text(part, values | shape.switches)
-    )
+    accessors = ACCESSORS + (ROW_ACCESSOR if shape.rows else "")
+    text = accessors + part_text(part, values | shape.switches) + entries
+    stated = {(s.name, f.name) for s in (*_data(shape.dims), *(owned or riccati_structs(shape.dims))) for f in s.fields}
+    absent = stated - {(s.name, f.name) for s in structs(shape, owned) for f in s.fields}
+    return "\n".join([*lines, pruned(text, values | shape.switches, precision, absent)])
 
 
 @functools.cache
@@ -197,11 +201,7 @@ int test_qp_solve(solver_t *s) { return (int)qp_solve(s); }
 void test_qp_shift(solver_t *s, int n, const int *source)
 {
     qp_shift_controls(s, n);
-#if NG
     qp_shift_rows(s, source);
-#else
-    (void)source;
-#endif
 }
 int test_qp_size(void) { return (int)sizeof(solver_t); }
 """
@@ -211,7 +211,7 @@ def solver_source(shape: Shape, component: Any, precision: str = "double", lanes
     """Self-contained C text of a solver with its exported entry points."""
     known = {name for name, _, _ in riccati_sizes(shape.dims)}
     sizes = tuple(entry for entry in component.sizes(shape.dims) if entry[0] not in known)
-    return source(shape, component.template, sizes, component.structs(shape.dims), precision, lanes) + SOLVER
+    return source(shape, component.template, sizes, component.structs(shape.dims), precision, lanes, SOLVER)
 
 
 @functools.cache

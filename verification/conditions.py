@@ -1,16 +1,23 @@
-"""C parts and conditions of their `#if`s that the samples reach."""
+"""C parts and conditions that the samples reach: those of `#if`, and those of a plain `if` that the exporter decides.
+
+A plain `if` counts where an operand consists of sizes and features alone, as in ``if (NE > 0 && row_is_coupled(m)) {``.
+"""
 
 from __future__ import annotations
 
 import re
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping
+from contextlib import suppress
 
 from nmpc_codegen.ir.cmodule import CModule
 from nmpc_codegen.lowering.parts import MATH, evaluate, template_directory
+from nmpc_codegen.lowering.pruning.text import split
 
 #: Parts that unit.c.jinja inlines in every package.
 ALWAYS = ("rows.c", "cost.c")
+_PLAIN = re.compile(r"^ +(?:\} else )?if \((.*)\) \{")
+_CONSTANT = re.compile(r"[A-Z0-9_ <>=!+&|()]*[A-Z]{2}[A-Z0-9_ <>=!+&|()]*")
 _LINE = re.compile(r'#(include|if|elif|else|endif)\b\s*"?([^"]*)"?')
 
 #: (part, line number) of a condition -> its observed values.
@@ -28,9 +35,22 @@ def all_parts() -> set[str]:
 
 
 def conditions(part: str) -> list[tuple[int, str]]:
-    """Line number and text of every `#if` and `#elif` of a part."""
-    lines = (template_directory() / part).read_text(encoding="utf-8").splitlines()
-    return [(n, m[2]) for n, line in enumerate(lines, 1) if (m := _LINE.match(line)) and m[1] in ("if", "elif")]
+    """Line number and text of every condition of a part that the exporter decides."""
+    found = []
+    for number, line in enumerate((template_directory() / part).read_text(encoding="utf-8").splitlines(), 1):
+        directive = _LINE.match(line)
+        if directive and directive[1] in ("if", "elif"):
+            found.append((number, directive[2]))
+        elif decided := _decided(line):
+            found.append((number, decided))
+    return found
+
+
+def _decided(line: str) -> str:
+    """The operands of a plain `if` that consist of sizes and features."""
+    plain = _PLAIN.match(line)
+    operands = split(plain[1], "&&") if plain else []
+    return " && ".join(operand for operand in operands if _CONSTANT.fullmatch(operand))
 
 
 def reached(modules: Iterable[CModule]) -> tuple[set[str], Values]:
@@ -38,8 +58,8 @@ def reached(modules: Iterable[CModule]) -> tuple[set[str], Values]:
     parts: set[str] = set()
     values: Values = defaultdict(set)
     for module in modules:
-        math = (MATH,) if module.switches["OWN_MATH"] or module.sizes["LANE_NODES"] else ()
-        for root in (*ALWAYS, *math, *module.core_parts, *(section.template for section in module.sections)):
+        math = (MATH,) if module.features.own_math or module.sizes["LANE_NODES"] else ()
+        for root in (*ALWAYS, *math, *(section.template for section in module.sections), *module.extras):
             for part, number, value in _walk(root, module.sizes):
                 parts.add(part)
                 if number:
@@ -65,9 +85,11 @@ def gaps(modules: Iterable[CModule]) -> list[str]:
     parts, values = reached(modules)
     missing = [f"{part}: in no sample" for part in sorted(all_parts() - parts)]
     for part in sorted(parts):
+        lines = (template_directory() / part).read_text(encoding="utf-8").splitlines()
         for number, text in conditions(part):
-            never = {True, False} - values[part, number]
-            missing += [f"{part}:{number}: #if {text} is never {str(v).lower()}" for v in sorted(never)]
+            undecided = set[bool]() if lines[number - 1].startswith("#") else {True, False}
+            never = {True, False} - values.get((part, number), undecided)
+            missing += [f"{part}:{number}: {text} is never {str(v).lower()}" for v in sorted(never)]
     return missing
 
 
@@ -78,6 +100,9 @@ def _walk(part: str, sizes: Mapping[str, int]) -> Iterator[tuple[str, int, bool]
     for number, line in enumerate((template_directory() / part).read_text(encoding="utf-8").splitlines(), 1):
         found = _LINE.match(line)
         if found is None:
+            if all(active for active, _ in stack):
+                with suppress(ValueError):  # a word in capitals that is no size, or no condition at all
+                    yield part, number, evaluate(_decided(line), sizes)
             continue
         word, text = found.groups()
         if word == "include":

@@ -31,7 +31,7 @@ static void safe(int line)
 {
     int j;
     for (j = 0; j < SIZE(_NU); j++) {
-        const real low = CONTROL_LOWER(&s, 0, j), high = CONTROL_UPPER(&s, 0, j);
+        const real low = CONTROL_LOWER(j), high = CONTROL_UPPER(j);
         expect(isfinite(u[j]) && u[j] >= low && u[j] <= high, "u0 finite and inside its bounds", line);
         u[j] = (real)NAN;
     }

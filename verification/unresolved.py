@@ -1,10 +1,9 @@
-"""Does text with the `#if`s of its parts compile to the same object code as text with `#if`s resolved at export?
+"""Do two texts of a package compile to the same object code?
 
 The oracle compares, per compiler (gcc, clang) and level (-O0, -O2), the disassembly with its relocations and the bytes
 of all read-only sections. They do not depend on layout, comments and names of variables, but on every instruction,
-every constant and every function that is not inlined. Raw text consists of the same parts after a preamble that also
-defines the switches as macros, so that the compiler resolves the conditions. A commit that changes only the text is
-checked in the same way: packages that the preceding commit generates against those of this tree.
+every constant and every function that is not inlined. A commit that changes only the text is checked in this way:
+packages that the preceding commit generates against those of this tree.
 
 Texts that the preprocessor of a compiler turns into the same tokens have the same object code without being compiled.
 """
@@ -46,9 +45,9 @@ def lowered(sample: Sample) -> CModule:
     return lower(linearize(classify(sample.make()), sample.options), None)
 
 
-def texts(sample: Sample, resolved: bool = True) -> Sources:
+def texts(sample: Sample) -> Sources:
     """The package of a sample, without third-party code."""
-    return render(lowered(sample), resolved)
+    return render(lowered(sample))
 
 
 def objects_differ(

@@ -2,6 +2,8 @@
  * Here: single shooting. The controls inside their bounds are the only variables, the states follow by simulation, and
  * derivatives by adjoint and forward sweeps that recompute A_k and B_k at every interval. */
 
+#include "generated/hooks.c"
+
 #include "algorithms/enlarge.c"
 
 #include "algorithms/safe_value.c"
@@ -26,21 +28,23 @@
 
 #include "algorithms/shooting_shift.c"
 
+/* Brings the terms closer to the rows. Returns 0 if they are as close as they may be. */
+static int sharpen(solver_t *s)
+{
+    if (!sharpen_terms(s)) {
+        return 0;
+    }
+    s->shooting.pairs = 0;
+    return 1;
+}
+
 /* Forgets the multipliers of the rows and the pairs of past steps. */
 static void forget_past(solver_t *s)
 {
-#if NG
     memset(s->row, 0, sizeof s->row);
-#endif
-#if NT
     weigh_terminal(s, R(1));
-#endif
-#if QUASI_NEWTON
     s->shooting.pairs = 0;
-#endif
-#if NG && (SMOOTH_ROWS || BARRIER_ROWS)
     place_terms(s, 0);
-#endif
     s->shooting.length = R(1);
     s->failing = 0;
 }
@@ -60,23 +64,15 @@ static void hold_states(solver_t *s)
     }
 }
 
-#if SOLVE && (NG || !QUASI_NEWTON)
 /* The weights of a sample; those of solve() grow. */
 static void set_weights(solver_t *s)
 {
-#if NG
-#if !BARRIER_ROWS
-    s->shooting.penalty = penalty_weight[0];
-#endif
-#if LUMPED_ROWS
+    if (!BARRIER_ROWS) {
+        s->shooting.penalty = penalty_weight[0];
+    }
     s->shooting.multiplier = penalty_weight[0];
-#endif
-#endif
-#if !QUASI_NEWTON
     s->shooting.solving = 0;
-#endif
 }
-#endif
 
 /* Resets the plan: every state at its declared initial value, controls at their references. */
 static void algorithm_reset(solver_t *s)
@@ -85,21 +81,23 @@ static void algorithm_reset(solver_t *s)
         s->x[0][i] = initial_state[i];
     }
     hold_states(s);
-#if SOLVE && (NG || !QUASI_NEWTON)
     set_weights(s);
-#endif
     forget_plan(s);
     memset(&s->stats, 0, sizeof s->stats);
-#if SHIFT
     s->samples = 0;
-#endif
     s->status = (int32_t)OK;
 }
 
 /* x_0 = xhat, 0 in accumulators. Returns 0, and leaves x_0 as it is, if a measured entry is not finite. */
 static int take_state(solver_t *s, const real_t *xhat)
 {
-#if ACCUMULATORS
+    if (!ACCUMULATORS) {
+        if (!all_finite(xhat, NX)) {
+            return 0;
+        }
+        memcpy(s->x[0], xhat, sizeof s->x[0]);
+        return 1;
+    }
     for (int i = 0; i < NX; i++) {
         if (!is_accumulator[i] && !isfinite(xhat[i])) {
             return 0;
@@ -109,13 +107,6 @@ static int take_state(solver_t *s, const real_t *xhat)
         s->x[0][i] = is_accumulator[i] ? R(0) : xhat[i];
     }
     return 1;
-#else
-    if (!all_finite(xhat, NX)) {
-        return 0;
-    }
-    memcpy(s->x[0], xhat, sizeof s->x[0]);
-    return 1;
-#endif
 }
 
 /* Simulates the plan from x_0; from the references of the controls if its own controls lead to no finite state. */
@@ -126,9 +117,7 @@ static status_t start_sample(solver_t *s)
             s->u[k][j] = safe_value(s, k, j);
         }
     }
-#if QUASI_NEWTON
     s->shooting.paired = 0;
-#endif
     if (!simulate_plan(s)) {
         forget_plan(s);
         if (!simulate_plan(s)) {
@@ -136,9 +125,9 @@ static status_t start_sample(solver_t *s)
             return NUMERICAL_FAILURE;
         }
     }
-#if NG && LUMPED_ROWS
-    (void)merit(s);
-#endif
+    if (NG > 0 && LUMPED_ROWS) {
+        (void)merit(s);
+    }
     return OK;
 }
 
@@ -146,12 +135,10 @@ static status_t start_sample(solver_t *s)
  * PATIENCE failures in a row. */
 static status_t recover(solver_t *s, status_t status)
 {
-#if NG
-    if (!all_finite(s->row, NG)) {
+    if (NG > 0 && !all_finite(s->row, NG)) {
         forget_past(s);
         status = NUMERICAL_FAILURE;
     }
-#endif
     if (status == NUMERICAL_FAILURE && ++s->failing >= PATIENCE) {
         forget_plan(s);
     }
@@ -167,23 +154,18 @@ static status_t run_sample(solver_t *s)
 {
     status_t status = start_sample(s);
     int moved = MOVED;
-#if NG && BARRIER_ROWS
-    recentre_rows(s);
-#endif
+    before_steps(s);
     for (int n = 0; n < ITERATIONS + REPAIRS && status != NUMERICAL_FAILURE; n++) {
         if (n >= ITERATIONS && (moved == MOVED || !step_is_long(s, N))) {
             break;
         }
         status = improve(s, TRIALS, &moved);
     }
-#if NG > NT
-    if (status != NUMERICAL_FAILURE) {
+    if (NG > NT && status != NUMERICAL_FAILURE) {
+        const int easy = s->stats.simulations <= s->stats.accepted + 1 && s->shooting.length >= R(1);
         update_rows(s, R(1));
-#if SMOOTH_ROWS || BARRIER_ROWS
-        follow_terms(s);
-#endif
+        follow_terms(s, easy);
     }
-#endif
     return (status == OK && moved < MOVED && step_is_long(s, 1)) ? NOT_CONVERGED : status;
 }
 
@@ -197,12 +179,10 @@ status_t API(step)(solver_t *s, const real_t xhat[NX], real_t u0[NU])
         return NOT_INITIALIZED;
     }
     memset(&s->stats, 0, sizeof s->stats);
-#if SHIFT
-    if (s->samples > 0) {
+    if (SHIFT && s->samples > 0) {
         shift_plan(s);
     }
     s->samples += (s->samples < MANY);
-#endif
     if (take_state(s, xhat)) {
         status = recover(s, run_sample(s));
     }
@@ -211,7 +191,9 @@ status_t API(step)(solver_t *s, const real_t xhat[NX], real_t u0[NU])
 }
 
 #include "algorithms/shooting_kkt.c"
-#if SOLVE
 
+#if SOLVE
 #include "algorithms/shooting_solve.c"
 #endif
+
+#include "generated/features.c"

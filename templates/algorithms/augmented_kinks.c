@@ -2,26 +2,23 @@
  * but the step may reach where a row begins or ceases to act. There the model takes the parabola of the other side: its
  * gradient at d is then that of cost, gaps and psi_m(v_m + J_m d), with v_m and J_m from the linearisation. */
 
-#if NG
 /* J_m d_k of a relaxed row. */
 static real_t row_change(const solver_t *s, int m, real_t (*d)[LDZ])
 {
-    const int k = row_node[m];
-#if STATE_ROWS
-    if (row_bounds_state[m]) {
-        return d[k][row_index[m]];
+    const int k = row_node(m);
+    if (row_is_state(m)) {
+        return d[k][row_index(m)];
     }
-#endif
-#if GENERAL_ROWS || NE
-    const real_t *J = nodal_row(s, m);
-    real_t change = R(0);
-    for (int i = 0; i < ((k < N) ? NZ : NX); i++) {
-        change += J[i] * d[k][i];
+    if (GENERAL_ROWS || NE) {
+        const real_t *J = row_gradient(s, m);
+        real_t change = R(0);
+        for (int i = 0; i < ((k < N) ? NZ : NX); i++) {
+            change += J[i] * d[k][i];
+        }
+        return change;
+    } else {
+        return R(0);
     }
-    return change;
-#else
-    return R(0);
-#endif
 }
 
 /* How far the slope of the term of row m at d is from that of its parabola, `move` = J_m d; 0 if that is rounding. */
@@ -71,10 +68,9 @@ static int take_parabolas(solver_t *s)
                 a->term[m] = term - (a->slope[m] + R(0.5) * curvature * move) * move;
                 a->offset += a->term[m];
                 a->curvature[m] = curvature;
-                last = (row_node[m] > last) ? row_node[m] : last;
+                last = (row_node(m) > last) ? row_node(m) : last;
             }
         }
     }
     return last;
 }
-#endif

@@ -3,6 +3,8 @@
  * multipliers, per sample. Gaps, the initial condition and all rows are relaxed, except bounds of controls and hard
  * bounds of states. */
 
+#include "generated/hooks.c"
+
 #include "algorithms/plan.c"
 
 /* Penalty and trust region as at the start. */
@@ -17,9 +19,7 @@ static void algorithm_reset(solver_t *s)
 {
     forget_plan(s);
     s->prepared = 0;
-#if SHIFT || REPAIR
     s->samples = 0;
-#endif
     s->failing = FINE;
     s->unconverged = 0;
     s->status = (int32_t)OK;
@@ -30,17 +30,13 @@ static void algorithm_reset(solver_t *s)
 
 #include "algorithms/linearize.c"
 
-#if SET_REFERENCE
 /* Values of renewal: whether data have changed since prepare, which linearises again then. */
 enum { UP_TO_DATE, REFERENCE_CHANGED, HELD };
 
-#if SET_WEIGHT || SET_PARAMETER
 static void hold_gradients(solver_t *s)
 {
     s->renewal = HELD;
 }
-#endif
-#endif
 
 #include "algorithms/finish.c"
 
@@ -67,14 +63,7 @@ status_t API(prepare)(solver_t *s)
     if (s->magic != MAGIC) {
         return NOT_INITIALIZED;
     }
-#if SHIFT
-    if (s->samples > 0 && !s->prepared) {
-        API(shift)(s);
-        if (s->failing >= TWICE) { /* states that the shift integrates may be as far off as the failed plan */
-            start_at_measured(s);
-        }
-    }
-#endif
+    before_prepare(s);
     memset(&s->stats, 0, sizeof s->stats);
     if (s->prepared) {
         restore_multipliers(s);
@@ -111,9 +100,7 @@ static status_t feedback_here(solver_t *s)
     int renewed = project_plan(s); /* it may have been left, or its bounds changed, since prepare */
     evaluate_ends(s);
     estimate_multipliers(s);
-#if NE
     COUPLED_ROWS(s, s->coupled.r, &s->coupled.J_0[0][0], &s->coupled.J_N[0][0]);
-#endif
 #if SET_REFERENCE
     renewed |= (s->renewal != UP_TO_DATE);
     s->renewal = UP_TO_DATE;
@@ -140,3 +127,5 @@ static status_t feedback_here(solver_t *s)
 
 #include "algorithms/augmented_solve.c"
 #endif
+
+#include "generated/features.c"

@@ -60,23 +60,19 @@ static inline real_t start_weight(const solver_t *s, int i)
     return s->auglag.penalty * initial_weight[i];
 }
 
-#if NG
 /* g_k += slope J_m, (H d)_k += force J_m, H_k += curvature J_m' J_m. */
 static void change_row(solver_t *s, int m, real_t slope, real_t force, real_t curvature)
 {
     auglag_t *a = &s->auglag;
-    const int k = row_node[m];
-#if STATE_ROWS
-    if (row_bounds_state[m]) {
-        const int i = row_index[m];
+    const int k = row_node(m);
+    if (row_is_state(m)) {
+        const int i = row_index(m);
         a->g[k][i] += slope;
         a->Hd[k][i] += force;
         a->H[k][i][i] += curvature;
         return;
     }
-#endif
-#if GENERAL_ROWS || NE
-    const real_t *J = nodal_row(s, m);
+    const real_t *J = row_gradient(s, m);
     const int n = (k < N) ? NZ : NX;
     for (int i = 0; i < n; i++) {
         a->g[k][i] += slope * J[i];
@@ -85,9 +81,7 @@ static void change_row(solver_t *s, int m, real_t slope, real_t force, real_t cu
             a->H[k][i][j] += curvature * J[i] * J[j];
         }
     }
-#endif
 }
-#endif
 
 /* B_k, g_k and the lower triangle of S_k' rho S_k of a path node; W_k serves as a copy of -S_k. The padding is written
  * anew, so that numbers that are not finite do not stay in it. */
@@ -146,15 +140,15 @@ static void assemble(solver_t *s)
             a->H[k][i][i] += (k > 0) ? gap_weight(s, i) : start_weight(s, i);
         }
     }
-#if NG
-    for (int m = 0; m < NG; m++) {
-        if (row_relaxed[m]) {
-            change_row(s, m, ROW_MULTIPLIER(s, m), R(0), a->curvature[m]);
-            a->slope[m] = ROW_MULTIPLIER(s, m);
+    if (NG) {
+        for (int m = 0; m < NG; m++) {
+            if (row_relaxed[m]) {
+                change_row(s, m, row_multiplier(s, m), R(0), a->curvature[m]);
+                a->slope[m] = row_multiplier(s, m);
+            }
         }
+        a->offset = R(0);
     }
-    a->offset = R(0);
-#endif
 }
 
 /* y = H v. The products with B_k are stored one node ahead of their sum. */
@@ -184,20 +178,20 @@ static void set_box(solver_t *s)
         }
         for (int j = 0; k < N && j < NU; j++) {
             const real_t reach = a->upper[k][NX + j], u = s->u[k][j];
-            a->lower[k][NX + j] = clip(CONTROL_LOWER(s, k, j) - u, -reach, R(0));
-            a->upper[k][NX + j] = clip(CONTROL_UPPER(s, k, j) - u, R(0), reach);
+            a->lower[k][NX + j] = clip(control_lower(s, k, j) - u, -reach, R(0));
+            a->upper[k][NX + j] = clip(control_upper(s, k, j) - u, R(0), reach);
         }
     }
-#if STATE_ROWS
-    for (int m = 0; m < NG; m++) {
-        if (!row_relaxed[m]) {
-            const int k = row_node[m], i = row_index[m];
-            const real_t reach = a->radius * variable_scale[i], x = s->x[k][i];
-            a->lower[k][i] = clip(ROW_LOWER(s, m) - x, -reach, R(0));
-            a->upper[k][i] = clip(ROW_UPPER(s, m) - x, R(0), reach);
+    if (STATE_ROWS) {
+        for (int m = 0; m < NG; m++) {
+            if (!row_relaxed[m]) {
+                const int k = row_node(m), i = row_index(m);
+                const real_t reach = a->radius * variable_scale[i], x = s->x[k][i];
+                a->lower[k][i] = clip(row_lower(s, m) - x, -reach, R(0));
+                a->upper[k][i] = clip(row_upper(s, m) - x, R(0), reach);
+            }
         }
     }
-#endif
 }
 
 /* Returns 1 if the gradient is finite. */
@@ -220,8 +214,8 @@ static int project_plan(solver_t *s)
 #if STATE_ROWS
     for (int m = 0; m < NG; m++) {
         if (!row_relaxed[m]) {
-            real_t *x = &s->x[row_node[m]][row_index[m]];
-            const real_t inside = clip(*x, ROW_LOWER(s, m), ROW_UPPER(s, m));
+            real_t *x = &s->x[row_node(m)][row_index(m)];
+            const real_t inside = clip(*x, row_lower(s, m), row_upper(s, m));
             left |= (*x != inside); /* exactly, as above */
             *x = inside;
         }

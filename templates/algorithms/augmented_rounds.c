@@ -8,32 +8,29 @@ static void set_bound_multipliers(solver_t *s)
     for (int k = 0; k < N; k++) {
         for (int j = 0; j < NU; j++) {
             const real_t u = s->u[k][j], force = -(a->g[k][NX + j] + a->Hd[k][NX + j]);
-            const int holds = (force > R(0)) ? !(u < CONTROL_UPPER(s, k, j)) : !(u > CONTROL_LOWER(s, k, j));
+            const int holds = (force > R(0)) ? !(u < control_upper(s, k, j)) : !(u > control_lower(s, k, j));
             s->mu_u[k][j] = holds ? force : R(0);
         }
     }
-#if STATE_ROWS
-    for (int m = 0; m < NG; m++) {
-        if (!row_relaxed[m]) {
-            const int k = row_node[m], i = row_index[m];
-            const real_t x = s->x[k][i], force = -(a->g[k][i] + a->Hd[k][i]);
-            const int holds = (force > R(0)) ? !(x < ROW_UPPER(s, m)) : !(x > ROW_LOWER(s, m));
-            s->mu_x[k][i] = holds ? force : R(0);
+    if (STATE_ROWS) {
+        for (int m = 0; m < NG; m++) {
+            if (!row_relaxed[m]) {
+                const int k = row_node(m), i = row_index(m);
+                const real_t x = s->x[k][i], force = -(a->g[k][i] + a->Hd[k][i]);
+                const int holds = (force > R(0)) ? !(x < row_upper(s, m)) : !(x > row_lower(s, m));
+                s->mu_x[k][i] = holds ? force : R(0);
+            }
         }
     }
-#endif
 }
 
 /* The estimates become the multipliers of the plan. */
 static void finish_multipliers(solver_t *s)
 {
     set_bound_multipliers(s);
-#if NE
     couple_start(s, R(1));
-#endif
 }
 
-#if NG
 /* most = max(most, violation of every relaxed row in its scale). */
 static void enlarge_by_rows(const solver_t *s, real_t *most)
 {
@@ -44,7 +41,6 @@ static void enlarge_by_rows(const solver_t *s, real_t *most)
     }
 }
 
-#endif
 /* Largest gap in these scales of the states, and violation of a relaxed row in its own. */
 static real_t violation_in(const solver_t *s, const real_t *size)
 {
@@ -58,9 +54,7 @@ static real_t violation_in(const solver_t *s, const real_t *size)
             enlarge(&most, a->gap[k][i] * part[i]);
         }
     }
-#if NG
     enlarge_by_rows(s, &most);
-#endif
     return most;
 }
 
@@ -89,39 +83,33 @@ static real_t plan_residual(const solver_t *s)
  * and with them the estimates, to the multipliers of the last update. */
 static void linearize_plan(solver_t *s)
 {
-#if LAGRANGIAN
-    const int far = is_far(plan_residual(s));
-    if (far) {
-        restore_multipliers(s);
+    if (LAGRANGIAN) {
+        const int far = is_far(plan_residual(s));
+        if (far) {
+            restore_multipliers(s);
+        }
     }
-#endif
     linearize(s);
-#if HAS_PATH_HESSIAN || HAS_TERMINAL_HESSIAN || HAS_START_HESSIAN
     hessian(s);
-#endif
-#if LAGRANGIAN
-    if (far) {
-        estimate_multipliers(s);
+    if (LAGRANGIAN) {
+        if (far) {
+            estimate_multipliers(s);
+        }
     }
-#endif
 }
 
 /* Evaluates and linearises the plan; its multipliers become those of the augmented Lagrangian. */
 static status_t prepare_here(solver_t *s)
 {
     (void)project_plan(s);
-#if NE
     COUPLED_ROWS(s, s->coupled.r, &s->coupled.J_0[0][0], &s->coupled.J_N[0][0]);
     couple_start(s, -R(1));
-#endif
     update_multipliers(s);
     evaluate_path(s);
     evaluate_ends(s);
     estimate_multipliers(s);
     linearize_plan(s);
-#if SET_REFERENCE
     s->renewal = UP_TO_DATE;
-#endif
     return isfinite(merit(s)) ? OK : NUMERICAL_FAILURE;
 }
 
@@ -179,9 +167,9 @@ static status_t run_round(solver_t *s)
             assemble(s);
         }
         a->proximal = proximal_weight[0];
-#if LAGRANGIAN
-        a->proximal += proximal_weight[1] * a->bend;
-#endif
+        if (LAGRANGIAN) {
+            a->proximal += proximal_weight[1] * a->bend;
+        }
         s->stats.newton_iterations++;
         moved = descend(s, MAX_FACES);
         accepted |= moved;
@@ -199,17 +187,17 @@ static status_t prepare_at_plan(solver_t *s)
     memcpy(measured, s->xhat, sizeof measured);
     memcpy(s->xhat, s->x[0], sizeof s->xhat);
     status = prepare_here(s);
-#if REPAIR
-    int wanted = s->samples == 0 || s->failing > FINE || s->unconverged > 0;
-    for (int n = 0; n < REPAIRS && status == OK && wanted; n++) {
-        status = run_round(s);
-        s->stats.repairs++;
-        wanted = !s->auglag.settled || is_far(s->stats.residual);
-        if (status == OK) {
-            status = prepare_here(s);
+    if (REPAIR) {
+        int wanted = s->samples == 0 || s->failing > FINE || s->unconverged > 0;
+        for (int n = 0; n < REPAIRS && status == OK && wanted; n++) {
+            status = run_round(s);
+            s->stats.repairs++;
+            wanted = !s->auglag.settled || is_far(s->stats.residual);
+            if (status == OK) {
+                status = prepare_here(s);
+            }
         }
     }
-#endif
     memcpy(s->xhat, measured, sizeof s->xhat);
     return status;
 }
@@ -229,16 +217,13 @@ static status_t reconsider(solver_t *s)
         return prepare_here(s);
     }
     return_plan(s);
-#if NF
     for (int f = 0; f < NF; f++) {
         s->xhat[free_state[f]] = s->x[0][free_state[f]];
     }
-#endif
     restore_multipliers(s);
     estimate_multipliers(s);
     return OK;
 }
-#if REPAIR
 
 /* Returns 1 if all states of the plan are the declared ones. */
 static int is_untouched(const solver_t *s)
@@ -252,4 +237,3 @@ static int is_untouched(const solver_t *s)
     }
     return 1;
 }
-#endif

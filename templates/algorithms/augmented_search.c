@@ -219,7 +219,6 @@ static void set_residual(auglag_t *a)
     }
 }
 
-#if NG
 /* Value of the model at d, with the rows where d is. */
 static real_t value_at_step(solver_t *s)
 {
@@ -262,7 +261,6 @@ static int next_face(solver_t *s, real_t *value)
     return (row > face) ? row : face;
 }
 
-#endif
 /* Improves the Cauchy point on its face and on other ones, at most `faces`. Returns the value of the model. */
 static real_t refine(solver_t *s, int faces)
 {
@@ -274,22 +272,22 @@ static real_t refine(solver_t *s, int faces)
             a->open[k][i] = R(1);
         }
     }
-#if NG
-    memset(a->kept_d, 0, sizeof a->kept_d);
-    memset(a->kept_Hd, 0, sizeof a->kept_Hd);
-    a->best = (value < R(0)) ? shorten(s, R(0)) : R(0);
-    (void)take_parabolas(s);
-    value = a->best - a->offset;
-#endif
+    if (NG) {
+        memset(a->kept_d, 0, sizeof a->kept_d);
+        memset(a->kept_Hd, 0, sizeof a->kept_Hd);
+        a->best = (value < R(0)) ? shorten(s, R(0)) : R(0);
+        (void)take_parabolas(s);
+        value = a->best - a->offset;
+    }
     (void)find_face(a);
     a->largest = largest_curvature(a);
     a->shift = R(0);
     a->shifts = 0;
     for (int face = 0; face < faces && last >= 0; face++) {
-#if NG
-        memcpy(a->kept_d, a->d, sizeof a->kept_d);
-        memcpy(a->kept_Hd, a->Hd, sizeof a->kept_Hd);
-#endif
+        if (NG) {
+            memcpy(a->kept_d, a->d, sizeof a->kept_d);
+            memcpy(a->kept_Hd, a->Hd, sizeof a->kept_Hd);
+        }
         a->factorized = factorize(s, last);
         set_residual(a);
         conjugate_gradients(s);
@@ -297,17 +295,17 @@ static real_t refine(solver_t *s, int faces)
         if (!projected_search(s, &value)) {
             break;
         }
-#if NG
-        last = next_face(s, &value);
-#else
-        last = find_face(a);
-#endif
+        if (NG) {
+            last = next_face(s, &value);
+        } else {
+            last = find_face(a);
+        }
     }
-#if NG
-    return a->best;
-#else
-    return value;
-#endif
+    if (NG) {
+        return a->best;
+    } else {
+        return value;
+    }
 }
 
 /* Keeps the plan with its gaps, rows and cost aside. */
@@ -317,9 +315,7 @@ static void keep_plan(solver_t *s)
     memcpy(a->kept_x, s->x, sizeof a->kept_x);
     memcpy(a->kept_u, s->u, sizeof a->kept_u);
     memcpy(a->kept_gap, a->gap, sizeof a->kept_gap);
-#if NG
     memcpy(a->kept_value, a->value, sizeof a->kept_value);
-#endif
     a->kept_cost = a->cost;
 }
 
@@ -345,9 +341,7 @@ static void return_plan(solver_t *s)
     memcpy(s->x, a->kept_x, sizeof s->x);
     memcpy(s->u, a->kept_u, sizeof s->u);
     memcpy(a->gap, a->kept_gap, sizeof a->gap);
-#if NG
     memcpy(a->value, a->kept_value, sizeof a->value);
-#endif
     a->cost = a->kept_cost;
 }
 
@@ -378,7 +372,7 @@ static real_t rounding_of_merit(const solver_t *s, real_t value)
             bends += FABS(a->H[k][NX + j][NX + j]) * s->u[k][j] * s->u[k][j];
         }
     }
-    return TOL_MERIT_ROUNDING * (FABS(value) + TOL_MERIT_ROUNDING * bends) + TOL_UNIT * forces + R(1e-36);
+    return TOL_MERIT_ROUNDING * (FABS(value) + TOL_MERIT_ROUNDING * bends) + TOL_UNIT * forces + FACTOR_UNDERFLOW;
 }
 
 /* One iteration from the model of the plan, assembled. Returns 1 if the plan has moved, and then gaps, rows, cost and
@@ -396,8 +390,8 @@ static int descend(solver_t *s, int faces)
     evaluate_path(s);
     evaluate_ends(s);
     ratio = (before - merit(s) + noise) / (a->predicted + noise);
-    a->settled = (FABS(ratio - R(1)) < R(0.5) && length < R(0.9) * a->radius) ||
-        (ratio > FACTOR_SUFFICIENT && length < R(0.01) && length < a->radius);
+    a->settled = (FABS(ratio - R(1)) < R(0.5) && length < FACTOR_SETTLED_LENGTH * a->radius) ||
+        (ratio > FACTOR_SUFFICIENT && length < FACTOR_TINY_STEP && length < a->radius);
     if (ratio > FACTOR_GOOD && length > R(0.5) * a->radius) {
         a->radius *= FACTOR_GROW;
     } else if (!(ratio > FACTOR_POOR)) {
@@ -406,10 +400,10 @@ static int descend(solver_t *s, int faces)
     if (!(ratio > FACTOR_SUFFICIENT) || !(ratio < INF)) {
         return_plan(s);
         memset(a->Hd, 0, sizeof a->Hd);
-#if NG
-        estimate_multipliers(s);
-        assemble(s);
-#endif
+        if (NG) {
+            estimate_multipliers(s);
+            assemble(s);
+        }
         return 0;
     }
     s->stats.accepted++;

@@ -26,14 +26,10 @@ static void evaluate_ends(solver_t *s)
     for (int i = 0; i < NX; i++) {
         a->gap[0][i] = s->xhat[i] - s->x[0][i];
     }
-#if NF
     for (int f = 0; f < NF; f++) {
         a->gap[0][free_state[f]] = R(0);
     }
-#endif
-#if NG
     evaluate_rows(s, a->value);
-#endif
 }
 
 /* rho_i of component i of the gap at a node. */
@@ -42,11 +38,10 @@ static inline real_t gap_weight(const solver_t *s, int i)
     return s->auglag.penalty * variable_weight[i];
 }
 
-#if NG
 /* psi_m(v), its derivative and its second derivative. */
 static real_t row_term(const solver_t *s, int m, real_t v, real_t *slope, real_t *curvature)
 {
-    const real_t lower = ROW_LOWER(s, m), upper = ROW_UPPER(s, m);
+    const real_t lower = row_lower(s, m), upper = row_upper(s, m);
     const real_t weight = s->auglag.penalty * row_weight[m], mu = s->auglag.row[m], moved = v + mu / weight;
     real_t y = clip(moved, lower, upper), penalty = R(0);
     *slope = mu + weight * (v - y);
@@ -54,20 +49,19 @@ static real_t row_term(const solver_t *s, int m, real_t v, real_t *slope, real_t
     if (moved > lower && moved < upper) {
         *slope = R(0);
     }
-#if SOFT_ROWS
-    const real_t l1 = row_l1[row_id[m]], l2 = ROW_CURVATURE(m);
-    if (FABS(*slope) > l1) {
-        const real_t side = (*slope > R(0)) ? R(1) : -R(1), bound = (*slope > R(0)) ? upper : lower;
-        const real_t excess = (side * (mu + weight * (v - bound)) - l1) / (weight + l2);
-        y = bound + side * excess;
-        penalty = (l1 + R(0.5) * l2 * excess) * excess;
-        *slope = side * (l1 + l2 * excess);
-        *curvature = weight * l2 / (weight + l2);
+    if (SOFT_ROWS) {
+        const real_t l1 = row_l1(m), l2 = row_l2(m);
+        if (FABS(*slope) > l1) {
+            const real_t side = (*slope > R(0)) ? R(1) : -R(1), bound = (*slope > R(0)) ? upper : lower;
+            const real_t excess = (side * (mu + weight * (v - bound)) - l1) / (weight + l2);
+            y = bound + side * excess;
+            penalty = (l1 + R(0.5) * l2 * excess) * excess;
+            *slope = side * (l1 + l2 * excess);
+            *curvature = weight * l2 / (weight + l2);
+        }
     }
-#endif
     return penalty + (mu + R(0.5) * weight * (v - y)) * (v - y);
 }
-#endif
 
 /* L, with the multipliers of the last update. */
 static real_t merit(const solver_t *s)
@@ -79,12 +73,10 @@ static real_t merit(const solver_t *s)
             sum += (a->lam[k][i] + R(0.5) * gap_weight(s, i) * a->gap[k][i]) * a->gap[k][i];
         }
     }
-#if NG
     for (int m = 0; m < NG; m++) {
         real_t slope, curvature;
         sum += row_relaxed[m] ? row_term(s, m, a->value[m], &slope, &curvature) : R(0);
     }
-#endif
     return sum;
 }
 
@@ -97,13 +89,11 @@ static void estimate_multipliers(solver_t *s)
             s->lam[k][i] = a->lam[k][i] + gap_weight(s, i) * a->gap[k][i];
         }
     }
-#if NG
     for (int m = 0; m < NG; m++) {
         if (row_relaxed[m]) {
-            a->term[m] = row_term(s, m, a->value[m], &ROW_MULTIPLIER(s, m), &a->curvature[m]);
+            a->term[m] = row_term(s, m, a->value[m], row_multiplier_place(s, m), &a->curvature[m]);
         }
     }
-#endif
 }
 
 /* The dual update: the estimates become the multipliers. As L reads xhat where the coupled rows read x_0, its
@@ -117,15 +107,12 @@ static void update_multipliers(solver_t *s)
             a->lam[k][i] = clip(s->lam[k][i], -most, most);
         }
     }
-#if NG
     for (int m = 0; m < NG; m++) {
         const real_t most = FACTOR_MULTIPLIER * a->penalty * SQRT(row_weight[m]);
-        a->row[m] = row_relaxed[m] ? clip(ROW_MULTIPLIER(s, m), -most, most) : R(0);
+        a->row[m] = row_relaxed[m] ? clip(row_multiplier(s, m), -most, most) : R(0);
     }
-#endif
 }
 
-#if NE
 /* lam_0 += sign E_0' eta. */
 static void couple_start(solver_t *s, real_t sign)
 {
@@ -135,7 +122,6 @@ static void couple_start(solver_t *s, real_t sign)
         }
     }
 }
-#endif
 
 /* The multipliers of the plan, as they were before the estimates. */
 static void restore_multipliers(solver_t *s)
@@ -145,11 +131,9 @@ static void restore_multipliers(solver_t *s)
 #if NG
     for (int m = 0; m < NG; m++) {
         if (row_relaxed[m]) {
-            ROW_MULTIPLIER(s, m) = a->row[m];
+            *row_multiplier_place(s, m) = a->row[m];
         }
     }
 #endif
-#if NE
     couple_start(s, R(1));
-#endif
 }

@@ -15,17 +15,14 @@ static int step_sizes(const solver_t *s, real_t *size)
     return all_finite(size, NZ);
 }
 
-#if HARD_ROWS
 /* Returns 1 if all hard rows hold after the step up to rounding of their terms, and those with a multiplier are at its
  * bound. Control bounds are bounds of the QP. */
 static int rows_hold(const solver_t *s, const real_t *size)
 {
     for (int m = 0; m < NG; m++) {
-#if SOFT_ROWS
-        if (IS_SOFT(m)) {
+        if (row_is_soft(m)) {
             continue;
         }
-#endif
         const real_t excess = FABS(row_excess(s, m, s->step.mult[m]));
         if (!(excess <= R(0)) && !(excess <= TOL_STEP * row_terms(s, m, size))) {
             return 0;
@@ -33,13 +30,24 @@ static int rows_hold(const solver_t *s, const real_t *size)
     }
     return 1;
 }
-#endif
 
-#if CHECK_GRADIENT
+/* Returns 1 if the plan may take the step of the QP. */
+static int step_holds(const solver_t *s, status_t status)
+{
+    real_t size[NZ] = {0};
+    if (!step_sizes(s, size)) {
+        return 0;
+    }
+    if (status == OK && !rows_hold(s, size)) {
+        return 0;
+    }
+    return 1;
+}
+
 /* Sum of the magnitudes of the terms of the cost of the step, at least what may have been lost to underflow. */
 static real_t cost_terms(const solver_t *s)
 {
-    real_t sum = R(1e-36);
+    real_t sum = FACTOR_UNDERFLOW;
     for (int k = 0; k < N; k++) {
         for (int i = 0; i < NZ; i++) {
             const real_t z = FABS(i < NX ? s->step.dx[k][i] : s->step.du[k][i - NX]);
@@ -62,16 +70,14 @@ static int controls_hold(const solver_t *s, int k, const real_t *w, real_t *leas
         for (int l = 0; l < NX; l++) {
             size += FABS(node->S[l][i] * s->lam[k + 1][l]);
         }
-#if NH
         for (int l = 0; l < NH; l++) {
             const real_t force = node->J[l][i] * s->mu[k][l];
             sum += force;
             size += FABS(force);
         }
-#endif
         const real_t over = (FABS(sum) - TOL_STEP_GRADIENT * size) * s->qp.inverse[j];
         if (over > R(0) && *least <= R(0)) {
-            *least = R(0.0625) * TOL_STEP_GRADIENT * SQRT(cost_terms(s));
+            *least = FACTOR_GRADIENT_MOVES * TOL_STEP_GRADIENT * SQRT(cost_terms(s));
         }
         if (!(over <= *least)) {
             return 0;
@@ -79,4 +85,3 @@ static int controls_hold(const solver_t *s, int k, const real_t *w, real_t *leas
     }
     return 1;
 }
-#endif

@@ -18,16 +18,14 @@
 static void expand_curved(solver_t *s)
 {
     curved_t *c = &s->curved;
-#if TWO_HESSIANS
-    linearize_with_curvature(s);
-#if SET_REFERENCE
-    s->renewal = UP_TO_DATE;
-#endif
-#else
-    evaluate_here(s);
-    memcpy(c->Q, s->hessian.Q, sizeof c->Q);
-    memcpy(c->Q_N, s->hessian.Q_N, sizeof c->Q_N);
-#endif
+    if (TWO_HESSIANS) {
+        linearize_with_curvature(s);
+        s->renewal = UP_TO_DATE;
+    } else {
+        evaluate_here(s);
+        memcpy(c->Q, s->hessian.Q, sizeof c->Q);
+        memcpy(c->Q_N, s->hessian.Q_N, sizeof c->Q_N);
+    }
     memset(s->hessian.Q, 0, sizeof s->hessian.Q);
     memset(s->hessian.Q_N, 0, sizeof s->hessian.Q_N);
     for (int i = 0; i < NZ; i++) {
@@ -90,7 +88,6 @@ static int eliminate(curved_t *c, int j)
     return 1;
 }
 
-#if NF
 /* Returns 1 if the cost to go is strictly convex in the free components of x_0. */
 static int free_pivots(curved_t *c)
 {
@@ -109,7 +106,6 @@ static int free_pivots(curved_t *c)
     }
     return 1;
 }
-#endif
 
 /* Returns 1 if the QP with this shift is strictly convex. */
 static int is_convex(solver_t *s, real_t shift)
@@ -132,11 +128,11 @@ static int is_convex(solver_t *s, real_t shift)
             }
         }
     }
-#if NF
-    return free_pivots(c);
-#else
-    return 1;
-#endif
+    if (NF) {
+        return free_pivots(c);
+    } else {
+        return 1;
+    }
 }
 
 /* unit = max(unit, C / size^2), where C is the most that the gradient says of a move by the size of a variable: a linear
@@ -194,34 +190,14 @@ static inline real_t bound_of(real_t lower, real_t upper, real_t mult)
     return (mult > R(0)) ? upper : lower;
 }
 
-#if NG
 /* Whether row m is held: an equation, a row with a multiplier, and a soft one at its kink. */
 static int row_is_held(const solver_t *s, int m)
 {
     const real_t mult = FABS(s->sqp.step.mult[m]);
-#if SOFT_ROWS
-    if (IS_SOFT(m)) {
-        return mult > R(0) && mult < R(0.999) * row_l1[row_id[m]];
+    if (row_is_soft(m)) {
+        return mult > R(0) && mult < FACTOR_AT_KINK * row_l1(m);
     }
-#endif
-    return mult > R(0) || ROW_LOWER(s, m) >= ROW_UPPER(s, m);
-}
-
-/* Gradient of row m in (x, u) of its node. */
-static void row_normal(const solver_t *s, int m, real_t *a)
-{
-    memset(a, 0, NZ * sizeof *a);
-#if STATE_ROWS && (GENERAL_ROWS || NE)
-    if (row_kind[m] == ROW_STATE) {
-        a[row_index[m]] = R(1);
-        return;
-    }
-#elif STATE_ROWS
-    a[row_index[m]] = R(1);
-#endif
-#if GENERAL_ROWS || NE
-    memcpy(a, nodal_row(s, m), (size_t)((row_node[m] < N) ? NZ : NX) * sizeof *a);
-#endif
+    return mult > R(0) || row_lower(s, m) >= row_upper(s, m);
 }
 
 /* Weight with which row m of gradient a has the curvature of the units of its variables; 0 if it is not held. */
@@ -242,15 +218,15 @@ static void hold_rows(solver_t *s, real_t hold)
 {
     real_t a[NZ];
     for (int m = 0; m < NG; m++) {
-        const int n = (row_node[m] < N) ? NZ : NX;
+        const int n = (row_node(m) < N) ? NZ : NX;
         const real_t weight = hold * s->curved.weight[m];
         if (!(weight > R(0))) {
             continue;
         }
-        row_normal(s, m, a);
+        copy_row_gradient(s, m, a);
         for (int i = 0; i < n; i++) {
             for (int j = 0; a[i] != R(0) && j < n; j++) { /* exactly: structural zeros add nothing */
-                curved_row(&s->curved, row_node[m], i)[j] += weight * a[i] * a[j];
+                curved_row(&s->curved, row_node(m), i)[j] += weight * a[i] * a[j];
             }
         }
     }
@@ -262,23 +238,22 @@ static void push_rows(solver_t *s)
     real_t a[NZ];
     for (int m = 0; m < NG; m++) {
         const real_t weight = s->curved.hold * s->curved.weight[m];
-        real_t *g = (row_node[m] < N) ? s->node[row_node[m]].g : s->terminal.g;
-        real_t value = ROW_CONSTANT(s, m);
+        real_t *g = (row_node(m) < N) ? s->node[row_node(m)].g : s->terminal.g;
+        real_t value = row_constant(s, m);
         if (!(weight > R(0))) {
             continue;
         }
-#if NE
-        for (int i = 0; IS_COUPLED(m) && i < NX; i++) {
-            value += s->coupled.J_0[row_index[m]][i] * (s->xhat[i] - s->x[0][i]);
+        if (row_is_coupled(m)) {
+            for (int i = 0; i < NX; i++) {
+                value += s->coupled.J_0[row_index(m)][i] * (s->xhat[i] - s->x[0][i]);
+            }
         }
-#endif
-        row_normal(s, m, a);
-        for (int i = 0; i < ((row_node[m] < N) ? NZ : NX); i++) {
+        copy_row_gradient(s, m, a);
+        for (int i = 0; i < ((row_node(m) < N) ? NZ : NX); i++) {
             g[i] += weight * (value - s->curved.target[m]) * a[i];
         }
     }
 }
-#endif
 
 /* Which bounds and rows are held, and where: those with a multiplier in the last QP. */
 static void predict_active(solver_t *s)
@@ -289,17 +264,15 @@ static void predict_active(solver_t *s)
         for (int j = 0; j < NU; j++) {
             const real_t mult = s->sqp.step.mult_u[k][j];
             c->weight_u[k][j] = (FABS(mult) > R(0)) ? c->unit[NX + j] : R(0);
-            c->target_u[k][j] = bound_of(CONTROL_LOWER(s, k, j), CONTROL_UPPER(s, k, j), mult);
+            c->target_u[k][j] = bound_of(control_lower(s, k, j), control_upper(s, k, j), mult);
         }
     }
-#if NG
     real_t a[NZ];
     for (int m = 0; m < NG; m++) {
-        row_normal(s, m, a);
+        copy_row_gradient(s, m, a);
         c->weight[m] = row_weight(s, m, a);
-        c->target[m] = bound_of(ROW_LOWER(s, m), ROW_UPPER(s, m), s->sqp.step.mult[m]);
+        c->target[m] = bound_of(row_lower(s, m), row_upper(s, m), s->sqp.step.mult[m]);
     }
-#endif
 }
 
 /* Holds them with this curvature, in units, in place of the present one. */
@@ -311,9 +284,7 @@ static void hold_active(solver_t *s, real_t hold)
             c->Q[k][NX + j][NX + j] += (hold - c->hold) * c->weight_u[k][j];
         }
     }
-#if NG
     hold_rows(s, hold - c->hold);
-#endif
     c->hold = hold;
 }
 
@@ -332,9 +303,7 @@ static void push_to_bounds(solver_t *s)
             }
         }
     }
-#if NG
     push_rows(s);
-#endif
 }
 
 static void restore_gradients(solver_t *s)
@@ -349,18 +318,18 @@ static void restore_gradients(solver_t *s)
  * found. The search starts at the last one. */
 static real_t smallest_shift(solver_t *s)
 {
-    real_t high = (s->curved.shift > R(1e-8)) ? s->curved.shift : R(1e-3);
+    real_t high = (s->curved.shift > FACTOR_KNOWN_SHIFT) ? s->curved.shift : FACTOR_FIRST_TRIAL;
     int trial = 0;
     while (!is_convex(s, high)) {
         if (trial++ == MAX_SHIFTS) {
             return INF;
         }
-        high *= R(4);
+        high *= FACTOR_TRIAL;
     }
-    for (int n = 0; n < MAX_SHIFTS && trial == 0 && is_convex(s, R(0.25) * high); n++) {
-        high *= R(0.25);
+    for (int n = 0; n < MAX_SHIFTS && trial == 0 && is_convex(s, high / FACTOR_TRIAL); n++) {
+        high /= FACTOR_TRIAL;
     }
-    real_t low = R(0.25) * high;
+    real_t low = high / FACTOR_TRIAL;
     for (int n = 0; n < BISECTIONS; n++) {
         const real_t middle = SQRT(low * high);
         if (is_convex(s, middle)) {
@@ -383,7 +352,7 @@ static int convexify(solver_t *s)
     int convex = is_convex(s, shift);
     for (int trial = 0; trial < 3 && !convex; trial++) {
         if (trial < 2) {
-            hold_active(s, (trial == 0) ? R(1) : R(256));
+            hold_active(s, (trial == 0) ? R(1) : FACTOR_FIRM_HOLD);
         } else {
             enlarge(&shift, c->proximal);
         }
@@ -395,7 +364,7 @@ static int convexify(solver_t *s)
             return 0;
         }
         c->shift = least;
-        shift = R(1.125) * least + c->damping;
+        shift = FACTOR_MARGIN * least + c->damping;
     }
     c->used = shift;
     for (int k = 0; k <= N && shift > R(0); k++) {
@@ -406,7 +375,6 @@ static int convexify(solver_t *s)
     return 1;
 }
 
-#if HAS_ADJOINT_STEP
 /* Multipliers of the dynamics in the QP: lam_k = q_k + Q_k dx_k + S_k' du_k + A_k' lam_{k+1} + rows' mult. */
 static void multipliers_of_qp(solver_t *s, real_t (*lam)[NX])
 {
@@ -416,22 +384,20 @@ static void multipliers_of_qp(solver_t *s, real_t (*lam)[NX])
         add_terminal_curvature(s, s->step.dx[N], w);
     }
     for (int k = N; k >= 0; k--) {
-#if NG
         real_t a[NZ];
         for (int m = row_first[k]; m < row_first[k + 1]; m++) {
-            row_normal(s, m, a);
+            copy_row_gradient(s, m, a);
             for (int i = 0; i < NX; i++) {
                 w[i] += a[i] * s->step.mult[m];
             }
         }
-#endif
-#if NE
         for (int m = 0; k == 0 && m < NG; m++) {
-            for (int i = 0; IS_COUPLED(m) && i < NX; i++) {
-                w[i] += s->coupled.J_0[row_index[m]][i] * s->step.mult[m];
+            if (row_is_coupled(m)) {
+                for (int i = 0; i < NX; i++) {
+                    w[i] += s->coupled.J_0[row_index(m)][i] * s->step.mult[m];
+                }
             }
         }
-#endif
         memcpy(lam[k], w, sizeof lam[0]);
         if (k > 0) {
             ADJOINT_STEP(&s->node[k - 1], HESSIAN(s, k - 1), s->step.dx[k - 1], s->step.du[k - 1], w);
@@ -440,10 +406,7 @@ static void multipliers_of_qp(solver_t *s, real_t (*lam)[NX])
             }
         }
     }
-#if NF
     for (int f = 0; f < NF; f++) {
         lam[0][free_state[f]] = R(0);
     }
-#endif
 }
-#endif

@@ -3,34 +3,28 @@
 
 #include "algorithms/kkt_terms.c"
 
-#if SOFT_ROWS
 static void kkt_soft_row(const solver_t *s, int m, real_t value, kkt_t *kkt)
 {
-    const real_t l1 = row_l1[row_id[m]], l2 = ROW_CURVATURE(m), mu = ROW_MULTIPLIER(s, m);
-    kkt_soft_side(kkt, value - ROW_UPPER(s, m), (mu > R(0)) ? mu : R(0), l1, l2, value);
-    kkt_soft_side(kkt, ROW_LOWER(s, m) - value, (mu < R(0)) ? -mu : R(0), l1, l2, value);
+    const real_t l1 = row_l1(m), l2 = row_l2(m), mu = row_multiplier(s, m);
+    kkt_soft_side(kkt, value - row_upper(s, m), (mu > R(0)) ? mu : R(0), l1, l2, value);
+    kkt_soft_side(kkt, row_lower(s, m) - value, (mu < R(0)) ? -mu : R(0), l1, l2, value);
 }
-#endif
 
 /* Violation and complementarity of all rows and control bounds. */
 static void kkt_rows(const solver_t *s, kkt_t *kkt)
 {
-#if NG
     real_t value[NG];
     evaluate_rows(s, value);
     for (int m = 0; m < NG; m++) {
-#if SOFT_ROWS
-        if (IS_SOFT(m)) {
+        if (row_is_soft(m)) {
             kkt_soft_row(s, m, value[m], kkt);
             continue;
         }
-#endif
-        kkt_row(kkt, value[m], ROW_LOWER(s, m), ROW_UPPER(s, m), ROW_MULTIPLIER(s, m));
+        kkt_row(kkt, value[m], row_lower(s, m), row_upper(s, m), row_multiplier(s, m));
     }
-#endif
     for (int k = 0; k < N; k++) {
         for (int j = 0; j < NU; j++) {
-            kkt_row(kkt, s->u[k][j], CONTROL_LOWER(s, k, j), CONTROL_UPPER(s, k, j), s->mu_u[k][j]);
+            kkt_row(kkt, s->u[k][j], control_lower(s, k, j), control_upper(s, k, j), s->mu_u[k][j]);
         }
     }
 }
@@ -42,7 +36,6 @@ static inline void kkt_add(real_t *sum, real_t *terms, real_t term)
     *terms += FABS(term);
 }
 
-#if NE
 /* sum += J' eta of the coupled rows, J = dr / dx_0 for k = 0 and dr / dx_N for k = N; terms += the magnitudes. */
 static void add_coupled_forces(const solver_t *s, int k, real_t *sum, real_t *terms)
 {
@@ -54,27 +47,22 @@ static void add_coupled_forces(const solver_t *s, int k, real_t *sum, real_t *te
         }
     }
 }
-#endif
 
 /* Node k: gradient of the Lagrangian (q, r) + [A B]' lam_{k+1} - (lam_k, 0) + mu_x, mu_u + J' mu, and the gap. */
 static void kkt_node(const solver_t *s, int k, const node_t *node, kkt_t *kkt)
 {
     real_t sum[NZ] = {0}, terms[NZ] = {0};
-#if NE
     if (k == 0) {
         add_coupled_forces(s, k, sum, terms);
     }
-#endif
     for (int i = 0; i < NZ; i++) {
         kkt_add(&sum[i], &terms[i], node->g[i]);
         for (int j = 0; j < NX; j++) {
             kkt_add(&sum[i], &terms[i], node->S[j][i] * s->lam[k + 1][j]);
         }
-#if NH
         for (int j = 0; j < NH; j++) {
             kkt_add(&sum[i], &terms[i], node->J[j][i] * s->mu[k][j]);
         }
-#endif
         kkt_add(&sum[i], &terms[i], (i < NX) ? s->mu_x[k][i] - s->lam[k][i] : s->mu_u[k][i - NX]);
         kkt_note(kkt, &kkt->stationarity, sum[i], terms[i]);
         if (i < NX) {
@@ -87,23 +75,19 @@ static void kkt_node(const solver_t *s, int k, const node_t *node, kkt_t *kkt)
 static void kkt_terminal(const solver_t *s, const terminal_t *terminal, kkt_t *kkt)
 {
     real_t sum[NX] = {0}, terms[NX] = {0};
-#if NE
     add_coupled_forces(s, N, sum, terms);
-#endif
     for (int i = 0; i < NX; i++) {
         kkt_add(&sum[i], &terms[i], terminal->g[i]);
         kkt_add(&sum[i], &terms[i], s->mu_x[N][i] - s->lam[N][i]);
-#if NH_N
         for (int j = 0; j < NH_N; j++) {
             kkt_add(&sum[i], &terms[i], terminal->J[j][i] * s->mu_N[j]);
         }
-#endif
         kkt_note(kkt, &kkt->stationarity, sum[i], terms[i]);
-#if NF
-        if (!is_measured[i] && !is_accumulator[i]) {
-            continue;
+        if (NF) {
+            if (!is_measured[i] && !is_accumulator[i]) {
+                continue;
+            }
         }
-#endif
         kkt_note(kkt, &kkt->equality, s->xhat[i] - s->x[0][i], FABS(s->x[0][i]));
     }
 }
@@ -119,17 +103,15 @@ void API(kkt)(const solver_t *s, kkt_t *out)
     memset(&terminal, 0, sizeof terminal);
     for (int k = 0; k < N; k++) {
         evaluate_node(s, k, &node, x_next);
-#if HAS_START_GRADIENT
-        if (k == 0) {
-            add_start_gradient(s, node.g);
+        if (HAS_START_GRADIENT) {
+            if (k == 0) {
+                add_start_gradient(s, node.g);
+            }
         }
-#endif
         complete_node(s, k, x_next, &node);
         kkt_node(s, k, &node, out);
     }
-#if HAS_TERMINAL_GRADIENT || NH_N
     linearize_terminal(s, &terminal);
-#endif
     kkt_terminal(s, &terminal, out);
     kkt_rows(s, out);
 }

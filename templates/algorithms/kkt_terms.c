@@ -15,7 +15,6 @@ static void kkt_row(kkt_t *kkt, real_t value, real_t lower, real_t upper, real_t
     }
 }
 
-#if SOFT_ROWS
 /* Residuals of one side of a soft row with excess over its bound and multiplier m >= 0: the optimality conditions of
  * min l1 v + l2/2 v^2 s.t. v >= excess, v >= 0 at v = max(0, excess). The multiplier of v >= 0 is
  * nu = l1 + l2 v - m >= 0. */
@@ -31,4 +30,3 @@ static void kkt_soft_side(kkt_t *kkt, real_t excess, real_t m, real_t l1, real_t
         kkt_note(kkt, &kkt->complementarity, m * (excess - v), m * size);
     }
 }
-#endif

@@ -4,29 +4,20 @@ static void complete_node(const solver_t *s, int k, const real_t *x_next, node_t
     for (int i = 0; i < NX; i++) {
         node->b[i] = x_next[i] - s->x[k + 1][i];
     }
-#if NH
     PATH_ROWS(s, k, node->h, &node->J[0][0]);
-#endif
 }
 
 #if LANE_NODES
 #include "lanes/linearize.c"
 #endif
 
-#if HAS_TERMINAL_GRADIENT || NH_N
 /* Gradient and general rows of the terminal node. */
 static void linearize_terminal(const solver_t *s, terminal_t *terminal)
 {
-#if HAS_TERMINAL_GRADIENT
     TERMINAL_GRADIENT(s, terminal->g);
-#endif
-#if NH_N
     TERMINAL_ROWS(s, terminal->h, &terminal->J[0][0]);
-#endif
 }
-#endif
 
-#if HAS_START_GRADIENT
 /* q_0 += gradient of the cost of x_0. */
 static void add_start_gradient(const solver_t *s, real_t *q)
 {
@@ -36,29 +27,22 @@ static void add_start_gradient(const solver_t *s, real_t *q)
         q[i] += slope[i];
     }
 }
-#endif
 
 /* Linearises all nodes, from the last to the first. The same evaluations provide the data that the Hessian needs. */
 static void linearize(solver_t *s)
 {
-#if !LANE_NODES
     real_t x_next[NX];
-#endif
-#if HAS_TERMINAL_GRADIENT || NH_N
     linearize_terminal(s, &s->terminal);
-#endif
-#if NE
     COUPLED_ROWS(s, s->coupled.r, &s->coupled.J_0[0][0], &s->coupled.J_N[0][0]);
-#endif
-#if LANE_NODES
-    linearize_lanes(s);
-#else
-    for (int k = N - 1; k >= 0; k--) {
-        expand_node(s, k, x_next);
-        complete_node(s, k, x_next, &s->node[k]);
+    if (LANE_NODES) {
+        linearize_lanes(s);
+    } else {
+        for (int k = N - 1; k >= 0; k--) {
+            expand_node(s, k, x_next);
+            complete_node(s, k, x_next, &s->node[k]);
+        }
     }
-#endif
-#if HAS_START_GRADIENT
-    add_start_gradient(s, s->node[0].g);
-#endif
+    if (HAS_START_GRADIENT) {
+        add_start_gradient(s, s->node[0].g);
+    }
 }

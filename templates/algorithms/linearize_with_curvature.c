@@ -8,12 +8,8 @@ static void linearize_with_curvature(solver_t *s)
     real_t x_next[NX];
     memset(c->Q, 0, sizeof c->Q);
     memset(c->Q_N, 0, sizeof c->Q_N);
-#if HAS_TERMINAL_GRADIENT || NH_N
     linearize_terminal(s, &s->terminal);
-#endif
-#if NE
     COUPLED_ROWS(s, s->coupled.r, &s->coupled.J_0[0][0], &s->coupled.J_N[0][0]);
-#endif
     if (adjoint) {
         memcpy(s->lam[N], s->terminal.g, sizeof s->terminal.g);
     }
@@ -24,22 +20,18 @@ static void linearize_with_curvature(solver_t *s)
         }
         complete_node(s, k, x_next, &s->node[k]);
     }
-#if HAS_START_GRADIENT
-    add_start_gradient(s, s->node[0].g);
-#endif
-#if HAS_START_EXACT
-    real_t Q[NX * NX] = {R(0)};
-    START_EXACT(s, Q);
-    for (int i = 0; i < NX; i++) {
-        for (int j = 0; j <= i; j++) {
-            c->Q[0][i][j] += Q[i * NX + j];
+    if (HAS_START_GRADIENT) {
+        add_start_gradient(s, s->node[0].g);
+    }
+    if (HAS_START_EXACT) {
+        real_t Q[NX * NX] = {R(0)};
+        START_EXACT(s, Q);
+        for (int i = 0; i < NX; i++) {
+            for (int j = 0; j <= i; j++) {
+                c->Q[0][i][j] += Q[i * NX + j];
+            }
         }
     }
-#endif
-#if HAS_INITIAL_EXACT
     INITIAL_EXACT(s, &c->Q[0][0][0]);
-#endif
-#if HAS_TERMINAL_EXACT
     TERMINAL_EXACT(s, &c->Q_N[0][0]);
-#endif
 }

@@ -9,15 +9,9 @@ static void forget_multipliers(solver_t *s)
     memset(s->lam, 0, sizeof s->lam);
     memset(s->mu_x, 0, sizeof s->mu_x);
     memset(s->mu_u, 0, sizeof s->mu_u);
-#if NH
     memset(s->mu, 0, sizeof s->mu);
-#endif
-#if NH_N
     memset(s->mu_N, 0, sizeof s->mu_N);
-#endif
-#if NE
     memset(s->eta, 0, sizeof s->eta);
-#endif
 }
 
 /* Restarts the plan: sets every state to x, replaces controls that are not finite by their references, sets all
@@ -33,12 +27,12 @@ static void start_at(solver_t *s, const real_t *x)
         }
     }
     forget_multipliers(s);
-#if HAS_QP
-    condense_init(s);
-#endif
-#if NONLINEAR_ROWS
-    s->row_residual = R(0);
-#endif
+    if (HAS_QP) {
+        condense_init(s);
+    }
+    if (NONLINEAR_ROWS) {
+        s->row_residual = R(0);
+    }
 }
 
 static void start_at_measured(solver_t *s)
@@ -50,11 +44,9 @@ static void start_at_measured(solver_t *s)
 static void forget_plan(solver_t *s)
 {
     refer_controls(s);
-#if NF
     for (int f = 0; f < NF; f++) {
         s->xhat[free_state[f]] = initial_state[free_state[f]];
     }
-#endif
 }
 
 /* Nothing of the plan is kept. */

@@ -20,16 +20,16 @@ static void recover(solver_t *s, status_t status, int broken)
         if (s->failing == FOR_GOOD) {
             forget_plan(s);
         }
-#if HAS_QP
-        if (s->failing >= TWICE) {
-            start_at_measured(s);
-        } else if (status == ITERATION_LIMIT || status == STALLED) {
-            condense_init(s);
+        if (HAS_QP) {
+            if (s->failing >= TWICE) {
+                start_at_measured(s);
+            } else if (status == ITERATION_LIMIT || status == STALLED) {
+                condense_init(s);
+            }
+        } else {
+            if (s->failing >= TWICE) {
+                start_at_measured(s);
+            }
         }
-#else
-        if (s->failing >= TWICE) {
-            start_at_measured(s);
-        }
-#endif
     }
 }

@@ -4,17 +4,16 @@
 
 #include "algorithms/scales.c"
 
-#if NONLINEAR_ROWS
 /* Rows count as well, by what they differ from what the last step predicted for them.
  * Scale of row m: its finite bounds or, if they are 0, its value, at least 1/1000 of what that has been. */
 static real_t scale_of_row(solver_t *s, int m, real_t value)
 {
-    real_t scale = R(0), *most = &s->row_scale[row_id[m]];
+    real_t scale = R(0), *most = &s->row_scale[row_id(m)];
     enlarge(most, value);
-    enlarge_if_finite(&scale, ROW_LOWER(s, m));
-    enlarge_if_finite(&scale, ROW_UPPER(s, m));
+    enlarge_if_finite(&scale, row_lower(s, m));
+    enlarge_if_finite(&scale, row_upper(s, m));
     if (!(scale > R(0))) {
-        scale = R(1e-3) * *most;
+        scale = FACTOR_MOVING_ROW * *most;
         enlarge(&scale, value);
     }
     return scale_of(scale);
@@ -27,17 +26,10 @@ static real_t row_residual(solver_t *s, real_t length)
     real_t value[NG], most = R(0);
     evaluate_rows(s, value);
     for (int m = 0; m < NG; m++) {
-#if SOFT_ROWS
-        if (IS_SOFT(m)) {
+        if (row_is_soft(m) || row_is_state(m)) {
             continue;
         }
-#endif
-#if STATE_ROWS
-        if (row_kind[m] == ROW_STATE) {
-            continue;
-        }
-#endif
-        const real_t constant = ROW_CONSTANT(s, m), change = nodal_change(s, m);
+        const real_t constant = row_constant(s, m), change = row_change(s, m);
         const real_t scale = scale_of_row(s, m, value[m]);
         enlarge(&most, (value[m] - (constant + change)) / scale);
         if (length < R(1)) {
@@ -47,7 +39,6 @@ static real_t row_residual(solver_t *s, real_t length)
     }
     return most;
 }
-#endif
 
 /* The residual of the plan that has just been linearised. */
 static void measure_residual(solver_t *s)
@@ -60,8 +51,8 @@ static void measure_residual(solver_t *s)
     for (int i = 0; i < NX; i++) {
         enlarge(&most, gap[i] / size[i]);
     }
-#if NONLINEAR_ROWS
-    enlarge(&most, s->row_residual);
-#endif
+    if (NONLINEAR_ROWS) {
+        enlarge(&most, s->row_residual);
+    }
     s->stats.residual = most;
 }

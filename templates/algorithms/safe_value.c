@@ -2,7 +2,7 @@
 static real_t safe_value(const solver_t *s, int k, int j)
 {
     const real_t u = s->u[k][j];
-    return clip(isfinite(u) ? u : CONTROL_REFERENCE(s, k, j), CONTROL_LOWER(s, k, j), CONTROL_UPPER(s, k, j));
+    return clip(isfinite(u) ? u : reference_of_control(s, k, j), control_lower(s, k, j), control_upper(s, k, j));
 }
 
 /* The controls of the plan at their references, inside their bounds. */
@@ -10,7 +10,7 @@ static void refer_controls(solver_t *s)
 {
     for (int k = 0; k < N; k++) {
         for (int j = 0; j < NU; j++) {
-            s->u[k][j] = CONTROL_REFERENCE(s, k, j);
+            s->u[k][j] = reference_of_control(s, k, j);
             s->u[k][j] = safe_value(s, k, j);
         }
     }

@@ -21,21 +21,16 @@ static inline void largest_of(real_t *largest, const real_t *v)
     }
 }
 
-#if STATE_ROWS
 /* size = max(size, half the width of the bounds of the states at node k). */
 static void enlarge_by_bounds(const solver_t *s, int k, real_t *size)
 {
     for (int m = row_first[k]; m < row_first[k + 1]; m++) {
-#if GENERAL_ROWS || NE
-        if (row_kind[m] != ROW_STATE) {
-            continue;
+        if (row_is_state(m)) {
+            enlarge_if_finite(&size[row_index(m)], R(0.5) * row_upper(s, m) - R(0.5) * row_lower(s, m));
         }
-#endif
-        enlarge_if_finite(&size[row_index[m]], R(0.5) * ROW_UPPER(s, m) - R(0.5) * ROW_LOWER(s, m));
     }
 }
 
-#endif
 /* Scales of the states: their largest magnitudes in the plan, half the width of their bounds at the first and last node. */
 static void state_scales(const solver_t *s, real_t *size)
 {
@@ -43,16 +38,13 @@ static void state_scales(const solver_t *s, real_t *size)
     for (int k = 0; k <= N; k++) {
         largest_of(size, s->x[k]);
     }
-#if STATE_ROWS
     enlarge_by_bounds(s, 1, size);
     enlarge_by_bounds(s, N, size);
-#endif
     for (int i = 0; i < NX; i++) {
         size[i] = scale_of(size[i]);
     }
 }
 
-#if SOLVE || RELAX
 /* Sizes of the controls: largest magnitudes in the plan, or half the width of their bounds. */
 static void control_sizes(const solver_t *s, real_t *size)
 {
@@ -60,11 +52,10 @@ static void control_sizes(const solver_t *s, real_t *size)
         size[j] = R(0);
         for (int k = 0; k < N; k++) {
             enlarge(&size[j], s->u[k][j]);
-            enlarge_if_finite(&size[j], R(0.5) * CONTROL_UPPER(s, k, j) - R(0.5) * CONTROL_LOWER(s, k, j));
+            enlarge_if_finite(&size[j], R(0.5) * control_upper(s, k, j) - R(0.5) * control_lower(s, k, j));
         }
         size[j] = scale_of(size[j]);
     }
 }
 
-#endif
 #include "algorithms/judged.c"

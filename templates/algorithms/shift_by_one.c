@@ -1,4 +1,3 @@
-#if NG
 /* A row of node k takes the multiplier and, for a QP solver, the predicted side of the same row at node k + 1, if it is
  * imposed there too. A row that begins at node k + 1 leaves nothing at node k. */
 static void shift_rows(solver_t *s)
@@ -6,19 +5,17 @@ static void shift_rows(solver_t *s)
     int source[NG];
     for (int m = 0; m < NG; m++) {
         source[m] = m;
-        for (int n = m + 1; n < NG && row_node[n] <= row_node[m] + 1; n++) {
-            if (row_node[n] > row_node[m] && row_id[n] == row_id[m]) {
+        for (int n = m + 1; n < NG && row_node(n) <= row_node(m) + 1; n++) {
+            if (row_node(n) > row_node(m) && row_id(n) == row_id(m)) {
                 source[m] = n;
             }
         }
-        ROW_MULTIPLIER(s, m) = ROW_MULTIPLIER(s, source[m]); /* not yet shifted, as source[m] >= m */
+        *row_multiplier_place(s, m) = row_multiplier(s, source[m]); /* not yet shifted, as source[m] >= m */
     }
-#if HAS_QP
-    condense_shift_rows(s, source);
-#endif
+    if (HAS_QP) {
+        condense_shift_rows(s, source);
+    }
 }
-
-#endif
 
 /* Node k takes the data of node k + 1; the last node and the last interval keep their own. */
 static void shift_by_one(solver_t *s)
@@ -35,10 +32,8 @@ static void shift_by_one(solver_t *s)
             s->mu_u[k][j] = s->mu_u[from][j];
         }
     }
-#if HAS_QP
-    condense_shift(s);
-#endif
-#if NG
+    if (HAS_QP) {
+        condense_shift(s);
+    }
     shift_rows(s);
-#endif
 }

@@ -6,13 +6,13 @@ static void shift_plan(solver_t *s)
     memcpy(first, s->u[0], sizeof first);
     shift_by_one(s);
     for (int j = 0; j < NU; j++) {
-        s->u[N - 1][j] = clip(first[j], CONTROL_LOWER(s, N - 1, j), CONTROL_UPPER(s, N - 1, j));
+        s->u[N - 1][j] = clip(first[j], control_lower(s, N - 1, j), control_upper(s, N - 1, j));
     }
-#if ACCUMULATORS
-    for (int i = 0; i < NX; i++) {
-        s->x[0][i] = is_accumulator[i] ? R(0) : s->x[0][i];
+    if (ACCUMULATORS) {
+        for (int i = 0; i < NX; i++) {
+            s->x[0][i] = is_accumulator[i] ? R(0) : s->x[0][i];
+        }
     }
-#endif
     for (int k = 0; k < N; k++) {
         interval_value(s, k, s->x[k + 1]);
     }

@@ -4,16 +4,13 @@
 
 #include "algorithms/kkt_terms.c"
 
-#if SOFT_ROWS
 static void kkt_soft_row(const solver_t *s, int m, real_t value, real_t mu, kkt_t *kkt)
 {
-    const real_t l1 = row_l1[row_id[m]], l2 = ROW_CURVATURE(m);
-    kkt_soft_side(kkt, value - ROW_UPPER(s, m), (mu > R(0)) ? mu : R(0), l1, l2, value);
-    kkt_soft_side(kkt, ROW_LOWER(s, m) - value, (mu < R(0)) ? -mu : R(0), l1, l2, value);
+    const real_t l1 = row_l1(m), l2 = row_l2(m);
+    kkt_soft_side(kkt, value - row_upper(s, m), (mu > R(0)) ? mu : R(0), l1, l2, value);
+    kkt_soft_side(kkt, row_lower(s, m) - value, (mu < R(0)) ? -mu : R(0), l1, l2, value);
 }
 
-#endif
-#if NG
 /* Violation and complementarity of all rows. */
 static void kkt_rows(const solver_t *s, int what, kkt_t *kkt)
 {
@@ -21,21 +18,18 @@ static void kkt_rows(const solver_t *s, int what, kkt_t *kkt)
     evaluate_rows(s, value);
     for (int m = 0; m < NG; m++) {
         const real_t mu = row_factor(s, m, value[m], what, R(0));
-#if SOFT_ROWS
-        if (IS_SOFT(m)) {
+        if (row_is_soft(m)) {
             kkt_soft_row(s, m, value[m], mu, kkt);
             continue;
         }
-#endif
-        kkt_row(kkt, value[m], ROW_LOWER(s, m), ROW_UPPER(s, m), mu);
+        kkt_row(kkt, value[m], row_lower(s, m), row_upper(s, m), mu);
     }
 }
-#endif
 
 /* Gradient with respect to control j at node k: stationarity, unless a bound holds it. */
 static void kkt_control(const solver_t *s, int k, int j, real_t pulled, real_t own, kkt_t *kkt)
 {
-    const real_t u = s->u[k][j], lower = CONTROL_LOWER(s, k, j), upper = CONTROL_UPPER(s, k, j), g = pulled + own;
+    const real_t u = s->u[k][j], lower = control_lower(s, k, j), upper = control_upper(s, k, j), g = pulled + own;
     const int holds = (g > R(0) && !(u > lower)) || (g < R(0) && !(u < upper));
     kkt_row(kkt, u, lower, upper, holds ? -g : R(0));
     kkt_note(kkt, &kkt->stationarity, holds ? R(0) : g, FABS(pulled) + FABS(own));
@@ -60,9 +54,7 @@ static real_t residual_of(const solver_t *s, int what, kkt_t *kkt)
             kkt_note(kkt, &kkt->equality, lam[i] - s->x[k + 1][i], FABS(lam[i]));
         }
     }
-#if NG
     kkt_rows(s, what, kkt);
-#endif
     return stationarity;
 }
 

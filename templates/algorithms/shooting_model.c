@@ -26,7 +26,6 @@ static void load_direction(const solver_t *s, int k, real_t *d)
     }
 }
 
-#if NG && LUMPED_ROWS
 /* Part of node k, with n variables, in the change of the lumped row along d, times its factor. */
 static real_t lumped_change(const solver_t *s, int k, int n, const real_t *d)
 {
@@ -38,42 +37,35 @@ static real_t lumped_change(const solver_t *s, int k, int n, const real_t *d)
     return sum;
 }
 
-#endif
 /* w = H p without the terminal rows. */
 static void multiply(solver_t *s)
 {
     shooting_t *a = &s->shooting;
     real_t d[NZ], lam[NX] = {R(0)}, g[NZ];
-#if NG && LUMPED_ROWS
     real_t change = R(0);
-#endif
     for (int k = 0; k < N; k++) {
         load_direction(s, k, d);
-#if NG && LUMPED_ROWS
-        change += lumped_change(s, k, NZ, d);
-#endif
+        if (NG && LUMPED_ROWS) {
+            change += lumped_change(s, k, NZ, d);
+        }
         INTEGRATOR_FORWARD(s, k, d, d + NX, a->dx[k]);
     }
-#if NG && LUMPED_ROWS
-    change += lumped_change(s, N, NX, a->dx[N - 1]);
-    a->lump_change = row_penalty(s) * change / (a->lump * a->lump);
-#endif
-#if HAS_TERMINAL_PRODUCT
+    if (NG && LUMPED_ROWS) {
+        change += lumped_change(s, N, NX, a->dx[N - 1]);
+        a->lump_change = penalty_of_rows(s) * change / (a->lump * a->lump);
+    }
     TERMINAL_PRODUCT(s, a->dx[N - 1], lam);
-#endif
-#if NG
-    add_rows(s, N, PRODUCT, a->dx[N - 1], lam);
-#endif
+    if (NG) {
+        add_rows(s, N, PRODUCT, a->dx[N - 1], lam);
+    }
     for (int k = N - 1; k >= 0; k--) {
         real_t own[NZ];
         memset(own, 0, sizeof own);
         load_direction(s, k, d);
-#if HAS_PATH_PRODUCT
         PATH_PRODUCT(s, k, d, own);
-#endif
-#if NG
-        add_rows(s, k, PRODUCT, d, own);
-#endif
+        if (NG) {
+            add_rows(s, k, PRODUCT, d, own);
+        }
         INTEGRATOR_ADJOINT(s, k, lam, g);
         for (int i = 0; i < NX; i++) {
             lam[i] = g[i] + own[i];
@@ -84,42 +76,33 @@ static void multiply(solver_t *s)
     }
 }
 
-#if NT
 /* The gradient with respect to x_N of terminal row t, and its value. */
 static real_t terminal_slope(const solver_t *s, int t, real_t *lam)
 {
     const int m = terminal_row[t];
-#if GENERAL_ROWS || NE
-    nodal_rows_t rows;
-    evaluate_nodal_rows(s, N, &rows);
-#endif
+    real_t h[NH + NH_N] = {R(0)}, J[(NH + NH_N) * NZ] = {R(0)};
+    real_t r[NE], J_N[NE * NX] = {R(0)};
+    evaluate_nodal_rows(s, N, h, J, r, J_N);
     for (int i = 0; i < NX; i++) {
         lam[i] = R(0);
     }
-#if STATE_ROWS && (GENERAL_ROWS || NE)
-    if (row_bounds_state[m]) {
-        lam[row_index[m]] = R(1);
-        return s->x[N][row_index[m]];
+    if (row_is_state(m)) {
+        lam[row_index(m)] = R(1);
+        return s->x[N][row_index(m)];
     }
-#elif STATE_ROWS
-    lam[row_index[m]] = R(1);
-    return s->x[N][row_index[m]];
-#endif
-#if GENERAL_ROWS || NE
-    const real_t *gradient = row_gradient(&rows, m);
+    const real_t *gradient = gradient_of_row(m, J, J_N);
     for (int i = 0; i < NX; i++) {
         lam[i] = gradient[i];
     }
-    return ROW_VALUE(s, m, rows.h, rows.r);
-#endif
+    return row_value(s, m, h, r);
 }
 
 /* c_t = distance of terminal row t from the bound that it is held at; 0 and no weight if it is held at none. */
 static int set_target(solver_t *s, int t, real_t v)
 {
     const int m = terminal_row[t];
-    const real_t lower = ROW_LOWER(s, m), upper = ROW_UPPER(s, m);
-    const real_t moved = v + s->row[m] / (row_penalty(s) * row_weight[m]);
+    const real_t lower = row_lower(s, m), upper = row_upper(s, m);
+    const real_t moved = v + s->row[m] / (penalty_of_rows(s) * row_weight[m]);
     if (lower < upper && moved > lower && moved < upper) {
         s->shooting.gap[t] = R(0);
         s->row[m] = R(0);
@@ -212,7 +195,6 @@ static void substitute_rows(const shooting_t *a, real_t *y)
         y[t] *= a->S[t][t];
     }
 }
-#endif
 
 /* w = (I + Xi' Omega Xi / curvature)^-1 r over the free controls, by Woodbury's formula with the Schur complement S;
  * 0 at the others. Returns r' w. */
@@ -223,7 +205,6 @@ static real_t precondition(shooting_t *a)
             a->w[k][j] = if_free(a, k, j) * a->r[k][j];
         }
     }
-#if NT
     real_t y[NT];
     for (int t = 0; t < NT; t++) {
         y[t] = (a->omega[t] > R(0)) ? inner(a->Xi[t][0], a->w[0]) : R(0);
@@ -236,6 +217,5 @@ static real_t precondition(shooting_t *a)
             }
         }
     }
-#endif
     return inner(a->r[0], a->w[0]);
 }

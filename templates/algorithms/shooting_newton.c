@@ -5,34 +5,34 @@
 /* Products of a step at most, and the square of the relative residual of conjugate gradients. */
 static int products_allowed(const solver_t *s)
 {
-#if SOLVE
-    return s->shooting.solving ? PRODUCTS_OF_SOLVE : MAX_PRODUCTS;
-#else
-    (void)s;
-    return MAX_PRODUCTS;
-#endif
+    if (SOLVE) {
+        return s->shooting.solving ? PRODUCTS_OF_SOLVE : MAX_PRODUCTS;
+    } else {
+        (void)s;
+        return MAX_PRODUCTS;
+    }
 }
 
 static real_t least_part(const solver_t *s)
 {
-#if SOLVE
-    const real_t precision = model_precision[s->shooting.solving];
-#else
-    const real_t precision = model_precision[0];
-    (void)s;
-#endif
+    if (SOLVE) {
+        const real_t precision = model_precision[s->shooting.solving];
+    } else {
+        const real_t precision = model_precision[0];
+        (void)s;
+    }
     return precision * precision;
 }
 
 /* Distance of d from a bound of control j at node k, in its scale. */
 static real_t to_lower(const solver_t *s, int k, int j)
 {
-    return s->shooting.d[k][j] - (CONTROL_LOWER(s, k, j) - s->u[k][j]) / control_scale[j];
+    return s->shooting.d[k][j] - (control_lower(s, k, j) - s->u[k][j]) / control_scale[j];
 }
 
 static real_t to_upper(const solver_t *s, int k, int j)
 {
-    return (CONTROL_UPPER(s, k, j) - s->u[k][j]) / control_scale[j] - s->shooting.d[k][j];
+    return (control_upper(s, k, j) - s->u[k][j]) / control_scale[j] - s->shooting.d[k][j];
 }
 
 /* d = 0; held = -1 for controls at the lower bound, 1 for those at the upper one. */
@@ -43,7 +43,7 @@ static void hold_bounds(solver_t *s)
     for (int k = 0; k < N; k++) {
         for (int j = 0; j < NU; j++) {
             const real_t u = s->u[k][j];
-            a->held[k][j] = !(u > CONTROL_LOWER(s, k, j)) ? -1 : !(u < CONTROL_UPPER(s, k, j));
+            a->held[k][j] = !(u > control_lower(s, k, j)) ? -1 : !(u < control_upper(s, k, j));
         }
     }
 }
@@ -89,7 +89,7 @@ static int release(solver_t *s, real_t least)
     for (int k = 0; k < N; k++) {
         for (int j = 0; j < NU; j++) {
             const real_t inward = (real_t)a->held[k][j] * a->r[k][j];
-            if (inward > R(0) && inward * inward > least && CONTROL_LOWER(s, k, j) < CONTROL_UPPER(s, k, j)) {
+            if (inward > R(0) && inward * inward > least && control_lower(s, k, j) < control_upper(s, k, j)) {
                 a->held[k][j] = 0;
                 released++;
             }
@@ -98,7 +98,6 @@ static int release(solver_t *s, real_t least)
     return released;
 }
 
-#if !NT
 /* After a step that ended at a bound: if the rest of it would reach several more, its projection on the box becomes the
  * direction p, and the minimum of the model along it the next d. */
 static void bend_step(solver_t *s, real_t rest)
@@ -125,16 +124,13 @@ static void bend_step(solver_t *s, real_t rest)
     a->model += length * (slope + R(0.5) * length * bend);
     hold_reached(s);
 }
-#endif
 
 /* One step along p. Returns 1 if it ends at a bound or along a direction without curvature. */
 static int step_along(solver_t *s, real_t descent)
 {
     shooting_t *a = &s->shooting;
     multiply(s);
-#if NT
     multiply_rows(a);
-#endif
     s->stats.cg_iterations++;
     const real_t bend = inner(a->p[0], a->w[0]), size = inner(a->p[0], a->p[0]);
     const int curved = bend > TOL_UNIT * size;
@@ -146,9 +142,9 @@ static int step_along(solver_t *s, real_t descent)
     a->model += length * (R(0.5) * length * bend - descent);
     if (length < wanted) {
         hold_reached(s);
-#if !NT
-        bend_step(s, wanted - length);
-#endif
+        if (!NT) {
+            bend_step(s, wanted - length);
+        }
         return 1;
     }
     return !curved;
@@ -160,9 +156,7 @@ static int solve_face(solver_t *s, real_t *largest)
 {
     shooting_t *a = &s->shooting;
     real_t beta = R(0);
-#if NT
     factorize_rows(a);
-#endif
     real_t size = precondition(a);
     s->stats.faces++;
     memset(a->p, 0, sizeof a->p);
@@ -187,7 +181,6 @@ static int solve_face(solver_t *s, real_t *largest)
     return 0;
 }
 
-#if NT
 /* What the step leaves of terminal row t, c_t + (Xi d)_t. */
 static real_t left_of(const shooting_t *a, int t)
 {
@@ -241,15 +234,15 @@ static int update_terminal(solver_t *s, const real_t *before, real_t *slope)
         *mu = met ? *mu + a->omega[t] * left_of(a, t) : before[t];
         other += *mu * step;
         bend -= a->omega[t] * step * step;
-        own -= row_penalty(s) * row_weight[terminal_row[t]] * a->gap[t] * step;
+        own -= penalty_of_rows(s) * row_weight[terminal_row[t]] * a->gap[t] * step;
     }
     const real_t rest = other + R(0.5) * bend;
-    const real_t factor = (R(4) * rest > own && own > R(0)) ? R(4) * rest / own : R(1);
+    const real_t factor =
+        (FACTOR_TERMINAL_SHARE * rest > own && own > R(0)) ? FACTOR_TERMINAL_SHARE * rest / own : R(1);
     weigh_terminal(s, factor);
     *slope = other - factor * own;
     return met;
 }
-#endif
 
 static int direction_is_finite(const solver_t *s)
 {
@@ -271,19 +264,17 @@ static real_t free_size(const shooting_t *a)
 /* The minimiser of the model. Returns 0 if products or faces run out. */
 static int solve_model(solver_t *s, real_t *largest)
 {
-#if NT
     int rounds = MAX_ROUNDS;
-#endif
     for (int face = 0; face < MAX_FACES && s->shooting.left > 0; face++) {
         const int reached = solve_face(s, largest);
         if (reached || release(s, least_part(s) * *largest)) {
             continue;
         }
-#if NT
-        if (rounds-- > 0 && tighten_rows(s)) {
-            continue;
+        if (NT) {
+            if (rounds-- > 0 && tighten_rows(s)) {
+                continue;
+            }
         }
-#endif
         return s->shooting.left > 0;
     }
     return 0;
@@ -303,13 +294,13 @@ static status_t improve(solver_t *s, int trials, int *moved)
     largest = free_size(a);
     a->left = products_allowed(s);
     a->model = R(0);
-#if NT
-    real_t before[NT];
-    impulse_rows(s);
-    for (int t = 0; t < NT; t++) {
-        before[t] = s->row[terminal_row[t]];
+    if (NT) {
+        real_t before[NT];
+        impulse_rows(s);
+        for (int t = 0; t < NT; t++) {
+            before[t] = s->row[terminal_row[t]];
+        }
     }
-#endif
     if (!all_finite(a->r[0], N * NU)) {
         return NUMERICAL_FAILURE;
     }
@@ -319,15 +310,13 @@ static status_t improve(solver_t *s, int trials, int *moved)
         return NUMERICAL_FAILURE;
     }
     slope = R(2) * a->model - inner(a->r[0], a->d[0]);
-#if NT
-    met = update_terminal(s, before, &slope);
-#endif
+    if (NT) {
+        met = update_terminal(s, before, &slope);
+    }
     *moved = move(s, (slope < R(0)) ? slope : R(0), trials);
     *moved = (*moved == MOVED && rough) ? SHORTENED : *moved;
-#if NT
     for (int t = 0; t < NT && *moved == STAYED; t++) {
         s->row[terminal_row[t]] = before[t];
     }
-#endif
     return met ? OK : done ? INFEASIBLE : ITERATION_LIMIT;
 }

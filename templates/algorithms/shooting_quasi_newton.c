@@ -58,7 +58,7 @@ static void hold_outward(solver_t *s)
     for (int k = 0; k < N; k++) {
         for (int j = 0; j < NU; j++) {
             const real_t u = s->u[k][j], r = a->r[k][j];
-            a->held[k][j] = (r > R(0) && !(u > CONTROL_LOWER(s, k, j))) || (r < R(0) && !(u < CONTROL_UPPER(s, k, j)));
+            a->held[k][j] = (r > R(0) && !(u > control_lower(s, k, j))) || (r < R(0) && !(u < control_upper(s, k, j)));
             a->d[k][j] = -if_free(a, k, j) * r;
         }
     }

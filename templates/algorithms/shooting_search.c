@@ -10,11 +10,11 @@ static inline real_t if_free(const shooting_t *a, int k, int j)
 /* Cost of the plan and the terms of its rows. */
 static real_t merit(solver_t *s)
 {
-#if NG
-    return nodal_cost(s) + row_terms_of_plan(s, &s->stats.violation);
-#else
-    return nodal_cost(s);
-#endif
+    if (NG) {
+        return nodal_cost(s) + row_terms_of_plan(s, &s->stats.violation);
+    } else {
+        return nodal_cost(s);
+    }
 }
 
 /* u = base + length scale d inside the bounds; after the full step, held controls are exactly at their bounds. Returns
@@ -22,22 +22,22 @@ static real_t merit(solver_t *s)
 static real_t place_controls(solver_t *s, real_t length, real_t slope)
 {
     shooting_t *a = &s->shooting;
-#if QUASI_NEWTON
-    slope = R(0);
-#else
-    slope *= length;
-#endif
+    if (QUASI_NEWTON) {
+        slope = R(0);
+    } else {
+        slope *= length;
+    }
     for (int k = 0; k < N; k++) {
         for (int j = 0; j < NU; j++) {
-            const real_t lower = CONTROL_LOWER(s, k, j), upper = CONTROL_UPPER(s, k, j);
+            const real_t lower = control_lower(s, k, j), upper = control_upper(s, k, j);
             s->u[k][j] = clip(a->p[k][j] + length * control_scale[j] * a->d[k][j], lower, upper);
-#if QUASI_NEWTON
-            slope += a->r[k][j] * (s->u[k][j] - a->p[k][j]) / control_scale[j];
-#else
-            if (length >= R(1) && a->held[k][j]) {
-                s->u[k][j] = (a->held[k][j] < 0) ? lower : upper;
+            if (QUASI_NEWTON) {
+                slope += a->r[k][j] * (s->u[k][j] - a->p[k][j]) / control_scale[j];
+            } else {
+                if (length >= R(1) && a->held[k][j]) {
+                    s->u[k][j] = (a->held[k][j] < 0) ? lower : upper;
+                }
             }
-#endif
         }
     }
     return slope;
@@ -60,11 +60,11 @@ static int move(solver_t *s, real_t slope, int trials)
             const real_t after = merit(s);
             if (after <= before + armijo_part[0] * change + TOL_MERIT_ROUNDING * (R(1) + FABS(before))) {
                 s->stats.accepted++;
-                s->shooting.length = clip(R(4) * length, shortest_length[0], R(1));
+                s->shooting.length = clip(FACTOR_LONGER * length, shortest_length[0], R(1));
                 return (length < R(1)) ? SHORTENED : MOVED;
             }
         }
-        length *= R(0.25);
+        length /= FACTOR_LONGER;
     }
     memcpy(s->u, s->shooting.p, sizeof s->u);
     s->shooting.length = clip(length, shortest_length[0], R(1));

@@ -1,13 +1,12 @@
 /* Contract of this part: shift_plan() moves controls, states and multipliers of the rows to the next sample. */
 
-#if NG
 /* A row of node k takes the multiplier of the same row at node k + 1, if it is imposed there too. */
 static void shift_rows(solver_t *s)
 {
     for (int m = 0; m < NG; m++) {
         int source = m;
-        for (int next = m + 1; next < NG && row_node[next] <= row_node[m] + 1; next++) {
-            if (row_node[next] > row_node[m] && row_id[next] == row_id[m]) {
+        for (int next = m + 1; next < NG && row_node(next) <= row_node(m) + 1; next++) {
+            if (row_node(next) > row_node(m) && row_id(next) == row_id(m)) {
                 source = next;
             }
         }
@@ -15,7 +14,6 @@ static void shift_rows(solver_t *s)
     }
 }
 
-#endif
 #if SHIFT_RESAMPLE
 #include "algorithms/mean_control.c"
 
@@ -50,18 +48,16 @@ static void shift_plan(solver_t *s)
     for (int k = 0; k < N; k++) {
         memcpy(s->x[k], s->x[k + 1], sizeof s->x[k]);
         for (int j = 0; j < NU; j++) {
-#if SHIFT_PERIODIC
-            s->u[k][j] = (k + 1 < N) ? s->u[k + 1][j] : first[j];
-#else
-            s->u[k][j] = (k + 1 < N) ? s->u[k + 1][j] : s->u[k][j];
-#endif
+            if (SHIFT_PERIODIC) {
+                s->u[k][j] = (k + 1 < N) ? s->u[k + 1][j] : first[j];
+            } else {
+                s->u[k][j] = (k + 1 < N) ? s->u[k + 1][j] : s->u[k][j];
+            }
             s->u[k][j] = safe_value(s, k, j);
         }
     }
     interval_value(s, N - 1, s->x[N]);
-#if NG
     shift_rows(s);
-#endif
 }
 #endif
 

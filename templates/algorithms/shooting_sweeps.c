@@ -17,15 +17,13 @@ static void pull_back(const solver_t *s, int k, int what, real_t *lam, real_t *g
     for (int i = 0; i < NZ; i++) {
         own[i] = R(0);
     }
-#if !NG
-    (void)what;
-#endif
-#if HAS_PATH_GRADIENT
+    if (!NG) {
+        (void)what;
+    }
     PATH_GRADIENT(s, k, own);
-#endif
-#if NG
-    add_rows(s, k, what, own, own);
-#endif
+    if (NG) {
+        add_rows(s, k, what, own, own);
+    }
     INTEGRATOR_ADJOINT(s, k, lam, g);
     for (int i = 0; i < NX; i++) {
         lam[i] = g[i] + own[i];
@@ -38,18 +36,16 @@ static void start_adjoint(const solver_t *s, int what, real_t *lam)
     for (int i = 0; i < NX; i++) {
         lam[i] = R(0);
     }
-#if !NG
-    (void)what;
-#if !HAS_TERMINAL_GRADIENT
-    (void)s;
-#endif
-#endif
-#if HAS_TERMINAL_GRADIENT
+    if (!NG) {
+        (void)what;
+        if (!HAS_TERMINAL_GRADIENT) {
+            (void)s;
+        }
+    }
     TERMINAL_GRADIENT(s, lam);
-#endif
-#if NG
-    add_rows(s, N, what, lam, lam);
-#endif
+    if (NG) {
+        add_rows(s, N, what, lam, lam);
+    }
 }
 
 /* r_k = scale (B_k' lam_{k+1} + gradient in u_k), lam_k = A_k' lam_{k+1} + gradient in x_k. */

@@ -31,11 +31,9 @@ static measures_t measure(solver_t *s)
     const sqp_t *q = &s->sqp;
     measures_t at = {R(0), R(0)};
     for (int i = 0; i < NX; i++) {
-#if NF
         if (!is_measured[i] && !is_accumulator[i]) {
             continue;
         }
-#endif
         at.violation += FABS(s->x[0][i] - s->xhat[i]) / scale_of(q->state_scale[i]);
     }
     for (int k = 0; k < N; k++) {
@@ -45,22 +43,16 @@ static measures_t measure(solver_t *s)
             at.violation += FABS(x_next[i] - s->x[k + 1][i]) / scale_of(q->state_scale[i]);
         }
     }
-#if NG
     real_t value[NG];
     evaluate_rows(s, value);
     for (int m = 0; m < NG; m++) {
         const real_t v = outside(s, m, value[m]);
-#if SOFT_ROWS
-        if (IS_SOFT(m)) {
+        if (row_is_soft(m)) {
             at.cost += soft_penalty(m, v);
             continue;
         }
-#endif
-#if HARD_ROWS
-        at.violation += v / scale_of(s->row_scale[row_id[m]]);
-#endif
+        at.violation += v / scale_of(s->row_scale[row_id(m)]);
     }
-#endif
     at.cost += nodal_cost(s);
     return at;
 }
@@ -95,26 +87,22 @@ static int raise_scale(real_t *scale, real_t size)
     return 1;
 }
 
-#if HARD_ROWS
 /* Scales of the hard rows: the largest magnitude of the terms of a linearised row and of its finite bounds. Returns 1 if
  * one of them changes. */
 static int update_row_scales(solver_t *s, const real_t *size)
 {
     int grew = 0;
     for (int m = 0; m < NG; m++) {
-#if SOFT_ROWS
-        if (IS_SOFT(m)) {
+        if (row_is_soft(m)) {
             continue;
         }
-#endif
-        real_t *scale = &s->row_scale[row_id[m]];
+        real_t *scale = &s->row_scale[row_id(m)];
         grew |= raise_scale(scale, row_terms(s, m, size));
-        grew |= raise_scale(scale, FABS(ROW_LOWER(s, m)));
-        grew |= raise_scale(scale, FABS(ROW_UPPER(s, m)));
+        grew |= raise_scale(scale, FABS(row_lower(s, m)));
+        grew |= raise_scale(scale, FABS(row_upper(s, m)));
     }
     return grew;
 }
-#endif
 
 static inline const real_t *gradient_of(const solver_t *s, int k)
 {
@@ -134,16 +122,11 @@ static void enlarge_by_reach(const solver_t *s, real_t *size)
             }
         }
     }
-#if STATE_ROWS
     for (int m = 0; m < NG; m++) {
-#if GENERAL_ROWS || NE
-        if (row_kind[m] != ROW_STATE) {
-            continue;
+        if (row_is_state(m)) {
+            enlarge(&size[row_index(m)], clip(R(0), row_lower(s, m), row_upper(s, m)));
         }
-#endif
-        enlarge(&size[row_index[m]], clip(R(0), ROW_LOWER(s, m), ROW_UPPER(s, m)));
     }
-#endif
 }
 
 /* Scales of states and rows: largest magnitudes over the horizon at the present point and of the present step. They only
@@ -166,9 +149,9 @@ static void update_scales(solver_t *s)
     for (int i = 0; i < NX; i++) {
         grew |= raise_scale(&q->state_scale[i], size[i]);
     }
-#if HARD_ROWS
-    grew |= update_row_scales(s, size);
-#endif
+    if (HARD_ROWS) {
+        grew |= update_row_scales(s, size);
+    }
     if (grew) {
         q->entries = 0;
         q->most_violation = INF;
@@ -203,7 +186,6 @@ static void correct_constraints(solver_t *s)
         for (int i = 0; i < NX; i++) {
             node->b[i] += x_next[i] - s->x[k + 1][i];
         }
-#if NH
         real_t J[NH * NZ];
         PATH_ROWS(s, k, node->h, J);
         for (int i = 0; i < NH; i++) {
@@ -211,9 +193,7 @@ static void correct_constraints(solver_t *s)
                 node->h[i] -= node->J[i][j] * *step_at(&s->sqp.step, k, j);
             }
         }
-#endif
     }
-#if NH_N
     real_t J[NH_N * NX];
     TERMINAL_ROWS(s, s->terminal.h, J);
     for (int i = 0; i < NH_N; i++) {
@@ -221,8 +201,6 @@ static void correct_constraints(solver_t *s)
             s->terminal.h[i] -= s->terminal.J[i][j] * s->sqp.step.dx[N][j];
         }
     }
-#endif
-#if NE
     real_t J_0[NE * NX], J_N[NE * NX];
     COUPLED_ROWS(s, s->coupled.r, J_0, J_N);
     for (int i = 0; i < NE; i++) {
@@ -231,7 +209,6 @@ static void correct_constraints(solver_t *s)
                 s->coupled.J_0[i][j] * s->sqp.step.dx[0][j] + s->coupled.J_N[i][j] * s->sqp.step.dx[N][j];
         }
     }
-#endif
 }
 
 /* Returns 1 if a point is no worse than the filter allows. */
@@ -248,8 +225,8 @@ static int passes_filter(const sqp_t *q, const measures_t *at)
  * rejects leave; if there are FILTER others, the one with the largest violation gives way. */
 static void extend_filter(sqp_t *q)
 {
-    const measures_t added = {(R(1) - R(1e-5)) * q->base.violation + TOL_MERIT_ROUNDING,
-        q->base.cost - R(1e-5) * q->base.violation * q->cost_scale};
+    const measures_t added = {(R(1) - FACTOR_FILTER_SHARE) * q->base.violation + TOL_MERIT_ROUNDING,
+        q->base.cost - FACTOR_FILTER_SHARE * q->base.violation * q->cost_scale};
     int kept = 0, worst = 0;
     for (int n = 0; n < q->entries; n++) {
         if (q->filter[n].violation < added.violation || q->filter[n].cost < added.cost) {
@@ -271,16 +248,16 @@ static int accepts(solver_t *s)
     sqp_t *q = &s->sqp;
     const measures_t at = measure(s), *base = &q->base;
     const real_t rounding = TOL_MERIT_ROUNDING * (FABS(base->cost) + q->cost_scale);
-    const real_t share = R(1e-5) * base->violation, descent = -q->slope / q->cost_scale;
+    const real_t share = FACTOR_FILTER_SHARE * base->violation, descent = -q->slope / q->cost_scale;
     if (q->restoring) {
-        return at.cost < INF && at.violation <= base->violation - R(1e-4) * q->length * q->gain;
+        return at.cost < INF && at.violation <= base->violation - FACTOR_ARMIJO * q->length * q->gain;
     }
-    if (!passes_filter(q, &at) || at.violation > R(10) * base->violation + R(0.1)) {
+    if (!passes_filter(q, &at) || at.violation > FACTOR_MOST_GROWTH * base->violation + FACTOR_SMALL_VIOLATION) {
         return 0;
     }
-    if (descent > R(0) && base->violation <= R(1e-8) * q->most_violation &&
+    if (descent > R(0) && base->violation <= FACTOR_DESCENT * q->most_violation &&
         q->length * descent * descent > base->violation) {
-        return at.cost <= base->cost + R(1e-4) * q->length * q->slope + rounding;
+        return at.cost <= base->cost + FACTOR_ARMIJO * q->length * q->slope + rounding;
     }
     if (at.violation > base->violation - share + TOL_MERIT_ROUNDING &&
         at.cost > base->cost - share * q->cost_scale + rounding) {
@@ -290,7 +267,6 @@ static int accepts(solver_t *s)
     return 1;
 }
 
-#if HARD_ROWS
 /* Solves the QP with its rows relaxed. */
 static status_t run_relaxed_qp(solver_t *s)
 {
@@ -300,22 +276,21 @@ static status_t run_relaxed_qp(solver_t *s)
     return status;
 }
 
-#endif
 /* Returns 1 if the step of the same QP with corrected constraints is accepted. */
 static int accepts_corrected(solver_t *s)
 {
     int accepted = 0;
     correct_constraints(s);
     move_back(s);
-#if CURVED
-    push_to_bounds(s);
-#endif
+    if (CURVED) {
+        push_to_bounds(s);
+    }
     condense_rows(s);
-#if HARD_ROWS
-    const status_t status = s->sqp.elastic ? run_relaxed_qp(s) : run_qp(s);
-#else
-    const status_t status = run_qp(s);
-#endif
+    if (HARD_ROWS) {
+        const status_t status = s->sqp.elastic ? run_relaxed_qp(s) : run_qp(s);
+    } else {
+        const status_t status = run_qp(s);
+    }
     if (status == OK && step_is_finite(s)) {
         take_step(s);
         accepted = accepts(s);
@@ -323,9 +298,9 @@ static int accepts_corrected(solver_t *s)
     if (accepted) {
         put_step_aside(s);
     }
-#if CURVED
-    restore_gradients(s);
-#endif
+    if (CURVED) {
+        restore_gradients(s);
+    }
     return accepted;
 }
 
@@ -372,63 +347,59 @@ static real_t slope_of(solver_t *s)
             slope += gradient_of(s, k)[i] * *step_at(&s->step, k, i);
         }
     }
-#if SOFT_ROWS
-    real_t value[NG];
-    evaluate_rows(s, value);
-    for (int m = 0; m < NG; m++) {
-        if (IS_SOFT(m)) {
-            slope += soft_penalty(m, FABS(row_excess(s, m, R(0))));
-            slope -= soft_penalty(m, outside(s, m, value[m]));
+    if (SOFT_ROWS) {
+        real_t value[NG];
+        evaluate_rows(s, value);
+        for (int m = 0; m < NG; m++) {
+            if (row_is_soft(m)) {
+                slope += soft_penalty(m, FABS(row_excess(s, m, R(0))));
+                slope -= soft_penalty(m, outside(s, m, value[m]));
+            }
         }
     }
-#endif
     return slope;
 }
 
-#if CURVED || LAGRANGIAN || STAGE_MULTIPLIERS
 /* Moves a multiplier towards that of the QP, all the way if it is not finite. */
 static inline void approach(real_t *a, real_t b, real_t length)
 {
     *a = (length < R(1) && isfinite(*a)) ? *a + length * (b - *a) : b;
 }
 
-#endif
 /* Multipliers after a step. Those of an elastic QP are those of its penalty: nothing is known. Where the Hessian depends
  * on them, they move towards those of the QP only as far as the step went: after a short step, those of the QP may be as
  * far off as the step. With states eliminated, lam follows from the gradient of the QP. */
 static void take_multipliers(solver_t *s)
 {
-#if HARD_ROWS
-    if (s->sqp.elastic) {
-        forget_multipliers(s);
-        return;
-    }
-#endif
-#if CURVED || LAGRANGIAN || STAGE_MULTIPLIERS
-    const sqp_t *q = &s->sqp;
-    for (int k = 0; k < N; k++) {
-        for (int j = 0; j < NU; j++) {
-            approach(&s->mu_u[k][j], q->step.mult_u[k][j], q->length);
+    if (HARD_ROWS) {
+        if (s->sqp.elastic) {
+            forget_multipliers(s);
+            return;
         }
     }
-#if NG
-    for (int m = 0; m < NG; m++) {
-        approach(&ROW_MULTIPLIER(s, m), q->step.mult[m], q->length);
+    if (CURVED || LAGRANGIAN || STAGE_MULTIPLIERS) {
+        const sqp_t *q = &s->sqp;
+        for (int k = 0; k < N; k++) {
+            for (int j = 0; j < NU; j++) {
+                approach(&s->mu_u[k][j], q->step.mult_u[k][j], q->length);
+            }
+        }
+        for (int m = 0; m < NG; m++) {
+            approach(row_multiplier_place(s, m), q->step.mult[m], q->length);
+        }
+    } else {
+        s->step = s->sqp.step;
+        scatter_multipliers(s);
     }
-#endif
-#else
-    s->step = s->sqp.step;
-    scatter_multipliers(s);
-#endif
-#if HAS_ADJOINT_STEP && !CURVED
-    (void)recover_multipliers(s); /* convergence is judged by the residuals of the problem itself */
-#else
-    for (int k = 0; k <= N; k++) {
-        for (int i = 0; i < NX; i++) {
-            approach(&s->lam[k][i], s->sqp.lam[k][i], s->sqp.length);
+    if (HAS_ADJOINT_STEP && !CURVED) {
+        (void)recover_multipliers(s); /* convergence is judged by the residuals of the problem itself */
+    } else {
+        for (int k = 0; k <= N; k++) {
+            for (int i = 0; i < NX; i++) {
+                approach(&s->lam[k][i], s->sqp.lam[k][i], s->sqp.length);
+            }
         }
     }
-#endif
 }
 
 #if HARD_ROWS
@@ -437,12 +408,10 @@ static real_t gain_of(const solver_t *s)
 {
     real_t gain = s->sqp.base.violation;
     for (int m = 0; m < NG; m++) {
-#if SOFT_ROWS
-        if (IS_SOFT(m)) {
+        if (row_is_soft(m)) {
             continue;
         }
-#endif
-        gain -= FABS(row_excess(s, m, R(0))) / scale_of(s->row_scale[row_id[m]]);
+        gain -= FABS(row_excess(s, m, R(0))) / scale_of(s->row_scale[row_id(m)]);
     }
     return gain;
 }
@@ -465,30 +434,29 @@ static status_t search(solver_t *s)
     if (!q->restoring) {
         q->length = R(1);
         const status_t status = line_search(s);
-        if (status == OK || !(q->base.violation > R(16) * TOL_MERIT_ROUNDING)) {
+        if (status == OK || !(q->base.violation > FACTOR_AT_REST * TOL_MERIT_ROUNDING)) {
             return status;
         }
         extend_filter(q);
         q->restoring = 1;
     }
     q->length = R(1);
-    return (q->gain > R(1e-8) * q->base.violation) ? line_search(s) : STALLED;
+    return (q->gain > FACTOR_HOPELESS * q->base.violation) ? line_search(s) : STALLED;
 }
 
-#if CURVED
 /* Away from feasibility, multipliers beyond what the cost can explain are scaled down: their Hessian would hide the cost
  * from the next QP, whose multipliers would be larger still. */
 static void bound_multipliers(solver_t *s)
 {
     const sqp_t *q = &s->sqp;
-    const real_t most = R(100) * ((q->cost_scale > q->cost_unit) ? q->cost_scale : q->cost_unit);
+    const real_t most = FACTOR_EXPLAINED * ((q->cost_scale > q->cost_unit) ? q->cost_scale : q->cost_unit);
     real_t largest = R(0);
     for (int k = 0; k <= N; k++) {
         for (int i = 0; i < NX; i++) {
             enlarge(&largest, s->lam[k][i] * scale_of(q->state_scale[i]));
         }
     }
-    if (!(q->base.violation > R(1e-4)) || largest <= most) {
+    if (!(q->base.violation > FACTOR_AWAY) || largest <= most) {
         return;
     }
     for (int k = 0; k <= N; k++) {
@@ -499,11 +467,9 @@ static void bound_multipliers(solver_t *s)
             s->mu_u[k][j] *= most / largest;
         }
     }
-#if NG
     for (int m = 0; m < NG; m++) {
-        ROW_MULTIPLIER(s, m) *= most / largest;
+        *row_multiplier_place(s, m) *= most / largest;
     }
-#endif
 }
 
 /* The shift of the next Hessian: more after a step that had to be shortened. Returns 1 if the same point may be tried
@@ -512,26 +478,26 @@ static int adapt_shifts(solver_t *s, status_t status)
 {
     curved_t *c = &s->curved;
     const real_t length = (status == STALLED) ? R(0) : s->sqp.length;
-    c->proximal = clip(c->proximal * ((length < R(1)) ? R(4) : R(0.25)), R(1e-8), R(1));
-    if (length < R(0.25)) {
-        const real_t growth = (length < R(0.01)) ? R(16) : R(4);
-        c->damping = (c->damping > R(0)) ? growth * c->damping : R(1e-3);
+    c->proximal =
+        clip(c->proximal * ((length < R(1)) ? FACTOR_TRIAL : R(1) / FACTOR_TRIAL), FACTOR_LEAST_PROXIMAL, R(1));
+    if (length < FACTOR_SHORT_STEP) {
+        const real_t growth = (length < FACTOR_VERY_SHORT_STEP) ? FACTOR_MUCH_MORE : FACTOR_TRIAL;
+        c->damping = (c->damping > R(0)) ? growth * c->damping : FACTOR_FIRST_TRIAL;
     } else if (length >= R(1)) {
-        c->damping = (c->damping > R(1e-5)) ? R(0.25) * c->damping : R(0);
+        c->damping = (c->damping > FACTOR_LEAST_DAMPING) ? c->damping / FACTOR_TRIAL : R(0);
     }
-    return status == STALLED && c->damping < R(1e6);
+    return status == STALLED && c->damping < FACTOR_MOST_DAMPING;
 }
 
-#endif
 /* The QP of the present linearisation. */
 static status_t form_qp(solver_t *s)
 {
-#if CURVED
-    if (!convexify(s)) {
-        return NUMERICAL_FAILURE;
+    if (CURVED) {
+        if (!convexify(s)) {
+            return NUMERICAL_FAILURE;
+        }
+        push_to_bounds(s);
     }
-    push_to_bounds(s);
-#endif
     return condense_prepare(s);
 }
 
@@ -543,15 +509,16 @@ static status_t sqp_iteration(solver_t *s)
     status_t status = form_qp(s);
     status = (status == OK) ? solve_qp(s) : status;
     if (status != OK) {
-#if CURVED
-        restore_gradients(s);
-        if (s->curved.damping < R(1)) { /* a QP with more curvature may have a solution */
-            s->curved.damping = (s->curved.damping > R(0)) ? R(16) * s->curved.damping : R(1e-3);
-            q->length = R(0);
-            q->elastic = 0;
-            return OK;
+        if (CURVED) {
+            restore_gradients(s);
+            if (s->curved.damping < R(1)) { /* a QP with more curvature may have a solution */
+                s->curved.damping =
+                    (s->curved.damping > R(0)) ? FACTOR_MUCH_MORE * s->curved.damping : FACTOR_FIRST_TRIAL;
+                q->length = R(0);
+                q->elastic = 0;
+                return OK;
+            }
         }
-#endif
         return (status == ITERATION_LIMIT || status == STALLED) ? SUBPROBLEM_FAILED : status;
     }
     put_step_aside(s);
@@ -564,24 +531,22 @@ static status_t sqp_iteration(solver_t *s)
         return NUMERICAL_FAILURE;
     }
     if (!(q->most_violation < INF)) {
-        q->most_violation = R(1e4) * ((q->base.violation > R(1)) ? q->base.violation : R(1));
+        q->most_violation = FACTOR_FILTER_LIMIT * ((q->base.violation > R(1)) ? q->base.violation : R(1));
     }
     memcpy(q->x, s->x, sizeof s->x);
     memcpy(q->u, s->u, sizeof s->u);
     status = search(s);
-#if HARD_ROWS
-    q->slow = q->elastic && !(q->gain > R(1e-3) * q->base.violation);
-#endif
-#if CURVED
-    if (adapt_shifts(s, status)) {
-        return OK;
+    q->slow = q->elastic && !(q->gain > FACTOR_LITTLE_PROGRESS * q->base.violation);
+    if (CURVED) {
+        if (adapt_shifts(s, status)) {
+            return OK;
+        }
     }
-#endif
     if (status == OK) {
         take_multipliers(s);
-#if CURVED
-        bound_multipliers(s);
-#endif
+        if (CURVED) {
+            bound_multipliers(s);
+        }
     }
     return status;
 }
@@ -607,21 +572,13 @@ static void start_search(solver_t *s, int attempts)
     }
     memset(&s->sqp, 0, sizeof s->sqp);
     memset(&s->step, 0, sizeof s->step);
-#if HARD_ROWS
     memset(s->row_scale, 0, sizeof s->row_scale);
-#endif
-#if NONLINEAR_ROWS
     s->row_residual = R(0);
-#endif
     s->sqp.attempts = (int32_t)attempts;
-#if CURVED
-    s->curved.proximal = R(1e-2);
-    s->curved.damping = (attempts % 2 == 0) ? R(0) : R(0.1);
-#endif
+    s->curved.proximal = FACTOR_FIRST_PROXIMAL;
+    s->curved.damping = (attempts % 2 == 0) ? R(0) : FACTOR_SECOND_START;
     s->sqp.most_violation = s->sqp.base.violation = INF;
-#if HARD_ROWS
-    s->sqp.row_weight = R(1000);
-#endif
+    s->sqp.row_weight = FACTOR_ELASTIC_WEIGHT;
 }
 
 /* Iterations until stats.sqp_iterations = last. */
@@ -629,11 +586,11 @@ static status_t iterate(solver_t *s, real_t tol, int last)
 {
     sqp_t *q = &s->sqp;
     for (;; s->stats.sqp_iterations++) {
-#if CURVED
-        expand_curved(s);
-#else
-        evaluate_here(s);
-#endif
+        if (CURVED) {
+            expand_curved(s);
+        } else {
+            evaluate_here(s);
+        }
         if (kkt_converged(s, tol)) {
             return OK;
         }
@@ -641,12 +598,12 @@ static status_t iterate(solver_t *s, real_t tol, int last)
             return ITERATION_LIMIT;
         }
         status_t status = sqp_iteration(s);
-#if HARD_ROWS
-        if (q->elastic && (status == STALLED || (status == OK && q->slow))) {
-            status = (q->row_weight < R(1e8)) ? OK : INFEASIBLE;
-            q->row_weight *= R(10);
+        if (HARD_ROWS) {
+            if (q->elastic && (status == STALLED || (status == OK && q->slow))) {
+                status = (q->row_weight < FACTOR_MOST_ELASTIC_WEIGHT) ? OK : INFEASIBLE;
+                q->row_weight *= FACTOR_MOST_GROWTH;
+            }
         }
-#endif
         if (status != OK) {
             return status;
         }
@@ -665,13 +622,9 @@ static void start_elsewhere(solver_t *s)
         interval_value(s, k, s->x[k + 1]);
     }
     forget_multipliers(s);
-#if HARD_ROWS
     const int32_t infeasible = s->sqp.infeasible;
-#endif
     start_search(s, s->sqp.attempts + 1);
-#if HARD_ROWS
     s->sqp.infeasible = infeasible;
-#endif
 }
 
 static status_t solve_here(solver_t *s, real_t tol, int last)
@@ -679,35 +632,28 @@ static status_t solve_here(solver_t *s, real_t tol, int last)
     for (;;) {
         const status_t status = iterate(s, tol, last);
         const int ends =
-            status == OK || status == ITERATION_LIMIT || (status == STALLED && !(s->sqp.base.violation > R(1e-4)));
-#if HARD_ROWS
+            status == OK || status == ITERATION_LIMIT || (status == STALLED && !(s->sqp.base.violation > FACTOR_AWAY));
         s->sqp.infeasible |= status == INFEASIBLE;
-#endif
         if (ends || s->sqp.attempts == MAX_ATTEMPTS || s->stats.sqp_iterations++ >= last) {
-#if HARD_ROWS
-            return (!ends && s->sqp.infeasible) ? INFEASIBLE : status;
-#else
+            if (HARD_ROWS && !ends && s->sqp.infeasible) {
+                return INFEASIBLE;
+            }
             return status;
-#endif
         }
         start_elsewhere(s);
     }
 }
 
-#if CURVED || LAGRANGIAN
 /* Returns 1 if all multipliers that the first Hessian may read are finite. */
 static int multipliers_are_finite(solver_t *s)
 {
     int finite = all_finite(s->lam[0], (N + 1) * NX);
-#if NG
     for (int m = 0; m < NG; m++) {
-        finite &= isfinite(ROW_MULTIPLIER(s, m)) != 0;
+        finite &= isfinite(row_multiplier(s, m)) != 0;
     }
-#endif
     return finite;
 }
 
-#endif
 /* Begins with the plan and this state. Returns 0 if the state is not finite. */
 static int take_over(solver_t *s, const real_t xhat[NX])
 {
@@ -715,24 +661,15 @@ static int take_over(solver_t *s, const real_t xhat[NX])
     if (!take_state(s, xhat)) {
         return 0;
     }
-#if NF
     for (int f = 0; f < NF; f++) {
         const real_t guess = xhat[free_state[f]];
         s->x[0][free_state[f]] = isfinite(guess) ? guess : s->x[0][free_state[f]];
     }
-#endif
     forget_violation(s);
-#if SHIFT || REPAIR
     s->samples += (s->samples < MANY);
-#endif
-#if CURVED || LAGRANGIAN
-    if (!multipliers_are_finite(s)) {
+    if ((CURVED || LAGRANGIAN) && !multipliers_are_finite(s)) {
         forget_multipliers(s);
     }
-#endif
-#if LAGRANGIAN
-    s->unsettled = 0;
-#endif
     start_search(s, 0);
     return 1;
 }
@@ -745,28 +682,20 @@ status_t API(solve)(solver_t *s, const real_t xhat[NX], real_t tol, int max_iter
         return NOT_INITIALIZED;
     }
     s->prepared = 0;
-#if LEVELS
-    s->levels.valid = 0;
-#endif
+    before_solve(s);
     if (!(tol > R(0)) || max_iterations < 0) {
         return finish(s, BAD_ARGUMENT);
     }
     if (!s->sqp.resumes && !take_over(s, xhat)) {
         return finish(s, NOT_FINITE);
     }
-#if CURVED
     s->curved.in_solve = 1;
-#endif
     status = solve_here(s, tol, max_iterations);
-#if CURVED
     s->curved.in_solve = 0;
-#endif
     s->sqp.resumes = 0;
-#if HARD_ROWS
     s->sqp.elastic = 0;
-    if (status == INFEASIBLE) {
+    if (HARD_ROWS && status == INFEASIBLE) {
         name_violation(s);
     }
-#endif
     return finish(s, status);
 }

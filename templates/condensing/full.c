@@ -115,11 +115,11 @@ static void condense_store_rows(solver_t *s, int k, int column)
 static void condense_add_curvature(solver_t *s)
 {
     for (int k = 0; k < N; ++k) {
-#if CURVED
-        real_t(*Q)[NZ] = s->curved.in_solve ? s->curved.Q[k] : HESSIAN(s, k);
-#else
-        real_t(*Q)[NZ] = HESSIAN(s, k);
-#endif
+        if (CURVED) {
+            real_t(*Q)[NZ] = s->curved.in_solve ? s->curved.Q[k] : HESSIAN(s, k);
+        } else {
+            real_t(*Q)[NZ] = HESSIAN(s, k);
+        }
         for (int j = 0; j < NU; ++j) {
             for (int i = 0; i <= j; ++i) {
                 s->qp.H[k * NU + j][k * NU + i] += Q[NX + j][NX + i];
@@ -133,39 +133,34 @@ static void condense_hessian(solver_t *s, int column)
 {
     columns_t *p = &s->qp.work.columns;
     const int first = condense_first_node(column);
-#if CURVED
     const int curved = s->curved.in_solve;
-#endif
-#if TERMINAL_BLOCK
-    CONDENSE_TERMINAL_PANEL(p, s->hessian.Q_N);
-#else
-    condense_clear(p->W);
-#endif
-#if CURVED
-    if (curved) {
-        add_curved_panel(p->W, s->curved.Q_N[0], NX, NX, p->G[N]);
+    if (TERMINAL_BLOCK) {
+        CONDENSE_TERMINAL_PANEL(p, s->hessian.Q_N);
+    } else {
+        condense_clear(p->W);
     }
-#endif
+    if (CURVED) {
+        if (curved) {
+            add_curved_panel(p->W, s->curved.Q_N[0], NX, NX, p->G[N]);
+        }
+    }
     for (int k = N - 1; k >= 0 && k >= first - 1; --k) {
         CONDENSE_BACKWARD_PANEL(p, &s->node[k], HESSIAN(s, k), k);
-#if CURVED
-        if (curved) {
-            add_curved_panel(p->W, s->curved.Q[k][0], NZ, NX, p->G[k]);
-            add_curved_panel(p->T, s->curved.Q[k][NX], NZ, NU, p->G[k]);
+        if (CURVED) {
+            if (curved) {
+                add_curved_panel(p->W, s->curved.Q[k][0], NZ, NX, p->G[k]);
+                add_curved_panel(p->T, s->curved.Q[k][NX], NZ, NU, p->G[k]);
+            }
         }
-#endif
         condense_store_rows(s, k, column);
     }
-#if NF
     for (int f = 0; f < NF; ++f) {
         for (int i = column; i < NX && i < column + COLUMNS; ++i) {
             s->condensed.Hx[N * NU + f][i] = p->W[free_state[f]][i - column];
         }
     }
-#endif
 }
 
-#if NF
 /* Hessian rows of the free components of dx_0, taken from the coupling to dx_0. */
 static void condense_store_free(solver_t *s)
 {
@@ -180,19 +175,17 @@ static void condense_store_free(solver_t *s)
     }
 }
 
-#endif
-#if GENERAL_ROWS || NE
 /* Panel of J_x G_k + J_u at du_k for the general or coupled row m; a coupled row also contains J_0 dx_0. */
 static void condense_add_row(const solver_t *s, int m, int column, real_t *sum)
 {
-    const int k = row_node[m], entering = NX + k * NU - column;
-    const real_t *J = nodal_row(s, m);
+    const int k = row_node(m), entering = NX + k * NU - column;
+    const real_t *J = row_gradient(s, m);
     const int last = (k + 1 >= condense_first_node(column)) ? NX : 0;
-#if NE
-    for (int i = column; IS_COUPLED(m) && i < NX && i < column + COLUMNS; ++i) {
-        sum[i - column] = s->coupled.J_0[row_index[m]][i];
+    if (row_is_coupled(m)) {
+        for (int i = column; i < NX && i < column + COLUMNS; ++i) {
+            sum[i - column] = s->coupled.J_0[row_index(m)][i];
+        }
     }
-#endif
     for (int i = 0; i < last; ++i) {
         if (J[i] != R(0)) { /* a row depends on few states: its other entries are exactly 0 */
             for (int l = 0; l < COLUMNS; ++l) {
@@ -205,40 +198,27 @@ static void condense_add_row(const solver_t *s, int m, int column, real_t *sum)
     }
 }
 
-#endif
-#if STATE_ROWS
 /* Panel of the state row m, which is a row of G_k; zero before its first node. */
 static inline const real_t *condense_state_row(const solver_t *s, int m, int column)
 {
     static const real_t zero[COLUMNS] = {R(0)};
-    const int reached = row_node[m] + 1 >= condense_first_node(column);
-    return reached ? s->qp.work.columns.G[row_node[m]][row_index[m]] : zero;
+    const int reached = row_node(m) + 1 >= condense_first_node(column);
+    return reached ? s->qp.work.columns.G[row_node(m)][row_index(m)] : zero;
 }
 
-#endif
-#if NG
 /* Panel of row m of the QP: A = J_x G_k + J_u at du_k. A state row has J_x = e_i; a coupled row also contains J_0
  * dx_0. */
 static void condense_row(solver_t *s, int m, int column)
 {
-#if STATE_ROWS && (GENERAL_ROWS || NE)
     real_t sum[COLUMNS] = {R(0)};
-    const real_t *panel = sum;
-    if (row_kind[m] == ROW_STATE) {
-        panel = condense_state_row(s, m, column);
-    } else {
-        condense_add_row(s, m, column, sum);
+    if (row_is_state(m)) {
+        condense_store(condense_state_row(s, m, column), column, s->condensed.Ax[m], s->qp.A[m]);
+        return;
     }
-#elif STATE_ROWS
-    const real_t *panel = condense_state_row(s, m, column);
-#else
-    real_t panel[COLUMNS] = {R(0)};
-    condense_add_row(s, m, column, panel);
-#endif
-    condense_store(panel, column, s->condensed.Ax[m], s->qp.A[m]);
+    condense_add_row(s, m, column, sum);
+    condense_store(sum, column, s->condensed.Ax[m], s->qp.A[m]);
 }
 
-#if NF
 /* Entries of the rows at the free components of dx_0. */
 static void condense_store_others(solver_t *s)
 {
@@ -249,27 +229,19 @@ static void condense_store_others(solver_t *s)
     }
 }
 
-#endif
-#endif
 /* Hessian and rows of the QP, one panel of columns after the other. */
 static void condense_matrices(solver_t *s)
 {
     for (int column = 0; column < LDG; column += COLUMNS) {
         condense_propagate(s, column);
         condense_hessian(s, column);
-#if NG
         for (int m = 0; m < NG; ++m) {
             condense_row(s, m, column);
         }
-#endif
     }
     condense_add_curvature(s);
-#if NF
     condense_store_free(s);
-#endif
-#if NG && NF
     condense_store_others(s);
-#endif
 }
 
 /* c_0 = 0,  c_{k+1} = A_k c_k + b_k;   w_N = q_N + Q_N c_N,  g_k = r_k + S_k c_k + B_k' w_{k+1},
@@ -283,30 +255,27 @@ static void condense_gradient(solver_t *s)
         STATE_STEP(&s->node[k], d->c[k], du, d->c[k + 1]);
     }
     TERMINAL_ADJOINT(&s->terminal, s->hessian.Q_N, d->c[N], w);
-#if CURVED
-    if (s->curved.in_solve) {
-        add_terminal_curvature(s, d->c[N], w);
+    if (CURVED) {
+        if (s->curved.in_solve) {
+            add_terminal_curvature(s, d->c[N], w);
+        }
     }
-#endif
     for (int k = N - 1; k >= 0; --k) {
         ADJOINT_STEP(&s->node[k], HESSIAN(s, k), d->c[k], du, w);
-#if CURVED
-        if (s->curved.in_solve) {
-            add_curvature(s, k, d->c[k], du, w);
+        if (CURVED) {
+            if (s->curved.in_solve) {
+                add_curvature(s, k, d->c[k], du, w);
+            }
         }
-#endif
         for (int j = 0; j < NU; ++j) {
             d->g[k * NU + j] = w[NX + j];
         }
     }
-#if NF
     for (int f = 0; f < NF; ++f) {
         d->g[N * NU + f] = w[free_state[f]];
     }
-#endif
 }
 
-#if NF
 /* Gradient and bounds of the free components of dx_0, which are zero in dx0. */
 static void condense_embed_free(solver_t *s, const real_t *dx0)
 {
@@ -317,8 +286,6 @@ static void condense_embed_free(solver_t *s, const real_t *dx0)
     }
 }
 
-#endif
-#if NSL
 /* Gradient, bounds, curvatures and penalties of the slacks; the rows with a slack are hard. */
 static void condense_embed_slacks(solver_t *s)
 {
@@ -326,15 +293,13 @@ static void condense_embed_slacks(solver_t *s)
         const int slack = row_slack[m];
         if (slack >= NV - NSL) {
             s->qp.g[slack] = s->qp.lower[slack] = s->qp.upper[slack] = R(0);
-            s->qp.curvature[slack - (NV - NSL)] = ROW_CURVATURE(m);
-            s->qp.penalty[slack] = ROW_PENALTY(s, m);
+            s->qp.curvature[slack - (NV - NSL)] = row_l2(m);
+            s->qp.penalty[slack] = row_penalty(s, m);
             s->qp.penalty[NV + m] = INF;
         }
     }
 }
 
-#endif
-#if NG
 /* Bounds of the rows relative to their values at du = 0, and their penalties. */
 static void condense_embed_rows(solver_t *s, const real_t *dx0)
 {
@@ -346,76 +311,62 @@ static void condense_embed_rows(solver_t *s, const real_t *dx0)
             terms += FABS(term);
         }
         s->qp.terms[m] = terms;
-        s->qp.lower[NV + m] = ROW_LOWER(s, m) - value;
-        s->qp.upper[NV + m] = ROW_UPPER(s, m) - value;
-#if ELASTIC
-        s->qp.penalty[NV + m] = ROW_PENALTY(s, m);
-#endif
+        s->qp.lower[NV + m] = row_lower(s, m) - value;
+        s->qp.upper[NV + m] = row_upper(s, m) - value;
+        s->qp.penalty[NV + m] = row_penalty(s, m);
     }
 }
 
-#endif
 /* g = g(0) + Hx dx_0 without the free components of dx_0; bounds of du and of the rows relative to the present
  * iterate. */
 static void condense_embed(solver_t *s)
 {
     real_t dx0[NX];
     memcpy(dx0, s->step.dx[0], sizeof dx0);
-#if NF
     for (int f = 0; f < NF; ++f) {
         dx0[free_state[f]] = R(0);
     }
-#endif
     for (int k = 0; k < N; ++k) {
         for (int j = 0; j < NU; ++j) {
             const int row = k * NU + j;
             s->qp.g[row] = condense_sum(s->condensed.g[row], s->condensed.Hx[row], dx0);
-            s->qp.lower[row] = CONTROL_LOWER(s, k, j) - s->u[k][j];
-            s->qp.upper[row] = CONTROL_UPPER(s, k, j) - s->u[k][j];
+            s->qp.lower[row] = control_lower(s, k, j) - s->u[k][j];
+            s->qp.upper[row] = control_upper(s, k, j) - s->u[k][j];
         }
     }
-#if NG
     condense_embed_rows(s, dx0);
-#endif
-#if NF
     condense_embed_free(s, dx0);
-#endif
-#if NSL
-    condense_embed_slacks(s);
-#endif
+    if (NSL) {
+        condense_embed_slacks(s);
+    }
 }
 
-#if NG
 /* Value of the row m at du = 0, dx_0 = 0, v = row + J_x c_k, and the magnitude of its terms, where a state counts with
  * its largest magnitude, because its rounding errors travel along the horizon. */
 static void condense_value(solver_t *s, int m, const real_t *size)
 {
-    const real_t *c = s->condensed.c[row_node[m]];
-#if STATE_ROWS && (GENERAL_ROWS || NE)
-    const real_t change = (row_kind[m] == ROW_STATE) ? c[row_index[m]] : condense_sum(R(0), nodal_row(s, m), c);
-#elif STATE_ROWS
-    const real_t change = c[row_index[m]];
-#else
-    const real_t change = condense_sum(R(0), nodal_row(s, m), c);
-#endif
-    s->condensed.v[m] = ROW_CONSTANT(s, m) + change;
+    const real_t *c = s->condensed.c[row_node(m)];
     s->condensed.terms[m] = row_terms(s, m, size);
+    if (row_is_state(m)) {
+        s->condensed.v[m] = row_constant(s, m) + c[row_index(m)];
+        return;
+    }
+    s->condensed.v[m] = row_constant(s, m) + condense_sum(R(0), row_gradient(s, m), c);
 }
 
-#endif
 /* Gradients, and the values of the rows at du = 0, dx_0 = 0. */
 static void condense_rows(solver_t *s)
 {
     condense_gradient(s);
-#if NG
-    real_t size[NZ] = {0}; /* largest magnitude of every component of c_0, c_1, ..., c_N; 0 for the controls */
-    for (int k = 1; k <= N; ++k) {
-        widen(size, s->condensed.c[k], NX);
+    if (NG) {
+        real_t size[NZ] = {0}; /* largest magnitude of every component of c_0, c_1, ..., c_N; 0 for the controls */
+        for (int k = 1; k <= N; ++k) {
+            widen(size, s->condensed.c[k], NX);
+        }
+        for (int m = 0; m < NG; ++m) {
+            condense_value(s, m, size);
+        }
     }
-    for (int m = 0; m < NG; ++m) {
-        condense_value(s, m, size);
-    }
-#endif
 }
 
 #if REGULARIZE_REDUCED
@@ -437,11 +388,9 @@ static status_t condense_prepare(solver_t *s)
 static void condense_expand(solver_t *s)
 {
     step_t *d = &s->step;
-#if NF
     for (int f = 0; f < NF; ++f) {
         d->dx[0][free_state[f]] = s->qp.z[N * NU + f];
     }
-#endif
     for (int k = 0; k < N; ++k) {
         for (int j = 0; j < NU; ++j) {
             d->du[k][j] = s->qp.z[k * NU + j];
@@ -449,15 +398,13 @@ static void condense_expand(solver_t *s)
         }
         STATE_STEP(&s->node[k], d->dx[k], d->du[k], d->dx[k + 1]);
     }
-#if NG
     for (int m = 0; m < NG; ++m) {
-#if REGULARIZE_REDUCED
-        d->mult[m] = released_multiplier(s, m);
-#else
-        d->mult[m] = s->qp.mult[NV + m];
-#endif
+        if (REGULARIZE_REDUCED) {
+            d->mult[m] = released_multiplier(s, m);
+        } else {
+            d->mult[m] = s->qp.mult[NV + m];
+        }
     }
-#endif
 }
 
 static status_t condense_solve(solver_t *s)
@@ -469,15 +416,9 @@ static status_t condense_solve(solver_t *s)
     return status;
 }
 
-#if !SHIFT_RESAMPLE
 static void qp_shift_controls(qp_t *q, int n);
-#if NG
 static void qp_shift_rows(qp_t *q, const int *source);
-#endif
 
 #include "condensing/shift_condensed.c"
-#endif
 
-#if FIRST
 #include "condensing/law_condensed.c"
-#endif

@@ -15,12 +15,12 @@ static int condense_law(solver_t *s)
             for (int l = 0; l < NV - NSL; ++l) {
                 sum -= h[l] * s->condensed.Hx[l][i];
             }
-#if NG
-            for (int k = 0; k < s->qp.nw; ++k) {
-                const int m = s->qp.row[k] - NV;
-                sum -= (m >= 0) ? e[k] * s->condensed.Ax[m][i] : R(0);
+            if (NG) {
+                for (int k = 0; k < s->qp.nw; ++k) {
+                    const int m = s->qp.row[k] - NV;
+                    sum -= (m >= 0) ? e[k] * s->condensed.Ax[m][i] : R(0);
+                }
             }
-#endif
             s->first.gain[j][i] = sum;
         }
     }

@@ -15,13 +15,9 @@
 
 static void qp_init(solver_t *s);
 static status_t qp_factorize(solver_t *s);
-#if SET_REFERENCE || SOLVE || LEVELS
 static void qp_gradient(solver_t *s);
-#endif
 static status_t qp_solve(solver_t *s);
-#if NG
 static real_t qp_multiplier(const solver_t *s, int m);
-#endif
 
 static inline real_t (*stage_S(solver_t *s, int k))[NZS]
 {
@@ -40,11 +36,11 @@ static inline real_t *stage_g(solver_t *s, int k)
 
 static inline real_t (*stage_Q(solver_t *s, int k))[NZS]
 {
-#if CURVED
-    if (s->curved.in_solve) {
-        return s->curved.Q[k];
+    if (CURVED) {
+        if (s->curved.in_solve) {
+            return s->curved.Q[k];
+        }
     }
-#endif
     return s->hessian.Q[NQ == 1 ? 0 : k];
 }
 
@@ -59,28 +55,23 @@ static inline real_t (*stage_Q_N(solver_t *s))[NXS]
     return s->hessian.Q_N;
 }
 
-#if GENERAL_ROWS || NE
 /* Gradient of the general or coupled row m in the variables of its stage. */
 static inline const real_t *stage_row(const solver_t *s, int m)
 {
-    return nodal_row(s, m);
+    return row_gradient(s, m);
 }
-
-#endif
 
 static void condense_init(solver_t *s)
 {
     qp_init(s);
 }
 
-#if NG
 /* Constant part of row m in the variables of its stage. */
 static inline real_t stage_row_value(const solver_t *s, int m)
 {
-    return ROW_CONSTANT(s, m);
+    return row_constant(s, m);
 }
 
-#endif
 #include "condensing/embed_stages.c"
 
 static status_t condense_prepare(solver_t *s)
@@ -90,30 +81,24 @@ static status_t condense_prepare(solver_t *s)
     return qp_factorize(s);
 }
 
-#if SET_REFERENCE
 static void condense_gradient(solver_t *s)
 {
     qp_gradient(s);
 }
 
-#endif
-#if SOLVE || LEVELS
 static void condense_rows(solver_t *s)
 {
     qp_gradient(s);
 }
 
-#endif
 static void condense_expand(solver_t *s)
 {
     memcpy(s->step.dx, s->qp.x, sizeof s->step.dx);
     memcpy(s->step.du, s->qp.z, sizeof s->step.du);
     memcpy(s->step.mult_u, s->qp.mult, sizeof s->step.mult_u);
-#if NG
     for (int m = 0; m < NG; m++) {
         s->step.mult[m] = qp_multiplier(s, m);
     }
-#endif
 }
 
 /* The QP yields it when it checks its solution. */
@@ -124,11 +109,7 @@ static inline const real_t *condense_multiplier(const solver_t *s, int k)
 
 #include "condensing/solve_stages.c"
 
-#if !SHIFT_RESAMPLE
 static void qp_shift_controls(solver_t *s, int n);
-#if NG
 static void qp_shift_rows(solver_t *s, const int *source);
-#endif
 
 #include "condensing/shift_stages.c"
-#endif

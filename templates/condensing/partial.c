@@ -20,13 +20,9 @@
 
 static void qp_init(solver_t *s);
 static status_t qp_factorize(solver_t *s);
-#if SET_REFERENCE || SOLVE || LEVELS
 static void qp_gradient(solver_t *s);
-#endif
 static status_t qp_solve(solver_t *s);
-#if NG
 static real_t qp_multiplier(const solver_t *s, int m);
-#endif
 
 static inline real_t (*stage_S(solver_t *s, int k))[NZS]
 {
@@ -54,22 +50,18 @@ static inline real_t (*stage_Q_N(solver_t *s))[NXS]
     return s->blocks.Q_N;
 }
 
-#if NG
 /* Gradient of the general or coupled row m in the variables of its stage. */
 static inline const real_t *stage_row(const solver_t *s, int m)
 {
     return s->blocks.J[m];
 }
 
-#endif
-#if NG
 /* Constant part of row m in the variables of its stage. */
 static inline real_t stage_row_value(const solver_t *s, int m)
 {
     return s->blocks.v[m];
 }
 
-#endif
 static void condense_init(solver_t *s)
 {
     int k, j;
@@ -78,11 +70,9 @@ static void condense_init(solver_t *s)
         s->block[NS - 1].Q[j][j] = R(1);
     }
     for (k = 0; k < NS; k++) {
-#if NXS > NX
         for (j = NX; j < NXS; j++) {
             s->block[k].S[j][j] = R(1);
         }
-#endif
     }
     for (k = 0; k < N; k += BLOCK) {
         for (j = 0; j < NX; j++) {
@@ -151,26 +141,6 @@ static void condense_hessian(solver_t *s, block_t *block, real_t (*Q)[NZ], int n
     }
 }
 
-#if NG
-/* Gradient J = (d row / dx, d row / du) of row m at the linearisation point; J = d row / dx_N for a coupled row.
- * Returns the value of the row. */
-static real_t row_gradient(const solver_t *s, int m, real_t *J)
-{
-    memset(J, 0, NZ * sizeof *J);
-#if STATE_ROWS && (GENERAL_ROWS || NE)
-    if (row_kind[m] == ROW_STATE) {
-        J[row_index[m]] = R(1);
-    } else {
-        memcpy(J, nodal_row(s, m), (row_node[m] < N ? NZ : NX) * sizeof *J);
-    }
-#elif STATE_ROWS
-    J[row_index[m]] = R(1);
-#else
-    memcpy(J, nodal_row(s, m), (row_node[m] < N ? NZ : NX) * sizeof *J);
-#endif
-    return ROW_CONSTANT(s, m);
-}
-
 /* Gradients of the rows of a node in the variables of its block: J_x G_j, and J_u at du_j. At the terminal node the
  * gradient is J_x, with J_0 at the copies for a coupled row. */
 static void condense_block_rows(solver_t *s, int node)
@@ -180,15 +150,15 @@ static void condense_block_rows(solver_t *s, int node)
     for (m = row_first[node]; m < row_first[node + 1]; m++) {
         real_t J[NZ];
         real_t *row = s->blocks.J[m];
-        (void)row_gradient(s, m, J);
+        copy_row_gradient(s, m, J);
         memset(row, 0, sizeof s->blocks.J[m]);
         if (node == N) {
             memcpy(row, J, sizeof row[0] * NX);
-#if NXS > NX && NE
-            for (i = NX; IS_COUPLED(m) && i < NXS; i++) {
-                row[i] = s->coupled.J_0[row_index[m]][copied_state[i - NX]];
+            if (row_is_coupled(m)) {
+                for (i = NX; i < NXS; i++) {
+                    row[i] = s->coupled.J_0[row_index(m)][copied_state[i - NX]];
+                }
             }
-#endif
             continue;
         }
         for (i = 0; i < NX; i++) {
@@ -202,17 +172,16 @@ static void condense_block_rows(solver_t *s, int node)
     }
 }
 
-#endif
-#if NG
 /* Values of the rows: their values at the nodes plus J_x c_j. */
 static void condense_row_values(solver_t *s)
 {
     int m, i;
     for (m = 0; m < NG; m++) {
         real_t J[NZ];
-        real_t value = row_gradient(s, m, J);
-        if (row_node[m] < N) {
-            const real_t *c = s->blocks.c[row_node[m]];
+        real_t value = row_constant(s, m);
+        copy_row_gradient(s, m, J);
+        if (row_node(m) < N) {
+            const real_t *c = s->blocks.c[row_node(m)];
             for (i = 0; i < NX; i++) {
                 value += J[i] * c[i];
             }
@@ -221,7 +190,6 @@ static void condense_row_values(solver_t *s)
     }
 }
 
-#endif
 /* All blocks: [A B] and Hessian. */
 static void condense_matrices(solver_t *s)
 {
@@ -234,20 +202,21 @@ static void condense_matrices(solver_t *s)
         }
         for (j = 0; j < n; j++) {
             const int node = k * BLOCK + j;
-#if CURVED
-            condense_hessian(s, block, s->curved.in_solve ? s->curved.Q[node] : HESSIAN(s, node), node, j);
-#else
-            condense_hessian(s, block, HESSIAN(s, node), node, j);
-#endif
+            if (CURVED) {
+                condense_hessian(s, block, s->curved.in_solve ? s->curved.Q[node] : HESSIAN(s, node), node, j);
+            } else {
+                condense_hessian(s, block, HESSIAN(s, node), node, j);
+            }
             condense_forward(&s->node[node], s->blocks.G[node], (j + 1 < n) ? s->blocks.G[node + 1] : block->S, j);
         }
     }
     for (r = 0; r < NX; r++) {
-#if CURVED
-        memcpy(s->blocks.Q_N[r], s->curved.in_solve ? s->curved.Q_N[r] : s->hessian.Q_N[r], sizeof s->hessian.Q_N[0]);
-#else
-        memcpy(s->blocks.Q_N[r], s->hessian.Q_N[r], sizeof s->hessian.Q_N[0]);
-#endif
+        if (CURVED) {
+            memcpy(
+                s->blocks.Q_N[r], s->curved.in_solve ? s->curved.Q_N[r] : s->hessian.Q_N[r], sizeof s->hessian.Q_N[0]);
+        } else {
+            memcpy(s->blocks.Q_N[r], s->hessian.Q_N[r], sizeof s->hessian.Q_N[0]);
+        }
     }
 }
 
@@ -269,11 +238,11 @@ static void condense_vectors(solver_t *s)
         for (j = n - 1; j >= 0; j--) {
             const int node = k * BLOCK + j;
             ADJOINT_STEP(&s->node[node], HESSIAN(s, node), s->blocks.c[node], none, w);
-#if CURVED
-            if (s->curved.in_solve) {
-                add_curvature(s, node, s->blocks.c[node], none, w);
+            if (CURVED) {
+                if (s->curved.in_solve) {
+                    add_curvature(s, node, s->blocks.c[node], none, w);
+                }
             }
-#endif
             for (i = 0; i < NU; i++) {
                 block->g[NXS + j * NU + i] = w[NX + i];
             }
@@ -281,51 +250,41 @@ static void condense_vectors(solver_t *s)
         memcpy(block->g, w, sizeof w[0] * NX);
     }
     memcpy(s->blocks.g_N, s->terminal.g, sizeof s->terminal.g);
-#if NG
     condense_row_values(s);
-#endif
 }
 
 static status_t condense_prepare(solver_t *s)
 {
     condense_matrices(s);
-#if NG
     for (int k = 0; k <= N; ++k) {
         condense_block_rows(s, k);
     }
-#endif
     condense_vectors(s);
     memset(s->step.dx[0], 0, sizeof s->step.dx[0]);
     condense_embed(s);
     return qp_factorize(s);
 }
 
-#if SET_REFERENCE
 static void condense_gradient(solver_t *s)
 {
     condense_vectors(s);
     qp_gradient(s);
 }
 
-#endif
-#if SOLVE || LEVELS
 static void condense_rows(solver_t *s)
 {
     condense_vectors(s);
     qp_gradient(s);
 }
 
-#endif
 static void condense_expand(solver_t *s)
 {
     int k;
     memcpy(s->step.du, s->qp.z, sizeof s->step.du);
     memcpy(s->step.mult_u, s->qp.mult, sizeof s->step.mult_u);
-#if NG
     for (int m = 0; m < NG; m++) {
         s->step.mult[m] = qp_multiplier(s, m);
     }
-#endif
     memcpy(s->step.dx[0], s->qp.x[0], sizeof s->step.dx[0]);
     for (k = 0; k < N; k++) {
         STATE_STEP(&s->node[k], s->step.dx[k], s->step.du[k], s->step.dx[k + 1]);
@@ -334,11 +293,7 @@ static void condense_expand(solver_t *s)
 
 #include "condensing/solve_stages.c"
 
-#if !SHIFT_RESAMPLE
 static void qp_shift_controls(solver_t *s, int n);
-#if NG
 static void qp_shift_rows(solver_t *s, const int *source);
-#endif
 
 #include "condensing/shift_stages.c"
-#endif

@@ -3,17 +3,15 @@ static void condense_shift(solver_t *s)
     qp_shift_controls(&s->qp, NU);
 }
 
-#if NG
 /* The predicted sides of the slacks move with those of their rows. */
 static void condense_shift_rows(solver_t *s, const int *source)
 {
-#if NSL
-    for (int m = 0; m < NG; ++m) {
-        if (row_slack[m] >= 0) {
-            s->qp.side[row_slack[m]] = (source[m] < 0) ? 0 : s->qp.side[row_slack[source[m]]];
+    if (NSL) {
+        for (int m = 0; m < NG; ++m) {
+            if (row_slack[m] >= 0) {
+                s->qp.side[row_slack[m]] = (source[m] < 0) ? 0 : s->qp.side[row_slack[source[m]]];
+            }
         }
     }
-#endif
     qp_shift_rows(&s->qp, source);
 }
-#endif

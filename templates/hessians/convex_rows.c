@@ -53,35 +53,35 @@ static void add_if_convex(real_t *Q, const real_t *M, int n)
 static void add_rows(solver_t *s)
 {
     real_t M[NZ * NZ] = {0};
-#if HAS_PATH_CURVATURE
-    for (int k = 0; k < N; k++) {
-        real_t mu[NH];
-        memcpy(mu, s->mu[k], sizeof mu);
-        memset(s->mu[k], 0, sizeof mu);
-        for (int i = 0; i < NH; i++) {
-            if (mu[i] < R(0) || mu[i] > R(0)) {
-                s->mu[k][i] = mu[i];
-                PATH_CURVATURE(s, k, M);
-                s->mu[k][i] = R(0);
-                add_if_convex(&s->hessian.Q[k][0][0], M, NZ);
+    if (HAS_PATH_CURVATURE) {
+        for (int k = 0; k < N; k++) {
+            real_t mu[NH];
+            memcpy(mu, s->mu[k], sizeof mu);
+            memset(s->mu[k], 0, sizeof mu);
+            for (int i = 0; i < NH; i++) {
+                if (mu[i] < R(0) || mu[i] > R(0)) {
+                    s->mu[k][i] = mu[i];
+                    PATH_CURVATURE(s, k, M);
+                    s->mu[k][i] = R(0);
+                    add_if_convex(&s->hessian.Q[k][0][0], M, NZ);
+                }
+            }
+            memcpy(s->mu[k], mu, sizeof mu);
+        }
+    }
+    if (HAS_TERMINAL_CURVATURE) {
+        real_t mu_N[NH_N];
+        memset(M, 0, sizeof M);
+        memcpy(mu_N, s->mu_N, sizeof mu_N);
+        memset(s->mu_N, 0, sizeof mu_N);
+        for (int i = 0; i < NH_N; i++) {
+            if (mu_N[i] < R(0) || mu_N[i] > R(0)) {
+                s->mu_N[i] = mu_N[i];
+                TERMINAL_CURVATURE(s, M);
+                s->mu_N[i] = R(0);
+                add_if_convex(&s->hessian.Q_N[0][0], M, NX);
             }
         }
-        memcpy(s->mu[k], mu, sizeof mu);
+        memcpy(s->mu_N, mu_N, sizeof mu_N);
     }
-#endif
-#if HAS_TERMINAL_CURVATURE
-    real_t mu_N[NH_N];
-    memset(M, 0, sizeof M);
-    memcpy(mu_N, s->mu_N, sizeof mu_N);
-    memset(s->mu_N, 0, sizeof mu_N);
-    for (int i = 0; i < NH_N; i++) {
-        if (mu_N[i] < R(0) || mu_N[i] > R(0)) {
-            s->mu_N[i] = mu_N[i];
-            TERMINAL_CURVATURE(s, M);
-            s->mu_N[i] = R(0);
-            add_if_convex(&s->hessian.Q_N[0][0], M, NX);
-        }
-    }
-    memcpy(s->mu_N, mu_N, sizeof mu_N);
-#endif
 }

@@ -1,7 +1,6 @@
 /* While solve() iterates, s->curved holds the Hessian as full symmetric blocks and s->hessian is zero: products with the
  * nonzeros of s->hessian are completed by dense ones. */
 
-#if HAS_ADJOINT_STEP
 /* w += Q_k (dx, du). */
 static void add_curvature(const solver_t *s, int k, const real_t *dx, const real_t *du, real_t *w)
 {
@@ -25,8 +24,6 @@ static void add_terminal_curvature(const solver_t *s, const real_t *dx, real_t *
     }
 }
 
-#endif
-#if CONDENSED_QP
 /* W += Q G for n rows of Q with `ld` entries each, and a panel of columns G. */
 static void add_curved_panel(real_t (*W)[COLUMNS], const real_t *Q, int ld, int n, real_t (*G)[COLUMNS])
 {
@@ -38,4 +35,3 @@ static void add_curved_panel(real_t (*W)[COLUMNS], const real_t *Q, int ld, int 
         }
     }
 }
-#endif

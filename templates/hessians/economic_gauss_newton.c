@@ -3,9 +3,7 @@
 
 #include "hessians/first_order.c"
 
-#if HAS_START_HESSIAN
 #include "hessians/start.c"
-#endif
 
 #if TUNED
 #include "hessians/stale.c"
@@ -16,16 +14,14 @@ static void hessian(solver_t *s)
     for (int k = 0; k < NQ; k++) {
         PATH_HESSIAN(s, k, &s->hessian.Q[k][0][0]);
     }
-#if HAS_START_HESSIAN
-    add_start_hessian(s);
-#endif
-#if HAS_TERMINAL_HESSIAN
-    TERMINAL_HESSIAN(s, &s->hessian.Q_N[0][0]);
-#endif
-#if TUNED
-    if (s->hessian.new_data) {
-        s->hessian.new_data = 0;
-        s->stats.stale_hessian = data_differ(s);
+    if (HAS_START_HESSIAN) {
+        add_start_hessian(s);
     }
-#endif
+    TERMINAL_HESSIAN(s, &s->hessian.Q_N[0][0]);
+    if (TUNED) {
+        if (s->hessian.new_data) {
+            s->hessian.new_data = 0;
+            s->stats.stale_hessian = data_differ(s);
+        }
+    }
 }

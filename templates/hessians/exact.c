@@ -39,25 +39,17 @@ static void expand_node(solver_t *s, int k, real_t *x_next)
 #include "hessians/regularize_stage.c"
 #endif
 
-#if HAS_START_HESSIAN
 #include "hessians/start.c"
-#endif
 
-#if HAS_START_HESSIAN || HAS_INITIAL_HESSIAN || HAS_TERMINAL_HESSIAN || REGULARIZE_STAGES
 /* Completes the Hessian after expand_node(): initial and terminal terms, and the regularisation. */
 static void hessian(solver_t *s)
 {
-#if HAS_START_HESSIAN
-    add_start_hessian(s);
-#endif
-#if HAS_INITIAL_HESSIAN
+    if (HAS_START_HESSIAN) {
+        add_start_hessian(s);
+    }
     INITIAL_HESSIAN(s, &s->hessian.Q[0][0][0]);
-#endif
-#if HAS_TERMINAL_HESSIAN
     TERMINAL_HESSIAN(s, &s->hessian.Q_N[0][0]);
-#endif
-#if REGULARIZE_STAGES
-    regularize_stages(s);
-#endif
+    if (REGULARIZE_STAGES) {
+        regularize_stages(s);
+    }
 }
-#endif

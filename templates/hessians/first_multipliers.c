@@ -24,9 +24,7 @@ static void adjoint_node(solver_t *s, int k)
         }
         s->lam[k][i] = sum;
     }
-#if NF
     for (i = 0; k == 0 && i < NF; i++) {
         s->lam[0][free_state[i]] = R(0);
     }
-#endif
 }

@@ -2,9 +2,7 @@
 static inline void evaluate_node(const solver_t *s, int k, node_t *node, real_t *x_next)
 {
     INTEGRATOR_INTERVAL(s, k, x_next, &node->S[0][0]);
-#if HAS_PATH_GRADIENT
     PATH_GRADIENT(s, k, node->g);
-#endif
 }
 
 #if !LANE_NODES && !LAGRANGIAN

@@ -8,28 +8,18 @@
 
 #include "hessians/first_order.c"
 
-#if CONVEX_ROWS && (HAS_PATH_CURVATURE || HAS_TERMINAL_CURVATURE)
 #include "hessians/convex_rows.c"
-#endif
 
-#if HAS_START_HESSIAN
 #include "hessians/start.c"
-#endif
 
 static void hessian(solver_t *s)
 {
-#if HAS_PATH_HESSIAN
     for (int k = 0; k < NQ; k++) {
         PATH_HESSIAN(s, k, &s->hessian.Q[k][0][0]);
     }
-#endif
-#if HAS_START_HESSIAN
-    add_start_hessian(s);
-#endif
-#if HAS_TERMINAL_HESSIAN
+    if (HAS_START_HESSIAN) {
+        add_start_hessian(s);
+    }
     TERMINAL_HESSIAN(s, &s->hessian.Q_N[0][0]);
-#endif
-#if CONVEX_ROWS && (HAS_PATH_CURVATURE || HAS_TERMINAL_CURVATURE)
     add_rows(s);
-#endif
 }

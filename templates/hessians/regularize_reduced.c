@@ -91,7 +91,6 @@ static real_t condensed_terms(const solver_t *s)
     return largest;
 }
 
-#if NG
 /* Adds weight a a' for row m, where the weight gives its direction the curvature `hold` in the units; stores the weight
  * in condensed.held. */
 static void hold_row(solver_t *s, int m, int n, const real_t *unit, real_t hold)
@@ -113,15 +112,12 @@ static void hold_row(solver_t *s, int m, int n, const real_t *unit, real_t hold)
 /* Rows that are held: equations, and hard rows of the predicted working set. */
 static int is_held(const solver_t *s, int m)
 {
-#if SOFT_ROWS
-    if (IS_SOFT(m)) {
+    if (row_is_soft(m)) {
         return 0;
     }
-#endif
-    return s->qp.side[NV + m] != 0 || ROW_LOWER(s, m) >= ROW_UPPER(s, m);
+    return s->qp.side[NV + m] != 0 || row_lower(s, m) >= row_upper(s, m);
 }
 
-#endif
 /* Adds terms for the predicted working set to the Hessian, which make it convex if the Hessian on the null space of that
  * set is (Finsler's lemma). Near a solution they do not change the step. */
 static void hold_working_set(solver_t *s, real_t terms, real_t hold)
@@ -132,13 +128,11 @@ static void hold_working_set(solver_t *s, real_t terms, real_t hold)
     for (int c = 0; c < n; c++) {
         s->qp.H[c][c] += (s->qp.side[c] != 0) ? hold * unit[c] : R(0);
     }
-#if NG
     for (int m = 0; m < NG; m++) {
         if (is_held(s, m)) {
             hold_row(s, m, n, unit, hold);
         }
     }
-#endif
 }
 
 #include "hessians/linear_curvature.c"
@@ -147,7 +141,7 @@ static void hold_working_set(solver_t *s, real_t terms, real_t hold)
 static void add_linear_units(solver_t *s)
 {
     for (int c = 0; c < N * NU; c++) {
-        s->qp.H[c][c] += R(1e-6) * linear_curvature(s->condensed.g[c], s->qp.lower[c], s->qp.upper[c]);
+        s->qp.H[c][c] += FACTOR_LINEAR_SHARE * linear_curvature(s->condensed.g[c], s->qp.lower[c], s->qp.upper[c]);
     }
 }
 
@@ -159,9 +153,7 @@ static status_t condense_factorize(solver_t *s)
     memcpy(predicted, s->qp.side, sizeof predicted);
     status_t status = qp_factorize(&s->qp);
     s->condensed.regularized = status == NUMERICAL_FAILURE;
-#if NG
     memset(s->condensed.held, 0, sizeof s->condensed.held);
-#endif
     if (status == OK && s->qp.semidefinite) {
         condense_matrices(s);
         memcpy(s->qp.side, predicted, sizeof predicted);
@@ -176,8 +168,8 @@ static status_t condense_factorize(solver_t *s)
     for (int trial = 0; trial < 3 && status == NUMERICAL_FAILURE; trial++) {
         condense_matrices(s);
         memcpy(s->qp.side, predicted, sizeof predicted);
-        hold_working_set(s, terms, (trial == 0) ? R(1) : R(256));
-        if (trial == 2 && !regularize_reduced(s->qp.H, NV - NSL, terms, R(0.1), s->qp.work.basis.Q)) {
+        hold_working_set(s, terms, (trial == 0) ? R(1) : FACTOR_FIRM_HOLD);
+        if (trial == 2 && !regularize_reduced(s->qp.H, NV - NSL, terms, FACTOR_REDUCED_FLOOR, s->qp.work.basis.Q)) {
             return status;
         }
         status = qp_factorize(&s->qp);
@@ -185,12 +177,11 @@ static status_t condense_factorize(solver_t *s)
     return status;
 }
 
-#if NG
 /* Multiplier of row m; for a row at its bound without what the Hessian owes to it. */
 static real_t released_multiplier(const solver_t *s, int m)
 {
     const real_t before = s->qp.mult[NV + m];
-    const int equation = ROW_LOWER(s, m) >= ROW_UPPER(s, m);
+    const int equation = row_lower(s, m) >= row_upper(s, m);
     if (!(s->condensed.held[m] > R(0)) || !(before < R(0) || before > R(0) || equation)) {
         return before;
     }
@@ -201,4 +192,3 @@ static real_t released_multiplier(const solver_t *s, int m)
     const real_t after = before + s->condensed.held[m] * change;
     return (!equation && before * after < R(0)) ? R(0) : after;
 }
-#endif

@@ -1,6 +1,5 @@
 /* Whether data that were set differ from those to which a constant Hessian belongs. */
 
-#if SET_PARAMETER || SET_WEIGHT
 /* Returns 1 if one of n numbers differs from the declared one. */
 static int numbers_differ(const real_t *values, const real_t *declared, int n)
 {
@@ -12,8 +11,6 @@ static int numbers_differ(const real_t *values, const real_t *declared, int n)
     return 0;
 }
 
-#endif
-#if SET_BOUNDS
 /* Returns 1 if a bound of one of the copies is one to which M does not belong. */
 static int bounds_differ(const real_t lower[NR], const real_t upper[NR])
 {
@@ -26,33 +23,32 @@ static int bounds_differ(const real_t lower[NR], const real_t upper[NR])
     return 0;
 }
 
-#endif
 /* Returns 1 if parameters, weights or bounds have other values than those for which M was computed. */
 static int data_differ(const solver_t *s)
 {
     int differ = 0;
-#if SET_PARAMETER
-    for (int k = 0; k < N; k++) {
+    if (SET_PARAMETER) {
+        for (int k = 0; k < N; k++) {
+            for (int i = 0; i < NP; i++) {
+                differ |= tuned_parameter[i] && numbers_differ(&PARAM(s, k)[i], &default_parameter[i], 1);
+            }
+        }
         for (int i = 0; i < NP; i++) {
-            differ |= tuned_parameter[i] && numbers_differ(&PARAM(s, k)[i], &default_parameter[i], 1);
+            differ |= tuned_parameter[i] && numbers_differ(&PARAM_N(s)[i], &default_parameter[i], 1);
         }
     }
-    for (int i = 0; i < NP; i++) {
-        differ |= tuned_parameter[i] && numbers_differ(&PARAM_N(s)[i], &default_parameter[i], 1);
+    if (SET_WEIGHT && NY) {
+        for (int k = 0; k < N; k++) {
+            differ |= numbers_differ(WEIGHT(s, k), default_weight, NW);
+        }
     }
-#endif
-#if SET_WEIGHT && NY
-    for (int k = 0; k < N; k++) {
-        differ |= numbers_differ(WEIGHT(s, k), default_weight, NW);
+    if (SET_WEIGHT && NY_N) {
+        differ |= numbers_differ(WEIGHT_N(s), default_terminal_weight, NW_N);
     }
-#endif
-#if SET_WEIGHT && NY_N
-    differ |= numbers_differ(WEIGHT_N(s), default_terminal_weight, NW_N);
-#endif
-#if SET_BOUNDS
-    for (int k = 0; k < (int)(sizeof s->lower / sizeof s->lower[0]); k++) { /* at most N + 1 passes */
-        differ |= bounds_differ(s->lower[k], s->upper[k]);
+    if (SET_BOUNDS) {
+        for (int k = 0; k < (int)(sizeof s->lower / sizeof s->lower[0]); k++) { /* at most N + 1 passes */
+            differ |= bounds_differ(s->lower[k], s->upper[k]);
+        }
     }
-#endif
     return differ;
 }

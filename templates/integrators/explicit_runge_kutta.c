@@ -7,11 +7,9 @@ static void interval_value(const solver_t *s, int k, real_t *x_next)
 {
     const real_t h = interval_length[k] / (real_t)STEPS;
     INTEGRATOR_STEP(s, k, s->x[k], s->u[k], &h, x_next);
-#if STEPS > 1
     for (int n = 1; n < STEPS; n++) {
         INTEGRATOR_STEP(s, k, x_next, s->u[k], &h, x_next);
     }
-#endif
 }
 
 /* Number of integration steps for the time dt. */
@@ -21,7 +19,6 @@ static int steps_for(real_t dt)
     return (count >= R(1)) ? ((count < (real_t)MANY) ? (int)count : MANY) : 1;
 }
 
-#if INTEGRATE_PLAN
 static void integrate_plan(const solver_t *s, int k, const real_t *x, real_t dt, real_t *x_next)
 {
     const int wanted = steps_for(dt), steps = (wanted < PLAN_STEPS) ? wanted : PLAN_STEPS;
@@ -33,7 +30,6 @@ static void integrate_plan(const solver_t *s, int k, const real_t *x, real_t dt,
         INTEGRATOR_STEP(s, k, x_next, s->u[k], &h, x_next);
     }
 }
-#endif
 
 void API(integrate)(const solver_t *s, const real_t x[NX], const real_t u[NU], real_t dt, real_t x_next[NX])
 {

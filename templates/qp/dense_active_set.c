@@ -67,9 +67,7 @@ static void qp_init(qp_t *q)
     for (int c = 0; c < NV + NG; ++c) {
         q->lower[c] = -INF;
         q->upper[c] = INF;
-#if ELASTIC
         q->penalty[c] = INF;
-#endif
     }
 }
 
@@ -79,11 +77,11 @@ static int qp_predict(qp_t *q, int equality, int again, real_t fraction)
 {
     int waiting = 0;
     for (int c = 0; c < NV + NG; ++c) {
-#if NSL
-        if (qp_is_slack(c)) {
-            continue;
+        if (NSL) {
+            if (qp_is_slack(c)) {
+                continue;
+            }
         }
-#endif
         if (qp_is_equality(q, c) == equality && (qp_is_member(q, c) ? !again : equality && q->side[c] == INACTIVE)) {
             if (!qp_predict_active(q, c, fraction)) {
                 return -1;
@@ -99,13 +97,13 @@ static int qp_predict(qp_t *q, int equality, int again, real_t fraction)
  * violated; this keeps the condition number of R small. */
 static status_t qp_factorize(qp_t *q)
 {
-    const real_t least = R(16) * SQRT(TOL_UNIT);
+    const real_t least = FACTOR_ROUGH * SQRT(TOL_UNIT);
     status_t status = qp_factorize_hessian(q);
     clear(q->R_inverse);
     q->nw = 0;
-#if NSL
-    qp_fix_slacks(q);
-#endif
+    if (NSL) {
+        qp_fix_slacks(q);
+    }
     if (status == OK) {
         real_t fraction = R(0.5);
         int waiting = qp_predict(q, 1, 0, fraction);
@@ -144,10 +142,6 @@ static status_t qp_solve(qp_t *q)
     return qp_fail(q, NUMERICAL_FAILURE);
 }
 
-#if !SHIFT_RESAMPLE
 #include "qp/dense_active_set_shift.c"
-#endif
 
-#if FIRST
 #include "qp/dense_active_set_response.c"
-#endif

@@ -5,22 +5,22 @@ static inline void add_multiple(real_t *y, real_t *size, const real_t *a, real_t
 {
     const int end = n / 4 * 4;
     for (int j = 0; j < end; j += 4) {
-#if SCALAR && !SMALL
-        const real_t a0 = a[j], a1 = a[j + 1], a2 = a[j + 2], a3 = a[j + 3];
-        y[j] += c * a0;
-        y[j + 1] += c * a1;
-        y[j + 2] += c * a2;
-        y[j + 3] += c * a3;
-        size[j] += m * FABS(a0);
-        size[j + 1] += m * FABS(a1);
-        size[j + 2] += m * FABS(a2);
-        size[j + 3] += m * FABS(a3);
-#else
-        for (int l = 0; l < 4; ++l) {
-            y[j + l] += c * a[j + l];
-            size[j + l] += m * FABS(a[j + l]);
+        if (SCALAR && !SMALL) {
+            const real_t a0 = a[j], a1 = a[j + 1], a2 = a[j + 2], a3 = a[j + 3];
+            y[j] += c * a0;
+            y[j + 1] += c * a1;
+            y[j + 2] += c * a2;
+            y[j + 3] += c * a3;
+            size[j] += m * FABS(a0);
+            size[j + 1] += m * FABS(a1);
+            size[j + 2] += m * FABS(a2);
+            size[j + 3] += m * FABS(a3);
+        } else {
+            for (int l = 0; l < 4; ++l) {
+                y[j + l] += c * a[j + l];
+                size[j + l] += m * FABS(a[j + l]);
+            }
         }
-#endif
     }
     for (int j = end; j < n; ++j) {
         y[j] += c * a[j];
@@ -51,12 +51,12 @@ static void qp_multiply_hessian(const qp_t *q, real_t *r, real_t *size)
         r[k] -= q->semidefinite ? q->proximal[k] * q->x[k] : R(0);
         size[k] += unit * q->H[k][k] * q->inverse[k];
     }
-#if NSL
-    for (int i = n; i < NV; ++i) {
-        r[i] = qp_curvature(q, i) * q->x[i];
-        size[i] = unit / q->inverse[i] + FABS(r[i]);
+    if (NSL) {
+        for (int i = n; i < NV; ++i) {
+            r[i] = qp_curvature(q, i) * q->x[i];
+            size[i] = unit / q->inverse[i] + FABS(r[i]);
+        }
     }
-#endif
 }
 
 /* r = H x + g + mult[0..NV) + A'mult[NV..NV+NG), and size, the sum of the magnitudes of the terms. */
@@ -65,20 +65,18 @@ static void qp_stationarity(const qp_t *q, real_t *r, real_t *size)
     qp_multiply_hessian(q, r, size);
     add_multiple(r, size, q->g, R(1), R(1), NV);
     add_multiple(r, size, q->mult, R(1), R(1), NV);
-#if NG
     for (int c = NV; c < NV + NG; ++c) {
         if (q->side[c] != INACTIVE) {
             add_multiple(r, size, q->A[c - NV], q->mult[c], FABS(q->mult[c]), NV - NSL);
-#if NSL
-            const int slack = qp_moving_slack(q, c);
-            if (slack >= 0) {
-                r[slack] -= q->mult[c];
-                size[slack] += FABS(q->mult[c]);
+            if (NSL) {
+                const int slack = qp_moving_slack(q, c);
+                if (slack >= 0) {
+                    r[slack] -= q->mult[c];
+                    size[slack] += FABS(q->mult[c]);
+                }
             }
-#endif
         }
     }
-#endif
 }
 
 /* Violation of row c by x, in both directions if the row is a member; of a saturated row the distance from its bound

@@ -43,12 +43,12 @@ static void qp_saturate(qp_t *q, int k, int side)
     /* 0 <= k <= NV - 1 */
     const int c = q->row[k];
     const basis_t *w = &q->work.basis;
-#if NSL
-    if (qp_can_yield(q, c)) {
-        qp_yield(q, k, side);
-        return;
+    if (NSL) {
+        if (qp_can_yield(q, c)) {
+            qp_yield(q, k, side);
+            return;
+        }
     }
-#endif
     for (int i = 0; i <= k; ++i) {
         for (int j = 0; j < LDV; ++j) {
             q->y0[j] -= (side > 0 ? q->penalty[c] : -q->penalty[c]) * w->R[k][i] * w->Q[i][j];
@@ -113,14 +113,14 @@ static void qp_take_penalties(qp_t *q, int elastic)
 /* Violation of row c, which is saturated or has a slack that moves; 0 for a slack itself. */
 static real_t qp_relaxation(const qp_t *q, int c)
 {
-#if NSL
-    if (c >= NV && qp_moving_slack(q, c) >= 0) {
-        return q->x[qp_slack(c)];
+    if (NSL) {
+        if (c >= NV && qp_moving_slack(q, c) >= 0) {
+            return q->x[qp_slack(c)];
+        }
+        if (qp_is_slack(c)) {
+            return R(0);
+        }
     }
-    if (qp_is_slack(c)) {
-        return R(0);
-    }
-#endif
     return qp_is_saturated(q, c) ? qp_value(q, c, q->x) - qp_bound(q, c) : R(0);
 }
 

@@ -26,11 +26,9 @@ static void qp_forward(const qp_t *q, real_t *y, int first)
         y[b + 3] = c[3] * q->inverse[b + 3];
         subtract_panel(y, q->H + b, c, b + 4, LDH);
     }
-#if NSL
     for (int i = LDH; i < LDV; ++i) {
         y[i] *= q->inverse[i];
     }
-#endif
 }
 
 /* z = C^{-T} y = L^{-T} D^{-1/2} y. */
@@ -65,14 +63,12 @@ static real_t qp_length(const qp_t *q, int i)
 {
     const real_t width = q->upper[i] - q->lower[i];
     real_t least = width > R(0) ? width : INF;
-#if NG
     for (int j = 0; j < NG; ++j) {
         const real_t a = FABS(q->A[j][i]), room = q->upper[NV + j] - q->lower[NV + j];
         if (room > R(0) && room < least * a) {
             least = room / a;
         }
     }
-#endif
     return least < INF ? least : R(1);
 }
 
@@ -162,13 +158,11 @@ static int qp_factorize_panels(qp_t *q, const real_t *reference)
     return isfinite(q->inverse[LDH - 1]);
 }
 
-#if NSL
 /* Curvature of variable i, a slack or padding. */
 static real_t qp_curvature(const qp_t *q, int i)
 {
     return i < NV ? q->curvature[i - (NV - NSL)] : R(1);
 }
-#endif
 
 /* H + diag(proximal) = L D L' in place, inverse = D^{-1/2}. Rows of slacks and of the identity complete the last panel.
  * If a pivot of H may be zero, H is restored from a copy, and the proximal term is added. */
@@ -178,11 +172,11 @@ static status_t qp_factorize_hessian(qp_t *q)
     int valid;
     for (int i = NV - NSL; i < LDH; ++i) {
         clear(q->H[i]);
-#if NSL
-        q->H[i][i] = qp_curvature(q, i);
-#else
-        q->H[i][i] = R(1);
-#endif
+        if (NSL) {
+            q->H[i][i] = qp_curvature(q, i);
+        } else {
+            q->H[i][i] = R(1);
+        }
     }
     memcpy(q->work.basis.Q, q->H, sizeof q->H);
     for (int i = 0; i < LDH; ++i) {
@@ -197,10 +191,8 @@ static status_t qp_factorize_hessian(qp_t *q)
     for (int i = 0; i < LDH; ++i) {
         q->inverse[i] = SQRT(q->inverse[i]);
     }
-#if NSL
     for (int i = LDH; i < LDV; ++i) {
         q->inverse[i] = R(1) / SQRT(qp_curvature(q, i));
     }
-#endif
     return valid ? OK : NUMERICAL_FAILURE;
 }

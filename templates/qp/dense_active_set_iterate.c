@@ -10,9 +10,9 @@ static int qp_wrong_multiplier(const qp_t *q)
         const int c = q->row[k];
         const real_t lam = q->side[c] > 0 ? q->lam[k] : -q->lam[k];
         real_t excess = qp_is_equality(q, c) ? R(0) : -lam;
-#if ELASTIC
-        excess = FABS(lam) - q->penalty[c] > excess ? FABS(lam) - q->penalty[c] : excess;
-#endif
+        if (ELASTIC) {
+            excess = FABS(lam) - q->penalty[c] > excess ? FABS(lam) - q->penalty[c] : excess;
+        }
         if (excess > R(0)) {
             const real_t weighted = excess * SQRT(qp_square(q, k));
             if (weighted > most && weighted > TOL_QP_SIGN * (q->scale + norm(q->work.basis.y))) {
@@ -38,11 +38,11 @@ static status_t qp_restore_dual_feasibility(qp_t *q)
             return ITERATION_LIMIT;
         }
         ++q->iterations;
-#if ELASTIC
-        qp_release(q, k, (q->lam[k] > R(0)) != (q->side[q->row[k]] > 0));
-#else
-        qp_remove(q, k);
-#endif
+        if (ELASTIC) {
+            qp_release(q, k, (q->lam[k] > R(0)) != (q->side[q->row[k]] > 0));
+        } else {
+            qp_remove(q, k);
+        }
     }
 }
 
@@ -51,22 +51,22 @@ static status_t qp_restore_dual_feasibility(qp_t *q)
  * value. */
 static inline real_t qp_violations(const qp_t *q, int c, const real_t *z, real_t *over, real_t *under)
 {
-#if NG
-    const real_t value = qp_value(q, c, z);
-#else
-    const real_t value = z[c];
-#endif
+    if (NG) {
+        const real_t value = qp_value(q, c, z);
+    } else {
+        const real_t value = z[c];
+    }
     *over = value - q->upper[c];
     *under = q->lower[c] - value;
-#if ELASTIC
-    if (q->side[c] > 0) {
-        *under = -*over;
-        *over = -INF;
-    } else if (q->side[c] < 0) {
-        *over = -*under;
-        *under = -INF;
+    if (ELASTIC) {
+        if (q->side[c] > 0) {
+            *under = -*over;
+            *over = -INF;
+        } else if (q->side[c] < 0) {
+            *over = -*under;
+            *under = -INF;
+        }
     }
-#endif
     return value;
 }
 
@@ -113,11 +113,11 @@ static real_t qp_room(const qp_t *q, int k, int falls)
     if (falls && !qp_is_equality(q, c)) {
         return lam;
     }
-#if ELASTIC
-    return falls ? q->penalty[c] + lam : q->penalty[c] - lam;
-#else
-    return INF;
-#endif
+    if (ELASTIC) {
+        return falls ? q->penalty[c] + lam : q->penalty[c] - lam;
+    } else {
+        return INF;
+    }
 }
 
 /* Returns 1 if member k contributes to the normal of the entering row, whose squared norm is mm. */
@@ -165,15 +165,14 @@ static real_t qp_rounding(const qp_t *q, int c, const real_t *r, int side, real_
         size += qp_bound_size(q, q->row[k], q->side[q->row[k]]) * FABS(r[k]);
     }
     if (q->strict) {
-        return q->strict > 1 ? R(0.25) * TOL_QP_RESIDUAL * qp_row_size(q, c)
-                             : R(0.25) * most * (size + qp_row_size(q, c));
+        return q->strict > 1 ? FACTOR_STRICT * TOL_QP_RESIDUAL * qp_row_size(q, c)
+                             : FACTOR_STRICT * most * (size + qp_row_size(q, c));
     }
-    size += SQRT(mm) * (R(0.25) * norm(q->work.basis.y) + R(1.0 / 1048576) * q->scale);
+    size += SQRT(mm) * (FACTOR_STRICT * norm(q->work.basis.y) + FACTOR_TRAVELLED * q->scale);
     size *= vv * (most * most) > mm * (least * least) ? least * SQRT(mm / vv) : most;
     return size + TOL_UNIT * SQRT(vv) * q->scale;
 }
 
-#if SOLVE
 /* Certificate of the contradiction between row c and the rows of the working set: side (e_c - sum_k r_k e_k),
  * normalised, without entries that are rounding errors. */
 static void qp_certify(qp_t *q, int c, int side, const real_t *r, real_t mm)
@@ -191,7 +190,6 @@ static void qp_certify(qp_t *q, int c, int side, const real_t *r, real_t mm)
         q->certificate[i] = q->certificate[i] / largest;
     }
 }
-#endif
 
 /* Length of the full step, violation / v'v; infinite if the normal lies in the span of the working set. */
 static real_t qp_full_step(real_t violation, real_t mm, real_t vv)
@@ -224,9 +222,10 @@ static status_t qp_enforce(qp_t *q, int c, int side, real_t violation)
 {
     const real_t sign = R(side), bound = (q->side[c] == INACTIVE ? side : q->side[c]) > 0 ? q->upper[c] : q->lower[c];
     real_t r[LDV], moved = R(0), left = INF, mm = qp_normal(q, c);
-#if ELASTIC
-    left = R(1 + (q->side[c] != INACTIVE && qp_is_equality(q, c))) * q->penalty[c]; /* 2: from one limit to the other */
-#endif
+    if (ELASTIC) {
+        left = R(1 + (q->side[c] != INACTIVE && qp_is_equality(q, c))) *
+            q->penalty[c]; /* 2: from one limit to the other */
+    }
     while (isfinite(mm) && q->iterations < QP_MAX_ITERATIONS) { /* at most QP_MAX_ITERATIONS passes in qp_solve */
         const real_t vv = qp_split(q, r, mm);
         if (!(moved > R(0)) && qp_is_rounding(q, c, r, side, mm, vv, violation)) {
@@ -237,33 +236,33 @@ static status_t qp_enforce(qp_t *q, int c, int side, real_t violation)
         real_t step = left < full ? left : full;
         const int blocking = qp_blocking(q, r, side, mm, &step);
         if (!(step < INF)) {
-#if SOLVE
-            qp_certify(q, c, side, r, mm);
-#endif
+            if (SOLVE) {
+                qp_certify(q, c, side, r, mm);
+            }
             return qp_is_rounding(q, c, r, side, mm, vv, violation) ? OK : INFEASIBLE;
         }
         ++q->iterations;
         moved += step;
         left -= step;
         qp_move(q, r, sign * step, full < INF);
-#if NSL
-        if (step < full && blocking < 0 && qp_yields(q, c, side, &mm, &left)) {
-            continue;
+        if (NSL) {
+            if (step < full && blocking < 0 && qp_yields(q, c, side, &mm, &left)) {
+                continue;
+            }
         }
-#endif
         if (blocking < 0) {
-#if ELASTIC
-            qp_settle(q, c, side, full <= step, moved, vv);
-#else
-            qp_append(q, c, side, vv, sign * moved);
-#endif
+            if (ELASTIC) {
+                qp_settle(q, c, side, full <= step, moved, vv);
+            } else {
+                qp_append(q, c, side, vv, sign * moved);
+            }
             return OK;
         }
-#if ELASTIC
-        qp_release(q, blocking, qp_falls(q, r, blocking, side));
-#else
-        qp_remove(q, blocking);
-#endif
+        if (ELASTIC) {
+            qp_release(q, blocking, qp_falls(q, r, blocking, side));
+        } else {
+            qp_remove(q, blocking);
+        }
     }
     return isfinite(mm) ? ITERATION_LIMIT : NUMERICAL_FAILURE;
 }
@@ -289,21 +288,19 @@ static int qp_predict_active(qp_t *q, int c, real_t fraction)
 static status_t qp_take_bounds(qp_t *q)
 {
     int valid = 1, ordered = 1;
-#if ELASTIC
     int elastic = 0;
-#endif
     for (int c = 0; c < NV + NG; ++c) {
         const real_t width = q->upper[c] - q->lower[c]; /* not a number if both are the same infinity */
         valid &= width > -INF;
         ordered &= width >= R(0);
-#if ELASTIC
-        valid &= q->penalty[c] >= R(0);
-        elastic |= q->penalty[c] < INF;
-#endif
+        if (ELASTIC) {
+            valid &= q->penalty[c] >= R(0);
+            elastic |= q->penalty[c] < INF;
+        }
     }
-#if ELASTIC
-    qp_take_penalties(q, elastic);
-#endif
+    if (ELASTIC) {
+        qp_take_penalties(q, elastic);
+    }
     if (!valid || !ordered) {
         return valid ? INFEASIBLE : NUMERICAL_FAILURE;
     }
@@ -312,10 +309,10 @@ static status_t qp_take_bounds(qp_t *q)
             qp_remove(q, k);
         }
     }
-#if NSL
-    qp_fix_slacks(q);
-    qp_share_penalties(q);
-#endif
+    if (NSL) {
+        qp_fix_slacks(q);
+        qp_share_penalties(q);
+    }
     return OK;
 }
 
@@ -328,35 +325,35 @@ static int qp_write_result(qp_t *q)
     memset(q->mult, 0, sizeof q->mult);
     for (int c = 0; c < NV + NG; ++c) {
         if (q->side[c] == INACTIVE) {
-#if NSL
-            q->dropped += !qp_is_slack(c) && qp_is_equality(q, c);
-#else
-            q->dropped += qp_is_equality(q, c);
-#endif
+            if (NSL) {
+                q->dropped += !qp_is_slack(c) && qp_is_equality(q, c);
+            } else {
+                q->dropped += qp_is_equality(q, c);
+            }
             if (c < NV) {
                 q->x[c] = clip(q->x[c], q->lower[c], q->upper[c]);
             }
         }
     }
-#if ELASTIC
-    qp_write_saturated(q);
-#endif
+    if (ELASTIC) {
+        qp_write_saturated(q);
+    }
     for (int k = 0; k < q->nw; ++k) {
         const int c = q->row[k];
-#if ELASTIC
-        const real_t lam = clip(q->lam[k], -q->penalty[c], q->penalty[c]);
-#else
-        const real_t lam = q->lam[k];
-#endif
+        if (ELASTIC) {
+            const real_t lam = clip(q->lam[k], -q->penalty[c], q->penalty[c]);
+        } else {
+            const real_t lam = q->lam[k];
+        }
         const int side = lam > R(0) ? AT_UPPER : lam < R(0) ? AT_LOWER : q->side[c];
         total += FABS(lam);
-#if NG
-        if (c < NV) {
+        if (NG) {
+            if (c < NV) {
+                q->x[c] = qp_bound(q, c);
+            }
+        } else {
             q->x[c] = qp_bound(q, c);
         }
-#else
-        q->x[c] = qp_bound(q, c);
-#endif
         if (qp_is_equality(q, c)) {
             q->side[c] = side;
         }
@@ -374,9 +371,7 @@ static status_t qp_fail(qp_t *q, status_t status)
     q->nw = q->relaxed = q->dropped = 0;
     memset(q->z, 0, sizeof q->z);
     memset(q->mult, 0, sizeof q->mult);
-#if SOLVE
     memset(q->certificate, 0, sizeof q->certificate);
-#endif
     memset(q->side, 0, sizeof q->side);
     return status;
 }

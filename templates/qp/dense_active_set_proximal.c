@@ -11,11 +11,9 @@ static void qp_to_working_coordinates(const qp_t *q, const real_t *s, real_t *u)
         }
         u[k] *= q->H[k][k] * q->inverse[k];
     }
-#if NSL
     for (int k = LDH; k < LDV; ++k) {
         u[k] = s[k] / q->inverse[k];
     }
-#endif
 }
 
 /* s'E s. */
@@ -33,11 +31,11 @@ static real_t qp_distance(const qp_t *q, const real_t *z, const real_t *p)
 {
     real_t over, under, most = INF;
     for (int c = 0; c < NV + NG; ++c) {
-#if NG
-        const real_t slope = qp_value(q, c, p);
-#else
-        const real_t slope = p[c];
-#endif
+        if (NG) {
+            const real_t slope = qp_value(q, c, p);
+        } else {
+            const real_t slope = p[c];
+        }
         const real_t speed = FABS(slope);
         if (!qp_is_member(q, c) && isfinite(qp_violations(q, c, z, &over, &under))) {
             const real_t room = slope > R(0) ? -over : -under;

@@ -7,7 +7,6 @@ static void qp_shift_controls(qp_t *q, int n)
     }
 }
 
-#if NG
 /* General row j takes the predicted side of row source[j] >= j, or none if source[j] < 0. */
 static void qp_shift_rows(qp_t *q, const int *source)
 {
@@ -15,4 +14,3 @@ static void qp_shift_rows(qp_t *q, const int *source)
         q->side[NV + j] = source[j] < 0 ? 0 : q->side[NV + source[j]];
     }
 }
-#endif

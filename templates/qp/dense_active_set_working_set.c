@@ -13,13 +13,11 @@ static int qp_is_equality(const qp_t *q, int c)
     return q->lower[c] >= q->upper[c];
 }
 
-#if NSL
 static inline int qp_is_slack(int c)
 {
     return NV - NSL <= c && c < NV;
 }
 
-#endif
 /* Bound of row c on its side. */
 static real_t qp_bound(const qp_t *q, int c)
 {
@@ -30,48 +28,46 @@ static real_t qp_bound(const qp_t *q, int c)
 #include "qp/dense_active_set_slack.c"
 #endif
 
-#if NG
 /* a_c'z */
 static inline real_t qp_value(const qp_t *q, int c, const real_t *z)
 {
     if (c < NV) {
         return z[c];
     }
-#if NSL
-    return dot(q->A[c - NV], z, LDH) - (qp_slack(c) < 0 ? R(0) : z[qp_slack(c)]);
-#else
-    return dot(q->A[c - NV], z, LDH);
-#endif
+    if (NSL) {
+        return dot(q->A[c - NV], z, LDH) - (qp_slack(c) < 0 ? R(0) : z[qp_slack(c)]);
+    } else {
+        return dot(q->A[c - NV], z, LDH);
+    }
 }
-#endif
 
 /* Magnitude of the bound of row c on the given side and of the terms that it sums up. */
 static inline real_t qp_bound_size(const qp_t *q, int c, int side)
 {
     const real_t bound = FABS(side > 0 ? q->upper[c] : q->lower[c]);
-#if NG
-    return c < NV ? bound : bound + q->terms[c - NV];
-#else
-    return bound;
-#endif
+    if (NG) {
+        return c < NV ? bound : bound + q->terms[c - NV];
+    } else {
+        return bound;
+    }
 }
 
 /* |D^{-1/2} a_c|, an estimate of |m|, where D^{1/2} is the diagonal of C. */
 static real_t qp_row_norm(const qp_t *q, int c)
 {
-#if NG
-    if (c >= NV) {
-        real_t squares = R(0);
-        for (int j = 0; j < NV - NSL; ++j) {
-            const real_t a = q->A[c - NV][j] * q->inverse[j];
-            squares += a * a;
+    if (NG) {
+        if (c >= NV) {
+            real_t squares = R(0);
+            for (int j = 0; j < NV - NSL; ++j) {
+                const real_t a = q->A[c - NV][j] * q->inverse[j];
+                squares += a * a;
+            }
+            if (NSL) {
+                squares += qp_compliance(q, c);
+            }
+            return SQRT(squares);
         }
-#if NSL
-        squares += qp_compliance(q, c);
-#endif
-        return SQRT(squares);
     }
-#endif
     return q->inverse[c];
 }
 
@@ -84,11 +80,11 @@ static real_t qp_row_size(const qp_t *q, int c)
         for (int j = 0; j < NV - NSL; ++j) {
             sum += FABS(q->A[c - NV][j] * q->x[j]);
         }
-#if NSL
-        return sum + (qp_slack(c) < 0 ? R(0) : FABS(q->x[qp_slack(c)]));
-#else
-        return sum;
-#endif
+        if (NSL) {
+            return sum + (qp_slack(c) < 0 ? R(0) : FABS(q->x[qp_slack(c)]));
+        } else {
+            return sum;
+        }
     }
 #endif
     return FABS(q->x[c]) + q->inverse[c] * FABS(q->work.basis.y[c]);
@@ -129,7 +125,6 @@ static void qp_solve_triangle(const qp_t *q, real_t *r)
     solve_upper(q->work.basis.R, q->R_inverse, r, q->nw);
 }
 
-#if NSL
 /* m = a_c of a general row. */
 static void qp_take_row(const qp_t *q, int c, real_t *m)
 {
@@ -139,7 +134,6 @@ static void qp_take_row(const qp_t *q, int c, real_t *m)
         m[qp_slack(c)] = -R(1);
     }
 }
-#endif
 
 /* Normal of row c in the coordinates y: m = C^{-1} a_c. Returns m'm. */
 static real_t qp_normal(qp_t *q, int c)
@@ -148,11 +142,11 @@ static real_t qp_normal(qp_t *q, int c)
     real_t *m = q->work.basis.m;
 #if NG
     if (c >= NV) {
-#if NSL
-        qp_take_row(q, c, m);
-#else
-        copy(m, q->A[c - NV]);
-#endif
+        if (NSL) {
+            qp_take_row(q, c, m);
+        } else {
+            copy(m, q->A[c - NV]);
+        }
         qp_forward(q, m, 0);
         return dot(m, m, LDV);
     }
@@ -277,9 +271,9 @@ static void qp_set_origin(qp_t *q)
         q->y0[i] = q->semidefinite ? q->proximal[i] * q->center[i] - q->g[i] : -q->g[i];
     }
     q->scale = R(0);
-#if ELASTIC
-    qp_add_saturated(q);
-#endif
+    if (ELASTIC) {
+        qp_add_saturated(q);
+    }
     qp_forward(q, q->y0, 0);
     q->scale += norm(q->y0);
 }
@@ -287,7 +281,7 @@ static void qp_set_origin(qp_t *q)
 /* Returns 1 if y is a small difference of large terms. */
 static int qp_cancelled(const qp_t *q)
 {
-    const real_t size = R(0.125) * q->scale;
+    const real_t size = FACTOR_CANCELLED * q->scale;
     return dot(q->work.basis.y, q->work.basis.y, LDV) < size * size;
 }
 

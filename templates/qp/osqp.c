@@ -15,9 +15,7 @@ static void qp_init(qp_t *q)
     for (int c = 0; c < NV + NG; ++c) {
         q->lower[c] = -INF;
         q->upper[c] = INF;
-#if ELASTIC
         q->penalty[c] = INF;
-#endif
     }
 }
 
@@ -33,11 +31,9 @@ static status_t qp_factorize(qp_t *q)
     n = 0;
     for (int j = 0; j < NV; ++j) {
         q->A_x[n++] = R(1);
-#if NG
         for (int i = 0; i < NG; ++i) {
             q->A_x[n++] = q->A[i][j];
         }
-#endif
     }
     return all_finite(q->P_x, OSQP_P) && all_finite(q->A_x, OSQP_A) ? OK : NUMERICAL_FAILURE;
 }
@@ -92,6 +88,4 @@ static status_t qp_solve(qp_t *q)
     return qp_fail(q, NUMERICAL_FAILURE);
 }
 
-#if !SHIFT_RESAMPLE
 #include "qp/dense_active_set_shift.c"
-#endif

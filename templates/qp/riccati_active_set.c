@@ -35,10 +35,7 @@
 
 #include "qp/riccati_active_set_refine.c"
 
-#if NG
 #include "qp/riccati_active_set_complement.c"
-
-#endif
 
 #include "qp/riccati_active_set_iterate.c"
 
@@ -69,15 +66,14 @@ static void qp_init(solver_t *s)
     qp_clear(&s->qp);
     riccati_init(s);
     s->riccati.regularize = 1;
-#if NG
-    memset(&s->schur, 0, sizeof s->schur);
-    for (int m = 0; m < NG; m++) {
-        s->qp.root[m] = R(1);
+    if (NG) {
+        memset(&s->schur, 0, sizeof s->schur);
+        for (int m = 0; m < NG; m++) {
+            s->qp.root[m] = R(1);
+        }
     }
-#endif
 }
 
-#if REGULARIZE_REDUCED
 /* The last stage with a member of the working set, or -1. The factors of later stages are those without members. */
 static int qp_last_member(const qp_t *q)
 {
@@ -90,7 +86,6 @@ static int qp_last_member(const qp_t *q)
     return last;
 }
 
-#if NG
 /* The last stage with a row that has a weight, or `last` if that is later. */
 static int qp_last_weight(const solver_t *s, int last)
 {
@@ -102,57 +97,53 @@ static int qp_last_weight(const solver_t *s, int last)
     return found;
 }
 
-#endif
-#endif
 static status_t qp_factorize(solver_t *s)
 {
     qp_t *q = &s->qp;
-#if REGULARIZE_REDUCED
-    const int plain = riccati_convexify(s);
-#endif
-#if NG
-    if (q->scaled == SCALES_NONE) {
-        qp_scale_rows(s);
-    } else {
-        q->scaled = SCALES_EARLIER;
+    if (REGULARIZE_REDUCED) {
+        const int plain = riccati_convexify(s);
     }
-    schur_begin(s);
-#endif
+    if (NG) {
+        if (q->scaled == SCALES_NONE) {
+            qp_scale_rows(s);
+        } else {
+            q->scaled = SCALES_EARLIER;
+        }
+        schur_begin(s);
+    }
     qp_enter(s);
-#if REGULARIZE_REDUCED
-    q->stale = plain ? qp_last_member(q) : NS;
-#if NG
-    q->stale = qp_last_weight(s, q->stale);
-#endif
-#endif
-#if NG
-    if (s->schur.active && !(qp_renew(s) && s->schur.applies)) {
-        qp_dissolve(s);
+    if (REGULARIZE_REDUCED) {
+        q->stale = plain ? qp_last_member(q) : NS;
+        if (NG) {
+            q->stale = qp_last_weight(s, q->stale);
+        }
     }
-#endif
+    if (NG) {
+        if (s->schur.active && !(qp_renew(s) && s->schur.applies)) {
+            qp_dissolve(s);
+        }
+    }
     if (!qp_renew(s)) { /* weights and working set may belong to a QP with other scales */
         qp_start_empty(s);
         if (!qp_renew(s)) {
-#if INTERIOR_POINT
-            q->factorized = FACTORS_OTHER; /* the interior point method can regularise more */
-            return OK;
-#else
-            q->factorized = FACTORS_NONE;
-            return qp_fail(q, NUMERICAL_FAILURE);
-#endif
+            if (INTERIOR_POINT) {
+                q->factorized = FACTORS_OTHER; /* the interior point method can regularise more */
+                return OK;
+            } else {
+                q->factorized = FACTORS_NONE;
+                return qp_fail(q, NUMERICAL_FAILURE);
+            }
         }
     }
     q->factorized = FACTORS_READY;
     return OK;
 }
 
-#if SET_REFERENCE || SOLVE || LEVELS
 static void qp_gradient(solver_t *s)
 {
     s->qp.stale_vectors = NS;
 }
 
-#endif
 /* Returns 1 if all multipliers are finite. Invalid data of a fixed control appear only in its multiplier. */
 static int qp_has_multipliers(const qp_t *q)
 {
@@ -163,7 +154,6 @@ static int qp_has_multipliers(const qp_t *q)
     return isfinite(sum);
 }
 
-#if NG
 /* Returns 1 if the last minimiser was refined with the scales of an earlier QP, to a residual that may be rounding. */
 static int qp_needs_scales(const qp_t *q)
 {
@@ -188,25 +178,24 @@ static status_t qp_settle_in_own_scales(solver_t *s)
     return qp_settle(s, QP_MAX_POLISH);
 }
 
-#endif
 /* Active-set iterations from the predicted working set, then the fallback. */
 static status_t qp_search(solver_t *s)
 {
     qp_t *q = &s->qp;
     q->exact = 1;
-#if NG
-    status_t status = s->schur.active ? qp_settle_with_complement(s) : STALLED;
-    if (status != OK) {
-        status = qp_settle(s, QP_MAX_ITERATIONS);
+    if (NG) {
+        status_t status = s->schur.active ? qp_settle_with_complement(s) : STALLED;
+        if (status != OK) {
+            status = qp_settle(s, QP_MAX_ITERATIONS);
+        }
+    } else {
+        status_t status = qp_settle(s, QP_MAX_ITERATIONS);
     }
-#else
-    status_t status = qp_settle(s, QP_MAX_ITERATIONS);
-#endif
-#if NG
-    if (status == STALLED && qp_needs_scales(q)) {
-        status = qp_settle_in_own_scales(s);
+    if (NG) {
+        if (status == STALLED && qp_needs_scales(q)) {
+            status = qp_settle_in_own_scales(s);
+        }
     }
-#endif
     if (status != OK) { /* a numerical failure that persists: unbounded QP or invalid data */
         const status_t next = qp_fall_back(s);
         status = (status == NUMERICAL_FAILURE && next == ITERATION_LIMIT) ? status : next;
@@ -220,9 +209,9 @@ static status_t qp_solve(solver_t *s)
     qp_t *q = &s->qp;
     status_t status = q->factorized ? qp_check_bounds(q) : NUMERICAL_FAILURE;
     q->iterations = q->changes = q->refinements = q->dropped = q->relaxed = q->exact = 0;
-#if INTERIOR_POINT && NG
-    memset(q->certificate, 0, sizeof q->certificate);
-#endif
+    if (INTERIOR_POINT && NG) {
+        memset(q->certificate, 0, sizeof q->certificate);
+    }
     if (status != OK) {
         return qp_fail(q, status);
     }
@@ -236,10 +225,6 @@ static status_t qp_solve(solver_t *s)
     return status == NUMERICAL_FAILURE ? qp_fail(q, status) : status;
 }
 
-#if !SHIFT_RESAMPLE
 #include "qp/shift_on_stages.c"
-#endif
 
-#if FIRST
 #include "qp/riccati_active_set_law.c"
-#endif

@@ -61,12 +61,10 @@ static int schur_list(solver_t *s)
 static inline void schur_load(const solver_t *s, int i, real_t *w)
 {
     const int m = s->schur.member[i];
-#if GENERAL_ROWS || NE || BLOCK_ROWS
     if (stage_state[m] < 0) {
         memcpy(w, stage_row(s, m), sizeof w[0] * (stage_of_row[m] < NS ? NZS : NXS));
         return;
     }
-#endif
     w[stage_state[m]] = R(1);
 }
 
@@ -135,7 +133,6 @@ static void schur_sweep(solver_t *s)
     }
 }
 
-#if NXS > NX
 /* Adds the entries of pull that belong to copies of components of x_0 to those of the original components. */
 static inline void schur_fold(schur_t *c)
 {
@@ -147,8 +144,6 @@ static inline void schur_fold(schur_t *c)
     }
 }
 
-#endif
-#if NF
 /* Adds the part of the free components f of x_0 to C, pull_f' P_ff^{-1} pull_f, and to pull their change with the other
  * components. p_0 is used as memory. */
 static void schur_add_free(solver_t *s)
@@ -175,7 +170,6 @@ static void schur_add_free(solver_t *s)
     }
 }
 
-#endif
 /* C = L D L', with 1 / D on the diagonal; it is 0 for a member whose gradient is a combination of those before. */
 static void schur_decompose(schur_t *c)
 {
@@ -208,12 +202,10 @@ static int schur_renew(solver_t *s)
             return 0;
         }
         schur_sweep(s);
-#if NXS > NX
         schur_fold(c);
-#endif
-#if NF
-        schur_add_free(s);
-#endif
+        if (NF) {
+            schur_add_free(s);
+        }
         schur_decompose(c);
     }
     return 1;
@@ -272,9 +264,9 @@ static void schur_correct(solver_t *s, real_t *distance)
     schur_substitute(c, distance);
     for (int i = 0; i < c->joint; i++) {
         s->qp.center[c->member[i]] += distance[i];
-#if NF
-        riccati_add(r->p[0], distance[i], c->pull[i], LDX);
-#endif
+        if (NF) {
+            riccati_add(r->p[0], distance[i], c->pull[i], LDX);
+        }
     }
     for (int k = 0; k < NS; k++) {
         real_t y[NUS] = {0};
@@ -296,16 +288,12 @@ static void schur_distances(const solver_t *s, real_t *distance)
     const schur_t *c = &s->schur;
     real_t x[LDX] = {0};
     memcpy(x, s->step.dx[0], sizeof x[0] * NXS);
-#if NF
     for (int f = 0; f < NF; f++) {
         x[free_state[f]] = R(0);
     }
-#endif
-#if NXS > NX
     for (int i = NX; i < NXS; i++) {
         x[i] = R(0);
     }
-#endif
     for (int i = 0; i < c->joint; i++) {
         distance[i] = c->origin[i] + riccati_dot(c->pull[i], x, LDX) - s->qp.target[c->member[i]];
     }

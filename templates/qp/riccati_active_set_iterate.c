@@ -4,7 +4,7 @@
 /* Tolerance for rounding errors: `exact`, or a multiple of sqrt(machine epsilon) while the minimiser is not refined. */
 static inline real_t qp_tolerance(const qp_t *q, real_t exact)
 {
-    return q->rough ? R(16) * SQRT(TOL_UNIT) : exact;
+    return q->rough ? FACTOR_ROUGH * SQRT(TOL_UNIT) : exact;
 }
 
 /* Side of c, which is not a member, from its value v and its bounds; `size` is the magnitude of the terms of v. */
@@ -132,9 +132,9 @@ static void qp_revise_rows(solver_t *s)
 static int qp_revise(solver_t *s)
 {
     const int before = s->qp.changes;
-#if NG
-    qp_revise_rows(s);
-#endif
+    if (NG) {
+        qp_revise_rows(s);
+    }
     for (int k = 0; k < NS; k++) {
         for (int j = 0; j < NUS; j++) {
             qp_set_control(s, k, j, qp_side_of_control(s, k, j));
@@ -167,21 +167,20 @@ static int qp_renew(solver_t *s)
     if (q->stale >= 0 && !riccati_factorize(s, q->stale)) {
         return 0;
     }
-#if NG
-    schur_update(s);
-#endif
+    if (NG) {
+        schur_update(s);
+    }
     if (q->stale_vectors >= 0) {
         qp_load(s);
         riccati_backward(s, q->stale_vectors);
-#if NG
-        schur_set_origin(s);
-#endif
+        if (NG) {
+            schur_set_origin(s);
+        }
     }
     q->stale = q->stale_vectors = -1;
     return 1;
 }
 
-#if NG
 /* Increases the weights of members that are still off their bounds; returns 0 if none can be increased. */
 static int qp_raise_weights(solver_t *s)
 {
@@ -192,7 +191,7 @@ static int qp_raise_weights(solver_t *s)
         if (qp_is_member(q->side[NV + m]) && q->raised[m] < 2 &&
             FABS(qp_offset(q, m)) > TOL_RICCATI_FEASIBILITY * size) {
             q->raised[m]++;
-            q->weight[m] *= R(1024);
+            q->weight[m] *= FACTOR_HEAVIER;
             s->riccati.weight[m] = q->weight[m];
             qp_outdate(q, stage_of_row[m]);
             raised = 1;
@@ -201,7 +200,6 @@ static int qp_raise_weights(solver_t *s)
     return raised;
 }
 
-#endif
 /* The minimiser on the working set, refined if the working set would otherwise remain unchanged. `changed` is the
  * number of sides that the minimiser changes. */
 static status_t qp_minimize(solver_t *s, int *changed)
@@ -213,18 +211,18 @@ static status_t qp_minimize(solver_t *s, int *changed)
         return NUMERICAL_FAILURE;
     }
     memcpy(q->x[0], s->step.dx[0], sizeof s->step.dx[0]);
-#if NG
-    schur_impose(s);
-#endif
+    if (NG) {
+        schur_impose(s);
+    }
     riccati_forward(s, q->x, q->z);
     if (!qp_measure(q) || !qp_take_multipliers(s)) {
         return NUMERICAL_FAILURE;
     }
-#if NG
-    if (s->schur.active && !schur_holds(s)) {
-        return STALLED;
+    if (NG) {
+        if (s->schur.active && !schur_holds(s)) {
+            return STALLED;
+        }
     }
-#endif
     q->refined = 0;
     q->rough = qp_is_approximate(s);
     *changed = qp_revise(s);
@@ -241,11 +239,11 @@ static status_t qp_minimize(solver_t *s, int *changed)
 /* A residual that refinement does not reduce is rounding, or the weights are too small. */
 static status_t qp_at_rest(const qp_t *q)
 {
-#if NG
-    if (q->scaled != SCALES_OWN) {
-        return q->residual <= TOL_RICCATI_FEASIBILITY ? OK : STALLED;
+    if (NG) {
+        if (q->scaled != SCALES_OWN) {
+            return q->residual <= TOL_RICCATI_FEASIBILITY ? OK : STALLED;
+        }
     }
-#endif
     return q->residual <= TOL_RICCATI_ROUNDING ? OK : STALLED;
 }
 
@@ -255,9 +253,7 @@ static status_t qp_at_rest(const qp_t *q)
 static status_t qp_iterate(solver_t *s, int most)
 {
     qp_t *q = &s->qp;
-#if INTERIOR_POINT
     int before = 0, rises = 0;
-#endif
     qp_seen(q, 0);
     for (int tried = 1; tried <= most; tried++) {
         int changed;
@@ -265,28 +261,28 @@ static status_t qp_iterate(solver_t *s, int most)
         if (status == NUMERICAL_FAILURE || (status == OK && changed == 0)) {
             return status;
         }
-#if NG
-        if (s->schur.active && !s->schur.applies) {
-            return STALLED;
+        if (NG) {
+            if (s->schur.active && !s->schur.applies) {
+                return STALLED;
+            }
+            if (changed == 0 && qp_raise_weights(s)) {
+                q->iterations++;
+                continue;
+            }
         }
-        if (changed == 0 && qp_raise_weights(s)) {
-            q->iterations++;
-            continue;
-        }
-#endif
         if (changed == 0) {
             return qp_at_rest(q);
         }
         if (qp_seen(q, tried)) {
             return STALLED;
         }
-#if INTERIOR_POINT
-        rises += tried > 1 && changed > 2 && changed >= before;
-        before = changed;
-        if (rises == QP_MAX_RISES) {
-            return STALLED;
+        if (INTERIOR_POINT) {
+            rises += tried > 1 && changed > 2 && changed >= before;
+            before = changed;
+            if (rises == QP_MAX_RISES) {
+                return STALLED;
+            }
         }
-#endif
         q->iterations++;
     }
     return ITERATION_LIMIT;
@@ -313,11 +309,9 @@ static void qp_finish(qp_t *q)
         }
     }
     q->relaxed = 0;
-#if NG
     for (int m = 0; m < NG; m++) {
         q->relaxed += qp_is_violated(q->side[NV + m]);
     }
-#endif
 }
 
 /* The same, with the result completed and checked. Returns STALLED if it is not a solution of the original QP. */
@@ -328,8 +322,6 @@ static status_t qp_settle(solver_t *s, int most)
         return status;
     }
     qp_finish(&s->qp);
-#if INTERIOR_POINT
     s->qp.least = R(0);
-#endif
     return qp_is_solution(s) ? OK : STALLED;
 }

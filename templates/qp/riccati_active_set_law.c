@@ -3,11 +3,11 @@
 static int condense_law(solver_t *s)
 {
     const riccati_t *r = &s->riccati;
-#if NG
-    if (s->schur.active && s->schur.joint > 0) {
-        return 0;
+    if (NG) {
+        if (s->schur.active && s->schur.joint > 0) {
+            return 0;
+        }
     }
-#endif
     for (int j = 0; j < NU; j++) {
         s->first.feed[j] = r->feed[0][j];
         memcpy(s->first.gain[j], r->K[0][j], sizeof s->first.gain[j]);

@@ -10,11 +10,9 @@ static int qp_is_approximate(const solver_t *s)
     for (int k = 0; k <= NS; k++) {
         approximate |= s->riccati.raised[k];
     }
-#if NG
     for (int m = 0; m < NG; m++) {
         approximate |= qp_is_member(s->qp.side[NV + m]) && !s->schur.active;
     }
-#endif
     return approximate;
 }
 
@@ -36,13 +34,13 @@ static void qp_residual(solver_t *s, int k)
     for (int i = 0; k > 0 && i < NXS; i++) {
         y[i] -= r->work.vectors.lam[k][i];
     }
-#if NG
-    for (int m = stage_first[k]; m < stage_first[k + 1]; m++) {
-        if (q->side[NV + m] != INACTIVE) {
-            qp_add_row(s, m, q->mult[NV + m]);
+    if (NG) {
+        for (int m = stage_first[k]; m < stage_first[k + 1]; m++) {
+            if (q->side[NV + m] != INACTIVE) {
+                qp_add_row(s, m, q->mult[NV + m]);
+            }
         }
     }
-#endif
 }
 
 /* Increases size[] to at least the terms of the gradient at stage k < NS: for states the multipliers of the dynamics,
@@ -82,7 +80,6 @@ static real_t qp_gradient_size(solver_t *s)
     return worst;
 }
 
-#if NG
 /* Distance of the value of member m from its bound. */
 static inline real_t qp_offset(const qp_t *q, int m)
 {
@@ -106,7 +103,7 @@ static real_t qp_stretch(const solver_t *s)
     if (!(gain > size)) {
         return R(1);
     }
-    return gain < R(65536) * size ? gain / size : R(65536);
+    return gain < FACTOR_LONGEST_STEP * size ? gain / size : FACTOR_LONGEST_STEP;
 }
 
 /* Adds the correction to the multipliers of the rows. For members the small value of the correction is used, because
@@ -168,7 +165,6 @@ static real_t qp_distance(const solver_t *s)
 }
 #endif
 
-#endif
 /* Adds `times` the correction (dx, du) and the corresponding change of the multipliers. */
 static void qp_add_correction(solver_t *s, real_t times)
 {
@@ -193,9 +189,7 @@ static void qp_add_correction(solver_t *s, real_t times)
             q->z[first + j] += times * d->du[first + j];
         }
     }
-#if NG
     qp_correct_rows(s, times);
-#endif
 }
 
 /* Correction of (x, z, lam, mult) for the residuals in the right-hand sides, to which weight (a'z - t) a of the members
@@ -203,13 +197,11 @@ static void qp_add_correction(solver_t *s, real_t times)
 static void qp_direction(solver_t *s)
 {
     direction_t *d = &s->riccati.work.vectors.rhs.direction;
-#if NG
     for (int m = 0; m < NG; m++) {
         if (qp_is_member(s->qp.side[NV + m])) {
             qp_add_row(s, m, s->riccati.weight[m] * qp_offset(&s->qp, m));
         }
     }
-#endif
     riccati_backward(s, NS);
     memset(d->dx[0], 0, sizeof d->dx[0]);
     riccati_forward(s, d->dx, d->du);
@@ -225,11 +217,11 @@ static int qp_take_residuals(solver_t *s, int *at_members)
     }
     q->residual = qp_gradient_size(s);
     *at_members = 0;
-#if NG
-    const real_t distance = qp_distance(s);
-    *at_members = distance >= q->residual;
-    q->residual = distance > q->residual ? distance : q->residual;
-#endif
+    if (NG) {
+        const real_t distance = qp_distance(s);
+        *at_members = distance >= q->residual;
+        q->residual = distance > q->residual ? distance : q->residual;
+    }
     return isfinite(q->residual) && qp_measure(q);
 }
 
@@ -262,11 +254,11 @@ static status_t qp_refine(solver_t *s)
         }
         slow = stretched ? q->residual : slow;
         qp_direction(s);
-#if NG
-        qp_add_correction(s, stretched ? qp_stretch(s) : R(1));
-#else
-        qp_add_correction(s, R(1));
-#endif
+        if (NG) {
+            qp_add_correction(s, stretched ? qp_stretch(s) : R(1));
+        } else {
+            qp_add_correction(s, R(1));
+        }
         q->refinements++;
     }
     return STALLED;

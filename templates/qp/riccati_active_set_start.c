@@ -7,28 +7,23 @@ static void qp_enter(solver_t *s)
     qp_t *q = &s->qp;
     riccati_t *r = &s->riccati;
     memset(r->diagonal, 0, sizeof r->diagonal);
-#if NF
     memset(r->diagonal_free, 0, sizeof r->diagonal_free);
-#endif
     r->regularize = 1;
     r->regularize_zero = riccati_least_pivot(s);
     for (int c = 0; c < NV; c++) {
         q->side[c] = qp_allowed(q, c, q->side[c]);
         r->fixed[c] = q->side[c] != INACTIVE;
     }
-#if NG
     for (int m = 0; m < NG; m++) {
         q->side[NV + m] = qp_allowed_row(q, m, q->side[NV + m]);
         r->weight[m] = qp_weight(s, m, q->side[NV + m]);
     }
-#endif
     q->stale = q->stale_vectors = NS;
-#if NG
-    s->schur.swept = 0;
-#endif
+    if (NG) {
+        s->schur.swept = 0;
+    }
 }
 
-#if NG
 /* Gives weights to the rows of the working set, which were equations, in this QP and some of the next ones. */
 static void qp_dissolve(solver_t *s)
 {
@@ -65,15 +60,14 @@ static void qp_scale_rows(solver_t *s)
     }
 }
 
-#endif
 /* Starts from the empty working set with the scales of this QP. */
 static void qp_start_empty(solver_t *s)
 {
     memset(s->qp.side, 0, sizeof s->qp.side);
     memset(s->qp.mult, 0, sizeof s->qp.mult);
-#if NG
-    s->schur.active = 0;
-    qp_scale_rows(s);
-#endif
+    if (NG) {
+        s->schur.active = 0;
+        qp_scale_rows(s);
+    }
     qp_enter(s);
 }

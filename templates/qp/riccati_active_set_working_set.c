@@ -12,7 +12,6 @@ static inline real_t qp_target(const qp_t *q, int c)
     return q->side[c] > 0 ? q->upper[c] : q->lower[c];
 }
 
-#if NG
 static inline int qp_is_member(int side)
 {
     return side == AT_LOWER || side == AT_UPPER;
@@ -22,7 +21,6 @@ static inline int qp_is_member(int side)
 static real_t qp_row_size(const solver_t *s, int m)
 {
     const real_t *scale = s->qp.scale;
-#if GENERAL_ROWS || NE || BLOCK_ROWS
     if (stage_state[m] < 0) {
         const int n = stage_of_row[m] < NS ? NZS : NXS;
         const real_t *a = stage_row(s, m);
@@ -32,11 +30,9 @@ static real_t qp_row_size(const solver_t *s, int m)
         }
         return sum;
     }
-#endif
     return scale[stage_state[m]];
 }
 
-#endif
 /* Marks the factors and vectors of the stages 0 .. k as stale after a change of the working set. */
 static inline void qp_outdate(qp_t *q, int k)
 {
@@ -65,7 +61,6 @@ static void qp_set_control(solver_t *s, int k, int j, int side)
     }
 }
 
-#if NG
 /* Weight of a a' in the Hessian that row m adds. */
 static inline real_t qp_weight(const solver_t *s, int m, int side)
 {
@@ -93,7 +88,6 @@ static void qp_set_row(solver_t *s, int m, int side)
     }
 }
 
-#endif
 /* Returns `side`, corrected to a side that the bounds of c allow: an equation is always a member, and an infinite bound
  * has no side. */
 static inline int qp_allowed(const qp_t *q, int c, int side)
@@ -107,7 +101,6 @@ static inline int qp_allowed(const qp_t *q, int c, int side)
     return allowed;
 }
 
-#if NG
 /* The same for row m: a hard row has no violated side. */
 static inline int qp_allowed_row(const qp_t *q, int m, int side)
 {
@@ -118,7 +111,6 @@ static inline int qp_allowed_row(const qp_t *q, int m, int side)
     return allowed;
 }
 
-#endif
 /* Applies the present bounds: corrects sides that they do not allow, and marks vectors with changed bounds as stale. */
 static void qp_take_bounds(solver_t *s)
 {
@@ -130,7 +122,6 @@ static void qp_take_bounds(solver_t *s)
             qp_outdate_vectors(q, c, k, s->riccati.du[c]);
         }
     }
-#if NG
     for (int m = 0; m < NG; m++) {
         qp_set_row(s, m, qp_allowed_row(q, m, q->side[NV + m]));
         if (s->schur.active && qp_is_member(q->side[NV + m])) { /* the gradient does not contain the bound */
@@ -138,10 +129,8 @@ static void qp_take_bounds(solver_t *s)
         }
         qp_outdate_vectors(q, NV + m, stage_of_row[m], q->target[m]);
     }
-#endif
 }
 
-#if NG
 /* Adds the members and the violated rows of stage k to the gradient of the stage. */
 static void qp_load_rows(solver_t *s, int k)
 {
@@ -157,7 +146,6 @@ static void qp_load_rows(solver_t *s, int k)
     }
 }
 
-#endif
 /* Right-hand sides of the stages with stale vectors. */
 static void qp_load(solver_t *s)
 {
@@ -171,9 +159,9 @@ static void qp_load(solver_t *s)
         for (int c = k * NUS; k < NS && c < (k + 1) * NUS; c++) {
             r->du[c] = q->side[c] != INACTIVE ? qp_target(q, c) : R(0);
         }
-#if NG
-        qp_load_rows(s, k);
-#endif
+        if (NG) {
+            qp_load_rows(s, k);
+        }
     }
 }
 
@@ -217,13 +205,11 @@ static int qp_take_multipliers(solver_t *s)
             }
         }
     }
-#if NG
     for (int m = 0; m < NG; m++) {
         q->value[m] = qp_row_value(s, m);
         q->mult[NV + m] =
             q->side[NV + m] != INACTIVE ? q->center[m] + r->weight[m] * (q->value[m] - q->target[m]) : R(0);
         sum += FABS(q->value[m]);
     }
-#endif
     return isfinite(sum);
 }

@@ -40,7 +40,6 @@ static status_t qp_factorize(solver_t *s)
 }
 #endif
 
-#if SET_REFERENCE || SOLVE || LEVELS
 static void qp_gradient(solver_t *s)
 {
     if (s->ipm.ready) {
@@ -48,12 +47,9 @@ static void qp_gradient(solver_t *s)
     }
 }
 
-#endif
 static status_t qp_solve(solver_t *s)
 {
     return ipm_solve(s);
 }
 
-#if !SHIFT_RESAMPLE
 #include "qp/shift_on_stages.c"
-#endif

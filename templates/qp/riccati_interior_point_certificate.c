@@ -1,7 +1,6 @@
 /* Contract of this part: tests of the multipliers by the adjoint equation, for stationarity or as a proof of
  * infeasibility. */
 
-#if NXS > NX
 /* Adds the entries of a state vector that belong to copies of components of x_0 to those of the original components. */
 static inline void ipm_fold(real_t *w)
 {
@@ -11,7 +10,6 @@ static inline void ipm_fold(real_t *w)
     }
 }
 
-#endif
 /* w = S_k'lam + g_k, where lam is the adjoint of x_{k+1}. */
 static inline void ipm_adjoint_step(solver_t *s, int k, const real_t *lam, real_t *w)
 {
@@ -90,20 +88,15 @@ static real_t ipm_stationarity(solver_t *s)
         riccati_combine(w, w + NXS, s->riccati.K[k][0], LDX, NUS, NXS);
         memcpy(lam, w, sizeof lam);
     }
-#if NXS > NX
     ipm_fold(lam);
     ipm_fold(next);
-#endif
-#if NF
     for (int f = 0; f < NF; f++) {
         const real_t unit = R(1) / SQRT(s->riccati.F[f][f]);
         ipm_take_gradient(lam[free_state[f]], next[free_state[f]], unit, &largest);
     }
-#endif
     return (largest.rest > R(0)) ? largest.rest / largest.terms : R(0);
 }
 
-#if NG
 /* f B for a row with weight f, where B is its upper bound for f > 0 and its lower bound for f < 0. */
 static inline real_t ipm_support(const qp_t *q, int c, real_t f)
 {
@@ -139,23 +132,19 @@ static inline int ipm_vanishes(solver_t *s, int k, int j, const real_t *nu, real
     return FABS(w) <= TOL_IPM_RAY * ipm_ray_terms(s, k, j, nu);
 }
 
-#if NF
 /* The same for component j of x_0 with its copies. */
 static int ipm_free_vanishes(solver_t *s, int j, const real_t *nu, const real_t *w)
 {
     real_t sum = w[j], size = ipm_ray_terms(s, 0, j, nu);
-#if NXS > NX
     for (int c = 0; c < NXS - NX; c++) {
         if (copied_state[c] == j) {
             sum += w[NX + c];
             size += ipm_ray_terms(s, 0, NX + c, nu);
         }
     }
-#endif
     return FABS(sum) <= TOL_IPM_RAY * size;
 }
 
-#endif
 /* The weights f of the rows leave sum_c f_c a_c = w for the controls and free states of stage k. The bound of control j
  * takes the weight -w_j if it is finite on that side; otherwise w_j must be zero up to rounding, and |w_j u_j| at the
  * iterate is added to `rest`. Returns 0 if it is not. */
@@ -170,13 +159,11 @@ static int ipm_balance(solver_t *s, int k, const real_t *nu, const real_t *w, re
         }
         *rest += finite ? R(0) : FABS(f * s->qp.z[k * NUS + j]);
     }
-#if NF
     for (int f = 0; k == 0 && f < NF; f++) {
         if (!ipm_free_vanishes(s, free_state[f], nu, w)) {
             return 0;
         }
     }
-#endif
     return 1;
 }
 
@@ -210,7 +197,7 @@ static int ipm_contradiction(solver_t *s)
         gap += term;
         size += FABS(term);
     }
-    return gap < -TOL_IPM_CONTRADICTION * size - R(4) * rest;
+    return gap < -TOL_IPM_CONTRADICTION * size - FACTOR_CERTIFIED * rest;
 }
 
 /* Returns 1 if the weights prove infeasibility, and scales the largest to 1. Otherwise clears the certificate. */
@@ -263,5 +250,3 @@ static int ipm_constant_rows(solver_t *s)
     }
     return 0;
 }
-
-#endif

@@ -25,11 +25,11 @@ static void ipm_write_active(solver_t *s)
         const int c = ipm_row(q, i);
         const real_t square = s->units.reach[c] * s->units.reach[c];
         int side = ipm_is_upper(q, i) ? AT_UPPER : AT_LOWER;
-#if NG
-        if (i >= q->hard && q->e[i - q->hard] > q->kappa[i - q->hard] * square) {
-            side = ipm_is_upper(q, i) ? ABOVE : BELOW;
+        if (NG) {
+            if (i >= q->hard && q->e[i - q->hard] > q->kappa[i - q->hard] * square) {
+                side = ipm_is_upper(q, i) ? ABOVE : BELOW;
+            }
         }
-#endif
         if (q->lam[i] * square > q->t[i]) {
             s->qp.side[c] = side;
             if (c < NV && q->t[i] <= TOL_UNIT * SQRT(q->unit) * s->units.reach[c]) {
@@ -39,7 +39,6 @@ static void ipm_write_active(solver_t *s)
     }
 }
 
-#if NG
 /* Marks soft rows that are not among the sides as violated: those that no control moves, and those whose violation has
  * no cost. */
 static void ipm_write_others(solver_t *s)
@@ -53,7 +52,6 @@ static void ipm_write_others(solver_t *s)
     }
 }
 
-#endif
 /* Sets side[]: the active rows and the violated soft rows. Multipliers of the other rows that are only rounding errors
  * become 0. */
 static void ipm_write_sides(solver_t *s)
@@ -65,9 +63,7 @@ static void ipm_write_sides(solver_t *s)
         qp->side[c] = s->ipm.kind[c] == INEQUALITY ? INACTIVE : member;
     }
     ipm_write_active(s);
-#if NG
     ipm_write_others(s);
-#endif
     for (int c = 0; c < NV + NG; c++) {
         const real_t reach = s->units.reach[c];
         if (qp->side[c] == INACTIVE && FABS(qp->mult[c]) * reach <= least && (c < NV || reach > R(0))) {
@@ -75,11 +71,9 @@ static void ipm_write_sides(solver_t *s)
         }
     }
     qp->relaxed = 0;
-#if NG
     for (int m = 0; m < NG; m++) {
         qp->relaxed += qp_is_violated(qp->side[NV + m]);
     }
-#endif
 }
 
 /* Performs all computations that do not depend on dx_0. plain: the present factors are those without fixed controls and
@@ -133,9 +127,9 @@ static status_t ipm_run(solver_t *s)
     mu = R(2) * ipm_violation_cost(s, &count);
     mu /= (real_t)((count > 0) ? count : 1);
     mu = (q->damping > mu) ? q->damping : mu;
-#if IPM_WARM_START
-    mu = q->warm ? R(0.1) * mu : mu;
-#endif
+    if (IPM_WARM_START) {
+        mu = q->warm ? FACTOR_WARM * mu : mu;
+    }
     ipm_list_sides(s);
     ipm_start_sides(s, mu);
     return ipm_iterate(s);
@@ -148,11 +142,9 @@ static status_t ipm_attempt(solver_t *s)
     if (!ipm_near_point(s)) {
         return NUMERICAL_FAILURE;
     }
-#if NG
     if (ipm_constant_rows(s)) {
         return INFEASIBLE;
     }
-#endif
     return ipm_run(s);
 }
 
@@ -195,11 +187,11 @@ static status_t ipm_update(solver_t *s)
 static status_t ipm_finish(solver_t *s, status_t status)
 {
     ipm_write_sides(s);
-#if IPM_CROSSOVER
-    if (s->ipm.crossing == HANDED_OVER) {
-        return status;
+    if (IPM_CROSSOVER) {
+        if (s->ipm.crossing == HANDED_OVER) {
+            return status;
+        }
     }
-#endif
     if (status == OK && !ipm_is_solution(s)) {
         status = ITERATION_LIMIT;
     }
@@ -214,11 +206,11 @@ static status_t ipm_solve(solver_t *s)
 {
     ipm_t *q = &s->ipm;
     status_t status = qp_check_bounds(&s->qp);
-#if IPM_WARM_START
-    q->warm = q->solved;
-    q->solved = 0;
-    memcpy(q->before, s->qp.mult, sizeof q->before);
-#endif
+    if (IPM_WARM_START) {
+        q->warm = q->solved;
+        q->solved = 0;
+        memcpy(q->before, s->qp.mult, sizeof q->before);
+    }
     s->qp.iterations = 0;
     status = (status == OK) ? ipm_update(s) : status;
     if (status != OK) {
@@ -229,7 +221,6 @@ static status_t ipm_solve(solver_t *s)
     return ipm_finish(s, ipm_attempts(s));
 }
 
-#if IPM_CROSSOVER
 /* Continues after an iterate that indicates a working set, with x and z of that iterate. */
 static status_t ipm_resume(solver_t *s)
 {
@@ -238,4 +229,3 @@ static status_t ipm_resume(solver_t *s)
     ipm_gaps(s);
     return ipm_finish(s, ipm_iterate(s));
 }
-#endif

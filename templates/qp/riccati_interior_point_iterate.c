@@ -1,6 +1,5 @@
 /* Contract of this part: predictor-corrector iterations from the initial sides to the solution. */
 
-#if NG
 /* Multiplier of a soft row that no control moves; 0 for any other row. */
 static real_t ipm_constant_multiplier(const solver_t *s, int c)
 {
@@ -16,18 +15,15 @@ static real_t ipm_constant_multiplier(const solver_t *s, int c)
     return R(0);
 }
 
-#endif
 /* Multipliers of the rows, except those of fixed controls. */
 static void ipm_net_multipliers(solver_t *s)
 {
     const ipm_t *q = &s->ipm;
     real_t *mult = s->qp.mult;
     memset(mult, 0, sizeof s->qp.mult);
-#if NG
     for (int m = 0; m < NG; m++) {
         mult[NV + m] = (q->kind[NV + m] == EQUATION) ? q->y[m] : ipm_constant_multiplier(s, NV + m);
     }
-#endif
     for (int i = 0; i < q->sides; i++) {
         mult[ipm_row(q, i)] += ipm_sign(q, i) * q->lam[i];
     }
@@ -51,27 +47,27 @@ static real_t ipm_cost_unit(const solver_t *s)
     }
     sum = R(0.5) * FABS(sum);
     most = (sum < most * most) ? sum : most * most;
-    way *= R(0.00390625);
+    way *= FACTOR_SHORT_WAY;
     return (most > way * way) ? most : way * way;
 }
 
 /* sum |a_i| |z_i| of row c, the scale of the rounding error of its value. */
 static real_t ipm_terms(const solver_t *s, int c)
 {
-#if NG && (GENERAL_ROWS || NE || BLOCK_ROWS)
-    if (c >= NV && stage_state[c - NV] < 0) {
-        const int k = stage_of_row[c - NV];
-        const real_t *a = stage_row(s, c - NV);
-        real_t sum = R(0);
-        for (int i = 0; i < NXS; i++) {
-            sum += FABS(a[i] * s->qp.x[k][i]);
+    if (NG && (GENERAL_ROWS || NE || BLOCK_ROWS)) {
+        if (c >= NV && stage_state[c - NV] < 0) {
+            const int k = stage_of_row[c - NV];
+            const real_t *a = stage_row(s, c - NV);
+            real_t sum = R(0);
+            for (int i = 0; i < NXS; i++) {
+                sum += FABS(a[i] * s->qp.x[k][i]);
+            }
+            for (int i = 0; k < NS && i < NUS; i++) {
+                sum += FABS(a[NXS + i] * s->qp.z[k * NUS + i]);
+            }
+            return sum;
         }
-        for (int i = 0; k < NS && i < NUS; i++) {
-            sum += FABS(a[NXS + i] * s->qp.z[k * NUS + i]);
-        }
-        return sum;
     }
-#endif
     return FABS(s->ipm.v[c]);
 }
 
@@ -103,23 +99,21 @@ static void ipm_measure(solver_t *s)
     for (int i = 0; i < q->sides; i++) {
         ipm_take_residual(s, ipm_row(q, i), ipm_bound(s, i), q->r[i], root);
     }
-#if NG
     for (int m = 0; m < NG; m++) {
         const real_t bound = s->qp.lower[NV + m];
         if (q->stiffness[m] > R(0)) {
             ipm_take_residual(s, NV + m, bound, q->v[NV + m] - bound, root);
         }
     }
-#endif
 }
 
 /* Due to the regularisation a full step does not satisfy the rows exactly. If the remaining residual decreases too
  * slowly, as when rows leave little room to one another, the regularisation is reduced. Returns 1 if it is. */
 static int ipm_stiffen(ipm_t *q, real_t before)
 {
-    if (q->step > R(0.9) && q->primal > R(2) * TOL_IPM_PRIMAL && q->primal > R(0.125) * before &&
+    if (q->step > FACTOR_FULL_STEP && q->primal > R(2) * TOL_IPM_PRIMAL && q->primal > FACTOR_SLOW_ROWS * before &&
         q->stiffening < q->stiffest) {
-        q->stiffening *= R(16);
+        q->stiffening *= FACTOR_STIFFEN;
         return 1;
     }
     return 0;
@@ -140,14 +134,14 @@ static real_t ipm_inverse_step(const ipm_t *q)
         most = ipm_largest_ratio(most, q->t[i], q->dt[i]);
         most = ipm_largest_ratio(most, q->lam[i], q->dlam[i]);
     }
-#if NG
-    for (int i = 0; i < q->sides - q->hard; i++) { /* at most 2 * NG passes */
-        if (q->kappa[i] > R(0)) {
-            most = ipm_largest_ratio(most, q->e[i], q->de[i]);
-            most = ipm_largest_ratio(most, q->kappa[i], q->dkappa[i]);
+    if (NG) {
+        for (int i = 0; i < q->sides - q->hard; i++) { /* at most 2 * NG passes */
+            if (q->kappa[i] > R(0)) {
+                most = ipm_largest_ratio(most, q->e[i], q->de[i]);
+                most = ipm_largest_ratio(most, q->kappa[i], q->dkappa[i]);
+            }
         }
     }
-#endif
     return most;
 }
 
@@ -172,9 +166,7 @@ static real_t ipm_reduction(const ipm_t *q, real_t step)
 static void ipm_correct_nothing(ipm_t *q)
 {
     memset(q->dt, 0, sizeof q->dt);
-#if NG
     memset(q->dkappa, 0, sizeof q->dkappa);
-#endif
 }
 
 /* Second-order correction and centring of the products t lam and e kappa: extra = (target - share dt dlam) / lam
@@ -215,14 +207,12 @@ static void ipm_move(solver_t *s, real_t step)
 {
     ipm_t *q = &s->ipm;
     ipm_move_point(s, step);
-#if NG
     for (int m = 0; m < NG; m++) {
         const int c = NV + m;
         if (q->kind[c] == EQUATION) {
             q->y[m] += step * q->weight[c] * ((q->v[c] - s->qp.lower[c]) + q->dv[c]);
         }
     }
-#endif
     for (int i = 0; i < q->sides; i++) {
         q->t[i] += step * q->dt[i];
         q->lam[i] += step * q->dlam[i];
@@ -242,12 +232,11 @@ static real_t ipm_setback(const solver_t *s)
 {
     const real_t gap = s->ipm.mu / s->ipm.unit;
     if (s->qp.iterations - s->ipm.begun > 15 && (gap > SQRT(TOL_UNIT) || s->ipm.step < R(0.5))) {
-        return R(0.1);
+        return FACTOR_SETBACK;
     }
-    return (gap > R(5e-4)) ? R(5e-3) : (gap < R(1e-7)) ? R(1e-6) : R(10) * gap;
+    return (gap > FACTOR_EARLY_GAP) ? FACTOR_EARLY : (gap < FACTOR_LATE_GAP) ? FACTOR_LATE : FACTOR_RECENTRE * gap;
 }
 
-#if NG
 /* Step length d'W d / -d'W dv for a direction, where d is the residual of the equations: the step of steepest ascent of
  * the dual function. If equations are nearly dependent, the method of multipliers takes short steps in one
  * direction. */
@@ -265,22 +254,21 @@ static real_t ipm_stretch(const solver_t *s)
     if (!(q->stretched && gain > size)) {
         return R(1);
     }
-    return (gain < R(64) * size) ? gain / size : R(64);
+    return (gain < FACTOR_STRETCH * size) ? gain / size : FACTOR_STRETCH;
 }
 
-#endif
 /* Mehrotra (1992): affine direction, centring according to its success, corrected direction. */
 static void ipm_step(solver_t *s)
 {
     ipm_t *q = &s->ipm;
-    const real_t least = R(0.0009765625) * TOL_IPM_GAP * q->unit;
+    const real_t least = FACTOR_LEAST_TARGET * TOL_IPM_GAP * q->unit;
     real_t inverse, share, target, way, most = R(1);
     ipm_correct_nothing(q);
     ipm_direction(s);
     if (q->sides == 0) {
-#if NG
-        most = ipm_stretch(s);
-#endif
+        if (NG) {
+            most = ipm_stretch(s);
+        }
         ipm_move(s, most);
         return;
     }
@@ -289,13 +277,14 @@ static void ipm_step(solver_t *s)
     share = (share > R(0)) ? share : R(0);
     share = (share < R(1)) ? share : R(1);
     target = share * share * share * q->mu;
-    ipm_correct(q, (target > least) ? target : least, (inverse > R(4)) ? R(4) / inverse : R(1));
+    ipm_correct(q, (target > least) ? target : least,
+        (inverse > FACTOR_MOST_CORRECTION) ? FACTOR_MOST_CORRECTION / inverse : R(1));
     ipm_direction(s);
     inverse = ipm_inverse_step(q);
     way = R(1) - ipm_setback(s);
-#if NG
-    most = ipm_stretch(s);
-#endif
+    if (NG) {
+        most = ipm_stretch(s);
+    }
     q->step = (way < inverse * most) ? way / inverse : most;
     ipm_move(s, q->step);
 }
@@ -324,7 +313,7 @@ static real_t ipm_gaps(solver_t *s)
 /* Returns 1 if the residuals are small enough to be accepted when they stop decreasing. */
 static inline int ipm_small_residuals(const ipm_t *q)
 {
-    return q->merit <= R(16384) && q->slope <= R(1024);
+    return q->merit <= FACTOR_ACCEPTED_ROWS && q->slope <= FACTOR_ACCEPTED_GRADIENT;
 }
 
 /* Returns 1 if all residuals are within their tolerance, or small and not decreasing: large weights may cause rounding
@@ -338,11 +327,11 @@ static int ipm_converged(solver_t *s)
         q->merit = q->mu / (TOL_IPM_GAP * q->unit);
     }
     q->slope = INF;
-    if (!(q->merit <= R(16384))) {
+    if (!(q->merit <= FACTOR_ACCEPTED_ROWS)) {
         return 0;
     }
     q->slope = ipm_stationarity(s) / TOL_IPM_STATIONARITY;
-    if ((q->merit > R(1) && q->merit <= R(0.875) * rows_before) || !ipm_small_residuals(q) ||
+    if ((q->merit > R(1) && q->merit <= FACTOR_STAGNANT * rows_before) || !ipm_small_residuals(q) ||
         (q->slope > R(1) && q->slope <= R(0.5) * gradient_before)) {
         return 0;
     }
@@ -357,7 +346,7 @@ static int ipm_converged(solver_t *s)
  * negligible, even if the bounds, and with them all terms of a row, vanish. */
 static int ipm_is_solution(solver_t *s)
 {
-    s->qp.least = R(16) * TOL_UNIT / TOL_QP_ACCEPTED * SQRT(s->ipm.unit);
+    s->qp.least = FACTOR_NEGLIGIBLE_ROW * TOL_UNIT / TOL_QP_ACCEPTED * SQRT(s->ipm.unit);
     return qp_is_solution(s);
 }
 
@@ -371,7 +360,7 @@ static int ipm_suffices(solver_t *s, real_t merit_before)
         q->mu > TOL_QP_ACCEPTED * q->unit) {
         return 0;
     }
-    q->deferred = q->merit > R(1) && q->merit <= R(0.25) * merit_before && s->qp.iterations - q->begun <= 60;
+    q->deferred = q->merit > R(1) && q->merit <= FACTOR_DEFERRED * merit_before && s->qp.iterations - q->begun <= 60;
     if (q->deferred) {
         return 0;
     }
@@ -383,9 +372,9 @@ static int ipm_suffices(solver_t *s, real_t merit_before)
  * lower value for the rest of the solve. Returns 1 if it is. */
 static int ipm_soften(ipm_t *q, real_t gradient_before)
 {
-    if (q->stiffening > ipm_least_stiffening(q) && q->slope < INF && q->slope > R(1024) &&
+    if (q->stiffening > ipm_least_stiffening(q) && q->slope < INF && q->slope > FACTOR_ACCEPTED_GRADIENT &&
         q->slope > R(0.5) * gradient_before) {
-        q->stiffest = R(0.0625) * q->stiffening;
+        q->stiffest = FACTOR_SOFTEN * q->stiffening;
         q->stiffening = ipm_least_stiffening(q);
         return 1;
     }
@@ -397,10 +386,10 @@ static int ipm_soften(ipm_t *q, real_t gradient_before)
 static int ipm_loosen(ipm_t *q, real_t gradient_before)
 {
     if (q->damping > R(0) && q->slope < INF && q->slope > R(1) && q->slope > R(0.5) * gradient_before &&
-        q->proximity > R(8192) * SQRT(TOL_UNIT)) {
-        q->proximity *= R(0.0625);
+        q->proximity > FACTOR_LOOSEST * SQRT(TOL_UNIT)) {
+        q->proximity *= FACTOR_LOOSEN;
         for (int i = 0; i < NZS; i++) {
-            q->proximal[i] *= R(0.0625);
+            q->proximal[i] *= FACTOR_LOOSEN;
         }
         return 1;
     }
@@ -422,13 +411,12 @@ static int ipm_weigh_and_factorize(solver_t *s)
     return 1;
 }
 
-#if NG
 /* Returns 1 if the next step is to be stretched: every other step if only the equations have not converged and their
  * residuals hardly decrease. */
 static int ipm_slow_equations(const ipm_t *q, real_t before)
 {
-    return !q->stretched && q->primal > R(0.875) * before && q->stiffening >= q->stiffest &&
-        q->mu <= R(16384) * TOL_IPM_GAP * q->unit && ipm_any(q, EQUATION);
+    return !q->stretched && q->primal > FACTOR_STAGNANT * before && q->stiffening >= q->stiffest &&
+        q->mu <= FACTOR_ACCEPTED_ROWS * TOL_IPM_GAP * q->unit && ipm_any(q, EQUATION);
 }
 
 /* The same before termination, if the residuals of the equations exceed rounding. Also returns 1 after a stretched
@@ -437,28 +425,27 @@ static int ipm_inexact_equations(ipm_t *q)
 {
     q->stretched = !q->stretched;
     if (q->stretched) {
-        q->stretched = ipm_any(q, EQUATION) && q->primal > R(4) * TOL_IPM_PRIMAL && q->primal <= R(0.5) * q->slow;
+        q->stretched =
+            ipm_any(q, EQUATION) && q->primal > FACTOR_INEXACT * TOL_IPM_PRIMAL && q->primal <= R(0.5) * q->slow;
         q->slow = q->primal;
         return q->stretched;
     }
     return 1;
 }
 
-#endif
 /* Resets the measures of progress. */
 static void ipm_forget_progress(ipm_t *q)
 {
     q->closed_gaps = 0;
     q->merit = q->slope = q->primal = INF;
     q->step = R(1);
-    q->stiffest = R(65536);
-#if NG
-    q->stretched = 0;
-    q->slow = INF;
-#endif
+    q->stiffest = FACTOR_STIFFEST_ROWS;
+    if (NG) {
+        q->stretched = 0;
+        q->slow = INF;
+    }
 }
 
-#if NG
 /* Returns 1 if the iterate is the solution; `done` states this for all conditions but the equations. Otherwise the next
  * step may be stretched. */
 static int ipm_ends(ipm_t *q, int done, real_t before)
@@ -476,8 +463,6 @@ static inline int ipm_stagnates(const ipm_t *q, real_t before)
     return q->primal > TOL_IPM_PRIMAL && (q->step < R(0.5) || q->primal > R(0.5) * before);
 }
 
-#endif
-#if IPM_CROSSOVER
 /* Values of crossing: iterations until the solution; until a working set is indicated; they ended so. */
 enum { TO_THE_END = 0, CROSS_OVER = 1, HANDED_OVER = 2 };
 
@@ -485,14 +470,14 @@ enum { TO_THE_END = 0, CROSS_OVER = 1, HANDED_OVER = 2 };
  * then. */
 static int ipm_hands_over(ipm_t *q)
 {
-    if (q->crossing == TO_THE_END || q->sides == 0 || q->mu > R(1e-4) * q->unit || q->primal > R(1e-4)) {
+    if (q->crossing == TO_THE_END || q->sides == 0 || q->mu > FACTOR_HAND_OVER * q->unit ||
+        q->primal > FACTOR_HAND_OVER) {
         return 0;
     }
     q->crossing = HANDED_OVER;
     return 1;
 }
 
-#endif
 /* Judges the present point, whose measures are known, and adapts the regularisations; changed states whether one has
  * changed. Returns 1 if the iterations end here. */
 static int ipm_ends_here(solver_t *s, real_t before, real_t gradient_before, int *changed)
@@ -501,20 +486,20 @@ static int ipm_ends_here(solver_t *s, real_t before, real_t gradient_before, int
     const real_t merit_before = q->merit;
     int done;
     *changed = ipm_stiffen(q, before);
-#if IPM_CROSSOVER
-    if (ipm_hands_over(q)) {
-        return 1;
+    if (IPM_CROSSOVER) {
+        if (ipm_hands_over(q)) {
+            return 1;
+        }
     }
-#endif
     done = ipm_converged(s);
     if (q->probing && (q->slope < INF || s->qp.iterations > 20) && ipm_any_violation(s)) {
         return 1;
     }
     *changed |= ipm_soften(q, gradient_before) | ipm_loosen(q, gradient_before);
     done &= !*changed;
-#if NG
-    done = ipm_ends(q, done, before);
-#endif
+    if (NG) {
+        done = ipm_ends(q, done, before);
+    }
     return done || ipm_suffices(s, merit_before);
 }
 
@@ -522,11 +507,11 @@ static int ipm_ends_here(solver_t *s, real_t before, real_t gradient_before, int
 static status_t ipm_iterate(solver_t *s)
 {
     ipm_t *q = &s->ipm;
-#if IPM_WARM_START
-    const int cap = q->warm ? IPM_MAX_ITERATIONS / 4 : IPM_MAX_ITERATIONS;
-#else
-    const int cap = IPM_MAX_ITERATIONS;
-#endif
+    if (IPM_WARM_START) {
+        const int cap = q->warm ? IPM_MAX_ITERATIONS / 4 : IPM_MAX_ITERATIONS;
+    } else {
+        const int cap = IPM_MAX_ITERATIONS;
+    }
     ipm_forget_progress(q);
     q->begun = s->qp.iterations;
     for (;;) { /* at most IPM_MAX_ITERATIONS passes in qp_solve */
@@ -540,11 +525,11 @@ static status_t ipm_iterate(solver_t *s)
         if (ipm_ends_here(s, before, gradient_before, &changed)) {
             return OK;
         }
-#if NG
-        if ((s->qp.iterations >= cap || ipm_stagnates(q, before)) && ipm_infeasible(s)) {
-            return INFEASIBLE;
+        if (NG) {
+            if ((s->qp.iterations >= cap || ipm_stagnates(q, before)) && ipm_infeasible(s)) {
+                return INFEASIBLE;
+            }
         }
-#endif
         if (s->qp.iterations >= cap) {
             return ITERATION_LIMIT;
         }

@@ -8,22 +8,18 @@ enum { INEQUALITY = 0, EQUATION = 1, GIVEN_CONTROL = 2 };
 static void ipm_values(solver_t *s)
 {
     memcpy(s->ipm.v, s->qp.z, sizeof s->qp.z);
-#if NG
     for (int m = 0; m < NG; m++) {
         s->ipm.v[NV + m] = qp_row_value(s, m);
     }
-#endif
 }
 
 /* Changes of all rows along the direction. */
 static void ipm_changes(solver_t *s)
 {
     memcpy(s->ipm.dv, s->riccati.work.vectors.rhs.direction.du, sizeof s->qp.z);
-#if NG
     for (int m = 0; m < NG; m++) {
         s->ipm.dv[NV + m] = qp_row_change(s, m);
     }
-#endif
 }
 
 /* g += sum_c force_c a_c, where g is the right-hand side. */
@@ -34,11 +30,9 @@ static void ipm_add_forces(solver_t *s, const real_t *force)
             s->riccati.work.vectors.rhs.g[k][NXS + j] += force[k * NUS + j];
         }
     }
-#if NG
     for (int m = 0; m < NG; m++) {
         qp_add_row(s, m, force[NV + m]);
     }
-#endif
 }
 
 /* gradient_k = g_k + Q_k z_k at the iterate. */
@@ -64,11 +58,11 @@ static inline int ipm_row_kind(const qp_t *q, int c)
     if (c < NV) {
         return GIVEN_CONTROL;
     }
-#if NG
-    if (!qp_is_soft(q, c - NV)) {
-        return EQUATION;
+    if (NG) {
+        if (!qp_is_soft(q, c - NV)) {
+            return EQUATION;
+        }
     }
-#endif
     return INEQUALITY;
 }
 
@@ -151,13 +145,11 @@ static void ipm_list_sides(solver_t *s)
     for (int c = 0; c < NV; c++) {
         ipm_add_sides(s, c);
     }
-#if NG
     for (int m = 0; m < NG; m++) {
         if (!qp_is_soft(&s->qp, m)) {
             ipm_add_sides(s, NV + m);
         }
     }
-#endif
     q->hard = q->sides;
 #if NG
     for (int m = 0; m < NG; m++) {
@@ -178,14 +170,10 @@ static void ipm_set_weights(solver_t *s)
             r->diagonal[k][j] = q->weight[k * NUS + j] + q->proximal[NXS + j];
         }
     }
-#if NF
     for (int f = 0; f < NF; f++) {
         r->diagonal_free[f] = q->proximal[free_state[f]];
     }
-#endif
-#if NG
     memcpy(r->weight, q->weight + NV, sizeof r->weight);
-#endif
 }
 
 /* Residuals of the sides, r = distance + e - t and r_e = l1 + l2 e - lam - kappa, and the mean of t lam and e kappa. */
@@ -198,15 +186,15 @@ static void ipm_side_residuals(solver_t *s)
         q->r[i] = ipm_distance(s, i) - q->t[i];
         sum += q->t[i] * q->lam[i];
     }
-#if NG
-    for (int i = q->hard; i < q->sides; i++) { /* at most 2 * NG passes */
-        const int j = i - q->hard, m = ipm_row(q, i) - NV;
-        q->r[i] += q->e[j];
-        q->r_e[j] = s->qp.penalty[m] + s->qp.curvature[m] * q->e[j] - q->lam[i] - q->kappa[j];
-        sum += q->e[j] * q->kappa[j];
-        pairs += q->kappa[j] > R(0);
+    if (NG) {
+        for (int i = q->hard; i < q->sides; i++) { /* at most 2 * NG passes */
+            const int j = i - q->hard, m = ipm_row(q, i) - NV;
+            q->r[i] += q->e[j];
+            q->r_e[j] = s->qp.penalty[m] + s->qp.curvature[m] * q->e[j] - q->lam[i] - q->kappa[j];
+            sum += q->e[j] * q->kappa[j];
+            pairs += q->kappa[j] > R(0);
+        }
     }
-#endif
     q->mu = (pairs > 0) ? sum / (real_t)pairs : R(0);
 }
 

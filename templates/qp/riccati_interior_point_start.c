@@ -17,7 +17,7 @@ static int ipm_factorize(solver_t *s)
         if (riccati_factorize(s, NS)) {
             return 1;
         }
-        r->regularize_zero *= R(1024);
+        r->regularize_zero *= FACTOR_REGULARIZE;
     }
     return 0;
 }
@@ -51,14 +51,14 @@ static void ipm_set_proximal(solver_t *s)
         for (int k = 0; k < NS; k++) {
             most = (stage_Q(s, k)[i][i] > most) ? stage_Q(s, k)[i][i] : most;
         }
-        q->proximal[i] = (most > R(0)) ? R(0.0009765625) * most : R(64) * q->least_pivot;
+        q->proximal[i] = (most > R(0)) ? FACTOR_PROXIMAL * most : FACTOR_PROXIMAL_ZERO * q->least_pivot;
     }
 }
 
 /* Least stiffening: a damped problem, whose Hessian is small next to the weights of its rows, has them reduced. */
 static inline real_t ipm_least_stiffening(const ipm_t *q)
 {
-    const real_t least = R(0.0625) * TOL_IPM_DUAL_REGULARIZATION / SQRT(TOL_UNIT);
+    const real_t least = FACTOR_SOFTEST_ROWS * TOL_IPM_DUAL_REGULARIZATION / SQRT(TOL_UNIT);
     return (q->damping > R(0) && least < R(1)) ? least : R(1);
 }
 
@@ -66,7 +66,7 @@ static inline real_t ipm_least_stiffening(const ipm_t *q)
  * infinite. */
 static real_t ipm_range(const qp_t *q, int c)
 {
-    const real_t d = q->upper[c] - q->lower[c], size = R(0.0625) * (FABS(q->lower[c]) + FABS(q->upper[c]));
+    const real_t d = q->upper[c] - q->lower[c], size = FACTOR_RANGE * (FABS(q->lower[c]) + FABS(q->upper[c]));
     if (!(d > R(0) && isfinite(d))) {
         return R(0);
     }
@@ -78,9 +78,9 @@ static void ipm_first_weights(solver_t *s)
 {
     ipm_t *q = &s->ipm;
     memset(q->weight, 0, sizeof q->weight);
-#if NG
-    memcpy(q->weight + NV, q->stiffness, sizeof q->stiffness);
-#endif
+    if (NG) {
+        memcpy(q->weight + NV, q->stiffness, sizeof q->stiffness);
+    }
     for (int c = 0; q->damping > R(0) && c < NV + NG; c++) {
         const real_t d = ipm_range(&s->qp, c);
         if (q->kind[c] == INEQUALITY && d > R(0)) {
@@ -90,7 +90,6 @@ static void ipm_first_weights(solver_t *s)
     ipm_set_weights(s);
 }
 
-#if NG
 /* Stiffness of the equations: one step satisfies an equation up to a small fraction of reach^2 times the multiplier.
  * Returns 1 if there is an equation. */
 static int ipm_set_stiffness(solver_t *s)
@@ -106,17 +105,16 @@ static int ipm_set_stiffness(solver_t *s)
     return any;
 }
 
-#endif
 /* The reach of the rows, and the factorisation with the equations if there are any. */
 static int ipm_add_equations(solver_t *s)
 {
     riccati_set_reach(s);
-#if NG
-    if (ipm_set_stiffness(s)) {
-        ipm_first_weights(s);
-        return ipm_factorize(s);
+    if (NG) {
+        if (ipm_set_stiffness(s)) {
+            ipm_first_weights(s);
+            return ipm_factorize(s);
+        }
     }
-#endif
     return 1;
 }
 
@@ -124,9 +122,7 @@ static int ipm_add_equations(solver_t *s)
 static int ipm_damped_factorization(solver_t *s)
 {
     ipm_t *q = &s->ipm;
-#if NG
     memset(q->stiffness, 0, sizeof q->stiffness);
-#endif
     q->damping = ipm_damping_cost(s);
     q->stiffening = ipm_least_stiffening(q);
     ipm_set_proximal(s);
@@ -139,9 +135,7 @@ static int ipm_first_factorization(solver_t *s, int plain)
 {
     ipm_t *q = &s->ipm;
     int stands = plain;
-#if NG
     memset(q->stiffness, 0, sizeof q->stiffness);
-#endif
     memset(q->proximal, 0, sizeof q->proximal);
     q->damping = R(0);
     q->stiffening = R(1);
@@ -208,12 +202,10 @@ static int ipm_first_point(solver_t *s)
     for (int c = 0; c < NV + NG; c++) {
         probe += R(0) * q->v[c];
     }
-#if NG
     for (int m = 0; m < NG; m++) {
         const int c = NV + m;
         q->y[m] = (q->kind[c] == EQUATION) ? q->weight[c] * (q->v[c] - s->qp.lower[c]) : R(0);
     }
-#endif
     return isfinite(probe) != 0;
 }
 
@@ -232,7 +224,7 @@ static int ipm_is_far(const solver_t *s)
     int far = 0;
     for (int c = 0; c < NV + NG; c++) {
         const real_t d = ipm_range(&s->qp, c);
-        far |= d > R(0) && ipm_violation(s, c) > R(1024) * d;
+        far |= d > R(0) && ipm_violation(s, c) > FACTOR_FAR * d;
     }
     return far;
 }
@@ -278,8 +270,6 @@ static int ipm_any_violation(const solver_t *s)
     return count > 0;
 }
 
-#if NG
-#if IPM_WARM_START
 /* Returns 1 if soft side i was violated in the previous QP. */
 static inline int ipm_was_violated(const solver_t *s, int i)
 {
@@ -299,7 +289,6 @@ static void ipm_start_violated_side(solver_t *s, int i, real_t mu)
     q->t[i] = mu / q->lam[i];
 }
 
-#endif
 /* Starts slack and multiplier of a soft side: with the multiplier below the penalty, unless the side was violated in
  * the previous QP. */
 static void ipm_start_soft_side(solver_t *s, int i, real_t mu)
@@ -312,20 +301,18 @@ static void ipm_start_soft_side(solver_t *s, int i, real_t mu)
         q->e[j] = q->lam[i] / s->qp.curvature[m];
         return;
     }
-#if IPM_WARM_START
-    if (ipm_was_violated(s, i)) {
-        ipm_start_violated_side(s, i, mu);
-        return;
+    if (IPM_WARM_START) {
+        if (ipm_was_violated(s, i)) {
+            ipm_start_violated_side(s, i, mu);
+            return;
+        }
     }
-#endif
     q->lam[i] = (q->lam[i] < R(0.5) * l1) ? q->lam[i] : R(0.5) * l1;
     q->t[i] = mu / q->lam[i];
     q->kappa[j] = l1 - q->lam[i];
     q->e[j] = mu / q->kappa[j];
 }
 
-#endif
-#if IPM_WARM_START
 /* Distance t of side i from its multiplier in the previous QP: t lam = mu,
  *     t - reach^2 lam = distance - reach^2 |previous multiplier|,
  * where the distance of a violated bound counts as 0. The multiplier is limited to `most`, which is derived from the
@@ -345,7 +332,6 @@ static real_t ipm_warm_distance(const solver_t *s, int i, real_t mu, real_t most
     return (force > R(0)) ? R(2) * mu * reach / (root + force) : R(0.5) * (root - force) * reach;
 }
 
-#endif
 /* Distance t of side i without a multiplier: that of the value moved inside the bounds, sqrt(mu) reach from each of
  * them or in the middle, so that the distances of a row sum up to the one between its bounds. */
 static real_t ipm_cold_distance(const solver_t *s, int i, real_t root_mu)
@@ -373,16 +359,16 @@ static void ipm_start_sides(solver_t *s, real_t mu)
 {
     ipm_t *q = &s->ipm;
     const real_t root_mu = SQRT(mu);
-#if IPM_WARM_START
-    int count;
-    const real_t most = R(4) * SQRT(ipm_violation_cost(s, &count));
-#endif
+    if (IPM_WARM_START) {
+        int count;
+        const real_t most = FACTOR_MOST_MULTIPLIER * SQRT(ipm_violation_cost(s, &count));
+    }
     for (int i = 0; i < q->sides; i++) {
         q->t[i] = ipm_cold_distance(s, i, root_mu);
-#if IPM_WARM_START
-        const real_t warm = ipm_warm_distance(s, i, mu, most);
-        q->t[i] = (warm > R(0)) ? warm : q->t[i];
-#endif
+        if (IPM_WARM_START) {
+            const real_t warm = ipm_warm_distance(s, i, mu, most);
+            q->t[i] = (warm > R(0)) ? warm : q->t[i];
+        }
     }
     for (int i = 0; i < q->hard; i += ipm_sides_of_row(q, i)) { /* at most NV + NG passes */
         const real_t d = s->qp.upper[ipm_row(q, i)] - s->qp.lower[ipm_row(q, i)];
@@ -393,9 +379,9 @@ static void ipm_start_sides(solver_t *s, real_t mu)
     for (int i = 0; i < q->sides; i++) {
         q->lam[i] = mu / q->t[i];
     }
-#if NG
-    for (int i = q->hard; i < q->sides; i++) { /* at most 2 * NG passes */
-        ipm_start_soft_side(s, i, mu);
+    if (NG) {
+        for (int i = q->hard; i < q->sides; i++) { /* at most 2 * NG passes */
+            ipm_start_soft_side(s, i, mu);
+        }
     }
-#endif
 }

@@ -9,7 +9,6 @@ static void qp_shift_controls(solver_t *s, int n)
     }
 }
 
-#if NG
 /* Row m takes the predicted side of row source[m] >= m, or none if source[m] < 0. */
 static void qp_shift_rows(solver_t *s, const int *source)
 {
@@ -20,4 +19,3 @@ static void qp_shift_rows(solver_t *s, const int *source)
         q->mult[NV + m] = source[m] < 0 ? R(0) : q->mult[from];
     }
 }
-#endif

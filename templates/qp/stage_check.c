@@ -45,12 +45,10 @@ static int qp_row_holds(qp_t *q, int c, int hard, real_t v, real_t size, int ful
     return holds;
 }
 
-#if NG
 /* Sum of |a_i| size_i over the terms of row m, and its constant, which has been subtracted from the bounds. */
 static real_t qp_row_terms(const solver_t *s, int m, const real_t *size)
 {
     real_t sum = FABS(stage_row_value(s, m));
-#if GENERAL_ROWS || NE || BLOCK_ROWS
     if (stage_state[m] < 0) {
         const real_t *a = stage_row(s, m);
         for (int i = 0; i < (stage_of_row[m] < NS ? NZS : NXS); i++) {
@@ -58,20 +56,16 @@ static real_t qp_row_terms(const solver_t *s, int m, const real_t *size)
         }
         return sum;
     }
-#endif
     sum += size[stage_state[m]];
     return sum;
 }
 
-#endif
-#if INTERIOR_POINT
 /* Magnitude that row c has in any case: near a plan that is a solution, everything else may vanish. */
 static inline real_t qp_least_size(const solver_t *s, int c, int full)
 {
     return full ? s->qp.least * s->units.reach[c] : R(0);
 }
 
-#endif
 /* Returns 1 if all hard rows hold. */
 static int qp_rows_hold(solver_t *s, int full)
 {
@@ -82,21 +76,19 @@ static int qp_rows_hold(solver_t *s, int full)
         for (int j = 0; j < NUS; j++) {
             const int c = k * NUS + j;
             real_t terms = size[NXS + j];
-#if INTERIOR_POINT
-            terms += qp_least_size(s, c, full);
-#endif
+            if (INTERIOR_POINT) {
+                terms += qp_least_size(s, c, full);
+            }
             holds &= qp_row_holds(&s->qp, c, 1, s->qp.z[c], terms, full);
         }
     }
-#if NG
     for (int m = 0; m < NG; m++) {
         real_t terms = qp_row_terms(s, m, size);
-#if INTERIOR_POINT
-        terms += qp_least_size(s, NV + m, full);
-#endif
+        if (INTERIOR_POINT) {
+            terms += qp_least_size(s, NV + m, full);
+        }
         holds &= qp_row_holds(&s->qp, NV + m, !qp_is_soft(&s->qp, m), qp_row_value(s, m), terms, full);
     }
-#endif
     return holds;
 }
 
@@ -170,7 +162,6 @@ static void qp_spread_noise(solver_t *s, int k, const real_t *y, const real_t *s
     }
 }
 
-#if NF
 /* Returns 1 if the gradient with respect to the free components of x_0 vanishes, where y is that of stage 0 alone. */
 static int qp_free_is_stationary(solver_t *s, const real_t *y, const real_t *noise)
 {
@@ -181,42 +172,35 @@ static int qp_free_is_stationary(solver_t *s, const real_t *y, const real_t *noi
     for (int i = 0; i < NXS; i++) {
         size[i] = FABS(g[i]) + FABS(y[i] - g[i]) + FABS(lam[i] - y[i]);
     }
-#if NXS > NX
     for (int c = 0; c < NXS - NX; c++) {
         lam[copied_state[c]] += lam[NX + c];
         size[copied_state[c]] += size[NX + c];
     }
-#endif
     for (int f = 0; f < NF; f++) {
         const int i = free_state[f];
         real_t error = noise[i];
-#if NXS > NX
         for (int c = 0; c < NXS - NX; c++) {
             error += (copied_state[c] == i) ? noise[NX + c] : R(0);
         }
-#endif
         holds &= FABS(lam[i]) <= TOL_QP_ACCEPTED * size[i] || FABS(lam[i]) <= TOL_QP_NOISE * error;
     }
     return holds;
 }
 
-#endif
-#if TILES
 /* The gradients of cost and rows of all stages before their products with the dynamics: vectors that load what scalars
  * have just stored would wait. */
 static void qp_start_check(solver_t *s)
 {
     for (int k = 0; k <= NS; k++) {
         qp_cost_gradient(s, k, s->riccati.work.vectors.rhs.g[k]);
-#if NG
-        for (int m = stage_first[k]; m < stage_first[k + 1]; m++) {
-            qp_add_row(s, m, s->qp.mult[NV + m]);
+        if (NG) {
+            for (int m = stage_first[k]; m < stage_first[k + 1]; m++) {
+                qp_add_row(s, m, s->qp.mult[NV + m]);
+            }
         }
-#endif
     }
 }
 
-#endif
 /* Returns 1 if the gradient of the Lagrangian vanishes up to its tolerance. The multipliers of the dynamics follow from
  * the states and remain in the first entries of rhs.g, so that only the components of the controls and of a free x_0 are
  * to be checked. */
@@ -225,14 +209,14 @@ static int qp_is_stationary(solver_t *s, int full)
     real_t(*w)[NZS] = s->riccati.work.vectors.rhs.g;
     real_t y[NZS], rest[NUS] = {0}, terms[NUS] = {0};
     real_t size[NZS] = {0}, noise[NXS] = {0}, most[NUS] = {0};
-    real_t cost = R(1e-36); /* what may have been lost to underflow */
+    real_t cost = FACTOR_UNDERFLOW; /* what may have been lost to underflow */
     int holds = 1;
     if (full) {
         qp_component_sizes(s, full, size);
     }
-#if TILES
-    qp_start_check(s);
-#endif
+    if (TILES) {
+        qp_start_check(s);
+    }
     for (int k = NS; k >= 0; k--) {
 #if !TILES
         qp_cost_gradient(s, k, w[k]);
@@ -255,9 +239,9 @@ static int qp_is_stationary(solver_t *s, int full)
         holds &= isfinite(terms[j]);
         holds &= rest[j] <= TOL_QP_ACCEPTED * terms[j] || (full && qp_is_negligible(s, j, rest[j], most[j], cost));
     }
-#if NF
-    holds &= qp_free_is_stationary(s, y, noise);
-#endif
+    if (NF) {
+        holds &= qp_free_is_stationary(s, y, noise);
+    }
     return holds;
 }
 

@@ -5,7 +5,6 @@
 /* Side of a row. A member of the working set is an equation at its bound; a soft row may be violated. */
 enum { BELOW = -2, AT_LOWER = -1, INACTIVE = 0, AT_UPPER = 1, ABOVE = 2 };
 
-#if NG
 static inline int qp_is_violated(int side)
 {
     return side == BELOW || side == ABOVE;
@@ -16,7 +15,6 @@ static inline int qp_is_soft(const qp_t *q, int m)
     return q->penalty[m] < INF;
 }
 
-#if GENERAL_ROWS || NE || BLOCK_ROWS
 /* a'z of the general row m, z = (x, u) at its stage; the last stage has no controls. */
 static real_t qp_product(const solver_t *s, int m, const real_t *x, const real_t *u)
 {
@@ -28,17 +26,14 @@ static real_t qp_product(const solver_t *s, int m, const real_t *x, const real_t
     return sum;
 }
 
-#endif
 /* Value of row m at the present point (x, z). */
 static inline real_t qp_row_value(const solver_t *s, int m)
 {
     const int k = stage_of_row[m];
-#if GENERAL_ROWS || NE || BLOCK_ROWS
     if (stage_state[m] < 0) {
         const int first = k * NUS;
         return qp_product(s, m, s->qp.x[k], s->qp.z + first);
     }
-#endif
     return s->qp.x[k][stage_state[m]];
 }
 
@@ -47,12 +42,10 @@ static inline real_t qp_row_change(const solver_t *s, int m)
 {
     const direction_t *d = &s->riccati.work.vectors.rhs.direction;
     const int k = stage_of_row[m];
-#if GENERAL_ROWS || NE || BLOCK_ROWS
     if (stage_state[m] < 0) {
         const int first = k * NUS;
         return qp_product(s, m, d->dx[k], d->du + first);
     }
-#endif
     return d->dx[k][stage_state[m]];
 }
 
@@ -60,17 +53,14 @@ static inline real_t qp_row_change(const solver_t *s, int m)
 static inline void qp_add_row(solver_t *s, int m, real_t f)
 {
     real_t *g = s->riccati.work.vectors.rhs.g[stage_of_row[m]];
-#if GENERAL_ROWS || NE || BLOCK_ROWS
     if (stage_state[m] < 0) {
         const real_t factor[1] = {f};
         riccati_combine(g, factor, stage_row(s, m), NZS, 1, stage_of_row[m] < NS ? NZS : NXS);
         return;
     }
-#endif
     g[stage_state[m]] += f;
 }
 
-#endif
 /* u of stage k. */
 static inline const real_t *qp_stage_controls(const qp_t *q, int k)
 {
@@ -85,7 +75,6 @@ static inline void qp_stage_point(const qp_t *q, int k, real_t *z)
     memcpy(z + NXS, qp_stage_controls(q, k), sizeof z[0] * NUS);
 }
 
-#if CURVED || BLOCK_ROWS || !HAS_COST_GRADIENT || !HAS_TERMINAL_ADJOINT
 /* y = g_k + Q_k z_k at the present point, for the components that stage k has, with dense products. */
 static void qp_dense_gradient(solver_t *s, int k, real_t *y)
 {
@@ -100,29 +89,28 @@ static void qp_dense_gradient(solver_t *s, int k, real_t *y)
     }
 }
 
-#endif
 /* The same over the nonzeros of the Hessian where they are few. */
 static void qp_quadratic_gradient(solver_t *s, int k, real_t *y)
 {
-#if CURVED
-    if (s->curved.in_solve) {
-        qp_dense_gradient(s, k, y);
-        return;
+    if (CURVED) {
+        if (s->curved.in_solve) {
+            qp_dense_gradient(s, k, y);
+            return;
+        }
     }
-#endif
     if (k < NS) {
-#if HAS_COST_GRADIENT
-        COST_GRADIENT(&s->node[k], stage_Q(s, k), s->qp.x[k], qp_stage_controls(&s->qp, k), y);
-#else
-        qp_dense_gradient(s, k, y);
-#endif
+        if (HAS_COST_GRADIENT) {
+            COST_GRADIENT(&s->node[k], stage_Q(s, k), s->qp.x[k], qp_stage_controls(&s->qp, k), y);
+        } else {
+            qp_dense_gradient(s, k, y);
+        }
         return;
     }
-#if HAS_TERMINAL_ADJOINT && !BLOCK_ROWS
-    TERMINAL_ADJOINT(&s->terminal, stage_Q_N(s), s->qp.x[NS], y);
-#else
-    qp_dense_gradient(s, k, y);
-#endif
+    if (HAS_TERMINAL_ADJOINT && !BLOCK_ROWS) {
+        TERMINAL_ADJOINT(&s->terminal, stage_Q_N(s), s->qp.x[NS], y);
+    } else {
+        qp_dense_gradient(s, k, y);
+    }
 }
 
 #if NG && REGULARIZE_REDUCED
@@ -135,13 +123,11 @@ static void qp_cost_gradient(solver_t *s, int k, real_t *y)
             continue;
         }
         const real_t f = s->riccati.held[m] * qp_row_value(s, m);
-#if GENERAL_ROWS || NE || BLOCK_ROWS
         if (stage_state[m] < 0) {
             const real_t factor[1] = {f};
             riccati_combine(y, factor, stage_row(s, m), NZS, 1, k < NS ? NZS : NXS);
             continue;
         }
-#endif
         y[stage_state[m]] += f;
     }
 }
@@ -152,23 +138,21 @@ static void qp_cost_gradient(solver_t *s, int k, real_t *y)
 }
 #endif
 
-#if NG
 /* Multiplier of row m. For a row at its bound without what the Hessian owes to it; 0 if that has the other sign, because
  * the row would leave then. */
 static real_t qp_multiplier(const solver_t *s, int m)
 {
     const real_t before = s->qp.mult[NV + m];
-#if REGULARIZE_REDUCED
-    const int equation = s->qp.lower[NV + m] >= s->qp.upper[NV + m];
-    if (s->riccati.held[m] > R(0) && (before < R(0) || before > R(0) || equation)) {
-        const real_t after = before + s->riccati.held[m] * qp_row_value(s, m);
-        return (!equation && before * after < R(0)) ? R(0) : after;
+    if (REGULARIZE_REDUCED) {
+        const int equation = s->qp.lower[NV + m] >= s->qp.upper[NV + m];
+        if (s->riccati.held[m] > R(0) && (before < R(0) || before > R(0) || equation)) {
+            const real_t after = before + s->riccati.held[m] * qp_row_value(s, m);
+            return (!equation && before * after < R(0)) ? R(0) : after;
+        }
     }
-#endif
     return before;
 }
 
-#endif
 /* b = S_k z_k + b_k - x_{k+1} at the present point. */
 static void qp_gap(solver_t *s, int k, real_t *b)
 {
@@ -188,11 +172,9 @@ static void qp_clear(qp_t *q)
         q->lower[c] = -INF;
         q->upper[c] = INF;
     }
-#if NG
     for (int m = 0; m < NG; m++) {
         q->penalty[m] = INF;
     }
-#endif
 }
 
 /* Checks bounds and penalties. Returns NUMERICAL_FAILURE if one is invalid, INFEASIBLE if bounds cross, else OK. */
@@ -203,11 +185,9 @@ static status_t qp_check_bounds(const qp_t *q)
         valid &= q->lower[c] < INF && q->upper[c] > -INF;
         ordered &= q->lower[c] <= q->upper[c];
     }
-#if NG
     for (int m = 0; m < NG; m++) {
         valid &= q->penalty[m] >= R(0) && q->curvature[m] >= R(0) && isfinite(q->curvature[m]);
     }
-#endif
     if (!valid) {
         return NUMERICAL_FAILURE;
     }
@@ -221,8 +201,8 @@ static void qp_clear_results(qp_t *q)
     memset(q->z, 0, sizeof q->z);
     memset(q->mult, 0, sizeof q->mult);
     memset(q->side, 0, sizeof q->side);
-#if INTERIOR_POINT && NG
-    memset(q->certificate, 0, sizeof q->certificate);
-#endif
+    if (INTERIOR_POINT && NG) {
+        memset(q->certificate, 0, sizeof q->certificate);
+    }
     q->relaxed = 0;
 }

@@ -2,11 +2,11 @@
 static void riccati_adjoint(const riccati_t *r, int k, const real_t *x, real_t *lam)
 {
     memcpy(lam, r->p[k], sizeof lam[0] * NXS);
-#if TILES
-    riccati_add_symmetric(lam, r->P[k][0], LDX, x, NXS);
-#else
-    riccati_combine(lam, x, r->P[k][0], LDX, NXS, NXS);
-#endif
+    if (TILES) {
+        riccati_add_symmetric(lam, r->P[k][0], LDX, x, NXS);
+    } else {
+        riccati_combine(lam, x, r->P[k][0], LDX, NXS, NXS);
+    }
 }
 
 /* h_j + M_j z at stage k, where M_j is the row of control j. */

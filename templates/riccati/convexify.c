@@ -66,13 +66,11 @@ static void riccati_raise_units(solver_t *s, real_t *unit)
     }
 }
 
-#if NG
 /* Weight of row m that gives its direction the curvature hold, in units of the variables. */
 static real_t riccati_row_hold(const solver_t *s, int m, real_t hold)
 {
     const real_t *unit = s->riccati.unit;
     real_t sum = R(0);
-#if GENERAL_ROWS || NE || BLOCK_ROWS
     if (stage_state[m] < 0) {
         const real_t *a = stage_row(s, m);
         for (int i = 0; i < (stage_of_row[m] < NS ? NZS : NXS); i++) {
@@ -80,7 +78,6 @@ static real_t riccati_row_hold(const solver_t *s, int m, real_t hold)
         }
         return (sum > R(0)) ? hold / sum : R(0);
     }
-#endif
     sum = unit[stage_state[m]];
     return hold * sum;
 }
@@ -92,7 +89,6 @@ static int riccati_is_held(const qp_t *q, int m)
     return !(q->penalty[m] < INF) && (q->lower[c] >= q->upper[c] || q->side[c] != 0);
 }
 
-#endif
 /* The recursion with the predicted working set held, and all variables without multiplier shifted. Returns 0 if a pivot
  * is not positive. */
 static int riccati_try(solver_t *s, real_t hold, real_t shift)
@@ -104,16 +100,12 @@ static int riccati_try(solver_t *s, real_t hold, real_t shift)
             r->diagonal[k][j] = (shift + held) * r->unit[NXS + j];
         }
     }
-#if NF
     for (int f = 0; f < NF; f++) {
         r->diagonal_free[f] = shift * r->unit[free_state[f]];
     }
-#endif
-#if NG
     for (int m = 0; m < NG; m++) {
         r->held[m] = riccati_is_held(&s->qp, m) ? riccati_row_hold(s, m, hold) : R(0);
     }
-#endif
     return riccati_factorize(s, NS);
 }
 
@@ -123,7 +115,7 @@ static int riccati_try(solver_t *s, real_t hold, real_t shift)
 static int riccati_shift(solver_t *s, real_t hold)
 {
     const real_t least = regularization[0], before = s->riccati.shift;
-    real_t high = (before > least) ? before : R(1e-3);
+    real_t high = (before > least) ? before : FACTOR_FIRST_TRIAL;
     int trial;
     if (riccati_try(s, hold, least)) {
         return 1;
@@ -133,16 +125,16 @@ static int riccati_shift(solver_t *s, real_t hold)
         if (trial == MAX_SHIFTS) {
             return 0;
         }
-        high *= R(4);
+        high *= FACTOR_TRIAL;
     }
-    for (int n = 0; n < MAX_SHIFTS && trial == 0 && high > R(4) * least; n++) {
-        if (!riccati_try(s, hold, R(0.25) * high)) {
+    for (int n = 0; n < MAX_SHIFTS && trial == 0 && high > FACTOR_TRIAL * least; n++) {
+        if (!riccati_try(s, hold, high / FACTOR_TRIAL)) {
             break;
         }
-        high *= R(0.25);
+        high /= FACTOR_TRIAL;
     }
     s->riccati.shift = high;
-    return riccati_try(s, hold, (MIRROR ? R(2) : R(1.125)) * high);
+    return riccati_try(s, hold, (MIRROR ? R(2) : FACTOR_MARGIN) * high);
 }
 
 /* Adds the shifts and holds of the last trial to the Hessian of the QP. */
@@ -153,20 +145,16 @@ static void riccati_keep_diagonal(solver_t *s)
             stage_Q(s, k)[NXS + j][NXS + j] += s->riccati.diagonal[k][j];
         }
     }
-#if NF
     for (int f = 0; f < NF; f++) {
         stage_Q(s, 0)[free_state[f]][free_state[f]] += s->riccati.diagonal_free[f];
     }
-#endif
     s->hessian.changed = 1;
 }
 
 static void riccati_clear_diagonal(riccati_t *r)
 {
     memset(r->diagonal, 0, sizeof r->diagonal);
-#if NF
     memset(r->diagonal_free, 0, sizeof r->diagonal_free);
-#endif
 }
 
 static int riccati_convexify(solver_t *s)
@@ -174,10 +162,8 @@ static int riccati_convexify(solver_t *s)
     riccati_t *r = &s->riccati;
     int found;
     riccati_clear_diagonal(r);
-#if NG
     memset(r->weight, 0, sizeof r->weight);
     memset(r->held, 0, sizeof r->held);
-#endif
     memset(r->fixed, 0, sizeof r->fixed);
     r->regularize = 0;
     if (riccati_factorize(s, NS)) {
@@ -188,8 +174,8 @@ static int riccati_convexify(solver_t *s)
     }
     riccati_raise_units(s, r->unit);
     riccati_extend_units(s, r->unit);
-    found = riccati_try(s, R(0), R(1e-6)) || riccati_try(s, R(1), R(0)) || riccati_try(s, R(256), R(0)) ||
-        riccati_shift(s, R(256));
+    found = riccati_try(s, R(0), FACTOR_SMALL_SHIFT) || riccati_try(s, R(1), R(0)) ||
+        riccati_try(s, FACTOR_FIRM_HOLD, R(0)) || riccati_shift(s, FACTOR_FIRM_HOLD);
     if (found) {
         riccati_keep_diagonal(s);
     }

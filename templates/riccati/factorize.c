@@ -1,4 +1,3 @@
-#if !SMALL
 /* Sets the padding of P_k to zero, as it takes part in products. */
 static inline void riccati_clear_padding(real_t (*P)[LDX])
 {
@@ -9,7 +8,6 @@ static inline void riccati_clear_padding(real_t (*P)[LDX])
     }
 }
 
-#endif
 /* P_k (lower triangle) and M_u before the cost to go is added: Q_k, and `diagonal` for the controls. */
 static void riccati_load_stage(solver_t *s, int k)
 {
@@ -20,9 +18,9 @@ static void riccati_load_stage(solver_t *s, int k)
     for (int i = 0; i < NXS; i++) {
         memcpy(P[i], Q[i], sizeof(Q[0][0]) * NXS);
     }
-#if !SMALL
-    riccati_clear_padding(P);
-#endif
+    if (!SMALL) {
+        riccati_clear_padding(P);
+    }
     for (int j = 0; j < NUS; j++) {
         memcpy(M[j], Q[NXS + j], sizeof Q[0]);
         M[j][NXS + j] += r->diagonal[k][j];
@@ -35,48 +33,44 @@ static void riccati_load_terminal(solver_t *s)
     for (int i = 0; i < NXS; i++) {
         memcpy(r->P[NS][i], stage_Q_N(s)[i], sizeof r->P[0][0][0] * NXS);
     }
-#if !SMALL
-    riccati_clear_padding(r->P[NS]);
-#endif
+    if (!SMALL) {
+        riccati_clear_padding(r->P[NS]);
+    }
 }
 
-#if !TILES || GENERAL_ROWS || NE || BLOCK_ROWS
 /* P += A'B, lower triangle, where A and B have n rows. */
 static inline void riccati_update_states(riccati_t *r, int k, const real_t *A, const real_t *B, int n)
 {
-#if SMALL
-    riccati_lower(r->P[k][0], LDX, A, LDW, B, LDZ, n, NXS);
-#else
-    for (int i = 0; i < LDX; i += 4) {
-        riccati_rows(r->P[k][i], LDX, A + i, LDW, B, LDZ, n, i + 4);
+    if (SMALL) {
+        riccati_lower(r->P[k][0], LDX, A, LDW, B, LDZ, n, NXS);
+    } else {
+        for (int i = 0; i < LDX; i += 4) {
+            riccati_rows(r->P[k][i], LDX, A + i, LDW, B, LDZ, n, i + 4);
+        }
     }
-#endif
 }
 
 static inline void riccati_update_controls(riccati_t *r, int k, const real_t *A, const real_t *B, int n)
 {
-#if SMALL
-    riccati_product(r->M[k][0], LDZ, A + NXS, LDW, B, LDZ, n, NUS, NZS);
-#else
-    for (int j = 0; j < NUS; j += 4) {
-        riccati_rows(r->M[k][j], LDZ, A + NXS + j, LDW, B, LDZ, n, LDZ);
+    if (SMALL) {
+        riccati_product(r->M[k][0], LDZ, A + NXS, LDW, B, LDZ, n, NUS, NZS);
+    } else {
+        for (int j = 0; j < NUS; j += 4) {
+            riccati_rows(r->M[k][j], LDZ, A + NXS + j, LDW, B, LDZ, n, LDZ);
+        }
     }
-#endif
 }
 
-#endif
-#if NG
 /* Weight of a a' for row m. */
 static inline real_t riccati_weight(const riccati_t *r, int m)
 {
-#if REGULARIZE_REDUCED
-    return (r->held[m] > R(0)) ? r->weight[m] + r->held[m] : r->weight[m];
-#else
-    return r->weight[m];
-#endif
+    if (REGULARIZE_REDUCED) {
+        return (r->held[m] > R(0)) ? r->weight[m] + r->held[m] : r->weight[m];
+    } else {
+        return r->weight[m];
+    }
 }
 
-#if GENERAL_ROWS || NE || BLOCK_ROWS
 /* Writes the general row m to position n of a group. */
 static inline void riccati_collect_row(solver_t *s, int m, int n)
 {
@@ -100,14 +94,11 @@ static inline void riccati_add_group(riccati_t *r, int k, int n)
     }
 }
 
-#endif
 /* Adds weight a a' for the rows of stage k: state bounds to the diagonal, the others in groups of four. */
 static void riccati_add_weights(solver_t *s, int k)
 {
     riccati_t *r = &s->riccati;
-#if GENERAL_ROWS || NE || BLOCK_ROWS
     int n = 0;
-#endif
     for (int m = stage_first[k]; m < stage_first[k + 1]; m++) {
         const int state = stage_state[m];
         const real_t weight = riccati_weight(r, m);
@@ -115,20 +106,19 @@ static void riccati_add_weights(solver_t *s, int k)
         if (counts && state >= 0) {
             r->P[k][state][state] += weight;
         }
-#if GENERAL_ROWS || NE || BLOCK_ROWS
-        if (counts && state < 0) {
-            riccati_collect_row(s, m, n);
-            n++;
+        if (GENERAL_ROWS || NE || BLOCK_ROWS) {
+            if (counts && state < 0) {
+                riccati_collect_row(s, m, n);
+                n++;
+            }
+            if (n == 4 || (n > 0 && m + 1 == stage_first[k + 1])) {
+                riccati_add_group(r, k, n);
+                n = 0;
+            }
         }
-        if (n == 4 || (n > 0 && m + 1 == stage_first[k + 1])) {
-            riccati_add_group(r, k, n);
-            n = 0;
-        }
-#endif
     }
 }
 
-#endif
 #if !TILES
 /* T = P_{k+1} S_k, with S_k copied to W and padded. */
 static void riccati_propagate(solver_t *s, int k)
@@ -140,13 +130,13 @@ static void riccati_propagate(solver_t *s, int k)
         memcpy(work->W[i], S[i], sizeof S[0]);
     }
     memset(work->T, 0, sizeof work->T);
-#if SMALL
-    riccati_product(work->T[0], LDZ, r->P[k + 1][0], LDX, work->W[0], LDW, NXS, NXS, NZS);
-#else
-    for (int i = 0; i < LDX; i += 4) {
-        riccati_rows(work->T[i], LDZ, &r->P[k + 1][0][i], LDX, work->W[0], LDW, NXS, LDZ);
+    if (SMALL) {
+        riccati_product(work->T[0], LDZ, r->P[k + 1][0], LDX, work->W[0], LDW, NXS, NXS, NZS);
+    } else {
+        for (int i = 0; i < LDX; i += 4) {
+            riccati_rows(work->T[i], LDZ, &r->P[k + 1][0][i], LDX, work->W[0], LDW, NXS, LDZ);
+        }
     }
-#endif
 }
 
 /* Copies M_uu of the free controls to L (lower triangle) and their M_ux to V (T below the states). Fixed controls get
@@ -181,7 +171,7 @@ static inline real_t riccati_pivot(const riccati_t *r, real_t d, real_t referenc
     if (!r->regularize || !(d >= -unit * FABS(reference) - r->regularize_zero) || !isfinite(reference)) {
         return R(0);
     }
-    *added = R(512) * unit * reference + r->regularize_zero;
+    *added = FACTOR_RAISED * unit * reference + r->regularize_zero;
     return d + *added;
 }
 
@@ -251,14 +241,12 @@ static int riccati_stage(solver_t *s, int k)
     riccati_t *r = &s->riccati;
     const recursion_t *work = &r->work.recursion;
     riccati_load_stage(s, k);
-#if NF
     for (int f = 0; k == 0 && f < NF; f++) {
         r->P[0][free_state[f]][free_state[f]] += r->diagonal_free[f];
     }
-#endif
-#if NG
-    riccati_add_weights(s, k);
-#endif
+    if (NG) {
+        riccati_add_weights(s, k);
+    }
     riccati_propagate(s, k);
     riccati_update_controls(r, k, work->W[0], work->T[0], NXS);
     if (!riccati_eliminate_controls(r, k)) {
@@ -324,27 +312,27 @@ static int riccati_factorize(solver_t *s, int last)
 {
     if (last == NS) {
         riccati_load_terminal(s);
-#if NG
-        riccati_add_weights(s, NS);
-#endif
-#if !TILES
-        riccati_mirror(s->riccati.P[NS]);
-#endif
+        if (NG) {
+            riccati_add_weights(s, NS);
+        }
+        if (!TILES) {
+            riccati_mirror(s->riccati.P[NS]);
+        }
     }
     for (int k = last < NS ? last : NS - 1; k >= 0; k--) {
         if (!riccati_stage(s, k)) {
             return 0;
         }
     }
-#if TILES && NF
-    riccati_mirror(s->riccati.P[0]);
-#endif
-#if NXS > NX
-    riccati_fold(&s->riccati);
-#endif
-#if NF
-    return riccati_factorize_free(&s->riccati);
-#else
-    return 1;
-#endif
+    if (TILES && NF) {
+        riccati_mirror(s->riccati.P[0]);
+    }
+    if (NXS > NX) {
+        riccati_fold(&s->riccati);
+    }
+    if (NF) {
+        return riccati_factorize_free(&s->riccati);
+    } else {
+        return 1;
+    }
 }

@@ -236,26 +236,24 @@ static int riccati_stage(solver_t *s, int k)
     const real_t *states = stage_Q(s, k)[0], *controls = stage_Q(s, k)[NXS];
     int ld_states = NZS, ld_controls = NZS, added = 0;
     tiled_stage_t t;
-#if NG
-    added |= riccati_has_weights(r, k);
-#endif
-#if NF
-    added |= k == 0;
-#endif
+    if (NG) {
+        added |= riccati_has_weights(r, k);
+    }
+    if (NF) {
+        added |= k == 0;
+    }
     if (added) {
         riccati_load_stage(s, k);
         states = r->P[k][0];
         controls = r->M[k][0];
         ld_states = LDX;
         ld_controls = LDZ;
-#if NF
         for (int f = 0; k == 0 && f < NF; f++) {
             r->P[0][free_state[f]][free_state[f]] += r->diagonal_free[f];
         }
-#endif
-#if NG
-        riccati_add_weights(s, k);
-#endif
+        if (NG) {
+            riccati_add_weights(s, k);
+        }
     }
     riccati_propagate(t.T, r->P[k + 1], S);
     riccati_form_controls(r->M[k], &t, controls, ld_controls, S);

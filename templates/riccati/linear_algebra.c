@@ -19,7 +19,6 @@
 #include "riccati/dot.c"
 #endif
 
-#if CURVED || BLOCK_ROWS || !HAS_COST_GRADIENT || !HAS_TERMINAL_ADJOINT
 /* y += Q z, where Q is symmetric of n rows (lower triangle). Every entry is read once, in blocks of four. */
 static void riccati_add_symmetric(real_t *y, const real_t *Q, int ld, const real_t *z, int n)
 {
@@ -46,5 +45,4 @@ static void riccati_add_symmetric(real_t *y, const real_t *Q, int ld, const real
         row += ld;
     }
 }
-#endif
 #endif

@@ -11,26 +11,26 @@ typedef struct {
 /* (a0 + a1, b0 + b1, a2 + a3, b2 + b3, ...) */
 PACK_INLINE pack_t pack_pairs(pack_t a, pack_t b)
 {
-#if PACK_WIDTH == 8
-    const pack_t even = __builtin_shufflevector(a, b, 0, 8, 2, 10, 4, 12, 6, 14);
-    const pack_t odd = __builtin_shufflevector(a, b, 1, 9, 3, 11, 5, 13, 7, 15);
-#else
-    const pack_t even = __builtin_shufflevector(a, b, 0, 4, 2, 6);
-    const pack_t odd = __builtin_shufflevector(a, b, 1, 5, 3, 7);
-#endif
+    if (PACK_WIDTH == 8) {
+        const pack_t even = __builtin_shufflevector(a, b, 0, 8, 2, 10, 4, 12, 6, 14);
+        const pack_t odd = __builtin_shufflevector(a, b, 1, 9, 3, 11, 5, 13, 7, 15);
+    } else {
+        const pack_t even = __builtin_shufflevector(a, b, 0, 4, 2, 6);
+        const pack_t odd = __builtin_shufflevector(a, b, 1, 5, 3, 7);
+    }
     return even + odd;
 }
 
 /* The same with pairs of numbers in the place of numbers: sums of the pairs of a, then of the pairs of b. */
 PACK_INLINE pack_t pack_fold(pack_t a, pack_t b)
 {
-#if PACK_WIDTH == 8
-    const pack_t even = __builtin_shufflevector(a, b, 0, 1, 4, 5, 8, 9, 12, 13);
-    const pack_t odd = __builtin_shufflevector(a, b, 2, 3, 6, 7, 10, 11, 14, 15);
-#else
-    const pack_t even = __builtin_shufflevector(a, b, 0, 1, 4, 5);
-    const pack_t odd = __builtin_shufflevector(a, b, 2, 3, 6, 7);
-#endif
+    if (PACK_WIDTH == 8) {
+        const pack_t even = __builtin_shufflevector(a, b, 0, 1, 4, 5, 8, 9, 12, 13);
+        const pack_t odd = __builtin_shufflevector(a, b, 2, 3, 6, 7, 10, 11, 14, 15);
+    } else {
+        const pack_t even = __builtin_shufflevector(a, b, 0, 1, 4, 5);
+        const pack_t odd = __builtin_shufflevector(a, b, 2, 3, 6, 7);
+    }
     return even + odd;
 }
 
@@ -38,12 +38,12 @@ PACK_INLINE pack_t pack_fold(pack_t a, pack_t b)
 PACK_INLINE pack_t packs_sums(const packs_t *a)
 {
     const pack_t first = pack_fold(pack_pairs(a->r0, a->r1), pack_pairs(a->r2, a->r3));
-#if PACK_WIDTH == 8
-    const pack_t second = pack_fold(pack_pairs(a->r4, a->r5), pack_pairs(a->r6, a->r7));
-    return pack_fold(first, second);
-#else
-    return first;
-#endif
+    if (PACK_WIDTH == 8) {
+        const pack_t second = pack_fold(pack_pairs(a->r4, a->r5), pack_pairs(a->r6, a->r7));
+        return pack_fold(first, second);
+    } else {
+        return first;
+    }
 }
 
 /* c[r] += row r of A times b,  r < rows <= PACK_WIDTH,  n <= PACK_WIDTH columns */
@@ -166,13 +166,13 @@ PACK_INLINE void riccati_rows(real_t *c, int ldc, const real_t *a, int lda, cons
         tile_accumulate(&t, a, lda, 1, b + j, ldb, n, 4, PACK_WIDTH);
         tile_store(c + j, ldc, &t, 4, PACK_WIDTH);
     }
-#if PACK_WIDTH == 8
-    if (width % PACK_WIDTH) {
-        tile_load(&t, c + width - 4, ldc, 4, 4);
-        tile_accumulate(&t, a, lda, 1, b + width - 4, ldb, n, 4, 4);
-        tile_store(c + width - 4, ldc, &t, 4, 4);
+    if (PACK_WIDTH == 8) {
+        if (width % PACK_WIDTH) {
+            tile_load(&t, c + width - 4, ldc, 4, 4);
+            tile_accumulate(&t, a, lda, 1, b + width - 4, ldb, n, 4, 4);
+            tile_store(c + width - 4, ldc, &t, 4, 4);
+        }
     }
-#endif
 }
 
 /* *c += row b, *y += x_r row */

@@ -39,16 +39,16 @@ PACK_INLINE pack_t pack_load(const real_t *p, int n)
     if (n >= PACK_WIDTH) {
         return *(const loose_pack_t *)p;
     }
-#if PACK_WIDTH == 8
-    const pack4_t zero = {0};
-    if (n >= 4) {
-        return __builtin_shufflevector(
-            (pack4_t) * (const loose_quad_t *)p, quad_part(p + 4, n - 4), 0, 1, 2, 3, 4, 5, 6, 7);
+    if (PACK_WIDTH == 8) {
+        const pack4_t zero = {0};
+        if (n >= 4) {
+            return __builtin_shufflevector(
+                (pack4_t) * (const loose_quad_t *)p, quad_part(p + 4, n - 4), 0, 1, 2, 3, 4, 5, 6, 7);
+        }
+        return __builtin_shufflevector(quad_part(p, n), zero, 0, 1, 2, 3, 4, 5, 6, 7);
+    } else {
+        return quad_part(p, n);
     }
-    return __builtin_shufflevector(quad_part(p, n), zero, 0, 1, 2, 3, 4, 5, 6, 7);
-#else
-    return quad_part(p, n);
-#endif
 }
 
 /* Stores the first n numbers, at most PACK_WIDTH. */
@@ -59,12 +59,12 @@ PACK_INLINE void pack_store(real_t *p, pack_t v, int n)
         *(loose_pack_t *)p = v;
         return;
     }
-#if PACK_WIDTH == 8
-    if (n >= 4) {
-        *(loose_quad_t *)p = __builtin_shufflevector(v, v, 0, 1, 2, 3);
-        done = 4;
+    if (PACK_WIDTH == 8) {
+        if (n >= 4) {
+            *(loose_quad_t *)p = __builtin_shufflevector(v, v, 0, 1, 2, 3);
+            done = 4;
+        }
     }
-#endif
     if (n > done) {
         p[done] = v[done];
     }
@@ -79,10 +79,10 @@ PACK_INLINE void pack_store(real_t *p, pack_t v, int n)
 /* The sum of all numbers. */
 PACK_INLINE real_t pack_sum(pack_t v)
 {
-#if PACK_WIDTH == 8
-    const pack4_t s = __builtin_shufflevector(v, v, 0, 1, 2, 3) + __builtin_shufflevector(v, v, 4, 5, 6, 7);
-#else
-    const pack4_t s = v;
-#endif
+    if (PACK_WIDTH == 8) {
+        const pack4_t s = __builtin_shufflevector(v, v, 0, 1, 2, 3) + __builtin_shufflevector(v, v, 4, 5, 6, 7);
+    } else {
+        const pack4_t s = v;
+    }
     return (s[0] + s[2]) + (s[1] + s[3]);
 }

@@ -28,6 +28,4 @@
 
 #include "riccati/substitute.c"
 
-#if REGULARIZE_REDUCED
 #include "riccati/convexify.c"
-#endif

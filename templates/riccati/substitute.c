@@ -79,15 +79,12 @@ static void riccati_backward(solver_t *s, int last)
     for (int k = last < NS ? last : NS - 1; k >= 0; k--) {
         riccati_backward_stage(s, k);
     }
-#if NXS > NX
     for (int c = 0; c < NXS - NX; c++) {
         r->p[0][copied_state[c]] += r->p[0][NX + c];
         r->p[0][NX + c] = R(0);
     }
-#endif
 }
 
-#if NF
 /* Free components f of x_0 and their copies: P_ff x_f = -(p_f + P_fm x_m), where m are the other components. */
 static void riccati_solve_free(const riccati_t *r, real_t *x)
 {
@@ -95,11 +92,9 @@ static void riccati_solve_free(const riccati_t *r, real_t *x)
     for (int f = 0; f < NF; f++) {
         x[free_state[f]] = R(0);
     }
-#if NXS > NX
     for (int i = NX; i < NXS; i++) {
         x[i] = R(0);
     }
-#endif
     for (int f = 0; f < NF; f++) {
         y[f] = -r->p[0][free_state[f]] - riccati_dot(r->P[0][free_state[f]], x, NXS);
         for (int i = 0; i < f; i++) {
@@ -115,14 +110,11 @@ static void riccati_solve_free(const riccati_t *r, real_t *x)
     for (int f = 0; f < NF; f++) {
         x[free_state[f]] = y[f];
     }
-#if NXS > NX
     for (int c = 0; c < NXS - NX; c++) {
         x[NX + c] = x[copied_state[c]];
     }
-#endif
 }
 
-#endif
 #if TILES
 #include "riccati/substitute_lanes.c"
 #else
@@ -131,9 +123,7 @@ static void riccati_forward(solver_t *s, real_t (*x)[NXS], real_t *u)
 {
     const riccati_t *r = &s->riccati;
     real_t z[LDZ] = {0};
-#if NF
     riccati_solve_free(r, x[0]);
-#endif
     memcpy(z, x[0], sizeof x[0]);
     for (int k = 0; k < NS; k++) {
         real_t(*S)[NZS] = stage_S(s, k);

@@ -66,17 +66,17 @@ PACK_INLINE void riccati_append_controls(real_t *z, pack_t u)
 {
     const pack_t zero = {0};
     pack_t *first = (pack_t *)(z + NXS / PACK_WIDTH * PACK_WIDTH);
-#if PACK_WIDTH == 8
-    const pack_t start = __builtin_shufflevector(zero, u, CONTROL_LANE(0), CONTROL_LANE(1), CONTROL_LANE(2),
-        CONTROL_LANE(3), CONTROL_LANE(4), CONTROL_LANE(5), CONTROL_LANE(6), CONTROL_LANE(7));
-    const pack_t rest = __builtin_shufflevector(zero, u, CONTROL_REST(0), CONTROL_REST(1), CONTROL_REST(2),
-        CONTROL_REST(3), CONTROL_REST(4), CONTROL_REST(5), CONTROL_REST(6), CONTROL_REST(7));
-#else
-    const pack_t start =
-        __builtin_shufflevector(zero, u, CONTROL_LANE(0), CONTROL_LANE(1), CONTROL_LANE(2), CONTROL_LANE(3));
-    const pack_t rest =
-        __builtin_shufflevector(zero, u, CONTROL_REST(0), CONTROL_REST(1), CONTROL_REST(2), CONTROL_REST(3));
-#endif
+    if (PACK_WIDTH == 8) {
+        const pack_t start = __builtin_shufflevector(zero, u, CONTROL_LANE(0), CONTROL_LANE(1), CONTROL_LANE(2),
+            CONTROL_LANE(3), CONTROL_LANE(4), CONTROL_LANE(5), CONTROL_LANE(6), CONTROL_LANE(7));
+        const pack_t rest = __builtin_shufflevector(zero, u, CONTROL_REST(0), CONTROL_REST(1), CONTROL_REST(2),
+            CONTROL_REST(3), CONTROL_REST(4), CONTROL_REST(5), CONTROL_REST(6), CONTROL_REST(7));
+    } else {
+        const pack_t start =
+            __builtin_shufflevector(zero, u, CONTROL_LANE(0), CONTROL_LANE(1), CONTROL_LANE(2), CONTROL_LANE(3));
+        const pack_t rest =
+            __builtin_shufflevector(zero, u, CONTROL_REST(0), CONTROL_REST(1), CONTROL_REST(2), CONTROL_REST(3));
+    }
     first[0] = (CONTROL_START == 0) ? start : first[0] + start;
     if (CONTROL_START + NUS > PACK_WIDTH) {
         first[1] = rest;
@@ -87,18 +87,18 @@ PACK_INLINE void riccati_append_controls(real_t *z, pack_t u)
 /* z = (x, u),  u = feed_k + K_k x,  where z holds x and zeros. */
 PACK_INLINE void riccati_choose_controls(const riccati_t *r, int k, real_t *z, real_t *u)
 {
-#if NUS <= PACK_WIDTH
-    const pack_t sums = pack_load(r->feed[k], NUS) + riccati_row_products(r->K[k][0], LDX, z, NUS, NXS);
-    pack_store(u, sums, NUS);
-    riccati_append_controls(z, sums);
-#else
-    for (int j = 0; j < NUS; j++) {
-        u[j] = r->feed[k][j] + riccati_dot(r->K[k][j], z, NXS);
+    if (NUS <= PACK_WIDTH) {
+        const pack_t sums = pack_load(r->feed[k], NUS) + riccati_row_products(r->K[k][0], LDX, z, NUS, NXS);
+        pack_store(u, sums, NUS);
+        riccati_append_controls(z, sums);
+    } else {
+        for (int j = 0; j < NUS; j++) {
+            u[j] = r->feed[k][j] + riccati_dot(r->K[k][j], z, NXS);
+        }
+        for (int j = 0; j < NUS; j++) {
+            z[NXS + j] = u[j];
+        }
     }
-    for (int j = 0; j < NUS; j++) {
-        z[NXS + j] = u[j];
-    }
-#endif
 }
 
 /* u_k = feed_k + K_k x_k,  x_{k+1} = S_k (x_k, u_k) + b_k. */
@@ -107,9 +107,7 @@ static void riccati_forward(solver_t *s, real_t (*x)[NXS], real_t *u)
     const int done = NXS / PACK_WIDTH * PACK_WIDTH;
     const riccati_t *r = &s->riccati;
     real_t z[2][STAGE_WIDTH] PACK_ALIGNED = {{0}};
-#if NF
     riccati_solve_free(r, x[0]);
-#endif
     packs_fill(z[0], x[0], NXS);
     for (int k = 0; k < NS; k++) {
         const real_t *S = stage_S(s, k)[0];

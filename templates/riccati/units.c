@@ -14,7 +14,6 @@ static real_t riccati_least_pivot(solver_t *s)
     return SQRT(TOL_UNIT) * ((most > R(0) && isfinite(most)) ? most : R(1));
 }
 
-#if NG || INTERIOR_POINT
 /* Stage k under u = K x + G xi, where xi has unit covariance: G' in `gain` (columns of fixed controls 0,
  * G G' = M_uu^{-1}), (A + B K)' in `closed`, (B G)' in `push`. */
 static void riccati_closed_loop(solver_t *s, int k)
@@ -55,23 +54,23 @@ static void riccati_closed_loop(solver_t *s, int k)
 static void riccati_propagate_covariance(noise_t *q)
 {
     memset(q->product, 0, sizeof q->product);
-#if SMALL
-    riccati_product(q->product[0], LDX, q->covariance[0], LDX, q->closed[0], LDX, NXS, NXS, NXS);
-#else
-    for (int i = 0; i < LDX; i += 4) {
-        riccati_rows(q->product[i], LDX, &q->covariance[0][i], LDX, q->closed[0], LDX, NXS, LDX);
+    if (SMALL) {
+        riccati_product(q->product[0], LDX, q->covariance[0], LDX, q->closed[0], LDX, NXS, NXS, NXS);
+    } else {
+        for (int i = 0; i < LDX; i += 4) {
+            riccati_rows(q->product[i], LDX, &q->covariance[0][i], LDX, q->closed[0], LDX, NXS, LDX);
+        }
     }
-#endif
     memset(q->covariance, 0, sizeof q->covariance);
-#if SMALL
-    riccati_lower(q->covariance[0], LDX, q->closed[0], LDX, q->product[0], LDX, NXS, NXS);
-    riccati_lower(q->covariance[0], LDX, q->push[0], LDX, q->push[0], LDX, NUS, NXS);
-#else
-    for (int i = 0; i < LDX; i += 4) {
-        riccati_rows(q->covariance[i], LDX, &q->closed[0][i], LDX, q->product[0], LDX, NXS, i + 4);
-        riccati_rows(q->covariance[i], LDX, &q->push[0][i], LDX, q->push[0], LDX, NUS, i + 4);
+    if (SMALL) {
+        riccati_lower(q->covariance[0], LDX, q->closed[0], LDX, q->product[0], LDX, NXS, NXS);
+        riccati_lower(q->covariance[0], LDX, q->push[0], LDX, q->push[0], LDX, NUS, NXS);
+    } else {
+        for (int i = 0; i < LDX; i += 4) {
+            riccati_rows(q->covariance[i], LDX, &q->closed[0][i], LDX, q->product[0], LDX, NXS, i + 4);
+            riccati_rows(q->covariance[i], LDX, &q->push[0][i], LDX, q->push[0], LDX, NUS, i + 4);
+        }
     }
-#endif
     for (int i = 0; i < LDX; i++) {
         for (int j = i + 1; j < LDX; j++) {
             q->covariance[i][j] = q->covariance[j][i];
@@ -95,25 +94,23 @@ static real_t riccati_reach(const riccati_t *r, int k, const real_t *a_x, const 
     return (sum > R(0)) ? SQRT(sum) : R(0);
 }
 
-#if NG
 /* Reach of the rows of stage k. */
 static void riccati_rows_reach(solver_t *s, int k)
 {
     const noise_t *q = &s->riccati.work.noise;
     for (int m = stage_first[k]; m < stage_first[k + 1]; m++) {
         const int i = stage_state[m];
-#if GENERAL_ROWS || NE || BLOCK_ROWS
-        if (i < 0) {
-            const real_t *a = stage_row(s, m);
-            s->units.reach[NV + m] = riccati_reach(&s->riccati, k, a, (k < NS) ? a + NXS : a);
-            continue;
+        if (GENERAL_ROWS || NE || BLOCK_ROWS) {
+            if (i < 0) {
+                const real_t *a = stage_row(s, m);
+                s->units.reach[NV + m] = riccati_reach(&s->riccati, k, a, (k < NS) ? a + NXS : a);
+                continue;
+            }
         }
-#endif
         s->units.reach[NV + m] = (q->covariance[i][i] > R(0)) ? SQRT(q->covariance[i][i]) : R(0);
     }
 }
 
-#endif
 /* Reach of the controls of stage k. */
 static void riccati_controls_reach(solver_t *s, int k)
 {
@@ -131,28 +128,23 @@ static void riccati_set_reach(solver_t *s)
 {
     noise_t *q = &s->riccati.work.noise;
     memset(q, 0, sizeof *q);
-#if NF
     for (int f = 0; f < NF; f++) {
         memset(s->riccati.p[0], 0, sizeof s->riccati.p[0]);
         s->riccati.p[0][free_state[f]] = -R(1);
         riccati_solve_free(&s->riccati, q->covariance[free_state[f]]);
     }
-#endif
-#if NXS > NX
     for (int f = 0; f < NXS - NX; f++) {
         memcpy(q->covariance[NX + f], q->covariance[copied_state[f]], sizeof q->covariance[0]);
     }
-#endif
     for (int k = 0; k < NS; k++) {
         riccati_closed_loop(s, k);
         riccati_controls_reach(s, k);
-#if NG
-        riccati_rows_reach(s, k);
-#endif
+        if (NG) {
+            riccati_rows_reach(s, k);
+        }
         riccati_propagate_covariance(q);
     }
-#if NG
-    riccati_rows_reach(s, NS);
-#endif
+    if (NG) {
+        riccati_rows_reach(s, NS);
+    }
 }
-#endif

@@ -24,7 +24,7 @@ from verification.oracles.qp import (
     residuals,
 )
 from verification.qp import random_dense as qp_random
-from verification.qp.harness import ENTRY_POINTS, FAST, QP, WARNINGS, qp_dims, source
+from verification.qp.harness import FAST, QP, WARNINGS, qp_dims, source
 from verification.qp.random_dense import wrong_answer, wrong_certificate
 
 SIZES = [(1, 0), (4, 2), (10, 4), (23, 9), (60, 20)]
@@ -472,7 +472,7 @@ def compile_source(text: str, path: Path, *command: str) -> None:
 @pytest.mark.parametrize("compiler", [("gcc", "-std=c99", "-O2"), ("g++", "-std=c++17", "-xc++", "-fsyntax-only")])
 def test_no_warnings_in_c_and_cpp(tmp_path: Path, need, precision: str, nv: int, ng: int, compiler) -> None:
     need(compiler[0])
-    text = source(nv, ng, precision) + ENTRY_POINTS
+    text = source(nv, ng, precision)
     if "-O2" in compiler and precision == "single":
         compiler = (*compiler, "-O0")  # the data flow, which the optimiser analyses, is that of double precision
     compile_source(text, tmp_path / "qp.c", *compiler, *WARNINGS, "-c")

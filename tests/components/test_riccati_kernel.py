@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from riccati_harness import KERNEL, Shape, compiled, drawn_rows, memory_layout, source
+from riccati_harness import Shape, compiled, drawn_rows, memory_layout, source
 
 from verification.oracles.riccati import StageProblem, equality_solution, random_problem
 
@@ -42,7 +42,7 @@ some = settings(max_examples=25, deadline=None)
 @functools.cache
 def built(shape: Shape, precision: str, lanes: int) -> tuple[ctypes.CDLL, np.dtype[Any]]:
     """The library of the recursion and the type of its struct, once per session."""
-    library = compiled(source(shape, precision=precision, lanes=lanes) + KERNEL)
+    library = compiled(source(shape, precision=precision, lanes=lanes))
     library.test_gradient.restype = ctypes.c_float if precision == "single" else ctypes.c_double
     return library, memory_layout(shape, precision=precision)
 

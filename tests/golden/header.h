@@ -48,4 +48,4 @@ const char *golden_status_string(golden_status_t status);
 #endif
 
 #endif
-/* nmpc_codegen package ba19ee537c51bd46, sha256 eb3a8c5d10d09e3e59fb20c6ed22f26cf37ec6521d56a566d432473968a2337b */
+/* nmpc_codegen package 6f5609ee3196ac2e, sha256 a3bfcd35087591c2a21802a8ed1e16e05c2343e4f7c730f167e3d9ec47ae8536 */

@@ -130,7 +130,7 @@ def test_shift_under_sanitizers_in_single_precision() -> None:
     ("old", "new", "flags"),
     [
         ("memcpy(s->yref[n], yref,", "memcpy(s->yref[n + 1], yref,", quality.SANITIZERS),  # past the last node
-        ("isfinite(u) ? u : CONTROL_REFERENCE", "1 ? u : CONTROL_REFERENCE", ()),  # a NaN is accepted
+        ("isfinite(u) ? u : reference_of_control", "1 ? u : reference_of_control", ()),  # a NaN is accepted
         ("lower < (real_t)INFINITY && upper", "upper", ()),  # no number is between infinity and itself
     ],
 )

@@ -114,10 +114,8 @@ def test_rows_of_the_qp(case: str) -> None:
         assert kind == ("state", "general").index(row.kind)
         assert index == (row.index_terminal if kind == 1 and k == p.N else row.index)
         assert index >= 0
-    tables = {t.name: t.values for t in module(case).tables}
-    for column, name in enumerate(("row_node", "row_kind", "row_index", "row_id")):
-        assert tables[name] == tuple(r[column] for r in rows)
-    first = tables["row_first"]
+    assert module(case).rows == rows
+    first = module(case).table("row_first").values
     assert len(first) == p.N + 2
     for k in range(p.N + 1):
         assert [r[0] for r in rows[int(first[k]) : int(first[k + 1])]] == [k] * int(first[k + 1] - first[k])

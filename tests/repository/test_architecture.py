@@ -301,6 +301,15 @@ def test_templates_and_their_functions_fit() -> None:
     assert not long
 
 
+def test_parts_are_composed_and_not_interrupted() -> None:
+    """At most two conditions of the preprocessor or of jinja in 100 lines of the templates, eight in the iteration."""
+    condition = re.compile(r"^\s*#\s*(?:if|elif|ifdef|ifndef)\b|\{%-? *(?:if|elif)\b|\{\{[^}]* if ", re.MULTILINE)
+    texts = {path: path.read_text(encoding="utf-8") for path in TEMPLATES.rglob("*") if path.is_file()}
+    found = sum(len(condition.findall(text)) for text in texts.values())
+    assert found <= 0.02 * sum(text.count("\n") for text in texts.values())
+    assert len(condition.findall(texts[TEMPLATES / "algorithms" / "real_time_iteration.c"])) <= 8
+
+
 def test_no_drawers() -> None:
     parts = {part.split(".")[0] for path in (*PYTHON, *TEMPLATES.rglob("*")) for part in path.relative_to(ROOT).parts}
     assert not parts & DRAWERS

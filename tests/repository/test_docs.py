@@ -114,13 +114,11 @@ def test_what_is_refused_is_refused_by_name(feature: str, state: Callable[[OCP, 
 # How to add a component ----------------------------------------------------------------------------------------------
 
 
-@pytest.mark.slow
-def test_component_page(tmp_path: Path, compiler: tuple[str, ...]) -> None:
-    """The edits of the page, applied to a copy of the compiler, give a component that passes the test of the page."""
-    assert compiler
+def follow(page: str, tmp_path: Path) -> tuple[Path, Path]:
+    """Apply the edits of a page to a copy of the compiler and run its programs; the folders to import from."""
     copy_tree(tmp_path)
     program = []
-    for block in blocks("docs/add-a-component.md"):
+    for block in blocks(page):
         path = tmp_path / block.file
         if block.language == "diff":
             path.write_text(changed(path.read_text(encoding="utf-8"), block.text), encoding="utf-8")
@@ -131,6 +129,20 @@ def test_component_page(tmp_path: Path, compiler: tuple[str, ...]) -> None:
             program.append(block.text)
     search = (tmp_path / "src", tmp_path)
     run([sys.executable, "-c", "\n".join(program)], tmp_path, search)
+    return search
+
+
+def test_feature_page(tmp_path: Path, compiler: tuple[str, ...]) -> None:
+    """A feature of the real-time iteration and an integrator with memory per node, as the page adds them."""
+    assert compiler
+    follow("docs/add-a-feature.md", tmp_path)
+
+
+@pytest.mark.slow
+def test_component_page(tmp_path: Path, compiler: tuple[str, ...]) -> None:
+    """The edits of the page, applied to a copy of the compiler, give a component that passes the test of the page."""
+    assert compiler
+    search = follow("docs/add-a-component.md", tmp_path)
     options = run([sys.executable, "-m", "nmpc_codegen.cli", "--list-options"], tmp_path, search)
     assert "hessian=scaled_identity" in options
     export = ["examples/crane.py", "-o", "crane", "--hessian", "scaled_identity", "--set", "hessian.scale=2"]

@@ -27,8 +27,8 @@ MUTANTS = (
     Mutant(
         "a bound: upper bounds of the condensed QP are not relative to the iterate",
         "templates/condensing/full.c",
-        "s->qp.upper[row] = CONTROL_UPPER(s, k, j) - s->u[k][j];",
-        "s->qp.upper[row] = CONTROL_UPPER(s, k, j);",
+        "s->qp.upper[row] = control_upper(s, k, j) - s->u[k][j];",
+        "s->qp.upper[row] = control_upper(s, k, j);",
         ("tests/components/test_condensing.py",),
     ),
     Mutant(

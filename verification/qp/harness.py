@@ -9,7 +9,7 @@ import ctypes
 import functools
 import subprocess
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -19,41 +19,31 @@ from nmpc_codegen.components.base import Dims, QpDims
 from nmpc_codegen.components.qp import DenseActiveSet
 from nmpc_codegen.lowering.parts import read_part, resolve
 from nmpc_codegen.lowering.preamble import REAL_CONSTANT, arithmetic
+from nmpc_codegen.lowering.pruning.fold import Constants
+from nmpc_codegen.lowering.pruning.unused import without_unused
 from nmpc_codegen.lowering.tolerances import TOLERANCES
 from nmpc_codegen.package.description import union_dtype
+from nmpc_codegen.package.features import Features
 from nmpc_codegen.package.memory import Size, Struct
+from nmpc_codegen.package.status import Status
 from nmpc_codegen.runtime.compilers import find_compiler, with_required_options
 
-STATUSES = (
-    "OK", "ITERATION_LIMIT", "INFEASIBLE", "RELAXED", "NUMERICAL_FAILURE", "NOT_FINITE", "NOT_PREPARED",
-    "NOT_INITIALIZED", "BAD_INDEX", "BAD_BOUNDS", "BAD_ARGUMENT", "STALLED",
-)  # fmt: skip
+STATUSES: tuple[str, ...] = tuple(Status.__members__)
 WARNINGS = ("-pedantic", "-Wall", "-Wextra", "-Wconversion", "-Wdouble-promotion", "-Wshadow", "-Werror")
 FAST = ("-O1", "-fno-math-errno", "-fno-trapping-math", "-ffp-contract=fast")
 SCALARS = {"double": np.float64, "single": np.float32}
 
 
 #: A part that is tested separately has all kinds of rows, and the fallback of the active-set method.
-SWITCHES = {
-    "SCALAR": 0,
-    "SMALL": 0,
-    "SHIFT_RESAMPLE": 0,
-    "REGULARIZE_REDUCED": 0,
-    "CURVED": 0,
-    "SOLVE": 1,
-    "STATE_ROWS": 1,
-    "END_EQUATIONS": 1,
-    "GENERAL_ROWS": 1,
-    "BLOCK_ROWS": 1,
-    "HAS_COST_GRADIENT": 0,
-    "HAS_TERMINAL_ADJOINT": 0,
-    "INTERIOR_POINT": 1,
-    "SET_REFERENCE": 1,
-    "FIRST": 0,
-    "LEVELS": 0,
-    "PACK_WIDTH": 0,
-    "TILES": 0,
-}
+FEATURES = Features(
+    solve=True,
+    state_rows=True,
+    end_equations=True,
+    general_rows=True,
+    block_rows=True,
+    interior_point=True,
+    set_reference=True,
+)
 
 
 def qp_dims(nv: int, ng: int) -> Dims:
@@ -89,9 +79,8 @@ def source(nv: int, ng: int, precision: str = "double", component: DenseActiveSe
         "ELASTIC": int(ng > 0),
     }
     sizes |= {name: value for name, value, _ in component.sizes(dims)}
-    text = [unit_head(sizes, precision)]
-    text += [struct_text(struct) for struct in component.structs(dims)]
-    return "\n".join([*text, part_text(component.template, sizes)])
+    head = [unit_head(sizes, precision), *(struct_text(struct) for struct in component.structs(dims))]
+    return "\n".join([*head, pruned(part_text(component.template, sizes) + ENTRY_POINTS, sizes, precision)])
 
 
 def unit_head(sizes: Mapping[str, int], precision: str) -> str:
@@ -114,7 +103,13 @@ def struct_text(struct: Struct) -> str:
 
 def part_text(path: str, sizes: Mapping[str, int]) -> str:
     """A part with its included parts and its conditions resolved."""
-    return resolve(read_part(path, no_generated_part), {**SWITCHES, **sizes})
+    return resolve(read_part(path, no_generated_part), {**FEATURES.macros, **sizes})
+
+
+def pruned(text: str, sizes: Mapping[str, int], precision: str, absent: Collection[tuple[str, str]] = ()) -> str:
+    """Parts with the functions that call them, without what the sizes exclude; ``absent``: members of no struct."""
+    known = [*((name, None, value) for name, value in arithmetic(precision)), REAL_CONSTANT]
+    return without_unused(text, known, Constants({**FEATURES.macros, **sizes}, members=frozenset(absent)))
 
 
 def no_generated_part(path: str) -> str:
@@ -145,11 +140,7 @@ int test_solve(qp_t *q) { return (int)qp_solve(q); }
 void test_shift(qp_t *q, int n, const int *source)
 {
     qp_shift_controls(q, n);
-#if NG
     qp_shift_rows(q, source);
-#else
-    (void)source;
-#endif
 }
 int test_size(void) { return (int)sizeof(qp_t); }
 #ifdef __cplusplus
@@ -177,7 +168,7 @@ def library(
         Path(build_directory().name)
         / f"qp_{nv}_{ng}_{precision}_{max_iterations}_{'fast' if flags == FAST else 'plain'}"
     )
-    stem.with_suffix(".c").write_text(source(nv, ng, precision, DenseActiveSet(max_iterations)) + ENTRY_POINTS)
+    stem.with_suffix(".c").write_text(source(nv, ng, precision, DenseActiveSet(max_iterations)))
     compiler = with_required_options(("gcc",)) if flags == FAST else find_compiler()
     subprocess.run(
         [*compiler, "-std=c99", *WARNINGS, *flags, "-shared", "-fPIC",
@@ -235,11 +226,11 @@ class QP:
         self["upper"][: self.nv + self.ng] = upper
 
     def factorize(self) -> str:
-        return STATUSES[self.library.test_factorize(self._pointer)]
+        return STATUSES[int(self.library.test_factorize(self._pointer))]
 
     def solve(self, g: Any) -> str:
         self["g"][: self.nv] = g
-        return STATUSES[self.library.test_solve(self._pointer)]
+        return STATUSES[int(self.library.test_solve(self._pointer))]
 
     def run(self, H: Any, g: Any, A: Any, lower: Any, upper: Any, penalty: Any = np.inf) -> str:
         """Run both phases; returns the status of the phase that failed, else that of qp_solve."""

@@ -7,7 +7,7 @@ hessian, condensing, qp and algorithm.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar, Literal, Protocol, Self, get_args
 
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from nmpc_codegen.ir.kernel import Port
     from nmpc_codegen.ir.model import HessianModel, Interval, IntervalProducts, ModelFunctions
     from nmpc_codegen.ir.sweep import Call, Routine
+    from nmpc_codegen.package.features import Features
     from nmpc_codegen.package.memory import Precision, Size, Struct
     from nmpc_codegen.package.signals import EntryPoint
 
@@ -102,6 +103,43 @@ class QpShape:
     copies: int = 0
 
 
+#: Names of the hooks of algorithms, with what calls them. A part in C states a hook as a call: ``before_prepare(s);``,
+#: ``status = after_prepare(s, status);``. The generator writes one call for every feature that defines the hook, in the
+#: order of extras(); a hook that none defines leaves no trace.
+HOOKS = {
+    "on_reset": "init() and reset(), after the plan has been set",
+    "before_prepare": "prepare(), before anything is evaluated",
+    "prepare_plan": "prepare(): evaluates, condenses and factorises; exactly one feature defines it",
+    "after_prepare": "prepare(), with its status; returns the status",
+    "before_sample": "step(), with the measured state",
+    "before_qp": "feedback(), before the QP is solved",
+    "after_qp": "feedback(), with the status of the QP; returns the status",
+    "on_success": "feedback(), after the step has been taken, with the status of the QP",
+    "after_feedback": "feedback(), with the status of the sample; returns the status",
+    "before_solve": "solve(), before the first iteration",
+    "place_terms": "single shooting: terms of the rows as far from them (0), or as close (1), as in a sample",
+    "before_steps": "single shooting: a sample, before its steps",
+    "follow_terms": "single shooting: a sample, after its steps; 1: all were accepted at once",
+}
+
+
+def _nothing(dims: Dims) -> tuple[Struct, ...]:
+    return ()
+
+
+@dataclass(frozen=True)
+class Feature:
+    """A file of C below templates/features/, named after the feature, and the structs that it needs."""
+
+    name: str
+    structs: Callable[[Dims], tuple[Struct, ...]] = _nothing
+
+    @property
+    def part(self) -> str:
+        """Path of its file below templates/."""
+        return f"features/{self.name}.c"
+
+
 class Component(Protocol):
     """The interface of every component, whatever its seam; `Defaults` implements it with empty results."""
 
@@ -115,9 +153,17 @@ class Component(Protocol):
         """Raise OptionError if its options clash with the problem."""
         ...
 
+    def adds(self, features: Features) -> Features:
+        """The features of a package with it; ``features``: those of the problem and of components before it."""
+        ...
+
+    def extras(self, features: Features) -> tuple[Feature, ...]:
+        """What runs at the hooks of the algorithm for it in a package with these features, in this order."""
+        ...
+
     @property
-    def switches(self) -> Mapping[str, int]:
-        """Names that its part tests in `#if` besides the sizes -> 1 or 0; the header does not define them."""
+    def places(self) -> Mapping[str, str]:
+        """Further inputs and outputs of its kernels -> where a node keeps them, as in {"K": "(s)->stages.K[k]"}."""
         ...
 
     def notes(self, problem: Problem) -> tuple[str, ...]:
@@ -337,8 +383,14 @@ class Defaults:
     def check(self, problem: Problem) -> None:
         return None
 
+    def adds(self, features: Features) -> Features:
+        return features
+
+    def extras(self, features: Features) -> tuple[Feature, ...]:
+        return ()
+
     @property
-    def switches(self) -> Mapping[str, int]:
+    def places(self) -> Mapping[str, str]:
         return {}
 
     def notes(self, problem: Problem) -> tuple[str, ...]:

@@ -8,9 +8,6 @@ from dataclasses import replace
 from nmpc_codegen.components.base import Core, Dims
 from nmpc_codegen.package.memory import Field, Size, Struct
 
-#: Word of Core -> the templates that belong to it; the other words have none.
-PARTS: dict[Core, tuple[str, ...]] = {"nodes": ("nodal_row.c",)}
-
 
 def core_structs(core: Iterable[Core], dims: Dims) -> tuple[Struct, ...]:
     """The structs for the words in ``core``; a struct named "solver" lists further members of the solver struct."""
@@ -63,7 +60,7 @@ def _renewal() -> Struct:
     note = Field(
         "renewal", (), "1: references are newer than the gradients, 2: so are weights or parameters", "keep", "int32"
     )
-    return Struct("solver", "", (replace(note, only="SET_REFERENCE"),))
+    return Struct("solver", "", (replace(note, only=lambda f: f.set_reference),))
 
 
 def _multipliers(dims: Dims) -> Struct:

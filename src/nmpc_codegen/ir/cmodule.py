@@ -15,6 +15,7 @@ from nmpc_codegen.ir.print_c import CStyle, unit_style
 from nmpc_codegen.ir.stage_products import Products
 from nmpc_codegen.ir.sweep import LoopedRoutine, Routine
 from nmpc_codegen.package.description import PackageDescription
+from nmpc_codegen.package.features import Features
 from nmpc_codegen.package.memory import Field, Precision, Size, Struct
 from nmpc_codegen.package.opcount import OpCount
 from nmpc_codegen.package.signals import EntryPoint, Kind, Layouts
@@ -110,17 +111,21 @@ class CModule:
     macros: tuple[Macro, ...]
     enums: tuple[Enum, ...]
     tables: tuple[Table, ...]
+    rows: tuple[tuple[int, int, int, int], ...]  # of the QP: node, kind, component of x, h or r, row of the user
     settings: tuple[Setting, ...]
     setters: tuple[Setter, ...]
     routines: tuple[Routine, ...]
     products: Products
-    core_parts: tuple[str, ...]  # templates of the core that the algorithm uses
-    switches: Mapping[str, int]  # names that `#if` in the parts may test besides the sizes
+    features: Features  # what `#if` in the parts may test besides the sizes
     sections: tuple[Section, ...]
     signals: tuple[tuple[str, tuple[str, ...]], ...]  # kind -> element names, for comments
     diagonal_weight: bool
     scaled_weight: bool
     diagonal_weight_N: bool
+    extras: tuple[str, ...] = ()  # parts of the features of the algorithm
+    places: Mapping[str, str] = field(default_factory=dict)  # of inputs and outputs that a node keeps: name -> C text
+    absent_members: frozenset[tuple[str, str]] = frozenset()  # (struct, member) of size 0, which its structs lack
+    absent_kernels: tuple[str, ...] = ()  # kernels and products that have nothing to compute here
     one_step: Kernel | None = None  # an integration step with its Jacobian, for lanes
     foreign: Mapping[str, str] = field(default_factory=dict)  # path -> text, for code of other generators
 
@@ -137,7 +142,7 @@ class CModule:
     @property
     def style(self) -> CStyle:
         """The spelling of its unit."""
-        return unit_style(self.precision, bool(self.switches["OWN_MATH"]))
+        return unit_style(self.precision, self.features.own_math)
 
     @property
     def structs(self) -> tuple[Struct, ...]:
@@ -147,15 +152,15 @@ class CModule:
     @property
     def called_products(self) -> tuple[LoopedRoutine, ...]:
         """The products with the stage matrices that the package may call."""
-        if not self.switches["PRODUCTS"]:
+        if not self.features.products:
             return ()
-        vectors = self.products.called_vectors(self.switches)
+        vectors = self.products.called_vectors(self.features)
         return (*vectors.values(), *self.products.panels.values())
 
     @property
     def core_products(self) -> tuple[str, ...]:
         """The generated file of the stage products, if the algorithm uses them."""
-        return ("generated/products.c",) if self.switches["PRODUCTS"] else ()
+        return ("generated/products.c",) if self.features.products else ()
 
     @property
     def entry_points(self) -> tuple[EntryPoint, ...]:
@@ -185,7 +190,7 @@ class CModule:
     @property
     def libraries(self) -> tuple[str, ...]:
         """Libraries that a program with the package is linked with."""
-        return () if self.switches["OWN_MATH"] else ("m",)
+        return () if self.features.own_math else ("m",)
 
     def value(self, macro: str) -> int:
         """Value of a size macro."""
@@ -197,8 +202,8 @@ class CModule:
 
     @property
     def sizes(self) -> Mapping[str, int]:
-        """Names that `#if` in the parts may test, the size macros and the switches, with their values."""
-        return {**{m.name: m.value for m in self.macros}, **self.switches}
+        """Names that `#if` in the parts may test, the size macros and the features, with their values."""
+        return {**{m.name: m.value for m in self.macros}, **self.features.macros}
 
     @property
     def bytes(self) -> int:

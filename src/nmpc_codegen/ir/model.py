@@ -141,7 +141,7 @@ class ModelFunctions:
     @cached_property
     def products(self) -> Products:
         """Products with the stage matrices; the patterns are the elements that the routines store."""
-        S = self.interval.linearize.outputs[-1]
+        S = next(port for port in self.interval.linearize.outputs if port.name == "S")
         return Products(S.rows, S.cols - S.rows, pattern(self.interval.linearize, "S"), self.path.Q, self.terminal.Q)
 
 

@@ -13,6 +13,7 @@ from nmpc_codegen.ir.product_sweeps import Loops, StageSweeps, WrittenOut
 from nmpc_codegen.ir.product_sweeps import Pattern as Pattern
 from nmpc_codegen.ir.sweep import LoopedRoutine, Routine, nonzeros
 from nmpc_codegen.ir.tuning import SPARSE, WRITTEN_OUT
+from nmpc_codegen.package.features import Features
 from nmpc_codegen.package.opcount import OpCount
 
 
@@ -48,9 +49,9 @@ class Products:
         s = self._sweeps
         return _by_name(s.forward_panel(), *((s.terminal_panel(),) if self.Q_N else ()), s.backward_panel())
 
-    def called_vectors(self, switches: Mapping[str, int]) -> Mapping[str, LoopedRoutine]:
-        """The products with a vector that a package contains: HAS_STATE_STEP, HAS_ADJOINT_STEP, ..."""
-        return {name: routine for name, routine in self.vectors.items() if switches[f"HAS_{name.upper()}"]}
+    def called_vectors(self, features: Features) -> Mapping[str, LoopedRoutine]:
+        """The products with a vector that a package contains."""
+        return {name: routine for name, routine in self.vectors.items() if name in features.kernels}
 
     @cached_property
     def counts(self) -> Mapping[str, OpCount]:

@@ -18,6 +18,7 @@ from nmpc_codegen.ir.model import ModelFunctions
 from nmpc_codegen.ir.tuning import PANEL
 from nmpc_codegen.lowering.first_plan import Growth
 from nmpc_codegen.options import Goal, Options
+from nmpc_codegen.package.features import Features
 from nmpc_codegen.package.memory import Size
 from nmpc_codegen.package.opcount import OpCount
 from nmpc_codegen.targets import TARGETS
@@ -125,9 +126,9 @@ def _best(candidates: list[Candidate], soft: bool) -> tuple[Candidate, str]:
 def _mirrors_few(problem: Problem, options: Options) -> bool:
     """True for a general cost whose Hessian may be indefinite in few controls: eigenvalues of the condensed one can be
     mirrored. The plain scheme, which neither relaxes rows nor repairs plans, takes the fewest operations."""
-    found = {} if options.hessian is None else options.hessian.switches
-    safe = options.algorithm.switches.get("RELAX") or options.algorithm.switches.get("REPAIR")
-    indefinite = found.get("REGULARIZE_REDUCED") and not problem.features <= GaussNewton.supports
+    found = Features() if options.hessian is None else options.hessian.adds(Features())
+    safe = (algorithm := options.algorithm.adds(Features())).relax or algorithm.repair
+    indefinite = found.regularize_reduced and not problem.features <= GaussNewton.supports
     return bool(safe and indefinite) and problem.N * problem.nu <= MOST_MIRRORED
 
 

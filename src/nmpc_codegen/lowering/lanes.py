@@ -17,12 +17,11 @@ from nmpc_codegen.ir.sweep import LoopedRoutine, Routine
 from nmpc_codegen.lowering import lane_steps
 from nmpc_codegen.lowering.parts import MATH_IN_LANES, names_in, needed, own_names, own_text
 from nmpc_codegen.lowering.preamble import PLACES
+from nmpc_codegen.package.features import Features
 from nmpc_codegen.package.signals import Kind
 
 SUFFIX = "_lanes"
 
-#: Switches of the parts.
-SWITCHES = ("LANE_CONDITIONS", "LANE_ANGLES", "LANE_SQRT")
 
 #: The function that reduces any angle.
 REDUCTION = "lanes_reduce"
@@ -61,9 +60,9 @@ def lane_routines(module: CModule) -> LaneRoutines | None:
     That is for one lane, for an interval with loops that cannot be expanded, and for a Hessian that does not promise
     (NODE_KERNELS) that expand_node() is no more than its printed kernels.
     """
-    if module.sizes["VECTOR_LANES"] == 1 or not module.switches.get("NODE_KERNELS"):
+    if module.sizes["VECTOR_LANES"] == 1 or module.features.node_memory or not module.features.node_kernels:
         return None
-    first = ("path_exact",) if module.switches["LAGRANGIAN"] else ("integrator_interval", "path_gradient")
+    first = ("path_exact",) if module.features.lagrangian else ("integrator_interval", "path_gradient")
     known = {r.name: r for r in module.routines}
     routines = tuple(known[name] for name in (*first, "path_rows") if name in known)
     if routines[0].name != "integrator_interval" or isinstance(routines[0], Kernel):
@@ -86,33 +85,33 @@ def in_lanes(names: Iterable[str], sizes: Mapping[str, int], style: CStyle) -> s
 
 
 def with_lanes(module: CModule) -> CModule:
-    """The module with the switches of a target with lanes: the lanes, whether nodes are linearised and matrices are
+    """The module with the features of a target with lanes: the lanes, whether nodes are linearised and matrices are
     multiplied in them, and which parts that needs.
 
     A horizon of few intervals takes fewer lanes. The goal "size" takes one, and math="own" no tiles, whose sums have
     another order.
     """
-    target, switches = module.target, module.switches
-    lanes = 1 if switches["SMALL"] else min(target.lanes, 1 << (module.value("N").bit_length() - 1))
-    tiles = 0 if switches["SMALL"] or switches["OWN_MATH"] else target.tiles
-    widths = {"VECTOR_LANES": lanes, "PACK_WIDTH": tiles, "TILES": int(tiles > 0)}
-    module = replace(module, switches={**switches, **widths})
-    return replace(module, switches={**module.switches, **_lane_switches(module)})
+    target, features = module.target, module.features
+    lanes = 1 if features.small else min(target.lanes, 1 << (module.value("N").bit_length() - 1))
+    tiles = 0 if features.small or features.own_math else target.tiles
+    module = replace(module, features=replace(features, vector_lanes=lanes, pack_width=tiles, tiles=tiles > 0))
+    return replace(module, features=_lane_features(module))
 
 
-def _lane_switches(module: CModule) -> dict[str, int]:
+def _lane_features(module: CModule) -> Features:
     """Whether nodes are linearised in lanes, and which parts that needs."""
     found = lane_routines(module)
     if found is None:
-        return {"LANE_NODES": 0, **dict.fromkeys(SWITCHES, 0)}
+        return module.features
     called = called_functions(found.printed)
     words = names_in(in_lanes(called, module.sizes, module.style))
-    return {
-        "LANE_NODES": 1,
-        "LANE_CONDITIONS": int(has_conditions(found.printed)),
-        "LANE_ANGLES": int(REDUCTION in words),
-        "LANE_SQRT": int("sqrt" in called or "lanes_sqrt" in words),
-    }
+    return replace(
+        module.features,
+        lane_nodes=True,
+        lane_conditions=has_conditions(found.printed),
+        lane_angles=REDUCTION in words,
+        lane_sqrt="sqrt" in called or "lanes_sqrt" in words,
+    )
 
 
 def lane_functions(module: CModule, style: CStyle) -> str:
@@ -145,7 +144,7 @@ def lane_nodes(module: CModule, style: CStyle) -> str:
         return ""
     inputs = {p.name: p for r in found.printed for p in r.reads}
     offsets, total = _node_layout(module)
-    width = module.switches["VECTOR_LANES"]
+    width = module.features.vector_lanes
     written = [(r, p) for r in found.routines for p in r.writes]
     stored = {offsets[p.name] + e for r, p in written if p.name in offsets for e in _stored(r, p)}
     places = {p.name: f"node + {offsets[p.name]}" for _, p in written if p.name in offsets}
@@ -177,7 +176,7 @@ def lane_nodes(module: CModule, style: CStyle) -> str:
 
 def lane_transpose(module: CModule, style: CStyle) -> str:
     """Transposition of a block."""
-    return transpose(module.switches["VECTOR_LANES"])
+    return transpose(module.features.vector_lanes)
 
 
 def transpose(width: int) -> str:

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from nmpc_codegen.components.algorithms.shifts import sampled
-from nmpc_codegen.components.base import Counts, Dims
-from nmpc_codegen.components.core import PARTS, core_structs
+from nmpc_codegen.components.base import Counts, Dims, Feature
+from nmpc_codegen.components.core import core_structs
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.frontend.problem import Array, Problem, Row, Stage
 from nmpc_codegen.ir.cmodule import CModule, Enum, Macro, Section, Setter, Setting, Table, check_prefix
@@ -23,6 +23,7 @@ from nmpc_codegen.lowering.lanes import with_lanes
 from nmpc_codegen.lowering.linearize import Model
 from nmpc_codegen.lowering.parts import own_names
 from nmpc_codegen.package.description import PackageDescription, Report
+from nmpc_codegen.package.features import KERNELS, Features, KernelName
 from nmpc_codegen.package.memory import Field, Size, Struct, placed
 from nmpc_codegen.package.opcount import OpCount
 from nmpc_codegen.package.signals import Kind, Layout, Residual, c_constants
@@ -46,8 +47,8 @@ def lower(model: Model, name: str | None = None) -> CModule:
     foreign = [(c.name, c.foreign_sources(name, model.precision, dims)) for c in model.parts.components]
     if model.math == "own":
         _check_math(model, [component for component, files in foreign if files])
-    switches = _switches(model)
-    structs, layout = placed(_structs(model, dims, switches), model.precision)
+    features = _features(model)
+    structs, layout = placed(_structs(model, dims, features), model.precision)
     held = {f.ctype for s in structs if s.name != "solver" for f in s.fields}
     sections = tuple(
         Section(
@@ -65,17 +66,17 @@ def lower(model: Model, name: str | None = None) -> CModule:
     macros = _macros(model, dims)
     ranges = {name: limits for c in model.parts.components for name, limits in c.ranges(dims).items()}
     module = CModule(
-        description=_description(model, name, macros, structs, _report(model, dims, switches, structs, layout), ranges),
+        description=_description(model, name, macros, structs, _report(model, dims, features, structs, layout), ranges),
         target=model.target,
         macros=macros,
         enums=_enums(problem),
         tables=_tables(model),
+        rows=problem.qp_rows,
         settings=_settings(model, dims),
-        setters=_setters(model, switches),
-        routines=tuple(r for r in _printed(model) if switches.get(f"HAS_{r.name.upper()}", 1)),
+        setters=_setters(model),
+        routines=tuple(r for r in _printed(model) if r.name not in KERNELS or r.name in features.kernels),
         products=model.products,
-        core_parts=tuple(part for word in sorted(model.parts.algorithm.core) for part in PARTS.get(word, ())),
-        switches=switches,
+        features=features,
         sections=sections,
         signals=(
             ("x", problem.state_names),
@@ -89,6 +90,10 @@ def lower(model: Model, name: str | None = None) -> CModule:
         diagonal_weight=problem.path.diagonal_weight,
         scaled_weight=any(problem.path.scale_with_dt),
         diagonal_weight_N=problem.terminal.diagonal_weight,
+        extras=tuple(feature.part for feature in _extras(model, features)),
+        places={name: place for c in model.parts.components for name, place in c.places.items()},
+        absent_members=_absent_members(model, dims, features, structs),
+        absent_kernels=tuple(name for name in KERNELS if not features.has(name)),
         one_step=model.interval.one_step,
         foreign={path: text for _, files in foreign for path, text in files.items()},
     )
@@ -126,102 +131,93 @@ def _check_math(model: Model, foreign: list[str]) -> None:
             )
 
 
-#: Kernels that a package may lack; HAS_<NAME> is then 0.
-KERNELS = (
-    *(
-        f"{stage}_{part}"
-        for stage in ("path", "terminal")
-        for part in ("cost", "gradient", "hessian", "rows", "curvature", "product")
-    ),
-    *(f"start_{part}" for part in ("cost", "gradient", "hessian", "exact")),
-    "terminal_exact",
-    *(f"initial_{part}" for part in ("hessian", "exact")),
-    "coupled_rows",
-)
-
-
 def _printed(model: Model) -> tuple[Routine, ...]:
     """The routines that have results: a problem without terminal cost has no terminal_cost()."""
     return tuple(r for r in model.routines if r.writes)
 
 
-def _switches(model: Model) -> dict[str, int]:
-    """Names that `#if` in the parts may test besides the sizes -> 1 or 0: features of the problem and the options."""
-    p, layouts = model.problem, model.online.layouts
-    kinds = {kind for _, kind, _, _ in p.qp_rows}
-    computing = {r.name for r in model.routines if r.writes}
-    residuals = p.path.ny + p.terminal.ny
-    data: dict[Kind, int] = {"reference": residuals, "weight": residuals, "parameter": p.np, "bounds": len(p.rows)}
-    parts, core = model.parts, model.parts.algorithm.core
-    condensing = parts.condensing
-    eliminates = condensing is not None and condensing.eliminates
-    switches = {f"HAS_{name.upper()}": int(name in computing) for name in KERNELS}
-    switches |= {f"SET_{kind.upper()}": int(layouts[kind] != "fixed" and size > 0) for kind, size in data.items()}
-    switches |= {
-        "SOLVE": int(model.solve),
-        "HAS_STATE_STEP": int(eliminates),
-        "HAS_ADJOINT_STEP": int(eliminates),
-        "STAGE_MULTIPLIERS": int(not eliminates),
-        "CONDENSED_QP": int(condensing is not None and condensing.gives == "condensed"),
-        "INTEGRATE_PLAN": 0,
-        "HAS_QP": int("qp" in parts.algorithm.needs),
-        "NODES": int("nodes" in core),
-        "PRODUCTS": int("products" in core),
-        "KKT": int("kkt" in core),
-        "STATE_ROWS": int(0 in kinds),
-        "GENERAL_ROWS": int(1 in kinds),
-        "HARD_ROWS": int(any(p.rows[row].soft is None for _, _, _, row in p.qp_rows)),
-        "END_EQUATIONS": int(any(k == p.N and _is_equation(p.rows[row]) for k, _, _, row in p.qp_rows)),
-        "CONTROL_BOUNDS": int(any(row.kind == "control" for row in p.rows)),
-        "ACCUMULATORS": int(bool(p.accumulators)),
-        "ALL_MEASURED": int(not p.accumulators and not p.free_initial),
-        "LAGRANGIAN": 0,
-        "START_IS_MEASURED": 0,
-        "TUNED": 0,
-        "REPAIR": 0,
-        "SIMULATE": 0,
-        "SINGLE": int(model.precision == "single"),
-        "OWN_MATH": int(model.math == "own"),
-        "SCALAR": int(model.target.sums == "variables" or model.goal == "size"),
-        "AVX512": int(model.target.avx512),
-        "SMALL": int(model.goal == "size"),
-        "TERMINAL_BLOCK": int(bool(model.products.Q_N)),
-    }
+def _features(model: Model) -> Features:
+    """The features of the problem, the options and the target, those that the components add, and what follows."""
+    p, parts = model.problem, model.parts
+    found = _of_problem(model)
     for component in parts.components:
-        switches |= component.switches
-    switches["TUNED"] *= int(any(switches[f"SET_{kind}"] for kind in ("PARAMETER", "WEIGHT", "BOUNDS")))
-    switches |= _hessian_of_solve(model, switches)
-    relaxable = bool(switches["HARD_ROWS"] and (switches["SOLVE"] or switches.get("RELAX", 0)))
-    elastic = relaxable or any(row.soft is not None for row in p.rows)
-    nonlinear = bool(switches["HAS_QP"] and model.nonlinear_rows)
-    switches |= {"RELAXATION": int(relaxable), "ELASTIC": int(elastic), "NONLINEAR_ROWS": int(nonlinear)}
-    switches["ROW_SCALES"] = int(relaxable or nonlinear)
-    switches |= _gradients_of_cost(model, switches, eliminates)
-    checked = eliminates and not switches.get("APPROXIMATE", 0)
-    gradient = condensing is not None and checked and condensing.gives == "condensed"
-    return {**switches, "CHECK_STEP": int(checked), "CHECK_GRADIENT": int(gradient)}
+        found = component.adds(found)
+    tuned = found.tuned and (found.set_parameter or found.set_weight or found.set_bounds)
+    exact = bool(model.exact or found.regularize_reduced)
+    curved = model.solve and exact and not p.couples_free_start
+    relaxable = found.hard_rows and (model.solve or found.relax)
+    nonlinear = found.has_qp and model.nonlinear_rows
+    eliminates = parts.condensing is not None and parts.condensing.eliminates
+    checked = eliminates and not found.approximate
+    condensed = parts.condensing is not None and parts.condensing.gives == "condensed"
+    return replace(
+        found,
+        kernels=found.kernels | _gradients_of_cost(model, found, eliminates),
+        tuned=tuned,
+        two_hessians=bool(model.exact),
+        curved=curved,
+        keeps_multipliers=curved or found.stage_multipliers,
+        relaxation=relaxable,
+        elastic=relaxable or any(row.soft is not None for row in p.rows),
+        nonlinear_rows=nonlinear,
+        row_scales=relaxable or nonlinear,
+        check_step=checked,
+        check_gradient=checked and condensed,
+    )
 
 
-def _hessian_of_solve(model: Model, switches: Mapping[str, int]) -> dict[str, int]:
-    """Whether solve() has a Hessian of its own, makes it convex by itself, and keeps multipliers of its QPs."""
-    exact = bool(model.exact or switches.get("REGULARIZE_REDUCED"))
-    curved = model.solve and exact and not model.problem.couples_free_start
-    return {
-        "TWO_HESSIANS": int(bool(model.exact)),
-        "CURVED": int(curved),
-        "KEEPS_MULTIPLIERS": int(curved or switches["STAGE_MULTIPLIERS"]),
-    }
+def _of_problem(model: Model) -> Features:
+    """The features of the problem, the options and the target."""
+    p, parts, target = model.problem, model.parts, model.target
+    kinds = {kind for _, kind, _, _ in p.qp_rows}
+    eliminates = parts.condensing is not None and parts.condensing.eliminates
+    computing = {r.name for r in model.routines if r.writes}
+    computing |= {"state_step", "adjoint_step"} if eliminates else set()
+    core = parts.algorithm.core
+    return Features(
+        kernels=frozenset(name for name in KERNELS if name in computing),
+        set_reference=_is_set(model, "reference"),
+        set_weight=_is_set(model, "weight"),
+        set_parameter=_is_set(model, "parameter"),
+        set_bounds=_is_set(model, "bounds"),
+        state_rows=0 in kinds,
+        general_rows=1 in kinds,
+        hard_rows=any(p.rows[row].soft is None for _, _, _, row in p.qp_rows),
+        end_equations=any(k == p.N and _is_equation(p.rows[row]) for k, _, _, row in p.qp_rows),
+        control_bounds=any(row.kind == "control" for row in p.rows),
+        accumulators=bool(p.accumulators),
+        all_measured=not p.accumulators and not p.free_initial,
+        solve=model.solve,
+        nodes="nodes" in core,
+        products="products" in core,
+        kkt="kkt" in core,
+        has_qp="qp" in parts.algorithm.needs,
+        stage_multipliers=not eliminates,
+        terminal_block=bool(model.products.Q_N),
+        single=model.precision == "single",
+        own_math=model.math == "own",
+        small=model.goal == "size",
+        scalar=target.sums == "variables" or model.goal == "size",
+        avx512=target.avx512,
+    )
 
 
-def _gradients_of_cost(model: Model, switches: Mapping[str, int], eliminates: bool) -> dict[str, int]:
+def _is_set(model: Model, kind: Kind) -> bool:
+    """True if data of this kind exist and can be changed at run time."""
+    p = model.problem
+    residuals = p.path.ny + p.terminal.ny
+    sizes: dict[Kind, int] = {"reference": residuals, "weight": residuals, "parameter": p.np, "bounds": len(p.rows)}
+    return model.online.layouts[kind] != "fixed" and sizes[kind] > 0
+
+
+def _gradients_of_cost(model: Model, found: Features, eliminates: bool) -> set[KernelName]:
     """Whether g + Q z is a product over the nonzeros: for elimination, and on stages if the Hessian keeps them few."""
-    changes = ("REGULARIZE_STAGES", "REGULARIZE_REDUCED", "HAS_START_HESSIAN", "HAS_INITIAL_HESSIAN")
-    keeps = model.parts.condensing is not None and not any(switches.get(name) for name in changes)
+    changes = found.regularize_stages or found.regularize_reduced
+    changes |= found.has("start_hessian") or found.has("initial_hessian")
+    keeps = model.parts.condensing is not None and not changes
     path, terminal = model.products.sparse
-    return {
-        "HAS_COST_GRADIENT": int(keeps and not eliminates and path),
-        "HAS_TERMINAL_ADJOINT": int(eliminates or (keeps and terminal)),
-    }
+    kernels: set[KernelName] = {"cost_gradient"} if keeps and not eliminates and path else set()
+    return kernels | ({"terminal_adjoint"} if eliminates or (keeps and terminal) else set())
 
 
 def _is_equation(row: Row) -> bool:
@@ -293,13 +289,13 @@ def _enums(problem: Problem) -> tuple[Enum, ...]:
     return tuple(enums)
 
 
-def _existing(struct: Struct, switches: Mapping[str, int]) -> Struct:
-    """The struct without members that the package lacks: those of size 0, and of features that are switched off."""
-    fields = (replace(f, only="") for f in struct.fields if all(f.values) and switches.get(f.only, 1))
-    return replace(struct, fields=tuple(fields), only="")
+def _existing(struct: Struct, features: Features) -> Struct:
+    """The struct without members that the package lacks: those of size 0, and of features that it does not have."""
+    fields = (replace(f, only=None) for f in struct.fields if all(f.values) and (f.only is None or f.only(features)))
+    return replace(struct, fields=tuple(fields), only=None)
 
 
-def _structs(model: Model, dims: Dims, switches: Mapping[str, int]) -> tuple[Struct, ...]:
+def _structs(model: Model, dims: Dims, features: Features) -> tuple[Struct, ...]:
     nodes = Size("N + 1", dims.N.value + 1)
     common = [
         Field("x", (nodes, dims.nx), "states of the plan", "iterate"),
@@ -310,9 +306,8 @@ def _structs(model: Model, dims: Dims, switches: Mapping[str, int]) -> tuple[Str
         Field("status", (), "status of the last call", "result", "int32"),
         Field("magic", (), "set by init", "keep", "int32"),
     ]
-    owned = [_existing(s, switches) for c in model.parts.components for s in c.structs(dims) if switches.get(s.only, 1)]
-    core = core_structs(model.parts.algorithm.core, dims)
-    owned = [*(_existing(s, switches) for s in core), *owned]
+    stated = _stated_structs(model, dims, features)
+    owned = [_existing(s, features) for s in stated if s.only is None or s.only(features)]
     owned = [s for s in owned if s.fields]
     own_members = [f for s in owned if s.name == "solver" for f in s.fields]
     inner = _inner_structs(owned)
@@ -320,7 +315,28 @@ def _structs(model: Model, dims: Dims, switches: Mapping[str, int]) -> tuple[Str
     members = [Field(s.name, s.shape, s.doc, "data", s.name) for s in inner if s.name not in held and s.name != "kkt"]
     fields = (*common, *own_members, *members, *results)
     solver = Struct("solver", "the whole controller: no pointers, copy it with '='", fields)
-    return (*inner, _existing(solver, switches))
+    return (*inner, _existing(solver, features))
+
+
+def _extras(model: Model, features: Features) -> tuple[Feature, ...]:
+    """What runs at hooks: for the other components, and then for the algorithm."""
+    return tuple(feature for component in model.parts.components for feature in component.extras(features))
+
+
+def _stated_structs(model: Model, dims: Dims, features: Features) -> list[Struct]:
+    """The structs of the core and of the components, with members that this package may lack."""
+    core = core_structs(model.parts.algorithm.core, dims)
+    extra = [s for feature in _extras(model, features) for s in feature.structs(dims)]
+    return [*core, *(s for c in model.parts.components for s in c.structs(dims)), *extra]
+
+
+def _absent_members(
+    model: Model, dims: Dims, features: Features, structs: tuple[Struct, ...]
+) -> frozenset[tuple[str, str]]:
+    """(struct, member) of what components state and no struct of the package has."""
+    stated = _stated_structs(model, dims, features)
+    members = {(s.name, f.name) for s in stated for f in s.fields} | {("solver", s.name) for s in stated}
+    return frozenset(members - {(s.name, f.name) for s in structs for f in s.fields})
 
 
 def _inner_structs(owned: list[Struct]) -> list[Struct]:
@@ -400,10 +416,10 @@ _NODES: Mapping[Kind, Mapping[Layout, str]] = {
 }
 
 
-def _setters(model: Model, switches: Mapping[str, int]) -> tuple[Setter, ...]:
+def _setters(model: Model) -> tuple[Setter, ...]:
     """The setters of all data that exist in the problem and can be changed."""
     layouts = model.online.layouts
-    return tuple(Setter(n, nodes[layouts[n]]) for n, nodes in _NODES.items() if switches[f"SET_{n.upper()}"])
+    return tuple(Setter(n, nodes[layouts[n]]) for n, nodes in _NODES.items() if _is_set(model, n))
 
 
 def _tables(model: Model) -> tuple[Table, ...]:
@@ -436,13 +452,9 @@ def _tables(model: Model) -> tuple[Table, ...]:
         integer("control_reference", p.control_reference, "residual that holds the reference of control j, or -1"),
         integer("control_row", _control_rows(p), "row that bounds control j, or -1"),
         integer("free_state", p.free_initial, "state that is free component f of x_0"),
-        integer("row_node", [r[0] for r in rows], "node of row m"),
-        integer("row_kind", [r[1] for r in rows], "0: state bound, 1: general row, 2: coupled row"),
-        integer("row_index", [r[2] for r in rows], "component of x, h or r"),
-        integer("row_id", [r[3] for r in rows], "scalar row of the user"),
         integer("row_first", first, "first row of node k"),
-        real("row_l1", [_penalty(r)[0] for r in p.rows], "l1 penalty of a row of the user; infinite: hard"),
-        real("row_l2", [_penalty(r)[1] for r in p.rows], "quadratic penalty of its violation"),
+        real("penalty_l1", [_penalty(r)[0] for r in p.rows], "l1 penalty of a row of the user; infinite: hard"),
+        real("penalty_l2", [_penalty(r)[1] for r in p.rows], "quadratic penalty of its violation"),
         integer("parameter_offset", offsets, "first element of a parameter in p"),
         *(table for component in model.parts.components for table in component.tables(p)),
     )
@@ -514,14 +526,14 @@ def _residuals(problem: Problem, stage: Stage) -> tuple[Residual, ...]:
 def _report(
     model: Model,
     dims: Dims,
-    switches: Mapping[str, int],
+    features: Features,
     structs: tuple[Struct, ...],
     layout: Mapping[str, tuple[int, int]],
 ) -> Report:
     """Memory, exact operation counts, and the choices with their reasons."""
     counts = {r.name: r.count for r in _printed(model)}
-    if switches["PRODUCTS"]:
-        called = model.products.called_vectors(switches)
+    if features.products:
+        called = model.products.called_vectors(features)
         counts |= {name: routine.count for name, routine in called.items()}
     if model.parts.condensing and model.parts.condensing.columns:
         counts |= model.products.column_counts

@@ -1,7 +1,7 @@
 """Plain C parts: `#include "part.c"` is inlined and `#if` over sizes is resolved; nothing else is rewritten.
 
 A part compiles unchanged after its preamble (preamble.py), so that linters check the code that is shipped. A condition
-is an integer expression of C in the sizes and switches of the package (0: absent); a name that the package does not
+is an integer expression of C in the sizes and features of the package (0: absent); a name that the package does not
 define is an error, as it is for a compiler with -Wundef.
 
 What parts include as ``generated/<name>.c`` is written here: products with the stage matrices, tables of their
@@ -227,7 +227,7 @@ def _value(node: ast.AST, sizes: Mapping[str, int]) -> int:
 
 def products(module: CModule, style: CStyle) -> str:
     """The products with a vector that the package calls, after the tables that the loops of all products read."""
-    routines = module.products.called_vectors(module.switches).values()
+    routines = module.products.called_vectors(module.features).values()
     heading = (
         "/* Products with the stage matrices S = [A B] and Q (lower triangle): "
         + ("written out over the structural nonzeros." if module.products.written_out else "dense loops.")
@@ -273,24 +273,23 @@ _FUNCTION = re.compile(r"^static (?:inline )?real_t own_(\w+)\(", re.MULTILINE)
 _HEADING = f"/* ==== elementary functions {'=' * 79} */"
 
 
-def own_text(part: str, sizes: Mapping[str, int], resolved: bool = True) -> str:
+def own_text(part: str, sizes: Mapping[str, int]) -> str:
     """A part of the elementary functions with what it includes."""
-    text = read_part(part, lambda path: "")
-    return resolve(text, sizes) if resolved else text
+    return resolve(read_part(part, lambda path: ""), sizes)
 
 
 @cache
 def own_names(part: str = MATH) -> frozenset[str]:
     """Functions of math.h that have a text of their own."""
     in_math_h = {operation.function for operation in OPERATIONS.values()}
-    return frozenset(_FUNCTION.findall(own_text(part, {}, resolved=False))) & in_math_h
+    return frozenset(_FUNCTION.findall(read_part(part, lambda path: ""))) & in_math_h
 
 
-def own_math(module: CModule, names: Collection[str], resolved: bool = True) -> str:
+def own_math(module: CModule, names: Collection[str]) -> str:
     """The elementary functions that a unit with these identifiers calls; lanes need some of them as well."""
-    if not (module.switches["OWN_MATH"] or module.sizes["LANE_NODES"]):
+    if not (module.features.own_math or module.sizes["LANE_NODES"]):
         return ""
-    text = needed(own_text(MATH, module.sizes, resolved), names)
+    text = needed(own_text(MATH, module.sizes), names)
     return f"{_HEADING}\n\n{text}\n" if text else ""
 
 

@@ -8,21 +8,22 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from textwrap import wrap
+from types import MappingProxyType
 
 from nmpc_codegen.ir.cmodule import CModule
 from nmpc_codegen.ir.print_c import CStyle, call, unit_style
 from nmpc_codegen.ir.sweep import LoopedRoutine, Routine
 from nmpc_codegen.lowering.parts import names_in, rename
+from nmpc_codegen.lowering.pruning.unused import Definition as Definition
 from nmpc_codegen.lowering.tolerances import FACTORS, TOLERANCES, tolerance
-from nmpc_codegen.lowering.unused import Definition as Definition
 from nmpc_codegen.package.signals import Kind
 
 #: Functions of math.h that the parts call in the working precision: upper case in the parts.
 FUNCTIONS = ("sqrt", "fabs", "ceil", "sin", "cos", "exp", "log", "log1p")
 
 
-#: Maximum length of a line without its continuation mark.
-WIDTH = 114
+#: Maximum length of a line without its continuation mark, and with it.
+WIDTH, LINE = 114, 120
 
 #: A number in the working precision: R(0.5).
 REAL_CONSTANT = ("R", "x", "((real_t)(x))")
@@ -46,7 +47,22 @@ def preamble(
         head = rename(macro if arguments is None else f"{macro}({arguments})", renamed)
         define = f"#define {head} {text if declared else rename(text, renamed)}"
         lines.append(" \\\n    ".join(wrap(define, WIDTH, break_long_words=False, break_on_hyphens=False)))
+        if macro in REASONS:
+            lines[-1:] = _with_reason(lines[-1], REASONS[macro])
     return "\n".join(lines)
+
+
+#: Macro of a threshold -> its reason.
+REASONS: Mapping[str, str] = {
+    **{f"TOL_{name.upper()}": reason for name, (_, reason) in TOLERANCES.items()},
+    **{f"FACTOR_{name.upper()}": reason for name, (_, reason) in FACTORS.items()},
+}
+
+
+def _with_reason(define: str, reason: str) -> list[str]:
+    """The definition with a comment behind it, or above it if the line would be too long."""
+    beside = f"{define} /* {reason} */"
+    return [beside] if len(beside) <= LINE else [f"/* {reason} */", define]
 
 
 def definitions(known: Sequence[Definition], body: Collection[str]) -> tuple[list[Definition], set[str]]:
@@ -66,20 +82,16 @@ def all_definitions(module: CModule) -> list[Definition]:
     constants.append(("MAGIC", "NMPC_CODEGEN_UNIT"))
     constants += [(name, f"{P}_{name}") for name in ("ALL", *(status.name for status in module.statuses))]
     constants += [
-        *((name, str(module.switches[name])) for name in ("VECTOR_LANES", "PACK_WIDTH")),
-        *arithmetic(module.precision, bool(module.switches["OWN_MATH"])),
+        ("VECTOR_LANES", str(module.features.vector_lanes)),
+        ("PACK_WIDTH", str(module.features.pack_width)),
+        *arithmetic(module.precision, module.features.own_math),
     ]
-    parametric = [("API", "name", f"{p}_##name"), REAL_CONSTANT, *accessors(module), *rows(module)]
+    parametric = [("API", "name", f"{p}_##name"), REAL_CONSTANT, *accessors(module)]
     parametric.append(("HESSIAN", "s, k", f"(s)->hessian.Q[{'0' if module.sizes.get('NQ') == 1 else 'k'}]"))
-    places = PLACES | (MEASURED_START if module.switches["START_IS_MEASURED"] else {})
-    parametric += [kernel_call(routine, places) for routine in module.routines]
+    places = {**PLACES, **module.places} | (MEASURED_START if module.features.start_is_measured else {})
+    parametric += [kernel_call(routine, places, module.places) for routine in module.routines]
     parametric += [product_call(routine, module.style) for routine in module.called_products]
     return [*((name, None, text) for name, text in constants), *parametric]
-
-
-def conditions(module: CModule) -> str:
-    """Macros that the `#if`s of unresolved parts need besides the preamble: the switches."""
-    return "".join(f"\n#define {name} {value}" for name, value in module.switches.items())
 
 
 def arithmetic(precision: str, own: bool = False) -> list[tuple[str, str]]:
@@ -121,88 +133,6 @@ def accessors(module: CModule) -> list[Definition]:
         ("PATH_LOWER", "s, k, row", member("bounds", f"(s)->lower[{at('bounds', 'k')}]", "default_lower") + "[row]"),
         ("PATH_UPPER", "s, k, row", member("bounds", f"(s)->upper[{at('bounds', 'k')}]", "default_upper") + "[row]"),
     ]
-
-
-def rows(module: CModule) -> list[Definition]:
-    """(macro, arguments, text): bounds and references of control j at node k, bounds and penalties of QP row m.
-
-    Data that the user left out are constants: infinite bounds, reference 0, an infinite penalty.
-    """
-    layout, sizes = module.layouts["bounds"], module.sizes
-    copy = {"fixed": "", "shared": "row_node[m] == N", "node": "row_node[m]"}[layout]
-
-    def row_bound(which: str) -> str:
-        place = f"default_{which}" if layout == "fixed" else f"((s)->{which}[{copy}])"
-        return f"{place}[row_id[m]]"
-
-    def of_control(table: str, text: str, otherwise: str) -> str:
-        values = module.table(table).values
-        if all(value < 0 for value in values):
-            return otherwise
-        return text if min(values) >= 0 else f"(({table}[j] >= 0) ? {text} : {otherwise})"
-
-    kinds = {kind for kind, exists in _row_kinds(sizes).items() if exists}
-
-    def place(state: str, path: str, terminal: str, coupled: str) -> str:
-        """The element that belongs to row m of the array of its kind."""
-        arrays = {"state": state, "coupled": coupled, "general": _general(sizes, path, terminal)}
-        found = [f"({arrays[kind]})[row_index[m]]" for kind in arrays if kind in kinds]
-        tests = [f"(row_kind[m] == ROW_{kind.upper()})" for kind in arrays if kind in kinds][:-1]
-        text = f"&{found[-1]}" if found else "0"
-        for test, element in zip(reversed(tests), reversed(found[:-1]), strict=True):
-            text = f"{test} ? &{element} : {text}"
-        return f"(*({text}))" if tests else f"({found[-1]})" if found else "0"
-
-    infinity, soft = "INF", "row_l1[row_id[m]]"
-    hard = _hard_penalty(sizes) if sizes["RELAXATION"] else infinity
-    penalty = f"(IS_SOFT(m) ? {soft} : {hard})" if sizes["RELAXATION"] else soft
-    return [
-        ("CONTROL_LOWER", "s, k, j", of_control("control_row", "PATH_LOWER(s, k, control_row[j])", f"(-{infinity})")),
-        ("CONTROL_UPPER", "s, k, j", of_control("control_row", "PATH_UPPER(s, k, control_row[j])", infinity)),
-        (
-            "CONTROL_REFERENCE",
-            "s, k, j",
-            of_control("control_reference", "YREF(s, k)[control_reference[j]]", "R(0)"),
-        ),
-        ("IS_GENERAL", "m", "(row_kind[m] == ROW_GENERAL)" if kinds > {"general"} else "1"),
-        ("IS_COUPLED", "m", "(row_kind[m] == ROW_COUPLED)" if kinds > {"coupled"} else "1"),
-        (
-            "ROW_MULTIPLIER",
-            "s, m",
-            place("(s)->mu_x[row_node[m]]", "(s)->mu[row_node[m]]", "(s)->mu_N", "(s)->eta"),
-        ),
-        (
-            "ROW_CONSTANT",
-            "s, m",
-            place("(s)->x[row_node[m]]", "(s)->node[row_node[m]].h", "(s)->terminal.h", "(s)->coupled.r"),
-        ),
-        ("ROW_VALUE", "s, m, h, r", place("(s)->x[row_node[m]]", "h", "h", "r")),
-        ("ROW_LOWER", "s, m", row_bound("lower")),
-        ("ROW_UPPER", "s, m", row_bound("upper")),
-        ("IS_SOFT", "m", f"({soft} < INF)"),
-        ("ROW_PENALTY", "s, m", penalty if sizes["SOFT_ROWS"] else hard),
-        ("ROW_CURVATURE", "m", "row_l2[row_id[m]]" if sizes["SOFT_ROWS"] else "R(0)"),
-    ]
-
-
-def _hard_penalty(sizes: Mapping[str, int]) -> str:
-    """Penalty of a hard row of a relaxed QP: that of a violation in the scale of the row, where that is known."""
-    if not sizes["HARD_ROWS"]:
-        return "((s)->relaxation)"
-    scale = "(s)->row_scale[row_id[m]]"
-    return f"(((s)->relaxation < INF && {scale} > R(0)) ? (s)->relaxation / {scale} : (s)->relaxation)"
-
-
-def _row_kinds(sizes: Mapping[str, int]) -> dict[str, int]:
-    """Kind of rows of the QP -> nonzero if the QP has such rows."""
-    return {"state": sizes["STATE_ROWS"], "general": sizes["GENERAL_ROWS"], "coupled": sizes["NE"]}
-
-
-def _general(sizes: Mapping[str, int], path: str, terminal: str) -> str:
-    """The array of general rows at the node of row m."""
-    if path == terminal or not sizes["NH_N"]:
-        return path
-    return f"(row_node[m] == N) ? {terminal} : {path}" if sizes["NH"] else terminal
 
 
 def product_call(routine: LoopedRoutine, style: CStyle) -> Definition:
@@ -254,8 +184,12 @@ START_PLACES = {
 VECTORS = ("dx", "du", "adj", "d")
 
 
-def kernel_call(routine: Routine, everywhere: dict[str, str] = PLACES) -> Definition:
+def kernel_call(
+    routine: Routine, everywhere: dict[str, str] = PLACES, kept: Mapping[str, str] = MappingProxyType({})
+) -> Definition:
     """(macro, arguments, text): call of a printed kernel; it passes what is read or written, nothing else.
+
+    ``kept``: places of outputs that a node keeps, which are no arguments.
 
     The arguments of the macro are always the same: the solver, the node of a path kernel, the vectors that it
     multiplies, the outputs; INTEGRATOR_STEP also takes the state, the control and the step length.
@@ -272,6 +206,6 @@ def kernel_call(routine: Routine, everywhere: dict[str, str] = PLACES) -> Defini
     else:
         places, leading = everywhere, ["s", "k"]
     leading += [p.name for p in routine.inputs if p.name in VECTORS]
-    passed = [places[p.name] for p in routine.reads] + [p.name for p in routine.writes]
-    arguments = ", ".join([*leading, *(p.name for p in routine.outputs)])
+    passed = [places[p.name] for p in routine.reads] + [kept.get(p.name, p.name) for p in routine.writes]
+    arguments = ", ".join([*leading, *(p.name for p in routine.outputs if p.name not in kept)])
     return routine.name.upper(), arguments, f"{routine.name}({', '.join(passed)})"

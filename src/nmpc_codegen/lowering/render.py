@@ -16,6 +16,7 @@ import jinja2
 
 from nmpc_codegen.ir.cmodule import CModule, Table
 from nmpc_codegen.ir.print_c import CStyle, print_routine
+from nmpc_codegen.lowering.hooks import check_hooks, feature_parts, hook_prototypes, with_hooks
 from nmpc_codegen.lowering.lanes import GENERATED as IN_LANES
 from nmpc_codegen.lowering.parts import (
     GENERATED,
@@ -30,11 +31,12 @@ from nmpc_codegen.lowering.parts import (
 from nmpc_codegen.lowering.preamble import (
     Definition,
     all_definitions,
-    conditions,
     definitions,
     preamble,
 )
-from nmpc_codegen.lowering.unused import without_unused
+from nmpc_codegen.lowering.pruning.fold import Constants
+from nmpc_codegen.lowering.pruning.unused import without_unused
+from nmpc_codegen.lowering.rows import row_functions
 from nmpc_codegen.package.memory import PURPOSES, WORK, Field, Struct
 from nmpc_codegen.package.seal import sealed
 from nmpc_codegen.package.signals import Argument, EntryPoint, Layout, Signal, horizon, nodes
@@ -69,12 +71,20 @@ def context(prefix: str, style: CStyle) -> dict[str, Any]:
 
 
 #: Path of an include below generated/ -> what writes its text.
-GENERATORS: Mapping[str, Callable[[CModule, CStyle], str]] = {**GENERATED, **IN_LANES}
+GENERATORS: Mapping[str, Callable[[CModule, CStyle], str]] = {
+    **GENERATED,
+    **IN_LANES,
+    "generated/hooks.c": hook_prototypes,
+    "generated/features.c": feature_parts,
+}
+
+#: The functions of the rows, which are written by a template.
+ROWS = "generated/rows.c"
 
 
-def render(module: CModule, resolved: bool = True) -> Sources:
-    """All files of the package, sealed. Unless ``resolved``, the `#if`s of the parts are left to the compiler."""
-    names = _filled(module, resolved)
+def render(module: CModule) -> Sources:
+    """All files of the package, sealed."""
+    names = _filled(module)
     files = {
         f"{module.name}.c": "solver.c.jinja",
         "main.c": "main.c.jinja",
@@ -92,24 +102,21 @@ def render(module: CModule, resolved: bool = True) -> Sources:
     return Sources(sealed({**sources, **module.foreign}, module.name), module.description)
 
 
-def _filled(module: CModule, resolved: bool) -> dict[str, Any]:
+def _filled(module: CModule) -> dict[str, Any]:
     """The names of the templates, with the header, the body of the unit, its tables and short names."""
     names = _names(module)
     header = tidy(environment().get_template("solver.h.jinja").render(names))
-    body, known = render_unit(module, names, resolved), all_definitions(module)
-    if resolved:
-        body = without_unused(body, known)
+    known = all_definitions(module)
+    body = without_unused(render_unit(module, names), known, _constants(module))
     words = names_in(body)
-    math = own_math(module, definitions(known, words)[1], resolved)
+    math = own_math(module, definitions(known, words)[1])
     words |= names_in(math)
-    used = words if resolved else names_in(render_unit(module, names))
-    tables = render_tables(module, names, known, used)
+    tables = render_tables(module, names, known, words)
     words |= names_in(tables)
     members = {member.name for struct in module.structs for member in struct.fields}
     renamed = renamed_words(definitions(known, words)[1], header, module.name, members)
     types = [*(s.name for s in module.structs), "status"]
     short_names = preamble(module.name, types, known, words, renamed)
-    short_names += "" if resolved else rename(conditions(module), renamed)
     texts = {"body": body, "math": math, "tables": tables}
     return {
         **names,
@@ -155,19 +162,29 @@ def render_tables(module: CModule, names: dict[str, Any], known: Sequence[Defini
     return environment().get_template("tables.c.jinja").render(names | {"tables": tables}).rstrip("\n")
 
 
-def render_unit(module: CModule, names: dict[str, Any], resolved: bool = True) -> str:
+def _constants(module: CModule) -> Constants:
+    """What the package decides at export: sizes, features, ranges of tables of integers, what it lacks."""
+    tables = {t.name: (int(min(t.values)), int(max(t.values))) for t in module.tables if t.ctype == "int" and t.values}
+    kernels = frozenset(name.upper() for name in module.absent_kernels)
+    return Constants(module.sizes, tables, module.absent_members, kernels)
+
+
+def render_unit(module: CModule, names: dict[str, Any]) -> str:
     """The translation unit after its tables: printed kernels, parts."""
 
     def generated(path: str) -> str:
+        if path == ROWS:
+            return environment().get_template("rows.c.jinja").render(row_functions(module))
         return GENERATORS[path](module, module.style)
 
     def part(path: str) -> str:
         text = read_part(path, generated)
-        return (resolve(text, module.sizes) if resolved else text).rstrip("\n")
+        if path == module.sections[-1].template:
+            check_hooks([text], module.extras)
+        text = with_hooks(text, module.extras)
+        return resolve(text, module.sizes).rstrip("\n")
 
     more: dict[str, Any] = {"part": part, "generated": generated}
-    if not resolved:
-        more["resolved"] = lambda template: environment().get_template(template).render(names).rstrip("\n")
     return environment().get_template("unit.c.jinja").render(names | more)
 
 
@@ -183,7 +200,7 @@ def _guard(name: str, target: Target) -> str:
 
 def _spelling(module: CModule) -> str:
     """How the first line of the .c goes on: the target, unless it is any machine, and nodes at once."""
-    target, lanes = module.target, module.switches["VECTOR_LANES"]
+    target, lanes = module.target, module.features.vector_lanes
     several = f", {lanes} shooting nodes at once" if lanes > 1 else ""
     return "" if target == PORTABLE else f", for {target.machine} ({target.name}){several}"
 
@@ -191,7 +208,7 @@ def _spelling(module: CModule) -> str:
 def _of_target(module: CModule, headers: Collection[str]) -> dict[str, str]:
     """What README.md and CMakeLists.txt say of the target."""
     target, x86 = module.target, "-march=x86" in " ".join(module.target.flags)
-    vectors = module.switches["VECTOR_LANES"] > 1 or module.switches["TILES"]
+    vectors = module.features.vector_lanes > 1 or module.features.tiles
     gnu = f"GNU C (gcc 12 or newer, clang) for {target.machine}"
     return {
         "flags": "".join(f" {flag}" for flag in target.of_machine),

@@ -10,11 +10,16 @@ and the memory of Controller are aligned.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 import numpy as np
+
+from nmpc_codegen.package.features import Features
+
+#: Whether a package with these features has a member or a struct.
+Only = Callable[[Features], object]
 
 Precision = Literal["double", "single"]
 Role = Literal["setting", "data", "iterate", "result", "keep", "scratch"]
@@ -54,7 +59,8 @@ class Size:
 class Field:
     """A member of a C struct. A description may contain members of size 0, which are padded to 1 in C.
 
-    ``only``: name of a switch; if it is 0, lowering drops the member, as it does with members of size 0.
+    ``only``: tells whether a package has it, as with ``only=lambda f: f.solve``; lowering drops the others, as it does
+    with members of size 0.
     """
 
     name: str
@@ -62,7 +68,7 @@ class Field:
     doc: str
     role: Role
     ctype: str = "real"  # "real", "int32", "int64" or the name of a struct
-    only: str = ""
+    only: Only | None = None
 
     @property
     def values(self) -> tuple[int, ...]:
@@ -80,16 +86,16 @@ class Struct:
     """A C struct <prefix>_<name>_t, and the member ``name`` of the solver with this type and the given shape.
 
     The solver itself is the struct "solver"; a component adds members to it with a Struct of that name. A struct that
-    is a member of another one is not a member of the solver. ``only``: name of a switch; if it is 0, the struct does
-    not exist. ``union``: its members share memory, for phases that do not overlap; all components that define a union
-    of the same name add their members to it.
+    is a member of another one is not a member of the solver. ``only``: tells whether a package has it. ``union``: its
+    members share memory, for phases that do not overlap; all components that define a union of the same name add their
+    members to it.
     """
 
     name: str
     doc: str
     fields: tuple[Field, ...]
     shape: tuple[Size, ...] = ()
-    only: str = ""
+    only: Only | None = None
     union: bool = False
 
     @property

@@ -15,7 +15,7 @@ static void algorithm_reset(solver_t *s)
 {
     for (int k = 0; k < N; k++) {
         for (int j = 0; j < NU; j++) {
-            s->u[k][j] = clip(CONTROL_REFERENCE(s, k, j), CONTROL_LOWER(s, k, j), CONTROL_UPPER(s, k, j));
+            s->u[k][j] = clip(reference_of_control(s, k, j), control_lower(s, k, j), control_upper(s, k, j));
         }
     }
     memcpy(s->x[0], initial_state, sizeof initial_state);
@@ -54,7 +54,7 @@ static real_t try_step(solver_t *s)
     for (int k = 0; k < N; k++) {
         for (int j = 0; j < NU; j++) {
             const real_t u = s->before[k][j] - s->length * s->slope[k][j];
-            s->u[k][j] = clip(u, CONTROL_LOWER(s, k, j), CONTROL_UPPER(s, k, j));
+            s->u[k][j] = clip(u, control_lower(s, k, j), control_upper(s, k, j));
         }
     }
     return simulate_plan(s);

@@ -21,6 +21,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from nmpc_codegen.components.algorithms.features import ROWS as TERMS
 from nmpc_codegen.components.algorithms.real_time_iteration import PHASES, SOLVE
 from nmpc_codegen.components.algorithms.scales import cost_magnitude, row_sizes, tolerance_table, variable_scales
 from nmpc_codegen.components.algorithms.shifts import (
@@ -30,14 +31,15 @@ from nmpc_codegen.components.algorithms.shifts import (
     decided_shift,
     resample_reach,
     resample_tables,
-    shift_switches,
+    with_shift,
 )
 from nmpc_codegen.components.allowed import Number, Whole, Words, check_options, option
-from nmpc_codegen.components.base import Core, Defaults, Dims, Seam
+from nmpc_codegen.components.base import Core, Defaults, Dims, Feature, Seam
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.cmodule import Table
-from nmpc_codegen.package.memory import Field, Size, Struct
+from nmpc_codegen.package.features import Features, KernelName
+from nmpc_codegen.package.memory import Field, Only, Size, Struct
 from nmpc_codegen.package.signals import EntryPoint
 
 METHODS = ("gauss_newton", "quasi_newton")
@@ -166,21 +168,21 @@ class AdjointShooting(Defaults):
         """A sample in one call, the shift of the plan, and the iteration to convergence."""
         return (STEP, PHASES[3], *((SOLVE,) if solve else ()))
 
-    @property
-    def switches(self) -> Mapping[str, int]:
+    def adds(self, features: Features) -> Features:
         """Kernels of the linearisation and of x_0 are not used; without a Hessian, those of its products neither."""
-        kernels = dict.fromkeys(("HAS_INTEGRATOR_INTERVAL", "HAS_START_GRADIENT"), 0)
-        if not self.second_order:
-            kernels |= dict.fromkeys(("HAS_INTEGRATOR_FORWARD", "HAS_PATH_PRODUCT", "HAS_TERMINAL_PRODUCT"), 0)
-        return {
-            **kernels,
-            "QUASI_NEWTON": int(not self.second_order),
-            "SMOOTH_ROWS": int(self.rows in ("smooth_l1", "lumped")),
-            "LUMPED_ROWS": int(self.rows == "lumped"),
-            "BARRIER_ROWS": int(self.rows == "barrier"),
-            **shift_switches(self.shift),
-            "RELAX": 0,
-        }
+        products: tuple[KernelName, ...] = ("integrator_forward", "path_product", "terminal_product")
+        unused = () if self.second_order else products
+        return replace(
+            with_shift(features.without("integrator_interval", "start_gradient", *unused), self.shift),
+            quasi_newton=not self.second_order,
+            lumped_rows=self.rows == "lumped",
+            barrier_rows=self.rows == "barrier",
+        )
+
+    def extras(self, features: Features) -> tuple[Feature, ...]:
+        """The terms of the rows."""
+        has_rows = features.state_rows or features.general_rows or features.has("coupled_rows")
+        return (TERMS[self.rows],) if has_rows else ()
 
     def check(self, problem: Problem) -> None:
         """Raise OptionError for shifts that clash with the grid, and for rows that their terms cannot represent."""
@@ -225,7 +227,6 @@ class AdjointShooting(Defaults):
             Table("penalty_weight", "real", (self._penalty(problem),), "weight of the rows in their scales"),
             tolerance_table(self.tolerance),
             Table("row_weight", "real", tuple(weights), "1 / scale^2 of row m"),
-            Table("row_bounds_state", "int", tuple(int(kind == 0) for _, kind, _, _ in rows), "1: row of a state"),
             Table("terminal_row", "int", terminal, "row m that is terminal row t of the model"),
             Table("terminal_index", "int", tuple(positions), "number t of row m, or -1"),
             Table(
@@ -312,20 +313,30 @@ class AdjointShooting(Defaults):
     def structs(self, dims: Dims) -> tuple[Struct, ...]:
         members = (
             Field("row", (dims.ng,), "multipliers of the rows", "keep"),
-            *((Field("samples", (), "samples since init or reset", "keep", "int32"),) if self.shift else ()),
+            Field("samples", (), "samples since init or reset", "keep", "int32", only=lambda f: self.shift),
             Field("failing", (), "failures in a row", "keep", "int32"),
             Field("stats", (), "counters", "result", "stats"),
-            Field("kkt", (), "KKT residuals of the last solve", "result", "kkt", only="SOLVE"),
+            Field("kkt", (), "KKT residuals of the last solve", "result", "kkt", only=lambda f: f.solve),
         )
         return (_stats(self.second_order), self._shooting(dims), Struct("solver", "", members))
 
-    def _growing(self, dims: Dims) -> tuple[tuple[str, str], ...]:
-        """Weights that solve() changes."""
-        if not dims.ng.value:
-            return ()
+    def _growing(self, dims: Dims) -> tuple[Field, ...]:
+        """Weights that solve() changes, and that of a lumped row."""
+        has, lumped = dims.ng.value > 0, self.rows == "lumped"
+
+        def growing(name: str, doc: str, present: bool) -> Field:
+            return Field(name, (), doc, "scratch", only=lambda f: f.solve and present)
+
         return (
-            *((("penalty", "weight of the rows in their scales"),) if self.rows != "barrier" else ()),
-            *((("multiplier", "of the lumped row"),) if self.rows == "lumped" else ()),
+            growing("penalty", "weight of the rows in their scales", has and self.rows != "barrier"),
+            growing("multiplier", "of the lumped row", has and lumped),
+            Field(
+                "lump",
+                (),
+                "weight of the hard rows: of the lumped row at the plan",
+                "scratch",
+                only=lambda f: has and lumped,
+            ),
         )
 
     def _shooting(self, dims: Dims) -> Struct:
@@ -333,7 +344,7 @@ class AdjointShooting(Defaults):
         pairs = Size("MEMORY", self.memory or MEMORY)
         controls = (dims.N, dims.nu)
 
-        def real(name: str, shape: tuple[Size, ...], doc: str, only: str = "") -> Field:
+        def real(name: str, shape: tuple[Size, ...], doc: str, only: Only | None = None) -> Field:
             return Field(name, shape, doc, "scratch", only=only)
 
         sharpness = Field("sharpness", (), "of the smooth max, in the scale of a row", "keep")
@@ -345,7 +356,6 @@ class AdjointShooting(Defaults):
             ),
             "lumped": (
                 sharpness,
-                real("lump", (), "weight of the hard rows: of the lumped row at the plan"),
                 *((real("lump_change", (), "its change along a direction"),) if self.second_order else ()),
             ),
         }
@@ -356,7 +366,7 @@ class AdjointShooting(Defaults):
             real("gap", (terminal,), "their distances from the bounds that they are held at"),
             real("omega", (terminal,), "their weights in the model and then in the merit function"),
             real("model", (), "change of the model by the step"),
-            Field("solving", (), "1 during solve()", "scratch", "int32", only="SOLVE"),
+            Field("solving", (), "1 during solve()", "scratch", "int32", only=lambda f: f.solve and not f.quasi_newton),
             Field("left", (), "products that are left", "scratch", "int32"),
         )
         memory = (
@@ -372,7 +382,7 @@ class AdjointShooting(Defaults):
             "shooting",
             "single shooting",
             (
-                *(real(name, (), doc, only="SOLVE") for name, doc in self._growing(dims)),
+                *self._growing(dims),
                 *(terms.get(self.rows, ()) if dims.ng.value else ()),
                 Field("length", (), "part of the step that is tried first", "keep"),
                 real("r", controls, "gradient in scaled controls"),
@@ -380,7 +390,8 @@ class AdjointShooting(Defaults):
                 real("p", controls, "direction; controls before the step"),
                 real("w", controls, "product with the Hessian; gradient before the step"),
                 Field("held", controls, "-1, 1: held at the lower, upper bound", "scratch", "int32"),
-                *(newton if self.second_order else memory),
+                *(replace(member, only=member.only or (lambda f: not f.quasi_newton)) for member in newton),
+                *(replace(member, only=lambda f: f.quasi_newton) for member in memory),
             ),
         )
 
@@ -402,7 +413,7 @@ def _stats(second_order: bool) -> Struct:
             count("accepted", "those that were accepted"),
             count("simulations", "simulations of the plan"),
             *(products if second_order else ()),
-            Field("sqp_iterations", (), "iterations of the last solve", "result", "int32", only="SOLVE"),
+            Field("sqp_iterations", (), "iterations of the last solve", "result", "int32", only=lambda f: f.solve),
             Field("violation", (), "largest violation of a hard row, scaled", "result"),
         ),
     )

@@ -12,12 +12,12 @@ Hours, Shukla and Jones, "A parametric augmented Lagrangian algorithm for real-t
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
 
+from nmpc_codegen.components.algorithms.features import FIRST_SAMPLE, SHIFT
 from nmpc_codegen.components.algorithms.real_time_iteration import (
     PATIENCE,
     PHASES,
@@ -41,14 +41,15 @@ from nmpc_codegen.components.algorithms.shifts import (
     initial_tables,
     resample_reach,
     resample_tables,
-    shift_switches,
+    with_shift,
 )
 from nmpc_codegen.components.allowed import Number, Whole, Words, check_options, option
-from nmpc_codegen.components.base import Core, Defaults, Dims, Parts, Seam
+from nmpc_codegen.components.base import Core, Defaults, Dims, Feature, Parts, Seam
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.frontend.problem import Array, Problem
 from nmpc_codegen.ir.cmodule import Table
 from nmpc_codegen.ir.tuning import PANEL
+from nmpc_codegen.package.features import Features
 from nmpc_codegen.package.memory import Field, Size, Struct
 from nmpc_codegen.package.signals import EntryPoint
 
@@ -122,14 +123,14 @@ class AugmentedLagrangian(Defaults):
 
     def check_parts(self, parts: Parts) -> None:
         """Raise OptionError for a Hessian that is made convex or was computed off line."""
-        switches = parts.hessian.switches if parts.hessian is not None else {}
-        if switches.get("REGULARIZE_REDUCED") or switches.get("REGULARIZE_STAGES"):
+        found = Features() if parts.hessian is None else parts.hessian.adds(Features())
+        if found.regularize_reduced or found.regularize_stages:
             raise OptionError(
                 "AugmentedLagrangian() (--set algorithm=augmented_lagrangian) follows negative curvature and clashes "
                 "with a regularisation of the Hessian; expected ExactHessian(regularization=None) "
                 "(--set hessian.regularization=none) or GaussNewton() (--set hessian=gauss_newton)"
             )
-        if switches.get("TUNED"):
+        if found.tuned:
             raise OptionError(
                 "AugmentedLagrangian() (--set algorithm=augmented_lagrangian) clashes with a Hessian that was computed "
                 "off line for QPs; expected ExactHessian(regularization=None) (--set hessian.regularization=none) or "
@@ -140,18 +141,15 @@ class AugmentedLagrangian(Defaults):
         """The two phases of a sample, both in one call, the shift of the plan, and the iteration to convergence."""
         return (PREPARE, *PHASES[1:], *((SOLVE,) if solve else ()))
 
-    @property
-    def switches(self) -> Mapping[str, int]:
-        return {
-            **shift_switches(self.shift),
-            "RELAX": 0,
-            "FIRST": 0,
-            "LEVELS": 0,
-            "ADVANCED": 0,
-            "HAS_INITIAL_HESSIAN": 0,
-            "START_IS_MEASURED": 1,
-            "REPAIR": self.repair,
-        }
+    def adds(self, features: Features) -> Features:
+        return replace(
+            with_shift(features.without("initial_hessian"), self.shift), start_is_measured=True, repair=self.repair
+        )
+
+    def extras(self, features: Features) -> tuple[Feature, ...]:
+        """A shift before every preparation; the first sample begins at the measured state where plans are repaired."""
+        wanted = ((SHIFT, self.shift is not None), (FIRST_SAMPLE, self.repair > 0))
+        return tuple(feature for feature, present in wanted if present)
 
     def check(self, problem: Problem) -> None:
         """Raise OptionError for shifts that clash with the grid, and for coupled rows with a free x_0."""
@@ -189,7 +187,6 @@ class AugmentedLagrangian(Defaults):
             Table("row_size", "real", tuple(row_sizes(problem, declared)), "what a violation of row m is measured in"),
             Table("row_bends", "int", bends, "1: soft row or linear one, whose term changes along a step"),
             Table("row_relaxed", "int", relaxed, "1: hard row that is relaxed, 2: soft row, 0: bound that is kept"),
-            Table("row_bounds_state", "int", tuple(int(kind == 0) for _, kind, _, _ in rows), "1: row of a state"),
             *resample_tables(self.shift, self.sampling_time, problem),
         )
 
@@ -243,7 +240,7 @@ class AugmentedLagrangian(Defaults):
         keep = (
             Field("xhat", (dims.nx,), "state measured at the last feedback", "keep"),
             Field("prepared", (), "1 between prepare and feedback", "keep", "int32"),
-            *((SAMPLES,) if self.shift or self.repair else ()),
+            replace(SAMPLES, only=lambda f: self.shift or f.repair),
             UNCONVERGED,
             Field(
                 "failing", (), "failures in a row, at most 3; < 0: successes lacking since a restart", "keep", "int32"
@@ -251,7 +248,7 @@ class AugmentedLagrangian(Defaults):
         )
         results = (
             Field("stats", (), "counters", "result", "stats"),
-            Field("kkt", (), "KKT residuals of the last solve", "result", "kkt", only="SOLVE"),
+            Field("kkt", (), "KKT residuals of the last solve", "result", "kkt", only=lambda f: f.solve),
         )
         return (_stats(self.repair), _auglag(dims), Struct("solver", "", (*keep, *results)))
 

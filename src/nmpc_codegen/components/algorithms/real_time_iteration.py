@@ -13,6 +13,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
+import nmpc_codegen.components.algorithms.features as at_hooks
 from nmpc_codegen.components.algorithms.scales import tolerance_table
 from nmpc_codegen.components.algorithms.shifts import (
     SHIFTS,
@@ -22,14 +23,15 @@ from nmpc_codegen.components.algorithms.shifts import (
     initial_tables,
     resample_reach,
     resample_tables,
-    shift_switches,
+    with_shift,
 )
 from nmpc_codegen.components.allowed import Flag, Number, Whole, Words, check_options, option
-from nmpc_codegen.components.base import Core, Counts, Defaults, Dims, Parts, Seam, called
+from nmpc_codegen.components.base import Core, Counts, Defaults, Dims, Feature, Parts, Seam, called
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.cmodule import Table
 from nmpc_codegen.ir.model import ModelFunctions, operations
+from nmpc_codegen.package.features import Features
 from nmpc_codegen.package.memory import Field, Size, Struct
 from nmpc_codegen.package.opcount import OpCount
 from nmpc_codegen.package.signals import Argument, EntryPoint
@@ -228,18 +230,33 @@ class RealTimeIteration(Defaults):
         """Level C needs the adjoint of an interval."""
         return self.leveled
 
-    @property
-    def switches(self) -> Mapping[str, int]:
+    def adds(self, features: Features) -> Features:
         """How shift() moves the plan (all 0: by one interval); whether hard rows are relaxed."""
-        return {
-            **shift_switches(self.shift),
-            "RELAX": int(self.relaxation is not None),
-            "FIRST": int(self.first_control),
-            "LEVELS": int(self.leveled),
-            "ADVANCED": int(self.advance is not None),
-            "REPAIR": self.repair,
-            "SIMULATE": int(self.simulate),
-        }
+        return replace(
+            with_shift(features, self.shift),
+            relax=self.relaxation is not None,
+            first=self.first_control,
+            levels=self.leveled,
+            repair=self.repair,
+        )
+
+    def extras(self, features: Features) -> tuple[Feature, ...]:
+        """What the options, and the Hessian and the rows, make of a sample."""
+        evaluation = at_hooks.LEVELS if self.leveled else at_hooks.SIMULATE if self.simulate else at_hooks.PLAIN
+        failure = at_hooks.RELAXATION if self.relaxation is not None else at_hooks.VIOLATION
+        wanted = (
+            (at_hooks.SHIFT, self.shift is not None),
+            (at_hooks.SETTLE, features.lagrangian),
+            (at_hooks.REPAIR, self.repair > 0),
+            (evaluation, True),
+            (at_hooks.ADVANCE, self.advance is not None),
+            (at_hooks.REFERENCES, features.set_reference),
+            (failure, features.hard_rows),
+            (at_hooks.BENT_ROWS, features.nonlinear_rows),
+            (at_hooks.FIRST_SAMPLE, self.repair > 0),
+            (at_hooks.FIRST_CONTROL, self.first_control),
+        )
+        return tuple(feature for feature, present in wanted if present)
 
     def check(self, problem: Problem) -> None:
         """Raise OptionError for a shift that clashes with the grid, and for a first control with a free x_0."""
@@ -307,29 +324,26 @@ class RealTimeIteration(Defaults):
         keep = (
             Field("xhat", (dims.nx,), "state measured at the last feedback", "keep"),
             Field("prepared", (), "1 between prepare and feedback", "keep", "int32"),
-            *((SAMPLES,) if self.shift or self.repair else ()),
+            replace(SAMPLES, only=lambda f: self.shift or f.repair),
             *(_FOLLOWED if self.repair else ()),
-            Field("row_residual", (), "of the hard rows, left by the last step", "keep", only="NONLINEAR_ROWS"),
-            Field("row_scale", (dims.nr,), "largest terms of the rows", "keep", only="ROW_SCALES"),
+            Field(
+                "row_residual", (), "of the hard rows, left by the last step", "keep", only=lambda f: f.nonlinear_rows
+            ),
+            Field("row_scale", (dims.nr,), "largest terms of the rows", "keep", only=lambda f: f.row_scales),
             Field(
                 "failing", (), "failures in a row, at most 3; < 0: successes lacking since a restart", "keep", "int32"
             ),
-            *_watched(dims),
-            Field("first", (), "first control", "keep", "first", only="FIRST"),
-            Field("levels", (), "levels of an iteration", "keep", "levels", only="LEVELS"),
         )
         results = (
             Field("step", (), "solution of the QP", "data", "step"),
             Field("stats", (), "counters", "result", "stats"),
-            Field("kkt", (), "KKT residuals of the last solve", "result", "kkt", only="SOLVE"),
+            Field("kkt", (), "KKT residuals of the last solve", "result", "kkt", only=lambda f: f.solve),
             Field(
                 *("relaxation", (), "l1 penalty of hard rows while a QP is relaxed, else infinite", "scratch"),
-                only="RELAXATION",
+                only=lambda f: f.relaxation,
             ),
         )
         return (
-            *((_first(dims),) if self.first_control else ()),
-            *((_levels(dims),) if self.leveled else ()),
             _stats(self.repair),
             _step(dims),
             _measures(),
@@ -360,47 +374,6 @@ def _repairs(most: int) -> tuple[tuple[str, int, str], ...]:
     )
 
 
-def _watched(dims: Dims) -> tuple[Field, ...]:
-    """What tells whether multipliers on which the Hessian depends converge."""
-    nodes = Size("N + 1", dims.N.value + 1)
-    return (
-        Field(
-            "unsettled", (), "samples on end in which lam changed by half its size", "keep", "int32", only="LAGRANGIAN"
-        ),
-        Field("lam_before", (nodes, dims.nx), "lam after the sample before", "keep", only="LAGRANGIAN"),
-    )
-
-
-def _first(dims: Dims) -> Struct:
-    """The law of the first control."""
-    return Struct(
-        "first",
-        "law of the first control on the predicted working set",
-        (
-            Field("gain", (dims.nu, dims.nx), "du_0 / dx_0", "scratch"),
-            Field("feed", (dims.nu,), "du_0 at dx_0 = 0", "scratch"),
-            Field("control", (dims.nu,), "control that feedback_first() has returned", "scratch"),
-            Field("valid", (), "1: the law belongs to the last preparation", "scratch", "int32"),
-            Field("call", (), "what the last feedback_first() has done", "scratch", "int32"),
-        ),
-    )
-
-
-def _levels(dims: Dims) -> Struct:
-    """What the levels of an iteration keep besides the linearisation."""
-    nodes = Size("N + 1", dims.N.value + 1)
-    return Struct(
-        "levels",
-        "levels of an iteration",
-        (
-            Field("x", (nodes, dims.nx), "states of the plan at the last evaluation", "scratch"),
-            Field("u", (dims.N, dims.nu), "its controls", "scratch"),
-            Field("valid", (), "1: there are derivatives and factors to keep", "keep", "int32"),
-            Field("last", (), "level of the last evaluation", "keep", "int32"),
-        ),
-    )
-
-
 def _stats(repair: int) -> Struct:
     """Counters of the last sample, and the row that it could not satisfy."""
 
@@ -418,14 +391,20 @@ def _stats(repair: int) -> Struct:
             count("sqp_iterations", "iterations of the last solve"),
             Field(
                 *("stale_hessian", (), "1: the Hessian belongs to other data than the present ones", "result", "int32"),
-                only="TUNED",
+                only=lambda f: f.tuned,
             ),
             count("violated_row", "hard row that is infeasible (INFEASIBLE) or relaxed (RELAXED), or -1"),
             count("violated_node", "its node, or -1"),
             Field("violation", (), "violation of this row by the last step of the QP", "result"),
             Field("residual", (), "of the plan that was linearised: scaled gaps and hard rows", "result"),
             *((count("repairs", "linearisations that have repaired it"),) if repair else ()),
-            Field("first_deviation", (), "control of the QP less that of feedback_first()", "result", only="FIRST"),
+            Field(
+                "first_deviation",
+                (),
+                "control of the QP less that of feedback_first()",
+                "result",
+                only=lambda f: f.first,
+            ),
         ),
     )
 
@@ -454,7 +433,7 @@ def _measures() -> Struct:
             Field("violation", (), "of gaps, initial condition and rows, in their scales", "scratch"),
             Field("cost", (), "with the penalties of the soft rows", "scratch"),
         ),
-        only="SOLVE",
+        only=lambda f: f.solve,
     )
 
 
@@ -483,7 +462,7 @@ def _curved(dims: Dims) -> Struct:
             Field("damping", (), "shift of every Hessian while steps are short", "scratch"),
             Field("in_solve", (), "1: it is the Hessian of the QP", "scratch", "int32"),
         ),
-        only="CURVED",
+        only=lambda f: f.curved,
     )
 
 
@@ -497,9 +476,9 @@ def _line_search(dims: Dims) -> Struct:
             Field("x", (nodes, dims.nx), "states before the step", "scratch"),
             Field("u", (dims.N, dims.nu), "controls before the step", "scratch"),
             Field("step", (), "step that is tried, at its full length", "scratch", "step"),
-            Field("lam", (nodes, dims.nx), "multipliers of its QP", "scratch", only="KEEPS_MULTIPLIERS"),
+            Field("lam", (nodes, dims.nx), "multipliers of its QP", "scratch", only=lambda f: f.keeps_multipliers),
             Field("state_scale", (dims.nx,), "scales of the states", "scratch"),
-            Field("row_weight", (), "penalty of the rows in the elastic QP", "scratch", only="HARD_ROWS"),
+            Field("row_weight", (), "penalty of the rows in the elastic QP", "scratch", only=lambda f: f.hard_rows),
             Field("filter", (Size("FILTER", FILTER),), "pairs that the filter rejects", "scratch", "measures"),
             Field("entries", (), "entries of the filter", "scratch", "int32"),
             Field("restoring", (), "1: steps only have to reduce the violation", "scratch", "int32"),
@@ -511,13 +490,20 @@ def _line_search(dims: Dims) -> Struct:
             Field("cost_scale", (), "largest slope of the cost", "scratch"),
             Field("most_violation", (), "violation that is never accepted", "scratch"),
             Field("attempts", (), "new starts", "scratch", "int32"),
-            Field("infeasible", (), "1: one of them ended where rows contradict", "scratch", "int32", only="HARD_ROWS"),
+            Field(
+                "infeasible",
+                (),
+                "1: one of them ended where rows contradict",
+                "scratch",
+                "int32",
+                only=lambda f: f.hard_rows,
+            ),
             Field("resumes", (), "set to 1 before solve() goes on from where it reached its limit", "scratch", "int32"),
             Field(
                 *("slow", (), "1: an elastic QP that promises hardly any progress", "scratch", "int32"),
-                only="HARD_ROWS",
+                only=lambda f: f.hard_rows,
             ),
             Field("elastic", (), "1: the last QP was infeasible and relaxed", "scratch", "int32"),
         ),
-        only="SOLVE",
+        only=lambda f: f.solve,
     )

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.cmodule import Table
+from nmpc_codegen.package.features import Features
 from nmpc_codegen.runtime.given import is_same_time
 
 SHIFTS = (None, "repeat", "periodic", "resample")
@@ -93,13 +95,9 @@ def check_shift(algorithm: str, shift: str | None, sampling_time: float | None, 
         )
 
 
-def shift_switches(shift: str | None) -> dict[str, int]:
-    """Conditions of the parts of shift(); all 0: the plan moves by one interval."""
-    return {
-        "SHIFT_RESAMPLE": int(shift == "resample"),
-        "INTEGRATE_PLAN": int(shift == "resample"),
-        "SHIFT_PERIODIC": int(shift == "periodic"),
-    }
+def with_shift(features: Features, shift: str | None) -> Features:
+    """How shift() moves the plan; neither: by one interval."""
+    return replace(features, shift_resample=shift == "resample", shift_periodic=shift == "periodic")
 
 
 def initial_tables(problem: Problem) -> tuple[Table, ...]:

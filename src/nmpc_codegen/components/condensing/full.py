@@ -106,8 +106,21 @@ class FullCondensing(Defaults):
                     Field("Ax", (dims.ng, dims.nx), "coupling of the rows to dx_0", "data"),
                     Field("v", (dims.ng,), "values of the rows at du = 0, dx_0 = 0", "data"),
                     Field("terms", (dims.ng,), "magnitude of the terms of v", "data"),
-                    Field("held", (dims.ng,), "weights of a a' in the Hessian", "data", only="REGULARIZE_REDUCED"),
-                    Field("regularized", (), "1: the Hessian was changed", "data", "int32", only="REGULARIZE_REDUCED"),
+                    Field(
+                        "held",
+                        (dims.ng,),
+                        "weights of a a' in the Hessian",
+                        "data",
+                        only=lambda f: f.regularize_reduced,
+                    ),
+                    Field(
+                        "regularized",
+                        (),
+                        "1: the Hessian was changed",
+                        "data",
+                        "int32",
+                        only=lambda f: f.regularize_reduced,
+                    ),
                 ),
             ),
         )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -36,11 +35,6 @@ class NoCondensing(Defaults):
     def qp_shape(self, problem: Problem) -> QpShape:
         """N stages, each with the controls of one interval."""
         return QpShape(problem.N, problem.nu, problem.N * problem.nu)
-
-    @property
-    def switches(self) -> Mapping[str, int]:
-        """Whether a state bound may be a general row of a stage."""
-        return {"BLOCK_ROWS": 0}
 
     def adapted(self, problem: Problem) -> NoCondensing | PartialCondensing:
         """Itself, or PartialCondensing(1) if the stages need copies of components of x_0, which it can hold."""

@@ -5,8 +5,7 @@ dx_{kB+j} = G_j (dx_kB, du_kB, ..., du_{kB+B-1}) + c_j,   j = 0 .. B
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 from nmpc_codegen.components.allowed import Whole, check_options, option
@@ -15,6 +14,7 @@ from nmpc_codegen.components.condensing.stages import copied_states, embed_cost,
 from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.cmodule import Table
 from nmpc_codegen.ir.model import ModelFunctions
+from nmpc_codegen.package.features import Features
 from nmpc_codegen.package.memory import Field, Struct
 from nmpc_codegen.package.opcount import OpCount
 
@@ -55,10 +55,9 @@ class PartialCondensing(Defaults):
         stages = -(-problem.N // block)
         return QpShape(stages, block * problem.nu, stages * block * problem.nu, copies=len(copied_states(problem)))
 
-    @property
-    def switches(self) -> Mapping[str, int]:
+    def adds(self, features: Features) -> Features:
         """Whether a state bound may be a general row of a stage."""
-        return {"BLOCK_ROWS": 1}
+        return replace(features, block_rows=True)
 
     def adapted(self, problem: Problem) -> PartialCondensing:
         """Itself: it handles every problem with features that it supports."""

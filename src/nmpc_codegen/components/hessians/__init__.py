@@ -2,7 +2,7 @@
 
 blocks() returns the routines of all stages. The C functions of a Hessian are ``expand_node(solver, k, x_next)``, which
 linearises a node, and ``hessian(solver)``; after both have run, the blocks Q[k] and Q_N are filled (lower triangles,
-z = (x, u)). Its ``switches`` include REGULARIZE_REDUCED, 1 if an indefinite reduced Hessian is changed.
+z = (x, u)). Its feature ``regularize_reduced`` is True if an indefinite reduced Hessian is changed.
 """
 
 from collections.abc import Mapping

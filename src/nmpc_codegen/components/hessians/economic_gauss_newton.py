@@ -10,8 +10,7 @@ iteration therefore converges like Gauss-Newton on a tracking problem, without s
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import casadi as ca
@@ -29,6 +28,7 @@ from nmpc_codegen.ir.cmodule import Table
 from nmpc_codegen.ir.kernel import Kernel, Port, lift
 from nmpc_codegen.ir.model import Block, HessianModel, ModelFunctions, operations
 from nmpc_codegen.ir.stage_products import pattern
+from nmpc_codegen.package.features import Features
 from nmpc_codegen.package.memory import Field, Struct
 
 
@@ -124,10 +124,9 @@ class EconomicGaussNewton(Defaults):
         """Rows whose declared bounds determine M."""
         return [i for i, row in enumerate(limits(problem, self.steady_state).T) if row[0] == row[1] or row[2] == row[3]]
 
-    @property
-    def switches(self) -> Mapping[str, int]:
+    def adds(self, features: Features) -> Features:
         """M is never indefinite, so nothing is regularised; it belongs to data that can be changed."""
-        return {"REGULARIZE_REDUCED": 0, "REGULARIZE_STAGES": 0, "TUNED": 1, "NODE_KERNELS": 1}
+        return replace(features, tuned=True, node_kernels=True)
 
     def tables(self, problem: Problem) -> tuple[Table, ...]:
         """Between which values the bounds of every row leave M valid."""
@@ -152,7 +151,14 @@ class EconomicGaussNewton(Defaults):
         fields = (
             Field("Q", (dims.nq, dims.nz, dims.nz), "path block, the same for all nodes but the first", "data"),
             Field("Q_N", (dims.nx, dims.nx), "terminal block", "data"),
-            Field("new_data", (), "1: data have been set since the last comparison", "keep", "int32", only="TUNED"),
+            Field(
+                "new_data",
+                (),
+                "1: data have been set since the last comparison",
+                "keep",
+                "int32",
+                only=lambda f: f.tuned,
+            ),
         )
         return (Struct("hessian", "Hessian blocks, lower triangles, z = (x, u)", fields),)
 

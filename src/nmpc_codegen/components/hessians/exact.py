@@ -9,8 +9,7 @@ al., CDC 2014, section IV). Before the first QP an adjoint pass computes lam.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import casadi as ca
@@ -26,6 +25,7 @@ from nmpc_codegen.ir.kernel import Kernel, Port, lift
 from nmpc_codegen.ir.model import Block, HessianModel, ModelFunctions, operations
 from nmpc_codegen.ir.stage_products import Pattern, irreducible_blocks, pattern
 from nmpc_codegen.ir.sweep import Call, Routine, Slice
+from nmpc_codegen.package.features import Features
 from nmpc_codegen.package.memory import Field, Size, Struct
 
 #: Switch of the parts, and the level of a regularisation that sets it.
@@ -162,13 +162,16 @@ class ExactHessian(Defaults):
         """Nonzeros of a block after its regularisation."""
         return filled(lower, n) if self.level == "stage" else lower
 
-    @property
-    def switches(self) -> Mapping[str, int]:
+    def adds(self, features: Features) -> Features:
         """The Hessian depends on multipliers; which indefinite one is changed: the block of every stage, or the reduced
         one."""
-        return {"LAGRANGIAN": 1, "NODE_KERNELS": 1} | {
-            f"REGULARIZE_{where}": int(self.level == level) for where, level in LEVELS
-        }
+        return replace(
+            features,
+            lagrangian=True,
+            node_kernels=True,
+            regularize_stages=self.level == "stage",
+            regularize_reduced=self.level == "reduced",
+        )
 
     def tables(self, problem: Problem) -> tuple[Table, ...]:
         """Relative floor of the eigenvalues, Levenberg-Marquardt term of regularised blocks."""

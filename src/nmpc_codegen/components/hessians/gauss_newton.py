@@ -7,8 +7,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import casadi as ca
@@ -20,6 +19,7 @@ from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.kernel import Kernel, Port
 from nmpc_codegen.ir.model import Block, HessianModel, ModelFunctions, operations
 from nmpc_codegen.ir.stage_products import pattern
+from nmpc_codegen.package.features import Features
 from nmpc_codegen.package.memory import Field, Struct
 
 
@@ -62,15 +62,9 @@ class GaussNewton(Defaults):
         doc = "M = sum_i mu_i d2 h_i, lower triangle"
         return cost.kernel("curvature", doc, cost.curvature, Port("M", cost.nz, cost.nz), mu=True)
 
-    @property
-    def switches(self) -> Mapping[str, int]:
-        """Whether the curvature of rows is added; the Hessian is never indefinite, so nothing is regularised."""
-        return {
-            "CONVEX_ROWS": int(self.convex_rows),
-            "REGULARIZE_REDUCED": 0,
-            "REGULARIZE_STAGES": 0,
-            "NODE_KERNELS": 1,
-        }
+    def adds(self, features: Features) -> Features:
+        """The Hessian is never indefinite, so nothing is regularised."""
+        return replace(features, node_kernels=True)
 
     def structs(self, dims: Dims) -> tuple[Struct, ...]:
         """Hessian blocks, lower triangles in the order z = (x, u)."""

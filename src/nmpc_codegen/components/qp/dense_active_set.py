@@ -80,6 +80,7 @@ class DenseActiveSet(Defaults):
         """The QP: data, result, factors and working set."""
         nv, ng, ld, ldh = dims.qp.nv, dims.ng, dims.qp.ld, dims.qp.ldh
         rows = Size(f"{nv.text} + {ng.text}", nv.value + ng.value)
+        contradiction = "if INFEASIBLE: weights of a contradiction"
         return (
             *_working_memory(dims),
             Struct(
@@ -103,8 +104,8 @@ class DenseActiveSet(Defaults):
                     Field("x", (ld,), "z that belongs to y", "scratch"),
                     Field("slack", (rows,), "violation of a row that is accepted as rounding", "scratch"),
                     Field("scale", (), "|y0|, and the terms that saturated rows add to it", "scratch"),
-                    Field("penalty", (rows,), "l1 penalty of violating a row; infinite: hard", "keep", only="ELASTIC"),
-                    Field("certificate", (rows,), "if INFEASIBLE: weights of a contradiction", "result", only="SOLVE"),
+                    Field("penalty", (rows,), "of a row; infinite: hard", "keep", only=lambda f: f.elastic),
+                    Field("certificate", (rows,), contradiction, "result", only=lambda f: f.solve),
                     Field("proximal", (ld,), "diagonal E added to a semidefinite Hessian", "scratch"),
                     Field("center", (ld,), "centre of the proximal term", "scratch"),
                     Field("direction", (ld,), "direction of the last proximal step", "scratch"),
@@ -120,7 +121,7 @@ class DenseActiveSet(Defaults):
                     Field("strict", (), "1: rounding errors are judged by the terms of a row", "scratch", "int32"),
                     Field("semidefinite", (), "1: a pivot of H may be zero, E is not zero", "scratch", "int32"),
                     Field("face", (), "value of changes when the direction was set", "scratch", "int32"),
-                    Field("elastic", (), "1: a row has a finite penalty", "scratch", "int32", only="ELASTIC"),
+                    Field("elastic", (), "1: a row has a finite penalty", "scratch", "int32", only=lambda f: f.elastic),
                     Field("iterations", (), "active-set iterations of the last qp_solve", "result", "int32"),
                     Field("searches", (), "searches for violated rows in that call", "scratch", "int32"),
                     Field("proximal_steps", (), "steps for a semidefinite Hessian in that call", "scratch", "int32"),

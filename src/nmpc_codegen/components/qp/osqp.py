@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
@@ -19,6 +19,7 @@ import numpy as np
 from nmpc_codegen.components.allowed import Number, Whole, check_options, option
 from nmpc_codegen.components.base import Defaults, Seam
 from nmpc_codegen.errors import OptionError
+from nmpc_codegen.package.features import Features
 from nmpc_codegen.package.memory import Field, Size, Struct
 
 if TYPE_CHECKING:
@@ -47,10 +48,9 @@ class Osqp(Defaults):
     def __post_init__(self) -> None:
         check_options(self, self.seam)
 
-    @property
-    def switches(self) -> Mapping[str, int]:
+    def adds(self, features: Features) -> Features:
         """Its results satisfy their conditions up to ``eps``."""
-        return {"APPROXIMATE": 1}
+        return replace(features, approximate=True)
 
     def sizes(self, dims: Dims) -> tuple[tuple[str, int, str], ...]:
         """Numbers of entries of the two matrices, which OSQP stores as compressed columns."""
@@ -83,7 +83,7 @@ class Osqp(Defaults):
                     Field("g", (nv,), "gradient", "scratch"),
                     Field("lower", (rows,), "lower bounds of variables, then of general rows", "scratch"),
                     Field("upper", (rows,), "upper bounds", "scratch"),
-                    Field("penalty", (rows,), "infinite: every row is hard", "keep", only="ELASTIC"),
+                    Field("penalty", (rows,), "infinite: every row is hard", "keep", only=lambda f: f.elastic),
                     Field(
                         "terms", (ng,), "not used: magnitude of the terms that the bounds of a row sum up", "scratch"
                     ),

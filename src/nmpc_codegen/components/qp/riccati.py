@@ -73,13 +73,15 @@ def riccati_structs(
                         "weights of a a' that belong to the Hessian: rows that make it convex",
                         "data",
                     ),
-                    only="REGULARIZE_REDUCED",
+                    only=lambda f: f.regularize_reduced,
                 ),
                 Field(
                     *("unit", (dims.qp.nzs,), "curvature that is typical of each variable", "scratch"),
-                    only="REGULARIZE_REDUCED",
+                    only=lambda f: f.regularize_reduced,
                 ),
-                Field("shift", (), "last shift that made the Hessian convex", "keep", only="REGULARIZE_REDUCED"),
+                Field(
+                    "shift", (), "last shift that made the Hessian convex", "keep", only=lambda f: f.regularize_reduced
+                ),
                 Field("fixed", (dims.qp.nv,), "1: the control is fixed", "scratch", "int32"),
                 Field("raised", (nodes,), "1: a pivot of the stage was raised; last: of x_0", "scratch", "int32"),
                 Field("regularize", (), "1: add to pivots that may be zero; 0: fail", "scratch", "int32"),
@@ -172,7 +174,7 @@ def stage_qp_fields(dims: Dims) -> tuple[Field, ...]:
     rows = Size(f"{nv.text} + {ng.text}", nv.value + ng.value)
     nodes = Size(f"{dims.qp.ns.text} + 1", dims.qp.ns.value + 1)
     doc = "if INFEASIBLE: weights of a contradiction"
-    certificate = (Field("certificate", (rows,), doc, "result", only="INTERIOR_POINT"),)
+    certificate = (Field("certificate", (rows,), doc, "result", only=lambda f: f.interior_point),)
     return (
         Field("lower", (rows,), "lower bounds of controls, then of rows", "scratch"),
         Field("upper", (rows,), "upper bounds", "scratch"),
@@ -182,7 +184,9 @@ def stage_qp_fields(dims: Dims) -> tuple[Field, ...]:
         Field("z", (nv,), "minimiser: controls", "result"),
         Field("mult", (rows,), "multipliers, > 0 at the upper bound, < 0 at the lower", "result"),
         *(certificate if ng.value else ()),
-        Field("least", (), "least magnitude of a row in units of its reach", "scratch", only="INTERIOR_POINT"),
+        Field(
+            "least", (), "least magnitude of a row in units of its reach", "scratch", only=lambda f: f.interior_point
+        ),
         Field("side", (rows,), "+-1: at the upper, lower bound; +-2: soft, violated; else 0", "keep", "int32"),
         Field("iterations", (), "iterations, or changes of the working set, of the last qp_solve", "result", "int32"),
         Field("changes", (), "rows that became active or inactive in that call", "result", "int32"),

@@ -24,6 +24,7 @@ from nmpc_codegen.components.qp.riccati import (
     units_structs,
 )
 from nmpc_codegen.components.qp.riccati_interior_point import RiccatiInteriorPoint, interior_point_struct
+from nmpc_codegen.package.features import Features
 from nmpc_codegen.package.memory import Field, Size, Struct
 
 if TYPE_CHECKING:
@@ -104,10 +105,9 @@ class RiccatiActiveSet(Defaults):
     def __post_init__(self) -> None:
         check_options(self, self.seam)
 
-    @property
-    def switches(self) -> Mapping[str, int]:
+    def adds(self, features: Features) -> Features:
         """Whether the fall-back is in the package."""
-        return {"INTERIOR_POINT": int(self.fallback is not None)}
+        return replace(features, interior_point=self.fallback is not None)
 
     @property
     def _cap(self) -> int:

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, ClassVar
 from nmpc_codegen.components.allowed import Flag, Whole, check_options, option
 from nmpc_codegen.components.base import Defaults, Seam
 from nmpc_codegen.components.qp.riccati import riccati_sizes, riccati_structs, stage_qp_fields, units_structs
+from nmpc_codegen.package.features import Features
 from nmpc_codegen.package.memory import Field, Size, Struct
 
 if TYPE_CHECKING:
@@ -135,10 +136,9 @@ class RiccatiInteriorPoint(Defaults):
     def __post_init__(self) -> None:
         check_options(self, self.seam)
 
-    @property
-    def switches(self) -> Mapping[str, int]:
+    def adds(self, features: Features) -> Features:
         """INTERIOR_POINT: the method is in the package."""
-        return {"INTERIOR_POINT": 1}
+        return replace(features, interior_point=True)
 
     def capped(self, most: int, dims: Dims) -> RiccatiInteriorPoint:
         """At most so many factorisations."""

@@ -1,4 +1,4 @@
-/* Contract of this part: prepare_simulated(), the preparation of single shooting. */
+/* Single shooting: the plan is simulated before it is linearised. */
 
 /* x_{k+1} = Phi(x_k, u_k) from x_0 of the plan, so that the linearisation has no gaps. A plan whose simulation is not
  * finite keeps its states. Returns the largest change of a state in its scale, which is what the gaps add up to. */
@@ -26,7 +26,7 @@ static real_t simulate_plan(solver_t *s)
     return most;
 }
 
-static status_t prepare_simulated(solver_t *s)
+static status_t simulate_prepare_plan(solver_t *s)
 {
     const real_t moved = simulate_plan(s);
     const status_t status = prepare_here(s);

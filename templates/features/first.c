@@ -1,24 +1,26 @@
+/* Feedback in two parts: the control by a law, then the QP. */
+
 /* States of first.call: no measured state; feedback_first() has used the control law; it has run the whole feedback. */
 enum { FIRST_NONE, FIRST_BY_LAW, FIRST_WHOLE };
 
 /* Preparation: the law u_0 = u_0 of the plan + feed + gain (xhat - x_0) of the minimiser on the predicted working set. */
-static void first_prepare(solver_t *s)
+static status_t first_after_prepare(solver_t *s, status_t status)
 {
     s->first.call = FIRST_NONE;
     s->first.valid = condense_law(s) && all_finite(s->first.gain[0], NU * NX) && all_finite(s->first.feed, NU);
-#if LEVELS
-    s->first.valid &= (s->levels.last == LEVEL_A); /* later levels leave the vectors of the law to the QP solver */
-#endif
+    if (LEVELS && s->levels.last != LEVEL_A) { /* later levels leave the vectors of the law to the QP solver */
+        s->first.valid = 0;
+    }
+    return status;
 }
 
 /* Returns 1 if the law belongs to the present data. References that have changed since prepare change it. */
 static inline int first_is_current(const solver_t *s)
 {
-#if SET_REFERENCE
-    return s->prepared && s->status == (int32_t)OK && s->first.valid && s->renewal != REFERENCE_CHANGED;
-#else
+    if (SET_REFERENCE && s->renewal == REFERENCE_CHANGED) {
+        return 0;
+    }
     return s->prepared && s->status == (int32_t)OK && s->first.valid;
-#endif
 }
 
 /* First part of the feedback phase: u0 by the law, clipped. Where there is no law, the whole feedback phase. */
@@ -31,7 +33,7 @@ status_t API(feedback_first)(solver_t *s, const real_t xhat[NX], real_t u0[NU])
             for (int i = 0; i < NX; i++) {
                 u += s->first.gain[j][i] * (s->xhat[i] - s->x[0][i]);
             }
-            u0[j] = s->first.control[j] = clip(u, CONTROL_LOWER(s, 0, j), CONTROL_UPPER(s, 0, j));
+            u0[j] = s->first.control[j] = clip(u, control_lower(s, 0, j), control_upper(s, 0, j));
         }
         if (all_finite(u0, NU)) {
             s->first.call = FIRST_BY_LAW;

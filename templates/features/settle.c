@@ -1,5 +1,16 @@
-/* Contract of this part: a Hessian that depends on multipliers which do not converge belongs to no problem, and every QP
- * may be solved all the same. settle() is called before a preparation, watch_multipliers() after a success. */
+/* A watch on multipliers: a Hessian that depends on multipliers which do not converge belongs to no problem, and every QP
+ * may be solved all the same. */
+
+static void settle_on_reset(solver_t *s)
+{
+    s->unsettled = 0;
+    memset(s->lam_before, 0, sizeof s->lam_before);
+}
+
+static void settle_before_solve(solver_t *s)
+{
+    s->unsettled = 0;
+}
 
 /* Returns 1 if the step of the QP moves no state or control by more than 1 / 4096 of its largest value: the plan stands at
  * a solution, and multipliers that change there are not unique (as many active rows as controls). */
@@ -41,7 +52,7 @@ static void watch_multipliers(solver_t *s)
 
 /* After PATIENCE / 2 such samples the multipliers are estimated anew at the plan; if that does not help, the plan is
  * given up after as many more. */
-static void settle(solver_t *s)
+static void settle_before_prepare(solver_t *s)
 {
     if (s->unsettled == PATIENCE / 2) {
         forget_multipliers(s);
@@ -49,4 +60,12 @@ static void settle(solver_t *s)
         start_anew(s);
         s->unsettled = 0;
     }
+}
+
+static void settle_on_success(solver_t *s, status_t status)
+{
+    if (status == RELAXED) { /* its multipliers are those of the penalty, not of a plan */
+        forget_multipliers(s);
+    }
+    watch_multipliers(s);
 }

@@ -1,5 +1,19 @@
-/* Contract of this part: before a sample, a plan that is far from the model, or whose last sample failed, is improved by
+/* Repair: before a sample, a plan that is far from the model, or whose last sample failed, is improved by
  * further steps at its own x_0. Each is shortened until it reduces the residual; without one that does, the plan stays. */
+
+static void repair_on_reset(solver_t *s)
+{
+    s->unconverged = 0;
+}
+
+/* A plan that repair has not led anywhere is given up. */
+static void repair_before_prepare(solver_t *s)
+{
+    if (s->unconverged >= PATIENCE) {
+        start_anew(s);
+        s->unconverged = 0;
+    }
+}
 
 /* The residual at the present point, without derivatives, after `length` of the step of the QP. */
 static real_t trial_residual(solver_t *s, const real_t *size)
@@ -12,10 +26,10 @@ static real_t trial_residual(solver_t *s, const real_t *size)
             enlarge(&most, (x_next[i] - s->x[k + 1][i]) / size[i]);
         }
     }
-#if NONLINEAR_ROWS
-    s->row_residual = row_residual(s, s->sqp.length);
-    enlarge(&most, s->row_residual);
-#endif
+    if (NONLINEAR_ROWS) {
+        s->row_residual = row_residual(s, s->sqp.length);
+        enlarge(&most, s->row_residual);
+    }
     return most;
 }
 
@@ -27,9 +41,7 @@ static status_t run_qp_at_plan(solver_t *s)
     memcpy(measured, s->xhat, sizeof measured);
     memcpy(s->xhat, s->x[0], sizeof s->xhat);
     status = run_sample_qp(s);
-#if HARD_ROWS
     s->sqp.elastic = status == RELAXED;
-#endif
     memcpy(s->xhat, measured, sizeof s->xhat);
     return status;
 }
@@ -50,9 +62,10 @@ static int improve_plan(solver_t *s, const real_t *size, int unknown)
     if ((status != OK && status != RELAXED) || !step_is_finite(s)) {
         return 0;
     }
-#if NONLINEAR_ROWS
-    const real_t kept = s->row_residual;
-#endif
+    real_t kept = R(0);
+    if (NONLINEAR_ROWS) {
+        kept = s->row_residual;
+    }
     memcpy(q->x, s->x, sizeof s->x);
     memcpy(q->u, s->u, sizeof s->u);
     put_step_aside(s);
@@ -66,13 +79,9 @@ static int improve_plan(solver_t *s, const real_t *size, int unknown)
         take_multipliers(s);
     } else {
         move_back(s);
-#if NONLINEAR_ROWS
         s->row_residual = kept;
-#endif
     }
-#if HARD_ROWS
     q->elastic = 0;
-#endif
     return improved;
 }
 
@@ -102,8 +111,11 @@ static int stays_far(solver_t *s)
 
 /* Repairs the plan that has just been linearised, with this status: while its residual is above the tolerance, after a
  * sample that failed or had to relax rows, and before the first sample, while steps are long. */
-static status_t repair(solver_t *s, status_t status)
+static status_t repair_after_prepare(solver_t *s, status_t status)
 {
+    if (LEVELS && s->levels.last != LEVEL_A) {
+        return status;
+    }
     const int first = s->samples == 0;
     int wanted = first || s->failing > FINE || s->stats.violated_row >= 0;
     s->stats.repairs = 0;
@@ -119,5 +131,13 @@ static status_t repair(solver_t *s, status_t status)
         status = prepare_here(s);
         measure_residual(s);
     }
+    return status;
+}
+
+/* A plan that stays far from the model has not converged, although its QP has a solution. */
+static status_t repair_after_feedback(solver_t *s, status_t status)
+{
+    status = (status == OK && stays_far(s)) ? NOT_CONVERGED : status;
+    s->unconverged = (status == NOT_CONVERGED) ? s->unconverged + 1 : 0;
     return status;
 }

@@ -13,7 +13,6 @@ static void plan_change(const solver_t *s, int k, real_t *dz)
     }
 }
 
-#if NH || NH_N || NE
 /* h += J dz, n entries of dz. */
 static void follow_rows(real_t *h, const real_t *J, const real_t *dz, int rows, int n)
 {
@@ -34,7 +33,6 @@ static void correct_rows(real_t *g, const real_t *J, const real_t *J_A, const re
     }
 }
 
-#endif
 /* g += Q dz, n entries; only the lower triangle of Q is stored, in rows of ld numbers. */
 static void follow_gradient(real_t *g, const real_t *Q, const real_t *dz, int n, int ld)
 {
@@ -59,9 +57,9 @@ static void follow_node(solver_t *s, int k)
         }
     }
     follow_gradient(node->g, HESSIAN(s, k)[0], dz, NZ, NZ);
-#if NH
-    follow_rows(node->h, node->J[0], dz, NH, NZ);
-#endif
+    if (NH > 0) {
+        follow_rows(node->h, node->J[0], dz, NH, NZ);
+    }
 }
 
 /* Level D: the changes of the plan since the last evaluation, in the model of the QP. */
@@ -73,14 +71,14 @@ static void follow_plan(solver_t *s)
     }
     plan_change(s, N, dz);
     follow_gradient(s->terminal.g, s->hessian.Q_N[0], dz, NX, NX);
-#if NH_N
-    follow_rows(s->terminal.h, s->terminal.J[0], dz, NH_N, NX);
-#endif
-#if NE
-    follow_rows(s->coupled.r, s->coupled.J_N[0], dz, NE, NX);
-    plan_change(s, 0, dz);
-    follow_rows(s->coupled.r, s->coupled.J_0[0], dz, NE, NX);
-#endif
+    if (NH_N > 0) {
+        follow_rows(s->terminal.h, s->terminal.J[0], dz, NH_N, NX);
+    }
+    if (NE > 0) {
+        follow_rows(s->coupled.r, s->coupled.J_N[0], dz, NE, NX);
+        plan_change(s, 0, dz);
+        follow_rows(s->coupled.r, s->coupled.J_0[0], dz, NE, NX);
+    }
 }
 
 /* g += ([A B]_k - S)' lam_{k+1}: what the derivatives of level A miss in the gradient of the Lagrangian. */
@@ -107,19 +105,17 @@ static void refresh_node(solver_t *s, int k, int level)
         node->b[i] = x_next[i] - s->x[k + 1][i];
     }
     memset(node->g, 0, sizeof node->g);
-#if HAS_PATH_GRADIENT
     PATH_GRADIENT(s, k, node->g);
-#endif
     if (level == LEVEL_C) {
         correct_gradient(s, k);
     }
-#if NH
-    real_t J[NH][NZ] = {{R(0)}};
-    PATH_ROWS(s, k, node->h, &J[0][0]);
-    if (level == LEVEL_C) {
-        correct_rows(node->g, J[0], node->J[0], s->mu[k], NH, NZ);
+    if (NH > 0) {
+        real_t J[NH][NZ] = {{R(0)}};
+        PATH_ROWS(s, k, node->h, &J[0][0]);
+        if (level == LEVEL_C) {
+            correct_rows(node->g, J[0], node->J[0], s->mu[k], NH, NZ);
+        }
     }
-#endif
 }
 
 /* Level B or C of the terminal node. */
@@ -127,21 +123,16 @@ static void refresh_terminal(solver_t *s, int level)
 {
     terminal_t *terminal = &s->terminal;
     memset(terminal->g, 0, sizeof terminal->g);
-#if HAS_TERMINAL_GRADIENT
     TERMINAL_GRADIENT(s, terminal->g);
-#endif
-#if NH_N
-    real_t J[NH_N][NX] = {{R(0)}};
-    TERMINAL_ROWS(s, terminal->h, &J[0][0]);
-    if (level == LEVEL_C) {
-        correct_rows(terminal->g, J[0], terminal->J[0], s->mu_N, NH_N, NX);
+    if (NH_N > 0) {
+        real_t J[NH_N][NX] = {{R(0)}};
+        TERMINAL_ROWS(s, terminal->h, &J[0][0]);
+        if (level == LEVEL_C) {
+            correct_rows(terminal->g, J[0], terminal->J[0], s->mu_N, NH_N, NX);
+        }
     }
-#else
-    (void)level;
-#endif
 }
 
-#if NE
 /* Level B or C of the coupled rows. */
 static void refresh_coupled(solver_t *s, int level)
 {
@@ -152,7 +143,6 @@ static void refresh_coupled(solver_t *s, int level)
         correct_rows(s->terminal.g, J_N[0], s->coupled.J_N[0], s->eta, NE, NX);
     }
 }
-#endif
 
 /* Level B or C of all nodes. */
 static void refresh(solver_t *s, int level)
@@ -161,12 +151,12 @@ static void refresh(solver_t *s, int level)
         refresh_node(s, k, level);
     }
     refresh_terminal(s, level);
-#if HAS_START_GRADIENT
-    add_start_gradient(s, s->node[0].g);
-#endif
-#if NE
-    refresh_coupled(s, level);
-#endif
+    if (HAS_START_GRADIENT) {
+        add_start_gradient(s, s->node[0].g);
+    }
+    if (NE > 0) {
+        refresh_coupled(s, level);
+    }
 }
 
 /* Level A. It stores only the entries of the gradients that the model has, level C every one. */
@@ -193,17 +183,13 @@ static status_t evaluate(solver_t *s, int level)
         } else {
             refresh(s, s->levels.last);
         }
-#if SET_REFERENCE
         s->renewal = UP_TO_DATE;
-#endif
         condense_rows(s);
     }
     memcpy(s->levels.x, s->x, sizeof s->levels.x);
     memcpy(s->levels.u, s->u, sizeof s->levels.u);
     return status;
 }
-
-static status_t feedback_here(solver_t *s);
 
 /* The QP and its step at the state of the plan in place of a measured one. */
 static status_t step_at_plan(solver_t *s)
@@ -217,14 +203,58 @@ static status_t step_at_plan(solver_t *s)
     return status;
 }
 
-#if ADVANCED
-/* Iterations at the predicted state, until the QP has no solution. */
-static status_t advance(solver_t *s)
+static void levels_on_reset(solver_t *s)
 {
-    status_t status = OK;
-    for (int n = 0; n < ADVANCE && status == OK && step_at_plan(s) == OK; n++) {
-        status = evaluate(s, ADVANCE_LEVEL);
+    s->levels.valid = 0;
+    s->levels.asked = LEVEL_A;
+}
+
+static void levels_before_solve(solver_t *s)
+{
+    s->levels.valid = 0;
+}
+
+static status_t levels_prepare_plan(solver_t *s)
+{
+    const status_t status = evaluate(s, s->levels.asked);
+    s->levels.asked = LEVEL_A;
+    measure_residual(s);
+    return status;
+}
+
+/* What is kept belongs to the plan that a repair has left. */
+static status_t levels_after_prepare(solver_t *s, status_t status)
+{
+    if (REPAIR > 0 && s->levels.last == LEVEL_A) {
+        memcpy(s->levels.x, s->x, sizeof s->levels.x);
+        memcpy(s->levels.u, s->u, sizeof s->levels.u);
     }
     return status;
 }
-#endif
+
+status_t API(prepare_level)(solver_t *s, int level)
+{
+    if (level < LEVEL_A || level > LEVEL_D) {
+        return BAD_ARGUMENT;
+    }
+    s->levels.asked = level;
+    return API(prepare)(s);
+}
+
+status_t API(iterate)(solver_t *s, int level)
+{
+    status_t status;
+    if (s->magic != MAGIC) {
+        return NOT_INITIALIZED;
+    }
+    if (level < LEVEL_A || level > LEVEL_D) {
+        return BAD_ARGUMENT;
+    }
+    forget_violation(s);
+    status = evaluate(s, level);
+    measure_residual(s);
+    status = (status == OK) ? step_at_plan(s) : status;
+    s->levels.valid &= (status == OK || status == RELAXED);
+    s->prepared = 0;
+    return finish(s, judge(s, status));
+}

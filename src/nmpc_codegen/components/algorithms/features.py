@@ -1,0 +1,72 @@
+"""The features of the algorithms: what runs at their hooks in templates/features/."""
+
+from __future__ import annotations
+
+from nmpc_codegen.components.base import Dims, Feature
+from nmpc_codegen.package.memory import Field, Size, Struct
+
+
+def _watched(dims: Dims) -> tuple[Struct, ...]:
+    """What tells whether multipliers on which the Hessian depends converge."""
+    nodes = Size("N + 1", dims.N.value + 1)
+    members = (
+        Field("unsettled", (), "samples on end in which lam changed by half its size", "keep", "int32"),
+        Field("lam_before", (nodes, dims.nx), "lam after the sample before", "keep"),
+    )
+    return (Struct("solver", "", members),)
+
+
+def _law(dims: Dims) -> tuple[Struct, ...]:
+    """The law of the first control."""
+    struct = Struct(
+        "first",
+        "law of the first control on the predicted working set",
+        (
+            Field("gain", (dims.nu, dims.nx), "du_0 / dx_0", "scratch"),
+            Field("feed", (dims.nu,), "du_0 at dx_0 = 0", "scratch"),
+            Field("control", (dims.nu,), "control that feedback_first() has returned", "scratch"),
+            Field("valid", (), "1: the law belongs to the last preparation", "scratch", "int32"),
+            Field("call", (), "what the last feedback_first() has done", "scratch", "int32"),
+        ),
+    )
+    return (struct,)
+
+
+def _kept(dims: Dims) -> tuple[Struct, ...]:
+    """What the levels of an iteration keep besides the linearisation."""
+    nodes = Size("N + 1", dims.N.value + 1)
+    struct = Struct(
+        "levels",
+        "levels of an iteration",
+        (
+            Field("x", (nodes, dims.nx), "states of the plan at the last evaluation", "scratch"),
+            Field("u", (dims.N, dims.nu), "its controls", "scratch"),
+            Field("valid", (), "1: there are derivatives and factors to keep", "keep", "int32"),
+            Field("last", (), "level of the last evaluation", "keep", "int32"),
+            Field("asked", (), "level of the next one", "keep", "int32"),
+        ),
+    )
+    return (struct,)
+
+
+SHIFT = Feature("shift")
+SETTLE = Feature("settle", _watched)
+PLAIN = Feature("plain")
+SIMULATE = Feature("simulate")
+LEVELS = Feature("levels", _kept)
+REPAIR = Feature("repair")
+ADVANCE = Feature("advance")
+REFERENCES = Feature("references")
+RELAXATION = Feature("relaxation")
+VIOLATION = Feature("violation")
+BENT_ROWS = Feature("bent_rows")
+FIRST_SAMPLE = Feature("first_sample")
+FIRST_CONTROL = Feature("first", _law)
+
+#: Rows as terms of single shooting, by the option ``rows``.
+ROWS = {
+    "augmented_lagrangian": Feature("dual_rows"),
+    "smooth_l1": Feature("smooth_rows"),
+    "lumped": Feature("smooth_rows"),
+    "barrier": Feature("barrier_rows"),
+}

@@ -1,0 +1,79 @@
+"""Rows of the QP as a table, and what the functions of rows.c.jinja return: a column, or the value that all rows have.
+
+A row has a node, a kind (bound of a state, general row, coupled row), its component of x, h or r, and the row of the
+user to which it belongs. The functions row_node(m), row_index(m), ... of a package read the table; where all rows have
+the same entry, the function returns that, and the exporter leaves out what depends on other ones.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from textwrap import wrap
+from typing import Any
+
+from nmpc_codegen.ir.cmodule import CModule
+
+#: Kinds of rows, in the order of their numbers.
+KINDS = ("state", "general", "coupled")
+#: Columns of the table, and what they are.
+COLUMNS = {
+    "node": "its node",
+    "kind": "its kind",
+    "index": "its component of x, h or r",
+    "id": "the row of the user",
+}
+WIDTH = 112
+
+
+@dataclass(frozen=True)
+class RowTable:
+    """The columns that differ between rows, with a line of C text for some rows each."""
+
+    columns: tuple[str, ...]
+    meaning: str
+    size: int
+    lines: tuple[str, ...]
+
+
+def row_functions(module: CModule) -> dict[str, Any]:
+    """The names of rows.c.jinja."""
+    entries = {name: [row[i] for row in module.rows] for i, name in enumerate(COLUMNS)}
+    kinds = sorted(set(entries["kind"]))
+    stored = tuple(name for name, values in entries.items() if len(set(values)) > 1)
+    columns = [(name, _entry(name, entries[name], module)) for name in COLUMNS if name != "kind"]
+    columns += [(f"is_{word}", _is_kind(number, kinds)) for number, word in enumerate(KINDS) if word != "general"]
+    constants = [f"ROW_{KINDS[number].upper()} = {number}" for number in kinds]
+    node = set(entries["node"])
+    where = _entry("node", entries["node"], module) if len(node) == 1 else "row_node(m)"
+    copies = {"shared": "1" if where == "N" else "0" if len(node) == 1 else "row_node(m) == N", "node": where}
+    layout = module.layouts["bounds"]
+    place = "default_{}" if layout == "fixed" else f"s->{{}}[{copies[layout]}]"
+    return {
+        "kinds": [("kind", constants)] if "kind" in stored else [],
+        "tables": [_table(stored, entries)] if stored else [],
+        "columns": columns,
+        "lower": place.format("lower"),
+        "upper": place.format("upper"),
+    }
+
+
+def _entry(name: str, values: list[int], module: CModule) -> str:
+    """What the function of a column returns."""
+    if len(set(values)) != 1:
+        return f"row_data[m].{name}"
+    return "N" if name == "node" and values[0] == module.value("N") else str(values[0])
+
+
+def _is_kind(number: int, kinds: list[int]) -> str:
+    """Whether row m is of a kind."""
+    if number not in kinds:
+        return "0"
+    return "1" if len(kinds) == 1 else f"row_data[m].kind == ROW_{KINDS[number].upper()}"
+
+
+def _table(stored: tuple[str, ...], entries: dict[str, list[int]]) -> RowTable:
+    columns = [entries[name] for name in stored]
+    rows = ["{" + ", ".join(map(str, row)) + "}" for row in zip(*columns, strict=True)]
+    text = ", ".join(row.replace(" ", "_") for row in rows)  # a row stays in one line
+    lines = tuple(line.replace("_", " ") for line in wrap(text, WIDTH, break_long_words=False, break_on_hyphens=False))
+    return RowTable(stored, ", ".join(COLUMNS[name] for name in stored), len(rows), lines)

@@ -1,0 +1,23 @@
+/* lam_k as the QP yields it, whose stages are those of the problem; there, x_0 is not a variable of the coupled rows. */
+static void multiplier_of_qp(const solver_t *s, int k, real_t *lam)
+{
+    memcpy(lam, condense_multiplier(s, k), NX * sizeof *lam);
+    for (int m = 0; k == 0 && m < NG; m++) {
+        if (row_is_coupled(m)) {
+            for (int i = 0; i < NX; i++) {
+                lam[i] += s->coupled.J_0[row_index(m)][i] * s->step.mult[m];
+            }
+        }
+    }
+    for (int f = 0; k == 0 && f < NF; f++) {
+        lam[free_state[f]] = R(0);
+    }
+}
+
+static int recover_multipliers(solver_t *s)
+{
+    for (int k = 0; k <= N; k++) {
+        multiplier_of_qp(s, k, s->lam[k]);
+    }
+    return 1;
+}

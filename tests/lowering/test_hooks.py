@@ -1,0 +1,72 @@
+"""Hooks: one call for every feature that defines the function, in their order; nothing is left over."""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+
+from nmpc_codegen.components.base import HOOKS
+from nmpc_codegen.lowering import hooks
+from nmpc_codegen.lowering.hooks import check_hooks, with_hooks
+from nmpc_codegen.lowering.parts import template_directory
+from verification.samples import SAMPLES
+from verification.unresolved import lowered, texts
+
+EXTRAS = ("features/shift.c", "features/settle.c", "features/repair.c")
+PARTS = {path: path.read_text(encoding="utf-8") for path in template_directory().rglob("*.c")}
+FEATURES = sorted(path for path in PARTS if path.parent.name == "features")
+
+
+def test_a_call_of_a_hook_is_one_for_every_feature_that_defines_it() -> None:
+    text = "    before_prepare(s);\n    status = after_prepare(s, status);\n    on_failure(s);\n"
+    expected = [f"    {name}_before_prepare(s);" for name in ("shift", "settle", "repair")]
+    expected += ["    status = repair_after_prepare(s, status);", "    on_failure(s);"]
+    assert with_hooks(text, EXTRAS).splitlines() == expected
+    assert with_hooks(text, EXTRAS[::-1]).splitlines()[:3] == expected[2::-1]
+    assert with_hooks(text, ()) == "    on_failure(s);\n"
+
+
+def test_exactly_one_feature_evaluates_the_plan() -> None:
+    for extras in ((), ("features/plain.c", "features/levels.c")):
+        with pytest.raises(ValueError, match="prepare_plan: expected one feature"):
+            with_hooks("    status = prepare_plan(s);\n", extras)
+
+
+def test_hooks_that_would_not_run_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A name that is spelt wrong, and a hook that the algorithm does not state."""
+    with pytest.raises(ValueError, match=r"barrier_rows\.c defines before_solve, follow_terms, place_terms, which the"):
+        check_hooks(["    before_steps(s);"], ["features/barrier_rows.c"])
+    check_hooks(["    before_prepare(s);"], ["features/shift.c"])
+    monkeypatch.setattr(hooks, "read_part", lambda part, generated: "static void late_on_rest(solver_t *s)\n{\n}\n")
+    with pytest.raises(ValueError, match=r"late_on_rest\(\): expected a hook, on_reset"):
+        with_hooks("", ["features/late.c"])
+
+
+@pytest.mark.parametrize("hook", HOOKS)
+def test_every_hook_is_called_and_defined(hook: str) -> None:
+    assert any(re.search(rf"^ +(?:status = )?{hook}\(", text, re.MULTILINE) for text in PARTS.values())
+    assert any(re.search(rf"\b{path.stem}_{hook}\(", PARTS[path]) for path in FEATURES)
+
+
+def test_a_function_of_a_part_is_a_hook_or_called() -> None:
+    """A name that is spelt wrong would be a function that nothing reaches, which no package contains."""
+    mentioned = "\n".join([*PARTS.values(), *(p.read_text() for p in template_directory().rglob("*.jinja"))])
+    orphans = []
+    for path, text in PARTS.items():
+        for name in re.findall(r"^static [\w *]*?\(?\*?\b(\w+)\([^;{]*\)(?:\)\[\w+\])?\n\{", text, re.MULTILINE):
+            hook = path in FEATURES and name.removeprefix(f"{path.stem}_") in HOOKS
+            printed = name.startswith("own_") or path.parent.name in ("lanes", "firmware")
+            if not hook and not printed and len(re.findall(rf"\b{name}\b", mentioned)) < 2:
+                orphans.append(f"{path.name}: {name}")
+    assert orphans == []
+
+
+def test_features_that_a_package_lacks_leave_no_trace() -> None:
+    sample = next(s for s in SAMPLES if s.name == "crane without solve")
+    unit = texts(sample)["crane.c"]
+    assert not [
+        hook for hook in HOOKS if re.search(rf"\b(?!plain_|relaxation_|violation_|references_)\w*{hook}\(", unit)
+    ]
+    module = lowered(next(s for s in SAMPLES if s.name == "everything dense"))
+    assert [part.rpartition("/")[2] for part in module.extras][:4] == ["shift.c", "settle.c", "repair.c", "levels.c"]
