@@ -13,6 +13,7 @@ import re
 import sys
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 from nmpc_codegen.lowering.pruning.fold import Constants, folded, wrapped
 from nmpc_codegen.lowering.pruning.text import (
@@ -37,6 +38,7 @@ _DECLARATION = re.compile(
     r"(?P<indent> +)(?P<type>(?:static )?(?:const )?(?:int|int32_t|ptrdiff_t|\w+_t) )(?P<rest>.*);"
 )
 _VARIABLE = re.compile(r" ?\**(?P<name>\w+)(?:\[[^\]]*\])*(?: = .*)?")
+_NAMED = re.compile(r"(?<![.\w])(?<!->)[A-Za-z_]\w*\b(?!\()")
 _MARK = re.compile(r" *\(void\)\w+;")
 #: A result that every call of a function has.
 _RESULT = re.compile(r" *return (?P<value>-?\d+|R\(\d+\)|[A-Z][A-Z_]*|\w+);")
@@ -65,11 +67,21 @@ class _Function:
     def lines(self) -> tuple[str, ...]:
         return (*self.comment, *self.signature, "{", *self.block, "}")
 
-    @property
+    @cached_property
+    def code(self) -> str:
+        """Its block with blanks for comments."""
+        return blanked("\n".join(self.block))
+
+    @cached_property
     def statements(self) -> list[str]:
         """Its lines of code."""
-        code = blanked("\n".join(self.block)).split("\n")
-        return [line.rstrip() for line in code if line.strip() and not _MARK.fullmatch(line.rstrip())]
+        lines = self.code.split("\n")
+        return [line.rstrip() for line in lines if line.strip() and not _MARK.fullmatch(line.rstrip())]
+
+    @cached_property
+    def named(self) -> frozenset[str]:
+        """What it names without calling it."""
+        return frozenset(_NAMED.findall(self.code))
 
 
 @dataclass(frozen=True)
@@ -173,7 +185,7 @@ class _Pruned:
         return replace(function, block=tuple(_without_empty_lines(block)))
 
     def _words(self, function: _Function) -> set[str]:
-        return self.macros.words(blanked("\n".join(function.block)))
+        return self.macros.words(function.code)
 
     def _reached(self) -> set[str]:
         """Names of the functions that something outside all functions, or a reached function, mentions."""
@@ -204,10 +216,13 @@ class _Pruned:
     def _changes(self, changed: Collection[str]) -> dict[str, _Change]:
         """What becomes of the calls of those functions that have changed."""
         found: dict[str, _Change] = {}
+        functions = [item for item in self.items if isinstance(item, _Function)]
+        # called by a macro, or from outside, or with an address that may be stored
+        fixed = self.macros.mentioned.union(self.outside, *(function.named for function in functions))
         for place, item in enumerate(self.items):
             if not isinstance(item, _Function) or item.name not in changed or not item.inner:
                 continue
-            if item.name in self.macros.mentioned or item.name in self.outside or self._is_passed(item.name):
+            if item.name in fixed:
                 continue
             if not item.statements:
                 found[item.name] = _Change(gone=True)
@@ -220,19 +235,12 @@ class _Pruned:
                     self.items[place] = _with_fewer_parameters(item, unread)
         return found
 
-    def _is_passed(self, name: str) -> bool:
-        """True if a function is named without being called: its address may be stored."""
-        alone = re.compile(rf"\b{name}\b(?!\()")
-        functions = (item for item in self.items if isinstance(item, _Function) and name in self._words(item))
-        return any(alone.search(blanked("\n".join(function.block))) for function in functions)
-
     def _may_lose(self, name: str, places: Sequence[int]) -> bool:
         """True if the arguments at these places of all calls have no effects."""
         for item in self.items:
             if isinstance(item, _Function) and name in self._words(item):
-                code = blanked("\n".join(item.block))
-                for start in calls(code, name):
-                    given, _ = arguments(code, start)
+                for start in calls(item.code, name):
+                    given, _ = arguments(item.code, start)
                     if any(self.macros.have_effects(given[i]) for i in places):
                         return False
         return True
@@ -486,7 +494,7 @@ def _is_read(name: str, words: Sequence[set[str]], indents: Sequence[int], numbe
 
 def _with_parameters_read(function: _Function, macros: _Macros) -> _Function:
     """The function with a statement for every parameter that it does not read."""
-    words = macros.words(blanked("\n".join(function.block)))
+    words = macros.words(function.code)
     unread = tuple(f"    (void){name};" for name in function.parameters if name not in words)
     return replace(function, block=(*unread, *function.block))
 
