@@ -83,18 +83,17 @@ static real_t plan_residual(const solver_t *s)
  * and with them the estimates, to the multipliers of the last update. */
 static void linearize_plan(solver_t *s)
 {
+    int far = 0;
     if (LAGRANGIAN) {
-        const int far = is_far(plan_residual(s));
+        far = is_far(plan_residual(s));
         if (far) {
             restore_multipliers(s);
         }
     }
     linearize(s);
     hessian(s);
-    if (LAGRANGIAN) {
-        if (far) {
-            estimate_multipliers(s);
-        }
+    if (LAGRANGIAN && far) {
+        estimate_multipliers(s);
     }
 }
 

@@ -17,11 +17,9 @@ static real_t least_part(const solver_t *s)
 {
     if (SOLVE) {
         const real_t precision = model_precision[s->shooting.solving];
-    } else {
-        const real_t precision = model_precision[0];
-        (void)s;
+        return precision * precision;
     }
-    return precision * precision;
+    return model_precision[0] * model_precision[0];
 }
 
 /* Distance of d from a bound of control j at node k, in its scale. */
@@ -294,8 +292,8 @@ static status_t improve(solver_t *s, int trials, int *moved)
     largest = free_size(a);
     a->left = products_allowed(s);
     a->model = R(0);
+    real_t before[NT];
     if (NT) {
-        real_t before[NT];
         impulse_rows(s);
         for (int t = 0; t < NT; t++) {
             before[t] = s->row[terminal_row[t]];

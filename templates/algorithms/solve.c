@@ -286,10 +286,11 @@ static int accepts_corrected(solver_t *s)
         push_to_bounds(s);
     }
     condense_rows(s);
-    if (HARD_ROWS) {
-        const status_t status = s->sqp.elastic ? run_relaxed_qp(s) : run_qp(s);
+    status_t status;
+    if (HARD_ROWS && s->sqp.elastic) {
+        status = run_relaxed_qp(s);
     } else {
-        const status_t status = run_qp(s);
+        status = run_qp(s);
     }
     if (status == OK && step_is_finite(s)) {
         take_step(s);

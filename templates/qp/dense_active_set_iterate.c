@@ -51,11 +51,7 @@ static status_t qp_restore_dual_feasibility(qp_t *q)
  * value. */
 static inline real_t qp_violations(const qp_t *q, int c, const real_t *z, real_t *over, real_t *under)
 {
-    if (NG) {
-        const real_t value = qp_value(q, c, z);
-    } else {
-        const real_t value = z[c];
-    }
+    const real_t value = qp_value(q, c, z);
     *over = value - q->upper[c];
     *under = q->lower[c] - value;
     if (ELASTIC) {
@@ -340,10 +336,9 @@ static int qp_write_result(qp_t *q)
     }
     for (int k = 0; k < q->nw; ++k) {
         const int c = q->row[k];
+        real_t lam = q->lam[k];
         if (ELASTIC) {
-            const real_t lam = clip(q->lam[k], -q->penalty[c], q->penalty[c]);
-        } else {
-            const real_t lam = q->lam[k];
+            lam = clip(lam, -q->penalty[c], q->penalty[c]);
         }
         const int side = lam > R(0) ? AT_UPPER : lam < R(0) ? AT_LOWER : q->side[c];
         total += FABS(lam);

@@ -31,11 +31,7 @@ static real_t qp_distance(const qp_t *q, const real_t *z, const real_t *p)
 {
     real_t over, under, most = INF;
     for (int c = 0; c < NV + NG; ++c) {
-        if (NG) {
-            const real_t slope = qp_value(q, c, p);
-        } else {
-            const real_t slope = p[c];
-        }
+        const real_t slope = qp_value(q, c, p);
         const real_t speed = FABS(slope);
         if (!qp_is_member(q, c) && isfinite(qp_violations(q, c, z, &over, &under))) {
             const real_t room = slope > R(0) ? -over : -under;

@@ -31,7 +31,7 @@ static real_t qp_bound(const qp_t *q, int c)
 /* a_c'z */
 static inline real_t qp_value(const qp_t *q, int c, const real_t *z)
 {
-    if (c < NV) {
+    if (NG == 0 || c < NV) {
         return z[c];
     }
     if (NSL) {

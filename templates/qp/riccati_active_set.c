@@ -100,8 +100,9 @@ static int qp_last_weight(const solver_t *s, int last)
 static status_t qp_factorize(solver_t *s)
 {
     qp_t *q = &s->qp;
+    int plain = 0;
     if (REGULARIZE_REDUCED) {
-        const int plain = riccati_convexify(s);
+        plain = riccati_convexify(s);
     }
     if (NG) {
         if (q->scaled == SCALES_NONE) {
@@ -182,14 +183,15 @@ static status_t qp_settle_in_own_scales(solver_t *s)
 static status_t qp_search(solver_t *s)
 {
     qp_t *q = &s->qp;
+    status_t status;
     q->exact = 1;
     if (NG) {
-        status_t status = s->schur.active ? qp_settle_with_complement(s) : STALLED;
+        status = s->schur.active ? qp_settle_with_complement(s) : STALLED;
         if (status != OK) {
             status = qp_settle(s, QP_MAX_ITERATIONS);
         }
     } else {
-        status_t status = qp_settle(s, QP_MAX_ITERATIONS);
+        status = qp_settle(s, QP_MAX_ITERATIONS);
     }
     if (NG) {
         if (status == STALLED && qp_needs_scales(q)) {

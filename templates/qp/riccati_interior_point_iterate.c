@@ -507,10 +507,9 @@ static int ipm_ends_here(solver_t *s, real_t before, real_t gradient_before, int
 static status_t ipm_iterate(solver_t *s)
 {
     ipm_t *q = &s->ipm;
-    if (IPM_WARM_START) {
-        const int cap = q->warm ? IPM_MAX_ITERATIONS / 4 : IPM_MAX_ITERATIONS;
-    } else {
-        const int cap = IPM_MAX_ITERATIONS;
+    int cap = IPM_MAX_ITERATIONS;
+    if (IPM_WARM_START && q->warm) {
+        cap = IPM_MAX_ITERATIONS / 4;
     }
     ipm_forget_progress(q);
     q->begun = s->qp.iterations;

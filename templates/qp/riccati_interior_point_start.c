@@ -359,9 +359,10 @@ static void ipm_start_sides(solver_t *s, real_t mu)
 {
     ipm_t *q = &s->ipm;
     const real_t root_mu = SQRT(mu);
+    real_t most = R(0);
     if (IPM_WARM_START) {
         int count;
-        const real_t most = FACTOR_MOST_MULTIPLIER * SQRT(ipm_violation_cost(s, &count));
+        most = FACTOR_MOST_MULTIPLIER * SQRT(ipm_violation_cost(s, &count));
     }
     for (int i = 0; i < q->sides; i++) {
         q->t[i] = ipm_cold_distance(s, i, root_mu);

@@ -11,26 +11,26 @@ typedef struct {
 /* (a0 + a1, b0 + b1, a2 + a3, b2 + b3, ...) */
 PACK_INLINE pack_t pack_pairs(pack_t a, pack_t b)
 {
-    if (PACK_WIDTH == 8) {
-        const pack_t even = __builtin_shufflevector(a, b, 0, 8, 2, 10, 4, 12, 6, 14);
-        const pack_t odd = __builtin_shufflevector(a, b, 1, 9, 3, 11, 5, 13, 7, 15);
-    } else {
-        const pack_t even = __builtin_shufflevector(a, b, 0, 4, 2, 6);
-        const pack_t odd = __builtin_shufflevector(a, b, 1, 5, 3, 7);
-    }
+#if PACK_WIDTH == 8
+    const pack_t even = __builtin_shufflevector(a, b, 0, 8, 2, 10, 4, 12, 6, 14);
+    const pack_t odd = __builtin_shufflevector(a, b, 1, 9, 3, 11, 5, 13, 7, 15);
+#else
+    const pack_t even = __builtin_shufflevector(a, b, 0, 4, 2, 6);
+    const pack_t odd = __builtin_shufflevector(a, b, 1, 5, 3, 7);
+#endif
     return even + odd;
 }
 
 /* The same with pairs of numbers in the place of numbers: sums of the pairs of a, then of the pairs of b. */
 PACK_INLINE pack_t pack_fold(pack_t a, pack_t b)
 {
-    if (PACK_WIDTH == 8) {
-        const pack_t even = __builtin_shufflevector(a, b, 0, 1, 4, 5, 8, 9, 12, 13);
-        const pack_t odd = __builtin_shufflevector(a, b, 2, 3, 6, 7, 10, 11, 14, 15);
-    } else {
-        const pack_t even = __builtin_shufflevector(a, b, 0, 1, 4, 5);
-        const pack_t odd = __builtin_shufflevector(a, b, 2, 3, 6, 7);
-    }
+#if PACK_WIDTH == 8
+    const pack_t even = __builtin_shufflevector(a, b, 0, 1, 4, 5, 8, 9, 12, 13);
+    const pack_t odd = __builtin_shufflevector(a, b, 2, 3, 6, 7, 10, 11, 14, 15);
+#else
+    const pack_t even = __builtin_shufflevector(a, b, 0, 1, 4, 5);
+    const pack_t odd = __builtin_shufflevector(a, b, 2, 3, 6, 7);
+#endif
     return even + odd;
 }
 

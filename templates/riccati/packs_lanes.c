@@ -79,10 +79,10 @@ PACK_INLINE void pack_store(real_t *p, pack_t v, int n)
 /* The sum of all numbers. */
 PACK_INLINE real_t pack_sum(pack_t v)
 {
-    if (PACK_WIDTH == 8) {
-        const pack4_t s = __builtin_shufflevector(v, v, 0, 1, 2, 3) + __builtin_shufflevector(v, v, 4, 5, 6, 7);
-    } else {
-        const pack4_t s = v;
-    }
+#if PACK_WIDTH == 8
+    const pack4_t s = __builtin_shufflevector(v, v, 0, 1, 2, 3) + __builtin_shufflevector(v, v, 4, 5, 6, 7);
+#else
+    const pack4_t s = v;
+#endif
     return (s[0] + s[2]) + (s[1] + s[3]);
 }

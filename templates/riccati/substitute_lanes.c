@@ -66,17 +66,17 @@ PACK_INLINE void riccati_append_controls(real_t *z, pack_t u)
 {
     const pack_t zero = {0};
     pack_t *first = (pack_t *)(z + NXS / PACK_WIDTH * PACK_WIDTH);
-    if (PACK_WIDTH == 8) {
-        const pack_t start = __builtin_shufflevector(zero, u, CONTROL_LANE(0), CONTROL_LANE(1), CONTROL_LANE(2),
-            CONTROL_LANE(3), CONTROL_LANE(4), CONTROL_LANE(5), CONTROL_LANE(6), CONTROL_LANE(7));
-        const pack_t rest = __builtin_shufflevector(zero, u, CONTROL_REST(0), CONTROL_REST(1), CONTROL_REST(2),
-            CONTROL_REST(3), CONTROL_REST(4), CONTROL_REST(5), CONTROL_REST(6), CONTROL_REST(7));
-    } else {
-        const pack_t start =
-            __builtin_shufflevector(zero, u, CONTROL_LANE(0), CONTROL_LANE(1), CONTROL_LANE(2), CONTROL_LANE(3));
-        const pack_t rest =
-            __builtin_shufflevector(zero, u, CONTROL_REST(0), CONTROL_REST(1), CONTROL_REST(2), CONTROL_REST(3));
-    }
+#if PACK_WIDTH == 8
+    const pack_t start = __builtin_shufflevector(zero, u, CONTROL_LANE(0), CONTROL_LANE(1), CONTROL_LANE(2),
+        CONTROL_LANE(3), CONTROL_LANE(4), CONTROL_LANE(5), CONTROL_LANE(6), CONTROL_LANE(7));
+    const pack_t rest = __builtin_shufflevector(zero, u, CONTROL_REST(0), CONTROL_REST(1), CONTROL_REST(2),
+        CONTROL_REST(3), CONTROL_REST(4), CONTROL_REST(5), CONTROL_REST(6), CONTROL_REST(7));
+#else
+    const pack_t start =
+        __builtin_shufflevector(zero, u, CONTROL_LANE(0), CONTROL_LANE(1), CONTROL_LANE(2), CONTROL_LANE(3));
+    const pack_t rest =
+        __builtin_shufflevector(zero, u, CONTROL_REST(0), CONTROL_REST(1), CONTROL_REST(2), CONTROL_REST(3));
+#endif
     first[0] = (CONTROL_START == 0) ? start : first[0] + start;
     if (CONTROL_START + NUS > PACK_WIDTH) {
         first[1] = rest;

@@ -93,6 +93,16 @@ def test_statements_on_what_is_absent() -> None:
     assert folded([*lines, "    q->held[m] = R(0);"], CONSTANTS, TYPES) == lines[4:]
 
 
+def test_a_part_is_c_before_it_is_folded() -> None:
+    """A variable does not outlive the block that declares it, although the block loses its braces."""
+    block = ["    if (HARD) {", "        const int n = s->a;", "        s->b = n;", "    }"]
+    assert folded([*block, "    for (int n = 0; n < NE; n++) {", "        s->b += n;", "    }"], CONSTANTS, TYPES)
+    for use in ("    s->c = n;", "    if (n > 0) {"):
+        with pytest.raises(ValueError, match="n: declared in a block and used after it"):
+            folded([*block, use, *(["        s->c = 1;", "    }"] if use.endswith("{") else [])], CONSTANTS, TYPES)
+    assert folded([*block, "    s->n = 1;"], CONSTANTS, TYPES)
+
+
 def test_long_lines_are_broken() -> None:
     line = f"    if ({' && '.join(['condition'] * 15)}) {{"
     assert all(len(part) <= 120 for part in wrapped(line))

@@ -40,6 +40,8 @@ _WRITTEN = re.compile(
 _WORDS = re.compile(r"[A-Za-z_]\w*")
 #: Behind it a block has nothing to do.
 _LEAVES = re.compile(r" *(?:return\b.*|continue|break);")
+#: A declaration of one variable or the first of some.
+_DECLARED = re.compile(r" +(?:static )?(?:const )?(?:int|int32_t|ptrdiff_t|\w+_t) \(?\**(?P<name>\w+)\b(?! *\()")
 _STEP = "    "
 #: Maximum length of a line.
 WIDTH = 120
@@ -160,6 +162,7 @@ def folded(lines: Sequence[str], constants: Constants, types: Mapping[str, str])
         if head["word"] == "if":
             chain, number = _chain(lines, code, number, end)
             text = _printed(chain, constants, types)
+            _check_scope(text, indent(lines[first]), code[number:])
         else:
             last = closing(code, end, indent(lines[number]))
             inside = folded(lines[end + 1 : last], constants, types)
@@ -173,6 +176,17 @@ def folded(lines: Sequence[str], constants: Constants, types: Mapping[str, str])
         if text and _LEAVES.match(text[-1]) and indent(text[-1]) == indent(lines[first]):
             return kept
     return kept
+
+
+def _check_scope(text: Sequence[str], margin: str, later: Sequence[str]) -> None:
+    """Raise ValueError if lines use a variable that a block before them declares: it is not C before it is folded."""
+    declared = (_DECLARED.match(line) for line in text if indent(line) == margin)
+    for name in (found["name"] for found in declared if found):
+        line = next((line for line in later if re.search(rf"(?<![.\w>]){name}\b", line)), "")
+        if line and not re.search(rf"\b(?:int|ptrdiff_t|\w+_t) \**(?:\w+, )*{name}\b", line):
+            raise ValueError(
+                f"{name}: declared in a block and used after it; expected its declaration before the block"
+            )
 
 
 def _joined_lines(code: Sequence[str]) -> str:
@@ -238,7 +252,7 @@ def _chain(lines: Sequence[str], code: Sequence[str], number: int, end: int) -> 
     while True:
         head = _joined_lines(code[number : end + 1])
         found = _HEAD.match(head) or _ELSE_IF.match(head)
-        condition = "" if found is None else " ".join((found.groupdict().get("inside") or found["inside"]).split())
+        condition = "" if found is None else " ".join(found["inside"].split())
         last = closing(code, end, margin)
         branches.append(_Branch(condition, tuple(lines[number : end + 1]), tuple(lines[end + 1 : last])))
         if code[last].rstrip() == f"{margin}}}":
