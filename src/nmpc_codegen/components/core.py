@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import replace
 
 from nmpc_codegen.components.base import Core, Dims
 from nmpc_codegen.package.memory import Field, Size, Struct
@@ -57,10 +56,8 @@ def _coupled(dims: Dims) -> Struct:
 
 
 def _renewal() -> Struct:
-    note = Field(
-        "renewal", (), "1: references are newer than the gradients, 2: so are weights or parameters", "keep", "int32"
-    )
-    return Struct("solver", "", (replace(note, only=lambda f: f.set_reference),))
+    doc = "1: references are newer than the gradients, 2: so are weights or parameters"
+    return Struct("solver", "", (Field("renewal", (), doc, "keep", "int32", only=lambda f: f.set_reference),))
 
 
 def _multipliers(dims: Dims) -> Struct:

@@ -28,11 +28,11 @@ from typing import NamedTuple
 from nmpc_codegen.ir.cmodule import CModule
 from nmpc_codegen.ir.kernel import OPERATIONS
 from nmpc_codegen.ir.print_c import CStyle, print_routine
+from nmpc_codegen.lowering.pruning.text import blanked
 
 _INCLUDE = re.compile(r'^#include "([\w/]+\.c)".*\n', re.MULTILINE)
 _DIRECTIVE = re.compile(r"#(if|elif|else|endif)\b\s*(.*)")
 _ANY_DIRECTIVE = re.compile(r"\s*#\s*(?:if|elif|else|endif)")
-_NO_CODE = re.compile(r"/\*.*?\*/|//[^\n]*|\"(?:\\.|[^\"\\\n])*\"|'(?:\\.|[^'\\\n])*'", re.DOTALL)
 _WORD = re.compile(r"[A-Za-z_]\w*")
 _DEFINITION = re.compile(
     r"^#define (\w+)|^typedef \w+ (\w+);|^(?:static|LANES_INLINE) [\w *]*?\b(\w+)[(\[]", re.MULTILINE
@@ -82,7 +82,7 @@ def needed(text: str, names: Collection[str]) -> str:
     found = {defined[name] for name in names if name in defined}
     while found:
         kept |= found
-        words = {word for i in found for word in _WORD.findall(without_comments(paragraphs[i]))}
+        words = {word for i in found for word in _WORD.findall(blanked(paragraphs[i]))}
         found = {defined[word] for word in words if word in defined} - kept
     return "\n\n".join(paragraphs[i].strip("\n") for i in sorted(kept))
 
@@ -143,15 +143,10 @@ def resolve(text: str, sizes: Mapping[str, int]) -> str:
 @lru_cache
 def _scanned(text: str) -> tuple[_Line, ...]:
     """The lines of a part; most parts are the same in every package."""
-    pairs = zip(text.splitlines(), without_comments(text).splitlines(), strict=True)
+    pairs = zip(text.splitlines(), blanked(text).splitlines(), strict=True)
     return tuple(
         _Line(line, code if _ANY_DIRECTIVE.match(code) else "", tuple(_BRACES.findall(code))) for line, code in pairs
     )
-
-
-def without_comments(text: str) -> str:
-    """C text without comments, strings and characters, line by line."""
-    return _NO_CODE.sub(lambda found: " " + "\n" * found[0].count("\n"), text)
 
 
 def _decide(line: str, stack: list[_Open], depth: int, sizes: Mapping[str, int]) -> None:
@@ -321,7 +316,7 @@ def renamed_words(words: Collection[str], header: str, name: str, members: Colle
     ``members``: words of the header that belong to its structs alone.
     """
     prefixes = (f"{name}_", f"{name.upper()}_")
-    declared = {w for w in names_in(without_comments(header)) if w.startswith(prefixes)} - set(members) - STANDARD
+    declared = {w for w in names_in(blanked(header)) if w.startswith(prefixes)} - set(members) - STANDARD
     found: dict[str, str] = {}
     for word in sorted(declared.intersection(words)):
         inner = f"{word}_"

@@ -39,7 +39,7 @@ from nmpc_codegen.errors import OptionError
 from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.cmodule import Table
 from nmpc_codegen.package.features import Features, KernelName
-from nmpc_codegen.package.memory import Field, Only, Size, Struct
+from nmpc_codegen.package.memory import Field, Size, Struct
 from nmpc_codegen.package.signals import EntryPoint
 
 METHODS = ("gauss_newton", "quasi_newton")
@@ -344,8 +344,8 @@ class AdjointShooting(Defaults):
         pairs = Size("MEMORY", self.memory or MEMORY)
         controls = (dims.N, dims.nu)
 
-        def real(name: str, shape: tuple[Size, ...], doc: str, only: Only | None = None) -> Field:
-            return Field(name, shape, doc, "scratch", only=only)
+        def real(name: str, shape: tuple[Size, ...], doc: str) -> Field:
+            return Field(name, shape, doc, "scratch")
 
         sharpness = Field("sharpness", (), "of the smooth max, in the scale of a row", "keep")
         terms = {

@@ -428,41 +428,27 @@ def _pass(block: Sequence[str], macros: _Macros) -> list[str]:
             kept.append(line)
             continue
         declarators = arguments(f"({declaration['rest']})", 0)[0]
-        read = [_stays_declared(i, declarators, macros, words, indents, number) for i in range(len(declarators))]
-        needed = [declarator for declarator, stays in zip(declarators, read, strict=True) if stays]
-        if len(needed) == len(declarators):
-            effect = _effect(declarators, macros, words, indents, number)
-            kept.append(f"{declaration['indent']}(void){effect};" if effect else line)
+        read = [_is_used(place, declarators, words, indents, number) for place in range(len(declarators))]
+        values = [declarator.partition(" = ")[2] for declarator in declarators]
+        effects = [macros.have_effects(value) for value in values]
+        needed = [d for d, used, effect in zip(declarators, read, effects, strict=True) if used or effect]
+        if len(declarators) == 1 and effects[0] and not read[0]:
+            kept.append(f"{declaration['indent']}(void){values[0]};")
+        elif len(needed) == len(declarators):
+            kept.append(line)
         elif needed:
             kept.append(f"{declaration['indent']}{declaration['type']}{','.join(needed).lstrip()};")
     return kept
 
 
-def _stays_declared(
-    place: int,
-    declarators: Sequence[str],
-    macros: _Macros,
-    words: Sequence[set[str]],
-    indents: Sequence[int],
-    number: int,
+def _is_used(
+    place: int, declarators: Sequence[str], words: Sequence[set[str]], indents: Sequence[int], number: int
 ) -> bool:
-    """True for a variable that something reads, or whose initial value has effects."""
+    """True if something reads a variable of a declaration; also for what is no plain variable."""
     plain = _VARIABLE.fullmatch(declarators[place])
-    if plain is None or macros.have_effects(declarators[place].partition(" = ")[2]):
+    if plain is None or _is_read(plain["name"], words, indents, number):
         return True
-    later = ",".join(declarators[place + 1 :])
-    return _is_read(plain["name"], words, indents, number) or plain["name"] in IDENTIFIER.findall(later)
-
-
-def _effect(
-    declarators: Sequence[str], macros: _Macros, words: Sequence[set[str]], indents: Sequence[int], number: int
-) -> str:
-    """The initial value of the only variable of a declaration, if nothing reads it and the value has effects."""
-    plain = _VARIABLE.fullmatch(declarators[0])
-    if len(declarators) > 1 or plain is None or " = " not in declarators[0]:
-        return ""
-    value = declarators[0].partition(" = ")[2]
-    return "" if not macros.have_effects(value) or _is_read(plain["name"], words, indents, number) else value
+    return plain["name"] in IDENTIFIER.findall(",".join(declarators[place + 1 :]))
 
 
 def _words_by_line(code: Sequence[str], macros: _Macros) -> list[set[str]]:
