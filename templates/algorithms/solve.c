@@ -479,13 +479,12 @@ static int adapt_shifts(solver_t *s, status_t status)
 {
     curved_t *c = &s->curved;
     const real_t length = (status == STALLED) ? R(0) : s->sqp.length;
-    c->proximal =
-        clip(c->proximal * ((length < R(1)) ? FACTOR_TRIAL : R(1) / FACTOR_TRIAL), FACTOR_LEAST_PROXIMAL, R(1));
+    c->proximal = clip(c->proximal * ((length < R(1)) ? FACTOR_DAMP : R(1) / FACTOR_DAMP), FACTOR_LEAST_PROXIMAL, R(1));
     if (length < FACTOR_SHORT_STEP) {
-        const real_t growth = (length < FACTOR_VERY_SHORT_STEP) ? FACTOR_MUCH_MORE : FACTOR_TRIAL;
-        c->damping = (c->damping > R(0)) ? growth * c->damping : FACTOR_FIRST_TRIAL;
+        const real_t growth = (length < FACTOR_VERY_SHORT_STEP) ? FACTOR_MUCH_MORE : FACTOR_DAMP;
+        c->damping = (c->damping > R(0)) ? growth * c->damping : FACTOR_FIRST_DAMPING;
     } else if (length >= R(1)) {
-        c->damping = (c->damping > FACTOR_LEAST_DAMPING) ? c->damping / FACTOR_TRIAL : R(0);
+        c->damping = (c->damping > FACTOR_LEAST_DAMPING) ? c->damping / FACTOR_DAMP : R(0);
     }
     return status == STALLED && c->damping < FACTOR_MOST_DAMPING;
 }
@@ -514,7 +513,7 @@ static status_t sqp_iteration(solver_t *s)
             restore_gradients(s);
             if (s->curved.damping < R(1)) { /* a QP with more curvature may have a solution */
                 s->curved.damping =
-                    (s->curved.damping > R(0)) ? FACTOR_MUCH_MORE * s->curved.damping : FACTOR_FIRST_TRIAL;
+                    (s->curved.damping > R(0)) ? FACTOR_MUCH_MORE * s->curved.damping : FACTOR_FIRST_DAMPING;
                 q->length = R(0);
                 q->elastic = 0;
                 return OK;
@@ -602,7 +601,7 @@ static status_t iterate(solver_t *s, real_t tol, int last)
         if (HARD_ROWS) {
             if (q->elastic && (status == STALLED || (status == OK && q->slow))) {
                 status = (q->row_weight < FACTOR_MOST_ELASTIC_WEIGHT) ? OK : INFEASIBLE;
-                q->row_weight *= FACTOR_MOST_GROWTH;
+                q->row_weight *= FACTOR_STIFFER;
             }
         }
         if (status != OK) {

@@ -169,7 +169,7 @@ static status_t condense_factorize(solver_t *s)
         condense_matrices(s);
         memcpy(s->qp.side, predicted, sizeof predicted);
         hold_working_set(s, terms, (trial == 0) ? R(1) : FACTOR_FIRM_HOLD);
-        if (trial == 2 && !regularize_reduced(s->qp.H, NV - NSL, terms, FACTOR_REDUCED_FLOOR, s->qp.work.basis.Q)) {
+        if (trial == 2 && !regularize_reduced(s->qp.H, NV - NSL, terms, FACTOR_MIRRORED_SHARE, s->qp.work.basis.Q)) {
             return status;
         }
         status = qp_factorize(&s->qp);

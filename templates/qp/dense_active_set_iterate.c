@@ -164,7 +164,7 @@ static real_t qp_rounding(const qp_t *q, int c, const real_t *r, int side, real_
         return q->strict > 1 ? FACTOR_STRICT * TOL_QP_RESIDUAL * qp_row_size(q, c)
                              : FACTOR_STRICT * most * (size + qp_row_size(q, c));
     }
-    size += SQRT(mm) * (FACTOR_STRICT * norm(q->work.basis.y) + FACTOR_TRAVELLED * q->scale);
+    size += SQRT(mm) * (FACTOR_SHOWN * norm(q->work.basis.y) + FACTOR_TRAVELLED * q->scale);
     size *= vv * (most * most) > mm * (least * least) ? least * SQRT(mm / vv) : most;
     return size + TOL_UNIT * SQRT(vv) * q->scale;
 }

@@ -95,9 +95,9 @@ FACTORS: dict[str, tuple[float, str]] = {
     ),
     "small_shift": (1e-06, "shift that is tried first of a Hessian on stages that is hardly indefinite"),
     "firm_hold": (256.0, "weight of held rows, in units of their variables, that is tried after a weight of 1"),
-    "reduced_floor": (
+    "mirrored_share": (
         0.1,
-        "least eigenvalue, relative to the largest magnitude, of a Hessian that no held row makes convex",
+        "share of the largest negative curvature below which small ones are mirrored as well, against long steps",
     ),
     "sharpen": (4.0, "ratio of successive sharpnesses of the smooth max in solve()"),
     "approach": (2.0, "growth of the sharpness of terms of rows, or decrease of their weight, after an easy sample"),
@@ -114,12 +114,22 @@ FACTORS: dict[str, tuple[float, str]] = {
     ),
     "first_trial": (
         0.001,
-        "shift of an indefinite Hessian that is tried first, in units of its variables, and first damping",
+        "shift of an indefinite Hessian that is tried first, in units of its variables",
     ),
     "trial": (4.0, "ratio of successive shifts between which the least one is searched"),
     "margin": (
         1.125,
         "shift that is taken, relative to the least one found: the search ends within a quarter of a factor of 4",
+    ),
+    "damp": (4.0, "ratio of successive proximal shifts and dampings of solve()"),
+    "first_damping": (
+        1e-3,
+        "damping of the first Hessian after a step that had to be shortened, in units of its variables",
+    ),
+    "shown": (0.25, "part of |m| |y| whose rounding may show in a row with the normal m"),
+    "apart": (
+        16.0,
+        "part of an equality outside the span of others for which it enters early, in roots of the epsilon",
     ),
     "rough": (
         16.0,
@@ -127,7 +137,7 @@ FACTORS: dict[str, tuple[float, str]] = {
     ),
     "cancelled": (0.125, "part of its terms below which a difference is computed again without cancellation"),
     "strict": (0.25, "part of the accepted residual that a row may take up when a result has been refused"),
-    "travelled": (2.0**-20, "rounding of a step, relative to the terms of the minimiser from which it starts"),
+    "travelled": (2.0**-20, "part of |m| |y0| whose rounding may show in a row with the normal m"),
     "regularize": (1024.0, "ratio of successive values that are added to pivots that may be zero"),
     "proximal": (2.0**-10, "proximal term of a damped QP, relative to the largest curvature of its variable"),
     "proximal_zero": (64.0, "proximal term of a variable without curvature, in units of the least pivot"),
@@ -144,9 +154,9 @@ FACTORS: dict[str, tuple[float, str]] = {
     "heavier": (1024.0, "ratio of successive weights of a member that is not at its bound"),
     "longest_step": (
         65536.0,
-        "length of a step along a direction with hardly any curvature, in units of the Newton step",
+        "longest correction of members that nearly depend on one another, relative to the first",
     ),
-    "stretch": (64.0, "longest step on the equations of an interior point, in units of the Newton step"),
+    "stretch": (64.0, "longest step on equations that nearly depend on one another, relative to the first"),
     "certified": (4.0, "multiple of what is left of the gradients that a certificate of infeasibility has to exceed"),
     "short_way": (2.0**-8, "part of the way to the farthest bound whose square is negligible in the cost"),
     "full_step": (0.9, "length from which a step counts as full"),
@@ -189,7 +199,7 @@ FACTORS: dict[str, tuple[float, str]] = {
     "armijo": (0.0001, "share of the predicted decrease that a step of solve() has to achieve"),
     "most_growth": (
         10.0,
-        "growth of the violation in one step that is accepted, and ratio of successive penalties of rows",
+        "growth of the violation in one step of solve() that is accepted",
     ),
     "small_violation": (0.1, "violation, in scales, up to which it may be that of a first step"),
     "descent": (1e-08, "violation, relative to the largest one accepted, below which the cost has to fall"),
