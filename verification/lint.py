@@ -22,8 +22,8 @@ from pathlib import Path
 from nmpc_codegen.lowering.parts import template_directory
 from nmpc_codegen.package.sources import Sources
 from verification.quality import package_name, written
+from verification.rendered import lowered, texts
 from verification.timed import Sample
-from verification.unresolved import lowered, texts
 
 ROOT = Path(__file__).parents[1]
 JOBS = os.cpu_count() or 1

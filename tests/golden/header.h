@@ -48,4 +48,4 @@ const char *golden_status_string(golden_status_t status);
 #endif
 
 #endif
-/* nmpc_codegen package 6f5609ee3196ac2e, sha256 a3bfcd35087591c2a21802a8ed1e16e05c2343e4f7c730f167e3d9ec47ae8536 */
+/* nmpc_codegen package 8e5d082948cf11c0, sha256 b76c416d3f0fea38be124cc2c2b6c4ccfbcd579c6d410758e51dd8211ff60948 */

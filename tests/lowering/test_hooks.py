@@ -10,8 +10,8 @@ from nmpc_codegen.components.base import HOOKS
 from nmpc_codegen.lowering import hooks
 from nmpc_codegen.lowering.hooks import check_hooks, with_hooks
 from nmpc_codegen.lowering.parts import template_directory
+from verification.rendered import lowered, texts
 from verification.samples import SAMPLES
-from verification.unresolved import lowered, texts
 
 EXTRAS = ("features/shift.c", "features/settle.c", "features/repair.c")
 PARTS = {path: path.read_text(encoding="utf-8") for path in template_directory().rglob("*.c")}

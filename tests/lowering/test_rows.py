@@ -7,8 +7,8 @@ import re
 import pytest
 
 from nmpc_codegen.lowering.rows import COLUMNS, row_functions
+from verification.rendered import lowered, texts
 from verification.samples import SAMPLES
-from verification.unresolved import lowered, texts
 
 NAMED = {sample.name: sample for sample in SAMPLES}
 

@@ -8,8 +8,8 @@ import pytest
 
 from nmpc_codegen.lowering.parts import template_directory
 from nmpc_codegen.lowering.preamble import REASONS
+from verification.rendered import texts
 from verification.samples import SAMPLES
-from verification.unresolved import texts
 
 #: Folders whose numbers are those of their mathematics: series, and programs that are no part of a controller.
 MATHEMATICS = ("math", "lanes", "derivatives", "firmware")

@@ -9,9 +9,9 @@ from conftest import require_tool
 from nmpc_codegen import build, generate
 from verification import disagreement, scenarios
 from verification.disagreement import LIMIT, replays
+from verification.rendered import texts
 from verification.samples import SAMPLES
 from verification.timed import TIMED, Sample
-from verification.unresolved import texts
 
 CASES = {sample.name.removeprefix("timed "): sample for sample in TIMED}
 CASES["cart_pole"] = Sample("cart_pole", scenarios.CART_POLE.make, scenarios.CART_POLE.options)

@@ -7,8 +7,8 @@ from conftest import require_tool
 
 from verification import lint
 from verification.conditions import covering
+from verification.rendered import lowered
 from verification.samples import SAMPLES
-from verification.unresolved import lowered
 
 #: Tool -> a fault that it detects.
 FAULTS = {

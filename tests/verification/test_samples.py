@@ -11,8 +11,8 @@ from conftest import require_tool
 from nmpc_codegen.ir.cmodule import CModule
 from nmpc_codegen.lowering.parts import read_part, resolve
 from verification.conditions import all_parts, covering, gaps, reached
+from verification.rendered import lowered
 from verification.samples import IN_LANES, SAMPLES
-from verification.unresolved import COMPILERS, differing, lowered, texts
 
 
 @pytest.fixture(scope="module")
@@ -67,15 +67,3 @@ def _words(text: str, folder: Path) -> list[str]:
     (folder / "part.c").write_text(text)
     command = ["gcc", "-E", "-P", "-Wundef", "-Werror", str(folder / "part.c")]
     return subprocess.run(command, capture_output=True, text=True, check=True).stdout.split()
-
-
-def test_text_with_different_behaviour_has_different_object_code() -> None:
-    for tool in (*COMPILERS, "objdump"):
-        require_tool(tool)
-    sample = next(s for s in SAMPLES if s.name == "path dense")
-    found = texts(sample)
-    name = f"{sample.make().name}.c"
-    spaced = {**found, name: found[name].replace("    ", "  ")}
-    changed = {**found, name: found[name].replace("R(0.5)", "R(0.25)")}
-    assert changed[name] != found[name]
-    assert differing([("spaced", found, spaced), ("changed", found, changed)]) == ["changed"]

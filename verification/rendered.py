@@ -1,0 +1,24 @@
+"""The packages of samples: before rendering, and as text."""
+
+from __future__ import annotations
+
+from functools import cache
+
+from nmpc_codegen.frontend.classify import classify
+from nmpc_codegen.ir.cmodule import CModule
+from nmpc_codegen.lowering.linearize import linearize
+from nmpc_codegen.lowering.lower import lower
+from nmpc_codegen.lowering.render import render
+from nmpc_codegen.package.sources import Sources
+from verification.timed import Sample
+
+
+@cache
+def lowered(sample: Sample) -> CModule:
+    """The CModule of a sample, before rendering."""
+    return lower(linearize(classify(sample.make()), sample.options), None)
+
+
+def texts(sample: Sample) -> Sources:
+    """The package of a sample, without third-party code."""
+    return render(lowered(sample))
