@@ -88,14 +88,16 @@ static void algorithm_reset(solver_t *s)
     s->status = (int32_t)OK;
 }
 
-/* x_0 = xhat, 0 in accumulators. Returns 0, and leaves x_0 as it is, if a measured entry is not finite. */
+/* x_0 = xhat without what would lead to denormal numbers, 0 in accumulators. Returns 0, and leaves x_0 as it is, if a measured entry is not finite. */
 static int take_state(solver_t *s, const real_t *xhat)
 {
     if (!ACCUMULATORS) {
         if (!all_finite(xhat, NX)) {
             return 0;
         }
-        memcpy(s->x[0], xhat, sizeof s->x[0]);
+        for (int i = 0; i < NX; i++) {
+            s->x[0][i] = or_zero(xhat[i], i, TOL_ZERO * TOL_ZERO);
+        }
         return 1;
     }
     for (int i = 0; i < NX; i++) {
@@ -104,7 +106,7 @@ static int take_state(solver_t *s, const real_t *xhat)
         }
     }
     for (int i = 0; i < NX; i++) {
-        s->x[0][i] = is_accumulator[i] ? R(0) : xhat[i];
+        s->x[0][i] = is_accumulator[i] ? R(0) : or_zero(xhat[i], i, TOL_ZERO * TOL_ZERO);
     }
     return 1;
 }

@@ -24,6 +24,7 @@ static void algorithm_reset(solver_t *s)
     s->unconverged = 0;
     s->status = (int32_t)OK;
     reset_search(s);
+    memset(s->state_size, 0, sizeof s->state_size);
     start_at(s, initial_state);
     memcpy(s->xhat, s->x[0], sizeof s->xhat);
 }
@@ -91,6 +92,7 @@ static status_t judge(solver_t *s, status_t status)
     } else if (status == OK) {
         s->unconverged = 0;
     }
+    learn_sizes(s, status);
     return status;
 }
 

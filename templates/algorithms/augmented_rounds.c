@@ -66,16 +66,11 @@ static real_t violation_of(const solver_t *s)
 
 #include "algorithms/scales.c"
 
-/* The residual of the plan: the same in the scales that its states have. A plan at rest is not measured in rounding
- * errors. */
+/* The residual of the plan: the same in the scales that its states have. */
 static real_t plan_residual(const solver_t *s)
 {
     real_t size[NX];
     state_scales(s, size);
-    for (int i = 0; i < NX; i++) {
-        const real_t least = SQRT(TOL_UNIT) * variable_scale[i];
-        size[i] = (size[i] > least) ? size[i] : least;
-    }
     return violation_in(s, size);
 }
 

@@ -44,10 +44,10 @@ static int step_holds(const solver_t *s, status_t status)
     return 1;
 }
 
-/* Sum of the magnitudes of the terms of the cost of the step, at least what may have been lost to underflow. */
+/* Sum of the magnitudes of the terms of the cost of the step, at least what zeros cost. */
 static real_t cost_terms(const solver_t *s)
 {
-    real_t sum = FACTOR_UNDERFLOW;
+    real_t sum = least_cost();
     for (int k = 0; k < N; k++) {
         for (int i = 0; i < NZ; i++) {
             const real_t z = FABS(i < NX ? s->step.dx[k][i] : s->step.du[k][i - NX]);

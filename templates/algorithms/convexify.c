@@ -142,7 +142,7 @@ static void raise_units(const solver_t *s, real_t *unit)
     real_t size[NZ], most = R(0);
     control_sizes(s, size + NX);
     for (int i = 0; i < NX; i++) {
-        size[i] = scale_of(s->sqp.state_scale[i]);
+        size[i] = size_or(s->sqp.state_scale[i], z_scale[i]);
     }
     for (int k = 0; k <= N; k++) {
         for (int i = 0; i < ((k < N) ? NZ : NX); i++) {
@@ -151,7 +151,7 @@ static void raise_units(const solver_t *s, real_t *unit)
     }
     for (int i = 0; i < NZ; i++) {
         enlarge(&unit[i], most / (size[i] * size[i]));
-        unit[i] = (unit[i] > R(0)) ? unit[i] : R(1);
+        unit[i] = (unit[i] > R(0)) ? unit[i] : cost_size[0] / (size[i] * size[i]);
     }
 }
 

@@ -1,13 +1,14 @@
-/* KKT residuals of the present iterate: as they are and, the largest of them all, divided by 1 + the magnitudes of the
- * terms that are summed up, so that a tolerance means the same in all units. */
+/* KKT residuals of the present iterate: as they are and, the largest of them all, divided by the scale of what they belong to
+ * plus the magnitudes of the terms that are summed up, so that a tolerance means the same in all units. */
 
 #include "algorithms/kkt_terms.c"
 
 static void kkt_soft_row(const solver_t *s, int m, real_t value, kkt_t *kkt)
 {
     const real_t l1 = row_l1(m), l2 = row_l2(m), mu = row_multiplier(s, m);
-    kkt_soft_side(kkt, value - row_upper(s, m), (mu > R(0)) ? mu : R(0), l1, l2, value);
-    kkt_soft_side(kkt, row_lower(s, m) - value, (mu < R(0)) ? -mu : R(0), l1, l2, value);
+    const real_t scale = row_magnitude[row_id(m)];
+    kkt_soft_side(kkt, value - row_upper(s, m), (mu > R(0)) ? mu : R(0), l1, l2, value, scale);
+    kkt_soft_side(kkt, row_lower(s, m) - value, (mu < R(0)) ? -mu : R(0), l1, l2, value, scale);
 }
 
 /* Violation and complementarity of all rows and control bounds. */
@@ -20,11 +21,13 @@ static void kkt_rows(const solver_t *s, kkt_t *kkt)
             kkt_soft_row(s, m, value[m], kkt);
             continue;
         }
-        kkt_row(kkt, value[m], row_lower(s, m), row_upper(s, m), row_multiplier(s, m));
+        const real_t scale = row_magnitude[row_id(m)];
+        kkt_row(kkt, value[m], row_lower(s, m), row_upper(s, m), row_multiplier(s, m), scale);
     }
     for (int k = 0; k < N; k++) {
         for (int j = 0; j < NU; j++) {
-            kkt_row(kkt, s->u[k][j], control_lower(s, k, j), control_upper(s, k, j), s->mu_u[k][j]);
+            const real_t lower = control_lower(s, k, j), upper = control_upper(s, k, j);
+            kkt_row(kkt, s->u[k][j], lower, upper, s->mu_u[k][j], z_scale[NX + j]);
         }
     }
 }
@@ -64,9 +67,9 @@ static void kkt_node(const solver_t *s, int k, const node_t *node, kkt_t *kkt)
             kkt_add(&sum[i], &terms[i], node->J[j][i] * s->mu[k][j]);
         }
         kkt_add(&sum[i], &terms[i], (i < NX) ? s->mu_x[k][i] - s->lam[k][i] : s->mu_u[k][i - NX]);
-        kkt_note(kkt, &kkt->stationarity, sum[i], terms[i]);
+        kkt_note(kkt, &kkt->stationarity, sum[i], terms[i], force_size[i]);
         if (i < NX) {
-            kkt_note(kkt, &kkt->equality, node->b[i], FABS(s->x[k + 1][i]));
+            kkt_note(kkt, &kkt->equality, node->b[i], FABS(s->x[k + 1][i]), z_scale[i]);
         }
     }
 }
@@ -82,13 +85,13 @@ static void kkt_terminal(const solver_t *s, const terminal_t *terminal, kkt_t *k
         for (int j = 0; j < NH_N; j++) {
             kkt_add(&sum[i], &terms[i], terminal->J[j][i] * s->mu_N[j]);
         }
-        kkt_note(kkt, &kkt->stationarity, sum[i], terms[i]);
+        kkt_note(kkt, &kkt->stationarity, sum[i], terms[i], force_size[i]);
         if (NF) {
             if (!is_measured[i] && !is_accumulator[i]) {
                 continue;
             }
         }
-        kkt_note(kkt, &kkt->equality, s->xhat[i] - s->x[0][i], FABS(s->x[0][i]));
+        kkt_note(kkt, &kkt->equality, s->xhat[i] - s->x[0][i], FABS(s->x[0][i]), z_scale[i]);
     }
 }
 

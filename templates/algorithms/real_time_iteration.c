@@ -23,6 +23,7 @@ static void algorithm_reset(solver_t *s)
     s->status = (int32_t)OK;
     s->relaxation = INF;
     memset(s->row_scale, 0, sizeof s->row_scale);
+    memset(s->state_size, 0, sizeof s->state_size);
     s->stats.violated_row = s->stats.violated_node = -1;
     start_at(s, initial_state);
     memcpy(s->xhat, s->x[0], sizeof s->xhat);
@@ -140,6 +141,10 @@ static status_t judge(solver_t *s, status_t status)
 {
     status = judged(status, s->stats.residual);
     status = after_feedback(s, status);
+    learn_sizes(s, status);
+    if (NONLINEAR_ROWS) {
+        forget_rows(s);
+    }
     return status;
 }
 

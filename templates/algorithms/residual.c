@@ -5,18 +5,29 @@
 #include "algorithms/scales.c"
 
 /* Rows count as well, by what they differ from what the last step predicted for them.
- * Scale of row m: its finite bounds or, if they are 0, its value, at least 1/1000 of what that has been. */
+ * Scale of row m: its finite bounds or, if they are 0, its value, at least 1/1000 of what that has been; the constant part
+ * of a row belongs to its bounds. It is at least a small part of the scale of its terms. */
 static real_t scale_of_row(solver_t *s, int m, real_t value)
 {
+    const real_t offset = row_offset[row_id(m)], magnitude = row_magnitude[row_id(m)];
     real_t scale = R(0), *most = &s->row_scale[row_id(m)];
-    enlarge(most, value);
-    enlarge_if_finite(&scale, row_lower(s, m));
-    enlarge_if_finite(&scale, row_upper(s, m));
-    if (!(scale > R(0))) {
+    enlarge(most, value - offset);
+    enlarge_if_finite(&scale, row_lower(s, m) - offset);
+    enlarge_if_finite(&scale, row_upper(s, m) - offset);
+    if (!(scale > TOL_ZERO * magnitude)) {
         scale = FACTOR_MOVING_ROW * *most;
-        enlarge(&scale, value);
+        enlarge(&scale, value - offset);
     }
-    return scale_of(scale);
+    enlarge(&scale, FACTOR_LITTLE_OF_ROW * magnitude);
+    return scale;
+}
+
+/* Values of rows are forgotten as those of the states are. */
+static void forget_rows(solver_t *s)
+{
+    for (int r = 0; r < NR; r++) {
+        s->row_scale[r] *= R(0.5);
+    }
 }
 
 /* Largest difference of a hard row at the present point from what the step predicted, which was `length` of the step of

@@ -1,9 +1,3 @@
-/* A scale of 0 is unknown and counts as 1. */
-static inline real_t scale_of(real_t scale)
-{
-    return (scale > R(0)) ? scale : R(1);
-}
-
 /* largest = max(largest, |value|) of a finite value. */
 static inline void enlarge_if_finite(real_t *largest, real_t value)
 {
@@ -31,17 +25,32 @@ static void enlarge_by_bounds(const solver_t *s, int k, real_t *size)
     }
 }
 
-/* Scales of the states: their largest magnitudes in the plan, half the width of their bounds at the first and last node. */
+/* Scales in which gaps of the states are measured: those that are declared, the measured state and the plans of samples
+ * that were OK; before the first sample, the present plan. Bounds that are set at run time count like declared ones. */
 static void state_scales(const solver_t *s, real_t *size)
 {
-    memset(size, 0, NX * sizeof *size);
-    for (int k = 0; k <= N; k++) {
+    for (int i = 0; i < NX; i++) {
+        size[i] = (z_scale[i] > s->state_size[i]) ? z_scale[i] : s->state_size[i];
+    }
+    largest_of(size, s->xhat);
+    for (int k = 0; k <= N && s->samples == 0; k++) {
         largest_of(size, s->x[k]);
     }
-    enlarge_by_bounds(s, 1, size);
-    enlarge_by_bounds(s, N, size);
+    if (SET_BOUNDS) {
+        enlarge_by_bounds(s, 1, size);
+        enlarge_by_bounds(s, N, size);
+    }
+}
+
+/* At the end of a sample: what the plan of a sample that was OK says of sizes. It is forgotten by one half in every sample,
+ * so that a spike does not blunt tolerances for long. */
+static void learn_sizes(solver_t *s, status_t status)
+{
     for (int i = 0; i < NX; i++) {
-        size[i] = scale_of(size[i]);
+        s->state_size[i] *= R(0.5);
+    }
+    for (int k = 0; k <= N && status == OK; k++) {
+        largest_of(s->state_size, s->x[k]);
     }
 }
 
@@ -54,7 +63,7 @@ static void control_sizes(const solver_t *s, real_t *size)
             enlarge(&size[j], s->u[k][j]);
             enlarge_if_finite(&size[j], R(0.5) * control_upper(s, k, j) - R(0.5) * control_lower(s, k, j));
         }
-        size[j] = scale_of(size[j]);
+        size[j] = size_or(size[j], z_scale[NX + j]);
     }
 }
 

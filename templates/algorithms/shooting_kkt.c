@@ -1,5 +1,5 @@
-/* KKT residuals of the plan: as they are and, the largest of them all, divided by 1 + the magnitudes of the terms that
- * are summed up. The dynamics hold because the states are simulated. The multipliers are those of the rows (what =
+/* KKT residuals of the plan: as they are and, the largest of them all, divided by the scale of what they belong to plus the
+ * magnitudes of the terms that are summed up. The dynamics hold because the states are simulated. The multipliers are those of the rows (what =
  * MULTIPLIER) or their estimates (ESTIMATE), those of the control bounds follow from the gradient. */
 
 #include "algorithms/kkt_terms.c"
@@ -7,8 +7,9 @@
 static void kkt_soft_row(const solver_t *s, int m, real_t value, real_t mu, kkt_t *kkt)
 {
     const real_t l1 = row_l1(m), l2 = row_l2(m);
-    kkt_soft_side(kkt, value - row_upper(s, m), (mu > R(0)) ? mu : R(0), l1, l2, value);
-    kkt_soft_side(kkt, row_lower(s, m) - value, (mu < R(0)) ? -mu : R(0), l1, l2, value);
+    const real_t scale = row_magnitude[row_id(m)];
+    kkt_soft_side(kkt, value - row_upper(s, m), (mu > R(0)) ? mu : R(0), l1, l2, value, scale);
+    kkt_soft_side(kkt, row_lower(s, m) - value, (mu < R(0)) ? -mu : R(0), l1, l2, value, scale);
 }
 
 /* Violation and complementarity of all rows. */
@@ -22,7 +23,7 @@ static void kkt_rows(const solver_t *s, int what, kkt_t *kkt)
             kkt_soft_row(s, m, value[m], mu, kkt);
             continue;
         }
-        kkt_row(kkt, value[m], row_lower(s, m), row_upper(s, m), mu);
+        kkt_row(kkt, value[m], row_lower(s, m), row_upper(s, m), mu, row_magnitude[row_id(m)]);
     }
 }
 
@@ -31,8 +32,8 @@ static void kkt_control(const solver_t *s, int k, int j, real_t pulled, real_t o
 {
     const real_t u = s->u[k][j], lower = control_lower(s, k, j), upper = control_upper(s, k, j), g = pulled + own;
     const int holds = (g > R(0) && !(u > lower)) || (g < R(0) && !(u < upper));
-    kkt_row(kkt, u, lower, upper, holds ? -g : R(0));
-    kkt_note(kkt, &kkt->stationarity, holds ? R(0) : g, FABS(pulled) + FABS(own));
+    kkt_row(kkt, u, lower, upper, holds ? -g : R(0), z_scale[NX + j]);
+    kkt_note(kkt, &kkt->stationarity, holds ? R(0) : g, FABS(pulled) + FABS(own), force_size[NX + j]);
 }
 
 /* Returns the relative stationarity. */
@@ -51,7 +52,7 @@ static real_t residual_of(const solver_t *s, int what, kkt_t *kkt)
     for (int k = 0; k < N; k++) {
         interval_value(s, k, lam);
         for (int i = 0; i < NX; i++) {
-            kkt_note(kkt, &kkt->equality, lam[i] - s->x[k + 1][i], FABS(lam[i]));
+            kkt_note(kkt, &kkt->equality, lam[i] - s->x[k + 1][i], FABS(lam[i]), z_scale[i]);
         }
     }
     kkt_rows(s, what, kkt);

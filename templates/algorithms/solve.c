@@ -34,13 +34,13 @@ static measures_t measure(solver_t *s)
         if (!is_measured[i] && !is_accumulator[i]) {
             continue;
         }
-        at.violation += FABS(s->x[0][i] - s->xhat[i]) / scale_of(q->state_scale[i]);
+        at.violation += FABS(s->x[0][i] - s->xhat[i]) / size_or(q->state_scale[i], z_scale[i]);
     }
     for (int k = 0; k < N; k++) {
         real_t x_next[NX];
         interval_value(s, k, x_next);
         for (int i = 0; i < NX; i++) {
-            at.violation += FABS(x_next[i] - s->x[k + 1][i]) / scale_of(q->state_scale[i]);
+            at.violation += FABS(x_next[i] - s->x[k + 1][i]) / size_or(q->state_scale[i], z_scale[i]);
         }
     }
     real_t value[NG];
@@ -51,7 +51,7 @@ static measures_t measure(solver_t *s)
             at.cost += soft_penalty(m, v);
             continue;
         }
-        at.violation += v / scale_of(s->row_scale[row_id(m)]);
+        at.violation += v / size_or(s->row_scale[row_id(m)], row_magnitude[row_id(m)]);
     }
     at.cost += nodal_cost(s);
     return at;
@@ -131,13 +131,13 @@ static void enlarge_by_reach(const solver_t *s, real_t *size)
 
 /* Scales of states and rows: largest magnitudes over the horizon at the present point and of the present step. They only
  * grow; if one does, the measures of earlier points are not comparable any more, and the filter is cleared. cost_unit is
- * how much the cost may change along the horizon, at least 1: the largest |g_i| |z_i|. */
+ * how much the cost may change along the horizon: the largest |g_i| |z_i|, at least that of its scale. */
 static void update_scales(solver_t *s)
 {
     sqp_t *q = &s->sqp;
     real_t size[NZ] = {0};
     int grew = 0;
-    q->cost_unit = R(1);
+    q->cost_unit = cost_size[0];
     for (int k = 0; k <= N; k++) {
         for (int i = 0; i < nz_at(k); i++) {
             enlarge(&q->cost_unit, gradient_of(s, k)[i] * point_at(s, k, i));
@@ -412,7 +412,7 @@ static real_t gain_of(const solver_t *s)
         if (row_is_soft(m)) {
             continue;
         }
-        gain -= FABS(row_excess(s, m, R(0))) / scale_of(s->row_scale[row_id(m)]);
+        gain -= FABS(row_excess(s, m, R(0))) / size_or(s->row_scale[row_id(m)], row_magnitude[row_id(m)]);
     }
     return gain;
 }
@@ -454,7 +454,7 @@ static void bound_multipliers(solver_t *s)
     real_t largest = R(0);
     for (int k = 0; k <= N; k++) {
         for (int i = 0; i < NX; i++) {
-            enlarge(&largest, s->lam[k][i] * scale_of(q->state_scale[i]));
+            enlarge(&largest, s->lam[k][i] * size_or(q->state_scale[i], z_scale[i]));
         }
     }
     if (!(q->base.violation > FACTOR_AWAY) || largest <= most) {

@@ -1,11 +1,13 @@
 #if ALL_MEASURED
-/* s->xhat = xhat. Returns 0 if an entry is not finite. */
+/* s->xhat = xhat, without what would lead to denormal numbers. Returns 0 if an entry is not finite. */
 static int take_state(solver_t *s, const real_t *xhat)
 {
     if (!all_finite(xhat, NX)) {
         return 0;
     }
-    memcpy(s->xhat, xhat, sizeof s->xhat);
+    for (int i = 0; i < NX; i++) {
+        s->xhat[i] = or_zero(xhat[i], i, TOL_ZERO * TOL_ZERO);
+    }
     return 1;
 }
 #else
@@ -19,7 +21,7 @@ static int take_state(solver_t *s, const real_t *xhat)
         }
     }
     for (int i = 0; i < NX; i++) {
-        s->xhat[i] = is_measured[i] ? xhat[i] : (is_accumulator[i] ? R(0) : s->x[0][i]);
+        s->xhat[i] = is_measured[i] ? or_zero(xhat[i], i, TOL_ZERO * TOL_ZERO) : (is_accumulator[i] ? R(0) : s->x[0][i]);
     }
     return 1;
 }

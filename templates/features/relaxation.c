@@ -14,7 +14,7 @@ static real_t cost_scale(const solver_t *s, const real_t *size)
         enlarge(&most, s->terminal.g[i] * size[i]);
         enlarge(&most, s->hessian.Q_N[i][i] * size[i] * size[i]);
     }
-    return scale_of(most);
+    return size_or(most, cost_size[0]);
 }
 
 /* Scales of states and controls, and those of the rows, which follow from them. */

@@ -12,8 +12,8 @@ static void settle_before_solve(solver_t *s)
     s->unsettled = 0;
 }
 
-/* Returns 1 if the step of the QP moves no state or control by more than 1 / 4096 of its largest value: the plan stands at
- * a solution, and multipliers that change there are not unique (as many active rows as controls). */
+/* Returns 1 if the step of the QP moves no state or control by more than 1 / 4096 of its largest value, beyond zeros: the plan
+ * stands at a solution, and multipliers that change there are not unique (as many active rows as controls). */
 static int stands_still(const solver_t *s)
 {
     for (int i = 0; i < NZ; i++) {
@@ -27,7 +27,7 @@ static int stands_still(const solver_t *s)
                 enlarge(&size, s->u[k][i - NX]);
             }
         }
-        if (moved > size / 4096) {
+        if (moved > size / 4096 + TOL_ZERO * z_scale[i]) {
             return 0;
         }
     }

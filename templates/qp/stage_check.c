@@ -48,7 +48,7 @@ static int qp_row_holds(qp_t *q, int c, int hard, real_t v, real_t size, int ful
 /* Sum of |a_i| size_i over the terms of row m, and its constant, which has been subtracted from the bounds. */
 static real_t qp_row_terms(const solver_t *s, int m, const real_t *size)
 {
-    real_t sum = FABS(stage_row_value(s, m));
+    real_t sum = FABS(stage_row_value(s, m)) + least_terms(row_id(m));
     if (stage_state[m] < 0) {
         const real_t *a = stage_row(s, m);
         for (int i = 0; i < (stage_of_row[m] < NS ? NZS : NXS); i++) {
@@ -75,7 +75,7 @@ static int qp_rows_hold(solver_t *s, int full)
     for (int k = 0; k < NS; k++) {
         for (int j = 0; j < NUS; j++) {
             const int c = k * NUS + j;
-            real_t terms = size[NXS + j];
+            real_t terms = size[NXS + j] + TOL_ZERO * z_scale[NX + j % NU];
             if (INTERIOR_POINT) {
                 terms += qp_least_size(s, c, full);
             }
@@ -170,7 +170,7 @@ static int qp_free_is_stationary(solver_t *s, const real_t *y, const real_t *noi
     real_t lam[NXS], size[NXS];
     memcpy(lam, s->riccati.work.vectors.rhs.g[0], sizeof lam);
     for (int i = 0; i < NXS; i++) {
-        size[i] = FABS(g[i]) + FABS(y[i] - g[i]) + FABS(lam[i] - y[i]);
+        size[i] = FABS(g[i]) + FABS(y[i] - g[i]) + FABS(lam[i] - y[i]) + TOL_ZERO * force_size[i];
     }
     for (int c = 0; c < NXS - NX; c++) {
         lam[copied_state[c]] += lam[NX + c];
@@ -209,7 +209,7 @@ static int qp_is_stationary(solver_t *s, int full)
     real_t(*w)[NZS] = s->riccati.work.vectors.rhs.g;
     real_t y[NZS], rest[NUS] = {0}, terms[NUS] = {0};
     real_t size[NZS] = {0}, noise[NXS] = {0}, most[NUS] = {0};
-    real_t cost = FACTOR_UNDERFLOW; /* what may have been lost to underflow */
+    real_t cost = least_cost();
     int holds = 1;
     if (full) {
         qp_component_sizes(s, full, size);

@@ -127,6 +127,16 @@ def vector(value: Any, size: int, what: str, *, finite: bool = True) -> Array:
     return array
 
 
+def declared_scale(value: Any, size: int, what: str) -> tuple[float, ...]:
+    """The sizes of the elements of a signal or residual, finite and positive; () for None."""
+    if value is None:
+        return ()
+    found = tuple(float(v) for v in vector(value, size, what))
+    if not all(v > 0.0 for v in found):
+        raise ProblemError(f"{what} must be positive, got {quote(value)}")
+    return found
+
+
 def weight_matrix(value: Any, size: int, what: str) -> Array:
     """A symmetric positive semidefinite matrix (size, size), up to rounding; a scalar or vector gives its diagonal."""
     array = numbers(value, what)

@@ -251,6 +251,7 @@ def _stage(ocp: OCP, h: list[Any], rows: tuple[Row, ...], stage: StageName) -> S
         scale_with_dt=tuple(r.scale_with_dt for r in residuals for _ in r.names),
         cost=cost if nodal else None,
         h=general,
+        y_scale=tuple(value for r in residuals for value in r.scale or (0.0,) * len(r.names)),
         h_names=tuple(row.name for position, row in positions if position >= 0),
         cost_rate=rate if rates else None,
     )

@@ -15,6 +15,7 @@ from nmpc_codegen.frontend.checks import (
     check_operations,
     checked_penalty,
     column,
+    declared_scale,
     duplicate,
     element_names,
     flag,
@@ -105,14 +106,20 @@ class OCP(Stated):
 
     # Signals ---------------------------------------------------------------------------------------------------------
 
-    def state(self, name: str, *, size: int | None = None, unit: str = "", initial: Any = 0.0) -> Any:
+    def state(
+        self, name: str, *, size: int | None = None, unit: str = "", initial: Any = 0.0, scale: Any = None
+    ) -> Any:
         """Declare a state; return its SX symbol, a scalar, or a column of ``size`` elements name[0], name[1], ...
 
         Symbols, including those of vectors, can be keys of a dictionary.
 
         ``initial`` is the x_0 that --check, --simulate, main.c and the test vectors use.
+
+        ``scale`` > 0: a value of it that is neither small nor large, in its unit. Tolerances are relative to it, and
+        what is far below it counts as 0. None: the largest of half the width of its bounds, its initial value and its
+        references; where all are 0, what the controls make of it.
         """
-        symbol = self._declare("state", self.states, name, size, unit, initial, "initial")
+        symbol = self._declare("state", self.states, name, size, unit, initial, "initial", scale)
         for which, kind in ((self._start, "start"), (self._end, "end")):
             twin = ca.SX.sym(f"{name}_{kind}", symbol.numel())
             which.append(twin)
@@ -121,9 +128,9 @@ class OCP(Stated):
                 self._elements[twin[i].element_hash()] = Element(kind, offset + i, element)  # type: ignore[arg-type]
         return symbol
 
-    def control(self, name: str, *, size: int | None = None, unit: str = "") -> Any:
-        """Declare a control, which is constant on every interval; return its SX symbol."""
-        return self._declare("control", self.controls, name, size, unit, 0.0, "value")
+    def control(self, name: str, *, size: int | None = None, unit: str = "", scale: Any = None) -> Any:
+        """Declare a control, which is constant on every interval; return its SX symbol. ``scale``: as for state()."""
+        return self._declare("control", self.controls, name, size, unit, 0.0, "value", scale)
 
     def parameter(self, name: str, *, value: Any = 0.0, size: int | None = None, unit: str = "") -> Any:
         """Declare a parameter, which can be changed at run time; return its SX symbol."""
@@ -155,14 +162,23 @@ class OCP(Stated):
         return ca.vertcat(ca.SX(0, 1), *self._end)
 
     def _declare(
-        self, kind: Kind, to: list[Declared], name: str, size: int | None, unit: str, value: Any, word: str
+        self,
+        kind: Kind,
+        to: list[Declared],
+        name: str,
+        size: int | None,
+        unit: str,
+        value: Any,
+        word: str,
+        scale: Any = None,
     ) -> Any:
         what = f"{kind} {quote(name)}"
         identifier(name, what)
         unit = unit_text(unit, f"{what}: unit")
         n = 1 if size is None else integer(size, f"{what}: size", 1, MAX_SIZE)
         values = tuple(float(v) for v in vector(value, n, f"{what}: {word}"))
-        signal = Signal(name, n, unit, values, sum(d.signal.size for d in to), size is None)
+        sizes = declared_scale(scale, n, f"{what}: scale")
+        signal = Signal(name, n, unit, values, sum(d.signal.size for d in to), size is None, sizes)
         earlier = [d.signal for d in (*self.states, *self.controls, *self.parameters)]
         taken = {c_identifier(e): s.name for s in earlier for e in (*s.elements, s.name)}
         for element in (*signal.elements, name):
@@ -257,7 +273,14 @@ class OCP(Stated):
     # Cost ------------------------------------------------------------------------------------------------------------
 
     def least_squares(
-        self, expr: Any, weight: Any, *, reference: Any = None, names: Any = None, scale_with_dt: bool = False
+        self,
+        expr: Any,
+        weight: Any,
+        *,
+        reference: Any = None,
+        names: Any = None,
+        scale_with_dt: bool = False,
+        scale: Any = None,
     ) -> None:
         """Add 1/2 (y - reference)' W (y - reference) at the nodes 0..N-1; several calls add up.
 
@@ -267,12 +290,16 @@ class OCP(Stated):
             reference: (ny,) or scalar, zero by default; it can be changed at run time.
             names: one name per element; by default the name of a bare symbol, else y_i.
             scale_with_dt: multiply the weight by the length of the interval.
+            scale: (ny,) or scalar > 0, a deviation that is neither small nor large; None: what the scales of states
+                and controls make of y. With the weight, it says what cost counts as 0.
         """
-        self._residual("least_squares", expr, weight, reference, names, scale_with_dt, "path")
+        self._residual("least_squares", expr, weight, reference, names, scale_with_dt, "path", scale)
 
-    def terminal_least_squares(self, expr: Any, weight: Any, *, reference: Any = None, names: Any = None) -> None:
+    def terminal_least_squares(
+        self, expr: Any, weight: Any, *, reference: Any = None, names: Any = None, scale: Any = None
+    ) -> None:
         """Add 1/2 (y - reference)' W (y - reference) at node N, y(x, p); never scaled. See least_squares()."""
-        self._residual("terminal_least_squares", expr, weight, reference, names, False, "terminal")
+        self._residual("terminal_least_squares", expr, weight, reference, names, False, "terminal", scale)
 
     def start_least_squares(self, expr: Any, weight: Any, *, reference: Any = None, names: Any = None) -> None:
         """Add 1/2 (y - reference)' W (y - reference) at node 0, y(x, p); never scaled. See least_squares().
@@ -283,7 +310,15 @@ class OCP(Stated):
         self._residual("start_least_squares", expr, weight, reference, names, False, "start")
 
     def _residual(
-        self, what: str, expr: Any, weight: Any, reference: Any, names: Any, scale: Any, stage: StageName
+        self,
+        what: str,
+        expr: Any,
+        weight: Any,
+        reference: Any,
+        names: Any,
+        with_dt: Any,
+        stage: StageName,
+        scale: Any = None,
     ) -> None:
         y = self._expression(expr, f"{what}: expression", _NODE if stage == "path" else _STATES)
         ny = y.numel()
@@ -293,7 +328,8 @@ class OCP(Stated):
         found = self._residual_names(what, y, names, earlier)
         W = weight_matrix(weight, ny, f"{what}: weight")
         yref = np.zeros(ny) if reference is None else vector(reference, ny, f"{what}: reference")
-        self.residuals.append(Residual(y, found, yref, W, flag(scale, f"{what}: scale_with_dt"), stage))
+        sizes = declared_scale(scale, ny, f"{what}: scale")
+        self.residuals.append(Residual(y, found, yref, W, flag(with_dt, f"{what}: scale_with_dt"), stage, sizes))
 
     def _residual_names(self, what: str, y: Any, names: Any, earlier: list[str]) -> tuple[str, ...]:
         if names is None:

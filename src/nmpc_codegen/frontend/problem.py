@@ -48,6 +48,7 @@ class Stage:
     h: Expression  # SX (nh,): general rows
     h_names: tuple[str, ...]
     cost_rate: Expression | None = None  # SX scalar: general cost per unit of time, integrated with the dynamics
+    y_scale: tuple[float, ...] = ()  # declared sizes of residuals, 0 where none is; shorter: none from there on
     dense_weight: bool = False  # the weight is stored as a matrix even if it has no entry off its diagonal
 
     @property

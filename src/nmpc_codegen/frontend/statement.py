@@ -41,6 +41,7 @@ class Residual:
     weight: Array
     scale_with_dt: bool
     stage: StageName
+    scale: tuple[float, ...] = ()  # declared sizes of y; empty: none
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,6 +14,7 @@ from nmpc_codegen.components.base import Counts, Dims, Feature
 from nmpc_codegen.components.core import core_structs
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.frontend.problem import Array, Problem, Row, Stage
+from nmpc_codegen.frontend.scales import scales
 from nmpc_codegen.ir.cmodule import CModule, Enum, Macro, Section, Setter, Setting, Table, check_prefix
 from nmpc_codegen.ir.kernel import called_functions
 from nmpc_codegen.ir.print_c import CStyle
@@ -435,9 +436,15 @@ def _tables(model: Model) -> tuple[Table, ...]:
     longest_step = model.parts.integrator.longest_step(p)
     first = np.searchsorted([r[0] for r in rows], range(p.N + 2))
     offsets = [s.offset for s in p.parameters] + [p.np]
+    sizes = scales(p)
     return (
         real("interval_length", p.dt, "dt_k"),
         *([] if p.discrete else [real("step_length", [longest_step], "longest integration step")]),
+        real("z_scale", _rounded(sizes.z), "scales of (x, u)"),
+        real("row_magnitude", _rounded(sizes.rows), "scales of the terms of the rows"),
+        real("row_offset", sizes.offsets, "constant parts of the rows, which belong to their bounds"),
+        real("cost_size", _rounded(sizes.cost), "scales of the most and the least expensive part of the cost"),
+        real("force_size", _rounded(sizes.forces), "scales of the gradient of the cost with respect to (x, u)"),
         real("initial_state", p.x_initial, "initial values of the states"),
         real("default_control", _default_controls(p), "0, clipped to the bounds"),
         real("default_parameter", p.p_value, "p"),
@@ -458,6 +465,11 @@ def _tables(model: Model) -> tuple[Table, ...]:
         integer("parameter_offset", offsets, "first element of a parameter in p"),
         *(table for component in model.parts.components for table in component.tables(p)),
     )
+
+
+def _rounded(values: ArrayLike) -> list[float]:
+    """Scales with the digits that they have."""
+    return [float(f"{v:.3g}") for v in np.ravel(values)]
 
 
 def _penalty(row: Row) -> tuple[float, float]:

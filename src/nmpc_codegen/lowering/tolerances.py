@@ -55,6 +55,7 @@ TOLERANCES: dict[str, tuple[float, str]] = {
     "ipm_ray": (2.0**12, "rest of a sum of row gradients that is taken as zero, relative to its terms"),
     "ipm_contradiction": (2.0**12, "contradiction of weighted bounds that may be rounding, relative to its terms"),
     "curved_pivot": (2.0**12, "pivot of the Hessian of solve() that counts as zero, in units of its variable"),
+    "zero": (1.0, "value that counts as 0, relative to its scale"),
     "unit": (1.0, "the machine epsilon; its square root separates a zero pivot from a positive one"),
     "merit_rounding": (2.0**6, "change of the merit function taken as rounding, relative to 1 + |phi|"),
     "semidefinite": (2.0**10, "pivot of the curvature of rows taken as zero, relative to its largest diagonal entry"),
@@ -189,6 +190,7 @@ FACTORS: dict[str, tuple[float, str]] = {
     "hand_over": (0.0001, "gap, in units of the cost, and residual below which an iterate indicates the working set"),
     "warm": (0.1, "first complementarity of a warm start, relative to that of a cold one"),
     "moving_row": (0.001, "scale of a row without bounds, relative to its largest value so far"),
+    "little_of_row": (0.01, "least scale of a row, relative to that of its terms: a bound near 0 says nothing"),
     "terminal_share": (4.0, "what the terminal rows gain by a step, relative to what the other terms lose"),
     "longer": (4.0, "ratio of the first length of a step to the last accepted one, and of successive lengths"),
     "underflow": (1e-36, "square that may have been lost to underflow in single precision"),
@@ -225,6 +227,7 @@ FACTORS: dict[str, tuple[float, str]] = {
 
 #: Multiples of the square root of the machine epsilon below which a tolerance does not fall.
 ROOTS: dict[str, float] = {
+    "zero": 2.0**-3,
     "qp_accepted": 0.25,
     "step": 0.5,
     "ipm_ray": 2.0**-4,

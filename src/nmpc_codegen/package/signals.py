@@ -41,7 +41,8 @@ class Signal:
     """A named scalar or vector among the states, controls or parameters.
 
     ``offset`` is the position of its first element in the stacked vector; ``value`` holds the initial value of a
-    state (x_0 for --check, --simulate, main.c), the value of a parameter, and zeros for a control.
+    state (x_0 for --check, --simulate, main.c), the value of a parameter, and zeros for a control. ``scale``: declared
+    sizes of the elements; empty: none.
     """
 
     name: str
@@ -50,6 +51,7 @@ class Signal:
     value: tuple[float, ...]
     offset: int
     scalar: bool  # declared without size=
+    scale: tuple[float, ...] = ()
 
     @property
     def elements(self) -> tuple[str, ...]:

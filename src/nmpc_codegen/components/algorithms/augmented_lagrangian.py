@@ -24,6 +24,7 @@ from nmpc_codegen.components.algorithms.real_time_iteration import (
     SAMPLES,
     SOLVE,
     UNCONVERGED,
+    state_size,
 )
 from nmpc_codegen.components.algorithms.scales import (
     cost_magnitude,
@@ -240,7 +241,8 @@ class AugmentedLagrangian(Defaults):
         keep = (
             Field("xhat", (dims.nx,), "state measured at the last feedback", "keep"),
             Field("prepared", (), "1 between prepare and feedback", "keep", "int32"),
-            replace(SAMPLES, only=lambda f: self.shift or f.repair),
+            SAMPLES,
+            state_size(dims),
             UNCONVERGED,
             Field(
                 "failing", (), "failures in a row, at most 3; < 0: successes lacking since a restart", "keep", "int32"

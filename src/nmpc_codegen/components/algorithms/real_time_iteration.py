@@ -115,6 +115,11 @@ _FOLLOWED = (Field("was_far", (), "1: the sample before left a residual", "keep"
 SAMPLES = Field("samples", (), "feedbacks since init or reset", "keep", "int32")
 
 
+def state_size(dims: Dims) -> Field:
+    """What plans that were OK tell of the sizes of the states."""
+    return Field("state_size", (dims.nx,), "largest states in plans that were OK, fading", "keep")
+
+
 @dataclass(frozen=True)
 class RealTimeIteration(Defaults):
     """One QP per sample, with a full step. ``shift``: how the plan moves before every prepare but the first.
@@ -324,7 +329,8 @@ class RealTimeIteration(Defaults):
         keep = (
             Field("xhat", (dims.nx,), "state measured at the last feedback", "keep"),
             Field("prepared", (), "1 between prepare and feedback", "keep", "int32"),
-            replace(SAMPLES, only=lambda f: self.shift or f.repair),
+            SAMPLES,
+            state_size(dims),
             *(_FOLLOWED if self.repair else ()),
             Field(
                 "row_residual", (), "of the hard rows, left by the last step", "keep", only=lambda f: f.nonlinear_rows

@@ -17,7 +17,7 @@ def tolerance_table(tolerance: float) -> Table:
 
 
 def variable_scales(problem: Problem) -> Array:
-    """Scales of (x, u), (nx + nu,), each the largest magnitude of its initial value and finite bounds, or 1 if all are
+    """Scales of (x, u), (nx + nu,): declared, or the largest magnitude of its initial value and finite bounds, or 1 if all are
     0; a control with two finite bounds has half the distance between them."""
     nx = problem.nx
     largest = np.concatenate([np.abs(problem.x_initial), np.zeros(problem.nu)])
@@ -28,7 +28,8 @@ def variable_scales(problem: Problem) -> Array:
         elif row.kind == "control":
             half = (row.upper - row.lower) / 2
             largest[nx + row.index] = half if np.isfinite(half) else max(bounds)
-    return np.where(largest > 0.0, largest, 1.0)
+    stated = np.array([v for s in (*problem.states, *problem.controls) for v in s.scale or (0.0,) * s.size])
+    return np.where(stated > 0.0, stated, np.where(largest > 0.0, largest, 1.0))
 
 
 def row_scales(problem: Problem, scale: Array) -> Array:

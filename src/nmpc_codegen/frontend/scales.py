@@ -1,0 +1,271 @@
+"""Sizes of the quantities of a problem: what a control engineer calls much or little of each of them.
+
+The scale of a state or control is ``scale=`` if declared, else the largest of half the width of its finite bounds (the
+magnitude of a single one), its initial value, and references of residuals that it is. A state of which nothing is known
+has the size of what a control of its size does to it in the first interval in which it acts, a control that with which
+a state changes by its size over the horizon; 1 if that tells nothing, either: rather too small than too large. Terms of rows, residuals and costs have the sizes to which those of their
+variables lead. None of them depends on data of a sample, so that rounding errors are no size.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+from scipy.linalg import expm
+
+from nmpc_codegen.frontend.problem import Array, Problem, Stage, symbols
+from nmpc_codegen.ir.casadi_types import Expression
+from nmpc_codegen.ir.kernel import Instruction, Kernel, Port, lift, opcode_name
+from nmpc_codegen.package.program import VALUES
+
+
+@dataclass(frozen=True, eq=False)
+class Scales:
+    """Sizes of a problem.
+
+    ``z`` (nx + nu,): of states and controls. ``rows`` (rows,): of the terms of a row besides its constant part ``offsets`` (rows,), which belongs to its bounds.
+    ``cost``: the largest, and the least, that a variable or residual of its size costs. ``forces`` (nx + nu,): of the
+    gradient of the cost, by the curvature of a variable itself, at least that of the least cost.
+    """
+
+    z: Array
+    rows: Array
+    offsets: Array
+    cost: tuple[float, float]
+    forces: Array
+
+
+def scales(problem: Problem) -> Scales:
+    """The sizes of a problem, from what is declared."""
+    z = _completed(problem, _declared(problem))
+    rows, offsets = _rows(problem, z)
+    costs, own = _costs(problem, z)
+    positive = costs[np.isfinite(costs) & (costs > 0.0)]
+    cost = (float(positive.max()), float(positive.min())) if positive.size else (1.0, 1.0)
+    return Scales(z, rows, offsets, cost, np.maximum(own, cost[1]) / z)
+
+
+def _declared(problem: Problem) -> Array:
+    """Scales of (x, u) that the problem states, 0 where it does not."""
+    nx = problem.nx
+    found = np.concatenate([np.abs(problem.x_initial), np.zeros(problem.nu)])
+    for row in problem.rows:
+        if row.kind in ("state", "control"):
+            i = row.index + (nx if row.kind == "control" else 0)
+            finite = [b for b in (row.lower, row.upper) if math.isfinite(b)]
+            width = (row.upper - row.lower) / 2 if len(finite) == 2 else max(map(abs, finite), default=0.0)
+            found[i] = max(found[i], width if width > 0.0 else max(map(abs, finite), default=0.0))
+    for stage in (problem.path, problem.terminal):
+        for place, value in zip(stage.y_elements, stage.reference, strict=True):
+            if place >= 0:
+                found[place] = max(found[place], abs(value))
+    stated = np.array([v for s in (*problem.states, *problem.controls) for v in s.scale or (0.0,) * s.size])
+    return np.where(stated > 0.0, stated, found)
+
+
+def _completed(problem: Problem, known: Array) -> Array:
+    """The same with what follows for the others from what a control does to a state over the horizon."""
+    nx, z = problem.nx, known.copy()
+    if np.all(z > 0.0):
+        return z
+    soon, reach = _responses(problem)
+    for j in np.flatnonzero(z[nx:] == 0.0):
+        needed = [z[i] / reach[i, j] for i in range(nx) if z[i] > 0.0 and reach[i, j] > 0.0]
+        z[nx + j] = min(needed, default=0.0)
+    z[nx:][~(np.isfinite(z[nx:]) & (z[nx:] > 0.0))] = 1.0
+    moved = np.max(soon * z[nx:], axis=1, initial=0.0)
+    found = np.where(z[:nx] > 0.0, z[:nx], moved)
+    z[:nx] = np.where(np.isfinite(found) & (found > 0.0), found, 1.0)
+    return z
+
+
+def _responses(problem: Problem) -> tuple[Array, Array]:
+    """(nx, nu) each: the first change of a state at a node, and the largest one over the horizon, by a control that
+    changes by 1 at its beginning, in the linear model at the initial state."""
+    nx, nu = problem.nx, problem.nu
+    x, u, p, _ = symbols(nx, nu, problem.np)
+    slopes = ca.densify(ca.jacobian(problem.dynamics(x, u, p), ca.vertcat(x, u)))
+    at = ca.Function("slopes", [x, u, p], [slopes])
+    S = np.asarray(at(problem.x_initial, _reference_controls(problem), problem.p_value)).reshape(nx, nx + nu)
+    first, most, dx = np.zeros((nx, nu)), np.zeros((nx, nu)), np.zeros((nx, nu))
+    if not np.all(np.isfinite(S)):
+        return first, most
+    step: dict[float, Array] = {}
+    with np.errstate(all="ignore"):
+        for dt in problem.dt:
+            if dt not in step:
+                rates = np.vstack([S, np.zeros((nu, nx + nu))])
+                step[dt] = S if problem.discrete else np.asarray(expm(rates * dt))[:nx]
+            dx = step[dt][:, :nx] @ dx + step[dt][:, nx:]
+            size = np.where(np.isfinite(dx), np.abs(dx), 0.0)
+            first, most = np.where(first > 0.0, first, size), np.fmax(most, size)
+    return first, most
+
+
+def _reference_controls(problem: Problem) -> Array:
+    return np.array([problem.path.reference[i] if i >= 0 else 0.0 for i in problem.control_reference])
+
+
+# Terms ---------------------------------------------------------------------------------------------------------------
+
+
+def _rows(problem: Problem, z: Array) -> tuple[Array, Array]:
+    """Sizes of the terms of all rows and their constant parts; a row of path and end has the larger size."""
+    size, offset = np.zeros(len(problem.rows)), np.zeros(len(problem.rows))
+    of_stage = {
+        at_end: _terms(stage.h, stage, problem, z) for at_end, stage in enumerate((problem.path, problem.terminal))
+    }
+    ends = _coupled_terms(problem, z)
+    for r, row in enumerate(problem.rows):
+        if row.kind in ("state", "control"):
+            size[r] = z[row.index + (problem.nx if row.kind == "control" else 0)]
+        for at_end, index in enumerate((row.index, row.index_terminal)):
+            terms = ends if row.kind == "coupled" and not at_end else of_stage[at_end] if row.kind == "general" else []
+            if 0 <= index < len(terms):
+                offset[r], more = terms[index]
+                size[r] = max(size[r], more)
+    return np.where(size > 0.0, size, 1.0), offset
+
+
+def _coupled_terms(problem: Problem, z: Array) -> list[tuple[float, float]]:
+    if problem.coupled is None:
+        return []
+    x_0, x_N = ca.SX.sym("x_0", problem.nx), ca.SX.sym("x_N", problem.nx)
+    sizes = [z[: problem.nx], z[: problem.nx]]
+    return _magnitudes(problem.coupled(x_0, x_N), [x_0, x_N], sizes, [problem.x_initial, problem.x_initial])
+
+
+def _terms(expression: Expression, stage: Stage, problem: Problem, z: Array) -> list[tuple[float, float]]:
+    """(constant part, size of the other terms) of every element of an expression of a stage."""
+    u = _reference_controls(problem) if stage.nu else np.zeros(0)
+    sizes = [z[: problem.nx], z[problem.nx :] if stage.nu else np.zeros(0)]
+    given = [problem.p_value, np.array(problem.dt[:1])]
+    symbols_ = [stage.x, stage.u, stage.p, stage.dt]
+    return _magnitudes(expression, symbols_, sizes, [problem.x_initial, u, *given])
+
+
+def _costs(problem: Problem, z: Array) -> tuple[Array, Array]:
+    """What every residual and general cost of its size costs, and what every variable of its size does by its own
+    curvature."""
+    found: list[float] = []
+    own = np.zeros(z.size)
+    for stage in (problem.path, problem.terminal):
+        dt = np.array([problem.dt[0] if scaled else 1.0 for scaled in stage.scale_with_dt])
+        size = np.array([terms for _, terms in _terms(stage.y, stage, problem, z)])
+        stated = np.array([*stage.y_scale, *[0.0] * (stage.ny - len(stage.y_scale))])
+        size = np.where(stated > 0.0, stated, size)
+        found += list(np.diag(stage.weight) * dt * size**2)
+        slopes = _slopes(stage, problem)
+        curvature = np.einsum("ij,i,ij->j", slopes, np.diag(stage.weight) * dt, slopes)
+        with np.errstate(all="ignore"):
+            squares = curvature * z[: curvature.size] ** 2
+        own[: squares.size] = np.fmax(own[: squares.size], np.where(np.isfinite(squares), squares, 0.0))
+        for cost, part in ((stage.cost, 1.0), (stage.cost_rate, problem.dt[0])):
+            if cost is not None:
+                found.append(part * _terms(cost, stage, problem, z)[0][1])
+    return np.array([*found, 0.0]), own
+
+
+def _slopes(stage: Stage, problem: Problem) -> Array:
+    """dy/dz of the residuals of a stage at the initial state."""
+    z = ca.vertcat(stage.x, stage.u)
+    at = ca.Function("slopes", [stage.x, stage.u, stage.p], [ca.densify(ca.jacobian(stage.y, z))])
+    u = _reference_controls(problem) if stage.nu else np.zeros(0)
+    found = np.asarray(at(problem.x_initial, u, problem.p_value)).reshape(stage.ny, z.numel())
+    return np.where(np.isfinite(found), found, 0.0)
+
+
+# Sizes of expressions ------------------------------------------------------------------------------------------------
+
+#: Constant part c, size m of the terms beside it, value v at the initial state.
+_Part = tuple[float, float, float]
+
+
+def _magnitudes(
+    expression: Expression, variables: Sequence[Expression], sizes: Sequence[Array], values: Sequence[Array]
+) -> list[tuple[float, float]]:
+    """(constant part, size of the other terms) of every element; ``sizes``: of the first variables, the others are
+    constants, whose values count. Terms do not cancel: p (p - a) has a size at p = a."""
+    n = int(expression.numel())
+    if n == 0:
+        return []
+    names = [f"v{i}" for i in range(len(variables))]
+    function = ca.Function("terms", list(variables), [ca.densify(expression)], names, ["value"])
+    kernel = lift(
+        function,
+        "terms",
+        "",
+        [Port(m, int(v.numel())) for m, v in zip(names, variables, strict=True)],
+        [Port("value", n)],
+    )
+    parts = _parts(kernel, sizes, values)
+    found = [(0.0, 0.0)] * n
+    for _, element, value in kernel.stores:
+        constant, size, _ = parts[value]
+        found[element] = (constant, size) if math.isfinite(constant + size) else (0.0, 1.0)
+    return found
+
+
+def _parts(kernel: Kernel, sizes: Sequence[Array], values: Sequence[Array]) -> list[_Part]:
+    """The parts of all values of a kernel."""
+    parts: list[_Part] = []
+    with np.errstate(all="ignore"):
+        for ins in kernel.instructions:
+            if ins.opcode == ca.OP_CONST:
+                parts.append((ins.constant, 0.0, ins.constant))
+            elif ins.opcode == ca.OP_INPUT:
+                port, element = ins.args
+                value = float(values[port][element])
+                parts.append(
+                    (0.0, float(sizes[port][element]), value) if port < len(sizes) else (0.0, abs(value), value)
+                )
+            else:
+                parts.append(_operation(ins, [parts[a] for a in ins.args]))
+    return parts
+
+
+def _operation(ins: Instruction, operands: list[_Part]) -> _Part:
+    name = opcode_name(ins.opcode).removeprefix("OP_").lower()
+    (c, m, v), (d, n, w) = operands[0], operands[-1]
+    value = float(VALUES[name](np.float64(v), np.float64(w)))
+    if name in _LINEAR:
+        return (*_LINEAR[name]((c, m), (d, n)), value)
+    if m == 0.0 and n == 0.0:
+        return value, 0.0, value
+    if name in ("mul", "div") and n == 0.0:
+        factor = d if name == "mul" else (1.0 / d if d else math.inf)
+        return c * factor, abs(m * factor), value
+    if name == "mul" and m == 0.0:
+        return d * c, abs(n * c), value
+    return 0.0, _size(name, abs(c) + m, abs(d) + n, value), value
+
+
+def _size(name: str, a: float, b: float, value: float) -> float:
+    """Size of an operation on operands of these sizes that has this value at the initial state."""
+    if name in _GROWING:
+        return float(_GROWING[name](a, b))
+    return abs(value) if value and math.isfinite(value) else min(a, 1.0)
+
+
+_Two = tuple[float, float]
+_LINEAR: dict[str, Callable[[_Two, _Two], _Two]] = {
+    "add": lambda a, b: (a[0] + b[0], a[1] + b[1]),
+    "sub": lambda a, b: (a[0] - b[0], a[1] + b[1]),
+    "neg": lambda a, b: (-a[0], a[1]),
+    "twice": lambda a, b: (2.0 * a[0], 2.0 * a[1]),
+}
+_GROWING: dict[str, Callable[[float, float], float]] = {
+    "mul": lambda a, b: a * b,
+    "div": lambda a, b: a / b if b else math.inf,
+    "inv": lambda a, b: 1.0 / a if a else math.inf,
+    "sq": lambda a, b: a * a,
+    "sqrt": lambda a, b: math.sqrt(a),
+    "fabs": lambda a, b: a,
+    "hypot": math.hypot,
+    "fmin": max,
+    "fmax": max,
+}
