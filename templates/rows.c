@@ -191,10 +191,10 @@ static void evaluate_rows(const solver_t *s, real_t *value)
     }
 }
 
-/* Sum of the magnitudes of the terms of row m, where size[] holds those of (dx, du): at least that of zeros. */
+/* Sum of the magnitudes of the terms of row m, where size[] holds those of (dx, du). */
 static real_t row_terms(const solver_t *s, int m, const real_t *size)
 {
-    const real_t constant = FABS(row_constant(s, m)) + least_terms(row_id(m));
+    const real_t constant = FABS(row_constant(s, m));
     if (row_is_state(m)) {
         return constant + size[row_index(m)];
     }

@@ -1,4 +1,5 @@
-"""Do gcc and clang, from -O0 to -O3, produce the same controller? All builds receive the recorded samples of one run.
+"""Do gcc and clang, from -O0 to -O3, and for AVX-512 where this machine has it, produce the same controller? All builds
+receive the recorded samples of one run.
 
 The other flags are those of the profile "fast": products and sums may be contracted, so that rounding differs between
 the builds. The figure shows differences beyond rounding.
@@ -26,8 +27,21 @@ DRIVER = Path(__file__).with_name("replay.c")
 COMPILERS = ("gcc", "clang")
 FLAGS = ("-std=c99", *(flag for flag in PROFILES["fast"].flags if not flag.startswith("-O")))
 LEVELS = ("-O0", "-O1", "-O2", "-O3")
+#: Vector extensions of x86-64-v4, as macros of a compiler for this machine.
+OF_V4 = {f"__AVX512{part}__" for part in ("F", "BW", "CD", "DQ", "VL")}
 LIMIT = 1e-9  # of the largest value of each control
 JOBS = 2
+
+
+def builds() -> list[tuple[str, ...]]:
+    """(compiler, flags) of all builds that run here, gcc -O0 first."""
+    found: list[tuple[str, ...]] = list(product(COMPILERS, LEVELS))
+    for compiler in COMPILERS:
+        command = [compiler, "-march=native", "-dM", "-E", "-x", "c", "/dev/null"]
+        known = subprocess.run(command, capture_output=True, text=True, check=False).stdout.split()
+        widths = ("x86-64-v4", "native") if set(known) >= OF_V4 else ("native",) if known else ()
+        found += [(compiler, level, f"-march={width}") for level in ("-O2", "-O3") for width in widths]
+    return found
 
 
 def disagreement(u: Array) -> float:
@@ -48,15 +62,13 @@ def record(controller: Controller, scenario: Scenario, n: int) -> Array:
     return np.array(found)
 
 
-def replays(
-    sources: Sources, x: Array, builds: Sequence[tuple[str, str]] = tuple(product(COMPILERS, LEVELS))
-) -> tuple[Array, Array]:
-    """Controls (builds, samples, nu) and status (builds, samples) of every build (compiler, level), gcc -O0 first."""
+def replays(sources: Sources, x: Array, of: Sequence[tuple[str, ...]]) -> tuple[Array, Array]:
+    """Controls (builds, samples, nu) and status (builds, samples) of these builds (compiler, flags)."""
     name = package_name(sources)
     text = "\n".join(" ".join(repr(float(v)) for v in row) for row in x)
     with written(sources) as folder, ThreadPoolExecutor(JOBS) as pool:
 
-        def replay(which: tuple[str, str]) -> Array:
+        def replay(which: tuple[str, ...]) -> Array:
             with tempfile.TemporaryDirectory() as program:
                 command = [*which, *FLAGS, f"-DNAME={name}", f"-DMACRO={name.upper()}", f'-DPACKAGE="{name}.c"']
                 command += [f"-I{folder}", str(DRIVER), "-o", f"{program}/replay", "-lm"]
@@ -64,5 +76,5 @@ def replays(
                 done = subprocess.run([f"{program}/replay"], input=text, capture_output=True, text=True, check=True)
             return np.array([[float(v) for v in line.split()] for line in done.stdout.splitlines()])
 
-        found = np.array(list(pool.map(replay, builds)))
+        found = np.array(list(pool.map(replay, of)))
     return found[:, :, 1:], found[:, :, 0]

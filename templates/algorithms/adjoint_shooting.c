@@ -88,7 +88,7 @@ static void algorithm_reset(solver_t *s)
     s->status = (int32_t)OK;
 }
 
-/* x_0 = xhat without what would lead to denormal numbers, 0 in accumulators. Returns 0, and leaves x_0 as it is, if a measured entry is not finite. */
+/* x_0 = xhat, 0 in accumulators. Returns 0, and leaves x_0 as it is, if a measured entry is not finite. */
 static int take_state(solver_t *s, const real_t *xhat)
 {
     if (!ACCUMULATORS) {
@@ -96,7 +96,7 @@ static int take_state(solver_t *s, const real_t *xhat)
             return 0;
         }
         for (int i = 0; i < NX; i++) {
-            s->x[0][i] = or_zero(xhat[i], i, TOL_ZERO * TOL_ZERO);
+            s->x[0][i] = or_zero(xhat[i], i);
         }
         return 1;
     }
@@ -106,7 +106,7 @@ static int take_state(solver_t *s, const real_t *xhat)
         }
     }
     for (int i = 0; i < NX; i++) {
-        s->x[0][i] = is_accumulator[i] ? R(0) : or_zero(xhat[i], i, TOL_ZERO * TOL_ZERO);
+        s->x[0][i] = is_accumulator[i] ? R(0) : or_zero(xhat[i], i);
     }
     return 1;
 }

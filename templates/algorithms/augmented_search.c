@@ -325,10 +325,10 @@ static void move_plan(solver_t *s)
     const auglag_t *a = &s->auglag;
     for (int k = 0; k <= N; k++) {
         for (int i = 0; i < NX; i++) {
-            s->x[k][i] += a->d[k][i];
+            s->x[k][i] = or_zero(s->x[k][i] + a->d[k][i], i);
         }
         for (int j = 0; k < N && j < NU; j++) {
-            s->u[k][j] += a->d[k][NX + j];
+            s->u[k][j] = or_zero(s->u[k][j] + a->d[k][NX + j], NX + j);
         }
     }
     (void)project_plan(s);
@@ -372,7 +372,7 @@ static real_t rounding_of_merit(const solver_t *s, real_t value)
             bends += FABS(a->H[k][NX + j][NX + j]) * s->u[k][j] * s->u[k][j];
         }
     }
-    return TOL_MERIT_ROUNDING * (FABS(value) + TOL_MERIT_ROUNDING * bends) + TOL_UNIT * forces + FACTOR_UNDERFLOW;
+    return TOL_MERIT_ROUNDING * (FABS(value) + TOL_MERIT_ROUNDING * bends) + TOL_UNIT * forces + least_cost();
 }
 
 /* One iteration from the model of the plan, assembled. Returns 1 if the plan has moved, and then gaps, rows, cost and

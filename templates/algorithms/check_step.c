@@ -24,7 +24,8 @@ static int rows_hold(const solver_t *s, const real_t *size)
             continue;
         }
         const real_t excess = FABS(row_excess(s, m, s->step.mult[m]));
-        if (!(excess <= R(0)) && !(excess <= TOL_STEP * row_terms(s, m, size))) {
+        const real_t rounding = TOL_ROUNDING * row_magnitude[row_id(m)];
+        if (!(excess <= rounding) && !(excess <= TOL_STEP * row_terms(s, m, size) + rounding)) {
             return 0;
         }
     }
@@ -58,8 +59,8 @@ static real_t cost_terms(const solver_t *s)
 }
 
 /* Returns 1 if the gradient with respect to the controls of node k vanishes, where w holds that of the cost and
- * dynamics: relative to its terms, or because it moves the cost by less than `least` squared, as its terms may all be
- * rounding errors of others. *least = 0: not known yet. If a term is not finite, `over` is not, either. */
+ * dynamics: relative to its terms and its scale, or because it moves the cost by less than `least` squared, as its terms
+ * may all be rounding errors of others. *least = 0: not known yet. If a term is not finite, `over` is not, either. */
 static int controls_hold(const solver_t *s, int k, const real_t *w, real_t *least)
 {
     const node_t *node = &s->node[k];
@@ -75,7 +76,8 @@ static int controls_hold(const solver_t *s, int k, const real_t *w, real_t *leas
             sum += force;
             size += FABS(force);
         }
-        const real_t over = (FABS(sum) - TOL_STEP_GRADIENT * size) * s->qp.inverse[j];
+        const real_t rounding = TOL_STEP_GRADIENT * size + TOL_ROUNDING * force_size[i];
+        const real_t over = (FABS(sum) - rounding) * s->qp.inverse[j];
         if (over > R(0) && *least <= R(0)) {
             *least = FACTOR_GRADIENT_MOVES * TOL_STEP_GRADIENT * SQRT(cost_terms(s));
         }

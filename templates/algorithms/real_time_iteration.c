@@ -88,10 +88,10 @@ static void take_step(solver_t *s)
 {
     for (int k = 0; k <= N; k++) {
         for (int i = 0; i < NX; i++) {
-            s->x[k][i] += s->step.dx[k][i];
+            s->x[k][i] = or_zero(s->x[k][i] + s->step.dx[k][i], i);
         }
         for (int j = 0; k < N && j < NU; j++) {
-            s->u[k][j] += s->step.du[k][j];
+            s->u[k][j] = or_zero(s->u[k][j] + s->step.du[k][j], NX + j);
             s->u[k][j] = safe_value(s, k, j);
         }
     }

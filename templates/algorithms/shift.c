@@ -10,15 +10,12 @@
 #endif
 #endif
 
-#include "algorithms/drop_rounding.c"
-
 status_t API(shift)(solver_t *s)
 {
     if (s->magic != MAGIC) {
         return NOT_INITIALIZED;
     }
     shift_plan(s);
-    drop_rounding(s);
     s->prepared = 0;
     return OK;
 }

@@ -30,7 +30,7 @@ static real_t place_controls(solver_t *s, real_t length, real_t slope)
     for (int k = 0; k < N; k++) {
         for (int j = 0; j < NU; j++) {
             const real_t lower = control_lower(s, k, j), upper = control_upper(s, k, j);
-            s->u[k][j] = clip(a->p[k][j] + length * control_scale[j] * a->d[k][j], lower, upper);
+            s->u[k][j] = clip(or_zero(a->p[k][j] + length * control_scale[j] * a->d[k][j], NX + j), lower, upper);
             if (QUASI_NEWTON) {
                 slope += a->r[k][j] * (s->u[k][j] - a->p[k][j]) / control_scale[j];
             } else {

@@ -61,14 +61,11 @@ static void shift_plan(solver_t *s)
 }
 #endif
 
-#include "algorithms/drop_rounding.c"
-
 status_t API(shift)(solver_t *s)
 {
     if (s->magic != MAGIC) {
         return NOT_INITIALIZED;
     }
     shift_plan(s);
-    drop_rounding(s);
     return OK;
 }

@@ -1,12 +1,12 @@
 #if ALL_MEASURED
-/* s->xhat = xhat, without what would lead to denormal numbers. Returns 0 if an entry is not finite. */
+/* s->xhat = xhat. Returns 0 if an entry is not finite. */
 static int take_state(solver_t *s, const real_t *xhat)
 {
     if (!all_finite(xhat, NX)) {
         return 0;
     }
     for (int i = 0; i < NX; i++) {
-        s->xhat[i] = or_zero(xhat[i], i, TOL_ZERO * TOL_ZERO);
+        s->xhat[i] = or_zero(xhat[i], i);
     }
     return 1;
 }
@@ -21,7 +21,7 @@ static int take_state(solver_t *s, const real_t *xhat)
         }
     }
     for (int i = 0; i < NX; i++) {
-        s->xhat[i] = is_measured[i] ? or_zero(xhat[i], i, TOL_ZERO * TOL_ZERO) : (is_accumulator[i] ? R(0) : s->x[0][i]);
+        s->xhat[i] = is_measured[i] ? or_zero(xhat[i], i) : (is_accumulator[i] ? R(0) : s->x[0][i]);
     }
     return 1;
 }

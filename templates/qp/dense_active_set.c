@@ -14,7 +14,8 @@
  *   qp_factorize  preparation: H (lower triangle) and A are known, lower and upper hold a prediction. Overwrites H.
  *                 Returns OK, or NUMERICAL_FAILURE if H is not positive semidefinite or data are not finite.
  *   qp_solve      feedback: g, lower, upper and penalty are known. Writes z, mult, iterations, changes, dropped,
- *                 relaxed. Returns OK; ITERATION_LIMIT, STALLED (a working set repeats itself) or INFEASIBLE with z
+ *                 relaxed. Returns OK; ITERATION_LIMIT, STALLED (a working set repeats itself, or
+ *                 rounding decides whether rows contradict one another) or INFEASIBLE with z
  *                 the last iterate, or 0 if bounds cross; NUMERICAL_FAILURE (data not finite, cost unbounded below)
  *                 with z = mult = 0.
  *   qp_shift_controls, qp_shift_rows  called before qp_factorize: shift the predicted working set by n controls, and
@@ -120,7 +121,8 @@ static status_t qp_factorize(qp_t *q)
 }
 
 /* An answer that is not accepted is computed again with a smaller tolerance for rounding errors. The rows contradict one
- * another if both attempts with a smaller tolerance prove that. */
+ * another if both attempts with a smaller tolerance prove that; if one of them does, rounding decides, and the QP is given
+ * up. */
 static status_t qp_solve(qp_t *q)
 {
     int proofs = 0;
@@ -139,7 +141,7 @@ static status_t qp_solve(qp_t *q)
             return status != NUMERICAL_FAILURE && qp_write_result(q) ? status : qp_fail(q, NUMERICAL_FAILURE);
         }
     }
-    return qp_fail(q, NUMERICAL_FAILURE);
+    return (proofs > 0 && qp_write_result(q)) ? STALLED : qp_fail(q, NUMERICAL_FAILURE);
 }
 
 #include "qp/dense_active_set_shift.c"

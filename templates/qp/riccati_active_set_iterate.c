@@ -7,7 +7,7 @@ static inline real_t qp_tolerance(const qp_t *q, real_t exact)
     return q->rough ? FACTOR_ROUGH * SQRT(TOL_UNIT) : exact;
 }
 
-/* Side of c, which is not a member, from its value v and its bounds; `size` is the magnitude of the terms of v. */
+/* Side of c, which is not a member, from its value v and its bounds; `size`: magnitude of the terms of v, and its scale. */
 static inline int qp_side_of_value(const qp_t *q, int c, real_t v, real_t size)
 {
     const real_t tolerance = qp_tolerance(q, TOL_RICCATI_FEASIBILITY);
@@ -25,7 +25,7 @@ static int qp_side_of_control(const solver_t *s, int k, int j)
     const int c = k * NUS + j, side = q->side[c];
     real_t mult, size;
     if (side == INACTIVE) {
-        return qp_side_of_value(q, c, q->z[c], q->scale[NXS + j]);
+        return qp_side_of_value(q, c, q->z[c], q->scale[NXS + j] + z_scale[NX + j % NU]);
     }
     if (q->lower[c] >= q->upper[c]) {
         return side;
@@ -35,7 +35,7 @@ static int qp_side_of_control(const solver_t *s, int k, int j)
     if (!q->refined) {
         size = r->M[k][j][NXS + j] * q->scale[NXS + j] + FABS(r->h[k][j]);
     }
-    return mult >= -TOL_RICCATI_SIGN * size ? side : INACTIVE;
+    return mult >= -TOL_RICCATI_SIGN * size - TOL_ROUNDING * force_size[NX + j % NU] ? side : INACTIVE;
 }
 
 #if NG
@@ -84,7 +84,7 @@ static int qp_side_of_row(const solver_t *s, int m, const largest_t *largest)
     const int c = NV + m, side = q->side[c];
     const real_t size = qp_row_size(s, m);
     if (side == INACTIVE) {
-        return qp_side_of_value(q, c, q->value[m], size);
+        return qp_side_of_value(q, c, q->value[m], size + row_magnitude[row_id(m)]);
     }
     if (qp_is_violated(side)) {
         const real_t violation = side > 0 ? q->value[m] - q->upper[c] : q->lower[c] - q->value[m];

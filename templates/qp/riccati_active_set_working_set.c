@@ -17,20 +17,21 @@ static inline int qp_is_member(int side)
     return side == AT_LOWER || side == AT_UPPER;
 }
 
-/* Bound |a|'|z| of the terms of row m, with the largest magnitude of every component of z over all stages. */
+/* Bound |a|'|z| of the terms of row m, with the largest magnitude of every component of z over all stages, at least that
+ * of zeros. */
 static real_t qp_row_size(const solver_t *s, int m)
 {
     const real_t *scale = s->qp.scale;
     if (stage_state[m] < 0) {
         const int n = stage_of_row[m] < NS ? NZS : NXS;
         const real_t *a = stage_row(s, m);
-        real_t sum = R(0);
+        real_t sum = TOL_ZERO * row_magnitude[row_id(m)];
         for (int i = 0; i < n; i++) {
             sum += FABS(a[i]) * scale[i];
         }
         return sum;
     }
-    return scale[stage_state[m]];
+    return scale[stage_state[m]] + TOL_ZERO * row_magnitude[row_id(m)];
 }
 
 /* Marks the factors and vectors of the stages 0 .. k as stale after a change of the working set. */

@@ -28,14 +28,14 @@ static void qp_component_sizes(solver_t *s, int full, real_t *size)
     }
 }
 
-/* Checks row c with value v, whose terms have the magnitude `size`. A multiplier counts only if the value is at the
+/* Checks row c with value v, whose terms have the magnitude `size` and whose scale is `scale`. A multiplier counts only if the value is at the
  * bound that it belongs to: otherwise it becomes 0 (full), so that complementarity is checked with the gradient, or the
  * row does not hold. */
-static int qp_row_holds(qp_t *q, int c, int hard, real_t v, real_t size, int full)
+static int qp_row_holds(qp_t *q, int c, int hard, real_t v, real_t size, real_t scale, int full)
 {
     const real_t over = v - q->upper[c], under = q->lower[c] - v;
-    const real_t at_upper = TOL_QP_ACCEPTED * (size + FABS(q->upper[c]));
-    const real_t at_lower = TOL_QP_ACCEPTED * (size + FABS(q->lower[c]));
+    const real_t at_upper = TOL_QP_ACCEPTED * (size + FABS(q->upper[c])) + TOL_ROUNDING * scale;
+    const real_t at_lower = TOL_QP_ACCEPTED * (size + FABS(q->lower[c])) + TOL_ROUNDING * scale;
     int holds = !hard || (over <= at_upper && under <= at_lower);
     if ((q->mult[c] > R(0) && !(over >= -at_upper && over > -INF)) ||
         (q->mult[c] < R(0) && !(under >= -at_lower && under > -INF))) {
@@ -48,7 +48,7 @@ static int qp_row_holds(qp_t *q, int c, int hard, real_t v, real_t size, int ful
 /* Sum of |a_i| size_i over the terms of row m, and its constant, which has been subtracted from the bounds. */
 static real_t qp_row_terms(const solver_t *s, int m, const real_t *size)
 {
-    real_t sum = FABS(stage_row_value(s, m)) + least_terms(row_id(m));
+    real_t sum = FABS(stage_row_value(s, m));
     if (stage_state[m] < 0) {
         const real_t *a = stage_row(s, m);
         for (int i = 0; i < (stage_of_row[m] < NS ? NZS : NXS); i++) {
@@ -75,11 +75,11 @@ static int qp_rows_hold(solver_t *s, int full)
     for (int k = 0; k < NS; k++) {
         for (int j = 0; j < NUS; j++) {
             const int c = k * NUS + j;
-            real_t terms = size[NXS + j] + TOL_ZERO * z_scale[NX + j % NU];
+            real_t terms = size[NXS + j];
             if (INTERIOR_POINT) {
                 terms += qp_least_size(s, c, full);
             }
-            holds &= qp_row_holds(&s->qp, c, 1, s->qp.z[c], terms, full);
+            holds &= qp_row_holds(&s->qp, c, 1, s->qp.z[c], terms, z_scale[NX + j % NU], full);
         }
     }
     for (int m = 0; m < NG; m++) {
@@ -87,7 +87,8 @@ static int qp_rows_hold(solver_t *s, int full)
         if (INTERIOR_POINT) {
             terms += qp_least_size(s, NV + m, full);
         }
-        holds &= qp_row_holds(&s->qp, NV + m, !qp_is_soft(&s->qp, m), qp_row_value(s, m), terms, full);
+        const real_t scale = row_magnitude[row_id(m)];
+        holds &= qp_row_holds(&s->qp, NV + m, !qp_is_soft(&s->qp, m), qp_row_value(s, m), terms, scale, full);
     }
     return holds;
 }
@@ -170,7 +171,7 @@ static int qp_free_is_stationary(solver_t *s, const real_t *y, const real_t *noi
     real_t lam[NXS], size[NXS];
     memcpy(lam, s->riccati.work.vectors.rhs.g[0], sizeof lam);
     for (int i = 0; i < NXS; i++) {
-        size[i] = FABS(g[i]) + FABS(y[i] - g[i]) + FABS(lam[i] - y[i]) + TOL_ZERO * force_size[i];
+        size[i] = FABS(g[i]) + FABS(y[i] - g[i]) + FABS(lam[i] - y[i]);
     }
     for (int c = 0; c < NXS - NX; c++) {
         lam[copied_state[c]] += lam[NX + c];
@@ -182,7 +183,8 @@ static int qp_free_is_stationary(solver_t *s, const real_t *y, const real_t *noi
         for (int c = 0; c < NXS - NX; c++) {
             error += (copied_state[c] == i) ? noise[NX + c] : R(0);
         }
-        holds &= FABS(lam[i]) <= TOL_QP_ACCEPTED * size[i] || FABS(lam[i]) <= TOL_QP_NOISE * error;
+        const real_t rest = FABS(lam[i]) - TOL_ROUNDING * force_size[i];
+        holds &= rest <= TOL_QP_ACCEPTED * size[i] || rest <= TOL_QP_NOISE * error;
     }
     return holds;
 }
@@ -236,8 +238,9 @@ static int qp_is_stationary(solver_t *s, int full)
         }
     }
     for (int j = 0; j < NUS; j++) {
+        const real_t rounding = TOL_ROUNDING * force_size[NX + j % NU];
         holds &= isfinite(terms[j]);
-        holds &= rest[j] <= TOL_QP_ACCEPTED * terms[j] || (full && qp_is_negligible(s, j, rest[j], most[j], cost));
+        holds &= rest[j] <= TOL_QP_ACCEPTED * terms[j] + rounding || (full && qp_is_negligible(s, j, rest[j], most[j], cost));
     }
     if (NF) {
         holds &= qp_free_is_stationary(s, y, noise);

@@ -29,8 +29,14 @@ def registry(seam: str) -> Mapping[str, Any]:
     return REGISTRIES[seam]
 
 
+#: Spellings of other languages.
+_TRUTH = {"true": True, "false": False}
+
+
 def parsed(text: str) -> Any:
-    """A Python literal, else the text itself."""
+    """A Python literal, true or false, else the text itself."""
+    if text in _TRUTH:
+        return _TRUTH[text]
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")

@@ -3,8 +3,9 @@
 The scale of a state or control is ``scale=`` if declared, else the largest of half the width of its finite bounds (the
 magnitude of a single one), its initial value, and references of residuals that it is. A state of which nothing is known
 has the size of what a control of its size does to it in the first interval in which it acts, a control that with which
-a state changes by its size over the horizon; 1 if that tells nothing, either: rather too small than too large. Terms of rows, residuals and costs have the sizes to which those of their
-variables lead. None of them depends on data of a sample, so that rounding errors are no size.
+a state changes by its size over the horizon; 1 if that tells nothing, either: rather too small than too large. Terms
+of rows, residuals and costs have the sizes to which those of their variables lead. None of them depends on data of a
+sample, so that rounding errors are no size.
 """
 
 from __future__ import annotations
@@ -27,7 +28,8 @@ from nmpc_codegen.package.program import VALUES
 class Scales:
     """Sizes of a problem.
 
-    ``z`` (nx + nu,): of states and controls. ``rows`` (rows,): of the terms of a row besides its constant part ``offsets`` (rows,), which belongs to its bounds.
+    ``z`` (nx + nu,): of states and controls. ``rows`` (rows,): of the terms of a row besides its constant part
+    ``offsets`` (rows,), which belongs to its bounds.
     ``cost``: the largest, and the least, that a variable or residual of its size costs. ``forces`` (nx + nu,): of the
     gradient of the cost, by the curvature of a variable itself, at least that of the least cost.
     """
@@ -231,7 +233,7 @@ def _parts(kernel: Kernel, sizes: Sequence[Array], values: Sequence[Array]) -> l
 def _operation(ins: Instruction, operands: list[_Part]) -> _Part:
     name = opcode_name(ins.opcode).removeprefix("OP_").lower()
     (c, m, v), (d, n, w) = operands[0], operands[-1]
-    value = float(VALUES[name](np.float64(v), np.float64(w)))
+    value = float(VALUES[name](np.array(v), np.array(w)))
     if name in _LINEAR:
         return (*_LINEAR[name]((c, m), (d, n)), value)
     if m == 0.0 and n == 0.0:

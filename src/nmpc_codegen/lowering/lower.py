@@ -499,7 +499,7 @@ def _description(
     ranges: Mapping[str, tuple[int, int]],
 ) -> PackageDescription:
     """The data that Controller and open_package() need besides the C text."""
-    p = model.problem
+    p, sizes = model.problem, scales(model.problem)
     return PackageDescription(
         name=name,
         precision=model.precision,
@@ -524,6 +524,8 @@ def _description(
         report=report,
         program=model.program,
         ranges=ranges,
+        scales=tuple(_rounded(sizes.z)),
+        row_scales=tuple(_rounded(sizes.rows)),
     )
 
 

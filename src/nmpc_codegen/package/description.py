@@ -104,6 +104,8 @@ class PackageDescription:
     report: Report
     program: Program
     ranges: Mapping[str, tuple[int, int]] = field(default_factory=dict)
+    scales: tuple[float, ...] = ()  # of states and controls, (nx + nu,)
+    row_scales: tuple[float, ...] = ()  # of the terms of the rows
 
     @property
     def dims(self) -> Dimensions:

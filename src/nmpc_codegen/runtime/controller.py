@@ -121,7 +121,7 @@ class Controller(Memory):
     def solve(
         self,
         xhat: ArrayLike,
-        tol: float = 1e-8,
+        tol: float | None = None,
         max_iterations: int = 100,
         globalization: Globalization = "filter",
     ) -> Solution:
@@ -131,7 +131,8 @@ class Controller(Memory):
 
         Args:
             xhat: initial state, shape (nx,).
-            tol: KKT residual, relative to the terms that it sums, up to which the problem counts as solved, > 0.
+            tol: KKT residual, relative to the terms that it sums, up to which the problem counts as solved, > 0;
+                None: 1e-8, in single precision 1e-4.
             max_iterations: maximum number of SQP iterations, >= 1.
             globalization: "filter", a line search that accepts what reduces cost or violation, with restoration of
                 feasibility; or "full_step", the real-time iteration repeated.

@@ -91,8 +91,13 @@ class _Run:
     time_ns: int = 0
 
 
-def solve(ctrl: Memory, tol: float, max_iterations: int, globalization: Globalization) -> Solution:
+#: KKT residual up to which a problem counts as solved where none is given, by precision.
+TOLERANCE = {"double": 1e-8, "single": 1e-4}
+
+
+def solve(ctrl: Memory, tol: float | None, max_iterations: int, globalization: Globalization) -> Solution:
     """Iterate from the present plan and the state that the controller has been given; see Controller.solve()."""
+    tol = TOLERANCE[ctrl.description.precision] if tol is None else tol
     if not is_positive(tol):
         raise ControllerError(f"tol is {tol!r}; expected a positive number")
     if not is_integer(max_iterations) or max_iterations < 1:

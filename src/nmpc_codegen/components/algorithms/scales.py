@@ -17,8 +17,8 @@ def tolerance_table(tolerance: float) -> Table:
 
 
 def variable_scales(problem: Problem) -> Array:
-    """Scales of (x, u), (nx + nu,): declared, or the largest magnitude of its initial value and finite bounds, or 1 if all are
-    0; a control with two finite bounds has half the distance between them."""
+    """Scales of (x, u), (nx + nu,): declared, or the largest magnitude of the initial value and finite bounds, or 1 if
+    all are 0; a control with two finite bounds has half the distance between them."""
     nx = problem.nx
     largest = np.concatenate([np.abs(problem.x_initial), np.zeros(problem.nu)])
     for row in problem.rows:

@@ -250,7 +250,9 @@ class _Pruned:
         for place, item in enumerate(self.items):
             if isinstance(item, str):
                 self.items[place] = _with_changed_prototype(item, changes)
-            elif called := sorted(changes.keys() & self._words(item)):
+                continue
+            item = self.items[place] = replace(item, block=_with_changed_bounds(item.block, changes))
+            if called := sorted(changes.keys() & self._words(item)):
                 text = "\n".join(item.block) + "\n"
                 for name in called:
                     text = _with_changed_calls(text, name, changes[name], parameters[name])
@@ -275,6 +277,17 @@ def _only_result(function: _Function) -> str:
         types = re.findall(rf"(\w+) (?:{function.name}\(|{value}\b)", head)
         return value if len(types) == 2 and types[0] == types[1] else ""
     return "" if value[-1].islower() or (of_real and value[-1].isdigit()) else value
+
+
+def _with_changed_bounds(block: Sequence[str], changes: Mapping[str, _Change]) -> tuple[str, ...]:
+    """A block whose comments on the passes of loops name the constant result of a function instead of its call."""
+    lines = list(block)
+    for name, change in changes.items():
+        if change.value and change.value[0].isupper():
+            for number, line in enumerate(lines):
+                if f"/* at most {name}(" in line:
+                    lines[number] = re.sub(rf"(/\* at most ){name}\(\w*\)", rf"\g<1>{change.value}", line)
+    return tuple(lines)
 
 
 def _with_changed_calls(text: str, name: str, change: _Change, parameters: Sequence[str]) -> str:

@@ -14,7 +14,7 @@ from nmpc_codegen.runtime.memory import Memory
 
 #: Relative KKT residual of a sample above which steps with another Hessian than that of solve() may be the cause.
 FAR_FROM_OPTIMAL = 0.01
-#: Gap of a state, relative to its largest value, below which it explains nothing.
+#: Gap of a state, relative to its scale and its largest value, below which it explains nothing.
 SMALL_GAP = 1e-6
 #: Most lines of one kind, and most states of a list.
 MOST, LISTED = 3, 12
@@ -77,7 +77,7 @@ def solves_exactly(ctrl: Memory) -> bool:
 
 def _left_by_samples(ctrl: Memory) -> list[str]:
     """That the plan is not optimal, which may be due to the steps of the samples."""
-    if not solves_exactly(ctrl) or not ctrl.kkt().relative > FAR_FROM_OPTIMAL:
+    if not np.any(ctrl.member("samples")) or not solves_exactly(ctrl) or not ctrl.kkt().relative > FAR_FROM_OPTIMAL:
         return []
     return [
         f"the plan is not optimal, relative KKT residual {ctrl.kkt().relative:.1e}: where it does not fall from sample "
@@ -216,16 +216,28 @@ def _rows(ctrl: Memory, solved: bool) -> Iterator[str]:
         yield from map(str, violations(ctrl)[:MOST])
 
 
-def _ends(ctrl: Memory) -> Iterator[Array]:
-    return (np.asarray(ctrl.integrate(ctrl.x[k], ctrl.u[k], dt)) for k, dt in enumerate(ctrl.description.dt))
+def _ends(ctrl: Memory) -> list[Array]:
+    """Ends of the intervals, each one with the parameters of its node: integrate() takes those of node 0."""
+    stored = ctrl.member("p")
+    own = len(stored) == ctrl.dims.N + 1
+    first, found = stored[:1].copy(), []
+    try:
+        for k, dt in enumerate(ctrl.description.dt):
+            if own:
+                stored[0] = stored[k]
+            found.append(np.array(ctrl.integrate(ctrl.x[k], ctrl.u[k], dt)))
+            stored[:1] = first
+    finally:
+        stored[:1] = first
+    return found
 
 
 def _largest_gap(ctrl: Memory, solved: bool) -> Iterator[str]:
     """Where the plan is farthest from the model, in units of the state's largest value."""
     if ctrl.status in (Status.INFEASIBLE, Status.RELAXED) or not (solved or ctrl.status == Status.NOT_CONVERGED):
         return
-    gaps = np.abs(np.asarray(list(_ends(ctrl)), dtype=np.float64) - ctrl.x[1:])
-    relative = gaps / (1e-9 + np.max(np.abs(ctrl.x), axis=0))
+    gaps = np.abs(np.asarray(_ends(ctrl), dtype=np.float64) - ctrl.x[1:])
+    relative = gaps / (np.asarray(ctrl.description.scales[: ctrl.dims.nx]) + np.max(np.abs(ctrl.x), axis=0))
     if np.all(np.isfinite(relative)) and np.max(relative) >= SMALL_GAP:
         node, i = divmod(int(np.argmax(relative)), relative.shape[1])
         state = f"{ctrl.names.states[i]} at node {node + 1}"

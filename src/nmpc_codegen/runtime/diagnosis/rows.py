@@ -16,7 +16,7 @@ NEGLIGIBLE = 1e-6
 
 @dataclass(frozen=True)
 class Violation:
-    """A row outside its bounds by ``amount``; ``size``: its largest finite bound or value in the plan."""
+    """A row outside its bounds by ``amount``; ``size``: its scale, or its largest finite bound or value in the plan."""
 
     row: Row
     node: int
@@ -100,6 +100,7 @@ def violations(ctrl: Memory) -> list[Violation]:
             values = column[:, number if row.kind == "general" else row.index]
             nodes = (k for k in row.nodes if k or row.kind != "state")  # x_0 is measured
             most = float(np.nanmax(np.abs(values), initial=0.0))
+            most = max(most, *ctrl.description.row_scales[number : number + 1])
             found = (_violation(row, k, float(values[k]), most, *bounds_at(ctrl, number, k)) for k in nodes)
             worst += sorted((v for v in found if v.amount > NEGLIGIBLE * v.size), key=lambda v: -v.amount)[:1]
     return sorted(worst, key=lambda v: -v.amount / v.size)
@@ -107,4 +108,4 @@ def violations(ctrl: Memory) -> list[Violation]:
 
 def _violation(row: Row, node: int, value: float, most: float, lower: float, upper: float) -> Violation:
     size = max((abs(b) for b in (lower, upper) if np.isfinite(b)), default=0.0)
-    return Violation(row, node, max(value - upper, lower - value), max(size, most, 1e-300))
+    return Violation(row, node, max(value - upper, lower - value), max(size, most))

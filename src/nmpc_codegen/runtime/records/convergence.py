@@ -97,8 +97,8 @@ def draw(log: Sequence[Iteration], title: str, failed: bool, file: str | os.Path
     """Figure: residuals above, length of the step and shift of the Hessian below, over the iterations."""
     mpl = extra("matplotlib", "plot_convergence()")
     numbers = range(1, len(log) + 1)
+    figure = new_figure((7.2, 4.6), file)
     with mpl.rc_context(STYLE):
-        figure = new_figure((7.2, 4.6), file)
         above, below = figure.subplots(2, 1, sharex=True, height_ratios=(2, 1))
         for part, color in PARTS.items():
             values = [_drawn(getattr(entry.kkt, part)) for entry in log]

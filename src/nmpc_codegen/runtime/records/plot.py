@@ -76,8 +76,8 @@ def draw(
     columns = math.ceil(len(curves) / COLUMN_LIMIT)
     rows = math.ceil(len(curves) / columns)
     size = (WIDTH * (1.0 if columns == 1 else 0.62 * columns), 0.8 + ROW_HEIGHT * rows)
+    figure = new_figure(size, file)
     with mpl.rc_context(STYLE):
-        figure = new_figure(size, file)
         grid = figure.subplots(rows, columns, sharex=True, squeeze=False)
         axes = list(grid.T.flat)
         shown: list[Legend] = []
@@ -98,7 +98,8 @@ def draw(
 
 
 def new_figure(size: tuple[float, float], file: object) -> Any:
-    """A figure; if it is for a file, neither a display nor pyplot is needed."""
+    """A figure; if it is for a file, neither a display nor pyplot is needed. Not inside rc_context(): the first figure
+    chooses the display and whether it is interactive, and the end of the context would take that back."""
     if file is None:
         return extra("matplotlib.pyplot", "plot()").figure(figsize=size, layout="constrained")
     return extra("matplotlib.figure", "plot()").Figure(figsize=size, layout="constrained")

@@ -1,0 +1,343 @@
+"""Loops that come to rest, where a controller spends its life: every sample must be OK, without repair.
+
+A plant at rest has states, controls and rows whose values are 0 up to rounding. The draws vary how it rests: at a set
+point, at a bound, at a bound of 0, on a row whose bound is 0, in a soft band, with a penalty of rates; with exact,
+noisy and quantised measurements, on all routes and in both precisions. Then solve() starts from the plan that is left,
+and from one whose zeros are other rounding errors.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from nmpc_codegen import (
+    OCP,
+    AdjointShooting,
+    AugmentedLagrangian,
+    Controller,
+    ExactHessian,
+    Options,
+    RealTimeIteration,
+    Status,
+    build,
+)
+from verification.routes import on
+
+Array = np.ndarray
+ARRIVES, RESTS = 80, 100  # samples before, and after a plant counts as being at rest
+#: Standard deviations of measurements, in the scales of the states, and steps of a quantised one.
+NOISES = (0.0, 1e-16, 1e-12, 1e-3)
+QUANTA = (0.0, 0.0, 1e-3)
+#: Iterations of solve() from a plan at rest, at most.
+MOST_ITERATIONS = 12
+
+
+@dataclass(frozen=True)
+class Plant:
+    """A problem, the range of its starts (nx,) and the spread of its states, which scales noise; ``moves``: values of
+    the reference of the first residual that are set at run time."""
+
+    name: str
+    make: Callable[[], OCP]
+    starts: tuple[tuple[float, float], ...]
+    spread: tuple[float, ...]
+    moves: tuple[float, float] | None = None
+
+
+def mass() -> OCP:
+    """At a set point, which may be 0."""
+    ocp = OCP("mass", T=2.0, N=10)
+    p, v, a = ocp.state("p"), ocp.state("v"), ocp.control("a")
+    ocp.dynamics({p: v, v: a})
+    ocp.least_squares(ca.vertcat(p, v, a), weight=[1, 0.1, 0.1])
+    ocp.subject_to(-1, a, 1)
+    ocp.subject_to(-2, v, 2)
+    return ocp
+
+
+def standstill() -> OCP:
+    """A car beyond its stop line that must not reverse: a state at its bound 0."""
+    ocp = OCP("standstill", T=2.0, N=10)
+    s, v, a = ocp.state("s"), ocp.state("v"), ocp.control("a")
+    ocp.dynamics({s: v, v: a})
+    ocp.least_squares(ca.vertcat(s, v, a), weight=[1, 0.1, 0.1])
+    ocp.subject_to(-5, a, 2)
+    ocp.subject_to(0, v, 20)
+    return ocp
+
+
+def pushed() -> OCP:
+    """A control at its bound, with a penalty of its rate."""
+    ocp = OCP("pushed", N=10)
+    T, last, u = ocp.state("T"), ocp.state("last"), ocp.control("u")
+    ocp.dynamics({T: 0.8 * T + 0.2 * u, last: u}, discrete=True)
+    ocp.least_squares(ca.vertcat(T - 1, u - last), weight=[1, 0.5])
+    ocp.subject_to(0, u, 0.6)
+    return ocp
+
+
+def fan() -> OCP:
+    """A fan that had better stay off below its soft band."""
+    ocp = OCP("fan", T=10.0, N=10)
+    x, y, d = ocp.state("x", initial=18.0), ocp.state("y"), ocp.control("dy")
+    ocp.dynamics({x: 0.205 + 0.029 * y - 0.003 * x * y - 0.001 * x**2, y: d})
+    ocp.least_squares(d, weight=0.1)
+    ocp.subject_to(-20, d, 20)
+    ocp.subject_to(0, y, 100, name="fan")
+    ocp.subject_to(17.5, x, 19, name="band", soft=(10, 0))
+    return ocp
+
+
+def on_row() -> OCP:
+    """On a row p (p - 1) >= 0, whose bound is 0: its target is inside of what the row excludes."""
+    ocp = OCP("on_row", T=2.0, N=10)
+    p, u = ocp.state("p"), ocp.control("u")
+    ocp.dynamics({p: u})
+    ocp.least_squares(ca.vertcat(p - 0.2, u), weight=[1, 0.1])
+    ocp.subject_to(-1, u, 1)
+    ocp.subject_to(0, p * (p - 1), np.inf, name="gap")
+    return ocp
+
+
+def circle() -> OCP:
+    """At a set point, under a circle of controls stated with a bound of 0."""
+    ocp = OCP("circle", T=2.0, N=10)
+    p, v, a = ocp.state("p", size=2), ocp.state("v", size=2), ocp.control("a", size=2)
+    ocp.dynamics({p: v, v: a})
+    ocp.least_squares(ca.vertcat(p, v, a), weight=[1, 1, 0.1, 0.1, 0.02, 0.02])
+    ocp.subject_to(-4, a, 4)
+    ocp.subject_to(-np.inf, ca.sumsqr(a) - 16, 0, name="friction")
+    return ocp
+
+
+def closed_valve() -> OCP:
+    """A tank that is too full: its valve stays closed, a state and its rate at 0."""
+    ocp = OCP("closed_valve", T=10.0, N=10)
+    L, q, d = ocp.state("L"), ocp.state("q"), ocp.control("dq")
+    ocp.dynamics({L: 0.1 * q, q: d})
+    ocp.least_squares(ca.vertcat(L - 1, d), weight=[1, 0.1])
+    ocp.subject_to(-0.2, d, 0.2)
+    ocp.subject_to(0, q, 1)
+    ocp.subject_to(0, L, 3)
+    return ocp
+
+
+def empty_store() -> OCP:
+    """A store that is asked for more than it has: it rests empty."""
+    ocp = OCP("empty_store", T=5.0, N=10)
+    e, u = ocp.state("e"), ocp.control("u")
+    ocp.dynamics({e: u})
+    ocp.least_squares(u + 0.4, weight=1)
+    ocp.subject_to(-1, u, 1)
+    ocp.subject_to(0, e, 5)
+    return ocp
+
+
+def two_at_once() -> OCP:
+    """Two stores, one empty and one full, with a soft limit of what they exchange."""
+    ocp = OCP("two_at_once", T=5.0, N=10)
+    e, f, u, w = ocp.state("e"), ocp.state("f"), ocp.control("u"), ocp.control("w")
+    ocp.dynamics({e: u, f: w - 0.1 * u})
+    ocp.least_squares(ca.vertcat(u + 0.4, w - 0.5), weight=[1, 1])
+    ocp.subject_to(-1, u, 1)
+    ocp.subject_to(-1, w, 1)
+    ocp.subject_to(0, e, 5)
+    ocp.subject_to(0, f, 2)
+    ocp.subject_to(-np.inf, u - w, 0.1, name="exchange", soft=(0.5, 1.0))
+    return ocp
+
+
+def pendulum() -> OCP:
+    """Upright, nonlinear."""
+    ocp = OCP("pendulum", T=1.0, N=20)
+    th, w, u = ocp.state("th"), ocp.state("w"), ocp.control("u")
+    ocp.dynamics({th: w, w: 9.81 * ca.sin(th) + u})
+    ocp.least_squares(ca.vertcat(th, w, u), weight=[10, 1, 0.1])
+    ocp.subject_to(-8, u, 8)
+    return ocp
+
+
+def drone() -> OCP:
+    """A planar drone at a set point; thrusts have a reference, lateral motion is exactly 0."""
+    ocp = OCP("drone", T=1.5, N=15)
+    x, z, th = ocp.state("x"), ocp.state("z"), ocp.state("th")
+    vx, vz, om = ocp.state("vx"), ocp.state("vz"), ocp.state("om")
+    f, t = ocp.control("f"), ocp.control("t")
+    ocp.dynamics({x: vx, z: vz, th: om, vx: -f * ca.sin(th), vz: f * ca.cos(th) - 9.81, om: t})
+    y = ca.vertcat(x, z, th, vx, vz, om, f, t)
+    ocp.least_squares(y, weight=[5, 5, 1, 1, 1, 0.5, 0.05, 0.05], reference=[0, 0, 0, 0, 0, 0, 9.81, 0])
+    ocp.subject_to(2, f, 18)
+    ocp.subject_to(-10, t, 10)
+    return ocp
+
+
+def reactor() -> OCP:
+    """A cooled reactor at its temperature, in kelvin, with an Arrhenius term."""
+    ocp = OCP("reactor", T=2.0, N=20)
+    c, T, u = ocp.state("c", initial=0.5), ocp.state("T", initial=350.0), ocp.control("u")
+    k = 7.2e10 * ca.exp(-8750 / T)
+    ocp.dynamics({c: 1 - c - k * c, T: 350 - T + 209 * k * c + 2.1 * (u - T)})
+    ocp.least_squares(ca.vertcat(T, u), weight=[1, 0.01], reference=[350, 300])
+    ocp.subject_to(280, u, 370)
+    return ocp
+
+
+def economic() -> OCP:
+    """A general cost with an inner optimum."""
+    ocp = OCP("economic", T=4.0, N=10)
+    x, u = ocp.state("x", initial=1.0), ocp.control("u")
+    ocp.dynamics({x: -x + u})
+    ocp.stage_cost(u**2 - 2 * x + 0.1 * x**4)
+    ocp.subject_to(-3, u, 3)
+    ocp.subject_to(0, x, 4)
+    return ocp
+
+
+PLANTS = {
+    p.name: p
+    for p in (
+        Plant("mass", mass, ((-2, 2), (-0.5, 0.5)), (1, 1), moves=(-2, 2)),
+        Plant("standstill", standstill, ((0.05, 0.5), (0, 0)), (1, 1)),
+        Plant("pushed", pushed, ((0, 1), (0, 0.6)), (1, 1)),
+        Plant("fan", fan, ((17, 19), (0, 0)), (10, 10)),
+        Plant("on_row", on_row, ((-2, -0.1),), (1,)),
+        Plant("circle", circle, ((-1, 1), (-1, 1), (-0.5, 0.5), (-0.5, 0.5)), (1, 1, 1, 1)),
+        Plant("closed_valve", closed_valve, ((1.1, 2), (0, 0.1)), (1, 1)),
+        Plant("empty_store", empty_store, ((0, 2),), (1,)),
+        Plant("two_at_once", two_at_once, ((0, 2), (0, 2)), (1, 1)),
+        Plant("pendulum", pendulum, ((-0.3, 0.3), (-0.3, 0.3)), (0.3, 0.3)),
+        Plant("drone", drone, ((-1, 1), (-1, 1), *[(0, 0)] * 4), (1,) * 6, moves=(-1, 1)),
+        Plant("reactor", reactor, ((0.4, 0.6), (345, 355)), (0.1, 1)),
+        Plant("economic", economic, ((0.5, 2),), (1,)),
+    )
+}
+
+
+@dataclass(frozen=True)
+class Package:
+    """A plant on a route."""
+
+    plant: Plant
+    label: str
+    options: Options
+
+    def __str__(self) -> str:
+        return f"{self.plant.name} {self.label}"
+
+
+#: As a microcontroller gets it, and the algorithms without a QP.
+FIRMWARE: dict[str, Any] = {"goal": "size", "solve": False, "algorithm": RealTimeIteration(repair=0)}
+OTHERS = {
+    "augmented Lagrangian": Options(algorithm=AugmentedLagrangian()),
+    "single shooting": Options(algorithm=AdjointShooting()),
+}
+#: Plants whose rows those do not hold to the last bit.
+WITH_ROWS = ("on_row", "standstill", "two_at_once", "closed_valve", "fan", "empty_store", "circle", "economic")
+
+
+@functools.cache
+def packages() -> tuple[Package, ...]:
+    """The default of every plant in both precisions, and one other route each, in turn."""
+    turns = ("dense", "riccati", "interior", "partial")
+    found = []
+    for number, plant in enumerate(PLANTS.values()):
+        more = {"hessian": ExactHessian()} if plant.name == "economic" else {}
+        route = turns[number % len(turns)]
+        found += [
+            Package(plant, "default", Options(**more)),
+            Package(plant, "single", Options(precision="single", **more)),
+            Package(plant, route, on(route, **more)),
+        ]
+        if number % 3 == 0:
+            found.append(Package(plant, "firmware", Options(precision="single", **FIRMWARE, **more)))
+        if plant.name not in WITH_ROWS:
+            found += [Package(plant, label, options) for label, options in OTHERS.items()]
+    return tuple(found)
+
+
+@dataclass
+class Outcome:
+    """Samples of a plant at rest, and what is wrong with them, by kind, with the first example."""
+
+    samples: int = 0
+    wrong: Counter[str] = field(default_factory=Counter)
+    example: str = ""
+
+    def note(self, what: str, where: str) -> None:
+        """Something is wrong."""
+        self.wrong[what] += 1
+        self.example = self.example or f"{what}: {where}"
+
+    def __str__(self) -> str:
+        return f"{dict(self.wrong)}, first {self.example}" if self.wrong else "OK"
+
+
+@functools.lru_cache(maxsize=8)
+def _built(number: int) -> Controller:
+    package = packages()[number]
+    return build(package.plant.make(), package.options, profile="test")
+
+
+def run(seed: int) -> tuple[Package, Outcome]:
+    """The draw with this seed: a package, a start, a set point, noise, a quantum."""
+    random, number = np.random.default_rng([7, seed]), seed % len(packages())
+    package, c = packages()[number], _built(number)
+    plant, out = package.plant, Outcome()
+    x = np.array([random.uniform(*span) for span in plant.starts])
+    spread, noise, quantum = np.array(plant.spread), random.choice(NOISES), random.choice(QUANTA)
+    c.reset()
+    if plant.moves is not None:
+        c.set_reference(_moved(c, random.choice([0.0, random.uniform(*plant.moves)])))
+    fast: list[int] = []
+    for sample in range(ARRIVES + RESTS):
+        measured = x + noise * spread * random.standard_normal(x.size)
+        measured = np.round(measured / (quantum * spread)) * quantum * spread if quantum else measured
+        u = c.step(measured)
+        if sample >= ARRIVES:
+            out.samples += 1
+            where = f"seed {seed}, sample {sample}, noise {noise:g}, quantum {quantum:g}, x {measured}"
+            _judge(c, out, where)
+            fast.append(int(getattr(c.stats, "qp_iterations", 0)))
+        x = np.asarray(c.integrate(x, u, float(c.description.dt[0])), dtype=float)
+    if fast and max(fast) > 2 * max(1, fast[0]) + 2 and noise < 1e-3:
+        out.note("iterations grow", f"seed {seed}: {fast[0]} to {max(fast)}")
+    if c.description.offers("solve"):
+        _solve(c, x, random, out, f"seed {seed}")
+    return package, out
+
+
+def _moved(c: Controller, value: float) -> Array:
+    reference = np.array([r.reference for r in c.description.residuals])
+    reference[0] = value
+    return reference
+
+
+def _judge(c: Controller, out: Outcome, where: str) -> None:
+    if c.status != Status.OK:
+        out.note(c.status.name, f"{where}: {c.diagnose().splitlines()[0]}")
+    if getattr(c.stats, "repairs", 0) > 0:
+        out.note("repaired", where)
+    tiny = np.finfo(c.x.dtype).tiny
+    for values in (c.x, c.u):
+        if np.any((values != 0) & (np.abs(values) < tiny)):
+            out.note("denormal", where)
+
+
+def _solve(c: Controller, x: Array, random: np.random.Generator, out: Outcome, where: str) -> None:
+    """From the plan, and from one whose zeros are rounding errors of another magnitude."""
+    magnitude = 10.0 ** -random.uniform(16, 80 if c.x.dtype == np.float64 else 30)
+    for what in ("as it is", f"zeros of {magnitude:.0e}"):
+        for plan in (c.x, c.u) if what != "as it is" else ():
+            plan[np.abs(plan) < 1e-9] = magnitude
+        solution = c.copy().solve(x)
+        if solution.status != Status.OK:
+            out.note(f"solve {solution.status.name}", f"{where}, {what}: {solution.kkt}")
+        elif solution.iterations > MOST_ITERATIONS and "hessian" in c.description.options:
+            out.note("solve takes long", f"{where}, {what}: {solution.iterations}")
