@@ -1,7 +1,7 @@
-/* Contract of this part: what is much and what is little. The scales of states and controls (z_scale), of the terms of rows
- * (row_magnitude), of the cost (cost_size: the largest and the least part) and of its gradient (force_size) follow from
- * what is declared, never from the data of a sample: rounding errors are no size. A value below TOL_ZERO of its scale is
- * a zero; a residual below TOL_ROUNDING of it is what rounding leaves, however small the terms at hand are. */
+/* Contract of this part: what is much and what is little. The scales of states, controls and rows, of the cost and of its
+ * gradient follow from what is declared, never from the data of a sample: rounding errors are no size. A value below
+ * TOL_ZERO of its scale is a zero; a residual below TOL_ROUNDING of it is what rounding leaves, however small the terms
+ * at hand are. */
 
 /* A size that was found in data, or the scale where that is a zero. */
 static inline real_t size_or(real_t size, real_t scale)
@@ -10,10 +10,10 @@ static inline real_t size_or(real_t size, real_t scale)
 }
 
 /* A value of component i of (x, u), or 0 where no sum with others of its scale shows it: in a plant at rest, values would
- * decay to denormal numbers, which are slow and have no relative accuracy. */
+ * decay to denormal numbers, which are slow and have no relative accuracy. NaN stays. */
 static inline real_t or_zero(real_t value, int i)
 {
-    return (FABS(value) > TOL_ZERO * TOL_ZERO * z_scale[i]) ? value : R(0);
+    return (FABS(value) <= TOL_ZERO * TOL_ZERO * z_scale[i]) ? R(0) : value;
 }
 
 /* What a plan costs whose variables are zeros. */

@@ -59,6 +59,7 @@ class Shape:
         named = {
             "ns": self.ns,
             "nx": self.nx,
+            "nu": self.nus,
             "nus": self.nus,
             "nxs": self.nx,
             "nzs": self.nx + self.nus,
@@ -105,6 +106,7 @@ static inline real_t *stage_g(solver_t *s, int k) { return s->stage.g[k]; }
 static inline real_t (*stage_Q(solver_t *s, int k))[NZS] { return s->hessian.Q[k]; }
 static inline real_t (*stage_Q_N(solver_t *s))[NXS] { return s->hessian.Q_N; }
 static inline real_t stage_row_value(const solver_t *s, int m) { (void)s; (void)m; return R(0); }
+static inline int row_id(int m) { return m; }
 """
 ROW_ACCESSOR = "static inline const real_t *stage_row(const solver_t *s, int m) { return s->stage.J[m]; }\n"
 
@@ -164,8 +166,13 @@ def source(
             continue
         text = ", ".join(map(str, numbers)) or "0"
         lines.append(f"static const int {name}[{max(1, len(numbers))}] = {{ {text} }};")
+    # the data are drawn in all sizes: rounding is judged by them alone
+    nz = shape.nx + max(1, shape.nus)
+    scales = {"z_scale": nz, "row_magnitude": max(1, len(shape.rows)), "force_size": nz}
+    lines += [f"static const real_t {name}[{size}] = {{ R(0) }};" for name, size in scales.items()]
+    lines.append("static const real_t cost_size[1] = { R(1e-27) };")
     lines += [struct_text(struct) for struct in structs(shape, owned)]
-    accessors = ACCESSORS + (ROW_ACCESSOR if shape.rows else "")
+    accessors = part_text("sizes.c", values | shape.switches) + ACCESSORS + (ROW_ACCESSOR if shape.rows else "")
     text = accessors + part_text(part, values | shape.switches) + entries
     stated = {(s.name, f.name) for s in (*_data(shape.dims), *(owned or riccati_structs(shape.dims))) for f in s.fields}
     absent = stated - {(s.name, f.name) for s in structs(shape, owned) for f in s.fields}

@@ -12,7 +12,7 @@ static void kkt_row(kkt_t *kkt, real_t value, real_t lower, real_t upper, real_t
     kkt_note(kkt, &kkt->inequality, value - clip(value, lower, upper), FABS(value), scale);
     if (lower < upper && (mu > R(0) || mu < R(0))) {
         const real_t distance = mu > R(0) ? upper - value : value - lower;
-        kkt_note(kkt, &kkt->complementarity, mu * distance, FABS(mu) * (scale + FABS(value)), cost_size[1]);
+        kkt_note(kkt, &kkt->complementarity, mu * distance, FABS(mu) * (scale + FABS(value)), cost_size[0]);
     }
 }
 
@@ -23,11 +23,11 @@ static void kkt_soft_side(kkt_t *kkt, real_t excess, real_t m, real_t l1, real_t
 {
     const real_t v = (excess > R(0)) ? excess : R(0);
     const real_t nu = l1 + l2 * v - m, size = scale + FABS(value);
-    kkt_note(kkt, &kkt->complementarity, nu * v, (l1 + l2 * v + m) * size, cost_size[1]);
+    kkt_note(kkt, &kkt->complementarity, nu * v, (l1 + l2 * v + m) * size, cost_size[0]);
     if (!(nu >= R(0))) {
-        kkt_note(kkt, &kkt->complementarity, nu, l1 + l2 * v + m, cost_size[1] / scale);
+        kkt_note(kkt, &kkt->complementarity, nu, l1 + l2 * v + m, cost_size[0] / scale);
     }
     if (m > R(0)) {
-        kkt_note(kkt, &kkt->complementarity, m * (excess - v), m * size, cost_size[1]);
+        kkt_note(kkt, &kkt->complementarity, m * (excess - v), m * size, cost_size[0]);
     }
 }

@@ -26,16 +26,17 @@ static void enlarge_by_bounds(const solver_t *s, int k, real_t *size)
 }
 
 /* Scales in which gaps of the states are measured: those that are declared, the measured state and the plans of samples
- * that were OK; before the first sample, the present plan. Bounds that are set at run time count like declared ones. */
+ * that were OK; before the first one, the present plan. Bounds that are set at run time count like declared ones. */
 static void state_scales(const solver_t *s, real_t *size)
 {
     for (int i = 0; i < NX; i++) {
         size[i] = (z_scale[i] > s->state_size[i]) ? z_scale[i] : s->state_size[i];
+        for (int k = 0; k <= N && !(s->state_size[i] > R(0)); k++) {
+            const real_t a = FABS(s->x[k][i]);
+            size[i] = (a > size[i]) ? a : size[i];
+        }
     }
     largest_of(size, s->xhat);
-    for (int k = 0; k <= N && s->samples == 0; k++) {
-        largest_of(size, s->x[k]);
-    }
     if (SET_BOUNDS) {
         enlarge_by_bounds(s, 1, size);
         enlarge_by_bounds(s, N, size);

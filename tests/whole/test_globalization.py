@@ -129,9 +129,9 @@ def test_an_unknown_globalization_is_an_error() -> None:
 
 
 def test_relative_residual_of_a_gap() -> None:
-    """x_1 = 3 where the model yields 2: the gap 1 is divided by 1 + |x_1|."""
+    """x_1 = 3 where the model yields 2: the gap 1 is divided by the scale of x + |x_1|."""
     ocp = OCP("point", T=0.5, N=1)
-    x, u = ocp.state("x"), ocp.control("u")
+    x, u = ocp.state("x", scale=1.0), ocp.control("u")
     ocp.dynamics({x: u})
     ocp.least_squares(u, weight=[1e-3])
     c = build(ocp, profile="test")

@@ -16,7 +16,6 @@ from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
-from scipy.linalg import expm
 
 from nmpc_codegen.frontend.problem import Array, Problem, Stage, symbols
 from nmpc_codegen.ir.casadi_types import Expression
@@ -30,14 +29,15 @@ class Scales:
 
     ``z`` (nx + nu,): of states and controls. ``rows`` (rows,): of the terms of a row besides its constant part
     ``offsets`` (rows,), which belongs to its bounds.
-    ``cost``: the largest, and the least, that a variable or residual of its size costs. ``forces`` (nx + nu,): of the
-    gradient of the cost, by the curvature of a variable itself, at least that of the least cost.
+    ``cost`` C: the largest that a residual or general cost of its size costs. ``forces`` (nx + nu,): of the gradient of
+    the cost, sqrt(C H), where H is the curvature that belongs to the variable itself, at least that of the least cost
+    in its scale: a part of it, t, moves the cost by t^2 C.
     """
 
     z: Array
     rows: Array
     offsets: Array
-    cost: tuple[float, float]
+    cost: float
     forces: Array
 
 
@@ -48,7 +48,7 @@ def scales(problem: Problem) -> Scales:
     costs, own = _costs(problem, z)
     positive = costs[np.isfinite(costs) & (costs > 0.0)]
     cost = (float(positive.max()), float(positive.min())) if positive.size else (1.0, 1.0)
-    return Scales(z, rows, offsets, cost, np.maximum(own, cost[1]) / z)
+    return Scales(z, rows, offsets, cost[0], np.sqrt(cost[0] * np.maximum(own, cost[1])) / z)
 
 
 def _declared(problem: Problem) -> Array:
@@ -101,11 +101,21 @@ def _responses(problem: Problem) -> tuple[Array, Array]:
         for dt in problem.dt:
             if dt not in step:
                 rates = np.vstack([S, np.zeros((nu, nx + nu))])
-                step[dt] = S if problem.discrete else np.asarray(expm(rates * dt))[:nx]
+                step[dt] = S if problem.discrete else _exponential(rates * dt)[:nx]
             dx = step[dt][:, :nx] @ dx + step[dt][:, nx:]
             size = np.where(np.isfinite(dx), np.abs(dx), 0.0)
             first, most = np.where(first > 0.0, first, size), np.fmax(most, size)
     return first, most
+
+
+def _exponential(A: Array) -> Array:
+    """exp(A) to a few digits: a polynomial of degree 8 of A / 2^n, squared n times."""
+    halvings = max(0, math.ceil(math.log2(max(1e-300, float(np.max(np.sum(np.abs(A), axis=1)))))) + 2)
+    E = term = np.eye(len(A))
+    for n in range(1, 9):
+        term = term @ A / (n * 2.0**halvings)
+        E = E + term
+    return np.asarray(np.linalg.matrix_power(E, 2**halvings))
 
 
 def _reference_controls(problem: Problem) -> Array:

@@ -443,7 +443,7 @@ def _tables(model: Model) -> tuple[Table, ...]:
         real("z_scale", _rounded(sizes.z), "scales of (x, u)"),
         real("row_magnitude", _rounded(sizes.rows), "scales of the terms of the rows"),
         real("row_offset", sizes.offsets, "constant parts of the rows, which belong to their bounds"),
-        real("cost_size", _rounded(sizes.cost), "scales of the most and the least expensive part of the cost"),
+        real("cost_size", _rounded(sizes.cost), "scale of the cost: its most expensive part"),
         real("force_size", _rounded(sizes.forces), "scales of the gradient of the cost with respect to (x, u)"),
         real("initial_state", p.x_initial, "initial values of the states"),
         real("default_control", _default_controls(p), "0, clipped to the bounds"),

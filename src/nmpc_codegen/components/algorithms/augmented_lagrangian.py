@@ -241,7 +241,7 @@ class AugmentedLagrangian(Defaults):
         keep = (
             Field("xhat", (dims.nx,), "state measured at the last feedback", "keep"),
             Field("prepared", (), "1 between prepare and feedback", "keep", "int32"),
-            SAMPLES,
+            replace(SAMPLES, only=lambda f: self.shift or f.repair),
             state_size(dims),
             UNCONVERGED,
             Field(

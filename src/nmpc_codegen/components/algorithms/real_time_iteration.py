@@ -329,7 +329,7 @@ class RealTimeIteration(Defaults):
         keep = (
             Field("xhat", (dims.nx,), "state measured at the last feedback", "keep"),
             Field("prepared", (), "1 between prepare and feedback", "keep", "int32"),
-            SAMPLES,
+            replace(SAMPLES, only=lambda f: self.shift or f.repair),
             state_size(dims),
             *(_FOLLOWED if self.repair else ()),
             Field(
