@@ -8,13 +8,13 @@ from collections.abc import Callable
 from benchmarks.lib import export, strangers
 from benchmarks.lib.adjoint import crane, cstr, precision, quasi_newton, rod, vandevusse
 from benchmarks.lib.augmented import bounds, cold, loop, schemes, tracking
-from benchmarks.lib.convergence import loops, singles, starts, units
+from benchmarks.lib.convergence import loops, singles, starts
 from benchmarks.lib.economic import driving, evaporation, figure3, figure4, figures, timing
 from benchmarks.lib.firmware import emulated, riscv, single
 from benchmarks.lib.firmware import sizes as forms
 from benchmarks.lib.hessian import bioreactor, iterations, second_order
 from benchmarks.lib.report import Report
-from benchmarks.lib.robustness import episodes, near_rest, qps, returns, violations, work, worst
+from benchmarks.lib.robustness import at_rest, episodes, qps, returns, violations, work, worst
 from benchmarks.lib.run import RefusedError, Run
 from benchmarks.lib.speed import choice, instructions, levels, own_math, sizes, times
 from benchmarks.lib.tracking import accuracy, figure_6
@@ -57,13 +57,12 @@ TOPICS: dict[str, Topic] = {
     "speed/own_math": plain(own_math.measure),
     "tracking/accuracy": plain(accuracy.measure),
     "tracking/figure_6": plain(figure_6.measure),
-    "robustness/near_rest": scaled(near_rest.measure),
+    "robustness/at_rest": scaled(at_rest.measure),
     "robustness/work": scaled(work.measure),
     "robustness/worst": scaled(worst.measure),
     "robustness/violations": scaled(violations.measure),
     "convergence/routes": starts.routes,
     "convergence/singles": scaled(singles.measure),
-    "convergence/units": scaled(units.measure),
     "convergence/loops": scaled(loops.measure),
     "firmware/boards": scaled(emulated.boards),
     "firmware/bits": scaled(emulated.bits),

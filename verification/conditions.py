@@ -15,7 +15,7 @@ from nmpc_codegen.lowering.parts import MATH, evaluate, template_directory
 from nmpc_codegen.lowering.pruning.text import split
 
 #: Parts that unit.c.jinja inlines in every package.
-ALWAYS = ("rows.c", "cost.c")
+ALWAYS = ("sizes.c", "rows.c", "cost.c")
 _PLAIN = re.compile(r"^ +(?:\} else )?if \((.*)\) \{")
 _CONSTANT = re.compile(r"[A-Z0-9_ <>=!+&|()]*[A-Z]{2}[A-Z0-9_ <>=!+&|()]*")
 _LINE = re.compile(r'#(include|if|elif|else|endif)\b\s*"?([^"]*)"?')

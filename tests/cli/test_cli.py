@@ -470,6 +470,13 @@ def test_a_problem_may_import_its_neighbours(tmp_path: Path) -> None:
     assert load_problem(tmp_path / "problem.py")[0].name == "imported"
 
 
+@pytest.mark.parametrize(("text", "value"), [("true", True), ("True", True), ("false", False)])
+def test_truth_has_two_spellings(text: str, value: bool) -> None:
+    found = apply_settings(Options(), [("algorithm.levels", text)]).algorithm
+    assert found is not None
+    assert found.levels is value  # type: ignore[attr-defined]
+
+
 def test_settings() -> None:
     options = apply_setting(Options(), "integrator.steps", "4")
     options = apply_setting(options, "integrator.tableau", "Heun")

@@ -161,6 +161,14 @@ def test_verified_targets(
     assert (tmp_path / "certificate.md").exists() == (target == "riscv32")
 
 
+def test_the_smallest_firmware(tmp_path: Path) -> None:
+    """Single shooting without solve(): its worst case is known."""
+    require_tool("arm")
+    options = ["--target", "cortex-m4f", "--set", "algorithm=adjoint_shooting", "--set", "solve=False"]
+    assert main([PROBLEM, "-o", str(tmp_path / "crane"), *options]) == 0
+    assert json.loads((tmp_path / "crane" / "certificate.json").read_text())["flash_bytes"] < 25_000
+
+
 def test_what_another_machine_runs_is_not_simulated(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Nor checked; nothing is written."""
     require_tool("cc")

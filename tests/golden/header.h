@@ -48,4 +48,4 @@ const char *golden_status_string(golden_status_t status);
 #endif
 
 #endif
-/* nmpc_codegen package 8e5d082948cf11c0, sha256 b76c416d3f0fea38be124cc2c2b6c4ccfbcd579c6d410758e51dd8211ff60948 */
+/* nmpc_codegen package d4f43baeb4fb1406, sha256 53be526e0c9ba2d0433872e522131910332d59755447922d34e4652d54027112 */

@@ -79,3 +79,47 @@ def test_advice_fits_the_augmented_lagrangian(hessian: GaussNewton | None) -> No
             assert "Mirror" not in said
             assert "ExactHessian()" not in said
             assert "QP solver: " not in said
+
+
+def wind() -> OCP:
+    """A parameter that differs along the horizon."""
+    ocp = OCP("wind", T=5.0, N=10)
+    x, u, w = ocp.state("x"), ocp.control("u"), ocp.parameter("w")
+    ocp.dynamics({x: u + w - 0.1 * x**2})
+    ocp.least_squares(ca.vertcat(x - 1, u), weight=[1, 0.1])
+    ocp.subject_to(-1, u, 1)
+    return ocp
+
+
+def test_gaps_belong_to_the_parameters_of_their_nodes() -> None:
+    """No word of a gap that is rounding, the true place of one, and the parameters stay as they are."""
+    ctrl, given = build(wind(), profile="test"), np.linspace(0, 2, 11)[:, None]
+    ctrl.set_parameter("w", given)
+    assert ctrl.solve([0.0]).status == Status.OK
+    assert ctrl.solve([0.0], tol=1e-22).status != Status.OK
+    assert "misses the model" not in ctrl.diagnose()
+    ctrl.x[7] += 1e-3
+    assert "the plan misses the model most in state x at node 7: by 0.001" in ctrl.diagnose()
+    np.testing.assert_array_equal(ctrl.view("p"), given)
+
+
+def test_rounding_of_a_row_is_no_violation() -> None:
+    """A row at its bound 0, left by 1e-20 of its scale."""
+    ocp = OCP("valve", T=2.0, N=5)
+    q, d = ocp.state("q", scale=1.0), ocp.control("d")
+    ocp.dynamics({q: d})
+    ocp.least_squares(ca.vertcat(q + 1, d), weight=[1, 0.1])
+    ocp.subject_to(0, q, np.inf)
+    ocp.subject_to(-1, d, 1)
+    ctrl = build(ocp, profile="test")
+    ctrl.solve([0.0], tol=1e-30, max_iterations=2)
+    ctrl.x[:] = -1e-20
+    assert "is violated" not in ctrl.diagnose()
+    ctrl.x[3] = -1e-3
+    assert "row 'q' at node 3 is violated by 0.001" in ctrl.diagnose()
+
+
+def test_no_advice_before_a_sample() -> None:
+    """A plan that nobody has optimised says nothing of Gauss-Newton steps."""
+    ctrl = build(wind(), profile="test")
+    assert ctrl.diagnose() == str(Status.OK)

@@ -6,6 +6,7 @@ import io
 import sys
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import casadi as ca
 import matplotlib as mpl
@@ -188,6 +189,25 @@ def test_picture(log: Log, tmp_path: Path) -> None:
     assert FAILURE_COLOR not in level
     said = {text.get_text() for text in figure.legends[0].get_texts()}
     assert {"reference", "hard bound", "soft bound"} < said
+
+
+@pytest.mark.parametrize("method", ["plot", "plot_convergence"])
+def test_the_first_figure_may_switch_interactive_mode_on(
+    log: Log, monkeypatch: pytest.MonkeyPatch, method: str
+) -> None:
+    """As the display of a notebook does while pyplot makes its first figure: that stays."""
+    plt = pytest.importorskip("matplotlib.pyplot")
+    make = plt.figure
+
+    def figure(*args: Any, **more: Any) -> Any:
+        mpl.rcParams["interactive"] = True
+        return make(*args, **more)
+
+    with mpl.rc_context({"interactive": False}):
+        monkeypatch.setattr(plt, "figure", figure)
+        drawn = log.plot() if method == "plot" else build(tank(), profile="test").solve([1.0]).plot_convergence()
+        assert mpl.is_interactive()
+        plt.close(drawn)
 
 
 def test_violated_bounds_and_far_references_are_drawn(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""gcc and clang, from -O0 to -O3 and for AVX-512, produce the same controller; contracted products differ by rounding."""
+"""gcc and clang, from -O0 to -O3 and for AVX-512, produce the same controller; only rounding differs."""
 
 from __future__ import annotations
 

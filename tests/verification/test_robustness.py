@@ -19,9 +19,9 @@ from verification.qp.certificate import least_violation
 from verification.qp.draw import CLASSES, SHAPES, draw, multipliers_of_dynamics
 from verification.qp.judge import LIMITS, judge
 from verification.qp.stage_package import SCALARS, SOLVERS, Answer, options, rounded, stage_ocp
-from verification.robustness import episodes, near_rest, returns, work
+from verification.robustness import episodes, returns, work
 from verification.robustness.hostile import Data
-from verification.robustness.subjects import Candidate, candidates, subjects
+from verification.robustness.subjects import Candidate, candidates
 from verification.routes import PURE
 
 FEASIBLE = tuple(kind for kind in CLASSES if kind != "infeasible")
@@ -296,21 +296,3 @@ def test_operations_of_a_recorded_loop() -> None:
     assert counted.operations[4] > counted.operations[0] > 1000
     assert np.max(np.abs(free.u)) > 1.5 > np.max(np.abs(recorded.u))
     assert opened.operations[4] < counted.operations[4]
-
-
-def test_samples_that_are_given_up_near_rest_are_counted() -> None:
-    """INFEASIBLE is an answer; a solver that stops is not, and says where."""
-    out = near_rest.Outcome()
-    for status in (Status.OK, Status.INFEASIBLE, Status.RELAXED, Status.STALLED, Status.NUMERICAL_FAILURE):
-        out.add(status, f"at {status.name}")
-    assert out.samples == 5
-    assert out.given_up == {"STALLED": 1, "NUMERICAL_FAILURE": 1}
-    assert out.example == "at STALLED"
-
-
-def test_starts_and_a_loop_near_rest() -> None:
-    require_tool("cc")
-    (subject,) = (s for s in subjects() if s.name == "one_interval")
-    out = near_rest.run((build(subject.make(), profile="test"), subject.rest, subject.spread, 0, 3))
-    assert out.samples == 2 * 2 * len(near_rest.SHARES) * subject.rest.size + 3  # two samples, two signs; the loop
-    assert not out.given_up

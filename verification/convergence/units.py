@@ -1,4 +1,4 @@
-"""The same problem in other units: every state, control and row is divided by a random power of ten."""
+"""The same problem in other units: every state, control, row and the cost are divided by a random power of ten."""
 
 from __future__ import annotations
 
@@ -14,17 +14,18 @@ from nmpc_codegen.frontend.statement import Statement
 
 Array = np.ndarray
 DECADES = 3  # units are between 1e-3 and 1e3
-SEEDS = 5
-EXAMPLES = ("crane", "reactor", "cart_pole", "quadrotor", "chain", "fermenter")
+COST_DECADES = 6  # costs are multiplied by 1e-6 to 1e6
 
 
 @dataclass(frozen=True, eq=False)
 class Units:
-    """x = x_unit y_x, u = u_unit y_u; rows are divided by numbers of the generator."""
+    """x = x_unit y_x, u = u_unit y_u; rows are divided by numbers of the generator, the cost is multiplied by
+    ``cost``."""
 
     x: Array
     u: Array
     rows: np.random.Generator
+    cost: float = 1.0
 
     @classmethod
     def of(cls, ocp: OCP, seed: int) -> Units:
@@ -32,7 +33,7 @@ class Units:
         random = np.random.default_rng([13, seed])
         sizes = ocp.x.numel(), ocp.u.numel()
         x, u = (10.0 ** random.uniform(-DECADES, DECADES, size) for size in sizes)
-        return cls(x, u, random)
+        return cls(x, u, random, 10.0 ** random.uniform(-COST_DECADES, COST_DECADES))
 
 
 def in_units(ocp: OCP, units: Units) -> OCP:
@@ -42,6 +43,8 @@ def in_units(ocp: OCP, units: Units) -> OCP:
         for d in signals:
             part = unit[d.signal.offset : d.signal.offset + d.signal.size]
             more = {"initial": np.atleast_1d(d.signal.value) / part} if signals is ocp.states else {}
+            if d.signal.scale:
+                more["scale"] = np.array(d.signal.scale) / part
             declare(d.signal.name, size=d.signal.size, **more)
 
     def new_text(expression: Any) -> Any:
@@ -51,7 +54,7 @@ def in_units(ocp: OCP, units: Units) -> OCP:
 
     rhs = ca.vertcat(*(ocp.derivatives[i] for i in range(units.x.size)))
     new.dynamics(new_text(rhs) / units.x, discrete=bool(ocp.discrete))
-    _add_costs(ocp, new, new_text)
+    _add_costs(ocp, new, new_text, units)
     for statement in ocp.statements:
         _add_rows(new, statement, new_text(statement.expression), units)
     if ocp.free:
@@ -61,20 +64,33 @@ def in_units(ocp: OCP, units: Units) -> OCP:
     return new
 
 
-def _add_costs(ocp: OCP, new: OCP, new_text: Callable[[Any], Any]) -> None:
+def _in_own_units(ocp: OCP, new: OCP, old: Any, text: Any, units: Units) -> tuple[Any, Array]:
+    """A residual whose elements that are signals remain signals, and the units of its elements."""
+    y, d = [], np.ones(text.numel())
+    for i in range(text.numel()):
+        element, symbol = ocp.element(old[i]), text[i]
+        if element is not None and element.kind in ("state", "control"):
+            signals, scale = (new.x, units.x) if element.kind == "state" else (new.u, units.u)
+            symbol, d[i] = signals[element.index], scale[element.index]
+        y.append(symbol)
+    return ca.vertcat(*y), d
+
+
+def _add_costs(ocp: OCP, new: OCP, new_text: Callable[[Any], Any], units: Units) -> None:
     squares = {"start": new.start_least_squares, "terminal": new.terminal_least_squares}
     general = {"start": new.start_cost, "terminal": new.terminal_cost}
     for r in ocp.residuals:
-        y = new_text(r.y)
+        y, d = _in_own_units(ocp, new, r.y, new_text(r.y), units)
+        weight, reference = units.cost * r.weight * np.outer(d, d), r.reference / d
         if r.stage == "path":
-            new.least_squares(y, r.weight, reference=r.reference, scale_with_dt=r.scale_with_dt)
+            new.least_squares(y, weight, reference=reference, scale_with_dt=r.scale_with_dt)
         else:
-            squares[r.stage](y, r.weight, reference=r.reference)
+            squares[r.stage](y, weight, reference=reference)
     for c in ocp.costs:
         if c.stage == "path":
-            new.stage_cost(new_text(c.expression), integrate=c.integrate, scale_with_dt=c.scale_with_dt)
+            new.stage_cost(units.cost * new_text(c.expression), integrate=c.integrate, scale_with_dt=c.scale_with_dt)
         else:
-            general[c.stage](new_text(c.expression))
+            general[c.stage](units.cost * new_text(c.expression))
 
 
 def _add_rows(new: OCP, statement: Statement, h: Any, units: Units) -> None:
@@ -87,7 +103,8 @@ def _add_rows(new: OCP, statement: Statement, h: Any, units: Units) -> None:
             d, expression = scale[slope != 0][0], symbols[int(np.flatnonzero(slope)[0])]
         expression = h[i] / d if expression is None else expression
         lower, upper = statement.lower[i] / d, statement.upper[i] / d
-        soft = None if statement.soft is None else (statement.soft[0] * d, statement.soft[1] * d * d)
+        weights = (units.cost * d, units.cost * d * d)
+        soft = None if statement.soft is None else (statement.soft[0] * weights[0], statement.soft[1] * weights[1])
         more: dict[str, Any] = {"soft": soft, "name": "row_" + name.replace("[", "_").replace("]", "")}
         if statement.at is None:
             new.boundary(lower, expression, upper, **more)

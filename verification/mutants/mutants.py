@@ -46,11 +46,11 @@ MUTANTS = (
         ("tests/whole/test_solve.py",),
     ),
     Mutant(
-        "a tolerance of 0: hard rows after a step",
+        "rounding without a scale: hard rows after a step",
         "templates/algorithms/check_step.c",
-        "!(excess <= TOL_STEP * row_terms(s, m, size))",
-        "!(excess <= R(0) * row_terms(s, m, size))",
-        ("tests/whole/test_closed_loop.py",),
+        "TOL_ROUNDING * row_magnitude[row_id(m)]",
+        "R(0) * row_magnitude[row_id(m)]",
+        ("tests/verification/test_at_rest.py",),
     ),
     Mutant(
         "a check that cannot fail: the gradient after a step",

@@ -2,8 +2,10 @@
 
 A plant at rest has states, controls and rows whose values are 0 up to rounding. The draws vary how it rests: at a set
 point, at a bound, at a bound of 0, on a row whose bound is 0, in a soft band, with a penalty of rates; with exact,
-noisy and quantised measurements, on all routes and in both precisions. Then solve() starts from the plan that is left,
-and from one whose zeros are other rounding errors.
+noisy and quantised measurements, on all routes and in both precisions. Then single components of the state are
+displaced by little, and solve() starts from the plan that is left, and from one whose zeros are other rounding errors.
+
+In other units of states, controls, rows and cost, a problem is the same: statuses, iterations and controls are.
 """
 
 from __future__ import annotations
@@ -28,6 +30,7 @@ from nmpc_codegen import (
     Status,
     build,
 )
+from verification.convergence.units import Units, in_units
 from verification.routes import on
 
 Array = np.ndarray
@@ -37,6 +40,11 @@ NOISES = (0.0, 1e-16, 1e-12, 1e-3)
 QUANTA = (0.0, 0.0, 1e-3)
 #: Iterations of solve() from a plan at rest, at most.
 MOST_ITERATIONS = 12
+#: Displacements of a component of a state at rest, in its scale, and what no sample after one may be.
+SHARES = (1e-9, 1e-5, 1e-2)
+GIVEN_UP = (Status.ITERATION_LIMIT, Status.NUMERICAL_FAILURE, Status.STALLED)
+#: Draws of units, and samples of a loop in them.
+UNITS, IN_LOOP = 5, 40
 
 
 @dataclass(frozen=True)
@@ -248,7 +256,7 @@ def packages() -> tuple[Package, ...]:
     turns = ("dense", "riccati", "interior", "partial")
     found = []
     for number, plant in enumerate(PLANTS.values()):
-        more = {"hessian": ExactHessian()} if plant.name == "economic" else {}
+        more: dict[str, Any] = {"hessian": ExactHessian()} if plant.name == "economic" else {}
         route = turns[number % len(turns)]
         found += [
             Package(plant, "default", Options(**more)),
@@ -287,7 +295,7 @@ def _built(number: int) -> Controller:
 
 def run(seed: int) -> tuple[Package, Outcome]:
     """The draw with this seed: a package, a start, a set point, noise, a quantum."""
-    random, number = np.random.default_rng([7, seed]), seed % len(packages())
+    random, number = np.random.default_rng([7, seed]), 7 * seed % len(packages())
     package, c = packages()[number], _built(number)
     plant, out = package.plant, Outcome()
     x = np.array([random.uniform(*span) for span in plant.starts])
@@ -308,9 +316,25 @@ def run(seed: int) -> tuple[Package, Outcome]:
         x = np.asarray(c.integrate(x, u, float(c.description.dt[0])), dtype=float)
     if fast and max(fast) > 2 * max(1, fast[0]) + 2 and noise < 1e-3:
         out.note("iterations grow", f"seed {seed}: {fast[0]} to {max(fast)}")
+    _displace(c, x, spread, out, f"seed {seed}")
     if c.description.offers("solve"):
         _solve(c, x, random, out, f"seed {seed}")
     return package, out
+
+
+def _displace(c: Controller, x: Array, spread: Array, out: Outcome, where: str) -> None:
+    """Two samples of a fresh controller after a displacement along one axis."""
+    for i in range(x.size):
+        for share in SHARES:
+            twin, away = c.copy(), x.copy()
+            twin.reset()
+            away[i] += share * spread[i]
+            for sample in range(2):
+                twin.step(away)
+                if twin.status in GIVEN_UP:
+                    out.note(
+                        f"displaced {twin.status.name}", f"{where}, {c.names.states[i]} {share:g}, sample {sample}"
+                    )
 
 
 def _moved(c: Controller, value: float) -> Array:
@@ -341,3 +365,44 @@ def _solve(c: Controller, x: Array, random: np.random.Generator, out: Outcome, w
             out.note(f"solve {solution.status.name}", f"{where}, {what}: {solution.kkt}")
         elif solution.iterations > MOST_ITERATIONS and "hessian" in c.description.options:
             out.note("solve takes long", f"{where}, {what}: {solution.iterations}")
+
+
+# -- other units ------------------------------------------------------------------------------------------------------
+
+#: Plants whose sizes are declared: by bounds, initial values or references.
+IN_UNITS = (
+    "standstill",
+    "pushed",
+    "fan",
+    "on_row",
+    "circle",
+    "closed_valve",
+    "empty_store",
+    "drone",
+    "reactor",
+    "mass",
+)
+
+
+def differences(name: str, seed: int) -> list[str]:
+    """What differs in a loop, and in solve(), between a problem and the same one in random units."""
+    plant, found = PLANTS[name], []
+    ocp = plant.make()
+    units = Units.of(ocp, seed)
+    c, d = build(ocp, profile="test"), build(in_units(ocp, units), profile="test")
+    x = np.array([np.random.default_rng([8, seed]).uniform(*span) for span in plant.starts])
+    start = x
+    size = np.maximum(1e-6, np.array(c.description.scales[x.size :]))
+    for sample in range(IN_LOOP):
+        u, v = c.step(x), d.step(x / units.x) * units.u
+        if c.status != d.status:
+            found.append(f"sample {sample} {c.status.name} {d.status.name}")
+        elif c.stats.repairs != d.stats.repairs:
+            found.append(f"sample {sample} repairs {c.stats.repairs} {d.stats.repairs}")
+        elif not np.all(np.abs(u - v) <= 1e-5 * size):
+            found.append(f"sample {sample} controls {u} {v}")
+        x = np.asarray(c.integrate(x, u, float(c.description.dt[0])), dtype=float)
+    a, b = build(ocp, profile="test").solve(start), build(in_units(ocp, units), profile="test").solve(start / units.x)
+    if a.status != b.status or abs(a.iterations - b.iterations) > 1:
+        found.append(f"solve() {a.status.name} {a.iterations}, {b.status.name} {b.iterations}")
+    return found

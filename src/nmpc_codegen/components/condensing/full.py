@@ -141,7 +141,7 @@ class FullCondensing(Defaults):
             "condense_add_curvature": OpCount(add=nu * (nu + 1) // 2) * N,
             "condense_gradient": gradient,
             "condense_embed": OpCount(add=nx + 2, mul=nx) * (N * nu)
-            + OpCount(add=2 * nx + 2, mul=nx) * ng
+            + OpCount(add=2 * nx + 2, mul=2 * nx) * ng
             + OpCount(add=nx, mul=nx) * nf,
             "condense_expand": model.products.state_step * N,
         }
