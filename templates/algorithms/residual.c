@@ -26,7 +26,7 @@ static real_t scale_of_row(solver_t *s, int m, real_t value)
 static void forget_rows(solver_t *s)
 {
     for (int r = 0; r < NR; r++) {
-        s->row_scale[r] *= R(0.5);
+        s->row_scale[r] *= (s->row_scale[r] > row_magnitude[r]) ? R(0.5) : R(1);
     }
 }
 

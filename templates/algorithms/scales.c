@@ -43,12 +43,12 @@ static void state_scales(const solver_t *s, real_t *size)
     }
 }
 
-/* At the end of a sample: what the plan of a sample that was OK says of sizes. It is forgotten by one half in every sample,
- * so that a spike does not blunt tolerances for long. */
+/* At the end of a sample: what the plan of a sample that was OK says of sizes. What is beyond a scale is forgotten by one
+ * half in every sample, so that a spike does not blunt tolerances for long. */
 static void learn_sizes(solver_t *s, status_t status)
 {
     for (int i = 0; i < NX; i++) {
-        s->state_size[i] *= R(0.5);
+        s->state_size[i] *= (s->state_size[i] > z_scale[i]) ? R(0.5) : R(1);
     }
     for (int k = 0; k <= N && status == OK; k++) {
         largest_of(s->state_size, s->x[k]);

@@ -70,7 +70,9 @@ def test_the_residual_is_that_of_the_plan_that_was_linearised() -> None:
         c.feedback(xhat)
         assert c.status is (Status.NOT_CONVERGED if residual > MEASURED.tolerance else Status.OK)
         seen.add(c.status)
-        learnt = np.maximum(learnt / 2, np.max(np.abs(c.x), axis=0) if c.status is Status.OK else 0)
+        learnt = np.maximum(
+            np.where(learnt > declared, learnt / 2, learnt), np.max(np.abs(c.x), axis=0) if c.status is Status.OK else 0
+        )
         predicted = np.sum(U**2, axis=1) + np.sum(2 * U * c.view("step.du"), axis=1)
     assert seen == {Status.OK, Status.NOT_CONVERGED}
 

@@ -50,13 +50,19 @@ def parameter_sizes(shape: Shape) -> dict[str, int]:
     }  # fmt: skip
 
 
+#: Scales, and declared values of what costs: the data are drawn in all sizes, so that nothing of them counts as 0.
+SMALL = {"gradient": 1e-10, "hessian": 1e-10, "rows": 1.0, "end_rows": 1.0}
+SCALE = 1e-8
+
+
 def stage_ocp(shape: Shape) -> OCP:
     """The problem of a shape; all controls are bounded, the first ``states`` states at the nodes 1 .. N."""
     nx, nz = shape.nx, shape.nx + shape.nu
     ocp = OCP("stages", N=shape.N)
-    x, u = ocp.state("x", size=nx), ocp.control("u", size=shape.nu)
+    x, u = ocp.state("x", size=nx, scale=SCALE), ocp.control("u", size=shape.nu, scale=SCALE)
     z = ca.vertcat(x, u)
-    p = {name: ocp.parameter(name, size=size) for name, size in parameter_sizes(shape).items() if size}
+    sizes = {name: size for name, size in parameter_sizes(shape).items() if size}
+    p = {name: ocp.parameter(name, size=size, value=SMALL.get(name, 0.0)) for name, size in sizes.items()}
     ocp.dynamics(ca.reshape(p["dynamics"], nz, nx).T @ z + p["offset"], discrete=True)
     lower = ca.SX(ca.Sparsity.lower(nz), p["hessian"])
     Q, g = lower + lower.T - ca.diag(ca.diag(lower)), p["gradient"]
