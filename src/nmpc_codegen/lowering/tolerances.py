@@ -196,7 +196,10 @@ FACTORS: dict[str, tuple[float, str]] = {
     "longer": (4.0, "ratio of the first length of a step to the last accepted one, and of successive lengths"),
     "settled_length": (0.9, "part of the trust region below which a step counts as its own"),
     "tiny_step": (0.01, "length of a step, in scales, below which the plan is settled"),
-    "gradient_moves": (0.0625, "part of the rounding of the cost by which a gradient that does not vanish may move it"),
+    "gradient_moves": (
+        2.0**-8,
+        "part of the rounding of the cost by which a gradient that does not vanish may move it",
+    ),
     "filter_share": (1e-05, "improvement of the violation, or of the cost by the violation, that the filter demands"),
     "armijo": (0.0001, "share of the predicted decrease that a step of solve() has to achieve"),
     "most_growth": (
