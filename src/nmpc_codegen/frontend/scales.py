@@ -2,10 +2,10 @@
 
 The scale of a state or control is ``scale=`` if declared, else the largest of half the width of its finite bounds (the
 magnitude of a single one), its initial value, and references of residuals that it is. A state of which nothing is known
-has the size of what a control of its size does to it in the first interval in which it acts, a control that with which
-a state changes by its size over the horizon; 1 if that tells nothing, either: rather too small than too large. Terms
-of rows, residuals and costs have the sizes to which those of their variables lead. None of them depends on data of a
-sample, so that rounding errors are no size.
+has the size of what a control of its size does to it in one interval, at least a small part of what it does over the
+horizon, a control that with which a state changes by its size over the horizon; 1 if that tells nothing, either: rather
+too small than too large. Terms of rows, residuals and costs have the sizes to which those of their variables lead. None
+of them depends on data of a sample, so that rounding errors are no size.
 """
 
 from __future__ import annotations
@@ -21,6 +21,11 @@ from nmpc_codegen.frontend.problem import Array, Problem, Stage, symbols
 from nmpc_codegen.ir.casadi_types import Expression
 from nmpc_codegen.ir.kernel import Instruction, Kernel, Port, lift, opcode_name
 from nmpc_codegen.package.program import VALUES
+
+#: Size of a state of which nothing is known, at least, relative to what a control of its size does over the horizon.
+LITTLE = 1e-3
+#: A declared value is a rounding error, relative to the same, as that of an initial state that was computed.
+ROUNDING = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,21 +77,20 @@ def _declared(problem: Problem) -> Array:
 def _completed(problem: Problem, known: Array) -> Array:
     """The same with what follows for the others from what a control does to a state over the horizon."""
     nx, z = problem.nx, known.copy()
-    if np.all(z > 0.0):
-        return z
     soon, reach = _responses(problem)
+    soon = np.maximum(soon, LITTLE * reach)
     for j in np.flatnonzero(z[nx:] == 0.0):
         needed = [z[i] / reach[i, j] for i in range(nx) if z[i] > 0.0 and reach[i, j] > 0.0]
         z[nx + j] = min(needed, default=0.0)
     z[nx:][~(np.isfinite(z[nx:]) & (z[nx:] > 0.0))] = 1.0
     moved = np.max(soon * z[nx:], axis=1, initial=0.0)
-    found = np.where(z[:nx] > 0.0, z[:nx], moved)
+    found = np.where(z[:nx] > ROUNDING * moved, z[:nx], moved)
     z[:nx] = np.where(np.isfinite(found) & (found > 0.0), found, 1.0)
     return z
 
 
 def _responses(problem: Problem) -> tuple[Array, Array]:
-    """(nx, nu) each: the first change of a state at a node, and the largest one over the horizon, by a control that
+    """(nx, nu) each: the change of a state at the first node, and the largest one over the horizon, by a control that
     changes by 1 at its beginning, in the linear model at the initial state."""
     nx, nu = problem.nx, problem.nu
     x, u, p, _ = symbols(nx, nu, problem.np)
@@ -98,13 +102,14 @@ def _responses(problem: Problem) -> tuple[Array, Array]:
         return first, most
     step: dict[float, Array] = {}
     with np.errstate(all="ignore"):
-        for dt in problem.dt:
+        for k, dt in enumerate(problem.dt):
             if dt not in step:
                 rates = np.vstack([S, np.zeros((nu, nx + nu))])
                 step[dt] = S if problem.discrete else _exponential(rates * dt)[:nx]
             dx = step[dt][:, :nx] @ dx + step[dt][:, nx:]
             size = np.where(np.isfinite(dx), np.abs(dx), 0.0)
-            first, most = np.where(first > 0.0, first, size), np.fmax(most, size)
+            most = np.fmax(most, size)
+            first = most if k == 0 else first
     return first, most
 
 

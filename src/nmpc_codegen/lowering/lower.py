@@ -14,7 +14,7 @@ from nmpc_codegen.components.base import Counts, Dims, Feature
 from nmpc_codegen.components.core import core_structs
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.frontend.problem import Array, Problem, Row, Stage
-from nmpc_codegen.frontend.scales import scales
+from nmpc_codegen.frontend.scales import Scales, scales
 from nmpc_codegen.ir.cmodule import CModule, Enum, Macro, Section, Setter, Setting, Table, check_prefix
 from nmpc_codegen.ir.kernel import called_functions
 from nmpc_codegen.ir.print_c import CStyle
@@ -66,12 +66,15 @@ def lower(model: Model, name: str | None = None) -> CModule:
     )
     macros = _macros(model, dims)
     ranges = {name: limits for c in model.parts.components for name, limits in c.ranges(dims).items()}
+    sizes = scales(problem)
     module = CModule(
-        description=_description(model, name, macros, structs, _report(model, dims, features, structs, layout), ranges),
+        description=_description(
+            model, sizes, name, macros, structs, _report(model, dims, features, structs, layout), ranges
+        ),
         target=model.target,
         macros=macros,
         enums=_enums(problem),
-        tables=_tables(model),
+        tables=_tables(model, sizes),
         rows=problem.qp_rows,
         settings=_settings(model, dims),
         setters=_setters(model),
@@ -423,7 +426,7 @@ def _setters(model: Model) -> tuple[Setter, ...]:
     return tuple(Setter(n, nodes[layouts[n]]) for n, nodes in _NODES.items() if _is_set(model, n))
 
 
-def _tables(model: Model) -> tuple[Table, ...]:
+def _tables(model: Model, sizes: Scales) -> tuple[Table, ...]:
     p = model.problem
     rows = p.qp_rows
 
@@ -436,7 +439,6 @@ def _tables(model: Model) -> tuple[Table, ...]:
     longest_step = model.parts.integrator.longest_step(p)
     first = np.searchsorted([r[0] for r in rows], range(p.N + 2))
     offsets = [s.offset for s in p.parameters] + [p.np]
-    sizes = scales(p)
     return (
         real("interval_length", p.dt, "dt_k"),
         *([] if p.discrete else [real("step_length", [longest_step], "longest integration step")]),
@@ -492,6 +494,7 @@ def _default_controls(p: Problem) -> list[float]:
 
 def _description(
     model: Model,
+    sizes: Scales,
     name: str,
     macros: tuple[Macro, ...],
     structs: tuple[Struct, ...],
@@ -499,7 +502,7 @@ def _description(
     ranges: Mapping[str, tuple[int, int]],
 ) -> PackageDescription:
     """The data that Controller and open_package() need besides the C text."""
-    p, sizes = model.problem, scales(model.problem)
+    p = model.problem
     return PackageDescription(
         name=name,
         precision=model.precision,
