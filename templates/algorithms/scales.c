@@ -25,33 +25,33 @@ static void enlarge_by_bounds(const solver_t *s, int k, real_t *size)
     }
 }
 
-/* Scales in which gaps of the states are measured: those that are declared, the measured state and the plans of samples
- * that were OK; before the first one, the present plan. Bounds that are set at run time count like declared ones. */
+/* Sizes in which gaps of the states are measured: the plan, the measured state, half the width of bounds. They are at least
+ * a part of the scales, so that a plan at rest is not measured in rounding errors. A plan that escapes is not measured in
+ * its own size: it counts as a multiple of the last one that was OK. */
 static void state_scales(const solver_t *s, real_t *size)
 {
+    memset(size, 0, NX * sizeof *size);
+    for (int k = 0; k <= N; k++) {
+        largest_of(size, s->x[k]);
+    }
     for (int i = 0; i < NX; i++) {
-        size[i] = (z_scale[i] > s->state_size[i]) ? z_scale[i] : s->state_size[i];
-        for (int k = 0; k <= N && !(s->state_size[i] > R(0)); k++) {
-            const real_t a = FABS(s->x[k][i]);
-            size[i] = (a > size[i]) ? a : size[i];
-        }
+        const real_t known = s->state_size[i], most = FACTOR_ESCAPE * known;
+        size[i] = (known > R(0) && size[i] > most) ? most : size[i];
+        enlarge(&size[i], FACTOR_LITTLE_OF_STATE * z_scale[i]);
     }
     largest_of(size, s->xhat);
-    if (SET_BOUNDS) {
-        enlarge_by_bounds(s, 1, size);
-        enlarge_by_bounds(s, N, size);
-    }
+    enlarge_by_bounds(s, 1, size);
+    enlarge_by_bounds(s, N, size);
 }
 
-/* At the end of a sample: what the plan of a sample that was OK says of sizes. What is beyond a scale is forgotten by one
- * half in every sample, so that a spike does not blunt tolerances for long. */
+/* The plan of a sample with this status tells sizes if it was OK. */
 static void learn_sizes(solver_t *s, status_t status)
 {
-    for (int i = 0; i < NX; i++) {
-        s->state_size[i] *= (s->state_size[i] > z_scale[i]) ? R(0.5) : R(1);
-    }
-    for (int k = 0; k <= N && status == OK; k++) {
-        largest_of(s->state_size, s->x[k]);
+    if (status == OK) {
+        memset(s->state_size, 0, sizeof s->state_size);
+        for (int k = 0; k <= N; k++) {
+            largest_of(s->state_size, s->x[k]);
+        }
     }
 }
 

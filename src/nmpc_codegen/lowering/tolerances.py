@@ -191,6 +191,8 @@ FACTORS: dict[str, tuple[float, str]] = {
     "hand_over": (0.0001, "gap, in units of the cost, and residual below which an iterate indicates the working set"),
     "warm": (0.1, "first complementarity of a warm start, relative to that of a cold one"),
     "moving_row": (0.001, "scale of a row without bounds, relative to its largest value so far"),
+    "little_of_state": (0.1, "least size in which a gap is measured, relative to the scale of its state"),
+    "escape": (10.0, "growth of a state since the last plan that was OK, beyond which a plan is not measured in it"),
     "little_of_row": (0.01, "least scale of a row, relative to that of its terms: a bound near 0 says nothing"),
     "terminal_share": (4.0, "what the terminal rows gain by a step, relative to what the other terms lose"),
     "longer": (4.0, "ratio of the first length of a step to the last accepted one, and of successive lengths"),

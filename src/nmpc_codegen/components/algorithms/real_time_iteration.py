@@ -116,8 +116,8 @@ SAMPLES = Field("samples", (), "feedbacks since init or reset", "keep", "int32")
 
 
 def state_size(dims: Dims) -> Field:
-    """What plans that were OK tell of the sizes of the states."""
-    return Field("state_size", (dims.nx,), "largest states in plans that were OK, fading", "keep")
+    """What the last plan that was OK tells of the sizes of the states."""
+    return Field("state_size", (dims.nx,), "largest states in the last plan that was OK", "keep")
 
 
 @dataclass(frozen=True)
