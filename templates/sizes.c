@@ -9,11 +9,11 @@ static inline real_t size_or(real_t size, real_t scale)
     return (size > TOL_ZERO * scale) ? size : scale;
 }
 
-/* A value of component i of (x, u), or 0 where no sum with others of its scale shows it: in a plant at rest, values would
- * decay to denormal numbers, which are slow and have no relative accuracy. NaN stays. */
+/* A value of component i of (x, u), or 0 where it is far below all rounding errors of its scale: in a plant at rest,
+ * values would decay to denormal numbers, which are slow and have no relative accuracy. NaN stays. */
 static inline real_t or_zero(real_t value, int i)
 {
-    return (FABS(value) <= TOL_ZERO * TOL_ZERO * z_scale[i]) ? R(0) : value;
+    return (FABS(value) <= TOL_UNIT * TOL_UNIT * z_scale[i]) ? R(0) : value;
 }
 
 /* What a plan costs whose variables are zeros. */

@@ -7,6 +7,8 @@
 
 #include "algorithms/plan.c"
 
+#include "algorithms/forget_sizes.c"
+
 /* Penalty and trust region as at the start. */
 static void reset_search(solver_t *s)
 {
@@ -24,7 +26,7 @@ static void algorithm_reset(solver_t *s)
     s->unconverged = 0;
     s->status = (int32_t)OK;
     reset_search(s);
-    memset(s->state_size, 0, sizeof s->state_size);
+    forget_sizes(s);
     start_at(s, initial_state);
     memcpy(s->xhat, s->x[0], sizeof s->xhat);
 }

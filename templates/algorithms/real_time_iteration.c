@@ -8,6 +8,8 @@
 
 #include "algorithms/enlarge.c"
 
+#include "algorithms/forget_sizes.c"
+
 /* Values of renewal: gradients of the linearisation compared with references, weights and parameters. Weights and
  * parameters act at the next prepare; once one of them has changed, so do further references, as gradients that mix new
  * weights with the old linearisation would belong to no problem. */
@@ -23,7 +25,7 @@ static void algorithm_reset(solver_t *s)
     s->status = (int32_t)OK;
     s->relaxation = INF;
     memset(s->row_scale, 0, sizeof s->row_scale);
-    memset(s->state_size, 0, sizeof s->state_size);
+    forget_sizes(s);
     s->stats.violated_row = s->stats.violated_node = -1;
     start_at(s, initial_state);
     memcpy(s->xhat, s->x[0], sizeof s->xhat);

@@ -5,8 +5,8 @@
 #include "algorithms/scales.c"
 
 /* Rows count as well, by what they differ from what the last step predicted for them.
- * Scale of row m: its finite bounds or, if they are 0, its value, at least 1/1000 of what that has been; the constant part
- * of a row belongs to its bounds. It is at least a small part of the scale of its terms. */
+ * Scale of row m: its finite bounds or, if they are 0, its value, at least 1/1000 of what that was lately; the constant
+ * part of a row belongs to its bounds. It is at least a small part of the scale of its terms. */
 static real_t scale_of_row(solver_t *s, int m, real_t value)
 {
     const real_t offset = row_offset[row_id(m)], magnitude = row_magnitude[row_id(m)];
@@ -22,7 +22,7 @@ static real_t scale_of_row(solver_t *s, int m, real_t value)
     return scale;
 }
 
-/* Values of rows are forgotten as those of the states are. */
+/* What the values of rows were is forgotten by one half in every sample, down to the scale of their terms. */
 static void forget_rows(solver_t *s)
 {
     for (int r = 0; r < NR; r++) {

@@ -35,9 +35,9 @@ static void state_scales(const solver_t *s, real_t *size)
         largest_of(size, s->x[k]);
     }
     for (int i = 0; i < NX; i++) {
-        const real_t known = s->state_size[i], most = FACTOR_ESCAPE * known;
-        size[i] = (known > R(0) && size[i] > most) ? most : size[i];
-        enlarge(&size[i], FACTOR_LITTLE_OF_STATE * z_scale[i]);
+        const real_t least = FACTOR_LITTLE_OF_STATE * z_scale[i];
+        const real_t most = FACTOR_ESCAPE * ((s->state_size[i] > least) ? s->state_size[i] : least);
+        size[i] = clip(size[i], least, most);
     }
     largest_of(size, s->xhat);
     enlarge_by_bounds(s, 1, size);

@@ -342,11 +342,11 @@ static void condense_embed(solver_t *s)
 }
 
 /* Value of the row m at du = 0, dx_0 = 0, v = row + J_x c_k, and the magnitude of its terms, where a state counts with
- * its largest magnitude, because its rounding errors travel along the horizon. */
+ * its largest magnitude, because its rounding errors travel along the horizon; at least a part of the scale of the row. */
 static void condense_value(solver_t *s, int m, const real_t *size)
 {
     const real_t *c = s->condensed.c[row_node(m)];
-    s->condensed.terms[m] = row_terms(s, m, size);
+    s->condensed.terms[m] = row_terms(s, m, size) + FACTOR_LEAST_TERMS * row_magnitude[row_id(m)];
     if (row_is_state(m)) {
         s->condensed.v[m] = row_constant(s, m) + c[row_index(m)];
         return;

@@ -62,11 +62,17 @@ static void qp_take_sizes(solver_t *s, int k, real_t *size)
     }
 }
 
-/* Largest entry of the gradient relative to the magnitude of its terms. */
+/* Largest entry of the gradient relative to the magnitude of its terms, at least that of zeros. */
 static real_t qp_gradient_size(solver_t *s)
 {
     real_t *size = s->qp.size, worst = R(0);
     memset(size, 0, sizeof s->qp.size);
+    for (int i = 0; i < NX; i++) {
+        size[i] = TOL_ZERO * force_size[i];
+    }
+    for (int j = 0; j < NUS; j++) {
+        size[NXS + j] = TOL_ZERO * force_size[NX + j % NU];
+    }
     for (int k = 0; k < NS; k++) {
         qp_take_sizes(s, k, size);
     }

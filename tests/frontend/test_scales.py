@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from nmpc_codegen import OCP, ProblemError
+from nmpc_codegen import OCP, Options, ProblemError, build
 from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.frontend.scales import Scales, scales
 
@@ -67,6 +67,8 @@ def test_what_a_control_of_its_size_changes() -> None:
         (lambda p, v, u: p * (p - 3), 18.0, 0.0),
         (lambda p, v, u: ca.sqrt(p**2 + v**2), np.sqrt(34), 0.0),
         (lambda p, v, u: ca.cos(p) * v, 5.0, 0.0),
+        (lambda p, v, u: ca.if_else(p > 0, v, -v), 10.0, 0.0),
+        (lambda p, v, u: ca.fabs(p) ** 1.5, 3**1.5, 0.0),
     ],
 )
 def test_rows(row: object, size: float, offset: float) -> None:
@@ -101,3 +103,64 @@ def test_scales_that_are_none(value: object) -> None:
         ocp.state("p", scale=value)
     with pytest.raises(ProblemError, match="control 'u': scale"):
         ocp.control("u", scale=value)
+
+
+def stick(**more: float) -> OCP:
+    """A pendulum upright, whose open loop grows by e^21 over the horizon."""
+    ocp = OCP("stick", T=3.0, N=40)
+    th, w, u = ocp.state("th", **more), ocp.state("w", **more), ocp.control("u")
+    ocp.dynamics({th: w, w: 49 * ca.sin(th) + u})
+    ocp.least_squares(ca.vertcat(th, w, u), weight=[10, 1, 0.1])
+    ocp.subject_to(-20, u, 20)
+    return ocp
+
+
+def test_growth_is_no_size() -> None:
+    """A declared scale stays, and an unknown one is no larger than what a control could do without growth."""
+    np.testing.assert_array_equal(of(stick(scale=0.5)).z[:2], 0.5)
+    assert 1e-3 < of(stick()).z[0] < 1.0
+    small = build(stick(), Options(precision="single"), profile="test")
+    np.testing.assert_allclose(small.step([4e-4, 0]), build(stick(), profile="test").step([4e-4, 0]), rtol=1e-3)
+
+
+def test_bounds_that_stand_for_none() -> None:
+    """They are no size, and change no control."""
+    controls = []
+    for bound in (np.inf, 1e20):
+        ocp = OCP("free", T=5.0, N=10)
+        x, u = ocp.state("x"), ocp.control("u")
+        ocp.dynamics({x: u})
+        ocp.least_squares(ca.vertcat(x, u), weight=[10, 1])
+        ocp.subject_to(-bound, x, bound)
+        ocp.subject_to(-bound, u, bound)
+        assert np.max(of(ocp).z) <= 1.0
+        controls.append(build(ocp, profile="test").step([5.0]))
+    np.testing.assert_allclose(controls[0], controls[1], rtol=1e-9)
+
+
+def test_an_initial_value_that_is_a_rounding_error() -> None:
+    """As one that was computed: what a control changes is the size."""
+    ocp = cart(initial=1e-20)
+    ocp.subject_to(-3, ocp.u, 3)
+    plain = cart()
+    plain.subject_to(-3, plain.u, 3)
+    np.testing.assert_array_equal(of(ocp).z, of(plain).z)
+
+
+def test_discrete_maps_and_costs_of_all_stages() -> None:
+    """x+ = 2 x + u without its growth; the start and the longest interval count."""
+    ocp = OCP("map", N=5)
+    x, u = ocp.state("x"), ocp.control("u", scale=4.0)
+    ocp.dynamics({x: 2 * x + u}, discrete=True)
+    ocp.least_squares(u, weight=1)
+    assert of(ocp).z[0] == pytest.approx(4.0)
+    ocp = OCP("start", intervals=[0.1, 0.5])
+    x, u = ocp.state("x", scale=2.0), ocp.control("u", scale=1.0)
+    ocp.dynamics({x: u})
+    ocp.least_squares(u, weight=6.0, scale_with_dt=True)
+    assert of(ocp).cost == 3.0
+    ocp.free_initial(x)
+    ocp.start_least_squares(x - 1, weight=5.0)
+    assert of(ocp).cost == 20.0
+    ocp.stage_cost(50 * u**2, integrate=True)
+    assert of(ocp).forces[1] == pytest.approx(np.sqrt(25 * (3.0 + 50)))

@@ -48,4 +48,4 @@ const char *golden_status_string(golden_status_t status);
 #endif
 
 #endif
-/* nmpc_codegen package d4f43baeb4fb1406, sha256 53be526e0c9ba2d0433872e522131910332d59755447922d34e4652d54027112 */
+/* nmpc_codegen package 35048dce89d39161, sha256 5ed4176e08087dec6b64cdcc7b50fd68c0c41e0644b59d7750d8a837ba2cbee6 */

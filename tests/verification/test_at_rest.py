@@ -20,17 +20,20 @@ def test_samples_at_rest_are_ok(seed: int) -> None:
     require_tool("cc")
     package, out = at_rest.run(seed)
     assert not out.wrong, f"{package}: {out}"
-    assert out.samples == at_rest.RESTS
 
 
 def test_what_is_wrong_is_seen() -> None:
-    """A plan of denormal numbers, and a status that is not OK."""
+    """A plan of denormal numbers, another control, and a status that is not OK."""
     require_tool("cc")
     (number,) = (n for n, p in enumerate(at_rest.packages()) if str(p) == "standstill default")
     c, out = at_rest._built(number).copy(), at_rest.Outcome()
     c.x[3, 0] = 1e-310
     at_rest._judge(c, out, "here")
     assert set(out.wrong) == {"denormal"}
+    other = c.copy()
+    other.u[0] += 0.1
+    at_rest._compare(c, other, out, "beside")
+    assert out.wrong["another control"] == 1
     c.step([np.nan, 0])
     at_rest._judge(c, out, "there")
     assert out.wrong[Status.NOT_FINITE.name] == 1

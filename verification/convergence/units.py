@@ -81,11 +81,14 @@ def _add_costs(ocp: OCP, new: OCP, new_text: Callable[[Any], Any], units: Units)
     general = {"start": new.start_cost, "terminal": new.terminal_cost}
     for r in ocp.residuals:
         y, d = _in_own_units(ocp, new, r.y, new_text(r.y), units)
-        weight, reference = units.cost * r.weight * np.outer(d, d), r.reference / d
+        weight = units.cost * r.weight * np.outer(d, d)
+        more: dict[str, Any] = {"reference": r.reference / d}
+        if r.scale:
+            more["scale"] = np.array(r.scale) / d
         if r.stage == "path":
-            new.least_squares(y, weight, reference=reference, scale_with_dt=r.scale_with_dt)
+            new.least_squares(y, weight, scale_with_dt=r.scale_with_dt, **more)
         else:
-            squares[r.stage](y, weight, reference=reference)
+            squares[r.stage](y, weight, **more)
     for c in ocp.costs:
         if c.stage == "path":
             new.stage_cost(units.cost * new_text(c.expression), integrate=c.integrate, scale_with_dt=c.scale_with_dt)

@@ -88,6 +88,6 @@ def _kkt() -> Struct:
             real("equality", "gaps of the dynamics and x_0 - xhat"),
             real("inequality", "violation of bounds and rows"),
             real("complementarity", "multiplier times distance to its bound"),
-            real("relative", "the largest of all, divided by 1 + the magnitudes of the terms that it sums"),
+            real("relative", "the largest of all, divided by its scale + the magnitudes of the terms that it sums"),
         ),
     )

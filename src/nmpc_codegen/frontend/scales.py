@@ -1,11 +1,12 @@
 """Sizes of the quantities of a problem: what a control engineer calls much or little of each of them.
 
 The scale of a state or control is ``scale=`` if declared, else the largest of half the width of its finite bounds (the
-magnitude of a single one), its initial value, and references of residuals that it is. A state of which nothing is known
-has the size of what a control of its size does to it in one interval, at least a small part of what it does over the
-horizon, a control that with which a state changes by its size over the horizon; 1 if that tells nothing, either: rather
-too small than too large. Terms of rows, residuals and costs have the sizes to which those of their variables lead. None
-of them depends on data of a sample, so that rounding errors are no size.
+magnitude of a single one; those beyond NO_BOUND do not count), its initial value, and references of residuals that it
+is. A state of which nothing is known has the size of what a control of its size does to it in one interval, at least a
+small part of what it does over the horizon, where exponential growth does not count; a control that with which a state
+changes by its size over the horizon; 1 if that tells nothing, either: rather too small than too large. Terms of rows,
+residuals and costs have the sizes to which those of their variables lead. None of them depends on data of a sample, so
+that rounding errors are no size.
 """
 
 from __future__ import annotations
@@ -26,6 +27,8 @@ from nmpc_codegen.package.program import VALUES
 LITTLE = 1e-3
 #: A declared value is a rounding error, relative to the same, as that of an initial state that was computed.
 ROUNDING = 1e-9
+#: Bounds of this magnitude stand for none, and are no size.
+NO_BOUND = 1e10
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +51,7 @@ class Scales:
 
 def scales(problem: Problem) -> Scales:
     """The sizes of a problem, from what is declared."""
-    z = _completed(problem, _declared(problem))
+    z = _completed(problem)
     rows, offsets = _rows(problem, z)
     costs, own = _costs(problem, z)
     positive = costs[np.isfinite(costs) & (costs > 0.0)]
@@ -56,50 +59,68 @@ def scales(problem: Problem) -> Scales:
     return Scales(z, rows, offsets, cost[0], np.sqrt(cost[0] * np.maximum(own, cost[1])) / z)
 
 
+def stated_scales(problem: Problem) -> Array:
+    """Scales of (x, u) that are declared, 0 where none is."""
+    return np.array([v for s in (*problem.states, *problem.controls) for v in s.scale or (0.0,) * s.size])
+
+
 def _declared(problem: Problem) -> Array:
-    """Scales of (x, u) that the problem states, 0 where it does not."""
+    """Scales of (x, u) that bounds and references state, 0 where they do not."""
     nx = problem.nx
-    found = np.concatenate([np.abs(problem.x_initial), np.zeros(problem.nu)])
+    found = np.zeros(nx + problem.nu)
     for row in problem.rows:
         if row.kind in ("state", "control"):
             i = row.index + (nx if row.kind == "control" else 0)
-            finite = [b for b in (row.lower, row.upper) if math.isfinite(b)]
-            width = (row.upper - row.lower) / 2 if len(finite) == 2 else max(map(abs, finite), default=0.0)
-            found[i] = max(found[i], width if width > 0.0 else max(map(abs, finite), default=0.0))
+            found[i] = max(found[i], _width(row.lower, row.upper))
     for stage in (problem.path, problem.terminal):
         for place, value in zip(stage.y_elements, stage.reference, strict=True):
             if place >= 0:
                 found[place] = max(found[place], abs(value))
-    stated = np.array([v for s in (*problem.states, *problem.controls) for v in s.scale or (0.0,) * s.size])
-    return np.where(stated > 0.0, stated, found)
+    return found
 
 
-def _completed(problem: Problem, known: Array) -> Array:
-    """The same with what follows for the others from what a control does to a state over the horizon."""
-    nx, z = problem.nx, known.copy()
+def _width(lower: float, upper: float) -> float:
+    """Half the width of bounds, or the magnitude of a single one or of equal ones; 0 for those that stand for none."""
+    known = [abs(b) for b in (lower, upper) if abs(b) < NO_BOUND]
+    half = (upper - lower) / 2
+    return half if len(known) == 2 and half > 0.0 else max(known, default=0.0)
+
+
+def _completed(problem: Problem) -> Array:
+    """Scales of (x, u): declared ones, those of bounds, references and initial values, and what follows for the others
+    from what a control does to a state."""
+    nx, stated, z = problem.nx, stated_scales(problem), _declared(problem)
+    initial = np.abs(problem.x_initial)
     soon, reach = _responses(problem)
-    soon = np.maximum(soon, LITTLE * reach)
+    z = np.where(stated > 0.0, stated, z)
+    known = np.where(stated[:nx] > 0.0, stated[:nx], np.maximum(z[:nx], initial))
     for j in np.flatnonzero(z[nx:] == 0.0):
-        needed = [z[i] / reach[i, j] for i in range(nx) if z[i] > 0.0 and reach[i, j] > 0.0]
+        needed = [known[i] / reach[i, j] for i in range(nx) if known[i] > 0.0 and reach[i, j] > 0.0]
         z[nx + j] = min(needed, default=0.0)
     z[nx:][~(np.isfinite(z[nx:]) & (z[nx:] > 0.0))] = 1.0
-    moved = np.max(soon * z[nx:], axis=1, initial=0.0)
-    found = np.where(z[:nx] > ROUNDING * moved, z[:nx], moved)
+    moved = np.max(np.maximum(soon, LITTLE * reach) * z[nx:], axis=1, initial=0.0)
+    computed = initial <= ROUNDING * moved  # an initial value that is a rounding error
+    found = np.where(computed & (z[:nx] == 0.0), moved, known)
     z[:nx] = np.where(np.isfinite(found) & (found > 0.0), found, 1.0)
     return z
 
 
 def _responses(problem: Problem) -> tuple[Array, Array]:
     """(nx, nu) each: the change of a state at the first node, and the largest one over the horizon, by a control that
-    changes by 1 at its beginning, in the linear model at the initial state."""
+    changes by 1 at its beginning, in the linear model at the initial state without its exponential growth."""
     nx, nu = problem.nx, problem.nu
     x, u, p, _ = symbols(nx, nu, problem.np)
     slopes = ca.densify(ca.jacobian(problem.dynamics(x, u, p), ca.vertcat(x, u)))
     at = ca.Function("slopes", [x, u, p], [slopes])
-    S = np.asarray(at(problem.x_initial, _reference_controls(problem), problem.p_value)).reshape(nx, nx + nu)
+    S = np.array(at(problem.x_initial, _reference_controls(problem), problem.p_value)).reshape(nx, nx + nu)
     first, most, dx = np.zeros((nx, nu)), np.zeros((nx, nu)), np.zeros((nx, nu))
     if not np.all(np.isfinite(S)):
         return first, most
+    eigenvalues = np.linalg.eigvals(S[:, :nx])
+    if problem.discrete:
+        S[:, :nx] /= max(1.0, float(np.max(np.abs(eigenvalues))))
+    else:
+        S[:, :nx] -= max(0.0, float(np.max(eigenvalues.real))) * np.eye(nx)
     step: dict[float, Array] = {}
     with np.errstate(all="ignore"):
         for k, dt in enumerate(problem.dt):
@@ -160,7 +181,7 @@ def _terms(expression: Expression, stage: Stage, problem: Problem, z: Array) -> 
     """(constant part, size of the other terms) of every element of an expression of a stage."""
     u = _reference_controls(problem) if stage.nu else np.zeros(0)
     sizes = [z[: problem.nx], z[problem.nx :] if stage.nu else np.zeros(0)]
-    given = [problem.p_value, np.array(problem.dt[:1])]
+    given = [problem.p_value, np.array([max(problem.dt)])]
     symbols_ = [stage.x, stage.u, stage.p, stage.dt]
     return _magnitudes(expression, symbols_, sizes, [problem.x_initial, u, *given])
 
@@ -170,21 +191,32 @@ def _costs(problem: Problem, z: Array) -> tuple[Array, Array]:
     curvature."""
     found: list[float] = []
     own = np.zeros(z.size)
-    for stage in (problem.path, problem.terminal):
-        dt = np.array([problem.dt[0] if scaled else 1.0 for scaled in stage.scale_with_dt])
+    longest = max(problem.dt)
+    for stage in (problem.start, problem.path, problem.terminal):
+        dt = np.array([longest if scaled else 1.0 for scaled in stage.scale_with_dt])
         size = np.array([terms for _, terms in _terms(stage.y, stage, problem, z)])
         stated = np.array([*stage.y_scale, *[0.0] * (stage.ny - len(stage.y_scale))])
         size = np.where(stated > 0.0, stated, size)
         found += list(np.diag(stage.weight) * dt * size**2)
         slopes = _slopes(stage, problem)
         curvature = np.einsum("ij,i,ij->j", slopes, np.diag(stage.weight) * dt, slopes)
+        for cost, part in ((stage.cost, 1.0), (stage.cost_rate, longest)):
+            if cost is not None:
+                found.append(part * _terms(cost, stage, problem, z)[0][1])
+                curvature = curvature + part * _curvature(cost, stage, problem)
         with np.errstate(all="ignore"):
             squares = curvature * z[: curvature.size] ** 2
         own[: squares.size] = np.fmax(own[: squares.size], np.where(np.isfinite(squares), squares, 0.0))
-        for cost, part in ((stage.cost, 1.0), (stage.cost_rate, problem.dt[0])):
-            if cost is not None:
-                found.append(part * _terms(cost, stage, problem, z)[0][1])
     return np.array([*found, 0.0]), own
+
+
+def _curvature(cost: Expression, stage: Stage, problem: Problem) -> Array:
+    """Magnitudes of the second derivatives of a general cost with respect to every variable at the initial state."""
+    z = ca.vertcat(stage.x, stage.u)
+    at = ca.Function("bend", [stage.x, stage.u, stage.p, stage.dt], [ca.densify(ca.diag(ca.hessian(cost, z)[0]))])
+    u = _reference_controls(problem) if stage.nu else np.zeros(0)
+    found = np.abs(np.asarray(at(problem.x_initial, u, problem.p_value, max(problem.dt))).ravel())
+    return np.where(np.isfinite(found), found, 0.0)
 
 
 def _slopes(stage: Stage, problem: Problem) -> Array:
@@ -258,6 +290,8 @@ def _operation(ins: Instruction, operands: list[_Part]) -> _Part:
         return c * factor, abs(m * factor), value
     if name == "mul" and m == 0.0:
         return d * c, abs(n * c), value
+    if name in ("pow", "constpow") and n == 0.0 and abs(c) + m > 0.0:
+        return 0.0, float(np.float64(abs(c) + m) ** d), value
     return 0.0, _size(name, abs(c) + m, abs(d) + n, value), value
 
 
@@ -283,6 +317,7 @@ _GROWING: dict[str, Callable[[float, float], float]] = {
     "sqrt": lambda a, b: math.sqrt(a),
     "fabs": lambda a, b: a,
     "hypot": math.hypot,
+    "if_else_zero": lambda a, b: b,
     "fmin": max,
     "fmax": max,
 }

@@ -16,6 +16,7 @@ from nmpc_codegen.components.stage_cost import StageCost, slices, stage_costs
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.frontend.problem import Problem, Stage
 from nmpc_codegen.frontend.program import program
+from nmpc_codegen.frontend.scales import Scales, scales
 from nmpc_codegen.ir.kernel import Kernel, Port, lift
 from nmpc_codegen.ir.model import Block, HessianModel, ModelFunctions, StageModel
 from nmpc_codegen.ir.stage_products import Pattern, pattern
@@ -68,6 +69,11 @@ class Model(ModelFunctions):
         condensing = self.parts.condensing
         shape = None if condensing is None else condensing.qp_shape(self.problem)
         return dimensions(self.problem, shape, self.constant_hessian, multiple_of(self.goal))
+
+    @cached_property
+    def scales(self) -> Scales:
+        """The sizes of the quantities of the problem."""
+        return scales(self.problem)
 
     @property
     def choices(self) -> tuple[str, ...]:

@@ -14,7 +14,6 @@ from nmpc_codegen.components.base import Counts, Dims, Feature
 from nmpc_codegen.components.core import core_structs
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.frontend.problem import Array, Problem, Row, Stage
-from nmpc_codegen.frontend.scales import Scales, scales
 from nmpc_codegen.ir.cmodule import CModule, Enum, Macro, Section, Setter, Setting, Table, check_prefix
 from nmpc_codegen.ir.kernel import called_functions
 from nmpc_codegen.ir.print_c import CStyle
@@ -66,15 +65,12 @@ def lower(model: Model, name: str | None = None) -> CModule:
     )
     macros = _macros(model, dims)
     ranges = {name: limits for c in model.parts.components for name, limits in c.ranges(dims).items()}
-    sizes = scales(problem)
     module = CModule(
-        description=_description(
-            model, sizes, name, macros, structs, _report(model, dims, features, structs, layout), ranges
-        ),
+        description=_description(model, name, macros, structs, _report(model, dims, features, structs, layout), ranges),
         target=model.target,
         macros=macros,
         enums=_enums(problem),
-        tables=_tables(model, sizes),
+        tables=_tables(model),
         rows=problem.qp_rows,
         settings=_settings(model, dims),
         setters=_setters(model),
@@ -426,8 +422,8 @@ def _setters(model: Model) -> tuple[Setter, ...]:
     return tuple(Setter(n, nodes[layouts[n]]) for n, nodes in _NODES.items() if _is_set(model, n))
 
 
-def _tables(model: Model, sizes: Scales) -> tuple[Table, ...]:
-    p = model.problem
+def _tables(model: Model) -> tuple[Table, ...]:
+    p, sizes = model.problem, model.scales
     rows = p.qp_rows
 
     def real(name: str, values: ArrayLike, doc: str) -> Table:
@@ -494,7 +490,6 @@ def _default_controls(p: Problem) -> list[float]:
 
 def _description(
     model: Model,
-    sizes: Scales,
     name: str,
     macros: tuple[Macro, ...],
     structs: tuple[Struct, ...],
@@ -502,7 +497,7 @@ def _description(
     ranges: Mapping[str, tuple[int, int]],
 ) -> PackageDescription:
     """The data that Controller and open_package() need besides the C text."""
-    p = model.problem
+    p, sizes = model.problem, model.scales
     return PackageDescription(
         name=name,
         precision=model.precision,

@@ -101,8 +101,8 @@ KKT_PARTS = ("stationarity", "equality", "inequality", "complementarity")
 class Kkt:
     """Largest violation of each part of the optimality conditions.
 
-    ``relative``: the largest of all, divided by 1 + the magnitudes of the terms that it sums; solve() stops when it is
-    at most ``tol``, which therefore means the same in all units.
+    ``relative``: the largest of all, divided by its scale + the magnitudes of the terms that it sums; solve() stops
+    when it is at most ``tol``, which therefore means the same in all units.
     """
 
     stationarity: float

@@ -7,6 +7,7 @@ import numpy as np
 
 from nmpc_codegen.components.stage_cost import StageCost, stage_cost
 from nmpc_codegen.frontend.problem import Array, Problem, Stage
+from nmpc_codegen.frontend.scales import stated_scales
 from nmpc_codegen.ir.casadi_types import Expression, curved
 from nmpc_codegen.ir.cmodule import Table
 
@@ -28,7 +29,7 @@ def variable_scales(problem: Problem) -> Array:
         elif row.kind == "control":
             half = (row.upper - row.lower) / 2
             largest[nx + row.index] = half if np.isfinite(half) else max(bounds)
-    stated = np.array([v for s in (*problem.states, *problem.controls) for v in s.scale or (0.0,) * s.size])
+    stated = stated_scales(problem)
     return np.where(stated > 0.0, stated, np.where(largest > 0.0, largest, 1.0))
 
 
