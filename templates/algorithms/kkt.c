@@ -1,5 +1,5 @@
-/* KKT residuals of the present iterate: as they are and, the largest of them all, divided by the scale of what they belong to
- * plus the magnitudes of the terms that are summed up, so that a tolerance means the same in all units. */
+/* KKT residuals of the present iterate: as they are and, the largest of them all, divided by the scale of what they
+ * belong to plus the magnitudes of the terms that are summed up, so that a tolerance means the same in all units. */
 
 #include "algorithms/kkt_terms.c"
 

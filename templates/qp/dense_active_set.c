@@ -14,10 +14,9 @@
  *   qp_factorize  preparation: H (lower triangle) and A are known, lower and upper hold a prediction. Overwrites H.
  *                 Returns OK, or NUMERICAL_FAILURE if H is not positive semidefinite or data are not finite.
  *   qp_solve      feedback: g, lower, upper and penalty are known. Writes z, mult, iterations, changes, dropped,
- *                 relaxed. Returns OK; ITERATION_LIMIT, STALLED (a working set repeats itself, or
- *                 rounding decides whether rows contradict one another) or INFEASIBLE with z
- *                 the last iterate, or 0 if bounds cross; NUMERICAL_FAILURE (data not finite, cost unbounded below)
- *                 with z = mult = 0.
+ *                 relaxed. Returns OK; ITERATION_LIMIT, STALLED (a working set repeats itself, or rounding decides
+ *                 whether rows contradict one another) or INFEASIBLE with z the last iterate, or 0 if bounds cross;
+ *                 NUMERICAL_FAILURE (data not finite, cost unbounded below) with z = mult = 0.
  *   qp_shift_controls, qp_shift_rows  called before qp_factorize: shift the predicted working set by n controls, and
  *                 its rows as given by source[].
  * Bounds may be infinite; equal bounds are an equality. Redundant consistent equalities get the multiplier 0; `dropped`

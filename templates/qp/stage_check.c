@@ -28,9 +28,9 @@ static void qp_component_sizes(solver_t *s, int full, real_t *size)
     }
 }
 
-/* Checks row c with value v, whose terms have the magnitude `size` and whose scale is `scale`. A multiplier counts only if the value is at the
- * bound that it belongs to: otherwise it becomes 0 (full), so that complementarity is checked with the gradient, or the
- * row does not hold. */
+/* Checks row c with value v, whose terms have the magnitude `size` and whose scale is `scale`. A multiplier counts only if
+ * the value is at the bound that it belongs to: otherwise it becomes 0 (full), so that complementarity is checked with the
+ * gradient, or the row does not hold. */
 static int qp_row_holds(qp_t *q, int c, int hard, real_t v, real_t size, real_t scale, int full)
 {
     const real_t over = v - q->upper[c], under = q->lower[c] - v;
@@ -240,7 +240,8 @@ static int qp_is_stationary(solver_t *s, int full)
     for (int j = 0; j < NUS; j++) {
         const real_t rounding = TOL_ROUNDING * force_size[NX + j % NU];
         holds &= isfinite(terms[j]);
-        holds &= rest[j] <= TOL_QP_ACCEPTED * terms[j] + rounding || (full && qp_is_negligible(s, j, rest[j], most[j], cost));
+        holds &= rest[j] <= TOL_QP_ACCEPTED * terms[j] + rounding ||
+            (full && qp_is_negligible(s, j, rest[j], most[j], cost));
     }
     if (NF) {
         holds &= qp_free_is_stationary(s, y, noise);

@@ -48,4 +48,4 @@ const char *golden_status_string(golden_status_t status);
 #endif
 
 #endif
-/* nmpc_codegen package 35048dce89d39161, sha256 5ed4176e08087dec6b64cdcc7b50fd68c0c41e0644b59d7750d8a837ba2cbee6 */
+/* nmpc_codegen package 35fecf84c8ebddd4, sha256 6705de312f52eec6c8d981a717eab69034af36b22f98d2095568b3f39d5ebe72 */
