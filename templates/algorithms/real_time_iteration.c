@@ -144,9 +144,6 @@ static status_t judge(solver_t *s, status_t status)
     status = judged(status, s->stats.residual);
     status = after_feedback(s, status);
     learn_sizes(s, status);
-    if (NONLINEAR_ROWS) {
-        forget_rows(s);
-    }
     return status;
 }
 

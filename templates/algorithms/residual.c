@@ -22,14 +22,6 @@ static real_t scale_of_row(solver_t *s, int m, real_t value)
     return scale;
 }
 
-/* What the values of rows were is forgotten by one half in every sample, down to the scale of their terms. */
-static void forget_rows(solver_t *s)
-{
-    for (int r = 0; r < NR; r++) {
-        s->row_scale[r] *= (s->row_scale[r] > row_magnitude[r]) ? R(0.5) : R(1);
-    }
-}
-
 /* Largest difference of a hard row at the present point from what the step predicted, which was `length` of the step of
  * the QP; also what it violates beyond the solution of the QP. */
 static real_t row_residual(solver_t *s, real_t length)

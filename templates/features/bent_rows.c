@@ -5,3 +5,12 @@ static void bent_rows_on_success(solver_t *s, status_t status)
     (void)status;
     s->row_residual = row_residual(s, R(1));
 }
+
+/* What the values of rows were is forgotten by one half in every sample, down to the scale of their terms. */
+static status_t bent_rows_after_feedback(solver_t *s, status_t status)
+{
+    for (int r = 0; r < NR; r++) {
+        s->row_scale[r] *= (s->row_scale[r] > row_magnitude[r]) ? R(0.5) : R(1);
+    }
+    return status;
+}

@@ -203,9 +203,9 @@ static void qp_start_check(solver_t *s)
     }
 }
 
-/* Returns 1 if the gradient of the Lagrangian vanishes up to its tolerance. The multipliers of the dynamics follow from
- * the states and remain in the first entries of rhs.g, so that only the components of the controls and of a free x_0 are
- * to be checked. */
+/* Returns 1 if the gradient of the Lagrangian vanishes up to its tolerance, or moves the cost by no more than zeros do
+ * (full). The multipliers of the dynamics follow from the states and remain in the first entries of rhs.g, so that only
+ * the components of the controls and of a free x_0 are to be checked. */
 static int qp_is_stationary(solver_t *s, int full)
 {
     real_t(*w)[NZS] = s->riccati.work.vectors.rhs.g;
@@ -238,7 +238,7 @@ static int qp_is_stationary(solver_t *s, int full)
         }
     }
     for (int j = 0; j < NUS; j++) {
-        const real_t rounding = TOL_ROUNDING * force_size[NX + j % NU];
+        const real_t rounding = (full ? TOL_ZERO : TOL_ROUNDING) * force_size[NX + j % NU];
         holds &= isfinite(terms[j]);
         holds &= rest[j] <= TOL_QP_ACCEPTED * terms[j] + rounding ||
             (full && qp_is_negligible(s, j, rest[j], most[j], cost));

@@ -48,4 +48,4 @@ const char *golden_status_string(golden_status_t status);
 #endif
 
 #endif
-/* nmpc_codegen package 35fecf84c8ebddd4, sha256 6705de312f52eec6c8d981a717eab69034af36b22f98d2095568b3f39d5ebe72 */
+/* nmpc_codegen package 6790ed91ee9091ac, sha256 ae5793f152ead0e560fffa3fc46dffa7e2286743f6149b62d4eb693d42097cf9 */

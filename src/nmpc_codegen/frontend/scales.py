@@ -112,7 +112,9 @@ def _responses(problem: Problem) -> tuple[Array, Array]:
     x, u, p, _ = symbols(nx, nu, problem.np)
     slopes = ca.densify(ca.jacobian(problem.dynamics(x, u, p), ca.vertcat(x, u)))
     at = ca.Function("slopes", [x, u, p], [slopes])
-    S = np.array(at(problem.x_initial, _reference_controls(problem), problem.p_value)).reshape(nx, nx + nu)
+    S = np.array(at(problem.x_initial, _reference_controls(problem, problem.path), problem.p_value)).reshape(
+        nx, nx + nu
+    )
     first, most, dx = np.zeros((nx, nu)), np.zeros((nx, nu)), np.zeros((nx, nu))
     if not np.all(np.isfinite(S)):
         return first, most
@@ -144,7 +146,10 @@ def _exponential(A: Array) -> Array:
     return np.asarray(np.linalg.matrix_power(E, 2**halvings))
 
 
-def _reference_controls(problem: Problem) -> Array:
+def _reference_controls(problem: Problem, stage: Stage) -> Array:
+    """References of the controls, 0 where there is none; empty for a stage without controls."""
+    if not stage.nu:
+        return np.zeros(0)
     return np.array([problem.path.reference[i] if i >= 0 else 0.0 for i in problem.control_reference])
 
 
@@ -179,7 +184,7 @@ def _coupled_terms(problem: Problem, z: Array) -> list[tuple[float, float]]:
 
 def _terms(expression: Expression, stage: Stage, problem: Problem, z: Array) -> list[tuple[float, float]]:
     """(constant part, size of the other terms) of every element of an expression of a stage."""
-    u = _reference_controls(problem) if stage.nu else np.zeros(0)
+    u = _reference_controls(problem, stage)
     sizes = [z[: problem.nx], z[problem.nx :] if stage.nu else np.zeros(0)]
     given = [problem.p_value, np.array([max(problem.dt)])]
     symbols_ = [stage.x, stage.u, stage.p, stage.dt]
@@ -214,7 +219,7 @@ def _curvature(cost: Expression, stage: Stage, problem: Problem) -> Array:
     """Magnitudes of the second derivatives of a general cost with respect to every variable at the initial state."""
     z = ca.vertcat(stage.x, stage.u)
     at = ca.Function("bend", [stage.x, stage.u, stage.p, stage.dt], [ca.densify(ca.diag(ca.hessian(cost, z)[0]))])
-    u = _reference_controls(problem) if stage.nu else np.zeros(0)
+    u = _reference_controls(problem, stage)
     found = np.abs(np.asarray(at(problem.x_initial, u, problem.p_value, max(problem.dt))).ravel())
     return np.where(np.isfinite(found), found, 0.0)
 
@@ -223,7 +228,7 @@ def _slopes(stage: Stage, problem: Problem) -> Array:
     """dy/dz of the residuals of a stage at the initial state."""
     z = ca.vertcat(stage.x, stage.u)
     at = ca.Function("slopes", [stage.x, stage.u, stage.p], [ca.densify(ca.jacobian(stage.y, z))])
-    u = _reference_controls(problem) if stage.nu else np.zeros(0)
+    u = _reference_controls(problem, stage)
     found = np.asarray(at(problem.x_initial, u, problem.p_value)).reshape(stage.ny, z.numel())
     return np.where(np.isfinite(found), found, 0.0)
 

@@ -55,7 +55,7 @@ TOLERANCES: dict[str, tuple[float, str]] = {
     "ipm_ray": (2.0**12, "rest of a sum of row gradients that is taken as zero, relative to its terms"),
     "ipm_contradiction": (2.0**12, "contradiction of weighted bounds that may be rounding, relative to its terms"),
     "curved_pivot": (2.0**12, "pivot of the Hessian of solve() that counts as zero, in units of its variable"),
-    "zero": (1.0, "value that counts as 0, relative to its scale"),
+    "zero": (1.0, "value that is no size, relative to the scale"),
     "rounding": (2.0**6, "residual that rounding leaves of a quantity, relative to its scale"),
     "unit": (1.0, "the machine epsilon; its square root separates a zero pivot from a positive one"),
     "merit_rounding": (2.0**6, "change of the merit function taken as rounding, relative to 1 + |phi|"),

@@ -103,9 +103,9 @@ class PackageDescription:
     options: str
     report: Report
     program: Program
+    scales: tuple[float, ...]  # of states and controls, (nx + nu,)
+    row_scales: tuple[float, ...]  # of the terms of the rows
     ranges: Mapping[str, tuple[int, int]] = field(default_factory=dict)
-    scales: tuple[float, ...] = ()  # of states and controls, (nx + nu,)
-    row_scales: tuple[float, ...] = ()  # of the terms of the rows
 
     @property
     def dims(self) -> Dimensions:

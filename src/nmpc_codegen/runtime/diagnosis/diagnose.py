@@ -226,14 +226,13 @@ def _ends(ctrl: Memory) -> list[Array]:
             if own:
                 stored[0] = stored[k]
             found.append(np.array(ctrl.integrate(ctrl.x[k], ctrl.u[k], dt)))
-            stored[:1] = first
     finally:
         stored[:1] = first
     return found
 
 
 def _largest_gap(ctrl: Memory, solved: bool) -> Iterator[str]:
-    """Where the plan is farthest from the model, in units of the state's largest value."""
+    """Where the plan is farthest from the model, relative to the state's scale and largest value."""
     if ctrl.status in (Status.INFEASIBLE, Status.RELAXED) or not (solved or ctrl.status == Status.NOT_CONVERGED):
         return
     gaps = np.abs(np.asarray(_ends(ctrl), dtype=np.float64) - ctrl.x[1:])

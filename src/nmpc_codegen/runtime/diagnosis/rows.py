@@ -99,8 +99,7 @@ def violations(ctrl: Memory) -> list[Violation]:
             column = {"control": held, "state": x, "general": general}[row.kind]
             values = column[:, number if row.kind == "general" else row.index]
             nodes = (k for k in row.nodes if k or row.kind != "state")  # x_0 is measured
-            most = float(np.nanmax(np.abs(values), initial=0.0))
-            most = max(most, *ctrl.description.row_scales[number : number + 1])
+            most = float(np.nanmax(np.abs(values), initial=ctrl.description.row_scales[number]))
             found = (_violation(row, k, float(values[k]), most, *bounds_at(ctrl, number, k)) for k in nodes)
             worst += sorted((v for v in found if v.amount > NEGLIGIBLE * v.size), key=lambda v: -v.amount)[:1]
     return sorted(worst, key=lambda v: -v.amount / v.size)
