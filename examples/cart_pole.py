@@ -100,7 +100,7 @@ def main(picture: str = "out/cart_pole.png") -> list[Log]:
         controller.set_parameter("length", length)
         solution = controller.solve(HANGING)
         print(f"{length} m: {solution.status.name}, {solution.iterations} iterations, cost {solution.cost:.4f}")
-        logs.append(simulate(controller, HANGING, steps=80, disturbance=push))
+        logs.append(simulate(controller, HANGING, steps=80, disturbance=push, warm_start=True))
         print(logs[-1].summary())
     draw(logs, picture)
     return logs

@@ -124,7 +124,9 @@ def main(picture: str = "out/quadrotor.png") -> Log:
     """Fly the figure twice, from rest at a point beside the path."""
     start = (-0.5, 0.8, 0.2)
     controller = build(build_ocp(start), options(shift="repeat"))
-    log = simulate(controller, controller.x[0], steps=round(2 * PERIOD / SAMPLING), dt=SAMPLING, reference=preview)
+    log = simulate(
+        controller, controller.x[0], steps=round(2 * PERIOD / SAMPLING), dt=SAMPLING, reference=preview, warm_start=True
+    )
     print(log.summary())
     draw(log, picture)
     return log

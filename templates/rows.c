@@ -155,6 +155,15 @@ static inline int row_is_soft(int m)
     return row_l1(m) < INF;
 }
 
+/* What a violation of row m costs by its node: the way back may lead through larger ones of rows on states alone. */
+static inline real_t relaxed_price(const solver_t *s, int m)
+{
+    if (RELAX) {
+        return on_states[row_id(m)] ? s->price[row_node(m)] : R(1);
+    }
+    return R(1);
+}
+
 /* Penalty of row m in a sample; where hard rows are relaxed, theirs is that of a violation in the scale of the row. */
 static inline real_t row_penalty(const solver_t *s, int m)
 {
@@ -164,8 +173,11 @@ static inline real_t row_penalty(const solver_t *s, int m)
     if (RELAXATION == 0) {
         return INF;
     }
-    const real_t scale = s->row_scale[row_id(m)];
-    return (s->relaxation < INF && scale > R(0)) ? s->relaxation / scale : s->relaxation;
+    if (!(s->relaxation < INF)) {
+        return s->relaxation;
+    }
+    const real_t scale = s->row_scale[row_id(m)], price = s->relaxation * relaxed_price(s, m);
+    return (scale > R(0)) ? price / scale : price;
 }
 
 /* How far a value of row m is outside of its bounds. */

@@ -80,6 +80,27 @@ def path() -> OCP:
     return ocp
 
 
+def circle() -> OCP:
+    """A point mass without a terminal cost, whose controls have to stay inside a circle."""
+    ocp = OCP("circle", T=1.0, N=5)
+    x, u = ocp.state("x", size=2), ocp.control("u", size=2)
+    ocp.dynamics({x: u - 0.3 * x})
+    ocp.least_squares(ca.vertcat(x - ca.DM([3, 0]), u), weight=[1, 1, 0.01, 0.01])
+    ocp.subject_to(-np.inf, ca.sumsqr(u), 1, name="circle")
+    return ocp
+
+
+def flat() -> OCP:
+    """A heated tank whose pump efficiency falls with its temperature: the cost is linear in the power."""
+    ocp = OCP("flat", T=6.0, N=6, time_unit="h")
+    temp, power = ocp.state("temp", initial=40.0), ocp.control("power")
+    ocp.dynamics({temp: (4.5 - 0.06 * (temp - 35)) * power - 0.1 * (temp - 20)})
+    ocp.stage_cost(0.3 * power)
+    ocp.subject_to(0, power, 3)
+    ocp.subject_to(35, temp, 50, soft=(0.5, 1.0))
+    return ocp
+
+
 def final() -> OCP:
     """General rows only at the end."""
     ocp, q, w, u = _pendulum("final")
@@ -376,6 +397,8 @@ SAMPLES = (
     ),
     Sample("path dense", path, _dense(hessian=GaussNewton(convex_rows=True), integrator=LOOPED)),
     Sample("path riccati", path, _riccati(hessian=GaussNewton(convex_rows=True), online=NODE)),
+    Sample("flat", flat),
+    Sample("circle dense", circle, _dense()),
     Sample("path OSQP", path, Options(qp=Osqp(), hessian=ExactHessian(regularization=Mirror(level="stage")))),
     Sample("final dense", final, _dense(hessian=GaussNewton(convex_rows=True), algorithm=REPEAT)),
     Sample("soft states dense", soft_states, _dense()),
@@ -415,6 +438,7 @@ SAMPLES = (
     Sample("crane shooting", crane.build_ocp, _shooting({"shift": "repeat"}, online=SHARED, solve=False)),
     Sample("bare shooting", bare, _shooting(online=FIXED)),
     Sample("controls shooting", controls, _shooting({"shift": "resample", "sampling_time": 0.1})),
+    Sample("circle shooting", circle, _shooting()),
     Sample("path shooting", path, _shooting(online=NODE)),
     Sample("soft rows shooting", soft_rows, _shooting(integrator=LOOPED)),
     Sample("ends shooting", ends, _shooting()),

@@ -134,15 +134,20 @@ static status_t start_sample(solver_t *s)
 }
 
 /* Prevents a failure from repeating itself: multipliers that are not finite are forgotten at once, and the plan after
- * PATIENCE failures in a row. */
+ * PATIENCE failures in a row. Multipliers of terminal rows that no step meets may belong to weights and bounds that have
+ * changed, and hold the plan away from the rows: they are forgotten, too. */
 static status_t recover(solver_t *s, status_t status)
 {
     if (NG > 0 && !all_finite(s->row, NG)) {
         forget_past(s);
         status = NUMERICAL_FAILURE;
     }
-    if (status == NUMERICAL_FAILURE && ++s->failing >= PATIENCE) {
-        forget_plan(s);
+    if ((status == NUMERICAL_FAILURE || status == INFEASIBLE) && ++s->failing >= PATIENCE) {
+        if (status == INFEASIBLE) {
+            forget_past(s);
+        } else {
+            forget_plan(s);
+        }
     }
     if (status == OK || status == NOT_CONVERGED) {
         s->failing = 0;
@@ -187,6 +192,9 @@ status_t API(step)(solver_t *s, const real_t xhat[NX], real_t u0[NU])
     s->samples += (s->samples < MANY);
     if (take_state(s, xhat)) {
         status = recover(s, run_sample(s));
+    }
+    if (PULLED_ROWS) {
+        pull_back(s);
     }
     safe_control(s, u0);
     return finish(s, judged(status, s->stats.violation));

@@ -7,6 +7,10 @@ static void safe_control(const solver_t *s, real_t *u0)
     }
 }
 
+#if PULLED_ROWS
+#include "algorithms/pull_back.c"
+#endif
+
 static status_t finish(solver_t *s, status_t status)
 {
     s->status = (int32_t)status;

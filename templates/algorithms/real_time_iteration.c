@@ -40,18 +40,41 @@ static void algorithm_reset(solver_t *s)
 
 #include "algorithms/residual.c"
 
+#if ROW_CURVATURE
+static void evaluate_bent(solver_t *s);
+#endif
+
 /* Linearises the present point and evaluates the Hessian. */
 static void evaluate_here(solver_t *s)
 {
+    if (ROW_CURVATURE && s->bent) {
+        evaluate_bent(s);
+        return;
+    }
     linearize(s);
     hessian(s);
     s->renewal = UP_TO_DATE;
 }
 
+#if PROXIMAL
+/* Q += diag(proximal), by which a step of a control without curvature is limited; it vanishes at the solution. */
+static void add_proximal(solver_t *s)
+{
+    for (int k = 0; k < NQ; k++) {
+        for (int i = 0; i < NZ; i++) {
+            s->hessian.Q[k][i][i] += proximal[i];
+        }
+    }
+}
+#endif
+
 /* Evaluates, condenses and factorises at the plan. */
 static status_t prepare_here(solver_t *s)
 {
     evaluate_here(s);
+    if (PROXIMAL) {
+        add_proximal(s);
+    }
     return condense_prepare(s);
 }
 
@@ -119,7 +142,9 @@ static status_t run_qp(solver_t *s)
 /* The QP of a sample. */
 static status_t run_sample_qp(solver_t *s)
 {
-    status_t status = run_qp(s);
+    status_t status;
+    before_qp(s);
+    status = run_qp(s);
     status = after_qp(s, status);
     return status;
 }
@@ -141,8 +166,8 @@ static status_t run_sample_qp(solver_t *s)
 /* The status of a sample; its QP belongs to the plan that was linearised. */
 static status_t judge(solver_t *s, status_t status)
 {
-    status = judged(status, s->stats.residual);
     status = after_feedback(s, status);
+    status = judged(status, s->stats.residual);
     learn_sizes(s, status);
     return status;
 }
@@ -151,9 +176,7 @@ static status_t judge(solver_t *s, status_t status)
  * only on success. */
 static status_t feedback_here(solver_t *s)
 {
-    status_t status;
-    before_qp(s);
-    status = run_sample_qp(s);
+    status_t status = run_sample_qp(s);
     if (status != OK && status != RELAXED) {
         return status;
     }
@@ -165,6 +188,9 @@ static status_t feedback_here(solver_t *s)
         return NUMERICAL_FAILURE;
     }
     take_step(s);
+    if (PULLED_ROWS) {
+        pull_back(s);
+    }
     on_success(s, status);
     return status;
 }

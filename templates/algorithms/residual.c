@@ -4,7 +4,7 @@
 
 #include "algorithms/scales.c"
 
-/* Rows count as well, by what they differ from what the last step predicted for them.
+/* Rows count as well, by what they violate beyond what the last step predicted for them.
  * Scale of row m: its finite bounds or, if they are 0, its value, at least 1/1000 of what that was lately; the constant
  * part of a row belongs to its bounds. It is at least a small part of the scale of its terms. */
 static real_t scale_of_row(solver_t *s, int m, real_t value)
@@ -22,8 +22,8 @@ static real_t scale_of_row(solver_t *s, int m, real_t value)
     return scale;
 }
 
-/* Largest difference of a hard row at the present point from what the step predicted, which was `length` of the step of
- * the QP; also what it violates beyond the solution of the QP. */
+/* Largest violation of a hard row at the present point beyond that of the solution of the QP, of whose step the plan took
+ * `length`. */
 static real_t row_residual(solver_t *s, real_t length)
 {
     real_t value[NG], most = R(0);
@@ -32,12 +32,40 @@ static real_t row_residual(solver_t *s, real_t length)
         if (row_is_soft(m) || row_is_state(m)) {
             continue;
         }
-        const real_t constant = row_constant(s, m), change = row_change(s, m);
-        const real_t scale = scale_of_row(s, m, value[m]);
-        enlarge(&most, (value[m] - (constant + change)) / scale);
-        if (length < R(1)) {
-            const real_t left = outside(s, m, value[m]) - outside(s, m, constant + change / length);
-            enlarge(&most, (left > R(0)) ? left / scale : R(0));
+        const real_t promised = outside(s, m, row_constant(s, m) + row_change(s, m) / length);
+        const real_t left = outside(s, m, value[m]) - promised, scale = scale_of_row(s, m, value[m]);
+        enlarge(&most, (left <= R(0)) ? R(0) : left / scale);
+    }
+    return most;
+}
+
+/* Largest gap of the plan in the size of its state, without derivatives. */
+static real_t largest_gap(const solver_t *s, const real_t *size)
+{
+    real_t most = R(0);
+    for (int k = 0; k < N; k++) {
+        real_t x_next[NX];
+        interval_value(s, k, x_next);
+        for (int i = 0; i < NX; i++) {
+            enlarge(&most, (x_next[i] - s->x[k + 1][i]) / size[i]);
+        }
+    }
+    return most;
+}
+
+/* What the plan that has just been linearised leaves of hard rows: bounds of states by its gaps, in their scales. */
+static real_t rows_left(solver_t *s)
+{
+    real_t most = R(0);
+    if (NONLINEAR_ROWS) {
+        most = s->row_residual;
+    }
+    for (int m = 0; m < NG; m++) {
+        if (row_is_state(m) && !row_is_soft(m) && row_node(m) > 0) {
+            const real_t value = s->x[row_node(m)][row_index(m)];
+            const real_t end = value + s->node[row_node(m) - 1].b[row_index(m)];
+            const real_t left = outside(s, m, end) - outside(s, m, value);
+            enlarge(&most, (left <= R(0)) ? R(0) : left / scale_of_row(s, m, value));
         }
     }
     return most;

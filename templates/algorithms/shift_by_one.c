@@ -9,6 +9,9 @@ static void shift_rows(solver_t *s)
             if (row_node(n) > row_node(m) && row_id(n) == row_id(m)) {
                 source[m] = n;
             }
+            if (IDLE_END && row_node(n) == N - 1) { /* its multiplier is as idle as its control */
+                source[m] = m;
+            }
         }
         *row_multiplier_place(s, m) = row_multiplier(s, source[m]); /* not yet shifted, as source[m] >= m */
     }
@@ -17,11 +20,15 @@ static void shift_rows(solver_t *s)
     }
 }
 
-/* Node k takes the data of node k + 1; the last node and the last interval keep their own. */
+/* Node k takes the data of node k + 1; the last node and the last interval keep their own, and so does the control before
+ * an idle one, which influences nothing but its own terms: it would be no guess of a control that does. */
 static void shift_by_one(solver_t *s)
 {
     for (int k = 0; k < N; k++) {
-        const int from = (k + 1 < N) ? k + 1 : k;
+        int from = (k + 1 < N) ? k + 1 : k;
+        if (IDLE_END && k + 2 == N) {
+            from = k;
+        }
         for (int i = 0; i < NX; i++) {
             s->x[k][i] = s->x[k + 1][i];
             s->lam[k][i] = s->lam[k + 1][i];

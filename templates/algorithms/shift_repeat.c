@@ -4,6 +4,12 @@ static void shift_plan(solver_t *s)
 {
     real_t tail[NX];
     shift_by_one(s);
+    if (IDLE_END && N > 1) {
+        interval_value(s, N - 2, tail);
+        if (all_finite(tail, NX)) {
+            memcpy(s->x[N - 1], tail, sizeof tail);
+        }
+    }
     interval_value(s, N - 1, tail);
     if (all_finite(tail, NX)) {
         memcpy(s->x[N], tail, sizeof tail);

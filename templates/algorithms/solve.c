@@ -542,6 +542,9 @@ static status_t sqp_iteration(solver_t *s)
             return OK;
         }
     }
+    if (CURVED && status == OK && !(s->curved.damping < FACTOR_ENDLESS_DAMPING)) {
+        return SUBPROBLEM_FAILED; /* steps that become ever shorter lead nowhere: another start may */
+    }
     if (status == OK) {
         take_multipliers(s);
         if (CURVED) {
@@ -581,6 +584,22 @@ static void start_search(solver_t *s, int attempts)
     s->sqp.row_weight = FACTOR_ELASTIC_WEIGHT;
 }
 
+/* Returns 1 if the cost falls without limit: far beyond its scale, along a variable that is far beyond its own. */
+static int runs_away(const solver_t *s)
+{
+    if (!(s->sqp.base.cost < -FACTOR_ENDLESS * cost_size[0])) {
+        return 0;
+    }
+    for (int k = 0; k <= N; k++) {
+        for (int i = 0; i < nz_at(k); i++) {
+            if (FABS(point_at(s, k, i)) > FACTOR_ENDLESS * z_scale[i]) {
+                return 1;
+            }
+        }
+    }
+    return 0;
+}
+
 /* Iterations until stats.sqp_iterations = last. */
 static status_t iterate(solver_t *s, real_t tol, int last)
 {
@@ -598,6 +617,9 @@ static status_t iterate(solver_t *s, real_t tol, int last)
             return ITERATION_LIMIT;
         }
         status_t status = sqp_iteration(s);
+        if (status == OK && runs_away(s)) {
+            return STALLED;
+        }
         if (HARD_ROWS) {
             if (q->elastic && (status == STALLED || (status == OK && q->slow))) {
                 status = (q->row_weight < FACTOR_MOST_ELASTIC_WEIGHT) ? OK : INFEASIBLE;

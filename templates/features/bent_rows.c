@@ -9,6 +9,9 @@ static void bent_rows_on_success(solver_t *s, status_t status)
 /* What the values of rows were is forgotten by one half in every sample, down to the scale of their terms. */
 static status_t bent_rows_after_feedback(solver_t *s, status_t status)
 {
+    if (status == OK) {
+        enlarge(&s->stats.residual, s->row_residual);
+    }
     for (int r = 0; r < NR; r++) {
         s->row_scale[r] *= (s->row_scale[r] > row_magnitude[r]) ? R(0.5) : R(1);
     }

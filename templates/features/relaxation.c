@@ -41,14 +41,20 @@ static int nothing_relaxed(const solver_t *s)
     return 1;
 }
 
+/* Hard rows cost their price. */
+static void price_rows(solver_t *s)
+{
+    real_t size[NZ];
+    scale_rows(s, size);
+    s->relaxation = relaxation_weight[0] * cost_scale(s, size);
+}
+
 /* Solves a QP that is infeasible or has been given up again with its hard rows relaxed, at the weight set in the options.
  * If all of them hold, its solution is that of the QP. */
 static status_t relax_rows(solver_t *s, status_t why)
 {
     status_t status;
-    real_t size[NZ];
-    scale_rows(s, size);
-    s->relaxation = relaxation_weight[0] * cost_scale(s, size);
+    price_rows(s);
     status = run_qp(s);
     s->relaxation = INF;
     if (why != INFEASIBLE && (status != OK || nothing_relaxed(s))) {
@@ -58,10 +64,52 @@ static status_t relax_rows(solver_t *s, status_t why)
     return (status == OK) ? RELAXED : status;
 }
 
-static status_t relaxation_after_qp(solver_t *s, status_t status)
+static void relaxation_on_reset(solver_t *s)
 {
-    if (is_given_up(status)) {
-        return relax_rows(s, status);
+    for (int k = 0; k <= N; k++) {
+        s->price[k] = R(1);
+    }
+}
+
+static void relaxation_before_solve(solver_t *s)
+{
+    relaxation_on_reset(s);
+}
+
+/* While rows stay relaxed, violations at early nodes become cheaper: the way back inside may lead through larger ones, and
+ * where all cost the same, the least sum of them over a short horizon may be to stay outside for ever. Towards the end of
+ * the horizon the price stays, so that no plan remains outside. */
+static status_t relaxation_after_feedback(solver_t *s, status_t status)
+{
+    const real_t ratio = s->price[N - 1] * ((status == RELAXED) ? price_fall[0] : R(1) / price_fall[0]);
+    if (status == RELAXED || status == OK) {
+        for (int k = N - 1; k >= 0; k--) {
+            s->price[k] = s->price[k + 1] * clip(ratio, least_price[0], R(1));
+        }
     }
     return status;
+}
+
+/* Rows stay relaxed until the price has recovered: hard ones would forbid the way back as soon as a plan meets them. */
+static void relaxation_before_qp(solver_t *s)
+{
+    if (s->price[N - 1] < R(1)) {
+        price_rows(s);
+    }
+}
+
+static status_t relaxation_after_qp(solver_t *s, status_t status)
+{
+    if (!(s->relaxation < INF)) {
+        return is_given_up(status) ? relax_rows(s, status) : status;
+    }
+    s->relaxation = INF;
+    if (status != OK) {
+        return run_qp(s);
+    }
+    if (nothing_relaxed(s)) {
+        return OK;
+    }
+    name_violation(s);
+    return RELAXED;
 }

@@ -4,11 +4,20 @@
 static void repair_on_reset(solver_t *s)
 {
     s->unconverged = 0;
+    s->fresh = PATIENCE;
+    s->moved = R(0);
+}
+
+/* A plan of solve() is no first plan. */
+static void repair_before_solve(solver_t *s)
+{
+    s->fresh = 0;
 }
 
 /* A plan that repair has not led anywhere is given up. */
 static void repair_before_prepare(solver_t *s)
 {
+    s->unconverged = (s->status == (int32_t)NOT_CONVERGED) ? s->unconverged + 1 : 0;
     if (s->unconverged >= PATIENCE) {
         start_anew(s);
         s->unconverged = 0;
@@ -18,14 +27,7 @@ static void repair_before_prepare(solver_t *s)
 /* The residual at the present point, without derivatives, after `length` of the step of the QP. */
 static real_t trial_residual(solver_t *s, const real_t *size)
 {
-    real_t most = R(0);
-    for (int k = 0; k < N; k++) {
-        real_t x_next[NX];
-        interval_value(s, k, x_next);
-        for (int i = 0; i < NX; i++) {
-            enlarge(&most, (x_next[i] - s->x[k + 1][i]) / size[i]);
-        }
-    }
+    real_t most = largest_gap(s, size);
     if (NONLINEAR_ROWS) {
         s->row_residual = row_residual(s, s->sqp.length);
         enlarge(&most, s->row_residual);
@@ -85,48 +87,56 @@ static int improve_plan(solver_t *s, const real_t *size, int unknown)
     return improved;
 }
 
-/* Returns 1 if the last step moved a state by more than the tolerance in its scale. */
-static int step_is_long(const solver_t *s, const real_t *size)
+/* Returns 1 if a step moves a state by more than the tolerance in its scale. */
+static int step_is_long(const step_t *step, const real_t *size)
 {
     int is_long = 0;
     for (int k = 0; k <= N; k++) {
         for (int i = 0; i < NX; i++) {
-            is_long |= !(FABS(s->sqp.step.dx[k][i]) <= residual_tolerance[0] * size[i]);
+            is_long |= !(FABS(step->dx[k][i]) <= residual_tolerance[0] * size[i]);
         }
     }
     return is_long;
 }
 
-/* Returns 1 if the sample leaves a plan behind that is far from the model, as the sample before did. */
-static int stays_far(solver_t *s)
+/* Returns 1 if a step that has been taken shows that the first control has converged: it rests at its bounds, or the step
+ * moves no state by more than the tolerance in its scale, and the first control by less than a part of that, or by no more
+ * than that and by less than half the step before: a plan that creeps may still be far from where it goes. */
+static int control_settles(solver_t *s, const step_t *step, const real_t *size)
 {
-    real_t size[NX];
-    if (!s->was_far) {
-        return 0;
+    real_t range[NU], moved = R(0);
+    int rests = 1;
+    control_sizes(s, range);
+    for (int j = 0; j < NU; j++) {
+        enlarge(&moved, step->du[0][j] / range[j]);
+        rests &= s->u[0][j] <= control_lower(s, 0, j) || s->u[0][j] >= control_upper(s, 0, j);
     }
-    state_scales(s, size);
-    s->sqp.length = R(1);
-    return is_far(trial_residual(s, size));
+    const int creeps = moved <= FACTOR_CREEP * residual_tolerance[0];
+    const int contracts = moved <= residual_tolerance[0] && moved <= R(0.5) * s->moved;
+    s->moved = moved;
+    return (rests && creeps) || ((creeps || contracts) && !step_is_long(step, size));
 }
 
 /* Repairs the plan that has just been linearised, with this status: while its residual is above the tolerance, after a
- * sample that failed or had to relax rows, and before the first sample, while steps are long. */
+ * sample that failed or had to relax rows, and a first plan while steps are long. */
 static status_t repair_after_prepare(solver_t *s, status_t status)
 {
     if (LEVELS && s->levels.last != LEVEL_A) {
         return status;
     }
     const int first = s->samples == 0;
-    int wanted = first || s->failing > FINE || s->stats.violated_row >= 0;
+    int wanted = s->fresh > 0 || s->failing > FINE || s->stats.violated_row >= 0;
     s->stats.repairs = 0;
-    s->was_far = is_far(s->stats.residual);
     for (int n = 0; n < REPAIRS && status == OK && (wanted || is_far(s->stats.residual)); n++) {
         real_t size[NX];
         state_scales(s, size);
         if (!improve_plan(s, size, first && n == 0)) {
             break;
         }
-        wanted = first && step_is_long(s, size);
+        if (s->fresh > 0) {
+            s->fresh = control_settles(s, &s->sqp.step, size) ? 0 : s->fresh;
+        }
+        wanted = s->fresh > 0 || (first && step_is_long(&s->sqp.step, size));
         s->stats.repairs++;
         status = prepare_here(s);
         measure_residual(s);
@@ -134,10 +144,14 @@ static status_t repair_after_prepare(solver_t *s, status_t status)
     return status;
 }
 
-/* A plan that stays far from the model has not converged, although its QP has a solution. */
+/* A first plan whose control does not settle has not converged, although its QP has a solution. */
 static status_t repair_after_feedback(solver_t *s, status_t status)
 {
-    status = (status == OK && stays_far(s)) ? NOT_CONVERGED : status;
-    s->unconverged = (status == NOT_CONVERGED) ? s->unconverged + 1 : 0;
-    return status;
+    real_t size[NX];
+    if (s->fresh == 0 || status != OK) {
+        return status;
+    }
+    state_scales(s, size);
+    s->fresh = control_settles(s, &s->step, size) ? 0 : s->fresh - 1;
+    return (s->fresh > 0) ? NOT_CONVERGED : OK;
 }

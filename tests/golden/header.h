@@ -48,4 +48,4 @@ const char *golden_status_string(golden_status_t status);
 #endif
 
 #endif
-/* nmpc_codegen package 6790ed91ee9091ac, sha256 ae5793f152ead0e560fffa3fc46dffa7e2286743f6149b62d4eb693d42097cf9 */
+/* nmpc_codegen package 603f59b24fdb60e9, sha256 eead4ef6943fbe078fc742be06c73f91dbc644f429680a9b809e3f67a1edaf12 */

@@ -292,7 +292,7 @@ def test_operations_of_a_recorded_loop() -> None:
     counted, opened = work.count(loop, recorded, free, optimise=False)
     np.testing.assert_allclose(counted.u, recorded.u, rtol=0, atol=1e-9)
     assert np.all(counted.status == Status.OK)
-    assert np.ptp(counted.operations[:4]) == 0
-    assert counted.operations[4] > counted.operations[0] > 1000
+    assert np.ptp(counted.operations[1:4]) == 0  # nothing is known yet of steps at the first sample
+    assert counted.operations[4] > counted.operations[1] > 1000
     assert np.max(np.abs(free.u)) > 1.5 > np.max(np.abs(recorded.u))
     assert opened.operations[4] < counted.operations[4]

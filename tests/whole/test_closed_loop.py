@@ -505,6 +505,7 @@ def shifted(shift: str, **options: float) -> Controller:
     u = ocp.control("u")
     ocp.dynamics({phi: omega, omega: -9.81 * ca.sin(phi) + u, time: 1 + 0.1 * phi})
     ocp.least_squares(ca.vertcat(phi, omega, u), weight=[1.0, 0.1, 0.1])
+    ocp.terminal_least_squares(phi, weight=1.0)
     ocp.subject_to(-2, u, 2)
     c = build(ocp, Options(algorithm=replace(PURE, shift=shift, **options)), "test")
     assert c.solve((0.5, 0.0, 0.0)).status == Status.OK

@@ -13,7 +13,7 @@ from verification.strangers.statement import Array, Limit, Stranger
 from verification.strangers.twin import Loop, Outcome, Twin, by_ipopt
 
 TOLERANCE = 0.1
-VIOLATED, DEARER, RANGE = 1e-2, 0.2, 0.02
+VIOLATED, DEARER, RANGE, LITTLE = 1e-2, 0.2, 0.02, 0.1
 
 
 @dataclass(frozen=True)
@@ -35,13 +35,14 @@ class Verdict:
 
 
 class Judge:
-    """The residual of a plan, from the twin's model and rows."""
+    """The residual of a plan, from the twin's model and rows. A gap is measured in the size of its state in the plan,
+    at least in a part of that at the start."""
 
     def __init__(self, twin: Twin) -> None:
         s = twin.stranger
         x, u = ca.SX.sym("x", len(s.states)), ca.SX.sym("u", len(s.controls))
         self._step, self._N = twin.step.map(s.N), s.N
-        self._half_width = np.zeros(len(s.states))
+        self._least = LITTLE * np.max(np.abs(s.start), axis=0)
         for row in s.limits:
             self._widen(row, x, u)
         curved = [row for row in s.limits if row.soft is None and _is_curved(row, x, u)]
@@ -49,17 +50,21 @@ class Judge:
         self._end = [row for row in curved if row.at == "end"]
         self._rows = ca.Function("rows", [x, u], [ca.vertcat(*(row.value(x, u) for row in self._path))]).map(s.N)
         self._end_rows = ca.Function("rows", [x], [ca.vertcat(*(row.value(x, u) for row in self._end))])
+        hard = [row for row in s.limits if row.soft is None and row.at == "path"]
+        self._on_controls = [row for row in hard if not ca.depends_on(ca.SX(row.value(x, u)), x)]
+        on_controls = ca.vertcat(*(row.value(x, u) for row in self._on_controls))
+        self._of_controls = ca.Function("rows", [u], [on_controls])
 
     def _widen(self, row: Limit, x: ca.SX, u: ca.SX) -> None:
         """Note half the width of the bounds of a bare state."""
         value, half = row.value(x, u), (row.upper - row.lower) / 2
         for i in range(x.numel()):
             if row.soft is None and np.isfinite(half) and ca.is_equal(value, x[i]):
-                self._half_width[i] = max(self._half_width[i], half)
+                self._least[i] = max(self._least[i], half)
 
     def residual(self, X: Array, U: Array, xhat: Array, shifted: bool) -> float:
         """Largest gap and violation of a hard row in the plan (N+1, nx), (N, nu), without what a shift has added."""
-        size = np.maximum(np.maximum(np.max(np.abs(X), axis=0), np.abs(xhat)), self._half_width)
+        size = np.maximum(np.maximum(np.max(np.abs(X), axis=0), np.abs(xhat)), self._least)
         size[size == 0] = 1.0
         gaps = np.abs(np.asarray(self._step(X[:-1].T, U.T)).T - X[1:]) / size
         worst = float(np.max(gaps[: self._N - 1] if shifted else gaps))
@@ -69,6 +74,12 @@ class Judge:
         if self._end and not shifted:
             worst = max(worst, _violation(self._end, np.asarray(self._end_rows(X[-1])).T))
         return worst
+
+    def broken(self, u: Array) -> float:
+        """Largest violation of a hard row on the controls alone by those that are applied (nu,)."""
+        if not self._on_controls:
+            return 0.0
+        return _violation(self._on_controls, np.asarray(self._of_controls(u)).T)
 
 
 def _is_curved(row: Limit, x: ca.SX, u: ca.SX) -> bool:
@@ -90,7 +101,7 @@ def run(twin: Twin, judge: Judge, controller: Controller, number: int) -> Verdic
     """The loop with this number from a fresh plan, and what is wrong with it."""
     s, loop, statuses = twin.stranger, Loop(twin, number), Counter[str]()
     controller.reset()
-    far, repairs, before, shifts = 0, 0, False, controller.description.shift is not None
+    far, repairs, shifts = 0, 0, controller.description.shift is not None
     for k in range(s.samples):
         if not loop.finite:
             statuses["lost"] += s.samples - k
@@ -103,10 +114,12 @@ def run(twin: Twin, judge: Judge, controller: Controller, number: int) -> Verdic
         status = controller.status.name
         statuses[status] += 1
         repairs += controller.stats.repairs
-        left = judge.residual(controller.x, controller.u, loop.x, False) > TOLERANCE and status == "OK"
-        away = status == "OK" and judge.residual(*point, loop.x, shifts and k > 0) > TOLERANCE
-        far += away or (left and before)
-        before = left
+        residuals = (
+            judge.residual(controller.x, controller.u, loop.x, False),
+            judge.residual(*point, loop.x, shifts and k > 0),
+            judge.broken(np.asarray(u, dtype=float)),
+        )
+        far += status == "OK" and max(residuals) > TOLERANCE
         loop.apply(k, np.asarray(u, dtype=float))
     outcome = loop.outcome(0)
     return Verdict(outcome, statuses, far, repairs, _why_lost(s, number, outcome), s.samples)

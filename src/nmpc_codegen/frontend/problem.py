@@ -124,6 +124,7 @@ class Problem:
     cyclic: tuple[int, ...] = ()  # positions in x of states that grow without bound
     terminal_lqr: LqrRequest | None = None  # a terminal cost to be computed before linearize()
     time_unit: str = "s"  # of dt and of every other time
+    proximal: tuple[float, ...] = ()  # curvature that samples add to (x, u); (): none
 
     @property
     def nonlinear_rows(self) -> bool:
@@ -138,6 +139,42 @@ class Problem:
             for row in self.rows
             if row.soft is None and row.kind in ("general", "coupled")
         )
+
+    @property
+    def rows_on_states(self) -> tuple[int, ...]:
+        """1 for every row that depends on states, and on no control, else 0."""
+        path = self.path
+        mixed = ca.which_depends(path.h, path.u, 1, True) if path.nh else ()
+        return tuple(
+            int(row.kind != "control" and not (row.kind == "general" and row.index >= 0 and mixed[row.index]))
+            for row in self.rows
+        )
+
+    @property
+    def idle_end(self) -> bool:
+        """True if nothing depends on x_N, so that the last control has no influence beyond its own node."""
+        end = self.terminal
+        priced = bool(end.ny) or end.cost is not None or self.terminal_lqr is not None or self.coupled_rows
+        limited = any(k == self.N for k, _, _, _ in self.qp_rows)
+        return not (priced or limited or self.path.cost_rate is not None)
+
+    @property
+    def pulled_rows(self) -> tuple[int, ...]:
+        """Hard general rows on controls alone, at node 0, that are no affine function of them."""
+        path = self.path
+        bent, mixed = curved(path.h, path.u), ca.which_depends(path.h, path.x, 1, True) if path.nh else ()
+        return tuple(
+            i
+            for i, row in enumerate(self.rows)
+            if row.kind == "general" and row.soft is None and 0 in row.nodes and row.index in bent
+            if not mixed[row.index]
+        )
+
+    @property
+    def nonlinear_model(self) -> bool:
+        """True if the dynamics are no affine function of states and controls."""
+        x, u, p = (self.path.x, self.path.u, self.path.p)
+        return bool(curved(self.dynamics(x, u, p), ca.vertcat(x, u)))
 
     @property
     def couples_free_start(self) -> bool:

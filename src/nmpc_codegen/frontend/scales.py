@@ -91,7 +91,7 @@ def _completed(problem: Problem) -> Array:
     from what a control does to a state."""
     nx, stated, z = problem.nx, stated_scales(problem), _declared(problem)
     initial = np.abs(problem.x_initial)
-    soon, reach = _responses(problem)
+    soon, reach = responses(problem)
     z = np.where(stated > 0.0, stated, z)
     known = np.where(stated[:nx] > 0.0, stated[:nx], np.maximum(z[:nx], initial))
     for j in np.flatnonzero(z[nx:] == 0.0):
@@ -105,7 +105,7 @@ def _completed(problem: Problem) -> Array:
     return z
 
 
-def _responses(problem: Problem) -> tuple[Array, Array]:
+def responses(problem: Problem) -> tuple[Array, Array]:
     """(nx, nu) each: the change of a state at the first node, and the largest one over the horizon, by a control that
     changes by 1 at its beginning, in the linear model at the initial state without its exponential growth."""
     nx, nu = problem.nx, problem.nu

@@ -14,6 +14,7 @@ from nmpc_codegen.components.hessians import ExactHessian
 from nmpc_codegen.components.integrators import Discrete, ExplicitRungeKutta
 from nmpc_codegen.components.stage_cost import StageCost, slices, stage_costs
 from nmpc_codegen.errors import OptionError
+from nmpc_codegen.frontend.flat import flat_controls, proximal_terms
 from nmpc_codegen.frontend.problem import Problem, Stage
 from nmpc_codegen.frontend.program import program
 from nmpc_codegen.frontend.scales import Scales, scales
@@ -60,6 +61,7 @@ class Model(ModelFunctions):
     choice: Choice | None
     constant_hessian: bool
     nonlinear_rows: bool
+    nonlinear_model: bool
     goal: Goal = "speed"
     target: Target = PORTABLE
 
@@ -118,8 +120,8 @@ def linearize(problem: Problem, options: Options | None = None) -> Model:
     algorithm, of_algorithm = options.algorithm.decided(problem, roomy(options))
     options = replace(options, algorithm=algorithm)
     online = options.online
-    path, terminal = (replace(s, dense_weight=online.dense_weight) for s in (problem.path, problem.terminal))
-    problem = replace(problem, path=path, terminal=terminal)
+    problem = _with_weights(problem, online)
+    problem, of_flat, flat = _with_proximal(problem, options) if chosen else (problem, (), ())
     integrator, choices = _choose_integrator(problem, options)
     _check(problem, integrator, options.hessian)
     functions = _functions(problem, integrator, options.hessian, options.algorithm)
@@ -139,7 +141,8 @@ def linearize(problem: Problem, options: Options | None = None) -> Model:
     found = program(problem)
     second = bool(functions.exact) or isinstance(options.hessian, ExactHessian)
     simulated = grown.of_simulation(type(algorithm).__name__, problem.N) if algorithm.simulates else ()
-    warned = (*stability_warning(problem, integrator), *simulated, *first_plan_warnings(problem, found, second))
+    numerical = (*stability_warning(problem, integrator), *simulated)
+    warned = (*flat, *numerical, *first_plan_warnings(problem, found, second))
     notes = (note for component in parts.components for note in component.notes(problem))
     return Model(
         **{field.name: getattr(functions, field.name) for field in fields(ModelFunctions)},
@@ -151,12 +154,33 @@ def linearize(problem: Problem, options: Options | None = None) -> Model:
         solve=options.solve,
         goal=options.goal,
         target=target,
-        reasons=(*choices, *of_target, *of_hessian, *of_algorithm, *notes),
+        reasons=(*choices, *of_target, *of_flat, *of_hessian, *of_algorithm, *notes),
         warned=warned,
         program=found,
         choice=choice,
         constant_hessian=constant,
         nonlinear_rows=problem.nonlinear_rows,
+        nonlinear_model=problem.nonlinear_model,
+    )
+
+
+def _with_weights(problem: Problem, online: Online) -> Problem:
+    """The problem with weights that are stored as matrices where they can be set as such."""
+    path, terminal = (replace(s, dense_weight=online.dense_weight) for s in (problem.path, problem.terminal))
+    return replace(problem, path=path, terminal=terminal)
+
+
+def _with_proximal(problem: Problem, options: Options) -> tuple[Problem, tuple[str, ...], tuple[str, ...]]:
+    """The problem with proximal terms for controls without curvature, where samples solve QPs; why, and a warning."""
+    flat = flat_controls(problem) if "qp" in options.algorithm.needs else ()
+    if not flat:
+        return problem, (), ()
+    where = f"the cost has no curvature in {', '.join(problem.control_names[j] for j in flat)}"
+    warning = f"{where}, so that plans may jump between bounds; a small weight makes the plan unique"
+    return (
+        replace(problem, proximal=proximal_terms(problem)),
+        (f"proximal terms in the QPs of samples: {where}",),
+        (warning,),
     )
 
 

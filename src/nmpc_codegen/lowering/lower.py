@@ -31,6 +31,8 @@ from nmpc_codegen.package.status import Status
 
 # Maximum value of counters, and maximum number of steps of integrate().
 MANY = 1_000_000
+# Moves of a control back onto hard rows on controls alone; each halves at least a large excess of a circle.
+PULLS = 16
 # Part of an integration step by which rounding errors of times may exceed a number of steps.
 ROUNDING_OF_STEPS = 1e-3
 
@@ -149,6 +151,10 @@ def _features(model: Model) -> Features:
     nonlinear = found.has_qp and model.nonlinear_rows
     eliminates = parts.condensing is not None and parts.condensing.eliminates
     checked = eliminates and not found.approximate
+    bends = found.has_qp and (model.nonlinear_model or model.nonlinear_rows)
+    bent = bool(
+        model.exact and curved and not p.proximal and found.repair and found.hard_rows and bends and not found.levels
+    )
     condensed = parts.condensing is not None and parts.condensing.gives == "condensed"
     return replace(
         found,
@@ -160,7 +166,9 @@ def _features(model: Model) -> Features:
         relaxation=relaxable,
         elastic=relaxable or any(row.soft is not None for row in p.rows),
         nonlinear_rows=nonlinear,
-        row_scales=relaxable or nonlinear,
+        nonlinear_model=found.has_qp and model.nonlinear_model,
+        row_curvature=bent,
+        row_scales=relaxable or nonlinear or bent,
         check_step=checked,
         check_gradient=checked and condensed,
     )
@@ -183,7 +191,10 @@ def _of_problem(model: Model) -> Features:
         state_rows=0 in kinds,
         general_rows=1 in kinds,
         hard_rows=any(p.rows[row].soft is None for _, _, _, row in p.qp_rows),
+        proximal=bool(p.proximal),
+        idle_end=p.idle_end and parts.algorithm.shift == "repeat",
         end_equations=any(k == p.N and _is_equation(p.rows[row]) for k, _, _, row in p.qp_rows),
+        pulled_rows=bool(p.pulled_rows),
         control_bounds=any(row.kind == "control" for row in p.rows),
         accumulators=bool(p.accumulators),
         all_measured=not p.accumulators and not p.free_initial,
@@ -262,6 +273,7 @@ def _macros(model: Model, dims: Dims) -> tuple[Macro, ...]:
     if dims.condensed:
         macros.append(Macro("PANEL", PANEL, "columns processed together"))
     macros.append(Macro("SOFT_ROWS", sum(r.soft is not None for r in model.problem.rows), "rows with a penalty"))
+    macros.append(Macro("PULLS", PULLS, "moves of a control back onto rows, at most"))
     macros.append(Macro("PARAMS", len(model.problem.parameters), "parameters by name"))
     parameters = model.problem.parameters
     names = c_constants([s.name for s in parameters])
@@ -460,6 +472,11 @@ def _tables(model: Model) -> tuple[Table, ...]:
         integer("row_first", first, "first row of node k"),
         real("penalty_l1", [_penalty(r)[0] for r in p.rows], "l1 penalty of a row of the user; infinite: hard"),
         real("penalty_l2", [_penalty(r)[1] for r in p.rows], "quadratic penalty of its violation"),
+        real("proximal", _rounded(p.proximal), "curvature of steps in samples"),
+        integer("on_states", p.rows_on_states, "1: row on states alone"),
+        integer(
+            "is_pulled", (i in p.pulled_rows for i in range(len(p.rows))), "1: hard row on controls alone that bends"
+        ),
         integer("parameter_offset", offsets, "first element of a parameter in p"),
         *(table for component in model.parts.components for table in component.tables(p)),
     )

@@ -60,6 +60,11 @@ class Features:
     general_rows: bool = False
     hard_rows: bool = False
     nonlinear_rows: bool = False  # a QP does not see how rows bend
+    pulled_rows: bool = False  # hard rows on controls alone bend
+    nonlinear_model: bool = False  # a step leaves gaps
+    proximal: bool = False  # samples limit steps of controls without curvature
+    row_curvature: bool = False  # samples may add that of active rows to their Hessian
+    idle_end: bool = False  # the last control influences nothing but its own terms
     end_equations: bool = False  # hard equations at the last node
     control_bounds: bool = False
     accumulators: bool = False

@@ -49,15 +49,40 @@ def _kept(dims: Dims) -> tuple[Struct, ...]:
     return (struct,)
 
 
+def _left(dims: Dims) -> tuple[Struct, ...]:
+    """What steps leave of the model."""
+    members = (
+        Field("length", (), "of the last step, in the scales of its variables", "keep"),
+        Field("longest", (), "step of late", "keep"),
+        Field("left", (), "largest residual that steps of late have left", "keep"),
+    )
+    return (Struct("gaps", "steps of late and what they have left", members),)
+
+
+def _bent(dims: Dims) -> tuple[Struct, ...]:
+    """Whether samples add the curvature of active rows."""
+    bent = Field("bent", (), "1: the curvature of active rows is added to the Hessian", "keep", "int32")
+    return (Struct("solver", "", (bent,)),)
+
+
+def _price(dims: Dims) -> tuple[Struct, ...]:
+    """What the time outside of hard rows makes of their price."""
+    nodes = Size("N + 1", dims.N.value + 1)
+    price = Field("price", (nodes,), "of relaxed rows, relative to that at the last node", "keep")
+    return (Struct("solver", "", (price,)),)
+
+
 SHIFT = Feature("shift")
 SETTLE = Feature("settle", _watched)
 PLAIN = Feature("plain")
 SIMULATE = Feature("simulate")
 LEVELS = Feature("levels", _kept)
+CURVATURE = Feature("curvature", _bent)
+GAPS = Feature("gaps", _left)
 REPAIR = Feature("repair")
 ADVANCE = Feature("advance")
 REFERENCES = Feature("references")
-RELAXATION = Feature("relaxation")
+RELAXATION = Feature("relaxation", _price)
 VIOLATION = Feature("violation")
 BENT_ROWS = Feature("bent_rows")
 FIRST_SAMPLE = Feature("first_sample")

@@ -99,6 +99,7 @@ _WITH_FIRST = "RealTimeIteration(first_control=True) (--set algorithm.first_cont
 
 MAX_TRIALS = 30
 FILTER = 16
+MAX_SWEEPS = 12
 MAX_ATTEMPTS = 3
 # Shifts of an indefinite Hessian in solve(), each four times the one before, and bisections of the last interval.
 MAX_SHIFTS = 24
@@ -109,9 +110,15 @@ PATIENCE = 10
 REPAIR_TRIALS = 4
 #: Weight that relaxation="auto" stands for.
 RELAXATION = 1e4
+#: Price of a relaxed row at the first node, relative to that at the last one, after this many relaxed samples on end.
+LEAST_PRICE, RELAXED_SAMPLES = 1e-6, 10
 #: What is kept of the samples, with an algorithm that repairs plans.
 UNCONVERGED = Field("unconverged", (), "samples on end that were NOT_CONVERGED", "keep", "int32")
-_FOLLOWED = (Field("was_far", (), "1: the sample before left a residual", "keep", "int32"), UNCONVERGED)
+_FOLLOWED = (
+    Field("fresh", (), "samples in which a first plan may still become a solution", "keep", "int32"),
+    Field("moved", (), "how far the last step of a first plan moved the first control, in its scale", "keep"),
+    UNCONVERGED,
+)
 SAMPLES = Field("samples", (), "feedbacks since init or reset", "keep", "int32")
 
 
@@ -252,6 +259,8 @@ class RealTimeIteration(Defaults):
         wanted = (
             (at_hooks.SHIFT, self.shift is not None),
             (at_hooks.SETTLE, features.lagrangian),
+            (at_hooks.GAPS, features.nonlinear_model),
+            (at_hooks.CURVATURE, features.row_curvature),
             (at_hooks.REPAIR, self.repair > 0),
             (evaluation, True),
             (at_hooks.ADVANCE, self.advance is not None),
@@ -288,10 +297,16 @@ class RealTimeIteration(Defaults):
             (math.inf if self.relaxation is None else float(self.relaxation),),
             "l1 weight of hard rows, in their scales, if the QP is infeasible; infinite: they stay hard",
         )
+        least = LEAST_PRICE ** (1 / problem.N)
+        prices = (
+            Table("least_price", "real", (least,), "of a relaxed row, relative to that at the next node"),
+            Table("price_fall", "real", (least ** (1 / RELAXED_SAMPLES),), "of this ratio, by a relaxed sample"),
+        )
         tolerance = tolerance_table(self.tolerance)
         return (
             *initial_tables(problem),
             relaxation,
+            *prices,
             tolerance,
             *resample_tables(self.shift, self.sampling_time, problem),
         )
@@ -321,6 +336,7 @@ class RealTimeIteration(Defaults):
             ("MAX_ATTEMPTS", MAX_ATTEMPTS, "new starts of solve() where rows cannot be satisfied, at most"),
             ("MAX_SHIFTS", MAX_SHIFTS, "shifts of an indefinite Hessian that are tried"),
             ("BISECTIONS", BISECTIONS, "bisections of the last interval of shifts"),
+            ("MAX_ROTATIONS", MAX_SWEEPS, "sweeps of Jacobi rotations of a block"),
             ("FILTER", FILTER, "pairs of violation and cost that solve() does not accept again"),
         )
 
@@ -402,7 +418,7 @@ def _stats(repair: int) -> Struct:
             count("violated_row", "hard row that is infeasible (INFEASIBLE) or relaxed (RELAXED), or -1"),
             count("violated_node", "its node, or -1"),
             Field("violation", (), "violation of this row by the last step of the QP", "result"),
-            Field("residual", (), "of the plan that was linearised: scaled gaps and hard rows", "result"),
+            Field("residual", (), "of the plan: scaled gaps and hard rows", "result"),
             *((count("repairs", "linearisations that have repaired it"),) if repair else ()),
             Field(
                 "first_deviation",
@@ -456,6 +472,7 @@ def _curved(dims: Dims) -> Struct:
             Field("P", (dims.nx, dims.nx), "cost to go", "scratch"),
             Field("M", (dims.nz, dims.nz), "cost to go of a stage", "scratch"),
             Field("T", (dims.nx, dims.nz), "P [A B]", "scratch"),
+            Field(*("V", (dims.nz, dims.nz), "eigenvectors of a block", "scratch"), only=lambda f: f.row_curvature),
             Field("unit", (dims.nz,), "curvature that is typical of each variable", "scratch"),
             Field("weight_u", (dims.N, dims.nu), "of the controls that are held, else 0", "scratch"),
             Field("target_u", (dims.N, dims.nu), "their bounds", "scratch"),

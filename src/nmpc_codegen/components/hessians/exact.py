@@ -98,7 +98,7 @@ class ExactHessian(Defaults):
         more = (*cost.data_ports, cost.mu_port)
         last, first = self._ends(problem, costs.terminal)
         start = self._start_block(costs.start)
-        added = pattern(first, "Q") | pattern(start, "Q")
+        added = pattern(first, "Q") | pattern(start, "Q") | {(i, i) for i, _ in enumerate(problem.proximal)}
         curved = integrator.curved(problem, self.sweep.scheme, "path_exact", self._start(cost), more)
         curved = self._completed(curved, added)
         Q = self._block(_lower(curved) | added, cost.nz)

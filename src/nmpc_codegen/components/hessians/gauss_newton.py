@@ -47,11 +47,14 @@ class GaussNewton(Defaults):
     def blocks(self, problem: Problem, costs: StageCosts, integrator: Integrator) -> HessianModel:
         """J' W J of every stage, and the curvature of its rows as a routine of its own."""
         start = self._block(costs.start)
-        return HessianModel(start.hessian, self._block(costs.path), self._block(costs.terminal))
+        path = self._block(costs.path, bool(problem.proximal))
+        return HessianModel(start.hessian, path, self._block(costs.terminal))
 
-    def _block(self, cost: StageCost) -> Block:
+    def _block(self, cost: StageCost, diagonal: bool = False) -> Block:
         damping = 0.0 if cost.name == "start" else self.levenberg_marquardt
         Q = ca.sparsify(cost.gauss_newton + damping * ca.DM.eye(cost.nz))
+        if diagonal:  # stored as zeros, to which the proximal terms of samples are added
+            Q = ca.project(Q, Q.sparsity().unite(ca.Sparsity.diag(cost.nz)))
         if self.convex_rows:  # nonzeros of the rows alone are stored as zeros, to which add_rows() adds
             Q = ca.project(Q, Q.sparsity().unite(cost.curvature.sparsity()))
         kernel = cost.kernel("hessian", "Q = J' W J, lower triangle", Q, Port("Q", cost.nz, cost.nz))

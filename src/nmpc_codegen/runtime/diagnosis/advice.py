@@ -67,10 +67,17 @@ def _not_converged(ctrl: Memory) -> Iterator[str]:
     options = ctrl.description.options
     if "algorithm=RealTimeIteration(" in options:
         more = ": let prepare() repair the plan, RealTimeIteration(repair=3)" if "repair=0" in options else ""
-        yield (
-            f"residual of the plan that was linearised: {ctrl.stats.residual:.2g}, tolerance "
-            f"{_value(options, 'tolerance')}; one QP per sample does not follow it{more}"
-        )
+        tolerance = float(_value(options, "tolerance"))
+        if ctrl.stats.residual > tolerance:
+            yield (
+                f"residual of the plan: {ctrl.stats.residual:.3g}, above the tolerance of {tolerance:g}; one QP per "
+                f"sample does not follow it{more}"
+            )
+        else:
+            yield (
+                f"the first control of a new plan still moves; the residual of the plan, {ctrl.stats.residual:.2g}, is "
+                f"below the tolerance of {tolerance:g}"
+            )
     else:
         name, _, given = options.partition("algorithm=")[2].partition("(")
         if ctrl.stats.residual <= float(_value(given, "tolerance")):

@@ -9,6 +9,7 @@ import numpy as np
 from nmpc_codegen.package.program import NOT_FINITE, Array, in_words, locate
 from nmpc_codegen.package.status import STALE, Status
 from nmpc_codegen.runtime.diagnosis.advice import advice, has_qp, row_advice
+from nmpc_codegen.runtime.diagnosis.poles import unstable_poles
 from nmpc_codegen.runtime.diagnosis.rows import parameters, violations
 from nmpc_codegen.runtime.memory import Memory
 
@@ -16,6 +17,8 @@ from nmpc_codegen.runtime.memory import Memory
 FAR_FROM_OPTIMAL = 0.01
 #: Gap of a state, relative to its scale and its largest value, below which it explains nothing.
 SMALL_GAP = 1e-6
+#: Size of a variable, relative to its scale, from which the cost falls without limit.
+ENDLESS = 1e6
 #: Most lines of one kind, and most states of a list.
 MOST, LISTED = 3, 12
 
@@ -46,9 +49,11 @@ def diagnosis(ctrl: Memory, measured: Array, solved: bool) -> str:
         return "\n".join([str(status), *spoilt, *_left_by_samples(ctrl), *stale])
     broken = next(filter(None, (list(search) for search in _broken(ctrl, measured))), [])
     warned = [f"{WARNED}{text}" for text in _warnings(ctrl, solved) if not (broken and text.startswith(NOT_FINITE))]
-    tried = [] if broken else [*advice(ctrl, solved, bool(warned))]
-    where = [] if broken else [*_rows(ctrl, solved), *_largest_gap(ctrl, solved)]
-    return "\n".join(dict.fromkeys([_headline(ctrl, solved, bool(broken)), *broken, *where, *tried, *warned, *stale]))
+    endless = [] if broken else [*_runaway(ctrl)]
+    tried = [] if broken or endless else [*advice(ctrl, solved, bool(warned))]
+    where = [] if broken or endless else [*_poles(ctrl), *_rows(ctrl, solved), *_largest_gap(ctrl, solved)]
+    found = [*broken, *endless, *where]
+    return "\n".join(dict.fromkeys([_headline(ctrl, solved, bool(broken)), *found, *tried, *warned, *stale]))
 
 
 def _warnings(ctrl: Memory, solved: bool) -> tuple[str, ...]:
@@ -200,6 +205,28 @@ def _part(ctrl: Memory, part: str, k: int) -> tuple[str, list[str]]:
 
 
 # -- where it is far from a solution ----------------------------------------------------------------------------------
+
+
+def _runaway(ctrl: Memory) -> Iterator[str]:
+    """The variables without bounds along which the cost falls without limit."""
+    if ctrl.status not in _OF_NUMBERS or not ctrl.cost < 0:
+        return
+    names = (*ctrl.names.states, *ctrl.names.controls)
+    bounded = {row.name: np.isfinite(row.lower) and np.isfinite(row.upper) for row in ctrl.description.rows}
+    most = np.concatenate([np.max(np.abs(ctrl.x), axis=0), np.max(np.abs(ctrl.u), axis=0)])
+    relative = most / np.asarray(ctrl.description.scales)
+    for i in np.argsort(-relative)[:MOST]:
+        if relative[i] > ENDLESS and not bounded.get(names[i], False):
+            yield (
+                f"the cost falls without limit along {names[i]}, which has come to {most[i]:.2g}: give it a bound, "
+                f"subject_to(lower, {names[i]}, upper)"
+            )
+
+
+def _poles(ctrl: Memory) -> Iterator[str]:
+    """A pole of the model that its scheme does not damp; after a plan that could not be followed."""
+    if ctrl.status == Status.NOT_CONVERGED or ctrl.status in _OF_NUMBERS:
+        yield from unstable_poles(ctrl)
 
 
 def _rows(ctrl: Memory, solved: bool) -> Iterator[str]:

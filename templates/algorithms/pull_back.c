@@ -1,0 +1,56 @@
+/* Hard rows on the controls alone that bend: a QP sees them straight, so that its step may leave them. */
+
+/* Row of these that the first control violates most, relative to its scale, or -1; how much, and values and gradients of
+ * all rows of its node. */
+static int most_broken_row(const solver_t *s, real_t *h, real_t *J, real_t *excess)
+{
+    int worst = -1;
+    real_t most = TOL_ROUNDING;
+    PATH_ROWS(s, 0, h, J);
+    for (int m = row_first[0]; m < row_first[1]; m++) {
+        if (is_pulled[row_id(m)] == 0) {
+            continue;
+        }
+        const real_t value = h[row_index(m)], lower = row_lower(s, m), upper = row_upper(s, m);
+        const real_t out = value - clip(value, lower, upper), scale = row_magnitude[row_id(m)];
+        if (FABS(out) > most * scale) {
+            most = FABS(out) / scale;
+            *excess = out;
+            worst = m;
+        }
+    }
+    return worst;
+}
+
+/* Moves the first control of the plan back onto these rows, along the gradient of the one that it violates most, in the
+ * scales of the controls. Returns to where it was if that leads nowhere. */
+static void pull_back(solver_t *s)
+{
+    real_t h[NH] = {R(0)}, J[NH][NZ] = {{R(0)}}, before[NU], excess = R(0), first = R(0);
+    memcpy(before, s->u[0], sizeof before);
+    for (int pass = 0; pass <= PULLS; pass++) {
+        const int m = most_broken_row(s, h, &J[0][0], &excess);
+        if (m < 0) {
+            return;
+        }
+        first = (pass == 0) ? FABS(excess) : first;
+        if (pass == PULLS) {
+            break;
+        }
+        const real_t *a = &J[row_index(m)][NX];
+        real_t slope = R(0);
+        for (int j = 0; j < NU; j++) {
+            slope += a[j] * a[j] * z_scale[NX + j] * z_scale[NX + j];
+        }
+        if (!(slope > R(0))) {
+            break;
+        }
+        for (int j = 0; j < NU; j++) {
+            s->u[0][j] -= excess / slope * a[j] * z_scale[NX + j] * z_scale[NX + j];
+            s->u[0][j] = safe_value(s, 0, j);
+        }
+    }
+    if (!(FABS(excess) < first)) {
+        memcpy(s->u[0], before, sizeof before);
+    }
+}

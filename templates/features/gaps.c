@@ -1,0 +1,60 @@
+/* What a step leaves of the model. Gaps grow with the square of a step: one that is about as long as those of late leaves
+ * about what they did, and their linearisations have told that. After any other step the intervals are integrated. */
+
+static void gaps_on_reset(solver_t *s)
+{
+    memset(&s->gaps, 0, sizeof s->gaps);
+}
+
+/* The residual of the plan that has been linearised is what the last step has left. */
+static status_t gaps_after_prepare(solver_t *s, status_t status)
+{
+    gaps_t *gaps = &s->gaps;
+    gaps->left *= R(0.5);
+    gaps->longest *= R(0.5);
+    enlarge(&gaps->left, s->stats.residual);
+    enlarge(&gaps->longest, gaps->length);
+    return status;
+}
+
+/* Length of the step of the QP: its largest component in the scale of its variable. */
+static real_t length_of_step(const solver_t *s)
+{
+    real_t size[NZ] = {R(0)}, length = R(0);
+    widen(size, s->step.dx[N], NX);
+    for (int k = 0; k < N; k++) {
+        widen(size, s->step.dx[k], NX);
+        widen(size + NX, s->step.du[k], NU);
+    }
+    for (int i = 0; i < NZ; i++) {
+        enlarge(&length, size[i] / z_scale[i]);
+    }
+    return length;
+}
+
+/* Returns 1 if a step of this length leaves little by all that is known. */
+static int leaves_little(const gaps_t *gaps, real_t length)
+{
+    if (length <= FACTOR_BRIEF) {
+        return 1;
+    }
+    if (!(length <= R(2) * gaps->longest)) {
+        return 0;
+    }
+    const real_t ratio = (length > gaps->longest) ? length / gaps->longest : R(1);
+    return gaps->left * ratio * ratio <= FACTOR_TRUSTED * residual_tolerance[0];
+}
+
+static status_t gaps_after_feedback(solver_t *s, status_t status)
+{
+    s->gaps.length = R(0);
+    if (status == OK) {
+        s->gaps.length = length_of_step(s);
+        if (!leaves_little(&s->gaps, s->gaps.length)) {
+            real_t size[NX];
+            state_scales(s, size);
+            enlarge(&s->stats.residual, largest_gap(s, size));
+        }
+    }
+    return status;
+}
