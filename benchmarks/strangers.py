@@ -1,7 +1,7 @@
 """Strangers: python -m benchmarks.strangers [--part loops|solve] [--scale S] [--json FILE] [--table FILE]
 
 It ends with an exit status of 1 if a figure is beyond its limit. ``--table`` writes the loops with and without repair
-and relaxation in place of the table of a Markdown file (docs/strangers.md).
+and relaxation, and ``--remedies`` what advice changes, in place of the tables of a Markdown file (docs/strangers.md).
 """
 
 from __future__ import annotations
@@ -10,10 +10,16 @@ import argparse
 import re
 from pathlib import Path
 
-from benchmarks.lib import strangers
+from benchmarks.lib import remedies, strangers
 from benchmarks.lib.base import commits, head
 from benchmarks.lib.report import Report, listed
 from benchmarks.lib.run import Run
+
+
+def _replace_table(path: Path, column: str, table: str) -> None:
+    """Write the table of a Markdown file anew whose first column has this name."""
+    text = path.read_text(encoding="utf-8")
+    path.write_text(re.sub(rf"(?m)^\| {column} \|.*\n(^\|.*\n)*", lambda _: table, text, count=1), "utf-8")
 
 
 def main() -> int:
@@ -24,12 +30,17 @@ def main() -> int:
     command.add_argument("--scale", metavar="S", type=float, default=1.0, help="share of the loops (default all)")
     command.add_argument("--json", metavar="FILE", help="write all records")
     command.add_argument("--table", metavar="FILE", type=Path, help="write the table of this file anew, and stop")
+    command.add_argument("--remedies", metavar="FILE", type=Path, help="fly the remedies of its second table, and stop")
     options = command.parse_args()
     if not 0 < options.scale <= 1:
         command.error(f"--scale {options.scale:g}: expected a share, more than 0 and at most 1")
-    if options.table:
-        text = options.table.read_text(encoding="utf-8")
-        options.table.write_text(re.sub(r"(?m)(^\|.*\n)+", lambda _: strangers.table(), text, count=1), "utf-8")
+    for path, column, made in (
+        (options.table, "problem", strangers.table),
+        (options.remedies, "failure", remedies.table),
+    ):
+        if path:
+            _replace_table(path, column, made())
+    if options.table or options.remedies:
         return 0
     report, run = Report(), Run(options.scale, commits(), Path())
     report.topic = "strangers"

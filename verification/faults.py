@@ -387,7 +387,7 @@ def plan_far_from_the_model() -> str:
     return ctrl.diagnose()
 
 
-@fault("NOT_CONVERGED", "AugmentedLagrangian(iterations=3)", never=("repair", "QP"))
+@fault("NOT_CONVERGED", "RealTimeIteration()", never=("repair", "QP"))
 def augmented_lagrangian_far_from_the_model() -> str:
     """a sample of the augmented Lagrangian after a jump."""
     ctrl = made(cart("equation", lambda x, v: -8 * ca.sin(3 * x)), Options(algorithm=AugmentedLagrangian(iterations=1)))

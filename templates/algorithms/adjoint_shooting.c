@@ -135,22 +135,24 @@ static status_t start_sample(solver_t *s)
 
 /* Prevents a failure from repeating itself: multipliers that are not finite are forgotten at once, and the plan after
  * PATIENCE failures in a row. Multipliers of terminal rows that no step meets may belong to weights and bounds that have
- * changed, and hold the plan away from the rows: they are forgotten, too. */
+ * changed, and hold the plan away from the rows: they are forgotten, too, and so is the past of steps that stay cut. */
 static status_t recover(solver_t *s, status_t status)
 {
     if (NG > 0 && !all_finite(s->row, NG)) {
         forget_past(s);
         status = NUMERICAL_FAILURE;
     }
-    if ((status == NUMERICAL_FAILURE || status == INFEASIBLE) && ++s->failing >= PATIENCE) {
-        if (status == INFEASIBLE) {
-            forget_past(s);
-        } else {
-            forget_plan(s);
-        }
-    }
-    if (status == OK || status == NOT_CONVERGED) {
+    if (status == NUMERICAL_FAILURE || status == INFEASIBLE) {
+        s->failing = (s->failing > 0) ? s->failing + 1 : 1;
+    } else if (status == NOT_CONVERGED) {
+        s->failing = (s->failing < 0) ? s->failing - 1 : -1;
+    } else if (status == OK) {
         s->failing = 0;
+    }
+    if (status == NUMERICAL_FAILURE && s->failing >= PATIENCE) {
+        forget_plan(s);
+    } else if (s->failing >= PATIENCE || s->failing <= -UNSETTLED) {
+        forget_past(s);
     }
     return status;
 }

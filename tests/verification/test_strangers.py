@@ -7,19 +7,22 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from benchmarks.lib import remedies
 from nmpc_codegen import Status, build
+from verification.strangers import house
 from verification.strangers.loops import Judge, controller_of, run
 from verification.strangers.problems import CASES, STRANGERS, known
 from verification.strangers.statement import Stranger
-from verification.strangers.twin import STARTS, Outcome, Twin, by_ipopt
+from verification.strangers.twin import NOMINAL, STARTS, Outcome, Twin, by_ipopt
 
 
 def test_the_room_is_wide() -> None:
     strange = [s for s in STRANGERS if s not in CASES]
     assert len(strange) >= 15
     assert len({s.family for s in strange}) >= 8
-    assert set(by_ipopt()) == {s.name for s in STRANGERS}
-    assert all(len(rows) == STARTS for rows in by_ipopt().values())
+    for suffix, count in (("", STARTS), (" nominal", NOMINAL)):
+        assert all(len(by_ipopt()[f"{s.name}{suffix}"]) == count for s in STRANGERS)
+    assert len(by_ipopt()) == 2 * len(STRANGERS)
 
 
 @pytest.mark.few(4)
@@ -89,3 +92,22 @@ def test_a_loop_that_is_worse_is_lost(monkeypatch: pytest.MonkeyPatch) -> None:
     verdict = run(twin, Judge(twin), controller_of(known("drone")), 0)
     assert "from the goal" in verdict.lost
     assert verdict.statuses[Status.OK.name] > 50
+
+
+@pytest.mark.filterwarnings("ignore:.*the cost has no curvature")
+def test_the_house_is_heated_without_curvature_in_any_control() -> None:
+    """Every sample is OK, within a hundredth of the costs of converged samples; the report names the controls."""
+    controller = build(house.ocp(), house.options(), "test")
+    statuses, cost = house.run(controller)
+    assert statuses == {"OK": house.SAMPLES}
+    assert cost == pytest.approx(house.OPTIMUM, rel=0.01)
+    assert any("pump, heat[0], heat[1]" in text for text in controller.description.report.choices)
+    assert any("no curvature in pump" in text for text in controller.description.report.warnings)
+
+
+def test_remedies_are_counted() -> None:
+    """One of them is flown: without a relaxation, samples of an epidemic have no solution."""
+    trial = next(t for t in remedies.TRIALS if t.failure == "INFEASIBLE" and t.where.startswith("seir"))
+    (before, n), (after, m) = trial.before(), trial.after()
+    assert before > 0 == after
+    assert n == m

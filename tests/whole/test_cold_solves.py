@@ -39,6 +39,7 @@ def built(name: str, route: str | None = None, **changes: object) -> Controller:
 
 
 @pytest.mark.few(3)
+@pytest.mark.filterwarnings("ignore:.*the cost has no curvature")
 @pytest.mark.parametrize("name", OPEN)
 def test_what_users_found_unsolved(name: str) -> None:
     """The first three starts, each to the optimum of IPOPT or to another one; no false INFEASIBLE."""

@@ -148,6 +148,7 @@ def test_samples_of_least_squares_take_gauss_newton(name: str) -> None:
 
 
 @pytest.mark.few(1)
+@pytest.mark.filterwarnings("ignore:.*the cost has no curvature")
 @pytest.mark.parametrize(("route", "seed"), [("dense", 2), ("dense", 3), ("riccati", 3)])
 def test_units_do_not_matter_to_the_exact_hessian(route: str, seed: int) -> None:
     problem = KNOWN["fermenter"]

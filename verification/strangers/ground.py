@@ -92,3 +92,21 @@ TRAILER = Stranger(
     distance=lambda x: float(np.hypot(x[0], x[1])),
     reach=0.3,
 )
+
+# Point mass on a floor: its acceleration has to stay inside the circle of friction, at which braking and turning meet.
+PUCK = Stranger(
+    "puck",
+    "friction",
+    *(2.0, 20, ("x", "y", "vx", "vy"), {"ax": (-4.0, 4.0), "ay": (-4.0, 4.0)}),
+    model=lambda x, u: ca.vertcat(x[2:], u),
+    start=((-5.0, -5.0, -2.0, -2.0), (5.0, 5.0, 2.0, 2.0)),
+    samples=60,
+    kick=(30, (0.5, -0.5, 1.0, 1.0)),
+    residual=lambda x, u: ca.vertcat(x, u),
+    weight=(1, 1, 0.1, 0.1, 0.02, 0.02),
+    end_residual=lambda x: x,
+    end_weight=(10, 10, 1, 1),
+    limits=(Limit("friction", lambda _, u: ca.sumsqr(u), upper=16.0, scale=16.0),),
+    distance=lambda x: float(np.linalg.norm(x)),
+    reach=0.05,
+)

@@ -13,13 +13,14 @@ from verification.strangers.statement import Array, Limit, Stranger
 from verification.strangers.twin import Loop, Outcome, Twin, by_ipopt
 
 TOLERANCE = 0.1
-VIOLATED, DEARER, RANGE, LITTLE = 1e-2, 0.2, 0.02, 0.1
+VIOLATED, DEARER, RANGE, LITTLE = 1e-2, 0.2, 0.02, 0.25
 
 
 @dataclass(frozen=True)
 class Verdict:
     """A loop of the product: what it came to, its statuses, the samples that are OK although their plan is far from the
-    model, linearisations that repaired plans, and why the loop is lost ("" if it is not)."""
+    model or their control breaks a row, linearisations that repaired plans, why the loop is lost ("" if it is not), and
+    the most samples on end that were RELAXED."""
 
     outcome: Outcome
     statuses: Counter[str]
@@ -27,6 +28,7 @@ class Verdict:
     repairs: int
     lost: str
     samples: int
+    relaxed: int = 0
 
     @property
     def bad(self) -> int:
@@ -97,10 +99,11 @@ def controller_of(stranger: Stranger) -> Controller:
     return build(stranger.ocp(), stranger.options(), "fast")
 
 
-def run(twin: Twin, judge: Judge, controller: Controller, number: int) -> Verdict:
-    """The loop with this number from a fresh plan, and what is wrong with it."""
-    s, loop, statuses = twin.stranger, Loop(twin, number), Counter[str]()
+def run(twin: Twin, judge: Judge, controller: Controller, number: int, nominal: bool = False) -> Verdict:
+    """The loop with this number from a fresh plan, without its kick if ``nominal``, and what is wrong with it."""
+    s, loop, statuses = twin.stranger, Loop(twin, number, nominal), Counter[str]()
     controller.reset()
+    relaxed, on_end = 0, 0
     far, repairs, shifts = 0, 0, controller.description.shift is not None
     for k in range(s.samples):
         if not loop.finite:
@@ -114,6 +117,8 @@ def run(twin: Twin, judge: Judge, controller: Controller, number: int) -> Verdic
         status = controller.status.name
         statuses[status] += 1
         repairs += controller.stats.repairs
+        on_end = on_end + 1 if status == "RELAXED" else 0
+        relaxed = max(relaxed, on_end)
         residuals = (
             judge.residual(controller.x, controller.u, loop.x, False),
             judge.residual(*point, loop.x, shifts and k > 0),
@@ -122,12 +127,12 @@ def run(twin: Twin, judge: Judge, controller: Controller, number: int) -> Verdic
         far += status == "OK" and max(residuals) > TOLERANCE
         loop.apply(k, np.asarray(u, dtype=float))
     outcome = loop.outcome(0)
-    return Verdict(outcome, statuses, far, repairs, _why_lost(s, number, outcome), s.samples)
+    lost = _why_lost(s, number, outcome, by_ipopt()[f"{s.name} nominal" if nominal else s.name])
+    return Verdict(outcome, statuses, far, repairs, lost, s.samples, relaxed)
 
 
-def _why_lost(s: Stranger, number: int, mine: Outcome) -> str:
+def _why_lost(s: Stranger, number: int, mine: Outcome, theirs: list[Outcome]) -> str:
     """Why a loop is lost where that of IPOPT is not."""
-    theirs = by_ipopt()[s.name]
     other = theirs[number]
     spread = max(o.cost for o in theirs) - min(o.cost for o in theirs)
     if not mine.finite:

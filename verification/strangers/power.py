@@ -85,3 +85,22 @@ RESERVOIR = Stranger(
         Limit("river", lambda x, u: u[0] * (1 + 1e-9 * x[0]), 8.0, 120.0, 100.0),
     ),
 )
+
+# Cell that is charged fast below a limit of its temperature; its heat grows with the square of the current, so that it
+# does not show in a linearisation without current.
+CHARGE = Stranger(
+    "charge",
+    "batteries",
+    *(1800.0, 60, ("soc", "temp"), {"current": (0.0, 15.0)}),
+    model=lambda x, u: ca.vertcat(u[0] / 18000, (0.05 * u[0] ** 2 - 0.18 * (x[1] - 25)) / 75),
+    start=((0.05, 20.0), (0.3, 35.0)),
+    samples=110,
+    kick=(40, (0.0, -2.0)),
+    residual=lambda x, u: ca.vertcat(x[0] - 0.9, u[0]),
+    weight=(100, 1e-3),
+    end_residual=lambda x: x[0] - 0.9,
+    end_weight=(1000,),
+    limits=(Limit("soc", lambda x, _: x[0], 0.0, 0.9, 0.9), Limit("temp", lambda x, _: x[1], -20.0, 42.0, 31.0)),
+    distance=lambda x: float(0.9 - x[0]),
+    reach=0.05,
+)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from verification.strangers.arms import ARM, MAGLEV, PENDULUM
 from verification.strangers.cases import CAR, DRONE, QUATERNION
-from verification.strangers.ground import HOVERCRAFT, SHIP, TRAILER, UNICYCLE
+from verification.strangers.ground import HOVERCRAFT, PUCK, SHIP, TRAILER, UNICYCLE
 from verification.strangers.once import (
     ACROBOT,
     ARBITRAGE,
@@ -18,14 +18,14 @@ from verification.strangers.once import (
     ZERMELO,
 )
 from verification.strangers.plants import FISHING, REACTOR, SEIR, TANKS
-from verification.strangers.power import BOOST, HEAT_PUMP, RESERVOIR, STORAGE
+from verification.strangers.power import BOOST, CHARGE, HEAT_PUMP, RESERVOIR, STORAGE
 from verification.strangers.statement import Stranger
 
 CASES: tuple[Stranger, ...] = (DRONE, CAR, QUATERNION)
 
 STRANGERS: tuple[Stranger, ...] = (
     *(UNICYCLE, HOVERCRAFT, SHIP, TRAILER, PENDULUM, ARM, MAGLEV, REACTOR, TANKS, SEIR, FISHING),
-    *(STORAGE, HEAT_PUMP, BOOST, RESERVOIR),
+    *(STORAGE, HEAT_PUMP, BOOST, RESERVOIR, CHARGE, PUCK),
     *CASES,
 )
 

@@ -21,7 +21,8 @@ import numpy as np
 from verification.strangers.statement import Array, Limit, Stranger
 
 RESULTS = Path(__file__).with_name("ipopt.json")
-STARTS = 20
+#: Loops of every stranger, and of those without a kick.
+STARTS, NOMINAL = 20, 3
 QUIET: dict[str, Any] = {
     "print_time": False,
     "show_eval_warnings": False,
@@ -105,9 +106,9 @@ class Twin:
         rest = [float(np.clip(0.0, *bounds)) for bounds in s.controls.values()]
         return np.tile(start, (s.N + 1, 1)), np.tile(np.array(rest), (s.N, 1))
 
-    def run(self, number: int) -> Outcome:
+    def run(self, number: int, nominal: bool = False) -> Outcome:
         """The closed loop with IPOPT in every sample, from the shifted plan, or from the start if that fails."""
-        s, loop = self.stranger, Loop(self, number)
+        s, loop = self.stranger, Loop(self, number, nominal)
         X, U = self.guess(loop.x)
         failed = 0
         for k in range(s.samples):
@@ -121,10 +122,10 @@ class Twin:
 
 
 class Loop:
-    """The plant in closed loop, and what is judged of it."""
+    """The plant in closed loop, and what is judged of it; ``nominal``: without the kick."""
 
-    def __init__(self, twin: Twin, number: int) -> None:
-        self._twin, self.x = twin, twin.stranger.initial(number)
+    def __init__(self, twin: Twin, number: int, nominal: bool = False) -> None:
+        self._twin, self.x, self._nominal = twin, twin.stranger.initial(number), nominal
         self._cost, self._violation = 0.0, 0.0
 
     @property
@@ -136,9 +137,11 @@ class Loop:
         """Sample k with the control u."""
         twin, (when, kick) = self._twin, self._twin.stranger.kick
         self._cost += float(twin.stage(self.x, u))
-        if k not in (0, when + 1):  # nothing can be done about a state into which the plant is put
+        if k != 0 and (self._nominal or k != when + 1):  # nothing can be done about a state into which the plant is put
             self._violation = max(self._violation, float(twin.excess(self.x, u)))
-        self.x = np.asarray(twin.step(self.x, u)).ravel() + (np.asarray(kick, float) if k == when else 0.0)
+        self.x = np.asarray(twin.step(self.x, u)).ravel()
+        if k == when and not self._nominal:
+            self.x = self.x + np.asarray(kick, float)
 
     def outcome(self, failed: int) -> Outcome:
         """The loop so far."""
@@ -197,7 +200,7 @@ def _nodes(limit: Limit, nx: int, nu: int, N: int) -> range:
 
 @cache
 def by_ipopt() -> dict[str, list[Outcome]]:
-    """The twins' loops, by problem and number."""
+    """The twins' loops, by problem and number; by "<name> nominal" those without a kick."""
     found = json.loads(RESULTS.read_text(encoding="utf-8"))
     return {name: [Outcome(**row) for row in rows] for name, rows in found.items()}
 
@@ -205,7 +208,9 @@ def by_ipopt() -> dict[str, list[Outcome]]:
 def _loops(name: str) -> list[Outcome]:
     from verification.strangers.problems import known
 
-    return list(map(Twin(known(name)).run, range(STARTS)))
+    stated, _, nominal = name.partition(" ")
+    twin = Twin(known(stated))
+    return [twin.run(number, bool(nominal)) for number in range(NOMINAL if nominal else STARTS)]
 
 
 def refresh(names: list[str]) -> None:
@@ -231,7 +236,8 @@ def main() -> None:
     command.add_argument("--refresh", action="store_true", help="compute ipopt.json anew")
     command.add_argument("--only", help="names, separated by commas")
     options = command.parse_args()
-    names = options.only.split(",") if options.only else [s.name for s in STRANGERS]
+    every = [name for s in STRANGERS for name in (s.name, f"{s.name} nominal")]
+    names = options.only.split(",") if options.only else every
     if options.refresh:
         refresh(names)
     else:

@@ -58,7 +58,7 @@ FACTOR, BARRIER = 3.0, 1e-2
 MARGIN, WEIGHTS = 1e-2, (1.0, 1e-2, 1e-10)
 
 #: Simulations of a step of solve(); failures in a row after which the plan is given up.
-MAX_TRIALS, PATIENCE = 30, 3
+MAX_TRIALS, PATIENCE, UNSETTLED = 30, 3, 10
 
 #: Steps of the method of multipliers for the terminal rows of the model.
 MAX_ROUNDS = 3
@@ -302,6 +302,7 @@ class AdjointShooting(Defaults):
             ("TRIALS_OF_SOLVE", MAX_TRIALS, "the same in solve()"),
             *(newton if self.second_order else memory),
             ("PATIENCE", PATIENCE, "samples after which a failure is not that of one sample alone"),
+            ("UNSETTLED", UNSETTLED, "samples in a row without convergence after which the past of steps is forgotten"),
             ("MOST_PENALTY", 1_000_000_000, "largest penalty of solve()"),
             ("SHIFT", int(self.shift is not None), "1: step() moves the plan before the sample"),
         )
@@ -314,7 +315,7 @@ class AdjointShooting(Defaults):
         members = (
             Field("row", (dims.ng,), "multipliers of the rows", "keep"),
             Field("samples", (), "samples since init or reset", "keep", "int32", only=lambda f: self.shift),
-            Field("failing", (), "failures in a row", "keep", "int32"),
+            Field("failing", (), "failures in a row; < 0: samples that were NOT_CONVERGED", "keep", "int32"),
             Field("stats", (), "counters", "result", "stats"),
             Field("kkt", (), "KKT residuals of the last solve", "result", "kkt", only=lambda f: f.solve),
         )

@@ -15,8 +15,6 @@ NEARLY_SOLVED = 1e-5
 #: Iterations of solve() after which more of them are not all that may help.
 MANY = 50
 
-SCALE = "scale states, controls and rows to magnitudes near 1"
-
 
 def advice(ctrl: Memory, solved: bool, warned: bool) -> Iterator[str]:
     """What to try, the most likely remedy first.
@@ -31,14 +29,14 @@ def advice(ctrl: Memory, solved: bool, warned: bool) -> Iterator[str]:
         yield "call prepare() before feedback(), or step()"
     elif status == Status.NUMERICAL_FAILURE:
         yield from _numerical(options)
-        yield from () if warned else (*_another_qp(options), SCALE)
+        yield from () if warned else _of_qp(ctrl)
     elif status == Status.NOT_CONVERGED:
         yield from _not_converged(ctrl)
     elif status in (Status.ITERATION_LIMIT, Status.STALLED, Status.SUBPROBLEM_FAILED):
         if solved:
             yield from _of_solve(ctrl, warned)
         else:
-            yield from _of_qp(options) if has_qp(options) else _not_converged(ctrl)
+            yield from _of_qp(ctrl) if has_qp(options) else _not_converged(ctrl)
 
 
 def has_qp(options: str) -> bool:
@@ -83,9 +81,11 @@ def _not_converged(ctrl: Memory) -> Iterator[str]:
         if ctrl.stats.residual <= float(_value(given, "tolerance")):
             near = f"the plan is near the model, residual {ctrl.stats.residual:.2g}"
             yield f"{near}, but its last step was cut or refused"
-        now = _value(given, "iterations")
-        count = str(3 * int(now)) if now.isdigit() else "..."
-        yield f"more iterations per sample: {name}(iterations={count})"
+            now = _value(given, "iterations")
+            count = str(3 * int(now)) if now.isdigit() else "..."
+            yield f"more iterations per sample: {name}(iterations={count})"
+        else:
+            yield f"RealTimeIteration(), whose steps follow plans that {name} loses"
         if "AugmentedLagrangian(" in options and "repair=0" in options:
             yield "let prepare() repair the plan: AugmentedLagrangian(repair=3)"
     if ctrl.description.offers("solve"):
@@ -109,13 +109,27 @@ def _of_solve(ctrl: Memory, warned: bool) -> Iterator[str]:
     limited = list(_more_qp_iterations(options)) if status == Status.SUBPROBLEM_FAILED else []
     yield from limited
     if not warned and not limited and (count >= MANY or status != Status.ITERATION_LIMIT):
-        yield from (*_another_qp(options), SCALE) if status == Status.SUBPROBLEM_FAILED else ()
         yield "start from another plan: write ctrl.x and ctrl.u before solve()"
 
 
-def _of_qp(options: str) -> Iterator[str]:
+def _of_qp(ctrl: Memory) -> Iterator[str]:
+    """What ends failures of QPs; benchmarks/lib/remedies.py has flown it."""
+    options, choices = ctrl.description.options, ctrl.description.report.choices
+    if not has_qp(options):
+        return
     limited = list(_more_qp_iterations(options))
-    yield from limited or (*_another_qp(options), SCALE)
+    yield from limited
+    if limited:
+        return
+    if "fallback=None" in options:
+        yield "let the interior point method take over: leave fallback=None out"
+    given = "hessian=ExactHessian(" in options and not any(c.startswith("hessian:") for c in choices)
+    if given and "levenberg_marquardt=0.0" in options:
+        yield "leave the Hessian to the compiler, or damp it: ExactHessian(levenberg_marquardt=1e-4)"
+    if not any("qp: " in c for c in choices):
+        yield "leave condensing and qp to the compiler"
+    if "precision='single'" in options and ctrl.status != Status.NUMERICAL_FAILURE:
+        yield 'rounding may be the cause: try Options(precision="double")'
 
 
 def _more_qp_iterations(options: str) -> Iterator[str]:
@@ -125,18 +139,6 @@ def _more_qp_iterations(options: str) -> Iterator[str]:
     if limit.isdigit():
         more = f"Options(qp={solver}(max_iterations={10 * int(limit)}))"
         yield f"the QP solver stops at max_iterations={limit}: {more}, or leave it out"
-
-
-def _another_qp(options: str) -> Iterator[str]:
-    """Another way to solve the QP than the one in force."""
-    if not has_qp(options):
-        return
-    if "condensing=NoCondensing(" not in options:
-        yield "try another QP solver: Options(condensing=NoCondensing())"
-    elif "qp=RiccatiActiveSet(" in options:
-        yield "try another QP solver: Options(condensing=NoCondensing(), qp=RiccatiInteriorPoint())"
-    else:
-        yield "try another QP solver: Options(condensing=NoCondensing(), qp=RiccatiActiveSet())"
 
 
 def _value(options: str, name: str) -> str:

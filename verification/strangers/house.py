@@ -1,0 +1,74 @@
+"""A house with a heat pump, a buffer and a tariff: costs without curvature in every control, forecasts, soft comfort.
+
+Three days in steps of a quarter of an hour. OPTIMUM: the costs of the loop in which every sample is solved to
+convergence.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+
+import casadi as ca
+import numpy as np
+
+from nmpc_codegen import OCP, Controller, Online, Options, Status
+from verification.strangers.statement import Array
+
+N, DT, SAMPLES = 96, 0.25, 288
+START = (20.5, 19.5, 38.0)
+OPTIMUM = 10.456  # EUR
+
+
+def ocp() -> OCP:
+    """Two zones (degC) heated from a buffer, which the heat pump heats with an efficiency that falls with its
+    temperature."""
+    ocp = OCP("house", T=N * DT, N=N, time_unit="h")
+    zone, buffer = ocp.state("zone", size=2, unit="degC", initial=START[:2]), ocp.state("buffer", initial=START[2])
+    pump, heat = ocp.control("pump", unit="kW"), ocp.control("heat", size=2, unit="kW")
+    price, outside, sun = ocp.parameter("price", value=0.3), ocp.parameter("outside"), ocp.parameter("sun")
+    between = 0.05 * (zone[1] - zone[0])
+    gained = ca.DM([0.12, 0.09]) * (outside - zone) + heat + ca.DM([3, 1]) * sun + ca.vertcat(between, -between)
+    efficiency = 4.5 - 0.06 * (buffer - 35) + 0.05 * outside
+    ocp.dynamics({zone: gained / ca.DM([6.0, 4.0]), buffer: (efficiency * pump - ca.sum1(heat)) / 0.6})
+    ocp.stage_cost(price * pump)
+    ocp.subject_to(0, pump, 3)
+    ocp.subject_to(0, heat, 4)
+    ocp.subject_to(20, zone, 23, soft=(0.5, 1.0), name="comfort")
+    ocp.subject_to(28, buffer, 50, name="buffer")
+    return ocp
+
+
+def options(**more: object) -> Options:
+    """Bounds of comfort that differ from node to node, and what else a user may choose."""
+    return Options(online=Online(bounds="node"), **more)  # type: ignore[arg-type]
+
+
+def _tariff(hour: Array) -> Array:
+    evening, night = (hour % 24 >= 17) & (hour % 24 < 20), hour % 24 < 6
+    return np.where(evening, 0.45, np.where(night, 0.18, 0.3))
+
+
+def _forecast(k: int, controller: Controller) -> None:
+    """Prices, weather and comfort of the nodes of sample k."""
+    t = (k + np.arange(N + 1)) * DT
+    hour = t % 24
+    day = (hour > 7) & (hour < 17)
+    controller.set_parameter("price", _tariff(t))
+    controller.set_parameter("outside", 2 + 5 * np.sin((t - 9) / 24 * 2 * np.pi))
+    controller.set_parameter("sun", np.clip(np.sin((hour - 7) / 10 * np.pi), 0, None) * 0.5 * day)
+    for j in range(1, N + 1):
+        asleep = hour[j] < 6 or hour[j] > 22
+        controller.set_bounds("comfort", 18.0 if asleep else 20.5, 23.0, node=j)
+
+
+def run(controller: Controller) -> tuple[Counter[str], float]:
+    """Statuses of the loop, and what it costs in EUR."""
+    x, statuses, cost = np.array(START), Counter[str](), 0.0
+    controller.reset()
+    for k in range(SAMPLES):
+        _forecast(k, controller)
+        u = controller.step(x)
+        statuses[Status(controller.status).name] += 1
+        cost += float(_tariff(np.array(k * DT))) * float(u[0]) * DT
+        x = np.asarray(controller.integrate(x, u, DT))
+    return statuses, cost
