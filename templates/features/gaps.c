@@ -17,17 +17,21 @@ static status_t gaps_after_prepare(solver_t *s, status_t status)
     return status;
 }
 
-/* Length of the step of the QP: its largest component in the scale of its variable. */
+/* Length of the step of the QP, which is finite: the largest component of dx_0 and the du_k in the scale of its variable,
+ * which cause all others. */
 static real_t length_of_step(const solver_t *s)
 {
     real_t size[NZ] = {R(0)}, length = R(0);
-    widen(size, s->step.dx[N], NX);
+    largest_of(size, s->step.dx[0]);
     for (int k = 0; k < N; k++) {
-        widen(size, s->step.dx[k], NX);
-        widen(size + NX, s->step.du[k], NU);
+        for (int j = 0; j < NU; j++) {
+            const real_t a = FABS(s->step.du[k][j]);
+            size[NX + j] = (a > size[NX + j]) ? a : size[NX + j];
+        }
     }
     for (int i = 0; i < NZ; i++) {
-        enlarge(&length, size[i] / z_scale[i]);
+        const real_t a = size[i] / z_scale[i];
+        length = (a > length) ? a : length;
     }
     return length;
 }

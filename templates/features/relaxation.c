@@ -82,8 +82,9 @@ static void relaxation_before_solve(solver_t *s)
  * the horizon the price stays, so that no plan remains outside. */
 static status_t relaxation_after_feedback(solver_t *s, status_t status)
 {
-    const real_t ratio = s->price[N - 1] * ((status == RELAXED) ? price_fall[0] : R(1) / price_fall[0]);
-    if (status == RELAXED || status == OK) {
+    const int recovers = status == OK && s->price[N - 1] < R(1);
+    if (status == RELAXED || recovers) {
+        const real_t ratio = s->price[N - 1] * (recovers ? R(1) / price_fall[0] : price_fall[0]);
         for (int k = N - 1; k >= 0; k--) {
             s->price[k] = s->price[k + 1] * clip(ratio, least_price[0], R(1));
         }

@@ -48,4 +48,4 @@ const char *golden_status_string(golden_status_t status);
 #endif
 
 #endif
-/* nmpc_codegen package 603f59b24fdb60e9, sha256 eead4ef6943fbe078fc742be06c73f91dbc644f429680a9b809e3f67a1edaf12 */
+/* nmpc_codegen package 2a1228fd94c6de20, sha256 782fa75014c2a372d9854103ba696cd5bb4263da0d77db0832fcc723cf31052b */

@@ -139,12 +139,14 @@ class RealTimeIteration(Defaults):
     with every shift; "repeat" and "periodic" are for that of one interval.
 
     ``repair``: linearisations that prepare() may add at the predicted x_0, each with a QP and a step that is shortened
-    until it reduces stats.residual, while that is above ``tolerance`` or after a sample that failed; 0: none.
-    ``tolerance``: stats.residual above which a sample is NOT_CONVERGED.
+    until it reduces stats.residual, while that is above ``tolerance``, while the first control of a new plan moves, or
+    after a sample that failed; 0: none. ``tolerance``: stats.residual of the plan, before or after the step of a
+    sample, above which it is NOT_CONVERGED; so it is while the first control of a new plan moves.
 
     ``relaxation``: l1 weight with which hard rows on states are relaxed at a sample whose QP is infeasible; the status
-    is then RELAXED. It is that of a violation in the scale of its row, in units of the cost; "auto": 1e4. None: the
-    status is INFEASIBLE, and the plan does not change. repair=0, shift=None, relaxation=None: the pure scheme.
+    is then RELAXED. It is that of a violation in the scale of its row, in units of the cost; "auto": 1e4. At early
+    nodes it falls while samples stay RELAXED. None: the status is INFEASIBLE, and the plan does not change. repair=0,
+    shift=None, relaxation=None: the pure scheme.
 
     ``simulate``: single shooting. prepare() simulates the plan from its x_0 with its controls before it linearises it,
     so that the QP has no gaps (Houska, Ferreau and Diehl, Automatica 47, 2011, section 2.2). What the states change by
