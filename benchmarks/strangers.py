@@ -10,10 +10,11 @@ import argparse
 import re
 from pathlib import Path
 
-from benchmarks.lib import remedies, strangers
+from benchmarks.lib import strangers
 from benchmarks.lib.base import commits, head
 from benchmarks.lib.report import Report, listed
 from benchmarks.lib.run import Run
+from verification.strangers import remedies
 
 
 def _replace_table(path: Path, column: str, table: str) -> None:

@@ -195,10 +195,10 @@ status_t API(step)(solver_t *s, const real_t xhat[NX], real_t u0[NU])
     if (take_state(s, xhat)) {
         status = recover(s, run_sample(s));
     }
-    if (PULLED_ROWS) {
-        pull_back(s);
-    }
     safe_control(s, u0);
+    if (PULLED_ROWS) {
+        pull_control_back(s, u0);
+    }
     return finish(s, judged(status, s->stats.violation));
 }
 

@@ -52,7 +52,7 @@ static real_t cost_terms(const solver_t *s)
     for (int k = 0; k < N; k++) {
         for (int i = 0; i < NZ; i++) {
             const real_t z = FABS(i < NX ? s->step.dx[k][i] : s->step.du[k][i - NX]);
-            sum += (FABS(s->node[k].g[i]) + FABS(HESSIAN(s, k)[i][i]) * z) * z;
+            sum += (FABS(s->node[k].g[i]) + FABS(curvature_at(s, k, i)) * z) * z;
         }
     }
     return sum;

@@ -30,10 +30,10 @@ status_t API(feedback)(solver_t *s, const real_t xhat[NX], real_t u0[NU])
     }
     s->prepared = 0;
     s->samples += (s->samples < MANY);
-    if (PULLED_ROWS) {
-        pull_back(s);
-    }
     safe_control(s, u0);
+    if (PULLED_ROWS) {
+        pull_control_back(s, u0);
+    }
     recover(s, status, broken);
     return finish(s, judge(s, status));
 }

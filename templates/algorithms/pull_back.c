@@ -1,8 +1,8 @@
 /* Hard rows on the controls alone that bend: a QP sees them straight, so that its step may leave them. */
 
-/* Row of these that the first control violates most, relative to its scale, or -1; how much, and values and gradients of
- * all rows of its node. */
-static int most_broken_row(const solver_t *s, real_t *h, real_t *J, real_t *excess)
+/* Row of these that the first control violates most, relative to its scale, or -1; by how much, and that in its scale;
+ * values and gradients of all rows of its node. */
+static int most_broken_row(const solver_t *s, real_t *h, real_t *J, real_t *excess, real_t *relative)
 {
     int worst = -1;
     real_t most = TOL_ROUNDING;
@@ -16,6 +16,7 @@ static int most_broken_row(const solver_t *s, real_t *h, real_t *J, real_t *exce
         if (FABS(out) > most * scale) {
             most = FABS(out) / scale;
             *excess = out;
+            *relative = most;
             worst = m;
         }
     }
@@ -26,14 +27,14 @@ static int most_broken_row(const solver_t *s, real_t *h, real_t *J, real_t *exce
  * scales of the controls. Returns to where it was if that leads nowhere. */
 static void pull_back(solver_t *s)
 {
-    real_t h[NH] = {R(0)}, J[NH][NZ] = {{R(0)}}, before[NU], excess = R(0), first = R(0);
+    real_t h[NH] = {R(0)}, J[NH][NZ] = {{R(0)}}, before[NU], excess = R(0), relative = R(0), first = R(0);
     memcpy(before, s->u[0], sizeof before);
     for (int pass = 0; pass <= PULLS; pass++) {
-        const int m = most_broken_row(s, h, &J[0][0], &excess);
+        const int m = most_broken_row(s, h, &J[0][0], &excess, &relative);
         if (m < 0) {
             return;
         }
-        first = (pass == 0) ? FABS(excess) : first;
+        first = (pass == 0) ? relative : first;
         if (pass == PULLS) {
             break;
         }
@@ -50,7 +51,18 @@ static void pull_back(solver_t *s)
             s->u[0][j] = safe_value(s, 0, j);
         }
     }
-    if (!(FABS(excess) < first)) {
+    if (!(relative < first)) {
         memcpy(s->u[0], before, sizeof before);
     }
+}
+
+/* Moves a control that is returned in place of that of the plan back onto these rows; the plan stays as it is. */
+static void pull_control_back(solver_t *s, real_t *u0)
+{
+    real_t kept[NU];
+    memcpy(kept, s->u[0], sizeof kept);
+    memcpy(s->u[0], u0, sizeof s->u[0]);
+    pull_back(s);
+    memcpy(u0, s->u[0], sizeof s->u[0]);
+    memcpy(s->u[0], kept, sizeof kept);
 }

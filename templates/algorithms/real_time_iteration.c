@@ -78,6 +78,17 @@ static status_t prepare_here(solver_t *s)
     return condense_prepare(s);
 }
 
+/* Diagonal entry i of the Hessian of node k that the QP of the sample has. */
+static inline real_t curvature_at(const solver_t *s, int k, int i)
+{
+    if (ROW_CURVATURE) {
+        if (s->curved.in_solve) {
+            return (k < N) ? s->curved.Q[k][i][i] : s->curved.Q_N[i][i];
+        }
+    }
+    return (k < N) ? HESSIAN(s, k)[i][i] : s->hessian.Q_N[i][i];
+}
+
 /* Preparation phase. */
 status_t API(prepare)(solver_t *s)
 {
@@ -184,7 +195,7 @@ static status_t feedback_here(solver_t *s)
         return NUMERICAL_FAILURE;
     }
     scatter_multipliers(s);
-    if (!recover_multipliers(s)) {
+    if (!recover_multipliers(s) && status == OK) { /* those of relaxed rows drown the gradient in their rounding */
         return NUMERICAL_FAILURE;
     }
     take_step(s);

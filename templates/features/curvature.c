@@ -4,8 +4,8 @@
 
 #include "hessians/positive_part.c"
 
-/* Adds the positive part of A, the exact block of `n` rows, beyond the block Q of `ld` entries per row, lower triangles,
- * to Q: A = Q + (A - Q)_+, symmetric. Q becomes zero if it is that of this node alone. */
+/* A = Q + (A - Q)_+, symmetric, for the exact block A of n rows and that of the samples, Q, lower triangles whose rows have
+ * lda and ldq entries. */
 static void blend_block(curved_t *c, real_t *A, int lda, const real_t *Q, int ldq, int n)
 {
     for (int i = 0; i < n; i++) {

@@ -33,9 +33,13 @@ status_t API(feedback_first)(solver_t *s, const real_t xhat[NX], real_t u0[NU])
             for (int i = 0; i < NX; i++) {
                 u += s->first.gain[j][i] * (s->xhat[i] - s->x[0][i]);
             }
-            u0[j] = s->first.control[j] = clip(u, control_lower(s, 0, j), control_upper(s, 0, j));
+            u0[j] = clip(u, control_lower(s, 0, j), control_upper(s, 0, j));
         }
         if (all_finite(u0, NU)) {
+            if (PULLED_ROWS) {
+                pull_control_back(s, u0);
+            }
+            memcpy(s->first.control, u0, sizeof s->first.control);
             s->first.call = FIRST_BY_LAW;
             return OK;
         }

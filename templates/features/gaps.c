@@ -10,9 +10,13 @@ static void gaps_on_reset(solver_t *s)
 static status_t gaps_after_prepare(solver_t *s, status_t status)
 {
     gaps_t *gaps = &s->gaps;
+    if (LEVELS && s->levels.last == LEVEL_D) { /* which follows what the QP believes */
+        memset(gaps, 0, sizeof *gaps);
+        return status;
+    }
     gaps->left *= R(0.5);
     gaps->longest *= R(0.5);
-    enlarge(&gaps->left, s->stats.residual);
+    enlarge(&gaps->left, is_far(s->stats.residual) ? residual_tolerance[0] : s->stats.residual);
     enlarge(&gaps->longest, gaps->length);
     return status;
 }

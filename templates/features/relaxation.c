@@ -7,12 +7,12 @@ static real_t cost_scale(const solver_t *s, const real_t *size)
     for (int k = 0; k < N; k++) {
         for (int i = 0; i < NZ; i++) {
             enlarge(&most, s->node[k].g[i] * size[i]);
-            enlarge(&most, HESSIAN(s, k)[i][i] * size[i] * size[i]);
+            enlarge(&most, curvature_at(s, k, i) * size[i] * size[i]);
         }
     }
     for (int i = 0; i < NX; i++) {
         enlarge(&most, s->terminal.g[i] * size[i]);
-        enlarge(&most, s->hessian.Q_N[i][i] * size[i] * size[i]);
+        enlarge(&most, curvature_at(s, N, i) * size[i] * size[i]);
     }
     return size_or(most, cost_size[0]);
 }
@@ -65,11 +65,20 @@ static status_t relax_rows(solver_t *s, status_t why)
     return (status == OK) ? RELAXED : status;
 }
 
+/* The price of rows on states at node N, and by `ratio` less at every node before. */
+static void set_price(solver_t *s, real_t ratio)
+{
+    s->price[N] = R(1);
+    for (int k = N - 1; k >= 0; k--) {
+        s->price[k] = s->price[k + 1] * clip(ratio, least_price[0], R(1));
+    }
+}
+
 static void relaxation_on_reset(solver_t *s)
 {
-    for (int k = 0; k <= N; k++) {
-        s->price[k] = R(1);
-    }
+    set_price(s, R(1));
+    s->rises = 0;
+    s->outside = R(0);
 }
 
 static void relaxation_before_solve(solver_t *s)
@@ -77,41 +86,54 @@ static void relaxation_before_solve(solver_t *s)
     relaxation_on_reset(s);
 }
 
-/* While rows stay relaxed, violations at early nodes become cheaper: the way back inside may lead through larger ones, and
- * where all cost the same, the least sum of them over a short horizon may be to stay outside for ever. Towards the end of
- * the horizon the price stays, so that no plan remains outside. */
+/* Largest violation of a hard row of node 1, to which the plant comes next, relative to its scale. */
+static real_t next_violation(const solver_t *s)
+{
+    real_t most = R(0);
+    for (int m = 0; m < NG && row_node(m) <= 1; m++) {
+        if (row_node(m) == 1 && !row_is_soft(m)) {
+            enlarge(&most, row_excess(s, m, R(0)) / s->row_scale[row_id(m)]);
+        }
+    }
+    return most;
+}
+
+/* The price at early nodes falls, or rises again after that. */
+static void sweep_price(solver_t *s)
+{
+    const real_t ratio = s->price[N - 1];
+    set_price(s, s->rises ? ratio / price_change[0] : ratio * price_change[0]);
+    s->rises = s->rises ? s->price[N - 1] < R(1) : s->price[N - 1] <= least_price[0];
+}
+
+/* While samples stay RELAXED and the violation does not fall, violations at early nodes become cheaper, then dearer again:
+ * the way back inside may lead through larger ones, and the least sum of them over a short horizon may be to stay outside
+ * for ever; where they are cheap, a plan may rest outside by choice. At the last node the price stays. A relaxed QP that is
+ * given up may have a solution at another price: equal ones let its vertices coincide. */
 static status_t relaxation_after_feedback(solver_t *s, status_t status)
 {
-    const int recovers = status == OK && s->price[N - 1] < R(1);
-    if (status == RELAXED || recovers) {
-        const real_t ratio = s->price[N - 1] * (recovers ? R(1) / price_fall[0] : price_fall[0]);
-        for (int k = N - 1; k >= 0; k--) {
-            s->price[k] = s->price[k + 1] * clip(ratio, least_price[0], R(1));
+    const real_t before = s->outside;
+    if (status == OK) {
+        s->outside = R(0);
+        s->rises = 0;
+        if (s->price[N - 1] < R(1)) {
+            set_price(s, s->price[N - 1] * price_change[1]);
+        }
+    } else if (is_given_up(status)) {
+        sweep_price(s);
+    } else if (status == RELAXED) {
+        s->outside = next_violation(s);
+        if (!(s->outside < FACTOR_FALLS * before)) {
+            sweep_price(s);
         }
     }
     return status;
 }
 
-/* Rows stay relaxed until the price has recovered: hard ones would forbid the way back as soon as a plan meets them. */
-static void relaxation_before_qp(solver_t *s)
-{
-    if (s->price[N - 1] < R(1)) {
-        price_rows(s);
-    }
-}
-
 static status_t relaxation_after_qp(solver_t *s, status_t status)
 {
-    if (!(s->relaxation < INF)) {
-        return is_given_up(status) ? relax_rows(s, status) : status;
+    if (is_given_up(status)) {
+        return relax_rows(s, status);
     }
-    s->relaxation = INF;
-    if (status != OK) {
-        return run_qp(s);
-    }
-    if (nothing_relaxed(s)) {
-        return OK;
-    }
-    name_violation(s);
-    return RELAXED;
+    return status;
 }

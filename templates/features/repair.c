@@ -21,6 +21,7 @@ static void repair_before_prepare(solver_t *s)
     if (s->unconverged >= PATIENCE) {
         start_anew(s);
         s->unconverged = 0;
+        s->fresh = PATIENCE;
     }
 }
 

@@ -48,4 +48,4 @@ const char *golden_status_string(golden_status_t status);
 #endif
 
 #endif
-/* nmpc_codegen package 2a1228fd94c6de20, sha256 782fa75014c2a372d9854103ba696cd5bb4263da0d77db0832fcc723cf31052b */
+/* nmpc_codegen package 4cee3364ae276c0e, sha256 fa969900c930bd7e7de34f1c92e14dcbb670cd795c37a06afea407c2d5160b0f */

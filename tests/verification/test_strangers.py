@@ -7,9 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.lib import remedies
 from nmpc_codegen import Status, build
-from verification.strangers import house
+from verification.strangers import house, remedies
 from verification.strangers.loops import Judge, controller_of, run
 from verification.strangers.problems import CASES, STRANGERS, known
 from verification.strangers.statement import Stranger

@@ -212,7 +212,7 @@ def test_relaxed_ends_where_the_way_back_leads_through_larger_violations(N: int)
     """The cart is outside of its limit of speed, and can only slow down by going faster first."""
     ocp, A, B = pendulum(N)
     c, x, relaxed = build(ocp, profile="test"), np.array([1.0, 0, 0, 0]), 0
-    for _ in range(300):
+    for _ in range(500):
         u = c.step(x)
         relaxed += c.status is Status.RELAXED
         x = A @ x + B @ u
@@ -317,3 +317,45 @@ def test_no_status_stays_after_bad_data(route: str) -> None:
                 d.step(x)
                 statuses.append(d.status)
             assert Status.OK in statuses, (kind, factor, statuses[-1])
+
+
+@pytest.mark.parametrize("precision", ["double", "single"])
+def test_a_sample_without_a_plan_is_relaxed_in_both_precisions(precision: Any) -> None:
+    """An elevator that is above its upper end: the multipliers of the relaxed row are no reason to fail."""
+    ocp = OCP("elevator", T=4.0, N=20)
+    z, v, force = ocp.state("z", initial=20.0, unit="m"), ocp.state("v"), ocp.control("force", unit="N")
+    ocp.dynamics({z: v, v: force / 1200 - 9.81})
+    ocp.least_squares(ca.vertcat(z - 40, v, force - 11772), weight=[1, 0.1, 1e-9])
+    ocp.terminal_least_squares(z - 40, weight=10)
+    ocp.subject_to(0, z, 30)
+    ocp.subject_to(-2.5, v, 2.5)
+    ocp.subject_to(9000, force, 14500)
+    c = build(ocp, Options(precision=precision), "test")
+    for above in ([30.0016, 0.2437], [30.01, 0.4]):
+        d = c.copy()
+        u = d.step(above)
+        assert d.status is Status.RELAXED
+        np.testing.assert_allclose(u, 9000.0)
+
+
+@pytest.mark.parametrize(
+    ("order", "N", "T", "reach", "start"), [(1, 10, 1.0, 0.3, 4.0), (1, 40, 4.0, 0.3, 3.0), (2, 20, 2.0, 1.0, 1.0)]
+)
+def test_relaxed_samples_come_back_to_a_bound_that_holds(
+    order: int, N: int, T: float, reach: float, start: float
+) -> None:
+    """x <= 1 with a reference beyond it: no plan rests outside because violations are cheap, and no QP is given up."""
+    ocp = OCP("back", T=T, N=N)
+    x, u = ocp.state("x"), ocp.control("u")
+    v = ocp.state("v") if order == 2 else None
+    ocp.dynamics({x: u} if v is None else {x: v, v: u})
+    ocp.least_squares(ca.vertcat(x - 5, u), weight=[1, 1e-3])
+    ocp.subject_to(-10, x, 1)
+    ocp.subject_to(-reach, u, reach)
+    c, state, statuses = build(ocp, profile="test"), np.full(order, start), []
+    for _ in range(250):
+        u_0 = c.step(state)
+        statuses.append(c.status)
+        state = np.asarray(c.integrate(state, u_0, T / N))
+    assert set(statuses[150:]) == {Status.OK}
+    assert state[0] == pytest.approx(1.0, abs=1e-3)

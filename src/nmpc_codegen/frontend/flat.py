@@ -19,6 +19,8 @@ from nmpc_codegen.ir.casadi_types import curved
 NONE = 1e-6
 #: Curvature that samples add, in the scale of the cost and half the width of bounds, or the scale of a variable.
 PROXIMAL = 0.03
+#: Least width of bounds, relative to the scale of their variable.
+LITTLE = 0.05
 #: Points at which curvature is looked for: the initial state, and random ones within the scales.
 POINTS = 4
 
@@ -38,8 +40,9 @@ def proximal_terms(problem: Problem) -> tuple[float, ...]:
     width = sizes.z.copy()
     for row in problem.rows:
         half = (row.upper - row.lower) / 2
-        if row.kind in ("state", "control") and 0.0 < half < np.inf:
-            width[row.index + (problem.nx if row.kind == "control" else 0)] = half
+        if row.kind in ("state", "control") and 0.0 < half < np.inf and tuple(row.nodes) != (problem.N,):
+            place = row.index + (problem.nx if row.kind == "control" else 0)
+            width[place] = max(half, LITTLE * sizes.z[place])  # a narrow band says little of how far a state moves
     return tuple(float(p) for p in PROXIMAL * sizes.cost / np.square(width))
 
 

@@ -67,6 +67,8 @@ def lower(model: Model, name: str | None = None) -> CModule:
     )
     macros = _macros(model, dims)
     ranges = {name: limits for c in model.parts.components for name, limits in c.ranges(dims).items()}
+    if features.row_curvature:  # samples may have the Hessian of solve()
+        ranges["in_solve"] = (0, 1)
     module = CModule(
         description=_description(model, name, macros, structs, _report(model, dims, features, structs, layout), ranges),
         target=model.target,

@@ -194,6 +194,7 @@ FACTORS: dict[str, tuple[float, str]] = {
     "little_of_state": (0.1, "least size in which a gap is measured, relative to the scale of its state"),
     "escape": (10.0, "growth of a state since the last plan that was OK, beyond which a plan is not measured in it"),
     "bent": (0.02, "part of the tolerance by which a step may leave hard rows before their curvature is added"),
+    "falls": (0.999, "violation, relative to that of the sample before, below which it falls"),
     "creep": (0.1, "part of the tolerance by which the first control of a converged first plan may still move"),
     "brief": (1e-3, "length of a step, in the scales of its variables, that leaves no gap above the tolerance"),
     "trusted": (0.25, "part of the tolerance that late steps of the same length may have left"),

@@ -68,8 +68,12 @@ def _bent(dims: Dims) -> tuple[Struct, ...]:
 def _price(dims: Dims) -> tuple[Struct, ...]:
     """What the time outside of hard rows makes of their price."""
     nodes = Size("N + 1", dims.N.value + 1)
-    price = Field("price", (nodes,), "of relaxed rows, relative to that at the last node", "keep")
-    return (Struct("solver", "", (price,)),)
+    members = (
+        Field("price", (nodes,), "of relaxed rows on states, relative to that at the last node", "keep"),
+        Field("outside", (), "violation at node 1 of the sample before, in its scale, if that was RELAXED", "keep"),
+        Field("rises", (), "1: the price rises again while the violation does not fall", "keep", "int32"),
+    )
+    return (Struct("solver", "", members),)
 
 
 SHIFT = Feature("shift")

@@ -112,6 +112,8 @@ REPAIR_TRIALS = 4
 RELAXATION = 1e4
 #: Price of a relaxed row at the first node, relative to that at the last one, after this many relaxed samples on end.
 LEAST_PRICE, RELAXED_SAMPLES = 1e-6, 10
+#: How much slower the price recovers in samples that are OK.
+SLOWER = 4
 #: What is kept of the samples, with an algorithm that repairs plans.
 UNCONVERGED = Field("unconverged", (), "samples on end that were NOT_CONVERGED", "keep", "int32")
 _FOLLOWED = (
@@ -302,7 +304,12 @@ class RealTimeIteration(Defaults):
         least = LEAST_PRICE ** (1 / problem.N)
         prices = (
             Table("least_price", "real", (least,), "of a relaxed row, relative to that at the next node"),
-            Table("price_fall", "real", (least ** (1 / RELAXED_SAMPLES),), "of this ratio, by a relaxed sample"),
+            Table(
+                "price_change",
+                "real",
+                (least ** (1 / RELAXED_SAMPLES), least ** (-1 / RELAXED_SAMPLES / SLOWER)),
+                "of this ratio by a sample that is relaxed, and by one that is OK",
+            ),
         )
         tolerance = tolerance_table(self.tolerance)
         return (

@@ -113,7 +113,7 @@ def _of_solve(ctrl: Memory, warned: bool) -> Iterator[str]:
 
 
 def _of_qp(ctrl: Memory) -> Iterator[str]:
-    """What ends failures of QPs; benchmarks/lib/remedies.py has flown it."""
+    """What ends failures of QPs; verification/strangers/remedies.py has flown it."""
     options, choices = ctrl.description.options, ctrl.description.report.choices
     if not has_qp(options):
         return

@@ -157,10 +157,10 @@ def _culture(steps: int) -> Flight:
 
 
 _NONE = RealTimeIteration(relaxation=None)
-_ACTIVE = {"condensing": NoCondensing(), "qp": RiccatiActiveSet()}
-_ALONE = {"condensing": NoCondensing(), "qp": RiccatiActiveSet(fallback=None)}
-_EXACT = {"hessian": ExactHessian()}
-_DAMPED = {"hessian": ExactHessian(levenberg_marquardt=1e-4)}
+_ACTIVE: dict[str, Any] = {"condensing": NoCondensing(), "qp": RiccatiActiveSet()}
+_ALONE: dict[str, Any] = {"condensing": NoCondensing(), "qp": RiccatiActiveSet(fallback=None)}
+_EXACT: dict[str, Any] = {"hessian": ExactHessian()}
+_DAMPED: dict[str, Any] = {"hessian": ExactHessian(levenberg_marquardt=1e-4)}
 
 _LIMIT, _FAR = "ITERATION_LIMIT", "NOT_CONVERGED"
 
