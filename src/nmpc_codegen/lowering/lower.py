@@ -66,9 +66,7 @@ def lower(model: Model, name: str | None = None) -> CModule:
         for c in model.parts.components
     )
     macros = _macros(model, dims)
-    ranges = {name: limits for c in model.parts.components for name, limits in c.ranges(dims).items()}
-    if features.row_curvature:  # samples may have the Hessian of solve()
-        ranges["in_solve"] = (0, 1)
+    ranges = _ranges(model, dims, features)
     module = CModule(
         description=_description(model, name, macros, structs, _report(model, dims, features, structs, layout), ranges),
         target=model.target,
@@ -102,6 +100,14 @@ def lower(model: Model, name: str | None = None) -> CModule:
         foreign={path: text for _, files in foreign for path, text in files.items()},
     )
     return _with_members_apart(with_lanes(module))
+
+
+def _ranges(model: Model, dims: Dims, features: Features) -> dict[str, tuple[int, int]]:
+    """Values that members may have in a sample."""
+    found = {name: limits for c in model.parts.components for name, limits in c.ranges(dims).items()}
+    if features.row_curvature:  # samples may have the Hessian of solve()
+        found["in_solve"] = (0, 1)
+    return found
 
 
 def _with_members_apart(module: CModule) -> CModule:
