@@ -2,21 +2,36 @@
  * plan follows such a row, it jumps from bound to bound, and leaves the row by what the linearisation does not see. While
  * that is more than little, the positive part of what the exact Hessian has beyond it is added. */
 
-#include "hessians/positive_part.c"
+#include "hessians/jacobi.c"
 
 /* A = Q + (A - Q)_+, symmetric, for the exact block A of n rows and that of the samples, Q, lower triangles whose rows have
- * lda and ldq entries. */
+ * lda and ldq entries; (.)_+ keeps the positive eigenvalues. */
 static void blend_block(curved_t *c, real_t *A, int lda, const real_t *Q, int ldq, int n)
 {
+    real_t largest = R(0), value[NZ];
     for (int i = 0; i < n; i++) {
         for (int j = 0; j <= i; j++) {
-            c->M[i][j] = c->M[j][i] = A[i * lda + j] - Q[i * ldq + j];
+            c->A[i * n + j][0] = A[i * lda + j] - Q[i * ldq + j];
+            enlarge(&largest, c->A[i * n + j][0]);
         }
     }
-    keep_positive_part(c->M, c->V, n);
+    for (int i = 0; i < n; i++) { /* to entries of at most 1, which jacobi() takes */
+        for (int j = 0; j <= i; j++) {
+            c->A[i * n + j][0] = (largest <= R(0)) ? R(0) : c->A[i * n + j][0] / largest;
+        }
+    }
+    jacobi(c->A, c->V, n);
+    for (int i = 0; i < n; i++) {
+        const real_t lambda = c->A[i * n + i][0];
+        value[i] = (lambda > R(0)) ? largest * lambda : R(0);
+    }
     for (int i = 0; i < n; i++) {
         for (int j = 0; j <= i; j++) {
-            A[i * lda + j] = A[j * lda + i] = Q[i * ldq + j] + c->M[i][j];
+            real_t sum = Q[i * ldq + j];
+            for (int l = 0; l < n; l++) {
+                sum += value[l] * c->V[l * n + i][0] * c->V[l * n + j][0];
+            }
+            A[i * lda + j] = A[j * lda + i] = sum;
         }
     }
 }

@@ -48,4 +48,4 @@ const char *golden_status_string(golden_status_t status);
 #endif
 
 #endif
-/* nmpc_codegen package 4cee3364ae276c0e, sha256 fa969900c930bd7e7de34f1c92e14dcbb670cd795c37a06afea407c2d5160b0f */
+/* nmpc_codegen package b3acbd3b35d7bb99, sha256 e4d04a833efa62332b598a04f35b02afb4bcfb342fd08e8d0f51e5a5c401e87f */

@@ -7,7 +7,6 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
-import scipy.linalg
 
 from nmpc_codegen import (
     OCP,
@@ -24,6 +23,8 @@ from nmpc_codegen import (
     build,
 )
 from verification import problems
+from verification.strangers.problems import known
+from verification.strangers.remedies import cart_in_a_box
 
 DT, TURN = 0.1, 0.03
 TOLERANCE = 0.1
@@ -157,23 +158,10 @@ def test_a_first_plan_that_still_creeps_is_not_converged() -> None:
     assert abs(float(x[0])) < 0.1
 
 
-def charge(initial: float = 25.0) -> OCP:
-    """A cell that is charged fast below 42 degC: its heat 0.05 i^2 does not show in a linearisation at i = 0."""
-    ocp = OCP("charge", T=1800.0, N=60)
-    soc, temp, i = ocp.state("soc", initial=0.1), ocp.state("temp", initial=initial), ocp.control("i")
-    ocp.dynamics({soc: i / 18000, temp: (0.05 * i**2 - 0.18 * (temp - 25)) / 75.0})
-    ocp.least_squares(ca.vertcat(soc - 0.9, i), weight=[100, 1e-3])
-    ocp.terminal_least_squares(soc - 0.9, weight=[1000])
-    ocp.subject_to(0, i, 15)
-    ocp.subject_to(0, soc, 0.9)
-    ocp.subject_to(-20, temp, 42, name="temp_max")
-    return ocp
-
-
 @pytest.mark.parametrize("solved", [False, True])
 def test_a_plan_follows_a_hard_limit_that_bends(solved: bool) -> None:
     """Gauss-Newton steps with the curvature of the active limit; without it, the cell is 2.4 K too hot."""
-    c, x, hottest, good = build(charge(), profile="test"), np.array([0.1, 25.0]), 0.0, 0
+    c, x, hottest, good = build(known("charge").ocp(), profile="test"), np.array([0.1, 25.0]), 0.0, 0
     if solved:
         c.solve(x)
     for _ in range(110):
@@ -189,28 +177,10 @@ def test_a_plan_follows_a_hard_limit_that_bends(solved: bool) -> None:
 # ---- no status stays for ever
 
 
-def pendulum(N: int) -> tuple[OCP, np.ndarray, np.ndarray]:
-    """A linear pendulum on a cart with a box of the states, which a short horizon leaves."""
-    M, m, length, g, h = 0.6, 0.4, 0.35, 9.81, 0.02
-    A, B = np.zeros((4, 4)), np.array([[0], [0], [1 / M], [1 / (M * length)]])
-    A[0, 2] = A[1, 3] = 1
-    A[2, 1], A[3, 1] = m * g / M, (M + m) * g / (M * length)
-    E = scipy.linalg.expm(np.block([[A, B], [np.zeros((1, 5))]]) * h)
-    A, B = E[:4, :4], E[:4, 4:]
-    ocp = OCP("pend", N=N)
-    x, u = ocp.state("x", size=4), ocp.control("F")
-    ocp.dynamics({x: ca.DM(A) @ x + ca.DM(B) @ u}, discrete=True)
-    ocp.least_squares(ca.vertcat(x, u), weight=[10, 1, 10, 1, 0.1])
-    ocp.lqr_terminal_cost()
-    ocp.subject_to(-12, u, 12)
-    ocp.subject_to([-1.5, -0.2, -0.35, -1.5], x, [1.5, 0.2, 0.35, 1.5], name="box")
-    return ocp, A, B
-
-
 @pytest.mark.parametrize("N", [20, 50])
 def test_relaxed_ends_where_the_way_back_leads_through_larger_violations(N: int) -> None:
     """The cart is outside of its limit of speed, and can only slow down by going faster first."""
-    ocp, A, B = pendulum(N)
+    ocp, A, B = cart_in_a_box(N)
     c, x, relaxed = build(ocp, profile="test"), np.array([1.0, 0, 0, 0]), 0
     for _ in range(500):
         u = c.step(x)

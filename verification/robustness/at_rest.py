@@ -166,24 +166,23 @@ def two_at_once() -> OCP:
     return ocp
 
 
+def _upright(name: str, T: float, N: int, pull: float, most: float) -> OCP:
+    ocp = OCP(name, T=T, N=N)
+    th, w, u = ocp.state("th"), ocp.state("w"), ocp.control("u")
+    ocp.dynamics({th: w, w: pull * ca.sin(th) + u})
+    ocp.least_squares(ca.vertcat(th, w, u), weight=[10, 1, 0.1])
+    ocp.subject_to(-most, u, most)
+    return ocp
+
+
 def pendulum() -> OCP:
     """Upright, nonlinear."""
-    ocp = OCP("pendulum", T=1.0, N=20)
-    th, w, u = ocp.state("th"), ocp.state("w"), ocp.control("u")
-    ocp.dynamics({th: w, w: 9.81 * ca.sin(th) + u})
-    ocp.least_squares(ca.vertcat(th, w, u), weight=[10, 1, 0.1])
-    ocp.subject_to(-8, u, 8)
-    return ocp
+    return _upright("pendulum", 1.0, 20, 9.81, 8)
 
 
 def stick() -> OCP:
     """Upright, with an open loop that grows by e^21 over the horizon."""
-    ocp = OCP("stick", T=3.0, N=40)
-    th, w, u = ocp.state("th"), ocp.state("w"), ocp.control("u")
-    ocp.dynamics({th: w, w: 49 * ca.sin(th) + u})
-    ocp.least_squares(ca.vertcat(th, w, u), weight=[10, 1, 0.1])
-    ocp.subject_to(-20, u, 20)
-    return ocp
+    return _upright("stick", 3.0, 40, 49, 20)
 
 
 def drone() -> OCP:

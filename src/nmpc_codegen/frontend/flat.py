@@ -12,7 +12,7 @@ import casadi as ca
 import numpy as np
 
 from nmpc_codegen.frontend.problem import Array, Problem, Stage
-from nmpc_codegen.frontend.scales import Scales, responses, scales
+from nmpc_codegen.frontend.scales import Scales, responses
 from nmpc_codegen.ir.casadi_types import curved
 
 #: Curvature of a control, relative to the scale of the cost, below which it has none.
@@ -25,18 +25,16 @@ LITTLE = 0.05
 POINTS = 4
 
 
-def flat_controls(problem: Problem) -> tuple[int, ...]:
+def flat_controls(problem: Problem, sizes: Scales) -> tuple[int, ...]:
     """Numbers of the controls without curvature. A linear program has none: its vertices are found exactly."""
     if not (problem.nonlinear_model or problem.nonlinear_rows):
         return ()
-    sizes = scales(problem)
     bent, curvature = _bends_model(problem), _curvature(problem, sizes)
     return tuple(j for j in range(problem.nu) if not bent[j] and curvature[j] <= NONE * sizes.cost)
 
 
-def proximal_terms(problem: Problem) -> tuple[float, ...]:
+def proximal_terms(problem: Problem, sizes: Scales) -> tuple[float, ...]:
     """P (nx + nu,)."""
-    sizes = scales(problem)
     width = sizes.z.copy()
     for row in problem.rows:
         half = (row.upper - row.lower) / 2

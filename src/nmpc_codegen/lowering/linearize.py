@@ -172,13 +172,14 @@ def _with_weights(problem: Problem, online: Online) -> Problem:
 
 def _with_proximal(problem: Problem, options: Options) -> tuple[Problem, tuple[str, ...], tuple[str, ...]]:
     """The problem with proximal terms for controls without curvature, where samples solve QPs; why, and a warning."""
-    flat = flat_controls(problem) if "qp" in options.algorithm.needs else ()
+    sizes = scales(problem)
+    flat = flat_controls(problem, sizes) if "qp" in options.algorithm.needs else ()
     if not flat:
         return problem, (), ()
     where = f"the cost has no curvature in {', '.join(problem.control_names[j] for j in flat)}"
     warning = f"{where}, so that plans may jump between bounds; a small weight makes the plan unique"
     return (
-        replace(problem, proximal=proximal_terms(problem)),
+        replace(problem, proximal=proximal_terms(problem, sizes)),
         (f"proximal terms in the QPs of samples: {where}",),
         (warning,),
     )

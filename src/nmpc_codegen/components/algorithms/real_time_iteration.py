@@ -99,7 +99,6 @@ _WITH_FIRST = "RealTimeIteration(first_control=True) (--set algorithm.first_cont
 
 MAX_TRIALS = 30
 FILTER = 16
-MAX_SWEEPS = 12
 MAX_ATTEMPTS = 3
 # Shifts of an indefinite Hessian in solve(), each four times the one before, and bisections of the last interval.
 MAX_SHIFTS = 24
@@ -345,7 +344,6 @@ class RealTimeIteration(Defaults):
             ("MAX_ATTEMPTS", MAX_ATTEMPTS, "new starts of solve() where rows cannot be satisfied, at most"),
             ("MAX_SHIFTS", MAX_SHIFTS, "shifts of an indefinite Hessian that are tried"),
             ("BISECTIONS", BISECTIONS, "bisections of the last interval of shifts"),
-            ("MAX_ROTATIONS", MAX_SWEEPS, "sweeps of Jacobi rotations of a block"),
             ("FILTER", FILTER, "pairs of violation and cost that solve() does not accept again"),
         )
 
@@ -470,7 +468,7 @@ def _measures() -> Struct:
 
 def _curved(dims: Dims) -> Struct:
     """The exact Hessian of solve(), and what makes it convex."""
-    nodes = Size("N + 1", dims.N.value + 1)
+    nodes, square = Size("N + 1", dims.N.value + 1), (Size("NZ * NZ", dims.nz.value**2), Size("LANES", 1))
     return Struct(
         "curved",
         "exact Hessian of solve(), symmetric blocks, z = (x, u)",
@@ -481,7 +479,10 @@ def _curved(dims: Dims) -> Struct:
             Field("P", (dims.nx, dims.nx), "cost to go", "scratch"),
             Field("M", (dims.nz, dims.nz), "cost to go of a stage", "scratch"),
             Field("T", (dims.nx, dims.nz), "P [A B]", "scratch"),
-            Field(*("V", (dims.nz, dims.nz), "eigenvectors of a block", "scratch"), only=lambda f: f.row_curvature),
+            *(
+                Field(name, square, doc, "scratch", only=lambda f: f.row_curvature)
+                for name, doc in (("A", "block to be decomposed, then eigenvalues"), ("V", "its eigenvectors"))
+            ),
             Field("unit", (dims.nz,), "curvature that is typical of each variable", "scratch"),
             Field("weight_u", (dims.N, dims.nu), "of the controls that are held, else 0", "scratch"),
             Field("target_u", (dims.N, dims.nu), "their bounds", "scratch"),

@@ -14,6 +14,7 @@ import casadi as ca
 
 from nmpc_codegen.components.allowed import Flag, Number, check_options, option
 from nmpc_codegen.components.base import Counts, Defaults, Dims, Integrator, Seam
+from nmpc_codegen.components.hessians.exact import MAX_SWEEPS
 from nmpc_codegen.components.stage_cost import StageCost, StageCosts
 from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.kernel import Kernel, Port
@@ -68,6 +69,13 @@ class GaussNewton(Defaults):
     def adds(self, features: Features) -> Features:
         """The Hessian is never indefinite, so nothing is regularised."""
         return replace(features, node_kernels=True)
+
+    def sizes(self, dims: Dims) -> tuple[tuple[str, int, str], ...]:
+        """Of the decomposition of blocks where samples add the curvature of active rows."""
+        return (
+            ("LANES", 1, "blocks that are decomposed at once"),
+            ("MAX_SWEEPS", MAX_SWEEPS, "sweeps of Jacobi rotations"),
+        )
 
     def structs(self, dims: Dims) -> tuple[Struct, ...]:
         """Hessian blocks, lower triangles in the order z = (x, u)."""
