@@ -1,4 +1,5 @@
-"""The benchmarks: one page with what a change can move, and by name the figures of single methods and papers.
+"""The benchmarks: one page with what a change can move, and by name the figures of single methods. The papers'
+figures are drawn by python -m benchmarks.papers.
 
     python -m benchmarks [--only TOPIC,...] [--base COMMIT] [--scale S] [--seed N] [--json FILE]
 
@@ -8,7 +9,8 @@ instructions and operations that are 2 % above the baseline, and times that are 
 one machine. Times of another machine are carried to this one by the reference kernel.
 
 The default scale is that of a page in some minutes: draws of QPs, controllers and starts are samples that the seed
-chooses, which is the number of commits. At scale 1 they are complete.
+chooses, which is the number of commits. At scale 1 they are complete, at 0 every topic has one case, which shows that
+it runs.
 """
 
 from __future__ import annotations
@@ -37,14 +39,13 @@ def parser() -> argparse.ArgumentParser:
     """The command line."""
     found = argparse.ArgumentParser("benchmarks", description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     more = ", ".join(name for name in TOPICS if name not in PAGE)
-    found.add_argument("--only", metavar="TOPIC", help=f"some of {', '.join(PAGE)};\nnot on the page: {more}")
+    found.add_argument("--only", metavar="TOPIC", help=f"some of {', '.join(PAGE)};\nnot on the page: {more}; all")
     baseline = found.add_mutually_exclusive_group()
     baseline.add_argument("--base", metavar="COMMIT", help="compare with this commit, run in turn")
     baseline.add_argument("--baseline", metavar="FILE", type=Path, default=COMMITTED, help="benchmarks/baseline.json")
     found.add_argument("--scale", metavar="S", type=float, default=SCALE, help=f"share of the draws (default {SCALE})")
     found.add_argument("--seed", metavar="N", type=int, default=commits(), help="of the draws")
     found.add_argument("--json", metavar="FILE", help="write all records")
-    found.add_argument("--pictures", metavar="FOLDER", default="out/benchmarks", help="folder of pictures")
     found.add_argument("--replay", metavar="NAME", help="class/number/solver/precision or controller/number: print it")
     found.add_argument("--where", metavar="LOOP", choices=where.NAMES, help="shares of functions in a sample's time")
     return found
@@ -60,8 +61,8 @@ def main() -> None:
     if options.where:
         where.show(options.where)
         return
-    if not 0 < options.scale <= 1:
-        command.error(f"--scale {options.scale:g}: expected a share, more than 0 and at most 1")
+    if not 0 <= options.scale <= 1:
+        command.error(f"--scale {options.scale:g}: expected a share, 0 to 1")
     if not options.baseline.is_file():
         command.error(f"--baseline {options.baseline}: there is no such file")
     try:
@@ -76,7 +77,7 @@ def main() -> None:
 
 def measure(options: argparse.Namespace, names: list[str], base: Base | None, folder: Path) -> None:
     """Run the topics and print each as soon as it is there."""
-    start, run = time.perf_counter(), Run(options.scale, options.seed, Path(options.pictures))
+    start, run = time.perf_counter(), Run(options.scale, options.seed)
     if base is None:
         baseline = Baseline.of(options.baseline, options.baseline.name)
     else:

@@ -5,7 +5,7 @@ whose matrix P is indefinite; a cost integrated with the dynamics, without which
 the constant Hessian M of tune(), which has no rows for the position; an obstacle that disappears, by bounds that change
 at every sample: those of the position do not concern M.
 
-An electric car keeps 50 km/h with the least energy: the gain ALPHA per metre makes 50 km/h the best steady speed. At
+An electric car keeps 50 km/h with the least energy: the gain of speed makes 50 km/h the best steady one. At
 8 s the lane moves sideways. The state ``py`` is the distance from the middle of the lane, so the car, which does not
 foresee the move, measures a jump. Until 6 s something blocks the road at 80 m.
 
@@ -43,7 +43,7 @@ from nmpc_codegen.runtime.simulate import Log
 LENGTH, MASS, RADIUS, GRAVITY, GEAR = 4.8, 1700.0, 0.35, 9.81, 7.94
 DRAG, ROLLING = 0.45, 0.015
 T_MAX, P_MAX, OMEGA_MAX, BRAKE_MAX = 280.0, 80e3, 1047.2, 10e3
-ALPHA, POWER = -788.743, 14341.0  # W s/m, W
+POWER = 14341.0  # W
 SPEED = 50 / 3.6
 SAMPLING, N, STEPS = 0.1, 100, 5
 OBSTACLE, CLEARED, MOVE = 80.0, 6.0, 8.0  # m, s, s
@@ -86,11 +86,27 @@ def build_ocp(newton: float = 1000.0, intervals: int = N, *, economic: bool = Tr
     return ocp
 
 
+def power(v: Any, torque: Any) -> Any:
+    """Electric power (W) of the motor at the speed v (m/s) and torque (N m)."""
+    omega = GEAR * v / RADIUS
+    return omega * torque + 0.0323 * omega * torque + 0.0183 * omega**2 + 0.0043 * torque**2
+
+
+def steady_power(v: Any) -> Any:
+    """Electric power (W) that it takes to keep the speed v (m/s)."""
+    return power(v, (DRAG * v**2 + MASS * GRAVITY * ROLLING) * RADIUS / GEAR)
+
+
+def gain(speed: float) -> float:
+    """Cost of a metre (W s) for which this speed (m/s) is the best steady one: minus the slope of its power."""
+    v = ca.SX.sym("v")
+    return -float(ca.Function("slope", [v], [ca.gradient(steady_power(v), v)])(speed))
+
+
 def cost_rate(x: Any, u: Any, newton: float = 1000.0, lane: Any = 0.0) -> Any:
     """Electric power with the gain of speed, and deviations from the middle of the lane at ``lane`` m."""
-    v, omega, torque = x[2], GEAR * x[2] / RADIUS, newton * u[0]
-    power = omega * torque + 0.0323 * omega * torque + 0.0183 * omega**2 + 0.0043 * torque**2
-    return (power + ALPHA * v) / POWER + (x[1] - lane) ** 2 + x[3] ** 2 + x[4] ** 2 + u[2] ** 2
+    money = (power(x[2], newton * u[0]) + gain(SPEED) * x[2]) / POWER
+    return money + (x[1] - lane) ** 2 + x[3] ** 2 + x[4] ** 2 + u[2] ** 2
 
 
 def options(hessian: Any = None) -> Options:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import shutil
 import subprocess
+import tempfile
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
@@ -28,3 +29,18 @@ def instructions(program: Path, arguments: Sequence[str], functions: Iterable[st
     if done.returncode or found is None or int(found[1]) == 0:
         raise ValueError(f"callgrind has counted nothing:\n{done.stderr}")
     return int(found[1])
+
+
+def profile(program: Path, arguments: Sequence[str]) -> dict[str, int]:
+    """Instructions of every function itself, without those that it calls; clones of a function are added up."""
+    with tempfile.TemporaryDirectory() as folder:
+        out = f"{folder}/instructions"
+        tool = ["valgrind", "--tool=callgrind", f"--callgrind-out-file={out}"]
+        subprocess.run([*tool, str(program), *arguments], check=True, capture_output=True)
+        command = ["callgrind_annotate", "--threshold=100", out]
+        text = subprocess.run(command, check=True, capture_output=True, text=True).stdout
+    found: dict[str, int] = {}
+    for count, symbol in re.findall(r"^\s*([\d,]+) \([^)]*\)\s+\S*?:(\S+)", text, re.M):
+        name = symbol.split(".")[0]
+        found[name] = found.get(name, 0) + int(count.replace(",", ""))
+    return found

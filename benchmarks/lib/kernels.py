@@ -66,15 +66,3 @@ def times(
             preexec_fn=lambda: os.sched_setaffinity(0, core),
         ).stdout
     return {line.split()[0]: float(line.split()[1]) for line in text.splitlines()}
-
-
-def code_bytes(routine: Routine) -> int:
-    """Machine code of a routine and its leaves under the profile "fast"."""
-    name = routine.name
-    text = print_routine(routine, CStyle("real", False)).replace(f"static void {name}(", f"void {name}(")
-    with tempfile.TemporaryDirectory() as folder:
-        unit = f"#include <math.h>\n#include <stddef.h>\ntypedef double real;\n{text}\n"
-        (Path(folder) / "k.c").write_text(unit, encoding="utf-8")
-        subprocess.run([*find_compiler(), *PROFILES["fast"].flags, "-c", "k.c"], cwd=folder, check=True)
-        out = subprocess.run(["size", "k.o"], cwd=folder, check=True, capture_output=True, text=True).stdout
-    return int(out.splitlines()[1].split()[0])

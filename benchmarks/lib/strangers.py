@@ -53,13 +53,13 @@ def loops(
 
 def measure(report: Report, asked: Run) -> None:
     """A line per problem, and the figures of all."""
-    numbers = [i for i, _ in asked.some(range(STARTS), LEAST)]
-    found = loops(STRANGERS, numbers, "default")
-    for stranger in STRANGERS:
+    numbers, strangers = [i for i, _ in asked.some(range(STARTS), LEAST)], asked.cases(STRANGERS)
+    found = loops(strangers, numbers, "default")
+    for stranger in strangers:
         _report(report, stranger.name, found[stranger.name])
-    judged = [v for s in STRANGERS if s not in CASES for v in found[s.name]]
+    judged = [v for s in strangers if s not in CASES for v in found[s.name]]
     every = [v for verdicts in found.values() for v in verdicts]
-    undisturbed = [v for vs in loops(STRANGERS, range(NOMINAL), "default", nominal=True).values() for v in vs]
+    undisturbed = [v for vs in loops(strangers, range(NOMINAL), "default", nominal=True).values() for v in vs]
     samples = sum(v.samples for v in every)
     few = LOST if len(numbers) == STARTS else FEW / len(judged)  # the two loops that are lost may be among few
     totals = {
@@ -69,8 +69,8 @@ def measure(report: Report, asked: Run) -> None:
         "nominal_limits_exceeded": (sum("row" in v.lost for v in undisturbed), 0, len(undisturbed)),
         "nominal_lost": (sum(bool(v.lost) for v in undisturbed), 0, len(undisturbed)),
         "stays_relaxed": (sum(v.relaxed > STAYS for v in every), 0, len(every)),
-        "drone_lost": (sum(bool(v.lost) for v in found["drone"]), 0, len(numbers)),
-        "quaternion_drone_ok_while_far": (sum(v.far for v in found["quaternion"]), 0, len(numbers)),
+        "drone_lost": (sum(bool(v.lost) for v in found.get("drone", ())), 0, len(numbers)),
+        "quaternion_drone_ok_while_far": (sum(v.far for v in found.get("quaternion", ())), 0, len(numbers)),
     }
     for key, (value, limit, n) in totals.items():
         report.add(key, value, case="all", n=n, limit=limit)
@@ -91,10 +91,11 @@ def _measure_house(report: Report) -> None:
 def measure_solve(report: Report, asked: Run) -> None:
     """Cold starts of solve() that IPOPT solves: a line per problem, and the figures of all."""
     numbers = [i for i, _ in asked.some(range(solves.STARTS), LEAST)]
-    built = build_all((s.ocp(), s.options()) for s in ONCE)
+    once = asked.cases(ONCE)
+    built = build_all((s.ocp(), s.options()) for s in once)
     every: list[tuple[Attempt, Attempt]] = []
     failed: set[str] = set()
-    for stranger, controller in zip(ONCE, built, strict=True):
+    for stranger, controller in zip(once, built, strict=True):
         theirs, mine = solves.by_ipopt()[stranger.name], solves.solves(stranger, controller, numbers)
         pairs = [(m, theirs[i]) for i, m in zip(numbers, mine, strict=True) if theirs[i].solved]
         every += pairs
@@ -116,12 +117,13 @@ def measure_solve(report: Report, asked: Run) -> None:
     report.add("iterations", float(np.median([m.iterations for m, _ in good])), "median", case="all", n=len(good))
     report.add("of IPOPT", float(np.median([t.iterations for _, t in good])), "median", case="all", n=len(good))
     report.add("open_not_solved", len(set(OPEN) & failed), case="all", n=len(OPEN), limit=1)
-    _measure_linear(report)
+    _measure_linear(report, asked)
 
 
-def _measure_linear(report: Report) -> None:
+def _measure_linear(report: Report, asked: Run) -> None:
     """Loops whose samples are linear programs."""
-    for case, controller in zip(linear.CASES, build_all((c.ocp(), Options()) for c in linear.CASES), strict=True):
+    cases = asked.cases(linear.CASES)
+    for case, controller in zip(cases, build_all((c.ocp(), Options()) for c in cases), strict=True):
         bad, worst = case.run(controller)
         report.add(f"{case.name}_not_ok", bad, "samples", case="all", n=case.samples, limit=0)
         report.add(f"{case.name}_error", worst, "cost", case="all", n=case.samples, limit=linear.SAME)

@@ -538,3 +538,18 @@ def test_load_problem_leaves_the_path_alone(state_problem: Any) -> None:
     with pytest.raises(ProblemError):
         load_problem(Path(state_problem("")))
     assert sys.path == before
+
+
+def test_where_the_economic_hessian_comes_from(
+    state_problem: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The word alone has no numbers; what the error advises exports."""
+    pytest.importorskip("clarabel")
+    stated = "ocp = cart()\n"
+    command = [state_problem("ocp = cart()"), "-o", str(tmp_path / "c"), "--set", "hessian=economic_gauss_newton"]
+    assert main(command) == 1
+    error = said(capsys)[1]
+    advice = error.split("state ")[1].split(" in the problem file")[0]
+    assert advice == "options = Options(hessian=tune(ocp).hessian())"
+    imports = "from nmpc_codegen import Options\nfrom nmpc_codegen.economic import tune\n"
+    assert main([state_problem(f"{imports}{stated}{advice}"), "-o", str(tmp_path / "c")]) == 0

@@ -11,17 +11,7 @@ from nmpc_codegen import ProblemError
 from nmpc_codegen.economic.linear_quadratic import LinearQuadratic, frequency_function
 from nmpc_codegen.economic.riccati import cost_to_go, eliminated
 from nmpc_codegen.economic.semidefinite import Certificate, Weights, convexify
-
-
-def random_problem(seed: int, n: int = 3, m: int = 2, rows: int = 0) -> tuple[LinearQuadratic, np.ndarray]:
-    """A convex problem rotated by a storage function x' S x, and S: H = W + Hcal(S) is indefinite."""
-    rng = np.random.default_rng(seed)
-    A, B = rng.normal(size=(n, n)), rng.normal(size=(n, m))
-    root = rng.normal(size=(n + m, n + m))
-    S = rng.normal(size=(n, n)) * 5
-    C = np.hstack([rng.normal(size=(rows, n)), rng.normal(size=(rows, m))])
-    plain = LinearQuadratic(A, B, root @ root.T + 0.1 * np.eye(n + m), C)
-    return LinearQuadratic(A, B, plain.H + plain.rotated(S + S.T), C), S + S.T
+from verification.economic.rotated import random_problem
 
 
 def by_dynamic_programming(lq: LinearQuadratic, S: np.ndarray, steps: int = 3000) -> np.ndarray:

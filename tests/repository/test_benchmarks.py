@@ -21,9 +21,9 @@ def benchmarks(*arguments: str) -> subprocess.CompletedProcess[str]:
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (("--only", "time"), "--only time: expected some of times, sizes"),
+        (("--only", "time"), "--only time: expected all, or some of times, sizes"),
         (("--base", "no-such-commit"), "--base no-such-commit: there is no such commit"),
-        (("--scale", "0"), "--scale 0: expected a share"),
+        (("--scale", "2"), "--scale 2: expected a share"),
     ],
 )
 def test_wrong_words(arguments: tuple[str, ...], said: str) -> None:

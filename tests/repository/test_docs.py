@@ -111,6 +111,20 @@ def test_what_is_refused_is_refused_by_name(feature: str, state: Callable[[OCP, 
         generate(ocp, Options(hessian=GaussNewton()))
 
 
+# Economic NMPC -------------------------------------------------------------------------------------------------------
+
+
+def test_economic_page(tmp_path: Path, compiler: tuple[str, ...]) -> None:
+    """Both programs, which assert that their loops end where they should."""
+    pytest.importorskip("clarabel")
+    constant, periodic = (
+        run([sys.executable, "-c", b.text], tmp_path, (ROOT / "src",)) for b in blocks("docs/economic.md")
+    )
+    assert "strictly dissipative" in constant
+    assert "OK 160" in constant
+    assert "EUR per hour" in periodic
+
+
 # How to add a component ----------------------------------------------------------------------------------------------
 
 

@@ -15,6 +15,13 @@ from verification.adjoint.problems import Case
 #: Exponents are fitted to horizons of at least this length.
 LEAST = 100
 
+#: Column of Table 6.7: (N, t_f in hours) of its rows, the step length in hours, the powers that the thesis expects.
+SCENARIOS: dict[str, tuple[list[tuple[int, float]], float, tuple[int, int]]] = {
+    "t_f = 1 h": ([(5 * i, 1.0) for i in range(1, 21)], 1 / 1000, (0, 1)),
+    "N = 100": ([(100, i / 20) for i in range(1, 21)], 1 / 2000, (1, 1)),
+    "T_s = 1/100 h": ([(5 * i, i / 20) for i in range(1, 21)], 1 / 200, (1, 2)),
+}
+
 
 @cache
 def _model(make: Callable[[int], Case]) -> DerivativeModel:
@@ -27,6 +34,12 @@ def counts(make: Callable[[int], Case], N: int) -> Counts:
     model = _model(make)
     problem = replace(model.problem, N=N, dt=(model.problem.dt[0],) * N)
     return Counts(replace(model, problem=problem))
+
+
+def structure_ignored(counts: Counts) -> int:
+    """Operations of the impulse response matrix whose block (n, k) takes n - k - 1 products with A of its own."""
+    products = sum((counts.N - d) * (d - 1) for d in range(1, counts.N))
+    return counts.insertion.total + 2 * counts.nx**2 * counts.nu * products
 
 
 def exponent(horizons: Sequence[float], values: Sequence[float], least: float = LEAST) -> float:

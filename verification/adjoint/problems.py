@@ -5,6 +5,7 @@ Each is an OCP with outputs, a trajectory along which derivatives are taken, and
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -70,6 +71,28 @@ def reactor_rates(x: Any, u: Any, exp: Any = ca.exp) -> list[Any]:
     ]
 
 
+def steady_states(flows: Array, cooling: float) -> Array:
+    """States (flows, 4) of the reactor at rest, each started from the one before; NaN where Newton's method fails."""
+    x, v = ca.SX.sym("x", 4), ca.SX.sym("u", 2)
+    equations = {"x": x, "p": v, "g": ca.vertcat(*reactor_rates(x, v))}
+    solver = ca.rootfinder("steady", "newton", equations, {"abstol": 1e-8, "max_iter": 100, "error_on_fail": False})
+    guess, found = np.array([1000.0, 900.0, 105.0, 105.0 + cooling]), []
+    for flow in flows[::-1]:
+        state = np.array(solver(guess, [flow, cooling])).ravel()
+        good = solver.stats()["success"]
+        guess = state if good else guess
+        found.append(state if good else np.full(4, np.nan))
+    return np.array(found[::-1])
+
+
+def chained(A: Array, B: Array) -> Array:
+    """dx_n / du_0 for n = 1, ..., N: A_{n-1} ... A_1 B_0."""
+    found = [B[0]]
+    for k in range(1, len(A)):
+        found.append(A[k] @ found[-1])
+    return np.array(found)
+
+
 def reactor_inputs(N: int, sample: float = SAMPLE) -> Array:
     """The steps of the thesis: flow 12 then 1 from 2/3 h on, cooling -3 then -1 MJ/h from 1/3 h on."""
     t = np.arange(N) * sample
@@ -94,6 +117,12 @@ def reactor(N: int = 50, sample: float = SAMPLE, steps: int = STEPS, unroll: Any
 
 
 # Heat rod ------------------------------------------------------------------------------------------------------------
+
+
+def rod_step(nx: int) -> Array:
+    """Matrix of one RK4 step of the rod without heat at rate 0.5 and sample 1, nx states."""
+    hA = 0.5 * (np.diag(-2 * np.ones(nx)) + np.diag(np.ones(nx - 1), 1) + np.diag(np.ones(nx - 1), -1))
+    return np.asarray(sum(np.linalg.matrix_power(hA, i) / math.factorial(i) for i in range(5)))
 
 
 def rod_profile(nx: int) -> Array:

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 from itertools import pairwise
+from typing import Any
 
+import casadi as ca
 import numpy as np
 import scipy.linalg
 import scipy.sparse
@@ -15,7 +18,7 @@ from nmpc_codegen.economic import Tuning, corrected_multipliers, kkt_step
 from nmpc_codegen.economic.stage import steady_stage
 from nmpc_codegen.economic.steps import constraint_matrix
 from nmpc_codegen.frontend.classify import classify
-from verification.economic.sqp import Plan, Shooting, iterate, quadratic_program, steady_plan
+from verification.economic.sqp import Array, Plan, Shooting, iterate, quadratic_program, steady_plan, stepped
 
 N = 200
 START = np.array([35.0, 49.743])
@@ -130,3 +133,69 @@ def admissible(plan: Plan) -> float:
     h = np.array([np.asarray(stage.values(w)[2], dtype=float).ravel() for w in plan.w])
     inside = np.all(h[1:] <= stage.rows.upper + 1e-8) and np.all(h[1:] >= stage.rows.lower - 1e-8)
     return float(inside and np.all(plan.mu[1:] * np.sign(tuning().mu_s) > 0))
+
+
+def span_error() -> float:
+    """Distance of M - H from the span of Hcal(E) and C'C, E symmetric, relative to M - H."""
+    t, basis, n = tuning(), [], len(tuning().A)
+    AB = np.hstack([t.A, t.B])
+    for i in range(n):
+        for j in range(i + 1):
+            E = np.zeros((n, n))
+            E[i, j] = E[j, i] = 1.0
+            rotated = AB.T @ E @ AB
+            rotated[:n, :n] -= E
+            basis.append(rotated.ravel())
+    basis += [np.outer(a, b).ravel() + np.outer(b, a).ravel() for a in t.C for b in t.C]
+    target = (t.M - t.H).ravel()
+    columns = np.array(basis).T
+    off = columns @ np.linalg.lstsq(columns, target, rcond=None)[0] - target
+    return float(np.linalg.norm(off) / np.linalg.norm(target))
+
+
+def rotation_errors(rotated: bool, steps: int = 12) -> list[float]:
+    """Distances |w - w*| of l_rot = 10 |x - x_s|^2 + 0.1 |u - u_s|^2, or of l_rot - Lambda(x) + Lambda(Phi)."""
+    t, problem = tuning(), replace(shooting(N), rows=(), bounds=np.zeros(0))
+
+    def storage(x: Any) -> Any:
+        return 100 * ca.sumsqr(x - ca.DM(t.x_s))
+
+    def tracking(w: Any) -> Any:
+        return 10 * ca.sumsqr(w[:2] - ca.DM(t.x_s)) + 0.1 * ca.sumsqr(w[2:] - ca.DM(t.u_s))
+
+    node = problem.functions(None if rotated else lambda x, x_next: storage(x_next) - storage(x), tracking)
+    plan = replace(steady_plan(t, N), lam=np.zeros((N + 1, 2)), mu=np.zeros((N, 0)))
+    plans = [plan]
+    for _ in range(steps):
+        end = (np.zeros(2), np.zeros((2, 2))) if rotated else (-200 * (plan.x[-1] - t.x_s), -200 * np.eye(2))
+        plan = stepped(plan, kkt_step(quadratic_program(problem, node, plan, None, end), START - plan.x[0]))
+        plans.append(plan)
+    return [float(np.hypot(np.linalg.norm(p.x - plan.x), np.linalg.norm(p.u - plan.u))) for p in plans]
+
+
+def ipopt_iterations(horizon: int, M: Array | None) -> int:
+    """From the steady state, x_0 = (35, 49.743), default options."""
+    t, stage = tuning(), shooting().stage
+    W, end = ca.SX.sym("W", 4, horizon), ca.SX.sym("end", 2)
+    x: list[Any] = [START, *ca.horzsplit(W[:2, 1:]), end]
+    V, f, g, lbg, ubg = ca.vertcat(ca.vec(W), end), ca.SX(0), [W[:2, 0] - START], [np.zeros(2)], [np.zeros(2)]
+    for k in range(horizon):
+        Phi, cost, h = stage.values(W[:, k])
+        f += cost
+        g += [Phi - x[k + 1], h] if k else [Phi - x[k + 1], h[2:]]
+        lbg += [np.zeros(2), stage.rows.lower[0 if k else 2 :]]
+        ubg += [np.zeros(2), stage.rows.upper[0 if k else 2 :]]
+    g, lbg, ubg = [*g, end - ca.DM(t.x_s)], [*lbg, np.zeros(2)], [*ubg, np.zeros(2)]
+    options: dict[str, Any] = {"print_time": False, "ipopt": {"print_level": 0, "sb": "yes"}}
+    program: dict[str, Any] = {"x": V, "f": f, "g": ca.vertcat(*g)}
+    if M is not None:
+        p, lam_f, lam_g = ca.SX(0, 1), ca.SX.sym("lam_f"), ca.SX.sym("lam_g", program["g"].numel())
+        H = ca.triu(ca.diagcat(*[ca.DM(M)] * horizon, ca.DM(2, 2))) * lam_f
+        names = (["x", "p", "lam_f", "lam_g"], ["triu_hess_gamma_x_x"])
+        options["hess_lag"] = ca.Function("nlp_hess_l", [V, p, lam_f, lam_g], [ca.sparsify(H)], *names)
+    solver = ca.nlpsol("solver", "ipopt", program, options)
+    start = np.concatenate([np.tile([*t.x_s, *t.u_s], horizon), t.x_s])
+    solver(x0=start, lbg=np.concatenate(lbg), ubg=np.concatenate(ubg))
+    if not solver.stats()["success"]:
+        raise RuntimeError(f"IPOPT: {solver.stats()['return_status']}")
+    return int(solver.stats()["iter_count"])

@@ -12,11 +12,12 @@ import casadi as ca
 import numpy as np
 
 from benchmarks.lib.report import Report
+from benchmarks.lib.run import Run
 from nmpc_codegen import OCP, build, simulate
 from verification.convergence.problems import swing_up
 from verification.convergence.starts import is_explained
 
-SAMPLES = 200
+SAMPLES, LEAST = 200, 50
 
 
 def vehicle() -> OCP:
@@ -62,14 +63,14 @@ LOOPS: dict[str, tuple[Callable[[], OCP], tuple[tuple[float, ...], ...]]] = {
 }
 
 
-def measure(report: Report, scale: float = 1.0) -> None:
+def measure(report: Report, asked: Run) -> None:
     """Share of the samples that are OK, default options."""
     unexplained = 0
-    for name, (make, starts) in LOOPS.items():
+    for name, (make, starts) in asked.cases(LOOPS.items()):
         ctrl = build(make(), profile="fast")
-        for start in starts:
+        for start in asked.cases(starts):
             ctrl.reset()
-            log = simulate(ctrl, np.array(start, dtype=float), steps=max(50, round(scale * SAMPLES)))
+            log = simulate(ctrl, np.array(start, dtype=float), steps=asked.share(SAMPLES, LEAST if asked.scale else 5))
             good = float(np.mean(log.status == 0))
             unexplained += not log.ok and not is_explained(log.failure, ctrl.names)
             why = "" if log.ok else log.failure.splitlines()[-1][:60]

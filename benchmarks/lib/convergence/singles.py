@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from benchmarks.lib.report import Report
+from benchmarks.lib.run import Run
 from examples import bioreactor
 from nmpc_codegen import ExplicitRungeKutta, Options, build
 from nmpc_codegen.frontend.classify import classify
@@ -13,10 +14,10 @@ from verification.convergence.problems import problems
 LIMIT = 20
 
 
-def measure(report: Report, scale: float = 1.0) -> None:
+def measure(report: Report, asked: Run) -> None:
     """Cart and pole, discs: iterations; the bioreactor in reading (a): the largest KKT residual."""
     known = {p.name: p for p in problems()}
-    for name in ("cart_pole", "discs"):
+    for name in asked.cases(("cart_pole", "discs")):
         problem = known[name]
         ctrl = build(problem.make(), problem.options(), profile="fast")
         found = ctrl.solve(np.array(classify(problem.make()).x_initial))

@@ -29,7 +29,7 @@ def measure(report: Report, asked: Run) -> None:
 
 def routes(report: Report, asked: Run) -> None:
     """All problems by each of the two QP solvers among which qp=None chooses."""
-    for problem in problems():
+    for problem in asked.cases(problems()):
         numbers = [i for i, _ in asked.some(range(STARTS), LEAST)]
         theirs = by_ipopt()[problem.name]
         for route in ("dense", "riccati"):

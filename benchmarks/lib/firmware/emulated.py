@@ -8,6 +8,7 @@ import numpy as np
 
 from benchmarks.lib.firmware.loops import SAMPLES, loops, package, recorded, with_precision
 from benchmarks.lib.report import Report
+from benchmarks.lib.run import Run
 from nmpc_codegen import worst_case
 from nmpc_codegen.firmware.certificate import Certificate, certify
 from nmpc_codegen.firmware.verify import Verdict, verify
@@ -26,11 +27,11 @@ INSTRUCTIONS = {"crane": 30_000, "quadrotor": 900_000}
 COUNTED = ("crane", "cstr", "quadrotor", "cart_pole", "chain3")
 
 
-def boards(report: Report, scale: float) -> None:
+def boards(report: Report, asked: Run) -> None:
     """Every loop on both boards."""
-    samples = max(20, round(scale * SAMPLES))
-    for loop in loops():
-        for board, precision in BOARDS:
+    samples = asked.share(SAMPLES, 20)
+    for loop in asked.cases(loops()):
+        for board, precision in asked.cases(BOARDS):
             one(report, with_precision(loop, precision), board, samples)
 
 
@@ -51,11 +52,11 @@ def one(report: Report, loop: Loop, board: str, samples: int) -> None:
     instructions(report, loop, verdict, board)
 
 
-def bits(report: Report, scale: float) -> None:
+def bits(report: Report, asked: Run) -> None:
     """Every loop on both boards with the elementary functions of the package: the controls of the host, bit for bit."""
-    samples = max(20, round(scale * SAMPLES))
-    for loop in loops():
-        for board, precision in BOARDS:
+    samples = asked.share(SAMPLES, 20)
+    for loop in asked.cases(loops()):
+        for board, precision in asked.cases(BOARDS):
             there = with_precision(loop, precision)
             own = replace(there, options=replace(there.options, math="own"))
             inputs, (name, sources) = recorded(own, samples), package(own, own.options)
@@ -93,10 +94,10 @@ def instructions(report: Report, loop: Loop, verdict: Verdict, board: str) -> No
     report.add(f"{key}_worst", run.worst, "instructions", case=note, n=verdict.samples, profile="verify")
 
 
-def counts(report: Report, scale: float) -> None:
+def counts(report: Report, asked: Run) -> None:
     """Operations of the certificates: every function's against a count, every sample's against the worst case."""
-    samples = max(20, round(scale * SAMPLES))
-    for loop in loops():
+    samples = asked.share(SAMPLES, 20)
+    for loop in asked.cases(loops()):
         if loop.name in COUNTED:
             wrong, case = count_mismatches(loop.make(), loop.options), f"{loop.name}: operations"
             report.add("certificate_mismatches", len(wrong), case=case, limit=0, profile="counted")

@@ -6,16 +6,17 @@ from dataclasses import replace
 
 from benchmarks.lib.firmware.loops import loops, package, small
 from benchmarks.lib.report import Report
+from benchmarks.lib.run import Run
 from nmpc_codegen.firmware.certificate import measure
 from nmpc_codegen.firmware.toolchain import LEVELS
 from nmpc_codegen.targets import TARGETS
 from verification.quality import ALLOWED
 
 
-def cores(report: Report, scale: float) -> None:
+def cores(report: Report, asked: Run) -> None:
     """The small controllers of all loops; linking them is a part of the certificate."""
     target = TARGETS["riscv32"]
-    for loop in loops():
+    for loop in asked.cases(loops()):
         name, sources = package(loop, replace(small(loop), target=target.name))
         found = {level: measure(sources, name, target, level) for level in LEVELS}
         for level, certificate in found.items():

@@ -9,6 +9,7 @@ import numpy as np
 
 from benchmarks.lib.firmware.loops import SAMPLES, disturbances, events
 from benchmarks.lib.report import Report
+from benchmarks.lib.run import Run
 from examples import driving, evaporation
 from nmpc_codegen import OCP, Controller, ExplicitRungeKutta, Options, Status, build
 from nmpc_codegen.economic import steady_state
@@ -139,15 +140,15 @@ def unchanged(k: int, controller: Controller, x: Array) -> Array:
     return x
 
 
-def courses(scale: float) -> list[Course]:
+def courses(asked: Run) -> list[Course]:
     """Loops of all examples."""
-    samples = max(20, round(scale * SAMPLES))
+    samples = asked.share(SAMPLES, 20)
     return [*(of_loop(loop, samples) for loop in closed_loops()), of_evaporation(samples), of_driving(samples)]
 
 
-def single(report: Report, scale: float) -> None:
+def single(report: Report, asked: Run) -> None:
     """Every loop in both precisions."""
-    for course in courses(scale):
+    for course in asked.cases(courses(asked)):
         plant = build(course.make(), course.options, profile="verify")
         double, rounded = (drive(course, precision, plant) for precision in PRECISIONS)
         gap = abs(rounded.cost.sum() - double.cost.sum()) / abs(double.cost.sum())

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from benchmarks.lib.firmware.loops import loops, package, small, smallest, with_precision
 from benchmarks.lib.report import Report
+from benchmarks.lib.run import Run
 from nmpc_codegen import Options
 from nmpc_codegen.firmware.certificate import REAL_TIME, Certificate, certify
 from nmpc_codegen.firmware.toolchain import LEVELS
@@ -20,10 +21,10 @@ def forms(loop: Loop) -> dict[str, Options]:
     return {"default": with_precision(loop, "single").options, "small": small(loop), "size": smallest(loop)}
 
 
-def sizes(report: Report, scale: float) -> None:
+def sizes(report: Report, asked: Run) -> None:
     """All loops in all forms, at both levels; the limits are for the small form at the better level."""
-    for loop in loops():
-        for form, options in forms(loop).items():
+    for loop in asked.cases(loops()):
+        for form, options in asked.cases(forms(loop).items()):
             name, sources = package(loop, options)
             found = [certify(sources, name, TARGETS["cortex-m4f"], level) for level in LEVELS]
             add(report, loop.name, form, found)

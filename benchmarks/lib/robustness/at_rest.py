@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 from benchmarks.lib.report import Report
+from benchmarks.lib.run import Run
 from verification.robustness import at_rest
 
 DRAWS = 200
 
 
-def measure(report: Report, scale: float = 1.0) -> None:
+def measure(report: Report, asked: Run) -> None:
     """Draws of the sweep, and every problem of it in other units."""
-    for seed in range(max(1, round(scale * DRAWS))):
+    for seed in range(asked.share(DRAWS)):
         package, out = at_rest.run(seed)
         report.add("wrong_at_rest", sum(out.wrong.values()), case=f"{package}, {out}", n=out.samples, limit=0)
-    for name in at_rest.IN_UNITS:
-        for seed in range(max(1, round(scale * at_rest.UNITS))):
+    for name in asked.cases(at_rest.IN_UNITS):
+        for seed in range(asked.share(at_rest.UNITS)):
             found = at_rest.differences(name, seed)
             report.add(
                 "other_decisions", len(found), case=f"{name}, units {seed}: {', '.join(found) or 'none'}", limit=0

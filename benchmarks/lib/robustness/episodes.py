@@ -17,7 +17,7 @@ LEAST = 8  # controllers
 def measure(report: Report, asked: Run) -> None:
     """All controllers take the same share; at a small scale some of them are drawn."""
     chosen = asked.some(candidates(), LEAST)
-    count = math.ceil(1.05 * EPISODES * asked.scale / len(chosen))
+    count = max(1, math.ceil(1.05 * EPISODES * asked.scale / len(chosen)))
     report_outcomes(report, [c for _, c in chosen], in_processes(run, chosen, count))
 
 
@@ -39,6 +39,8 @@ def report_outcomes(report: Report, chosen: list[Candidate], outcomes: list[Outc
             report.add("other solutions", len(out.other_solutions), case=str(candidate), n=out.episodes)
         for line in out.examples[:2]:
             print(f'--replay "{candidate}/{line.partition(",")[0]}": {line.partition(", ")[2]}')
+    if not every:
+        return
     slowest = max(every, key=lambda kind: np.percentile(every[kind], 99))
     samples = float(np.percentile(every[slowest], 99))
     report.add("99 % are back after", samples, "samples", case="all", n=len(every[slowest]))

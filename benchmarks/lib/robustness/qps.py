@@ -31,7 +31,7 @@ ENOUGH = 1000
 
 def measure(report: Report, asked: Run) -> None:
     """Every class has the same number of QPs; at a small scale they have some of the shapes, which are drawn."""
-    per_class = math.ceil(QPS * asked.scale / len(CLASSES))
+    per_class = max(1, math.ceil(QPS * asked.scale / len(CLASSES)))
     others = [shape for shape in SHAPES if shape not in CROWDED]
     shapes = [shape for group in (CROWDED, others) for _, shape in asked.some(group, 1)]
     jobs = [

@@ -17,7 +17,7 @@ LEAST = 8  # controllers
 def measure(report: Report, asked: Run) -> None:
     """All controllers take the same share; at a small scale some of them are drawn."""
     chosen = asked.some([*candidates(), *augmented(), *shooting()], LEAST)
-    count = math.ceil(RETURNS * asked.scale / len(chosen))
+    count = max(1, math.ceil(RETURNS * asked.scale / len(chosen)))
     report_outcomes(report, [c for _, c in chosen], in_processes(run, chosen, count))
 
 

@@ -15,6 +15,7 @@ import numpy as np
 from scipy.optimize import linprog
 
 from benchmarks.lib.report import Report
+from benchmarks.lib.run import Run
 from nmpc_codegen import Controller, Status, build
 from nmpc_codegen.frontend.classify import classify
 from verification.oracles.stage_qp import Array, Point, Shape, StageQP, row_values
@@ -106,12 +107,12 @@ def check(count: Count, number: int, controller: Controller) -> None:
         count.fault("stated", number, f"largest violation {amount.max():.3e}, stated {stats.violation:.3e}")
 
 
-def measure(report: Report, scale: float = 1.0) -> None:
+def measure(report: Report, asked: Run) -> None:
     """Every solver with a relaxation."""
     relaxed = dataclasses.replace(PURE, relaxation=WEIGHT)
-    for solver in SOLVERS:
+    for solver in asked.cases(SOLVERS):
         count, controllers = Count(), dict[Shape, Controller]()
-        for number in range(math.ceil(QPS * scale)):
+        for number in range(asked.share(QPS)):
             shape = draw("infeasible", number).shape
             if shape not in controllers:
                 chosen = dataclasses.replace(options(solver, "double"), algorithm=relaxed)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from benchmarks.lib.report import Report
+from benchmarks.lib.run import Run
 from nmpc_codegen import Status, build
 from verification.robustness.work import (
     IN_USE,
@@ -18,10 +19,10 @@ from verification.robustness.work import (
 )
 
 
-def worst_over_median(report: Report, scale: float) -> None:
+def worst_over_median(report: Report, asked: Run) -> None:
     """All loops of the other benchmarks."""
-    for loop in closed_loops():
-        steps = steps_of(loop, scale)
+    for loop in asked.cases(closed_loops()):
+        steps = steps_of(loop, asked.scale)
         recorded = record(loop, steps, [])
         (found,) = count(loop, recorded)
         worst, middle = int(np.argmax(found.operations)), float(np.median(found.operations))
@@ -30,10 +31,10 @@ def worst_over_median(report: Report, scale: float) -> None:
         report.add("counted_control_error", control_difference(recorded, found), case=loop.name, n=steps)
 
 
-def soft_over_hard(report: Report, scale: float) -> None:
+def soft_over_hard(report: Report, asked: Run) -> None:
     """Loops with soft rows, then without: bounds of the soft rows opened at run time, everything else alike."""
-    for loop in soft_loops():
-        steps = steps_of(loop, scale)
+    for loop in asked.cases(soft_loops()):
+        steps = steps_of(loop, asked.scale)
         opened = soft_rows(build(loop.make(), loop.options, profile="fast"))
         used, free = record(loop, steps, []), record(loop, steps, opened)
         with_rows, without = count(loop, used, free)
@@ -49,7 +50,7 @@ def soft_over_hard(report: Report, scale: float) -> None:
         )
 
 
-def measure(report: Report, scale: float = 1.0) -> None:
+def measure(report: Report, asked: Run) -> None:
     """Both ratios."""
-    worst_over_median(report, scale)
-    soft_over_hard(report, scale)
+    worst_over_median(report, asked)
+    soft_over_hard(report, asked)

@@ -10,6 +10,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from benchmarks.lib.report import Report
+from benchmarks.lib.run import Run
 from benchmarks.lib.speed.in_turn import in_turn
 from benchmarks.lib.speed.loops import LOOPS, for_target, module_of, package_of
 from nmpc_codegen import (
@@ -26,7 +27,7 @@ from nmpc_codegen.targets import NATIVE
 from verification.closed_loop import compile_driver, run_driver
 from verification.robustness.work import Loop
 
-LIMIT = 1.15
+LIMIT, RUNS = 1.15, 5
 ROUTES: dict[str, tuple[Condensing, QpSolver]] = {
     "dense": (FullCondensing(), DenseActiveSet()),
     "stages": (NoCondensing(), RiccatiActiveSet()),
@@ -38,9 +39,9 @@ ROUTES: dict[str, tuple[Condensing, QpSolver]] = {
 MOST_CONTROLS = 200
 
 
-def measure(report: Report, runs: int = 5) -> None:
+def measure(report: Report, asked: Run) -> None:
     """choice_regret: median time of a sample with default options over that of the fastest route, native."""
-    for loop in LOOPS:
+    for loop in asked.cases(LOOPS):
         routes = dict(_routes(loop))
         with ExitStack() as stack:
             programs = []
@@ -51,10 +52,10 @@ def measure(report: Report, runs: int = 5) -> None:
                     sources, module_of(there).name, Path(stack.enter_context(TemporaryDirectory()))
                 )
                 programs.append(partial(run_driver, program, loop.scenario, runs=1, steps=loop.steps // 2))
-            times = in_turn(programs, runs)
+            times = in_turn(programs, RUNS)
         found = {name: min(t.total for t in each) for name, each in zip(routes, times, strict=True)}
         best = min(found, key=lambda name: found[name])
-        case, n = f"{loop.name}, best: {best}", runs * loop.steps // 2
+        case, n = f"{loop.name}, best: {best}", RUNS * loop.steps // 2
         report.add(
             "choice_regret",
             found["chosen"] / found[best],

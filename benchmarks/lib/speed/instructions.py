@@ -24,10 +24,10 @@ M4F = TARGETS["cortex-m4f"]
 SAMPLES = 40  # at every scale, as a mean depends on them
 
 
-def measure(report: Report, _: Run) -> None:
+def measure(report: Report, asked: Run) -> None:
     """portable, native without AVX-512: mean over the samples; M4F: single precision, -O2."""
     forms = {"portable": lambda loop: loop, "native, AVX2": without_avx512}
-    loops = [(loop, form) for loop in LOOPS for form in (forms if callgrind.available() else ())]
+    loops = [(loop, form) for loop in asked.cases(LOOPS) for form in (forms if callgrind.available() else ())]
     jobs = [(loop, form, package_of(forms[form](loop))) for loop, form in loops]
     with ThreadPoolExecutor(2) as pool:
         counted = pool.map(lambda job: _counted(job[0], job[2]), jobs)
@@ -38,7 +38,7 @@ def measure(report: Report, _: Run) -> None:
                     form, per_sample, "instructions", case=loop.name, n=SAMPLES, target=sources.description.target
                 )
     if all(shutil.which(tool) for tool in (f"{M4F.compiler}gcc", M4F.emulator[0])):
-        for loop in LOOPS:
+        for loop in asked.cases(LOOPS):
             _emulated(report, loop)
 
 

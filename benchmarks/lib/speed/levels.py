@@ -6,6 +6,7 @@ import tempfile
 from pathlib import Path
 
 from benchmarks.lib.report import Report
+from benchmarks.lib.run import Run
 from benchmarks.lib.speed.loops import LOOPS, for_target, module_of, package_of, with_algorithm
 from nmpc_codegen.runtime.build import PROFILES
 from nmpc_codegen.targets import NATIVE
@@ -15,16 +16,16 @@ from verification.robustness.work import Loop
 ROUNDS = 5
 
 
-def first_control(report: Report) -> None:
+def first_control(report: Report, asked: Run) -> None:
     """feedback_first_us: the first part of the feedback phase, which returns the control of the predicted set."""
-    for loop in LOOPS:
+    for loop in asked.cases(LOOPS):
         times, target = _timed(with_algorithm(loop, first_control=True), "-DFIRST")
         report.add("feedback_first_us", times.feedback, "us", case=loop.name, n=times.samples, limit=0.3, target=target)
 
 
-def levels(report: Report) -> None:
+def levels(report: Report, asked: Run) -> None:
     """total_b_us, total_c_us, total_d_us: a sample whose preparation keeps derivatives and factors."""
-    for loop in LOOPS:
+    for loop in asked.cases(LOOPS):
         there = with_algorithm(loop, levels=True)
         for number, level in ((1, "b"), (2, "c"), (3, "d")):
             times, target = _timed(there, f"-DLEVEL={number}")

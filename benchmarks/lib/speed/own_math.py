@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.lib.report import Report
+from benchmarks.lib.run import Run
 from benchmarks.lib.speed.in_turn import in_turn
 from examples import crane, cstr, quadrotor
 from nmpc_codegen import Options, generate
@@ -44,13 +45,13 @@ RATIO_LIMIT = 1.25
 RUNS, STEPS = 40, 400
 
 
-def measure(report: Report, samples: int = SAMPLES, runs: int = RUNS, steps: int = STEPS) -> None:
+def measure(report: Report, asked: Run) -> None:
     """math_ulp, math_host_target_mismatches, own_math_ratio."""
-    for precision in ("double", "single"):
-        for profile in ("fast", "verify"):
-            errors(report, precision == "single", profile, samples)
-    bits(report)
-    times(report, runs, steps)
+    for precision in asked.cases(("double", "single")):
+        for profile in asked.cases(("fast", "verify")):
+            errors(report, precision == "single", profile, asked.share(SAMPLES, 100))
+    bits(report, asked)
+    times(report, asked)
 
 
 def errors(report: Report, single: bool, profile: str, samples: int) -> None:
@@ -70,14 +71,14 @@ def errors(report: Report, single: bool, profile: str, samples: int) -> None:
                 report.add("math_ulp", worst, "ulp", case=case, n=x.size, limit=LIMIT, profile=profile, target=prefix)
 
 
-def bits(report: Report) -> None:
+def bits(report: Report, asked: Run) -> None:
     """Samples of closed loops whose controls on the emulated board differ in a bit; absent without its tools."""
     m4f = TARGETS["cortex-m4f"]
     if shutil.which(f"{m4f.compiler}gcc") is None or shutil.which(m4f.emulator[0]) is None:
         print("math_host_target_mismatches: there is no ARM compiler or no emulator")
         return
-    for name, example in LOOPS.items():
-        for board, precision in BOARDS:
+    for name, example in asked.cases(LOOPS.items()):
+        for board, precision in asked.cases(BOARDS):
             sources = generate(example.build_ocp(), Options(math="own", precision=precision, target=board))
             verdict = verify(sources, name, recorded(sources, name), TARGETS[board])
             case = f"{name} on {board}"
@@ -86,9 +87,10 @@ def bits(report: Report) -> None:
             )
 
 
-def times(report: Report, runs: int, steps: int) -> None:
+def times(report: Report, asked: Run) -> None:
     """A real-time iteration of portable C with its own functions over one with those of math.h, in turn."""
-    for sample in TIMED:
+    runs, steps = asked.share(RUNS, 2), asked.share(STEPS, 20)
+    for sample in asked.cases(TIMED):
         prefix = sample.make().name
         options = sample.options or Options()
         with ExitStack() as stack:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import json
 import sys
+from collections.abc import Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -17,6 +18,7 @@ from pathlib import Path
 from benchmarks.lib.speed.loops import LOOPS, for_target, module_of, package_of
 from nmpc_codegen.targets import NATIVE, PORTABLE
 from verification.closed_loop import Timing, compile_driver, run_program
+from verification.robustness.work import Loop
 
 INDEX = "programs.json"
 #: Targets of the packages.
@@ -45,11 +47,11 @@ class Program:
         return run_program(Path(self.path), self.arguments, runs=RUNS, steps=self.steps)
 
 
-def compile_programs(folder: Path) -> list[Program]:
+def compile_programs(folder: Path, loops: Sequence[Loop] = LOOPS) -> list[Program]:
     """Write all units one after the other, compile two at a time."""
     jobs: list[tuple[Program, Future[Path]]] = []
     with ThreadPoolExecutor(2) as pool:
-        for loop in sorted(LOOPS, key=lambda loop: -len(loop.scenario.x0)):
+        for loop in sorted(loops, key=lambda loop: -len(loop.scenario.x0)):
             arguments, name = loop.scenario.arguments(), module_of(loop).name
             for form in FORMS:
                 sources = package_of(for_target(loop, form))

@@ -14,9 +14,9 @@ from nmpc_codegen.firmware.certificate import certify
 from nmpc_codegen.targets import TARGETS
 
 
-def sizes(report: Report, _: Run) -> None:
+def sizes(report: Report, asked: Run) -> None:
     """struct, code, stack with the default options and without solve(), -O2; struct in double precision."""
-    for loop in LOOPS:
+    for loop in asked.cases(LOOPS):
         double = module_of(loop).description.report.ram_bytes
         report.add("struct, double", double, "B", case=loop.name, profile="")
         if shutil.which(f"{TARGETS['cortex-m4f'].compiler}gcc"):
@@ -29,9 +29,9 @@ def sizes(report: Report, _: Run) -> None:
             report.add("stack, real time", real_time_stack(found), "B", case=loop.name, profile="O2")
 
 
-def counts(report: Report, _: Run) -> None:
+def counts(report: Report, asked: Run) -> None:
     """Operations of the linearisation and of the worst sample, from the text; characters."""
-    for loop in LOOPS:
+    for loop in asked.cases(LOOPS):
         module = module_of(loop)
         stated = module.description.report
         report.add("linearisation", stated.linearization_operations, "operations", case=loop.name, profile="")

@@ -13,6 +13,7 @@ from pathlib import Path
 from benchmarks.lib.report import Report
 from benchmarks.lib.run import Run
 from benchmarks.lib.speed.in_turn import in_turn
+from benchmarks.lib.speed.loops import LOOPS
 from benchmarks.lib.speed.programs import Program, compile_programs
 from benchmarks.lib.speed.reference import REFERENCE, reference_kernel_us
 from verification.closed_loop import Timing
@@ -40,7 +41,7 @@ def measure(report: Report, run: Run) -> None:
     """
     theirs = {program.case: program for program in run.base_programs}
     with tempfile.TemporaryDirectory() as folder:
-        ours = compile_programs(Path(folder))
+        ours = compile_programs(Path(folder), run.cases(LOOPS))
         programs = [p for one in ours for p in (one, theirs.get(one.case)) if p is not None]
         kernels: list[float] = []
         calls = [program.run for program in programs]

@@ -16,6 +16,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
+from benchmarks.lib import callgrind
 from benchmarks.lib.speed.loops import LOOPS, for_target, module_of, package_of, without_avx512
 from nmpc_codegen.runtime.build import PROFILES
 from nmpc_codegen.targets import NATIVE
@@ -65,13 +66,10 @@ def _by_perf(loop: Loop, folder: Path) -> tuple[float, list[tuple[str, float]], 
 
 
 def _by_callgrind(loop: Loop, folder: Path) -> tuple[float, list[tuple[str, float]], str]:
-    program, out = _program(without_avx512(loop), folder), folder / "instructions"
+    program = _program(without_avx512(loop), folder)
     total = run_driver(program, loop.scenario, runs=5, steps=loop.steps).total
-    tool = ["valgrind", "--tool=callgrind", f"--callgrind-out-file={out}"]
-    subprocess.run([*tool, *_command(program, loop.scenario, 1, loop.steps)], check=True, capture_output=True)
-    text = subprocess.run(["callgrind_annotate", str(out)], check=True, capture_output=True, text=True).stdout
-    found = re.findall(r"^\s*([\d,]+) \([^)]*\)\s+\S*?:(\S+)", text, re.M)
-    return total, _shares((count.replace(",", ""), name) for count, name in found), "instructions (callgrind)"
+    found = callgrind.profile(program, [str(1), str(loop.steps), *loop.scenario.arguments()])
+    return total, _shares((str(count), name) for name, count in found.items()), "instructions (callgrind)"
 
 
 #: Functions of the measuring program.

@@ -2,20 +2,29 @@
 
     steady_state(ocp)       the best steady state and its multipliers
     tune(ocp)               M of EconomicGaussNewton, by a semidefinite program
+    tune_periodic(ocp)      the best periodic operation, and Hessians along it
     lqr_terminal_cost(ocp)  the numbers behind ocp.lqr_terminal_cost()
-    letempc_cost, tracking_cost, rotate   companions: other costs of the same problem
+    letempc_cost, periodic_letempc, tracking_cost, rotate   companions: other costs of the same problem
     kkt_step, corrected_multipliers       one SQP step with any Hessian, also an indefinite one
 
 It works with the discrete map of the controller, so it stands above the components; the controllers do not need it.
 """
 
-from nmpc_codegen.economic.companions import letempc_cost, letempc_terminal_cost, rotate, tracking_cost
+from nmpc_codegen.economic.companions import (
+    letempc_cost,
+    letempc_terminal_cost,
+    periodic_letempc,
+    rotate,
+    tracking_cost,
+)
+from nmpc_codegen.economic.periodic import PeriodicTuning, tune_periodic
 from nmpc_codegen.economic.steady_state import SteadyState
 from nmpc_codegen.economic.steps import StageQp, Step, corrected_multipliers, kkt_step
 from nmpc_codegen.economic.terminal import TerminalCost, lqr_terminal_cost, with_terminal_cost
 from nmpc_codegen.economic.tuning import Tuning, steady_state, tune
 
 __all__ = [
+    "PeriodicTuning",
     "StageQp",
     "SteadyState",
     "Step",
@@ -26,9 +35,11 @@ __all__ = [
     "letempc_cost",
     "letempc_terminal_cost",
     "lqr_terminal_cost",
+    "periodic_letempc",
     "rotate",
     "steady_state",
     "tracking_cost",
     "tune",
+    "tune_periodic",
     "with_terminal_cost",
 ]

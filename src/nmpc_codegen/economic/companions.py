@@ -10,7 +10,8 @@ Hessian that does not depend on multipliers are those of the original problem fo
 for "map" only if Lambda is linear. On the nodes the sum collapses to Lambda(x_0).
 
 Sources: Zanon, Gros and Diehl, "A tracking MPC formulation that is locally equivalent to economic MPC", Journal of
-Process Control 45 (2016); Zanon, "A Gauss-Newton-like Hessian approximation for economic NMPC" (2020), section III.
+Process Control 45 (2016), and its periodic variant, IFAC World Congress 2017; Zanon, "A Gauss-Newton-like Hessian
+approximation for economic NMPC" (2020), section III.
 """
 
 from __future__ import annotations
@@ -20,12 +21,15 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
+from numpy.typing import NDArray
 
+from nmpc_codegen.economic.periodic import PeriodicTuning
 from nmpc_codegen.economic.stage import tableau
 from nmpc_codegen.economic.tuning import Tuning
 from nmpc_codegen.errors import OptionError, ProblemError
 from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.frontend.ocp import OCP
+from nmpc_codegen.frontend.problem import Array
 from nmpc_codegen.ir.casadi_types import Expression
 from nmpc_codegen.options import Options
 from nmpc_codegen.oracle.trajectory import interval_map
@@ -51,6 +55,47 @@ def letempc_terminal_cost(tuning: Tuning, x: Any) -> Expression:
         raise ProblemError("letempc_terminal_cost: x_N is fixed, so there is no terminal cost")
     dx = x - tuning.x_s
     return ca.SX(ca.dot(dx, ca.DM(tuning.M_f) @ dx) / 2 - ca.dot(tuning.D.T @ tuning.nu_s, dx))
+
+
+def periodic_letempc(tuning: PeriodicTuning, ocp: OCP) -> Callable[[int], dict[str, Array]]:
+    """State the least-squares cost of LETEMPC along an orbit for an OCP without a cost.
+
+        1/2 |R_k (w - c_k)|^2,   R_k'R_k = M_k,   c_k = w_k + M_k^-1 C_k' mu_k,   1/2 |R_N (x_N - c_N)|^2
+
+    R_k and c_k become the online parameters letempc_factor and letempc_centre; R_N and c_N, of the cost-to-go, the
+    parameters letempc_end_factor and letempc_end_centre of node N. c_k makes a square of the quadratic term of LETEMPC
+    and of its linear one, the pull against the strictly active rows.
+
+    Returns:
+        A function that gives the values of the four parameters, one row per node, for the plan of sample n:
+        ``for name, values in at(n).items(): controller.set_parameter(name, values)``.
+    """
+    nz, nx = tuning.M.shape[1], tuning.x.shape[1]
+    factor, centre = ocp.parameter("letempc_factor", size=nz * nz), ocp.parameter("letempc_centre", size=nz)
+    end, goal = ocp.parameter("letempc_end_factor", size=nx * nx), ocp.parameter("letempc_end_centre", size=nx)
+    ocp.least_squares(ca.reshape(factor, nz, nz) @ (ca.vertcat(ocp.x, ocp.u) - centre), weight=np.ones(nz))
+    ocp.terminal_least_squares(ca.reshape(end, nx, nx) @ (ocp.x - goal), weight=np.ones(nx))
+    w = np.hstack([tuning.x, tuning.u])
+    pull = [C.T @ mu for C, mu in zip(tuning.C, tuning.mu, strict=True)]
+    centres = w + np.array([np.linalg.solve(M, g) for M, g in zip(tuning.M, pull, strict=True)])
+    tables = {
+        "letempc_factor": _columns(np.linalg.cholesky(tuning.M).transpose(0, 2, 1)),
+        "letempc_centre": centres,
+        "letempc_end_factor": _columns(np.linalg.cholesky(tuning.cost_to_go()).transpose(0, 2, 1)),
+        "letempc_end_centre": tuning.x,
+    }
+    N = ocp.N
+
+    def at(sample: int) -> dict[str, Array]:
+        nodes = (sample + np.arange(N + 1)) % tuning.period
+        return {name: table[nodes] for name, table in tables.items()}
+
+    return at
+
+
+def _columns(matrices: NDArray[Any]) -> Array:
+    """Matrices (P, n, n) as rows (P, n n), column by column, as CasADi reads them."""
+    return np.asarray(matrices.transpose(0, 2, 1).reshape(len(matrices), -1))
 
 
 def tracking_cost(tuning: Tuning, x: Any, u: Any, weight: Any) -> Expression:

@@ -48,10 +48,10 @@ class LinearQuadratic:
     def m(self) -> int:
         return int(self.B.shape[1])
 
-    def rotated(self, P: Array) -> Array:
-        """Hcal(P) = [A'PA - P, A'PB; B'PA, B'PB]."""
+    def rotated(self, P: Array, after: Array | None = None) -> Array:
+        """Hcal(P) = [A'QA - P, A'QB; B'QA, B'QB], Q = P or that ``after`` the interval."""
         AB = np.hstack([self.A, self.B])
-        found: Array = AB.T @ P @ AB
+        found: Array = AB.T @ (P if after is None else after) @ AB
         found[: self.n, : self.n] -= P
         return found
 

@@ -1,18 +1,21 @@
-"""The semidefinite program that makes the Hessian of an economic cost positive definite ([Z20], equation (8)).
+"""The semidefinite program that makes the Hessians of an economic cost positive definite ([Z20], equation (8)).
 
     min beta + rho1 |F| + rho2 |G|
-    s.t. I <= alpha H + Hcal(dP) + eta C'F C <= beta I,    I <= alpha H_f - dP - eta D'G D <= beta I
-    Hcal(dP) = [A'dP A - dP, A'dP B; B'dP A, B'dP B]
+    s.t. I <= alpha H_k + Hcal(dP_k, dP_k+1) + eta C_k'F_k C_k <= beta I,    I <= alpha H_f - dP - eta D'G D <= beta I
+    Hcal(dP_k, dP_k+1) = [A'dP_k+1 A - dP_k, A'dP_k+1 B; B'dP_k+1 A, B'dP_k+1 B]
 
-H is divided by its largest |eigenvalue| first, w by a scaling, rows of C and D by their norms; |.| is the spectral
-norm. In the units of the problem M = H + (Hcal(dP) + eta C'F C) / alpha and M_f = H_f - (dP + eta D'G D) / alpha.
+over the intervals k of a period, dP_P = dP_0; the steady state is the period P = 1, and it alone may have an end. H is
+divided by its largest |eigenvalue| first, w by a scaling, rows of C and D by their norms; |.| is the largest spectral
+norm. In the units of the problem M = H + (Hcal + eta C'F C) / alpha and M_f = H_f - (dP + eta D'G D) / alpha.
 
-Source: Zanon, "A Gauss-Newton-like Hessian approximation for economic NMPC" (2020), section IV, called [Z20] here. Its
-equation (11) omits the division by alpha.
+Sources: Zanon, "A Gauss-Newton-like Hessian approximation for economic NMPC" (2020), section IV, called [Z20] here,
+whose equation (11) omits the division by alpha; Zanon, Gros and Diehl, "A periodic tracking MPC that is locally
+equivalent to periodic economic MPC", IFAC World Congress 2017.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -61,26 +64,35 @@ class Certificate:
 
 
 def convexify(lq: LinearQuadratic, weights: Weights, scaling: Array) -> Certificate | str:
-    """Solve the program in w / scaling; the status of the solver if that fails."""
+    """Solve the program of a steady state in w / scaling; the status of the solver if that fails."""
+    found = convexify_period([lq], weights, scaling)
+    return found if isinstance(found, str) else found[0]
+
+
+def convexify_period(period: Sequence[LinearQuadratic], weights: Weights, scaling: Array) -> list[Certificate] | str:
+    """Solve the program of a period in w / scaling: a certificate of every interval, with one alpha and beta."""
     extra("clarabel", "tune()")
     cp = extra("cvxpy", "tune()")
-    s = lq.scaled(scaling)
-    size = float(np.abs(np.linalg.eigvalsh(s.H)).max())
+    stages = [lq.scaled(scaling) for lq in period]
+    size = max(float(np.abs(np.linalg.eigvalsh(s.H)).max()) for s in stages)
     size = size if size > 0 else 1.0
-    dP, alpha, beta = cp.Variable((lq.n, lq.n), symmetric=True), cp.Variable(), cp.Variable()
-    AB, E = np.hstack([s.A, s.B]), np.eye(lq.n, lq.n + lq.m)
-    X = alpha * (s.H / size) + AB.T @ dP @ AB - E.T @ dP @ E
-    objective = beta
-    F = G = None
-    if weights.eta and len(s.C):
-        F = cp.Variable((len(s.C), len(s.C)), symmetric=True)
-        X, objective = X + s.C.T @ F @ s.C, objective + weights.rho1 * cp.norm(F, 2)
-    matrices = [X]
-    if s.H_f is not None:
-        Y = alpha * (s.H_f / size) - dP
-        if weights.eta and s.D is not None and len(s.D):
-            G = cp.Variable((len(s.D), len(s.D)), symmetric=True)
-            Y, objective = Y - s.D.T @ G @ s.D, objective + weights.rho2 * cp.norm(G, 2)
+    n, alpha, beta = stages[0].n, cp.Variable(), cp.Variable()
+    storages = [cp.Variable((n, n), symmetric=True) for _ in stages]
+    matrices, multiples, E = [], [], np.eye(n, n + stages[0].m)
+    for k, s in enumerate(stages):
+        AB = np.hstack([s.A, s.B])
+        X = alpha * (s.H / size) + AB.T @ storages[(k + 1) % len(stages)] @ AB - E.T @ storages[k] @ E
+        F = cp.Variable((len(s.C), len(s.C)), symmetric=True) if weights.eta and len(s.C) else None
+        multiples.append(F)
+        matrices.append(X if F is None else X + s.C.T @ F @ s.C)
+    largest = [cp.norm(F, 2) for F in multiples if F is not None]
+    objective = beta + (weights.rho1 * cp.maximum(*largest, 0) if largest else 0)
+    G, end = None, stages[0]
+    if end.H_f is not None:
+        Y = alpha * (end.H_f / size) - storages[0]
+        if weights.eta and end.D is not None and len(end.D):
+            G = cp.Variable((len(end.D), len(end.D)), symmetric=True)
+            Y, objective = Y - end.D.T @ G @ end.D, objective + weights.rho2 * cp.norm(G, 2)
         matrices.append(Y)
     limits = [
         c for Z in matrices for c in ((Z + Z.T) / 2 >> np.eye(Z.shape[0]), (Z + Z.T) / 2 << beta * np.eye(Z.shape[0]))
@@ -96,28 +108,48 @@ def convexify(lq: LinearQuadratic, weights: Weights, scaling: Array) -> Certific
     least = min(float(np.linalg.eigvalsh(value)[0]) for value in values)
     if not least >= 1 - SLACK:
         return f"{program.status}, but the least eigenvalue is {least:.3g} instead of 1"
-    return _certificate(lq, scaling, size / float(alpha.value), dP, F, G, values, float(beta.value), program.status)
+    solved = _Solved(scaling, size / float(alpha.value), float(beta.value), program.status)
+    dP = [solved.storage(P.value) for P in storages]
+    after = [*dP[1:], dP[0]]
+    return [
+        solved.certificate(lq, here, there, F, G)
+        for lq, here, there, F in zip(period, dP, after, multiples, strict=True)
+    ]
 
 
-def _certificate(
-    lq: LinearQuadratic, d: Array, unit: float, dP: Any, F: Any, G: Any, values: list[Array], beta: float, status: str
-) -> Certificate:
-    """Back to the units of the problem; ``unit`` = 1 / alpha."""
-    dx = d[: lq.n]
+@dataclass(frozen=True, eq=False)
+class _Solved:
+    """What a solution means in the units of the problem; ``unit`` = 1 / alpha."""
 
-    def rows(value: Any, C: Array | None, scale: Array) -> Array:
-        if C is None or value is None:
-            return np.zeros((0, 0) if C is None else (len(C), len(C)))
-        norms = np.linalg.norm(C * scale, axis=1)
-        return np.asarray(value.value) / np.outer(norms, norms)
+    d: Array
+    unit: float
+    beta: float
+    status: str
 
-    P, F_value, G_value = np.asarray(dP.value) / np.outer(dx, dx), rows(F, lq.C, d), rows(G, lq.D, dx)
-    M = lq.H + unit * (lq.rotated(P) + lq.C.T @ F_value @ lq.C)
-    M_f = None
-    if lq.H_f is not None and lq.D is not None:
-        M_f = lq.H_f - unit * (P + lq.D.T @ G_value @ lq.D)
-        M_f = cleared((M_f + M_f.T) / 2)
-    return Certificate(P, F_value, G_value, 1.0 / unit, beta, cleared((M + M.T) / 2), M_f, d, status)
+    def storage(self, value: Any) -> Array:
+        """dP."""
+        n = len(value)
+        found: Array = np.asarray(value) / np.outer(self.d[:n], self.d[:n])
+        return found
+
+    def certificate(self, lq: LinearQuadratic, dP: Array, after: Array, F: Any, G: Any) -> Certificate:
+        """That of an interval with the storage dP at its start and ``after`` at its end."""
+        F_value, G_value = _multiples(F, lq.C, self.d), _multiples(G, lq.D, self.d[: lq.n])
+        M = lq.H + self.unit * (lq.rotated(dP, after) + lq.C.T @ F_value @ lq.C)
+        M_f = None
+        if lq.H_f is not None and lq.D is not None:
+            M_f = lq.H_f - self.unit * (dP + lq.D.T @ G_value @ lq.D)
+            M_f = cleared((M_f + M_f.T) / 2)
+        M = cleared((M + M.T) / 2)
+        return Certificate(dP, F_value, G_value, 1.0 / self.unit, self.beta, M, M_f, self.d, self.status)
+
+
+def _multiples(value: Any, C: Array | None, scale: Array) -> Array:
+    """F or G for rows that are not of norm 1; zero where the program has none."""
+    if C is None or value is None:
+        return np.zeros((0, 0) if C is None else (len(C), len(C)))
+    norms = np.linalg.norm(C * scale, axis=1)
+    return np.asarray(value.value) / np.outer(norms, norms)
 
 
 def cleared(M: Array) -> Array:

@@ -140,8 +140,8 @@ def tableau(problem: Problem, options: Options | None) -> Tableau:
     return Tableau(A, tuple(float(b) for b in chosen.tableau.b), chosen.steps)
 
 
-def steady_stage(problem: Problem, options: Options | None = None) -> SteadyStage:
-    """The stage of the last interval, which the steady operation repeats.
+def steady_stage(problem: Problem, options: Options | None = None, p: Array | None = None) -> SteadyStage:
+    """The stage of the last interval, which the steady operation repeats, with the declared parameters or with ``p``.
 
     Raises:
         ProblemError: another state, the cost or all states depend on a cyclic state, or only cyclic states exist.
@@ -154,7 +154,7 @@ def steady_stage(problem: Problem, options: Options | None = None) -> SteadyStag
     whole = ca.SX(cyclic)
     for position, i in enumerate(kept):
         whole[i] = x[position]
-    p, dt = problem.p_value, problem.dt[-1]
+    p, dt = problem.p_value if p is None else p, problem.dt[-1]
     Phi, integral = interval_map(problem, tableau(problem, options))(whole, u, p, dt)
     W = scaled_weight(problem, problem.path.weight, problem.N - 1)
     cost = integral + node_cost(problem.path)(whole, u, p, dt, problem.path.reference, W)
@@ -175,20 +175,20 @@ def steady_stage(problem: Problem, options: Options | None = None) -> SteadyStag
         Phi=Phi[list(kept)],
         cost=cost,
         gauss_newton=J.T @ W @ J if squares else None,
-        rows=_rows(problem, whole, u, cyclic, terminal=False),
+        rows=_rows(problem, (whole, u, p), cyclic, terminal=False),
         terminal_cost=end,
-        terminal_rows=_rows(problem, whole, u, cyclic, terminal=True),
+        terminal_rows=_rows(problem, (whole, u, p), cyclic, terminal=True),
         point_terminal=_is_point(problem, kept),
     )
 
 
-def _rows(problem: Problem, x: Expression, u: Expression, cyclic: Expression, *, terminal: bool) -> Rows:
-    """The rows of all inner nodes, or those of node N; rows that depend on a cyclic state are left out.
+def _rows(problem: Problem, at: tuple[Expression, Expression, Array], cyclic: Expression, *, terminal: bool) -> Rows:
+    """The rows of all inner nodes, or those of node N, at (x, u, p); rows that depend on a cyclic state are left out.
 
     If N = 1 there is no inner node, and the rows of the only interval hold at every sample, also those of its end.
     Equations at the end are left out: they are no part of the steady operation, but must agree with it.
     """
-    path, end, p = problem.path, problem.terminal, problem.p_value
+    path, end, (x, u, p) = problem.path, problem.terminal, at
     h = ca.Function("h", [path.x, path.u, path.p], [path.h])(x, u, p)
     h_N = ca.Function("h", [end.x, end.p], [end.h])(x, p)
     chosen: list[tuple[Row, Expression]] = []

@@ -72,8 +72,9 @@ class EconomicGaussNewton(Defaults):
         nx, nu, where = problem.nx, problem.nu, f"of {problem.name}"
         if self.M is None:
             raise OptionError(
-                f"EconomicGaussNewton.M: None; expected the Hessian {where}, shape {(nx + nu, nx + nu)}, for example "
-                "that of tune(ocp) (--set hessian.M=[[...], ...])"
+                f"EconomicGaussNewton.M: None; expected the Hessian {where}, shape {(nx + nu, nx + nu)}; tune() of "
+                "nmpc_codegen.economic computes it: state options = Options(hessian=tune(ocp).hessian()) in the "
+                "problem file (--set hessian.M=[[...], ...] takes numbers)"
             )
         refuse_shape(self.M, (nx + nu, nx + nu), "EconomicGaussNewton.M", f"order (x, u) {where}")
         refuse_indefinite(self._path[nx:, nx:], "EconomicGaussNewton.M, block of the controls", strictly=True)

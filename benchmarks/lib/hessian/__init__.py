@@ -1,1 +1,0 @@
-"""Second derivatives and the bioreactor."""

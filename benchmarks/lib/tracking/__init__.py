@@ -1,1 +1,0 @@
-"""Tracking problems against IPOPT and against the figures of their paper."""

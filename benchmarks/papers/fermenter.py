@@ -1,0 +1,75 @@
+"""The closed loop of the bioreactor in [HSJ], with any controller."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cache
+
+import numpy as np
+
+from examples import bioreactor
+from nmpc_codegen import OCP, RK4, AugmentedLagrangian, Controller, ExplicitRungeKutta, Options, build
+from verification.closed_loop import Scenario
+from verification.robustness.work import Loop, Recorded, count
+
+#: Productivity of the optimal orbit with an average feed of 32.9, and of the best steady state, g/(L h).
+OPTIMUM, STEADY = 3.0549, 3.0165
+JUMPS = {"undisturbed": (1.0, 1.0, 1.0), "S +20 %": (1.0, 1.2, 1.0), "X +10 %": (1.1, 1.0, 1.0)}
+#: The paper's M = 3 and rho = 100.
+OPTIONS = Options(
+    integrator=ExplicitRungeKutta(RK4, steps=3),
+    algorithm=AugmentedLagrangian(iterations=3, penalty=100.0, proximal=0.1, scaling="units", shift="periodic"),
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Samples:
+    """States (n, nx), controls (n, nu), conjugate gradients (n,) and times in us (n,); failed samples."""
+
+    x: np.ndarray
+    u: np.ndarray
+    gradients: np.ndarray
+    us: np.ndarray
+    failed: int
+
+    def operations(self) -> np.ndarray:
+        """Of every sample, counted."""
+        samples = len(self.u)
+        recorded = Recorded([], [(None, x) for x in self.x], self.u, np.zeros(samples, dtype=bool))
+        counted = Loop("bioreactor", reactor, OPTIONS, Scenario(self.x[0], bioreactor.SAMPLING, samples))
+        return count(counted, recorded, optimise=samples > bioreactor.N)[0].operations
+
+
+def reactor() -> OCP:
+    """The bioreactor with soft periodicity."""
+    return bioreactor.build_ocp(soft=True)
+
+
+def drive(controller: Controller, jump: Sequence[float], samples: int) -> Samples:
+    """From the orbit of a 40/28.7 feed; X, S, P jump at half time. The plant takes 20 RK4 steps per interval."""
+    process = build(reactor(), replace(bioreactor.options(), integrator=ExplicitRungeKutta(RK4, steps=20)))
+    bioreactor.guess(controller)
+    x, states, controls, stats, failed = controller.x[0].copy(), [], [], [], 0
+    for n in range(samples):
+        x[:3] *= jump if n == samples // 2 else 1.0
+        x[3:] = 0.0
+        controls.append(controller.step(x).copy())
+        failed += controller.status != 0
+        states.append(x.copy())
+        stats.append(controller.stats)
+        x = np.asarray(process.integrate(x, controls[-1], bioreactor.SAMPLING))
+    gradients, us = ([s.cg_iterations for s in stats], [(s.prepare_ns + s.feedback_ns) / 1e3 for s in stats])
+    return Samples(np.array(states), np.array(controls), np.array(gradients), np.array(us), failed)
+
+
+@cache
+def loop(jump: Sequence[float], samples: int) -> Samples:
+    """The loop of the paper's controller."""
+    return drive(build(reactor(), OPTIONS), jump, samples)
+
+
+def productivity(found: Samples) -> float:
+    """Of the last 48 h."""
+    n = len(found.u)
+    return bioreactor.productivity(found, n - min(n, bioreactor.N), n)  # type: ignore[arg-type]

@@ -1,0 +1,102 @@
+"""Where the instructions of a sample go, phase by phase, and the bytes of a package."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from benchmarks.lib import callgrind
+from benchmarks.papers.exhibit import Cell
+from nmpc_codegen import generate
+from nmpc_codegen.package.sources import Sources
+from nmpc_codegen.runtime.build import PROFILES
+from nmpc_codegen.runtime.compilers import find_compiler
+from verification.closed_loop import compile_driver, run_driver
+from verification.robustness.work import Loop
+
+#: Functions of the measuring program and of its plant.
+OUTSIDE = re.compile(
+    r"main|run$|ascending|microseconds|msort|clock_gettime|printf|strto|_dl_|_start|integrate$|state_step|integrator_step"
+    r"|rand|qsort|vf|mul|div|do_lookup|check_match|_init|noise|plant|record|0x|open|mpn|libc|malloc|hack|exit|itoa|round"
+)
+#: Phase -> the beginnings of its functions' names; what is left is "rest".
+GROUPS = {
+    "integration": r"integrator|linearize|path_|adjoint_step|terminal_|(__)?(exp|sin|cos|tan)|__ieee754|pow",
+    "regularisation": r"jacobi|regulari[sz]e|test_block|blend_block|add_curv",
+    "condensing": r"condense",
+    "QP": r"qp_|riccati|run_qp|solve_upper",
+}
+
+
+def phases(loop: Loop) -> dict[str, float] | None:
+    """Instructions per sample of each phase in portable code; None where there is no valgrind."""
+    if not callgrind.available():
+        return None
+    sources = generate(loop.make(), loop.options)
+    flags = (*PROFILES["fast"].flags, "-fno-inline-functions-called-once")
+    with tempfile.TemporaryDirectory() as folder:
+        program = compile_driver(sources, sources.description.name, Path(folder), flags)
+        counted = callgrind.profile(program, ["1", str(loop.steps), *loop.scenario.arguments()])
+    found = dict.fromkeys((*GROUPS, "rest"), 0.0)
+    for name, instructions in counted.items():
+        phase = next((g for g, names in GROUPS.items() if re.match(names, name)), "rest")
+        if phase != "rest" or not OUTSIDE.search(name):
+            found[phase] += instructions / loop.steps
+    return found
+
+
+PHASES = ("integration", "condensing", "QP", "curvature", "rest")
+
+
+def machine_code(sources: Sources, *flags: str) -> int:
+    """Bytes of code and constants of the object file, by default of the profile "fast"."""
+    name = sources.description.name
+    with tempfile.TemporaryDirectory() as folder:
+        for path in (f"{name}.h", f"{name}.c"):
+            (Path(folder) / path).write_text(sources[path], encoding="utf-8")
+        command = [*find_compiler(), *(flags or PROFILES["fast"].flags), "-std=c99", "-c", f"{name}.c", "-o", "p.o"]
+        subprocess.run(command, cwd=folder, check=True)
+        table = subprocess.run(["size", "p.o"], cwd=folder, check=True, capture_output=True, text=True).stdout
+    return int(table.splitlines()[1].split()[0])
+
+
+@dataclass(frozen=True, eq=False)
+class Sample:
+    """A sample of a closed loop: us, instructions of its phases (None without valgrind), kB of code and data."""
+
+    us: float
+    phases: dict[str, float] | None
+    code: float
+    data: float
+
+    @classmethod
+    def of(cls, loop: Loop) -> Sample:
+        """Measure it; what makes Hessians convex is the curvature of active rows here."""
+        sources, found = generate(loop.make(), loop.options), phases(loop)
+        with tempfile.TemporaryDirectory() as folder:
+            program = compile_driver(sources, sources.description.name, Path(folder))
+            us = run_driver(program, loop.scenario, runs=3, steps=loop.steps).total
+        if found is not None:
+            found["curvature"] = found.pop("regularisation")
+        return cls(us, found, machine_code(sources) / 1e3, sources.description.report.ram_bytes / 1e3)
+
+    def share(self, *names: str) -> str:
+        """Of phases, in percent."""
+        return "-" if self.phases is None else f"{sum(map(self.phases.__getitem__, names)) / self.whole:.0%}"
+
+    @property
+    def whole(self) -> float:
+        """Instructions of the sample."""
+        return sum((self.phases or {}).values())
+
+    def rows(self, word: str) -> list[Sequence[Cell]]:
+        """Instructions; shares and time."""
+        shares: list[Cell] = [f"ours, {word}, us, shares", *(self.share(p) for p in PHASES), self.us]
+        if self.phases is None:
+            return [[*shares, self.code, self.data]]
+        counted: list[Cell] = [f"ours, {word}, instructions", *(self.phases[p] for p in PHASES)]
+        return [[*counted, self.whole, self.code, self.data], [*shares, "", ""]]
