@@ -122,7 +122,8 @@ def _tuned(orbit: _Orbit, weights: Weights, w: Array, lam: Array, mu: list[Array
     if isinstance(found, str):
         rows = "" if weights.eta else "; eta=1 uses the strictly active rows"
         raise ProblemError(
-            f"tune_periodic: no positive definite M_k were found along the orbit of '{problem.name}' (solver: {found}): "
+            f"tune_periodic: no positive definite M_k were found along the orbit of '{problem.name}' (solver: "
+            f"{found}): "
             f"it is not strictly dissipative there; add curvature to the cost, or integrate it with the dynamics{rows}"
         )
     n = problem.nx
