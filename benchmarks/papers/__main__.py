@@ -16,7 +16,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from benchmarks.lib.run import Run
-from benchmarks.papers import convexified, h11, hsj, q14, rows, t09, z20
+from benchmarks.papers import convexified, h11, hsj, q14, rod, rows, t09, z20
 from benchmarks.papers.exhibit import Check, Exhibit, Table
 
 Draw = Callable[[Run], Exhibit]
@@ -26,14 +26,14 @@ PAPERS: dict[str, tuple[str, Mapping[str, Draw]]] = {
     "Q14": (q14.PAPER, q14.EXHIBITS),
     "HSJ": (hsj.PAPER, {**hsj.EXHIBITS, "Section I": convexified.schemes}),
     "Z20": (z20.PAPER, z20.EXHIBITS),
-    "T09": (t09.PAPER, {**t09.EXHIBITS, **rows.EXHIBITS}),
+    "T09": (t09.PAPER, {**t09.EXHIBITS, **rod.EXHIBITS, **rows.EXHIBITS}),
 }
 TITLE = """# The five papers, figure by figure
 
 `python -m benchmarks.papers` computes and draws this page. It shows what this compiler's code gives for the figures and
 tables of the papers that it implements, beside the numbers that they print. Where a paper has CPU times, there are
 operations (+, -, *, /, sqrt and functions of math.h, counted by a scalar type) or instructions (counted by callgrind),
-which other machines and years leave alone."""
+which do not depend on the machine."""
 
 
 def main() -> int:

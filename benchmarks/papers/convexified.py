@@ -124,7 +124,7 @@ def schemes(run: Run) -> Exhibit:
             try:
                 options = subject.options(scheme)
             except ProblemError:
-                rows.append((f"{scheme}: has no steady state to tune at", *[None] * 5))
+                rows.append((f"{scheme}: not applicable, the optimum is an orbit", *[None] * 5))
                 continue
             loss, us = subject.run(build(ocp, options), run.share(subject.samples, 4))
             sources = generate(ocp, options)
@@ -134,9 +134,11 @@ def schemes(run: Run) -> Exhibit:
     return Exhibit(
         "Section I",
         "the augmented Lagrangian beside convexified real-time iterations",
-        "contradicts",
-        "The paper says that it is unclear how convexity of the QP can be enforced efficiently; on both problems exact "
-        "Hessians that are mirrored or projected lose less than the augmented Lagrangian and take less time. It needs "
-        "less memory at long horizons, and no convexification.",
+        "differs",
+        "The paper grants the mirrored Hessian its efficiency and misses a proof of stability. On both problems exact "
+        "Hessians, mirrored or projected, lose less than the augmented Lagrangian with default options, and all but "
+        "one take "
+        "less time; it needs less memory on the long horizon (N = 200) and more on the short one (N = 20). Losses are "
+        f"relative to {OPTIMUM} g/(L h), and to the cost of converged plans beyond the best steady state.",
         tables=tables,
     )

@@ -16,7 +16,7 @@ from benchmarks.lib.run import Run
 
 Cell = str | float | None
 #: Colours of a picture; more would double its bytes and show nothing. Longer curves have no markers.
-PALETTE, MOST_MARKED = 96, 30
+PALETTE, MOST_MARKED = 255, 30
 BLUE, ORANGE, GREEN, VIOLET, RED, GREY = "#1f5fa8", "#c2571a", "#3a8a4f", "#8a5fb0", "#b3202c", "0.45"
 
 

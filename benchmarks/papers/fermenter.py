@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache
+from typing import Any
 
 import numpy as np
 
 from examples import bioreactor
-from nmpc_codegen import OCP, RK4, AugmentedLagrangian, Controller, ExplicitRungeKutta, Options, build
+from nmpc_codegen import OCP, RK4, AugmentedLagrangian, Controller, ExplicitRungeKutta, Options, Status, build
 from verification.closed_loop import Scenario
 from verification.robustness.work import Loop, Recorded, count
 
@@ -73,3 +74,15 @@ def productivity(found: Samples) -> float:
     """Of the last 48 h."""
     n = len(found.u)
     return bioreactor.productivity(found, n - min(n, bioreactor.N), n)  # type: ignore[arg-type]
+
+
+def iterations(controller: Any, spread: float, seed: int) -> float:
+    """Full steps from a perturbed state and random feeds to the solution, inf if there are more than 60."""
+    random = np.random.default_rng(seed)
+    controller.reset()
+    x0 = bioreactor.START.copy()
+    x0[:3] *= 1 + spread * random.uniform(-1, 1, 3)
+    controller.x[...] = x0
+    controller.u[...] = random.uniform(bioreactor.LOWEST, bioreactor.HIGHEST, controller.u.shape)
+    found = controller.solve(x0, tol=1e-8, max_iterations=60, globalization="full_step")
+    return float(found.iterations) if found.status == Status.OK else np.inf

@@ -129,7 +129,7 @@ def draw_losses(
         for scheme in next(iter(table.values())):
             values = [table[a][scheme] for a in at]
             drawn = [max(v, LEAST) if np.isfinite(v) else np.nan for v in values]
-            style = "--" if scheme.endswith("converged") else "-"
+            style = "--" if scheme.endswith("converged") else ":" if scheme == INDEFINITE else "-"
             text = scheme if np.any(np.isfinite(values)) else f"{scheme}: diverges"
             colour = COLOURS[scheme.removesuffix(" converged")]
             axis.semilogy(at, drawn, style, marker="o", markersize=3, color=colour, label=text)

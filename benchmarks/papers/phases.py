@@ -79,7 +79,7 @@ class Sample:
         sources, found = generate(loop.make(), loop.options), phases(loop)
         with tempfile.TemporaryDirectory() as folder:
             program = compile_driver(sources, sources.description.name, Path(folder))
-            us = run_driver(program, loop.scenario, runs=3, steps=loop.steps).total
+            us = run_driver(program, loop.scenario, runs=9, steps=loop.steps).total
         if found is not None:
             found["curvature"] = found.pop("regularisation")
         return cls(us, found, machine_code(sources) / 1e3, sources.description.report.ram_bytes / 1e3)
@@ -88,6 +88,10 @@ class Sample:
         """Of phases, in percent."""
         return "-" if self.phases is None else f"{sum(map(self.phases.__getitem__, names)) / self.whole:.0%}"
 
+    def less(self, other: Sample) -> str:
+        """How many instructions less than another sample, in percent."""
+        return "-" if self.phases is None else f"{1 - self.whole / other.whole:.0%}"
+
     @property
     def whole(self) -> float:
         """Instructions of the sample."""
@@ -95,7 +99,7 @@ class Sample:
 
     def rows(self, word: str) -> list[Sequence[Cell]]:
         """Instructions; shares and time."""
-        shares: list[Cell] = [f"ours, {word}, us, shares", *(self.share(p) for p in PHASES), self.us]
+        shares: list[Cell] = [f"ours, {word}, share of instructions; us", *(self.share(p) for p in PHASES), self.us]
         if self.phases is None:
             return [[*shares, self.code, self.data]]
         counted: list[Cell] = [f"ours, {word}, instructions", *(self.phases[p] for p in PHASES)]

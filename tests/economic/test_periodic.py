@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from nmpc_codegen import OCP, ProblemError
-from nmpc_codegen.economic import letempc_cost, tune, tune_periodic
+from nmpc_codegen import OCP, OptionError, ProblemError
+from nmpc_codegen.economic import letempc_cost, periodic_letempc, tune, tune_periodic
 from nmpc_codegen.errors import NmpcError
 from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.oracle.reference import CLASSICAL, Reference, node_data
@@ -85,11 +85,13 @@ def test_a_period_without_changes_is_the_steady_state() -> None:
     ("arguments", "said"),
     [
         ({}, "either parameters=, one row per interval, or period="),
-        ({"period": 0}, "tune_periodic: period"),
+        ({"period": 0}, "period=0; expected an integer >= 1"),
         ({"period": 3, "parameters": [1.0]}, "either parameters="),
-        ({"parameters": [[1.0], [2.0]]}, r"parameters of shape \(2, 1\); expected \(P, 0\)"),
+        ({"parameters": [[1.0], [2.0]]}, "'plain' has no parameters; give period="),
         ({"period": 3, "guess": ([0.0], [0.0])}, r"expected \(x, u\) of shapes \(3, 1\) and \(3, 1\)"),
+        ({"period": 3, "guess": ([np.nan] * 3, [0.0] * 3)}, "guess= has NaN"),
         ({"period": 3, "eta": 2}, "eta=2"),
+        ({"period": 3, "options": "fast"}, "options: 'fast'; expected Options"),
     ],
 )
 def test_wrong_arguments(arguments: dict[str, Any], said: str) -> None:
@@ -108,3 +110,88 @@ def test_what_has_no_orbit_is_refused() -> None:
     cyclic.cyclic(cyclic.x[0])
     with pytest.raises(ProblemError, match="cyclic"):
         tune_periodic(cyclic, period=3)
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        (np.zeros((24, 3)), r"parameters of shape \(24, 3\); expected \(P, 2\)"),
+        ([[1.0, 2.0], [3.0]], r"expected numbers of shape \(P, 2\)"),
+        (np.where(np.arange(48).reshape(24, 2) == 7, np.nan, 1.0), r"parameters\[3, 1\] is nan"),
+    ],
+)
+def test_wrong_parameters(given: Any, said: str) -> None:
+    with pytest.raises(OptionError, match=said):
+        tune_periodic(store.store(), parameters=given)
+
+
+def money(scale: float, soft: tuple[float, float] | None = None) -> OCP:
+    """The store with its cost in another currency."""
+    ocp = OCP("money", T=24.0, N=24, time_unit="h")
+    T, q = ocp.state("T", initial=45.0), ocp.control("q")
+    price, demand = ocp.parameter("price", value=0.2), ocp.parameter("demand", value=3.0)
+    ocp.dynamics({T: (q - demand - 0.02 * (T - 15)) / 1.2})
+    ocp.stage_cost(scale * (price * q * (1 + 0.05 * q) / (6 - 0.06 * T) + 1e-4 * (T - 40) ** 2))
+    ocp.subject_to(0, q, 10)
+    ocp.subject_to(35, T, 60, soft=soft)
+    return ocp
+
+
+@pytest.mark.parametrize("scale", [1e-6, 1e6])
+def test_the_currency_decides_nothing(scale: float) -> None:
+    found, known = tune_periodic(money(scale), parameters=store.DATA), store.tuned()
+    np.testing.assert_allclose(found.x, known.x, atol=1e-6)
+    assert found.active == known.active
+    assert found.cost == pytest.approx(scale * known.cost, rel=1e-8)
+    np.testing.assert_allclose(found.lam, scale * known.lam, atol=1e-8 * scale)
+
+
+def test_a_soft_row_must_hold_on_the_orbit() -> None:
+    """The largest multiplier of T >= 35 is about 0.014 EUR/K."""
+    with pytest.raises(ProblemError, match="soft row 'T' is violated at the best orbit"):
+        tune_periodic(money(1.0, (1e-3, 0.0)), parameters=store.DATA)
+    assert tune_periodic(money(1.0, (1.0, 0.0)), parameters=store.DATA).active == store.tuned().active
+
+
+def bent(bound: bool = True) -> OCP:
+    """The best operation is at a bound of u, where the cost bends the wrong way; at 0 it is a maximum."""
+    ocp = OCP("bent", T=6.0, N=6)
+    x, u = ocp.state("x"), ocp.control("u")
+    ocp.dynamics({x: u - x})
+    ocp.stage_cost(-(x**2) + 0.5 * u**2, integrate=True)
+    if bound:
+        ocp.subject_to(-1, u, 1)
+    return ocp
+
+
+def test_a_maximum_is_left_and_m_keeps_the_size_of_h() -> None:
+    found = tune_periodic(bent(), period=6)
+    np.testing.assert_allclose(np.abs(found.u), 1.0, atol=1e-8)
+    assert np.abs(found.M).max() < 100 * np.abs(found.H).max()
+    with pytest.raises(ProblemError, match="no lower bound"):
+        tune_periodic(bent(bound=False), period=3)
+
+
+def test_what_letempc_is_stated_for() -> None:
+    """The same signals and intervals, and no cost yet."""
+    other = OCP("other", T=24.0, N=24)
+    other.dynamics({other.state("T"): other.control("q")})
+    slow = OCP("slow", T=48.0, N=24, time_unit="h")
+    T, q = slow.state("T", initial=45.0), slow.control("q")
+    slow.dynamics({T: q - T})
+    two = OCP("two", T=24.0, N=24)
+    two.dynamics({two.state("T"): two.control("q"), two.state("S"): 0 * two.u[0]})
+    for ocp, said in ((store.store(), "has a cost already"), (slow, "intervals of 2; expected 1"), (two, "2 states")):
+        with pytest.raises(ProblemError, match=said):
+            periodic_letempc(store.tuned(), ocp)
+    values = periodic_letempc(store.tuned(), other)
+    assert {name: v.shape for name, v in values(3).items()}["letempc_factor"] == (25, 4)
+    with pytest.raises(ProblemError, match="expected the result of tune_periodic"):
+        periodic_letempc((), other)  # type: ignore[arg-type]
+
+
+def test_the_result_in_words() -> None:
+    text = str(store.tuned())
+    assert "periodic tuning of store, 24 intervals" in text
+    assert "T: in 9 intervals" in text
+    assert len(text.splitlines()) < 15

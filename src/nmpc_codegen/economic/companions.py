@@ -29,7 +29,7 @@ from nmpc_codegen.economic.tuning import Tuning
 from nmpc_codegen.errors import OptionError, ProblemError
 from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.frontend.ocp import OCP
-from nmpc_codegen.frontend.problem import Array
+from nmpc_codegen.frontend.problem import Array, Problem
 from nmpc_codegen.ir.casadi_types import Expression
 from nmpc_codegen.options import Options
 from nmpc_codegen.oracle.trajectory import interval_map
@@ -70,11 +70,15 @@ def periodic_letempc(tuning: PeriodicTuning, ocp: OCP) -> Callable[[int], dict[s
         A function that gives the values of the four parameters, one row per node, for the plan of sample n:
         ``for name, values in at(n).items(): controller.set_parameter(name, values)``.
     """
+    if not isinstance(tuning, PeriodicTuning):
+        raise ProblemError(f"periodic_letempc: {type(tuning).__name__}; expected the result of tune_periodic()")
+    sizes = (int(ocp.x.numel()), int(ocp.u.numel()))
+    if sizes != (tuning.x.shape[1], tuning.u.shape[1]):
+        raise ProblemError(
+            f"periodic_letempc: '{ocp.name}' has {sizes[0]} states and {sizes[1]} controls; the tuning is that of "
+            f"'{tuning.problem.name}' with {tuning.x.shape[1]} and {tuning.u.shape[1]}"
+        )
     nz, nx = tuning.M.shape[1], tuning.x.shape[1]
-    factor, centre = ocp.parameter("letempc_factor", size=nz * nz), ocp.parameter("letempc_centre", size=nz)
-    end, goal = ocp.parameter("letempc_end_factor", size=nx * nx), ocp.parameter("letempc_end_centre", size=nx)
-    ocp.least_squares(ca.reshape(factor, nz, nz) @ (ca.vertcat(ocp.x, ocp.u) - centre), weight=np.ones(nz))
-    ocp.terminal_least_squares(ca.reshape(end, nx, nx) @ (ocp.x - goal), weight=np.ones(nx))
     w = np.hstack([tuning.x, tuning.u])
     pull = [C.T @ mu for C, mu in zip(tuning.C, tuning.mu, strict=True)]
     centres = w + np.array([np.linalg.solve(M, g) for M, g in zip(tuning.M, pull, strict=True)])
@@ -84,6 +88,12 @@ def periodic_letempc(tuning: PeriodicTuning, ocp: OCP) -> Callable[[int], dict[s
         "letempc_end_factor": _columns(np.linalg.cholesky(tuning.cost_to_go()).transpose(0, 2, 1)),
         "letempc_end_centre": tuning.x,
     }
+    factor, centre, end, goal = (
+        ocp.parameter(name, size=table.shape[1], value=table[0].tolist()) for name, table in tables.items()
+    )
+    ocp.least_squares(ca.reshape(factor, nz, nz) @ (ca.vertcat(ocp.x, ocp.u) - centre), weight=np.ones(nz))
+    ocp.terminal_least_squares(ca.reshape(end, nx, nx) @ (ocp.x - goal), weight=np.ones(nx))
+    _check_fit(tuning, classify(ocp))
     N = ocp.N
 
     def at(sample: int) -> dict[str, Array]:
@@ -91,6 +101,19 @@ def periodic_letempc(tuning: PeriodicTuning, ocp: OCP) -> Callable[[int], dict[s
         return {name: table[nodes] for name, table in tables.items()}
 
     return at
+
+
+def _check_fit(tuning: PeriodicTuning, here: Problem) -> None:
+    """Raise ProblemError if the problem is another one than that of the orbit, or had a cost already."""
+    there = tuning.problem
+    signals = [(*p.state_names, *p.control_names) for p in (here, there)]
+    if signals[0] != signals[1]:
+        raise ProblemError(f"periodic_letempc: '{here.name}' has {signals[0]}; expected {signals[1]}, as tuned")
+    if not here.uniform or not np.isclose(here.dt[0], there.dt[0]):
+        raise ProblemError(f"periodic_letempc: '{here.name}' has intervals of {here.dt[0]:g}; expected {there.dt[0]:g}")
+    general = {"general cost", "integrated cost"} & here.features
+    if general or (here.path.ny, here.terminal.ny) != (len(signals[0]), here.nx):
+        raise ProblemError(f"periodic_letempc: '{here.name}' has a cost already; state it without one")
 
 
 def _columns(matrices: NDArray[Any]) -> Array:

@@ -26,6 +26,9 @@ from nmpc_codegen.errors import OptionError
 from nmpc_codegen.frontend.problem import Array
 from nmpc_codegen.runtime.extras import extra
 
+#: Least alpha, with which the least eigenvalue of M is ten times the largest of H. As a solution may be multiplied by
+#: any factor > 1, this excludes no M, but where rows leave no freedom alpha would go to 0, and M would forget H.
+LEAST_ALPHA = 0.1
 #: How far below I the matrices of an accepted solution may be; entries, relative to the diagonal, that count as 0.
 SLACK, ROUNDING = 1e-3, 1e-12
 
@@ -42,9 +45,9 @@ class Weights:
         for name in ("rho1", "rho2"):
             value = getattr(self, name)
             if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0 <= value < np.inf:
-                raise OptionError(f"tune: {name}={value!r}; expected a number >= 0")
+                raise OptionError(f"{name}={value!r}; expected a number >= 0")
         if isinstance(self.eta, bool) or not isinstance(self.eta, int) or self.eta not in (0, 1):
-            raise OptionError(f"tune: eta={self.eta!r}; expected 0 or 1")
+            raise OptionError(f"eta={self.eta!r}; expected 0 or 1")
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,7 +100,7 @@ def convexify_period(period: Sequence[LinearQuadratic], weights: Weights, scalin
     limits = [
         c for Z in matrices for c in ((Z + Z.T) / 2 >> np.eye(Z.shape[0]), (Z + Z.T) / 2 << beta * np.eye(Z.shape[0]))
     ]
-    program = cp.Problem(cp.Minimize(objective), [*limits, alpha >= 1e-9])
+    program = cp.Problem(cp.Minimize(objective), [*limits, alpha >= LEAST_ALPHA])
     try:
         program.solve(solver="CLARABEL")
     except cp.SolverError as error:

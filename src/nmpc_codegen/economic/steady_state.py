@@ -81,7 +81,7 @@ def solve_steady_state(stage: SteadyStage, guess: tuple[Array, Array] | None = N
     found = _least(in_units(stage, size, money, norms), w / size)
     lam, mu = found.lam * money / size[: stage.nx], found.mu * money / norms
     w = found.w * size
-    _refuse_violated(stage.rows, found.active, mu)
+    refuse_violated(stage.rows, found.active, mu, "steady state")
     n, cost = stage.nx, found.cost * money
     return SteadyState(w[:n], w[n:], lam, mu, cost, found.active, found.residual, magnitudes(stage, w, size))
 
@@ -250,11 +250,11 @@ def _checked(stage: SteadyStage, residual: float, w: Array, lam: Array, mu: Arra
     return SteadyState(w[:n], w[n:], lam, mu, float(cost[0]), strict, residual, np.ones(len(w)))
 
 
-def _refuse_violated(rows: Rows, active: tuple[int, ...], mu: Array) -> None:
+def refuse_violated(rows: Rows, active: tuple[int, ...], mu: Array, where: str) -> None:
     """Raise ProblemError if the penalty of a soft row is too small to keep it."""
     for i in active:
         if abs(mu[i]) > rows.penalty[i]:
             raise ProblemError(
-                f"the soft row '{rows.names[i]}' is violated at the steady state (multiplier {mu[i]:.3g}, l1 = "
+                f"the soft row '{rows.names[i]}' is violated at the {where} (multiplier {mu[i]:.3g}, l1 = "
                 f"{rows.penalty[i]:.3g}); it must hold there: raise its l1, or move its bound"
             )

@@ -74,7 +74,7 @@ class EconomicGaussNewton(Defaults):
             raise OptionError(
                 f"EconomicGaussNewton.M: None; expected the Hessian {where}, shape {(nx + nu, nx + nu)}; tune() of "
                 "nmpc_codegen.economic computes it: state options = Options(hessian=tune(ocp).hessian()) in the "
-                "problem file (--set hessian.M=[[...], ...] takes numbers)"
+                "problem file and leave out the word (--set hessian.M=[[...], ...] takes numbers)"
             )
         refuse_shape(self.M, (nx + nu, nx + nu), "EconomicGaussNewton.M", f"order (x, u) {where}")
         refuse_indefinite(self._path[nx:, nx:], "EconomicGaussNewton.M, block of the controls", strictly=True)
