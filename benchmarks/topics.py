@@ -6,7 +6,7 @@ import shutil
 from collections.abc import Callable
 
 from benchmarks.lib import export, strangers
-from benchmarks.lib.convergence import accuracy, loops, singles, starts
+from benchmarks.lib.convergence import accuracy, loops, starts
 from benchmarks.lib.firmware import emulated, riscv, single
 from benchmarks.lib.firmware import sizes as forms
 from benchmarks.lib.report import Report
@@ -47,7 +47,6 @@ TOPICS: dict[str, Topic] = {
     "robustness/cold": cold.measure,
     "convergence/accuracy": accuracy.measure,
     "convergence/routes": starts.routes,
-    "convergence/singles": singles.measure,
     "convergence/loops": loops.measure,
     "firmware/boards": emulated.boards,
     "firmware/bits": emulated.bits,

@@ -60,8 +60,7 @@ def process(dP: float, samples: int) -> Losses:
     nodes 1..N-1.
     """
     t = tuning()
-    runs = Loop("evaporation", tuple(t.x_s + np.array([0.0, dP])), samples, 1.0).runs(PROCESS)
-    costs = {name: run.cost for name, run in runs.items()}
+    costs = Loop("evaporation", tuple(t.x_s + np.array([0.0, dP])), samples, 1.0).costs(PROCESS)
     costs[INDEFINITE] = _indefinite(dP, samples)
     return _against_converged(costs, t.cost * samples)
 
@@ -88,8 +87,7 @@ def _indefinite(dP: float, samples: int) -> float:
 @cache
 def car(side: float, foreseen: bool, samples: int) -> Losses:
     """Of every scheme but the converged one; inf if it diverges. The plan of the first sample is converged."""
-    costs = {name: run.cost for name, run in _drive(side, foreseen, samples).runs(CAR).items()}
-    return _against_converged(costs, subject("driving").tuning.cost * samples)
+    return _against_converged(_drive(side, foreseen, samples).costs(CAR), subject("driving").tuning.cost * samples)
 
 
 def _drive(side: float, foreseen: bool, samples: int) -> Loop:

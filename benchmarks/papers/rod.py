@@ -62,6 +62,7 @@ def figure_6_15(run: Run) -> Exhibit:
         "integration of sensitivities over the states of the rod",
         "agrees",
         f"Algorithm 6.7 grows with nx to the power {powers[0]:.2f}, 6.8 with {powers[1]:.2f}; with N = 10 and two "
+        "(thesis: one) "
         "controls "
         f"6.8 takes fewer operations from {better} states on.",
         pictures=[save(figure, run, "t09_figure_6_15", "Fig. 6.15: 6.8 wins with many states, as in the thesis")],

@@ -143,17 +143,6 @@ def controllers(name: str, schemes: tuple[Scheme, ...]) -> dict[Scheme, Controll
     return dict(zip(schemes, build_all([(s.make(scheme), s.options(scheme)) for scheme in schemes]), strict=True))
 
 
-@dataclass(frozen=True, eq=False)
-class Run:
-    """cost: sum of the economic cost over the samples, inf if the state leaves all bounds; x (samples + 1, nx), u;
-    failed: samples whose status is not OK."""
-
-    cost: float
-    x: Array
-    u: Array
-    failed: int
-
-
 #: (sample, controller, state) -> state: what happens before a sample.
 Event = Callable[[int, Controller, Array], Array]
 DIVERGED = 1e6
@@ -180,31 +169,25 @@ class Loop:
         t, steps = subject(self.name).tuning, np.arange(len(c.x))[:, None]
         c.x[...], c.u[...] = t.x_s + steps * np.asarray(self.drift), t.u_s
 
-    def run(self, scheme: Scheme, controller: Controller) -> Run:
-        """The closed loop of a controller."""
-        s, c, x, total, failed = subject(self.name), controller.copy(), np.array(self.x0), 0.0, 0
+    def cost(self, scheme: Scheme, controller: Controller) -> float:
+        """Sum of the economic cost over the samples of the closed loop; inf if the state leaves all bounds."""
+        s, c, x, total = subject(self.name), controller.copy(), np.array(self.x0), 0.0
         self.start(c)
-        states, controls = [x], []
         for n in range(self.samples):
             x = x if self.event is None else self.event(n, c, x)
             if n and scheme.converged:
                 c.shift()
             converged = scheme.converged or (n == 0 and self.warm and scheme.hessian != "identity")
             u = _solution(c, x) if converged else np.array(c.step(x))
-            failed += int(c.status != Status.OK)
             total += s.cost(x - self.origin(n), u)
             x = np.array(c.integrate(x, u, self.dt))
-            states.append(x)
-            controls.append(u)
             if not np.abs(x).max() <= DIVERGED:
-                total = np.inf
-                break
-        return Run(total, np.array(states), np.array(controls), failed)
+                return np.inf
+        return total
 
-    def runs(self, schemes: Iterable[Scheme]) -> dict[str, Run]:
+    def costs(self, schemes: Iterable[Scheme]) -> dict[str, float]:
         """The closed loops of all schemes by name."""
-        built = controllers(self.name, tuple(schemes))
-        return {scheme.name: self.run(scheme, c) for scheme, c in built.items()}
+        return {scheme.name: self.cost(scheme, c) for scheme, c in controllers(self.name, tuple(schemes)).items()}
 
 
 def _solution(c: Controller, x: Array) -> Array:

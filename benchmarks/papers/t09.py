@@ -94,7 +94,8 @@ def figure_6_6(run: Run) -> Exhibit:
         "Fig. 6.6",
         "steady states of the Van de Vusse reactor",
         "agrees",
-        f"cB has a maximum over u1; at both set points of section 7.4 cB and T are within {off:.2g} of the rounded "
+        f"cB has a maximum over u1; at both set points of section 7.4 cB and T are within {off:.2g} mol/m^3 and K of "
+        "the rounded "
         "values.",
         pictures=[save(figure, run, "t09_figure_6_6", "Fig. 6.6: cB has a maximum over u1, as in the thesis")],
     )
