@@ -135,10 +135,10 @@ def schemes(run: Run) -> Exhibit:
         "Section I",
         "the augmented Lagrangian beside convexified real-time iterations",
         "differs",
-        "The paper grants the mirrored Hessian its efficiency and misses a proof of stability. On both problems exact "
-        "Hessians, mirrored or projected, lose less than the augmented Lagrangian with default options, and all but "
-        "one take "
-        "less time; it needs less memory on the long horizon (N = 200) and more on the short one (N = 20). Losses are "
-        f"relative to {OPTIMUM} g/(L h), and to the cost of converged plans beyond the best steady state.",
+        "The paper grants the mirrored Hessian its efficiency and misses a proof of stability. On both problems "
+        "exact Hessians, mirrored or projected, lose less than the augmented Lagrangian with default options, and "
+        "all but one take less time; it needs less memory on the long horizon (N = 200) and more on the short one "
+        f"(N = 20). Losses are relative to {OPTIMUM} g/(L h), and to the cost of converged plans beyond the best "
+        "steady state.",
         tables=tables,
     )

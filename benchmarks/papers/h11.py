@@ -58,11 +58,9 @@ def table_1(run: Run) -> Exhibit:
         "phases of a sample of the crane",
         "differs",
         f"A sample takes {first.us:.2g} us here (paper: 95 us at 2.8 GHz, 82 of them preparation). Integration and "
-        "condensing "
-        f"are {first.share('integration', 'condensing')} of its instructions (81 %), the QP {first.share('QP')} (13 "
-        "%). "
-        f"Without x_N = 0 it takes {second.less(first)} fewer instructions (9 % less time). Code takes "
-        f"{first.code:.0f} kB (160, with its QP solver), data {first.data:.0f} kB (14).",
+        f"condensing are {first.share('integration', 'condensing')} of its instructions (81 %), the QP "
+        f"{first.share('QP')} (13 %). Without x_N = 0 it takes {second.less(first)} fewer instructions (9 % less "
+        f"time). Code takes {first.code:.0f} kB (160, with its QP solver), data {first.data:.0f} kB (14).",
         tables=[Table(columns, rows)],
         checks=[Check("crane: u, x against IPOPT, relative to the largest", _against_ipopt(), 1e-11)],
     )
@@ -108,15 +106,11 @@ def table_2(run: Run) -> Exhibit:
         "phases of a sample of the stirred tank reactor",
         "differs",
         "The paper's times are of its worst sample, ours are mean instructions and the median time of a loop. The "
-        "jump to "
-        f"the set point out of reach takes {dense.most(1)} working-set changes (paper: 21), that back "
-        f"{dense.most(2)}; the "
-        f"solver on stages, which the compiler picks by its operation counts, takes {chosen.most(1)} and "
-        f"{chosen.most(2)}. "
-        f"A change costs {price} of a median sample in the loop without state bounds (paper, with them: 1.6 % of the "
-        "worst "
-        "one). Samples whose state bounds are active add curvature of the exact Hessian, which the paper's do not "
-        "have.",
+        f"jump to the set point out of reach takes {dense.most(1)} working-set changes (paper: 21), that back "
+        f"{dense.most(2)}; the solver on stages, which the compiler picks by its operation counts, takes "
+        f"{chosen.most(1)} and {chosen.most(2)}. A change costs {price} of a median sample in the loop without state "
+        "bounds (paper, with them: 1.6 % of the worst one). Samples whose state bounds are active add curvature of "
+        "the exact Hessian, which the paper's do not have.",
         tables=[
             Table(columns, rows),
             Table(("changes at 2nd set point", "changes at 3rd", "per change"), changes),
@@ -133,8 +127,8 @@ def figure_5(_: Run) -> Exhibit:
         "Fig. 5",
         "twelve lines of generated code, the initial value embedding",
         "differs",
-        "The paper avoids loops where reasonable and calls its code hard to read; here the embedding is loops of fixed "
-        "length over named members.",
+        "The paper avoids loops where reasonable and calls its code hard to read; here the embedding is loops of "
+        "fixed length over named members.",
         code="\n".join(lines[:12]),
     )
 
@@ -164,8 +158,8 @@ def figure_6(run: Run) -> Exhibit:
         "Fig. 6",
         "closed loop of the stirred tank reactor",
         "agrees",
-        f"The loop reaches set points 1 and 3 and stays at the bounds for 2. Between the nodes of a grid of 150 s the "
-        f"plant is {max(low[1], 0):.2g} K below a bound, on the refined grid {max(low[0], 0):.1g} K.",
+        "The loop reaches set points 1 and 3 and stays at the bounds for 2. Between the nodes of a grid of 150 s "
+        f"the plant is {max(low[1], 0):.2g} K below a bound, on the refined grid {max(low[0], 0):.1g} K.",
         pictures=[picture],
         checks=late,
     )
@@ -202,9 +196,9 @@ def histogram(run: Run) -> Exhibit:
         "operations of the samples of Fig. 6, active set beside interior point",
         "agrees" if interior < active else "contradicts",
         "The paper says that an interior point takes nearly constant times, and an active set less, but hard to "
-        "predict "
-        f"ones. Here the worst sample takes {interior:.1f} times the operations of the median with the interior point, "
-        f"{active:.1f} and {ratios['dense active set']:.1f} times with active sets: all of them start warm.",
+        f"predict ones. Here the worst sample takes {interior:.1f} times the operations of the median with the "
+        f"interior point, {active:.1f} and {ratios['dense active set']:.1f} times with active sets: all of them "
+        "start warm.",
         tables=[Table(("median, 1000", "worst, 1000", "worst / median"), rows)],
         pictures=[
             save(figure, run, "h11_histogram", "section 3.3: all three start warm and vary, unlike in the paper")

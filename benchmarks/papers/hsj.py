@@ -43,14 +43,12 @@ def figure_1(run: Run) -> Exhibit:
         "Fig. 1",
         "input of the bioreactor",
         "differs",
-        "The loop runs periodically between both bounds, as in the paper, which prints 3.08 g/(L h) between the best "
-        "steady "
-        f"state (3.0; ours {STEADY}) and a periodic trajectory of another paper (3.11). The optimum is {OPTIMUM} "
-        "with an "
-        "average feed of exactly 32.9, 3.0740 with at most 32.9 and 3.71 without a limit; the paper does not say "
-        "which one "
-        f"it kept. Ours is {min(worth.values()):.4f} or more; undisturbed it exceeds the optimum as the feed is "
-        f"{rows[0][2]} and periodicity is soft. We plan with three RK4 steps per interval, the paper with one.",
+        "The loop runs periodically between both bounds, as in the paper, which prints 3.08 g/(L h) between the "
+        f"best steady state (3.0; ours {STEADY}) and a periodic trajectory of another paper (3.11). The optimum is "
+        f"{OPTIMUM} with an average feed of exactly 32.9, 3.0740 with at most 32.9 and 3.71 without a limit; the "
+        f"paper does not say which one it kept. Ours is {min(worth.values()):.4f} or more; undisturbed it exceeds "
+        f"the optimum as the feed is {rows[0][2]} and periodicity is soft. We plan with three RK4 steps per "
+        "interval, the paper with one.",
         tables=[
             Table(("productivity of the last 48 h, g/(L h)", "average feed, g/L"), [("paper", "3.08", None), *rows])
         ],
@@ -78,8 +76,7 @@ def figure_2(run: Run) -> Exhibit:
         "operations of the samples and cumulative conjugate gradients",
         "agrees",
         f"{rows[0][1]:.1f} conjugate gradients per sample are few, as the paper says of its banded preconditioner of "
-        "10 "
-        "bands; ours is a block Cholesky factorisation. It prints an average of 213 us.",
+        "10 bands; ours is a block Cholesky factorisation. It prints an average of 213 us.",
         tables=[Table(("conjugate gradients per sample", "operations, median", "operations, worst"), rows)],
         pictures=[save(figure, run, "hsj_figure_2", "Fig. 2: few conjugate gradients, as in the paper")],
     )
@@ -122,10 +119,10 @@ def theorem_4_2(run: Run) -> Exhibit:
         "Theorem 4.2",
         "distance of the iterates from the solution over M and rho",
         "differs",
-        f"On the crane ten times the penalty divides the mean distance of the controls from the solution by "
+        "On the crane ten times the penalty divides the mean distance of the controls from the solution by "
         f"{' and '.join(f'{gain:.1f}' for gain in gains)}; the bound has terms in 1/rho. M changes it by "
-        f"{spread:.1%} at most: "
-        "one Newton step nearly minimises the augmented Lagrangian, whose multipliers are what is off.",
+        f"{spread:.1%} at most: one Newton step nearly minimises the augmented Lagrangian, whose multipliers are "
+        "what is off.",
         tables=[Table([f"M = {m}" for m in counts], list(lines), "mean of max |u - u*|, m/s^2")],
         pictures=[save(figure, run, "hsj_theorem_4_2", "Theorem 4.2: 1/rho counts, M does not")],
     )
@@ -148,8 +145,7 @@ def corollary_4_1(run: Run) -> Exhibit:
         "error over the sampling period",
         "agrees",
         f"On the crane with M = 3 and rho = 100 the planned accelerations stay within {max(worst):.2g} m/s^2 of the "
-        "optimal "
-        "ones at all sampling periods; the largest distance does not fall steadily with them.",
+        "optimal ones at all sampling periods; the largest distance does not fall steadily with them.",
         tables=[
             Table(
                 ("largest distance, m/s^2", "mean, m/s^2"),
@@ -198,8 +194,7 @@ def growth(run: Run) -> Exhibit:
         "differs",
         f"Operations of a chain of masses grow with N to the power {first:.2f}, but with nx to the powers "
         f"{', '.join(f'{each:.1f}' for each in last)} from size to size; the paper says that the complexity scales "
-        "favourably "
-        "with horizon and dimensions, and prints no figures.",
+        "favourably with horizon and dimensions, and prints no figures.",
         tables=[Table(("operations of a sample, median",), cells)],
         pictures=[save(figure, run, "hsj_growth", "section VI: linear in N, with nx more and more")],
     )

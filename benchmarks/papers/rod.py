@@ -41,8 +41,7 @@ def figure_6_14(run: Run) -> Exhibit:
         "heat equation, 50 states",
         "agrees",
         "Two warm places flow together, and a controlled end sends damped waves; the last state differs by "
-        f"{error:.0e} "
-        "from powers of the matrix of a step.",
+        f"{error:.0e} from powers of the matrix of a step.",
         pictures=[save(figure, run, "t09_figure_6_14", "Fig. 6.14")],
         checks=[Check("rod: zero-input response against powers of a matrix", float(error), 1e-12)],
     )
@@ -62,9 +61,7 @@ def figure_6_15(run: Run) -> Exhibit:
         "integration of sensitivities over the states of the rod",
         "agrees",
         f"Algorithm 6.7 grows with nx to the power {powers[0]:.2f}, 6.8 with {powers[1]:.2f}; with N = 10 and two "
-        "(thesis: one) "
-        "controls "
-        f"6.8 takes fewer operations from {better} states on.",
+        f"(thesis: one) controls 6.8 takes fewer operations from {better} states on.",
         pictures=[save(figure, run, "t09_figure_6_15", "Fig. 6.15: 6.8 wins with many states, as in the thesis")],
     )
 

@@ -109,8 +109,8 @@ def figure_7_2(run: Run) -> Exhibit:
         "Fig. 7.2",
         "approximations of max(t, 0) and of the unit step",
         "agrees",
-        "The error of the maximum is log(2) / alpha at most, at t = 0; the generated code spells (7.10) with log1p and "
-        "exp(-alpha |t|), which do not overflow.",
+        "The error of the maximum is log(2) / alpha at most, at t = 0; the generated code spells (7.10) with log1p "
+        "and exp(-alpha |t|), which do not overflow.",
         pictures=[save(figure, run, "t09_figure_7_2", "Fig. 7.2")],
     )
 
@@ -145,10 +145,9 @@ def figure_7_3(run: Run) -> Exhibit:
         "optimal plans with different penalties",
         "differs",
         "With sums over nodes the rows are violated for mu = 10 and hold for mu = 20: the largest multipliers of "
-        "IPOPT's hard "
-        f"rows are {largest[0]:.1f} for cB and {largest[1] * 5:.1f} for T, which weighs 5, so that mu has to exceed "
-        f"{largest.max():.1f}; controls differ by {error:.1e} from IPOPT's. With the integral (7.16), which the thesis "
-        "optimises and whose short excesses cost little, they are still exceeded for mu = 20.",
+        f"IPOPT's hard rows are {largest[0]:.1f} for cB and {largest[1] * 5:.1f} for T, which weighs 5, so that mu "
+        f"has to exceed {largest.max():.1f}; controls differ by {error:.1e} from IPOPT's. With the integral (7.16), "
+        "which the thesis optimises and whose short excesses cost little, they are still exceeded for mu = 20.",
         tables=[Table(("cB - 800, mol/m^3", "T - 100, K", "iterations", "cost above IPOPT's, relative"), rows)],
         pictures=["vandevusse.png"],
         checks=[
@@ -208,10 +207,8 @@ def closed_loops(run: Run) -> Exhibit:
         "treatments of output rows at one sample's steps",
         "ours",
         "The thesis optimises single plans. In closed loops with the steps of one sample each, multipliers of rows "
-        "cost least; "
-        "a loss can be negative, as rows are exceeded a little and as converged plans of a finite horizon do not "
-        "minimise the "
-        "cost of the loop.",
+        "cost least; a loss can be negative, as rows are exceeded a little and as converged plans of a finite "
+        "horizon do not minimise the cost of the loop.",
         tables=[Table(("crane: cost above IPOPT's", "reactor: cost above IPOPT's", "reactor: violation, K"), rows)],
     )
 

@@ -62,8 +62,8 @@ def figure_6_4(run: Run) -> Exhibit:
         "Fig. 6.4",
         "operations of the gradient over the horizon",
         "agrees",
-        f"They grow with N to the power {slopes['adjoint']:.2f} by the adjoint method, {slopes['forward']:.2f} forward "
-        f"and {slopes['finite differences']:.2f} by finite differences (thesis: N, N^2, N^2).",
+        f"They grow with N to the power {slopes['adjoint']:.2f} by the adjoint method, {slopes['forward']:.2f} "
+        f"forward and {slopes['finite differences']:.2f} by finite differences (thesis: N, N^2, N^2).",
         pictures=[
             save(
                 figure,
@@ -95,8 +95,7 @@ def figure_6_6(run: Run) -> Exhibit:
         "steady states of the Van de Vusse reactor",
         "agrees",
         f"cB has a maximum over u1; at both set points of section 7.4 cB and T are within {off:.2g} mol/m^3 and K of "
-        "the rounded "
-        "values.",
+        "the rounded values.",
         pictures=[save(figure, run, "t09_figure_6_6", "Fig. 6.6: cB has a maximum over u1, as in the thesis")],
     )
 
@@ -122,8 +121,7 @@ def figures_6_7_to_6_9(run: Run) -> Exhibit:
         "simulation of the reactor, sensitivities with respect to states and controls",
         "agrees",
         "Inputs and initial state are those of the thesis, which prints no numbers; A_n-1 ... A_1 B_0 differs by "
-        f"{error:.0e} from CasADi's derivative of the "
-        "whole simulation.",
+        f"{error:.0e} from CasADi's derivative of the whole simulation.",
         pictures=[save(figure, run, "t09_figure_6_7", "Figs. 6.7, 6.8, 6.9")],
         checks=[Check("reactor: chained A_k, B_k against CasADi, relative", error, 1e-12)],
     )
@@ -174,8 +172,7 @@ def table_6_7(run: Run) -> Exhibit:
         "integration of sensitivities over N, t_f and T_s",
         "differs",
         "With fixed steps of one length the work grows as the thesis expects; its own times do so in Fig. 6.13 "
-        "alone, as in "
-        "Figs. 6.11 and 6.12 CVODES starts over with small steps at every sample.",
+        "alone, as in Figs. 6.11 and 6.12 CVODES starts over with small steps at every sample.",
         tables=[
             Table(
                 ("6.7, power", "6.8, power", "6.7, expected", "6.8, expected"),
@@ -200,12 +197,10 @@ def tables_6_3_and_6_4(_: Run) -> Exhibit:
         "operations of the algorithms for the gradient and for the impulse response matrix",
         "agrees",
         "For a gradient, and for one row of the matrix, adjoint products, which the thesis does not consider, take "
-        "fewest "
-        "operations on all four problems. Of its own methods the adjoint one does so on the first three; on the rod "
-        "finite "
-        "differences and 6.8 beat it, as 6.7 integrates nx (nx + nu) sensitivities. For the whole matrix forward and "
-        "adjoint "
-        "are near each other, and on the rod the alternative one takes a tenth of them, finite differences even less.",
+        "fewest operations on all four problems. Of its own methods the adjoint one does so on the first three; on "
+        "the rod finite differences and 6.8 beat it, as 6.7 integrates nx (nx + nu) sensitivities. For the whole "
+        "matrix forward and adjoint are near each other, and on the rod the alternative one takes a tenth of them, "
+        "finite differences even less.",
         tables=tables,
     )
 

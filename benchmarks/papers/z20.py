@@ -33,6 +33,8 @@ def figure_1(run: Run) -> Exhibit:
     axes[0, 0].legend(frameon=False, fontsize=8)
     steps = {WORDS.get(n, n): evaporation.steps_to(each[1], 1e-6) for n, each in evaporation.figure1().items()}
     span, negative = span_error(), float(evaporation.negative_eigenvalues(with_rows=True))
+    steady = float(np.abs(np.array([*tuning().x_s, *tuning().u_s]) - evaporation.PAPER).max())
+    wrong = evaporation.inadmissible(evaporation.figure1()["exact"][0])
     return Exhibit(
         "Fig. 1",
         "convergence of SQP with different Hessians, evaporation process",
@@ -49,6 +51,11 @@ def figure_1(run: Run) -> Exhibit:
             Check("evaporation: negative curvature of H on the active rows", negative, 0.0),
             Check("evaporation: Z'MZ = Z'HZ (Theorem 8), relative", evaporation.reduced_hessian_error(), 1e-8),
             Check("evaporation: first primal step of M and exact (Corollary 9)", evaporation.first_step_error(), 1e-8),
+            Check(
+                "evaporation: its multipliers after the dual correction", evaporation.first_step_dual_error(True), 1e-8
+            ),
+            Check("evaporation: steady state against the printed one", steady, 1e-3),
+            Check("evaporation: rows and signs that the solution violates", wrong, 0.0),
         ],
     )
 
@@ -63,10 +70,9 @@ def figure_2(run: Run) -> Exhibit:
         "Fig. 2",
         "convergence of the original and of the rotated problem",
         "contradicts",
-        f"The iterates part after the first one (Lemma 6): after three steps the rotated problem is "
+        "The iterates part after the first one (Lemma 6): after three steps the rotated problem is "
         f"{found['rotated'][3]:.1e} from the solution and the original {found['original'][3]:.1e}, so that rotation "
-        "makes it "
-        "slightly slower here, where the paper finds it slightly faster.",
+        "makes it slightly slower here, where the paper finds it slightly faster.",
         pictures=[save(figure, run, "z20_figure_2", "Fig. 2: rotated is not faster, unlike in the paper")],
     )
 
@@ -80,8 +86,7 @@ def ipopt(run: Run) -> Exhibit:
         "IPOPT with the exact Hessian and with M",
         "agrees",
         f"IPOPT takes {exact} iterations with the exact Hessian and {constant} with M in its place (paper: 18 and "
-        "19, and 2.4 "
-        "times the time with the exact one): some more of them, without second derivatives.",
+        "19, and 2.4 times the time with the exact one): some more of them, without second derivatives.",
         tables=[Table(("exact", "M"), [("paper", 18.0, 19.0), ("ours", float(exact), float(constant))])],
     )
 
@@ -99,8 +104,8 @@ def lemma_7(run: Run) -> Exhibit:
         "Lemma 7",
         "existence of M and M_f",
         "agrees" if solved == count else "contradicts",
-        f"With the cost-to-go of the linear-quadratic problem as terminal cost, the program has a solution with M > 0 "
-        f"and M_f > 0 for {solved} of {count} random problems, {indefinite} of which have an indefinite Hessian.",
+        "With the cost-to-go of the linear-quadratic problem as terminal cost, the program has a solution with M > "
+        f"0 and M_f > 0 for {solved} of {count} random problems, {indefinite} of which have an indefinite Hessian.",
         checks=[Check("Lemma 7: random problems without M", float(count - solved), 0.0)],
     )
 
@@ -116,11 +121,9 @@ def figure_3(run: Run) -> Exhibit:
         "agrees",
         f"From dP = {max(found):g} kPa M loses {last['M']:.1e} %, LETEMPC {last['LETEMPC']:.1e} %, the identity "
         f"{last['identity']:.1e} % and tracking {last['tracking']:.1e} %: M is the best real-time scheme, LETEMPC "
-        "close to it "
-        "and tracking the worst, as in the paper. The exact Hessian, indefinite in the first samples and made "
-        "convex, loses "
-        f"{last['exact']:.1e} %. Losses are costs beyond those of converged plans, in % of |l_s| times {samples} "
-        "samples.",
+        "close to it and tracking the worst, as in the paper. The exact Hessian, indefinite in the first samples "
+        f"and made convex, loses {last['exact']:.1e} %. Losses are costs beyond those of converged plans, in % of "
+        f"|l_s| times {samples} samples.",
         tables=[losses.loss_table("dP in kPa", found)],
         pictures=[
             losses.draw_losses(
@@ -149,12 +152,9 @@ def figure_4(run: Run) -> Exhibit:
         "closed-loop losses of energy-optimal driving",
         "contradicts",
         f"M and the exact Hessian lose the same where the side step is foreseen (to {gap:.1e} %), and the identity "
-        "diverges, as "
-        f"in the paper; LETEMPC loses {foreseen[low]['LETEMPC']:.2f} to {foreseen[high]['LETEMPC']:.1f} %, where the "
-        "paper has "
-        "less than 2e-4 %. It states neither a preview nor the unit of its cost, so the cause is open. (acados "
-        "there: 2.9 ms "
-        "per step with M, 4.5 ms with the exact Hessian.)",
+        f"diverges, as in the paper; LETEMPC loses {foreseen[low]['LETEMPC']:.2f} to {foreseen[high]['LETEMPC']:.1f} "
+        "%, where the paper has less than 2e-4 %. It states neither a preview nor the unit of its cost, so the "
+        "cause is open. (acados there: 2.9 ms per step with M, 4.5 ms with the exact Hessian.)",
         tables=[losses.loss_table(f"{word} m", each) for word, each in found.items()],
         pictures=[
             losses.draw_losses(
@@ -205,10 +205,8 @@ def wanted_speed(_: Run) -> Exhibit:
         "a wanted speed turned into alpha",
         "ours",
         f"alpha = -dP/dv of the power that a steady speed takes makes it the best one: {rows[1][1]:.1f} W s/m at 50 "
-        "km/h. The "
-        "paper's 0.055 has the other sign and no unit; dividing the electrical part of the cost by "
-        f"{driving.POWER:.0f} W, "
-        "which the example does, is what matches it.",
+        "km/h. The paper's 0.055 has the other sign and no unit; dividing the electrical part of the cost by "
+        f"{driving.POWER:.0f} W, which the example does, is what matches it.",
         tables=[Table(("alpha, W s/m", "alpha / 14341 W", "best steady speed, km/h"), rows)],
         checks=[Check("car: best steady speed for alpha, relative", worst, 1e-6)],
     )

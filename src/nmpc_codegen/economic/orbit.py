@@ -131,8 +131,7 @@ class _Program:
         if not off <= ADMISSIBLE:
             raise ProblemError(
                 f"tune_periodic: '{self.name}' has no periodic operation of {len(self.stages)} intervals near the "
-                "guess "
-                f"(IPOPT: {status}, rows and gaps off by {off:.2g}); check the rows, or give a guess=(x, u)"
+                f"guess (IPOPT: {status}, rows and gaps off by {off:.2g}); check the rows, or give a guess=(x, u)"
             )
 
     def polished(self, w: Array, lam: Array, mu: list[Array]) -> Orbit:
@@ -158,9 +157,8 @@ class _Program:
         if last > RESIDUAL or over > ADMISSIBLE:
             raise ProblemError(
                 f"tune_periodic: the optimality conditions of the orbit of '{self.name}' are solved only to "
-                f"{last:.2g}, its "
-                f"rows to {over:.2g}; are they singular, as where orbits may be shifted in time, or does the guess "
-                "mislead?"
+                f"{last:.2g}, its rows to {over:.2g}; are they singular, as where orbits may be shifted in time, or "
+                "does the guess mislead?"
             )
         strict = []
         for stage, m in zip(self.stages, best[2], strict=True):

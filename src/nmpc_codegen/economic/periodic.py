@@ -142,8 +142,8 @@ def _tuned(problem: Problem, stages: Sequence[SteadyStage], orbit: Orbit, weight
         rows = "" if weights.eta else "; eta=1 uses the strictly active rows"
         raise ProblemError(
             f"tune_periodic: no positive definite M_k were found along the orbit of '{problem.name}' (solver: "
-            f"{found}): "
-            f"it is not strictly dissipative there; add curvature to the cost, or integrate it with the dynamics{rows}"
+            f"{found}): it is not strictly dissipative there; add curvature to the cost, or integrate it with the "
+            f"dynamics{rows}"
         )
     return PeriodicTuning(
         problem=problem,
