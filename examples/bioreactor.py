@@ -165,7 +165,9 @@ def draw(best: Solution, loops: dict[str, Log], picture: str) -> None:
     axes[0].set_ylim(top=8.0)
     axes[0].legend(frameon=False, ncols=3, loc="upper left")
     axes[3].set_xlabel("time [h]")
-    figure.suptitle("Bioreactor: economic NMPC finds its orbit again after a jump of the state at 144 h", fontsize=11)
+    figure.suptitle(
+        "Bioreactor ([Q14], Fig. 1): economic NMPC finds its orbit again after a jump at 144 h", fontsize=11
+    )
     Path(picture).parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(picture, dpi=85)
 

@@ -122,7 +122,10 @@ def draw(log: Log, coarse: Log, picture: str) -> None:
     inset.tick_params(labelsize=7)
     for axis in axes[-1]:
         axis.set_xlabel("time [min]")
-    figure.suptitle("Stirred tank reactor: the second set point is out of reach of th ≥ 98 and thK ≥ 92", fontsize=11)
+    figure.suptitle(
+        "Stirred tank reactor ([H11], Fig. 6): the second set point is out of reach of th ≥ 98 and thK ≥ 92",
+        fontsize=10,
+    )
     Path(picture).parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(picture, dpi=110)
 

@@ -173,7 +173,10 @@ def draw(plans: Mapping[str, Solution], reference: np.ndarray, picture: str) -> 
     axes[0, 0].legend(frameon=False, fontsize=9)
     for axis in axes[-1]:
         axis.set_xlabel("time [min]")
-    figure.suptitle("Van de Vusse reactor: the penalty is exact as soon as it exceeds the multipliers", fontsize=11)
+    figure.suptitle(
+        "Van de Vusse reactor ([T09], Fig. 7.3): the penalty is exact as soon as it exceeds the multipliers",
+        fontsize=11,
+    )
     Path(picture).parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(picture, dpi=110)
 
