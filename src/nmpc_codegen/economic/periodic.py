@@ -23,6 +23,7 @@ from nmpc_codegen.economic.linear_quadratic import LinearQuadratic
 from nmpc_codegen.economic.orbit import Orbit, solve_orbit
 from nmpc_codegen.economic.semidefinite import Weights, convexify_period
 from nmpc_codegen.economic.stage import SteadyStage, steady_stage
+from nmpc_codegen.economic.steady_state import start_point
 from nmpc_codegen.errors import OptionError, ProblemError
 from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.frontend.ocp import OCP
@@ -111,7 +112,8 @@ def tune_periodic(
         period: P, if the parameters do not change.
         rho1: penalty of |F_k|, the multiples of strictly active rows.
         eta: 1: strictly active rows may be used; 0: the cost must be dissipative without them.
-        guess: (x (P, nx), u (P, nu)) near the orbit; by default the initial state, and the middle of the bounds.
+        guess: (x (P, nx), u (P, nu)) near the orbit; by default the initial state, and references or mid-ranges of
+            controls.
 
     Raises:
         ProblemError: there are cyclic states or unequal intervals, no orbit is found, or there are no such M_k.
@@ -130,7 +132,7 @@ def tune_periodic(
         )
     values = _parameters(problem, parameters, period)
     stages = [steady_stage(problem, options, p) for p in values]
-    return _tuned(problem, stages, solve_orbit(stages, _guess(problem, len(values), guess)), weights)
+    return _tuned(problem, stages, solve_orbit(stages, _guess(stages, guess)), weights)
 
 
 def _tuned(problem: Problem, stages: Sequence[SteadyStage], orbit: Orbit, weights: Weights) -> PeriodicTuning:
@@ -199,16 +201,11 @@ def _parameters(problem: Problem, given: Any, period: int | None) -> Array:
     return found
 
 
-def _guess(problem: Problem, period: int, guess: tuple[Any, Any] | None) -> Array:
+def _guess(stages: Sequence[SteadyStage], guess: tuple[Any, Any] | None) -> Array:
     """w (P, nx + nu)."""
+    problem, period, sizes = stages[0].problem, len(stages), (stages[0].nx, stages[0].problem.nu)
     if guess is None:
-        u = np.zeros(problem.nu)
-        for row in problem.rows:
-            if row.kind == "control":
-                ends = [bound for bound in (row.lower, row.upper) if np.isfinite(bound)]
-                u[row.index] = np.mean(ends) if ends else 0.0
-        return np.tile(np.concatenate([problem.x_initial, u]), (period, 1))
-    sizes = (problem.nx, problem.nu)
+        return np.tile(start_point(stages[0]), (period, 1))
     try:
         parts = [np.asarray(v, dtype=float).reshape(period, n) for v, n in zip(guess, sizes, strict=True)]
     except (TypeError, ValueError) as error:

@@ -69,7 +69,7 @@ def solve_steady_state(stage: SteadyStage, guess: tuple[Array, Array] | None = N
         ProblemError: IPOPT finds no steady state, the cost has no lower bound on the steady states, or the optimality
             conditions are singular.
     """
-    w = _start(stage, guess)
+    w = start_point(stage, guess)
     _refuse_infinite(stage, w)
     size = magnitudes(stage, w)
     gradient, J = (np.asarray(part, dtype=float) * size for part in stage.jacobians(w)[1:])
@@ -175,7 +175,8 @@ def _refuse_failure(stage: SteadyStage, status: str, w: Array, over: Array) -> N
     )
 
 
-def _start(stage: SteadyStage, guess: tuple[Array, Array] | None) -> Array:
+def start_point(stage: SteadyStage, guess: tuple[Array, Array] | None = None) -> Array:
+    """w where the search starts: the guess, else the initial state, and references or mid-ranges of controls."""
     problem = stage.problem
     if guess is not None:
         if not isinstance(guess, (tuple, list)) or len(guess) != 2:
