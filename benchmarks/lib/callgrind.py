@@ -9,6 +9,9 @@ import tempfile
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
+#: Functions of closed_loop.c in which the controller works, not the plant.
+PHASES = ("preparation", "feedback_phase")
+
 
 def available() -> bool:
     """Whether there is a valgrind."""
@@ -31,11 +34,15 @@ def instructions(program: Path, arguments: Sequence[str], functions: Iterable[st
     return int(found[1])
 
 
-def profile(program: Path, arguments: Sequence[str]) -> dict[str, int]:
-    """Instructions of every function itself, without those that it calls; clones of a function are added up."""
+def profile(program: Path, arguments: Sequence[str], functions: Iterable[str] = ()) -> dict[str, int]:
+    """Instructions of every function itself, without those that it calls; clones of a function are added up.
+
+    ``functions``: only what is between their entry and return, else the whole run.
+    """
     with tempfile.TemporaryDirectory() as folder:
         out = f"{folder}/instructions"
         tool = ["valgrind", "--tool=callgrind", f"--callgrind-out-file={out}"]
+        tool += [f"--toggle-collect={function}" for function in functions]
         subprocess.run([*tool, str(program), *arguments], check=True, capture_output=True)
         command = ["callgrind_annotate", "--threshold=100", out]
         text = subprocess.run(command, check=True, capture_output=True, text=True).stdout

@@ -24,7 +24,7 @@ Draw = Callable[[Run], Exhibit]
 PAPERS: dict[str, tuple[str, Mapping[str, Draw]]] = {
     "H11": (h11.PAPER, h11.EXHIBITS),
     "Q14": (q14.PAPER, q14.EXHIBITS),
-    "HSJ": (hsj.PAPER, {**hsj.EXHIBITS, "Section I": convexified.schemes}),
+    "HSJ": (hsj.PAPER, {**hsj.EXHIBITS, "Section I": convexified.compared}),
     "Z20": (z20.PAPER, z20.EXHIBITS),
     "T09": (t09.PAPER, {**t09.EXHIBITS, **rod.EXHIBITS, **rows.EXHIBITS}),
 }

@@ -10,11 +10,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache
-from typing import Any
 
 import numpy as np
 
 from benchmarks.lib.run import Run
+from benchmarks.papers import schemes
 from benchmarks.papers.exhibit import Exhibit, Table
 from benchmarks.papers.fermenter import JUMPS, OPTIMUM, drive, productivity
 from benchmarks.papers.phases import machine_code
@@ -33,9 +33,7 @@ from nmpc_codegen import (
     build,
     generate,
 )
-from nmpc_codegen.economic import steady_state, tune
-from nmpc_codegen.economic.stage import steady_stage
-from nmpc_codegen.frontend.classify import classify
+from nmpc_codegen.economic import tune
 from verification.routes import PURE
 
 EXACT = {
@@ -75,23 +73,17 @@ def orbit(controller: Controller, samples: int) -> tuple[float, np.ndarray]:
     return 100 * (1 - productivity(found) / OPTIMUM), found.us
 
 
-@cache
-def process() -> tuple[Any, Any]:
-    """Cost of the evaporation process, as a function of (x, u), and its best steady state."""
-    ocp = evaporation.build_ocp()
-    return steady_stage(classify(ocp), evaporation.options()), steady_state(ocp, evaporation.options())
-
-
 def minutes(controller: Controller, samples: int, converged: bool = False) -> tuple[float, np.ndarray]:
     """Cost beyond the steady state, and times in us."""
-    model, best = process()
-    controller.x[...], controller.u[...] = best.x, best.u
-    x, cost, us = best.x + np.array([0.0, DP]), 0.0, []
+    known = schemes.subject("evaporation")
+    best = known.tuning
+    controller.x[...], controller.u[...] = best.x_s, best.u_s
+    x, cost, us = best.x_s + np.array([0.0, DP]), 0.0, []
     controller.solve(x, tol=1e-6)
     for _ in range(samples):
         u = controller.solve(x, tol=1e-8).u[0] if converged else controller.step(x)
         us.append((controller.stats.prepare_ns + controller.stats.feedback_ns) / 1e3)
-        cost += float(model.values(np.append(x, u))[1]) - best.cost
+        cost += known.cost(x, u) - best.cost
         x = np.asarray(controller.integrate(x, u, 1.0))
     return cost, np.array(us)
 
@@ -114,7 +106,7 @@ SUBJECTS = {
 }
 
 
-def schemes(run: Run) -> Exhibit:
+def compared(run: Run) -> Exhibit:
     """Loss, times, memory and code of every scheme on both problems."""
     tables = []
     for _, (name, subject) in run.some(tuple(SUBJECTS.items()), 1):

@@ -18,11 +18,6 @@ from nmpc_codegen.runtime.compilers import find_compiler
 from verification.closed_loop import compile_driver, run_driver
 from verification.robustness.work import Loop
 
-#: Functions of the measuring program and of its plant.
-OUTSIDE = re.compile(
-    r"main|run$|ascending|microseconds|msort|clock_gettime|printf|strto|_dl_|_start|integrate$|state_step|integrator_step"
-    r"|rand|qsort|vf|mul|div|do_lookup|check_match|_init|noise|plant|record|0x|open|mpn|libc|malloc|hack|exit|itoa|round"
-)
 #: Phase -> the beginnings of its functions' names; what is left is "rest".
 GROUPS = {
     "integration": r"integrator|linearize|path_|adjoint_step|terminal_|(__)?(exp|sin|cos|tan)|__ieee754|pow",
@@ -33,23 +28,23 @@ GROUPS = {
 
 
 def phases(loop: Loop) -> dict[str, float] | None:
-    """Instructions per sample of each phase in portable code; None where there is no valgrind."""
+    """Instructions per sample of each phase in portable code; None without valgrind, or names of functions."""
     if not callgrind.available():
         return None
     sources = generate(loop.make(), loop.options)
     flags = (*PROFILES["fast"].flags, "-fno-inline-functions-called-once")
     with tempfile.TemporaryDirectory() as folder:
         program = compile_driver(sources, sources.description.name, Path(folder), flags)
-        counted = callgrind.profile(program, ["1", str(loop.steps), *loop.scenario.arguments()])
+        arguments = ["1", str(loop.steps), *loop.scenario.arguments()]
+        counted = callgrind.profile(program, arguments, callgrind.PHASES)
     found = dict.fromkeys((*GROUPS, "rest"), 0.0)
     for name, instructions in counted.items():
-        phase = next((g for g, names in GROUPS.items() if re.match(names, name)), "rest")
-        if phase != "rest" or not OUTSIDE.search(name):
-            found[phase] += instructions / loop.steps
-    return found
+        found[next((g for g, names in GROUPS.items() if re.match(names, name)), "rest")] += instructions / loop.steps
+    return found if any(found.values()) else None
 
 
-PHASES = ("integration", "condensing", "QP", "curvature", "rest")
+#: Of a sample with a least-squares cost, whose regularisation is the curvature of active rows.
+ORDER = ("integration", "condensing", "QP", "regularisation", "rest")
 
 
 def machine_code(sources: Sources, *flags: str) -> int:
@@ -75,13 +70,11 @@ class Sample:
 
     @classmethod
     def of(cls, loop: Loop) -> Sample:
-        """Measure it; what makes Hessians convex is the curvature of active rows here."""
+        """Measure it."""
         sources, found = generate(loop.make(), loop.options), phases(loop)
         with tempfile.TemporaryDirectory() as folder:
             program = compile_driver(sources, sources.description.name, Path(folder))
             us = run_driver(program, loop.scenario, runs=9, steps=loop.steps).total
-        if found is not None:
-            found["curvature"] = found.pop("regularisation")
         return cls(us, found, machine_code(sources) / 1e3, sources.description.report.ram_bytes / 1e3)
 
     def share(self, *names: str) -> str:
@@ -99,8 +92,8 @@ class Sample:
 
     def rows(self, word: str) -> list[Sequence[Cell]]:
         """Instructions; shares and time."""
-        shares: list[Cell] = [f"ours, {word}, share of instructions; us", *(self.share(p) for p in PHASES), self.us]
+        shares: list[Cell] = [f"ours, {word}, share of instructions; us", *(self.share(p) for p in ORDER), self.us]
         if self.phases is None:
             return [[*shares, self.code, self.data]]
-        counted: list[Cell] = [f"ours, {word}, instructions", *(self.phases[p] for p in PHASES)]
+        counted: list[Cell] = [f"ours, {word}, instructions", *(self.phases[p] for p in ORDER)]
         return [[*counted, self.whole, self.code, self.data], [*shares, "", ""]]

@@ -71,7 +71,7 @@ def plain(bend: float = 1.0) -> OCP:
 
 
 def test_a_period_without_changes_is_the_steady_state() -> None:
-    """tune() and tune_periodic() find the same point and a Hessian with the same LETEMPC control law."""
+    """tune() and tune_periodic() find the same point, multipliers and H, and LETEMPC costs nothing there."""
     ocp = plain()
     ocp.lqr_terminal_cost(economic=True)
     steady, orbit = tune(ocp), tune_periodic(plain(), period=4)

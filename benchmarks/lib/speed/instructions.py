@@ -18,8 +18,6 @@ from nmpc_codegen.targets import TARGETS
 from verification.closed_loop import compile_driver
 from verification.robustness.work import Loop
 
-#: Functions of closed_loop.c between whose entry and return instructions are counted.
-PHASES = ("preparation", "feedback_phase")
 M4F = TARGETS["cortex-m4f"]
 SAMPLES = 40  # at every scale, as a mean depends on them
 
@@ -46,7 +44,7 @@ def _counted(loop: Loop, sources: Sources) -> int | None:
     with tempfile.TemporaryDirectory() as folder:
         program = compile_driver(sources, module_of(loop).name, Path(folder))
         arguments = ["1", str(SAMPLES), *loop.scenario.arguments()]
-        return callgrind.instructions(program, arguments, PHASES)
+        return callgrind.instructions(program, arguments, callgrind.PHASES)
 
 
 def _emulated(report: Report, loop: Loop) -> None:

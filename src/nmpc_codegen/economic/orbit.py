@@ -17,7 +17,7 @@ import casadi as ca
 import numpy as np
 import scipy.linalg
 
-from nmpc_codegen.economic.stage import SteadyStage, in_units, magnitudes
+from nmpc_codegen.economic.stage import SteadyStage, in_units, magnitudes, units
 from nmpc_codegen.economic.steady_state import (
     ATTEMPTS,
     CURVED,
@@ -58,15 +58,8 @@ def solve_orbit(stages: Sequence[SteadyStage], guess: Array) -> Orbit:
     """
     name, n = stages[0].problem.name, stages[0].nx
     size = magnitudes(stages[0], *guess)
-    slopes, bends, norms = [], [], []
-    for stage, point in zip(stages, guess, strict=True):
-        gradient, J = (np.asarray(part, dtype=float) * size for part in stage.jacobians(point)[1:])
-        H = np.asarray(stage.hessian(point, np.zeros(n), np.zeros(len(stage.rows.names))))
-        slopes.append(float(np.abs(gradient).max()))
-        bends.append(float(np.abs(H * np.outer(size, size)).max()))
-        lengths = np.linalg.norm(J, axis=1)
-        norms.append(np.where(lengths > 0, lengths, 1.0))
-    money = max(*slopes, *bends)
+    each = [units(stage, point, size) for stage, point in zip(stages, guess, strict=True)]
+    money, norms = max(m for m, _ in each), [r for _, r in each]
     if not np.isfinite(money):
         raise ProblemError(f"tune_periodic: cost or rows of '{name}' are not finite at the guess; give another one")
     money = money or 1.0
@@ -74,8 +67,8 @@ def solve_orbit(stages: Sequence[SteadyStage], guess: Array) -> Orbit:
         _Program([in_units(s, size, money, r) for s, r in zip(stages, norms, strict=True)], name), guess / size
     )
     mu = tuple(m * money / r for m, r in zip(found.mu, norms, strict=True))
-    for stage, active, each in zip(stages, found.active, mu, strict=True):
-        refuse_violated(stage.rows, active, each, "best orbit")
+    for stage, active, of_rows in zip(stages, found.active, mu, strict=True):
+        refuse_violated(stage.rows, active, of_rows, "best orbit")
     w = found.w * size
     return Orbit(w, found.lam * money / size[:n], mu, found.active, magnitudes(stages[0], *w, size))
 

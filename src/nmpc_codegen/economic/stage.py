@@ -116,6 +116,14 @@ def magnitudes(stage: SteadyStage, *points: Array) -> Array:
     return found
 
 
+def units(stage: SteadyStage, w: Array, d: Array) -> tuple[float, Array]:
+    """Units of the cost, the larger one of its slope and its curvature in w / d, and of the rows, their slopes or 1."""
+    gradient, J = (np.asarray(part, dtype=float) * d for part in stage.jacobians(w)[1:])
+    H = np.asarray(stage.hessian(w, np.zeros(stage.nx), np.zeros(len(stage.rows.names))), dtype=float) * np.outer(d, d)
+    norms = np.linalg.norm(J, axis=1)
+    return max(float(np.abs(gradient).max()), float(np.abs(H).max())), np.where(norms > 0, norms, 1.0)
+
+
 def in_units(stage: SteadyStage, d: Array, money: float, rows: Array) -> SteadyStage:
     """The same stage in w / d, cost / money, h / rows; multipliers are then lam d / money and mu rows / money."""
     w = ca.SX.sym("w", len(d))

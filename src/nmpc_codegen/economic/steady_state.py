@@ -19,7 +19,7 @@ import casadi as ca
 import numpy as np
 import scipy.linalg
 
-from nmpc_codegen.economic.stage import Rows, SteadyStage, in_units, magnitudes
+from nmpc_codegen.economic.stage import Rows, SteadyStage, in_units, magnitudes, units
 from nmpc_codegen.errors import ProblemError
 from nmpc_codegen.frontend.checks import vector
 from nmpc_codegen.frontend.problem import Array
@@ -72,12 +72,8 @@ def solve_steady_state(stage: SteadyStage, guess: tuple[Array, Array] | None = N
     w = start_point(stage, guess)
     _refuse_infinite(stage, w)
     size = magnitudes(stage, w)
-    gradient, J = (np.asarray(part, dtype=float) * size for part in stage.jacobians(w)[1:])
-    zero = np.zeros(len(stage.rows.names))
-    H = np.asarray(stage.hessian(w, np.zeros(stage.nx), zero), dtype=float) * np.outer(size, size)
-    money = max(float(np.abs(gradient).max()), float(np.abs(H).max()))
-    norms = np.linalg.norm(J, axis=1)
-    money, norms = money if 0 < money < np.inf else 1.0, np.where(norms > 0, norms, 1.0)
+    money, norms = units(stage, w, size)
+    money = money if 0 < money < np.inf else 1.0
     found = _least(in_units(stage, size, money, norms), w / size)
     lam, mu = found.lam * money / size[: stage.nx], found.mu * money / norms
     w = found.w * size
