@@ -18,7 +18,7 @@ help:
 	@echo "make lint      formatter, linter, type checker"
 	@echo "make format    apply the formatters: ruff, and clang-format to the C parts if it is there"
 	@echo "make bench     times, bytes, instructions and draws beside their baseline, on one page"
-	@echo "make mutants   whether the tests see ten faults that are put into a copy"
+	@echo "make mutants   whether the tests see the faults that are put into a copy"
 	@echo "make clean     remove $(OUT)/ and caches; make distclean also $(VENV)/"
 	@echo "Variables: PYTHON=$(PYTHON) VENV=$(VENV) OUT=$(OUT)"
 

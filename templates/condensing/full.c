@@ -115,10 +115,9 @@ static void condense_store_rows(solver_t *s, int k, int column)
 static void condense_add_curvature(solver_t *s)
 {
     for (int k = 0; k < N; ++k) {
-        if (CURVED) {
-            real_t(*Q)[NZ] = s->curved.in_solve ? s->curved.Q[k] : HESSIAN(s, k);
-        } else {
-            real_t(*Q)[NZ] = HESSIAN(s, k);
+        real_t(*Q)[NZ] = HESSIAN(s, k);
+        if (CURVED && s->curved.in_solve) {
+            Q = s->curved.Q[k];
         }
         for (int j = 0; j < NU; ++j) {
             for (int i = 0; i <= j; ++i) {

@@ -48,4 +48,4 @@ const char *golden_status_string(golden_status_t status);
 #endif
 
 #endif
-/* nmpc_codegen package b3acbd3b35d7bb99, sha256 e4d04a833efa62332b598a04f35b02afb4bcfb342fd08e8d0f51e5a5c401e87f */
+/* nmpc_codegen package 7192b6e540aa30e6, sha256 dfc52bd6aee0a57a5a71e159092712f3cf8deca08c775001d54c4a31b9a00ebe */

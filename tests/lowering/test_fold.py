@@ -101,6 +101,15 @@ def test_a_part_is_c_before_it_is_folded() -> None:
         with pytest.raises(ValueError, match="n: declared in a block and used after it"):
             folded([*block, use, *(["        s->c = 1;", "    }"] if use.endswith("{") else [])], CONSTANTS, TYPES)
     assert folded([*block, "    s->n = 1;"], CONSTANTS, TYPES)
+    rows = [
+        "    if (HARD) {",
+        "        real_t(*Q)[NE] = s->Q;",
+        "        s->b = Q[0][0];",
+        "    }",
+        "    s->c = Q[0][0];",
+    ]
+    with pytest.raises(ValueError, match="Q: declared in a block and used after it"):
+        folded(rows, CONSTANTS, TYPES)
 
 
 def test_long_lines_are_broken() -> None:

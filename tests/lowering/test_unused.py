@@ -169,6 +169,16 @@ def test_what_cannot_be_told_from_its_text_is_refused(block: tuple[str, ...]) ->
         kept(function(*block))
 
 
+def test_a_name_for_two_structs_is_refused() -> None:
+    """A member of one of them would tell nothing about the other one."""
+
+    def block(struct: str) -> list[str]:
+        return ["for (int n = 0; n < 2; n++) {", f"    {struct}_t *q = &s->{struct};", "    q->held = 1;", "}"]
+
+    with pytest.raises(ValueError, match=r"API\(f\)\(\): q points to ipm_t and to qp_t; expected a name for each"):
+        without_unused(function(*block("ipm"), *block("qp")), KNOWN, Constants(members=frozenset({("qp", "held")})))
+
+
 def test_effects_stay() -> None:
     """Assignments in conditions, counts in a place that is absent, a variable that is read after its loop."""
     nothing = function("return R(0);", head="static real_t zero(void)")

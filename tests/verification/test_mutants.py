@@ -27,5 +27,5 @@ def test_a_text_that_is_not_there(tmp_path: Path) -> None:
         put(Mutant("twice", "part.c", "int a;", "int b;", ()), tmp_path)
 
 
-def test_ten() -> None:
-    assert len(MUTANTS) == len({(m.path, m.before) for m in MUTANTS}) == 10
+def test_all_differ() -> None:
+    assert len(MUTANTS) == len({(m.path, m.before) for m in MUTANTS}) == 13

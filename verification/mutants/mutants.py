@@ -87,4 +87,25 @@ MUTANTS = (
         "        return total",
         ("tests/analysis/test_interpret.py",),
     ),
+    Mutant(
+        "an effect that goes: a count in a condition that a constant decides",
+        "src/nmpc_codegen/lowering/pruning/fold.py",
+        "if value is decisive and not any(map(has_effects, kept)):",
+        "if value is decisive:",
+        ("tests/lowering/test_fold.py",),
+    ),
+    Mutant(
+        "a member of another struct: a write to a member of size 0",
+        "src/nmpc_codegen/lowering/pruning/fold.py",
+        'struct = path[-2] if len(path) > 2 else types.get(path[0], "")',
+        'struct = path[-2] if len(path) > 2 else "qp"',
+        ("tests/lowering/test_fold.py",),
+    ),
+    Mutant(
+        "a lost call: the value of a variable that nothing reads",
+        "src/nmpc_codegen/lowering/pruning/unused.py",
+        "if used or effect]",
+        "if used]",
+        ("tests/lowering/test_unused.py",),
+    ),
 )

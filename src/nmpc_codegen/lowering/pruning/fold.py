@@ -41,7 +41,9 @@ _WORDS = re.compile(r"[A-Za-z_]\w*")
 #: Behind it a block has nothing to do.
 _LEAVES = re.compile(r" *(?:return\b.*|continue|break);")
 #: A declaration of one variable or the first of some.
-_DECLARED = re.compile(r" +(?:static )?(?:const )?(?:int|int32_t|ptrdiff_t|\w+_t) \(?\**(?P<name>\w+)\b(?! *\()")
+_DECLARED = re.compile(
+    r" +(?:static )?(?:const )?(?:int|int32_t|ptrdiff_t|\w+_t)(?: \(?\**|\(\*)(?P<name>\w+)\b(?! *\()"
+)
 _STEP = "    "
 #: Maximum length of a line.
 WIDTH = 120

@@ -179,7 +179,7 @@ class _Pruned:
 
     def _simplified(self, function: _Function) -> _Function:
         block = list(function.block)
-        types = {name: struct for struct, name in _POINTER.findall("\n".join([*function.signature, *block]))}
+        types = _types(function)
         while (shorter := _pass(folded(block, self.constants, types), self.macros)) != block:
             block = shorter
         return replace(function, block=tuple(_without_empty_lines(block)))
@@ -264,6 +264,21 @@ class _Pruned:
         for name, change in changes.items():
             if change.dropped:
                 self.changed.add(name)
+
+
+def _types(function: _Function) -> dict[str, str]:
+    """Pointer of a function -> the struct to which it points.
+
+    Raises:
+        ValueError: pointers to different structs have the same name, so that a member does not tell its struct.
+    """
+    found: dict[str, str] = {}
+    for struct, name in _POINTER.findall(blanked("\n".join([*function.signature, *function.block]))):
+        if found.setdefault(name, struct) != struct:
+            raise ValueError(
+                f"{function.name}(): {name} points to {found[name]}_t and to {struct}_t; expected a name for each"
+            )
+    return found
 
 
 def _only_result(function: _Function) -> str:
