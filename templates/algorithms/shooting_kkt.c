@@ -44,7 +44,7 @@ static real_t residual_of(const solver_t *s, int what, kkt_t *kkt)
     memset(kkt, 0, sizeof *kkt);
     start_adjoint(s, what, lam);
     for (int k = N - 1; k >= 0; k--) {
-        pull_back(s, k, what, lam, g, own);
+        carry_back(s, k, what, lam, g, own);
         for (int j = 0; j < NU; j++) {
             kkt_control(s, k, j, g[NX + j], own[NX + j], kkt);
         }

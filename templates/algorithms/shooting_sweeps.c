@@ -12,7 +12,7 @@ static int simulate_plan(solver_t *s)
 }
 
 /* own = gradient of the cost and the rows of node k, g = [A_k B_k]' lam, lam := state part of their sum. */
-static void pull_back(const solver_t *s, int k, int what, real_t *lam, real_t *g, real_t *own)
+static void carry_back(const solver_t *s, int k, int what, real_t *lam, real_t *g, real_t *own)
 {
     for (int i = 0; i < NZ; i++) {
         own[i] = R(0);
@@ -54,7 +54,7 @@ static void differentiate(solver_t *s)
     real_t lam[NX], g[NZ], own[NZ];
     start_adjoint(s, ESTIMATE, lam);
     for (int k = N - 1; k >= 0; k--) {
-        pull_back(s, k, ESTIMATE, lam, g, own);
+        carry_back(s, k, ESTIMATE, lam, g, own);
         for (int j = 0; j < NU; j++) {
             s->shooting.r[k][j] = control_scale[j] * (g[NX + j] + own[NX + j]);
         }

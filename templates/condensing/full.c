@@ -420,4 +420,6 @@ static void qp_shift_rows(qp_t *q, const int *source);
 
 #include "condensing/shift_condensed.c"
 
+#if FIRST
 #include "condensing/law_condensed.c"
+#endif

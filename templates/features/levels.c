@@ -57,8 +57,10 @@ static void follow_node(solver_t *s, int k)
         }
     }
     follow_gradient(node->g, HESSIAN(s, k)[0], dz, NZ, NZ);
-    for (int i = 0; PROXIMAL && i < NZ; i++) { /* a limit of steps, and no part of the cost */
-        node->g[i] -= proximal[i] * dz[i];
+    if (PROXIMAL) { /* a limit of steps, and no part of the cost */
+        for (int i = 0; i < NZ; i++) {
+            node->g[i] -= proximal[i] * dz[i];
+        }
     }
     if (NH > 0) {
         follow_rows(node->h, node->J[0], dz, NH, NZ);

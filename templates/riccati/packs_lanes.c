@@ -39,16 +39,16 @@ PACK_INLINE pack_t pack_load(const real_t *p, int n)
     if (n >= PACK_WIDTH) {
         return *(const loose_pack_t *)p;
     }
-    if (PACK_WIDTH == 8) {
-        const pack4_t zero = {0};
-        if (n >= 4) {
-            return __builtin_shufflevector(
-                (pack4_t) * (const loose_quad_t *)p, quad_part(p + 4, n - 4), 0, 1, 2, 3, 4, 5, 6, 7);
-        }
-        return __builtin_shufflevector(quad_part(p, n), zero, 0, 1, 2, 3, 4, 5, 6, 7);
-    } else {
-        return quad_part(p, n);
+#if PACK_WIDTH == 8
+    const pack4_t zero = {0};
+    if (n >= 4) {
+        return __builtin_shufflevector(
+            (pack4_t) * (const loose_quad_t *)p, quad_part(p + 4, n - 4), 0, 1, 2, 3, 4, 5, 6, 7);
     }
+    return __builtin_shufflevector(quad_part(p, n), zero, 0, 1, 2, 3, 4, 5, 6, 7);
+#else
+    return quad_part(p, n);
+#endif
 }
 
 /* Stores the first n numbers, at most PACK_WIDTH. */

@@ -48,4 +48,4 @@ const char *golden_status_string(golden_status_t status);
 #endif
 
 #endif
-/* nmpc_codegen package 7192b6e540aa30e6, sha256 dfc52bd6aee0a57a5a71e159092712f3cf8deca08c775001d54c4a31b9a00ebe */
+/* nmpc_codegen package 1119be6b5a5b9f63, sha256 ceb6f60909e757c4f45c5ef6495a405f6556949a859a4be4f717ac5c65ed9a8d */

@@ -178,6 +178,10 @@ class Component(Protocol):
         """Further compile-time sizes: (macro without prefix, value, meaning)."""
         ...
 
+    def absent_sizes(self, dims: Dims) -> tuple[tuple[str, int, str], ...]:
+        """Sizes that its parts name and this package does not need."""
+        ...
+
     def structs(self, dims: Dims) -> tuple[Struct, ...]:
         """The structs that it owns inside the solver struct."""
         ...
@@ -400,6 +404,9 @@ class Defaults:
         return ()
 
     def sizes(self, dims: Dims) -> tuple[tuple[str, int, str], ...]:
+        return ()
+
+    def absent_sizes(self, dims: Dims) -> tuple[tuple[str, int, str], ...]:
         return ()
 
     def structs(self, dims: Dims) -> tuple[Struct, ...]:

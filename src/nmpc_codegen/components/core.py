@@ -5,15 +5,20 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from nmpc_codegen.components.base import Core, Dims
-from nmpc_codegen.package.memory import Field, Size, Struct
+from nmpc_codegen.package.memory import Field, Size, Struct, stated
 
 
 def core_structs(core: Iterable[Core], dims: Dims) -> tuple[Struct, ...]:
-    """The structs for the words in ``core``; a struct named "solver" lists further members of the solver struct."""
+    """The structs for the words in ``core``; a struct named "solver" lists further members of the solver struct.
+    Those of other words are stated too, for parts that name them."""
     wanted = set(core)
-    nodes = (_node(dims), _terminal(dims), _coupled(dims), _renewal()) if "nodes" in wanted else ()
-    multipliers = (_multipliers(dims),) if "multipliers" in wanted else ()
-    return (*nodes, *multipliers, *((_kkt(),) if "kkt" in wanted else ()))
+    return (
+        *stated("nodes" in wanted, _node(dims), _terminal(dims), _coupled(dims), _renewal()),
+        *stated("multipliers" in wanted, _multipliers(dims)),
+        *stated("kkt" in wanted, _kkt()),
+        _rows(dims),
+        *stated(False, *_of_others(dims)),
+    )
 
 
 def _node(dims: Dims) -> Struct:
@@ -73,6 +78,33 @@ def _multipliers(dims: Dims) -> Struct:
             Field("mu_N", (dims.nh_N,), "multipliers of the general terminal rows", "iterate"),
             Field("eta", (dims.ne,), "multipliers of the coupled rows", "iterate"),
         ),
+    )
+
+
+def _rows(dims: Dims) -> Struct:
+    """What parts of the core know of rows."""
+    nodes = Size("N + 1", dims.N.value + 1)
+    penalty = "l1 penalty of hard rows while a QP is relaxed, else infinite"
+    left = "of the hard rows, left by the last step"
+    price = "of relaxed rows on states, relative to that at the last node"
+    return Struct(
+        "solver",
+        "",
+        (
+            Field("row_scale", (dims.nr,), "largest terms of the rows", "keep", only=lambda f: f.row_scales),
+            Field("relaxation", (), penalty, "scratch", only=lambda f: f.relaxation),
+            Field("row_residual", (), left, "keep", only=lambda f: f.nonlinear_rows),
+            Field("price", (nodes,), price, "keep", only=lambda f: f.relax and f.hard_rows),
+        ),
+    )
+
+
+def _of_others(dims: Dims) -> tuple[Struct, ...]:
+    """Members that some components have and that parts of the core name."""
+    return (
+        Struct("hessian", "", (Field("changed", (), "", "scratch", "int32"),)),
+        Struct("condensed", "", (Field("regularized", (), "", "data", "int32"),)),
+        Struct("qp", "", (Field("inverse", (dims.nu,), "", "scratch"),)),
     )
 
 

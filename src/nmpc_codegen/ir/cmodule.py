@@ -126,6 +126,7 @@ class CModule:
     places: Mapping[str, str] = field(default_factory=dict)  # of inputs and outputs that a node keeps: name -> C text
     absent_members: frozenset[tuple[str, str]] = frozenset()  # (struct, member) of size 0, which its structs lack
     absent_kernels: tuple[str, ...] = ()  # kernels and products that have nothing to compute here
+    whole: bool = False  # nothing of its structs and parts is left out
     one_step: Kernel | None = None  # an integration step with its Jacobian, for lanes
     foreign: Mapping[str, str] = field(default_factory=dict)  # path -> text, for code of other generators
 

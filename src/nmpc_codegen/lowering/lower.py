@@ -10,21 +10,21 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from nmpc_codegen.components.algorithms.shifts import sampled
-from nmpc_codegen.components.base import Counts, Dims, Feature
-from nmpc_codegen.components.core import core_structs
+from nmpc_codegen.components.base import Component, Counts, Dims
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.frontend.problem import Array, Problem, Row, Stage
-from nmpc_codegen.ir.cmodule import CModule, Enum, Macro, Section, Setter, Setting, Table, check_prefix
+from nmpc_codegen.ir.cmodule import CModule, Enum, Macro, Section, Setter, Table, check_prefix
 from nmpc_codegen.ir.kernel import called_functions
 from nmpc_codegen.ir.print_c import CStyle
 from nmpc_codegen.ir.sweep import Routine
-from nmpc_codegen.ir.tuning import PANEL
+from nmpc_codegen.ir.tuning import COLUMNS, PANEL
 from nmpc_codegen.lowering.lanes import with_lanes
 from nmpc_codegen.lowering.linearize import Model
 from nmpc_codegen.lowering.parts import own_names
+from nmpc_codegen.lowering.structs import absent_members, extras, lowered_structs, settings
 from nmpc_codegen.package.description import PackageDescription, Report
 from nmpc_codegen.package.features import KERNELS, Features, KernelName
-from nmpc_codegen.package.memory import Field, Size, Struct, placed
+from nmpc_codegen.package.memory import Size, Struct, placed
 from nmpc_codegen.package.opcount import OpCount
 from nmpc_codegen.package.signals import Kind, Layout, Residual, c_constants
 from nmpc_codegen.package.status import Status
@@ -40,8 +40,12 @@ ROUNDING_OF_STEPS = 1e-3
 MAGIC = 0x4E4D5043
 
 
-def lower(model: Model, name: str | None = None) -> CModule:
-    """Determine every size and name of the package ``name`` (default: the name of the problem)."""
+def lower(model: Model, name: str | None = None, whole: bool = False) -> CModule:
+    """Determine every size and name of the package ``name`` (default: the name of the problem).
+
+    ``whole``: the package keeps what it does not need, members of size 0, structs of features that it lacks, all text
+    of the parts (GNU C). It does the same to the bit; tests compare the two.
+    """
     problem = model.problem
     name = problem.name if name is None else name
     check_prefix(name)
@@ -50,22 +54,8 @@ def lower(model: Model, name: str | None = None) -> CModule:
     if model.math == "own":
         _check_math(model, [component for component, files in foreign if files])
     features = _features(model)
-    structs, layout = placed(_structs(model, dims, features), model.precision)
-    held = {f.ctype for s in structs if s.name != "solver" for f in s.fields}
-    sections = tuple(
-        Section(
-            f"{c.seam}: {c.name}",
-            c.template,
-            _section_count(c.cost(dims, model)),
-            sum(
-                layout[s.name][0] * s.count
-                for s in c.structs(dims)
-                if s.name in layout and s.name != "solver" and s.name not in held
-            ),
-        )
-        for c in model.parts.components
-    )
-    macros = _macros(model, dims)
+    structs, layout = placed(lowered_structs(model, dims, features, whole), model.precision)
+    macros = _macros(model, dims, whole)
     ranges = _ranges(model, dims, features)
     module = CModule(
         description=_description(model, name, macros, structs, _report(model, dims, features, structs, layout), ranges),
@@ -74,12 +64,12 @@ def lower(model: Model, name: str | None = None) -> CModule:
         enums=_enums(problem),
         tables=_tables(model),
         rows=problem.qp_rows,
-        settings=_settings(model, dims),
+        settings=settings(model, dims, whole),
         setters=_setters(model),
         routines=tuple(r for r in _printed(model) if r.name not in KERNELS or r.name in features.kernels),
         products=model.products,
         features=features,
-        sections=sections,
+        sections=_sections(model, dims, structs, layout),
         signals=(
             ("x", problem.state_names),
             ("u", problem.control_names),
@@ -92,14 +82,31 @@ def lower(model: Model, name: str | None = None) -> CModule:
         diagonal_weight=problem.path.diagonal_weight,
         scaled_weight=any(problem.path.scale_with_dt),
         diagonal_weight_N=problem.terminal.diagonal_weight,
-        extras=tuple(feature.part for feature in _extras(model, features)),
+        extras=tuple(feature.part for feature in extras(model, features)),
         places={name: place for c in model.parts.components for name, place in c.places.items()},
-        absent_members=_absent_members(model, dims, features, structs),
+        absent_members=absent_members(model, dims, features, structs),
         absent_kernels=tuple(name for name in KERNELS if not features.has(name)),
+        whole=whole,
         one_step=model.interval.one_step,
         foreign={path: text for _, files in foreign for path, text in files.items()},
     )
     return _with_members_apart(with_lanes(module))
+
+
+def _sections(
+    model: Model, dims: Dims, structs: tuple[Struct, ...], layout: Mapping[str, tuple[int, int]]
+) -> tuple[Section, ...]:
+    """What the components contribute to the unit, with the bytes of the structs that they own."""
+    held = {f.ctype for s in structs if s.name != "solver" for f in s.fields} | {"solver"}
+
+    def size(component: Component) -> int:
+        owned = [s for s in component.structs(dims) if s.name in layout and s.name not in held]
+        return sum(layout[s.name][0] * s.count for s in owned)
+
+    return tuple(
+        Section(f"{c.seam}: {c.name}", c.template, _section_count(c.cost(dims, model)), size(c))
+        for c in model.parts.components
+    )
 
 
 def _ranges(model: Model, dims: Dims, features: Features) -> dict[str, tuple[int, int]]:
@@ -248,7 +255,7 @@ def _section_count(counts: Counts) -> OpCount | None:
     return sum(counts.values(), OpCount()) if counts else None
 
 
-def _macros(model: Model, dims: Dims) -> tuple[Macro, ...]:
+def _macros(model: Model, dims: Dims, whole: bool) -> tuple[Macro, ...]:
     docs = {
         "N": "intervals",
         "NX": "states",
@@ -290,12 +297,15 @@ def _macros(model: Model, dims: Dims) -> tuple[Macro, ...]:
         macros += [Macro(*entry) for entry in component.sizes(dims)]
     parts = model.parts
     reach = parts.algorithm.reach(model.problem) / parts.integrator.longest_step(model.problem)
-    if reach:
+    if reach or whole:
         steps = math.ceil(reach + ROUNDING_OF_STEPS)
         macros.append(Macro("PLAN_STEPS", steps, "integration steps from a node of the plan to a new one, at most"))
     macros.append(Macro("MANY", MANY, "maximum value of counters"))
     macros.append(Macro("MAGIC", MAGIC, "marks a struct that init has initialised"))
-    return tuple(macros)
+    if whole:
+        macros += [Macro("COLUMNS", COLUMNS, "columns of G_k that are processed together"), Macro("MIRROR", 0, "")]
+        macros += [Macro(*entry) for component in parts.components for entry in component.absent_sizes(dims)]
+    return tuple({macro.name: macro for macro in reversed(macros)}.values())[::-1]
 
 
 def _enums(problem: Problem) -> tuple[Enum, ...]:
@@ -307,124 +317,6 @@ def _enums(problem: Problem) -> tuple[Enum, ...]:
     if parameters:
         enums.append(Enum("PARAM", parameters, "parameters, for set_parameter"))
     return tuple(enums)
-
-
-def _existing(struct: Struct, features: Features) -> Struct:
-    """The struct without members that the package lacks: those of size 0, and of features that it does not have."""
-    fields = (replace(f, only=None) for f in struct.fields if all(f.values) and (f.only is None or f.only(features)))
-    return replace(struct, fields=tuple(fields), only=None)
-
-
-def _structs(model: Model, dims: Dims, features: Features) -> tuple[Struct, ...]:
-    nodes = Size("N + 1", dims.N.value + 1)
-    common = [
-        Field("x", (nodes, dims.nx), "states of the plan", "iterate"),
-        Field("u", (dims.N, dims.nu), "controls of the plan", "iterate"),
-        *(setting.field for setting in _settings(model, dims)),
-    ]
-    results = [
-        Field("status", (), "status of the last call", "result", "int32"),
-        Field("magic", (), "set by init", "keep", "int32"),
-    ]
-    stated = _stated_structs(model, dims, features)
-    owned = [_existing(s, features) for s in stated if s.only is None or s.only(features)]
-    owned = [s for s in owned if s.fields]
-    own_members = [f for s in owned if s.name == "solver" for f in s.fields]
-    inner = _inner_structs(owned)
-    held = {f.ctype for s in inner for f in s.fields} | {f.ctype for f in own_members}
-    members = [Field(s.name, s.shape, s.doc, "data", s.name) for s in inner if s.name not in held and s.name != "kkt"]
-    fields = (*common, *own_members, *members, *results)
-    solver = Struct("solver", "the whole controller: no pointers, copy it with '='", fields)
-    return (*inner, _existing(solver, features))
-
-
-def _extras(model: Model, features: Features) -> tuple[Feature, ...]:
-    """What runs at hooks: for the other components, and then for the algorithm."""
-    return tuple(feature for component in model.parts.components for feature in component.extras(features))
-
-
-def _stated_structs(model: Model, dims: Dims, features: Features) -> list[Struct]:
-    """The structs of the core and of the components, with members that this package may lack."""
-    core = core_structs(model.parts.algorithm.core, dims)
-    extra = [s for feature in _extras(model, features) for s in feature.structs(dims)]
-    return [*core, *(s for c in model.parts.components for s in c.structs(dims)), *extra]
-
-
-def _absent_members(
-    model: Model, dims: Dims, features: Features, structs: tuple[Struct, ...]
-) -> frozenset[tuple[str, str]]:
-    """(struct, member) of what components state and no struct of the package has."""
-    stated = _stated_structs(model, dims, features)
-    members = {(s.name, f.name) for s in stated for f in s.fields} | {("solver", s.name) for s in stated}
-    return frozenset(members - {(s.name, f.name) for s in structs for f in s.fields})
-
-
-def _inner_structs(owned: list[Struct]) -> list[Struct]:
-    """The structs that the solver contains, each one after its members; unions of the same name are merged."""
-    stated = {s.name: s for s in owned if s.name != "solver"}
-    for name in (s.name for s in owned if s.union):
-        alternatives = [f for s in owned if s.name == name for f in s.fields]
-        stated[name] = replace(stated[name], fields=tuple(alternatives))
-    order: dict[str, Struct] = {}
-
-    def place(struct: Struct) -> None:
-        for member in struct.fields:
-            if member.ctype in stated:
-                place(stated[member.ctype])
-        order.setdefault(struct.name, struct)
-
-    for struct in stated.values():
-        place(struct)
-    return list(order.values())
-
-
-def _settings(model: Model, dims: Dims) -> tuple[Setting, ...]:
-    """Members for the data that can be changed at run time; fixed data have none."""
-    p, layouts = model.problem, model.online.layouts
-    weight = (dims.ny,) if p.path.diagonal_weight else (dims.ny, dims.ny)
-    weight_N = (dims.ny_N,) if p.terminal.diagonal_weight else (dims.ny_N, dims.ny_N)
-    one = Size("1", 1)
-    path: Mapping[Layout, Size] = {"shared": one, "node": dims.N}
-    every: Mapping[Layout, Size] = {"shared": Size("2", 2), "node": Size("N + 1", dims.N.value + 1)}
-    which = {"shared": "path, terminal", "node": "every node"}
-
-    def setting(
-        option: Kind, name: str, table: str, shape: tuple[Size, ...], copies: Mapping[Layout, Size] | None, doc: str
-    ) -> list[Setting]:
-        entries = {"W": dims.nw, "W_N": dims.nw_N}.get(name, shape[0])
-        layout = layouts[option]
-        if layout == "fixed" or not entries.value:
-            return []
-        count = copies[layout] if copies else one
-        leading = (count,) if copies else ()
-        suffix = f": {which[layout]}" if option == "bounds" else ""
-        return [Setting(Field(name, (*leading, *shape), doc + suffix, "setting"), table, count, entries)]
-
-    return (
-        *setting("parameter", "p", "default_parameter", (dims.np,), every, "parameters"),
-        *setting("reference", "yref", "default_reference", (dims.ny,), path, "references of the path residual"),
-        *setting(
-            "reference",
-            "yref_N",
-            "default_terminal_reference",
-            (dims.ny_N,),
-            None,
-            "reference of the terminal residual",
-        ),
-        *setting("weight", "W", "default_weight", weight, path, f"weight of the path residual{_scaled(p)}"),
-        *setting("weight", "W_N", "default_terminal_weight", weight_N, None, "weight of the terminal residual"),
-        *setting("bounds", "lower", "default_lower", (dims.nr,), every, "lower bounds of the rows"),
-        *setting("bounds", "upper", "default_upper", (dims.nr,), every, "upper bounds of the rows"),
-    )
-
-
-def _scaled(p: Problem) -> str:
-    """Which weights are multiplied by the length of the interval where they are used, for a comment."""
-    names = [name for name, scaled in zip(p.path.y_names, p.path.scale_with_dt, strict=True) if scaled]
-    if not names:
-        return ""
-    which = "" if len(names) == p.path.ny else f" of {', '.join(names)}"
-    return f"; that{which} is multiplied by dt_k in use"
 
 
 #: Values of k that are allowed besides ALL, for every kind of data that can be changed at run time.
@@ -455,7 +347,7 @@ def _tables(model: Model) -> tuple[Table, ...]:
     longest_step = model.parts.integrator.longest_step(p)
     first = np.searchsorted([r[0] for r in rows], range(p.N + 2))
     offsets = [s.offset for s in p.parameters] + [p.np]
-    return (
+    found = (
         real("interval_length", p.dt, "dt_k"),
         *([] if p.discrete else [real("step_length", [longest_step], "longest integration step")]),
         real("z_scale", _rounded(sizes.z), "scales of (x, u)"),
@@ -487,7 +379,9 @@ def _tables(model: Model) -> tuple[Table, ...]:
         ),
         integer("parameter_offset", offsets, "first element of a parameter in p"),
         *(table for component in model.parts.components for table in component.tables(p)),
+        real("regularization", (), "of no Hessian"),
     )
+    return tuple({table.name: table for table in reversed(found)}.values())[::-1]
 
 
 def _rounded(values: ArrayLike) -> list[float]:

@@ -81,12 +81,14 @@ def all_definitions(module: CModule) -> list[Definition]:
     constants = [(m.name, f"{P}_{m.name}") for m in module.macros if m.name != "MAGIC"]
     constants.append(("MAGIC", "NMPC_CODEGEN_UNIT"))
     constants += [(name, f"{P}_{name}") for name in ("ALL", *(status.name for status in module.statuses))]
+    features = module.features.macros
     constants += [
-        ("VECTOR_LANES", str(module.features.vector_lanes)),
-        ("PACK_WIDTH", str(module.features.pack_width)),
+        *((name, str(features[name])) for name in (features if module.whole else ("VECTOR_LANES", "PACK_WIDTH"))),
         *arithmetic(module.precision, module.features.own_math),
     ]
     parametric = [("API", "name", f"{p}_##name"), REAL_CONSTANT, *accessors(module)]
+    if module.whole:
+        parametric += [(name.upper(), "...", "((void)0)") for name in module.absent_kernels]
     parametric.append(("HESSIAN", "s, k", f"(s)->hessian.Q[{'0' if module.sizes.get('NQ') == 1 else 'k'}]"))
     places = {**PLACES, **module.places} | (MEASURED_START if module.features.start_is_measured else {})
     parametric += [kernel_call(routine, places, module.places) for routine in module.routines]

@@ -35,6 +35,7 @@ from nmpc_codegen.lowering.preamble import (
     preamble,
 )
 from nmpc_codegen.lowering.pruning.fold import Constants
+from nmpc_codegen.lowering.pruning.text import blanked
 from nmpc_codegen.lowering.pruning.unused import without_unused
 from nmpc_codegen.lowering.rows import row_functions
 from nmpc_codegen.package.memory import PURPOSES, WORK, Field, Struct
@@ -107,8 +108,9 @@ def _filled(module: CModule) -> dict[str, Any]:
     names = _names(module)
     header = tidy(environment().get_template("solver.h.jinja").render(names))
     known = all_definitions(module)
-    body = without_unused(render_unit(module, names), known, _constants(module))
-    words = names_in(body)
+    body = render_unit(module, names)
+    body = body if module.whole else without_unused(body, known, _constants(module))
+    words = names_in(blanked(body))
     math = own_math(module, definitions(known, words)[1])
     words |= names_in(math)
     tables = render_tables(module, names, known, words)
@@ -147,7 +149,7 @@ def _names(module: CModule) -> dict[str, Any]:
         "dim": lambda macro: f"{module.macro}_{macro}",
         "values": lambda table: table_values(table, module.style),
         "print_routine": lambda routine: print_routine(routine, module.style),
-        "resolved": lambda template: resolve(environment().get_template(template).render(names), module.sizes).rstrip(),
+        "resolved": lambda template: _resolved(environment().get_template(template).render(names), module),
         "copies": lambda option: _copies(module.layouts[option], option in ("reference", "weight")),
         "initial": ", ".join(names["lit"](v) for s in module.description.states for v in s.value),
         "dt": names["lit"](module.description.sampling_time or module.description.dt[0]),
@@ -158,7 +160,7 @@ def _names(module: CModule) -> dict[str, Any]:
 def render_tables(module: CModule, names: dict[str, Any], known: Sequence[Definition], body: Collection[str]) -> str:
     """The tables that a body with these identifiers reads, directly or through macros of the preamble."""
     _, used = definitions(known, body)
-    tables = [t for t in module.tables if t.name in used and t.values]
+    tables = [t for t in module.tables if t.name in used and (t.values or module.whole)]
     return environment().get_template("tables.c.jinja").render(names | {"tables": tables}).rstrip("\n")
 
 
@@ -167,6 +169,11 @@ def _constants(module: CModule) -> Constants:
     tables = {t.name: (int(min(t.values)), int(max(t.values))) for t in module.tables if t.ctype == "int" and t.values}
     kernels = frozenset(name.upper() for name in module.absent_kernels)
     return Constants(module.sizes, tables, module.absent_members, kernels)
+
+
+def _resolved(text: str, module: CModule) -> str:
+    """The text with the branches of `#if` that the package has; a whole package leaves them to the compiler."""
+    return (text if module.whole else resolve(text, module.sizes)).rstrip()
 
 
 def render_unit(module: CModule, names: dict[str, Any]) -> str:
@@ -182,7 +189,7 @@ def render_unit(module: CModule, names: dict[str, Any]) -> str:
         if path == module.sections[-1].template:
             check_hooks([text], module.extras)
         text = with_hooks(text, module.extras)
-        return resolve(text, module.sizes).rstrip("\n")
+        return _resolved(text, module)
 
     more: dict[str, Any] = {"part": part, "generated": generated}
     return environment().get_template("unit.c.jinja").render(names | more)

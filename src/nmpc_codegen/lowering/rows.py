@@ -59,8 +59,10 @@ def row_functions(module: CModule) -> dict[str, Any]:
 
 def _entry(name: str, values: list[int], module: CModule) -> str:
     """What the function of a column returns."""
-    if len(set(values)) != 1:
+    if len(set(values)) > 1:
         return f"row_data[m].{name}"
+    if not values:
+        return "0"
     return "N" if name == "node" and values[0] == module.value("N") else str(values[0])
 
 

@@ -159,7 +159,7 @@ class PackageDescription:
 
     def dtype(self, struct: str = "solver") -> np.dtype[Any]:
         """Structured NumPy type of a C struct: members in order and aligned as in C; those of a union overlap."""
-        members = [(f.name, self._member_type(f), f.padded) for f in self.members(struct).values()]
+        members = [(f.name, self._member_type(f), f.values) for f in self.members(struct).values()]
         overlap = any(s.union for s in self.structs if s.name == struct)
         return union_dtype(members) if overlap else np.dtype(members, align=True)
 

@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 
@@ -104,6 +104,14 @@ class Struct:
         return math.prod(size.value for size in self.shape)
 
 
+Stated = TypeVar("Stated", Field, Struct)
+
+
+def stated(present: object, *entries: Stated) -> tuple[Stated, ...]:
+    """Members or structs that a package lacks unless ``present``; its parts may name them all the same."""
+    return entries if present else tuple(replace(entry, only=lambda _: False) for entry in entries)
+
+
 def struct_layout(structs: Iterable[Struct], precision: str) -> dict[str, tuple[int, int]]:
     """(size, alignment) in bytes of every struct by the usual C rules, members in order."""
     types = {"real": (REAL_BYTES[precision],) * 2, "int32": (4, 4)}
@@ -112,7 +120,7 @@ def struct_layout(structs: Iterable[Struct], precision: str) -> dict[str, tuple[
         size, alignment = 0, 1
         for member in struct.fields:
             element, align = layout[member.ctype] if member.ctype in layout else types[member.ctype]
-            end = element * math.prod(member.padded)
+            end = element * math.prod(member.values)
             size = max(size, end) if struct.union else -(-size // align) * align + end
             alignment = max(alignment, align)
         layout[struct.name] = (-(-size // alignment) * alignment, alignment)

@@ -39,7 +39,7 @@ from nmpc_codegen.errors import OptionError
 from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.cmodule import Table
 from nmpc_codegen.package.features import Features, KernelName
-from nmpc_codegen.package.memory import Field, Size, Struct
+from nmpc_codegen.package.memory import Field, Size, Struct, stated
 from nmpc_codegen.package.signals import EntryPoint
 
 METHODS = ("gauss_newton", "quasi_newton")
@@ -286,14 +286,8 @@ class AdjointShooting(Defaults):
         return replace(self, iterations=min(most, self._steps()), products=products)
 
     def sizes(self, dims: Dims) -> tuple[tuple[str, int, str], ...]:
-        controls, followed = dims.N.value * dims.nu.value, self.rows in FOLLOWED
-        newton = (
-            ("MAX_PRODUCTS", self._products(dims), "products with the Hessian of a step at most"),
-            ("PRODUCTS_OF_SOLVE", 4 * controls + 20, "the same in solve()"),
-            ("MAX_FACES", 2 * controls + 10, "faces of the box that a step visits at most"),
-            ("MAX_ROUNDS", MAX_ROUNDS, "steps of the method of multipliers for terminal rows in a step"),
-        )
-        memory = (("MEMORY", self.memory or MEMORY, "pairs of the quasi-Newton method"),)
+        followed = self.rows in FOLLOWED
+        newton, memory = self._of_methods(dims)
         return (
             ("NT", self._terminal_rows(dims.end_rows), "terminal rows in the model"),
             ("ITERATIONS", self._steps(), "steps of a sample"),
@@ -306,6 +300,21 @@ class AdjointShooting(Defaults):
             ("MOST_PENALTY", 1_000_000_000, "largest penalty of solve()"),
             ("SHIFT", int(self.shift is not None), "1: step() moves the plan before the sample"),
         )
+
+    def absent_sizes(self, dims: Dims) -> tuple[tuple[str, int, str], ...]:
+        newton, memory = self._of_methods(dims)
+        return (*newton, *memory)
+
+    def _of_methods(self, dims: Dims) -> tuple[tuple[tuple[str, int, str], ...], ...]:
+        """Sizes of Newton steps, and of the quasi-Newton method."""
+        controls = dims.N.value * dims.nu.value
+        newton = (
+            ("MAX_PRODUCTS", self._products(dims), "products with the Hessian of a step at most"),
+            ("PRODUCTS_OF_SOLVE", 4 * controls + 20, "the same in solve()"),
+            ("MAX_FACES", 2 * controls + 10, "faces of the box that a step visits at most"),
+            ("MAX_ROUNDS", MAX_ROUNDS, "steps of the method of multipliers for terminal rows in a step"),
+        )
+        return newton, (("MEMORY", self.memory or MEMORY, "pairs of the quasi-Newton method"),)
 
     def ranges(self, dims: Dims) -> Mapping[str, tuple[int, int]]:
         """A sample does not run inside solve()."""
@@ -349,6 +358,7 @@ class AdjointShooting(Defaults):
             return Field(name, shape, doc, "scratch")
 
         sharpness = Field("sharpness", (), "of the smooth max, in the scale of a row", "keep")
+        change = real("lump_change", (), "its change along a direction")
         terms = {
             "smooth_l1": (sharpness,),
             "barrier": (
@@ -357,9 +367,11 @@ class AdjointShooting(Defaults):
             ),
             "lumped": (
                 sharpness,
-                *((real("lump_change", (), "its change along a direction"),) if self.second_order else ()),
+                *stated(self.second_order, change),
             ),
         }
+        chosen = terms.get(self.rows, ()) if dims.ng.value else ()
+        names = {member.name for member in chosen}
         newton = (
             real("dx", (dims.N, dims.nx), "states of a direction at nodes 1 .. N"),
             real("Xi", (terminal, *controls), "slopes of the terminal rows"),
@@ -384,7 +396,8 @@ class AdjointShooting(Defaults):
             "single shooting",
             (
                 *self._growing(dims),
-                *(terms.get(self.rows, ()) if dims.ng.value else ()),
+                *chosen,
+                *stated(False, *(member for member in terms["lumped"] if member.name not in names)),
                 Field("length", (), "part of the step that is tried first", "keep"),
                 real("r", controls, "gradient in scaled controls"),
                 real("d", controls, "step"),
@@ -413,7 +426,7 @@ def _stats(second_order: bool) -> Struct:
             count("newton_iterations", "steps"),
             count("accepted", "those that were accepted"),
             count("simulations", "simulations of the plan"),
-            *(products if second_order else ()),
+            *stated(second_order, *products),
             Field("sqp_iterations", (), "iterations of the last solve", "result", "int32", only=lambda f: f.solve),
             Field("violation", (), "largest violation of a hard row, scaled", "result"),
         ),

@@ -51,7 +51,7 @@ from nmpc_codegen.frontend.problem import Array, Problem
 from nmpc_codegen.ir.cmodule import Table
 from nmpc_codegen.ir.tuning import PANEL
 from nmpc_codegen.package.features import Features
-from nmpc_codegen.package.memory import Field, Size, Struct
+from nmpc_codegen.package.memory import Field, Size, Struct, stated
 from nmpc_codegen.package.signals import EntryPoint
 
 PREPARE = EntryPoint(
@@ -227,7 +227,7 @@ class AugmentedLagrangian(Defaults):
             ("VARIABLES", (dims.N.value + 1) * _padded(dims).value, "(N + 1) LDZ"),
             ("ITERATIONS", self.iterations, "Newton iterations of a sample"),
             ("PATIENCE", PATIENCE, "samples after which a failure is not that of one sample alone"),
-            *((("REPAIRS", self.repair, "rounds that repair a plan, at most"),) if self.repair else ()),
+            *(self.absent_sizes(dims) if self.repair else ()),
             ("SHIFT", int(self.shift is not None), "1: step() moves the plan before preparing"),
             ("MAX_FACES", MAX_FACES, "faces of the box that one iteration visits"),
             ("FACES_OF_SOLVE", 40, "the same in solve()"),
@@ -236,6 +236,9 @@ class AugmentedLagrangian(Defaults):
             ("MAX_BACKTRACKS", MAX_BACKTRACKS, "trials of a projected search"),
             ("MAX_CG", MAX_CG, "conjugate-gradient iterations on a face"),
         )
+
+    def absent_sizes(self, dims: Dims) -> tuple[tuple[str, int, str], ...]:
+        return (("REPAIRS", self.repair, "rounds that repair a plan, at most"),)
 
     def structs(self, dims: Dims) -> tuple[Struct, ...]:
         keep = (
@@ -274,7 +277,7 @@ def _stats(repair: int) -> Struct:
             count("shifts", "shifts of the preconditioner"),
             count("negative_curvature", "directions of negative curvature"),
             count("sqp_iterations", "iterations of the last solve"),
-            *((count("repairs", "rounds that have repaired the plan"),) if repair else ()),
+            *stated(repair, count("repairs", "rounds that have repaired the plan")),
             Field("violation", (), "largest gap or violation of a hard row, scaled", "result"),
             Field("residual", (), "the same in the scale of states and rows", "result"),
         ),

@@ -16,7 +16,7 @@ def _watched(dims: Dims) -> tuple[Struct, ...]:
     return (Struct("solver", "", members),)
 
 
-def _law(dims: Dims) -> tuple[Struct, ...]:
+def law(dims: Dims) -> tuple[Struct, ...]:
     """The law of the first control."""
     struct = Struct(
         "first",
@@ -32,7 +32,7 @@ def _law(dims: Dims) -> tuple[Struct, ...]:
     return (struct,)
 
 
-def _kept(dims: Dims) -> tuple[Struct, ...]:
+def kept(dims: Dims) -> tuple[Struct, ...]:
     """What the levels of an iteration keep besides the linearisation."""
     nodes = Size("N + 1", dims.N.value + 1)
     struct = Struct(
@@ -59,17 +59,9 @@ def _left(dims: Dims) -> tuple[Struct, ...]:
     return (Struct("gaps", "steps of late and what they have left", members),)
 
 
-def _bent(dims: Dims) -> tuple[Struct, ...]:
-    """Whether samples add the curvature of active rows."""
-    bent = Field("bent", (), "1: the curvature of active rows is added to the Hessian", "keep", "int32")
-    return (Struct("solver", "", (bent,)),)
-
-
 def _price(dims: Dims) -> tuple[Struct, ...]:
     """What the time outside of hard rows makes of their price."""
-    nodes = Size("N + 1", dims.N.value + 1)
     members = (
-        Field("price", (nodes,), "of relaxed rows on states, relative to that at the last node", "keep"),
         Field("outside", (), "violation at node 1 of the sample before, in its scale, if that was RELAXED", "keep"),
         Field("rises", (), "1: the price rises again while the violation does not fall", "keep", "int32"),
     )
@@ -80,8 +72,8 @@ SHIFT = Feature("shift")
 SETTLE = Feature("settle", _watched)
 PLAIN = Feature("plain")
 SIMULATE = Feature("simulate")
-LEVELS = Feature("levels", _kept)
-CURVATURE = Feature("curvature", _bent)
+LEVELS = Feature("levels")
+CURVATURE = Feature("curvature")
 GAPS = Feature("gaps", _left)
 REPAIR = Feature("repair")
 ADVANCE = Feature("advance")
@@ -90,7 +82,7 @@ RELAXATION = Feature("relaxation", _price)
 VIOLATION = Feature("violation")
 BENT_ROWS = Feature("bent_rows")
 FIRST_SAMPLE = Feature("first_sample")
-FIRST_CONTROL = Feature("first", _law)
+FIRST_CONTROL = Feature("first")
 
 #: Rows as terms of single shooting, by the option ``rows``.
 ROWS = {

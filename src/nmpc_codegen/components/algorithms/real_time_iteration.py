@@ -32,7 +32,7 @@ from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.cmodule import Table
 from nmpc_codegen.ir.model import ModelFunctions, operations
 from nmpc_codegen.package.features import Features
-from nmpc_codegen.package.memory import Field, Size, Struct
+from nmpc_codegen.package.memory import Field, Size, Struct, stated
 from nmpc_codegen.package.opcount import OpCount
 from nmpc_codegen.package.signals import Argument, EntryPoint
 
@@ -96,6 +96,13 @@ LEVELS = (
     ),
 )
 _WITH_FIRST = "RealTimeIteration(first_control=True) (--set algorithm.first_control=True)"
+
+_LEVEL_SIZES = (
+    ("LEVEL_A", 0, "level of an iteration: everything is evaluated"),
+    ("LEVEL_B", 1, "derivatives of dynamics and rows are kept"),
+    ("LEVEL_C", 2, "matrices and factors are kept; the gradient of the Lagrangian is exact"),
+    ("LEVEL_D", 3, "nothing is evaluated"),
+)
 
 MAX_TRIALS = 30
 FILTER = 16
@@ -324,18 +331,12 @@ class RealTimeIteration(Defaults):
         return resample_reach(self.shift, self.sampling_time, problem)
 
     def sizes(self, dims: Dims) -> tuple[tuple[str, int, str], ...]:
-        levels = (
-            *(("LEVEL_A", 0, "level of an iteration: everything is evaluated"),),
-            *(("LEVEL_B", 1, "derivatives of dynamics and rows are kept"),),
-            *(("LEVEL_C", 2, "matrices and factors are kept; the gradient of the Lagrangian is exact"),),
-            *(("LEVEL_D", 3, "nothing is evaluated"),),
-        )
         ahead = (
             ("ADVANCE_LEVEL", {"B": 1, "C": 2}.get(self.advance or "", 0), "level of the iterations of prepare"),
             ("ADVANCE", self.advance_iterations, "their number"),
         )
         return (
-            *(levels if self.leveled else ()),
+            *(_LEVEL_SIZES if self.leveled else ()),
             *(ahead if self.advance is not None else ()),
             *(_repairs(self.repair) if self.repair else ()),
             ("PATIENCE", PATIENCE, "samples after which a failure is not that of one sample alone"),
@@ -347,18 +348,19 @@ class RealTimeIteration(Defaults):
             ("FILTER", FILTER, "pairs of violation and cost that solve() does not accept again"),
         )
 
+    def absent_sizes(self, dims: Dims) -> tuple[tuple[str, int, str], ...]:
+        return (*_LEVEL_SIZES, *_repairs(0), ("LANES", 1, "blocks that are decomposed at once"))
+
     def structs(self, dims: Dims) -> tuple[Struct, ...]:
         """Solution of the QP, counters, and data that are kept between samples."""
+        curvature = "1: the curvature of active rows is added to the Hessian"
         keep = (
             Field("xhat", (dims.nx,), "state measured at the last feedback", "keep"),
             Field("prepared", (), "1 between prepare and feedback", "keep", "int32"),
             replace(SAMPLES, only=lambda f: self.shift or f.repair),
             state_size(dims),
-            *(_FOLLOWED if self.repair else ()),
-            Field(
-                "row_residual", (), "of the hard rows, left by the last step", "keep", only=lambda f: f.nonlinear_rows
-            ),
-            Field("row_scale", (dims.nr,), "largest terms of the rows", "keep", only=lambda f: f.row_scales),
+            *stated(self.repair, *_FOLLOWED),
+            Field("bent", (), curvature, "keep", "int32", only=lambda f: f.row_curvature),
             Field(
                 "failing", (), "failures in a row, at most 3; < 0: successes lacking since a restart", "keep", "int32"
             ),
@@ -367,10 +369,6 @@ class RealTimeIteration(Defaults):
             Field("step", (), "solution of the QP", "data", "step"),
             Field("stats", (), "counters", "result", "stats"),
             Field("kkt", (), "KKT residuals of the last solve", "result", "kkt", only=lambda f: f.solve),
-            Field(
-                *("relaxation", (), "l1 penalty of hard rows while a QP is relaxed, else infinite", "scratch"),
-                only=lambda f: f.relaxation,
-            ),
         )
         return (
             _stats(self.repair),
@@ -378,6 +376,8 @@ class RealTimeIteration(Defaults):
             _measures(),
             _curved(dims),
             _line_search(dims),
+            *stated(self.leveled, *at_hooks.kept(dims)),
+            *stated(self.first_control, *at_hooks.law(dims)),
             Struct("solver", "", (*keep, *results)),
         )
 
@@ -426,7 +426,7 @@ def _stats(repair: int) -> Struct:
             count("violated_node", "its node, or -1"),
             Field("violation", (), "violation of this row by the last step of the QP", "result"),
             Field("residual", (), "of the plan: scaled gaps and hard rows", "result"),
-            *((count("repairs", "linearisations that have repaired it"),) if repair else ()),
+            *stated(repair, count("repairs", "linearisations that have repaired it")),
             Field(
                 "first_deviation",
                 (),

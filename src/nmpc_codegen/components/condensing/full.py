@@ -66,10 +66,9 @@ class FullCondensing(Defaults):
         return self
 
     def tables(self, problem: Problem) -> tuple[Table, ...]:
-        """The slack variable of every row, if any row has one."""
+        """The slack variable of every row."""
         slacks = _slacks(problem)
-        none = all(slack < 0 for slack in slacks)
-        return () if none else (Table("row_slack", "int", slacks, "slack variable of QP row m, or -1"),)
+        return (Table("row_slack", "int", slacks, "slack variable of QP row m, or -1"),)
 
     def sizes(self, dims: Dims) -> tuple[tuple[str, int, str], ...]:
         return (

@@ -42,9 +42,9 @@ def stage_tables(problem: Problem, block: int) -> tuple[Table, ...]:
     free = [int(i in problem.free_initial) for i in range(problem.nx)]
     given = (table("is_free", free, "1: x_0 is not given"),)
     return (
-        *(rows if problem.qp_rows else ()),
-        *(copies if copied_states(problem) else ()),
-        *(given if problem.coupled_rows else ()),
+        *rows,
+        *copies,
+        *given,
     )
 
 

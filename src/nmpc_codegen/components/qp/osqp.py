@@ -20,7 +20,7 @@ from nmpc_codegen.components.allowed import Number, Whole, check_options, option
 from nmpc_codegen.components.base import Defaults, Seam
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.package.features import Features
-from nmpc_codegen.package.memory import Field, Size, Struct
+from nmpc_codegen.package.memory import Field, Size, Struct, stated
 
 if TYPE_CHECKING:
     from nmpc_codegen.components.base import Dims
@@ -87,6 +87,7 @@ class Osqp(Defaults):
                     Field(
                         "terms", (ng,), "not used: magnitude of the terms that the bounds of a row sum up", "scratch"
                     ),
+                    *stated(False, Field("curvature", (dims.qp.nsl,), "it has no slacks", "scratch")),
                     Field("z", (nv,), "minimiser", "result"),
                     Field("mult", (rows,), "multipliers, > 0 at the upper bound, < 0 at the lower", "result"),
                     Field("certificate", (rows,), "if INFEASIBLE: weights of a contradiction", "result"),

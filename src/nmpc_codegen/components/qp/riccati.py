@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from nmpc_codegen.package.memory import Field, Size, Struct
+from nmpc_codegen.package.memory import Field, Size, Struct, stated
 from nmpc_codegen.package.opcount import OpCount
 
 if TYPE_CHECKING:
@@ -183,7 +183,7 @@ def stage_qp_fields(dims: Dims) -> tuple[Field, ...]:
         Field("x", (nodes, dims.qp.nxs), "minimiser: states", "result"),
         Field("z", (nv,), "minimiser: controls", "result"),
         Field("mult", (rows,), "multipliers, > 0 at the upper bound, < 0 at the lower", "result"),
-        *(certificate if ng.value else ()),
+        *stated(ng.value, *certificate),
         Field(
             "least", (), "least magnitude of a row in units of its reach", "scratch", only=lambda f: f.interior_point
         ),

@@ -25,7 +25,7 @@ from nmpc_codegen.components.qp.riccati import (
 )
 from nmpc_codegen.components.qp.riccati_interior_point import RiccatiInteriorPoint, interior_point_struct
 from nmpc_codegen.package.features import Features
-from nmpc_codegen.package.memory import Field, Size, Struct
+from nmpc_codegen.package.memory import Field, Size, Struct, stated
 
 if TYPE_CHECKING:
     from nmpc_codegen.components.base import Counts, Dims
@@ -125,18 +125,22 @@ class RiccatiActiveSet(Defaults):
             ("QP_MAX_ITERATIONS", self._cap, "cap on the working sets of one feedback phase"),
             ("QP_MAX_POLISH", min(self._cap, MAX_POLISH), "cap on the working sets near a solution"),
             ("QP_MAX_REFINEMENTS", 20, "cap on the corrections of one minimiser"),
-            *((("QP_MAX_JOINT", _joint(dims), "cap on the rows of the Schur complement"),) if dims.ng.value else ()),
-            *self._fallback_sizes(),
+            *(self._joint_sizes(dims) if dims.ng.value else ()),
+            *(self._fallback_sizes(self.fallback) if self.fallback is not None else ()),
         )
 
-    def _fallback_sizes(self) -> tuple[tuple[str, int, str], ...]:
-        if self.fallback is None:
-            return ()
+    def absent_sizes(self, dims: Dims) -> tuple[tuple[str, int, str], ...]:
+        return (*self._joint_sizes(dims), *self._fallback_sizes(_COLD))
+
+    def _joint_sizes(self, dims: Dims) -> tuple[tuple[str, int, str], ...]:
+        return (("QP_MAX_JOINT", _joint(dims), "cap on the rows of the Schur complement"),)
+
+    def _fallback_sizes(self, fallback: RiccatiInteriorPoint) -> tuple[tuple[str, int, str], ...]:
         return (
             ("QP_MAX_RISES", 3, "number of times that the changes may fail to become fewer"),
             ("IPM_CROSSOVER", 1, "1: the interior point method may end once it indicates a working set"),
-            ("IPM_MAX_ITERATIONS", self.fallback.max_iterations, "cap on the interior point iterations of one QP"),
-            ("IPM_WARM_START", int(self.fallback.warm_start), "1: start near the multipliers of the previous QP"),
+            ("IPM_MAX_ITERATIONS", fallback.max_iterations, "cap on the interior point iterations of one QP"),
+            ("IPM_WARM_START", int(fallback.warm_start), "1: start near the multipliers of the previous QP"),
         )
 
     def structs(self, dims: Dims) -> tuple[Struct, ...]:
@@ -144,13 +148,14 @@ class RiccatiActiveSet(Defaults):
         ng, nx = dims.ng, dims.qp.nxs
         nodes = Size(f"{dims.qp.ns.text} + 1", dims.qp.ns.value + 1)
         history = Size("QP_MAX_ITERATIONS + 1", self._cap + 1)
-        units, noise = units_structs(dims) if self.fallback is not None or ng.value > 0 else ((), None)
+        units, noise = units_structs(dims)
+        measured = self.fallback is not None or ng.value > 0
         corrected = (Field("lam", (nodes, nx), "multipliers of the dynamics while refining", "scratch"),)
         return (
-            *units,
-            *riccati_structs(dims, () if noise is None else (noise,), corrected),
-            *((_schur_struct(dims),) if ng.value > 0 else ()),
-            *((interior_point_struct(dims, self.fallback, crossover=True),) if self.fallback is not None else ()),
+            *stated(measured, *units),
+            *riccati_structs(dims, stated(measured, noise), corrected),
+            *stated(ng.value, _schur_struct(dims)),
+            *stated(self.fallback, interior_point_struct(dims, self.fallback or _COLD, crossover=True)),
             Struct(
                 "qp",
                 "working set of the stage QP",
@@ -166,7 +171,7 @@ class RiccatiActiveSet(Defaults):
                     Field("residual", (), "relative residual on the working set", "scratch"),
                     Field("raised", (ng,), "number of times that the weight was raised", "keep", "int32"),
                     Field("history", (history,), "hashes of the working sets of this solve", "scratch", "int32"),
-                    *((Field("scaled", (), "root: 0 none, 1 earlier, 2 own", "keep", "int32"),) if ng.value else ()),
+                    *stated(ng.value, Field("scaled", (), "root: 0 none, 1 earlier, 2 own", "keep", "int32")),
                     Field("rough", (), "1: the minimiser has errors beyond rounding", "scratch", "int32"),
                     Field("refined", (), "1: the minimiser on the working set is exact", "scratch", "int32"),
                     Field("stale", (), "last stage whose factors are out of date, or -1", "scratch", "int32"),

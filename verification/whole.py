@@ -1,0 +1,126 @@
+"""The whole unit of a package, with all that pruning leaves out, beside the unit that is exported: both do the same.
+
+A whole package states every member and every size that a part may name (GNU C: arrays of size 0), keeps `#if` for the
+compiler and leaves nothing out (lower(whole=True)). Its parts are the text that people edit, so it has to compile, and
+its closed loops have to give the same bits as those of the package.
+"""
+
+from __future__ import annotations
+
+import re
+import subprocess
+from functools import cache
+from pathlib import Path
+
+from nmpc_codegen.frontend.classify import classify
+from nmpc_codegen.lowering.linearize import Model, linearize
+from nmpc_codegen.lowering.lower import lower
+from nmpc_codegen.lowering.render import render
+from nmpc_codegen.package.sources import Sources
+from verification.quality import compile_c, package_name, written
+from verification.timed import Sample
+
+#: The same operations in the same order, whatever the compiler knows of the sizes.
+FLAGS = ("-std=gnu99", "-O1", "-ffp-contract=off", "-fno-tree-vectorize", "-w")
+#: What a name that is not declared, or a pointer to another type, has to be.
+ERRORS = (
+    "-Werror=implicit-function-declaration",
+    "-Werror=incompatible-pointer-types",
+    "-Werror=int-conversion",
+    "-Werror=undef",
+)
+_GUARD = re.compile(r'^#if !defined\((?:.|\\\n)*?\n#error "\w+ is written for .*\n#endif\n', re.MULTILINE)
+
+_DRIVER = """#include <stdio.h>
+#include "{p}.h"
+
+static {p}_solver_t s;
+static {p}_real x[{P}_NX], u[{P}_NU];
+static unsigned long seed = 12345;
+
+static double next(void)
+{{
+    seed = (1103515245ul * seed + 12345ul) % 2147483648ul;
+    return (double)seed / 1073741824.0 - 1.0;
+}}
+
+static void show(int n, int status)
+{{
+    printf("%d %d %a", n, status, (double){p}_cost(&s));
+    for (int j = 0; j < {P}_NU; j++) {{
+        printf(" %a", (double)u[j]);
+    }}
+    for (int i = 0; i < {P}_NX; i++) {{
+        printf(" %a %a", (double)x[i], (double)s.x[{P}_N][i]);
+    }}
+    printf("\\n");
+}}
+
+int main(void)
+{{
+    {p}_init(&s);
+    for (int i = 0; i < {P}_NX; i++) {{
+        x[i] = s.x[0][i];
+    }}
+    for (int n = 0; n < {samples}; n++) {{
+        for (int i = 0; i < {P}_NX; i++) {{
+            x[i] += ({p}_real)((n % 8 == 3 ? 0.2 : 1e-3) * next() * (0.1 + (x[i] < 0 ? -x[i] : x[i])));
+        }}
+        show(n, (int){p}_step(&s, x, u));
+        {p}_integrate(&s, x, u, {P}_DT, x);
+    }}
+    {solve}
+    return 0;
+}}
+"""
+_SOLVE = """for (int j = 0; j < {P}_NU; j++) {{
+        u[j] = s.u[0][j];
+    }}
+    show(-1, (int){p}_solve(&s, x, ({p}_real)1e-8, 20));"""
+
+
+@cache
+def model(sample: Sample) -> Model:
+    """The Model of a sample."""
+    return linearize(classify(sample.make()), sample.options)
+
+
+def packages(sample: Sample) -> tuple[Sources, Sources]:
+    """The exported package of a sample, and the whole one."""
+    return render(lower(model(sample))), render(lower(model(sample), whole=True))
+
+
+def errors_of(whole: Sources, *flags: str) -> str:
+    """What the compiler refuses of a whole unit; empty: nothing."""
+    name = package_name(whole)
+    with written(whole) as folder:
+        _without_guard(folder / f"{name}.c")
+        done = compile_c(folder, "-std=gnu99", "-w", *ERRORS, *flags, "-fsyntax-only", f"{name}.c", program="gcc")
+    return done.stderr
+
+
+def closed_loop(sources: Sources, *flags: str, samples: int = 20) -> str:
+    """Status, cost, control and states of every sample, and of solve() at the end, to the bit.
+
+    Raises:
+        AssertionError: the package does not compile, or its program fails.
+    """
+    name = package_name(sources)
+    names = {"p": name, "P": name.upper(), "samples": samples}
+    solve = _SOLVE.format(**names) if f"{name}_solve(" in sources[f"{name}.h"] else ""
+    with written(sources) as folder:
+        _without_guard(folder / f"{name}.c")
+        (folder / "loop.c").write_text(_DRIVER.format(**names, solve=solve), encoding="utf-8")
+        foreign = sorted(str(path.relative_to(folder)) for path in folder.rglob("*/*.c"))
+        include = [f"-I{path}" for path in sorted(folder.rglob("*")) if path.is_dir()]
+        units = ("loop.c", f"{name}.c", *foreign)
+        built = compile_c(folder, *FLAGS, *flags, *include, *units, "-o", "loop", "-lm", program="gcc")
+        assert built.returncode == 0, built.stderr
+        done = subprocess.run(["./loop"], cwd=folder, capture_output=True, text=True, check=False, timeout=120)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def _without_guard(file: Path) -> None:
+    """Let a unit for another machine compile on this one."""
+    file.write_text(_GUARD.sub("", file.read_text(encoding="utf-8")), encoding="utf-8")
