@@ -49,18 +49,6 @@ static inline real_t reference_of_control(const solver_t *s, int k, int j)
     return YREF(s, k)[control_reference[j]];
 }
 
-/* Value of row m, where h and r hold the general rows of its node and the coupled rows. */
-static inline real_t row_value(const solver_t *s, int m, const real_t *h, const real_t *r)
-{
-    if (row_is_state(m)) {
-        return s->x[row_node(m)][row_index(m)];
-    }
-    if (NE > 0 && (NH + NH_N == 0 || row_is_coupled(m))) {
-        return r[row_index(m)];
-    }
-    return h[row_index(m)];
-}
-
 /* Value of row m at the linearisation point. */
 static inline real_t row_constant(const solver_t *s, int m)
 {
@@ -189,17 +177,37 @@ static inline real_t outside(const solver_t *s, int m, real_t value)
 /* Values of all rows at the present iterate. */
 static void evaluate_rows(const solver_t *s, real_t *value)
 {
-    real_t h[NH + NH_N] = {R(0)}, J[(NH + NH_N) * NZ];
-    real_t r[NE], J_0[NE * NX], J_N[NE * NX];
-    COUPLED_ROWS(s, r, J_0, J_N);
     for (int m = 0; m < NG; m++) {
-        if (NH > 0 && row_node(m) < N && m == row_first[row_node(m)]) {
-            PATH_ROWS(s, row_node(m), h, J);
+        if (row_is_state(m)) {
+            value[m] = s->x[row_node(m)][row_index(m)];
         }
-        if (NH_N > 0 && row_node(m) == N && m == row_first[N]) {
-            TERMINAL_ROWS(s, h, J);
+    }
+    if (NH + NH_N > 0) {
+        real_t h[NH + NH_N] = {R(0)}, J[(NH + NH_N) * NZ];
+        int last = -1;
+        for (int m = 0; m < NG; m++) {
+            if (row_is_state(m) || row_is_coupled(m)) {
+                continue;
+            }
+            const int k = row_node(m);
+            if (NH > 0 && k < N && k != last) {
+                PATH_ROWS(s, k, h, J);
+            }
+            if (NH_N > 0 && k == N && k != last) {
+                TERMINAL_ROWS(s, h, J);
+            }
+            last = k;
+            value[m] = h[row_index(m)];
         }
-        value[m] = row_value(s, m, h, r);
+    }
+    if (NE > 0) {
+        real_t r[NE], J_0[NE * NX], J_N[NE * NX];
+        COUPLED_ROWS(s, r, J_0, J_N);
+        for (int m = 0; m < NG; m++) {
+            if (row_is_coupled(m)) {
+                value[m] = r[row_index(m)];
+            }
+        }
     }
 }
 

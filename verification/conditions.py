@@ -11,8 +11,8 @@ from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 
 from nmpc_codegen.ir.cmodule import CModule
-from nmpc_codegen.lowering.parts import MATH, evaluate, template_directory
-from nmpc_codegen.lowering.pruning.text import split
+from nmpc_codegen.lowering.parts import MATH, template_directory
+from nmpc_codegen.lowering.pruning.directives import evaluate
 
 #: Parts that unit.c.jinja inlines in every package.
 ALWAYS = ("sizes.c", "rows.c", "cost.c")
@@ -49,7 +49,7 @@ def conditions(part: str) -> list[tuple[int, str]]:
 def _decided(line: str) -> str:
     """The operands of a plain `if` that consist of sizes and features."""
     plain = _PLAIN.match(line)
-    operands = split(plain[1], "&&") if plain else []
+    operands = re.split(r" && (?![^()]*\))", plain[1]) if plain else []
     return " && ".join(operand for operand in operands if _CONSTANT.fullmatch(operand))
 
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from nmpc_codegen.ir.print_c import unit_style
 from nmpc_codegen.lowering.lanes import in_lanes, transpose
-from nmpc_codegen.lowering.parts import MATH, MATH_IN_LANES, own_names, own_text, read_part, resolve
+from nmpc_codegen.lowering.parts import MATH, MATH_IN_LANES, own_names, own_text, read_part
 from nmpc_codegen.package.program import OF_ONE, OF_TWO
 from nmpc_codegen.runtime.compilers import find_compiler
 
@@ -40,7 +40,7 @@ def source(single: bool, lanes: int, avx512: bool) -> str:
     head += "".join(f"#define {name.upper()} {name}{suffix}\n" for name in ("sqrt", "fabs"))
     texts = [head, own_text(MATH, sizes)]
     if lanes > 1:
-        texts += [resolve(read_part(f"lanes/{part}.c", lambda path: transpose(lanes)), sizes) for part in LANE_PARTS]
+        texts += [read_part(f"lanes/{part}.c", lambda path: transpose(lanes), sizes) for part in LANE_PARTS]
         texts.append(in_lanes(own_names(MATH_IN_LANES), sizes, unit_style("single" if single else "double")))
     for name in names():
         second = ", w" if name in OF_TWO else ""

@@ -42,7 +42,9 @@ static int sharpen(solver_t *s)
 static void forget_past(solver_t *s)
 {
     memset(s->row, 0, sizeof s->row);
-    weigh_terminal(s, R(1));
+    if (NT > 0) {
+        weigh_terminal(s, R(1));
+    }
     s->shooting.pairs = 0;
     place_terms(s, 0);
     s->shooting.length = R(1);
@@ -81,7 +83,9 @@ static void algorithm_reset(solver_t *s)
         s->x[0][i] = initial_state[i];
     }
     hold_states(s);
-    set_weights(s);
+    if (NG > 0) {
+        set_weights(s);
+    }
     forget_plan(s);
     memset(&s->stats, 0, sizeof s->stats);
     s->samples = 0;

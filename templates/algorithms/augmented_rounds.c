@@ -28,7 +28,9 @@ static void set_bound_multipliers(solver_t *s)
 static void finish_multipliers(solver_t *s)
 {
     set_bound_multipliers(s);
-    couple_start(s, R(1));
+    if (NE > 0) {
+        couple_start(s, R(1));
+    }
 }
 
 /* most = max(most, violation of every relaxed row in its scale). */
@@ -54,7 +56,9 @@ static real_t violation_in(const solver_t *s, const real_t *size)
             enlarge(&most, a->gap[k][i] * part[i]);
         }
     }
-    enlarge_by_rows(s, &most);
+    if (NG > 0) {
+        enlarge_by_rows(s, &most);
+    }
     return most;
 }
 
@@ -97,7 +101,9 @@ static status_t prepare_here(solver_t *s)
 {
     (void)project_plan(s);
     COUPLED_ROWS(s, s->coupled.r, &s->coupled.J_0[0][0], &s->coupled.J_N[0][0]);
-    couple_start(s, -R(1));
+    if (NE > 0) {
+        couple_start(s, -R(1));
+    }
     update_multipliers(s);
     evaluate_path(s);
     evaluate_ends(s);

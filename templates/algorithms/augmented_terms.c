@@ -29,7 +29,9 @@ static void evaluate_ends(solver_t *s)
     for (int f = 0; f < NF; f++) {
         a->gap[0][free_state[f]] = R(0);
     }
-    evaluate_rows(s, a->value);
+    if (NG > 0) {
+        evaluate_rows(s, a->value);
+    }
 }
 
 /* rho_i of component i of the gap at a node. */
@@ -135,5 +137,7 @@ static void restore_multipliers(solver_t *s)
         }
     }
 #endif
-    couple_start(s, R(1));
+    if (NE > 0) {
+        couple_start(s, R(1));
+    }
 }

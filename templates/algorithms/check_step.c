@@ -39,7 +39,7 @@ static int step_holds(const solver_t *s, status_t status)
     if (!step_sizes(s, size)) {
         return 0;
     }
-    if (status == OK && !rows_hold(s, size)) {
+    if (NG > 0 && status == OK && !rows_hold(s, size)) {
         return 0;
     }
     return 1;

@@ -15,7 +15,9 @@ static void kkt_soft_row(const solver_t *s, int m, real_t value, kkt_t *kkt)
 static void kkt_rows(const solver_t *s, kkt_t *kkt)
 {
     real_t value[NG];
-    evaluate_rows(s, value);
+    if (NG > 0) {
+        evaluate_rows(s, value);
+    }
     for (int m = 0; m < NG; m++) {
         if (row_is_soft(m)) {
             kkt_soft_row(s, m, value[m], kkt);
@@ -56,7 +58,9 @@ static void kkt_node(const solver_t *s, int k, const node_t *node, kkt_t *kkt)
 {
     real_t sum[NZ] = {0}, terms[NZ] = {0};
     if (k == 0) {
-        add_coupled_forces(s, k, sum, terms);
+        if (NE > 0) {
+            add_coupled_forces(s, k, sum, terms);
+        }
     }
     for (int i = 0; i < NZ; i++) {
         kkt_add(&sum[i], &terms[i], node->g[i]);
@@ -78,7 +82,9 @@ static void kkt_node(const solver_t *s, int k, const node_t *node, kkt_t *kkt)
 static void kkt_terminal(const solver_t *s, const terminal_t *terminal, kkt_t *kkt)
 {
     real_t sum[NX] = {0}, terms[NX] = {0};
-    add_coupled_forces(s, N, sum, terms);
+    if (NE > 0) {
+        add_coupled_forces(s, N, sum, terms);
+    }
     for (int i = 0; i < NX; i++) {
         kkt_add(&sum[i], &terms[i], terminal->g[i]);
         kkt_add(&sum[i], &terms[i], s->mu_x[N][i] - s->lam[N][i]);
@@ -114,7 +120,8 @@ void API(kkt)(const solver_t *s, kkt_t *out)
         complete_node(s, k, x_next, &node);
         kkt_node(s, k, &node, out);
     }
-    linearize_terminal(s, &terminal);
+    TERMINAL_GRADIENT(s, terminal.g);
+    TERMINAL_ROWS(s, terminal.h, &terminal.J[0][0]);
     kkt_terminal(s, &terminal, out);
     kkt_rows(s, out);
 }

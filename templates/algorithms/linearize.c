@@ -11,13 +11,6 @@ static void complete_node(const solver_t *s, int k, const real_t *x_next, node_t
 #include "lanes/linearize.c"
 #endif
 
-/* Gradient and general rows of the terminal node. */
-static void linearize_terminal(const solver_t *s, terminal_t *terminal)
-{
-    TERMINAL_GRADIENT(s, terminal->g);
-    TERMINAL_ROWS(s, terminal->h, &terminal->J[0][0]);
-}
-
 /* q_0 += gradient of the cost of x_0. */
 static void add_start_gradient(const solver_t *s, real_t *q)
 {
@@ -32,7 +25,8 @@ static void add_start_gradient(const solver_t *s, real_t *q)
 static void linearize(solver_t *s)
 {
     real_t x_next[NX];
-    linearize_terminal(s, &s->terminal);
+    TERMINAL_GRADIENT(s, s->terminal.g);
+    TERMINAL_ROWS(s, s->terminal.h, &s->terminal.J[0][0]);
     COUPLED_ROWS(s, s->coupled.r, &s->coupled.J_0[0][0], &s->coupled.J_N[0][0]);
     if (LANE_NODES) {
         linearize_lanes(s);

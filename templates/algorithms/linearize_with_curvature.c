@@ -8,7 +8,8 @@ static void linearize_with_curvature(solver_t *s)
     real_t x_next[NX];
     memset(c->Q, 0, sizeof c->Q);
     memset(c->Q_N, 0, sizeof c->Q_N);
-    linearize_terminal(s, &s->terminal);
+    TERMINAL_GRADIENT(s, s->terminal.g);
+    TERMINAL_ROWS(s, s->terminal.h, &s->terminal.J[0][0]);
     COUPLED_ROWS(s, s->coupled.r, &s->coupled.J_0[0][0], &s->coupled.J_N[0][0]);
     if (adjoint) {
         memcpy(s->lam[N], s->terminal.g, sizeof s->terminal.g);

@@ -26,7 +26,9 @@ static int recover_multipliers(solver_t *s)
         add_terminal_curvature(s, s->step.dx[N], w);
     }
     for (int k = N; k >= 0; k--) {
-        add_row_forces(s, k, w);
+        if (NE + NH + NH_N > 0) {
+            add_row_forces(s, k, w);
+        }
         for (int i = 0; i < NX; i++) {
             w[i] += s->mu_x[k][i];
             s->lam[k][i] = w[i];

@@ -42,5 +42,7 @@ static void shift_by_one(solver_t *s)
     if (HAS_QP) {
         condense_shift(s);
     }
-    shift_rows(s);
+    if (NG > 0) {
+        shift_rows(s);
+    }
 }

@@ -30,7 +30,9 @@ static void load_direction(const solver_t *s, int k, real_t *d)
 static real_t lumped_change(const solver_t *s, int k, int n, const real_t *d)
 {
     real_t g[NZ] = {R(0)}, sum = R(0);
-    add_rows(s, k, HARD, d, g);
+    if (NG > 0) {
+        add_rows(s, k, HARD, d, g);
+    }
     for (int i = 0; i < n; i++) {
         sum += g[i] * d[i];
     }
@@ -56,7 +58,9 @@ static void multiply(solver_t *s)
     }
     TERMINAL_PRODUCT(s, a->dx[N - 1], lam);
     if (NG) {
-        add_rows(s, N, PRODUCT, a->dx[N - 1], lam);
+        if (NG > 0) {
+            add_rows(s, N, PRODUCT, a->dx[N - 1], lam);
+        }
     }
     for (int k = N - 1; k >= 0; k--) {
         real_t own[NZ];
@@ -64,7 +68,9 @@ static void multiply(solver_t *s)
         load_direction(s, k, d);
         PATH_PRODUCT(s, k, d, own);
         if (NG) {
-            add_rows(s, k, PRODUCT, d, own);
+            if (NG > 0) {
+                add_rows(s, k, PRODUCT, d, own);
+            }
         }
         INTEGRATOR_ADJOINT(s, k, lam, g);
         for (int i = 0; i < NX; i++) {
@@ -80,9 +86,10 @@ static void multiply(solver_t *s)
 static real_t terminal_slope(const solver_t *s, int t, real_t *lam)
 {
     const int m = terminal_row[t];
-    real_t h[NH + NH_N] = {R(0)}, J[(NH + NH_N) * NZ] = {R(0)};
-    real_t r[NE], J_N[NE * NX] = {R(0)};
-    evaluate_nodal_rows(s, N, h, J, r, J_N);
+    real_t h[NH + NH_N + NE] = {R(0)}, J[(NH + NH_N + NE) * NZ] = {R(0)};
+    if (NH + NH_N + NE > 0) {
+        evaluate_nodal_rows(s, N, h, J);
+    }
     for (int i = 0; i < NX; i++) {
         lam[i] = R(0);
     }
@@ -90,11 +97,11 @@ static real_t terminal_slope(const solver_t *s, int t, real_t *lam)
         lam[row_index(m)] = R(1);
         return s->x[N][row_index(m)];
     }
-    const real_t *gradient = gradient_of_row(m, J, J_N);
+    const real_t *gradient = gradient_of_row(m, J);
     for (int i = 0; i < NX; i++) {
         lam[i] = gradient[i];
     }
-    return row_value(s, m, h, r);
+    return h[place_of_row(m)];
 }
 
 /* c_t = distance of terminal row t from the bound that it is held at; 0 and no weight if it is held at none. */
@@ -209,7 +216,9 @@ static real_t precondition(shooting_t *a)
     for (int t = 0; t < NT; t++) {
         y[t] = (a->omega[t] > R(0)) ? inner(a->Xi[t][0], a->w[0]) : R(0);
     }
-    substitute_rows(a, y);
+    if (NT > 0) {
+        substitute_rows(a, y);
+    }
     for (int k = 0; k < N; k++) {
         for (int j = 0; j < NU; j++) {
             for (int t = 0; !a->held[k][j] && t < NT; t++) {

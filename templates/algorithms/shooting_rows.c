@@ -28,26 +28,33 @@ static int sharpen_terms(solver_t *s);
 static int update_terms(solver_t *s, real_t tol, real_t *violation);
 
 /* Values and gradients of the general and coupled rows of node k; structural zeros of J and J_N are not stored. */
-static void evaluate_nodal_rows(const solver_t *s, int k, real_t *h, real_t *J, real_t *r, real_t *J_N)
+static void evaluate_nodal_rows(const solver_t *s, int k, real_t *h, real_t *J)
 {
-    real_t J_0[NE * NX];
     if (k < N) {
         PATH_ROWS(s, k, h, J);
     }
     if (k == N) {
         TERMINAL_ROWS(s, h, J);
-        COUPLED_ROWS(s, r, J_0, J_N);
+        if (NE > 0) {
+            real_t J_0[NE * NX];
+            COUPLED_ROWS(s, h + NH_N, J_0, J + NH_N * NX);
+        }
     }
 }
 
-/* Gradient of the general or coupled row m with respect to the variables of its node. */
-static const real_t *gradient_of_row(int m, const real_t *J, const real_t *J_N)
+/* Place of the general or coupled row m among those of its node. */
+static inline int place_of_row(int m)
 {
-    if (NE > 0 && (NH + NH_N == 0 || row_is_coupled(m))) {
-        const int of_coupled = row_index(m) * NX;
-        return J_N + of_coupled;
+    if (row_is_coupled(m)) {
+        return NH_N + row_index(m);
     }
-    const int first = row_index(m) * ((row_node(m) < N) ? NZ : NX);
+    return row_index(m);
+}
+
+/* Gradient of the general or coupled row m with respect to the variables of its node. */
+static const real_t *gradient_of_row(int m, const real_t *J)
+{
+    const int first = place_of_row(m) * ((row_node(m) < N) ? NZ : NX);
     return J + first;
 }
 
@@ -78,21 +85,22 @@ static void add_rows(const solver_t *s, int k, int what, const real_t *d, real_t
     if (row_first[k] >= row_first[k + 1]) {
         return;
     }
-    real_t h[NH + NH_N] = {R(0)}, J[(NH + NH_N) * NZ] = {R(0)};
-    real_t r[NE], J_N[NE * NX] = {R(0)};
-    evaluate_nodal_rows(s, k, h, J, r, J_N);
+    real_t h[NH + NH_N + NE] = {R(0)}, J[(NH + NH_N + NE) * NZ] = {R(0)};
+    if (NH + NH_N + NE > 0) {
+        evaluate_nodal_rows(s, k, h, J);
+    }
     for (int m = row_first[k]; m < row_first[k + 1]; m++) { /* at most NG passes in add_rows */
         if (row_is_state(m)) {
             g[row_index(m)] += row_factor(s, m, s->x[k][row_index(m)], what, d[row_index(m)]);
             continue;
         }
-        const real_t *gradient = gradient_of_row(m, J, J_N);
+        const real_t *gradient = gradient_of_row(m, J);
         const int n = (k < N) ? NZ : NX;
         real_t moved = R(0);
         for (int i = 0; i < n; i++) {
             moved += gradient[i] * d[i];
         }
-        const real_t factor = row_factor(s, m, row_value(s, m, h, r), what, moved);
+        const real_t factor = row_factor(s, m, h[place_of_row(m)], what, moved);
         for (int i = 0; i < n; i++) {
             g[i] += factor * gradient[i];
         }
@@ -113,7 +121,9 @@ static real_t row_terms_of_plan(solver_t *s, real_t *violation)
 {
     real_t value[NG], sum = R(0), lump = R(0), slope, curvature;
     s->shooting.lump = R(1);
-    evaluate_rows(s, value);
+    if (NG > 0) {
+        evaluate_rows(s, value);
+    }
     *violation = R(0);
     for (int m = 0; m < NG; m++) {
         const real_t term = row_term(s, m, value[m], &slope, &curvature);
@@ -146,7 +156,9 @@ static real_t multiplier_unit(const solver_t *s, int m)
 static void update_rows(solver_t *s, real_t most)
 {
     real_t value[NG], slope, curvature;
-    evaluate_rows(s, value);
+    if (NG > 0) {
+        evaluate_rows(s, value);
+    }
     for (int m = 0; m < NG; m++) {
         if (terminal_index[m] >= 0) {
             continue;

@@ -57,7 +57,9 @@ static void shift_plan(solver_t *s)
         }
     }
     interval_value(s, N - 1, s->x[N]);
-    shift_rows(s);
+    if (NG > 0) {
+        shift_rows(s);
+    }
 }
 #endif
 

@@ -99,7 +99,9 @@ status_t API(solve)(solver_t *s, const real_t xhat[NX], real_t tol, int max_iter
     if (NG > NT && status == OK) {
         update_rows(s, INF);
     }
-    set_weights(s);
+    if (NG > 0) {
+        set_weights(s);
+    }
     if (NG > NT && !BARRIER_ROWS && status != OK) {
         limit_rows(s);
     }

@@ -22,7 +22,9 @@ static void carry_back(const solver_t *s, int k, int what, real_t *lam, real_t *
     }
     PATH_GRADIENT(s, k, own);
     if (NG) {
-        add_rows(s, k, what, own, own);
+        if (NG > 0) {
+            add_rows(s, k, what, own, own);
+        }
     }
     INTEGRATOR_ADJOINT(s, k, lam, g);
     for (int i = 0; i < NX; i++) {
@@ -44,7 +46,9 @@ static void start_adjoint(const solver_t *s, int what, real_t *lam)
     }
     TERMINAL_GRADIENT(s, lam);
     if (NG) {
-        add_rows(s, N, what, lam, lam);
+        if (NG > 0) {
+            add_rows(s, N, what, lam, lam);
+        }
     }
 }
 

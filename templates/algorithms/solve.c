@@ -44,7 +44,9 @@ static measures_t measure(solver_t *s)
         }
     }
     real_t value[NG];
-    evaluate_rows(s, value);
+    if (NG > 0) {
+        evaluate_rows(s, value);
+    }
     for (int m = 0; m < NG; m++) {
         const real_t v = outside(s, m, value[m]);
         if (row_is_soft(m)) {
@@ -350,7 +352,9 @@ static real_t slope_of(solver_t *s)
     }
     if (SOFT_ROWS) {
         real_t value[NG];
-        evaluate_rows(s, value);
+        if (NG > 0) {
+            evaluate_rows(s, value);
+        }
         for (int m = 0; m < NG; m++) {
             if (row_is_soft(m)) {
                 slope += soft_penalty(m, FABS(row_excess(s, m, R(0))));

@@ -25,5 +25,7 @@ static void condense_embed(solver_t *s)
             s->qp.upper[k * NU + j] = control_upper(s, k, j) - s->u[k][j];
         }
     }
-    condense_embed_rows(s);
+    if (NG > 0) {
+        condense_embed_rows(s);
+    }
 }

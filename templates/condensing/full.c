@@ -239,8 +239,12 @@ static void condense_matrices(solver_t *s)
         }
     }
     condense_add_curvature(s);
-    condense_store_free(s);
-    condense_store_others(s);
+    if (NF > 0) {
+        condense_store_free(s);
+    }
+    if (NF > 0 && NG > 0) {
+        condense_store_others(s);
+    }
 }
 
 /* c_0 = 0,  c_{k+1} = A_k c_k + b_k;   w_N = q_N + Q_N c_N,  g_k = r_k + S_k c_k + B_k' w_{k+1},
@@ -312,7 +316,9 @@ static void condense_embed_rows(solver_t *s, const real_t *dx0)
         s->qp.terms[m] = terms;
         s->qp.lower[NV + m] = row_lower(s, m) - value;
         s->qp.upper[NV + m] = row_upper(s, m) - value;
-        s->qp.penalty[NV + m] = row_penalty(s, m);
+        if (ELASTIC) {
+            s->qp.penalty[NV + m] = row_penalty(s, m);
+        }
     }
 }
 
@@ -333,8 +339,12 @@ static void condense_embed(solver_t *s)
             s->qp.upper[row] = control_upper(s, k, j) - s->u[k][j];
         }
     }
-    condense_embed_rows(s, dx0);
-    condense_embed_free(s, dx0);
+    if (NG > 0) {
+        condense_embed_rows(s, dx0);
+    }
+    if (NF > 0) {
+        condense_embed_free(s, dx0);
+    }
     if (NSL) {
         condense_embed_slacks(s);
     }

@@ -146,8 +146,8 @@ static void condense_hessian(solver_t *s, block_t *block, real_t (*Q)[NZ], int n
 static void condense_block_rows(solver_t *s, int node)
 {
     const int j = node - node / BLOCK * BLOCK; /* index of the node in its block */
-    int m, i, c;
-    for (m = row_first[node]; m < row_first[node + 1]; m++) {
+    int i, c;
+    for (int m = row_first[node]; m < row_first[node + 1]; m++) {
         real_t J[NZ];
         real_t *row = s->blocks.J[m];
         copy_row_gradient(s, m, J);
@@ -175,8 +175,8 @@ static void condense_block_rows(solver_t *s, int node)
 /* Values of the rows: their values at the nodes plus J_x c_j. */
 static void condense_row_values(solver_t *s)
 {
-    int m, i;
-    for (m = 0; m < NG; m++) {
+    int i;
+    for (int m = 0; m < NG; m++) {
         real_t J[NZ];
         real_t value = row_constant(s, m);
         copy_row_gradient(s, m, J);
@@ -250,14 +250,18 @@ static void condense_vectors(solver_t *s)
         memcpy(block->g, w, sizeof w[0] * NX);
     }
     memcpy(s->blocks.g_N, s->terminal.g, sizeof s->terminal.g);
-    condense_row_values(s);
+    if (NG > 0) {
+        condense_row_values(s);
+    }
 }
 
 static status_t condense_prepare(solver_t *s)
 {
     condense_matrices(s);
     for (int k = 0; k <= N; ++k) {
-        condense_block_rows(s, k);
+        if (NG > 0) {
+            condense_block_rows(s, k);
+        }
     }
     condense_vectors(s);
     memset(s->step.dx[0], 0, sizeof s->step.dx[0]);

@@ -13,5 +13,7 @@ static void condense_shift_rows(solver_t *s, const int *source)
             }
         }
     }
-    qp_shift_rows(&s->qp, source);
+    if (NG > 0) {
+        qp_shift_rows(&s->qp, source);
+    }
 }

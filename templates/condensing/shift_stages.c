@@ -5,5 +5,7 @@ static void condense_shift(solver_t *s)
 
 static void condense_shift_rows(solver_t *s, const int *source)
 {
-    qp_shift_rows(s, source);
+    if (NG > 0) {
+        qp_shift_rows(s, source);
+    }
 }

@@ -16,15 +16,14 @@ static int has_multipliers(const solver_t *s)
 static void adjoint_node(solver_t *s, int k)
 {
     const node_t *node = &s->node[k];
-    int i, j;
-    for (i = 0; i < NX; i++) {
+    for (int i = 0; i < NX; i++) {
         real_t sum = node->g[i];
-        for (j = 0; j < NX; j++) {
+        for (int j = 0; j < NX; j++) {
             sum += node->S[j][i] * s->lam[k + 1][j];
         }
         s->lam[k][i] = sum;
     }
-    for (i = 0; k == 0 && i < NF; i++) {
-        s->lam[0][free_state[i]] = R(0);
+    for (int f = 0; k == 0 && f < NF; f++) {
+        s->lam[0][free_state[f]] = R(0);
     }
 }

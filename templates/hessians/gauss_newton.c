@@ -21,5 +21,7 @@ static void hessian(solver_t *s)
         add_start_hessian(s);
     }
     TERMINAL_HESSIAN(s, &s->hessian.Q_N[0][0]);
-    add_rows(s);
+    if (HAS_PATH_CURVATURE || HAS_TERMINAL_CURVATURE) {
+        add_rows(s);
+    }
 }

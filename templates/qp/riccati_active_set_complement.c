@@ -155,7 +155,9 @@ static void schur_add_free(solver_t *s)
         for (int l = 0; l < NXS; l++) {
             r->p[0][l] = -c->pull[i][l];
         }
-        riccati_solve_free(r, v);
+        if (NF > 0) {
+            riccati_solve_free(r, v);
+        }
         for (int j = 0; j <= i; j++) {
             for (int f = 0; f < NF; f++) {
                 c->complement[i][j] += c->pull[j][free_state[f]] * v[free_state[f]];
@@ -202,7 +204,9 @@ static int schur_renew(solver_t *s)
             return 0;
         }
         schur_sweep(s);
-        schur_fold(c);
+        if (NXS > NX) {
+            schur_fold(c);
+        }
         if (NF) {
             schur_add_free(s);
         }

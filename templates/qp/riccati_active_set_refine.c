@@ -195,7 +195,9 @@ static void qp_add_correction(solver_t *s, real_t times)
             q->z[first + j] += times * d->du[first + j];
         }
     }
-    qp_correct_rows(s, times);
+    if (NG > 0) {
+        qp_correct_rows(s, times);
+    }
 }
 
 /* Correction of (x, z, lam, mult) for the residuals in the right-hand sides, to which weight (a'z - t) a of the members

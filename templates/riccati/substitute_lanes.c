@@ -107,7 +107,9 @@ static void riccati_forward(solver_t *s, real_t (*x)[NXS], real_t *u)
     const int done = NXS / PACK_WIDTH * PACK_WIDTH;
     const riccati_t *r = &s->riccati;
     real_t z[2][STAGE_WIDTH] PACK_ALIGNED = {{0}};
-    riccati_solve_free(r, x[0]);
+    if (NF > 0) {
+        riccati_solve_free(r, x[0]);
+    }
     packs_fill(z[0], x[0], NXS);
     for (int k = 0; k < NS; k++) {
         const real_t *S = stage_S(s, k)[0];

@@ -131,7 +131,9 @@ static void riccati_set_reach(solver_t *s)
     for (int f = 0; f < NF; f++) {
         memset(s->riccati.p[0], 0, sizeof s->riccati.p[0]);
         s->riccati.p[0][free_state[f]] = -R(1);
-        riccati_solve_free(&s->riccati, q->covariance[free_state[f]]);
+        if (NF > 0) {
+            riccati_solve_free(&s->riccati, q->covariance[free_state[f]]);
+        }
     }
     for (int f = 0; f < NXS - NX; f++) {
         memcpy(q->covariance[NX + f], q->covariance[copied_state[f]], sizeof q->covariance[0]);

@@ -48,4 +48,4 @@ const char *golden_status_string(golden_status_t status);
 #endif
 
 #endif
-/* nmpc_codegen package 1119be6b5a5b9f63, sha256 ceb6f60909e757c4f45c5ef6495a405f6556949a859a4be4f717ac5c65ed9a8d */
+/* nmpc_codegen package 4b2c87496d6cc3ce, sha256 da99e791561a9e878a73b513da483e8bb60c3061ece5234ae5a3d5dddc698cc1 */

@@ -40,7 +40,7 @@ def test_hooks_that_would_not_run_are_refused(monkeypatch: pytest.MonkeyPatch) -
     check_hooks(["    before_prepare(s);"], ["features/shift.c"])
     monkeypatch.setattr(hooks, "read_part", lambda part, generated: "static void late_on_rest(solver_t *s)\n{\n}\n")
     with pytest.raises(ValueError, match=r"late_on_rest\(\): expected a hook, on_reset"):
-        with_hooks("", ["features/late.c"])
+        check_hooks([""], ["features/late.c"])
 
 
 @pytest.mark.parametrize("hook", HOOKS)

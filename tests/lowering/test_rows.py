@@ -6,7 +6,7 @@ import re
 
 import pytest
 
-from nmpc_codegen.lowering.rows import COLUMNS, row_functions
+from nmpc_codegen.lowering.rows import COLUMNS, KINDS, row_functions, row_ranges
 from verification.rendered import lowered, texts
 from verification.samples import SAMPLES
 
@@ -34,15 +34,31 @@ def test_the_table_holds_the_rows(name: str) -> None:
 
 
 def test_a_kind_that_all_rows_have_is_no_column() -> None:
-    """Branches for other kinds are not in the package, nor are arguments for them."""
+    """Branches for other kinds are not in the package."""
     unit = texts(NAMED["states partial"])["states.c"]
     assert "row_is_state" not in unit
     assert "row_is_coupled" not in unit
-    assert re.search(r"static inline real_t row_value\(const solver_t \*s, int m\)\n\{\n    return s->x", unit)
+    assert re.search(r"row_constant\(const solver_t \*s, int m\)\n\{\n    return s->x\[row_node\(m\)\]", unit)
     assert "row_is_state(m)" in texts(NAMED["everything dense"])["everything.c"]
 
 
 def test_rows_of_one_node_have_no_node_in_the_table() -> None:
     unit = texts(NAMED["final dense"])["final.c"]
-    assert "row_node" not in unit
+    assert "static inline int row_node(int m)\n{\n    (void)m;\n    return N;\n}" in unit
     assert "node" not in unit[unit.index("static const struct {") : unit.index("row_data[")]
+
+
+def test_what_is_known_of_rows() -> None:
+    """Least and greatest value of every function, against the rows."""
+    for name in ("path dense", "everything dense", "states partial", "final dense", "bare dense"):
+        module = lowered(NAMED[name])
+        found = row_ranges(module)
+        for i, column in enumerate(COLUMNS):
+            values = [row[i] for row in module.rows] or [0]
+            assert column == "kind" or found[f"row_{column}"] == (min(values), max(values))
+        kinds = [row[1] for row in module.rows]
+        for number, word in enumerate(KINDS):
+            assert found[f"row_is_{word}"] == (int(set(kinds) == {number}), int(number in kinds))
+    assert row_ranges(lowered(NAMED["soft states dense"]))["row_is_soft"] == (1, 1)
+    assert row_ranges(lowered(NAMED["soft rows dense"]))["row_is_soft"] == (0, 1)
+    assert row_ranges(lowered(NAMED["path dense"]))["row_is_soft"] == (0, 0)

@@ -15,7 +15,7 @@ from conftest import require_tool
 from nmpc_codegen import OCP, ProblemError, build, generate, worst_case
 from nmpc_codegen.ir.naming import check_package_name
 from nmpc_codegen.lowering.parts import names_in, rename, renamed_words
-from nmpc_codegen.lowering.pruning.text import blanked
+from nmpc_codegen.lowering.pruning.scopes import blanked
 from nmpc_codegen.package.signals import c_constants
 from nmpc_codegen.package.sources import Sources
 from verification import quality

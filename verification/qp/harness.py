@@ -17,10 +17,10 @@ import numpy as np
 
 from nmpc_codegen.components.base import Dims, QpDims
 from nmpc_codegen.components.qp import DenseActiveSet
-from nmpc_codegen.lowering.parts import read_part, resolve
+from nmpc_codegen.lowering.parts import read_part
 from nmpc_codegen.lowering.preamble import REAL_CONSTANT, arithmetic
-from nmpc_codegen.lowering.pruning.fold import Constants
-from nmpc_codegen.lowering.pruning.unused import without_unused
+from nmpc_codegen.lowering.pruning.expressions import Constants
+from nmpc_codegen.lowering.pruning.unit import pruned as pruned_unit
 from nmpc_codegen.lowering.tolerances import TOLERANCES
 from nmpc_codegen.package.description import union_dtype
 from nmpc_codegen.package.features import Features
@@ -103,13 +103,13 @@ def struct_text(struct: Struct) -> str:
 
 def part_text(path: str, sizes: Mapping[str, int]) -> str:
     """A part with its included parts and its conditions resolved."""
-    return resolve(read_part(path, no_generated_part), {**FEATURES.macros, **sizes})
+    return read_part(path, no_generated_part, {**FEATURES.macros, **sizes})
 
 
 def pruned(text: str, sizes: Mapping[str, int], precision: str, absent: Collection[tuple[str, str]] = ()) -> str:
     """Parts with the functions that call them, without what the sizes exclude; ``absent``: members of no struct."""
     known = [*((name, None, value) for name, value in arithmetic(precision)), REAL_CONSTANT]
-    return without_unused(text, known, Constants({**FEATURES.macros, **sizes}, members=frozenset(absent)))
+    return pruned_unit(text, {}, known, Constants({**FEATURES.macros, **sizes}, absent=frozenset(absent)))
 
 
 def no_generated_part(path: str) -> str:

@@ -12,7 +12,7 @@ from nmpc_codegen.derivatives.model import DerivativeModel
 from nmpc_codegen.ir.cmodule import Table
 from nmpc_codegen.ir.print_c import print_routine, unit_style
 from nmpc_codegen.ir.sweep import Routine
-from nmpc_codegen.lowering.parts import names_in, read_part, rename, renamed_words, resolve
+from nmpc_codegen.lowering.parts import names_in, read_part, rename, renamed_words
 from nmpc_codegen.lowering.preamble import (
     REAL_CONSTANT,
     WIDTH,
@@ -122,7 +122,7 @@ def _part(path: str, sizes: dict[str, int]) -> str:
     def generated(inner: str) -> str:
         raise ValueError(f"{inner}: the parts of this package include no generated text")
 
-    return resolve(read_part(f"{FOLDER}/{path}", generated), sizes).rstrip("\n")
+    return read_part(f"{FOLDER}/{path}", generated, sizes).rstrip("\n")
 
 
 def _member(member: Member, name: str) -> str:

@@ -207,6 +207,11 @@ class CModule:
         return {**{m.name: m.value for m in self.macros}, **self.features.macros}
 
     @property
+    def decided(self) -> Mapping[str, int] | None:
+        """``sizes``, unless the package leaves `#if` to the compiler."""
+        return None if self.whole else self.sizes
+
+    @property
     def bytes(self) -> int:
         """sizeof the solver struct."""
         return self.description.report.ram_bytes

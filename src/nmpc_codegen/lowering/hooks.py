@@ -4,33 +4,41 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from functools import cache
+from functools import cache, lru_cache
 
 from nmpc_codegen.components.base import HOOKS
 from nmpc_codegen.ir.cmodule import CModule
 from nmpc_codegen.ir.print_c import CStyle
 from nmpc_codegen.lowering.parts import read_part
+from nmpc_codegen.lowering.pruning.scopes import signature
+from nmpc_codegen.lowering.pruning.tree import Edit, edited, parse
 
-_CALL = re.compile(rf"^(?P<before> *(?:\w+ = )?)(?P<hook>{'|'.join(HOOKS)})(?P<arguments>\(.*\);)$", re.MULTILINE)
-_HEAD = r"^(static [\w ]*?\b{name}_(\w+)\([^{{]*?\))\n\{{"
+_CALL = re.compile(rf"(?P<before>(?:\w+ = )?)(?P<hook>{'|'.join(HOOKS)})(?P<arguments>\(.*\);)", re.DOTALL)
+_NAMED = re.compile(rf"\b(?:{'|'.join(HOOKS)})\(")
+
+#: Hooks that exactly one feature defines.
+ALONE = ("prepare_plan",)
 
 
 @cache
 def _hooks(part: str) -> Mapping[str, str]:
     """Hook -> head of its function, for those that a feature defines."""
-    name, text = part.rpartition("/")[2].removesuffix(".c"), read_part(part, lambda path: "")
-    heads = re.findall(_HEAD.format(name=name), text, re.MULTILINE)
-    for _, word in heads:
-        if word not in HOOKS and len(re.findall(rf"\b{name}_{word}\(", text)) < 2:
-            raise ValueError(
-                f"{part}: {name}_{word}(): expected a hook, {', '.join(HOOKS)}, or a function that it calls"
-            )
-    return {hook: f"{head};" for head, hook in heads if hook in HOOKS}
+    feature, text = part.rpartition("/")[2].removesuffix(".c"), read_part(part, lambda path: "")
+    found = {}
+    for node in parse(text):
+        head = text[slice(*node.head)].strip() if node.kind == "function" else ""
+        name = signature(head)[0] if head else ""
+        word = name.removeprefix(f"{feature}_")
+        if word in HOOKS and word != name:
+            found[word] = f"{head};"
+        elif word != name and len(re.findall(rf"\b{name}\(", text)) < 2:
+            raise ValueError(f"{part}: {name}(): expected a hook, {', '.join(HOOKS)}, or a function that it calls")
+    return found
 
 
 def check_hooks(texts: Iterable[str], extras: Sequence[str]) -> None:
     """Raise ValueError if a feature defines a hook that none of these parts states."""
-    stated = {found["hook"] for text in texts for found in _CALL.finditer(text)}
+    stated = {hook for text in texts for hook in HOOKS if re.search(rf"^ *(?:\w+ = )?{hook}\(", text, re.MULTILINE)}
     for part in extras:
         if missing := sorted(_hooks(part).keys() - stated):
             has = f"it has {', '.join(sorted(stated))}"
@@ -45,7 +53,7 @@ def hook_prototypes(module: CModule, style: CStyle) -> str:
 
 def feature_parts(module: CModule, style: CStyle) -> str:
     """The files of the features."""
-    return "\n\n".join(read_part(part, lambda path: "").rstrip("\n") for part in module.extras) + "\n"
+    return "\n\n".join(read_part(part, lambda path: "", module.decided).rstrip("\n") for part in module.extras) + "\n"
 
 
 def with_hooks(text: str, extras: Sequence[str]) -> str:
@@ -54,20 +62,24 @@ def with_hooks(text: str, extras: Sequence[str]) -> str:
     Raises:
         ValueError: no feature defines a hook that one has to define, or several do.
     """
-    defined = {part.rpartition("/")[2].removesuffix(".c"): _hooks(part) for part in extras}
-
-    def calls(found: re.Match[str]) -> str:
-        names = [f"{name}_{found['hook']}" for name, hooks in defined.items() if found["hook"] in hooks]
-        if found["hook"] in ALONE and len(names) != 1:
-            raise ValueError(f"{found['hook']}: expected one feature that defines it, found {names}")
-        return "\n".join(f"{found['before']}{name}{found['arguments']}" for name in names) or _NOTHING
-
-    return _GONE.sub("", _CALL.sub(calls, text))
+    pieces = [text] if "#endif" in text else text.split("\n}\n")
+    return "\n}\n".join(_called(piece, tuple(extras)) if _NAMED.search(piece) else piece for piece in pieces)
 
 
-#: Hooks that exactly one feature defines.
-ALONE = ("prepare_plan",)
-
-#: Stands for a line that goes.
-_NOTHING = "\f"
-_GONE = re.compile(r"\f\n")
+@lru_cache(maxsize=1024)
+def _called(text: str, extras: tuple[str, ...]) -> str:
+    """The same of a text that ends before the brace of a function."""
+    closed = f"{text}\n}}" if text.count("\n{\n") > text.count("\n}\n") else text
+    edits = []
+    for node in (n for top in parse(closed) for n in top.walk() if n.kind == "statement"):
+        call = _CALL.fullmatch(closed, node.start, node.end)
+        if call is None:
+            continue
+        named = {part.rpartition("/")[2].removesuffix(".c"): _hooks(part) for part in extras}
+        names = [f"{name}_{call['hook']}" for name, hooks in named.items() if call["hook"] in hooks]
+        if call["hook"] in ALONE and len(names) != 1:
+            raise ValueError(f"{call['hook']}: expected one feature that defines it, found {names}")
+        margin = closed.rfind("\n", 0, node.start) + 1
+        lines = [f"{closed[margin : node.start]}{call['before']}{name}{call['arguments']}\n" for name in names]
+        edits.append(Edit(margin, node.end + 1, "".join(lines)))
+    return edited(closed, edits).removesuffix("\n}") if closed != text else edited(closed, edits)

@@ -1,8 +1,7 @@
-"""Plain C parts: `#include "part.c"` is inlined and `#if` over sizes is resolved; nothing else is rewritten.
+"""Plain C parts: `#include "part.c"` is inlined, `#if` over sizes is resolved (pruning/directives.py).
 
-A part compiles unchanged after its preamble (preamble.py), so that linters check the code that is shipped. A condition
-is an integer expression of C in the sizes and features of the package (0: absent); a name that the package does not
-define is an error, as it is for a compiler with -Wundef.
+A part compiles as it stands after the preamble of a whole package (lower(whole=True)), so that linters check the code
+that is shipped. A condition is an integer expression of C in the sizes and features of the package (0: absent).
 
 What parts include as ``generated/<name>.c`` is written here: products with the stage matrices, tables of their
 structure. So are the elementary functions that a package contains, of which a unit has those that it calls.
@@ -15,41 +14,24 @@ macro, function, variable or member, then ends in "_".
 
 from __future__ import annotations
 
-import ast
-import operator
 import re
 from collections.abc import Callable, Collection, Iterable, Mapping
-from dataclasses import dataclass
 from functools import cache, lru_cache
 from itertools import accumulate
 from pathlib import Path
-from typing import NamedTuple
 
 from nmpc_codegen.ir.cmodule import CModule
 from nmpc_codegen.ir.kernel import OPERATIONS
 from nmpc_codegen.ir.print_c import CStyle, print_routine
-from nmpc_codegen.lowering.pruning.text import blanked
+from nmpc_codegen.lowering.pruning.directives import resolve
+from nmpc_codegen.lowering.pruning.scopes import blanked
 
-_INCLUDE = re.compile(r'^#include "([\w/]+\.c)".*\n', re.MULTILINE)
-_DIRECTIVE = re.compile(r"#(if|elif|else|endif)\b\s*(.*)")
-_ANY_DIRECTIVE = re.compile(r"\s*#\s*(?:if|elif|else|endif)")
 _WORD = re.compile(r"[A-Za-z_]\w*")
+_INCLUDE = re.compile(r'^#include "([\w/]+\.c)".*\n', re.MULTILINE)
+_ANY_WORD = re.compile(r"[A-Za-z_]\w*")
 _DEFINITION = re.compile(
     r"^#define (\w+)|^typedef \w+ (\w+);|^(?:static|LANES_INLINE) [\w *]*?\b(\w+)[(\[]", re.MULTILINE
 )
-_BRACES = re.compile(r"[{}]")
-_WORDS = re.compile(r"\b(?:and|or|not|if|else|in|is|lambda|True|False|None)\b")
-_BINARY: dict[type[ast.AST], Callable[[int, int], int]] = {
-    ast.Add: operator.add,
-    ast.Sub: operator.sub,
-    ast.Mult: operator.mul,
-    ast.Eq: operator.eq,
-    ast.NotEq: operator.ne,
-    ast.Lt: operator.lt,
-    ast.LtE: operator.le,
-    ast.Gt: operator.gt,
-    ast.GtE: operator.ge,
-}
 
 
 def template_directory() -> Path:
@@ -59,19 +41,23 @@ def template_directory() -> Path:
     return packaged if packaged.is_dir() else here.parents[3] / "templates"
 
 
-def read_part(path: str, generated: Callable[[str], str]) -> str:
-    """Text of a part below templates/, with the parts that it includes; ``generated`` returns the generated ones."""
-    text, *included = _pieces(path)
+def read_part(path: str, generated: Callable[[str], str], sizes: Mapping[str, int] | None = None) -> str:
+    """Text of a part below templates/, with the parts that it includes; ``generated`` returns the generated ones.
+
+    ``sizes``: `#if` is resolved; None: it is left to the compiler.
+    """
+    whole = _file(path)
+    text, *included = _INCLUDE.split(whole if sizes is None else resolve(whole, sizes))
     for include, following in zip(included[::2], included[1::2], strict=True):
-        inner = generated(include) if include.startswith("generated/") else read_part(include, generated)
+        inner = generated(include) if include.startswith("generated/") else read_part(include, generated, sizes)
         text += inner.rstrip("\n") + "\n" + following
     return text
 
 
 @cache
-def _pieces(path: str) -> tuple[str, ...]:
-    """Text of a file below templates/, the path of the part that follows, text after it, and so on."""
-    return tuple(_INCLUDE.split((template_directory() / path).read_text(encoding="utf-8").rstrip("\n") + "\n"))
+def _file(path: str) -> str:
+    """Text of a file below templates/."""
+    return (template_directory() / path).read_text(encoding="utf-8").rstrip("\n") + "\n"
 
 
 def needed(text: str, names: Collection[str]) -> str:
@@ -91,130 +77,6 @@ def needed(text: str, names: Collection[str]) -> str:
 def _defined(paragraph: str) -> tuple[str, ...]:
     """Names of the macros, types, tables and functions that a paragraph defines."""
     return tuple(next(filter(None, found)) for found in _DEFINITION.findall(paragraph))
-
-
-class _Line(NamedTuple):
-    """A line, what of it is a directive ("" if none is), and its braces of code."""
-
-    text: str
-    directive: str
-    braces: tuple[str, ...]
-
-
-@dataclass
-class _Open:
-    """An open `#if`: is its present branch kept, was one kept, did `#else` occur; depth of the braces around it."""
-
-    counts: bool
-    done: bool
-    last: bool
-    depth: int
-
-
-def resolve(text: str, sizes: Mapping[str, int]) -> str:
-    """The text with every `#if` resolved: the directives and all lines that a compiler would skip are removed.
-
-    Raises:
-        ValueError: a condition is not an integer expression; a name has no value; conditional directives other than
-            `#if`, `#elif`, `#else`, `#endif` occur or do not match; a branch opens a brace without closing it or closes
-            one that it has not opened.
-    """
-    kept: list[str] = []
-    stack: list[_Open] = []
-    depth = 0
-    for number, line in enumerate(_scanned(text), 1):
-        try:
-            if line.directive:
-                _decide(line.directive, stack, depth, sizes)
-                continue
-            for brace in line.braces:
-                depth += 1 if brace == "{" else -1
-                if stack and depth < stack[-1].depth:
-                    raise ValueError("a branch of an #if closes a brace that it has not opened")
-        except ValueError as error:
-            raise ValueError(f"line {number}, {line.text.strip()!r}: {error}") from error
-        if not stack or stack[-1].counts:  # a branch counts only if those around it do
-            kept.append(line.text)
-    if stack:
-        raise ValueError("#if without #endif")
-    return "\n".join(kept) + "\n"
-
-
-@lru_cache
-def _scanned(text: str) -> tuple[_Line, ...]:
-    """The lines of a part; most parts are the same in every package."""
-    pairs = zip(text.splitlines(), blanked(text).splitlines(), strict=True)
-    return tuple(
-        _Line(line, code if _ANY_DIRECTIVE.match(code) else "", tuple(_BRACES.findall(code))) for line, code in pairs
-    )
-
-
-def _decide(line: str, stack: list[_Open], depth: int, sizes: Mapping[str, int]) -> None:
-    """Open a branch, or end one and begin the next."""
-    directive = _DIRECTIVE.match(line)
-    if directive is None:
-        raise ValueError("expected #if, #elif, #else or #endif at the start of a line")
-    word, condition = directive.groups()
-    if word in ("else", "endif") and condition.strip():
-        raise ValueError(f"expected nothing after #{word}")
-    if word == "if":
-        holds = all(branch.counts for branch in stack) and evaluate(condition, sizes)
-        stack.append(_Open(holds, holds, False, depth))
-        return
-    if not stack:
-        raise ValueError(f"#{word} without #if")
-    branch = stack.pop()
-    if depth != branch.depth:
-        raise ValueError("the branch of an #if that ends here opens a brace without closing it")
-    if word == "endif":
-        return
-    if branch.last:
-        raise ValueError(f"#{word} after #else")
-    open_ = not branch.done and all(outer.counts for outer in stack)
-    holds = open_ and (word == "else" or evaluate(condition, sizes))
-    stack.append(_Open(holds, branch.done or holds, word == "else", depth))
-
-
-def evaluate(condition: str, sizes: Mapping[str, int]) -> bool:
-    """Value of an integer expression of C with the operators + - * == != < <= > >= ! && || and parentheses.
-
-    Python parses it, with `!` replaced by `~`, which binds as tightly; C's own `~` is not allowed here.
-    """
-    return bool(_value(_expression(condition), sizes))
-
-
-@lru_cache(maxsize=1024)
-def _expression(condition: str) -> ast.expr:
-    """The condition as Python reads it; most conditions are the same in every package."""
-    text = re.sub(r"/\*.*?\*/", "", condition).strip()
-    if "~" in text or _WORDS.search(text):
-        raise ValueError(f"#if {condition}: not an integer expression")
-    text = re.sub(r"!(?!=)", "~", text).replace("&&", " and ").replace("||", " or ")
-    try:
-        return ast.parse(text, mode="eval").body
-    except SyntaxError as error:
-        raise ValueError(f"#if {condition}: not an integer expression") from error
-
-
-def _value(node: ast.AST, sizes: Mapping[str, int]) -> int:
-    match node:
-        case ast.Constant(value=int(number)):
-            return number
-        case ast.Name(id=name):
-            if name not in sizes:
-                raise ValueError(f"#if: {name} has no value in this package")
-            return sizes[name]
-        case ast.UnaryOp(op=ast.Invert(), operand=operand):
-            return int(not _value(operand, sizes))
-        case ast.BoolOp(op=ast.And(), values=values):
-            return int(all(_value(v, sizes) for v in values))
-        case ast.BoolOp(op=ast.Or(), values=values):
-            return int(any(_value(v, sizes) for v in values))
-        case ast.BinOp(left=left, op=op, right=right) if type(op) in _BINARY:
-            return _BINARY[type(op)](_value(left, sizes), _value(right, sizes))
-        case ast.Compare(left=left, ops=[op], comparators=[right]) if type(op) in _BINARY:
-            return int(_BINARY[type(op)](_value(left, sizes), _value(right, sizes)))
-    raise ValueError(f"#if: {ast.unparse(node)} is not supported")
 
 
 # -- parts that are generated ------------------------------------------------------------------------------------------
@@ -270,7 +132,7 @@ _HEADING = f"/* ==== elementary functions {'=' * 79} */"
 
 def own_text(part: str, sizes: Mapping[str, int]) -> str:
     """A part of the elementary functions with what it includes."""
-    return resolve(read_part(part, lambda path: ""), sizes)
+    return read_part(part, lambda path: "", sizes)
 
 
 @cache

@@ -14,7 +14,7 @@ from nmpc_codegen.ir.cmodule import CModule
 from nmpc_codegen.ir.print_c import CStyle, call, unit_style
 from nmpc_codegen.ir.sweep import LoopedRoutine, Routine
 from nmpc_codegen.lowering.parts import names_in, rename
-from nmpc_codegen.lowering.pruning.unused import Definition as Definition
+from nmpc_codegen.lowering.pruning.unit import Definition as Definition
 from nmpc_codegen.lowering.tolerances import FACTORS, TOLERANCES, tolerance
 from nmpc_codegen.package.signals import Kind
 

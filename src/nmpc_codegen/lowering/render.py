@@ -25,7 +25,6 @@ from nmpc_codegen.lowering.parts import (
     read_part,
     rename,
     renamed_words,
-    resolve,
     template_directory,
 )
 from nmpc_codegen.lowering.preamble import (
@@ -34,10 +33,11 @@ from nmpc_codegen.lowering.preamble import (
     definitions,
     preamble,
 )
-from nmpc_codegen.lowering.pruning.fold import Constants
-from nmpc_codegen.lowering.pruning.text import blanked
-from nmpc_codegen.lowering.pruning.unused import without_unused
-from nmpc_codegen.lowering.rows import row_functions
+from nmpc_codegen.lowering.pruning.directives import resolve
+from nmpc_codegen.lowering.pruning.expressions import Constants
+from nmpc_codegen.lowering.pruning.scopes import blanked
+from nmpc_codegen.lowering.pruning.unit import CALLED, pruned
+from nmpc_codegen.lowering.rows import row_functions, row_ranges
 from nmpc_codegen.package.memory import PURPOSES, WORK, Field, Struct
 from nmpc_codegen.package.seal import sealed
 from nmpc_codegen.package.signals import Argument, EntryPoint, Layout, Signal, horizon, nodes
@@ -108,8 +108,12 @@ def _filled(module: CModule) -> dict[str, Any]:
     names = _names(module)
     header = tidy(environment().get_template("solver.h.jinja").render(names))
     known = all_definitions(module)
+    kernels = {routine.name: print_routine(routine, module.style) for routine in module.routines}
     body = render_unit(module, names)
-    body = body if module.whole else without_unused(body, known, _constants(module))
+    if module.whole:
+        body = "\n\n".join([*kernels.values(), body])
+    else:
+        body = pruned(body, kernels, known, constants_of(module, known))
     words = names_in(blanked(body))
     math = own_math(module, definitions(known, words)[1])
     words |= names_in(math)
@@ -164,16 +168,20 @@ def render_tables(module: CModule, names: dict[str, Any], known: Sequence[Defini
     return environment().get_template("tables.c.jinja").render(names | {"tables": tables}).rstrip("\n")
 
 
-def _constants(module: CModule) -> Constants:
-    """What the package decides at export: sizes, features, ranges of tables of integers, what it lacks."""
-    tables = {t.name: (int(min(t.values)), int(max(t.values))) for t in module.tables if t.ctype == "int" and t.values}
+def constants_of(module: CModule, known: Sequence[Definition]) -> Constants:
+    """What the package decides at export: sizes, features, ranges of tables of integers and of what is known of rows,
+    what it lacks."""
+    ranges = {t.name: (int(min(t.values)), int(max(t.values))) for t in module.tables if t.ctype == "int" and t.values}
     kernels = frozenset(name.upper() for name in module.absent_kernels)
-    return Constants(module.sizes, tables, module.absent_members, kernels)
+    named = {s.name for s in module.structs}
+    types = {(s.name, f.name): f.ctype for s in module.structs for f in s.fields if f.ctype in named}
+    calling = frozenset(name for name, arguments, text in known if arguments and CALLED.search(text))
+    return Constants(module.sizes, {**ranges, **row_ranges(module)}, module.absent_members, types, kernels, calling)
 
 
 def _resolved(text: str, module: CModule) -> str:
     """The text with the branches of `#if` that the package has; a whole package leaves them to the compiler."""
-    return (text if module.whole else resolve(text, module.sizes)).rstrip()
+    return (text if module.decided is None else resolve(text, module.decided)).rstrip()
 
 
 def render_unit(module: CModule, names: dict[str, Any]) -> str:
@@ -185,11 +193,10 @@ def render_unit(module: CModule, names: dict[str, Any]) -> str:
         return GENERATORS[path](module, module.style)
 
     def part(path: str) -> str:
-        text = read_part(path, generated)
+        text = read_part(path, generated, module.decided)
         if path == module.sections[-1].template:
-            check_hooks([text], module.extras)
-        text = with_hooks(text, module.extras)
-        return _resolved(text, module)
+            check_hooks([read_part(path, lambda include: "")], module.extras)
+        return with_hooks(text, module.extras).rstrip()
 
     more: dict[str, Any] = {"part": part, "generated": generated}
     return environment().get_template("unit.c.jinja").render(names | more)

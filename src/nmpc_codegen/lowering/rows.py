@@ -57,6 +57,18 @@ def row_functions(module: CModule) -> dict[str, Any]:
     }
 
 
+def row_ranges(module: CModule) -> dict[str, tuple[int, int]]:
+    """Function of rows -> least and greatest value that it returns."""
+    entries = {name: [row[i] for row in module.rows] or [0] for i, name in enumerate(COLUMNS)}
+    found = {f"row_{name}": (min(values), max(values)) for name, values in entries.items() if name != "kind"}
+    for number, word in enumerate(KINDS):
+        kinds = [int(kind == number) for kind in entries["kind"]] if module.rows else [0]
+        found[f"row_is_{word}"] = (min(kinds), max(kinds))
+    sizes = module.sizes
+    found["row_is_soft"] = (int(not sizes["HARD_ROWS"] and sizes["SOFT_ROWS"] > 0), int(sizes["SOFT_ROWS"] > 0))
+    return found
+
+
 def _entry(name: str, values: list[int], module: CModule) -> str:
     """What the function of a column returns."""
     if len(set(values)) > 1:

@@ -1,0 +1,277 @@
+"""What a package does not need of a function, one pass per reason; every pass lists edits of the text.
+
+constants  branches, operands and loops that sizes and tables decide; what stands behind return
+absent     writes to members that no struct has, calls of kernels that have nothing to compute
+unread     local variables that nothing names
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import lru_cache
+from textwrap import wrap
+
+from nmpc_codegen.lowering.pruning.expressions import Constants, Expression, Fact, expression, words
+from nmpc_codegen.lowering.pruning.scopes import (
+    DECLARATION,
+    code_of,
+    declarators,
+    free_names,
+    function_of,
+    names_in_code,
+    pointers,
+)
+from nmpc_codegen.lowering.pruning.tree import Edit, Node, edited, whole_lines
+
+#: Maximum length of a line.
+WIDTH = 120
+_LOOP = re.compile(
+    r"(?:int|ptrdiff_t) (?P<variable>\w+) = (?P<first>[^,;]+)(?:,[^;]*)?; (?P<condition>[^;]*);(?P<step>.*)"
+)
+
+_WORD = re.compile(r"\w+")
+
+Pass = Callable[[str, Node, Constants], Iterator[Edit]]
+
+
+def blocks(function: Node) -> Iterator[tuple[Node, Sequence[Node]]]:
+    """Every node that holds others, with them."""
+    for node in function.walk():
+        if node.kind in ("function", "if", "loop", "block"):
+            yield node, node.body
+
+
+def constants(text: str, function: Node, known: Constants) -> Iterator[Edit]:
+    for holder, body in blocks(function):
+        above: Node | None = None
+        for place, node in enumerate(body):
+            if node.kind == "if":
+                yield from _of_choice(text, node, above, known)
+            elif node.kind == "loop":
+                yield from _of_loop(text, node, above, known)
+            elif node.kind == "leave" and body[place + 1 :]:
+                yield Edit(node.end, body[-1].end, "")
+            above = node
+        if holder is function and body and text[body[-1].start : body[-1].end] == "return;":
+            yield Edit(*whole_lines(text, body[-1], None), "")
+
+
+def _of_choice(text: str, node: Node, above: Node | None, known: Constants) -> Iterator[Edit]:
+    """An if whose branches are decided, or hold nothing."""
+    chain = [node]
+    while chain[-1].other is not None:
+        chain.append(chain[-1].other)
+    for place, branch in enumerate(chain):
+        whole = code_of(text, branch.head).strip()
+        value = True if branch.kind == "block" else known.reduced(whole) if known.names(whole) else whole
+        empty = not any(n.kind != "comment" for n in branch.body)
+        if value is False or (
+            empty and branch.other is None and (value is True or not known.effects(expression(whole)))
+        ):
+            yield _without_branch(text, chain, place, above)
+            return
+        if value is True and branch.kind == "if":
+            yield _taken(text, branch, place)
+            return
+        if isinstance(value, str) and value != whole:
+            line = text.rfind("\n", 0, branch.start) + 1
+            opening = text[line : branch.head[0]] + " ".join(value.split()) + ") {"
+            yield Edit(line, branch.inside[0], "\n".join(_wrapped(opening)))
+
+
+def _without_branch(text: str, chain: Sequence[Node], place: int, above: Node | None) -> Edit:
+    """A chain of branches without one of them."""
+    branch = chain[place]
+    if branch.other is None:
+        if place == 0:
+            return Edit(*whole_lines(text, branch, above), "")
+        return Edit(chain[place - 1].inside[1] + 1, branch.end, "")
+    if branch.other.kind == "block" and place == 0:
+        return Edit(branch.start, branch.end, _lifted(text, branch.other))
+    return Edit(branch.start, branch.other.start, "")
+
+
+def _taken(text: str, branch: Node, place: int) -> Edit:
+    """A chain of branches that ends with one that is taken."""
+    if place == 0:
+        return Edit(branch.start, branch.end, _lifted(text, branch))
+    return Edit(branch.start, branch.end, "{" + text[slice(*branch.inside)] + "}")
+
+
+def _lifted(text: str, block: Node) -> str:
+    """What a block holds, one step to the left; the comment behind its brace goes."""
+    inside = text[slice(*block.inside)]
+    lines = inside[inside.index("\n") + 1 :].rstrip().split("\n")
+    return "\n".join(line.removeprefix("    ") for line in lines).lstrip(" ")
+
+
+def _of_loop(text: str, node: Node, above: Node | None, known: Constants) -> Iterator[Edit]:
+    """A loop that never runs, or has nothing to do; its condition without what constants decide."""
+    head = " ".join(code_of(text, node.head).split())
+    loop = _LOOP.match(head)
+    condition = loop["condition"] if loop else head if ";" not in head else ""
+    if not condition or not (known.names(head) or all(n.kind == "comment" for n in node.body)):
+        return
+    first = None if loop is None else known.range(expression(loop["first"]))
+    variables = {} if loop is None or first is None else {loop["variable"]: first}
+    value = known.reduced(condition)
+    never = value is False or known.truth(expression(condition), variables) is False
+    idle = loop is not None and all(n.kind == "comment" for n in node.body)
+    parts = [] if loop is None else [loop["first"], *([] if never else [condition])]
+    if (never or idle) and not any(known.effects(expression(part)) for part in parts):
+        yield Edit(*whole_lines(text, node, above), "")
+    elif isinstance(value, str) and value != condition:
+        at = text.index(condition, node.head[0])
+        yield Edit(at, at + len(condition), value)
+
+
+def _wrapped(line: str) -> list[str]:
+    """A statement in lines that are not too long."""
+    margin = line[: len(line) - len(line.lstrip())]
+    return wrap(line, WIDTH, subsequent_indent=margin + "    ", break_long_words=False, break_on_hyphens=False)
+
+
+def absent(text: str, function: Node, known: Constants) -> Iterator[Edit]:
+    """Statements whose only effect is on what the package lacks."""
+    named = {member for _, member in known.absent} | known.kernels
+    if not named:
+        return
+    structs = pointers(text)
+    for _, body in blocks(function):
+        above: Node | None = None
+        for node in body:
+            code = code_of(text, (node.start, node.end)) if node.kind == "statement" else ""
+            if not named.isdisjoint(_WORD.findall(code)) and _is_void(code, structs, known):
+                yield Edit(*whole_lines(text, node, above), "")
+            above = node
+
+
+def _is_void(code: str, structs: Mapping[str, str], known: Constants) -> bool:
+    if DECLARATION.match(code):
+        return False
+    found = expression(code.strip().removesuffix(";"))
+    if found.kind == "call":
+        arguments = _arguments(found)
+        if any(map(known.effects, arguments)):
+            return False
+        place = arguments[0] if found.word in ("memset", "memcpy") else None
+        return found.word in known.kernels if place is None else _struct(place, structs, known) == ABSENT
+    if found.kind != "assign" or any(map(known.effects, found.operands)):
+        return False
+    return _struct(found.operands[0], structs, known) == ABSENT
+
+
+def _arguments(call: Expression) -> list[Expression]:
+    """The arguments of a call."""
+    found = list(call.operands[1:])
+    while found and found[0].kind == "binary" and found[0].word == ",":
+        found[:1] = found[0].operands
+    return found
+
+
+#: Stands for the struct of what no struct has.
+ABSENT = "absent"
+
+
+def _struct(place: Expression, structs: Mapping[str, str], known: Constants) -> str:
+    """The struct that a place is, "" for a number, ABSENT for what is, or is a part of, a member that no struct has."""
+    if place.kind == "name":
+        return structs.get(place.word, "")
+    if place.kind != "member":
+        return _struct(place.operands[0], structs, known) if place.operands else ""
+    inner = _struct(place.operands[0], structs, known)
+    if inner == ABSENT or (inner, place.word) in known.absent:
+        return ABSENT
+    return known.types.get((inner, place.word), "")
+
+
+def unread(text: str, function: Node, known: Constants) -> Iterator[Edit]:
+    for _, body in blocks(function):
+        later: set[str] = set()
+        for place in reversed(range(len(body))):
+            node = body[place]
+            each = declarators(code_of(text, (node.start, node.end))) if node.kind == "statement" else []
+            left: list[str] = []
+            effects: list[str] = []
+            for name, declarator in reversed(each):
+                value = declarator.partition("=")[2].strip()
+                if name in later or "(*" in declarator.partition("=")[0]:
+                    left.insert(0, declarator)
+                    later |= names_in_code(declarator)
+                elif value and not value.startswith("{") and known.effects(expression(value)):
+                    effects.insert(0, f"(void){value};")
+                    later |= names_in_code(value)
+            if len(left) < len(each):
+                above = body[place - 1] if place else None
+                yield _without_variables(text, node, above, left, effects)
+            elif not each and node.kind != "comment":
+                later |= names_in_code(text[node.start : node.end])
+
+
+def _without_variables(text: str, node: Node, above: Node | None, left: list[str], effects: list[str]) -> Edit:
+    """A declaration with the variables that are left, and what the values of the others did."""
+    found = DECLARATION.match(text, node.start)
+    assert found is not None
+    kept = [f"{found[0]}{', '.join(left)};"] if left else []
+    margin = "\n" + text[text.rfind("\n", 0, node.start) + 1 : node.start]
+    if kept or effects:
+        return Edit(node.start, node.end, margin.join([*kept, *effects]))
+    return Edit(*whole_lines(text, node, above), "")
+
+
+PASSES: Mapping[str, Pass] = {"constants": constants, "absent": absent, "unread": unread}
+
+
+@lru_cache(maxsize=16384)
+def heads(text: str) -> tuple[frozenset[str], frozenset[str]]:
+    """Names on which the conditions of a function depend, and sizes of which they only ask whether they are 0."""
+    found: set[str] = set()
+    signs: set[str] = set()
+    for node in function_of(text).walk():
+        head = " ".join(code_of(text, node.head).split()) if node.kind in ("if", "loop") else ""
+        loop = _LOOP.match(head)
+        for atom in _ATOM.split(loop["condition"] if loop else head):
+            bare = _ARGUMENTS.sub("()", atom).strip(" !").removeprefix("(").strip(" !")
+            if loop:  # the first value of its variable
+                bare = re.sub(rf"\b{loop['variable']}\b", _ARGUMENTS.sub("()", loop["first"]), bare)
+            if sign := _SIGN.fullmatch(bare):
+                signs.add(sign[sign.lastindex or 0])
+            elif not _VARIABLE.search(bare):
+                found |= words(bare)
+    return frozenset(found), frozenset(signs - found)
+
+
+_ATOM = re.compile(r"&&|\|\|")
+#: Arguments and indices of a name that may be known; a name that is none of a constant.
+_ARGUMENTS = re.compile(r"(?<=\w)[(\[][^()\[\]]*[)\]]")
+_VARIABLE = re.compile(r"->|\.|\b[a-z]\w*\b(?!\()")
+#: NAME, NAME > 0, 0 < NAME, NAME - 1 >= 0: conditions on the sign of a size.
+_SIGN = re.compile(r"([A-Z]\w*)(?: (?:>|==|!=) 0)?|0 < ([A-Z]\w*)|([A-Z]\w*) - 1 >= 0")
+
+
+def simplified(text: str, known: Constants) -> str:
+    """A function, with its comment, without what the package does not need.
+
+    Raises:
+        ValueError: it is not of the dialect, or a pass has left a name without its declaration.
+    """
+    return _simplified(text, known.facts(*heads(text), words(text)))
+
+
+@lru_cache(maxsize=16384)
+def _simplified(text: str, facts: frozenset[Fact]) -> str:
+    known, before = Constants.of(facts), free_names(text)
+    changed = True
+    while changed:
+        changed = False
+        for name, step in PASSES.items():
+            while edits := list(step(text, function_of(text), known)):
+                text, changed = edited(text, edits), True
+                if lost := free_names(text) - before - {"void"}:
+                    raise ValueError(f"the pass {name!r} has left {sorted(lost)[0]} without its declaration")
+    return _EMPTY.sub(r"\1", text)
+
+
+#: Empty lines at the ends of blocks, and two where one is enough.
+_EMPTY = re.compile(r"(\{\n)\n+|\n(?=\n *\}|\n\n)")

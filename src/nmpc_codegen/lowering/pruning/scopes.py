@@ -1,0 +1,143 @@
+"""What a function declares and what it names: variables and their scopes, pointers to structs, free names."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from functools import lru_cache
+
+from nmpc_codegen.lowering.pruning.tree import Node, parse
+
+_NO_CODE = re.compile(r"/\*.*?\*/|\"(?:\\.|[^\"\\\n])*\"|'(?:\\.|[^'\\\n])*'", re.DOTALL)
+_NOT_NEWLINE = re.compile(r"[^\n]")
+_IDENTIFIER = re.compile(r"(?<![.\w])(?<!->)[A-Za-z_]\w*")
+_TYPE = r"(?:static )?(?:const )?(?:unsigned )?(?:int|double|char|\w+_t)(?: (?:const )?(?=[\w*(])|(?=\(\*))"
+#: The type of a declaration of variables, which ends before the first name.
+DECLARATION = re.compile(rf"\s*{_TYPE}")
+_LOOP = re.compile(rf"\s*(?P<type>{_TYPE})(?P<rest>[^;]*);")
+_POINTER = re.compile(r"\b(\w+)_t \*(?:const )?(\w+)")
+_NAME = re.compile(r"[\s(*]*(?:const )?(\w+)")
+_SIGNATURE = re.compile(r"(?P<name>API\(\w+\)|\b\w+)\((?P<parameters>.*)\)(?:\)\[\w+\])?\s*;?$", re.DOTALL)
+_ATTRIBUTE = re.compile(r"__attribute__\(\(.*?\)\)")
+
+
+def blanked(text: str) -> str:
+    """The text with blanks for its comments, strings and characters: every place stays where it is."""
+    return _NO_CODE.sub(lambda found: _NOT_NEWLINE.sub(" ", found[0]), text)
+
+
+def code_of(text: str, place: tuple[int, int]) -> str:
+    """What stands between two places, with blanks for comments and strings."""
+    return blanked(text[slice(*place)])
+
+
+@lru_cache(maxsize=32768)
+def names_in_code(text: str) -> frozenset[str]:
+    """Identifiers of a text that are no members of a struct."""
+    return frozenset(_IDENTIFIER.findall(blanked(text)))
+
+
+def split(code: str) -> list[str]:
+    """The parts of a text between commas that stand in no brackets."""
+    depth, first, found = 0, 0, []
+    for mark in _MARK.finditer(code):
+        if mark[0] == ",":
+            if depth == 0:
+                found.append(code[first : mark.start()])
+                first = mark.end()
+        else:
+            depth += 1 if mark[0] in "([{" else -1
+    return [*found, code[first:]]
+
+
+_MARK = re.compile(r"[,()\[\]{}]")
+
+
+def declarators(code: str) -> list[tuple[str, str]]:
+    """(name, declarator) of every variable of a declaration; "" for a text that declares none."""
+    found = DECLARATION.match(code)
+    if found is None:
+        return []
+    each = split(code[found.end() :].rstrip().removesuffix(";"))
+    return [(_NAME.match(d)[1], d.strip()) for d in each]  # type: ignore[index]
+
+
+@lru_cache(maxsize=8192)
+def signature(text: str) -> tuple[str, tuple[str, ...]]:
+    """Name and parameters of a function or a prototype."""
+    found = _SIGNATURE.search(_ATTRIBUTE.sub("", " ".join(blanked(text).split())))
+    if found is None:
+        raise ValueError(f"no signature of a function: {text.strip()!r}")
+    given = [re.sub(r"\[[^\]]*\]", "", p) for p in split(found["parameters"]) if p.strip() not in ("void", "")]
+    return found["name"], tuple(_IDENTIFIER.findall(parameter)[-1] for parameter in given)
+
+
+def function_of(text: str) -> Node:
+    """The function that a text with its comment is."""
+    return parse(text)[-1]
+
+
+def pointers(text: str) -> Mapping[str, str]:
+    """Pointer of a function -> the struct to which it points.
+
+    Raises:
+        ValueError: pointers to different structs have the same name, so that a member does not tell its struct.
+    """
+    found: dict[str, str] = {}
+    for struct, name in _POINTER.findall(blanked(text)):
+        if found.setdefault(name, struct) != struct:
+            raise ValueError(f"{name} points to {found[name]}_t and to {struct}_t; expected a name for each")
+    return found
+
+
+@lru_cache(maxsize=16384)
+def free_names(text: str) -> frozenset[str]:
+    """What a function names and does not declare: types, functions, macros, tables.
+
+    Raises:
+        ValueError: a block declares a variable twice, or a variable is used outside of the block that declares it.
+    """
+    function = function_of(text)
+    head = text[slice(*function.head)]
+    name, parameters = signature(head)
+    scopes = _Scopes(text)
+    scopes.visit(function.body, frozenset(parameters))
+    outside = scopes.free & scopes.declared
+    if outside:
+        raise ValueError(f"{name}(): {sorted(outside)[0]} is declared in a block and used outside of it")
+    return frozenset(scopes.free | names_in_code(head) - set(parameters) - {name})
+
+
+class _Scopes:
+    """Names that are free, and all that are declared, while blocks are visited."""
+
+    def __init__(self, text: str) -> None:
+        self.text, self.free, self.declared = text, set[str](), set[str]()
+
+    def visit(self, body: Sequence[Node], outer: frozenset[str]) -> None:
+        """A block whose statements see these names."""
+        own: set[str] = set()
+        for node in body:
+            visible = outer | own
+            if node.kind == "statement":
+                found = declarators(code_of(self.text, (node.start, node.end)))
+                for name, _ in found:
+                    if name in own:
+                        raise ValueError(f"{name} is declared twice in a block")
+                    own.add(name)
+                self.declared |= {name for name, _ in found}
+                self.free |= names_in_code(self.text[node.start : node.end]) - visible - own
+            elif node.kind in ("if", "loop", "block"):
+                self.nested(node, frozenset(visible))
+            elif node.kind != "comment":
+                self.free |= names_in_code(self.text[node.start : node.end]) - visible
+
+    def nested(self, node: Node, visible: frozenset[str]) -> None:
+        head = self.text[slice(*node.head)]
+        loop = _LOOP.match(blanked(head)) if node.kind == "loop" else None
+        counted = {name for name, _ in declarators(loop["type"] + loop["rest"])} if loop else set()
+        self.declared |= counted
+        self.free |= names_in_code(head) - visible - counted
+        self.visit(node.body, visible | counted)
+        if node.other is not None:
+            self.nested(node.other, visible)

@@ -1,0 +1,216 @@
+"""The unit of a package without what the package does not need.
+
+A part is written for every problem, with all its rows, bounds and components. Every function is simplified by itself
+(passes.py); then functions that nothing reaches go, with their prototypes, and enumerations of which nothing is used. A
+parameter, or a variable of which only macros take notice that drop it, gets a statement, (void)k.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from functools import lru_cache
+from itertools import accumulate
+from typing import NamedTuple
+
+from nmpc_codegen.lowering.pruning.expressions import Constants
+from nmpc_codegen.lowering.pruning.passes import simplified
+from nmpc_codegen.lowering.pruning.scopes import (
+    blanked,
+    declarators,
+    free_names,
+    function_of,
+    names_in_code,
+    signature,
+    split,
+)
+from nmpc_codegen.lowering.pruning.tree import Edit, Node, edited, parse
+
+# (name, arguments or None, text)
+Definition = tuple[str, str | None, str]
+
+#: Heads of functions that only this unit calls.
+_INNER = re.compile(r"^(?:static|LANES_INLINE|PACK_INLINE) ", re.MULTILINE)
+_ENUMERATION = re.compile(r"enum \{(?P<names>.*)\};", re.DOTALL)
+#: A call of a function.
+CALLED = re.compile(r"\b[a-z]\w*(?=\()")
+
+
+class Item(NamedTuple):
+    """What stands between two empty lines or functions: its text with the comment above it, and its name."""
+
+    kind: str  # function, prototype, enumeration, heading, other
+    text: str
+    name: str = ""
+    gap: str = "\n"
+
+
+@lru_cache(maxsize=8192)
+def items(text: str) -> tuple[Item, ...]:
+    """The items of a text that ends with a function, or has none."""
+    head, brace, _ = text.partition("\n{\n")
+    start = len(text)
+    if brace:
+        start = head.rfind("\n\n") + 2
+        start += max((m.end() for m in _BEFORE.finditer(blanked(head[start:]))), default=0)
+    found: list[Item] = []
+    before = text[:start].rstrip("\n")
+    nodes, at, place = parse(before), 0, 0
+    while place < len(nodes):
+        first = node = nodes[place]
+        if node.kind == "comment" and place + 1 < len(nodes) and before[node.end : nodes[place + 1].start] == "\n":
+            place += 1
+            node = nodes[place]
+        found.append(_item(before[first.start : node.end], node, before[at : first.start]))
+        at, place = node.end, place + 1
+    if brace:
+        found.append(
+            Item("function", text[start:], signature(_COMMENT.sub("", head[start:]))[0], text[len(before) : start])
+        )
+    return tuple(found)
+
+
+#: The end of a declaration or a directive.
+_BEFORE = re.compile(r";\n|^#.*\n", re.MULTILINE)
+_COMMENT = re.compile(r"/\*.*?\*/", re.DOTALL)
+
+
+def _item(piece: str, node: Node, gap: str) -> Item:
+    code = piece[len(piece) - node.end + node.start :]
+    if node.kind == "comment":
+        return Item("other" if piece.startswith("/* ==") else "heading", piece, "", gap)
+    if _ENUMERATION.match(code):
+        return Item("enumeration", piece, "", gap)
+    if code.startswith("static ") and "=" not in code and code.rstrip(";").endswith(")"):
+        return Item("prototype", piece, signature(code)[0], gap)
+    return Item("other", piece, "", gap)
+
+
+def pruned(unit: str, kernels: Mapping[str, str], known: Sequence[Definition], constants: Constants) -> str:
+    """The text of a unit, whose macros are ``known``, without what it does not need; ``kernels``: printed functions by
+    name, which stand before it."""
+    macros = Macros(known)
+    *chunks, rest = f"{unit}\n".split("\n}\n")
+    found = [item for chunk in (*(f"\n{chunk}\n}}" for chunk in chunks), f"\n{rest}") for item in items(chunk)]
+    functions, names = reached(found, kernels, macros, constants)
+    kept = _without_idle_headings([item for item in found if _stays(item, names)], found)
+    printed = [text for name, text in kernels.items() if name in names]
+    texts = (_marked_for(functions[i.name], macros) if i.kind == "function" else i.text for i in kept)
+    return "\n\n".join(printed) + "".join(i.gap + text for i, text in zip(kept, texts, strict=True)) + "\n"
+
+
+class Macros:
+    """The macros of a unit: what their names stand for, and which arguments they drop."""
+
+    def __init__(self, known: Iterable[Definition]) -> None:
+        self.texts = {name: text for name, _, text in known}
+        self.arguments = {name: arguments.split(", ") for name, arguments, _ in known if arguments}
+        self.dropping: dict[str, tuple[int, ...]] = {}
+        for name, arguments in self.arguments.items():
+            read = names_in_code(without_dropped(self.texts[name], self.dropping))
+            if dropped := tuple(i for i, argument in enumerate(arguments) if argument not in read):
+                self.dropping[name] = dropped
+
+    def expanded(self, names: Iterable[str]) -> set[str]:
+        """The names, and those in the macros that they are."""
+        found: set[str] = set()
+        waiting = set(names)
+        while waiting:
+            found |= waiting
+            inside = (names_in_code(self.texts[name]) for name in waiting if name in self.texts)
+            waiting = set().union(*inside) - found
+        return found
+
+
+def without_dropped(code: str, dropping: Mapping[str, Sequence[int]]) -> str:
+    """A text without the arguments that macros drop."""
+    for name in sorted(names_in_code(code) & dropping.keys()):
+        for call in reversed(list(re.finditer(rf"\b{name}\(", code))):
+            rest = code[call.end() :]
+            depths = accumulate(((c == "(") - (c == ")") for c in rest), initial=1)
+            end = next((place - 1 for place, depth in enumerate(depths) if depth == 0), len(rest))
+            kept = ["" if i in dropping[name] else given for i, given in enumerate(split(rest[:end]))]
+            code = code[: call.end()] + ",".join(kept) + rest[end:]
+    return code
+
+
+def reached(
+    found: Sequence[Item], kernels: Mapping[str, str], macros: Macros, constants: Constants
+) -> tuple[dict[str, str], set[str]]:
+    """Simplified texts of the functions that the interface, and what is no function, reach; all names on the way."""
+    functions = {item.name: item.text for item in found if item.kind == "function"}
+    waiting = {n for n, text in functions.items() if not _INNER.search(text)}
+    for item in found:
+        if item.kind == "other":
+            waiting |= macros.expanded(names_in_code(item.text))
+    texts: dict[str, str] = {}
+    mentioned: set[str] = set()
+    while waiting:
+        mentioned |= waiting
+        inside: set[str] = set()
+        for name in waiting:
+            if name in functions:
+                texts[name] = _simplified(name, functions[name], constants)
+                inside |= free_names(texts[name])
+            elif name in kernels:
+                inside.update(CALLED.findall(kernels[name]))
+        waiting = macros.expanded(inside) - mentioned
+    return texts, mentioned
+
+
+def _simplified(name: str, text: str, constants: Constants) -> str:
+    try:
+        return simplified(text, constants)
+    except ValueError as error:
+        raise ValueError(f"{name}(): {error}") from error
+
+
+def _stays(item: Item, names: Collection[str]) -> bool:
+    if item.kind in ("function", "prototype"):
+        return item.name in names
+    if item.kind == "enumeration":
+        return any(name in names for name in names_in_code(item.text[item.text.index("{") :]))
+    return True
+
+
+def _without_idle_headings(kept: Sequence[Item], all_items: Sequence[Item]) -> list[Item]:
+    """The items without comments that stand alone above functions of which none is left."""
+    left = {item.name or item.text for item in kept}
+    idle: set[str] = set()
+    heading, names = "", set[str]()
+    for item in [*all_items, Item("heading", "")]:
+        if item.kind == "heading":
+            if heading and names and not names & left:
+                idle.add(heading)
+            heading, names = item.text, set()
+        elif item.kind not in ("prototype", "enumeration"):
+            names.add(item.name or item.text)
+    return [item for item in kept if item.text not in idle]
+
+
+def _marked_for(text: str, macros: Macros) -> str:
+    """A function with a statement for every parameter and variable that it does not read."""
+    dropping = {name: macros.dropping[name] for name in names_in_code(text) & macros.dropping.keys()}
+    return _marked(text, tuple(dropping.items()))
+
+
+@lru_cache(maxsize=8192)
+def _marked(text: str, dropping: tuple[tuple[str, tuple[int, ...]], ...]) -> str:
+    """The same of a function that calls these macros, which drop arguments at these places."""
+    function = function_of(text)
+    _, parameters = signature(text[slice(*function.head)])
+    body = blanked(text[slice(*function.inside)])
+    read = names_in_code(without_dropped(body, dict(dropping)))
+    edits = []
+    if unread := "".join(f"\n    (void){name};" for name in parameters if name not in read):
+        edits.append(Edit(function.inside[0], function.inside[0], unread))
+    for node in function.walk() if dropping else ():
+        code = blanked(text[node.start : node.end]) if node.kind == "statement" else ""
+        for name, _ in declarators(code):
+            if name not in names_in_code(without_dropped(body.replace(code, "", 1), dict(dropping))):
+                edits.append(Edit(node.end, node.end, f"\n{_margin(text, node)}(void){name};"))
+    return edited(text, edits)
+
+
+def _margin(text: str, node: Node) -> str:
+    return text[text.rfind("\n", 0, node.start) + 1 : node.start]

@@ -1,0 +1,172 @@
+"""The unit of a package: what nothing reaches is not in it, what it needs stays."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+import pytest
+from conftest import require_tool
+
+from nmpc_codegen import (
+    OCP,
+    RK4,
+    AugmentedLagrangian,
+    Euler,
+    ExactHessian,
+    ExplicitRungeKutta,
+    ForwardOverAdjoint,
+    Options,
+    RealTimeIteration,
+    Symmetric,
+    build,
+    generate,
+)
+from nmpc_codegen.components.integrators import ButcherTableau
+from nmpc_codegen.lowering.pruning.expressions import Constants
+from nmpc_codegen.lowering.pruning.unit import pruned
+from verification import quality
+
+#: N is a size; ROW drops its second argument; OUTER passes its arguments to ROW in turn.
+KNOWN = [
+    ("N", None, "P_N"),
+    ("ROW", "s, h", "(s)->x[N]"),
+    ("OUTER", "a, b", "ROW(a, b) + 1"),
+    ("BOTH", "a, b", "a * b"),
+    ("KERNEL", "s", "kernel((s)->x)"),
+]
+KERNELS = {
+    "kernel": "static void kernel(const real_t *x)\n{\n    own_sin(x[0]);\n}",
+    "spare": "static void spare(void);",
+}
+
+
+def kept(text: str, constants: Constants | None = None) -> str:
+    return pruned(text, {}, KNOWN, constants or Constants()).strip("\n")
+
+
+def function(*block: str, head: str = "void API(f)(solver_t *s, int *out)") -> str:
+    """A function of the package's interface."""
+    return "\n".join([head, "{", *(f"    {line}" for line in block), "}"])
+
+
+def test_what_macros_drop_gets_a_statement() -> None:
+    """A name that a package does not read is declared all the same."""
+    for call in ("ROW(s, h)", "OUTER(s, h + 1)"):
+        found = kept(function("const int h = 2;", f"out[0] = {call};"))
+        assert found == function("const int h = 2;", "(void)h;", f"out[0] = {call};")
+    read = function("const int h = 2;", "out[0] = BOTH(s->a, h);")
+    assert kept(read) == read
+
+
+def test_directives_end_no_block() -> None:
+    """#pragma stands at the margin."""
+    loop = "#pragma GCC unroll 4\n    for (int i = 0; i < h; i++) {\n        n++;\n    }"
+    text = f"int f(int n)\n{{\n    int h = n;\n{loop}\n}}"
+    assert kept(text) == text
+
+
+def test_unread_parameters_get_a_statement() -> None:
+    """Of the interface and of inner functions; no call is changed."""
+    head = "int API(f)(const real_t (*Q)[N], const real_t u[N], real_t *x, int k)"
+    found = kept(function("return ROW(x, u) + Q[0][0] + g(k);", head=head) + "\n\n" + function("return 1;", head=INNER))
+    body = ("(void)u;", "return ROW(x, u) + Q[0][0] + g(k);")
+    assert found == function(*body, head=head) + "\n\n" + function("(void)n;", "return 1;", head=INNER)
+    assert kept(function("return 1;", head="int API(f)(void)")) == function("return 1;", head="int API(f)(void)")
+
+
+INNER = "static int g(int n)"
+
+
+def test_functions_that_nothing_reaches_go_with_their_comments() -> None:
+    static = "static int {}(int n)"
+    called = function("return deeper(n) + 1;", head=static.format("called"))
+    deeper = function("return n + 2;", head=static.format("deeper"))
+    spare = "/* For other problems:\n * returns 1. */\n" + function("return spare(n);", head=static.format("spare"))
+    table = "/* functions */\nstatic int (*const table[1])(int) = { listed };"
+    listed = function("return n;", head=static.format("listed"))
+    root = function("out[0] = called(s->a);")
+    prototype = "static int spare(int n);"
+    found = kept("\n\n".join([prototype, deeper, spare, called, listed, table, root]))
+    assert "spare" not in found
+    assert "For other problems" not in found
+    assert all(text in found for text in (deeper, called, listed, table, root))
+
+
+def test_calls_that_constants_exclude_reach_nothing() -> None:
+    call = function("if (NG > 0) {", "    rows(s);", "}", "out[0] = 1;")
+    rows = function("s->a = 1;", head="static void rows(solver_t *s)")
+    found = kept(f"{rows}\n\n{call}", Constants({"NG": 0}))
+    assert found == function("(void)s;", "out[0] = 1;")
+
+
+def test_printed_kernels_that_nothing_calls_go() -> None:
+    found = pruned(function("KERNEL(s);", "out[0] = 1;"), KERNELS, KNOWN, Constants())
+    assert found.startswith(KERNELS["kernel"])
+    assert KERNELS["spare"] not in found
+
+
+def test_enumerations_and_headings_of_what_is_gone() -> None:
+    spare = "/* Slacks. */\n\nenum { LEFT, RIGHT };\n\n" + function("return LEFT;", head="static int spare(void)")
+    used = "/* Used. */\n\n/* Signs. */\nenum { UP, DOWN };\n\n" + function("out[0] = s->a + DOWN;")
+    found = kept(f"{spare}\n\n{used}")
+    assert "Slacks" not in found
+    assert "LEFT" not in found
+    assert found == used
+
+
+def test_layout_stays() -> None:
+    """Text of which nothing goes is the same to the byte."""
+    items = [
+        "#define A 1\n#define B 2",
+        "/* Two. */\nstatic int g(int n);\nstatic int h(int n);",
+        function("out[0] = s->a + g(1);"),
+    ]
+    items += [
+        f"/* {name} */\n" + function("", "/* n */", "return n;", head=f"static int {name}(int n)") for name in "gh"
+    ]
+    text = "\n\n".join(items).replace("g(1)", "g(h(1))").replace("{\n    \n", "{\n")
+    assert kept(text) == text
+
+
+def test_a_refusal_names_the_function() -> None:
+    with pytest.raises(
+        ValueError, match=r"API\(f\)\(\): line 5, 's->b = 2; s->c = 3;': expected one statement in a line"
+    ):
+        kept(function("/* 3 */", "s->a = 1;", "s->b = 2; s->c = 3;"))
+
+
+def integrator(f: str, name: str = "pk") -> OCP:
+    """x' = f(x, u) with control bounds."""
+    ocp = OCP(name, T=1.0, N=3)
+    x, u = ocp.state("x", initial=1.0), ocp.control("u")
+    ocp.dynamics({x: {"u": u, "u - x": u - x, "0": ca.SX(0), "-x": -x, "0.1": ca.SX(0.1)}[f]})
+    ocp.least_squares(ca.vertcat(x, u), weight=1)
+    ocp.subject_to(-1, u, 1)
+    return ocp
+
+
+@pytest.mark.parametrize("sweep", [Symmetric(), ForwardOverAdjoint()])
+@pytest.mark.parametrize("tableau", [Euler, RK4])
+@pytest.mark.parametrize("f", ["u", "u - x"])
+def test_loops_over_no_columns(f: str, tableau: ButcherTableau, sweep: Symmetric | ForwardOverAdjoint) -> None:
+    """Dynamics without second derivatives: the looped sweep gives the control of the straight one."""
+    controls = []
+    for unroll in ("none", "all"):
+        integrators = ExplicitRungeKutta(tableau, steps=2, unroll=unroll)
+        options = Options(integrator=integrators, hessian=ExactHessian(sweep=sweep))
+        controls.append(build(integrator(f), options, profile="test").step([1.0]))
+    np.testing.assert_allclose(controls[0], controls[1], rtol=1e-13)
+
+
+@pytest.mark.few(2)
+@pytest.mark.parametrize("f", ["0", "0.1", "-x"])
+@pytest.mark.parametrize("algorithm", [RealTimeIteration(), AugmentedLagrangian()], ids=lambda a: a.name)
+def test_dynamics_without_a_control(f: str, algorithm: RealTimeIteration | AugmentedLagrangian) -> None:
+    """No warning, and the model is integrated: x(dt) of the linear equation."""
+    require_tool("gcc")
+    options = Options(algorithm=algorithm)
+    text = generate(integrator(f), options)
+    assert quality.warnings_of(text, ("-O2",), ("C99",), "gcc") == ""
+    assert "(void)u;" in text["pk.c"]
+    x = build(integrator(f), options, profile="test").integrate([1.0], [0.5], 0.2)
+    np.testing.assert_allclose(x, {"0": 1.0, "0.1": 1.02, "-x": np.exp(-0.2)}[f], rtol=1e-6)
