@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import ctypes
 import functools
+import re
 import subprocess
 import types
 from dataclasses import dataclass, replace
@@ -173,10 +174,20 @@ def source(
     lines.append("static const real_t cost_size[1] = { R(1e-27) };")
     lines += [struct_text(struct) for struct in structs(shape, owned)]
     accessors = part_text("sizes.c", values | shape.switches) + ACCESSORS + (ROW_ACCESSOR if shape.rows else "")
-    text = accessors + part_text(part, values | shape.switches) + entries
+    text = _in_lines(accessors) + part_text(part, values | shape.switches) + _in_lines(entries)
     stated = {(s.name, f.name) for s in (*_data(shape.dims), *(owned or riccati_structs(shape.dims))) for f in s.fields}
     absent = stated - {(s.name, f.name) for s in structs(shape, owned) for f in s.fields}
     return "\n".join([*lines, pruned(text, values | shape.switches, precision, absent)])
+
+
+def _in_lines(text: str) -> str:
+    """A text with the functions of one line written as parts are."""
+
+    def written(found: re.Match[str]) -> str:
+        statements = (f"    {statement.strip()};" for statement in found[2].rstrip(";").split("; "))
+        return "\n".join([found[1], "{", *statements, "}"])
+
+    return re.sub(r"^(\w[^\n{;]*\)(?:\[\w+\])?) \{ (.*) \}$", written, text, flags=re.MULTILINE)
 
 
 @functools.cache

@@ -155,8 +155,8 @@ static void condense_block_rows(solver_t *s, int node)
         if (node == N) {
             memcpy(row, J, sizeof row[0] * NX);
             if (row_is_coupled(m)) {
-                for (i = NX; i < NXS; i++) {
-                    row[i] = s->coupled.J_0[row_index(m)][copied_state[i - NX]];
+                for (int l = NX; l < NXS; l++) {
+                    row[l] = s->coupled.J_0[row_index(m)][copied_state[l - NX]];
                 }
             }
             continue;

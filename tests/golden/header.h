@@ -48,4 +48,4 @@ const char *golden_status_string(golden_status_t status);
 #endif
 
 #endif
-/* nmpc_codegen package 4b2c87496d6cc3ce, sha256 da99e791561a9e878a73b513da483e8bb60c3061ece5234ae5a3d5dddc698cc1 */
+/* nmpc_codegen package a9178f33c666a21e, sha256 94fb65382bded4a6ef45c6d47a649e4ceebb5c151bfa559dbde8ff33588ddf3a */

@@ -147,7 +147,7 @@ def test_what_is_no_condition(condition: str) -> None:
         ("#if A\n#endif A\n", "expected nothing after #endif"),
         ("#if A\nfor (;;) {\n#endif\n}\n", "line 3, '#endif': .*opens a brace without closing it"),
         ("#if !A\nfor (;;) {\n#endif\n}\n", "line 3, '#endif': .*opens a brace without closing it"),
-        ("{\n#if A\n} else {\n#endif\n}\n", "blocks in braces"),
+        ("if (a) {\n#if A\n} else {\n#endif\n}\n", "line 3, '} else {': a branch of an #if closes a brace"),
         ("#if A\nif (a) {\n#else\nif (b) {\n#endif\n}\n", "line 3, '#else': .*opens a brace"),
         ("if (a) {\n#if A\n}\n#endif\n", "line 3, '}': .*closes a brace"),
         ("#if A\n#if A\nif (a) {\n#endif\n}\n#endif\n", "line 4, '#endif': .*opens a brace"),

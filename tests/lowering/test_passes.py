@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from nmpc_codegen.lowering.pruning.expressions import Constants, expression
+from nmpc_codegen.lowering.pruning.constants import Constants
+from nmpc_codegen.lowering.pruning.expressions import expression
 from nmpc_codegen.lowering.pruning.passes import simplified
 from nmpc_codegen.lowering.pruning.scopes import free_names
 

@@ -22,7 +22,7 @@ from nmpc_codegen import (
     generate,
 )
 from nmpc_codegen.components.integrators import ButcherTableau
-from nmpc_codegen.lowering.pruning.expressions import Constants
+from nmpc_codegen.lowering.pruning.constants import Constants
 from nmpc_codegen.lowering.pruning.unit import pruned
 from verification import quality
 

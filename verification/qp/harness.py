@@ -19,7 +19,7 @@ from nmpc_codegen.components.base import Dims, QpDims
 from nmpc_codegen.components.qp import DenseActiveSet
 from nmpc_codegen.lowering.parts import read_part
 from nmpc_codegen.lowering.preamble import REAL_CONSTANT, arithmetic
-from nmpc_codegen.lowering.pruning.expressions import Constants
+from nmpc_codegen.lowering.pruning.constants import Constants
 from nmpc_codegen.lowering.pruning.unit import pruned as pruned_unit
 from nmpc_codegen.lowering.tolerances import TOLERANCES
 from nmpc_codegen.package.description import union_dtype
@@ -79,7 +79,7 @@ def source(nv: int, ng: int, precision: str = "double", component: DenseActiveSe
         "ELASTIC": int(ng > 0),
     }
     sizes |= {name: value for name, value, _ in component.sizes(dims)}
-    head = [unit_head(sizes, precision), *(struct_text(struct) for struct in component.structs(dims))]
+    head = [unit_head(sizes, precision), *(struct_text(struct) for struct in component.structs(dims)), DECLARATIONS]
     return "\n".join([*head, pruned(part_text(component.template, sizes) + ENTRY_POINTS, sizes, precision)])
 
 
@@ -125,7 +125,7 @@ def members(struct: Struct) -> list[str]:
     ]
 
 
-ENTRY_POINTS = """
+DECLARATIONS = """
 #ifdef __cplusplus
 extern "C" {
 #endif
@@ -134,18 +134,36 @@ int test_factorize(qp_t *q);
 int test_solve(qp_t *q);
 void test_shift(qp_t *q, int n, const int *source);
 int test_size(void);
-void test_init(qp_t *q) { qp_init(q); }
-int test_factorize(qp_t *q) { return (int)qp_factorize(q); }
-int test_solve(qp_t *q) { return (int)qp_solve(q); }
+#ifdef __cplusplus
+}
+#endif
+"""
+ENTRY_POINTS = """
+void test_init(qp_t *q)
+{
+    qp_init(q);
+}
+
+int test_factorize(qp_t *q)
+{
+    return (int)qp_factorize(q);
+}
+
+int test_solve(qp_t *q)
+{
+    return (int)qp_solve(q);
+}
+
 void test_shift(qp_t *q, int n, const int *source)
 {
     qp_shift_controls(q, n);
     qp_shift_rows(q, source);
 }
-int test_size(void) { return (int)sizeof(qp_t); }
-#ifdef __cplusplus
+
+int test_size(void)
+{
+    return (int)sizeof(qp_t);
 }
-#endif
 """
 
 

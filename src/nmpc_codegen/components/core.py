@@ -17,7 +17,6 @@ def core_structs(core: Iterable[Core], dims: Dims) -> tuple[Struct, ...]:
         *stated("multipliers" in wanted, _multipliers(dims)),
         *stated("kkt" in wanted, _kkt()),
         _rows(dims),
-        *stated(False, *_of_others(dims)),
     )
 
 
@@ -91,17 +90,20 @@ def _rows(dims: Dims) -> Struct:
         "solver",
         "",
         (
-            Field("row_scale", (dims.nr,), "largest terms of the rows", "keep", only=lambda f: f.row_scales),
-            Field("relaxation", (), penalty, "scratch", only=lambda f: f.relaxation),
-            Field("row_residual", (), left, "keep", only=lambda f: f.nonlinear_rows),
-            Field("price", (nodes,), price, "keep", only=lambda f: f.relax and f.hard_rows),
+            Field(
+                "row_scale", (dims.nr,), "largest terms of the rows", "keep", only=lambda f: f.row_scales and f.has_qp
+            ),
+            Field("relaxation", (), penalty, "scratch", only=lambda f: f.relaxation and f.has_qp),
+            Field("row_residual", (), left, "keep", only=lambda f: f.nonlinear_rows and f.has_qp),
+            Field("price", (nodes,), price, "keep", only=lambda f: f.relax and f.hard_rows and f.has_qp),
         ),
     )
 
 
-def _of_others(dims: Dims) -> tuple[Struct, ...]:
-    """Members that some components have and that parts of the core name."""
-    return (
+def named_by_parts(dims: Dims) -> tuple[Struct, ...]:
+    """Members that some components state and that parts of the core name."""
+    return stated(
+        False,
         Struct("hessian", "", (Field("changed", (), "", "scratch", "int32"),)),
         Struct("condensed", "", (Field("regularized", (), "", "data", "int32"),)),
         Struct("qp", "", (Field("inverse", (dims.nu,), "", "scratch"),)),

@@ -33,8 +33,8 @@ from nmpc_codegen.lowering.preamble import (
     definitions,
     preamble,
 )
+from nmpc_codegen.lowering.pruning.constants import Constants
 from nmpc_codegen.lowering.pruning.directives import resolve
-from nmpc_codegen.lowering.pruning.expressions import Constants
 from nmpc_codegen.lowering.pruning.scopes import blanked
 from nmpc_codegen.lowering.pruning.unit import CALLED, pruned
 from nmpc_codegen.lowering.rows import row_functions, row_ranges

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import replace
 
 from nmpc_codegen.components.base import Dims, Feature
-from nmpc_codegen.components.core import core_structs
+from nmpc_codegen.components.core import core_structs, named_by_parts
 from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.cmodule import Setting
 from nmpc_codegen.lowering.linearize import Model
@@ -76,7 +76,8 @@ def _stated_structs(model: Model, dims: Dims, features: Features) -> list[Struct
     """The structs of the core and of the components, with members that this package may lack."""
     core = core_structs(model.parts.algorithm.core, dims)
     extra = [s for feature in extras(model, features) for s in feature.structs(dims)]
-    return [*(s for c in model.parts.components for s in c.structs(dims)), *extra, *core]
+    owned = (s for c in model.parts.components for s in c.structs(dims))
+    return [*core, *owned, *extra, *named_by_parts(dims)]
 
 
 def extras(model: Model, features: Features) -> tuple[Feature, ...]:

@@ -156,8 +156,8 @@ def _ordered(struct: Struct, bytes_of: dict[str, int], precision: str) -> tuple[
     uneven = [member for member in struct.fields if purpose(member) == 0 and size(member) % UNITS[0] > 0]
     largest = max(uneven, key=size, default=None)
 
-    def rank(member: Field) -> tuple[int, int, int]:
+    def rank(member: Field) -> tuple[int, int, int, int]:
         unit = next((i for i, unit in enumerate(UNITS) if size(member) % unit == 0), len(UNITS))
-        return purpose(member), min(unit, 1), 0 if member is largest else unit
+        return purpose(member), min(unit, 1), 0 if member is largest else unit, size(member) % 8
 
     return tuple(sorted(struct.fields, key=rank))

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from functools import lru_cache
 
-from nmpc_codegen.lowering.pruning.expressions import Constants, Expression, expression, words
+from nmpc_codegen.lowering.pruning.constants import Constants
+from nmpc_codegen.lowering.pruning.expressions import Expression, expression, words
 from nmpc_codegen.lowering.pruning.scopes import blanked
 from nmpc_codegen.lowering.pruning.tree import Edit, Node, edited, parse
 
@@ -67,7 +68,7 @@ def evaluate(condition: str, sizes: Mapping[str, int]) -> bool:
         raise ValueError(f"#if {condition}: {error}") from error
     if unknown := sorted(name for name in _operands(found) if name not in sizes):
         raise ValueError(f"#if {condition}: {unknown[0]} has no value in this package")
-    values = Constants(sizes).range(found)
+    values = Constants(sizes).range(found, {})
     if values is None:
         raise ValueError(f"#if {condition}: expected an integer expression")
     return values[0] != 0

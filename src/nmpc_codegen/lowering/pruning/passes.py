@@ -12,7 +12,8 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import lru_cache
 from textwrap import wrap
 
-from nmpc_codegen.lowering.pruning.expressions import Constants, Expression, Fact, expression, words
+from nmpc_codegen.lowering.pruning.constants import Constants, Fact
+from nmpc_codegen.lowering.pruning.expressions import Expression, expression, words
 from nmpc_codegen.lowering.pruning.scopes import (
     DECLARATION,
     code_of,
@@ -113,7 +114,7 @@ def _of_loop(text: str, node: Node, above: Node | None, known: Constants) -> Ite
     condition = loop["condition"] if loop else head if ";" not in head else ""
     if not condition or not (known.names(head) or all(n.kind == "comment" for n in node.body)):
         return
-    first = None if loop is None else known.range(expression(loop["first"]))
+    first = None if loop is None else known.range(expression(loop["first"]), {})
     variables = {} if loop is None or first is None else {loop["variable"]: first}
     value = known.reduced(condition)
     never = value is False or known.truth(expression(condition), variables) is False

@@ -120,11 +120,14 @@ class _Parser:
             return Node("directive", token.start, token.end)
         if self.text[self.text.rfind("\n", 0, at) + 1 : at].strip():
             self.fail(at, "expected one statement in a line")
+        if word == "{":
+            nodes, inside, end = self.braces(at, at)
+            return Node("block", at, end, (0, 0), inside, nodes)
         if word == "if":
             return self.choice(at)
         if word in ("for", "while"):
             return self.loop(at)
-        if word in ("do", "switch", "case", "default", "goto", "else") or word[:1] in ("{", ")", "/"):
+        if word in ("do", "switch", "case", "default", "goto", "else") or word[:1] in (")", "/"):
             self.fail(at, "expected one statement in a line, blocks in braces, no do, switch or goto")
         return self.statement(at, word)
 

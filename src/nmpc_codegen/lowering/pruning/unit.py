@@ -13,7 +13,7 @@ from functools import lru_cache
 from itertools import accumulate
 from typing import NamedTuple
 
-from nmpc_codegen.lowering.pruning.expressions import Constants
+from nmpc_codegen.lowering.pruning.constants import Constants
 from nmpc_codegen.lowering.pruning.passes import simplified
 from nmpc_codegen.lowering.pruning.scopes import (
     blanked,

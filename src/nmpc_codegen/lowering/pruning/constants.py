@@ -1,0 +1,177 @@
+"""What a package decides, and what it makes of an expression: its range, its truth, whether it has effects."""
+
+from __future__ import annotations
+
+import operator
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property, lru_cache
+from itertools import product
+from typing import Any
+
+from nmpc_codegen.lowering.pruning.expressions import Expression, expression, words
+
+#: Least and greatest value of an expression of integers.
+Range = tuple[int, int]
+#: What is known of a name: the kind of knowledge, the name or (struct, member), the value.
+Fact = tuple[str, Any, Any]
+
+#: Functions of the C library that give a number and do no more.
+PURE = frozenset({"isfinite"})
+#: (operator, operands) -> function; the results at the ends of ranges enclose those between them.
+_MONOTONE: Mapping[tuple[str, int], Callable[..., Any]] = {
+    ("+", 2): operator.add,
+    ("-", 2): operator.sub,
+    ("*", 2): operator.mul,
+    ("<", 2): operator.lt,
+    ("<=", 2): operator.le,
+    (">", 2): operator.gt,
+    (">=", 2): operator.ge,
+    ("&&", 2): min,
+    ("||", 2): max,
+    ("-", 1): operator.neg,
+    ("!", 1): operator.not_,
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Constants:
+    """What a package decides.
+
+    ``sizes``: values of sizes and features. ``ranges``: least and greatest value of the entries of tables and of what
+    functions return. ``absent``: (struct, member) that no struct has. ``types``: (struct, member) -> its struct.
+    ``kernels``: macros of kernels that have nothing to compute. ``calling``: macros that call functions.
+    """
+
+    sizes: Mapping[str, int] = field(default_factory=dict)
+    ranges: Mapping[str, Range] = field(default_factory=dict)
+    absent: frozenset[tuple[str, str]] = frozenset()
+    types: Mapping[tuple[str, str], str] = field(default_factory=dict)
+    kernels: frozenset[str] = frozenset()
+    calling: frozenset[str] = frozenset()
+
+    @cached_property
+    def _of_statements(self) -> Mapping[str, frozenset[Fact]]:
+        """Word of a statement -> what is known of members and macros with this name."""
+        facts: list[Fact] = [("kernels", name, None) for name in self.kernels]
+        facts += [("calling", name, None) for name in self.calling]
+        facts += [("absent", member, None) for member in self.absent]
+        facts += [("types", member, struct) for member, struct in self.types.items()]
+        found: dict[str, frozenset[Fact]] = {}
+        for fact in facts:
+            name = fact[1] if isinstance(fact[1], str) else fact[1][1]
+            found[name] = found.get(name, frozenset()) | {fact}
+        return found
+
+    def facts(self, decisive: frozenset[str], signs: frozenset[str], text: frozenset[str]) -> frozenset[Fact]:
+        """What is known of words of conditions, of sizes of which the sign counts, of members that a text names."""
+        found: set[Fact] = {("sizes", name, self.sizes[name]) for name in decisive & self.sizes.keys()}
+        found |= {("sizes", name, min(1, self.sizes[name])) for name in signs & self.sizes.keys()}
+        found |= {("ranges", name, self.ranges[name]) for name in decisive & self.ranges.keys()}
+        return frozenset(found.union(*(self._of_statements[word] for word in text & self._of_statements.keys())))
+
+    @staticmethod
+    @lru_cache(maxsize=4096)
+    def of(facts: frozenset[Fact]) -> Constants:
+        """The constants with these facts alone."""
+        found: dict[str, Any] = {}
+        for kind, name, value in facts:
+            found.setdefault(kind, {})[name] = value
+        sets = {kind: frozenset(names) for kind, names in found.items() if kind in ("absent", "kernels", "calling")}
+        return Constants(**{**found, **sets})
+
+    def names(self, text: str) -> bool:
+        """True if a text names a size, a table or a function of which the range is known."""
+        return any(word in self.sizes or word in self.ranges for word in words(text))
+
+    def effects(self, found: Expression) -> bool:
+        """True if it assigns, counts or calls a function, unless that only gives a number."""
+        if found.kind == "call" and found.word not in self.ranges and found.word not in PURE:
+            calls = not found.word.isupper() or found.word in self.calling
+        else:
+            calls = found.kind == "assign"
+        return calls or any(map(self.effects, found.operands))
+
+    def range(self, found: Expression, variables: Mapping[str, Range]) -> Range | None:
+        """Least and greatest value of an expression; None: it depends on data. ``variables``: their ranges."""
+        match found.kind:
+            case "number":
+                return (int(found.word),) * 2 if found.word.isdigit() else None
+            case "name":
+                size = self.sizes.get(found.word)
+                return variables.get(found.word) if size is None else (size, size)
+            case "call" | "index":
+                return self.ranges.get(found.word)
+            case "group":
+                return self.range(found.operands[0], variables)
+            case "unary" | "binary":
+                return _applied(found.word, *(self.range(operand, variables) for operand in found.operands))
+        return None
+
+    def truth(self, found: Expression, variables: Mapping[str, Range] | None = None) -> bool | None:
+        """True or False where constants decide an expression without effects."""
+        values = None if self.effects(found) else _truths(self.range(found, variables or {}))
+        return None if values is None or values[0] < values[1] else bool(values[0])
+
+    def reduced(self, text: str) -> bool | str:
+        """A condition without the operands that constants decide; True or False if they decide it."""
+        found = expression(text)
+        left = self._reduced(text, found)
+        if isinstance(left, bool) or found.kind == "group" or (bare := expression(left)).kind != "group":
+            return left
+        return left[bare.start + 1 : bare.end - 1]
+
+    def _reduced(self, text: str, found: Expression) -> bool | str:
+        before = text[found.start : found.end]
+        value = self.truth(found)
+        if value is not None:
+            return value
+        if found.word in ("&&", "||"):
+            return self._joined(text, found)
+        if found.kind not in ("group", "unary") or found.word not in ("(", "!"):
+            return before
+        inner = self._reduced(text, found.operands[0])
+        if isinstance(inner, bool):
+            return inner if found.kind == "group" else not inner
+        bare = inner != text[slice(*found.operands[0][1:3])] and _is_operand(inner)
+        if found.kind == "group":
+            return inner if bare else f"({inner})"
+        return f"!{inner}" if bare or _is_operand(inner) else f"!({inner})"
+
+    def _joined(self, text: str, found: Expression) -> bool | str:
+        first, second = found.operands
+        left, right = self._reduced(text, first), self._reduced(text, second)
+        decisive = found.word == "||"
+        if left is decisive or (right is decisive and not self.effects(first)):
+            return decisive
+        if isinstance(left, bool):
+            return right
+        if right is (not decisive):
+            return left
+        kept = text[second.start : second.end] if isinstance(right, bool) else right
+        return left + text[first.end : second.start] + kept
+
+
+def _is_operand(text: str) -> bool:
+    """True if a text needs no parentheses as an operand."""
+    return expression(text).kind not in ("binary", "assign", "other")
+
+
+def _truths(values: Range | None) -> Range:
+    """Least and greatest truth of an expression."""
+    if values is None or values[0] <= 0 <= values[1]:
+        return (0, int(values != (0, 0)))
+    return (1, 1)
+
+
+def _applied(word: str, *values: Range | None) -> Range | None:
+    """The range of what an operator makes of ranges."""
+    if word in ("==", "!="):
+        equal = _truths(_applied("-", *values))
+        return equal if word == "!=" else _applied("!", equal)
+    if word in ("!", "&&", "||"):
+        values = tuple(map(_truths, values))
+    if None in values or (word, len(values)) not in _MONOTONE:
+        return None
+    results = [int(_MONOTONE[word, len(values)](*ends)) for ends in product(*values)]  # type: ignore[arg-type]
+    return min(results), max(results)
