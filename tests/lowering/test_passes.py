@@ -103,6 +103,11 @@ def test_conditions_of_loops() -> None:
     assert left("while (NG > 0 || s->a) {", "    s->a--;", "}") == ["while (s->a) {", "    s->a--;", "}"]
     assert left("while (NG > 0) {", "    s->a--;", "}", "s->b = 1;") == ["s->b = 1;"]
     assert left("for (int k = 0; k < n; k++) {", "    /* nothing */", "}", "s->b = 1;") == ["s->b = 1;"]
+    for step in ("k++, m++", "k += next(s)", "s->a++"):
+        lines = [f"for (int k = 0; k < n; {step}) {{", "}", "s->b = m;"]
+        assert left(*lines) == lines
+    broken = ["for (int k = 0; HARD &&", "         k < n; k++) {", "    s->a = k;", "}"]
+    assert left(*broken)[0] == "for (int k = 0; k < n; k++) {"
 
 
 @pytest.mark.parametrize(

@@ -16,10 +16,10 @@ from nmpc_codegen.lowering.pruning.constants import Constants, Fact
 from nmpc_codegen.lowering.pruning.expressions import Expression, expression, words
 from nmpc_codegen.lowering.pruning.scopes import (
     DECLARATION,
-    code_of,
     declarators,
     free_names,
     function_of,
+    in_line,
     names_in_code,
     pointers,
 )
@@ -27,25 +27,23 @@ from nmpc_codegen.lowering.pruning.tree import Edit, Node, edited, whole_lines
 
 #: Maximum length of a line.
 WIDTH = 120
-_LOOP = re.compile(
-    r"(?:int|ptrdiff_t) (?P<variable>\w+) = (?P<first>[^,;]+)(?:,[^;]*)?; (?P<condition>[^;]*);(?P<step>.*)"
-)
-
-_WORD = re.compile(r"\w+")
+#: A loop over a variable of its own; the step of one that only counts.
+_LOOP = re.compile(r"(?:int|ptrdiff_t) (?P<variable>\w+) = (?P<first>[^,;]+); (?P<condition>[^;]*);(?P<step>.*)")
+_COUNTED = re.compile(r" (?:\+\+|--)?\w+(?:\+\+|--| [+-]= \w+)?")
 
 Pass = Callable[[str, Node, Constants], Iterator[Edit]]
 
 
-def blocks(function: Node) -> Iterator[tuple[Node, Sequence[Node]]]:
-    """Every node that holds others, with them."""
-    for node in function.walk():
-        if node.kind in ("function", "if", "loop", "block"):
-            yield node, node.body
+@lru_cache(maxsize=4096)
+def blocks(function: Node) -> tuple[Node, ...]:
+    """The nodes that hold others."""
+    return tuple(node for node in function.walk() if node.kind in ("function", "if", "loop", "block"))
 
 
 def constants(text: str, function: Node, known: Constants) -> Iterator[Edit]:
-    for holder, body in blocks(function):
+    for holder in blocks(function):
         above: Node | None = None
+        body = holder.body
         for place, node in enumerate(body):
             if node.kind == "if":
                 yield from _of_choice(text, node, above, known)
@@ -64,7 +62,7 @@ def _of_choice(text: str, node: Node, above: Node | None, known: Constants) -> I
     while chain[-1].other is not None:
         chain.append(chain[-1].other)
     for place, branch in enumerate(chain):
-        whole = code_of(text, branch.head).strip()
+        whole = in_line(text[slice(*branch.head)])
         value = True if branch.kind == "block" else known.reduced(whole) if known.names(whole) else whole
         empty = not any(n.kind != "comment" for n in branch.body)
         if value is False or (
@@ -77,7 +75,7 @@ def _of_choice(text: str, node: Node, above: Node | None, known: Constants) -> I
             return
         if isinstance(value, str) and value != whole:
             line = text.rfind("\n", 0, branch.start) + 1
-            opening = text[line : branch.head[0]] + " ".join(value.split()) + ") {"
+            opening = f"{text[line : branch.head[0]]}{value}) {{"
             yield Edit(line, branch.inside[0], "\n".join(_wrapped(opening)))
 
 
@@ -109,7 +107,7 @@ def _lifted(text: str, block: Node) -> str:
 
 def _of_loop(text: str, node: Node, above: Node | None, known: Constants) -> Iterator[Edit]:
     """A loop that never runs, or has nothing to do; its condition without what constants decide."""
-    head = " ".join(code_of(text, node.head).split())
+    head = in_line(text[slice(*node.head)])
     loop = _LOOP.match(head)
     condition = loop["condition"] if loop else head if ";" not in head else ""
     if not condition or not (known.names(head) or all(n.kind == "comment" for n in node.body)):
@@ -118,13 +116,12 @@ def _of_loop(text: str, node: Node, above: Node | None, known: Constants) -> Ite
     variables = {} if loop is None or first is None else {loop["variable"]: first}
     value = known.reduced(condition)
     never = value is False or known.truth(expression(condition), variables) is False
-    idle = loop is not None and all(n.kind == "comment" for n in node.body)
+    idle = loop is not None and _COUNTED.fullmatch(loop["step"]) and all(n.kind == "comment" for n in node.body)
     parts = [] if loop is None else [loop["first"], *([] if never else [condition])]
     if (never or idle) and not any(known.effects(expression(part)) for part in parts):
         yield Edit(*whole_lines(text, node, above), "")
     elif isinstance(value, str) and value != condition:
-        at = text.index(condition, node.head[0])
-        yield Edit(at, at + len(condition), value)
+        yield Edit(*node.head, head.replace(condition, value, 1))
 
 
 def _wrapped(line: str) -> list[str]:
@@ -139,19 +136,19 @@ def absent(text: str, function: Node, known: Constants) -> Iterator[Edit]:
     if not named:
         return
     structs = pointers(text)
-    for _, body in blocks(function):
+    for holder in blocks(function):
         above: Node | None = None
-        for node in body:
-            code = code_of(text, (node.start, node.end)) if node.kind == "statement" else ""
-            if not named.isdisjoint(_WORD.findall(code)) and _is_void(code, structs, known):
+        for node in holder.body:
+            code = in_line(text[node.start : node.end]) if node.kind == "statement" else ""
+            if not named.isdisjoint(words(code)) and _is_void(code, structs, known):
                 yield Edit(*whole_lines(text, node, above), "")
             above = node
 
 
 def _is_void(code: str, structs: Mapping[str, str], known: Constants) -> bool:
-    if DECLARATION.match(code):
+    if DECLARATION.match(code) or code.startswith("enum "):
         return False
-    found = expression(code.strip().removesuffix(";"))
+    found = expression(code.removesuffix(";"))
     if found.kind == "call":
         arguments = _arguments(found)
         if any(map(known.effects, arguments)):
@@ -188,11 +185,11 @@ def _struct(place: Expression, structs: Mapping[str, str], known: Constants) -> 
 
 
 def unread(text: str, function: Node, known: Constants) -> Iterator[Edit]:
-    for _, body in blocks(function):
+    for body in (holder.body for holder in blocks(function)):
         later: set[str] = set()
         for place in reversed(range(len(body))):
             node = body[place]
-            each = declarators(code_of(text, (node.start, node.end))) if node.kind == "statement" else []
+            each = declarators(text[node.start : node.end]) if node.kind == "statement" else ()
             left: list[str] = []
             effects: list[str] = []
             for name, declarator in reversed(each):
@@ -230,7 +227,7 @@ def heads(text: str) -> tuple[frozenset[str], frozenset[str]]:
     found: set[str] = set()
     signs: set[str] = set()
     for node in function_of(text).walk():
-        head = " ".join(code_of(text, node.head).split()) if node.kind in ("if", "loop") else ""
+        head = in_line(text[slice(*node.head)]) if node.kind in ("if", "loop") else ""
         loop = _LOOP.match(head)
         for atom in _ATOM.split(loop["condition"] if loop else head):
             bare = _ARGUMENTS.sub("()", atom).strip(" !").removeprefix("(").strip(" !")

@@ -23,12 +23,15 @@ _ATTRIBUTE = re.compile(r"__attribute__\(\(.*?\)\)")
 
 def blanked(text: str) -> str:
     """The text with blanks for its comments, strings and characters: every place stays where it is."""
+    if "/" not in text and '"' not in text and "'" not in text:
+        return text
     return _NO_CODE.sub(lambda found: _NOT_NEWLINE.sub(" ", found[0]), text)
 
 
-def code_of(text: str, place: tuple[int, int]) -> str:
-    """What stands between two places, with blanks for comments and strings."""
-    return blanked(text[slice(*place)])
+@lru_cache(maxsize=32768)
+def in_line(text: str) -> str:
+    """The code of a text in one line."""
+    return " ".join(blanked(text).split())
 
 
 @lru_cache(maxsize=32768)
@@ -53,13 +56,14 @@ def split(code: str) -> list[str]:
 _MARK = re.compile(r"[,()\[\]{}]")
 
 
-def declarators(code: str) -> list[tuple[str, str]]:
-    """(name, declarator) of every variable of a declaration; "" for a text that declares none."""
-    found = DECLARATION.match(code)
+@lru_cache(maxsize=32768)
+def declarators(text: str) -> tuple[tuple[str, str], ...]:
+    """(name, declarator) of every variable of a declaration; none for a text that declares nothing."""
+    found = DECLARATION.match(text)
     if found is None:
-        return []
-    each = split(code[found.end() :].rstrip().removesuffix(";"))
-    return [(_NAME.match(d)[1], d.strip()) for d in each]  # type: ignore[index]
+        return ()
+    each = split(blanked(text)[found.end() :].rstrip().removesuffix(";"))
+    return tuple((_NAME.match(d)[1], d.strip()) for d in each)  # type: ignore[index]
 
 
 @lru_cache(maxsize=8192)
@@ -120,7 +124,7 @@ class _Scopes:
         for node in body:
             visible = outer | own
             if node.kind == "statement":
-                found = declarators(code_of(self.text, (node.start, node.end)))
+                found = declarators(self.text[node.start : node.end])
                 for name, _ in found:
                     if name in own:
                         raise ValueError(f"{name} is declared twice in a block")
@@ -134,7 +138,7 @@ class _Scopes:
 
     def nested(self, node: Node, visible: frozenset[str]) -> None:
         head = self.text[slice(*node.head)]
-        loop = _LOOP.match(blanked(head)) if node.kind == "loop" else None
+        loop = _LOOP.match(in_line(head)) if node.kind == "loop" else None
         counted = {name for name, _ in declarators(loop["type"] + loop["rest"])} if loop else set()
         self.declared |= counted
         self.free |= names_in_code(head) - visible - counted

@@ -205,9 +205,9 @@ def _marked(text: str, dropping: tuple[tuple[str, tuple[int, ...]], ...]) -> str
     if unread := "".join(f"\n    (void){name};" for name in parameters if name not in read):
         edits.append(Edit(function.inside[0], function.inside[0], unread))
     for node in function.walk() if dropping else ():
-        code = blanked(text[node.start : node.end]) if node.kind == "statement" else ""
+        code = text[node.start : node.end] if node.kind == "statement" else ""
         for name, _ in declarators(code):
-            if name not in names_in_code(without_dropped(body.replace(code, "", 1), dict(dropping))):
+            if name not in names_in_code(without_dropped(body.replace(blanked(code), "", 1), dict(dropping))):
                 edits.append(Edit(node.end, node.end, f"\n{_margin(text, node)}(void){name};"))
     return edited(text, edits)
 
