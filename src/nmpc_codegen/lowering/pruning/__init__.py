@@ -1,1 +1,1 @@
-"""What a package does not need is left out of its unit: loops over nothing, unreached functions, unread variables."""
+"""Parts as trees, and what a package does not need left out of them: tree.py reads, passes.py edits, unit.py reaches."""

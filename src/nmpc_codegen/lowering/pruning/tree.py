@@ -18,14 +18,16 @@ Kind = Literal["comment", "directive", "conditional", "branch", "function", "if"
 _COMMENT = r"/\*.*?\*/"
 _TEXT = r"\"(?:\\.|[^\"\\\n])*\"|'(?:\\.|[^'\\\n])*'"
 _TOKEN = re.compile(
-    rf"{_COMMENT}|//|{_TEXT}|^[ \t]*#(?:\\.|{_COMMENT}|[^\\\n])*|[{{}}();]"
+    rf"{_COMMENT}|//|{_TEXT}|#(?:\\.|{_COMMENT}|[^\\\n])*|[{{}}();]"
     r"|\b(?:if|else|for|while|do|switch|case|default|goto|return|break|continue)\b",
-    re.DOTALL | re.MULTILINE,
+    re.DOTALL,
 )
 _BLANK = re.compile(r"\s*")
-_REST = re.compile(r"[ \t]*(/\*)?")
+_REST = re.compile(r"[ \t]*/\*")
 _CONDITIONAL = re.compile(r"#(if|elif|else|endif)\b[ \t]*(.*)", re.DOTALL)
 _OPEN, _CLOSE = frozenset("({"), frozenset(")}")
+_DIALECT = "expected one statement in a line, blocks in braces, no do, switch or goto"
+_DIRECTIVES = "expected #if, #elif, #else or #endif at the start of a line"
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -82,30 +84,29 @@ class _Parser:
         nodes, _ = self.sequence(0)
         token = self.tokens[self.place]
         if token.text:
-            self.fail(token.start, f"{token.text.strip()!r} closes what nothing has opened")
+            raise self.error(token.start, f"{token.text!r} closes what nothing has opened")
         return nodes
 
-    def fail(self, at: int, expected: str) -> None:
-        """Raise ValueError for the line at a place."""
+    def error(self, at: int, expected: str) -> ValueError:
+        """An error in the line of a place."""
         begin = self.text.rfind("\n", 0, at) + 1
         line = self.text[begin:].split("\n", 1)[0].strip()
-        raise ValueError(f"line {self.text.count(chr(10), 0, begin) + 1}, {line!r}: {expected}")
+        return ValueError(f"line {self.text.count(chr(10), 0, begin) + 1}, {line!r}: {expected}")
+
+    def next(self, at: int) -> tuple[int, _Token]:
+        """The place behind blanks, and the first token from there on."""
+        blank = _BLANK.match(self.text, at)
+        return (blank.end() if blank else at), self.tokens[self.place]
 
     def sequence(self, at: int) -> tuple[tuple[Node, ...], int]:
         """Nodes from a place on to what closes them, and the place there."""
         nodes: list[Node] = []
         while True:
-            blank = _BLANK.match(self.text, at)
-            assert blank is not None
-            token, at = self.tokens[self.place], blank.end()
-            directive = (
-                _CONDITIONAL.match(token.text.lstrip()) if "#" in token.text[:1] + token.text.lstrip()[:1] else None
-            )
-            if at >= token.start and (not token.text or token.text == "}" or (directive and directive[1] != "if")):
+            at, token = self.next(at)
+            if at == token.start and (token.text in ("", "}") or token.text.startswith(("#el", "#endif"))):
                 return tuple(nodes), at
-            node = self.conditional(token) if directive and at >= token.start else self.node(at, token)
-            nodes.append(node)
-            at = node.end
+            nodes.append(self.node(at, token))
+            at = nodes[-1].end
 
     def node(self, at: int, token: _Token) -> Node:
         """The node that begins at a place; ``token``: the first one from there on."""
@@ -113,114 +114,87 @@ class _Parser:
         if word.startswith("/*"):
             self.place += 1
             return Node("comment", at, token.end)
-        if at > token.start or word.startswith("#"):  # a directive begins at the margin
-            self.place += 1
-            if token.text.lstrip().startswith(("#ifdef", "#ifndef")):
-                self.fail(token.start, "expected #if, #elif, #else or #endif at the start of a line")
-            return Node("directive", token.start, token.end)
         if self.text[self.text.rfind("\n", 0, at) + 1 : at].strip():
-            self.fail(at, "expected one statement in a line")
+            raise self.error(at, "expected one statement in a line")
+        if word.startswith("#"):
+            return self.directive(token)
         if word == "{":
-            nodes, inside, end = self.braces(at, at)
+            nodes, inside, end = self.braces(at)
             return Node("block", at, end, (0, 0), inside, nodes)
-        if word == "if":
-            return self.choice(at)
-        if word in ("for", "while"):
-            return self.loop(at)
-        if word in ("do", "switch", "case", "default", "goto", "else") or word[:1] in (")", "/"):
-            self.fail(at, "expected one statement in a line, blocks in braces, no do, switch or goto")
+        if word in ("if", "for", "while"):
+            return self.headed(at, "if" if word == "if" else "loop")
+        if word in ("do", "switch", "case", "default", "goto", "else", ")", "//"):
+            raise self.error(at, _DIALECT)
         return self.statement(at, word)
 
-    def conditional(self, token: _Token) -> Node:
-        """`#if` with its branches, to `#endif`."""
-        start, last = token.start, False
+    def directive(self, token: _Token) -> Node:
+        """A directive; `#if` with its branches, to `#endif`."""
+        start = token.start
+        if not token.text.startswith("#if"):
+            self.place += 1
+            return Node("directive", start, token.end)
         branches: list[Node] = []
         while True:
             found = _CONDITIONAL.match(token.text)
-            if found is None:
-                self.fail(token.start, "expected #if, #elif, #else or #endif at the start of a line")
-                raise AssertionError
+            if found is None or self.text[:start].rpartition("\n")[2]:
+                raise self.error(token.start, _DIRECTIVES)
             self.place += 1
+            bare = re.sub(_COMMENT, "", found[2]).strip()
+            if found[1] in ("else", "endif") and bare:
+                raise self.error(token.start, f"expected nothing after #{found[1]}")
             if found[1] == "endif":
-                self.check_bare(token, found)
                 return Node("conditional", start, token.end, body=tuple(branches))
-            if last:
-                self.fail(token.start, f"#{found[1]} after #else")
-            last = found[1] == "else"
-            if last:
-                self.check_bare(token, found)
-            nodes, _ = self.sequence(token.end)
-            after = self.tokens[self.place]
-            if not _CONDITIONAL.match(after.text.lstrip()):
-                self.fail(after.start, "#if without #endif" if not after.text else "a branch of an #if closes a brace")
-            head = (token.start + found.start(2), token.end)
-            inside = (token.end + 1, after.start)
-            branches.append(Node("branch", token.start, after.start, head, inside, nodes))
-            token = after
-
-    def check_bare(self, token: _Token, found: re.Match[str]) -> None:
-        if re.sub(_COMMENT, "", found[2]).strip():
-            self.fail(token.start, f"expected nothing after #{found[1]}")
-
-    def choice(self, at: int) -> Node:
-        """An if with what stands behind its else."""
-        self.place += 1
-        head = self.parentheses(at)
-        body, inside, end = self.braces(at, head[1] + 1)
-        other = None
-        blank = _BLANK.match(self.text, end)
-        token = self.tokens[self.place]
-        if blank is not None and token.text == "else" and token.start == blank.end():
-            self.place += 1
-            blank = _BLANK.match(self.text, token.end)
-            assert blank is not None
+            if branches and self.text.startswith("#else", branches[-1].start):
+                raise self.error(token.start, f"#{found[1]} after #else")
+            nodes, end = self.sequence(token.end)
             following = self.tokens[self.place]
-            if following.text == "if" and following.start == blank.end():
-                other = self.choice(following.start)
-            else:
-                nodes, within, end = self.braces(token.start, token.end)
-                other = Node("block", blank.end(), end, (0, 0), within, nodes)
-            end = other.end
-        return Node("if", at, end, head, inside, body, other)
+            if not following.text.startswith("#"):
+                expected = "a branch of an #if closes a brace" if following.text else "#if without #endif"
+                raise self.error(following.start, expected)
+            head = (token.start + found.start(2), token.end)
+            branches.append(Node("branch", token.start, end, head, (token.end + 1, end), nodes))
+            token = following
 
-    def loop(self, at: int) -> Node:
+    def headed(self, at: int, kind: Kind) -> Node:
+        """A loop, or an if with what stands behind its else."""
         self.place += 1
-        head = self.parentheses(at)
-        body, inside, end = self.braces(at, head[1] + 1)
-        return Node("loop", at, end, head, inside, body)
-
-    def parentheses(self, at: int) -> tuple[int, int]:
-        """The place between the parentheses that open next."""
-        first = self.tokens[self.place]
-        if first.text != "(":
-            self.fail(at, "expected a parenthesis")
-        return first.end, self.skip()
+        if self.tokens[self.place].text != "(":
+            raise self.error(at, "expected a parenthesis")
+        head = (self.tokens[self.place].end, self.skip())
+        body, inside, end = self.braces(head[1] + 1)
+        place, token = self.next(end)
+        if kind == "loop" or token.text != "else" or token.start != place:
+            return Node(kind, at, end, head, inside, body)
+        self.place += 1
+        place, following = self.next(token.end)
+        if following.text == "if" and following.start == place:
+            other = self.headed(place, "if")
+        else:
+            nodes, within, end = self.braces(token.end)
+            other = Node("block", place, end, (0, 0), within, nodes)
+        return Node("if", at, other.end, head, inside, body, other)
 
     def skip(self) -> int:
         """Go behind the bracket that closes the next one; returns its place."""
         depth = 0
-        for number in range(self.place, len(self.tokens)):
-            text = self.tokens[number].text
-            depth += (text in _OPEN) - (text in _CLOSE)
-            if depth == 0 or not text:
-                self.place = number + 1
-                break
-        token = self.tokens[self.place - 1]
-        if not token.text:
-            self.fail(self.tokens[-2].start, "a bracket is open at the end")
-        return token.start
+        while self.tokens[self.place].text:
+            token = self.tokens[self.place]
+            self.place += 1
+            depth += (token.text in _OPEN) - (token.text in _CLOSE)
+            if depth == 0:
+                return token.start
+        raise self.error(self.tokens[-2].start, "a bracket is open at the end")
 
-    def braces(self, at: int, after: int) -> tuple[tuple[Node, ...], tuple[int, int], int]:
+    def braces(self, after: int) -> tuple[tuple[Node, ...], tuple[int, int], int]:
         """The nodes of the block that begins behind a place, the place inside, and its end."""
-        blank = _BLANK.match(self.text, after)
-        token = self.tokens[self.place]
-        if blank is None or token.text != "{" or token.start != blank.end():
-            self.fail(at, "expected one statement in a line, blocks in braces, no do, switch or goto")
+        at, token = self.next(after)
+        if token.text != "{" or token.start != at:
+            raise self.error(after - 1, _DIALECT)
         self.place += 1
         nodes, end = self.sequence(token.end)
         closing = self.tokens[self.place]
         if closing.text != "}":
-            self.fail(closing.start if closing.text else at, "opens a brace without closing it")
+            raise self.error(closing.start if closing.text else at, "opens a brace without closing it")
         self.place += 1
         return nodes, (token.end, end), closing.end
 
@@ -229,7 +203,7 @@ class _Parser:
         while True:
             token = self.tokens[self.place]
             if token.text == "{" and self.text[token.start - 1] == "\n":
-                nodes, inside, end = self.braces(at, token.start)
+                nodes, inside, end = self.braces(token.start)
                 return Node("function", at, end, (at, token.start), inside, nodes)
             if token.text in _OPEN:
                 self.skip()
@@ -237,10 +211,10 @@ class _Parser:
             self.place += 1
             if token.text == ";":
                 break
-            if not token.text or token.text in _CLOSE or token.text.lstrip().startswith("#"):
-                self.fail(at, "expected a semicolon")
-        rest, end = _REST.match(self.text, token.end), token.end
-        if rest is not None and rest[1]:
+            if not token.text or token.text in _CLOSE or token.text.startswith("#"):
+                raise self.error(at, "expected a semicolon")
+        end = token.end
+        if _REST.match(self.text, end):
             end = self.tokens[self.place].end
             self.place += 1
         return Node("leave" if word in ("return", "break", "continue") else "statement", at, end)
