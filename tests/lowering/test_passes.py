@@ -209,10 +209,33 @@ def test_a_part_is_c_before_it_is_pruned(declaration: str, use: str) -> None:
     assert "s->b += v;" in "".join(left(*block, "for (int v = 0; v < NE; v++) {", "    s->b += v;", "}"))
 
 
-def test_blocks_with_the_same_variable_cannot_both_lose_their_braces() -> None:
+def test_blocks_with_the_same_variable_do_not_both_lose_their_braces() -> None:
     block = ["if (HARD) {", "    const int v = s->a;", "    s->b = v;", "}"]
-    with pytest.raises(ValueError, match="v is declared twice in a block"):
-        left(*block, *block)
+    bare = ["const int v = s->a;", "s->b = v;"]
+    assert left(*block, *block) == [*bare, "{", *block[1:]]
+    assert left("if (SOFT) {", "    s->a = 1;", "} else {", *block[1:], *block) == [*bare, "{", *block[1:]]
+
+
+@pytest.mark.parametrize("inner", ["int v = 2;", "for (int v = 0; v < N; v++) {\n    }", "real_t(*m)[N] = s->Q;"])
+def test_no_variable_hides_another_one(inner: str) -> None:
+    """A block that loses its braces would hide it from what follows."""
+    lines = [
+        "int v = next(s);",
+        "while (s->a) {",
+        "    if (HARD) {",
+        f"        {inner}",
+        "        s->b = v + m[0][0];",
+        "    }",
+    ]
+    with pytest.raises(ValueError, match=r"[vm] is declared where there is a variable with this name"):
+        left(*lines, "    s->c = v;", "}")
+
+
+def test_strings_stay() -> None:
+    lines = ['const char *text = "a;  /* b */ {", *other = text, letter = \'"\';', "s->text = text;"]
+    assert left(*lines) == lines
+    head = ['if (HARD && s->letter == \'"\' && "  "[0]) {', "    s->b = 1;", "}"]
+    assert left(*head) == head
 
 
 def test_free_names() -> None:

@@ -16,6 +16,7 @@ from nmpc_codegen.lowering.pruning.constants import Constants, Fact
 from nmpc_codegen.lowering.pruning.expressions import Expression, expression, words
 from nmpc_codegen.lowering.pruning.scopes import (
     DECLARATION,
+    check_names,
     declarators,
     free_names,
     function_of,
@@ -29,6 +30,7 @@ from nmpc_codegen.lowering.pruning.tree import Edit, Node, edited, whole_lines
 WIDTH = 120
 #: A loop over a variable of its own; the step of one that only counts.
 _LOOP = re.compile(r"(?:int|ptrdiff_t) (?P<variable>\w+) = (?P<first>[^,;]+); (?P<condition>[^;]*);(?P<step>.*)")
+_STRING = re.compile("[\"']")
 _COUNTED = re.compile(r" (?:\+\+|--)?\w+(?:\+\+|--| [+-]= \w+)?")
 
 Pass = Callable[[str, Node, Constants], Iterator[Edit]]
@@ -44,9 +46,10 @@ def constants(text: str, function: Node, known: Constants) -> Iterator[Edit]:
     for holder in blocks(function):
         above: Node | None = None
         body = holder.body
+        around = _variables(text, body)
         for place, node in enumerate(body):
             if node.kind == "if":
-                yield from _of_choice(text, node, above, known)
+                yield from _of_choice(text, node, above, around, known)
             elif node.kind == "loop":
                 yield from _of_loop(text, node, above, known)
             elif node.kind == "leave" and body[place + 1 :]:
@@ -56,22 +59,22 @@ def constants(text: str, function: Node, known: Constants) -> Iterator[Edit]:
             yield Edit(*whole_lines(text, body[-1], None), "")
 
 
-def _of_choice(text: str, node: Node, above: Node | None, known: Constants) -> Iterator[Edit]:
+def _of_choice(text: str, node: Node, above: Node | None, around: set[str], known: Constants) -> Iterator[Edit]:
     """An if whose branches are decided, or hold nothing."""
     chain = [node]
     while chain[-1].other is not None:
         chain.append(chain[-1].other)
     for place, branch in enumerate(chain):
         whole = in_line(text[slice(*branch.head)])
-        value = True if branch.kind == "block" else known.reduced(whole) if known.names(whole) else whole
+        value = True if branch.kind == "block" else known.reduced(whole) if _decidable(whole, known) else whole
         empty = not any(n.kind != "comment" for n in branch.body)
         if value is False or (
             empty and branch.other is None and (value is True or not known.effects(expression(whole)))
         ):
-            yield _without_branch(text, chain, place, above)
+            yield _without_branch(text, chain, place, above, around)
             return
         if value is True and branch.kind == "if":
-            yield _taken(text, branch, place)
+            yield _taken(text, branch, place, around)
             return
         if isinstance(value, str) and value != whole:
             line = text.rfind("\n", 0, branch.start) + 1
@@ -79,7 +82,12 @@ def _of_choice(text: str, node: Node, above: Node | None, known: Constants) -> I
             yield Edit(line, branch.inside[0], "\n".join(_wrapped(opening)))
 
 
-def _without_branch(text: str, chain: Sequence[Node], place: int, above: Node | None) -> Edit:
+def _decidable(head: str, known: Constants) -> bool:
+    """True if constants may decide a condition; one with a string stays as it is."""
+    return known.names(head) and not _STRING.search(head)
+
+
+def _without_branch(text: str, chain: Sequence[Node], place: int, above: Node | None, around: set[str]) -> Edit:
     """A chain of branches without one of them."""
     branch = chain[place]
     if branch.other is None:
@@ -87,19 +95,29 @@ def _without_branch(text: str, chain: Sequence[Node], place: int, above: Node | 
             return Edit(*whole_lines(text, branch, above), "")
         return Edit(chain[place - 1].inside[1] + 1, branch.end, "")
     if branch.other.kind == "block" and place == 0:
-        return Edit(branch.start, branch.end, _lifted(text, branch.other))
+        return Edit(branch.start, branch.end, _lifted(text, branch.other, around))
     return Edit(branch.start, branch.other.start, "")
 
 
-def _taken(text: str, branch: Node, place: int) -> Edit:
+def _taken(text: str, branch: Node, place: int, around: set[str]) -> Edit:
     """A chain of branches that ends with one that is taken."""
     if place == 0:
-        return Edit(branch.start, branch.end, _lifted(text, branch))
+        return Edit(branch.start, branch.end, _lifted(text, branch, around))
     return Edit(branch.start, branch.end, "{" + text[slice(*branch.inside)] + "}")
 
 
-def _lifted(text: str, block: Node) -> str:
-    """What a block holds, one step to the left; the comment behind its brace goes."""
+def _variables(text: str, body: Sequence[Node]) -> set[str]:
+    """What the statements of a block declare."""
+    return {n for node in body if node.kind == "statement" for n, _ in declarators(text[node.start : node.end])}
+
+
+def _lifted(text: str, block: Node, around: set[str]) -> str:
+    """What a block holds, one step to the left; the comment behind its brace goes. It keeps its braces if one of
+    its variables has the name of one in the block around it, ``around``, to which they then belong."""
+    own = _variables(text, block.body)
+    if own & around:
+        return "{" + text[slice(*block.inside)] + "}"
+    around |= own
     inside = text[slice(*block.inside)]
     lines = inside[inside.index("\n") + 1 :].rstrip().split("\n")
     return "\n".join(line.removeprefix("    ") for line in lines).lstrip(" ")
@@ -110,7 +128,7 @@ def _of_loop(text: str, node: Node, above: Node | None, known: Constants) -> Ite
     head = in_line(text[slice(*node.head)])
     loop = _LOOP.match(head)
     condition = loop["condition"] if loop else head if ";" not in head else ""
-    if not condition or not (known.names(head) or all(n.kind == "comment" for n in node.body)):
+    if not condition or not (_decidable(head, known) or all(n.kind == "comment" for n in node.body)):
         return
     first = None if loop is None else known.range(expression(loop["first"]), {})
     variables = {} if loop is None or first is None else {loop["variable"]: first}
@@ -189,7 +207,9 @@ def unread(text: str, function: Node, known: Constants) -> Iterator[Edit]:
         later: set[str] = set()
         for place in reversed(range(len(body))):
             node = body[place]
-            each = declarators(text[node.start : node.end]) if node.kind == "statement" else ()
+            code = text[node.start : node.end]
+            plain = node.kind == "statement" and not _STRING.search(in_line(code))
+            each = declarators(code) if plain else ()
             left: list[str] = []
             effects: list[str] = []
             for name, declarator in reversed(each):
@@ -204,7 +224,7 @@ def unread(text: str, function: Node, known: Constants) -> Iterator[Edit]:
                 above = body[place - 1] if place else None
                 yield _without_variables(text, node, above, left, effects)
             elif not each and node.kind != "comment":
-                later |= names_in_code(text[node.start : node.end])
+                later |= names_in_code(code)
 
 
 def _without_variables(text: str, node: Node, above: Node | None, left: list[str], effects: list[str]) -> Edit:
@@ -259,6 +279,7 @@ def simplified(text: str, known: Constants) -> str:
 
 @lru_cache(maxsize=16384)
 def _simplified(text: str, facts: frozenset[Fact]) -> str:
+    check_names(text)
     known, before = Constants.of(facts), free_names(text)
     changed = True
     while changed:

@@ -30,8 +30,8 @@ def blanked(text: str) -> str:
 
 @lru_cache(maxsize=32768)
 def in_line(text: str) -> str:
-    """The code of a text in one line."""
-    return " ".join(blanked(text).split())
+    """The code of a text in one line, with its strings."""
+    return " ".join(_NO_CODE.sub(lambda found: " " if found[0].startswith("/*") else found[0], text).split())
 
 
 @lru_cache(maxsize=32768)
@@ -94,13 +94,24 @@ def pointers(text: str) -> Mapping[str, str]:
     return found
 
 
-@lru_cache(maxsize=16384)
 def free_names(text: str) -> frozenset[str]:
     """What a function names and does not declare: types, functions, macros, tables.
 
     Raises:
         ValueError: a block declares a variable twice, or a variable is used outside of the block that declares it.
     """
+    return _names(text)[0]
+
+
+def check_names(text: str) -> None:
+    """Raise ValueError if a variable hides another one, which it would do to what follows a block without braces."""
+    if hidden := _names(text)[1]:
+        raise ValueError(f"{sorted(hidden)[0]} is declared where there is a variable with this name")
+
+
+@lru_cache(maxsize=16384)
+def _names(text: str) -> tuple[frozenset[str], frozenset[str]]:
+    """Free names, and names of variables that hide another one."""
     function = function_of(text)
     head = text[slice(*function.head)]
     name, parameters = signature(head)
@@ -109,14 +120,14 @@ def free_names(text: str) -> frozenset[str]:
     outside = scopes.free & scopes.declared
     if outside:
         raise ValueError(f"{name}(): {sorted(outside)[0]} is declared in a block and used outside of it")
-    return frozenset(scopes.free | names_in_code(head) - set(parameters) - {name})
+    return frozenset(scopes.free | names_in_code(head) - set(parameters) - {name}), frozenset(scopes.hidden)
 
 
 class _Scopes:
-    """Names that are free, and all that are declared, while blocks are visited."""
+    """Names that are free, all that are declared, and those that hide others, while blocks are visited."""
 
     def __init__(self, text: str) -> None:
-        self.text, self.free, self.declared = text, set[str](), set[str]()
+        self.text, self.free, self.declared, self.hidden = text, set[str](), set[str](), set[str]()
 
     def visit(self, body: Sequence[Node], outer: frozenset[str]) -> None:
         """A block whose statements see these names."""
@@ -129,7 +140,8 @@ class _Scopes:
                     if name in own:
                         raise ValueError(f"{name} is declared twice in a block")
                     own.add(name)
-                self.declared |= {name for name, _ in found}
+                self.declared |= own
+                self.hidden |= own & outer
                 self.free |= names_in_code(self.text[node.start : node.end]) - visible - own
             elif node.kind in ("if", "loop", "block"):
                 self.nested(node, frozenset(visible))
@@ -141,6 +153,7 @@ class _Scopes:
         loop = _LOOP.match(in_line(head)) if node.kind == "loop" else None
         counted = {name for name, _ in declarators(loop["type"] + loop["rest"])} if loop else set()
         self.declared |= counted
+        self.hidden |= counted & visible
         self.free |= names_in_code(head) - visible - counted
         self.visit(node.body, visible | counted)
         if node.other is not None:
