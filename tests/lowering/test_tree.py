@@ -82,6 +82,9 @@ def test_places() -> None:
         ("if (a) {\n#if A\n}\n#endif", "a branch of an #if closes a brace"),
         ("s->a = 1 +\n#if A\n2;\n#endif", "expected a semicolon"),
         ("if (a) {", "opens a brace without closing it"),
+        ("# if A\n# endif", "expected #if"),
+        ("f(a,\n#if A\nb);\n#endif", "expected whole statements"),
+        ("int a; // note", "expected a comment between"),
     ],
 )
 def test_what_is_refused(block: str, expected: str) -> None:

@@ -23,7 +23,7 @@ from nmpc_codegen import (
 )
 from nmpc_codegen.components.integrators import ButcherTableau
 from nmpc_codegen.lowering.pruning.constants import Constants
-from nmpc_codegen.lowering.pruning.unit import pruned
+from nmpc_codegen.lowering.pruning.unit import calling, pruned
 from verification import quality
 
 #: N is a size; ROW drops its second argument; OUTER passes its arguments to ROW in turn.
@@ -112,6 +112,32 @@ def test_enumerations_and_headings_of_what_is_gone() -> None:
     assert "Slacks" not in found
     assert "LEFT" not in found
     assert found == used
+
+
+def test_an_enumeration_may_need_another_one() -> None:
+    text = "enum { ONE = 1, TWO };\n\nenum { THREE = TWO + 1 };\n\n" + function("out[0] = s->a + THREE;")
+    assert kept(text) == text
+
+
+def test_a_comment_does_not_hide_what_belongs_to_the_interface() -> None:
+    text = "/* state in\nstatic memory */\n" + function("out[0] = s->a;")
+    assert kept(text) == text
+
+
+def test_two_functions_with_a_name_are_refused() -> None:
+    with pytest.raises(ValueError, match=r"g\(\): there are two functions with this name"):
+        kept("\n\n".join([function("return 1;", head=INNER), function("return 2;", head=INNER)]))
+
+
+def test_macros_that_call_through_others() -> None:
+    known = [
+        ("A", "s", "B(s)"),
+        ("B", "s", "next(s)"),
+        ("C", "s", "(s)->n++"),
+        ("D", "s", "(s)->n == 1"),
+        ("E", None, "f(1)"),
+    ]
+    assert calling(known) == {"A", "B", "C"}
 
 
 def test_layout_stays() -> None:

@@ -104,7 +104,7 @@ MUTANTS = (
     Mutant(
         "a lost call: the value of a variable that nothing reads",
         "src/nmpc_codegen/lowering/pruning/passes.py",
-        'effects.insert(0, f"(void){value};")',
+        "effects.append(_for_its_effects(value.strip()))",
         "effects.clear()",
         ("tests/lowering/test_passes.py",),
     ),
@@ -120,6 +120,13 @@ MUTANTS = (
         "src/nmpc_codegen/lowering/pruning/constants.py",
         "for ends in product(*values)]",
         "for ends in zip(*values)]",
+        ("tests/lowering/test_passes.py",),
+    ),
+    Mutant(
+        "a size of which only the sign is known: it is compared all the same",
+        "src/nmpc_codegen/lowering/pruning/passes.py",
+        "exact = found | (signs & mixed)",
+        "exact = found",
         ("tests/lowering/test_passes.py",),
     ),
     Mutant(

@@ -36,7 +36,7 @@ from nmpc_codegen.lowering.preamble import (
 from nmpc_codegen.lowering.pruning.constants import Constants
 from nmpc_codegen.lowering.pruning.directives import resolve
 from nmpc_codegen.lowering.pruning.scopes import blanked
-from nmpc_codegen.lowering.pruning.unit import CALLED, pruned
+from nmpc_codegen.lowering.pruning.unit import calling, pruned
 from nmpc_codegen.lowering.rows import row_functions, row_ranges
 from nmpc_codegen.package.memory import PURPOSES, WORK, Field, Struct
 from nmpc_codegen.package.seal import sealed
@@ -175,8 +175,8 @@ def constants_of(module: CModule, known: Sequence[Definition]) -> Constants:
     kernels = frozenset(name.upper() for name in module.absent_kernels)
     named = {s.name for s in module.structs}
     types = {(s.name, f.name): f.ctype for s in module.structs for f in s.fields if f.ctype in named}
-    calling = frozenset(name for name, arguments, text in known if arguments and CALLED.search(text))
-    return Constants(module.sizes, {**ranges, **row_ranges(module)}, module.absent_members, types, kernels, calling)
+    ranges |= row_ranges(module)
+    return Constants(module.sizes, ranges, module.absent_members, types, kernels, calling(known))
 
 
 def _resolved(text: str, module: CModule) -> str:

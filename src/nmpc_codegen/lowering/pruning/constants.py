@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import operator
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
@@ -16,6 +17,7 @@ Range = tuple[int, int]
 #: What is known of a name: the kind of knowledge, the name or (struct, member), the value.
 Fact = tuple[str, Any, Any]
 
+_DECIMAL = re.compile(r"0|[1-9]\d*")
 #: Functions of the C library that give a number and do no more.
 PURE = frozenset({"isfinite"})
 #: (operator, operands) -> function; the results at the ends of ranges enclose those between them.
@@ -96,7 +98,7 @@ class Constants:
         """Least and greatest value of an expression; None: it depends on data. ``variables``: their ranges."""
         match found.kind:
             case "number":
-                return (int(found.word),) * 2 if found.word.isdigit() else None
+                return (int(found.word),) * 2 if _DECIMAL.fullmatch(found.word) else None
             case "name":
                 size = self.sizes.get(found.word)
                 return variables.get(found.word) if size is None else (size, size)

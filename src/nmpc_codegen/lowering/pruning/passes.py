@@ -30,8 +30,9 @@ from nmpc_codegen.lowering.pruning.tree import Edit, Node, edited, whole_lines
 WIDTH = 120
 #: A loop over a variable of its own; the step of one that only counts.
 _LOOP = re.compile(r"(?:int|ptrdiff_t) (?P<variable>\w+) = (?P<first>[^,;]+); (?P<condition>[^;]*);(?P<step>.*)")
+_SIZE = re.compile(r"^[^\[]*|[\[\]]")
 _STRING = re.compile("[\"']")
-_COUNTED = re.compile(r" (?:\+\+|--)?\w+(?:\+\+|--| [+-]= \w+)?")
+_COUNTED = re.compile(r" (?:\+\+|--)?(\w+)(?:\+\+|--| [+-]= \w+)?")
 
 Pass = Callable[[str, Node, Constants], Iterator[Edit]]
 
@@ -74,7 +75,7 @@ def _of_choice(text: str, node: Node, above: Node | None, around: set[str], know
             yield _without_branch(text, chain, place, above, around)
             return
         if value is True and branch.kind == "if":
-            yield _taken(text, branch, place, around)
+            yield _taken(text, branch, place, above, around)
             return
         if isinstance(value, str) and value != whole:
             line = text.rfind("\n", 0, branch.start) + 1
@@ -95,14 +96,16 @@ def _without_branch(text: str, chain: Sequence[Node], place: int, above: Node | 
             return Edit(*whole_lines(text, branch, above), "")
         return Edit(chain[place - 1].inside[1] + 1, branch.end, "")
     if branch.other.kind == "block" and place == 0:
-        return Edit(branch.start, branch.end, _lifted(text, branch.other, around))
+        lifted = _lifted(text, branch.other, around)
+        return Edit(branch.start, branch.end, lifted) if lifted else Edit(*whole_lines(text, branch, above), "")
     return Edit(branch.start, branch.other.start, "")
 
 
-def _taken(text: str, branch: Node, place: int, around: set[str]) -> Edit:
+def _taken(text: str, branch: Node, place: int, above: Node | None, around: set[str]) -> Edit:
     """A chain of branches that ends with one that is taken."""
     if place == 0:
-        return Edit(branch.start, branch.end, _lifted(text, branch, around))
+        lifted = _lifted(text, branch, around)
+        return Edit(branch.start, branch.end, lifted) if lifted else Edit(*whole_lines(text, branch, above), "")
     return Edit(branch.start, branch.end, "{" + text[slice(*branch.inside)] + "}")
 
 
@@ -118,8 +121,10 @@ def _lifted(text: str, block: Node, around: set[str]) -> str:
     if own & around:
         return "{" + text[slice(*block.inside)] + "}"
     around |= own
-    inside = text[slice(*block.inside)]
-    lines = inside[inside.index("\n") + 1 :].rstrip().split("\n")
+    start, end = block.inside
+    if block.body and block.body[0].kind == "comment" and "\n" not in text[start : block.body[0].start]:
+        start = block.body[0].end
+    lines = text[start:end].partition("\n")[2].rstrip().split("\n")
     return "\n".join(line.removeprefix("    ") for line in lines).lstrip(" ")
 
 
@@ -134,7 +139,9 @@ def _of_loop(text: str, node: Node, above: Node | None, known: Constants) -> Ite
     variables = {} if loop is None or first is None else {loop["variable"]: first}
     value = known.reduced(condition)
     never = value is False or known.truth(expression(condition), variables) is False
-    idle = loop is not None and _COUNTED.fullmatch(loop["step"]) and all(n.kind == "comment" for n in node.body)
+    counted = _COUNTED.fullmatch(loop["step"]) if loop else None
+    empty = all(n.kind == "comment" for n in node.body)
+    idle = loop is not None and counted is not None and counted[1] == loop["variable"] and empty
     parts = [] if loop is None else [loop["first"], *([] if never else [condition])]
     if (never or idle) and not any(known.effects(expression(part)) for part in parts):
         yield Edit(*whole_lines(text, node, above), "")
@@ -213,18 +220,24 @@ def unread(text: str, function: Node, known: Constants) -> Iterator[Edit]:
             left: list[str] = []
             effects: list[str] = []
             for name, declarator in reversed(each):
-                value = declarator.partition("=")[2].strip()
-                if name in later or "(*" in declarator.partition("=")[0]:
+                place_of, _, value = declarator.partition("=")
+                acts = any(known.effects(expression(part)) for part in (value, _SIZE.sub("", place_of)) if part.strip())
+                if name in later or "(*" in place_of or (acts and (len(each) > 1 or "[" in place_of)):
                     left.insert(0, declarator)
                     later |= names_in_code(declarator)
-                elif value and not value.startswith("{") and known.effects(expression(value)):
-                    effects.insert(0, f"(void){value};")
+                elif acts:
+                    effects.append(_for_its_effects(value.strip()))
                     later |= names_in_code(value)
             if len(left) < len(each):
                 above = body[place - 1] if place else None
                 yield _without_variables(text, node, above, left, effects)
             elif not each and node.kind != "comment":
                 later |= names_in_code(code)
+
+
+def _for_its_effects(value: str) -> str:
+    """A statement that evaluates an expression."""
+    return f"(void){value};" if expression(value).kind in ("call", "group") else f"(void)({value});"
 
 
 def _without_variables(text: str, node: Node, above: Node | None, left: list[str], effects: list[str]) -> Edit:
@@ -246,6 +259,7 @@ def heads(text: str) -> tuple[frozenset[str], frozenset[str]]:
     """Names on which the conditions of a function depend, and sizes of which they only ask whether they are 0."""
     found: set[str] = set()
     signs: set[str] = set()
+    mixed: set[str] = set()
     for node in function_of(text).walk():
         head = in_line(text[slice(*node.head)]) if node.kind in ("if", "loop") else ""
         loop = _LOOP.match(head)
@@ -255,9 +269,10 @@ def heads(text: str) -> tuple[frozenset[str], frozenset[str]]:
                 bare = re.sub(rf"\b{loop['variable']}\b", _ARGUMENTS.sub("()", loop["first"]), bare)
             if sign := _SIGN.fullmatch(bare):
                 signs.add(sign[sign.lastindex or 0])
-            elif not _VARIABLE.search(bare):
-                found |= words(bare)
-    return frozenset(found), frozenset(signs - found)
+            else:
+                (mixed if _VARIABLE.search(bare) else found).update(words(atom) | words(bare))
+    exact = found | (signs & mixed)
+    return frozenset(exact), frozenset(signs - exact)
 
 
 _ATOM = re.compile(r"&&|\|\|")
@@ -279,8 +294,8 @@ def simplified(text: str, known: Constants) -> str:
 
 @lru_cache(maxsize=16384)
 def _simplified(text: str, facts: frozenset[Fact]) -> str:
-    check_names(text)
     known, before = Constants.of(facts), free_names(text)
+    check_names(text, known.ranges.keys() | known.sizes.keys())
     changed = True
     while changed:
         changed = False

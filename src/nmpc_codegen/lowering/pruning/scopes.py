@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Set
 from functools import lru_cache
 
 from nmpc_codegen.lowering.pruning.tree import Node, parse
@@ -16,6 +16,7 @@ _TYPE = r"(?:static )?(?:const )?(?:unsigned )?(?:int|double|char|\w+_t)(?: (?:c
 DECLARATION = re.compile(rf"\s*{_TYPE}")
 _LOOP = re.compile(rf"\s*(?P<type>{_TYPE})(?P<rest>[^;]*);")
 _POINTER = re.compile(r"\b(\w+)_t \*(?:const )?(\w+)")
+_POINTER_TO = re.compile(r"\(\*\s*(\w+)")
 _NAME = re.compile(r"[\s(*]*(?:const )?(\w+)")
 _SIGNATURE = re.compile(r"(?P<name>API\(\w+\)|\b\w+)\((?P<parameters>.*)\)(?:\)\[\w+\])?\s*;?$", re.DOTALL)
 _ATTRIBUTE = re.compile(r"__attribute__\(\(.*?\)\)")
@@ -73,7 +74,9 @@ def signature(text: str) -> tuple[str, tuple[str, ...]]:
     if found is None:
         raise ValueError(f"no signature of a function: {text.strip()!r}")
     given = [re.sub(r"\[[^\]]*\]", "", p) for p in split(found["parameters"]) if p.strip() not in ("void", "")]
-    return found["name"], tuple(_IDENTIFIER.findall(parameter)[-1] for parameter in given)
+    pointers = (_POINTER_TO.search(parameter) for parameter in given)
+    names = (p[1] if p else _IDENTIFIER.findall(g)[-1:] for p, g in zip(pointers, given, strict=True))
+    return found["name"], tuple("".join(name) for name in names)
 
 
 def function_of(text: str) -> Node:
@@ -103,15 +106,19 @@ def free_names(text: str) -> frozenset[str]:
     return _names(text)[0]
 
 
-def check_names(text: str) -> None:
-    """Raise ValueError if a variable hides another one, which it would do to what follows a block without braces."""
-    if hidden := _names(text)[1]:
+def check_names(text: str, known: Set[str]) -> None:
+    """Raise ValueError if a variable hides another one, which it would do to what follows a block without braces, or a
+    table or a function of which the package knows the values."""
+    _, hidden, declared = _names(text)
+    if hidden:
         raise ValueError(f"{sorted(hidden)[0]} is declared where there is a variable with this name")
+    if taken := declared & known:
+        raise ValueError(f"{sorted(taken)[0]} is a variable here and known elsewhere; expected another name")
 
 
 @lru_cache(maxsize=16384)
-def _names(text: str) -> tuple[frozenset[str], frozenset[str]]:
-    """Free names, and names of variables that hide another one."""
+def _names(text: str) -> tuple[frozenset[str], frozenset[str], frozenset[str]]:
+    """Free names, names of variables that hide another one, names of all variables and parameters."""
     function = function_of(text)
     head = text[slice(*function.head)]
     name, parameters = signature(head)
@@ -120,7 +127,8 @@ def _names(text: str) -> tuple[frozenset[str], frozenset[str]]:
     outside = scopes.free & scopes.declared
     if outside:
         raise ValueError(f"{name}(): {sorted(outside)[0]} is declared in a block and used outside of it")
-    return frozenset(scopes.free | names_in_code(head) - set(parameters) - {name}), frozenset(scopes.hidden)
+    free = scopes.free | names_in_code(head) - set(parameters) - {name}
+    return frozenset(free), frozenset(scopes.hidden), frozenset(scopes.declared.union(parameters))
 
 
 class _Scopes:

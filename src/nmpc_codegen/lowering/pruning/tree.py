@@ -81,6 +81,8 @@ class _Parser:
         self.tokens.append(_Token(len(text), len(text), ""))
 
     def whole(self) -> tuple[Node, ...]:
+        if note := next((t for t in self.tokens if t.text == "//"), None):
+            raise self.error(note.start, "expected a comment between /* and */")
         nodes, _ = self.sequence(0)
         token = self.tokens[self.place]
         if token.text:
@@ -131,6 +133,8 @@ class _Parser:
         """A directive; `#if` with its branches, to `#endif`."""
         start = token.start
         if not token.text.startswith("#if"):
+            if token.text[1:2].isspace():
+                raise self.error(start, _DIRECTIVES)
             self.place += 1
             return Node("directive", start, token.end)
         branches: list[Node] = []
@@ -179,6 +183,8 @@ class _Parser:
         depth = 0
         while self.tokens[self.place].text:
             token = self.tokens[self.place]
+            if token.text.startswith("#"):
+                raise self.error(token.start, "expected whole statements in the branches of an #if")
             self.place += 1
             depth += (token.text in _OPEN) - (token.text in _CLOSE)
             if depth == 0:
@@ -220,6 +226,9 @@ class _Parser:
         return Node("leave" if word in ("return", "break", "continue") else "statement", at, end)
 
 
+_COMMENT_BEHIND = re.compile(rf"[ \t]*{_COMMENT}", re.DOTALL)
+
+
 class Edit(NamedTuple):
     """text[start:end] becomes ``new``; if that is "", the line and the comment above it go as well."""
 
@@ -241,7 +250,8 @@ def edited(text: str, edits: Sequence[Edit]) -> str:
 
 def whole_lines(text: str, node: Node, above: Node | None) -> tuple[int, int]:
     """The place of a node with its lines, and with the comment just above it."""
-    start, end = node.start, text.find("\n", node.end)
+    behind = _COMMENT_BEHIND.match(text, node.end)
+    start, end = node.start, text.find("\n", behind.end() if behind else node.end)
     if above is not None and above.kind == "comment" and "\n\n" not in text[above.end : start]:
         alone = not text[text.rfind("\n", 0, above.start) + 1 : above.start].strip()
         start = above.start if alone else start

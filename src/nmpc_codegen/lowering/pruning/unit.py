@@ -30,8 +30,9 @@ from nmpc_codegen.lowering.pruning.tree import Edit, Node, edited, parse
 Definition = tuple[str, str | None, str]
 
 #: Heads of functions that only this unit calls.
-_INNER = re.compile(r"^(?:static|LANES_INLINE|PACK_INLINE) ", re.MULTILINE)
+_INNER = re.compile(r"(?:static|LANES_INLINE|PACK_INLINE) ")
 _ENUMERATION = re.compile(r"enum \{(?P<names>.*)\};", re.DOTALL)
+_ASSIGNS = re.compile(r"\+\+|--|(?<![=!<>])=(?!=)")
 #: A call of a function.
 CALLED = re.compile(r"\b[a-z]\w*(?=\()")
 
@@ -99,6 +100,15 @@ def pruned(unit: str, kernels: Mapping[str, str], known: Sequence[Definition], c
     return "\n\n".join(printed) + "".join(i.gap + text for i, text in zip(kept, texts, strict=True)) + "\n"
 
 
+def calling(known: Iterable[Definition]) -> frozenset[str]:
+    """Macros that call functions or assign, themselves or through others."""
+    texts = {name: text for name, arguments, text in known if arguments}
+    found = {name for name, text in texts.items() if CALLED.search(text) or _ASSIGNS.search(text)}
+    while more := {name for name, text in texts.items() if not found.isdisjoint(names_in_code(text))} - found:
+        found |= more
+    return frozenset(found)
+
+
 class Macros:
     """The macros of a unit: what their names stand for, and which arguments they drop."""
 
@@ -138,11 +148,15 @@ def reached(
     found: Sequence[Item], kernels: Mapping[str, str], macros: Macros, constants: Constants
 ) -> tuple[dict[str, str], set[str]]:
     """Simplified texts of the functions that the interface, and what is no function, reach; all names on the way."""
-    functions = {item.name: item.text for item in found if item.kind == "function"}
-    waiting = {n for n, text in functions.items() if not _INNER.search(text)}
+    functions: dict[str, str] = {}
+    for item in found:
+        if item.kind == "function" and functions.setdefault(item.name, item.text) != item.text:
+            raise ValueError(f"{item.name}(): there are two functions with this name")
+    waiting = {n for n, text in functions.items() if not _INNER.match(_COMMENT.sub("", text).lstrip())}
     for item in found:
         if item.kind == "other":
             waiting |= macros.expanded(names_in_code(item.text))
+    enumerations = [names_in_code(_constants(item)) for item in found if item.kind == "enumeration"]
     texts: dict[str, str] = {}
     mentioned: set[str] = set()
     while waiting:
@@ -154,6 +168,7 @@ def reached(
                 inside |= free_names(texts[name])
             elif name in kernels:
                 inside.update(CALLED.findall(kernels[name]))
+        inside = inside.union(*(names for names in enumerations if not names.isdisjoint(waiting)))
         waiting = macros.expanded(inside) - mentioned
     return texts, mentioned
 
@@ -165,11 +180,16 @@ def _simplified(name: str, text: str, constants: Constants) -> str:
         raise ValueError(f"{name}(): {error}") from error
 
 
+def _constants(enumeration: Item) -> str:
+    """What stands in the braces of an enumeration."""
+    return enumeration.text[enumeration.text.rindex("{") :]
+
+
 def _stays(item: Item, names: Collection[str]) -> bool:
     if item.kind in ("function", "prototype"):
         return item.name in names
     if item.kind == "enumeration":
-        return any(name in names for name in names_in_code(item.text[item.text.index("{") :]))
+        return not names_in_code(_constants(item)).isdisjoint(names)
     return True
 
 
