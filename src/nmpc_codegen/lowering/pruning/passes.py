@@ -30,7 +30,7 @@ from nmpc_codegen.lowering.pruning.tree import Edit, Node, edited, whole_lines
 WIDTH = 120
 #: A loop over a variable of its own; the step of one that only counts.
 _LOOP = re.compile(r"(?:int|ptrdiff_t) (?P<variable>\w+) = (?P<first>[^,;]+); (?P<condition>[^;]*);(?P<step>.*)")
-_SIZE = re.compile(r"^[^\[]*|[\[\]]")
+_SIZE = re.compile(r"\[([^\[\]]*)\]")
 _STRING = re.compile("[\"']")
 _COUNTED = re.compile(r" (?:\+\+|--)?(\w+)(?:\+\+|--| [+-]= \w+)?")
 
@@ -221,7 +221,9 @@ def unread(text: str, function: Node, known: Constants) -> Iterator[Edit]:
             effects: list[str] = []
             for name, declarator in reversed(each):
                 place_of, _, value = declarator.partition("=")
-                acts = any(known.effects(expression(part)) for part in (value, _SIZE.sub("", place_of)) if part.strip())
+                acts = any(
+                    known.effects(expression(part)) for part in (value, *_SIZE.findall(place_of)) if part.strip()
+                )
                 if name in later or "(*" in place_of or (acts and (len(each) > 1 or "[" in place_of)):
                     left.insert(0, declarator)
                     later |= names_in_code(declarator)
