@@ -77,7 +77,7 @@ static inline const real_t *row_gradient(const solver_t *s, int m)
     return s->node[row_node(m)].J[row_index(m)];
 }
 
-/* The same of any row m, in all NZ variables of a path node. */
+/* Gradient of any row m, in all NZ variables of a path node. */
 static void copy_row_gradient(const solver_t *s, int m, real_t *a)
 {
     memset(a, 0, NZ * sizeof *a);

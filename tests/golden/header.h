@@ -48,4 +48,4 @@ const char *golden_status_string(golden_status_t status);
 #endif
 
 #endif
-/* nmpc_codegen package a9178f33c666a21e, sha256 94fb65382bded4a6ef45c6d47a649e4ceebb5c151bfa559dbde8ff33588ddf3a */
+/* nmpc_codegen package 160c42430d111e1a, sha256 d465660b6ca7e8b3232895b59462028bd6ccbab0108562b104452a863b79869a */

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import pytest
 
+from nmpc_codegen.lowering.pruning import passes, unit
 from nmpc_codegen.lowering.pruning.constants import Constants
-from nmpc_codegen.lowering.pruning.expressions import expression
+from nmpc_codegen.lowering.pruning.expressions import expression, words
 from nmpc_codegen.lowering.pruning.passes import simplified
 from nmpc_codegen.lowering.pruning.scopes import free_names
+from verification.rendered import texts
+from verification.samples import SAMPLES
 
 CONSTANTS = Constants(
     sizes={"NG": 0, "NE": 2, "N": 5, "NU": 1, "SOFT": 0, "HARD": 1},
@@ -278,3 +281,20 @@ def test_long_conditions_are_broken() -> None:
     head = [first, *rest[: rest.index("    b = 1;")]]
     assert all(len(line) <= 116 for line in head)
     assert " ".join(line.strip() for line in head) == f"if ({' && '.join(['condition'] * 15)}) {{"
+
+
+@pytest.mark.parametrize("name", ["everything dense", "cycle riccati", "soft rows interior", "ring shooting"])
+def test_a_package_gets_what_all_facts_give(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Functions are remembered with the facts that matter; none may be missing among them."""
+    found: dict[str, Constants] = {}
+
+    def recorded(text: str, known: Constants) -> str:
+        found[text] = known
+        return simplified(text, known)
+
+    monkeypatch.setattr(unit, "simplified", recorded)
+    texts(next(sample for sample in SAMPLES if sample.name == name))
+    assert len(found) > 60
+    for text, known in found.items():
+        everything = known.facts(words(text), frozenset(), words(text))
+        assert passes._simplified(text, everything) == simplified(text, known)

@@ -168,7 +168,7 @@ def _truths(values: Range | None) -> Range:
 
 def _applied(word: str, *values: Range | None) -> Range | None:
     """The range of what an operator makes of ranges."""
-    if word in ("==", "!="):
+    if word in ("==", "!=") and None not in values:
         equal = _truths(_applied("-", *values))
         return equal if word == "!=" else _applied("!", equal)
     if word in ("!", "&&", "||"):

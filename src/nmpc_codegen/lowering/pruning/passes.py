@@ -266,21 +266,33 @@ def heads(text: str) -> tuple[frozenset[str], frozenset[str]]:
         head = in_line(text[slice(*node.head)]) if node.kind in ("if", "loop") else ""
         loop = _LOOP.match(head)
         for atom in _ATOM.split(loop["condition"] if loop else head):
-            bare = _ARGUMENTS.sub("()", atom).strip(" !").removeprefix("(").strip(" !")
+            bare = _without_arguments(atom)
+            undecided = _VARIABLE.search(bare) and bare.count("(") == bare.count(")") and not _NOT.search(bare[1:])
+            bare = bare.strip(" !").removeprefix("(").strip(" !")
             if loop:  # the first value of its variable
-                bare = re.sub(rf"\b{loop['variable']}\b", _ARGUMENTS.sub("()", loop["first"]), bare)
+                bare = re.sub(rf"\b{loop['variable']}\b", _without_arguments(loop["first"]), bare)
             if sign := _SIGN.fullmatch(bare):
                 signs.add(sign[sign.lastindex or 0])
-            else:
-                (mixed if _VARIABLE.search(bare) else found).update(words(atom) | words(bare))
+            elif not _VARIABLE.search(bare):
+                found |= words(atom) | words(bare)
+            elif loop or not undecided:
+                mixed |= words(atom) | words(bare)
     exact = found | (signs & mixed)
     return frozenset(exact), frozenset(signs - exact)
 
 
+def _without_arguments(text: str) -> str:
+    """A text with $ for the brackets behind names: what they hold says nothing of what is known of the names."""
+    while (shorter := _ARGUMENTS.sub("$", text)) != text:
+        text = shorter
+    return text
+
+
+_NOT = re.compile(r"!(?!=)")
 _ATOM = re.compile(r"&&|\|\|")
 #: Arguments and indices of a name that may be known; a name that is none of a constant.
-_ARGUMENTS = re.compile(r"(?<=\w)[(\[][^()\[\]]*[)\]]")
-_VARIABLE = re.compile(r"->|\.|\b[a-z]\w*\b(?!\()")
+_ARGUMENTS = re.compile(r"(?<=\w)(?:\([^()\[\]]*\)|\[[^()\[\]]*\])")
+_VARIABLE = re.compile(r"->|\.|\b[a-z]\w*\b(?!\$)")
 #: NAME, NAME > 0, 0 < NAME, NAME - 1 >= 0: conditions on the sign of a size.
 _SIGN = re.compile(r"([A-Z]\w*)(?: (?:>|==|!=) 0)?|0 < ([A-Z]\w*)|([A-Z]\w*) - 1 >= 0")
 
