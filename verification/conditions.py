@@ -13,6 +13,7 @@ from contextlib import suppress
 from nmpc_codegen.ir.cmodule import CModule
 from nmpc_codegen.lowering.parts import MATH, template_directory
 from nmpc_codegen.lowering.pruning.directives import evaluate
+from nmpc_codegen.lowering.pruning.expressions import Expression, expression
 
 #: Parts that unit.c.jinja inlines in every package.
 ALWAYS = ("sizes.c", "rows.c", "cost.c")
@@ -49,8 +50,16 @@ def conditions(part: str) -> list[tuple[int, str]]:
 def _decided(line: str) -> str:
     """The operands of a plain `if` that consist of sizes and features."""
     plain = _PLAIN.match(line)
-    operands = re.split(r" && (?![^()]*\))", plain[1]) if plain else []
-    return " && ".join(operand for operand in operands if _CONSTANT.fullmatch(operand))
+    operands = _conjuncts(expression(plain[1])) if plain else []
+    texts = (plain[1][operand.start : operand.end] for operand in operands) if plain else ()
+    return " && ".join(text for text in texts if _CONSTANT.fullmatch(text))
+
+
+def _conjuncts(found: Expression) -> list[Expression]:
+    """The operands of && in a condition."""
+    if found.word != "&&":
+        return [found]
+    return [conjunct for operand in found.operands for conjunct in _conjuncts(operand)]
 
 
 def reached(modules: Iterable[CModule]) -> tuple[set[str], Values]:

@@ -1,4 +1,4 @@
-"""The packages of samples: before rendering, and as text."""
+"""The packages of samples: before lowering, before rendering, and as text."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from functools import cache
 
 from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.ir.cmodule import CModule
-from nmpc_codegen.lowering.linearize import linearize
+from nmpc_codegen.lowering.linearize import Model, linearize
 from nmpc_codegen.lowering.lower import lower
 from nmpc_codegen.lowering.render import render
 from nmpc_codegen.package.sources import Sources
@@ -14,9 +14,15 @@ from verification.timed import Sample
 
 
 @cache
+def model(sample: Sample) -> Model:
+    """The Model of a sample."""
+    return linearize(classify(sample.make()), sample.options)
+
+
+@cache
 def lowered(sample: Sample) -> CModule:
     """The CModule of a sample, before rendering."""
-    return lower(linearize(classify(sample.make()), sample.options), None)
+    return lower(model(sample))
 
 
 def texts(sample: Sample) -> Sources:

@@ -9,15 +9,13 @@ from __future__ import annotations
 
 import re
 import subprocess
-from functools import cache
 from pathlib import Path
 
-from nmpc_codegen.frontend.classify import classify
-from nmpc_codegen.lowering.linearize import Model, linearize
 from nmpc_codegen.lowering.lower import lower
 from nmpc_codegen.lowering.render import render
 from nmpc_codegen.package.sources import Sources
 from verification.quality import compile_c, package_name, written
+from verification.rendered import model, texts
 from verification.timed import Sample
 
 #: The same operations in the same order, whatever the compiler knows of the sizes.
@@ -79,15 +77,9 @@ _SOLVE = """for (int j = 0; j < {P}_NU; j++) {{
     show(-1, (int){p}_solve(&s, x, ({p}_real)1e-8, 20));"""
 
 
-@cache
-def model(sample: Sample) -> Model:
-    """The Model of a sample."""
-    return linearize(classify(sample.make()), sample.options)
-
-
 def packages(sample: Sample) -> tuple[Sources, Sources]:
     """The exported package of a sample, and the whole one."""
-    return render(lower(model(sample))), render(lower(model(sample), whole=True))
+    return texts(sample), render(lower(model(sample), whole=True))
 
 
 def errors_of(whole: Sources, *flags: str) -> str:

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from nmpc_codegen.components.base import Core, Dims
+from nmpc_codegen.ir.cmodule import Table
+from nmpc_codegen.ir.tuning import COLUMNS
 from nmpc_codegen.package.memory import Field, Size, Struct, stated
 
 
@@ -90,17 +92,21 @@ def _rows(dims: Dims) -> Struct:
         "solver",
         "",
         (
-            Field(
-                "row_scale", (dims.nr,), "largest terms of the rows", "keep", only=lambda f: f.row_scales and f.has_qp
-            ),
-            Field("relaxation", (), penalty, "scratch", only=lambda f: f.relaxation and f.has_qp),
-            Field("row_residual", (), left, "keep", only=lambda f: f.nonlinear_rows and f.has_qp),
-            Field("price", (nodes,), price, "keep", only=lambda f: f.relax and f.hard_rows and f.has_qp),
+            Field("row_scale", (dims.nr,), "largest terms of the rows", "keep", only=lambda f: f.row_scales),
+            Field("relaxation", (), penalty, "scratch", only=lambda f: f.relaxation),
+            Field("row_residual", (), left, "keep", only=lambda f: f.nonlinear_rows),
+            Field("price", (nodes,), price, "keep", only=lambda f: f.relax and f.hard_rows),
         ),
+        only=lambda f: f.has_qp,
     )
 
 
-def named_by_parts(dims: Dims) -> tuple[Struct, ...]:
+#: Sizes, and tables without values, that some components state and that parts of others name.
+SIZES_OF_OTHERS = (("COLUMNS", COLUMNS, "columns of G_k that are processed together"), ("MIRROR", 0, "no Hessian"))
+TABLES_OF_OTHERS = (Table("regularization", "real", (), "of no Hessian"),)
+
+
+def structs_of_others(dims: Dims) -> tuple[Struct, ...]:
     """Members that some components state and that parts of the core name."""
     return stated(
         False,

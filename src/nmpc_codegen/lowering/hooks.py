@@ -11,7 +11,7 @@ from nmpc_codegen.ir.cmodule import CModule
 from nmpc_codegen.ir.print_c import CStyle
 from nmpc_codegen.lowering.parts import read_part
 from nmpc_codegen.lowering.pruning.scopes import signature
-from nmpc_codegen.lowering.pruning.tree import Edit, edited, parse
+from nmpc_codegen.lowering.pruning.tree import Edit, edited, margin, parse
 
 _CALL = re.compile(rf"(?P<before>(?:\w+ = )?)(?P<hook>{'|'.join(HOOKS)})(?P<arguments>\(.*\);)", re.DOTALL)
 _NAMED = re.compile(rf"\b(?:{'|'.join(HOOKS)})\(")
@@ -62,24 +62,23 @@ def with_hooks(text: str, extras: Sequence[str]) -> str:
     Raises:
         ValueError: no feature defines a hook that one has to define, or several do.
     """
-    pieces = [text] if "#endif" in text else text.split("\n}\n")
-    return "\n}\n".join(_called(piece, tuple(extras)) if _NAMED.search(piece) else piece for piece in pieces)
+    pieces = [text] if "#endif" in text else re.split(r"(?<=\n\}\n)", text)
+    return "".join(_called(piece, tuple(extras)) if _NAMED.search(piece) else piece for piece in pieces)
 
 
 @lru_cache(maxsize=1024)
 def _called(text: str, extras: tuple[str, ...]) -> str:
-    """The same of a text that ends before the brace of a function."""
-    closed = f"{text}\n}}" if text.count("\n{\n") > text.count("\n}\n") else text
+    """The same of a text that ends with a function."""
+    named = {part.rpartition("/")[2].removesuffix(".c"): _hooks(part) for part in extras}
     edits = []
-    for node in (n for top in parse(closed) for n in top.walk() if n.kind == "statement"):
-        call = _CALL.fullmatch(closed, node.start, node.end)
+    for node in (n for top in parse(text) for n in top.walk() if n.kind == "statement"):
+        call = _CALL.fullmatch(text, node.start, node.end)
         if call is None:
             continue
-        named = {part.rpartition("/")[2].removesuffix(".c"): _hooks(part) for part in extras}
         names = [f"{name}_{call['hook']}" for name, hooks in named.items() if call["hook"] in hooks]
         if call["hook"] in ALONE and len(names) != 1:
             raise ValueError(f"{call['hook']}: expected one feature that defines it, found {names}")
-        margin = closed.rfind("\n", 0, node.start) + 1
-        lines = [f"{closed[margin : node.start]}{call['before']}{name}{call['arguments']}\n" for name in names]
-        edits.append(Edit(margin, node.end + 1, "".join(lines)))
-    return edited(closed, edits).removesuffix("\n}") if closed != text else edited(closed, edits)
+        before = margin(text, node)
+        lines = [f"{before}{call['before']}{name}{call['arguments']}\n" for name in names]
+        edits.append(Edit(node.start - len(before), node.end + 1, "".join(lines)))
+    return edited(text, edits)

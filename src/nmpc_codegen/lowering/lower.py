@@ -11,13 +11,14 @@ from numpy.typing import ArrayLike
 
 from nmpc_codegen.components.algorithms.shifts import sampled
 from nmpc_codegen.components.base import Component, Counts, Dims
+from nmpc_codegen.components.core import SIZES_OF_OTHERS, TABLES_OF_OTHERS
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.frontend.problem import Array, Problem, Row, Stage
 from nmpc_codegen.ir.cmodule import CModule, Enum, Macro, Section, Setter, Table, check_prefix
 from nmpc_codegen.ir.kernel import called_functions
 from nmpc_codegen.ir.print_c import CStyle
 from nmpc_codegen.ir.sweep import Routine
-from nmpc_codegen.ir.tuning import COLUMNS, PANEL
+from nmpc_codegen.ir.tuning import PANEL
 from nmpc_codegen.lowering.lanes import with_lanes
 from nmpc_codegen.lowering.linearize import Model
 from nmpc_codegen.lowering.parts import own_names
@@ -303,8 +304,8 @@ def _macros(model: Model, dims: Dims, whole: bool) -> tuple[Macro, ...]:
     macros.append(Macro("MANY", MANY, "maximum value of counters"))
     macros.append(Macro("MAGIC", MAGIC, "marks a struct that init has initialised"))
     if whole:
-        macros += [Macro("COLUMNS", COLUMNS, "columns of G_k that are processed together"), Macro("MIRROR", 0, "")]
-        macros += [Macro(*entry) for component in parts.components for entry in component.absent_sizes(dims)]
+        absent = (entry for component in parts.components for entry in component.absent_sizes(dims))
+        macros += [Macro(*entry) for entry in (*SIZES_OF_OTHERS, *absent)]
     return tuple({macro.name: macro for macro in reversed(macros)}.values())[::-1]
 
 
@@ -379,7 +380,7 @@ def _tables(model: Model) -> tuple[Table, ...]:
         ),
         integer("parameter_offset", offsets, "first element of a parameter in p"),
         *(table for component in model.parts.components for table in component.tables(p)),
-        real("regularization", (), "of no Hessian"),
+        *TABLES_OF_OTHERS,
     )
     return tuple({table.name: table for table in reversed(found)}.values())[::-1]
 

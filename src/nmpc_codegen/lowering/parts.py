@@ -28,7 +28,6 @@ from nmpc_codegen.lowering.pruning.scopes import blanked
 
 _WORD = re.compile(r"[A-Za-z_]\w*")
 _INCLUDE = re.compile(r'^#include "([\w/]+\.c)".*\n', re.MULTILINE)
-_ANY_WORD = re.compile(r"[A-Za-z_]\w*")
 _DEFINITION = re.compile(
     r"^#define (\w+)|^typedef \w+ (\w+);|^(?:static|LANES_INLINE) [\w *]*?\b(\w+)[(\[]", re.MULTILINE
 )

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import replace
 
 from nmpc_codegen.components.base import Dims, Feature
-from nmpc_codegen.components.core import core_structs, named_by_parts
+from nmpc_codegen.components.core import core_structs, structs_of_others
 from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.cmodule import Setting
 from nmpc_codegen.lowering.linearize import Model
@@ -77,7 +77,7 @@ def _stated_structs(model: Model, dims: Dims, features: Features) -> list[Struct
     core = core_structs(model.parts.algorithm.core, dims)
     extra = [s for feature in extras(model, features) for s in feature.structs(dims)]
     owned = (s for c in model.parts.components for s in c.structs(dims))
-    return [*core, *owned, *extra, *named_by_parts(dims)]
+    return [*core, *owned, *extra, *structs_of_others(dims)]
 
 
 def extras(model: Model, features: Features) -> tuple[Feature, ...]:

@@ -57,7 +57,7 @@ class Size:
 
 @dataclass(frozen=True)
 class Field:
-    """A member of a C struct. A description may contain members of size 0, which are padded to 1 in C.
+    """A member of a C struct; only a whole package has some of size 0 (GNU C).
 
     ``only``: tells whether a package has it, as with ``only=lambda f: f.solve``; lowering drops the others, as it does
     with members of size 0.
@@ -148,7 +148,7 @@ def _ordered(struct: Struct, bytes_of: dict[str, int], precision: str) -> tuple[
     elements = bytes_of | {"real": 8 if precision == "double" else 4, "int32": 4, "int64": 8}
 
     def size(member: Field) -> int:
-        return elements[member.ctype] * math.prod(member.padded)
+        return elements[member.ctype] * math.prod(member.values)
 
     def purpose(member: Field) -> int:
         return ORDER.index(PURPOSES.get(member.role, WORK)) if struct.name == "solver" else 0

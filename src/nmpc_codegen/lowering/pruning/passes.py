@@ -24,7 +24,7 @@ from nmpc_codegen.lowering.pruning.scopes import (
     names_in_code,
     pointers,
 )
-from nmpc_codegen.lowering.pruning.tree import Edit, Node, edited, whole_lines
+from nmpc_codegen.lowering.pruning.tree import Edit, Node, edited, margin, whole_lines
 
 #: Maximum length of a line.
 WIDTH = 120
@@ -78,9 +78,9 @@ def _of_choice(text: str, node: Node, above: Node | None, around: set[str], know
             yield _taken(text, branch, place, above, around)
             return
         if isinstance(value, str) and value != whole:
-            line = text.rfind("\n", 0, branch.start) + 1
-            opening = f"{text[line : branch.head[0]]}{value}) {{"
-            yield Edit(line, branch.inside[0], "\n".join(_wrapped(opening)))
+            before = margin(text, branch)
+            opening = f"{before}{text[branch.start : branch.head[0]]}{value}) {{"
+            yield Edit(branch.start - len(before), branch.inside[0], "\n".join(_wrapped(opening)))
 
 
 def _decidable(head: str, known: Constants) -> bool:
@@ -96,17 +96,21 @@ def _without_branch(text: str, chain: Sequence[Node], place: int, above: Node | 
             return Edit(*whole_lines(text, branch, above), "")
         return Edit(chain[place - 1].inside[1] + 1, branch.end, "")
     if branch.other.kind == "block" and place == 0:
-        lifted = _lifted(text, branch.other, around)
-        return Edit(branch.start, branch.end, lifted) if lifted else Edit(*whole_lines(text, branch, above), "")
+        return _left(text, branch, branch.other, above, around)
     return Edit(branch.start, branch.other.start, "")
 
 
 def _taken(text: str, branch: Node, place: int, above: Node | None, around: set[str]) -> Edit:
     """A chain of branches that ends with one that is taken."""
     if place == 0:
-        lifted = _lifted(text, branch, around)
-        return Edit(branch.start, branch.end, lifted) if lifted else Edit(*whole_lines(text, branch, above), "")
+        return _left(text, branch, branch, above, around)
     return Edit(branch.start, branch.end, "{" + text[slice(*branch.inside)] + "}")
+
+
+def _left(text: str, chain: Node, block: Node, above: Node | None, around: set[str]) -> Edit:
+    """A chain of branches of which one block is left."""
+    lifted = _lifted(text, block, around)
+    return Edit(chain.start, chain.end, lifted) if lifted else Edit(*whole_lines(text, chain, above), "")
 
 
 def _variables(text: str, body: Sequence[Node]) -> set[str]:
@@ -151,8 +155,8 @@ def _of_loop(text: str, node: Node, above: Node | None, known: Constants) -> Ite
 
 def _wrapped(line: str) -> list[str]:
     """A statement in lines that are not too long."""
-    margin = line[: len(line) - len(line.lstrip())]
-    return wrap(line, WIDTH, subsequent_indent=margin + "    ", break_long_words=False, break_on_hyphens=False)
+    inner = line[: len(line) - len(line.lstrip())] + "    "
+    return wrap(line, WIDTH, subsequent_indent=inner, break_long_words=False, break_on_hyphens=False)
 
 
 def absent(text: str, function: Node, known: Constants) -> Iterator[Edit]:
@@ -247,9 +251,8 @@ def _without_variables(text: str, node: Node, above: Node | None, left: list[str
     found = DECLARATION.match(text, node.start)
     assert found is not None
     kept = [f"{found[0]}{', '.join(left)};"] if left else []
-    margin = "\n" + text[text.rfind("\n", 0, node.start) + 1 : node.start]
     if kept or effects:
-        return Edit(node.start, node.end, margin.join([*kept, *effects]))
+        return Edit(node.start, node.end, f"\n{margin(text, node)}".join([*kept, *effects]))
     return Edit(*whole_lines(text, node, above), "")
 
 

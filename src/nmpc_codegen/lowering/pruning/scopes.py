@@ -11,10 +11,10 @@ from nmpc_codegen.lowering.pruning.tree import Node, parse
 _NO_CODE = re.compile(r"/\*.*?\*/|\"(?:\\.|[^\"\\\n])*\"|'(?:\\.|[^'\\\n])*'", re.DOTALL)
 _NOT_NEWLINE = re.compile(r"[^\n]")
 _IDENTIFIER = re.compile(r"(?<![.\w])(?<!->)[A-Za-z_]\w*")
-_TYPE = r"(?:static )?(?:const )?(?:unsigned )?(?:int|double|char|\w+_t)(?: (?:const )?(?=[\w*(])|(?=\(\*))"
 #: The type of a declaration of variables, which ends before the first name.
-DECLARATION = re.compile(rf"\s*{_TYPE}")
-_LOOP = re.compile(rf"\s*(?P<type>{_TYPE})(?P<rest>[^;]*);")
+DECLARATION = re.compile(
+    r"\s*(?:static )?(?:const )?(?:unsigned )?(?:int|double|char|\w+_t)(?: (?:const )?(?=[\w*(])|(?=\(\*))"
+)
 _POINTER = re.compile(r"\b(\w+)_t \*(?:const )?(\w+)")
 _POINTER_TO = re.compile(r"\(\*\s*(\w+)")
 _NAME = re.compile(r"[\s(*]*(?:const )?(\w+)")
@@ -158,8 +158,7 @@ class _Scopes:
 
     def nested(self, node: Node, visible: frozenset[str]) -> None:
         head = self.text[slice(*node.head)]
-        loop = _LOOP.match(in_line(head)) if node.kind == "loop" else None
-        counted = {name for name, _ in declarators(loop["type"] + loop["rest"])} if loop else set()
+        counted = {name for name, _ in declarators(head.partition(";")[0])} if node.kind == "loop" else set()
         self.declared |= counted
         self.hidden |= counted & visible
         self.free |= names_in_code(head) - visible - counted

@@ -230,7 +230,7 @@ _COMMENT_BEHIND = re.compile(rf"[ \t]*{_COMMENT}", re.DOTALL)
 
 
 class Edit(NamedTuple):
-    """text[start:end] becomes ``new``; if that is "", the line and the comment above it go as well."""
+    """text[start:end] becomes ``new``."""
 
     start: int
     end: int
@@ -248,11 +248,15 @@ def edited(text: str, edits: Sequence[Edit]) -> str:
     return "".join([*kept, text[at:]])
 
 
+def margin(text: str, node: Node) -> str:
+    """The blanks before a node in its line."""
+    return text[text.rfind("\n", 0, node.start) + 1 : node.start]
+
+
 def whole_lines(text: str, node: Node, above: Node | None) -> tuple[int, int]:
     """The place of a node with its lines, and with the comment just above it."""
     behind = _COMMENT_BEHIND.match(text, node.end)
     start, end = node.start, text.find("\n", behind.end() if behind else node.end)
     if above is not None and above.kind == "comment" and "\n\n" not in text[above.end : start]:
-        alone = not text[text.rfind("\n", 0, above.start) + 1 : above.start].strip()
-        start = above.start if alone else start
+        start = start if margin(text, above).strip() else above.start
     return text.rfind("\n", 0, start) + 1, len(text) if end < 0 else end + 1

@@ -20,18 +20,18 @@ from nmpc_codegen.lowering.pruning.scopes import (
     declarators,
     free_names,
     function_of,
+    in_line,
     names_in_code,
     signature,
     split,
 )
-from nmpc_codegen.lowering.pruning.tree import Edit, Node, edited, parse
+from nmpc_codegen.lowering.pruning.tree import Edit, Node, edited, margin, parse
 
 # (name, arguments or None, text)
 Definition = tuple[str, str | None, str]
 
 #: Heads of functions that only this unit calls.
-_INNER = re.compile(r"(?:static|LANES_INLINE|PACK_INLINE) ")
-_ENUMERATION = re.compile(r"enum \{(?P<names>.*)\};", re.DOTALL)
+_INNER = ("static ", "LANES_INLINE ", "PACK_INLINE ")
 _ASSIGNS = re.compile(r"\+\+|--|(?<![=!<>])=(?!=)")
 #: A call of a function.
 CALLED = re.compile(r"\b[a-z]\w*(?=\()")
@@ -44,6 +44,7 @@ class Item(NamedTuple):
     text: str
     name: str = ""
     gap: str = "\n"
+    inner: bool = False  # a function that only this unit calls
 
 
 @lru_cache(maxsize=8192)
@@ -65,22 +66,21 @@ def items(text: str) -> tuple[Item, ...]:
         found.append(_item(before[first.start : node.end], node, before[at : first.start]))
         at, place = node.end, place + 1
     if brace:
-        found.append(
-            Item("function", text[start:], signature(_COMMENT.sub("", head[start:]))[0], text[len(before) : start])
-        )
+        code = in_line(head[start:])
+        gap = text[len(before) : start]
+        found.append(Item("function", text[start:], signature(code)[0], gap, code.startswith(_INNER)))
     return tuple(found)
 
 
 #: The end of a declaration or a directive.
 _BEFORE = re.compile(r";\n|^#.*\n", re.MULTILINE)
-_COMMENT = re.compile(r"/\*.*?\*/", re.DOTALL)
 
 
 def _item(piece: str, node: Node, gap: str) -> Item:
     code = piece[len(piece) - node.end + node.start :]
     if node.kind == "comment":
         return Item("other" if piece.startswith("/* ==") else "heading", piece, "", gap)
-    if _ENUMERATION.match(code):
+    if code.startswith("enum {"):
         return Item("enumeration", piece, "", gap)
     if code.startswith("static ") and "=" not in code and code.rstrip(";").endswith(")"):
         return Item("prototype", piece, signature(code)[0], gap)
@@ -152,7 +152,7 @@ def reached(
     for item in found:
         if item.kind == "function" and functions.setdefault(item.name, item.text) != item.text:
             raise ValueError(f"{item.name}(): there are two functions with this name")
-    waiting = {n for n, text in functions.items() if not _INNER.match(_COMMENT.sub("", text).lstrip())}
+    waiting = {item.name for item in found if item.kind == "function" and not item.inner}
     for item in found:
         if item.kind == "other":
             waiting |= macros.expanded(names_in_code(item.text))
@@ -228,9 +228,5 @@ def _marked(text: str, dropping: tuple[tuple[str, tuple[int, ...]], ...]) -> str
         code = text[node.start : node.end] if node.kind == "statement" else ""
         for name, _ in declarators(code):
             if name not in names_in_code(without_dropped(body.replace(blanked(code), "", 1), dict(dropping))):
-                edits.append(Edit(node.end, node.end, f"\n{_margin(text, node)}(void){name};"))
+                edits.append(Edit(node.end, node.end, f"\n{margin(text, node)}(void){name};"))
     return edited(text, edits)
-
-
-def _margin(text: str, node: Node) -> str:
-    return text[text.rfind("\n", 0, node.start) + 1 : node.start]
