@@ -110,24 +110,12 @@ def foreign_symbols(sources: Sources, *flags: str) -> list[str]:
     return found
 
 
-#: Functions of a unit that find the bounds of a control.
-BOUNDS = ("control_lower", "control_upper")
-
-
-def _call_of(function: str, unit: str) -> str:
-    """The call of such a function for control j of the first node, with those arguments that it has in this unit."""
-    head = re.search(rf"real_t {function}\((.*)\)", unit)
-    arguments = {"s": "&s", "k": "0", "j": "j"}
-    names = re.findall(r"(\w+)(?:,|$)", head[1] if head else "")
-    return f"{function}({', '.join(arguments[name] for name in names if name != 'void')})"
-
-
 def exercise(sources: Sources, x0: Sequence[float], flags: Sequence[str] = SANITIZERS) -> str:
     """Findings of exercise.c, which calls the whole API, and of the sanitizers; empty: none."""
     name = package_name(sources)
     with written(sources) as folder:
         macros = [f"-DNAME={name}", f"-DMACRO={name.upper()}", f'-DPACKAGE="{name}.c"', "-I."]
-        macros += [f"-D{bound.upper()}(j)={_call_of(bound, sources[f'{name}.c'])}" for bound in BOUNDS]
+        macros += [f"-D{bound.upper()}(j)={bound}(&s, 0, j)" for bound in ("control_lower", "control_upper")]
         built = compile_c(folder, "-std=c99", "-g", *flags, *macros, str(EXERCISE), "-o", "exercise", "-lm")
         if built.returncode:
             return built.stderr

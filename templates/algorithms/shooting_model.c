@@ -30,9 +30,7 @@ static void load_direction(const solver_t *s, int k, real_t *d)
 static real_t lumped_change(const solver_t *s, int k, int n, const real_t *d)
 {
     real_t g[NZ] = {R(0)}, sum = R(0);
-    if (NG > 0) {
-        add_rows(s, k, HARD, d, g);
-    }
+    add_rows(s, k, HARD, d, g);
     for (int i = 0; i < n; i++) {
         sum += g[i] * d[i];
     }
@@ -58,9 +56,7 @@ static void multiply(solver_t *s)
     }
     TERMINAL_PRODUCT(s, a->dx[N - 1], lam);
     if (NG) {
-        if (NG > 0) {
-            add_rows(s, N, PRODUCT, a->dx[N - 1], lam);
-        }
+        add_rows(s, N, PRODUCT, a->dx[N - 1], lam);
     }
     for (int k = N - 1; k >= 0; k--) {
         real_t own[NZ];
@@ -68,9 +64,7 @@ static void multiply(solver_t *s)
         load_direction(s, k, d);
         PATH_PRODUCT(s, k, d, own);
         if (NG) {
-            if (NG > 0) {
-                add_rows(s, k, PRODUCT, d, own);
-            }
+            add_rows(s, k, PRODUCT, d, own);
         }
         INTEGRATOR_ADJOINT(s, k, lam, g);
         for (int i = 0; i < NX; i++) {

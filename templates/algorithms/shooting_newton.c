@@ -7,10 +7,8 @@ static int products_allowed(const solver_t *s)
 {
     if (SOLVE) {
         return s->shooting.solving ? PRODUCTS_OF_SOLVE : MAX_PRODUCTS;
-    } else {
-        (void)s;
-        return MAX_PRODUCTS;
     }
+    return MAX_PRODUCTS;
 }
 
 static real_t least_part(const solver_t *s)

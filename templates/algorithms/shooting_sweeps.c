@@ -17,14 +17,9 @@ static void carry_back(const solver_t *s, int k, int what, real_t *lam, real_t *
     for (int i = 0; i < NZ; i++) {
         own[i] = R(0);
     }
-    if (!NG) {
-        (void)what;
-    }
     PATH_GRADIENT(s, k, own);
     if (NG) {
-        if (NG > 0) {
-            add_rows(s, k, what, own, own);
-        }
+        add_rows(s, k, what, own, own);
     }
     INTEGRATOR_ADJOINT(s, k, lam, g);
     for (int i = 0; i < NX; i++) {
@@ -38,17 +33,9 @@ static void start_adjoint(const solver_t *s, int what, real_t *lam)
     for (int i = 0; i < NX; i++) {
         lam[i] = R(0);
     }
-    if (!NG) {
-        (void)what;
-        if (!HAS_TERMINAL_GRADIENT) {
-            (void)s;
-        }
-    }
     TERMINAL_GRADIENT(s, lam);
     if (NG) {
-        if (NG > 0) {
-            add_rows(s, N, what, lam, lam);
-        }
+        add_rows(s, N, what, lam, lam);
     }
 }
 

@@ -13,7 +13,5 @@ static void condense_shift_rows(solver_t *s, const int *source)
             }
         }
     }
-    if (NG > 0) {
-        qp_shift_rows(&s->qp, source);
-    }
+    qp_shift_rows(&s->qp, source);
 }

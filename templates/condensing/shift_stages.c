@@ -5,7 +5,5 @@ static void condense_shift(solver_t *s)
 
 static void condense_shift_rows(solver_t *s, const int *source)
 {
-    if (NG > 0) {
-        qp_shift_rows(s, source);
-    }
+    qp_shift_rows(s, source);
 }

@@ -48,4 +48,4 @@ const char *golden_status_string(golden_status_t status);
 #endif
 
 #endif
-/* nmpc_codegen package 160c42430d111e1a, sha256 d465660b6ca7e8b3232895b59462028bd6ccbab0108562b104452a863b79869a */
+/* nmpc_codegen package d33a2e19b8f9246a, sha256 9a13d8a188f07cff2946be5b615d73bfa9f933a938e66d5e4ad5f5e3565ce22f */

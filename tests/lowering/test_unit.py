@@ -101,7 +101,7 @@ def test_calls_that_constants_exclude_reach_nothing() -> None:
 
 def test_printed_kernels_that_nothing_calls_go() -> None:
     found = pruned(function("KERNEL(s);", "out[0] = 1;"), KERNELS, KNOWN, Constants())
-    assert found.startswith(KERNELS["kernel"])
+    assert found.startswith(KERNELS["kernel"] + "\n\nvoid API(f)")
     assert KERNELS["spare"] not in found
 
 

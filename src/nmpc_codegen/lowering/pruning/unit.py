@@ -97,7 +97,8 @@ def pruned(unit: str, kernels: Mapping[str, str], known: Sequence[Definition], c
     kept = _without_idle_headings([item for item in found if _stays(item, names)], found)
     printed = [text for name, text in kernels.items() if name in names]
     texts = (_marked_for(functions[i.name], macros) if i.kind == "function" else i.text for i in kept)
-    return "\n\n".join(printed) + "".join(i.gap + text for i, text in zip(kept, texts, strict=True)) + "\n"
+    items_of_parts = "".join(i.gap + text for i, text in zip(kept, texts, strict=True)).lstrip("\n")
+    return "\n\n".join([*printed, items_of_parts]) + "\n"
 
 
 def calling(known: Iterable[Definition]) -> frozenset[str]:
