@@ -6,6 +6,8 @@ from collections.abc import Iterator
 from typing import Any
 
 import pytest
+import tree_sitter
+import tree_sitter_c
 
 from nmpc_codegen.lowering.parts import template_directory
 from nmpc_codegen.lowering.pruning.tree import Edit, Node, edited, parse
@@ -41,11 +43,9 @@ def theirs(node: Any) -> Iterator[tuple[str, int]]:
 @pytest.mark.parametrize("part", sorted(all_parts()))
 def test_blocks_are_those_of_another_parser(part: str) -> None:
     """Kinds and places of blocks, functions, comments and directives; a comment inside a statement is none of ours."""
-    language = pytest.importorskip("tree_sitter")
-    grammar = pytest.importorskip("tree_sitter_c")
     text = (template_directory() / part).read_text(encoding="utf-8")
     assert text.isascii()
-    parser = language.Parser(language.Language(grammar.language()))
+    parser = tree_sitter.Parser(tree_sitter.Language(tree_sitter_c.language()))
     found, expected = set(ours(parse(text))), set(theirs(parser.parse(text.encode()).root_node))
     assert found - expected == set()
     assert {place for place in expected - found if place[0] != "comment"} == set()
