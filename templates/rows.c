@@ -183,7 +183,7 @@ static void evaluate_rows(const solver_t *s, real_t *value)
         }
     }
     if (NH + NH_N > 0) {
-        real_t h[NH + NH_N] = {R(0)}, J[(NH + NH_N) * NZ];
+        real_t h[NH + NH_N] = {R(0)}, J[NH][NZ], J_end[NH_N][NX];
         int last = -1;
         for (int m = 0; m < NG; m++) {
             if (row_is_state(m) || row_is_coupled(m)) {
@@ -194,14 +194,14 @@ static void evaluate_rows(const solver_t *s, real_t *value)
                 PATH_ROWS(s, k, h, J);
             }
             if (NH_N > 0 && k == N && k != last) {
-                TERMINAL_ROWS(s, h, J);
+                TERMINAL_ROWS(s, h, J_end);
             }
             last = k;
             value[m] = h[row_index(m)];
         }
     }
     if (NE > 0) {
-        real_t r[NE], J_0[NE * NX], J_N[NE * NX];
+        real_t r[NE], J_0[NE][NX], J_N[NE][NX];
         COUPLED_ROWS(s, r, J_0, J_N);
         for (int m = 0; m < NG; m++) {
             if (row_is_coupled(m)) {

@@ -18,8 +18,9 @@ import numpy as np
 
 from nmpc_codegen import OCP, Options
 from nmpc_codegen.frontend.classify import classify
+from nmpc_codegen.ir.c_style import CStyle
 from nmpc_codegen.ir.cmodule import CModule
-from nmpc_codegen.ir.print_c import CStyle, print_routine
+from nmpc_codegen.ir.print_c import print_routine
 from nmpc_codegen.ir.sweep import Routine
 from nmpc_codegen.lowering.linearize import linearize
 from nmpc_codegen.lowering.lower import lower
@@ -58,11 +59,13 @@ class Routines:
         self.scalar = SCALARS[precision]
         style = CStyle("real", precision == "single")
         ctype = {"double": "double", "single": "float"}[precision]
-        texts = ["#include <math.h>", "#include <stddef.h>", f"typedef {ctype} real;"]
+        texts = ["#include <math.h>", "#include <stddef.h>", "#include <string.h>", f"typedef {ctype} real;"]
         for key, routine in self.routines.items():
             texts.append(print_routine(routine, style).replace(routine.name, key))
             ports = [f"const real *{p.name}" for p in routine.inputs] + [f"real *{p.name}" for p in routine.outputs]
-            names = ", ".join(p.name for p in (*routine.reads, *routine.writes))
+            names = ", ".join(
+                f"(real(*)[{p.cols}]){p.name}" if p.cols else p.name for p in (*routine.reads, *routine.writes)
+            )
             passed = {*routine.reads, *routine.writes}
             unused = "".join(f"(void){p.name}; " for p in (*routine.inputs, *routine.outputs) if p not in passed)
             texts.append(f"void call_{key}({', '.join(ports)});")

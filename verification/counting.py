@@ -84,7 +84,8 @@ def _call(module: CModule, name: str) -> str:
     """A call of one C function with valid data."""
     for routine in module.routines:
         if routine.name == name:
-            return f"{name}({', '.join('w' for _ in (*routine.reads, *routine.writes))})"
+            ports = (*routine.reads, *routine.writes)
+            return f"{name}({', '.join(f'(real_t(*)[{p.cols}])w' if p.cols else 'w' for p in ports)})"
     spelled = name.upper() if name in {r.name for r in module.called_products} else name
     return STATEMENTS.get(name, f"{spelled}({ARGUMENTS.get(name, '&s')})")
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from nmpc_codegen.ir.print_c import unit_style
+from nmpc_codegen.ir.c_style import unit_style
 from nmpc_codegen.lowering.lanes import in_lanes, transpose
 from nmpc_codegen.lowering.parts import MATH, MATH_IN_LANES, own_names, own_text, read_part
 from nmpc_codegen.package.program import OF_ONE, OF_TWO

@@ -104,7 +104,7 @@ static status_t feedback_here(solver_t *s)
     int renewed = project_plan(s); /* it may have been left, or its bounds changed, since prepare */
     evaluate_ends(s);
     estimate_multipliers(s);
-    COUPLED_ROWS(s, s->coupled.r, &s->coupled.J_0[0][0], &s->coupled.J_N[0][0]);
+    COUPLED_ROWS(s, s->coupled.r, s->coupled.J_0, s->coupled.J_N);
 #if SET_REFERENCE
     renewed |= (s->renewal != UP_TO_DATE);
     s->renewal = UP_TO_DATE;

@@ -100,7 +100,7 @@ static void linearize_plan(solver_t *s)
 static status_t prepare_here(solver_t *s)
 {
     (void)project_plan(s);
-    COUPLED_ROWS(s, s->coupled.r, &s->coupled.J_0[0][0], &s->coupled.J_N[0][0]);
+    COUPLED_ROWS(s, s->coupled.r, s->coupled.J_0, s->coupled.J_N);
     if (NE > 0) {
         couple_start(s, -R(1));
     }

@@ -44,11 +44,11 @@ static inline void kkt_add(real_t *sum, real_t *terms, real_t term)
 /* sum += J' eta of the coupled rows, J = dr / dx_0 for k = 0 and dr / dx_N for k = N; terms += the magnitudes. */
 static void add_coupled_forces(const solver_t *s, int k, real_t *sum, real_t *terms)
 {
-    real_t r[NE], J_0[NE * NX] = {0}, J_N[NE * NX] = {0};
+    real_t r[NE], J_0[NE][NX] = {{0}}, J_N[NE][NX] = {{0}};
     COUPLED_ROWS(s, r, J_0, J_N);
     for (int i = 0; i < NX; i++) {
         for (int j = 0; j < NE; j++) {
-            kkt_add(&sum[i], &terms[i], ((k == 0) ? J_0 : J_N)[j * NX + i] * s->eta[j]);
+            kkt_add(&sum[i], &terms[i], ((k == 0) ? J_0 : J_N)[j][i] * s->eta[j]);
         }
     }
 }
@@ -121,7 +121,7 @@ void API(kkt)(const solver_t *s, kkt_t *out)
         kkt_node(s, k, &node, out);
     }
     TERMINAL_GRADIENT(s, terminal.g);
-    TERMINAL_ROWS(s, terminal.h, &terminal.J[0][0]);
+    TERMINAL_ROWS(s, terminal.h, terminal.J);
     kkt_terminal(s, &terminal, out);
     kkt_rows(s, out);
 }

@@ -4,7 +4,7 @@ static void complete_node(const solver_t *s, int k, const real_t *x_next, node_t
     for (int i = 0; i < NX; i++) {
         node->b[i] = x_next[i] - s->x[k + 1][i];
     }
-    PATH_ROWS(s, k, node->h, &node->J[0][0]);
+    PATH_ROWS(s, k, node->h, node->J);
 }
 
 #if LANE_NODES
@@ -26,8 +26,8 @@ static void linearize(solver_t *s)
 {
     real_t x_next[NX];
     TERMINAL_GRADIENT(s, s->terminal.g);
-    TERMINAL_ROWS(s, s->terminal.h, &s->terminal.J[0][0]);
-    COUPLED_ROWS(s, s->coupled.r, &s->coupled.J_0[0][0], &s->coupled.J_N[0][0]);
+    TERMINAL_ROWS(s, s->terminal.h, s->terminal.J);
+    COUPLED_ROWS(s, s->coupled.r, s->coupled.J_0, s->coupled.J_N);
     if (LANE_NODES) {
         linearize_lanes(s);
     } else {

@@ -9,13 +9,13 @@ static void linearize_with_curvature(solver_t *s)
     memset(c->Q, 0, sizeof c->Q);
     memset(c->Q_N, 0, sizeof c->Q_N);
     TERMINAL_GRADIENT(s, s->terminal.g);
-    TERMINAL_ROWS(s, s->terminal.h, &s->terminal.J[0][0]);
-    COUPLED_ROWS(s, s->coupled.r, &s->coupled.J_0[0][0], &s->coupled.J_N[0][0]);
+    TERMINAL_ROWS(s, s->terminal.h, s->terminal.J);
+    COUPLED_ROWS(s, s->coupled.r, s->coupled.J_0, s->coupled.J_N);
     if (adjoint) {
         memcpy(s->lam[N], s->terminal.g, sizeof s->terminal.g);
     }
     for (int k = N - 1; k >= 0; k--) {
-        PATH_EXACT(s, k, x_next, &s->node[k].S[0][0], s->node[k].g, &c->Q[k][0][0]);
+        PATH_EXACT(s, k, x_next, s->node[k].S, s->node[k].g, c->Q[k]);
         if (adjoint) {
             adjoint_node(s, k);
         }
@@ -25,14 +25,14 @@ static void linearize_with_curvature(solver_t *s)
         add_start_gradient(s, s->node[0].g);
     }
     if (HAS_START_EXACT) {
-        real_t Q[NX * NX] = {R(0)};
+        real_t Q[NX][NX] = {{R(0)}};
         START_EXACT(s, Q);
         for (int i = 0; i < NX; i++) {
             for (int j = 0; j <= i; j++) {
-                c->Q[0][i][j] += Q[i * NX + j];
+                c->Q[0][i][j] += Q[i][j];
             }
         }
     }
-    INITIAL_EXACT(s, &c->Q[0][0][0]);
-    TERMINAL_EXACT(s, &c->Q_N[0][0]);
+    INITIAL_EXACT(s, c->Q[0]);
+    TERMINAL_EXACT(s, c->Q_N);
 }

@@ -2,7 +2,7 @@
 
 /* Row of these that the first control violates most, relative to its scale, or -1; by how much, and that in its scale;
  * values and gradients of all rows of its node. */
-static int most_broken_row(const solver_t *s, real_t *h, real_t *J, real_t *excess, real_t *relative)
+static int most_broken_row(const solver_t *s, real_t *h, real_t (*J)[NZ], real_t *excess, real_t *relative)
 {
     int worst = -1;
     real_t most = TOL_ROUNDING;
@@ -30,7 +30,7 @@ static void pull_back(solver_t *s)
     real_t h[NH] = {R(0)}, J[NH][NZ] = {{R(0)}}, before[NU], excess = R(0), relative = R(0), first = R(0);
     memcpy(before, s->u[0], sizeof before);
     for (int pass = 0; pass <= PULLS; pass++) {
-        const int m = most_broken_row(s, h, &J[0][0], &excess, &relative);
+        const int m = most_broken_row(s, h, J, &excess, &relative);
         if (m < 0) {
             return;
         }

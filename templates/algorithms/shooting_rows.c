@@ -31,13 +31,13 @@ static int update_terms(solver_t *s, real_t tol, real_t *violation);
 static void evaluate_nodal_rows(const solver_t *s, int k, real_t *h, real_t *J)
 {
     if (k < N) {
-        PATH_ROWS(s, k, h, J);
+        PATH_ROWS(s, k, h, (real_t(*)[NZ])J);
     }
     if (k == N) {
-        TERMINAL_ROWS(s, h, J);
+        TERMINAL_ROWS(s, h, (real_t(*)[NX])J);
         if (NE > 0) {
-            real_t J_0[NE * NX];
-            COUPLED_ROWS(s, h + NH_N, J_0, J + NH_N * NX);
+            real_t J_0[NE][NX];
+            COUPLED_ROWS(s, h + NH_N, J_0, (real_t(*)[NX])(J + NH_N * NX));
         }
     }
 }

@@ -188,7 +188,7 @@ static void correct_constraints(solver_t *s)
         for (int i = 0; i < NX; i++) {
             node->b[i] += x_next[i] - s->x[k + 1][i];
         }
-        real_t J[NH * NZ];
+        real_t J[NH][NZ];
         PATH_ROWS(s, k, node->h, J);
         for (int i = 0; i < NH; i++) {
             for (int j = 0; j < NZ; j++) {
@@ -196,14 +196,14 @@ static void correct_constraints(solver_t *s)
             }
         }
     }
-    real_t J[NH_N * NX];
+    real_t J[NH_N][NX];
     TERMINAL_ROWS(s, s->terminal.h, J);
     for (int i = 0; i < NH_N; i++) {
         for (int j = 0; j < NX; j++) {
             s->terminal.h[i] -= s->terminal.J[i][j] * s->sqp.step.dx[N][j];
         }
     }
-    real_t J_0[NE * NX], J_N[NE * NX];
+    real_t J_0[NE][NX], J_N[NE][NX];
     COUPLED_ROWS(s, s->coupled.r, J_0, J_N);
     for (int i = 0; i < NE; i++) {
         for (int j = 0; j < NX; j++) {

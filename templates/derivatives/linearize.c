@@ -25,7 +25,7 @@ status_t API(sensitivities)(const data_t *d, linearization_t *m)
     }
     copy_state(m->nodes.x[0], d->x0);
     for (int k = 0; k < N; k++) {
-        INTEGRATOR_INTERVAL(d, k, m->nodes.x[k], d->u[k], m->nodes.x[k + 1], &m->S[k][0][0]);
+        INTEGRATOR_INTERVAL(d, k, m->nodes.x[k], d->u[k], m->nodes.x[k + 1], m->S[k]);
     }
     return finite_or(&m->S[0][0][0], N * NX * (NX + NU));
 }

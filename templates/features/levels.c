@@ -116,7 +116,7 @@ static void refresh_node(solver_t *s, int k, int level)
     }
     if (NH > 0) {
         real_t J[NH][NZ] = {{R(0)}};
-        PATH_ROWS(s, k, node->h, &J[0][0]);
+        PATH_ROWS(s, k, node->h, J);
         if (level == LEVEL_C) {
             correct_rows(node->g, J[0], node->J[0], s->mu[k], NH, NZ);
         }
@@ -131,7 +131,7 @@ static void refresh_terminal(solver_t *s, int level)
     TERMINAL_GRADIENT(s, terminal->g);
     if (NH_N > 0) {
         real_t J[NH_N][NX] = {{R(0)}};
-        TERMINAL_ROWS(s, terminal->h, &J[0][0]);
+        TERMINAL_ROWS(s, terminal->h, J);
         if (level == LEVEL_C) {
             correct_rows(terminal->g, J[0], terminal->J[0], s->mu_N, NH_N, NX);
         }
@@ -142,7 +142,7 @@ static void refresh_terminal(solver_t *s, int level)
 static void refresh_coupled(solver_t *s, int level)
 {
     real_t J_0[NE][NX] = {{R(0)}}, J_N[NE][NX] = {{R(0)}};
-    COUPLED_ROWS(s, s->coupled.r, &J_0[0][0], &J_N[0][0]);
+    COUPLED_ROWS(s, s->coupled.r, J_0, J_N);
     if (level == LEVEL_C) {
         correct_rows(s->node[0].g, J_0[0], s->coupled.J_0[0], s->eta, NE, NX);
         correct_rows(s->terminal.g, J_N[0], s->coupled.J_N[0], s->eta, NE, NX);

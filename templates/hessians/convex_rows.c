@@ -52,8 +52,8 @@ static void add_if_convex(real_t *Q, const real_t *M, int n)
  * Q_N. Row by row, since a concave row must not take their curvature from the others. */
 static void add_rows(solver_t *s)
 {
-    real_t M[NZ * NZ] = {0};
     if (HAS_PATH_CURVATURE) {
+        real_t M[NZ][NZ] = {{R(0)}};
         for (int k = 0; k < N; k++) {
             real_t mu[NH];
             memcpy(mu, s->mu[k], sizeof mu);
@@ -63,15 +63,14 @@ static void add_rows(solver_t *s)
                     s->mu[k][i] = mu[i];
                     PATH_CURVATURE(s, k, M);
                     s->mu[k][i] = R(0);
-                    add_if_convex(&s->hessian.Q[k][0][0], M, NZ);
+                    add_if_convex(&s->hessian.Q[k][0][0], &M[0][0], NZ);
                 }
             }
             memcpy(s->mu[k], mu, sizeof mu);
         }
     }
     if (HAS_TERMINAL_CURVATURE) {
-        real_t mu_N[NH_N];
-        memset(M, 0, sizeof M);
+        real_t M[NX][NX] = {{R(0)}}, mu_N[NH_N];
         memcpy(mu_N, s->mu_N, sizeof mu_N);
         memset(s->mu_N, 0, sizeof mu_N);
         for (int i = 0; i < NH_N; i++) {
@@ -79,7 +78,7 @@ static void add_rows(solver_t *s)
                 s->mu_N[i] = mu_N[i];
                 TERMINAL_CURVATURE(s, M);
                 s->mu_N[i] = R(0);
-                add_if_convex(&s->hessian.Q_N[0][0], M, NX);
+                add_if_convex(&s->hessian.Q_N[0][0], &M[0][0], NX);
             }
         }
         memcpy(s->mu_N, mu_N, sizeof mu_N);

@@ -12,12 +12,12 @@
 static void hessian(solver_t *s)
 {
     for (int k = 0; k < NQ; k++) {
-        PATH_HESSIAN(s, k, &s->hessian.Q[k][0][0]);
+        PATH_HESSIAN(s, k, s->hessian.Q[k]);
     }
     if (HAS_START_HESSIAN) {
         add_start_hessian(s);
     }
-    TERMINAL_HESSIAN(s, &s->hessian.Q_N[0][0]);
+    TERMINAL_HESSIAN(s, s->hessian.Q_N);
     if (TUNED) {
         if (s->hessian.new_data) {
             s->hessian.new_data = 0;

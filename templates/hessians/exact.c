@@ -27,7 +27,7 @@ static void expand_node(solver_t *s, int k, real_t *x_next)
     if (k == N - 1) {
         start_expansion(s);
     }
-    PATH_EXACT(s, k, x_next, &node->S[0][0], node->g, &s->hessian.Q[k][0][0]);
+    PATH_EXACT(s, k, x_next, node->S, node->g, s->hessian.Q[k]);
     if (s->hessian.adjoint) {
         adjoint_node(s, k);
     }
@@ -47,8 +47,8 @@ static void hessian(solver_t *s)
     if (HAS_START_HESSIAN) {
         add_start_hessian(s);
     }
-    INITIAL_HESSIAN(s, &s->hessian.Q[0][0][0]);
-    TERMINAL_HESSIAN(s, &s->hessian.Q_N[0][0]);
+    INITIAL_HESSIAN(s, s->hessian.Q[0]);
+    TERMINAL_HESSIAN(s, s->hessian.Q_N);
     if (REGULARIZE_STAGES) {
         regularize_stages(s);
     }

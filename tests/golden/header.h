@@ -48,4 +48,4 @@ const char *golden_status_string(golden_status_t status);
 #endif
 
 #endif
-/* nmpc_codegen package d33a2e19b8f9246a, sha256 9a13d8a188f07cff2946be5b615d73bfa9f933a938e66d5e4ad5f5e3565ce22f */
+/* nmpc_codegen package 4e68b8e129b20590, sha256 34aad40735f7f7032777876e4e4d734c36a57ab8dc191b10dfde7d85131fbecd */

@@ -10,8 +10,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from nmpc_codegen.ir.c_style import CStyle
+from nmpc_codegen.ir.expressions import Expressions
 from nmpc_codegen.ir.kernel import Instruction, Kernel, Port, lift
-from nmpc_codegen.ir.print_c import CStyle, Expressions, comment, print_kernel, signature
+from nmpc_codegen.ir.print_kernels import comment, print_kernel, signature
 from verification.c_harness import shared_library
 
 DOUBLE, SINGLE = CStyle("real", False), CStyle("real", True)
@@ -52,12 +54,12 @@ OUT = (Port("y", 2, 2, "a matrix"), Port("z", 1))
 
 
 def test_signature() -> None:
-    expected = "static void f(const real *x, const real *p, real *y, real *z)"
+    expected = "static void f(const real x[2], const real p[0], real y[2][2], real z[1])"
     assert signature("f", IN, OUT, DOUBLE) == expected
 
 
 def test_comment() -> None:
-    expected = "/* y = A x\n *   x [2]\n *   p [0]\n *   y [2 x 2]: a matrix\n *   z [1]\n * 3 add */"
+    expected = "/* y = A x; y: a matrix: 3 add */"
     assert comment("y = A x", IN, OUT, "3 add") == expected
 
 
@@ -79,20 +81,12 @@ KERNEL = Kernel(
 )
 
 TEXT = """\
-/* y = a hand-written kernel
- *   x [2]
- *   y [2 x 2]: a matrix
- * 1 mul, 1 div, 1 call, 1 other */
-static void f(const real *x, real *y)
+/* y = a hand-written kernel; y: a matrix: 1 mul, 1 div, 1 call, 1 other */
+static void f(const real x[2], real y[2][2])
 {
-    const real x_0 = x[0];
-    const real x_1 = x[1];
-    const real t3 = x_0 * (-0.5);
-    const real t4 = sin(t3);
-    const real t5 = -t4;
-    const real t6 = 1.0 / x_1;
-    y[0] = t5;
-    y[3] = t6;
+    const real x_0 = x[0], x_1 = x[1];
+    y[0][0] = -sin(x_0 * (-0.5));
+    y[1][1] = 1.0 / x_1;
 }"""
 
 

@@ -165,9 +165,9 @@ def test_values_that_no_output_needs_are_dropped() -> None:
         Instruction(ca.OP_MUL, (1, 2)),
         Instruction(ca.OP_COS, (2,)),
     ]
-    kept, stores = live(program, [(0, 0, 4)])
+    kept, new = live(program, [4])
     assert kept == (Instruction(ca.OP_INPUT, (0, 1)), Instruction(ca.OP_COS, (0,)))
-    assert stores == ((0, 0, 1),)
+    assert new == {2: 0, 4: 1}
 
 
 def test_structural_zeros_are_not_stored_and_matrices_are_row_major() -> None:

@@ -8,8 +8,9 @@ import casadi as ca
 import numpy as np
 import pytest
 
+from nmpc_codegen.ir.c_style import CStyle
 from nmpc_codegen.ir.kernel import Kernel, Port
-from nmpc_codegen.ir.print_c import CStyle, print_routine
+from nmpc_codegen.ir.print_c import print_routine
 from nmpc_codegen.ir.sweep import (
     Affine,
     Call,
@@ -148,35 +149,22 @@ def test_printed_loops() -> None:
     text = print_routine(looped(SWEEP), CStyle("real", False))
     body = text[text.index("static void recursion(") :]
     expected = """\
-static void recursion(const real *A, real *y, real *Y)
+static void recursion(const real A[12], real y[3], real Y[2][3])
 {
     real s[3];
-    ptrdiff_t k, c, r;
-    recursion_zero(&s[0]);
-    for (k = 3; k >= 0; k--) {
-        recursion_fade(&s[0], &A[3 * k], &s[0]);
+    recursion_zero(s);
+    for (ptrdiff_t k = 3; k >= 0; --k) {
+        recursion_fade(s, &A[3 * k], s);
     }
-    for (c = 0; c < 3; c++) {
-        {
-            const real i0_0 = A[c];
-            const real i0_1 = A[c + 3];
-            const real i0_2 = A[c + 6];
-            const real i0_3 = A[c + 9];
-            const real i1_0 = s[c];
-            const real t2 = i0_0 + i0_1;
-            const real t4 = t2 + i0_2;
-            const real t6 = t4 + i0_3;
-            const real t8 = t6 * i1_0;
-            y[c] = t8;
-        }
-        for (r = 1; r < 3; r++) {
+    for (ptrdiff_t c = 0; c < 3; ++c) {
+        y[c] = (A[c] + A[c + 3] + A[c + 6] + A[c + 9]) * s[c];
+        for (ptrdiff_t r = 1; r < 3; ++r) {
             recursion_double(&y[c], &y[c]);
         }
         {
-            const real i0_0 = y[c];
-            const real t1 = sin(i0_0);
-            Y[c] = i0_0;
-            Y[c + 3] = t1;
+            const real y_0 = y[c];
+            Y[0][c] = y_0;
+            Y[1][c] = sin(y_0);
         }
     }
 }"""

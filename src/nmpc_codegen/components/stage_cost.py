@@ -142,7 +142,9 @@ def stage_cost(stage: Stage, name: str) -> StageCost:
         W=W,
         data_ports=(
             Port("yref", stage.ny),
-            Port("W", nw, doc="diagonal of the weight" if stage.diagonal_weight else "weight, row-major"),
+            Port("W", nw, doc="diagonal of the weight")
+            if stage.diagonal_weight
+            else Port("W", nw, doc=f"weight, {stage.ny} rows of {stage.ny}", flat=True),
         ),
         mu=mu,
         z=ca.vertcat(stage.x, stage.u),

@@ -13,8 +13,8 @@ import casadi as ca
 
 from nmpc_codegen.frontend.problem import Problem, Stage, symbols
 from nmpc_codegen.ir.casadi_types import Expression, elements
+from nmpc_codegen.ir.expressions import needs_parentheses
 from nmpc_codegen.ir.kernel import OPERATIONS, Instruction, Kernel, Port, lift, live, opcode_name
-from nmpc_codegen.ir.print_c import needs_parentheses
 from nmpc_codegen.package.program import EDGES, Operation, Program, Quantity, Step
 
 #: Longer texts of operations are cut.
@@ -32,9 +32,7 @@ def program(problem: Problem) -> Program:
     suspects = [i for i, ins in enumerate(kernel.instructions) if _name(ins) in EDGES]
     value_of = {element: value for _, element, value in kernel.stores}
     of_rows = [value_of[len(parts) - len(rows) + i] for i in range(len(rows))]
-    needed = dict.fromkeys([*of_rows, *(a for i in suspects for a in kernel.instructions[i].args)])
-    kept, stores = live(kernel.instructions, [(0, 0, value) for value in needed])
-    new = {value: store[2] for value, store in zip(needed, stores, strict=True)}
+    kept, new = live(kernel.instructions, [*of_rows, *(a for i in suspects for a in kernel.instructions[i].args)])
     places = {place: new[value] for (_, _, place), value in zip(rows, of_rows, strict=True)}
     numbers = range(len(problem.rows))
     return Program(

@@ -9,9 +9,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from nmpc_codegen.errors import ProblemError
+from nmpc_codegen.ir.c_style import CStyle, unit_style
 from nmpc_codegen.ir.kernel import Kernel
+from nmpc_codegen.ir.local_names import LocalNames
 from nmpc_codegen.ir.naming import check_package_name
-from nmpc_codegen.ir.print_c import CStyle, unit_style
 from nmpc_codegen.ir.stage_products import Products
 from nmpc_codegen.ir.sweep import LoopedRoutine, Routine
 from nmpc_codegen.package.description import PackageDescription
@@ -119,6 +120,7 @@ class CModule:
     features: Features  # what `#if` in the parts may test besides the sizes
     sections: tuple[Section, ...]
     signals: tuple[tuple[str, tuple[str, ...]], ...]  # kind -> element names, for comments
+    names: LocalNames  # of constants in kernels
     diagonal_weight: bool
     scaled_weight: bool
     diagonal_weight_N: bool
@@ -143,7 +145,7 @@ class CModule:
     @property
     def style(self) -> CStyle:
         """The spelling of its unit."""
-        return unit_style(self.precision, self.features.own_math)
+        return unit_style(self.precision, self.features.own_math, self.names)
 
     @property
     def structs(self) -> tuple[Struct, ...]:

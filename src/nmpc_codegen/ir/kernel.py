@@ -7,7 +7,7 @@ opcode that is not in the table raises an error that names it.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple, Protocol
@@ -104,12 +104,16 @@ def opcode_name(opcode: int) -> str:
 
 @dataclass(frozen=True)
 class Port:
-    """A named vector or row-major matrix that a routine reads or writes; ``cols`` is 0 for a vector."""
+    """A named vector or row-major matrix that a routine reads or writes; ``cols`` is 0 for a vector.
+
+    flat: in C, calls pass a pointer to the first of its numbers, which may lie in a matrix.
+    """
 
     name: str
     rows: int
     cols: int = 0
     doc: str = ""
+    flat: bool = False
 
     @property
     def size(self) -> int:
@@ -124,12 +128,31 @@ class Instruction(NamedTuple):
     constant: float = 0.0
 
 
+class Watched(NamedTuple):
+    """An element of a buffer that a sweep computes: the comment on its stage, and what tells stages apart in names."""
+
+    note: str
+    buffer: str
+    element: int
+    mark: str
+
+
+@dataclass(frozen=True)
+class Part:
+    """Values of a kernel that belong together: the comment above them, and those that are elements of buffers."""
+
+    note: str
+    values: frozenset[int]
+    named: Mapping[int, Watched]
+
+
 @dataclass(frozen=True, eq=False)
 class Kernel:
     """A straight-line C function: all inputs are loaded before the first store, so outputs may alias inputs.
 
     ``stores`` lists (output port, row-major element, value index) of the structural nonzeros. Structurally zero
-    elements are never written, so the memory of an output must hold zeros there.
+    elements are never written, so the memory of an output must hold zeros there. ``parts``: the values in the order in
+    which they are printed; those of a part depend on no later one.
     """
 
     name: str
@@ -138,6 +161,7 @@ class Kernel:
     outputs: tuple[Port, ...]
     instructions: tuple[Instruction, ...]
     stores: tuple[tuple[int, int, int], ...]
+    parts: tuple[Part, ...] = ()
 
     @cached_property
     def count(self) -> OpCount:
@@ -153,6 +177,11 @@ class Kernel:
     def kernels(self) -> tuple[Kernel, ...]:
         """The straight-line functions that it consists of."""
         return (self,)
+
+    def operands(self, value: int) -> tuple[int, ...]:
+        """The values that a value is computed from."""
+        ins = self.instructions[value]
+        return ins.args if ins.opcode in OPERATIONS else ()
 
     @property
     def reads(self) -> tuple[Port, ...]:
@@ -225,11 +254,19 @@ class _ValueNumbering:
         return self._known[ins]
 
 
-def lift(function: Function, name: str, doc: str, inputs: Sequence[Port], outputs: Sequence[Port]) -> Kernel:
+def lift(
+    function: Function,
+    name: str,
+    doc: str,
+    inputs: Sequence[Port],
+    outputs: Sequence[Port],
+    watched: Sequence[Watched] = (),
+) -> Kernel:
     """Lift a CasADi SX Function into a Kernel.
 
     The function takes one dense vector per input port and returns one vector or matrix per output port, of the port's
-    rows x cols (cols = 0: a column).
+    rows x cols (cols = 0: a column). ``watched``: what the elements of one more output are, in the order in which they
+    are computed; it is not stored.
 
     Raises:
         ProblemError: an operation has no C spelling, or a constant is not finite.
@@ -240,10 +277,13 @@ def lift(function: Function, name: str, doc: str, inputs: Sequence[Port], output
     numbering = _ValueNumbering()
     work: dict[int, int] = {}
     stores: list[tuple[int, int, int]] = []
+    seen: dict[int, int] = {}
     patterns = [_row_major(function.sparsity_out(number), port) for number, port in enumerate(outputs)]
     for k in range(function.n_instructions()):
         opcode, o, i = function.instruction_id(k), function.instruction_output(k), function.instruction_input(k)
-        if opcode == ca.OP_OUTPUT:
+        if opcode == ca.OP_OUTPUT and o[0] == len(outputs):
+            seen[o[1]] = work[i[0]]
+        elif opcode == ca.OP_OUTPUT:
             stores.append((o[0], patterns[o[0]][o[1]], work[i[0]]))
         elif opcode == ca.OP_INPUT:
             work[o[0]] = numbering.number(Instruction(opcode, (i[0], i[1])))
@@ -257,10 +297,34 @@ def lift(function: Function, name: str, doc: str, inputs: Sequence[Port], output
             work[o[0]] = numbering.number(Instruction(opcode, tuple(work[a] for a in args)))
         else:
             raise ProblemError(f"{name}: {opcode_name(opcode)} has no C code; use elementary operations only")
-    program = live(numbering.instructions, stores)
-    if any(ins.opcode in (ca.OP_DIV, ca.OP_INV) for ins in program[0]):
-        program = live(*_reciprocals(*program))
-    return Kernel(name, doc, tuple(inputs), tuple(outputs), *program)
+    instructions, new = live(numbering.instructions, [v for _, _, v in stores])
+    if any(ins.opcode in (ca.OP_DIV, ca.OP_INV) for ins in instructions):
+        multiplied, after = _reciprocals(instructions)
+        instructions, last = live(multiplied, [after[new[v]] for _, _, v in stores])
+        new = {v: last[after[n]] for v, n in new.items() if after[n] in last}
+    stored = tuple((o, e, new[v]) for o, e, v in stores)
+    values = [(what, new.get(seen[e], -1)) for e, what in enumerate(watched)]
+    return Kernel(name, doc, tuple(inputs), tuple(outputs), instructions, stored, _parts(instructions, values))
+
+
+def _parts(instructions: Sequence[Instruction], watched: Iterable[tuple[Watched, int]]) -> tuple[Part, ...]:
+    """The parts of a program: a value belongs to the first watched one that needs it; a note begins a part."""
+    parts: list[tuple[str, set[int], dict[int, Watched]]] = [("", set(), {})]
+    known: set[int] = set()
+    for what, value in watched:
+        if what.note and what.note != parts[-1][0]:
+            parts.append((what.note, set(), {}))
+        _, values, named = parts[-1]
+        waiting = [value] if value >= 0 else []
+        while waiting:
+            v = waiting.pop()
+            if v not in known:
+                known.add(v)
+                values.add(v)
+                waiting += instructions[v].args if instructions[v].opcode in OPERATIONS else ()
+        if value in values and instructions[value].opcode in OPERATIONS:
+            named.setdefault(value, what)
+    return tuple(Part(note, frozenset(values), named) for note, values, named in parts if values)
 
 
 def _row_major(sparsity: Sparsity, port: Port) -> list[int]:
@@ -271,10 +335,9 @@ def _row_major(sparsity: Sparsity, port: Port) -> list[int]:
     return [r * shape[1] + c for r, c in zip(rows, cols, strict=True)]
 
 
-def _reciprocals(
-    instructions: Sequence[Instruction], stores: Sequence[tuple[int, int, int]]
-) -> tuple[list[Instruction], list[tuple[int, int, int]]]:
-    """Replace divisions by constants, and by values that are divisors more than once, by products with reciprocals.
+def _reciprocals(instructions: Sequence[Instruction]) -> tuple[list[Instruction], list[int]]:
+    """Replace divisions by constants, and by values that are divisors more than once, by products with reciprocals;
+    also returns the new number of every value.
 
     A division takes as long as ten products; derivatives of a quotient contain several by the same denominator.
     """
@@ -297,28 +360,20 @@ def _reciprocals(
                 new.append(numbering.number(Instruction(ca.OP_MUL, (args[0], inverse))))
                 continue
         new.append(numbering.number(Instruction(ins.opcode, args, ins.constant)))
-    return numbering.instructions, [(o, e, new[v]) for o, e, v in stores]
+    return numbering.instructions, new
 
 
-def live(
-    instructions: Sequence[Instruction], stores: Sequence[tuple[int, int, int]]
-) -> tuple[tuple[Instruction, ...], tuple[tuple[int, int, int], ...]]:
-    """Drop values that no store needs and renumber the rest."""
-    live = [False] * len(instructions)
-    for _, _, value in stores:
-        live[value] = True
+def live(instructions: Sequence[Instruction], results: Iterable[int]) -> tuple[tuple[Instruction, ...], dict[int, int]]:
+    """The values that the results need; also returns the new number of each of them."""
+    live = set(results)
     for index in range(len(instructions) - 1, -1, -1):
-        ins = instructions[index]
-        if live[index] and ins.opcode in OPERATIONS:
-            for a in ins.args:
-                live[a] = True
-    if all(live):
-        return tuple(instructions), tuple(stores)
+        if index in live and instructions[index].opcode in OPERATIONS:
+            live.update(instructions[index].args)
     new: dict[int, int] = {}
     kept: list[Instruction] = []
-    for index, ins in enumerate(instructions):
-        if live[index]:
-            args = tuple(new[a] for a in ins.args) if ins.opcode in OPERATIONS else ins.args
-            new[index] = len(kept)
-            kept.append(Instruction(ins.opcode, args, ins.constant))
-    return tuple(kept), tuple((o, e, new[v]) for o, e, v in stores)
+    for index in sorted(live):
+        ins = instructions[index]
+        new[index] = len(kept)
+        args = tuple(new[a] for a in ins.args) if ins.opcode in OPERATIONS else ins.args
+        kept.append(Instruction(ins.opcode, args, ins.constant))
+    return tuple(kept), new

@@ -73,39 +73,43 @@ def expand_steps(sweep: Sweep) -> Sweep:
     for node in sweep.body:
         if isinstance(node, For) and node.index == "step":
             for value in node.values({}):
-                body += [_at_step(inner, value) for inner in node.body]
+                body += [fixed(inner, value, inline=True) for inner in node.body]
         else:
-            body.append(_at_step(node, 0))
+            body.append(_mapped(node, lambda s: s, True))
     return replace(sweep, body=tuple(body))
-
-
-def _at_step(node: Node, step: int) -> Node:
-    return fixed(node, step, inline=True)
 
 
 def fixed(node: Node, step: int, inline: bool = False) -> Node:
     """The node at one step; ``inline`` prints all of its leaves inline."""
+    return bound(node, "step", step, inline)
+
+
+def bound(node: Node, index: str, value: int, inline: bool = False) -> Node:
+    """The node with a value in the place of an index."""
 
     def at(s: Slice) -> Slice:
-        terms = tuple(t for t in s.offset.terms if t[0] != "step")
-        constant = s.offset.constant + step * dict(s.offset.terms).get("step", 0)
-        return Slice(s.buffer, s.size, Affine(constant, terms), s.stride)
+        terms = tuple(t for t in s.offset.terms if t[0] != index)
+        return Slice(s.buffer, s.size, Affine(s.offset.at_one(index, value), terms), s.stride)
 
-    return _mapped(node, at, inline)
+    return _mapped(node, at, inline, lambda call: replace(call, step=value) if index == "step" else call)
 
 
 def shifted(node: Node, by: int) -> Node:
     """The node with all offsets moved forward ``by`` steps."""
 
     def later(s: Slice) -> Slice:
-        constant = s.offset.constant + by * dict(s.offset.terms).get("step", 0)
-        return Slice(s.buffer, s.size, Affine(constant, s.offset.terms), s.stride)
+        return Slice(s.buffer, s.size, Affine(s.offset.at_one("step", by), s.offset.terms), s.stride)
 
     return _mapped(node, later)
 
 
-def _mapped(node: Node, change: Callable[[Slice], Slice], inline: bool = False) -> Node:
+def _mapped(
+    node: Node,
+    change: Callable[[Slice], Slice],
+    inline: bool = False,
+    mark: Callable[[Call], Call] = lambda call: call,
+) -> Node:
     if not isinstance(node, Call):
-        return replace(node, body=tuple(_mapped(n, change, inline) for n in node.body))
+        return replace(node, body=tuple(_mapped(n, change, inline, mark) for n in node.body))
     ins, outs = tuple(map(change, node.ins)), tuple(map(change, node.outs))
-    return replace(node, ins=ins, outs=outs, inline=node.inline or inline)
+    return replace(mark(node), ins=ins, outs=outs, inline=node.inline or inline)

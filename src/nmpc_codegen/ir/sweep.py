@@ -6,15 +6,15 @@ writes C loops; and LoopedRoutine.count, which counts operations. Transformation
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Literal
 
 import casadi as ca
 
 from nmpc_codegen.ir.casadi_types import Expression, Function
-from nmpc_codegen.ir.kernel import Kernel, Port, lift
+from nmpc_codegen.ir.kernel import Kernel, Port, Watched, lift
 from nmpc_codegen.package.opcount import OpCount
 
 
@@ -43,6 +43,10 @@ class Affine:
     def at(self, indices: Mapping[str, int]) -> int:
         """Value for given loop indices."""
         return self.constant + sum(c * indices[i] for i, c in self.terms)
+
+    def at_one(self, index: str, value: int) -> int:
+        """The constant with the term of one index at a value of it."""
+        return self.constant + sum(c * value for i, c in self.terms if i == index)
 
     def c(self) -> str:
         """C text, e.g. ``4 * c + 8``."""
@@ -73,6 +77,7 @@ class Call:
 
     inline: the leaf is printed inline, whatever its slices are.
     direct: a result may be stored before the next one is computed, as none is an operand of a later one.
+    note: what it computes, for a comment. stage, step: those of the scheme that it belongs to, counted from 0.
     """
 
     leaf: Function
@@ -80,6 +85,9 @@ class Call:
     outs: tuple[Slice, ...]
     inline: bool = False
     direct: bool = False
+    note: str = ""
+    stage: int = -1
+    step: int = -1
 
     @property
     def written_out(self) -> bool:
@@ -146,6 +154,20 @@ class If:
 Block = For | Entries | If
 Node = Call | Block
 
+#: The stage of calls that compute the first stage point of the next step.
+NEXT_STEP = -2
+
+
+def noted(nodes: Iterable[Node], note: str, stage: int = -1) -> list[Node]:
+    """The nodes with a note and a stage at those calls that have none."""
+    marked: list[Node] = []
+    for node in nodes:
+        if isinstance(node, Call):
+            marked.append(node if node.note else replace(node, note=note, stage=stage))
+        else:
+            marked.append(replace(node, body=tuple(noted(node.body, note, stage))))
+    return marked
+
 
 @dataclass(frozen=True)
 class Place:
@@ -166,7 +188,10 @@ class Frame:
 
 @dataclass(frozen=True, eq=False)
 class Sweep:
-    """A named program from input ports to output ports through local buffers (name, size)."""
+    """A named program from input ports to output ports through local buffers (name, size).
+
+    columns: local buffers that are matrices -> length of their rows. steps: those of a scheme, whose loop is "step".
+    """
 
     name: str
     doc: str
@@ -175,6 +200,8 @@ class Sweep:
     locals: tuple[tuple[str, int], ...]
     body: tuple[Node, ...]
     frame: Frame | None = None
+    columns: Mapping[str, int] = field(default_factory=dict)
+    steps: int = 1
 
 
 def unroll(sweep: Sweep) -> Function:
@@ -182,25 +209,54 @@ def unroll(sweep: Sweep) -> Function:
 
     A port that is changed in place becomes the input <name> and the output <name>_out.
     """
+    return _unrolled(sweep, None)
+
+
+def _unrolled(sweep: Sweep, watched: list[Watched] | None) -> Function:
+    """The same; ``watched``: the results of all calls are a last output, and this list says what they are."""
     symbols = [ca.SX.sym(p.name, p.size) for p in sweep.inputs]
     buffers: dict[str, Expression] = {p.name: ca.SX.zeros(p.size) for p in sweep.outputs}
     buffers |= {p.name: ca.SX(s) for p, s in zip(sweep.inputs, symbols, strict=True)}
     buffers |= {name: ca.SX.zeros(size) for name, size in sweep.locals}
-    _run(sweep.body, buffers, {})
+    seen: list[Expression] = []
+
+    def watch(call: Call, step: int, results: Sequence[Expression]) -> None:
+        if watched is not None:
+            watched.extend(_watched(call, step, sweep.steps))
+            seen.extend(results)
+
+    _run(sweep.body, buffers, {}, watch)
     outputs = [_shaped(buffers[p.name], p) for p in sweep.outputs]
     names = [p.name for p in sweep.inputs]
     results = [f"{p.name}_out" if p.name in names else p.name for p in sweep.outputs]
+    if watched is not None:
+        outputs, results = [*outputs, ca.densify(ca.veccat(ca.SX(0, 1), *map(ca.densify, seen)))], [*results, "watched"]
     return ca.Function(sweep.name, symbols, outputs, names, results)
 
 
-def _run(nodes: tuple[Node, ...], buffers: dict[str, Expression], indices: dict[str, int]) -> None:
+def _watched(call: Call, step: int, steps: int) -> Iterator[Watched]:
+    """What the results of a call in a step are, element by element."""
+    note = f"step {step + 1}, {call.note}" if call.note and steps > 1 and step >= 0 else call.note
+    step, stage = (step + 1, 0) if call.stage == NEXT_STEP else (step, call.stage)
+    mark = "" if stage < 0 or step >= steps else f"{step + 1}{stage + 1}" if steps > 1 else f"{stage + 1}"
+    for s in call.outs:
+        yield from (Watched(note, s.buffer, i, mark) for i in range(s.size))
+
+
+def _run(
+    nodes: tuple[Node, ...],
+    buffers: dict[str, Expression],
+    indices: dict[str, int],
+    watch: Callable[[Call, int, Sequence[Expression]], None],
+) -> None:
     for node in nodes:
         if isinstance(node, Block):
             for more in node.passes(indices):
-                _run(node.body, buffers, {**indices, **more})
+                _run(node.body, buffers, {**indices, **more}, watch)
             continue
         arguments = [buffers[s.buffer][s.elements(indices)] for s in node.ins]
         results = node.leaf.call(arguments)
+        watch(node, indices.get("step", node.step), results)
         for target, result in zip(node.outs, results, strict=True):
             buffers[target.buffer][target.elements(indices)] = ca.vec(ca.densify(result))
 
@@ -211,8 +267,10 @@ def _shaped(flat: Expression, port: Port) -> Expression:
 
 
 def straight(sweep: Sweep) -> Kernel:
-    """The sweep as one straight-line Kernel."""
-    return lift(unroll(sweep), sweep.name, sweep.doc, sweep.inputs, sweep.outputs)
+    """The sweep as one straight-line Kernel, in the order of its calls."""
+    watched: list[Watched] = []
+    function = _unrolled(sweep, watched)
+    return lift(function, sweep.name, sweep.doc, sweep.inputs, sweep.outputs, watched)
 
 
 @dataclass(frozen=True, eq=False)
@@ -329,8 +387,8 @@ def looped(sweep: Sweep) -> LoopedRoutine:
         if name in leaves and [s.size for s in call.ins] != [p.size for p in leaves[name].inputs]:
             raise ValueError(f"{sweep.name}: two leaves are called {name}")
         if name not in leaves:
-            inputs = [Port(call.leaf.name_in(i), s.size) for i, s in enumerate(call.ins)]
-            outputs = [Port(call.leaf.name_out(i), s.size) for i, s in enumerate(call.outs)]
+            inputs = [Port(call.leaf.name_in(i), s.size, flat=True) for i, s in enumerate(call.ins)]
+            outputs = [Port(call.leaf.name_out(i), s.size, flat=True) for i, s in enumerate(call.outs)]
             kernel = lift(_dense(call.leaf), f"{sweep.name}_{name}", f"{sweep.name}: {name}", inputs, outputs)
             leaves[name] = kernel
     return LoopedRoutine(sweep, leaves)

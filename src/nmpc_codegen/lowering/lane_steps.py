@@ -75,7 +75,7 @@ def calls(kernel: Kernel, suffix: str, x_next: str, S: str) -> tuple[list[str], 
     places = {"x_next": x_next, "S": "one_step"}
 
     def call(state: str, target: str) -> str:
-        named = {**places, "x": state, "S": target}
+        named = {**places, "x": state, "S": f"(lanes_t(*)[{kernel.outputs[-1].cols}])({target})"}
         return (
             f"{kernel.name}{suffix}({', '.join(named.get(p.name, p.name) for p in (*kernel.reads, *kernel.writes))});"
         )

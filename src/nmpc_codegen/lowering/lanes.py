@@ -10,9 +10,10 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 
+from nmpc_codegen.ir.c_style import CStyle, spell
 from nmpc_codegen.ir.cmodule import CModule
 from nmpc_codegen.ir.kernel import OPERATIONS, Kernel, Port, called_functions
-from nmpc_codegen.ir.print_c import CStyle, print_routine, spell
+from nmpc_codegen.ir.print_c import print_routine
 from nmpc_codegen.ir.sweep import LoopedRoutine, Routine
 from nmpc_codegen.lowering import lane_steps
 from nmpc_codegen.lowering.parts import MATH_IN_LANES, names_in, needed, own_names, own_text
@@ -159,7 +160,7 @@ def lane_nodes(module: CModule, style: CStyle) -> str:
         arrays, calls = lane_steps.calls(found.one_step, SUFFIX, places["x_next"], places["S"])
         declared += arrays
     calls += [
-        f"{r.name}{SUFFIX}({', '.join(places.get(p.name, p.name) for p in (*r.reads, *r.writes))});"
+        f"{r.name}{SUFFIX}({', '.join(passed_lanes(p, places.get(p.name, p.name)) for p in (*r.reads, *r.writes))});"
         for r in found.called
     ]
     lines = [line for port in inputs.values() for line in _gathered(port, module)]
@@ -213,6 +214,11 @@ GENERATED: Mapping[str, Callable[[CModule, CStyle], str]] = {
     "generated/lane_kernels.c": lane_kernels,
     "generated/lane_nodes.c": lane_nodes,
 }
+
+
+def passed_lanes(port: Port, place: str) -> str:
+    """The argument for a port whose elements lie in a row."""
+    return f"(lanes_t(*)[{port.cols}])({place})" if port.cols else place
 
 
 def _node_layout(module: CModule) -> tuple[dict[str, int], int]:

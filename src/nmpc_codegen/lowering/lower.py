@@ -14,13 +14,14 @@ from nmpc_codegen.components.base import Component, Counts, Dims
 from nmpc_codegen.components.core import SIZES_OF_OTHERS, TABLES_OF_OTHERS
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.frontend.problem import Array, Problem, Row, Stage
+from nmpc_codegen.ir.c_style import CStyle
 from nmpc_codegen.ir.cmodule import CModule, Enum, Macro, Section, Setter, Table, check_prefix
 from nmpc_codegen.ir.kernel import called_functions
-from nmpc_codegen.ir.print_c import CStyle
 from nmpc_codegen.ir.sweep import Routine
 from nmpc_codegen.ir.tuning import PANEL
 from nmpc_codegen.lowering.lanes import with_lanes
 from nmpc_codegen.lowering.linearize import Model
+from nmpc_codegen.lowering.local_names import local_names
 from nmpc_codegen.lowering.parts import own_names
 from nmpc_codegen.lowering.structs import absent_members, extras, lowered_structs, settings
 from nmpc_codegen.package.description import PackageDescription, Report
@@ -57,17 +58,19 @@ def lower(model: Model, name: str | None = None, whole: bool = False) -> CModule
     features = _features(model)
     structs, layout = placed(lowered_structs(model, dims, features, whole), model.precision)
     macros = _macros(model, dims, whole)
-    ranges = _ranges(model, dims, features)
+    ranges, tables = _ranges(model, dims, features), _tables(model)
+    routines = tuple(r for r in _printed(model) if r.name not in KERNELS or r.name in features.kernels)
+    unit = [*(m.name for m in macros), *(t.name for t in tables), *(r.name for r in routines), *features.macros]
     module = CModule(
         description=_description(model, name, macros, structs, _report(model, dims, features, structs, layout), ranges),
         target=model.target,
         macros=macros,
         enums=_enums(problem),
-        tables=_tables(model),
+        tables=tables,
         rows=problem.qp_rows,
         settings=settings(model, dims, whole),
         setters=_setters(model),
-        routines=tuple(r for r in _printed(model) if r.name not in KERNELS or r.name in features.kernels),
+        routines=routines,
         products=model.products,
         features=features,
         sections=_sections(model, dims, structs, layout),
@@ -80,6 +83,7 @@ def lower(model: Model, name: str | None = None, whole: bool = False) -> CModule
             ("h", problem.path.h_names),
             ("h_N", problem.terminal.h_names),
         ),
+        names=local_names(problem, [*unit, *model.products.vectors, *model.products.panels]),
         diagonal_weight=problem.path.diagonal_weight,
         scaled_weight=any(problem.path.scale_with_dt),
         diagonal_weight_N=problem.terminal.diagonal_weight,

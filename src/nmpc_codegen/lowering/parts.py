@@ -20,14 +20,16 @@ from functools import cache, lru_cache
 from itertools import accumulate
 from pathlib import Path
 
+from nmpc_codegen.ir.c_style import CStyle
 from nmpc_codegen.ir.cmodule import CModule
 from nmpc_codegen.ir.kernel import OPERATIONS
-from nmpc_codegen.ir.print_c import CStyle, print_routine
+from nmpc_codegen.ir.print_c import print_routine
 from nmpc_codegen.lowering.pruning.directives import resolve
 from nmpc_codegen.lowering.pruning.scopes import blanked
 
 _WORD = re.compile(r"[A-Za-z_]\w*")
 _INCLUDE = re.compile(r'^#include "([\w/]+\.c)".*\n', re.MULTILINE)
+_ENUMERATION = re.compile(r"\benum \{([^}]*)\}")
 _DEFINITION = re.compile(
     r"^#define (\w+)|^typedef \w+ (\w+);|^(?:static|LANES_INLINE) [\w *]*?\b(\w+)[(\[]", re.MULTILINE
 )
@@ -70,6 +72,13 @@ def needed(text: str, names: Collection[str]) -> str:
         words = {word for i in found for word in _WORD.findall(blanked(paragraphs[i]))}
         found = {defined[word] for word in words if word in defined} - kept
     return "\n\n".join(paragraphs[i].strip("\n") for i in sorted(kept))
+
+
+def defined_names(text: str) -> set[str]:
+    """Names of the macros, types, tables, functions and constants that a text defines."""
+    code = blanked(text)
+    constants = {word for body in _ENUMERATION.findall(code) for word in _WORD.findall(re.sub(r"=[^,]*", "", body))}
+    return {name for paragraph in code.split("\n\n") for name in _defined(paragraph)} | constants
 
 
 @lru_cache(maxsize=4096)

@@ -14,8 +14,9 @@ from typing import Any
 
 import jinja2
 
+from nmpc_codegen.ir.c_style import CStyle
 from nmpc_codegen.ir.cmodule import CModule, Table
-from nmpc_codegen.ir.print_c import CStyle, print_routine
+from nmpc_codegen.ir.print_c import print_routine
 from nmpc_codegen.lowering.hooks import check_hooks, feature_parts, hook_prototypes, with_hooks
 from nmpc_codegen.lowering.lanes import GENERATED as IN_LANES
 from nmpc_codegen.lowering.parts import (

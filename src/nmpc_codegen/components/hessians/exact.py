@@ -133,7 +133,7 @@ class ExactHessian(Defaults):
             ca.Function("initial", [x_0, x_N, eta, Q_0], [total]),
             "initial_hessian",
             "Q = Q_0 + d2 (eta' r) / dx_0^2, entries that change",
-            [ports[0], Port("last", nx, doc="x_N"), ports[1], Port("block", nz * nz, doc="Q_0")],
+            [ports[0], Port("last", nx, doc="x_N"), ports[1], Port("block", nz * nz, doc="Q_0", flat=True)],
             [Port("Q", nz, nz)],
         )
         return self._completed(terminal), initial

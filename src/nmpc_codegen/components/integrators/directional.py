@@ -16,7 +16,7 @@ from nmpc_codegen.components.integrators.tableau import ButcherTableau
 from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.kernel import Port
 from nmpc_codegen.ir.passes import copy
-from nmpc_codegen.ir.sweep import Affine, Call, For, Node, Slice, Sweep
+from nmpc_codegen.ir.sweep import Affine, Call, For, Node, Slice, Sweep, noted
 
 FORWARD, ADJOINT = "integrator_forward", "integrator_adjoint"
 FORWARD_DOC = "dx_next = A dx + B du, where [A B] = d Phi / d(x, u)"
@@ -41,13 +41,23 @@ class Directional:
         body: list[Node] = [*rk.start(), Call(copy("copy_dx", nx), (Slice("dx", nx),), (rk.moved,))]
         step: list[Node] = []
         for i in range(s):
-            step += [rk.point(i, point), rk.move(i, moved), rk.slopes(i, leaf, point, moved, du)]
+            nodes = [rk.point(i, point), rk.move(i, moved), rk.slopes(i, leaf, point, moved, du)]
+            step += noted(nodes, f"stage {i + 1}", i)
         step += [rk.update_state(), rk.update("move", rk.moved, rk.tangent)]
         body.append(For("step", 0, self.steps, tuple(step)))
         body.append(Call(copy("copy_dx_next", nx), (rk.moved,), (Slice("dx_next", nx),)))
         buffers = (("h", 1), ("X", nx), ("Xi", nx), ("K", s * nx), ("dX", nx), ("dXi", nx), ("dK", s * nx))
         ports = (*rk.ports, Port("dx", nx), Port("du", self.nu))
-        return Sweep(FORWARD, FORWARD_DOC, ports, (Port("dx_next", nx),), buffers, tuple(body))
+        return Sweep(
+            FORWARD,
+            FORWARD_DOC,
+            ports,
+            (Port("dx_next", nx),),
+            buffers,
+            tuple(body),
+            columns=self.rk.columns,
+            steps=self.steps,
+        )
 
     def adjoint(self) -> Sweep:
         """(x, u, p, dt, adj) -> g."""
@@ -55,10 +65,8 @@ class Directional:
         leaf = ca.Function("f", [self.x, self.u, self.p], [self.f])
         first: list[Node] = []
         for i in range(s):
-            first += [
-                self.rk.point(i, self._point(i)),
-                Call(leaf, (self._point(i), *self.rk.up), (self.rk.slope(i),)),
-            ]
+            slope = Call(leaf, (self._point(i), *self.rk.up), (self.rk.slope(i),))
+            first += noted([self.rk.point(i, self._point(i)), slope], f"stage {i + 1}", i)
         lam, controls = Slice("lam", nx), Slice("g", nu, Affine(nx))
         body: list[Node] = [
             *self.rk.start(),
@@ -75,7 +83,16 @@ class Directional:
             *(("lam", nx), ("Xbar", s * nx)),
         )
         ports = (*self.rk.ports, Port("adj", nx))
-        return Sweep(ADJOINT, ADJOINT_DOC, ports, (Port("g", nx + nu),), buffers, tuple(body))
+        return Sweep(
+            ADJOINT,
+            ADJOINT_DOC,
+            ports,
+            (Port("g", nx + nu),),
+            buffers,
+            tuple(body),
+            columns=self.rk.columns,
+            steps=self.steps,
+        )
 
     def _point(self, stage: int) -> Slice:
         return Slice("Xs", self.nx, Affine(stage * self.nx, (("step", self.stages * self.nx),)))
@@ -95,4 +112,4 @@ class Directional:
         inputs = [self.x, self.u, self.p, adj, h, g, *bars.values()]
         leaf = ca.Function(f"backward_{stage}", inputs, [bar, g + ubar])
         ins = [self._point(stage), *self.rk.up, lam, LENGTH, controls, *map(self._bar, bars)]
-        return Call(leaf, tuple(ins), (self._bar(stage), controls))
+        return Call(leaf, tuple(ins), (self._bar(stage), controls), note=f"adjoint of stage {stage + 1}")

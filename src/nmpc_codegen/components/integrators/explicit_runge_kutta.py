@@ -130,12 +130,14 @@ class ExplicitRungeKutta(Defaults):
         nx, nz = problem.nx, problem.nx + problem.nu
         sweep = Sweep(
             name,
-            f"x_next = Phi(x, u, p): {self.steps} {self.tableau.name} step(s) over dt, S = d x_next / d(x, u);"
+            f"x_next = Phi(x, u, p): {b.rk.steps_over_dt}, S = d x_next / d(x, u);"
             f" g, Q = gradient, Hessian of cost + lam' Phi + mu' h ({scheme.replace('_', ' ')})",
             (Port("x", nx), Port("u", problem.nu), Port("p", problem.np), Port("dt", 1), *more, Port("lam", nx)),
             (Port("x_next", nx), Port("S", nx, nz), Port("g", nz), Port("Q", nz, nz)),
             b.buffers(),
-            (start, *b.body()),
+            (replace(start, note="cost and rows of the node"), *b.body()),
+            columns=b.row_lengths(),
+            steps=self.steps,
         )
         self._refuse_long(name, sweep.locals)
         if self.unroll == "step":

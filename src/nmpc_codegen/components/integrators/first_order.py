@@ -13,7 +13,7 @@ from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.casadi_types import Function, nonzeros
 from nmpc_codegen.ir.kernel import Port
 from nmpc_codegen.ir.passes import copy
-from nmpc_codegen.ir.sweep import Affine, Call, For, Node, Slice, Sweep
+from nmpc_codegen.ir.sweep import NEXT_STEP, Affine, Call, For, Node, Slice, Sweep, noted
 from nmpc_codegen.ir.tuning import PANEL
 
 
@@ -25,9 +25,10 @@ def step_sweep(problem: Problem, tableau: ButcherTableau) -> Sweep:
     body: list[Node] = []
     for i, coefficients in enumerate(tableau.a):
         point = Slice("X", nx) if any(coefficients) else x
+        stage: list[Node] = [Call(f, (point, *rk.up), (rk.slope(i),))]
         if any(coefficients):
-            body.append(rk.combined(f"stage_{i}", coefficients, x, rk.slope, point))
-        body.append(Call(f, (point, *rk.up), (rk.slope(i),)))
+            stage.insert(0, rk.combined(f"stage_{i}", coefficients, x, rk.slope, point))
+        body += noted(stage, f"stage {i + 1}", i)
     body.append(rk.update("update", x, rk.slope, Slice("x_next", nx)))
     return Sweep(
         "integrator_step",
@@ -36,6 +37,7 @@ def step_sweep(problem: Problem, tableau: ButcherTableau) -> Sweep:
         (Port("x_next", nx),),
         (("X", nx), ("K", rk.stages * nx)),
         tuple(body),
+        columns=rk.columns,
     )
 
 
@@ -105,13 +107,15 @@ class Sensitivities:
         ]
         return Sweep(
             name,
-            f"x_next = Phi(x, u, p): {passes} {rk.tableau.name} step(s) over dt; S = d x_next / d(x, u)"
+            f"x_next = Phi(x, u, p): {rk.steps_over_dt}; S = d x_next / d(x, u)"
             if passes == rk.steps
             else f"x_next = one of {rk.steps} {rk.tableau.name} steps over dt, S = d x_next / d(x, u)",
             rk.ports,
             (Port("x_next", nx), Port("S", nx, nz)),
             self._locals(),
             tuple(body),
+            columns={**rk.columns, "Sx": ld, "Ks": ld, "Fu": ld},
+            steps=passes,
         )
 
     def _locals(self) -> tuple[tuple[str, int], ...]:
@@ -143,4 +147,6 @@ class Sensitivities:
             slopes = [self._slope(j) for j, c in enumerate(coefficients) if c]
             ins = (jacobian, S, h, self._column("Fu", len(f.fu_rows)), *slopes)
             nodes.append(For("c", 0, ld, (Call(f.leaf_slope(i, rk.tableau), ins, (self._slope(i),)),)))
-        return [*nodes, rk.update_state(), For("c", 0, ld, (rk.update("update", S, self._slope),))]
+            nodes = noted(nodes, f"stage {i + 1}", i)
+        update: list[Node] = [rk.update_state(), For("c", 0, ld, (rk.update("update", S, self._slope),))]
+        return [*nodes, *noted(update, "end", NEXT_STEP)]

@@ -7,12 +7,14 @@ derivative of the adjoint recursion is propagated backward without using its sym
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import casadi as ca
 
 from nmpc_codegen.components.integrators.second_order import Builder, Local, constant
 from nmpc_codegen.ir.casadi_types import Function
 from nmpc_codegen.ir.passes import copy
-from nmpc_codegen.ir.sweep import Affine, Call, For, Node, Slice
+from nmpc_codegen.ir.sweep import Affine, Call, For, Node, Slice, noted
 
 
 class AdjointSweep(Builder):
@@ -33,7 +35,7 @@ class AdjointSweep(Builder):
             nodes.append(Call(constant("clear_controls", ca.SX.zeros(m)), (), (Slice("ubarS", m),)))
         second = [node for i in reversed(range(self.stages)) for node in self._second(i)]
         nodes.append(For("step", 0, self.steps, (*self.backward(), *second, self._update()), down=True))
-        return nodes + self._results()
+        return [*nodes, *noted(self._results(), "results")]
 
     def _stored(self, stage: int) -> Slice:
         """Column c of the curved rows of Z, stored for every stage of every step."""
@@ -53,7 +55,8 @@ class AdjointSweep(Builder):
         ins += [self.column("E", len(self.controls)), self.column("adjS", needed)]
         ins += [self.column("ubarS", len(self.controls)), *(self.column("XbarS", needed, j) for j in later)]
         outs = [self.column("XbarS", needed, stage), self.column("ubarS", len(self.controls))]
-        return [*nodes, self.columnwise(self._leaf_bar(stage), ins, outs)]
+        bar = Call(self._leaf_bar(stage), tuple(ins), tuple(outs), note=f"second derivatives of stage {stage + 1}")
+        return [*nodes, self.columnwise(bar)]
 
     def _leaf_bar(self, stage: int) -> Function:
         d, sym = self.d, ca.SX.sym
@@ -76,7 +79,7 @@ class AdjointSweep(Builder):
         """lam' += sum_i Xbar_i'."""
         n = len(self.d.needed)
         update = self.rk.update_adjoint("update_bars", self.column("adjS", n), lambda i: self.column("XbarS", n, i))
-        return self.columnwise(update.leaf, update.ins, update.outs)
+        return self.columnwise(replace(update, note="second derivatives of the step"))
 
     def _results(self) -> list[Node]:
         """Q += [lam'; ubar'], rows up to their diagonal."""

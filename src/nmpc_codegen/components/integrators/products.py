@@ -12,6 +12,8 @@ discretisation, so that all products agree with one another to rounding.)
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import casadi as ca
 
 from nmpc_codegen.components.integrators.first_order import Dynamics
@@ -21,7 +23,7 @@ from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.casadi_types import Function, nonzeros
 from nmpc_codegen.ir.kernel import Port
 from nmpc_codegen.ir.passes import copy
-from nmpc_codegen.ir.sweep import Affine, Call, For, Node, Slice, Sweep
+from nmpc_codegen.ir.sweep import Affine, Call, For, Node, Slice, Sweep, noted
 
 
 class IntervalSweeps:
@@ -35,20 +37,28 @@ class IntervalSweeps:
     def value(self) -> Sweep:
         """(x, u, p, dt) -> x_next."""
         nx, rk = self.nx, self.rk
-        step = [node for i in range(self.stages) for node in self._stage(i, Slice("Xi", nx), self._slope(i))]
+        step = self._stages(lambda i: Slice("Xi", nx))
         body: list[Node] = [
             *rk.start(),
             For("step", 0, self.steps, (*step, rk.update_state())),
             Call(copy("copy_x", nx), (rk.state,), (Slice("x_next", nx),)),
         ]
         buffers = (("h", 1), ("X", nx), ("Xi", nx), ("K", self.stages * nx))
-        doc = f"x_next = Phi(x, u, p): {self.steps} {rk.tableau.name} step(s) over dt"
-        return Sweep("integrator_value", doc, rk.ports, (Port("x_next", nx),), buffers, tuple(body))
+        return Sweep(
+            "integrator_value",
+            f"x_next = Phi(x, u, p): {rk.steps_over_dt}",
+            rk.ports,
+            (Port("x_next", nx),),
+            buffers,
+            tuple(body),
+            columns=rk.columns,
+            steps=self.steps,
+        )
 
     def adjoint(self) -> Sweep:
         """(x, u, p, dt, lam) -> lam_x, lam_u."""
         nx, nu, rk, s = self.nx, self.nu, self.rk, self.stages
-        forward = [node for i in range(s) for node in self._stage(i, self._kept(i), self._slope(i))]
+        forward = self._stages(self._kept)
         backward = [self._backward(i) for i in reversed(range(s))]
         adj = Slice("adj", nx)
         body: list[Node] = [
@@ -65,11 +75,13 @@ class IntervalSweeps:
         )
         return Sweep(
             "integrator_adjoint",
-            f"lam_x = A' lam, lam_u = B' lam: adjoint of {self.steps} {rk.tableau.name} step(s) over dt",
+            f"lam_x = A' lam, lam_u = B' lam: adjoint of {rk.steps_over_dt}",
             (*rk.ports, Port("lam", nx)),
             (Port("lam_x", nx), Port("lam_u", nu)),
             buffers,
             tuple(body),
+            columns=rk.columns,
+            steps=self.steps,
         )
 
     def columns(self, forced: bool) -> Sweep:
@@ -96,12 +108,14 @@ class IntervalSweeps:
         )
         return Sweep(
             "integrator_forced" if forced else "integrator_free",
-            f"x_next = Phi(x, u, p): {self.steps} {rk.tableau.name} step(s) over dt; "
+            f"x_next = Phi(x, u, p): {rk.steps_over_dt}; "
             + ("S_next = d x_next / du" if forced else "S_next = (d x_next / dx) S"),
             (*rk.ports, *(() if forced else (Port("S", nx * nu),))),
             (Port("x_next", nx), Port("S_next", nx * nu)),
             buffers,
             tuple(body),
+            columns={**rk.columns, "V": nu, "Ks": nu, "Fu": nu},
+            steps=self.steps,
         )
 
     # Parts -----------------------------------------------------------------------------------------------------------
@@ -120,9 +134,13 @@ class IntervalSweeps:
         """Column c of a matrix [nx][nu]."""
         return Slice(buffer, self.nx, Affine(block * self.nx * self.nu, (("c", 1),)), self.nu)
 
-    def _stage(self, stage: int, point: Slice, slope: Slice) -> list[Node]:
-        """The stage point and K_i at it."""
-        return [self.rk.point(stage, point), Call(self.f.leaf_f(), (point, *self.rk.up), (slope,))]
+    def _stages(self, point: Callable[[int], Slice]) -> list[Node]:
+        """The points and slopes of all stages."""
+        nodes: list[Node] = []
+        for i in range(self.stages):
+            slope = Call(self.f.leaf_f(), (point(i), *self.rk.up), (self._slope(i),))
+            nodes += noted([self.rk.point(i, point(i)), slope], f"stage {i + 1}", i)
+        return nodes
 
     def _backward(self, stage: int) -> Call:
         """Xbar_i = f_x' kappa_i, and lam_u += f_u' kappa_i."""
@@ -136,7 +154,7 @@ class IntervalSweeps:
         leaf = ca.Function(f"backward_{stage}", [f.x, f.u, f.p, adj, h, total, *bars.values()], [bar, total + ubar])
         here = Slice("lam_u", self.nu)
         ins = [self._kept(stage), *self.rk.up, Slice("adj", nx), LENGTH, here, *map(self._bar, bars)]
-        return Call(leaf, tuple(ins), (self._bar(stage), here))
+        return Call(leaf, tuple(ins), (self._bar(stage), here), note=f"adjoint of stage {stage + 1}")
 
     def _column_stage(self, stage: int, forced: bool) -> list[Node]:
         """K_i, then K_i' column by column."""
@@ -149,7 +167,7 @@ class IntervalSweeps:
         forcing = (self._column("Fu"),) if forced else ()
         ins = (Slice("fx", f.fx.nnz()), self._column("V"), LENGTH, *forcing, *slopes)
         nodes.append(For("c", 0, self.nu, (Call(self._leaf_slope(stage, forced), ins, (self._column("Ks", stage),)),)))
-        return nodes
+        return noted(nodes, f"stage {stage + 1}", stage)
 
     def _leaf_linearize(self, forced: bool) -> Function:
         """K = f, the nonzeros of f_x, and f_u row by row if it is needed."""

@@ -17,7 +17,7 @@ from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.casadi_types import Expression
 from nmpc_codegen.ir.kernel import Port
 from nmpc_codegen.ir.passes import copy
-from nmpc_codegen.ir.sweep import Affine, Call, For, Node, Slice, Sweep
+from nmpc_codegen.ir.sweep import Affine, Call, For, Node, Slice, Sweep, noted
 
 
 class Quadrature:
@@ -39,7 +39,16 @@ class Quadrature:
         q = ca.SX.sym("q")
         body.append(For("step", 0, self.steps, (*step, self.rk.update_state(), self._add_rates(q))))
         buffers = (("h", 1), ("X", self.nx), ("Xi", self.nx), ("K", self.stages * self.nx), ("L", self.stages))
-        return Sweep(name, doc, (*self.rk.ports, *more), (Port("l", 1),), buffers, tuple(body))
+        return Sweep(
+            name,
+            doc,
+            (*self.rk.ports, *more),
+            (Port("l", 1),),
+            buffers,
+            tuple(body),
+            columns=self.rk.columns,
+            steps=self.steps,
+        )
 
     def gradient(self, name: str, doc: str, start: Call, more: tuple[Port, ...]) -> Sweep:
         """(x, u, p, dt, more) -> g."""
@@ -57,7 +66,16 @@ class Quadrature:
             *(("h", 1), ("X", nx), ("Xs", self.steps * s * nx), ("K", s * nx)),
             *(("adj", nx), ("Xbar", s * nx)),
         )
-        return Sweep(name, doc, (*self.rk.ports, *more), (Port("g", nx + nu),), buffers, tuple(body))
+        return Sweep(
+            name,
+            doc,
+            (*self.rk.ports, *more),
+            (Port("g", nx + nu),),
+            buffers,
+            tuple(body),
+            columns=self.rk.columns,
+            steps=self.steps,
+        )
 
     def product(self, name: str, doc: str, start: Call, more: tuple[Port, ...]) -> Sweep:
         """(x, u, p, dt, more) -> w; ``more`` ends with the direction d = (dx, du)."""
@@ -67,8 +85,8 @@ class Quadrature:
         body: list[Node] = [start, *rk.start(), Call(copy("copy_dx", nx), (dx,), (rk.moved,))]
         first: list[Node] = []
         for i in range(s):
-            first += [rk.point(i, self._point(i)), rk.move(i, self._moved(i))]
-            first.append(rk.slopes(i, leaf, self._point(i), self._moved(i), du))
+            slopes = rk.slopes(i, leaf, self._point(i), self._moved(i), du)
+            first += noted([rk.point(i, self._point(i)), rk.move(i, self._moved(i)), slopes], f"stage {i + 1}", i)
         first += [rk.update_state(), rk.update("move", rk.moved, rk.tangent)]
         body.append(For("step", 0, self.steps, tuple(first)))
         body.append(Call(ca.Function("clear", [], [ca.SX.zeros(nx)]), (), (adj,)))
@@ -83,7 +101,16 @@ class Quadrature:
             *(("h", 1), ("X", nx), ("Xs", kept), ("K", s * nx), ("dX", nx), ("dXs", kept), ("dK", s * nx)),
             *(("adj", nx), ("Xbar", s * nx)),
         )
-        return Sweep(name, doc, (*rk.ports, *more), (Port("w", nx + nu),), buffers, tuple(body))
+        return Sweep(
+            name,
+            doc,
+            (*rk.ports, *more),
+            (Port("w", nx + nu),),
+            buffers,
+            tuple(body),
+            columns=self.rk.columns,
+            steps=self.steps,
+        )
 
     def _moved(self, stage: int) -> Slice:
         return Slice("dXs", self.nx, Affine(stage * self.nx, (("step", self.stages * self.nx),)))
@@ -100,7 +127,8 @@ class Quadrature:
         outs: tuple[Slice, ...] = (self.rk.slope(stage), Slice("L", 1, Affine(stage)))
         if not rate:
             leaf, outs = ca.Function("f", [self.x, self.u, self.p], [self.f]), outs[:1]
-        return [self.rk.point(stage, point), Call(leaf, (point, *self.rk.up), outs)]
+        nodes = [self.rk.point(stage, point), Call(leaf, (point, *self.rk.up), outs)]
+        return noted(nodes, f"stage {stage + 1}", stage)
 
     def _add_rates(self, q: Expression) -> Call:
         h, rates = ca.SX.sym("h"), ca.SX.sym("L", self.stages)
@@ -126,4 +154,4 @@ class Quadrature:
         leaf = ca.Function(f"backward_{stage}", inputs, [bar, g + ubar])
         here = Slice(target, self.nu, Affine(nx))
         ins = [self._point(stage), *self.rk.up, Slice("adj", nx), LENGTH, here, *along.values(), *map(self._bar, bars)]
-        return Call(leaf, tuple(ins), (self._bar(stage), here))
+        return Call(leaf, tuple(ins), (self._bar(stage), here), note=f"adjoint of stage {stage + 1}")

@@ -8,6 +8,7 @@ The buffers are h, the length of a step, X, the state, and K, the slopes of all 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from fractions import Fraction
 
 import casadi as ca
@@ -17,7 +18,7 @@ from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.casadi_types import Expression, Function
 from nmpc_codegen.ir.kernel import Port
 from nmpc_codegen.ir.passes import copy
-from nmpc_codegen.ir.sweep import Affine, Call, Slice
+from nmpc_codegen.ir.sweep import NEXT_STEP, Affine, Call, Slice
 
 #: Length of a step.
 LENGTH = Slice("h", 1)
@@ -33,6 +34,16 @@ class RungeKutta:
         self._fixed_length = problem.dt[0] / steps if problem.uniform else None
 
     @property
+    def steps_over_dt(self) -> str:
+        """``2 RK4 steps over dt``."""
+        return f"{self.steps} {self.tableau.name} step{'s' if self.steps > 1 else ''} over dt"
+
+    @property
+    def columns(self) -> dict[str, int]:
+        """Lengths of the rows of the buffers that hold stages one after the other."""
+        return dict.fromkeys(("K", "Xs", "Xbar", "dK", "dXs"), self.nx)
+
+    @property
     def ports(self) -> tuple[Port, ...]:
         """The input ports of an interval."""
         return Port("x", self.nx), Port("u", self.nu), Port("p", self.np), Port("dt", 1)
@@ -41,10 +52,9 @@ class RungeKutta:
         """h = dt / steps, X = x."""
         dt = ca.SX.sym("dt")
         h = dt / self.steps if self._fixed_length is None else ca.SX(self._fixed_length)
-        return [
-            Call(ca.Function("step_length", [dt], [h], ["dt"], ["h"]), (Slice("dt", 1),), (LENGTH,)),
-            Call(copy("copy_x", self.nx), (Slice("x", self.nx),), (self.state,)),
-        ]
+        length = Call(ca.Function("step_length", [dt], [h], ["dt"], ["h"]), (Slice("dt", 1),), (LENGTH,))
+        state = Call(copy("copy_x", self.nx), (Slice("x", self.nx),), (self.state,))
+        return [replace(length, note="start"), replace(state, note="start")]
 
     def slope(self, stage: int) -> Slice:
         """K of a stage."""
@@ -71,7 +81,7 @@ class RungeKutta:
 
     def update_state(self, target: Slice | None = None) -> Call:
         """X + h sum_i b_i K_i."""
-        return self.update("update", self.state, self.slope, target)
+        return replace(self.update("update", self.state, self.slope, target), note="end", stage=NEXT_STEP)
 
     # Directions ------------------------------------------------------------------------------------------------------
 
@@ -118,4 +128,4 @@ class RungeKutta:
         value = ca.SX.sym("adj", adjoint.size)
         bars = [ca.SX.sym(f"Xbar{i}", adjoint.size) for i in range(self.stages)]
         leaf = ca.Function(name, [value, *bars], [sum(bars, value)])
-        return Call(leaf, (adjoint, *(bar(i) for i in range(self.stages))), (adjoint,))
+        return Call(leaf, (adjoint, *(bar(i) for i in range(self.stages))), (adjoint,), note="adjoint of the step")

@@ -11,6 +11,7 @@ closed form; the others are stored packed, in rows whose length is a multiple of
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import zip_longest
 
 import casadi as ca
@@ -22,7 +23,7 @@ from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.casadi_types import Expression, Function
 from nmpc_codegen.ir.kernel import Port, lift
 from nmpc_codegen.ir.passes import copy, fixed, shifted
-from nmpc_codegen.ir.sweep import Affine, Call, For, Node, Slice
+from nmpc_codegen.ir.sweep import Affine, Call, For, Node, Slice, noted
 from nmpc_codegen.ir.tuning import PANEL, STAGGERED_TAPE
 
 Local = tuple[str, int]
@@ -95,9 +96,9 @@ class Builder:
         """Column ``index`` of a matrix of packed columns; ``block`` selects one of several matrices in the buffer."""
         return Slice(buffer, rows, Affine(block * rows * self.ld, ((index, 1),)), self.ld)
 
-    def columnwise(self, leaf: Function, ins: Sequence[Slice], outs: Sequence[Slice]) -> For:
-        """A loop that calls the leaf for every packed column."""
-        return For("c", 0, self.ld, (Call(leaf, tuple(ins), tuple(outs), inline=True),))
+    def columnwise(self, call: Call) -> For:
+        """A loop over the packed columns."""
+        return For("c", 0, self.ld, (replace(call, inline=True),))
 
     def locals(self) -> tuple[Local, ...]:
         """The buffers that both schemes use."""
@@ -193,7 +194,7 @@ class Builder:
             nodes.append(Call(constant("units", units), (), (Slice("E", units.numel()),)))
         value = self.linear_forcing()
         nodes.append(Call(constant("forcing", value), (), (Slice("Fu", value.numel()),)))
-        return nodes
+        return noted(nodes, "start")
 
     def evaluate(self, stage: int) -> list[Node]:
         """The stage point and K_i, and the tape if it is stored."""
@@ -207,7 +208,13 @@ class Builder:
             nodes.append(Call(self.d.leaf_tape(self.d.tape), (point, *self.rk.up), (K, self.tape(stage))))
         else:
             nodes.append(Call(self.d.leaf_value(), (point, *self.rk.up), (K,)))
-        return nodes
+        return noted(nodes, f"stage {stage + 1}", stage)
+
+    def row_lengths(self) -> dict[str, int]:
+        """Columns of the buffers that are matrices."""
+        stages = ("Xs", "tape", "kappa", "M", "Hs") if self.wide else ()
+        packed = ("Sx", "Ks", "Fu", "E", "H", "Z", "HZ", "Zs", "adjS", "XbarS", "ubarS")
+        return self.rk.columns | dict.fromkeys(stages, self.stages) | dict.fromkeys(packed, self.ld)
 
     def slope(self, stage: int, rows: list[int], target: Slice) -> For:
         """Columns of K_i' = F_x Z + [0 F_u]; the given rows of Z are stored in ``target``."""
@@ -222,12 +229,13 @@ class Builder:
         ins = [self.tape(stage, d.slopes), self.column("Sx", self.nF), Slice("h", 1)]
         ins += [self.column("Fu", len(self.forced)), self.column("E", len(self.controls))]
         ins += [self.column("Ks", self.nF, j) for j, a in enumerate(coefficients) if a]
-        return self.columnwise(leaf, ins, (self.column("Ks", self.nF, stage), target))
+        outs = (self.column("Ks", self.nF, stage), target)
+        return self.columnwise(Call(leaf, tuple(ins), outs, note=f"sensitivities of stage {stage + 1}"))
 
     def update_columns(self) -> For:
         """S += h sum_i b_i K_i'."""
         update = self.rk.update("update_columns", self.column("Sx", self.nF), lambda j: self.column("Ks", self.nF, j))
-        return self.columnwise(update.leaf, update.ins, update.outs)
+        return self.columnwise(replace(update, note="sensitivities of the step"))
 
     def again(self, stage: int, length: int) -> list[Node]:
         """Evaluate the first ``length`` values of the tape again if it is not stored."""
@@ -243,7 +251,8 @@ class Builder:
         adj, h = ca.SX.sym("adj", self.nx), ca.SX.sym("h")
         if not self.d.keeps_tape:
             nodes = [n for i in reversed(stages) for n in (*self.again(i, self.d.slopes), self._backward_stage(i))]
-            return [*nodes, self.rk.update_adjoint("update_adjoint", Slice("adj", self.nx), self._bar)]
+            nodes.append(self.rk.update_adjoint("update_adjoint", Slice("adj", self.nx), self._bar))
+            return noted(nodes, "adjoints")
         tapes = [ca.SX.sym(f"t{i}", self.d.slopes) for i in stages]
         found: dict[int, Expression] = {}
         kappas: dict[int, Expression] = {}
@@ -252,7 +261,7 @@ class Builder:
         outputs = [*(kappas[i] for i in stages), sum(found.values(), adj)]
         leaf = ca.Function("backward", [adj, h, *tapes], outputs)
         ins = (Slice("adj", self.nx), Slice("h", 1), *(self.tape(i, self.d.slopes) for i in stages))
-        return [Call(leaf, ins, (*(self.kappa(i) for i in stages), Slice("adj", self.nx)))]
+        return [Call(leaf, ins, (*(self.kappa(i) for i in stages), Slice("adj", self.nx)), note="adjoints")]
 
     def _backward_stage(self, stage: int) -> Call:
         """kappa_i and Xbar_i."""
@@ -262,9 +271,9 @@ class Builder:
     def _bar(self, stage: int) -> Slice:
         return Slice("Xbar", self.nx, Affine(stage * self.nx))
 
-    def stagewise(self, leaf: Function, ins: Sequence[Slice], outs: Sequence[Slice]) -> For:
-        """A loop that calls the leaf for every stage of a step."""
-        return For("s", 0, self.stages, (Call(leaf, tuple(ins), tuple(outs), inline=True),))
+    def stagewise(self, call: Call) -> For:
+        """A loop over the stages of a step."""
+        return For("s", 0, self.stages, (replace(call, inline=True),))
 
     def lane(self, buffer: str, size: int, kept: bool = True) -> Slice:
         """The data of stage s, the loop index."""
@@ -275,14 +284,18 @@ class Builder:
         """Evaluate the tapes of all stages of a step."""
         d = self.d
         ins = (self.lane("Xs", d.nx, self.keeps_points), *self.rk.up, self.lane("M", len(d.functions), self.staggered))
-        return self.stagewise(d.leaf_tape_of_functions(), ins, (self.lane("tape", d.tape),))
+        call = Call(d.leaf_tape_of_functions(), ins, (self.lane("tape", d.tape),), note="derivatives at all stages")
+        return self.stagewise(call)
 
     def curvatures(self) -> For:
         """Evaluate the values of H for all stages of a step."""
         d = self.d
         ins = (self.lane("Xs", d.nx, self.keeps_points), *self.rk.up, self.lane("tape", d.tape))
         kappa = self.lane("kappa", len(d.curved), self.keeps_kappa)
-        return self.stagewise(d.leaf_hessian(), (*ins, kappa), (self.lane("Hs", d.values, False),))
+        call = Call(
+            d.leaf_hessian(), (*ins, kappa), (self.lane("Hs", d.values, False),), note="curvatures at all stages"
+        )
+        return self.stagewise(call)
 
     def hessian_values(self, stage: int) -> Slice:
         """The values of H_i."""
@@ -292,7 +305,8 @@ class Builder:
         """Evaluate the values of H_i."""
         d, H = self.d, Slice("Hs", self.d.values)
         point = self.point(stage) if self.keeps_points else Slice("X", self.nx)
-        return Call(d.leaf_hessian(), (point, *self.rk.up, self.tape(stage), self.kappa(stage)), (H,))
+        ins = (point, *self.rk.up, self.tape(stage), self.kappa(stage))
+        return Call(d.leaf_hessian(), ins, (H,), note=f"curvature of stage {stage + 1}")
 
     def loop(self, first: Groups, second: Groups = (), down: bool = False) -> list[Node]:
         """A loop over steps of the groups of nodes ``first`` and ``second``; staggered, ``second`` is one step behind.
@@ -340,7 +354,7 @@ class Builder:
             for c, j, n in runs:
                 here = Slice("g", n, Affine(j))
                 nodes.append(Call(addition(n), (here, Slice("Sx", n, Affine(self.nx * self.ld + c))), (here,)))
-        return nodes
+        return noted(nodes, "results")
 
     def _closed_column(self, j: int) -> list[Node]:
         """Column j of S in closed form, a function of h alone."""

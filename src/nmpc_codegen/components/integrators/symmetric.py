@@ -10,7 +10,7 @@ import casadi as ca
 
 from nmpc_codegen.components.integrators.second_order import Builder, Local, constant
 from nmpc_codegen.ir.passes import copy
-from nmpc_codegen.ir.sweep import Affine, Call, For, Node, Slice
+from nmpc_codegen.ir.sweep import Affine, Call, For, Node, Slice, noted
 from nmpc_codegen.ir.tuning import FACTORS, LONGEST_TAPE, PANEL, TAPE_PER_COMPONENT, WRITTEN_PANELS
 
 
@@ -44,7 +44,7 @@ class ThreeSweeps(Builder):
         nodes = [*self.start(), *loops, *self.results()]
         if self.rows:
             pairs = [(row, column) for row in self.runs for column in self.runs if column[1] <= row[1]]
-            nodes += [self.add_block("H", a, (j, n), column) for (a, j, n), column in pairs]
+            nodes += noted((self.add_block("H", a, (j, n), column) for (a, j, n), column in pairs), "results")
         return nodes
 
     def _two(self) -> list[Node]:
@@ -80,8 +80,8 @@ class ThreeSweeps(Builder):
         """adj = lam, H = 0."""
         size = self.ld**2
         return [
-            Call(copy("copy_x", self.nx), (Slice("lam", self.nx),), (Slice("adj", self.nx),)),
-            Call(constant("clear", ca.SX.zeros(size)), (), (Slice("H", size),)),
+            Call(copy("copy_x", self.nx), (Slice("lam", self.nx),), (Slice("adj", self.nx),), note="adjoints"),
+            Call(constant("clear", ca.SX.zeros(size)), (), (Slice("H", size),), note="adjoints"),
         ]
 
     def _curved(self, stage: int, column: tuple[tuple[str, int], ...] = (("c", 1),)) -> Slice:
@@ -102,11 +102,12 @@ class ThreeSweeps(Builder):
         value = self.full_hessian(H)[self.rows, d.curved_states] @ Z + self.curvature_forcing(H, units)
         leaf = ca.Function("bend", [H, Z, units], [value], ["H", "Z", "E"], ["HZ"])
         ins = (self.hessian_values(stage), self._curved(stage), self.column("E", len(self.controls)))
-        bend = self.columnwise(leaf, ins, (self.column("HZ", len(self.rows), stage % self.group),))
+        bend = self.columnwise(Call(leaf, ins, (self.column("HZ", len(self.rows), stage % self.group),)))
         first = stage - stage % self.group
         complete = stage + 1 == min(first + self.group, self.stages)
         own = () if self.wide else (self.curvature(stage),)
-        return [*own, bend, *(self._accumulate(range(first, stage + 1)) if complete else ())]
+        nodes = [*own, *noted([bend], f"curvature of stage {stage + 1}")]
+        return [*nodes, *(noted(self._accumulate(range(first, stage + 1)), "Hessian") if complete else ())]
 
     @property
     def group(self) -> int:
@@ -141,7 +142,7 @@ class ThreeSweeps(Builder):
             terms = [Slice("HZ", 1, Affine((i * len(self.rows) + states + m) * self.ld, (("c", 1),))) for i in range(n)]
             symbols = [ca.SX.sym(f"a{i}") for i in range(n + 1)]
             leaf = ca.Function(f"sum_{n}", symbols, [sum(symbols[1:], symbols[0])])
-            nodes.append(self.columnwise(leaf, (here, *terms), (here,)))
+            nodes.append(self.columnwise(Call(leaf, (here, *terms), (here,))))
         return nodes
 
     def buffers(self) -> tuple[Local, ...]:

@@ -16,7 +16,9 @@ _LEVELS += ["<< >>", "+ -", "* / %"]
 _BINDING = {operator: level for level, operators in enumerate(_LEVELS, 1) for operator in operators.split()}
 _ASSIGNING, _UNARY = 2, len(_LEVELS) + 1
 #: A type in parentheses, which is that of a cast.
-_TYPE = re.compile(r"\(\s*(?:const )?(?:unsigned |signed )?(?:\w+_t|int|long|double|float|char|void)\b[^()]*\)")
+_TYPE = re.compile(
+    r"\(\s*(?:const )?(?:unsigned |signed )?(?:\w+_t|int|long|double|float|char|void)\b[^()]*(?:\(\*\)[^()]*)?\)"
+)
 
 
 class Expression(NamedTuple):

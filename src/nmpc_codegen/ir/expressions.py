@@ -1,0 +1,180 @@
+"""Kernels as nested expressions: a value that is used once is printed where it is used, others are named constants."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterable, Mapping
+from textwrap import wrap
+from typing import TYPE_CHECKING
+
+import casadi as ca
+
+from nmpc_codegen.ir.kernel import OPERATIONS, Kernel, Part
+from nmpc_codegen.ir.local_names import Taken
+
+if TYPE_CHECKING:
+    from nmpc_codegen.ir.c_style import CStyle
+    from nmpc_codegen.ir.kernel import Instruction
+
+#: Maximum length of a line.
+WIDTH = 100
+#: A longer expression gets a name unless it is flat, that is no deeper than that; so does a very deep one.
+LONGEST, FLAT, DEEPEST = 240, 2, 6
+
+_IDENTIFIER = re.compile(r"[A-Za-z_]\w*")
+_SUMS = (ca.OP_ADD, ca.OP_SUB)
+_PRODUCTS = (ca.OP_MUL, ca.OP_SQ, ca.OP_DIV)
+
+
+class Expressions:
+    """The expressions of a kernel, part by part.
+
+    Attributes:
+        statements: definitions of constants for the values that are used more than once, with comments above parts.
+    """
+
+    def __init__(
+        self, kernel: Kernel, style: CStyle, load: Callable[[int, int], str], taken: Taken | None = None
+    ) -> None:
+        self._kernel, self._style, self._load = kernel, style, load
+        self._taken = taken or Taken(style.names)
+        self._uses = _uses(kernel)
+        self._texts: dict[int, str] = {}
+        self.statements: list[str] = []
+        printed = frozenset[int]().union(*(part.values for part in kernel.parts))
+        rest = Part("", frozenset(range(len(kernel.instructions))) - printed, {})
+        for part in (*kernel.parts, rest):
+            self._print(part, not kernel.parts or part is kernel.parts[-1])
+
+    def _print(self, part: Part, last: bool) -> None:
+        """The values of a part; those that later parts or, before the last one, stores need are constants."""
+        inside = {a for v in part.values for a in self._kernel.operands(v)}
+        if last:
+            inside.update(v for _, _, v in self._kernel.stores)
+        begin = len(self.statements)
+        for v in sorted(part.values):
+            ins = self._kernel.instructions[v]
+            if ins.opcode not in OPERATIONS:
+                loads = ins.opcode == ca.OP_INPUT
+                self._texts[v] = self._load(*ins.args) if loads else self._style.number(ins.constant)
+                continue
+            text = self._nested(ins)
+            alone = self._uses[v] == 1 and (v in inside or not part.note)
+            deep = depth(text)
+            if not alone or deep > DEEPEST or (len(text) > LONGEST and deep > FLAT):
+                named = part.named.get(v)
+                wish = self._style.names.value(named.buffer, named.element, named.mark) if named else ""
+                name = self._taken.next(wish or self._wish(ins))
+                self.statements.append(f"const {self._style.real} {name} = {text};")
+                text = name
+            self._texts[v] = text
+        if part.note and len(self.statements) > begin:
+            self.statements.insert(begin, f"/* {part.note} */")
+
+    def _wish(self, ins: Instruction) -> str:
+        """cos_phi for cos(phi)."""
+        operation = OPERATIONS[ins.opcode]
+        operand = self._texts[ins.args[0]] if len(ins.args) == 1 else ""
+        plain = _IDENTIFIER.fullmatch(operand) and not re.fullmatch(r"t\d+_*", operand)
+        return f"{operation.function}_{operand}" if operation.function and plain else ""
+
+    def text(self, value: int) -> str:
+        """The text of a value that is stored."""
+        number = self._kernel.instructions[value].opcode == ca.OP_CONST
+        return self._style.whole(self._texts[value]) if number else self._texts[value]
+
+    def assignment(self, target: str, value: int) -> str:
+        """``target = value``, or ``target += rest`` where the value is a sum that begins with the target."""
+        ins = self._kernel.instructions[value]
+        if ins.opcode == ca.OP_ADD and target in (terms := [self._texts[a] for a in ins.args]):
+            return f"{target} += {terms[1 - terms.index(target)]}"
+        return f"{target} = {self.text(value)}"
+
+    def _nested(self, ins: Instruction) -> str:
+        numbers = [a for a in ins.args if self._kernel.instructions[a].opcode == ca.OP_CONST]
+        operands = {a: self._texts[a] for a in ins.args}
+        if self._style.needs_values(ins.opcode) or len(numbers) == len(ins.args):
+            operands |= {a: self._style.whole(operands[a]) for a in numbers}
+        for position, a in enumerate(ins.args):
+            if needs_parentheses(ins.opcode, position, self._kernel.instructions[a].opcode, operands[a]):
+                operands[a] = f"({operands[a]})"
+        return expression(self._in_order(ins), operands, self._style)
+
+    def _in_order(self, ins: Instruction) -> Instruction:
+        """Sort the operands of a commutative operation on loads in the order of the inputs."""
+        loads = [self._kernel.instructions[a] for a in ins.args]
+        if not OPERATIONS[ins.opcode].commutative or any(load.opcode != ca.OP_INPUT for load in loads):
+            return ins
+        return ins._replace(args=tuple(a for _, a in sorted(zip((x.args for x in loads), ins.args, strict=True))))
+
+
+def expression(ins: Instruction, operands: Mapping[int, str], style: CStyle) -> str:
+    """An operation on the texts of its operands."""
+    operation = OPERATIONS[ins.opcode]
+    if style.lanes and ins.opcode in style.CONDITIONS:
+        return f"lanes_{style.CONDITIONS[ins.opcode]}({', '.join(operands[a] for a in ins.args)})"
+    return operation.c.format(
+        *(operands[a] for a in ins.args),
+        fn=style.function(operation.function) if operation.function else "",
+        one=style.literal(1.0),
+        zero=style.literal(0.0),
+    )
+
+
+def needs_parentheses(outer: int, position: int, inner: int, text: str) -> bool:
+    """True if the text of an inner operation is no operand of an outer one, at a position, as it is."""
+    if OPERATIONS[outer].function:
+        return False
+    if text.startswith("-") and (position > 0 or outer not in (*_SUMS, ca.OP_MUL, ca.OP_DIV)):
+        return True
+    if " " not in text or inner == ca.OP_INPUT or (inner in OPERATIONS and OPERATIONS[inner].function):
+        return False
+    return not (outer in _SUMS and (inner in _PRODUCTS or (inner in _SUMS and position == 0)))
+
+
+def depth(text: str) -> int:
+    """The largest number of parentheses that are open at once."""
+    most = now = 0
+    for character in text:
+        now += (character == "(") - (character == ")")
+        most = max(most, now)
+    return most
+
+
+def _uses(kernel: Kernel) -> list[int]:
+    """Number of occurrences of every value in the text of a kernel."""
+    uses = [0] * len(kernel.instructions)
+    for ins in kernel.instructions:
+        if ins.opcode in OPERATIONS:
+            for position, a in enumerate(ins.args):
+                uses[a] += OPERATIONS[ins.opcode].c.count(f"{{{position}}}")
+    for _, _, value in kernel.stores:
+        uses[value] += 1
+    return uses
+
+
+def declared(real: str, constants: Iterable[tuple[str, str]]) -> list[str]:
+    """One declaration of all constants (name, text)."""
+    texts = [f"{name} = {text}" for name, text in constants]
+    return [f"const {real} {', '.join(texts)};"] if texts else []
+
+
+#: A blank where no line may break, while lines are filled.
+FIRM = "\0"
+#: Such a blank: a line breaks in front of an operator and behind a comma between declarations.
+_FIRM = re.compile(r" (?![-+*/?:=] )(?<!, )")
+
+
+def wrapped(indent: str, line: str) -> list[str]:
+    """The statement in lines of at most WIDTH columns, broken in front of operators."""
+    if len(indent) + len(line) <= WIDTH:
+        return [indent + line.replace(FIRM, " ")]
+    lines = wrap(
+        _FIRM.sub(FIRM, line),
+        WIDTH,
+        initial_indent=indent,
+        subsequent_indent=indent + "    ",
+        break_long_words=False,
+        break_on_hyphens=False,
+    )
+    return [part.replace(FIRM, " ") for part in lines]

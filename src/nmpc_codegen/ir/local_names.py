@@ -1,0 +1,95 @@
+"""Names of constants in printed kernels: after the user's signals, their stages, and the functions of them.
+
+x[2] -> phi,   yref[2] -> phi_ref,   stage 3 of step 1 -> phi_13, its slope -> phi_dot_13,   cos(phi) -> cos_phi
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable
+from dataclasses import dataclass
+
+#: Buffer -> text in front of the name of a signal, the signals, text behind it.
+_OF_SIGNALS = {
+    **dict.fromkeys(("x", "X", "Xi", "Xs"), ("", "states", "")),
+    "x_next": ("", "states", "_next"),
+    "u": ("", "controls", ""),
+    "p": ("", "parameters", ""),
+    "yref": ("", "residuals", "_ref"),
+    "W": ("W_", "residuals", ""),
+    "lam": ("lam_", "states", ""),
+    "adj": ("adj_", "states", ""),
+    "dx": ("d_", "states", ""),
+    "du": ("d_", "controls", ""),
+    **dict.fromkeys(("x_0", "first"), ("", "states", "_0")),
+    **dict.fromkeys(("x_N", "last"), ("", "states", "_N")),
+}
+#: Slopes of all stages, one after the other.
+_SLOPES = "K"
+#: Longest name that is made of another one.
+_LONGEST = 24
+
+
+@dataclass(frozen=True)
+class LocalNames:
+    """The user's signals, element by element, as identifiers of C; ``reserved``: names that no constant may have."""
+
+    states: tuple[str, ...] = ()
+    controls: tuple[str, ...] = ()
+    parameters: tuple[str, ...] = ()
+    residuals: tuple[str, ...] = ()
+    residuals_N: tuple[str, ...] = ()
+    reserved: frozenset[str] = frozenset()
+
+    def signal(self, kernel: str, buffer: str, element: int, size: int) -> str:
+        """Name for an element of a buffer of ``size`` elements in a kernel; "" if it is no signal."""
+        before, kind, behind = _OF_SIGNALS.get(buffer, ("", "", ""))
+        if kind == "residuals" and not kernel.startswith("path"):
+            kind = "residuals_N" if kernel.startswith("terminal") else ""
+        names = getattr(self, kind) if kind else ()
+        return f"{before}{names[element]}{behind}" if len(names) == size else ""
+
+    def variable(self, element: int) -> str:
+        """Name of a component of (x, u)."""
+        names = (*self.states, *self.controls)
+        return names[element] if element < len(names) else ""
+
+    def value(self, buffer: str, element: int, mark: str) -> str:
+        """Name for a value of a stage; "" if it has none."""
+        n = len(self.states)
+        if not (mark and n):
+            return ""
+        if buffer in ("X", "Xi", "Xs") and element < n:
+            return f"{self.states[element]}_{mark}"
+        return f"{self.states[element]}_dot_{mark}" if buffer == _SLOPES and element < n else ""
+
+
+#: No signals: constants are named after ports.
+NO_NAMES = LocalNames()
+
+
+class Taken:
+    """The names that a function has given away."""
+
+    def __init__(self, names: LocalNames, others: Iterable[str] = ()) -> None:
+        self._reserved: Collection[str] = names.reserved
+        self._taken = set(others)
+        self._number = 0
+
+    def of(self, wish: str, otherwise: str) -> str:
+        """The wish, the same with _, or the other name."""
+        for name in (wish, f"{wish}_") if wish else ():
+            if name not in self._reserved and name not in self._taken:
+                self._taken.add(name)
+                return name
+        while otherwise in self._taken or otherwise in self._reserved:
+            otherwise += "_"
+        self._taken.add(otherwise)
+        return otherwise
+
+    def next(self, wish: str = "") -> str:
+        """The wish if it is short and free, or t1, t2, ..."""
+        if wish and len(wish) <= _LONGEST and wish not in self._taken and wish not in self._reserved:
+            self._taken.add(wish)
+            return wish
+        self._number += 1
+        return self.of("", f"t{self._number}")

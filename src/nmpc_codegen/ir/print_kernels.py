@@ -1,0 +1,126 @@
+"""Straight-line kernels as C functions: loads, then named constants, then stores.
+
+Outputs may alias inputs, so all loads are named constants in front of the first store.
+"""
+
+from __future__ import annotations
+
+import re
+from itertools import groupby
+from textwrap import wrap
+
+import casadi as ca
+
+from nmpc_codegen.ir.c_style import CStyle
+from nmpc_codegen.ir.expressions import FIRM, WIDTH, Expressions, declared, wrapped
+from nmpc_codegen.ir.kernel import Kernel, Port
+from nmpc_codegen.ir.local_names import LocalNames, Taken
+from nmpc_codegen.package.opcount import OpCount
+
+
+def signature(name: str, inputs: tuple[Port, ...], outputs: tuple[Port, ...], style: CStyle) -> str:
+    """``static void name(const real x[4], ..., real y[4])``."""
+    arguments = [f"const {style.real} {parameter(p)}" for p in inputs]
+    arguments += [f"{style.real} {parameter(p)}" for p in outputs]
+    return f"static void {name}({', '.join(arguments)})"
+
+
+def parameter(port: Port) -> str:
+    """``x[4]``, ``S[4][5]``, ``*W``: a port as a parameter in C."""
+    if port.flat:
+        return f"*{port.name}"
+    return f"{port.name}[{port.rows}][{port.cols}]" if port.cols else f"{port.name}[{port.rows}]"
+
+
+def comment(doc: str, inputs: tuple[Port, ...], outputs: tuple[Port, ...], extra: str) -> str:
+    """Block comment with the formula, what is said of the ports, and the operation count."""
+    ports = "".join(f"; {p.name}: {p.doc}" for p in (*inputs, *outputs) if p.doc)
+    return block(f"{doc}{ports}: {extra}")
+
+
+def block(text: str) -> str:
+    """The text as a block comment in filled lines."""
+    lines = wrap(text, WIDTH - len(" * ") - len(" */"), break_long_words=False, break_on_hyphens=False)
+    return "/* " + "\n * ".join(lines) + " */"
+
+
+def counted(count: OpCount) -> str:
+    """``3 add, 4 mul``."""
+    return ", ".join(f"{v} {k}" for k, v in count.as_dict().items() if v) or "no operations"
+
+
+def print_kernel(kernel: Kernel, style: CStyle) -> str:
+    """The whole C function; its parameters are the ports that it reads or writes."""
+    printed = Function(kernel, style)
+    lines = [
+        comment(kernel.doc, kernel.reads, kernel.writes, counted(kernel.count)),
+        *wrapped_head(signature(kernel.name, kernel.reads, kernel.writes, style)),
+        "{",
+    ]
+    return "\n".join([*lines, *printed.lines("    "), "}"])
+
+
+def wrapped_head(head: str) -> list[str]:
+    """The head of a function in lines of at most WIDTH columns."""
+    return wrapped("", re.sub(r"(?<!,) ", FIRM, head))
+
+
+class Function:
+    """The body of a kernel as a function of its ports: loads, then named constants, then stores."""
+
+    def __init__(self, kernel: Kernel, style: CStyle) -> None:
+        self.kernel, self.style = kernel, style
+        self.taken = Taken(style.names, (p.name for p in (*kernel.reads, *kernel.writes)))
+
+    def lines(self, indent: str) -> list[str]:
+        kernel, names = self.kernel, self.style.names
+        loads: dict[tuple[int, int], str] = {}
+        declarations: list[str] = []
+        for port, group in groupby(sorted(loaded(kernel)), key=lambda load: load[0]):
+            p = kernel.inputs[port]
+            constants = []
+            for _, e in group:
+                loads[port, e] = self.taken.of(names.signal(kernel.name, p.name, e, p.size), f"{p.name}_{e}")
+                constants.append((loads[port, e], f"{p.name}[{e}]"))
+            declarations += declared(self.style.real, constants)
+        expressions = Expressions(kernel, self.style, lambda port, e: loads[port, e], self.taken)
+        lines = [part for line in (*declarations, *expressions.statements) for part in wrapped(indent, line)]
+        for o, e, v in kernel.stores:
+            target = f"{kernel.outputs[o].name}{at(kernel.outputs[o], e)}"
+            lines += statement(indent, f"{target} = {expressions.text(v)}", self._note(o, e))
+        return lines
+
+    def _note(self, output: int, element: int) -> str:
+        """What the element of an output is."""
+        port = self.kernel.outputs[output]
+        return result_note(port.name, port.cols, element, self.style.names)
+
+
+def result_note(name: str, columns: int, element: int, names: LocalNames) -> str:
+    """``phi+`` for an element of x_next, ``d omega+ / d phi`` for one of S."""
+    row, column = divmod(element, columns) if columns else (element, 0)
+    of_row, of_column = names.variable(row), names.variable(column)
+    if not of_row:
+        return ""
+    if name == "S" and columns and of_column:
+        return f"d {of_row}+ / d {of_column}"
+    return {"x_next": f"{of_row}+", "g": f"d / d {of_row}"}.get(name, "") if not columns else ""
+
+
+def at(port: Port, element: int) -> str:
+    """The index of an element of a port."""
+    return "[{}][{}]".format(*divmod(element, port.cols)) if port.cols else f"[{element}]"
+
+
+def statement(indent: str, text: str, note: str) -> list[str]:
+    """The lines of a statement, with a note behind it, or above it where it does not fit."""
+    lines = wrapped(indent, f"{text};")
+    if not note:
+        return lines
+    beside = f"{lines[-1]} /* {note} */"
+    return [*lines[:-1], beside] if len(beside) <= WIDTH else [f"{indent}/* {note} */", *lines]
+
+
+def loaded(kernel: Kernel) -> set[tuple[int, int]]:
+    """(port, element) of all loads."""
+    return {(ins.args[0], ins.args[1]) for ins in kernel.instructions if ins.opcode == ca.OP_INPUT}

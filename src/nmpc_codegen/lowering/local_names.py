@@ -1,0 +1,51 @@
+"""The names that constants in the kernels of a package may have: the user's, without those that its unit uses."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from functools import cache
+
+from nmpc_codegen.frontend.problem import Problem
+from nmpc_codegen.ir.kernel import OPERATIONS
+from nmpc_codegen.ir.local_names import LocalNames
+from nmpc_codegen.ir.naming import C_KEYWORDS
+from nmpc_codegen.lowering.parts import defined_names, template_directory
+from nmpc_codegen.lowering.preamble import arithmetic
+from nmpc_codegen.package.signals import c_identifier
+from nmpc_codegen.package.status import Status
+
+#: Macros of the compilers, the C library and the preamble that have the form of a name of a signal.
+_MACROS = """
+    NAN INFINITY HUGE HUGE_VAL HUGE_VALF MATH_ERRNO MATH_ERREXCEPT FP_NAN FP_INFINITE FP_ZERO FP_SUBNORMAL FP_NORMAL
+    DOMAIN SING OVERFLOW UNDERFLOW PLOSS TLOSS EOF NULL offsetof isnan isinf isfinite isnormal signbit fpclassify
+    linux unix i386 arm mips sparc sun PPC ALL API R YREF YREF_N WEIGHT WEIGHT_N PARAM PARAM_N PATH_LOWER PATH_UPPER
+    HESSIAN VECTOR_LANES PACK_WIDTH MAGIC s k n"""
+_MATH_CONSTANT = re.compile(r"M_[A-Z0-9_]+|FP_\w+|\w*_t")
+
+
+def local_names(problem: Problem, others: Iterable[str]) -> LocalNames:
+    """The names of a problem; ``others``: macros, kernels and tables of its package."""
+    taken = _of_every_unit().union(others)
+
+    def free(names: Iterable[str]) -> tuple[str, ...]:
+        spelled = (c_identifier(name) for name in names)
+        return tuple(f"{name}_" if name in taken or _MATH_CONSTANT.fullmatch(name) else name for name in spelled)
+
+    return LocalNames(
+        free(problem.state_names),
+        free(problem.control_names),
+        free(problem.parameter_names),
+        free(problem.path.y_names),
+        free(problem.terminal.y_names),
+        taken,
+    )
+
+
+@cache
+def _of_every_unit() -> frozenset[str]:
+    """Keywords, names of the C library, and what the parts define."""
+    functions = {operation.function for operation in OPERATIONS.values()} - {""}
+    macros = {name for name, _ in arithmetic("double")} | {status.name for status in Status}
+    parts = {name for path in template_directory().rglob("*.c*") for name in defined_names(path.read_text("utf-8"))}
+    return C_KEYWORDS | set(_MACROS.split()) | functions | {f"{name}f" for name in functions} | macros | parts
