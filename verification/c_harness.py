@@ -18,9 +18,9 @@ import numpy as np
 
 from nmpc_codegen import OCP, Options
 from nmpc_codegen.frontend.classify import classify
-from nmpc_codegen.ir.c_style import CStyle
 from nmpc_codegen.ir.cmodule import CModule
-from nmpc_codegen.ir.print_c import print_routine
+from nmpc_codegen.ir.printing.c_style import CStyle
+from nmpc_codegen.ir.printing.routines import print_routine
 from nmpc_codegen.ir.sweep import Routine
 from nmpc_codegen.lowering.linearize import linearize
 from nmpc_codegen.lowering.lower import lower

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from nmpc_codegen.ir.c_style import unit_style
-from nmpc_codegen.lowering.lanes import in_lanes, transpose
+from nmpc_codegen.ir.printing.c_style import unit_style
+from nmpc_codegen.lowering.lanes.nodes import in_lanes, transpose
 from nmpc_codegen.lowering.parts import MATH, MATH_IN_LANES, own_names, own_text, read_part
 from nmpc_codegen.package.program import OF_ONE, OF_TWO
 from nmpc_codegen.runtime.compilers import find_compiler

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
-from nmpc_codegen.ir.c_style import CStyle
-from nmpc_codegen.ir.print_c import print_routine
+from nmpc_codegen.ir.printing.c_style import CStyle
+from nmpc_codegen.ir.printing.routines import print_routine
 from nmpc_codegen.ir.sweep import Routine
 from nmpc_codegen.runtime.build import PROFILES
 from nmpc_codegen.runtime.compilers import find_compiler

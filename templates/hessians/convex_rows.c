@@ -70,15 +70,15 @@ static void add_rows(solver_t *s)
         }
     }
     if (HAS_TERMINAL_CURVATURE) {
-        real_t M[NX][NX] = {{R(0)}}, mu_N[NH_N];
+        real_t M_N[NX][NX] = {{R(0)}}, mu_N[NH_N];
         memcpy(mu_N, s->mu_N, sizeof mu_N);
         memset(s->mu_N, 0, sizeof mu_N);
         for (int i = 0; i < NH_N; i++) {
             if (mu_N[i] < R(0) || mu_N[i] > R(0)) {
                 s->mu_N[i] = mu_N[i];
-                TERMINAL_CURVATURE(s, M);
+                TERMINAL_CURVATURE(s, M_N);
                 s->mu_N[i] = R(0);
-                add_if_convex(&s->hessian.Q_N[0][0], &M[0][0], NX);
+                add_if_convex(&s->hessian.Q_N[0][0], &M_N[0][0], NX);
             }
         }
         memcpy(s->mu_N, mu_N, sizeof mu_N);

@@ -48,4 +48,4 @@ const char *golden_status_string(golden_status_t status);
 #endif
 
 #endif
-/* nmpc_codegen package 4e68b8e129b20590, sha256 34aad40735f7f7032777876e4e4d734c36a57ab8dc191b10dfde7d85131fbecd */
+/* nmpc_codegen package 486c1b4f1d4072a2, sha256 ea6132581666c761968df731b249037c01c38634689de0df93aaedcc29cb8522 */

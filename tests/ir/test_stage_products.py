@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from nmpc_codegen.ir import stage_products
-from nmpc_codegen.ir.c_style import CStyle
-from nmpc_codegen.ir.print_c import print_routine
+from nmpc_codegen.ir.printing.c_style import CStyle
+from nmpc_codegen.ir.printing.routines import print_routine
 from nmpc_codegen.ir.stage_products import Pattern, Products
 from nmpc_codegen.ir.sweep import unroll
 from nmpc_codegen.ir.tuning import COLUMNS

@@ -8,9 +8,9 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from nmpc_codegen.ir.c_style import CStyle
 from nmpc_codegen.ir.kernel import Kernel, Port
-from nmpc_codegen.ir.print_c import print_routine
+from nmpc_codegen.ir.printing.c_style import CStyle
+from nmpc_codegen.ir.printing.routines import print_routine
 from nmpc_codegen.ir.sweep import (
     Affine,
     Call,

@@ -13,7 +13,7 @@ import jinja2
 import pytest
 
 from nmpc_codegen import Options, generate
-from nmpc_codegen.ir.c_style import unit_style
+from nmpc_codegen.ir.printing.c_style import unit_style
 from nmpc_codegen.lowering.parts import template_directory
 from nmpc_codegen.lowering.preamble import arithmetic
 from nmpc_codegen.lowering.render import context, environment, tidy

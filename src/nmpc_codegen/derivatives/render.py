@@ -9,9 +9,9 @@ from typing import Any
 from nmpc_codegen.derivatives.counts import Counts
 from nmpc_codegen.derivatives.layout import Function, Member, functions, macros, size_of, structs
 from nmpc_codegen.derivatives.model import DerivativeModel
-from nmpc_codegen.ir.c_style import unit_style
 from nmpc_codegen.ir.cmodule import Table
-from nmpc_codegen.ir.print_c import print_routine
+from nmpc_codegen.ir.printing.c_style import unit_style
+from nmpc_codegen.ir.printing.routines import print_routine
 from nmpc_codegen.ir.sweep import Routine
 from nmpc_codegen.lowering.parts import names_in, read_part, rename, renamed_words
 from nmpc_codegen.lowering.preamble import (

@@ -13,8 +13,8 @@ import casadi as ca
 
 from nmpc_codegen.frontend.problem import Problem, Stage, symbols
 from nmpc_codegen.ir.casadi_types import Expression, elements
-from nmpc_codegen.ir.expressions import needs_parentheses
 from nmpc_codegen.ir.kernel import OPERATIONS, Instruction, Kernel, Port, lift, live, opcode_name
+from nmpc_codegen.ir.printing.expressions import needs_parentheses
 from nmpc_codegen.package.program import EDGES, Operation, Program, Quantity, Step
 
 #: Longer texts of operations are cut.

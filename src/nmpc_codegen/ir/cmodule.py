@@ -9,10 +9,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from nmpc_codegen.errors import ProblemError
-from nmpc_codegen.ir.c_style import CStyle, unit_style
 from nmpc_codegen.ir.kernel import Kernel
-from nmpc_codegen.ir.local_names import LocalNames
 from nmpc_codegen.ir.naming import check_package_name
+from nmpc_codegen.ir.printing.c_style import CStyle, unit_style
+from nmpc_codegen.ir.printing.local_names import LocalNames
 from nmpc_codegen.ir.stage_products import Products
 from nmpc_codegen.ir.sweep import LoopedRoutine, Routine
 from nmpc_codegen.package.description import PackageDescription

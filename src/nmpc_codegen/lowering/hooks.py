@@ -7,8 +7,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from functools import cache, lru_cache
 
 from nmpc_codegen.components.base import HOOKS
-from nmpc_codegen.ir.c_style import CStyle
 from nmpc_codegen.ir.cmodule import CModule
+from nmpc_codegen.ir.printing.c_style import CStyle
 from nmpc_codegen.lowering.parts import read_part
 from nmpc_codegen.lowering.pruning.scopes import signature
 from nmpc_codegen.lowering.pruning.tree import Edit, edited, margin, parse

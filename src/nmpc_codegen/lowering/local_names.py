@@ -8,8 +8,8 @@ from functools import cache
 
 from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.kernel import OPERATIONS
-from nmpc_codegen.ir.local_names import LocalNames
 from nmpc_codegen.ir.naming import C_KEYWORDS
+from nmpc_codegen.ir.printing.local_names import LocalNames
 from nmpc_codegen.lowering.parts import defined_names, template_directory
 from nmpc_codegen.lowering.preamble import arithmetic
 from nmpc_codegen.package.signals import c_identifier

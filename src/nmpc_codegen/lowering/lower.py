@@ -14,12 +14,12 @@ from nmpc_codegen.components.base import Component, Counts, Dims
 from nmpc_codegen.components.core import SIZES_OF_OTHERS, TABLES_OF_OTHERS
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.frontend.problem import Array, Problem, Row, Stage
-from nmpc_codegen.ir.c_style import CStyle
 from nmpc_codegen.ir.cmodule import CModule, Enum, Macro, Section, Setter, Table, check_prefix
 from nmpc_codegen.ir.kernel import called_functions
+from nmpc_codegen.ir.printing.c_style import CStyle
 from nmpc_codegen.ir.sweep import Routine
 from nmpc_codegen.ir.tuning import PANEL
-from nmpc_codegen.lowering.lanes import with_lanes
+from nmpc_codegen.lowering.lanes.nodes import with_lanes
 from nmpc_codegen.lowering.linearize import Model
 from nmpc_codegen.lowering.local_names import local_names
 from nmpc_codegen.lowering.parts import own_names

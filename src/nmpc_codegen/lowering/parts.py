@@ -20,10 +20,10 @@ from functools import cache, lru_cache
 from itertools import accumulate
 from pathlib import Path
 
-from nmpc_codegen.ir.c_style import CStyle
 from nmpc_codegen.ir.cmodule import CModule
 from nmpc_codegen.ir.kernel import OPERATIONS
-from nmpc_codegen.ir.print_c import print_routine
+from nmpc_codegen.ir.printing.c_style import CStyle
+from nmpc_codegen.ir.printing.routines import print_routine
 from nmpc_codegen.lowering.pruning.directives import resolve
 from nmpc_codegen.lowering.pruning.scopes import blanked
 

@@ -10,9 +10,9 @@ from collections.abc import Collection, Mapping, Sequence
 from textwrap import wrap
 from types import MappingProxyType
 
-from nmpc_codegen.ir.c_style import CStyle, unit_style
 from nmpc_codegen.ir.cmodule import CModule
-from nmpc_codegen.ir.print_products import call
+from nmpc_codegen.ir.printing.c_style import CStyle, unit_style
+from nmpc_codegen.ir.printing.products import call
 from nmpc_codegen.ir.sweep import LoopedRoutine, Routine
 from nmpc_codegen.lowering.parts import names_in, rename
 from nmpc_codegen.lowering.pruning.unit import Definition as Definition

@@ -14,11 +14,11 @@ from typing import Any
 
 import jinja2
 
-from nmpc_codegen.ir.c_style import CStyle
 from nmpc_codegen.ir.cmodule import CModule, Table
-from nmpc_codegen.ir.print_c import print_routine
+from nmpc_codegen.ir.printing.c_style import CStyle
+from nmpc_codegen.ir.printing.routines import print_routine
 from nmpc_codegen.lowering.hooks import check_hooks, feature_parts, hook_prototypes, with_hooks
-from nmpc_codegen.lowering.lanes import GENERATED as IN_LANES
+from nmpc_codegen.lowering.lanes.nodes import GENERATED as IN_LANES
 from nmpc_codegen.lowering.parts import (
     GENERATED,
     names_in,

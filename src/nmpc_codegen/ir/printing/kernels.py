@@ -11,10 +11,10 @@ from textwrap import wrap
 
 import casadi as ca
 
-from nmpc_codegen.ir.c_style import CStyle
-from nmpc_codegen.ir.expressions import FIRM, WIDTH, Expressions, declared, wrapped
 from nmpc_codegen.ir.kernel import Kernel, Port
-from nmpc_codegen.ir.local_names import LocalNames, Taken
+from nmpc_codegen.ir.printing.c_style import CStyle
+from nmpc_codegen.ir.printing.expressions import FIRM, WIDTH, Expressions, declared, wrapped
+from nmpc_codegen.ir.printing.local_names import LocalNames, Taken
 from nmpc_codegen.package.opcount import OpCount
 
 
@@ -35,12 +35,14 @@ def parameter(port: Port) -> str:
 def comment(doc: str, inputs: tuple[Port, ...], outputs: tuple[Port, ...], extra: str) -> str:
     """Block comment with the formula, what is said of the ports, and the operation count."""
     ports = "".join(f"; {p.name}: {p.doc}" for p in (*inputs, *outputs) if p.doc)
-    return block(f"{doc}{ports}: {extra}")
+    return block(f"{doc}{ports}", extra)
 
 
-def block(text: str) -> str:
-    """The text as a block comment in filled lines."""
-    lines = wrap(text, WIDTH - len(" * ") - len(" */"), break_long_words=False, break_on_hyphens=False)
+def block(doc: str, count: str) -> str:
+    """A block comment in filled lines; the operation count is in the same line as the text, or in one of its own."""
+    width = WIDTH - len(" * ") - len(" */")
+    together = f"{doc}: {count}"
+    lines = [together] if len(together) <= width else [*wrap(doc, width, break_on_hyphens=False), count]
     return "/* " + "\n * ".join(lines) + " */"
 
 

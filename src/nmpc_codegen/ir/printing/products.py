@@ -11,9 +11,9 @@ import re
 from collections.abc import Iterable
 from functools import lru_cache
 
-from nmpc_codegen.ir.c_style import CStyle
-from nmpc_codegen.ir.expressions import Expressions, wrapped
-from nmpc_codegen.ir.print_kernels import block, counted, loaded, wrapped_head
+from nmpc_codegen.ir.printing.c_style import CStyle
+from nmpc_codegen.ir.printing.expressions import Expressions, wrapped
+from nmpc_codegen.ir.printing.kernels import block, counted, loaded, wrapped_head
 from nmpc_codegen.ir.sweep import Affine, Block, Call, Entries, For, Frame, If, LoopedRoutine, Node, Slice, calls
 
 #: Text of a load -> name of the constant that holds it.
@@ -27,7 +27,7 @@ def print_framed(routine: LoopedRoutine, style: CStyle) -> str:
     lines = _body(routine, style)
     parameters = [text for name, text in named(frame).items() if name in _names(lines)]
     head = f"static {'inline ' if frame.inline else ''}void {sweep.name}({', '.join(parameters)})"
-    return "\n".join([block(f"{sweep.doc}: {counted(routine.count)}"), *wrapped_head(head), "{", *lines, "}"])
+    return "\n".join([block(sweep.doc, counted(routine.count)), *wrapped_head(head), "{", *lines, "}"])
 
 
 def call(routine: LoopedRoutine, style: CStyle) -> tuple[tuple[str, ...], str]:

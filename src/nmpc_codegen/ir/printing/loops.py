@@ -7,12 +7,11 @@ from itertools import groupby
 
 import casadi as ca
 
-from nmpc_codegen.ir.c_style import CStyle
-from nmpc_codegen.ir.expressions import Expressions, declared, wrapped
 from nmpc_codegen.ir.kernel import OPERATIONS, Instruction, Kernel
-from nmpc_codegen.ir.local_names import Taken
 from nmpc_codegen.ir.passes import bound
-from nmpc_codegen.ir.print_kernels import (
+from nmpc_codegen.ir.printing.c_style import CStyle
+from nmpc_codegen.ir.printing.expressions import Expressions, declared, wrapped
+from nmpc_codegen.ir.printing.kernels import (
     comment,
     counted,
     loaded,
@@ -22,6 +21,7 @@ from nmpc_codegen.ir.print_kernels import (
     statement,
     wrapped_head,
 )
+from nmpc_codegen.ir.printing.local_names import Taken
 from nmpc_codegen.ir.sweep import Affine, Call, For, LoopedRoutine, Node, Slice, calls, passed
 
 #: So many elements that receive the same number are one statement, and so many zeros one call.
@@ -49,13 +49,12 @@ class _Printer:
     def __init__(self, routine: LoopedRoutine, style: CStyle) -> None:
         sweep = routine.sweep
         self.routine, self.style = routine, style
-        self.columns: Mapping[str, int] = {
-            **sweep.columns,
-            **{p.name: p.cols for p in (*sweep.inputs, *sweep.outputs) if p.cols},
-        }
+        ports = (*routine.reads, *routine.writes)
+        rows = {name: sweep.columns[name] for name, size in sweep.locals if sweep.columns.get(name, size) < size}
+        self.columns: Mapping[str, int] = rows | {p.name: p.cols for p in ports if p.cols}
         self.locals = {name: size for name, size in sweep.locals if size and name in routine.touched}
         self.sizes = dict(sweep.locals) | {p.name: p.size for p in (*sweep.inputs, *sweep.outputs)}
-        self.names = {*self.locals, *(p.name for p in (*sweep.inputs, *sweep.outputs)), *_indices(sweep.body)}
+        self.names = {*self.locals, *(p.name for p in ports), *_indices(sweep.body)}
         self.largest: dict[str, int] = {}
 
     def body(self) -> list[str]:

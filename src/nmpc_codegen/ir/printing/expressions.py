@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING
 import casadi as ca
 
 from nmpc_codegen.ir.kernel import OPERATIONS, Kernel, Part
-from nmpc_codegen.ir.local_names import Taken
+from nmpc_codegen.ir.printing.local_names import Taken
 
 if TYPE_CHECKING:
-    from nmpc_codegen.ir.c_style import CStyle
     from nmpc_codegen.ir.kernel import Instruction
+    from nmpc_codegen.ir.printing.c_style import CStyle
 
 #: Maximum length of a line.
 WIDTH = 100
@@ -155,7 +155,7 @@ def _uses(kernel: Kernel) -> list[int]:
 
 def declared(real: str, constants: Iterable[tuple[str, str]]) -> list[str]:
     """One declaration of all constants (name, text)."""
-    texts = [f"{name} = {text}" for name, text in constants]
+    texts = [f"{name}{FIRM}={FIRM}{text}" for name, text in constants]
     return [f"const {real} {', '.join(texts)};"] if texts else []
 
 

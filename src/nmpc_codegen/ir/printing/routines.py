@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from functools import lru_cache
 
-from nmpc_codegen.ir.c_style import CStyle
 from nmpc_codegen.ir.kernel import Kernel
-from nmpc_codegen.ir.print_kernels import print_kernel
-from nmpc_codegen.ir.print_loops import print_looped
-from nmpc_codegen.ir.print_products import print_framed
+from nmpc_codegen.ir.printing.c_style import CStyle
+from nmpc_codegen.ir.printing.kernels import print_kernel
+from nmpc_codegen.ir.printing.loops import print_looped
+from nmpc_codegen.ir.printing.products import print_framed
 from nmpc_codegen.ir.sweep import Routine
 
 

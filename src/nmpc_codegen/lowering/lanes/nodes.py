@@ -10,12 +10,12 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 
-from nmpc_codegen.ir.c_style import CStyle, spell
 from nmpc_codegen.ir.cmodule import CModule
 from nmpc_codegen.ir.kernel import OPERATIONS, Kernel, Port, called_functions
-from nmpc_codegen.ir.print_c import print_routine
+from nmpc_codegen.ir.printing.c_style import CStyle, spell
+from nmpc_codegen.ir.printing.routines import print_routine
 from nmpc_codegen.ir.sweep import LoopedRoutine, Routine
-from nmpc_codegen.lowering import lane_steps
+from nmpc_codegen.lowering.lanes import steps as lane_steps
 from nmpc_codegen.lowering.parts import MATH_IN_LANES, names_in, needed, own_names, own_text
 from nmpc_codegen.lowering.preamble import PLACES
 from nmpc_codegen.package.features import Features

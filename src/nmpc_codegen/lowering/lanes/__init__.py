@@ -1,0 +1,1 @@
+"""Linearisation of several shooting nodes at once, one per lane of vectors."""
