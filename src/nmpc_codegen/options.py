@@ -117,14 +117,15 @@ class Group:
 class Options:
     """One component for every seam that the algorithm needs.
 
-    None selects the default of the algorithm or lets the compiler choose a component for the problem; the report gives
-    the reason. ``solve``: generate <name>_solve(), which iterates to convergence; a controller for real-time use alone
-    is smaller without it. ``math``: "own" puts exp, sin, pow and their like into the package, so that every machine
-    computes the same bits and no libm is needed; "libm" calls those of math.h; None: "own" for a microcontroller.
-    ``goal``: "size" chooses loops instead of straight-line code and matrices without padding, "speed" what takes the
-    least time. ``target``: the machine for which the C is written (targets.py), obeyed by export() and build() alike;
-    "portable" is ISO C99 for any machine, "native" the target of this machine. Targets compute the same to rounding,
-    but for a microcontroller less is chosen: no repairs before a sample, and by default no second Hessian for solve().
+    None selects the default of the algorithm or lets the compiler choose a component for the problem; the report
+    gives the reason. ``solve``: generate <name>_solve(), which iterates to convergence; a controller for real-time
+    use alone is smaller without it; None: not for a microcontroller. ``math``: "own" puts exp, sin, pow and their
+    like into the package, so that every machine computes the same bits and no libm is needed; "libm" calls those of
+    math.h; None: "own" for a microcontroller. ``goal``: "size" chooses loops instead of straight-line code and
+    matrices without padding, "speed" what takes the least time. ``target``: the machine for which the C is written
+    (targets.py), obeyed by export() and build() alike; "portable" is ISO C99 for any machine, "native" the target
+    of this machine. Targets compute the same to rounding, but for a microcontroller less is chosen: no repairs
+    before a sample, no solve(), and with it no second Hessian.
 
     Raises:
         OptionError: a value is not allowed, or a component is given for a seam that the algorithm does not need.
@@ -137,7 +138,7 @@ class Options:
     algorithm: Algorithm = option(RealTimeIteration(), Chosen("algorithm"))
     online: Online = option(Online(), Group(Online))
     precision: Precision = option("double", Words(PRECISIONS))
-    solve: bool = option(True, Flag())
+    solve: bool | None = option(None, Flag(optional=True))
     math: Math | None = option(None, Words((*MATHS, None)))
     goal: Goal = option("speed", Words(GOALS))
     target: str = option("portable", Words((NATIVE, *TARGETS)))
@@ -155,8 +156,8 @@ class Options:
 
     @property
     def with_defaults(self) -> Options:
-        """These options with the algorithm's default components for seams that it needs and that are not given, and the
-        target of this machine in the place of "native"."""
+        """These options with the algorithm's default components for seams that it needs and that are not given, the
+        target of this machine in the place of "native", and ``solve`` decided."""
         target = native().name if self.target == NATIVE else self.target
         return replace(
             self,
@@ -165,7 +166,15 @@ class Options:
             condensing=_or_default(self.condensing, self.algorithm, "condensing", condensing.REGISTRY),
             qp=_or_default(self.qp, self.algorithm, "qp", qp.REGISTRY),
             target=target,
+            solve=self.solves,
         )
+
+    @property
+    def solves(self) -> bool:
+        """True if the package has a solve(): that of a microcontroller only where it is asked for."""
+        if self.solve is not None:
+            return self.solve
+        return self.target == NATIVE or TARGETS[self.target].roomy
 
 
 def _or_default(given: C | None, algorithm: Algorithm, seam: Seam, registry: Mapping[str, type[C]]) -> C | None:

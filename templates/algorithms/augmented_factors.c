@@ -103,7 +103,7 @@ static int factorize(solver_t *s, int from)
         }
         s->stats.shifts++;
         a->shifts++;
-        a->shift = (a->shifts == 1) ? FACTOR_FIRST_SHIFT * a->bend : FACTOR_NEXT_SHIFT * a->shift;
+        a->shift = (a->shifts == 1) ? FACTOR_AUGMENTED_FIRST_SHIFT * a->bend : FACTOR_AUGMENTED_NEXT_SHIFT * a->shift;
     }
     return 0;
 }

@@ -12,7 +12,7 @@
 /* Penalty and trust region as at the start. */
 static void reset_search(solver_t *s)
 {
-    s->auglag.penalty = FACTOR_SOFT * penalty_weight[0];
+    s->auglag.penalty = FACTOR_AUGMENTED_SOFT * penalty_weight[0];
     s->auglag.radius = initial_radius[0];
 }
 

@@ -116,7 +116,7 @@ static status_t prepare_here(solver_t *s)
 /* A larger penalty, up to its limit. */
 static void stiffen(solver_t *s)
 {
-    const real_t more = FACTOR_STIFFER * s->auglag.penalty, most = FACTOR_STIFFEST * penalty_weight[0];
+    const real_t more = FACTOR_PENALTY_RATIO * s->auglag.penalty, most = FACTOR_AUGMENTED_STIFFEST * penalty_weight[0];
     s->auglag.penalty = (more < most) ? more : most;
 }
 
@@ -126,12 +126,12 @@ static void stiffen(solver_t *s)
 static void close_round(solver_t *s, real_t before, int accepted)
 {
     auglag_t *a = &s->auglag;
-    const real_t usual = penalty_weight[0], less = a->penalty / FACTOR_STIFFER;
+    const real_t usual = penalty_weight[0], less = a->penalty / FACTOR_PENALTY_RATIO;
     int far, stuck;
     s->stats.violation = violation_of(s);
     s->stats.residual = plan_residual(s);
     far = is_far(s->stats.residual);
-    stuck = far && !(s->stats.violation < FACTOR_FALL * before);
+    stuck = far && !(s->stats.violation < FACTOR_AUGMENTED_FALL * before);
     if (a->penalty < usual) {
         a->penalty = usual;
     } else if (!far) {
@@ -150,12 +150,12 @@ static void close_round(solver_t *s, real_t before, int accepted)
 static status_t run_round(solver_t *s)
 {
     auglag_t *a = &s->auglag;
-    const real_t before = violation_of(s), least = FACTOR_LEAST_RADIUS * initial_radius[0];
+    const real_t before = violation_of(s), least = FACTOR_AUGMENTED_LEAST_RADIUS * initial_radius[0];
     int moved = 0, accepted = 0;
     if (!isfinite(merit(s))) {
         return NUMERICAL_FAILURE;
     }
-    a->precision = FACTOR_PRECISION;
+    a->precision = FACTOR_AUGMENTED_PRECISION;
     a->radius = (a->radius > least) ? a->radius : least;
     assemble(s);
     if (!gradient_is_finite(a)) {

@@ -58,10 +58,10 @@ static real_t cauchy_point(solver_t *s)
         }
         linear = inner(a->g, a->d);
         value = linear + R(0.5) * inner(a->d, a->Hd);
-        if (value <= FACTOR_SUFFICIENT * linear) {
+        if (value <= FACTOR_AUGMENTED_SUFFICIENT * linear) {
             return value;
         }
-        t *= FACTOR_SHRINK;
+        t *= FACTOR_AUGMENTED_SHRINK;
     }
     memset(a->d, 0, sizeof a->d);
     memset(a->Hd, 0, sizeof a->Hd);
@@ -139,7 +139,7 @@ static void follow(auglag_t *a)
     real_t move;
     memcpy(a->residual, a->d, sizeof a->residual);
     add_multiple(a->residual, R(1), a->w);
-    move = longest_move(a, a->residual, a->p, FACTOR_LONGEST);
+    move = longest_move(a, a->residual, a->p, FACTOR_AUGMENTED_LONGEST);
     add_multiple(a->w, move, a->p);
     add_multiple(a->Hw, move, a->Hp);
 }
@@ -197,13 +197,13 @@ static int projected_search(solver_t *s, real_t *value)
         memcpy(a->residual, a->p, sizeof a->residual);
         add_multiple(a->residual, -R(1), a->d);
         linear = inner(a->g, a->residual) + inner(a->Hd, a->residual);
-        if (linear < R(0) && found <= *value + FACTOR_SUFFICIENT * linear) {
+        if (linear < R(0) && found <= *value + FACTOR_AUGMENTED_SUFFICIENT * linear) {
             memcpy(a->d, a->p, sizeof a->d);
             memcpy(a->Hd, a->Hp, sizeof a->Hd);
             *value = found;
             return 1;
         }
-        t = (trial == 1) ? longest_move(a, a->d, a->w, t) : FACTOR_SHRINK * t;
+        t = (trial == 1) ? longest_move(a, a->d, a->w, t) : FACTOR_AUGMENTED_SHRINK * t;
     }
     return 0;
 }
@@ -235,8 +235,8 @@ static real_t shorten(solver_t *s, real_t most)
     for (int trial = 0; trial < MAX_BACKTRACKS && value > most; trial++) {
         for (int k = 0; k <= N; k++) {
             for (int i = 0; i < LDZ; i++) {
-                a->d[k][i] = a->kept_d[k][i] + FACTOR_SHRINK * (a->d[k][i] - a->kept_d[k][i]);
-                a->Hd[k][i] = a->kept_Hd[k][i] + FACTOR_SHRINK * (a->Hd[k][i] - a->kept_Hd[k][i]);
+                a->d[k][i] = a->kept_d[k][i] + FACTOR_AUGMENTED_SHRINK * (a->d[k][i] - a->kept_d[k][i]);
+                a->Hd[k][i] = a->kept_Hd[k][i] + FACTOR_AUGMENTED_SHRINK * (a->Hd[k][i] - a->kept_Hd[k][i]);
             }
         }
         value = value_at_step(s);
@@ -390,14 +390,14 @@ static int descend(solver_t *s, int faces)
     evaluate_path(s);
     evaluate_ends(s);
     ratio = (before - merit(s) + noise) / (a->predicted + noise);
-    a->settled = (FABS(ratio - R(1)) < R(0.5) && length < FACTOR_SETTLED_LENGTH * a->radius) ||
-        (ratio > FACTOR_SUFFICIENT && length < FACTOR_TINY_STEP && length < a->radius);
-    if (ratio > FACTOR_GOOD && length > R(0.5) * a->radius) {
-        a->radius *= FACTOR_GROW;
-    } else if (!(ratio > FACTOR_POOR)) {
-        a->radius = FACTOR_SHRINK * ((length < a->radius) ? length : a->radius);
+    a->settled = (FABS(ratio - R(1)) < R(0.5) && length < FACTOR_AUGMENTED_SETTLED_LENGTH * a->radius) ||
+        (ratio > FACTOR_AUGMENTED_SUFFICIENT && length < FACTOR_AUGMENTED_TINY_STEP && length < a->radius);
+    if (ratio > FACTOR_AUGMENTED_GOOD && length > R(0.5) * a->radius) {
+        a->radius *= FACTOR_AUGMENTED_GROW;
+    } else if (!(ratio > FACTOR_AUGMENTED_POOR)) {
+        a->radius = FACTOR_AUGMENTED_SHRINK * ((length < a->radius) ? length : a->radius);
     }
-    if (!(ratio > FACTOR_SUFFICIENT) || !(ratio < INF)) {
+    if (!(ratio > FACTOR_AUGMENTED_SUFFICIENT) || !(ratio < INF)) {
         return_plan(s);
         memset(a->Hd, 0, sizeof a->Hd);
         if (NG) {

@@ -33,7 +33,7 @@ static void advance_multipliers(solver_t *s, real_t tol, real_t *violation)
     auglag_t *a = &s->auglag;
     const real_t now = violation_of(s);
     update_multipliers(s);
-    if (!(now < FACTOR_PROGRESS * *violation) && now > tol) {
+    if (!(now < FACTOR_AUGMENTED_PROGRESS * *violation) && now > tol) {
         stiffen(s);
     }
     *violation = now;
@@ -63,8 +63,8 @@ static status_t iterate(solver_t *s, real_t tol, int max_iterations)
         if (solved || gradient <= accuracy || a->predicted < TOL_UNIT * (R(1) + FABS(a->cost)) || ++since > MAX_INNER) {
             advance_multipliers(s, tol, &violation);
             since = 0;
-            accuracy = FACTOR_PROGRESS * ((accuracy < violation) ? accuracy : violation);
-            accuracy = (accuracy > FACTOR_PROGRESS * tol) ? accuracy : FACTOR_PROGRESS * tol;
+            accuracy = FACTOR_AUGMENTED_PROGRESS * ((accuracy < violation) ? accuracy : violation);
+            accuracy = (accuracy > FACTOR_AUGMENTED_PROGRESS * tol) ? accuracy : FACTOR_AUGMENTED_PROGRESS * tol;
             linearize_plan(s);
             assemble(s);
         }
@@ -97,8 +97,8 @@ status_t API(solve)(solver_t *s, const real_t xhat[NX], real_t tol, int max_iter
     }
     memset(&s->stats, 0, sizeof s->stats);
     s->auglag.radius = initial_radius[0];
-    s->auglag.penalty = FACTOR_SOFTEST * penalty_weight[0];
-    s->auglag.precision = FACTOR_PRECISION_OF_SOLVE;
+    s->auglag.penalty = FACTOR_AUGMENTED_SOFTEST * penalty_weight[0];
+    s->auglag.precision = FACTOR_AUGMENTED_PRECISION_OF_SOLVE;
     s->auglag.predicted = INF;
     status = prepare_here(s);
     if (status == OK) {

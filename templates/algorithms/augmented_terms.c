@@ -105,12 +105,12 @@ static void update_multipliers(solver_t *s)
     auglag_t *a = &s->auglag;
     for (int k = 0; k <= N; k++) {
         for (int i = 0; i < NX; i++) {
-            const real_t most = FACTOR_MULTIPLIER * gap_weight(s, i) * variable_scale[i];
+            const real_t most = FACTOR_AUGMENTED_MULTIPLIER * gap_weight(s, i) * variable_scale[i];
             a->lam[k][i] = clip(s->lam[k][i], -most, most);
         }
     }
     for (int m = 0; m < NG; m++) {
-        const real_t most = FACTOR_MULTIPLIER * a->penalty * SQRT(row_weight[m]);
+        const real_t most = FACTOR_AUGMENTED_MULTIPLIER * a->penalty * SQRT(row_weight[m]);
         a->row[m] = row_relaxed[m] ? clip(row_multiplier(s, m), -most, most) : R(0);
     }
 }

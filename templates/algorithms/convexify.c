@@ -195,7 +195,7 @@ static int row_is_held(const solver_t *s, int m)
 {
     const real_t mult = FABS(s->sqp.step.mult[m]);
     if (row_is_soft(m)) {
-        return mult > R(0) && mult < FACTOR_AT_KINK * row_l1(m);
+        return mult > R(0) && mult < FACTOR_SHIFT_AT_KINK * row_l1(m);
     }
     return mult > R(0) || row_lower(s, m) >= row_upper(s, m);
 }
@@ -322,18 +322,18 @@ static void restore_gradients(solver_t *s)
  * found. The search starts at the last one. */
 static real_t smallest_shift(solver_t *s)
 {
-    real_t high = (s->curved.shift > FACTOR_KNOWN_SHIFT) ? s->curved.shift : FACTOR_FIRST_TRIAL;
+    real_t high = (s->curved.shift > FACTOR_SHIFT_KNOWN) ? s->curved.shift : FACTOR_SHIFT_FIRST;
     int trial = 0;
     while (!is_convex(s, high)) {
         if (trial++ == MAX_SHIFTS) {
             return INF;
         }
-        high *= FACTOR_TRIAL;
+        high *= FACTOR_SHIFT_RATIO;
     }
-    for (int n = 0; n < MAX_SHIFTS && trial == 0 && is_convex(s, high / FACTOR_TRIAL); n++) {
-        high /= FACTOR_TRIAL;
+    for (int n = 0; n < MAX_SHIFTS && trial == 0 && is_convex(s, high / FACTOR_SHIFT_RATIO); n++) {
+        high /= FACTOR_SHIFT_RATIO;
     }
-    real_t low = high / FACTOR_TRIAL;
+    real_t low = high / FACTOR_SHIFT_RATIO;
     for (int n = 0; n < BISECTIONS; n++) {
         const real_t middle = SQRT(low * high);
         if (is_convex(s, middle)) {
@@ -356,7 +356,7 @@ static int convexify(solver_t *s)
     int convex = is_convex(s, shift);
     for (int trial = 0; trial < 3 && !convex; trial++) {
         if (trial < 2) {
-            hold_active(s, (trial == 0) ? R(1) : FACTOR_FIRM_HOLD);
+            hold_active(s, (trial == 0) ? R(1) : FACTOR_SHIFT_FIRM_HOLD);
         } else {
             enlarge(&shift, c->proximal);
         }
@@ -368,7 +368,7 @@ static int convexify(solver_t *s)
             return 0;
         }
         c->shift = least;
-        shift = FACTOR_MARGIN * least + c->damping;
+        shift = FACTOR_SHIFT_MARGIN * least + c->damping;
     }
     c->used = shift;
     for (int k = 0; k <= N && shift > R(0); k++) {

@@ -15,10 +15,10 @@ static real_t scale_of_row(solver_t *s, int m, real_t value)
     enlarge_if_finite(&scale, row_lower(s, m) - offset);
     enlarge_if_finite(&scale, row_upper(s, m) - offset);
     if (!(scale > TOL_ZERO * magnitude)) {
-        scale = FACTOR_MOVING_ROW * *most;
+        scale = FACTOR_SCALE_MOVING_ROW * *most;
         enlarge(&scale, value - offset);
     }
-    enlarge(&scale, FACTOR_LITTLE_OF_ROW * magnitude);
+    enlarge(&scale, FACTOR_SCALE_LITTLE_OF_ROW * magnitude);
     return scale;
 }
 

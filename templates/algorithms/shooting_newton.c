@@ -237,8 +237,9 @@ static int update_terminal(solver_t *s, const real_t *before, real_t *slope)
         own -= penalty_of_rows(s) * row_weight[terminal_row[t]] * a->gap[t] * step;
     }
     const real_t rest = other + R(0.5) * bend;
-    const real_t factor =
-        (FACTOR_TERMINAL_SHARE * rest > own && own > R(0)) ? FACTOR_TERMINAL_SHARE * rest / own : R(1);
+    const real_t factor = (FACTOR_SHOOTING_TERMINAL_SHARE * rest > own && own > R(0))
+        ? FACTOR_SHOOTING_TERMINAL_SHARE * rest / own
+        : R(1);
     if (NT > 0) {
         weigh_terminal(s, factor);
     }

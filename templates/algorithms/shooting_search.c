@@ -60,11 +60,11 @@ static int move(solver_t *s, real_t slope, int trials)
             const real_t after = merit(s);
             if (after <= before + armijo_part[0] * change + TOL_MERIT_ROUNDING * (R(1) + FABS(before))) {
                 s->stats.accepted++;
-                s->shooting.length = clip(FACTOR_LONGER * length, shortest_length[0], R(1));
+                s->shooting.length = clip(FACTOR_SHOOTING_LONGER * length, shortest_length[0], R(1));
                 return (length < R(1)) ? SHORTENED : MOVED;
             }
         }
-        length /= FACTOR_LONGER;
+        length /= FACTOR_SHOOTING_LONGER;
     }
     memcpy(s->u, s->shooting.p, sizeof s->u);
     s->shooting.length = clip(length, shortest_length[0], R(1));

@@ -30,9 +30,9 @@ static void follow(solver_t *s, real_t tol, real_t stationarity, int moved, prog
         s->shooting.paired = 0;
         (void)merit(s);
         const real_t least = (progress->accuracy < progress->violation) ? progress->accuracy : progress->violation;
-        const int finer = moved && progress->accuracy > FACTOR_INNER * tol;
+        const int finer = moved && progress->accuracy > FACTOR_ROWS_INNER * tol;
         progress->failed = (grown || finer) ? 0 : progress->failed + 1;
-        progress->accuracy = (least > tol) ? FACTOR_INNER * least : FACTOR_INNER * tol;
+        progress->accuracy = (least > tol) ? FACTOR_ROWS_INNER * least : FACTOR_ROWS_INNER * tol;
     }
 }
 
@@ -50,7 +50,7 @@ static status_t iterate(solver_t *s, real_t tol, int max_iterations)
     int moved = 1;
     progress.failed = 0;
     progress.violation = INF;
-    progress.accuracy = FACTOR_INNER;
+    progress.accuracy = FACTOR_ROWS_INNER;
     for (int n = 0; n < max_iterations; n++) {
         const real_t stationarity = residual_of(s, ESTIMATE, &s->kkt);
         if (s->kkt.relative <= tol) {
@@ -66,7 +66,7 @@ static status_t iterate(solver_t *s, real_t tol, int max_iterations)
             return status;
         }
         if (NT > 0 && status == INFEASIBLE && s->shooting.penalty < MOST_PENALTY) {
-            s->shooting.penalty *= FACTOR_STIFFER;
+            s->shooting.penalty *= FACTOR_PENALTY_RATIO;
         }
     }
     (void)residual_of(s, ESTIMATE, &s->kkt);

@@ -252,14 +252,15 @@ static int accepts(solver_t *s)
     const real_t rounding = TOL_MERIT_ROUNDING * (FABS(base->cost) + q->cost_scale);
     const real_t share = FACTOR_FILTER_SHARE * base->violation, descent = -q->slope / q->cost_scale;
     if (q->restoring) {
-        return at.cost < INF && at.violation <= base->violation - FACTOR_ARMIJO * q->length * q->gain;
+        return at.cost < INF && at.violation <= base->violation - FACTOR_SQP_ARMIJO * q->length * q->gain;
     }
-    if (!passes_filter(q, &at) || at.violation > FACTOR_MOST_GROWTH * base->violation + FACTOR_SMALL_VIOLATION) {
+    if (!passes_filter(q, &at) ||
+        at.violation > FACTOR_SQP_MOST_GROWTH * base->violation + FACTOR_SQP_SMALL_VIOLATION) {
         return 0;
     }
-    if (descent > R(0) && base->violation <= FACTOR_DESCENT * q->most_violation &&
+    if (descent > R(0) && base->violation <= FACTOR_FILTER_DESCENT * q->most_violation &&
         q->length * descent * descent > base->violation) {
-        return at.cost <= base->cost + FACTOR_ARMIJO * q->length * q->slope + rounding;
+        return at.cost <= base->cost + FACTOR_SQP_ARMIJO * q->length * q->slope + rounding;
     }
     if (at.violation > base->violation - share + TOL_MERIT_ROUNDING &&
         at.cost > base->cost - share * q->cost_scale + rounding) {
@@ -439,14 +440,14 @@ static status_t search(solver_t *s)
     if (!q->restoring) {
         q->length = R(1);
         const status_t status = line_search(s);
-        if (status == OK || !(q->base.violation > FACTOR_AT_REST * TOL_MERIT_ROUNDING)) {
+        if (status == OK || !(q->base.violation > FACTOR_SQP_AT_REST * TOL_MERIT_ROUNDING)) {
             return status;
         }
         extend_filter(q);
         q->restoring = 1;
     }
     q->length = R(1);
-    return (q->gain > FACTOR_HOPELESS * q->base.violation) ? line_search(s) : STALLED;
+    return (q->gain > FACTOR_SQP_HOPELESS * q->base.violation) ? line_search(s) : STALLED;
 }
 
 /* Away from feasibility, multipliers beyond what the cost can explain are scaled down: their Hessian would hide the cost
@@ -454,14 +455,14 @@ static status_t search(solver_t *s)
 static void bound_multipliers(solver_t *s)
 {
     const sqp_t *q = &s->sqp;
-    const real_t most = FACTOR_EXPLAINED * ((q->cost_scale > q->cost_unit) ? q->cost_scale : q->cost_unit);
+    const real_t most = FACTOR_SQP_EXPLAINED * ((q->cost_scale > q->cost_unit) ? q->cost_scale : q->cost_unit);
     real_t largest = R(0);
     for (int k = 0; k <= N; k++) {
         for (int i = 0; i < NX; i++) {
             enlarge(&largest, s->lam[k][i] * size_or(q->state_scale[i], z_scale[i]));
         }
     }
-    if (!(q->base.violation > FACTOR_AWAY) || largest <= most) {
+    if (!(q->base.violation > FACTOR_SQP_AWAY) || largest <= most) {
         return;
     }
     for (int k = 0; k <= N; k++) {
@@ -483,14 +484,15 @@ static int adapt_shifts(solver_t *s, status_t status)
 {
     curved_t *c = &s->curved;
     const real_t length = (status == STALLED) ? R(0) : s->sqp.length;
-    c->proximal = clip(c->proximal * ((length < R(1)) ? FACTOR_DAMP : R(1) / FACTOR_DAMP), FACTOR_LEAST_PROXIMAL, R(1));
-    if (length < FACTOR_SHORT_STEP) {
-        const real_t growth = (length < FACTOR_VERY_SHORT_STEP) ? FACTOR_MUCH_MORE : FACTOR_DAMP;
-        c->damping = (c->damping > R(0)) ? growth * c->damping : FACTOR_FIRST_DAMPING;
+    c->proximal = clip(
+        c->proximal * ((length < R(1)) ? FACTOR_SQP_DAMP : R(1) / FACTOR_SQP_DAMP), FACTOR_SQP_LEAST_PROXIMAL, R(1));
+    if (length < FACTOR_SQP_SHORT_STEP) {
+        const real_t growth = (length < FACTOR_SQP_VERY_SHORT_STEP) ? FACTOR_SQP_MUCH_MORE : FACTOR_SQP_DAMP;
+        c->damping = (c->damping > R(0)) ? growth * c->damping : FACTOR_SQP_FIRST_DAMPING;
     } else if (length >= R(1)) {
-        c->damping = (c->damping > FACTOR_LEAST_DAMPING) ? c->damping / FACTOR_DAMP : R(0);
+        c->damping = (c->damping > FACTOR_SQP_LEAST_DAMPING) ? c->damping / FACTOR_SQP_DAMP : R(0);
     }
-    return status == STALLED && c->damping < FACTOR_MOST_DAMPING;
+    return status == STALLED && c->damping < FACTOR_SQP_MOST_DAMPING;
 }
 
 /* The QP of the present linearisation. */
@@ -517,7 +519,7 @@ static status_t sqp_iteration(solver_t *s)
             restore_gradients(s);
             if (s->curved.damping < R(1)) { /* a QP with more curvature may have a solution */
                 s->curved.damping =
-                    (s->curved.damping > R(0)) ? FACTOR_MUCH_MORE * s->curved.damping : FACTOR_FIRST_DAMPING;
+                    (s->curved.damping > R(0)) ? FACTOR_SQP_MUCH_MORE * s->curved.damping : FACTOR_SQP_FIRST_DAMPING;
                 q->length = R(0);
                 q->elastic = 0;
                 return OK;
@@ -540,13 +542,13 @@ static status_t sqp_iteration(solver_t *s)
     memcpy(q->x, s->x, sizeof s->x);
     memcpy(q->u, s->u, sizeof s->u);
     status = search(s);
-    q->slow = q->elastic && !(q->gain > FACTOR_LITTLE_PROGRESS * q->base.violation);
+    q->slow = q->elastic && !(q->gain > FACTOR_SQP_LITTLE_PROGRESS * q->base.violation);
     if (CURVED) {
         if (adapt_shifts(s, status)) {
             return OK;
         }
     }
-    if (CURVED && status == OK && !(s->curved.damping < FACTOR_ENDLESS_DAMPING)) {
+    if (CURVED && status == OK && !(s->curved.damping < FACTOR_SQP_ENDLESS_DAMPING)) {
         return SUBPROBLEM_FAILED; /* steps that become ever shorter lead nowhere: another start may */
     }
     if (status == OK) {
@@ -582,21 +584,21 @@ static void start_search(solver_t *s, int attempts)
     memset(s->row_scale, 0, sizeof s->row_scale);
     s->row_residual = R(0);
     s->sqp.attempts = (int32_t)attempts;
-    s->curved.proximal = FACTOR_FIRST_PROXIMAL;
-    s->curved.damping = (attempts % 2 == 0) ? R(0) : FACTOR_SECOND_START;
+    s->curved.proximal = FACTOR_SQP_FIRST_PROXIMAL;
+    s->curved.damping = (attempts % 2 == 0) ? R(0) : FACTOR_SQP_SECOND_START;
     s->sqp.most_violation = s->sqp.base.violation = INF;
-    s->sqp.row_weight = FACTOR_ELASTIC_WEIGHT;
+    s->sqp.row_weight = FACTOR_SQP_ELASTIC_WEIGHT;
 }
 
 /* Returns 1 if the cost falls without limit: far beyond its scale, along a variable that is far beyond its own. */
 static int runs_away(const solver_t *s)
 {
-    if (!(s->sqp.base.cost < -FACTOR_ENDLESS * cost_size[0])) {
+    if (!(s->sqp.base.cost < -FACTOR_SQP_ENDLESS * cost_size[0])) {
         return 0;
     }
     for (int k = 0; k <= N; k++) {
         for (int i = 0; i < nz_at(k); i++) {
-            if (FABS(point_at(s, k, i)) > FACTOR_ENDLESS * z_scale[i]) {
+            if (FABS(point_at(s, k, i)) > FACTOR_SQP_ENDLESS * z_scale[i]) {
                 return 1;
             }
         }
@@ -626,8 +628,8 @@ static status_t iterate(solver_t *s, real_t tol, int last)
         }
         if (HARD_ROWS) {
             if (q->elastic && (status == STALLED || (status == OK && q->slow))) {
-                status = (q->row_weight < FACTOR_MOST_ELASTIC_WEIGHT) ? OK : INFEASIBLE;
-                q->row_weight *= FACTOR_STIFFER;
+                status = (q->row_weight < FACTOR_SQP_MOST_ELASTIC_WEIGHT) ? OK : INFEASIBLE;
+                q->row_weight *= FACTOR_PENALTY_RATIO;
             }
         }
         if (status != OK) {
@@ -657,8 +659,8 @@ static status_t solve_here(solver_t *s, real_t tol, int last)
 {
     for (;;) {
         const status_t status = iterate(s, tol, last);
-        const int ends =
-            status == OK || status == ITERATION_LIMIT || (status == STALLED && !(s->sqp.base.violation > FACTOR_AWAY));
+        const int ends = status == OK || status == ITERATION_LIMIT ||
+            (status == STALLED && !(s->sqp.base.violation > FACTOR_SQP_AWAY));
         s->sqp.infeasible |= status == INFEASIBLE;
         if (ends || s->sqp.attempts == MAX_ATTEMPTS || s->stats.sqp_iterations++ >= last) {
             if (HARD_ROWS && !ends && s->sqp.infeasible) {

@@ -355,7 +355,7 @@ static void condense_embed(solver_t *s)
 static void condense_value(solver_t *s, int m, const real_t *size)
 {
     const real_t *c = s->condensed.c[row_node(m)];
-    s->condensed.terms[m] = row_terms(s, m, size) + FACTOR_LEAST_TERMS * row_magnitude[row_id(m)];
+    s->condensed.terms[m] = row_terms(s, m, size) + FACTOR_CONDENSED_LEAST_TERMS * row_magnitude[row_id(m)];
     if (row_is_state(m)) {
         s->condensed.v[m] = row_constant(s, m) + c[row_index(m)];
         return;

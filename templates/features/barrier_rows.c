@@ -66,7 +66,7 @@ static int sharpen_terms(solver_t *s)
     if (!(s->shooting.penalty > barrier_weight[2])) {
         return 0;
     }
-    s->shooting.penalty *= FACTOR_CENTRAL;
+    s->shooting.penalty *= FACTOR_ROWS_CENTRAL;
     return 1;
 }
 
@@ -92,6 +92,6 @@ static void barrier_rows_before_solve(solver_t *s)
 /* The terms come closer to the rows after an easy sample, and retreat otherwise. */
 static void barrier_rows_follow_terms(solver_t *s, int easy)
 {
-    s->shooting.penalty =
-        clip(s->shooting.penalty / (easy ? FACTOR_APPROACH : FACTOR_RETREAT), barrier_weight[1], barrier_weight[0]);
+    s->shooting.penalty = clip(s->shooting.penalty / (easy ? FACTOR_ROWS_APPROACH : FACTOR_ROWS_RETREAT),
+        barrier_weight[1], barrier_weight[0]);
 }

@@ -84,7 +84,7 @@ static void curvature_before_prepare(solver_t *s)
 static status_t curvature_after_prepare(solver_t *s, status_t status)
 {
     if (status == OK && !s->bent && s->failing <= FINE && s->stats.violated_row < 0 &&
-        rows_left(s) > FACTOR_BENT * residual_tolerance[0] && row_is_active(s)) {
+        rows_left(s) > FACTOR_CURVATURE_BENT * residual_tolerance[0] && row_is_active(s)) {
         s->bent = 1;
         status = prepare_here(s);
     }

@@ -40,7 +40,7 @@ static int sharpen_terms(solver_t *s)
     if (!(s->shooting.penalty < MOST_PENALTY)) {
         return 0;
     }
-    s->shooting.penalty *= FACTOR_STIFFER;
+    s->shooting.penalty *= FACTOR_PENALTY_RATIO;
     return 1;
 }
 
@@ -66,7 +66,7 @@ static int update_terms(solver_t *s, real_t tol, real_t *violation)
     const real_t now = dual_residual(s);
     int grown = 0;
     update_rows(s, R(1));
-    if (!(now < FACTOR_ENOUGH * *violation) && now > FACTOR_INNER * tol) {
+    if (!(now < FACTOR_ROWS_ENOUGH * *violation) && now > FACTOR_ROWS_INNER * tol) {
         grown = sharpen(s);
     }
     grown |= now < *violation;

@@ -43,14 +43,14 @@ static real_t length_of_step(const solver_t *s)
 /* Returns 1 if a step of this length leaves little by all that is known. */
 static int leaves_little(const gaps_t *gaps, real_t length)
 {
-    if (length <= FACTOR_BRIEF) {
+    if (length <= FACTOR_GAP_BRIEF) {
         return 1;
     }
     if (!(length <= R(2) * gaps->longest)) {
         return 0;
     }
     const real_t ratio = (length > gaps->longest) ? length / gaps->longest : R(1);
-    return gaps->left * ratio * ratio <= FACTOR_TRUSTED * residual_tolerance[0];
+    return gaps->left * ratio * ratio <= FACTOR_GAP_TRUSTED * residual_tolerance[0];
 }
 
 static status_t gaps_after_feedback(solver_t *s, status_t status)

@@ -123,7 +123,7 @@ static status_t relaxation_after_feedback(solver_t *s, status_t status)
         sweep_price(s);
     } else if (status == RELAXED) {
         s->outside = next_violation(s);
-        if (!(s->outside < FACTOR_FALLS * before)) {
+        if (!(s->outside < FACTOR_RELAXATION_FALLS * before)) {
             sweep_price(s);
         }
     }

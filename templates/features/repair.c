@@ -112,7 +112,7 @@ static int control_settles(solver_t *s, const step_t *step, const real_t *size)
         enlarge(&moved, step->du[0][j] / range[j]);
         rests &= s->u[0][j] <= control_lower(s, 0, j) || s->u[0][j] >= control_upper(s, 0, j);
     }
-    const int creeps = moved <= FACTOR_CREEP * residual_tolerance[0];
+    const int creeps = moved <= FACTOR_REPAIR_CREEP * residual_tolerance[0];
     const int contracts = moved <= residual_tolerance[0] && moved <= R(0.5) * s->moved;
     s->moved = moved;
     return (rests && creeps) || ((creeps || contracts) && !step_is_long(step, size));

@@ -56,7 +56,7 @@ static int sharpen_terms(solver_t *s)
     if (!(s->shooting.sharpness < smooth_sharpness[2])) {
         return 0;
     }
-    s->shooting.sharpness *= FACTOR_SHARPEN;
+    s->shooting.sharpness *= FACTOR_ROWS_SHARPEN;
     return 1;
 }
 
@@ -83,6 +83,6 @@ static void smooth_rows_place_terms(solver_t *s, int closest)
 /* The terms come closer to the rows after an easy sample, and retreat otherwise. */
 static void smooth_rows_follow_terms(solver_t *s, int easy)
 {
-    const real_t sharpness = (easy ? FACTOR_APPROACH : FACTOR_RETREAT) * s->shooting.sharpness;
+    const real_t sharpness = (easy ? FACTOR_ROWS_APPROACH : FACTOR_ROWS_RETREAT) * s->shooting.sharpness;
     s->shooting.sharpness = clip(sharpness, smooth_sharpness[0], smooth_sharpness[1]);
 }

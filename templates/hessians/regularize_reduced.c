@@ -141,7 +141,8 @@ static void hold_working_set(solver_t *s, real_t terms, real_t hold)
 static void add_linear_units(solver_t *s)
 {
     for (int c = 0; c < N * NU; c++) {
-        s->qp.H[c][c] += FACTOR_LINEAR_SHARE * linear_curvature(s->condensed.g[c], s->qp.lower[c], s->qp.upper[c]);
+        s->qp.H[c][c] +=
+            FACTOR_REDUCED_LINEAR_SHARE * linear_curvature(s->condensed.g[c], s->qp.lower[c], s->qp.upper[c]);
     }
 }
 
@@ -168,8 +169,9 @@ static status_t condense_factorize(solver_t *s)
     for (int trial = 0; trial < 3 && status == NUMERICAL_FAILURE; trial++) {
         condense_matrices(s);
         memcpy(s->qp.side, predicted, sizeof predicted);
-        hold_working_set(s, terms, (trial == 0) ? R(1) : FACTOR_FIRM_HOLD);
-        if (trial == 2 && !regularize_reduced(s->qp.H, NV - NSL, terms, FACTOR_MIRRORED_SHARE, s->qp.work.basis.Q)) {
+        hold_working_set(s, terms, (trial == 0) ? R(1) : FACTOR_SHIFT_FIRM_HOLD);
+        if (trial == 2 &&
+            !regularize_reduced(s->qp.H, NV - NSL, terms, FACTOR_REDUCED_MIRRORED_SHARE, s->qp.work.basis.Q)) {
             return status;
         }
         status = qp_factorize(&s->qp);

@@ -161,10 +161,10 @@ static real_t qp_rounding(const qp_t *q, int c, const real_t *r, int side, real_
         size += qp_bound_size(q, q->row[k], q->side[q->row[k]]) * FABS(r[k]);
     }
     if (q->strict) {
-        return q->strict > 1 ? FACTOR_STRICT * TOL_QP_RESIDUAL * qp_row_size(q, c)
-                             : FACTOR_STRICT * most * (size + qp_row_size(q, c));
+        return q->strict > 1 ? FACTOR_DENSE_STRICT * TOL_QP_RESIDUAL * qp_row_size(q, c)
+                             : FACTOR_DENSE_STRICT * most * (size + qp_row_size(q, c));
     }
-    size += SQRT(mm) * (FACTOR_SHOWN * norm(q->work.basis.y) + FACTOR_TRAVELLED * q->scale);
+    size += SQRT(mm) * (FACTOR_DENSE_SHOWN * norm(q->work.basis.y) + FACTOR_DENSE_TRAVELLED * q->scale);
     size *= vv * (most * most) > mm * (least * least) ? least * SQRT(mm / vv) : most;
     return size + TOL_UNIT * SQRT(vv) * q->scale;
 }

@@ -281,7 +281,7 @@ static void qp_set_origin(qp_t *q)
 /* Returns 1 if y is a small difference of large terms. */
 static int qp_cancelled(const qp_t *q)
 {
-    const real_t size = FACTOR_CANCELLED * q->scale;
+    const real_t size = FACTOR_DENSE_CANCELLED * q->scale;
     return dot(q->work.basis.y, q->work.basis.y, LDV) < size * size;
 }
 

@@ -109,7 +109,7 @@ static real_t qp_stretch(const solver_t *s)
     if (!(gain > size)) {
         return R(1);
     }
-    return gain < FACTOR_LONGEST_STEP * size ? gain / size : FACTOR_LONGEST_STEP;
+    return gain < FACTOR_RICCATI_LONGEST_STEP * size ? gain / size : FACTOR_RICCATI_LONGEST_STEP;
 }
 
 /* Adds the correction to the multipliers of the rows. For members the small value of the correction is used, because

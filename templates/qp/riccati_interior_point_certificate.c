@@ -199,7 +199,7 @@ static int ipm_contradiction(solver_t *s)
         gap += term;
         size += FABS(term);
     }
-    return gap < -TOL_IPM_CONTRADICTION * size - FACTOR_CERTIFIED * rest;
+    return gap < -TOL_IPM_CONTRADICTION * size - FACTOR_IPM_CERTIFIED * rest;
 }
 
 /* Returns 1 if the weights prove infeasibility, and scales the largest to 1. Otherwise clears the certificate. */

@@ -130,7 +130,7 @@ static status_t ipm_run(solver_t *s)
     mu /= (real_t)((count > 0) ? count : 1);
     mu = (q->damping > mu) ? q->damping : mu;
     if (IPM_WARM_START) {
-        mu = q->warm ? FACTOR_WARM * mu : mu;
+        mu = q->warm ? FACTOR_IPM_WARM * mu : mu;
     }
     ipm_list_sides(s);
     ipm_start_sides(s, mu);

@@ -47,7 +47,7 @@ static real_t ipm_cost_unit(const solver_t *s)
     }
     sum = R(0.5) * FABS(sum);
     most = (sum < most * most) ? sum : most * most;
-    way *= FACTOR_SHORT_WAY;
+    way *= FACTOR_IPM_SHORT_WAY;
     return (most > way * way) ? most : way * way;
 }
 
@@ -109,11 +109,11 @@ static void ipm_measure(solver_t *s)
 
 /* Due to the regularisation a full step does not satisfy the rows exactly. If the remaining residual decreases too
  * slowly, as when rows leave little room to one another, the regularisation is reduced. Returns 1 if it is. */
-static int ipm_stiffen(ipm_t *q, real_t before)
+static int ipm_increase_stiffening(ipm_t *q, real_t before)
 {
-    if (q->step > FACTOR_FULL_STEP && q->primal > R(2) * TOL_IPM_PRIMAL && q->primal > FACTOR_SLOW_ROWS * before &&
-        q->stiffening < q->stiffest) {
-        q->stiffening *= FACTOR_STIFFEN;
+    if (q->step > FACTOR_IPM_FULL_STEP && q->primal > R(2) * TOL_IPM_PRIMAL &&
+        q->primal > FACTOR_IPM_SLOW_ROWS * before && q->stiffening < q->stiffest) {
+        q->stiffening *= FACTOR_IPM_STIFFER;
         return 1;
     }
     return 0;
@@ -232,15 +232,17 @@ static real_t ipm_setback(const solver_t *s)
 {
     const real_t gap = s->ipm.mu / s->ipm.unit;
     if (s->qp.iterations - s->ipm.begun > 15 && (gap > SQRT(TOL_UNIT) || s->ipm.step < R(0.5))) {
-        return FACTOR_SETBACK;
+        return FACTOR_IPM_SETBACK_CYCLE;
     }
-    return (gap > FACTOR_EARLY_GAP) ? FACTOR_EARLY : (gap < FACTOR_LATE_GAP) ? FACTOR_LATE : FACTOR_RECENTRE * gap;
+    return (gap > FACTOR_IPM_EARLY_GAP) ? FACTOR_IPM_SETBACK_EARLY
+        : (gap < FACTOR_IPM_LATE_GAP)   ? FACTOR_IPM_SETBACK_LATE
+                                        : FACTOR_IPM_SETBACK_SHARE * gap;
 }
 
 /* Step length d'W d / -d'W dv for a direction, where d is the residual of the equations: the step of steepest ascent of
  * the dual function. If equations are nearly dependent, the method of multipliers takes short steps in one
  * direction. */
-static real_t ipm_stretch(const solver_t *s)
+static real_t ipm_length_of_ascent(const solver_t *s)
 {
     const ipm_t *q = &s->ipm;
     real_t gain = R(0), size = R(0);
@@ -254,20 +256,20 @@ static real_t ipm_stretch(const solver_t *s)
     if (!(q->stretched && gain > size)) {
         return R(1);
     }
-    return (gain < FACTOR_STRETCH * size) ? gain / size : FACTOR_STRETCH;
+    return (gain < FACTOR_IPM_LONGEST_ASCENT * size) ? gain / size : FACTOR_IPM_LONGEST_ASCENT;
 }
 
 /* Mehrotra (1992): affine direction, centring according to its success, corrected direction. */
 static void ipm_step(solver_t *s)
 {
     ipm_t *q = &s->ipm;
-    const real_t least = FACTOR_LEAST_TARGET * TOL_IPM_GAP * q->unit;
+    const real_t least = FACTOR_IPM_LEAST_TARGET * TOL_IPM_GAP * q->unit;
     real_t inverse, share, target, way, most = R(1);
     ipm_correct_nothing(q);
     ipm_direction(s);
     if (q->sides == 0) {
         if (NG) {
-            most = ipm_stretch(s);
+            most = ipm_length_of_ascent(s);
         }
         ipm_move(s, most);
         return;
@@ -278,12 +280,12 @@ static void ipm_step(solver_t *s)
     share = (share < R(1)) ? share : R(1);
     target = share * share * share * q->mu;
     ipm_correct(q, (target > least) ? target : least,
-        (inverse > FACTOR_MOST_CORRECTION) ? FACTOR_MOST_CORRECTION / inverse : R(1));
+        (inverse > FACTOR_IPM_MOST_CORRECTION) ? FACTOR_IPM_MOST_CORRECTION / inverse : R(1));
     ipm_direction(s);
     inverse = ipm_inverse_step(q);
     way = R(1) - ipm_setback(s);
     if (NG) {
-        most = ipm_stretch(s);
+        most = ipm_length_of_ascent(s);
     }
     q->step = (way < inverse * most) ? way / inverse : most;
     ipm_move(s, q->step);
@@ -313,7 +315,7 @@ static real_t ipm_gaps(solver_t *s)
 /* Returns 1 if the residuals are small enough to be accepted when they stop decreasing. */
 static inline int ipm_small_residuals(const ipm_t *q)
 {
-    return q->merit <= FACTOR_ACCEPTED_ROWS && q->slope <= FACTOR_ACCEPTED_GRADIENT;
+    return q->merit <= FACTOR_IPM_ACCEPTED_ROWS && q->slope <= FACTOR_IPM_ACCEPTED_GRADIENT;
 }
 
 /* Returns 1 if all residuals are within their tolerance, or small and not decreasing: large weights may cause rounding
@@ -327,11 +329,11 @@ static int ipm_converged(solver_t *s)
         q->merit = q->mu / (TOL_IPM_GAP * q->unit);
     }
     q->slope = INF;
-    if (!(q->merit <= FACTOR_ACCEPTED_ROWS)) {
+    if (!(q->merit <= FACTOR_IPM_ACCEPTED_ROWS)) {
         return 0;
     }
     q->slope = ipm_stationarity(s) / TOL_IPM_STATIONARITY;
-    if ((q->merit > R(1) && q->merit <= FACTOR_STAGNANT * rows_before) || !ipm_small_residuals(q) ||
+    if ((q->merit > R(1) && q->merit <= FACTOR_IPM_STAGNANT * rows_before) || !ipm_small_residuals(q) ||
         (q->slope > R(1) && q->slope <= R(0.5) * gradient_before)) {
         return 0;
     }
@@ -346,7 +348,7 @@ static int ipm_converged(solver_t *s)
  * negligible, even if the bounds, and with them all terms of a row, vanish. */
 static int ipm_is_solution(solver_t *s)
 {
-    s->qp.least = FACTOR_NEGLIGIBLE_ROW * TOL_UNIT / TOL_QP_ACCEPTED * SQRT(s->ipm.unit);
+    s->qp.least = FACTOR_IPM_NEGLIGIBLE_ROW * TOL_UNIT / TOL_QP_ACCEPTED * SQRT(s->ipm.unit);
     return qp_is_solution(s);
 }
 
@@ -360,7 +362,8 @@ static int ipm_suffices(solver_t *s, real_t merit_before)
         q->mu > TOL_QP_ACCEPTED * q->unit) {
         return 0;
     }
-    q->deferred = q->merit > R(1) && q->merit <= FACTOR_DEFERRED * merit_before && s->qp.iterations - q->begun <= 60;
+    q->deferred =
+        q->merit > R(1) && q->merit <= FACTOR_IPM_DEFERRED * merit_before && s->qp.iterations - q->begun <= 60;
     if (q->deferred) {
         return 0;
     }
@@ -370,11 +373,11 @@ static int ipm_suffices(solver_t *s, real_t merit_before)
 
 /* Stiff rows may cover the gradient with rounding errors. If that persists, the stiffening is reset and limited to a
  * lower value for the rest of the solve. Returns 1 if it is. */
-static int ipm_soften(ipm_t *q, real_t gradient_before)
+static int ipm_limit_stiffening(ipm_t *q, real_t gradient_before)
 {
-    if (q->stiffening > ipm_least_stiffening(q) && q->slope < INF && q->slope > FACTOR_ACCEPTED_GRADIENT &&
+    if (q->stiffening > ipm_least_stiffening(q) && q->slope < INF && q->slope > FACTOR_IPM_ACCEPTED_GRADIENT &&
         q->slope > R(0.5) * gradient_before) {
-        q->stiffest = FACTOR_SOFTEN * q->stiffening;
+        q->stiffest = FACTOR_IPM_STIFFEST_RATIO * q->stiffening;
         q->stiffening = ipm_least_stiffening(q);
         return 1;
     }
@@ -383,13 +386,13 @@ static int ipm_soften(ipm_t *q, real_t gradient_before)
 
 /* Proximal point steps are short along directions of little curvature. If the gradient decreases too slowly, the
  * proximal term is reduced as far as rounding permits. Returns 1 if it is. */
-static int ipm_loosen(ipm_t *q, real_t gradient_before)
+static int ipm_reduce_proximal(ipm_t *q, real_t gradient_before)
 {
     if (q->damping > R(0) && q->slope < INF && q->slope > R(1) && q->slope > R(0.5) * gradient_before &&
-        q->proximity > FACTOR_LOOSEST * SQRT(TOL_UNIT)) {
-        q->proximity *= FACTOR_LOOSEN;
+        q->proximity > FACTOR_IPM_LEAST_PROXIMAL * SQRT(TOL_UNIT)) {
+        q->proximity *= FACTOR_IPM_PROXIMAL_RATIO;
         for (int i = 0; i < NZS; i++) {
-            q->proximal[i] *= FACTOR_LOOSEN;
+            q->proximal[i] *= FACTOR_IPM_PROXIMAL_RATIO;
         }
         return 1;
     }
@@ -415,8 +418,8 @@ static int ipm_weigh_and_factorize(solver_t *s)
  * residuals hardly decrease. */
 static int ipm_slow_equations(const ipm_t *q, real_t before)
 {
-    return !q->stretched && q->primal > FACTOR_STAGNANT * before && q->stiffening >= q->stiffest &&
-        q->mu <= FACTOR_ACCEPTED_ROWS * TOL_IPM_GAP * q->unit && ipm_any(q, EQUATION);
+    return !q->stretched && q->primal > FACTOR_IPM_STAGNANT * before && q->stiffening >= q->stiffest &&
+        q->mu <= FACTOR_IPM_ACCEPTED_ROWS * TOL_IPM_GAP * q->unit && ipm_any(q, EQUATION);
 }
 
 /* The same before termination, if the residuals of the equations exceed rounding. Also returns 1 after a stretched
@@ -426,7 +429,7 @@ static int ipm_inexact_equations(ipm_t *q)
     q->stretched = !q->stretched;
     if (q->stretched) {
         q->stretched =
-            ipm_any(q, EQUATION) && q->primal > FACTOR_INEXACT * TOL_IPM_PRIMAL && q->primal <= R(0.5) * q->slow;
+            ipm_any(q, EQUATION) && q->primal > FACTOR_IPM_INEXACT * TOL_IPM_PRIMAL && q->primal <= R(0.5) * q->slow;
         q->slow = q->primal;
         return q->stretched;
     }
@@ -439,7 +442,7 @@ static void ipm_forget_progress(ipm_t *q)
     q->closed_gaps = 0;
     q->merit = q->slope = q->primal = INF;
     q->step = R(1);
-    q->stiffest = FACTOR_STIFFEST_ROWS;
+    q->stiffest = FACTOR_IPM_MOST_STIFFENING;
     if (NG) {
         q->stretched = 0;
         q->slow = INF;
@@ -470,8 +473,8 @@ enum { TO_THE_END = 0, CROSS_OVER = 1, HANDED_OVER = 2 };
  * then. */
 static int ipm_hands_over(ipm_t *q)
 {
-    if (q->crossing == TO_THE_END || q->sides == 0 || q->mu > FACTOR_HAND_OVER * q->unit ||
-        q->primal > FACTOR_HAND_OVER) {
+    if (q->crossing == TO_THE_END || q->sides == 0 || q->mu > FACTOR_IPM_HAND_OVER * q->unit ||
+        q->primal > FACTOR_IPM_HAND_OVER) {
         return 0;
     }
     q->crossing = HANDED_OVER;
@@ -485,7 +488,7 @@ static int ipm_ends_here(solver_t *s, real_t before, real_t gradient_before, int
     ipm_t *q = &s->ipm;
     const real_t merit_before = q->merit;
     int done;
-    *changed = ipm_stiffen(q, before);
+    *changed = ipm_increase_stiffening(q, before);
     if (IPM_CROSSOVER) {
         if (ipm_hands_over(q)) {
             return 1;
@@ -495,7 +498,7 @@ static int ipm_ends_here(solver_t *s, real_t before, real_t gradient_before, int
     if (q->probing && (q->slope < INF || s->qp.iterations > 20) && ipm_any_violation(s)) {
         return 1;
     }
-    *changed |= ipm_soften(q, gradient_before) | ipm_loosen(q, gradient_before);
+    *changed |= ipm_limit_stiffening(q, gradient_before) | ipm_reduce_proximal(q, gradient_before);
     done &= !*changed;
     if (NG) {
         done = ipm_ends(q, done, before);

@@ -17,7 +17,7 @@ static int ipm_factorize(solver_t *s)
         if (riccati_factorize(s, NS)) {
             return 1;
         }
-        r->regularize_zero *= FACTOR_REGULARIZE;
+        r->regularize_zero *= FACTOR_IPM_REGULARIZE;
     }
     return 0;
 }
@@ -51,14 +51,14 @@ static void ipm_set_proximal(solver_t *s)
         for (int k = 0; k < NS; k++) {
             most = (stage_Q(s, k)[i][i] > most) ? stage_Q(s, k)[i][i] : most;
         }
-        q->proximal[i] = (most > R(0)) ? FACTOR_PROXIMAL * most : FACTOR_PROXIMAL_ZERO * q->least_pivot;
+        q->proximal[i] = (most > R(0)) ? FACTOR_IPM_PROXIMAL * most : FACTOR_IPM_PROXIMAL_ZERO * q->least_pivot;
     }
 }
 
 /* Least stiffening: a damped problem, whose Hessian is small next to the weights of its rows, has them reduced. */
 static inline real_t ipm_least_stiffening(const ipm_t *q)
 {
-    const real_t least = FACTOR_SOFTEST_ROWS * TOL_IPM_DUAL_REGULARIZATION / SQRT(TOL_UNIT);
+    const real_t least = FACTOR_IPM_LEAST_STIFFENING * TOL_IPM_DUAL_REGULARIZATION / SQRT(TOL_UNIT);
     return (q->damping > R(0) && least < R(1)) ? least : R(1);
 }
 
@@ -66,7 +66,7 @@ static inline real_t ipm_least_stiffening(const ipm_t *q)
  * infinite. */
 static real_t ipm_range(const qp_t *q, int c)
 {
-    const real_t d = q->upper[c] - q->lower[c], size = FACTOR_RANGE * (FABS(q->lower[c]) + FABS(q->upper[c]));
+    const real_t d = q->upper[c] - q->lower[c], size = FACTOR_IPM_RANGE * (FABS(q->lower[c]) + FABS(q->upper[c]));
     if (!(d > R(0) && isfinite(d))) {
         return R(0);
     }
@@ -224,7 +224,7 @@ static int ipm_is_far(const solver_t *s)
     int far = 0;
     for (int c = 0; c < NV + NG; c++) {
         const real_t d = ipm_range(&s->qp, c);
-        far |= d > R(0) && ipm_violation(s, c) > FACTOR_FAR * d;
+        far |= d > R(0) && ipm_violation(s, c) > FACTOR_IPM_FAR * d;
     }
     return far;
 }
@@ -362,7 +362,7 @@ static void ipm_start_sides(solver_t *s, real_t mu)
     real_t most = R(0);
     if (IPM_WARM_START) {
         int count;
-        most = FACTOR_MOST_MULTIPLIER * SQRT(ipm_violation_cost(s, &count));
+        most = FACTOR_IPM_MOST_MULTIPLIER * SQRT(ipm_violation_cost(s, &count));
     }
     for (int i = 0; i < q->sides; i++) {
         q->t[i] = ipm_cold_distance(s, i, root_mu);

@@ -115,7 +115,7 @@ static int riccati_try(solver_t *s, real_t hold, real_t shift)
 static int riccati_shift(solver_t *s, real_t hold)
 {
     const real_t least = regularization[0], before = s->riccati.shift;
-    real_t high = (before > least) ? before : FACTOR_FIRST_TRIAL;
+    real_t high = (before > least) ? before : FACTOR_SHIFT_FIRST;
     int trial;
     if (riccati_try(s, hold, least)) {
         return 1;
@@ -125,16 +125,16 @@ static int riccati_shift(solver_t *s, real_t hold)
         if (trial == MAX_SHIFTS) {
             return 0;
         }
-        high *= FACTOR_TRIAL;
+        high *= FACTOR_SHIFT_RATIO;
     }
-    for (int n = 0; n < MAX_SHIFTS && trial == 0 && high > FACTOR_TRIAL * least; n++) {
-        if (!riccati_try(s, hold, high / FACTOR_TRIAL)) {
+    for (int n = 0; n < MAX_SHIFTS && trial == 0 && high > FACTOR_SHIFT_RATIO * least; n++) {
+        if (!riccati_try(s, hold, high / FACTOR_SHIFT_RATIO)) {
             break;
         }
-        high /= FACTOR_TRIAL;
+        high /= FACTOR_SHIFT_RATIO;
     }
     s->riccati.shift = high;
-    return riccati_try(s, hold, (MIRROR ? R(2) : FACTOR_MARGIN) * high);
+    return riccati_try(s, hold, (MIRROR ? R(2) : FACTOR_SHIFT_MARGIN) * high);
 }
 
 /* Adds the shifts and holds of the last trial to the Hessian of the QP. */
@@ -174,8 +174,8 @@ static int riccati_convexify(solver_t *s)
     }
     riccati_raise_units(s, r->unit);
     riccati_extend_units(s, r->unit);
-    found = riccati_try(s, R(0), FACTOR_SMALL_SHIFT) || riccati_try(s, R(1), R(0)) ||
-        riccati_try(s, FACTOR_FIRM_HOLD, R(0)) || riccati_shift(s, FACTOR_FIRM_HOLD);
+    found = riccati_try(s, R(0), FACTOR_SHIFT_SMALL) || riccati_try(s, R(1), R(0)) ||
+        riccati_try(s, FACTOR_SHIFT_FIRM_HOLD, R(0)) || riccati_shift(s, FACTOR_SHIFT_FIRM_HOLD);
     if (found) {
         riccati_keep_diagonal(s);
     }

@@ -48,4 +48,4 @@ const char *golden_status_string(golden_status_t status);
 #endif
 
 #endif
-/* nmpc_codegen package 486c1b4f1d4072a2, sha256 ea6132581666c761968df731b249037c01c38634689de0df93aaedcc29cb8522 */
+/* nmpc_codegen package d8093ab2721a2d43, sha256 51070e8da3997ae9d8b329febeb9b1684af9e58712a4a1f1073b3e4efdb353a4 */

@@ -44,7 +44,7 @@ def check(ocp: OCP, options: Options, folder: Path, name: str, printer: Printer)
         f"{name}.{ext}": (folder / f"{name}.{ext}").read_text(encoding="utf-8") for ext in ("h", "c", "json")
     }
     controller = load(files, name, "verify", warnings_as_errors=True)
-    if not options.solve:
+    if not options.solves:
         printer.line("--check: the package has no solve(); the same package with solve() is checked instead")
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", ProblemWarning)  # export() has said them

@@ -55,14 +55,16 @@ class Words:
 class Flag:
     """True or False."""
 
+    optional: bool = False
+
     def converted(self, value: Any) -> Any:
         return value
 
     def takes(self, value: Any) -> bool:
-        return isinstance(value, bool)
+        return isinstance(value, bool) or (value is None and self.optional)
 
     def __str__(self) -> str:
-        return "True or False"
+        return "True, False or None" if self.optional else "True or False"
 
 
 @dataclass(frozen=True)

@@ -179,7 +179,7 @@ def choose_hessian(problem: Problem, options: Options) -> tuple[Options, tuple[s
 
 def roomy(options: Options) -> bool:
     """True if the package may hold a second Hessian for solve(), and iterate on a plan before a sample."""
-    return options.solve and options.goal == "speed" and TARGETS[options.target].roomy
+    return options.solves and options.goal == "speed" and TARGETS[options.target].roomy
 
 
 def solves_exactly(problem: Problem, options: Options, chosen: bool) -> bool:

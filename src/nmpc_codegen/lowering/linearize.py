@@ -115,7 +115,7 @@ def linearize(problem: Problem, options: Options | None = None) -> Model:
     problem = completed(problem, options)
     chosen = options.hessian is None
     options, of_hessian = choose_hessian(problem, options)
-    wanted, options = options.target, options.with_defaults
+    wanted, options = options, options.with_defaults
     target, of_target = TARGETS[options.target], _of_target(wanted, TARGETS[options.target])
     algorithm, of_algorithm = options.algorithm.decided(problem, roomy(options))
     options = replace(options, algorithm=algorithm)
@@ -151,7 +151,7 @@ def linearize(problem: Problem, options: Options | None = None) -> Model:
         online=online,
         precision=options.precision,
         math=options.math or target.math,
-        solve=options.solve,
+        solve=options.solves,
         goal=options.goal,
         target=target,
         reasons=(*choices, *of_target, *of_flat, *of_hessian, *of_algorithm, *notes),
@@ -185,11 +185,12 @@ def _with_proximal(problem: Problem, options: Options) -> tuple[Problem, tuple[s
     )
 
 
-def _of_target(asked: str, target: Target) -> tuple[str, ...]:
-    """What the report says of a target, and of "native" on a machine without one."""
+def _of_target(asked: Options, target: Target) -> tuple[str, ...]:
+    """What the report says of a target, of what it leaves out, and of "native" on a machine without one."""
     if target != PORTABLE:
-        return (f"target: {target.name}; {target.machine}",)
-    return ("target: portable; of this machine the compiler knows no vectors",) if asked == NATIVE else ()
+        left = ("solve(): left out; default of microcontrollers, Options(solve=True) adds it",)
+        return (f"target: {target.name}; {target.machine}", *(() if asked.solve is not None or target.roomy else left))
+    return ("target: portable; of this machine the compiler knows no vectors",) if asked.target == NATIVE else ()
 
 
 def completed(problem: Problem, options: Options | None = None) -> Problem:

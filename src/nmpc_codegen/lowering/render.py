@@ -226,6 +226,7 @@ def _of_target(module: CModule, headers: Collection[str]) -> dict[str, str]:
     vectors = module.features.vector_lanes > 1 or module.features.tiles
     gnu = f"GNU C (gcc 12 or newer, clang) for {target.machine}"
     return {
+        "contraction": "fast" if module.target.board is None else "off",  # with which a certificate is made
         "flags": "".join(f" {flag}" for flag in target.of_machine),
         "compiler": "gcc" if x86 else "cc",
         "moves": f" {UNALIGNED_MOVES}" if x86 else "",

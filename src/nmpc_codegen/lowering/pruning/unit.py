@@ -33,6 +33,9 @@ Definition = tuple[str, str | None, str]
 #: Heads of functions that only this unit calls.
 _INNER = ("static ", "LANES_INLINE ", "PACK_INLINE ")
 _ASSIGNS = re.compile(r"\+\+|--|(?<![=!<>])=(?!=)")
+#: The entry point that what only it calls stands in front of, in the last part of a unit, and the heading of that part.
+LAST = "API(solve)"
+LAST_HEADING = "/* ==== solve(): what only it calls " + "=" * 68 + " */"
 #: A call of a function.
 CALLED = re.compile(r"\b[a-z]\w*(?=\()")
 
@@ -95,10 +98,61 @@ def pruned(unit: str, kernels: Mapping[str, str], known: Sequence[Definition], c
     found = [item for chunk in (*(f"\n{chunk}\n}}" for chunk in chunks), f"\n{rest}") for item in items(chunk)]
     functions, names = reached(found, kernels, macros, constants)
     kept = _without_idle_headings([item for item in found if _stays(item, names)], found)
-    printed = [text for name, text in kernels.items() if name in names]
-    texts = (_marked_for(functions[i.name], macros) if i.kind == "function" else i.text for i in kept)
-    items_of_parts = "".join(i.gap + text for i, text in zip(kept, texts, strict=True)).lstrip("\n")
-    return "\n\n".join([*printed, items_of_parts]) + "\n"
+    early = names
+    if any(item.name == LAST for item in kept):
+        _, early = reached([item for item in found if item.name != LAST], kernels, macros, constants)
+    first, last = _apart(kept, early)
+
+    def text(items: Iterable[Item], printed: Collection[str]) -> str:
+        of = ((i.gap, _marked_for(functions[i.name], macros) if i.kind == "function" else i.text) for i in items)
+        called = [kernel for name, kernel in kernels.items() if name in printed]
+        return "\n\n".join([*called, "".join(gap + t for gap, t in of).lstrip("\n")])
+
+    parts = [text(first, early), *([LAST_HEADING, text(last, names - early)] if last else [])]
+    return "\n\n".join(parts) + "\n"
+
+
+def _apart(kept: Sequence[Item], early: Collection[str]) -> tuple[list[Item], list[Item]]:
+    """The items that the early entry points reach, and those that only the last one does, under the headings of their
+    sections."""
+    sections: list[list[Item]] = [[]]
+    for item in kept:
+        if _is_section(item):
+            sections.append([])
+        sections[-1].append(item)
+    first: list[Item] = []
+    last: list[Item] = []
+    for section in sections:
+        late = _late(section, early)
+        for target, of in ((first, False), (last, True)):
+            items = [item for item, is_late in zip(section, late, strict=True) if is_late is of or _is_section(item)]
+            if any(not _is_section(item) for item in items) or not (of or any(late)):
+                target += items
+    return first, last
+
+
+def _is_section(item: Item) -> bool:
+    return item.kind == "other" and item.text.startswith("/* ==")
+
+
+def _late(section: Sequence[Item], early: Collection[str]) -> list[bool]:
+    """Which items of a section only the last entry point reaches; a comment that stands alone goes with the functions
+    below it."""
+    late: list[bool] = []
+    below = True  # all functions below, up to the next comment, are late
+    some = False
+    for item in reversed(section):
+        if item.kind == "heading":
+            late.append(some and below)
+            below, some = True, False
+        elif item.kind in ("function", "prototype"):
+            late.append(item.name not in early)
+            below, some = below and late[-1], True
+        elif item.kind == "enumeration":
+            late.append(names_in_code(_constants(item)).isdisjoint(early))
+        else:
+            late.append(False)
+    return late[::-1]
 
 
 def calling(known: Iterable[Definition]) -> frozenset[str]:
