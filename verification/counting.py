@@ -37,25 +37,25 @@ ARGUMENTS = {
     "condense_backward_panel": "&s.qp.work.columns, &s.node[0], s.hessian.Q[0], 0",
     "qp_factorize_hessian": "&s.qp",
     "qp_forward": "&s.qp, w, 0",
-    "riccati_factorize": "&s, PREFIX_NS",
-    "riccati_backward": "&s, PREFIX_NS",
+    "riccati_factorize": "&s, NS",
+    "riccati_backward": "&s, NS",
     "riccati_forward": "&s, s.qp.x, s.qp.z",
     "qp_backward": "&s.qp, w, w",
 }
 
 #: Functions that are called more than once for their count: the statement that calls them.
 STATEMENTS = {
-    "condense_hessian": "for (int c = 0; c < PREFIX_LDG; c += PREFIX_COLUMNS) "
+    "condense_hessian": "for (int c = 0; c < LDG; c += COLUMNS) "
     "{ condense_propagate(&s, c); condense_hessian(&s, c); }",
 }
 
 #: Calls that must precede functions that overwrite their input; the count of a factorisation is that for a positive
 #: definite matrix.
 BEFORE = {
-    "qp_factorize_hessian": "condense_matrices(&s); for (int i = 0; i < PREFIX_LDV; i++) { s.qp.H[i][i] += 1.0; }",
-    "riccati_factorize": "riccati_init(&s); for (int k = 0; k < PREFIX_NS; k++) for (int j = 0; j < PREFIX_NUS; j++) "
+    "qp_factorize_hessian": "condense_matrices(&s); for (int i = 0; i < LDV; i++) { s.qp.H[i][i] += 1.0; }",
+    "riccati_factorize": "riccati_init(&s); for (int k = 0; k < NS; k++) for (int j = 0; j < NUS; j++) "
     "{ s.riccati.diagonal[k][j] = 1.0; }",
-    "riccati_backward": "for (int k = 0; k < PREFIX_NS; k++) { s.riccati.b[k][0] = 1.0; }",
+    "riccati_backward": "for (int k = 0; k < NS; k++) { s.riccati.b[k][0] = 1.0; }",
 }
 
 #: (function, stated, counted)
@@ -133,10 +133,7 @@ def run_program(
     each: Mapping[str, Sequence[str]],
     calls: Mapping[str, str],
 ) -> dict[str, dict[str, int]]:
-    """Counts of the calls in a program with these declarations, that runs ``start`` once and ``each`` before a call.
-
-    PREFIX_ in a statement stands for the upper-case prefix of the package ``name``.
-    """
+    """Counts of the calls in a program with these declarations, that runs ``start`` once and ``each`` before a call."""
     lines = [
         f'#include "{HEADER.name}"',
         f'#include "{name}.c"',
@@ -155,7 +152,6 @@ def run_program(
         lines += [*each.get(function, ()), "    counted::reset();"]
         lines += [f"    {call};", f'    report("{function}");']
     lines += ["    return 0;", "}"]
-    lines = [line.replace("PREFIX_", f"{name.upper()}_") for line in lines]
     with tempfile.TemporaryDirectory(prefix="counting-") as temporary:
         folder = Path(temporary)
         (folder / HEADER.name).write_text(HEADER.read_text(encoding="utf-8"), encoding="utf-8")

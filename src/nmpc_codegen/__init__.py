@@ -21,6 +21,7 @@ from nmpc_codegen.errors import (
 )
 from nmpc_codegen.exclusive import COMPILING
 from nmpc_codegen.package.status import Status
+from nmpc_codegen.package.version import __version__ as __version__
 from nmpc_codegen.runtime.controller import Controller
 from nmpc_codegen.runtime.extras import DISTRIBUTION, HAS_COMPILER
 from nmpc_codegen.runtime.package import open_package
@@ -126,8 +127,6 @@ __all__ = [
 ]
 if not HAS_COMPILER:
     __all__ = [name for name in __all__ if name not in _HOME]
-
-__version__ = "0.1.0"
 
 
 def __dir__() -> list[str]:

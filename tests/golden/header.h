@@ -48,4 +48,4 @@ const char *golden_status_string(golden_status_t status);
 #endif
 
 #endif
-/* nmpc_codegen package d8093ab2721a2d43, sha256 51070e8da3997ae9d8b329febeb9b1684af9e58712a4a1f1073b3e4efdb353a4 */
+/* nmpc_codegen package 8708c6bf4add1e42, sha256 7767450cf79a687c542fc5f1cb1e8fcb5d1bb87dff32e02ef530f24eaa8ec0ca */

@@ -27,20 +27,22 @@ from nmpc_codegen.targets import Target
 
 @dataclass(frozen=True)
 class Macro:
-    """``#define <PREFIX>_<name> value``."""
+    """``#define <PREFIX>_<name> value`` in the header if it is ``public``, else ``#define <name> value`` in the .c."""
 
     name: str
     value: int
     doc: str
+    public: bool = False
 
 
 @dataclass(frozen=True)
 class Enum:
-    """An anonymous enum of user names: constants <PREFIX>_<stem>_<NAME>."""
+    """An anonymous enum of user names: constants <PREFIX>_<stem>_<NAME>, with what is said of each."""
 
     stem: str
     names: tuple[str, ...]
     doc: str
+    notes: tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -194,6 +196,11 @@ class CModule:
     def libraries(self) -> tuple[str, ...]:
         """Libraries that a program with the package is linked with."""
         return () if self.features.own_math else ("m",)
+
+    @property
+    def public(self) -> tuple[Macro, ...]:
+        """The macros of the header."""
+        return tuple(macro for macro in self.macros if macro.public)
 
     def value(self, macro: str) -> int:
         """Value of a size macro."""

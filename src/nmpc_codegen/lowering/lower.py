@@ -14,14 +14,15 @@ from nmpc_codegen.components.base import Component, Counts, Dims
 from nmpc_codegen.components.core import SIZES_OF_OTHERS, TABLES_OF_OTHERS
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.frontend.problem import Array, Problem, Row, Stage
-from nmpc_codegen.ir.cmodule import CModule, Enum, Macro, Section, Setter, Table, check_prefix
+from nmpc_codegen.ir.cmodule import CModule, Macro, Section, Setter, Table, check_prefix
 from nmpc_codegen.ir.kernel import called_functions
 from nmpc_codegen.ir.printing.c_style import CStyle
 from nmpc_codegen.ir.sweep import Routine
 from nmpc_codegen.ir.tuning import PANEL
 from nmpc_codegen.lowering.lanes.nodes import with_lanes
 from nmpc_codegen.lowering.linearize import Model
-from nmpc_codegen.lowering.local_names import local_names
+from nmpc_codegen.lowering.naming.enums import enums
+from nmpc_codegen.lowering.naming.local_names import local_names
 from nmpc_codegen.lowering.parts import own_names
 from nmpc_codegen.lowering.structs import absent_members, extras, lowered_structs, settings
 from nmpc_codegen.package.description import PackageDescription, Report
@@ -37,6 +38,9 @@ MANY = 1_000_000
 PULLS = 16
 # Part of an integration step by which rounding errors of times may exceed a number of steps.
 ROUNDING_OF_STEPS = 1e-3
+
+#: Sizes of the interface.
+PUBLIC = ("N", "NX", "NU", "NP", "NY", "NY_N", "NW", "NW_N", "NR")
 
 # Marks a solver struct that init() has initialised.
 MAGIC = 0x4E4D5043
@@ -65,7 +69,7 @@ def lower(model: Model, name: str | None = None, whole: bool = False) -> CModule
         description=_description(model, name, macros, structs, _report(model, dims, features, structs, layout), ranges),
         target=model.target,
         macros=macros,
-        enums=_enums(problem),
+        enums=enums(problem),
         tables=tables,
         rows=problem.qp_rows,
         settings=settings(model, dims, whole),
@@ -310,18 +314,10 @@ def _macros(model: Model, dims: Dims, whole: bool) -> tuple[Macro, ...]:
     if whole:
         absent = (entry for component in parts.components for entry in component.absent_sizes(dims))
         macros += [Macro(*entry) for entry in (*SIZES_OF_OTHERS, *absent)]
-    return tuple({macro.name: macro for macro in reversed(macros)}.values())[::-1]
-
-
-def _enums(problem: Problem) -> tuple[Enum, ...]:
-    rows = c_constants([r.name for r in problem.rows])
-    parameters = c_constants([s.name for s in problem.parameters])
-    enums = []
-    if rows:
-        enums.append(Enum("ROW", rows, "scalar rows, for set_bounds"))
-    if parameters:
-        enums.append(Enum("PARAM", parameters, "parameters, for set_parameter"))
-    return tuple(enums)
+    public = {s for e in model.parts.algorithm.entries(model.solve) for a in (*e.inputs, *e.outputs) for s in a.shape}
+    public.update(PUBLIC, (f"SIZE_{name}" for name in names))
+    found = {macro.name: replace(macro, public=macro.name in public) for macro in reversed(macros)}
+    return tuple(found.values())[::-1]
 
 
 #: Values of k that are allowed besides ALL, for every kind of data that can be changed at run time.

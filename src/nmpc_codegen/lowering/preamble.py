@@ -36,9 +36,10 @@ def preamble(
     known: Sequence[Definition],
     body: Collection[str],
     renamed: Mapping[str, str],
+    docs: Mapping[str, str] = MappingProxyType({}),
 ) -> str:
     """Short names of those types of the package ``name``, and those macros of ``known``, that a text with the
-    identifiers ``body`` uses; ``renamed``: inner name -> new name."""
+    identifiers ``body`` uses; ``renamed``: inner name -> new name; ``docs``: what sizes of this unit alone are."""
     found, used = definitions(known, body)
     inner = [rename(f"{short}_t", renamed) for short in types]
     lines = [f"typedef {name}_real {rename('real_t', renamed)};"]
@@ -48,8 +49,8 @@ def preamble(
         head = rename(macro if arguments is None else f"{macro}({arguments})", renamed)
         define = f"#define {head} {text if declared else rename(text, renamed)}"
         lines.append(" \\\n    ".join(wrap(define, WIDTH, break_long_words=False, break_on_hyphens=False)))
-        if macro in REASONS:
-            lines[-1:] = _with_reason(lines[-1], REASONS[macro])
+        if reason := REASONS.get(macro, docs.get(macro, "")):
+            lines[-1:] = _with_reason(lines[-1], reason)
     return "\n".join(lines)
 
 
@@ -79,7 +80,8 @@ def definitions(known: Sequence[Definition], body: Collection[str]) -> tuple[lis
 def all_definitions(module: CModule) -> list[Definition]:
     """Every macro that a unit may use."""
     p, P = module.name, module.macro
-    constants = [(m.name, f"{P}_{m.name}") for m in module.macros if m.name != "MAGIC"]
+    sizes = [m for m in module.macros if m.name != "MAGIC"]
+    constants = [(m.name, f"{P}_{m.name}" if m.public else str(m.value)) for m in sizes]
     constants.append(("MAGIC", "NMPC_CODEGEN_UNIT"))
     constants += [(name, f"{P}_{name}") for name in ("ALL", *(status.name for status in module.statuses))]
     features = module.features.macros

@@ -6,6 +6,7 @@ No other module imports jinja2.
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Collection, Mapping, Sequence
 from functools import cache
 from itertools import groupby
@@ -43,6 +44,7 @@ from nmpc_codegen.package.memory import PURPOSES, WORK, Field, Struct
 from nmpc_codegen.package.seal import sealed
 from nmpc_codegen.package.signals import Argument, EntryPoint, Layout, Signal, horizon, nodes
 from nmpc_codegen.package.sources import Sources
+from nmpc_codegen.package.version import __version__
 from nmpc_codegen.runtime.compilers import UNALIGNED_MOVES
 from nmpc_codegen.targets import PORTABLE, Target
 
@@ -123,7 +125,8 @@ def _filled(module: CModule) -> dict[str, Any]:
     members = {member.name for struct in module.structs for member in struct.fields}
     renamed = renamed_words(definitions(known, words)[1], header, module.name, members)
     types = [*(s.name for s in module.structs), "status"]
-    short_names = preamble(module.name, types, known, words, renamed)
+    docs = {macro.name: macro.doc for macro in module.macros if not macro.public}
+    short_names = preamble(module.name, types, known, words, renamed, docs)
     texts = {"body": body, "math": math, "tables": tables}
     return {
         **names,
@@ -147,6 +150,7 @@ def _names(module: CModule) -> dict[str, Any]:
     names |= {
         "m": module,
         "gcc12": GCC_12,
+        "version": __version__,
         "member": lambda field: _member(field, module),
         "by_purpose": _by_purpose,
         "comment": lambda text: block_comment(text),
@@ -249,9 +253,10 @@ def _page(module: CModule) -> dict[str, Any]:
         "README.md": "this page",
         **{f"{folder}/": "code of another generator" for folder in module.folders},
     }
+    places = {enum.stem: [f"{macro}_{enum.stem}_{constant}" for constant in enum.names] for enum in module.enums}
     signals = [
-        *((e, s.unit, f"x[{i}]", f"state, initially {v:g}") for i, e, s, v in _elements(d.states)),
-        *((e, s.unit, f"u[{i}]", "control") for i, e, s, _ in _elements(d.controls)),
+        *((e, s.unit, f"x[{places['X'][i]}]", f"state, initially {v:g}") for i, e, s, v in _elements(d.states)),
+        *((e, s.unit, f"u[{places['U'][i]}]", "control") for i, e, s, _ in _elements(d.controls)),
     ]
     for s, constant in zip(d.parameters, d.parameter_constants, strict=True):
         declared = ", ".join(f"{value:g}" for value in s.value)
@@ -273,7 +278,7 @@ def _page(module: CModule) -> dict[str, Any]:
         if group
     ]
     grid = horizon(d.dt, d.time_unit, d.discrete)
-    texts = {"grid": grid, "sample": period.capitalize()}
+    texts = {"grid": grid, "sample": period.capitalize(), "first_control": places["U"][0]}
     return texts | {"files": files.items(), "signals": signals, "rows": rows, "residuals": residuals}
 
 
@@ -296,8 +301,9 @@ def _copies(layout: Layout, path_only: bool) -> str:
 def _member(field: Field, module: CModule) -> str:
     """Declaration of a struct member."""
     ctype = {"real": f"{module.name}_real", "int32": "int32_t"}.get(field.ctype, f"{module.name}_{field.ctype}_t")
-    sizes = "".join(f"[{s.c(module.macro)}]" for s in field.shape)
-    return f"{ctype} {field.name}{sizes};"
+    public = {macro.name for macro in module.public}
+    texts = (s.c(module.macro) if public.issuperset(re.findall(r"[A-Z]\w*", s.text)) else s.value for s in field.shape)
+    return f"{ctype} {field.name}{''.join(f'[{text}]' for text in texts)};"
 
 
 def _by_purpose(struct: Struct) -> list[tuple[str, tuple[Field, ...]]]:

@@ -1,0 +1,1 @@
+"""The names of the user in C: constants of the header, and constants in kernels."""

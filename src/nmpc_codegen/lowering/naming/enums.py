@@ -1,0 +1,62 @@
+"""The user's names in the header: places in the vectors of the interface, with units, bounds and scales; rows."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Sequence
+
+from nmpc_codegen.frontend.problem import Problem, Row, Stage
+from nmpc_codegen.frontend.scales import scales
+from nmpc_codegen.ir.cmodule import Enum
+from nmpc_codegen.package.signals import Signal, c_constants, nodes
+
+
+def enums(problem: Problem) -> tuple[Enum, ...]:
+    """The enums of a problem; those without a name do not exist."""
+    size, nx, parameters = scales(problem).z, problem.nx, problem.parameters
+    limits = {(row.kind, row.index): row for row in problem.rows if row.nodes and min(row.nodes) < problem.N}
+    states = [_z(unit, size[i], limits.get(("state", i))) for i, unit in enumerate(_units(problem.states))]
+    controls = [_z(unit, size[nx + i], limits.get(("control", i))) for i, unit in enumerate(_units(problem.controls))]
+    found = (
+        _enum("X", problem.state_names, "states: places in x", states),
+        _enum("U", problem.control_names, "controls: places in u", controls),
+        _enum("P", problem.parameter_names, "parameters: places in p", [[u] for u in _units(problem.parameters)]),
+        _residuals("Y", problem.path, "residuals: places in yref, and in W"),
+        _residuals("Y_N", problem.terminal, "terminal residuals: places in yref_N, and in W_N"),
+        _enum("ROW", [r.name for r in problem.rows], "scalar rows, for set_bounds", map(_row, problem.rows)),
+        _enum("PARAM", [s.name for s in parameters], "parameters, for set_parameter", map(_value, parameters)),
+    )
+    return tuple(enum for enum in found if enum.names)
+
+
+def _enum(stem: str, names: Sequence[str], doc: str, notes: Iterable[Sequence[str]]) -> Enum:
+    said = (", ".join(part.replace("*/", "* /") for part in parts if part) for parts in notes)
+    return Enum(stem, c_constants(names), doc, tuple(f" /* {text} */" if text else "" for text in said))
+
+
+def _units(signals: Iterable[Signal]) -> list[str]:
+    """The unit of every element."""
+    return [signal.unit for signal in signals for _ in signal.elements]
+
+
+def _z(unit: str, scale: float, row: Row | None) -> list[str]:
+    """Unit, bounds and scale of a state or control."""
+    return [unit, f"{row.lower:g} .. {row.upper:g}" if row else "", f"scale {scale:.2g}"]
+
+
+def _residuals(stem: str, stage: Stage, doc: str) -> Enum:
+    often = Counter(stage.y_names)
+    names = [name if often[name] == 1 else f"{name}_{i}" for i, name in enumerate(stage.y_names)]
+    return _enum(stem, names, doc, [[f"reference {value:g}"] for value in stage.reference])
+
+
+def _row(row: Row) -> list[str]:
+    return [
+        f"{row.lower:g} .. {row.upper:g}",
+        f"nodes {nodes(row.nodes)}" if row.nodes else "",
+        "soft" if row.soft else "",
+    ]
+
+
+def _value(parameter: Signal) -> list[str]:
+    return [parameter.unit, f"declared {', '.join(f'{value:g}' for value in parameter.value[:4])}"]

@@ -1,0 +1,3 @@
+"""The version of the generator, which its packages state."""
+
+__version__ = "0.1.0"
