@@ -133,7 +133,10 @@ def run_program(
     each: Mapping[str, Sequence[str]],
     calls: Mapping[str, str],
 ) -> dict[str, dict[str, int]]:
-    """Counts of the calls in a program with these declarations, that runs ``start`` once and ``each`` before a call."""
+    """Counts of the calls in a program with these declarations, that runs ``start`` once and ``each`` before a call.
+
+    PREFIX_ in a statement stands for the upper-case prefix of the package ``name``.
+    """
     lines = [
         f'#include "{HEADER.name}"',
         f'#include "{name}.c"',
@@ -152,6 +155,7 @@ def run_program(
         lines += [*each.get(function, ()), "    counted::reset();"]
         lines += [f"    {call};", f'    report("{function}");']
     lines += ["    return 0;", "}"]
+    lines = [line.replace("PREFIX_", f"{name.upper()}_") for line in lines]
     with tempfile.TemporaryDirectory(prefix="counting-") as temporary:
         folder = Path(temporary)
         (folder / HEADER.name).write_text(HEADER.read_text(encoding="utf-8"), encoding="utf-8")

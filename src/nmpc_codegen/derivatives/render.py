@@ -98,6 +98,7 @@ def _names(model: DerivativeModel, name: str) -> dict[str, Any]:
         "gcc12": GCC_12,
         "folders": (),
         "libraries": ("m",),
+        "contraction": "fast",
         "flags": "",
         "extensions": "OFF",
         "signals": (

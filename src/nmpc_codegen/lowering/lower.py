@@ -25,7 +25,7 @@ from nmpc_codegen.lowering.naming.enums import enums
 from nmpc_codegen.lowering.naming.local_names import local_names
 from nmpc_codegen.lowering.parts import own_names
 from nmpc_codegen.lowering.structs import absent_members, extras, lowered_structs, settings
-from nmpc_codegen.package.description import PackageDescription, Report
+from nmpc_codegen.package.description import INTERFACE_SIZES, PackageDescription, Report
 from nmpc_codegen.package.features import KERNELS, Features, KernelName
 from nmpc_codegen.package.memory import Size, Struct, placed
 from nmpc_codegen.package.opcount import OpCount
@@ -38,9 +38,6 @@ MANY = 1_000_000
 PULLS = 16
 # Part of an integration step by which rounding errors of times may exceed a number of steps.
 ROUNDING_OF_STEPS = 1e-3
-
-#: Sizes of the interface.
-PUBLIC = ("N", "NX", "NU", "NP", "NY", "NY_N", "NW", "NW_N", "NR")
 
 # Marks a solver struct that init() has initialised.
 MAGIC = 0x4E4D5043
@@ -315,7 +312,7 @@ def _macros(model: Model, dims: Dims, whole: bool) -> tuple[Macro, ...]:
         absent = (entry for component in parts.components for entry in component.absent_sizes(dims))
         macros += [Macro(*entry) for entry in (*SIZES_OF_OTHERS, *absent)]
     public = {s for e in model.parts.algorithm.entries(model.solve) for a in (*e.inputs, *e.outputs) for s in a.shape}
-    public.update(PUBLIC, (f"SIZE_{name}" for name in names))
+    public.update(INTERFACE_SIZES, (f"SIZE_{name}" for name in names))
     found = {macro.name: replace(macro, public=macro.name in public) for macro in reversed(macros)}
     return tuple(found.values())[::-1]
 

@@ -22,6 +22,9 @@ from nmpc_codegen.package.opcount import OpCount
 from nmpc_codegen.package.program import Program
 from nmpc_codegen.package.signals import EntryPoint, Layouts, Names, Residual, Row, Signal, c_constants
 
+#: Sizes of the interface, which every header states.
+INTERFACE_SIZES = ("N", "NX", "NU", "NP", "NY", "NY_N", "NW", "NW_N", "NR")
+
 #: Version of the layout of <name>.json.
 FORMAT = 5
 
