@@ -142,7 +142,7 @@ def test_readme_tells_the_sizes(folder: Path) -> None:
     for word in (
         str(build(crane.build_ocp(), profile="test").nbytes),
         "-ffast-math",
-        "| phi | rad | x[2] | state, initially 0 |",
+        "| phi | rad | x[CRANE_X_PHI] | state, initially 0 |",
     ):
         assert word in readme
     assert not re.search(r"\b(None|Undefined)\b|\{\{|\{%", readme)

@@ -187,9 +187,9 @@ def test_the_same_inputs_give_the_same_bits(route: str) -> None:
 def test_packages_for_microcontrollers_and_without_solve_do_not_repair() -> None:
     for more in ({"solve": False}, {"target": "cortex-m4f"}, {"goal": "size"}):
         module = generate(tilted(), Options(**more))
-        assert "REPAIRS" not in module["tilted.h"]
+        assert "REPAIRS" not in module.description.sizes
         assert "repair: 0" in module["tilted.json"]
-    assert "TILTED_REPAIRS 3" in generate(tilted())["tilted.h"]
+    assert "#define REPAIRS 3 " in generate(tilted())["tilted.c"]
 
 
 def test_the_worst_case_contains_the_repair() -> None:
