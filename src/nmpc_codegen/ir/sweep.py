@@ -44,6 +44,13 @@ class Affine:
         """Value for given loop indices."""
         return self.constant + sum(c * indices[i] for i, c in self.terms)
 
+    def split(self, columns: int) -> tuple[Affine, Affine]:
+        """Row and column of an element of a matrix whose rows have so many elements."""
+        row, column = divmod(self.constant, columns)
+        column = column if row else self.constant  # a Size keeps its macro name
+        along = tuple((i, c // columns) for i, c in self.terms if c % columns == 0)
+        return Affine(row, along), Affine(column, tuple((i, c) for i, c in self.terms if c % columns))
+
     def at_one(self, index: str, value: int) -> int:
         """The constant with the term of one index at a value of it."""
         return self.constant + sum(c * value for i, c in self.terms if i == index)
@@ -93,6 +100,10 @@ class Call:
     def written_out(self) -> bool:
         """True if the leaf is printed inline instead of being called: ``inline`` is set, or its slices are columns."""
         return self.inline or any(s.stride != 1 and s.size > 1 for s in (*self.ins, *self.outs))
+
+    def heading(self, step: int, steps: int) -> str:
+        """The note, with the step if there are several."""
+        return f"step {step + 1}, {self.note}" if self.note and steps > 1 and step >= 0 else self.note
 
 
 @dataclass(frozen=True, eq=False)
@@ -236,7 +247,7 @@ def _unrolled(sweep: Sweep, watched: list[Watched] | None) -> Function:
 
 def _watched(call: Call, step: int, steps: int) -> Iterator[Watched]:
     """What the results of a call in a step are, element by element."""
-    note = f"step {step + 1}, {call.note}" if call.note and steps > 1 and step >= 0 else call.note
+    note = call.heading(step, steps)
     step, stage = (step + 1, 0) if call.stage == NEXT_STEP else (step, call.stage)
     mark = "" if stage < 0 or step >= steps else f"{step + 1}{stage + 1}" if steps > 1 else f"{stage + 1}"
     for s in call.outs:

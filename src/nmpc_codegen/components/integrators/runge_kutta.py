@@ -52,9 +52,11 @@ class RungeKutta:
         """h = dt / steps, X = x."""
         dt = ca.SX.sym("dt")
         h = dt / self.steps if self._fixed_length is None else ca.SX(self._fixed_length)
-        length = Call(ca.Function("step_length", [dt], [h], ["dt"], ["h"]), (Slice("dt", 1),), (LENGTH,))
-        state = Call(copy("copy_x", self.nx), (Slice("x", self.nx),), (self.state,))
-        return [replace(length, note="start"), replace(state, note="start")]
+        length = ca.Function("step_length", [dt], [h], ["dt"], ["h"])
+        return [
+            Call(length, (Slice("dt", 1),), (LENGTH,), note="start"),
+            Call(copy("copy_x", self.nx), (Slice("x", self.nx),), (self.state,), note="start"),
+        ]
 
     def slope(self, stage: int) -> Slice:
         """K of a stage."""

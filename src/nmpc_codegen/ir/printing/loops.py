@@ -72,7 +72,7 @@ class _Printer:
         lines: list[str] = []
         nodes = tuple(_once(nodes))
         for node in nodes:
-            notes = {_note(call, self.routine.sweep.steps) for call in calls((node,)) if call.note}
+            notes = {c.heading(c.step, self.routine.sweep.steps) for c in calls((node,)) if c.note}
             of = notes.pop() if len(notes) == 1 else note
             if of and of != note:
                 lines.append(f"{indent}/* {of} */")
@@ -113,11 +113,9 @@ class _Printer:
             return s.buffer
         if not columns:
             return f"{s.buffer}[{Affine(constant, s.offset.terms).c()}]"
-        rows = tuple((i, c // columns) for i, c in s.offset.terms if c % columns == 0)
-        across = tuple((i, c) for i, c in s.offset.terms if c % columns)
-        row, column = divmod(constant, columns)
-        assert self._most(Affine(column, across)) < columns, f"{self.routine.name}: {s} leaves a row of {columns}"
-        return f"{s.buffer}[{Affine(row, rows).c()}][{Affine(column, across).c()}]"
+        row, column = Affine(constant, s.offset.terms).split(columns)
+        assert self._most(column) < columns, f"{self.routine.name}: {s} leaves a row of {columns}"
+        return f"{s.buffer}[{row.c()}][{column.c()}]"
 
     def _written(self, call: Call, indent: str, alone: bool) -> list[str]:
         """The statements of a leaf; in braces if they declare constants beside other nodes."""
@@ -189,10 +187,6 @@ class _Printer:
             return ""
         element = s.offset.constant + s.stride * e
         return result_note(s.buffer, self.columns.get(s.buffer, 0), element, self.style.names)
-
-
-def _note(call: Call, steps: int) -> str:
-    return f"step {call.step + 1}, {call.note}" if steps > 1 and call.step >= 0 else call.note
 
 
 def _once(nodes: tuple[Node, ...]) -> Iterator[Node]:

@@ -140,12 +140,8 @@ class _Printer:
             return place.text
         if len(place.shape) == 1:
             return f"{place.text}[{Affine(constant, s.offset.terms).c()}]"
-        columns = int(place.shape[1])
-        along = tuple((i, c // columns) for i, c in s.offset.terms if c % columns == 0)
-        across = tuple((i, c) for i, c in s.offset.terms if c % columns)
-        row, column = divmod(constant, columns)
-        column = constant if row == 0 else column  # a Size keeps its macro name
-        return f"{place.text}[{Affine(row, along).c()}][{Affine(column, across).c()}]"
+        row, column = Affine(constant, s.offset.terms).split(int(place.shape[1]))
+        return f"{place.text}[{row.c()}][{column.c()}]"
 
     def _name(self, s: Slice, element: int) -> str:
         """Name of the constant that holds the element."""
