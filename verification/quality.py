@@ -110,12 +110,23 @@ def foreign_symbols(sources: Sources, *flags: str) -> list[str]:
     return found
 
 
+def _bound_arguments(unit: str, function: str) -> str:
+    """The arguments of a bound of control j at the first node: those of the solver and of the node where it has any."""
+    found = re.search(rf"\b{function}\(([^)]*)\)\n", unit)
+    parameters = found[1] if found else ""
+    values = {"s": "&s", "k": "0", "j": "j"}
+    return ", ".join(values[re.findall(r"\w+", parameter)[-1]] for parameter in parameters.split(", "))
+
+
 def exercise(sources: Sources, x0: Sequence[float], flags: Sequence[str] = SANITIZERS) -> str:
     """Findings of exercise.c, which calls the whole API, and of the sanitizers; empty: none."""
     name = package_name(sources)
     with written(sources) as folder:
         macros = [f"-DNAME={name}", f"-DMACRO={name.upper()}", f'-DPACKAGE="{name}.c"', "-I."]
-        macros += [f"-D{bound.upper()}(j)={bound}(&s, 0, j)" for bound in ("control_lower", "control_upper")]
+        macros += [
+            f"-D{bound.upper()}(j)={bound}({_bound_arguments(sources[f'{name}.c'], bound)})"
+            for bound in ("control_lower", "control_upper")
+        ]
         built = compile_c(folder, "-std=c99", "-g", *flags, *macros, str(EXERCISE), "-o", "exercise", "-lm")
         if built.returncode:
             return built.stderr

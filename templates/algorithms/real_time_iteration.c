@@ -86,7 +86,14 @@ static inline real_t curvature_at(const solver_t *s, int k, int i)
             return (k < N) ? s->curved.Q[k][i][i] : s->curved.Q_N[i][i];
         }
     }
-    return (k < N) ? HESSIAN(s, k)[i][i] : s->hessian.Q_N[i][i];
+    if (k < N) {
+        return HESSIAN(s, k)[i][i];
+    }
+    if (TERMINAL_BLOCK) {
+        return s->hessian.Q_N[i][i];
+    } else {
+        return R(0);
+    }
 }
 
 /* Preparation phase. */

@@ -45,7 +45,9 @@ static void evaluate_bent(solver_t *s)
     for (int k = 0; k < N; k++) {
         blend_block(c, c->Q[k][0], NZ, HESSIAN(s, k)[0], NZ, NZ);
     }
-    blend_block(c, c->Q_N[0], NX, s->hessian.Q_N[0], NX, NX);
+    if (TERMINAL_BLOCK || HAS_TERMINAL_EXACT) {
+        blend_block(c, c->Q_N[0], NX, s->hessian.Q_N[0], NX, NX);
+    }
     memset(s->hessian.Q, 0, sizeof s->hessian.Q);
     memset(s->hessian.Q_N, 0, sizeof s->hessian.Q_N);
     c->in_solve = 1;

@@ -75,7 +75,9 @@ static void follow_plan(solver_t *s)
         follow_node(s, k);
     }
     plan_change(s, N, dz);
-    follow_gradient(s->terminal.g, s->hessian.Q_N[0], dz, NX, NX);
+    if (TERMINAL_BLOCK) {
+        follow_gradient(s->terminal.g, s->hessian.Q_N[0], dz, NX, NX);
+    }
     if (NH_N > 0) {
         follow_rows(s->terminal.h, s->terminal.J[0], dz, NH_N, NX);
     }

@@ -48,4 +48,4 @@ const char *golden_status_string(golden_status_t status);
 #endif
 
 #endif
-/* nmpc_codegen package 8708c6bf4add1e42, sha256 7767450cf79a687c542fc5f1cb1e8fcb5d1bb87dff32e02ef530f24eaa8ec0ca */
+/* nmpc_codegen package 411b672052bcbbf1, sha256 9d7d97c2d912c3df6d88be045efd5704930761434dbb4b04e8c04fe2f8be4d0c */

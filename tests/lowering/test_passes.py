@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from nmpc_codegen.lowering.pruning import passes, unit
+from nmpc_codegen.lowering.pruning import passes, reach
 from nmpc_codegen.lowering.pruning.constants import Constants
 from nmpc_codegen.lowering.pruning.expressions import expression, words
 from nmpc_codegen.lowering.pruning.passes import simplified
@@ -292,7 +292,7 @@ def test_a_package_gets_what_all_facts_give(name: str, monkeypatch: pytest.Monke
         found[text] = known
         return simplified(text, known)
 
-    monkeypatch.setattr(unit, "simplified", recorded)
+    monkeypatch.setattr(reach, "simplified", recorded)
     texts(next(sample for sample in SAMPLES if sample.name == name))
     assert len(found) > 60
     for text, known in found.items():

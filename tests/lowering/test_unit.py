@@ -23,7 +23,8 @@ from nmpc_codegen import (
 )
 from nmpc_codegen.components.integrators import ButcherTableau
 from nmpc_codegen.lowering.pruning.constants import Constants
-from nmpc_codegen.lowering.pruning.unit import calling, pruned
+from nmpc_codegen.lowering.pruning.reach import calling
+from nmpc_codegen.lowering.pruning.unit import pruned
 from verification import quality
 
 #: N is a size; ROW drops its second argument; OUTER passes its arguments to ROW in turn.
@@ -41,21 +42,34 @@ KERNELS = {
 
 
 def kept(text: str, constants: Constants | None = None) -> str:
-    return pruned(text, {}, KNOWN, constants or Constants()).strip("\n")
+    return pruned(text, {}, KNOWN, constants or Constants())[0].strip("\n")
 
 
-def function(*block: str, head: str = "void API(f)(solver_t *s, int *out)") -> str:
-    """A function of the package's interface."""
-    return "\n".join([head, "{", *(f"    {line}" for line in block), "}"])
+def function(*block: str, head: str = "void API(f)(solver_t *s, int *out)", unread: str = "") -> str:
+    """A function, of the package's interface by default; ``unread``: its parameter that it does not read."""
+    marked = [f"    (void){unread};"] if unread else []
+    return "\n".join([head, "{", *marked, *(f"    {line}" for line in block), "}"])
 
 
-def test_what_macros_drop_gets_a_statement() -> None:
-    """A name that a package does not read is declared all the same."""
-    for call in ("ROW(s, h)", "OUTER(s, h + 1)"):
-        found = kept(function("const int h = 2;", f"out[0] = {call};"))
-        assert found == function("const int h = 2;", "(void)h;", f"out[0] = {call};")
-    read = function("const int h = 2;", "out[0] = BOTH(s->a, h);")
+def test_what_macros_drop_leaves_them() -> None:
+    """The argument, what passes it on, and the variable that was only there for it."""
+    for call in ("ROW(s, h)", "ROW(s,\n        h + 1)"):
+        found = kept(function("const real_t h = s->h;", f"out[0] = {call};"))
+        assert found == function("out[0] = ROW(s);")
+    assert kept(function("out[0] = OUTER(s, h + 1);")) == function("out[0] = OUTER(s);")
+    read = function("const real_t h = s->h;", "out[0] = BOTH(s->a, h);")
     assert kept(read) == read
+    _, known = pruned(function("out[0] = OUTER(s, 1);"), {}, KNOWN, Constants())
+    assert known[1:3] == [("ROW", "s", "(s)->x[N]"), ("OUTER", "a", "ROW(a) + 1")]
+
+
+def test_macros_that_are_names() -> None:
+    """Without arguments they are one; the call of a function with the same arguments, or with none, is that call."""
+    known = [("TABLE", "s, k", "table"), ("CALL", "s, k", "next(1)"), ("SAME", "x, y", "step(x, y)")]
+    text = function("out[0] = TABLE(s, 1) + CALL(s, TABLE(s, 2)) + SAME(s->a, CALL(s, 1));")
+    found, left = pruned(text, {}, known, Constants())
+    assert found.strip() == function("out[0] = TABLE + next(1) + step(s->a, next(1));")
+    assert left == [("TABLE", None, "table")]
 
 
 def test_directives_end_no_block() -> None:
@@ -65,16 +79,54 @@ def test_directives_end_no_block() -> None:
     assert kept(text) == text
 
 
-def test_unread_parameters_get_a_statement() -> None:
-    """Of the interface and of inner functions; no call is changed."""
+def test_unread_parameters_leave_inner_functions() -> None:
+    """Those of the interface stay, with a statement."""
     head = "int API(f)(const real_t (*Q)[N], const real_t u[N], real_t *x, int k)"
-    found = kept(function("return ROW(x, u) + Q[0][0] + g(k);", head=head) + "\n\n" + function("return 1;", head=INNER))
-    body = ("(void)u;", "return ROW(x, u) + Q[0][0] + g(k);")
-    assert found == function(*body, head=head) + "\n\n" + function("(void)n;", "return 1;", head=INNER)
+    text = function("return ROW(x, u) + Q[0][0] + g(s, k);", head=head) + "\n\n" + function("return n + 1;", head=TWO)
+    body = ("(void)u;", "return ROW(x) + Q[0][0] + g(k);")
+    assert kept(text) == function(*body, head=head) + "\n\n" + function("return n + 1;", head=INNER)
     assert kept(function("return 1;", head="int API(f)(void)")) == function("return 1;", head="int API(f)(void)")
 
 
+def test_parameters_go_with_those_that_only_pass_them_on() -> None:
+    """Also from prototypes; the last one leaves (void)."""
+    outer = function("last(k, s);", "s->a = 1;", head="static void outer(solver_t *s, int k)")
+    last = "/* Of (k). */\n" + function("count();", head="static void last(int k,\n    solver_t *s)")
+    text = "static void last(int k, solver_t *s);\n\n" + outer + "\n\n" + last + "\n\n" + function("outer(s, out[0]);")
+    found = kept(text)
+    assert "static void outer(solver_t *s)\n{\n    last();\n" in found
+    assert found.startswith("static void last(void);\n")
+    assert "/* Of (k). */\nstatic void last(void)\n{" in found
+    assert "outer(s);" in found
+
+
+def test_an_argument_that_acts_stays() -> None:
+    acts = function("out[0] = g(next(s), 1);") + "\n\n" + function("return n + 1;", head=TWO)
+    assert kept(acts) == acts.replace("int n)\n{", "int n)\n{\n    (void)s;")
+
+
+def test_functions_that_are_numbers() -> None:
+    """They stand where they are called, unless the call is a statement."""
+    one = function("return N;", head=TWO)
+    assert kept(function("out[0] = s->x[g(s, 1)];") + "\n\n" + one) == function("out[0] = s->x[N];")
+    found = kept(function("g(s, 1);", "out[0] = s->a;") + "\n\n" + one)
+    assert "g();" in found
+    assert "static int g(void)\n{\n    return N;" in found
+
+
+def test_variables_that_are_numbers() -> None:
+    """A number or a size from the declaration on."""
+    found = kept(function("const int k = N;", "int h = 2;", "real_t sum = R(0);", "out[k] = s->k[h] + sum;"))
+    assert found == function("out[N] = s->k[2] + R(0);")
+    for line in ("h++;", "--h;", "h = 3;", "h += 1;", "f(&h);", "h <<= 1;"):
+        text = function("int h = 2;", line, "out[0] = s->a + h;")
+        assert kept(text) == text
+    compared = function("int h = 2;", "out[0] = s->a == h && h == 3;")
+    assert kept(compared) == function("out[0] = s->a == 2 && 2 == 3;")
+
+
 INNER = "static int g(int n)"
+TWO = "static int g(solver_t *s, int n)"
 
 
 def test_functions_that_nothing_reaches_go_with_their_comments() -> None:
@@ -96,11 +148,11 @@ def test_calls_that_constants_exclude_reach_nothing() -> None:
     call = function("if (NG > 0) {", "    rows(s);", "}", "out[0] = 1;")
     rows = function("s->a = 1;", head="static void rows(solver_t *s)")
     found = kept(f"{rows}\n\n{call}", Constants({"NG": 0}))
-    assert found == function("(void)s;", "out[0] = 1;")
+    assert found == function("out[0] = 1;", unread="s")
 
 
 def test_printed_kernels_that_nothing_calls_go() -> None:
-    found = pruned(function("KERNEL(s);", "out[0] = 1;"), KERNELS, KNOWN, Constants())
+    found, _ = pruned(function("KERNEL(s);", "out[0] = 1;"), KERNELS, KNOWN, Constants())
     assert found.startswith(KERNELS["kernel"] + "\n\nvoid API(f)")
     assert KERNELS["spare"] not in found
 

@@ -109,7 +109,8 @@ def part_text(path: str, sizes: Mapping[str, int]) -> str:
 def pruned(text: str, sizes: Mapping[str, int], precision: str, absent: Collection[tuple[str, str]] = ()) -> str:
     """Parts with the functions that call them, without what the sizes exclude; ``absent``: members of no struct."""
     known = [*((name, None, value) for name, value in arithmetic(precision)), REAL_CONSTANT]
-    return pruned_unit(text, {}, known, Constants({**FEATURES.macros, **sizes}, absent=frozenset(absent)))
+    constants = Constants({**FEATURES.macros, **sizes}, absent=frozenset(absent))
+    return pruned_unit(text, {}, known, constants)[0]
 
 
 def no_generated_part(path: str) -> str:

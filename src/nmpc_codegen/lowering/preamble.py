@@ -15,7 +15,7 @@ from nmpc_codegen.ir.printing.c_style import CStyle, unit_style
 from nmpc_codegen.ir.printing.products import call
 from nmpc_codegen.ir.sweep import LoopedRoutine, Routine
 from nmpc_codegen.lowering.parts import names_in, rename
-from nmpc_codegen.lowering.pruning.unit import Definition as Definition
+from nmpc_codegen.lowering.pruning.reach import Definition as Definition
 from nmpc_codegen.lowering.tolerances import FACTORS, TOLERANCES, tolerance
 from nmpc_codegen.package.signals import Kind
 

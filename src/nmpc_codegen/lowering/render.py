@@ -37,8 +37,9 @@ from nmpc_codegen.lowering.preamble import (
 )
 from nmpc_codegen.lowering.pruning.constants import Constants
 from nmpc_codegen.lowering.pruning.directives import resolve
+from nmpc_codegen.lowering.pruning.reach import calling
 from nmpc_codegen.lowering.pruning.scopes import blanked
-from nmpc_codegen.lowering.pruning.unit import calling, pruned
+from nmpc_codegen.lowering.pruning.unit import pruned
 from nmpc_codegen.lowering.rows import row_functions, row_ranges
 from nmpc_codegen.package.memory import PURPOSES, WORK, Field, Struct
 from nmpc_codegen.package.seal import sealed
@@ -116,7 +117,7 @@ def _filled(module: CModule) -> dict[str, Any]:
     if module.whole:
         body = "\n\n".join([*kernels.values(), body])
     else:
-        body = pruned(body, kernels, known, constants_of(module, known))
+        body, known = pruned(body, kernels, known, constants_of(module, known))
     words = names_in(blanked(body))
     math = own_math(module, definitions(known, words)[1])
     words |= names_in(math)

@@ -85,7 +85,7 @@ class Features:
     regularize_reduced: bool = False
     two_hessians: bool = False  # solve() has one of its own
     curved: bool = False  # solve() makes an exact one convex by itself
-    terminal_block: bool = False
+    terminal_block: bool = False  # the terminal one is not zero
 
     # condensing and QP solver
     has_qp: bool = False

@@ -85,7 +85,7 @@ class GaussNewton(Defaults):
                 "Hessian blocks, lower triangles, z = (x, u)",
                 (
                     Field("Q", (dims.nq, dims.nz, dims.nz), "path blocks; one for all nodes if it is constant", "data"),
-                    Field("Q_N", (dims.nx, dims.nx), "terminal block", "data"),
+                    Field("Q_N", (dims.nx, dims.nx), "terminal block", "data", only=_has_terminal_block),
                 ),
             ),
         )
@@ -95,3 +95,9 @@ class GaussNewton(Defaults):
         if model.path.curvature or model.terminal.curvature:
             return {}
         return {"hessian": operations(model.path.hessian) * dims.nq.value + operations(model.terminal.hessian)}
+
+
+def _has_terminal_block(features: Features) -> bool:
+    """False where the terminal block is zero and the QP, which is condensed in full, does not copy it."""
+    copied = features.stage_multipliers or features.block_rows
+    return features.terminal_block or copied or features.has("terminal_exact")

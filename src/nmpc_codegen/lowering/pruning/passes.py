@@ -3,6 +3,7 @@
 constants  branches, operands and loops that sizes and tables decide; what stands behind return
 absent     writes to members that no struct has, calls of kernels that have nothing to compute
 unread     local variables that nothing names
+known      local variables that are a number
 """
 
 from __future__ import annotations
@@ -10,7 +11,6 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import lru_cache
-from textwrap import wrap
 
 from nmpc_codegen.lowering.pruning.constants import Constants, Fact
 from nmpc_codegen.lowering.pruning.expressions import Expression, expression, words
@@ -24,10 +24,9 @@ from nmpc_codegen.lowering.pruning.scopes import (
     names_in_code,
     pointers,
 )
-from nmpc_codegen.lowering.pruning.tree import Edit, Node, edited, margin, whole_lines
+from nmpc_codegen.lowering.pruning.tree import Edit, Node, edited, margin, whole_lines, wrapped
+from nmpc_codegen.lowering.pruning.values import of_known_value
 
-#: Maximum length of a line.
-WIDTH = 120
 #: A loop over a variable of its own; the step of one that only counts.
 _LOOP = re.compile(r"(?:int|ptrdiff_t) (?P<variable>\w+) = (?P<first>[^,;]+); (?P<condition>[^;]*);(?P<step>.*)")
 _SIZE = re.compile(r"\[([^\[\]]*)\]")
@@ -80,7 +79,7 @@ def _of_choice(text: str, node: Node, above: Node | None, around: set[str], know
         if isinstance(value, str) and value != whole:
             before = margin(text, branch)
             opening = f"{before}{text[branch.start : branch.head[0]]}{value}) {{"
-            yield Edit(branch.start - len(before), branch.inside[0], "\n".join(_wrapped(opening)))
+            yield Edit(branch.start - len(before), branch.inside[0], "\n".join(wrapped(opening)))
 
 
 def _decidable(head: str, known: Constants) -> bool:
@@ -151,12 +150,6 @@ def _of_loop(text: str, node: Node, above: Node | None, known: Constants) -> Ite
         yield Edit(*whole_lines(text, node, above), "")
     elif isinstance(value, str) and value != condition:
         yield Edit(*node.head, head.replace(condition, value, 1))
-
-
-def _wrapped(line: str) -> list[str]:
-    """A statement in lines that are not too long."""
-    inner = line[: len(line) - len(line.lstrip())] + "    "
-    return wrap(line, WIDTH, subsequent_indent=inner, break_long_words=False, break_on_hyphens=False)
 
 
 def absent(text: str, function: Node, known: Constants) -> Iterator[Edit]:
@@ -256,7 +249,12 @@ def _without_variables(text: str, node: Node, above: Node | None, left: list[str
     return Edit(*whole_lines(text, node, above), "")
 
 
-PASSES: Mapping[str, Pass] = {"constants": constants, "absent": absent, "unread": unread}
+def known_values(text: str, function: Node, _: Constants) -> Iterator[Edit]:
+    edits = (list(of_known_value(text, holder.body, holder.inside[1])) for holder in blocks(function))
+    yield from next(filter(None, edits), [])
+
+
+PASSES: Mapping[str, Pass] = {"constants": constants, "absent": absent, "unread": unread, "known": known_values}
 
 
 @lru_cache(maxsize=16384)

@@ -11,7 +11,11 @@ import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from textwrap import wrap
 from typing import Literal, NamedTuple
+
+#: Maximum length of a line.
+WIDTH = 120
 
 Kind = Literal["comment", "directive", "conditional", "branch", "function", "if", "loop", "block", "leave", "statement"]
 
@@ -260,3 +264,9 @@ def whole_lines(text: str, node: Node, above: Node | None) -> tuple[int, int]:
     if above is not None and above.kind == "comment" and "\n\n" not in text[above.end : start]:
         start = start if margin(text, above).strip() else above.start
     return text.rfind("\n", 0, start) + 1, len(text) if end < 0 else end + 1
+
+
+def wrapped(line: str) -> list[str]:
+    """A statement in lines that are not too long."""
+    inner = line[: len(line) - len(line.lstrip())] + "    "
+    return wrap(line, WIDTH, subsequent_indent=inner, break_long_words=False, break_on_hyphens=False) or [line]

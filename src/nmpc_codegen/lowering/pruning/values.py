@@ -1,0 +1,32 @@
+"""Local variables that are a number from their declaration on: the number stands where they are read."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+
+from nmpc_codegen.lowering.pruning.scopes import blanked, declarators
+from nmpc_codegen.lowering.pruning.tree import Edit, Node, whole_lines
+
+#: A declaration of one variable with a number, or of an integer with a size.
+_NUMBER = re.compile(r"(?:const )?(?:(?:int|real_t) \w+ = (R\(\d[\w.]*\)|\d+)|int \w+ = ([A-Z]\w*));")
+
+
+def of_known_value(text: str, body: tuple[Node, ...], end: int) -> Iterator[Edit]:
+    """The edits for the first such variable of a block, which ends at ``end``."""
+    for place, node in enumerate(body):
+        found = _NUMBER.fullmatch(text[node.start : node.end]) if node.kind == "statement" else None
+        if found is None:
+            continue
+        name = declarators(found[0])[0][0]
+        scope = blanked(text[node.end : end])
+        if not _changes(name).search(scope):
+            yield Edit(*whole_lines(text, node, body[place - 1] if place else None), "")
+            for use in re.finditer(rf"(?<![.\w])(?<!->){name}\b", scope):
+                yield Edit(node.end + use.start(), node.end + use.end(), found[1] or found[2])
+            return
+
+
+def _changes(name: str) -> re.Pattern[str]:
+    """What may give a variable another value: an assignment, a count, its address."""
+    return re.compile(rf"(?<![.\w])(?<!->){name}(?:\s*(?:[-+*/%&|^]|<<|>>)?=(?!=)|\+\+|--)|(?:\+\+|--|(?<!&)&){name}\b")
