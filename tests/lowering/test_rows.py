@@ -45,7 +45,6 @@ def test_a_kind_that_all_rows_have_is_no_column() -> None:
 def test_rows_of_one_node_have_no_node_in_the_table() -> None:
     unit = texts(NAMED["final dense"])["final.c"]
     assert "row_node" not in unit
-    assert "row_constant(const solver_t *s, int m)\n{\n    return s->x[N][row_index(m)]" in unit
     assert "node" not in unit[unit.index("static const struct {") : unit.index("row_data[")]
 
 

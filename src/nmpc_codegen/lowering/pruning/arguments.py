@@ -37,7 +37,7 @@ def without_unread(
         while places := unread_in_macros(known):
             found, known = _without(found, known, places)
         functions, _ = reached(found, kernels, Macros(known), constants)
-        found = [i._replace(text=functions.get(i.name, i.text)) if i.kind == "function" else i for i in found]
+        found = [_simple(item, functions) for item in found]
         bodies = [*map(_body, functions.values()), *(text for _, _, text in known)]
         free = {name: text for name, text in functions.items() if name not in fixed}
         if places := unread_in_functions(free, bodies, constants):
@@ -49,6 +49,12 @@ def without_unread(
             given = synonyms(known)
             longer = [definition for definition in known if definition[0] not in given]
             return _changed(found, longer, partial(_with_names, given=given))
+
+
+def _simple(item: Item, functions: Mapping[str, str]) -> Item:
+    """An item with its simplified text, if it is a function that is reached."""
+    reached = item.kind == "function" and item.name in functions
+    return item._replace(text=functions[item.name], simple=True) if reached else item
 
 
 def _without(found: Sequence[Item], known: Sequence[Definition], places: Places) -> tuple[list[Item], list[Definition]]:

@@ -21,6 +21,7 @@ class Item(NamedTuple):
     name: str = ""
     gap: str = "\n"
     inner: bool = False  # a function that only this unit calls
+    simple: bool = False  # simplified before
 
 
 @lru_cache(maxsize=8192)

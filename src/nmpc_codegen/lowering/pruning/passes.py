@@ -304,13 +304,21 @@ def simplified(text: str, known: Constants) -> str:
     Raises:
         ValueError: it is not of the dialect, or a pass has left a name without its declaration.
     """
-    return _simplified(text, known.facts(*heads(text), words(text)))
+    check_names(text, known.ranges.keys() | known.sizes.keys())
+    return simplified_again(text, known)
+
+
+def simplified_again(text: str, known: Constants) -> str:
+    """The same for a function that comes out of it, in which a block may have a variable of one around it."""
+    found = _simplified(text, known.facts(*heads(text), words(text)))
+    while found != text:  # a number in place of a variable may bring in other facts
+        text, found = found, _simplified(found, known.facts(*heads(found), words(found)))
+    return found
 
 
 @lru_cache(maxsize=16384)
 def _simplified(text: str, facts: frozenset[Fact]) -> str:
     known, before = Constants.of(facts), free_names(text)
-    check_names(text, known.ranges.keys() | known.sizes.keys())
     changed = True
     while changed:
         changed = False

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 
 from nmpc_codegen.lowering.pruning.constants import Constants
 from nmpc_codegen.lowering.pruning.items import Item, constants_in
-from nmpc_codegen.lowering.pruning.passes import simplified
+from nmpc_codegen.lowering.pruning.passes import simplified, simplified_again
 from nmpc_codegen.lowering.pruning.scopes import free_names, names_in_code
 
 # (name, arguments or None, text)
@@ -48,9 +48,9 @@ def reached(
     found: Sequence[Item], kernels: Mapping[str, str], macros: Macros, constants: Constants
 ) -> tuple[dict[str, str], set[str]]:
     """Simplified texts of the functions that the interface, and what is no function, reach; all names on the way."""
-    functions: dict[str, str] = {}
+    functions: dict[str, Item] = {}
     for item in found:
-        if item.kind == "function" and functions.setdefault(item.name, item.text) != item.text:
+        if item.kind == "function" and functions.setdefault(item.name, item).text != item.text:
             raise ValueError(f"{item.name}(): there are two functions with this name")
     waiting = {item.name for item in found if item.kind == "function" and not item.inner}
     for item in found:
@@ -64,7 +64,7 @@ def reached(
         inside: set[str] = set()
         for name in waiting:
             if name in functions:
-                texts[name] = _simplified(name, functions[name], constants)
+                texts[name] = _simplified(functions[name], constants)
                 inside |= free_names(texts[name])
             elif name in kernels:
                 inside.update(CALLED.findall(kernels[name]))
@@ -73,8 +73,8 @@ def reached(
     return texts, mentioned
 
 
-def _simplified(name: str, text: str, constants: Constants) -> str:
+def _simplified(function: Item, constants: Constants) -> str:
     try:
-        return simplified(text, constants)
+        return (simplified_again if function.simple else simplified)(function.text, constants)
     except ValueError as error:
-        raise ValueError(f"{name}(): {error}") from error
+        raise ValueError(f"{function.name}(): {error}") from error
