@@ -1,5 +1,5 @@
-/* Rows (constraints other than the control bounds), sorted by node: state bounds, general rows h and, at the end,
- * coupled rows r(x_0, x_N). */
+/* Rows (constraints other than the control bounds), sorted by node: state bounds, general rows h [if NE > 0: and, at
+ * the end, coupled rows r(x_0, x_N)]. */
 
 #include "generated/rows.c"
 
@@ -64,8 +64,8 @@ static inline real_t row_constant(const solver_t *s, int m)
     return s->node[row_node(m)].h[row_index(m)];
 }
 
-/* Stored gradient of the general or coupled row m: NZ entries at a path node, NX at the terminal node. For a coupled
- * row it is dr / dx_N. */
+/* Stored gradient of the general [if NE > 0: or coupled] row m: NZ entries at a path node, NX at the terminal node. [if
+ * NE > 0: For a coupled row it is dr / dx_N.] */
 static inline const real_t *row_gradient(const solver_t *s, int m)
 {
     if (NE > 0 && (NH + NH_N == 0 || row_is_coupled(m))) {

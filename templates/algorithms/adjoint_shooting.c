@@ -1,4 +1,4 @@
-/* Component "algorithm". Contract: algorithm_reset, API(step), _shift, _kkt and, if SOLVE, _solve.
+/* Component "algorithm". Contract: algorithm_reset, API(step), _shift, _kkt[if SOLVE:, _solve].
  * Here: single shooting. The controls inside their bounds are the only variables, the states follow by simulation, and
  * derivatives by adjoint and forward sweeps that recompute A_k and B_k at every interval. */
 
@@ -66,7 +66,7 @@ static void hold_states(solver_t *s)
     }
 }
 
-/* The weights of a sample; those of solve() grow. */
+/* The weights of a sample[if SOLVE:; those of solve() grow]. */
 static void set_weights(solver_t *s)
 {
     if (!BARRIER_ROWS) {
@@ -92,7 +92,8 @@ static void algorithm_reset(solver_t *s)
     s->status = (int32_t)OK;
 }
 
-/* x_0 = xhat, 0 in accumulators. Returns 0, and leaves x_0 as it is, if a measured entry is not finite. */
+/* x_0 = xhat[if ACCUMULATORS:, 0 in accumulators]. Returns 0, and leaves x_0 as it is, if a measured entry is not
+ * finite. */
 static int take_state(solver_t *s, const real_t *xhat)
 {
     if (!ACCUMULATORS) {
@@ -138,8 +139,9 @@ static status_t start_sample(solver_t *s)
 }
 
 /* Prevents a failure from repeating itself: multipliers that are not finite are forgotten at once, and the plan after
- * PATIENCE failures in a row. Multipliers of terminal rows that no step meets may belong to weights and bounds that have
- * changed, and hold the plan away from the rows: they are forgotten, too, and so is the past of steps that stay cut. */
+ * PATIENCE failures in a row. Multipliers of terminal rows that no step meets may belong to weights and bounds that
+ * have changed, and hold the plan away from the rows: they are forgotten, too, and so is the past of steps that stay
+ * cut. */
 static status_t recover(solver_t *s, status_t status)
 {
     if (NG > 0 && !all_finite(s->row, NG)) {
@@ -161,8 +163,9 @@ static status_t recover(solver_t *s, status_t status)
     return status;
 }
 
-/* ITERATIONS steps from the measured x_0, and up to REPAIRS more while the last one is long and was not taken as a whole,
- * then one update of the multipliers of the rows. NOT_CONVERGED if the last one should have moved the first control. */
+/* ITERATIONS steps from the measured x_0, and up to REPAIRS more while the last one is long and was not taken as a
+ * whole, then one update of the multipliers of the rows. NOT_CONVERGED if the last one should have moved the first
+ * control. */
 static status_t run_sample(solver_t *s)
 {
     status_t status = start_sample(s);

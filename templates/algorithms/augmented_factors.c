@@ -35,7 +35,8 @@ static void eliminate_successor(auglag_t *a, int k)
     }
 }
 
-/* A_k = L_k' D_k L_k in place; rows of fixed variables are those of the identity. Returns 0 if a pivot is not positive. */
+/* A_k = L_k' D_k L_k in place; rows of fixed variables are those of the identity. Returns 0 if a pivot is not
+ * positive. */
 static int factorize_block(auglag_t *a, int k)
 {
     real_t(*A)[LDZ] = a->L[k];

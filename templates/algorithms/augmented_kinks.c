@@ -1,6 +1,7 @@
-/* Contract of this part: the relaxed rows along a step. In the model their terms psi_m are parabolas at the present plan,
- * but the step may reach where a row begins or ceases to act. There the model takes the parabola of the other side: its
- * gradient at d is then that of cost, gaps and psi_m(v_m + J_m d), with v_m and J_m from the linearisation. */
+/* Contract of this part: the relaxed rows along a step. In the model their terms psi_m are parabolas at the present
+ * plan, but the step may reach where a row begins or ceases to act. There the model takes the parabola of the other
+ * side: its gradient at d is then that of cost, gaps and psi_m(v_m + J_m d), with v_m and J_m from the
+ * linearisation. */
 
 /* J_m d_k of a relaxed row. */
 static real_t row_change(const solver_t *s, int m, real_t (*d)[LDZ])

@@ -54,7 +54,7 @@ static void add_multiple(real_t (*y)[LDZ], real_t factor, real_t (*x)[LDZ])
     riccati_add(y[0], factor, x[0], VARIABLES);
 }
 
-/* rho_i at node 0: free components of x_0 have no gap. */
+/* rho_i at node 0[if NF > 0:: free components of x_0 have no gap]. */
 static inline real_t start_weight(const solver_t *s, int i)
 {
     return s->auglag.penalty * initial_weight[i];

@@ -78,8 +78,8 @@ static real_t plan_residual(const solver_t *s)
     return violation_in(s, size);
 }
 
-/* Linearises the plan, evaluated. Second derivatives belong to the estimates of the multipliers or, where gaps are large
- * and with them the estimates, to the multipliers of the last update. */
+/* Linearises the plan, evaluated. Second derivatives belong to the estimates of the multipliers or, where gaps are
+ * large and with them the estimates, to the multipliers of the last update. */
 static void linearize_plan(solver_t *s)
 {
     int far = 0;
@@ -121,8 +121,8 @@ static void stiffen(solver_t *s)
 }
 
 /* After a round: the dual update, unless no step was accepted or gaps and rows are large and have hardly become smaller
- * than `before`; then the multipliers stay as they were. The penalty grows from its first value to that of later samples
- * and, where accepted steps have not reduced the residual, beyond it; it returns when the residual is small. */
+ * than `before`; then the multipliers stay as they were. The penalty grows from its first value to that of later
+ * samples and, where accepted steps have not reduced the residual, beyond it; it returns when the residual is small. */
 static void close_round(solver_t *s, real_t before, int accepted)
 {
     auglag_t *a = &s->auglag;
@@ -178,8 +178,8 @@ static status_t run_round(solver_t *s)
     return plan_is_finite(s) && all_finite(s->lam[0], (N + 1) * NX) ? OK : NUMERICAL_FAILURE;
 }
 
-/* Prepares the plan at its own x_0 and, with REPAIR, repairs it there: a new one, one after a sample that failed or was
- * NOT_CONVERGED. Rounds end when steps do what their model promises and gaps are small. */
+/* Prepares the plan at its own x_0 [if REPAIR: and repairs it there: a new one, one after a sample that failed or was
+ * NOT_CONVERGED]. Rounds end when steps do what their model promises and gaps are small. */
 static status_t prepare_at_plan(solver_t *s)
 {
     real_t measured[NX];

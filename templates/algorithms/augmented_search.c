@@ -226,8 +226,8 @@ static real_t value_at_step(solver_t *s)
     return inner(a->g, a->d) + R(0.5) * inner(a->d, a->Hd) + a->offset + beyond_parabolas(s);
 }
 
-/* Moves d back towards the point `kept` before it until rows that it reaches leave a value of at most `most`. Returns the
- * value of the model, that of `kept` if there is no such point. */
+/* Moves d back towards the point `kept` before it until rows that it reaches leave a value of at most `most`. Returns
+ * the value of the model, that of `kept` if there is no such point. */
 static real_t shorten(solver_t *s, real_t most)
 {
     auglag_t *a = &s->auglag;
@@ -249,7 +249,8 @@ static real_t shorten(solver_t *s, real_t most)
     return value;
 }
 
-/* The next face: the last node where it is smaller or, in the model, a row has left its parabola; -1 if there is none. */
+/* The next face: the last node where it is smaller or, in the model, a row has left its parabola; -1 if there is
+ * none. */
 static int next_face(solver_t *s, real_t *value)
 {
     auglag_t *a = &s->auglag;

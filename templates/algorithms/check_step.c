@@ -1,6 +1,6 @@
 /* Contract of this part: the check before OK of a QP whose states were eliminated. Its solution must satisfy the hard
- * rows of the QP with all states and, if no QP solver on stages has checked it, the stationarity. Rounding errors of the
- * elimination show there. */
+ * rows of the QP with all states and, if no QP solver on stages has checked it, the stationarity. Rounding errors of
+ * the elimination show there. */
 
 /* size[], which is 0: largest magnitude of every component of (dx, du) over the horizon, and of the gaps of the states.
  * Returns 1 if the step is finite. */
@@ -59,8 +59,9 @@ static real_t cost_terms(const solver_t *s)
 }
 
 /* Returns 1 if the gradient with respect to the controls of node k vanishes, where w holds that of the cost and
- * dynamics: relative to its terms and its scale, or because it moves the cost by less than `least` squared, as its terms
- * may all be rounding errors of others. *least = 0: not known yet. If a term is not finite, `over` is not, either. */
+ * dynamics: relative to its terms and its scale, or because it moves the cost by less than `least` squared, as its
+ * terms may all be rounding errors of others. *least = 0: not known yet. If a term is not finite, `over` is not,
+ * either. */
 static int controls_hold(const solver_t *s, int k, const real_t *w, real_t *least)
 {
     const node_t *node = &s->node[k];

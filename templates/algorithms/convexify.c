@@ -6,9 +6,9 @@
  *
  *     M = Q_k + S_k' P S_k,   P <- M_xx - M_xu M_uu^-1 M_ux
  *
- * are positive. If they are not, equations and the bounds and rows with a multiplier are held: w_m / 2 (a_m'z - bound)^2
- * changes neither the step nor the multipliers of a QP in which they are active, and makes the Hessian convex if it is so
- * on their null space (Finsler's lemma). If that is not sufficient, all variables are shifted. */
+ * are positive. If they are not, equations and the bounds and rows with a multiplier are held: w_m / 2 (a_m'z -
+ * bound)^2 changes neither the step nor the multipliers of a QP in which they are active, and makes the Hessian convex
+ * if it is so on their null space (Finsler's lemma). If that is not sufficient, all variables are shifted. */
 
 #if TWO_HESSIANS
 #include "algorithms/linearize_with_curvature.c"
@@ -135,8 +135,8 @@ static int is_convex(solver_t *s, real_t shift)
     }
 }
 
-/* unit = max(unit, C / size^2), where C is the most that the gradient says of a move by the size of a variable: a linear
- * cost has a curvature of this kind. */
+/* unit = max(unit, C / size^2), where C is the most that the gradient says of a move by the size of a variable: a
+ * linear cost has a curvature of this kind. */
 static void raise_units(const solver_t *s, real_t *unit)
 {
     real_t size[NZ], most = R(0);
@@ -190,7 +190,7 @@ static inline real_t bound_of(real_t lower, real_t upper, real_t mult)
     return (mult > R(0)) ? upper : lower;
 }
 
-/* Whether row m is held: an equation, a row with a multiplier, and a soft one at its kink. */
+/* Whether row m is held: an equation, a row with a multiplier[if SOFT_ROWS > 0:, and a soft one at its kink]. */
 static int row_is_held(const solver_t *s, int m)
 {
     const real_t mult = FABS(s->sqp.step.mult[m]);

@@ -1,4 +1,5 @@
-/* w += gradient of the general and coupled rows of node k with respect to its state, times their multipliers. */
+/* w += gradient of the general [if NE > 0: and coupled] rows of node k with respect to its state, times their
+ * multipliers. */
 static void add_row_forces(const solver_t *s, int k, real_t *w)
 {
     for (int i = 0; i < NX; i++) {

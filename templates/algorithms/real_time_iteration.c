@@ -1,4 +1,4 @@
-/* Component "algorithm". Contract: algorithm_reset, API(prepare), _feedback, _step, _shift, _kkt and, if SOLVE, _solve.
+/* Component "algorithm". Contract: algorithm_reset, API(prepare), _feedback, _step, _shift, _kkt[if SOLVE:, _solve].
  * Here: real-time iteration, one QP and one full step per sample. What features add to it stands in functions that are
  * named after the feature and the place of the call. */
 
@@ -110,7 +110,8 @@ status_t API(prepare)(solver_t *s)
     return finish(s, status);
 }
 
-/* Copies the multipliers of the QP to the multipliers of the corresponding rows; those of states without a row are 0. */
+/* Copies the multipliers of the QP to the multipliers of the corresponding rows; those of states without a row are
+ * 0. */
 static void scatter_multipliers(solver_t *s)
 {
     memset(s->mu_x, 0, sizeof s->mu_x);

@@ -1,6 +1,6 @@
-/* Contract of this part: how far the plan at which a QP is linearised is from the model. The residual is the largest gap
- * in the scale of its state. What has changed since the last step (measured state, bounds, references) and the end that
- * a shift adds do not count. */
+/* Contract of this part: how far the plan at which a QP is linearised is from the model. The residual is the largest
+ * gap in the scale of its state. What has changed since the last step (measured state, bounds, references) and the end
+ * that a shift adds do not count. */
 
 #include "algorithms/scales.c"
 
@@ -22,8 +22,8 @@ static real_t scale_of_row(solver_t *s, int m, real_t value)
     return scale;
 }
 
-/* Largest violation of a hard row at the present point beyond that of the solution of the QP, of whose step the plan took
- * `length`. */
+/* Largest violation of a hard row at the present point beyond that of the solution of the QP, of whose step the plan
+ * took `length`. */
 static real_t row_residual(solver_t *s, real_t length)
 {
     real_t value[NG], most = R(0);

@@ -25,9 +25,9 @@ static void enlarge_by_bounds(const solver_t *s, int k, real_t *size)
     }
 }
 
-/* Sizes in which gaps of the states are measured: the plan, the measured state, half the width of bounds. They are at least
- * a part of the scales, so that a plan at rest is not measured in rounding errors. A plan that escapes is not measured in
- * its own size: it counts as a multiple of the last one that was OK. */
+/* Sizes in which gaps of the states are measured: the plan, the measured state, half the width of bounds. They are at
+ * least a part of the scales, so that a plan at rest is not measured in rounding errors. A plan that escapes is not
+ * measured in its own size: it counts as a multiple of the last one that was OK. */
 static void state_scales(const solver_t *s, real_t *size)
 {
     memset(size, 0, NX * sizeof *size);

@@ -20,8 +20,8 @@ static void shift_rows(solver_t *s)
     }
 }
 
-/* Node k takes the data of node k + 1; the last node and the last interval keep their own, and so does the control before
- * an idle one, which influences nothing but its own terms: it would be no guess of a control that does. */
+/* Node k takes the data of node k + 1; the last node and the last interval keep their own, and so does the control
+ * before an idle one, which influences nothing but its own terms: it would be no guess of a control that does. */
 static void shift_by_one(solver_t *s)
 {
     for (int k = 0; k < N; k++) {

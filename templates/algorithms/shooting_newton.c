@@ -215,10 +215,11 @@ static int tighten_rows(solver_t *s)
     return !met;
 }
 
-/* Takes the terminal rows out of the slope of the model along d, updates their multipliers, and adds the rows as they are
- * in the merit function. The multipliers take the last of the steps above if all rows are met. Otherwise the forces of
- * the rows on one another say nothing, and they are those before the step of the controls. The rows weigh so much that
- * the step, which goes to them, decreases the merit function: multipliers are rough where products have run out. */
+/* Takes the terminal rows out of the slope of the model along d, updates their multipliers, and adds the rows as they
+ * are in the merit function. The multipliers take the last of the steps above if all rows are met. Otherwise the forces
+ * of the rows on one another say nothing, and they are those before the step of the controls. The rows weigh so much
+ * that the step, which goes to them, decreases the merit function: multipliers are rough where products have run
+ * out. */
 static int update_terminal(solver_t *s, const real_t *before, real_t *slope)
 {
     const shooting_t *a = &s->shooting;

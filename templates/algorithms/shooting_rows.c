@@ -27,7 +27,8 @@ static real_t updated_multiplier(const solver_t *s, int m, real_t slope, real_t 
 static int sharpen_terms(solver_t *s);
 static int update_terms(solver_t *s, real_t tol, real_t *violation);
 
-/* Values and gradients of the general and coupled rows of node k; structural zeros of J and J_N are not stored. */
+/* Values and gradients of the general [if NE > 0: and coupled] rows of node k; structural zeros of J [if NH_N > 0: and
+ * J_N] are not stored. */
 static void evaluate_nodal_rows(const solver_t *s, int k, real_t *h, real_t *J)
 {
     if (k < N) {
@@ -42,7 +43,7 @@ static void evaluate_nodal_rows(const solver_t *s, int k, real_t *h, real_t *J)
     }
 }
 
-/* Place of the general or coupled row m among those of its node. */
+/* Place of the general [if NE > 0: or coupled] row m among those of its node. */
 static inline int place_of_row(int m)
 {
     if (row_is_coupled(m)) {
@@ -51,7 +52,7 @@ static inline int place_of_row(int m)
     return row_index(m);
 }
 
-/* Gradient of the general or coupled row m with respect to the variables of its node. */
+/* Gradient of the general [if NE > 0: or coupled] row m with respect to the variables of its node. */
 static const real_t *gradient_of_row(int m, const real_t *J)
 {
     const int first = place_of_row(m) * ((row_node(m) < N) ? NZ : NX);

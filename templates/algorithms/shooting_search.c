@@ -1,7 +1,7 @@
 /* Contract of this part: move() takes a part of the step d that decreases cost and terms of the rows. */
 
-/* 1 if the control is free, 0 if it is held. As a factor, and not as a condition: GCC 12 with AVX loads two registers of
- * x with the mask of the first one in loops of the form y[i] = flag[i] ? 0 : x[i]. */
+/* 1 if the control is free, 0 if it is held. As a factor, and not as a condition: GCC 12 with AVX loads two registers
+ * of x with the mask of the first one in loops of the form y[i] = flag[i] ? 0 : x[i]. */
 static inline real_t if_free(const shooting_t *a, int k, int j)
 {
     return R(a->held[k][j] == 0);

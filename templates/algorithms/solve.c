@@ -2,10 +2,10 @@
  * 2005, algorithm A) on two measures of a point,
  *
  *     violation = sum of gaps, of the residual of x_0 and of row violations, each in the scale of its state or row,
- *     cost      = cost + penalties of the soft rows l1 v + l2/2 v^2.
+ *     cost      = cost [if SOFT_ROWS > 0: + penalties of the soft rows l1 v + l2/2 v^2].
  *
- * A full step that is rejected gets one second-order correction. If a linearisation is infeasible, its rows are relaxed
- * with the penalty row_weight (elastic QP). */
+ * A full step that is rejected gets one second-order correction. [if NG > 0: If a linearisation is infeasible, its rows
+ * are relaxed with the penalty row_weight (elastic QP).] */
 
 /* Number of components of (dx, du) at node k. */
 static inline int nz_at(int k)
@@ -89,8 +89,8 @@ static int raise_scale(real_t *scale, real_t size)
     return 1;
 }
 
-/* Scales of the hard rows: the largest magnitude of the terms of a linearised row and of its finite bounds. Returns 1 if
- * one of them changes. */
+/* Scales of the hard rows: the largest magnitude of the terms of a linearised row and of its finite bounds. Returns 1
+ * if one of them changes. */
 static int update_row_scales(solver_t *s, const real_t *size)
 {
     int grew = 0;
@@ -131,9 +131,9 @@ static void enlarge_by_reach(const solver_t *s, real_t *size)
     }
 }
 
-/* Scales of states and rows: largest magnitudes over the horizon at the present point and of the present step. They only
- * grow; if one does, the measures of earlier points are not comparable any more, and the filter is cleared. cost_unit is
- * how much the cost may change along the horizon: the largest |g_i| |z_i|, at least that of its scale. */
+/* Scales of states and rows: largest magnitudes over the horizon at the present point and of the present step. They
+ * only grow; if one does, the measures of earlier points are not comparable any more, and the filter is cleared.
+ * cost_unit is how much the cost may change along the horizon: the largest |g_i| |z_i|, at least that of its scale. */
 static void update_scales(solver_t *s)
 {
     sqp_t *q = &s->sqp;
@@ -241,10 +241,10 @@ static void extend_filter(sqp_t *q)
     q->entries = (kept < FILTER) ? kept + 1 : FILTER;
 }
 
-/* Returns 1 if the present point is accepted after the step. While feasibility is restored, the violation has to decrease
- * by its share of `gain`, what the linearised rows and gaps promise. Otherwise the filter has to be passed, the violation
- * must not become more than ten times as large, and the cost has to fall if the step is expected to reduce it by more than
- * it violates. */
+/* Returns 1 if the present point is accepted after the step. While feasibility is restored, the violation has to
+ * decrease by its share of `gain`, what the linearised rows and gaps promise. Otherwise the filter has to be passed,
+ * the violation must not become more than ten times as large, and the cost has to fall if the step is expected to
+ * reduce it by more than it violates. */
 static int accepts(solver_t *s)
 {
     sqp_t *q = &s->sqp;
@@ -342,7 +342,8 @@ static status_t solve_qp(solver_t *s)
 }
 #endif
 
-/* Directional derivative g' (dx, du) of the cost along the step; the penalties change as in the QP. */
+/* Directional derivative g' (dx, du) of the cost along the step[if SOFT_ROWS > 0:; the penalties change as in the
+ * QP]. */
 static real_t slope_of(solver_t *s)
 {
     real_t slope = R(0);
@@ -372,9 +373,10 @@ static inline void approach(real_t *a, real_t b, real_t length)
     *a = (length < R(1) && isfinite(*a)) ? *a + length * (b - *a) : b;
 }
 
-/* Multipliers after a step. Those of an elastic QP are those of its penalty: nothing is known. Where the Hessian depends
- * on them, they move towards those of the QP only as far as the step went: after a short step, those of the QP may be as
- * far off as the step. With states eliminated, lam follows from the gradient of the QP. */
+/* Multipliers after a step. [if ELASTIC: Those of an elastic QP are those of its penalty: nothing is known.] [if
+ * LAGRANGIAN || TWO_HESSIANS: Where the Hessian depends on them, they move towards those of the QP only as far as the
+ * step went: after a short step, those of the QP may be as far off as the step.] [if !STAGE_MULTIPLIERS: With states
+ * eliminated, lam follows from the gradient of the QP.] */
 static void take_multipliers(solver_t *s)
 {
     if (HARD_ROWS) {
@@ -450,8 +452,8 @@ static status_t search(solver_t *s)
     return (q->gain > FACTOR_SQP_HOPELESS * q->base.violation) ? line_search(s) : STALLED;
 }
 
-/* Away from feasibility, multipliers beyond what the cost can explain are scaled down: their Hessian would hide the cost
- * from the next QP, whose multipliers would be larger still. */
+/* Away from feasibility, multipliers beyond what the cost can explain are scaled down: their Hessian would hide the
+ * cost from the next QP, whose multipliers would be larger still. */
 static void bound_multipliers(solver_t *s)
 {
     const sqp_t *q = &s->sqp;
@@ -560,7 +562,8 @@ static status_t sqp_iteration(solver_t *s)
     return status;
 }
 
-/* KKT residuals from the linearisation of the last prepare. Returns 1 if all are at most tol, relative to their terms. */
+/* KKT residuals from the linearisation of the last prepare. Returns 1 if all are at most tol, relative to their
+ * terms. */
 static int kkt_converged(solver_t *s, real_t tol)
 {
     kkt_t *kkt = &s->kkt;

@@ -1,5 +1,5 @@
-/* Bounds of the rows relative to the present iterate, and the costs of their violation. The known part of J_0 dx_0 of a
- * coupled row is included. */
+/* Bounds of the rows relative to the present iterate, and the costs of their violation. [if NE > 0: The known part of
+ * J_0 dx_0 of a coupled row is included.] */
 static void condense_embed_rows(solver_t *s)
 {
     for (int m = 0; m < NG; ++m) {
@@ -16,7 +16,7 @@ static void condense_embed_rows(solver_t *s)
     }
 }
 
-/* Bounds of the controls and rows relative to the present iterate, and penalties. */
+/* Bounds of the controls and rows relative to the present iterate[if ELASTIC:, and penalties]. */
 static void condense_embed(solver_t *s)
 {
     for (int k = 0; k < N; ++k) {

@@ -8,10 +8,10 @@
  *   condense_shift     shifts the predicted working set of the controls by one interval
  *   condense_shift_rows  row m takes the predicted side of row source[m]
  * Here: dx_k = G_k (dx_0, du_0, ..., du_{N-1}) + c_k. All states but dx_0 are eliminated in O(N^2), COLUMNS columns at
- * a time, in memory of the QP solver: qp.work.columns, which qp_factorize overwrites. The variables of the QP are
- * du_0 .. du_{N-1}, the free components of dx_0, and a slack sigma for every row with a quadratic penalty:
- * lower <= row - sigma <= upper, cost l2/2 sigma^2, and sigma = 0 as an elastic bound with penalty l1. The QP solver
- * knows where slacks occur: neither the Hessian nor the rows have entries for them. */
+ * a time, in memory of the QP solver: qp.work.columns, which qp_factorize overwrites. The variables of the QP are du_0
+ * .. du_{N-1}[if NF > 0:, the free components of dx_0][if NSL > 0:, and a slack sigma for every row with a quadratic
+ * penalty: lower <= row - sigma <= upper, cost l2/2 sigma^2, and sigma = 0 as an elastic bound with penalty l1. The QP
+ * solver knows where slacks occur: neither the Hessian nor the rows have entries for them]. */
 
 #include "generated/product_columns.c"
 
@@ -174,7 +174,8 @@ static void condense_store_free(solver_t *s)
     }
 }
 
-/* Panel of J_x G_k + J_u at du_k for the general or coupled row m; a coupled row also contains J_0 dx_0. */
+/* Panel of J_x G_k + J_u at du_k for the general [if NE > 0: or coupled] row m[if NE > 0:; a coupled row also contains
+ * J_0 dx_0]. */
 static void condense_add_row(const solver_t *s, int m, int column, real_t *sum)
 {
     const int k = row_node(m), entering = NX + k * NU - column;
@@ -205,8 +206,8 @@ static inline const real_t *condense_state_row(const solver_t *s, int m, int col
     return reached ? s->qp.work.columns.G[row_node(m)][row_index(m)] : zero;
 }
 
-/* Panel of row m of the QP: A = J_x G_k + J_u at du_k. A state row has J_x = e_i; a coupled row also contains J_0
- * dx_0. */
+/* Panel of row m of the QP: A = J_x G_k + J_u at du_k. [if STATE_ROWS: A state row has J_x = e_i.] [if NE > 0: A
+ * coupled row also contains J_0 dx_0.] */
 static void condense_row(solver_t *s, int m, int column)
 {
     real_t sum[COLUMNS] = {R(0)};
@@ -303,8 +304,8 @@ static void condense_embed_slacks(solver_t *s)
     }
 }
 
-/* Bounds of the rows relative to their values at du = 0, and their penalties. The sum of the magnitudes has a loop of its
- * own: GCC 12 compiles both sums in one wrongly at -O3 for AVX-512. */
+/* Bounds of the rows relative to their values at du = 0[if ELASTIC:, and their penalties]. The sum of the magnitudes
+ * has a loop of its own: GCC 12 compiles both sums in one wrongly at -O3 for AVX-512. */
 static void condense_embed_rows(solver_t *s, const real_t *dx0)
 {
     for (int m = 0; m < NG; ++m) {
@@ -322,8 +323,8 @@ static void condense_embed_rows(solver_t *s, const real_t *dx0)
     }
 }
 
-/* g = g(0) + Hx dx_0 without the free components of dx_0; bounds of du and of the rows relative to the present
- * iterate. */
+/* g = g(0) + Hx dx_0 [if NF > 0: without the free components of dx_0]; bounds of du and of the rows relative to the
+ * present iterate. */
 static void condense_embed(solver_t *s)
 {
     real_t dx0[NX];
@@ -351,7 +352,8 @@ static void condense_embed(solver_t *s)
 }
 
 /* Value of the row m at du = 0, dx_0 = 0, v = row + J_x c_k, and the magnitude of its terms, where a state counts with
- * its largest magnitude, because its rounding errors travel along the horizon; at least a part of the scale of the row. */
+ * its largest magnitude, because its rounding errors travel along the horizon; at least a part of the scale of the
+ * row. */
 static void condense_value(solver_t *s, int m, const real_t *size)
 {
     const real_t *c = s->condensed.c[row_node(m)];

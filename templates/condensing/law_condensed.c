@@ -1,8 +1,8 @@
 static int qp_response(qp_t *q, int j, real_t *h, real_t *e, real_t *feed);
 
-/* Law of the first control on the predicted working set, from the responses of the QP: with z_j = feed - h'dg + e't, where
- * dg = Hx dx_0 and t are the bounds of the members, of which those of a general row change by -Ax dx_0. Returns 0 if
- * there is none. */
+/* Law of the first control on the predicted working set, from the responses of the QP: with z_j = feed - h'dg + e't,
+ * where dg = Hx dx_0 and t are the bounds of the members, of which those of a general row change by -Ax dx_0. Returns 0
+ * if there is none. */
 static int condense_law(solver_t *s)
 {
     for (int j = 0; j < NU; ++j) {

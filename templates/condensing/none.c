@@ -55,7 +55,7 @@ static inline real_t (*stage_Q_N(solver_t *s))[NXS]
     return s->hessian.Q_N;
 }
 
-/* Gradient of the general or coupled row m in the variables of its stage. */
+/* Gradient of the general [if NE > 0: or coupled] row m in the variables of its stage. */
 static inline const real_t *stage_row(const solver_t *s, int m)
 {
     return row_gradient(s, m);

@@ -1,7 +1,8 @@
 /* Rows of single shooting as logarithmic barriers. */
 
 /* -log t above the margin, below it the parabola with the same value, slope and curvature there: a plan outside has
- * finite terms, too. Value; the derivatives with respect to v, t = distance * unit with the sign of dt / dv, are added. */
+ * finite terms, too. Value; the derivatives with respect to v, t = distance * unit with the sign of dt / dv, are
+ * added. */
 static real_t barrier(real_t t, real_t margin, real_t unit, real_t weight, real_t *slope, real_t *curvature)
 {
     const int above = t > margin;
@@ -34,8 +35,8 @@ static real_t row_term(const solver_t *s, int m, real_t v, real_t *slope, real_t
     return value;
 }
 
-/* Recentres the barriers: psi_m' = 0 where the plan ends, so that the rest at a set point is not displaced. The centre of
- * row m is its value at the last node that has it, moved inside the margins. */
+/* Recentres the barriers: psi_m' = 0 where the plan ends, so that the rest at a set point is not displaced. The centre
+ * of row m is its value at the last node that has it, moved inside the margins. */
 static void barrier_rows_before_steps(solver_t *s)
 {
     real_t value[NG], curvature;

@@ -1,11 +1,11 @@
-/* The curvature of hard rows that are active, and of the dynamics that lead to them. Gauss-Newton steps lack it: where a
- * plan follows such a row, it jumps from bound to bound, and leaves the row by what the linearisation does not see. While
- * that is more than little, the positive part of what the exact Hessian has beyond it is added. */
+/* The curvature of hard rows that are active, and of the dynamics that lead to them. Gauss-Newton steps lack it: where
+ * a plan follows such a row, it jumps from bound to bound, and leaves the row by what the linearisation does not see.
+ * While that is more than little, the positive part of what the exact Hessian has beyond it is added. */
 
 #include "hessians/jacobi.c"
 
-/* A = Q + (A - Q)_+, symmetric, for the exact block A of n rows and that of the samples, Q, lower triangles whose rows have
- * lda and ldq entries; (.)_+ keeps the positive eigenvalues. */
+/* A = Q + (A - Q)_+, symmetric, for the exact block A of n rows and that of the samples, Q, lower triangles whose rows
+ * have lda and ldq entries; (.)_+ keeps the positive eigenvalues. */
 static void blend_block(curved_t *c, real_t *A, int lda, const real_t *Q, int ldq, int n)
 {
     real_t largest = R(0), value[NZ];

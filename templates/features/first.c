@@ -3,7 +3,8 @@
 /* States of first.call: no measured state; feedback_first() has used the control law; it has run the whole feedback. */
 enum { FIRST_NONE, FIRST_BY_LAW, FIRST_WHOLE };
 
-/* Preparation: the law u_0 = u_0 of the plan + feed + gain (xhat - x_0) of the minimiser on the predicted working set. */
+/* Preparation: the law u_0 = u_0 of the plan + feed + gain (xhat - x_0) of the minimiser on the predicted working
+ * set. */
 static status_t first_after_prepare(solver_t *s, status_t status)
 {
     s->first.call = FIRST_NONE;

@@ -1,5 +1,6 @@
-/* What a step leaves of the model. Gaps grow with the square of a step: one that is about as long as those of late leaves
- * about what they did, and their linearisations have told that. After any other step the intervals are integrated. */
+/* What a step leaves of the model. Gaps grow with the square of a step: one that is about as long as those of late
+ * leaves about what they did, and their linearisations have told that. After any other step the intervals are
+ * integrated. */
 
 static void gaps_on_reset(solver_t *s)
 {
@@ -21,8 +22,8 @@ static status_t gaps_after_prepare(solver_t *s, status_t status)
     return status;
 }
 
-/* Length of the step of the QP, which is finite: the largest component of dx_0 and the du_k in the scale of its variable,
- * which cause all others. */
+/* Length of the step of the QP, which is finite: the largest component of dx_0 and the du_k in the scale of its
+ * variable, which cause all others. */
 static real_t length_of_step(const solver_t *s)
 {
     real_t size[NZ] = {R(0)}, length = R(0);

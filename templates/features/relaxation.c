@@ -50,8 +50,8 @@ static void price_rows(solver_t *s)
     s->relaxation = relaxation_weight[0] * cost_scale(s, size);
 }
 
-/* Solves a QP that is infeasible or has been given up again with its hard rows relaxed, at the weight set in the options.
- * If all of them hold, its solution is that of the QP. */
+/* Solves a QP that is infeasible or has been given up again with its hard rows relaxed, at the weight set in the
+ * options. If all of them hold, its solution is that of the QP. */
 static status_t relax_rows(solver_t *s, status_t why)
 {
     status_t status;
@@ -106,10 +106,10 @@ static void sweep_price(solver_t *s)
     s->rises = s->rises ? s->price[N - 1] < R(1) : s->price[N - 1] <= least_price[0];
 }
 
-/* While samples stay RELAXED and the violation does not fall, violations at early nodes become cheaper, then dearer again:
- * the way back inside may lead through larger ones, and the least sum of them over a short horizon may be to stay outside
- * for ever; where they are cheap, a plan may rest outside by choice. At the last node the price stays. A relaxed QP that is
- * given up may have a solution at another price: equal ones let its vertices coincide. */
+/* While samples stay RELAXED and the violation does not fall, violations at early nodes become cheaper, then dearer
+ * again: the way back inside may lead through larger ones, and the least sum of them over a short horizon may be to
+ * stay outside for ever; where they are cheap, a plan may rest outside by choice. At the last node the price stays. A
+ * relaxed QP that is given up may have a solution at another price: equal ones let its vertices coincide. */
 static status_t relaxation_after_feedback(solver_t *s, status_t status)
 {
     const real_t before = s->outside;

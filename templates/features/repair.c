@@ -1,5 +1,5 @@
-/* Repair: before a sample, a plan that is far from the model, or whose last sample failed, is improved by
- * further steps at its own x_0. Each is shortened until it reduces the residual; without one that does, the plan stays. */
+/* Repair: before a sample, a plan that is far from the model, or whose last sample failed, is improved by further steps
+ * at its own x_0. Each is shortened until it reduces the residual; without one that does, the plan stays. */
 
 static void repair_on_reset(solver_t *s)
 {
@@ -49,8 +49,8 @@ static status_t run_qp_at_plan(solver_t *s)
     return status;
 }
 
-/* Returns 1 if a residual may be left behind: it has fallen or is small, or nothing is known of the plan, as the residual
- * of an initial guess tells nothing of the plan to which it leads. */
+/* Returns 1 if a residual may be left behind: it has fallen or is small, or nothing is known of the plan, as the
+ * residual of an initial guess tells nothing of the plan to which it leads. */
 static int may_stay(const solver_t *s, real_t residual, int unknown)
 {
     return residual < s->stats.residual || !is_far(residual) || (unknown && residual < INF);
@@ -100,9 +100,9 @@ static int step_is_long(const step_t *step, const real_t *size)
     return is_long;
 }
 
-/* Returns 1 if a step that has been taken shows that the first control has converged: it rests at its bounds, or the step
- * moves no state by more than the tolerance in its scale, and the first control by less than a part of that, or by no more
- * than that and by less than half the step before: a plan that creeps may still be far from where it goes. */
+/* Returns 1 if a step that has been taken shows that the first control has converged: it rests at its bounds, or the
+ * step moves no state by more than the tolerance in its scale, and the first control by less than a part of that, or by
+ * no more than that and by less than half the step before: a plan that creeps may still be far from where it goes. */
 static int control_settles(solver_t *s, const step_t *step, const real_t *size)
 {
     real_t range[NU], moved = R(0);

@@ -1,5 +1,5 @@
-/* A watch on multipliers: a Hessian that depends on multipliers which do not converge belongs to no problem, and every QP
- * may be solved all the same. */
+/* A watch on multipliers: a Hessian that depends on multipliers which do not converge belongs to no problem, and every
+ * QP may be solved all the same. */
 
 static void settle_on_reset(solver_t *s)
 {
@@ -12,8 +12,8 @@ static void settle_before_solve(solver_t *s)
     s->unsettled = 0;
 }
 
-/* Returns 1 if the step of the QP moves no state or control by more than 1 / 4096 of its largest value, beyond zeros: the
- * plan stands at a solution, and multipliers that change there are not unique (as many active rows as controls). */
+/* Returns 1 if the step of the QP moves no state or control by more than 1 / 4096 of its largest value, beyond zeros:
+ * the plan stands at a solution, and multipliers that change there are not unique (as many active rows as controls). */
 static int stands_still(const solver_t *s)
 {
     for (int i = 0; i < NZ; i++) {

@@ -1,5 +1,5 @@
-/* Replays a recorded closed loop as a process: one line per sample, the status of prepare(), that of feedback(), and u in
- * words of 32 bits, all hexadecimal. Contract: recording.h holds the inputs. */
+/* Replays a recorded closed loop as a process: one line per sample, the status of prepare(), that of feedback(), and u
+ * in words of 32 bits, all hexadecimal. Contract: recording.h holds the inputs. */
 #include "recording.h"
 
 #include <stdint.h>

@@ -17,7 +17,8 @@ static void compose(real_t (*H)[LDV], int n, const real_t *d, real_t (*work)[LDV
     }
 }
 
-/* unit[j]: curvature that is typical of variable j, from the diagonal of H and from entries beside it that exceed it. */
+/* unit[j]: curvature that is typical of variable j, from the diagonal of H and from entries beside it that exceed
+ * it. */
 static void condensed_units(real_t (*H)[LDV], int n, real_t terms, real_t *unit)
 {
     const real_t least = regularization[0] * terms;
@@ -37,9 +38,9 @@ static void condensed_units(real_t (*H)[LDV], int n, real_t terms, real_t *unit)
 }
 
 /* Replaces H (lower triangle of n rows) by r V f(Lambda) V' r, where r^-1 H r^-1 = V Lambda V' in units r_i^2 of the
- * curvature; f = max(Lambda, floor) or, if MIRROR, |Lambda| plus a share of the largest |Lambda| below zero where Lambda is
- * negative, so that small ones do not lead to large steps. The floor is relative to the largest |Lambda|, at least 1. Returns
- * 0, with H unchanged, if H is zero or not finite. `work` has the size of H. */
+ * curvature; f = max(Lambda, floor) or, if MIRROR, |Lambda| plus a share of the largest |Lambda| below zero where
+ * Lambda is negative, so that small ones do not lead to large steps. The floor is relative to the largest |Lambda|, at
+ * least 1. Returns 0, with H unchanged, if H is zero or not finite. `work` has the size of H. */
 static int regularize_reduced(real_t (*H)[LDV], int n, real_t terms, real_t share, real_t (*work)[LDV])
 {
     real_t d[LDV], e[LDV], r[LDV], probe = R(0), least = R(0), smallest = R(1);
@@ -118,8 +119,8 @@ static int is_held(const solver_t *s, int m)
     return s->qp.side[NV + m] != 0 || row_lower(s, m) >= row_upper(s, m);
 }
 
-/* Adds terms for the predicted working set to the Hessian, which make it convex if the Hessian on the null space of that
- * set is (Finsler's lemma). Near a solution they do not change the step. */
+/* Adds terms for the predicted working set to the Hessian, which make it convex if the Hessian on the null space of
+ * that set is (Finsler's lemma). Near a solution they do not change the step. */
 static void hold_working_set(solver_t *s, real_t terms, real_t hold)
 {
     const int n = NV - NSL;

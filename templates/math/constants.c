@@ -38,7 +38,8 @@ typedef uint64_t bits_t;
 #define FIRST_INTEGER 4503599627370496.0
 #endif
 
-/* ln 2 is the sum of a number with so few digits that its products with the integers that occur are exact, and a rest. */
+/* ln 2 is the sum of a number with so few digits that its products with the integers that occur are exact, and a
+ * rest. */
 #if SINGLE
 #define LOG2_E 1.442695040888963407F
 #define LN_2_HIGH 0.693115234375F

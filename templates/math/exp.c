@@ -4,7 +4,8 @@ static inline real_t own_power_of_two(bits_t n)
     return own_number((n + BIAS) << MANTISSA);
 }
 
-/* x 2^n without overflow or underflow of 2^n, so that results beyond the range of normal numbers are rounded only once. */
+/* x 2^n without overflow or underflow of 2^n, so that results beyond the range of normal numbers are rounded only
+ * once. */
 static inline real_t own_scaled(real_t x, real_t rest, bits_t n)
 {
     const bits_t half = ((n + 4096) >> 1) - 2048;

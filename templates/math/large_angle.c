@@ -44,8 +44,8 @@ static uint64_t upper_product(uint64_t a, uint64_t b)
     return a_high * b_high + ((a_high * b_low) >> 32) + ((a_low * b_high) >> 32);
 }
 
-/* r = x - n pi / 2 of a large number without error that matters, by the digits of 2 / pi (Payne and Hanek): the integers
- * n and the fraction f of x 2 / pi, r = f pi / 2. Returns r and its rest; NaN if x is not finite. */
+/* r = x - n pi / 2 of a large number without error that matters, by the digits of 2 / pi (Payne and Hanek): the
+ * integers n and the fraction f of x 2 / pi, r = f pi / 2. Returns r and its rest; NaN if x is not finite. */
 static real_t large_angle(real_t x, real_t *rest, bits_t *n)
 {
     bits_t bits, scale_bits;

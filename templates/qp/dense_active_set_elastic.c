@@ -36,8 +36,8 @@ static void qp_shift_origin(qp_t *q, real_t mult)
     q->scale += FABS(mult) * norm(q->work.basis.m);
 }
 
-/* Moves member k from the working set to the cost, with its multiplier at the limit of the given side; m = Q'R. A row
- * with a slack stays. */
+/* Moves member k from the working set to the cost, with its multiplier at the limit of the given side; m = Q'R. [if NSL
+ * > 0: A row with a slack stays.] */
 static void qp_saturate(qp_t *q, int k, int side)
 {
     /* 0 <= k <= NV - 1 */
@@ -110,7 +110,7 @@ static void qp_take_penalties(qp_t *q, int elastic)
     q->elastic = elastic;
 }
 
-/* Violation of row c, which is saturated or has a slack that moves; 0 for a slack itself. */
+/* Violation of row c, which is saturated[if NSL > 0: or has a slack that moves; 0 for a slack itself]. */
 static real_t qp_relaxation(const qp_t *q, int c)
 {
     if (NSL) {

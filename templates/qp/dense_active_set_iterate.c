@@ -47,8 +47,8 @@ static status_t qp_restore_dual_feasibility(qp_t *q)
 }
 
 /* Amounts by which the value of row c, which is not a member, exceeds its upper bound and falls below its lower bound;
- * of a saturated row, the distance from the bound towards the inside, where its multiplier has to move back. Returns the
- * value. */
+ * of a saturated row, the distance from the bound towards the inside, where its multiplier has to move back. Returns
+ * the value. */
 static inline real_t qp_violations(const qp_t *q, int c, const real_t *z, real_t *over, real_t *under)
 {
     const real_t value = qp_value(q, c, z);
@@ -78,7 +78,7 @@ static int qp_most_violated(const qp_t *q, int *side, real_t *violation)
             continue;
         }
         const real_t value = qp_violations(q, c, q->x, &over, &under);
-        if (over <= q->slack[c] && under <= q->slack[c]) {
+        if (over <= q->accepted[c] && under <= q->accepted[c]) {
             continue;
         }
         if (!isfinite(value)) {
@@ -196,11 +196,11 @@ static real_t qp_full_step(real_t violation, real_t mm, real_t vv)
     return violation > R(0) ? violation / vv : R(0);
 }
 
-/* Returns 1 if the violation of row c may be a rounding error; the bound for it is stored in slack[c]. */
+/* Returns 1 if the violation of row c may be a rounding error; the bound for it is stored in accepted[c]. */
 static int qp_is_rounding(qp_t *q, int c, const real_t *r, int side, real_t mm, real_t vv, real_t violation)
 {
-    q->slack[c] = qp_rounding(q, c, r, side, mm, vv);
-    return violation <= q->slack[c];
+    q->accepted[c] = qp_rounding(q, c, r, side, mm, vv);
+    return violation <= q->accepted[c];
 }
 
 /* Splits the normal m of the entering row, m = Q'R r + v. Returns v'v. */
@@ -213,7 +213,7 @@ static real_t qp_split(qp_t *q, real_t *r, real_t mm)
 }
 
 /* Takes dual steps until the violated row c is satisfied and in the working set, or its multiplier is at the end of its
- * range. A violation that may be a rounding error is accepted instead and stored in slack[c]. */
+ * range. A violation that may be a rounding error is accepted instead and stored in accepted[c]. */
 static status_t qp_enforce(qp_t *q, int c, int side, real_t violation)
 {
     const real_t sign = R(side), bound = (q->side[c] == INACTIVE ? side : q->side[c]) > 0 ? q->upper[c] : q->lower[c];
@@ -390,7 +390,7 @@ static status_t qp_iterate(qp_t *q)
 {
     int direct = 1, count = 0, side = INACTIVE;
     real_t violation = R(0);
-    memset(q->slack, 0, sizeof q->slack);
+    memset(q->accepted, 0, sizeof q->accepted);
     qp_set_origin(q);
     status_t status = isfinite(q->scale) ? qp_restore_dual_feasibility(q) : NUMERICAL_FAILURE;
     while (status == OK) { /* at most QP_MAX_SEARCHES passes in qp_solve */

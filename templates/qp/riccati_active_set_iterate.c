@@ -7,7 +7,8 @@ static inline real_t qp_tolerance(const qp_t *q, real_t exact)
     return q->rough ? FACTOR_RICCATI_ROUGH * SQRT(TOL_UNIT) : exact;
 }
 
-/* Side of c, which is not a member, from its value v and its bounds; `size`: magnitude of the terms of v, and its scale. */
+/* Side of c, which is not a member, from its value v and its bounds; `size`: magnitude of the terms of v, and its
+ * scale. */
 static inline int qp_side_of_value(const qp_t *q, int c, real_t v, real_t size)
 {
     const real_t tolerance = qp_tolerance(q, TOL_RICCATI_FEASIBILITY);
@@ -56,8 +57,8 @@ static largest_t qp_largest_multipliers(const qp_t *q)
     return largest;
 }
 
-/* New side of the member row m from its multiplier: it leaves if the sign is wrong, and a soft row becomes violated if
- * its multiplier exceeds the penalty. */
+/* New side of the member row m from its multiplier: it leaves if the sign is wrong[if ELASTIC:, and a soft row becomes
+ * violated if its multiplier exceeds the penalty]. */
 static int qp_side_of_member(const qp_t *q, int m, real_t rounding)
 {
     const int c = NV + m, side = q->side[c];
@@ -297,7 +298,8 @@ static inline int qp_wrong_sign(const qp_t *q, int c)
     return q->side[c] > 0 ? q->mult[c] < R(0) : q->mult[c] > R(0);
 }
 
-/* Clips the controls to their bounds, sets multipliers of the wrong sign to 0 and counts the violated soft rows. */
+/* Clips the controls to their bounds, sets multipliers of the wrong sign to 0 [if ELASTIC: and counts the violated soft
+ * rows]. */
 static void qp_finish(qp_t *q)
 {
     for (int c = 0; c < NV; c++) {

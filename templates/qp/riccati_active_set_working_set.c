@@ -2,7 +2,7 @@
  *
  * A member is an equation at its bound: a control is fixed, a row has the augmented Lagrangian
  *     center (a'z - t) + weight/2 (a'z - t)^2,   mult = center + weight (a'z - t)
- * A violated soft row has the cost +-l1 (a'z - t) + l2/2 (a'z - t)^2. */
+ * [if ELASTIC: A violated soft row has the cost +-l1 (a'z - t) + l2/2 (a'z - t)^2.] */
 
 /* Values of scaled: scales of the rows unknown; those of an earlier QP, whose units may be others; of this QP. */
 enum { SCALES_NONE = 0, SCALES_EARLIER = 1, SCALES_OWN = 2 };
@@ -17,8 +17,8 @@ static inline int qp_is_member(int side)
     return side == AT_LOWER || side == AT_UPPER;
 }
 
-/* Bound |a|'|z| of the terms of row m, with the largest magnitude of every component of z over all stages, at least that
- * of zeros. */
+/* Bound |a|'|z| of the terms of row m, with the largest magnitude of every component of z over all stages, at least
+ * that of zeros. */
 static real_t qp_row_size(const solver_t *s, int m)
 {
     const real_t *scale = s->qp.scale;

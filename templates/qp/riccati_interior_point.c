@@ -5,8 +5,9 @@
  *   qp_init       once: no bounds, no prediction.
  *   qp_factorize  preparation: matrices are known, lower and upper hold a prediction. Returns OK or NUMERICAL_FAILURE.
  *   qp_gradient   called if gradients or gaps have changed, but no matrix.
- *   qp_solve      feedback: dx_0 in step.dx[0], present bounds and penalties. Writes x, z, mult, side, iterations,
- *                 relaxed. Returns OK; ITERATION_LIMIT; INFEASIBLE with a proof in certificate[]; NUMERICAL_FAILURE.
+ *   qp_solve      feedback: dx_0 in step.dx[0], present bounds [if ELASTIC: and penalties].
+ *                 Writes x, z, mult, side, iterations, relaxed. Returns OK; ITERATION_LIMIT; INFEASIBLE;
+ *                 NUMERICAL_FAILURE. [if SOLVE: Of INFEASIBLE, certificate[] is a proof.]
  *   qp_shift_controls, qp_shift_rows  shift the warm start by n controls, and its rows as given by source[].
  * ------------------------------------------------------------------------------------------------------------------ */
 

@@ -344,8 +344,8 @@ static int ipm_converged(solver_t *s)
     return 1;
 }
 
-/* Returns 1 if the result is a solution. Rows are not exact: what moves the cost by no more than rounding of its unit is
- * negligible, even if the bounds, and with them all terms of a row, vanish. */
+/* Returns 1 if the result is a solution. Rows are not exact: what moves the cost by no more than rounding of its unit
+ * is negligible, even if the bounds, and with them all terms of a row, vanish. */
 static int ipm_is_solution(solver_t *s)
 {
     s->qp.least = FACTOR_IPM_NEGLIGIBLE_ROW * TOL_UNIT / TOL_QP_ACCEPTED * SQRT(s->ipm.unit);

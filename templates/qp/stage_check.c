@@ -28,9 +28,9 @@ static void qp_component_sizes(solver_t *s, int full, real_t *size)
     }
 }
 
-/* Checks row c with value v, whose terms have the magnitude `size` and whose scale is `scale`. A multiplier counts only if
- * the value is at the bound that it belongs to: otherwise it becomes 0 (full), so that complementarity is checked with the
- * gradient, or the row does not hold. */
+/* Checks row c with value v, whose terms have the magnitude `size` and whose scale is `scale`. A multiplier counts only
+ * if the value is at the bound that it belongs to: otherwise it becomes 0 (full), so that complementarity is checked
+ * with the gradient, or the row does not hold. */
 static int qp_row_holds(qp_t *q, int c, int hard, real_t v, real_t size, real_t scale, int full)
 {
     const real_t over = v - q->upper[c], under = q->lower[c] - v;
@@ -126,8 +126,8 @@ static real_t qp_cost_terms(solver_t *s, int k, const real_t *y)
     return sum;
 }
 
-/* Returns 1 if a gradient with respect to control j is negligible: it moves this cost by less than rounding or, if it is
- * of the size of the noise, by less than the accepted part. */
+/* Returns 1 if a gradient with respect to control j is negligible: it moves this cost by less than rounding or, if it
+ * is of the size of the noise, by less than the accepted part. */
 static int qp_is_negligible(solver_t *s, int j, real_t gradient, real_t noise, real_t cost)
 {
     real_t curvature = R(0);
@@ -205,7 +205,7 @@ static void qp_start_check(solver_t *s)
 
 /* Returns 1 if the gradient of the Lagrangian vanishes up to its tolerance, or moves the cost by no more than zeros do
  * (full). The multipliers of the dynamics follow from the states and remain in the first entries of rhs.g, so that only
- * the components of the controls and of a free x_0 are to be checked. */
+ * the components of the controls [if NF > 0: and of a free x_0] are to be checked. */
 static int qp_is_stationary(solver_t *s, int full)
 {
     real_t(*w)[NZS] = s->riccati.work.vectors.rhs.g;

@@ -2,7 +2,7 @@
  * and clearing of results. A row has its gradient in the variables of one stage; a bound on a state is stored as the
  * index of its component. */
 
-/* Side of a row. A member of the working set is an equation at its bound; a soft row may be violated. */
+/* Side of a row. A member of the working set is an equation at its bound[if ELASTIC:; a soft row may be violated]. */
 enum { BELOW = -2, AT_LOWER = -1, INACTIVE = 0, AT_UPPER = 1, ABOVE = 2 };
 
 static inline int qp_is_violated(int side)
@@ -138,8 +138,8 @@ static void qp_cost_gradient(solver_t *s, int k, real_t *y)
 }
 #endif
 
-/* Multiplier of row m. For a row at its bound without what the Hessian owes to it; 0 if that has the other sign, because
- * the row would leave then. */
+/* Multiplier of row m. For a row at its bound without what the Hessian owes to it; 0 if that has the other sign,
+ * because the row would leave then. */
 static real_t qp_multiplier(const solver_t *s, int m)
 {
     const real_t before = s->qp.mult[NV + m];
@@ -177,7 +177,8 @@ static void qp_clear(qp_t *q)
     }
 }
 
-/* Checks bounds and penalties. Returns NUMERICAL_FAILURE if one is invalid, INFEASIBLE if bounds cross, else OK. */
+/* Checks bounds [if ELASTIC: and penalties]. Returns NUMERICAL_FAILURE if one is invalid, INFEASIBLE if bounds cross,
+ * else OK. */
 static status_t qp_check_bounds(const qp_t *q)
 {
     int valid = 1, ordered = 1;

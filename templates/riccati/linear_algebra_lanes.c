@@ -95,7 +95,8 @@ PACK_INLINE pack_t riccati_row_products(const real_t *A, int ld, const real_t *x
     return packs_sums(&c);
 }
 
-/* y[j] += sum_{l<n} a[l] rows[l][j],  j < width <= TILE_WIDTH; in four sums, as one is a chain of dependent operations */
+/* y[j] += sum_{l<n} a[l] rows[l][j], j < width <= TILE_WIDTH; in four sums, as one is a chain of dependent
+ * operations */
 PACK_INLINE void riccati_combine_strip(real_t *y, const real_t *a, const real_t *rows, int ld, int n, int width)
 {
     const int fours = n / 4 * 4;

@@ -1,5 +1,6 @@
-/* Contract of this part: riccati_backward_stage() and riccati_forward() on packs. Vectors between their steps have whole
- * packs and are stored and loaded as such: a load that spans several earlier stores would wait for all of them. */
+/* Contract of this part: riccati_backward_stage() and riccati_forward() on packs. Vectors between their steps have
+ * whole packs and are stored and loaded as such: a load that spans several earlier stores would wait for all of
+ * them. */
 
 /* y = x, n numbers, the rest of the last pack 0. */
 PACK_INLINE void packs_fill(real_t *y, const real_t *x, int n)

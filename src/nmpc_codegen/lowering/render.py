@@ -35,6 +35,7 @@ from nmpc_codegen.lowering.preamble import (
     definitions,
     preamble,
 )
+from nmpc_codegen.lowering.pruning.comments import worded
 from nmpc_codegen.lowering.pruning.constants import Constants
 from nmpc_codegen.lowering.pruning.directives import resolve
 from nmpc_codegen.lowering.pruning.reach import calling
@@ -115,7 +116,7 @@ def _filled(module: CModule) -> dict[str, Any]:
     kernels = {routine.name: print_routine(routine, module.style) for routine in module.routines}
     body = render_unit(module, names)
     if module.whole:
-        body = "\n\n".join([*kernels.values(), body])
+        body = "\n\n".join([*kernels.values(), worded(body, None)])
     else:
         body, known = pruned(body, kernels, known, constants_of(module, known))
     words = names_in(blanked(body))

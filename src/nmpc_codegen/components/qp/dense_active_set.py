@@ -102,7 +102,7 @@ class DenseActiveSet(Defaults):
                     Field("lam", (ld,), "multipliers of the rows in the working set", "scratch"),
                     Field("y0", (ld,), "unconstrained minimiser, y = D^{1/2} L'z", "scratch"),
                     Field("x", (ld,), "z that belongs to y", "scratch"),
-                    Field("slack", (rows,), "violation of a row that is accepted as rounding", "scratch"),
+                    Field("accepted", (rows,), "violation of a row that is accepted as rounding", "scratch"),
                     Field("scale", (), "|y0|, and the terms that saturated rows add to it", "scratch"),
                     Field("penalty", (rows,), "of a row; infinite: hard", "keep", only=lambda f: f.elastic),
                     Field("certificate", (rows,), contradiction, "result", only=lambda f: f.solve),

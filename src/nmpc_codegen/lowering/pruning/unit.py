@@ -11,6 +11,7 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from functools import lru_cache
 
 from nmpc_codegen.lowering.pruning.arguments import unread_parameters, without_unread
+from nmpc_codegen.lowering.pruning.comments import without_entries, worded
 from nmpc_codegen.lowering.pruning.constants import Constants
 from nmpc_codegen.lowering.pruning.items import Item, constants_in, items
 from nmpc_codegen.lowering.pruning.reach import Definition, Macros, reached
@@ -26,12 +27,15 @@ def pruned(
 ) -> tuple[str, list[Definition]]:
     """The text of a unit, whose macros are ``known``, without what it does not need, and the macros without the
     arguments that they do not read; ``kernels``: printed functions by name, which stand before it."""
+    unit = worded(unit, constants)
     *chunks, rest = f"{unit}\n".split("\n}\n")
     found = [item for chunk in (*(f"\n{chunk}\n}}" for chunk in chunks), f"\n{rest}") for item in items(chunk)]
     found, known = without_unread(found, kernels, known, constants)
     macros = Macros(known)
     functions, names = reached(found, kernels, macros, constants)
+    gone = {item.name for item in found if item.kind == "function"} - names
     kept = _without_idle_headings([item for item in found if _stays(item, names)], found)
+    kept = [item if item.kind == "function" else item._replace(text=without_entries(item.text, gone)) for item in kept]
     early = names
     if any(item.name == LAST for item in kept):
         _, early = reached([item for item in found if item.name != LAST], kernels, macros, constants)

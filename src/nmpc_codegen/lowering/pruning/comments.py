@@ -1,0 +1,92 @@
+"""Comments without what the package lacks: phrases of it, and entries of contracts for functions that nothing reaches.
+
+A phrase that depends on sizes or features is written [if NE > 0: and coupled], or [if SOLVE: both else: one]: the
+condition is one of C.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Collection
+from itertools import groupby
+from textwrap import wrap
+
+from nmpc_codegen.lowering.pruning.constants import Constants
+from nmpc_codegen.lowering.pruning.expressions import expression
+from nmpc_codegen.lowering.pruning.tree import WIDTH
+
+_WORDS = r"(?:[^\[\]]|\[[^\[\]]*\])*?"
+_PHRASE = re.compile(rf"\[if\s+(?P<condition>[^:\]]+):(?P<there>{_WORDS})(?:\s+else:(?P<otherwise>{_WORDS}))?\]")
+#: A comment with a phrase; what stands before it in its line.
+_COMMENT = re.compile(r"(?P<before>[^\n]*?)(?P<text>/\*(?:(?!\*/).)*?\[if\s(?:(?!\*/).)*\*/)", re.DOTALL)
+#: A line of a formula, of a list, or between paragraphs; all others are filled.
+_APART = re.compile(r" *(?:/\*|\*)?(?: {2,}\S| ?-{20}|$)")
+#: Blanks that a phrase leaves: before a mark, or two.
+_BLANKS = re.compile(r"(?<=[\w)]) +(?=[,.;:](?:\s|$))|(?<=\S) +(?= \S)")
+#: Stands for a blank at which no line ends.
+_TIE = "\x01"
+#: An entry of a contract: its margin, its names.
+_ENTRY = re.compile(r"(?P<margin> \*   )(?P<names>\w+(?:, \w+)*)(?:\([^)]*\))? {2,}\S")
+
+
+def worded(unit: str, constants: Constants | None) -> str:
+    """A unit whose comments have the phrases of what the package has; None: of everything.
+
+    Raises:
+        ValueError: constants do not decide a condition.
+    """
+    return _COMMENT.sub(lambda found: _worded(found["before"], found["text"], constants), unit)
+
+
+def _worded(before: str, comment: str, constants: Constants | None) -> str:
+    """A comment behind what stands before it in its line; paragraphs with phrases are filled again."""
+    runs = groupby(comment.split("\n"), key=lambda line: _APART.match(line) is not None)
+    margin = before if not before.strip() else ""
+    lines: list[str] = []
+    for is_apart, run in runs:
+        text = "\n".join(run)
+        if "[if" in text:
+            whole = text if is_apart else " ".join(line.strip().removeprefix("* ") for line in text.split("\n"))
+            there = _PHRASE.sub(lambda found: _phrase(found, constants), whole)
+            text = _without_emptied(there, text) if is_apart else _filled(there, margin, bool(before.strip()))
+        lines += text.split("\n") if text else []
+    return before + "\n".join(lines).removeprefix(margin)
+
+
+def _phrase(found: re.Match[str], constants: Constants | None) -> str:
+    value = True if constants is None else constants.truth(expression(found["condition"]))
+    if value is None:
+        raise ValueError(f"{found[0]}: expected a condition on sizes and features of the package")
+    return ((found["there"] if value else found["otherwise"]) or "").strip()
+
+
+def _without_emptied(lines: str, before: str) -> str:
+    """Lines without those of which phrases have left nothing."""
+    known = set(before.split("\n"))
+    return "\n".join(line.rstrip() for line in lines.split("\n") if line in known or line.strip() not in ("", "*"))
+
+
+def _filled(paragraph: str, margin: str, is_beside: bool) -> str:
+    """A paragraph in filled lines, of which the last is not the end of the comment alone; in one line beside code."""
+    words = _BLANKS.sub("", paragraph).strip()
+    words = words.replace(" */", f"{_TIE}*/")
+    first = margin if words.startswith("/*") else f"{margin} * "
+    width = len(words) + len(first) if is_beside else WIDTH
+    lines = wrap(words, width, initial_indent=first, subsequent_indent=f"{margin} * ", break_long_words=False)
+    return "\n".join(lines).replace(_TIE, " ")
+
+
+def without_entries(comment: str, gone: Collection[str]) -> str:
+    """A contract without the entries of functions that are gone."""
+    kept: list[str] = []
+    margin = None  # of the entry that is left out
+    for line in comment.split("\n"):
+        entry = _ENTRY.match(line)
+        if entry is not None:
+            names = entry["names"].split(", ")
+            margin = len(entry["margin"]) if all(name in gone for name in names) else None
+        elif margin is not None and not line.startswith(" *" + " " * margin):
+            margin = None
+        if margin is None:
+            kept.append(line)
+    return "\n".join(kept)
