@@ -6,6 +6,7 @@ one run of that function: additions, multiplications, divisions, square roots an
 
 from __future__ import annotations
 
+import re
 import shutil
 import subprocess
 import tempfile
@@ -26,21 +27,24 @@ HEADER = Path(__file__).with_name("counting.hpp")
 #: Classes that are compared. The class "other" counts operations spelled in C, including comparisons in loops.
 CLASSES = ("add", "mul", "div", "sqrt", "call")
 
-#: Arguments of functions that take other arguments than the solver struct. w has space for any vector.
+#: Parameter -> argument; w has space for any vector. A package leaves out parameters that it does not read.
 ARGUMENTS = {
-    "state_step": "&s.node[0], w, w, w",
-    "adjoint_step": "&s.node[0], s.hessian.Q[0], w, w, w",
-    "cost_gradient": "&s.node[0], s.hessian.Q[0], w, w, w",
-    "terminal_adjoint": "&s.terminal, s.hessian.Q_N, w, w",
-    "condense_forward_panel": "&s.qp.work.columns, &s.node[0], 0",
-    "condense_terminal_panel": "&s.qp.work.columns, s.hessian.Q_N",
-    "condense_backward_panel": "&s.qp.work.columns, &s.node[0], s.hessian.Q[0], 0",
-    "qp_factorize_hessian": "&s.qp",
-    "qp_forward": "&s.qp, w, 0",
-    "riccati_factorize": "&s, NS",
-    "riccati_backward": "&s, NS",
-    "riccati_forward": "&s, s.qp.x, s.qp.z",
-    "qp_backward": "&s.qp, w, w",
+    "s": "&s",
+    "node": "&s.node[0]",
+    "terminal": "&s.terminal",
+    "p": "&s.qp.work.columns",
+    "q": "&s.qp",
+    "Q": "s.hessian.Q[0]",
+    "k": "0",
+    "first": "0",
+    "last": "NS",
+    **dict.fromkeys(("dx", "du", "y", "w", "z"), "w"),
+}
+#: The same of functions in which a parameter is something else.
+ARGUMENTS_OF = {
+    "terminal_adjoint": {"Q": "s.hessian.Q_N"},
+    "condense_terminal_panel": {"Q": "s.hessian.Q_N"},
+    "riccati_forward": {"x": "s.qp.x", "u": "s.qp.z"},
 }
 
 #: Functions that are called more than once for their count: the statement that calls them.
@@ -71,7 +75,7 @@ def count_mismatches(ocp: OCP, options: Options | None = None) -> list[Mismatch]
 def mismatches(module: CModule, sources: Sources) -> list[Mismatch]:
     """The same for a lowered package and its text."""
     stated = {name: _compared(count) for name, count in module.description.report.operations.items()}
-    calls = {name: _call(module, name) for name in stated}
+    calls = {name: _call(module, name, sources[f"{module.name}.c"]) for name in stated}
     counted = run_counting(sources, module.name, calls, _room(module))
     return [(name, stated[name], counted[name]) for name in stated if stated[name] != counted[name]]
 
@@ -80,14 +84,20 @@ def _compared(count: OpCount) -> dict[str, int]:
     return {name: getattr(count, name) for name in CLASSES}
 
 
-def _call(module: CModule, name: str) -> str:
-    """A call of one C function with valid data."""
+def _call(module: CModule, name: str, unit: str) -> str:
+    """A call of one C function of a unit with valid data."""
     for routine in module.routines:
         if routine.name == name:
             ports = (*routine.reads, *routine.writes)
             return f"{name}({', '.join(f'(real_t(*)[{p.cols}])w' if p.cols else 'w' for p in ports)})"
-    spelled = name.upper() if name in {r.name for r in module.called_products} else name
-    return STATEMENTS.get(name, f"{spelled}({ARGUMENTS.get(name, '&s')})")
+    if name in STATEMENTS:
+        return STATEMENTS[name]
+    head = re.search(rf"^\w[^\n;]*\b{name}\(([^{{;]*?)\)\n\{{", unit, re.MULTILINE)
+    if head is None:
+        raise ValueError(f"{module.name}.c has no function {name}()")
+    named = ARGUMENTS | ARGUMENTS_OF.get(name, {})
+    parameters = re.findall(r"(\w+)\)?(?:\[\w*\])*(?:,|$)", head[1])
+    return f"{name}({', '.join(named[parameter] for parameter in parameters if parameter != 'void')})"
 
 
 def _room(module: CModule) -> int:

@@ -132,7 +132,8 @@ def fill(p: Package, name: str, seed: int) -> StageData:
     p["terminal"]["g"][...] = random.uniform(-1, 1, nx)
     for field in existing(p["terminal"], "h", "J"):
         p["terminal"][field][...] = random.uniform(-1, 1, p["terminal"][field].shape)
-    Q, Q_N = p["hessian"]["Q"], p["hessian"]["Q_N"]
+    Q = p["hessian"]["Q"]
+    Q_N = p["hessian"]["Q_N"] if existing(p["hessian"], "Q_N") else np.zeros((nx, nx))
     Q[...] = np.tril(on(pattern.Q, Q.shape))
     Q_N[...] = np.tril(on(pattern.Q_N, Q_N.shape))
     for field in existing(p.memory, "x", "u", "lower", "upper", "mu_x", "mu_u", "mu", "mu_N"):

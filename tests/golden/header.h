@@ -48,4 +48,4 @@ const char *golden_status_string(golden_status_t status);
 #endif
 
 #endif
-/* nmpc_codegen package 411b672052bcbbf1, sha256 9d7d97c2d912c3df6d88be045efd5704930761434dbb4b04e8c04fe2f8be4d0c */
+/* nmpc_codegen package fae8d59f9ef32c05, sha256 8ef31175ca342bb4112ff5a9c879588be82f40e8a3edeb3bc4d5d47f3320eea2 */

@@ -138,7 +138,7 @@ MUTANTS = (
     ),
     Mutant(
         "a function that a macro calls: what is reached",
-        "src/nmpc_codegen/lowering/pruning/unit.py",
+        "src/nmpc_codegen/lowering/pruning/reach.py",
         "waiting = macros.expanded(inside) - mentioned",
         "waiting = inside - mentioned",
         ("tests/lowering/test_unit.py",),

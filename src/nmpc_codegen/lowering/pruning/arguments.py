@@ -11,10 +11,18 @@ from functools import lru_cache, partial
 from itertools import accumulate
 
 from nmpc_codegen.lowering.pruning.constants import Constants
-from nmpc_codegen.lowering.pruning.expressions import expression
+from nmpc_codegen.lowering.pruning.expressions import expression, words
 from nmpc_codegen.lowering.pruning.items import Item
 from nmpc_codegen.lowering.pruning.reach import CALLED, Definition, Macros, calling, reached
-from nmpc_codegen.lowering.pruning.scopes import blanked, function_of, in_line, names_in_code, signature, split
+from nmpc_codegen.lowering.pruning.scopes import (
+    blanked,
+    function_of,
+    in_line,
+    names_in_code,
+    readable,
+    signature,
+    split,
+)
 from nmpc_codegen.lowering.pruning.tree import WIDTH, wrapped
 
 #: Macro or function -> the places of arguments.
@@ -115,11 +123,11 @@ def closing(code: str, start: int) -> int:
 
 def replaced(text: str, names: Collection[str], call: Callable[[str, list[str]], str]) -> str:
     """A text with another text for every call of these names: that which ``call`` gives for name and arguments."""
-    if names_in_code(text).isdisjoint(names):
+    if words(text).isdisjoint(names):
         return text
     before = set(text.split("\n"))
-    for name, start in calls(names, blanked(text)):
-        end = closing(blanked(text), start)
+    for name, start in calls(names, readable(text)):
+        end = closing(readable(text), start)
         given = [" ".join(argument.split()) for argument in split(text[start:end])]
         text = text[: start - len(name) - 1] + call(name, given) + text[end + 1 :]
     lines = ([line] if len(line) <= WIDTH or line in before else wrapped(line) for line in text.split("\n"))

@@ -9,6 +9,7 @@ from functools import lru_cache
 from nmpc_codegen.lowering.pruning.tree import Node, parse
 
 _NO_CODE = re.compile(r"/\*.*?\*/|\"(?:\\.|[^\"\\\n])*\"|'(?:\\.|[^'\\\n])*'", re.DOTALL)
+_PASSES = re.compile(r"/\* at most ([^*]+?) passes")
 _NOT_NEWLINE = re.compile(r"[^\n]")
 _IDENTIFIER = re.compile(r"(?<![.\w])(?<!->)[A-Za-z_]\w*")
 #: The type of a declaration of variables, which ends before the first name.
@@ -27,6 +28,14 @@ def blanked(text: str) -> str:
     if "/" not in text and '"' not in text and "'" not in text:
         return text
     return _NO_CODE.sub(lambda found: _NOT_NEWLINE.sub(" ", found[0]), text)
+
+
+def readable(text: str) -> str:
+    """The same, with the comments that bound the passes of loops, which name what the code names."""
+    code = blanked(text)
+    for found in _PASSES.finditer(text):
+        code = code[: found.start(1)] + found[1] + code[found.end(1) :]
+    return code
 
 
 @lru_cache(maxsize=32768)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 
-from nmpc_codegen.lowering.pruning.scopes import blanked, declarators
+from nmpc_codegen.lowering.pruning.scopes import declarators, readable
 from nmpc_codegen.lowering.pruning.tree import Edit, Node, whole_lines
 
 #: A declaration of one variable with a number, or of an integer with a size.
@@ -19,7 +19,7 @@ def of_known_value(text: str, body: tuple[Node, ...], end: int) -> Iterator[Edit
         if found is None:
             continue
         name = declarators(found[0])[0][0]
-        scope = blanked(text[node.end : end])
+        scope = readable(text[node.end : end])
         if not _changes(name).search(scope):
             yield Edit(*whole_lines(text, node, body[place - 1] if place else None), "")
             for use in re.finditer(rf"(?<![.\w])(?<!->){name}\b", scope):
