@@ -57,7 +57,6 @@ static void barrier_rows_before_steps(solver_t *s)
 /* Multiplier of row m after an update; the slope of a barrier is bounded by its margin. */
 static real_t updated_multiplier(const solver_t *s, int m, real_t slope, real_t most)
 {
-    (void)most;
     return clip(slope, (row_lower(s, m) > -INF) ? -INF : R(0), (row_upper(s, m) < INF) ? INF : R(0));
 }
 
@@ -74,7 +73,6 @@ static int sharpen_terms(solver_t *s)
 /* The update of multipliers in solve(). */
 static int update_terms(solver_t *s, real_t tol, real_t *violation)
 {
-    (void)tol;
     *violation = s->stats.violation;
     update_rows(s, INF);
     return sharpen(s);

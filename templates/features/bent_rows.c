@@ -2,7 +2,6 @@
 
 static void bent_rows_on_success(solver_t *s, status_t status)
 {
-    (void)status;
     s->row_residual = row_residual(s, R(1));
 }
 

@@ -48,4 +48,4 @@ const char *golden_status_string(golden_status_t status);
 #endif
 
 #endif
-/* nmpc_codegen package fae8d59f9ef32c05, sha256 8ef31175ca342bb4112ff5a9c879588be82f40e8a3edeb3bc4d5d47f3320eea2 */
+/* nmpc_codegen package 2a6339fe82d5bcf9, sha256 0006b88d500569637893a923c0713fe435cd11124eb8965a58a80b97f1a89951 */

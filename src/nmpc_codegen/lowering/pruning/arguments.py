@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from dataclasses import replace
 from functools import lru_cache, partial
 from itertools import accumulate
 
@@ -37,15 +38,21 @@ _STATEMENT = re.compile(r"^ *(?:\(void\))?(\w+)\(", re.MULTILINE)
 def without_unread(
     found: list[Item], kernels: Mapping[str, str], known: Sequence[Definition], constants: Constants
 ) -> tuple[list[Item], list[Definition]]:
-    """Items and macros without arguments that nothing reads, functions that are numbers, macros that are functions."""
+    """Items and macros without arguments that nothing reads, calls of functions that do nothing, functions that are
+    numbers, and macros that are functions."""
     called_by_kernels = {name for kernel in kernels.values() for name in CALLED.findall(kernel)}
     listed = {name for item in found if item.kind == "other" for name in names_in_code(item.text)}
     fixed = called_by_kernels | listed | {item.name for item in found if item.kind == "function" and not item.inner}
+    pure = frozenset(item.name for item in found if item.kind == "function" and _is_pure(item.text))
+    constants = replace(constants, pure=pure)
     while True:
         while places := unread_in_macros(known):
             found, known = _without(found, known, places)
         functions, _ = reached(found, kernels, Macros(known), constants)
         found = [_simple(item, functions) for item in found]
+        if idle := {name for name, text in functions.items() if _is_empty(text)} - fixed - constants.kernels:
+            constants = replace(constants, kernels=constants.kernels | idle)
+            continue
         bodies = [*map(_body, functions.values()), *(text for _, _, text in known)]
         free = {name: text for name, text in functions.items() if name not in fixed}
         if places := unread_in_functions(free, bodies, constants):
@@ -198,6 +205,19 @@ def _number(text: str) -> str:
         return ""
     found = _NUMBER.fullmatch(in_line(text[slice(*function.inside)]))
     return found[1] if found else ""
+
+
+@lru_cache(maxsize=16384)
+def _is_pure(text: str) -> bool:
+    """True for a function with a value whose pointers are to constants: it changes nothing, as there are no globals."""
+    before, _, after = in_line(blanked(text).partition("\n{\n")[0]).partition("(")
+    parameters = split(after.rpartition(")")[0])
+    return " void " not in before and all("*" not in p or p.strip().startswith("const ") for p in parameters)
+
+
+@lru_cache(maxsize=16384)
+def _is_empty(text: str) -> bool:
+    return all(node.kind == "comment" for node in function_of(text).body)
 
 
 @lru_cache(maxsize=16384)

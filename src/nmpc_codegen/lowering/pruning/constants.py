@@ -18,6 +18,8 @@ Range = tuple[int, int]
 Fact = tuple[str, Any, Any]
 
 _DECIMAL = re.compile(r"0|[1-9]\d*")
+#: Attributes of Constants that are sets of names.
+_SETS = ("absent", "kernels", "calling", "pure")
 #: Functions of the C library that give a number and do no more.
 PURE = frozenset({"isfinite"})
 #: (operator, operands) -> function; the results at the ends of ranges enclose those between them.
@@ -42,7 +44,8 @@ class Constants:
 
     ``sizes``: values of sizes and features. ``ranges``: least and greatest value of the entries of tables and of what
     functions return. ``absent``: (struct, member) that no struct has. ``types``: (struct, member) -> its struct.
-    ``kernels``: macros of kernels that have nothing to compute. ``calling``: macros that call functions.
+    ``kernels``: macros and functions that have nothing to do. ``calling``: macros that call functions. ``pure``:
+    functions that give a number and do no more.
     """
 
     sizes: Mapping[str, int] = field(default_factory=dict)
@@ -51,12 +54,14 @@ class Constants:
     types: Mapping[tuple[str, str], str] = field(default_factory=dict)
     kernels: frozenset[str] = frozenset()
     calling: frozenset[str] = frozenset()
+    pure: frozenset[str] = frozenset()
 
     @cached_property
     def _of_statements(self) -> Mapping[str, frozenset[Fact]]:
         """Word of a statement -> what is known of members and macros with this name."""
         facts: list[Fact] = [("kernels", name, None) for name in self.kernels]
         facts += [("calling", name, None) for name in self.calling]
+        facts += [("pure", name, None) for name in self.pure]
         facts += [("absent", member, None) for member in self.absent]
         facts += [("types", member, struct) for member, struct in self.types.items()]
         found: dict[str, frozenset[Fact]] = {}
@@ -79,7 +84,7 @@ class Constants:
         found: dict[str, Any] = {}
         for kind, name, value in facts:
             found.setdefault(kind, {})[name] = value
-        sets = {kind: frozenset(names) for kind, names in found.items() if kind in ("absent", "kernels", "calling")}
+        sets = {kind: frozenset(names) for kind, names in found.items() if kind in _SETS}
         return Constants(**{**found, **sets})
 
     def names(self, text: str) -> bool:
@@ -88,7 +93,7 @@ class Constants:
 
     def effects(self, found: Expression) -> bool:
         """True if it assigns, counts or calls a function, unless that only gives a number."""
-        if found.kind == "call" and found.word not in self.ranges and found.word not in PURE:
+        if found.kind == "call" and not any(found.word in known for known in (self.ranges, self.pure, PURE)):
             calls = not found.word.isupper() or found.word in self.calling
         else:
             calls = found.kind == "assign"

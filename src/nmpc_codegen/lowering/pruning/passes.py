@@ -12,6 +12,7 @@ import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import lru_cache
 
+from nmpc_codegen.lowering.pruning.choices import choices, decided
 from nmpc_codegen.lowering.pruning.constants import Constants, Fact
 from nmpc_codegen.lowering.pruning.expressions import Expression, expression, words
 from nmpc_codegen.lowering.pruning.scopes import (
@@ -31,6 +32,7 @@ from nmpc_codegen.lowering.pruning.values import of_known_value
 _LOOP = re.compile(r"(?:int|ptrdiff_t) (?P<variable>\w+) = (?P<first>[^,;]+); (?P<condition>[^;]*);(?P<step>.*)")
 _SIZE = re.compile(r"\[([^\[\]]*)\]")
 _STRING = re.compile("[\"']")
+_NAME = re.compile(r"[A-Za-z_]")
 _COUNTED = re.compile(r" (?:\+\+|--)?(\w+)(?:\+\+|--| [+-]= \w+)?")
 
 Pass = Callable[[str, Node, Constants], Iterator[Edit]]
@@ -54,6 +56,7 @@ def constants(text: str, function: Node, known: Constants) -> Iterator[Edit]:
                 yield from _of_loop(text, node, above, known)
             elif node.kind == "leave" and body[place + 1 :]:
                 yield Edit(node.end, body[-1].end, "")
+            yield from decided(text, node, known)
             above = node
         if holder is function and body and text[body[-1].start : body[-1].end] == "return;":
             yield Edit(*whole_lines(text, body[-1], None), "")
@@ -84,7 +87,7 @@ def _of_choice(text: str, node: Node, above: Node | None, around: set[str], know
 
 def _decidable(head: str, known: Constants) -> bool:
     """True if constants may decide a condition; one with a string stays as it is."""
-    return known.names(head) and not _STRING.search(head)
+    return (known.names(head) or not _NAME.search(head)) and not _STRING.search(head)
 
 
 def _without_branch(text: str, chain: Sequence[Node], place: int, above: Node | None, around: set[str]) -> Edit:
@@ -264,6 +267,8 @@ def heads(text: str) -> tuple[frozenset[str], frozenset[str]]:
     signs: set[str] = set()
     mixed: set[str] = set()
     for node in function_of(text).walk():
+        for start, choice, _ in choices(text, node):
+            found |= words(text[start + choice.start : start + choice.operands[0].end])
         head = in_line(text[slice(*node.head)]) if node.kind in ("if", "loop") else ""
         loop = _LOOP.match(head)
         for atom in _ATOM.split(loop["condition"] if loop else head):
