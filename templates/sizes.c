@@ -1,7 +1,7 @@
 /* Contract of this part: what is much and what is little. The scales of states, controls and rows, of the cost and of
- * its gradient follow from what is declared, never from the data of a sample: rounding errors are no size. A value
- * below TOL_ZERO of its scale is no size; a residual below TOL_ROUNDING of it is what rounding leaves, however small
- * the terms at hand are. */
+ * its gradient follow from what is declared, never from the data of a sample: rounding errors are no size. A value far
+ * below its scale is no size; a residual near the rounding of its scale is what rounding leaves, however small the
+ * terms at hand are. */
 
 /* A size that was found in data, or the scale where that is a zero. */
 static inline real_t size_or(real_t size, real_t scale)

@@ -79,7 +79,7 @@ static void set_weights(solver_t *s)
 /* Resets the plan: every state at its declared initial value, controls at their references. */
 static void algorithm_reset(solver_t *s)
 {
-    for (int i = 0; i < NX; i++) { /* not by memcpy, see fill_copies() */
+    for (int i = 0; i < NX; i++) { /* not by memcpy: GCC 12 with AVX-512 */
         s->x[0][i] = initial_state[i];
     }
     hold_states(s);
@@ -163,9 +163,9 @@ static status_t recover(solver_t *s, status_t status)
     return status;
 }
 
-/* ITERATIONS steps from the measured x_0, and up to REPAIRS more while the last one is long and was not taken as a
- * whole, then one update of the multipliers of the rows. NOT_CONVERGED if the last one should have moved the first
- * control. */
+/* ITERATIONS steps from the measured x_0, [if REPAIRS > 0: and up to REPAIRS more while the last one is long and was
+ * not taken as a whole,] then one update of the multipliers of the rows. NOT_CONVERGED if the last one should have
+ * moved the first control. */
 static status_t run_sample(solver_t *s)
 {
     status_t status = start_sample(s);
@@ -189,7 +189,7 @@ status_t API(step)(solver_t *s, const real_t xhat[NX], real_t u0[NU])
 {
     status_t status = NOT_FINITE;
     if (s->magic != MAGIC) {
-        for (int j = 0; j < NU; j++) { /* not by memcpy, see fill_copies() */
+        for (int j = 0; j < NU; j++) { /* not by memcpy: GCC 12 with AVX-512 */
             u0[j] = default_control[j];
         }
         return NOT_INITIALIZED;

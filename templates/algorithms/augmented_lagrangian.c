@@ -72,7 +72,7 @@ status_t API(prepare)(solver_t *s)
         restore_multipliers(s);
     }
     s->prepared = 1;
-    if (s->unconverged >= PATIENCE) { /* repair leads nowhere from here */
+    if (s->unconverged >= PATIENCE) { /* no further round leads anywhere from here */
         reset_search(s);
         start_anew(s);
         s->unconverged = 1;

@@ -3,7 +3,7 @@ status_t API(feedback)(solver_t *s, const real_t xhat[NX], real_t u0[NU])
     status_t status;
     int measured, broken;
     if (s->magic != MAGIC) {
-        for (int j = 0; j < NU; j++) { /* not by memcpy, see fill_copies() */
+        for (int j = 0; j < NU; j++) { /* not by memcpy: GCC 12 with AVX-512 */
             u0[j] = default_control[j];
         }
         return NOT_INITIALIZED;

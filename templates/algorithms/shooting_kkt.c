@@ -1,6 +1,6 @@
 /* KKT residuals of the plan: as they are and, the largest of them all, divided by the scale of what they belong to plus
  * the magnitudes of the terms that are summed up. The dynamics hold because the states are simulated. The multipliers
- * are those of the rows (what = MULTIPLIER) or their estimates (ESTIMATE), those of the control bounds follow from the
+ * are those of the rows or, as `what` says, their estimates, those of the control bounds follow from the
  * gradient. */
 
 #include "algorithms/kkt_terms.c"

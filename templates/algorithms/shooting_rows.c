@@ -27,8 +27,7 @@ static real_t updated_multiplier(const solver_t *s, int m, real_t slope, real_t 
 static int sharpen_terms(solver_t *s);
 static int update_terms(solver_t *s, real_t tol, real_t *violation);
 
-/* Values and gradients of the general [if NE > 0: and coupled] rows of node k; structural zeros of J [if NH_N > 0: and
- * J_N] are not stored. */
+/* Values and gradients of the general [if NE > 0: and coupled] rows of node k; structural zeros are not stored. */
 static void evaluate_nodal_rows(const solver_t *s, int k, real_t *h, real_t *J)
 {
     if (k < N) {

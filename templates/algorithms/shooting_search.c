@@ -54,7 +54,7 @@ static int move(solver_t *s, real_t slope, int trials)
     const real_t before = merit(s);
     real_t length = s->shooting.length;
     memcpy(s->shooting.p, s->u, sizeof s->shooting.p);
-    for (int n = 0; n < TRIALS_OF_SOLVE && n < trials; n++) {
+    for (int n = 0; n < MOST_TRIALS && n < trials; n++) {
         const real_t change = place_controls(s, length, slope);
         if (simulate_plan(s)) {
             const real_t after = merit(s);

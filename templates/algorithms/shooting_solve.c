@@ -61,7 +61,7 @@ static status_t iterate(solver_t *s, real_t tol, int max_iterations)
             return unsolved(status, STALLED);
         }
         s->stats.sqp_iterations++;
-        status = improve(s, TRIALS_OF_SOLVE, &moved);
+        status = improve(s, MOST_TRIALS, &moved);
         if (status == NUMERICAL_FAILURE) {
             return status;
         }

@@ -127,7 +127,8 @@ static void condense_add_curvature(solver_t *s)
     }
 }
 
-/* Panel of the condensed Hessian without R_k: W_N = Q_N G_N, then its block rows T from the last to the first. */
+/* Panel of the condensed Hessian without R_k: [if TERMINAL_BLOCK: W_N = Q_N G_N, then] its block rows T from the last
+ * to the first. */
 static void condense_hessian(solver_t *s, int column)
 {
     columns_t *p = &s->qp.work.columns;

@@ -8,10 +8,9 @@
  *   condense_multiplier  multiplier of x_k after condense_solve has succeeded
  *   condense_shift     shifts the predicted working set of the controls by one interval
  *   condense_shift_rows  row m takes the predicted side of row source[m]
- * Here: nothing is eliminated; the stages of the QP are those of the problem.
- * Data that a QP solver on stages reads: stage_S = [A B], stage_b, stage_g, stage_Q, stage_Q_N (lower triangles),
- * stage_row (gradient of a general row), stage_row_value (constant of a row), and the tables stage_first, stage_of_row,
- * stage_state. */
+ * Here: nothing is eliminated; the stages of the QP are those of the problem. Data that a QP solver on stages reads:
+ * stage_S = [A B], stage_b, stage_g, stage_Q, stage_Q_N (lower triangles), [if NG > 0: gradients and constants of
+ * rows,] and the tables stage_first, stage_of_row, stage_state. */
 
 static void qp_init(solver_t *s);
 static status_t qp_factorize(solver_t *s);

@@ -11,11 +11,10 @@
  *     dx_{kB+j} = G_j (dx_kB, du_kB .. du_{kB+B-1}) + c_j,   [A B] = G_B,  b = c_B,
  *     Q = sum_j Z_j' Q_{kB+j} Z_j,   g = sum_j Z_j' (g_{kB+j} + Q_{kB+j} (c_j, 0)),
  *     Z_j = [G_j; selection of du_{kB+j}].
- * If there are coupled rows, the states of the stages also contain copies of the free components of x_0, which remain
- * constant: z = (dx, copies, du).
- * Controls beyond the horizon are padding with Hessian 1, no gradient and no bounds, so that they remain 0.
- * Data that a QP solver on stages reads: stage_S = [A B], stage_b, stage_g, stage_Q, stage_Q_N (lower triangles),
- * stage_row (gradient of a general row), stage_row_value (constant of a row), and the tables stage_first, stage_of_row,
+ * [if NE > 0 && NF > 0: The states of the stages also contain copies of the free components of x_0, which remain
+ * constant: z = (dx, copies, du).] Controls beyond the horizon are padding with Hessian 1, no gradient and no bounds,
+ * so that they remain 0. Data that a QP solver on stages reads: stage_S = [A B], stage_b, stage_g, stage_Q, stage_Q_N
+ * (lower triangles), [if NG > 0: gradients and constants of rows,] and the tables stage_first, stage_of_row,
  * stage_state. */
 
 static void qp_init(solver_t *s);
@@ -50,7 +49,7 @@ static inline real_t (*stage_Q_N(solver_t *s))[NXS]
     return s->blocks.Q_N;
 }
 
-/* Gradient of the general or coupled row m in the variables of its stage. */
+/* Gradient of the general [if NE > 0: or coupled] row m in the variables of its stage. */
 static inline const real_t *stage_row(const solver_t *s, int m)
 {
     return s->blocks.J[m];
@@ -142,7 +141,7 @@ static void condense_hessian(solver_t *s, block_t *block, real_t (*Q)[NZ], int n
 }
 
 /* Gradients of the rows of a node in the variables of its block: J_x G_j, and J_u at du_j. At the terminal node the
- * gradient is J_x, with J_0 at the copies for a coupled row. */
+ * gradient is J_x[if NE > 0:, with J_0 at the copies for a coupled row]. */
 static void condense_block_rows(solver_t *s, int node)
 {
     const int j = node - node / BLOCK * BLOCK; /* index of the node in its block */

@@ -3,7 +3,7 @@ static void condense_shift(solver_t *s)
     qp_shift_controls(&s->qp, NU);
 }
 
-/* The predicted sides of the slacks move with those of their rows. */
+/* The rows move as `source` says[if NSL > 0:; the predicted sides of the slacks move with those of their rows]. */
 static void condense_shift_rows(solver_t *s, const int *source)
 {
     if (NSL) {

@@ -1,4 +1,8 @@
-/* Component "hessian". Contract: expand_node() and hessian() as in gauss_newton.c.
+/* Component "hessian". Contract:
+ *   expand_node(s, k, x_next)   s->node[k].S and g, and x_next = Phi; called from the last node to the first, after the
+ *                               terminal gradient has been evaluated
+ *   hessian(s)                  called next: the blocks of s->hessian, lower triangles, z = (x, u)
+ *   condense_factorize(s)       qp_factorize(), and treatment of a condensed Hessian that is not positive definite
  * Here: Q = M at every node and Q_N = M_f, constants. */
 
 #include "hessians/first_order.c"

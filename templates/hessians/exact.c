@@ -1,4 +1,8 @@
-/* Component "hessian". Contract: expand_node(), hessian() and condense_factorize() as in gauss_newton.c.
+/* Component "hessian". Contract:
+ *   expand_node(s, k, x_next)   s->node[k].S and g, and x_next = Phi; called from the last node to the first, after the
+ *                               terminal gradient has been evaluated
+ *   hessian(s)                  called next: the blocks of s->hessian, lower triangles, z = (x, u)
+ *   condense_factorize(s)       qp_factorize(), and treatment of a condensed Hessian that is not positive definite
  * Here: the exact Hessian of the Lagrangian, Q_k = d2 (l_k + lam_{k+1}' Phi_k + mu_k' h_k), with the multipliers of the
  * last QP. If all lam are zero, as after reset, an adjoint sweep over the nodes provides them:
  * lam_k = q_k + A_k' lam_{k+1}. */

@@ -1,11 +1,9 @@
 /* Component "hessian". Contract:
  *   expand_node(s, k, x_next)   s->node[k].S and g, and x_next = Phi; called from the last node to the first, after the
  *                               terminal gradient has been evaluated
- *   hessian(s)                  called next: s->hessian.Q (one block, or one per node) and Q_N, lower triangles,
- *                               z = (x, u)
- * and, for full condensing,
- *   condense_factorize(s)       qp_factorize(), and treatment of a condensed Hessian that is not positive definite */
-/* Here: Gauss-Newton, Q = J' W J; one block for all nodes if it depends only on the weight. */
+ *   hessian(s)                  called next: the blocks of s->hessian, lower triangles, z = (x, u)
+ *   condense_factorize(s)       qp_factorize(), and treatment of a condensed Hessian that is not positive definite
+ * Here: Gauss-Newton, Q = J' W J; one block for all nodes if it depends only on the weight. */
 
 #include "hessians/first_order.c"
 

@@ -19,8 +19,8 @@
  *                 Returns OK; ITERATION_LIMIT, STALLED (a working set repeats itself, or rounding decides whether rows
  *                 contradict one another) or INFEASIBLE with z the last iterate, or 0 if bounds cross;
  *                 NUMERICAL_FAILURE (data not finite, cost unbounded below) with z = mult = 0.
- *   qp_shift_controls, qp_shift_rows  called before qp_factorize: shift the predicted working set by n controls, and
- *                 its rows as given by source[].
+ *   qp_shift_controls  called before qp_factorize: shifts the predicted working set by n controls
+ *   qp_shift_rows      the same of its rows, as given by source[]
  * Bounds may be infinite; equal bounds are an equality. Redundant consistent equalities get the multiplier 0; `dropped`
  * is their number[if ELASTIC:, and `relaxed` is the number of violated elastic rows]. Crossed bounds are INFEASIBLE[if
  * ELASTIC:, also those of elastic rows; without crossed bounds and hard rows the result is never INFEASIBLE]. [if

@@ -12,8 +12,8 @@
  *   qp_solve      feedback: dx_0 in step.dx[0], lower and upper [if ELASTIC: and penalty] are known.
  *                 Writes x, z, mult, iterations, changes, relaxed. Returns OK; ITERATION_LIMIT;
  *                 STALLED if a working set repeats itself; INFEASIBLE; NUMERICAL_FAILURE with x = z = mult = 0.
- *   qp_shift_controls, qp_shift_rows  called before qp_factorize: shift the predicted working set by n controls, and
- *                 its rows as given by source[].
+ *   qp_shift_controls  called before qp_factorize: shifts the predicted working set by n controls
+ *   qp_shift_rows      the same of its rows, as given by source[]
  * Bounds may be infinite; equal bounds are an equation. [if ELASTIC: A soft row (finite penalty) costs penalty v +
  * curvature / 2 v^2 for a violation v; `relaxed` is the number of violated soft rows.] side[] is the working set and is
  * kept for the warm start; the caller may change it before qp_factorize.

@@ -7,8 +7,9 @@
  *   qp_gradient   called if gradients or gaps have changed, but no matrix.
  *   qp_solve      feedback: dx_0 in step.dx[0], present bounds [if ELASTIC: and penalties].
  *                 Writes x, z, mult, side, iterations, relaxed. Returns OK; ITERATION_LIMIT; INFEASIBLE;
- *                 NUMERICAL_FAILURE. [if SOLVE: Of INFEASIBLE, certificate[] is a proof.]
- *   qp_shift_controls, qp_shift_rows  shift the warm start by n controls, and its rows as given by source[].
+ *                 NUMERICAL_FAILURE.
+ *   qp_shift_controls  shifts the warm start by n controls
+ *   qp_shift_rows      the same of its rows, as given by source[]
  * ------------------------------------------------------------------------------------------------------------------ */
 
 #include "riccati/recursion.c"

@@ -110,9 +110,9 @@ static int riccati_try(solver_t *s, real_t hold, real_t shift)
     return riccati_factorize(s, NS);
 }
 
-/* The recursion with the smallest shift, up to a factor of four, for which it succeeds, plus one eighth, or twice this
- * shift if MIRROR, as if the negative eigenvalue changed its sign. A full step with a smaller one may be too long. The
- * search starts at the shift of the previous QP. Returns 0 if there is none. */
+/* The recursion with the smallest shift, up to a factor of four, for which it succeeds, [if MIRROR: twice this shift,
+ * as if the negative eigenvalue changed its sign else: plus one eighth]. A full step with a smaller one may be too
+ * long. The search starts at the shift of the previous QP. Returns 0 if there is none. */
 static int riccati_shift(solver_t *s, real_t hold)
 {
     const real_t least = regularization[0], before = s->riccati.shift;

@@ -285,8 +285,8 @@ def _macros(model: Model, dims: Dims, whole: bool) -> tuple[Macro, ...]:
         "NV": "variables of the QP",
         "NSL": "slack variables of the QP",
         "NG": "scalar rows of all nodes besides control bounds",
-        "LDV": "NV rounded up to PANEL",
-        "LDH": "NV - NSL rounded up to PANEL",
+        "LDV": "NV rounded up to a multiple of 4",
+        "LDH": "length of a row of H and A, a multiple of 4",
     }
     core = [s for s in vars(dims).values() if isinstance(s, Size) and (s.text != "NQ" or model.parts.hessian)]
     of_qp: Iterable[Size] = () if dims.condensed is None else vars(dims.condensed).values()

@@ -115,10 +115,11 @@ def _filled(module: CModule) -> dict[str, Any]:
     known = all_definitions(module)
     kernels = {routine.name: print_routine(routine, module.style) for routine in module.routines}
     body = render_unit(module, names)
-    if module.whole:
+    constants = None if module.whole else constants_of(module, known)
+    if constants is None:
         body = "\n\n".join([*kernels.values(), worded(body, None)])
     else:
-        body, known = pruned(body, kernels, known, constants_of(module, known))
+        body, known = pruned(body, kernels, known, constants)
     words = names_in(blanked(body))
     math = own_math(module, definitions(known, words)[1])
     words |= names_in(math)
@@ -128,7 +129,8 @@ def _filled(module: CModule) -> dict[str, Any]:
     renamed = renamed_words(definitions(known, words)[1], header, module.name, members)
     types = [*(s.name for s in module.structs), "status"]
     docs = {macro.name: macro.doc for macro in module.macros if not macro.public}
-    short_names = preamble(module.name, types, known, words, renamed, docs)
+    short_names = worded(preamble(module.name, types, known, words, renamed, docs), constants)
+    tables = worded(tables, constants)
     texts = {"body": body, "math": math, "tables": tables}
     return {
         **names,

@@ -182,7 +182,7 @@ FACTORS: dict[str, tuple[float, str]] = {
     "filter_limit": (10000.0, "violation that no step may reach, relative to the first one"),
     "condensed_least_terms": (
         2.0**-4,
-        "least magnitude of the terms of a row, relative to its scale: TOL_QP_RESIDUAL of it is TOL_ROUNDING",
+        "least magnitude of the terms of a row, relative to its scale: the accepted residual of it is a rounding error",
     ),
     "dense_shown": (0.25, "part of |m| |y| whose rounding may show in a row with the normal m"),
     "dense_apart": (

@@ -1,7 +1,7 @@
 """Comments without what the package lacks: phrases of it, and entries of contracts for functions that nothing reaches.
 
 A phrase that depends on sizes or features is written [if NE > 0: and coupled], or [if SOLVE: both else: one]: the
-condition is one of C.
+condition is one of C, in which, as in #if, a name that the package does not have is 0.
 """
 
 from __future__ import annotations
@@ -54,10 +54,16 @@ def _worded(before: str, comment: str, constants: Constants | None) -> str:
 
 
 def _phrase(found: re.Match[str], constants: Constants | None) -> str:
-    value = True if constants is None else constants.truth(expression(found["condition"]))
-    if value is None:
-        raise ValueError(f"{found[0]}: expected a condition on sizes and features of the package")
+    value = True if constants is None else _holds(found["condition"], constants)
     return ((found["there"] if value else found["otherwise"]) or "").strip()
+
+
+def _holds(condition: str, constants: Constants) -> bool:
+    known = re.sub(r"[A-Z]\w*", lambda name: name[0] if name[0] in constants.sizes else "0", condition)
+    value = constants.truth(expression(known))
+    if value is None:
+        raise ValueError(f"[if {condition}: ...]: expected a condition on sizes and features of the package")
+    return value
 
 
 def _without_emptied(lines: str, before: str) -> str:

@@ -7,6 +7,7 @@ and arguments that nothing reads (arguments.py).
 
 from __future__ import annotations
 
+import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from functools import lru_cache
 
@@ -27,7 +28,7 @@ def pruned(
 ) -> tuple[str, list[Definition]]:
     """The text of a unit, whose macros are ``known``, without what it does not need, and the macros without the
     arguments that they do not read; ``kernels``: printed functions by name, which stand before it."""
-    unit = worded(unit, constants)
+    unit = _without_zeros(worded(unit, constants), constants)
     *chunks, rest = f"{unit}\n".split("\n}\n")
     found = [item for chunk in (*(f"\n{chunk}\n}}" for chunk in chunks), f"\n{rest}") for item in items(chunk)]
     found, known = without_unread(found, kernels, known, constants)
@@ -48,6 +49,12 @@ def pruned(
 
     parts = [text(first, early), *([LAST_HEADING, text(last, names - early)] if last else [])]
     return "\n\n".join(parts) + "\n", known
+
+
+def _without_zeros(unit: str, constants: Constants) -> str:
+    """A unit without sizes that are 0 in sums."""
+    zeros = "|".join(name for name, value in constants.sizes.items() if value == 0)
+    return re.sub(rf"(?<=[\w)]) [-+] (?:{zeros})\b(?! *[*/%\[(.])", "", unit) if zeros else unit
 
 
 def _apart(kept: Sequence[Item], early: Collection[str]) -> tuple[list[Item], list[Item]]:
