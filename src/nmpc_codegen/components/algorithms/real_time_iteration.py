@@ -417,7 +417,7 @@ def _stats(repair: int) -> Struct:
             count("active_set_changes", "changes of the working set in the last QP"),
             count("dropped_rows", "redundant rows left out of the working set"),
             count("relaxed_rows", "soft or relaxed rows that are violated"),
-            count("sqp_iterations", "iterations of the last solve"),
+            Field("sqp_iterations", (), "iterations of the last solve", "result", "int32", only=lambda f: f.solve),
             Field(
                 *("stale_hessian", (), "1: the Hessian belongs to other data than the present ones", "result", "int32"),
                 only=lambda f: f.tuned,

@@ -93,7 +93,10 @@ class Osqp(Defaults):
                     Field("certificate", (rows,), "if INFEASIBLE: weights of a contradiction", "result"),
                     Field("P_x", (entries["OSQP_P"],), "upper triangle of H by columns", "scratch"),
                     Field("A_x", (entries["OSQP_A"],), "(I; A) by columns", "scratch"),
-                    Field("side", (rows,), "not used: OSQP has no working set", "scratch", "int32"),
+                    *stated(
+                        dims.ng.value > 0,
+                        Field("side", (rows,), "not used: OSQP has no working set", "scratch", "int32"),
+                    ),
                     Field("iterations", (), "iterations of the last qp_solve", "result", "int32"),
                     Field("changes", (), "always 0", "result", "int32"),
                     Field("dropped", (), "always 0", "result", "int32"),

@@ -1,4 +1,4 @@
-"""Comments without what the package lacks: phrases of it, and entries of contracts for functions that nothing reaches.
+"""Comments without what the package lacks: phrases of it, and entries of contracts for functions that it does not have.
 
 A phrase that depends on sizes or features is written [if NE > 0: and coupled], or [if SOLVE: both else: one]: the
 condition is one of C, in which, as in #if, a name that the package does not have is 0.
@@ -82,15 +82,15 @@ def _filled(paragraph: str, margin: str, is_beside: bool) -> str:
     return "\n".join(lines).replace(_TIE, " ")
 
 
-def without_entries(comment: str, gone: Collection[str]) -> str:
-    """A contract without the entries of functions that are gone."""
+def without_entries(comment: str, there: Collection[str]) -> str:
+    """A contract without the entries of functions that are not there."""
     kept: list[str] = []
     margin = None  # of the entry that is left out
     for line in comment.split("\n"):
         entry = _ENTRY.match(line)
         if entry is not None:
             names = entry["names"].split(", ")
-            margin = len(entry["margin"]) if all(name in gone for name in names) else None
+            margin = len(entry["margin"]) if not any(name in there for name in names) else None
         elif margin is not None and not line.startswith(" *" + " " * margin):
             margin = None
         if margin is None:

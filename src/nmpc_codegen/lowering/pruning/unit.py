@@ -34,9 +34,9 @@ def pruned(
     found, known = without_unread(found, kernels, known, constants)
     macros = Macros(known)
     functions, names = reached(found, kernels, macros, constants)
-    gone = {item.name for item in found if item.kind == "function"} - names
+    there = {"API", *functions}
     kept = _without_idle_headings([item for item in found if _stays(item, names)], found)
-    kept = [item if item.kind == "function" else item._replace(text=without_entries(item.text, gone)) for item in kept]
+    kept = [item if item.kind == "function" else item._replace(text=without_entries(item.text, there)) for item in kept]
     early = names
     if any(item.name == LAST for item in kept):
         _, early = reached([item for item in found if item.name != LAST], kernels, macros, constants)
