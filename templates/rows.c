@@ -146,7 +146,7 @@ static inline int row_is_soft(int m)
 /* What a violation of row m costs by its node: the way back may lead through larger ones of rows on states alone. */
 static inline real_t relaxed_price(const solver_t *s, int m)
 {
-    if (RELAX) {
+    if (PRICED_ROWS) {
         return on_states[row_id(m)] ? s->price[row_node(m)] : R(1);
     }
     return R(1);

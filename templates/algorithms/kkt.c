@@ -108,6 +108,10 @@ void API(kkt)(const solver_t *s, kkt_t *out)
     terminal_t terminal;
     real_t x_next[NX];
     memset(out, 0, sizeof *out);
+    if (s->magic != MAGIC) {
+        out->relative = INF;
+        return;
+    }
     memset(&node, 0, sizeof node);
     memset(&terminal, 0, sizeof terminal);
     for (int k = 0; k < N; k++) {

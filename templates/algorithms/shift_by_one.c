@@ -42,7 +42,7 @@ static void shift_by_one(solver_t *s)
     if (HAS_QP) {
         condense_shift(s);
     }
-    if (NG > 0) {
+    if (ROWS_MOVE) {
         shift_rows(s);
     }
 }

@@ -64,5 +64,10 @@ static real_t residual_of(const solver_t *s, int what, kkt_t *kkt)
 
 void API(kkt)(const solver_t *s, kkt_t *out)
 {
+    if (s->magic != MAGIC) {
+        memset(out, 0, sizeof *out);
+        out->relative = INF;
+        return;
+    }
     (void)residual_of(s, MULTIPLIER, out);
 }

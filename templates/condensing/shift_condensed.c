@@ -9,7 +9,7 @@ static void condense_shift_rows(solver_t *s, const int *source)
     if (NSL) {
         for (int m = 0; m < NG; ++m) {
             if (row_slack[m] >= 0) {
-                s->qp.side[row_slack[m]] = (source[m] < 0) ? 0 : s->qp.side[row_slack[source[m]]];
+                s->qp.side[row_slack[m]] = s->qp.side[row_slack[source[m]]];
             }
         }
     }

@@ -76,9 +76,11 @@ static void set_price(solver_t *s, real_t ratio)
 
 static void relaxation_on_reset(solver_t *s)
 {
-    set_price(s, R(1));
-    s->rises = 0;
-    s->outside = R(0);
+    if (PRICED_ROWS) {
+        set_price(s, R(1));
+        s->rises = 0;
+        s->outside = R(0);
+    }
 }
 
 static void relaxation_before_solve(solver_t *s)
@@ -112,19 +114,21 @@ static void sweep_price(solver_t *s)
  * relaxed QP that is given up may have a solution at another price: equal ones let its vertices coincide. */
 static status_t relaxation_after_feedback(solver_t *s, status_t status)
 {
-    const real_t before = s->outside;
-    if (status == OK) {
-        s->outside = R(0);
-        s->rises = 0;
-        if (s->price[N - 1] < R(1)) {
-            set_price(s, s->price[N - 1] * price_change[1]);
-        }
-    } else if (is_given_up(status)) {
-        sweep_price(s);
-    } else if (status == RELAXED) {
-        s->outside = next_violation(s);
-        if (!(s->outside < FACTOR_RELAXATION_FALLS * before)) {
+    if (PRICED_ROWS) {
+        const real_t before = s->outside;
+        if (status == OK) {
+            s->outside = R(0);
+            s->rises = 0;
+            if (s->price[N - 1] < R(1)) {
+                set_price(s, s->price[N - 1] * price_change[1]);
+            }
+        } else if (is_given_up(status)) {
             sweep_price(s);
+        } else if (status == RELAXED) {
+            s->outside = next_violation(s);
+            if (!(s->outside < FACTOR_RELAXATION_FALLS * before)) {
+                sweep_price(s);
+            }
         }
     }
     return status;

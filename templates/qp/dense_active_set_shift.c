@@ -7,10 +7,10 @@ static void qp_shift_controls(qp_t *q, int n)
     }
 }
 
-/* General row j takes the predicted side of row source[j] >= j, or none if source[j] < 0. */
+/* General row j takes the predicted side of row source[j] >= j. */
 static void qp_shift_rows(qp_t *q, const int *source)
 {
     for (int j = 0; j < NG; ++j) {
-        q->side[NV + j] = source[j] < 0 ? 0 : q->side[NV + source[j]];
+        q->side[NV + j] = q->side[NV + source[j]];
     }
 }

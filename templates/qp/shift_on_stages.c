@@ -9,13 +9,12 @@ static void qp_shift_controls(solver_t *s, int n)
     }
 }
 
-/* Row m takes the predicted side of row source[m] >= m, or none if source[m] < 0. */
+/* Row m takes the predicted side of row source[m] >= m. */
 static void qp_shift_rows(solver_t *s, const int *source)
 {
     qp_t *q = &s->qp;
     for (int m = 0; m < NG; m++) {
-        const int from = NV + source[m];
-        q->side[NV + m] = source[m] < 0 ? INACTIVE : q->side[from];
-        q->mult[NV + m] = source[m] < 0 ? R(0) : q->mult[from];
+        q->side[NV + m] = q->side[NV + source[m]];
+        q->mult[NV + m] = q->mult[NV + source[m]];
     }
 }

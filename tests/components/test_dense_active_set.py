@@ -407,8 +407,8 @@ def test_a_negative_penalty_is_refused() -> None:
 def test_rows_take_the_prediction_they_are_told() -> None:
     solver = solver_of(4, 3)
     solver["side"][:7] = [0, 1, -1, 1, -1, 2, 1]
-    solver.shift(1, [1, 2, -1])
-    assert list(solver["side"][:7]) == [1, -1, 1, 1, 2, 1, 0]
+    solver.shift(1, [1, 2, 2])
+    assert list(solver["side"][:7]) == [1, -1, 1, 1, 2, 1, 1]
 
 
 def test_the_judge_of_random_problems_sees_wrong_answers() -> None:

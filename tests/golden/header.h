@@ -4,8 +4,8 @@
 golden_status_t golden_init(golden_solver_t *s);
 golden_status_t golden_reset(golden_solver_t *s);
 
-/* Preparation phase: linearise, condense, factorise; before that, repair a plan that is far from the model. A call
- * that fails leaves the plan unchanged; feedback restarts a plan that fails repeatedly. */
+/* Preparation phase: move the plan to the next sample, repair it if it is far from the model, linearise, condense,
+ * factorise. A call that fails leaves the plan unchanged; feedback restarts a plan that fails repeatedly. */
 golden_status_t golden_prepare(golden_solver_t *s);
 
 /* Feedback phase: compute u0 for the measured xhat; u0 is finite and inside its bounds on every return. */
@@ -14,7 +14,7 @@ golden_status_t golden_feedback(golden_solver_t *s, const golden_real xhat[GOLDE
 /* Call prepare and feedback. */
 golden_status_t golden_step(golden_solver_t *s, const golden_real xhat[GOLDEN_NX], golden_real u0[GOLDEN_NU]);
 
-/* Move the plan by one interval. */
+/* Move the plan by one interval. The first prepare after a feedback does so by itself: a call moves it once more. */
 golden_status_t golden_shift(golden_solver_t *s);
 
 /* Iterate from the present plan, with globalisation, until the KKT residual is at most tol or max_iterations is
@@ -35,7 +35,8 @@ golden_status_t golden_set_terminal_weight(golden_solver_t *s, const golden_real
 golden_status_t golden_set_parameter(golden_solver_t *s, int param, int k, const golden_real *values);
 golden_status_t golden_set_bounds(golden_solver_t *s, int row, int k, golden_real lower, golden_real upper);
 
-/* integrate: plant model over the time dt; cost: cost of the present plan; kkt: its KKT residuals. */
+/* integrate: plant model over the time dt in s, x_next may be x; cost: cost of the present plan; kkt: its KKT residuals.
+ * Before init, they give NaN and an infinite residual. */
 void golden_integrate(const golden_solver_t *s, const golden_real x[GOLDEN_NX], const golden_real u[GOLDEN_NU],
     golden_real dt, golden_real x_next[GOLDEN_NX]);
 golden_real golden_cost(const golden_solver_t *s);
@@ -48,4 +49,4 @@ const char *golden_status_string(golden_status_t status);
 #endif
 
 #endif
-/* nmpc_codegen package 2a6339fe82d5bcf9, sha256 0006b88d500569637893a923c0713fe435cd11124eb8965a58a80b97f1a89951 */
+/* nmpc_codegen package 26cd058fee7d2359, sha256 a8e36500e6cc73b5798e6d9d601993d5d38e7e9082d2cae87f0c854cc29519f0 */

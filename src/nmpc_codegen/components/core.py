@@ -95,7 +95,7 @@ def _rows(dims: Dims) -> Struct:
             Field("row_scale", (dims.nr,), "largest terms of the rows", "keep", only=lambda f: f.row_scales),
             Field("relaxation", (), penalty, "scratch", only=lambda f: f.relaxation),
             Field("row_residual", (), left, "keep", only=lambda f: f.nonlinear_rows),
-            Field("price", (nodes,), price, "keep", only=lambda f: f.relax and f.hard_rows),
+            Field("price", (nodes,), price, "keep", only=lambda f: f.priced_rows),
         ),
         only=lambda f: f.has_qp,
     )

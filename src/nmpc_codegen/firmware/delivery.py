@@ -22,6 +22,7 @@ from nmpc_codegen.firmware.verify import Verdict, verify
 from nmpc_codegen.lowering.render import environment
 from nmpc_codegen.options import GOALS
 from nmpc_codegen.package.description import PackageDescription
+from nmpc_codegen.package.seal import without_seal
 from nmpc_codegen.runtime.build import load
 from nmpc_codegen.targets import PORTABLE, TARGETS, Target
 
@@ -76,10 +77,17 @@ def deliver(
         f"{FOLDER}/{path}": text for path, text in sources(target, recording.header, certificate.stack_worst).items()
     }
     files |= layouts(package, recording, target, certificate, budgets.ram)
+    files |= _at_level(package, level)
     forms = forms_of({goal: variant(goal=goal) for goal in GOALS}, name, target)
     files["certificate.json"] = certificate_json(certificate, verdict, forms)
     files["certificate.md"] = page(certificate, verdict, forms, sorted(files))
     return Delivery(files, certificate, verdict, forms)
+
+
+def _at_level(package: Mapping[str, str], level: Level) -> dict[str, str]:
+    """The files of the package that name an optimisation level, without their seals, with that of the certificate."""
+    paths = () if level == "O2" else ("CMakeLists.txt", "README.md")
+    return {path: without_seal(package[path]).replace(" -O2 ", f" -{level} ") for path in paths}
 
 
 def _verified(package: Mapping[str, str], name: str, target: Target, variant: Variant) -> Verdict:

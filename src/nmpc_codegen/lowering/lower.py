@@ -185,6 +185,8 @@ def _features(model: Model) -> Features:
         curved=curved,
         keeps_multipliers=curved or found.stage_multipliers,
         relaxation=relaxable,
+        priced_rows=found.relax
+        and any(k < p.N and p.rows[row].soft is None and p.rows_on_states[row] for k, _, _, row in p.qp_rows),
         elastic=relaxable or any(row.soft is not None for row in p.rows),
         nonlinear_rows=nonlinear,
         nonlinear_model=found.has_qp and model.nonlinear_model,
@@ -212,6 +214,7 @@ def _of_problem(model: Model) -> Features:
         state_rows=0 in kinds,
         general_rows=1 in kinds,
         hard_rows=any(p.rows[row].soft is None for _, _, _, row in p.qp_rows),
+        rows_move=any((k + 1, row) in {(k, row) for k, _, _, row in p.qp_rows} for k, _, _, row in p.qp_rows),
         proximal=bool(p.proximal),
         idle_end=p.idle_end and parts.algorithm.shift == "repeat",
         end_equations=any(k == p.N and _is_equation(p.rows[row]) for k, _, _, row in p.qp_rows),
@@ -306,7 +309,7 @@ def _macros(model: Model, dims: Dims, whole: bool) -> tuple[Macro, ...]:
     if reach or whole:
         steps = math.ceil(reach + ROUNDING_OF_STEPS)
         macros.append(Macro("PLAN_STEPS", steps, "integration steps from a node of the plan to a new one, at most"))
-    macros.append(Macro("MANY", MANY, "maximum value of counters"))
+    macros.append(Macro("MANY", MANY, "most integration steps of one call, and largest count of samples"))
     macros.append(Macro("MAGIC", MAGIC, "marks a struct that init has initialised"))
     if whole:
         absent = (entry for component in parts.components for entry in component.absent_sizes(dims))

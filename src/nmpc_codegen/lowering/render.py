@@ -235,6 +235,8 @@ def _of_target(module: CModule, headers: Collection[str]) -> dict[str, str]:
     gnu = f"GNU C (gcc 12 or newer, clang) for {target.machine}"
     return {
         "contraction": "fast" if module.target.board is None else "off",  # with which a certificate is made
+        "position_independent": "ON" if module.target.board is None else "OFF",
+        "headers": ", ".join(f"`<{header}>`" for header in sorted({"stdint.h", *headers} - {"immintrin.h"})),
         "flags": "".join(f" {flag}" for flag in target.of_machine),
         "compiler": "gcc" if x86 else "cc",
         "moves": f" {UNALIGNED_MOVES}" if x86 else "",

@@ -57,11 +57,11 @@ TOLERANCES: dict[str, tuple[float, str]] = {
     "curved_pivot": (2.0**12, "pivot of the Hessian of solve() that counts as zero, in units of its variable"),
     "zero": (1.0, "value that is no size, relative to the scale"),
     "rounding": (2.0**6, "residual that rounding leaves of a quantity, relative to its scale"),
-    "unit": (1.0, "the machine epsilon; its square root separates a zero pivot from a positive one"),
-    "merit_rounding": (2.0**6, "change of the merit function taken as rounding, relative to 1 + |phi|"),
+    "unit": (1.0, "the machine epsilon"),
+    "merit_rounding": (2.0**6, "change of the cost or of the violation taken as rounding, relative to its size"),
     "semidefinite": (2.0**10, "pivot of the curvature of rows taken as zero, relative to its largest diagonal entry"),
     "eigen_offdiagonal": (1.0, "element off the diagonal that Jacobi rotations leave, relative to the largest entry"),
-    "eigen_tiny": (2.0**-40, "entries below it, relative to the largest, do not count in a decomposition"),
+    "eigen_tiny": (2.0**-40, "is added to denominators of a decomposition, relative to the largest entry"),
     "face": (2.0**6, "distance from a bound of the box that is taken as zero, relative to its width"),
     "terminal_compliance": (
         2.0**10,
@@ -136,7 +136,7 @@ FACTORS: dict[str, tuple[float, str]] = {
     "shift_ratio": (4.0, "ratio of successive shifts between which the least one is searched"),
     "shift_margin": (
         1.125,
-        "shift that is taken, relative to the least one found: the search ends within a quarter of a factor of 4",
+        "shift that is taken, relative to the least one found: the search ends within a factor of 4^(1/8)",
     ),
     "shift_at_kink": (0.999, "part of its penalty below which the multiplier of a soft row is that of a kink"),
     "shift_known": (1e-08, "last shift from which a search begins"),

@@ -59,6 +59,8 @@ class Features:
     state_rows: bool = False  # bounds of states are rows of the QP
     general_rows: bool = False
     hard_rows: bool = False
+    rows_move: bool = False  # some row holds at two consecutive nodes
+    priced_rows: bool = False  # hard rows on states before the last node, which samples may relax
     nonlinear_rows: bool = False  # a QP does not see how rows bend
     pulled_rows: bool = False  # hard rows on controls alone bend
     nonlinear_model: bool = False  # a step leaves gaps

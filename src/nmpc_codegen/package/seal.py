@@ -49,6 +49,11 @@ def _sealed(path: str, text: str, package: str) -> str:
     return marked.replace(blank, _LINE.format(package, hashlib.sha256(marked.encode()).hexdigest()))
 
 
+def without_seal(text: str) -> str:
+    """A text without its last line, which is the seal."""
+    return text[: text.rindex("\n", 0, -1) + 1]
+
+
 def has_seal(data: bytes) -> bool:
     """True if the bytes contain a seal, intact or not."""
     return _SEAL.search(data) is not None

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from nmpc_codegen.components.base import Dims, Feature
 from nmpc_codegen.package.memory import Field, Size, Struct
 
@@ -65,7 +67,7 @@ def _price(dims: Dims) -> tuple[Struct, ...]:
         Field("outside", (), "violation at node 1 of the sample before, in its scale, if that was RELAXED", "keep"),
         Field("rises", (), "1: the price rises again while the violation does not fall", "keep", "int32"),
     )
-    return (Struct("solver", "", members),)
+    return (Struct("solver", "", tuple(replace(member, only=lambda f: f.priced_rows) for member in members)),)
 
 
 SHIFT = Feature("shift")

@@ -55,8 +55,13 @@ PHASES = (
 )
 REPAIRING = EntryPoint(
     "prepare",
-    "Preparation phase: linearise, condense, factorise; before that, repair a plan that is far from the model. A call "
+    "Preparation phase: move the plan to the next sample, repair it if it is far from the model, linearise, condense, "
+    "factorise. A call "
     "that fails leaves the plan unchanged; feedback restarts a plan that fails repeatedly.",
+)
+SHIFT_AGAIN = EntryPoint(
+    "shift",
+    "Move the plan by one interval. The first prepare after a feedback does so by itself: a call moves it once more.",
 )
 SOLVE = EntryPoint(
     "solve",
@@ -234,7 +239,7 @@ class RealTimeIteration(Defaults):
     def entries(self, solve: bool) -> tuple[EntryPoint, ...]:
         """The two phases of a sample, both in one call, the shift of the plan, and the iteration to convergence."""
         optional = (*(FIRST if self.first_control else ()), *(LEVELS if self.leveled else ()))
-        phases = (REPAIRING, *PHASES[1:]) if self.repair else PHASES
+        phases = (REPAIRING if self.repair else PHASES[0], *PHASES[1:3], SHIFT_AGAIN if self.shift else PHASES[3])
         return (*phases, *optional, *((SOLVE,) if solve else ()))
 
     @property

@@ -71,7 +71,7 @@ class DenseActiveSet(Defaults):
         cap = self._cap(dims)
         steps = min(cap, PROXIMAL_STEPS)
         return (
-            ("QP_MAX_ITERATIONS", cap, "cap on the active-set iterations of one feedback phase"),
+            ("QP_MAX_ITERATIONS", cap, "cap on the active-set iterations of one QP"),
             ("QP_MAX_PROXIMAL_STEPS", steps, "cap on the proximal steps of a QP with a semidefinite Hessian"),
             ("QP_MAX_SEARCHES", cap + 2 * steps, "cap on the searches for violated rows"),
         )
