@@ -6,10 +6,6 @@
  *
  *     H z + g + mult[0..NV) + A' mult[NV..NV+NG) = 0,   mult > 0 at an upper bound, < 0 at a lower one, 0 in between
  *
- * [if ELASTIC: A row c with a finite penalty[c] >= 0 is elastic: the cost has the term penalty[c] (violation of the
- * row) in place of the row, so that |mult| <= penalty. If the multiplier is at that limit, the row is saturated and may
- * be violated.]
- *
  * Contract
  *   qp_init       once: all data zero, all bounds [if ELASTIC: and penalties] infinite, empty working set.
  *   qp_factorize  preparation: H (lower triangle) and A are known, lower and upper hold a prediction. Overwrites H.
@@ -21,6 +17,11 @@
  *                 NUMERICAL_FAILURE (data not finite, cost unbounded below) with z = mult = 0.
  *   qp_shift_controls  called before qp_factorize: shifts the predicted working set by n controls
  *   qp_shift_rows      the same of its rows, as given by source[]
+ *
+ * [if ELASTIC: A row c with a finite penalty[c] >= 0 is elastic: the cost has the term penalty[c] (violation of the
+ * row) in place of the row, so that |mult| <= penalty. If the multiplier is at that limit, the row is saturated and may
+ * be violated.]
+ *
  * Bounds may be infinite; equal bounds are an equality. Redundant consistent equalities get the multiplier 0; `dropped`
  * is their number[if ELASTIC:, and `relaxed` is the number of violated elastic rows]. Crossed bounds are INFEASIBLE[if
  * ELASTIC:, also those of elastic rows; without crossed bounds and hard rows the result is never INFEASIBLE]. [if

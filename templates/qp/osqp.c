@@ -1,4 +1,4 @@
-/* Component "qp" for the condensed QP
+/* Component "qp". Contract: qp_init, qp_factorize and qp_solve for the condensed QP
  *     min  1/2 z'H z + g'z   s.t.   lower[i] <= z_i <= upper[i],  i < NV;
  *                                   lower[NV+j] <= A[j] z <= upper[NV+j],  j < NG
  * Here: OSQP, third-party code in the folder osqp/ with one static workspace. Copies of the solver struct share this

@@ -21,7 +21,7 @@ TOPICS: Mapping[str, Callable[[CModule], bool]] = {
         has(m, "SOFT_ROWS", "ELASTIC") or any(r.soft for r in m.description.rows)
     ),
     r"\belastic\b": lambda m: has(m, "SOFT_ROWS", "ELASTIC"),
-    r"(?<!/* )\bfree components?\b|\bfree x_0": lambda m: m.sizes["NF"] > 0,
+    r"(?<!/.)(?<!/\*.)\bfree components?\b|\bfree x_0": lambda m: m.sizes["NF"] > 0,
     r"\baccumulators?\b": lambda m: m.features.accumulators,
     r"\bsolve\(\)": lambda m: m.features.solve,
     r"\bin single\b|\bsingle precision\b": lambda m: m.features.single,

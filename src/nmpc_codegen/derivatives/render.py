@@ -99,6 +99,7 @@ def _names(model: DerivativeModel, name: str) -> dict[str, Any]:
         "folders": (),
         "libraries": ("m",),
         "contraction": "fast",
+        "position_independent": "ON",
         "flags": "",
         "extensions": "OFF",
         "signals": (

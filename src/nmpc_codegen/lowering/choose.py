@@ -1,6 +1,7 @@
 """The choices that options leave open, from counts, and the sizes that follow from them.
 
-First the Hessian, then the condensing and QP solver that take the fewest operations, counted exactly.
+First the Hessian, then the condensing and QP solver that take the fewest operations, counted exactly, or with
+goal="size" the fewest bytes.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ from dataclasses import dataclass, replace
 from nmpc_codegen.components.base import Condensing, Dims, QpDims, QpShape, QpSolver, called
 from nmpc_codegen.components.condensing import FullCondensing, NoCondensing, PartialCondensing
 from nmpc_codegen.components.hessians import ExactHessian, GaussNewton
-from nmpc_codegen.components.qp import REGISTRY
+from nmpc_codegen.components.qp import REGISTRY, RiccatiInteriorPoint
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.frontend.problem import Problem, Stage
 from nmpc_codegen.ir.model import ModelFunctions
@@ -19,7 +20,7 @@ from nmpc_codegen.ir.tuning import PANEL
 from nmpc_codegen.lowering.first_plan import Growth
 from nmpc_codegen.options import Goal, Options
 from nmpc_codegen.package.features import Features
-from nmpc_codegen.package.memory import Size
+from nmpc_codegen.package.memory import Precision, Size, struct_layout
 from nmpc_codegen.package.opcount import OpCount
 from nmpc_codegen.targets import TARGETS
 
@@ -33,12 +34,14 @@ class Candidate:
 
     ``operations``: of a warm-started sample with an empty working set; if there are soft rows, which are active in
     blocks that come and go, also those of finding another working set. ``searching``: with those in any case.
+    ``size``: bytes of their code and data.
     """
 
     condensing: Condensing
     qp: QpSolver
     operations: int
     searching: int
+    size: int
 
     def __str__(self) -> str:
         return f"{self.condensing.label} + {self.qp.name}: {self.operations:,}"
@@ -48,6 +51,9 @@ class Candidate:
 #: one; the recursion on stages can only shift all controls, and a shift that is large in one direction is too small or
 #: too large in the others: samples of economic problems run away or stand still.
 MOST_MIRRORED = 120
+
+#: Bytes of the code of a QP solver and what it needs, with -Os for a Cortex-M4F.
+CODE = {"dense_active_set": 9_000, "riccati_interior_point": 12_500, "riccati_active_set": 20_000, "osqp": 60_000}
 
 #: A solver that takes at most this many times the fewest operations is close: the search for another working set, which
 #: most of the longest samples consist of, decides between them.
@@ -68,8 +74,9 @@ def choose_qp(
     problem: Problem, options: Options, constant_hessian: bool, model: ModelFunctions, grown: Growth
 ) -> Choice:
     """Condensing and QP solver: those that are given, adapted to the problem, completed by the choice that takes the
-    fewest operations of those that keep enough digits. The reason for this choice is the table of all candidates. The
-    QP of a problem without any curvature is a linear program, whose degenerate vertices the recursion takes best.
+    fewest operations of those that keep enough digits, or with goal="size" the fewest bytes. The reason for this choice
+    is the table of all candidates. The QP of a problem without any curvature is a linear program, whose degenerate
+    vertices the recursion takes best.
 
     Raises:
         OptionError: the two that are given clash, or too few digits remain with every condensing that fits.
@@ -79,16 +86,16 @@ def choose_qp(
         _check_forms(given, options.qp)
         condensing = given.adapted(problem)
         return Choice(condensing, options.qp, _instead(given, condensing), warnings=grown.warning(problem, condensing))
-    fitting = list(_pairs(given, options.qp))
+    fitting = list(_pairs(given, options.qp, options.goal))
     if given is None and options.qp is None and not (model.path.Q or model.terminal.Q):
-        fitting = list(_pairs(NoCondensing(), None))
+        fitting = list(_pairs(NoCondensing(), None, options.goal))
     elif (
         given is None
         and options.qp is None
         and _mirrors_few(problem, options)
         and grown.spares(problem, FullCondensing())
     ):
-        fitting = list(_pairs(FullCondensing(), None))
+        fitting = list(_pairs(FullCondensing(), None, options.goal))
     candidates, soft = [], "soft rows" in problem.features
     for stated, qp in fitting:
         condensing = stated.adapted(problem)
@@ -96,17 +103,33 @@ def choose_qp(
             dims = dimensions(problem, condensing.qp_shape(problem), constant_hessian, multiple_of(options.goal))
             counts = (*condensing.cost(dims, model).values(), *qp.cost(dims, model).values())
             warm, search = sum(counts, OpCount()).total, qp.search(dims).total
-            candidates.append(Candidate(condensing, qp, warm + search * soft, warm + search))
+            size = _size(condensing, qp, dims, options.precision)
+            candidates.append(Candidate(condensing, qp, warm + search * soft, warm + search, size))
     if not candidates:
         return Choice(*fitting[0])  # the checks of this pair raise the error that says why
     spared = [c for c in candidates if grown.spares(problem, c.condensing)]
-    best, reason = _best(spared or candidates, soft)
+    best, reason = (_smallest if options.goal == "size" else _best)(spared or candidates, soft)
     words = [f"condensing: {best.condensing.name}"] if given is None else []
     words += [f"qp: {best.qp.name}"] if options.qp is None else []
     warned = grown.warning(problem, best.condensing)
     lossy = () if warned else grown.left_out(problem, [pair[0] for pair in fitting])
     reasons = (*_instead(given, best.condensing), f"{', '.join(words)}; {reason}", *lossy)
     return Choice(best.condensing, best.qp, reasons, warned)
+
+
+def _size(condensing: Condensing, qp: QpSolver, dims: Dims, precision: Precision) -> int:
+    """Bytes of the structs of both, as if no feature left any member out, and of their code."""
+    structs = (*condensing.structs(dims), *qp.structs(dims))
+    layout = struct_layout([s for s in structs if s.name != "solver"], precision)
+    held = {member.ctype for struct in structs for member in struct.fields}
+    return CODE[qp.name] + sum(size for name, (size, _) in layout.items() if name not in held)
+
+
+def _smallest(candidates: list[Candidate], soft: bool) -> tuple[Candidate, str]:
+    """The candidate with the fewest bytes, and why."""
+    ranked = sorted(candidates, key=lambda c: c.size)
+    table = "; ".join(f"{c.condensing.label} + {c.qp.name}: {c.size:,}" for c in ranked)
+    return ranked[0], f"fewest bytes of code and data, about ({table})"
 
 
 def _best(candidates: list[Candidate], soft: bool) -> tuple[Candidate, str]:
@@ -139,17 +162,20 @@ def _instead(stated: Condensing | None, condensing: Condensing) -> tuple[str, ..
     return (f"condensing: {condensing} instead of {stated.name}; coupled rows read free components of x_0",)
 
 
-def _pairs(condensing: Condensing | None, qp: QpSolver | None) -> Iterator[tuple[Condensing, QpSolver]]:
+def _pairs(condensing: Condensing | None, qp: QpSolver | None, goal: Goal) -> Iterator[tuple[Condensing, QpSolver]]:
     """All pairs that are consistent with the given components."""
     forms: tuple[Condensing, ...] = (FullCondensing(), NoCondensing(), *(PartialCondensing(block) for block in BLOCKS))
     for c in forms if condensing is None else (condensing,):
-        for q in _solvers(c.gives) if qp is None else (qp,):
+        for q in _solvers(c.gives, goal) if qp is None else (qp,):
             if c.gives == q.takes:
                 yield c, q
 
 
-def _solvers(form: str) -> list[QpSolver]:
-    """Solvers for QPs of a form that the compiler may choose."""
+def _solvers(form: str, goal: Goal) -> list[QpSolver]:
+    """Solvers for QPs of a form that the compiler may choose. A small package has one method alone: on stages the
+    interior point method, which the active-set method needs behind it."""
+    if goal == "size" and form == RiccatiInteriorPoint.takes:
+        return [RiccatiInteriorPoint()]
     return [cls() for cls in REGISTRY.values() if cls.takes == form and cls.automatic]
 
 

@@ -50,7 +50,8 @@ def _worded(before: str, comment: str, constants: Constants | None) -> str:
             there = _PHRASE.sub(lambda found: _phrase(found, constants), whole)
             text = _without_emptied(there, text) if is_apart else _filled(there, margin, bool(before.strip()))
         lines += text.split("\n") if text else []
-    return before + "\n".join(lines).removeprefix(margin)
+    kept = [line for line, above in zip(lines, ["", *lines], strict=False) if not line.strip() == above.strip() == "*"]
+    return before + "\n".join(kept).removeprefix(margin)
 
 
 def _phrase(found: re.Match[str], constants: Constants | None) -> str:
