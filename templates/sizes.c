@@ -16,7 +16,7 @@ static inline real_t or_zero(real_t value, int i)
     return (FABS(value) <= TOL_UNIT * TOL_UNIT * z_scale[i]) ? R(0) : value;
 }
 
-/* What a plan costs whose variables are zeros. */
+/* Least size in which a cost is measured: that of variables at the zero tolerance. */
 static inline real_t least_cost(void)
 {
     return TOL_ZERO * TOL_ZERO * cost_size[0];

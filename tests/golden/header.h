@@ -17,8 +17,8 @@ golden_status_t golden_step(golden_solver_t *s, const golden_real xhat[GOLDEN_NX
 /* Move the plan by one interval. The first prepare after a feedback does so by itself: a call moves it once more. */
 golden_status_t golden_shift(golden_solver_t *s);
 
-/* Iterate from the present plan, with globalisation, until the KKT residual is at most tol or max_iterations is
- * reached; kkt and stats describe the outcome. */
+/* Iterate from the present plan, with globalisation, until the relative KKT residual, kkt.relative, is at most tol or
+ * max_iterations is reached; kkt and stats describe the outcome. */
 golden_status_t golden_solve(golden_solver_t *s, const golden_real xhat[GOLDEN_NX], golden_real tol, int max_iterations);
 
 /* Data that can be changed. k is GOLDEN_ALL or one node:
@@ -30,6 +30,7 @@ golden_status_t golden_solve(golden_solver_t *s, const golden_real xhat[GOLDEN_N
  * the next feedback, parameters and weights in the next prepare. */
 golden_status_t golden_set_reference(golden_solver_t *s, int k, const golden_real yref[GOLDEN_NY]);
 golden_status_t golden_set_terminal_reference(golden_solver_t *s, const golden_real yref[GOLDEN_NY_N]);
+/* W: the diagonal, finite and not negative. */
 golden_status_t golden_set_weight(golden_solver_t *s, int k, const golden_real W[GOLDEN_NW]);
 golden_status_t golden_set_terminal_weight(golden_solver_t *s, const golden_real W[GOLDEN_NW_N]);
 golden_status_t golden_set_parameter(golden_solver_t *s, int param, int k, const golden_real *values);
@@ -49,4 +50,4 @@ const char *golden_status_string(golden_status_t status);
 #endif
 
 #endif
-/* nmpc_codegen package 26cd058fee7d2359, sha256 a8e36500e6cc73b5798e6d9d601993d5d38e7e9082d2cae87f0c854cc29519f0 */
+/* nmpc_codegen package 79e3c6a1ec19f8b7, sha256 60e37349fdc2ae3f8222b0832c255e5d448e034f728d802854d2e2124f5810f8 */

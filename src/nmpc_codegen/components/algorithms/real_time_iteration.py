@@ -65,8 +65,8 @@ SHIFT_AGAIN = EntryPoint(
 )
 SOLVE = EntryPoint(
     "solve",
-    "Iterate from the present plan, with globalisation, until the KKT residual is at most tol or max_iterations is "
-    "reached; kkt and stats describe the outcome.",
+    "Iterate from the present plan, with globalisation, until the relative KKT residual, kkt.relative, is at most tol or "
+    "max_iterations is reached; kkt and stats describe the outcome.",
     (_XHAT, Argument("tol", "real"), Argument("max_iterations", "int")),
 )
 
@@ -314,12 +314,12 @@ class RealTimeIteration(Defaults):
         )
         least = LEAST_PRICE ** (1 / problem.N)
         prices = (
-            Table("least_price", "real", (least,), "of a relaxed row, relative to that at the next node"),
+            Table("least_price", "real", (least,), "least price of a relaxed row, relative to that at the next node"),
             Table(
                 "price_change",
                 "real",
                 (least ** (1 / RELAXED_SAMPLES), least ** (-1 / RELAXED_SAMPLES / SLOWER)),
-                "of this ratio by a sample that is relaxed, and by one that is OK",
+                "change of that ratio by a sample that is relaxed, and by one that is OK",
             ),
         )
         tolerance = tolerance_table(self.tolerance)
