@@ -1,5 +1,5 @@
-/* Rows (constraints other than the control bounds), sorted by node: state bounds, general rows h [if NE > 0: and, at
- * the end, coupled rows r(x_0, x_N)]. */
+/* Rows (constraints other than the control bounds), sorted by node[if STATE_ROWS:; bounds of states stand first][if
+ * GENERAL_ROWS > 0:, general rows h after them][if NE > 0:; at the end, coupled rows r(x_0, x_N)]. */
 
 #include "generated/rows.c"
 

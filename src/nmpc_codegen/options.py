@@ -117,15 +117,15 @@ class Group:
 class Options:
     """One component for every seam that the algorithm needs.
 
-    None selects the default of the algorithm or lets the compiler choose a component for the problem; the report
-    gives the reason. ``solve``: generate <name>_solve(), which iterates to convergence; a controller for real-time
-    use alone is smaller without it; None: not for a microcontroller. ``math``: "own" puts exp, sin, pow and their
-    like into the package, so that every machine computes the same bits and no libm is needed; "libm" calls those of
-    math.h; None: "own" for a microcontroller. ``goal``: "size" chooses loops instead of straight-line code,
-    matrices without padding and the smallest QP method, "speed" what takes the least time. ``target``: the machine for which the C is written
-    (targets.py), obeyed by export() and build() alike; "portable" is ISO C99 for any machine, "native" the target
-    of this machine. Targets compute the same to rounding, but for a microcontroller less is chosen: no repairs
-    before a sample, no solve(), and with it no second Hessian.
+    None selects the default of the algorithm or lets the compiler choose a component for the problem; the report gives
+    the reason. ``solve``: generate <name>_solve(), which iterates to convergence; a controller for real-time use alone
+    is smaller without it; None: not for a microcontroller. ``math``: "own" puts exp, sin, pow and their like into the
+    package, so that every machine computes the same bits and no libm is needed; "libm" calls those of math.h; None:
+    "own" for a microcontroller. ``goal``: "size" chooses loops instead of straight-line code, matrices without padding
+    and the smallest QP method, "speed" what takes the least time. ``target``: the machine for which the C is written
+    (targets.py), obeyed by export() and build() alike; "portable" is ISO C99 for any machine, "native" the target of
+    this machine. Targets compute the same to rounding, but for a microcontroller less is chosen: no repairs before a
+    sample, no solve(), and with it no second Hessian.
 
     Raises:
         OptionError: a value is not allowed, or a component is given for a seam that the algorithm does not need.

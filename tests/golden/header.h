@@ -50,4 +50,4 @@ const char *golden_status_string(golden_status_t status);
 #endif
 
 #endif
-/* nmpc_codegen package 79e3c6a1ec19f8b7, sha256 60e37349fdc2ae3f8222b0832c255e5d448e034f728d802854d2e2124f5810f8 */
+/* nmpc_codegen package 14d9020f2ee0ae9e, sha256 572c10d8e5015702970278ea2533edf2bac49ce660ceed3e5cd0ea3022eb83f2 */

@@ -65,8 +65,8 @@ SHIFT_AGAIN = EntryPoint(
 )
 SOLVE = EntryPoint(
     "solve",
-    "Iterate from the present plan, with globalisation, until the relative KKT residual, kkt.relative, is at most tol or "
-    "max_iterations is reached; kkt and stats describe the outcome.",
+    "Iterate from the present plan, with globalisation, until the relative KKT residual, kkt.relative, is at most tol "
+    "or max_iterations is reached; kkt and stats describe the outcome.",
     (_XHAT, Argument("tol", "real"), Argument("max_iterations", "int")),
 )
 

@@ -16,6 +16,8 @@ from nmpc_codegen.ir.printing.local_names import NO_NAMES, LocalNames
 
 #: A number with a longer literal is written as a quotient if its denominator is at most that.
 LONGEST_LITERAL, LARGEST_DENOMINATOR = 14, 1000
+#: The same if a numerator of so many digits and a divisor up to that have this value: steps and weights of a tableau.
+LONGEST_NUMERATOR, LARGEST_DIVISOR = 6, 24
 
 
 @dataclass(frozen=True)
@@ -70,14 +72,19 @@ class CStyle:
         return text + ("F" if self.single else "")
 
     def number(self, value: float) -> str:
-        """A literal, or the quotient of two small ones that has this value, e.g. ``1.0 / 6.0``."""
-        ratio = Fraction(value).limit_denominator(LARGEST_DENOMINATOR)
-        p, q = ratio.numerator, ratio.denominator
-        if len(repr(value)) <= LONGEST_LITERAL or q == 1 or p / q != value:
-            return self.literal(value)
-        if self.single and np.float32(p) / np.float32(q) != np.float32(value):
-            return self.literal(value)
-        return f"{self.literal(p)} / {self.literal(q)}"
+        """A literal, or the quotient of two short ones that has this value, e.g. ``1.0 / 6.0`` or ``0.15 / 6.0``."""
+        if len(repr(value)) > LONGEST_LITERAL:
+            ratio = Fraction(value).limit_denominator(LARGEST_DENOMINATOR)
+            parts = [(float(f"{value * q:.{LONGEST_NUMERATOR}g}"), q) for q in range(2, LARGEST_DIVISOR + 1)]
+            shortest = sorted(parts, key=lambda part: (len(repr(part[0])), part[1]))
+            for p, q in ((ratio.numerator, ratio.denominator), *shortest):
+                if q > 1 and p / q == value and self._holds(p, q, value):
+                    return f"{self.literal(p)} / {self.literal(q)}"
+        return self.literal(value)
+
+    def _holds(self, p: float, q: int, value: float) -> bool:
+        """True if a quotient has this value in the working precision, too."""
+        return not self.single or bool(np.float32(p) / np.float32(q) == np.float32(value))
 
     def function(self, name: str) -> str:
         """Name of a function of math.h, or of the package's own, in the working precision."""

@@ -32,6 +32,7 @@ Places = Mapping[str, Sequence[int]]
 _CALL = re.compile(r"(?<![.\w])(?<!->)([A-Za-z_]\w*)\(")
 #: A number, a constant, or a number in the working precision.
 _NUMBER = re.compile(r"return (\d+|[A-Z]\w*|R\([\d.]+\));")
+_FACTOR = re.compile(r" \* R\(1\)(?=[;,)])")
 _STATEMENT = re.compile(r"^ *(?:\(void\))?(\w+)\(", re.MULTILINE)
 
 
@@ -96,8 +97,8 @@ def _changed(
 
 
 def _with_numbers(text: str, given: Mapping[str, str]) -> str:
-    """A text with numbers in place of calls of the functions that are these numbers."""
-    return replaced(text, given, lambda name, _: given[name])
+    """A text with numbers in place of calls of the functions that are these numbers; 1 is no factor."""
+    return _FACTOR.sub("", replaced(text, given, lambda name, _: given[name]))
 
 
 def _with_names(text: str, given: Mapping[str, str]) -> str:
