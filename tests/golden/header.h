@@ -36,7 +36,7 @@ golden_status_t golden_set_terminal_weight(golden_solver_t *s, const golden_real
 golden_status_t golden_set_parameter(golden_solver_t *s, int param, int k, const golden_real *values);
 golden_status_t golden_set_bounds(golden_solver_t *s, int row, int k, golden_real lower, golden_real upper);
 
-/* integrate: plant model over the time dt in s, x_next may be x; cost: cost of the present plan; kkt: its KKT residuals.
+/* integrate: plant model over a time dt >= 0 in s, x_next may be x; cost: cost of the present plan; kkt: its KKT residuals.
  * Before init, they give NaN and an infinite residual. */
 void golden_integrate(const golden_solver_t *s, const golden_real x[GOLDEN_NX], const golden_real u[GOLDEN_NU],
     golden_real dt, golden_real x_next[GOLDEN_NX]);
@@ -50,4 +50,4 @@ const char *golden_status_string(golden_status_t status);
 #endif
 
 #endif
-/* nmpc_codegen package 14d9020f2ee0ae9e, sha256 572c10d8e5015702970278ea2533edf2bac49ce660ceed3e5cd0ea3022eb83f2 */
+/* nmpc_codegen package 09d782fa6c706db0, sha256 a2d4c8669fb33f8ac3d442422ea8ba941e3db9df2ade979c7f8b99f5501a3b7e */

@@ -211,6 +211,7 @@ def _of_problem(model: Model) -> Features:
         set_weight=_is_set(model, "weight"),
         set_parameter=_is_set(model, "parameter"),
         set_bounds=_is_set(model, "bounds"),
+        bounds_by_node=model.online.layouts["bounds"] == "node",
         state_rows=0 in kinds,
         general_rows=1 in kinds,
         hard_rows=any(p.rows[row].soft is None for _, _, _, row in p.qp_rows),

@@ -54,6 +54,7 @@ class Features:
     set_weight: bool = False
     set_parameter: bool = False
     set_bounds: bool = False
+    bounds_by_node: bool = False  # every node has bounds of its own
 
     # the problem
     state_rows: bool = False  # bounds of states are rows of the QP
