@@ -50,6 +50,8 @@ def test_a_quotient_is_the_same_number(value: float, single: bool) -> None:
 
 def test_quotients_are_for_the_tableau() -> None:
     assert CStyle("real", False).number(1 / 6) == "1.0 / 6.0"
+    assert CStyle("real", False).number(0.15 / 6) == "0.3 / 12.0"
+    assert CStyle("real", False).number(0.1234567890123456) == "0.1234567890123456"
     assert CStyle("real", False).number(0.1) == "0.1"
 
 

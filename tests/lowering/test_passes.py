@@ -146,6 +146,33 @@ def test_a_variable_with_the_name_of_a_table_is_refused() -> None:
         left("const int *side = s->sides;", "if (side[m] < 0) {", "    s->a = 1;", "}")
 
 
+@pytest.mark.parametrize(
+    ("before", "after"),
+    [
+        ("s->a = (NG > 0) ? 1 : n;", "s->a = n;"),
+        ("return HARD ? s->x[0] : R(0);", "return s->x[0];"),
+        ("const int k = SOFT ? m : n, j = m;", "const int k = n, j = m;"),
+        ("s->a = 2 * ((NG == 0) ? m : n);", "s->a = 2 * m;"),
+        ("s->a = 2 * (NG ? m : m + n);", "s->a = 2 * (m + n);"),
+        ("f(s, (NE > 2) ? m : (NG ? 1 : n));", "f(s, n);"),
+        ("s->a = (NG && NEXT(s)) ? m : n;", "s->a = n;"),
+    ],
+)
+def test_conditional_expressions(before: str, after: str) -> None:
+    lines = ["s->b = k + j;"] if " k = " in before else []
+    assert left(before, *lines) == [after, *lines]
+
+
+def test_conditional_expressions_that_depend_on_data_stay() -> None:
+    for line in ("s->a = (m > 0) ? 1 : n;", "s->a = (next(s) && NG) ? 1 : n;", "s->a = m ? NG : n;"):
+        assert left(line) == [line]
+
+
+def test_conditions_that_are_numbers() -> None:
+    assert left("if (0) {", "    s->a = 1;", "}", "s->b = 1;") == ["s->b = 1;"]
+    assert left("if (1) {", "    s->a = 1;", "}") == ["s->a = 1;"]
+
+
 def test_empty_branches() -> None:
     assert left("if (HARD) {", "} else {", "    b = 1;", "}", "b = 2;") == ["b = 2;"]
     assert left("if (NG) {", "    b = 1;", "} else {", "    /* nothing */", "}", "b = 2;") == [

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
+import casadi as ca
 import numpy as np
 import pytest
 from conftest import require_tool
@@ -85,6 +86,27 @@ def test_a_small_controller_computes_the_same_controls(name: str) -> None:
     expected, found = loop(fast), loop(small)
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-7 * np.abs(expected).max())
     assert small.nbytes <= fast.nbytes
+
+
+@pytest.mark.parametrize(("horizon", "qp"), [(3, "dense_active_set"), (40, "riccati_interior_point")])
+def test_a_small_package_has_the_qp_method_of_the_fewest_bytes(horizon: int, qp: str) -> None:
+    """One method alone; a given one stays."""
+
+    def described(**more: Any) -> PackageDescription:
+        ocp = OCP("one", T=float(horizon), N=horizon)
+        x, u = ocp.state("x", initial=0.5), ocp.control("u")
+        ocp.dynamics({x: u - 0.1 * x**2})
+        ocp.least_squares(ca.vertcat(x, u), weight=[1.0, 0.1])
+        ocp.subject_to(-1, u, 1)
+        ocp.subject_to(0, x, 1)
+        return generate(ocp, Options(precision="single", solve=False, **more)).description
+
+    small = described(goal="size")
+    chosen = next(choice for choice in small.report.choices if "fewest bytes" in choice)
+    assert f"qp: {qp};" in chosen
+    assert chosen.count("riccati_active_set") == 0
+    assert small.report.ram_bytes < described().report.ram_bytes or horizon == 3
+    assert "RiccatiActiveSet" in described(goal="size", qp=RiccatiActiveSet()).options
 
 
 @pytest.mark.parametrize("name", ["stages", "odd sizes"])
