@@ -50,4 +50,4 @@ const char *golden_status_string(golden_status_t status);
 #endif
 
 #endif
-/* nmpc_codegen package 09d782fa6c706db0, sha256 a2d4c8669fb33f8ac3d442422ea8ba941e3db9df2ade979c7f8b99f5501a3b7e */
+/* nmpc_codegen package 16f179c350b3eea0, sha256 4747890233a14809bac279fcc89f0a24a76e52b6554fea8121e9e2d96dc46f24 */

@@ -58,6 +58,7 @@ def test_a_paragraph_is_filled_again_and_what_stands_apart_is_not() -> None:
  *
  * The rest of it is short, and its lines are filled again, to the end of it. */"""
     )
+    assert worded("/* A\n *     a = b\n * [if NE > 0: C.] */", KNOWN) == "/* A\n *     a = b */"
     margin = "    "
     long = f"{margin}/* [if SOLVE: {'word ' * 30}end.] */"
     lines = worded(long, KNOWN).split("\n")

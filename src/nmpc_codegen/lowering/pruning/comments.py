@@ -16,13 +16,17 @@ from nmpc_codegen.lowering.pruning.expressions import expression
 from nmpc_codegen.lowering.pruning.tree import WIDTH
 
 _WORDS = r"(?:[^\[\]]|\[[^\[\]]*\])*?"
-_PHRASE = re.compile(rf"\[if\s+(?P<condition>[^:\]]+):(?P<there>{_WORDS})(?:\s+else:(?P<otherwise>{_WORDS}))?\]")
+_PHRASE = re.compile(
+    rf"(?P<blank> ?)\[if\s+(?P<condition>[^:\]]+):(?P<there>{_WORDS})(?:\s+else:(?P<otherwise>{_WORDS}))?\]"
+)
 #: A comment with a phrase; what stands before it in its line.
 _COMMENT = re.compile(r"(?P<before>[^\n]*?)(?P<text>/\*(?:(?!\*/).)*?\[if\s(?:(?!\*/).)*\*/)", re.DOTALL)
 #: A line of a formula, of a list, or between paragraphs; all others are filled.
 _APART = re.compile(r" *(?:/\*|\*)?(?: {2,}\S| ?-{20}|$)")
 #: Blanks that a phrase leaves: before a mark, or two.
 _BLANKS = re.compile(r"(?<=[\w)]) +(?=[,.;:](?:\s|$))|(?<=\S) +(?= \S)")
+#: The end of a comment in a line of its own.
+_END = re.compile(r"\n *\* *\*/$")
 #: Stands for a blank at which no line ends.
 _TIE = "\x01"
 #: An entry of a contract: its margin, its names.
@@ -51,12 +55,13 @@ def _worded(before: str, comment: str, constants: Constants | None) -> str:
             text = _without_emptied(there, text) if is_apart else _filled(there, margin, bool(before.strip()))
         lines += text.split("\n") if text else []
     kept = [line for line, above in zip(lines, ["", *lines], strict=False) if not line.strip() == above.strip() == "*"]
-    return before + "\n".join(kept).removeprefix(margin)
+    return before + _END.sub(" */", "\n".join(kept).removeprefix(margin))
 
 
 def _phrase(found: re.Match[str], constants: Constants | None) -> str:
     value = True if constants is None else _holds(found["condition"], constants)
-    return ((found["there"] if value else found["otherwise"]) or "").strip()
+    words = (found["there"] if value else found["otherwise"]) or ""
+    return found["blank"] * bool(words.strip()) + words.strip()
 
 
 def _holds(condition: str, constants: Constants) -> bool:
