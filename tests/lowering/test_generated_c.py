@@ -131,7 +131,7 @@ def test_shift_under_sanitizers_in_single_precision() -> None:
     [
         ("memcpy(s->yref[n], yref,", "memcpy(s->yref[n + 1], yref,", quality.SANITIZERS),  # past the last node
         ("isfinite(u) ? u : reference_of_control", "1 ? u : reference_of_control", ()),  # a NaN is accepted
-        ("lower < (real_t)INFINITY && upper", "upper", ()),  # no number is between infinity and itself
+        ("lower < INF && upper", "upper", ()),  # no number is between infinity and itself
     ],
 )
 def test_exercise_finds_defects(old: str, new: str, flags: tuple[str, ...]) -> None:
