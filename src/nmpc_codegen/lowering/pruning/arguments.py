@@ -53,6 +53,7 @@ def without_unread(
         found = [_simple(item, functions) for item in found]
         if idle := {name for name, text in functions.items() if _is_empty(text)} - fixed - constants.kernels:
             constants = replace(constants, kernels=constants.kernels | idle)
+            found = [item._replace(done=False) for item in found]
             continue
         bodies = [*map(_body, functions.values()), *(text for _, _, text in known)]
         free = {name: text for name, text in functions.items() if name not in fixed}
@@ -70,7 +71,7 @@ def without_unread(
 def _simple(item: Item, functions: Mapping[str, str]) -> Item:
     """An item with its simplified text, if it is a function that is reached."""
     reached = item.kind == "function" and item.name in functions
-    return item._replace(text=functions[item.name], simple=True) if reached else item
+    return item._replace(text=functions[item.name], simple=True, done=True) if reached else item
 
 
 def _without(found: Sequence[Item], known: Sequence[Definition], places: Places) -> tuple[list[Item], list[Definition]]:
@@ -92,8 +93,13 @@ def _changed(
     found: Sequence[Item], known: Sequence[Definition], change: Callable[[str], str]
 ) -> tuple[list[Item], list[Definition]]:
     """Items and macros with changed texts."""
-    items = [item._replace(text=change(item.text)) for item in found]
+    items = [_with(item, change(item.text)) for item in found]
     return items, [(name, arguments, change(text)) for name, arguments, text in known]
+
+
+def _with(item: Item, text: str) -> Item:
+    """An item with another text."""
+    return item if text == item.text else item._replace(text=text, done=False)
 
 
 def _with_numbers(text: str, given: Mapping[str, str]) -> str:

@@ -19,8 +19,7 @@ _WORDS = r"(?:[^\[\]]|\[[^\[\]]*\])*?"
 _PHRASE = re.compile(
     rf"(?P<blank> ?)\[if\s+(?P<condition>[^:\]]+):(?P<there>{_WORDS})(?:\s+else:(?P<otherwise>{_WORDS}))?\]"
 )
-#: A comment with a phrase; what stands before it in its line.
-_COMMENT = re.compile(r"(?P<before>[^\n]*?)(?P<text>/\*(?:(?!\*/).)*?\[if\s(?:(?!\*/).)*\*/)", re.DOTALL)
+_COMMENT = re.compile(r"/\*.*?\*/", re.DOTALL)
 #: A line of a formula, of a list, or between paragraphs; all others are filled.
 _APART = re.compile(r" *(?:/\*|\*)?(?: {2,}\S| ?-{20}|$)")
 #: Blanks that a phrase leaves: before a mark, or two.
@@ -39,11 +38,17 @@ def worded(unit: str, constants: Constants | None) -> str:
     Raises:
         ValueError: constants do not decide a condition.
     """
-    return _COMMENT.sub(lambda found: _worded(found["before"], found["text"], constants), unit)
+
+    def comment(found: re.Match[str]) -> str:
+        if "[if" not in found[0]:
+            return found[0]
+        return _worded(unit[unit.rfind("\n", 0, found.start()) + 1 : found.start()], found[0], constants)
+
+    return _COMMENT.sub(comment, unit)
 
 
 def _worded(before: str, comment: str, constants: Constants | None) -> str:
-    """A comment behind what stands before it in its line; paragraphs with phrases are filled again."""
+    """A comment that has this before it in its line; paragraphs with phrases are filled again."""
     runs = groupby(comment.split("\n"), key=lambda line: _APART.match(line) is not None)
     margin = before if not before.strip() else ""
     lines: list[str] = []
@@ -55,7 +60,7 @@ def _worded(before: str, comment: str, constants: Constants | None) -> str:
             text = _without_emptied(there, text) if is_apart else _filled(there, margin, bool(before.strip()))
         lines += text.split("\n") if text else []
     kept = [line for line, above in zip(lines, ["", *lines], strict=False) if not line.strip() == above.strip() == "*"]
-    return before + _END.sub(" */", "\n".join(kept).removeprefix(margin))
+    return _END.sub(" */", "\n".join(kept).removeprefix(margin))
 
 
 def _phrase(found: re.Match[str], constants: Constants | None) -> str:

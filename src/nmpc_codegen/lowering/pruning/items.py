@@ -22,6 +22,7 @@ class Item(NamedTuple):
     gap: str = "\n"
     inner: bool = False  # a function that only this unit calls
     simple: bool = False  # simplified before
+    done: bool = False  # and its text has not changed since then
 
 
 @lru_cache(maxsize=8192)

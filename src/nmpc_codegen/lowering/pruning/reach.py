@@ -74,6 +74,8 @@ def reached(
 
 
 def _simplified(function: Item, constants: Constants) -> str:
+    if function.done:
+        return function.text
     try:
         return (simplified_again if function.simple else simplified)(function.text, constants)
     except ValueError as error:

@@ -21,6 +21,8 @@ from nmpc_codegen.lowering.pruning.scopes import function_of, names_in_code
 #: The entry point that what only it calls stands in front of, in the last part of a unit, and the heading of that part.
 LAST = "API(solve)"
 LAST_HEADING = "/* ==== solve(): what only it calls " + "=" * 68 + " */"
+#: A constant in a sum, behind its first term.
+_TERM = re.compile(r"(?<=[\w)]) [-+] ([A-Z]\w*)\b(?! *[*/%\[(.])")
 
 
 def pruned(
@@ -53,8 +55,7 @@ def pruned(
 
 def _without_zeros(unit: str, constants: Constants) -> str:
     """A unit without sizes that are 0 in sums."""
-    zeros = "|".join(name for name, value in constants.sizes.items() if value == 0)
-    return re.sub(rf"(?<=[\w)]) [-+] (?:{zeros})\b(?! *[*/%\[(.])", "", unit) if zeros else unit
+    return _TERM.sub(lambda found: "" if constants.sizes.get(found[1]) == 0 else found[0], unit)
 
 
 def _apart(kept: Sequence[Item], early: Collection[str]) -> tuple[list[Item], list[Item]]:
