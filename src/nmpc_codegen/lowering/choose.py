@@ -52,7 +52,7 @@ class Candidate:
 #: too large in the others: samples of economic problems run away or stand still.
 MOST_MIRRORED = 120
 
-#: Bytes of the code of a QP solver and what it needs, with -Os for a Cortex-M4F.
+#: Bytes of the code of a QP solver and what it needs, with -Os for a Cortex-M4F; of another one they are not known.
 CODE = {"dense_active_set": 9_000, "riccati_interior_point": 12_500, "riccati_active_set": 20_000, "osqp": 60_000}
 
 #: A solver that takes at most this many times the fewest operations is close: the search for another working set, which
@@ -122,7 +122,7 @@ def _size(condensing: Condensing, qp: QpSolver, dims: Dims, precision: Precision
     structs = (*condensing.structs(dims), *qp.structs(dims))
     layout = struct_layout([s for s in structs if s.name != "solver"], precision)
     held = {member.ctype for struct in structs for member in struct.fields}
-    return CODE[qp.name] + sum(size for name, (size, _) in layout.items() if name not in held)
+    return CODE.get(qp.name, 0) + sum(size for name, (size, _) in layout.items() if name not in held)
 
 
 def _smallest(candidates: list[Candidate], soft: bool) -> tuple[Candidate, str]:
