@@ -6,7 +6,6 @@ one run of that function: additions, multiplications, divisions, square roots an
 
 from __future__ import annotations
 
-import re
 import shutil
 import subprocess
 import tempfile
@@ -21,6 +20,7 @@ from nmpc_codegen.lowering.lower import lower
 from nmpc_codegen.lowering.render import render
 from nmpc_codegen.package.opcount import OpCount
 from nmpc_codegen.package.sources import Sources
+from verification.quality import parameters_of
 
 HEADER = Path(__file__).with_name("counting.hpp")
 
@@ -92,12 +92,8 @@ def _call(module: CModule, name: str, unit: str) -> str:
             return f"{name}({', '.join(f'(real_t(*)[{p.cols}])w' if p.cols else 'w' for p in ports)})"
     if name in STATEMENTS:
         return STATEMENTS[name]
-    head = re.search(rf"^\w[^\n;]*\b{name}\(([^{{;]*?)\)\n\{{", unit, re.MULTILINE)
-    if head is None:
-        raise ValueError(f"{module.name}.c has no function {name}()")
     named = ARGUMENTS | ARGUMENTS_OF.get(name, {})
-    parameters = re.findall(r"(\w+)\)?(?:\[\w*\])*(?:,|$)", head[1])
-    return f"{name}({', '.join(named[parameter] for parameter in parameters if parameter != 'void')})"
+    return f"{name}({', '.join(named[parameter] for parameter in parameters_of(unit, name))})"
 
 
 def _room(module: CModule) -> int:

@@ -48,6 +48,7 @@ static void fill(real value)
 /* Every function on a struct that is not initialised. */
 static void uninitialised(void)
 {
+    API(kkt_t) residuals;
     memset(&s, 0x5a, sizeof s);
     EXPECT(API(feedback)(&s, x, u) == SIZE(_NOT_INITIALIZED) && isfinite(u[0]));
     EXPECT(API(step)(&s, x, u) == SIZE(_NOT_INITIALIZED) && isfinite(u[0]));
@@ -55,6 +56,9 @@ static void uninitialised(void)
     EXPECT(API(solve)(&s, x, (real)1e-3, 5) == SIZE(_NOT_INITIALIZED));
     EXPECT(API(shift)(&s) == SIZE(_NOT_INITIALIZED));
     EXPECT(API(reset)(&s) == SIZE(_NOT_INITIALIZED));
+    EXPECT(isnan(API(cost)(&s)));
+    API(kkt)(&s, &residuals);
+    EXPECT(isinf(residuals.relative));
 #if SIZE(_NY) > 0
     EXPECT(API(set_reference)(&s, SIZE(_ALL), large) == SIZE(_NOT_INITIALIZED));
     EXPECT(API(set_weight)(&s, SIZE(_ALL), large) == SIZE(_NOT_INITIALIZED));

@@ -16,6 +16,7 @@ from pathlib import Path
 
 from examples.crane import build_ocp
 from nmpc_codegen import Options, generate
+from nmpc_codegen.lowering.pruning.scopes import signature
 from nmpc_codegen.package.sources import Sources
 from nmpc_codegen.runtime.build import WARNINGS as STRICT
 from nmpc_codegen.runtime.compilers import find_compiler
@@ -110,12 +111,16 @@ def foreign_symbols(sources: Sources, *flags: str) -> list[str]:
     return found
 
 
-def _bound_arguments(unit: str, function: str) -> str:
-    """The arguments of a bound of control j at the first node: those of the solver and of the node where it has any."""
-    found = re.search(rf"\b{function}\(([^)]*)\)\n", unit)
-    parameters = found[1] if found else ""
-    values = {"s": "&s", "k": "0", "j": "j"}
-    return ", ".join(values[re.findall(r"\w+", parameter)[-1]] for parameter in parameters.split(", "))
+def parameters_of(unit: str, function: str) -> tuple[str, ...]:
+    """The parameters that an inner function of a unit has; a package leaves out those that it does not read.
+
+    Raises:
+        ValueError: the unit has no such function.
+    """
+    head = re.search(rf"^static [^;{{}}#]*?\b{function}\([^;{{]*\)(?=\n\{{)", unit, re.MULTILINE)
+    if head is None:
+        raise ValueError(f"there is no function {function}()")
+    return signature(head[0])[1]
 
 
 def exercise(sources: Sources, x0: Sequence[float], flags: Sequence[str] = SANITIZERS) -> str:
@@ -124,8 +129,9 @@ def exercise(sources: Sources, x0: Sequence[float], flags: Sequence[str] = SANIT
     with written(sources) as folder:
         macros = [f"-DNAME={name}", f"-DMACRO={name.upper()}", f'-DPACKAGE="{name}.c"', "-I."]
         macros += [
-            f"-D{bound.upper()}(j)={bound}({_bound_arguments(sources[f'{name}.c'], bound)})"
+            f"-D{bound.upper()}(j)={bound}({', '.join({'s': '&s', 'k': '0', 'j': 'j'}[p] for p in parameters)})"
             for bound in ("control_lower", "control_upper")
+            for parameters in [parameters_of(sources[f"{name}.c"], bound)]
         ]
         built = compile_c(folder, "-std=c99", "-g", *flags, *macros, str(EXERCISE), "-o", "exercise", "-lm")
         if built.returncode:

@@ -57,7 +57,7 @@ static void shift_plan(solver_t *s)
         }
     }
     interval_value(s, N - 1, s->x[N]);
-    if (NG > 0) {
+    if (ROWS_MOVE) {
         shift_rows(s);
     }
 }

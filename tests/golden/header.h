@@ -14,7 +14,7 @@ golden_status_t golden_feedback(golden_solver_t *s, const golden_real xhat[GOLDE
 /* Call prepare and feedback. */
 golden_status_t golden_step(golden_solver_t *s, const golden_real xhat[GOLDEN_NX], golden_real u0[GOLDEN_NU]);
 
-/* Move the plan by one interval. The first prepare after a feedback does so by itself: a call moves it once more. */
+/* Move the plan by one interval. Every sample but the first does so by itself: a call moves the plan once more. */
 golden_status_t golden_shift(golden_solver_t *s);
 
 /* Iterate from the present plan, with globalisation, until the relative KKT residual, kkt.relative, is at most tol or
@@ -50,4 +50,4 @@ const char *golden_status_string(golden_status_t status);
 #endif
 
 #endif
-/* nmpc_codegen package 16f179c350b3eea0, sha256 4747890233a14809bac279fcc89f0a24a76e52b6554fea8121e9e2d96dc46f24 */
+/* nmpc_codegen package 20fde5d77eb550ac, sha256 1d46e98f35232fb518830e263ee0769ca9026ca04f46b3aff0372d6430a7d8c2 */

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import re
+from pathlib import Path
 
 import pytest
 
+import nmpc_codegen
 from nmpc_codegen.lowering.parts import template_directory
 from nmpc_codegen.lowering.pruning.comments import without_entries, worded
 from nmpc_codegen.lowering.pruning.constants import Constants
@@ -79,7 +81,9 @@ def test_a_condition_on_data_is_refused() -> None:
 
 def test_conditions_name_what_some_package_has() -> None:
     """A misspelt name would count as 0 everywhere."""
-    parts = "".join(file.read_text(encoding="utf-8") for file in template_directory().rglob("*.c"))
+    package = Path(nmpc_codegen.__file__).parent / "components"
+    files = [*template_directory().rglob("*.c"), *template_directory().rglob("*.jinja"), *package.rglob("*.py")]
+    parts = "".join(file.read_text(encoding="utf-8") for file in files)
     named = set(re.findall(r"[A-Z]\w*", " ".join(re.findall(r"\[if\s+([^:\]]+):", parts))))
     assert {"NE", "SOLVE", "ELASTIC"} < named
     assert named <= set().union(*(lowered(sample).sizes for sample in SAMPLES))

@@ -301,7 +301,7 @@ class QpSolver(Component, Protocol):
     """Solves a QP of the form ``takes``."""
 
     takes: ClassVar[str]  # "condensed" or "stages"
-    automatic: ClassVar[bool]  # qp=None may choose it
+    chosen_for: ClassVar[tuple[str, ...]]  # goals for which qp=None may choose it
     predicts: ClassVar[bool]  # its preparation yields the law of the first control on the predicted working set
 
     def search(self, dims: Dims) -> OpCount:

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from nmpc_codegen.components.base import Condensing, Dims, QpDims, QpShape, QpSolver, called
 from nmpc_codegen.components.condensing import FullCondensing, NoCondensing, PartialCondensing
 from nmpc_codegen.components.hessians import ExactHessian, GaussNewton
-from nmpc_codegen.components.qp import REGISTRY, RiccatiInteriorPoint
+from nmpc_codegen.components.qp import REGISTRY
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.frontend.problem import Problem, Stage
 from nmpc_codegen.ir.model import ModelFunctions
@@ -34,14 +34,14 @@ class Candidate:
 
     ``operations``: of a warm-started sample with an empty working set; if there are soft rows, which are active in
     blocks that come and go, also those of finding another working set. ``searching``: with those in any case.
-    ``size``: bytes of their code and data.
+    ``dims``: the sizes of their structs.
     """
 
     condensing: Condensing
     qp: QpSolver
     operations: int
     searching: int
-    size: int
+    dims: Dims
 
     def __str__(self) -> str:
         return f"{self.condensing.label} + {self.qp.name}: {self.operations:,}"
@@ -52,8 +52,8 @@ class Candidate:
 #: too large in the others: samples of economic problems run away or stand still.
 MOST_MIRRORED = 120
 
-#: Bytes of the code of a QP solver and what it needs, with -Os for a Cortex-M4F; of another one they are not known.
-CODE = {"dense_active_set": 9_000, "riccati_interior_point": 12_500, "riccati_active_set": 20_000, "osqp": 60_000}
+#: Bytes of the code of QP solvers that are chosen for goal="size", with what they need, at -Os for a Cortex-M4F.
+CODE = {"dense_active_set": 9_000, "riccati_interior_point": 12_500}
 
 #: A solver that takes at most this many times the fewest operations is close: the search for another working set, which
 #: most of the longest samples consist of, decides between them.
@@ -103,12 +103,12 @@ def choose_qp(
             dims = dimensions(problem, condensing.qp_shape(problem), constant_hessian, multiple_of(options.goal))
             counts = (*condensing.cost(dims, model).values(), *qp.cost(dims, model).values())
             warm, search = sum(counts, OpCount()).total, qp.search(dims).total
-            size = _size(condensing, qp, dims, options.precision)
-            candidates.append(Candidate(condensing, qp, warm + search * soft, warm + search, size))
+            candidates.append(Candidate(condensing, qp, warm + search * soft, warm + search, dims))
     if not candidates:
         return Choice(*fitting[0])  # the checks of this pair raise the error that says why
     spared = [c for c in candidates if grown.spares(problem, c.condensing)]
-    best, reason = (_smallest if options.goal == "size" else _best)(spared or candidates, soft)
+    fit = spared or candidates
+    best, reason = _smallest(fit, options.precision) if options.goal == "size" else _best(fit, soft)
     words = [f"condensing: {best.condensing.name}"] if given is None else []
     words += [f"qp: {best.qp.name}"] if options.qp is None else []
     warned = grown.warning(problem, best.condensing)
@@ -117,19 +117,19 @@ def choose_qp(
     return Choice(best.condensing, best.qp, reasons, warned)
 
 
-def _size(condensing: Condensing, qp: QpSolver, dims: Dims, precision: Precision) -> int:
-    """Bytes of the structs of both, as if no feature left any member out, and of their code."""
-    structs = (*condensing.structs(dims), *qp.structs(dims))
+def _bytes(c: Candidate, precision: Precision) -> int:
+    """Bytes of the structs of both, as if no feature left any member out, and of the code of the solver."""
+    structs = (*c.condensing.structs(c.dims), *c.qp.structs(c.dims))
     layout = struct_layout([s for s in structs if s.name != "solver"], precision)
     held = {member.ctype for struct in structs for member in struct.fields}
-    return CODE.get(qp.name, 0) + sum(size for name, (size, _) in layout.items() if name not in held)
+    return CODE.get(c.qp.name, 0) + sum(size for name, (size, _) in layout.items() if name not in held)
 
 
-def _smallest(candidates: list[Candidate], soft: bool) -> tuple[Candidate, str]:
+def _smallest(candidates: list[Candidate], precision: Precision) -> tuple[Candidate, str]:
     """The candidate with the fewest bytes, and why."""
-    ranked = sorted(candidates, key=lambda c: c.size)
-    table = "; ".join(f"{c.condensing.label} + {c.qp.name}: {c.size:,}" for c in ranked)
-    return ranked[0], f"fewest bytes of code and data, about ({table})"
+    ranked = sorted(((_bytes(c, precision), c) for c in candidates), key=lambda pair: pair[0])
+    table = "; ".join(f"{c.condensing.label} + {c.qp.name}: {size:,}" for size, c in ranked)
+    return ranked[0][1], f"fewest bytes of code and data, about ({table})"
 
 
 def _best(candidates: list[Candidate], soft: bool) -> tuple[Candidate, str]:
@@ -172,11 +172,9 @@ def _pairs(condensing: Condensing | None, qp: QpSolver | None, goal: Goal) -> It
 
 
 def _solvers(form: str, goal: Goal) -> list[QpSolver]:
-    """Solvers for QPs of a form that the compiler may choose. A small package has one method alone: on stages the
-    interior point method, which the active-set method needs behind it."""
-    if goal == "size" and form == RiccatiInteriorPoint.takes:
-        return [RiccatiInteriorPoint()]
-    return [cls() for cls in REGISTRY.values() if cls.takes == form and cls.automatic]
+    """Solvers for QPs of a form that the compiler may choose: for goal="size" those that need no other one behind them,
+    as the active-set method on stages does."""
+    return [cls() for cls in REGISTRY.values() if cls.takes == form and goal in cls.chosen_for]
 
 
 def _check_forms(condensing: Condensing, qp: QpSolver) -> None:

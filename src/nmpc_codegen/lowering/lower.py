@@ -200,7 +200,7 @@ def _features(model: Model) -> Features:
 def _of_problem(model: Model) -> Features:
     """The features of the problem, the options and the target."""
     p, parts, target = model.problem, model.parts, model.target
-    kinds = {kind for _, kind, _, _ in p.qp_rows}
+    kinds, imposed = {kind for _, kind, _, _ in p.qp_rows}, {(k, row) for k, _, _, row in p.qp_rows}
     eliminates = parts.condensing is not None and parts.condensing.eliminates
     computing = {r.name for r in model.routines if r.writes}
     computing |= {"state_step", "adjoint_step"} if eliminates else set()
@@ -215,7 +215,7 @@ def _of_problem(model: Model) -> Features:
         state_rows=0 in kinds,
         general_rows=1 in kinds,
         hard_rows=any(p.rows[row].soft is None for _, _, _, row in p.qp_rows),
-        rows_move=any((k + 1, row) in {(k, row) for k, _, _, row in p.qp_rows} for k, _, _, row in p.qp_rows),
+        rows_move=any((k + 1, row) in imposed for k, row in imposed),
         proximal=bool(p.proximal),
         idle_end=p.idle_end and parts.algorithm.shift == "repeat",
         end_equations=any(k == p.N and _is_equation(p.rows[row]) for k, _, _, row in p.qp_rows),

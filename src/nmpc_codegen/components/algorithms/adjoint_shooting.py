@@ -22,7 +22,7 @@ from typing import ClassVar
 import numpy as np
 
 from nmpc_codegen.components.algorithms.features import ROWS as TERMS
-from nmpc_codegen.components.algorithms.real_time_iteration import PHASES, SOLVE
+from nmpc_codegen.components.algorithms.real_time_iteration import SAMPLE, SOLVE, shift_entry
 from nmpc_codegen.components.algorithms.scales import cost_magnitude, row_sizes, tolerance_table, variable_scales
 from nmpc_codegen.components.algorithms.shifts import (
     SHIFTS,
@@ -78,7 +78,7 @@ MAX_TERMINAL = 16
 STEP = EntryPoint(
     "step",
     "Compute u0 for the measured xhat; u0 is finite and inside its bounds on every return.",
-    *((arguments,) for arguments in (PHASES[1].inputs[0], PHASES[1].outputs[0])),
+    *((arguments,) for arguments in (SAMPLE[0].inputs[0], SAMPLE[0].outputs[0])),
 )
 
 
@@ -166,7 +166,7 @@ class AdjointShooting(Defaults):
 
     def entries(self, solve: bool) -> tuple[EntryPoint, ...]:
         """A sample in one call, the shift of the plan, and the iteration to convergence."""
-        return (STEP, PHASES[3], *((SOLVE,) if solve else ()))
+        return (STEP, shift_entry(self.shift), *((SOLVE,) if solve else ()))
 
     def adds(self, features: Features) -> Features:
         """Kernels of the linearisation and of x_0 are not used; without a Hessian, those of its products neither."""

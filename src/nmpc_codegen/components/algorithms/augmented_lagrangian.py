@@ -20,10 +20,11 @@ import numpy as np
 from nmpc_codegen.components.algorithms.features import FIRST_SAMPLE, SHIFT
 from nmpc_codegen.components.algorithms.real_time_iteration import (
     PATIENCE,
-    PHASES,
+    SAMPLE,
     SAMPLES,
     SOLVE,
     UNCONVERGED,
+    shift_entry,
     state_size,
 )
 from nmpc_codegen.components.algorithms.scales import (
@@ -140,7 +141,7 @@ class AugmentedLagrangian(Defaults):
 
     def entries(self, solve: bool) -> tuple[EntryPoint, ...]:
         """The two phases of a sample, both in one call, the shift of the plan, and the iteration to convergence."""
-        return (PREPARE, *PHASES[1:], *((SOLVE,) if solve else ()))
+        return (PREPARE, *SAMPLE, shift_entry(self.shift), *((SOLVE,) if solve else ()))
 
     def adds(self, features: Features) -> Features:
         return replace(

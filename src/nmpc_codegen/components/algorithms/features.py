@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 from nmpc_codegen.components.base import Dims, Feature
 from nmpc_codegen.package.memory import Field, Size, Struct
 
@@ -63,11 +61,13 @@ def _left(dims: Dims) -> tuple[Struct, ...]:
 
 def _price(dims: Dims) -> tuple[Struct, ...]:
     """What the time outside of hard rows makes of their price."""
+    outside = "violation at node 1 of the sample before, in its scale, if that was RELAXED"
+    rises = "1: the price rises again while the violation does not fall"
     members = (
-        Field("outside", (), "violation at node 1 of the sample before, in its scale, if that was RELAXED", "keep"),
-        Field("rises", (), "1: the price rises again while the violation does not fall", "keep", "int32"),
+        Field("outside", (), outside, "keep", only=lambda f: f.priced_rows),
+        Field("rises", (), rises, "keep", "int32", only=lambda f: f.priced_rows),
     )
-    return (Struct("solver", "", tuple(replace(member, only=lambda f: f.priced_rows) for member in members)),)
+    return (Struct("solver", "", members),)
 
 
 SHIFT = Feature("shift")

@@ -38,12 +38,7 @@ from nmpc_codegen.package.signals import Argument, EntryPoint
 
 _XHAT = Argument("xhat", "real", ("NX",))
 _U0 = Argument("u0", "real", ("NU",))
-PHASES = (
-    EntryPoint(
-        "prepare",
-        "Preparation phase: linearise, condense, factorise. A call that fails leaves the plan unchanged; feedback "
-        "restarts a plan that fails repeatedly.",
-    ),
+SAMPLE = (
     EntryPoint(
         "feedback",
         "Feedback phase: compute u0 for the measured xhat; u0 is finite and inside its bounds on every return.",
@@ -51,17 +46,6 @@ PHASES = (
         (_U0,),
     ),
     EntryPoint("step", "Call prepare and feedback.", (_XHAT,), (_U0,)),
-    EntryPoint("shift", "Move the plan by one interval."),
-)
-REPAIRING = EntryPoint(
-    "prepare",
-    "Preparation phase: move the plan to the next sample, repair it if it is far from the model, linearise, condense, "
-    "factorise. A call "
-    "that fails leaves the plan unchanged; feedback restarts a plan that fails repeatedly.",
-)
-SHIFT_AGAIN = EntryPoint(
-    "shift",
-    "Move the plan by one interval. The first prepare after a feedback does so by itself: a call moves it once more.",
 )
 SOLVE = EntryPoint(
     "solve",
@@ -69,6 +53,20 @@ SOLVE = EntryPoint(
     "or max_iterations is reached; kkt and stats describe the outcome.",
     (_XHAT, Argument("tol", "real"), Argument("max_iterations", "int")),
 )
+
+
+def _prepare(moves: bool, repairs: bool) -> EntryPoint:
+    first = ["move the plan to the next sample"] * moves + ["repair it if it is far from the model"] * repairs
+    steps = ", ".join([*first, "linearise, condense, factorise"])
+    failed = "A call that fails leaves the plan unchanged; feedback restarts a plan that fails repeatedly."
+    return EntryPoint("prepare", f"Preparation phase: {steps}. {failed}")
+
+
+def shift_entry(shift: str | None) -> EntryPoint:
+    """The shift of the plan, beside that of the samples if ``shift`` names one."""
+    again = " Every sample but the first does so by itself: a call moves the plan once more." if shift else ""
+    return EntryPoint("shift", f"Move the plan by one interval.{again}")
+
 
 FIRST = (
     EntryPoint(
@@ -239,8 +237,8 @@ class RealTimeIteration(Defaults):
     def entries(self, solve: bool) -> tuple[EntryPoint, ...]:
         """The two phases of a sample, both in one call, the shift of the plan, and the iteration to convergence."""
         optional = (*(FIRST if self.first_control else ()), *(LEVELS if self.leveled else ()))
-        phases = (REPAIRING if self.repair else PHASES[0], *PHASES[1:3], SHIFT_AGAIN if self.shift else PHASES[3])
-        return (*phases, *optional, *((SOLVE,) if solve else ()))
+        prepare = _prepare(self.shift is not None, self.repair > 0)
+        return (prepare, *SAMPLE, shift_entry(self.shift), *optional, *((SOLVE,) if solve else ()))
 
     @property
     def leveled(self) -> bool:

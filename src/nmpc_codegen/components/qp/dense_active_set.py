@@ -47,7 +47,7 @@ class DenseActiveSet(Defaults):
     template: ClassVar[str] = "qp/dense_active_set.c"
     needs: ClassVar[tuple[Seam, ...]] = ()
     takes: ClassVar[str] = "condensed"
-    automatic: ClassVar[bool] = True
+    chosen_for: ClassVar[tuple[str, ...]] = ("speed", "size")
     predicts: ClassVar[bool] = True
     supports: ClassVar[frozenset[str]] = frozenset(
         {"general cost", "integrated cost", "accumulators", "free initial state", "soft rows", "coupled rows"}

@@ -39,7 +39,7 @@ class Osqp(Defaults):
     template: ClassVar[str] = "qp/osqp.c"
     needs: ClassVar[tuple[Seam, ...]] = ()
     takes: ClassVar[str] = "condensed"
-    automatic: ClassVar[bool] = False
+    chosen_for: ClassVar[tuple[str, ...]] = ()
     predicts: ClassVar[bool] = False
     supports: ClassVar[frozenset[str]] = frozenset(
         {"general cost", "integrated cost", "accumulators", "free initial state", "coupled rows"}

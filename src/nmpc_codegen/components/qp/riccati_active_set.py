@@ -93,7 +93,7 @@ class RiccatiActiveSet(Defaults):
     template: ClassVar[str] = "qp/riccati_active_set.c"
     needs: ClassVar[tuple[Seam, ...]] = ("condensing",)
     takes: ClassVar[str] = "stages"
-    automatic: ClassVar[bool] = True
+    chosen_for: ClassVar[tuple[str, ...]] = ("speed",)
     predicts: ClassVar[bool] = True
     supports: ClassVar[frozenset[str]] = frozenset(
         {"general cost", "integrated cost", "accumulators", "free initial state", "soft rows", "coupled rows"}

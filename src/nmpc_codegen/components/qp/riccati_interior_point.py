@@ -126,7 +126,7 @@ class RiccatiInteriorPoint(Defaults):
     template: ClassVar[str] = "qp/riccati_interior_point.c"
     needs: ClassVar[tuple[Seam, ...]] = ("condensing",)
     takes: ClassVar[str] = "stages"
-    automatic: ClassVar[bool] = False
+    chosen_for: ClassVar[tuple[str, ...]] = ("size",)
     predicts: ClassVar[bool] = False
     supports: ClassVar[frozenset[str]] = frozenset(
         {"general cost", "integrated cost", "accumulators", "free initial state", "soft rows", "coupled rows"}
