@@ -88,33 +88,15 @@ static void copy_row_gradient(const solver_t *s, int m, real_t *a)
     memcpy(a, row_gradient(s, m), (size_t)((row_node(m) < N) ? NZ : NX) * sizeof *a);
 }
 
-/* Where the multiplier of row m is stored. */
-static inline real_t *row_multiplier_place(solver_t *s, int m)
+/* mu of the general rows at path node k, 0 where one does not hold. */
+static void path_multipliers(const solver_t *s, int k, real_t *mu)
 {
-    if (row_is_state(m)) {
-        return &s->mu_x[row_node(m)][row_index(m)];
+    memset(mu, 0, NH * sizeof *mu);
+    for (int m = row_first[k]; m < row_first[k + 1]; m++) {
+        if (!row_is_state(m)) {
+            mu[row_index(m)] = s->mult[m];
+        }
     }
-    if (NE > 0 && (NH + NH_N == 0 || row_is_coupled(m))) {
-        return &s->eta[row_index(m)];
-    }
-    if (NH_N > 0 && (NH == 0 || row_node(m) == N)) {
-        return &s->mu_N[row_index(m)];
-    }
-    return &s->mu[row_node(m)][row_index(m)];
-}
-
-static inline real_t row_multiplier(const solver_t *s, int m)
-{
-    if (row_is_state(m)) {
-        return s->mu_x[row_node(m)][row_index(m)];
-    }
-    if (NE > 0 && (NH + NH_N == 0 || row_is_coupled(m))) {
-        return s->eta[row_index(m)];
-    }
-    if (NH_N > 0 && (NH == 0 || row_node(m) == N)) {
-        return s->mu_N[row_index(m)];
-    }
-    return s->mu[row_node(m)][row_index(m)];
 }
 
 /* Penalty l1 v of a violation v of row m; infinite for a hard row. */

@@ -143,8 +143,8 @@ static void assemble(solver_t *s)
     if (NG) {
         for (int m = 0; m < NG; m++) {
             if (row_relaxed[m]) {
-                change_row(s, m, row_multiplier(s, m), R(0), a->curvature[m]);
-                a->slope[m] = row_multiplier(s, m);
+                change_row(s, m, s->mult[m], R(0), a->curvature[m]);
+                a->slope[m] = s->mult[m];
             }
         }
         a->offset = R(0);

@@ -18,7 +18,7 @@ static void set_bound_multipliers(solver_t *s)
                 const int k = row_node(m), i = row_index(m);
                 const real_t x = s->x[k][i], force = -(a->g[k][i] + a->Hd[k][i]);
                 const int holds = (force > R(0)) ? !(x < row_upper(s, m)) : !(x > row_lower(s, m));
-                s->mu_x[k][i] = holds ? force : R(0);
+                s->mult[m] = holds ? force : R(0);
             }
         }
     }

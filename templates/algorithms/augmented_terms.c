@@ -94,7 +94,7 @@ static void estimate_multipliers(solver_t *s)
     }
     for (int m = 0; m < NG; m++) {
         if (row_relaxed[m]) {
-            a->term[m] = row_term(s, m, a->value[m], row_multiplier_place(s, m), &a->curvature[m]);
+            a->term[m] = row_term(s, m, a->value[m], &s->mult[m], &a->curvature[m]);
         }
     }
 }
@@ -112,7 +112,7 @@ static void update_multipliers(solver_t *s)
     }
     for (int m = 0; m < NG; m++) {
         const real_t most = FACTOR_AUGMENTED_MULTIPLIER * a->penalty * SQRT(row_weight[m]);
-        a->row[m] = row_relaxed[m] ? clip(row_multiplier(s, m), -most, most) : R(0);
+        a->row[m] = row_relaxed[m] ? clip(s->mult[m], -most, most) : R(0);
     }
 }
 
@@ -121,7 +121,7 @@ static void couple_start(solver_t *s, real_t sign)
 {
     for (int j = 0; j < NE; j++) {
         for (int i = 0; i < NX; i++) {
-            s->lam[0][i] += sign * s->coupled.J_0[j][i] * s->eta[j];
+            s->lam[0][i] += sign * s->coupled.J_0[j][i] * COUPLED_MULTIPLIERS(s)[j];
         }
     }
 }
@@ -134,7 +134,7 @@ static void restore_multipliers(solver_t *s)
 #if NG
     for (int m = 0; m < NG; m++) {
         if (row_relaxed[m]) {
-            *row_multiplier_place(s, m) = a->row[m];
+            s->mult[m] = a->row[m];
         }
     }
 #endif

@@ -72,10 +72,12 @@ static int controls_hold(const solver_t *s, int k, const real_t *w, real_t *leas
         for (int l = 0; l < NX; l++) {
             size += FABS(node->S[l][i] * s->lam[k + 1][l]);
         }
-        for (int l = 0; l < NH; l++) {
-            const real_t force = node->J[l][i] * s->mu[k][l];
-            sum += force;
-            size += FABS(force);
+        for (int m = row_first[k]; m < row_first[k + 1]; m++) {
+            if (!row_is_state(m)) {
+                const real_t force = row_gradient(s, m)[i] * s->mult[m];
+                sum += force;
+                size += FABS(force);
+            }
         }
         const real_t rounding = TOL_STEP_GRADIENT * size + TOL_ROUNDING * force_size[i];
         const real_t over = (FABS(sum) - rounding) * s->qp.inverse[k * NU + j];

@@ -5,7 +5,7 @@
 
 static void kkt_soft_row(const solver_t *s, int m, real_t value, kkt_t *kkt)
 {
-    const real_t l1 = row_l1(m), l2 = row_l2(m), mu = row_multiplier(s, m);
+    const real_t l1 = row_l1(m), l2 = row_l2(m), mu = s->mult[m];
     const real_t scale = row_magnitude[row_id(m)];
     kkt_soft_side(kkt, value - row_upper(s, m), (mu > R(0)) ? mu : R(0), l1, l2, value, scale);
     kkt_soft_side(kkt, row_lower(s, m) - value, (mu < R(0)) ? -mu : R(0), l1, l2, value, scale);
@@ -24,7 +24,7 @@ static void kkt_rows(const solver_t *s, kkt_t *kkt)
             continue;
         }
         const real_t scale = row_magnitude[row_id(m)];
-        kkt_row(kkt, value[m], row_lower(s, m), row_upper(s, m), row_multiplier(s, m), scale);
+        kkt_row(kkt, value[m], row_lower(s, m), row_upper(s, m), s->mult[m], scale);
     }
     for (int k = 0; k < N; k++) {
         for (int j = 0; j < NU; j++) {
@@ -41,36 +41,50 @@ static inline void kkt_add(real_t *sum, real_t *terms, real_t term)
     *terms += FABS(term);
 }
 
-/* sum += J' eta of the coupled rows, J = dr / dx_0 for k = 0 and dr / dx_N for k = N; terms += the magnitudes. */
+/* sum += mult of the bounds of the states of node k; terms += the magnitudes. */
+static void add_bound_forces(const solver_t *s, int k, real_t *sum, real_t *terms)
+{
+    for (int m = row_first[k]; m < row_first[k + 1]; m++) {
+        if (row_is_state(m)) {
+            kkt_add(&sum[row_index(m)], &terms[row_index(m)], s->mult[m]);
+        }
+    }
+}
+
+/* sum += J' mult of the coupled rows, J = dr / dx_0 for k = 0 and dr / dx_N for k = N; terms += the magnitudes. */
 static void add_coupled_forces(const solver_t *s, int k, real_t *sum, real_t *terms)
 {
     real_t r[NE], J_0[NE][NX] = {{0}}, J_N[NE][NX] = {{0}};
     COUPLED_ROWS(s, r, J_0, J_N);
     for (int i = 0; i < NX; i++) {
         for (int j = 0; j < NE; j++) {
-            kkt_add(&sum[i], &terms[i], ((k == 0) ? J_0 : J_N)[j][i] * s->eta[j]);
+            kkt_add(&sum[i], &terms[i], ((k == 0) ? J_0 : J_N)[j][i] * COUPLED_MULTIPLIERS(s)[j]);
         }
     }
 }
 
-/* Node k: gradient of the Lagrangian (q, r) + [A B]' lam_{k+1} - (lam_k, 0) + mu_x, mu_u + J' mu, and the gap. */
+/* Node k: gradient of the Lagrangian (q, r) + [A B]' lam_{k+1} - (lam_k, 0) + (0, mu_u) + J' mult, and the gap. */
 static void kkt_node(const solver_t *s, int k, const node_t *node, kkt_t *kkt)
 {
-    real_t sum[NZ] = {0}, terms[NZ] = {0};
+    real_t sum[NZ] = {0}, terms[NZ] = {0}, mu[NH];
     if (k == 0) {
         if (NE > 0) {
             add_coupled_forces(s, k, sum, terms);
         }
     }
+    if (STATE_ROWS) {
+        add_bound_forces(s, k, sum, terms);
+    }
+    path_multipliers(s, k, mu);
     for (int i = 0; i < NZ; i++) {
         kkt_add(&sum[i], &terms[i], node->g[i]);
         for (int j = 0; j < NX; j++) {
             kkt_add(&sum[i], &terms[i], node->S[j][i] * s->lam[k + 1][j]);
         }
         for (int j = 0; j < NH; j++) {
-            kkt_add(&sum[i], &terms[i], node->J[j][i] * s->mu[k][j]);
+            kkt_add(&sum[i], &terms[i], node->J[j][i] * mu[j]);
         }
-        kkt_add(&sum[i], &terms[i], (i < NX) ? s->mu_x[k][i] - s->lam[k][i] : s->mu_u[k][i - NX]);
+        kkt_add(&sum[i], &terms[i], (i < NX) ? -s->lam[k][i] : s->mu_u[k][i - NX]);
         kkt_note(kkt, &kkt->stationarity, sum[i], terms[i], force_size[i]);
         if (i < NX) {
             kkt_note(kkt, &kkt->equality, node->b[i], FABS(s->x[k + 1][i]), z_scale[i]);
@@ -85,11 +99,14 @@ static void kkt_terminal(const solver_t *s, const terminal_t *terminal, kkt_t *k
     if (NE > 0) {
         add_coupled_forces(s, N, sum, terms);
     }
+    if (STATE_ROWS) {
+        add_bound_forces(s, N, sum, terms);
+    }
     for (int i = 0; i < NX; i++) {
         kkt_add(&sum[i], &terms[i], terminal->g[i]);
-        kkt_add(&sum[i], &terms[i], s->mu_x[N][i] - s->lam[N][i]);
+        kkt_add(&sum[i], &terms[i], -s->lam[N][i]);
         for (int j = 0; j < NH_N; j++) {
-            kkt_add(&sum[i], &terms[i], terminal->J[j][i] * s->mu_N[j]);
+            kkt_add(&sum[i], &terms[i], terminal->J[j][i] * END_MULTIPLIERS(s)[j]);
         }
         kkt_note(kkt, &kkt->stationarity, sum[i], terms[i], force_size[i]);
         if (NF) {

@@ -5,7 +5,7 @@ static void linearize_with_curvature(solver_t *s)
 {
     curved_t *c = &s->curved;
     const int adjoint = !has_multipliers(s);
-    real_t x_next[NX];
+    real_t x_next[NX], mu[NH];
     memset(c->Q, 0, sizeof c->Q);
     memset(c->Q_N, 0, sizeof c->Q_N);
     TERMINAL_GRADIENT(s, s->terminal.g);
@@ -15,7 +15,8 @@ static void linearize_with_curvature(solver_t *s)
         memcpy(s->lam[N], s->terminal.g, sizeof s->terminal.g);
     }
     for (int k = N - 1; k >= 0; k--) {
-        PATH_EXACT(s, k, x_next, s->node[k].S, s->node[k].g, c->Q[k]);
+        path_multipliers(s, k, mu);
+        PATH_EXACT(s, k, mu, x_next, s->node[k].S, s->node[k].g, c->Q[k]);
         if (adjoint) {
             adjoint_node(s, k);
         }
@@ -34,5 +35,5 @@ static void linearize_with_curvature(solver_t *s)
         }
     }
     INITIAL_EXACT(s, c->Q[0]);
-    TERMINAL_EXACT(s, c->Q_N);
+    TERMINAL_EXACT(s, END_MULTIPLIERS(s), c->Q_N);
 }

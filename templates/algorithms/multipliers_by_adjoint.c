@@ -1,16 +1,18 @@
-/* w += gradient of the general [if NE > 0: and coupled] rows of node k with respect to its state, times their
- * multipliers. */
+/* w += gradient of the rows of node k with respect to its state, times their multipliers. */
 static void add_row_forces(const solver_t *s, int k, real_t *w)
 {
-    for (int i = 0; i < NX; i++) {
-        for (int j = 0; j < NE && (k == 0 || k == N); j++) {
-            w[i] += ((k == N) ? s->coupled.J_N[j][i] : s->coupled.J_0[j][i]) * s->eta[j];
+    for (int m = row_first[k]; m < row_first[k + 1]; m++) {
+        if (row_is_state(m)) {
+            w[row_index(m)] += s->mult[m];
+            continue;
         }
-        for (int j = 0; j < NH && k < N; j++) {
-            w[i] += s->node[k].J[j][i] * s->mu[k][j];
+        for (int i = 0; i < NX; i++) {
+            w[i] += row_gradient(s, m)[i] * s->mult[m];
         }
-        for (int j = 0; j < NH_N && k == N; j++) {
-            w[i] += s->terminal.J[j][i] * s->mu_N[j];
+    }
+    for (int j = 0; j < NE && k == 0; j++) {
+        for (int i = 0; i < NX; i++) {
+            w[i] += s->coupled.J_0[j][i] * COUPLED_MULTIPLIERS(s)[j];
         }
     }
 }
@@ -27,13 +29,10 @@ static int recover_multipliers(solver_t *s)
         add_terminal_curvature(s, s->step.dx[N], w);
     }
     for (int k = N; k >= 0; k--) {
-        if (NE + NH + NH_N > 0) {
+        if (NG > 0) {
             add_row_forces(s, k, w);
         }
-        for (int i = 0; i < NX; i++) {
-            w[i] += s->mu_x[k][i];
-            s->lam[k][i] = w[i];
-        }
+        memcpy(s->lam[k], w, sizeof s->lam[k]);
         if (k == 0) {
             break;
         }

@@ -7,11 +7,8 @@ enum { FINE, ONCE, TWICE, FOR_GOOD };
 static void forget_multipliers(solver_t *s)
 {
     memset(s->lam, 0, sizeof s->lam);
-    memset(s->mu_x, 0, sizeof s->mu_x);
     memset(s->mu_u, 0, sizeof s->mu_u);
-    memset(s->mu, 0, sizeof s->mu);
-    memset(s->mu_N, 0, sizeof s->mu_N);
-    memset(s->eta, 0, sizeof s->eta);
+    memset(s->mult, 0, sizeof s->mult);
 }
 
 /* Restarts the plan: sets every state to x, replaces controls that are not finite by their references, sets all

@@ -110,15 +110,11 @@ status_t API(prepare)(solver_t *s)
     return finish(s, status);
 }
 
-/* Copies the multipliers of the QP to the multipliers of the corresponding rows; those of states without a row are
- * 0. */
-static void scatter_multipliers(solver_t *s)
+/* The multipliers of the QP become those of the plan. */
+static void copy_multipliers(solver_t *s)
 {
-    memset(s->mu_x, 0, sizeof s->mu_x);
     memcpy(s->mu_u, s->step.mult_u, sizeof s->mu_u);
-    for (int m = 0; m < NG; m++) {
-        *row_multiplier_place(s, m) = s->step.mult[m];
-    }
+    memcpy(s->mult, s->step.mult, sizeof s->mult);
 }
 
 /* Returns 1 if the step of the QP is finite. */
@@ -202,7 +198,7 @@ static status_t feedback_here(solver_t *s)
     if (!step_holds(s, status) || !plan_is_finite(s)) {
         return NUMERICAL_FAILURE;
     }
-    scatter_multipliers(s);
+    copy_multipliers(s);
     if (!recover_multipliers(s) && status == OK) { /* those of relaxed rows drown the gradient in their rounding */
         return NUMERICAL_FAILURE;
     }

@@ -13,7 +13,7 @@ static void shift_rows(solver_t *s)
                 source[m] = m;
             }
         }
-        *row_multiplier_place(s, m) = row_multiplier(s, source[m]); /* not yet shifted, as source[m] >= m */
+        s->mult[m] = s->mult[source[m]]; /* not yet shifted, as source[m] >= m */
     }
     if (HAS_QP) {
         condense_shift_rows(s, source);

@@ -393,11 +393,11 @@ static void take_multipliers(solver_t *s)
             }
         }
         for (int m = 0; m < NG; m++) {
-            approach(row_multiplier_place(s, m), q->step.mult[m], q->length);
+            approach(&s->mult[m], q->step.mult[m], q->length);
         }
     } else {
         s->step = s->sqp.step;
-        scatter_multipliers(s);
+        copy_multipliers(s);
     }
     if (HAS_ADJOINT_STEP && !CURVED) {
         (void)recover_multipliers(s); /* convergence is judged by the residuals of the problem itself */
@@ -476,7 +476,7 @@ static void bound_multipliers(solver_t *s)
         }
     }
     for (int m = 0; m < NG; m++) {
-        *row_multiplier_place(s, m) *= most / largest;
+        s->mult[m] *= most / largest;
     }
 }
 
@@ -680,7 +680,7 @@ static int multipliers_are_finite(solver_t *s)
 {
     int finite = all_finite(s->lam[0], (N + 1) * NX);
     for (int m = 0; m < NG; m++) {
-        finite &= isfinite(row_multiplier(s, m)) != 0;
+        finite &= isfinite(s->mult[m]) != 0;
     }
     return finite;
 }

@@ -117,10 +117,11 @@ static void refresh_node(solver_t *s, int k, int level)
         correct_gradient(s, k);
     }
     if (NH > 0) {
-        real_t J[NH][NZ] = {{R(0)}};
+        real_t J[NH][NZ] = {{R(0)}}, mu[NH];
         PATH_ROWS(s, k, node->h, J);
         if (level == LEVEL_C) {
-            correct_rows(node->g, J[0], node->J[0], s->mu[k], NH, NZ);
+            path_multipliers(s, k, mu);
+            correct_rows(node->g, J[0], node->J[0], mu, NH, NZ);
         }
     }
 }
@@ -135,7 +136,7 @@ static void refresh_terminal(solver_t *s, int level)
         real_t J[NH_N][NX] = {{R(0)}};
         TERMINAL_ROWS(s, terminal->h, J);
         if (level == LEVEL_C) {
-            correct_rows(terminal->g, J[0], terminal->J[0], s->mu_N, NH_N, NX);
+            correct_rows(terminal->g, J[0], terminal->J[0], END_MULTIPLIERS(s), NH_N, NX);
         }
     }
 }
@@ -146,8 +147,8 @@ static void refresh_coupled(solver_t *s, int level)
     real_t J_0[NE][NX] = {{R(0)}}, J_N[NE][NX] = {{R(0)}};
     COUPLED_ROWS(s, s->coupled.r, J_0, J_N);
     if (level == LEVEL_C) {
-        correct_rows(s->node[0].g, J_0[0], s->coupled.J_0[0], s->eta, NE, NX);
-        correct_rows(s->terminal.g, J_N[0], s->coupled.J_N[0], s->eta, NE, NX);
+        correct_rows(s->node[0].g, J_0[0], s->coupled.J_0[0], COUPLED_MULTIPLIERS(s), NE, NX);
+        correct_rows(s->terminal.g, J_N[0], s->coupled.J_N[0], COUPLED_MULTIPLIERS(s), NE, NX);
     }
 }
 

@@ -52,35 +52,21 @@ static void add_if_convex(real_t *Q, const real_t *M, int n)
  * Q_N. Row by row, since a concave row must not take their curvature from the others. */
 static void add_rows(solver_t *s)
 {
-    if (HAS_PATH_CURVATURE) {
-        real_t M[NZ][NZ] = {{R(0)}};
-        for (int k = 0; k < N; k++) {
-            real_t mu[NH];
-            memcpy(mu, s->mu[k], sizeof mu);
-            memset(s->mu[k], 0, sizeof mu);
-            for (int i = 0; i < NH; i++) {
-                if (mu[i] < R(0) || mu[i] > R(0)) {
-                    s->mu[k][i] = mu[i];
-                    PATH_CURVATURE(s, k, M);
-                    s->mu[k][i] = R(0);
-                    add_if_convex(&s->hessian.Q[k][0][0], &M[0][0], NZ);
-                }
-            }
-            memcpy(s->mu[k], mu, sizeof mu);
+    real_t mu[NH + NH_N] = {R(0)}, M[NZ][NZ] = {{R(0)}}, M_N[NX][NX] = {{R(0)}};
+    for (int m = 0; m < NG; m++) {
+        if (row_is_state(m) || row_is_coupled(m) || s->mult[m] == R(0)) { /* exactly 0: it is not active */
+            continue;
         }
-    }
-    if (HAS_TERMINAL_CURVATURE) {
-        real_t M_N[NX][NX] = {{R(0)}}, mu_N[NH_N];
-        memcpy(mu_N, s->mu_N, sizeof mu_N);
-        memset(s->mu_N, 0, sizeof mu_N);
-        for (int i = 0; i < NH_N; i++) {
-            if (mu_N[i] < R(0) || mu_N[i] > R(0)) {
-                s->mu_N[i] = mu_N[i];
-                TERMINAL_CURVATURE(s, M_N);
-                s->mu_N[i] = R(0);
-                add_if_convex(&s->hessian.Q_N[0][0], &M_N[0][0], NX);
+        mu[row_index(m)] = s->mult[m];
+        if (row_node(m) < N) {
+            if (HAS_PATH_CURVATURE) {
+                PATH_CURVATURE(s, row_node(m), mu, M);
+                add_if_convex(&s->hessian.Q[row_node(m)][0][0], &M[0][0], NZ);
             }
+        } else if (HAS_TERMINAL_CURVATURE) {
+            TERMINAL_CURVATURE(s, mu, M_N);
+            add_if_convex(&s->hessian.Q_N[0][0], &M_N[0][0], NX);
         }
-        memcpy(s->mu_N, mu_N, sizeof mu_N);
+        mu[row_index(m)] = R(0);
     }
 }

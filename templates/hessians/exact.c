@@ -28,10 +28,12 @@ static inline void start_expansion(solver_t *s)
 static void expand_node(solver_t *s, int k, real_t *x_next)
 {
     node_t *node = &s->node[k];
+    real_t mu[NH];
     if (k == N - 1) {
         start_expansion(s);
     }
-    PATH_EXACT(s, k, x_next, node->S, node->g, s->hessian.Q[k]);
+    path_multipliers(s, k, mu);
+    PATH_EXACT(s, k, mu, x_next, node->S, node->g, s->hessian.Q[k]);
     if (s->hessian.adjoint) {
         adjoint_node(s, k);
     }
@@ -52,7 +54,7 @@ static void hessian(solver_t *s)
         add_start_hessian(s);
     }
     INITIAL_HESSIAN(s, s->hessian.Q[0]);
-    TERMINAL_HESSIAN(s, s->hessian.Q_N);
+    TERMINAL_HESSIAN(s, END_MULTIPLIERS(s), s->hessian.Q_N);
     if (REGULARIZE_STAGES) {
         regularize_stages(s);
     }

@@ -73,11 +73,8 @@ def _multipliers(dims: Dims) -> Struct:
         "",
         (
             Field("lam", (nodes, dims.nx), "multipliers of the dynamics; lam_0 belongs to x_0 = xhat", "iterate"),
-            Field("mu_x", (nodes, dims.nx), "multipliers of the state bounds, > 0 at the upper one", "iterate"),
-            Field("mu_u", (dims.N, dims.nu), "multipliers of the control bounds", "iterate"),
-            Field("mu", (dims.N, dims.nh), "multipliers of the general path rows", "iterate"),
-            Field("mu_N", (dims.nh_N,), "multipliers of the general terminal rows", "iterate"),
-            Field("eta", (dims.ne,), "multipliers of the coupled rows", "iterate"),
+            Field("mu_u", (dims.N, dims.nu), "multipliers of the control bounds, > 0 at the upper one", "iterate"),
+            Field("mult", (dims.ng,), "multipliers of the other rows, sorted by node", "iterate"),
         ),
     )
 

@@ -137,7 +137,15 @@ def accessors(module: CModule) -> list[Definition]:
         ("PARAM_N", "s", member("parameter", f"(s)->p[{at('parameter', 'N', '1')}]", "default_parameter")),
         ("PATH_LOWER", "s, k, row", member("bounds", f"(s)->lower[{at('bounds', 'k')}]", "default_lower") + "[row]"),
         ("PATH_UPPER", "s, k, row", member("bounds", f"(s)->upper[{at('bounds', 'k')}]", "default_upper") + "[row]"),
+        ("END_MULTIPLIERS", "s", _last_multipliers(module, "NE", "NH_N")),
+        ("COUPLED_MULTIPLIERS", "s", _last_multipliers(module, "NE")),
     ]
+
+
+def _last_multipliers(module: CModule, *sizes: str) -> str:
+    """The multipliers of the last rows, as many as these sizes say: the vector ends with those of the coupled rows,
+    after the general ones of node N."""
+    return f"((s)->mult + ({' - '.join(['NG', *(size for size in sizes if module.value(size))])}))"
 
 
 def product_call(routine: LoopedRoutine, style: CStyle) -> Definition:
@@ -155,13 +163,13 @@ PLACES = {
     "dt": "&interval_length[k]",
     "yref": "YREF(s, k)",
     "W": "WEIGHT(s, k)",
-    "mu": "(s)->mu[k]",
+    "mu": "mu",
     "lam": "(s)->lam[(k) + 1]",
     "x_0": "(s)->x[0]",
     "x_N": "(s)->x[N]",
     "first": "(s)->x[0]",
     "last": "(s)->x[N]",
-    "eta": "(s)->eta",
+    "eta": "COUPLED_MULTIPLIERS(s)",
     "block": "&(Q)[0][0]",
     "dx": "dx",
     "du": "du",
@@ -173,7 +181,6 @@ TERMINAL_PLACES = {
     "p": "PARAM_N(s)",
     "yref": "YREF_N(s)",
     "W": "WEIGHT_N(s)",
-    "mu": "(s)->mu_N",
 }
 #: Where coupled rows read x_0 if the algorithm writes the measured state for it.
 MEASURED_START = {"x_0": "(s)->xhat", "first": "(s)->xhat"}
@@ -186,7 +193,7 @@ START_PLACES = {
 
 
 #: Inputs that are arguments of the macro of every kernel that has them.
-VECTORS = ("dx", "du", "adj", "d")
+VECTORS = ("mu", "dx", "du", "adj", "d")
 
 
 def kernel_call(

@@ -164,6 +164,7 @@ def lane_nodes(module: CModule, style: CStyle) -> str:
         for r in found.called
     ]
     lines = [line for port in inputs.values() for line in _gathered(port, module)]
+    lines = [*(_MULTIPLIERS if "mu" in inputs else ()), *lines]
     lines = [f"lanes_t {', '.join(declared)};", *lines, *zeros, *calls, *stores]
     if zeros:
         lines.insert(0, "const lanes_t zero = {0};")
@@ -232,8 +233,17 @@ def _node_layout(module: CModule) -> tuple[dict[str, int], int]:
     return offsets, total
 
 
+#: The multipliers of the general rows of all nodes of a group.
+_MULTIPLIERS = (
+    "real_t rows[VECTOR_LANES][NH];",
+    "for (int l = 0; l < VECTOR_LANES; l++) {",
+    "    path_multipliers(s, k + l, rows[l]);",
+    "}",
+)
+
+
 def _gathered(port: Port, module: CModule) -> Iterator[str]:
-    place = PLACES[port.name]
+    place = "rows[0]" if port.name == "mu" else PLACES[port.name]
     option = OPTIONS.get(port.name)
     stride = 1 if port.name == "dt" else port.size
     yield f"for (int i = 0; i < {port.size}; i++) {{"
