@@ -75,7 +75,9 @@ static void kkt_node(const solver_t *s, int k, const node_t *node, kkt_t *kkt)
     if (STATE_ROWS) {
         add_bound_forces(s, k, sum, terms);
     }
-    path_multipliers(s, k, mu);
+    if (NH > 0) {
+        path_multipliers(s, k, mu);
+    }
     for (int i = 0; i < NZ; i++) {
         kkt_add(&sum[i], &terms[i], node->g[i]);
         for (int j = 0; j < NX; j++) {

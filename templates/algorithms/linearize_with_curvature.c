@@ -15,7 +15,9 @@ static void linearize_with_curvature(solver_t *s)
         memcpy(s->lam[N], s->terminal.g, sizeof s->terminal.g);
     }
     for (int k = N - 1; k >= 0; k--) {
-        path_multipliers(s, k, mu);
+        if (NH > 0) {
+            path_multipliers(s, k, mu);
+        }
         PATH_EXACT(s, k, mu, x_next, s->node[k].S, s->node[k].g, c->Q[k]);
         if (adjoint) {
             adjoint_node(s, k);

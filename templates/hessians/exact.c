@@ -32,7 +32,9 @@ static void expand_node(solver_t *s, int k, real_t *x_next)
     if (k == N - 1) {
         start_expansion(s);
     }
-    path_multipliers(s, k, mu);
+    if (NH > 0) {
+        path_multipliers(s, k, mu);
+    }
     PATH_EXACT(s, k, mu, x_next, node->S, node->g, s->hessian.Q[k]);
     if (s->hessian.adjoint) {
         adjoint_node(s, k);

@@ -136,7 +136,7 @@ def fill(p: Package, name: str, seed: int) -> StageData:
     Q_N = p["hessian"]["Q_N"] if existing(p["hessian"], "Q_N") else np.zeros((nx, nx))
     Q[...] = np.tril(on(pattern.Q, Q.shape))
     Q_N[...] = np.tril(on(pattern.Q_N, Q_N.shape))
-    for field in existing(p.memory, "x", "u", "lower", "upper", "mu_x", "mu_u", "mu", "mu_N"):
+    for field in existing(p.memory, "x", "u", "lower", "upper", "mu_u", "mult"):
         p[field][...] = random.uniform(-1, 1, p[field].shape)
     symmetric = np.broadcast_to(Q + np.tril(Q, -1).transpose(0, 2, 1), (N, nx + nu, nx + nu))
     return StageData(
@@ -230,11 +230,10 @@ def test_multipliers(name: str, spelling: str, seed: int) -> None:
     p["step"]["dx"][0], p["qp"]["z"][...] = dx0, du
     p.call("condense_expand")
     p.call("recover_multipliers")
-    extra = p["mu_x"].copy()
-    for k in range(N if stated.path.nh else 0):
-        extra[k] += p["node"]["J"][k, : stated.path.nh, : d.nx].T @ p["mu"][k, : stated.path.nh]
-    if stated.terminal.nh:
-        extra[N] += p["terminal"]["J"][: stated.terminal.nh].T @ p["mu_N"][: stated.terminal.nh]
+    extra = np.zeros((N + 1, d.nx))
+    for m, (k, _, _, row) in enumerate(stated.qp_rows):
+        J = p["terminal"]["J"] if k == N and stated.terminal.nh else p["node"]["J"][k % N] if stated.path.nh else None
+        extra[k] += p["mult"][m] * stated.rows[row].value(np.eye(d.nx), None, J, None, k == N)[: d.nx]
     dx = (condensed.X0 @ dx0 + condensed.U @ du + condensed.c).reshape(N + 1, d.nx)
     close(p["lam"], multipliers(d, dx, du.reshape(N, d.nu), extra))
 

@@ -60,8 +60,8 @@ def _built(scheme: Any, regularization: Any, unroll: str, free: bool = True) -> 
 def drawn(controller: Controller, seed: int = 3) -> None:
     """A random plan with random multipliers."""
     random = np.random.default_rng(seed)
-    for name in ("x", "u", "lam", "mu", "mu_N", "eta"):
-        view = getattr(controller, name)
+    for name in ("x", "u", "lam", "mult"):
+        view = controller.view(name)
         view[...] = random.uniform(-1, 1, view.shape)
 
 

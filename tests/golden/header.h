@@ -50,4 +50,4 @@ const char *golden_status_string(golden_status_t status);
 #endif
 
 #endif
-/* nmpc_codegen package 20fde5d77eb550ac, sha256 1d46e98f35232fb518830e263ee0769ca9026ca04f46b3aff0372d6430a7d8c2 */
+/* nmpc_codegen package 2387361c07e6fba9, sha256 ede222bc5b4ea1e7f31d4de2c1ce76b5a2650427002a1462750c8068c1a93f9a */

@@ -328,6 +328,32 @@ def test_empty_dimensions_have_their_true_shape(toy: Controller) -> None:
     assert (toy.mu.shape, toy.mu_N.shape, toy.eta.shape) == ((4, 0), (0,), (0,))
 
 
+def test_multipliers_of_rows_by_name() -> None:
+    """They are copies that cannot be written by accident; an assignment reaches the vector of the C code."""
+    ocp = OCP("rows", T=0.3, N=3)
+    x, u = ocp.state("x"), ocp.control("u")
+    ocp.dynamics({x: u})
+    ocp.least_squares([x, u], [1.0, 1.0])
+    ocp.subject_to(-1, x, 1)
+    ocp.subject_to(-2, x + u, 2, at=[0, 2])
+    ocp.subject_to(-3, x**2, 3, at="end")
+    ocp.boundary(-4, ocp.at_start(x) + ocp.at_end(x), 4)
+    c = build(ocp, profile="test")
+    c.view("mult")[...] = np.arange(1.0, 8.0)  # x + u at node 0; x at 1; x, x + u at 2; x, x^2 at 3; coupled
+    np.testing.assert_array_equal(c.mu_x, [[0], [2], [3], [5]])
+    np.testing.assert_array_equal(c.mu, [[1], [0], [4]])
+    assert (c.mu_N.tolist(), c.eta.tolist()) == ([6.0], [7.0])
+    for name in ("mu_x", "mu", "mu_N", "eta"):
+        with pytest.raises(ValueError, match="read-only"):
+            getattr(c, name)[...] = 0.0
+        setattr(c, name, -getattr(c, name))
+    np.testing.assert_array_equal(c.view("mult"), -np.arange(1.0, 8.0))
+    with pytest.raises(ControllerError, match=r"mu\[1, 0\] is 2; expected 0, as no row is imposed there"):
+        c.mu = np.full((3, 1), 2.0)
+    with pytest.raises(ControllerError, match="mu_N has shape"):
+        c.mu_N = np.zeros(3)
+
+
 def test_inner_structs(toy: Controller) -> None:
     toy.step(FIRST)
     assert toy.view("node.S").shape == (4, 2, 3)

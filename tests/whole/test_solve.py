@@ -75,10 +75,10 @@ def perturbed(name: str) -> tuple[Controller, Any]:
     c.solve(CASES[name].x0, tol=1e-10)
     rng = np.random.default_rng(7)
     for which in ("x", "u", *MULTIPLIERS):
-        view = c.view(which)
-        view *= 1 + 0.3 * rng.uniform(-1, 1, view.shape)
+        value = getattr(c, which) * (1 + 0.3 * rng.uniform(-1, 1, getattr(c, which).shape))
         if which in ("x", "u", "lam"):
-            view += 0.2 * rng.uniform(-1, 1, view.shape)
+            value += 0.2 * rng.uniform(-1, 1, value.shape)
+        setattr(c, which, value)
     return c, problems.point(c)
 
 

@@ -41,7 +41,7 @@ MUTANTS = (
     Mutant(
         "a dropped term: terminal rows in the KKT residual",
         "templates/algorithms/kkt.c",
-        "terminal->J[j][i] * s->mu_N[j]);",
+        "terminal->J[j][i] * END_MULTIPLIERS(s)[j]);",
         "R(0));",
         ("tests/whole/test_solve.py",),
     ),

@@ -145,14 +145,7 @@ def answer(controller: Controller, qp: StageQP) -> Answer:
     """One sample with this QP, from the working set of the sample before."""
     write(controller, qp)
     controller.step(qp.dx0)
-    rows, c = qp.rows, controller
-    mult = np.zeros(len(rows))
-    state, general = rows.kind == 0, rows.kind == 1
-    path, end = general & (rows.node < qp.shape.N), general & (rows.node == qp.shape.N)
-    mult[state] = c.mu_x[rows.node[state], rows.index[state]]
-    if path.any():
-        mult[path] = c.mu[rows.node[path], rows.index[path]]
-    if end.any():
-        mult[end] = c.mu_N[rows.index[end]]
+    c = controller
+    mult = c.member("mult").astype(float)
     point = Point(c.x.astype(float), c.u.astype(float), c.mu_u.astype(float), mult)
     return Answer(c.status, point, c.lam.astype(float), c.stats.qp_iterations)

@@ -99,7 +99,7 @@ class Data:
 
     def spoil_plan(self, rng: np.random.Generator) -> None:
         """Hostile numbers over states, controls or multipliers of the plan."""
-        names = [n for n in ("x", "u", "lam", "mu_x", "mu_u", "mu", "mu_N", "eta") if self.c.member(n).size]
+        names = [n for n in ("x", "u", "lam", "mu_u", "mult") if self.c.member(n).size]
         for name in rng.permutation(names)[: rng.integers(1, 3)]:
             view = self.c.view(str(name))
             view[...] = spoiled(rng, view)

@@ -471,4 +471,4 @@ def refuse_unsupported(
 
 
 def _uses(row: Row, feature: str) -> bool:
-    return (feature == "soft rows" and row.soft is not None) or (feature == "coupled rows" and row.kind == "coupled")
+    return (feature == "soft rows" and row.soft is not None) or (feature == "coupled rows" and row.is_coupled)

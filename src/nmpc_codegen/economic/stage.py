@@ -102,15 +102,12 @@ def magnitudes(stage: SteadyStage, *points: Array) -> Array:
     """
     size = np.max(np.abs(points), axis=0)
     size = np.where(size > ROUNDING * float(size.max()), size, 0.0)
+    variables = (*stage.kept, *range(stage.problem.nx, stage.problem.nx + stage.problem.nu))
     for row in stage.problem.rows:
-        if row.lower == row.upper:
+        place = row.variable(stage.problem.nx)
+        if row.lower == row.upper or place not in variables:
             continue
-        if row.kind == "control":
-            at = stage.nx + row.index
-        elif row.kind == "state" and row.index in stage.kept:
-            at = stage.kept.index(row.index)
-        else:
-            continue
+        at = variables.index(place)
         size[at] = max(size[at], *(abs(bound) for bound in (row.lower, row.upper) if np.isfinite(bound)), 0.0)
     found: Array = np.where(size > 0, size, 1.0)
     return found
@@ -201,12 +198,10 @@ def _rows(problem: Problem, at: tuple[Expression, Expression, Array], cyclic: Ex
     h_N = ca.Function("h", [end.x, end.p], [end.h])(x, p)
     chosen: list[tuple[Row, Expression]] = []
     for row in problem.rows:
-        if row.kind == "coupled" or not _holds(row, problem.N, terminal):
+        if row.is_coupled or not _holds(row, problem.N, terminal):
             continue
-        if row.kind == "general":
-            value = h_N[row.index_terminal] if terminal or row.index < 0 else h[row.index]
-        else:
-            value = (x if row.kind == "state" else u)[row.index]
+        at_end = terminal or row.index < 0
+        value = row.value(x, u, h_N if at_end else h, None, at_end)
         if not ca.jacobian(value, cyclic).nnz():
             chosen.append((row, value))
     return Rows(
@@ -229,8 +224,8 @@ def _holds(row: Row, N: int, terminal: bool) -> bool:
 
 def _is_point(problem: Problem, kept: tuple[int, ...]) -> bool:
     fixed = {
-        row.index
+        row.variable(problem.nx)
         for row in problem.rows
-        if row.kind == "state" and problem.N in row.nodes and row.lower == row.upper and row.soft is None
+        if problem.N in row.nodes and row.lower == row.upper and row.soft is None
     }
     return set(kept) <= fixed

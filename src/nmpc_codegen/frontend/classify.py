@@ -238,7 +238,7 @@ def _stage(ocp: OCP, h: list[Any], rows: tuple[Row, ...], stage: StageName) -> S
         ocp, [stacked, ca.vertcat(empty, *h), ca.SX(sum(nodal)), ca.SX(sum(rates))], x, u, p
     )
     places = [{"start": -1, "path": row.index, "terminal": row.index_terminal}[stage] for row in rows]
-    positions = [(place, row) for place, row in zip(places, rows, strict=True) if row.kind == "general"]
+    positions = [(place, row) for place, row in zip(places, rows, strict=True) if row.is_general]
     return Stage(
         x=x,
         u=u,
@@ -283,7 +283,7 @@ def _coupled(ocp: OCP) -> Any:
 def _features(ocp: OCP, rows: tuple[Row, ...]) -> frozenset[str]:
     used = {
         "soft rows": any(r.soft is not None for r in rows),
-        "coupled rows": any(r.kind == "coupled" for r in rows),
+        "coupled rows": any(r.is_coupled for r in rows),
         "free initial state": bool(ocp.free),
         "general cost": bool(ocp.costs),
         "integrated cost": any(c.integrate for c in ocp.costs),

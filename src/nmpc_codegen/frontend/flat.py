@@ -38,8 +38,8 @@ def proximal_terms(problem: Problem, sizes: Scales) -> tuple[float, ...]:
     width = sizes.z.copy()
     for row in problem.rows:
         half = (row.upper - row.lower) / 2
-        if row.kind in ("state", "control") and 0.0 < half < np.inf and tuple(row.nodes) != (problem.N,):
-            place = row.index + (problem.nx if row.kind == "control" else 0)
+        place = row.variable(problem.nx)
+        if place is not None and 0.0 < half < np.inf and tuple(row.nodes) != (problem.N,):
             width[place] = max(half, LITTLE * sizes.z[place])  # a narrow band says little of how far a state moves
     return tuple(float(p) for p in PROXIMAL * sizes.cost / np.square(width))
 

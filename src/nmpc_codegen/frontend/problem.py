@@ -11,6 +11,7 @@ has only a cost, with fixed weights and references; the rows at node 0 belong to
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import ClassVar
 
 import casadi as ca
@@ -18,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nmpc_codegen.ir.casadi_types import Expression, Function, curved, elements
+from nmpc_codegen.package.signals import ImposedRow, imposed_rows
 from nmpc_codegen.package.signals import Row as Row
 from nmpc_codegen.package.signals import RowKind as RowKind
 from nmpc_codegen.package.signals import Signal as Signal
@@ -135,9 +137,9 @@ class Problem:
             ends = ca.SX.sym("x_0", self.nx), ca.SX.sym("x_N", self.nx)
             coupled = curved(self.coupled(*ends), ca.vertcat(*ends))
         return any(
-            row.index in coupled if row.kind == "coupled" else row.index in path or row.index_terminal in terminal
+            row.index in coupled if row.is_coupled else row.index in path or row.index_terminal in terminal
             for row in self.rows
-            if row.soft is None and row.kind in ("general", "coupled")
+            if row.soft is None and (row.is_general or row.is_coupled)
         )
 
     @property
@@ -146,7 +148,7 @@ class Problem:
         path = self.path
         mixed = ca.which_depends(path.h, path.u, 1, True) if path.nh else ()
         return tuple(
-            int(row.kind != "control" and not (row.kind == "general" and row.index >= 0 and mixed[row.index]))
+            int(row.kind != "control" and not (row.is_general and row.index >= 0 and mixed[row.index]))
             for row in self.rows
         )
 
@@ -166,7 +168,7 @@ class Problem:
         return tuple(
             i
             for i, row in enumerate(self.rows)
-            if row.kind == "general" and row.soft is None and 0 in row.nodes and row.index in bent
+            if row.is_general and row.soft is None and 0 in row.nodes and row.index in bent
             if not mixed[row.index]
         )
 
@@ -215,19 +217,10 @@ class Problem:
         """Declared parameter values, shape (np,)."""
         return np.array([v for s in self.parameters for v in s.value])
 
-    @property
-    def qp_rows(self) -> tuple[tuple[int, int, int, int], ...]:
-        """(node, kind, index, row) of every row of the QP besides the control bounds, sorted by node.
-
-        kind 0: bound of a state, 1: general row, 2: coupled row, assigned to node N. ``row``: position in rows.
-        """
-        kinds = {"state": 0, "general": 1, "coupled": 2}
-        found = []
-        for identity, row in enumerate(self.rows):
-            for k in (self.N,) if row.kind == "coupled" else row.nodes if row.kind in kinds else ():
-                index = row.index_terminal if row.kind == "general" and k == self.N else row.index
-                found.append((k, kinds[row.kind], index, identity))
-        return tuple(sorted(found))
+    @cached_property
+    def qp_rows(self) -> tuple[ImposedRow, ...]:
+        """Every row of the QP besides the control bounds, sorted by node."""
+        return imposed_rows(self.rows, self.N)
 
     @property
     def end_rows(self) -> tuple[int, ...]:
@@ -235,15 +228,14 @@ class Problem:
         found = []
         for m, (k, _, _, row) in enumerate(self.qp_rows):
             stated = self.rows[row]
-            alone = stated.kind == "coupled" or tuple(stated.nodes) == (self.N,)
-            if k == self.N and alone and stated.soft is None:
+            if k == self.N and stated.soft is None and (stated.is_coupled or tuple(stated.nodes) == (self.N,)):
                 found.append(m)
         return tuple(found)
 
     @property
     def coupled_rows(self) -> int:
         """Number of scalar rows r(x_0, x_N)."""
-        return sum(row.kind == "coupled" for row in self.rows)
+        return sum(row.is_coupled for row in self.rows)
 
     @property
     def state_names(self) -> tuple[str, ...]:

@@ -82,7 +82,7 @@ def _rows(
 ) -> Iterator[tuple[Quantity, Expression, tuple[int, int]]]:
     """General rows, with their names, nodes and places: (position in rows, 1 at the end of the horizon)."""
     for number, row in enumerate(problem.rows):
-        if row.kind != "general":
+        if not row.is_general:
             continue
         path = [k for k in row.nodes if k < problem.N]
         ends = (path[0], path[-1]) if path else (0, -1)

@@ -69,8 +69,7 @@ def _declared(problem: Problem) -> Array:
     nx = problem.nx
     found = np.zeros(nx + problem.nu)
     for row in problem.rows:
-        if row.kind in ("state", "control"):
-            i = row.index + (nx if row.kind == "control" else 0)
+        if (i := row.variable(nx)) is not None:
             found[i] = max(found[i], _width(row.lower, row.upper))
     for stage in (problem.path, problem.terminal):
         for place, value in zip(stage.y_elements, stage.reference, strict=True):
@@ -164,10 +163,10 @@ def _rows(problem: Problem, z: Array) -> tuple[Array, Array]:
     }
     ends = _coupled_terms(problem, z)
     for r, row in enumerate(problem.rows):
-        if row.kind in ("state", "control"):
-            size[r] = z[row.index + (problem.nx if row.kind == "control" else 0)]
+        if (i := row.variable(problem.nx)) is not None:
+            size[r] = z[i]
         for at_end, index in enumerate((row.index, row.index_terminal)):
-            terms = ends if row.kind == "coupled" and not at_end else of_stage[at_end] if row.kind == "general" else []
+            terms = ends if row.is_coupled and not at_end else of_stage[at_end] if row.is_general else []
             if 0 <= index < len(terms):
                 offset[r], more = terms[index]
                 size[r] = max(size[r], more)

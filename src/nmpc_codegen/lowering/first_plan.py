@@ -337,7 +337,7 @@ def _without_gradient(problem: Problem, x: Array, u: Array) -> Iterator[str]:
         other = np.asarray(evaluate(x, control, problem.p_value + _noise(problem.np, 0), problem.dt[0])[1], dtype=float)
         for row in problem.rows:
             at = row.index if stage is problem.path else row.index_terminal
-            if row.kind != "general" or at < 0 or row.name in said or np.any(J[at]) or np.any(other[at]):
+            if not row.is_general or at < 0 or row.name in said or np.any(J[at]) or np.any(other[at]):
                 continue
             H = _function(stage, [ca.densify(ca.hessian(stage.h[at], z)[0])])
             curvature = np.nan_to_num(np.asarray(H(x, control, problem.p_value, problem.dt[0]), dtype=float))

@@ -218,9 +218,9 @@ def _of_problem(model: Model) -> Features:
         rows_move=any((k + 1, row) in imposed for k, row in imposed),
         proximal=bool(p.proximal),
         idle_end=p.idle_end and parts.algorithm.shift == "repeat",
-        end_equations=any(k == p.N and _is_equation(p.rows[row]) for k, _, _, row in p.qp_rows),
+        end_equations=any(k == p.N and p.rows[row].is_equation for k, _, _, row in p.qp_rows),
         pulled_rows=bool(p.pulled_rows),
-        control_bounds=any(row.kind == "control" for row in p.rows),
+        control_bounds=any(place >= 0 for place in _control_rows(p)),
         accumulators=bool(p.accumulators),
         all_measured=not p.accumulators and not p.free_initial,
         solve=model.solve,
@@ -254,11 +254,6 @@ def _gradients_of_cost(model: Model, found: Features, eliminates: bool) -> set[K
     path, terminal = model.products.sparse
     kernels: set[KernelName] = {"cost_gradient"} if keeps and not eliminates and path else set()
     return kernels | ({"terminal_adjoint"} if eliminates or (keeps and terminal) else set())
-
-
-def _is_equation(row: Row) -> bool:
-    """True for a hard row with equal bounds."""
-    return row.soft is None and row.lower >= row.upper
 
 
 def _section_count(counts: Counts) -> OpCount | None:
@@ -401,7 +396,7 @@ def _weight_values(stage: Stage) -> Array:
 
 
 def _control_rows(p: Problem) -> list[int]:
-    return [next((i for i, r in enumerate(p.rows) if r.kind == "control" and r.index == j), -1) for j in range(p.nu)]
+    return [next((i for i, r in enumerate(p.rows) if r.variable(p.nx) == p.nx + j), -1) for j in range(p.nu)]
 
 
 def _default_controls(p: Problem) -> list[float]:

@@ -12,9 +12,8 @@ from textwrap import wrap
 from typing import Any
 
 from nmpc_codegen.ir.cmodule import CModule
+from nmpc_codegen.package.signals import IMPOSED_KINDS
 
-#: Kinds of rows, in the order of their numbers.
-KINDS = ("state", "general", "coupled")
 #: Columns of the table, and what they are.
 COLUMNS = {
     "node": "its node",
@@ -41,8 +40,10 @@ def row_functions(module: CModule) -> dict[str, Any]:
     kinds = sorted(set(entries["kind"]))
     stored = tuple(name for name, values in entries.items() if len(set(values)) > 1)
     columns = [(name, _entry(name, entries[name], module)) for name in COLUMNS if name != "kind"]
-    columns += [(f"is_{word}", _is_kind(number, kinds)) for number, word in enumerate(KINDS) if word != "general"]
-    constants = [f"ROW_{KINDS[number].upper()} = {number}" for number in kinds]
+    columns += [
+        (f"is_{word}", _is_kind(number, kinds)) for number, word in enumerate(IMPOSED_KINDS) if word != "general"
+    ]
+    constants = [f"ROW_{IMPOSED_KINDS[number].upper()} = {number}" for number in kinds]
     node = set(entries["node"])
     where = _entry("node", entries["node"], module) if len(node) == 1 else "row_node(m)"
     copies = {"shared": "1" if where == "N" else "0" if len(node) == 1 else "row_node(m) == N", "node": where}
@@ -61,7 +62,7 @@ def row_ranges(module: CModule) -> dict[str, tuple[int, int]]:
     """Function of rows -> least and greatest value that it returns."""
     entries = {name: [row[i] for row in module.rows] or [0] for i, name in enumerate(COLUMNS)}
     found = {f"row_{name}": (min(values), max(values)) for name, values in entries.items() if name != "kind"}
-    for number, word in enumerate(KINDS):
+    for number, word in enumerate(IMPOSED_KINDS):
         kinds = [int(kind == number) for kind in entries["kind"]] if module.rows else [0]
         found[f"row_is_{word}"] = (min(kinds), max(kinds))
     sizes = module.sizes
@@ -82,7 +83,7 @@ def _is_kind(number: int, kinds: list[int]) -> str:
     """Whether row m is of a kind."""
     if number not in kinds:
         return "0"
-    return "1" if len(kinds) == 1 else f"row_data[m].kind == ROW_{KINDS[number].upper()}"
+    return "1" if len(kinds) == 1 else f"row_data[m].kind == ROW_{IMPOSED_KINDS[number].upper()}"
 
 
 def _table(stored: tuple[str, ...], entries: dict[str, list[int]]) -> RowTable:

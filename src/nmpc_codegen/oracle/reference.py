@@ -130,15 +130,10 @@ class Reference:
         coupled: Any = None if problem.coupled is None else problem.coupled(self._x[0], self._x[N])
         penalty: Any = 0
         for i, row in enumerate(problem.rows):
-            if row.soft is None and row.kind in ("control", "state"):
+            if row.soft is None and row.variable(problem.nx) is not None:
                 continue
             for k in row_nodes(row):
-                if row.kind == "coupled":
-                    value = coupled[row.index]
-                elif row.kind == "state":
-                    value = self._x[k][row.index]
-                else:
-                    value = end[row.index_terminal] if k == N else path[k][row.index]
+                value = row.value(self._x[k], None, end if k == N else path[k], coupled, k == N)
                 if row.soft is None:
                     self._g.append(value)
                     self._general.append((i, k, 0))
@@ -180,9 +175,10 @@ class Reference:
         lbx = np.concatenate([np.full(count, -np.inf), np.zeros(2 * len(self._slack))])
         ubx = np.full(lbx.size, np.inf)
         for i, row in enumerate(problem.rows):
-            if row.soft is None and row.kind in ("control", "state"):
+            place = row.variable(nx)
+            if row.soft is None and place is not None:
                 for k in row.nodes:
-                    at = k * nx + row.index if row.kind == "state" else (N + 1) * nx + k * nu + row.index
+                    at = k * nx + place if place < nx else (N + 1) * nx + k * nu + place - nx
                     lbx[at], ubx[at] = data.lower[k, i], data.upper[k, i]
         gaps = N * nx + nx - len(problem.free_initial)
         low, high = [0.0] * gaps, [0.0] * gaps
@@ -208,7 +204,7 @@ class Reference:
             mu_u=lam_z[split[0] : split[1]].reshape(N, nu).copy(),
             mu=np.zeros((N, problem.path.nh)),
             mu_N=np.zeros(problem.terminal.nh),
-            eta=np.zeros(sum(r.kind == "coupled" for r in problem.rows)),
+            eta=np.zeros(problem.coupled_rows),
         )
         for (i, k, _), multiplier in zip(self._general, lam_g[nx - free + N * nx :], strict=True):
             where, index = multiplier_of(problem, point, problem.rows[i], k)

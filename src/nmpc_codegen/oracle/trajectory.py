@@ -231,7 +231,7 @@ def evaluate_cost(problem: Problem, x: Any, u: Any, data: Data, integrator: Tabl
 
 def row_nodes(row: Row) -> tuple[int, ...]:
     """Nodes at which a row occurs in the nonlinear program; a coupled row occurs once, as node 0."""
-    return (0,) if row.kind == "coupled" else row.nodes
+    return (0,) if row.is_coupled else row.nodes
 
 
 def _row_values(problem: Problem, data: Data) -> Callable[[Row, int, Array, Array], float]:
@@ -239,28 +239,20 @@ def _row_values(problem: Problem, data: Data) -> Callable[[Row, int, Array, Arra
     h, h_N, N = node_rows(problem.path), node_rows(problem.terminal), problem.N
 
     def value(row: Row, k: int, x: Array, u: Array) -> float:
-        if row.kind == "control":
-            return float(u[k, row.index])
-        if row.kind == "state":
-            return float(x[k, row.index])
-        if row.kind == "coupled" and problem.coupled is not None:
+        if row.is_coupled and problem.coupled is not None:
             return float(problem.coupled(x[0], x[N])[row.index])
         if k == N:
-            return float(h_N(x[N], ca.DM(0, 1), data.p[N])[row.index_terminal])
-        return float(h(x[k], u[k], data.p[k])[row.index])
+            return float(row.value(x[N], None, h_N(x[N], ca.DM(0, 1), data.p[N]), None, at_end=True))
+        return float(row.value(x[k], u[k], h(x[k], u[k], data.p[k]), None))
 
     return value
 
 
 def multiplier_of(problem: Problem, point: Point, row: Row, k: int) -> tuple[Array, tuple[int, ...]]:
     """The array that holds the multiplier of a row at node k, and its index there."""
-    if row.kind == "control":
-        return point.mu_u, (k, row.index)
-    if row.kind == "state":
-        return point.mu_x, (k, row.index)
-    if row.kind == "coupled":
-        return point.eta, (row.index,)
-    return (point.mu_N, (row.index_terminal,)) if k == problem.N else (point.mu, (k, row.index))
+    at_end = k == problem.N
+    array = row.of_kind(point.mu_x, point.mu_u, point.mu_N if at_end else point.mu, point.eta)
+    return array, (row.place(at_end),) if array.ndim == 1 else (k, row.place(at_end))
 
 
 # Optimality -----------------------------------------------------------------------------------------------

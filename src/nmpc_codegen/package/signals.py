@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal, NamedTuple
 
 RowKind = Literal["control", "state", "general", "coupled"]
 
@@ -78,6 +78,59 @@ class Row:
     lower: float
     upper: float
     soft: tuple[float, float] | None = None
+
+    @property
+    def is_general(self) -> bool:
+        return self.kind == "general"
+
+    @property
+    def is_coupled(self) -> bool:
+        return self.kind == "coupled"
+
+    @property
+    def is_equation(self) -> bool:
+        """True for a hard row with equal bounds."""
+        return self.soft is None and self.lower >= self.upper
+
+    def place(self, at_end: bool) -> int:
+        """Its position in x, u, the general rows of the path or, at the end, of the terminal stage, or r; -1: none."""
+        return self.index_terminal if self.is_general and at_end else self.index
+
+    def of_kind(self, x: Any, u: Any, h: Any, r: Any) -> Any:
+        """What belongs to states, controls, general rows or coupled rows, by its kind."""
+        return {"control": u, "state": x, "general": h, "coupled": r}[self.kind]
+
+    def value(self, x: Any, u: Any, h: Any, r: Any, at_end: bool = False) -> Any:
+        """Its entry of x, u, the general rows h of the stage, or the coupled rows r."""
+        return self.of_kind(x, u, h, r)[self.place(at_end)]
+
+    def variable(self, nx: int) -> int | None:
+        """Position in (x, u) of the state or control that it bounds; None for other rows."""
+        return {"state": self.index, "control": nx + self.index}.get(self.kind)
+
+
+class ImposedRow(NamedTuple):
+    """A row at one of its nodes. kind 0: bound of a state, 1: general row, 2: coupled row; ``component``: its place
+    in x, h or r; ``row``: its position among all rows."""
+
+    node: int
+    kind: int
+    component: int
+    row: int
+
+
+#: Kinds of rows that are imposed node by node, in the order of their numbers.
+IMPOSED_KINDS = ("state", "general", "coupled")
+
+
+def imposed_rows(rows: Sequence[Row], N: int) -> tuple[ImposedRow, ...]:
+    """Every row besides the control bounds at all of its nodes, sorted by node; a coupled row is at node N."""
+    found = []
+    for i, row in enumerate(rows):
+        if row.kind in IMPOSED_KINDS:
+            for k in (N,) if row.is_coupled else row.nodes:
+                found.append(ImposedRow(k, IMPOSED_KINDS.index(row.kind), row.place(k == N), i))
+    return tuple(sorted(found))
 
 
 @dataclass(frozen=True)

@@ -108,7 +108,7 @@ class CompiledPackage:
     def empty(self) -> dict[str, tuple[int, ...]]:
         """Members of the solver that the package lacks because their size is 0 -> their shape."""
         d = self.description.dims
-        shapes = {"mu": (d.N, d.nh), "mu_N": (d.nh_N,), "eta": (0,), "p": (d.N + 1, d.np)}
+        shapes: dict[str, tuple[int, ...]] = {"p": (d.N + 1, d.np)}
         shapes |= {"yref": (d.N, d.ny), "yref_N": (d.ny_N,), "W": (d.N, d.ny), "W_N": (d.ny_N,)}
         shapes |= {"lower": (d.N + 1, d.nr), "upper": (d.N + 1, d.nr)}
         return {name: shape for name, shape in shapes.items() if not all(shape)}

@@ -38,7 +38,8 @@ OnFailure = Literal["status", "raise"]
 class Controller(Memory):
     """A controller with its memory, which build() or open_package() creates initialised and ready to step.
 
-    The arrays x, u, lam, mu_x, mu_u, mu, mu_N are views on the current iterate; write an initial guess to them.
+    The arrays x, u, lam, mu_u are views on the current iterate; write an initial guess to them. The multipliers of
+    rows, mu_x, mu, mu_N and eta, are read-only copies; assign to them.
     """
 
     # -- the real-time iteration ------------------------------------------------------------------------------------

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,7 @@ from nmpc_codegen.package.signals import Names
 from nmpc_codegen.package.status import Kkt, Stats, Status
 from nmpc_codegen.runtime import compiled, given
 from nmpc_codegen.runtime.compiled import CompiledPackage
+from nmpc_codegen.runtime.multipliers import RowMultipliers
 
 Array = NDArray[Any]
 
@@ -73,28 +75,48 @@ class Memory:
 
     @property
     def mu_x(self) -> Array:
-        """Multipliers of state bounds, (N+1, nx)."""
-        return self._view("mu_x")
+        """Multipliers of state bounds, (N+1, nx), a read-only copy: assign to it."""
+        return self._multipliers("mu_x")
+
+    @mu_x.setter
+    def mu_x(self, value: ArrayLike) -> None:
+        self._set_multipliers("mu_x", value)
 
     @property
     def mu_u(self) -> Array:
         """Multipliers of control bounds, (N, nu)."""
         return self._view("mu_u")
 
+    @mu_u.setter
+    def mu_u(self, value: ArrayLike) -> None:
+        self._assign("mu_u", value)
+
     @property
     def mu(self) -> Array:
-        """Multipliers of general path rows, (N, nh)."""
-        return self._view("mu")
+        """Multipliers of general path rows, (N, nh), a read-only copy: assign to it."""
+        return self._multipliers("mu")
+
+    @mu.setter
+    def mu(self, value: ArrayLike) -> None:
+        self._set_multipliers("mu", value)
 
     @property
     def mu_N(self) -> Array:
-        """Multipliers of general terminal rows, (nh_N,)."""
-        return self._view("mu_N")
+        """Multipliers of general terminal rows, (nh_N,), a read-only copy: assign to it."""
+        return self._multipliers("mu_N")
+
+    @mu_N.setter
+    def mu_N(self, value: ArrayLike) -> None:
+        self._set_multipliers("mu_N", value)
 
     @property
     def eta(self) -> Array:
-        """Multipliers of coupled rows; empty without such rows."""
-        return self.member("eta")
+        """Multipliers of coupled rows, a read-only copy: assign to it; empty without such rows."""
+        return self._multipliers("eta")
+
+    @eta.setter
+    def eta(self, value: ArrayLike) -> None:
+        self._set_multipliers("eta", value)
 
     @property
     def status(self) -> Status:
@@ -219,6 +241,27 @@ class Memory:
             true_shape: Any = (..., *(slice(n) for n in member.values))
             here = here[true_shape] if member.shape else here
         return here
+
+    def _multipliers(self, name: str) -> Array:
+        return self._row_multipliers.read(name, self._every_multiplier(name))
+
+    def _set_multipliers(self, name: str, value: ArrayLike) -> None:
+        every = self._every_multiplier(name)
+        self._row_multipliers.write(name, self._array(name, value, self._row_multipliers.shapes[name]), every)
+
+    def _every_multiplier(self, name: str) -> Array:
+        """The multipliers of all rows.
+
+        Raises:
+            AttributeError: the algorithm keeps none.
+        """
+        if "mu_u" not in self.description.members("solver"):
+            raise AttributeError(f"the algorithm of {self._package.name} has no {name!r}")
+        return self.member("mult")
+
+    @cached_property
+    def _row_multipliers(self) -> RowMultipliers:
+        return RowMultipliers(self.description)
 
     def member(self, name: str) -> Array:
         """A member that only some algorithms and problems have; empty if it does not exist."""

@@ -100,7 +100,7 @@ def _path_rows(ctrl: Controller) -> list[int]:
     found = []
     for i, row in enumerate(ctrl.description.rows):
         path = [k for k in row.nodes if k < ctrl.dims.N]
-        if row.kind == "general" and row.index >= 0 and (0 in path or len(path) > 1):
+        if row.is_general and row.index >= 0 and (0 in path or len(path) > 1):
             found.append(i)
     return found
 
@@ -195,12 +195,13 @@ def _own_axes(
     The other columns are bare states or controls, whose traces have their bounds.
     """
     described = ctrl.description
-    signals = dict(zip((*ctrl.names.states, *ctrl.names.controls), (*x[:-1].T, *u.T), strict=True))
-    kinds = {"state": ctrl.names.states, "control": ctrl.names.controls}
+    names = (*ctrl.names.states, *ctrl.names.controls)
+    signals = dict(zip(names, (*x[:-1].T, *u.T), strict=True))
     bounds: dict[str, list[Bound]] = {name: [] for name in signals}
     for i, row in enumerate(described.rows):
-        if row.kind == "control" or (row.kind == "state" and len(row.nodes) > 1):
-            bounds[kinds[row.kind][row.index]].append(Bound(*path_bounds(ctrl, i), soft=row.soft is not None))
+        place = row.variable(ctrl.dims.nx)
+        if place is not None and (place >= ctrl.dims.nx or len(row.nodes) > 1):
+            bounds[names[place]].append(Bound(*path_bounds(ctrl, i), soft=row.soft is not None))
     own, rows = [], []
     for i, number in enumerate(numbers):
         row = described.rows[number]
@@ -211,7 +212,9 @@ def _own_axes(
             own.append(i)
             rows.append(Trace(row.name, "", (bound,)))
     unit = units(described.states, described.controls, described.parameters)
-    states, controls = (tuple(Trace(n, unit[n], tuple(bounds[n])) for n in names) for names in kinds.values())
+    states, controls = (
+        tuple(Trace(n, unit[n], tuple(bounds[n])) for n in names) for names in (ctrl.names.states, ctrl.names.controls)
+    )
     declared = tuple(Trace(name, unit[name]) for name in ctrl.names.parameters)
     followed = tuple(Trace(r.name, unit.get(r.signal, ""), signal=r.signal) for r in described.residuals)
     return own, (states, controls, tuple(rows), declared, followed)

@@ -159,7 +159,7 @@ class AugmentedLagrangian(Defaults):
         if problem.coupled_rows and problem.free_initial:
             raise OptionError(
                 "AugmentedLagrangian() reads the measured state where a coupled row reads x_0, and clashes with "
-                f"free_initial() together with the row {next(r.name for r in problem.rows if r.kind == 'coupled')!r}; "
+                f"free_initial() together with the row {next(r.name for r in problem.rows if r.is_coupled)!r}; "
                 "choose RealTimeIteration() (--set algorithm=real_time_iteration), or measure x_0"
             )
 

@@ -24,11 +24,11 @@ def variable_scales(problem: Problem) -> Array:
     largest = np.concatenate([np.abs(problem.x_initial), np.zeros(problem.nu)])
     for row in problem.rows:
         bounds = [abs(bound) for bound in (row.lower, row.upper) if np.isfinite(bound)]
-        if row.kind == "state":
-            largest[row.index] = max(largest[row.index], *bounds)
-        elif row.kind == "control":
-            half = (row.upper - row.lower) / 2
-            largest[nx + row.index] = half if np.isfinite(half) else max(bounds)
+        place, half = row.variable(nx), (row.upper - row.lower) / 2
+        if place is not None and place < nx:
+            largest[place] = max(largest[place], *bounds)
+        elif place is not None:
+            largest[place] = half if np.isfinite(half) else max(bounds)
     stated = stated_scales(problem)
     return np.where(stated > 0.0, stated, np.where(largest > 0.0, largest, 1.0))
 
@@ -45,11 +45,9 @@ def row_scales(problem: Problem, scale: Array) -> Array:
         J = ca.jacobian(problem.coupled(x_0, x_N), x_N)
         coupled = np.asarray(ca.Function("slopes", [x_0, x_N], [ca.densify(J)])(x, x))
     found = np.ones(len(problem.qp_rows))
-    for m, (k, kind, index, _) in enumerate(problem.qp_rows):
-        if kind == 0:
-            found[m] = scale[index]
-            continue
-        J = slopes[k == problem.N][index] if kind == 1 else coupled[index]
+    for m, (k, _, _, row) in enumerate(problem.qp_rows):
+        end = k == problem.N
+        J = problem.rows[row].value(np.eye(nx), None, slopes.get(end), coupled, end)
         size = float(np.linalg.norm(J * scale[: J.size]))
         found[m] = size if np.isfinite(size) and size > 0 else 1.0
     return found
@@ -75,7 +73,7 @@ def linear_rows(problem: Problem) -> tuple[int, ...]:
         x_0, x_N = ca.SX.sym("x_0", problem.nx), ca.SX.sym("x_N", problem.nx)
         bent[2, True] = curved(problem.coupled(x_0, x_N), x_N)
     rows = problem.qp_rows
-    return tuple(int(kind == 0 or index not in bent[kind, k == problem.N]) for k, kind, index, _ in rows)
+    return tuple(int(index not in bent.get((kind, k == problem.N), ())) for k, kind, index, _ in rows)
 
 
 def cost_magnitude(problem: Problem, scale: Array, otherwise: float = 1.0) -> float:

@@ -62,13 +62,8 @@ def _row_values(problem: Problem, x_s: ArrayLike, u_s: ArrayLike) -> Array:
     h = _evaluated([path.x, path.u, path.p], path.h, [x, u, p])
     h_N = _evaluated([terminal.x, terminal.p], terminal.h, [x, p])
     r = np.zeros(0) if problem.coupled is None else np.asarray(problem.coupled(x, x), dtype=float).ravel()
-
-    def value(row: Row) -> float:
-        if row.kind == "general":
-            return float(h[row.index] if row.index >= 0 else h_N[row.index_terminal])
-        return float({"control": u, "state": x, "coupled": r}[row.kind][row.index])
-
-    return np.array([value(row) for row in problem.rows])
+    ends = ((row, row.is_general and row.index < 0) for row in problem.rows)
+    return np.array([float(row.value(x, u, h_N if end else h, r, end)) for row, end in ends])
 
 
 def _evaluated(symbols: list[ca.SX], expression: ca.SX, values: list[Array]) -> Array:
@@ -78,10 +73,8 @@ def _evaluated(symbols: list[ca.SX], expression: ca.SX, values: list[Array]) -> 
 def _grows(problem: Problem, row: Row) -> bool:
     """True if the value of the row depends on a cyclic state."""
     cyclic = list(problem.cyclic)
-    if not cyclic or row.kind in ("control", "coupled"):
-        return False
-    if row.kind == "state":
-        return row.index in cyclic
+    if not row.is_general:
+        return row.variable(problem.nx) in cyclic
     stages = ((problem.path, row.index), (problem.terminal, row.index_terminal))
     return any(ca.jacobian(stage.h[i], stage.x)[0, cyclic].nnz() > 0 for stage, i in stages if 0 <= i < stage.nh)
 
@@ -122,9 +115,7 @@ def terminal_state_is_fixed(problem: Problem) -> bool:
     for row in problem.rows:
         if row.soft is not None or row.lower < row.upper or problem.N not in row.nodes:
             continue
-        if row.kind == "state":
-            gradients.append(np.eye(problem.nx)[row.index])
-        elif row.kind == "general" and row.index_terminal >= 0:
-            gradients.append(slopes[row.index_terminal])
+        if not row.is_coupled:
+            gradients.append(row.value(np.eye(problem.nx), None, slopes, None, at_end=True))
     others = [i for i in range(problem.nx) if i not in problem.cyclic]
     return bool(np.linalg.matrix_rank(np.reshape(gradients, (-1, problem.nx))[:, others]) == len(others))

@@ -195,7 +195,7 @@ def _part(ctrl: Memory, part: str, k: int) -> tuple[str, list[str]]:
     values = ctrl.view(f"node.{part}")[k]
     bad = ~np.isfinite(values.reshape(len(values), -1)).all(axis=1)
     if part in "hJ":
-        rows = [r.name for r in ctrl.description.rows if r.kind == "general" and r.index >= 0 and bad[r.index]]
+        rows = [r.name for r in ctrl.description.rows if r.is_general and r.index >= 0 and bad[r.index]]
         words = f"{'derivatives of ' if part == 'J' else ''}row {', '.join(map(repr, rows))} at node {k}"
         return words, [f"row {name!r}" for name in rows]
     states = [name for name, is_bad in zip(ctrl.names.states, bad, strict=True) if is_bad]

@@ -95,10 +95,11 @@ def violations(ctrl: Memory) -> list[Violation]:
     general = np.append(path, end, axis=0)
     worst = []
     for number, row in enumerate(ctrl.description.rows):
-        if row.soft is None and row.kind != "coupled":
-            column = {"control": held, "state": x, "general": general}[row.kind]
-            values = column[:, number if row.kind == "general" else row.index]
-            nodes = (k for k in row.nodes if k or row.kind != "state")  # x_0 is measured
+        if row.soft is None and not row.is_coupled:
+            place = row.variable(ctrl.dims.nx)
+            values = general[:, number] if place is None else np.hstack([x, held])[:, place]
+            measured = place is not None and place < ctrl.dims.nx  # x_0 is given
+            nodes = (k for k in row.nodes if k or not measured)
             most = float(np.nanmax(np.abs(values), initial=ctrl.description.row_scales[number]))
             found = (_violation(row, k, float(values[k]), most, *bounds_at(ctrl, number, k)) for k in nodes)
             worst += sorted((v for v in found if v.amount > NEGLIGIBLE * v.size), key=lambda v: -v.amount)[:1]

@@ -32,7 +32,8 @@ def in_html(ctrl: Memory) -> str:
     rows: list[tuple[object, ...]] = []
     for i, row in enumerate(described.rows):
         lower, upper = path_bounds(ctrl, i)
-        of_row = names[row.kind][row.index] if row.kind in names else ""
+        place = row.variable(ctrl.dims.nx)
+        of_row = "" if place is None else (*ctrl.names.states, *ctrl.names.controls)[place]
         soft = "hard" if row.soft is None else "soft"
         rows.append((lower, row.name, upper, unit.get(of_row, ""), nodes(row.nodes), soft))
     targets: list[tuple[object, ...]] = [
