@@ -48,7 +48,6 @@ static void forget_past(solver_t *s)
     s->shooting.pairs = 0;
     place_terms(s, 0);
     s->shooting.length = R(1);
-    s->failing = 0;
 }
 
 /* Sets the controls to their references and forgets the past. */
@@ -57,6 +56,18 @@ static void forget_plan(solver_t *s)
     refer_controls(s);
     forget_past(s);
 }
+
+/* Multipliers that are not finite are forgotten at once. */
+static status_t keep_finite(solver_t *s, status_t status)
+{
+    if (NG > 0 && !all_finite(s->row, NG)) {
+        forget_past(s);
+        return NUMERICAL_FAILURE;
+    }
+    return status;
+}
+
+#include "algorithms/watch.c"
 
 /* Every state of the plan at x_0. */
 static void hold_states(solver_t *s)
@@ -87,6 +98,7 @@ static void algorithm_reset(solver_t *s)
         set_weights(s);
     }
     forget_plan(s);
+    reset_watch(s);
     memset(&s->stats, 0, sizeof s->stats);
     s->samples = 0;
     s->status = (int32_t)OK;
@@ -138,31 +150,6 @@ static status_t start_sample(solver_t *s)
     return OK;
 }
 
-/* Prevents a failure from repeating itself: multipliers that are not finite are forgotten at once, and the plan after
- * PATIENCE failures in a row. Multipliers of terminal rows that no step meets may belong to weights and bounds that
- * have changed, and hold the plan away from the rows: they are forgotten, too, and so is the past of steps that stay
- * cut. */
-static status_t recover(solver_t *s, status_t status)
-{
-    if (NG > 0 && !all_finite(s->row, NG)) {
-        forget_past(s);
-        status = NUMERICAL_FAILURE;
-    }
-    if (status == NUMERICAL_FAILURE || status == INFEASIBLE) {
-        s->failing = (s->failing > 0) ? s->failing + 1 : 1;
-    } else if (status == NOT_CONVERGED) {
-        s->failing = (s->failing < 0) ? s->failing - 1 : -1;
-    } else if (status == OK) {
-        s->failing = 0;
-    }
-    if (status == NUMERICAL_FAILURE && s->failing >= PATIENCE) {
-        forget_plan(s);
-    } else if (s->failing >= PATIENCE || s->failing <= -UNSETTLED) {
-        forget_past(s);
-    }
-    return status;
-}
-
 /* ITERATIONS steps from the measured x_0, [if REPAIRS > 0: and up to REPAIRS more while the last one is long and was
  * not taken as a whole,] then one update of the multipliers of the rows. NOT_CONVERGED if the last one should have
  * moved the first control. */
@@ -199,9 +186,11 @@ status_t API(step)(solver_t *s, const real_t xhat[NX], real_t u0[NU])
         shift_plan(s);
     }
     s->samples += (s->samples < MANY);
+    doubt_plan(s);
     if (take_state(s, xhat)) {
-        status = recover(s, run_sample(s));
+        status = keep_finite(s, run_sample(s));
     }
+    watch(s, status, 0);
     safe_control(s, u0);
     if (PULLED_ROWS) {
         pull_control_back(s, u0);

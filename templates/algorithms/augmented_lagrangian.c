@@ -16,14 +16,15 @@ static void reset_search(solver_t *s)
     s->auglag.radius = initial_radius[0];
 }
 
+#include "algorithms/watch.c"
+
 /* Resets the plan: every state at its declared initial value, controls at their references, multipliers 0. */
 static void algorithm_reset(solver_t *s)
 {
     forget_plan(s);
     s->prepared = 0;
     s->samples = 0;
-    s->failing = FINE;
-    s->unconverged = 0;
+    reset_watch(s);
     s->status = (int32_t)OK;
     reset_search(s);
     forget_sizes(s);
@@ -46,8 +47,6 @@ static void hold_gradients(solver_t *s)
 #include "algorithms/enlarge.c"
 
 #include "algorithms/take_state.c"
-
-#include "algorithms/recover.c"
 
 #include "algorithms/augmented_terms.c"
 
@@ -72,13 +71,7 @@ status_t API(prepare)(solver_t *s)
         restore_multipliers(s);
     }
     s->prepared = 1;
-    if (s->unconverged >= PATIENCE) { /* no further round leads anywhere from here */
-        reset_search(s);
-        start_anew(s);
-        s->unconverged = 1;
-    } else if (s->failing >= TWICE) {
-        reset_search(s);
-    }
+    doubt_plan(s);
     return finish(s, prepare_at_plan(s));
 }
 
@@ -88,11 +81,6 @@ static status_t judge(solver_t *s, status_t status)
     status = judged(status, s->stats.residual);
     if (status == OK && !s->auglag.settled) {
         status = NOT_CONVERGED;
-    }
-    if (status == NOT_CONVERGED) {
-        s->unconverged++;
-    } else if (status == OK) {
-        s->unconverged = 0;
     }
     learn_sizes(s, status);
     return status;

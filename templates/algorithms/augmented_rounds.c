@@ -184,8 +184,7 @@ static status_t prepare_at_plan(solver_t *s)
 {
     real_t measured[NX];
     status_t status;
-    memcpy(measured, s->xhat, sizeof measured);
-    memcpy(s->xhat, s->x[0], sizeof s->xhat);
+    measure_plan(s, measured);
     status = prepare_here(s);
     if (REPAIR) {
         int wanted = s->samples == 0 || s->failing > FINE || s->unconverged > 0;

@@ -34,8 +34,9 @@ status_t API(feedback)(solver_t *s, const real_t xhat[NX], real_t u0[NU])
     if (PULLED_ROWS) {
         pull_control_back(s, u0);
     }
-    recover(s, status, broken);
-    return finish(s, judge(s, status));
+    status = judge(s, status);
+    watch(s, status, broken);
+    return finish(s, status);
 }
 
 /* If prepare fails, feedback returns its status. */

@@ -1,7 +1,3 @@
-/* Values of failing: failures in a row, and how much of the plan is given up. After a restart it is negative until
- * PATIENCE samples have succeeded. */
-enum { FINE, ONCE, TWICE, FOR_GOOD };
-
 #include "algorithms/safe_value.c"
 
 static void forget_multipliers(solver_t *s)
@@ -52,4 +48,16 @@ static void start_anew(solver_t *s)
 {
     forget_plan(s);
     start_at_measured(s);
+}
+
+static int plan_is_finite(const solver_t *s)
+{
+    return all_finite(s->x[0], (N + 1) * NX) && all_finite(s->u[0], N * NU);
+}
+
+/* What follows is as if x_0 of the plan had been measured, until xhat takes the measured state again. */
+static void measure_plan(solver_t *s, real_t *measured)
+{
+    memcpy(measured, s->xhat, sizeof s->xhat);
+    memcpy(s->xhat, s->x[0], sizeof s->xhat);
 }

@@ -10,6 +10,8 @@
 
 #include "algorithms/forget_sizes.c"
 
+#include "algorithms/watch.c"
+
 /* Values of renewal: gradients of the linearisation compared with references, weights and parameters. Weights and
  * parameters act at the next prepare; once one of them has changed, so do further references, as gradients that mix new
  * weights with the old linearisation would belong to no problem. */
@@ -21,7 +23,7 @@ static void algorithm_reset(solver_t *s)
     forget_plan(s);
     s->prepared = 0;
     s->samples = 0;
-    s->failing = FINE;
+    reset_watch(s);
     s->status = (int32_t)OK;
     s->relaxation = INF;
     memset(s->row_scale, 0, sizeof s->row_scale);
@@ -104,6 +106,7 @@ status_t API(prepare)(solver_t *s)
         return NOT_INITIALIZED;
     }
     before_prepare(s);
+    doubt_plan(s);
     status = prepare_plan(s);
     status = after_prepare(s, status);
     s->prepared = 1;
@@ -163,8 +166,6 @@ static status_t run_sample_qp(solver_t *s)
     status = after_qp(s, status);
     return status;
 }
-
-#include "algorithms/recover.c"
 
 #if CHECK_STEP
 #include "algorithms/check_step.c"

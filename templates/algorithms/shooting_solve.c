@@ -107,5 +107,5 @@ status_t API(solve)(solver_t *s, const real_t xhat[NX], real_t tol, int max_iter
     }
     place_terms(s, status == OK);
     s->shooting.pairs = 0; /* of other terms and penalties */
-    return finish(s, recover(s, status));
+    return finish(s, keep_finite(s, status));
 }

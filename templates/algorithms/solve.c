@@ -713,6 +713,8 @@ status_t API(solve)(solver_t *s, const real_t xhat[NX], real_t tol, int max_iter
         return NOT_INITIALIZED;
     }
     s->prepared = 0;
+    s->unsettled = 0;
+    s->fresh = 0; /* its plan is no first plan */
     before_solve(s);
     if (!(tol > R(0)) || max_iterations < 0) {
         return finish(s, BAD_ARGUMENT);

@@ -204,8 +204,7 @@ static status_t step_at_plan(solver_t *s)
 {
     real_t measured[NX];
     status_t status;
-    memcpy(measured, s->xhat, sizeof measured);
-    memcpy(s->xhat, s->x[0], sizeof s->xhat);
+    measure_plan(s, measured);
     status = feedback_here(s);
     memcpy(s->xhat, measured, sizeof s->xhat);
     return status;

@@ -1,30 +1,6 @@
 /* Repair: before a sample, a plan that is far from the model, or whose last sample failed, is improved by further steps
  * at its own x_0. Each is shortened until it reduces the residual; without one that does, the plan stays. */
 
-static void repair_on_reset(solver_t *s)
-{
-    s->unconverged = 0;
-    s->fresh = PATIENCE;
-    s->moved = R(0);
-}
-
-/* A plan of solve() is no first plan. */
-static void repair_before_solve(solver_t *s)
-{
-    s->fresh = 0;
-}
-
-/* A plan that repair has not led anywhere is given up. */
-static void repair_before_prepare(solver_t *s)
-{
-    s->unconverged = (s->status == (int32_t)NOT_CONVERGED) ? s->unconverged + 1 : 0;
-    if (s->unconverged >= PATIENCE) {
-        start_anew(s);
-        s->unconverged = 0;
-        s->fresh = PATIENCE;
-    }
-}
-
 /* The residual at the present point, without derivatives, after `length` of the step of the QP. */
 static real_t trial_residual(solver_t *s, const real_t *size)
 {
@@ -41,8 +17,7 @@ static status_t run_qp_at_plan(solver_t *s)
 {
     real_t measured[NX];
     status_t status;
-    memcpy(measured, s->xhat, sizeof measured);
-    memcpy(s->xhat, s->x[0], sizeof s->xhat);
+    measure_plan(s, measured);
     status = run_sample_qp(s);
     s->sqp.elastic = status == RELAXED;
     memcpy(s->xhat, measured, sizeof s->xhat);

@@ -21,6 +21,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from nmpc_codegen.components.algorithms.features import PATIENCE, watched
 from nmpc_codegen.components.algorithms.features import ROWS as TERMS
 from nmpc_codegen.components.algorithms.real_time_iteration import SAMPLE, SOLVE, shift_entry
 from nmpc_codegen.components.algorithms.scales import cost_magnitude, row_sizes, tolerance_table, variable_scales
@@ -57,8 +58,8 @@ FACTOR, BARRIER = 3.0, 1e-2
 #: that weight: in the first sample, the least one in a sample and in solve(). The distance changes with the weight.
 MARGIN, WEIGHTS = 1e-2, (1.0, 1e-2, 1e-10)
 
-#: Simulations of a step of solve(); failures in a row after which the plan is given up.
-MAX_TRIALS, PATIENCE, UNSETTLED = 30, 3, 10
+#: Simulations of a step of solve().
+MAX_TRIALS = 30
 
 #: Steps of the method of multipliers for the terminal rows of the model.
 MAX_ROUNDS = 3
@@ -296,7 +297,6 @@ class AdjointShooting(Defaults):
             ("MOST_TRIALS", MAX_TRIALS, "steps that any search tries, at most"),
             *(newton if self.second_order else memory),
             ("PATIENCE", PATIENCE, "samples after which a failure is not that of one sample alone"),
-            ("UNSETTLED", UNSETTLED, "samples in a row without convergence after which the past of steps is forgotten"),
             ("MOST_PENALTY", 1_000_000_000, "largest penalty of solve()"),
             ("SHIFT", int(self.shift is not None), "1: step() moves the plan before the sample"),
         )
@@ -324,7 +324,7 @@ class AdjointShooting(Defaults):
         members = (
             Field("row", (dims.ng,), "multipliers of the rows", "keep"),
             Field("samples", (), "samples since init or reset", "keep", "int32", only=lambda f: self.shift),
-            Field("failing", (), "failures in a row; < 0: samples that were NOT_CONVERGED", "keep", "int32"),
+            *watched(dims),
             Field("stats", (), "counters", "result", "stats"),
             Field("kkt", (), "KKT residuals of the last solve", "result", "kkt", only=lambda f: f.solve),
         )

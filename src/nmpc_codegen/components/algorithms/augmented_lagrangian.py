@@ -17,13 +17,11 @@ from typing import ClassVar
 
 import numpy as np
 
-from nmpc_codegen.components.algorithms.features import FIRST_SAMPLE, SHIFT
+from nmpc_codegen.components.algorithms.features import FIRST_SAMPLE, PATIENCE, SHIFT, watched
 from nmpc_codegen.components.algorithms.real_time_iteration import (
-    PATIENCE,
     SAMPLE,
     SAMPLES,
     SOLVE,
-    UNCONVERGED,
     shift_entry,
     state_size,
 )
@@ -247,10 +245,7 @@ class AugmentedLagrangian(Defaults):
             Field("prepared", (), "1 between prepare and feedback", "keep", "int32"),
             replace(SAMPLES, only=lambda f: self.shift or f.repair),
             state_size(dims),
-            UNCONVERGED,
-            Field(
-                "failing", (), "failures in a row, at most 3; < 0: successes lacking since a restart", "keep", "int32"
-            ),
+            *watched(dims),
         )
         results = (
             Field("stats", (), "counters", "result", "stats"),

@@ -3,17 +3,33 @@
 from __future__ import annotations
 
 from nmpc_codegen.components.base import Dims, Feature
+from nmpc_codegen.package.features import Features
 from nmpc_codegen.package.memory import Field, Size, Struct
 
 
-def _watched(dims: Dims) -> tuple[Struct, ...]:
-    """What tells whether multipliers on which the Hessian depends converge."""
+def watched(dims: Dims) -> tuple[Field, ...]:
+    """What the watch on plans counts, templates/algorithms/watch.c."""
     nodes = Size("N + 1", dims.N.value + 1)
-    members = (
-        Field("unsettled", (), "samples on end in which lam changed by half its size", "keep", "int32"),
-        Field("lam_before", (nodes, dims.nx), "lam after the sample before", "keep"),
+    fresh = "samples in which a first plan may still become a solution"
+    moved = "how far the last step of a first plan moved the first control, in its scale"
+    return (
+        Field("failing", (), "failures in a row, at most 3; < 0: successes lacking since a restart", "keep", "int32"),
+        Field(
+            *("unconverged", (), "samples on end that were NOT_CONVERGED", "keep", "int32"),
+            only=lambda f: f.repair or not f.has_qp,
+        ),
+        Field(
+            *("unsettled", (), "samples on end in which lam changed by half its size", "keep", "int32"),
+            only=_has_settling_multipliers,
+        ),
+        Field("lam_before", (nodes, dims.nx), "lam after the sample before", "keep", only=_has_settling_multipliers),
+        Field("fresh", (), fresh, "keep", "int32", only=lambda f: f.repair and f.has_qp),
+        Field("moved", (), moved, "keep", only=lambda f: f.repair and f.has_qp),
     )
-    return (Struct("solver", "", members),)
+
+
+def _has_settling_multipliers(features: Features) -> bool:
+    return features.lagrangian and features.has_qp
 
 
 def law(dims: Dims) -> tuple[Struct, ...]:
@@ -71,7 +87,6 @@ def _price(dims: Dims) -> tuple[Struct, ...]:
 
 
 SHIFT = Feature("shift")
-SETTLE = Feature("settle", _watched)
 PLAIN = Feature("plain")
 SIMULATE = Feature("simulate")
 LEVELS = Feature("levels")
@@ -85,6 +100,9 @@ VIOLATION = Feature("violation")
 BENT_ROWS = Feature("bent_rows")
 FIRST_SAMPLE = Feature("first_sample")
 FIRST_CONTROL = Feature("first")
+
+#: Samples after which a failure is not that of one sample alone.
+PATIENCE = 10
 
 #: Rows as terms of single shooting, by the option ``rows``.
 ROWS = {

@@ -113,8 +113,6 @@ MAX_ATTEMPTS = 3
 # Shifts of an indefinite Hessian in solve(), each four times the one before, and bisections of the last interval.
 MAX_SHIFTS = 24
 BISECTIONS = 3
-#: Samples in a row without success, or without convergence, until more of the plan is given up.
-PATIENCE = 10
 #: Trial points of a step that repairs the plan.
 REPAIR_TRIALS = 4
 #: Weight that relaxation="auto" stands for.
@@ -123,13 +121,6 @@ RELAXATION = 1e4
 LEAST_PRICE, RELAXED_SAMPLES = 1e-6, 10
 #: How much slower the price recovers in samples that are OK.
 SLOWER = 4
-#: What is kept of the samples, with an algorithm that repairs plans.
-UNCONVERGED = Field("unconverged", (), "samples on end that were NOT_CONVERGED", "keep", "int32")
-_FOLLOWED = (
-    Field("fresh", (), "samples in which a first plan may still become a solution", "keep", "int32"),
-    Field("moved", (), "how far the last step of a first plan moved the first control, in its scale", "keep"),
-    UNCONVERGED,
-)
 SAMPLES = Field("samples", (), "feedbacks since init or reset", "keep", "int32")
 
 
@@ -271,7 +262,6 @@ class RealTimeIteration(Defaults):
         failure = at_hooks.RELAXATION if self.relaxation is not None else at_hooks.VIOLATION
         wanted = (
             (at_hooks.SHIFT, self.shift is not None),
-            (at_hooks.SETTLE, features.lagrangian),
             (at_hooks.GAPS, features.nonlinear_model),
             (at_hooks.CURVATURE, features.row_curvature),
             (at_hooks.REPAIR, self.repair > 0),
@@ -342,7 +332,7 @@ class RealTimeIteration(Defaults):
             *(_LEVEL_SIZES if self.leveled else ()),
             *(ahead if self.advance is not None else ()),
             *(_repairs(self.repair) if self.repair else ()),
-            ("PATIENCE", PATIENCE, "samples after which a failure is not that of one sample alone"),
+            ("PATIENCE", at_hooks.PATIENCE, "samples after which a failure is not that of one sample alone"),
             ("SHIFT", int(self.shift is not None), "1: step() moves the plan before preparing"),
             ("MAX_TRIALS", MAX_TRIALS, "halvings of the step in the line search of solve()"),
             ("MAX_ATTEMPTS", MAX_ATTEMPTS, "new starts of solve() where rows cannot be satisfied, at most"),
@@ -362,11 +352,8 @@ class RealTimeIteration(Defaults):
             Field("prepared", (), "1 between prepare and feedback", "keep", "int32"),
             replace(SAMPLES, only=lambda f: self.shift or f.repair),
             state_size(dims),
-            *stated(self.repair, *_FOLLOWED),
             Field("bent", (), curvature, "keep", "int32", only=lambda f: f.row_curvature),
-            Field(
-                "failing", (), "failures in a row, at most 3; < 0: successes lacking since a restart", "keep", "int32"
-            ),
+            *at_hooks.watched(dims),
         )
         results = (
             Field("step", (), "solution of the QP", "data", "step"),
