@@ -206,7 +206,7 @@ static void poison(void)
     int k, i;
     for (k = 0; k <= SIZE(_N); k++) {
         for (i = 0; i < SIZE(_NX); i++) {
-            s.x[k][i] = s.lam[k][i] = s.mu_x[k][i] = (real)NAN;
+            s.x[k][i] = s.lam[k][i] = (real)NAN;
         }
         for (i = 0; k < SIZE(_N) && i < SIZE(_NU); i++) {
             s.u[k][i] = s.mu_u[k][i] = (real)NAN;

@@ -1,15 +1,12 @@
-/* The watch on plans: what samples on end say of one, and how much of it is given up. Counts and what follows:
- *
- *     failing = TWICE: failures. All states restart at the measured one.
- *     failing = FOR_GOOD: failures. Nothing is kept.
- *     unconverged = PATIENCE: samples that were NOT_CONVERGED. Nothing is kept.
- *     unsettled = PATIENCE / 2: samples in which lam changed by half its size. Multipliers are forgotten.
- *     unsettled = PATIENCE: the same. Nothing is kept.
- *
- * A single failure may come from its sample alone: then only the working set is discarded if the QP solver did not
- * converge. The second one counts as the third if there is no finite linearisation at the plan (broken), and so does
- * any failure of a plan that is not finite or among the first PATIENCE successes after a restart, which a negative
- * failing counts. */
+/* The watch on plans: what samples on end say of one, and how much of it is given up.
+ * failing: failures. [if NODES: After the second one all states restart at the measured one, after the third one nothing
+ * is kept else: After the third one the plan is forgotten, or what is kept of past steps]; and at once after a failure
+ * among the first PATIENCE successes after that, which a negative failing counts. [if NODES: So it is if there is no
+ * finite linearisation at the plan (broken), or if the plan is not finite.] [if HAS_QP: A single failure may come from
+ * its sample alone: then only the working set is discarded if the QP solver did not converge.]
+ * [if REPAIR > 0 || !HAS_QP: unconverged: samples that were NOT_CONVERGED; after PATIENCE of them it starts anew.] [if
+ * LAGRANGIAN && HAS_QP: unsettled: samples in which lam changed by half its size, as the Hessian then belongs to no
+ * problem; after PATIENCE / 2 of them multipliers are forgotten, after PATIENCE the plan starts anew.] */
 enum { FINE, ONCE, TWICE, FOR_GOOD };
 
 static void reset_watch(solver_t *s)
@@ -66,32 +63,35 @@ static void watch_multipliers(solver_t *s, status_t status)
 }
 
 #endif
-/* Gives up as much of the plan as failing says[if !NODES:; past steps alone unless the simulation failed]. */
+#if NODES
+/* Gives up as much of the plan as failures on end say. */
 static void give_up(solver_t *s, status_t status)
 {
     if (s->failing == FOR_GOOD) {
-#if NODES
         forget_plan(s);
+    }
+    if (s->failing >= TWICE) {
+        start_at_measured(s);
+        if (!HAS_QP) {
+            reset_search(s);
+        }
+    } else if (HAS_QP && (status == ITERATION_LIMIT || status == STALLED)) {
+        condense_init(s);
+    }
+}
 #else
+/* Gives up the plan if its simulation fails for good, and the past of steps if something else does. */
+static void give_up(solver_t *s, status_t status)
+{
+    if (s->failing == FOR_GOOD) {
         if (status == NUMERICAL_FAILURE) {
             forget_plan(s);
         } else {
             forget_past(s);
         }
-#endif
-        s->unconverged = 0;
-        s->unsettled = 0;
-        s->fresh = PATIENCE;
     }
-#if NODES
-    if (s->failing >= TWICE) {
-        start_at_measured(s);
-#if !HAS_QP
-        reset_search(s);
-#endif
-    }
-#endif
 }
+#endif
 
 /* After a sample with this status: counts it, and gives up what follows from a failure. */
 static void watch(solver_t *s, status_t status, int broken)
@@ -113,9 +113,6 @@ static void watch(solver_t *s, status_t status, int broken)
             s->failing = FOR_GOOD;
         }
     }
-    if (HAS_QP && (status == ITERATION_LIMIT || status == STALLED)) {
-        condense_init(s);
-    }
     give_up(s, status);
 }
 
@@ -133,7 +130,16 @@ static void doubt_plan(solver_t *s)
         }
     }
     if (given_up) {
-        s->failing = FOR_GOOD;
-        give_up(s, OK);
+        if (NODES) {
+            start_anew(s);
+        } else {
+            forget_past(s);
+        }
+        if (NODES && !HAS_QP) {
+            reset_search(s);
+        }
+        s->unconverged = 0;
+        s->unsettled = 0;
+        s->fresh = PATIENCE;
     }
 }

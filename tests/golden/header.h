@@ -50,4 +50,4 @@ const char *golden_status_string(golden_status_t status);
 #endif
 
 #endif
-/* nmpc_codegen package 2387361c07e6fba9, sha256 ede222bc5b4ea1e7f31d4de2c1ce76b5a2650427002a1462750c8068c1a93f9a */
+/* nmpc_codegen package fe5e7077ff0a082d, sha256 bfa58e44cdfb58c53c0c3f91ec1e7655503003bc13008f09232a9692782bcb54 */

@@ -6,7 +6,8 @@ import re
 
 import pytest
 
-from nmpc_codegen.lowering.rows import COLUMNS, KINDS, row_functions, row_ranges
+from nmpc_codegen.lowering.rows import COLUMNS, row_functions, row_ranges
+from nmpc_codegen.package.signals import IMPOSED_KINDS
 from verification.rendered import lowered, texts
 from verification.samples import SAMPLES
 
@@ -57,7 +58,7 @@ def test_what_is_known_of_rows() -> None:
             values = [row[i] for row in module.rows] or [0]
             assert column == "kind" or found[f"row_{column}"] == (min(values), max(values))
         kinds = [row[1] for row in module.rows]
-        for number, word in enumerate(KINDS):
+        for number, word in enumerate(IMPOSED_KINDS):
             assert found[f"row_is_{word}"] == (int(set(kinds) == {number}), int(number in kinds))
     assert row_ranges(lowered(NAMED["soft states dense"]))["row_is_soft"] == (1, 1)
     assert row_ranges(lowered(NAMED["soft rows dense"]))["row_is_soft"] == (0, 1)

@@ -176,7 +176,7 @@ class Loop:
 def point(controller: Controller) -> Point:
     """Primal and dual variables of its plan."""
     names = Point.__dataclass_fields__
-    return Point(**{name: np.array(controller.member(name), dtype=float) for name in names})
+    return Point(**{name: np.array(getattr(controller, name), dtype=float) for name in names})
 
 
 def run(job: tuple[Controller, Array, Array, int, int]) -> Outcome:
