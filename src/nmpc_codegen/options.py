@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, is_dataclass, replace
 from typing import Any, Literal, TypeVar, get_args
+
+import numpy as np
 
 from nmpc_codegen.components import algorithms, condensing, hessians, integrators, qp
 from nmpc_codegen.components.algorithms import RealTimeIteration
@@ -175,6 +177,27 @@ class Options:
         if self.solve is not None:
             return self.solve
         return self.target == NATIVE or TARGETS[self.target].roomy
+
+
+def as_data(value: Any, path: str = "") -> dict[str, Any]:
+    """Options as (dotted name -> value), as for --set: a component, or another object, has the name of its class, and
+    its own options behind that; arrays are lists."""
+    if not is_dataclass(value):
+        return {path: _plain(value)}
+    found: dict[str, Any] = {path: type(value).__name__} if path else {}
+    for field in fields(value):
+        found |= as_data(getattr(value, field.name), f"{path}.{field.name}" if path else field.name)
+    return found
+
+
+def _plain(value: Any) -> Any:
+    """A value of an option as JSON has it: the text of what is no number, word, or list of them, or not finite."""
+    if isinstance(value, np.ndarray):
+        return _plain(value.tolist())
+    if isinstance(value, (list, tuple)):
+        return [_plain(v) for v in value]
+    finite = isinstance(value, (float, np.floating)) and np.isfinite(value)
+    return float(value) if finite else value if value is None or isinstance(value, (int, str)) else repr(value)
 
 
 def _or_default(given: C | None, algorithm: Algorithm, seam: Seam, registry: Mapping[str, type[C]]) -> C | None:

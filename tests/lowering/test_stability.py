@@ -7,6 +7,8 @@ import pytest
 from examples import chain, crane
 from nmpc_codegen import OCP, Euler, ExplicitRungeKutta, Options
 from nmpc_codegen.frontend.classify import classify
+from nmpc_codegen.frontend.program import program
+from nmpc_codegen.lowering.explain import warnings
 from nmpc_codegen.lowering.linearize import linearize
 
 
@@ -20,7 +22,7 @@ def decay(rate: float, T: float = 1.0) -> OCP:
 
 def warnings_of(ocp: OCP, integrator: ExplicitRungeKutta) -> list[str]:
     model = linearize(classify(ocp), Options(integrator))
-    return [text for text in model.warnings if text.startswith("integrator")]
+    return [text for text in warnings(model, program(model.problem)) if text.startswith("integrator")]
 
 
 @pytest.mark.parametrize(

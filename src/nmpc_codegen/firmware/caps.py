@@ -82,8 +82,8 @@ def _warning(parts: Parts, most: int, highest: int) -> str:
 
 def _worst(model: Model, most: int, name: str | None) -> int:
     """Worst case of a sample with these caps, in portable C if the target computes several nodes at once."""
-    target = model.target if model.target.lanes == 1 else PORTABLE
-    return worst_case(render(lower(replace(model, parts=_capped(model, most), target=target), name)))["sample"]
+    options = model.options if model.target.lanes == 1 else replace(model.options, target=PORTABLE.name)
+    return worst_case(render(lower(replace(model, parts=_capped(model, most), options=options), name)))["sample"]
 
 
 def _capped(model: Model, most: int) -> Parts:

@@ -128,7 +128,7 @@ class Problem:
     time_unit: str = "s"  # of dt and of every other time
     proximal: tuple[float, ...] = ()  # curvature that samples add to (x, u); (): none
 
-    @property
+    @cached_property
     def nonlinear_rows(self) -> bool:
         """True if a hard general or coupled row is no affine function of states and controls."""
         path, terminal = (curved(s.h, ca.vertcat(s.x, s.u)) for s in (self.path, self.terminal))
@@ -172,7 +172,7 @@ class Problem:
             if not mixed[row.index]
         )
 
-    @property
+    @cached_property
     def nonlinear_model(self) -> bool:
         """True if the dynamics are no affine function of states and controls."""
         x, u, p = (self.path.x, self.path.u, self.path.p)

@@ -9,14 +9,22 @@ from typing import TypeVar
 
 import casadi as ca
 
-from nmpc_codegen.components.base import Algorithm, Component, Dims, Hessian, Integrator, Parts, refuse_unsupported
+from nmpc_codegen.components.base import (
+    SEAMS,
+    Algorithm,
+    Component,
+    Dims,
+    Hessian,
+    Integrator,
+    Parts,
+    refuse_unsupported,
+)
 from nmpc_codegen.components.hessians import ExactHessian
 from nmpc_codegen.components.integrators import Discrete, ExplicitRungeKutta
 from nmpc_codegen.components.stage_cost import StageCost, slices, stage_costs
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.frontend.flat import flat_controls, proximal_terms
 from nmpc_codegen.frontend.problem import Problem, Stage
-from nmpc_codegen.frontend.program import program
 from nmpc_codegen.frontend.scales import Scales, scales
 from nmpc_codegen.ir.kernel import Kernel, Port, lift
 from nmpc_codegen.ir.model import Block, HessianModel, ModelFunctions, StageModel
@@ -31,46 +39,39 @@ from nmpc_codegen.lowering.choose import (
     roomy,
     solves_exactly,
 )
-from nmpc_codegen.lowering.first_plan import Growth, first_plan_warnings, growth
-from nmpc_codegen.lowering.stability import stability_warning
-from nmpc_codegen.options import REGISTRIES, Goal, Online, Options
-from nmpc_codegen.package.memory import Precision
-from nmpc_codegen.package.program import Program
-from nmpc_codegen.targets import NATIVE, PORTABLE, TARGETS, Math, Target
+from nmpc_codegen.lowering.first_plan import Growth, growth
+from nmpc_codegen.options import REGISTRIES, Online, Options
+from nmpc_codegen.targets import NATIVE, PORTABLE, TARGETS, Target
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Model(ModelFunctions):
     """The problem, the components that solve it with the reasons for their choice, and every function of the package.
 
-    ``choice``: condensing and QP solver with their reasons, if the algorithm has a QP; ``reasons``: those for other
-    parts; ``warned``: what is likely to give poor results; ``program``: for runtime/diagnosis. ``constant_hessian``:
-    the path Hessian block is the same at all nodes. ``nonlinear_rows``: a hard row is no affine function of states and
-    controls.
+    ``options``: those after all choices have been made. ``choice``: condensing and QP solver with their reasons, if the
+    algorithm has a QP; ``reasons``: those for other parts. ``grown``: growth of the open loop. ``constant_hessian``:
+    the path Hessian block is the same at all nodes.
     """
 
     problem: Problem
     parts: Parts
-    online: Online
-    precision: Precision
-    math: Math
-    solve: bool
+    options: Options
     reasons: tuple[str, ...]
-    warned: tuple[str, ...]
-    program: Program
     choice: Choice | None
+    grown: Growth
     constant_hessian: bool
-    nonlinear_rows: bool
-    nonlinear_model: bool
-    goal: Goal = "speed"
-    target: Target = PORTABLE
+
+    @property
+    def target(self) -> Target:
+        """The machine for which the C is written."""
+        return TARGETS[self.options.target]
 
     @cached_property
     def dims(self) -> Dims:
         """The sizes that components share."""
         condensing = self.parts.condensing
         shape = None if condensing is None else condensing.qp_shape(self.problem)
-        return dimensions(self.problem, shape, self.constant_hessian, multiple_of(self.goal))
+        return dimensions(self.problem, shape, self.constant_hessian, multiple_of(self.options.goal))
 
     @cached_property
     def scales(self) -> Scales:
@@ -81,25 +82,6 @@ class Model(ModelFunctions):
     def choices(self) -> tuple[str, ...]:
         """All choices with their reasons."""
         return (*self.reasons, *(() if self.choice is None else self.choice.reasons))
-
-    @property
-    def warnings(self) -> tuple[str, ...]:
-        """What is likely to give poor results, with the remedies."""
-        return (*self.warned, *(() if self.choice is None else self.choice.warnings))
-
-    @property
-    def options(self) -> Options:
-        """The options after all choices have been made."""
-        parts = self.parts
-        return Options(
-            *(parts.integrator, parts.hessian, parts.condensing, parts.qp, parts.algorithm),
-            online=self.online,
-            precision=self.precision,
-            solve=self.solve,
-            math=self.math,
-            goal=self.goal,
-            target=self.target.name,
-        )
 
 
 def linearize(problem: Problem, options: Options | None = None) -> Model:
@@ -121,7 +103,7 @@ def linearize(problem: Problem, options: Options | None = None) -> Model:
     options = replace(options, algorithm=algorithm)
     online = options.online
     problem = _with_weights(problem, online)
-    problem, of_flat, flat = _with_proximal(problem, options) if chosen else (problem, (), ())
+    problem, of_flat = _with_proximal(problem, options) if chosen else (problem, ())
     integrator, choices = _choose_integrator(problem, options)
     _check(problem, integrator, options.hessian)
     functions = _functions(problem, integrator, options.hessian, options.algorithm)
@@ -138,29 +120,17 @@ def linearize(problem: Problem, options: Options | None = None) -> Model:
         parts = replace(parts, condensing=choice.condensing, qp=choice.qp)
     _check(problem, *parts.components)
     parts.algorithm.check_parts(parts)
-    found = program(problem)
-    second = bool(functions.exact) or isinstance(options.hessian, ExactHessian)
-    simulated = grown.of_simulation(type(algorithm).__name__, problem.N) if algorithm.simulates else ()
-    numerical = (*stability_warning(problem, integrator), *simulated)
-    warned = (*flat, *numerical, *first_plan_warnings(problem, found, second))
     notes = (note for component in parts.components for note in component.notes(problem))
+    made = {seam: getattr(parts, seam) for seam in SEAMS}
     return Model(
         **{field.name: getattr(functions, field.name) for field in fields(ModelFunctions)},
         problem=problem,
         parts=parts,
-        online=online,
-        precision=options.precision,
-        math=options.math or target.math,
-        solve=options.solves,
-        goal=options.goal,
-        target=target,
+        options=replace(options, **made, math=options.math or target.math),
         reasons=(*choices, *of_target, *of_flat, *of_hessian, *of_algorithm, *notes),
-        warned=warned,
-        program=found,
         choice=choice,
+        grown=grown,
         constant_hessian=constant,
-        nonlinear_rows=problem.nonlinear_rows,
-        nonlinear_model=problem.nonlinear_model,
     )
 
 
@@ -170,19 +140,15 @@ def _with_weights(problem: Problem, online: Online) -> Problem:
     return replace(problem, path=path, terminal=terminal)
 
 
-def _with_proximal(problem: Problem, options: Options) -> tuple[Problem, tuple[str, ...], tuple[str, ...]]:
-    """The problem with proximal terms for controls without curvature, where samples solve QPs; why, and a warning."""
+def _with_proximal(problem: Problem, options: Options) -> tuple[Problem, tuple[str, ...]]:
+    """The problem with proximal terms for controls without curvature, where samples solve QPs, and why."""
     sizes = scales(problem)
     flat = flat_controls(problem, sizes) if "qp" in options.algorithm.needs else ()
     if not flat:
-        return problem, (), ()
+        return problem, ()
     where = f"the cost has no curvature in {', '.join(problem.control_names[j] for j in flat)}"
-    warning = f"{where}, so that plans may jump between bounds; a small weight makes the plan unique"
-    return (
-        replace(problem, proximal=proximal_terms(problem, sizes)),
-        (f"proximal terms in the QPs of samples: {where}",),
-        (warning,),
-    )
+    why = f"proximal terms in the QPs of samples: {where}"
+    return replace(problem, proximal=proximal_terms(problem, sizes)), (why,)
 
 
 def _of_target(asked: Options, target: Target) -> tuple[str, ...]:

@@ -25,6 +25,7 @@ from nmpc_codegen.lowering.naming.enums import enums
 from nmpc_codegen.lowering.naming.local_names import local_names
 from nmpc_codegen.lowering.parts import own_names
 from nmpc_codegen.lowering.structs import absent_members, extras, lowered_structs, settings
+from nmpc_codegen.options import as_data
 from nmpc_codegen.package.description import INTERFACE_SIZES, PackageDescription, Report
 from nmpc_codegen.package.features import KERNELS, Features, KernelName
 from nmpc_codegen.package.memory import Size, Struct, placed
@@ -53,11 +54,11 @@ def lower(model: Model, name: str | None = None, whole: bool = False) -> CModule
     name = problem.name if name is None else name
     check_prefix(name)
     dims = model.dims
-    foreign = [(c.name, c.foreign_sources(name, model.precision, dims)) for c in model.parts.components]
-    if model.math == "own":
+    foreign = [(c.name, c.foreign_sources(name, model.options.precision, dims)) for c in model.parts.components]
+    if model.options.math == "own":
         _check_math(model, [component for component, files in foreign if files])
     features = _features(model)
-    structs, layout = placed(lowered_structs(model, dims, features, whole), model.precision)
+    structs, layout = placed(lowered_structs(model, dims, features, whole), model.options.precision)
     macros = _macros(model, dims, whole)
     ranges, tables = _ranges(model, dims, features), _tables(model)
     routines = tuple(r for r in _printed(model) if r.name not in KERNELS or r.name in features.kernels)
@@ -167,12 +168,12 @@ def _features(model: Model) -> Features:
         found = component.adds(found)
     tuned = found.tuned and (found.set_parameter or found.set_weight or found.set_bounds)
     exact = bool(model.exact or found.regularize_reduced)
-    curved = model.solve and exact and not p.couples_free_start
-    relaxable = found.hard_rows and (model.solve or found.relax)
-    nonlinear = found.has_qp and model.nonlinear_rows
+    curved = model.options.solves and exact and not p.couples_free_start
+    relaxable = found.hard_rows and (model.options.solves or found.relax)
+    nonlinear = found.has_qp and p.nonlinear_rows
     eliminates = parts.condensing is not None and parts.condensing.eliminates
     checked = eliminates and not found.approximate
-    bends = found.has_qp and (model.nonlinear_model or model.nonlinear_rows)
+    bends = found.has_qp and (p.nonlinear_model or p.nonlinear_rows)
     bent = bool(
         model.exact and curved and not p.proximal and found.repair and found.hard_rows and bends and not found.levels
     )
@@ -189,7 +190,7 @@ def _features(model: Model) -> Features:
         and any(k < p.N and p.rows[row].soft is None and p.rows_on_states[row] for k, _, _, row in p.qp_rows),
         elastic=relaxable or any(row.soft is not None for row in p.rows),
         nonlinear_rows=nonlinear,
-        nonlinear_model=found.has_qp and model.nonlinear_model,
+        nonlinear_model=found.has_qp and p.nonlinear_model,
         row_curvature=bent,
         row_scales=relaxable or nonlinear or bent,
         check_step=checked,
@@ -211,7 +212,7 @@ def _of_problem(model: Model) -> Features:
         set_weight=_is_set(model, "weight"),
         set_parameter=_is_set(model, "parameter"),
         set_bounds=_is_set(model, "bounds"),
-        bounds_by_node=model.online.layouts["bounds"] == "node",
+        bounds_by_node=model.options.online.layouts["bounds"] == "node",
         state_rows=0 in kinds,
         general_rows=1 in kinds,
         hard_rows=any(p.rows[row].soft is None for _, _, _, row in p.qp_rows),
@@ -223,17 +224,17 @@ def _of_problem(model: Model) -> Features:
         control_bounds=any(place >= 0 for place in _control_rows(p)),
         accumulators=bool(p.accumulators),
         all_measured=not p.accumulators and not p.free_initial,
-        solve=model.solve,
+        solve=model.options.solves,
         nodes="nodes" in core,
         products="products" in core,
         kkt="kkt" in core,
         has_qp="qp" in parts.algorithm.needs,
         stage_multipliers=not eliminates,
         terminal_block=bool(model.products.Q_N),
-        single=model.precision == "single",
-        own_math=model.math == "own",
-        small=model.goal == "size",
-        scalar=target.sums == "variables" or model.goal == "size",
+        single=model.options.precision == "single",
+        own_math=model.options.math == "own",
+        small=model.options.goal == "size",
+        scalar=target.sums == "variables" or model.options.goal == "size",
         avx512=target.avx512,
     )
 
@@ -243,7 +244,7 @@ def _is_set(model: Model, kind: Kind) -> bool:
     p = model.problem
     residuals = p.path.ny + p.terminal.ny
     sizes: dict[Kind, int] = {"reference": residuals, "weight": residuals, "parameter": p.np, "bounds": len(p.rows)}
-    return model.online.layouts[kind] != "fixed" and sizes[kind] > 0
+    return model.options.online.layouts[kind] != "fixed" and sizes[kind] > 0
 
 
 def _gradients_of_cost(model: Model, found: Features, eliminates: bool) -> set[KernelName]:
@@ -310,7 +311,9 @@ def _macros(model: Model, dims: Dims, whole: bool) -> tuple[Macro, ...]:
     if whole:
         absent = (entry for component in parts.components for entry in component.absent_sizes(dims))
         macros += [Macro(*entry) for entry in (*SIZES_OF_OTHERS, *absent)]
-    public = {s for e in model.parts.algorithm.entries(model.solve) for a in (*e.inputs, *e.outputs) for s in a.shape}
+    public = {
+        s for e in model.parts.algorithm.entries(model.options.solves) for a in (*e.inputs, *e.outputs) for s in a.shape
+    }
     public.update(INTERFACE_SIZES, (f"SIZE_{name}" for name in names))
     found = {macro.name: replace(macro, public=macro.name in public) for macro in reversed(macros)}
     return tuple(found.values())[::-1]
@@ -327,7 +330,7 @@ _NODES: Mapping[Kind, Mapping[Layout, str]] = {
 
 def _setters(model: Model) -> tuple[Setter, ...]:
     """The setters of all data that exist in the problem and can be changed."""
-    layouts = model.online.layouts
+    layouts = model.options.online.layouts
     return tuple(Setter(n, nodes[layouts[n]]) for n, nodes in _NODES.items() if _is_set(model, n))
 
 
@@ -416,7 +419,7 @@ def _description(
     p, sizes = model.problem, model.scales
     return PackageDescription(
         name=name,
-        precision=model.precision,
+        precision=model.options.precision,
         target=model.target.name,
         sizes={m.name: m.value for m in macros},
         structs=structs,
@@ -432,11 +435,10 @@ def _description(
         statuses=tuple(Status.__members__),
         shift=model.parts.algorithm.shift,
         sampling_time=sampled(model.parts.algorithm.shift, model.parts.algorithm.sampling_time, p),
-        entry_points=model.parts.algorithm.entries(model.solve),
-        online=model.online.layouts,
-        options=repr(model.options),
+        entry_points=model.parts.algorithm.entries(model.options.solves),
+        online=model.options.online.layouts,
+        options=as_data(model.options),
         report=report,
-        program=model.program,
         ranges=ranges,
         scales=tuple(_rounded(sizes.z)),
         row_scales=tuple(_rounded(sizes.rows)),
@@ -473,6 +475,5 @@ def _report(
         operations=counts,
         linearization_operations=counts.get("linearize", OpCount()).total,
         choices=model.choices,
-        warnings=model.warnings,
         looped=tuple(r.name for r in _printed(model) if len(r.kernels) > 1),
     )

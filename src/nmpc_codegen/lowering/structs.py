@@ -96,7 +96,7 @@ def absent_members(
 
 def settings(model: Model, dims: Dims, whole: bool) -> tuple[Setting, ...]:
     """Members for the data that can be changed at run time; fixed data have none."""
-    p, layouts = model.problem, model.online.layouts
+    p, layouts = model.problem, model.options.online.layouts
     weight = (dims.ny,) if p.path.diagonal_weight else (dims.ny, dims.ny)
     weight_N = (dims.ny_N,) if p.terminal.diagonal_weight else (dims.ny_N, dims.ny_N)
     one = Size("1", 1)

@@ -26,7 +26,7 @@ from nmpc_codegen.package.signals import EntryPoint, Layouts, Names, Residual, R
 INTERFACE_SIZES = ("N", "NX", "NU", "NP", "NY", "NY_N", "NW", "NW_N", "NR")
 
 #: Version of the layout of <name>.json.
-FORMAT = 5
+FORMAT = 6
 
 DIMENSIONS = ("N", "NX", "NU", "NP", "NY", "NY_N", "NH", "NH_N", "NR")
 
@@ -103,12 +103,12 @@ class PackageDescription:
     sampling_time: float | None  # for which the package is made; None: any
     entry_points: tuple[EntryPoint, ...]
     online: Layouts
-    options: str
+    options: Mapping[str, Any]  # dotted name -> value, of a component its class
     report: Report
-    program: Program
     scales: tuple[float, ...]  # of states and controls, (nx + nu,)
     row_scales: tuple[float, ...]  # of the terms of the rows
     ranges: Mapping[str, tuple[int, int]] = field(default_factory=dict)
+    program: Program = field(default_factory=Program)
 
     @property
     def dims(self) -> Dimensions:

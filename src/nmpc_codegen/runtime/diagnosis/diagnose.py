@@ -69,7 +69,7 @@ def _headline(ctrl: Memory, solved: bool, broken: bool) -> str:
     status = ctrl.status
     if broken and status == Status.NUMERICAL_FAILURE:
         return f"{status.name}: a number is not finite; the control is safe but not optimal"
-    if not solved and has_qp(ctrl.description.options) and status in (Status.ITERATION_LIMIT, Status.STALLED):
+    if not solved and has_qp(ctrl) and status in (Status.ITERATION_LIMIT, Status.STALLED):
         why = "stopped at its limit of iterations" if status == Status.ITERATION_LIMIT else "made no further progress"
         return f"{status.name}: the QP of the sample {why}; the control is safe but not optimal"
     return str(status)
@@ -77,7 +77,7 @@ def _headline(ctrl: Memory, solved: bool, broken: bool) -> str:
 
 def solves_exactly(ctrl: Memory) -> bool:
     """Whether solve() has the exact Hessian although samples have another."""
-    return "hessian=GaussNewton(" in ctrl.description.options and "in_solve" in ctrl.description.members("curved")
+    return ctrl.description.options["hessian"] == "GaussNewton" and "in_solve" in ctrl.description.members("curved")
 
 
 def _left_by_samples(ctrl: Memory) -> list[str]:
@@ -141,7 +141,7 @@ def _plan(ctrl: Memory) -> Iterator[str]:
 
 def _domains(ctrl: Memory) -> Iterator[str]:
     """Operations that have no finite value or derivative at the plan, and what to write instead."""
-    second = "hessian=ExactHessian(" in ctrl.description.options or solves_exactly(ctrl)
+    second = ctrl.description.options["hessian"] == "ExactHessian" or solves_exactly(ctrl)
     x, u = (np.asarray(v, dtype=np.float64) for v in (ctrl.x, ctrl.u))
     found = locate(ctrl.description.program, x, u, parameters(ctrl), second)
     yield from list(in_words(found))[:MOST]

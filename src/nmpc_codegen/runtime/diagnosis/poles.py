@@ -7,7 +7,6 @@ that no growing pole explains is a damped mode that the scheme makes grow.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator
 
 import numpy as np
@@ -21,15 +20,14 @@ SHORT, DIFFERENCE = 1e-3, 1e-5
 DAMPED, SLACK = 1e-3, 1e-3
 #: |lambda| h up to which every scheme in use is stable; most steps that are proposed.
 SAFE, MOST_STEPS = 1.5, 1000
-_SCHEME = re.compile(r"ButcherTableau\(name='(\w+)'.*?\bsteps=(\d+)", re.DOTALL)
 
 
 def unstable_poles(ctrl: Memory) -> Iterator[str]:
     """The node of the plan whose fastest damped pole the scheme does not damp, and how many steps would."""
-    scheme = _SCHEME.search(ctrl.description.options)
-    if ctrl.description.discrete or scheme is None or not np.all(np.isfinite(ctrl.x)):
+    options = ctrl.description.options
+    if options["integrator"] != "ExplicitRungeKutta" or not np.all(np.isfinite(ctrl.x)):
         return
-    steps, found = int(scheme[2]), []
+    scheme, steps, found = options["integrator.tableau.name"], int(options["integrator.steps"]), []
     with np.errstate(all="ignore"):
         for k, dt in enumerate(ctrl.description.dt):
             damped = _damped(_poles(ctrl, k, SHORT * dt / steps))
@@ -43,9 +41,9 @@ def unstable_poles(ctrl: Memory) -> Iterator[str]:
     pole = damped[np.argmax(np.abs(damped))]
     text = f"{pole.real:.3g}" if abs(pole.imag) < DAMPED * abs(pole) else f"{pole:.3g}"
     enough = next((n for n in range(steps + 1, MOST_STEPS) if not _grows(ctrl, k, dt / n)), None)
-    many = f"; {enough} steps are enough: ExplicitRungeKutta({scheme[1]}, steps={enough})" if enough else ""
+    many = f"; {enough} steps are enough: ExplicitRungeKutta({scheme}, steps={enough})" if enough else ""
     yield (
-        f"{scheme[1]} with {steps} steps is unstable at node {k} of the plan: pole {text} "
+        f"{scheme} with {steps} steps is unstable at node {k} of the plan: pole {text} "
         f"1/{ctrl.description.time_unit}{many}"
     )
 
