@@ -1,25 +1,26 @@
-/* w += gradient of the rows of node k with respect to its state, times their multipliers. */
+/* w += gradient of the rows of node k with respect to its state, times their multipliers in the QP. */
 static void add_row_forces(const solver_t *s, int k, real_t *w)
 {
     for (int m = row_first[k]; m < row_first[k + 1]; m++) {
         if (row_is_state(m)) {
-            w[row_index(m)] += s->mult[m];
+            w[row_index(m)] += s->step.mult[m];
             continue;
         }
         for (int i = 0; i < NX; i++) {
-            w[i] += row_gradient(s, m)[i] * s->mult[m];
+            w[i] += row_gradient(s, m)[i] * s->step.mult[m];
         }
     }
     for (int j = 0; j < NE && k == 0; j++) {
         for (int i = 0; i < NX; i++) {
-            w[i] += s->coupled.J_0[j][i] * COUPLED_MULTIPLIERS(s)[j];
+            w[i] += s->coupled.J_0[j][i] * s->step.mult[NG - NE + j];
         }
     }
 }
 
-/* lam_N = q_N + Q_N dx_N + (rows)_N,  lam_k = q_k + Q_k dx_k + S_k' du_k + A_k' lam_{k+1} + (rows)_k. Returns 0 if the
- * gradient with respect to the controls is known not to vanish. */
-static int recover_multipliers(solver_t *s)
+/* The multipliers of the dynamics in the QP:
+ * lam_N = q_N + Q_N dx_N + (rows)_N,  lam_k = q_k + Q_k dx_k + S_k' du_k + A_k' lam_{k+1} + (rows)_k.
+ * Returns 0 if the gradient with respect to the controls is to be checked and does not vanish. */
+static int multipliers_of_qp(solver_t *s, real_t (*lam)[NX], int checked)
 {
     int held = 1;
     real_t w[NZ];
@@ -32,7 +33,7 @@ static int recover_multipliers(solver_t *s)
         if (NG > 0) {
             add_row_forces(s, k, w);
         }
-        memcpy(s->lam[k], w, sizeof s->lam[k]);
+        memcpy(lam[k], w, sizeof lam[k]);
         if (k == 0) {
             break;
         }
@@ -40,7 +41,7 @@ static int recover_multipliers(solver_t *s)
         if (CURVED && s->curved.in_solve) {
             add_curvature(s, k - 1, s->step.dx[k - 1], s->step.du[k - 1], w);
         }
-        if (CHECK_GRADIENT) {
+        if (CHECK_GRADIENT && checked) {
             held &= controls_hold(s, k - 1, w, &least);
         }
     }
@@ -48,7 +49,13 @@ static int recover_multipliers(solver_t *s)
         held |= s->condensed.regularized;
     }
     for (int f = 0; f < NF; f++) {
-        s->lam[0][free_state[f]] = R(0);
+        lam[0][free_state[f]] = R(0);
     }
     return held;
+}
+
+/* They become those of the plan. */
+static int recover_multipliers(solver_t *s)
+{
+    return multipliers_of_qp(s, s->lam, 1);
 }

@@ -15,10 +15,17 @@ static void multiplier_of_qp(const solver_t *s, int k, real_t *lam)
     }
 }
 
-static int recover_multipliers(solver_t *s)
+/* The multipliers of the dynamics in the QP, which its solver has checked. */
+static int multipliers_of_qp(solver_t *s, real_t (*lam)[NX], int checked)
 {
     for (int k = 0; k <= N; k++) {
-        multiplier_of_qp(s, k, s->lam[k]);
+        multiplier_of_qp(s, k, lam[k]);
     }
     return 1;
+}
+
+/* They become those of the plan. */
+static int recover_multipliers(solver_t *s)
+{
+    return multipliers_of_qp(s, s->lam, 1);
 }

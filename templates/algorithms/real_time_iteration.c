@@ -218,6 +218,8 @@ static status_t feedback_here(solver_t *s)
 #include "algorithms/kkt.c"
 
 #if SOLVE
+#include "algorithms/real_time_iteration/trial.c"
+
 #include "algorithms/solve.c"
 #endif
 

@@ -6,7 +6,7 @@ static real_t trial_residual(solver_t *s, const real_t *size)
 {
     real_t most = largest_gap(s, size);
     if (NONLINEAR_ROWS) {
-        s->row_residual = row_residual(s, s->sqp.length);
+        s->row_residual = row_residual(s, s->trial.length);
         enlarge(&most, s->row_residual);
     }
     return most;
@@ -19,7 +19,7 @@ static status_t run_qp_at_plan(solver_t *s)
     status_t status;
     measure_plan(s, measured);
     status = run_sample_qp(s);
-    s->sqp.elastic = status == RELAXED;
+    s->trial.elastic = status == RELAXED;
     memcpy(s->xhat, measured, sizeof s->xhat);
     return status;
 }
@@ -34,7 +34,7 @@ static int may_stay(const solver_t *s, real_t residual, int unknown)
 /* One step of the repair. Returns 1 if the plan has changed. */
 static int improve_plan(solver_t *s, const real_t *size, int unknown)
 {
-    sqp_t *q = &s->sqp;
+    trial_t *q = &s->trial;
     const status_t status = run_qp_at_plan(s);
     int improved = 0;
     if ((status != OK && status != RELAXED) || !step_is_finite(s)) {
@@ -110,9 +110,9 @@ static status_t repair_after_prepare(solver_t *s, status_t status)
             break;
         }
         if (s->fresh > 0) {
-            s->fresh = control_settles(s, &s->sqp.step, size) ? 0 : s->fresh;
+            s->fresh = control_settles(s, &s->trial.step, size) ? 0 : s->fresh;
         }
-        wanted = s->fresh > 0 || (first && step_is_long(&s->sqp.step, size));
+        wanted = s->fresh > 0 || (first && step_is_long(&s->trial.step, size));
         s->stats.repairs++;
         status = prepare_here(s);
         measure_residual(s);

@@ -139,7 +139,7 @@ def _searched(ctrl: Memory, run: _Run, tol: float, most: int) -> Status:
         status = ctrl.call_solve(tol, last)
         run.time_ns += perf_counter_ns() - start
         if steps and _count(ctrl, "sqp_iterations") > before:
-            length = float(ctrl.view("sqp.length"))
+            length = float(ctrl.view("trial.length"))
             run.log.append(_entry(ctrl, ctrl.kkt(), length, bool(ctrl.view("sqp.restoring"))))
         if status != Status.ITERATION_LIMIT:
             break

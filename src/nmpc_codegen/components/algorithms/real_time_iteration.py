@@ -365,7 +365,8 @@ class RealTimeIteration(Defaults):
             _step(dims),
             _measures(),
             _curved(dims),
-            _line_search(dims),
+            _trial(dims),
+            _search(dims),
             *stated(self.leveled, *at_hooks.kept(dims)),
             *stated(self.first_control, *at_hooks.law(dims)),
             Struct("solver", "", (*keep, *results)),
@@ -489,23 +490,36 @@ def _curved(dims: Dims) -> Struct:
     )
 
 
-def _line_search(dims: Dims) -> Struct:
-    """Memory of solve() beyond that of the real-time iteration."""
+def _trial(dims: Dims) -> Struct:
+    """A step of a QP that is tried at several lengths."""
     nodes = Size("N + 1", dims.N.value + 1)
     return Struct(
-        "sqp",
-        "line search of solve()",
+        "trial",
+        "a step that is tried at several lengths",
         (
             Field("x", (nodes, dims.nx), "states before the step", "scratch"),
             Field("u", (dims.N, dims.nu), "controls before the step", "scratch"),
-            Field("step", (), "step that is tried, at its full length", "scratch", "step"),
+            Field("step", (), "the step at its full length", "scratch", "step"),
             Field("lam", (nodes, dims.nx), "multipliers of its QP", "scratch", only=lambda f: f.keeps_multipliers),
+            Field("length", (), "length of the last step", "scratch"),
+            Field("elastic", (), "1: the last QP was infeasible and relaxed", "scratch", "int32"),
+        ),
+        only=lambda f: f.solve,
+    )
+
+
+def _search(dims: Dims) -> Struct:
+    """What solve() knows of its search."""
+    weight, infeasible = "penalty of the rows in the elastic QP", "1: one of them ended where rows contradict"
+    return Struct(
+        "sqp",
+        "search of solve()",
+        (
             Field("state_scale", (dims.nx,), "scales of the states", "scratch"),
-            Field("row_weight", (), "penalty of the rows in the elastic QP", "scratch", only=lambda f: f.hard_rows),
+            Field("row_weight", (), weight, "scratch", only=lambda f: f.hard_rows),
             Field("filter", (Size("FILTER", FILTER),), "pairs that the filter rejects", "scratch", "measures"),
             Field("entries", (), "entries of the filter", "scratch", "int32"),
             Field("restoring", (), "1: steps only have to reduce the violation", "scratch", "int32"),
-            Field("length", (), "length of the last step", "scratch"),
             Field("base", (), "measures before the step", "scratch", "measures"),
             Field("slope", (), "of the cost along the step", "scratch"),
             Field("gain", (), "reduction of the violation that the step promises", "scratch"),
@@ -513,20 +527,8 @@ def _line_search(dims: Dims) -> Struct:
             Field("cost_scale", (), "largest slope of the cost", "scratch"),
             Field("most_violation", (), "violation that is never accepted", "scratch"),
             Field("attempts", (), "new starts", "scratch", "int32"),
-            Field(
-                "infeasible",
-                (),
-                "1: one of them ended where rows contradict",
-                "scratch",
-                "int32",
-                only=lambda f: f.hard_rows,
-            ),
+            Field("infeasible", (), infeasible, "scratch", "int32", only=lambda f: f.hard_rows),
             Field("resumes", (), "set to 1 before solve() goes on from where it reached its limit", "scratch", "int32"),
-            Field(
-                *("slow", (), "1: an elastic QP that promises hardly any progress", "scratch", "int32"),
-                only=lambda f: f.hard_rows,
-            ),
-            Field("elastic", (), "1: the last QP was infeasible and relaxed", "scratch", "int32"),
         ),
         only=lambda f: f.solve,
     )

@@ -11,11 +11,11 @@
  * if it is so on their null space (Finsler's lemma). If that is not sufficient, all variables are shifted. */
 
 #if TWO_HESSIANS
-#include "algorithms/linearize_with_curvature.c"
+#include "algorithms/solve/linearize_with_curvature.c"
 
 #endif
-/* Writes the Hessian of the present linearisation to s->curved. */
-static void expand_curved(solver_t *s)
+/* Linearises the present point, and writes its Hessian to s->curved. */
+static void evaluate_iterate(solver_t *s)
 {
     curved_t *c = &s->curved;
     if (TWO_HESSIANS) {
@@ -193,7 +193,7 @@ static inline real_t bound_of(real_t lower, real_t upper, real_t mult)
 /* Whether row m is held: an equation, a row with a multiplier[if SOFT_ROWS > 0:, and a soft one at its kink]. */
 static int row_is_held(const solver_t *s, int m)
 {
-    const real_t mult = FABS(s->sqp.step.mult[m]);
+    const real_t mult = FABS(s->trial.step.mult[m]);
     if (row_is_soft(m)) {
         return mult > R(0) && mult < FACTOR_SHIFT_AT_KINK * row_l1(m);
     }
@@ -262,7 +262,7 @@ static void predict_active(solver_t *s)
     c->hold = R(0);
     for (int k = 0; k < N; k++) {
         for (int j = 0; j < NU; j++) {
-            const real_t mult = s->sqp.step.mult_u[k][j];
+            const real_t mult = s->trial.step.mult_u[k][j];
             c->weight_u[k][j] = (FABS(mult) > R(0)) ? c->unit[NX + j] : R(0);
             c->target_u[k][j] = bound_of(control_lower(s, k, j), control_upper(s, k, j), mult);
         }
@@ -271,7 +271,7 @@ static void predict_active(solver_t *s)
     for (int m = 0; m < NG; m++) {
         copy_row_gradient(s, m, a);
         c->weight[m] = row_weight(s, m, a);
-        c->target[m] = bound_of(row_lower(s, m), row_upper(s, m), s->sqp.step.mult[m]);
+        c->target[m] = bound_of(row_lower(s, m), row_upper(s, m), s->trial.step.mult[m]);
     }
 }
 
@@ -379,38 +379,76 @@ static int convexify(solver_t *s)
     return 1;
 }
 
-/* Multipliers of the dynamics in the QP: lam_k = q_k + Q_k dx_k + S_k' du_k + A_k' lam_{k+1} + rows' mult. */
-static void multipliers_of_qp(solver_t *s, real_t (*lam)[NX])
+/* The QP of the present linearisation. */
+static status_t form_qp(solver_t *s)
 {
-    real_t w[NZ];
-    TERMINAL_ADJOINT(&s->terminal, s->hessian.Q_N, s->step.dx[N], w);
-    if (s->curved.in_solve) {
-        add_terminal_curvature(s, s->step.dx[N], w);
+    if (!convexify(s)) {
+        return NUMERICAL_FAILURE;
     }
-    for (int k = N; k >= 0; k--) {
-        real_t a[NZ];
-        for (int m = row_first[k]; m < row_first[k + 1]; m++) {
-            copy_row_gradient(s, m, a);
-            for (int i = 0; i < NX; i++) {
-                w[i] += a[i] * s->step.mult[m];
-            }
-        }
-        for (int m = 0; k == 0 && m < NG; m++) {
-            if (row_is_coupled(m)) {
-                for (int i = 0; i < NX; i++) {
-                    w[i] += s->coupled.J_0[row_index(m)][i] * s->step.mult[m];
-                }
-            }
-        }
-        memcpy(lam[k], w, sizeof lam[0]);
-        if (k > 0) {
-            ADJOINT_STEP(&s->node[k - 1], HESSIAN(s, k - 1), s->step.dx[k - 1], s->step.du[k - 1], w);
-            if (s->curved.in_solve) {
-                add_curvature(s, k - 1, s->step.dx[k - 1], s->step.du[k - 1], w);
-            }
+    push_to_bounds(s);
+    return condense_prepare(s);
+}
+
+/* After a QP without a solution: more curvature, with which it may have one. Returns 0 if there is much already. */
+static int damp_qp(solver_t *s)
+{
+    curved_t *c = &s->curved;
+    if (!(c->damping < R(1))) {
+        return 0;
+    }
+    c->damping = (c->damping > R(0)) ? FACTOR_SQP_MUCH_MORE * c->damping : FACTOR_SQP_FIRST_DAMPING;
+    s->trial.length = R(0);
+    s->trial.elastic = 0;
+    return 1;
+}
+
+/* The shift of the next Hessian: more after a step that had to be shortened. Returns 1 if the same point may be tried
+ * again with more of it. */
+static int adapt_shifts(solver_t *s, status_t status)
+{
+    curved_t *c = &s->curved;
+    const real_t length = (status == STALLED) ? R(0) : s->trial.length;
+    c->proximal = clip(
+        c->proximal * ((length < R(1)) ? FACTOR_SQP_DAMP : R(1) / FACTOR_SQP_DAMP), FACTOR_SQP_LEAST_PROXIMAL, R(1));
+    if (length < FACTOR_SQP_SHORT_STEP) {
+        const real_t growth = (length < FACTOR_SQP_VERY_SHORT_STEP) ? FACTOR_SQP_MUCH_MORE : FACTOR_SQP_DAMP;
+        c->damping = (c->damping > R(0)) ? growth * c->damping : FACTOR_SQP_FIRST_DAMPING;
+    } else if (length >= R(1)) {
+        c->damping = (c->damping > FACTOR_SQP_LEAST_DAMPING) ? c->damping / FACTOR_SQP_DAMP : R(0);
+    }
+    return status == STALLED && c->damping < FACTOR_SQP_MOST_DAMPING;
+}
+
+/* Returns 1 if steps that become ever shorter lead nowhere: another start may. */
+static int is_damped_for_ever(const solver_t *s)
+{
+    return !(s->curved.damping < FACTOR_SQP_ENDLESS_DAMPING);
+}
+
+/* Away from feasibility, multipliers beyond what the cost can explain are scaled down: their Hessian would hide the
+ * cost from the next QP, whose multipliers would be larger still. */
+static void bound_multipliers(solver_t *s)
+{
+    const sqp_t *q = &s->sqp;
+    const real_t most = FACTOR_SQP_EXPLAINED * ((q->cost_scale > q->cost_unit) ? q->cost_scale : q->cost_unit);
+    real_t largest = R(0);
+    for (int k = 0; k <= N; k++) {
+        for (int i = 0; i < NX; i++) {
+            enlarge(&largest, s->lam[k][i] * size_or(q->state_scale[i], z_scale[i]));
         }
     }
-    for (int f = 0; f < NF; f++) {
-        lam[0][free_state[f]] = R(0);
+    if (!(q->base.violation > FACTOR_SQP_AWAY) || largest <= most) {
+        return;
+    }
+    for (int k = 0; k <= N; k++) {
+        for (int i = 0; i < NX; i++) {
+            s->lam[k][i] *= most / largest;
+        }
+        for (int j = 0; k < N && j < NU; j++) {
+            s->mu_u[k][j] *= most / largest;
+        }
+    }
+    for (int m = 0; m < NG; m++) {
+        s->mult[m] *= most / largest;
     }
 }

@@ -1,0 +1,85 @@
+/* Steps of a QP that are tried at several lengths from a base, and what becomes of the multipliers. */
+
+/* Number of components of (dx, du) at node k. */
+static inline int nz_at(int k)
+{
+    return (k < N) ? NZ : NX;
+}
+
+/* Component i of them. */
+static inline real_t *step_at(step_t *d, int k, int i)
+{
+    return (i < NX) ? &d->dx[k][i] : &d->du[k][i - NX];
+}
+
+/* Returns to the base, from which the steps of this iteration start. */
+static void move_back(solver_t *s)
+{
+    memcpy(s->x, s->trial.x, sizeof s->x);
+    memcpy(s->u, s->trial.u, sizeof s->u);
+}
+
+/* (x, u) = base + length (dx, du); step becomes what has been added. */
+static void move_to_trial(solver_t *s)
+{
+    trial_t *q = &s->trial;
+    move_back(s);
+    for (int k = 0; k <= N; k++) {
+        for (int i = 0; i < nz_at(k); i++) {
+            *step_at(&s->step, k, i) = q->length * *step_at(&q->step, k, i);
+        }
+    }
+    take_step(s);
+}
+
+/* Saves the result of a QP, whose step is then tried at several lengths. */
+static void put_step_aside(solver_t *s)
+{
+    s->trial.step = s->step;
+    if (KEEPS_MULTIPLIERS) {
+        (void)multipliers_of_qp(s, s->trial.lam, 0);
+    }
+}
+
+/* Moves a multiplier towards that of the QP, all the way if it is not finite. */
+static inline void approach(real_t *a, real_t b, real_t length)
+{
+    *a = (length < R(1) && isfinite(*a)) ? *a + length * (b - *a) : b;
+}
+
+/* Multipliers after a step. [if ELASTIC: Those of an elastic QP are those of its penalty: nothing is known.] [if
+ * LAGRANGIAN || TWO_HESSIANS: Where the Hessian depends on them, they move towards those of the QP only as far as the
+ * step went: after a short step, those of the QP may be as far off as the step.] [if !STAGE_MULTIPLIERS: With states
+ * eliminated, lam follows from the gradient of the QP.] */
+static void take_multipliers(solver_t *s)
+{
+    if (HARD_ROWS) {
+        if (s->trial.elastic) {
+            forget_multipliers(s);
+            return;
+        }
+    }
+    if (CURVED || LAGRANGIAN || STAGE_MULTIPLIERS) {
+        const trial_t *q = &s->trial;
+        for (int k = 0; k < N; k++) {
+            for (int j = 0; j < NU; j++) {
+                approach(&s->mu_u[k][j], q->step.mult_u[k][j], q->length);
+            }
+        }
+        for (int m = 0; m < NG; m++) {
+            approach(&s->mult[m], q->step.mult[m], q->length);
+        }
+    } else {
+        s->step = s->trial.step;
+        copy_multipliers(s);
+    }
+    if (HAS_ADJOINT_STEP && !CURVED) {
+        (void)recover_multipliers(s); /* convergence is judged by the residuals of the problem itself */
+    } else {
+        for (int k = 0; k <= N; k++) {
+            for (int i = 0; i < NX; i++) {
+                approach(&s->lam[k][i], s->trial.lam[k][i], s->trial.length);
+            }
+        }
+    }
+}

@@ -1,0 +1,81 @@
+/* Starts of solve(): the plan, and after a search that has failed where the constraints cannot be satisfied, others. */
+
+/* Starts from the plan with an empty filter and unknown scales. */
+static void start_search(solver_t *s, int attempts)
+{
+    if (!plan_is_finite(s)) {
+        start_at(s, s->xhat);
+    }
+    memset(&s->sqp, 0, sizeof s->sqp);
+    memset(&s->step, 0, sizeof s->step);
+    memset(s->row_scale, 0, sizeof s->row_scale);
+    s->row_residual = R(0);
+    s->sqp.attempts = (int32_t)attempts;
+    s->curved.proximal = FACTOR_SQP_FIRST_PROXIMAL;
+    s->curved.damping = (attempts % 2 == 0) ? R(0) : FACTOR_SQP_SECOND_START;
+    s->sqp.most_violation = s->sqp.base.violation = INF;
+    s->sqp.row_weight = FACTOR_SQP_ELASTIC_WEIGHT;
+}
+
+/* Returns 1 if the cost falls without limit: far beyond its scale, along a variable that is far beyond its own. */
+static int runs_away(const solver_t *s)
+{
+    if (!(s->sqp.base.cost < -FACTOR_SQP_ENDLESS * cost_size[0])) {
+        return 0;
+    }
+    for (int k = 0; k <= N; k++) {
+        for (int i = 0; i < nz_at(k); i++) {
+            if (FABS(point_at(s, k, i)) > FACTOR_SQP_ENDLESS * z_scale[i]) {
+                return 1;
+            }
+        }
+    }
+    return 0;
+}
+
+/* A new start after a search that has ended where the constraints cannot be satisfied: the states to which the controls
+ * of the plan lead, and the next time those to which the reference controls do. */
+static void start_elsewhere(solver_t *s)
+{
+    if (s->sqp.attempts > 0) {
+        forget_plan(s);
+    }
+    memcpy(s->x[0], s->xhat, sizeof s->xhat);
+    for (int k = 0; k < N; k++) {
+        interval_value(s, k, s->x[k + 1]);
+    }
+    forget_multipliers(s);
+    const int32_t infeasible = s->sqp.infeasible;
+    start_search(s, s->sqp.attempts + 1);
+    s->sqp.infeasible = infeasible;
+}
+
+/* Returns 1 if all multipliers that the first Hessian may read are finite. */
+static int multipliers_are_finite(solver_t *s)
+{
+    int finite = all_finite(s->lam[0], (N + 1) * NX);
+    for (int m = 0; m < NG; m++) {
+        finite &= isfinite(s->mult[m]) != 0;
+    }
+    return finite;
+}
+
+/* Begins with the plan and this state. Returns 0 if the state is not finite. */
+static int take_over(solver_t *s, const real_t xhat[NX])
+{
+    s->stats.sqp_iterations = 0;
+    if (!take_state(s, xhat)) {
+        return 0;
+    }
+    for (int f = 0; f < NF; f++) {
+        const real_t guess = xhat[free_state[f]];
+        s->x[0][free_state[f]] = isfinite(guess) ? guess : s->x[0][free_state[f]];
+    }
+    forget_violation(s);
+    s->samples += (s->samples < MANY);
+    if ((CURVED || LAGRANGIAN) && !multipliers_are_finite(s)) {
+        forget_multipliers(s);
+    }
+    start_search(s, 0);
+    return 1;
+}
