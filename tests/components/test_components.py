@@ -97,9 +97,9 @@ def test_template_exists_and_is_included(cls: type) -> None:
 def test_supports_known_features_and_refuses_the_others(cls: type) -> None:
     component, lin, _ = parts(cls)
     assert component.supports <= FEATURES
-    refuse_unsupported(dataclasses.replace(lin.problem, features=component.supports), [component], REGISTRIES)
+    refuse_unsupported(dataclasses.replace(lin.problem, uses=component.supports), [component], REGISTRIES)
     for feature in FEATURES - component.supports:
-        problem = dataclasses.replace(lin.problem, features=frozenset({feature}))
+        problem = dataclasses.replace(lin.problem, uses=frozenset({feature}))
         with pytest.raises(OptionError, match=re.escape(called(component))):
             refuse_unsupported(problem, [component], REGISTRIES)
 

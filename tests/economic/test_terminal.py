@@ -43,7 +43,7 @@ def test_tracking_is_the_infinite_horizon() -> None:
     assert found.semidefinite
     problem = completed_of(ocp, options)
     assert problem.terminal.y_names == ("x", "v")
-    assert problem.features == frozenset()
+    assert problem.uses == frozenset()
     u0 = solve_reference(problem, replace(CLASSICAL, steps=3)).u[0]
     expected = found.u_s - found.K @ (problem.x_initial - found.x_s)
     np.testing.assert_allclose(u0, expected, rtol=0, atol=1e-8)
@@ -79,7 +79,7 @@ def test_economic_is_the_infinite_horizon(N: int) -> None:
     assert found.P[0, 0] < 0
     assert abs(found.lam[0]) > 0.5
     problem = completed_of(ocp)
-    assert "general cost" in problem.features
+    assert "general cost" in problem.uses
     u0 = solve_reference(problem).u[0]
     np.testing.assert_allclose(u0, found.u_s - found.K @ (problem.x_initial - found.x_s), rtol=0, atol=1e-7)
 

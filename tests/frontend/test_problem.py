@@ -248,7 +248,7 @@ def test_general_costs_and_their_scaling() -> None:
     assert [float(v) for v in value] == [2 * 0.5 + 30, 207]
     assert float(ca.Function("l", [e.x], [e.cost])([2, 0, 0])) == 3
     assert e.cost_rate is None
-    assert problem.features == {"general cost", "integrated cost"}
+    assert problem.uses == {"general cost", "integrated cost"}
 
 
 def test_least_squares_alone_has_no_general_cost() -> None:
@@ -257,7 +257,7 @@ def test_least_squares_alone_has_no_general_cost() -> None:
     assert problem.path.cost_rate is None
     assert problem.terminal.ny == 0
     assert problem.terminal.weight.shape == (0, 0)
-    assert problem.features == frozenset()
+    assert problem.uses == frozenset()
     assert problem.control_reference == (0, 1, 2)
 
 
@@ -282,7 +282,7 @@ def test_terminal_cost_alone_is_a_cost() -> None:
 def test_features(statement: Callable[[Model], Any], feature: str) -> None:
     m = Model()
     statement(m)
-    assert m.problem().features == {feature}
+    assert m.problem().uses == {feature}
 
 
 def test_coupled_function() -> None:

@@ -119,7 +119,7 @@ def test_solve_finds_the_solution_of_ipopt(name: str) -> None:
     assert 0 < controller.stats.accepted <= controller.stats.newton_iterations
 
 
-LEAST_SQUARES = [name for name, make in SMALL.items() if not classify(make()).features - GaussNewton.supports]
+LEAST_SQUARES = [name for name, make in SMALL.items() if not classify(make()).uses - GaussNewton.supports]
 
 
 @pytest.mark.few(10)

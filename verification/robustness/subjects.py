@@ -221,7 +221,7 @@ def shooting() -> tuple[Candidate, ...]:
     found = []
     for i, subject in enumerate(subjects()):
         problem = classify(subject.make())
-        if problem.features - AdjointShooting.supports:
+        if problem.uses - AdjointShooting.supports:
             continue
         moves, precision = SHIFTS[i % len(SHIFTS)], PRECISIONS[i % 2]
         sampling_time, turn = _shifted(moves, subject.make()).sampling_time, i % len(TERMS)

@@ -460,7 +460,7 @@ def refuse_unsupported(
 ) -> None:
     """Raise OptionError if the problem uses a feature that a component does not support; name those that do."""
     for component in components:
-        missing = sorted(problem.features - component.supports)
+        missing = sorted(problem.uses - component.supports)
         if missing:
             named = ", ".join(r.name for r in problem.rows if any(_uses(r, feature) for feature in missing))
             where = f" ({named})" if named else ""

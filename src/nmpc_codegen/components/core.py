@@ -18,7 +18,7 @@ def core_structs(core: Iterable[Core], dims: Dims) -> tuple[Struct, ...]:
         *stated("nodes" in wanted, _node(dims), _terminal(dims), _coupled(dims), _renewal()),
         *stated("multipliers" in wanted, _multipliers(dims)),
         *stated("kkt" in wanted, _kkt()),
-        _rows(dims),
+        _row_members(dims),
     )
 
 
@@ -79,7 +79,7 @@ def _multipliers(dims: Dims) -> Struct:
     )
 
 
-def _rows(dims: Dims) -> Struct:
+def _row_members(dims: Dims) -> Struct:
     """What parts of the core know of rows."""
     nodes = Size("N + 1", dims.N.value + 1)
     penalty = "l1 penalty of hard rows while a QP is relaxed, else infinite"

@@ -111,7 +111,7 @@ def _check_fit(tuning: PeriodicTuning, here: Problem) -> None:
         raise ProblemError(f"periodic_letempc: '{here.name}' has {signals[0]}; expected {signals[1]}, as tuned")
     if not here.uniform or not np.isclose(here.dt[0], there.dt[0]):
         raise ProblemError(f"periodic_letempc: '{here.name}' has intervals of {here.dt[0]:g}; expected {there.dt[0]:g}")
-    general = {"general cost", "integrated cost"} & here.features
+    general = {"general cost", "integrated cost"} & here.uses
     if general or (here.path.ny, here.terminal.ny) != (len(signals[0]), here.nx):
         raise ProblemError(f"periodic_letempc: '{here.name}' has a cost already; state it without one")
 

@@ -180,14 +180,16 @@ def steady_stage(problem: Problem, options: Options | None = None, p: Array | No
         Phi=Phi[list(kept)],
         cost=cost,
         gauss_newton=J.T @ W @ J if squares else None,
-        rows=_rows(problem, (whole, u, p), cyclic, terminal=False),
+        rows=_steady_rows(problem, (whole, u, p), cyclic, terminal=False),
         terminal_cost=end,
-        terminal_rows=_rows(problem, (whole, u, p), cyclic, terminal=True),
+        terminal_rows=_steady_rows(problem, (whole, u, p), cyclic, terminal=True),
         point_terminal=_is_point(problem, kept),
     )
 
 
-def _rows(problem: Problem, at: tuple[Expression, Expression, Array], cyclic: Expression, *, terminal: bool) -> Rows:
+def _steady_rows(
+    problem: Problem, at: tuple[Expression, Expression, Array], cyclic: Expression, *, terminal: bool
+) -> Rows:
     """The rows of all inner nodes, or those of node N, at (x, u, p); rows that depend on a cyclic state are left out.
 
     If N = 1 there is no inner node, and the rows of the only interval hold at every sample, also those of its end.

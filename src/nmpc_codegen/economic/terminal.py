@@ -97,7 +97,7 @@ def with_terminal_cost(problem: Problem, options: Options | None = None) -> Prob
     cost = ca.dot(found.slope, x) + ca.dot(x, ca.DM(found.P) @ x) / 2
     before = problem.terminal.cost
     terminal = replace(problem.terminal, cost=cost if before is None else before + cost)
-    return replace(problem, terminal=terminal, features=problem.features | {"general cost"})
+    return replace(problem, terminal=terminal, uses=problem.uses | {"general cost"})
 
 
 def terminal_cost(problem: Problem, request: LqrRequest, options: Options | None) -> TerminalCost:

@@ -45,7 +45,7 @@ def classify(ocp: OCP) -> Problem:
         coupled=_coupled(ocp),
         rows=rows,
         free_initial=tuple(sorted(ocp.free)),
-        features=_features(ocp, rows),
+        uses=_uses(ocp, rows),
         accumulators=tuple(sorted(ocp.accumulators)),
         cyclic=tuple(sorted(ocp.cyclic_states)),
         terminal_lqr=ocp.terminal_lqr,
@@ -280,7 +280,7 @@ def _coupled(ocp: OCP) -> Any:
     return ca.Function("r", [x0, xN], [ca.densify(ca.substitute(ca.vertcat(*r), old, new))], ["x_0", "x_N"], ["r"])
 
 
-def _features(ocp: OCP, rows: tuple[Row, ...]) -> frozenset[str]:
+def _uses(ocp: OCP, rows: tuple[Row, ...]) -> frozenset[str]:
     used = {
         "soft rows": any(r.soft is not None for r in rows),
         "coupled rows": any(r.is_coupled for r in rows),

@@ -102,7 +102,7 @@ class Problem:
     """The whole optimal control problem, validated.
 
     ``dynamics`` is the CasADi SX Function f(x, u, p) -> xdot, or -> x_next if ``discrete``. ``dt`` holds the N interval
-    lengths. ``features`` names what the problem uses beyond the core ("soft rows", "coupled rows",
+    lengths. ``uses`` names what it needs beyond the core ("soft rows", "coupled rows",
     "free initial state", "general cost", "integrated cost", "accumulators"): a component that does not support one of
     them refuses the problem.
     """
@@ -121,7 +121,7 @@ class Problem:
     coupled: Function | None  # SX Function r(x_0, x_N)
     rows: tuple[Row, ...]
     free_initial: tuple[int, ...]
-    features: frozenset[str]
+    uses: frozenset[str]
     accumulators: tuple[int, ...] = ()  # positions in x of states that are reset to 0 at every sample
     cyclic: tuple[int, ...] = ()  # positions in x of states that grow without bound
     terminal_lqr: LqrRequest | None = None  # a terminal cost to be computed before linearize()

@@ -24,7 +24,7 @@ LONGEST = 100
 def program(problem: Problem) -> Program:
     """Rows, operations with an edge, their operands and the parts of the problem that they occur in."""
     x, u, p, dt = symbols(problem.nx, problem.nu, problem.np)
-    rows = list(_rows(problem, x, u, p))
+    rows = list(_general_rows(problem, x, u, p))
     parts = [*_parts(problem, x, u, p, dt), *((quantity, value) for quantity, value, _ in rows)]
     function = ca.Function("parts", [x, u, p, dt], [ca.densify(ca.vertcat(*(e for _, e in parts)))])
     ports = [Port("x", problem.nx), Port("u", problem.nu), Port("p", problem.np), Port("dt", 1)]
@@ -77,7 +77,7 @@ def _given(
     return ca.substitute(expression, ca.vertcat(stage.x, stage.u, stage.p, stage.dt), given)
 
 
-def _rows(
+def _general_rows(
     problem: Problem, x: Expression, u: Expression, p: Expression
 ) -> Iterator[tuple[Quantity, Expression, tuple[int, int]]]:
     """General rows, with their names, nodes and places: (position in rows, 1 at the end of the horizon)."""

@@ -52,7 +52,7 @@ class Scales:
 def scales(problem: Problem) -> Scales:
     """The sizes of a problem, from what is declared."""
     z = _completed(problem)
-    rows, offsets = _rows(problem, z)
+    rows, offsets = _row_sizes(problem, z)
     costs, own = _costs(problem, z)
     positive = costs[np.isfinite(costs) & (costs > 0.0)]
     cost = (float(positive.max()), float(positive.min())) if positive.size else (1.0, 1.0)
@@ -155,7 +155,7 @@ def _reference_controls(problem: Problem, stage: Stage) -> Array:
 # Terms ---------------------------------------------------------------------------------------------------------------
 
 
-def _rows(problem: Problem, z: Array) -> tuple[Array, Array]:
+def _row_sizes(problem: Problem, z: Array) -> tuple[Array, Array]:
     """Sizes of the terms of all rows and their constant parts; a row of path and end has the larger size."""
     size, offset = np.zeros(len(problem.rows)), np.zeros(len(problem.rows))
     of_stage = {

@@ -29,7 +29,7 @@ def in_html(ocp: Stated) -> str:
             table(("", "name", "unit", "value", ""), _signals(ocp)),
             table(
                 ROWS,
-                shortened([r for s in ocp.statements for r in _rows(ocp, s)]),
+                shortened([r for s in ocp.statements for r in _row_lines(ocp, s)]),
             ),
             table(("cost", "at", "weight", "reference"), shortened([row for r in ocp.residuals for row in _terms(r)])),
             table(
@@ -71,7 +71,7 @@ def _signals(ocp: Stated) -> list[tuple[object, ...]]:
     return found
 
 
-def _rows(ocp: Stated, statement: Statement) -> list[tuple[object, ...]]:
+def _row_lines(ocp: Stated, statement: Statement) -> list[tuple[object, ...]]:
     known = units((d.signal for d in ocp.states), (d.signal for d in ocp.controls))
     at = statement.at if isinstance(statement.at, str) else "x_0, x_N" if statement.at is None else nodes(statement.at)
     l1, l2 = statement.soft or (0.0, 0.0)

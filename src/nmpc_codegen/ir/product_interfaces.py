@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from nmpc_codegen.ir.kernel import Port
-from nmpc_codegen.ir.sweep import Frame, LoopedRoutine, Node, Place, Size, Sweep, looped
+from nmpc_codegen.ir.sweep import Frame, LoopedRoutine, NamedInt, Node, Place, Sweep, looped
 from nmpc_codegen.ir.tuning import COLUMNS
 
 
@@ -40,8 +40,8 @@ class Interfaces:
     """The interfaces of all products, for given numbers of states and controls."""
 
     def __init__(self, nx: int, nu: int) -> None:
-        self.nx, self.nu, self.nz = Size(nx, "NX"), Size(nu, "NU"), Size(nx + nu, "NZ")
-        self.panel = Size(COLUMNS, "COLUMNS")
+        self.nx, self.nu, self.nz = NamedInt(nx, "NX"), NamedInt(nu, "NU"), NamedInt(nx + nu, "NZ")
+        self.panel = NamedInt(COLUMNS, "COLUMNS")
         self._node = {"S": Place("node->S", (self.nx, self.nz))}
         self._matrices = {"Q": Place("Q", (self.nz, self.nz)), "Q_N": Place("Q", (self.nx, self.nx))}
         self._z = {"dx": Place("dx", (self.nx,)), "du": Place("du", (self.nu,))}

@@ -96,10 +96,10 @@ def choose_qp(
         and grown.spares(problem, FullCondensing())
     ):
         fitting = list(_pairs(FullCondensing(), None, options.goal))
-    candidates, soft = [], "soft rows" in problem.features
+    candidates, soft = [], "soft rows" in problem.uses
     for stated, qp in fitting:
         condensing = stated.adapted(problem)
-        if all(problem.features <= c.supports for c in (condensing, qp)):
+        if all(problem.uses <= c.supports for c in (condensing, qp)):
             dims = dimensions(problem, condensing.qp_shape(problem), constant_hessian, multiple_of(options.goal))
             counts = (*condensing.cost(dims, model).values(), *qp.cost(dims, model).values())
             warm, search = sum(counts, OpCount()).total, qp.search(dims).total
@@ -151,7 +151,7 @@ def _mirrors_few(problem: Problem, options: Options) -> bool:
     mirrored. The plain scheme, which neither relaxes rows nor repairs plans, takes the fewest operations."""
     found = Features() if options.hessian is None else options.hessian.adds(Features())
     safe = (algorithm := options.algorithm.adds(Features())).relax or algorithm.repair
-    indefinite = found.regularize_reduced and not problem.features <= GaussNewton.supports
+    indefinite = found.regularize_reduced and not problem.uses <= GaussNewton.supports
     return bool(safe and indefinite) and problem.N * problem.nu <= MOST_MIRRORED
 
 
@@ -193,7 +193,7 @@ def choose_hessian(problem: Problem, options: Options) -> tuple[Options, tuple[s
     """
     if options.hessian is not None or options.algorithm.default("hessian") != GaussNewton.name:
         return options, ()
-    beyond = problem.features - GaussNewton.supports
+    beyond = problem.uses - GaussNewton.supports
     if not beyond or not beyond <= ExactHessian.supports:
         return options, ()
     why = f"the problem has a {sorted(beyond)[0]}"

@@ -98,7 +98,7 @@ def linearize(problem: Problem, options: Options | None = None) -> Model:
     chosen = options.hessian is None
     options, of_hessian = choose_hessian(problem, options)
     wanted, options = options, options.with_defaults
-    target, of_target = TARGETS[options.target], _of_target(wanted, TARGETS[options.target])
+    target, of_target = TARGETS[options.target], _target_reasons(wanted, TARGETS[options.target])
     algorithm, of_algorithm = options.algorithm.decided(problem, roomy(options))
     options = replace(options, algorithm=algorithm)
     online = options.online
@@ -151,7 +151,7 @@ def _with_proximal(problem: Problem, options: Options) -> tuple[Problem, tuple[s
     return replace(problem, proximal=proximal_terms(problem, sizes)), (why,)
 
 
-def _of_target(asked: Options, target: Target) -> tuple[str, ...]:
+def _target_reasons(asked: Options, target: Target) -> tuple[str, ...]:
     """What the report says of a target, of what it leaves out, and of "native" on a machine without one."""
     if target != PORTABLE:
         left = ("solve(): left out; default of microcontrollers, Options(solve=True) adds it",)
@@ -199,10 +199,10 @@ def _functions(
         replace(
             path,
             gradient=_with_zeros(path.gradient, "g", slope),
-            rows=_rows(problem.path, "path"),
+            rows=_rows_kernel(problem.path, "path"),
             block=_with_start(blocks),
         ),
-        replace(terminal, rows=_rows(problem.terminal, "terminal"), block=blocks.terminal),
+        replace(terminal, rows=_rows_kernel(problem.terminal, "terminal"), block=blocks.terminal),
         blocks.initial,
         _coupled(problem),
     )
@@ -290,7 +290,7 @@ def _choose_integrator(problem: Problem, options: Options) -> tuple[Integrator, 
     return chosen.small, (*reasons, f"integrator: {chosen.small}; goal: size")
 
 
-def _rows(stage: Stage, name: str) -> Kernel:
+def _rows_kernel(stage: Stage, name: str) -> Kernel:
     """h and J = dh / d(x, u) of the general rows of a stage."""
     z = ca.vertcat(stage.x, stage.u)
     terminal = not stage.nu
@@ -302,7 +302,7 @@ def _rows(stage: Stage, name: str) -> Kernel:
         ports.insert(1, Port("u", stage.nu))
     doc = f"h = general {name} rows, J = dh / d{'x' if terminal else '(x, u)'}"
     outputs = [Port("h", stage.nh), Port("J", stage.nh, int(z.numel()))]
-    return lift(ca.Function("rows", args, [h, J]), f"{name}_rows", doc, ports, outputs)
+    return lift(ca.Function("rows", args, [h, J]), f"{name}_rows_kernel", doc, ports, outputs)
 
 
 def _coupled(problem: Problem) -> Kernel:

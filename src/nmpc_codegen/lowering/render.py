@@ -100,7 +100,7 @@ def render(module: CModule) -> Sources:
     sources = {f"{module.name}.h": names["header"]}
     names |= (
         _page(module)
-        | _of_target(module, names["system_headers"])
+        | _target_files(module, names["system_headers"])
         | {"folders": module.folders, "libraries": module.libraries}
     )
     sources |= {path: tidy(environment().get_template(t).render(names)) for path, t in files.items()}
@@ -228,7 +228,7 @@ def _spelling(module: CModule) -> str:
     return "" if target == PORTABLE else f", for {target.machine} ({target.name}){several}"
 
 
-def _of_target(module: CModule, headers: Collection[str]) -> dict[str, str]:
+def _target_files(module: CModule, headers: Collection[str]) -> dict[str, str]:
     """What README.md and CMakeLists.txt say of the target."""
     target, x86 = module.target, "-march=x86" in " ".join(module.target.flags)
     vectors = module.features.vector_lanes > 1 or module.features.tiles

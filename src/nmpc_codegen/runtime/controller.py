@@ -235,7 +235,7 @@ class Controller(Memory):
             upper: a number or one per row; +inf: no bound.
             node: a node of the row, or None for all of them. Online(bounds="shared") allows None and N.
         """
-        rows = self._rows(name)
+        rows = self._row_numbers(name)
         self._each_node("bounds", f"the bounds of {name!r}", node, terminal=True)
         low, high = (
             given.checked_bound(value, f"{which} bound of {name!r}", self._real, len(rows))
@@ -370,7 +370,7 @@ class Controller(Memory):
             raise ControllerError(f"{self._package.name} has no {kind} {name!r}; those that exist: {there}")
         return known.index(name)
 
-    def _rows(self, name: str) -> list[int]:
+    def _row_numbers(self, name: str) -> list[int]:
         """The row of that name, or all rows name[i]."""
         known = self.names.rows
         members = [i for i, row in enumerate(known) if row.rpartition("[")[0] == name]

@@ -80,7 +80,7 @@ def combine(x: Expression, h: Expression, slopes: Sequence[Expression], coeffici
     return x
 
 
-def _rows(*rows: tuple[Fraction | int, ...]) -> tuple[tuple[Fraction, ...], ...]:
+def _fractions(*rows: tuple[Fraction | int, ...]) -> tuple[tuple[Fraction, ...], ...]:
     s = len(rows)
     return tuple(tuple(F(v) for v in row) + (F(0),) * (s - len(row)) for row in rows)
 
@@ -89,13 +89,13 @@ def _values(*values: Fraction | int) -> tuple[Fraction, ...]:
     return tuple(F(v) for v in values)
 
 
-Euler = ButcherTableau("Euler", _rows(()), _values(1), 1)
-Midpoint = ButcherTableau("Midpoint", _rows((), (F(1, 2),)), _values(0, 1), 2)
-Heun = ButcherTableau("Heun", _rows((), (1,)), _values(F(1, 2), F(1, 2)), 2)
-SSPRK3 = ButcherTableau("SSPRK3", _rows((), (1,), (F(1, 4), F(1, 4))), _values(F(1, 6), F(1, 6), F(2, 3)), 3)
+Euler = ButcherTableau("Euler", _fractions(()), _values(1), 1)
+Midpoint = ButcherTableau("Midpoint", _fractions((), (F(1, 2),)), _values(0, 1), 2)
+Heun = ButcherTableau("Heun", _fractions((), (1,)), _values(F(1, 2), F(1, 2)), 2)
+SSPRK3 = ButcherTableau("SSPRK3", _fractions((), (1,), (F(1, 4), F(1, 4))), _values(F(1, 6), F(1, 6), F(2, 3)), 3)
 RK4 = ButcherTableau(
     "RK4",
-    _rows((), (F(1, 2),), (0, F(1, 2)), (0, 0, 1)),
+    _fractions((), (F(1, 2),), (0, F(1, 2)), (0, 0, 1)),
     _values(F(1, 6), F(1, 3), F(1, 3), F(1, 6)),
     4,
 )

@@ -21,8 +21,8 @@ def product(nx: int, nz: int) -> str:
         "/* T = A S + [0 B], where the rows of A are those of [A B]. */",
         "static void lanes_chain(const lanes_t *A, const lanes_t *S, lanes_t *T)",
         "{",
-        *_rows(0, nx // ROWS * ROWS, ROWS, nz),
-        *_rows(nx // ROWS * ROWS, nx, nx % ROWS, nz),
+        *_tile_rows(0, nx // ROWS * ROWS, ROWS, nz),
+        *_tile_rows(nx // ROWS * ROWS, nx, nx % ROWS, nz),
         f"    for (int i = 0; i < {nx}; i++) {{",
         f"        for (int j = {nx}; j < {nz}; j++) {{",
         f"            T[i * {nz} + j] += A[i * {nz} + j];",
@@ -33,7 +33,7 @@ def product(nx: int, nz: int) -> str:
     return "\n\n".join([*texts, "\n".join(lines)])
 
 
-def _rows(first: int, last: int, rows: int, nz: int) -> list[str]:
+def _tile_rows(first: int, last: int, rows: int, nz: int) -> list[str]:
     """Loops over the tiles of some rows."""
     if first == last:
         return []

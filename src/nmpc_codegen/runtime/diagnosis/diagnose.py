@@ -51,7 +51,7 @@ def diagnosis(ctrl: Memory, measured: Array, solved: bool) -> str:
     warned = [f"{WARNED}{text}" for text in _warnings(ctrl, solved) if not (broken and text.startswith(NOT_FINITE))]
     endless = [] if broken else [*_runaway(ctrl)]
     tried = [] if broken or endless else [*advice(ctrl, solved, bool(warned))]
-    where = [] if broken or endless else [*_poles(ctrl), *_rows(ctrl, solved), *_largest_gap(ctrl, solved)]
+    where = [] if broken or endless else [*_poles(ctrl), *_violated_rows(ctrl, solved), *_largest_gap(ctrl, solved)]
     found = [*broken, *endless, *where]
     return "\n".join(dict.fromkeys([_headline(ctrl, solved, bool(broken)), *found, *tried, *warned, *stale]))
 
@@ -229,7 +229,7 @@ def _poles(ctrl: Memory) -> Iterator[str]:
         yield from unstable_poles(ctrl)
 
 
-def _rows(ctrl: Memory, solved: bool) -> Iterator[str]:
+def _violated_rows(ctrl: Memory, solved: bool) -> Iterator[str]:
     """The hard rows that the last QP, or the plan, violates most."""
     status, stats = ctrl.status, ctrl.stats
     if status in (Status.INFEASIBLE, Status.RELAXED) and stats.violated_row is not None:
