@@ -31,9 +31,7 @@ static real_t soft_penalty(int m, real_t v)
 static real_t soft_penalties(const solver_t *s)
 {
     real_t value[NG], total = R(0);
-    if (NG > 0) {
-        evaluate_rows(s, value);
-    }
+    evaluate_rows(s, value);
     for (int m = 0; m < NG; m++) {
         if (row_is_soft(m)) {
             total += soft_penalty(m, outside(s, m, value[m]));

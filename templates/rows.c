@@ -182,13 +182,11 @@ static void evaluate_rows(const solver_t *s, real_t *value)
             value[m] = h[row_index(m)];
         }
     }
-    if (NE > 0) {
-        real_t r[NE], J_0[NE][NX], J_N[NE][NX];
-        COUPLED_ROWS(s, r, J_0, J_N);
-        for (int m = 0; m < NG; m++) {
-            if (row_is_coupled(m)) {
-                value[m] = r[row_index(m)];
-            }
+    real_t r[NE], J_0[NE][NX], J_N[NE][NX];
+    COUPLED_ROWS(s, r, J_0, J_N);
+    for (int m = 0; m < NG; m++) {
+        if (row_is_coupled(m)) {
+            value[m] = r[row_index(m)];
         }
     }
 }

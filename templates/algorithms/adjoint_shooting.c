@@ -42,9 +42,7 @@ static int sharpen(solver_t *s)
 static void forget_past(solver_t *s)
 {
     memset(s->row, 0, sizeof s->row);
-    if (NT > 0) {
-        weigh_terminal(s, R(1));
-    }
+    weigh_terminal(s, R(1));
     s->shooting.pairs = 0;
     place_terms(s, 0);
     s->shooting.length = R(1);

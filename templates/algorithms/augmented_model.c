@@ -140,15 +140,13 @@ static void assemble(solver_t *s)
             a->H[k][i][i] += (k > 0) ? gap_weight(s, i) : start_weight(s, i);
         }
     }
-    if (NG) {
-        for (int m = 0; m < NG; m++) {
-            if (row_relaxed[m]) {
-                change_row(s, m, s->mult[m], R(0), a->curvature[m]);
-                a->slope[m] = s->mult[m];
-            }
+    for (int m = 0; m < NG; m++) {
+        if (row_relaxed[m]) {
+            change_row(s, m, s->mult[m], R(0), a->curvature[m]);
+            a->slope[m] = s->mult[m];
         }
-        a->offset = R(0);
     }
+    a->offset = R(0);
 }
 
 /* y = H v. The products with B_k are stored one node ahead of their sum. */
@@ -182,14 +180,12 @@ static void set_box(solver_t *s)
             a->upper[k][NX + j] = clip(control_upper(s, k, j) - u, R(0), reach);
         }
     }
-    if (STATE_ROWS) {
-        for (int m = 0; m < NG; m++) {
-            if (!row_relaxed[m]) {
-                const int k = row_node(m), i = row_index(m);
-                const real_t reach = a->radius * variable_scale[i], x = s->x[k][i];
-                a->lower[k][i] = clip(row_lower(s, m) - x, -reach, R(0));
-                a->upper[k][i] = clip(row_upper(s, m) - x, R(0), reach);
-            }
+    for (int m = 0; m < NG; m++) {
+        if (!row_relaxed[m]) {
+            const int k = row_node(m), i = row_index(m);
+            const real_t reach = a->radius * variable_scale[i], x = s->x[k][i];
+            a->lower[k][i] = clip(row_lower(s, m) - x, -reach, R(0));
+            a->upper[k][i] = clip(row_upper(s, m) - x, R(0), reach);
         }
     }
 }
@@ -211,7 +207,6 @@ static int project_plan(solver_t *s)
             s->u[k][j] = u;
         }
     }
-#if STATE_ROWS
     for (int m = 0; m < NG; m++) {
         if (!row_relaxed[m]) {
             real_t *x = &s->x[row_node(m)][row_index(m)];
@@ -220,6 +215,5 @@ static int project_plan(solver_t *s)
             *x = inside;
         }
     }
-#endif
     return left;
 }

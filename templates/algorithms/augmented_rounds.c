@@ -12,14 +12,12 @@ static void set_bound_multipliers(solver_t *s)
             s->mu_u[k][j] = holds ? force : R(0);
         }
     }
-    if (STATE_ROWS) {
-        for (int m = 0; m < NG; m++) {
-            if (!row_relaxed[m]) {
-                const int k = row_node(m), i = row_index(m);
-                const real_t x = s->x[k][i], force = -(a->g[k][i] + a->Hd[k][i]);
-                const int holds = (force > R(0)) ? !(x < row_upper(s, m)) : !(x > row_lower(s, m));
-                s->mult[m] = holds ? force : R(0);
-            }
+    for (int m = 0; m < NG; m++) {
+        if (!row_relaxed[m]) {
+            const int k = row_node(m), i = row_index(m);
+            const real_t x = s->x[k][i], force = -(a->g[k][i] + a->Hd[k][i]);
+            const int holds = (force > R(0)) ? !(x < row_upper(s, m)) : !(x > row_lower(s, m));
+            s->mult[m] = holds ? force : R(0);
         }
     }
 }
@@ -28,9 +26,7 @@ static void set_bound_multipliers(solver_t *s)
 static void finish_multipliers(solver_t *s)
 {
     set_bound_multipliers(s);
-    if (NE > 0) {
-        couple_start(s, R(1));
-    }
+    couple_start(s, R(1));
 }
 
 /* most = max(most, violation of every relaxed row in its scale). */
@@ -56,9 +52,7 @@ static real_t violation_in(const solver_t *s, const real_t *size)
             enlarge(&most, a->gap[k][i] * part[i]);
         }
     }
-    if (NG > 0) {
-        enlarge_by_rows(s, &most);
-    }
+    enlarge_by_rows(s, &most);
     return most;
 }
 
@@ -101,9 +95,7 @@ static status_t prepare_here(solver_t *s)
 {
     (void)project_plan(s);
     COUPLED_ROWS(s, s->coupled.r, s->coupled.J_0, s->coupled.J_N);
-    if (NE > 0) {
-        couple_start(s, -R(1));
-    }
+    couple_start(s, -R(1));
     update_multipliers(s);
     evaluate_path(s);
     evaluate_ends(s);

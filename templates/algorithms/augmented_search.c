@@ -285,10 +285,8 @@ static real_t refine(solver_t *s, int faces)
     a->shift = R(0);
     a->shifts = 0;
     for (int face = 0; face < faces && last >= 0; face++) {
-        if (NG) {
-            memcpy(a->kept_d, a->d, sizeof a->kept_d);
-            memcpy(a->kept_Hd, a->Hd, sizeof a->kept_Hd);
-        }
+        memcpy(a->kept_d, a->d, sizeof a->kept_d);
+        memcpy(a->kept_Hd, a->Hd, sizeof a->kept_Hd);
         a->factorized = factorize(s, last);
         set_residual(a);
         conjugate_gradients(s);

@@ -21,9 +21,7 @@ static real_t residual_of(solver_t *s)
     memset(s->auglag.Hd, 0, sizeof s->auglag.Hd);
     finish_multipliers(s);
     API(kkt)(s, &s->kkt);
-    if (NE > 0) {
-        couple_start(s, -R(1));
-    }
+    couple_start(s, -R(1));
     return s->kkt.relative;
 }
 
@@ -108,9 +106,7 @@ status_t API(solve)(solver_t *s, const real_t xhat[NX], real_t tol, int max_iter
     s->auglag.radius = initial_radius[0];
     s->unconverged = 0;
     s->failing = (status == OK) ? FINE : s->failing;
-    if (NE > 0) {
-        couple_start(s, R(1));
-    }
+    couple_start(s, R(1));
     s->stats.violation = violation_of(s);
     return finish(s, status);
 }

@@ -30,9 +30,7 @@ static void evaluate_ends(solver_t *s)
     for (int f = 0; f < NF; f++) {
         a->gap[0][free_state[f]] = R(0);
     }
-    if (NG > 0) {
-        evaluate_rows(s, a->value);
-    }
+    evaluate_rows(s, a->value);
 }
 
 /* rho_i of component i of the gap at a node. */
@@ -131,14 +129,10 @@ static void restore_multipliers(solver_t *s)
 {
     auglag_t *a = &s->auglag;
     memcpy(s->lam, a->lam, sizeof s->lam);
-#if NG
     for (int m = 0; m < NG; m++) {
         if (row_relaxed[m]) {
             s->mult[m] = a->row[m];
         }
     }
-#endif
-    if (NE > 0) {
-        couple_start(s, R(1));
-    }
+    couple_start(s, R(1));
 }

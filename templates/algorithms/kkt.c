@@ -15,9 +15,7 @@ static void kkt_soft_row(const solver_t *s, int m, real_t value, kkt_t *kkt)
 static void kkt_rows(const solver_t *s, kkt_t *kkt)
 {
     real_t value[NG];
-    if (NG > 0) {
-        evaluate_rows(s, value);
-    }
+    evaluate_rows(s, value);
     for (int m = 0; m < NG; m++) {
         if (row_is_soft(m)) {
             kkt_soft_row(s, m, value[m], kkt);
@@ -68,13 +66,9 @@ static void kkt_node(const solver_t *s, int k, const node_t *node, kkt_t *kkt)
 {
     real_t sum[NZ] = {0}, terms[NZ] = {0}, mu[NH];
     if (k == 0) {
-        if (NE > 0) {
-            add_coupled_forces(s, k, sum, terms);
-        }
+        add_coupled_forces(s, k, sum, terms);
     }
-    if (STATE_ROWS) {
-        add_bound_forces(s, k, sum, terms);
-    }
+    add_bound_forces(s, k, sum, terms);
     if (NH > 0) {
         path_multipliers(s, k, mu);
     }
@@ -98,12 +92,8 @@ static void kkt_node(const solver_t *s, int k, const node_t *node, kkt_t *kkt)
 static void kkt_terminal(const solver_t *s, const terminal_t *terminal, kkt_t *kkt)
 {
     real_t sum[NX] = {0}, terms[NX] = {0};
-    if (NE > 0) {
-        add_coupled_forces(s, N, sum, terms);
-    }
-    if (STATE_ROWS) {
-        add_bound_forces(s, N, sum, terms);
-    }
+    add_coupled_forces(s, N, sum, terms);
+    add_bound_forces(s, N, sum, terms);
     for (int i = 0; i < NX; i++) {
         kkt_add(&sum[i], &terms[i], terminal->g[i]);
         kkt_add(&sum[i], &terms[i], -s->lam[N][i]);

@@ -30,9 +30,7 @@ static int multipliers_of_qp(solver_t *s, real_t (*lam)[NX], int checked)
         add_terminal_curvature(s, s->step.dx[N], w);
     }
     for (int k = N; k >= 0; k--) {
-        if (NG > 0) {
-            add_row_forces(s, k, w);
-        }
+        add_row_forces(s, k, w);
         memcpy(lam[k], w, sizeof lam[k]);
         if (k == 0) {
             break;

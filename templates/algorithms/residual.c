@@ -27,9 +27,7 @@ static real_t scale_of_row(solver_t *s, int m, real_t value)
 static real_t row_residual(solver_t *s, real_t length)
 {
     real_t value[NG], most = R(0);
-    if (NG > 0) {
-        evaluate_rows(s, value);
-    }
+    evaluate_rows(s, value);
     for (int m = 0; m < NG; m++) {
         if (row_is_soft(m) || row_is_state(m)) {
             continue;

@@ -40,10 +40,8 @@ static void state_scales(const solver_t *s, real_t *size)
         size[i] = clip(size[i], least, most);
     }
     largest_of(size, s->xhat);
-    if (STATE_ROWS) {
-        enlarge_by_bounds(s, 1, size);
-        enlarge_by_bounds(s, N, size);
-    }
+    enlarge_by_bounds(s, 1, size);
+    enlarge_by_bounds(s, N, size);
 }
 
 /* The plan of a sample with this status tells sizes if it was OK. */

@@ -17,9 +17,7 @@ static void kkt_soft_row(const solver_t *s, int m, real_t value, real_t mu, kkt_
 static void kkt_rows(const solver_t *s, int what, kkt_t *kkt)
 {
     real_t value[NG];
-    if (NG > 0) {
-        evaluate_rows(s, value);
-    }
+    evaluate_rows(s, value);
     for (int m = 0; m < NG; m++) {
         const real_t mu = row_factor(s, m, value[m], what, R(0));
         if (row_is_soft(m)) {

@@ -55,17 +55,13 @@ static void multiply(solver_t *s)
         a->lump_change = penalty_of_rows(s) * change / (a->lump * a->lump);
     }
     TERMINAL_PRODUCT(s, a->dx[N - 1], lam);
-    if (NG) {
-        add_rows(s, N, PRODUCT, a->dx[N - 1], lam);
-    }
+    add_rows(s, N, PRODUCT, a->dx[N - 1], lam);
     for (int k = N - 1; k >= 0; k--) {
         real_t own[NZ];
         memset(own, 0, sizeof own);
         load_direction(s, k, d);
         PATH_PRODUCT(s, k, d, own);
-        if (NG) {
-            add_rows(s, k, PRODUCT, d, own);
-        }
+        add_rows(s, k, PRODUCT, d, own);
         INTEGRATOR_ADJOINT(s, k, lam, g);
         for (int i = 0; i < NX; i++) {
             lam[i] = g[i] + own[i];
@@ -81,9 +77,7 @@ static real_t terminal_slope(const solver_t *s, int t, real_t *lam)
 {
     const int m = terminal_row[t];
     real_t h[NH + NH_N + NE] = {R(0)}, J[(NH + NH_N + NE) * NZ] = {R(0)};
-    if (NH + NH_N + NE > 0) {
-        evaluate_nodal_rows(s, N, h, J);
-    }
+    evaluate_nodal_rows(s, N, h, J);
     for (int i = 0; i < NX; i++) {
         lam[i] = R(0);
     }
@@ -210,9 +204,7 @@ static real_t precondition(shooting_t *a)
     for (int t = 0; t < NT; t++) {
         y[t] = (a->omega[t] > R(0)) ? inner(a->Xi[t][0], a->w[0]) : R(0);
     }
-    if (NT > 0) {
-        substitute_rows(a, y);
-    }
+    substitute_rows(a, y);
     for (int k = 0; k < N; k++) {
         for (int j = 0; j < NU; j++) {
             for (int t = 0; !a->held[k][j] && t < NT; t++) {

@@ -126,9 +126,7 @@ static int step_along(solver_t *s, real_t descent)
 {
     shooting_t *a = &s->shooting;
     multiply(s);
-    if (NT > 0) {
-        multiply_rows(a);
-    }
+    multiply_rows(a);
     s->stats.cg_iterations++;
     const real_t bend = inner(a->p[0], a->w[0]), size = inner(a->p[0], a->p[0]);
     const int curved = bend > TOL_UNIT * size;
@@ -154,9 +152,7 @@ static int solve_face(solver_t *s, real_t *largest)
 {
     shooting_t *a = &s->shooting;
     real_t beta = R(0);
-    if (NT > 0) {
-        factorize_rows(a);
-    }
+    factorize_rows(a);
     real_t size = precondition(a);
     s->stats.faces++;
     memset(a->p, 0, sizeof a->p);
@@ -241,9 +237,7 @@ static int update_terminal(solver_t *s, const real_t *before, real_t *slope)
     const real_t factor = (FACTOR_SHOOTING_TERMINAL_SHARE * rest > own && own > R(0))
         ? FACTOR_SHOOTING_TERMINAL_SHARE * rest / own
         : R(1);
-    if (NT > 0) {
-        weigh_terminal(s, factor);
-    }
+    weigh_terminal(s, factor);
     *slope = other - factor * own;
     return met;
 }

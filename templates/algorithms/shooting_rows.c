@@ -35,10 +35,8 @@ static void evaluate_nodal_rows(const solver_t *s, int k, real_t *h, real_t *J)
     }
     if (k == N) {
         TERMINAL_ROWS(s, h, (real_t(*)[NX])J);
-        if (NE > 0) {
-            real_t J_0[NE][NX];
-            COUPLED_ROWS(s, h + NH_N, J_0, (real_t(*)[NX])(J + NH_N * NX));
-        }
+        real_t J_0[NE][NX];
+        COUPLED_ROWS(s, h + NH_N, J_0, (real_t(*)[NX])(J + NH_N * NX));
     }
 }
 
@@ -86,9 +84,7 @@ static void add_rows(const solver_t *s, int k, int what, const real_t *d, real_t
         return;
     }
     real_t h[NH + NH_N + NE] = {R(0)}, J[(NH + NH_N + NE) * NZ] = {R(0)};
-    if (NH + NH_N + NE > 0) {
-        evaluate_nodal_rows(s, k, h, J);
-    }
+    evaluate_nodal_rows(s, k, h, J);
     for (int m = row_first[k]; m < row_first[k + 1]; m++) { /* at most NG passes in add_rows */
         if (row_is_state(m)) {
             g[row_index(m)] += row_factor(s, m, s->x[k][row_index(m)], what, d[row_index(m)]);
@@ -121,9 +117,7 @@ static real_t row_terms_of_plan(solver_t *s, real_t *violation)
 {
     real_t value[NG], sum = R(0), lump = R(0), slope, curvature;
     s->shooting.lump = R(1);
-    if (NG > 0) {
-        evaluate_rows(s, value);
-    }
+    evaluate_rows(s, value);
     *violation = R(0);
     for (int m = 0; m < NG; m++) {
         const real_t term = row_term(s, m, value[m], &slope, &curvature);
@@ -156,9 +150,7 @@ static real_t multiplier_unit(const solver_t *s, int m)
 static void update_rows(solver_t *s, real_t most)
 {
     real_t value[NG], slope, curvature;
-    if (NG > 0) {
-        evaluate_rows(s, value);
-    }
+    evaluate_rows(s, value);
     for (int m = 0; m < NG; m++) {
         if (terminal_index[m] >= 0) {
             continue;

@@ -18,9 +18,7 @@ static void carry_back(const solver_t *s, int k, int what, real_t *lam, real_t *
         own[i] = R(0);
     }
     PATH_GRADIENT(s, k, own);
-    if (NG) {
-        add_rows(s, k, what, own, own);
-    }
+    add_rows(s, k, what, own, own);
     INTEGRATOR_ADJOINT(s, k, lam, g);
     for (int i = 0; i < NX; i++) {
         lam[i] = g[i] + own[i];
@@ -34,9 +32,7 @@ static void start_adjoint(const solver_t *s, int what, real_t *lam)
         lam[i] = R(0);
     }
     TERMINAL_GRADIENT(s, lam);
-    if (NG) {
-        add_rows(s, N, what, lam, lam);
-    }
+    add_rows(s, N, what, lam, lam);
 }
 
 /* r_k = scale (B_k' lam_{k+1} + gradient in u_k), lam_k = A_k' lam_{k+1} + gradient in x_k. */

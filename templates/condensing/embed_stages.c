@@ -25,7 +25,5 @@ static void condense_embed(solver_t *s)
             s->qp.upper[k * NU + j] = control_upper(s, k, j) - s->u[k][j];
         }
     }
-    if (NG > 0) {
-        condense_embed_rows(s);
-    }
+    condense_embed_rows(s);
 }

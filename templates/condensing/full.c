@@ -241,12 +241,8 @@ static void condense_matrices(solver_t *s)
         }
     }
     condense_add_curvature(s);
-    if (NF > 0) {
-        condense_store_free(s);
-    }
-    if (NF > 0 && NG > 0) {
-        condense_store_others(s);
-    }
+    condense_store_free(s);
+    condense_store_others(s);
 }
 
 /* c_0 = 0,  c_{k+1} = A_k c_k + b_k;   w_N = q_N + Q_N c_N,  g_k = r_k + S_k c_k + B_k' w_{k+1},
@@ -341,12 +337,8 @@ static void condense_embed(solver_t *s)
             s->qp.upper[row] = control_upper(s, k, j) - s->u[k][j];
         }
     }
-    if (NG > 0) {
-        condense_embed_rows(s, dx0);
-    }
-    if (NF > 0) {
-        condense_embed_free(s, dx0);
-    }
+    condense_embed_rows(s, dx0);
+    condense_embed_free(s, dx0);
     if (NSL) {
         condense_embed_slacks(s);
     }

@@ -249,18 +249,14 @@ static void condense_vectors(solver_t *s)
         memcpy(block->g, w, sizeof w[0] * NX);
     }
     memcpy(s->blocks.g_N, s->terminal.g, sizeof s->terminal.g);
-    if (NG > 0) {
-        condense_row_values(s);
-    }
+    condense_row_values(s);
 }
 
 static status_t condense_prepare(solver_t *s)
 {
     condense_matrices(s);
     for (int k = 0; k <= N; ++k) {
-        if (NG > 0) {
-            condense_block_rows(s, k);
-        }
+        condense_block_rows(s, k);
     }
     condense_vectors(s);
     memset(s->step.dx[0], 0, sizeof s->step.dx[0]);

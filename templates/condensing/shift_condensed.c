@@ -6,11 +6,9 @@ static void condense_shift(solver_t *s)
 /* The rows move as `source` says[if NSL > 0:; the predicted sides of the slacks move with those of their rows]. */
 static void condense_shift_rows(solver_t *s, const int *source)
 {
-    if (NSL) {
-        for (int m = 0; m < NG; ++m) {
-            if (row_slack[m] >= 0) {
-                s->qp.side[row_slack[m]] = s->qp.side[row_slack[source[m]]];
-            }
+    for (int m = 0; m < NG; ++m) {
+        if (row_slack[m] >= 0) {
+            s->qp.side[row_slack[m]] = s->qp.side[row_slack[source[m]]];
         }
     }
     qp_shift_rows(&s->qp, source);

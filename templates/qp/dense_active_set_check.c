@@ -51,11 +51,9 @@ static void qp_multiply_hessian(const qp_t *q, real_t *r, real_t *size)
         r[k] -= q->semidefinite ? q->proximal[k] * q->x[k] : R(0);
         size[k] += unit * q->H[k][k] * q->inverse[k];
     }
-    if (NSL) {
-        for (int i = n; i < NV; ++i) {
-            r[i] = qp_curvature(q, i) * q->x[i];
-            size[i] = unit / q->inverse[i] + FABS(r[i]);
-        }
+    for (int i = n; i < NV; ++i) {
+        r[i] = qp_curvature(q, i) * q->x[i];
+        size[i] = unit / q->inverse[i] + FABS(r[i]);
     }
 }
 

@@ -66,11 +66,9 @@ static void qp_init(solver_t *s)
     qp_clear(&s->qp);
     riccati_init(s);
     s->riccati.regularize = 1;
-    if (NG) {
-        memset(&s->schur, 0, sizeof s->schur);
-        for (int m = 0; m < NG; m++) {
-            s->qp.root[m] = R(1);
-        }
+    memset(&s->schur, 0, sizeof s->schur);
+    for (int m = 0; m < NG; m++) {
+        s->qp.root[m] = R(1);
     }
 }
 

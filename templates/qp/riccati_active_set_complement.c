@@ -155,9 +155,7 @@ static void schur_add_free(solver_t *s)
         for (int l = 0; l < NXS; l++) {
             r->p[0][l] = -c->pull[i][l];
         }
-        if (NF > 0) {
-            riccati_solve_free(r, v);
-        }
+        riccati_solve_free(r, v);
         for (int j = 0; j <= i; j++) {
             for (int f = 0; f < NF; f++) {
                 c->complement[i][j] += c->pull[j][free_state[f]] * v[free_state[f]];

@@ -47,9 +47,7 @@ static status_t qp_cross_over(solver_t *s)
     s->ipm.ready = 0;
     s->ipm.crossing = CROSS_OVER;
     status = ipm_solve(s);
-    if (NG) {
-        qp_set_units(s);
-    }
+    qp_set_units(s);
     if (s->ipm.crossing == HANDED_OVER) {
         s->ipm.crossing = TO_THE_END;
         if (qp_polish(s) == OK) {
@@ -71,9 +69,7 @@ static status_t qp_fall_back(solver_t *s)
     qp_t *q = &s->qp;
     const int before = q->iterations;
     status_t status;
-    if (NG) {
-        s->schur.active = 0;
-    }
+    s->schur.active = 0;
     status = qp_cross_over(s);
     q->iterations += before;
     if (status != OK && status != INFEASIBLE) {

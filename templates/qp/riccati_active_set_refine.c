@@ -34,11 +34,9 @@ static void qp_residual(solver_t *s, int k)
     for (int i = 0; k > 0 && i < NXS; i++) {
         y[i] -= r->work.vectors.lam[k][i];
     }
-    if (NG) {
-        for (int m = stage_first[k]; m < stage_first[k + 1]; m++) {
-            if (q->side[NV + m] != INACTIVE) {
-                qp_add_row(s, m, q->mult[NV + m]);
-            }
+    for (int m = stage_first[k]; m < stage_first[k + 1]; m++) {
+        if (q->side[NV + m] != INACTIVE) {
+            qp_add_row(s, m, q->mult[NV + m]);
         }
     }
 }
@@ -195,9 +193,7 @@ static void qp_add_correction(solver_t *s, real_t times)
             q->z[first + j] += times * d->du[first + j];
         }
     }
-    if (NG > 0) {
-        qp_correct_rows(s, times);
-    }
+    qp_correct_rows(s, times);
 }
 
 /* Correction of (x, z, lam, mult) for the residuals in the right-hand sides, to which weight (a'z - t) a of the members

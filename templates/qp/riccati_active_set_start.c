@@ -19,9 +19,7 @@ static void qp_enter(solver_t *s)
         r->weight[m] = qp_weight(s, m, q->side[NV + m]);
     }
     q->stale = q->stale_vectors = NS;
-    if (NG) {
-        s->schur.swept = 0;
-    }
+    s->schur.swept = 0;
 }
 
 /* Gives weights to the rows of the working set, which were equations, in this QP and some of the next ones. */

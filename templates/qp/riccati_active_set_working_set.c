@@ -160,9 +160,7 @@ static void qp_load(solver_t *s)
         for (int c = k * NUS; k < NS && c < (k + 1) * NUS; c++) {
             r->du[c] = q->side[c] != INACTIVE ? qp_target(q, c) : R(0);
         }
-        if (NG) {
-            qp_load_rows(s, k);
-        }
+        qp_load_rows(s, k);
     }
 }
 

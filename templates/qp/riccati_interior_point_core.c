@@ -64,9 +64,7 @@ static void ipm_write_sides(solver_t *s)
         qp->side[c] = s->ipm.kind[c] == INEQUALITY ? INACTIVE : member;
     }
     ipm_write_active(s);
-    if (NG > 0) {
-        ipm_write_others(s);
-    }
+    ipm_write_others(s);
     for (int c = 0; c < NV + NG; c++) {
         const real_t reach = s->units.reach[c];
         if (qp->side[c] == INACTIVE && FABS(qp->mult[c]) * reach <= least && (c < NV || reach > R(0))) {

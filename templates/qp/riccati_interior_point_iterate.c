@@ -177,11 +177,9 @@ static void ipm_correct(ipm_t *q, real_t target, real_t share)
     for (int i = 0; i < q->sides; i++) {
         q->dt[i] = (target - share * q->dt[i] * q->dlam[i]) / q->lam[i];
     }
-#if NG
     for (int i = 0; i < q->sides - q->hard; i++) { /* at most 2 * NG passes */
         q->dkappa[i] = (q->kappa[i] > R(0)) ? (target - share * q->de[i] * q->dkappa[i]) / q->e[i] : R(0);
     }
-#endif
 }
 
 /* Moves states and controls by `step` times the direction, which multiplies the gaps by 1 - step. */
@@ -217,12 +215,10 @@ static void ipm_move(solver_t *s, real_t step)
         q->t[i] += step * q->dt[i];
         q->lam[i] += step * q->dlam[i];
     }
-#if NG
     for (int i = 0; i < q->sides - q->hard; i++) { /* at most 2 * NG passes */
         q->e[i] += step * q->de[i];
         q->kappa[i] += step * q->dkappa[i];
     }
-#endif
 }
 
 /* Fraction of the distance to the boundary that is kept: small, and smaller near the solution. An iteration that is
@@ -443,10 +439,8 @@ static void ipm_forget_progress(ipm_t *q)
     q->merit = q->slope = q->primal = INF;
     q->step = R(1);
     q->stiffest = FACTOR_IPM_MOST_STIFFENING;
-    if (NG) {
-        q->stretched = 0;
-        q->slow = INF;
-    }
+    q->stretched = 0;
+    q->slow = INF;
 }
 
 /* Returns 1 if the iterate is the solution; `done` states this for all conditions but the equations. Otherwise the next

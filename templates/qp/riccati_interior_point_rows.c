@@ -151,13 +151,11 @@ static void ipm_list_sides(solver_t *s)
         }
     }
     q->hard = q->sides;
-#if NG
     for (int m = 0; m < NG; m++) {
         if (qp_is_soft(&s->qp, m) && s->qp.penalty[m] + s->qp.curvature[m] > R(0)) {
             ipm_add_sides(s, NV + m);
         }
     }
-#endif
 }
 
 /* Passes the weights of the rows to the recursion. */
@@ -217,11 +215,9 @@ static void ipm_weigh(solver_t *s)
 {
     ipm_t *q = &s->ipm;
     memset(q->weight, 0, sizeof q->weight);
-#if NG
     for (int m = 0; m < NG; m++) {
         q->weight[NV + m] = q->stiffness[m] * q->stiffening;
     }
-#endif
     for (int i = 0; i < q->sides; i++) {
         q->omega[i] = q->t[i] / q->lam[i];
     }
@@ -264,12 +260,10 @@ static void ipm_forces(solver_t *s)
 {
     ipm_t *q = &s->ipm;
     memset(q->force, 0, sizeof q->force);
-#if NG
     for (int m = 0; m < NG; m++) {
         const int c = NV + m;
         q->force[c] = (q->kind[c] == EQUATION) ? q->y[m] + q->weight[c] * (q->v[c] - s->qp.lower[c]) : R(0);
     }
-#endif
     for (int i = 0; i < q->sides; i++) {
         q->dlam[i] = q->dt[i] - q->t[i] - q->r[i];
     }
@@ -322,11 +316,9 @@ static void ipm_direction(solver_t *s)
     riccati_forward(s, d->dx, d->du);
     ipm_changes(s);
     ipm_recover_sides(s);
-#if NG
     for (int i = q->hard; i < q->sides; i++) { /* at most 2 * NG passes */
         const int j = i - q->hard;
         q->de[j] = (q->dlam[i] + q->dkappa[j] - q->kappa[j] - q->r_e[j]) * q->compliance[j];
         q->dkappa[j] = q->dkappa[j] - q->kappa[j] - q->kappa[j] / q->e[j] * q->de[j];
     }
-#endif
 }

@@ -109,11 +109,9 @@ static int ipm_set_stiffness(solver_t *s)
 static int ipm_add_equations(solver_t *s)
 {
     riccati_set_reach(s);
-    if (NG) {
-        if (ipm_set_stiffness(s)) {
-            ipm_first_weights(s);
-            return ipm_factorize(s);
-        }
+    if (ipm_set_stiffness(s)) {
+        ipm_first_weights(s);
+        return ipm_factorize(s);
     }
     return 1;
 }

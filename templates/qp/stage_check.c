@@ -195,10 +195,8 @@ static void qp_start_check(solver_t *s)
 {
     for (int k = 0; k <= NS; k++) {
         qp_cost_gradient(s, k, s->riccati.work.vectors.rhs.g[k]);
-        if (NG) {
-            for (int m = stage_first[k]; m < stage_first[k + 1]; m++) {
-                qp_add_row(s, m, s->qp.mult[NV + m]);
-            }
+        for (int m = stage_first[k]; m < stage_first[k + 1]; m++) {
+            qp_add_row(s, m, s->qp.mult[NV + m]);
         }
     }
 }
@@ -222,11 +220,9 @@ static int qp_is_stationary(solver_t *s, int full)
     for (int k = NS; k >= 0; k--) {
 #if !TILES
         qp_cost_gradient(s, k, w[k]);
-#if NG
         for (int m = stage_first[k]; m < stage_first[k + 1]; m++) {
             qp_add_row(s, m, s->qp.mult[NV + m]);
         }
-#endif
 #endif
         memcpy(y, w[k], sizeof y[0] * (k < NS ? NZS : NXS));
         if (k < NS) {

@@ -244,9 +244,7 @@ static int riccati_stage(solver_t *s, int k)
     for (int f = 0; k == 0 && f < NF; f++) {
         r->P[0][free_state[f]][free_state[f]] += r->diagonal_free[f];
     }
-    if (NG) {
-        riccati_add_weights(s, k);
-    }
+    riccati_add_weights(s, k);
     riccati_propagate(s, k);
     riccati_update_controls(r, k, work->W[0], work->T[0], NXS);
     if (!riccati_eliminate_controls(r, k)) {
@@ -277,7 +275,6 @@ static inline void riccati_fold(riccati_t *r)
 }
 
 #endif
-#if NF
 /* L D L' of the block of P_0 that belongs to the free components of x_0; small pivots are treated as above. */
 static int riccati_factorize_free(riccati_t *r)
 {
@@ -306,15 +303,12 @@ static int riccati_factorize_free(riccati_t *r)
     return 1;
 }
 
-#endif
 /* The recursion from stage `last` down to stage 0; last = NS: all stages and P_NS. */
 static int riccati_factorize(solver_t *s, int last)
 {
     if (last == NS) {
         riccati_load_terminal(s);
-        if (NG) {
-            riccati_add_weights(s, NS);
-        }
+        riccati_add_weights(s, NS);
         if (!TILES) {
             riccati_mirror(s->riccati.P[NS]);
         }

@@ -123,9 +123,7 @@ static void riccati_forward(solver_t *s, real_t (*x)[NXS], real_t *u)
 {
     const riccati_t *r = &s->riccati;
     real_t z[LDZ] = {0};
-    if (NF > 0) {
-        riccati_solve_free(r, x[0]);
-    }
+    riccati_solve_free(r, x[0]);
     memcpy(z, x[0], sizeof x[0]);
     for (int k = 0; k < NS; k++) {
         real_t(*S)[NZS] = stage_S(s, k);

@@ -131,9 +131,7 @@ static void riccati_set_reach(solver_t *s)
     for (int f = 0; f < NF; f++) {
         memset(s->riccati.p[0], 0, sizeof s->riccati.p[0]);
         s->riccati.p[0][free_state[f]] = -R(1);
-        if (NF > 0) {
-            riccati_solve_free(&s->riccati, q->covariance[free_state[f]]);
-        }
+        riccati_solve_free(&s->riccati, q->covariance[free_state[f]]);
     }
     for (int f = 0; f < NXS - NX; f++) {
         memcpy(q->covariance[NX + f], q->covariance[copied_state[f]], sizeof q->covariance[0]);
@@ -141,12 +139,8 @@ static void riccati_set_reach(solver_t *s)
     for (int k = 0; k < NS; k++) {
         riccati_closed_loop(s, k);
         riccati_controls_reach(s, k);
-        if (NG) {
-            riccati_rows_reach(s, k);
-        }
+        riccati_rows_reach(s, k);
         riccati_propagate_covariance(q);
     }
-    if (NG) {
-        riccati_rows_reach(s, NS);
-    }
+    riccati_rows_reach(s, NS);
 }

@@ -6,7 +6,7 @@ goal="size" the fewest bytes.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 
 from nmpc_codegen.components.base import Condensing, Dims, QpDims, QpShape, QpSolver, called
@@ -86,16 +86,7 @@ def choose_qp(
         _check_forms(given, options.qp)
         condensing = given.adapted(problem)
         return Choice(condensing, options.qp, _instead(given, condensing), warnings=grown.warning(problem, condensing))
-    fitting = list(_pairs(given, options.qp, options.goal))
-    if given is None and options.qp is None and not (model.path.Q or model.terminal.Q):
-        fitting = list(_pairs(NoCondensing(), None, options.goal))
-    elif (
-        given is None
-        and options.qp is None
-        and _mirrors_few(problem, options)
-        and grown.spares(problem, FullCondensing())
-    ):
-        fitting = list(_pairs(FullCondensing(), None, options.goal))
+    fitting = list(_pairs(_forms(problem, options, model, grown), options.qp, options.goal))
     candidates, soft = [], "soft rows" in problem.uses
     for stated, qp in fitting:
         condensing = stated.adapted(problem)
@@ -162,10 +153,21 @@ def _instead(stated: Condensing | None, condensing: Condensing) -> tuple[str, ..
     return (f"condensing: {condensing} instead of {stated.name}; coupled rows read free components of x_0",)
 
 
-def _pairs(condensing: Condensing | None, qp: QpSolver | None, goal: Goal) -> Iterator[tuple[Condensing, QpSolver]]:
-    """All pairs that are consistent with the given components."""
-    forms: tuple[Condensing, ...] = (FullCondensing(), NoCondensing(), *(PartialCondensing(block) for block in BLOCKS))
-    for c in forms if condensing is None else (condensing,):
+def _forms(problem: Problem, options: Options, model: ModelFunctions, grown: Growth) -> tuple[Condensing, ...]:
+    """The condensing that is given, or what is compared: all, unless a problem without curvature or one whose
+    indefinite Hessian is mirrored leaves one."""
+    if options.condensing is not None:
+        return (options.condensing,)
+    if options.qp is None and not (model.path.Q or model.terminal.Q):
+        return (NoCondensing(),)
+    if options.qp is None and _mirrors_few(problem, options) and grown.spares(problem, FullCondensing()):
+        return (FullCondensing(),)
+    return (FullCondensing(), NoCondensing(), *(PartialCondensing(block) for block in BLOCKS))
+
+
+def _pairs(forms: Iterable[Condensing], qp: QpSolver | None, goal: Goal) -> Iterator[tuple[Condensing, QpSolver]]:
+    """All consistent pairs with these, and with the solver that is given."""
+    for c in forms:
         for q in _solvers(c.gives, goal) if qp is None else (qp,):
             if c.gives == q.takes:
                 yield c, q

@@ -302,7 +302,7 @@ def _rows_kernel(stage: Stage, name: str) -> Kernel:
         ports.insert(1, Port("u", stage.nu))
     doc = f"h = general {name} rows, J = dh / d{'x' if terminal else '(x, u)'}"
     outputs = [Port("h", stage.nh), Port("J", stage.nh, int(z.numel()))]
-    return lift(ca.Function("rows", args, [h, J]), f"{name}_rows_kernel", doc, ports, outputs)
+    return lift(ca.Function("rows", args, [h, J]), f"{name}_rows", doc, ports, outputs)
 
 
 def _coupled(problem: Problem) -> Kernel:

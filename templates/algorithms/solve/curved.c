@@ -284,9 +284,7 @@ static void hold_active(solver_t *s, real_t hold)
             c->Q[k][NX + j][NX + j] += (hold - c->hold) * c->weight_u[k][j];
         }
     }
-    if (NG > 0) {
-        hold_rows(s, hold - c->hold);
-    }
+    hold_rows(s, hold - c->hold);
     c->hold = hold;
 }
 
@@ -305,9 +303,7 @@ static void push_to_bounds(solver_t *s)
             }
         }
     }
-    if (NG > 0) {
-        push_rows(s);
-    }
+    push_rows(s);
 }
 
 static void restore_gradients(solver_t *s)

@@ -28,9 +28,7 @@ static measures_t measure(solver_t *s)
         }
     }
     real_t value[NG];
-    if (NG > 0) {
-        evaluate_rows(s, value);
-    }
+    evaluate_rows(s, value);
     for (int m = 0; m < NG; m++) {
         const real_t v = outside(s, m, value[m]);
         if (row_is_soft(m)) {
@@ -78,7 +76,6 @@ static void enlarge_by_reach(const solver_t *s, real_t *size)
     }
 }
 
-#if HARD_ROWS
 /* Scales of the hard rows: the largest magnitude of the terms of a linearised row and of its finite bounds. Returns 1
  * if one of them changes. */
 static int update_row_scales(solver_t *s, const real_t *size)
@@ -95,7 +92,6 @@ static int update_row_scales(solver_t *s, const real_t *size)
     }
     return grew;
 }
-#endif
 
 /* Scales of states and rows: largest magnitudes over the horizon at the present point and of the present step. They
  * only grow; if one does, the measures of earlier points are not comparable any more, and the filter is cleared.

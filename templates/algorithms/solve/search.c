@@ -85,9 +85,7 @@ static real_t slope_of(solver_t *s)
     }
     if (SOFT_ROWS) {
         real_t value[NG];
-        if (NG > 0) {
-            evaluate_rows(s, value);
-        }
+        evaluate_rows(s, value);
         for (int m = 0; m < NG; m++) {
             if (row_is_soft(m)) {
                 slope += soft_penalty(m, FABS(row_excess(s, m, R(0))));
