@@ -23,9 +23,7 @@ static void start_at(solver_t *s, const real_t *x)
     if (HAS_QP) {
         condense_init(s);
     }
-    if (NONLINEAR_ROWS) {
-        s->row_residual = R(0);
-    }
+    s->row_residual = R(0);
 }
 
 static void start_at_measured(solver_t *s)

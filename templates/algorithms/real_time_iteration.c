@@ -42,9 +42,7 @@ static void algorithm_reset(solver_t *s)
 
 #include "algorithms/residual.c"
 
-#if ROW_CURVATURE
 static void evaluate_bent(solver_t *s);
-#endif
 
 /* Linearises the present point and evaluates the Hessian. */
 static void evaluate_here(solver_t *s)
@@ -58,7 +56,6 @@ static void evaluate_here(solver_t *s)
     s->renewal = UP_TO_DATE;
 }
 
-#if PROXIMAL
 /* Q += diag(proximal), by which a step of a control without curvature is limited; it vanishes at the solution. */
 static void add_proximal(solver_t *s)
 {
@@ -68,7 +65,6 @@ static void add_proximal(solver_t *s)
         }
     }
 }
-#endif
 
 /* Evaluates, condenses and factorises at the plan. */
 static status_t prepare_here(solver_t *s)

@@ -314,9 +314,7 @@ static void condense_embed_rows(solver_t *s, const real_t *dx0)
         s->qp.terms[m] = terms;
         s->qp.lower[NV + m] = row_lower(s, m) - value;
         s->qp.upper[NV + m] = row_upper(s, m) - value;
-        if (ELASTIC) {
-            s->qp.penalty[NV + m] = row_penalty(s, m);
-        }
+        s->qp.penalty[NV + m] = row_penalty(s, m);
     }
 }
 
@@ -425,6 +423,4 @@ static void qp_shift_rows(qp_t *q, const int *source);
 
 #include "condensing/shift_condensed.c"
 
-#if FIRST
 #include "condensing/law_condensed.c"
-#endif

@@ -59,10 +59,8 @@ static void add_rows(solver_t *s)
         }
         mu[row_index(m)] = s->mult[m];
         if (row_node(m) < N) {
-            if (HAS_PATH_CURVATURE) {
-                PATH_CURVATURE(s, row_node(m), mu, M);
-                add_if_convex(&s->hessian.Q[row_node(m)][0][0], &M[0][0], NZ);
-            }
+            PATH_CURVATURE(s, row_node(m), mu, M);
+            add_if_convex(&s->hessian.Q[row_node(m)][0][0], &M[0][0], NZ);
         } else if (HAS_TERMINAL_CURVATURE) {
             TERMINAL_CURVATURE(s, mu, M_N);
             add_if_convex(&s->hessian.Q_N[0][0], &M_N[0][0], NX);

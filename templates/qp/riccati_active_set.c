@@ -209,9 +209,7 @@ static status_t qp_solve(solver_t *s)
     qp_t *q = &s->qp;
     status_t status = q->factorized ? qp_check_bounds(q) : NUMERICAL_FAILURE;
     q->iterations = q->changes = q->refinements = q->dropped = q->relaxed = q->exact = 0;
-    if (INTERIOR_POINT && NG) {
-        memset(q->certificate, 0, sizeof q->certificate);
-    }
+    memset(q->certificate, 0, sizeof q->certificate);
     if (status != OK) {
         return qp_fail(q, status);
     }

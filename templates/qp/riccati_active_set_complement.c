@@ -202,9 +202,7 @@ static int schur_renew(solver_t *s)
             return 0;
         }
         schur_sweep(s);
-        if (NXS > NX) {
-            schur_fold(c);
-        }
+        schur_fold(c);
         if (NF) {
             schur_add_free(s);
         }

@@ -88,10 +88,8 @@ static real_t ipm_stationarity(solver_t *s)
         riccati_combine(w, w + NXS, s->riccati.K[k][0], LDX, NUS, NXS);
         memcpy(lam, w, sizeof lam);
     }
-    if (NXS > NX) {
-        ipm_fold(lam);
-        ipm_fold(next);
-    }
+    ipm_fold(lam);
+    ipm_fold(next);
     for (int f = 0; f < NF; f++) {
         const real_t unit = R(1) / SQRT(s->riccati.F[f][f]);
         ipm_take_gradient(lam[free_state[f]], next[free_state[f]], unit, &largest);

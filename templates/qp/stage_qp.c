@@ -202,8 +202,6 @@ static void qp_clear_results(qp_t *q)
     memset(q->z, 0, sizeof q->z);
     memset(q->mult, 0, sizeof q->mult);
     memset(q->side, 0, sizeof q->side);
-    if (INTERIOR_POINT && NG) {
-        memset(q->certificate, 0, sizeof q->certificate);
-    }
+    memset(q->certificate, 0, sizeof q->certificate);
     q->relaxed = 0;
 }

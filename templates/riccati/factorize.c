@@ -258,7 +258,6 @@ static int riccati_stage(solver_t *s, int k)
 }
 
 #endif
-#if NXS > NX
 /* Adds the rows and columns of P_0 that belong to copies of components of x_0 to those of the original components,
  * because the copies are not independent variables. */
 static inline void riccati_fold(riccati_t *r)
@@ -274,7 +273,6 @@ static inline void riccati_fold(riccati_t *r)
     }
 }
 
-#endif
 /* L D L' of the block of P_0 that belongs to the free components of x_0; small pivots are treated as above. */
 static int riccati_factorize_free(riccati_t *r)
 {

@@ -50,4 +50,4 @@ const char *golden_status_string(golden_status_t status);
 #endif
 
 #endif
-/* nmpc_codegen package fe5e7077ff0a082d, sha256 bfa58e44cdfb58c53c0c3f91ec1e7655503003bc13008f09232a9692782bcb54 */
+/* nmpc_codegen package e1b0d00e6145e153, sha256 6530334cdecdce6d463a57ebfe8d79958042c8e7f32fe31d4215d743bf8e4b56 */

@@ -61,7 +61,7 @@ def qp_dims(nv: int, ng: int) -> Dims:
     }
     condensed = QpDims(**{name: named[name] for name in QpDims.__dataclass_fields__})
     core = {name: named[name] for name in Dims.__dataclass_fields__ if name != "condensed"}
-    return Dims(**core, condensed=condensed)  # type: ignore[arg-type]
+    return Dims(**core, condensed=condensed)
 
 
 def source(nv: int, ng: int, precision: str = "double", component: DenseActiveSet | None = None) -> str:

@@ -10,8 +10,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from nmpc_codegen.ir.kernel import Port
-from nmpc_codegen.ir.sweep import Frame, LoopedRoutine, NamedInt, Node, Place, Sweep, looped
+from nmpc_codegen.ir.sweep import Frame, LoopedRoutine, Node, Place, Sweep, looped
 from nmpc_codegen.ir.tuning import COLUMNS
+from nmpc_codegen.package.memory import Size
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,8 +41,8 @@ class Interfaces:
     """The interfaces of all products, for given numbers of states and controls."""
 
     def __init__(self, nx: int, nu: int) -> None:
-        self.nx, self.nu, self.nz = NamedInt(nx, "NX"), NamedInt(nu, "NU"), NamedInt(nx + nu, "NZ")
-        self.panel = NamedInt(COLUMNS, "COLUMNS")
+        self.nx, self.nu, self.nz = Size("NX", nx), Size("NU", nu), Size("NZ", nx + nu)
+        self.panel = Size("COLUMNS", COLUMNS)
         self._node = {"S": Place("node->S", (self.nx, self.nz))}
         self._matrices = {"Q": Place("Q", (self.nz, self.nz)), "Q_N": Place("Q", (self.nx, self.nx))}
         self._z = {"dx": Place("dx", (self.nx,)), "du": Place("du", (self.nu,))}

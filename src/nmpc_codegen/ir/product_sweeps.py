@@ -10,8 +10,9 @@ import casadi as ca
 
 from nmpc_codegen.ir.casadi_types import Expression
 from nmpc_codegen.ir.product_interfaces import Interface, Interfaces
-from nmpc_codegen.ir.sweep import Affine, Call, Entries, For, If, LoopedRoutine, NamedInt, Node, Place, Slice
+from nmpc_codegen.ir.sweep import Affine, Call, Entries, For, If, LoopedRoutine, Node, Place, Slice
 from nmpc_codegen.ir.tuning import COLUMNS, TERMS
+from nmpc_codegen.package.memory import Size
 
 Pattern = frozenset[tuple[int, int]]
 
@@ -114,7 +115,7 @@ class _Operands:
 
     def columns(self, rows: dict[str, list[Expression]], direct: bool = False) -> LoopedRoutine:
         """The product with these rows as its result for every column of a panel."""
-        return self._interface.routine(For("l", 0, NamedInt(COLUMNS, "COLUMNS"), (self._call(rows, direct),)))
+        return self._interface.routine(For("l", 0, Size("COLUMNS", COLUMNS), (self._call(rows, direct),)))
 
     def _call(self, rows: dict[str, list[Expression]], direct: bool) -> Call:
         leaf = ca.Function("rows", list(self._symbols.values()), [ca.vertcat(ca.SX(0, 1), *r) for r in rows.values()])

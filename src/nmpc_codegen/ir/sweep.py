@@ -18,21 +18,6 @@ from nmpc_codegen.ir.kernel import Kernel, Port, Watched, lift
 from nmpc_codegen.package.opcount import OpCount
 
 
-class NamedInt(int):
-    """A number that is printed in C as the name of its macro."""
-
-    def __new__(cls, value: int, name: str) -> NamedInt:
-        """The number ``value`` with the macro ``name``."""
-        size = super().__new__(cls, value)
-        size.name = name
-        return size
-
-    name: str
-
-    def __str__(self) -> str:
-        return self.name
-
-
 @dataclass(frozen=True)
 class Affine:
     """constant + sum of coefficient * loop index."""
@@ -47,7 +32,7 @@ class Affine:
     def split(self, columns: int) -> tuple[Affine, Affine]:
         """Row and column of an element of a matrix whose rows have so many elements."""
         row, column = divmod(self.constant, columns)
-        column = column if row else self.constant  # a NamedInt keeps its macro name
+        column = column if row else self.constant  # a Size keeps its text
         along = tuple((i, c // columns) for i, c in self.terms if c % columns == 0)
         return Affine(row, along), Affine(column, tuple((i, c) for i, c in self.terms if c % columns))
 

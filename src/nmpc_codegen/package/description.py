@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nmpc_codegen.errors import ControllerError
-from nmpc_codegen.package.memory import INTEGERS, REAL, Field, Precision, Struct
+from nmpc_codegen.package.memory import INTEGERS, REAL, Field, Precision, Size, Struct
 from nmpc_codegen.package.opcount import OpCount
 from nmpc_codegen.package.program import Program
 from nmpc_codegen.package.signals import EntryPoint, Layouts, Names, Residual, Row, Signal, c_constants
@@ -203,7 +203,7 @@ class PackageDescription:
                 struct["fields"] = [_field_of(member) for member in struct["fields"]]
             for row in raw["rows"]:
                 row |= {side: float(row[side]) for side in ("lower", "upper")}
-            described = msgspec.convert(raw, cls)
+            described = msgspec.convert(raw, cls, dec_hook=_size)
             described.dims  # noqa: B018 - all sizes are there
             solver = {struct.name: struct for struct in described.structs}["solver"]
         except (msgspec.MsgspecError, TypeError, KeyError, ValueError, ArithmeticError, RecursionError) as error:
@@ -257,5 +257,11 @@ def _number(value: float) -> float | str:
 
 def _field_of(member: Mapping[str, Any]) -> dict[str, Any]:
     """The members of a Field from those of its entry."""
-    shape = [{"text": str(size), "value": size} for size in member["shape"]]
-    return {**member, "ctype": member["type"], "shape": shape}
+    return {**member, "ctype": member["type"]}
+
+
+def _size(wanted: type, value: Any) -> Size:
+    """The size of a member from its number."""
+    if wanted is not Size or type(value) is not int:
+        raise ValueError(f"{value!r}; expected an integer")
+    return Size(str(value), value)

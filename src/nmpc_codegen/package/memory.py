@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any, Literal, TypeVar
 
 import numpy as np
@@ -39,15 +39,29 @@ PURPOSES: Mapping[Role, str] = {
 REAL_BYTES = {"double": 8, "single": 4}
 
 
-@dataclass(frozen=True)
-class Size:
-    """A compile-time size: a C expression in the package's macros and its value, e.g. ("N + 1", 11).
+class Size(int):
+    """A compile-time size: a number that is printed in C as an expression in the package's macros, e.g. ("N + 1", 11).
 
     ``text`` names macros without prefix; ``c(prefix)`` writes them with it. Two sizes are equal if their values are.
     """
 
-    text: str = field(compare=False)
-    value: int
+    text: str
+
+    def __new__(cls, text: str, value: int) -> Size:
+        """The number ``value`` with this text."""
+        size = super().__new__(cls, value)
+        size.text = text
+        return size
+
+    def __getnewargs__(self) -> tuple[str, int]:  # type: ignore[override]
+        return self.text, int(self)
+
+    def __str__(self) -> str:
+        return self.text
+
+    @property
+    def value(self) -> int:
+        return int(self)
 
     def c(self, macro: str) -> str:
         """C text with every identifier prefixed, e.g. ``CRANE_N + 1``."""
