@@ -173,7 +173,7 @@ def source(
     lines += [f"static const real_t {name}[{size}] = {{ R(0) }};" for name, size in scales.items()]
     lines.append("static const real_t cost_size[1] = { R(1e-27) };")
     lines += [struct_text(struct) for struct in structs(shape, owned)]
-    accessors = part_text("sizes.c", values | shape.switches) + ACCESSORS + (ROW_ACCESSOR if shape.rows else "")
+    accessors = part_text("core/sizes.c", values | shape.switches) + ACCESSORS + (ROW_ACCESSOR if shape.rows else "")
     text = _in_lines(accessors) + part_text(part, values | shape.switches) + _in_lines(entries)
     stated = {(s.name, f.name) for s in (*_data(shape.dims), *(owned or riccati_structs(shape.dims))) for f in s.fields}
     absent = stated - {(s.name, f.name) for s in structs(shape, owned) for f in s.fields}

@@ -4,29 +4,29 @@
 
 #include "generated/hooks.c"
 
-#include "algorithms/enlarge.c"
+#include "algorithms/shared/enlarge.c"
 
-#include "algorithms/safe_value.c"
+#include "algorithms/shared/safe_value.c"
 
-#include "algorithms/finish.c"
+#include "algorithms/shared/finish.c"
 
-#include "algorithms/judged.c"
+#include "algorithms/shared/judged.c"
 
-#include "algorithms/shooting_rows.c"
+#include "algorithms/adjoint_shooting/rows.c"
 
-#include "algorithms/shooting_sweeps.c"
+#include "algorithms/adjoint_shooting/sweeps.c"
 
-#include "algorithms/shooting_search.c"
+#include "algorithms/adjoint_shooting/search.c"
 
 #if QUASI_NEWTON
-#include "algorithms/shooting_quasi_newton.c"
+#include "algorithms/adjoint_shooting/quasi_newton.c"
 #else
-#include "algorithms/shooting_model.c"
+#include "algorithms/adjoint_shooting/model.c"
 
-#include "algorithms/shooting_newton.c"
+#include "algorithms/adjoint_shooting/newton.c"
 #endif
 
-#include "algorithms/shooting_shift.c"
+#include "algorithms/adjoint_shooting/shift.c"
 
 /* Brings the terms closer to the rows. Returns 0 if they are as close as they may be. */
 static int sharpen(solver_t *s)
@@ -65,7 +65,7 @@ static status_t keep_finite(solver_t *s, status_t status)
     return status;
 }
 
-#include "algorithms/watch.c"
+#include "algorithms/shared/watch.c"
 
 /* Every state of the plan at x_0. */
 static void hold_states(solver_t *s)
@@ -196,10 +196,10 @@ status_t API(step)(solver_t *s, const real_t xhat[NX], real_t u0[NU])
     return finish(s, judged(status, s->stats.violation));
 }
 
-#include "algorithms/shooting_kkt.c"
+#include "algorithms/adjoint_shooting/kkt.c"
 
 #if SOLVE
-#include "algorithms/shooting_solve.c"
+#include "algorithms/adjoint_shooting/solve.c"
 #endif
 
-#include "generated/features.c"
+#include "generated/extras.c"

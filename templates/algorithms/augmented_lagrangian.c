@@ -5,9 +5,9 @@
 
 #include "generated/hooks.c"
 
-#include "algorithms/plan.c"
+#include "algorithms/shared/plan.c"
 
-#include "algorithms/forget_sizes.c"
+#include "algorithms/shared/forget_sizes.c"
 
 /* Penalty and trust region as at the start. */
 static void reset_search(solver_t *s)
@@ -16,7 +16,7 @@ static void reset_search(solver_t *s)
     s->auglag.radius = initial_radius[0];
 }
 
-#include "algorithms/watch.c"
+#include "algorithms/shared/watch.c"
 
 /* Resets the plan: every state at its declared initial value, controls at their references, multipliers 0. */
 static void algorithm_reset(solver_t *s)
@@ -32,7 +32,7 @@ static void algorithm_reset(solver_t *s)
     memcpy(s->xhat, s->x[0], sizeof s->xhat);
 }
 
-#include "algorithms/linearize.c"
+#include "algorithms/shared/linearize.c"
 
 /* Values of renewal: whether data have changed since prepare, which linearises again then. */
 enum { UP_TO_DATE, REFERENCE_CHANGED, HELD };
@@ -42,23 +42,23 @@ static void hold_gradients(solver_t *s)
     s->renewal = HELD;
 }
 
-#include "algorithms/finish.c"
+#include "algorithms/shared/finish.c"
 
-#include "algorithms/enlarge.c"
+#include "algorithms/shared/enlarge.c"
 
-#include "algorithms/take_state.c"
+#include "algorithms/shared/take_state.c"
 
-#include "algorithms/augmented_terms.c"
+#include "algorithms/augmented_lagrangian/terms.c"
 
-#include "algorithms/augmented_model.c"
+#include "algorithms/augmented_lagrangian/model.c"
 
-#include "algorithms/augmented_factors.c"
+#include "algorithms/augmented_lagrangian/factors.c"
 
-#include "algorithms/augmented_kinks.c"
+#include "algorithms/augmented_lagrangian/kinks.c"
 
-#include "algorithms/augmented_search.c"
+#include "algorithms/augmented_lagrangian/search.c"
 
-#include "algorithms/augmented_rounds.c"
+#include "algorithms/augmented_lagrangian/rounds.c"
 
 status_t API(prepare)(solver_t *s)
 {
@@ -110,14 +110,14 @@ static status_t feedback_here(solver_t *s)
     return run_round(s);
 }
 
-#include "algorithms/feedback.c"
+#include "algorithms/shared/feedback.c"
 
-#include "algorithms/shift.c"
+#include "algorithms/shared/shift.c"
 
-#include "algorithms/kkt.c"
+#include "algorithms/shared/kkt.c"
 #if SOLVE
 
-#include "algorithms/augmented_solve.c"
+#include "algorithms/augmented_lagrangian/solve.c"
 #endif
 
-#include "generated/features.c"
+#include "generated/extras.c"

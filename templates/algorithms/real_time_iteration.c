@@ -1,16 +1,16 @@
 /* Component "algorithm". Contract: algorithm_reset, API(prepare), _feedback, _step, _shift, _kkt[if SOLVE:, _solve].
- * Here: real-time iteration, one QP and one full step per sample. What features add to it stands in functions that are
- * named after the feature and the place of the call. */
+ * Here: real-time iteration, one QP and one full step per sample. What else happens stands in functions that are named
+ * after it and the place of the call. */
 
 #include "generated/hooks.c"
 
-#include "algorithms/plan.c"
+#include "algorithms/shared/plan.c"
 
-#include "algorithms/enlarge.c"
+#include "algorithms/shared/enlarge.c"
 
-#include "algorithms/forget_sizes.c"
+#include "algorithms/shared/forget_sizes.c"
 
-#include "algorithms/watch.c"
+#include "algorithms/shared/watch.c"
 
 /* Values of renewal: gradients of the linearisation compared with references, weights and parameters. Weights and
  * parameters act at the next prepare; once one of them has changed, so do further references, as gradients that mix new
@@ -34,13 +34,13 @@ static void algorithm_reset(solver_t *s)
     on_reset(s);
 }
 
-#include "algorithms/linearize.c"
+#include "algorithms/shared/linearize.c"
 
-#include "algorithms/finish.c"
+#include "algorithms/shared/finish.c"
 
-#include "algorithms/violation.c"
+#include "algorithms/real_time_iteration/violation.c"
 
-#include "algorithms/residual.c"
+#include "algorithms/real_time_iteration/residual.c"
 
 static void evaluate_bent(solver_t *s);
 
@@ -136,7 +136,7 @@ static void take_step(solver_t *s)
     }
 }
 
-#include "algorithms/take_state.c"
+#include "algorithms/shared/take_state.c"
 
 /* Solves the QP for dx_0 = xhat - x_0 and the present bounds, and copies its counters to the statistics. */
 static status_t run_qp(solver_t *s)
@@ -164,15 +164,15 @@ static status_t run_sample_qp(solver_t *s)
 }
 
 #if CHECK_STEP
-#include "algorithms/check_step.c"
+#include "algorithms/real_time_iteration/check_step.c"
 #else
-#include "algorithms/check_finite.c"
+#include "algorithms/real_time_iteration/check_finite.c"
 #endif
 
 #if HAS_ADJOINT_STEP
-#include "algorithms/multipliers_by_adjoint.c"
+#include "algorithms/real_time_iteration/multipliers_by_adjoint.c"
 #else
-#include "algorithms/multipliers_of_stages.c"
+#include "algorithms/real_time_iteration/multipliers_of_stages.c"
 #endif
 
 /* The status of a sample; its QP belongs to the plan that was linearised. */
@@ -207,11 +207,11 @@ static status_t feedback_here(solver_t *s)
     return status;
 }
 
-#include "algorithms/feedback.c"
+#include "algorithms/shared/feedback.c"
 
-#include "algorithms/shift.c"
+#include "algorithms/shared/shift.c"
 
-#include "algorithms/kkt.c"
+#include "algorithms/shared/kkt.c"
 
 #if SOLVE
 #include "algorithms/real_time_iteration/trial.c"
@@ -219,4 +219,4 @@ static status_t feedback_here(solver_t *s)
 #include "algorithms/solve.c"
 #endif
 
-#include "generated/features.c"
+#include "generated/extras.c"

@@ -50,4 +50,4 @@ const char *golden_status_string(golden_status_t status);
 #endif
 
 #endif
-/* nmpc_codegen package e1b0d00e6145e153, sha256 6530334cdecdce6d463a57ebfe8d79958042c8e7f32fe31d4215d743bf8e4b56 */
+/* nmpc_codegen package 103157358a0786fd, sha256 7ef69e5e0dfc46afa53af2f4faebf4177f4b9457fed2152b159beb64bc9335a0 */

@@ -13,9 +13,9 @@ from nmpc_codegen.lowering.parts import template_directory
 from verification.rendered import lowered, texts
 from verification.samples import SAMPLES
 
-EXTRAS = ("features/shift.c", "features/curvature.c", "features/repair.c")
+EXTRAS = ("extras/shift.c", "extras/curvature.c", "extras/repair.c")
 PARTS = {path: path.read_text(encoding="utf-8") for path in template_directory().rglob("*.c")}
-FEATURES = sorted(path for path in PARTS if path.parent.name == "features")
+NAMED = sorted(path for path in PARTS if path.parent.name == "extras")
 
 
 def test_a_call_of_a_hook_is_one_for_every_feature_that_defines_it() -> None:
@@ -29,25 +29,25 @@ def test_a_call_of_a_hook_is_one_for_every_feature_that_defines_it() -> None:
 
 
 def test_exactly_one_feature_evaluates_the_plan() -> None:
-    for extras in ((), ("features/plain.c", "features/levels.c")):
-        with pytest.raises(ValueError, match="prepare_plan: expected one feature"):
+    for extras in ((), ("extras/plain.c", "extras/levels.c")):
+        with pytest.raises(ValueError, match="prepare_plan: expected one extra"):
             with_hooks("    status = prepare_plan(s);\n", extras)
 
 
 def test_hooks_that_would_not_run_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     """A name that is spelt wrong, and a hook that the algorithm does not state."""
     with pytest.raises(ValueError, match=r"barrier_rows\.c defines before_solve, follow_terms, place_terms, which the"):
-        check_hooks(["    before_steps(s);"], ["features/barrier_rows.c"])
-    check_hooks(["    before_prepare(s);"], ["features/shift.c"])
+        check_hooks(["    before_steps(s);"], ["extras/barrier_rows.c"])
+    check_hooks(["    before_prepare(s);"], ["extras/shift.c"])
     monkeypatch.setattr(hooks, "read_part", lambda part, generated: "static void late_on_rest(solver_t *s)\n{\n}\n")
     with pytest.raises(ValueError, match=r"late_on_rest\(\): expected a hook, on_reset"):
-        check_hooks([""], ["features/late.c"])
+        check_hooks([""], ["extras/late.c"])
 
 
 @pytest.mark.parametrize("hook", HOOKS)
 def test_every_hook_is_called_and_defined(hook: str) -> None:
     assert any(re.search(rf"^ +(?:status = )?{hook}\(", text, re.MULTILINE) for text in PARTS.values())
-    assert any(re.search(rf"\b{path.stem}_{hook}\(", PARTS[path]) for path in FEATURES)
+    assert any(re.search(rf"\b{path.stem}_{hook}\(", PARTS[path]) for path in NAMED)
 
 
 def test_a_function_of_a_part_is_a_hook_or_called() -> None:
@@ -56,7 +56,7 @@ def test_a_function_of_a_part_is_a_hook_or_called() -> None:
     orphans = []
     for path, text in PARTS.items():
         for name in re.findall(r"^static [\w *]*?\(?\*?\b(\w+)\([^;{]*\)(?:\)\[\w+\])?\n\{", text, re.MULTILINE):
-            hook = path in FEATURES and name.removeprefix(f"{path.stem}_") in HOOKS
+            hook = path in NAMED and name.removeprefix(f"{path.stem}_") in HOOKS
             printed = name.startswith("own_") or path.parent.name in ("lanes", "firmware")
             if not hook and not printed and len(re.findall(rf"\b{name}\b", mentioned)) < 2:
                 orphans.append(f"{path.name}: {name}")

@@ -149,7 +149,7 @@ def follow(page: str, tmp_path: Path) -> tuple[Path, Path]:
 def test_feature_page(tmp_path: Path, compiler: tuple[str, ...]) -> None:
     """A feature of the real-time iteration and an integrator with memory per node, as the page adds them."""
     assert compiler
-    follow("docs/add-a-feature.md", tmp_path)
+    follow("docs/add-an-extra.md", tmp_path)
 
 
 @pytest.mark.slow

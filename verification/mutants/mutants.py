@@ -40,21 +40,21 @@ MUTANTS = (
     ),
     Mutant(
         "a dropped term: terminal rows in the KKT residual",
-        "templates/algorithms/kkt.c",
+        "templates/algorithms/shared/kkt.c",
         "terminal->J[j][i] * END_MULTIPLIERS(s)[j]);",
         "R(0));",
         ("tests/whole/test_solve.py",),
     ),
     Mutant(
         "rounding without a scale: hard rows after a step",
-        "templates/algorithms/check_step.c",
+        "templates/algorithms/real_time_iteration/check_step.c",
         "TOL_ROUNDING * row_magnitude[row_id(m)]",
         "R(0) * row_magnitude[row_id(m)]",
         ("tests/verification/test_at_rest.py",),
     ),
     Mutant(
         "a check that cannot fail: the gradient after a step",
-        "templates/algorithms/check_step.c",
+        "templates/algorithms/real_time_iteration/check_step.c",
         "if (!(over <= *least)) {\n            return 0;",
         "if (!(over <= *least)) {\n            return 1;",
         ("tests/lowering/test_open_loop_growth.py",),
@@ -68,7 +68,7 @@ MUTANTS = (
     ),
     Mutant(
         "a stale multiplier: bounds of controls keep theirs when the plan is shifted",
-        "templates/algorithms/shift_by_one.c",
+        "templates/algorithms/shared/shift_by_one.c",
         "s->mu_u[k][j] = s->mu_u[from][j];",
         "s->mu_u[k][j] = s->mu_u[k][j];",
         ("tests/whole/test_closed_loop.py",),

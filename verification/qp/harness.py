@@ -92,7 +92,9 @@ def unit_head(sizes: Mapping[str, int], precision: str) -> str:
         f"typedef {'float' if precision == 'single' else 'double'} real_t;",
         f"#define {name}({arguments}) {text}",
     ]
-    return "\n".join([*lines, "typedef enum { " + ", ".join(STATUSES) + " } status_t;", part_text("clip.c", sizes)])
+    return "\n".join(
+        [*lines, "typedef enum { " + ", ".join(STATUSES) + " } status_t;", part_text("core/clip.c", sizes)]
+    )
 
 
 def struct_text(struct: Struct) -> str:

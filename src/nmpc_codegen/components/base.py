@@ -104,12 +104,12 @@ class QpShape:
 
 
 #: Names of the hooks of algorithms, with what calls them. A part in C states a hook as a call: ``before_prepare(s);``,
-#: ``status = after_prepare(s, status);``. The generator writes one call for every feature that defines the hook, in the
+#: ``status = after_prepare(s, status);``. The generator writes one call for every extra that defines the hook, in the
 #: order of extras(); a hook that none defines leaves no trace.
 HOOKS = {
     "on_reset": "init() and reset(), after the plan has been set",
     "before_prepare": "prepare(), before anything is evaluated",
-    "prepare_plan": "prepare(): evaluates, condenses and factorises; exactly one feature defines it",
+    "prepare_plan": "prepare(): evaluates, condenses and factorises; exactly one extra defines it",
     "after_prepare": "prepare(), with its status; returns the status",
     "before_sample": "step(), with the measured state",
     "before_qp": "feedback(), before the QP is solved",
@@ -128,8 +128,8 @@ def _nothing(dims: Dims) -> tuple[Struct, ...]:
 
 
 @dataclass(frozen=True)
-class Feature:
-    """A file of C below templates/features/, named after the feature, and the structs that it needs."""
+class Extra:
+    """A file of C below templates/extras/, named after it, and the structs that it needs."""
 
     name: str
     structs: Callable[[Dims], tuple[Struct, ...]] = _nothing
@@ -137,7 +137,7 @@ class Feature:
     @property
     def part(self) -> str:
         """Path of its file below templates/."""
-        return f"features/{self.name}.c"
+        return f"extras/{self.name}.c"
 
 
 class Component(Protocol):
@@ -147,7 +147,7 @@ class Component(Protocol):
     name: ClassVar[str]  # its word on the command line
     template: ClassVar[str]  # path of its part below templates/
     needs: ClassVar[tuple[Seam, ...]]  # other seams that a package with it must have
-    supports: ClassVar[frozenset[str]]  # problem features that it supports
+    supports: ClassVar[frozenset[str]]  # uses of a problem that it supports
 
     def check(self, problem: Problem) -> None:
         """Raise OptionError if its options clash with the problem."""
@@ -157,7 +157,7 @@ class Component(Protocol):
         """The features of a package with it; ``features``: those of the problem and of components before it."""
         ...
 
-    def extras(self, features: Features) -> tuple[Feature, ...]:
+    def extras(self, features: Features) -> tuple[Extra, ...]:
         """What runs at the hooks of the algorithm for it in a package with these features, in this order."""
         ...
 
@@ -390,7 +390,7 @@ class Defaults:
     def adds(self, features: Features) -> Features:
         return features
 
-    def extras(self, features: Features) -> tuple[Feature, ...]:
+    def extras(self, features: Features) -> tuple[Extra, ...]:
         return ()
 
     @property
@@ -458,11 +458,11 @@ def called(component: Component | type[Component]) -> str:
 def refuse_unsupported(
     problem: Problem, components: Iterable[Component], registries: Mapping[str, Mapping[str, type[Component]]]
 ) -> None:
-    """Raise OptionError if the problem uses a feature that a component does not support; name those that do."""
+    """Raise OptionError if the problem uses what a component does not support; name those that do."""
     for component in components:
         missing = sorted(problem.uses - component.supports)
         if missing:
-            named = ", ".join(r.name for r in problem.rows if any(_uses(r, feature) for feature in missing))
+            named = ", ".join(r.name for r in problem.rows if any(_uses(r, use) for use in missing))
             where = f" ({named})" if named else ""
             able = [called(c) for c in registries[component.seam].values() if c.supports.issuperset(missing)]
             offer = f"choose {' or '.join(able)}" if able else f"no {component.seam} of this version does"
@@ -470,5 +470,5 @@ def refuse_unsupported(
             raise OptionError(f"{problem.name} uses {' and '.join(missing)}{where}, {refused}; {offer}")
 
 
-def _uses(row: Row, feature: str) -> bool:
-    return (feature == "soft rows" and row.soft is not None) or (feature == "coupled rows" and row.is_coupled)
+def _uses(row: Row, use: str) -> bool:
+    return (use == "soft rows" and row.soft is not None) or (use == "coupled rows" and row.is_coupled)

@@ -61,7 +61,7 @@ def render(model: DerivativeModel, name: str) -> dict[str, str]:
     known, words = _definitions(model, name), names_in(body)
     used = definitions(known, words)[1]
     printed = {"tables": [t for t in _tables(model) if t.name in used], "values": lambda t: table_values(t, style)}
-    tables = environment().get_template("tables.c.jinja").render(names | printed).strip("\n")
+    tables = environment().get_template("package/tables.c.jinja").render(names | printed).strip("\n")
     members = {member.name for struct in structs(model) for member in struct.members}
     renamed = renamed_words(used | names_in(tables), header, name, members)
     names |= {
@@ -73,7 +73,7 @@ def render(model: DerivativeModel, name: str) -> dict[str, str]:
     files = {
         f"{name}.c": f"{FOLDER}/unit.c.jinja",
         "main.c": f"{FOLDER}/main.c.jinja",
-        "CMakeLists.txt": "CMakeLists.txt.jinja",
+        "CMakeLists.txt": "package/CMakeLists.txt.jinja",
         "README.md": f"{FOLDER}/README.md.jinja",
     }
     sources = {f"{name}.h": header}

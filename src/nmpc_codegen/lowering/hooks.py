@@ -1,4 +1,4 @@
-"""Hooks of an algorithm: a call for every feature that defines the function of a hook; without one, none."""
+"""Hooks of an algorithm: a call for every extra that defines the function of a hook; without one, none."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ from nmpc_codegen.lowering.pruning.tree import Edit, edited, margin, parse
 _CALL = re.compile(rf"(?P<before>(?:\w+ = )?)(?P<hook>{'|'.join(HOOKS)})(?P<arguments>\(.*\);)", re.DOTALL)
 _NAMED = re.compile(rf"\b(?:{'|'.join(HOOKS)})\(")
 
-#: Hooks that exactly one feature defines.
+#: Hooks that exactly one extra defines.
 ALONE = ("prepare_plan",)
 
 
 @cache
 def _hooks(part: str) -> Mapping[str, str]:
-    """Hook -> head of its function, for those that a feature defines."""
-    feature, text = part.rpartition("/")[2].removesuffix(".c"), read_part(part, lambda path: "")
+    """Hook -> head of its function, for those that an extra defines."""
+    extra, text = part.rpartition("/")[2].removesuffix(".c"), read_part(part, lambda path: "")
     found = {}
     for node in parse(text):
         head = text[slice(*node.head)].strip() if node.kind == "function" else ""
         name = signature(head)[0] if head else ""
-        word = name.removeprefix(f"{feature}_")
+        word = name.removeprefix(f"{extra}_")
         if word in HOOKS and word != name:
             found[word] = f"{head};"
         elif word != name and len(re.findall(rf"\b{name}\(", text)) < 2:
@@ -37,7 +37,7 @@ def _hooks(part: str) -> Mapping[str, str]:
 
 
 def check_hooks(texts: Iterable[str], extras: Sequence[str]) -> None:
-    """Raise ValueError if a feature defines a hook that none of these parts states."""
+    """Raise ValueError if an extra defines a hook that none of these parts states."""
     stated = {hook for text in texts for hook in HOOKS if re.search(rf"^ *(?:\w+ = )?{hook}\(", text, re.MULTILINE)}
     for part in extras:
         if missing := sorted(_hooks(part).keys() - stated):
@@ -46,13 +46,17 @@ def check_hooks(texts: Iterable[str], extras: Sequence[str]) -> None:
 
 
 def hook_prototypes(module: CModule, style: CStyle) -> str:
-    """Declarations of the functions that features define for hooks."""
+    """Declarations of the functions that extras define for hooks."""
     heads = [head for part in module.extras for head in _hooks(part).values()]
-    return "/* What features do at the hooks of the algorithm. */\n" + "\n".join(heads) + "\n" if heads else ""
+    return (
+        "/* What else happens in a sample, at the hooks of the algorithm. */\n" + "\n".join(heads) + "\n"
+        if heads
+        else ""
+    )
 
 
-def feature_parts(module: CModule, style: CStyle) -> str:
-    """The files of the features."""
+def extra_parts(module: CModule, style: CStyle) -> str:
+    """The files of the extras."""
     return "\n\n".join(read_part(part, lambda path: "", module.decided).rstrip("\n") for part in module.extras) + "\n"
 
 
@@ -60,7 +64,7 @@ def with_hooks(text: str, extras: Sequence[str]) -> str:
     """The text with the calls of hooks written out.
 
     Raises:
-        ValueError: no feature defines a hook that one has to define, or several do.
+        ValueError: no extra defines a hook that one has to define, or several do.
     """
     pieces = [text] if "#endif" in text else re.split(r"(?<=\n\}\n)", text)
     return "".join(_called(piece, tuple(extras)) if _NAMED.search(piece) else piece for piece in pieces)
@@ -77,7 +81,7 @@ def _called(text: str, extras: tuple[str, ...]) -> str:
             continue
         names = [f"{name}_{call['hook']}" for name, hooks in named.items() if call["hook"] in hooks]
         if call["hook"] in ALONE and len(names) != 1:
-            raise ValueError(f"{call['hook']}: expected one feature that defines it, found {names}")
+            raise ValueError(f"{call['hook']}: expected one extra that defines it, found {names}")
         before = margin(text, node)
         lines = [f"{before}{call['before']}{name}{call['arguments']}\n" for name in names]
         edits.append(Edit(node.start - len(before), node.end + 1, "".join(lines)))

@@ -18,7 +18,7 @@ import jinja2
 from nmpc_codegen.ir.cmodule import CModule, Table
 from nmpc_codegen.ir.printing.c_style import CStyle
 from nmpc_codegen.ir.printing.routines import print_routine
-from nmpc_codegen.lowering.hooks import check_hooks, feature_parts, hook_prototypes, with_hooks
+from nmpc_codegen.lowering.hooks import check_hooks, extra_parts, hook_prototypes, with_hooks
 from nmpc_codegen.lowering.lanes.nodes import GENERATED as IN_LANES
 from nmpc_codegen.lowering.parts import (
     GENERATED,
@@ -81,7 +81,7 @@ GENERATORS: Mapping[str, Callable[[CModule, CStyle], str]] = {
     **GENERATED,
     **IN_LANES,
     "generated/hooks.c": hook_prototypes,
-    "generated/features.c": feature_parts,
+    "generated/extras.c": extra_parts,
 }
 
 #: The functions of the rows, which are written by a template.
@@ -92,10 +92,10 @@ def render(module: CModule) -> Sources:
     """All files of the package, sealed."""
     names = _filled(module)
     files = {
-        f"{module.name}.c": "solver.c.jinja",
-        "main.c": "main.c.jinja",
-        "CMakeLists.txt": "CMakeLists.txt.jinja",
-        "README.md": "README.md.jinja",
+        f"{module.name}.c": "package/solver.c.jinja",
+        "main.c": "package/main.c.jinja",
+        "CMakeLists.txt": "package/CMakeLists.txt.jinja",
+        "README.md": "package/README.md.jinja",
     }
     sources = {f"{module.name}.h": names["header"]}
     names |= (
@@ -111,7 +111,7 @@ def render(module: CModule) -> Sources:
 def _filled(module: CModule) -> dict[str, Any]:
     """The names of the templates, with the header, the body of the unit, its tables and short names."""
     names = _names(module)
-    header = tidy(environment().get_template("solver.h.jinja").render(names))
+    header = tidy(environment().get_template("package/solver.h.jinja").render(names))
     known = all_definitions(module)
     kernels = {routine.name: print_routine(routine, module.style) for routine in module.routines}
     body = render_unit(module, names)
@@ -174,7 +174,7 @@ def render_tables(module: CModule, names: dict[str, Any], known: Sequence[Defini
     """The tables that a body with these identifiers reads, directly or through macros of the preamble."""
     _, used = definitions(known, body)
     tables = [t for t in module.tables if t.name in used and (t.values or module.whole)]
-    return environment().get_template("tables.c.jinja").render(names | {"tables": tables}).rstrip("\n")
+    return environment().get_template("package/tables.c.jinja").render(names | {"tables": tables}).rstrip("\n")
 
 
 def constants_of(module: CModule, known: Sequence[Definition]) -> Constants:
@@ -198,7 +198,7 @@ def render_unit(module: CModule, names: dict[str, Any]) -> str:
 
     def generated(path: str) -> str:
         if path == ROWS:
-            return environment().get_template("rows.c.jinja").render(row_functions(module))
+            return environment().get_template("core/rows.c.jinja").render(row_functions(module))
         return GENERATORS[path](module, module.style)
 
     def part(path: str) -> str:
@@ -208,7 +208,7 @@ def render_unit(module: CModule, names: dict[str, Any]) -> str:
         return with_hooks(text, module.extras).rstrip()
 
     more: dict[str, Any] = {"part": part, "generated": generated}
-    return environment().get_template("unit.c.jinja").render(names | more)
+    return environment().get_template("package/unit.c.jinja").render(names | more)
 
 
 def _guard(name: str, target: Target) -> str:

@@ -1,4 +1,4 @@
-"""Rows of the QP as a table, and what the functions of rows.c.jinja return: a column, or the value that all rows have.
+"""Rows of the QP as a table, and what the functions of core/rows.c.jinja return: a column, or the value of all.
 
 A row has a node, a kind (bound of a state, general row, coupled row), its component of x, h or r, and the row of the
 user to which it belongs. The functions row_node(m), row_index(m), ... of a package read the table; where all rows have
@@ -35,7 +35,7 @@ class RowTable:
 
 
 def row_functions(module: CModule) -> dict[str, Any]:
-    """The names of rows.c.jinja."""
+    """The names of core/rows.c.jinja."""
     entries = {name: [row[i] for row in module.rows] for i, name in enumerate(COLUMNS)}
     kinds = sorted(set(entries["kind"]))
     stored = tuple(name for name, values in entries.items() if len(set(values)) > 1)

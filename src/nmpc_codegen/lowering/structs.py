@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 
-from nmpc_codegen.components.base import Dims, Feature
+from nmpc_codegen.components.base import Dims, Extra
 from nmpc_codegen.components.core import core_structs, structs_of_others
 from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.cmodule import Setting
@@ -80,7 +80,7 @@ def _stated_structs(model: Model, dims: Dims, features: Features) -> list[Struct
     return [*core, *owned, *extra, *structs_of_others(dims)]
 
 
-def extras(model: Model, features: Features) -> tuple[Feature, ...]:
+def extras(model: Model, features: Features) -> tuple[Extra, ...]:
     """What runs at hooks: for the other components, and then for the algorithm."""
     return tuple(feature for component in model.parts.components for feature in component.extras(features))
 

@@ -21,8 +21,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from nmpc_codegen.components.algorithms.features import PATIENCE, watched
-from nmpc_codegen.components.algorithms.features import ROWS as TERMS
+from nmpc_codegen.components.algorithms.extras import PATIENCE, watched
+from nmpc_codegen.components.algorithms.extras import ROWS as TERMS
 from nmpc_codegen.components.algorithms.real_time_iteration import SAMPLE, SOLVE, shift_entry
 from nmpc_codegen.components.algorithms.scales import cost_magnitude, row_sizes, tolerance_table, variable_scales
 from nmpc_codegen.components.algorithms.shifts import (
@@ -35,7 +35,7 @@ from nmpc_codegen.components.algorithms.shifts import (
     with_shift,
 )
 from nmpc_codegen.components.allowed import Number, Whole, Words, check_options, option
-from nmpc_codegen.components.base import Core, Defaults, Dims, Feature, Seam
+from nmpc_codegen.components.base import Core, Defaults, Dims, Extra, Seam
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.cmodule import Table
@@ -180,7 +180,7 @@ class AdjointShooting(Defaults):
             barrier_rows=self.rows == "barrier",
         )
 
-    def extras(self, features: Features) -> tuple[Feature, ...]:
+    def extras(self, features: Features) -> tuple[Extra, ...]:
         """The terms of the rows."""
         has_rows = features.state_rows or features.general_rows or features.has("coupled_rows")
         return (TERMS[self.rows],) if has_rows else ()

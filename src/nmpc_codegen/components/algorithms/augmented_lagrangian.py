@@ -17,7 +17,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from nmpc_codegen.components.algorithms.features import FIRST_SAMPLE, PATIENCE, SHIFT, watched
+from nmpc_codegen.components.algorithms.extras import FIRST_SAMPLE, PATIENCE, SHIFT, watched
 from nmpc_codegen.components.algorithms.real_time_iteration import (
     SAMPLE,
     SAMPLES,
@@ -44,7 +44,7 @@ from nmpc_codegen.components.algorithms.shifts import (
     with_shift,
 )
 from nmpc_codegen.components.allowed import Number, Whole, Words, check_options, option
-from nmpc_codegen.components.base import Core, Defaults, Dims, Feature, Parts, Seam
+from nmpc_codegen.components.base import Core, Defaults, Dims, Extra, Parts, Seam
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.frontend.problem import Array, Problem
 from nmpc_codegen.ir.cmodule import Table
@@ -146,7 +146,7 @@ class AugmentedLagrangian(Defaults):
             with_shift(features.without("initial_hessian"), self.shift), start_is_measured=True, repair=self.repair
         )
 
-    def extras(self, features: Features) -> tuple[Feature, ...]:
+    def extras(self, features: Features) -> tuple[Extra, ...]:
         """A shift before every preparation; the first sample begins at the measured state where plans are repaired."""
         wanted = ((SHIFT, self.shift is not None), (FIRST_SAMPLE, self.repair > 0))
         return tuple(feature for feature, present in wanted if present)

@@ -13,7 +13,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
-import nmpc_codegen.components.algorithms.features as at_hooks
+import nmpc_codegen.components.algorithms.extras as at_hooks
 from nmpc_codegen.components.algorithms.scales import tolerance_table
 from nmpc_codegen.components.algorithms.shifts import (
     SHIFTS,
@@ -26,7 +26,7 @@ from nmpc_codegen.components.algorithms.shifts import (
     with_shift,
 )
 from nmpc_codegen.components.allowed import Flag, Number, Whole, Words, check_options, option
-from nmpc_codegen.components.base import Core, Counts, Defaults, Dims, Feature, Parts, Seam, called
+from nmpc_codegen.components.base import Core, Counts, Defaults, Dims, Extra, Parts, Seam, called
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.cmodule import Table
@@ -256,7 +256,7 @@ class RealTimeIteration(Defaults):
             repair=self.repair,
         )
 
-    def extras(self, features: Features) -> tuple[Feature, ...]:
+    def extras(self, features: Features) -> tuple[Extra, ...]:
         """What the options, and the Hessian and the rows, make of a sample."""
         evaluation = at_hooks.LEVELS if self.leveled else at_hooks.SIMULATE if self.simulate else at_hooks.PLAIN
         failure = at_hooks.RELAXATION if self.relaxation is not None else at_hooks.VIOLATION

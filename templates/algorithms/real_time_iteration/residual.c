@@ -2,7 +2,7 @@
  * gap in the scale of its state. What has changed since the last step (measured state, bounds, references) and the end
  * that a shift adds do not count. */
 
-#include "algorithms/scales.c"
+#include "algorithms/shared/scales.c"
 
 /* Rows count as well, by what they violate beyond what the last step predicted for them.
  * Scale of row m: its finite bounds or, if they are 0, its value, at least 1/1000 of what that was lately; the constant

@@ -3,7 +3,7 @@
 
 #include "generated/rows.c"
 
-#include "clip.c"
+#include "core/clip.c"
 
 static int all_finite(const real_t *v, int n)
 {

@@ -1,12 +1,12 @@
 #if SHIFT_RESAMPLE
-#include "algorithms/shift_resample.c"
+#include "algorithms/shared/shift_resample.c"
 #else
-#include "algorithms/shift_by_one.c"
+#include "algorithms/shared/shift_by_one.c"
 
 #if SHIFT_PERIODIC
-#include "algorithms/shift_periodic.c"
+#include "algorithms/shared/shift_periodic.c"
 #else
-#include "algorithms/shift_repeat.c"
+#include "algorithms/shared/shift_repeat.c"
 #endif
 #endif
 

@@ -15,7 +15,7 @@ static void shift_rows(solver_t *s)
 }
 
 #if SHIFT_RESAMPLE
-#include "algorithms/mean_control.c"
+#include "algorithms/shared/mean_control.c"
 
 /* Evaluates the old plan one sampling time later: x_0 by integration, controls as their mean over the moved intervals,
  * the other states by simulation. Multipliers are kept. */

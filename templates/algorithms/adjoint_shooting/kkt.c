@@ -3,7 +3,7 @@
  * are those of the rows or, as `what` says, their estimates, those of the control bounds follow from the
  * gradient. */
 
-#include "algorithms/kkt_terms.c"
+#include "algorithms/shared/kkt_terms.c"
 
 static void kkt_soft_row(const solver_t *s, int m, real_t value, real_t mu, kkt_t *kkt)
 {

@@ -3,7 +3,7 @@
  * The working set is kept. In place: new node k depends only on old nodes with an index of at least k, which are not
  * overwritten yet, except that the last one depends on node N - 1, which is therefore saved first. */
 
-#include "algorithms/mean_control.c"
+#include "algorithms/shared/mean_control.c"
 
 static void shift_plan(solver_t *s)
 {

@@ -1,7 +1,7 @@
 /* KKT residuals of the present iterate: as they are and, the largest of them all, divided by the scale of what they
  * belong to plus the magnitudes of the terms that are summed up, so that a tolerance means the same in all units. */
 
-#include "algorithms/kkt_terms.c"
+#include "algorithms/shared/kkt_terms.c"
 
 static void kkt_soft_row(const solver_t *s, int m, real_t value, kkt_t *kkt)
 {

@@ -1,4 +1,4 @@
-#include "algorithms/safe_value.c"
+#include "algorithms/shared/safe_value.c"
 
 static void forget_multipliers(solver_t *s)
 {

@@ -62,7 +62,7 @@ static real_t violation_of(const solver_t *s)
     return violation_in(s, variable_scale);
 }
 
-#include "algorithms/scales.c"
+#include "algorithms/shared/scales.c"
 
 /* The residual of the plan: the same in the scales that its states have. */
 static real_t plan_residual(const solver_t *s)

@@ -1,14 +1,14 @@
-"""The features of the algorithms: what runs at their hooks in templates/features/."""
+"""The extras of the algorithms: what runs at their hooks in templates/extras/."""
 
 from __future__ import annotations
 
-from nmpc_codegen.components.base import Dims, Feature
+from nmpc_codegen.components.base import Dims, Extra
 from nmpc_codegen.package.features import Features
 from nmpc_codegen.package.memory import Field, Size, Struct
 
 
 def watched(dims: Dims) -> tuple[Field, ...]:
-    """What the watch on plans counts, templates/algorithms/watch.c."""
+    """What the watch on plans counts, templates/algorithms/shared/watch.c."""
     nodes = Size("N + 1", dims.N.value + 1)
     fresh = "samples in which a first plan may still become a solution"
     moved = "how far the last step of a first plan moved the first control, in its scale"
@@ -86,28 +86,28 @@ def _price(dims: Dims) -> tuple[Struct, ...]:
     return (Struct("solver", "", members),)
 
 
-SHIFT = Feature("shift")
-PLAIN = Feature("plain")
-SIMULATE = Feature("simulate")
-LEVELS = Feature("levels")
-CURVATURE = Feature("curvature")
-GAPS = Feature("gaps", _left)
-REPAIR = Feature("repair")
-ADVANCE = Feature("advance")
-REFERENCES = Feature("references")
-RELAXATION = Feature("relaxation", _price)
-VIOLATION = Feature("violation")
-BENT_ROWS = Feature("bent_rows")
-FIRST_SAMPLE = Feature("first_sample")
-FIRST_CONTROL = Feature("first")
+SHIFT = Extra("shift")
+PLAIN = Extra("plain")
+SIMULATE = Extra("simulate")
+LEVELS = Extra("levels")
+CURVATURE = Extra("curvature")
+GAPS = Extra("gaps", _left)
+REPAIR = Extra("repair")
+ADVANCE = Extra("advance")
+REFERENCES = Extra("references")
+RELAXATION = Extra("relaxation", _price)
+VIOLATION = Extra("violation")
+BENT_ROWS = Extra("bent_rows")
+FIRST_SAMPLE = Extra("first_sample")
+FIRST_CONTROL = Extra("first")
 
 #: Samples after which a failure is not that of one sample alone.
 PATIENCE = 10
 
 #: Rows as terms of single shooting, by the option ``rows``.
 ROWS = {
-    "augmented_lagrangian": Feature("dual_rows"),
-    "smooth_l1": Feature("smooth_rows"),
-    "lumped": Feature("smooth_rows"),
-    "barrier": Feature("barrier_rows"),
+    "augmented_lagrangian": Extra("dual_rows"),
+    "smooth_l1": Extra("smooth_rows"),
+    "lumped": Extra("smooth_rows"),
+    "barrier": Extra("barrier_rows"),
 }

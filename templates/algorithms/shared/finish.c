@@ -8,7 +8,7 @@ static void safe_control(const solver_t *s, real_t *u0)
 }
 
 #if PULLED_ROWS
-#include "algorithms/pull_back.c"
+#include "algorithms/shared/pull_back.c"
 #endif
 
 static status_t finish(solver_t *s, status_t status)
