@@ -172,10 +172,10 @@ static void evaluate_rows(const solver_t *s, real_t *value)
                 continue;
             }
             const int k = row_node(m);
-            if (NH > 0 && k < N && k != last) {
+            if (k < N && k != last) {
                 PATH_ROWS(s, k, h, J);
             }
-            if (NH_N > 0 && k == N && k != last) {
+            if (k == N && k != last) {
                 TERMINAL_ROWS(s, h, J_end);
             }
             last = k;

@@ -21,3 +21,18 @@ static inline real_t least_cost(void)
 {
     return TOL_ZERO * TOL_ZERO * cost_size[0];
 }
+
+/* Raises the units of variables that have more curvature beside the diagonal of Q, a lower triangle of n rows with ld
+ * numbers each, than on it. */
+static void extend_units(const real_t *Q, int ld, int n, real_t *unit)
+{
+    for (int i = 0; i < n; i++) {
+        for (int j = 0; j < i; j++) {
+            const real_t a = FABS(Q[i * ld + j]), both = SQRT(unit[i]) * SQRT(unit[j]);
+            if (a > both) {
+                unit[i] *= a / both;
+                unit[j] *= a / both;
+            }
+        }
+    }
+}

@@ -26,15 +26,7 @@ static void condensed_units(real_t (*H)[LDV], int n, real_t terms, real_t *unit)
         unit[i] = (FABS(H[i][i]) > least) ? FABS(H[i][i]) : least;
         unit[i] = (unit[i] > R(0)) ? unit[i] : R(1);
     }
-    for (int i = 0; i < n; i++) {
-        for (int j = 0; j < i; j++) {
-            const real_t a = FABS(H[i][j]), both = SQRT(unit[i]) * SQRT(unit[j]);
-            if (a > both) {
-                unit[i] *= a / both;
-                unit[j] *= a / both;
-            }
-        }
-    }
+    extend_units(H[0], LDV, n, unit);
 }
 
 /* Replaces H (lower triangle of n rows) by r V f(Lambda) V' r, where r^-1 H r^-1 = V Lambda V' in units r_i^2 of the

@@ -52,7 +52,7 @@
  * padded with zeros. [if NSL > 0: C continues with the square roots of the curvatures of the slacks.]
  * ------------------------------------------------------------------------------------------------------------------ */
 
-#include "core/linear_algebra.c"
+#include "qp/dense_linear_algebra.c"
 
 #include "qp/dense_active_set_factors.c"
 

@@ -37,22 +37,6 @@ static int riccati_units(solver_t *s, real_t *unit)
     return isfinite(probe) != 0;
 }
 
-/* Units of variables that have more curvature beside the diagonal than on it. */
-static void riccati_extend_units(solver_t *s, real_t *unit)
-{
-    for (int k = 0; k < NS; k++) {
-        for (int i = 0; i < NZS; i++) {
-            for (int j = 0; j < i; j++) {
-                const real_t a = FABS(stage_Q(s, k)[i][j]), both = SQRT(unit[i]) * SQRT(unit[j]);
-                if (a > both) {
-                    unit[i] *= a / both;
-                    unit[j] *= a / both;
-                }
-            }
-        }
-    }
-}
-
 #include "hessians/linear_curvature.c"
 
 /* Units are at least the curvature of linear costs. */
@@ -174,7 +158,9 @@ static int riccati_convexify(solver_t *s)
         return 0;
     }
     riccati_raise_units(s, r->unit);
-    riccati_extend_units(s, r->unit);
+    for (int k = 0; k < NS; k++) {
+        extend_units(stage_Q(s, k)[0], NZS, NZS, r->unit);
+    }
     found = riccati_try(s, R(0), FACTOR_SHIFT_SMALL) || riccati_try(s, R(1), R(0)) ||
         riccati_try(s, FACTOR_SHIFT_FIRM_HOLD, R(0)) || riccati_shift(s, FACTOR_SHIFT_FIRM_HOLD);
     if (found) {

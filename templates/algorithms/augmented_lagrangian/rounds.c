@@ -85,7 +85,7 @@ static void linearize_plan(solver_t *s)
     }
     linearize(s);
     hessian(s);
-    if (LAGRANGIAN && far) {
+    if (far) {
         estimate_multipliers(s);
     }
 }

@@ -172,15 +172,7 @@ static void find_units(solver_t *s)
     }
     raise_units(s, c->unit);
     for (int k = 0; k < N; k++) {
-        for (int i = 0; i < NZ; i++) {
-            for (int j = 0; j < i; j++) {
-                const real_t a = FABS(c->Q[k][i][j]), both = SQRT(c->unit[i]) * SQRT(c->unit[j]);
-                if (a > both) {
-                    c->unit[i] *= a / both;
-                    c->unit[j] *= a / both;
-                }
-            }
-        }
+        extend_units(c->Q[k][0], NZ, NZ, c->unit);
     }
 }
 
