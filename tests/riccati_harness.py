@@ -177,7 +177,8 @@ def source(
     text = _in_lines(accessors) + part_text(part, values | shape.switches) + _in_lines(entries)
     stated = {(s.name, f.name) for s in (*_data(shape.dims), *(owned or riccati_structs(shape.dims))) for f in s.fields}
     absent = stated - {(s.name, f.name) for s in structs(shape, owned) for f in s.fields}
-    return "\n".join([*lines, pruned(text, values | shape.switches, precision, absent)])
+    ranges = {name: (min(numbers), max(numbers)) for name, numbers in tables.items() if numbers}
+    return "\n".join([*lines, pruned(text, values | shape.switches, precision, absent, ranges)])
 
 
 def _in_lines(text: str) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, is_dataclass, replace
+from numbers import Real
 from typing import Any, Literal, TypeVar, get_args
 
 import numpy as np
@@ -196,8 +197,9 @@ def _plain(value: Any) -> Any:
         return _plain(value.tolist())
     if isinstance(value, (list, tuple)):
         return [_plain(v) for v in value]
-    finite = isinstance(value, (float, np.floating)) and np.isfinite(value)
-    return float(value) if finite else value if value is None or isinstance(value, (int, str)) else repr(value)
+    if value is None or isinstance(value, (int, str)):
+        return value
+    return float(value) if isinstance(value, Real) and np.isfinite(float(value)) else repr(value)
 
 
 def _or_default(given: C | None, algorithm: Algorithm, seam: Seam, registry: Mapping[str, type[C]]) -> C | None:

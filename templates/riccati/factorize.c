@@ -316,7 +316,7 @@ static int riccati_factorize(solver_t *s, int last)
             return 0;
         }
     }
-    if (TILES) {
+    if (TILES && NF) {
         riccati_mirror(s->riccati.P[0]);
     }
     if (NXS > NX) {

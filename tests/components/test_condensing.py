@@ -233,7 +233,7 @@ def test_multipliers(name: str, spelling: str, seed: int) -> None:
     extra = np.zeros((N + 1, d.nx))
     for m, (k, _, _, row) in enumerate(stated.qp_rows):
         J = p["terminal"]["J"] if k == N and stated.terminal.nh else p["node"]["J"][k % N] if stated.path.nh else None
-        extra[k] += p["mult"][m] * stated.rows[row].value(np.eye(d.nx), None, J, None, k == N)[: d.nx]
+        extra[k] += p["step"]["mult"][m] * stated.rows[row].value(np.eye(d.nx), None, J, None, k == N)[: d.nx]
     dx = (condensed.X0 @ dx0 + condensed.U @ du + condensed.c).reshape(N + 1, d.nx)
     close(p["lam"], multipliers(d, dx, du.reshape(N, d.nu), extra))
 

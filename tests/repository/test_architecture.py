@@ -272,7 +272,7 @@ def test_every_template_of_a_seam_is_used(seam: str) -> None:
     """The template belongs to a component, or is a part named by a template or a component."""
     folder = FOLDERS[seam]
     owned = {cls.template for cls in REGISTRIES[seam].values()}
-    parts = {f"{folder}/{path.name}" for path in (TEMPLATES / folder).iterdir()} - owned
+    parts = {str(path.relative_to(TEMPLATES)) for path in (TEMPLATES / folder).rglob("*.c")} - owned
     users = [*TEMPLATES.rglob("*.c"), *TEMPLATES.rglob("*.jinja")]
     named = "".join(path.read_text(encoding="utf-8") for path in users)
     assert not {part for part in parts if f'"{part}"' not in named}

@@ -11,6 +11,7 @@ import subprocess
 import tempfile
 from collections.abc import Collection, Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -108,10 +109,17 @@ def part_text(path: str, sizes: Mapping[str, int]) -> str:
     return read_part(path, no_generated_part, {**FEATURES.macros, **sizes})
 
 
-def pruned(text: str, sizes: Mapping[str, int], precision: str, absent: Collection[tuple[str, str]] = ()) -> str:
-    """Parts with the functions that call them, without what the sizes exclude; ``absent``: members of no struct."""
+def pruned(
+    text: str,
+    sizes: Mapping[str, int],
+    precision: str,
+    absent: Collection[tuple[str, str]] = (),
+    ranges: Mapping[str, tuple[int, int]] = MappingProxyType({}),
+) -> str:
+    """Parts with the functions that call them, without what the sizes exclude; ``absent``: members of no struct;
+    ``ranges``: least and greatest entries of tables."""
     known = [*((name, None, value) for name, value in arithmetic(precision)), REAL_CONSTANT]
-    constants = Constants({**FEATURES.macros, **sizes}, absent=frozenset(absent))
+    constants = Constants({**FEATURES.macros, **sizes}, dict(ranges), absent=frozenset(absent))
     return pruned_unit(text, {}, known, constants)[0]
 
 

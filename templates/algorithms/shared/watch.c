@@ -19,6 +19,7 @@ static void reset_watch(solver_t *s)
     s->moved = R(0);
 }
 
+#if LAGRANGIAN && HAS_QP
 /* Returns 1 if the step of the QP moves no state or control by more than 1 / 4096 of its largest value, beyond zeros:
  * the plan stands at a solution, and multipliers that change there are not unique (as many active rows as controls). */
 static int stands_still(const solver_t *s)
@@ -60,6 +61,7 @@ static void watch_multipliers(solver_t *s, status_t status)
     memcpy(s->lam_before, s->lam, sizeof s->lam_before);
     s->unsettled = (change > R(0.5) * size && !stands_still(s)) ? s->unsettled + 1 : 0;
 }
+#endif
 
 #if NODES
 /* Gives up as much of the plan as failures on end say. */

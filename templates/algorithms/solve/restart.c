@@ -7,6 +7,7 @@ static void start_search(solver_t *s, int attempts)
         start_at(s, s->xhat);
     }
     memset(&s->sqp, 0, sizeof s->sqp);
+    memset(&s->trial, 0, sizeof s->trial);
     memset(&s->step, 0, sizeof s->step);
     memset(s->row_scale, 0, sizeof s->row_scale);
     s->row_residual = R(0);
