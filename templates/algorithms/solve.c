@@ -90,7 +90,9 @@ static status_t iterate(solver_t *s, real_t tol, int last)
         if (status == OK && runs_away(s)) {
             return STALLED;
         }
-        status = raise_row_weight(s, status);
+        if (HARD_ROWS) {
+            status = raise_row_weight(s, status);
+        }
         if (status != OK) {
             return status;
         }

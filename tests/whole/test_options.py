@@ -8,17 +8,21 @@ from collections.abc import Callable
 from typing import Any
 
 import casadi as ca
+import numpy as np
 import pytest
 
+from examples import crane
 from nmpc_codegen import (
     OCP,
     RK4,
     DenseActiveSet,
     Discrete,
+    EconomicGaussNewton,
     ExactHessian,
     ExplicitRungeKutta,
     FullCondensing,
     GaussNewton,
+    Heun,
     Online,
     OptionError,
     Options,
@@ -27,12 +31,13 @@ from nmpc_codegen import (
     ProblemError,
     Project,
     RealTimeIteration,
+    RiccatiActiveSet,
     RiccatiInteriorPoint,
     build,
     generate,
 )
 from nmpc_codegen.components.base import SEAMS
-from nmpc_codegen.options import REGISTRIES
+from nmpc_codegen.options import REGISTRIES, as_data
 from verification.routes import PURE
 
 
@@ -286,3 +291,30 @@ def test_unsupported_feature(state: Callable[[OCP], None], feature: str) -> None
         assert feature in message
         assert f"{cls.seam} {cls.__name__}() (--set {cls.seam}={cls.name})" in message
     assert generate(ocp, Options(hessian=hessian))
+
+
+def test_options_as_data_have_the_names_of_set_and_survive_json() -> None:
+    """Dotted names; a component has its class, arrays are lists, and what JSON cannot hold is text."""
+    given = Options(ExplicitRungeKutta(Heun, steps=3), EconomicGaussNewton(np.eye(2), np.eye(1)), precision="single")
+    found = as_data(given)
+    assert (found["integrator"], found["integrator.tableau.name"], found["integrator.steps"]) == (
+        "ExplicitRungeKutta",
+        "Heun",
+        3,
+    )
+    assert found["integrator.tableau.a"] == [[0.0, 0.0], [1.0, 0.0]]
+    assert (found["hessian"], found["hessian.M"]) == ("EconomicGaussNewton", [[1.0, 0.0], [0.0, 1.0]])
+    assert (found["qp"], found["precision"], found["algorithm.relaxation"]) == (None, "single", "auto")
+    assert json.loads(json.dumps(found, allow_nan=False)) == found
+    listed = {name for name in found if "." in name and name.split(".")[0] in SEAMS}
+    assert {f"algorithm.{field.name}" for field in dataclasses.fields(RealTimeIteration)} <= listed
+
+
+def test_a_description_says_what_was_chosen() -> None:
+    options = generate(crane.build_ocp(), Options(qp=RiccatiActiveSet())).description.options
+    assert (options["condensing"], options["qp"], options["qp.fallback"]) == (
+        "NoCondensing",
+        "RiccatiActiveSet",
+        "RiccatiInteriorPoint",
+    )
+    assert options["integrator.tableau.name"] == "RK4"

@@ -14,8 +14,3 @@ static real_t gain_of(const solver_t *s)
 {
     return s->sqp.base.violation;
 }
-
-static status_t raise_row_weight(solver_t *s, status_t status)
-{
-    return status;
-}
