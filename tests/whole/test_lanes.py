@@ -27,11 +27,14 @@ from nmpc_codegen import (
     generate,
     open_package,
 )
+from nmpc_codegen.lowering.lanes.nodes import ANGLES, REDUCTION, ROOTS, in_lanes
+from nmpc_codegen.lowering.parts import MATH_IN_LANES, names_in, own_names
 from nmpc_codegen.package.memory import Precision
 from nmpc_codegen.runtime.build import warnings_for
 from nmpc_codegen.runtime.native import native, runs
 from nmpc_codegen.targets import TARGETS
 from verification.lanes import LIMIT, errors
+from verification.rendered import lowered
 from verification.samples import IN_LANES, SAMPLES
 from verification.timed import TIMED, Sample
 
@@ -198,6 +201,15 @@ def test_controllers_with_lanes_are_copied_and_pickled() -> None:
     expected = controller.step(x0)
     np.testing.assert_array_equal(twin.step(x0), expected)
     np.testing.assert_array_equal(restored.step(x0), expected)
+
+
+@pytest.mark.parametrize("name", sorted({*own_names(MATH_IN_LANES), "sqrt"}))
+def test_functions_in_lanes_state_what_they_need(name: str) -> None:
+    """The tables by which lowering chooses parts, against the text of the functions."""
+    module = lowered(SAMPLES[0])
+    words = names_in(in_lanes([name], module.sizes, module.style))
+    assert (REDUCTION in words) == (name in ANGLES)
+    assert ("lanes_sqrt" in words or name == "sqrt") == (name in ROOTS)
 
 
 def test_few_intervals_take_fewer_lanes() -> None:

@@ -23,9 +23,12 @@ from nmpc_codegen.package.signals import Kind
 
 SUFFIX = "_lanes"
 
-
 #: The function that reduces any angle.
 REDUCTION = "lanes_reduce"
+
+#: Functions of math.h that call it, and those that take square roots, in lanes.
+ANGLES = frozenset({"sin", "cos", "tan"})
+ROOTS = frozenset({"sqrt", "acos", "acosh", "asin", "asinh", "hypot"})
 
 #: Fewer stored elements of a row of VECTOR_LANES ones are stored one by one.
 LEAST_IN_BLOCK = 3
@@ -105,13 +108,12 @@ def _lane_features(module: CModule) -> Features:
     if found is None:
         return module.features
     called = called_functions(found.printed)
-    words = names_in(in_lanes(called, module.sizes, module.style))
     return replace(
         module.features,
         lane_nodes=True,
         lane_conditions=has_conditions(found.printed),
-        lane_angles=REDUCTION in words,
-        lane_sqrt="sqrt" in called or "lanes_sqrt" in words,
+        lane_angles=bool(called & ANGLES),
+        lane_sqrt=bool(called & ROOTS),
     )
 
 
