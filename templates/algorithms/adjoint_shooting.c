@@ -142,7 +142,7 @@ static status_t start_sample(solver_t *s)
             return NUMERICAL_FAILURE;
         }
     }
-    if (LUMPED_ROWS) {
+    if (NG > 0 && LUMPED_ROWS) {
         (void)merit(s);
     }
     return OK;

@@ -10,7 +10,7 @@ static void renew_gradients(solver_t *s)
     for (int k = 0; k < N; k++) {
         PATH_GRADIENT(s, k, s->node[k].g);
     }
-    if (HAS_START_GRADIENT) {
+    if (HAS_PATH_GRADIENT && HAS_START_GRADIENT) {
         add_start_gradient(s, s->node[0].g);
     }
     TERMINAL_GRADIENT(s, s->terminal.g);

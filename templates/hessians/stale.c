@@ -37,12 +37,12 @@ static int data_differ(const solver_t *s)
             differ |= tuned_parameter[i] && numbers_differ(&PARAM_N(s)[i], &default_parameter[i], 1);
         }
     }
-    if (SET_WEIGHT) {
+    if (SET_WEIGHT && NY) {
         for (int k = 0; k < N; k++) {
             differ |= numbers_differ(WEIGHT(s, k), default_weight, NW);
         }
     }
-    if (SET_WEIGHT) {
+    if (SET_WEIGHT && NY_N) {
         differ |= numbers_differ(WEIGHT_N(s), default_terminal_weight, NW_N);
     }
     if (SET_BOUNDS) {

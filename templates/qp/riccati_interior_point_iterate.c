@@ -54,7 +54,7 @@ static real_t ipm_cost_unit(const solver_t *s)
 /* sum |a_i| |z_i| of row c, the scale of the rounding error of its value. */
 static real_t ipm_terms(const solver_t *s, int c)
 {
-    if (NG) {
+    if (NG && (GENERAL_ROWS || NE || BLOCK_ROWS)) {
         if (c >= NV && stage_state[c - NV] < 0) {
             const int k = stage_of_row[c - NV];
             const real_t *a = stage_row(s, c - NV);

@@ -50,4 +50,4 @@ const char *golden_status_string(golden_status_t status);
 #endif
 
 #endif
-/* nmpc_codegen package 103157358a0786fd, sha256 7ef69e5e0dfc46afa53af2f4faebf4177f4b9457fed2152b159beb64bc9335a0 */
+/* nmpc_codegen package 1efcd04f36d849ea, sha256 663fe5ad00b346a26d43bc2c98b812344aa1432a5db8ca2084680d6fe98b4f13 */

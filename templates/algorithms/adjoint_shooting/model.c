@@ -45,12 +45,12 @@ static void multiply(solver_t *s)
     real_t change = R(0);
     for (int k = 0; k < N; k++) {
         load_direction(s, k, d);
-        if (LUMPED_ROWS) {
+        if (NG && LUMPED_ROWS) {
             change += lumped_change(s, k, NZ, d);
         }
         INTEGRATOR_FORWARD(s, k, d, d + NX, a->dx[k]);
     }
-    if (LUMPED_ROWS) {
+    if (NG && LUMPED_ROWS) {
         change += lumped_change(s, N, NX, a->dx[N - 1]);
         a->lump_change = penalty_of_rows(s) * change / (a->lump * a->lump);
     }

@@ -85,7 +85,7 @@ static void linearize_plan(solver_t *s)
     }
     linearize(s);
     hessian(s);
-    if (far) {
+    if (LAGRANGIAN && far) {
         estimate_multipliers(s);
     }
 }
