@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, is_dataclass, replace
 from numbers import Real
 from typing import Any, Literal, TypeVar, get_args
-
-import numpy as np
 
 from nmpc_codegen.components import algorithms, condensing, hessians, integrators, qp
 from nmpc_codegen.components.algorithms import RealTimeIteration
@@ -182,7 +181,7 @@ class Options:
 
 def as_data(value: Any, path: str = "") -> dict[str, Any]:
     """Options as (dotted name -> value), as for --set: a component, or another object, has the name of its class, and
-    its own options behind that; arrays are lists."""
+    its own options behind that; matrices are lists."""
     if not is_dataclass(value):
         return {path: _plain(value)}
     found: dict[str, Any] = {path: type(value).__name__} if path else {}
@@ -193,13 +192,11 @@ def as_data(value: Any, path: str = "") -> dict[str, Any]:
 
 def _plain(value: Any) -> Any:
     """A value of an option as JSON has it: the text of what is no number, word, or list of them, or not finite."""
-    if isinstance(value, np.ndarray):
-        return _plain(value.tolist())
     if isinstance(value, (list, tuple)):
         return [_plain(v) for v in value]
     if value is None or isinstance(value, (int, str)):
         return value
-    return float(value) if isinstance(value, Real) and np.isfinite(float(value)) else repr(value)
+    return float(value) if isinstance(value, Real) and math.isfinite(value) else repr(value)
 
 
 def _or_default(given: C | None, algorithm: Algorithm, seam: Seam, registry: Mapping[str, type[C]]) -> C | None:

@@ -175,6 +175,13 @@ static status_t run_sample_qp(solver_t *s)
 #include "algorithms/real_time_iteration/multipliers_of_stages.c"
 #endif
 
+/* The multipliers of the dynamics in the QP become those of the plan. Returns 0 if the gradient with respect to the
+ * controls is known not to vanish. */
+static int recover_multipliers(solver_t *s)
+{
+    return multipliers_of_qp(s, s->lam, 1);
+}
+
 /* The status of a sample; its QP belongs to the plan that was linearised. */
 static status_t judge(solver_t *s, status_t status)
 {
@@ -202,6 +209,9 @@ static status_t feedback_here(solver_t *s)
     take_step(s);
     if (PULLED_ROWS) {
         pull_back(s);
+    }
+    if (LAGRANGIAN && status == RELAXED) { /* its multipliers are those of the penalty, not of a plan */
+        forget_multipliers(s);
     }
     on_success(s, status);
     return status;

@@ -50,4 +50,4 @@ const char *golden_status_string(golden_status_t status);
 #endif
 
 #endif
-/* nmpc_codegen package 1efcd04f36d849ea, sha256 663fe5ad00b346a26d43bc2c98b812344aa1432a5db8ca2084680d6fe98b4f13 */
+/* nmpc_codegen package 06bbc363dfc1431b, sha256 2dc370b361a61c24d099633870c71c07f611556ed0cfba7e0f7f0f33c18f750c */

@@ -225,9 +225,5 @@ def _holds(row: Row, N: int, terminal: bool) -> bool:
 
 
 def _is_point(problem: Problem, kept: tuple[int, ...]) -> bool:
-    fixed = {
-        row.variable(problem.nx)
-        for row in problem.rows
-        if problem.N in row.nodes and row.lower == row.upper and row.soft is None
-    }
+    fixed = {row.variable(problem.nx) for row in problem.rows if problem.N in row.nodes and row.is_equation}
     return set(kept) <= fixed

@@ -5,13 +5,15 @@ from __future__ import annotations
 from dataclasses import replace
 
 from nmpc_codegen.components.hessians import ExactHessian
-from nmpc_codegen.frontend.flat import flat_controls
 from nmpc_codegen.frontend.program import program
 from nmpc_codegen.ir.cmodule import CModule
 from nmpc_codegen.lowering.first_plan import first_plan_warnings
-from nmpc_codegen.lowering.linearize import Model
+from nmpc_codegen.lowering.linearize import Model, no_curvature_in
 from nmpc_codegen.lowering.stability import stability_warning
 from nmpc_codegen.package.program import Program
+
+#: What comes of controls without curvature.
+JUMPS = "so that plans may jump between bounds; a small weight makes the plan unique"
 
 
 def explained(module: CModule, model: Model) -> CModule:
@@ -26,18 +28,9 @@ def warnings(model: Model, found: Program) -> tuple[str, ...]:
     problem, algorithm = model.problem, model.parts.algorithm
     second = bool(model.exact) or isinstance(model.parts.hessian, ExactHessian)
     return (
-        *_flat(model),
+        *((f"{no_curvature_in(model.flat)}, {JUMPS}",) if model.flat else ()),
         *stability_warning(problem, model.parts.integrator),
         *(model.grown.of_simulation(type(algorithm).__name__, problem.N) if algorithm.simulates else ()),
         *first_plan_warnings(problem, found, second),
         *(() if model.choice is None else model.choice.warnings),
     )
-
-
-def _flat(model: Model) -> tuple[str, ...]:
-    """Controls without curvature, if proximal terms make up for it."""
-    if not model.problem.proximal:
-        return ()
-    names = (model.problem.control_names[j] for j in flat_controls(model.problem, model.scales))
-    where = f"the cost has no curvature in {', '.join(names)}"
-    return (f"{where}, so that plans may jump between bounds; a small weight makes the plan unique",)

@@ -48,14 +48,16 @@ from nmpc_codegen.targets import NATIVE, PORTABLE, TARGETS, Target
 class Model(ModelFunctions):
     """The problem, the components that solve it with the reasons for their choice, and every function of the package.
 
-    ``options``: those after all choices have been made. ``choice``: condensing and QP solver with their reasons, if the
-    algorithm has a QP; ``reasons``: those for other parts. ``grown``: growth of the open loop. ``constant_hessian``:
-    the path Hessian block is the same at all nodes.
+    ``options``: those after all choices have been made. ``flat``: controls without curvature, which have
+    proximal terms. ``choice``: condensing and QP solver with their reasons, if the algorithm has a QP; ``reasons``:
+    those for other parts. ``grown``: growth of the open loop. ``constant_hessian``: the path Hessian block is the same
+    at all nodes.
     """
 
     problem: Problem
     parts: Parts
     options: Options
+    flat: tuple[str, ...]
     reasons: tuple[str, ...]
     choice: Choice | None
     grown: Growth
@@ -103,7 +105,7 @@ def linearize(problem: Problem, options: Options | None = None) -> Model:
     options = replace(options, algorithm=algorithm)
     online = options.online
     problem = _with_weights(problem, online)
-    problem, of_flat = _with_proximal(problem, options) if chosen else (problem, ())
+    problem, flat = _with_proximal(problem, options) if chosen else (problem, ())
     integrator, choices = _choose_integrator(problem, options)
     _check(problem, integrator, options.hessian)
     functions = _functions(problem, integrator, options.hessian, options.algorithm)
@@ -127,7 +129,8 @@ def linearize(problem: Problem, options: Options | None = None) -> Model:
         problem=problem,
         parts=parts,
         options=replace(options, **made, math=options.math or target.math),
-        reasons=(*choices, *of_target, *of_flat, *of_hessian, *of_algorithm, *notes),
+        flat=flat,
+        reasons=(*choices, *of_target, *_of_flat(flat), *of_hessian, *of_algorithm, *notes),
         choice=choice,
         grown=grown,
         constant_hessian=constant,
@@ -141,14 +144,21 @@ def _with_weights(problem: Problem, online: Online) -> Problem:
 
 
 def _with_proximal(problem: Problem, options: Options) -> tuple[Problem, tuple[str, ...]]:
-    """The problem with proximal terms for controls without curvature, where samples solve QPs, and why."""
+    """The problem with proximal terms for controls without curvature, where samples solve QPs, and their names."""
     sizes = scales(problem)
     flat = flat_controls(problem, sizes) if "qp" in options.algorithm.needs else ()
     if not flat:
         return problem, ()
-    where = f"the cost has no curvature in {', '.join(problem.control_names[j] for j in flat)}"
-    why = f"proximal terms in the QPs of samples: {where}"
-    return replace(problem, proximal=proximal_terms(problem, sizes)), (why,)
+    return replace(problem, proximal=proximal_terms(problem, sizes)), tuple(problem.control_names[j] for j in flat)
+
+
+def no_curvature_in(flat: tuple[str, ...]) -> str:
+    """What the report and a warning say of controls without curvature."""
+    return f"the cost has no curvature in {', '.join(flat)}"
+
+
+def _of_flat(flat: tuple[str, ...]) -> tuple[str, ...]:
+    return (f"proximal terms in the QPs of samples: {no_curvature_in(flat)}",) if flat else ()
 
 
 def _target_reasons(asked: Options, target: Target) -> tuple[str, ...]:

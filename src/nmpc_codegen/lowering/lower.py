@@ -89,7 +89,7 @@ def lower(model: Model, name: str | None = None, whole: bool = False) -> CModule
         diagonal_weight=problem.path.diagonal_weight,
         scaled_weight=any(problem.path.scale_with_dt),
         diagonal_weight_N=problem.terminal.diagonal_weight,
-        extras=tuple(feature.part for feature in extras(model, features)),
+        extras=tuple(extra.part for extra in extras(model, features)),
         places={name: place for c in model.parts.components for name, place in c.places.items()},
         absent_members=absent_members(model, dims, features, structs),
         absent_kernels=tuple(name for name in KERNELS if not features.has(name)),

@@ -75,14 +75,14 @@ def _after_members(stated: Mapping[str, Struct]) -> list[Struct]:
 def _stated_structs(model: Model, dims: Dims, features: Features) -> list[Struct]:
     """The structs of the core and of the components, with members that this package may lack."""
     core = core_structs(model.parts.algorithm.core, dims)
-    extra = [s for feature in extras(model, features) for s in feature.structs(dims)]
+    more = [s for extra in extras(model, features) for s in extra.structs(dims)]
     owned = (s for c in model.parts.components for s in c.structs(dims))
-    return [*core, *owned, *extra, *structs_of_others(dims)]
+    return [*core, *owned, *more, *structs_of_others(dims)]
 
 
 def extras(model: Model, features: Features) -> tuple[Extra, ...]:
     """What runs at hooks: for the other components, and then for the algorithm."""
-    return tuple(feature for component in model.parts.components for feature in component.extras(features))
+    return tuple(extra for component in model.parts.components for extra in component.extras(features))
 
 
 def absent_members(

@@ -114,7 +114,7 @@ def solve(ctrl: Memory, tol: float | None, max_iterations: int, globalization: G
         )
     run = _Run([])
     status = method(ctrl, run, float(tol), int(max_iterations))
-    parts = {part: _copy(ctrl, part) for part in ("x", "u", *MULTIPLIERS)}
+    parts = {part: np.array(getattr(ctrl, part, ())) for part in ("x", "u", *MULTIPLIERS)}
     return Solution(
         status,
         **parts,
@@ -173,14 +173,6 @@ def _entry(ctrl: Memory, kkt: Kkt, length: float, restoring: bool) -> Iteration:
     active = sum(int(np.count_nonzero(ctrl.member(part))) for part in ("mu_u", "mult"))
     shift = float(ctrl.view("curved.used")) if "curved" in ctrl.description.members("solver") else 0.0
     return Iteration(kkt, length, _count(ctrl, "qp_iterations"), active, restoring, ctrl.cost, shift)
-
-
-def _copy(ctrl: Memory, part: str) -> Array:
-    """A part of the iterate; empty if the algorithm has none of it."""
-    try:
-        return np.array(getattr(ctrl, part))
-    except AttributeError:
-        return np.zeros(0)
 
 
 def _count(ctrl: Memory, name: str) -> int:

@@ -51,9 +51,3 @@ static int multipliers_of_qp(solver_t *s, real_t (*lam)[NX], int checked)
     }
     return held;
 }
-
-/* They become those of the plan. */
-static int recover_multipliers(solver_t *s)
-{
-    return multipliers_of_qp(s, s->lam, 1);
-}

@@ -44,13 +44,10 @@ static int stands_still(const solver_t *s)
 
 /* A Hessian that depends on multipliers which do not converge belongs to no problem, and every QP may be solved all the
  * same: counts the samples in which the lam have changed by more than half their size, node by node, although the plan
- * moves. Multipliers of relaxed rows are those of the penalty, not of a plan. */
-static void watch_multipliers(solver_t *s, status_t status)
+ * moves. */
+static void watch_multipliers(solver_t *s)
 {
     real_t change = R(0), size = R(0);
-    if (status == RELAXED) {
-        forget_multipliers(s);
-    }
     for (int k = 0; k <= N; k++) {
         for (int i = 0; i < NX; i++) {
             enlarge(&change, s->lam[k][i] - s->lam_before[k][i]);
@@ -103,7 +100,7 @@ static void watch(solver_t *s, status_t status, int broken)
     if (status == OK || status == RELAXED || status == NOT_CONVERGED) {
         s->failing = (s->failing >= TWICE) ? -PATIENCE : (s->failing < FINE) ? s->failing + 1 : FINE;
         if (LAGRANGIAN && HAS_QP) {
-            watch_multipliers(s, status);
+            watch_multipliers(s);
         }
         return;
     }
@@ -132,11 +129,11 @@ static void doubt_plan(solver_t *s)
     if (given_up) {
         if (NODES) {
             start_anew(s);
+            if (!HAS_QP) {
+                reset_search(s);
+            }
         } else {
             forget_past(s);
-        }
-        if (NODES && !HAS_QP) {
-            reset_search(s);
         }
         s->unconverged = 0;
         s->unsettled = 0;

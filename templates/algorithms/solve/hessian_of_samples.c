@@ -1,10 +1,12 @@
 /* solve() with the Hessian of the samples, which is convex. */
 
+/* Linearises the present point, and evaluates the Hessian. */
 static void evaluate_iterate(solver_t *s)
 {
     evaluate_here(s);
 }
 
+/* The QP of the present linearisation. */
 static status_t form_qp(solver_t *s)
 {
     return condense_prepare(s);

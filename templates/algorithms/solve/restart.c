@@ -54,11 +54,10 @@ static void start_elsewhere(solver_t *s)
 /* Returns 1 if all multipliers that the first Hessian may read are finite. */
 static int multipliers_are_finite(solver_t *s)
 {
-    int finite = all_finite(s->lam[0], (N + 1) * NX);
-    for (int m = 0; m < NG; m++) {
-        finite &= isfinite(s->mult[m]) != 0;
+    if (NG > 0 && !all_finite(s->mult, NG)) {
+        return 0;
     }
-    return finite;
+    return all_finite(s->lam[0], (N + 1) * NX);
 }
 
 /* Begins with the plan and this state. Returns 0 if the state is not finite. */

@@ -199,7 +199,7 @@ class AdjointShooting(Defaults):
                 f'AdjointShooting(rows="{self.rows}") penalises the hard row {hard[0].name!r}; expected penalty=..., a '
                 "weight that exceeds the multipliers of hard rows in their scales (--set algorithm.penalty=...)"
             )
-        outside = [row for row in rows if row.soft is not None or not row.lower < row.upper]
+        outside = [row for row in rows if row.soft is not None or row.is_equation]
         if self.rows == "barrier" and outside:
             kind = "equation" if outside[0].soft is None else "soft row"
             raise OptionError(

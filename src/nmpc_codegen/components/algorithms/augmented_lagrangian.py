@@ -149,7 +149,7 @@ class AugmentedLagrangian(Defaults):
     def extras(self, features: Features) -> tuple[Extra, ...]:
         """A shift before every preparation; the first sample begins at the measured state where plans are repaired."""
         wanted = ((SHIFT, self.shift is not None), (FIRST_SAMPLE, self.repair > 0))
-        return tuple(feature for feature, present in wanted if present)
+        return tuple(extra for extra, present in wanted if present)
 
     def check(self, problem: Problem) -> None:
         """Raise OptionError for shifts that clash with the grid, and for coupled rows with a free x_0."""

@@ -273,7 +273,7 @@ class RealTimeIteration(Defaults):
             (at_hooks.FIRST_SAMPLE, self.repair > 0),
             (at_hooks.FIRST_CONTROL, self.first_control),
         )
-        return tuple(feature for feature, present in wanted if present)
+        return tuple(extra for extra, present in wanted if present)
 
     def check(self, problem: Problem) -> None:
         """Raise OptionError for a shift that clashes with the grid, and for a first control with a free x_0."""

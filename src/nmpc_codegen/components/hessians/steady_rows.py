@@ -113,7 +113,7 @@ def terminal_state_is_fixed(problem: Problem) -> bool:
     slopes = np.zeros((0, problem.nx)) if J is None else np.asarray(J(problem.x_initial, problem.p_value), dtype=float)
     gradients = []
     for row in problem.rows:
-        if row.soft is not None or row.lower < row.upper or problem.N not in row.nodes:
+        if not row.is_equation or problem.N not in row.nodes:
             continue
         if not row.is_coupled:
             gradients.append(row.value(np.eye(problem.nx), None, slopes, None, at_end=True))
