@@ -281,19 +281,16 @@ def _algorithm(rng: Rng) -> Any:
     time = 0.1 if shift == "resample" else None
     kind = pick(rng, ("rti", "rti", "rti", "rti", "al", "as"))
     if kind == "al":
-        scaling, repair = pick(rng, ("units", "declared")), pick(rng, (0, 1, 3))
-        return AugmentedLagrangian(shift=shift, sampling_time=time, scaling=scaling, repair=repair)
+        repair = pick(rng, (0, 1, 3))
+        return AugmentedLagrangian(shift=shift, sampling_time=time, repair=repair)
     if kind == "as":
         method = pick(rng, ("gauss_newton", "quasi_newton"))
         return AdjointShooting(method=method, shift=shift, sampling_time=time)
-    levels = chance(rng, 0.2)
     return RealTimeIteration(
         shift=shift,
         sampling_time=time,
         relaxation=pick(rng, (None, 100.0)),
-        first_control=chance(rng, 0.15),
-        levels=levels,
-        advance=pick(rng, ("B", "C")) if shift and chance(rng, 0.2) else None,
+        levels=chance(rng, 0.3),
     )
 
 

@@ -307,9 +307,8 @@ SHARED = Online("shared", "shared", "shared", "shared")
 NODE = Online("node", "node", "node", "node", dense_weight=True)
 RESAMPLE = RealTimeIteration(shift="resample", sampling_time=0.05)
 RELAXED = RealTimeIteration(relaxation=100.0)
-FIRST, LEVELS = RealTimeIteration(first_control=True), RealTimeIteration(levels=True)
-BOTH = replace(PURE, first_control=True, levels=True)
-AHEAD = RealTimeIteration(shift="resample", sampling_time=0.05, advance="B", advance_iterations=2)
+LEVELS, PURE_LEVELS = RealTimeIteration(levels=True), replace(PURE, levels=True)
+RESAMPLED = RealTimeIteration(shift="resample", sampling_time=0.05, levels=True)
 REPEAT, PERIODIC = RealTimeIteration(shift="repeat"), RealTimeIteration(shift="periodic")
 STAGES = NoCondensing()
 QUASI_NEWTON: dict[str, Any] = {"method": "quasi_newton"}
@@ -388,7 +387,7 @@ SAMPLES = (
     Sample("controls riccati alone", controls, _alone(RiccatiActiveSet(fallback=None))),
     Sample("controls partial alone", controls, _alone(RiccatiActiveSet(), PartialCondensing(2))),
     Sample("controls interior alone", controls, _alone(RiccatiInteriorPoint())),
-    Sample("states riccati alone", states, _alone(RiccatiActiveSet(fallback=None), algorithm=BOTH)),
+    Sample("states riccati alone", states, _alone(RiccatiActiveSet(fallback=None), algorithm=PURE_LEVELS)),
     Sample("states partial", states, _partial()),
     Sample(
         "states riccati",
@@ -399,14 +398,14 @@ SAMPLES = (
     Sample("path riccati", path, _riccati(hessian=GaussNewton(convex_rows=True), online=NODE)),
     Sample("flat", flat),
     Sample("flat in levels", flat, Options(algorithm=RealTimeIteration(levels=True))),
-    Sample("circle dense", circle, _dense(algorithm=RealTimeIteration(first_control=True))),
+    Sample("circle dense", circle, _dense(algorithm=LEVELS)),
     Sample("path OSQP", path, Options(qp=Osqp(), hessian=ExactHessian(regularization=Mirror(level="stage")))),
     Sample("final dense", final, _dense(hessian=GaussNewton(convex_rows=True), algorithm=REPEAT)),
     Sample("soft states dense", soft_states, _dense()),
-    Sample("soft rows dense", soft_rows, _dense(hessian=ExactHessian(), online=NODE, algorithm=FIRST)),
+    Sample("soft rows dense", soft_rows, _dense(hessian=ExactHessian(), online=NODE, algorithm=LEVELS)),
     Sample("soft rows interior", soft_rows, _interior(hessian=GaussNewton(levenberg_marquardt=0.1))),
     Sample("free riccati", free, _riccati(hessian=ExactHessian())),
-    Sample("everything dense", everything, _dense(hessian=ExactHessian(), algorithm=AHEAD, online=NODE)),
+    Sample("everything dense", everything, _dense(hessian=ExactHessian(), algorithm=RESAMPLED, online=NODE)),
     Sample("everything interior", everything, _interior(hessian=ExactHessian(regularization=Mirror(level="stage")))),
     Sample("everything looped", everything, _interior(integrator=LOOPED, online=FIXED, precision="single")),
     Sample("arrival dense", arrival, _dense(hessian=ExactHessian(), solve=False, algorithm=LEVELS)),
@@ -417,7 +416,7 @@ SAMPLES = (
     Sample("ring dense", ring, _dense(hessian=ExactHessian(), algorithm=RELAXED)),
     Sample("cycle riccati", cycle, _riccati(algorithm=PERIODIC)),
     Sample("ring interior", ring, _interior(hessian=ExactHessian())),
-    Sample("target dense", target, _dense(solve=False, algorithm=BOTH)),
+    Sample("target dense", target, _dense(solve=False, algorithm=PURE_LEVELS)),
     Sample("counted dense", counted, _dense(algorithm=PERIODIC, integrator=ExplicitRungeKutta(RK4, steps=1))),
     Sample("tuned riccati", tuned, _riccati(hessian=EconomicGaussNewton(np.eye(3), np.eye(2)))),
     Sample("tuned dense", tuned, _dense(hessian=EconomicGaussNewton(np.eye(3), np.eye(2)), online=FIXED)),
@@ -426,7 +425,7 @@ SAMPLES = (
     Sample("mixed dense", mixed, _dense(hessian=ExactHessian(regularization=Mirror()))),
     Sample("discrete rows partial", discrete_rows, _partial(hessian=ExactHessian())),
     Sample("quadrotor riccati alone", quadrotor.build_ocp, _alone(RiccatiActiveSet())),
-    Sample("quadrotor partial", quadrotor.build_ocp, _partial(algorithm=FIRST)),
+    Sample("quadrotor partial", quadrotor.build_ocp, _partial(algorithm=LEVELS)),
     Sample("functions dense", functions, _dense(online=SHARED)),
     Sample("functions riccati", functions, _riccati(precision="single")),
     Sample("bare augmented", bare, _augmented(repair=0, online=FIXED, solve=False)),
@@ -459,6 +458,6 @@ IN_LANES = (
     Sample("functions v4", functions, _riccati(precision="single", target="x86-64-v4")),
     Sample("functions aarch64", functions, _dense(math="own", target="aarch64")),
     Sample("free v3", free, _riccati(hessian=ExactHessian(), target="x86-64-v3")),
-    Sample("quadrotor v3", quadrotor.build_ocp, _partial(algorithm=FIRST, target="x86-64-v3")),
+    Sample("quadrotor v3", quadrotor.build_ocp, _partial(algorithm=LEVELS, target="x86-64-v3")),
     Sample("chain5 v4", lambda: chain.build_ocp(5), Options(target="x86-64-v4")),
 )

@@ -167,7 +167,6 @@ def test_what_is_listed_is_taken(capsys: pytest.CaptureFixture[str]) -> None:
         component = owners[0].name if owners and rest else ""
         first = [(seam, component)] if component else []
         first += [("algorithm.sampling_time", "0.1")] if (key, word) == ("algorithm.shift", "resample") else []
-        first += [("algorithm.shift", "repeat")] if key == "algorithm.advance" else []
         assert apply_settings(Options(), [*first, (key, word)]), (key, word)
 
 

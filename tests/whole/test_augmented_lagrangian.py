@@ -513,6 +513,6 @@ def test_what_makes_no_sense_is_refused() -> None:
         generate(samples.cycle(), options())
     with pytest.raises(OptionError, match="sampling_time"):
         AugmentedLagrangian(shift="resample")
-    for wrong in ({"iterations": 0}, {"penalty": 0.0}, {"proximal": -1.0}, {"radius": 0.0}, {"scaling": "none"}):
+    for wrong in ({"iterations": 0}, {"penalty": 0.0}, {"proximal": -1.0}, {"radius": 0.0}):
         with pytest.raises(OptionError):
             AugmentedLagrangian(**wrong)  # type: ignore[arg-type]

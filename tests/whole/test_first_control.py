@@ -12,19 +12,18 @@ import pytest
 from nmpc_codegen import (
     OCP,
     Controller,
-    OptionError,
     Options,
     Osqp,
+    RiccatiActiveSet,
     RiccatiInteriorPoint,
     Status,
     build,
-    export,
+    generate,
 )
 from verification.problems import actuated_pendulum
 from verification.routes import PURE, on
 
-FIRST = replace(PURE, first_control=True)
-ROUTES = {route: on(route, algorithm=FIRST) for route in ("dense", "riccati", "partial")}
+ROUTES = {route: on(route, algorithm=replace(PURE, levels=True)) for route in ("dense", "riccati", "partial")}
 
 
 def problem(rows: str) -> OCP:
@@ -144,14 +143,12 @@ def test_bounds_that_shrink_after_prepare_hold(made: Any) -> None:
     assert np.abs(ctrl.u[:, 0]).max() <= 0.01
 
 
-@pytest.mark.parametrize("qp", [RiccatiInteriorPoint(), Osqp()])
-def test_qp_solvers_without_a_prediction_are_refused(qp: Any, tmp_path: Any) -> None:
-    with pytest.raises(OptionError, match=r"first_control=True.*clashes with qp .*predicts no working set"):
-        export(actuated_pendulum(), replace(Options(), qp=qp, algorithm=FIRST), tmp_path)
-
-
-def test_a_free_initial_state_is_refused(tmp_path: Any) -> None:
+@pytest.mark.parametrize("qp", [RiccatiActiveSet(), RiccatiInteriorPoint(), Osqp()])
+@pytest.mark.parametrize("measured", [True, False])
+def test_it_exists_where_the_qp_solver_predicts_a_working_set(qp: Any, measured: bool) -> None:
+    """And where x_0 is the measured state."""
     ocp = actuated_pendulum()
-    ocp.free_initial("angle")
-    with pytest.raises(OptionError, match=r"first_control=True.*free_initial"):
-        export(ocp, Options(algorithm=FIRST), tmp_path)
+    if not measured:
+        ocp.free_initial("angle")
+    made = generate(ocp, Options(qp=qp, algorithm=replace(PURE, levels=True)))
+    assert ("feedback_first" in made[f"{ocp.name}.h"]) == (measured and isinstance(qp, RiccatiActiveSet))

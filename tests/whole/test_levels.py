@@ -13,13 +13,9 @@ from nmpc_codegen import (
     Controller,
     ControllerError,
     ExactHessian,
-    OptionError,
     Options,
-    RealTimeIteration,
     Status,
     build,
-    generate,
-    worst_case,
 )
 from verification import routes
 from verification.problems import actuated_pendulum
@@ -193,44 +189,9 @@ def test_a_package_without_levels_says_so() -> None:
         ctrl.iterate()
 
 
-def distance(algorithm: RealTimeIteration) -> float:
-    """Largest distance of a control from the optimal one of its sample, once the torque has left its bound."""
-    ctrl, optimal = (build(actuated_pendulum(), Options(algorithm=a), "test") for a in (algorithm, RealTimeIteration()))
-    x, worst = np.array([1.4, 0.0]), 0.0
-    for k in range(12):
-        u = ctrl.step(x)
-        assert ctrl.status is Status.OK
-        if k >= 5:
-            worst = max(worst, float(np.abs(u - optimal.copy().solve(x).u[0]).max()))
-        x = ctrl.integrate(x, u, 0.2)
-    return worst
-
-
-def test_iterations_at_the_predicted_state_bring_the_control_closer() -> None:
-    """By level C; the gradient of level B is no more exact than that of the real-time iteration."""
-    plain = replace(routes.PURE, shift="repeat")
-    alone, feasible, ahead = (distance(a) for a in (plain, replace(plain, advance="B"), replace(plain, advance="C")))
-    further = distance(replace(plain, advance="C", advance_iterations=3))
-    assert alone > 1e-4
-    assert feasible == pytest.approx(alone, rel=0.05)
-    assert ahead < 0.05 * alone
-    assert further < 0.05 * ahead
-
-
-def test_options_that_clash() -> None:
-    with pytest.raises(OptionError, match=r'advance: "C" clashes with shift=None'):
-        RealTimeIteration(shift=None, advance="C")
-    with pytest.raises(OptionError, match="advance_iterations: 2 clashes with advance=None"):
-        RealTimeIteration(advance_iterations=2)
-    with pytest.raises(OptionError, match=r"first_control=True.* clashes with advance"):
-        RealTimeIteration(shift="repeat", advance="C", first_control=True)
-    with pytest.raises(OptionError, match="advance"):
-        RealTimeIteration(shift="repeat", advance="A")
-
-
 def test_the_law_of_the_first_control_belongs_to_level_a() -> None:
     """After other levels feedback_first() is the whole feedback phase."""
-    algorithm = replace(routes.PURE, levels=True, first_control=True)
+    algorithm = replace(routes.PURE, levels=True)
     for route in ("dense", "riccati"):
         ctrl = build(actuated_pendulum(), replace(ROUTES[route], algorithm=algorithm), "test")
         whole = ctrl.copy()
@@ -240,13 +201,3 @@ def test_the_law_of_the_first_control_belongs_to_level_a() -> None:
         np.testing.assert_array_equal(ctrl.feedback_first([0.5, 0.1]), whole.feedback([0.5, 0.1]))
         assert ctrl.feedback_finish() is Status.OK
         np.testing.assert_array_equal(ctrl.x, whole.x)
-
-
-@pytest.mark.parametrize("advance", [None, "B"])
-def test_the_worst_case_contains_the_iterations_in_advance(advance: str | None) -> None:
-    """Iterations of prepare() are part of the worst case of the preparation phase."""
-    algorithm = replace(routes.PURE, shift="repeat", levels=True, advance=advance)
-    worst = worst_case(generate(actuated_pendulum(), replace(ROUTES["riccati"], algorithm=algorithm)))
-    plain = replace(ROUTES["riccati"], algorithm=replace(routes.PURE, shift="repeat"))
-    more = worst["prepare"] / worst_case(generate(actuated_pendulum(), plain))["prepare"]
-    assert (more > 3) if advance else (more < 1.5)

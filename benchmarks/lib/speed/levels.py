@@ -19,7 +19,7 @@ ROUNDS = 5
 def first_control(report: Report, asked: Run) -> None:
     """feedback_first_us: the first part of the feedback phase, which returns the control of the predicted set."""
     for loop in asked.cases(LOOPS):
-        times, target = _timed(with_algorithm(loop, first_control=True), "-DFIRST")
+        times, target = _timed(with_algorithm(loop, levels=True), "-DFIRST")
         report.add("feedback_first_us", times.feedback, "us", case=loop.name, n=times.samples, limit=0.3, target=target)
 
 

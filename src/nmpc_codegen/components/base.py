@@ -302,7 +302,6 @@ class QpSolver(Component, Protocol):
 
     takes: ClassVar[str]  # "condensed" or "stages"
     chosen_for: ClassVar[tuple[str, ...]]  # goals for which qp=None may choose it
-    predicts: ClassVar[bool]  # its preparation yields the law of the first control on the predicted working set
 
     def search(self, dims: Dims) -> OpCount:
         """Estimate of the further operations of a sample whose working set is far from the predicted one."""
@@ -355,7 +354,7 @@ class Algorithm(Component, Protocol):
         """Raise OptionError if it does not work with one of the other components."""
         ...
 
-    def entries(self, solve: bool) -> tuple[EntryPoint, ...]:
+    def entries(self, features: Features) -> tuple[EntryPoint, ...]:
         """The C functions that a sample calls; with ``solve`` also the one that iterates to convergence."""
         ...
 

@@ -312,7 +312,7 @@ def _macros(model: Model, dims: Dims, whole: bool) -> tuple[Macro, ...]:
         absent = (entry for component in parts.components for entry in component.absent_sizes(dims))
         macros += [Macro(*entry) for entry in (*SIZES_OF_OTHERS, *absent)]
     public = {
-        s for e in model.parts.algorithm.entries(model.options.solves) for a in (*e.inputs, *e.outputs) for s in a.shape
+        s for e in model.parts.algorithm.entries(_features(model)) for a in (*e.inputs, *e.outputs) for s in a.shape
     }
     public.update(INTERFACE_SIZES, (f"SIZE_{name}" for name in names))
     found = {macro.name: replace(macro, public=macro.name in public) for macro in reversed(macros)}
@@ -435,7 +435,7 @@ def _description(
         statuses=tuple(Status.__members__),
         shift=model.parts.algorithm.shift,
         sampling_time=sampled(model.parts.algorithm.shift, model.parts.algorithm.sampling_time, p),
-        entry_points=model.parts.algorithm.entries(model.options.solves),
+        entry_points=model.parts.algorithm.entries(_features(model)),
         online=model.options.online.layouts,
         options=as_data(model.options),
         report=report,

@@ -106,7 +106,8 @@ class Controller(Memory):
     def feedback_first(self, xhat: ArrayLike, on_failure: OnFailure = "status") -> Array:
         """Return the control (nu,) for the measured state (nx,) on the predicted working set, before the QP is solved.
 
-        It needs RealTimeIteration(first_control=True). Apply the control, then call feedback_finish().
+        It needs RealTimeIteration(levels=True), an active-set method and a measured x_0. Apply the control, then call
+        feedback_finish().
         """
         self._measure(xhat)
         self._judge(self._call("feedback_first", self._s, self._xhat_c, self._u0_c), "feedback_first", on_failure)

@@ -165,9 +165,9 @@ class AdjointShooting(Defaults):
             reasons.append("repair: 0; a package without solve() or for a microcontroller has none")
         return replace(self, shift=shift, repair=self.repair if repairs else 0), tuple(reasons)
 
-    def entries(self, solve: bool) -> tuple[EntryPoint, ...]:
+    def entries(self, features: Features) -> tuple[EntryPoint, ...]:
         """A sample in one call, the shift of the plan, and the iteration to convergence."""
-        return (STEP, shift_entry(self.shift), *((SOLVE,) if solve else ()))
+        return (STEP, shift_entry(self.shift), *((SOLVE,) if features.solve else ()))
 
     def adds(self, features: Features) -> Features:
         """Kernels of the linearisation and of x_0 are not used; without a Hessian, those of its products neither."""

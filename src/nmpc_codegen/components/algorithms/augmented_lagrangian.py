@@ -15,8 +15,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
-import numpy as np
-
 from nmpc_codegen.components.algorithms.extras import FIRST_SAMPLE, PATIENCE, SHIFT, watched
 from nmpc_codegen.components.algorithms.real_time_iteration import (
     SAMPLE,
@@ -46,7 +44,7 @@ from nmpc_codegen.components.algorithms.shifts import (
 from nmpc_codegen.components.allowed import Number, Whole, Words, check_options, option
 from nmpc_codegen.components.base import Core, Defaults, Dims, Extra, Parts, Seam
 from nmpc_codegen.errors import OptionError
-from nmpc_codegen.frontend.problem import Array, Problem
+from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.cmodule import Table
 from nmpc_codegen.ir.tuning import PANEL
 from nmpc_codegen.package.features import Features
@@ -78,8 +76,8 @@ class AugmentedLagrangian(Defaults):
     not reduce a large violation, up to 100 times its usual value. ``proximal``: weight r of the term r/2 |z - z_c|^2
     that keeps the refinement near the Cauchy point z_c; None: 0.3 times the largest curvature of a stage with a Hessian
     that depends on multipliers, else 0. ``radius``: of the trust region of a new plan; later samples begin with that of
-    the sample before. ``scaling`` of all three: "declared", variables divided by their declared initial value or
-    bounds; "units", variables as they are. Rows are always divided by their declared magnitude.
+    the sample before. Variables are divided by their declared initial value or bounds, rows by their declared
+    magnitude.
 
     ``repair``: rounds, each as much work as a sample, that prepare() may add at the predicted x_0 of a new plan, or
     after a sample that failed or was NOT_CONVERGED; 0: none. A sample is NOT_CONVERGED if stats.residual, its largest
@@ -93,7 +91,6 @@ class AugmentedLagrangian(Defaults):
     penalty: float | None = option(None, Number(optional=True))
     proximal: float | None = option(None, Number(closed=True, optional=True))
     radius: float = option(10.0, Number())
-    scaling: str = option("declared", Words(("declared", "units")))
     repair: int = option(3, Whole(most=100, least=0))
     tolerance: float = option(0.1, Number())
     shift: str | None = option("auto", Words(("auto", *SHIFTS)))
@@ -137,9 +134,9 @@ class AugmentedLagrangian(Defaults):
                 "GaussNewton() (--set hessian=gauss_newton)"
             )
 
-    def entries(self, solve: bool) -> tuple[EntryPoint, ...]:
+    def entries(self, features: Features) -> tuple[EntryPoint, ...]:
         """The two phases of a sample, both in one call, the shift of the plan, and the iteration to convergence."""
-        return (PREPARE, *SAMPLE, shift_entry(self.shift), *((SOLVE,) if solve else ()))
+        return (PREPARE, *SAMPLE, shift_entry(self.shift), *((SOLVE,) if features.solve else ()))
 
     def adds(self, features: Features) -> Features:
         return replace(
@@ -162,7 +159,7 @@ class AugmentedLagrangian(Defaults):
             )
 
     def tables(self, problem: Problem) -> tuple[Table, ...]:
-        declared, scale = variable_scales(problem), self._scales(problem)
+        scale = variable_scales(problem)
         weight, padding = 1.0 / scale**2, (0.0,) * (-scale.size % PANEL)
         initial = [0.0 if i in problem.free_initial else w for i, w in enumerate(weight[: problem.nx])]
         rows = problem.qp_rows
@@ -183,22 +180,17 @@ class AugmentedLagrangian(Defaults):
             Table("variable_scale", "real", (*scale, *padding), "scales of (x, u), with padding"),
             Table("variable_weight", "real", (*weight, *padding), "1 / scale^2, with padding"),
             Table("initial_weight", "real", tuple(initial), "the same of x_0[if NF > 0:, 0 for free components]"),
-            Table("row_weight", "real", tuple(1.0 / row_scales(problem, declared) ** 2), "1 / scale^2 of row m"),
-            Table("row_size", "real", tuple(row_sizes(problem, declared)), "what a violation of row m is measured in"),
+            Table("row_weight", "real", tuple(1.0 / row_scales(problem, scale) ** 2), "1 / scale^2 of row m"),
+            Table("row_size", "real", tuple(row_sizes(problem, scale)), "what a violation of row m is measured in"),
             Table("row_bends", "int", bends, "1: soft row or linear one, whose term changes along a step"),
             Table("row_relaxed", "int", relaxed, "1: hard row that is relaxed, 2: soft row, 0: bound that is kept"),
             *resample_tables(self.shift, self.sampling_time, problem),
         )
 
-    def _scales(self, problem: Problem) -> Array:
-        """Of (x, u)."""
-        declared = variable_scales(problem)
-        return declared if self.scaling == "declared" else np.ones_like(declared)
-
     def _penalty(self, problem: Problem) -> float:
         if self.penalty is not None:
             return float(self.penalty)
-        return PENALTY * cost_magnitude(problem, self._scales(problem))
+        return PENALTY * cost_magnitude(problem, variable_scales(problem))
 
     def decided(self, problem: Problem, repairs: bool) -> tuple[AugmentedLagrangian, tuple[str, ...]]:
         """The shift that "auto" stands for."""

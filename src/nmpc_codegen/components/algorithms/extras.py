@@ -93,13 +93,12 @@ LEVELS = Extra("levels")
 CURVATURE = Extra("curvature")
 GAPS = Extra("gaps", _left)
 REPAIR = Extra("repair")
-ADVANCE = Extra("advance")
 REFERENCES = Extra("references")
 RELAXATION = Extra("relaxation", _price)
 VIOLATION = Extra("violation")
 BENT_ROWS = Extra("bent_rows")
 FIRST_SAMPLE = Extra("first_sample")
-FIRST_CONTROL = Extra("first")
+FIRST_CONTROL = Extra("first", law)
 
 #: Samples after which a failure is not that of one sample alone.
 PATIENCE = 10

@@ -26,7 +26,7 @@ from nmpc_codegen.components.algorithms.shifts import (
     with_shift,
 )
 from nmpc_codegen.components.allowed import Flag, Number, Whole, Words, check_options, option
-from nmpc_codegen.components.base import Core, Counts, Defaults, Dims, Extra, Parts, Seam, called
+from nmpc_codegen.components.base import Core, Counts, Defaults, Dims, Extra, Seam
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.cmodule import Table
@@ -98,8 +98,6 @@ LEVELS = (
         (_LEVEL,),
     ),
 )
-_WITH_FIRST = "RealTimeIteration(first_control=True) (--set algorithm.first_control=True)"
-
 _LEVEL_SIZES = (
     ("LEVEL_A", 0, "level of an iteration: everything is evaluated"),
     ("LEVEL_B", 1, "derivatives of dynamics and rows are kept"),
@@ -155,12 +153,10 @@ class RealTimeIteration(Defaults):
     counts in stats.residual. A simulation that is not finite leaves the plan as it is. There is no repair, and solve()
     is that of multiple shooting.
 
-    ``first_control``: splits the feedback phase. feedback_first() returns the control of the minimiser on the predicted
-    working set, clipped to its bounds, by one product with a matrix; feedback_finish() solves the QP.
-
     ``levels``: adds prepare_level() and iterate(), which keep derivatives and factors and evaluate part of the rest.
-    ``advance``: level, "B" or "C", of the ``advance_iterations`` iterations that prepare() itself runs at the predicted
-    state, after a linearisation there; it needs a shift, which predicts the state.
+    Where the QP solver has a working set, DenseActiveSet() and RiccatiActiveSet(), and x_0 is the measured state, the
+    feedback phase is split as well: feedback_first() returns the control of the minimiser on the predicted working set,
+    clipped to its bounds, by one product with a matrix; feedback_finish() solves the QP.
 
     Levels: Bock et al., in Assessment and Future Directions of NMPC (2007), multi-level iterations; Nurkanovic et al.,
     CDC 2019, advanced step real-time iteration. There, D is the level that evaluates everything; here it is A.
@@ -172,10 +168,7 @@ class RealTimeIteration(Defaults):
     tolerance: float = option(0.1, Number())
     relaxation: float | str | None = option("auto", Number(optional=True, word="auto"))
     simulate: bool = option(False, Flag())
-    first_control: bool = option(False, Flag())
     levels: bool = option(False, Flag())
-    advance: str | None = option(None, Words((None, "B", "C")))
-    advance_iterations: int = option(1, Whole(most=100))
 
     seam: ClassVar[Seam] = "algorithm"
     name: ClassVar[str] = "real_time_iteration"
@@ -189,24 +182,10 @@ class RealTimeIteration(Defaults):
     def __post_init__(self) -> None:
         check_options(self, self.seam)
         check_sampling_time("RealTimeIteration", self.shift, self.sampling_time)
-        if self.advance is not None and self.shift is None:
-            raise OptionError(
-                f'RealTimeIteration.advance: "{self.advance}" clashes with shift=None, which predicts no state; '
-                'expected shift="repeat", "periodic" or "resample" (--set algorithm.shift=repeat)'
-            )
-        if self.simulate and self.leveled:
+        if self.simulate and self.levels:
             raise OptionError(
                 "RealTimeIteration.simulate: True clashes with levels, which keep the derivatives of a plan that a "
-                "simulation leaves; expected levels=False and advance=None (--set algorithm.simulate=False)"
-            )
-        if self.advance is not None and self.first_control:
-            raise OptionError(
-                f"{_WITH_FIRST} clashes with advance: its law belongs to a new linearisation; expected advance=None"
-            )
-        if self.advance is None and self.advance_iterations != 1:
-            raise OptionError(
-                f"RealTimeIteration.advance_iterations: {self.advance_iterations} clashes with advance=None; expected "
-                'advance="B" or "C" (--set algorithm.advance=C)'
+                "simulation leaves; expected levels=False (--set algorithm.simulate=False)"
             )
 
     def decided(self, problem: Problem, repairs: bool) -> tuple[RealTimeIteration, tuple[str, ...]]:
@@ -225,16 +204,11 @@ class RealTimeIteration(Defaults):
         """Gauss-Newton; the compiler chooses integrator, condensing and QP solver for the problem."""
         return "gauss_newton" if seam == "hessian" else None
 
-    def entries(self, solve: bool) -> tuple[EntryPoint, ...]:
+    def entries(self, features: Features) -> tuple[EntryPoint, ...]:
         """The two phases of a sample, both in one call, the shift of the plan, and the iteration to convergence."""
-        optional = (*(FIRST if self.first_control else ()), *(LEVELS if self.leveled else ()))
+        optional = (*(FIRST if features.first else ()), *(LEVELS if features.levels else ()))
         prepare = _prepare(self.shift is not None, self.repair > 0)
-        return (prepare, *SAMPLE, shift_entry(self.shift), *optional, *((SOLVE,) if solve else ()))
-
-    @property
-    def leveled(self) -> bool:
-        """True if the package has levels of an iteration."""
-        return self.levels or self.advance is not None
+        return (prepare, *SAMPLE, shift_entry(self.shift), *optional, *((SOLVE,) if features.solve else ()))
 
     @property
     def simulates(self) -> bool:
@@ -244,21 +218,21 @@ class RealTimeIteration(Defaults):
     @property
     def pulls_back(self) -> bool:
         """Level C needs the adjoint of an interval."""
-        return self.leveled
+        return self.levels
 
     def adds(self, features: Features) -> Features:
         """How shift() moves the plan (all 0: by one interval); whether hard rows are relaxed."""
         return replace(
             with_shift(features, self.shift),
             relax=self.relaxation is not None,
-            first=self.first_control,
-            levels=self.leveled,
+            first=features.first and self.levels and features.all_measured,
+            levels=self.levels,
             repair=self.repair,
         )
 
     def extras(self, features: Features) -> tuple[Extra, ...]:
         """What the options, and the Hessian and the rows, make of a sample."""
-        evaluation = at_hooks.LEVELS if self.leveled else at_hooks.SIMULATE if self.simulate else at_hooks.PLAIN
+        evaluation = at_hooks.LEVELS if self.levels else at_hooks.SIMULATE if self.simulate else at_hooks.PLAIN
         failure = at_hooks.RELAXATION if self.relaxation is not None else at_hooks.VIOLATION
         wanted = (
             (at_hooks.SHIFT, self.shift is not None),
@@ -266,31 +240,17 @@ class RealTimeIteration(Defaults):
             (at_hooks.CURVATURE, features.row_curvature),
             (at_hooks.REPAIR, self.repair > 0),
             (evaluation, True),
-            (at_hooks.ADVANCE, self.advance is not None),
             (at_hooks.REFERENCES, features.set_reference),
             (failure, features.hard_rows),
             (at_hooks.BENT_ROWS, features.nonlinear_rows),
             (at_hooks.FIRST_SAMPLE, self.repair > 0),
-            (at_hooks.FIRST_CONTROL, self.first_control),
+            (at_hooks.FIRST_CONTROL, features.first),
         )
         return tuple(extra for extra, present in wanted if present)
 
     def check(self, problem: Problem) -> None:
-        """Raise OptionError for a shift that clashes with the grid, and for a first control with a free x_0."""
+        """Raise OptionError for a shift that clashes with the grid."""
         check_shift("RealTimeIteration", self.shift, self.sampling_time, problem)
-        if self.first_control and problem.free_initial:
-            raise OptionError(
-                f"{_WITH_FIRST} clashes with free_initial(): a control that depends on components of x_0 which are not "
-                "measured has no law before the QP is solved"
-            )
-
-    def check_parts(self, parts: Parts) -> None:
-        """Raise OptionError if the QP solver has no working set that yields the first control."""
-        if self.first_control and parts.qp is not None and not parts.qp.predicts:
-            raise OptionError(
-                f"{_WITH_FIRST} clashes with qp {called(parts.qp)}, which predicts no working set; expected "
-                "DenseActiveSet() or RiccatiActiveSet()"
-            )
 
     def tables(self, problem: Problem) -> tuple[Table, ...]:
         """Flags of accumulators and measured components of x_0, the relaxation, node times for shift="resample"."""
@@ -324,13 +284,8 @@ class RealTimeIteration(Defaults):
         return resample_reach(self.shift, self.sampling_time, problem)
 
     def sizes(self, dims: Dims) -> tuple[tuple[str, int, str], ...]:
-        ahead = (
-            ("ADVANCE_LEVEL", {"B": 1, "C": 2}.get(self.advance or "", 0), "level of the iterations of prepare"),
-            ("ADVANCE", self.advance_iterations, "their number"),
-        )
         return (
-            *(_LEVEL_SIZES if self.leveled else ()),
-            *(ahead if self.advance is not None else ()),
+            *(_LEVEL_SIZES if self.levels else ()),
             *(_repairs(self.repair) if self.repair else ()),
             ("PATIENCE", at_hooks.PATIENCE, "samples after which a failure is not that of one sample alone"),
             ("SHIFT", int(self.shift is not None), "1: step() moves the plan before preparing"),
@@ -367,8 +322,7 @@ class RealTimeIteration(Defaults):
             _curved(dims),
             _trial(dims),
             _search(dims),
-            *stated(self.leveled, *at_hooks.kept(dims)),
-            *stated(self.first_control, *at_hooks.law(dims)),
+            *stated(self.levels, *at_hooks.kept(dims)),
             Struct("solver", "", (*keep, *results)),
         )
 

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, ClassVar
 
 from nmpc_codegen.components.allowed import Whole, check_options, option
 from nmpc_codegen.components.base import Defaults, Seam
+from nmpc_codegen.package.features import Features
 from nmpc_codegen.package.memory import Field, Size, Struct
 from nmpc_codegen.package.opcount import OpCount
 
@@ -48,7 +49,6 @@ class DenseActiveSet(Defaults):
     needs: ClassVar[tuple[Seam, ...]] = ()
     takes: ClassVar[str] = "condensed"
     chosen_for: ClassVar[tuple[str, ...]] = ("speed", "size")
-    predicts: ClassVar[bool] = True
     supports: ClassVar[frozenset[str]] = frozenset(
         {"general cost", "integrated cost", "accumulators", "free initial state", "soft rows", "coupled rows"}
     )
@@ -57,6 +57,10 @@ class DenseActiveSet(Defaults):
 
     def __post_init__(self) -> None:
         check_options(self, self.seam)
+
+    def adds(self, features: Features) -> Features:
+        """It predicts a working set."""
+        return replace(features, first=True)
 
     def _cap(self, dims: Dims) -> int:
         needed = math.ceil(CAUTION * ITERATIONS_NEEDED * (dims.qp.nv.value + dims.ng.value))

@@ -94,7 +94,6 @@ class RiccatiActiveSet(Defaults):
     needs: ClassVar[tuple[Seam, ...]] = ("condensing",)
     takes: ClassVar[str] = "stages"
     chosen_for: ClassVar[tuple[str, ...]] = ("speed",)
-    predicts: ClassVar[bool] = True
     supports: ClassVar[frozenset[str]] = frozenset(
         {"general cost", "integrated cost", "accumulators", "free initial state", "soft rows", "coupled rows"}
     )
@@ -106,8 +105,8 @@ class RiccatiActiveSet(Defaults):
         check_options(self, self.seam)
 
     def adds(self, features: Features) -> Features:
-        """Whether the fall-back is in the package."""
-        return replace(features, interior_point=self.fallback is not None)
+        """It predicts a working set; whether the fall-back is in the package."""
+        return replace(features, first=True, interior_point=self.fallback is not None)
 
     @property
     def _cap(self) -> int:
