@@ -140,8 +140,6 @@ FLAGS = {
     "--name": ("", "3d", "int", "a" * 10000, "a\nb", "../x", "a\0b"),
     "--plot": ("x.docx", "/dev/null/x.png", ".png", "a\0.png"),
     "--simulate": ("0", "1e3", "9" * 5000),
-    "--precision": VALUES[:3],
-    "--hessian": VALUES,
 }
 
 

@@ -22,7 +22,7 @@ from nmpc_codegen.targets import TARGETS
 PROBLEM = str(Path(__file__).parents[2] / "examples" / "crane.py")
 
 
-COMMAND = [PROBLEM, "--precision", "single", "--set", "solve=False"]
+COMMAND = [PROBLEM, "--set", "precision=single", "--set", "solve=False"]
 #: Files that name the optimisation level.
 OF_LEVEL = ("CMakeLists.txt", "README.md")
 TARGET = ["--target", "cortex-m4f", "--level", "Os", "--verify", "--max-ram", "6500"]

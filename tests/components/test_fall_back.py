@@ -10,7 +10,7 @@ import pytest
 
 from examples import crane, quadrotor
 from nmpc_codegen import OCP, NoCondensing, Options, RiccatiActiveSet, RiccatiInteriorPoint, Status, build
-from nmpc_codegen.cli.settings import apply_setting
+from nmpc_codegen.cli.settings import apply_settings
 from nmpc_codegen.lowering.render import render
 from verification.c_harness import module_of
 from verification.models import problem_of
@@ -26,7 +26,7 @@ def test_without_fall_back_the_interior_point_method_is_not_in_the_package() -> 
     assert "ipm" not in {s.name for s in without.structs}
     assert without.bytes < with_it.bytes
     assert "ipm" not in render(without)[f"{without.name}.c"]
-    assert apply_setting(Options(), "qp.fallback", "None").qp == RiccatiActiveSet(fallback=None)
+    assert apply_settings(Options(), [("qp.fallback", "None")]).qp == RiccatiActiveSet(fallback=None)
 
 
 @pytest.mark.parametrize("cap", [1, 4, None])

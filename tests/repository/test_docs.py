@@ -159,7 +159,7 @@ def test_component_page(tmp_path: Path, compiler: tuple[str, ...]) -> None:
     search = follow("docs/add-a-component.md", tmp_path)
     options = run([sys.executable, "-m", "nmpc_codegen.cli", "--list-options"], tmp_path, search)
     assert "hessian=scaled_identity" in options
-    export = ["examples/crane.py", "-o", "crane", "--hessian", "scaled_identity", "--set", "hessian.scale=2"]
+    export = ["examples/crane.py", "-o", "crane", "--set", "hessian=scaled_identity", "--set", "hessian.scale=2"]
     assert "hessian.scale" in options
     run([sys.executable, "-m", "nmpc_codegen.cli", *export], tmp_path, search)
     assert "Q = scale I" in (tmp_path / "crane" / "crane.c").read_text(encoding="utf-8")

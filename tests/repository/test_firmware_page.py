@@ -43,7 +43,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         for block in blocks(document):
             if block.file:
                 (place / block.file).write_text(block.text, encoding="utf-8")
-    command = [str(place / "cart.py"), "-o", str(place / "cart"), "--precision", "single", "--set", "solve=False"]
+    command = [str(place / "cart.py"), "-o", str(place / "cart"), "--set", "precision=single", "--set", "solve=False"]
     assert main([*command, "--target", "cortex-m4f", "--level", "Os"]) == 0
     return place
 

@@ -63,6 +63,8 @@ def check(ocp: OCP, options: Options, folder: Path, name: str, printer: Printer)
     solved = solution.status.name in ("OK", "STALLED")
     passed = solved and reference.success and all(errors[key] <= limits[key] for key in limits)
     _print_check(printer, solution, reference, errors, limits, passed)
+    if not passed:
+        printer.line(controller.diagnose(), style="yellow")
     return passed
 
 
@@ -112,23 +114,4 @@ def _print_check(
     printer.line(f"generated code: {ours}, cost {solution.cost:.10g}")
     theirs = f"{reference.status}, {reference.iterations} iterations"
     printer.line(f"IPOPT: {theirs}, cost {reference.cost:.10g}")
-    for hint in _hints(solution, reference):
-        printer.line(hint, style="yellow")
     printer.line("check passed" if passed else "check FAILED", style="green" if passed else "red")
-
-
-def _hints(solution: Solution, reference: Any) -> list[str]:
-    """Advice on outcomes that the table of errors does not explain."""
-    hints = []
-    if solution.status.name == "NUMERICAL_FAILURE" and reference.success:
-        hints.append(
-            "the condensed Hessian may not be positive definite: weight every control, "
-            "or use --set hessian.levenberg_marquardt=1e-8"
-        )
-    if solution.status.name == "OK" and solution.iterations == 0:
-        hints.append("the declared initial state is optimal already, so little was checked: declare another initial=")
-    if solution.status.name == "INFEASIBLE" and not reference.success:
-        hints.append(
-            "both solvers find the problem infeasible from the declared initial state: check initial= and the rows"
-        )
-    return hints

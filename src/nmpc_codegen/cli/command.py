@@ -119,8 +119,7 @@ def _problem(arguments: argparse.Namespace, printer: Printer) -> tuple[OCP, Opti
 
     with undisturbed(printer, arguments.problem, arguments.verbose), np.errstate():
         ocp, options = load_problem(Path(arguments.problem))
-    words = [(flag, getattr(arguments, flag)) for flag in ("hessian", "qp", "precision", "math", "goal", "target")]
-    settings = [(key, text) for key, text in words if text is not None]
+    settings = [] if arguments.target is None else [("target", arguments.target)]
     for setting in arguments.settings:
         key, _, text = setting.partition("=")
         settings.append((key.strip(), text.strip()))

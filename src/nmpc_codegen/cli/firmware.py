@@ -75,7 +75,7 @@ class Firmware:
 
 
 def _print_forms(printer: Printer, forms: tuple[Form, ...]) -> None:
-    table = Table("--goal", "level", "solver struct", "code and constants", "stack")
+    table = Table("goal", "level", "solver struct", "code and constants", "stack")
     for column in table.columns[2:]:
         column.justify = "right"
     for f in forms:

@@ -56,14 +56,9 @@ def apply_settings(options: Options, settings: Sequence[tuple[str, str]]) -> Opt
         node = root
         for name in key.split("."):
             node = node.inside.setdefault(name.strip(), Change())
-        node.given, node.value, node.inside = True, parsed(text), {}
+        node.given, node.value = True, parsed(text)
     changed: Options = _changed(options, root, "")
     return changed
-
-
-def apply_setting(options: Options, key: str, text: str) -> Options:
-    """``options`` with one dotted field replaced, see apply_settings()."""
-    return apply_settings(options, [(key, text)])
 
 
 def _changed(part: Any, change: Change, where: str) -> Any:

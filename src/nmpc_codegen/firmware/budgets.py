@@ -98,7 +98,7 @@ def _common_advice(description: PackageDescription) -> Iterator[str]:
     if description.offers("solve"):
         yield "--set solve=False, which leaves out solve()"
     if description.precision == "double":
-        yield "--precision single"
+        yield "--set precision=single"
 
 
 def _ram_advice(description: PackageDescription, limit: int) -> Iterator[str]:

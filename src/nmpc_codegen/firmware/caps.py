@@ -119,7 +119,7 @@ def _refusal(ocp: OCP, options: Options, parts: Parts, limit: int, least: int, n
         if least <= limit:
             return f"{what}; try {' '.join(flags)}"
     with_flags = f"; {least:,} with {' '.join(flags)}" if flags else ""
-    return f"{what}{with_flags}; try fewer intervals, fewer rows or another --qp"
+    return f"{what}{with_flags}; try fewer intervals, fewer rows or another qp"
 
 
 def _remedied(options: Options, parts: Parts) -> Iterator[tuple[str, Options]]:

@@ -140,7 +140,7 @@ def _with_members_apart(module: CModule) -> CModule:
 def _check_math(model: Model, foreign: list[str]) -> None:
     """Raise OptionError if the package needs functions of math.h that have no text of their own."""
     default = f", the default of the target {model.target.name}," if model.target.math == "own" else ""
-    clash = f'math="own"{default} (--math own) clashes with'
+    clash = f'math="own"{default} (--set math=own) clashes with'
     if foreign:
         raise OptionError(
             f'{clash} {foreign[0]}, whose foreign code calls the C library; choose another one, or math="libm"'
