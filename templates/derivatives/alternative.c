@@ -20,13 +20,7 @@ status_t API(sensitivities_alternative)(const data_t *d, int k, response_t *s)
     if (!data_finite(d)) {
         return NOT_FINITE;
     }
-    for (int n = 0; n <= k; n++) {
-        for (int i = 0; i < NX; i++) {
-            for (int j = 0; j < NU; j++) {
-                s->S[n][i][j] = R(0);
-            }
-        }
-    }
+    clear(&s->S[0][0][0], (k + 1) * NX * NU);
     roll_out(d, k, s->nodes.x);
     respond(d, k, N, s);
     return finite_or(&s->S[0][0][0], (N + 1) * NX * NU);

@@ -11,7 +11,7 @@ static real_t perturbed(const data_t *d, int k, int j, real_t step, real_t *u)
 }
 
 /* Algorithm 6.1: J with one control changed, by simulation from its node on; N NU + 1 simulations. */
-status_t API(gradient_finite_differences)(const data_t *d, trajectory_t *t, real_t step, real_t g[N][NU])
+status_t API(gradient_finite_differences)(const data_t *d, real_t step, trajectory_t *t, real_t g[N][NU])
 {
     real_t u[NU], x[NX];
     if (!(step >= TOL_UNIT) || !isfinite(step)) {

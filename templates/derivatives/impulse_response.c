@@ -9,17 +9,6 @@ static void output_jacobians(const data_t *d, nodes_t *nodes)
     }
 }
 
-static void clear_matrix(real_t (*Xi)[N][NU], int rows)
-{
-    for (int i = 0; i < rows; i++) {
-        for (int k = 0; k < N; k++) {
-            for (int j = 0; j < NU; j++) {
-                Xi[i][k][j] = R(0);
-            }
-        }
-    }
-}
-
 /* Block (k, k) of Xi: D_k */
 static void set_diagonal_block(const nodes_t *nodes, int k, real_t (*Xi)[N][NU])
 {
@@ -39,7 +28,7 @@ static void add_block(const nodes_t *nodes, int n, int k, const real_t *S, real_
 }
 
 /* Algorithm 6.4: outputs with one control changed, by simulation from its node on. */
-status_t API(impulse_response_finite_differences)(const data_t *d, trajectory_t *t, real_t step, real_t (*Xi)[N][NU])
+status_t API(impulse_response_finite_differences)(const data_t *d, real_t step, trajectory_t *t, real_t (*Xi)[N][NU])
 {
     real_t u[NU], x[NX], z[NOUT];
     if (!(step >= TOL_UNIT) || !isfinite(step)) {
@@ -48,7 +37,7 @@ status_t API(impulse_response_finite_differences)(const data_t *d, trajectory_t 
     if (API(simulate)(d, t) != OK) {
         return NOT_FINITE;
     }
-    clear_matrix(Xi, N * NOUT);
+    clear(&Xi[0][0][0], N * NOUT * N * NU);
     for (int k = 0; k < N; k++) {
         for (int j = 0; j < NU; j++) {
             const real_t h = perturbed(d, k, j, step, u);
@@ -76,7 +65,7 @@ status_t API(impulse_response_forward)(const data_t *d, linearization_t *m, real
         return NOT_FINITE;
     }
     output_jacobians(d, &m->nodes);
-    clear_matrix(Xi, N * NOUT);
+    clear(&Xi[0][0][0], N * NOUT * N * NU);
     for (int k = 0; k < N; k++) {
         set_diagonal_block(&m->nodes, k, Xi);
         start_columns(m, k, phi);
@@ -118,7 +107,7 @@ static int start_row(const nodes_t *nodes, int row, real_t *lam, real_t (*xi)[NU
 /* Algorithm 6.6, for the given rows: xi_n = D_n, lam = C_n; xi_k = lam B_k, lam = lam A_k, k = n - 1, ..., 0; m holds
  * the result of sensitivities. */
 status_t API(impulse_response_adjoint_matrices)(
-    const data_t *d, linearization_t *m, const int *rows, int n_rows, real_t (*Xi)[N][NU])
+    const data_t *d, const int *rows, int n_rows, linearization_t *m, real_t (*Xi)[N][NU])
 {
     real_t lam[NX];
     if (!rows_exist(rows, n_rows)) {
@@ -128,7 +117,7 @@ status_t API(impulse_response_adjoint_matrices)(
         return NOT_FINITE;
     }
     output_jacobians(d, &m->nodes);
-    clear_matrix(Xi, n_rows);
+    clear(&Xi[0][0][0], n_rows * N * NU);
     for (int row = 0; row < n_rows; row++) {
         real_t(*xi)[NU] = Xi[row];
         for (int k = start_row(&m->nodes, rows[row], lam, xi) - 1; k >= 0; k--) {
@@ -140,7 +129,7 @@ status_t API(impulse_response_adjoint_matrices)(
 
 /* Algorithm 6.6 with products lam A_k and lam B_k in place of the matrices. */
 status_t API(impulse_response_adjoint)(
-    const data_t *d, nodes_t *nodes, const int *rows, int n_rows, real_t (*Xi)[N][NU])
+    const data_t *d, const int *rows, int n_rows, nodes_t *nodes, real_t (*Xi)[N][NU])
 {
     real_t lam[NX], lam_x[NX];
     if (!rows_exist(rows, n_rows)) {
@@ -151,7 +140,7 @@ status_t API(impulse_response_adjoint)(
     }
     roll_out(d, N - 1, nodes->x);
     output_jacobians(d, nodes);
-    clear_matrix(Xi, n_rows);
+    clear(&Xi[0][0][0], n_rows * N * NU);
     for (int row = 0; row < n_rows; row++) {
         real_t(*xi)[NU] = Xi[row];
         for (int k = start_row(nodes, rows[row], lam, xi) - 1; k >= 0; k--) {
@@ -169,7 +158,7 @@ status_t API(impulse_response_alternative)(const data_t *d, response_t *s, real_
         return NOT_FINITE;
     }
     copy_state(s->nodes.x[0], d->x0);
-    clear_matrix(Xi, N * NOUT);
+    clear(&Xi[0][0][0], N * NOUT * N * NU);
     for (int k = 0; k < N; k++) {
         if (k < N - 1) {
             respond(d, k, N - 1, s);

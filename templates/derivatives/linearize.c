@@ -16,13 +16,7 @@ status_t API(sensitivities)(const data_t *d, linearization_t *m)
     if (!data_finite(d)) {
         return NOT_FINITE;
     }
-    for (int k = 0; k < N; k++) {
-        for (int i = 0; i < NX; i++) {
-            for (int j = 0; j < NX + NU; j++) {
-                m->S[k][i][j] = R(0);
-            }
-        }
-    }
+    clear(&m->S[0][0][0], N * NX * (NX + NU));
     copy_state(m->nodes.x[0], d->x0);
     for (int k = 0; k < N; k++) {
         INTEGRATOR_INTERVAL(d, k, m->nodes.x[k], d->u[k], m->nodes.x[k + 1], m->S[k]);

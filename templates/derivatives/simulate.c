@@ -7,6 +7,13 @@ static void copy_state(real_t *y, const real_t *x)
     }
 }
 
+static void clear(real_t *y, int n)
+{
+    for (int i = 0; i < n; i++) {
+        y[i] = R(0);
+    }
+}
+
 /* J += l_k(x, u, p_k) */
 static void add_cost(const data_t *d, int k, const real_t *x, const real_t *u, real_t *J)
 {
@@ -43,15 +50,13 @@ status_t API(simulate)(const data_t *d, trajectory_t *t)
     for (int k = 0; k < N; k++) {
         t->partial[k + 1] = t->partial[k];
         add_cost(d, k, t->x[k], d->u[k], &t->partial[k + 1]);
-#if NOUT
-        OUTPUT(d, k, t->x[k], d->u[k], t->z[k]);
-#endif
+        if (NOUT > 0) {
+            OUTPUT(d, k, t->x[k], d->u[k], t->z[k]);
+        }
     }
     t->J = with_terminal_cost(d, t->x[N], t->partial[N]);
-#if NOUT
-    if (!all_finite(&t->z[0][0], N * NOUT)) {
+    if (NOUT > 0 && !all_finite(&t->z[0][0], N * NOUT)) {
         return NOT_FINITE;
     }
-#endif
     return (all_finite(&t->x[0][0], (N + 1) * NX) && all_finite(&t->J, 1)) ? OK : NOT_FINITE;
 }

@@ -9,7 +9,7 @@ static status_t first_after_prepare(solver_t *s, status_t status)
 {
     s->first.call = FIRST_NONE;
     s->first.valid = condense_law(s) && all_finite(s->first.gain[0], NU * NX) && all_finite(s->first.feed, NU);
-    if (LEVELS && s->levels.last != LEVEL_A) { /* later levels leave the vectors of the law to the QP solver */
+    if (s->levels.last != LEVEL_A) { /* later levels leave the vectors of the law to the QP solver */
         s->first.valid = 0;
     }
     return status;

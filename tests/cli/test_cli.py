@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from nmpc_codegen import derivatives
 from nmpc_codegen.cli import check, main, settings
 from nmpc_codegen.cli.check import compare
 from nmpc_codegen.cli.problem_file import load_problem
@@ -238,6 +239,27 @@ def test_warnings_are_said_once(state_problem: Any, tmp_path: Path, capsys: pyte
 def test_wrong_usage_is_2(arguments: list[str], message: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(arguments) == 2
     assert message in said(capsys)[1]
+
+
+def test_derivatives(state_problem: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The integrator of the file applies, its Hessian does not; outputs are an expression or a function."""
+    stated = "from nmpc_codegen import RK4, ExplicitRungeKutta, GaussNewton\nocp = cart()\n"
+    stated += "options = Options(ExplicitRungeKutta(RK4, steps=3), hessian=GaussNewton())\n"
+    for outputs, name in (("outputs = ocp.x[0]", "a"), ("def outputs(): return ocp.x[0]", "b"), ("", "c")):
+        command = [state_problem(stated + outputs), "--derivatives", "-o", str(tmp_path / name), "--name", "tools"]
+        assert main(command) == 0
+        assert "hessians_symmetric" in said(capsys)[0]
+    texts = [(tmp_path / name / "tools.c").read_text(encoding="utf-8") for name in "abc"]
+    assert texts[0] == texts[1]
+    assert ["impulse_response" in text for text in texts] == [True, True, False]
+    ocp = load_problem(Path(state_problem("ocp = cart()")))[0]
+    expected = derivatives.generate(ocp, None, Options(ExplicitRungeKutta(RK4, steps=3)), "tools", second_order=True)
+    assert texts[2] == expected["tools.c"]
+    assert main([*command, "--set", "hessian=exact"]) == 1
+    assert "options.hessian does not apply to derivatives" in said(capsys)[1]
+    for flag in (["--check"], ["--simulate", "3"], ["--target", "native"], ["--max-ram", "1k"]):
+        assert main([*command, *flag]) == 2
+        assert f"{flag[0]} belongs to a controller and clashes with --derivatives" in said(capsys)[1]
 
 
 def test_help_is_0(capsys: pytest.CaptureFixture[str]) -> None:
@@ -473,7 +495,7 @@ def test_no_such_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Non
     ],
 )  # fmt: skip
 def test_where_a_file_states_its_problem(state_problem: Any, text: str, name: str, steps: int | None) -> None:
-    ocp, options = load_problem(Path(state_problem(text)))
+    ocp, options, _ = load_problem(Path(state_problem(text)))
     assert ocp.name == name
     assert (None if steps is None else options.integrator.steps) == steps
 

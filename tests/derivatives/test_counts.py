@@ -32,9 +32,11 @@ def test_counts_are_exact(name: str, with_outputs: bool) -> None:
     make, options = CASES[name]
     ocp = make()
     z = outputs(ocp) if with_outputs else None
-    model = derivative_model(ocp, z, None, options)
+    model = derivative_model(ocp, z, None, options, second_order=True)
     stated = Counts(model).all
-    found = counted(derivatives.generate(ocp, z, options, "counted_package"), "counted_package", list(stated))
+    found = counted(
+        derivatives.generate(ocp, z, options, "counted_package", second_order=True), "counted_package", list(stated)
+    )
     for function, count in stated.items():
         expected = {c: getattr(count, c) for c in CLASSES}
         assert {c: getattr(found[function], c) for c in CLASSES} == expected, function
@@ -51,4 +53,4 @@ def test_counts_of_rows_and_of_one_response() -> None:
         assert last.total - base.total == 2 * step > 0
         assert every.total - base.total == 2 * (0 + 1 + 2) * step
     later = counts.sensitivities_alternative(2).total
-    assert later == counts.sensitivities_alternative(1).total + counts._value.total - counts._free.total
+    assert later == counts.sensitivities_alternative(1).total + counts.value.total - counts.free.total

@@ -12,13 +12,12 @@ import pytest
 from conftest import require_tool
 
 from nmpc_codegen import OCP, Discrete, ExplicitRungeKutta, GaussNewton, Online, Options, RealTimeIteration, derivatives
-from nmpc_codegen.derivatives.render import PARTS
+from nmpc_codegen.derivatives.render import OF_OUTPUTS, PARTS, SECOND_ORDER
 from nmpc_codegen.errors import BuildError, DerivativeError, ExportError, OptionError, ProblemError
 from nmpc_codegen.lowering.parts import template_directory
 from nmpc_codegen.runtime.build import WARNINGS
 from tests.snippets import ROOT, blocks
 from verification.adjoint import choice
-from verification.conditions import conditions
 from verification.models import discrete_map, pendulum_of_everything, problem_of
 
 
@@ -43,7 +42,7 @@ CASES: dict[str, tuple[OCP, Any, Options | None]] = {
 def sources_of(case: str) -> dict[str, str]:
     ocp, outputs, options = CASES[case]
     z = ca.vertcat(ocp.x[0] * ocp.u[0], ocp.x[1]) if outputs is problem_of else outputs
-    return derivatives.generate(ocp, z, options, "tools")
+    return derivatives.generate(ocp, z, options, "tools", second_order=case != "loops")
 
 
 def written(folder: Path, sources: dict[str, str]) -> None:
@@ -66,11 +65,9 @@ def test_no_warnings(case: str, tmp_path: Path) -> None:
             assert run.stderr == ""
 
 
-def test_every_part_is_used_and_every_condition_true_once_and_false_once() -> None:
+def test_every_part_is_used() -> None:
     folder = template_directory() / "derivatives"
-    assert {path.name for path in folder.glob("*.c")} == set(PARTS)
-    found = {text for part in PARTS for _, text in conditions(f"derivatives/{part}")}
-    assert found == {"NOUT"}, "with and without outputs: the cases below"
+    assert {path.name for path in folder.glob("*.c")} == {*PARTS, OF_OUTPUTS, SECOND_ORDER}
     assert "NOUT" in sources_of("costs")["tools.c"]
     assert "NOUT" not in sources_of("map")["tools.c"]
 
@@ -118,7 +115,7 @@ def test_c_refuses_bad_input() -> None:
     for k, status in ((-1, 8), (3, 8), (2, ok)):
         assert tools._function("sensitivities_alternative")(data, k, response) == status
     for step, status in ((0.0, 10), (-1e-3, 10), (np.nan, 10), (np.inf, 10), (1e-17, 10), (1e-6, ok)):
-        assert tools._function("gradient_finite_differences")(data, trajectory, step, g) == status
+        assert tools._function("gradient_finite_differences")(data, step, trajectory, g) == status
     for name in ("x0", "u", "yref", "W"):
         for bad in (np.nan, np.inf):
             view = tools._view("data", name).reshape(-1)
@@ -136,7 +133,7 @@ def test_c_refuses_rows() -> None:
     nodes, Xi = tools._structs["nodes"], tools._pointer(np.zeros((1, 3)))
     for row, status in ((-1, 8), (3, 8), (2, 0)):
         rows = tools._ffi.new("int[]", [row])
-        assert tools._function("impulse_response_adjoint")(tools._structs["data"], nodes, rows, 1, Xi) == status
+        assert tools._function("impulse_response_adjoint")(tools._structs["data"], rows, 1, nodes, Xi) == status
 
 
 def test_overflow_is_reported() -> None:
@@ -198,6 +195,20 @@ def test_python_refuses_rows(rows: Any, message: str) -> None:
         tools.impulse_response(np.ones(4), np.zeros((3, 1)), "forward", rows=rows)
     with pytest.raises(DerivativeError, match="k: control 3"):
         tools.responses(np.ones(4), np.zeros((3, 1)), 3)
+
+
+def test_second_derivatives_are_refused() -> None:
+    rest = np.ones(4), np.zeros((3, 1))
+    with pytest.raises(DerivativeError, match="give second_order=True to build"):
+        derivatives.build(problem_of("crane"), profile="test").hessians(*rest, np.ones((3, 4)))
+    tools = derivatives.build(problem_of("crane"), profile="test", second_order=True)
+    for lam, sweep, message in (
+        (np.ones((4, 4)), "symmetric", r"lam has shape \(4, 4\); expected \(3, 4\)"),
+        (np.full((3, 4), np.nan), "symmetric", "lam is not finite"),
+        (np.ones((3, 4)), "adjoint", "sweep: 'adjoint'; expected one of symmetric, forward_over_adjoint"),
+    ):
+        with pytest.raises(DerivativeError, match=message):
+            tools.hessians(*rest, lam, sweep)  # type: ignore[arg-type]
 
 
 def test_data_that_are_not_finite_are_named() -> None:

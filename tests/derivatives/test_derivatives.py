@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from nmpc_codegen import OCP, RK4, ExplicitRungeKutta, Options, derivatives
+from nmpc_codegen.derivatives.toolbox import SWEEPS
 from verification.adjoint.oracle import Model, complex_step, normwise
 from verification.models import discrete_map, pendulum_of_everything, problem_of
 
@@ -40,6 +41,9 @@ def compare(tools: derivatives.Derivatives, model: Model, x0: np.ndarray, u: np.
         assert normwise(tools.impulse_response(x0, u, method), expected["impulse_response"]) <= limit, method
     S = tools.responses(x0, u)
     assert normwise(S, expected["responses"]) <= exact
+    lam = np.random.default_rng(7).normal(size=(tools.N, tools.nx))
+    for sweep in SWEEPS:
+        assert normwise(tools.hessians(x0, u, lam, sweep), model.hessians(x0, u, p, lam)) <= exact, sweep
     A, B = tools.sensitivities(x0, u)
     for k in range(tools.N):
         assert normwise(B[k], expected["responses"][k, k + 1]) <= exact
@@ -97,7 +101,7 @@ def test_random_models(case: tuple[OCP, Model, str], seed: int) -> None:
     ocp, model, precision = case
     integrator = ExplicitRungeKutta(RK4, steps=model.steps) if model.steps else None
     options = Options(integrator=integrator, precision=precision)
-    tools = derivatives.build(ocp, model.z, options, profile="test")
+    tools = derivatives.build(ocp, model.z, options, profile="test", second_order=True)
     tools.p[...] = np.random.default_rng(seed).normal(size=tools.p.shape)
     compare(tools, model, *data(tools, seed), np.array(tools.p, float))
 
@@ -112,7 +116,7 @@ def test_forms_of_the_code(name: str, unroll: str) -> None:
     ocp = problem_of(name, uniform=False)
     z = ca.vertcat(ocp.x[0] ** 2, ocp.x[1] * ocp.u[0])
     options = Options(ExplicitRungeKutta(RK4, steps=3, unroll=unroll))
-    tools = derivatives.build(ocp, z, options, profile="test")
+    tools = derivatives.build(ocp, z, options, profile="test", second_order=True)
     cost = 0.5 * ca.sumsqr(ca.vertcat(ocp.x, ocp.u))
     x0 = np.array([c.value[0] for c in (s.signal for s in ocp.states) for _ in range(len(c.elements))])
     _, u = data(tools, 3)
@@ -125,7 +129,7 @@ def test_costs_of_every_kind() -> None:
     ocp = pendulum_of_everything("everything", [0.2, 0.3, 0.45])
     (q, w), u, m = (ocp.x[0], ocp.x[1]), ocp.u, ocp.p
     z = ca.vertcat(q * u, w)
-    tools = derivatives.build(ocp, z, Options(ExplicitRungeKutta(steps=2)), profile="test")
+    tools = derivatives.build(ocp, z, Options(ExplicitRungeKutta(steps=2)), profile="test", second_order=True)
     dt = np.array([0.2, 0.3, 0.45])
     x0, controls = data(tools, 5)
     model = modelled(ocp, z, ca.SX(0), q**4 + m * w**2, 2, ca.exp(q) * w**2 + m * u * q)

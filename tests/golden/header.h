@@ -19,7 +19,8 @@ golden_status_t golden_shift(golden_solver_t *s);
 
 /* Iterate from the present plan, with globalisation, until the relative KKT residual, kkt.relative, is at most tol or
  * max_iterations is reached; kkt and stats describe the outcome. */
-golden_status_t golden_solve(golden_solver_t *s, const golden_real xhat[GOLDEN_NX], golden_real tol, int max_iterations);
+golden_status_t golden_solve(
+    golden_solver_t *s, const golden_real xhat[GOLDEN_NX], golden_real tol, int max_iterations);
 
 /* Data that can be changed. k is GOLDEN_ALL or one node:
  *   reference  0 .. N - 1
@@ -50,4 +51,4 @@ const char *golden_status_string(golden_status_t status);
 #endif
 
 #endif
-/* nmpc_codegen package 06bbc363dfc1431b, sha256 2dc370b361a61c24d099633870c71c07f611556ed0cfba7e0f7f0f33c18f750c */
+/* nmpc_codegen package dd2c77e71795c62a, sha256 8c6683bdc418b154787aaa2aabfd7c5c8d3089497f5a8b8583e73197ea45452f */

@@ -11,15 +11,17 @@ ARGUMENTS = {
     "simulate": "&t",
     "sensitivities": "&m",
     "sensitivities_alternative": "0, &s",
-    "gradient_finite_differences": "&t, 1e-3, out",
+    "gradient_finite_differences": "1e-3, &t, out",
     "gradient_forward": "&m, out",
     "gradient_adjoint": "&n, out",
     "gradient_adjoint_matrices": "&m, out",
     "gradient_alternative": "&s, out",
-    "impulse_response_finite_differences": "&t, 1e-3, Xi",
+    "hessians_symmetric": "lam, &h",
+    "hessians_forward_over_adjoint": "lam, &h",
+    "impulse_response_finite_differences": "1e-3, &t, Xi",
     "impulse_response_forward": "&m, Xi",
-    "impulse_response_adjoint": "&n, rows, PREFIX_N * PREFIX_NOUT, Xi",
-    "impulse_response_adjoint_matrices": "&m, rows, PREFIX_N * PREFIX_NOUT, Xi",
+    "impulse_response_adjoint": "rows, PREFIX_N * PREFIX_NOUT, &n, Xi",
+    "impulse_response_adjoint_matrices": "rows, PREFIX_N * PREFIX_NOUT, &m, Xi",
     "impulse_response_alternative": "&s, Xi",
 }
 
@@ -27,7 +29,8 @@ ARGUMENTS = {
 def counted(sources: Sources, name: str, functions: list[str]) -> dict[str, OpCount]:
     """Operations of one run of each function at the declared data."""
     declarations = [
-        *(f"static {name}_{struct}_t {v};" for v, struct in zip("dtnms", STRUCTS, strict=True)),
+        *(f"static {name}_{struct}_t {v};" for v, struct in zip("dtnmsh", STRUCTS, strict=True)),
+        "static real_t lam[PREFIX_N * PREFIX_NX];",
         *OUTPUTS[any(f.startswith("impulse_response") for f in functions)],
     ]
     start = [f"    {name}_init(&d);", f"    {name}_sensitivities(&d, &m);"]
@@ -36,7 +39,7 @@ def counted(sources: Sources, name: str, functions: list[str]) -> dict[str, OpCo
     return {f: OpCount(**dict(zip(CLASSES, found[f].values(), strict=True))) for f in functions}
 
 
-STRUCTS = ("data", "trajectory", "nodes", "linearization", "response")
+STRUCTS = ("data", "trajectory", "nodes", "linearization", "response", "hessians")
 OUTPUTS = {
     False: ["static real_t out[PREFIX_N][PREFIX_NU];"],
     True: [

@@ -46,6 +46,17 @@ class Model:
             y = y + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
         return y[:n], y[n]
 
+    def hessians(self, x0: Array, u: Array, p: Array, lam: Array) -> Array:
+        """d2 (lam_k' Phi(x_k, u_k, p_k)) / d(x, u)^2 of every interval along the simulation, (N, nz, nz)."""
+        x, found = x0, []
+        for k, dt in enumerate(self.dt):
+            following = self.interval(self.x, self.u, ca.DM(p[k]), dt)[0]
+            H = ca.hessian(ca.dot(lam[k], following), ca.vertcat(self.x, self.u))[0]
+            values = ca.Function("H", [self.x, self.u], [following, ca.densify(H)])(x, u[k])
+            x, block = (np.array(v) for v in values)
+            found.append(block)
+        return np.array(found)
+
     def derivatives(self, x0: Array, u: Array, p: Array) -> dict[str, Array]:
         """J, x, z, dJ/du (N, nu), dz/du, and the Jacobian of all states with respect to all controls."""
         N, nu = u.shape

@@ -60,6 +60,8 @@ def _run(arguments: argparse.Namespace, printer: Printer) -> int:
     if arguments.list_options:
         list_options(printer)
         return 0
+    if arguments.derivatives:
+        return _derivatives(arguments, printer)
     from nmpc_codegen.cli.check import check
     from nmpc_codegen.cli.firmware import Firmware
     from nmpc_codegen.compiler import compile, export
@@ -73,7 +75,7 @@ def _run(arguments: argparse.Namespace, printer: Printer) -> int:
     firmware = Firmware(arguments)
     if arguments.target is not None:
         firmware.look_for_tools(Options(target=arguments.target))
-    ocp, options = _problem(arguments, printer)
+    ocp, options, _ = _problem(arguments, printer)
     firmware.look_for_tools(options)
     name = ocp.name if arguments.name is None else arguments.name
     if arguments.check or arguments.simulate is not None:
@@ -110,20 +112,40 @@ def _capped(ocp: OCP, options: Options, name: str, text: str, printer: Printer) 
     return fit.options
 
 
-def _problem(arguments: argparse.Namespace, printer: Printer) -> tuple[OCP, Options]:
-    """The problem of the file, and its options with the changes of the command line."""
+def _derivatives(arguments: argparse.Namespace, printer: Printer) -> int:
+    """Write a package of derivatives and print its files and operations."""
+    from nmpc_codegen import derivatives
+
+    ocp, options, outputs = _problem(arguments, printer)
+    outputs = outputs() if callable(outputs) else outputs
+    name = f"{ocp.name}_derivatives" if arguments.name is None else arguments.name
+    folder = Path(arguments.output or Path("out") / name)
+    with saying_warnings(printer):
+        package = derivatives.export(ocp, outputs, options, folder, name, force=arguments.force, second_order=True)
+    _print_files(printer, package.name, package.directory, package.files, folder)
+    _print_operations(printer, {f: count.as_dict() for f, count in package.operations.items()}, True)
+    return 0
+
+
+def _problem(arguments: argparse.Namespace, printer: Printer) -> tuple[OCP, Options, Any]:
+    """The problem of the file, its options with the changes of the command line, and its outputs.
+
+    Derivatives have the integrator and the precision of the file, and no other option of a controller.
+    """
     import numpy as np
 
     from nmpc_codegen.cli.problem_file import load_problem
     from nmpc_codegen.cli.settings import apply_settings
 
     with undisturbed(printer, arguments.problem, arguments.verbose), np.errstate():
-        ocp, options = load_problem(Path(arguments.problem))
+        ocp, options, outputs = load_problem(Path(arguments.problem))
+    if arguments.derivatives:
+        options = type(options)(integrator=options.integrator, precision=options.precision)
     settings = [] if arguments.target is None else [("target", arguments.target)]
     for setting in arguments.settings:
         key, _, text = setting.partition("=")
         settings.append((key.strip(), text.strip()))
-    return ocp, apply_settings(options, settings)
+    return ocp, apply_settings(options, settings), outputs
 
 
 def _simulate(arguments: argparse.Namespace, folder: Path, name: str, printer: Printer) -> bool:
@@ -147,17 +169,20 @@ def _simulate(arguments: argparse.Namespace, folder: Path, name: str, printer: P
     return log.failures <= allowed
 
 
-def _print_package(printer: Printer, package: Package, folder: Path, verbose: bool) -> None:
-    """Print files with sizes, choices with reasons, memory, and operations of the largest functions, or of all."""
+def _print_files(printer: Printer, name: str, directory: Path, paths: Sequence[Path], folder: Path) -> None:
     from rich.table import Table
 
-    title = one_line(f"{package.name} in {folder}")
-    printer.line(title)
+    printer.line(one_line(f"{name} in {folder}"))
     files = Table("file", "bytes")
     files.columns[1].justify = "right"
-    for path in sorted(package.files):
-        files.add_row(one_line(os.path.relpath(path, package.directory)), f"{path.stat().st_size:,}")
+    for path in sorted(paths):
+        files.add_row(one_line(os.path.relpath(path, directory)), f"{path.stat().st_size:,}")
     printer.table(files)
+
+
+def _print_package(printer: Printer, package: Package, folder: Path, verbose: bool) -> None:
+    """Print files with sizes, choices with reasons, memory, and operations of the largest functions, or of all."""
+    _print_files(printer, package.name, package.directory, package.files, folder)
     for choice in package.report.get("choices", ()):
         printer.line(f"chosen  {choice}")
     if "ram_bytes" in package.report:
@@ -188,6 +213,7 @@ def _print_operations(printer: Printer, operations: Mapping[str, Mapping[str, An
     shown = largest if verbose else largest[:SHOWN_FUNCTIONS]
     if shown:
         table = Table("operations per call", *next(iter(operations.values())), "all")
+        table.columns[0].overflow = "fold"
         for column in table.columns[1:]:
             column.justify = "right"
         for function in shown:

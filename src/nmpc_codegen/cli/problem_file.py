@@ -17,11 +17,12 @@ from nmpc_codegen.options import Options
 MODULE = "nmpc_problem"
 
 
-def load_problem(path: Path) -> tuple[OCP, Options]:
-    """Run a problem file and return its problem and options.
+def load_problem(path: Path) -> tuple[OCP, Options, Any]:
+    """Run a problem file and return its problem, its options and its outputs.
 
     The problem is that of ``problem()``, else ``ocp``, else that of ``build_ocp()``, else the only OCP in the file. The
     options are those that ``problem()`` returns, else ``options`` or the result of ``options()``, else the defaults.
+    The outputs, of which --derivatives takes the impulse response, are ``outputs`` or None.
 
     Raises:
         ProblemError: there is no such file, or no problem in it, or several of which none is called ``ocp``.
@@ -37,7 +38,7 @@ def load_problem(path: Path) -> tuple[OCP, Options]:
     sys.modules[MODULE] = module
     try:
         exec(compile(path.read_bytes(), module.__file__, "exec"), module.__dict__)
-        return _stated(module.__dict__, path)
+        return *_stated(module.__dict__, path), module.__dict__.get("outputs")
     finally:
         sys.modules.pop(MODULE, None)
         sys.path = search

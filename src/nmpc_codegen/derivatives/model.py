@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import casadi as ca
 
 from nmpc_codegen.components.base import Integrator
+from nmpc_codegen.components.hessians.exact import ForwardOverAdjoint, Symmetric
 from nmpc_codegen.components.integrators import Discrete, ExplicitRungeKutta
 from nmpc_codegen.components.stage_cost import StageCost, stage_costs
 from nmpc_codegen.errors import OptionError
@@ -19,7 +20,7 @@ from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.casadi_types import Expression
 from nmpc_codegen.ir.kernel import Port, lift
 from nmpc_codegen.ir.model import IntervalProducts, StageModel
-from nmpc_codegen.ir.sweep import Routine
+from nmpc_codegen.ir.sweep import Call, Routine, Slice
 from nmpc_codegen.lowering.linearize import completed, stage_model
 from nmpc_codegen.options import Options
 from nmpc_codegen.package.memory import Precision
@@ -33,7 +34,8 @@ class DerivativeModel:
     """The functions of one problem.
 
     linearize: (x, u, p, dt) -> x_next, S = [A B]; products: see IntervalProducts; path, terminal: cost and gradient.
-    output: (x, u, p) -> z, and its Jacobian G = [C D], row by row; both None without outputs.
+    output: (x, u, p) -> z, and its Jacobian G = [C D], row by row; both None without outputs. hessians: sweep -> (x, u,
+    p, dt, lam) -> x_next, S, g = 0, Q = lower triangle of d2 (lam' Phi) / d(x, u)^2; empty without second order.
     """
 
     problem: Problem
@@ -45,6 +47,12 @@ class DerivativeModel:
     output_names: tuple[str, ...]
     output: Routine | None
     output_jacobian: Routine | None
+    hessians: Mapping[str, Routine]
+
+    @property
+    def second_order(self) -> bool:
+        """Whether there are second derivatives."""
+        return bool(self.hessians)
 
     @property
     def outputs(self) -> int:
@@ -58,12 +66,14 @@ class DerivativeModel:
         found = (
             *(products.value, self.linearize, products.adjoint, products.forced, products.free),
             *(self.path.cost, self.path.gradient, self.terminal.cost, self.terminal.gradient),
-            *(self.output, self.output_jacobian),
+            *(self.output, self.output_jacobian, *self.hessians.values()),
         )
         return tuple(routine for routine in found if routine is not None)
 
 
-def derivative_model(ocp: OCP, outputs: Any, names: Sequence[str] | None, options: Options | None) -> DerivativeModel:
+def derivative_model(
+    ocp: OCP, outputs: Any, names: Sequence[str] | None, options: Options | None, second_order: bool = False
+) -> DerivativeModel:
     """Run the pipeline up to the lifted functions.
 
     Raises:
@@ -96,6 +106,7 @@ def derivative_model(ocp: OCP, outputs: Any, names: Sequence[str] | None, option
         output_names=tuple(names),
         output=output,
         output_jacobian=jacobian,
+        hessians=_hessians(problem, integrator) if second_order else {},
     )
 
 
@@ -126,6 +137,16 @@ def _refuse(problem: Problem) -> None:
         raise OptionError(f"{problem.name}: {free} is free_initial; derivatives are taken for a given x_0")
     if problem.start.ny or problem.start.cost is not None:
         raise OptionError(f"{problem.name} has a start cost, which no control changes; expected costs of path and end")
+
+
+def _hessians(problem: Problem, integrator: Integrator) -> dict[str, Routine]:
+    """The second derivatives of an interval by both sweeps; a cost rate takes no part."""
+    nz = problem.nx + problem.nu
+    dynamics = replace(problem, path=replace(problem.path, cost_rate=None))
+    zeros = ca.Function("zeros", [], [ca.SX.zeros(nz), ca.SX.zeros(nz * nz)])
+    start = Call(zeros, (), (Slice("g", nz), Slice("Q", nz * nz)))
+    sweeps = (Symmetric.scheme, ForwardOverAdjoint.scheme)
+    return {s: integrator.curved(dynamics, s, f"interval_{s}", start, ()) for s in sweeps}
 
 
 def _cost(problem: Problem, integrator: Integrator, cost: StageCost) -> StageModel:

@@ -8,13 +8,14 @@ from pathlib import Path
 from typing import Any
 
 from nmpc_codegen.derivatives.counts import Counts
-from nmpc_codegen.derivatives.layout import size_of, structs
+from nmpc_codegen.derivatives.layout import structs
 from nmpc_codegen.derivatives.model import DerivativeModel, derivative_model
 from nmpc_codegen.derivatives.render import render
 from nmpc_codegen.derivatives.toolbox import Derivatives
 from nmpc_codegen.frontend.ocp import OCP
 from nmpc_codegen.ir.naming import check_package_name
 from nmpc_codegen.options import Options
+from nmpc_codegen.package.memory import struct_layout
 from nmpc_codegen.package.opcount import OpCount
 from nmpc_codegen.package.seal import sealed
 from nmpc_codegen.runtime.build import load_library
@@ -39,6 +40,7 @@ def generate(
     name: str | None = None,
     *,
     output_names: Sequence[str] | None = None,
+    second_order: bool = False,
 ) -> dict[str, str]:
     """Path -> text of every file of the package.
 
@@ -50,12 +52,13 @@ def generate(
             them applies.
         name: C prefix, by default the name of the OCP and "_derivatives".
         output_names: one name per output, by default z[0], z[1], ...
+        second_order: whether the package has lam' d2 Phi of every interval, by both sweeps.
 
     Raises:
         ProblemError: the problem, an output or a name is stated wrongly.
         OptionError: an option does not apply to derivatives, or the integrator does not support the problem.
     """
-    model = derivative_model(ocp, outputs, output_names, options)
+    model = derivative_model(ocp, outputs, output_names, options, second_order)
     return _sources(model, _prefix(model, name))
 
 
@@ -77,6 +80,7 @@ def export(
     name: str | None = None,
     *,
     output_names: Sequence[str] | None = None,
+    second_order: bool = False,
     force: bool = False,
 ) -> Folder:
     """Write the C files into a folder, under the rules of nmpc_codegen.export(); see generate() for the arguments.
@@ -85,22 +89,23 @@ def export(
         ProblemError, OptionError: see generate().
         ExportError: a file must not be replaced, and nothing is written; or a file cannot be written.
     """
-    model = derivative_model(ocp, outputs, output_names, options)
+    model = derivative_model(ocp, outputs, output_names, options, second_order)
     prefix = _prefix(model, name)
     sources = _sources(model, prefix)
     folder = write(directory, sources, force=force)
-    every = structs(model)
-    sizes = {s.name: size_of(s, every, model.precision) for s in every}
+    sizes = {name: size for name, (size, _) in struct_layout(structs(model), model.precision).items()}
     return Folder(folder, prefix, tuple(folder / path for path in sources), Counts(model).all, sizes)
 
 
-def operations(ocp: OCP, outputs: Any = None, options: Options | None = None) -> dict[str, OpCount]:
+def operations(
+    ocp: OCP, outputs: Any = None, options: Options | None = None, *, second_order: bool = False
+) -> dict[str, OpCount]:
     """Exact operations of every function of the package, without writing or compiling it; see generate().
 
     Raises:
         ProblemError, OptionError: see generate().
     """
-    return Counts(derivative_model(ocp, outputs, None, options)).all
+    return Counts(derivative_model(ocp, outputs, None, options, second_order)).all
 
 
 def build(
@@ -111,6 +116,7 @@ def build(
     name: str | None = None,
     *,
     output_names: Sequence[str] | None = None,
+    second_order: bool = False,
 ) -> Derivatives:
     """Generate, compile and load the functions; see generate() for the arguments. Builds are cached by content.
 
@@ -118,7 +124,7 @@ def build(
         ProblemError, OptionError: see generate().
         BuildError: there is no compiler, or it rejected the code.
     """
-    model = derivative_model(ocp, outputs, output_names, options)
+    model = derivative_model(ocp, outputs, output_names, options, second_order)
     prefix = _prefix(model, name)
     ffi, lib = load_library(_sources(model, prefix), prefix, profile)
     return Derivatives(model, prefix, ffi, lib)

@@ -1,37 +1,29 @@
-"""DerivativeModel -> path -> text of the folder of C that export() writes."""
+"""DerivativeModel -> path -> text of the folder of C that export() writes, by the printer of the compiler."""
 
 from __future__ import annotations
 
-import re
-from textwrap import wrap
 from typing import Any
 
 from nmpc_codegen.derivatives.counts import Counts
-from nmpc_codegen.derivatives.layout import Function, Member, functions, macros, size_of, structs
+from nmpc_codegen.derivatives.layout import functions, macros, settings, structs
 from nmpc_codegen.derivatives.model import DerivativeModel
 from nmpc_codegen.ir.cmodule import Table
 from nmpc_codegen.ir.printing.c_style import unit_style
 from nmpc_codegen.ir.printing.routines import print_routine
 from nmpc_codegen.ir.sweep import Routine
-from nmpc_codegen.lowering.parts import names_in, read_part, rename, renamed_words
-from nmpc_codegen.lowering.preamble import (
-    REAL_CONSTANT,
-    WIDTH,
-    Definition,
-    arithmetic,
-    definitions,
-    preamble,
-)
-from nmpc_codegen.lowering.render import GCC_12, block_comment, context, environment, table_values, tidy
+from nmpc_codegen.lowering.parts import read_part
+from nmpc_codegen.lowering.preamble import REAL_CONSTANT, Definition, arithmetic
+from nmpc_codegen.lowering.pruning.constants import Constants
+from nmpc_codegen.lowering.pruning.reach import calling
+from nmpc_codegen.lowering.render import GCC_12, Unit, block_comment, context, environment, member, prototype, tidy
+from nmpc_codegen.package.memory import Field, struct_layout
 from nmpc_codegen.package.status import Status
 
 FOLDER = "derivatives"
 
-#: Parts of the unit in the order of its text; the last one only with outputs.
-PARTS = ("finite.c", "simulate.c", "linearize.c", "gradient.c", "alternative.c", "impulse_response.c")
-
-#: Structs and enumerations with short names in the unit.
-TYPES = ("data", "trajectory", "nodes", "linearization", "response", "status")
+#: Parts of the unit in the order of its text.
+PARTS = ("simulate.c", "linearize.c", "gradient.c", "alternative.c")
+OF_OUTPUTS, SECOND_ORDER = "impulse_response.c", "hessians.c"
 
 #: Values that the functions return; they have the same meaning as in controllers.
 STATUSES = {
@@ -45,6 +37,8 @@ STATUSES = {
 LEADING: dict[str, tuple[str, ...]] = {
     "integrator_adjoint": ("d", "k", "x", "u", "lam"),
     "integrator_free": ("d", "k", "x", "u", "S"),
+    "interval_symmetric": ("d", "k", "x", "u", "lam"),
+    "interval_forward_over_adjoint": ("d", "k", "x", "u", "lam"),
     "terminal_cost": ("d", "x"),
     "terminal_gradient": ("d", "x"),
 }
@@ -57,19 +51,18 @@ def render(model: DerivativeModel, name: str) -> dict[str, str]:
     style = unit_style(model.precision)
     names = _names(model, name)
     header = tidy(environment().get_template(f"{FOLDER}/header.h.jinja").render(names))
-    body = environment().get_template(f"{FOLDER}/body.c.jinja").render(names).strip("\n")
-    known, words = _definitions(model, name), names_in(body)
-    used = definitions(known, words)[1]
-    printed = {"tables": [t for t in _tables(model) if t.name in used], "values": lambda t: table_values(t, style)}
-    tables = environment().get_template("package/tables.c.jinja").render(names | printed).strip("\n")
-    members = {member.name for struct in structs(model) for member in struct.members}
-    renamed = renamed_words(used | names_in(tables), header, name, members)
-    names |= {
-        "body": rename(body, renamed),
-        "preamble": preamble(name, TYPES, known, words, renamed),
-        "tables": rename(tables, renamed),
-        "system_headers": ["math.h", *(["stddef.h"] if "ptrdiff_t" in body else [])],
-    }
+    known = _definitions(model, name)
+    unit = Unit(
+        name,
+        header,
+        environment().get_template(f"{FOLDER}/body.c.jinja").render(names),
+        tuple(known),
+        {routine.name: print_routine(routine, style) for routine in model.routines},
+        structs(model),
+        _tables(model),
+        Constants({m.name: m.value for m in macros(model)} | {"NOUT": model.outputs}, calling=calling(known)),
+    )
+    names |= unit.texts(style)
     files = {
         f"{name}.c": f"{FOLDER}/unit.c.jinja",
         "main.c": f"{FOLDER}/main.c.jinja",
@@ -81,21 +74,12 @@ def render(model: DerivativeModel, name: str) -> dict[str, str]:
 
 
 def _names(model: DerivativeModel, name: str) -> dict[str, Any]:
-    problem, style = model.problem, unit_style(model.precision)
-    sizes = {"NOUT": model.outputs}
-    every = structs(model)
-    declared = [
-        {
-            "name": s.name,
-            "doc": s.doc,
-            "bytes": size_of(s, every, model.precision),
-            "members": [{"declaration": _member(m, name), "doc": m.doc} for m in s.members],
-        }
-        for s in every
-    ]
-    return context(name, style) | {
+    problem, every = model.problem, structs(model)
+    parts = (*PARTS, *([OF_OUTPUTS] if model.outputs else []), *([SECOND_ORDER] if model.second_order else []))
+    return context(name, unit_style(model.precision)) | {
         "precision": model.precision,
         "gcc12": GCC_12,
+        "unit": problem.N,
         "folders": (),
         "libraries": ("m",),
         "contraction": "fast",
@@ -108,55 +92,30 @@ def _names(model: DerivativeModel, name: str) -> dict[str, Any]:
         ),
         "macros": macros(model),
         "statuses": STATUSES,
-        "structs": declared,
-        "members": every[0].members,
+        "structs": every,
+        "bytes": {struct: size for struct, (size, _) in struct_layout(every, model.precision).items()},
+        "by_purpose": lambda struct: [("", struct.fields)],
+        "member": lambda field: member(field, name, macros(model)),
+        "numbers": _numbers,
+        "settings": settings(model),
         "functions": functions(model),
         "operations": Counts(model).all,
-        "routines": model.routines,
-        "print_routine": lambda routine: print_routine(routine, style),
-        "parts": [_part(part, sizes) for part in PARTS[: len(PARTS) if model.outputs else -1]],
+        "parts": [read_part(f"{FOLDER}/{part}", lambda path: "").rstrip("\n") for part in parts],
         "comment": block_comment,
-        "prototype": lambda function: _prototype(function, name),
+        "prototype": lambda function: prototype(function, name),
         "nout": model.outputs,
     }
 
 
-def _part(path: str, sizes: dict[str, int]) -> str:
-    def generated(inner: str) -> str:
-        raise ValueError(f"{inner}: the parts of this package include no generated text")
-
-    return read_part(f"{FOLDER}/{path}", generated, sizes).rstrip("\n")
-
-
-def _member(member: Member, name: str) -> str:
-    """Declaration of a struct member."""
-    ctype = f"{name}_{member.struct}_t" if member.struct else f"{name}_real"
-    return f"{ctype} {member.name}{''.join(f'[{_prefixed(m, name)}]' for m in member.macros)};"
-
-
-def _prefixed(text: str, name: str) -> str:
-    """The macros of a text with the prefix of the package."""
-    return re.sub(r"\b(N\w*)", rf"{name.upper()}_\1", text)
-
-
-def _prototype(function: Function, name: str) -> str:
-    """Declaration of an entry point in the header."""
-    public = (argument.replace("real_t", "real") for argument in function.arguments)
-    typed = (re.sub(r"\b(\w+_t|real)\b", rf"{name}_\1", argument) for argument in public)
-    arguments = ", ".join(_prefixed(argument, name) if "[" in argument else argument for argument in typed)
-    head = f"{name}_status_t {name}_{function.name}("
-    one_line = f"{head}{arguments});"
-    if len(one_line) <= WIDTH:
-        return one_line
-    glued = re.sub(r"(?<!,) ", "\0", arguments)
-    lines = wrap(f"{glued});", WIDTH, initial_indent="    ", subsequent_indent="    ", break_long_words=False)
-    return "\n".join([head, *lines]).replace("\0", " ")
+def _numbers(field: Field) -> str:
+    """C text of how many numbers a member has."""
+    return " * ".join(f"({size.text})" if " " in size.text else size.text for size in field.shape)
 
 
 def _definitions(model: DerivativeModel, name: str) -> list[Definition]:
     """Every macro that the unit may use."""
-    constants = [(macro, f"{name.upper()}_{macro}") for macro, _, _ in macros(model)[1:]]
-    constants.insert(0, ("N", "NMPC_CODEGEN_UNIT"))
+    constants = [("N", "NMPC_CODEGEN_UNIT")]
+    constants += [(macro.name, f"{name.upper()}_{macro.name}") for macro in macros(model)[1:]]
     constants += [(status.name, f"{name.upper()}_{status.name}") for status in STATUSES]
     constants += arithmetic(model.precision)
     parametric: list[Definition] = [("API", "name", f"{name}_##name"), REAL_CONSTANT]
@@ -164,20 +123,15 @@ def _definitions(model: DerivativeModel, name: str) -> list[Definition]:
 
 
 def _kernel_call(routine: Routine) -> Definition:
-    """(macro, arguments, text): call of a lifted function with what it reads or writes; the rest is only evaluated."""
+    """(macro, arguments, text): call of a lifted function with what it reads or writes."""
     terminal = routine.name.startswith("terminal_")
-    leading = LEADING.get(routine.name, ("d", "k", "x", "u"))
     places = PLACES | (TERMINAL_PLACES if terminal else {})
     passed = [places.get(p.name, p.name) for p in routine.reads] + [p.name for p in routine.writes]
-    call = f"{routine.name}({', '.join(passed)})"
-    outputs = [p.name for p in routine.outputs]
-    used = names_in(*passed)
-    unread = [f"(void)({a})" for a in (*leading, *outputs) if a not in used]
-    text = f"({', '.join([*unread, call])})"
-    return routine.name.upper(), ", ".join([*leading, *outputs]), text
+    arguments = (*LEADING.get(routine.name, ("d", "k", "x", "u")), *(p.name for p in routine.outputs))
+    return routine.name.upper(), ", ".join(arguments), f"{routine.name}({', '.join(passed)})"
 
 
-def _tables(model: DerivativeModel) -> list[Table]:
+def _tables(model: DerivativeModel) -> tuple[Table, ...]:
     """Interval lengths and declared values."""
     problem = model.problem
     path, terminal = problem.path, problem.terminal
@@ -188,7 +142,7 @@ def _tables(model: DerivativeModel) -> list[Table]:
     def weight(stage: Any) -> Any:
         return stage.weight.diagonal() if stage.diagonal_weight else stage.weight.reshape(-1)
 
-    found = [
+    found = (
         table("interval_length", problem.dt, "lengths of the intervals"),
         table("default_x0", problem.x_initial, "declared initial state"),
         table("default_p", problem.p_value, "declared parameters"),
@@ -196,5 +150,5 @@ def _tables(model: DerivativeModel) -> list[Table]:
         table("default_W", weight(path), "declared weight"),
         table("default_yref_N", terminal.reference, "declared terminal references"),
         table("default_W_N", weight(terminal), "declared terminal weight"),
-    ]
-    return [t for t in found if t.values]
+    )
+    return tuple(t for t in found if t.values)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from nmpc_codegen.derivatives.counts import Counts
-from nmpc_codegen.derivatives.layout import structs
+from nmpc_codegen.derivatives.layout import settings, structs
 from nmpc_codegen.derivatives.model import DerivativeModel
 from nmpc_codegen.errors import DerivativeError
 from nmpc_codegen.lowering.tolerances import EPS
@@ -25,6 +25,9 @@ Method = Literal["finite_differences", "forward", "adjoint", "adjoint_matrices",
 #: Methods of gradient() and impulse_response(), which are the same.
 GRADIENTS: tuple[Method, ...] = get_args(Method)
 IMPULSE_RESPONSES: tuple[Method, ...] = GRADIENTS
+
+Sweep = Literal["symmetric", "forward_over_adjoint"]
+SWEEPS: tuple[Sweep, ...] = get_args(Sweep)
 
 #: Methods that compute only the rows that are asked for.
 BY_ROWS = ("adjoint", "adjoint_matrices")
@@ -61,14 +64,14 @@ class Derivatives:
         self.name, self.N, self.nx, self.nu, self.nout = name, problem.N, problem.nx, problem.nu, model.outputs
         self.output_names, self.precision = model.output_names, model.precision
         self.operations: Mapping[str, OpCount] = Counts(model).all
-        self._counts, self._ffi, self._lib = Counts(model), ffi, lib
+        self._ffi, self._lib = ffi, lib
         self._scalar = np.float64 if model.precision == "double" else np.float32
         self._structs = {s.name: ffi.new(f"{name}_{s.name}_t *") for s in structs(model)}
         self._data = self._structs["data"]
         self._function("init")(self._data)
-        for member in structs(model)[0].members:
-            if member.name not in ("x0", "u"):
-                setattr(self, member.name, self._view("data", member.name))
+        for setting in settings(model):
+            if setting.field.name != "x0":
+                setattr(self, setting.field.name, self._view("data", setting.field.name))
 
     # Evaluation ------------------------------------------------------------------------------------------------------
 
@@ -99,7 +102,7 @@ class Derivatives:
         self._check(method, step)
         self._set(x0, u)
         g = np.zeros((self.N, self.nu), self._scalar)
-        self._call(f"gradient_{method}", *self._work(method), *self._step(method, step), self._pointer(g))
+        self._call(f"gradient_{method}", *self._step(method, step), self._work(method), self._pointer(g))
         return g
 
     def impulse_response(
@@ -136,7 +139,7 @@ class Derivatives:
         chosen: tuple[Any, ...] = ()
         if method in BY_ROWS:
             chosen = (self._ffi.new("int[]", wanted.tolist()), len(wanted))
-        arguments = (*self._work(method), *self._step(method, step), *chosen, self._pointer(Xi))
+        arguments = (*self._step(method, step), *chosen, self._work(method), self._pointer(Xi))
         self._call(f"impulse_response_{method}", *arguments)
         return Xi
 
@@ -165,14 +168,30 @@ class Derivatives:
             found.append(self._view("response", "S").copy())
         return np.array(found) if k is None else found[0]
 
-    def row_operations(self, rows: Iterable[tuple[int, int | str]], method: Method = "adjoint") -> OpCount:
-        """Operations of the chosen rows of the impulse response matrix; with matrices, those of 6.7 included."""
-        wanted = [self._row(row) for row in rows]
-        if method == "adjoint":
-            return self._counts.impulse_response_adjoint(wanted)
-        if method == "adjoint_matrices":
-            return self._counts.sensitivities + self._counts.impulse_response_adjoint_matrices(wanted)
-        raise DerivativeError(f"method: {method!r}; expected {' or '.join(BY_ROWS)}")
+    def hessians(self, x0: ArrayLike, u: ArrayLike, lam: ArrayLike, sweep: Sweep = "symmetric") -> Array:
+        """H_k = d2 (lam_k' Phi(x_k, u_k, p_k)) / d(x, u)^2 of every interval along the simulation, (N, nz, nz), where
+        nz = nx + nu.
+
+        Args:
+            x0: initial state, (nx,).
+            u: controls, (N, nu).
+            lam: multipliers of the intervals, (N, nx).
+            sweep: "symmetric" (three sweeps), or "forward_over_adjoint".
+
+        Source: Quirynen et al., CDC 2014, algorithms 2 and 1.
+
+        Raises:
+            DerivativeError: the package was made without second_order=True, an argument is wrong, or an argument or a
+                result is not finite.
+        """
+        if sweep not in SWEEPS:
+            raise DerivativeError(f"sweep: {sweep!r}; expected one of {', '.join(SWEEPS)}")
+        if "hessians" not in self._structs:
+            raise DerivativeError(f"{self.name} has no second derivatives; give second_order=True to build()")
+        self._set(x0, u)
+        multipliers = self._numbers("lam", lam, (self.N, self.nx))
+        self._call(f"hessians_{sweep}", self._pointer(multipliers), self._structs["hessians"])
+        return self._view("hessians", "H").copy()
 
     # Arguments -------------------------------------------------------------------------------------------------------
 
@@ -189,15 +208,18 @@ class Derivatives:
     def _set(self, x0: ArrayLike, u: ArrayLike) -> None:
         for name, value in (("x0", x0), ("u", u)):
             view = self._view("data", name)
-            try:
-                array = np.asarray(value, self._scalar)
-            except (TypeError, ValueError) as error:
-                raise DerivativeError(f"{name}: {error}; expected numbers of shape {view.shape}") from error
-            if array.shape != view.shape:
-                raise DerivativeError(f"{name} has shape {array.shape}; expected {view.shape}")
-            if not np.isfinite(array).all():
-                raise DerivativeError(f"{name} is not finite")
-            view[...] = array
+            view[...] = self._numbers(name, value, view.shape)
+
+    def _numbers(self, name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
+        try:
+            array = np.ascontiguousarray(value, self._scalar)
+        except (TypeError, ValueError) as error:
+            raise DerivativeError(f"{name}: {error}; expected numbers of shape {shape}") from error
+        if array.shape != shape:
+            raise DerivativeError(f"{name} has shape {array.shape}; expected {shape}")
+        if not np.isfinite(array).all():
+            raise DerivativeError(f"{name} is not finite")
+        return array
 
     def _row(self, row: Any) -> int:
         try:
@@ -225,13 +247,13 @@ class Derivatives:
             return ()
         return (float(np.sqrt(EPS[self.precision])) if step is None else float(step),)
 
-    def _work(self, method: Method) -> tuple[Any, ...]:
+    def _work(self, method: Method) -> Any:
         """The struct that a method works on; with matrices, they are computed first."""
         struct = {"finite_differences": "trajectory", "adjoint": "nodes", "alternative": "response"}
         work = self._structs[struct.get(method, "linearization")]
         if method in ("forward", "adjoint_matrices"):
             self._call("sensitivities", work)
-        return (work,)
+        return work
 
     # Calls -----------------------------------------------------------------------------------------------------------
 

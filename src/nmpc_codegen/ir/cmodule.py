@@ -68,11 +68,6 @@ class Setting:
     copies: Size
     entries: Size
 
-    @property
-    def first(self) -> str:
-        """Address of the first number in the solver *s."""
-        return f"&s->{self.field.name}{'[0]' * len(self.field.shape)}"
-
 
 @dataclass(frozen=True)
 class Setter:

@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cache
 from itertools import groupby
 from textwrap import wrap
@@ -15,7 +16,7 @@ from typing import Any
 
 import jinja2
 
-from nmpc_codegen.ir.cmodule import CModule, Table
+from nmpc_codegen.ir.cmodule import CModule, Macro, Table
 from nmpc_codegen.ir.printing.c_style import CStyle
 from nmpc_codegen.ir.printing.routines import print_routine
 from nmpc_codegen.lowering.hooks import check_hooks, extra_parts, hook_prototypes, with_hooks
@@ -42,7 +43,7 @@ from nmpc_codegen.lowering.pruning.reach import calling
 from nmpc_codegen.lowering.pruning.scopes import blanked
 from nmpc_codegen.lowering.pruning.unit import pruned
 from nmpc_codegen.lowering.rows import row_functions, row_ranges
-from nmpc_codegen.package.memory import PURPOSES, WORK, Field, Struct
+from nmpc_codegen.package.memory import PURPOSES, WORK, Field, Size, Struct
 from nmpc_codegen.package.seal import sealed
 from nmpc_codegen.package.signals import Argument, EntryPoint, Layout, Signal, horizon, nodes
 from nmpc_codegen.package.sources import Sources
@@ -113,34 +114,75 @@ def _filled(module: CModule) -> dict[str, Any]:
     names = _names(module)
     header = tidy(environment().get_template("package/solver.h.jinja").render(names))
     known = all_definitions(module)
-    kernels = {routine.name: print_routine(routine, module.style) for routine in module.routines}
-    body = render_unit(module, names)
-    constants = None if module.whole else constants_of(module, known)
-    if constants is None:
-        body = "\n\n".join([*kernels.values(), worded(body, None)])
-    else:
-        body, known = pruned(body, kernels, known, constants)
-    words = names_in(blanked(body))
-    math = own_math(module, definitions(known, words)[1])
-    words |= names_in(math)
-    tables = render_tables(module, names, known, words)
-    words |= names_in(tables)
-    members = {member.name for struct in module.structs for member in struct.fields}
-    renamed = renamed_words(definitions(known, words)[1], header, module.name, members)
-    types = [*(s.name for s in module.structs), "status"]
-    docs = {macro.name: macro.doc for macro in module.macros if not macro.public}
-    short_names = worded(preamble(module.name, types, known, words, renamed, docs), constants)
-    tables = worded(tables, constants)
-    texts = {"body": body, "math": math, "tables": tables}
+    unit = Unit(
+        module.name,
+        header,
+        render_unit(module, names),
+        tuple(known),
+        {routine.name: print_routine(routine, module.style) for routine in module.routines},
+        module.structs,
+        module.tables,
+        None if module.whole else constants_of(module, known),
+        {macro.name: macro.doc for macro in module.macros if not macro.public},
+    )
+    texts = unit.texts(module.style, lambda used: own_math(module, used))
     return {
         **names,
-        **{place: rename(text, renamed) for place, text in texts.items()},
-        "header": header,
+        **texts,
         "guard": _guard(module.name, module.target),
         "spelling": _spelling(module),
-        "system_headers": _system_headers(body),
-        "preamble": short_names,
+        "unit": module.value("MAGIC"),
     }
+
+
+@dataclass(frozen=True, eq=False)
+class Unit:
+    """What makes a translation unit: the header of the package, parts, macros, printed kernels, structs, tables.
+
+    ``constants``: what pruning knows; None: nothing is left out. ``docs``: what sizes of this unit alone are.
+    """
+
+    name: str
+    header: str
+    body: str
+    known: tuple[Definition, ...]
+    kernels: Mapping[str, str]
+    structs: tuple[Struct, ...]
+    tables: tuple[Table, ...]
+    constants: Constants | None
+    docs: Mapping[str, str] = field(default_factory=dict)
+
+    def texts(
+        self, style: CStyle, math: Callable[[Collection[str]], str] = lambda used: ""
+    ) -> dict[str, str | list[str]]:
+        """Place in the templates -> text; ``math`` writes the elementary functions among names that are used."""
+        known: Sequence[Definition] = self.known
+        if self.constants is None:
+            body = "\n\n".join([*self.kernels.values(), worded(self.body, None)])
+        else:
+            body, known = pruned(self.body, self.kernels, known, self.constants)
+        words = names_in(blanked(body))
+        functions = math(definitions(known, words)[1])
+        words |= names_in(functions)
+        tables = self._tables(style, definitions(known, words)[1])
+        words |= names_in(tables)
+        members = {member.name for struct in self.structs for member in struct.fields}
+        renamed = renamed_words(definitions(known, words)[1], self.header, self.name, members)
+        types = [*(s.name for s in self.structs), "status"]
+        short_names = worded(preamble(self.name, types, known, words, renamed, self.docs), self.constants)
+        texts = {"body": body, "math": functions, "tables": worded(tables, self.constants)}
+        return {
+            **{place: rename(text, renamed) for place, text in texts.items()},
+            "header": self.header,
+            "system_headers": _system_headers(body),
+            "preamble": short_names,
+        }
+
+    def _tables(self, style: CStyle, used: Collection[str]) -> str:
+        """The tables among names that are used, directly or through macros of the preamble."""
+        tables = [t for t in self.tables if t.name in used and (t.values or self.constants is None)]
+        names = {"tables": tables, "values": lambda table: table_values(table, style)}
+        return environment().get_template("package/tables.c.jinja").render(names).rstrip("\n")
 
 
 def _system_headers(body: str) -> list[str]:
@@ -155,26 +197,21 @@ def _names(module: CModule) -> dict[str, Any]:
         "m": module,
         "gcc12": GCC_12,
         "version": __version__,
-        "member": lambda field: _member(field, module),
+        "member": lambda field: member(field, module.name, module.public),
         "by_purpose": _by_purpose,
         "comment": lambda text: block_comment(text),
-        "prototype": lambda entry: _prototype(entry, module),
+        "prototype": lambda entry: prototype(entry, module.name, SOLVER),
+        "macros": module.public,
+        "statuses": {status: status.text for status in module.statuses},
+        "structs": module.structs,
+        "precision": module.precision,
         "dim": lambda macro: f"{module.macro}_{macro}",
-        "values": lambda table: table_values(table, module.style),
-        "print_routine": lambda routine: print_routine(routine, module.style),
         "resolved": lambda template: _resolved(environment().get_template(template).render(names), module),
         "copies": lambda option: _copies(module.layouts[option], option in ("reference", "weight")),
         "initial": ", ".join(names["lit"](v) for s in module.description.states for v in s.value),
         "dt": names["lit"](module.description.sampling_time or module.description.dt[0]),
     }
     return names
-
-
-def render_tables(module: CModule, names: dict[str, Any], known: Sequence[Definition], body: Collection[str]) -> str:
-    """The tables that a body with these identifiers reads, directly or through macros of the preamble."""
-    _, used = definitions(known, body)
-    tables = [t for t in module.tables if t.name in used and (t.values or module.whole)]
-    return environment().get_template("package/tables.c.jinja").render(names | {"tables": tables}).rstrip("\n")
 
 
 def constants_of(module: CModule, known: Sequence[Definition]) -> Constants:
@@ -304,11 +341,11 @@ def _copies(layout: Layout, path_only: bool) -> str:
     return "0, -1, 1" if path_only else "N, N, 2"
 
 
-def _member(field: Field, module: CModule) -> str:
-    """Declaration of a struct member."""
-    ctype = {"real": f"{module.name}_real", "int32": "int32_t"}.get(field.ctype, f"{module.name}_{field.ctype}_t")
-    public = {macro.name for macro in module.public}
-    texts = (s.c(module.macro) if public.issuperset(re.findall(r"[A-Z]\w*", s.text)) else s.value for s in field.shape)
+def member(field: Field, name: str, public: Iterable[Macro]) -> str:
+    """Declaration of a struct member; sizes that are not ``public`` are numbers."""
+    ctype = {"real": f"{name}_real", "int32": "int32_t"}.get(field.ctype, f"{name}_{field.ctype}_t")
+    known = {macro.name for macro in public}
+    texts = (s.c(name.upper()) if known.issuperset(re.findall(r"[A-Z]\w*", s.text)) else s.value for s in field.shape)
     return f"{ctype} {field.name}{''.join(f'[{text}]' for text in texts)};"
 
 
@@ -326,17 +363,27 @@ def block_comment(text: str) -> str:
     return "/* " + "\n * ".join(lines) + " */"
 
 
-def _prototype(entry: EntryPoint, module: CModule) -> str:
-    """Declaration of an entry point."""
+#: The first argument of the entry points of a controller.
+SOLVER = (Argument("s", "solver"),)
+
+
+def prototype(entry: EntryPoint, name: str, owner: tuple[Argument, ...] = ()) -> str:
+    """Declaration of an entry point, whose first arguments ``owner`` may be changed."""
 
     def declared(argument: Argument, constant: bool) -> str:
-        sizes = "".join(f"[{module.macro}_{macro}]" for macro in argument.shape)
-        ctype = {"real": f"{module.name}_real", "int": "int"}[argument.ctype]
-        return f"{'const ' if constant and sizes else ''}{ctype} {argument.name}{sizes}"
+        sizes = "".join(f"[{Size(text, 0).c(name.upper()) if text else ''}]" for text in argument.shape)
+        number = {"real": f"{name}_real ", "int": "int "}.get(argument.ctype)
+        const = "const " if constant and (sizes or number is None) else ""
+        return f"{const}{number or f'{name}_{argument.ctype}_t *'}{argument.name}{sizes}"
 
-    p = module.name
-    arguments = [declared(a, True) for a in entry.inputs] + [declared(a, False) for a in entry.outputs]
-    return f"{p}_status_t {p}_{entry.name}({', '.join([f'{p}_solver_t *s', *arguments])});"
+    inputs, outputs = ([declared(a, True) for a in entry.inputs], [declared(a, False) for a in entry.outputs])
+    arguments = ", ".join([*(declared(a, False) for a in owner), *inputs, *outputs])
+    head = f"{name}_status_t {name}_{entry.name}("
+    if len(head) + len(arguments) <= WIDTH:
+        return f"{head}{arguments});"
+    glued = re.sub(r"(?<!,) ", "\0", arguments)
+    lines = wrap(f"{glued});", WIDTH, initial_indent="    ", subsequent_indent="    ", break_long_words=False)
+    return "\n".join([head, *lines]).replace("\0", " ")
 
 
 def table_values(table: Table, style: CStyle) -> str:

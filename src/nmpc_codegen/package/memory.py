@@ -90,6 +90,11 @@ class Field:
         return tuple(s.value for s in self.shape)
 
     @property
+    def first(self) -> str:
+        """C text of its first number."""
+        return self.name + "[0]" * len(self.shape)
+
+    @property
     def padded(self) -> tuple[int, ...]:
         """Shape of the C array: every size at least 1."""
         return tuple(max(1, s.value) for s in self.shape)

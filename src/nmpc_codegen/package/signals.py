@@ -19,11 +19,14 @@ LISTED = 12
 
 @dataclass(frozen=True)
 class Argument:
-    """An argument of an entry point: an array of the sizes that ``shape`` names, or a number."""
+    """An argument of an entry point: an array of the sizes that ``shape`` names, a number, or a pointer to a struct.
+
+    ``ctype``: "real", "int" or the name of a struct; ``shape``: macros without prefix, "" for a size that is not told.
+    """
 
     name: str
-    ctype: Literal["real", "int"]
-    shape: tuple[str, ...] = ()  # macros without prefix
+    ctype: str
+    shape: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -44,6 +44,7 @@ def law(dims: Dims) -> tuple[Struct, ...]:
             Field("valid", (), "1: the law belongs to the last preparation", "scratch", "int32"),
             Field("call", (), "what the last feedback_first() has done", "scratch", "int32"),
         ),
+        only=lambda f: f.first,
     )
     return (struct,)
 
@@ -98,7 +99,7 @@ RELAXATION = Extra("relaxation", _price)
 VIOLATION = Extra("violation")
 BENT_ROWS = Extra("bent_rows")
 FIRST_SAMPLE = Extra("first_sample")
-FIRST_CONTROL = Extra("first", law)
+FIRST_CONTROL = Extra("first")
 
 #: Samples after which a failure is not that of one sample alone.
 PATIENCE = 10

@@ -323,6 +323,7 @@ class RealTimeIteration(Defaults):
             _trial(dims),
             _search(dims),
             *stated(self.levels, *at_hooks.kept(dims)),
+            *at_hooks.law(dims),
             Struct("solver", "", (*keep, *results)),
         )
 
