@@ -32,7 +32,7 @@ OF_CONTROLLERS = (
 
 DERIVATIVES = (
     "in place of a controller, write functions for gradients, sensitivities and second derivatives of the simulated "
-    "problem; the file may define `outputs`, an expression or a function that returns one, whose impulse response is added"
+    "problem; the file may define `outputs`, an expression or a function of none, whose impulse response is added"
 )
 
 EPILOG = (
