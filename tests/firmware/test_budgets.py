@@ -46,12 +46,13 @@ def test_kept_budgets() -> None:
     [
         (Budgets(ram=15999), r"--max-ram 15999: crane takes 16,000 .*, 1 too many; try --set solve=False.*single"),
         (Budgets(flash=20000), r"--max-flash 20000: .*10,000 too many; try --level Os"),
+        (Budgets(operations=999), r"--max-operations 999: .* 1,000 operations .*, 1 too many; try .*qp.max_iterations"),
         (Budgets(stack=1000), r"--max-stack 1000: .*1,500 bytes \(step > sin\), 500 too many; try "),
     ],
 )
 def test_exceeded_budgets(budgets: Budgets, says: str) -> None:
     with pytest.raises(OptionError, match=says):
-        check(budgets, description(), certificate())
+        check(budgets, description(), certificate(), lambda: 1000)
 
 
 def test_all_excesses_are_named() -> None:

@@ -23,12 +23,11 @@ BUDGETS = {
     "ram": "bytes of solver struct",
     "flash": "bytes of code and constants on a microcontroller",
     "stack": "bytes of stack on a microcontroller",
+    "operations": "floating-point operations of a sample in the worst case",
 }
 
 #: Flags without a meaning for --derivatives.
-OF_CONTROLLERS = (
-    *("allow_foreign", "check", "simulate", "allow_failures", "plot", "target", "level", "verify", "max_operations"),
-)
+OF_CONTROLLERS = (*("allow_foreign", "check", "simulate", "allow_failures", "plot", "target", "level", "verify"),)
 
 DERIVATIVES = (
     "in place of a controller, write functions for gradients, sensitivities and second derivatives of the simulated "
@@ -88,11 +87,6 @@ def parser() -> Parser:
     )
     add("--level", choices=LEVELS, help=f"optimisation level on a microcontroller (default {LEVELS[0]})")
     add("--verify", action="store_true", help="replay a closed loop on the emulated target, compare")
-    add(
-        "--max-operations",
-        metavar="NUMBER",
-        help="choose the largest caps on iterations for which a sample takes so many operations at most, e.g. 2e6",
-    )
     for name, what in BUDGETS.items():
         add(f"--max-{name}", metavar="NUMBER", help=f"export nothing if the package takes more {what}, e.g. 64k or 2e6")
     add("--derivatives", action="store_true", help=DERIVATIVES)

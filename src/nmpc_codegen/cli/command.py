@@ -80,8 +80,6 @@ def _run(arguments: argparse.Namespace, printer: Printer) -> int:
     name = ocp.name if arguments.name is None else arguments.name
     if arguments.check or arguments.simulate is not None:
         check_target(name, TARGETS[options.with_defaults.target])
-    if arguments.max_operations is not None:
-        options = _capped(ocp, options, name, arguments.max_operations, printer)
     folder = Path(arguments.output or Path("out") / name)
     more = firmware.hook(name, lambda **changes: compile(ocp, replace(options, **changes), name))
     given = {"allow_foreign": arguments.allow_foreign, "force": arguments.force, "more": more}
@@ -94,22 +92,6 @@ def _run(arguments: argparse.Namespace, printer: Printer) -> int:
         if arguments.simulate is not None:
             passed = _simulate(arguments, folder, name, printer) and passed
     return 0 if passed else 1
-
-
-def _capped(ocp: OCP, options: Options, name: str, text: str, printer: Printer) -> Options:
-    """The options with the largest caps on iterations that --max-operations allows."""
-    from nmpc_codegen.firmware.budgets import OPERATIONS, parsed
-    from nmpc_codegen.firmware.caps import fitting
-
-    limit = parsed("--max-operations", text, OPERATIONS)
-    fit = fitting(ocp, options, limit, name)
-    for reason in fit.reasons:
-        printer.line(f"chosen  {reason}")
-    caps = "unchanged" if fit.options is options else f"at most {fit.most} iterations"
-    printer.line(f"caps    {caps}: a sample takes {fit.worst:,} operations at most")
-    if fit.warning:
-        printer.line(fit.warning, style="yellow")
-    return fit.options
 
 
 def _derivatives(arguments: argparse.Namespace, printer: Printer) -> int:

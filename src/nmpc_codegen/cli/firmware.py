@@ -10,7 +10,7 @@ from rich.table import Table
 from nmpc_codegen.cli.arguments import BUDGETS
 from nmpc_codegen.cli.printing import Printer
 from nmpc_codegen.errors import OptionError
-from nmpc_codegen.firmware.budgets import Budgets, parsed
+from nmpc_codegen.firmware.budgets import BYTES, OPERATIONS, Budgets, parsed
 from nmpc_codegen.firmware.certificate import Certificate, Form
 from nmpc_codegen.firmware.delivery import Delivery, Variant, deliver, sentences
 from nmpc_codegen.firmware.process import compiler_for, emulated
@@ -26,7 +26,11 @@ class Firmware:
 
     def __init__(self, arguments: argparse.Namespace) -> None:
         given = {flag: getattr(arguments, f"max_{flag}") for flag in BUDGETS}
-        limits = {flag: parsed(f"--max-{flag}", text) for flag, text in given.items() if text is not None}
+        limits = {
+            flag: parsed(f"--max-{flag}", text, OPERATIONS if flag == "operations" else BYTES)
+            for flag, text in given.items()
+            if text is not None
+        }
         self._budgets, self._delivery = Budgets(**limits), Delivery({}, None, None)
         self._level, self._run = arguments.level or LEVELS[0], arguments.verify
         stated = {"level": arguments.level, "max-flash": self._budgets.flash, "max-stack": self._budgets.stack}

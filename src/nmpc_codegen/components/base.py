@@ -190,10 +190,6 @@ class Component(Protocol):
         """Integer members of its structs that limit loops -> least and largest value, for the worst case."""
         ...
 
-    def capped(self, most: int, dims: Dims) -> Self:
-        """The component with every cap on its iterations in a sample at most this number."""
-        ...
-
     def cost(self, dims: Dims, model: ModelFunctions) -> Counts:
         """Exact operation counts of those of its C functions whose count does not depend on data.
 
@@ -413,9 +409,6 @@ class Defaults:
 
     def ranges(self, dims: Dims) -> Mapping[str, tuple[int, int]]:
         return {}
-
-    def capped(self, most: int, dims: Dims) -> Self:
-        return self
 
     def reach(self, problem: Problem) -> float:
         return 0.0

@@ -1,10 +1,10 @@
-"""Limits on memory and stack that a package must keep, or it is not exported."""
+"""Limits on memory, stack and operations that a package must keep, or it is not exported."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.firmware.certificate import Certificate
@@ -21,7 +21,7 @@ OPERATIONS = {"": 1, "k": 10**3, "m": 10**6}
 
 @dataclass(frozen=True)
 class Budgets:
-    """Largest sizes in bytes; None: no limit. Operations are limited before the export (caps.py).
+    """Largest sizes in bytes, and the largest worst case of a sample in operations; None: no limit.
 
     ``ram``: the solver struct; ``flash``: code and constants of the package; ``stack``: of the entry point that needs
     most, libraries included.
@@ -30,10 +30,7 @@ class Budgets:
     ram: int | None = None
     flash: int | None = None
     stack: int | None = None
-
-    @property
-    def given(self) -> bool:
-        return any(getattr(self, f.name) is not None for f in fields(self))
+    operations: int | None = None
 
 
 def parsed(flag: str, text: str, units: Mapping[str, int] = BYTES) -> int:
@@ -52,14 +49,22 @@ def parsed(flag: str, text: str, units: Mapping[str, int] = BYTES) -> int:
     return round(value)
 
 
-def check(budgets: Budgets, description: PackageDescription, certificate: Certificate | None) -> None:
-    """Compare the package with the budgets.
+def check(
+    budgets: Budgets,
+    description: PackageDescription,
+    certificate: Certificate | None,
+    worst: Callable[[], int] = lambda: 0,
+) -> None:
+    """Compare the package with the budgets; ``worst`` gives the operations of a sample at most.
 
     Raises:
         OptionError: it exceeds one of them; the message says by how much, and what to change. Or flash or stack are
             limited, but there is no certificate, which needs a target.
     """
     exceeded = list(_exceeded(budgets, description, certificate))
+    if budgets.operations is not None:
+        what = "operations of a sample at most"
+        exceeded += _judged("operations", budgets.operations, worst(), what, description, _operations_advice)
     if exceeded:
         raise OptionError("; ".join(exceeded))
 
@@ -117,6 +122,19 @@ def _flash_advice(description: PackageDescription, limit: int) -> Iterator[str]:
     yield from _common_advice(description)
     if not description.discrete:
         yield "--set integrator.unroll=none"
+
+
+def _operations_advice(description: PackageDescription, limit: int) -> Iterator[str]:
+    options = description.options
+    if "qp.max_iterations" in options:
+        yield "a smaller --set qp.max_iterations=..., after a simulation with disturbances"
+    if "algorithm.iterations" in options:
+        yield "a smaller --set algorithm.iterations=..."
+    if options.get("qp.fallback"):
+        yield "--set qp.fallback=None"
+    if options.get("algorithm.repair"):
+        yield "--set algorithm.repair=0"
+    yield "fewer intervals"
 
 
 def _stack_advice(description: PackageDescription, limit: int) -> Iterator[str]:

@@ -10,6 +10,7 @@ import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
+from nmpc_codegen.analysis import worst_case
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.firmware.budgets import Budgets, check
 from nmpc_codegen.firmware.certificate import REAL_TIME, Certificate, Form, certify, forms_of
@@ -66,11 +67,16 @@ def deliver(
         raise OptionError(f"--target: {name} has no controls, so there is nothing to verify")
     if any("/" in path for path in package) and (run or target.board):
         raise OptionError("--target: the package contains foreign code, which is not certified; choose another qp")
+
+    def worst() -> int:
+        """Of a sample, in portable C if the target computes several nodes at once."""
+        return worst_case(package if target.lanes == 1 else variant(target=PORTABLE.name))["sample"]
+
     if target.board is None:
-        check(budgets, description, None)
+        check(budgets, description, None, worst)
         return Delivery({}, None, _verified(package, name, target, variant) if run else None)
     certificate = certify(package, name, target, level)
-    check(budgets, description, certificate)
+    check(budgets, description, certificate, worst)
     recording = recorded(package, name)
     verdict = verify(package, name, recording, target, level, certificate.stack_worst) if run else None
     files = {

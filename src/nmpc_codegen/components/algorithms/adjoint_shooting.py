@@ -281,11 +281,6 @@ class AdjointShooting(Defaults):
     def _products(self, dims: Dims) -> int:
         return self.products or min(max(PRODUCTS[0], dims.N.value * dims.nu.value), PRODUCTS[1])
 
-    def capped(self, most: int, dims: Dims) -> AdjointShooting:
-        """At most so many steps, and products with the Hessian in each of them."""
-        products = min(most, self._products(dims)) if self.second_order else None
-        return replace(self, iterations=min(most, self._steps()), products=products)
-
     def sizes(self, dims: Dims) -> tuple[tuple[str, int, str], ...]:
         followed = self.rows in FOLLOWED
         newton, memory = self._of_methods(dims)

@@ -208,10 +208,6 @@ class AugmentedLagrangian(Defaults):
     def reach(self, problem: Problem) -> float:
         return resample_reach(self.shift, self.sampling_time, problem)
 
-    def capped(self, most: int, dims: Dims) -> AugmentedLagrangian:
-        """At most so many Newton iterations."""
-        return replace(self, iterations=min(most, self.iterations))
-
     def sizes(self, dims: Dims) -> tuple[tuple[str, int, str], ...]:
         return (
             ("LDZ", _padded(dims).value, "NZ rounded up to a multiple of 4"),

@@ -66,10 +66,6 @@ class DenseActiveSet(Defaults):
         needed = math.ceil(CAUTION * ITERATIONS_NEEDED * (dims.qp.nv.value + dims.ng.value))
         return self.max_iterations or max(LEAST_ITERATIONS, needed)
 
-    def capped(self, most: int, dims: Dims) -> DenseActiveSet:
-        """At most so many iterations."""
-        return replace(self, max_iterations=min(most, self._cap(dims)))
-
     def sizes(self, dims: Dims) -> tuple[tuple[str, int, str], ...]:
         """The iteration cap."""
         cap = self._cap(dims)

@@ -112,11 +112,6 @@ class RiccatiActiveSet(Defaults):
     def _cap(self) -> int:
         return self.max_iterations or MAX_ITERATIONS
 
-    def capped(self, most: int, dims: Dims) -> RiccatiActiveSet:
-        """At most so many working sets, and iterations of the fall-back."""
-        fallback = None if self.fallback is None else self.fallback.capped(most, dims)
-        return replace(self, max_iterations=min(most, self._cap), fallback=fallback)
-
     def sizes(self, dims: Dims) -> tuple[tuple[str, int, str], ...]:
         """Leading dimensions and caps."""
         return (

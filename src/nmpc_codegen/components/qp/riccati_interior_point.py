@@ -138,10 +138,6 @@ class RiccatiInteriorPoint(Defaults):
         """INTERIOR_POINT: the method is in the package."""
         return replace(features, interior_point=True)
 
-    def capped(self, most: int, dims: Dims) -> RiccatiInteriorPoint:
-        """At most so many factorisations."""
-        return replace(self, max_iterations=min(most, self.max_iterations))
-
     def sizes(self, dims: Dims) -> tuple[tuple[str, int, str], ...]:
         """Leading dimensions of the recursion, the iteration cap, the warm start."""
         return (
