@@ -12,7 +12,7 @@ import pytest
 from conftest import require_tool
 
 from examples import crane
-from nmpc_codegen import Options, export, generate
+from nmpc_codegen import Options, export, generate, worst_case
 from nmpc_codegen.cli import main
 from nmpc_codegen.package.seal import intact
 from nmpc_codegen.runtime import compilers
@@ -194,8 +194,14 @@ def test_exceeded_budgets_leave_no_files(tmp_path: Path, capsys: pytest.CaptureF
     size = json.loads(generate(crane.build_ocp())["crane.json"])["report"]["ram_bytes"]
     assert f"--max-ram 6144: crane takes {size:,} bytes" in err
     assert "try --set solve=False" in err
+    worst = worst_case(generate(crane.build_ocp()))["sample"]
+    for target in ("portable", "x86-64-v3"):
+        assert main([PROBLEM, "-o", str(folder), "--target", target, "--max-operations", str(worst - 1)]) == 1
+        err = capsys.readouterr().err
+        assert f"--max-operations {worst - 1}: crane takes {worst:,} operations of a sample at most, 1 too many" in err
+        assert "--set algorithm.repair=0" in err
     assert not folder.exists()
-    assert main([PROBLEM, "-o", str(folder), "--max-ram", "18k"]) == 0
+    assert main([PROBLEM, "-o", str(folder), "--max-ram", "18k", "--max-operations", str(worst)]) == 0
 
 
 @pytest.mark.parametrize(
