@@ -1,4 +1,4 @@
-"""The Riccati recursion and its solvers in a shared library, with hand-written accessors of the stages.
+"""The Riccati recursion in a shared library, with hand-written accessors of the stages.
 
 Every array of the solver struct is a NumPy view, so no optimal control problem is needed.
 """
@@ -25,7 +25,6 @@ from verification.qp.harness import (
     FAST,
     FEATURES,
     SCALARS,
-    STATUSES,
     WARNINGS,
     build_directory,
     part_text,
@@ -124,9 +123,9 @@ void test_init(solver_t *s) { riccati_init(s); }
 """
 
 
-def structs(shape: Shape, owned: tuple[Struct, ...] = ()) -> tuple[Struct, ...]:
-    """All structs without members of size 0, the solver last; ``owned``: by the component, or else by the recursion."""
-    inner = tuple(_existing(s) for s in (*_data(shape.dims), *(owned or riccati_structs(shape.dims))))
+def structs(shape: Shape) -> tuple[Struct, ...]:
+    """All structs without members of size 0, the solver last."""
+    inner = tuple(_existing(s) for s in (*_data(shape.dims), *riccati_structs(shape.dims)))
     held = {f.ctype for s in inner for f in s.fields}
     members = tuple(Field(s.name, (), "", "data", s.name) for s in inner if s.name not in held)
     return (*inner, Struct("solver", "", members))
@@ -137,20 +136,12 @@ def _existing(struct: Struct) -> Struct:
     return replace(struct, fields=tuple(fields))
 
 
-def source(
-    shape: Shape,
-    part: str = "riccati/kernel.c",
-    sizes: tuple[tuple[str, int, str], ...] = (),
-    owned: tuple[Struct, ...] = (),
-    precision: str = "double",
-    lanes: int = 1,
-    entries: str = KERNEL,
-) -> str:
-    """Self-contained C text of a part that works on stages, with entry points; ``lanes`` > 1: in register tiles."""
+def source(shape: Shape, precision: str = "double", lanes: int = 1) -> str:
+    """Self-contained C text of the recursion, with entry points; ``lanes`` > 1: in register tiles."""
     dims = vars(shape.dims)
     values = {size.text: size.value for size in dims.values() if isinstance(size, Size)}
     values |= {"PACK_WIDTH": lanes, "TILES": int(lanes > 1)}
-    values |= {name: value for name, value, _ in (*riccati_sizes(shape.dims), *sizes)}
+    values |= {name: value for name, value, _ in riccati_sizes(shape.dims)}
     measured = [int(i not in shape.free) for i in range(shape.nx)]
     tables = {
         "stage_first": shape.first,
@@ -172,11 +163,11 @@ def source(
     scales = {"z_scale": nz, "row_magnitude": max(1, len(shape.rows)), "force_size": nz}
     lines += [f"static const real_t {name}[{size}] = {{ R(0) }};" for name, size in scales.items()]
     lines.append("static const real_t cost_size[1] = { R(1e-27) };")
-    lines += [struct_text(struct) for struct in structs(shape, owned)]
+    lines += [struct_text(struct) for struct in structs(shape)]
     accessors = part_text("core/sizes.c", values | shape.switches) + ACCESSORS + (ROW_ACCESSOR if shape.rows else "")
-    text = _in_lines(accessors) + part_text(part, values | shape.switches) + _in_lines(entries)
-    stated = {(s.name, f.name) for s in (*_data(shape.dims), *(owned or riccati_structs(shape.dims))) for f in s.fields}
-    absent = stated - {(s.name, f.name) for s in structs(shape, owned) for f in s.fields}
+    text = _in_lines(accessors) + part_text("riccati/kernel.c", values | shape.switches) + _in_lines(KERNEL)
+    stated = {(s.name, f.name) for s in (*_data(shape.dims), *riccati_structs(shape.dims)) for f in s.fields}
+    absent = stated - {(s.name, f.name) for s in structs(shape) for f in s.fields}
     ranges = {name: (min(numbers), max(numbers)) for name, numbers in tables.items() if numbers}
     return "\n".join([*lines, pruned(text, values | shape.switches, precision, absent, ranges)])
 
@@ -203,124 +194,13 @@ def compiled(text: str, flags: tuple[str, ...] = FAST) -> ctypes.CDLL:
     return ctypes.CDLL(str(stem.with_suffix(".so")))
 
 
-def memory_layout(shape: Shape, owned: tuple[Struct, ...] = (), precision: str = "double") -> np.dtype[Any]:
+def memory_layout(shape: Shape, precision: str = "double") -> np.dtype[Any]:
     """NumPy type of the solver struct."""
     scalars: dict[str, Any] = {"real": SCALARS[precision], "int32": np.int32}
-    for struct in structs(shape, owned):
+    for struct in structs(shape):
         fields = [(f.name, np.dtype(scalars[f.ctype]), f.padded) for f in struct.fields]
         scalars[struct.name] = union_dtype(fields) if struct.union else np.dtype(fields, align=True)
     return np.dtype(scalars["solver"])
-
-
-SOLVER = """
-void test_qp_init(solver_t *s) { qp_init(s); }
-int test_qp_factorize(solver_t *s) { return (int)qp_factorize(s); }
-void test_qp_gradient(solver_t *s) { qp_gradient(s); }
-int test_qp_solve(solver_t *s) { return (int)qp_solve(s); }
-void test_qp_shift(solver_t *s, int n, const int *source)
-{
-    qp_shift_controls(s, n);
-    qp_shift_rows(s, source);
-}
-int test_qp_size(void) { return (int)sizeof(solver_t); }
-"""
-
-
-def solver_source(shape: Shape, component: Any, precision: str = "double", lanes: int = 1) -> str:
-    """Self-contained C text of a solver with its exported entry points."""
-    known = {name for name, _, _ in riccati_sizes(shape.dims)}
-    sizes = tuple(entry for entry in component.sizes(shape.dims) if entry[0] not in known)
-    return source(shape, component.template, sizes, component.structs(shape.dims), precision, lanes, SOLVER)
-
-
-@functools.cache
-def solver_library(
-    shape: Shape, component: Any, precision: str, flags: tuple[str, ...], lanes: int = 1
-) -> tuple[ctypes.CDLL, np.dtype[Any]]:
-    """The library of a solver and the type of its struct, once per session."""
-    layout = memory_layout(shape, component.structs(shape.dims), precision)
-    return compiled(solver_source(shape, component, precision, lanes), flags), layout
-
-
-class RiccatiQP:
-    """A solver on stages; ``self["z"]`` is the view of the member z of its struct qp."""
-
-    def __init__(
-        self,
-        shape: Shape,
-        component: Any,
-        precision: str = "double",
-        flags: tuple[str, ...] = FAST,
-        lanes: int = 1,
-    ) -> None:
-        self.shape = shape
-        self.library, layout = solver_library(shape, component, precision, flags, lanes)
-        self.memory = np.zeros((), layout)
-        assert self.library.test_qp_size() == self.memory.nbytes
-        self.library.test_qp_init(self.pointer)
-
-    @property
-    def pointer(self) -> ctypes.c_void_p:
-        return ctypes.c_void_p(self.memory.ctypes.data)
-
-    def __getitem__(self, name: str) -> np.ndarray:
-        """A member; one of size 0, which does not exist, is an empty array."""
-        qp = self.memory["qp"]
-        return qp[name] if name in qp.dtype.names else np.zeros(0)
-
-    def load(self, qp: Any) -> None:
-        """All data of a StageQP; strict upper triangles are NaN, because they must not be read."""
-        problem, stage, hessian = qp.problem, self.memory["stage"], self.memory["hessian"]
-        nx = self.shape.nx
-        upper = np.triu(np.full(problem.Q[0].shape, np.nan), 1)
-        stage["S"][...], stage["b"][...] = problem.S, problem.b
-        hessian["Q"][...], hessian["Q_N"][...] = problem.Q + upper, problem.Q_N + upper[:nx, :nx]
-        if len(qp.rows):
-            stage["J"][...] = qp.rows
-            self["penalty"][...], self["curvature"][...] = qp.penalty, qp.curvature
-        self.load_gradient(qp)
-        self.load_bounds(qp)
-
-    def load_gradient(self, qp: Any) -> None:
-        self.memory["stage"]["g"][:-1] = qp.problem.g
-        self.memory["stage"]["g"][-1, : self.shape.nx] = qp.problem.g_N
-
-    def load_bounds(self, qp: Any) -> None:
-        n = self.shape.ns * self.shape.nus + len(self.shape.rows)
-        self["lower"][:n], self["upper"][:n] = qp.lower, qp.upper
-
-    def factorize(self) -> str:
-        return STATUSES[self.library.test_qp_factorize(self.pointer)]
-
-    def solve(self, x_0: np.ndarray) -> str:
-        """``x_0``: its free components are overwritten by NaN, because they must not be read."""
-        start = np.array(x_0, dtype=float)
-        start[list(self.shape.free)] = np.nan
-        self.memory["step"]["dx"][0] = start
-        return STATUSES[self.library.test_qp_solve(self.pointer)]
-
-    def run(self, qp: Any) -> str:
-        """Run both phases; returns the status of the phase that failed, else that of qp_solve."""
-        self.load(qp)
-        status = self.factorize()
-        return status if status != "OK" else self.solve(qp.problem.x_0)
-
-    def shift(self, n: int, source: Any = None) -> None:
-        rows = np.arange(len(self.shape.rows)) if source is None else source
-        self.library.test_qp_shift(self.pointer, n, (ctypes.c_int * max(1, len(rows)))(*rows))
-
-    @property
-    def x(self) -> np.ndarray:
-        return self["x"].astype(float)
-
-    @property
-    def u(self) -> np.ndarray:
-        return self["z"].astype(float).reshape(self.shape.ns, self.shape.nus)
-
-    @property
-    def mult(self) -> np.ndarray:
-        n = self.shape.ns * self.shape.nus + len(self.shape.rows)
-        return self["mult"][:n].astype(float)
 
 
 def drawn_rows(rng: np.random.Generator, shape: Shape) -> np.ndarray:
