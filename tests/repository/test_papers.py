@@ -42,7 +42,11 @@ def places(page: str, paper: str) -> set[str]:
     return found
 
 
-@pytest.mark.parametrize("paper", EXHIBITS)
+#: Those whose figures are drawn soonest.
+QUICK = ("HSJ", "Q14")
+
+
+@pytest.mark.parametrize("paper", [p if p in QUICK else pytest.param(p, marks=pytest.mark.slow) for p in EXHIBITS])
 def test_every_figure_can_be_drawn(paper: str, tmp_path: Path, need: Callable[[str], str]) -> None:
     """At scale 0; the exit status says whether a number misses its limit."""
     need("cc")

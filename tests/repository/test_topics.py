@@ -17,19 +17,21 @@ ROOT = Path(__file__).parents[2]
 OF_GCC = ("instructions", "speed/own_math")
 
 
-def names() -> list[str]:
-    """All topics whose programs are on this machine."""
-    code = "from benchmarks.topics import chosen; import json; print(json.dumps(chosen('all')))"
+def names(page: bool) -> list[str]:
+    """Topics of the page, or all others, whose programs are on this machine."""
+    code = "from benchmarks.topics import PAGE, chosen; import json; "
+    code += f"print(json.dumps([t for t in chosen('all') if (t in PAGE) is {page}]))"
     out = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True).stdout
     found: list[str] = json.loads(out)
     return found
 
 
+@pytest.mark.parametrize("page", [True, pytest.param(False, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("of_gcc", [True, False])
-def test_every_topic_runs(of_gcc: bool, tmp_path: Path, need: Callable[[str], str]) -> None:
+def test_every_topic_runs(page: bool, of_gcc: bool, tmp_path: Path, need: Callable[[str], str]) -> None:
     need("cc")
     need("cxx")
-    chosen = [name for name in names() if (name in OF_GCC) == of_gcc]
+    chosen = [name for name in names(page) if (name in OF_GCC) == of_gcc]
     environment = dict(os.environ)
     if not of_gcc and shutil.which("tcc"):
         environment |= {"CC": "tcc", "C_INCLUDE_PATH": str(ROOT / "tests" / "tcc")}

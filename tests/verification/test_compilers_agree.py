@@ -20,7 +20,7 @@ CASES = {sample.name.removeprefix("timed "): sample for sample in TIMED}
 CASES["pure crane"] = Sample("timed crane", crane.build_ocp, Options(algorithm=PURE, solve=False))
 CASES["cart_pole"] = Sample("cart_pole", scenarios.CART_POLE.make, scenarios.CART_POLE.options)
 
-QUICK = ("crane", "pure crane")
+QUICK = ("pure crane",)
 
 
 @pytest.mark.parametrize(
