@@ -263,7 +263,7 @@ def test_component_keeps_its_house(cls: Any) -> None:
     head = (TEMPLATES / folder / f"{module}.c").read_text(encoding="utf-8").splitlines()[:HEAD]
     assert any(re.search(r"(?i)\bcontract\b", line) for line in head), "the contract stands at the top of the template"
     assert set(cls.needs) <= set(SEAMS) - {cls.seam}
-    for document in ("docs/problem-class.md", "CHANGELOG.md"):
+    for document in ("docs/algorithms.md", "CHANGELOG.md"):
         assert f"`{cls.__name__}`" in (ROOT / document).read_text(encoding="utf-8"), f"{document} does not name it"
 
 

@@ -191,6 +191,15 @@ def test_problem_class_scaling_and_signs() -> None:
     assert solution.mu_u[0, 0] < 0
 
 
+@pytest.mark.parametrize("page", ["problem-class", "samples"])
+def test_programs_of_the_reference_run(page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    found = blocks(f"docs/{page}.md")
+    assert found
+    for block in found:
+        exec(block.text, {})
+
+
 @pytest.mark.parametrize(("page", "scale"), [("acado", 1.0), ("acados", 0.3)])
 def test_pages_for_newcomers(page: str, scale: float) -> None:
     """Their blocks run; the cost has the scaling that the page states: nodes times 1 or dt, no factor at the end."""
