@@ -22,7 +22,7 @@ def curved(problem: Problem, component: Any, scheme: str) -> LoopedRoutine:
     nz = problem.nx + problem.nu
     zeros = ca.Function("zeros", [], [ca.SX.zeros(nz), ca.SX.zeros(nz * nz)])
     start = Call(zeros, (), (Slice("g", nz), Slice("Q", nz * nz)))
-    routine = component.curved(problem, SWEEPS[scheme], "curved", start, ())
+    routine = component.lift_hessian(problem, SWEEPS[scheme], "curved", start, ())
     assert isinstance(routine, LoopedRoutine)
     return routine
 

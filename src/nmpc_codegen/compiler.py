@@ -6,7 +6,7 @@
 Every stage is a pure function from frozen values to a frozen value, and none looks back; only OCP and Controller, at
 the ends, are mutable. CasADi is used up to linearize, jinja2 only in render, and cffi only in build. What follows from
 the text, the worst case of a sample, is an analysis of Sources that is made on request (analysis/). What users are told
-of a package, warnings and the program for diagnose(), is added to a CModule by explained().
+of a package, warnings and the program for diagnose(), is added to a CModule by explain().
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from nmpc_codegen.errors import OptionError, warn
 from nmpc_codegen.exclusive import COMPILING
 from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.frontend.ocp import OCP
-from nmpc_codegen.lowering.explain import explained
+from nmpc_codegen.lowering.explain import explain
 from nmpc_codegen.lowering.linearize import linearize
 from nmpc_codegen.lowering.lower import lower
 from nmpc_codegen.lowering.render import render
@@ -49,7 +49,7 @@ def compile(ocp: OCP, options: Options | None = None, name: str | None = None) -
     """The files of the C package: OCP -> Problem -> Model -> CModule -> Sources. It raises the errors of generate()."""
     with COMPILING:
         model = linearize(classify(ocp), options)
-        return render(explained(lower(model, name), model))
+        return render(explain(lower(model, name), model))
 
 
 def generate(ocp: OCP, options: Options | None = None, name: str | None = None) -> Sources:

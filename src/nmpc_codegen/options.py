@@ -20,7 +20,7 @@ from nmpc_codegen.components.base import (
     Integrator,
     QpSolver,
     Seam,
-    called,
+    spell,
 )
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.package.memory import Precision
@@ -87,7 +87,7 @@ class Chosen:
     seam: Seam
     optional: bool = False
 
-    def converted(self, value: Any) -> Any:
+    def convert(self, value: Any) -> Any:
         return value
 
     def takes(self, value: Any) -> bool:
@@ -105,7 +105,7 @@ class Group:
 
     cls: type
 
-    def converted(self, value: Any) -> Any:
+    def convert(self, value: Any) -> Any:
         return value
 
     def takes(self, value: Any) -> bool:
@@ -152,7 +152,7 @@ class Options:
             if seam != "algorithm" and given is not None and seam not in self.algorithm.needs:
                 needed = ", ".join(self.algorithm.needs)
                 raise OptionError(
-                    f"{seam} {called(given)} clashes with algorithm {called(self.algorithm)}, which takes none; "
+                    f"{seam} {spell(given)} clashes with algorithm {spell(self.algorithm)}, which takes none; "
                     f"it needs {needed}"
                 )
 

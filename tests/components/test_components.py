@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from nmpc_codegen import EconomicGaussNewton, GaussNewton, OptionError, Options
-from nmpc_codegen.components.base import SEAMS, Component, Dims, called, refuse_unsupported
+from nmpc_codegen.components.base import SEAMS, Component, Dims, refuse_unsupported, spell
 from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.ir.cmodule import Macro
 from nmpc_codegen.ir.sweep import Routine
@@ -100,7 +100,7 @@ def test_supports_known_features_and_refuses_the_others(cls: type) -> None:
     refuse_unsupported(dataclasses.replace(lin.problem, uses=component.supports), [component], REGISTRIES)
     for feature in FEATURES - component.supports:
         problem = dataclasses.replace(lin.problem, uses=frozenset({feature}))
-        with pytest.raises(OptionError, match=re.escape(called(component))):
+        with pytest.raises(OptionError, match=re.escape(spell(component))):
             refuse_unsupported(problem, [component], REGISTRIES)
 
 

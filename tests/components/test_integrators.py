@@ -17,7 +17,7 @@ from nmpc_codegen.components.integrators.first_order import Sensitivities
 from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.kernel import Kernel
-from nmpc_codegen.ir.sweep import Call, LoopedRoutine, Slice, straight
+from nmpc_codegen.ir.sweep import Call, LoopedRoutine, Slice, lift_straight
 from verification.c_harness import Routines
 from verification.models import GRID, LENGTH, discrete_map, problem_of
 from verification.oracles.runge_kutta import MODELS, ORDERS, POINTS, SCHEMES, Array, complex_step, integrate
@@ -290,7 +290,7 @@ def test_a_tableau_of_the_user() -> None:
     ralston = ButcherTableau("Ralston", ((F(0), F(0)), (F(2, 3), F(0))), (F(1, 4), F(3, 4)), 2)
     x, u, p = POINTS["tanks"]
     interval = ExplicitRungeKutta(ralston, 2, "none").interval(stated("tanks", False)).linearize
-    unrolled = straight(Sensitivities(stated("tanks", False), ralston, 2).sweep())
+    unrolled = lift_straight(Sensitivities(stated("tanks", False), ralston, 2).sweep())
     routines = Routines({"loops": interval, "line": unrolled})
     m, h = MODELS["tanks"], 0.1
     X = x

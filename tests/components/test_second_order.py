@@ -48,7 +48,7 @@ def start(problem: Problem) -> Call:
 
 
 def curved(problem: Problem, component: Any, scheme: str) -> Routine:
-    return component.curved(problem, scheme, "curved", start(problem), ())
+    return component.lift_hessian(problem, scheme, "curved", start(problem), ())
 
 
 @functools.cache
@@ -302,7 +302,7 @@ def test_lower_triangle_and_structural_zeros(scheme: str) -> None:
 def test_columns_that_depend_on_time_alone() -> None:
     """States of the crane: position and velocity of the cart; they are not propagated."""
     d = Derivatives(stated("crane", True))
-    assert [d.closed(j) for j in range(5)] == [True, True, False, False, False]
+    assert [d.depends_on_time_alone(j) for j in range(5)] == [True, True, False, False, False]
     assert d.curved == [3]
     assert (d.curved_states, d.curved_controls) == ([2], [0])
 

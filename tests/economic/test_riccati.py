@@ -9,14 +9,14 @@ from hypothesis import strategies as st
 
 from nmpc_codegen import ProblemError
 from nmpc_codegen.economic.linear_quadratic import LinearQuadratic, frequency_function
-from nmpc_codegen.economic.riccati import cost_to_go, eliminated
+from nmpc_codegen.economic.riccati import cost_to_go, eliminate
 from nmpc_codegen.economic.semidefinite import Certificate, Weights, convexify
 from verification.economic.rotated import random_problem
 
 
 def by_dynamic_programming(lq: LinearQuadratic, S: np.ndarray, steps: int = 3000) -> np.ndarray:
     """P of W = H - Hcal(S), backwards from 0 with rows C w = 0 by their null space, minus S."""
-    W, n, m = lq.H - lq.rotated(S), lq.n, lq.m
+    W, n, m = lq.H - lq.rotate(S), lq.n, lq.m
     AB, P = np.hstack([lq.A, lq.B]), np.zeros((n, n))
     for _ in range(steps):
         G = W + AB.T @ P @ AB
@@ -41,7 +41,7 @@ def test_rotated_problem(seed: int, rows: int) -> None:
     assert np.abs(found.P - expected).max() <= 1e-7 * np.abs(expected).max()
     assert found.residual < 1e-9
     w = np.vstack([np.eye(lq.n), -found.K])
-    bellman = w.T @ (lq.H + lq.rotated(found.P)) @ w
+    bellman = w.T @ (lq.H + lq.rotate(found.P)) @ w
     assert np.abs(bellman).max() <= 1e-6 * np.abs(found.P).max()
 
 
@@ -54,7 +54,7 @@ def test_some_are_indefinite() -> None:
 def test_row_of_a_state_confines_the_state() -> None:
     """x_1 = 0 for ever: a double integrator with one control has no freedom left."""
     A, B = np.array([[1.0, 0.1], [0.0, 0.5]]), np.array([[1.0, 0.0], [0.0, 1.0]])
-    r = eliminated(LinearQuadratic(A, B, np.eye(4), np.array([[1.0, 0.0, 0.0, 0.0]])))
+    r = eliminate(LinearQuadratic(A, B, np.eye(4), np.array([[1.0, 0.0, 0.0, 0.0]])))
     assert r.T.shape == (2, 1)
     assert abs(r.T[0, 0]) < 1e-12
     assert r.N.shape[1] == 1

@@ -7,7 +7,7 @@ import dataclasses
 import pytest
 
 from nmpc_codegen import OptionError
-from nmpc_codegen.firmware.budgets import Budgets, check, parsed
+from nmpc_codegen.firmware.budgets import Budgets, check, parse_size
 from nmpc_codegen.firmware.certificate import Certificate
 from nmpc_codegen.package.description import PackageDescription
 from verification import problems
@@ -26,13 +26,13 @@ def certificate() -> Certificate:
 
 @pytest.mark.parametrize(("text", "value"), [("6000", 6000), ("64k", 65536), ("1.5M", 1572864), ("2e6", 2000000)])
 def test_numbers(text: str, value: int) -> None:
-    assert parsed("--max-ram", text) == value
+    assert parse_size("--max-ram", text) == value
 
 
 @pytest.mark.parametrize("text", ["", "0", "-3", "64 kB", "nan", "inf", "1e", "k", "1e400", "1e3000k"])
 def test_what_is_no_number(text: str) -> None:
     with pytest.raises(OptionError, match=r"--max-ram .*expected a number of at least 1"):
-        parsed("--max-ram", text)
+        parse_size("--max-ram", text)
 
 
 def test_kept_budgets() -> None:

@@ -14,11 +14,11 @@ from conftest import require_tool
 from examples import crane
 from nmpc_codegen import AdjointShooting, BuildError, Options, generate
 from nmpc_codegen.firmware.certificate import Certificate, certify
-from nmpc_codegen.firmware.delivery import recorded, sentences
+from nmpc_codegen.firmware.delivery import record_loop, sentences
 from nmpc_codegen.firmware.image import build
 from nmpc_codegen.firmware.recording import TOLERANCE, Event, Recording, ranges, record
 from nmpc_codegen.firmware.toolchain import compile_flags, find
-from nmpc_codegen.firmware.verify import Verdict, compared, verify
+from nmpc_codegen.firmware.verify import Verdict, compare, verify
 from nmpc_codegen.runtime.build import load
 from nmpc_codegen.targets import TARGETS
 from verification import problems
@@ -96,7 +96,7 @@ def test_an_algorithm_without_phases() -> None:
     require_tool("qemu")
     options = Options(algorithm=AdjointShooting(), precision="single", solve=False)
     sources = generate(crane.build_ocp(), options)
-    inputs = recorded(sources, "crane")
+    inputs = record_loop(sources, "crane")
     certificate = certify(sources, "crane", TARGETS["cortex-m4f"])
     verdict = verify(sources, "crane", inputs, TARGETS["cortex-m4f"])
     assert verdict.passed
@@ -150,9 +150,9 @@ def test_comparison_sees_status_and_nan() -> None:
         inputs.description, inputs.x[:2], (), np.zeros((2, 1)), np.zeros(2, dtype=np.int64), inputs.plant, np.ones(1)
     )
     run: Any = Run()
-    assert compared(short, run).mismatches == (1,)
+    assert compare(short, run).mismatches == (1,)
     run.u = np.array([[np.nan], [0.0]], dtype=np.float32)
-    assert compared(short, run).mismatches == (0, 1)
+    assert compare(short, run).mismatches == (0, 1)
 
 
 def test_the_program_has_no_warnings(tmp_path: Path) -> None:

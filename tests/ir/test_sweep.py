@@ -18,8 +18,8 @@ from nmpc_codegen.ir.sweep import (
     LoopedRoutine,
     Slice,
     Sweep,
-    looped,
-    straight,
+    lift_loops,
+    lift_straight,
     unroll,
 )
 from nmpc_codegen.package.opcount import OpCount
@@ -113,7 +113,7 @@ A = np.random.default_rng(1).uniform(-1, 1, (M, N))
 
 @pytest.fixture(scope="module")
 def routines() -> Routines:
-    return Routines({"line": straight(SWEEP), "loops": looped(SWEEP)})
+    return Routines({"line": lift_straight(SWEEP), "loops": lift_loops(SWEEP)})
 
 
 @pytest.mark.parametrize("spelling", ["line", "loops"])
@@ -130,23 +130,23 @@ def test_unrolled_function_against_numpy() -> None:
 
 def test_counts_multiply_loops_out() -> None:
     """fade: N mul and N add; column: M - 1 add and 1 mul; double: 1 add; spread: 1 call."""
-    count = looped(SWEEP).count
+    count = lift_loops(SWEEP).count
     fade, column = OpCount(add=N, mul=N) * M, OpCount(add=M - 1, mul=1) * N
     assert count == fade + column + OpCount(add=1) * (2 * N) + OpCount(call=1) * N
-    line = straight(SWEEP)
+    line = lift_straight(SWEEP)
     assert isinstance(line, Kernel)
     assert line.count.total <= count.total
     assert line.count.call == N
 
 
 def test_a_straight_line_program_has_one_kernel_and_a_looped_one_its_leaves() -> None:
-    assert len(straight(SWEEP).kernels) == 1
-    names = [k.name for k in looped(SWEEP).kernels]
+    assert len(lift_straight(SWEEP).kernels) == 1
+    names = [k.name for k in lift_loops(SWEEP).kernels]
     assert names == [f"recursion_{leaf}" for leaf in ("zero", "fade", "column", "double", "spread")]
 
 
 def test_printed_loops() -> None:
-    text = print_routine(looped(SWEEP), CStyle("real", False))
+    text = print_routine(lift_loops(SWEEP), CStyle("real", False))
     body = text[text.index("static void recursion(") :]
     expected = """\
 static void recursion(const real A[12], real y[3], real Y[2][3])
@@ -177,12 +177,12 @@ def test_leaves_store_structural_zeros() -> None:
     sparse = ca.Function("sparse", [t], [ca.vertcat(ca.SX(1, 1), t[0])], ["t"], ["o"])
     sweep = Sweep("f", "", (Port("x", 2),), (Port("y", 2),), (), (Call(sparse, (Slice("x", 2),), (Slice("y", 2),)),))
     y = np.full(2, 9.0)
-    Routines({"f": looped(sweep)}).raw("f", np.array([3.0, 4.0]), y)
+    Routines({"f": lift_loops(sweep)}).raw("f", np.array([3.0, 4.0]), y)
     np.testing.assert_array_equal(y, [0.0, 3.0])
 
 
 def test_renamed() -> None:
-    other = looped(replace(SWEEP, name="other"))
+    other = lift_loops(replace(SWEEP, name="other"))
     assert isinstance(other, LoopedRoutine)
     assert other.name == "other"
     assert other.kernels[0].name == "other_zero"

@@ -9,7 +9,7 @@ import pytest
 
 import nmpc_codegen
 from nmpc_codegen.lowering.parts import template_directory
-from nmpc_codegen.lowering.pruning.comments import without_entries, worded
+from nmpc_codegen.lowering.pruning.comments import without_entries, word_comments
 from nmpc_codegen.lowering.pruning.constants import Constants
 from verification.rendered import lowered
 from verification.samples import SAMPLES
@@ -31,13 +31,13 @@ KNOWN = Constants({"NE": 0, "SOLVE": 1, "NSL": 2})
     ],
 )
 def test_phrases(text: str, expected: str) -> None:
-    assert worded(text, KNOWN) == expected
-    assert worded(f"before();\n{text}\nafter();", KNOWN) == f"before();\n{expected}\nafter();"
+    assert word_comments(text, KNOWN) == expected
+    assert word_comments(f"before();\n{text}\nafter();", KNOWN) == f"before();\n{expected}\nafter();"
 
 
 def test_code_is_no_comment() -> None:
     code = 'x[if_zero: 0];\nprintf("[if NE: a]");\n/* none */'
-    assert worded(code, KNOWN) == code
+    assert word_comments(code, KNOWN) == code
 
 
 def test_a_paragraph_is_filled_again_and_what_stands_apart_is_not() -> None:
@@ -52,7 +52,7 @@ def test_a_paragraph_is_filled_again_and_what_stands_apart_is_not() -> None:
  * and] is short, and its lines are filled
  * again, to the end of it. */"""
     assert (
-        worded(text, KNOWN)
+        word_comments(text, KNOWN)
         == """/* Contract
  *
  *     a = b
@@ -60,10 +60,10 @@ def test_a_paragraph_is_filled_again_and_what_stands_apart_is_not() -> None:
  *
  * The rest of it is short, and its lines are filled again, to the end of it. */"""
     )
-    assert worded("/* A\n *     a = b\n * [if NE > 0: C.] */", KNOWN) == "/* A\n *     a = b */"
+    assert word_comments("/* A\n *     a = b\n * [if NE > 0: C.] */", KNOWN) == "/* A\n *     a = b */"
     margin = "    "
     long = f"{margin}/* [if SOLVE: {'word ' * 30}end.] */"
-    lines = worded(long, KNOWN).split("\n")
+    lines = word_comments(long, KNOWN).split("\n")
     assert len(lines) == 2
     assert all(len(line) <= 120 for line in lines)
     assert lines[1].startswith(f"{margin} * ")
@@ -71,12 +71,12 @@ def test_a_paragraph_is_filled_again_and_what_stands_apart_is_not() -> None:
 
 
 def test_a_whole_package_has_every_phrase() -> None:
-    assert worded("/* A [if NE > 0: coupled else: general] row. */", None) == "/* A coupled row. */"
+    assert word_comments("/* A [if NE > 0: coupled else: general] row. */", None) == "/* A coupled row. */"
 
 
 def test_a_condition_on_data_is_refused() -> None:
     with pytest.raises(ValueError, match=r"\[if k > 0: ...\]: expected a condition on sizes"):
-        worded("/* [if k > 0: later] */", KNOWN)
+        word_comments("/* [if k > 0: later] */", KNOWN)
 
 
 def test_conditions_name_what_some_package_has() -> None:

@@ -7,7 +7,7 @@ import pytest
 from nmpc_codegen.lowering.pruning import passes, reach
 from nmpc_codegen.lowering.pruning.constants import Constants
 from nmpc_codegen.lowering.pruning.expressions import expression, words
-from nmpc_codegen.lowering.pruning.passes import simplified
+from nmpc_codegen.lowering.pruning.passes import simplify
 from nmpc_codegen.lowering.pruning.scopes import free_names
 from verification.rendered import texts
 from verification.samples import SAMPLES
@@ -30,7 +30,7 @@ def function(*block: str) -> str:
 def left(*block: str) -> list[str]:
     """The lines of a function after the passes."""
     text = function(*block)
-    lines = simplified(text, CONSTANTS).split("\n")
+    lines = simplify(text, CONSTANTS).split("\n")
     assert lines[:2] == [HEAD, "{"]
     assert lines[-1] == "}"
     return [line.removeprefix("    ") for line in lines[2:-1]]
@@ -71,7 +71,7 @@ def left(*block: str) -> list[str]:
     ],
 )
 def test_conditions(condition: str, expected: bool | str) -> None:
-    assert CONSTANTS.reduced(condition) == expected
+    assert CONSTANTS.reduce(condition) == expected
 
 
 @pytest.mark.parametrize("text", ["", "a +", "a b", "f(", "a ? b", "{1, 2", "a[1", "@"])
@@ -321,11 +321,11 @@ def test_a_package_gets_what_all_facts_give(name: str, monkeypatch: pytest.Monke
 
     def recorded(text: str, known: Constants) -> str:
         found[text] = known
-        return simplified(text, known)
+        return simplify(text, known)
 
     monkeypatch.setattr(reach, "simplified", recorded)
     texts(next(sample for sample in SAMPLES if sample.name == name))
     assert len(found) > 60
     for text, known in found.items():
         everything = known.facts(words(text), frozenset(), words(text))
-        assert passes._simplified(text, everything) == simplified(text, known)
+        assert passes._simplify(text, everything) == simplify(text, known)

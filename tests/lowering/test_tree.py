@@ -10,7 +10,7 @@ import tree_sitter
 import tree_sitter_c
 
 from nmpc_codegen.lowering.parts import template_directory
-from nmpc_codegen.lowering.pruning.tree import Edit, Node, edited, parse
+from nmpc_codegen.lowering.pruning.tree import Edit, Node, edit, parse
 from verification.conditions import all_parts
 
 #: Nodes of tree-sitter -> kind; it reads nothing else than C, so that it knows no macro that is a statement.
@@ -62,7 +62,7 @@ def test_places() -> None:
     assert text[slice(*first.other.head)] == "n"
     assert [node.kind for node in first.body] == ["comment", "leave"]
     assert text[last.start : last.end] == "return 0;"
-    assert edited(text, [Edit(last.start, last.end, "return 1;"), Edit(*first.head, "n < 0")]).count("n < 0") == 1
+    assert edit(text, [Edit(last.start, last.end, "return 1;"), Edit(*first.head, "n < 0")]).count("n < 0") == 1
 
 
 @pytest.mark.parametrize(

@@ -24,7 +24,7 @@ from nmpc_codegen import (
 from nmpc_codegen.components.integrators import ButcherTableau
 from nmpc_codegen.lowering.pruning.constants import Constants
 from nmpc_codegen.lowering.pruning.reach import calling
-from nmpc_codegen.lowering.pruning.unit import pruned
+from nmpc_codegen.lowering.pruning.unit import prune
 from verification import quality
 
 #: N is a size; ROW drops its second argument; OUTER passes its arguments to ROW in turn.
@@ -42,7 +42,7 @@ KERNELS = {
 
 
 def kept(text: str, constants: Constants | None = None) -> str:
-    return pruned(text, {}, KNOWN, constants or Constants())[0].strip("\n")
+    return prune(text, {}, KNOWN, constants or Constants())[0].strip("\n")
 
 
 def function(*block: str, head: str = "void API(f)(solver_t *s, int *out)", unread: str = "") -> str:
@@ -59,7 +59,7 @@ def test_what_macros_drop_leaves_them() -> None:
     assert kept(function("out[0] = OUTER(s, h + 1);")) == function("out[0] = OUTER(s);")
     read = function("const real_t h = s->h;", "out[0] = BOTH(s->a, h);")
     assert kept(read) == read
-    _, known = pruned(function("out[0] = OUTER(s, 1);"), {}, KNOWN, Constants())
+    _, known = prune(function("out[0] = OUTER(s, 1);"), {}, KNOWN, Constants())
     assert known[1:3] == [("ROW", "s", "(s)->x[N]"), ("OUTER", "a", "ROW(a) + 1")]
 
 
@@ -67,7 +67,7 @@ def test_macros_that_are_names() -> None:
     """Without arguments they are one; the call of a function with the same arguments, or with none, is that call."""
     known = [("TABLE", "s, k", "table"), ("CALL", "s, k", "next(1)"), ("SAME", "x, y", "step(x, y)")]
     text = function("out[0] = TABLE(s, 1) + CALL(s, TABLE(s, 2)) + SAME(s->a, CALL(s, 1));")
-    found, left = pruned(text, {}, known, Constants())
+    found, left = prune(text, {}, known, Constants())
     assert found.strip() == function("out[0] = TABLE + next(1) + step(s->a, next(1));")
     assert left == [("TABLE", None, "table")]
 
@@ -152,7 +152,7 @@ def test_calls_that_constants_exclude_reach_nothing() -> None:
 
 
 def test_printed_kernels_that_nothing_calls_go() -> None:
-    found, _ = pruned(function("KERNEL(s);", "out[0] = 1;"), KERNELS, KNOWN, Constants())
+    found, _ = prune(function("KERNEL(s);", "out[0] = 1;"), KERNELS, KNOWN, Constants())
     assert found.startswith(KERNELS["kernel"] + "\n\nvoid API(f)")
     assert KERNELS["spare"] not in found
 

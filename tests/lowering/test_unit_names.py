@@ -15,7 +15,7 @@ from conftest import require_tool
 from nmpc_codegen import OCP, ProblemError, build, generate, worst_case
 from nmpc_codegen.ir.naming import check_package_name
 from nmpc_codegen.lowering.parts import names_in, rename, renamed_words
-from nmpc_codegen.lowering.pruning.scopes import blanked
+from nmpc_codegen.lowering.pruning.scopes import blank
 from nmpc_codegen.package.signals import c_constants
 from nmpc_codegen.package.sources import Sources
 from verification import quality
@@ -35,7 +35,7 @@ def sources(sample: str, name: str = NEUTRAL) -> Sources:
 
 def clashing(text: Sources) -> dict[str, str]:
     """Package name -> inner name that a package of this name would declare in its header."""
-    header, unit = (blanked(text[f"{NEUTRAL}.{ext}"]) for ext in ("h", "c"))
+    header, unit = (blank(text[f"{NEUTRAL}.{ext}"]) for ext in ("h", "c"))
     declared = {w.partition("_")[2] for w in names_in(header) if w.startswith((f"{NEUTRAL}_", f"{NEUTRAL.upper()}_"))}
     found: dict[str, str] = {}
     for word in sorted(names_in(unit)):
@@ -184,7 +184,7 @@ def test_names_of_the_header_are_no_names_of_the_system() -> None:
     """A name with which the header would declare X_OK is refused."""
     ends: set[str] = set()
     for sample in CHOSEN:
-        header = blanked(sources(sample)[f"{NEUTRAL}.h"])
+        header = blank(sources(sample)[f"{NEUTRAL}.h"])
         ends |= {w for w in names_in(header) if w.startswith((f"{NEUTRAL}_", f"{NEUTRAL.upper()}_"))}
     words, found = system_words(), set()
     for end in {word.partition("_")[2] for word in ends}:

@@ -38,7 +38,7 @@ def test_folder_is_private_under_any_mask(tmp_path: Path, monkeypatch: pytest.Mo
     monkeypatch.setenv("NMPC_CODEGEN_CACHE", str(tmp_path / "a" / "cache"))
     mask = os.umask(0)
     try:
-        path = cache.cached("entry.so", lambda folder: (folder / "module").write_bytes(b"code") and None)
+        path = cache.entry("entry.so", lambda folder: (folder / "module").write_bytes(b"code") and None)
     finally:
         os.umask(mask)
     assert path.read_bytes() == b"code"
@@ -55,20 +55,20 @@ def test_full_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         pytest.warns(RuntimeWarning, match="No space left"),
         pytest.raises(BuildError, match=r"cannot write to the cache .* temporary .*No space left .*NMPC_CODEGEN_CACHE"),
     ):
-        cache.cached("entry.so", full)
+        cache.entry("entry.so", full)
     assert not cache_faults.leftovers(tmp_path / "cache")
 
 
 def test_a_cache_that_cannot_be_written_to_can_be_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """No warning for what is there already."""
     monkeypatch.setenv("NMPC_CODEGEN_CACHE", str(tmp_path / "cache"))
-    path = cache.cached("entry.so", lambda folder: (folder / "module").write_bytes(b"code") and None)
+    path = cache.entry("entry.so", lambda folder: (folder / "module").write_bytes(b"code") and None)
 
     def fail(folder: Path, module: str) -> None:
         raise OSError(errno.EROFS, "Read-only file system")
 
     monkeypatch.setattr(cache, "_lock", fail)
-    assert cache.cached("entry.so", lambda folder: None) == path
+    assert cache.entry("entry.so", lambda folder: None) == path
 
 
 def test_a_temporary_folder_of_a_killed_process_is_removed_by_the_next(tmp_path: Path) -> None:
@@ -119,12 +119,12 @@ def test_a_link_is_no_entry(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
         made.append(folder)
         (folder / "module").write_bytes(b"code")
 
-    path = cache.cached("entry.so", make)
-    assert cache.cached("entry.so", make) == path
+    path = cache.entry("entry.so", make)
+    assert cache.entry("entry.so", make) == path
     assert len(made) == 1
     path.rename(tmp_path / "elsewhere.so")
     path.symlink_to(tmp_path / "elsewhere.so")
-    assert cache.cached("entry.so", make) == path
+    assert cache.entry("entry.so", make) == path
     assert len(made) == 2
     assert not path.is_symlink()
 

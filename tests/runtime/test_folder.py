@@ -26,7 +26,7 @@ from nmpc_codegen import (
 from nmpc_codegen.cli import main
 from nmpc_codegen.ir.cmodule import check_prefix
 from nmpc_codegen.ir.naming import check_package_name
-from nmpc_codegen.package.seal import has_seal, intact, package_of, sealed
+from nmpc_codegen.package.seal import has_seal, intact, package_of, seal
 from nmpc_codegen.runtime.folder import TEMPORARY, write
 
 
@@ -44,7 +44,7 @@ def texts(version: str) -> dict[str, str]:
     """A package in miniature."""
     plain = {"a.h": f"int {version};\n", "a.c": f"int {version};\n", "a.json": f'{{\n "v": "{version}"\n}}\n'}
     plain |= {"main.c": f"int main_{version};\n", "README.md": f"# {version}\n", "CMakeLists.txt": f"x({version})\n"}
-    return sealed({**plain, "osqp/x.c": f"int x_{version};\n"}, "a")
+    return seal({**plain, "osqp/x.c": f"int x_{version};\n"}, "a")
 
 
 OLD, NEW = texts("old"), texts("new")

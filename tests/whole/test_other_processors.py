@@ -13,7 +13,7 @@ from conftest import require_tool
 
 from examples import crane, quadrotor
 from nmpc_codegen import BuildError, OptionError, Options, generate
-from nmpc_codegen.firmware.process import emulated
+from nmpc_codegen.firmware.process import emulator_command
 from nmpc_codegen.firmware.recording import record
 from nmpc_codegen.firmware.verify import Verdict, verify
 from nmpc_codegen.runtime.build import load, warnings_for
@@ -82,15 +82,15 @@ def test_no_warning_of_the_cross_compiler(name: str, tmp_path: Path) -> None:
 
 def test_what_cannot_be_emulated(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(OptionError, match="--verify: the target portable is every machine"):
-        emulated(TARGETS["portable"])
+        emulator_command(TARGETS["portable"])
     monkeypatch.setattr("nmpc_codegen.firmware.process.runs", lambda _: False)
     with pytest.raises(BuildError, match="no emulator of x86 with AVX-512"):
-        emulated(TARGETS["x86-64-v4"])
+        emulator_command(TARGETS["x86-64-v4"])
     monkeypatch.setenv("PATH", "")
     with pytest.raises(BuildError, match=r"qemu-aarch64 on the path, which --verify needs: .*apt install qemu-user"):
-        emulated(TARGETS["aarch64"])
+        emulator_command(TARGETS["aarch64"])
     monkeypatch.setattr("nmpc_codegen.firmware.process.runs", lambda _: True)
-    assert emulated(TARGETS["aarch64"]) == ()
+    assert emulator_command(TARGETS["aarch64"]) == ()
 
 
 def test_a_wrong_control_is_a_mismatch() -> None:

@@ -15,4 +15,4 @@ def random_problem(seed: int, n: int = 3, m: int = 2, rows: int = 0) -> tuple[Li
     S = rng.normal(size=(n, n)) * 5
     C = np.hstack([rng.normal(size=(rows, n)), rng.normal(size=(rows, m))])
     plain = LinearQuadratic(A, B, root @ root.T + 0.1 * np.eye(n + m), C)
-    return LinearQuadratic(A, B, plain.H + plain.rotated(S + S.T), C), S + S.T
+    return LinearQuadratic(A, B, plain.H + plain.rotate(S + S.T), C), S + S.T

@@ -21,7 +21,7 @@ from nmpc_codegen.components.qp import DenseActiveSet
 from nmpc_codegen.lowering.parts import read_part
 from nmpc_codegen.lowering.preamble import REAL_CONSTANT, arithmetic
 from nmpc_codegen.lowering.pruning.constants import Constants
-from nmpc_codegen.lowering.pruning.unit import pruned as pruned_unit
+from nmpc_codegen.lowering.pruning.unit import prune as pruned_unit
 from nmpc_codegen.lowering.tolerances import TOLERANCES
 from nmpc_codegen.package.description import union_dtype
 from nmpc_codegen.package.features import Features

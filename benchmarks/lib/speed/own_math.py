@@ -16,7 +16,7 @@ from benchmarks.lib.run import Run
 from benchmarks.lib.speed.in_turn import in_turn
 from examples import crane, cstr, quadrotor
 from nmpc_codegen import Options, generate
-from nmpc_codegen.firmware.delivery import recorded
+from nmpc_codegen.firmware.delivery import record_loop
 from nmpc_codegen.firmware.verify import verify
 from nmpc_codegen.package.memory import Precision
 from nmpc_codegen.package.program import OF_TWO
@@ -80,7 +80,7 @@ def bits(report: Report, asked: Run) -> None:
     for name, example in asked.cases(LOOPS.items()):
         for board, precision in asked.cases(BOARDS):
             sources = generate(example.build_ocp(), Options(math="own", precision=precision, target=board))
-            verdict = verify(sources, name, recorded(sources, name), TARGETS[board])
+            verdict = verify(sources, name, record_loop(sources, name), TARGETS[board])
             case = f"{name} on {board}"
             report.add(
                 "math_host_target_mismatches", verdict.bits, case=case, n=verdict.samples, limit=0, profile="verify"

@@ -92,12 +92,12 @@ class CFunction:
         """Name and type of its parameters."""
         arguments = self.tree.decl.type.args
         stated = [] if arguments is None else [p for p in arguments.params if isinstance(p, c_ast.Decl)]
-        return tuple((p.name, declared(p.type)) for p in stated)
+        return tuple((p.name, type_of(p.type)) for p in stated)
 
     @cached_property
     def result(self) -> Type:
         """Type of its value."""
-        return declared(self.tree.decl.type)
+        return type_of(self.tree.decl.type)
 
     @property
     def tree(self) -> c_ast.FuncDef:
@@ -168,7 +168,7 @@ def struct_members(unit: str) -> dict[str, list[Type]]:
 
 
 @cache
-def declared(node: c_ast.Node) -> Type:
+def type_of(node: c_ast.Node) -> Type:
     """Type of a declaration."""
     depth = 0
     while isinstance(node, c_ast.PtrDecl | c_ast.ArrayDecl | c_ast.FuncDecl | c_ast.TypeDecl | c_ast.Decl):

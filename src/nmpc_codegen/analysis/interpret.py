@@ -18,8 +18,8 @@ from functools import partial
 
 from pycparser import c_ast
 
-from nmpc_codegen.analysis.c_source import CFunction, CMacro, Type, assigned_names, declared, parse
-from nmpc_codegen.analysis.intervals import Range, combined, entries, truth, union
+from nmpc_codegen.analysis.c_source import CFunction, CMacro, Type, assigned_names, parse, type_of
+from nmpc_codegen.analysis.intervals import Range, combine, entries, truth, union
 from nmpc_codegen.analysis.loops import (
     conjuncts,
     counter_of,
@@ -85,7 +85,7 @@ class WorstCase:
         Raises:
             UnboundedError: the number of passes of a loop is unknown.
         """
-        parse(self.unit.reached(function))
+        parse(self.unit.functions_below(function))
         return self.call(function, [Variable(type_) for _, type_ in self.unit.functions[function].parameters])[0]
 
     def call(self, name: str, arguments: Sequence[Variable]) -> Result:
@@ -171,7 +171,7 @@ class _Body:
                 return self._for(node, scope)
             case c_ast.While() | c_ast.DoWhile():
                 test = self.cost(node.cond, scope)
-                return self._repeated(node, test + self._statement(node.stmt, dict(scope)), scope) + test
+                return self._bound_loop(node, test + self._statement(node.stmt, dict(scope)), scope) + test
             case c_ast.Return():
                 if self._function is not None and self._function.result == INT:
                     self._returned.append(self.value(node.expr, scope))
@@ -189,7 +189,7 @@ class _Body:
         cost = self.cost(node.init, scope)
         constant = node.init is not None and node.name not in self._changed
         later = (lambda: self.value(node.init, scope)) if constant else None
-        scope[node.name] = Variable(declared(node.type), later=later)
+        scope[node.name] = Variable(type_of(node.type), later=later)
         return cost
 
     def _take_values(self, node: c_ast.Pragma, scope: Scope) -> int:
@@ -225,15 +225,15 @@ class _Body:
                     if counter.up
                     else range(first[1], max(low for low, _ in limits), -step[0])
                 )
-                return start + self._counted(node, counter.name, values, scope)
+                return start + self._sum_passes(node, counter.name, values, scope)
         test = self.cost(node.cond, scope)
-        return start + self._repeated(node, test + self._pass(node, scope), scope) + test
+        return start + self._bound_loop(node, test + self._pass(node, scope), scope) + test
 
     def _pass(self, node: c_ast.For, scope: Scope) -> int:
         """The body, and the step to the next pass."""
         return self._statement(node.stmt, dict(scope)) + self.cost(node.next, scope)
 
-    def _counted(self, node: c_ast.For, name: str, values: range, scope: Scope) -> int:
+    def _sum_passes(self, node: c_ast.For, name: str, values: range, scope: Scope) -> int:
         """Sum over the passes for these values of a counter, and the last test."""
         total, type_ = 0, scope[name].type
         for value in values:
@@ -254,11 +254,11 @@ class _Body:
             if not isinstance(part, c_ast.BinaryOp) or part.op not in (("<", "<=") if up else (">", ">=")):
                 continue
             if is_sum_with(part.left, counter) and counter not in names_in(part.right):
-                limit = combined("-", self.value(part.right, scope), self.value(part.left, start))
-                found.append(combined("+" if up else "-", limit, (1, 1)) if "=" in part.op else limit)
+                limit = combine("-", self.value(part.right, scope), self.value(part.left, start))
+                found.append(combine("+" if up else "-", limit, (1, 1)) if "=" in part.op else limit)
         return found
 
-    def _repeated(self, node: c_ast.Node, one_pass: int, scope: Scope) -> int:
+    def _bound_loop(self, node: c_ast.Node, one_pass: int, scope: Scope) -> int:
         """Bound of a loop whose first line states the number of its passes, in one run or in a function."""
         if one_pass == 0:
             return 0
@@ -276,9 +276,9 @@ class _Body:
 
     def cost(self, node: c_ast.Node | None, scope: Scope) -> int:
         """Operations of an expression."""
-        return self._measured(node, scope)[0]
+        return self._measure(node, scope)[0]
 
-    def _measured(self, node: c_ast.Node | None, scope: Scope) -> tuple[int, Type]:
+    def _measure(self, node: c_ast.Node | None, scope: Scope) -> tuple[int, Type]:
         """Operations and type of an expression. Macros are expanded; their arguments count once."""
         match node:
             case c_ast.ID():
@@ -286,46 +286,46 @@ class _Body:
             case None | c_ast.Constant() | c_ast.Typename() | c_ast.UnaryOp(op="sizeof"):
                 return 0, INT
             case c_ast.ArrayRef():
-                name, of = self._measured(node.name, scope)
+                name, of = self._measure(node.name, scope)
                 return name + self.cost(node.subscript, scope), Type(of.base, of.depth - 1)
             case c_ast.StructRef():
                 return self.cost(node.name, scope), self._unit.member(node.field.name)
             case c_ast.BinaryOp():
                 return self._binary(node, scope)
             case c_ast.UnaryOp():
-                cost, of = self._measured(node.expr, scope)
+                cost, of = self._measure(node.expr, scope)
                 shift = {"*": -1, "&": 1}.get(node.op, 0)
                 return cost + (node.op == "-" and of.counts), INT if node.op == "!" else Type(of.base, of.depth + shift)
             case c_ast.Assignment():
-                left, of = self._measured(node.lvalue, scope)
+                left, of = self._measure(node.lvalue, scope)
                 return left + self.cost(node.rvalue, scope) + (node.op != "=" and of.counts), of
             case c_ast.Cast():
-                return self.cost(node.expr, scope), declared(node.to_type.type)
+                return self.cost(node.expr, scope), type_of(node.to_type.type)
             case c_ast.TernaryOp():
-                (then, of), holds = self._measured(node.iftrue, scope), truth(self.value(node.cond, scope))
+                (then, of), holds = self._measure(node.iftrue, scope), truth(self.value(node.cond, scope))
                 other = 0 if holds else self.cost(node.iffalse, scope)
                 return self.cost(node.cond, scope) + (other if holds is False else max(then, other)), of
             case c_ast.FuncCall():
-                return self._called(node, scope)
+                return self._measure_call(node, scope)
             case c_ast.ExprList() | c_ast.InitList() | c_ast.NamedInitializer() | c_ast.CompoundLiteral():
                 return sum(self.cost(child, scope) for _, child in node.children()), INT
         raise UnboundedError(f"{self._name}: {type(node).__name__} is not understood")
 
     def _binary(self, node: c_ast.BinaryOp, scope: Scope) -> tuple[int, Type]:
-        left, a = self._measured(node.left, scope)
+        left, a = self._measure(node.left, scope)
         if node.op in ("&&", "||"):
             ends = truth(self.value(node.left, scope)) is (node.op == "||")
             return left if ends else left + self.cost(node.right, scope), INT
-        right, b = self._measured(node.right, scope)
+        right, b = self._measure(node.right, scope)
         of = max(a, b, key=lambda t: (t.depth, t.base == "real"))
         return left + right + (a.counts or b.counts), INT if node.op in _COMPARING else of
 
-    def _called(self, node: c_ast.FuncCall, scope: Scope) -> tuple[int, Type]:
+    def _measure_call(self, node: c_ast.FuncCall, scope: Scope) -> tuple[int, Type]:
         name, passed = node.name.name, [] if node.args is None else node.args.exprs
         callee = self._unit.callee(name)
         arguments = sum(self.cost(argument, scope) for argument in passed)
         if callee.macro is not None:
-            own, of = self._measured(callee.macro.expression, self._expanded(callee.macro, passed, scope))
+            own, of = self._measure(callee.macro.expression, self._expand(callee.macro, passed, scope))
             return arguments + own, of
         if callee.kind == "unknown":
             raise UnboundedError(f"{self._name} calls {name}, which is not of this package")
@@ -351,11 +351,11 @@ class _Body:
             return scope[node.name].value if scope[node.name].type == POINTER else None
         return node.name if node.name in self._unit.tables else None
 
-    def _expanded(self, macro: CMacro, passed: Sequence[c_ast.Node], scope: Scope) -> Scope:
+    def _expand(self, macro: CMacro, passed: Sequence[c_ast.Node], scope: Scope) -> Scope:
         """The scope in which the parameters of a macro are its arguments."""
 
         def bound(argument: c_ast.Node) -> Variable:
-            return Variable(self._measured(argument, scope)[1], later=lambda: self.value(argument, scope))
+            return Variable(self._measure(argument, scope)[1], later=lambda: self.value(argument, scope))
 
         return scope | {p: bound(a) for p, a in zip(macro.parameters, passed, strict=True)}
 
@@ -372,7 +372,7 @@ class _Body:
                 found = None if known.type.depth else known.value
                 return None if isinstance(found, str) else found
             case c_ast.BinaryOp():
-                return combined(node.op, self.value(node.left, scope), self.value(node.right, scope))
+                return combine(node.op, self.value(node.left, scope), self.value(node.right, scope))
             case c_ast.StructRef():
                 return self._unit.ranges.get(node.field.name)
             case c_ast.ArrayRef(name=c_ast.ID()):
@@ -383,12 +383,12 @@ class _Body:
             case c_ast.FuncCall():
                 return self._result(node, scope)
             case c_ast.UnaryOp(op="-"):
-                return combined("-", (0, 0), self.value(node.expr, scope))
+                return combine("-", (0, 0), self.value(node.expr, scope))
             case c_ast.UnaryOp(op="!"):
                 holds = truth(self.value(node.expr, scope))
                 return (0, 1) if holds is None else (int(not holds),) * 2
             case c_ast.Cast():
-                return self.value(node.expr, scope) if declared(node.to_type.type) == INT else None
+                return self.value(node.expr, scope) if type_of(node.to_type.type) == INT else None
             case c_ast.TernaryOp():
                 holds = truth(self.value(node.cond, scope))
                 possible = [(node.iftrue, True), (node.iffalse, False)]
@@ -400,7 +400,7 @@ class _Body:
         name, passed = node.name.name, [] if node.args is None else node.args.exprs
         callee = self._unit.callee(name)
         if callee.macro is not None:
-            return self.value(callee.macro.expression, self._expanded(callee.macro, passed, scope))
+            return self.value(callee.macro.expression, self._expand(callee.macro, passed, scope))
         if callee.kind == "function" and callee.result == INT:
             return self._analysis.call(name, self._arguments(callee.parameters, passed, scope))[1]
         return None

@@ -30,7 +30,7 @@ def truth(value: Range) -> bool | None:
     return True
 
 
-def combined(op: str, a: Range, b: Range) -> Range:
+def combine(op: str, a: Range, b: Range) -> Range:
     """Values of ``a op b``."""
     if op in ("&&", "||"):
         left, right = truth(a), truth(b)

@@ -35,13 +35,13 @@ def counter_of(node: c_ast.For) -> Counter | None:
             step, up = node.next.rvalue, node.next.op == "+="
         case _:
             return None
-    started = _started(node.init)
+    started = _start_values(node.init)
     if changed not in started or changed in assigned_names(node.stmt):
         return None
     return Counter(changed, started[changed], step, up)
 
 
-def _started(init: c_ast.Node | None) -> Mapping[str, c_ast.Node]:
+def _start_values(init: c_ast.Node | None) -> Mapping[str, c_ast.Node]:
     """Variables that the start of a loop sets, with their values."""
     if isinstance(init, c_ast.DeclList):
         return {d.name: d.init for d in init.decls if d.init is not None}

@@ -47,7 +47,7 @@ class Unit:
         """Functions whose calls limit the passes of loops."""
         return frozenset(name for function in self.functions.values() for name in function.counting)
 
-    def reached(self, function: str) -> list[CFunction]:
+    def functions_below(self, function: str) -> list[CFunction]:
         """The functions of unknown operations that a function may call, itself included."""
         known = {*self.functions, *self.macros} - set(self.counts)
         found: set[str] = set()

@@ -15,7 +15,7 @@ from nmpc_codegen.cli.printing import Printer
 from nmpc_codegen.compiler import generate
 from nmpc_codegen.errors import OptionError, ProblemWarning
 from nmpc_codegen.frontend.classify import classify
-from nmpc_codegen.lowering.linearize import completed
+from nmpc_codegen.lowering.linearize import complete
 from nmpc_codegen.oracle.reference import Reference, Tableau, node_data
 from nmpc_codegen.runtime.build import load
 
@@ -38,7 +38,7 @@ def check(ocp: OCP, options: Options, folder: Path, name: str, printer: Printer)
     IPOPT starts from the same point as the generated code. If it ends at another point (another local optimum), it is
     started again at the solution of the generated code, which it must then return.
     """
-    problem = completed(classify(ocp), options)
+    problem = complete(classify(ocp), options)
     refuse_long(options, len(problem.dt))
     files: Mapping[str, str] = {
         f"{name}.{ext}": (folder / f"{name}.{ext}").read_text(encoding="utf-8") for ext in ("h", "c", "json")

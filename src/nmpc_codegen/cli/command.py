@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from nmpc_codegen.cli.arguments import check_usage, parser
 from nmpc_codegen.cli.messages import message, one_line
-from nmpc_codegen.cli.printing import Printer, ReaderLeftError, drop_output, own_streams, saying_warnings, undisturbed
+from nmpc_codegen.cli.printing import Printer, ReaderLeftError, drop_output, isolate, own_streams, saying_warnings
 from nmpc_codegen.errors import OptionError
 
 if TYPE_CHECKING:
@@ -119,7 +119,7 @@ def _problem(arguments: argparse.Namespace, printer: Printer) -> tuple[OCP, Opti
     from nmpc_codegen.cli.problem_file import load_problem
     from nmpc_codegen.cli.settings import apply_settings
 
-    with undisturbed(printer, arguments.problem, arguments.verbose), np.errstate():
+    with isolate(printer, arguments.problem, arguments.verbose), np.errstate():
         ocp, options, outputs = load_problem(Path(arguments.problem))
     if arguments.derivatives:
         options = type(options)(integrator=options.integrator, precision=options.precision)

@@ -10,13 +10,13 @@ from rich.table import Table
 from nmpc_codegen.cli.arguments import BUDGETS
 from nmpc_codegen.cli.printing import Printer
 from nmpc_codegen.errors import OptionError
-from nmpc_codegen.firmware.budgets import BYTES, OPERATIONS, Budgets, parsed
+from nmpc_codegen.firmware.budgets import BYTES, OPERATIONS, Budgets, parse_size
 from nmpc_codegen.firmware.certificate import Certificate, Form
 from nmpc_codegen.firmware.delivery import Delivery, Variant, deliver, sentences
-from nmpc_codegen.firmware.process import compiler_for, emulated
+from nmpc_codegen.firmware.process import compiler_for, emulator_command
 from nmpc_codegen.firmware.toolchain import LEVELS, require
 from nmpc_codegen.options import Options
-from nmpc_codegen.package.seal import sealed_beside
+from nmpc_codegen.package.seal import seal_beside
 from nmpc_codegen.runtime.compilers import find_compiler
 from nmpc_codegen.targets import TARGETS
 
@@ -27,7 +27,7 @@ class Firmware:
     def __init__(self, arguments: argparse.Namespace) -> None:
         given = {flag: getattr(arguments, f"max_{flag}") for flag in BUDGETS}
         limits = {
-            flag: parsed(f"--max-{flag}", text, OPERATIONS if flag == "operations" else BYTES)
+            flag: parse_size(f"--max-{flag}", text, OPERATIONS if flag == "operations" else BYTES)
             for flag, text in given.items()
             if text is not None
         }
@@ -51,7 +51,7 @@ class Firmware:
             boards = ", ".join(t.name for t in TARGETS.values() if t.board)
             raise OptionError(f"{self._of_boards[0]} needs --target {boards}: on {target.name} it has no meaning")
         elif self._run:
-            emulated(target)
+            emulator_command(target)
             compiler_for(target)
 
     def hook(self, name: str, variant: Variant) -> Callable[[Mapping[str, str]], dict[str, str]]:
@@ -60,7 +60,7 @@ class Firmware:
         def more(sources: Mapping[str, str]) -> dict[str, str]:
             """Further files, sealed; an error if a budget is exceeded or a tool fails."""
             self._delivery = deliver(sources, name, self._level, self._budgets, self._run, variant)
-            return sealed_beside(self._delivery.files, sources)
+            return seal_beside(self._delivery.files, sources)
 
         return more
 

@@ -104,7 +104,7 @@ def drop_output() -> None:
 
 
 @contextlib.contextmanager
-def undisturbed(printer: Printer, file: str, verbose: bool) -> Iterator[None]:
+def isolate(printer: Printer, file: str, verbose: bool) -> Iterator[None]:
     """Give the problem file streams of its own, and undo its changes to the interpreter.
 
     Its warnings, and exceptions in its threads and finalisers, are printed on one line each.

@@ -38,14 +38,14 @@ def load_problem(path: Path) -> tuple[OCP, Options, Any]:
     sys.modules[MODULE] = module
     try:
         exec(compile(path.read_bytes(), module.__file__, "exec"), module.__dict__)
-        return *_stated(module.__dict__, path), module.__dict__.get("outputs")
+        return *_find_statement(module.__dict__, path), module.__dict__.get("outputs")
     finally:
         sys.modules.pop(MODULE, None)
         sys.path = search
         search[:] = before
 
 
-def _stated(names: Mapping[str, Any], path: Path) -> tuple[OCP, Options]:
+def _find_statement(names: Mapping[str, Any], path: Path) -> tuple[OCP, Options]:
     """The problem and the options that the file states."""
     found = _problem(names, path)
     ocp, given = found if isinstance(found, tuple) else (found, names.get("options"))
@@ -63,13 +63,13 @@ def _stated(names: Mapping[str, Any], path: Path) -> tuple[OCP, Options]:
 def _problem(names: Mapping[str, Any], path: Path) -> Any:
     """An OCP, or the pair (OCP, Options) that problem() returns."""
     if callable(names.get("problem")):
-        return _checked("problem", _call("problem", names["problem"], path), path)
+        return _check_ocp("problem", _call("problem", names["problem"], path), path)
     if "ocp" in names:
         if not isinstance(names["ocp"], OCP):
             raise ProblemError(f"{path}: ocp is a {type(names['ocp']).__name__}; expected OCP")
         return names["ocp"]
     if callable(names.get("build_ocp")):
-        return _checked("build_ocp", _call("build_ocp", names["build_ocp"], path), path)
+        return _check_ocp("build_ocp", _call("build_ocp", names["build_ocp"], path), path)
     several = {name: value for name, value in names.items() if isinstance(value, OCP)}
     if len({id(value) for value in several.values()}) == 1:
         return next(iter(several.values()))
@@ -92,7 +92,7 @@ def _call(name: str, function: Any, path: Path) -> Any:
     return function()
 
 
-def _checked(name: str, result: Any, path: Path) -> Any:
+def _check_ocp(name: str, result: Any, path: Path) -> Any:
     first = result[0] if isinstance(result, tuple) and len(result) == 2 else result
     if not isinstance(first, OCP):
         raise ProblemError(f"{path}: {name}() returns {type(result).__name__}; expected OCP or (OCP, Options)")

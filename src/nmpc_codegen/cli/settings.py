@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from nmpc_codegen.components.allowed import rules, shown
+from nmpc_codegen.components.allowed import rules, show
 from nmpc_codegen.components.base import SEAMS
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.options import REGISTRIES, Options
@@ -33,7 +33,7 @@ def registry(seam: str) -> Mapping[str, Any]:
 _TRUTH = {"true": True, "false": False}
 
 
-def parsed(text: str) -> Any:
+def parse_value(text: str) -> Any:
     """A Python literal, true or false, else the text itself."""
     if text in _TRUTH:
         return _TRUTH[text]
@@ -56,12 +56,12 @@ def apply_settings(options: Options, settings: Sequence[tuple[str, str]]) -> Opt
         node = root
         for name in key.split("."):
             node = node.inside.setdefault(name.strip(), Change())
-        node.given, node.value = True, parsed(text)
-    changed: Options = _changed(options, root, "")
+        node.given, node.value = True, parse_value(text)
+    changed: Options = _change(options, root, "")
     return changed
 
 
-def _changed(part: Any, change: Change, where: str) -> Any:
+def _change(part: Any, change: Change, where: str) -> Any:
     """A dataclass of options with the values inside a change."""
     fields = rules(part)
     if where not in ("", *SEAMS) and not any(fields.values()):
@@ -78,8 +78,8 @@ def _changed(part: Any, change: Change, where: str) -> Any:
             value = _default(part, key, inner.inside) if value is None and inner.inside else value
         elif inner.given:
             rule = fields[name]
-            value = inner.value if rule is None else rule.converted(inner.value)
-        new[name] = _changed(value, inner, key) if inner.inside else value
+            value = inner.value if rule is None else rule.convert(inner.value)
+        new[name] = _change(value, inner, key) if inner.inside else value
     return dataclasses.replace(part, **new) if new else part
 
 
@@ -90,7 +90,7 @@ def _component(seam: str, word: Any) -> Any:
     words = registry(seam)
     known = word.replace("-", "_") if isinstance(word, str) else word
     if not isinstance(known, str) or known not in words:
-        raise OptionError(f"there is no {seam} {shown(word)}; there is {', '.join(words)} (--set {seam}=WORD)")
+        raise OptionError(f"there is no {seam} {show(word)}; there is {', '.join(words)} (--set {seam}=WORD)")
     return words[known]()
 
 

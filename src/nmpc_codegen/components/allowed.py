@@ -26,7 +26,7 @@ _KEY = "allowed"
 class Rule(Protocol):
     """Allowed values of an option; its text completes "expected ..."."""
 
-    def converted(self, value: Any) -> Any:
+    def convert(self, value: Any) -> Any:
         """Return the object that a word stands for, and any other value unchanged."""
         ...
 
@@ -41,7 +41,7 @@ class Words:
 
     words: tuple[str | None, ...]
 
-    def converted(self, value: Any) -> Any:
+    def convert(self, value: Any) -> Any:
         return value
 
     def takes(self, value: Any) -> bool:
@@ -57,7 +57,7 @@ class Flag:
 
     optional: bool = False
 
-    def converted(self, value: Any) -> Any:
+    def convert(self, value: Any) -> Any:
         return value
 
     def takes(self, value: Any) -> bool:
@@ -75,7 +75,7 @@ class Whole:
     optional: bool = False
     least: int = 1
 
-    def converted(self, value: Any) -> Any:
+    def convert(self, value: Any) -> Any:
         return value
 
     def takes(self, value: Any) -> bool:
@@ -98,7 +98,7 @@ class Number:
     unit: str = ""
     word: str = ""
 
-    def converted(self, value: Any) -> Any:
+    def convert(self, value: Any) -> Any:
         return value
 
     def takes(self, value: Any) -> bool:
@@ -130,7 +130,7 @@ class Named:
     words: Mapping[str, Any]
     classes: tuple[type, ...]
 
-    def converted(self, value: Any) -> Any:
+    def convert(self, value: Any) -> Any:
         return self.words[value] if isinstance(value, str) and value in self.words else value
 
     def takes(self, value: Any) -> bool:
@@ -145,7 +145,7 @@ class Named:
 class Matrix:
     """A symmetric matrix of finite numbers, or None."""
 
-    def converted(self, value: Any) -> Any:
+    def convert(self, value: Any) -> Any:
         """Tuples of numbers, so that options are equal by value; (value + value') / 2 if that differs by rounding."""
         array = _numbers(value)
         if array is None or array.ndim != 2 or array.shape[0] != array.shape[1] or not _symmetric(array):
@@ -164,7 +164,7 @@ class Matrix:
 class Point:
     """A pair of vectors (x, u) of finite numbers, or None."""
 
-    def converted(self, value: Any) -> Any:
+    def convert(self, value: Any) -> Any:
         """Tuples of numbers."""
         if not isinstance(value, tuple | list) or len(value) != 2:
             return value
@@ -201,21 +201,21 @@ def check_options(part: Any, key: str) -> None:
     Raises:
         OptionError: names the class, the option, its value, what is allowed, and the flag of the command line.
     """
-    for name, rule in _ruled(part):
+    for name, rule in _has_rules(part):
         given = getattr(part, name)
-        value = rule.converted(given)
+        value = rule.convert(given)
         if not rule.takes(value):
             flag = f"--set {key}.{name}=..." if key else f"--set {name}=..."
-            raise OptionError(f"{type(part).__name__}.{name}: {shown(given)}; expected {rule} ({flag})")
+            raise OptionError(f"{type(part).__name__}.{name}: {show(given)}; expected {rule} ({flag})")
         if value is not given:
             object.__setattr__(part, name, value)
 
 
-def _ruled(part: Any) -> Iterator[tuple[str, Rule]]:
+def _has_rules(part: Any) -> Iterator[tuple[str, Rule]]:
     return ((name, rule) for name, rule in rules(part).items() if rule is not None)
 
 
-def shown(value: Any) -> str:
+def show(value: Any) -> str:
     """A short repr of any value, even if its own repr fails or is very long."""
     short = reprlib.Repr()
     short.maxstring = short.maxother = 120

@@ -226,7 +226,7 @@ class Integrator(Component, Protocol):
         """integrator_forward(x, u, p, dt, dx, du -> dx_next) and integrator_adjoint(x, u, p, dt, adj -> g)."""
         ...
 
-    def curved(self, problem: Problem, scheme: str, name: str, start: Call, more: tuple[Port, ...]) -> Routine:
+    def lift_hessian(self, problem: Problem, scheme: str, name: str, start: Call, more: tuple[Port, ...]) -> Routine:
         """(x, u, p, dt, more, lam) -> (x_next, S, g, Q): ``start`` initialises g and Q from all inputs but lam, and the
         interval adds d(integrated cost) / dz and the lower triangle of d2 (lam' Phi + integrated cost) / dz^2, where
         z = (x, u)."""
@@ -288,7 +288,7 @@ class Condensing(Component, Protocol):
         """Sizes of the QP that it forms."""
         ...
 
-    def adapted(self, problem: Problem) -> Condensing:
+    def adapt(self, problem: Problem) -> Condensing:
         """The component to use for this problem: itself, unless the problem needs an equivalent one."""
         ...
 
@@ -332,7 +332,7 @@ class Algorithm(Component, Protocol):
         """True if the states of its plans are those of a simulation from x_0."""
         ...
 
-    def decided(self, problem: Problem, repairs: bool) -> tuple[Algorithm, tuple[str, ...]]:
+    def decide(self, problem: Problem, repairs: bool) -> tuple[Algorithm, tuple[str, ...]]:
         """The algorithm with every option chosen that it leaves open for the problem, and the reasons; ``repairs``: the
         package may iterate on a plan before a sample."""
         ...
@@ -416,7 +416,7 @@ class Defaults:
     def check_parts(self, parts: Parts) -> None:
         return None
 
-    def decided(self, problem: Problem, repairs: bool) -> tuple[Self, tuple[str, ...]]:
+    def decide(self, problem: Problem, repairs: bool) -> tuple[Self, tuple[str, ...]]:
         return self, ()
 
     @property
@@ -441,7 +441,7 @@ class Defaults:
         return {}
 
 
-def called(component: Component | type[Component]) -> str:
+def spell(component: Component | type[Component]) -> str:
     """A component as the user writes it, in Python and on the command line."""
     cls = component if isinstance(component, type) else type(component)
     return f"{cls.__name__}() (--set {cls.seam}={cls.name})"
@@ -456,9 +456,9 @@ def refuse_unsupported(
         if missing:
             named = ", ".join(r.name for r in problem.rows if any(_uses(r, use) for use in missing))
             where = f" ({named})" if named else ""
-            able = [called(c) for c in registries[component.seam].values() if c.supports.issuperset(missing)]
+            able = [spell(c) for c in registries[component.seam].values() if c.supports.issuperset(missing)]
             offer = f"choose {' or '.join(able)}" if able else f"no {component.seam} of this version does"
-            refused = f"which {component.seam} {called(component)} does not support"
+            refused = f"which {component.seam} {spell(component)} does not support"
             raise OptionError(f"{problem.name} uses {' and '.join(missing)}{where}, {refused}; {offer}")
 
 

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from nmpc_codegen.components.base import Core, Dims
 from nmpc_codegen.ir.cmodule import Table
 from nmpc_codegen.ir.tuning import COLUMNS
-from nmpc_codegen.package.memory import Field, Size, Struct, stated
+from nmpc_codegen.package.memory import Field, Size, Struct, only_if
 
 
 def core_structs(core: Iterable[Core], dims: Dims) -> tuple[Struct, ...]:
@@ -15,9 +15,9 @@ def core_structs(core: Iterable[Core], dims: Dims) -> tuple[Struct, ...]:
     Those of other words are stated too, for parts that name them."""
     wanted = set(core)
     return (
-        *stated("nodes" in wanted, _node(dims), _terminal(dims), _coupled(dims), _renewal()),
-        *stated("multipliers" in wanted, _multipliers(dims)),
-        *stated("kkt" in wanted, _kkt()),
+        *only_if("nodes" in wanted, _node(dims), _terminal(dims), _coupled_struct(dims), _renewal()),
+        *only_if("multipliers" in wanted, _multipliers(dims)),
+        *only_if("kkt" in wanted, _kkt()),
         _row_members(dims),
     )
 
@@ -49,7 +49,7 @@ def _terminal(dims: Dims) -> Struct:
     )
 
 
-def _coupled(dims: Dims) -> Struct:
+def _coupled_struct(dims: Dims) -> Struct:
     return Struct(
         "coupled",
         "linearisation of the coupled rows",
@@ -105,7 +105,7 @@ TABLES_OF_OTHERS = (Table("regularization", "real", (), "of no Hessian"),)
 
 def structs_of_others(dims: Dims) -> tuple[Struct, ...]:
     """Members that some components state and that parts of the core name."""
-    return stated(
+    return only_if(
         False,
         Struct("hessian", "", (Field("changed", (), "", "scratch", "int32"),)),
         Struct("condensed", "", (Field("regularized", (), "", "data", "int32"),)),

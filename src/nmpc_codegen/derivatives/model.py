@@ -21,7 +21,7 @@ from nmpc_codegen.ir.casadi_types import Expression
 from nmpc_codegen.ir.kernel import Port, lift
 from nmpc_codegen.ir.model import IntervalProducts, StageModel
 from nmpc_codegen.ir.sweep import Call, Routine, Slice
-from nmpc_codegen.lowering.linearize import completed, stage_model
+from nmpc_codegen.lowering.linearize import complete, stage_model
 from nmpc_codegen.options import Options
 from nmpc_codegen.package.memory import Precision
 
@@ -85,7 +85,7 @@ def derivative_model(
         raise OptionError(f"options: {options!r}; expected Options(...) or None")
     chosen = options or Options()
     _refuse_options(chosen)
-    problem = completed(classify(ocp), chosen)
+    problem = complete(classify(ocp), chosen)
     integrator = _integrator(problem, chosen)
     _refuse(problem)
     names, z = outputs_of(ocp, problem, outputs, names)
@@ -146,7 +146,7 @@ def _hessians(problem: Problem, integrator: Integrator) -> dict[str, Routine]:
     zeros = ca.Function("zeros", [], [ca.SX.zeros(nz), ca.SX.zeros(nz * nz)])
     start = Call(zeros, (), (Slice("g", nz), Slice("Q", nz * nz)))
     sweeps = (Symmetric.scheme, ForwardOverAdjoint.scheme)
-    return {s: integrator.curved(dynamics, s, f"interval_{s}", start, ()) for s in sweeps}
+    return {s: integrator.lift_hessian(dynamics, s, f"interval_{s}", start, ()) for s in sweeps}
 
 
 def _cost(problem: Problem, integrator: Integrator, cost: StageCost) -> StageModel:

@@ -17,7 +17,7 @@ from nmpc_codegen.ir.naming import check_package_name
 from nmpc_codegen.options import Options
 from nmpc_codegen.package.memory import struct_layout
 from nmpc_codegen.package.opcount import OpCount
-from nmpc_codegen.package.seal import sealed
+from nmpc_codegen.package.seal import seal
 from nmpc_codegen.runtime.build import load_library
 from nmpc_codegen.runtime.folder import write
 
@@ -69,7 +69,7 @@ def _prefix(model: DerivativeModel, name: str | None) -> str:
 
 
 def _sources(model: DerivativeModel, name: str) -> dict[str, str]:
-    return sealed(render(model, name), name)
+    return seal(render(model, name), name)
 
 
 def export(

@@ -48,14 +48,14 @@ class LinearQuadratic:
     def m(self) -> int:
         return int(self.B.shape[1])
 
-    def rotated(self, P: Array, after: Array | None = None) -> Array:
+    def rotate(self, P: Array, after: Array | None = None) -> Array:
         """Hcal(P) = [A'QA - P, A'QB; B'QA, B'QB], Q = P or that ``after`` the interval."""
         AB = np.hstack([self.A, self.B])
         found: Array = AB.T @ (P if after is None else after) @ AB
         found[: self.n, : self.n] -= P
         return found
 
-    def scaled(self, d: Array) -> LinearQuadratic:
+    def scale(self, d: Array) -> LinearQuadratic:
         """The same problem in w / d; rows of C and D have norm 1."""
         dx, du = d[: self.n], d[self.n :]
         return LinearQuadratic(
@@ -136,7 +136,7 @@ def frequency_function(lq: LinearQuadratic) -> Frequency:
 
     Positivity does not depend on the scaling. A grid is refined around its least values; +inf if C leaves no freedom.
     """
-    scaled = lq.scaled(curvature_scaling(lq))
+    scaled = lq.scale(curvature_scaling(lq))
     size = max(float(np.abs(np.linalg.eigvalsh(scaled.H)).max()), np.finfo(float).tiny)
 
     def value(theta: float) -> float:

@@ -76,7 +76,7 @@ def solve_orbit(stages: Sequence[SteadyStage], guess: Array) -> Orbit:
 def _least(program: _Program, w: Array) -> Orbit:
     """A minimum from the start w."""
     for _ in range(ATTEMPTS):
-        found = program.polished(*program.optimum(w))
+        found = program.polish(*program.optimum(w))
         direction = program.downhill(found)
         if not direction.any():
             return found
@@ -127,7 +127,7 @@ class _Program:
                 f"guess (IPOPT: {status}, rows and gaps off by {off:.2g}); check the rows, or give a guess=(x, u)"
             )
 
-    def polished(self, w: Array, lam: Array, mu: list[Array]) -> Orbit:
+    def polish(self, w: Array, lam: Array, mu: list[Array]) -> Orbit:
         """Newton's method on the optimality conditions with the active rows as equations."""
         triples = zip(self.stages, w, mu, strict=True)
         held = [active_bounds(s.rows, np.asarray(s.values(p)[2], dtype=float).ravel(), m) for s, p, m in triples]

@@ -132,10 +132,10 @@ def tune_periodic(
         )
     values = _parameters(problem, parameters, period)
     stages = [steady_stage(problem, options, p) for p in values]
-    return _tuned(problem, stages, solve_orbit(stages, _guess(stages, guess)), weights)
+    return _tune(problem, stages, solve_orbit(stages, _guess(stages, guess)), weights)
 
 
-def _tuned(problem: Problem, stages: Sequence[SteadyStage], orbit: Orbit, weights: Weights) -> PeriodicTuning:
+def _tune(problem: Problem, stages: Sequence[SteadyStage], orbit: Orbit, weights: Weights) -> PeriodicTuning:
     """The Hessians along an orbit."""
     w, n = orbit.w, problem.nx
     period = [_expansion(stage, orbit, k) for k, stage in enumerate(stages)]

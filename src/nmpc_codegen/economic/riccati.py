@@ -48,7 +48,7 @@ class Reduced:
     H: Array
 
 
-def eliminated(lq: LinearQuadratic) -> Reduced:
+def eliminate(lq: LinearQuadratic) -> Reduced:
     """The problem on the subspace of the strictly active rows."""
     n = lq.n
     T = np.eye(n)
@@ -74,9 +74,9 @@ def cost_to_go(lq: LinearQuadratic, names: tuple[str, ...] = ()) -> CostToGo:
         ProblemError: the Riccati equation has no stabilising solution.
     """
     d = curvature_scaling(lq)
-    scaled = lq.scaled(d)
+    scaled = lq.scale(d)
     size = max(float(np.abs(np.linalg.eigvalsh(scaled.H)).max()), np.finfo(float).tiny)
-    r = eliminated(LinearQuadratic(scaled.A, scaled.B, scaled.H / size, scaled.C))
+    r = eliminate(LinearQuadratic(scaled.A, scaled.B, scaled.H / size, scaled.C))
     _refuse_uncontrolled(r, names, lq.active)
     P, K, residual = _riccati(r)
     radius = float(np.abs(np.linalg.eigvals(r.A - r.B @ K)).max(initial=0.0))
@@ -123,7 +123,7 @@ def _riccati(r: Reduced) -> tuple[Array, Array, float]:
     except (np.linalg.LinAlgError, ValueError) as error:
         raise ProblemError(_no_solution(str(error))) from error
     for _ in range(2):
-        P, K, residual = _refined(r, (P + P.T) / 2)
+        P, K, residual = _refine(r, (P + P.T) / 2)
     if not residual <= RESIDUAL:
         raise ProblemError(_no_solution(f"its residual is {residual:.2g} of P"))
     if K.shape[0] and np.linalg.eigvalsh(R + r.B.T @ P @ r.B)[0] <= 0:
@@ -131,7 +131,7 @@ def _riccati(r: Reduced) -> tuple[Array, Array, float]:
     return P, K, residual
 
 
-def _refined(r: Reduced, P: Array) -> tuple[Array, Array, float]:
+def _refine(r: Reduced, P: Array) -> tuple[Array, Array, float]:
     """One Newton step, a Lyapunov equation, if it reduces the residual."""
     K, rest = _residual(r, P)
     size = max(float(np.abs(P).max()), 1.0)

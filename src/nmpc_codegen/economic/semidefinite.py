@@ -76,7 +76,7 @@ def convexify_period(period: Sequence[LinearQuadratic], weights: Weights, scalin
     """Solve the program of a period in w / scaling: a certificate of every interval, with one alpha and beta."""
     extra("clarabel", "tune()")
     cp = extra("cvxpy", "tune()")
-    stages = [lq.scaled(scaling) for lq in period]
+    stages = [lq.scale(scaling) for lq in period]
     size = max(float(np.abs(np.linalg.eigvalsh(s.H)).max()) for s in stages)
     size = size if size > 0 else 1.0
     n, alpha, beta = stages[0].n, cp.Variable(), cp.Variable()
@@ -138,12 +138,12 @@ class _Solved:
     def certificate(self, lq: LinearQuadratic, dP: Array, after: Array, F: Any, G: Any) -> Certificate:
         """That of an interval with the storage dP at its start and ``after`` at its end."""
         F_value, G_value = _multiples(F, lq.C, self.d), _multiples(G, lq.D, self.d[: lq.n])
-        M = lq.H + self.unit * (lq.rotated(dP, after) + lq.C.T @ F_value @ lq.C)
+        M = lq.H + self.unit * (lq.rotate(dP, after) + lq.C.T @ F_value @ lq.C)
         M_f = None
         if lq.H_f is not None and lq.D is not None:
             M_f = lq.H_f - self.unit * (dP + lq.D.T @ G_value @ lq.D)
-            M_f = cleared((M_f + M_f.T) / 2)
-        M = cleared((M + M.T) / 2)
+            M_f = clear((M_f + M_f.T) / 2)
+        M = clear((M + M.T) / 2)
         return Certificate(dP, F_value, G_value, 1.0 / self.unit, self.beta, M, M_f, self.d, self.status)
 
 
@@ -155,7 +155,7 @@ def _multiples(value: Any, C: Array | None, scale: Array) -> Array:
     return np.asarray(value.value) / np.outer(norms, norms)
 
 
-def cleared(M: Array) -> Array:
+def clear(M: Array) -> Array:
     """M without entries |M_ij| <= 1e-12 sqrt |M_ii M_jj|, so that the generated code has no products with them.
 
     They are rounding errors of variables that the problem does not couple.

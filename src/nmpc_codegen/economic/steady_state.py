@@ -141,7 +141,7 @@ def _optimum(stage: SteadyStage, start: Array) -> SteadyState:
     g_found = found["g"].full().ravel()
     point, multipliers = (np.asarray(found[key], dtype=float).ravel() for key in ("x", "lam_g"))
     _refuse_failure(stage, solver.stats()["return_status"], point, np.maximum(low - g_found, g_found - high))
-    return _polished(stage, point, multipliers[:n], multipliers[n:])
+    return _polish(stage, point, multipliers[:n], multipliers[n:])
 
 
 def _refuse_infinite(stage: SteadyStage, w: Array) -> None:
@@ -196,7 +196,7 @@ def active_bounds(rows: Rows, h: Array, mu: Array) -> tuple[tuple[int, ...], Arr
     return tuple(near), bound
 
 
-def _polished(stage: SteadyStage, w: Array, lam: Array, mu: Array) -> SteadyState:
+def _polish(stage: SteadyStage, w: Array, lam: Array, mu: Array) -> SteadyState:
     """Newton's method on L_w = 0, Phi = x, h = bound for the active rows."""
     n, rows = stage.nx, stage.rows
     active, bound = active_bounds(rows, stage.values(w)[2].full().ravel(), mu)
@@ -226,7 +226,7 @@ def _polished(stage: SteadyStage, w: Array, lam: Array, mu: Array) -> SteadyStat
             f"OCP '{stage.problem.name}': the optimality conditions of the steady state are solved only to "
             f"{np.inf if best is None else best[0]:.2g}; are they singular, or does the guess lead to another point?"
         )
-    return _checked(stage, *best)
+    return _check(stage, *best)
 
 
 def _relative(r: Array, w: Array, forces: Array) -> float:
@@ -236,7 +236,7 @@ def _relative(r: Array, w: Array, forces: Array) -> float:
     return max(float(slopes.max()) / largest, float(gaps.max()) / max(1.0, float(np.abs(w).max())))
 
 
-def _checked(stage: SteadyStage, residual: float, w: Array, lam: Array, mu: Array) -> SteadyState:
+def _check(stage: SteadyStage, residual: float, w: Array, lam: Array, mu: Array) -> SteadyState:
     rows, n = stage.rows, stage.nx
     _, cost, h = (np.asarray(v, dtype=float).ravel() for v in stage.values(w))
     largest = max(np.abs(np.concatenate([mu, lam, stage.jacobians(w)[1].full().ravel()])))

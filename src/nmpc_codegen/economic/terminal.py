@@ -116,7 +116,7 @@ def _refuse_open_end(lq: LinearQuadratic, found: CostToGo) -> None:
         return
     unit = curvature_scaling(lq)[: lq.n, None]
     inside = scipy.linalg.orth(found.subspace / unit)
-    free = scipy.linalg.null_space(lq.scaled(curvature_scaling(lq)).D) if len(lq.D) else np.eye(lq.n)
+    free = scipy.linalg.null_space(lq.scale(curvature_scaling(lq)).D) if len(lq.D) else np.eye(lq.n)
     if np.abs(free - inside @ (inside.T @ free)).max(initial=0.0) > OUTSIDE:
         raise ProblemError(
             f"lqr_terminal_cost: behind node N, only some of the states that the rows at node N allow can stay on the "

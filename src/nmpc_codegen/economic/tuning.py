@@ -156,7 +156,7 @@ def tune(
         OptionError: an argument has a value that is not allowed, or CVXPY or Clarabel is missing.
     """
     weights = Weights(rho1, rho2, eta)
-    problem = with_terminal_cost(_classified(ocp, options), options)
+    problem = with_terminal_cost(_classify(ocp, options), options)
     if not problem.uniform:
         raise ProblemError(f"tune: '{problem.name}' has intervals of different length, so no M is constant on its grid")
     stage = steady_stage(problem, options)
@@ -164,7 +164,7 @@ def tune(
     lq = linear_quadratic(stage, steady)
     without, with_rows = frequency_function(lq.without_rows()), frequency_function(lq)
     candidates = _candidates(stage, lq, steady, scaling)
-    certificate, name = _solved(lq, weights, candidates, (without, with_rows))
+    certificate, name = _solve(lq, weights, candidates, (without, with_rows))
     return _tuning(stage, steady, lq, certificate, name, weights.eta, (without, with_rows))
 
 
@@ -173,10 +173,10 @@ def steady_state(ocp: OCP, options: Options | None = None, guess: Any = None) ->
 
     Cyclic states are left out; the other arguments and errors are those of tune().
     """
-    return solve_steady_state(steady_stage(_classified(ocp, options), options), guess)
+    return solve_steady_state(steady_stage(_classify(ocp, options), options), guess)
 
 
-def _classified(ocp: OCP, options: Options | None) -> Problem:
+def _classify(ocp: OCP, options: Options | None) -> Problem:
     if not isinstance(ocp, OCP):
         raise ProblemError(f"ocp: {type(ocp).__name__}; expected an OCP")
     if options is not None and not isinstance(options, Options):
@@ -200,7 +200,7 @@ def _candidates(stage: SteadyStage, lq: LinearQuadratic, steady: SteadyState, sc
     return {"the given numbers": d[[*stage.kept, *range(problem.nx, len(d))]]}
 
 
-def _solved(
+def _solve(
     lq: LinearQuadratic, weights: Weights, candidates: dict[str, Array], frequency: tuple[Frequency, Frequency]
 ) -> tuple[Certificate, str]:
     """The certificate of the first scaling in which the program is solved; the reason, checked, if there is none."""

@@ -33,7 +33,7 @@ class Budgets:
     operations: int | None = None
 
 
-def parsed(flag: str, text: str, units: Mapping[str, int] = BYTES) -> int:
+def parse_size(flag: str, text: str, units: Mapping[str, int] = BYTES) -> int:
     """A positive number, e.g. "64k" (64 * 1024 bytes, or 64 * 1000 operations), "1.5M", "2e6".
 
     Raises:
@@ -61,19 +61,19 @@ def check(
         OptionError: it exceeds one of them; the message says by how much, and what to change. Or flash or stack are
             limited, but there is no certificate, which needs a target.
     """
-    exceeded = list(_exceeded(budgets, description, certificate))
+    exceeded = list(_find_excesses(budgets, description, certificate))
     if budgets.operations is not None:
         what = "operations of a sample at most"
-        exceeded += _judged("operations", budgets.operations, worst(), what, description, _operations_advice)
+        exceeded += _judge("operations", budgets.operations, worst(), what, description, _operations_advice)
     if exceeded:
         raise OptionError("; ".join(exceeded))
 
 
-def _exceeded(budgets: Budgets, description: PackageDescription, certificate: Certificate | None) -> Iterator[str]:
+def _find_excesses(budgets: Budgets, description: PackageDescription, certificate: Certificate | None) -> Iterator[str]:
     report = description.report
     if budgets.ram is not None:
         ram = report.ram_bytes if certificate is None else certificate.struct_bytes
-        yield from _judged("ram", budgets.ram, ram, "bytes of solver struct", description, _ram_advice)
+        yield from _judge("ram", budgets.ram, ram, "bytes of solver struct", description, _ram_advice)
     for name, advice in (("flash", _flash_advice), ("stack", _stack_advice)):
         limit = getattr(budgets, name)
         if limit is None:
@@ -82,10 +82,10 @@ def _exceeded(budgets: Budgets, description: PackageDescription, certificate: Ce
             raise OptionError(f"--max-{name} needs --target with a microcontroller: it depends on compiler and core")
         used = certificate.flash_bytes if name == "flash" else certificate.stack_worst
         what = "bytes of code and constants" if name == "flash" else f"bytes ({' > '.join(certificate.stack_chain)})"
-        yield from _judged(name, limit, used, what, description, advice)
+        yield from _judge(name, limit, used, what, description, advice)
 
 
-def _judged(
+def _judge(
     name: str,
     limit: int,
     used: int,

@@ -87,17 +87,17 @@ def measure(package: Mapping[str, str], name: str, target: Target, level: Level)
     """The certificate without operations: what the compiler makes of the package."""
     description = PackageDescription.from_json(package[f"{name}.json"])
     with TemporaryDirectory() as folder:
-        return _certified(package, description, target, level, Path(folder))
+        return _certify(package, description, target, level, Path(folder))
 
 
-def _certified(
+def _certify(
     package: Mapping[str, str], description: PackageDescription, target: Target, level: Level, folder: Path
 ) -> Certificate:
     name, flags = description.name, compile_flags(target, level)
     for ext in ("h", "c"):
         (folder / f"{name}.{ext}").write_text(package[f"{name}.{ext}"], encoding="utf-8")
     cross(target, "gcc", folder, *flags, "-fcallgraph-info=su", "-c", f"{name}.c", "-o", "package.o")
-    functions = defined(target, folder, name)
+    functions = external_functions(target, folder, name)
     undefined = tuple(line.split()[-1] for line in cross(target, "nm", folder, "-u", "package.o").splitlines())
     _link(target, functions, "all.elf", folder)
     graph, symbols = (folder / "package.ci").read_text(encoding="utf-8"), cross(target, "nm", folder, "all.elf")
@@ -140,7 +140,7 @@ def _digest(text: str) -> str:
     return hashlib.sha256(text.encode()).hexdigest()
 
 
-def defined(target: Target, folder: Path, name: str) -> list[str]:
+def external_functions(target: Target, folder: Path, name: str) -> list[str]:
     """The external functions of package.o."""
     lines = (line.split() for line in cross(target, "nm", folder, "--defined-only", "-g", "package.o").splitlines())
     return sorted(symbol for _, kind, symbol in lines if kind == "T" and symbol.startswith(f"{name}_"))
@@ -217,10 +217,10 @@ def forms_of(packages: Mapping[str, Mapping[str, str]], name: str, target: Targe
     Raises:
         BuildError: a tool is missing or refuses the code.
     """
-    return tuple(_measured(packages, name, target))
+    return tuple(_measure(packages, name, target))
 
 
-def _measured(packages: Mapping[str, Mapping[str, str]], name: str, target: Target) -> Iterator[Form]:
+def _measure(packages: Mapping[str, Mapping[str, str]], name: str, target: Target) -> Iterator[Form]:
     for goal, package in packages.items():
         for level in LEVELS:
             found = measure(package, name, target, level)

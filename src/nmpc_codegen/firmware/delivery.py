@@ -17,7 +17,7 @@ from nmpc_codegen.firmware.certificate import REAL_TIME, Certificate, Form, cert
 from nmpc_codegen.firmware.deviations import DEVIATIONS
 from nmpc_codegen.firmware.image import sources
 from nmpc_codegen.firmware.layouts import layouts
-from nmpc_codegen.firmware.recording import Recording, record, started_again
+from nmpc_codegen.firmware.recording import Recording, record, restart_loop
 from nmpc_codegen.firmware.toolchain import Level
 from nmpc_codegen.firmware.verify import Verdict, verify
 from nmpc_codegen.lowering.render import environment
@@ -74,10 +74,10 @@ def deliver(
 
     if target.board is None:
         check(budgets, description, None, worst)
-        return Delivery({}, None, _verified(package, name, target, variant) if run else None)
+        return Delivery({}, None, _verify(package, name, target, variant) if run else None)
     certificate = certify(package, name, target, level)
     check(budgets, description, certificate, worst)
-    recording = recorded(package, name)
+    recording = record_loop(package, name)
     verdict = verify(package, name, recording, target, level, certificate.stack_worst) if run else None
     files = {
         f"{FOLDER}/{path}": text for path, text in sources(target, recording.header, certificate.stack_worst).items()
@@ -96,16 +96,16 @@ def _at_level(package: Mapping[str, str], level: Level) -> dict[str, str]:
     return {path: without_seal(package[path]).replace(" -O2 ", f" -{level} ") for path in paths}
 
 
-def _verified(package: Mapping[str, str], name: str, target: Target, variant: Variant) -> Verdict:
+def _verify(package: Mapping[str, str], name: str, target: Target, variant: Variant) -> Verdict:
     """The target against portable C on this machine."""
-    return verify(package, name, recorded(variant(target=PORTABLE.name), name), target)
+    return verify(package, name, record_loop(variant(target=PORTABLE.name), name), target)
 
 
-def recorded(package: Mapping[str, str], name: str) -> Recording:
+def record_loop(package: Mapping[str, str], name: str) -> Recording:
     """The closed loop that is replayed: from the declared initial state, and again from near it."""
     controller = load(package, name, "verify")
     x0 = controller.description.x_initial
-    return record(controller, x0, SAMPLES, disturbed=started_again(x0))
+    return record(controller, x0, SAMPLES, disturbed=restart_loop(x0))
 
 
 def certificate_json(certificate: Certificate, verdict: Verdict | None, forms: tuple[Form, ...] = ()) -> str:

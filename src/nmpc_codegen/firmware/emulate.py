@@ -108,7 +108,7 @@ def emulate(image: Image, description: PackageDescription, samples: int) -> Run:
     except BuildError as error:
         raise BuildError(f"{error}\nthe board's last words: {_tail(image)}") from None
     text = (image.folder / OUTPUT).read_text(encoding="ascii", errors="replace")
-    return _parsed(text.splitlines(), description, samples, board_of(image.target).instructions_per_tick)
+    return _parse(text.splitlines(), description, samples, board_of(image.target).instructions_per_tick)
 
 
 def _tail(image: Image) -> str:
@@ -116,7 +116,7 @@ def _tail(image: Image) -> str:
     return lines[-1] if lines else "none"
 
 
-def _parsed(lines: Sequence[str], description: PackageDescription, samples: int, per_tick: float) -> Run:
+def _parse(lines: Sequence[str], description: PackageDescription, samples: int, per_tick: float) -> Run:
     """The lines of replay.c, whose formats it states."""
     words: dict[str, list[list[int]]] = {letter: [] for letter in "EISO"}
     for line in lines:

@@ -39,13 +39,13 @@ def layouts(
     name = certificate.name
     names = _names(recording, target, certificate, ram)
 
-    def rendered(template: str) -> str:
+    def render_file(template: str) -> str:
         return environment().get_template(f"firmware/{template}.jinja").render(names)
 
-    files = {path: rendered(template) for path, template in CROSS.items()}
+    files = {path: render_file(template) for path, template in CROSS.items()}
     arduino = f"arduino/{name}"
-    files[f"{arduino}/library.properties"] = rendered("library.properties")
-    files[f"{arduino}/examples/{name}_loop/{name}_loop.ino"] = rendered("sketch.ino")
+    files[f"{arduino}/library.properties"] = render_file("library.properties")
+    files[f"{arduino}/examples/{name}_loop/{name}_loop.ino"] = render_file("sketch.ino")
     return files | {f"{arduino}/src/{name}.{ext}": without_seal(package[f"{name}.{ext}"]) for ext in ("h", "c")}
 
 

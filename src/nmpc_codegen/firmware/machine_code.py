@@ -83,7 +83,7 @@ class Arm:
         if branch[1] in ("bx", "blx") and not _PLACE.search(operands):
             if branch[1] == "bx" and operands in ("lr", "ip", "r3"):
                 return None
-            raise _called_through(name, operands)
+            raise _call_register(name, operands)
         found = _PLACE.search(operands)
         return found[2] if found else None
 
@@ -122,7 +122,7 @@ class RiscV:
             return None if found[2].startswith(self._SAVE) else found[2]
         if operation == "jr" or operation not in self._JUMPS:  # a return, or a jump by the table of a switch
             return None
-        raise _called_through(name, operands)
+        raise _call_register(name, operands)
 
 
 #: Prefix of a cross compiler -> the instructions that it writes.
@@ -138,5 +138,5 @@ def _lowered_by_a_register(name: str) -> BuildError:
     return BuildError(f"{name} lowers the stack pointer by a register: its stack is unknown")
 
 
-def _called_through(name: str, operands: str) -> BuildError:
+def _call_register(name: str, operands: str) -> BuildError:
     return BuildError(f"{name} calls a function through {operands}: its stack is unknown")

@@ -21,7 +21,7 @@ from nmpc_codegen.targets import Target
 PROGRAM = "process.c"
 
 
-def emulated(target: Target) -> tuple[str, ...]:
+def emulator_command(target: Target) -> tuple[str, ...]:
     """The command before a program for the target; empty if this machine runs it without its emulator.
 
     Raises:
@@ -54,12 +54,12 @@ def run_process(package: Mapping[str, str], name: str, recording: Recording, tar
     program = (template_directory() / "firmware" / PROGRAM).read_text(encoding="utf-8")
     write(package, name, {PROGRAM: program, "recording.h": recording.header}, folder)
     flags = (f"-std={target.standard}", "-O2", *ROUNDING, *target.flags)
-    emulator = emulated(target)
+    emulator = emulator_command(target)
     run([*compiler_for(target), *flags, f"{name}.c", PROGRAM, "-o", "replay", "-lm"], folder)
-    return _parsed(run([*emulator, str(folder / "replay")], folder, SECONDS), recording)
+    return _parse(run([*emulator, str(folder / "replay")], folder, SECONDS), recording)
 
 
-def _parsed(text: str, recording: Recording) -> Outcome:
+def _parse(text: str, recording: Recording) -> Outcome:
     """The lines of process.c, whose format it states."""
     description, samples = recording.description, len(recording.x)
     table = [[int(word, 16) for word in line.split()] for line in text.splitlines()]

@@ -29,7 +29,7 @@ Disturbed = Callable[[int, Array], Array]
 TOLERANCE = {"double": 1e-9, "single": 1e-3}
 
 STEP_SLACK = 1e-9  # relative tolerance of the number of intervals in a sampling time
-PERIOD = 50  # samples after which the loop of started_again() starts anew
+PERIOD = 50  # samples after which the loop of restart_loop() starts anew
 SPREAD = 0.05  # of the declared initial state
 
 
@@ -177,13 +177,13 @@ def ranges(description: PackageDescription, u: Array, size: float = 0.0) -> Arra
     return np.asarray(found)
 
 
-def started_again(x0: Array, seed: int = 1) -> Disturbed:
+def restart_loop(x0: Array, seed: int = 1) -> Disturbed:
     """A loop that starts anew every PERIOD samples, near the declared initial state."""
     random: Any = np.random.default_rng(seed)
 
-    def disturbed(k: int, x: Array) -> Array:
+    def disturb(k: int, x: Array) -> Array:
         if k % PERIOD != 0 or k == 0:
             return x
         return np.asarray(x0 * (1.0 + SPREAD * random.uniform(-1.0, 1.0, x0.size)))
 
-    return disturbed
+    return disturb

@@ -67,13 +67,13 @@ def verify(
     """
     with TemporaryDirectory() as folder:
         if target.board is None:
-            return compared(recording, run_process(package, name, recording, target, Path(folder)))
+            return compare(recording, run_process(package, name, recording, target, Path(folder)))
         image = build(package, name, recording.header, target, level, Path(folder), stack_bytes)
         run = emulate(image, recording.description, len(recording.x))
-    return compared(recording, run)
+    return compare(recording, run)
 
 
-def compared(recording: Recording, run: Outcome) -> Verdict:
+def compare(recording: Recording, run: Outcome) -> Verdict:
     """The verdict on a run."""
     tolerance = TOLERANCE[recording.description.precision]
     with np.errstate(invalid="ignore"):

@@ -166,7 +166,7 @@ def column(value: Any, what: str, symbols: dict[str, Any]) -> Any:
             raise ProblemError(f"{what} must be a scalar or a column, got nested lists {quote(value)}")
         return ca.vertcat(ca.SX(0, 1), *(column(item, what, symbols) for item in value))
     if isinstance(value, ca.MX):
-        value = _expanded(value, what, symbols)
+        value = _expand(value, what, symbols)
     if not isinstance(value, ca.SX):
         array = numbers(value, f"{what}: value")
         if array.ndim > 2:
@@ -178,12 +178,12 @@ def column(value: Any, what: str, symbols: dict[str, Any]) -> Any:
     return ca.densify(value)
 
 
-def _expanded(value: Any, what: str, symbols: dict[str, Any]) -> Any:
+def _expand(value: Any, what: str, symbols: dict[str, Any]) -> Any:
     """SX form of an MX expression."""
     free = ca.symvar(value)
     for s in free:
         if s.name() not in symbols:
-            raise ProblemError(f"{what} contains the unknown symbol '{s.name()}'{known(symbols)}")
+            raise ProblemError(f"{what} contains the unknown symbol '{s.name()}'{list_names(symbols)}")
         if s.shape != symbols[s.name()].shape:
             raise ProblemError(
                 f"{what}: the MX symbol '{s.name()}' has shape {s.shape}, declared was {symbols[s.name()].shape}"
@@ -197,7 +197,7 @@ def _expanded(value: Any, what: str, symbols: dict[str, Any]) -> Any:
         ) from error
 
 
-def known(names: Iterable[str]) -> str:
+def list_names(names: Iterable[str]) -> str:
     """The end of an error message: a list of the declared names."""
     listed = ", ".join(names)
     return f"; declared are: {listed}" if listed else "; nothing is declared yet"

@@ -28,7 +28,7 @@ def classify(ocp: OCP) -> Problem:
     terminal = _stage(ocp, terminal_h, rows, "terminal")
     f = ca.vertcat(*(ocp.derivatives[i] for i in range(path.nx)))
     x, u, p, _ = symbols(path.nx, path.nu, ocp.p.numel())
-    dynamics = ca.Function("f", [x, u, p], _moved(ocp, [f], x, u, p), ["x", "u", "p"], ["f"])
+    dynamics = ca.Function("f", [x, u, p], _replace_symbols(ocp, [f], x, u, p), ["x", "u", "p"], ["f"])
     dt = (1.0,) * ocp.N if ocp.dt is None else ocp.dt
     return Problem(
         name=ocp.name,
@@ -42,7 +42,7 @@ def classify(ocp: OCP) -> Problem:
         start=start,
         path=path,
         terminal=terminal,
-        coupled=_coupled(ocp),
+        coupled=_coupled_rows(ocp),
         rows=rows,
         free_initial=tuple(sorted(ocp.free)),
         uses=_uses(ocp, rows),
@@ -68,7 +68,7 @@ def outputs_of(ocp: OCP, problem: Problem, outputs: Any, names: Any) -> tuple[tu
         raise ProblemError("outputs are empty; expected an expression with at least one element, or None")
     stage = problem.path
     found = [f"z[{i}]" for i in range(z.numel())] if names is None else element_names(names, z.numel(), "outputs")
-    return tuple(found), _moved(ocp, [z], stage.x, stage.u, stage.p)[0]
+    return tuple(found), _replace_symbols(ocp, [z], stage.x, stage.u, stage.p)[0]
 
 
 def _require(ocp: OCP) -> None:
@@ -97,7 +97,7 @@ def _signals(declared: list[Any]) -> tuple[Signal, ...]:
     return tuple(d.signal for d in declared)
 
 
-def _moved(ocp: OCP, expressions: list[Any], x: Any, u: Any, p: Any) -> list[Any]:
+def _replace_symbols(ocp: OCP, expressions: list[Any], x: Any, u: Any, p: Any) -> list[Any]:
     """The expressions with the symbols of the OCP replaced by x, u, p (u empty: they contain no control)."""
     old = ca.vertcat(ocp.x, ocp.p) if u.numel() == 0 else ca.vertcat(ocp.x, ocp.u, ocp.p)
     new = ca.vertcat(x, p) if u.numel() == 0 else ca.vertcat(x, u, p)
@@ -234,7 +234,7 @@ def _stage(ocp: OCP, h: list[Any], rows: tuple[Row, ...], stage: StageName) -> S
     rates = [c.expression for c in costs if c.integrate]
     empty = ca.SX(0, 1)
     stacked = ca.vertcat(empty, *(r.y for r in residuals))
-    y, general, cost, rate = _moved(
+    y, general, cost, rate = _replace_symbols(
         ocp, [stacked, ca.vertcat(empty, *h), ca.SX(sum(nodal)), ca.SX(sum(rates))], x, u, p
     )
     places = [{"start": -1, "path": row.index, "terminal": row.index_terminal}[stage] for row in rows]
@@ -271,7 +271,7 @@ def _block_diagonal(blocks: list[Array]) -> Array:
     return _frozen(W)
 
 
-def _coupled(ocp: OCP) -> Any:
+def _coupled_rows(ocp: OCP) -> Any:
     r = [s.expression for s in ocp.statements if s.at is None]
     if not r:
         return None

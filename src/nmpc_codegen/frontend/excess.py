@@ -45,10 +45,10 @@ def smooth_excess(lower: Any, expr: Any, upper: Any, width: Any) -> Expression:
     elif width.numel() != 1:
         raise ProblemError(f"{what}: width must be a scalar, got {width.numel()} elements")
     return ca.vertcat(
-        *(_rounded(low[i] - h[i], low[i], width) + _rounded(h[i] - high[i], high[i], width) for i in range(n))
+        *(_smooth(low[i] - h[i], low[i], width) + _smooth(h[i] - high[i], high[i], width) for i in range(n))
     )
 
 
-def _rounded(e: Expression, bound: float, width: Any) -> Expression | float:
+def _smooth(e: Expression, bound: float, width: Any) -> Expression | float:
     """s(e), 0 without a bound."""
     return (e + ca.sqrt(e**2 + width**2)) / 2 if np.isfinite(bound) else 0.0

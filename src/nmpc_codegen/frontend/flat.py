@@ -13,7 +13,7 @@ import numpy as np
 
 from nmpc_codegen.frontend.problem import Array, Problem, Stage
 from nmpc_codegen.frontend.scales import Scales, responses
-from nmpc_codegen.ir.casadi_types import curved
+from nmpc_codegen.ir.casadi_types import curved_rows
 
 #: Curvature of a control, relative to the scale of the cost, below which it has none.
 NONE = 1e-6
@@ -49,7 +49,7 @@ def _bends_model(problem: Problem) -> list[bool]:
     one of the Lagrangian."""
     path = problem.path
     f = ca.vertcat(problem.dynamics(path.x, path.u, path.p), path.h)
-    return [bool(curved(f, path.u[j])) for j in range(problem.nu)]
+    return [bool(curved_rows(f, path.u[j])) for j in range(problem.nu)]
 
 
 def _curvature(problem: Problem, sizes: Scales) -> Array:

@@ -23,7 +23,7 @@ def grid(name: str, T: Any, N: Any, intervals: Any, unit: str) -> tuple[int, tup
     """Number of intervals and their lengths in ``unit``; the lengths are None if only N was given."""
     what = f"OCP '{name}'"
     if intervals is not None:
-        return _stated(what, T, N, intervals, unit)
+        return _grid_of_intervals(what, T, N, intervals, unit)
     if N is None:
         raise ProblemError(f"{what}: give T and N, or intervals, or N for a discrete map")
     count = integer(N, f"{what}: N", 1, MAX_INTERVALS)
@@ -37,7 +37,7 @@ def grid(name: str, T: Any, N: Any, intervals: Any, unit: str) -> tuple[int, tup
     return count, (dt,) * count
 
 
-def _stated(what: str, T: Any, N: Any, intervals: Any, unit: str) -> tuple[int, tuple[float, ...]]:
+def _grid_of_intervals(what: str, T: Any, N: Any, intervals: Any, unit: str) -> tuple[int, tuple[float, ...]]:
     """The grid that is given by intervals=."""
     if T is not None:
         raise ProblemError(f"{what}: give T or intervals, not both")

@@ -21,7 +21,7 @@ from nmpc_codegen.frontend.checks import (
     flag,
     identifier,
     integer,
-    known,
+    list_names,
     quote,
     unit_text,
     vector,
@@ -40,8 +40,8 @@ from nmpc_codegen.frontend.statement import (
     StageName,
     Stated,
     Statement,
+    explain_misplacement,
     intersection,
-    misplaced,
 )
 from nmpc_codegen.frontend.symbol import Symbol, require_three
 from nmpc_codegen.ir.naming import check_package_name
@@ -254,12 +254,12 @@ class OCP(Stated):
                     return list(range(d.signal.offset, d.signal.offset + d.signal.size))
             if which in names:
                 return [names.index(which)]
-            raise ProblemError(f"{what} {quote(which)} is no state{known(names)}")
+            raise ProblemError(f"{what} {quote(which)} is no state{list_names(names)}")
         if not isinstance(which, ca.SX):
-            raise ProblemError(f"{what} {quote(which)} must be the symbol or the name of a state{known(names)}")
+            raise ProblemError(f"{what} {quote(which)} must be the symbol or the name of a state{list_names(names)}")
         found = [self.element(which[i]) for i in range(which.numel())]
         if not found or any(e is None or e.kind != "state" for e in found):
-            raise ProblemError(f"{what} {quote(which)} is no state{known(names)}")
+            raise ProblemError(f"{what} {quote(which)} is no state{list_names(names)}")
         return [e.index for e in found if e is not None]
 
     def _warn_nonsmooth(self, name: str, expression: Any) -> None:
@@ -554,19 +554,19 @@ class OCP(Stated):
 
     def free_initial(self, *states: Any) -> None:
         """Let the solver choose these components of x_0 (symbols or names); xhat is their initial guess."""
-        self.free.update(self._listed(states, "free_initial"))
+        self.free.update(self._list_states(states, "free_initial"))
 
     def accumulator(self, *states: Any) -> None:
         """Reset these states to 0 at every sample, e.g. running averages; their entries of xhat are ignored."""
-        self.accumulators.update(self._listed(states, "accumulator"))
+        self.accumulators.update(self._list_states(states, "accumulator"))
 
     def cyclic(self, *states: Any) -> None:
         """Mark states that grow without bound, e.g. a position; steady state, SDP and LQR leave them out."""
-        self.cyclic_states.update(self._listed(states, "cyclic"))
+        self.cyclic_states.update(self._list_states(states, "cyclic"))
 
-    def _listed(self, states: tuple[Any, ...], what: str) -> list[int]:
+    def _list_states(self, states: tuple[Any, ...], what: str) -> list[int]:
         if not states:
-            raise ProblemError(f"{what} names no state{known(self._state_names())}")
+            raise ProblemError(f"{what} names no state{list_names(self._state_names())}")
         return [i for s in states for i in self._components(s, f"{what}:")]
 
     # Inspection of expressions ---------------------------------------------------------------------------------------
@@ -578,12 +578,12 @@ class OCP(Stated):
             element = self.element(symbol)
             if element is None:
                 raise ProblemError(
-                    f"{what} contains the unknown symbol '{symbol.name()}'{known(self._symbols)}"
+                    f"{what} contains the unknown symbol '{symbol.name()}'{list_names(self._symbols)}"
                     if symbol.name() not in self._symbols
                     else f"{what} contains a symbol '{symbol.name()}' that was not declared in this OCP"
                 )
             if element.kind not in kinds:
-                raise ProblemError(f"{what} contains {misplaced(element, kinds)}")
+                raise ProblemError(f"{what} contains {explain_misplacement(element, kinds)}")
         check_operations(expression, what)
         return expression
 

@@ -18,7 +18,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from nmpc_codegen.ir.casadi_types import Expression, Function, curved, elements
+from nmpc_codegen.ir.casadi_types import Expression, Function, curved_rows, elements
 from nmpc_codegen.package.signals import ImposedRow, imposed_rows
 from nmpc_codegen.package.signals import Row as Row
 from nmpc_codegen.package.signals import RowKind as RowKind
@@ -131,11 +131,11 @@ class Problem:
     @cached_property
     def nonlinear_rows(self) -> bool:
         """True if a hard general or coupled row is no affine function of states and controls."""
-        path, terminal = (curved(s.h, ca.vertcat(s.x, s.u)) for s in (self.path, self.terminal))
+        path, terminal = (curved_rows(s.h, ca.vertcat(s.x, s.u)) for s in (self.path, self.terminal))
         coupled: set[int] = set()
         if self.coupled is not None:
             ends = ca.SX.sym("x_0", self.nx), ca.SX.sym("x_N", self.nx)
-            coupled = curved(self.coupled(*ends), ca.vertcat(*ends))
+            coupled = curved_rows(self.coupled(*ends), ca.vertcat(*ends))
         return any(
             row.index in coupled if row.is_coupled else row.index in path or row.index_terminal in terminal
             for row in self.rows
@@ -164,7 +164,7 @@ class Problem:
     def pulled_rows(self) -> tuple[int, ...]:
         """Hard general rows on controls alone, at node 0, that are no affine function of them."""
         path = self.path
-        bent, mixed = curved(path.h, path.u), ca.which_depends(path.h, path.x, 1, True) if path.nh else ()
+        bent, mixed = curved_rows(path.h, path.u), ca.which_depends(path.h, path.x, 1, True) if path.nh else ()
         return tuple(
             i
             for i, row in enumerate(self.rows)
@@ -176,7 +176,7 @@ class Problem:
     def nonlinear_model(self) -> bool:
         """True if the dynamics are no affine function of states and controls."""
         x, u, p = (self.path.x, self.path.u, self.path.p)
-        return bool(curved(self.dynamics(x, u, p), ca.vertcat(x, u)))
+        return bool(curved_rows(self.dynamics(x, u, p), ca.vertcat(x, u)))
 
     @property
     def couples_free_start(self) -> bool:

@@ -45,7 +45,7 @@ def program(problem: Problem) -> Program:
 def _operations(
     kernel: Kernel, problem: Problem, quantities: Sequence[Quantity], suspects: Sequence[int], new: Mapping[int, int]
 ) -> Iterator[Operation]:
-    texts, moved = _texts(kernel, problem), _moved(kernel)
+    texts, moved = _texts(kernel, problem), _find_moving(kernel)
     occurs = _occurrences(kernel, quantities, suspects)
     for i in suspects:
         a, b = kernel.instructions[i].args[0], kernel.instructions[i].args[-1]
@@ -66,10 +66,10 @@ def _parts(
         (problem.terminal, "terminal ", problem.N, problem.N),
     ):
         for name, expression in _of_stage(stage):
-            yield Quantity(f"the {words}{name}", first, end), _given(expression, stage, x, u, p, dt)
+            yield Quantity(f"the {words}{name}", first, end), _substitute(expression, stage, x, u, p, dt)
 
 
-def _given(
+def _substitute(
     expression: Expression, stage: Stage, x: Expression, u: Expression, p: Expression, dt: Expression
 ) -> Expression:
     """An expression of a stage in these symbols."""
@@ -91,7 +91,7 @@ def _general_rows(
             (1, problem.terminal, row.index_terminal, (problem.N, problem.N)),
         ):
             if index >= 0:
-                value = _given(stage.h[index], stage, x, u, p, stage.dt)
+                value = _substitute(stage.h[index], stage, x, u, p, stage.dt)
                 squares = row.soft is None and row.lower <= 0 < row.upper
                 yield Quantity(f"row '{row.name}'", first, last, squares), value, (number, end)
 
@@ -109,7 +109,7 @@ def _name(ins: Instruction) -> str:
     return opcode_name(ins.opcode).removeprefix("OP_").lower()
 
 
-def _moved(kernel: Kernel) -> list[bool]:
+def _find_moving(kernel: Kernel) -> list[bool]:
     """For every value, True if it depends on states or controls."""
     marks: list[bool] = []
     for ins in kernel.instructions:

@@ -51,7 +51,7 @@ class Scales:
 
 def scales(problem: Problem) -> Scales:
     """The sizes of a problem, from what is declared."""
-    z = _completed(problem)
+    z = _complete_scales(problem)
     rows, offsets = _row_sizes(problem, z)
     costs, own = _costs(problem, z)
     positive = costs[np.isfinite(costs) & (costs > 0.0)]
@@ -64,7 +64,7 @@ def stated_scales(problem: Problem) -> Array:
     return np.array([v for s in (*problem.states, *problem.controls) for v in s.scale or (0.0,) * s.size])
 
 
-def _declared(problem: Problem) -> Array:
+def _declared_scales(problem: Problem) -> Array:
     """Scales of (x, u) that bounds and references state, 0 where they do not."""
     nx = problem.nx
     found = np.zeros(nx + problem.nu)
@@ -85,10 +85,10 @@ def _width(lower: float, upper: float) -> float:
     return half if len(known) == 2 and half > 0.0 else max(known, default=0.0)
 
 
-def _completed(problem: Problem) -> Array:
+def _complete_scales(problem: Problem) -> Array:
     """Scales of (x, u): declared ones, those of bounds, references and initial values, and what follows for the others
     from what a control does to a state."""
-    nx, stated, z = problem.nx, stated_scales(problem), _declared(problem)
+    nx, stated, z = problem.nx, stated_scales(problem), _declared_scales(problem)
     initial = np.abs(problem.x_initial)
     soon, reach = responses(problem)
     z = np.where(stated > 0.0, stated, z)

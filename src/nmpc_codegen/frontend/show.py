@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from nmpc_codegen.frontend.statement import Declared, Residual, Stated, Statement
-from nmpc_codegen.package.signals import horizon, listed, nodes
-from nmpc_codegen.runtime.records.html import ROWS, page, shortened, table, units
+from nmpc_codegen.package.signals import horizon, list_some, nodes
+from nmpc_codegen.runtime.records.html import ROWS, page, shorten, table, units
 
 LONGEST = 80  # characters of an expression
 STAGES = {"start": "node 0", "path": "nodes 0..N-1", "terminal": "node N"}
@@ -15,7 +15,7 @@ STAGES = {"start": "node 0", "path": "nodes 0..N-1", "terminal": "node N"}
 def in_one_line(ocp: Stated) -> str:
     """Name, grid, signals by name, number of rows."""
     kinds = {"states": ocp.states, "controls": ocp.controls, "parameters": ocp.parameters}
-    parts = [f"{kind} {listed(_elements(declared))}" for kind, declared in kinds.items() if declared]
+    parts = [f"{kind} {list_some(_elements(declared))}" for kind, declared in kinds.items() if declared]
     rows = sum(len(statement.names) for statement in ocp.statements)
     return f"<OCP {ocp.name}: {'; '.join([_grid(ocp), *parts])}; rows: {rows}>"
 
@@ -29,9 +29,9 @@ def in_html(ocp: Stated) -> str:
             table(("", "name", "unit", "value", ""), _signals(ocp)),
             table(
                 ROWS,
-                shortened([r for s in ocp.statements for r in _row_lines(ocp, s)]),
+                shorten([r for s in ocp.statements for r in _row_lines(ocp, s)]),
             ),
-            table(("cost", "at", "weight", "reference"), shortened([row for r in ocp.residuals for row in _terms(r)])),
+            table(("cost", "at", "weight", "reference"), shorten([row for r in ocp.residuals for row in _terms(r)])),
             table(
                 ("general cost", "at", ""),
                 [(_short(c.expression), STAGES[c.stage], "integrated" if c.integrate else "") for c in ocp.costs],
@@ -52,7 +52,7 @@ def _incomplete(ocp: Stated) -> list[str]:
     """What is still to be stated before a controller can be built."""
     names = _elements(ocp.states)
     open_states = [name for i, name in enumerate(names) if i not in ocp.derivatives]
-    missing = [f"the dynamics of {listed(open_states)}"] if open_states else []
+    missing = [f"the dynamics of {list_some(open_states)}"] if open_states else []
     missing += [f"a {kind}" for kind, there in (("state", ocp.states), ("control", ocp.controls)) if not there]
     missing += [] if ocp.residuals or ocp.costs else ["a cost"]
     return [f"still missing: {', '.join(missing)}"] if missing else []
@@ -67,7 +67,7 @@ def _signals(ocp: Stated) -> list[tuple[object, ...]]:
             for i, (name, value) in enumerate(zip(signal.elements, signal.value, strict=True)):
                 notes = [mark for mark, which in marks.items() if kind == "state" and signal.offset + i in which]
                 lines.append((kind, name, signal.unit, "" if kind == "control" else value, ", ".join(notes)))
-        found += shortened(lines)
+        found += shorten(lines)
     return found
 
 

@@ -116,7 +116,7 @@ def intersection(new: Statement, i: int, old: Statement, j: int, what: str) -> t
     return float(lower), float(upper)
 
 
-def misplaced(element: Element, kinds: tuple[Kind, ...]) -> str:
+def explain_misplacement(element: Element, kinds: tuple[Kind, ...]) -> str:
     """Explain why this symbol is not allowed in an expression of the given kinds."""
     if element.kind in ("start", "end"):
         return f"at_{element.kind}({element.name}), which is allowed in boundary() only"

@@ -42,19 +42,19 @@ class Symbol(ca.SX):
     __hash__ = object.__hash__
 
     def __lt__(self, other: Any) -> Any:
-        return _compared(super().__lt__(other))
+        return _compare(super().__lt__(other))
 
     def __le__(self, other: Any) -> Any:
-        return _compared(super().__le__(other))
+        return _compare(super().__le__(other))
 
     def __gt__(self, other: Any) -> Any:
-        return _compared(super().__gt__(other))
+        return _compare(super().__gt__(other))
 
     def __ge__(self, other: Any) -> Any:
-        return _compared(super().__ge__(other))
+        return _compare(super().__ge__(other))
 
 
-def _compared(result: Any) -> Any:
+def _compare(result: Any) -> Any:
     return Comparison(result) if isinstance(result, ca.SX) else result
 
 

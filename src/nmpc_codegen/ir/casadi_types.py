@@ -26,6 +26,6 @@ def nonzeros(matrix: Expression) -> list[Expression]:
     return cast("list[Expression]", matrix.nonzeros())
 
 
-def curved(h: Expression, z: Expression) -> set[int]:
+def curved_rows(h: Expression, z: Expression) -> set[int]:
     """Numbers of the elements of h that are no affine functions of z."""
     return {i for i, bent in enumerate(ca.which_depends(h, z, 2, True)) if bent} if h.numel() else set()

@@ -29,7 +29,7 @@ def fuse_steps(sweep: Sweep) -> Sweep:
     for node, own in zip(sweep.body, users, strict=True):
         if isinstance(node, For) and node.index == "step":
             others = {s.buffer for found in users if found is not own for s, _ in found}
-            node = replace(node, body=(_fused(node, own, others, sizes, len(body)),))
+            node = replace(node, body=(_fuse(node, own, others, sizes, len(body)),))
         body.append(node)
     used = {s.buffer for node in body for s, _ in _slices(node)}
     kept = tuple(local for local in sweep.locals if local[0] in used)
@@ -43,7 +43,7 @@ def _slices(node: Node) -> list[tuple[Slice, bool]]:
     return [(s, False) for s in node.ins] + [(s, True) for s in node.outs]
 
 
-def _fused(loop: For, own: list[tuple[Slice, bool]], others: set[str], sizes: dict[str, int], number: int) -> Call:
+def _fuse(loop: For, own: list[tuple[Slice, bool]], others: set[str], sizes: dict[str, int], number: int) -> Call:
     """One iteration of the loop as a leaf on the buffers that are visible outside, whole or their part of a step."""
     written = dict.fromkeys(s.buffer for s, out in own if out)
     first: dict[str, bool] = {}
@@ -73,13 +73,13 @@ def expand_steps(sweep: Sweep) -> Sweep:
     for node in sweep.body:
         if isinstance(node, For) and node.index == "step":
             for value in node.values({}):
-                body += [fixed(inner, value, inline=True) for inner in node.body]
+                body += [fix_step(inner, value, inline=True) for inner in node.body]
         else:
-            body.append(_mapped(node, lambda s: s, True))
+            body.append(_map(node, lambda s: s, True))
     return replace(sweep, body=tuple(body))
 
 
-def fixed(node: Node, step: int, inline: bool = False) -> Node:
+def fix_step(node: Node, step: int, inline: bool = False) -> Node:
     """The node at one step; ``inline`` prints all of its leaves inline."""
     return bound(node, "step", step, inline)
 
@@ -91,25 +91,25 @@ def bound(node: Node, index: str, value: int, inline: bool = False) -> Node:
         terms = tuple(t for t in s.offset.terms if t[0] != index)
         return Slice(s.buffer, s.size, Affine(s.offset.at_one(index, value), terms), s.stride)
 
-    return _mapped(node, at, inline, lambda call: replace(call, step=value) if index == "step" else call)
+    return _map(node, at, inline, lambda call: replace(call, step=value) if index == "step" else call)
 
 
-def shifted(node: Node, by: int) -> Node:
+def shift_steps(node: Node, by: int) -> Node:
     """The node with all offsets moved forward ``by`` steps."""
 
     def later(s: Slice) -> Slice:
         return Slice(s.buffer, s.size, Affine(s.offset.at_one("step", by), s.offset.terms), s.stride)
 
-    return _mapped(node, later)
+    return _map(node, later)
 
 
-def _mapped(
+def _map(
     node: Node,
     change: Callable[[Slice], Slice],
     inline: bool = False,
     mark: Callable[[Call], Call] = lambda call: call,
 ) -> Node:
     if not isinstance(node, Call):
-        return replace(node, body=tuple(_mapped(n, change, inline, mark) for n in node.body))
+        return replace(node, body=tuple(_map(n, change, inline, mark) for n in node.body))
     ins, outs = tuple(map(change, node.ins)), tuple(map(change, node.outs))
     return replace(mark(node), ins=ins, outs=outs, inline=node.inline or inline)

@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from nmpc_codegen.ir.kernel import Port
-from nmpc_codegen.ir.sweep import Frame, LoopedRoutine, Node, Place, Sweep, looped
+from nmpc_codegen.ir.sweep import Frame, LoopedRoutine, Node, Place, Sweep, lift_loops
 from nmpc_codegen.ir.tuning import COLUMNS
 from nmpc_codegen.package.memory import Size
 
@@ -34,7 +34,7 @@ class Interface:
         ports = {name: Port(name, math.prod(place.shape)) for name, place in self.places.items()}
         inputs, outputs = (tuple(ports[name] for name in names) for names in (self.inputs, self.outputs))
         buffers = tuple((name, math.prod(place.shape)) for name, place in self.locals.items())
-        return looped(Sweep(self.name, self.doc, inputs, outputs, buffers, body, frame))
+        return lift_loops(Sweep(self.name, self.doc, inputs, outputs, buffers, body, frame))
 
 
 class Interfaces:

@@ -198,7 +198,7 @@ class Loops:
 
     def forward_panel(self) -> LoopedRoutine:
         totals = {"sum": Place("sum", (self.panel,))}
-        rows = self._combined(_at("S", i=self.nz), 1, "G", _at("G_next", i=COLUMNS, l=1))
+        rows = self._combine(_at("S", i=self.nz), 1, "G", _at("G_next", i=COLUMNS, l=1))
         return replace(self.of.forward_panel, locals=totals).routine(For("i", 0, self.nx, rows))
 
     def terminal_panel(self) -> LoopedRoutine:
@@ -208,20 +208,20 @@ class Loops:
 
     def backward_panel(self) -> LoopedRoutine:
         copy = _copy(_at("W", i=COLUMNS, l=1), _at("later", i=COLUMNS, l=1))
-        W = self._combined(_at("S", i=1), self.nz, "later", _at("W", i=COLUMNS, l=1))
-        T = self._combined(_at("S", self.nx, i=1), self.nz, "later", _at("T", i=COLUMNS, l=1))
+        W = self._combine(_at("S", i=1), self.nz, "later", _at("W", i=COLUMNS, l=1))
+        T = self._combine(_at("S", self.nx, i=1), self.nz, "later", _at("T", i=COLUMNS, l=1))
         states = sum(r < self.nx for r, _ in self.Q)
         nodes = [
             For("i", 0, self.nx, (For("l", 0, self.panel, (copy,)),)),
             For("i", 0, self.nx, W),
             For("i", 0, self.nu, T),
             *self._symmetric("Q", self.nz, 0, states, "W", "G", panel=True),
-            *self._mixed(states),
+            *self._add_mixed_block(states),
         ]
         buffers = {"later": Place("later", (self.nx, self.panel)), "sum": Place("sum", (self.panel,))}
         return replace(self.of.backward_panel, locals=buffers).routine(*nodes)
 
-    def _combined(self, a: Slice, stride: int, rows: str, out: Slice) -> tuple[Node, ...]:
+    def _combine(self, a: Slice, stride: int, rows: str, out: Slice) -> tuple[Node, ...]:
         """out[l] = sum_j a[j] rows[j][l] over NX rows, TERMS at a time."""
         blocks, rest = divmod(int(self.nx), TERMS)
         many = _dot(
@@ -255,7 +255,7 @@ class Loops:
         body = (product("a", "b"), If("a", "!=", "b", (product("b", "a"),)))
         return self._entries(matrix, first, last, body)
 
-    def _mixed(self, first: int) -> list[Node]:
+    def _add_mixed_block(self, first: int) -> list[Node]:
         """T += Q_ux G, the block of Q with the rows of the controls and the columns of the states."""
         target = _at("T", -self.nx * COLUMNS, a=COLUMNS, l=1)
         product = For("l", 0, self.panel, (_add(target, _at("Q", a=self.nz, b=1), _at("G", b=COLUMNS, l=1)),))

@@ -154,14 +154,14 @@ Node = Call | Block
 NEXT_STEP = -2
 
 
-def noted(nodes: Iterable[Node], note: str, stage: int = -1) -> list[Node]:
+def add_notes(nodes: Iterable[Node], note: str, stage: int = -1) -> list[Node]:
     """The nodes with a note and a stage at those calls that have none."""
     marked: list[Node] = []
     for node in nodes:
         if isinstance(node, Call):
             marked.append(node if node.note else replace(node, note=note, stage=stage))
         else:
-            marked.append(replace(node, body=tuple(noted(node.body, note, stage))))
+            marked.append(replace(node, body=tuple(add_notes(node.body, note, stage))))
     return marked
 
 
@@ -205,10 +205,10 @@ def unroll(sweep: Sweep) -> Function:
 
     A port that is changed in place becomes the input <name> and the output <name>_out.
     """
-    return _unrolled(sweep, None)
+    return _unroll(sweep, None)
 
 
-def _unrolled(sweep: Sweep, watched: list[Watched] | None) -> Function:
+def _unroll(sweep: Sweep, watched: list[Watched] | None) -> Function:
     """The same; ``watched``: the results of all calls are a last output, and this list says what they are."""
     symbols = [ca.SX.sym(p.name, p.size) for p in sweep.inputs]
     buffers: dict[str, Expression] = {p.name: ca.SX.zeros(p.size) for p in sweep.outputs}
@@ -218,11 +218,11 @@ def _unrolled(sweep: Sweep, watched: list[Watched] | None) -> Function:
 
     def watch(call: Call, step: int, results: Sequence[Expression]) -> None:
         if watched is not None:
-            watched.extend(_watched(call, step, sweep.steps))
+            watched.extend(_watch(call, step, sweep.steps))
             seen.extend(results)
 
     _run(sweep.body, buffers, {}, watch)
-    outputs = [_shaped(buffers[p.name], p) for p in sweep.outputs]
+    outputs = [_shape(buffers[p.name], p) for p in sweep.outputs]
     names = [p.name for p in sweep.inputs]
     results = [f"{p.name}_out" if p.name in names else p.name for p in sweep.outputs]
     if watched is not None:
@@ -230,7 +230,7 @@ def _unrolled(sweep: Sweep, watched: list[Watched] | None) -> Function:
     return ca.Function(sweep.name, symbols, outputs, names, results)
 
 
-def _watched(call: Call, step: int, steps: int) -> Iterator[Watched]:
+def _watch(call: Call, step: int, steps: int) -> Iterator[Watched]:
     """What the results of a call in a step are, element by element."""
     note = call.heading(step, steps)
     step, stage = (step + 1, 0) if call.stage == NEXT_STEP else (step, call.stage)
@@ -257,15 +257,15 @@ def _run(
             buffers[target.buffer][target.elements(indices)] = ca.vec(ca.densify(result))
 
 
-def _shaped(flat: Expression, port: Port) -> Expression:
+def _shape(flat: Expression, port: Port) -> Expression:
     """A dense SX vector, or an SX matrix of the port's shape without structural zeros."""
     return ca.sparsify(ca.reshape(flat, port.cols, port.rows).T) if port.cols else ca.densify(flat)
 
 
-def straight(sweep: Sweep) -> Kernel:
+def lift_straight(sweep: Sweep) -> Kernel:
     """The sweep as one straight-line Kernel, in the order of its calls."""
     watched: list[Watched] = []
-    function = _unrolled(sweep, watched)
+    function = _unroll(sweep, watched)
     return lift(function, sweep.name, sweep.doc, sweep.inputs, sweep.outputs, watched)
 
 
@@ -310,7 +310,7 @@ class LoopedRoutine:
     @cached_property
     def touched(self) -> frozenset[str]:
         """Buffers that occur in its C text."""
-        return frozenset(b for c in calls(self.sweep.body) for b in _touched(c, self.leaves[c.leaf.name()]))
+        return frozenset(b for c in calls(self.sweep.body) for b in _touched_buffers(c, self.leaves[c.leaf.name()]))
 
     @property
     def statements(self) -> int:
@@ -370,7 +370,7 @@ def _reads(nodes: tuple[Node, ...], index: str) -> bool:
     return False
 
 
-def looped(sweep: Sweep) -> LoopedRoutine:
+def lift_loops(sweep: Sweep) -> LoopedRoutine:
     """Lift the leaves of a sweep that will be printed as loops.
 
     Leaves store into buffers that are reused, so every output element is stored, structural zeros too. Results that no
@@ -472,12 +472,12 @@ def _count(nodes: tuple[Node, ...], leaves: Mapping[str, Kernel], indices: Mappi
     return total
 
 
-def _touched(call: Call, leaf: Kernel) -> Iterator[str]:
+def _touched_buffers(call: Call, leaf: Kernel) -> Iterator[str]:
     """Buffers that occur in the text of a call: those that its leaf loads or stores."""
-    yield from (s.buffer for s in passed(call, leaf))
+    yield from (s.buffer for s in passed_slices(call, leaf))
 
 
-def passed(call: Call, leaf: Kernel) -> Iterator[Slice]:
+def passed_slices(call: Call, leaf: Kernel) -> Iterator[Slice]:
     """The slices of a call that its leaf loads or stores: the arguments of its C function."""
     yield from (s for s, port in zip(call.ins, leaf.inputs, strict=True) if port in leaf.reads)
     yield from (s for s, port in zip(call.outs, leaf.outputs, strict=True) if port in leaf.writes)

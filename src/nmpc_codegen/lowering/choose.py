@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 
-from nmpc_codegen.components.base import Condensing, Dims, QpDims, QpShape, QpSolver, called
+from nmpc_codegen.components.base import Condensing, Dims, QpDims, QpShape, QpSolver, spell
 from nmpc_codegen.components.condensing import FullCondensing, NoCondensing, PartialCondensing
 from nmpc_codegen.components.hessians import ExactHessian, GaussNewton
 from nmpc_codegen.components.qp import REGISTRY
@@ -84,12 +84,12 @@ def choose_qp(
     given = options.condensing
     if given is not None and options.qp is not None:
         _check_forms(given, options.qp)
-        condensing = given.adapted(problem)
+        condensing = given.adapt(problem)
         return Choice(condensing, options.qp, _instead(given, condensing), warnings=grown.warning(problem, condensing))
     fitting = list(_pairs(_forms(problem, options, model, grown), options.qp, options.goal))
     candidates, soft = [], "soft rows" in problem.uses
     for stated, qp in fitting:
-        condensing = stated.adapted(problem)
+        condensing = stated.adapt(problem)
         if all(problem.uses <= c.supports for c in (condensing, qp)):
             dims = dimensions(problem, condensing.qp_shape(problem), constant_hessian, multiple_of(options.goal))
             counts = (*condensing.cost(dims, model).values(), *qp.cost(dims, model).values())
@@ -182,7 +182,7 @@ def _solvers(form: str, goal: Goal) -> list[QpSolver]:
 def _check_forms(condensing: Condensing, qp: QpSolver) -> None:
     if condensing.gives != qp.takes:
         raise OptionError(
-            f"condensing {called(condensing)} clashes with qp {called(qp)}: it gives a QP in the form "
+            f"condensing {spell(condensing)} clashes with qp {spell(qp)}: it gives a QP in the form "
             f"{condensing.gives!r}, the solver takes {qp.takes!r}"
         )
 

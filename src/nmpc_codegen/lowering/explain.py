@@ -16,7 +16,7 @@ from nmpc_codegen.package.program import Program
 JUMPS = "so that plans may jump between bounds; a small weight makes the plan unique"
 
 
-def explained(module: CModule, model: Model) -> CModule:
+def explain(module: CModule, model: Model) -> CModule:
     """The package with the program, by which diagnose() finds a number that is not finite, and with warnings."""
     found, description = program(model.problem), module.description
     report = replace(description.report, warnings=warnings(model, found))

@@ -27,7 +27,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from nmpc_codegen.components.base import Condensing, Integrator, called
+from nmpc_codegen.components.base import Condensing, Integrator, spell
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.frontend.problem import Array, Problem, Row, Stage
 from nmpc_codegen.ir.casadi_types import Expression, Function, elements
@@ -87,7 +87,7 @@ class Growth:
             if self.error(intervals, "double") <= REFUSED:
                 offers.append('precision "double" (--set precision=double)')
             raise OptionError(
-                f"condensing {called(condensing)} cannot work: {self.describe(intervals)}; use {' or '.join(offers)}"
+                f"condensing {spell(condensing)} cannot work: {self.describe(intervals)}; use {' or '.join(offers)}"
             )
         if self.spares(problem, condensing):
             return ()
@@ -187,7 +187,7 @@ def _at_reference(stage: Stage, start: Array) -> Array:
 def _factors(S: Array, uniform: bool) -> Array:
     """The growth over 1, 2, ..., N intervals, from [A_k B_k] of every interval, (N, nx, nx + nu)."""
     N, nx = len(S), S.shape[1]
-    reached = _reached(S)
+    reached = _reachable_states(S)
     A = np.clip(S[:, reached][:, :, :nx][:, :, reached], -LARGEST, LARGEST)
     products = np.broadcast_to(np.eye(len(A[0])), A.shape)[: 1 if uniform else N]
     largest, found = np.abs(products[0]), []
@@ -200,7 +200,7 @@ def _factors(S: Array, uniform: bool) -> Array:
     return np.array(found)
 
 
-def _reached(S: Array) -> Marks:
+def _reachable_states(S: Array) -> Marks:
     """Marks of the states that a control reaches, directly or through others."""
     nx = S.shape[1]
     depends = np.any(S != 0.0, axis=0)
@@ -239,7 +239,7 @@ def _end_time(problem: Problem, x: Array, u: Array) -> Iterator[str]:
     f = problem.dynamics(path.x, path.u, path.p)
     slopes = _function(path, [ca.densify(f), ca.densify(ca.jacobian(f, path.u))])
     draws = [
-        (d, u + 1 + _noise(problem.nu, k), problem.p_value + _noise(problem.np, k)) for k, d in enumerate(_drawn(x))
+        (d, u + 1 + _noise(problem.nu, k), problem.p_value + _noise(problem.np, k)) for k, d in enumerate(_draw(x))
     ]
 
     def at(kind: str, i: int, value: float) -> tuple[Array, Array]:
@@ -305,7 +305,7 @@ def _movable(problem: Problem, x: Array, u: Array) -> tuple[Marks, Marks]:
     for _ in range(problem.nx + problem.nu + 1):
         seen, going = moves, moved
         for k in range(DRAWN):
-            state = np.where(moved, _drawn(x)[k], x)
+            state = np.where(moved, _draw(x)[k], x)
             control = np.where(moves, u + _noise(problem.nu, k), u)
             rate, *parts = evaluate(state, control, problem.p_value + _noise(problem.np, k), problem.dt[0])
             going = going | (np.asarray(rate, dtype=float).ravel() - (state if problem.discrete else 0) != 0)
@@ -370,7 +370,7 @@ def _function(stage: Stage, outputs: list[Expression]) -> Function:
     return ca.Function("at_first_plan", [stage.x, stage.u, stage.p, stage.dt], outputs)
 
 
-def _drawn(x: Array) -> list[Array]:
+def _draw(x: Array) -> list[Array]:
     """States around x, the same at every call."""
     return [x + (1 + np.abs(x)) * _noise(len(x), k) for k in range(DRAWN)]
 

@@ -11,7 +11,7 @@ from nmpc_codegen.ir.cmodule import CModule
 from nmpc_codegen.ir.printing.c_style import CStyle
 from nmpc_codegen.lowering.parts import read_part
 from nmpc_codegen.lowering.pruning.scopes import signature
-from nmpc_codegen.lowering.pruning.tree import Edit, edited, margin, parse
+from nmpc_codegen.lowering.pruning.tree import Edit, edit, margin, parse
 
 _CALL = re.compile(rf"(?P<before>(?:\w+ = )?)(?P<hook>{'|'.join(HOOKS)})(?P<arguments>\(.*\);)", re.DOTALL)
 _NAMED = re.compile(rf"\b(?:{'|'.join(HOOKS)})\(")
@@ -67,11 +67,11 @@ def with_hooks(text: str, extras: Sequence[str]) -> str:
         ValueError: no extra defines a hook that one has to define, or several do.
     """
     pieces = [text] if "#endif" in text else re.split(r"(?<=\n\}\n)", text)
-    return "".join(_called(piece, tuple(extras)) if _NAMED.search(piece) else piece for piece in pieces)
+    return "".join(_call_hooks(piece, tuple(extras)) if _NAMED.search(piece) else piece for piece in pieces)
 
 
 @lru_cache(maxsize=1024)
-def _called(text: str, extras: tuple[str, ...]) -> str:
+def _call_hooks(text: str, extras: tuple[str, ...]) -> str:
     """The same of a text that ends with a function."""
     named = {part.rpartition("/")[2].removesuffix(".c"): _hooks(part) for part in extras}
     edits = []
@@ -85,4 +85,4 @@ def _called(text: str, extras: tuple[str, ...]) -> str:
         before = margin(text, node)
         lines = [f"{before}{call['before']}{name}{call['arguments']}\n" for name in names]
         edits.append(Edit(node.start - len(before), node.end + 1, "".join(lines)))
-    return edited(text, edits)
+    return edit(text, edits)

@@ -96,12 +96,12 @@ def linearize(problem: Problem, options: Options | None = None) -> Model:
     if options is not None and not isinstance(options, Options):
         raise OptionError(f"options: {options!r}; expected Options(...) or None")
     options = options or Options()
-    problem = completed(problem, options)
+    problem = complete(problem, options)
     chosen = options.hessian is None
     options, of_hessian = choose_hessian(problem, options)
     wanted, options = options, options.with_defaults
     target, of_target = TARGETS[options.target], _target_reasons(wanted, TARGETS[options.target])
-    algorithm, of_algorithm = options.algorithm.decided(problem, roomy(options))
+    algorithm, of_algorithm = options.algorithm.decide(problem, roomy(options))
     options = replace(options, algorithm=algorithm)
     online = options.online
     problem = _with_weights(problem, online)
@@ -169,7 +169,7 @@ def _target_reasons(asked: Options, target: Target) -> tuple[str, ...]:
     return ("target: portable; of this machine the compiler knows no vectors",) if asked.target == NATIVE else ()
 
 
-def completed(problem: Problem, options: Options | None = None) -> Problem:
+def complete(problem: Problem, options: Options | None = None) -> Problem:
     """The problem with the terminal cost of lqr_terminal_cost(), which depends on the integrator."""
     if problem.terminal_lqr is None:
         return problem
@@ -214,7 +214,7 @@ def _functions(
         ),
         replace(terminal, rows=_rows_kernel(problem.terminal, "terminal"), block=blocks.terminal),
         blocks.initial,
-        _coupled(problem),
+        _lift_coupled_rows(problem),
     )
 
 
@@ -315,7 +315,7 @@ def _rows_kernel(stage: Stage, name: str) -> Kernel:
     return lift(ca.Function("rows", args, [h, J]), f"{name}_rows", doc, ports, outputs)
 
 
-def _coupled(problem: Problem) -> Kernel:
+def _lift_coupled_rows(problem: Problem) -> Kernel:
     """r(x_0, x_N) and its Jacobians."""
     x_0, x_N = (ca.SX.sym(name, problem.nx) for name in ("x_0", "x_N"))
     r = ca.SX(0, 1) if problem.coupled is None else problem.coupled(x_0, x_N)

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from nmpc_codegen.components.algorithms.shifts import sampled
+from nmpc_codegen.components.algorithms.shifts import sampling_period
 from nmpc_codegen.components.base import Component, Counts, Dims
 from nmpc_codegen.components.core import SIZES_OF_OTHERS, TABLES_OF_OTHERS
 from nmpc_codegen.errors import OptionError
@@ -28,7 +28,7 @@ from nmpc_codegen.lowering.structs import absent_members, extras, lowered_struct
 from nmpc_codegen.options import as_data
 from nmpc_codegen.package.description import INTERFACE_SIZES, PackageDescription, Report
 from nmpc_codegen.package.features import KERNELS, Features, KernelName
-from nmpc_codegen.package.memory import Size, Struct, placed
+from nmpc_codegen.package.memory import Size, Struct, place
 from nmpc_codegen.package.opcount import OpCount
 from nmpc_codegen.package.signals import Kind, Layout, Residual, c_constants
 from nmpc_codegen.package.status import Status
@@ -58,10 +58,10 @@ def lower(model: Model, name: str | None = None, whole: bool = False) -> CModule
     if model.options.math == "own":
         _check_math(model, [component for component, files in foreign if files])
     features = _features(model)
-    structs, layout = placed(lowered_structs(model, dims, features, whole), model.options.precision)
+    structs, layout = place(lowered_structs(model, dims, features, whole), model.options.precision)
     macros = _macros(model, dims, whole)
     ranges, tables = _ranges(model, dims, features), _tables(model)
-    routines = tuple(r for r in _printed(model) if r.name not in KERNELS or r.name in features.kernels)
+    routines = tuple(r for r in _printed_routines(model) if r.name not in KERNELS or r.name in features.kernels)
     unit = [*(m.name for m in macros), *(t.name for t in tables), *(r.name for r in routines), *features.macros]
     module = CModule(
         description=_description(model, name, macros, structs, _report(model, dims, features, structs, layout), ranges),
@@ -146,7 +146,7 @@ def _check_math(model: Model, foreign: list[str]) -> None:
             f'{clash} {foreign[0]}, whose foreign code calls the C library; choose another one, or math="libm"'
         )
     known = {*own_names(), *CStyle.INSTRUCTIONS}
-    for routine in _printed(model):
+    for routine in _printed_routines(model):
         missing = sorted(called_functions([routine]) - known)
         if missing:
             raise OptionError(
@@ -155,7 +155,7 @@ def _check_math(model: Model, foreign: list[str]) -> None:
             )
 
 
-def _printed(model: Model) -> tuple[Routine, ...]:
+def _printed_routines(model: Model) -> tuple[Routine, ...]:
     """The routines that have results: a problem without terminal cost has no terminal_cost()."""
     return tuple(r for r in model.routines if r.writes)
 
@@ -350,11 +350,11 @@ def _tables(model: Model) -> tuple[Table, ...]:
     found = (
         real("interval_length", p.dt, "dt_k"),
         *([] if p.discrete else [real("step_length", [longest_step], "longest integration step")]),
-        real("z_scale", _rounded(sizes.z), "scales of (x, u)"),
-        real("row_magnitude", _rounded(sizes.rows), "scales of the terms of the rows"),
+        real("z_scale", _round(sizes.z), "scales of (x, u)"),
+        real("row_magnitude", _round(sizes.rows), "scales of the terms of the rows"),
         real("row_offset", sizes.offsets, "constant parts of the rows, which belong to their bounds"),
-        real("cost_size", _rounded(sizes.cost), "scale of the cost: its most expensive part"),
-        real("force_size", _rounded(sizes.forces), "scales of the gradient of the cost with respect to (x, u)"),
+        real("cost_size", _round(sizes.cost), "scale of the cost: its most expensive part"),
+        real("force_size", _round(sizes.forces), "scales of the gradient of the cost with respect to (x, u)"),
         real("initial_state", p.x_initial, "initial values of the states"),
         real("default_control", _default_controls(p), "0, clipped to the bounds"),
         real("default_parameter", p.p_value, "p"),
@@ -372,7 +372,7 @@ def _tables(model: Model) -> tuple[Table, ...]:
         integer("row_first", first, "first row of node k"),
         real("penalty_l1", [_penalty(r)[0] for r in p.rows], "l1 penalty of a row of the user; infinite: hard"),
         real("penalty_l2", [_penalty(r)[1] for r in p.rows], "quadratic penalty of its violation"),
-        real("proximal", _rounded(p.proximal), "curvature of steps in samples"),
+        real("proximal", _round(p.proximal), "curvature of steps in samples"),
         integer("on_states", p.rows_on_states, "1: row on states alone"),
         integer(
             "is_pulled", (i in p.pulled_rows for i in range(len(p.rows))), "1: hard row on controls alone that bends"
@@ -384,7 +384,7 @@ def _tables(model: Model) -> tuple[Table, ...]:
     return tuple({table.name: table for table in reversed(found)}.values())[::-1]
 
 
-def _rounded(values: ArrayLike) -> list[float]:
+def _round(values: ArrayLike) -> list[float]:
     """Scales with the digits that they have."""
     return [float(f"{v:.3g}") for v in np.ravel(values)]
 
@@ -434,14 +434,14 @@ def _description(
         time_unit="samples" if p.discrete else p.time_unit,
         statuses=tuple(Status.__members__),
         shift=model.parts.algorithm.shift,
-        sampling_time=sampled(model.parts.algorithm.shift, model.parts.algorithm.sampling_time, p),
+        sampling_time=sampling_period(model.parts.algorithm.shift, model.parts.algorithm.sampling_time, p),
         entry_points=model.parts.algorithm.entries(_features(model)),
         online=model.options.online.layouts,
         options=as_data(model.options),
         report=report,
         ranges=ranges,
-        scales=tuple(_rounded(sizes.z)),
-        row_scales=tuple(_rounded(sizes.rows)),
+        scales=tuple(_round(sizes.z)),
+        row_scales=tuple(_round(sizes.rows)),
     )
 
 
@@ -461,7 +461,7 @@ def _report(
     layout: Mapping[str, tuple[int, int]],
 ) -> Report:
     """Memory, exact operation counts, and the choices with their reasons."""
-    counts = {r.name: r.count for r in _printed(model)}
+    counts = {r.name: r.count for r in _printed_routines(model)}
     if features.products:
         called = model.products.called_vectors(features)
         counts |= {name: routine.count for name, routine in called.items()}
@@ -475,5 +475,5 @@ def _report(
         operations=counts,
         linearization_operations=counts.get("linearize", OpCount()).total,
         choices=model.choices,
-        looped=tuple(r.name for r in _printed(model) if len(r.kernels) > 1),
+        looped=tuple(r.name for r in _printed_routines(model) if len(r.kernels) > 1),
     )

@@ -25,7 +25,7 @@ from nmpc_codegen.ir.kernel import OPERATIONS
 from nmpc_codegen.ir.printing.c_style import CStyle
 from nmpc_codegen.ir.printing.routines import print_routine
 from nmpc_codegen.lowering.pruning.directives import resolve
-from nmpc_codegen.lowering.pruning.scopes import blanked
+from nmpc_codegen.lowering.pruning.scopes import blank
 
 _WORD = re.compile(r"[A-Za-z_]\w*")
 _INCLUDE = re.compile(r'^#include "([\w/]+\.c)".*\n', re.MULTILINE)
@@ -61,28 +61,28 @@ def _file(path: str) -> str:
     return (template_directory() / path).read_text(encoding="utf-8").rstrip("\n") + "\n"
 
 
-def needed(text: str, names: Collection[str]) -> str:
+def needed_paragraphs(text: str, names: Collection[str]) -> str:
     """The paragraphs of a text that define these names, or names in such paragraphs, in the order of the text."""
     paragraphs = [p for p in text.strip("\n").split("\n\n") if p]
-    defined = {name: i for i, p in enumerate(paragraphs) for name in _defined(p)}
+    defined = {name: i for i, p in enumerate(paragraphs) for name in _defined_names(p)}
     kept: set[int] = set()
     found = {defined[name] for name in names if name in defined}
     while found:
         kept |= found
-        words = {word for i in found for word in _WORD.findall(blanked(paragraphs[i]))}
+        words = {word for i in found for word in _WORD.findall(blank(paragraphs[i]))}
         found = {defined[word] for word in words if word in defined} - kept
     return "\n\n".join(paragraphs[i].strip("\n") for i in sorted(kept))
 
 
 def defined_names(text: str) -> set[str]:
     """Names of the macros, types, tables, functions and constants that a text defines."""
-    code = blanked(text)
+    code = blank(text)
     constants = {word for body in _ENUMERATION.findall(code) for word in _WORD.findall(re.sub(r"=[^,]*", "", body))}
-    return {name for paragraph in code.split("\n\n") for name in _defined(paragraph)} | constants
+    return {name for paragraph in code.split("\n\n") for name in _defined_names(paragraph)} | constants
 
 
 @lru_cache(maxsize=4096)
-def _defined(paragraph: str) -> tuple[str, ...]:
+def _defined_names(paragraph: str) -> tuple[str, ...]:
     """Names of the macros, types, tables and functions that a paragraph defines."""
     return tuple(next(filter(None, found)) for found in _DEFINITION.findall(paragraph))
 
@@ -154,7 +154,7 @@ def own_math(module: CModule, names: Collection[str]) -> str:
     """The elementary functions that a unit with these identifiers calls; lanes need some of them as well."""
     if not (module.features.own_math or module.sizes["LANE_NODES"]):
         return ""
-    text = needed(own_text(MATH, module.sizes), names)
+    text = needed_paragraphs(own_text(MATH, module.sizes), names)
     return f"{_HEADING}\n\n{text}\n" if text else ""
 
 
@@ -186,7 +186,7 @@ def renamed_words(words: Collection[str], header: str, name: str, members: Colle
     ``members``: words of the header that belong to its structs alone.
     """
     prefixes = (f"{name}_", f"{name.upper()}_")
-    declared = {w for w in names_in(blanked(header)) if w.startswith(prefixes)} - set(members) - STANDARD
+    declared = {w for w in names_in(blank(header)) if w.startswith(prefixes)} - set(members) - STANDARD
     found: dict[str, str] = {}
     for word in sorted(declared.intersection(words)):
         inner = f"{word}_"

@@ -36,15 +36,15 @@ from nmpc_codegen.lowering.preamble import (
     definitions,
     preamble,
 )
-from nmpc_codegen.lowering.pruning.comments import worded
+from nmpc_codegen.lowering.pruning.comments import word_comments
 from nmpc_codegen.lowering.pruning.constants import Constants
 from nmpc_codegen.lowering.pruning.directives import resolve
 from nmpc_codegen.lowering.pruning.reach import calling
-from nmpc_codegen.lowering.pruning.scopes import blanked
-from nmpc_codegen.lowering.pruning.unit import pruned
+from nmpc_codegen.lowering.pruning.scopes import blank
+from nmpc_codegen.lowering.pruning.unit import prune
 from nmpc_codegen.lowering.rows import row_functions, row_ranges
 from nmpc_codegen.package.memory import PURPOSES, WORK, Field, Size, Struct
-from nmpc_codegen.package.seal import sealed
+from nmpc_codegen.package.seal import seal
 from nmpc_codegen.package.signals import Argument, EntryPoint, Layout, Signal, horizon, nodes
 from nmpc_codegen.package.sources import Sources
 from nmpc_codegen.package.version import __version__
@@ -91,7 +91,7 @@ ROWS = "generated/rows.c"
 
 def render(module: CModule) -> Sources:
     """All files of the package, sealed."""
-    names = _filled(module)
+    names = _fill(module)
     files = {
         f"{module.name}.c": "package/solver.c.jinja",
         "main.c": "package/main.c.jinja",
@@ -106,10 +106,10 @@ def render(module: CModule) -> Sources:
     )
     sources |= {path: tidy(environment().get_template(t).render(names)) for path, t in files.items()}
     sources[f"{module.name}.json"] = module.description.to_json()
-    return Sources(sealed({**sources, **module.foreign}, module.name), module.description)
+    return Sources(seal({**sources, **module.foreign}, module.name), module.description)
 
 
-def _filled(module: CModule) -> dict[str, Any]:
+def _fill(module: CModule) -> dict[str, Any]:
     """The names of the templates, with the header, the body of the unit, its tables and short names."""
     names = _names(module)
     header = tidy(environment().get_template("package/solver.h.jinja").render(names))
@@ -158,10 +158,10 @@ class Unit:
         """Place in the templates -> text; ``math`` writes the elementary functions among names that are used."""
         known: Sequence[Definition] = self.known
         if self.constants is None:
-            body = "\n\n".join([*self.kernels.values(), worded(self.body, None)])
+            body = "\n\n".join([*self.kernels.values(), word_comments(self.body, None)])
         else:
-            body, known = pruned(self.body, self.kernels, known, self.constants)
-        words = names_in(blanked(body))
+            body, known = prune(self.body, self.kernels, known, self.constants)
+        words = names_in(blank(body))
         functions = math(definitions(known, words)[1])
         words |= names_in(functions)
         tables = self._tables(style, definitions(known, words)[1])
@@ -169,8 +169,8 @@ class Unit:
         members = {member.name for struct in self.structs for member in struct.fields}
         renamed = renamed_words(definitions(known, words)[1], self.header, self.name, members)
         types = [*(s.name for s in self.structs), "status"]
-        short_names = worded(preamble(self.name, types, known, words, renamed, self.docs), self.constants)
-        texts = {"body": body, "math": functions, "tables": worded(tables, self.constants)}
+        short_names = word_comments(preamble(self.name, types, known, words, renamed, self.docs), self.constants)
+        texts = {"body": body, "math": functions, "tables": word_comments(tables, self.constants)}
         return {
             **{place: rename(text, renamed) for place, text in texts.items()},
             "header": self.header,
@@ -206,7 +206,7 @@ def _names(module: CModule) -> dict[str, Any]:
         "structs": module.structs,
         "precision": module.precision,
         "dim": lambda macro: f"{module.macro}_{macro}",
-        "resolved": lambda template: _resolved(environment().get_template(template).render(names), module),
+        "resolved": lambda template: _resolve(environment().get_template(template).render(names), module),
         "copies": lambda option: _copies(module.layouts[option], option in ("reference", "weight")),
         "initial": ", ".join(names["lit"](v) for s in module.description.states for v in s.value),
         "dt": names["lit"](module.description.sampling_time or module.description.dt[0]),
@@ -225,7 +225,7 @@ def constants_of(module: CModule, known: Sequence[Definition]) -> Constants:
     return Constants(module.sizes, ranges, module.absent_members, types, kernels, calling(known))
 
 
-def _resolved(text: str, module: CModule) -> str:
+def _resolve(text: str, module: CModule) -> str:
     """The text with the branches of `#if` that the package has; a whole package leaves them to the compiler."""
     return (text if module.decided is None else resolve(text, module.decided)).rstrip()
 
@@ -233,18 +233,18 @@ def _resolved(text: str, module: CModule) -> str:
 def render_unit(module: CModule, names: dict[str, Any]) -> str:
     """The translation unit after its tables: printed kernels, parts."""
 
-    def generated(path: str) -> str:
+    def generate_part(path: str) -> str:
         if path == ROWS:
             return environment().get_template("core/rows.c.jinja").render(row_functions(module))
         return GENERATORS[path](module, module.style)
 
     def part(path: str) -> str:
-        text = read_part(path, generated, module.decided)
+        text = read_part(path, generate_part, module.decided)
         if path == module.sections[-1].template:
             check_hooks([read_part(path, lambda include: "")], module.extras)
         return with_hooks(text, module.extras).rstrip()
 
-    more: dict[str, Any] = {"part": part, "generated": generated}
+    more: dict[str, Any] = {"part": part, "generated": generate_part}
     return environment().get_template("package/unit.c.jinja").render(names | more)
 
 
@@ -370,14 +370,14 @@ SOLVER = (Argument("s", "solver"),)
 def prototype(entry: EntryPoint, name: str, owner: tuple[Argument, ...] = ()) -> str:
     """Declaration of an entry point, whose first arguments ``owner`` may be changed."""
 
-    def declared(argument: Argument, constant: bool) -> str:
+    def declare(argument: Argument, constant: bool) -> str:
         sizes = "".join(f"[{Size(text, 0).c(name.upper()) if text else ''}]" for text in argument.shape)
         number = {"real": f"{name}_real ", "int": "int "}.get(argument.ctype)
         const = "const " if constant and (sizes or number is None) else ""
         return f"{const}{number or f'{name}_{argument.ctype}_t *'}{argument.name}{sizes}"
 
-    inputs, outputs = ([declared(a, True) for a in entry.inputs], [declared(a, False) for a in entry.outputs])
-    arguments = ", ".join([*(declared(a, False) for a in owner), *inputs, *outputs])
+    inputs, outputs = ([declare(a, True) for a in entry.inputs], [declare(a, False) for a in entry.outputs])
+    arguments = ", ".join([*(declare(a, False) for a in owner), *inputs, *outputs])
     head = f"{name}_status_t {name}_{entry.name}("
     if len(head) + len(arguments) <= WIDTH:
         return f"{head}{arguments});"

@@ -31,7 +31,7 @@ def lowered_structs(model: Model, dims: Dims, features: Features, whole: bool) -
         owned = [replace(s, fields=tuple(replace(f, only=None) for f in s.fields), only=None) for s in stated]
     else:
         owned = [_existing(s, features) for s in stated if s.only is None or s.only(features)]
-    merged = _merged(s for s in owned if s.fields)
+    merged = _merge(s for s in owned if s.fields)
     own_members = merged.pop("solver", Struct("solver", "", ())).fields
     inner = _after_members(merged)
     held = {f.ctype for s in inner for f in s.fields} | {f.ctype for f in own_members}
@@ -47,7 +47,7 @@ def _existing(struct: Struct, features: Features) -> Struct:
     return replace(struct, fields=tuple(fields), only=None)
 
 
-def _merged(owned: Iterable[Struct]) -> dict[str, Struct]:
+def _merge(owned: Iterable[Struct]) -> dict[str, Struct]:
     """Name -> struct with the members that all components give it."""
     found: dict[str, Struct] = {}
     for struct in owned:
@@ -127,14 +127,14 @@ def settings(model: Model, dims: Dims, whole: bool) -> tuple[Setting, ...]:
             None,
             "reference of the terminal residual",
         ),
-        *setting("weight", "W", "default_weight", weight, path, f"weight of the path residual{_scaled(p)}"),
+        *setting("weight", "W", "default_weight", weight, path, f"weight of the path residual{_scaling_note(p)}"),
         *setting("weight", "W_N", "default_terminal_weight", weight_N, None, "weight of the terminal residual"),
         *setting("bounds", "lower", "default_lower", (dims.nr,), every, "lower bounds of the rows"),
         *setting("bounds", "upper", "default_upper", (dims.nr,), every, "upper bounds of the rows"),
     )
 
 
-def _scaled(p: Problem) -> str:
+def _scaling_note(p: Problem) -> str:
     """Which weights are multiplied by the length of the interval where they are used, for a comment."""
     names = [name for name, scaled in zip(p.path.y_names, p.path.scale_with_dt, strict=True) if scaled]
     if not names:

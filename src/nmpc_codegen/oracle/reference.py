@@ -29,7 +29,7 @@ from nmpc_codegen.oracle.trajectory import (
     node_rows,
     row_nodes,
     scaled_weight,
-    shaped,
+    shape_of,
     start_cost,
 )
 
@@ -155,8 +155,8 @@ class Reference:
         """
         problem = self.problem
         lbx, ubx, lbg, ubg = self._bounds(data)
-        x_guess = shaped("x", data.x0 if x is None else x, (problem.N + 1, problem.nx))
-        u_guess = shaped("u", control_start(problem, data) if u is None else u, (problem.N, problem.nu))
+        x_guess = shape_of("x", data.x0 if x is None else x, (problem.N + 1, problem.nx))
+        u_guess = shape_of("u", control_start(problem, data) if u is None else u, (problem.N, problem.nu))
         slack = np.zeros(2 * len(self._slack))
         found = self._solver(
             x0=np.concatenate([x_guess.ravel(), u_guess.ravel(), slack]),

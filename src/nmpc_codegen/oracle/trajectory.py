@@ -104,7 +104,7 @@ def node_data(
         ProblemError: a shape does not fit, or a name is unknown.
     """
     N, path, end = problem.N, problem.path, problem.terminal
-    x = shaped("x0", problem.x_initial if x0 is None else x0, (problem.nx,))
+    x = shape_of("x0", problem.x_initial if x0 is None else x0, (problem.nx,))
     x[list(problem.accumulators)] = 0.0
     lower = np.tile([r.lower for r in problem.rows], (N + 1, 1)).reshape(N + 1, -1)
     upper = np.tile([r.upper for r in problem.rows], (N + 1, 1)).reshape(N + 1, -1)
@@ -116,17 +116,17 @@ def node_data(
         upper[:, names.index(name)] = high
     return Data(
         x0=x,
-        p=shaped("p", _parameters(problem, p), (N + 1, problem.np)),
-        yref=shaped("yref", path.reference if yref is None else yref, (N, path.ny)),
-        yref_N=shaped("yref_N", end.reference if yref_N is None else yref_N, (end.ny,)),
-        W=shaped("W", _square(path.weight if W is None else W), (N, path.ny, path.ny)),
-        W_N=shaped("W_N", _square(end.weight if W_N is None else W_N), (end.ny, end.ny)),
+        p=shape_of("p", _parameters(problem, p), (N + 1, problem.np)),
+        yref=shape_of("yref", path.reference if yref is None else yref, (N, path.ny)),
+        yref_N=shape_of("yref_N", end.reference if yref_N is None else yref_N, (end.ny,)),
+        W=shape_of("W", _square(path.weight if W is None else W), (N, path.ny, path.ny)),
+        W_N=shape_of("W_N", _square(end.weight if W_N is None else W_N), (end.ny, end.ny)),
         lower=lower,
         upper=upper,
     )
 
 
-def shaped(what: str, value: Any, shape: tuple[int, ...]) -> Array:
+def shape_of(what: str, value: Any, shape: tuple[int, ...]) -> Array:
     try:
         return np.array(np.broadcast_to(np.asarray(value, dtype=float), shape))
     except ValueError as error:

@@ -126,7 +126,7 @@ class Struct:
 Stated = TypeVar("Stated", Field, Struct)
 
 
-def stated(present: object, *entries: Stated) -> tuple[Stated, ...]:
+def only_if(present: object, *entries: Stated) -> tuple[Stated, ...]:
     """Members or structs that a package lacks unless ``present``; its parts may name them all the same."""
     return entries if present else tuple(replace(entry, only=lambda _: False) for entry in entries)
 
@@ -153,17 +153,17 @@ UNITS = (64, 32, 16)
 ORDER = (WORK, PURPOSES["iterate"], PURPOSES["setting"], PURPOSES["result"])
 
 
-def placed(structs: Iterable[Struct], precision: str) -> tuple[tuple[Struct, ...], dict[str, tuple[int, int]]]:
+def place(structs: Iterable[Struct], precision: str) -> tuple[tuple[Struct, ...], dict[str, tuple[int, int]]]:
     """The structs with their members reordered, and their layout; each struct follows those that it contains."""
     known: list[Struct] = []
     for struct in structs:
         layout = struct_layout(known, precision)
         bytes_of = {name: size for name, (size, _) in layout.items()}
-        known.append(struct if struct.union else replace(struct, fields=_ordered(struct, bytes_of, precision)))
+        known.append(struct if struct.union else replace(struct, fields=_order(struct, bytes_of, precision)))
     return tuple(known), struct_layout(known, precision)
 
 
-def _ordered(struct: Struct, bytes_of: dict[str, int], precision: str) -> tuple[Field, ...]:
+def _order(struct: Struct, bytes_of: dict[str, int], precision: str) -> tuple[Field, ...]:
     elements = bytes_of | {"real": 8 if precision == "double" else 4, "int32": 4, "int64": 8}
 
     def size(member: Field) -> int:

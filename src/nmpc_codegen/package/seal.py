@@ -26,20 +26,20 @@ _COMMENTS = {
 }
 
 
-def sealed(sources: Mapping[str, str], name: str) -> dict[str, str]:
+def seal(sources: Mapping[str, str], name: str) -> dict[str, str]:
     """The files of the package ``name``, each with its seal: the last line, or the first entry of a JSON object."""
     code = "\0".join(sources[f"{name}.{ext}"] for ext in ("h", "c"))
     package = hashlib.sha256(code.encode()).hexdigest()[:16]
-    return {path: _sealed(path, text, package) for path, text in sources.items()}
+    return {path: _seal(path, text, package) for path, text in sources.items()}
 
 
-def sealed_beside(files: Mapping[str, str], package_files: Mapping[str, str]) -> dict[str, str]:
+def seal_beside(files: Mapping[str, str], package_files: Mapping[str, str]) -> dict[str, str]:
     """More files of a package, each with its seal; ``package_files``: those that have theirs."""
     package = next(filter(None, map(package_of, package_files.values())))
-    return {path: _sealed(path, text, package) for path, text in files.items()}
+    return {path: _seal(path, text, package) for path, text in files.items()}
 
 
-def _sealed(path: str, text: str, package: str) -> str:
+def _seal(path: str, text: str, package: str) -> str:
     blank = _LINE.format(package, _BLANK)
     suffix = PurePosixPath(path).suffix
     if suffix == ".json":

@@ -173,7 +173,7 @@ def c_constants(names: Sequence[str]) -> tuple[str, ...]:
     return tuple(big if upper.count(big) == 1 else name for name, big in zip(spelled, upper, strict=True))
 
 
-def listed(names: Sequence[object]) -> str:
+def list_some(names: Sequence[object]) -> str:
     """Names separated by commas; of more than LISTED the first ones and the number of all."""
     shown = ", ".join(map(str, names[:LISTED]))
     return shown if len(names) <= LISTED else f"{shown}, ... ({len(names)} in all)"
@@ -190,4 +190,4 @@ def horizon(dt: Sequence[float], unit: str, discrete: bool) -> str:
 def nodes(which: Sequence[int]) -> str:
     """Nodes in ascending order: "0..9" if they follow one another, else "0, 5, 10"."""
     consecutive = len(which) > 2 and which[-1] - which[0] == len(which) - 1
-    return f"{which[0]}..{which[-1]}" if consecutive else listed(which)
+    return f"{which[0]}..{which[-1]}" if consecutive else list_some(which)

@@ -32,9 +32,9 @@ import cffi
 
 from nmpc_codegen.errors import BuildError, ControllerError, OptionError
 from nmpc_codegen.package.description import PackageDescription
-from nmpc_codegen.runtime.cache import CACHE_VARIABLE, PRODUCT, cached, keep_failed
+from nmpc_codegen.runtime.cache import CACHE_VARIABLE, PRODUCT, entry, keep_failed
 from nmpc_codegen.runtime.compiled import CompiledPackage
-from nmpc_codegen.runtime.compilers import asked, environment, find_compiler
+from nmpc_codegen.runtime.compilers import ask, environment, find_compiler
 from nmpc_codegen.runtime.controller import Controller
 from nmpc_codegen.runtime.native import check_target, macros_of
 from nmpc_codegen.targets import TARGETS, Target
@@ -158,7 +158,7 @@ def compile_module(files: Mapping[str, str], name: str, flags: Sequence[str], wr
     compiler = find_compiler()
     module = f"_nmpc_{name}_{_key(files, name, flags, compiler, wrapper)}"
     wrapped = module if wrapper else None
-    return cached(f"{module}{_suffix()}", lambda folder: _compile(files, name, flags, compiler, wrapped, folder))
+    return entry(f"{module}{_suffix()}", lambda folder: _compile(files, name, flags, compiler, wrapped, folder))
 
 
 def _key(
@@ -184,10 +184,10 @@ def _identity(compiler: tuple[str, ...], flags: tuple[str, ...], path: str) -> s
     lru_cache.
     """
     command = [*compiler, *flags, "-###", "-E", "-x", "c", os.devnull]
-    result = asked(command)
+    result = ask(command)
     if result.returncode == 0 and "cc1" in result.stderr:
         return result.stderr
-    plain, version = asked([*compiler, *flags, "-E", "-x", "c", os.devnull]), asked([*compiler, "-v"])
+    plain, version = ask([*compiler, *flags, "-E", "-x", "c", os.devnull]), ask([*compiler, "-v"])
     if plain.returncode == 0 and version.returncode == 0:
         return f"{version.stdout}{version.stderr}{sorted(macros_of(compiler, flags).items())}"
     said = _head(result.stderr) or "it prints nothing"
@@ -224,7 +224,7 @@ def _compile_library(
     command = [*compiler, *_link_flags(), "-fPIC", *flags, f"{name}.c", *foreign, "-o", PRODUCT, "-lm"]
     made = _run(command, folder)
     if made.returncode != 0:
-        raise BuildError(_refused(compiler, f"{name}.c", made.stderr, folder))
+        raise BuildError(_keep_refused(compiler, f"{name}.c", made.stderr, folder))
 
 
 def _compile_module(
@@ -249,13 +249,13 @@ def _compile_module(
     finally:
         _, errors = package.communicate()
     if package.returncode != 0:
-        raise BuildError(_refused(compiler, f"{name}.c", errors, folder))
+        raise BuildError(_keep_refused(compiler, f"{name}.c", errors, folder))
     if wrapper.returncode != 0:
-        raise BuildError(_refused(compiler, f"the wrapper of {name}", wrapper.stderr, folder))
+        raise BuildError(_keep_refused(compiler, f"the wrapper of {name}", wrapper.stderr, folder))
     foreign = _compile_foreign(files, flags, compiler, folder)
     linked = _run([*compiler, *_link_flags(), "package.o", "wrapper.o", *foreign, "-o", PRODUCT, "-lm"], folder)
     if linked.returncode != 0:
-        raise BuildError(_refused(compiler, f"linking {name}", linked.stderr, folder))
+        raise BuildError(_keep_refused(compiler, f"linking {name}", linked.stderr, folder))
 
 
 def _run(command: Sequence[str], folder: Path) -> subprocess.CompletedProcess[str]:
@@ -283,7 +283,7 @@ def _compile_foreign(
         command = [*compiler, "-c", "-fPIC", "-fvisibility=hidden", *allowed, "-w", *includes, path, "-o", objects[-1]]
         run = _run(command, folder)
         if run.returncode != 0:
-            raise BuildError(_refused(compiler, path, run.stderr, folder))
+            raise BuildError(_keep_refused(compiler, path, run.stderr, folder))
     return objects
 
 
@@ -322,7 +322,7 @@ def declarations(header: str, name: str) -> str:
     return inside
 
 
-def _refused(compiler: tuple[str, ...], what: str, output: str, folder: Path) -> str:
+def _keep_refused(compiler: tuple[str, ...], what: str, output: str, folder: Path) -> str:
     """Keep the sources of a failed compilation; return the error message, which says where they are."""
     return f"{' '.join(compiler)} refuses {what} (sources kept in {keep_failed(folder)}):\n{_head(output)}"
 
@@ -351,11 +351,11 @@ def _open(declared: str, name: str, path: Path) -> tuple[Any, Any]:
     except cffi.CDefError as error:
         raise BuildError(f"cffi cannot parse the declarations of {name}.h: {error}") from error
     except (OSError, AttributeError) as error:
-        raise _not_loaded(name, path, error) from error
+        raise _loading_error(name, path, error) from error
     return ffi, lib
 
 
-def _not_loaded(name: str, path: Path, error: Exception) -> BuildError:
+def _loading_error(name: str, path: Path, error: Exception) -> BuildError:
     """The error for a module or library that the system does not load."""
     flag = getattr(os, "ST_NOEXEC", 0)
     if flag and os.statvfs(path).f_flag & flag:
@@ -378,5 +378,5 @@ def _import(name: str, path: Path) -> tuple[Any, Any]:
         module = importlib.util.module_from_spec(spec)
         loader.exec_module(module)
     except ImportError as error:
-        raise _not_loaded(name, path, error) from error
+        raise _loading_error(name, path, error) from error
     return module.ffi, module.lib

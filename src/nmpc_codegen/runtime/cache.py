@@ -55,7 +55,7 @@ def cache_directory() -> Path:
         return HOMELESS
 
 
-def cached(filename: str, make: Callable[[Path], None]) -> Path:
+def entry(filename: str, make: Callable[[Path], None]) -> Path:
     """Path of an entry of the cache; ``make(folder)`` is called if it is missing or damaged.
 
     Args:
@@ -170,11 +170,11 @@ def _distrust(info: os.stat_result) -> str:
 
 def _is_intact(target: Path) -> bool:
     """True for a trusted module with the recorded checksum. Loading a truncated module may kill the process."""
-    recorded, content = _read_trusted(_checksum_file(target)), _read_trusted(target)
+    recorded, content = _read_own(_checksum_file(target)), _read_own(target)
     return content is not None and recorded == _checksum(content, target)
 
 
-def _read_trusted(path: Path) -> bytes | None:
+def _read_own(path: Path) -> bytes | None:
     """Contents of a regular file that no other user can have written; None for anything else."""
     try:
         # Do not wait for a named pipe, and do not follow a link.

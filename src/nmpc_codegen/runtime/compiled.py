@@ -130,14 +130,14 @@ class CompiledPackage:
         self._same(f"struct {struct}: the number of bytes", expected.itemsize, self.ffi.sizeof(ctype))
 
 
-def restored(reload: Callable[..., Any], files: Mapping[str, str], name: str, profile: Any, state: bytes) -> Any:
+def restore(reload: Callable[..., Any], files: Mapping[str, str], name: str, profile: Any, state: bytes) -> Any:
     """Unpickle: load the package again, from the cache if possible, and restore the state."""
     controller = reload(files, name, profile)
     controller._memory[:] = np.frombuffer(state, dtype=np.uint8)
     return controller
 
 
-def aligned(size: int) -> NDArray[np.uint8]:
+def allocate(size: int) -> NDArray[np.uint8]:
     """A zeroed byte array whose first byte is aligned."""
     raw = np.zeros(size + ALIGNMENT, dtype=np.uint8)
     start = -raw.ctypes.data % ALIGNMENT

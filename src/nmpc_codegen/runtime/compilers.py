@@ -98,7 +98,7 @@ def environment(command: Sequence[str], folder: Path | None = None) -> dict[str,
     return found
 
 
-def asked(command: Sequence[str]) -> subprocess.CompletedProcess[str]:
+def ask(command: Sequence[str]) -> subprocess.CompletedProcess[str]:
     """What a compiler says of itself."""
     return subprocess.run(command, env=environment(command), capture_output=True, text=True, check=False)
 

@@ -167,7 +167,7 @@ class Controller(Memory):
             current = self._view("yref")
             for k in range(self.dims.N) if node is None and each else [node]:
                 row = current[self._node(k)] if each else current[0]
-                self._send("set_reference", self._replaced(row, columns), k)
+                self._send("set_reference", self._replace(row, columns), k)
         else:
             self._send_data("set_reference", "reference", y, self.dims.ny, self.dims.N if each else 0, node)
 
@@ -176,7 +176,7 @@ class Controller(Memory):
         self._each_node("reference", "the terminal reference")
         self._expect_some(self.dims.ny_N, "terminal residual")
         if isinstance(y, Mapping):
-            value = self._replaced(self._view("yref_N"), self._columns(y, self.names.y_N))
+            value = self._replace(self._view("yref_N"), self._columns(y, self.names.y_N))
         else:
             value = self._array("terminal reference", y, (self.dims.ny_N,))
         self._expect(self._call("set_terminal_reference", self._s, self._pointer(value)), "set_terminal_reference")
@@ -290,7 +290,7 @@ class Controller(Memory):
     def __reduce__(self) -> tuple[Any, ...]:
         package = self._package
         state = self._memory.tobytes()
-        return compiled.restored, (package.reload, dict(package.files), package.name, package.profile, state)
+        return compiled.restore, (package.reload, dict(package.files), package.name, package.profile, state)
 
     def save(self, file: str | os.PathLike[str] | IO[bytes]) -> None:
         """Write the state, the bytes of the struct and the fingerprint of its package, as an .npz archive."""
@@ -381,7 +381,7 @@ class Controller(Memory):
         found = {self._lookup(name, known, "residual"): (name, value) for name, value in values.items()}
         return {i: float(self._array(f"reference of {n!r}", v, ())) for i, (n, v) in found.items()}
 
-    def _replaced(self, row: Array, columns: Mapping[int, float]) -> Array:
+    def _replace(self, row: Array, columns: Mapping[int, float]) -> Array:
         new = row.copy()
         for index, value in columns.items():
             new[index] = value

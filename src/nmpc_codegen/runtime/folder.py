@@ -59,7 +59,7 @@ def write(directory: str | os.PathLike[str], files: Mapping[str, str], *, force:
     """
     if force is not True and force is not False:
         raise OptionError(f"force: {force!r}; expected True or False")
-    folder = _resolved(directory)
+    folder = _resolve(directory)
     with _naming(folder, "the folder cannot be created"):
         folder.mkdir(parents=True, exist_ok=True)
     with _alone(folder):
@@ -91,7 +91,7 @@ def _naming(path: Path, what: str) -> Iterator[None]:
         raise ExportError(f"{path}: {what}: {error.strerror or error}") from error
 
 
-def _resolved(directory: str | os.PathLike[str]) -> Path:
+def _resolve(directory: str | os.PathLike[str]) -> Path:
     """The absolute path of the folder. Links in the path are followed only here, because the caller named them."""
     try:
         text = os.fspath(directory)

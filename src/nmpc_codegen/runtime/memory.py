@@ -32,7 +32,7 @@ class Memory:
         self.dims: Dimensions = self.description.dims
         self.names: Names = self.description.names
         self._real = self.description.real
-        self._memory = compiled.aligned(package.dtype.itemsize)
+        self._memory = compiled.allocate(package.dtype.itemsize)
         self._struct: NDArray[np.void] = self._memory.view(package.dtype).reshape(())
         self._s = package.ffi.from_buffer(f"{package.name}_solver_t *", self._memory)
         self._xhat, self._xhat_c = self._buffer(self.dims.nx)

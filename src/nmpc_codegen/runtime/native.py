@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from functools import lru_cache
 
 from nmpc_codegen.errors import BuildError
-from nmpc_codegen.runtime.compilers import asked, find_compiler
+from nmpc_codegen.runtime.compilers import ask, find_compiler
 from nmpc_codegen.targets import NATIVE, PORTABLE, TARGETS, Target
 
 #: What the system calls ARM64.
@@ -72,5 +72,5 @@ def macros_of(compiler: tuple[str, ...], flags: tuple[str, ...] = ()) -> Mapping
 def _macros(compiler: tuple[str, ...], flags: tuple[str, ...], path: str) -> Mapping[str, str]:
     """``path`` is only a key of lru_cache."""
     command = [*compiler, *flags, "-dM", "-E", "-x", "c", os.devnull]
-    found = (line.split(None, 2) for line in asked(command).stdout.splitlines() if line.startswith("#define "))
+    found = (line.split(None, 2) for line in ask(command).stdout.splitlines() if line.startswith("#define "))
     return {words[1]: words[2] if len(words) == 3 else "" for words in found}

@@ -50,7 +50,7 @@ class Solution:
         """The iterations in aligned columns: cost, KKT residuals by parts and relative, length of the step, shift of
         the Hessian, iterations of the QP, active bounds and rows. ``file``: also written there, comma-separated."""
         if file is not None:
-            Path(file).write_text(convergence.comma_separated(self.log), encoding="utf-8")
+            Path(file).write_text(convergence.write_csv(self.log), encoding="utf-8")
         return convergence.table(self.log)
 
     def plot_convergence(self, file: str | os.PathLike[str] | None = None) -> Any:
@@ -102,7 +102,7 @@ def solve(ctrl: Memory, tol: float | None, max_iterations: int, globalization: G
         raise ControllerError(f"tol is {tol!r}; expected a positive number")
     if not is_integer(max_iterations) or max_iterations < 1:
         raise ControllerError(f"max_iterations is {max_iterations!r}; expected an integer >= 1")
-    methods = {"filter": (_searched, "solve"), "full_step": (_full_steps, "feedback")}
+    methods = {"filter": (_search, "solve"), "full_step": (_full_steps, "feedback")}
     if globalization not in methods:
         raise ControllerError(f"globalization is {globalization!r}; expected 'filter' or 'full_step'")
     method, function = methods[globalization]
@@ -127,7 +127,7 @@ def solve(ctrl: Memory, tol: float | None, max_iterations: int, globalization: G
     )
 
 
-def _searched(ctrl: Memory, run: _Run, tol: float, most: int) -> Status:
+def _search(ctrl: Memory, run: _Run, tol: float, most: int) -> Status:
     """The iterations of the C code, one by one if it can be resumed."""
     status = Status.ITERATION_LIMIT
     steps = "resumes" in ctrl.description.members("sqp")

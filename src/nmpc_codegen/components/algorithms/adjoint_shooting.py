@@ -21,7 +21,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from nmpc_codegen.components.algorithms.extras import PATIENCE, watched
+from nmpc_codegen.components.algorithms.extras import PATIENCE, watch_fields
 from nmpc_codegen.components.algorithms.extras import ROWS as TERMS
 from nmpc_codegen.components.algorithms.real_time_iteration import SAMPLE, SOLVE, shift_entry
 from nmpc_codegen.components.algorithms.scales import cost_magnitude, row_sizes, tolerance_table, variable_scales
@@ -29,7 +29,7 @@ from nmpc_codegen.components.algorithms.shifts import (
     SHIFTS,
     check_sampling_time,
     check_shift,
-    decided_shift,
+    decide_shift,
     resample_reach,
     resample_tables,
     with_shift,
@@ -40,7 +40,7 @@ from nmpc_codegen.errors import OptionError
 from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.cmodule import Table
 from nmpc_codegen.package.features import Features, KernelName
-from nmpc_codegen.package.memory import Field, Size, Struct, stated
+from nmpc_codegen.package.memory import Field, Size, Struct, only_if
 from nmpc_codegen.package.signals import EntryPoint
 
 METHODS = ("gauss_newton", "quasi_newton")
@@ -158,9 +158,9 @@ class AdjointShooting(Defaults):
         """None: the compiler chooses the integrator for the problem."""
         return None
 
-    def decided(self, problem: Problem, repairs: bool) -> tuple[AdjointShooting, tuple[str, ...]]:
+    def decide(self, problem: Problem, repairs: bool) -> tuple[AdjointShooting, tuple[str, ...]]:
         """The shift that "auto" stands for; no repair in a package that cannot."""
-        shift, reasons = decided_shift(self.shift, self.sampling_time, problem)
+        shift, reasons = decide_shift(self.shift, self.sampling_time, problem)
         if self.repair and not repairs:
             reasons.append("repair: 0; a package without solve() or for a microcontroller has none")
         return replace(self, shift=shift, repair=self.repair if repairs else 0), tuple(reasons)
@@ -319,7 +319,7 @@ class AdjointShooting(Defaults):
         members = (
             Field("row", (dims.ng,), "multipliers of the rows", "keep"),
             Field("samples", (), "samples since init or reset", "keep", "int32", only=lambda f: self.shift),
-            *watched(dims),
+            *watch_fields(dims),
             Field("stats", (), "counters", "result", "stats"),
             Field("kkt", (), "KKT residuals of the last solve", "result", "kkt", only=lambda f: f.solve),
         )
@@ -362,7 +362,7 @@ class AdjointShooting(Defaults):
             ),
             "lumped": (
                 sharpness,
-                *stated(self.second_order, change),
+                *only_if(self.second_order, change),
             ),
         }
         chosen = terms.get(self.rows, ()) if dims.ng.value else ()
@@ -392,7 +392,7 @@ class AdjointShooting(Defaults):
             (
                 *self._growing(dims),
                 *chosen,
-                *stated(False, *(member for member in terms["lumped"] if member.name not in names)),
+                *only_if(False, *(member for member in terms["lumped"] if member.name not in names)),
                 Field("length", (), "part of the step that is tried first", "keep"),
                 real("r", controls, "gradient in scaled controls"),
                 real("d", controls, "step"),
@@ -421,7 +421,7 @@ def _stats(second_order: bool) -> Struct:
             count("newton_iterations", "steps"),
             count("accepted", "those that were accepted"),
             count("simulations", "simulations of the plan"),
-            *stated(second_order, *products),
+            *only_if(second_order, *products),
             Field("sqp_iterations", (), "iterations of the last solve", "result", "int32", only=lambda f: f.solve),
             Field("violation", (), "largest violation of a hard row, scaled", "result"),
         ),

@@ -15,7 +15,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
-from nmpc_codegen.components.algorithms.extras import FIRST_SAMPLE, PATIENCE, SHIFT, watched
+from nmpc_codegen.components.algorithms.extras import FIRST_SAMPLE, PATIENCE, SHIFT, watch_fields
 from nmpc_codegen.components.algorithms.real_time_iteration import (
     SAMPLE,
     SAMPLES,
@@ -35,7 +35,7 @@ from nmpc_codegen.components.algorithms.shifts import (
     SHIFTS,
     check_sampling_time,
     check_shift,
-    decided_shift,
+    decide_shift,
     initial_tables,
     resample_reach,
     resample_tables,
@@ -48,7 +48,7 @@ from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.cmodule import Table
 from nmpc_codegen.ir.tuning import PANEL
 from nmpc_codegen.package.features import Features
-from nmpc_codegen.package.memory import Field, Size, Struct, stated
+from nmpc_codegen.package.memory import Field, Size, Struct, only_if
 from nmpc_codegen.package.signals import EntryPoint
 
 PREPARE = EntryPoint(
@@ -192,9 +192,9 @@ class AugmentedLagrangian(Defaults):
             return float(self.penalty)
         return PENALTY * cost_magnitude(problem, variable_scales(problem))
 
-    def decided(self, problem: Problem, repairs: bool) -> tuple[AugmentedLagrangian, tuple[str, ...]]:
+    def decide(self, problem: Problem, repairs: bool) -> tuple[AugmentedLagrangian, tuple[str, ...]]:
         """The shift that "auto" stands for."""
-        shift, reasons = decided_shift(self.shift, self.sampling_time, problem)
+        shift, reasons = decide_shift(self.shift, self.sampling_time, problem)
         return replace(self, shift=shift), tuple(reasons)
 
     def notes(self, problem: Problem) -> tuple[str, ...]:
@@ -210,8 +210,8 @@ class AugmentedLagrangian(Defaults):
 
     def sizes(self, dims: Dims) -> tuple[tuple[str, int, str], ...]:
         return (
-            ("LDZ", _padded(dims).value, "NZ rounded up to a multiple of 4"),
-            ("VARIABLES", (dims.N.value + 1) * _padded(dims).value, "(N + 1) LDZ"),
+            ("LDZ", _pad(dims).value, "NZ rounded up to a multiple of 4"),
+            ("VARIABLES", (dims.N.value + 1) * _pad(dims).value, "(N + 1) LDZ"),
             ("ITERATIONS", self.iterations, "Newton iterations of a sample"),
             ("PATIENCE", PATIENCE, "samples after which a failure is not that of one sample alone"),
             *(self.absent_sizes(dims) if self.repair else ()),
@@ -233,7 +233,7 @@ class AugmentedLagrangian(Defaults):
             Field("prepared", (), "1 between prepare and feedback", "keep", "int32"),
             replace(SAMPLES, only=lambda f: self.shift or f.repair),
             state_size(dims),
-            *watched(dims),
+            *watch_fields(dims),
         )
         results = (
             Field("stats", (), "counters", "result", "stats"),
@@ -242,7 +242,7 @@ class AugmentedLagrangian(Defaults):
         return (_stats(self.repair), _auglag(dims), Struct("solver", "", (*keep, *results)))
 
 
-def _padded(dims: Dims) -> Size:
+def _pad(dims: Dims) -> Size:
     return Size("LDZ", -(-dims.nz.value // PANEL) * PANEL)
 
 
@@ -261,7 +261,7 @@ def _stats(repair: int) -> Struct:
             count("shifts", "shifts of the preconditioner"),
             count("negative_curvature", "directions of negative curvature"),
             Field("sqp_iterations", (), "iterations of the last solve", "result", "int32", only=lambda f: f.solve),
-            *stated(repair, count("repairs", "rounds that have repaired the plan")),
+            *only_if(repair, count("repairs", "rounds that have repaired the plan")),
             Field("violation", (), "largest gap or violation of a hard row, scaled", "result"),
             Field("residual", (), "the same in the scale of states and rows", "result"),
         ),
@@ -270,7 +270,7 @@ def _stats(repair: int) -> Struct:
 
 def _auglag(dims: Dims) -> Struct:
     nodes = Size("N + 1", dims.N.value + 1)
-    padded = _padded(dims)
+    padded = _pad(dims)
     step, states, controls = (nodes, padded), (nodes, dims.nx), (dims.N, dims.nu)
 
     def real(name: str, shape: tuple[Size, ...], doc: str) -> Field:
@@ -287,7 +287,7 @@ def _auglag(dims: Dims) -> Struct:
             real("term", (dims.ng,), "their terms: value at the present plan of the parabolas of the model"),
             real("slope", (dims.ng,), "slope of the parabolas there"),
             real("curvature", (dims.ng,), "curvature of the parabolas"),
-            *stated(
+            *only_if(
                 dims.ng.value > 0,
                 real("offset", (), "change of the values since the model was assembled"),
                 real("best", (), "least value of the model"),

@@ -7,7 +7,7 @@ from nmpc_codegen.package.features import Features
 from nmpc_codegen.package.memory import Field, Size, Struct
 
 
-def watched(dims: Dims) -> tuple[Field, ...]:
+def watch_fields(dims: Dims) -> tuple[Field, ...]:
     """What the watch on plans counts, templates/algorithms/shared/watch.c."""
     nodes = Size("N + 1", dims.N.value + 1)
     fresh = "samples in which a first plan may still become a solution"
@@ -32,7 +32,7 @@ def _has_settling_multipliers(features: Features) -> bool:
     return features.lagrangian and features.has_qp
 
 
-def law(dims: Dims) -> tuple[Struct, ...]:
+def law_structs(dims: Dims) -> tuple[Struct, ...]:
     """The law of the first control."""
     struct = Struct(
         "first",
@@ -49,7 +49,7 @@ def law(dims: Dims) -> tuple[Struct, ...]:
     return (struct,)
 
 
-def kept(dims: Dims) -> tuple[Struct, ...]:
+def level_structs(dims: Dims) -> tuple[Struct, ...]:
     """What the levels of an iteration keep besides the linearisation."""
     nodes = Size("N + 1", dims.N.value + 1)
     struct = Struct(

@@ -19,7 +19,7 @@ from nmpc_codegen.components.algorithms.shifts import (
     SHIFTS,
     check_sampling_time,
     check_shift,
-    decided_shift,
+    decide_shift,
     initial_tables,
     resample_reach,
     resample_tables,
@@ -32,7 +32,7 @@ from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.cmodule import Table
 from nmpc_codegen.ir.model import ModelFunctions, operations
 from nmpc_codegen.package.features import Features
-from nmpc_codegen.package.memory import Field, Size, Struct, stated
+from nmpc_codegen.package.memory import Field, Size, Struct, only_if
 from nmpc_codegen.package.opcount import OpCount
 from nmpc_codegen.package.signals import Argument, EntryPoint
 
@@ -188,9 +188,9 @@ class RealTimeIteration(Defaults):
                 "simulation leaves; expected levels=False (--set algorithm.simulate=False)"
             )
 
-    def decided(self, problem: Problem, repairs: bool) -> tuple[RealTimeIteration, tuple[str, ...]]:
+    def decide(self, problem: Problem, repairs: bool) -> tuple[RealTimeIteration, tuple[str, ...]]:
         """The shift and the relaxation that "auto" stands for; no repair in a package that cannot."""
-        shift, reasons = decided_shift(self.shift, self.sampling_time, problem)
+        shift, reasons = decide_shift(self.shift, self.sampling_time, problem)
         found = replace(self, shift=shift)
         if self.relaxation == "auto":
             found = replace(found, relaxation=RELAXATION)
@@ -308,7 +308,7 @@ class RealTimeIteration(Defaults):
             replace(SAMPLES, only=lambda f: self.shift or f.repair),
             state_size(dims),
             Field("bent", (), curvature, "keep", "int32", only=lambda f: f.row_curvature),
-            *at_hooks.watched(dims),
+            *at_hooks.watch_fields(dims),
         )
         results = (
             Field("step", (), "solution of the QP", "data", "step"),
@@ -319,11 +319,11 @@ class RealTimeIteration(Defaults):
             _stats(self.repair),
             _step(dims),
             _measures(),
-            _curved(dims),
+            _hessian_struct(dims),
             _trial(dims),
             _search(dims),
-            *stated(self.levels, *at_hooks.kept(dims)),
-            *at_hooks.law(dims),
+            *only_if(self.levels, *at_hooks.level_structs(dims)),
+            *at_hooks.law_structs(dims),
             Struct("solver", "", (*keep, *results)),
         )
 
@@ -372,7 +372,7 @@ def _stats(repair: int) -> Struct:
             count("violated_node", "its node, or -1"),
             Field("violation", (), "violation of this row by the last step of the QP", "result"),
             Field("residual", (), "of the plan: scaled gaps and hard rows", "result"),
-            *stated(repair, count("repairs", "linearisations that have repaired it")),
+            *only_if(repair, count("repairs", "linearisations that have repaired it")),
             Field(
                 "first_deviation",
                 (),
@@ -412,7 +412,7 @@ def _measures() -> Struct:
     )
 
 
-def _curved(dims: Dims) -> Struct:
+def _hessian_struct(dims: Dims) -> Struct:
     """The exact Hessian of solve(), and what makes it convex."""
     nodes, square = Size("N + 1", dims.N.value + 1), (Size("NZ * NZ", dims.nz.value**2), Size("LANES", 1))
     return Struct(

@@ -8,7 +8,7 @@ import numpy as np
 from nmpc_codegen.components.stage_cost import StageCost, stage_cost
 from nmpc_codegen.frontend.problem import Array, Problem, Stage
 from nmpc_codegen.frontend.scales import stated_scales
-from nmpc_codegen.ir.casadi_types import Expression, curved
+from nmpc_codegen.ir.casadi_types import Expression, curved_rows
 from nmpc_codegen.ir.cmodule import Table
 
 
@@ -68,10 +68,10 @@ def row_sizes(problem: Problem, scale: Array) -> Array:
 def linear_rows(problem: Problem) -> tuple[int, ...]:
     """1 for every row of the QP that is linear in the variables of its node, else 0; a coupled row in x_N."""
     stages = ((False, problem.path), (True, problem.terminal))
-    bent = {(1, at_end): curved(stage.h, ca.vertcat(stage.x, stage.u)) for at_end, stage in stages}
+    bent = {(1, at_end): curved_rows(stage.h, ca.vertcat(stage.x, stage.u)) for at_end, stage in stages}
     if problem.coupled is not None:
         x_0, x_N = ca.SX.sym("x_0", problem.nx), ca.SX.sym("x_N", problem.nx)
-        bent[2, True] = curved(problem.coupled(x_0, x_N), x_N)
+        bent[2, True] = curved_rows(problem.coupled(x_0, x_N), x_N)
     rows = problem.qp_rows
     return tuple(int(index not in bent.get((kind, k == problem.N), ())) for k, kind, index, _ in rows)
 

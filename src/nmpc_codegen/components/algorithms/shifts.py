@@ -25,7 +25,7 @@ def check_sampling_time(algorithm: str, shift: str | None, sampling_time: float 
         )
 
 
-def decided_shift(shift: str | None, sampling_time: float | None, problem: Problem) -> tuple[str | None, list[str]]:
+def decide_shift(shift: str | None, sampling_time: float | None, problem: Problem) -> tuple[str | None, list[str]]:
     """The shift that "auto" stands for, with the reason; every other one as it is."""
     if shift != "auto":
         return shift, []
@@ -68,7 +68,7 @@ def _is_periodic(problem: Problem) -> bool:
     return bool(np.allclose(moved, r, rtol=1e-9, atol=1e-9 * float(np.max(np.abs([x_0, x_N, move])))))
 
 
-def sampled(shift: str | None, sampling_time: float | None, problem: Problem) -> float | None:
+def sampling_period(shift: str | None, sampling_time: float | None, problem: Problem) -> float | None:
     """Time between samples for which a package is made; None: any."""
     return sampling_time if sampling_time is not None or shift is None else problem.dt[0]
 

@@ -61,7 +61,7 @@ class FullCondensing(Defaults):
         controls, slacks = problem.N * problem.nu, sum(s >= 0 for s in _slacks(problem))
         return QpShape(1, controls, controls + len(problem.free_initial) + slacks, slacks)
 
-    def adapted(self, problem: Problem) -> FullCondensing:
+    def adapt(self, problem: Problem) -> FullCondensing:
         """Itself: it handles every problem with features that it supports."""
         return self
 

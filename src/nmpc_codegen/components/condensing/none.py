@@ -36,7 +36,7 @@ class NoCondensing(Defaults):
         """N stages, each with the controls of one interval."""
         return QpShape(problem.N, problem.nu, problem.N * problem.nu)
 
-    def adapted(self, problem: Problem) -> NoCondensing | PartialCondensing:
+    def adapt(self, problem: Problem) -> NoCondensing | PartialCondensing:
         """Itself, or PartialCondensing(1) if the stages need copies of components of x_0, which it can hold."""
         return PartialCondensing(1) if copied_states(problem) else self
 

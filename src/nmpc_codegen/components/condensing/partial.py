@@ -59,7 +59,7 @@ class PartialCondensing(Defaults):
         """Whether a state bound may be a general row of a stage."""
         return replace(features, block_rows=True)
 
-    def adapted(self, problem: Problem) -> PartialCondensing:
+    def adapt(self, problem: Problem) -> PartialCondensing:
         """Itself: it handles every problem with features that it supports."""
         return self
 

@@ -109,7 +109,7 @@ class EconomicGaussNewton(Defaults):
 
     def notes(self, problem: Problem) -> tuple[str, ...]:
         """What M belongs to."""
-        active = sorted({problem.rows[i].name for i in self._tied(problem)})
+        active = sorted({problem.rows[i].name for i in self._decisive_rows(problem)})
         rows = f"bounds of {', '.join(active)}" if self.steady_state is not None else "bounds of all rows"
         tied = [name for name, on in zip(problem.parameter_names, tied_parameters(problem), strict=True) if on]
         data = [f"parameters {', '.join(tied)}"] * bool(tied)
@@ -121,7 +121,7 @@ class EconomicGaussNewton(Defaults):
             "stats.stale_hessian is 1",
         )
 
-    def _tied(self, problem: Problem) -> list[int]:
+    def _decisive_rows(self, problem: Problem) -> list[int]:
         """Rows whose declared bounds determine M."""
         return [i for i, row in enumerate(limits(problem, self.steady_state).T) if row[0] == row[1] or row[2] == row[3]]
 

@@ -99,8 +99,8 @@ class ExactHessian(Defaults):
         last, first = self._ends(problem, costs.terminal)
         start = self._start_block(costs.start)
         added = pattern(first, "Q") | pattern(start, "Q") | {(i, i) for i, _ in enumerate(problem.proximal)}
-        curved = integrator.curved(problem, self.sweep.scheme, "path_exact", self._start(cost), more)
-        curved = self._completed(curved, added)
+        curved = integrator.lift_hessian(problem, self.sweep.scheme, "path_exact", self._start(cost), more)
+        curved = self._store_zeros(curved, added)
         Q = self._block(_lower(curved) | added, cost.nz)
         Q_N = self._block(_lower(last), problem.nx)
         return HessianModel(start, Block(Q), Block(Q_N, last), first, curved)
@@ -136,7 +136,7 @@ class ExactHessian(Defaults):
             [ports[0], Port("last", nx, doc="x_N"), ports[1], Port("block", nz * nz, doc="Q_0", flat=True)],
             [Port("Q", nz, nz)],
         )
-        return self._completed(terminal), initial
+        return self._store_zeros(terminal), initial
 
     def _start(self, cost: StageCost) -> Call:
         """g and Q of the node's own cost and rows."""
@@ -152,7 +152,7 @@ class ExactHessian(Defaults):
             return ca.SX(n, n)
         return self.levenberg_marquardt * ca.SX.eye(n)
 
-    def _completed(self, routine: Routine, more: Pattern = frozenset()) -> Routine:
+    def _store_zeros(self, routine: Routine, more: Pattern = frozenset()) -> Routine:
         """The routine with zeros stored in the entries ``more`` and in all that a regularisation may fill."""
         if not isinstance(routine, Kernel):
             return routine
@@ -160,7 +160,7 @@ class ExactHessian(Defaults):
 
     def _block(self, lower: Pattern, n: int) -> Pattern:
         """Nonzeros of a block after its regularisation."""
-        return filled(lower, n) if self.level == "stage" else lower
+        return fill_blocks(lower, n) if self.level == "stage" else lower
 
     def adds(self, features: Features) -> Features:
         """The Hessian depends on multipliers; which indefinite one is changed: the block of every stage, or the reduced
@@ -233,6 +233,6 @@ def _lanes(nz: int) -> int:
     return next((lanes for size, lanes in LANES if nz <= size), 1)
 
 
-def filled(lower: Pattern, n: int) -> Pattern:
+def fill_blocks(lower: Pattern, n: int) -> Pattern:
     """The full lower triangles of all irreducible blocks, with the whole diagonal."""
     return frozenset((r, c) for block in irreducible_blocks(lower, n) for r in block for c in block if r >= c)

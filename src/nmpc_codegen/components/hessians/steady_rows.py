@@ -59,14 +59,14 @@ def _row_values(problem: Problem, x_s: ArrayLike, u_s: ArrayLike) -> Array:
     x, u = np.asarray(x_s, dtype=float), np.asarray(u_s, dtype=float)
     path, terminal = problem.path, problem.terminal
     p = problem.p_value
-    h = _evaluated([path.x, path.u, path.p], path.h, [x, u, p])
-    h_N = _evaluated([terminal.x, terminal.p], terminal.h, [x, p])
+    h = _evaluate([path.x, path.u, path.p], path.h, [x, u, p])
+    h_N = _evaluate([terminal.x, terminal.p], terminal.h, [x, p])
     r = np.zeros(0) if problem.coupled is None else np.asarray(problem.coupled(x, x), dtype=float).ravel()
     ends = ((row, row.is_general and row.index < 0) for row in problem.rows)
     return np.array([float(row.value(x, u, h_N if end else h, r, end)) for row, end in ends])
 
 
-def _evaluated(symbols: list[ca.SX], expression: ca.SX, values: list[Array]) -> Array:
+def _evaluate(symbols: list[ca.SX], expression: ca.SX, values: list[Array]) -> Array:
     return np.asarray(ca.Function("rows", symbols, [ca.densify(expression)])(*values), dtype=float).ravel()
 
 

@@ -71,7 +71,7 @@ class Derivatives:
         found = []
         for H in map(ca.sparsify, candidates):
             outputs = [self.F[: self.nx], _column(values), _column(nonzeros(H))]
-            found.append((H, _lifted([self.x, self.u, self.p, self._kappa], outputs)))
+            found.append((H, _lift([self.x, self.u, self.p, self._kappa], outputs)))
         return min(found, key=lambda c: c[1].count.total)
 
     def _split(self) -> None:
@@ -200,7 +200,7 @@ class Derivatives:
         """Controls (0 .. nu - 1) in which F is nonlinear."""
         return sorted({j - self.nx for e in self.hessian for j in e if j >= self.nx})
 
-    def closed(self, column: int) -> bool:
+    def depends_on_time_alone(self, column: int) -> bool:
         """True if this column of d x(t) / d(x, u) depends on time alone.
 
         This is the case if all states that it reaches enter F linearly with constant coefficients. A column that
@@ -229,7 +229,7 @@ def _column(values: list[Expression]) -> Expression:
     return ca.vertcat(ca.SX(0, 1), *values)
 
 
-def _lifted(inputs: list[Expression], outputs: list[Expression]) -> Kernel:
+def _lift(inputs: list[Expression], outputs: list[Expression]) -> Kernel:
     dense = [ca.densify(o) for o in outputs]
     ports = [Port(f"i{n}", int(s.numel())) for n, s in enumerate(inputs)]
     return lift(

@@ -16,7 +16,7 @@ from nmpc_codegen.components.integrators.tableau import ButcherTableau
 from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.kernel import Port
 from nmpc_codegen.ir.passes import copy
-from nmpc_codegen.ir.sweep import Affine, Call, For, Node, Slice, Sweep, noted
+from nmpc_codegen.ir.sweep import Affine, Call, For, Node, Slice, Sweep, add_notes
 
 FORWARD, ADJOINT = "integrator_forward", "integrator_adjoint"
 FORWARD_DOC = "dx_next = A dx + B du, where [A B] = d Phi / d(x, u)"
@@ -42,7 +42,7 @@ class Directional:
         step: list[Node] = []
         for i in range(s):
             nodes = [rk.point(i, point), rk.move(i, moved), rk.slopes(i, leaf, point, moved, du)]
-            step += noted(nodes, f"stage {i + 1}", i)
+            step += add_notes(nodes, f"stage {i + 1}", i)
         step += [rk.update_state(), rk.update("move", rk.moved, rk.tangent)]
         body.append(For("step", 0, self.steps, tuple(step)))
         body.append(Call(copy("copy_dx_next", nx), (rk.moved,), (Slice("dx_next", nx),)))
@@ -66,7 +66,7 @@ class Directional:
         first: list[Node] = []
         for i in range(s):
             slope = Call(leaf, (self._point(i), *self.rk.up), (self.rk.slope(i),))
-            first += noted([self.rk.point(i, self._point(i)), slope], f"stage {i + 1}", i)
+            first += add_notes([self.rk.point(i, self._point(i)), slope], f"stage {i + 1}", i)
         lam, controls = Slice("lam", nx), Slice("g", nu, Affine(nx))
         body: list[Node] = [
             *self.rk.start(),

@@ -111,7 +111,7 @@ class Discrete(Defaults):
             ),
         )
 
-    def curved(self, problem: Problem, scheme: str, name: str, start: Call, more: tuple[Port, ...]) -> Routine:
+    def lift_hessian(self, problem: Problem, scheme: str, name: str, start: Call, more: tuple[Port, ...]) -> Routine:
         """(x, u, p, dt, more, lam) -> (x_next, S, g, Q): ``start`` initialises g and Q from all inputs but lam, and the
         lower triangle of d2 (lam' Phi) / d(x, u)^2 is added. A map has no steps, so ``scheme`` makes no difference.
         """

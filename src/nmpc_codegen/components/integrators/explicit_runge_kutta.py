@@ -32,8 +32,8 @@ from nmpc_codegen.ir.sweep import (
     LoopedRoutine,
     Routine,
     Sweep,
-    looped,
-    straight,
+    lift_loops,
+    lift_straight,
 )
 from nmpc_codegen.ir.tuning import AUTO_INSTRUCTIONS, AUTO_STATEMENTS, STEP_OPERATIONS
 
@@ -98,27 +98,27 @@ class ExplicitRungeKutta(Defaults):
     def interval(self, problem: Problem) -> Interval:
         """interval(x, u, p, dt -> x_next, S) and step(x, u, p, h -> x_next)."""
         sensitivities = Sensitivities(problem, self.tableau, self.steps)
-        interval = self._spelled(sensitivities.sweep())
+        interval = self._unroll(sensitivities.sweep())
         loops = isinstance(interval, LoopedRoutine) and interval.count.total <= STEP_OPERATIONS * self.steps
-        one_step = straight(sensitivities.sweep("integrator_one_step", 1)) if loops else None
-        return Interval(interval, straight(step_sweep(problem, self.tableau)), None, one_step)
+        one_step = lift_straight(sensitivities.sweep("integrator_one_step", 1)) if loops else None
+        return Interval(interval, lift_straight(step_sweep(problem, self.tableau)), None, one_step)
 
     def products(self, problem: Problem) -> IntervalProducts:
         """The value of an interval, and products with its Jacobians that do not form them."""
         sweeps = IntervalSweeps(problem, self.tableau, self.steps)
         return IntervalProducts(
-            self._spelled(sweeps.value()),
+            self._unroll(sweeps.value()),
             self._backward(sweeps.adjoint()),
-            self._spelled(sweeps.columns(forced=True)),
-            self._spelled(sweeps.columns(forced=False)),
+            self._unroll(sweeps.columns(forced=True)),
+            self._unroll(sweeps.columns(forced=False)),
         )
 
     def directional(self, problem: Problem) -> tuple[Routine, Routine]:
         """forward(x, u, p, dt, dx, du -> dx_next) and adjoint(x, u, p, dt, adj -> g)."""
         sweeps = Directional(problem, self.tableau, self.steps)
-        return self._spelled(sweeps.forward()), self._backward(sweeps.adjoint())
+        return self._unroll(sweeps.forward()), self._backward(sweeps.adjoint())
 
-    def curved(self, problem: Problem, scheme: str, name: str, start: Call, more: tuple[Port, ...]) -> Routine:
+    def lift_hessian(self, problem: Problem, scheme: str, name: str, start: Call, more: tuple[Port, ...]) -> Routine:
         """(x, u, p, dt, more, lam) -> (x_next, S, g, Q): ``start`` initialises g and Q from all inputs but lam, and the
         interval adds d(integrated cost) / dz and the lower triangle of d2 (lam' Phi + integrated cost) / dz^2, where
         z = (x, u).
@@ -141,12 +141,12 @@ class ExplicitRungeKutta(Defaults):
         )
         self._refuse_long(name, sweep.locals)
         if self.unroll == "step":
-            return looped(fuse_steps(sweep))
-        rolled = looped(sweep)
+            return lift_loops(fuse_steps(sweep))
+        rolled = lift_loops(sweep)
         if self.unroll == "none" or (self.unroll == "auto" and rolled.statements * self.steps > 10 * AUTO_STATEMENTS):
             return rolled
         self._refuse_straight(rolled)
-        expanded = looped(expand_steps(sweep))
+        expanded = lift_loops(expand_steps(sweep))
         small = expanded.statements <= AUTO_STATEMENTS
         return expanded if small or self.unroll == "all" else rolled
 
@@ -187,19 +187,19 @@ class ExplicitRungeKutta(Defaults):
 
     def _backward(self, sweep: Sweep) -> Routine:
         self._refuse_long(sweep.name, sweep.locals)
-        return self._spelled(sweep)
+        return self._unroll(sweep)
 
-    def _spelled(self, sweep: Sweep) -> Routine:
+    def _unroll(self, sweep: Sweep) -> Routine:
         """The sweep as straight-line code or loops, according to ``unroll``."""
         if self.unroll == "step":
-            return looped(fuse_steps(sweep))
-        rolled = looped(sweep)
+            return lift_loops(fuse_steps(sweep))
+        rolled = lift_loops(sweep)
         self._refuse_straight(rolled)
         if self.unroll == "all":
-            return straight(sweep)
+            return lift_straight(sweep)
         # Straight-line code takes at most as many operations as the loops; this bound is known before unrolling.
         if self.unroll == "auto" and rolled.count.total <= 10 * AUTO_INSTRUCTIONS:
-            program = straight(sweep)
+            program = lift_straight(sweep)
             if len(program.instructions) <= AUTO_INSTRUCTIONS:
                 return program
         return rolled

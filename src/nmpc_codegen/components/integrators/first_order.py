@@ -13,7 +13,7 @@ from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.casadi_types import Function, nonzeros
 from nmpc_codegen.ir.kernel import Port
 from nmpc_codegen.ir.passes import copy
-from nmpc_codegen.ir.sweep import NEXT_STEP, Affine, Call, For, Node, Slice, Sweep, noted
+from nmpc_codegen.ir.sweep import NEXT_STEP, Affine, Call, For, Node, Slice, Sweep, add_notes
 from nmpc_codegen.ir.tuning import PANEL
 
 
@@ -27,8 +27,8 @@ def step_sweep(problem: Problem, tableau: ButcherTableau) -> Sweep:
         point = Slice("X", nx) if any(coefficients) else x
         stage: list[Node] = [Call(f, (point, *rk.up), (rk.slope(i),))]
         if any(coefficients):
-            stage.insert(0, rk.combined(f"stage_{i}", coefficients, x, rk.slope, point))
-        body += noted(stage, f"stage {i + 1}", i)
+            stage.insert(0, rk.combine(f"stage_{i}", coefficients, x, rk.slope, point))
+        body += add_notes(stage, f"stage {i + 1}", i)
     body.append(rk.update("update", x, rk.slope, Slice("x_next", nx)))
     return Sweep(
         "integrator_step",
@@ -147,6 +147,6 @@ class Sensitivities:
             slopes = [self._slope(j) for j, c in enumerate(coefficients) if c]
             ins = (jacobian, S, h, self._column("Fu", len(f.fu_rows)), *slopes)
             nodes.append(For("c", 0, ld, (Call(f.leaf_slope(i, rk.tableau), ins, (self._slope(i),)),)))
-            nodes = noted(nodes, f"stage {i + 1}", i)
+            nodes = add_notes(nodes, f"stage {i + 1}", i)
         update: list[Node] = [rk.update_state(), For("c", 0, ld, (rk.update("update", S, self._slope),))]
-        return [*nodes, *noted(update, "end", NEXT_STEP)]
+        return [*nodes, *add_notes(update, "end", NEXT_STEP)]

@@ -14,7 +14,7 @@ import casadi as ca
 from nmpc_codegen.components.integrators.second_order import Builder, Local, constant
 from nmpc_codegen.ir.casadi_types import Function
 from nmpc_codegen.ir.passes import copy
-from nmpc_codegen.ir.sweep import Affine, Call, For, Node, Slice, noted
+from nmpc_codegen.ir.sweep import Affine, Call, For, Node, Slice, add_notes
 
 
 class AdjointSweep(Builder):
@@ -35,9 +35,9 @@ class AdjointSweep(Builder):
             nodes.append(Call(constant("clear_controls", ca.SX.zeros(m)), (), (Slice("ubarS", m),)))
         second = [node for i in reversed(range(self.stages)) for node in self._second(i)]
         nodes.append(For("step", 0, self.steps, (*self.backward(), *second, self._update()), down=True))
-        return [*nodes, *noted(self._results(), "results")]
+        return [*nodes, *add_notes(self._results(), "results")]
 
-    def _stored(self, stage: int) -> Slice:
+    def _curved_column(self, stage: int) -> Slice:
         """Column c of the curved rows of Z, stored for every stage of every step."""
         size = len(self.d.curved_states) * self.ld
         terms = (("step", self.stages * size), ("c", 1))
@@ -45,13 +45,13 @@ class AdjointSweep(Builder):
 
     def _slope(self, stage: int) -> list[Node]:
         """The columns of K_i' in the first sweep."""
-        return [*self.again(stage, self.d.slopes), self.slope(stage, self.d.curved_states, self._stored(stage))]
+        return [*self.again(stage, self.d.slopes), self.slope(stage, self.d.curved_states, self._curved_column(stage))]
 
     def _second(self, stage: int) -> list[Node]:
         """kappa_i, H_i, and the columns of Xbar_i' and ubar'."""
         needed, later = len(self.d.needed), self.rk.later(stage)
         nodes = [*self.again(stage, self.d.tape), self.curvature(stage)]
-        ins = [self.tape(stage, self.d.slopes), Slice("h", 1), Slice("Hs", self.d.values), self._stored(stage)]
+        ins = [self.tape(stage, self.d.slopes), Slice("h", 1), Slice("Hs", self.d.values), self._curved_column(stage)]
         ins += [self.column("E", len(self.controls)), self.column("adjS", needed)]
         ins += [self.column("ubarS", len(self.controls)), *(self.column("XbarS", needed, j) for j in later)]
         outs = [self.column("XbarS", needed, stage), self.column("ubarS", len(self.controls))]

@@ -23,7 +23,7 @@ from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.casadi_types import Function, nonzeros
 from nmpc_codegen.ir.kernel import Port
 from nmpc_codegen.ir.passes import copy
-from nmpc_codegen.ir.sweep import Affine, Call, For, Node, Slice, Sweep, noted
+from nmpc_codegen.ir.sweep import Affine, Call, For, Node, Slice, Sweep, add_notes
 
 
 class IntervalSweeps:
@@ -58,7 +58,7 @@ class IntervalSweeps:
     def adjoint(self) -> Sweep:
         """(x, u, p, dt, lam) -> lam_x, lam_u."""
         nx, nu, rk, s = self.nx, self.nu, self.rk, self.stages
-        forward = self._stages(self._kept)
+        forward = self._stages(self._stage_point)
         backward = [self._backward(i) for i in reversed(range(s))]
         adj = Slice("adj", nx)
         body: list[Node] = [
@@ -123,7 +123,7 @@ class IntervalSweeps:
     def _slope(self, stage: int) -> Slice:
         return self.rk.slope(stage)
 
-    def _kept(self, stage: int) -> Slice:
+    def _stage_point(self, stage: int) -> Slice:
         """The stage point of a step, kept for the backward sweep."""
         return Slice("Xs", self.nx, Affine(stage * self.nx, (("step", self.stages * self.nx),)))
 
@@ -139,7 +139,7 @@ class IntervalSweeps:
         nodes: list[Node] = []
         for i in range(self.stages):
             slope = Call(self.f.leaf_f(), (point(i), *self.rk.up), (self._slope(i),))
-            nodes += noted([self.rk.point(i, point(i)), slope], f"stage {i + 1}", i)
+            nodes += add_notes([self.rk.point(i, point(i)), slope], f"stage {i + 1}", i)
         return nodes
 
     def _backward(self, stage: int) -> Call:
@@ -153,7 +153,7 @@ class IntervalSweeps:
         bar, ubar = ca.substitute([bar, ubar], [k], [kappa])
         leaf = ca.Function(f"backward_{stage}", [f.x, f.u, f.p, adj, h, total, *bars.values()], [bar, total + ubar])
         here = Slice("lam_u", self.nu)
-        ins = [self._kept(stage), *self.rk.up, Slice("adj", nx), LENGTH, here, *map(self._bar, bars)]
+        ins = [self._stage_point(stage), *self.rk.up, Slice("adj", nx), LENGTH, here, *map(self._bar, bars)]
         return Call(leaf, tuple(ins), (self._bar(stage), here), note=f"adjoint of stage {stage + 1}")
 
     def _column_stage(self, stage: int, forced: bool) -> list[Node]:
@@ -167,7 +167,7 @@ class IntervalSweeps:
         forcing = (self._column("Fu"),) if forced else ()
         ins = (Slice("fx", f.fx.nnz()), self._column("V"), LENGTH, *forcing, *slopes)
         nodes.append(For("c", 0, self.nu, (Call(self._leaf_slope(stage, forced), ins, (self._column("Ks", stage),)),)))
-        return noted(nodes, f"stage {stage + 1}", stage)
+        return add_notes(nodes, f"stage {stage + 1}", stage)
 
     def _leaf_linearize(self, forced: bool) -> Function:
         """K = f, the nonzeros of f_x, and f_u row by row if it is needed."""

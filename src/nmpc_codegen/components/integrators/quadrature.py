@@ -17,7 +17,7 @@ from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.casadi_types import Expression
 from nmpc_codegen.ir.kernel import Port
 from nmpc_codegen.ir.passes import copy
-from nmpc_codegen.ir.sweep import Affine, Call, For, Node, Slice, Sweep, noted
+from nmpc_codegen.ir.sweep import Affine, Call, For, Node, Slice, Sweep, add_notes
 
 
 class Quadrature:
@@ -85,12 +85,14 @@ class Quadrature:
         body: list[Node] = [start, *rk.start(), Call(copy("copy_dx", nx), (dx,), (rk.moved,))]
         first: list[Node] = []
         for i in range(s):
-            slopes = rk.slopes(i, leaf, self._point(i), self._moved(i), du)
-            first += noted([rk.point(i, self._point(i)), rk.move(i, self._moved(i)), slopes], f"stage {i + 1}", i)
+            slopes = rk.slopes(i, leaf, self._point(i), self._direction(i), du)
+            first += add_notes(
+                [rk.point(i, self._point(i)), rk.move(i, self._direction(i)), slopes], f"stage {i + 1}", i
+            )
         first += [rk.update_state(), rk.update("move", rk.moved, rk.tangent)]
         body.append(For("step", 0, self.steps, tuple(first)))
         body.append(Call(ca.Function("clear", [], [ca.SX.zeros(nx)]), (), (adj,)))
-        along = {i: {"dx": self._moved(i), "du": du} for i in range(s)}
+        along = {i: {"dx": self._direction(i), "du": du} for i in range(s)}
         backward = [self._backward(i, "w", along[i]) for i in reversed(range(s))]
         update = rk.update_adjoint("update_adjoint", adj, self._bar)
         body.append(For("step", 0, self.steps, (*backward, update), down=True))
@@ -112,7 +114,7 @@ class Quadrature:
             steps=self.steps,
         )
 
-    def _moved(self, stage: int) -> Slice:
+    def _direction(self, stage: int) -> Slice:
         return Slice("dXs", self.nx, Affine(stage * self.nx, (("step", self.stages * self.nx),)))
 
     def _point(self, stage: int) -> Slice:
@@ -128,7 +130,7 @@ class Quadrature:
         if not rate:
             leaf, outs = ca.Function("f", [self.x, self.u, self.p], [self.f]), outs[:1]
         nodes = [self.rk.point(stage, point), Call(leaf, (point, *self.rk.up), outs)]
-        return noted(nodes, f"stage {stage + 1}", stage)
+        return add_notes(nodes, f"stage {stage + 1}", stage)
 
     def _add_rates(self, q: Expression) -> Call:
         h, rates = ca.SX.sym("h"), ca.SX.sym("L", self.stages)

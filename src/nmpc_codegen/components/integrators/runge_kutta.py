@@ -62,7 +62,7 @@ class RungeKutta:
         """K of a stage."""
         return Slice("K", self.nx, Affine(stage * self.nx))
 
-    def combined(
+    def combine(
         self, name: str, coefficients: Sequence[Fraction], x: Slice, slope: Callable[[int], Slice], y: Slice
     ) -> Call:
         """y = x + h sum_j c_j K_j over the nonzero c_j; equal coefficients share one product."""
@@ -75,11 +75,11 @@ class RungeKutta:
 
     def point(self, stage: int, target: Slice, name: str = "point") -> Call:
         """Stage point X + h sum_j a_ij K_j."""
-        return self.combined(f"{name}_{stage}", self.tableau.a[stage], self.state, self.slope, target)
+        return self.combine(f"{name}_{stage}", self.tableau.a[stage], self.state, self.slope, target)
 
     def update(self, name: str, x: Slice, slope: Callable[[int], Slice], target: Slice | None = None) -> Call:
         """target = x + h sum_i b_i K_i; without a target, x is updated in place."""
-        return self.combined(name, self.tableau.b, x, slope, target or x)
+        return self.combine(name, self.tableau.b, x, slope, target or x)
 
     def update_state(self, target: Slice | None = None) -> Call:
         """X + h sum_i b_i K_i."""
@@ -98,7 +98,7 @@ class RungeKutta:
 
     def move(self, stage: int, target: Slice) -> Call:
         """dX_i = dX + h sum_j a_ij dK_j."""
-        return self.combined(f"moved_{stage}", self.tableau.a[stage], self.moved, self.tangent, target)
+        return self.combine(f"moved_{stage}", self.tableau.a[stage], self.moved, self.tangent, target)
 
     def slopes(self, stage: int, leaf: Function, point: Slice, moved: Slice, du: Slice) -> Call:
         """K_i and dK_i at a stage point, by slope_and_tangent()."""

@@ -22,8 +22,8 @@ from nmpc_codegen.components.integrators.tableau import ButcherTableau, combine
 from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.casadi_types import Expression, Function
 from nmpc_codegen.ir.kernel import Port, lift
-from nmpc_codegen.ir.passes import copy, fixed, shifted
-from nmpc_codegen.ir.sweep import Affine, Call, For, Node, Slice, noted
+from nmpc_codegen.ir.passes import copy, fix_step, shift_steps
+from nmpc_codegen.ir.sweep import Affine, Call, For, Node, Slice, add_notes
 from nmpc_codegen.ir.tuning import PANEL, STAGGERED_TAPE
 
 Local = tuple[str, int]
@@ -40,7 +40,7 @@ class Builder:
         self.rk = RungeKutta(problem, tableau, steps)
         self.tableau, self.steps, self.stages = tableau, steps, tableau.stages
         self.nx, self.nu, self.nz, self.nF = d.nx, d.nu, d.nz, d.nF
-        self.columns = [j for j in range(d.nz) if not d.closed(j)]
+        self.columns = [j for j in range(d.nz) if not d.depends_on_time_alone(j)]
         self.state_columns = sum(j < d.nx for j in self.columns)
         self.controls = self.columns[self.state_columns :]
         self.ld = -(-len(self.columns) // PANEL) * PANEL
@@ -62,7 +62,7 @@ class Builder:
         """True if the stages of a step are interleaved in memory, so that tapes and curvatures are vectorised."""
         return False
 
-    def kept(self, buffer: str, stage: int, size: int, kept: bool = True, length: int | None = None) -> Slice:
+    def stage_slice(self, buffer: str, stage: int, size: int, kept: bool = True, length: int | None = None) -> Slice:
         """The data of one stage of one step, in a buffer over all steps if ``kept``, else in one that is reused."""
         if self.wide:
             offset = Affine(stage, (("step", self.stages * size),) if kept else ())
@@ -73,11 +73,11 @@ class Builder:
 
     def point(self, stage: int) -> Slice:
         """Stage point."""
-        return self.kept("Xs", stage, self.nx, self.keeps_points)
+        return self.stage_slice("Xs", stage, self.nx, self.keeps_points)
 
     def tape(self, stage: int, length: int | None = None) -> Slice:
         """Tape of a stage."""
-        return self.kept("tape", stage, self.d.tape, self.d.keeps_tape, length)
+        return self.stage_slice("tape", stage, self.d.tape, self.d.keeps_tape, length)
 
     @property
     def keeps_kappa(self) -> bool:
@@ -88,7 +88,7 @@ class Builder:
         """Adjoints of the curved rows of a stage."""
         size = len(self.d.curved)
         if self.wide:
-            return self.kept("kappa", stage, size, self.keeps_kappa)
+            return self.stage_slice("kappa", stage, size, self.keeps_kappa)
         terms = (("step", self.stages * size),) if self.keeps_kappa else ()
         return Slice("kappa", size, Affine(stage * size, terms))
 
@@ -194,7 +194,7 @@ class Builder:
             nodes.append(Call(constant("units", units), (), (Slice("E", units.numel()),)))
         value = self.linear_forcing()
         nodes.append(Call(constant("forcing", value), (), (Slice("Fu", value.numel()),)))
-        return noted(nodes, "start")
+        return add_notes(nodes, "start")
 
     def evaluate(self, stage: int) -> list[Node]:
         """The stage point and K_i, and the tape if it is stored."""
@@ -202,13 +202,13 @@ class Builder:
         start = Call(copy("copy_x", self.nx), (self.rk.state,), (point,))
         nodes: list[Node] = [self.rk.point(stage, point) if any(self.tableau.a[stage]) else start]
         if self.wide:
-            functions = self.kept("M", stage, len(self.d.functions), self.staggered)
+            functions = self.stage_slice("M", stage, len(self.d.functions), self.staggered)
             nodes.append(Call(self.d.leaf_value_and_functions(), (point, *self.rk.up), (K, functions), inline=True))
         elif self.d.keeps_tape:
             nodes.append(Call(self.d.leaf_tape(self.d.tape), (point, *self.rk.up), (K, self.tape(stage))))
         else:
             nodes.append(Call(self.d.leaf_value(), (point, *self.rk.up), (K,)))
-        return noted(nodes, f"stage {stage + 1}", stage)
+        return add_notes(nodes, f"stage {stage + 1}", stage)
 
     def row_lengths(self) -> dict[str, int]:
         """Columns of the buffers that are matrices."""
@@ -252,7 +252,7 @@ class Builder:
         if not self.d.keeps_tape:
             nodes = [n for i in reversed(stages) for n in (*self.again(i, self.d.slopes), self._backward_stage(i))]
             nodes.append(self.rk.update_adjoint("update_adjoint", Slice("adj", self.nx), self._bar))
-            return noted(nodes, "adjoints")
+            return add_notes(nodes, "adjoints")
         tapes = [ca.SX.sym(f"t{i}", self.d.slopes) for i in stages]
         found: dict[int, Expression] = {}
         kappas: dict[int, Expression] = {}
@@ -299,7 +299,7 @@ class Builder:
 
     def hessian_values(self, stage: int) -> Slice:
         """The values of H_i."""
-        return self.kept("Hs", stage, self.d.values, kept=False)
+        return self.stage_slice("Hs", stage, self.d.values, kept=False)
 
     def curvature(self, stage: int) -> Call:
         """Evaluate the values of H_i."""
@@ -319,11 +319,11 @@ class Builder:
         begin, end, behind = (self.steps - 1, 0, 1) if down else (0, self.steps - 1, -1)
         both: list[Node] = []
         for ours, others in zip_longest(first, second, fillvalue=()):
-            both += [*ours, *(shifted(node, behind) for node in others)]
+            both += [*ours, *(shift_steps(node, behind) for node in others)]
         return [
-            *(fixed(node, begin) for group in first for node in group),
+            *(fix_step(node, begin) for group in first for node in group),
             For("step", 0 if down else 1, self.steps - 1, tuple(both), down),
-            *(fixed(node, end) for group in second for node in group),
+            *(fix_step(node, end) for group in second for node in group),
         ]
 
     # Results ---------------------------------------------------------------------------------------------------------
@@ -354,7 +354,7 @@ class Builder:
             for c, j, n in runs:
                 here = Slice("g", n, Affine(j))
                 nodes.append(Call(addition(n), (here, Slice("Sx", n, Affine(self.nx * self.ld + c))), (here,)))
-        return noted(nodes, "results")
+        return add_notes(nodes, "results")
 
     def _closed_column(self, j: int) -> list[Node]:
         """Column j of S in closed form, a function of h alone."""

@@ -10,7 +10,7 @@ import casadi as ca
 
 from nmpc_codegen.components.integrators.second_order import Builder, Local, constant
 from nmpc_codegen.ir.passes import copy
-from nmpc_codegen.ir.sweep import Affine, Call, For, Node, Slice, noted
+from nmpc_codegen.ir.sweep import Affine, Call, For, Node, Slice, add_notes
 from nmpc_codegen.ir.tuning import FACTORS, LONGEST_TAPE, PANEL, TAPE_PER_COMPONENT, WRITTEN_PANELS
 
 
@@ -44,7 +44,7 @@ class ThreeSweeps(Builder):
         nodes = [*self.start(), *loops, *self.results()]
         if self.rows:
             pairs = [(row, column) for row in self.runs for column in self.runs if column[1] <= row[1]]
-            nodes += noted((self.add_block("H", a, (j, n), column) for (a, j, n), column in pairs), "results")
+            nodes += add_notes((self.add_block("H", a, (j, n), column) for (a, j, n), column in pairs), "results")
         return nodes
 
     def _two(self) -> list[Node]:
@@ -84,7 +84,7 @@ class ThreeSweeps(Builder):
             Call(constant("clear", ca.SX.zeros(size)), (), (Slice("H", size),), note="adjoints"),
         ]
 
-    def _curved(self, stage: int, column: tuple[tuple[str, int], ...] = (("c", 1),)) -> Slice:
+    def _curved_column(self, stage: int, column: tuple[tuple[str, int], ...] = (("c", 1),)) -> Slice:
         """A column of the curved rows of Z."""
         size = len(self.d.curved_states) * self.ld
         if not self.merged:
@@ -93,7 +93,7 @@ class ThreeSweeps(Builder):
         return Slice("Z", len(self.d.curved_states), Affine(stage * size, terms), self.ld)
 
     def _slope(self, stage: int) -> For:
-        return self.slope(stage, self.d.curved_states, self._curved(stage))
+        return self.slope(stage, self.d.curved_states, self._curved_column(stage))
 
     def _bend(self, stage: int) -> list[Node]:
         """HZ = H [Z; 0 I], curved rows; once its group of stages is complete, their terms are added to the result."""
@@ -101,13 +101,13 @@ class ThreeSweeps(Builder):
         H, Z, units = ca.SX.sym("H", d.values), ca.SX.sym("Z", len(d.curved_states)), ca.SX.sym("E", len(self.controls))
         value = self.full_hessian(H)[self.rows, d.curved_states] @ Z + self.curvature_forcing(H, units)
         leaf = ca.Function("bend", [H, Z, units], [value], ["H", "Z", "E"], ["HZ"])
-        ins = (self.hessian_values(stage), self._curved(stage), self.column("E", len(self.controls)))
+        ins = (self.hessian_values(stage), self._curved_column(stage), self.column("E", len(self.controls)))
         bend = self.columnwise(Call(leaf, ins, (self.column("HZ", len(self.rows), stage % self.group),)))
         first = stage - stage % self.group
         complete = stage + 1 == min(first + self.group, self.stages)
         own = () if self.wide else (self.curvature(stage),)
-        nodes = [*own, *noted([bend], f"curvature of stage {stage + 1}")]
-        return [*nodes, *(noted(self._accumulate(range(first, stage + 1)), "Hessian") if complete else ())]
+        nodes = [*own, *add_notes([bend], f"curvature of stage {stage + 1}")]
+        return [*nodes, *(add_notes(self._accumulate(range(first, stage + 1)), "Hessian") if complete else ())]
 
     @property
     def group(self) -> int:
@@ -126,14 +126,14 @@ class ThreeSweeps(Builder):
             panels = self.ld // PANEL
             for first in range(panels) if panels <= WRITTEN_PANELS else ():
                 here = Slice("H", 1, Affine(0, (("i", self.ld), ("c", 1))))
-                Z = [self._curved(i, (("i", 1),)) for i in stages]
+                Z = [self._curved_column(i, (("i", 1),)) for i in stages]
                 row = Call(leaf, (here, self.column("HZ", n * len(self.rows)), *Z), (here,), inline=True)
                 rows = min(PANEL, len(self.columns) - PANEL * first)
                 nodes.append(For("i", PANEL * first, rows, (For("c", 0, PANEL * (first + 1), (row,)),)))
             if panels > WRITTEN_PANELS:
                 here = Slice("H", 1, Affine(0, (("i", PANEL * self.ld), ("j", self.ld), ("b", PANEL), ("c", 1))))
                 HZ = Slice("HZ", n * len(self.rows), Affine(0, (("b", PANEL), ("c", 1))), self.ld)
-                Z = [self._curved(i, (("i", PANEL), ("j", 1))) for i in stages]
+                Z = [self._curved_column(i, (("i", PANEL), ("j", 1))) for i in stages]
                 row = Call(leaf, (here, HZ, *Z), (here,), inline=True)
                 blocks = For("b", 0, Affine(1, (("i", 1),)), (For("c", 0, PANEL, (row,)),))
                 nodes.append(For("i", 0, panels, (For("j", 0, PANEL, (blocks,)),)))

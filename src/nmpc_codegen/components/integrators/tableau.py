@@ -51,20 +51,20 @@ class ButcherTableau:
         def ac(power: int) -> list[Fraction]:
             return [sum((a[i][j] * c[j] ** power for j in s), F(0)) for i in s]
 
-        def weighted(values: list[Fraction]) -> Fraction:
+        def weigh(values: list[Fraction]) -> Fraction:
             return sum((b[i] * values[i] for i in s), F(0))
 
         first, second = ac(1), ac(2)
         nested = [sum((a[i][j] * first[j] for j in s), F(0)) for i in s]
         return [
             (1, sum(b, F(0)) - 1),
-            (2, weighted(list(c)) - F(1, 2)),
-            (3, weighted([v**2 for v in c]) - F(1, 3)),
-            (3, weighted(first) - F(1, 6)),
-            (4, weighted([v**3 for v in c]) - F(1, 4)),
-            (4, weighted([c[i] * first[i] for i in s]) - F(1, 8)),
-            (4, weighted(second) - F(1, 12)),
-            (4, weighted(nested) - F(1, 24)),
+            (2, weigh(list(c)) - F(1, 2)),
+            (3, weigh([v**2 for v in c]) - F(1, 3)),
+            (3, weigh(first) - F(1, 6)),
+            (4, weigh([v**3 for v in c]) - F(1, 4)),
+            (4, weigh([c[i] * first[i] for i in s]) - F(1, 8)),
+            (4, weigh(second) - F(1, 12)),
+            (4, weigh(nested) - F(1, 24)),
         ]
 
 

@@ -20,7 +20,7 @@ from nmpc_codegen.components.allowed import Number, Whole, check_options, option
 from nmpc_codegen.components.base import Defaults, Seam
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.package.features import Features
-from nmpc_codegen.package.memory import Field, Size, Struct, stated
+from nmpc_codegen.package.memory import Field, Size, Struct, only_if
 
 if TYPE_CHECKING:
     from nmpc_codegen.components.base import Dims
@@ -86,13 +86,13 @@ class Osqp(Defaults):
                     Field(
                         "terms", (ng,), "not used: magnitude of the terms that the bounds of a row sum up", "scratch"
                     ),
-                    *stated(False, Field("curvature", (dims.qp.nsl,), "it has no slacks", "scratch")),
+                    *only_if(False, Field("curvature", (dims.qp.nsl,), "it has no slacks", "scratch")),
                     Field("z", (nv,), "minimiser", "result"),
                     Field("mult", (rows,), "multipliers, > 0 at the upper bound, < 0 at the lower", "result"),
                     Field("certificate", (rows,), "if INFEASIBLE: weights of a contradiction", "result"),
                     Field("P_x", (entries["OSQP_P"],), "upper triangle of H by columns", "scratch"),
                     Field("A_x", (entries["OSQP_A"],), "(I; A) by columns", "scratch"),
-                    *stated(
+                    *only_if(
                         dims.ng.value > 0,
                         Field("side", (rows,), "not used: OSQP has no working set", "scratch", "int32"),
                     ),

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from nmpc_codegen.package.memory import Field, Size, Struct, stated
+from nmpc_codegen.package.memory import Field, Size, Struct, only_if
 from nmpc_codegen.package.opcount import OpCount
 
 if TYPE_CHECKING:
@@ -17,20 +17,20 @@ if TYPE_CHECKING:
 BLOCK = 4
 
 
-def _padded(n: int, dims: Dims) -> int:
+def _pad(n: int, dims: Dims) -> int:
     return -(-n // dims.multiple) * dims.multiple
 
 
 def riccati_sizes(dims: Dims) -> tuple[tuple[str, int, str], ...]:
     """Leading dimensions: (macro without prefix, value, meaning)."""
     nx, nus = dims.qp.nxs.value, dims.qp.nus.value
-    ldx, ldu = _padded(nx, dims), _padded(nus, dims)
+    ldx, ldu = _pad(nx, dims), _pad(nus, dims)
     rounded = "" if dims.multiple == 1 else f" rounded up to {dims.multiple}"
     return (
         ("LDX", ldx, f"NXS{rounded}"),
         ("LDU", ldu, f"NUS{rounded}"),
-        ("LDZ", _padded(nx + nus, dims), f"NZS{rounded}"),
-        ("LDW", _padded(nx + ldu, dims), f"NXS + LDU{rounded}"),
+        ("LDZ", _pad(nx + nus, dims), f"NZS{rounded}"),
+        ("LDW", _pad(nx + ldu, dims), f"NXS + LDU{rounded}"),
         ("LDT", max(ldx, nx + nus), "rows of the stage product: LDX or NZS"),
     )
 
@@ -183,7 +183,7 @@ def stage_qp_fields(dims: Dims) -> tuple[Field, ...]:
         Field("x", (nodes, dims.qp.nxs), "minimiser: states", "result"),
         Field("z", (nv,), "minimiser: controls", "result"),
         Field("mult", (rows,), "multipliers, > 0 at the upper bound, < 0 at the lower", "result"),
-        *stated(ng.value, *certificate),
+        *only_if(ng.value, *certificate),
         Field(
             "least", (), "least magnitude of a row in units of its reach", "scratch", only=lambda f: f.interior_point
         ),
@@ -201,9 +201,9 @@ def riccati_cost(dims: Dims) -> dict[str, OpCount]:
     The counts are for dynamics with gaps, when no row has a weight, no control is fixed and no pivot is regularised.
     """
     ns, nx, nus, nf = (size.value for size in (dims.qp.ns, dims.qp.nxs, dims.qp.nus, dims.nf))
-    ldx, nz, copies = _padded(nx, dims), nx + nus, nx - dims.nx.value
+    ldx, nz, copies = _pad(nx, dims), nx + nus, nx - dims.nx.value
     fold = OpCount(add=copies * (ldx + nx), mul=copies * ldx)
-    backward = _combined(ldx, nx) + _combined(nz, nx) + _combined(ldx, nus)
+    backward = _combination(ldx, nx) + _combination(nz, nx) + _combination(ldx, nus)
     backward += OpCount(add=1, mul=1) * (nus * (nus - 1)) + OpCount(mul=nus)
     forward = (_dot(ldx) + OpCount(add=1)) * nus + (_dot(nz) + OpCount(add=1)) * nx
     pairs = nf * (nf - 1) // 2
@@ -254,7 +254,7 @@ def _entries(number: int, n: int) -> OpCount:
     return OpCount(add=number * (n + 1), mul=number * n)
 
 
-def _combined(width: int, n: int) -> OpCount:
+def _combination(width: int, n: int) -> OpCount:
     """Operations of a row plus a linear combination of n rows."""
     return OpCount(add=width * (n + 1), mul=width * n)
 

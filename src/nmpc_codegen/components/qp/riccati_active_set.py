@@ -25,7 +25,7 @@ from nmpc_codegen.components.qp.riccati import (
 )
 from nmpc_codegen.components.qp.riccati_interior_point import RiccatiInteriorPoint, interior_point_struct
 from nmpc_codegen.package.features import Features
-from nmpc_codegen.package.memory import Field, Size, Struct, stated
+from nmpc_codegen.package.memory import Field, Size, Struct, only_if
 
 if TYPE_CHECKING:
     from nmpc_codegen.components.base import Counts, Dims
@@ -146,10 +146,10 @@ class RiccatiActiveSet(Defaults):
         measured = self.fallback is not None or ng.value > 0
         corrected = (Field("lam", (nodes, nx), "multipliers of the dynamics while refining", "scratch"),)
         return (
-            *stated(measured, *units),
-            *riccati_structs(dims, stated(measured, noise), corrected),
-            *stated(ng.value, _schur_struct(dims)),
-            *stated(self.fallback, interior_point_struct(dims, self.fallback or _COLD, crossover=True)),
+            *only_if(measured, *units),
+            *riccati_structs(dims, only_if(measured, noise), corrected),
+            *only_if(ng.value, _schur_struct(dims)),
+            *only_if(self.fallback, interior_point_struct(dims, self.fallback or _COLD, crossover=True)),
             Struct(
                 "qp",
                 "working set of the stage QP",
@@ -165,7 +165,7 @@ class RiccatiActiveSet(Defaults):
                     Field("residual", (), "relative residual on the working set", "scratch"),
                     Field("raised", (ng,), "number of times that the weight was raised", "keep", "int32"),
                     Field("history", (history,), "hashes of the working sets of this solve", "scratch", "int32"),
-                    *stated(ng.value, Field("scaled", (), "root: 0 none, 1 earlier, 2 own", "keep", "int32")),
+                    *only_if(ng.value, Field("scaled", (), "root: 0 none, 1 earlier, 2 own", "keep", "int32")),
                     Field("rough", (), "1: the minimiser has errors beyond rounding", "scratch", "int32"),
                     Field("refined", (), "1: the minimiser on the working set is exact", "scratch", "int32"),
                     Field("stale", (), "last stage whose factors are out of date, or -1", "scratch", "int32"),

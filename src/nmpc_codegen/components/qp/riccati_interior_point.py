@@ -16,7 +16,7 @@ from nmpc_codegen.components.allowed import Flag, Whole, check_options, option
 from nmpc_codegen.components.base import Defaults, Seam
 from nmpc_codegen.components.qp.riccati import riccati_sizes, riccati_structs, stage_qp_fields, units_structs
 from nmpc_codegen.package.features import Features
-from nmpc_codegen.package.memory import Field, Size, Struct, stated
+from nmpc_codegen.package.memory import Field, Size, Struct, only_if
 
 if TYPE_CHECKING:
     from nmpc_codegen.components.base import Dims
@@ -43,7 +43,7 @@ def interior_point_struct(dims: Dims, options: RiccatiInteriorPoint, crossover: 
             Field("v", (rows,), "values of the rows", "scratch"),
             Field("origin", (rows,), "values of the rows at the first point", "scratch"),
             Field("dv", (rows,), "their direction", "scratch"),
-            *stated(options.warm_start, before),
+            *only_if(options.warm_start, before),
             Field("y", (ng,), "multipliers of equations", "scratch"),
             Field("stiffness", (ng,), "weights of equations", "scratch"),
             Field("weight", (rows,), "weights of the rows", "scratch"),
@@ -64,7 +64,9 @@ def interior_point_struct(dims: Dims, options: RiccatiInteriorPoint, crossover: 
             Field("de", (soft,), "direction of e", "scratch"),
             Field("dkappa", (soft,), "correction of the products e kappa, later the direction of kappa", "scratch"),
             *_progress(dims, options.warm_start),
-            *stated(crossover, Field("crossing", (), "whether and when another method takes over", "scratch", "int32")),
+            *only_if(
+                crossover, Field("crossing", (), "whether and when another method takes over", "scratch", "int32")
+            ),
         ),
     )
 
@@ -86,7 +88,7 @@ def _progress(dims: Dims, warm: bool) -> tuple[Field, ...]:
         Field("merit", (), "residuals of the rows and products, relative to their tolerance", "scratch"),
         Field("slope", (), "gradient of the Lagrangian, relative to its tolerance", "scratch"),
         Field("step", (), "length of the last step", "scratch"),
-        *stated(dims.ng.value, Field("slow", (), "primal when the last step was stretched", "scratch")),
+        *only_if(dims.ng.value, Field("slow", (), "primal when the last step was stretched", "scratch")),
         Field("stiffening", (), "divisor of the regularisation of the rows", "scratch"),
         Field("stiffest", (), "upper limit of stiffening", "scratch"),
         Field("damping", (), "cost of moving a row across its range in the first factorisation", "scratch"),
@@ -96,7 +98,7 @@ def _progress(dims: Dims, warm: bool) -> tuple[Field, ...]:
         Field("kind", (rows,), "inequality, equation or given control", "scratch", "int32"),
         Field("sides", (), "number of finite bounds of inequalities", "scratch", "int32"),
         Field("hard", (), "number of hard ones among them, which come first", "scratch", "int32"),
-        *stated(
+        *only_if(
             warm,
             Field("warm", (), "1: the multipliers of the previous QP are used", "scratch", "int32"),
             Field("solved", (), "1: the last QP was solved", "keep", "int32"),
@@ -104,7 +106,7 @@ def _progress(dims: Dims, warm: bool) -> tuple[Field, ...]:
         Field("begun", (), "iterations before the present attempt", "scratch", "int32"),
         Field("deferred", (), "1: the point may suffice, but the residuals still decrease", "scratch", "int32"),
         Field("closed_gaps", (), "number of times that the gaps of the dynamics were closed", "scratch", "int32"),
-        *stated(dims.ng.value, stretched),
+        *only_if(dims.ng.value, stretched),
         Field("probing", (), "1: violated inequalities end the iterations", "scratch", "int32"),
         Field("ready", (), "1: the first factorisation is done", "scratch", "int32"),
     )

@@ -58,7 +58,7 @@ class Expressions:
                 loads = ins.opcode == ca.OP_INPUT
                 self._texts[v] = self._load(*ins.args) if loads else self._style.number(ins.constant)
                 continue
-            text = self._nested(ins)
+            text = self._nest(ins)
             alone = self._uses[v] == 1 and (v in inside or not part.note)
             deep = depth(text)
             if not alone or deep > DEEPEST or (len(text) > LONGEST and deep > FLAT):
@@ -90,7 +90,7 @@ class Expressions:
             return f"{target} += {terms[1 - terms.index(target)]}"
         return f"{target} = {self.text(value)}"
 
-    def _nested(self, ins: Instruction) -> str:
+    def _nest(self, ins: Instruction) -> str:
         numbers = [a for a in ins.args if self._kernel.instructions[a].opcode == ca.OP_CONST]
         operands = {a: self._texts[a] for a in ins.args}
         if self._style.needs_values(ins.opcode) or len(numbers) == len(ins.args):
@@ -153,7 +153,7 @@ def _uses(kernel: Kernel) -> list[int]:
     return uses
 
 
-def declared(real: str, constants: Iterable[tuple[str, str]]) -> list[str]:
+def declare(real: str, constants: Iterable[tuple[str, str]]) -> list[str]:
     """One declaration of all constants (name, text)."""
     texts = [f"{name}{FIRM}={FIRM}{text}" for name, text in constants]
     return [f"const {real} {', '.join(texts)};"] if texts else []
@@ -165,7 +165,7 @@ FIRM = "\0"
 _FIRM = re.compile(r" (?![-+*/?:=] )(?<!, )")
 
 
-def wrapped(indent: str, line: str) -> list[str]:
+def wrap_statement(indent: str, line: str) -> list[str]:
     """The statement in lines of at most WIDTH columns, broken in front of operators."""
     if len(indent) + len(line) <= WIDTH:
         return [indent + line.replace(FIRM, " ")]

@@ -13,7 +13,7 @@ import casadi as ca
 
 from nmpc_codegen.ir.kernel import Kernel, Port
 from nmpc_codegen.ir.printing.c_style import CStyle
-from nmpc_codegen.ir.printing.expressions import FIRM, WIDTH, Expressions, declared, wrapped
+from nmpc_codegen.ir.printing.expressions import FIRM, WIDTH, Expressions, declare, wrap_statement
 from nmpc_codegen.ir.printing.local_names import LocalNames, Taken
 from nmpc_codegen.package.opcount import OpCount
 
@@ -46,7 +46,7 @@ def block(doc: str, count: str) -> str:
     return "/* " + "\n * ".join(lines) + " */"
 
 
-def counted(count: OpCount) -> str:
+def print_count(count: OpCount) -> str:
     """``3 add, 4 mul``."""
     return ", ".join(f"{v} {k}" for k, v in count.as_dict().items() if v) or "no operations"
 
@@ -55,7 +55,7 @@ def print_kernel(kernel: Kernel, style: CStyle) -> str:
     """The whole C function; its parameters are the ports that it reads or writes."""
     printed = Function(kernel, style)
     lines = [
-        comment(kernel.doc, kernel.reads, kernel.writes, counted(kernel.count)),
+        comment(kernel.doc, kernel.reads, kernel.writes, print_count(kernel.count)),
         *wrapped_head(signature(kernel.name, kernel.reads, kernel.writes, style)),
         "{",
     ]
@@ -64,7 +64,7 @@ def print_kernel(kernel: Kernel, style: CStyle) -> str:
 
 def wrapped_head(head: str) -> list[str]:
     """The head of a function in lines of at most WIDTH columns."""
-    return wrapped("", re.sub(r"(?<!,) ", FIRM, head))
+    return wrap_statement("", re.sub(r"(?<!,) ", FIRM, head))
 
 
 class Function:
@@ -78,15 +78,15 @@ class Function:
         kernel, names = self.kernel, self.style.names
         loads: dict[tuple[int, int], str] = {}
         declarations: list[str] = []
-        for port, group in groupby(sorted(loaded(kernel)), key=lambda load: load[0]):
+        for port, group in groupby(sorted(find_loads(kernel)), key=lambda load: load[0]):
             p = kernel.inputs[port]
             constants = []
             for _, e in group:
                 loads[port, e] = self.taken.of(names.signal(kernel.name, p.name, e, p.size), f"{p.name}_{e}")
                 constants.append((loads[port, e], f"{p.name}[{e}]"))
-            declarations += declared(self.style.real, constants)
+            declarations += declare(self.style.real, constants)
         expressions = Expressions(kernel, self.style, lambda port, e: loads[port, e], self.taken)
-        lines = [part for line in (*declarations, *expressions.statements) for part in wrapped(indent, line)]
+        lines = [part for line in (*declarations, *expressions.statements) for part in wrap_statement(indent, line)]
         for o, e, v in kernel.stores:
             target = f"{kernel.outputs[o].name}{at(kernel.outputs[o], e)}"
             lines += statement(indent, f"{target} = {expressions.text(v)}", self._note(o, e))
@@ -116,13 +116,13 @@ def at(port: Port, element: int) -> str:
 
 def statement(indent: str, text: str, note: str) -> list[str]:
     """The lines of a statement, with a note behind it, or above it where it does not fit."""
-    lines = wrapped(indent, f"{text};")
+    lines = wrap_statement(indent, f"{text};")
     if not note:
         return lines
     beside = f"{lines[-1]} /* {note} */"
     return [*lines[:-1], beside] if len(beside) <= WIDTH else [f"{indent}/* {note} */", *lines]
 
 
-def loaded(kernel: Kernel) -> set[tuple[int, int]]:
+def find_loads(kernel: Kernel) -> set[tuple[int, int]]:
     """(port, element) of all loads."""
     return {(ins.args[0], ins.args[1]) for ins in kernel.instructions if ins.opcode == ca.OP_INPUT}

@@ -10,11 +10,11 @@ import casadi as ca
 from nmpc_codegen.ir.kernel import OPERATIONS, Instruction, Kernel
 from nmpc_codegen.ir.passes import bound
 from nmpc_codegen.ir.printing.c_style import CStyle
-from nmpc_codegen.ir.printing.expressions import Expressions, declared, wrapped
+from nmpc_codegen.ir.printing.expressions import Expressions, declare, wrap_statement
 from nmpc_codegen.ir.printing.kernels import (
     comment,
-    counted,
-    loaded,
+    find_loads,
+    print_count,
     print_kernel,
     result_note,
     signature,
@@ -22,19 +22,19 @@ from nmpc_codegen.ir.printing.kernels import (
     wrapped_head,
 )
 from nmpc_codegen.ir.printing.local_names import Taken
-from nmpc_codegen.ir.sweep import Affine, Call, For, LoopedRoutine, Node, Slice, calls, passed
+from nmpc_codegen.ir.sweep import Affine, Call, For, LoopedRoutine, Node, Slice, calls, passed_slices
 
 #: So many elements that receive the same number are one statement, and so many zeros one call.
 CHAIN, CLEARED = 3, 16
 
 
-def print_looped(routine: LoopedRoutine, style: CStyle) -> str:
+def print_loops(routine: LoopedRoutine, style: CStyle) -> str:
     """The C functions of the leaves that are called, and that of the sweep."""
     sweep = routine.sweep
     called = {c.leaf.name() for c in calls(sweep.body) if not c.written_out}
     texts = [print_kernel(kernel, style) for name, kernel in routine.leaves.items() if name in called]
     lines = [
-        comment(sweep.doc, routine.reads, routine.writes, counted(routine.count)),
+        comment(sweep.doc, routine.reads, routine.writes, print_count(routine.count)),
         *wrapped_head(signature(sweep.name, routine.reads, routine.writes, style)),
         "{",
         *_Printer(routine, style).body(),
@@ -60,7 +60,7 @@ class _Printer:
     def body(self) -> list[str]:
         """Declarations of the local buffers, and all nodes."""
         arrays = [f"{name}{self._sizes(name, size)}" for name, size in self.locals.items()]
-        lines = wrapped("    ", f"{self.style.real} {', '.join(arrays)};") if arrays else []
+        lines = wrap_statement("    ", f"{self.style.real} {', '.join(arrays)};") if arrays else []
         return lines + self.nodes(self.routine.sweep.body, "    ")
 
     def _sizes(self, name: str, size: int) -> str:
@@ -82,7 +82,7 @@ class _Printer:
 
     def _node(self, node: Node, indent: str, alone: bool, note: str) -> list[str]:
         if isinstance(node, Call):
-            return self._written(node, indent, alone) if node.written_out else [indent + self._called(node)]
+            return self._print_leaf(node, indent, alone) if node.written_out else [indent + self._print_call(node)]
         assert isinstance(node, For), "other blocks are printed in a frame"
         last = node.count if isinstance(node.count, int) else self._most(node.count)
         self.largest[node.index] = node.start + last - 1
@@ -91,9 +91,9 @@ class _Printer:
     def _most(self, value: Affine) -> int:
         return value.constant + sum(c * (self.largest[i] if c > 0 else 0) for i, c in value.terms)
 
-    def _called(self, call: Call) -> str:
+    def _print_call(self, call: Call) -> str:
         kernel = self.routine.leaves[call.leaf.name()]
-        return f"{kernel.name}({', '.join(map(self._address, passed(call, kernel)))});"
+        return f"{kernel.name}({', '.join(map(self._address, passed_slices(call, kernel)))});"
 
     def _address(self, s: Slice) -> str:
         columns = self.columns.get(s.buffer)
@@ -117,7 +117,7 @@ class _Printer:
         assert self._most(column) < columns, f"{self.routine.name}: {s} leaves a row of {columns}"
         return f"{s.buffer}[{row.c()}][{column.c()}]"
 
-    def _written(self, call: Call, indent: str, alone: bool) -> list[str]:
+    def _print_leaf(self, call: Call, indent: str, alone: bool) -> list[str]:
         """The statements of a leaf; in braces if they declare constants beside other nodes."""
         kernel = self.routine.leaves[call.leaf.name()]
         taken = Taken(self.style.names, self.names)
@@ -125,7 +125,7 @@ class _Printer:
         expressions = Expressions(kernel, self.style, lambda port, e: texts[port, e], taken)
         constants = [*declarations, *expressions.statements]
         inner = indent if alone or not constants else indent + "    "
-        lines = [part for line in constants for part in wrapped(inner, line)]
+        lines = [part for line in constants for part in wrap_statement(inner, line)]
         lines += self._stores(call, kernel, expressions, inner)
         return lines if inner == indent else [indent + "{", *lines, indent + "}"]
 
@@ -134,7 +134,7 @@ class _Printer:
 
         A load is held if it has a name, or if a store of the call may change it.
         """
-        texts = {(port, e): self.element(call.ins[port], e) for port, e in loaded(kernel)}
+        texts = {(port, e): self.element(call.ins[port], e) for port, e in find_loads(kernel)}
         written = {s.buffer for s in call.outs}
         to_parameter = any(buffer not in self.locals for buffer in written)
         computes = any(ins.opcode in OPERATIONS for ins in kernel.instructions)
@@ -148,12 +148,12 @@ class _Printer:
                 if (moves and len(kernel.stores) > 1) or (wish and computes):
                     held.append((taken.of(wish, f"{s.buffer}_{e}"), texts[port, e]))
                     texts[port, e] = held[-1][0]
-            declarations += declared(self.style.real, held)
+            declarations += declare(self.style.real, held)
         return declarations, texts
 
     def _stores(self, call: Call, kernel: Kernel, expressions: Expressions, indent: str) -> list[str]:
         """The stores of a leaf; a number that several elements in a row receive is one statement."""
-        lines, rest = self._cleared(call, kernel, indent)
+        lines, rest = self._print_clearing(call, kernel, indent)
         numbers: dict[str, list[tuple[int, int, int]]] = {}
         for store in rest:
             if kernel.instructions[store[2]].opcode == ca.OP_CONST:
@@ -161,14 +161,14 @@ class _Printer:
         equal = {text: stores for text, stores in numbers.items() if len(stores) >= CHAIN}
         for text, stores in equal.items():
             targets = [self.element(call.outs[o], e) for o, e, _ in stores]
-            lines += wrapped(indent, f"{' = '.join(targets)} = {text};")
+            lines += wrap_statement(indent, f"{' = '.join(targets)} = {text};")
         for o, e, v in rest:
             if kernel.instructions[v].opcode != ca.OP_CONST or expressions.text(v) not in equal:
                 target = self.element(call.outs[o], e)
                 lines += statement(indent, expressions.assignment(target, v), self._note(call.outs[o], e))
         return lines
 
-    def _cleared(self, call: Call, kernel: Kernel, indent: str) -> tuple[list[str], list[tuple[int, int, int]]]:
+    def _print_clearing(self, call: Call, kernel: Kernel, indent: str) -> tuple[list[str], list[tuple[int, int, int]]]:
         """Calls that clear the buffers which are zero but for some elements, and the stores that remain."""
         zeros = [s for s in kernel.stores if kernel.instructions[s[2]] == Instruction(ca.OP_CONST, ())]
         lines: list[str] = []

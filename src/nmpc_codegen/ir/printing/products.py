@@ -12,34 +12,34 @@ from collections.abc import Iterable
 from functools import lru_cache
 
 from nmpc_codegen.ir.printing.c_style import CStyle
-from nmpc_codegen.ir.printing.expressions import Expressions, wrapped
-from nmpc_codegen.ir.printing.kernels import block, counted, loaded, wrapped_head
+from nmpc_codegen.ir.printing.expressions import Expressions, wrap_statement
+from nmpc_codegen.ir.printing.kernels import block, find_loads, print_count, wrapped_head
 from nmpc_codegen.ir.sweep import Affine, Block, Call, Entries, For, Frame, If, LoopedRoutine, Node, Slice, calls
 
 #: Text of a load -> name of the constant that holds it.
 Names = dict[str, str]
 
 
-def print_framed(routine: LoopedRoutine, style: CStyle) -> str:
+def print_frame(routine: LoopedRoutine, style: CStyle) -> str:
     """The C function of a sweep with a frame, with its formula and operation count above it."""
     sweep, frame = routine.sweep, routine.sweep.frame
     assert frame is not None
     lines = _body(routine, style)
-    parameters = [text for name, text in named(frame).items() if name in _names(lines)]
+    parameters = [text for name, text in name_parameters(frame).items() if name in _names(lines)]
     head = f"static {'inline ' if frame.inline else ''}void {sweep.name}({', '.join(parameters)})"
-    return "\n".join([block(sweep.doc, counted(routine.count)), *wrapped_head(head), "{", *lines, "}"])
+    return "\n".join([block(sweep.doc, print_count(routine.count)), *wrapped_head(head), "{", *lines, "}"])
 
 
 def call(routine: LoopedRoutine, style: CStyle) -> tuple[tuple[str, ...], str]:
     """Names of all parameters of a product, and the text of its call, which passes those that it reads or writes."""
     frame = routine.sweep.frame
     assert frame is not None
-    names = tuple(named(frame))
+    names = tuple(name_parameters(frame))
     used = _names(_body(routine, style))
     return names, f"{routine.name}({', '.join(name for name in names if name in used)})"
 
 
-def named(frame: Frame) -> dict[str, str]:
+def name_parameters(frame: Frame) -> dict[str, str]:
     """Name -> declaration of every parameter."""
     stripped = (re.sub(r"\W*(?:\[\w+\])*$", "", p) for p in frame.parameters)
     return {s.split("*")[-1].split(" ")[-1]: p for s, p in zip(stripped, frame.parameters, strict=True)}
@@ -77,12 +77,12 @@ class _Printer:
         lines: list[str] = []
         for node in nodes:
             if isinstance(node, Block):
-                lines += self._nested(node, indent, names, scalars)
+                lines += self._print_nest(node, indent, names, scalars)
             else:
                 lines += self._call(node, indent, names, scalars)
         return lines
 
-    def _nested(self, node: Block, indent: str, names: Names, scalars: set[str]) -> list[str]:
+    def _print_nest(self, node: Block, indent: str, names: Names, scalars: set[str]) -> list[str]:
         """A loop or condition; an innermost loop is preceded by its loop-invariant loads."""
         inner, lines = indent + "    ", []
         if isinstance(node, For) and len(node.body) == 1 and isinstance(node.body[0], Call):
@@ -101,7 +101,7 @@ class _Printer:
     def _loads(self, call: Call, indent: str, names: Names, index: str | None) -> list[str]:
         """Constants that hold loads: all of them, or, given a loop ``index``, those that the loop does not change."""
         lines: list[str] = []
-        for port, element in sorted(loaded(self._leaves[call.leaf.name()])):
+        for port, element in sorted(find_loads(self._leaves[call.leaf.name()])):
             s = call.ins[port]
             text, name = self._element(s, element), self._name(s, element)
             fixed = s.buffer not in self._stored and all(i != index for i, _ in s.offset.terms)
@@ -130,7 +130,7 @@ class _Printer:
                 new = not self._places[call.outs[port].buffer].shape and target not in scalars
                 scalars |= {target} if new else set()
                 lines.append(f"{self._style.real + ' ' if new else ''}{expressions.assignment(target, value)};")
-        return [part for line in lines + last for part in wrapped(indent, line)]
+        return [part for line in lines + last for part in wrap_statement(indent, line)]
 
     def _element(self, s: Slice, element: int) -> str:
         """C text of an element of a slice."""

@@ -7,8 +7,8 @@ from functools import lru_cache
 from nmpc_codegen.ir.kernel import Kernel
 from nmpc_codegen.ir.printing.c_style import CStyle
 from nmpc_codegen.ir.printing.kernels import print_kernel
-from nmpc_codegen.ir.printing.loops import print_looped
-from nmpc_codegen.ir.printing.products import print_framed
+from nmpc_codegen.ir.printing.loops import print_loops
+from nmpc_codegen.ir.printing.products import print_frame
 from nmpc_codegen.ir.sweep import Routine
 
 
@@ -17,4 +17,4 @@ def print_routine(routine: Routine, style: CStyle) -> str:
     """C text of a routine."""
     if isinstance(routine, Kernel):
         return print_kernel(routine, style)
-    return print_framed(routine, style) if routine.sweep.frame else print_looped(routine, style)
+    return print_frame(routine, style) if routine.sweep.frame else print_loops(routine, style)

@@ -16,7 +16,7 @@ from nmpc_codegen.ir.printing.c_style import CStyle, spell
 from nmpc_codegen.ir.printing.routines import print_routine
 from nmpc_codegen.ir.sweep import LoopedRoutine, Routine
 from nmpc_codegen.lowering.lanes import steps as lane_steps
-from nmpc_codegen.lowering.parts import MATH_IN_LANES, names_in, needed, own_names, own_text
+from nmpc_codegen.lowering.parts import MATH_IN_LANES, names_in, needed_paragraphs, own_names, own_text
 from nmpc_codegen.lowering.preamble import PLACES
 from nmpc_codegen.package.features import Features
 from nmpc_codegen.package.signals import Kind
@@ -83,9 +83,9 @@ def in_lanes(names: Iterable[str], sizes: Mapping[str, int], style: CStyle) -> s
     """The elementary functions of these names in math.h, and what they need, on vectors."""
     text = spell(own_text(MATH_IN_LANES, sizes), style.on_vectors)
     roots = [f"lanes_{name}" for name in names]
-    if REDUCTION in names_in(needed(text, roots)):
+    if REDUCTION in names_in(needed_paragraphs(text, roots)):
         roots.append(f"{REDUCTION}_moderate")  # which the part for all angles calls
-    return needed(text, roots)
+    return needed_paragraphs(text, roots)
 
 
 def with_lanes(module: CModule) -> CModule:
@@ -131,7 +131,7 @@ def lane_kernels(module: CModule, style: CStyle) -> str:
     arity = {o.function: 2 if "{1}" in o.c else 1 for o in OPERATIONS.values() if o.function}
     others = sorted(called_functions(found.printed) - own_names(MATH_IN_LANES) - {"sqrt"})
     texts = [_one_by_one(name, arity[name], style) for name in others]
-    texts += [print_routine(_suffixed(r), lanes) for r in found.printed]
+    texts += [print_routine(_rename_routine(r), lanes) for r in found.printed]
     if found.one_step is not None:
         texts.append(lane_steps.product(module.value("NX"), module.value("NZ")))
     return "\n\n".join(texts)
@@ -149,13 +149,13 @@ def lane_nodes(module: CModule, style: CStyle) -> str:
     offsets, total = _node_layout(module)
     width = module.features.vector_lanes
     written = [(r, p) for r in found.routines for p in r.writes]
-    stored = {offsets[p.name] + e for r, p in written if p.name in offsets for e in _stored(r, p)}
+    stored = {offsets[p.name] + e for r, p in written if p.name in offsets for e in _stored_elements(r, p)}
     places = {p.name: f"node + {offsets[p.name]}" for _, p in written if p.name in offsets}
-    zeros, stores = _scattered("node", stored, total, width, "&s->node[k]", "NODE_STRIDE")
+    zeros, stores = _scatter("node", stored, total, width, "&s->node[k]", "NODE_STRIDE")
     declared = [*(f"{p.name}[{p.size}]" for p in inputs.values()), f"node[{total}]"]
     for r, p in ((r, p) for r, p in written if p.name not in offsets):
         declared.append(f"{p.name}[{p.size}]")
-        more = _scattered(p.name, _stored(r, p), p.size, width, "&s->hessian.Q[k][0][0]", str(p.size))
+        more = _scatter(p.name, _stored_elements(r, p), p.size, width, "&s->hessian.Q[k][0][0]", str(p.size))
         zeros, stores = [*zeros, *more[0]], [*stores, *more[1]]
     calls: list[str] = []
     if found.one_step is not None:
@@ -165,7 +165,7 @@ def lane_nodes(module: CModule, style: CStyle) -> str:
         f"{r.name}{SUFFIX}({', '.join(passed_lanes(p, places.get(p.name, p.name)) for p in (*r.reads, *r.writes))});"
         for r in found.called
     ]
-    lines = [line for port in inputs.values() for line in _gathered(port, module)]
+    lines = [line for port in inputs.values() for line in _gather(port, module)]
     lines = [*(_MULTIPLIERS if "mu" in inputs else ()), *lines]
     lines = [f"lanes_t {', '.join(declared)};", *lines, *zeros, *calls, *stores]
     if zeros:
@@ -244,7 +244,7 @@ _MULTIPLIERS = (
 )
 
 
-def _gathered(port: Port, module: CModule) -> Iterator[str]:
+def _gather(port: Port, module: CModule) -> Iterator[str]:
     place = "rows[0]" if port.name == "mu" else PLACES[port.name]
     option = OPTIONS.get(port.name)
     stride = 1 if port.name == "dt" else port.size
@@ -256,7 +256,7 @@ def _gathered(port: Port, module: CModule) -> Iterator[str]:
     yield "}"
 
 
-def _scattered(
+def _scatter(
     name: str, stored: set[int], size: int, width: int, target: str, stride: str
 ) -> tuple[list[str], list[str]]:
     """Statements that set zeros in the blocks of an array, and those that store its elements to the nodes."""
@@ -277,7 +277,7 @@ def _scattered(
     return list(zeros), stores
 
 
-def _stored(routine: Routine, port: Port) -> set[int]:
+def _stored_elements(routine: Routine, port: Port) -> set[int]:
     """Elements of an output port that the routine stores; loops store all."""
     if isinstance(routine, LoopedRoutine):
         return set(range(port.size))
@@ -285,7 +285,7 @@ def _stored(routine: Routine, port: Port) -> set[int]:
     return {e for o, e, _ in routine.stores if o == index}
 
 
-def _suffixed(routine: Routine) -> Routine:
+def _rename_routine(routine: Routine) -> Routine:
     """The routine, and the leaves of its loops, under names of their own."""
     if isinstance(routine, Kernel):
         return replace(routine, name=routine.name + SUFFIX)

@@ -14,9 +14,9 @@ from itertools import accumulate
 from nmpc_codegen.lowering.pruning.constants import Constants
 from nmpc_codegen.lowering.pruning.expressions import expression, words
 from nmpc_codegen.lowering.pruning.items import Item
-from nmpc_codegen.lowering.pruning.reach import CALLED, Definition, Macros, calling, reached
+from nmpc_codegen.lowering.pruning.reach import CALLED, Definition, Macros, calling, reach
 from nmpc_codegen.lowering.pruning.scopes import (
-    blanked,
+    blank,
     function_of,
     in_line,
     names_in_code,
@@ -24,7 +24,7 @@ from nmpc_codegen.lowering.pruning.scopes import (
     signature,
     split,
 )
-from nmpc_codegen.lowering.pruning.tree import WIDTH, wrapped
+from nmpc_codegen.lowering.pruning.tree import WIDTH, wrap_line
 
 #: Macro or function -> the places of arguments.
 Places = Mapping[str, Sequence[int]]
@@ -49,7 +49,7 @@ def without_unread(
     while True:
         while places := unread_in_macros(known):
             found, known = _without(found, known, places)
-        functions, _ = reached(found, kernels, Macros(known), constants)
+        functions, _ = reach(found, kernels, Macros(known), constants)
         found = [_simple(item, functions) for item in found]
         if idle := {name for name, text in functions.items() if _is_empty(text)} - fixed - constants.kernels:
             constants = replace(constants, kernels=constants.kernels | idle)
@@ -61,11 +61,11 @@ def without_unread(
             found, known = _without(found, known, places)
         elif given := numbers(free, bodies):
             left = [item for item in found if item.name not in given]
-            found, known = _changed(left, known, partial(_with_numbers, given=given))
+            found, known = _change(left, known, partial(_with_numbers, given=given))
         else:
             given = synonyms(known)
             longer = [definition for definition in known if definition[0] not in given]
-            return _changed(found, longer, partial(_with_names, given=given))
+            return _change(found, longer, partial(_with_names, given=given))
 
 
 def _simple(item: Item, functions: Mapping[str, str]) -> Item:
@@ -82,14 +82,14 @@ def _without(found: Sequence[Item], known: Sequence[Definition], places: Places)
         kept = [a for i, a in enumerate(arguments.split(", ")) if i not in places.get(name, ())] if arguments else []
         heads[name] = ", ".join(kept) if kept or name in acting else None
     bare = {name for name, arguments in heads.items() if name in places and arguments is None}
-    items, macros = _changed(found, known, partial(without, places=places, bare=bare))
+    items, macros = _change(found, known, partial(without, places=places, bare=bare))
     return (
         [i._replace(text=with_void(i.text, i.name)) if i.name in places else i for i in items],
         [(name, heads[name], text) for name, _, text in macros],
     )
 
 
-def _changed(
+def _change(
     found: Sequence[Item], known: Sequence[Definition], change: Callable[[str], str]
 ) -> tuple[list[Item], list[Definition]]:
     """Items and macros with changed texts."""
@@ -104,12 +104,12 @@ def _with(item: Item, text: str) -> Item:
 
 def _with_numbers(text: str, given: Mapping[str, str]) -> str:
     """A text with numbers in place of calls of the functions that are these numbers; 1 is no factor."""
-    return _FACTOR.sub("", replaced(text, given, lambda name, _: given[name]))
+    return _FACTOR.sub("", replace_calls(text, given, lambda name, _: given[name]))
 
 
 def _with_names(text: str, given: Mapping[str, str]) -> str:
     """A text with these functions in place of the macros that are their names."""
-    return replaced(text, given, lambda name, arguments: given[name].format(", ".join(arguments)))
+    return replace_calls(text, given, lambda name, arguments: given[name].format(", ".join(arguments)))
 
 
 def synonyms(known: Sequence[Definition]) -> dict[str, str]:
@@ -135,7 +135,7 @@ def closing(code: str, start: int) -> int:
     return start + next(place for place, depth in enumerate(depths) if depth == 0) - 1
 
 
-def replaced(text: str, names: Collection[str], call: Callable[[str, list[str]], str]) -> str:
+def replace_calls(text: str, names: Collection[str], call: Callable[[str, list[str]], str]) -> str:
     """A text with another text for every call of these names: that which ``call`` gives for name and arguments."""
     if words(text).isdisjoint(names):
         return text
@@ -144,7 +144,7 @@ def replaced(text: str, names: Collection[str], call: Callable[[str, list[str]],
         end = closing(readable(text), start)
         given = [" ".join(argument.split()) for argument in split(text[start:end])]
         text = text[: start - len(name) - 1] + call(name, given) + text[end + 1 :]
-    lines = ([line] if len(line) <= WIDTH or line in before else wrapped(line) for line in text.split("\n"))
+    lines = ([line] if len(line) <= WIDTH or line in before else wrap_line(line) for line in text.split("\n"))
     return "\n".join(part for parts in lines for part in parts)
 
 
@@ -156,12 +156,12 @@ def without(text: str, places: Places, bare: Collection[str] = ()) -> str:
         kept = ", ".join(argument for i, argument in enumerate(given) if i not in places[name])
         return name if name in bare else f"{name}({kept})"
 
-    return replaced(text, places.keys(), call)
+    return replace_calls(text, places.keys(), call)
 
 
 def with_void(text: str, name: str) -> str:
     """A function, or its prototype, that has no parameters."""
-    at = blanked(text).find(f"{name}()")
+    at = blank(text).find(f"{name}()")
     return text if at < 0 else f"{text[: at + len(name)]}(void){text[at + len(name) + 2 :]}"
 
 
@@ -217,7 +217,7 @@ def _number(text: str) -> str:
 @lru_cache(maxsize=16384)
 def _is_pure(text: str) -> bool:
     """True for a function with a value whose pointers are to constants: it changes nothing, as there are no globals."""
-    before, _, after = in_line(blanked(text).partition("\n{\n")[0]).partition("(")
+    before, _, after = in_line(blank(text).partition("\n{\n")[0]).partition("(")
     parameters = split(after.rpartition(")")[0])
     return " void " not in before and all("*" not in p or p.strip().startswith("const ") for p in parameters)
 
@@ -230,4 +230,4 @@ def _is_empty(text: str) -> bool:
 @lru_cache(maxsize=16384)
 def _body(text: str) -> str:
     """The code in the braces of a function."""
-    return blanked(text[slice(*function_of(text).inside)])
+    return blank(text[slice(*function_of(text).inside)])

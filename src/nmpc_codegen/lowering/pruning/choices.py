@@ -8,7 +8,7 @@ from functools import lru_cache
 
 from nmpc_codegen.lowering.pruning.constants import Constants
 from nmpc_codegen.lowering.pruning.expressions import Expression, expression
-from nmpc_codegen.lowering.pruning.scopes import DECLARATION, blanked, split
+from nmpc_codegen.lowering.pruning.scopes import DECLARATION, blank, split
 from nmpc_codegen.lowering.pruning.tree import Edit, Node
 
 #: A condition of sizes and features alone.
@@ -38,7 +38,7 @@ def _expressions(text: str, node: Node) -> Iterator[tuple[int, str]]:
     start, end = node.head if node.kind in ("if", "loop") else (node.start, node.end)
     if node.kind not in ("statement", "leave", "if", "loop"):
         return
-    code = blanked(text[start:end])
+    code = blank(text[start:end])
     for part in re.finditer(r"[^;]+", code):
         piece, at = part[0], start + part.start()
         declared = DECLARATION.match(piece)
@@ -62,7 +62,7 @@ def _conditional(found: Expression, around: Expression | None) -> Iterator[tuple
         yield from _conditional(operand, found if found.kind == "group" else None)
 
 
-def decided(text: str, node: Node, known: Constants) -> Iterator[Edit]:
+def decide(text: str, node: Node, known: Constants) -> Iterator[Edit]:
     """Edits that leave one side of a conditional expression."""
     for start, choice, around in choices(text, node):
         value = known.truth(choice.operands[0])

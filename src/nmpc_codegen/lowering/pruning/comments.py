@@ -32,7 +32,7 @@ _TIE = "\x01"
 _ENTRY = re.compile(r"(?P<margin> \*   )(?P<names>\w+(?:, \w+)*)(?:\([^)]*\))? {2,}\S")
 
 
-def worded(unit: str, constants: Constants | None) -> str:
+def word_comments(unit: str, constants: Constants | None) -> str:
     """A unit whose comments have the phrases of what the package has; None: of everything.
 
     Raises:
@@ -42,12 +42,12 @@ def worded(unit: str, constants: Constants | None) -> str:
     def comment(found: re.Match[str]) -> str:
         if "[if" not in found[0]:
             return found[0]
-        return _worded(unit[unit.rfind("\n", 0, found.start()) + 1 : found.start()], found[0], constants)
+        return _word_comment(unit[unit.rfind("\n", 0, found.start()) + 1 : found.start()], found[0], constants)
 
     return _COMMENT.sub(comment, unit)
 
 
-def _worded(before: str, comment: str, constants: Constants | None) -> str:
+def _word_comment(before: str, comment: str, constants: Constants | None) -> str:
     """A comment that has this before it in its line; paragraphs with phrases are filled again."""
     runs = groupby(comment.split("\n"), key=lambda line: _APART.match(line) is not None)
     margin = before if not before.strip() else ""
@@ -57,7 +57,7 @@ def _worded(before: str, comment: str, constants: Constants | None) -> str:
         if "[if" in text:
             whole = text if is_apart else " ".join(line.strip().removeprefix("* ") for line in text.split("\n"))
             there = _PHRASE.sub(lambda found: _phrase(found, constants), whole)
-            text = _without_emptied(there, text) if is_apart else _filled(there, margin, bool(before.strip()))
+            text = _without_empty_lines(there, text) if is_apart else _fill(there, margin, bool(before.strip()))
         lines += text.split("\n") if text else []
     kept = [line for line, above in zip(lines, ["", *lines], strict=False) if not line.strip() == above.strip() == "*"]
     return _END.sub(" */", "\n".join(kept).removeprefix(margin))
@@ -77,13 +77,13 @@ def _holds(condition: str, constants: Constants) -> bool:
     return value
 
 
-def _without_emptied(lines: str, before: str) -> str:
+def _without_empty_lines(lines: str, before: str) -> str:
     """Lines without those of which phrases have left nothing."""
     known = set(before.split("\n"))
     return "\n".join(line.rstrip() for line in lines.split("\n") if line in known or line.strip() not in ("", "*"))
 
 
-def _filled(paragraph: str, margin: str, is_beside: bool) -> str:
+def _fill(paragraph: str, margin: str, is_beside: bool) -> str:
     """A paragraph in filled lines, of which the last is not the end of the comment alone; in one line beside code."""
     words = _BLANKS.sub("", paragraph).strip()
     words = words.replace(" */", f"{_TIE}*/")

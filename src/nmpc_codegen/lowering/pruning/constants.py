@@ -112,7 +112,7 @@ class Constants:
             case "group":
                 return self.range(found.operands[0], variables)
             case "unary" | "binary":
-                return _applied(found.word, *(self.range(operand, variables) for operand in found.operands))
+                return _apply(found.word, *(self.range(operand, variables) for operand in found.operands))
         return None
 
     def truth(self, found: Expression, variables: Mapping[str, Range] | None = None) -> bool | None:
@@ -120,24 +120,24 @@ class Constants:
         values = None if self.effects(found) else _truths(self.range(found, variables or {}))
         return None if values is None or values[0] < values[1] else bool(values[0])
 
-    def reduced(self, text: str) -> bool | str:
+    def reduce(self, text: str) -> bool | str:
         """A condition without the operands that constants decide; True or False if they decide it."""
         found = expression(text)
-        left = self._reduced(text, found)
+        left = self._reduce(text, found)
         if isinstance(left, bool) or found.kind == "group" or (bare := expression(left)).kind != "group":
             return left
         return left[bare.start + 1 : bare.end - 1]
 
-    def _reduced(self, text: str, found: Expression) -> bool | str:
+    def _reduce(self, text: str, found: Expression) -> bool | str:
         before = text[found.start : found.end]
         value = self.truth(found)
         if value is not None:
             return value
         if found.word in ("&&", "||"):
-            return self._joined(text, found)
+            return self._reduce_pair(text, found)
         if found.kind not in ("group", "unary") or found.word not in ("(", "!"):
             return before
-        inner = self._reduced(text, found.operands[0])
+        inner = self._reduce(text, found.operands[0])
         if isinstance(inner, bool):
             return inner if found.kind == "group" else not inner
         bare = inner != text[slice(*found.operands[0][1:3])] and _is_operand(inner)
@@ -145,9 +145,9 @@ class Constants:
             return inner if bare else f"({inner})"
         return f"!{inner}" if bare or _is_operand(inner) else f"!({inner})"
 
-    def _joined(self, text: str, found: Expression) -> bool | str:
+    def _reduce_pair(self, text: str, found: Expression) -> bool | str:
         first, second = found.operands
-        left, right = self._reduced(text, first), self._reduced(text, second)
+        left, right = self._reduce(text, first), self._reduce(text, second)
         decisive = found.word == "||"
         if left is decisive or (right is decisive and not self.effects(first)):
             return decisive
@@ -171,11 +171,11 @@ def _truths(values: Range | None) -> Range:
     return (1, 1)
 
 
-def _applied(word: str, *values: Range | None) -> Range | None:
+def _apply(word: str, *values: Range | None) -> Range | None:
     """The range of what an operator makes of ranges."""
     if word in ("==", "!=") and None not in values:
-        equal = _truths(_applied("-", *values))
-        return equal if word == "!=" else _applied("!", equal)
+        equal = _truths(_apply("-", *values))
+        return equal if word == "!=" else _apply("!", equal)
     if word in ("!", "&&", "||"):
         values = tuple(map(_truths, values))
     if None in values or (word, len(values)) not in _MONOTONE:

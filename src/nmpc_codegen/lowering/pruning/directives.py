@@ -7,8 +7,8 @@ from functools import lru_cache
 
 from nmpc_codegen.lowering.pruning.constants import Constants
 from nmpc_codegen.lowering.pruning.expressions import Expression, expression, words
-from nmpc_codegen.lowering.pruning.scopes import blanked
-from nmpc_codegen.lowering.pruning.tree import Edit, Node, edited, parse
+from nmpc_codegen.lowering.pruning.scopes import blank
+from nmpc_codegen.lowering.pruning.tree import Edit, Node, edit, parse
 
 
 def resolve(text: str, sizes: Mapping[str, int]) -> str:
@@ -17,7 +17,7 @@ def resolve(text: str, sizes: Mapping[str, int]) -> str:
     Raises:
         ValueError: the text is not of the dialect; a condition is no integer expression, or a name in it has no value.
     """
-    return _resolved(text, frozenset((name, sizes[name]) for name in _names(text) if name in sizes))
+    return _resolve(text, frozenset((name, sizes[name]) for name in _names(text) if name in sizes))
 
 
 @lru_cache(maxsize=2048)
@@ -28,10 +28,10 @@ def _names(text: str) -> frozenset[str]:
 
 
 @lru_cache(maxsize=4096)
-def _resolved(text: str, known: frozenset[tuple[str, int]]) -> str:
+def _resolve(text: str, known: frozenset[tuple[str, int]]) -> str:
     sizes = dict(known)
-    while edits := [Edit(node.start, node.end + 1, _taken(text, node, sizes)) for node in _outermost(parse(text))]:
-        text = edited(text, edits)
+    while edits := [Edit(node.start, node.end + 1, _take(text, node, sizes)) for node in _outermost(parse(text))]:
+        text = edit(text, edits)
     return text
 
 
@@ -44,7 +44,7 @@ def _outermost(nodes: Iterable[Node]) -> Iterable[Node]:
             yield from _outermost(node.body if node.other is None else (*node.body, node.other))
 
 
-def _taken(text: str, conditional: Node, sizes: Mapping[str, int]) -> str:
+def _take(text: str, conditional: Node, sizes: Mapping[str, int]) -> str:
     """The text of the first branch that holds, "" if none does."""
     for branch in conditional.body:
         start, end = branch.head
@@ -63,7 +63,7 @@ def evaluate(condition: str, sizes: Mapping[str, int]) -> bool:
         ValueError: it is none, or a name has no value.
     """
     try:
-        found = expression(blanked(condition))
+        found = expression(blank(condition))
     except ValueError as error:
         raise ValueError(f"#if {condition}: {error}") from error
     if unknown := sorted(name for name in _operands(found) if name not in sizes):

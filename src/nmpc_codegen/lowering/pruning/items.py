@@ -6,7 +6,7 @@ import re
 from functools import lru_cache
 from typing import NamedTuple
 
-from nmpc_codegen.lowering.pruning.scopes import blanked, in_line, signature
+from nmpc_codegen.lowering.pruning.scopes import blank, in_line, signature
 from nmpc_codegen.lowering.pruning.tree import Node, parse
 
 #: Heads of functions that only this unit calls.
@@ -32,7 +32,7 @@ def items(text: str) -> tuple[Item, ...]:
     start = len(text)
     if brace:
         start = head.rfind("\n\n") + 2
-        start += max((m.end() for m in _BEFORE.finditer(blanked(head[start:]))), default=0)
+        start += max((m.end() for m in _BEFORE.finditer(blank(head[start:]))), default=0)
     found: list[Item] = []
     before = text[:start].rstrip("\n")
     nodes, at, place = parse(before), 0, 0

@@ -12,7 +12,7 @@ import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import lru_cache
 
-from nmpc_codegen.lowering.pruning.choices import choices, decided
+from nmpc_codegen.lowering.pruning.choices import choices, decide
 from nmpc_codegen.lowering.pruning.constants import Constants, Fact
 from nmpc_codegen.lowering.pruning.expressions import Expression, expression, words
 from nmpc_codegen.lowering.pruning.scopes import (
@@ -25,7 +25,7 @@ from nmpc_codegen.lowering.pruning.scopes import (
     names_in_code,
     pointers,
 )
-from nmpc_codegen.lowering.pruning.tree import Edit, Node, edited, margin, whole_lines, wrapped
+from nmpc_codegen.lowering.pruning.tree import Edit, Node, edit, margin, whole_lines, wrap_line
 from nmpc_codegen.lowering.pruning.values import of_known_value
 
 #: A loop over a variable of its own; the step of one that only counts.
@@ -56,7 +56,7 @@ def constants(text: str, function: Node, known: Constants) -> Iterator[Edit]:
                 yield from _of_loop(text, node, above, known)
             elif node.kind == "leave" and body[place + 1 :]:
                 yield Edit(node.end, body[-1].end, "")
-            yield from decided(text, node, known)
+            yield from decide(text, node, known)
             above = node
         if holder is function and body and text[body[-1].start : body[-1].end] == "return;":
             yield Edit(*whole_lines(text, body[-1], None), "")
@@ -69,7 +69,7 @@ def _of_choice(text: str, node: Node, above: Node | None, around: set[str], know
         chain.append(chain[-1].other)
     for place, branch in enumerate(chain):
         whole = in_line(text[slice(*branch.head)])
-        value = True if branch.kind == "block" else known.reduced(whole) if _decidable(whole, known) else whole
+        value = True if branch.kind == "block" else known.reduce(whole) if _decidable(whole, known) else whole
         empty = not any(n.kind != "comment" for n in branch.body)
         if value is False or (
             empty and branch.other is None and (value is True or not known.effects(expression(whole)))
@@ -77,12 +77,12 @@ def _of_choice(text: str, node: Node, above: Node | None, around: set[str], know
             yield _without_branch(text, chain, place, above, around)
             return
         if value is True and branch.kind == "if":
-            yield _taken(text, branch, place, above, around)
+            yield _take(text, branch, place, above, around)
             return
         if isinstance(value, str) and value != whole:
             before = margin(text, branch)
             opening = f"{before}{text[branch.start : branch.head[0]]}{value}) {{"
-            yield Edit(branch.start - len(before), branch.inside[0], "\n".join(wrapped(opening)))
+            yield Edit(branch.start - len(before), branch.inside[0], "\n".join(wrap_line(opening)))
 
 
 def _decidable(head: str, known: Constants) -> bool:
@@ -102,7 +102,7 @@ def _without_branch(text: str, chain: Sequence[Node], place: int, above: Node | 
     return Edit(branch.start, branch.other.start, "")
 
 
-def _taken(text: str, branch: Node, place: int, above: Node | None, around: set[str]) -> Edit:
+def _take(text: str, branch: Node, place: int, above: Node | None, around: set[str]) -> Edit:
     """A chain of branches that ends with one that is taken."""
     if place == 0:
         return _left(text, branch, branch, above, around)
@@ -111,7 +111,7 @@ def _taken(text: str, branch: Node, place: int, above: Node | None, around: set[
 
 def _left(text: str, chain: Node, block: Node, above: Node | None, around: set[str]) -> Edit:
     """A chain of branches of which one block is left."""
-    lifted = _lifted(text, block, around)
+    lifted = _unindent(text, block, around)
     return Edit(chain.start, chain.end, lifted) if lifted else Edit(*whole_lines(text, chain, above), "")
 
 
@@ -120,7 +120,7 @@ def _variables(text: str, body: Sequence[Node]) -> set[str]:
     return {n for node in body if node.kind == "statement" for n, _ in declarators(text[node.start : node.end])}
 
 
-def _lifted(text: str, block: Node, around: set[str]) -> str:
+def _unindent(text: str, block: Node, around: set[str]) -> str:
     """What a block holds, one step to the left; the comment behind its brace goes. It keeps its braces if one of
     its variables has the name of one in the block around it, ``around``, to which they then belong."""
     own = _variables(text, block.body)
@@ -143,7 +143,7 @@ def _of_loop(text: str, node: Node, above: Node | None, known: Constants) -> Ite
         return
     first = None if loop is None else known.range(expression(loop["first"]), {})
     variables = {} if loop is None or first is None else {loop["variable"]: first}
-    value = known.reduced(condition)
+    value = known.reduce(condition)
     never = value is False or known.truth(expression(condition), variables) is False
     counted = _COUNTED.fullmatch(loop["step"]) if loop else None
     empty = all(n.kind == "comment" for n in node.body)
@@ -303,33 +303,33 @@ _VARIABLE = re.compile(r"->|\.|\b[a-z]\w*\b(?!\$)")
 _SIGN = re.compile(r"([A-Z]\w*)(?: (?:>|==|!=) 0)?|0 < ([A-Z]\w*)|([A-Z]\w*) - 1 >= 0")
 
 
-def simplified(text: str, known: Constants) -> str:
+def simplify(text: str, known: Constants) -> str:
     """A function, with its comment, without what the package does not need.
 
     Raises:
         ValueError: it is not of the dialect, or a pass has left a name without its declaration.
     """
     check_names(text, known.ranges.keys() | known.sizes.keys())
-    return simplified_again(text, known)
+    return simplify_again(text, known)
 
 
-def simplified_again(text: str, known: Constants) -> str:
+def simplify_again(text: str, known: Constants) -> str:
     """The same for a function that comes out of it, in which a block may have a variable of one around it."""
-    found = _simplified(text, known.facts(*heads(text), words(text)))
+    found = _simplify(text, known.facts(*heads(text), words(text)))
     while found != text:  # a number in place of a variable may bring in other facts
-        text, found = found, _simplified(found, known.facts(*heads(found), words(found)))
+        text, found = found, _simplify(found, known.facts(*heads(found), words(found)))
     return found
 
 
 @lru_cache(maxsize=16384)
-def _simplified(text: str, facts: frozenset[Fact]) -> str:
+def _simplify(text: str, facts: frozenset[Fact]) -> str:
     known, before = Constants.of(facts), free_names(text)
     changed = True
     while changed:
         changed = False
         for name, step in PASSES.items():
             while edits := list(step(text, function_of(text), known)):
-                text, changed = edited(text, edits), True
+                text, changed = edit(text, edits), True
                 if lost := free_names(text) - before - {"void"}:
                     raise ValueError(f"the pass {name!r} has left {sorted(lost)[0]} without its declaration")
     return _EMPTY.sub(r"\1", text)

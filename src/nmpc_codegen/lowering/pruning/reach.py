@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 
 from nmpc_codegen.lowering.pruning.constants import Constants
 from nmpc_codegen.lowering.pruning.items import Item, constants_in
-from nmpc_codegen.lowering.pruning.passes import simplified, simplified_again
+from nmpc_codegen.lowering.pruning.passes import simplify, simplify_again
 from nmpc_codegen.lowering.pruning.scopes import free_names, names_in_code
 
 # (name, arguments or None, text)
@@ -33,7 +33,7 @@ class Macros:
     def __init__(self, known: Iterable[Definition]) -> None:
         self.texts = {name: text for name, _, text in known}
 
-    def expanded(self, names: Iterable[str]) -> set[str]:
+    def expand(self, names: Iterable[str]) -> set[str]:
         """The names, and those in the macros that they are."""
         found: set[str] = set()
         waiting = set(names)
@@ -44,7 +44,7 @@ class Macros:
         return found
 
 
-def reached(
+def reach(
     found: Sequence[Item], kernels: Mapping[str, str], macros: Macros, constants: Constants
 ) -> tuple[dict[str, str], set[str]]:
     """Simplified texts of the functions that the interface, and what is no function, reach; all names on the way."""
@@ -55,7 +55,7 @@ def reached(
     waiting = {item.name for item in found if item.kind == "function" and not item.inner}
     for item in found:
         if item.kind == "other":
-            waiting |= macros.expanded(names_in_code(item.text))
+            waiting |= macros.expand(names_in_code(item.text))
     enumerations = [names_in_code(constants_in(item)) for item in found if item.kind == "enumeration"]
     texts: dict[str, str] = {}
     mentioned: set[str] = set()
@@ -64,19 +64,19 @@ def reached(
         inside: set[str] = set()
         for name in waiting:
             if name in functions:
-                texts[name] = _simplified(functions[name], constants)
+                texts[name] = _simplify(functions[name], constants)
                 inside |= free_names(texts[name])
             elif name in kernels:
                 inside.update(CALLED.findall(kernels[name]))
         inside = inside.union(*(names for names in enumerations if not names.isdisjoint(waiting)))
-        waiting = macros.expanded(inside) - mentioned
+        waiting = macros.expand(inside) - mentioned
     return texts, mentioned
 
 
-def _simplified(function: Item, constants: Constants) -> str:
+def _simplify(function: Item, constants: Constants) -> str:
     if function.done:
         return function.text
     try:
-        return (simplified_again if function.simple else simplified)(function.text, constants)
+        return (simplify_again if function.simple else simplify)(function.text, constants)
     except ValueError as error:
         raise ValueError(f"{function.name}(): {error}") from error

@@ -23,7 +23,7 @@ _SIGNATURE = re.compile(r"(?P<name>API\(\w+\)|\b\w+)\((?P<parameters>.*)\)(?:\)\
 _ATTRIBUTE = re.compile(r"__attribute__\(\(.*?\)\)")
 
 
-def blanked(text: str) -> str:
+def blank(text: str) -> str:
     """The text with blanks for its comments, strings and characters: every place stays where it is."""
     if "/" not in text and '"' not in text and "'" not in text:
         return text
@@ -32,7 +32,7 @@ def blanked(text: str) -> str:
 
 def readable(text: str) -> str:
     """The same, with the comments that bound the passes of loops, which name what the code names."""
-    code = blanked(text)
+    code = blank(text)
     for found in _PASSES.finditer(text):
         code = code[: found.start(1)] + found[1] + code[found.end(1) :]
     return code
@@ -47,7 +47,7 @@ def in_line(text: str) -> str:
 @lru_cache(maxsize=32768)
 def names_in_code(text: str) -> frozenset[str]:
     """Identifiers of a text that are no members of a struct."""
-    return frozenset(_IDENTIFIER.findall(blanked(text)))
+    return frozenset(_IDENTIFIER.findall(blank(text)))
 
 
 def split(code: str) -> list[str]:
@@ -72,14 +72,14 @@ def declarators(text: str) -> tuple[tuple[str, str], ...]:
     found = DECLARATION.match(text)
     if found is None:
         return ()
-    each = split(blanked(text)[found.end() :].rstrip().removesuffix(";"))
+    each = split(blank(text)[found.end() :].rstrip().removesuffix(";"))
     return tuple((_NAME.match(d)[1], d.strip()) for d in each)  # type: ignore[index]
 
 
 @lru_cache(maxsize=8192)
 def signature(text: str) -> tuple[str, tuple[str, ...]]:
     """Name and parameters of a function or a prototype."""
-    found = _SIGNATURE.search(_ATTRIBUTE.sub("", " ".join(blanked(text).split())))
+    found = _SIGNATURE.search(_ATTRIBUTE.sub("", " ".join(blank(text).split())))
     if found is None:
         raise ValueError(f"no signature of a function: {text.strip()!r}")
     given = [re.sub(r"\[[^\]]*\]", "", p) for p in split(found["parameters"]) if p.strip() not in ("void", "")]
@@ -100,7 +100,7 @@ def pointers(text: str) -> Mapping[str, str]:
         ValueError: pointers to different structs have the same name, so that a member does not tell its struct.
     """
     found: dict[str, str] = {}
-    for struct, name in _POINTER.findall(blanked(text)):
+    for struct, name in _POINTER.findall(blank(text)):
         if found.setdefault(name, struct) != struct:
             raise ValueError(f"{name} points to {found[name]}_t and to {struct}_t; expected a name for each")
     return found
@@ -161,11 +161,11 @@ class _Scopes:
                 self.hidden |= own & outer
                 self.free |= names_in_code(self.text[node.start : node.end]) - visible - own
             elif node.kind in ("if", "loop", "block"):
-                self.nested(node, frozenset(visible))
+                self.visit_nested(node, frozenset(visible))
             elif node.kind != "comment":
                 self.free |= names_in_code(self.text[node.start : node.end]) - visible
 
-    def nested(self, node: Node, visible: frozenset[str]) -> None:
+    def visit_nested(self, node: Node, visible: frozenset[str]) -> None:
         head = self.text[slice(*node.head)]
         counted = {name for name, _ in declarators(head.partition(";")[0])} if node.kind == "loop" else set()
         self.declared |= counted
@@ -173,4 +173,4 @@ class _Scopes:
         self.free |= names_in_code(head) - visible - counted
         self.visit(node.body, visible | counted)
         if node.other is not None:
-            self.nested(node.other, visible)
+            self.visit_nested(node.other, visible)

@@ -128,7 +128,7 @@ class _Parser:
             nodes, inside, end = self.braces(at)
             return Node("block", at, end, (0, 0), inside, nodes)
         if word in ("if", "for", "while"):
-            return self.headed(at, "if" if word == "if" else "loop")
+            return self.read_headed(at, "if" if word == "if" else "loop")
         if word in ("do", "switch", "case", "default", "goto", "else", ")", "//"):
             raise self.error(at, _DIALECT)
         return self.statement(at, word)
@@ -163,7 +163,7 @@ class _Parser:
             branches.append(Node("branch", token.start, end, head, (token.end + 1, end), nodes))
             token = following
 
-    def headed(self, at: int, kind: Kind) -> Node:
+    def read_headed(self, at: int, kind: Kind) -> Node:
         """A loop, or an if with what stands behind its else."""
         self.place += 1
         if self.tokens[self.place].text != "(":
@@ -176,7 +176,7 @@ class _Parser:
         self.place += 1
         place, following = self.next(token.end)
         if following.text == "if" and following.start == place:
-            other = self.headed(place, "if")
+            other = self.read_headed(place, "if")
         else:
             nodes, within, end = self.braces(token.end)
             other = Node("block", place, end, (0, 0), within, nodes)
@@ -241,7 +241,7 @@ class Edit(NamedTuple):
     new: str
 
 
-def edited(text: str, edits: Sequence[Edit]) -> str:
+def edit(text: str, edits: Sequence[Edit]) -> str:
     """The text with edits; one inside another one is left for the next pass."""
     kept: list[str] = []
     at = 0
@@ -266,7 +266,7 @@ def whole_lines(text: str, node: Node, above: Node | None) -> tuple[int, int]:
     return text.rfind("\n", 0, start) + 1, len(text) if end < 0 else end + 1
 
 
-def wrapped(line: str) -> list[str]:
+def wrap_line(line: str) -> list[str]:
     """A statement in lines that are not too long."""
     inner = line[: len(line) - len(line.lstrip())] + "    "
     return wrap(line, WIDTH, subsequent_indent=inner, break_long_words=False, break_on_hyphens=False) or [line]

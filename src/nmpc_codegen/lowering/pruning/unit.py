@@ -12,10 +12,10 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from functools import lru_cache
 
 from nmpc_codegen.lowering.pruning.arguments import unread_parameters, without_unread
-from nmpc_codegen.lowering.pruning.comments import without_entries, worded
+from nmpc_codegen.lowering.pruning.comments import without_entries, word_comments
 from nmpc_codegen.lowering.pruning.constants import Constants
 from nmpc_codegen.lowering.pruning.items import Item, constants_in, items
-from nmpc_codegen.lowering.pruning.reach import Definition, Macros, reached
+from nmpc_codegen.lowering.pruning.reach import Definition, Macros, reach
 from nmpc_codegen.lowering.pruning.scopes import function_of, names_in_code
 
 #: The entry point that what only it calls stands in front of, in the last part of a unit, and the heading of that part.
@@ -25,27 +25,27 @@ LAST_HEADING = "/* ==== solve(): what only it calls " + "=" * 68 + " */"
 _TERM = re.compile(r"(?<=[\w)]) [-+] ([A-Z]\w*)\b(?! *[*/%\[(.])")
 
 
-def pruned(
+def prune(
     unit: str, kernels: Mapping[str, str], known: Sequence[Definition], constants: Constants
 ) -> tuple[str, list[Definition]]:
     """The text of a unit, whose macros are ``known``, without what it does not need, and the macros without the
     arguments that they do not read; ``kernels``: printed functions by name, which stand before it."""
-    unit = _without_zeros(worded(unit, constants), constants)
+    unit = _without_zeros(word_comments(unit, constants), constants)
     *chunks, rest = f"{unit}\n".split("\n}\n")
     found = [item for chunk in (*(f"\n{chunk}\n}}" for chunk in chunks), f"\n{rest}") for item in items(chunk)]
     found, known = without_unread(found, kernels, known, constants)
     macros = Macros(known)
-    functions, names = reached(found, kernels, macros, constants)
+    functions, names = reach(found, kernels, macros, constants)
     there = {"API", *functions}
     kept = _without_idle_headings([item for item in found if _stays(item, names)], found)
     kept = [item if item.kind == "function" else item._replace(text=without_entries(item.text, there)) for item in kept]
     early = names
     if any(item.name == LAST for item in kept):
-        _, early = reached([item for item in found if item.name != LAST], kernels, macros, constants)
+        _, early = reach([item for item in found if item.name != LAST], kernels, macros, constants)
     first, last = _apart(kept, early)
 
     def text(items: Iterable[Item], printed: Collection[str]) -> str:
-        of = ((i.gap, _marked(functions[i.name]) if i.kind == "function" else i.text) for i in items)
+        of = ((i.gap, _mark(functions[i.name]) if i.kind == "function" else i.text) for i in items)
         called = [kernel for name, kernel in kernels.items() if name in printed]
         return "\n\n".join([*called, "".join(gap + t for gap, t in of).lstrip("\n")])
 
@@ -125,7 +125,7 @@ def _without_idle_headings(kept: Sequence[Item], all_items: Sequence[Item]) -> l
 
 
 @lru_cache(maxsize=8192)
-def _marked(text: str) -> str:
+def _mark(text: str) -> str:
     """A function with a statement for every parameter that it does not read: those of the interface stay."""
     at, _ = function_of(text).inside
     return text[:at] + "".join(f"\n    (void){name};" for _, name in unread_parameters(text)) + text[at:]

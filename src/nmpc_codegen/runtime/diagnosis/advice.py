@@ -30,12 +30,12 @@ def advice(ctrl: Memory, solved: bool, warned: bool) -> Iterator[str]:
         yield from _numerical(ctrl)
         yield from () if warned else _of_qp(ctrl)
     elif status == Status.NOT_CONVERGED:
-        yield from _not_converged(ctrl)
+        yield from _advise_convergence(ctrl)
     elif status in (Status.ITERATION_LIMIT, Status.STALLED, Status.SUBPROBLEM_FAILED):
         if solved:
             yield from _of_solve(ctrl, warned)
         else:
-            yield from _of_qp(ctrl) if has_qp(ctrl) else _not_converged(ctrl)
+            yield from _of_qp(ctrl) if has_qp(ctrl) else _advise_convergence(ctrl)
 
 
 def has_qp(ctrl: Memory) -> bool:
@@ -61,7 +61,7 @@ def _numerical(ctrl: Memory) -> Iterator[str]:
         yield 'rounding may be the cause: try Options(precision="double")'
 
 
-def _not_converged(ctrl: Memory) -> Iterator[str]:
+def _advise_convergence(ctrl: Memory) -> Iterator[str]:
     options = ctrl.description.options
     name, tolerance, residual = options["algorithm"], options["algorithm.tolerance"], ctrl.stats.residual
     repairs = options.get("algorithm.repair")

@@ -110,7 +110,7 @@ def _stale(ctrl: Memory) -> str:
 def _broken(ctrl: Memory, measured: Array) -> Iterator[Iterator[str]]:
     """Searches for numbers that are not finite; the first one that finds some explains the failure."""
     if ctrl.status == Status.NOT_FINITE:
-        yield _measured(ctrl, measured)
+        yield _find_measured(ctrl, measured)
     yield _plan(ctrl)
     if ctrl.status in _OF_NUMBERS:
         yield _domains(ctrl)
@@ -118,7 +118,7 @@ def _broken(ctrl: Memory, measured: Array) -> Iterator[Iterator[str]]:
         yield _linearisation(ctrl)
 
 
-def _measured(ctrl: Memory, measured: Array) -> Iterator[str]:
+def _find_measured(ctrl: Memory, measured: Array) -> Iterator[str]:
     unknown = [n for n, v in zip(ctrl.names.states, measured, strict=True) if not np.isfinite(v)]
     if unknown:
         yield f"measured {', '.join(unknown)} is not finite: hand over the last good value, or an estimate"

@@ -30,14 +30,14 @@ def unstable_poles(ctrl: Memory) -> Iterator[str]:
     scheme, steps, found = options["integrator.tableau.name"], int(options["integrator.steps"]), []
     with np.errstate(all="ignore"):
         for k, dt in enumerate(ctrl.description.dt):
-            damped = _damped(_poles(ctrl, k, SHORT * dt / steps))
+            damped = _damp(_poles(ctrl, k, SHORT * dt / steps))
             if damped.size and np.max(np.abs(damped)) * dt / steps > SAFE and _grows(ctrl, k, dt / steps):
                 found.append((float(np.max(np.abs(damped))), k))
     if not found:
         return
     _, k = max(found)
     dt = ctrl.description.dt[k]
-    damped = _damped(_poles(ctrl, k, SHORT * dt / steps))
+    damped = _damp(_poles(ctrl, k, SHORT * dt / steps))
     pole = damped[np.argmax(np.abs(damped))]
     text = f"{pole.real:.3g}" if abs(pole.imag) < DAMPED * abs(pole) else f"{pole:.3g}"
     enough = next((n for n in range(steps + 1, MOST_STEPS) if not _grows(ctrl, k, dt / n)), None)
@@ -65,7 +65,7 @@ def _poles(ctrl: Memory, k: int, t: float) -> Array:
     return np.log(np.linalg.eigvals(J).astype(complex)) / t if np.all(np.isfinite(J)) else np.zeros(0, complex)
 
 
-def _damped(poles: Array) -> Array:
+def _damp(poles: Array) -> Array:
     return poles[poles.real < -DAMPED * np.abs(poles)]
 
 
@@ -76,4 +76,4 @@ def _grows(ctrl: Memory, k: int, h: float) -> bool:
         return True
     poles = _poles(ctrl, k, SHORT * h)
     growing = np.abs(np.linalg.eigvals(J)) > 1 + SLACK
-    return int(np.sum(growing)) > poles.size - _damped(poles).size
+    return int(np.sum(growing)) > poles.size - _damp(poles).size

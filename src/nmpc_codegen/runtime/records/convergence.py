@@ -79,7 +79,7 @@ def _short(key: str, value: float) -> str:
     return f"{value:.8g}" if key == "cost" else f"{value:.1e}"
 
 
-def comma_separated(log: Sequence[Iteration]) -> str:
+def write_csv(log: Sequence[Iteration]) -> str:
     """The rows with all digits as comma-separated values, with a line of names."""
     found, text = rows(log), io.StringIO()
     writer = csv.DictWriter(text, list(found[0]) if found else ["iteration"], lineterminator="\n")
@@ -88,7 +88,7 @@ def comma_separated(log: Sequence[Iteration]) -> str:
     return text.getvalue()
 
 
-def _drawn(value: float) -> float:
+def _drawable(value: float) -> float:
     """A value on a logarithmic axis; 0 leaves a gap."""
     return value if value > 0 else math.nan
 
@@ -101,12 +101,12 @@ def draw(log: Sequence[Iteration], title: str, failed: bool, file: str | os.Path
     with mpl.rc_context(STYLE):
         above, below = figure.subplots(2, 1, sharex=True, height_ratios=(2, 1))
         for part, color in PARTS.items():
-            values = [_drawn(getattr(entry.kkt, part)) for entry in log]
+            values = [_drawable(getattr(entry.kkt, part)) for entry in log]
             above.semilogy(numbers, values, color=color, linewidth=1.2, marker=".", markersize=3, label=part)
-        relative = [_drawn(entry.kkt.relative) for entry in log]
+        relative = [_drawable(entry.kkt.relative) for entry in log]
         above.semilogy(numbers, relative, color="0.2", linewidth=2.0, marker=".", label="relative")
         above.set_ylabel("KKT residuals")
-        lengths, shifts = ([_drawn(getattr(entry, name)) for entry in log] for name in ("length", "shift"))
+        lengths, shifts = ([_drawable(getattr(entry, name)) for entry in log] for name in ("length", "shift"))
         below.semilogy(numbers, lengths, color="#8a6d1d", marker=".", label="length of step")
         below.semilogy(numbers, shifts, color=FAILURE_COLOR, marker="+", linestyle="none", label="shift of Hessian")
         for number, entry in zip(numbers, log, strict=True):

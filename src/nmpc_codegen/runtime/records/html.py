@@ -27,7 +27,7 @@ def table(head: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
     return f"<table>{''.join(lines)}</table>" if rows else ""
 
 
-def shortened(rows: Sequence[tuple[object, ...]]) -> list[tuple[object, ...]]:
+def shorten(rows: Sequence[tuple[object, ...]]) -> list[tuple[object, ...]]:
     """The first SHOWN rows of one kind, and how many there are besides."""
     more = [("", f"and {len(rows) - SHOWN} more")] if len(rows) > SHOWN else []
     return [*rows[:SHOWN], *more]

@@ -9,11 +9,11 @@ from typing import IO, Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from nmpc_codegen.package.signals import listed
+from nmpc_codegen.package.signals import list_some
 from nmpc_codegen.package.status import Status
 from nmpc_codegen.runtime.diagnosis.diagnose import WARNED
 from nmpc_codegen.runtime.records import archive, tables
-from nmpc_codegen.runtime.records.html import page, shortened, table
+from nmpc_codegen.runtime.records.html import page, shorten, table
 from nmpc_codegen.runtime.records.plot import CONTROL_COLOR, ROW_COLOR, STATE_COLOR, TIME_COLOR, Curve, draw
 from nmpc_codegen.runtime.records.trace import Record, Trace
 
@@ -44,7 +44,7 @@ class Log(Record):
             for trace, column in zip(traces, values.T, strict=True):
                 ends = (column[0], column[-1], column.min(), column.max()) if len(column) else ("",) * 4
                 lines.append((kind, trace.name, trace.unit, *ends))
-            found += shortened(lines)
+            found += shorten(lines)
         return page(
             f"Log {self.name}",
             self.summary().partition(": ")[2],
@@ -100,7 +100,7 @@ class Log(Record):
             median, worst = np.median(self.time_ns) / 1e3, np.max(self.time_ns) / 1e3
             lines.append(f"time per sample: median {median:.1f} us, worst {worst:.1f} us")
         last = zip(self.states, self.x[-1], strict=True)
-        lines.append("last state: " + listed([f"{trace.name} = {value:.6g}" for trace, value in last]))
+        lines.append("last state: " + list_some([f"{trace.name} = {value:.6g}" for trace, value in last]))
         return "\n".join(lines)
 
     def plot(self, file: str | os.PathLike[str] | None = None) -> Any:

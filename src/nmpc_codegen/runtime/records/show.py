@@ -5,7 +5,7 @@ from __future__ import annotations
 from nmpc_codegen.package.signals import horizon, nodes
 from nmpc_codegen.runtime.diagnosis.rows import path_bounds, references, start_parameters
 from nmpc_codegen.runtime.memory import Memory
-from nmpc_codegen.runtime.records.html import ROWS, page, shortened, table, units
+from nmpc_codegen.runtime.records.html import ROWS, page, shorten, table, units
 
 
 def in_one_line(ctrl: Memory) -> str:
@@ -26,7 +26,7 @@ def in_html(ctrl: Memory) -> str:
     unit = units(described.states, described.controls, described.parameters)
     signals: list[tuple[object, ...]] = []
     for kind, of_kind in names.items():
-        signals += shortened(
+        signals += shorten(
             [(kind, name, unit[name], float(value)) for name, value in zip(of_kind, values[kind], strict=True)]
         )
     rows: list[tuple[object, ...]] = []
@@ -47,8 +47,8 @@ def in_html(ctrl: Memory) -> str:
         f"N={grid}; {code}{last}",
         [
             table(("", "name", "unit", "at node 0"), signals),
-            table(ROWS, shortened(rows)),
-            table(("residual", "unit", "reference"), shortened(targets)),
+            table(ROWS, shorten(rows)),
+            table(("residual", "unit", "reference"), shorten(targets)),
             table(("chosen by the compiler",), [(choice,) for choice in described.report.choices]),
         ],
     )

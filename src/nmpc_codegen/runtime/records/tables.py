@@ -38,18 +38,18 @@ def to_xarray(log: Record) -> Any:
     xarray = extra("xarray", "Log.to_xarray()")
     coordinates: dict[str, Any] = {"time": ("time", log.t, {"units": log.time_unit})}
     variables: dict[str, Any] = {"status": ("time", np.array([*_statuses(log), ""], dtype=np.str_))}
-    variables |= {name: ("time", _padded(getattr(log, name))) for name in PER_SAMPLE}
+    variables |= {name: ("time", _pad(getattr(log, name))) for name in PER_SAMPLE}
     variables["time_ns"] = (*variables["time_ns"], {"units": "ns"})
     for array, kind in COLUMNS.items():
         traces, values, dimension = getattr(log, kind), getattr(log, array), DIMENSIONS[array]
         if traces:
-            variables[array] = (("time", dimension), values if array == "x" else _padded(values))
+            variables[array] = (("time", dimension), values if array == "x" else _pad(values))
             coordinates[dimension] = np.array([trace.name for trace in traces], dtype=np.str_)
             coordinates[f"{dimension}_unit"] = (dimension, np.array([trace.unit for trace in traces], dtype=np.str_))
     return xarray.Dataset(variables, coordinates, {"name": log.name})
 
 
-def _padded(values: Any) -> Any:
+def _pad(values: Any) -> Any:
     """Values per sample and NaN for the end of the loop."""
     return np.append(values, np.full((1, *values.shape[1:]), np.nan), axis=0)
 
