@@ -348,6 +348,7 @@ def test_unstable_steps_are_said_by_all_and_repeated_after_a_failure(tmp_path: P
     assert better.solve([0.65, 0.3]).status == Status.OK
 
 
+@pytest.mark.slow
 def test_known_problems_have_no_warnings() -> None:
     """All cases of the tests and all strangers but one, whose unit vector starts as 0."""
     for case in CASES.values():

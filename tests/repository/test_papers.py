@@ -42,8 +42,8 @@ def places(page: str, paper: str) -> set[str]:
     return found
 
 
-#: Those whose figures are drawn soonest.
-QUICK = ("HSJ", "Q14")
+#: That whose figures are drawn soonest.
+QUICK = ("HSJ",)
 
 
 @pytest.mark.parametrize("paper", [p if p in QUICK else pytest.param(p, marks=pytest.mark.slow) for p in EXHIBITS])
@@ -72,8 +72,7 @@ def test_no_figure_is_missing_on_the_page() -> None:
 
 
 def test_wrong_words() -> None:
-    for arguments, said in ((("--only", "H12"), "--only H12: expected some of H11"), (("--scale", "2"), "a share")):
-        command = [sys.executable, "-m", "benchmarks.papers", *arguments]
-        done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
-        assert done.returncode == 2
-        assert said in done.stderr
+    command = [sys.executable, "-m", "benchmarks.papers", "--only", "H12"]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert "--only H12: expected some of H11" in done.stderr

@@ -9,7 +9,7 @@ from conftest import require_tool
 from nmpc_codegen import Status
 from verification.robustness import at_rest
 
-DRAWS, MORE = 40, 200
+DRAWS, MORE = 16, 200
 
 
 @pytest.mark.filterwarnings("ignore:.*AdjointShooting simulates")
@@ -40,6 +40,7 @@ def test_what_is_wrong_is_seen() -> None:
     assert "here" in str(out)
 
 
+@pytest.mark.few(5)
 @pytest.mark.parametrize("name", at_rest.IN_UNITS)
 @pytest.mark.parametrize("seed", [0, *(pytest.param(s, marks=pytest.mark.slow) for s in range(1, at_rest.UNITS))])
 def test_units_decide_nothing(name: str, seed: int) -> None:

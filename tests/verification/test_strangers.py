@@ -104,6 +104,7 @@ def test_the_house_is_heated_without_curvature_in_any_control() -> None:
     assert any("no curvature in pump" in text for text in controller.description.report.warnings)
 
 
+@pytest.mark.slow
 def test_remedies_are_counted() -> None:
     """One of them is flown: without a relaxation, samples of an epidemic have no solution."""
     trial = next(t for t in remedies.TRIALS if t.failure == "INFEASIBLE" and t.where.startswith("seir"))

@@ -35,6 +35,7 @@ def statuses(name: str, qp: QpSolver, number: int) -> list[str]:
     return found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", CASES)
 def test_the_loop_that_needs_most_has_enough(case: str) -> None:
     name, default, number, needed, low = CASES[case]

@@ -233,7 +233,7 @@ def stopped(unit: float, kind: str) -> OCP:
     return ocp
 
 
-@pytest.mark.few(5)
+@pytest.mark.few(4)
 @pytest.mark.parametrize("route", OURS)
 @pytest.mark.parametrize("kind", ["state", "general", "end", "coupled"])
 def test_hard_rows_give_way_in_their_own_units(route: str, kind: str) -> None:
