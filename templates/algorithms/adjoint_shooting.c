@@ -184,7 +184,7 @@ status_t API(step)(solver_t *s, const real_t xhat[NX], real_t u0[NU])
         shift_plan(s);
     }
     s->samples += (s->samples < MANY);
-    doubt_plan(s);
+    restart_doubtful_plan(s);
     if (take_state(s, xhat)) {
         status = keep_finite(s, run_sample(s));
     }

@@ -12,7 +12,7 @@
 /* Penalty and trust region as at the start. */
 static void reset_search(solver_t *s)
 {
-    s->auglag.penalty = FACTOR_AUGMENTED_SOFT * penalty_weight[0];
+    s->auglag.penalty = FACTOR_AUGMENTED_FIRST_PENALTY * penalty_weight[0];
     s->auglag.radius = initial_radius[0];
 }
 
@@ -71,7 +71,7 @@ status_t API(prepare)(solver_t *s)
         restore_multipliers(s);
     }
     s->prepared = 1;
-    doubt_plan(s);
+    restart_doubtful_plan(s);
     return finish(s, prepare_at_plan(s));
 }
 

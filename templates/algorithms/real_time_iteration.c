@@ -102,7 +102,7 @@ status_t API(prepare)(solver_t *s)
         return NOT_INITIALIZED;
     }
     before_prepare(s);
-    doubt_plan(s);
+    restart_doubtful_plan(s);
     status = prepare_plan(s);
     status = after_prepare(s, status);
     s->prepared = 1;

@@ -87,7 +87,7 @@ static status_t iterate(solver_t *s, real_t tol, int last)
             return ITERATION_LIMIT;
         }
         status_t status = sqp_iteration(s);
-        if (status == OK && runs_away(s)) {
+        if (status == OK && cost_is_unbounded(s)) {
             return STALLED;
         }
         if (HARD_ROWS) {
@@ -104,7 +104,7 @@ static status_t solve_here(solver_t *s, real_t tol, int last)
     for (;;) {
         const status_t status = iterate(s, tol, last);
         const int ends = status == OK || status == ITERATION_LIMIT ||
-            (status == STALLED && !(s->sqp.base.violation > FACTOR_SQP_AWAY));
+            (status == STALLED && !(s->sqp.base.violation > FACTOR_SQP_INFEASIBLE));
         s->sqp.infeasible |= status == INFEASIBLE;
         if (ends || s->sqp.attempts == MAX_ATTEMPTS || s->stats.sqp_iterations++ >= last) {
             if (HARD_ROWS && !ends && s->sqp.infeasible) {
@@ -112,7 +112,7 @@ static status_t solve_here(solver_t *s, real_t tol, int last)
             }
             return status;
         }
-        start_elsewhere(s);
+        restart_search(s);
     }
 }
 

@@ -78,15 +78,15 @@ static void curvature_before_solve(solver_t *s)
 /* A plan that leaves all rows needs no curvature any more; multipliers of relaxed rows are those of their penalty. */
 static void curvature_before_prepare(solver_t *s)
 {
-    s->bent = s->bent && s->failing <= FINE && s->stats.violated_row < 0 && row_is_active(s);
+    s->bent = s->bent && s->failing <= NO_FAILURE && s->stats.violated_row < 0 && row_is_active(s);
     s->curved.in_solve = 0;
 }
 
 /* The linearisation tells what the last step has left of the rows. */
 static status_t curvature_after_prepare(solver_t *s, status_t status)
 {
-    if (status == OK && !s->bent && s->failing <= FINE && s->stats.violated_row < 0 &&
-        rows_left(s) > FACTOR_CURVATURE_BENT * residual_tolerance[0] && row_is_active(s)) {
+    if (status == OK && !s->bent && s->failing <= NO_FAILURE && s->stats.violated_row < 0 &&
+        rows_left(s) > FACTOR_CURVATURE_ROW_CHANGE * residual_tolerance[0] && row_is_active(s)) {
         s->bent = 1;
         status = prepare_here(s);
     }

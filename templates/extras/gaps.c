@@ -44,7 +44,7 @@ static real_t length_of_step(const solver_t *s)
 /* Returns 1 if a step of this length leaves little by all that is known. */
 static int leaves_little(const gaps_t *gaps, real_t length)
 {
-    if (length <= FACTOR_GAP_BRIEF) {
+    if (length <= FACTOR_GAP_SHORT_STEP) {
         return 1;
     }
     if (!(length <= R(2) * gaps->longest)) {

@@ -87,7 +87,7 @@ static int control_settles(solver_t *s, const step_t *step, const real_t *size)
         enlarge(&moved, step->du[0][j] / range[j]);
         rests &= s->u[0][j] <= control_lower(s, 0, j) || s->u[0][j] >= control_upper(s, 0, j);
     }
-    const int creeps = moved <= FACTOR_REPAIR_CREEP * residual_tolerance[0];
+    const int creeps = moved <= FACTOR_REPAIR_CONTROL_CHANGE * residual_tolerance[0];
     const int contracts = moved <= residual_tolerance[0] && moved <= R(0.5) * s->moved;
     s->moved = moved;
     return (rests && creeps) || ((creeps || contracts) && !step_is_long(step, size));
@@ -101,7 +101,7 @@ static status_t repair_after_prepare(solver_t *s, status_t status)
         return status;
     }
     const int first = s->samples == 0;
-    int wanted = s->fresh > 0 || s->failing > FINE || s->stats.violated_row >= 0;
+    int wanted = s->fresh > 0 || s->failing > NO_FAILURE || s->stats.violated_row >= 0;
     s->stats.repairs = 0;
     for (int n = 0; n < REPAIRS && status == OK && (wanted || is_far(s->stats.residual)); n++) {
         real_t size[NX];

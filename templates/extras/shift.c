@@ -4,7 +4,7 @@ static void shift_before_prepare(solver_t *s)
 {
     if (s->samples > 0 && !s->prepared) {
         (void)API(shift)(s); /* it refuses only a solver that is not initialised */
-        if (s->failing >= TWICE) { /* states that the shift integrates may be as far off as the failed plan */
+        if (s->failing >= SECOND_FAILURE) { /* states that the shift integrates may be as far off as the failed plan */
             start_at_measured(s);
         }
     }

@@ -100,7 +100,7 @@ static int qp_predict(qp_t *q, int equality, int again, real_t fraction)
  * violated; this keeps the condition number of R small. */
 static status_t qp_factorize(qp_t *q)
 {
-    const real_t least = FACTOR_DENSE_APART * SQRT(TOL_UNIT);
+    const real_t least = FACTOR_DENSE_INDEPENDENT * SQRT(TOL_UNIT);
     status_t status = qp_factorize_hessian(q);
     clear(q->R_inverse);
     q->nw = 0;

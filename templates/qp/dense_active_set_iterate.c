@@ -164,7 +164,7 @@ static real_t qp_rounding(const qp_t *q, int c, const real_t *r, int side, real_
         return q->strict > 1 ? FACTOR_DENSE_STRICT * TOL_QP_RESIDUAL * qp_row_size(q, c)
                              : FACTOR_DENSE_STRICT * most * (size + qp_row_size(q, c));
     }
-    size += SQRT(mm) * (FACTOR_DENSE_SHOWN * norm(q->work.basis.y) + FACTOR_DENSE_TRAVELLED * q->scale);
+    size += SQRT(mm) * (FACTOR_DENSE_STEP_ROUNDING * norm(q->work.basis.y) + FACTOR_DENSE_PATH_ROUNDING * q->scale);
     size *= vv * (most * most) > mm * (least * least) ? least * SQRT(mm / vv) : most;
     return size + TOL_UNIT * SQRT(vv) * q->scale;
 }

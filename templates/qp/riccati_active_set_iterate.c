@@ -4,7 +4,7 @@
 /* Tolerance for rounding errors: `exact`, or a multiple of sqrt(machine epsilon) while the minimiser is not refined. */
 static inline real_t qp_tolerance(const qp_t *q, real_t exact)
 {
-    return q->rough ? FACTOR_RICCATI_ROUGH * SQRT(TOL_UNIT) : exact;
+    return q->rough ? FACTOR_RICCATI_UNREFINED * SQRT(TOL_UNIT) : exact;
 }
 
 /* Side of c, which is not a member, from its value v and its bounds; `size`: magnitude of the terms of v, and its
@@ -192,7 +192,7 @@ static int qp_raise_weights(solver_t *s)
         if (qp_is_member(q->side[NV + m]) && q->raised[m] < 2 &&
             FABS(qp_offset(q, m)) > TOL_RICCATI_FEASIBILITY * size) {
             q->raised[m]++;
-            q->weight[m] *= FACTOR_RICCATI_HEAVIER;
+            q->weight[m] *= FACTOR_RICCATI_WEIGHT_RATIO;
             s->riccati.weight[m] = q->weight[m];
             qp_outdate(q, stage_of_row[m]);
             raised = 1;

@@ -47,7 +47,7 @@ static real_t ipm_cost_unit(const solver_t *s)
     }
     sum = R(0.5) * FABS(sum);
     most = (sum < most * most) ? sum : most * most;
-    way *= FACTOR_IPM_SHORT_WAY;
+    way *= FACTOR_IPM_SMALL_DISTANCE;
     return (most > way * way) ? most : way * way;
 }
 
@@ -113,7 +113,7 @@ static int ipm_increase_stiffening(ipm_t *q, real_t before)
 {
     if (q->step > FACTOR_IPM_FULL_STEP && q->primal > R(2) * TOL_IPM_PRIMAL &&
         q->primal > FACTOR_IPM_SLOW_ROWS * before && q->stiffening < q->stiffest) {
-        q->stiffening *= FACTOR_IPM_STIFFER;
+        q->stiffening *= FACTOR_IPM_STIFFENING_RATIO;
         return 1;
     }
     return 0;
@@ -359,7 +359,7 @@ static int ipm_suffices(solver_t *s, real_t merit_before)
         return 0;
     }
     q->deferred =
-        q->merit > R(1) && q->merit <= FACTOR_IPM_DEFERRED * merit_before && s->qp.iterations - q->begun <= 60;
+        q->merit > R(1) && q->merit <= FACTOR_IPM_IMPROVEMENT * merit_before && s->qp.iterations - q->begun <= 60;
     if (q->deferred) {
         return 0;
     }

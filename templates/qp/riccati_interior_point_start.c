@@ -222,7 +222,7 @@ static int ipm_is_far(const solver_t *s)
     int far = 0;
     for (int c = 0; c < NV + NG; c++) {
         const real_t d = ipm_range(&s->qp, c);
-        far |= d > R(0) && ipm_violation(s, c) > FACTOR_IPM_FAR * d;
+        far |= d > R(0) && ipm_violation(s, c) > FACTOR_IPM_WARM_VIOLATION * d;
     }
     return far;
 }

@@ -28,9 +28,9 @@ static void qp_component_sizes(solver_t *s, int full, real_t *size)
     }
 }
 
-/* Checks row c with value v, whose terms have the magnitude `size` and whose scale is `scale`. A multiplier counts only
- * if the value is at the bound that it belongs to: otherwise it becomes 0 (full), so that complementarity is checked
- * with the gradient, or the row does not hold. */
+/* Returns 1 if row c with the value v is inside its bounds, and at the bound of its multiplier, up to rounding. `size`:
+ * magnitude of its terms; `scale`: its scale. full: a multiplier whose bound the value does not reach becomes 0, and the
+ * gradient, which is checked next, then shows whether it was needed. Otherwise the row does not hold. */
 static int qp_row_holds(qp_t *q, int c, int hard, real_t v, real_t size, real_t scale, int full)
 {
     const real_t over = v - q->upper[c], under = q->lower[c] - v;

@@ -171,7 +171,7 @@ static inline real_t riccati_pivot(const riccati_t *r, real_t d, real_t referenc
     if (!r->regularize || !(d >= -unit * FABS(reference) - r->regularize_zero) || !isfinite(reference)) {
         return R(0);
     }
-    *added = FACTOR_RICCATI_RAISED * unit * reference + r->regularize_zero;
+    *added = FACTOR_RICCATI_RAISED_PIVOT * unit * reference + r->regularize_zero;
     return d + *added;
 }
 

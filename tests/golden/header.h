@@ -51,4 +51,4 @@ const char *golden_status_string(golden_status_t status);
 #endif
 
 #endif
-/* nmpc_codegen package dd2c77e71795c62a, sha256 8c6683bdc418b154787aaa2aabfd7c5c8d3089497f5a8b8583e73197ea45452f */
+/* nmpc_codegen package d9fcb70214ea8c64, sha256 7ff0f5d96bc63c97013dd54992bbac36b5435f2676b324636bc8c991f10f3d55 */

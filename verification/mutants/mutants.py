@@ -139,7 +139,7 @@ MUTANTS = (
     Mutant(
         "a function that a macro calls: what is reached",
         "src/nmpc_codegen/lowering/pruning/reach.py",
-        "waiting = macros.expanded(inside) - mentioned",
+        "waiting = macros.expand(inside) - mentioned",
         "waiting = inside - mentioned",
         ("tests/lowering/test_unit.py",),
     ),

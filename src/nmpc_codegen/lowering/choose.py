@@ -188,10 +188,10 @@ def _check_forms(condensing: Condensing, qp: QpSolver) -> None:
 
 
 def choose_hessian(problem: Problem, options: Options) -> tuple[Options, tuple[str, ...]]:
-    """The options with a Hessian, and the reason if it is not the default of the algorithm.
+    """Return the options with the Hessian of samples, and the reason if it is not the default of the algorithm.
 
-    Gauss-Newton is that of samples of a least-squares problem, whatever its rows: one step of it is short enough
-    beside an obstacle, where a step with an exact Hessian that is made convex may be far too long.
+    Samples of a least-squares problem take the Gauss-Newton Hessian, whatever the rows of the problem. An exact Hessian
+    has to be made convex near a nonconvex row, and its full step may then be far too long.
     """
     if options.hessian is not None or options.algorithm.default("hessian") != GaussNewton.name:
         return options, ()
@@ -209,8 +209,10 @@ def roomy(options: Options) -> bool:
 
 
 def solves_exactly(problem: Problem, options: Options, chosen: bool) -> bool:
-    """True if solve() has the exact Hessian although samples have another: nothing was ``chosen`` by the user, and the
-    package is not for a microcontroller, where a second Hessian is too much code."""
+    """Return True if solve() has an exact Hessian beside the Gauss-Newton one of samples.
+
+    So it is where the Hessian was ``chosen`` by the compiler, and the package is not for a microcontroller.
+    """
     approximate = isinstance(options.hessian, GaussNewton) and "qp" in options.algorithm.needs
     return approximate and chosen and roomy(options) and not problem.couples_free_start
 

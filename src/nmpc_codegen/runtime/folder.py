@@ -25,7 +25,7 @@ from nmpc_codegen.errors import ExportError, OptionError
 from nmpc_codegen.package.seal import LARGEST, has_seal, intact
 
 TEMPORARY = ".nmpc_codegen-new"
-PATIENCE = 10.0  # seconds that an export waits for another one into the same folder
+LOCK_TIMEOUT = 10.0  # seconds that an export waits for another one into the same folder
 EXAMPLE = "main.c"  # a file to start from: it is not needed, so that an edited one stays
 
 
@@ -112,7 +112,7 @@ def _alone(folder: Path) -> Iterator[None]:
     name = hashlib.sha256(os.fsencode(folder)).hexdigest()[:2]
     user = os.getuid() if hasattr(os, "getuid") else 0
     with _naming(folder, "the folder cannot be locked"):
-        lock = FileLock(Path(tempfile.gettempdir()) / f"nmpc_codegen-{user}-{name}.lock", timeout=PATIENCE)
+        lock = FileLock(Path(tempfile.gettempdir()) / f"nmpc_codegen-{user}-{name}.lock", timeout=LOCK_TIMEOUT)
         try:
             lock.acquire()
         except Timeout:

@@ -108,7 +108,7 @@ static status_t prepare_here(solver_t *s)
 /* A larger penalty, up to its limit. */
 static void stiffen(solver_t *s)
 {
-    const real_t more = FACTOR_PENALTY_RATIO * s->auglag.penalty, most = FACTOR_AUGMENTED_STIFFEST * penalty_weight[0];
+    const real_t more = FACTOR_PENALTY_RATIO * s->auglag.penalty, most = FACTOR_AUGMENTED_MOST_PENALTY * penalty_weight[0];
     s->auglag.penalty = (more < most) ? more : most;
 }
 
@@ -179,7 +179,7 @@ static status_t prepare_at_plan(solver_t *s)
     measure_plan(s, measured);
     status = prepare_here(s);
     if (REPAIR) {
-        int wanted = s->samples == 0 || s->failing > FINE || s->unconverged > 0;
+        int wanted = s->samples == 0 || s->failing > NO_FAILURE || s->unconverged > 0;
         for (int n = 0; n < REPAIRS && status == OK && wanted; n++) {
             status = run_round(s);
             s->stats.repairs++;

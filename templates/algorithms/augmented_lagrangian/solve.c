@@ -95,7 +95,7 @@ status_t API(solve)(solver_t *s, const real_t xhat[NX], real_t tol, int max_iter
     }
     memset(&s->stats, 0, sizeof s->stats);
     s->auglag.radius = initial_radius[0];
-    s->auglag.penalty = FACTOR_AUGMENTED_SOFTEST * penalty_weight[0];
+    s->auglag.penalty = FACTOR_AUGMENTED_FIRST_PENALTY_OF_SOLVE * penalty_weight[0];
     s->auglag.precision = FACTOR_AUGMENTED_PRECISION_OF_SOLVE;
     s->auglag.predicted = INF;
     status = prepare_here(s);
@@ -105,7 +105,7 @@ status_t API(solve)(solver_t *s, const real_t xhat[NX], real_t tol, int max_iter
     s->auglag.penalty = penalty_weight[0];
     s->auglag.radius = initial_radius[0];
     s->unconverged = 0;
-    s->failing = (status == OK) ? FINE : s->failing;
+    s->failing = (status == OK) ? NO_FAILURE : s->failing;
     couple_start(s, R(1));
     s->stats.violation = violation_of(s);
     return finish(s, status);

@@ -82,7 +82,7 @@ static int controls_hold(const solver_t *s, int k, const real_t *w, real_t *leas
         const real_t rounding = TOL_STEP_GRADIENT * size + TOL_ROUNDING * force_size[i];
         const real_t over = (FABS(sum) - rounding) * s->qp.inverse[k * NU + j];
         if (over > R(0) && *least <= R(0)) {
-            *least = FACTOR_STEP_GRADIENT_MOVES * TOL_STEP_GRADIENT * SQRT(cost_terms(s));
+            *least = FACTOR_STEP_GRADIENT_COST * TOL_STEP_GRADIENT * SQRT(cost_terms(s));
         }
         if (!(over <= *least)) {
             return 0;

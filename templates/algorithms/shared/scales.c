@@ -36,7 +36,7 @@ static void state_scales(const solver_t *s, real_t *size)
     }
     for (int i = 0; i < NX; i++) {
         const real_t least = FACTOR_SCALE_LITTLE_OF_STATE * z_scale[i];
-        const real_t most = FACTOR_SCALE_ESCAPE * ((s->state_size[i] > least) ? s->state_size[i] : least);
+        const real_t most = FACTOR_SCALE_STATE_GROWTH * ((s->state_size[i] > least) ? s->state_size[i] : least);
         size[i] = clip(size[i], least, most);
     }
     largest_of(size, s->xhat);

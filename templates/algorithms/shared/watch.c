@@ -1,28 +1,28 @@
 /* The watch on plans: what samples on end say of one, and how much of it is given up.
  * failing: failures. [if NODES: After the second one all states restart at the measured one, after the third one nothing
  * is kept else: After the third one the plan is forgotten, or what is kept of past steps]; and at once after a failure
- * among the first PATIENCE successes after that, which a negative failing counts. [if NODES: So it is if there is no
+ * among the first RESTART_SAMPLES successes after that, which a negative failing counts. [if NODES: So it is if there is no
  * finite linearisation at the plan (broken), or if the plan is not finite.] [if HAS_QP: A single failure may come from
  * its sample alone: then only the working set is discarded if the QP solver did not converge.]
- * [if REPAIR > 0 || !HAS_QP: unconverged: samples that were NOT_CONVERGED; after PATIENCE of them it starts anew.] [if
+ * [if REPAIR > 0 || !HAS_QP: unconverged: samples that were NOT_CONVERGED; after RESTART_SAMPLES of them it starts anew.] [if
  * LAGRANGIAN && HAS_QP: unsettled: samples in which lam changed by half its size, as the Hessian then belongs to no
- * problem; after PATIENCE / 2 of them multipliers are forgotten, after PATIENCE the plan starts anew.] */
-enum { FINE, ONCE, TWICE, FOR_GOOD };
+ * problem; after RESTART_SAMPLES / 2 of them multipliers are forgotten, after RESTART_SAMPLES the plan starts anew.] */
+enum { NO_FAILURE, FIRST_FAILURE, SECOND_FAILURE, LASTING_FAILURE };
 
 static void reset_watch(solver_t *s)
 {
-    s->failing = FINE;
+    s->failing = NO_FAILURE;
     s->unconverged = 0;
     s->unsettled = 0;
     memset(s->lam_before, 0, sizeof s->lam_before);
-    s->fresh = PATIENCE;
+    s->fresh = RESTART_SAMPLES;
     s->moved = R(0);
 }
 
 #if LAGRANGIAN && HAS_QP
 /* Returns 1 if the step of the QP moves no state or control by more than 1 / 4096 of its largest value, beyond zeros:
  * the plan stands at a solution, and multipliers that change there are not unique (as many active rows as controls). */
-static int stands_still(const solver_t *s)
+static int is_stationary(const solver_t *s)
 {
     for (int i = 0; i < NZ; i++) {
         real_t moved = R(0), size = R(0);
@@ -56,7 +56,7 @@ static void watch_multipliers(solver_t *s)
         }
     }
     memcpy(s->lam_before, s->lam, sizeof s->lam_before);
-    s->unsettled = (change > R(0.5) * size && !stands_still(s)) ? s->unsettled + 1 : 0;
+    s->unsettled = (change > R(0.5) * size && !is_stationary(s)) ? s->unsettled + 1 : 0;
 }
 #endif
 
@@ -64,10 +64,10 @@ static void watch_multipliers(solver_t *s)
 /* Gives up as much of the plan as failures on end say. */
 static void give_up(solver_t *s, status_t status)
 {
-    if (s->failing == FOR_GOOD) {
+    if (s->failing == LASTING_FAILURE) {
         forget_plan(s);
     }
-    if (s->failing >= TWICE) {
+    if (s->failing >= SECOND_FAILURE) {
         start_at_measured(s);
         if (!HAS_QP) {
             reset_search(s);
@@ -80,7 +80,7 @@ static void give_up(solver_t *s, status_t status)
 /* Gives up the plan if its simulation fails for good, and the past of steps if something else does. */
 static void give_up(solver_t *s, status_t status)
 {
-    if (s->failing == FOR_GOOD) {
+    if (s->failing == LASTING_FAILURE) {
         if (status == NUMERICAL_FAILURE) {
             forget_plan(s);
         } else {
@@ -98,31 +98,31 @@ static void watch(solver_t *s, status_t status, int broken)
     }
     s->unconverged = (status == NOT_CONVERGED) ? s->unconverged + 1 : 0;
     if (status == OK || status == RELAXED || status == NOT_CONVERGED) {
-        s->failing = (s->failing >= TWICE) ? -PATIENCE : (s->failing < FINE) ? s->failing + 1 : FINE;
+        s->failing = (s->failing >= SECOND_FAILURE) ? -RESTART_SAMPLES : (s->failing < NO_FAILURE) ? s->failing + 1 : NO_FAILURE;
         if (LAGRANGIAN && HAS_QP) {
             watch_multipliers(s);
         }
         return;
     }
-    s->failing = (s->failing < FINE) ? FOR_GOOD : s->failing + (s->failing < FOR_GOOD);
+    s->failing = (s->failing < NO_FAILURE) ? LASTING_FAILURE : s->failing + (s->failing < LASTING_FAILURE);
     if (NODES) {
-        if ((s->failing == TWICE && broken) || !plan_is_finite(s)) {
-            s->failing = FOR_GOOD;
+        if ((s->failing == SECOND_FAILURE && broken) || !plan_is_finite(s)) {
+            s->failing = LASTING_FAILURE;
         }
     }
     give_up(s, status);
 }
 
 /* Before a sample: gives up what follows from samples that did not fail. */
-static void doubt_plan(solver_t *s)
+static void restart_doubtful_plan(solver_t *s)
 {
     int given_up = 0;
     if (REPAIR > 0 || !HAS_QP) {
-        given_up |= s->unconverged >= PATIENCE;
+        given_up |= s->unconverged >= RESTART_SAMPLES;
     }
     if (LAGRANGIAN && HAS_QP) {
-        given_up |= s->unsettled >= PATIENCE;
-        if (s->unsettled == PATIENCE / 2) {
+        given_up |= s->unsettled >= RESTART_SAMPLES;
+        if (s->unsettled == RESTART_SAMPLES / 2) {
             forget_multipliers(s);
         }
     }
@@ -137,6 +137,6 @@ static void doubt_plan(solver_t *s)
         }
         s->unconverged = 0;
         s->unsettled = 0;
-        s->fresh = PATIENCE;
+        s->fresh = RESTART_SAMPLES;
     }
 }

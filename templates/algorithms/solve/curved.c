@@ -310,7 +310,7 @@ static void restore_gradients(solver_t *s)
  * found. The search starts at the last one. */
 static real_t smallest_shift(solver_t *s)
 {
-    real_t high = (s->curved.shift > FACTOR_SHIFT_KNOWN) ? s->curved.shift : FACTOR_SHIFT_FIRST;
+    real_t high = (s->curved.shift > FACTOR_SHIFT_RESTART) ? s->curved.shift : FACTOR_SHIFT_FIRST;
     int trial = 0;
     while (!is_convex(s, high)) {
         if (trial++ == MAX_SHIFTS) {
@@ -384,7 +384,7 @@ static int damp_qp(solver_t *s)
     if (!(c->damping < R(1))) {
         return 0;
     }
-    c->damping = (c->damping > R(0)) ? FACTOR_SQP_MUCH_MORE * c->damping : FACTOR_SQP_FIRST_DAMPING;
+    c->damping = (c->damping > R(0)) ? FACTOR_SQP_DAMP_STRONGLY * c->damping : FACTOR_SQP_FIRST_DAMPING;
     s->trial.length = R(0);
     s->trial.elastic = 0;
     return 1;
@@ -399,7 +399,7 @@ static int adapt_shifts(solver_t *s, status_t status)
     c->proximal = clip(
         c->proximal * ((length < R(1)) ? FACTOR_SQP_DAMP : R(1) / FACTOR_SQP_DAMP), FACTOR_SQP_LEAST_PROXIMAL, R(1));
     if (length < FACTOR_SQP_SHORT_STEP) {
-        const real_t growth = (length < FACTOR_SQP_VERY_SHORT_STEP) ? FACTOR_SQP_MUCH_MORE : FACTOR_SQP_DAMP;
+        const real_t growth = (length < FACTOR_SQP_VERY_SHORT_STEP) ? FACTOR_SQP_DAMP_STRONGLY : FACTOR_SQP_DAMP;
         c->damping = (c->damping > R(0)) ? growth * c->damping : FACTOR_SQP_FIRST_DAMPING;
     } else if (length >= R(1)) {
         c->damping = (c->damping > FACTOR_SQP_LEAST_DAMPING) ? c->damping / FACTOR_SQP_DAMP : R(0);
@@ -410,7 +410,7 @@ static int adapt_shifts(solver_t *s, status_t status)
 /* Returns 1 if steps that become ever shorter lead nowhere: another start may. */
 static int is_damped_for_ever(const solver_t *s)
 {
-    return !(s->curved.damping < FACTOR_SQP_ENDLESS_DAMPING);
+    return !(s->curved.damping < FACTOR_SQP_LAST_DAMPING);
 }
 
 /* Away from feasibility, multipliers beyond what the cost can explain are scaled down: their Hessian would hide the
@@ -418,14 +418,14 @@ static int is_damped_for_ever(const solver_t *s)
 static void bound_multipliers(solver_t *s)
 {
     const sqp_t *q = &s->sqp;
-    const real_t most = FACTOR_SQP_EXPLAINED * ((q->cost_scale > q->cost_unit) ? q->cost_scale : q->cost_unit);
+    const real_t most = FACTOR_SQP_MOST_MULTIPLIER * ((q->cost_scale > q->cost_unit) ? q->cost_scale : q->cost_unit);
     real_t largest = R(0);
     for (int k = 0; k <= N; k++) {
         for (int i = 0; i < NX; i++) {
             enlarge(&largest, s->lam[k][i] * size_or(q->state_scale[i], z_scale[i]));
         }
     }
-    if (!(q->base.violation > FACTOR_SQP_AWAY) || largest <= most) {
+    if (!(q->base.violation > FACTOR_SQP_INFEASIBLE) || largest <= most) {
         return;
     }
     for (int k = 0; k <= N; k++) {

@@ -19,14 +19,14 @@ static void start_search(solver_t *s, int attempts)
 }
 
 /* Returns 1 if the cost falls without limit: far beyond its scale, along a variable that is far beyond its own. */
-static int runs_away(const solver_t *s)
+static int cost_is_unbounded(const solver_t *s)
 {
-    if (!(s->sqp.base.cost < -FACTOR_SQP_ENDLESS * cost_size[0])) {
+    if (!(s->sqp.base.cost < -FACTOR_SQP_UNBOUNDED * cost_size[0])) {
         return 0;
     }
     for (int k = 0; k <= N; k++) {
         for (int i = 0; i < nz_at(k); i++) {
-            if (FABS(point_at(s, k, i)) > FACTOR_SQP_ENDLESS * z_scale[i]) {
+            if (FABS(point_at(s, k, i)) > FACTOR_SQP_UNBOUNDED * z_scale[i]) {
                 return 1;
             }
         }
@@ -36,7 +36,7 @@ static int runs_away(const solver_t *s)
 
 /* A new start after a search that has ended where the constraints cannot be satisfied: the states to which the controls
  * of the plan lead, and the next time those to which the reference controls do. */
-static void start_elsewhere(solver_t *s)
+static void restart_search(solver_t *s)
 {
     if (s->sqp.attempts > 0) {
         forget_plan(s);

@@ -108,12 +108,12 @@ static status_t search(solver_t *s)
     if (!q->restoring) {
         s->trial.length = R(1);
         const status_t status = line_search(s);
-        if (status == OK || !(q->base.violation > FACTOR_SQP_AT_REST * TOL_MERIT_ROUNDING)) {
+        if (status == OK || !(q->base.violation > FACTOR_SQP_RESTORATION * TOL_MERIT_ROUNDING)) {
             return status;
         }
         extend_filter(q);
         q->restoring = 1;
     }
     s->trial.length = R(1);
-    return (q->gain > FACTOR_SQP_HOPELESS * q->base.violation) ? line_search(s) : STALLED;
+    return (q->gain > FACTOR_SQP_LEAST_REDUCTION * q->base.violation) ? line_search(s) : STALLED;
 }

@@ -21,7 +21,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from nmpc_codegen.components.algorithms.extras import PATIENCE, watch_fields
+from nmpc_codegen.components.algorithms.extras import RESTART_SAMPLES, watch_fields
 from nmpc_codegen.components.algorithms.extras import ROWS as TERMS
 from nmpc_codegen.components.algorithms.real_time_iteration import SAMPLE, SOLVE, shift_entry
 from nmpc_codegen.components.algorithms.scales import cost_magnitude, row_sizes, tolerance_table, variable_scales
@@ -98,11 +98,13 @@ class AdjointShooting(Defaults):
     exceeds the weight. "barrier": logarithmic barriers, which keep a distance from the bounds, recentred in every
     sample at the end of the plan; solve() decreases their weight to 0. "lumped": the sum C of the smooth l1 terms as
     one scalar row C <= 0, whose multiplier solve() increases. Soft rows keep their penalties, and have no barriers.
-    ``penalty``: weight of the rows in their scales, the magnitudes of their declared slopes or of their bounds,
-    whichever is smaller; None: three times the largest curvature of the cost of a node along a state in its scale or N
-    slopes of a general cost, along controls if states cost nothing; for barriers a hundredth of that. With "smooth_l1",
-    "barrier" and "lumped" a continuation over the samples sharpens the max or decreases the barriers while steps are
-    accepted at once, and a sample has 3 Gauss-Newton steps of 4 trials by default.
+    ``penalty``: weight of the rows in their scales. The scale of a row is the magnitude of its slopes or that of its
+    bounds, whichever is smaller. None: three times the largest curvature of the cost of a node along a state in its
+    scale. A general cost counts with N of its slopes, a cost of controls alone with its curvature along them, and
+    barriers have a hundredth of that weight.
+
+    With "smooth_l1", "barrier" and "lumped" a continuation over the samples makes the terms sharper while steps are
+    accepted at once. A sample then has 3 Gauss-Newton steps of 4 trials by default.
 
     ``repair``: steps that a sample may add while the last one is longer than ``tolerance`` in the scale of a control
     and was not taken as a whole; 0 in packages without solve() and for microcontrollers.
@@ -291,7 +293,7 @@ class AdjointShooting(Defaults):
             ("TRIALS", self.trials or (FOLLOWED_TRIALS if followed else TRIALS), "simulations of a step at most"),
             ("MOST_TRIALS", MAX_TRIALS, "steps that any search tries, at most"),
             *(newton if self.second_order else memory),
-            ("PATIENCE", PATIENCE, "samples after which a failure is not that of one sample alone"),
+            ("RESTART_SAMPLES", RESTART_SAMPLES, "failed samples in a row after which a plan starts anew"),
             ("MOST_PENALTY", 1_000_000_000, "largest penalty of solve()"),
             ("SHIFT", int(self.shift is not None), "1: step() moves the plan before the sample"),
         )

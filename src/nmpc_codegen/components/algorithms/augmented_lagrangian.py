@@ -15,7 +15,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
-from nmpc_codegen.components.algorithms.extras import FIRST_SAMPLE, PATIENCE, SHIFT, watch_fields
+from nmpc_codegen.components.algorithms.extras import FIRST_SAMPLE, RESTART_SAMPLES, SHIFT, watch_fields
 from nmpc_codegen.components.algorithms.real_time_iteration import (
     SAMPLE,
     SAMPLES,
@@ -213,7 +213,7 @@ class AugmentedLagrangian(Defaults):
             ("LDZ", _pad(dims).value, "NZ rounded up to a multiple of 4"),
             ("VARIABLES", (dims.N.value + 1) * _pad(dims).value, "(N + 1) LDZ"),
             ("ITERATIONS", self.iterations, "Newton iterations of a sample"),
-            ("PATIENCE", PATIENCE, "samples after which a failure is not that of one sample alone"),
+            ("RESTART_SAMPLES", RESTART_SAMPLES, "failed samples in a row after which a plan starts anew"),
             *(self.absent_sizes(dims) if self.repair else ()),
             ("SHIFT", int(self.shift is not None), "1: step() moves the plan before preparing"),
             ("MAX_FACES", MAX_FACES, "faces of the box that one iteration visits"),

@@ -101,8 +101,8 @@ BENT_ROWS = Extra("bent_rows")
 FIRST_SAMPLE = Extra("first_sample")
 FIRST_CONTROL = Extra("first")
 
-#: Samples after which a failure is not that of one sample alone.
-PATIENCE = 10
+#: Failed, unconverged or unsettled samples in a row after which a plan starts anew.
+RESTART_SAMPLES = 10
 
 #: Rows as terms of single shooting, by the option ``rows``.
 ROWS = {

@@ -287,7 +287,7 @@ class RealTimeIteration(Defaults):
         return (
             *(_LEVEL_SIZES if self.levels else ()),
             *(_repairs(self.repair) if self.repair else ()),
-            ("PATIENCE", at_hooks.PATIENCE, "samples after which a failure is not that of one sample alone"),
+            ("RESTART_SAMPLES", at_hooks.RESTART_SAMPLES, "failed samples in a row after which a plan starts anew"),
             ("SHIFT", int(self.shift is not None), "1: step() moves the plan before preparing"),
             ("MAX_TRIALS", MAX_TRIALS, "halvings of the step in the line search of solve()"),
             ("MAX_ATTEMPTS", MAX_ATTEMPTS, "new starts of solve() where rows cannot be satisfied, at most"),

@@ -153,7 +153,7 @@ class ExactHessian(Defaults):
         return self.levenberg_marquardt * ca.SX.eye(n)
 
     def _store_zeros(self, routine: Routine, more: Pattern = frozenset()) -> Routine:
-        """The routine with zeros stored in the entries ``more`` and in all that a regularisation may fill."""
+        """Return the routine with zeros in the entries ``more`` and in those that a regularisation may fill."""
         if not isinstance(routine, Kernel):
             return routine
         return routine.with_zeros("Q", sorted(self._block(pattern(routine, "Q") | more, routine.outputs[-1].rows)))
@@ -163,8 +163,7 @@ class ExactHessian(Defaults):
         return fill_blocks(lower, n) if self.level == "stage" else lower
 
     def adds(self, features: Features) -> Features:
-        """The Hessian depends on multipliers; which indefinite one is changed: the block of every stage, or the reduced
-        one."""
+        """Return the features with a Hessian that depends on multipliers, and with the level of its regularisation."""
         return replace(
             features,
             lagrangian=True,

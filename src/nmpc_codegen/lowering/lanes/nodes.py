@@ -89,11 +89,10 @@ def in_lanes(names: Iterable[str], sizes: Mapping[str, int], style: CStyle) -> s
 
 
 def with_lanes(module: CModule) -> CModule:
-    """The module with the features of a target with lanes: the lanes, whether nodes are linearised and matrices are
-    multiplied in them, and which parts that needs.
+    """Return the module with the number of lanes of its target, its register tiles, and the features that follow.
 
-    A horizon of few intervals takes fewer lanes. The goal "size" takes one, and math="own" no tiles, whose sums have
-    another order.
+    A lane holds one shooting node. There are at most as many lanes as intervals, rounded down to a power of two; with
+    goal="size" there is one. Tiles change the order of sums, so that a package with math="own" has none.
     """
     target, features = module.target, module.features
     lanes = 1 if features.small else min(target.lanes, 1 << (module.value("N").bit_length() - 1))

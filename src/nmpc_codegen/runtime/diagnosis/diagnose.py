@@ -76,7 +76,7 @@ def _headline(ctrl: Memory, solved: bool, broken: bool) -> str:
 
 
 def solves_exactly(ctrl: Memory) -> bool:
-    """Whether solve() has the exact Hessian although samples have another."""
+    """Return True if solve() has an exact Hessian, and samples the Gauss-Newton one."""
     return ctrl.description.options["hessian"] == "GaussNewton" and "in_solve" in ctrl.description.members("curved")
 
 
