@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import pytest
 
-from nmpc_codegen.analysis.c_source import CMacro, Type, functions
 from nmpc_codegen.analysis.interpret import UnboundedError, WorstCase
-from nmpc_codegen.analysis.names import Unit
+from nmpc_codegen.analysis.source import Macro, Type, Unit, functions
+from tests.c_lines import in_lines
 
 
 def unit(text: str) -> WorstCase:
     known = Unit(
-        functions=functions(text),
-        macros={"R": CMacro(("x",), "((real_t)(x))"), "SQRT": CMacro((), "sqrtf"), "TWICE": CMacro(("x",), "(x + x)")},
+        functions=functions(in_lines(text)),
+        macros={"R": Macro(("x",), "((real_t)(x))"), "SQRT": Macro((), "sqrtf"), "TWICE": Macro(("x",), "(x + x)")},
         counts={"kernel": 100},
         sizes={"N": 5, "M": 3},
         tables={"first": (0, 2, 2, 7)},

@@ -10,15 +10,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from nmpc_codegen.analysis.c_source import functions
 from nmpc_codegen.analysis.interpret import WorstCase
-from nmpc_codegen.analysis.names import Unit
+from nmpc_codegen.analysis.source import Unit, functions
+from tests.c_lines import in_lines
 
 TABLES = {"first": (0, 2, 2, 7), "kind": (1, 0, 0, 1, 1, 2, 0, 1)}
 
 
 def bounds(text: str) -> WorstCase:
-    return WorstCase(Unit(functions(text), {}, {}, {"N": 5, "M": 3}, TABLES, {}, {}))
+    return WorstCase(Unit(functions(in_lines(text)), {}, {}, {"N": 5, "M": 3}, TABLES, {}, {}))
 
 
 def integer(random: Random, names: Sequence[str], depth: int = 2) -> str:

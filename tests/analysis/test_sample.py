@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -19,7 +17,6 @@ from nmpc_codegen import (
     AdjointShooting,
     AugmentedLagrangian,
     ExactHessian,
-    ExtraError,
     OptionError,
     Options,
     Osqp,
@@ -118,21 +115,6 @@ def test_every_package_has_a_worst_case(make: Callable[[], OCP], case: str) -> N
 
 def test_a_sample_in_one_call() -> None:
     assert set(worst_case(generate(crane.build_ocp(), Options(algorithm=AdjointShooting())))) == {"sample"}
-
-
-def test_what_it_needs_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "pycparser", None)
-    with pytest.raises(ExtraError, match=r"worst_case\(\) needs the package pycparser: .*\[analysis\]"):
-        worst_case({})
-
-
-def test_generate_does_without_the_parser() -> None:
-    program = "import sys, examples.crane, nmpc_codegen as n; n.generate(examples.crane.build_ocp())\n"
-    search = f"import sys; sys.path[:0] = {[str(ROOT), str(ROOT / 'src')]!r}\n"
-    told = subprocess.run(
-        [sys.executable, "-c", f"{search}{program}print('pycparser' in sys.modules)"], capture_output=True, text=True
-    )
-    assert told.stdout == "False\n", told.stderr
 
 
 def test_which_package_is_meant() -> None:

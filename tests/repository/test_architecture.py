@@ -77,7 +77,6 @@ ONLY_IN = {
         "lowering/stability",
     },
     "jinja2": {"lowering/render"},
-    "pycparser": {"analysis"},
     "cffi": {"runtime/build"},
     "cvxpy": {"economic/semidefinite"},
     "matplotlib": {"runtime/records", "cli/arguments"},

@@ -83,7 +83,7 @@ MUTANTS = (
     Mutant(
         "a count that is too small: the last test of a loop in the worst case",
         "src/nmpc_codegen/analysis/interpret.py",
-        "        return total + self.cost(node.cond, scope)",
+        "        return total + self.cost(test, scope)",
         "        return total",
         ("tests/analysis/test_interpret.py",),
     ),

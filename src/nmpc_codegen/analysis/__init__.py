@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from nmpc_codegen.errors import OptionError
-from nmpc_codegen.runtime.extras import extra
 
 
 def worst_case(package: Mapping[str, str]) -> dict[str, int]:
@@ -25,13 +24,11 @@ def worst_case(package: Mapping[str, str]) -> dict[str, int]:
         OptionError: the text does not bound them, as foreign code (OSQP) does not; or these are not the files of one
             package.
         ControllerError: <name>.json is not a package description.
-        ExtraError: pycparser is not installed.
     """
     if not isinstance(package, Mapping):
         raise OptionError(
             f"worst_case(): {type(package).__name__}; expected path -> text, e.g. what generate() returns"
         )
-    extra("pycparser", "worst_case()")
     from nmpc_codegen.analysis.sample import bound
 
     return bound(package)

@@ -5,7 +5,9 @@
 
 Integers are intervals. Sizes, entries of constant tables and counters of loops are known; members that hold a number of
 members or an index have declared ranges; all else is unknown. A branch whose condition is known is taken, a loop that
-may end early runs to its end, and a loop of unknown length is an error: its first line must then bound its passes.
+may end early runs to its end, and a loop of unknown length is an error, unless a comment in its first line bounds its
+passes: ``at most <expression> passes``, in one run or ``in <function>``. A comment ``<least> <= <variable> <= <most>``
+states the values of a variable.
 
 A variable that is set once has the value of its initialiser, which is evaluated where somebody asks for it. A loop
 whose body asks for nothing that depends on its counter is evaluated once.
@@ -13,32 +15,37 @@ whose body asks for nothing that depends on its counter is evaluated once.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from functools import partial
+import re
+from collections.abc import Callable, Iterator, Sequence
+from functools import lru_cache, partial
 
-from pycparser import c_ast
-
-from nmpc_codegen.analysis.c_source import CFunction, CMacro, Type, assigned_names, parse, type_of
-from nmpc_codegen.analysis.intervals import Range, combine, entries, truth, union
-from nmpc_codegen.analysis.loops import (
-    conjuncts,
-    counter_of,
-    is_plain,
-    is_sum_with,
-    items,
-    leaves,
-    names_in,
-    stated_passes,
+from nmpc_codegen.analysis.source import (
+    ENUM,
+    INT,
+    Code,
+    Function,
+    Macro,
+    Type,
+    Unit,
+    changed_in,
+    code_of,
+    split_head,
+    type_of,
 )
-from nmpc_codegen.analysis.names import INT, Unit
+from nmpc_codegen.lowering.pruning.constants import Range, apply_operator, truth
+from nmpc_codegen.lowering.pruning.scopes import DECLARATION, declarators, split
+from nmpc_codegen.lowering.pruning.tree import Node
 
 #: Type of a pointer to integers, which may be a constant table.
 POINTER = Type("int", 1)
 
 #: Values of an integer, or the name of a constant table.
-Value = Range | str
+Value = Range | None | str
 
 _COMPARING = ("<", ">", "<=", ">=", "==", "!=")
+_PASSES = re.compile(r"/\* at most ([^*]+?) passes(?: in (\w+))? \*/")
+_STATED = re.compile(r"/\* (-?\w+) <= (\w+) <= ([^*]+?) \*/")
+_NUMBER = re.compile(r"(0[xX][\da-fA-F]+|0|[1-9]\d*)[uUlL]*$")
 
 
 class UnboundedError(ValueError):
@@ -64,7 +71,7 @@ class Variable:
 Scope = dict[str, Variable]
 
 #: Operations of a function, and the values that it returns.
-Result = tuple[int, Range]
+Result = tuple[int, Range | None]
 
 
 class WorstCase:
@@ -74,22 +81,20 @@ class WorstCase:
         self.unit = unit
         self.running: frozenset[str] = frozenset()  # functions that count passes and are being evaluated
         self.shared: dict[str, dict[str, int]] = {}  # function -> stated number of passes -> operations of all of them
-        self.fixed: dict[c_ast.Node, int] = {}  # expression -> its operations, where they depend on no value
         # Function, functions that count passes -> arguments that were asked -> their values -> operations, result.
         self._results: dict[tuple[str, frozenset[str]], dict[tuple[int, ...], dict[tuple[Value, ...], Result]]] = {}
-        self._constants: dict[str, Range] = {name: (size, size) for name, size in unit.sizes.items()}
+        self._constants: dict[str, Range | None] = {name: (size, size) for name, size in unit.sizes.items()}
 
     def operations(self, function: str) -> int:
-        """Bound for a call with unknown arguments.
+        """Return the bound for a call with unknown arguments.
 
         Raises:
             UnboundedError: the number of passes of a loop is unknown.
         """
-        parse(self.unit.functions_below(function))
         return self.call(function, [Variable(type_) for _, type_ in self.unit.functions[function].parameters])[0]
 
     def call(self, name: str, arguments: Sequence[Variable]) -> Result:
-        """Operations and returned values of a function for these arguments; a result holds for all whose values agree
+        """Return operations and value of a function for these arguments; a result holds for all whose values agree
         where it asked for them."""
         outer = self.running
         if name in self.unit.counting:
@@ -107,300 +112,396 @@ class WorstCase:
         self.running = outer
         return found
 
-    def constant(self, name: str) -> Range:
-        """Value of a size, or of a macro without parameters."""
+    def constant(self, name: str) -> Range | None:
+        """Return the value of a size, or of a macro without parameters."""
         if name not in self._constants:
             macro = self.unit.macros.get(name)
-            known = None if macro is None or macro.parameters else macro.expression
-            self._constants[name] = _Body(self, None).value(known, {})
+            text = "" if macro is None or macro.parameters else macro.text
+            self._constants[name] = _Body(self, None).value(code_of(text), {})
         return self._constants[name]
 
 
 class _Body:
     """A function while it is evaluated; None: an expression outside of functions."""
 
-    def __init__(self, analysis: WorstCase, function: CFunction | None) -> None:
+    def __init__(self, analysis: WorstCase, function: Function | None) -> None:
         self._analysis, self._unit, self._function = analysis, analysis.unit, function
         self._name = "" if function is None else function.name
-        self._changed = set() if function is None else assigned_names(function.tree.body)
-        self._returned: list[Range] = []
+        self._text, self._code = ("", "") if function is None else (function.text, function.code)
+        self._changed = frozenset() if function is None else function.changed
+        self._returned: list[Range | None] = []
 
     def run(self, arguments: Sequence[Variable]) -> Result:
-        """Operations, and the values that are returned."""
+        """Return the operations, and the values that are returned."""
         assert self._function is not None
         scope: Scope = {}
         for (name, type_), argument in zip(self._function.parameters, arguments, strict=True):
             scope[name] = Variable(type_) if name in self._changed else argument
-        operations = self._block(items(self._function.tree.body), scope)
-        return operations, union(self._returned) if self._returned else None
+        operations = self._block(self._function.body, scope)
+        return operations, _union(self._returned) if self._returned else None
 
     # -- statements ---------------------------------------------------------------------------------------------------
 
-    def _block(self, statements: Sequence[c_ast.Node], scope: Scope) -> int:
+    def _block(self, nodes: Sequence[Node], scope: Scope) -> int:
         """Statements in sequence, up to one that leaves the block."""
         total = 0
-        for i, statement in enumerate(statements):
-            if isinstance(statement, c_ast.If):
-                return total + self._branch(statement, statements[i + 1 :], scope)
-            total += self._statement(statement, scope)
-            if leaves((statement,)):
+        for i, node in enumerate(nodes):
+            if node.kind == "if":
+                return total + self._branch(node, nodes[i + 1 :], scope)
+            total += self._statement(node, scope)
+            if node.kind == "leave":
                 break
         return total
 
-    def _branch(self, node: c_ast.If, rest: Sequence[c_ast.Node], scope: Scope) -> int:
+    def _branch(self, node: Node, rest: Sequence[Node], scope: Scope) -> int:
         """An `if` and the statements after it, which a branch that leaves the block does not reach."""
-        test, holds = self.cost(node.cond, scope), truth(self.value(node.cond, scope))
-        possible = ((node.iftrue, True), (node.iffalse, False))
-        branches = [items(branch) for branch, taken in possible if holds in (None, taken)]
+        condition = code_of(self._code[slice(*node.head)])
+        test, holds = self.cost(condition, scope), truth(self.value(condition, scope))
+        other = node.other
+        otherwise = () if other is None else (other,) if other.kind == "if" else other.body
+        branches = [branch for branch, taken in ((node.body, True), (otherwise, False)) if holds in (None, taken)]
         costs = [self._block(branch, dict(scope)) for branch in branches]
-        ends = [leaves(branch) for branch in branches]
+        ends = [bool(branch) and branch[-1].kind == "leave" for branch in branches]
         after = 0 if all(ends) else self._block(rest, scope)
         return test + max(cost if end else cost + after for cost, end in zip(costs, ends, strict=True))
 
-    def _statement(self, node: c_ast.Node | None, scope: Scope) -> int:
-        match node:
-            case None | c_ast.EmptyStatement() | c_ast.Break() | c_ast.Continue():
-                return 0
-            case c_ast.Decl():
-                return self._declaration(node, scope)
-            case c_ast.DeclList():
-                return sum(self._declaration(d, scope) for d in node.decls)
-            case c_ast.Compound() | c_ast.If():
-                return self._block(items(node), dict(scope))
-            case c_ast.For():
-                return self._for(node, scope)
-            case c_ast.While() | c_ast.DoWhile():
-                test = self.cost(node.cond, scope)
-                return self._bound_loop(node, test + self._statement(node.stmt, dict(scope)), scope) + test
-            case c_ast.Return():
+    def _statement(self, node: Node, scope: Scope) -> int:
+        text = self._code[node.start : node.end]
+        match node.kind:
+            case "comment":
+                return self._take_values(self._text[node.start : node.end], scope)
+            case "block":
+                return self._block(node.body, dict(scope))
+            case "loop":
+                return self._loop(node, scope)
+            case "statement":
+                return self._execute(text, scope) + self._take_values(self._text[node.start : node.end], scope)
+            case "leave":
+                value = code_of(text.strip().removeprefix("return").removesuffix(";"))
+                if not text.startswith("return") or value is None:
+                    return 0
                 if self._function is not None and self._function.result == INT:
-                    self._returned.append(self.value(node.expr, scope))
-            case c_ast.Pragma():
-                return self._take_values(node, scope)
-        expression = node.expr if isinstance(node, c_ast.Return) else node
-        if expression is None or not is_plain(expression):
-            return self.cost(expression, scope)
-        fixed = self._analysis.fixed
-        if expression not in fixed:
-            fixed[expression] = self.cost(expression, scope)
-        return fixed[expression]
+                    self._returned.append(self.value(value, scope))
+                return self.cost(value, scope)
+        raise UnboundedError(f"{self._name}: {text.split(chr(10))[0]} is not understood")
 
-    def _declaration(self, node: c_ast.Decl, scope: Scope) -> int:
-        cost = self.cost(node.init, scope)
-        constant = node.init is not None and node.name not in self._changed
-        later = (lambda: self.value(node.init, scope)) if constant else None
-        scope[node.name] = Variable(type_of(node.type), later=later)
-        return cost
+    def _execute(self, text: str, scope: Scope) -> int:
+        """A declaration or an expression."""
+        if found := ENUM.match(text):
+            for entry in split(found[1]):
+                name, _, value = entry.partition("=")
+                scope[name.strip()] = Variable(INT, self.value(code_of(value), scope))
+            return 0
+        if DECLARATION.match(text) is None:
+            return self.cost(code_of(text.strip().removesuffix(";")), scope)
+        base = DECLARATION.match(text)[0]  # type: ignore[index]
+        total = 0
+        for name, declarator in declarators(text):
+            head, _, value = declarator.partition("=")
+            init = code_of(value)
+            total += self.cost(init, scope)
+            later = partial(self.value, init, dict(scope)) if init is not None and name not in self._changed else None
+            scope[name] = Variable(type_of(f"{base.strip()} {head}"), later=later)
+        return total
 
-    def _take_values(self, node: c_ast.Pragma, scope: Scope) -> int:
+    def _take_values(self, comment: str, scope: Scope) -> int:
         """Values of a variable as a comment states them."""
-        name, separator, limits = node.string.partition(":")
-        if separator:
-            least, most = (self._stated_value(text, scope) for text in limits.split(";"))
+        if found := _STATED.search(comment):
+            least, most = self.value(code_of(found[1]), scope), self.value(code_of(found[3]), scope)
             if least is None or most is None:
-                raise UnboundedError(f"{self._name}: the stated values of {name} are unknown")
-            scope[name] = Variable(scope[name].type if name in scope else INT, (least[0], most[1]))
+                raise UnboundedError(f"{self._name}: the stated values of {found[2]} are unknown")
+            scope[found[2]] = Variable(scope[found[2]].type if found[2] in scope else INT, (least[0], most[1]))
         return 0
-
-    def _stated_value(self, text: str, scope: Scope) -> Range:
-        return self.value(CMacro((), text).expression, scope)
 
     # -- loops --------------------------------------------------------------------------------------------------------
 
-    def _for(self, node: c_ast.For, outer: Scope) -> int:
+    def _loop(self, node: Node, outer: Scope) -> int:
+        start, condition, step = split_head(self._code, node)
         scope = dict(outer)
-        counter = counter_of(node)
-        first = step = None
-        if counter is not None:
-            first = self.value(counter.first, scope)
-            step = (1, 1) if counter.step is None else self.value(counter.step, scope)
-        start = self._statement(node.init, scope)
-        for name in () if node.next is None else assigned_names(node.next):
+        cost = self._execute(start, scope) if start.strip() else 0
+        values = None if self._stated_passes(node) else self._values(node, start, condition, step, scope)
+        for name in _counters(step):
             scope[name] = Variable(scope[name].type if name in scope else INT)
-        if counter is not None and stated_passes(node) is None and first is not None and step is not None:
-            limits = [limit for limit in self._limits(node.cond, counter.name, counter.up, scope) if limit is not None]
-            if limits and step[0] > 0:
-                values = (
-                    range(first[0], min(high for _, high in limits), step[0])
-                    if counter.up
-                    else range(first[1], max(low for low, _ in limits), -step[0])
-                )
-                return start + self._sum_passes(node, counter.name, values, scope)
-        test = self.cost(node.cond, scope)
-        return start + self._bound_loop(node, test + self._pass(node, scope), scope) + test
+        test, move = code_of(condition), code_of(step)
+        if values is not None:
+            return cost + self._sum_passes(node, *values, test, move, scope)
+        tested = self.cost(test, scope)
+        return cost + self._bound_loop(node, tested + self._pass(node, move, scope), scope) + tested
 
-    def _pass(self, node: c_ast.For, scope: Scope) -> int:
+    def _values(self, node: Node, start: str, condition: str, step: str, scope: Scope) -> tuple[str, range] | None:
+        """The counter of a loop and its values; None where they do not follow from the text."""
+        counters = _counters(step)
+        name = next(iter(counters), "")
+        move = code_of(step)
+        if len(counters) != 1 or move is None or name in changed_in(self._code, node.body):
+            return None
+        first = self._first(name, start, scope)
+        by = (1, 1) if len(move.tree.operands) == 1 else self.value(move.operands[1], scope)
+        up = move.tree.word in ("++", "+=")
+        if first is None or by is None or by[0] <= 0 or move.tree.word not in ("++", "--", "+=", "-="):
+            return None
+        limits = [limit for limit in self._limits(code_of(condition), name, up, scope) if limit is not None]
+        if not limits:
+            return None
+        if up:
+            return name, range(first[0], min(high for _, high in limits), by[0])
+        return name, range(first[1], max(low for low, _ in limits), -by[0])
+
+    def _first(self, name: str, start: str, scope: Scope) -> Range | None:
+        """The value with which a loop starts a counter."""
+        stated = dict(declarators(start))
+        if name in stated:
+            return self.value(code_of(stated[name].partition("=")[2]), scope)
+        found = code_of(start)
+        for part in () if found is None else (found, *found.operands):
+            if (part.tree.kind, part.tree.word) == ("assign", "=") and part.operands[0].tree.word == name:
+                return self.value(part.operands[1], scope)
+        return None
+
+    def _pass(self, node: Node, move: Code | None, scope: Scope) -> int:
         """The body, and the step to the next pass."""
-        return self._statement(node.stmt, dict(scope)) + self.cost(node.next, scope)
+        return self._block(node.body, dict(scope)) + self.cost(move, scope)
 
-    def _sum_passes(self, node: c_ast.For, name: str, values: range, scope: Scope) -> int:
+    def _sum_passes(
+        self, node: Node, name: str, values: range, test: Code | None, move: Code | None, scope: Scope
+    ) -> int:
         """Sum over the passes for these values of a counter, and the last test."""
         total, type_ = 0, scope[name].type
         for value in values:
             scope[name] = Variable(type_, (value, value))
-            one = self.cost(node.cond, scope) + self._pass(node, scope)
+            one = self.cost(test, scope) + self._pass(node, move, scope)
             if not scope[name].asked:
                 total = one * len(values)
                 break
             total += one
         scope[name] = Variable(type_, (values.stop, values.stop))
-        return total + self.cost(node.cond, scope)
+        return total + self.cost(test, scope)
 
-    def _limits(self, cond: c_ast.Node | None, counter: str, up: bool, scope: Scope) -> list[Range]:
+    def _limits(self, condition: Code | None, counter: str, up: bool, scope: Scope) -> list[Range | None]:
         """Values that the counter does not reach, from comparisons of ``counter + constant`` with other values."""
         found = []
         start = scope | {counter: Variable(INT, (0, 0))}
-        for part in conjuncts(cond):
-            if not isinstance(part, c_ast.BinaryOp) or part.op not in (("<", "<=") if up else (">", ">=")):
+        for part in _conjuncts(condition):
+            if part.tree.kind != "binary" or part.tree.word not in (("<", "<=") if up else (">", ">=")):
                 continue
-            if is_sum_with(part.left, counter) and counter not in names_in(part.right):
-                limit = combine("-", self.value(part.right, scope), self.value(part.left, start))
-                found.append(combine("+" if up else "-", limit, (1, 1)) if "=" in part.op else limit)
+            left, right = part.operands
+            if _is_sum_with(left, counter) and counter not in _names(right):
+                limit = apply_operator("-", self.value(right, scope), self.value(left, start))
+                more = "=" in part.tree.word
+                found.append(apply_operator("+" if up else "-", limit, (1, 1)) if more else limit)
         return found
 
-    def _bound_loop(self, node: c_ast.Node, one_pass: int, scope: Scope) -> int:
+    def _stated_passes(self, node: Node) -> re.Match[str] | None:
+        """What the first line of a loop says about its passes."""
+        first = node.body[0] if node.body else None
+        is_comment = first is not None and first.kind == "comment"
+        return _PASSES.match(self._text, first.start) if first is not None and is_comment else None
+
+    def _bound_loop(self, node: Node, one_pass: int, scope: Scope) -> int:
         """Bound of a loop whose first line states the number of its passes, in one run or in a function."""
         if one_pass == 0:
             return 0
-        text, _, function = (stated_passes(node) or "").partition(" in ")
-        stated = self._stated_value(text, scope) if text else None
-        if stated is None:
+        comment = self._stated_passes(node)
+        stated = None if comment is None else self.value(code_of(comment[1]), scope)
+        if comment is None or stated is None:
             raise UnboundedError(f"{self._name}: the passes of a loop are unknown; expected /* at most ... passes */")
-        if function not in self._analysis.running:
+        if comment[2] not in self._analysis.running:
             return stated[1] * one_pass
-        shared = self._analysis.shared.setdefault(function, {})
-        shared[text] = max(shared.get(text, 0), stated[1] * one_pass)
+        shared = self._analysis.shared.setdefault(comment[2], {})
+        shared[comment[1]] = max(shared.get(comment[1], 0), stated[1] * one_pass)
         return one_pass
 
     # -- expressions --------------------------------------------------------------------------------------------------
 
-    def cost(self, node: c_ast.Node | None, scope: Scope) -> int:
-        """Operations of an expression."""
-        return self._measure(node, scope)[0]
+    def cost(self, code: Code | None, scope: Scope) -> int:
+        """Return the operations of an expression."""
+        return 0 if code is None else self._measure(code, scope)[0]
 
-    def _measure(self, node: c_ast.Node | None, scope: Scope) -> tuple[int, Type]:
+    def _measure(self, code: Code, scope: Scope) -> tuple[int, Type]:
         """Operations and type of an expression. Macros are expanded; their arguments count once."""
-        match node:
-            case c_ast.ID():
-                return 0, scope[node.name].type if node.name in scope else self._unit.constant(node.name)
-            case None | c_ast.Constant() | c_ast.Typename() | c_ast.UnaryOp(op="sizeof"):
-                return 0, INT
-            case c_ast.ArrayRef():
-                name, of = self._measure(node.name, scope)
-                return name + self.cost(node.subscript, scope), Type(of.base, of.depth - 1)
-            case c_ast.StructRef():
-                return self.cost(node.name, scope), self._unit.member(node.field.name)
-            case c_ast.BinaryOp():
-                return self._binary(node, scope)
-            case c_ast.UnaryOp():
-                cost, of = self._measure(node.expr, scope)
-                shift = {"*": -1, "&": 1}.get(node.op, 0)
-                return cost + (node.op == "-" and of.counts), INT if node.op == "!" else Type(of.base, of.depth + shift)
-            case c_ast.Assignment():
-                left, of = self._measure(node.lvalue, scope)
-                return left + self.cost(node.rvalue, scope) + (node.op != "=" and of.counts), of
-            case c_ast.Cast():
-                return self.cost(node.expr, scope), type_of(node.to_type.type)
-            case c_ast.TernaryOp():
-                (then, of), holds = self._measure(node.iftrue, scope), truth(self.value(node.cond, scope))
-                other = 0 if holds else self.cost(node.iffalse, scope)
-                return self.cost(node.cond, scope) + (other if holds is False else max(then, other)), of
-            case c_ast.FuncCall():
-                return self._measure_call(node, scope)
-            case c_ast.ExprList() | c_ast.InitList() | c_ast.NamedInitializer() | c_ast.CompoundLiteral():
-                return sum(self.cost(child, scope) for _, child in node.children()), INT
-        raise UnboundedError(f"{self._name}: {type(node).__name__} is not understood")
+        kind, word = code.tree.kind, code.tree.word
+        if kind == "name":
+            return 0, scope[word].type if word in scope else self._unit.constant(word)
+        if kind == "call":
+            return self._measure_call(code, scope)
+        if kind in ("binary", "assign") and len(code.tree.operands) == 2:
+            return self._measure_binary(code, scope)
+        operands = code.operands
+        if (kind, word) == ("other", "?"):
+            (then, of), holds = self._measure(operands[1], scope), truth(self.value(operands[0], scope))
+            other = 0 if holds else self.cost(operands[2], scope)
+            return self.cost(operands[0], scope) + (other if holds is False else max(then, other)), of
+        if word == "sizeof":
+            return 0, INT
+        if not operands or word == "{":
+            return sum(self.cost(operand, scope) for operand in operands), INT
+        cost, of = self._measure(operands[0], scope)
+        if kind == "index":
+            return cost + self.cost(operands[1], scope), Type(of.base, of.depth - 1)
+        if kind == "member":
+            return cost, self._unit.member(word)
+        if (kind, word) == ("other", "cast"):
+            return cost, code.cast
+        if kind == "unary":
+            shift = {"*": -1, "&": 1}.get(word, 0)
+            return cost + (word == "-" and of.counts), INT if word == "!" else Type(of.base, of.depth + shift)
+        return cost, of
 
-    def _binary(self, node: c_ast.BinaryOp, scope: Scope) -> tuple[int, Type]:
-        left, a = self._measure(node.left, scope)
-        if node.op in ("&&", "||"):
-            ends = truth(self.value(node.left, scope)) is (node.op == "||")
-            return left if ends else left + self.cost(node.right, scope), INT
-        right, b = self._measure(node.right, scope)
+    def _measure_binary(self, code: Code, scope: Scope) -> tuple[int, Type]:
+        """Operations and type of an expression with an operator between two others."""
+        word = code.tree.word
+        if word == ",":
+            return sum(self.cost(part, scope) for part in code.operands), INT
+        left_code, right_code = code.operands
+        left, a = self._measure(left_code, scope)
+        if word in ("&&", "||"):
+            ends = truth(self.value(left_code, scope)) is (word == "||")
+            return left if ends else left + self.cost(right_code, scope), INT
+        right, b = self._measure(right_code, scope)
+        if code.tree.kind == "assign":
+            return left + right + (word != "=" and a.counts), a
         of = max(a, b, key=lambda t: (t.depth, t.base == "real"))
-        return left + right + (a.counts or b.counts), INT if node.op in _COMPARING else of
+        return left + right + (a.counts or b.counts), INT if word in _COMPARING else of
 
-    def _measure_call(self, node: c_ast.FuncCall, scope: Scope) -> tuple[int, Type]:
-        name, passed = node.name.name, [] if node.args is None else node.args.exprs
-        callee = self._unit.callee(name)
-        arguments = sum(self.cost(argument, scope) for argument in passed)
+    def _measure_call(self, code: Code, scope: Scope) -> tuple[int, Type]:
+        callee = self._unit.callee(code.tree.word)
+        if callee is None:
+            raise UnboundedError(f"{self._name} calls {code.tree.word}, which is not of this package")
+        arguments = sum(self.cost(argument, scope) for argument in code.operands)
         if callee.macro is not None:
-            own, of = self._measure(callee.macro.expression, self._expand(callee.macro, passed, scope))
+            own, of = self._measure_macro(callee.macro, self._expand(callee.macro, code.operands, scope))
             return arguments + own, of
-        if callee.kind == "unknown":
-            raise UnboundedError(f"{self._name} calls {name}, which is not of this package")
-        if callee.kind == "function":
-            own = self._analysis.call(name, self._arguments(callee.parameters, passed, scope))[0]
-            return arguments + own, callee.result
-        return arguments + callee.operations, callee.result
+        if callee.function is not None:
+            function = callee.function
+            return arguments + self._analysis.call(function.name, self._bind(function, code, scope))[0], callee.result
+        return arguments + (callee.operations or 0), callee.result
 
-    def _arguments(self, types: Sequence[Type], passed: Sequence[c_ast.Node], scope: Scope) -> list[Variable]:
+    def _measure_macro(self, macro: Macro, scope: Scope) -> tuple[int, Type]:
+        found = code_of(macro.text)
+        return (0, INT) if found is None else self._measure(found, scope)
+
+    def _bind(self, function: Function, code: Code, scope: Scope) -> list[Variable]:
         """Arguments with values of integer types; for pointers to integers the tables."""
-        rules: dict[Type, Callable[[c_ast.Node, Scope], Value]] = {INT: self.value, POINTER: self._table}
+        rules: dict[Type, Callable[[Code, Scope], Value]] = {INT: self.value, POINTER: self._table}
+        types = (of for _, of in function.parameters)
+        return [
+            Variable(of, later=partial(rules[of], argument, scope) if of in rules else None)
+            for of, argument in zip(types, code.operands, strict=True)
+        ]
 
-        def bound(of: Type, argument: c_ast.Node) -> Variable:
-            return Variable(of, later=partial(rules[of], argument, scope) if of in rules else None)
-
-        return [bound(of, argument) for of, argument in zip(types, passed, strict=True)]
-
-    def _table(self, node: c_ast.Node, scope: Scope) -> Value:
+    def _table(self, code: Code, scope: Scope) -> Value:
         """The constant table that an expression names; the start of another one is unknown."""
-        if not isinstance(node, c_ast.ID):
+        name = code.tree.word
+        if code.tree.kind != "name":
             return None
-        if node.name in scope:
-            return scope[node.name].value if scope[node.name].type == POINTER else None
-        return node.name if node.name in self._unit.tables else None
+        if name in scope:
+            return scope[name].value if scope[name].type == POINTER else None
+        return name if name in self._unit.tables else None
 
-    def _expand(self, macro: CMacro, passed: Sequence[c_ast.Node], scope: Scope) -> Scope:
+    def _expand(self, macro: Macro, passed: Sequence[Code], scope: Scope) -> Scope:
         """The scope in which the parameters of a macro are its arguments."""
 
-        def bound(argument: c_ast.Node) -> Variable:
-            return Variable(self._measure(argument, scope)[1], later=lambda: self.value(argument, scope))
+        def bound(argument: Code) -> Variable:
+            return Variable(self._measure(argument, scope)[1], later=partial(self.value, argument, scope))
 
         return scope | {p: bound(a) for p, a in zip(macro.parameters, passed, strict=True)}
 
-    def value(self, node: c_ast.Node | None, scope: Scope) -> Range:
-        """Value of an integer expression."""
-        match node:
-            case c_ast.Constant(type="int" | "unsigned int" | "long int"):
-                number = int(node.value.rstrip("uUlL"), 0)
-                return number, number
-            case c_ast.ID():
-                known = scope.get(node.name)
+    def value(self, code: Code | None, scope: Scope) -> Range | None:
+        """Return the value of an integer expression."""
+        if code is None:
+            return None
+        kind, word, operands = code.tree.kind, code.tree.word, code.operands
+        match kind:
+            case "number":
+                found = _NUMBER.match(word)
+                return None if found is None else (int(found[1], 0),) * 2
+            case "name":
+                known = scope.get(word)
                 if known is None:
-                    return self._analysis.constant(node.name)
-                found = None if known.type.depth else known.value
-                return None if isinstance(found, str) else found
-            case c_ast.BinaryOp():
-                return combine(node.op, self.value(node.left, scope), self.value(node.right, scope))
-            case c_ast.StructRef():
-                return self._unit.ranges.get(node.field.name)
-            case c_ast.ArrayRef(name=c_ast.ID()):
-                table = self._table(node.name, scope)
+                    return self._analysis.constant(word)
+                value = None if known.type.depth else known.value
+                return None if isinstance(value, str) else value
+            case "group":
+                return self.value(operands[0], scope)
+            case "binary":
+                return apply_operator(word, *(self.value(operand, scope) for operand in operands))
+            case "unary" if word in "-!":
+                return apply_operator(word, self.value(operands[0], scope))
+            case "member":
+                return self._unit.ranges.get(word)
+            case "index":
+                table = self._table(operands[0], scope)
                 if not isinstance(table, str):
                     return None
-                return entries(self._unit.tables[table], self.value(node.subscript, scope))
-            case c_ast.FuncCall():
-                return self._result(node, scope)
-            case c_ast.UnaryOp(op="-"):
-                return combine("-", (0, 0), self.value(node.expr, scope))
-            case c_ast.UnaryOp(op="!"):
-                holds = truth(self.value(node.expr, scope))
-                return (0, 1) if holds is None else (int(not holds),) * 2
-            case c_ast.Cast():
-                return self.value(node.expr, scope) if type_of(node.to_type.type) == INT else None
-            case c_ast.TernaryOp():
-                holds = truth(self.value(node.cond, scope))
-                possible = [(node.iftrue, True), (node.iffalse, False)]
-                return union([self.value(branch, scope) for branch, taken in possible if holds in (None, taken)])
+                return _entries(self._unit.tables[table], self.value(operands[1], scope))
+            case "call":
+                return self._result(code, scope)
+            case "other" if word == "cast":
+                return self.value(operands[0], scope) if code.cast == INT else None
+            case "other" if word == "?":
+                holds = truth(self.value(operands[0], scope))
+                possible = ((operands[1], True), (operands[2], False))
+                return _union([self.value(branch, scope) for branch, taken in possible if holds in (None, taken)])
         return None
 
-    def _result(self, node: c_ast.FuncCall, scope: Scope) -> Range:
+    def _result(self, code: Code, scope: Scope) -> Range | None:
         """Value of a call."""
-        name, passed = node.name.name, [] if node.args is None else node.args.exprs
-        callee = self._unit.callee(name)
-        if callee.macro is not None:
-            return self.value(callee.macro.expression, self._expand(callee.macro, passed, scope))
-        if callee.kind == "function" and callee.result == INT:
-            return self._analysis.call(name, self._arguments(callee.parameters, passed, scope))[1]
+        callee = self._unit.callee(code.tree.word)
+        if callee is not None and callee.macro is not None:
+            return self.value(code_of(callee.macro.text), self._expand(callee.macro, code.operands, scope))
+        if callee is not None and callee.function is not None and callee.result == INT:
+            return self._analysis.call(callee.function.name, self._bind(callee.function, code, scope))[1]
         return None
+
+
+def _entries(table: Sequence[int], index: Range | None) -> Range | None:
+    """Entries of a table at these indices."""
+    known = index is not None and 0 <= index[0] <= index[1] < len(table)
+    among = table[index[0] : index[1] + 1] if known and index is not None else table
+    return (min(among), max(among)) if among else None
+
+
+def _union(ranges: Sequence[Range | None]) -> Range | None:
+    """An interval that contains all of them."""
+    known = [r for r in ranges if r is not None]
+    if not known or len(known) < len(ranges):
+        return None
+    return min(low for low, _ in known), max(high for _, high in known)
+
+
+@lru_cache(maxsize=4096)
+def _counters(step: str) -> tuple[str, ...]:
+    """Variables that the third part of a for loop changes."""
+    found = code_of(step)
+    if found is None:
+        return ()
+    parts = found.operands if found.tree.word == "," else (found,)
+    return tuple(part.operands[0].tree.word for part in parts if part.tree.kind == "assign")
+
+
+def _conjuncts(code: Code | None) -> Iterator[Code]:
+    """The conditions of which ``a && b && ...`` consists."""
+    if code is not None and code.tree.word == "&&":
+        for operand in code.operands:
+            yield from _conjuncts(operand)
+    elif code is not None:
+        yield code
+
+
+def _is_sum_with(code: Code, counter: str) -> bool:
+    """Return True if the expression is the counter plus terms without it."""
+    if code.tree.kind in ("name", "group"):
+        return code.tree.word == counter or (code.tree.kind == "group" and _is_sum_with(code.operands[0], counter))
+    if code.tree.kind != "binary" or code.tree.word not in ("+", "-"):
+        return False
+    left, right = code.operands
+    if code.tree.word == "-":
+        return _is_sum_with(left, counter) and counter not in _names(right)
+    found = [side for side in (left, right) if counter in _names(side)]
+    return len(found) == 1 and _is_sum_with(found[0], counter)
+
+
+def _names(code: Code) -> frozenset[str]:
+    """The names in an expression."""
+    own = frozenset({code.tree.word} if code.tree.kind == "name" else ())
+    return own.union(*(_names(operand) for operand in code.operands))

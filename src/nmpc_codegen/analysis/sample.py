@@ -5,9 +5,8 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 
-from nmpc_codegen.analysis.c_source import Type, constants, defined_macros, functions, struct_members, tables
 from nmpc_codegen.analysis.interpret import UnboundedError, WorstCase
-from nmpc_codegen.analysis.names import Unit
+from nmpc_codegen.analysis.source import Type, Unit, constants, defined_macros, functions, struct_members, tables
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.package.description import PackageDescription
 

@@ -19,7 +19,6 @@ EXTRAS = {
     "xarray": "notebook",
     "cvxpy": "economic",
     "clarabel": "economic",
-    "pycparser": "analysis",
 }
 
 

@@ -112,7 +112,7 @@ class Constants:
             case "group":
                 return self.range(found.operands[0], variables)
             case "unary" | "binary":
-                return _apply(found.word, *(self.range(operand, variables) for operand in found.operands))
+                return apply_operator(found.word, *(self.range(operand, variables) for operand in found.operands))
         return None
 
     def truth(self, found: Expression, variables: Mapping[str, Range] | None = None) -> bool | None:
@@ -164,6 +164,12 @@ def _is_operand(text: str) -> bool:
     return expression(text).kind not in ("binary", "assign", "other")
 
 
+def truth(values: Range | None) -> bool | None:
+    """Return whether an expression with these values holds; None: unknown."""
+    least, most = _truths(values)
+    return None if least < most else bool(least)
+
+
 def _truths(values: Range | None) -> Range:
     """Least and greatest truth of an expression."""
     if values is None or values[0] <= 0 <= values[1]:
@@ -171,14 +177,28 @@ def _truths(values: Range | None) -> Range:
     return (1, 1)
 
 
-def _apply(word: str, *values: Range | None) -> Range | None:
-    """The range of what an operator makes of ranges."""
+def apply_operator(word: str, *values: Range | None) -> Range | None:
+    """Return the range of what an operator makes of ranges; None: unknown."""
     if word in ("==", "!=") and None not in values:
-        equal = _truths(_apply("-", *values))
-        return equal if word == "!=" else _apply("!", equal)
+        equal = _truths(apply_operator("-", *values))
+        return equal if word == "!=" else apply_operator("!", equal)
     if word in ("!", "&&", "||"):
         values = tuple(map(_truths, values))
-    if None in values or (word, len(values)) not in _MONOTONE:
+    if None in values:
+        return None
+    if word in ("/", "%", "&"):
+        return _of_counts(word, *values)  # type: ignore[arg-type]
+    if (word, len(values)) not in _MONOTONE:
         return None
     results = [int(_MONOTONE[word, len(values)](*ends)) for ends in product(*values)]  # type: ignore[arg-type]
     return min(results), max(results)
+
+
+def _of_counts(word: str, a: Range, b: Range) -> Range | None:
+    """A number that is not negative divided by a positive constant, the rest, and the last bit of a number."""
+    if b[0] != b[1] or (word != "&" and not (a[0] >= 0 and b[0] > 0)) or (word == "&" and b[0] != 1):
+        return None
+    if word == "/":
+        return a[0] // b[0], a[1] // b[0]
+    by = 2 if word == "&" else b[0]
+    return (a[0] % by,) * 2 if a[0] == a[1] else (0, by - 1)
