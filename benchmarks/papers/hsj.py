@@ -46,8 +46,8 @@ def figure_1(run: Run) -> Exhibit:
         "The loop runs periodically between both bounds, as in the paper, which prints 3.08 g/(L h) between the "
         f"best steady state (3.0; ours {STEADY}) and a periodic trajectory of another paper (3.11). The optimum is "
         f"{OPTIMUM} with an average feed of exactly 32.9, 3.0740 with at most 32.9 and 3.71 without a limit; the "
-        f"paper does not say which one it kept. Ours is {min(worth.values()):.4f} or more. We plan with three RK4 steps "
-        "per interval, the paper with one.",
+        f"paper does not say which one it kept. Ours is {min(worth.values()):.4f} or more. We plan with three RK4 "
+        "steps per interval, the paper with one.",
         tables=[
             Table(
                 ("productivity of the last 48 h, g/(L h)", "average feed, g/L", "not OK"),

@@ -10,7 +10,7 @@
 
 #include "algorithms/shared/finish.c"
 
-#include "algorithms/shared/judged.c"
+#include "algorithms/shared/judge.c"
 
 #include "algorithms/adjoint_shooting/rows.c"
 
@@ -193,7 +193,7 @@ status_t API(step)(solver_t *s, const real_t xhat[NX], real_t u0[NU])
     if (PULLED_ROWS) {
         pull_control_back(s, u0);
     }
-    return finish(s, judged(status, s->stats.violation));
+    return finish(s, judge_residual(status, s->stats.violation));
 }
 
 #include "algorithms/adjoint_shooting/kkt.c"

@@ -78,7 +78,7 @@ status_t API(prepare)(solver_t *s)
 /* The status of a sample. */
 static status_t judge(solver_t *s, status_t status)
 {
-    status = judged(status, s->stats.residual);
+    status = judge_residual(status, s->stats.residual);
     if (status == OK && !s->auglag.settled) {
         status = NOT_CONVERGED;
     }

@@ -63,7 +63,7 @@ static status_t sqp_iteration(solver_t *s)
 
 /* KKT residuals from the linearisation of the last prepare. Returns 1 if all are at most tol, relative to their
  * terms. */
-static int kkt_converged(solver_t *s, real_t tol)
+static int kkt_is_within(solver_t *s, real_t tol)
 {
     kkt_t *kkt = &s->kkt;
     memset(kkt, 0, sizeof *kkt);
@@ -80,7 +80,7 @@ static status_t iterate(solver_t *s, real_t tol, int last)
 {
     for (;; s->stats.sqp_iterations++) {
         evaluate_iterate(s);
-        if (kkt_converged(s, tol)) {
+        if (kkt_is_within(s, tol)) {
             return OK;
         }
         if (s->stats.sqp_iterations >= last) {

@@ -1,7 +1,7 @@
 /* Gradient of J with respect to all controls, g[k][j] = dJ / du_k[j]. */
 
 /* The node's control with u_j increased; returns the increase, step max(1, |u_j|), as it is after rounding. */
-static real_t perturbed(const data_t *d, int k, int j, real_t step, real_t *u)
+static real_t perturb_control(const data_t *d, int k, int j, real_t step, real_t *u)
 {
     for (int i = 0; i < NU; i++) {
         u[i] = d->u[k][i];
@@ -22,7 +22,7 @@ status_t API(gradient_finite_differences)(const data_t *d, real_t step, trajecto
     }
     for (int k = 0; k < N; k++) {
         for (int j = 0; j < NU; j++) {
-            const real_t h = perturbed(d, k, j, step, u);
+            const real_t h = perturb_control(d, k, j, step, u);
             real_t J = t->partial[k];
             add_cost(d, k, t->x[k], u, &J);
             INTEGRATOR_VALUE(d, k, t->x[k], u, x);

@@ -8,7 +8,7 @@ static void start_hessians(const data_t *d, hessians_t *h)
     clear(&h->H[0][0][0], N * (NX + NU) * (NX + NU));
 }
 
-static status_t mirrored(hessians_t *h)
+static status_t mirror_hessians(hessians_t *h)
 {
     for (int k = 0; k < N; k++) {
         for (int i = 0; i < NX + NU; i++) {
@@ -34,7 +34,7 @@ status_t API(hessians_symmetric)(const data_t *d, const real_t lam[N * NX], hess
     for (int k = 0; k < N; k++) {
         INTERVAL_SYMMETRIC(d, k, h->x[k], d->u[k], &lam[k * NX], h->x[k + 1], h->S[k], g, h->H[k]);
     }
-    return mirrored(h);
+    return mirror_hessians(h);
 }
 
 /* Forward mode over the adjoint: the sensitivities of all stages are stored. */
@@ -48,5 +48,5 @@ status_t API(hessians_forward_over_adjoint)(const data_t *d, const real_t lam[N 
     for (int k = 0; k < N; k++) {
         INTERVAL_FORWARD_OVER_ADJOINT(d, k, h->x[k], d->u[k], &lam[k * NX], h->x[k + 1], h->S[k], g, h->H[k]);
     }
-    return mirrored(h);
+    return mirror_hessians(h);
 }

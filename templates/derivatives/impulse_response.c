@@ -40,7 +40,7 @@ status_t API(impulse_response_finite_differences)(const data_t *d, real_t step, 
     clear(&Xi[0][0][0], N * NOUT * N * NU);
     for (int k = 0; k < N; k++) {
         for (int j = 0; j < NU; j++) {
-            const real_t h = perturbed(d, k, j, step, u);
+            const real_t h = perturb_control(d, k, j, step, u);
             copy_state(x, t->x[k]);
             for (int n = k; n < N; n++) {
                 const real_t *control = (n == k) ? u : d->u[n];

@@ -29,7 +29,7 @@ static void scale_rows(solver_t *s, real_t *size)
 }
 
 /* Returns 1 if all hard rows hold up to rounding. */
-static int nothing_relaxed(const solver_t *s)
+static int hard_rows_hold(const solver_t *s)
 {
     for (int m = 0; m < NG; m++) {
         if (row_is_soft(m)) {
@@ -58,7 +58,7 @@ static status_t relax_rows(solver_t *s, status_t why)
     price_rows(s);
     status = run_qp(s);
     s->relaxation = INF;
-    if (why != INFEASIBLE && (status != OK || nothing_relaxed(s))) {
+    if (why != INFEASIBLE && (status != OK || hard_rows_hold(s))) {
         return (status == OK) ? OK : why;
     }
     name_violation(s);

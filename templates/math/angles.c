@@ -54,7 +54,7 @@ static inline real_t own_cosine(real_t r)
 }
 
 /* sin(r + quadrant pi / 2). */
-static inline real_t own_turned(real_t r, bits_t quadrant)
+static inline real_t own_turn(real_t r, bits_t quadrant)
 {
     const real_t value = own_select((quadrant & 1) != 0, own_cosine(r), own_sine(r));
     return own_number(own_bits(value) ^ ((quadrant >> 1) << SIGN_SHIFT));
@@ -65,7 +65,7 @@ static real_t own_sin(real_t x)
     bits_t quadrant;
     real_t rest;
     const real_t r = own_reduce(x, &rest, &quadrant);
-    return own_select(own_fabs(x) < TINY_ARGUMENT, x, own_turned(r, quadrant));
+    return own_select(own_fabs(x) < TINY_ARGUMENT, x, own_turn(r, quadrant));
 }
 
 static real_t own_cos(real_t x)
@@ -73,7 +73,7 @@ static real_t own_cos(real_t x)
     bits_t quadrant;
     real_t rest;
     const real_t r = own_reduce(x, &rest, &quadrant);
-    return own_turned(r, quadrant + 1);
+    return own_turn(r, quadrant + 1);
 }
 
 /* sin / cos or -cos / sin of the reduced angle, both as a number and a rest. */

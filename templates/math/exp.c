@@ -6,7 +6,7 @@ static inline real_t own_power_of_two(bits_t n)
 
 /* x 2^n without overflow or underflow of 2^n, so that results beyond the range of normal numbers are rounded only
  * once. */
-static inline real_t own_scaled(real_t x, real_t rest, bits_t n)
+static inline real_t own_scale(real_t x, real_t rest, bits_t n)
 {
     const bits_t half = ((n + 4096) >> 1) - 2048;
     const real_t factor = own_power_of_two(half);
@@ -41,7 +41,7 @@ static inline real_t own_exp_sum(real_t x, real_t y, int less)
     n = shifted - ROUNDER;
     r = (x - n * LN_2_HIGH) - (n * LN_2_LOW - y);
     r = r + (r * r) * own_exp_curve(r);
-    return own_scaled(own_all(R(1)), r, own_bits(shifted) - own_bits(own_all(ROUNDER)) - (unsigned)less);
+    return own_scale(own_all(R(1)), r, own_bits(shifted) - own_bits(own_all(ROUNDER)) - (unsigned)less);
 }
 
 static real_t own_exp(real_t x)

@@ -403,7 +403,7 @@ static status_t qp_iterate(qp_t *q)
         if (c >= 0) {
             status = qp_enforce(q, c, side, violation);
             direct = 0;
-            if (qp_cancelled(q)) {
+            if (qp_has_cancellation(q)) {
                 qp_minimize_on_working_set(q);
             }
             if (status == OK && q->changes > changes && qp_repeats(q, ++count)) {

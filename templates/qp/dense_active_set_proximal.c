@@ -86,7 +86,7 @@ static status_t qp_move_center(qp_t *q)
     }
     qp_to_working_coordinates(q, s, u);
     qp_coefficients(q, u, e);
-    const real_t total = dot(u, u, LDV), left = dot(e, e, qp_padded(q)), rounding = TOL_QP_PROXIMAL * size;
+    const real_t total = dot(u, u, LDV), left = dot(e, e, qp_panel_count(q)), rounding = TOL_QP_PROXIMAL * size;
     const int on_face = left <= TOL_QP_DEPENDENT_PREDICTION * total || left <= rounding * rounding;
     const real_t t = on_face ? qp_conjugate_step(q, s, total) : R(0);
     if (t < R(1)) {

@@ -91,7 +91,7 @@ static real_t qp_row_size(const qp_t *q, int c)
 }
 
 /* Number of members of the working set, rounded up to whole panels. */
-static int qp_padded(const qp_t *q)
+static int qp_panel_count(const qp_t *q)
 {
     return (q->nw + 3) / 4 * 4;
 }
@@ -99,13 +99,13 @@ static int qp_padded(const qp_t *q)
 /* Squared norm of the normal of member k. */
 static real_t qp_square(const qp_t *q, int k)
 {
-    return dot(q->work.basis.R[k], q->work.basis.R[k], qp_padded(q));
+    return dot(q->work.basis.R[k], q->work.basis.R[k], qp_panel_count(q));
 }
 
 /* d = Q v */
 static void qp_coefficients(const qp_t *q, const real_t *v, real_t *d)
 {
-    const int n = qp_padded(q);
+    const int n = qp_panel_count(q);
     for (int k = 0; k < n; ++k) {
         d[k] = dot(q->work.basis.Q[k], v, LDV);
     }
@@ -279,7 +279,7 @@ static void qp_set_origin(qp_t *q)
 }
 
 /* Returns 1 if y is a small difference of large terms. */
-static int qp_cancelled(const qp_t *q)
+static int qp_has_cancellation(const qp_t *q)
 {
     const real_t size = FACTOR_DENSE_CANCELLED * q->scale;
     return dot(q->work.basis.y, q->work.basis.y, LDV) < size * size;
@@ -318,7 +318,7 @@ static void qp_minimize_on_working_set(qp_t *q)
     copy(q->work.basis.y, q->y0);
     qp_move_to_bounds(q, w, q->lam, q->work.basis.y);
     qp_solve_triangle(q, q->lam);
-    if (qp_cancelled(q)) {
+    if (qp_has_cancellation(q)) {
         real_t c[LDV];
         qp_move_to_bounds(q, w, c, q->work.basis.y);
     }

@@ -146,7 +146,7 @@ static int qp_revise(solver_t *s)
 
 /* Returns 1 if the working set equals one of the first `tried` sets of this solve, compared by their hashes; records
  * it. */
-static int qp_seen(qp_t *q, int tried)
+static int qp_set_repeats(qp_t *q, int tried)
 {
     uint32_t hash = 2166136261U;
     for (int c = 0; c < NV + NG; c++) {
@@ -255,7 +255,7 @@ static status_t qp_iterate(solver_t *s, int most)
 {
     qp_t *q = &s->qp;
     int before = 0, rises = 0;
-    qp_seen(q, 0);
+    qp_set_repeats(q, 0);
     for (int tried = 1; tried <= most; tried++) {
         int changed;
         const status_t status = qp_minimize(s, &changed);
@@ -274,7 +274,7 @@ static status_t qp_iterate(solver_t *s, int most)
         if (changed == 0) {
             return qp_at_rest(q);
         }
-        if (qp_seen(q, tried)) {
+        if (qp_set_repeats(q, tried)) {
             return STALLED;
         }
         if (INTERIOR_POINT) {

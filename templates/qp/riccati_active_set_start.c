@@ -11,7 +11,7 @@ static void qp_enter(solver_t *s)
     r->regularize = 1;
     r->regularize_zero = riccati_least_pivot(s);
     for (int c = 0; c < NV; c++) {
-        q->side[c] = qp_allowed(q, c, q->side[c]);
+        q->side[c] = qp_admissible_side(q, c, q->side[c]);
         r->fixed[c] = q->side[c] != INACTIVE;
     }
     for (int m = 0; m < NG; m++) {

@@ -91,7 +91,7 @@ static void qp_set_row(solver_t *s, int m, int side)
 
 /* Returns `side`, corrected to a side that the bounds of c allow: an equation is always a member, and an infinite bound
  * has no side. */
-static inline int qp_allowed(const qp_t *q, int c, int side)
+static inline int qp_admissible_side(const qp_t *q, int c, int side)
 {
     const int no_upper = side > 0 && !(q->upper[c] < INF);
     const int no_lower = side < 0 && !(q->lower[c] > -INF);
@@ -105,7 +105,7 @@ static inline int qp_allowed(const qp_t *q, int c, int side)
 /* The same for row m: a hard row has no violated side. */
 static inline int qp_allowed_row(const qp_t *q, int m, int side)
 {
-    const int allowed = qp_allowed(q, NV + m, side);
+    const int allowed = qp_admissible_side(q, NV + m, side);
     if (qp_is_violated(allowed) && !qp_is_soft(q, m)) {
         return allowed > 0 ? AT_UPPER : AT_LOWER;
     }
@@ -119,7 +119,7 @@ static void qp_take_bounds(solver_t *s)
     for (int k = 0; k < NS; k++) {
         for (int j = 0; j < NUS; j++) {
             const int c = k * NUS + j;
-            qp_set_control(s, k, j, qp_allowed(q, c, q->side[c]));
+            qp_set_control(s, k, j, qp_admissible_side(q, c, q->side[c]));
             qp_outdate_vectors(q, c, k, s->riccati.du[c]);
         }
     }

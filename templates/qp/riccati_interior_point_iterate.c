@@ -316,7 +316,7 @@ static inline int ipm_small_residuals(const ipm_t *q)
 
 /* Returns 1 if all residuals are within their tolerance, or small and not decreasing: large weights may cause rounding
  * errors in the gradient. In that case the gaps of the dynamics are closed first. */
-static int ipm_converged(solver_t *s)
+static int ipm_has_converged(solver_t *s)
 {
     ipm_t *q = &s->ipm;
     const real_t rows_before = q->merit, gradient_before = q->slope;
@@ -488,7 +488,7 @@ static int ipm_ends_here(solver_t *s, real_t before, real_t gradient_before, int
             return 1;
         }
     }
-    done = ipm_converged(s);
+    done = ipm_has_converged(s);
     if (q->probing && (q->slope < INF || s->qp.iterations > 20) && ipm_any_violation(s)) {
         return 1;
     }

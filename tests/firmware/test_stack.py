@@ -6,7 +6,7 @@ import pytest
 
 from nmpc_codegen.errors import BuildError
 from nmpc_codegen.firmware.machine_code import Arm, RiscV
-from nmpc_codegen.firmware.stack import Function, depths, of_package, of_program, with_aliases, with_folded
+from nmpc_codegen.firmware.stack import Function, depths, of_package, of_program, with_aliases, with_folded_names
 
 GRAPH = """graph: { title: "a.c"
 node: { title: "a.c:inner" label: "inner\\na.c:1:1\\n24 bytes (static)" }
@@ -74,7 +74,7 @@ def test_a_folded_function() -> None:
     symbols = "00009001 t inner\n00009001 t twin\n00008001 T sinf\n"
     with pytest.raises(BuildError, match=r"a\.c:twin is unknown"):
         depths(of_program(PROGRAM, Arm()) | of_package(graph), {"start": "outer"})
-    functions = with_folded(of_package(graph), symbols, "a.c")
+    functions = with_folded_names(of_package(graph), symbols, "a.c")
     assert functions["a.c:twin"].frame == 24
     assert depths(of_program(PROGRAM, Arm()) | functions, {"start": "outer"})["start"].bytes == 16 + 24 + 48 + 404 + 20
 

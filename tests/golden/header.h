@@ -51,4 +51,4 @@ const char *golden_status_string(golden_status_t status);
 #endif
 
 #endif
-/* nmpc_codegen package d9fcb70214ea8c64, sha256 7ff0f5d96bc63c97013dd54992bbac36b5435f2676b324636bc8c991f10f3d55 */
+/* nmpc_codegen package 1c63b26a0286b9a5, sha256 dadb9ce6cddbcdff17e991322500d3e8c21b417300fb707d5be1ed75f754c7da */

@@ -124,7 +124,7 @@ def test_conditions(condition: str, value: bool) -> None:
         "A // 2",
         "1.5",
         "f(A)",
-        "A & 1",
+        "A ^ 1",
     ],
 )
 def test_what_is_no_condition(condition: str) -> None:

@@ -27,8 +27,8 @@ from nmpc_codegen.analysis.source import (
     Macro,
     Type,
     Unit,
-    changed_in,
     code_of,
+    find_changes,
     split_head,
     type_of,
 )
@@ -233,7 +233,7 @@ class _Body:
         counters = _counters(step)
         name = next(iter(counters), "")
         move = code_of(step)
-        if len(counters) != 1 or move is None or name in changed_in(self._code, node.body):
+        if len(counters) != 1 or move is None or name in find_changes(self._code, node.body):
             return None
         first = self._first(name, start, scope)
         by = (1, 1) if len(move.tree.operands) == 1 else self.value(move.operands[1], scope)

@@ -129,7 +129,7 @@ class Function:
     @cached_property
     def changed(self) -> frozenset[str]:
         """Variables that it changes, or whose address it takes; counters that loops declare excepted."""
-        return changed_in(self.code, self.body)
+        return find_changes(self.code, self.body)
 
 
 def _parameter_name(text: str) -> str:
@@ -137,22 +137,22 @@ def _parameter_name(text: str) -> str:
     return pointer[1] if pointer else re.findall(r"\w+", re.sub(r"\[[^\]]*\]", "", text))[-1]
 
 
-def changed_in(code: str, nodes: Sequence[Node]) -> frozenset[str]:
+def find_changes(code: str, nodes: Sequence[Node]) -> frozenset[str]:
     """Return the variables that statements change, or whose address they take; of counters that a loop declares those
     that its body changes."""
     found: set[str] = set()
     for node in nodes:
         if node.kind == "loop":
             start, *rest = split_head(code, node)
-            inside = changed_in(code, node.body)
+            inside = find_changes(code, node.body)
             counters = {name for name, _ in declarators(start)}
             texts = [*_values(start), *rest]
-            found |= inside | frozenset().union(*(_changed(text) for text in texts)) - counters
+            found |= inside | frozenset().union(*(_find_changes(text) for text in texts)) - counters
         elif node.kind in ("if", "block"):
-            found |= _changed(code[slice(*node.head)]) | changed_in(code, node.body)
-            found |= changed_in(code, (node.other,)) if node.other is not None else frozenset()
+            found |= _find_changes(code[slice(*node.head)]) | find_changes(code, node.body)
+            found |= find_changes(code, (node.other,)) if node.other is not None else frozenset()
         elif node.kind in ("statement", "leave"):
-            found = found.union(*(_changed(text) for text in _values(code[node.start : node.end])))
+            found = found.union(*(_find_changes(text) for text in _values(code[node.start : node.end])))
     return frozenset(found)
 
 
@@ -167,7 +167,7 @@ def _values(statement: str) -> list[str]:
 
 
 @lru_cache(maxsize=1 << 15)
-def _changed(text: str) -> frozenset[str]:
+def _find_changes(text: str) -> frozenset[str]:
     def walk(tree: Expression) -> set[str]:
         found = set[str]().union(*(walk(operand) for operand in tree.operands))
         if (tree.kind == "assign" or (tree.kind, tree.word) == ("unary", "&")) and tree.operands[0].kind == "name":

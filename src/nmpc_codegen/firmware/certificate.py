@@ -101,7 +101,7 @@ def _certify(
     undefined = tuple(line.split()[-1] for line in cross(target, "nm", folder, "-u", "package.o").splitlines())
     _link(target, functions, "all.elf", folder)
     graph, symbols = (folder / "package.ci").read_text(encoding="utf-8"), cross(target, "nm", folder, "all.elf")
-    frames = stack.with_folded(stack.of_package(graph), symbols, f"{name}.c")
+    frames = stack.with_folded_names(stack.of_package(graph), symbols, f"{name}.c")
     roots = {f.removeprefix(f"{name}_"): f for f in functions}
     depths = stack.depths(_library(target, folder, symbols) | frames, roots)
     alone = stack.depths({f: stack.Function() for f in undefined} | frames, roots)

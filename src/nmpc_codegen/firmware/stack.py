@@ -91,7 +91,7 @@ def with_aliases(functions: Mapping[str, Function], symbols: str) -> dict[str, F
     return found
 
 
-def with_folded(functions: Mapping[str, Function], symbols: str, unit: str) -> dict[str, Function]:
+def with_folded_names(functions: Mapping[str, Function], symbols: str, unit: str) -> dict[str, Function]:
     """The functions of a package also under the names of those that the compiler found equal to them and folded.
 
     gcc's graph has calls of such a function, but no node; in the linked program both names have one address.

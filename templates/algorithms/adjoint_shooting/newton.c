@@ -3,7 +3,7 @@
  * bounds with multipliers of the wrong sign are released where the gradient on the face has become small. */
 
 /* Products of a step at most, and the square of the relative residual of conjugate gradients. */
-static int products_allowed(const solver_t *s)
+static int most_products(const solver_t *s)
 {
     if (SOLVE) {
         return s->shooting.solving ? PRODUCTS_OF_SOLVE : MAX_PRODUCTS;
@@ -156,7 +156,7 @@ static int solve_face(solver_t *s, real_t *largest)
     real_t size = precondition(a);
     s->stats.faces++;
     memset(a->p, 0, sizeof a->p);
-    while (a->left > 0) { /* at most products_allowed(s) passes in solve_model */
+    while (a->left > 0) { /* at most most_products(s) passes in solve_model */
         if (!(size > least_part(s) * *largest)) {
             return 0;
         }
@@ -290,7 +290,7 @@ static status_t improve(solver_t *s, int trials, int *moved)
     differentiate(s);
     hold_bounds(s);
     largest = free_size(a);
-    a->left = products_allowed(s);
+    a->left = most_products(s);
     a->model = R(0);
     real_t before[NT];
     if (NT) {

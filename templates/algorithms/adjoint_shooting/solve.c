@@ -37,7 +37,7 @@ static void follow(solver_t *s, real_t tol, real_t stationarity, int moved, prog
 }
 
 /* The status of a plan that is not a solution to the tolerance. */
-static status_t unsolved(status_t of_step, status_t otherwise)
+static status_t status_without_solution(status_t of_step, status_t otherwise)
 {
     return (of_step == INFEASIBLE) ? INFEASIBLE : otherwise;
 }
@@ -58,7 +58,7 @@ static status_t iterate(solver_t *s, real_t tol, int max_iterations)
         }
         follow(s, tol, stationarity, moved, &progress);
         if (progress.failed > 1) {
-            return unsolved(status, STALLED);
+            return status_without_solution(status, STALLED);
         }
         s->stats.sqp_iterations++;
         status = improve(s, MOST_TRIALS, &moved);
@@ -70,7 +70,7 @@ static status_t iterate(solver_t *s, real_t tol, int max_iterations)
         }
     }
     (void)residual_of(s, ESTIMATE, &s->kkt);
-    return (s->kkt.relative <= tol) ? OK : unsolved(status, ITERATION_LIMIT);
+    return (s->kkt.relative <= tol) ? OK : status_without_solution(status, ITERATION_LIMIT);
 }
 
 status_t API(solve)(solver_t *s, const real_t xhat[NX], real_t tol, int max_iterations)

@@ -108,7 +108,8 @@ static status_t prepare_here(solver_t *s)
 /* A larger penalty, up to its limit. */
 static void stiffen(solver_t *s)
 {
-    const real_t more = FACTOR_PENALTY_RATIO * s->auglag.penalty, most = FACTOR_AUGMENTED_MOST_PENALTY * penalty_weight[0];
+    const real_t more = FACTOR_PENALTY_RATIO * s->auglag.penalty,
+                 most = FACTOR_AUGMENTED_MOST_PENALTY * penalty_weight[0];
     s->auglag.penalty = (more < most) ? more : most;
 }
 

@@ -68,4 +68,4 @@ static void control_sizes(const solver_t *s, real_t *size)
     }
 }
 
-#include "algorithms/shared/judged.c"
+#include "algorithms/shared/judge.c"

@@ -98,7 +98,9 @@ static void watch(solver_t *s, status_t status, int broken)
     }
     s->unconverged = (status == NOT_CONVERGED) ? s->unconverged + 1 : 0;
     if (status == OK || status == RELAXED || status == NOT_CONVERGED) {
-        s->failing = (s->failing >= SECOND_FAILURE) ? -RESTART_SAMPLES : (s->failing < NO_FAILURE) ? s->failing + 1 : NO_FAILURE;
+        s->failing = (s->failing >= SECOND_FAILURE) ? -RESTART_SAMPLES
+            : (s->failing < NO_FAILURE)             ? s->failing + 1
+                                                    : NO_FAILURE;
         if (LAGRANGIAN && HAS_QP) {
             watch_multipliers(s);
         }

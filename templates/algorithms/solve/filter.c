@@ -41,8 +41,7 @@ static int accepts(solver_t *s)
     if (q->restoring) {
         return at.cost < INF && at.violation <= base->violation - FACTOR_SQP_ARMIJO * s->trial.length * q->gain;
     }
-    if (!passes_filter(q, &at) ||
-        at.violation > FACTOR_SQP_MOST_GROWTH * base->violation + FACTOR_SQP_GROWTH_FLOOR) {
+    if (!passes_filter(q, &at) || at.violation > FACTOR_SQP_MOST_GROWTH * base->violation + FACTOR_SQP_GROWTH_FLOOR) {
         return 0;
     }
     if (descent > R(0) && base->violation <= FACTOR_FILTER_DESCENT * q->most_violation &&

@@ -161,11 +161,11 @@ class _Scopes:
                 self.hidden |= own & outer
                 self.free |= names_in_code(self.text[node.start : node.end]) - visible - own
             elif node.kind in ("if", "loop", "block"):
-                self.visit_nested(node, frozenset(visible))
+                self.visit_inside(node, frozenset(visible))
             elif node.kind != "comment":
                 self.free |= names_in_code(self.text[node.start : node.end]) - visible
 
-    def visit_nested(self, node: Node, visible: frozenset[str]) -> None:
+    def visit_inside(self, node: Node, visible: frozenset[str]) -> None:
         head = self.text[slice(*node.head)]
         counted = {name for name, _ in declarators(head.partition(";")[0])} if node.kind == "loop" else set()
         self.declared |= counted
@@ -173,4 +173,4 @@ class _Scopes:
         self.free |= names_in_code(head) - visible - counted
         self.visit(node.body, visible | counted)
         if node.other is not None:
-            self.visit_nested(node.other, visible)
+            self.visit_inside(node.other, visible)

@@ -128,7 +128,7 @@ class _Parser:
             nodes, inside, end = self.braces(at)
             return Node("block", at, end, (0, 0), inside, nodes)
         if word in ("if", "for", "while"):
-            return self.read_headed(at, "if" if word == "if" else "loop")
+            return self.read_head(at, "if" if word == "if" else "loop")
         if word in ("do", "switch", "case", "default", "goto", "else", ")", "//"):
             raise self.error(at, _DIALECT)
         return self.statement(at, word)
@@ -163,7 +163,7 @@ class _Parser:
             branches.append(Node("branch", token.start, end, head, (token.end + 1, end), nodes))
             token = following
 
-    def read_headed(self, at: int, kind: Kind) -> Node:
+    def read_head(self, at: int, kind: Kind) -> Node:
         """A loop, or an if with what stands behind its else."""
         self.place += 1
         if self.tokens[self.place].text != "(":
@@ -176,7 +176,7 @@ class _Parser:
         self.place += 1
         place, following = self.next(token.end)
         if following.text == "if" and following.start == place:
-            other = self.read_headed(place, "if")
+            other = self.read_head(place, "if")
         else:
             nodes, within, end = self.braces(token.end)
             other = Node("block", place, end, (0, 0), within, nodes)

@@ -5,7 +5,7 @@ static inline int is_far(real_t residual)
 }
 
 /* The status of a sample: NOT_CONVERGED instead of OK if its plan is far from the model. */
-static inline status_t judged(status_t status, real_t residual)
+static inline status_t judge_residual(status_t status, real_t residual)
 {
     return (status == OK && is_far(residual)) ? NOT_CONVERGED : status;
 }
