@@ -20,8 +20,8 @@ from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir import stage_products as products
 from nmpc_codegen.ir.tuning import COLUMNS
 from nmpc_codegen.package.opcount import OpCount
+from tests.components.condensing_oracle import Condensed, StageData, condense, condense_row, multipliers
 from verification.c_harness import Package, module_of
-from verification.oracles.condensing import Condensed, StageData, condense, condense_row, multipliers
 
 FUNCTIONS = (
     "condense_matrices",

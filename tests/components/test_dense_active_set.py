@@ -15,6 +15,8 @@ from hypothesis import strategies as st
 from nmpc_codegen.components.qp import REGISTRY, DenseActiveSet
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.runtime.build import PROFILES
+from tests.components import random_dense as qp_random
+from tests.components.random_dense import wrong_answer, wrong_certificate
 from verification.oracles.qp import (
     QuadraticProgram,
     by_enumeration,
@@ -23,9 +25,7 @@ from verification.oracles.qp import (
     infeasible,
     residuals,
 )
-from verification.qp import random_dense as qp_random
 from verification.qp.harness import FAST, QP, WARNINGS, qp_dims, source
-from verification.qp.random_dense import wrong_answer, wrong_certificate
 
 SIZES = [(1, 0), (4, 2), (10, 4), (23, 9), (60, 20)]
 KINDS = {

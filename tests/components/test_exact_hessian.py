@@ -29,8 +29,8 @@ from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.oracle.reference import solve_reference
 from nmpc_codegen.oracle.trajectory import Point, node_data
+from tests.components.exact_hessian_oracle import blocks, regularized, regularized_reduced
 from verification.models import couple, pendulum_of_everything
-from verification.oracles.exact_hessian import blocks, regularized, regularized_reduced
 from verification.routes import PURE
 
 Array = np.ndarray

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from riccati_harness import Shape, compiled, drawn_rows, memory_layout, source
 
-from verification.oracles.riccati import StageProblem, equality_solution, random_problem
+from tests.components.riccati_harness import Shape, compiled, drawn_rows, memory_layout, source
+from tests.components.riccati_oracle import StageProblem, equality_solution, random_problem
 
 SHAPES = {
     "smallest": Shape(1, 1, 1),

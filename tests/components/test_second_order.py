@@ -22,11 +22,11 @@ from nmpc_codegen.ir.kernel import Kernel
 from nmpc_codegen.ir.stage_products import pattern
 from nmpc_codegen.ir.sweep import Call, LoopedRoutine, Routine, Slice
 from nmpc_codegen.lowering.linearize import stage_model
+from tests.components import jets
+from tests.components.second_order_oracle import Expansion, Rate, expand
 from verification.c_harness import Routines
 from verification.models import GRID, LENGTH, discrete_map, problem_of
-from verification.oracles import jets
 from verification.oracles.runge_kutta import MODELS, POINTS, SCHEMES, Array, complex_step
-from verification.oracles.second_order import Expansion, Rate, expand
 
 TOLERANCE = 1e-12
 UNROLL = ("all", "step", "none", "auto")

@@ -16,6 +16,7 @@ from hypothesis import example, given, note, settings
 from hypothesis import strategies as st
 
 from nmpc_codegen import Options
+from tests.components.qp_plugins import Plugin, point_of, stage_form, violation
 from verification.oracles.stage_qp import (
     Point,
     Shape,
@@ -28,7 +29,6 @@ from verification.oracles.stage_qp import (
 from verification.oracles.stage_qp_random import INFEASIBLE, KINDS, SEMIDEFINITE, condensed_rows, kinds_of, random_qp
 from verification.peers import available, silent
 from verification.qp.certificate import certificate
-from verification.qp.plugins import Plugin, point_of, stage_form, violation
 from verification.qp.stage_solvers import StageSolver, build_all, solvers
 
 #: One of every structure, small enough for foreign solvers.

@@ -6,8 +6,8 @@ import pytest
 from conftest import require_tool
 
 from nmpc_codegen import OCP, RK4, ExactHessian, ExplicitRungeKutta, Options, build
+from tests.lowering.random_problems import Draw, draw
 from verification import quality
-from verification.random_problems import Draw, draw
 
 LEVELS = ("-O2", "-Os", "-O3", "-O1")
 

@@ -14,8 +14,8 @@ from examples import crane
 from nmpc_codegen import generate
 from nmpc_codegen.cli import main
 from nmpc_codegen.firmware.deviations import DEVIATIONS
+from tests.repository.misra import findings
 from tests.snippets import ROOT, blocks
-from verification.misra import findings
 
 PAGE = "docs/firmware.md"
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from verification.faults import FAULTS, Fault
+from tests.runtime.faults import FAULTS, Fault
 
 
 def test_the_table_is_long() -> None:

@@ -8,8 +8,9 @@ from conftest import require_tool
 
 from examples import crane
 from nmpc_codegen import Options, build, generate
-from verification import disagreement, scenarios
-from verification.disagreement import LIMIT, builds, replays
+from tests.verification import disagreement
+from tests.verification.disagreement import LIMIT, builds, replays
+from verification import scenarios
 from verification.rendered import texts
 from verification.routes import PURE
 from verification.samples import SAMPLES

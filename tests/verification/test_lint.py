@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from conftest import require_tool
 
-from verification import lint
+from tests.verification import lint
 from verification.conditions import covering
 from verification.rendered import lowered
 from verification.samples import SAMPLES

@@ -33,7 +33,7 @@ from nmpc_codegen.package.memory import Precision
 from nmpc_codegen.runtime.build import warnings_for
 from nmpc_codegen.runtime.native import native, runs
 from nmpc_codegen.targets import TARGETS
-from verification.lanes import LIMIT, errors
+from tests.whole.in_lanes import LIMIT, errors
 from verification.rendered import lowered
 from verification.samples import IN_LANES, SAMPLES
 from verification.timed import TIMED, Sample

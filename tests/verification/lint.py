@@ -25,7 +25,7 @@ from verification.quality import package_name, written
 from verification.rendered import lowered, texts
 from verification.timed import Sample
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 JOBS = os.cpu_count() or 1
 
 #: Tool -> command, which is followed by the file.

@@ -1,4 +1,4 @@
-"""Faults that users make or meet, and the text that each of them gives: python -m verification.faults prints them.
+"""Faults that users make or meet, and the text that each of them gives: python -m tests.runtime.faults prints them.
 
 ``says`` are the words that the text must contain: the thing, the place, the remedy; ``never`` those that do not fit.
 """
@@ -541,7 +541,7 @@ def misspelt_method() -> str:
 # Command line --------------------------------------------------------------------------------------------------------
 
 PROBLEM = """
-from verification.faults import cart
+from tests.runtime.faults import cart
 ocp = cart(initial=0.0)
 ocp.subject_to(2, ocp.x[0], 3, name="far", at=[1])
 """

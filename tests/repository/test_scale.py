@@ -1,0 +1,99 @@
+"""A scale at the door: how many lines of code a room may have.
+
+A line of code is one that holds more than a comment, a docstring or nothing. Whoever needs a higher limit raises it
+and writes beside it what the lines have bought.
+"""
+
+from __future__ import annotations
+
+import ast
+import io
+import re
+import tokenize
+from pathlib import Path
+
+import pytest
+
+from tests.repository.test_architecture import ROOT
+
+#: Room -> the largest number of lines of code, and what the last raise has bought.
+LIMITS: dict[str, tuple[int, str]] = {
+    "src/analysis": (630, ""),
+    "src/cli": (814, ""),
+    "src/components": (5055, ""),
+    "src/derivatives": (780, ""),
+    "src/economic": (1621, ""),
+    "src/firmware": (1093, ""),
+    "src/frontend": (1711, ""),
+    "src/ir": (2031, ""),
+    "src/lowering": (4058, ""),
+    "src/oracle": (474, ""),
+    "src/package": (961, ""),
+    "src/runtime": (2810, ""),
+    "templates": (16871, ""),
+    "tests": (22962, ""),
+    "verification": (7757, ""),
+    "benchmarks": (3902, ""),
+    "examples": (1335, ""),
+}
+
+_IGNORED = (tokenize.COMMENT, tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT, tokenize.ENDMARKER)
+_BLANKED = re.compile(r"/\*.*?\*/|\{#.*?#\}", re.DOTALL)
+
+
+def lines_of_python(text: str) -> int:
+    """Return the number of lines with a token of code; docstrings are none."""
+    found: set[int] = set()
+    for token in tokenize.generate_tokens(io.StringIO(text).readline):
+        if token.type not in _IGNORED:
+            found.update(range(token.start[0], token.end[0] + 1))
+    for node in ast.walk(ast.parse(text)):
+        body = getattr(node, "body", None)
+        first = body[0] if isinstance(body, list) and body else None
+        if isinstance(first, ast.Expr) and isinstance(first.value, ast.Constant) and isinstance(first.value.value, str):
+            found -= set(range(first.lineno, (first.end_lineno or 0) + 1))
+    return len(found)
+
+
+def lines_of_c(text: str) -> int:
+    """Return the number of lines that are not empty without their comments."""
+    bare = _BLANKED.sub(lambda found: "\n" * found[0].count("\n"), text)
+    return sum(1 for line in bare.split("\n") if line.strip())
+
+
+def lines_of(room: Path) -> int:
+    """Return the lines of code below a folder."""
+    total = 0
+    for path in room.rglob("*"):
+        if path.suffix == ".py":
+            total += lines_of_python(path.read_text(encoding="utf-8"))
+        elif path.suffix in (".c", ".h", ".jinja") or path.name == "Makefile":
+            total += lines_of_c(path.read_text(encoding="utf-8"))
+    return total
+
+
+def rooms() -> dict[str, Path]:
+    """Name -> folder: the rooms of src, and the other folders with code."""
+    of_source = (ROOT / "src" / "nmpc_codegen").iterdir()
+    found = {f"src/{path.name}": path for path in sorted(of_source) if (path / "__init__.py").exists()}
+    return found | {name: ROOT / name for name in ("templates", "tests", "verification", "benchmarks", "examples")}
+
+
+def test_every_room_has_a_limit() -> None:
+    assert set(LIMITS) == set(rooms())
+
+
+@pytest.mark.parametrize("room", LIMITS)
+def test_a_room_does_not_outgrow_its_limit(room: str) -> None:
+    limit, _ = LIMITS[room]
+    assert lines_of(rooms()[room]) <= limit, "delete first; a higher limit needs a sentence on what it buys"
+
+
+def test_lines_are_counted() -> None:
+    assert (
+        lines_of_python(
+            '"""Text\n\nof two."""\n\nx = 1  # one\n# none\n\ndef f():\n    """None."""\n    return """a\nb"""\n'
+        )
+        == 4
+    )
+    assert lines_of_c("/* none\n */\nint x; /* one */\n\n{# none #}\n#endif\n") == 2
