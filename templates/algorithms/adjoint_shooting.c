@@ -75,7 +75,7 @@ static void hold_states(solver_t *s)
     }
 }
 
-/* The weights of a sample[if SOLVE:; those of solve() grow]. */
+/* Sets the weights of the terms of rows for a sample[if SOLVE:; solve() increases them later]. */
 static void set_weights(solver_t *s)
 {
     if (!BARRIER_ROWS) {

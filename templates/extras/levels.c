@@ -167,7 +167,8 @@ static void refresh(solver_t *s, int level)
     }
 }
 
-/* Level A. It stores only the entries of the gradients that the model has, level C every one. */
+/* Level A: evaluates everything. The gradients that level C has filled are cleared first, as kernels store only their
+ * structural nonzeros. */
 static status_t evaluate_everything(solver_t *s)
 {
     for (int k = 0; k < N; k++) {

@@ -75,9 +75,10 @@ static int step_is_long(const step_t *step, const real_t *size)
     return is_long;
 }
 
-/* Returns 1 if a step that has been taken shows that the first control has converged: it rests at its bounds, or the
- * step moves no state by more than the tolerance in its scale, and the first control by less than a part of that, or by
- * no more than that and by less than half the step before: a plan that creeps may still be far from where it goes. */
+/* Returns 1 if the last step shows that the first control has converged. Then the control is at its bounds, or the step
+ * moves no state by more than the tolerance in its scale and the first control by less than a part of the tolerance. A
+ * longer step up to the tolerance counts as well if it is less than half the step before: otherwise a plan that moves
+ * slowly may still be far from its solution. */
 static int control_settles(solver_t *s, const step_t *step, const real_t *size)
 {
     real_t range[NU], moved = R(0);

@@ -40,7 +40,7 @@ static int qp_side_of_control(const solver_t *s, int k, int j)
 }
 
 #if NG
-/* Largest multiplier of a row, and largest multiplier / root of a row. */
+/* The largest multiplier of all rows, and the largest ratio of a multiplier and the root of its row. */
 typedef struct {
     real_t mult;
     real_t scaled;

@@ -51,4 +51,4 @@ const char *golden_status_string(golden_status_t status);
 #endif
 
 #endif
-/* nmpc_codegen package 1c63b26a0286b9a5, sha256 dadb9ce6cddbcdff17e991322500d3e8c21b417300fb707d5be1ed75f754c7da */
+/* nmpc_codegen package be2b43666ed8a6b6, sha256 08a9ddcaab50555dc32a92b9cc57339d8f83d78d4b8acd91149025cd970bb128 */

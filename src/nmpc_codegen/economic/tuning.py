@@ -203,7 +203,7 @@ def _candidates(stage: SteadyStage, lq: LinearQuadratic, steady: SteadyState, sc
 def _solve(
     lq: LinearQuadratic, weights: Weights, candidates: dict[str, Array], frequency: tuple[Frequency, Frequency]
 ) -> tuple[Certificate, str]:
-    """The certificate of the first scaling in which the program is solved; the reason, checked, if there is none."""
+    """Return the certificate of the first scaling for which the program is solved, and the name of that scaling."""
     decisive = frequency[weights.eta]
     statuses = {}
     for name, d in candidates.items():

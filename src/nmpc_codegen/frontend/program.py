@@ -158,7 +158,7 @@ def _texts(kernel: Kernel, problem: Problem) -> list[str]:
 
 
 def _step(ins: Instruction, dt: float) -> Step:
-    """An instruction in an interval of length ``dt``."""
+    """Return the step that an instruction is in an interval of length ``dt``."""
     if ins.opcode == ca.OP_CONST:
         return ("const", 0, 0, float(ins.constant))
     if ins.opcode == ca.OP_INPUT:

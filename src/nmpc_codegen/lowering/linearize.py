@@ -162,7 +162,7 @@ def _of_flat(flat: tuple[str, ...]) -> tuple[str, ...]:
 
 
 def _target_reasons(asked: Options, target: Target) -> tuple[str, ...]:
-    """What the report says of a target, of what it leaves out, and of "native" on a machine without one."""
+    """Return what the report says of the target: its name, what its packages lack, and what "native" has become."""
     if target != PORTABLE:
         left = ("solve(): left out; default of microcontrollers, Options(solve=True) adds it",)
         return (f"target: {target.name}; {target.machine}", *(() if asked.solve is not None or target.roomy else left))

@@ -230,7 +230,7 @@ def _compile_library(
 def _compile_module(
     files: Mapping[str, str], name: str, flags: Sequence[str], compiler: tuple[str, ...], module: str, folder: Path
 ) -> None:
-    """The package and its wrapper are compiled at the same time, then linked."""
+    """Compile the package and its wrapper at the same time, and link them."""
     includes = _python_includes()
     common = [*compiler, "-c", "-fPIC", "-fvisibility=hidden"]
     command = [*common, *flags, f"{name}.c", "-o", "package.o"]
@@ -334,7 +334,7 @@ def _head(output: str) -> str:
 
 
 class _Declared(cffi.FFI):  # type: ignore[misc]
-    """cffi with the declarations of a library; ``error`` is what the ffi of a module calls so."""
+    """The ffi of a library with its declarations; ``error`` is the exception that the ffi of a compiled module has too."""
 
     error = (cffi.FFIError, cffi.CDefError)
 

@@ -5,7 +5,7 @@ static real_t safe_value(const solver_t *s, int k, int j)
     return clip(isfinite(u) ? u : reference_of_control(s, k, j), control_lower(s, k, j), control_upper(s, k, j));
 }
 
-/* The controls of the plan at their references, inside their bounds. */
+/* Sets the controls of the plan to their references, clipped to their bounds. */
 static void refer_controls(solver_t *s)
 {
     for (int k = 0; k < N; k++) {

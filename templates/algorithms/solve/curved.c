@@ -267,7 +267,7 @@ static void predict_active(solver_t *s)
     }
 }
 
-/* Holds them with this curvature, in units, in place of the present one. */
+/* Gives the held rows and controls the weight `hold`, in units of their variables, in place of the present weight. */
 static void hold_active(solver_t *s, real_t hold)
 {
     curved_t *c = &s->curved;

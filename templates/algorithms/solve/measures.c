@@ -56,8 +56,8 @@ static inline const real_t *gradient_of(const solver_t *s, int k)
     return (k < N) ? s->node[k].g : s->terminal.g;
 }
 
-/* Enlarges the sizes of the states to what a control of its size changes in an interval, and what they have to reach:
- * near 0, magnitudes and steps may be no more than rounding errors. */
+/* Enlarges the sizes of the states. The size of a state is at least what a control changes in an interval, and what a
+ * hard bound demands: the value and the step of a state near 0 may be rounding errors. */
 static void enlarge_by_reach(const solver_t *s, real_t *size)
 {
     real_t u[NU];

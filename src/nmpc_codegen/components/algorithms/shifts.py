@@ -34,10 +34,10 @@ def decide_shift(shift: str | None, sampling_time: float | None, problem: Proble
 
 
 def _auto_shift(sampling_time: float | None, problem: Problem) -> tuple[str | None, str]:
-    """What shift="auto" is for a problem, and the reason.
+    """Return the shift that "auto" stands for in a problem, and the reason.
 
-    A loop on a periodic orbit that does not move its plan begins another period at every sample: where a mean over the
-    period is limited, the loop drifts off the orbit, to which one depends on rounding errors.
+    A plan on a periodic orbit has to move. One that stays begins another period at every sample. Where a row limits a
+    mean over the period, such a loop leaves the orbit, and rounding errors decide where it goes.
     """
     other_time = sampling_time is not None and not is_same_time(sampling_time, problem.dt[0])
     if problem.uniform and not problem.free_initial and not other_time and _is_periodic(problem):

@@ -100,7 +100,7 @@ class EconomicGaussNewton(Defaults):
         return np.asarray(self.M, dtype=float)
 
     def blocks(self, problem: Problem, costs: StageCosts, integrator: Integrator) -> HessianModel:
-        """Constant blocks, and that of a least-squares cost at the start."""
+        """Return the constant blocks M and M_f, and the block of a least-squares cost of x_0."""
         self.check(problem)
         M_f = np.zeros((problem.nx, problem.nx)) if self.M_f is None else np.asarray(self.M_f, dtype=float)
         path, terminal = _constant("path", "M", self._path), _constant("terminal", "M_f", M_f)

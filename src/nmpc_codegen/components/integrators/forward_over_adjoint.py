@@ -18,7 +18,7 @@ from nmpc_codegen.ir.sweep import Affine, Call, For, Node, Slice, add_notes
 
 
 class AdjointSweep(Builder):
-    """The scheme with which ThreeSweeps is compared in cost, memory and result."""
+    """Forward mode over the adjoint of an interval; ThreeSweeps gives the same result with less memory."""
 
     def body(self) -> list[Node]:
         """All nodes, which compute x_next and S from x, u, p, dt, lam and add to g and Q."""

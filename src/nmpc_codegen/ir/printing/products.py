@@ -83,7 +83,7 @@ class _Printer:
         return lines
 
     def _print_nest(self, node: Block, indent: str, names: Names, scalars: set[str]) -> list[str]:
-        """A loop or condition; an innermost loop is preceded by its loop-invariant loads."""
+        """Print a loop or a condition. The loads that do not depend on an innermost loop stand in front of it."""
         inner, lines = indent + "    ", []
         if isinstance(node, For) and len(node.body) == 1 and isinstance(node.body[0], Call):
             call = node.body[0]

@@ -48,7 +48,8 @@ def word_comments(unit: str, constants: Constants | None) -> str:
 
 
 def _word_comment(before: str, comment: str, constants: Constants | None) -> str:
-    """A comment that has this before it in its line; paragraphs with phrases are filled again."""
+    """Return a comment with its conditional phrases resolved, and its paragraphs with such phrases filled again;
+    ``before``: what stands in front of the comment in its line."""
     runs = groupby(comment.split("\n"), key=lambda line: _APART.match(line) is not None)
     margin = before if not before.strip() else ""
     lines: list[str] = []

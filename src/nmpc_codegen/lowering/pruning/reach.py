@@ -34,7 +34,7 @@ class Macros:
         self.texts = {name: text for name, _, text in known}
 
     def expand(self, names: Iterable[str]) -> set[str]:
-        """The names, and those in the macros that they are."""
+        """Return the names, and all names in the texts of the macros among them."""
         found: set[str] = set()
         waiting = set(names)
         while waiting:
