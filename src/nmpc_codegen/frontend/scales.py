@@ -79,8 +79,8 @@ def _declared_scales(problem: Problem) -> Array:
 
 
 def _width(lower: float, upper: float) -> float:
-    """Return half the distance of two bounds. A single bound, or two equal ones, give their magnitude, and bounds that stand
-    for none give 0."""
+    """Return half the distance of two bounds. A single bound, or two equal ones, give their magnitude, and bounds that
+    stand for none give 0."""
     known = [abs(b) for b in (lower, upper) if abs(b) < NO_BOUND]
     half = (upper - lower) / 2
     return half if len(known) == 2 and half > 0.0 else max(known, default=0.0)

@@ -168,7 +168,7 @@ def first_plan(problem: Problem) -> tuple[Array, Array]:
 
 
 def points(problem: Problem) -> list[tuple[Array, Array]]:
-    """Return points (x, u): the first plan, and the same with its states at the references of the path or terminal cost."""
+    """Return points (x, u): those of the first plan, and the same with the states at the references of the cost."""
     start, u = first_plan(problem)
     states = [start, *(_at_reference(stage, start) for stage in (problem.path, problem.terminal))]
     return [(x, u) for x in np.unique(states, axis=0)]
@@ -243,7 +243,7 @@ def _end_time(problem: Problem, x: Array, u: Array) -> Iterator[str]:
     ]
 
     def at(kind: str, i: int, value: float) -> tuple[Array, Array]:
-        """Return the derivatives, or the steps of a map, at all draws with element i set to ``value``, and the influence of
+        """Return the derivatives, or the steps of a map, at all draws with element i set to a value, and the influence of
         the controls there."""
         found = []
         for states, controls, parameters in draws:

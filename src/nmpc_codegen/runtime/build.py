@@ -334,7 +334,7 @@ def _head(output: str) -> str:
 
 
 class _Declared(cffi.FFI):  # type: ignore[misc]
-    """The ffi of a library with its declarations; ``error`` is the exception that the ffi of a compiled module has too."""
+    """The ffi of a library with its declarations; ``error``: the exception that the ffi of a module has, too."""
 
     error = (cffi.FFIError, cffi.CDefError)
 
