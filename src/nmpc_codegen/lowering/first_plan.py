@@ -243,8 +243,8 @@ def _end_time(problem: Problem, x: Array, u: Array) -> Iterator[str]:
     ]
 
     def at(kind: str, i: int, value: float) -> tuple[Array, Array]:
-        """Return the derivatives, or the steps of a map, at all draws with element i set to a value, and the influence of
-        the controls there."""
+        """Return the derivatives, or the steps of a map, at all draws with element i set to a value, and the influence
+        of the controls there."""
         found = []
         for states, controls, parameters in draws:
             z, p = states.copy(), parameters.copy()
