@@ -134,7 +134,7 @@ static inline real_t relaxed_price(const solver_t *s, int m)
     return R(1);
 }
 
-/* Penalty of row m in a sample; where hard rows are relaxed, theirs is that of a violation in the scale of the row. */
+/* Penalty of row m in a sample. That of a relaxed hard row is the price of a violation by the scale of the row. */
 static inline real_t row_penalty(const solver_t *s, int m)
 {
     if (SOFT_ROWS > 0 && (RELAXATION == 0 || row_is_soft(m))) {

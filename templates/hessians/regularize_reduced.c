@@ -130,7 +130,7 @@ static void hold_working_set(solver_t *s, real_t terms, real_t hold)
 
 #include "hessians/linear_curvature.c"
 
-/* Adds a share of the curvature of linear costs to the diagonal. */
+/* Adds to the diagonal a small curvature in place of that which linear costs lack. */
 static void add_linear_units(solver_t *s)
 {
     for (int c = 0; c < N * NU; c++) {

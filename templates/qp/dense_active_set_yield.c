@@ -20,8 +20,8 @@ static void qp_free_slack(qp_t *q, int c, int side)
     ++q->changes;
 }
 
-/* The entering row c with normal m may have a fixed slack, which moves from here on: *mm = |m|^2 gets its part, and the
- * multiplier of the row has no limit any more. Returns 0 if it has none. */
+/* Releases the slack of the entering row c with normal m, if it is fixed: adds the part of the slack to *mm = |m|^2 and
+ * removes the limit *left of the multiplier. Returns 0 if the row has no fixed slack. */
 static int qp_yields(qp_t *q, int c, int side, real_t *mm, real_t *left)
 {
     if (!qp_can_yield(q, c)) {

@@ -132,9 +132,9 @@ static real_t qp_member_size(const solver_t *s, int m)
     return qp_row_size(s, m) + FABS(s->qp.target[m]) + FABS(stage_row_value(s, m));
 }
 
-/* Largest distance of a member from its bound, relative to qp_member_size(). Equations at the end are members at every
- * sample: at a steady state steps vanish, some before others, and what is left of them is rounding. A distance is
- * negligible if its cost is, compared with that of the largest member. */
+/* Returns the largest distance of a member from its bound, relative to qp_member_size(). Terminal equations are members
+ * at every sample. Near a steady state their terms are rounding errors, so that a distance is negligible, too, if its
+ * cost is negligible beside that of the largest member. */
 static real_t qp_distance(const solver_t *s)
 {
     const qp_t *q = &s->qp;

@@ -1,4 +1,4 @@
-/* Contract of this part: the recursion for a working set from outside the iterations, and the scales of the rows. */
+/* Contract of this part: the recursion for the working set with which the iterations start, and the scales of rows. */
 
 /* Passes the working set, corrected for the present bounds, to the recursion and marks all factors and vectors as
  * stale. */

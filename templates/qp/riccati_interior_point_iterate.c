@@ -418,8 +418,8 @@ static int ipm_slow_equations(const ipm_t *q, real_t before)
         q->mu <= FACTOR_IPM_ACCEPTED_ROWS * TOL_IPM_GAP * q->unit && ipm_any(q, EQUATION);
 }
 
-/* The same before termination, if the residuals of the equations exceed rounding. Also returns 1 after a stretched
- * step, so that another step follows. */
+/* Returns 1 before termination if the residuals of the equations exceed rounding: the next step is then stretched. Also
+ * returns 1 after a stretched step, so that another step follows. */
 static int ipm_inexact_equations(ipm_t *q)
 {
     q->stretched = !q->stretched;

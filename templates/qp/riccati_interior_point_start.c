@@ -1,5 +1,5 @@
-/* Contract of this part: the reach of the rows and the first iterate, from the minimiser subject to the equations
- * only. */
+/* Contract of this part: how far the values of rows can move, and the first iterate. Both start from the minimiser
+ * subject to the equations alone. */
 
 /* The recursion with the present weights. If a pivot may be zero, a term is added to it, which is increased until the
  * factorisation succeeds. */

@@ -51,4 +51,4 @@ const char *golden_status_string(golden_status_t status);
 #endif
 
 #endif
-/* nmpc_codegen package be2b43666ed8a6b6, sha256 08a9ddcaab50555dc32a92b9cc57339d8f83d78d4b8acd91149025cd970bb128 */
+/* nmpc_codegen package 820f972172a57037, sha256 910916f8101f3fb65f7f66957bf60fd572612c772d24669c022b9c8baa4dc240 */

@@ -241,7 +241,8 @@ class Integrator(Component, Protocol):
         ...
 
     def integrated_product(self, problem: Problem, name: str, start: Call, more: tuple[Port, ...]) -> Routine:
-        """(x, u, p, dt, more) -> w: w of ``start`` plus the Gauss-Newton Hessian of the integrated cost times d."""
+        """Return the routine (x, u, p, dt, more) -> w. It adds H d to the w of ``start``: H is the Gauss-Newton Hessian
+        of the integrated cost, and ``more`` contains d."""
         ...
 
 
@@ -361,7 +362,7 @@ class Algorithm(Component, Protocol):
 
 @dataclass(frozen=True)
 class Parts:
-    """One component for every seam that the algorithm needs, after all choices have been made."""
+    """The components of a package: one for every interface (seam) that the algorithm needs. No choice is open."""
 
     integrator: Integrator
     algorithm: Algorithm

@@ -155,7 +155,10 @@ def _refuse_infinite(stage: SteadyStage, w: Array) -> None:
 
 
 def _refuse_failure(stage: SteadyStage, status: str, w: Array, over: Array) -> None:
-    """Raise ProblemError if IPOPT found no point at rest within the rows; ``over`` (n + rows,) the limits."""
+    """Raise ProblemError if IPOPT found no steady state that satisfies the rows.
+
+    ``over``: violations of the equilibrium and of the rows, (n + rows,).
+    """
     if status == "Diverging_Iterates":
         raise ProblemError(
             f"OCP '{stage.problem.name}': the cost has no lower bound on the steady states; bound the states and "

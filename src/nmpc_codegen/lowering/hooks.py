@@ -64,7 +64,7 @@ def with_hooks(text: str, extras: Sequence[str]) -> str:
     """The text with the calls of hooks written out.
 
     Raises:
-        ValueError: no extra defines a hook that one has to define, or several do.
+        ValueError: no extra defines a hook that needs a definition, or several extras define it.
     """
     pieces = [text] if "#endif" in text else re.split(r"(?<=\n\}\n)", text)
     return "".join(_call_hooks(piece, tuple(extras)) if _NAMED.search(piece) else piece for piece in pieces)

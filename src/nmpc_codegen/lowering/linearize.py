@@ -138,7 +138,7 @@ def linearize(problem: Problem, options: Options | None = None) -> Model:
 
 
 def _with_weights(problem: Problem, online: Online) -> Problem:
-    """The problem with weights that are stored as matrices where they can be set as such."""
+    """Return the problem with full matrices for those weights that may be set to a full matrix at run time."""
     path, terminal = (replace(s, dense_weight=online.dense_weight) for s in (problem.path, problem.terminal))
     return replace(problem, path=path, terminal=terminal)
 

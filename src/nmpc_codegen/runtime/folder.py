@@ -31,7 +31,7 @@ EXAMPLE = "main.c"  # a file to start from: it is not needed, so that an edited 
 
 @dataclass(frozen=True)
 class Change:
-    """A file to write: its place, its bytes, the old ones and their mode, and whether they belong to the user."""
+    """A file to write: its path and bytes, the bytes and the mode of the old file, and whether that is the user's."""
 
     target: Path
     data: bytes

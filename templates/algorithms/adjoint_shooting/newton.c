@@ -146,8 +146,8 @@ static int step_along(solver_t *s, real_t descent)
     return !curved;
 }
 
-/* Conjugate gradients on a face, until r' M r is at most precision^2 of its largest value. The first step, to the
- * terminal rows, does not count. Returns 1 if a bound was reached. */
+/* Runs conjugate gradients on a face until r' M r is at most precision^2 times its largest value since the step to the
+ * terminal rows, which comes first. Returns 1 if a bound was reached. */
 static int solve_face(solver_t *s, real_t *largest)
 {
     shooting_t *a = &s->shooting;

@@ -1,5 +1,5 @@
-/* lam_k as the QP yields it, whose stages are those of the problem[if NE > 0:; there, x_0 is not a variable of the
- * coupled rows]. */
+/* Copies lam_k from the QP, which has the stages of the problem[if NE > 0:, and adds the share of coupled rows, in which
+ * the QP has no x_0]. */
 static void multiplier_of_qp(const solver_t *s, int k, real_t *lam)
 {
     memcpy(lam, condense_multiplier(s, k), NX * sizeof *lam);

@@ -23,8 +23,8 @@ static int most_broken_row(const solver_t *s, real_t *h, real_t (*J)[NZ], real_t
     return worst;
 }
 
-/* Moves the first control of the plan back onto these rows, along the gradient of the one that it violates most, in the
- * scales of the controls. Returns to where it was if that leads nowhere. */
+/* Moves the first control of the plan back onto these rows: along the gradient of the row that it violates most, in the
+ * scales of the controls. Restores the control if the largest violation does not fall. */
 static void pull_back(solver_t *s)
 {
     real_t h[NH] = {R(0)}, J[NH][NZ] = {{R(0)}}, before[NU], excess = R(0), relative = R(0), first = R(0);

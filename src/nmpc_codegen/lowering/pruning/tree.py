@@ -183,7 +183,7 @@ class _Parser:
         return Node("if", at, other.end, head, inside, body, other)
 
     def skip(self) -> int:
-        """Go behind the bracket that closes the next one; returns its place."""
+        """Skip the next bracket and all inside it; return the place of the bracket that closes it."""
         depth = 0
         while self.tokens[self.place].text:
             token = self.tokens[self.place]
