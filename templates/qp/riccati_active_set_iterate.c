@@ -40,7 +40,7 @@ static int qp_side_of_control(const solver_t *s, int k, int j)
 }
 
 #if NG
-/* The largest multiplier of all rows, and the largest ratio of a multiplier and the root of its row. */
+/* The largest multiplier of the rows, and the largest quotient of a multiplier by q->root of its row. */
 typedef struct {
     real_t mult;
     real_t scaled;

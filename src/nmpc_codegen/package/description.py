@@ -79,9 +79,10 @@ class Report:
 
 @dataclass(frozen=True)
 class PackageDescription:
-    """Description of a whole package; each struct follows those that it contains, so that "solver" is last.
+    """Description of a whole package. A struct follows the structs that it contains, so that "solver" is last.
 
-    ``ranges``: integer members that limit loops -> least and largest value, for the worst case of a sample.
+    ``ranges`` gives the least and the largest value of every integer member that limits a loop; the worst case of a
+    sample follows from them.
     """
 
     name: str

@@ -20,7 +20,7 @@ static void evaluate_path(solver_t *s)
     a->cost = nodal_cost(s);
 }
 
-/* c_0 and the values of the rows, which depend on xhat[if NF > 0:; free components of x_0 have no gap]. */
+/* Evaluates what depends on xhat: the gap c_0 = xhat - x_0[if NF > 0:, 0 for free components,] and the rows. */
 static void evaluate_ends(solver_t *s)
 {
     auglag_t *a = &s->auglag;
