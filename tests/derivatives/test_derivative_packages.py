@@ -279,6 +279,8 @@ def test_page_of_the_docs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsy
     assert float(capsys.readouterr().out.split()[0]) == names["run"].cost
     assert (tmp_path / "out" / "crane_derivatives" / "crane_derivatives.c").exists()
     page = (ROOT / "docs" / "derivatives.md").read_text(encoding="utf-8")
+    for function in ("hessians_symmetric", "hessians_forward_over_adjoint", "sensitivities"):
+        assert f"{names['tools'].operations[function].total:,}" in page
     for title, rows in choice.tables().items():
         assert f"| {title} | {' | '.join(choice.CASES)} |" in page
         for row, values in rows.items():

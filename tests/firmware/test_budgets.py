@@ -24,6 +24,10 @@ def certificate() -> Certificate:
     )
 
 
+def worst() -> int:
+    return 1000
+
+
 @pytest.mark.parametrize(("text", "value"), [("6000", 6000), ("64k", 65536), ("1.5M", 1572864), ("2e6", 2000000)])
 def test_numbers(text: str, value: int) -> None:
     assert parse_size("--max-ram", text) == value
@@ -36,9 +40,9 @@ def test_what_is_no_number(text: str) -> None:
 
 
 def test_kept_budgets() -> None:
-    check(Budgets(ram=16000, flash=30000, stack=1500), description(), certificate())
-    check(Budgets(ram=10**6), description(), None)
-    check(Budgets(), description(), None)
+    check(Budgets(ram=16000, flash=30000, stack=1500), description(), certificate(), worst)
+    check(Budgets(ram=10**6), description(), None, worst)
+    check(Budgets(), description(), None, worst)
 
 
 @pytest.mark.parametrize(
@@ -52,15 +56,15 @@ def test_kept_budgets() -> None:
 )
 def test_exceeded_budgets(budgets: Budgets, says: str) -> None:
     with pytest.raises(OptionError, match=says):
-        check(budgets, description(), certificate(), lambda: 1000)
+        check(budgets, description(), certificate(), worst)
 
 
 def test_all_excesses_are_named() -> None:
     with pytest.raises(OptionError, match=r"--max-ram 1: .*; --max-flash 1: "):
-        check(Budgets(ram=1, flash=1), description(), certificate())
+        check(Budgets(ram=1, flash=1), description(), certificate(), worst)
 
 
 @pytest.mark.parametrize("name", ["flash", "stack"])
 def test_what_needs_a_target(name: str) -> None:
     with pytest.raises(OptionError, match=f"--max-{name} needs --target"):
-        check(Budgets(**{name: 1}), description(), None)
+        check(Budgets(**{name: 1}), description(), None, worst)

@@ -27,7 +27,7 @@ BUDGETS = {
 }
 
 #: Flags without a meaning for --derivatives.
-OF_CONTROLLERS = (*("allow_foreign", "check", "simulate", "allow_failures", "plot", "target", "level", "verify"),)
+OF_CONTROLLERS = ("allow_foreign", "check", "simulate", "allow_failures", "plot", "target", "level", "verify")
 
 DERIVATIVES = (
     "in place of a controller, write functions for gradients, sensitivities and second derivatives of the simulated "

@@ -199,7 +199,7 @@ _HESSIANS = (
     ),
     EntryPoint(
         "hessians_forward_over_adjoint",
-        "The same by the forward mode over the adjoint.",
+        "h->H, states and [A B] as hessians_symmetric gives them, by the forward mode over the adjoint.",
         (_DATA, _LAM),
         (_H,),
     ),

@@ -53,7 +53,7 @@ def check(
     budgets: Budgets,
     description: PackageDescription,
     certificate: Certificate | None,
-    worst: Callable[[], int] = lambda: 0,
+    worst: Callable[[], int],
 ) -> None:
     """Compare the package with the budgets; ``worst`` gives the operations of a sample at most.
 
