@@ -120,9 +120,10 @@ def build(ocp: OCP, options: Options | None = None, profile: str = "fast", name:
     Args:
         ocp: the problem; it may be changed and built again.
         options: Options(...); what is not given is chosen, and ``controller.description.report.choices`` says why.
-            Options(target="native") takes the vector registers of this machine.
-        profile: flags of the compiler besides those of the target: "fast", "verify" without contraction of a * b + c,
-            "test" to compile quickly.
+            Options(target="native") writes the code itself for the vector registers of this machine.
+        profile: flags of the compiler besides those of the target: "fast" with all instructions of this processor
+            (-march=native), "verify" without them and without contraction of a * b + c, whose results are therefore
+            those of any machine to the bit, "test" to compile quickly.
         name: prefix of the C names; by default that of the problem.
 
     Returns:

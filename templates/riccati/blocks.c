@@ -1,34 +1,34 @@
-/* Four rows of a matrix product: c[r][j] += sum_{l<n} a[l][r] b[l][j], r < 4, j < 8. */
-static inline void riccati_block_8(real_t *c, int ldc, const real_t *a, int lda, const real_t *b, int ldb, int n)
+/* Four rows of a matrix product: c[r][j] += sum_{l<n} a[l][r] b[l][j],  r < 4, j < BLOCK_WIDTH. */
+static inline void riccati_block(real_t *c, int ldc, const real_t *a, int lda, const real_t *b, int ldb, int n)
 {
-    real_t s0[8] = {0}, s1[8] = {0}, s2[8] = {0}, s3[8] = {0};
+    real_t s0[BLOCK_WIDTH] = {0}, s1[BLOCK_WIDTH] = {0}, s2[BLOCK_WIDTH] = {0}, s3[BLOCK_WIDTH] = {0};
     for (int l = 0; l < n; l++) {
         const real_t a0 = a[0], a1 = a[1], a2 = a[2], a3 = a[3];
-        for (int i = 0; i < 8; i++) {
+        for (int i = 0; i < BLOCK_WIDTH; i++) {
             s0[i] += a0 * b[i];
         }
-        for (int i = 0; i < 8; i++) {
+        for (int i = 0; i < BLOCK_WIDTH; i++) {
             s1[i] += a1 * b[i];
         }
-        for (int i = 0; i < 8; i++) {
+        for (int i = 0; i < BLOCK_WIDTH; i++) {
             s2[i] += a2 * b[i];
         }
-        for (int i = 0; i < 8; i++) {
+        for (int i = 0; i < BLOCK_WIDTH; i++) {
             s3[i] += a3 * b[i];
         }
         a += lda;
         b += ldb;
     }
-    for (int i = 0; i < 8; i++) {
+    for (int i = 0; i < BLOCK_WIDTH; i++) {
         c[i] += s0[i];
     }
-    for (int i = 0; i < 8; i++) {
+    for (int i = 0; i < BLOCK_WIDTH; i++) {
         c[ldc + i] += s1[i];
     }
-    for (int i = 0; i < 8; i++) {
+    for (int i = 0; i < BLOCK_WIDTH; i++) {
         c[2 * ldc + i] += s2[i];
     }
-    for (int i = 0; i < 8; i++) {
+    for (int i = 0; i < BLOCK_WIDTH; i++) {
         c[3 * ldc + i] += s3[i];
     }
 }
@@ -72,8 +72,8 @@ static inline void riccati_block_4(real_t *c, int ldc, const real_t *a, int lda,
 static void riccati_rows(real_t *c, int ldc, const real_t *a, int lda, const real_t *b, int ldb, int n, int width)
 {
     int j;
-    for (j = 0; j + 8 <= width; j += 8) {
-        riccati_block_8(c + j, ldc, a, lda, b + j, ldb, n);
+    for (j = 0; j + BLOCK_WIDTH <= width; j += BLOCK_WIDTH) {
+        riccati_block(c + j, ldc, a, lda, b + j, ldb, n);
     }
     if (j < width) {
         riccati_block_4(c + j, ldc, a, lda, b + j, ldb, n);

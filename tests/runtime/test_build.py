@@ -18,10 +18,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import missing
+from conftest import missing, require_tool
 
 from nmpc_codegen.errors import BuildError, ControllerError, OptionError
-from nmpc_codegen.runtime import cache, compilers
+from nmpc_codegen.runtime import cache, compilers, native
 from nmpc_codegen.runtime.build import PROFILES, WARNINGS, Profile, compile_module, load
 from nmpc_codegen.runtime.cache import cache_directory
 from nmpc_codegen.runtime.native import runs
@@ -53,6 +53,10 @@ def test_profiles_are_those_of_the_architecture() -> None:
         "fast": "-O2 -fno-math-errno -fno-trapping-math -ffp-contract=fast",
         "verify": "-O2 -fno-math-errno -fno-trapping-math -ffp-contract=off",
     }
+    assert [p.name for p in PROFILES.values() if p.native] == ["fast"]
+    assert PROFILES["fast"].all_flags()[-1] in ("-march=native", "-mcpu=native", "-ffp-contract=fast")
+    assert PROFILES["fast"].all_flags(TARGETS["x86-64-v3"])[-1] == "-march=x86-64-v3"
+    assert PROFILES["verify"].all_flags() == PROFILES["verify"].flags
 
 
 @pytest.mark.few(1)
@@ -143,9 +147,46 @@ def test_moves_may_be_unaligned_where_the_assembler_can_encode_them(tmp_path: Pa
 
 
 def test_native_target_is_resolved(compiler: tuple[str, ...]) -> None:
-    native = build._identity(compiler, ("-march=native",), os.environ["PATH"])
-    assert native != build._identity(compiler, (), os.environ["PATH"])
-    assert build._identity.__wrapped__(compiler, ("-march=native",), "") == native
+    known = build._identity(compiler, ("-march=native",), os.environ["PATH"])
+    assert known != build._identity(compiler, (), os.environ["PATH"])
+    assert build._identity.__wrapped__(compiler, ("-march=native",), "") == known
+
+
+#: A compiler on another processor: what -march=native stands for there.
+ELSEWHERE = """#!/bin/sh
+for argument; do
+    shift
+    if [ "$argument" = -march=native ]; then argument=-march={processor}; fi
+    set -- "$@" "$argument"
+done
+exec gcc "$@"
+"""
+
+
+def test_library_of_another_processor_is_built_anew(
+    toy_files: Files, cold: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Machines may share a cache: each finds its own library, and none that has instructions of another one."""
+    require_tool("gcc")
+    if platform.machine() != "x86_64":
+        pytest.skip("the processors are those of x86")
+    script = tmp_path / "cc"
+    monkeypatch.setenv("CC", str(script))
+    for kept, processor in enumerate(("x86-64", "x86-64-v2", "x86-64", "x86-64-v2")):
+        script.write_text(ELSEWHERE.format(processor=processor))
+        script.chmod(0o755)
+        for known in (build._identity, native._macros):
+            known.cache_clear()
+        load(toy_files, "toy", "fast")
+        assert len(modules(cold)) == min(kept + 1, 2)
+
+
+def test_compiler_without_flags_for_its_processor(monkeypatch: pytest.MonkeyPatch) -> None:
+    known: dict[tuple[str, ...], dict[str, str]] = {("-mcpu=native",): {"__ARM": "1"}}
+    monkeypatch.setattr(native, "macros_of", lambda compiler, flags=(): known.get(flags, {}))
+    assert native.flags_of_processor() == ("-mcpu=native",)
+    known.clear()
+    assert native.flags_of_processor() == ()
 
 
 def test_cache_directory_that_cannot_be_written(

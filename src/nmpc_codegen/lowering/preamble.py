@@ -41,6 +41,7 @@ def preamble(
     """Short names of those types of the package ``name``, and those macros of ``known``, that a text with the
     identifiers ``body`` uses; ``renamed``: inner name -> new name; ``docs``: what sizes of this unit alone are."""
     found, used = definitions(known, body)
+    chosen = [text for macro, text in CHOSEN.items() if macro in used]
     inner = [rename(f"{short}_t", renamed) for short in types]
     lines = [f"typedef {name}_real {rename('real_t', renamed)};"]
     lines += [f"typedef {name}_{t}_t {short};" for t, short in zip(types, inner, strict=True) if f"{t}_t" in used]
@@ -51,8 +52,18 @@ def preamble(
         lines.append(" \\\n    ".join(wrap(define, WIDTH, break_long_words=False, break_on_hyphens=False)))
         if reason := REASONS.get(macro, docs.get(macro, "")):
             lines[-1:] = _with_reason(lines[-1], reason)
-    return "\n".join(lines)
+    return "\n".join([*lines, *(rename(text, renamed) for text in chosen)])
 
+
+#: Macro of which the compiler chooses the value -> its definition.
+CHOSEN: Mapping[str, str] = {
+    "BLOCK_WIDTH": """/* Columns of a block of a matrix product, whose rows are two vector registers. */
+#if defined(__AVX__)
+#define BLOCK_WIDTH 8
+#else
+#define BLOCK_WIDTH 4
+#endif"""
+}
 
 #: Macro of a threshold -> its reason.
 REASONS: Mapping[str, str] = {

@@ -6,7 +6,8 @@ A profile without a wrapper compiles the package alone, as a library whose funct
 half the time to build, more for every call, and no need for Python.h.
 
 The module, or the library, is kept in the cache (cache.py) under a key that is computed from everything it depends on:
-the texts, the flags of the profile and of the package's target, the compiler with its version, cffi and Python.
+the texts, the flags of the profile and of the package's target, the compiler with its version, the processor that
+-march=native stands for, cffi and Python. So a cache that several machines share holds one library for each of them.
 
 The compiled code runs in this process with the rights of the user, so open only packages whose C you trust. The
 description, <name>.json, need not be trusted: it is refused if it disagrees with the compiled code.
@@ -36,8 +37,8 @@ from nmpc_codegen.runtime.cache import CACHE_VARIABLE, PRODUCT, entry, keep_fail
 from nmpc_codegen.runtime.compiled import CompiledPackage
 from nmpc_codegen.runtime.compilers import ask, environment, find_compiler
 from nmpc_codegen.runtime.controller import Controller
-from nmpc_codegen.runtime.native import check_target, macros_of
-from nmpc_codegen.targets import TARGETS, Target
+from nmpc_codegen.runtime.native import check_target, flags_of_processor, macros_of
+from nmpc_codegen.targets import PORTABLE, TARGETS, Target
 
 BEGIN, END = "/* begin declarations */", "/* end declarations */"
 WARNINGS = (
@@ -56,12 +57,22 @@ def warnings_for(target: Target) -> tuple[str, ...]:
 class Profile:
     """Compiler flags of the package's .c; every reported number names its profile.
 
-    ``wrapper``: the package becomes a Python module, with a wrapper that is compiled; False: a library.
+    ``wrapper``: the package becomes a Python module, with a wrapper that is compiled; False: a library. ``native``: the
+    code is compiled for the processor at hand; a target that is a machine names another one behind it.
     """
 
     name: str
     flags: tuple[str, ...]
     wrapper: bool = True
+    native: bool = False
+
+    def all_flags(self, target: Target = PORTABLE) -> tuple[str, ...]:
+        """Flags for a package of this target.
+
+        Raises:
+            BuildError: there is no compiler.
+        """
+        return (*self.flags, *(flags_of_processor() if self.native else ()), *target.of_machine)
 
 
 _FAST = ("-O2", "-fno-math-errno", "-fno-trapping-math")
@@ -70,7 +81,7 @@ PROFILES: dict[str, Profile] = {
     p.name: p
     for p in (
         Profile("test", ("-std=c99", "-O0", "-ffp-contract=off"), wrapper=False),
-        Profile("fast", (*_FAST, "-ffp-contract=fast")),
+        Profile("fast", (*_FAST, "-ffp-contract=fast"), native=True),
         Profile("verify", (*_FAST, "-ffp-contract=off")),
     )
 }
@@ -121,7 +132,7 @@ def load(
         raise ControllerError(f"{name} is for the target {description.target!r}; known: {', '.join(TARGETS)}")
     target = TARGETS[description.target]
     check_target(name, target)
-    flags = (*chosen.flags, *target.of_machine, *(warnings_for(target) if warnings_as_errors else ()))
+    flags = (*chosen.all_flags(target), *(warnings_for(target) if warnings_as_errors else ()))
     path = compile_module(sources, name, flags, chosen.wrapper)
     ffi, lib = _import(name, path) if chosen.wrapper else _open(declarations(sources[f"{name}.h"], name), name, path)
     return Controller(CompiledPackage(name, sources, description, chosen, ffi, lib, load))
@@ -140,7 +151,7 @@ def load_library(
     _check_names(name, files)
     sources = {path: files[path] for path in (f"{name}.h", f"{name}.c")}
     extra = WARNINGS if warnings_as_errors else ()
-    path = compile_module(sources, name, (*chosen.flags, *extra), chosen.wrapper)
+    path = compile_module(sources, name, (*chosen.all_flags(), *extra), chosen.wrapper)
     return _import(name, path) if chosen.wrapper else _open(declarations(sources[f"{name}.h"], name), name, path)
 
 

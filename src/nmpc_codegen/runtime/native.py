@@ -14,6 +14,9 @@ from nmpc_codegen.targets import NATIVE, PORTABLE, TARGETS, Target
 #: What the system calls ARM64.
 ARM64 = ("aarch64", "arm64")
 
+#: What compilers call the processor at hand; for some architectures the first one is unknown.
+_PROCESSOR = (("-march=native",), ("-mcpu=native",))
+
 #: The first version of gcc with __builtin_shufflevector; clang has had it for long.
 _SHUFFLES = 12
 
@@ -24,11 +27,21 @@ def native() -> Target:
     Raises:
         BuildError: there is no compiler.
     """
-    macros = macros_of(find_compiler(), ("-march=native",)) or macros_of(find_compiler())
+    macros = macros_of(find_compiler(), flags_of_processor())
     if ("__aarch64__" in macros) != (platform.machine().lower() in ARM64):
         return PORTABLE  # a cross compiler
     fitting = (t for t in TARGETS.values() if t.defines and _knows_vectors(macros) and macros.keys() >= set(t.defines))
     return max(fitting, key=lambda target: target.lanes, default=PORTABLE)
+
+
+def flags_of_processor() -> tuple[str, ...]:
+    """Flags with which the compiler uses all instructions of the processor at hand; none if it has no such flags.
+
+    Raises:
+        BuildError: there is no compiler.
+    """
+    compiler = find_compiler()
+    return next((flags for flags in _PROCESSOR if macros_of(compiler, flags)), ())
 
 
 def runs(target: Target) -> bool:
