@@ -167,23 +167,9 @@ static void qp_load(solver_t *s)
 /* Largest magnitude of every component of x and z over the stages. Returns 0 if a number is not finite. */
 static int qp_measure(qp_t *q)
 {
-    real_t sum = R(0);
     memset(q->scale, 0, sizeof q->scale);
-    for (int k = 0; k <= NS; k++) {
-        for (int i = 0; i < NXS; i++) {
-            const real_t size = FABS(q->x[k][i]);
-            q->scale[i] = size > q->scale[i] ? size : q->scale[i];
-            sum += size;
-        }
-    }
-    for (int k = 0; k < NS; k++) {
-        for (int i = 0; i < NUS; i++) {
-            const real_t size = FABS(q->z[k * NUS + i]);
-            q->scale[NXS + i] = size > q->scale[NXS + i] ? size : q->scale[NXS + i];
-            sum += size;
-        }
-    }
-    return isfinite(sum);
+    qp_widen(q, q->scale);
+    return all_finite(q->scale, NZS);
 }
 
 /* Multipliers at the minimiser on the working set. Returns 0 if a multiplier or the value of a row is not finite. */

@@ -6,15 +6,7 @@
 static void qp_component_sizes(solver_t *s, int full, real_t *size)
 {
     const qp_t *q = &s->qp;
-    for (int k = 0; k <= NS; k++) {
-        for (int i = 0; i < NXS; i++) {
-            size[i] = (FABS(q->x[k][i]) > size[i]) ? FABS(q->x[k][i]) : size[i];
-        }
-        for (int j = 0; k < NS && j < NUS; j++) {
-            const real_t u = FABS(q->z[k * NUS + j]);
-            size[NXS + j] = (u > size[NXS + j]) ? u : size[NXS + j];
-        }
-    }
+    qp_widen(q, size);
     for (int k = 0; full && k < NS; k++) {
         real_t z[NZS];
         qp_stage_point(q, k, z);

@@ -68,6 +68,16 @@ static inline const real_t *qp_stage_controls(const qp_t *q, int k)
     return q->z + first;
 }
 
+/* size[] = its maximum with the magnitudes of every component of x and z over the stages; NaN if one is not finite. */
+static void qp_widen(const qp_t *q, real_t *size)
+{
+    for (int k = 0; k < NS; k++) {
+        widen(size, q->x[k], NXS);
+        widen(size + NXS, qp_stage_controls(q, k), NUS);
+    }
+    widen(size, q->x[NS], NXS);
+}
+
 /* z = (x, u) of stage k. */
 static inline void qp_stage_point(const qp_t *q, int k, real_t *z)
 {

@@ -4,12 +4,19 @@
 /* Term added to a zero pivot that has no scale of its own. */
 static real_t riccati_least_pivot(solver_t *s)
 {
-    real_t most = R(0);
-    for (int k = 0; k <= NS; k++) {
-        for (int i = 0; i < ((k < NS) ? NZS : NXS); i++) {
-            const real_t d = (k < NS) ? stage_Q(s, k)[i][i] : stage_Q_N(s)[i][i];
-            most = (d > most) ? d : most;
+    real_t diagonal[NZS] = {0}, most = R(0);
+    for (int k = 0; k < NS; k++) {
+        real_t(*Q)[NZS] = stage_Q(s, k);
+        for (int i = 0; i < NZS; i++) {
+            diagonal[i] = (Q[i][i] > diagonal[i]) ? Q[i][i] : diagonal[i];
         }
+    }
+    for (int i = 0; i < NXS; i++) {
+        const real_t d = stage_Q_N(s)[i][i];
+        diagonal[i] = (d > diagonal[i]) ? d : diagonal[i];
+    }
+    for (int i = 0; i < NZS; i++) {
+        most = (diagonal[i] > most) ? diagonal[i] : most;
     }
     return SQRT(TOL_UNIT) * ((most > R(0) && isfinite(most)) ? most : R(1));
 }

@@ -7,9 +7,13 @@ static inline void enlarge_if_finite(real_t *largest, real_t value)
 }
 
 /* largest = max(largest, |v|) by states; numbers that are not finite show in the QP. */
-static inline void largest_of(real_t *largest, const real_t *v)
+static inline void largest_of(real_t *restrict largest, const real_t *restrict v)
 {
-    for (int i = 0; i < NX; i++) {
+    for (int i = 0; i < NX / 4 * 4; i++) {
+        const real_t a = FABS(v[i]);
+        largest[i] = (a > largest[i]) ? a : largest[i];
+    }
+    for (int i = NX / 4 * 4; i < NX; i++) {
         const real_t a = FABS(v[i]);
         largest[i] = (a > largest[i]) ? a : largest[i];
     }
