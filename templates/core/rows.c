@@ -6,47 +6,10 @@
 #include "core/clip.c"
 
 #if SCALAR
-static int all_finite(const real_t *v, int n)
-{
-    for (int i = 0; i < n; i++) {
-        if (!isfinite(v[i])) {
-            return 0;
-        }
-    }
-    return 1;
-}
+#include "core/vectors_scalar.c"
 #else
-/* Products of finite numbers with 0 are 0; four sums at once, which compilers hold in vector registers. */
-static int all_finite(const real_t *v, int n)
-{
-    const int fours = n / 4 * 4;
-    real_t s0 = R(0), s1 = R(0), s2 = R(0), s3 = R(0);
-    for (int i = 0; i < fours; i += 4) {
-        s0 += R(0) * v[i];
-        s1 += R(0) * v[i + 1];
-        s2 += R(0) * v[i + 2];
-        s3 += R(0) * v[i + 3];
-    }
-    for (int i = fours; i < n; i++) {
-        s0 += R(0) * v[i];
-    }
-    return isfinite((s0 + s2) + (s1 + s3)) != 0;
-}
+#include "core/vectors.c"
 #endif
-
-/* size = max(size, |v|) by components, n of them; NaN where v has not been finite. The number of passes of the first
- * loop is one for which compilers take vector registers. */
-static inline void widen(real_t *restrict size, const real_t *restrict v, int n)
-{
-    for (int i = 0; i < n / 4 * 4; i++) {
-        const real_t a = FABS(v[i]);
-        size[i] = ((a > size[i]) ? a : size[i]) + R(0) * a;
-    }
-    for (int i = n / 4 * 4; i < n; i++) {
-        const real_t a = FABS(v[i]);
-        size[i] = ((a > size[i]) ? a : size[i]) + R(0) * a;
-    }
-}
 
 static inline real_t control_lower(const solver_t *s, int k, int j)
 {

@@ -27,7 +27,7 @@ static status_t gaps_after_prepare(solver_t *s, status_t status)
 static real_t length_of_step(const solver_t *s)
 {
     real_t size[NZ] = {R(0)}, length = R(0);
-    largest_of(size, s->step.dx[0]);
+    enlarge_all(size, s->step.dx[0], NX);
     for (int k = 0; k < N; k++) {
         for (int j = 0; j < NU; j++) {
             const real_t a = FABS(s->step.du[k][j]);

@@ -17,7 +17,7 @@ static real_t simulate_plan(solver_t *s)
         for (int i = 0; i < NX; i++) {
             s->step.dx[k][i] -= s->x[k][i];
         }
-        largest_of(moved, s->step.dx[k]);
+        enlarge_all(moved, s->step.dx[k], NX);
     }
     state_scales(s, size);
     for (int i = 0; i < NX; i++) {

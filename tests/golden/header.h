@@ -51,4 +51,4 @@ const char *golden_status_string(golden_status_t status);
 #endif
 
 #endif
-/* nmpc_codegen package 820f972172a57037, sha256 910916f8101f3fb65f7f66957bf60fd572612c772d24669c022b9c8baa4dc240 */
+/* nmpc_codegen package 0d0cd5431ff51768, sha256 11d6c4340457713a24e0f4b6aed0a96f2860954dc8d0016c7110c8fb7868784d */

@@ -19,7 +19,7 @@ import numpy as np
 from nmpc_codegen.components.base import Dims, QpDims
 from nmpc_codegen.components.qp import DenseActiveSet
 from nmpc_codegen.lowering.parts import read_part
-from nmpc_codegen.lowering.preamble import REAL_CONSTANT, arithmetic
+from nmpc_codegen.lowering.preamble import CHOSEN, REAL_CONSTANT, arithmetic
 from nmpc_codegen.lowering.pruning.constants import Constants
 from nmpc_codegen.lowering.pruning.unit import prune as pruned_unit
 from nmpc_codegen.lowering.tolerances import TOLERANCES
@@ -92,6 +92,7 @@ def unit_head(sizes: Mapping[str, int], precision: str) -> str:
     lines += [
         f"typedef {'float' if precision == 'single' else 'double'} real_t;",
         f"#define {name}({arguments}) {text}",
+        *CHOSEN.values(),
     ]
     return "\n".join(
         [*lines, "typedef enum { " + ", ".join(STATUSES) + " } status_t;", part_text("core/clip.c", sizes)]

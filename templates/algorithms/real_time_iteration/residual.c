@@ -77,7 +77,7 @@ static void measure_residual(solver_t *s)
     real_t size[NX], gap[NX] = {R(0)}, most = R(0);
     state_scales(s, size);
     for (int k = 0; k < N; k++) {
-        largest_of(gap, s->node[k].b);
+        enlarge_all(gap, s->node[k].b, NX);
     }
     for (int i = 0; i < NX; i++) {
         enlarge(&most, gap[i] / size[i]);

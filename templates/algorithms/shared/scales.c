@@ -6,19 +6,6 @@ static inline void enlarge_if_finite(real_t *largest, real_t value)
     }
 }
 
-/* largest = max(largest, |v|) by states; numbers that are not finite show in the QP. */
-static inline void largest_of(real_t *restrict largest, const real_t *restrict v)
-{
-    for (int i = 0; i < NX / 4 * 4; i++) {
-        const real_t a = FABS(v[i]);
-        largest[i] = (a > largest[i]) ? a : largest[i];
-    }
-    for (int i = NX / 4 * 4; i < NX; i++) {
-        const real_t a = FABS(v[i]);
-        largest[i] = (a > largest[i]) ? a : largest[i];
-    }
-}
-
 /* size = max(size, half the width of the bounds of the states at node k). */
 static void enlarge_by_bounds(const solver_t *s, int k, real_t *size)
 {
@@ -36,14 +23,14 @@ static void state_scales(const solver_t *s, real_t *size)
 {
     memset(size, 0, NX * sizeof *size);
     for (int k = 0; k <= N; k++) {
-        largest_of(size, s->x[k]);
+        enlarge_all(size, s->x[k], NX);
     }
     for (int i = 0; i < NX; i++) {
         const real_t least = FACTOR_SCALE_LITTLE_OF_STATE * z_scale[i];
         const real_t most = FACTOR_SCALE_STATE_GROWTH * ((s->state_size[i] > least) ? s->state_size[i] : least);
         size[i] = clip(size[i], least, most);
     }
-    largest_of(size, s->xhat);
+    enlarge_all(size, s->xhat, NX);
     enlarge_by_bounds(s, 1, size);
     enlarge_by_bounds(s, N, size);
 }
@@ -54,7 +41,7 @@ static void learn_sizes(solver_t *s, status_t status)
     if (status == OK) {
         memset(s->state_size, 0, sizeof s->state_size);
         for (int k = 0; k <= N; k++) {
-            largest_of(s->state_size, s->x[k]);
+            enlarge_all(s->state_size, s->x[k], NX);
         }
     }
 }

@@ -132,7 +132,7 @@ def lane_kernels(module: CModule, style: CStyle) -> str:
     texts = [_one_by_one(name, arity[name], style) for name in others]
     texts += [print_routine(_rename_routine(r), lanes) for r in found.printed]
     if found.one_step is not None:
-        texts.append(lane_steps.product(module.value("NX"), module.value("NZ")))
+        texts.append(lane_steps.product(found.one_step))
     return "\n\n".join(texts)
 
 
@@ -185,24 +185,26 @@ def lane_transpose(module: CModule, style: CStyle) -> str:
 def transpose(width: int) -> str:
     """lanes_store_block(v, to, stride): VECTOR_LANES elements of every lane to the rows to, to + stride, ...
 
-    Every round merges vectors that are half of them apart. That rotates the bits of the index of the vector and of the
-    lane by one, so that after log2(VECTOR_LANES) rounds both are exchanged.
+    The first round makes pairs, which stay where registers of 128 bits end; every other one merges vectors, of each its
+    even or its odd pairs. That rotates the bits of the index of the vector and of the pair.
     """
-    half, rounds = width // 2, width.bit_length() - 1
-    low = ", ".join(f"{i}, {i + width}" for i in range(half))
-    high = ", ".join(f"{i}, {i + width}" for i in range(half, width))
+    pairs = [(f"{2 * i}, {2 * i + width}", f"{2 * i + 1}, {2 * i + 1 + width}") for i in range(width // 2)]
+    first = tuple(", ".join(pair[odd] for pair in pairs) for odd in (0, 1))
+    chunks = [[f"{2 * i}, {2 * i + 1}" for i in range(odd, width, 2)] for odd in (0, 1)]
+    merged = tuple(", ".join(half) for half in chunks)
     lines = [
         "/* Stores VECTOR_LANES elements of every lane to the rows to, to + stride, ...: a transposition. */",
         "LANES_INLINE void lanes_store_block(const lanes_t *v, real_t *to, int stride)",
         "{",
     ]
     before = [f"v[{i}]" for i in range(width)]
-    for n in range(rounds):
+    for n in range(width.bit_length() - 1):
         after = [f"{'abcd'[n]}{i}" for i in range(width)]
-        for i in range(half):
-            pair = f"{before[i]}, {before[i + half]}"
-            lines.append(f"    const lanes_t {after[2 * i]} = __builtin_shufflevector({pair}, {low});")
-            lines.append(f"    const lanes_t {after[2 * i + 1]} = __builtin_shufflevector({pair}, {high});")
+        for i in range(width // 2):
+            pair = f"{before[2 * i]}, {before[2 * i + 1]}"
+            for odd, chosen in enumerate(merged if n else first):
+                name = after[i + odd * width // 2]
+                lines.append(f"    const lanes_t {name} = __builtin_shufflevector({pair}, {chosen});")
         before = after
     for lane, row in enumerate(before):
         lines.append(f"    memcpy(to{f' + {lane} * stride' if lane else ''}, &{row}, sizeof {row});")

@@ -7,22 +7,51 @@ Loops over the columns of [A B] would store the slopes of all columns and lanes,
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator, Sequence
+from textwrap import wrap
+
 from nmpc_codegen.ir.kernel import Kernel
 
-#: Rows and columns of a tile of the product, whose sums stay in registers.
+#: Most rows of a tile of the product, and its columns; the sums stay in registers.
 ROWS, COLUMNS = 4, 6
+#: A row of [A B] with at most this part of its elements is left out of the tiles.
+FEW = 0.25
+
+WIDTH, INDENT = 120, "    "
+
+#: The columns that each row of a matrix has.
+Pattern = Sequence[frozenset[int]]
 
 
-def product(nx: int, nz: int) -> str:
-    """lanes_chain(A, S, T): T = A S + [0 B], where [A B] and S, T have nx rows of nz numbers per lane."""
-    shapes = {(r, c) for r in (min(ROWS, nx), nx % ROWS) for c in (min(COLUMNS, nz), nz % COLUMNS) if r and c}
-    texts = [_tile(r, c, nx, nz) for r, c in sorted(shapes)]
+def product(kernel: Kernel) -> str:
+    """lanes_chain(A, S, T): T = A S + [0 B], where [A B] and S, T have nx rows of nz numbers per lane.
+
+    States whose step depends on little, such as those that controls drive alone, have rows of few elements in [A B]
+    and, if they stay so from step to step, in S. The tiles leave both out.
+    """
+    nx, nz = kernel.outputs[-1].size // kernel.outputs[-1].cols, kernel.outputs[-1].cols
+    of_step = _pattern(kernel, nx, nz)
+    rows, inner = ([i for i in range(nx) if len(p[i]) > FEW * nz] for p in (of_step, _of_all_steps(of_step, nx)))
+    of_sum = [(n, j) for n, columns in enumerate(_of_all_steps(of_step, nx)) if n not in inner for j in sorted(columns)]
+    tiles = [(first, height) for run in _runs(rows) for first, height in _heights(*run)]
+    widths = [COLUMNS] * (nz >= COLUMNS) + [nz % COLUMNS] * (nz % COLUMNS > 0)
+    texts = [_tile(r, c, _runs(inner), nz) for r in sorted({height for _, height in tiles}) for c in widths]
     lines = [
         "/* T = A S + [0 B], where the rows of A are those of [A B]. */",
         "static void lanes_chain(const lanes_t *A, const lanes_t *S, lanes_t *T)",
         "{",
-        *_tile_rows(0, nx // ROWS * ROWS, ROWS, nz),
-        *_tile_rows(nx // ROWS * ROWS, nx, nx % ROWS, nz),
+        *_tile_rows(tiles, nz),
+    ]
+    for first, last in _runs(rows) if of_sum else ():
+        lines += [f"    for (int i = {first}; i < {last}; i++) {{"]
+        lines += [f"        T[i * {nz} + {j}] += A[i * {nz} + {n}] * S[{n * nz + j}];" for n, j in of_sum]
+        lines += ["    }"]
+    for i in sorted(set(range(nx)) - set(rows)):
+        terms = [f"A[{i * nz + n}] * S[{n * nz} + j]" for n in sorted(of_step[i]) if n < nx]
+        lines += [f"    for (int j = 0; j < {nz}; j++) {{"]
+        lines += [f"        T[{i * nz} + j] = {' + '.join(terms) or 'lanes_all(R(0))'};"]
+        lines += ["    }"]
+    lines += [
         f"    for (int i = 0; i < {nx}; i++) {{",
         f"        for (int j = {nx}; j < {nz}; j++) {{",
         f"            T[i * {nz} + j] += A[i * {nz} + j];",
@@ -30,43 +59,108 @@ def product(nx: int, nz: int) -> str:
         "    }",
         "}",
     ]
+    zeros = _zeros(kernel)
+    table = _lines(f"static const int one_step_zero[{len(zeros)}] = {{ {', '.join(map(str, zeros))} }};", "")
+    if zeros:
+        texts.insert(0, "\n".join(["/* Elements of [A B] that are zero. */", *table]))
     return "\n\n".join([*texts, "\n".join(lines)])
 
 
-def _tile_rows(first: int, last: int, rows: int, nz: int) -> list[str]:
-    """Loops over the tiles of some rows."""
-    if first == last:
-        return []
-    whole, rest = nz // COLUMNS * COLUMNS, nz % COLUMNS
-    lines = [f"    for (int i = {first}; i < {last}; i += {rows}) {{"]
-    if whole:
-        lines += [
-            f"        for (int j = 0; j < {whole}; j += {COLUMNS}) {{",
-            f"            lanes_tile_{rows}_{COLUMNS}(A + i * {nz}, S + j, T + i * {nz} + j);",
-            "        }",
-        ]
-    if rest:
-        lines.append(f"        lanes_tile_{rows}_{rest}(A + i * {nz}, S + {whole}, T + i * {nz} + {whole});")
-    return [*lines, "    }"]
+def _lines(statement: str, indent: str = INDENT) -> list[str]:
+    return wrap(statement, WIDTH, initial_indent=indent, subsequent_indent=indent + INDENT)
 
 
-def _tile(rows: int, columns: int, nx: int, nz: int) -> str:
-    """A tile of A S."""
+def _pattern(kernel: Kernel, nx: int, nz: int) -> Pattern:
+    """The elements of [A B] that the kernel stores."""
+    last = len(kernel.outputs) - 1
+    stored = {element for output, element, _ in kernel.stores if output == last}
+    return [frozenset(j for j in range(nz) if i * nz + j in stored) for i in range(nx)]
+
+
+def _zeros(kernel: Kernel) -> list[int]:
+    """The elements of [A B] that it does not store."""
+    size, cols = kernel.outputs[-1].size, kernel.outputs[-1].cols
+    stored = _pattern(kernel, size // cols, cols)
+    return [e for e in range(size) if e % cols not in stored[e // cols]]
+
+
+def _of_all_steps(step: Pattern, nx: int) -> Pattern:
+    """The elements of [A B] of any number of steps."""
+    found = list(step)
+    while True:
+        longer = [row.union(*(found[n] for n in step[i] if n < nx)) for i, row in enumerate(found)]
+        if longer == found:
+            return found
+        found = longer
+
+
+def _runs(numbers: Iterable[int]) -> list[tuple[int, int]]:
+    """First number of every run of neighbours, and the one behind its last."""
+    found: list[tuple[int, int]] = []
+    for n in numbers:
+        if found and found[-1][1] == n:
+            found[-1] = (found[-1][0], n + 1)
+        else:
+            found.append((n, n + 1))
+    return found
+
+
+def _heights(first: int, last: int) -> Iterator[tuple[int, int]]:
+    """First row and height of tiles, whose heights differ by at most one row."""
+    rows = last - first
+    count = -(-rows // ROWS)
+    for n in range(count):
+        height = rows // count + (n < rows % count)
+        yield first, height
+        first += height
+
+
+def _tile_rows(tiles: Sequence[tuple[int, int]], nz: int) -> Iterator[str]:
+    """Loops over the tiles: neighbours of the same height share one."""
+    whole = nz // COLUMNS * COLUMNS
+    place = 0
+    while place < len(tiles):
+        first, height = tiles[place]
+        count = 1
+        while place + count < len(tiles) and tiles[place + count] == (first + count * height, height):
+            count += 1
+        yield f"    for (int i = {first}; i < {first + count * height}; i += {height}) {{"
+        if whole:
+            yield f"        for (int j = 0; j < {whole}; j += {COLUMNS}) {{"
+            yield f"            lanes_tile_{height}_{COLUMNS}(A + i * {nz}, S + j, T + i * {nz} + j);"
+            yield "        }"
+        if nz > whole:
+            yield f"        lanes_tile_{height}_{nz - whole}(A + i * {nz}, S + {whole}, T + i * {nz} + {whole});"
+        yield "    }"
+        place += count
+
+
+def _tile(rows: int, columns: int, inner: Sequence[tuple[int, int]], nz: int) -> str:
+    """A tile of A S: sums over these rows of S."""
     sums = [[f"s{i}{j}" for j in range(columns)] for i in range(rows)]
     zeros = ", ".join(f"{name} = {{0}}" for row in sums for name in row)
     lines = [
         f"LANES_INLINE void lanes_tile_{rows}_{columns}(const lanes_t *A, const lanes_t *S, lanes_t *T)",
         "{",
-        f"    lanes_t {zeros};",
-        f"    for (int l = 0; l < {nx}; l++) {{",
-        f"        const lanes_t {', '.join(f'b{j} = S[l * {nz} + {j}]' for j in range(columns))};",
+        *_lines(f"lanes_t {zeros};"),
     ]
-    for i, row in enumerate(sums):
-        lines.append(f"        const lanes_t a{i} = A[{i * nz} + l];")
-        lines += [f"        {name} += a{i} * b{j};" for j, name in enumerate(row)]
-    lines.append("    }")
+    for first, last in inner:
+        lines.append(f"    for (int l = {first}; l < {last}; l++) {{")
+        loaded = ", ".join(f"b{j} = S[l * {nz} + {j}]" for j in range(columns))
+        lines += _lines(f"const lanes_t {loaded};", 2 * INDENT)
+        for i, row in enumerate(sums):
+            lines.append(f"        const lanes_t a{i} = A[{i * nz} + l];")
+            lines += [f"        {name} += a{i} * b{j};" for j, name in enumerate(row)]
+        lines.append("    }")
     lines += [f"    T[{i * nz + j}] = {name};" for i, row in enumerate(sums) for j, name in enumerate(row)]
     return "\n".join([*lines, "}"])
+
+
+_CLEAR = (
+    "for (int i = 0; i < (int)(sizeof one_step_zero / sizeof one_step_zero[0]); i++) {",
+    "    one_step[one_step_zero[i]] = before[one_step_zero[i]] = lanes_all(R(0));",
+    "}",
+)
 
 
 def calls(kernel: Kernel, suffix: str, x_next: str, S: str) -> tuple[list[str], list[str]]:
@@ -81,8 +175,7 @@ def calls(kernel: Kernel, suffix: str, x_next: str, S: str) -> tuple[list[str], 
         )
 
     lines = [
-        "memset(one_step, 0, sizeof one_step);",
-        "memset(before, 0, sizeof before);",
+        *(_CLEAR if _zeros(kernel) else ()),
         call("x", "before"),
         "for (int n = 1; n < STEPS; n++) {",
         f"    {call(x_next, 'one_step')}",
