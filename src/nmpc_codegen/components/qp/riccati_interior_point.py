@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from nmpc_codegen.components.base import Dims
 
 #: Default cap on the iterations, and on those that leave more than half of the first violation.
-MAX_ITERATIONS, PATIENCE = 80, 15
+MAX_ITERATIONS, PATIENCE = 80, 25
 PATIENCE_SIZE = ("IPM_PATIENCE", PATIENCE, "number of iterations that may leave half of the violation")
 
 
