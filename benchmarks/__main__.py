@@ -19,14 +19,12 @@ import argparse
 import tempfile
 import time
 from contextlib import ExitStack
-from dataclasses import replace
 from pathlib import Path
 
-from benchmarks.lib.base import Base, checkout, commits, head
+from benchmarks.lib.base import Base, checkout, commits, figures_of, head
 from benchmarks.lib.report import Baseline, Report, listed, machine
 from benchmarks.lib.run import RefusedError, Run
 from benchmarks.lib.speed import where
-from benchmarks.lib.speed.programs import read_programs
 from benchmarks.topics import MATRICES, PAGE, TOPICS, chosen
 from verification.qp.verdicts import replay as replay_qp
 from verification.robustness.episodes import replay as replay_episode
@@ -92,21 +90,6 @@ def measure(options: argparse.Namespace, names: list[str], base: Base | None, fo
     print(verdict(report) + f"\n{time.perf_counter() - start:.0f} s in all")
     if options.json:
         report.write(options.json, commit=head(), scale=run.scale, seed=run.seed)
-
-
-def figures_of(base: Base, names: list[str], run: Run, folder: Path) -> tuple[Baseline, Run]:
-    """The baseline of a commit, and the run with its programs, if there are times to compare."""
-    others, label = [name for name in names if name != "times"], f"commit {base.name}, in turn"
-    baseline = Baseline.empty(label)
-    if others:
-        file = folder / "base.json"
-        asked = ("--only", ",".join(others), "--scale", str(run.scale), "--seed", str(run.seed), "--json", str(file))
-        base.run("benchmarks", *asked)
-        baseline = Baseline.of(file, label, same_machine=True)
-    if "times" in names:
-        base.run("benchmarks.lib.speed.programs", str(folder / "programs"))
-        run = replace(run, base_programs=read_programs(folder / "programs"))
-    return baseline, run
 
 
 def verdict(report: Report) -> str:

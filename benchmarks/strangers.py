@@ -7,20 +7,13 @@ and relaxation, and ``--remedies`` what advice changes, in place of the tables o
 from __future__ import annotations
 
 import argparse
-import re
 from pathlib import Path
 
 from benchmarks.lib import strangers
 from benchmarks.lib.base import commits, head
-from benchmarks.lib.report import Report, listed
+from benchmarks.lib.report import Report, listed, replace_table
 from benchmarks.lib.run import Run
 from verification.strangers import remedies
-
-
-def _replace_table(path: Path, column: str, table: str) -> None:
-    """Write the table of a Markdown file anew whose first column has this name."""
-    text = path.read_text(encoding="utf-8")
-    path.write_text(re.sub(rf"(?m)^\| {column} \|.*\n(^\|.*\n)*", lambda _: table, text, count=1), "utf-8")
 
 
 def main() -> int:
@@ -40,7 +33,7 @@ def main() -> int:
         (options.remedies, "failure", remedies.table),
     ):
         if path:
-            _replace_table(path, column, made())
+            replace_table(path, column, made())
     if options.table or options.remedies:
         return 0
     report, run = Report(), Run(options.scale, commits(), Path())

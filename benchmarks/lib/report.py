@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import platform
+import re
 import subprocess
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass
@@ -175,6 +176,12 @@ def number(value: float) -> str:
     if not math.isfinite(value) or abs(value) >= 1e12:
         return f"{value:.3g}"
     return f"{value:,.0f}" if value == round(value) or abs(value) >= 1e3 else f"{value:.3g}"
+
+
+def replace_table(path: Path, column: str, table: str) -> None:
+    """Write the table of a Markdown file anew whose first column has this name."""
+    text = path.read_text(encoding="utf-8")
+    path.write_text(re.sub(rf"(?m)^\| {column} \|.*\n(^\|.*\n)*", lambda _: table, text, count=1), "utf-8")
 
 
 def listed(records: Iterable[Record]) -> str:

@@ -14,21 +14,25 @@ from benchmarks.lib.run import Run
 from benchmarks.lib.speed.loops import LOOPS, module_of, package_of, without_avx512
 from nmpc_codegen.firmware.verify import verify
 from nmpc_codegen.package.sources import Sources
+from nmpc_codegen.runtime.build import PROFILES
+from nmpc_codegen.runtime.native import runs
 from nmpc_codegen.targets import TARGETS
 from verification.closed_loop import compile_driver
 from verification.robustness.work import Loop
 
-M4F = TARGETS["cortex-m4f"]
+M4F, AVX2 = TARGETS["cortex-m4f"], TARGETS["x86-64-v3"]
+#: Portable C as build() compiles it, and this machine's target, both as far as valgrind knows this machine.
+AS_BUILT, OF_NATIVE = "as built, AVX2", "native, AVX2"
 SAMPLES = 40  # at every scale, as a mean depends on them
 
 
 def measure(report: Report, asked: Run) -> None:
-    """portable, native without AVX-512: mean over the samples; M4F: single precision, -O2."""
-    forms = {"portable": lambda loop: loop, "native, AVX2": without_avx512}
-    loops = [(loop, form) for loop in asked.cases(LOOPS) for form in (forms if callgrind.available() else ())]
-    jobs = [(loop, form, package_of(forms[form](loop))) for loop, form in loops]
+    """portable, portable and native without AVX-512: mean over the samples; M4F: single precision, -O2."""
+    forms = ("portable", *([AS_BUILT] if runs(AVX2) else ()), OF_NATIVE) if callgrind.available() else ()
+    loops = [(loop, form) for loop in asked.cases(LOOPS) for form in forms]
+    jobs = [(loop, form, package_of(without_avx512(loop) if form == OF_NATIVE else loop)) for loop, form in loops]
     with ThreadPoolExecutor(2) as pool:
-        counted = pool.map(lambda job: _counted(job[0], job[2]), jobs)
+        counted = pool.map(lambda job: _counted(*job), jobs)
         for (loop, form, sources), count in zip(jobs, counted, strict=True):
             if count is not None:
                 per_sample = count / SAMPLES
@@ -40,9 +44,10 @@ def measure(report: Report, asked: Run) -> None:
             _emulated(report, loop)
 
 
-def _counted(loop: Loop, sources: Sources) -> int | None:
+def _counted(loop: Loop, form: str, sources: Sources) -> int | None:
+    flags = (*PROFILES["fast"].flags, *(AVX2.flags if form == AS_BUILT else ()))
     with tempfile.TemporaryDirectory() as folder:
-        program = compile_driver(sources, module_of(loop).name, Path(folder))
+        program = compile_driver(sources, module_of(loop).name, Path(folder), flags)
         arguments = ["1", str(SAMPLES), *loop.scenario.arguments()]
         return callgrind.instructions(program, arguments, callgrind.PHASES)
 

@@ -1,4 +1,5 @@
-"""The closed loops as programs, in both forms: portable C, and C for the target of this machine.
+"""The closed loops as programs, in three forms: portable C as build() compiles it, for this processor; portable C for
+any processor; C for the target of this machine.
 
     python -m benchmarks.lib.speed.programs FOLDER
 
@@ -10,20 +11,31 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from benchmarks.lib.speed.loops import LOOPS, for_target, module_of, package_of
+from nmpc_codegen.runtime.build import PROFILES
 from nmpc_codegen.targets import NATIVE, PORTABLE
 from verification.closed_loop import Timing, compile_driver, run_program
 from verification.robustness.work import Loop
 
 INDEX = "programs.json"
-#: Targets of the packages.
-FORMS = (PORTABLE.name, NATIVE)
+#: Portable C as build() compiles it.
+BUILT = "as built"
 RUNS = 3  # of a loop in a process
+
+
+def forms() -> Mapping[str, tuple[str, tuple[str, ...]]]:
+    """Form -> target of the package, and flags of the compiler besides those of the target."""
+    fast = PROFILES["fast"]
+    return {
+        BUILT: (PORTABLE.name, fast.all_flags()),
+        PORTABLE.name: (PORTABLE.name, fast.flags),
+        NATIVE: (NATIVE, fast.flags),
+    }
 
 
 @dataclass(frozen=True)
@@ -53,11 +65,11 @@ def compile_programs(folder: Path, loops: Sequence[Loop] = LOOPS) -> list[Progra
     with ThreadPoolExecutor(2) as pool:
         for loop in sorted(loops, key=lambda loop: -len(loop.scenario.x0)):
             arguments, name = loop.scenario.arguments(), module_of(loop).name
-            for form in FORMS:
-                sources = package_of(for_target(loop, form))
+            for form, (target, flags) in forms().items():
+                sources = package_of(for_target(loop, target))
                 place = folder / f"{loop.name}, {form}"
                 place.mkdir(parents=True)
-                job = pool.submit(compile_driver, sources, name, place)
+                job = pool.submit(compile_driver, sources, name, place, flags)
                 program = Program(
                     loop.name, form, str(place / "closed_loop"), arguments, loop.steps, sources.description.target
                 )

@@ -1,4 +1,4 @@
-"""Times of a sample and of its feedback phase, of portable C and of this machine's target, and against peers.
+"""Times of a sample and of its feedback phase, in the three forms of programs.py, and against peers.
 
 Total and feedback: minimum over the rounds of the median over the steps. Worst: the same of the largest total of a
 step, where the total of a step is its minimum over the runs of a round, which are all alike. The ratio to the best peer
@@ -35,7 +35,7 @@ KERNEL = "reference kernel"
 
 
 def measure(report: Report, run: Run) -> None:
-    """total, feedback, worst/median, peers, failed, QP iterations of every loop in both forms.
+    """total, feedback, worst/median, peers, failed, QP iterations of every loop in every form.
 
     A round runs all programs once, so that a slow minute of the machine costs every program some rounds, none all.
     """
