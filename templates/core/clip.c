@@ -1,5 +1,5 @@
 /* The nearest number in [lower, upper]; NaN stays NaN. */
-static inline real_t clip(real_t value, real_t lower, real_t upper)
+static real_t clip(real_t value, real_t lower, real_t upper)
 {
     if (value < lower) {
         return lower;

@@ -1,5 +1,5 @@
 /* Control j at node k, replaced by its reference if it is not finite, clipped to its bounds. */
-static inline real_t safe_value(const solver_t *s, int k, int j)
+static real_t safe_value(const solver_t *s, int k, int j)
 {
     const real_t u = s->u[k][j];
     return clip(isfinite(u) ? u : reference_of_control(s, k, j), control_lower(s, k, j), control_upper(s, k, j));
