@@ -20,9 +20,16 @@ static int steps_for(real_t dt)
     return (count >= R(1)) ? ((count < (real_t)MANY) ? (int)count : MANY) : 1;
 }
 
+/* The same for a part of the plan. */
+static inline int plan_steps(real_t dt)
+{
+    const int wanted = steps_for(dt);
+    return (wanted < PLAN_STEPS) ? wanted : PLAN_STEPS;
+}
+
 static void integrate_plan(const solver_t *s, int k, const real_t *x, real_t dt, real_t *x_next)
 {
-    const int wanted = steps_for(dt), steps = (wanted < PLAN_STEPS) ? wanted : PLAN_STEPS;
+    const int steps = plan_steps(dt);
     const real_t h = dt / (real_t)steps;
     for (int i = 0; i < NX; i++) {
         x_next[i] = x[i];

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import pickle
 import subprocess
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -16,11 +18,14 @@ from examples import chain, crane, cstr
 from nmpc_codegen import (
     OCP,
     RK4,
+    AugmentedLagrangian,
     Controller,
     ExactHessian,
     ExplicitRungeKutta,
     NoCondensing,
+    Online,
     Options,
+    RealTimeIteration,
     RiccatiActiveSet,
     build,
     export,
@@ -81,6 +86,36 @@ def test_products_of_several_steps(steps: int) -> None:
     one, other = pair(chain.build_ocp(3, N=11), options, "x86-64-v3")
     assert "lanes_chain" in other._package.files["chain3.c"]
     assert max(dict(errors(one, other, np.random.default_rng(2))).values()) <= LIMIT
+
+
+@pytest.mark.few(2)
+@pytest.mark.parametrize("layout", ["shared", "node"])
+@pytest.mark.parametrize("intervals", [None, (0.1, 0.3, 0.1, *[0.7] * 9)], ids=["equal", "other"])
+@pytest.mark.parametrize("algorithm", [RealTimeIteration, AugmentedLagrangian])
+@pytest.mark.parametrize("target", WIDE)
+def test_plans_are_resampled_as_in_portable_c(
+    target: str,
+    algorithm: type[RealTimeIteration | AugmentedLagrangian],
+    intervals: Sequence[float] | None,
+    layout: Any,
+) -> None:
+    """On grids of 11 and 12 intervals, of which some are integrated in more steps than others; by two sampling times,
+    of which one ends in a node; parameters of all nodes and of each."""
+    ocp = OCP("pendulum", intervals=intervals) if intervals else OCP("pendulum", T=3.0, N=11)
+    q, w, u, m = ocp.state("q", initial=0.3), ocp.state("w"), ocp.control("u"), ocp.parameter("m", value=1.2)
+    ocp.dynamics({q: w, w: -ca.sin(q) - 0.1 * w + u / m})
+    ocp.least_squares(ca.vertcat(q, w, u), weight=[2.0, 0.5, 0.5])
+    ocp.subject_to(-0.4, u, 0.4)
+    for time in (0.04, 0.4):
+        chosen = algorithm(shift="resample", sampling_time=time)
+        options = Options(ExplicitRungeKutta(RK4, steps=2), algorithm=chosen, online=Online(parameter=layout))
+        one, other = pair(ocp, options, target)
+        assert "integrator_step_lanes" in other._package.files["pendulum.c"]
+        for c in (one, other):
+            c.solve([0.9, 0.2])
+            c.shift()
+        for name in ("x", "u", "lam"):
+            np.testing.assert_allclose(getattr(other, name), getattr(one, name), rtol=1e-9, atol=1e-9)
 
 
 @pytest.mark.slow

@@ -125,6 +125,7 @@ class Features:
     pack_width: int = 0
     tiles: bool = False
     lane_nodes: bool = False
+    lane_shift: bool = False  # the plan is resampled in lanes
     lane_conditions: bool = False
     lane_angles: bool = False
     lane_sqrt: bool = False

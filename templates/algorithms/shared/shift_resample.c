@@ -5,19 +5,46 @@
 
 #include "algorithms/shared/mean_control.c"
 
-static void shift_plan(solver_t *s)
+/* The interval of the plan that contains the time t, from interval n on. */
+static inline int interval_at(real_t t, int n)
+{
+    while (n + 1 < N && node_time[n + 1] <= t) { /* at most N passes in shift_plan */
+        n++;
+    }
+    return n;
+}
+
+#if LANE_SHIFT
+#include "generated/lane_shift.c"
+
+#endif
+static void resample_states(solver_t *s)
 {
     real_t last[NX];
     int n = 0;
     memcpy(last, s->x[N - 1], sizeof last);
+#if LANE_SHIFT
+    for (int k = 0; k <= N; k += VECTOR_LANES) {
+        n = integrate_lanes(s, k, n, last);
+    }
+#else
     for (int k = 0; k <= N; k++) {
         const real_t t = node_time[k] + sampling_time[0];
-        while (n + 1 < N && node_time[n + 1] <= t) { /* at most N passes in shift_plan */
-            n++;
-        }
+        n = interval_at(t, n);
         integrate_plan(s, n, (n < N - 1) ? s->x[n] : last, t - node_time[n], s->x[k]);
+    }
+#endif
+}
+
+static void shift_plan(solver_t *s)
+{
+    int n = 0;
+    resample_states(s);
+    for (int k = 0; k <= N; k++) {
+        const real_t t = node_time[k] + sampling_time[0];
+        n = interval_at(t, n);
+        const real_t part = clip((t - node_time[n]) / interval_length[n], R(0), R(1));
         for (int i = 0; i < NX; i++) {
-            const real_t part = clip((t - node_time[n]) / interval_length[n], R(0), R(1));
             s->lam[k][i] = s->lam[n][i] + part * (s->lam[n + 1][i] - s->lam[n][i]);
         }
     }

@@ -42,15 +42,24 @@ OPTIONS: Mapping[str, Kind] = {"p": "parameter", "yref": "reference", "W": "weig
 
 @dataclass(frozen=True)
 class LaneRoutines:
-    """The routines that linearise a path node. ``one_step`` replaces the loops of the interval, if it has any."""
+    """The routines that linearise a path node. ``one_step`` replaces the loops of the interval, if it has any.
+
+    ``shift``: the integration step with which the plan is resampled, if it is.
+    """
 
     routines: tuple[Routine, ...]
     one_step: Kernel | None = None
+    shift: Routine | None = None
+
+    @property
+    def of_nodes(self) -> tuple[Routine, ...]:
+        """Those of a node that are printed in lanes."""
+        return (*(() if self.one_step is None else (self.one_step,)), *self.called)
 
     @property
     def printed(self) -> tuple[Routine, ...]:
-        """Those that are printed in lanes."""
-        return (*(() if self.one_step is None else (self.one_step,)), *self.called)
+        """All that are printed in lanes."""
+        return (*self.of_nodes, *(() if self.shift is None else (self.shift,)))
 
     @property
     def called(self) -> tuple[Routine, ...]:
@@ -69,9 +78,10 @@ def lane_routines(module: CModule) -> LaneRoutines | None:
     first = ("path_exact",) if module.features.lagrangian else ("integrator_interval", "path_gradient")
     known = {r.name: r for r in module.routines}
     routines = tuple(known[name] for name in (*first, "path_rows") if name in known)
+    shift = known.get("integrator_step") if module.features.shift_resample else None
     if routines[0].name != "integrator_interval" or isinstance(routines[0], Kernel):
-        return LaneRoutines(routines)
-    return None if module.one_step is None else LaneRoutines(routines, module.one_step)
+        return LaneRoutines(routines, shift=shift)
+    return None if module.one_step is None else LaneRoutines(routines, module.one_step, shift)
 
 
 def has_conditions(routines: Iterable[Routine]) -> bool:
@@ -110,6 +120,7 @@ def _lane_features(module: CModule) -> Features:
     return replace(
         module.features,
         lane_nodes=True,
+        lane_shift=found.shift is not None,
         lane_conditions=has_conditions(found.printed),
         lane_angles=bool(called & ANGLES),
         lane_sqrt=bool(called & ROOTS),
@@ -144,7 +155,7 @@ def lane_nodes(module: CModule, style: CStyle) -> str:
     found = lane_routines(module)
     if found is None:
         return ""
-    inputs = {p.name: p for r in found.printed for p in r.reads}
+    inputs = {p.name: p for r in found.of_nodes for p in r.reads}
     offsets, total = _node_layout(module)
     width = module.features.vector_lanes
     written = [(r, p) for r in found.routines for p in r.writes]
@@ -175,6 +186,60 @@ def lane_nodes(module: CModule, style: CStyle) -> str:
         f" * numbers of a node_t in the order of its members: {held}. */"
     )
     return "\n".join([head, "static void linearize_group(solver_t *s, int k)", "{", *(f"    {n}" for n in lines), "}"])
+
+
+def lane_shift(module: CModule, style: CStyle) -> str:
+    """integrate_lanes(s, k, n, last): the nodes k .. k + VECTOR_LANES - 1 of the resampled plan."""
+    found = lane_routines(module)
+    if found is None or found.shift is None:
+        return ""
+    inputs = {p.name: p for p in found.shift.reads}
+    places = {"x": "from", "u": "s->u[n]", "p": "PARAM(s, n)"}
+    gathers = []
+    for name, place in places.items():
+        if name in inputs and inputs[name].size:
+            whole = name == "p" and module.layouts["parameter"] != "node"
+            value = f"({place})[i]"
+            gathers += [
+                f"        for (int i = 0; i < {inputs[name].size}; i++) {{",
+                f"            {name}[i]{'' if whole else '[l]'} = {f'lanes_all({value})' if whole else value};",
+                "        }",
+            ]
+    arguments = ", ".join("x" if p.name == "x_next" else p.name for p in (*found.shift.reads, *found.shift.writes))
+    declared = ", ".join(f"{name}[{port.size}]" for name, port in inputs.items())
+    lines = [
+        "/* The nodes k .. k + VECTOR_LANES - 1 of the resampled plan. Lanes behind the last node repeat it; a lane",
+        " * that has made its steps goes on with steps of 0. n: the interval of node k or an earlier one. Returns the",
+        " * last one. */",
+        "static int integrate_lanes(solver_t *s, int k, int n, const real_t *last)",
+        "{",
+        f"    lanes_t {declared};",
+        "    real_t length[VECTOR_LANES];",
+        "    int steps[VECTOR_LANES], most = 0;",
+        "    for (int l = 0; l < VECTOR_LANES; l++) {",
+        "        const real_t t = node_time[(k + l < N) ? k + l : N] + sampling_time[0];",
+        "        n = interval_at(t, n);",
+        "        const real_t *from = (n < N - 1) ? s->x[n] : last;",
+        "        steps[l] = plan_steps(t - node_time[n]);",
+        "        length[l] = (t - node_time[n]) / (real_t)steps[l];",
+        "        most = (steps[l] > most) ? steps[l] : most;",
+        *gathers,
+        "    }",
+        "    for (int step = 0; step < most; step++) { /* at most PLAN_STEPS passes */",
+        "        for (int l = 0; l < VECTOR_LANES; l++) {",
+        "            h[0][l] = (step < steps[l]) ? length[l] : R(0);",
+        "        }",
+        f"        {found.shift.name}{SUFFIX}({arguments});",
+        "    }",
+        "    for (int l = 0; l < VECTOR_LANES && k + l <= N; l++) {",
+        "        for (int i = 0; i < NX; i++) {",
+        "            s->x[k + l][i] = x[i][l];",
+        "        }",
+        "    }",
+        "    return n;",
+        "}",
+    ]
+    return "\n".join(lines)
 
 
 def lane_transpose(module: CModule, style: CStyle) -> str:
@@ -217,6 +282,7 @@ GENERATED: Mapping[str, Callable[[CModule, CStyle], str]] = {
     "generated/lane_functions.c": lane_functions,
     "generated/lane_kernels.c": lane_kernels,
     "generated/lane_nodes.c": lane_nodes,
+    "generated/lane_shift.c": lane_shift,
 }
 
 
