@@ -461,7 +461,8 @@ static inline int ipm_stagnates(const ipm_t *q, real_t before)
     return q->primal > TOL_IPM_PRIMAL && (q->step < R(0.5) || q->primal > R(0.5) * before);
 }
 
-/* Counts the steps in which the violation is not halved. */
+/* Counts the steps in which the violation is not halved. Only bounds of controls are watched: with rows, short steps may
+ * still lead to the least violation. */
 static inline void ipm_count_step(ipm_t *q)
 {
     q->left *= (q->step < R(1)) ? R(1) - q->step : R(0);
@@ -540,7 +541,10 @@ static status_t ipm_iterate(solver_t *s)
         if (ipm_ends_here(s, before, gradient_before, &changed)) {
             return OK;
         }
-        last = s->qp.iterations >= cap || ipm_is_blocked(q);
+        last = s->qp.iterations >= cap;
+        if (!NG) {
+            last |= ipm_is_blocked(q);
+        }
         if (NG) {
             if ((last || ipm_stagnates(q, before)) && ipm_infeasible(s)) {
                 return INFEASIBLE;
@@ -554,6 +558,8 @@ static status_t ipm_iterate(solver_t *s)
             return (q->deferred || ipm_small_residuals(q)) ? OK : NUMERICAL_FAILURE; /* OK is checked at the end */
         }
         ipm_step(s);
-        ipm_count_step(q);
+        if (!NG) {
+            ipm_count_step(q);
+        }
     }
 }

@@ -51,4 +51,4 @@ const char *golden_status_string(golden_status_t status);
 #endif
 
 #endif
-/* nmpc_codegen package 0d0cd5431ff51768, sha256 11d6c4340457713a24e0f4b6aed0a96f2860954dc8d0016c7110c8fb7868784d */
+/* nmpc_codegen package d9f89ec8af8d7665, sha256 bd0a42be8d09cc6aae7576c5e06b4438e8c9ed64c37804bbc4c43d2d99ecc08f */
