@@ -455,6 +455,7 @@ SAMPLES = (
 #: GNU C: targets with lanes and tiles. These and those before meet every condition of the parts.
 IN_LANES = (
     Sample("crane aarch64", crane.build_ocp, Options(target="aarch64")),
+    Sample("controls v3", controls, _dense(algorithm=RESAMPLE, online=NODE, target="x86-64-v3")),
     Sample("functions v4", functions, _riccati(precision="single", target="x86-64-v4")),
     Sample("functions aarch64", functions, _dense(math="own", target="aarch64")),
     Sample("free v3", free, _riccati(hessian=ExactHessian(), target="x86-64-v3")),

@@ -122,8 +122,8 @@ def build(ocp: OCP, options: Options | None = None, profile: str = "fast", name:
         options: Options(...); what is not given is chosen, and ``controller.description.report.choices`` says why.
             Options(target="native") writes the code itself for the vector registers of this machine.
         profile: flags of the compiler besides those of the target: "fast" with all instructions of this processor
-            (-march=native), "verify" without them and without contraction of a * b + c, whose results are therefore
-            those of any machine to the bit, "test" to compile quickly.
+            (-march=native, unless CC names others), "verify" without them and without contraction of a * b + c, so
+            that with math="own" every machine has the same bits, "test" to compile quickly.
         name: prefix of the C names; by default that of the problem.
 
     Returns:

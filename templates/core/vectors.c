@@ -36,7 +36,7 @@ static inline void widen(real_t *size, const real_t *v, int n)
     }
 }
 
-/* size = max(size, |v|) by components, n of them; numbers that are not finite show in the QP. */
+/* size = max(size, |v|) by components, n of them; numbers that are not finite may be left out. */
 static inline void enlarge_all(real_t *size, const real_t *v, int n)
 {
     const int fours = n / 4 * 4;

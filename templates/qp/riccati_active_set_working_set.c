@@ -168,8 +168,8 @@ static void qp_load(solver_t *s)
 static int qp_measure(qp_t *q)
 {
     memset(q->scale, 0, sizeof q->scale);
-    qp_widen(q, q->scale);
-    return all_finite(q->scale, NZS);
+    qp_enlarge(q, q->scale);
+    return all_finite(q->x[0], (NS + 1) * NXS) && all_finite(q->z, NV);
 }
 
 /* Multipliers at the minimiser on the working set. Returns 0 if a multiplier or the value of a row is not finite. */

@@ -437,8 +437,7 @@ static void ipm_forget_progress(ipm_t *q)
 {
     q->closed_gaps = 0;
     q->merit = q->slope = q->primal = INF;
-    q->step = q->left = R(1);
-    q->patience = IPM_PATIENCE;
+    q->step = R(1);
     q->stiffest = FACTOR_IPM_MOST_STIFFENING;
     q->stretched = 0;
     q->slow = INF;
@@ -459,25 +458,6 @@ static int ipm_ends(ipm_t *q, int done, real_t before)
 static inline int ipm_stagnates(const ipm_t *q, real_t before)
 {
     return q->primal > TOL_IPM_PRIMAL && (q->step < R(0.5) || q->primal > R(0.5) * before);
-}
-
-/* Counts the steps in which the violation is not halved. Only bounds of controls are watched: with rows, short steps may
- * still lead to the least violation. */
-static inline void ipm_count_step(ipm_t *q)
-{
-    q->left *= (q->step < R(1)) ? R(1) - q->step : R(0);
-    q->patience--;
-    if (q->left <= R(0.5)) {
-        q->left = R(1);
-        q->patience = IPM_PATIENCE;
-    }
-}
-
-/* Returns 1 if there are too many of them: bounds block one another, as where the dynamics grow too much over the
- * horizon. */
-static inline int ipm_is_blocked(const ipm_t *q)
-{
-    return q->patience <= 0 && q->primal > TOL_IPM_PRIMAL;
 }
 
 /* Values of crossing: iterations until the solution; until a working set is indicated; they ended so. */
@@ -524,7 +504,7 @@ static int ipm_ends_here(solver_t *s, real_t before, real_t gradient_before, int
 static status_t ipm_iterate(solver_t *s)
 {
     ipm_t *q = &s->ipm;
-    int cap = IPM_MAX_ITERATIONS, last;
+    int cap = IPM_MAX_ITERATIONS;
     if (IPM_WARM_START && q->warm) {
         cap = IPM_MAX_ITERATIONS / 4;
     }
@@ -541,16 +521,12 @@ static status_t ipm_iterate(solver_t *s)
         if (ipm_ends_here(s, before, gradient_before, &changed)) {
             return OK;
         }
-        last = s->qp.iterations >= cap;
-        if (!NG) {
-            last |= ipm_is_blocked(q);
-        }
         if (NG) {
-            if ((last || ipm_stagnates(q, before)) && ipm_infeasible(s)) {
+            if ((s->qp.iterations >= cap || ipm_stagnates(q, before)) && ipm_infeasible(s)) {
                 return INFEASIBLE;
             }
         }
-        if (last) {
+        if (s->qp.iterations >= cap) {
             return ITERATION_LIMIT;
         }
         s->qp.iterations++;
@@ -558,8 +534,5 @@ static status_t ipm_iterate(solver_t *s)
             return (q->deferred || ipm_small_residuals(q)) ? OK : NUMERICAL_FAILURE; /* OK is checked at the end */
         }
         ipm_step(s);
-        if (!NG) {
-            ipm_count_step(q);
-        }
     }
 }

@@ -6,7 +6,7 @@
 static void qp_component_sizes(solver_t *s, int full, real_t *size)
 {
     const qp_t *q = &s->qp;
-    qp_widen(q, size);
+    qp_enlarge(q, size);
     for (int k = 0; full && k < NS; k++) {
         real_t z[NZS];
         qp_stage_point(q, k, z);

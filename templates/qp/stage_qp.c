@@ -68,14 +68,14 @@ static inline const real_t *qp_stage_controls(const qp_t *q, int k)
     return q->z + first;
 }
 
-/* size[] = its maximum with the magnitudes of every component of x and z over the stages; NaN if one is not finite. */
-static void qp_widen(const qp_t *q, real_t *size)
+/* size[] = its maximum with the magnitudes of every component of x and z over the stages. */
+static void qp_enlarge(const qp_t *q, real_t *size)
 {
     for (int k = 0; k < NS; k++) {
-        widen(size, q->x[k], NXS);
-        widen(size + NXS, qp_stage_controls(q, k), NUS);
+        enlarge_all(size, q->x[k], NXS);
+        enlarge_all(size + NXS, qp_stage_controls(q, k), NUS);
     }
-    widen(size, q->x[NS], NXS);
+    enlarge_all(size, q->x[NS], NXS);
 }
 
 /* z = (x, u) of stage k. */

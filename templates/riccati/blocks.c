@@ -33,7 +33,7 @@ static inline void riccati_block(real_t *c, int ldc, const real_t *a, int lda, c
     }
 }
 
-/* The same for j < 4. */
+/* The same for j < 4, where fewer than BLOCK_WIDTH columns are left. */
 static inline void riccati_block_4(real_t *c, int ldc, const real_t *a, int lda, const real_t *b, int ldb, int n)
 {
     real_t s0[4] = {0}, s1[4] = {0}, s2[4] = {0}, s3[4] = {0};
@@ -71,12 +71,12 @@ static inline void riccati_block_4(real_t *c, int ldc, const real_t *a, int lda,
 /* c[r][j] += sum_{l<n} a[l][r] b[l][j],  r < 4, j < width; width is a multiple of 4. */
 static void riccati_rows(real_t *c, int ldc, const real_t *a, int lda, const real_t *b, int ldb, int n, int width)
 {
-    int j;
-    for (j = 0; j + BLOCK_WIDTH <= width; j += BLOCK_WIDTH) {
+    const int whole = width / BLOCK_WIDTH * BLOCK_WIDTH;
+    for (int j = 0; j < whole; j += BLOCK_WIDTH) {
         riccati_block(c + j, ldc, a, lda, b + j, ldb, n);
     }
-    if (j < width) {
-        riccati_block_4(c + j, ldc, a, lda, b + j, ldb, n);
+    if (whole < width) {
+        riccati_block_4(c + whole, ldc, a, lda, b + whole, ldb, n);
     }
 }
 

@@ -172,19 +172,19 @@ def test_the_crane_at_rest_at_the_end(precision: str) -> None:
         x = np.asarray(dense.x[1]) + 1e-4 * rng.standard_normal(4)
 
 
-@pytest.mark.parametrize(("growth", "status"), [(1.3, Status.OK), (3.0, Status.ITERATION_LIMIT)])
-def test_bounds_that_block_one_another_end_the_iterations(growth: float, status: Status) -> None:
-    """Dynamics that grow by this factor in every interval, from a state that no admissible control brings back: up to
-    a certain growth the QP is solved, beyond it the method gives up long before its cap."""
+def test_bounds_that_block_one_another_need_many_iterations() -> None:
+    """Dynamics that grow by a third in each of 40 intervals, from a state that no admissible control brings back: the
+    first 20 steps of the method are short, and yet it arrives."""
     rng = np.random.default_rng(1)
     A, B = rng.standard_normal((6, 6)), rng.standard_normal((6, 2))
     ocp = OCP("growth", N=40)
     x, u = ocp.state("x", size=6), ocp.control("u", size=2)
-    ocp.dynamics({x: growth / np.abs(np.linalg.eigvals(A)).max() * A @ x + B @ u}, discrete=True)
+    ocp.dynamics({x: 1.3 / np.abs(np.linalg.eigvals(A)).max() * A @ x + B @ u}, discrete=True)
     ocp.least_squares(ca.vertcat(x, u), weight=[1.0] * 6 + [0.01] * 2)
     ocp.subject_to(-1, u, 1)
     algorithm = RealTimeIteration(repair=0, shift=None)
-    controller = build(ocp, Options(condensing=NoCondensing(), qp=RiccatiInteriorPoint(), algorithm=algorithm), "test")
+    options = Options(condensing=NoCondensing(), qp=RiccatiInteriorPoint(), algorithm=algorithm)
+    controller = build(ocp, options, "test")
     controller.step(10 * rng.standard_normal(6))
-    assert controller.status == status
-    assert controller.stats.qp_iterations <= 45
+    assert controller.status == Status.OK
+    assert 20 < controller.stats.qp_iterations <= 45

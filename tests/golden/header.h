@@ -51,4 +51,4 @@ const char *golden_status_string(golden_status_t status);
 #endif
 
 #endif
-/* nmpc_codegen package d9f89ec8af8d7665, sha256 bd0a42be8d09cc6aae7576c5e06b4438e8c9ed64c37804bbc4c43d2d99ecc08f */
+/* nmpc_codegen package 6cbfbba5b242c603, sha256 fe4b1eb3cb7083140269b85751d332d204634671818af13d520c8b8518de8aa0 */

@@ -189,6 +189,12 @@ def test_compiler_without_flags_for_its_processor(monkeypatch: pytest.MonkeyPatc
     assert native.flags_of_processor() == ()
 
 
+def test_processor_that_cc_names_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    for named in ("-march=x86-64-v2", "-mcpu=cortex-a72"):
+        monkeypatch.setattr(native, "find_compiler", lambda named=named: ("gcc", named))
+        assert native.flags_of_processor() == ()
+
+
 def test_cache_directory_that_cannot_be_written(
     toy_files: Files, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

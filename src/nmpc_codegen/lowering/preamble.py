@@ -57,7 +57,7 @@ def preamble(
 
 #: Macro of which the compiler chooses the value -> its definition.
 CHOSEN: Mapping[str, str] = {
-    "BLOCK_WIDTH": """/* Columns of a block of a matrix product, whose rows are two vector registers. */
+    "BLOCK_WIDTH": """/* Columns of a block of a matrix product: its rows stay in vector registers. */
 #if defined(__AVX__)
 #define BLOCK_WIDTH 8
 #else

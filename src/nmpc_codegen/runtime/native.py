@@ -35,12 +35,16 @@ def native() -> Target:
 
 
 def flags_of_processor() -> tuple[str, ...]:
-    """Flags with which the compiler uses all instructions of the processor at hand; none if it has no such flags.
+    """Flags with which the compiler uses all instructions of the processor at hand.
+
+    None if it has no such flags, or if CC names a processor.
 
     Raises:
         BuildError: there is no compiler.
     """
     compiler = find_compiler()
+    if any(word.startswith(("-march=", "-mcpu=")) for word in compiler):
+        return ()
     return next((flags for flags in _PROCESSOR if macros_of(compiler, flags)), ())
 
 

@@ -15,31 +15,25 @@ static inline int interval_at(real_t t, int n)
 }
 
 #if LANE_SHIFT
-#include "generated/lane_shift.c"
-
-#endif
-static void resample_states(solver_t *s)
-{
-    real_t last[NX];
-    int n = 0;
-    memcpy(last, s->x[N - 1], sizeof last);
-#if LANE_SHIFT
-    for (int k = 0; k <= N; k += VECTOR_LANES) {
-        n = integrate_lanes(s, k, n, last);
-    }
+#include "algorithms/shared/resample_lanes.c"
 #else
+static void resample_states(solver_t *s, const real_t *last)
+{
+    int n = 0;
     for (int k = 0; k <= N; k++) {
         const real_t t = node_time[k] + sampling_time[0];
         n = interval_at(t, n);
         integrate_plan(s, n, (n < N - 1) ? s->x[n] : last, t - node_time[n], s->x[k]);
     }
-#endif
 }
+#endif
 
 static void shift_plan(solver_t *s)
 {
+    real_t last[NX];
     int n = 0;
-    resample_states(s);
+    memcpy(last, s->x[N - 1], sizeof last);
+    resample_states(s, last);
     for (int k = 0; k <= N; k++) {
         const real_t t = node_time[k] + sampling_time[0];
         n = interval_at(t, n);

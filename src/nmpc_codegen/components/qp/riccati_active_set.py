@@ -23,11 +23,7 @@ from nmpc_codegen.components.qp.riccati import (
     stage_qp_fields,
     units_structs,
 )
-from nmpc_codegen.components.qp.riccati_interior_point import (
-    PATIENCE_SIZE,
-    RiccatiInteriorPoint,
-    interior_point_struct,
-)
+from nmpc_codegen.components.qp.riccati_interior_point import RiccatiInteriorPoint, interior_point_struct
 from nmpc_codegen.package.features import Features
 from nmpc_codegen.package.memory import Field, Size, Struct, only_if
 
@@ -138,7 +134,6 @@ class RiccatiActiveSet(Defaults):
             ("QP_MAX_RISES", 3, "number of times that the changes may fail to become fewer"),
             ("IPM_CROSSOVER", 1, "1: the interior point method may end once it indicates a working set"),
             ("IPM_MAX_ITERATIONS", fallback.max_iterations, "cap on the interior point iterations of one QP"),
-            PATIENCE_SIZE,
             ("IPM_WARM_START", int(fallback.warm_start), "1: start near the multipliers of the previous QP"),
         )
 

@@ -21,9 +21,8 @@ from nmpc_codegen.package.memory import Field, Size, Struct, only_if
 if TYPE_CHECKING:
     from nmpc_codegen.components.base import Dims
 
-#: Default cap on the iterations, and on those that leave more than half of the first violation.
-MAX_ITERATIONS, PATIENCE = 80, 25
-PATIENCE_SIZE = ("IPM_PATIENCE", PATIENCE, "number of iterations that may leave half of the violation")
+#: Default cap on the iterations.
+MAX_ITERATIONS = 80
 
 
 def interior_point_struct(dims: Dims, options: RiccatiInteriorPoint, crossover: bool = False) -> Struct:
@@ -89,7 +88,6 @@ def _progress(dims: Dims, warm: bool) -> tuple[Field, ...]:
         Field("merit", (), "residuals of the rows and products, relative to their tolerance", "scratch"),
         Field("slope", (), "gradient of the Lagrangian, relative to its tolerance", "scratch"),
         Field("step", (), "length of the last step", "scratch"),
-        Field("left", (), "part of the violation that the steps have left since it was halved", "scratch"),
         *only_if(dims.ng.value, Field("slow", (), "primal when the last step was stretched", "scratch")),
         Field("stiffening", (), "divisor of the regularisation of the rows", "scratch"),
         Field("stiffest", (), "upper limit of stiffening", "scratch"),
@@ -98,7 +96,6 @@ def _progress(dims: Dims, warm: bool) -> tuple[Field, ...]:
         Field("least_pivot", (), "value added to pivots that are zero", "scratch"),
         Field("place", (sides,), "twice the row of a side, plus 1 if it is the upper one", "scratch", "int32"),
         Field("kind", (rows,), "inequality, equation or given control", "scratch", "int32"),
-        Field("patience", (), "number of steps left in which the violation is to be halved", "scratch", "int32"),
         Field("sides", (), "number of finite bounds of inequalities", "scratch", "int32"),
         Field("hard", (), "number of hard ones among them, which come first", "scratch", "int32"),
         *only_if(
@@ -148,7 +145,6 @@ class RiccatiInteriorPoint(Defaults):
         return (
             *riccati_sizes(dims),
             ("IPM_MAX_ITERATIONS", self.max_iterations, "cap on the interior point iterations of one QP"),
-            PATIENCE_SIZE,
             ("IPM_WARM_START", int(self.warm_start), "1: start near the multipliers of the previous QP"),
             ("IPM_CROSSOVER", 0, "1: the iterations may end once they indicate a working set"),
         )

@@ -199,37 +199,39 @@ def lane_shift(module: CModule, style: CStyle) -> str:
     for name, place in places.items():
         if name in inputs and inputs[name].size:
             whole = name == "p" and module.layouts["parameter"] != "node"
-            value = f"({place})[i]"
+            value = f"{place}[i]"
             gathers += [
                 f"        for (int i = 0; i < {inputs[name].size}; i++) {{",
                 f"            {name}[i]{'' if whole else '[l]'} = {f'lanes_all({value})' if whole else value};",
                 "        }",
             ]
-    arguments = ", ".join("x" if p.name == "x_next" else p.name for p in (*found.shift.reads, *found.shift.writes))
+    arguments = ", ".join(p.name for p in (*found.shift.reads, *found.shift.writes))
     declared = ", ".join(f"{name}[{port.size}]" for name, port in inputs.items())
     lines = [
         "/* The nodes k .. k + VECTOR_LANES - 1 of the resampled plan. Lanes behind the last node repeat it; a lane",
-        " * that has made its steps goes on with steps of 0. n: the interval of node k or an earlier one. Returns the",
-        " * last one. */",
+        " * keeps the state after its last step. n: the interval of node k or an earlier one. Returns the last one. */",
         "static int integrate_lanes(solver_t *s, int k, int n, const real_t *last)",
         "{",
-        f"    lanes_t {declared};",
-        "    real_t length[VECTOR_LANES];",
+        f"    lanes_t {declared}, x_next[NX];",
         "    int steps[VECTOR_LANES], most = 0;",
         "    for (int l = 0; l < VECTOR_LANES; l++) {",
         "        const real_t t = node_time[(k + l < N) ? k + l : N] + sampling_time[0];",
         "        n = interval_at(t, n);",
         "        const real_t *from = (n < N - 1) ? s->x[n] : last;",
         "        steps[l] = plan_steps(t - node_time[n]);",
-        "        length[l] = (t - node_time[n]) / (real_t)steps[l];",
+        "        h[0][l] = (t - node_time[n]) / (real_t)steps[l];",
         "        most = (steps[l] > most) ? steps[l] : most;",
         *gathers,
         "    }",
         "    for (int step = 0; step < most; step++) { /* at most PLAN_STEPS passes */",
+        "        mask_t steps_on;",
         "        for (int l = 0; l < VECTOR_LANES; l++) {",
-        "            h[0][l] = (step < steps[l]) ? length[l] : R(0);",
+        "            steps_on[l] = (step < steps[l]) ? -1 : 0;",
         "        }",
         f"        {found.shift.name}{SUFFIX}({arguments});",
+        "        for (int i = 0; i < NX; i++) {",
+        "            x[i] = lanes_select(steps_on, x_next[i], x[i]);",
+        "        }",
         "    }",
         "    for (int l = 0; l < VECTOR_LANES && k + l <= N; l++) {",
         "        for (int i = 0; i < NX; i++) {",
