@@ -32,6 +32,34 @@ def test_wrong_words(arguments: tuple[str, ...], said: str) -> None:
     assert said in done.stderr
 
 
+TABLE = """
+from benchmarks import speed
+from benchmarks.lib.report import Report
+from benchmarks.lib.speed.loops import LOOPS
+
+assert set(speed.LINES) == {loop.name for loop in LOOPS}
+report = Report()
+report.topic = "times"
+for loop in speed.LINES:
+    for form, total in ((speed.BUILT, 20.0), ("portable", 123.4), ("native", 4.56)):
+        report.add("total", total, "us", case=f"{loop}, {form}")
+        report.add("feedback", total / 10, "us", case=f"{loop}, {form}")
+        if loop != "cart_pole":
+            report.add("to best peer", total / 50, case=f"{loop}, {form}")
+print(speed.table(report), end="")
+"""
+
+
+def test_table_of_times() -> None:
+    """A line per loop; the best peer's time on this machine is that of a form over its ratio."""
+    done = subprocess.run([sys.executable, "-c", TABLE], cwd=ROOT, capture_output=True, text=True, check=True)
+    head, rule, *lines = done.stdout.splitlines()
+    assert head.count("|") == rule.count("|") == 8
+    assert lines[0] == "| crane, terminal constraint | 20, 2 | 123, 12 | 4.6, 0.46 | 50 | 0.40 | 0.09 |"
+    assert "| cart-pole, N = 20 | 20, 2 | 123, 12 | 4.6, 0.46 |  |  |  |" in lines
+    assert len(lines) == 9
+
+
 @pytest.mark.slow
 def test_what_grew_is_marked(tmp_path: Path) -> None:
     """The operations of the crane, against a baseline in which they are 3 % and 1 % fewer."""

@@ -26,7 +26,7 @@ LIMITS: dict[str, tuple[int, str]] = {
     "src/firmware": (1093, ""),
     "src/frontend": (1711, ""),
     "src/ir": (2031, ""),
-    "src/lowering": (4115, "lanes: plans resampled several nodes at once, rows of few elements out of the tiles"),
+    "src/lowering": (4120, "lanes: plans resampled several nodes at once, rows of few elements out of the tiles"),
     "src/oracle": (474, ""),
     "src/package": (961, ""),
     "src/runtime": (2810, ""),
