@@ -19,12 +19,14 @@ import argparse
 import tempfile
 import time
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 
-from benchmarks.lib.base import Base, checkout, commits, figures_of, head
+from benchmarks.lib.base import Base, checkout, commits, head
 from benchmarks.lib.report import Baseline, Report, listed, machine
 from benchmarks.lib.run import RefusedError, Run
 from benchmarks.lib.speed import where
+from benchmarks.lib.speed.programs import read_programs
 from benchmarks.topics import MATRICES, PAGE, TOPICS, chosen
 from verification.qp.verdicts import replay as replay_qp
 from verification.robustness.episodes import replay as replay_episode
@@ -38,15 +40,20 @@ def parser() -> argparse.ArgumentParser:
     found = argparse.ArgumentParser("benchmarks", description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     more = ", ".join(name for name in TOPICS if name not in PAGE)
     found.add_argument("--only", metavar="TOPIC", help=f"some of {', '.join(PAGE)};\nnot on the page: {more}; all")
+    add_page_options(found)
+    found.add_argument("--replay", metavar="NAME", help="class/number/solver/precision or controller/number: print it")
+    found.add_argument("--where", metavar="LOOP", choices=where.NAMES, help="shares of functions in a sample's time")
+    return found
+
+
+def add_page_options(found: argparse.ArgumentParser) -> None:
+    """What page() reads besides the topics."""
     baseline = found.add_mutually_exclusive_group()
     baseline.add_argument("--base", metavar="COMMIT", help="compare with this commit, run in turn")
     baseline.add_argument("--baseline", metavar="FILE", type=Path, default=COMMITTED, help="benchmarks/baseline.json")
     found.add_argument("--scale", metavar="S", type=float, default=SCALE, help=f"share of the draws (default {SCALE})")
     found.add_argument("--seed", metavar="N", type=int, default=commits(), help="of the draws")
     found.add_argument("--json", metavar="FILE", help="write all records")
-    found.add_argument("--replay", metavar="NAME", help="class/number/solver/precision or controller/number: print it")
-    found.add_argument("--where", metavar="LOOP", choices=where.NAMES, help="shares of functions in a sample's time")
-    return found
 
 
 def main() -> None:
@@ -59,6 +66,11 @@ def main() -> None:
     if options.where:
         where.show(options.where)
         return
+    page(command, options)
+
+
+def page(command: argparse.ArgumentParser, options: argparse.Namespace) -> Report:
+    """Measure and print the topics that are asked for; the command ends where it cannot."""
     if not 0 <= options.scale <= 1:
         command.error(f"--scale {options.scale:g}: expected a share, 0 to 1")
     if not options.baseline.is_file():
@@ -68,12 +80,12 @@ def main() -> None:
         with ExitStack() as stack:
             folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
             base = stack.enter_context(checkout(options.base, folder)) if options.base else None
-            measure(options, names, base, folder)
+            return measure(options, names, base, folder)
     except RefusedError as error:
         command.error(str(error))
 
 
-def measure(options: argparse.Namespace, names: list[str], base: Base | None, folder: Path) -> None:
+def measure(options: argparse.Namespace, names: list[str], base: Base | None, folder: Path) -> Report:
     """Run the topics and print each as soon as it is there."""
     start, run = time.perf_counter(), Run(options.scale, options.seed)
     if base is None:
@@ -90,6 +102,22 @@ def measure(options: argparse.Namespace, names: list[str], base: Base | None, fo
     print(verdict(report) + f"\n{time.perf_counter() - start:.0f} s in all")
     if options.json:
         report.write(options.json, commit=head(), scale=run.scale, seed=run.seed)
+    return report
+
+
+def figures_of(base: Base, names: list[str], run: Run, folder: Path) -> tuple[Baseline, Run]:
+    """The baseline of a commit, and the run with its programs, if there are times to compare."""
+    others, label = [name for name in names if name != "times"], f"commit {base.name}, in turn"
+    baseline = Baseline.empty(label)
+    if others:
+        file = folder / "base.json"
+        asked = ("--only", ",".join(others), "--scale", str(run.scale), "--seed", str(run.seed), "--json", str(file))
+        base.run("benchmarks", *asked)
+        baseline = Baseline.of(file, label, same_machine=True)
+    if "times" in names:
+        base.run("benchmarks.lib.speed.programs", str(folder / "programs"))
+        run = replace(run, base_programs=read_programs(folder / "programs"))
+    return baseline, run
 
 
 def verdict(report: Report) -> str:

@@ -1,4 +1,4 @@
-"""Speed: python -m benchmarks.speed [--base COMMIT] [--scale S] [--json FILE] [--table FILE]
+"""Speed: python -m benchmarks.speed [--base COMMIT | --baseline FILE] [--scale S] [--json FILE] [--table FILE]
 
 Times and instructions of a sample in closed loops of nine problems: portable C as build() compiles it for this
 processor, portable C for any processor, and C for the target of this machine. ``--base``: the loops of that commit run
@@ -9,18 +9,13 @@ file (README.md).
 from __future__ import annotations
 
 import argparse
-import tempfile
-from contextlib import ExitStack
 from pathlib import Path
 
-from benchmarks.lib.base import checkout, commits, figures_of, head
-from benchmarks.lib.report import Baseline, Report, machine, replace_table
-from benchmarks.lib.run import RefusedError, Run
-from benchmarks.lib.speed import instructions, times
+from benchmarks.__main__ import add_page_options, page
+from benchmarks.lib.report import Report, replace_table
 from benchmarks.lib.speed.programs import BUILT
 from nmpc_codegen.targets import NATIVE, PORTABLE
 
-TOPICS = {"times": times.measure, "instructions": instructions.measure}
 #: Name of a loop -> its line in the table.
 LINES = {
     "crane": "crane, terminal constraint",
@@ -69,32 +64,17 @@ def digits(value: float) -> str:
 
 
 def main() -> None:
-    """The command line."""
-    command = argparse.ArgumentParser("benchmarks.speed", description=__doc__)
-    command.add_argument("--base", metavar="COMMIT", help="compare with this commit, run in turn")
-    command.add_argument("--scale", metavar="S", type=float, default=0.5, help="share of the rounds (default 0.5)")
-    command.add_argument("--json", metavar="FILE", help="write all records")
+    """The command line: that of the page, whose topics are times and instructions, and the table."""
+    command = argparse.ArgumentParser(
+        "benchmarks.speed", description=__doc__, formatter_class=argparse.RawTextHelpFormatter
+    )
+    add_page_options(command)
     command.add_argument("--table", metavar="FILE", type=Path, help="write the table of this file anew")
+    command.set_defaults(only="times,instructions")
     options = command.parse_args()
-    if not 0 < options.scale <= 1:
-        command.error(f"--scale {options.scale:g}: expected a share, more than 0 and at most 1")
-    run, baseline = Run(options.scale, commits()), Baseline.empty("none")
-    try:
-        with ExitStack() as stack:
-            folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
-            if options.base:
-                base = stack.enter_context(checkout(options.base, folder))
-                baseline, run = figures_of(base, list(TOPICS), run, folder)
-            report = Report(baseline)
-            print(f"{head()}  {machine()}\nbaseline: {baseline.label}\n")
-            for name, measure in TOPICS.items():
-                report.topic = name
-                measure(report, run)
-                report.print_matrix(name)
-    except RefusedError as error:
-        command.error(str(error))
-    if options.json:
-        report.write(options.json, commit=head(), scale=run.scale, seed=run.seed)
+    if options.table and not options.scale:
+        command.error("--table has all loops; at --scale 0 one of them is measured")
+    report = page(command, options)
     if options.table:
         replace_table(options.table, COLUMN, table(report))
 

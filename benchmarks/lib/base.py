@@ -7,12 +7,10 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
-from benchmarks.lib.report import Baseline
-from benchmarks.lib.run import RefusedError, Run
-from benchmarks.lib.speed.programs import read_programs
+from benchmarks.lib.run import RefusedError
 
 ROOT = Path(__file__).parents[2]
 ENTRY = "benchmarks/__main__.py"
@@ -55,21 +53,6 @@ def checkout(commit: str, folder: Path) -> Iterator[Base]:
         yield Base(name, place)
     finally:
         _git("worktree", "remove", "--force", str(place))
-
-
-def figures_of(base: Base, names: list[str], run: Run, folder: Path) -> tuple[Baseline, Run]:
-    """The baseline of a commit, and the run with its programs, if there are times to compare."""
-    others, label = [name for name in names if name != "times"], f"commit {base.name}, in turn"
-    baseline = Baseline.empty(label)
-    if others:
-        file = folder / "base.json"
-        asked = ("--only", ",".join(others), "--scale", str(run.scale), "--seed", str(run.seed), "--json", str(file))
-        base.run("benchmarks", *asked)
-        baseline = Baseline.of(file, label, same_machine=True)
-    if "times" in names:
-        base.run("benchmarks.lib.speed.programs", str(folder / "programs"))
-        run = replace(run, base_programs=read_programs(folder / "programs"))
-    return baseline, run
 
 
 def head() -> str:

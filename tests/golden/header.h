@@ -51,4 +51,4 @@ const char *golden_status_string(golden_status_t status);
 #endif
 
 #endif
-/* nmpc_codegen package 6cbfbba5b242c603, sha256 fe4b1eb3cb7083140269b85751d332d204634671818af13d520c8b8518de8aa0 */
+/* nmpc_codegen package fb2b055ac82d2bb7, sha256 963241f4eaa70b1546859ae63baa36c0e98538330a10b461c2429df66fa4787e */

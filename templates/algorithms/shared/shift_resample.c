@@ -8,7 +8,7 @@
 /* The interval of the plan that contains the time t, from interval n on. */
 static inline int interval_at(real_t t, int n)
 {
-    while (n + 1 < N && node_time[n + 1] <= t) { /* at most N passes in shift_plan */
+    while (n + 1 < N && node_time[n + 1] <= t) { /* at most N + N passes in shift_plan */
         n++;
     }
     return n;

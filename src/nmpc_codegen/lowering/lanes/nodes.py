@@ -197,7 +197,7 @@ def lane_shift(module: CModule, style: CStyle) -> str:
     places = {"x": "from", "u": "s->u[n]", "p": "PARAM(s, n)"}
     gathers = []
     for name, place in places.items():
-        if name in inputs and inputs[name].size:
+        if name in inputs:
             whole = name == "p" and module.layouts["parameter"] != "node"
             value = f"{place}[i]"
             gathers += [

@@ -31,8 +31,9 @@ def product(kernel: Kernel) -> str:
     """
     nx, nz = kernel.outputs[-1].size // kernel.outputs[-1].cols, kernel.outputs[-1].cols
     of_step = _pattern(kernel, nx, nz)
-    rows, inner = ([i for i in range(nx) if len(p[i]) > FEW * nz] for p in (of_step, _of_all_steps(of_step, nx)))
-    of_sum = [(n, j) for n, columns in enumerate(_of_all_steps(of_step, nx)) if n not in inner for j in sorted(columns)]
+    of_sum = _of_all_steps(of_step, nx)
+    rows, inner = ([i for i in range(nx) if len(p[i]) > FEW * nz] for p in (of_step, of_sum))
+    others = [(n, j) for n in range(nx) if n not in inner for j in sorted(of_sum[n])]
     tiles = [(first, height) for run in _runs(rows) for first, height in _heights(*run)]
     widths = [COLUMNS] * (nz >= COLUMNS) + [nz % COLUMNS] * (nz % COLUMNS > 0)
     texts = [_tile(r, c, _runs(inner), nz) for r in sorted({height for _, height in tiles}) for c in widths]
@@ -42,9 +43,9 @@ def product(kernel: Kernel) -> str:
         "{",
         *_tile_rows(tiles, nz),
     ]
-    for first, last in _runs(rows) if of_sum else ():
+    for first, last in _runs(rows) if others else ():
         lines += [f"    for (int i = {first}; i < {last}; i++) {{"]
-        lines += [f"        T[i * {nz} + {j}] += A[i * {nz} + {n}] * S[{n * nz + j}];" for n, j in of_sum]
+        lines += [f"        T[i * {nz} + {j}] += A[i * {nz} + {n}] * S[{n * nz + j}];" for n, j in others]
         lines += ["    }"]
     for i in sorted(set(range(nx)) - set(rows)):
         terms = [f"A[{i * nz + n}] * S[{n * nz} + j]" for n in sorted(of_step[i]) if n < nx]
