@@ -1,69 +1,35 @@
-/* Four rows of a matrix product: c[r][j] += sum_{l<n} a[l][r] b[l][j],  r < 4, j < BLOCK_WIDTH. */
-static inline void riccati_block(real_t *c, int ldc, const real_t *a, int lda, const real_t *b, int ldb, int n)
+/* Four rows of a matrix product: c[r][j] += sum_{l<n} a[l][r] b[l][j],  r < 4, j < width <= BLOCK_WIDTH. */
+static inline void riccati_block(
+    real_t *c, int ldc, const real_t *a, int lda, const real_t *b, int ldb, int n, const int width)
 {
     real_t s0[BLOCK_WIDTH] = {0}, s1[BLOCK_WIDTH] = {0}, s2[BLOCK_WIDTH] = {0}, s3[BLOCK_WIDTH] = {0};
     for (int l = 0; l < n; l++) {
         const real_t a0 = a[0], a1 = a[1], a2 = a[2], a3 = a[3];
-        for (int i = 0; i < BLOCK_WIDTH; i++) {
+        for (int i = 0; i < width; i++) {
             s0[i] += a0 * b[i];
         }
-        for (int i = 0; i < BLOCK_WIDTH; i++) {
+        for (int i = 0; i < width; i++) {
             s1[i] += a1 * b[i];
         }
-        for (int i = 0; i < BLOCK_WIDTH; i++) {
+        for (int i = 0; i < width; i++) {
             s2[i] += a2 * b[i];
         }
-        for (int i = 0; i < BLOCK_WIDTH; i++) {
+        for (int i = 0; i < width; i++) {
             s3[i] += a3 * b[i];
         }
         a += lda;
         b += ldb;
     }
-    for (int i = 0; i < BLOCK_WIDTH; i++) {
+    for (int i = 0; i < width; i++) {
         c[i] += s0[i];
     }
-    for (int i = 0; i < BLOCK_WIDTH; i++) {
+    for (int i = 0; i < width; i++) {
         c[ldc + i] += s1[i];
     }
-    for (int i = 0; i < BLOCK_WIDTH; i++) {
+    for (int i = 0; i < width; i++) {
         c[2 * ldc + i] += s2[i];
     }
-    for (int i = 0; i < BLOCK_WIDTH; i++) {
-        c[3 * ldc + i] += s3[i];
-    }
-}
-
-/* The same for j < 4, where fewer than BLOCK_WIDTH columns are left. */
-static inline void riccati_block_4(real_t *c, int ldc, const real_t *a, int lda, const real_t *b, int ldb, int n)
-{
-    real_t s0[4] = {0}, s1[4] = {0}, s2[4] = {0}, s3[4] = {0};
-    for (int l = 0; l < n; l++) {
-        const real_t a0 = a[0], a1 = a[1], a2 = a[2], a3 = a[3];
-        for (int i = 0; i < 4; i++) {
-            s0[i] += a0 * b[i];
-        }
-        for (int i = 0; i < 4; i++) {
-            s1[i] += a1 * b[i];
-        }
-        for (int i = 0; i < 4; i++) {
-            s2[i] += a2 * b[i];
-        }
-        for (int i = 0; i < 4; i++) {
-            s3[i] += a3 * b[i];
-        }
-        a += lda;
-        b += ldb;
-    }
-    for (int i = 0; i < 4; i++) {
-        c[i] += s0[i];
-    }
-    for (int i = 0; i < 4; i++) {
-        c[ldc + i] += s1[i];
-    }
-    for (int i = 0; i < 4; i++) {
-        c[2 * ldc + i] += s2[i];
-    }
-    for (int i = 0; i < 4; i++) {
+    for (int i = 0; i < width; i++) {
         c[3 * ldc + i] += s3[i];
     }
 }
@@ -73,10 +39,10 @@ static void riccati_rows(real_t *c, int ldc, const real_t *a, int lda, const rea
 {
     const int whole = width / BLOCK_WIDTH * BLOCK_WIDTH;
     for (int j = 0; j < whole; j += BLOCK_WIDTH) {
-        riccati_block(c + j, ldc, a, lda, b + j, ldb, n);
+        riccati_block(c + j, ldc, a, lda, b + j, ldb, n, BLOCK_WIDTH);
     }
     if (whole < width) {
-        riccati_block_4(c + whole, ldc, a, lda, b + whole, ldb, n);
+        riccati_block(c + whole, ldc, a, lda, b + whole, ldb, n, 4);
     }
 }
 

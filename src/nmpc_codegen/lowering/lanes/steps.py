@@ -11,13 +11,14 @@ from collections.abc import Iterable, Iterator, Sequence
 from textwrap import wrap
 
 from nmpc_codegen.ir.kernel import Kernel
+from nmpc_codegen.lowering.pruning.tree import WIDTH, wrap_line
 
 #: Most rows of a tile of the product, and its columns; the sums stay in registers.
 ROWS, COLUMNS = 4, 6
 #: A row of [A B] with at most this part of its elements is left out of the tiles.
 FEW = 0.25
 
-WIDTH, INDENT = 120, "    "
+INDENT = "    "
 
 #: The columns that each row of a matrix has.
 Pattern = Sequence[frozenset[int]]
@@ -61,14 +62,17 @@ def product(kernel: Kernel) -> str:
         "}",
     ]
     zeros = _zeros(kernel)
-    table = _lines(f"static const int one_step_zero[{len(zeros)}] = {{ {', '.join(map(str, zeros))} }};", "")
     if zeros:
+        table = wrap_line(f"static const int one_step_zero[{len(zeros)}] = {{ {', '.join(map(str, zeros))} }};")
         texts.insert(0, "\n".join(["/* Elements of [A B] that are zero. */", *table]))
     return "\n\n".join([*texts, "\n".join(lines)])
 
 
-def _lines(statement: str, indent: str = INDENT) -> list[str]:
-    return wrap(statement, WIDTH, initial_indent=indent, subsequent_indent=indent + INDENT)
+def _declare(kind: str, items: Iterable[str], indent: str = INDENT) -> list[str]:
+    """A declaration in lines that end between its items."""
+    joined = ", ".join(item.replace(" ", "\0") for item in items)
+    lines = wrap(f"{kind} {joined};", WIDTH, initial_indent=indent, subsequent_indent=indent + INDENT)
+    return [line.replace("\0", " ") for line in lines]
 
 
 def _pattern(kernel: Kernel, nx: int, nz: int) -> Pattern:
@@ -139,29 +143,20 @@ def _tile_rows(tiles: Sequence[tuple[int, int]], nz: int) -> Iterator[str]:
 def _tile(rows: int, columns: int, inner: Sequence[tuple[int, int]], nz: int) -> str:
     """A tile of A S: sums over these rows of S."""
     sums = [[f"s{i}{j}" for j in range(columns)] for i in range(rows)]
-    zeros = ", ".join(f"{name} = {{0}}" for row in sums for name in row)
     lines = [
         f"LANES_INLINE void lanes_tile_{rows}_{columns}(const lanes_t *A, const lanes_t *S, lanes_t *T)",
         "{",
-        *_lines(f"lanes_t {zeros};"),
+        *_declare("lanes_t", (f"{name} = {{0}}" for row in sums for name in row)),
     ]
     for first, last in inner:
         lines.append(f"    for (int l = {first}; l < {last}; l++) {{")
-        loaded = ", ".join(f"b{j} = S[l * {nz} + {j}]" for j in range(columns))
-        lines += _lines(f"const lanes_t {loaded};", 2 * INDENT)
+        lines += _declare("const lanes_t", (f"b{j} = S[l * {nz} + {j}]" for j in range(columns)), 2 * INDENT)
         for i, row in enumerate(sums):
             lines.append(f"        const lanes_t a{i} = A[{i * nz} + l];")
             lines += [f"        {name} += a{i} * b{j};" for j, name in enumerate(row)]
         lines.append("    }")
     lines += [f"    T[{i * nz + j}] = {name};" for i, row in enumerate(sums) for j, name in enumerate(row)]
     return "\n".join([*lines, "}"])
-
-
-_CLEAR = (
-    "for (int i = 0; i < (int)(sizeof one_step_zero / sizeof one_step_zero[0]); i++) {",
-    "    one_step[one_step_zero[i]] = before[one_step_zero[i]] = lanes_all(R(0));",
-    "}",
-)
 
 
 def calls(kernel: Kernel, suffix: str, x_next: str, S: str) -> tuple[list[str], list[str]]:
@@ -175,8 +170,11 @@ def calls(kernel: Kernel, suffix: str, x_next: str, S: str) -> tuple[list[str], 
             f"{kernel.name}{suffix}({', '.join(named.get(p.name, p.name) for p in (*kernel.reads, *kernel.writes))});"
         )
 
-    lines = [
-        *(_CLEAR if _zeros(kernel) else ()),
+    lines = []
+    if zeros := len(_zeros(kernel)):
+        lines = [f"for (int i = 0; i < {zeros}; i++) {{"]
+        lines += ["    one_step[one_step_zero[i]] = before[one_step_zero[i]] = lanes_all(R(0));", "}"]
+    lines += [
         call("x", "before"),
         "for (int n = 1; n < STEPS; n++) {",
         f"    {call(x_next, 'one_step')}",
