@@ -39,6 +39,7 @@ from nmpc_codegen import (
 from verification.problems import tiny
 from verification.routes import PURE
 from verification.timed import Sample
+from verification.tuned import blocked_crane, dead_time, graded_tank, slewed_crane, timed_vessel
 
 
 def _pendulum(name: str, **grid: Any) -> tuple[OCP, Any, Any, Any]:
@@ -360,6 +361,30 @@ def functions() -> OCP:
     return ocp
 
 
+def clocked() -> OCP:
+    """Time, and a component of x_0 that the solver chooses."""
+    ocp, q, _, _ = _pendulum("clocked")
+    ocp.least_squares(q - ca.sin(ocp.time), 1.0, names="follow")
+    ocp.free_initial(q)
+    return ocp
+
+
+def rated() -> OCP:
+    """A rate penalty; no terminal cost."""
+    ocp, _, _, u = _pendulum("rated")
+    ocp.least_squares(ocp.rate(u), 0.1, names="slew")
+    return ocp
+
+
+def sampled() -> OCP:
+    """A discrete state beside a continuous one."""
+    ocp = OCP("sampled", T=1.0, N=5)
+    x, n, u = ocp.state("x", initial=0.5), ocp.state("n"), ocp.control("u")
+    ocp.dynamics({x: u - x + n}, discrete={n: 0.5 * n + 0.1 * x})
+    ocp.least_squares(ca.vertcat(x, n, u), weight=[1.0, 0.1, 0.1])
+    return ocp
+
+
 #: Examples with their default options.
 EXAMPLES = (
     Sample("crane", crane.build_ocp),
@@ -449,6 +474,17 @@ SAMPLES = (
     Sample("counted quasi-Newton", counted, _shooting({**QUASI_NEWTON, **SMOOTH})),
     Sample("soft rows lumped", soft_rows, _shooting(LUMPED)),
     Sample("states lumped", states, _shooting({**QUASI_NEWTON, **LUMPED}, solve=False)),
+    Sample("clocked dense", clocked, _dense()),
+    Sample("sampled riccati", sampled, _riccati()),
+    Sample("blocked dense", lambda: blocked_crane()[0], _dense()),
+    Sample("blocked dense alone", lambda: blocked_crane()[0], Options(qp=DenseActiveSet(), solve=False)),
+    Sample("rated dense alone", rated, _alone(DenseActiveSet(), FullCondensing())),
+    Sample("slewed dense", lambda: slewed_crane()[0], _dense(algorithm=LEVELS)),
+    Sample("graded riccati", lambda: graded_tank()[0], _riccati(precision="single")),
+    Sample("dead time shooting", lambda: dead_time()[0], _shooting({"shift": "repeat"})),
+    Sample("vessel interior", lambda: timed_vessel()[0], _interior(integrator=LOOPED)),
+    Sample("vessel augmented", lambda: timed_vessel()[0], _augmented()),
+    Sample("blocked partial", lambda: blocked_crane()[0], _partial(target="cortex-m4f", precision="single")),
     Sample("path barrier", path, _shooting({**BARRIER, "shift": "repeat"})),
 )  # fmt: skip
 

@@ -100,6 +100,9 @@ static void algorithm_reset(solver_t *s)
     memset(&s->stats, 0, sizeof s->stats);
     s->samples = 0;
     s->status = (int32_t)OK;
+    if (INNER) {
+        reset_inner(s);
+    }
 }
 
 /* x_0 = xhat[if ACCUMULATORS:, 0 in accumulators]. Returns 0, and leaves x_0 as it is, if a measured entry is not
@@ -107,21 +110,27 @@ static void algorithm_reset(solver_t *s)
 static int take_state(solver_t *s, const real_t *xhat)
 {
     if (!ACCUMULATORS) {
-        if (!all_finite(xhat, NX)) {
+        if (!all_finite(xhat, NXHAT)) {
             return 0;
         }
-        for (int i = 0; i < NX; i++) {
+        for (int i = 0; i < NXHAT; i++) {
             s->x[0][i] = or_zero(xhat[i], i);
+        }
+        if (INNER) {
+            take_inner(s, s->x[0]);
         }
         return 1;
     }
-    for (int i = 0; i < NX; i++) {
+    for (int i = 0; i < NXHAT; i++) {
         if (!is_accumulator[i] && !isfinite(xhat[i])) {
             return 0;
         }
     }
-    for (int i = 0; i < NX; i++) {
+    for (int i = 0; i < NXHAT; i++) {
         s->x[0][i] = is_accumulator[i] ? R(0) : or_zero(xhat[i], i);
+    }
+    if (INNER) {
+        take_inner(s, s->x[0]);
     }
     return 1;
 }
@@ -170,7 +179,7 @@ static status_t run_sample(solver_t *s)
     return (status == OK && moved < MOVED && step_is_long(s, 1)) ? NOT_CONVERGED : status;
 }
 
-status_t API(step)(solver_t *s, const real_t xhat[NX], real_t u0[NU])
+status_t API(step)(solver_t *s, const real_t xhat[NXHAT], real_t u0[NU])
 {
     status_t status = NOT_FINITE;
     if (s->magic != MAGIC) {
@@ -192,6 +201,9 @@ status_t API(step)(solver_t *s, const real_t xhat[NX], real_t u0[NU])
     safe_control(s, u0);
     if (PULLED_ROWS) {
         pull_control_back(s, u0);
+    }
+    if (INNER) {
+        keep_sample(s, u0);
     }
     return finish(s, judge_residual(status, s->stats.violation));
 }

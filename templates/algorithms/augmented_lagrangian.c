@@ -29,6 +29,9 @@ static void algorithm_reset(solver_t *s)
     reset_search(s);
     forget_sizes(s);
     start_at(s, initial_state);
+    if (INNER) {
+        reset_inner(s);
+    }
     memcpy(s->xhat, s->x[0], sizeof s->xhat);
 }
 
@@ -72,6 +75,9 @@ status_t API(prepare)(solver_t *s)
     }
     s->prepared = 1;
     restart_doubtful_plan(s);
+    if (INNER) {
+        follow_inner(s);
+    }
     return finish(s, prepare_at_plan(s));
 }
 

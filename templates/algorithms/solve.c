@@ -117,7 +117,7 @@ static status_t solve_here(solver_t *s, real_t tol, int last)
 }
 
 /* Starts from the plan, of which it gives up what is not finite, or resumes the last search. */
-status_t API(solve)(solver_t *s, const real_t xhat[NX], real_t tol, int max_iterations)
+status_t API(solve)(solver_t *s, const real_t xhat[NXHAT], real_t tol, int max_iterations)
 {
     status_t status;
     if (s->magic != MAGIC) {

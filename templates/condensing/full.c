@@ -13,6 +13,10 @@
  * penalty: lower <= row - sigma <= upper, cost l2/2 sigma^2, and sigma = 0 as an elastic bound with penalty l1. The QP
  * solver knows where slacks occur: neither the Hessian nor the rows have entries for them]. */
 
+/* Columns of G_k: dx_0[if NBAND > 0: without the controls of the node before, whose columns are 0,] and the controls,
+ * in whole panels. */
+enum { NXC = NX - NBAND, LDG = (NXC + NUS + COLUMNS - 1) / COLUMNS * COLUMNS };
+
 #include "generated/product_columns.c"
 
 static void qp_init(qp_t *q);
@@ -33,10 +37,22 @@ static inline real_t condense_sum(real_t sum, const real_t *a, const real_t *x)
     return sum;
 }
 
+/* Variable of the QP that is control j of node k[if NHELD > 0:; -1: it begins no block]. */
+static inline int condense_variable(int k, int j)
+{
+    if (NHELD > 0) {
+        return control_variable[k * NU + j];
+    }
+    return k * NU + j;
+}
+
 /* First node k at which a column in a panel of G_k is nonzero: 0 for dx_0, k + 1 for du_k. */
 static inline int condense_first_node(int column)
 {
-    return (column < NX) ? 0 : (column - NX) / NU + 1;
+    if (NHELD > 0) {
+        return (column < NXC) ? 0 : (column < NXC + NUS) ? variable_node[column - NXC] + 1 : N + 1;
+    }
+    return (column < NXC) ? 0 : (column - NXC) / NU + 1;
 }
 
 /* Sets a panel of G_k or W to zero. */
@@ -52,7 +68,16 @@ static inline void condense_clear(real_t (*columns)[COLUMNS])
 /* Copies B_k to the columns of du_k in G_{k+1}. */
 static inline void condense_enter(columns_t *p, const node_t *node, int k, int column)
 {
-    const int entering = NX + k * NU - column;
+    if (NHELD > 0) {
+        for (int j = 0; j < NU; ++j) {
+            const int at = NXC + condense_variable(k, j) - column;
+            for (int i = 0; i < NX && at >= 0 && at < COLUMNS && condense_variable(k, j) >= 0; ++i) {
+                p->G[k + 1][i][at] = node->S[i][NX + j];
+            }
+        }
+        return;
+    }
+    const int entering = NXC + k * NU - column;
     for (int j = (entering < 0) ? -entering : 0; j < NU && entering + j < COLUMNS; ++j) {
         for (int i = 0; i < NX; ++i) {
             p->G[k + 1][i][entering + j] = node->S[i][NX + j];
@@ -67,7 +92,7 @@ static void condense_propagate(solver_t *s, int column)
     columns_t *p = &s->qp.work.columns;
     const int first = condense_first_node(column), last = condense_first_node(column + COLUMNS - 1);
     condense_clear(p->G[first]);
-    for (int i = column; i < NX && i < column + COLUMNS; ++i) {
+    for (int i = column; i < NXC && i < column + COLUMNS; ++i) {
         p->G[0][i][i - column] = R(1);
     }
     if (first > 0) {
@@ -86,18 +111,18 @@ static void condense_propagate(solver_t *s, int column)
 static inline void condense_store(const real_t *panel, int column, real_t *dx0, real_t *du)
 {
     enum {
-        BORDER = NX % COLUMNS, /* columns of dx_0 in a panel that has du_0, too */
-        LAST = LDH + NX < LDG ? LDH + NX + COLUMNS - LDG : COLUMNS /* columns of the last panel that H has */
+        BORDER = NXC % COLUMNS, /* columns of dx_0 in a panel that has du_0, too */
+        LAST = LDH + NXC < LDG ? LDH + NXC + COLUMNS - LDG : COLUMNS /* columns of the last panel that H has */
     };
-    if (column + COLUMNS <= NX) {
+    if (column + COLUMNS <= NXC) {
         memcpy(dx0 + column, panel, COLUMNS * sizeof *panel);
-    } else if (column < NX) {
+    } else if (column < NXC) {
         memcpy(dx0 + column, panel, BORDER * sizeof *panel);
         memcpy(du, panel + BORDER, (COLUMNS - BORDER < LDH ? COLUMNS - BORDER : LDH) * sizeof *panel);
     } else if (column + COLUMNS < LDG) {
-        memcpy(du + column - NX, panel, COLUMNS * sizeof *panel);
+        memcpy(du + column - NXC, panel, COLUMNS * sizeof *panel);
     } else {
-        memcpy(du + column - NX, panel, LAST * sizeof *panel);
+        memcpy(du + column - NXC, panel, LAST * sizeof *panel);
     }
 }
 
@@ -106,10 +131,53 @@ static void condense_store_rows(solver_t *s, int k, int column)
 {
     columns_t *p = &s->qp.work.columns;
     for (int j = 0; j < NU; ++j) {
-        const int row = k * NU + j;
+        const int row = condense_variable(k, j);
+        if (NHELD > 0) {
+            if (row < 0) {
+                continue;
+            }
+        }
         condense_store(p->T[j], column, s->condensed.Hx[row], s->qp.H[row]);
     }
 }
+
+#if NBAND
+/* Coupling of du_k to the controls of the node before in dx_0: they act on node 0 alone. */
+static void condense_couple_band(solver_t *s, int k, real_t (*Q)[NZ])
+{
+    for (int j = 0; j < NU; ++j) {
+        for (int i = NXC; i < NX; ++i) {
+            s->condensed.Hx[k * NU + j][i] = (k == 0) ? Q[NX + j][i] : R(0);
+        }
+    }
+}
+
+/* Adds what controls of the node before node k contribute to the condensed Hessian: products of those of one node, and
+ * with the controls of node k. */
+static void condense_add_band(solver_t *s, int k, real_t (*Q)[NZ])
+{
+    for (int i = 0; k > 0 && i < NBAND; ++i) {
+        const int before = (k - 1) * NU + remembered[i];
+        for (int j = 0; j < NU; ++j) {
+            s->qp.H[k * NU + j][before] += Q[NX + j][NXC + i];
+        }
+        for (int l = 0; l <= i; ++l) {
+            s->qp.H[before][(k - 1) * NU + remembered[l]] += Q[NXC + i][NXC + l];
+        }
+    }
+}
+
+/* The same of node N. */
+static void condense_add_last_band(solver_t *s, real_t (*Q)[NX])
+{
+    enum { LAST = (N - 1) * NU };
+    for (int i = 0; i < NBAND; ++i) {
+        for (int l = 0; l <= i; ++l) {
+            s->qp.H[LAST + remembered[i]][LAST + remembered[l]] += Q[NXC + i][NXC + l];
+        }
+    }
+}
+#endif
 
 /* Adds R_k, lower triangle, to the condensed Hessian at (du_k, du_k). */
 static void condense_add_curvature(solver_t *s)
@@ -121,11 +189,49 @@ static void condense_add_curvature(solver_t *s)
         }
         for (int j = 0; j < NU; ++j) {
             for (int i = 0; i <= j; ++i) {
-                s->qp.H[k * NU + j][k * NU + i] += Q[NX + j][NX + i];
+                if (NHELD > 0) {
+                    if (condense_variable(k, j) < 0 || condense_variable(k, i) < 0) {
+                        continue;
+                    }
+                }
+                s->qp.H[condense_variable(k, j)][condense_variable(k, i)] += Q[NX + j][NX + i];
             }
         }
     }
 }
+
+#if NBAND && CURVED
+/* Where the Hessian is dense, the rows of W of controls of the node before go to those controls: T += later. */
+static void condense_pull_back(columns_t *p, real_t (*later)[COLUMNS])
+{
+    for (int i = 0; i < NBAND; ++i) {
+        for (int l = 0; l < COLUMNS; ++l) {
+            p->T[remembered[i]][l] += later[i][l];
+            p->W[NXC + i][l] = R(0);
+        }
+    }
+}
+#endif
+
+#if NHELD
+/* W of node k where controls follow those of the node before, v: their tie c^2/2 (u - v)^2 vanishes, as du = dv. */
+static void condense_follow(solver_t *s, int k)
+{
+    columns_t *p = &s->qp.work.columns;
+    real_t(*Q)[NZ] = HESSIAN(s, k);
+    if (CURVED && s->curved.in_solve) {
+        Q = s->curved.Q[k];
+    }
+    for (int i = 0; i < NMEM; ++i) {
+        const int v = NX - NMEM + i, j = remembered[i];
+        if (condense_variable(k, j) < 0) {
+            for (int l = 0; l < COLUMNS; ++l) {
+                p->W[v][l] += Q[NX + j][v] * p->G[k][v][l];
+            }
+        }
+    }
+}
+#endif
 
 /* Panel of the condensed Hessian without R_k: [if TERMINAL_BLOCK: W_N = Q_N G_N, then] its block rows T from the last
  * to the first. */
@@ -134,6 +240,9 @@ static void condense_hessian(solver_t *s, int column)
     columns_t *p = &s->qp.work.columns;
     const int first = condense_first_node(column);
     const int curved = s->curved.in_solve;
+#if NBAND && CURVED
+    real_t later[NBAND][COLUMNS]; /* rows of W of controls of the node before */
+#endif
     if (TERMINAL_BLOCK) {
         CONDENSE_TERMINAL_PANEL(p, s->hessian.Q_N);
     } else {
@@ -145,18 +254,29 @@ static void condense_hessian(solver_t *s, int column)
         }
     }
     for (int k = N - 1; k >= 0 && k >= first - 1; --k) {
+        if (NBAND > 0 && CURVED) {
+            if (curved) {
+                memcpy(later, p->W[NXC], NBAND * sizeof later[0]);
+            }
+        }
         CONDENSE_BACKWARD_PANEL(p, &s->node[k], HESSIAN(s, k), k);
         if (CURVED) {
             if (curved) {
+                if (NBAND) {
+                    condense_pull_back(p, later);
+                }
                 add_curved_panel(p->W, s->curved.Q[k][0], NZ, NX, p->G[k]);
                 add_curved_panel(p->T, s->curved.Q[k][NX], NZ, NU, p->G[k]);
             }
         }
+        if (NHELD > 0) {
+            condense_follow(s, k);
+        }
         condense_store_rows(s, k, column);
     }
     for (int f = 0; f < NF; ++f) {
-        for (int i = column; i < NX && i < column + COLUMNS; ++i) {
-            s->condensed.Hx[N * NU + f][i] = p->W[free_state[f]][i - column];
+        for (int i = column; i < NXC && i < column + COLUMNS; ++i) {
+            s->condensed.Hx[NUS + f][i] = p->W[free_state[f]][i - column];
         }
     }
 }
@@ -165,12 +285,12 @@ static void condense_hessian(solver_t *s, int column)
 static void condense_store_free(solver_t *s)
 {
     for (int f = 0; f < NF; ++f) {
-        const int row = N * NU + f;
-        for (int i = 0; i < N * NU; ++i) {
+        const int row = NUS + f;
+        for (int i = 0; i < NUS; ++i) {
             s->qp.H[row][i] = s->condensed.Hx[i][free_state[f]];
         }
         for (int e = 0; e <= f; ++e) {
-            s->qp.H[row][N * NU + e] = s->condensed.Hx[row][free_state[e]];
+            s->qp.H[row][NUS + e] = s->condensed.Hx[row][free_state[e]];
         }
     }
 }
@@ -179,11 +299,11 @@ static void condense_store_free(solver_t *s)
  * J_0 dx_0]. */
 static void condense_add_row(const solver_t *s, int m, int column, real_t *sum)
 {
-    const int k = row_node(m), entering = NX + k * NU - column;
+    const int k = row_node(m);
     const real_t *J = row_gradient(s, m);
     const int last = (k + 1 >= condense_first_node(column)) ? NX : 0;
     if (row_is_coupled(m)) {
-        for (int i = column; i < NX && i < column + COLUMNS; ++i) {
+        for (int i = column; i < NXC && i < column + COLUMNS; ++i) {
             sum[i - column] = s->coupled.J_0[row_index(m)][i];
         }
     }
@@ -194,8 +314,18 @@ static void condense_add_row(const solver_t *s, int m, int column, real_t *sum)
             }
         }
     }
+    if (NHELD > 0) {
+        for (int j = 0; k < N && j < NU; ++j) {
+            const int at = NXC + condense_variable(k, j) - column;
+            if (at >= 0 && at < COLUMNS && condense_variable(k, j) >= 0) {
+                sum[at] = J[NX + j];
+            }
+        }
+        return;
+    }
+    const int entering = NXC + k * NU - column;
     for (int j = (entering < 0) ? -entering : 0; k < N && j < NU && entering + j < COLUMNS; ++j) {
-        sum[entering + j] = J[NX + j];
+        sum[entering + j] += J[NX + j];
     }
 }
 
@@ -214,10 +344,16 @@ static void condense_row(solver_t *s, int m, int column)
     real_t sum[COLUMNS] = {R(0)};
     if (row_is_state(m)) {
         condense_store(condense_state_row(s, m, column), column, s->condensed.Ax[m], s->qp.A[m]);
+        for (int i = NXC; i < NX; ++i) {
+            s->condensed.Ax[m][i] = R(0);
+        }
         return;
     }
     condense_add_row(s, m, column, sum);
     condense_store(sum, column, s->condensed.Ax[m], s->qp.A[m]);
+    for (int i = NXC; i < NX; ++i) {
+        s->condensed.Ax[m][i] = (row_node(m) == 0) ? row_gradient(s, m)[i] : R(0);
+    }
 }
 
 /* Entries of the rows at the free components of dx_0. */
@@ -225,10 +361,35 @@ static void condense_store_others(solver_t *s)
 {
     for (int m = 0; m < NG; ++m) {
         for (int f = 0; f < NF; ++f) {
-            s->qp.A[m][N * NU + f] = s->condensed.Ax[m][free_state[f]];
+            s->qp.A[m][NUS + f] = s->condensed.Ax[m][free_state[f]];
         }
     }
 }
+
+#if NBAND
+/* Adds the bands of all nodes. */
+static void condense_add_bands(solver_t *s)
+{
+    for (int k = 0; k < N; ++k) {
+        if (CURVED) {
+            if (s->curved.in_solve) { /* the panels have all products but those with dx_0 */
+                condense_couple_band(s, k, s->curved.Q[k]);
+                continue;
+            }
+        }
+        condense_couple_band(s, k, HESSIAN(s, k));
+        condense_add_band(s, k, HESSIAN(s, k));
+    }
+    if (CURVED) {
+        if (s->curved.in_solve) {
+            return;
+        }
+    }
+    if (TERMINAL_BLOCK) {
+        condense_add_last_band(s, s->hessian.Q_N);
+    }
+}
+#endif
 
 /* Hessian and rows of the QP, one panel of columns after the other. */
 static void condense_matrices(solver_t *s)
@@ -241,6 +402,9 @@ static void condense_matrices(solver_t *s)
         }
     }
     condense_add_curvature(s);
+    if (NBAND) {
+        condense_add_bands(s);
+    }
     condense_store_free(s);
     condense_store_others(s);
 }
@@ -269,18 +433,23 @@ static void condense_gradient(solver_t *s)
             }
         }
         for (int j = 0; j < NU; ++j) {
-            d->g[k * NU + j] = w[NX + j];
+            if (NHELD > 0) {
+                if (condense_variable(k, j) < 0) {
+                    continue;
+                }
+            }
+            d->g[condense_variable(k, j)] = w[NX + j];
         }
     }
     for (int f = 0; f < NF; ++f) {
-        d->g[N * NU + f] = w[free_state[f]];
+        d->g[NUS + f] = w[free_state[f]];
     }
 }
 
 /* Gradient and bounds of the free components of dx_0, which are zero in dx0. */
 static void condense_embed_free(solver_t *s, const real_t *dx0)
 {
-    for (int row = N * NU; row < N * NU + NF; ++row) {
+    for (int row = NUS; row < NUS + NF; ++row) {
         s->qp.g[row] = condense_sum(s->condensed.g[row], s->condensed.Hx[row], dx0);
         s->qp.lower[row] = -INF;
         s->qp.upper[row] = INF;
@@ -329,7 +498,12 @@ static void condense_embed(solver_t *s)
     }
     for (int k = 0; k < N; ++k) {
         for (int j = 0; j < NU; ++j) {
-            const int row = k * NU + j;
+            const int row = condense_variable(k, j);
+            if (NHELD > 0) {
+                if (row < 0) {
+                    continue;
+                }
+            }
             s->qp.g[row] = condense_sum(s->condensed.g[row], s->condensed.Hx[row], dx0);
             s->qp.lower[row] = control_lower(s, k, j) - s->u[k][j];
             s->qp.upper[row] = control_upper(s, k, j) - s->u[k][j];
@@ -386,17 +560,38 @@ static status_t condense_prepare(solver_t *s)
     return condense_factorize(s);
 }
 
+#if NHELD
+/* Controls that begin no block move with those of the node before. */
+static void condense_expand_held(step_t *d, int k)
+{
+    for (int i = 0; i < NMEM; ++i) {
+        if (condense_variable(k, remembered[i]) < 0) {
+            d->du[k][remembered[i]] = d->dx[k][NX - NMEM + i];
+        }
+    }
+}
+#endif
+
 /* du and the multipliers from the QP; dx_{k+1} = A_k dx_k + B_k du_k + b_k. */
 static void condense_expand(solver_t *s)
 {
     step_t *d = &s->step;
     for (int f = 0; f < NF; ++f) {
-        d->dx[0][free_state[f]] = s->qp.z[N * NU + f];
+        d->dx[0][free_state[f]] = s->qp.z[NUS + f];
     }
     for (int k = 0; k < N; ++k) {
         for (int j = 0; j < NU; ++j) {
-            d->du[k][j] = s->qp.z[k * NU + j];
-            d->mult_u[k][j] = s->qp.mult[k * NU + j];
+            if (NHELD > 0) {
+                if (condense_variable(k, j) < 0) {
+                    d->mult_u[k][j] = R(0);
+                    continue;
+                }
+            }
+            d->du[k][j] = s->qp.z[condense_variable(k, j)];
+            d->mult_u[k][j] = s->qp.mult[condense_variable(k, j)];
+        }
+        if (NHELD > 0) {
+            condense_expand_held(d, k);
         }
         STATE_STEP(&s->node[k], d->dx[k], d->du[k], d->dx[k + 1]);
     }

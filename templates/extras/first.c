@@ -25,7 +25,7 @@ static inline int first_is_current(const solver_t *s)
 }
 
 /* First part of the feedback phase: u0 by the law, clipped. Where there is no law, the whole feedback phase. */
-status_t API(feedback_first)(solver_t *s, const real_t xhat[NX], real_t u0[NU])
+status_t API(feedback_first)(solver_t *s, const real_t xhat[NXHAT], real_t u0[NU])
 {
     status_t status = OK;
     if (s->magic == MAGIC && first_is_current(s) && take_state(s, xhat)) {
@@ -73,6 +73,9 @@ status_t API(feedback_finish)(solver_t *s)
     s->stats.first_deviation = R(0);
     for (int j = 0; j < NU; j++) {
         enlarge(&s->stats.first_deviation, u0[j] - s->first.control[j]);
+    }
+    if (PREVIOUS) {
+        memcpy(s->previous, s->first.control, sizeof s->previous);
     }
     return status;
 }

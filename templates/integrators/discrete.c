@@ -7,13 +7,21 @@ static void interval_value(const solver_t *s, int k, real_t *x_next)
     INTEGRATOR_STEP(s, k, s->x[k], s->u[k], 0, x_next); /* a discrete map does not read the step length */
 }
 
-void API(integrate)(const solver_t *s, const real_t x[NX], const real_t u[NU], real_t dt, real_t x_next[NX])
+void API(integrate)(const solver_t *s, const real_t x[NXHAT], const real_t u[NU], real_t dt, real_t x_next[NXHAT])
 {
-    if (s->magic != MAGIC || !all_finite(x, NX) || !all_finite(u, NU) || !isfinite(dt)) {
-        for (int i = 0; i < NX; i++) {
+    if (s->magic != MAGIC || !all_finite(x, NXHAT) || !all_finite(u, NU) || !isfinite(dt)) {
+        for (int i = 0; i < NXHAT; i++) {
             x_next[i] = (real_t)NAN;
         }
         return;
     }
-    INTEGRATOR_STEP(s, 0, x, u, &dt, x_next);
+    if (INNER) {
+        real_t whole[NX], end[NX];
+        memcpy(whole, x, NXHAT * sizeof *x);
+        recall_inner(s, whole);
+        INTEGRATOR_STEP(s, 0, whole, u, &dt, end);
+        memcpy(x_next, end, NXHAT * sizeof *x);
+    } else {
+        INTEGRATOR_STEP(s, 0, x, u, &dt, x_next);
+    }
 }

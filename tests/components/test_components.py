@@ -35,6 +35,9 @@ FEATURES = {
     "general cost",
     "integrated cost",
     "accumulators",
+    "previous controls",
+    "time",
+    "discrete states",
 }
 
 #: Macro names that lower.py and render.py define themselves.

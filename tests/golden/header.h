@@ -51,4 +51,4 @@ const char *golden_status_string(golden_status_t status);
 #endif
 
 #endif
-/* nmpc_codegen package fb2b055ac82d2bb7, sha256 963241f4eaa70b1546859ae63baa36c0e98538330a10b461c2429df66fa4787e */
+/* nmpc_codegen package 90caf2a2f8221836, sha256 6cccedf278a8ad0d56daf869de7df9ca44cac60053e286e7be9dbdf3b280caf4 */

@@ -514,7 +514,7 @@ def algebraic_variables() -> str:
     return refused(lambda: OCP("x1", T=1.0, N=2).algebraic("z"))  # type: ignore[attr-defined]
 
 
-@fault("'set_rterm'", "u' = du", "least_squares(du, weight)")
+@fault("'set_rterm'", "least_squares(ocp.rate(u), weight)", "ocp.previous(u)")
 def penalty_of_rates() -> str:
     """ocp.set_rterm()."""
     return refused(lambda: OCP("x1", T=1.0, N=2).set_rterm(u=1))  # type: ignore[attr-defined]

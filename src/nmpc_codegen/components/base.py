@@ -44,6 +44,7 @@ class Dims:
 
     N: Size
     nx: Size
+    nxhat: Size  # states of the user
     nu: Size
     nz: Size  # nx + nu
     np: Size

@@ -39,6 +39,7 @@ class StageCost:
     weight: Expression
     general: Expression | None  # the general cost
     rows: Expression  # mu' h
+    ties: Expression  # further residuals of weight 1
 
     @property
     def nz(self) -> int:
@@ -57,12 +58,15 @@ class StageCost:
     def value(self) -> Expression:
         """The cost l."""
         least_squares = ca.dot(self.residual, self.weight @ self.residual) / 2 if self.ny else ca.SX(1, 1)
+        if self.ties.numel():
+            least_squares += ca.sumsqr(self.ties) / 2
         return least_squares if self.general is None else ca.SX(least_squares + self.general)
 
     @property
     def gradient(self) -> Expression:
         """d l / dz."""
         least_squares = self.jacobian.T @ (self.weight @ self.residual) if self.ny else ca.SX(self.nz, 1)
+        least_squares += ca.jacobian(self.ties, self.z).T @ self.ties
         if self.general is None:
             return ca.sparsify(least_squares)
         return ca.sparsify(least_squares + ca.gradient(self.general, self.z))
@@ -70,7 +74,8 @@ class StageCost:
     @property
     def gauss_newton(self) -> Expression:
         """Lower triangle of J' W J."""
-        return ca.sparsify(ca.tril(self.jacobian.T @ self.weight @ self.jacobian))
+        of_ties = ca.jacobian(self.ties, self.z)
+        return ca.sparsify(ca.tril(self.jacobian.T @ self.weight @ self.jacobian + of_ties.T @ of_ties))
 
     @property
     def curvature(self) -> Expression:
@@ -115,6 +120,8 @@ class StageCost:
         d = self.direction
         moved = ca.jtimes(self.residual, self.z, d) if self.ny else ca.SX(0, 1)
         least_squares = ca.jtimes(self.residual, self.z, self.weight @ moved, True) if self.ny else ca.SX(self.nz, 1)
+        of_ties = ca.jacobian(self.ties, self.z)
+        least_squares += of_ties.T @ (of_ties @ d)
         if self.general is None:
             return ca.sparsify(least_squares)
         return ca.sparsify(least_squares + ca.jtimes(ca.gradient(self.general, self.z), self.z, d))
@@ -152,6 +159,7 @@ def stage_cost(stage: Stage, name: str) -> StageCost:
         weight=weight,
         general=stage.cost,
         rows=ca.dot(mu, stage.h) if stage.nh else ca.SX(0),
+        ties=ca.SX(0, 1) if stage.ties is None else stage.ties,
     )
 
 

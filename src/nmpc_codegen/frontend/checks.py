@@ -86,6 +86,16 @@ def integer(value: Any, what: str, minimum: int, maximum: int | None = None) -> 
     return int(value)
 
 
+def block_lengths(value: Any, intervals: int, what: str) -> tuple[int, ...]:
+    """Positive integers whose sum is the number of intervals, else ProblemError."""
+    if not isinstance(value, (list, tuple, np.ndarray)) or not len(value):
+        raise ProblemError(f"{what} must be a list of lengths of blocks, got {quote(value)}")
+    found = tuple(integer(v, f"{what}: length", 1) for v in value)
+    if sum(found) != intervals:
+        raise ProblemError(f"{what}: the lengths sum up to {sum(found)}, expected {intervals}, the number of intervals")
+    return found
+
+
 def flag(value: Any, what: str) -> bool:
     """Return ``value`` if it is True or False, else raise ProblemError."""
     if not isinstance(value, (bool, np.bool_)):

@@ -10,9 +10,19 @@ import numpy as np
 
 from nmpc_codegen.errors import ProblemError
 from nmpc_codegen.frontend.checks import element_names
+from nmpc_codegen.frontend.inner import (
+    block_signals,
+    block_starts,
+    dynamics_of,
+    effective_controls,
+    inner_of,
+    inner_signals,
+    inner_symbols,
+)
 from nmpc_codegen.frontend.ocp import OCP
 from nmpc_codegen.frontend.problem import Array, Problem, Row, RowKind, Signal, Stage, symbols
-from nmpc_codegen.frontend.statement import At, Element, Soft, StageName
+from nmpc_codegen.frontend.statement import At, Element, Residual, Soft, StageName
+from nmpc_codegen.ir.casadi_types import elements
 
 
 def classify(ocp: OCP) -> Problem:
@@ -26,17 +36,15 @@ def classify(ocp: OCP) -> Problem:
     start = _stage(ocp, [], rows, "start")
     path = _stage(ocp, path_h, rows, "path")
     terminal = _stage(ocp, terminal_h, rows, "terminal")
-    f = ca.vertcat(*(ocp.derivatives[i] for i in range(path.nx)))
-    x, u, p, _ = symbols(path.nx, path.nu, ocp.p.numel())
-    dynamics = ca.Function("f", [x, u, p], _replace_symbols(ocp, [f], x, u, p), ["x", "u", "p"], ["f"])
     dt = (1.0,) * ocp.N if ocp.dt is None else ocp.dt
+    dynamics, maps, jump = dynamics_of(ocp, path, dt)
     return Problem(
         name=ocp.name,
         N=ocp.N,
         dt=dt,
-        states=_signals(ocp.states),
+        states=(*_signals(ocp.states), *inner_signals(ocp, path, rows, dt)),
         controls=_signals(ocp.controls),
-        parameters=_signals(ocp.parameters),
+        parameters=(*_signals(ocp.parameters), *block_signals(ocp)),
         dynamics=dynamics,
         discrete=bool(ocp.discrete),
         start=start,
@@ -50,6 +58,10 @@ def classify(ocp: OCP) -> Problem:
         cyclic=tuple(sorted(ocp.cyclic_states)),
         terminal_lqr=ocp.terminal_lqr,
         time_unit=ocp.time_unit,
+        inner=inner_of(ocp),
+        maps=maps,
+        jump=jump,
+        block_starts=block_starts(ocp),
     )
 
 
@@ -78,7 +90,7 @@ def _require(ocp: OCP) -> None:
     if not ocp.controls:
         raise ProblemError(f"OCP '{ocp.name}' has no control, so there is nothing to optimise; use ocp.control(name)")
     names = [e for s in _signals(ocp.states) for e in s.elements]
-    missing = [name for i, name in enumerate(names) if i not in ocp.derivatives]
+    missing = [name for i, name in enumerate(names) if i not in ocp.derivatives and i not in ocp.maps]
     if missing:
         word = "next value" if ocp.discrete else "derivative"
         raise ProblemError(f"OCP '{ocp.name}': the {word} of {', '.join(missing)} is missing; use ocp.dynamics")
@@ -99,8 +111,9 @@ def _signals(declared: list[Any]) -> tuple[Signal, ...]:
 
 def _replace_symbols(ocp: OCP, expressions: list[Any], x: Any, u: Any, p: Any) -> list[Any]:
     """The expressions with the symbols of the OCP replaced by x, u, p (u empty: they contain no control)."""
-    old = ca.vertcat(ocp.x, ocp.p) if u.numel() == 0 else ca.vertcat(ocp.x, ocp.u, ocp.p)
-    new = ca.vertcat(x, p) if u.numel() == 0 else ca.vertcat(x, u, p)
+    states, own = ca.vertcat(ocp.x, *inner_symbols(ocp)), elements(p)[: ocp.p.numel()]
+    old = ca.vertcat(states, ocp.p) if u.numel() == 0 else ca.vertcat(states, ocp.u, ocp.p)
+    new = ca.vertcat(x, *own) if u.numel() == 0 else ca.vertcat(x, effective_controls(ocp, x, u, p), *own)
     return [ca.densify(e) for e in ca.substitute(expressions, [old], [new])]
 
 
@@ -227,7 +240,9 @@ def _end_equality(ocp: OCP, s: _Scalar) -> bool:
 
 
 def _stage(ocp: OCP, h: list[Any], rows: tuple[Row, ...], stage: StageName) -> Stage:
-    x, u, p, dt = symbols(ocp.x.numel(), ocp.u.numel() if stage == "path" else 0, ocp.p.numel())
+    inner = inner_of(ocp)
+    nx = ocp.x.numel() + inner.count
+    x, u, p, dt = symbols(nx, ocp.u.numel() if stage == "path" else 0, ocp.p.numel() + len(inner.held))
     residuals = [r for r in ocp.residuals if r.stage == stage]
     costs = [c for c in ocp.costs if c.stage == stage]
     nodal = [c.expression * (dt if c.scale_with_dt else 1) for c in costs if not c.integrate]
@@ -254,7 +269,15 @@ def _stage(ocp: OCP, h: list[Any], rows: tuple[Row, ...], stage: StageName) -> S
         y_scale=tuple(value for r in residuals for value in r.scale or (0.0,) * len(r.names)),
         h_names=tuple(row.name for position, row in positions if position >= 0),
         cost_rate=rate if rates else None,
+        bare=_bare(ocp, residuals, nx) if inner.held else None,
     )
+
+
+def _bare(ocp: OCP, residuals: list[Residual], nx: int) -> tuple[int, ...]:
+    """For every residual the position in (x, u) of the state or control as which it was stated, else -1."""
+    found = [ocp.element(r.y[i]) for r in residuals for i in range(r.y.numel())]
+    first = {"state": 0, "control": nx}
+    return tuple(-1 if e is None or e.kind not in first else first[e.kind] + e.index for e in found)
 
 
 def _frozen(array: Array) -> Array:
@@ -275,13 +298,18 @@ def _coupled_rows(ocp: OCP) -> Any:
     r = [s.expression for s in ocp.statements if s.at is None]
     if not r:
         return None
-    x0, xN = ca.SX.sym("x_0", ocp.x.numel()), ca.SX.sym("x_N", ocp.x.numel())
-    old, new = ca.vertcat(ocp.x_start, ocp.x_end), ca.vertcat(x0, xN)
+    nx, own = ocp.x.numel() + inner_of(ocp).count, ocp.x.numel()
+    x0, xN = ca.SX.sym("x_0", nx), ca.SX.sym("x_N", nx)
+    old, new = ca.vertcat(ocp.x_start, ocp.x_end), ca.vertcat(*elements(x0)[:own], *elements(xN)[:own])
     return ca.Function("r", [x0, xN], [ca.densify(ca.substitute(ca.vertcat(*r), old, new))], ["x_0", "x_N"], ["r"])
 
 
 def _uses(ocp: OCP, rows: tuple[Row, ...]) -> frozenset[str]:
+    inner = inner_of(ocp)
     used = {
+        "previous controls": bool(inner.previous),
+        "time": inner.time,
+        "discrete states": bool(ocp.maps),
         "soft rows": any(r.soft is not None for r in rows),
         "coupled rows": any(r.is_coupled for r in rows),
         "free initial state": bool(ocp.free),

@@ -48,7 +48,9 @@ def _bends_model(problem: Problem) -> list[bool]:
     """For every control: the dynamics or a row has a second derivative with respect to it, of which multipliers make
     one of the Lagrangian."""
     path = problem.path
-    f = ca.vertcat(problem.dynamics(path.x, path.u, path.p), path.h)
+    z = path.x, path.u, path.p
+    maps = ca.SX(0, 1) if problem.jump is None else problem.jump(*z, path.dt)
+    f = ca.vertcat(problem.dynamics(*z), maps, path.h)
     return [bool(curved_rows(f, path.u[j])) for j in range(problem.nu)]
 
 

@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
 import casadi as ca
 import numpy as np
 
-from nmpc_codegen.errors import ProblemError, warn
+from nmpc_codegen.errors import ProblemError
 from nmpc_codegen.frontend.checks import (
     MAX_SIZE,
-    NONSMOOTH,
-    check_operations,
+    block_lengths,
     checked_penalty,
-    column,
     declared_scale,
     duplicate,
     element_names,
@@ -27,6 +25,7 @@ from nmpc_codegen.frontend.checks import (
     vector,
     weight_matrix,
 )
+from nmpc_codegen.frontend.expressions import NODE, Dynamics
 from nmpc_codegen.frontend.grid import grid
 from nmpc_codegen.frontend.problem import LqrRequest, Signal, c_identifier
 from nmpc_codegen.frontend.show import in_html, in_one_line
@@ -38,9 +37,7 @@ from nmpc_codegen.frontend.statement import (
     Kind,
     Residual,
     StageName,
-    Stated,
     Statement,
-    explain_misplacement,
     intersection,
 )
 from nmpc_codegen.frontend.symbol import Symbol, require_three
@@ -49,11 +46,12 @@ from nmpc_codegen.runtime.diagnosis.foreign_names import OF_PROBLEM, missing
 
 __all__ = ["OCP"]
 
-_NODE: tuple[Kind, ...] = ("state", "control", "parameter")
-_STATES: tuple[Kind, ...] = ("state", "parameter")
+#: What expressions of node N and of node 0 may contain.
+_END: tuple[Kind, ...] = ("state", "parameter", "previous", "time")
+_START: tuple[Kind, ...] = ("state", "parameter")
 
 
-class OCP(Stated):
+class OCP(Dynamics):
     """An optimal control problem over N intervals:
 
         min   sum_{k<N} l_k(x_k, u_k, p_k) + l_N(x_N, p_N)
@@ -78,7 +76,6 @@ class OCP(Stated):
         check_package_name(name, "OCP: name")
         unit = unit_text(time_unit, f"OCP '{name}': time_unit")
         super().__init__(name, *grid(name, T, N, intervals, unit), unit)
-        self._symbols: dict[str, Any] = {}
         self._start: list[Any] = []
         self._end: list[Any] = []
         self._unnamed = 0
@@ -128,28 +125,25 @@ class OCP(Stated):
                 self._elements[twin[i].element_hash()] = Element(kind, offset + i, element)  # type: ignore[arg-type]
         return symbol
 
-    def control(self, name: str, *, size: int | None = None, unit: str = "", scale: Any = None) -> Any:
-        """Declare a control, which is constant on every interval; return its SX symbol. ``scale``: as for state()."""
-        return self._declare("control", self.controls, name, size, unit, 0.0, "value", scale)
+    def control(
+        self, name: str, *, size: int | None = None, unit: str = "", scale: Any = None, hold: Any = None
+    ) -> Any:
+        """Declare a control, which is constant on every interval; return its SX symbol. ``scale``: as for state().
+
+        ``hold``: lengths of blocks of intervals with one value each, whose sum is N: [1, 1, 2, 4] are four values over
+        eight intervals. None: one value per interval.
+        """
+        blocks = None if hold is None else block_lengths(hold, self.N, f"control {quote(name)}: hold")
+        symbol = self._declare("control", self.controls, name, size, unit, 0.0, "value", scale)
+        if blocks is not None and max(blocks) > 1:
+            where = self.control_places(symbol, "hold:")
+            self.blocks.update(dict.fromkeys(where, blocks))
+            self.previous(symbol)
+        return symbol
 
     def parameter(self, name: str, *, value: Any = 0.0, size: int | None = None, unit: str = "") -> Any:
         """Declare a parameter, which can be changed at run time; return its SX symbol."""
         return self._declare("parameter", self.parameters, name, size, unit, value, "value")
-
-    @property
-    def x(self) -> Any:
-        """All states declared so far, SX (nx,)."""
-        return ca.vertcat(ca.SX(0, 1), *(d.symbol for d in self.states))
-
-    @property
-    def u(self) -> Any:
-        """All controls declared so far, SX (nu,)."""
-        return ca.vertcat(ca.SX(0, 1), *(d.symbol for d in self.controls))
-
-    @property
-    def p(self) -> Any:
-        """All parameters declared so far, SX (np,)."""
-        return ca.vertcat(ca.SX(0, 1), *(d.symbol for d in self.parameters))
 
     @property
     def x_start(self) -> Any:
@@ -191,84 +185,6 @@ class OCP(Stated):
         for i, element in enumerate(signal.elements):
             self._elements[symbol[i].element_hash()] = Element(kind, signal.offset + i, element)
         return symbol
-
-    # Dynamics --------------------------------------------------------------------------------------------------------
-
-    def dynamics(self, rhs: Any, *, discrete: bool = False) -> None:
-        """State the derivatives x' = f(x, u, p), or the next states x_{k+1} = f(x_k, u_k, p_k) if ``discrete``.
-
-        Args:
-            rhs: {state symbol or name: expression}, in one call or several, or a column in declaration order.
-            discrete: the expressions are the states at the next node.
-        """
-        discrete = flag(discrete, "dynamics: discrete")
-        if not discrete and self.dt is None:
-            raise ProblemError(
-                f"OCP '{self.name}' was given N only, so its dynamics must be discrete: "
-                "give T= or intervals=, or dynamics(..., discrete=True)"
-            )
-        if self._discrete is not None and discrete != self._discrete:
-            raise ProblemError("dynamics: discrete and continuous dynamics cannot be mixed")
-        if not self.states:
-            raise ProblemError("dynamics: no state is declared; declare states with ocp.state(name) first")
-        given = self._by_name(rhs) if isinstance(rhs, Mapping) else self._in_order(rhs)
-        for index, expression in given.items():
-            self._warn_nonsmooth(self._state_names()[index], expression)
-        self._discrete = discrete
-        self.derivatives.update(given)
-
-    def _state_names(self) -> list[str]:
-        return [e for d in self.states for e in d.signal.elements]
-
-    def _in_order(self, rhs: Any) -> dict[int, Any]:
-        nx = self.x.numel()
-        f = self._expression(rhs, "dynamics", _NODE)
-        if f.numel() != nx:
-            raise ProblemError(f"dynamics has {f.numel()} elements, expected {nx}: one per state, in declaration order")
-        if self.derivatives:
-            name = self._state_names()[min(self.derivatives)]
-            raise ProblemError(f"dynamics: the derivative of '{name}' is given twice")
-        return {i: f[i] for i in range(nx)}
-
-    def _by_name(self, rhs: Mapping[Any, Any]) -> dict[int, Any]:
-        given: dict[int, Any] = {}
-        names = self._state_names()
-        for key, value in rhs.items():
-            where = self._components(key, "dynamics: key")
-            what = f"dynamics: derivative of {quote(key)}"
-            f = self._expression(value, what, _NODE)
-            if f.numel() != len(where):
-                raise ProblemError(f"{what} has {f.numel()} elements, expected {len(where)}")
-            for i, index in enumerate(where):
-                if index in given or index in self.derivatives:
-                    raise ProblemError(f"dynamics: the derivative of '{names[index]}' is given twice")
-                given[index] = f[i]
-        return given
-
-    def _components(self, which: Any, what: str) -> list[int]:
-        """Positions in x of a state that is given by its symbol, a column of state symbols, or its name."""
-        names = self._state_names()
-        if isinstance(which, str):
-            for d in self.states:
-                if which == d.signal.name:
-                    return list(range(d.signal.offset, d.signal.offset + d.signal.size))
-            if which in names:
-                return [names.index(which)]
-            raise ProblemError(f"{what} {quote(which)} is no state{list_names(names)}")
-        if not isinstance(which, ca.SX):
-            raise ProblemError(f"{what} {quote(which)} must be the symbol or the name of a state{list_names(names)}")
-        found = [self.element(which[i]) for i in range(which.numel())]
-        if not found or any(e is None or e.kind != "state" for e in found):
-            raise ProblemError(f"{what} {quote(which)} is no state{list_names(names)}")
-        return [e.index for e in found if e is not None]
-
-    def _warn_nonsmooth(self, name: str, expression: Any) -> None:
-        found = sorted({NONSMOOTH[op] for op in check_operations(expression, "dynamics") if op in NONSMOOTH})
-        if found:
-            warn(
-                f"dynamics of '{name}' contain {', '.join(found)}: derivatives jump or vanish there, and Newton-type "
-                "iterations may stall; smooth a switch at s = 0, e.g. by 0.5 * (1 + tanh(s / 0.01))"
-            )
 
     # Cost ------------------------------------------------------------------------------------------------------------
 
@@ -320,7 +236,8 @@ class OCP(Stated):
         stage: StageName,
         scale: Any = None,
     ) -> None:
-        y = self._expression(expr, f"{what}: expression", _NODE if stage == "path" else _STATES)
+        kinds = {"start": _START, "path": NODE, "terminal": _END}[stage]
+        y = self._expression(expr, f"{what}: expression", kinds)
         ny = y.numel()
         if ny == 0:
             raise ProblemError(f"{what}: the expression is empty")
@@ -336,8 +253,9 @@ class OCP(Stated):
             found: list[str] = []
             for i in range(y.numel()):
                 element = self.element(y[i])
-                taken = element is None or element.name in earlier or element.name in found
-                found.append(f"y_{len(earlier) + i}" if element is None or taken else element.name)
+                named = element if element is not None and element.kind in ("state", "control", "parameter") else None
+                taken = named is None or named.name in earlier or named.name in found
+                found.append(f"y_{len(earlier) + i}" if named is None or taken else named.name)
         else:
             found = element_names(names, y.numel(), f"{what}: names")
         clash = duplicate(c_identifier(n) for n in [*earlier, *found])
@@ -351,13 +269,13 @@ class OCP(Stated):
         It is evaluated at the nodes 0..N-1 and multiplied by dt_k if ``scale_with_dt``. With ``integrate`` it is
         integrated over every interval by the Runge-Kutta scheme of the dynamics instead, and not scaled again.
         """
-        l = self._scalar(expr, "stage_cost", _NODE)  # noqa: E741
+        l = self._scalar(expr, "stage_cost", NODE)  # noqa: E741
         integrate, scale = flag(integrate, "stage_cost: integrate"), flag(scale_with_dt, "stage_cost: scale_with_dt")
         self.costs.append(GeneralCost(l, integrate, scale and not integrate, "path"))
 
     def terminal_cost(self, expr: Any) -> None:
         """Add a general cost l_N(x, p) at node N, a scalar; never scaled."""
-        l = self._scalar(expr, "terminal_cost", _STATES)  # noqa: E741
+        l = self._scalar(expr, "terminal_cost", _END)  # noqa: E741
         self.costs.append(GeneralCost(l, False, False, "terminal"))
 
     def lqr_terminal_cost(self, *, economic: bool = False, x: Any = None, u: Any = None) -> None:
@@ -386,7 +304,7 @@ class OCP(Stated):
 
     def start_cost(self, expr: Any) -> None:
         """Add a general cost l_0(x, p) at node 0, a scalar; never scaled. See start_least_squares()."""
-        l = self._scalar(expr, "start_cost", _STATES)  # noqa: E741
+        l = self._scalar(expr, "start_cost", _START)  # noqa: E741
         self.costs.append(GeneralCost(l, False, False, "start"))
 
     def _scalar(self, expr: Any, what: str, kinds: tuple[Kind, ...]) -> Any:
@@ -425,11 +343,11 @@ class OCP(Stated):
         what = f"subject_to {quote(name)}" if name is not None else "subject_to"
         require_three(lower, expr, upper, what, "subject_to")
         nodes = self._at(at, what)
-        h = self._expression(expr, f"{what}: expression", _NODE)
+        h = self._expression(expr, f"{what}: expression", NODE)
         suffix = f"_{nodes}" if nodes in ("start", "end") else ""
         for i in range(h.numel()):
             kinds = self._kinds(h[i])
-            if not kinds & {"state", "control"}:
+            if not kinds & {"state", "control", "previous"}:
                 raise ProblemError(
                     f"{what}: {quote(h[i])} depends on no state and no control; the order is lower, expression, upper"
                 )
@@ -568,24 +486,3 @@ class OCP(Stated):
         if not states:
             raise ProblemError(f"{what} names no state{list_names(self._state_names())}")
         return [i for s in states for i in self._components(s, f"{what}:")]
-
-    # Inspection of expressions ---------------------------------------------------------------------------------------
-
-    def _expression(self, value: Any, what: str, kinds: tuple[Kind, ...]) -> Any:
-        """A dense SX column; raise ProblemError unless it contains only symbols of the given kinds."""
-        expression = column(value, what, self._symbols)
-        for symbol in ca.symvar(expression):
-            element = self.element(symbol)
-            if element is None:
-                raise ProblemError(
-                    f"{what} contains the unknown symbol '{symbol.name()}'{list_names(self._symbols)}"
-                    if symbol.name() not in self._symbols
-                    else f"{what} contains a symbol '{symbol.name()}' that was not declared in this OCP"
-                )
-            if element.kind not in kinds:
-                raise ProblemError(f"{what} contains {explain_misplacement(element, kinds)}")
-        check_operations(expression, what)
-        return expression
-
-    def _kinds(self, scalar: Any) -> set[str]:
-        return {e.kind for e in map(self.element, ca.symvar(scalar)) if e is not None}

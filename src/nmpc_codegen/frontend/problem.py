@@ -19,7 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nmpc_codegen.ir.casadi_types import Expression, Function, curved_rows, elements
-from nmpc_codegen.package.signals import ImposedRow, imposed_rows
+from nmpc_codegen.package.signals import NOTHING_INNER, ImposedRow, imposed_rows
+from nmpc_codegen.package.signals import Inner as Inner
 from nmpc_codegen.package.signals import Row as Row
 from nmpc_codegen.package.signals import RowKind as RowKind
 from nmpc_codegen.package.signals import Signal as Signal
@@ -51,11 +52,15 @@ class Stage:
     h_names: tuple[str, ...]
     cost_rate: Expression | None = None  # SX scalar: general cost per unit of time, integrated with the dynamics
     y_scale: tuple[float, ...] = ()  # declared sizes of residuals, 0 where none is; shorter: none from there on
+    ties: Expression | None = None  # SX: further residuals of weight 1, which vanish at every solution
+    bare: tuple[int, ...] | None = None  # y_elements of the residuals as they were stated
     dense_weight: bool = False  # the weight is stored as a matrix even if it has no entry off its diagonal
 
     @property
     def y_elements(self) -> tuple[int, ...]:
         """For every residual the position in (x, u) of the state or control that it is, -1 for another expression."""
+        if self.bare is not None:
+            return self.bare
         symbols = (*elements(self.x), *elements(self.u))
         known = {symbol.element_hash(): i for i, symbol in enumerate(symbols)}
         return tuple(known.get(y.element_hash(), -1) if y.is_symbolic() else -1 for y in elements(self.y))
@@ -103,8 +108,11 @@ class Problem:
 
     ``dynamics`` is the CasADi SX Function f(x, u, p) -> xdot, or -> x_next if ``discrete``. ``dt`` holds the N interval
     lengths. ``uses`` names what it needs beyond the core ("soft rows", "coupled rows",
-    "free initial state", "general cost", "integrated cost", "accumulators"): a component that does not support one of
-    them refuses the problem.
+    "free initial state", "general cost", "integrated cost", "accumulators", "previous controls", "time", "discrete
+    states"): a component that does not support one of them refuses the problem.
+
+    ``inner``: the last states, which the compiler adds. ``jump``: SX Function (x, u, p, dt) -> values at the next node
+    of the states ``maps``, which keep their values along an interval; their derivatives in ``dynamics`` are 0.
     """
 
     name: str
@@ -127,6 +135,33 @@ class Problem:
     terminal_lqr: LqrRequest | None = None  # a terminal cost to be computed before linearize()
     time_unit: str = "s"  # of dt and of every other time
     proximal: tuple[float, ...] = ()  # curvature that samples add to (x, u); (): none
+    inner: Inner = NOTHING_INNER
+    maps: tuple[int, ...] = ()  # positions in x
+    jump: Function | None = None
+    block_starts: Array | None = None  # (N + 1, held controls): 1 where a block begins; values of the last parameters
+
+    @property
+    def own_parameters(self) -> tuple[Signal, ...]:
+        """The parameters of the user."""
+        return self.parameters[: len(self.parameters) - len(self.inner.held)]
+
+    @property
+    def measured(self) -> int:
+        """Number of the states of the user."""
+        return self.nx - self.inner.count
+
+    @property
+    def own_states(self) -> tuple[Signal, ...]:
+        """The states of the user."""
+        return self.states[: len(self.states) - self.inner.count]
+
+    @cached_property
+    def jump_slopes(self) -> Function:
+        """(x, u, p, dt) -> the values of ``jump`` and their derivatives with respect to (x, u)."""
+        assert self.jump is not None
+        x, u, p, dt = symbols(self.nx, self.nu, self.np)
+        value = ca.densify(self.jump(x, u, p, dt))
+        return ca.Function("jump_slopes", [x, u, p, dt], [value, ca.jacobian(value, ca.vertcat(x, u))])
 
     @cached_property
     def nonlinear_rows(self) -> bool:
@@ -176,7 +211,8 @@ class Problem:
     def nonlinear_model(self) -> bool:
         """True if the dynamics are no affine function of states and controls."""
         x, u, p = (self.path.x, self.path.u, self.path.p)
-        return bool(curved_rows(self.dynamics(x, u, p), ca.vertcat(x, u)))
+        f = self.dynamics(x, u, p) if self.jump is None else ca.vertcat(self.dynamics(x, u, p), self.jump(x, u, p, 1))
+        return bool(curved_rows(f, ca.vertcat(x, u)))
 
     @property
     def couples_free_start(self) -> bool:

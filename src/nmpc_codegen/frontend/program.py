@@ -60,6 +60,9 @@ def _parts(
     last, kind = problem.N - 1, "map" if problem.discrete else "equation"
     for name, value in zip(problem.state_names, elements(ca.densify(problem.dynamics(x, u, p))), strict=True):
         yield Quantity(f"the {kind} of {name}", 0, last), value
+    maps = [] if problem.jump is None else elements(ca.densify(problem.jump(x, u, p, dt)))
+    for i, value in zip(problem.maps, maps, strict=True):
+        yield Quantity(f"the map of {problem.state_names[i]}", 0, last), value
     for stage, words, first, end in (
         (problem.start, "start ", 0, 0),
         (problem.path, "", 0, last),

@@ -95,13 +95,15 @@ def _complete_scales(problem: Problem) -> Array:
     z = np.where(stated > 0.0, stated, z)
     known = np.where(stated[:nx] > 0.0, stated[:nx], np.maximum(z[:nx], initial))
     for j in np.flatnonzero(z[nx:] == 0.0):
-        needed = [known[i] / reach[i, j] for i in range(nx) if known[i] > 0.0 and reach[i, j] > 0.0]
+        needed = [known[i] / reach[i, j] for i in range(problem.measured) if known[i] > 0.0 and reach[i, j] > 0.0]
         z[nx + j] = min(needed, default=0.0)
     z[nx:][~(np.isfinite(z[nx:]) & (z[nx:] > 0.0))] = 1.0
     moved = np.max(np.maximum(soon, LITTLE * reach) * z[nx:], axis=1, initial=0.0)
     computed = initial <= ROUNDING * moved  # an initial value that is a rounding error
     found = np.where(computed & (z[:nx] == 0.0), moved, known)
     z[:nx] = np.where(np.isfinite(found) & (found > 0.0), found, 1.0)
+    for control, place in problem.inner.places.items():
+        z[problem.measured + place] = z[nx + control]
     return z
 
 
@@ -116,7 +118,8 @@ def responses(problem: Problem) -> tuple[Array, Array]:
         nx, nx + nu
     )
     first, most, dx = np.zeros((nx, nu)), np.zeros((nx, nu)), np.zeros((nx, nu))
-    if not np.all(np.isfinite(S)):
+    jumps = _jump_slopes(problem)
+    if not (np.all(np.isfinite(S)) and np.all(np.isfinite(jumps))):
         return first, most
     eigenvalues = np.linalg.eigvals(S[:, :nx])
     if problem.discrete:
@@ -129,11 +132,21 @@ def responses(problem: Problem) -> tuple[Array, Array]:
             if dt not in step:
                 rates = np.vstack([S, np.zeros((nu, nx + nu))])
                 step[dt] = S if problem.discrete else _exponential(rates * dt)[:nx]
+            held = jumps[:, :nx] @ dx + jumps[:, nx:]
             dx = step[dt][:, :nx] @ dx + step[dt][:, nx:]
+            dx[list(problem.maps)] = held
             size = np.where(np.isfinite(dx), np.abs(dx), 0.0)
             most = np.fmax(most, size)
             first = most if k == 0 else first
     return first, most
+
+
+def _jump_slopes(problem: Problem) -> Array:
+    """d(value at the next node) / d(x, u) of the states that are constant along an interval, at the initial state."""
+    if problem.jump is None:
+        return np.zeros((0, problem.nx + problem.nu))
+    u = _reference_controls(problem, problem.path)
+    return np.array(problem.jump_slopes(problem.x_initial, u, problem.p_value, problem.dt[0])[1].full())
 
 
 def _exponential(A: Array) -> Array:

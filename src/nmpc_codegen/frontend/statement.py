@@ -5,10 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, Literal
 
+import casadi as ca
+
 from nmpc_codegen.errors import ProblemError
 from nmpc_codegen.frontend.problem import Array, LqrRequest, Signal
 
-Kind = Literal["state", "control", "parameter", "start", "end"]
+Kind = Literal["state", "control", "parameter", "previous", "interval", "time", "start", "end"]
 StageName = Literal["start", "path", "terminal"]
 At = Literal["path", "start", "end"] | tuple[int, ...]
 Soft = tuple[float, float] | None
@@ -75,6 +77,10 @@ class Stated:
         self.controls: list[Declared] = []
         self.parameters: list[Declared] = []
         self.derivatives: dict[int, Any] = {}  # position in x -> SX
+        self.maps: dict[int, Any] = {}  # position in x -> SX: the value at the next node of a discrete state
+        self.remembered: dict[int, Any] = {}  # position in u -> SX: its value at the node before
+        self.blocks: dict[int, tuple[int, ...]] = {}  # position in u -> lengths of the blocks of intervals
+        self.interval_before, self.clock = ca.SX.sym("interval"), ca.SX.sym("time")
         self._discrete: bool | None = None
         self.residuals: list[Residual] = []
         self.costs: list[GeneralCost] = []
@@ -83,7 +89,11 @@ class Stated:
         self.free: set[int] = set()
         self.accumulators: set[int] = set()
         self.cyclic_states: set[int] = set()
-        self._elements: dict[int, Element] = {}  # by the hash of its symbol
+        self._symbols: dict[str, Any] = {}  # declared signals by name
+        self._elements: dict[int, Element] = {  # by the hash of its symbol
+            self.interval_before.element_hash(): Element("interval", 0, "rate()"),
+            self.clock.element_hash(): Element("time", 0, "time"),
+        }
 
     @property
     def discrete(self) -> bool | None:
@@ -120,6 +130,8 @@ def explain_misplacement(element: Element, kinds: tuple[Kind, ...]) -> str:
     """Explain why this symbol is not allowed in an expression of the given kinds."""
     if element.kind in ("start", "end"):
         return f"at_{element.kind}({element.name}), which is allowed in boundary() only"
+    if element.kind in ("previous", "interval", "time"):
+        return f"ocp.{element.name}, which is not known there; only these may occur: {', '.join(kinds)}"
     if kinds == ("start", "end"):
         return f"the {element.kind} '{element.name}'; write at_start(...) or at_end(...) of states"
     return f"the {element.kind} '{element.name}'; only these may occur: {', '.join(kinds)}"

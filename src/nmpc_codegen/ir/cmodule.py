@@ -27,12 +27,21 @@ from nmpc_codegen.targets import Target
 
 @dataclass(frozen=True)
 class Macro:
-    """``#define <PREFIX>_<name> value`` in the header if it is ``public``, else ``#define <name> value`` in the .c."""
+    """``#define <PREFIX>_<name> value`` in the header if it is ``public``, else ``#define <name> value`` in the .c.
+
+    ``shown``: the number in the header where the unit has another one: states behind the measured ones are its own.
+    """
 
     name: str
     value: int
     doc: str
     public: bool = False
+    shown: int | None = None
+
+    @property
+    def stated(self) -> int:
+        """The number in the header."""
+        return self.value if self.shown is None else self.shown
 
 
 @dataclass(frozen=True)

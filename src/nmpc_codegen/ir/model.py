@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 from nmpc_codegen.ir.kernel import Kernel
-from nmpc_codegen.ir.stage_products import Pattern, Products, pattern
+from nmpc_codegen.ir.stage_products import Pattern, Products, banded, pattern
 from nmpc_codegen.ir.sweep import Routine
 from nmpc_codegen.package.opcount import OpCount
 
@@ -18,6 +18,7 @@ class Interval:
 
     linearize: (x, u, p, dt) -> x_next, S = d x_next / d(x, u); step: (x, u, p, h) -> x_next, one integration step;
     curved: (x, u, p, dt, yref, W, mu, lam) -> x_next, S, g, Q, for Hessians with second derivatives of the dynamics.
+    jump: (x, u, p, dt) -> x_next of the states that step leaves constant, at the end of an interval.
     one_step: linearize for the first of its steps as straight-line code, where linearize has loops that expand.
     forward: (x, u, p, dt, dx, du) -> dx_next = A dx + B du; adjoint: (x, u, p, dt, adj) -> g = [A B]' adj; both for
     algorithms that multiply with S = [A B] and do not store it.
@@ -29,6 +30,7 @@ class Interval:
     one_step: Kernel | None = None
     forward: Routine | None = None
     adjoint: Routine | None = None
+    jump: Kernel | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,6 +113,7 @@ class ModelFunctions:
     ``start``: the cost of node 0 in addition to that of the path. Its Hessian block and ``initial``, that of the
     coupled rows, are added to the first block of the path. ``coupled``: r(x_0, x_N) and its Jacobians. ``exact``:
     path_exact, terminal_exact, start_exact and initial_exact, the exact Hessian of solve() where samples have another.
+    ``previous``: number of the last states that are controls of the node before.
     """
 
     interval: Interval
@@ -120,6 +123,7 @@ class ModelFunctions:
     initial: Routine | None
     coupled: Routine | None
     exact: tuple[Routine, ...] = ()
+    previous: int = 0
 
     @property
     def routines(self) -> tuple[Routine, ...]:
@@ -129,7 +133,8 @@ class ModelFunctions:
         at_nodes, along_intervals = ((), cost) if path.integrated else (cost, ())
         return tuple(
             _present(
-                *(self.interval.linearize, self.interval.step, self.interval.forward, self.interval.adjoint),
+                *(self.interval.linearize, self.interval.step, self.interval.jump),
+                *(self.interval.forward, self.interval.adjoint),
                 *(*at_nodes, path.hessian, path.curvature, path.product),
                 *(terminal.cost, terminal.gradient, terminal.hessian, terminal.curvature, terminal.product),
                 *(self.start.cost, self.start.gradient, self.start.hessian, self.initial),
@@ -142,7 +147,8 @@ class ModelFunctions:
     def products(self) -> Products:
         """Products with the stage matrices; the patterns are the elements that the routines store."""
         S = next(port for port in self.interval.linearize.outputs if port.name == "S")
-        return Products(S.rows, S.cols - S.rows, pattern(self.interval.linearize, "S"), self.path.Q, self.terminal.Q)
+        patterns = pattern(self.interval.linearize, "S"), self.path.Q, self.terminal.Q
+        return Products(S.rows, S.cols - S.rows, *patterns, banded(self.previous, S.rows, *patterns))
 
 
 def _present(*routines: Routine | None) -> Iterator[Routine]:

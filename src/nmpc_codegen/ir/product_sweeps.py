@@ -44,9 +44,9 @@ class WrittenOut:
     Node follows node, so the terms in the result of the node before come last in every sum: the others do not wait.
     """
 
-    def __init__(self, nx: int, nu: int, S: Pattern, Q: Pattern, Q_N: Pattern) -> None:
+    def __init__(self, nx: int, nu: int, S: Pattern, Q: Pattern, Q_N: Pattern, banded: int = 0) -> None:
         self.of = Interfaces(nx, nu)
-        self.nx = nx
+        self.nx, self.kept = nx, nx - banded  # states whose columns panels multiply
         self.columns = [sorted(c for r, c in S if r == i) for i in range(nx)]
         self.rows = [sorted(r for r, c in S if c == i) for i in range(nx + nu)]
         self.Q = [entries(Q, i) for i in range(nx + nu)]
@@ -78,19 +78,21 @@ class WrittenOut:
 
     def forward_panel(self) -> LoopedRoutine:
         v = _Operands(self.of.forward_panel, panel=True)
-        rows = [_total([v["S"][i, j] * v["G"][j] for j in row if j < self.nx]) for i, row in enumerate(self.columns)]
-        return v.columns({"G_next": rows})
+        kept = enumerate(self.columns[: self.kept])
+        rows = [_total([v["S"][i, j] * v["G"][j] for j in row if j < self.kept]) for i, row in kept]
+        return v.columns({"G_next": rows + [ca.SX(0)] * (self.nx - self.kept)})
 
     def terminal_panel(self) -> LoopedRoutine:
         v = _Operands(self.of.terminal_panel, panel=True)
         return v.columns(
-            {"W": [_total([v["Q"][r, c] * v["G"][j] for r, c, j in row]) for row in self.Q_N]}, direct=True
+            {"W": [_total([v["Q"][r, c] * v["G"][j] for r, c, j in row if j < self.kept]) for row in self.Q_N]},
+            direct=True,
         )
 
     def backward_panel(self) -> LoopedRoutine:
         v = _Operands(self.of.backward_panel, panel=True)
-        curved = [[v["Q"][r, c] * v["G"][j] for r, c, j in row if j < self.nx] for row in self.Q]
-        later = [[v["S"][j, i] * v["W"][j] for j in rows] for i, rows in enumerate(self.rows)]
+        curved = [[v["Q"][r, c] * v["G"][j] for r, c, j in row if j < self.kept] for row in self.Q]
+        later = [[v["S"][j, i] * v["W"][j] for j in rows if j < self.kept] for i, rows in enumerate(self.rows)]
         rows = [_total([*curved[i], *later[i]]) for i in range(len(self.rows))]
         return v.columns({"W": rows[: self.nx], "T": rows[self.nx :]})
 
@@ -142,8 +144,9 @@ def _total(terms: list[Expression]) -> Expression:
 class Loops:
     """The products as dense loops over S, and over tables of the nonzeros of Q and Q_N."""
 
-    def __init__(self, nx: int, nu: int, Q: Pattern, Q_N: Pattern) -> None:
+    def __init__(self, nx: int, nu: int, Q: Pattern, Q_N: Pattern, banded: int = 0) -> None:
         self.of = of = Interfaces(nx, nu)
+        self.kept = Size("NX - NBAND", nx - banded) if banded else of.nx  # states whose columns panels multiply
         self.nx, self.nu, self.nz, self.panel = of.nx, of.nu, of.nz, of.panel
         self.Q, self.Q_N = sorted(Q), sorted(Q_N)
 
@@ -199,31 +202,34 @@ class Loops:
     def forward_panel(self) -> LoopedRoutine:
         totals = {"sum": Place("sum", (self.panel,))}
         rows = self._combine(_at("S", i=self.nz), 1, "G", _at("G_next", i=COLUMNS, l=1))
-        return replace(self.of.forward_panel, locals=totals).routine(For("i", 0, self.nx, rows))
+        clear = For("l", 0, self.panel, (_zero(_at("G_next", i=COLUMNS, l=1)),))
+        others = (For("i", int(self.kept), self.nx - self.kept, (clear,)),) if self.kept < self.nx else ()
+        return replace(self.of.forward_panel, locals=totals).routine(For("i", 0, self.kept, rows), *others)
 
     def terminal_panel(self) -> LoopedRoutine:
         clear = For("i", 0, self.nx, (For("l", 0, self.panel, (_zero(_at("W", i=COLUMNS, l=1)),)),))
-        products = self._symmetric("Q_N", self.nx, 0, len(self.Q_N), "W", "G", panel=True)
+        own = sum(r < self.kept for r, _ in self.Q_N)
+        products = self._symmetric("Q_N", self.nx, 0, own, "W", "G", panel=True)
         return self.of.terminal_panel.routine(clear, *products)
 
     def backward_panel(self) -> LoopedRoutine:
         copy = _copy(_at("W", i=COLUMNS, l=1), _at("later", i=COLUMNS, l=1))
         W = self._combine(_at("S", i=1), self.nz, "later", _at("W", i=COLUMNS, l=1))
         T = self._combine(_at("S", self.nx, i=1), self.nz, "later", _at("T", i=COLUMNS, l=1))
-        states = sum(r < self.nx for r, _ in self.Q)
+        own, states = (sum(r < n for r, _ in self.Q) for n in (self.kept, self.nx))
         nodes = [
-            For("i", 0, self.nx, (For("l", 0, self.panel, (copy,)),)),
-            For("i", 0, self.nx, W),
+            For("i", 0, self.kept, (For("l", 0, self.panel, (copy,)),)),
+            For("i", 0, self.kept, W),
             For("i", 0, self.nu, T),
-            *self._symmetric("Q", self.nz, 0, states, "W", "G", panel=True),
+            *self._symmetric("Q", self.nz, 0, own, "W", "G", panel=True),
             *self._add_mixed_block(states),
         ]
         buffers = {"later": Place("later", (self.nx, self.panel)), "sum": Place("sum", (self.panel,))}
         return replace(self.of.backward_panel, locals=buffers).routine(*nodes)
 
     def _combine(self, a: Slice, stride: int, rows: str, out: Slice) -> tuple[Node, ...]:
-        """out[l] = sum_j a[j] rows[j][l] over NX rows, TERMS at a time."""
-        blocks, rest = divmod(int(self.nx), TERMS)
+        """out[l] = sum_j a[j] rows[j][l] over the kept rows, TERMS at a time."""
+        blocks, rest = divmod(int(self.kept), TERMS)
         many = _dot(
             _at("sum", l=1), _along(a, TERMS, stride), Slice(rows, TERMS, _affine(0, j=TERMS * COLUMNS, l=1), COLUMNS)
         )
@@ -259,8 +265,8 @@ class Loops:
         """T += Q_ux G, the block of Q with the rows of the controls and the columns of the states."""
         target = _at("T", -self.nx * COLUMNS, a=COLUMNS, l=1)
         product = For("l", 0, self.panel, (_add(target, _at("Q", a=self.nz, b=1), _at("G", b=COLUMNS, l=1)),))
-        some = any(c < self.nx for _, c in self.Q[first:])
-        return self._entries("Q", first, len(self.Q) if some else first, (If("b", "<", self.nx, (product,)),))
+        some = any(c < self.kept for _, c in self.Q[first:])
+        return self._entries("Q", first, len(self.Q) if some else first, (If("b", "<", self.kept, (product,)),))
 
     def _entries(self, matrix: str, first: int, last: int, body: tuple[Node, ...]) -> list[Node]:
         if first == last:

@@ -19,13 +19,17 @@ from nmpc_codegen.package.opcount import OpCount
 
 @dataclass(frozen=True)
 class Products:
-    """The products for given structural nonzeros (row, column) of S = [A B] and of the lower triangles Q and Q_N."""
+    """The products for given structural nonzeros (row, column) of S = [A B] and of the lower triangles Q and Q_N.
+
+    ``banded``: so many of the last states are controls of the node before, of which the panels leave out the products.
+    """
 
     nx: int
     nu: int
     S: Pattern
     Q: Pattern
     Q_N: Pattern
+    banded: int = 0
 
     @property
     def written_out(self) -> bool:
@@ -110,8 +114,8 @@ class Products:
     @property
     def _sweeps(self) -> StageSweeps:
         if self.written_out:
-            return WrittenOut(self.nx, self.nu, self.S, self.Q, self.Q_N)
-        return Loops(self.nx, self.nu, self.Q, self.Q_N)
+            return WrittenOut(self.nx, self.nu, self.S, self.Q, self.Q_N, self.banded)
+        return Loops(self.nx, self.nu, self.Q, self.Q_N, self.banded)
 
     @property
     def Q_blocks(self) -> list[list[int]]:
@@ -122,6 +126,15 @@ class Products:
     def Q_N_blocks(self) -> list[list[int]]:
         """Rows of the irreducible diagonal blocks of Q_N."""
         return irreducible_blocks(self.Q_N, self.nx)
+
+
+def banded(previous: int, nx: int, S: Pattern, Q: Pattern, Q_N: Pattern) -> int:
+    """``previous`` of the last states, controls of the node before, if they act on no state, neither by the dynamics
+    nor by products in the cost: what they add to a condensed Hessian is a band beside its diagonal. Else 0."""
+    first = nx - previous
+    acts = any(first <= j < nx for _, j in S)
+    mixes = any(first <= r < nx and c < first for r, c in (*Q, *Q_N))
+    return 0 if acts or mixes else previous
 
 
 def irreducible_blocks(lower: Pattern, n: int) -> list[list[int]]:

@@ -234,6 +234,7 @@ def dimensions(problem: Problem, shape: QpShape | None, constant_hessian: bool, 
     sizes = {
         "N": p.N,
         "NX": p.nx,
+        "NXHAT": p.measured,
         "NU": p.nu,
         "NZ": p.nx + p.nu,
         "NP": p.np,

@@ -153,6 +153,8 @@ def _interval(step: Function, problem: Problem, x: Array, u: Array, dt: float, s
     start = np.concatenate([x, np.eye(problem.nx, problem.nx + problem.nu).ravel(order="F")])
     end = step.fold(steps)(start, np.concatenate([u, problem.p_value, [dt / steps]]))
     S: Array = np.array(end, dtype=np.float64)[problem.nx :, 0].reshape(problem.nx, -1, order="F")
+    if problem.jump is not None:
+        S[list(problem.maps)] = problem.jump_slopes(x, u, problem.p_value, dt)[1].full()
     return S
 
 

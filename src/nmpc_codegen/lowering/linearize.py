@@ -24,6 +24,7 @@ from nmpc_codegen.components.integrators import Discrete, ExplicitRungeKutta
 from nmpc_codegen.components.stage_cost import StageCost, slices, stage_costs
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.frontend.flat import flat_controls, proximal_terms
+from nmpc_codegen.frontend.inner import with_constant_interval, with_ties
 from nmpc_codegen.frontend.problem import Problem, Stage
 from nmpc_codegen.frontend.scales import Scales, scales
 from nmpc_codegen.ir.kernel import Kernel, Port, lift
@@ -97,6 +98,9 @@ def linearize(problem: Problem, options: Options | None = None) -> Model:
         raise OptionError(f"options: {options!r}; expected Options(...) or None")
     options = options or Options()
     problem = complete(problem, options)
+    problem = with_constant_interval(problem, getattr(options.with_defaults.algorithm, "sampling_time", None))
+    problem = with_ties(problem, scales(problem))
+    options = with_blocks(problem, options)
     chosen = options.hessian is None
     options, of_hessian = choose_hessian(problem, options)
     wanted, options = options, options.with_defaults
@@ -135,6 +139,22 @@ def linearize(problem: Problem, options: Options | None = None) -> Model:
         grown=grown,
         constant_hessian=constant,
     )
+
+
+def with_blocks(problem: Problem, options: Options) -> Options:
+    """The options with parameters by node, which say where blocks of controls begin.
+
+    Raises:
+        OptionError: parameters of the user have another layout.
+    """
+    if not problem.inner.held or options.online.parameter == "node":
+        return options
+    if problem.own_parameters:
+        raise OptionError(
+            f'Online.parameter: "{options.online.parameter}" clashes with control(hold=...), whose blocks begin at '
+            'nodes; expected "node" (--set online.parameter=node)'
+        )
+    return replace(options, online=replace(options.online, parameter="node"))
 
 
 def _with_weights(problem: Problem, online: Online) -> Problem:
@@ -215,6 +235,7 @@ def _functions(
         replace(terminal, rows=_rows_kernel(problem.terminal, "terminal"), block=blocks.terminal),
         blocks.initial,
         _lift_coupled_rows(problem),
+        previous=len(problem.inner.previous),
     )
 
 

@@ -30,7 +30,7 @@ from nmpc_codegen.package.description import INTERFACE_SIZES, PackageDescription
 from nmpc_codegen.package.features import KERNELS, Features, KernelName
 from nmpc_codegen.package.memory import Size, Struct, place
 from nmpc_codegen.package.opcount import OpCount
-from nmpc_codegen.package.signals import Kind, Layout, Residual, c_constants
+from nmpc_codegen.package.signals import Argument, EntryPoint, Kind, Layout, Residual, c_constants
 from nmpc_codegen.package.status import Status
 
 # Maximum value of counters, and maximum number of steps of integrate().
@@ -77,9 +77,9 @@ def lower(model: Model, name: str | None = None, whole: bool = False) -> CModule
         features=features,
         sections=_sections(model, dims, structs, layout),
         signals=(
-            ("x", problem.state_names),
+            ("x", problem.state_names[: problem.measured]),
             ("u", problem.control_names),
-            ("p", problem.parameter_names),
+            ("p", problem.parameter_names[: problem.np - len(problem.inner.held)]),
             ("y", problem.path.y_names),
             ("y_N", problem.terminal.y_names),
             ("h", problem.path.h_names),
@@ -224,6 +224,10 @@ def _of_problem(model: Model) -> Features:
         control_bounds=any(place >= 0 for place in _control_rows(p)),
         accumulators=bool(p.accumulators),
         all_measured=not p.accumulators and not p.free_initial,
+        inner=bool(p.inner.count),
+        previous=bool(p.inner.previous),
+        interval_before=p.inner.interval,
+        timed=p.inner.time,
         solve=model.options.solves,
         nodes="nodes" in core,
         products="products" in core,
@@ -243,7 +247,12 @@ def _is_set(model: Model, kind: Kind) -> bool:
     """True if data of this kind exist and can be changed at run time."""
     p = model.problem
     residuals = p.path.ny + p.terminal.ny
-    sizes: dict[Kind, int] = {"reference": residuals, "weight": residuals, "parameter": p.np, "bounds": len(p.rows)}
+    sizes: dict[Kind, int] = {
+        "reference": residuals,
+        "weight": residuals,
+        "parameter": len(p.own_parameters),
+        "bounds": len(p.rows),
+    }
     return model.options.online.layouts[kind] != "fixed" and sizes[kind] > 0
 
 
@@ -265,6 +274,7 @@ def _macros(model: Model, dims: Dims, whole: bool) -> tuple[Macro, ...]:
     docs = {
         "N": "intervals",
         "NX": "states",
+        "NXHAT": "states of the user",
         "NU": "controls",
         "NZ": "NX + NU",
         "NP": "parameters",
@@ -290,13 +300,18 @@ def _macros(model: Model, dims: Dims, whole: bool) -> tuple[Macro, ...]:
     }
     core = [s for s in vars(dims).values() if isinstance(s, Size) and (s.text != "NQ" or model.parts.hessian)]
     of_qp: Iterable[Size] = () if dims.condensed is None else vars(dims.condensed).values()
-    macros = [Macro(s.text, s.value, docs[s.text]) for s in (*core, *of_qp)]
+    inner = model.problem.inner
+    kept = [s for s in (*core, *of_qp) if s.text != "NXHAT" or inner.count]
+    macros = [Macro(s.text, s.value, docs[s.text], shown=_in_header(s, model.problem)) for s in kept]
+    macros.append(Macro("NBAND", model.products.banded, "the last states, which act on no other one"))
+    macros.append(Macro("NMEM", len(inner.previous), "controls that a node knows of the node before"))
     if dims.condensed:
         macros.append(Macro("PANEL", PANEL, "columns processed together"))
     macros.append(Macro("SOFT_ROWS", sum(r.soft is not None for r in model.problem.rows), "rows with a penalty"))
     macros.append(Macro("PULLS", PULLS, "moves of a control back onto rows, at most"))
-    macros.append(Macro("PARAMS", len(model.problem.parameters), "parameters by name"))
-    parameters = model.problem.parameters
+    parameters = model.problem.own_parameters
+    macros.append(Macro("NHELD", len(inner.held), "controls with blocks"))
+    macros.append(Macro("PARAMS", len(parameters), "parameters by name"))
     names = c_constants([s.name for s in parameters])
     macros += [Macro(f"SIZE_{c}", s.size, f"elements of {s.name}") for c, s in zip(names, parameters, strict=True)]
     for component in model.parts.components:
@@ -311,12 +326,38 @@ def _macros(model: Model, dims: Dims, whole: bool) -> tuple[Macro, ...]:
     if whole:
         absent = (entry for component in parts.components for entry in component.absent_sizes(dims))
         macros += [Macro(*entry) for entry in (*SIZES_OF_OTHERS, *absent)]
-    public = {
-        s for e in model.parts.algorithm.entries(_features(model)) for a in (*e.inputs, *e.outputs) for s in a.shape
-    }
+    public = {s for e in _entries(model) for a in (*e.inputs, *e.outputs) for s in a.shape}
     public.update(INTERFACE_SIZES, (f"SIZE_{name}" for name in names))
     found = {macro.name: replace(macro, public=macro.name in public) for macro in reversed(macros)}
     return tuple(found.values())[::-1]
+
+
+def _in_header(size: Size, problem: Problem) -> int | None:
+    """What the header says of the number of states or parameters, if others stand behind those of the user."""
+    inner = problem.inner
+    hidden = {"NX": inner.count, "NP": len(inner.held)}.get(size.text, 0)
+    return size.value - hidden if hidden else None
+
+
+#: What sets the states behind the measured ones.
+SET_PREVIOUS = EntryPoint(
+    "set_previous",
+    "The control that the actuator applied last, where it is not the one that was returned; for the next sample, or "
+    "the present one between prepare and feedback.",
+    (Argument("u", "real", ("NU",)),),
+)
+SET_TIME = EntryPoint(
+    "set_time",
+    "Time of the next sample; every sample moves it on by DT.",
+    (Argument("time", "real"),),
+)
+
+
+def _entries(model: Model) -> tuple[EntryPoint, ...]:
+    """The functions of the algorithm, and those of the states behind the measured ones."""
+    inner = model.problem.inner
+    more = (*((SET_PREVIOUS,) if inner.previous else ()), *((SET_TIME,) if inner.time else ()))
+    return (*model.parts.algorithm.entries(_features(model)), *more)
 
 
 #: Values of k that are allowed besides ALL, for every kind of data that can be changed at run time.
@@ -346,7 +387,7 @@ def _tables(model: Model) -> tuple[Table, ...]:
 
     longest_step = model.parts.integrator.longest_step(p)
     first = np.searchsorted([r[0] for r in rows], range(p.N + 2))
-    offsets = [s.offset for s in p.parameters] + [p.np]
+    offsets = [s.offset for s in p.own_parameters] + [p.np - len(p.inner.held)]
     found = (
         real("interval_length", p.dt, "dt_k"),
         *([] if p.discrete else [real("step_length", [longest_step], "longest integration step")]),
@@ -378,10 +419,27 @@ def _tables(model: Model) -> tuple[Table, ...]:
             "is_pulled", (i in p.pulled_rows for i in range(len(p.rows))), "1: hard row on controls alone that bends"
         ),
         integer("parameter_offset", offsets, "first element of a parameter in p"),
+        integer("remembered", p.inner.previous, "controls that a node knows of the node before"),
+        integer("held_control", p.inner.held, "controls with blocks"),
+        integer("block_start", [] if p.block_starts is None else p.block_starts.ravel(), "1: a block begins at node k"),
+        *_time_tables(model),
         *(table for component in model.parts.components for table in component.tables(p)),
         *TABLES_OF_OTHERS,
     )
     return tuple({table.name: table for table in reversed(found)}.values())[::-1]
+
+
+def _time_tables(model: Model) -> list[Table]:
+    """Times of the nodes and between samples, for states behind the measured ones."""
+    p, algorithm = model.problem, model.parts.algorithm
+    if not p.inner.count:
+        return []
+    period = sampling_period(algorithm.shift, algorithm.sampling_time, p) or p.dt[0]
+    times = tuple(math.fsum(p.dt[:k]) for k in range(p.N + 1))
+    return [
+        Table("node_time", "real", times, "t_k"),
+        Table("sampling_time", "real", (float(period),), "between samples"),
+    ]
 
 
 def _round(values: ArrayLike) -> list[float]:
@@ -423,9 +481,10 @@ def _description(
         target=model.target.name,
         sizes={m.name: m.value for m in macros},
         structs=structs,
-        states=p.states,
+        states=p.own_states,
+        inner=p.inner,
         controls=p.controls,
-        parameters=p.parameters,
+        parameters=p.own_parameters,
         rows=p.rows,
         residuals=_residuals(p, p.path),
         residuals_N=_residuals(p, p.terminal),
@@ -435,12 +494,12 @@ def _description(
         statuses=tuple(Status.__members__),
         shift=model.parts.algorithm.shift,
         sampling_time=sampling_period(model.parts.algorithm.shift, model.parts.algorithm.sampling_time, p),
-        entry_points=model.parts.algorithm.entries(_features(model)),
+        entry_points=_entries(model),
         online=model.options.online.layouts,
         options=as_data(model.options),
         report=report,
         ranges=ranges,
-        scales=tuple(_round(sizes.z)),
+        scales=tuple(_round([*sizes.z[: p.measured], *sizes.z[p.nx :]])),
         row_scales=tuple(_round(sizes.rows)),
     )
 

@@ -46,13 +46,18 @@ def preamble(
     lines = [f"typedef {name}_real {rename('real_t', renamed)};"]
     lines += [f"typedef {name}_{t}_t {short};" for t, short in zip(types, inner, strict=True) if f"{t}_t" in used]
     for macro, arguments, text in found:
-        declared = arguments is None and text == f"{name.upper()}_{macro}"  # by the header
+        declared = arguments is None and text in (f"{name.upper()}_{macro}", _of_header(macro, name))
         head = rename(macro if arguments is None else f"{macro}({arguments})", renamed)
         define = f"#define {head} {text if declared else rename(text, renamed)}"
         lines.append(" \\\n    ".join(wrap(define, WIDTH, break_long_words=False, break_on_hyphens=False)))
         if reason := REASONS.get(macro, docs.get(macro, "")):
             lines[-1:] = _with_reason(lines[-1], reason)
     return "\n".join([*lines, *(rename(text, renamed) for text in chosen)])
+
+
+def _of_header(macro: str, name: str) -> str:
+    """The macro of the header with another name that this one stands for; "": none."""
+    return f"{name.upper()}_NX" if macro == "NXHAT" else ""
 
 
 #: Macro of which the compiler chooses the value -> its definition.
@@ -92,7 +97,8 @@ def all_definitions(module: CModule) -> list[Definition]:
     """Every macro that a unit may use."""
     p, P = module.name, module.macro
     sizes = [m for m in module.macros if m.name != "MAGIC"]
-    constants = [(m.name, f"{P}_{m.name}" if m.public else str(m.value)) for m in sizes]
+    constants = [(m.name, f"{P}_{m.name}" if m.public and m.shown is None else str(m.value)) for m in sizes]
+    constants = [(n, _of_header(n, p) or text) for n, text in constants]
     constants.append(("MAGIC", "NMPC_CODEGEN_UNIT"))
     constants += [(name, f"{P}_{name}") for name in ("ALL", *(status.name for status in module.statuses))]
     features = module.features.macros
@@ -215,11 +221,15 @@ def kernel_call(
     ``kept``: places of outputs that a node keeps, which are no arguments.
 
     The arguments of the macro are always the same: the solver, the node of a path kernel, the vectors that it
-    multiplies, the outputs; INTEGRATOR_STEP also takes the state, the control and the step length.
+    multiplies, the outputs; INTEGRATOR_STEP also takes the state, the control and the step length, INTEGRATOR_JUMP the
+    state and the control.
     """
     if routine.name == "integrator_step":
         places = {"x": "x", "u": "u", "p": "PARAM(s, k)", "h": "h"}
         leading = ["s", "k", "x", "u", "h"]
+    elif routine.name == "integrator_jump":
+        places = {"x": "x", "u": "u", "p": "PARAM(s, k)", "dt": "&interval_length[k]"}
+        leading = ["s", "k", "x", "u"]
     elif routine.name.startswith("terminal_"):
         places, leading = {**everywhere, **TERMINAL_PLACES}, ["s"]
     elif routine.name.startswith("start_"):

@@ -123,7 +123,7 @@ def _fill(module: CModule) -> dict[str, Any]:
         module.structs,
         module.tables,
         None if module.whole else constants_of(module, known),
-        {macro.name: macro.doc for macro in module.macros if not macro.public},
+        {macro.name: macro.doc for macro in module.macros if not macro.public or macro.shown is not None},
     )
     texts = unit.texts(module.style, lambda used: own_math(module, used))
     return {
@@ -242,10 +242,15 @@ def render_unit(module: CModule, names: dict[str, Any]) -> str:
         text = read_part(path, generate_part, module.decided)
         if path == module.sections[-1].template:
             check_hooks([read_part(path, lambda include: "")], module.extras)
-        return with_hooks(text, module.extras).rstrip()
+        return _with_states(with_hooks(text, module.extras), module).rstrip()
 
     more: dict[str, Any] = {"part": part, "generated": generate_part}
     return environment().get_template("package/unit.c.jinja").render(names | more)
+
+
+def _with_states(text: str, module: CModule) -> str:
+    """Without states behind the measured ones, the number of both is NX."""
+    return text if module.features.inner else rename(text, {"NXHAT": "NX"})
 
 
 def _guard(name: str, target: Target) -> str:
@@ -351,7 +356,7 @@ def _copies(layout: Layout, path_only: bool) -> str:
 def member(field: Field, name: str, public: Iterable[Macro]) -> str:
     """Declaration of a struct member; sizes that are not ``public`` are numbers."""
     ctype = {"real": f"{name}_real", "int32": "int32_t"}.get(field.ctype, f"{name}_{field.ctype}_t")
-    known = {macro.name for macro in public}
+    known = {macro.name for macro in public if macro.shown is None}
     texts = (s.c(name.upper()) if known.issuperset(re.findall(r"[A-Z]\w*", s.text)) else s.value for s in field.shape)
     return f"{ctype} {field.name}{''.join(f'[{text}]' for text in texts)};"
 

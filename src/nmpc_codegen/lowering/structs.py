@@ -17,9 +17,11 @@ from nmpc_codegen.package.signals import Kind, Layout
 
 def lowered_structs(model: Model, dims: Dims, features: Features, whole: bool) -> tuple[Struct, ...]:
     nodes = Size("N + 1", dims.N.value + 1)
+    more = problem_names(model.problem)
     common = [
-        Field("x", (nodes, dims.nx), "states of the plan", "iterate"),
+        Field("x", (nodes, dims.nx), f"states of the plan{more}", "iterate"),
         Field("u", (dims.N, dims.nu), "controls of the plan", "iterate"),
+        *_inner_fields(dims),
         *(setting.field for setting in settings(model, dims, whole)),
     ]
     results = [
@@ -39,6 +41,21 @@ def lowered_structs(model: Model, dims: Dims, features: Features, whole: bool) -
     fields = (*common, *own_members, *members, *results)
     solver = Struct("solver", "the whole controller: no pointers, copy it with '='", fields)
     return (*inner, solver if whole else _existing(solver, features))
+
+
+def problem_names(problem: Problem) -> str:
+    """What stands behind the states of the user, for a comment."""
+    names = problem.state_names[problem.measured :]
+    return f"; behind those of the user {', '.join(names)}" if names else ""
+
+
+def _inner_fields(dims: Dims) -> list[Field]:
+    """What is known of the sample before."""
+    return [
+        Field("previous", (dims.nu,), "controls applied last", "keep", only=lambda f: f.previous),
+        Field("time", (), "time of the next sample", "keep", only=lambda f: f.timed),
+        Field("time_rest", (), "its rounding error", "keep", only=lambda f: f.timed),
+    ]
 
 
 def _existing(struct: Struct, features: Features) -> Struct:

@@ -92,7 +92,7 @@ def node_data(
 
     Args:
         problem: the problem.
-        x0: (nx,); entries of accumulators are ignored.
+        x0: (nx,), states of the user, or with those behind them; entries of accumulators are ignored.
         p: (np,) or (N+1, np), or {name: value}.
         yref: (ny,) or (N, ny).
         yref_N: (ny_N,).
@@ -104,7 +104,7 @@ def node_data(
         ProblemError: a shape does not fit, or a name is unknown.
     """
     N, path, end = problem.N, problem.path, problem.terminal
-    x = shape_of("x0", problem.x_initial if x0 is None else x0, (problem.nx,))
+    x = _initial(problem, x0)
     x[list(problem.accumulators)] = 0.0
     lower = np.tile([r.lower for r in problem.rows], (N + 1, 1)).reshape(N + 1, -1)
     upper = np.tile([r.upper for r in problem.rows], (N + 1, 1)).reshape(N + 1, -1)
@@ -116,7 +116,7 @@ def node_data(
         upper[:, names.index(name)] = high
     return Data(
         x0=x,
-        p=shape_of("p", _parameters(problem, p), (N + 1, problem.np)),
+        p=_with_blocks(problem, p),
         yref=shape_of("yref", path.reference if yref is None else yref, (N, path.ny)),
         yref_N=shape_of("yref_N", end.reference if yref_N is None else yref_N, (end.ny,)),
         W=shape_of("W", _square(path.weight if W is None else W), (N, path.ny, path.ny)),
@@ -124,6 +124,24 @@ def node_data(
         lower=lower,
         upper=upper,
     )
+
+
+def _with_blocks(problem: Problem, p: Any) -> Array:
+    """(N+1, np), with the parameters behind those of the user, which say where blocks of controls begin."""
+    N, held = problem.N, len(problem.inner.held)
+    if problem.block_starts is None:
+        return shape_of("p", _parameters(problem, p), (N + 1, problem.np))
+    given = np.asarray(_parameters(problem, p), dtype=float)
+    own = given[..., : problem.np - held]
+    return np.hstack([shape_of("p", own, (N + 1, problem.np - held)), problem.block_starts])
+
+
+def _initial(problem: Problem, x0: Any) -> Array:
+    """x_0 with the states behind those of the user, which have their first values if they are not given."""
+    given = np.asarray(problem.x_initial if x0 is None else x0, dtype=float)
+    if given.shape == (problem.nx,) or not problem.inner.count:
+        return shape_of("x0", given, (problem.nx,))
+    return np.concatenate([shape_of("x0", given, (problem.measured,)), problem.x_initial[problem.measured :]])
 
 
 def shape_of(what: str, value: Any, shape: tuple[int, ...]) -> Array:
@@ -178,6 +196,10 @@ def interval_map(problem: Problem, integrator: Tableau = CLASSICAL) -> Any:
             L.append(quadrature(X, s.u, s.p))
         for i in range(len(b)):
             x, q = x + h * b[i] * K[i], q + h * b[i] * L[i]
+    if problem.jump is not None:
+        maps = problem.jump(s.x, s.u, s.p, s.dt)
+        parts = {i: maps[n] for n, i in enumerate(problem.maps)}
+        x = ca.vertcat(*(parts.get(i, x[i]) for i in range(problem.nx)))
     return ca.Function("Phi", [s.x, s.u, s.p, s.dt], [x, q])
 
 
@@ -188,6 +210,8 @@ def node_cost(stage: Stage) -> Any:
     cost = ca.SX(0) if stage.cost is None else stage.cost
     if stage.ny:
         cost = cost + ca.dot(r, W @ r) / 2
+    if stage.ties is not None:
+        cost = cost + ca.sumsqr(stage.ties) / 2
     return ca.Function("l", [stage.x, stage.u, stage.p, stage.dt, yref, W], [cost])
 
 

@@ -20,13 +20,23 @@ from nmpc_codegen.errors import ControllerError
 from nmpc_codegen.package.memory import INTEGERS, REAL, Field, Precision, Size, Struct
 from nmpc_codegen.package.opcount import OpCount
 from nmpc_codegen.package.program import Program
-from nmpc_codegen.package.signals import EntryPoint, Layouts, Names, Residual, Row, Signal, c_constants
+from nmpc_codegen.package.signals import (
+    NOTHING_INNER,
+    EntryPoint,
+    Inner,
+    Layouts,
+    Names,
+    Residual,
+    Row,
+    Signal,
+    c_constants,
+)
 
 #: Sizes of the interface, which every header states.
 INTERFACE_SIZES = ("N", "NX", "NU", "NP", "NY", "NY_N", "NW", "NW_N", "NR")
 
 #: Version of the layout of <name>.json.
-FORMAT = 6
+FORMAT = 7
 
 DIMENSIONS = ("N", "NX", "NU", "NP", "NY", "NY_N", "NH", "NH_N", "NR")
 
@@ -108,13 +118,20 @@ class PackageDescription:
     report: Report
     scales: tuple[float, ...]  # of states and controls, (nx + nu,)
     row_scales: tuple[float, ...]  # of the terms of the rows
+    inner: Inner = NOTHING_INNER  # states behind those of the user, in the struct alone
     ranges: Mapping[str, tuple[int, int]] = field(default_factory=dict)
     program: Program = field(default_factory=Program)
 
     @property
     def dims(self) -> Dimensions:
-        """Sizes in the notation of the project."""
-        return Dimensions(*(self.sizes[name] for name in DIMENSIONS))
+        """Sizes in the notation of the project; nx: states of the user."""
+        return Dimensions(*(self.interface[name] for name in DIMENSIONS))
+
+    @property
+    def interface(self) -> Mapping[str, int]:
+        """The sizes as the header states them: NX and NP are the states and parameters of the user."""
+        behind = {"NX": self.inner.count, "NP": len(self.inner.held)}
+        return {name: value - behind.get(name, 0) for name, value in self.sizes.items()}
 
     @property
     def real(self) -> np.dtype[Any]:
@@ -183,6 +200,7 @@ class PackageDescription:
             "entry_points": [asdict(e) for e in self.entry_points],
             "report": self.report.as_dict(),
             "program": asdict(self.program),
+            "inner": asdict(self.inner),
         }
         for kind in ("states", "controls", "parameters", "residuals", "residuals_N"):
             entries[kind] = [vars(s) for s in entries[kind]]

@@ -33,6 +33,7 @@ KernelName = Literal[
     "initial_exact",
     "coupled_rows",
     "integrator_interval",
+    "integrator_jump",
     "integrator_forward",
     "state_step",
     "adjoint_step",
@@ -72,6 +73,10 @@ class Features:
     control_bounds: bool = False
     accumulators: bool = False
     all_measured: bool = False  # x_0 is the measured state
+    inner: bool = False  # states behind the measured ones
+    previous: bool = False  # some are controls of the node before
+    interval_before: bool = False  # one is the length of the interval before
+    timed: bool = False  # the last one is time
 
     # options, and parts of the core that the algorithm uses
     solve: bool = False

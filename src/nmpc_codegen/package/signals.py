@@ -63,6 +63,38 @@ class Signal:
 
 
 @dataclass(frozen=True)
+class Inner:
+    """States behind those of the user, whose values at node 0 are known: what a node knows of the one before it, and
+    its time.
+
+    ``interval``: the length of the interval before; ``time``: the time of the node; ``previous``: controls whose values
+    at the node before are remembered. In this order.
+
+    ``held``: controls with blocks of intervals, which a node takes from the one before unless it begins a block. For
+    each a parameter behind those of the user says so, 1 where a block begins, 0 elsewhere.
+    """
+
+    previous: tuple[int, ...] = ()
+    interval: bool = False
+    time: bool = False
+    held: tuple[int, ...] = ()
+
+    @property
+    def count(self) -> int:
+        """Number of these states."""
+        return len(self.previous) + self.interval + self.time
+
+    @property
+    def places(self) -> dict[int, int]:
+        """Control -> place of its value at the node before among these states."""
+        return {j: i + self.interval + self.time for i, j in enumerate(self.previous)}
+
+
+#: Of a problem without such states.
+NOTHING_INNER = Inner()
+
+
+@dataclass(frozen=True)
 class Row:
     """One scalar row lower <= value <= upper that holds at ``nodes``, with its declared bounds.
 

@@ -45,14 +45,14 @@ class CompiledPackage:
     def dtype(self) -> np.dtype[Any]:
         """NumPy type of the solver struct; ControllerError unless its layout is that of the compiled code."""
         self._same("the name", self.description.name, self.name)
-        for size, value in self.description.sizes.items():
+        for size, value in self.description.interface.items():
             stated = getattr(self.lib, f"{self.name.upper()}_{size}", None)
             if stated is not None or size in INTERFACE_SIZES:  # other sizes show in the layout of the structs
                 self._same(f"the size {size}", value, stated)
         unknown = self.ffi.error if isinstance(self.ffi.error, tuple) else (self.ffi.error,)
         try:
             dims = self.description.dims
-            self.description.program.check((dims.nx, dims.nu, dims.np), dims.nr, EDGES)
+            self.description.program.check([self.description.sizes[n] for n in ("NX", "NU", "NP")], dims.nr, EDGES)
             layouts = {struct.name: self.description.dtype(struct.name) for struct in self.description.structs}
             for name, layout in layouts.items():
                 self._check_layout(name, layout)

@@ -249,6 +249,22 @@ class Controller(Memory):
             status = self._call("set_bounds", self._s, row, k, one_low, one_high)
             self._expect(status, "set_bounds", f"row {self.names.rows[row]!r}, node {node}")
 
+    def set_previous(self, u: ArrayLike) -> None:
+        """Set the control that was applied last, (nu,): what the actuator did, where it is not what step() returned.
+
+        Call it after step() or feedback(), which set it to the control that they return.
+        """
+        self._needs_inner(bool(self.description.inner.previous), "previous control", "ocp.previous(u) or ocp.rate(u)")
+        value = self._array("previous control", u, (self.dims.nu,))
+        self._expect(self._call("set_previous", self._s, self._pointer(value)), "set_previous")
+
+    def set_time(self, time: float) -> None:
+        """Set the time of the next sample, in the unit of the problem; step() and feedback() move it on by the sampling
+        time."""
+        self._needs_inner(self.description.inner.time, "time", "ocp.time")
+        value = float(self._array("time", time, ()))
+        self._expect(self._call("set_time", self._s, value), "set_time")
+
     # -- what is known about it ----------------------------------------------------------------------------------------
 
     def diagnose(self) -> str:

@@ -49,11 +49,11 @@ class Memory:
     @property
     def x(self) -> Array:
         """States of the plan, (N+1, nx)."""
-        return self._view("x")
+        return self._view("x")[:, : self.dims.nx]
 
     @x.setter
     def x(self, value: ArrayLike) -> None:
-        self._assign("x", value)
+        self._assign(self.x, "x", value)
 
     @property
     def u(self) -> Array:
@@ -62,16 +62,16 @@ class Memory:
 
     @u.setter
     def u(self, value: ArrayLike) -> None:
-        self._assign("u", value)
+        self._assign(self.u, "u", value)
 
     @property
     def lam(self) -> Array:
         """Multipliers of initial condition and dynamics, (N+1, nx)."""
-        return self._view("lam")
+        return self._view("lam")[:, : self.dims.nx]
 
     @lam.setter
     def lam(self, value: ArrayLike) -> None:
-        self._assign("lam", value)
+        self._assign(self.lam, "lam", value)
 
     @property
     def mu_x(self) -> Array:
@@ -89,7 +89,7 @@ class Memory:
 
     @mu_u.setter
     def mu_u(self, value: ArrayLike) -> None:
-        self._assign("mu_u", value)
+        self._assign(self.mu_u, "mu_u", value)
 
     @property
     def mu(self) -> Array:
@@ -117,6 +117,34 @@ class Memory:
     @eta.setter
     def eta(self, value: ArrayLike) -> None:
         self._set_multipliers("eta", value)
+
+    @property
+    def whole_x(self) -> Array:
+        """States of the plan with those behind the states of the user, (N+1, nx + their number)."""
+        return self._view("x")
+
+    @property
+    def known(self) -> Array:
+        """View on the states behind those of the user in x_0 of the last sample; integrate() starts from them."""
+        last = self._view("xhat") if "xhat" in self.description.members("solver") else self._view("x")[0]
+        return last[self.dims.nx :]
+
+    @property
+    def previous(self) -> Array:
+        """Control applied last, (nu,), a copy: that of the last sample, or of set_previous()."""
+        self._needs_inner(bool(self.description.inner.previous), "previous control", "ocp.previous(u) or ocp.rate(u)")
+        return np.array(self._view("previous"))
+
+    @property
+    def time(self) -> float:
+        """Time of the next sample."""
+        self._needs_inner(self.description.inner.time, "time", "ocp.time")
+        return float(self._view("time"))
+
+    def _needs_inner(self, there: bool, what: str, word: str) -> None:
+        """Raise ControllerError unless the problem has this state behind those of the user."""
+        if not there:
+            raise ControllerError(f"{self._package.name} has no {what}: its problem does not contain {word}")
 
     @property
     def status(self) -> Status:
@@ -160,7 +188,11 @@ class Memory:
         return Kkt.read(lambda part: getattr(out, part), self.description.members("kkt"))
 
     def integrate(self, x: ArrayLike, u: ArrayLike, dt: float) -> Array:
-        """State (nx,) after the time dt (s) from x (nx,) under constant u (nu,), by the integrator of the package."""
+        """State (nx,) after the time dt (s) from x (nx,) under constant u (nu,), by the integrator of the package.
+
+        Where the dynamics contain previous controls or time, they are those of the last sample. Discrete states beside
+        continuous ones take their next value, whatever dt is.
+        """
         start = self._array("x", x, (self.dims.nx,), finite=False)
         control = self._array("u", u, (self.dims.nu,), finite=False)
         out, out_c = self._buffer(self.dims.nx)
@@ -270,6 +302,5 @@ class Memory:
         except AttributeError:
             return np.zeros(0, dtype=self._real)
 
-    def _assign(self, name: str, value: ArrayLike) -> None:
-        view = self._view(name)
+    def _assign(self, view: Array, name: str, value: ArrayLike) -> None:
         view[...] = self._array(name, value, view.shape)

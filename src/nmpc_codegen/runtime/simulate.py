@@ -10,6 +10,7 @@ import sys
 from collections.abc import Callable, Iterable
 from functools import partial
 from importlib.util import find_spec
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -27,6 +28,7 @@ Traces = tuple[Trace, ...]
 Plant = Callable[[Array, Array, float], ArrayLike]
 Disturbance = Callable[[int, Array], ArrayLike]
 Reference = Callable[[int, Controller], None]
+Law = Literal["step", "solve"]
 
 LOG_BYTES = 2**31  # a larger log may not fit into memory, and the run would take hours
 LOG_COLUMNS = 4  # status, cost, time and t
@@ -44,6 +46,7 @@ def simulate(
     disturbance: Disturbance | None = None,
     reference: Reference | None = None,
     warm_start: bool = False,
+    law: Law = "step",
 ) -> Log:
     """Run a controller in closed loop. The controller is left in its last state; copy() it to keep the initial one.
 
@@ -59,6 +62,7 @@ def simulate(
         reference: called as reference(k, ctrl) before sample k, to set references, parameters or bounds.
         warm_start: call solve(x0) before the first sample, so that the loop starts from a converged plan. One iteration
             per sample may not find a plan from a cold start with hard rows.
+        law: "step": step(x) at every sample; "solve": solve(x), from the plan of the sample before, moved as in step().
 
     Raises:
         ControllerError: shapes or numbers are wrong, there are more steps than a log can hold, or the plant returns
@@ -68,8 +72,8 @@ def simulate(
     _check_steps(steps, ctrl, len(numbers))
     interval = _interval(ctrl, dt)
     name, nx, nu = ctrl.description.name, ctrl.dims.nx, ctrl.dims.nu
-    move = plant or _own_plant(ctrl)
-    x, u = np.zeros((steps + 1, nx)), np.zeros((steps, nu))
+    move, sample = plant or _own_plant(ctrl), _sample_by(law, ctrl, interval)
+    x, u, known = np.zeros((steps + 1, nx)), np.zeros((steps, nu)), np.zeros((steps, ctrl.known.size))
     status, time_ns, cost = np.zeros(steps, np.int64), np.zeros(steps, np.int64), np.zeros(steps)
     p, y = np.zeros((steps, ctrl.dims.np)), np.zeros((steps, ctrl.dims.ny))
     x[0] = _state(x0, nx, "x0")
@@ -79,8 +83,8 @@ def simulate(
     for k in _progress(range(steps), name):
         if reference is not None:
             reference(k, ctrl)
-        u[k] = ctrl.step(x[k])
-        status[k], cost[k], time_ns[k] = ctrl.status, ctrl.cost, ctrl.time_ns
+        u[k], time_ns[k] = sample(x[k], k)
+        status[k], cost[k], known[k] = ctrl.status, ctrl.cost, ctrl.known
         if status[k] not in reasons:
             reasons[Status(status[k])] = ctrl.diagnose() if status[k] else ""
         p[k], y[k] = start_parameters(ctrl), references(ctrl)
@@ -88,11 +92,39 @@ def simulate(
         x[k + 1] = _state(moved, nx, f"the plant's state after sample {k}", partial(_before, ctrl, x[k], u[k]))
         if disturbance is not None:
             x[k + 1] += _state(disturbance(k, x[k].copy()), nx, f"the disturbance of sample {k}")
-    h = row_values(ctrl, x[:-1], u, p)[:, numbers]
+    h = _sample_rows(ctrl, np.hstack([x[:-1], known]), u, p)[:, numbers]
     own, traces = _own_axes(ctrl, numbers, h, x, u)
     t = interval * np.arange(steps + 1, dtype=np.float64)
     samples = (status, cost, time_ns)
     return Log(name, ctrl.description.time_unit, t, x, u, h[:, own], p, y, *samples, *traces, reasons)
+
+
+def _sample_by(law: Law, ctrl: Controller, interval: float) -> Callable[[Array, int], tuple[Array, int]]:
+    """(x, k) -> the control of sample k and its time. solve() leaves nothing to the next sample, so it is said here."""
+
+    def step(x: Array, k: int) -> tuple[Array, int]:
+        return ctrl.step(x), ctrl.time_ns
+
+    def solve(x: Array, k: int) -> tuple[Array, int]:
+        if k > 0 and ctrl.description.shift is not None:
+            ctrl.shift()
+        found = ctrl.solve(x)
+        if ctrl.description.inner.previous:
+            ctrl.set_previous(found.u[0])
+        if ctrl.description.inner.time:
+            ctrl.set_time(ctrl.time + interval)
+        return found.u[0], found.time_ns
+
+    laws = {"step": step, "solve": solve}
+    if law not in laws:
+        raise ControllerError(f"law is {law!r}; allowed: 'step', 'solve'")
+    return laws[law]
+
+
+def _sample_rows(ctrl: Controller, x: Array, u: Array, p: Array) -> Array:
+    """Values of the rows of the samples; each of them begins a block of every control."""
+    starts = np.ones((len(x), len(ctrl.description.inner.held)))
+    return row_values(ctrl, x, u, np.hstack([p, starts]))
 
 
 def _path_rows(ctrl: Controller) -> list[int]:
@@ -145,9 +177,10 @@ def _interval(ctrl: Controller, dt: float | None) -> float:
 def _own_plant(ctrl: Controller) -> Plant:
     """The integrator of the package, in equal steps no longer than the first interval."""
     longest = ctrl.description.dt[0]
+    whole = ctrl.known.size or "integrator_jump" in ctrl.description.report.operations  # what a sample does once
 
     def integrate(x: Array, u: Array, dt: float) -> Array:
-        count = max(1, math.ceil(dt / longest * (1.0 - STEP_SLACK)))
+        count = 1 if whole else max(1, math.ceil(dt / longest * (1.0 - STEP_SLACK)))
         for _ in range(count):
             x = ctrl.integrate(x, u, dt / count)
         return x

@@ -151,12 +151,15 @@ def _search(ctrl: Memory, run: _Run, tol: float, most: int) -> Status:
 def _full_steps(ctrl: Memory, run: _Run, tol: float, most: int) -> Status:
     """The real-time iteration, repeated for the same state without a shift of the plan."""
     members = ctrl.description.members("solver")
+    left = {name: ctrl.view(name).copy() for name in ("previous", "time", "time_rest") if name in members}
     for number in range(1, most + 1):
         if "samples" in members:
             ctrl.view("samples")[...] = 0
         start = perf_counter_ns()
         status = ctrl.call_iteration()
         run.time_ns += perf_counter_ns() - start
+        for name, value in left.items():
+            ctrl.view(name)[...] = value
         if "stats" in members:
             ctrl.view("stats.sqp_iterations")[...] = number
         if status != Status.OK:

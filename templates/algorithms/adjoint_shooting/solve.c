@@ -73,7 +73,7 @@ static status_t iterate(solver_t *s, real_t tol, int max_iterations)
     return (s->kkt.relative <= tol) ? OK : status_without_solution(status, ITERATION_LIMIT);
 }
 
-status_t API(solve)(solver_t *s, const real_t xhat[NX], real_t tol, int max_iterations)
+status_t API(solve)(solver_t *s, const real_t xhat[NXHAT], real_t tol, int max_iterations)
 {
     status_t status;
     if (s->magic != MAGIC) {

@@ -77,7 +77,7 @@ static status_t iterate(solver_t *s, real_t tol, int max_iterations)
     return (residual_of(s) <= tol) ? OK : ITERATION_LIMIT;
 }
 
-status_t API(solve)(solver_t *s, const real_t xhat[NX], real_t tol, int max_iterations)
+status_t API(solve)(solver_t *s, const real_t xhat[NXHAT], real_t tol, int max_iterations)
 {
     status_t status;
     if (s->magic != MAGIC) {
@@ -92,6 +92,9 @@ status_t API(solve)(solver_t *s, const real_t xhat[NX], real_t tol, int max_iter
     s->prepared = 0;
     if (!take_state(s, xhat)) {
         return finish(s, NOT_FINITE);
+    }
+    if (INNER) {
+        follow_inner(s);
     }
     memset(&s->stats, 0, sizeof s->stats);
     s->auglag.radius = initial_radius[0];

@@ -66,6 +66,11 @@ static int controls_hold(const solver_t *s, int k, const real_t *w, real_t *leas
 {
     const node_t *node = &s->node[k];
     for (int j = 0; j < NU; j++) {
+        if (NHELD > 0) {
+            if (condense_variable(k, j) < 0) {
+                continue;
+            }
+        }
         const real_t mult = s->mu_u[k][j];
         const int i = NX + j;
         real_t sum = w[i] + mult, size = FABS(node->g[i]) + FABS(mult);
@@ -80,7 +85,7 @@ static int controls_hold(const solver_t *s, int k, const real_t *w, real_t *leas
             }
         }
         const real_t rounding = TOL_STEP_GRADIENT * size + TOL_ROUNDING * force_size[i];
-        const real_t over = (FABS(sum) - rounding) * s->qp.inverse[k * NU + j];
+        const real_t over = (FABS(sum) - rounding) * s->qp.inverse[condense_variable(k, j)];
         if (over > R(0) && *least <= R(0)) {
             *least = FACTOR_STEP_GRADIENT_COST * TOL_STEP_GRADIENT * SQRT(cost_terms(s));
         }

@@ -1,4 +1,4 @@
-status_t API(feedback)(solver_t *s, const real_t xhat[NX], real_t u0[NU])
+status_t API(feedback)(solver_t *s, const real_t xhat[NXHAT], real_t u0[NU])
 {
     status_t status;
     int measured, broken;
@@ -34,13 +34,16 @@ status_t API(feedback)(solver_t *s, const real_t xhat[NX], real_t u0[NU])
     if (PULLED_ROWS) {
         pull_control_back(s, u0);
     }
+    if (INNER) {
+        keep_sample(s, u0);
+    }
     status = judge(s, status);
     watch(s, status, broken);
     return finish(s, status);
 }
 
 /* If prepare fails, feedback returns its status. */
-status_t API(step)(solver_t *s, const real_t xhat[NX], real_t u0[NU])
+status_t API(step)(solver_t *s, const real_t xhat[NXHAT], real_t u0[NU])
 {
     before_sample(s, xhat);
     API(prepare)(s);

@@ -19,6 +19,9 @@ static void start_at(solver_t *s, const real_t *x)
             s->u[k][j] = safe_value(s, k, j);
         }
     }
+    if (INNER) {
+        follow_inner(s);
+    }
     forget_multipliers(s);
     if (HAS_QP) {
         condense_init(s);

@@ -61,7 +61,7 @@ static int multipliers_are_finite(solver_t *s)
 }
 
 /* Begins with the plan and this state. Returns 0 if the state is not finite. */
-static int take_over(solver_t *s, const real_t xhat[NX])
+static int take_over(solver_t *s, const real_t xhat[NXHAT])
 {
     s->stats.sqp_iterations = 0;
     if (!take_state(s, xhat)) {
@@ -70,6 +70,9 @@ static int take_over(solver_t *s, const real_t xhat[NX])
     for (int f = 0; f < NF; f++) {
         const real_t guess = xhat[free_state[f]];
         s->x[0][free_state[f]] = isfinite(guess) ? guess : s->x[0][free_state[f]];
+    }
+    if (INNER) {
+        follow_inner(s);
     }
     forget_violation(s);
     s->samples += (s->samples < MANY);

@@ -32,6 +32,7 @@ from nmpc_codegen.components.algorithms.shifts import (
     decide_shift,
     resample_reach,
     resample_tables,
+    resample_time,
     with_shift,
 )
 from nmpc_codegen.components.allowed import Number, Whole, Words, check_options, option
@@ -133,7 +134,16 @@ class AdjointShooting(Defaults):
     needs: ClassVar[tuple[Seam, ...]] = ("integrator",)
     core: ClassVar[frozenset[Core]] = frozenset({"directions", "kkt"})
     supports: ClassVar[frozenset[str]] = frozenset(
-        {"general cost", "integrated cost", "accumulators", "soft rows", "coupled rows"}
+        {
+            "general cost",
+            "integrated cost",
+            "accumulators",
+            "soft rows",
+            "coupled rows",
+            "previous controls",
+            "time",
+            "discrete states",
+        }
     )
 
     def __post_init__(self) -> None:
@@ -165,7 +175,9 @@ class AdjointShooting(Defaults):
         shift, reasons = decide_shift(self.shift, self.sampling_time, problem)
         if self.repair and not repairs:
             reasons.append("repair: 0; a package without solve() or for a microcontroller has none")
-        return replace(self, shift=shift, repair=self.repair if repairs else 0), tuple(reasons)
+        time = resample_time(shift, self.sampling_time, problem)
+        found = replace(self, shift=shift, sampling_time=time, repair=self.repair if repairs else 0)
+        return found, tuple(reasons)
 
     def entries(self, features: Features) -> tuple[EntryPoint, ...]:
         """A sample in one call, the shift of the plan, and the iteration to convergence."""

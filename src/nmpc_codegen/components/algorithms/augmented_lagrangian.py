@@ -39,6 +39,7 @@ from nmpc_codegen.components.algorithms.shifts import (
     initial_tables,
     resample_reach,
     resample_tables,
+    resample_time,
     with_shift,
 )
 from nmpc_codegen.components.allowed import Number, Whole, Words, check_options, option
@@ -102,7 +103,17 @@ class AugmentedLagrangian(Defaults):
     needs: ClassVar[tuple[Seam, ...]] = ("integrator", "hessian")
     core: ClassVar[frozenset[Core]] = frozenset({"nodes", "multipliers", "kkt"})
     supports: ClassVar[frozenset[str]] = frozenset(
-        {"general cost", "integrated cost", "accumulators", "free initial state", "soft rows", "coupled rows"}
+        {
+            "general cost",
+            "integrated cost",
+            "accumulators",
+            "free initial state",
+            "soft rows",
+            "coupled rows",
+            "previous controls",
+            "time",
+            "discrete states",
+        }
     )
 
     def __post_init__(self) -> None:
@@ -195,7 +206,8 @@ class AugmentedLagrangian(Defaults):
     def decide(self, problem: Problem, repairs: bool) -> tuple[AugmentedLagrangian, tuple[str, ...]]:
         """The shift that "auto" stands for."""
         shift, reasons = decide_shift(self.shift, self.sampling_time, problem)
-        return replace(self, shift=shift), tuple(reasons)
+        time = resample_time(shift, self.sampling_time, problem)
+        return replace(self, shift=shift, sampling_time=time), tuple(reasons)
 
     def notes(self, problem: Problem) -> tuple[str, ...]:
         """The penalty that is chosen."""

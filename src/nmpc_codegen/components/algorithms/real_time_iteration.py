@@ -23,10 +23,11 @@ from nmpc_codegen.components.algorithms.shifts import (
     initial_tables,
     resample_reach,
     resample_tables,
+    resample_time,
     with_shift,
 )
 from nmpc_codegen.components.allowed import Flag, Number, Whole, Words, check_options, option
-from nmpc_codegen.components.base import Core, Counts, Defaults, Dims, Extra, Seam
+from nmpc_codegen.components.base import Core, Counts, Defaults, Dims, Extra, Parts, Seam, spell
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.cmodule import Table
@@ -176,7 +177,17 @@ class RealTimeIteration(Defaults):
     needs: ClassVar[tuple[Seam, ...]] = ("integrator", "hessian", "condensing", "qp")
     core: ClassVar[frozenset[Core]] = frozenset({"nodes", "multipliers", "products", "kkt"})
     supports: ClassVar[frozenset[str]] = frozenset(
-        {"general cost", "integrated cost", "accumulators", "free initial state", "soft rows", "coupled rows"}
+        {
+            "general cost",
+            "integrated cost",
+            "accumulators",
+            "free initial state",
+            "soft rows",
+            "coupled rows",
+            "previous controls",
+            "time",
+            "discrete states",
+        }
     )
 
     def __post_init__(self) -> None:
@@ -191,7 +202,7 @@ class RealTimeIteration(Defaults):
     def decide(self, problem: Problem, repairs: bool) -> tuple[RealTimeIteration, tuple[str, ...]]:
         """The shift and the relaxation that "auto" stands for; no repair in a package that cannot."""
         shift, reasons = decide_shift(self.shift, self.sampling_time, problem)
-        found = replace(self, shift=shift)
+        found = replace(self, shift=shift, sampling_time=resample_time(shift, self.sampling_time, problem))
         if self.relaxation == "auto":
             found = replace(found, relaxation=RELAXATION)
         if self.repair and (self.simulate or not repairs):
@@ -199,6 +210,16 @@ class RealTimeIteration(Defaults):
             bare = "a package without solve() or for a microcontroller has none"
             reasons.append(f"repair: 0; {'a simulated plan has no gaps to repair' if self.simulate else bare}")
         return found, tuple(reasons)
+
+    def check_parts(self, parts: Parts) -> None:
+        """Raise OptionError for a QP solver without a working set where the Hessian becomes convex on one."""
+        hessian = Features() if parts.hessian is None else parts.hessian.adds(Features())
+        if hessian.regularize_reduced and parts.qp is not None and parts.qp.adds(Features()).approximate:
+            raise OptionError(
+                f"{spell(parts.qp)} has no working set and clashes with a Hessian that is "
+                "made convex on one; expected ExactHessian(Mirror(level='stage')) "
+                "(--set hessian.regularization.level=stage), GaussNewton() or another QP solver"
+            )
 
     def default(self, seam: Seam) -> str | None:
         """Gauss-Newton; the compiler chooses integrator, condensing and QP solver for the problem."""

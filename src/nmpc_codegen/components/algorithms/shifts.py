@@ -33,6 +33,11 @@ def decide_shift(shift: str | None, sampling_time: float | None, problem: Proble
     return found, [f"shift: {found}; {why}"]
 
 
+def resample_time(shift: str | None, sampling_time: float | None, problem: Problem) -> float | None:
+    """The sampling time, which a plan that is resampled without one has of the first interval."""
+    return problem.dt[0] if shift == "resample" and sampling_time is None else sampling_time
+
+
 def _auto_shift(sampling_time: float | None, problem: Problem) -> tuple[str | None, str]:
     """Return the shift that "auto" stands for in a problem, and the reason.
 
@@ -42,6 +47,9 @@ def _auto_shift(sampling_time: float | None, problem: Problem) -> tuple[str | No
     other_time = sampling_time is not None and not is_same_time(sampling_time, problem.dt[0])
     if problem.uniform and not problem.free_initial and not other_time and _is_periodic(problem):
         return "periodic", "rows compare x_N with x_0; a sample is one interval"
+    if problem.inner.held:
+        timed = not problem.discrete and (problem.uniform or sampling_time is not None)
+        return "resample" if timed else None, "blocks of controls do not fit a shift by one interval"
     reasons = {
         "a non-uniform grid": not problem.uniform,
         "free components of x_0": bool(problem.free_initial),
@@ -81,6 +89,12 @@ def check_shift(algorithm: str, shift: str | None, sampling_time: float | None, 
             f'{algorithm}(shift="{shift}") moves the plan by one interval, {problem.dt[0]:g} {problem.time_unit}, '
             f'and clashes with sampling_time={sampling_time:g}; expected shift="resample" '
             "(--set algorithm.shift=resample)"
+        )
+    if shift in ("repeat", "periodic") and problem.inner.held:
+        raise OptionError(
+            f'{algorithm}(shift="{shift}") moves the plan by one interval and clashes with control(hold=...); '
+            'expected shift="resample", sampling_time=... '
+            "(--set algorithm.shift=resample --set algorithm.sampling_time=...), or None"
         )
     if shift in ("repeat", "periodic") and not problem.uniform:
         raise OptionError(

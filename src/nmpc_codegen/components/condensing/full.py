@@ -26,15 +26,21 @@ def _panels(width: int) -> int:
 
 def _slacks(problem: Problem) -> tuple[int, ...]:
     """For every QP row the variable that is its slack, or -1; rows with a quadratic penalty have one."""
-    first = problem.N * problem.nu + len(problem.free_initial)
+    first = len(_variables(problem)) + len(problem.free_initial)
     soft = [problem.rows[row].soft for _, _, _, row in problem.qp_rows]
     needs = [penalty is not None and penalty[1] > 0 for penalty in soft]
     return tuple(first + sum(needs[:m]) if need else -1 for m, need in enumerate(needs))
 
 
-def _columns(dims: Dims) -> int:
-    """Columns of G_k: dx_0 and all controls."""
-    return dims.nx.value + dims.N.value * dims.nu.value
+def _variables(problem: Problem) -> list[tuple[int, int]]:
+    """(node, control) of every control that is a variable of the QP: those that begin a block."""
+    starts, held = problem.block_starts, problem.inner.held
+    return [
+        (k, j)
+        for k in range(problem.N)
+        for j in range(problem.nu)
+        if starts is None or j not in held or starts[k, held.index(j)]
+    ]
 
 
 @dataclass(frozen=True)
@@ -49,7 +55,17 @@ class FullCondensing(Defaults):
     columns: ClassVar[bool] = True
     eliminates: ClassVar[bool] = True
     supports: ClassVar[frozenset[str]] = frozenset(
-        {"general cost", "integrated cost", "accumulators", "free initial state", "soft rows", "coupled rows"}
+        {
+            "general cost",
+            "integrated cost",
+            "accumulators",
+            "free initial state",
+            "soft rows",
+            "coupled rows",
+            "previous controls",
+            "time",
+            "discrete states",
+        }
     )
 
     @property
@@ -58,7 +74,7 @@ class FullCondensing(Defaults):
 
     def qp_shape(self, problem: Problem) -> QpShape:
         """One stage with all controls; variables are the controls, the free components of x_0 and the slacks."""
-        controls, slacks = problem.N * problem.nu, sum(s >= 0 for s in _slacks(problem))
+        controls, slacks = len(_variables(problem)), sum(s >= 0 for s in _slacks(problem))
         return QpShape(1, controls, controls + len(problem.free_initial) + slacks, slacks)
 
     def adapt(self, problem: Problem) -> FullCondensing:
@@ -67,14 +83,17 @@ class FullCondensing(Defaults):
 
     def tables(self, problem: Problem) -> tuple[Table, ...]:
         """The slack variable of every row."""
-        slacks = _slacks(problem)
-        return (Table("row_slack", "int", slacks, "slack variable of QP row m, or -1"),)
+        slacks, variables = _slacks(problem), _variables(problem)
+        controls = [(k, j) for k in range(problem.N) for j in range(problem.nu)]
+        places = tuple(variables.index(at) if at in variables else -1 for at in controls)
+        return (
+            Table("row_slack", "int", slacks, "slack variable of QP row m, or -1"),
+            Table("control_variable", "int", places, "variable of the QP that is control j of node k, or -1"),
+            Table("variable_node", "int", tuple(k for k, _ in variables), "node of a control of the QP"),
+        )
 
     def sizes(self, dims: Dims) -> tuple[tuple[str, int, str], ...]:
-        return (
-            ("COLUMNS", COLUMNS, "columns of G_k that are processed together"),
-            ("LDG", _panels(_columns(dims)), "columns of G_k: NX + N NU, rounded up to COLUMNS"),
-        )
+        return (("COLUMNS", COLUMNS, "columns of G_k that are processed together"),)
 
     def structs(self, dims: Dims) -> tuple[Struct, ...]:
         """Sensitivities of the condensed states, and the data that the feedback phase needs."""
@@ -127,19 +146,20 @@ class FullCondensing(Defaults):
     def cost(self, dims: Dims, model: ModelFunctions) -> Counts:
         """All functions but condense_rows, which skips zeros of the row gradients; columns are padded to COLUMNS."""
         N, nx, nu, nf, ng = (size.value for size in (dims.N, dims.nx, dims.nu, dims.nf, dims.ng))
+        nus, nxc = dims.qp.nus.value, nx - model.products.banded
 
         def panels(first: int, step: int, nodes: int) -> int:
             return sum(_panels(first + k * step) // COLUMNS for k in range(nodes))
 
-        hessian = model.products.forward_panel * panels(nx, nu, N)
-        hessian += model.products.terminal_panel * panels(nx + N * nu, 0, 1)
-        hessian += model.products.backward_panel * panels(nx + nu, nu, N)
+        hessian = model.products.forward_panel * panels(nxc, nu, N)
+        hessian += model.products.terminal_panel * panels(nxc + nus, 0, 1)
+        hessian += model.products.backward_panel * panels(nxc + nu, nu, N)
         gradient = (model.products.state_step + model.products.adjoint_step) * N + model.products.terminal_adjoint
         return {
             "condense_hessian": hessian,
             "condense_add_curvature": OpCount(add=nu * (nu + 1) // 2) * N,
             "condense_gradient": gradient,
-            "condense_embed": OpCount(add=nx + 2, mul=nx) * (N * nu)
+            "condense_embed": OpCount(add=nx + 2, mul=nx) * nus
             + OpCount(add=2 * nx + 2, mul=2 * nx) * ng
             + OpCount(add=nx, mul=nx) * nf,
             "condense_expand": model.products.state_step * N,

@@ -25,7 +25,17 @@ class NoCondensing(Defaults):
     columns: ClassVar[bool] = False
     eliminates: ClassVar[bool] = False
     supports: ClassVar[frozenset[str]] = frozenset(
-        {"general cost", "integrated cost", "accumulators", "free initial state", "soft rows", "coupled rows"}
+        {
+            "general cost",
+            "integrated cost",
+            "accumulators",
+            "free initial state",
+            "soft rows",
+            "coupled rows",
+            "previous controls",
+            "time",
+            "discrete states",
+        }
     )
 
     @property

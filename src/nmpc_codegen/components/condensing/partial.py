@@ -36,7 +36,17 @@ class PartialCondensing(Defaults):
     columns: ClassVar[bool] = False
     eliminates: ClassVar[bool] = True
     supports: ClassVar[frozenset[str]] = frozenset(
-        {"general cost", "integrated cost", "accumulators", "free initial state", "soft rows", "coupled rows"}
+        {
+            "general cost",
+            "integrated cost",
+            "accumulators",
+            "free initial state",
+            "soft rows",
+            "coupled rows",
+            "previous controls",
+            "time",
+            "discrete states",
+        }
     )
 
     def __post_init__(self) -> None:

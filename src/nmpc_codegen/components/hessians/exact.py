@@ -80,7 +80,17 @@ class ExactHessian(Defaults):
     template: ClassVar[str] = "hessians/exact.c"
     needs: ClassVar[tuple[Seam, ...]] = ("integrator",)
     supports: ClassVar[frozenset[str]] = frozenset(
-        {"soft rows", "coupled rows", "free initial state", "general cost", "integrated cost", "accumulators"}
+        {
+            "soft rows",
+            "coupled rows",
+            "free initial state",
+            "general cost",
+            "integrated cost",
+            "accumulators",
+            "previous controls",
+            "time",
+            "discrete states",
+        }
     )
 
     def __post_init__(self) -> None:

@@ -40,7 +40,17 @@ class GaussNewton(Defaults):
     name: ClassVar[str] = "gauss_newton"
     template: ClassVar[str] = "hessians/gauss_newton.c"
     needs: ClassVar[tuple[Seam, ...]] = ()
-    supports: ClassVar[frozenset[str]] = frozenset({"soft rows", "coupled rows", "free initial state", "accumulators"})
+    supports: ClassVar[frozenset[str]] = frozenset(
+        {
+            "soft rows",
+            "coupled rows",
+            "free initial state",
+            "accumulators",
+            "previous controls",
+            "time",
+            "discrete states",
+        }
+    )
 
     def __post_init__(self) -> None:
         check_options(self, self.seam)

@@ -18,6 +18,7 @@ from nmpc_codegen.components.base import Defaults, Dims, Seam
 from nmpc_codegen.components.integrators.directional import Directional
 from nmpc_codegen.components.integrators.first_order import Sensitivities, step_sweep
 from nmpc_codegen.components.integrators.forward_over_adjoint import AdjointSweep
+from nmpc_codegen.components.integrators.jump import jump_kernel, with_jump
 from nmpc_codegen.components.integrators.products import IntervalSweeps
 from nmpc_codegen.components.integrators.quadrature import Quadrature
 from nmpc_codegen.components.integrators.symmetric import ThreeSweeps
@@ -72,7 +73,17 @@ class ExplicitRungeKutta(Defaults):
     template: ClassVar[str] = "integrators/explicit_runge_kutta.c"
     needs: ClassVar[tuple[Seam, ...]] = ()
     supports: ClassVar[frozenset[str]] = frozenset(
-        {"soft rows", "coupled rows", "free initial state", "general cost", "integrated cost", "accumulators"}
+        {
+            "soft rows",
+            "coupled rows",
+            "free initial state",
+            "general cost",
+            "integrated cost",
+            "accumulators",
+            "previous controls",
+            "time",
+            "discrete states",
+        }
     )
 
     def __post_init__(self) -> None:
@@ -98,25 +109,28 @@ class ExplicitRungeKutta(Defaults):
     def interval(self, problem: Problem) -> Interval:
         """interval(x, u, p, dt -> x_next, S) and step(x, u, p, h -> x_next)."""
         sensitivities = Sensitivities(problem, self.tableau, self.steps)
-        interval = self._unroll(sensitivities.sweep())
+        interval = self._unroll(with_jump(sensitivities.sweep(), problem))
         loops = isinstance(interval, LoopedRoutine) and interval.count.total <= STEP_OPERATIONS * self.steps
+        loops = loops and not problem.maps
         one_step = lift_straight(sensitivities.sweep("integrator_one_step", 1)) if loops else None
-        return Interval(interval, lift_straight(step_sweep(problem, self.tableau)), None, one_step)
+        step = lift_straight(step_sweep(problem, self.tableau))
+        return Interval(interval, step, one_step=one_step, jump=jump_kernel(problem))
 
     def products(self, problem: Problem) -> IntervalProducts:
         """The value of an interval, and products with its Jacobians that do not form them."""
         sweeps = IntervalSweeps(problem, self.tableau, self.steps)
         return IntervalProducts(
-            self._unroll(sweeps.value()),
-            self._backward(sweeps.adjoint()),
-            self._unroll(sweeps.columns(forced=True)),
-            self._unroll(sweeps.columns(forced=False)),
+            self._unroll(with_jump(sweeps.value(), problem)),
+            self._backward(with_jump(sweeps.adjoint(), problem)),
+            self._unroll(with_jump(sweeps.columns(forced=True), problem)),
+            self._unroll(with_jump(sweeps.columns(forced=False), problem)),
         )
 
     def directional(self, problem: Problem) -> tuple[Routine, Routine]:
         """forward(x, u, p, dt, dx, du -> dx_next) and adjoint(x, u, p, dt, adj -> g)."""
         sweeps = Directional(problem, self.tableau, self.steps)
-        return self._unroll(sweeps.forward()), self._backward(sweeps.adjoint())
+        forward, adjoint = (with_jump(sweep, problem) for sweep in (sweeps.forward(), sweeps.adjoint()))
+        return self._unroll(forward), self._backward(adjoint)
 
     def lift_hessian(self, problem: Problem, scheme: str, name: str, start: Call, more: tuple[Port, ...]) -> Routine:
         """(x, u, p, dt, more, lam) -> (x_next, S, g, Q): ``start`` initialises g and Q from all inputs but lam, and the
@@ -139,6 +153,7 @@ class ExplicitRungeKutta(Defaults):
             columns=b.row_lengths(),
             steps=self.steps,
         )
+        sweep = with_jump(sweep, problem)
         self._refuse_long(name, sweep.locals)
         if self.unroll == "step":
             return lift_loops(fuse_steps(sweep))

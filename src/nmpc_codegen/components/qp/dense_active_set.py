@@ -50,7 +50,17 @@ class DenseActiveSet(Defaults):
     takes: ClassVar[str] = "condensed"
     chosen_for: ClassVar[tuple[str, ...]] = ("speed", "size")
     supports: ClassVar[frozenset[str]] = frozenset(
-        {"general cost", "integrated cost", "accumulators", "free initial state", "soft rows", "coupled rows"}
+        {
+            "general cost",
+            "integrated cost",
+            "accumulators",
+            "free initial state",
+            "soft rows",
+            "coupled rows",
+            "previous controls",
+            "time",
+            "discrete states",
+        }
     )
 
     max_iterations: int | None = option(None, Whole(optional=True))

@@ -41,7 +41,16 @@ class Osqp(Defaults):
     takes: ClassVar[str] = "condensed"
     chosen_for: ClassVar[tuple[str, ...]] = ()
     supports: ClassVar[frozenset[str]] = frozenset(
-        {"general cost", "integrated cost", "accumulators", "free initial state", "coupled rows"}
+        {
+            "general cost",
+            "integrated cost",
+            "accumulators",
+            "free initial state",
+            "coupled rows",
+            "previous controls",
+            "time",
+            "discrete states",
+        }
     )
 
     def __post_init__(self) -> None:

@@ -95,7 +95,17 @@ class RiccatiActiveSet(Defaults):
     takes: ClassVar[str] = "stages"
     chosen_for: ClassVar[tuple[str, ...]] = ("speed",)
     supports: ClassVar[frozenset[str]] = frozenset(
-        {"general cost", "integrated cost", "accumulators", "free initial state", "soft rows", "coupled rows"}
+        {
+            "general cost",
+            "integrated cost",
+            "accumulators",
+            "free initial state",
+            "soft rows",
+            "coupled rows",
+            "previous controls",
+            "time",
+            "discrete states",
+        }
     )
 
     max_iterations: int | None = option(None, Whole(optional=True))

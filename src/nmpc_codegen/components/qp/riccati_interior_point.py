@@ -130,7 +130,17 @@ class RiccatiInteriorPoint(Defaults):
     takes: ClassVar[str] = "stages"
     chosen_for: ClassVar[tuple[str, ...]] = ("size",)
     supports: ClassVar[frozenset[str]] = frozenset(
-        {"general cost", "integrated cost", "accumulators", "free initial state", "soft rows", "coupled rows"}
+        {
+            "general cost",
+            "integrated cost",
+            "accumulators",
+            "free initial state",
+            "soft rows",
+            "coupled rows",
+            "previous controls",
+            "time",
+            "discrete states",
+        }
     )
 
     def __post_init__(self) -> None:

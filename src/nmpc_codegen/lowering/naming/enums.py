@@ -13,14 +13,15 @@ from nmpc_codegen.package.signals import Signal, c_constants, nodes
 
 def enums(problem: Problem) -> tuple[Enum, ...]:
     """The enums of a problem; those without a name do not exist."""
-    size, nx, parameters = scales(problem).z, problem.nx, problem.parameters
+    size, nx, parameters = scales(problem).z, problem.nx, problem.own_parameters
     limits = {(row.kind, row.index): row for row in problem.rows if row.nodes and min(row.nodes) < problem.N}
-    states = [_z(unit, size[i], limits.get(("state", i))) for i, unit in enumerate(_units(problem.states))]
+    states = [_z(unit, size[i], limits.get(("state", i))) for i, unit in enumerate(_units(problem.own_states))]
     controls = [_z(unit, size[nx + i], limits.get(("control", i))) for i, unit in enumerate(_units(problem.controls))]
+    of_parameters = [[u] for u in _units(parameters)]
     found = (
-        _enum("X", problem.state_names, "states: places in x", states),
+        _enum("X", problem.state_names[: problem.measured], "states: places in x", states),
         _enum("U", problem.control_names, "controls: places in u", controls),
-        _enum("P", problem.parameter_names, "parameters: places in p", [[u] for u in _units(problem.parameters)]),
+        _enum("P", [e for s in parameters for e in s.elements], "parameters: places in p", of_parameters),
         _residuals("Y", problem.path, "residuals: places in yref, and in W"),
         _residuals("Y_N", problem.terminal, "terminal residuals: places in yref_N, and in W_N"),
         _enum("ROW", [r.name for r in problem.rows], "scalar rows, for set_bounds", map(_row, problem.rows)),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable, Iterator
 from functools import cache
 
 from nmpc_codegen.frontend.problem import Problem
@@ -32,14 +32,26 @@ def local_names(problem: Problem, others: Iterable[str]) -> LocalNames:
         spelled = (c_identifier(name) for name in names)
         return tuple(f"{name}_" if name in taken or _MATH_CONSTANT.fullmatch(name) else name for name in spelled)
 
+    own = problem.state_names[: problem.measured]
+    known = {c_identifier(name) for name in (*own, *problem.control_names, *problem.parameter_names)}
     return LocalNames(
-        free(problem.state_names),
+        free((*own, *_inner_names(problem, known))),
         free(problem.control_names),
-        free(problem.parameter_names),
+        free(name.replace("block start(", "begins_").removesuffix(")") for name in problem.parameter_names),
         free(problem.path.y_names),
         free(problem.terminal.y_names),
         taken,
     )
+
+
+def _inner_names(problem: Problem, known: Collection[str]) -> Iterator[str]:
+    """Names of the states behind those of the user: F_before, interval_before, time."""
+    for name in problem.state_names[problem.measured :]:
+        inner = name.removeprefix("previous(").removesuffix(")")
+        spelled = c_identifier(name.replace(" ", "_") if inner == name else f"{inner}_before")
+        while spelled in known:
+            spelled += "_"
+        yield spelled
 
 
 @cache

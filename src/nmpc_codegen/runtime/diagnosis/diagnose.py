@@ -10,7 +10,7 @@ from nmpc_codegen.package.program import NOT_FINITE, Array, in_words, locate
 from nmpc_codegen.package.status import STALE, Status
 from nmpc_codegen.runtime.diagnosis.advice import advice, has_qp, row_advice
 from nmpc_codegen.runtime.diagnosis.poles import unstable_poles
-from nmpc_codegen.runtime.diagnosis.rows import parameters, violations
+from nmpc_codegen.runtime.diagnosis.rows import parameters, violations, whole_parameters
 from nmpc_codegen.runtime.memory import Memory
 
 #: Relative KKT residual of a sample above which steps with another Hessian than that of solve() may be the cause.
@@ -95,7 +95,7 @@ def _stale(ctrl: Memory) -> str:
     description, changed = ctrl.description, []
     p, declared = ctrl.member("p"), [v for s in description.parameters for v in s.value]
     if p.size:
-        differs = np.any(p != np.asarray(declared, dtype=p.dtype), axis=0)
+        differs = np.any(p[:, : len(declared)] != np.asarray(declared, dtype=p.dtype), axis=0)
         changed += [name for name, other in zip(ctrl.names.parameters, differs, strict=True) if other]
     for i, row in enumerate(description.rows if ctrl.member("lower").size else ()):
         bounds = ((ctrl.view("lower")[:, i], row.lower), (ctrl.view("upper")[:, i], row.upper))
@@ -142,8 +142,8 @@ def _plan(ctrl: Memory) -> Iterator[str]:
 def _domains(ctrl: Memory) -> Iterator[str]:
     """Operations that have no finite value or derivative at the plan, and what to write instead."""
     second = ctrl.description.options["hessian"] == "ExactHessian" or solves_exactly(ctrl)
-    x, u = (np.asarray(v, dtype=np.float64) for v in (ctrl.x, ctrl.u))
-    found = locate(ctrl.description.program, x, u, parameters(ctrl), second)
+    x, u = (np.asarray(v, dtype=np.float64) for v in (ctrl.whole_x, ctrl.u))
+    found = locate(ctrl.description.program, x, u, whole_parameters(ctrl), second)
     yield from list(in_words(found))[:MOST]
 
 
@@ -198,7 +198,7 @@ def _part(ctrl: Memory, part: str, k: int) -> tuple[str, list[str]]:
         rows = [r.name for r in ctrl.description.rows if r.is_general and r.index >= 0 and bad[r.index]]
         words = f"{'derivatives of ' if part == 'J' else ''}row {', '.join(map(repr, rows))} at node {k}"
         return words, [f"row {name!r}" for name in rows]
-    states = [name for name, is_bad in zip(ctrl.names.states, bad, strict=True) if is_bad]
+    states = [name for name, is_bad in zip(ctrl.names.states, bad, strict=False) if is_bad]
     parts = [f"the {kind} of {name}" for name in states for kind in ("equation", "map")]
     listed = ", ".join(states)
     return f"state {listed} at node {k + 1}" if part == "b" else f"derivatives of {listed} at node {k + 1}", parts
@@ -247,14 +247,15 @@ def _ends(ctrl: Memory) -> list[Array]:
     """Ends of the intervals, each one with the parameters of its node: integrate() takes those of node 0."""
     stored = ctrl.member("p")
     own = len(stored) == ctrl.dims.N + 1
-    first, found = stored[:1].copy(), []
+    first, known, found = stored[:1].copy(), ctrl.known.copy(), []
     try:
         for k, dt in enumerate(ctrl.description.dt):
             if own:
                 stored[0] = stored[k]
+            ctrl.known[:] = ctrl.whole_x[k, ctrl.dims.nx :]
             found.append(np.array(ctrl.integrate(ctrl.x[k], ctrl.u[k], dt)))
     finally:
-        stored[:1] = first
+        stored[:1], ctrl.known[:] = first, known
     return found
 
 

@@ -8,6 +8,8 @@ from difflib import get_close_matches
 _COST = "least_squares(expr, weight), or stage_cost(expr) for a general cost; at the end terminal_cost(expr)"
 _ROW = "subject_to(lower, expression, upper)"
 _DYNAMICS = "dynamics({state: derivative})"
+_RATE = "least_squares(ocp.rate(u), weight), subject_to(lower, ocp.rate(u), upper); u - ocp.previous(u) per sample"
+_BLOCKS = "control(name, hold=[1, 1, 2, 4]), the lengths of blocks of intervals with one control each"
 _NO_DAE = (
     "algebraic equations 0 = g(x, z) are not supported: solve them for z and insert it, or state z' = g / eps if "
     "dg/dz < 0, z' = -g / eps if dg/dz > 0, with as many integration steps as the warning names"
@@ -25,7 +27,16 @@ OF_PROBLEM: Mapping[str, str] = {
     "minimizeLSQEndTerm": "terminal_least_squares(expr, weight)",
     "minimizeLagrangeTerm": "stage_cost(expr, integrate=True)",
     "minimizeMayerTerm": "terminal_cost(expr)",
-    "set_rterm": "a state for the control, u' = du, with the rate du as the control: least_squares(du, weight)",
+    "set_rterm": _RATE,
+    "du": _RATE,
+    "delta_u": _RATE,
+    "deltaU": _RATE,
+    "add_delta_u": _RATE,
+    "u_prev": "previous(u), the control of the node before",
+    "n_control_horizon": _BLOCKS,
+    "control_horizon": _BLOCKS,
+    "move_blocking": _BLOCKS,
+    "t": "time, the time of the node",
     "integral": "stage_cost(expr, integrate=True)",
     "cost": _COST,
     "constraints": _ROW,
@@ -66,6 +77,9 @@ OF_CONTROLLER: Mapping[str, str] = {
     "get_residuals": "ctrl.kkt()",
     "get_stats": "ctrl.stats",
     "get_status": "ctrl.status",
+    "set_u_last": "set_previous(u), the control that was applied last",
+    "u0": "previous, the control that was applied last; set_previous(u)",
+    "t0": "time of the next sample; set_time(t)",
     "print_statistics": "print(ctrl.stats), and solution.convergence_table()",
     "set_initial_guess": "write ctrl.x (N+1, nx) and ctrl.u (N, nu)",
     "options_set": "Options(...), given to build()",

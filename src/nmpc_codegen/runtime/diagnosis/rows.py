@@ -32,17 +32,23 @@ def start_parameters(ctrl: Memory) -> Array:
     if ctrl.description.online["parameter"] == "fixed":
         return np.array([v for s in ctrl.description.parameters for v in s.value])
     stored = ctrl.member("p")
-    return np.asarray(stored[0], dtype=np.float64) if stored.size else np.zeros(ctrl.dims.np)
+    own = ctrl.dims.np
+    return np.asarray(stored[0, :own], dtype=np.float64) if stored.size else np.zeros(own)
 
 
 def parameters(ctrl: Memory) -> Array:
     """Parameters of all nodes, (N+1, np); the declared ones if they are fixed."""
+    return whole_parameters(ctrl)[:, : ctrl.dims.np]
+
+
+def whole_parameters(ctrl: Memory) -> Array:
+    """The same with those behind the parameters of the user."""
     d = ctrl.dims
     if ctrl.description.online["parameter"] == "fixed":
         return np.tile(start_parameters(ctrl), (d.N + 1, 1))
     stored = ctrl.member("p")
     if len(stored) == d.N + 1 or not stored.size:
-        return np.asarray(stored, dtype=np.float64).reshape(d.N + 1, d.np)
+        return np.asarray(stored, dtype=np.float64).reshape(d.N + 1, -1)
     return np.array([*([stored[0]] * d.N), stored[-1]], dtype=np.float64)
 
 
@@ -55,7 +61,8 @@ def references(ctrl: Memory) -> Array:
 
 
 def row_values(ctrl: Memory, x: Array, u: Array, p: Array, end: bool = False) -> Array:
-    """Values of all general rows at x (n, nx), u (n, nu), p (n, np) -> (n, number of rows), NaN for other rows.
+    """Values of all general rows at x (n, nx and the states behind those of the user), u (n, nu), p (n, np) -> (n,
+    number of rows), NaN for other rows.
 
     end: those of the end of the horizon.
     """
@@ -89,9 +96,10 @@ def path_bounds(ctrl: Memory, row: int) -> tuple[float, float]:
 
 def violations(ctrl: Memory) -> list[Violation]:
     """Hard rows that the plan violates, at their worst nodes; those that are worst in their size come first."""
-    x, u, p = (np.asarray(v, dtype=np.float64) for v in (ctrl.x, ctrl.u, parameters(ctrl)))
+    x, u, p = (np.asarray(v, dtype=np.float64) for v in (ctrl.x, ctrl.u, whole_parameters(ctrl)))
     held = np.append(u, u[-1:], axis=0)
-    path, end = row_values(ctrl, x[:-1], u, p[:-1]), row_values(ctrl, x[-1:], held[-1:], p[-1:], end=True)
+    whole = np.asarray(ctrl.whole_x, dtype=np.float64)
+    path, end = row_values(ctrl, whole[:-1], u, p[:-1]), row_values(ctrl, whole[-1:], held[-1:], p[-1:], end=True)
     general = np.append(path, end, axis=0)
     worst = []
     for number, row in enumerate(ctrl.description.rows):

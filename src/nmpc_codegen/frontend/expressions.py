@@ -1,0 +1,203 @@
+"""Expressions that an OCP reads: their symbols, those of the node before and of time, and the dynamics."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import casadi as ca
+
+from nmpc_codegen.errors import ProblemError, warn
+from nmpc_codegen.frontend.checks import NONSMOOTH, check_operations, column, flag, list_names, quote
+from nmpc_codegen.frontend.statement import Element, Kind, Stated, explain_misplacement
+
+#: What expressions of a node may contain.
+NODE: tuple[Kind, ...] = ("state", "control", "parameter", "previous", "interval", "time")
+
+
+class Expressions(Stated):
+    """An OCP as far as it reads expressions."""
+
+    @property
+    def x(self) -> Any:
+        """All states declared so far, SX (nx,)."""
+        return ca.vertcat(ca.SX(0, 1), *(d.symbol for d in self.states))
+
+    @property
+    def u(self) -> Any:
+        """All controls declared so far, SX (nu,)."""
+        return ca.vertcat(ca.SX(0, 1), *(d.symbol for d in self.controls))
+
+    @property
+    def p(self) -> Any:
+        """All parameters declared so far, SX (np,)."""
+        return ca.vertcat(ca.SX(0, 1), *(d.symbol for d in self.parameters))
+
+    def _expression(self, value: Any, what: str, kinds: tuple[Kind, ...]) -> Any:
+        """A dense SX column; raise ProblemError unless it contains only symbols of the given kinds."""
+        expression = column(value, what, self._symbols)
+        for symbol in ca.symvar(expression):
+            element = self.element(symbol)
+            if element is None:
+                raise ProblemError(
+                    f"{what} contains the unknown symbol '{symbol.name()}'{list_names(self._symbols)}"
+                    if symbol.name() not in self._symbols
+                    else f"{what} contains a symbol '{symbol.name()}' that was not declared in this OCP"
+                )
+            if element.kind not in kinds:
+                raise ProblemError(f"{what} contains {explain_misplacement(element, kinds)}")
+        check_operations(expression, what)
+        return expression
+
+    def _kinds(self, scalar: Any) -> set[str]:
+        return {e.kind for e in map(self.element, ca.symvar(scalar)) if e is not None}
+
+
+class NodeBefore(Expressions):
+    """The symbols of an OCP for the controls of the node before, their rates, and time."""
+
+    def previous(self, u: Any) -> Any:
+        """The control of the node before, u_{k-1} at node k and u_{N-1} at node N; SX of the shape of u.
+
+        At node 0 it is the control that was applied last: the one that step() or feedback() has returned, unless
+        set_previous() says what the actuator did. init() and reset() set it to the first control of their plan, the
+        reference of u. Expressions of all nodes may contain it; in dynamics it is dead time of one sample.
+
+        Args:
+            u: symbol, name, or a column of symbols of controls.
+        """
+        where = self.control_places(u, "previous:")
+        names = self._control_names()
+        for j in where:
+            if j not in self.remembered:
+                twin = ca.SX.sym(f"previous({names[j]})")
+                self._elements[twin.element_hash()] = Element("previous", j, f"previous({names[j]})")
+                self.remembered[j] = twin
+        return ca.vertcat(*(self.remembered[j] for j in where))
+
+    def rate(self, u: Any) -> Any:
+        """(u - previous(u)) / dt, the slope of a control, in its unit per unit of time; SX of the shape of u.
+
+        dt is the sampling time at node 0, and the length of the interval k - 1 at node k = 1 .. N - 1.
+        """
+        where = self.control_places(u, "rate:")
+        return (self.u[where] - self.previous(u)) / self.interval_before
+
+    @property
+    def time(self) -> Any:
+        """The time of the node, SX scalar: that of the sample, 0 after init() and reset(), plus the lengths of the
+        intervals before the node. step() moves it on by the sampling time, set_time() sets it. In derivatives it is the
+        time of the stage of the integrator."""
+        return self.clock
+
+    def control_places(self, which: Any, what: str) -> list[int]:
+        """Positions in u of a control that is given by its symbol, a column of control symbols, or its name."""
+        names = self._control_names()
+        for d in self.controls:
+            if isinstance(which, str) and which == d.signal.name:
+                return list(range(d.signal.offset, d.signal.offset + d.signal.size))
+        if isinstance(which, str) and which in names:
+            return [names.index(which)]
+        found = [self.element(which[i]) for i in range(which.numel())] if isinstance(which, ca.SX) else []
+        if not found or any(e is None or e.kind != "control" for e in found):
+            raise ProblemError(f"{what} {quote(which)} is no control{list_names(names)}")
+        return [e.index for e in found if e is not None]
+
+    def _control_names(self) -> list[str]:
+        return [e for d in self.controls for e in d.signal.elements]
+
+
+class Dynamics(NodeBefore):
+    """An OCP as far as it has states that move."""
+
+    def dynamics(self, rhs: Any, *, discrete: Any = False) -> None:
+        """State the derivatives x' = f(x, u, p), or the next states x_{k+1} = f(x_k, u_k, p_k) if ``discrete``.
+
+        Args:
+            rhs: {state symbol or name: expression}, in one call or several, or a column in declaration order.
+            discrete: True: the expressions are the states at the next node. {state symbol or name: expression}: these
+                are, of states that keep their value along an interval, beside those that ``rhs`` integrates.
+        """
+        if isinstance(discrete, Mapping):
+            if not isinstance(rhs, Mapping):
+                raise ProblemError("dynamics: with discrete={...} the derivatives must be {state: expression}, too")
+            if self.dt is None:
+                raise ProblemError(
+                    f"OCP '{self.name}' was given N only, so all its dynamics are discrete: discrete=True"
+                )
+            given = self._by_name(discrete, "next value")
+            self.dynamics(rhs)
+            if both := sorted(set(given) & set(self.derivatives)):
+                raise ProblemError(f"dynamics: the derivative of '{self._state_names()[both[0]]}' is given twice")
+            for index, expression in given.items():
+                self._warn_nonsmooth(self._state_names()[index], expression)
+            self.maps.update(given)
+            return
+        discrete = flag(discrete, "dynamics: discrete")
+        if not discrete and self.dt is None:
+            raise ProblemError(
+                f"OCP '{self.name}' was given N only, so its dynamics must be discrete: "
+                "give T= or intervals=, or dynamics(..., discrete=True)"
+            )
+        if self._discrete is not None and discrete != self._discrete:
+            raise ProblemError("dynamics: discrete and continuous dynamics cannot be mixed")
+        if not self.states:
+            raise ProblemError("dynamics: no state is declared; declare states with ocp.state(name) first")
+        given = self._by_name(rhs) if isinstance(rhs, Mapping) else self._in_order(rhs)
+        for index, expression in given.items():
+            self._warn_nonsmooth(self._state_names()[index], expression)
+        self._discrete = discrete
+        self.derivatives.update(given)
+
+    def _state_names(self) -> list[str]:
+        return [e for d in self.states for e in d.signal.elements]
+
+    def _in_order(self, rhs: Any) -> dict[int, Any]:
+        nx = self.x.numel()
+        f = self._expression(rhs, "dynamics", NODE)
+        if f.numel() != nx:
+            raise ProblemError(f"dynamics has {f.numel()} elements, expected {nx}: one per state, in declaration order")
+        if self.derivatives:
+            name = self._state_names()[min(self.derivatives)]
+            raise ProblemError(f"dynamics: the derivative of '{name}' is given twice")
+        return {i: f[i] for i in range(nx)}
+
+    def _by_name(self, rhs: Mapping[Any, Any], word: str = "derivative") -> dict[int, Any]:
+        given: dict[int, Any] = {}
+        names = self._state_names()
+        for key, value in rhs.items():
+            where = self._components(key, "dynamics: key")
+            what = f"dynamics: {word} of {quote(key)}"
+            f = self._expression(value, what, NODE)
+            if f.numel() != len(where):
+                raise ProblemError(f"{what} has {f.numel()} elements, expected {len(where)}")
+            for i, index in enumerate(where):
+                if index in given or index in self.derivatives or index in self.maps:
+                    raise ProblemError(f"dynamics: the {word} of '{names[index]}' is given twice")
+                given[index] = f[i]
+        return given
+
+    def _components(self, which: Any, what: str) -> list[int]:
+        """Positions in x of a state that is given by its symbol, a column of state symbols, or its name."""
+        names = self._state_names()
+        if isinstance(which, str):
+            for d in self.states:
+                if which == d.signal.name:
+                    return list(range(d.signal.offset, d.signal.offset + d.signal.size))
+            if which in names:
+                return [names.index(which)]
+            raise ProblemError(f"{what} {quote(which)} is no state{list_names(names)}")
+        if not isinstance(which, ca.SX):
+            raise ProblemError(f"{what} {quote(which)} must be the symbol or the name of a state{list_names(names)}")
+        found = [self.element(which[i]) for i in range(which.numel())]
+        if not found or any(e is None or e.kind != "state" for e in found):
+            raise ProblemError(f"{what} {quote(which)} is no state{list_names(names)}")
+        return [e.index for e in found if e is not None]
+
+    def _warn_nonsmooth(self, name: str, expression: Any) -> None:
+        found = sorted({NONSMOOTH[op] for op in check_operations(expression, "dynamics") if op in NONSMOOTH})
+        if found:
+            warn(
+                f"dynamics of '{name}' contain {', '.join(found)}: derivatives jump or vanish there, and Newton-type "
+                "iterations may stall; smooth a switch at s = 0, e.g. by 0.5 * (1 + tanh(s / 0.01))"
+            )

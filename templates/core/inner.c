@@ -1,0 +1,115 @@
+/* Contract of this part: states behind the measured ones, from NXHAT on: [if INTERVAL_BEFORE:the length of the interval
+ * before the node, ][if TIMED:its time, ]controls of the node before. Their maps are exact: a plan has no gaps in
+ * them. */
+
+#if INNER
+/* Sets them in x_0. */
+static void take_inner(const solver_t *s, real_t *x)
+{
+    if (INTERVAL_BEFORE) {
+        x[NXHAT] = sampling_time[0];
+    }
+    if (TIMED) {
+        x[NX - NMEM - 1] = s->time;
+    }
+    for (int i = 0; i < NMEM; i++) {
+        x[NX - NMEM + i] = s->previous[remembered[i]];
+    }
+}
+
+/* Sets them in a state to what they were in x_0 of the last sample. */
+static inline void recall_inner(const solver_t *s, real_t *x)
+{
+    for (int i = NXHAT; i < NX; i++) {
+        if (NODES) {
+            x[i] = s->xhat[i];
+        } else {
+            x[i] = s->x[0][i];
+        }
+    }
+}
+
+/* Sets them at all nodes of the plan[if NHELD > 0:, after controls that begin no block have taken the value of the node
+ * before]. */
+static void follow_inner(solver_t *s)
+{
+    take_inner(s, s->x[0]);
+    for (int k = 1; k < N; k++) {
+        for (int i = 0; i < NHELD; i++) {
+            if (!block_start[k * NHELD + i]) {
+                s->u[k][held_control[i]] = s->u[k - 1][held_control[i]];
+            }
+        }
+    }
+    for (int k = 0; k < N; k++) {
+        if (INTERVAL_BEFORE) {
+            s->x[k + 1][NXHAT] = interval_length[k];
+        }
+        if (TIMED) {
+            s->x[k + 1][NX - NMEM - 1] = s->time + node_time[k + 1];
+        }
+        for (int i = 0; i < NMEM; i++) {
+            s->x[k + 1][NX - NMEM + i] = s->u[k][remembered[i]];
+        }
+    }
+}
+
+/* The first sample is at time 0, after the first control of the plan. */
+static void reset_inner(solver_t *s)
+{
+    if (PREVIOUS) {
+        memcpy(s->previous, s->u[0], sizeof s->previous);
+    }
+    if (TIMED) {
+        s->time = s->time_rest = R(0);
+    }
+    for (int k = 0; k <= N; k++) {
+        for (int i = 0; i < NHELD; i++) {
+            s->p[k][NP - NHELD + i] = (real_t)block_start[k * NHELD + i];
+        }
+    }
+    follow_inner(s);
+}
+
+/* What a sample leaves to the next one: its control, and time, whose rounding errors are carried along. */
+static void keep_sample(solver_t *s, const real_t *u0)
+{
+    if (PREVIOUS) {
+        memcpy(s->previous, u0, sizeof s->previous);
+    }
+    if (TIMED) {
+        const real_t step = sampling_time[0] - s->time_rest, time = s->time + step;
+        s->time_rest = (time - s->time) - step;
+        s->time = time;
+    }
+}
+#endif
+
+#if PREVIOUS
+status_t API(set_previous)(solver_t *s, const real_t u[NU])
+{
+    if (s->magic != MAGIC) {
+        return NOT_INITIALIZED;
+    }
+    if (!all_finite(u, NU)) {
+        return BAD_ARGUMENT;
+    }
+    memcpy(s->previous, u, sizeof s->previous);
+    return OK;
+}
+#endif
+
+#if TIMED
+status_t API(set_time)(solver_t *s, real_t time)
+{
+    if (s->magic != MAGIC) {
+        return NOT_INITIALIZED;
+    }
+    if (!isfinite(time)) {
+        return BAD_ARGUMENT;
+    }
+    s->time = time;
+    s->time_rest = R(0);
+    return OK;
+}
+#endif

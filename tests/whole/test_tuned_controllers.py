@@ -1,0 +1,310 @@
+"""Previous controls, rates, move blocks, time and discrete states, against the same problems written by hand for IPOPT,
+and in closed loops."""
+
+from __future__ import annotations
+
+import copy
+import io
+import pickle
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from nmpc_codegen import (
+    OCP,
+    AdjointShooting,
+    AugmentedLagrangian,
+    ExactHessian,
+    ExplicitRungeKutta,
+    FullCondensing,
+    GaussNewton,
+    Midpoint,
+    Online,
+    Options,
+    Osqp,
+    RealTimeIteration,
+    build,
+    generate,
+    simulate,
+)
+from nmpc_codegen.errors import ControllerError, OptionError
+from nmpc_codegen.runtime.controller import Controller, Status
+from verification.routes import OURS, PURE, ROUTES, on
+from verification.tuned import PROBLEMS, Tuned, blocked_crane, dead_time, slewed_crane, timed_vessel
+
+#: Time of the first sample of problems with time.
+START = 1.3
+
+
+def prepared(tuned: Tuned, options: Options | None) -> tuple[Controller, float]:
+    """A controller that knows the control before and the time, and this time."""
+    ocp, _, _, previous = tuned
+    ctrl = build(ocp, options)
+    ctrl.set_previous(previous)
+    time = START if ctrl.description.inner.time else 0.0
+    if time:
+        ctrl.set_time(time)
+    return ctrl, time
+
+
+def distance(tuned: Tuned, options: Options | None, tol: float | None, most: int = 100) -> float:
+    """Largest distance of solve() from IPOPT's solution."""
+    _, by_hand, x0, previous = tuned
+    ctrl, time = prepared(tuned, options)
+    x, u, cost = by_hand.solve(x0, previous, time)
+    found = ctrl.solve(x0, tol, most)
+    assert found.status == Status.OK, ctrl.diagnose()
+    assert found.cost == pytest.approx(cost, rel=1e-3)
+    np.testing.assert_array_equal(ctrl.previous, np.asarray(previous, ctrl.previous.dtype))
+    return float(max(np.max(np.abs(found.x - x)), np.max(np.abs(found.u - u))))
+
+
+@pytest.mark.parametrize("route", [*OURS, "OSQP"])
+@pytest.mark.parametrize("name", PROBLEMS)
+def test_every_route_finds_the_optimum(name: str, route: str) -> None:
+    exact = name == "graded tank"
+    if exact and route == "OSQP":
+        pytest.skip("general costs need another Hessian than OSQP takes")
+    hessian = None if exact or route in ("dense", "interior") else GaussNewton()
+    tol, most = (None, 1e-6) if route == "OSQP" else (1e-10, 1e-8)
+    assert distance(PROBLEMS[name](), on(route, hessian=hessian), tol) <= most
+
+
+@pytest.mark.parametrize("route", ["dense", "riccati"])
+@pytest.mark.parametrize("name", PROBLEMS)
+def test_single_precision_finds_the_optimum(name: str, route: str) -> None:
+    assert distance(PROBLEMS[name](), on(route, precision="single"), None) <= 3e-4
+
+
+@pytest.mark.parametrize("route", ["dense", "partial"])
+@pytest.mark.parametrize("name", PROBLEMS)
+def test_samples_that_stay_find_the_optimum(name: str, route: str) -> None:
+    """solve() works on stages; the condensed QP is that of samples."""
+    tuned = PROBLEMS[name]()
+    _, by_hand, x0, previous = tuned
+    hessian = ExactHessian() if name == "graded tank" else None
+    ctrl, time = prepared(tuned, on(route, hessian=hessian, algorithm=PURE))
+    found = ctrl.solve(x0, 1e-8, globalization="full_step")
+    assert found.status == Status.OK, ctrl.diagnose()
+    _, u, _ = by_hand.solve(x0, previous, time)
+    np.testing.assert_allclose(found.u, u, atol=1e-7)
+    np.testing.assert_array_equal(ctrl.previous, previous)
+
+
+@pytest.mark.parametrize("algorithm", [AdjointShooting(shift=None), AugmentedLagrangian(shift=None)])
+@pytest.mark.parametrize("name", PROBLEMS)
+def test_other_algorithms_find_the_optimum(name: str, algorithm: Any) -> None:
+    assert distance(PROBLEMS[name](), Options(algorithm=algorithm), 1e-9, 2000) <= 1e-6
+
+
+@pytest.mark.parametrize("unroll", ["none", "step"])
+def test_loops_have_the_same_derivatives(unroll: Any) -> None:
+    integrator = ExplicitRungeKutta(unroll=unroll)
+    for hessian in (GaussNewton(), ExactHessian()):
+        assert distance(timed_vessel(), Options(integrator=integrator, hessian=hessian), 1e-10) <= 1e-8
+
+
+# The control before ---------------------------------------------------------------------------------------------------
+
+
+def test_step_keeps_the_control_that_it_returns_and_set_previous_says_what_was_applied() -> None:
+    ctrl, _ = prepared(slewed_crane(), None)
+    x0 = np.array([0.0, 0, 0.1, 0])
+    first = ctrl.step(x0)
+    np.testing.assert_array_equal(ctrl.previous, first)
+    assert abs(first[0] - 0.4) <= 2.5 * 0.3 + 1e-12
+    ctrl.set_previous([-3.0])
+    second = ctrl.step(x0)
+    assert -3.0 - 2 * 0.3 - 1e-9 <= second[0] <= -3.0 + 2.5 * 0.3 + 1e-9
+
+
+def test_feedback_takes_a_control_that_is_set_after_prepare() -> None:
+    ctrl, _ = prepared(slewed_crane(), Options(algorithm=RealTimeIteration(repair=0, shift=None)))
+    other = ctrl.copy()
+    x0 = [0.0, 0, 0.1, 0]
+    ctrl.prepare()
+    ctrl.set_previous([0.9])
+    other.set_previous([0.9])
+    other.prepare()
+    np.testing.assert_allclose(ctrl.feedback(x0), other.feedback(x0), atol=1e-9)
+
+
+def test_reset_takes_the_reference_inside_the_bounds() -> None:
+    ocp, _, _, _ = slewed_crane()
+    F = ocp.u
+    ocp.least_squares(F, 0.01, reference=7.0, names="effort")
+    ctrl = build(ocp)
+    np.testing.assert_array_equal(ctrl.previous, [5.0])
+    ctrl.set_previous([1.0])
+    ctrl.reset()
+    np.testing.assert_array_equal(ctrl.previous, [5.0])
+
+
+def test_the_control_before_is_part_of_every_copy() -> None:
+    ctrl, _ = prepared(slewed_crane(), None)
+    file = io.BytesIO()
+    ctrl.save(file)
+    file.seek(0)
+    loaded = build(slewed_crane()[0])
+    loaded.load(file)
+    for twin in (ctrl.copy(), copy.deepcopy(ctrl), pickle.loads(pickle.dumps(ctrl)), loaded):
+        np.testing.assert_array_equal(twin.previous, [0.4])
+        twin.set_previous([0.2])
+    np.testing.assert_array_equal(ctrl.previous, [0.4])
+
+
+def test_a_failed_sample_keeps_the_control_that_was_returned() -> None:
+    ctrl, _ = prepared(slewed_crane(), None)
+    u = ctrl.step([np.nan, 0, 0, 0])
+    assert ctrl.status == Status.NOT_FINITE
+    np.testing.assert_array_equal(ctrl.previous, u)
+
+
+@pytest.mark.parametrize("bad", [[np.nan], [0.0, 1.0], ["a"]])
+def test_bad_controls_before_are_refused(bad: Any) -> None:
+    ctrl, _ = prepared(slewed_crane(), None)
+    with pytest.raises(ControllerError, match="previous control"):
+        ctrl.set_previous(bad)
+    np.testing.assert_array_equal(ctrl.previous, [0.4])
+
+
+def test_a_problem_without_them_says_which_words_are_missing() -> None:
+    ctrl, _ = prepared(slewed_crane(), None)
+    with pytest.raises(ControllerError, match=r"no time: its problem does not contain ocp\.time"):
+        ctrl.set_time(1.0)
+    ocp = OCP("plain", T=1.0, N=4)
+    x, u = ocp.state("x"), ocp.control("u")
+    ocp.dynamics({x: u})
+    ocp.least_squares(ca.vertcat(x, u), 1.0)
+    with pytest.raises(ControllerError, match=r"no previous control: .* ocp\.previous\(u\) or ocp\.rate\(u\)"):
+        build(ocp).set_previous([0.0])
+
+
+@pytest.mark.parametrize("route", OURS)
+def test_a_loop_never_exceeds_its_rate_limit(route: str) -> None:
+    """Disturbed, with an actuator that now and then does something else, of which the controller is told."""
+    ctrl = build(slewed_crane()[0], on(route))
+    random = np.random.default_rng(3)
+    x, applied = np.zeros(4), 0.0
+    for k in range(200):
+        u = ctrl.step(x)
+        assert ctrl.status.name in ("OK", "RELAXED", "NOT_CONVERGED"), ctrl.diagnose()
+        assert -2 - 1e-9 <= (u[0] - applied) / 0.3 <= 2.5 + 1e-9
+        applied = u[0]
+        if k % 17 == 16:
+            applied = float(np.clip(u[0] + random.normal(), -5, 5))
+            ctrl.set_previous([applied])
+        x = ctrl.integrate(x, [applied], 0.3) + 0.03 * random.standard_normal(4)
+        if k % 50 == 49:
+            x = np.array([random.uniform(-1, 2), 0, 0, 0])
+
+
+def test_simulate_logs_rates_and_solves_every_sample_if_asked() -> None:
+    ocp, by_hand, x0, _ = slewed_crane()
+    ctrl = build(ocp)
+    log = simulate(ctrl, x0, 20, law="solve")
+    rate = np.diff(np.concatenate([[0.0], log.u[:, 0]])) / 0.3
+    np.testing.assert_allclose(log.h[:, 0], rate, atol=1e-12)
+    assert np.all(log.status == Status.OK)
+    np.testing.assert_array_equal(ctrl.previous, log.u[-1])
+    _, u, _ = by_hand.solve(log.x[7], log.u[6])
+    np.testing.assert_allclose(log.u[7], u[0], atol=1e-7)
+    with pytest.raises(ControllerError, match="law is 'bang'"):
+        simulate(ctrl, x0, 2, law="bang")  # type: ignore[arg-type]
+
+
+def test_the_model_of_a_dead_time_is_one_sample_late() -> None:
+    ctrl, _ = prepared(dead_time(), None)
+    log = simulate(ctrl, [2.0, 0.0], 12)
+    a, b = log.u.T
+    late = np.concatenate([[0.2], a[:-1]])
+    x, y = log.x[:-1].T
+    np.testing.assert_allclose(log.x[1:, 1], 0.9 * y - 0.1 * np.sin(x) + late + 0.1 * b, atol=1e-12)
+
+
+# Time -----------------------------------------------------------------------------------------------------------------
+
+
+def test_time_moves_on_with_the_samples() -> None:
+    ctrl, _ = prepared(timed_vessel(), None)
+    ctrl.reset()
+    assert ctrl.time == 0.0
+    x = np.array([0.5, 0, 0.2])
+    for k in range(4):
+        assert ctrl.time == pytest.approx(0.5 * k)
+        u = ctrl.step(x)
+        after = ctrl.integrate(x, u, 0.5)
+        np.testing.assert_allclose(after[2], 0.8 * x[2] + 0.1 * x[0] ** 2 + 0.05 * u[0])
+        np.testing.assert_allclose(ctrl.whole_x[:, 3], 0.5 * (k + np.arange(9)))
+        x = after
+    ctrl.set_time(-2.0)
+    ctrl.step(x)
+    assert ctrl.time == pytest.approx(-1.5)
+
+
+def test_a_long_loop_in_single_precision_keeps_its_time() -> None:
+    """A million samples of 0.01 in a sum of floats would be off by a second in a hundred."""
+    ocp = OCP("clock", T=0.04, N=4)
+    x, u = ocp.state("x"), ocp.control("u")
+    ocp.dynamics({x: u})
+    ocp.least_squares(ca.vertcat(x - ca.sin(ocp.time), u), 1.0)
+    ctrl = build(ocp, Options(precision="single", algorithm=RealTimeIteration(repair=0), solve=False))
+    for _ in range(50_000):
+        ctrl.step([0.0])
+    assert ctrl.time == pytest.approx(500.0, rel=1e-6)
+
+
+def test_a_scheme_sees_the_time_inside_its_steps() -> None:
+    """x' = cos(t) integrated by the midpoint rule: its order is 2, which it would not be with the time of the node."""
+    errors = []
+    for N in (4, 8, 16):
+        ocp = OCP("order", T=1.0, N=N)
+        x, u = ocp.state("x"), ocp.control("u")
+        ocp.dynamics({x: ca.cos(ocp.time) + u})
+        ocp.least_squares(u, 1.0)
+        ctrl = build(ocp, Options(integrator=ExplicitRungeKutta(Midpoint, steps=1)))
+        errors.append(abs(ctrl.solve([0.0]).x[-1, 0] - np.sin(1.0)))
+    slopes = np.log2(np.divide(errors[:-1], errors[1:]))
+    np.testing.assert_allclose(slopes, 2.0, atol=0.1)
+
+
+# Move blocks ----------------------------------------------------------------------------------------------------------
+
+
+def test_the_controls_of_a_block_are_equal_in_every_plan() -> None:
+    ctrl, _ = prepared(blocked_crane(), None)
+    x = np.array([0.0, 0, 0.1, 0])
+    for _ in range(30):
+        u = ctrl.step(x)
+        assert ctrl.status == Status.OK, ctrl.diagnose()
+        np.testing.assert_allclose(ctrl.u[2:4, 0], ctrl.u[2, 0], atol=1e-9)
+        np.testing.assert_allclose(ctrl.u[4:8, 0], ctrl.u[4, 0], atol=1e-9)
+        x = ctrl.integrate(x, u, 0.3)
+    assert abs(x[0] - 1) < 0.1
+
+
+def test_the_report_says_how_a_plan_with_blocks_moves() -> None:
+    ocp = blocked_crane()[0]
+    assert any("shift: resample; blocks of controls" in line for line in generate(ocp).description.report.choices)
+    with pytest.raises(OptionError, match=r'shift="repeat"\).*hold'):
+        generate(ocp, options=Options(algorithm=RealTimeIteration(shift="repeat")))
+
+
+def test_blocks_need_parameters_by_node() -> None:
+    ocp = blocked_crane()[0]
+    generate(ocp, options=Options(online=Online(parameter="fixed")))
+    ocp.parameter("mass", value=1.0)
+    with pytest.raises(OptionError, match=r'Online.parameter: "shared".*hold'):
+        generate(ocp, options=Options(online=Online(parameter="shared")))
+
+
+def test_osqp_refuses_what_it_cannot_regularise() -> None:
+    with pytest.raises(OptionError, match="Osqp"):
+        generate(slewed_crane()[0], options=Options(condensing=ROUTES["OSQP"][0], qp=Osqp(), hessian=ExactHessian()))
+
+
+def test_condensing_has_a_variable_for_every_block() -> None:
+    sources = generate(blocked_crane()[0], options=Options(condensing=FullCondensing()))
+    assert sources.description.sizes["NV"] == 4 + 8
