@@ -13,10 +13,6 @@
  * penalty: lower <= row - sigma <= upper, cost l2/2 sigma^2, and sigma = 0 as an elastic bound with penalty l1. The QP
  * solver knows where slacks occur: neither the Hessian nor the rows have entries for them]. */
 
-/* Columns of G_k: dx_0[if NBAND > 0: without the controls of the node before, whose columns are 0,] and the controls,
- * in whole panels. */
-enum { NXC = NX - NBAND, LDG = (NXC + NUS + COLUMNS - 1) / COLUMNS * COLUMNS };
-
 #include "generated/product_columns.c"
 
 static void qp_init(qp_t *q);

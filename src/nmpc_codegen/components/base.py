@@ -61,6 +61,7 @@ class Dims:
     ng: Size  # scalar rows of all nodes besides control bounds
     condensed: QpDims | None  # sizes of the QP, None without condensing
     end_rows: int = 0  # hard rows that hold at node N alone
+    banded: int = 0  # controls of the node before, which act on no state: the last states
     multiple: int = PANEL  # to which leading dimensions of stage matrices are rounded up; 1: no padding
 
     @property

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 from nmpc_codegen.ir.kernel import Kernel
-from nmpc_codegen.ir.stage_products import Pattern, Products, banded, pattern
+from nmpc_codegen.ir.stage_products import Pattern, Products, bandwidth, pattern
 from nmpc_codegen.ir.sweep import Routine
 from nmpc_codegen.package.opcount import OpCount
 
@@ -148,7 +148,7 @@ class ModelFunctions:
         """Products with the stage matrices; the patterns are the elements that the routines store."""
         S = next(port for port in self.interval.linearize.outputs if port.name == "S")
         patterns = pattern(self.interval.linearize, "S"), self.path.Q, self.terminal.Q
-        return Products(S.rows, S.cols - S.rows, *patterns, banded(self.previous, S.rows, *patterns))
+        return Products(S.rows, S.cols - S.rows, *patterns, bandwidth(self.previous, S.rows, *patterns))
 
 
 def _present(*routines: Routine | None) -> Iterator[Routine]:

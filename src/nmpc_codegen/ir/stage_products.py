@@ -128,7 +128,7 @@ class Products:
         return irreducible_blocks(self.Q_N, self.nx)
 
 
-def banded(previous: int, nx: int, S: Pattern, Q: Pattern, Q_N: Pattern) -> int:
+def bandwidth(previous: int, nx: int, S: Pattern, Q: Pattern, Q_N: Pattern) -> int:
     """``previous`` of the last states, controls of the node before, if they act on no state, neither by the dynamics
     nor by products in the cost: what they add to a condensed Hessian is a band beside its diagonal. Else 0."""
     first = nx - previous

@@ -91,7 +91,8 @@ def choose_qp(
     for stated, qp in fitting:
         condensing = stated.adapt(problem)
         if all(problem.uses <= c.supports for c in (condensing, qp)):
-            dims = dimensions(problem, condensing.qp_shape(problem), constant_hessian, multiple_of(options.goal))
+            shape, multiple = condensing.qp_shape(problem), multiple_of(options.goal)
+            dims = dimensions(problem, shape, constant_hessian, multiple, model.products.banded)
             counts = (*condensing.cost(dims, model).values(), *qp.cost(dims, model).values())
             warm, search = sum(counts, OpCount()).total, qp.search(dims).total
             candidates.append(Candidate(condensing, qp, warm + search * soft, warm + search, dims))
@@ -225,7 +226,9 @@ def multiple_of(goal: Goal) -> int:
     return 1 if goal == "size" else PANEL
 
 
-def dimensions(problem: Problem, shape: QpShape | None, constant_hessian: bool, multiple: int = PANEL) -> Dims:
+def dimensions(
+    problem: Problem, shape: QpShape | None, constant_hessian: bool, multiple: int = PANEL, banded: int = 0
+) -> Dims:
     """All shared sizes; ``shape`` is None without a QP; ``constant_hessian``: one path block serves all nodes.
 
     Leading dimensions of stage matrices are rounded up to a multiple of ``multiple``.
@@ -252,7 +255,9 @@ def dimensions(problem: Problem, shape: QpShape | None, constant_hessian: bool, 
     }
     fields = {"NY_N": "ny_N", "NW_N": "nw_N", "NH_N": "nh_N", "N": "N"}
     condensed = None if shape is None else _qp_dims(p, shape)
-    return Dims(**_sizes(sizes, fields), condensed=condensed, end_rows=len(p.end_rows), multiple=multiple)
+    return Dims(
+        **_sizes(sizes, fields), condensed=condensed, end_rows=len(p.end_rows), banded=banded, multiple=multiple
+    )
 
 
 def _qp_dims(problem: Problem, shape: QpShape) -> QpDims:

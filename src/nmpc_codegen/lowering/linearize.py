@@ -74,7 +74,8 @@ class Model(ModelFunctions):
         """The sizes that components share."""
         condensing = self.parts.condensing
         shape = None if condensing is None else condensing.qp_shape(self.problem)
-        return dimensions(self.problem, shape, self.constant_hessian, multiple_of(self.options.goal))
+        multiple = multiple_of(self.options.goal)
+        return dimensions(self.problem, shape, self.constant_hessian, multiple, self.products.banded)
 
     @cached_property
     def scales(self) -> Scales:

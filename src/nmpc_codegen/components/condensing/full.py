@@ -43,6 +43,11 @@ def _variables(problem: Problem) -> list[tuple[int, int]]:
     ]
 
 
+def _columns(dims: Dims) -> int:
+    """Columns of G_k: dx_0 and all controls."""
+    return dims.nx.value - dims.banded + dims.qp.nus.value
+
+
 @dataclass(frozen=True)
 class FullCondensing(Defaults):
     """Eliminate all states but the first; the QP has N nu variables and the free components of x_0."""
@@ -93,7 +98,11 @@ class FullCondensing(Defaults):
         )
 
     def sizes(self, dims: Dims) -> tuple[tuple[str, int, str], ...]:
-        return (("COLUMNS", COLUMNS, "columns of G_k that are processed together"),)
+        return (
+            ("COLUMNS", COLUMNS, "columns of G_k that are processed together"),
+            ("NXC", dims.nx.value - dims.banded, "columns of dx_0: all but those of the last states, which are 0"),
+            ("LDG", _panels(_columns(dims)), "columns of G_k: NXC + NUS, rounded up to COLUMNS"),
+        )
 
     def structs(self, dims: Dims) -> tuple[Struct, ...]:
         """Sensitivities of the condensed states, and the data that the feedback phase needs."""
