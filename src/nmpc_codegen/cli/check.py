@@ -15,6 +15,7 @@ from nmpc_codegen.cli.printing import Printer
 from nmpc_codegen.compiler import generate
 from nmpc_codegen.errors import OptionError, ProblemWarning
 from nmpc_codegen.frontend.classify import classify
+from nmpc_codegen.frontend.inner import complete_inner
 from nmpc_codegen.lowering.linearize import complete
 from nmpc_codegen.oracle.reference import Reference, Tableau, node_data
 from nmpc_codegen.runtime.build import load
@@ -38,7 +39,7 @@ def check(ocp: OCP, options: Options, folder: Path, name: str, printer: Printer)
     IPOPT starts from the same point as the generated code. If it ends at another point (another local optimum), it is
     started again at the solution of the generated code, which it must then return.
     """
-    problem = complete(classify(ocp), options)
+    problem = complete_inner(complete(classify(ocp), options), options.algorithm.sampling_time)
     refuse_long(options, len(problem.dt))
     files: Mapping[str, str] = {
         f"{name}.{ext}": (folder / f"{name}.{ext}").read_text(encoding="utf-8") for ext in ("h", "c", "json")
@@ -50,14 +51,16 @@ def check(ocp: OCP, options: Options, folder: Path, name: str, printer: Printer)
             warnings.simplefilter("ignore", ProblemWarning)  # export() has said them
             files = generate(ocp, replace(options, solve=True), name)
         controller = load(files, name, "verify", warnings_as_errors=True)
-    solution = controller.solve(problem.x_initial, CHECK_TOLERANCE[options.precision], CHECK_ITERATIONS)
+    solution = controller.solve(
+        problem.x_initial[: problem.measured], CHECK_TOLERANCE[options.precision], CHECK_ITERATIONS
+    )
     nlp = Reference(problem, *_tableau(options))
     data = node_data(problem)
     reference = nlp.solve(data)
     errors = compare(solution, reference)
     limits = LIMITS[options.precision]
     if any(not errors[key] <= limits[key] for key in limits):
-        nearby = nlp.solve(data, x=solution.x, u=solution.u)
+        nearby = nlp.solve(data, x=np.asarray(controller.whole_x, dtype=float), u=solution.u)
         if nearby.success:
             reference, errors = nearby, compare(solution, nearby)
     solved = solution.status.name in ("OK", "STALLED")
@@ -90,7 +93,8 @@ def _tableau(options: Options) -> tuple[Any, ...]:
 def compare(solution: Solution, reference: Any) -> dict[str, float]:
     """Largest |a - b| / max(1, max|b|) of all components of u and of x, b the reference; relative error of the cost."""
     errors = {"cost": abs(solution.cost - reference.cost) / max(abs(reference.cost), COST_FLOOR)}
-    for key, ours, theirs in (("u", solution.u, reference.u), ("x", solution.x, reference.x)):
+    own = reference.x[:, : solution.x.shape[1]]  # without states behind those of the user
+    for key, ours, theirs in (("u", solution.u, reference.u), ("x", solution.x, own)):
         size = np.maximum(1.0, np.abs(theirs).max(axis=0, initial=0.0))
         errors[key] = float((np.abs(ours - theirs) / size).max(initial=0.0))
     return errors

@@ -87,6 +87,7 @@ def derivative_model(
     _refuse_options(chosen)
     problem = complete(classify(ocp), chosen)
     integrator = _integrator(problem, chosen)
+    problem.refuse_inner("derivatives")
     _refuse(problem)
     names, z = outputs_of(ocp, problem, outputs, names)
     entries = problem.N**2 * problem.nu * len(names)

@@ -153,6 +153,7 @@ def rotate(
         ocp.start_cost(sign * storage(ocp.x))
         return
     problem = classify(ocp)
+    problem.refuse_inner("rotate")
     if not problem.uniform:
         raise ProblemError(f"rotate: '{problem.name}' has intervals of different length; use on='nodes'")
     Phi, _ = interval_map(problem, tableau(problem, options))(ocp.x, ocp.u, ocp.p, problem.dt[0])

@@ -149,8 +149,10 @@ def steady_stage(problem: Problem, options: Options | None = None, p: Array | No
     """The stage of the last interval, which the steady operation repeats, with the declared parameters or with ``p``.
 
     Raises:
-        ProblemError: another state, the cost or all states depend on a cyclic state, or only cyclic states exist.
+        ProblemError: another state, the cost or all states depend on a cyclic state, or only cyclic states exist; or
+            there are previous controls, time or discrete states.
     """
+    problem.refuse_inner("steady state")
     kept = tuple(i for i in range(problem.nx) if i not in problem.cyclic)
     if not kept:
         raise ProblemError(f"OCP '{problem.name}': all states are cyclic, so there is no steady state")

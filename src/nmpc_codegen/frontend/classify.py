@@ -13,11 +13,13 @@ from nmpc_codegen.frontend.checks import element_names
 from nmpc_codegen.frontend.inner import (
     block_signals,
     block_starts,
+    control_signals,
     dynamics_of,
     effective_controls,
     inner_of,
     inner_signals,
     inner_symbols,
+    warn_of_integrals,
 )
 from nmpc_codegen.frontend.ocp import OCP
 from nmpc_codegen.frontend.problem import Array, Problem, Row, RowKind, Signal, Stage, symbols
@@ -32,6 +34,7 @@ def classify(ocp: OCP) -> Problem:
         ProblemError: a part is missing (state, control, derivative, cost), or a row constrains a measured x_0.
     """
     _require(ocp)
+    warn_of_integrals(ocp)
     rows, path_h, terminal_h = _classify_rows(ocp)
     start = _stage(ocp, [], rows, "start")
     path = _stage(ocp, path_h, rows, "path")
@@ -43,7 +46,7 @@ def classify(ocp: OCP) -> Problem:
         N=ocp.N,
         dt=dt,
         states=(*_signals(ocp.states), *inner_signals(ocp, path, rows, dt)),
-        controls=_signals(ocp.controls),
+        controls=control_signals(ocp),
         parameters=(*_signals(ocp.parameters), *block_signals(ocp)),
         dynamics=dynamics,
         discrete=bool(ocp.discrete),
@@ -87,8 +90,11 @@ def _require(ocp: OCP) -> None:
     """Raise ProblemError if a part of the OCP is missing or two of its declarations clash."""
     if not ocp.states:
         raise ProblemError(f"OCP '{ocp.name}' has no state; declare one with ocp.state(name)")
-    if not ocp.controls:
-        raise ProblemError(f"OCP '{ocp.name}' has no control, so there is nothing to optimise; use ocp.control(name)")
+    if not ocp.controls and not ocp.free:
+        raise ProblemError(
+            f"OCP '{ocp.name}' has no control, so there is nothing to optimise; use ocp.control(name), or "
+            "ocp.free_initial(state) for components of x_0 that are to be found"
+        )
     names = [e for s in _signals(ocp.states) for e in s.elements]
     missing = [name for i, name in enumerate(names) if i not in ocp.derivatives and i not in ocp.maps]
     if missing:
@@ -242,7 +248,7 @@ def _end_equality(ocp: OCP, s: _Scalar) -> bool:
 def _stage(ocp: OCP, h: list[Any], rows: tuple[Row, ...], stage: StageName) -> Stage:
     inner = inner_of(ocp)
     nx = ocp.x.numel() + inner.count
-    x, u, p, dt = symbols(nx, ocp.u.numel() if stage == "path" else 0, ocp.p.numel() + len(inner.held))
+    x, u, p, dt = symbols(nx, max(1, ocp.u.numel()) if stage == "path" else 0, ocp.p.numel() + len(inner.held))
     residuals = [r for r in ocp.residuals if r.stage == stage]
     costs = [c for c in ocp.costs if c.stage == stage]
     nodal = [c.expression * (dt if c.scale_with_dt else 1) for c in costs if not c.integrate]

@@ -27,7 +27,7 @@ POINTS = 4
 
 def flat_controls(problem: Problem, sizes: Scales) -> tuple[int, ...]:
     """Numbers of the controls without curvature. A linear program has none: its vertices are found exactly."""
-    if not (problem.nonlinear_model or problem.nonlinear_rows):
+    if problem.inner.idle or not (problem.nonlinear_model or problem.nonlinear_rows):
         return ()
     bent, curvature = _bends_model(problem), _curvature(problem, sizes)
     return tuple(j for j in range(problem.nu) if not bent[j] and curvature[j] <= NONE * sizes.cost)

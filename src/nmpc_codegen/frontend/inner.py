@@ -7,6 +7,7 @@ Their maps are constant, so that kernels, integrators and second derivatives sta
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import casadi as ca
@@ -15,8 +16,11 @@ import numpy as np
 from nmpc_codegen.errors import ProblemError, warn
 from nmpc_codegen.frontend.ocp import OCP
 from nmpc_codegen.frontend.problem import Array, Inner, Problem, Row, Signal, Stage, symbols
-from nmpc_codegen.frontend.scales import Scales
+from nmpc_codegen.frontend.scales import Scales, scales
 from nmpc_codegen.ir.casadi_types import Expression, Function, elements
+
+#: Derivatives below this are rounding errors.
+EQUAL = 1e-9
 
 
 def inner_of(ocp: OCP) -> Inner:
@@ -24,7 +28,14 @@ def inner_of(ocp: OCP) -> Inner:
     found = {symbol.element_hash() for expression in _expressions(ocp) for symbol in ca.symvar(expression)}
     held = tuple(sorted(ocp.blocks))
     previous = (j for j in sorted(ocp.remembered) if j in held or ocp.remembered[j].element_hash() in found)
-    return Inner(tuple(previous), ocp.interval_before.element_hash() in found, ocp.clock.element_hash() in found, held)
+    rates, time = (symbol.element_hash() in found for symbol in (ocp.interval_before, ocp.clock))
+    return Inner(tuple(previous), rates, time, held, idle=not ocp.controls)
+
+
+def control_signals(ocp: OCP) -> tuple[Signal, ...]:
+    """The controls; one that acts on nothing where a problem has components of x_0 alone to choose."""
+    found = tuple(d.signal for d in ocp.controls)
+    return found or (Signal("none", 1, "", (0.0,), 0, True, (1.0,)),)
 
 
 def block_starts(ocp: OCP) -> Array | None:
@@ -49,18 +60,16 @@ def block_signals(ocp: OCP) -> tuple[Signal, ...]:
 def effective_controls(ocp: OCP, x: Expression, u: Expression, p: Expression) -> Expression:
     """The controls that act at a node: u_j where a block begins, else that of the node before."""
     inner, own, first = inner_of(ocp), ocp.x.numel(), ocp.p.numel()
-    acting = elements(u)
+    acting = [] if inner.idle else elements(u)
     for i, j in enumerate(inner.held):
         begins, before = p[first + i], x[own + inner.places[j]]
         acting[j] = begins * u[j] + (1 - begins) * before
     return ca.vertcat(ca.SX(0, 1), *acting)
 
 
-def with_ties(problem: Problem, sizes: Scales) -> Problem:
+def _with_ties(problem: Problem, sizes: Scales) -> Problem:
     """The problem with residuals that tie controls to those of the node before where no block begins."""
     held, path = problem.inner.held, problem.path
-    if not held:
-        return problem
     ties = []
     for i, j in enumerate(held):
         begins = path.p[problem.np - len(held) + i]
@@ -143,12 +152,23 @@ def _function(name: str, inputs: list[Expression], values: list[Expression]) -> 
     return ca.Function(name, inputs, [ca.densify(ca.vertcat(*values))], ["x", "u", "p", "dt"][: len(inputs)], [name])
 
 
-def with_constant_interval(problem: Problem, sampling_time: float | None) -> Problem:
-    """The problem without the length of the interval before, where it is always the same."""
-    same = problem.uniform and (sampling_time is None or sampling_time == problem.dt[0])
-    if not problem.inner.interval or not same:
+def complete_inner(problem: Problem, sampling_time: float | None) -> Problem:
+    """The problem with what is known of these states when the time between samples is known."""
+    problem = _with_interval_before(problem, sampling_time)
+    if problem.inner.idle:
+        return replace(problem, path=replace(problem.path, ties=problem.path.u))
+    return _with_ties(problem, scales(problem)) if problem.inner.held else problem
+
+
+def _with_interval_before(problem: Problem, sampling_time: float | None) -> Problem:
+    """The problem with the time since the sample before as the length of the interval before node 0, and without such
+    lengths where all are the same."""
+    if not problem.inner.interval:
         return problem
-    at = problem.measured
+    at, period = problem.measured, sampling_time or problem.dt[0]
+    if not problem.uniform or period != problem.dt[0]:
+        timed = (replace(s, value=(period,)) if s.offset == at else s for s in problem.states)
+        return replace(problem, states=tuple(timed))
     kept = [i for i in range(problem.nx) if i != at]
 
     def without(x: Expression) -> Expression:
@@ -198,20 +218,23 @@ def with_constant_interval(problem: Problem, sampling_time: float | None) -> Pro
     )
 
 
+#: Names of states that are meant to be controls of the node before.
+_MEANT = re.compile(r"(^|_)(last|prev|previous|old|before|delayed)(_|$|\d)", re.IGNORECASE)
+
+
 def warn_of_integrals(ocp: OCP) -> None:
-    """Warn of a state that integrates a control from which it is subtracted: u - last with last' = u."""
-    if ocp.discrete:
-        return
+    """Warn of a state that is meant to remember a control and integrates it: last' = u, and u - last in the problem."""
+    names = [e for d in ocp.states for e in d.signal.elements]
     for i, derivative in sorted(ocp.derivatives.items()):
         control = ocp.element(derivative)
-        if control is None or control.kind != "control":
+        if ocp.discrete or control is None or control.kind != "control":
             continue
         u, x = ocp.u[control.index], ocp.x[i]
-        name = [e for d in ocp.states for e in d.signal.elements][i]
-        if any(_is_difference(e, u, x) for expression in _expressions(ocp) for e in elements(expression)):
+        compared = any(_is_difference(e, u, x) for expression in _expressions(ocp) for e in elements(expression))
+        if compared or _MEANT.search(names[i]):
             warn(
-                f"dynamics: '{name}' is the integral of {control.name}, and a cost or row contains their difference; "
-                f"the control of the node before is ocp.previous({control.name}), its slope ocp.rate({control.name})"
+                f"dynamics: '{names[i]}' is the integral of {control.name}, not its last value; the control of the "
+                f"node before is ocp.previous({control.name}), its slope ocp.rate({control.name})"
             )
 
 
@@ -220,9 +243,8 @@ def _is_difference(expression: Expression, u: Expression, x: Expression) -> bool
     found = {s.element_hash() for s in ca.symvar(expression)}
     if not {u.element_hash(), x.element_hash()} <= found:
         return False
-    change = ca.SX.sym("change")
-    moved = ca.substitute(expression, ca.vertcat(u, x), ca.vertcat(u + change, x + change))
-    slope = ca.simplify(ca.jacobian(moved, change))
-    draws = np.random.default_rng(0).uniform(0.5, 1.5, (3, len(free := ca.symvar(slope))))
-    at = ca.Function("slope", [ca.vertcat(ca.SX(0, 1), *free)], [ca.densify(slope)])
-    return all(abs(float(at(draw))) < 1e-9 for draw in draws)
+    change = ca.jacobian(expression, u) + ca.jacobian(expression, x)
+    free = ca.symvar(change)
+    at = ca.Function("change", [ca.vertcat(ca.SX(0, 1), *free)], [ca.densify(change)])
+    draws = np.random.default_rng(0).uniform(0.5, 1.5, (3, len(free)))
+    return all(abs(float(at(draw))) < EQUAL for draw in draws)

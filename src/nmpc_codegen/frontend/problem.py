@@ -18,6 +18,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from nmpc_codegen.errors import ProblemError
 from nmpc_codegen.ir.casadi_types import Expression, Function, curved_rows, elements
 from nmpc_codegen.package.signals import NOTHING_INNER, ImposedRow, imposed_rows
 from nmpc_codegen.package.signals import Inner as Inner
@@ -154,6 +155,15 @@ class Problem:
     def own_states(self) -> tuple[Signal, ...]:
         """The states of the user."""
         return self.states[: len(self.states) - self.inner.count]
+
+    def refuse_inner(self, what: str) -> None:
+        """Raise ProblemError if ``what`` would meet states that it does not know."""
+        found = sorted({"previous controls", "time", "discrete states"} & self.uses)
+        if found:
+            raise ProblemError(
+                f"{what}: '{self.name}' has {', '.join(found)}, for which it is not made; expected a problem of states "
+                "and controls alone, as with terminal_least_squares() in the place of lqr_terminal_cost()"
+            )
 
     @cached_property
     def jump_slopes(self) -> Function:

@@ -53,7 +53,8 @@ def _incomplete(ocp: Stated) -> list[str]:
     names = _elements(ocp.states)
     open_states = [name for i, name in enumerate(names) if i not in ocp.derivatives]
     missing = [f"the dynamics of {list_some(open_states)}"] if open_states else []
-    missing += [f"a {kind}" for kind, there in (("state", ocp.states), ("control", ocp.controls)) if not there]
+    missing += [] if ocp.states else ["a state"]
+    missing += [] if ocp.controls or ocp.free else ["a control"]
     missing += [] if ocp.residuals or ocp.costs else ["a cost"]
     return [f"still missing: {', '.join(missing)}"] if missing else []
 

@@ -275,6 +275,8 @@ def _end_time(problem: Problem, x: Array, u: Array) -> Iterator[str]:
 def _without_influence(problem: Problem, x: Array, u: Array) -> Iterator[str]:
     """Controls whose first derivatives vanish in dynamics, cost and rows at the first plan, and to which states and
     controls that move do not give any; and those without a weight that wait for others."""
+    if problem.inner.idle:
+        return
     at_plan, moves = _movable(problem, x, u)
     for j in np.flatnonzero(~moves):
         yield (

@@ -24,7 +24,7 @@ from nmpc_codegen.components.integrators import Discrete, ExplicitRungeKutta
 from nmpc_codegen.components.stage_cost import StageCost, slices, stage_costs
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.frontend.flat import flat_controls, proximal_terms
-from nmpc_codegen.frontend.inner import with_constant_interval, with_ties
+from nmpc_codegen.frontend.inner import complete_inner
 from nmpc_codegen.frontend.problem import Problem, Stage
 from nmpc_codegen.frontend.scales import Scales, scales
 from nmpc_codegen.ir.kernel import Kernel, Port, lift
@@ -99,8 +99,7 @@ def linearize(problem: Problem, options: Options | None = None) -> Model:
         raise OptionError(f"options: {options!r}; expected Options(...) or None")
     options = options or Options()
     problem = complete(problem, options)
-    problem = with_constant_interval(problem, getattr(options.with_defaults.algorithm, "sampling_time", None))
-    problem = with_ties(problem, scales(problem))
+    problem = complete_inner(problem, options.algorithm.sampling_time)
     options = with_blocks(problem, options)
     chosen = options.hessian is None
     options, of_hessian = choose_hessian(problem, options)

@@ -483,7 +483,7 @@ def _description(
         structs=structs,
         states=p.own_states,
         inner=p.inner,
-        controls=p.controls,
+        controls=() if p.inner.idle else p.controls,
         parameters=p.own_parameters,
         rows=p.rows,
         residuals=_residuals(p, p.path),
@@ -499,7 +499,7 @@ def _description(
         options=as_data(model.options),
         report=report,
         ranges=ranges,
-        scales=tuple(_round([*sizes.z[: p.measured], *sizes.z[p.nx :]])),
+        scales=tuple(_round([*sizes.z[: p.measured], *sizes.z[p.nx : p.nx + p.nu - p.inner.idle]])),
         row_scales=tuple(_round(sizes.rows)),
     )
 

@@ -125,7 +125,8 @@ class PackageDescription:
     @property
     def dims(self) -> Dimensions:
         """Sizes in the notation of the project; nx: states of the user."""
-        return Dimensions(*(self.interface[name] for name in DIMENSIONS))
+        sizes = {**self.interface, "NU": self.sizes["NU"] - self.inner.idle}
+        return Dimensions(*(sizes[name] for name in DIMENSIONS))
 
     @property
     def interface(self) -> Mapping[str, int]:

@@ -71,13 +71,15 @@ class Inner:
     at the node before are remembered. In this order.
 
     ``held``: controls with blocks of intervals, which a node takes from the one before unless it begins a block. For
-    each a parameter behind those of the user says so, 1 where a block begins, 0 elsewhere.
+    each a parameter behind those of the user says so, 1 where a block begins, 0 elsewhere. ``idle``: the problem has no
+    control; a package has one that acts on nothing and stays 0.
     """
 
     previous: tuple[int, ...] = ()
     interval: bool = False
     time: bool = False
     held: tuple[int, ...] = ()
+    idle: bool = False
 
     @property
     def count(self) -> int:

@@ -58,7 +58,7 @@ class Memory:
     @property
     def u(self) -> Array:
         """Controls of the plan, (N, nu)."""
-        return self._view("u")
+        return self._view("u")[:, : self.dims.nu]
 
     @u.setter
     def u(self, value: ArrayLike) -> None:
@@ -85,7 +85,7 @@ class Memory:
     @property
     def mu_u(self) -> Array:
         """Multipliers of control bounds, (N, nu)."""
-        return self._view("mu_u")
+        return self._view("mu_u")[:, : self.dims.nu]
 
     @mu_u.setter
     def mu_u(self, value: ArrayLike) -> None:
