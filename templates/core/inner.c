@@ -1,8 +1,7 @@
-/* Contract of this part: states behind the measured ones, from NXHAT on: [if INTERVAL_BEFORE:the length of the interval
- * before the node, ][if TIMED:its time, ]controls of the node before. Their maps are exact: a plan has no gaps in
- * them. */
-
 #if INNER
+/* Contract of this part: states behind the measured ones, from NXHAT on, which a node has from the one before it and
+ * from the grid: the struct names them. Their maps are exact, so that a plan has no gaps in them. */
+
 /* Sets them in x_0. */
 static void take_inner(const solver_t *s, real_t *x)
 {

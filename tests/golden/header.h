@@ -51,4 +51,4 @@ const char *golden_status_string(golden_status_t status);
 #endif
 
 #endif
-/* nmpc_codegen package 90caf2a2f8221836, sha256 6cccedf278a8ad0d56daf869de7df9ca44cac60053e286e7be9dbdf3b280caf4 */
+/* nmpc_codegen package 947c99d64b15a246, sha256 c47285562950331e0e355d15c0d8b440f456ff766f747aa8c5989d6f9b3ba63a */

@@ -28,8 +28,11 @@ from examples import (
     evaporation,
     fermentation,
     heat_rod,
+    input_delay,
+    offset_free,
     output_rows,
     quadrotor,
+    slew_rate,
     vandevusse,
 )
 from nmpc_codegen import OCP, Controller, Options, RealTimeIteration, Status, build, cli
@@ -73,8 +76,11 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
         evaporation,
         fermentation,
         heat_rod,
+        input_delay,
+        offset_free,
         output_rows,
         quadrotor,
+        slew_rate,
         vandevusse,
     ):
         monkeypatch.setattr(module, "build", partial(build, profile="test"))
@@ -108,6 +114,43 @@ def test_cart_pole_main(tmp_path: Path) -> None:
         assert np.abs(log.x[39, :2]).max() < 0.08
         assert np.abs(log.x[41:50, 1]).max() > 0.5
         assert np.abs(log.x[-1, :2]).max() < 0.1
+
+
+@pytest.mark.usefixtures("quick")
+def test_slew_rate_main(tmp_path: Path) -> None:
+    """The drive does what it is told, but for the time in which it is stuck, and the load hardly swings."""
+    unknown, known = slew_rate.main(str(tmp_path / "slew.png")).values()
+    assert_picture(tmp_path / "slew.png")
+    free = np.setdiff1d(np.arange(slew_rate.SAMPLES), slew_rate.STUCK)
+    np.testing.assert_allclose(known["told"][free], known["applied"][free], atol=1e-9)
+    assert np.abs(unknown["told"] - unknown["applied"])[free].max() > 5
+    assert np.abs(known["x"][:, 2]).max() < 0.2
+    assert np.abs(unknown["x"][:, 2]).max() == pytest.approx(1.4, abs=0.05)  # as described in the tutorial
+    np.testing.assert_allclose(known["x"][-1], [1, 0, 0, 0], atol=0.06)
+
+
+@pytest.mark.usefixtures("quick")
+def test_input_delay_main(tmp_path: Path) -> None:
+    """Without the dead time in the model the loop overshoots and swings; with it, it comes to rest."""
+    left_out, known = input_delay.main(str(tmp_path / "delay.png")).values()
+    assert_picture(tmp_path / "delay.png")
+    assert left_out.x[:, 0].max() - 60 == pytest.approx(24, abs=0.5)  # as described in the tutorial
+    assert np.ptp(left_out.x[-20:, 0]) > 3
+    assert known.x[:, 0].max() < 62.5
+    np.testing.assert_allclose(known.x[-20:, 0], 60, atol=1e-2)
+    np.testing.assert_allclose(known.x[2:-1, 2], known.u[:-2, 0], atol=1e-9)  # two samples late
+
+
+@pytest.mark.usefixtures("quick")
+def test_offset_free_main(tmp_path: Path) -> None:
+    """Only rate and error of the model together leave no offset."""
+    neither, rate, both = offset_free.main(str(tmp_path / "offset.png")).values()
+    assert_picture(tmp_path / "offset.png")
+    for k in (offset_free.LEAK_FROM - 1, -1):
+        assert abs(both["h"][k] - 0.5) < 1e-6
+        assert min(abs(log["h"][k] - 0.5) for log in (neither, rate)) > 0.01
+    alone = offset_free.run(integral=False, corrected=True)
+    assert abs(alone["h"][-1] - 0.5) > 1e-3
 
 
 @pytest.mark.usefixtures("quick")

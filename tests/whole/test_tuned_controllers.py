@@ -224,6 +224,61 @@ def test_the_model_of_a_dead_time_is_one_sample_late() -> None:
     np.testing.assert_allclose(log.x[1:, 1], 0.9 * y - 0.1 * np.sin(x) + late + 0.1 * b, atol=1e-12)
 
 
+def test_the_rate_of_a_sample_is_over_the_sampling_time() -> None:
+    """The plan has intervals of 0.3, a sample comes every 0.1."""
+    tuned = slewed_crane()
+    ocp, by_hand, x0, previous = tuned
+    ctrl = build(ocp, Options(algorithm=RealTimeIteration(sampling_time=0.1)))
+    ctrl.set_previous(previous)
+    found = ctrl.solve(x0, 1e-10)
+    x, u, _ = by_hand.solve(x0, previous, period=0.1)
+    np.testing.assert_allclose(found.u, u, atol=1e-8)
+    np.testing.assert_allclose(found.x, x, atol=1e-8)
+    applied, state = previous[0], np.array([-0.5, 0.0, 0.2, 0.0])
+    for _ in range(30):
+        now = ctrl.step(state)
+        assert -2 - 1e-9 <= (now[0] - applied) / 0.1 <= 2.5 + 1e-9
+        applied, state = now[0], ctrl.integrate(state, now, 0.1)
+
+
+@pytest.mark.parametrize("level", ["B", "C"])
+def test_levels_keep_derivatives_of_previous_controls_and_maps(level: str) -> None:
+    tuned = timed_vessel()
+    _, by_hand, x0, previous = tuned
+    ctrl, time = prepared(tuned, Options(algorithm=RealTimeIteration(levels=True, shift=None, repair=0)))
+    _, u, _ = by_hand.solve(x0, previous, time)
+    ctrl.prepare()
+    ctrl.feedback(x0)
+    ctrl.set_previous(previous)
+    ctrl.set_time(time)
+    for n in range(20):
+        ctrl.prepare(level="A" if n == 0 else level)
+        ctrl.feedback(x0)
+        ctrl.set_previous(previous)
+        ctrl.set_time(time)
+    np.testing.assert_allclose(ctrl.u, u, atol=1e-6 if level == "C" else 2e-2)
+
+
+def test_the_control_of_feedback_first_is_the_one_before_the_next_sample() -> None:
+    ctrl, _ = prepared(slewed_crane(), Options(algorithm=RealTimeIteration(levels=True)))
+    ctrl.prepare()
+    u = ctrl.feedback_first([0.0, 0, 0.1, 0])
+    ctrl.feedback_finish()
+    np.testing.assert_array_equal(ctrl.previous, u)
+
+
+def test_diagnose_knows_the_states_behind_those_of_the_user() -> None:
+    ocp = timed_vessel()[0]
+    ctrl = build(ocp, Options(algorithm=RealTimeIteration(relaxation=None, repair=0)))
+    ctrl.step([5.0, 0.0, 0.0])
+    assert "'wall'" in ctrl.diagnose()
+    ctrl.solve([0.5, 0.0, 0.2], 1e-12, 1)
+    known = ctrl.known.copy()
+    assert ctrl.diagnose()
+    np.testing.assert_array_equal(ctrl.known, known)
+    assert repr(ctrl).startswith("<Controller vessel: N=8, nx=3, nu=1")
+
+
 # Time -----------------------------------------------------------------------------------------------------------------
 
 
@@ -268,6 +323,46 @@ def test_a_scheme_sees_the_time_inside_its_steps() -> None:
         errors.append(abs(ctrl.solve([0.0]).x[-1, 0] - np.sin(1.0)))
     slopes = np.log2(np.divide(errors[:-1], errors[1:]))
     np.testing.assert_allclose(slopes, 2.0, atol=0.1)
+
+
+def test_an_integrated_cost_has_the_time_of_the_quadrature() -> None:
+    """The integral of (u - t)^2 over an interval is least at the mean of t."""
+    ocp = OCP("ramp", T=2.0, N=4)
+    x, u = ocp.state("x"), ocp.control("u")
+    ocp.dynamics({x: u})
+    ocp.stage_cost((u - ocp.time) ** 2, integrate=True)
+    ctrl = build(ocp)
+    ctrl.set_time(3.0)
+    np.testing.assert_allclose(ctrl.solve([0.0]).u[:, 0], 3.25 + 0.5 * np.arange(4), atol=1e-9)
+
+
+# Problems without a control -------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("route", ["dense", "riccati", "interior"])
+def test_a_stiffness_is_identified_without_a_control(route: str) -> None:
+    """A pendulum of unknown stiffness and start: what is measured without errors is found to all digits."""
+    ocp = OCP("ident", T=2.0, N=20)
+    q, w, k = ocp.state("q", initial=1.0), ocp.state("w"), ocp.state("k", initial=2.0)
+    measured = ocp.parameter("measured")
+    ocp.dynamics({q: w, w: -k * ca.sin(q) - 0.1 * w, k: 0})
+    ocp.least_squares(q - measured, 1.0)
+    ocp.terminal_least_squares(q - measured, 1.0)
+    ocp.free_initial(q, w, k)
+    ocp.subject_to(0.1, k, 10)
+    ctrl = build(ocp, on(route))
+    path = [np.array([0.7, 0.3, 3.0])]
+    for _ in range(20):
+        path.append(np.asarray(ctrl.integrate(path[-1], [], 0.1)))
+    ctrl.set_parameter("measured", [x[0] for x in path])
+    found = ctrl.solve([1.0, 0.0, 2.0], 1e-12)
+    assert found.u.shape == (20, 0)
+    np.testing.assert_allclose(found.x, path, atol=1e-8)
+    ctrl.reset()
+    for _ in range(6):
+        assert ctrl.step([1.0, 0.0, 2.0]).shape == (0,)
+    np.testing.assert_allclose(ctrl.x[0], path[0], atol=1e-6)
+    assert simulate(ctrl, path[0], 3).u.shape == (3, 0)
 
 
 # Move blocks ----------------------------------------------------------------------------------------------------------

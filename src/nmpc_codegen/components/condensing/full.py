@@ -98,9 +98,10 @@ class FullCondensing(Defaults):
         )
 
     def sizes(self, dims: Dims) -> tuple[tuple[str, int, str], ...]:
+        zero = ": all but those of the last states, which are 0"
         return (
             ("COLUMNS", COLUMNS, "columns of G_k that are processed together"),
-            ("NXC", dims.nx.value - dims.banded, "columns of dx_0: all but those of the last states, which are 0"),
+            ("NXC", dims.nx.value - dims.banded, f"columns of dx_0{zero if dims.banded else ''}"),
             ("LDG", _panels(_columns(dims)), "columns of G_k: NXC + NUS, rounded up to COLUMNS"),
         )
 
