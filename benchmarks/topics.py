@@ -12,7 +12,7 @@ from benchmarks.lib.firmware import sizes as forms
 from benchmarks.lib.report import Report
 from benchmarks.lib.robustness import at_rest, cold, episodes, qps, returns, violations, work, worst
 from benchmarks.lib.run import RefusedError, Run
-from benchmarks.lib.speed import choice, instructions, levels, own_math, sizes, times
+from benchmarks.lib.speed import choice, instructions, levels, own_math, rates, sizes, times
 
 Topic = Callable[[Report, Run], None]
 
@@ -40,6 +40,7 @@ TOPICS: dict[str, Topic] = {
     "speed/levels": levels.levels,
     "speed/choice": choice.measure,
     "speed/own_math": own_math.measure,
+    "speed/rates": rates.measure,
     "robustness/at_rest": at_rest.measure,
     "robustness/work": work.measure,
     "robustness/worst": worst.measure,
