@@ -476,7 +476,7 @@ SAMPLES = (
     Sample("states lumped", states, _shooting({**QUASI_NEWTON, **LUMPED}, solve=False)),
     Sample("clocked dense", clocked, _dense()),
     Sample("sampled riccati", sampled, _riccati()),
-    Sample("blocked dense", lambda: blocked_crane()[0], _dense()),
+    Sample("blocked dense", lambda: blocked_crane()[0], _dense(online=NODE)),
     Sample("blocked dense alone", lambda: blocked_crane()[0], Options(qp=DenseActiveSet(), solve=False)),
     Sample("rated dense alone", rated, _alone(DenseActiveSet(), FullCondensing())),
     Sample("slewed dense", lambda: slewed_crane()[0], _dense(algorithm=LEVELS)),

@@ -137,7 +137,6 @@ static void condense_store_rows(solver_t *s, int k, int column)
     }
 }
 
-#if NBAND
 /* Coupling of du_k to the controls of the node before in dx_0: they act on node 0 alone. */
 static void condense_couple_band(solver_t *s, int k, real_t (*Q)[NZ])
 {
@@ -173,7 +172,6 @@ static void condense_add_last_band(solver_t *s, real_t (*Q)[NX])
         }
     }
 }
-#endif
 
 /* Adds R_k, lower triangle, to the condensed Hessian at (du_k, du_k). */
 static void condense_add_curvature(solver_t *s)
@@ -196,7 +194,6 @@ static void condense_add_curvature(solver_t *s)
     }
 }
 
-#if NBAND && CURVED
 /* Where the Hessian is dense, the rows of W of controls of the node before go to those controls: T += later. */
 static void condense_pull_back(columns_t *p, real_t (*later)[COLUMNS])
 {
@@ -207,9 +204,7 @@ static void condense_pull_back(columns_t *p, real_t (*later)[COLUMNS])
         }
     }
 }
-#endif
 
-#if NHELD
 /* W of node k where controls follow those of the node before, v: their tie c^2/2 (u - v)^2 vanishes, as du = dv. */
 static void condense_follow(solver_t *s, int k)
 {
@@ -227,7 +222,6 @@ static void condense_follow(solver_t *s, int k)
         }
     }
 }
-#endif
 
 /* Panel of the condensed Hessian without R_k: [if TERMINAL_BLOCK: W_N = Q_N G_N, then] its block rows T from the last
  * to the first. */
@@ -236,9 +230,7 @@ static void condense_hessian(solver_t *s, int column)
     columns_t *p = &s->qp.work.columns;
     const int first = condense_first_node(column);
     const int curved = s->curved.in_solve;
-#if NBAND && CURVED
     real_t later[NBAND][COLUMNS]; /* rows of W of controls of the node before */
-#endif
     if (TERMINAL_BLOCK) {
         CONDENSE_TERMINAL_PANEL(p, s->hessian.Q_N);
     } else {
@@ -295,7 +287,7 @@ static void condense_store_free(solver_t *s)
  * J_0 dx_0]. */
 static void condense_add_row(const solver_t *s, int m, int column, real_t *sum)
 {
-    const int k = row_node(m);
+    const int k = row_node(m), entering = NXC + k * NU - column;
     const real_t *J = row_gradient(s, m);
     const int last = (k + 1 >= condense_first_node(column)) ? NX : 0;
     if (row_is_coupled(m)) {
@@ -319,9 +311,8 @@ static void condense_add_row(const solver_t *s, int m, int column, real_t *sum)
         }
         return;
     }
-    const int entering = NXC + k * NU - column;
     for (int j = (entering < 0) ? -entering : 0; k < N && j < NU && entering + j < COLUMNS; ++j) {
-        sum[entering + j] += J[NX + j];
+        sum[entering + j] = J[NX + j];
     }
 }
 
@@ -362,7 +353,6 @@ static void condense_store_others(solver_t *s)
     }
 }
 
-#if NBAND
 /* Adds the bands of all nodes. */
 static void condense_add_bands(solver_t *s)
 {
@@ -385,7 +375,6 @@ static void condense_add_bands(solver_t *s)
         condense_add_last_band(s, s->hessian.Q_N);
     }
 }
-#endif
 
 /* Hessian and rows of the QP, one panel of columns after the other. */
 static void condense_matrices(solver_t *s)
@@ -556,7 +545,6 @@ static status_t condense_prepare(solver_t *s)
     return condense_factorize(s);
 }
 
-#if NHELD
 /* Controls that begin no block move with those of the node before. */
 static void condense_expand_held(step_t *d, int k)
 {
@@ -566,7 +554,6 @@ static void condense_expand_held(step_t *d, int k)
         }
     }
 }
-#endif
 
 /* du and the multipliers from the QP; dx_{k+1} = A_k dx_k + B_k du_k + b_k. */
 static void condense_expand(solver_t *s)

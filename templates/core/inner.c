@@ -1,34 +1,29 @@
-#if INNER
-/* Contract of this part: states behind the measured ones, from NXHAT on, which a node has from the one before it and
- * from the grid: the struct names them. Their maps are exact, so that a plan has no gaps in them. */
-
-/* Sets them in x_0. */
+/* States behind the measured ones, from NXHAT on, which a node has from the one before it and from the grid: the struct
+ * names them. Their maps are exact, so that a plan has no gaps in them. Sets them in x_0. */
 static void take_inner(const solver_t *s, real_t *x)
 {
-    if (INTERVAL_BEFORE) {
-        x[NXHAT] = sampling_time[0];
-    }
     if (TIMED) {
-        x[NX - NMEM - 1] = s->time;
+        x[NXHAT] = s->time;
     }
     for (int i = 0; i < NMEM; i++) {
         x[NX - NMEM + i] = s->previous[remembered[i]];
     }
 }
 
-/* Sets them in a state to what they were in x_0 of the last sample. */
+/* Sets the states behind the measured ones to what they were in x_0 of the last sample. */
 static inline void recall_inner(const solver_t *s, real_t *x)
 {
+#if NODES
+    const real_t *known = s->xhat;
+#else
+    const real_t *known = s->x[0];
+#endif
     for (int i = NXHAT; i < NX; i++) {
-        if (NODES) {
-            x[i] = s->xhat[i];
-        } else {
-            x[i] = s->x[0][i];
-        }
+        x[i] = known[i];
     }
 }
 
-/* Sets them at all nodes of the plan[if NHELD > 0:, after controls that begin no block have taken the value of the node
+/* Sets the states behind the measured ones at all nodes of the plan[if NHELD > 0:, after controls that begin no block have taken the value of the node
  * before]. */
 static void follow_inner(solver_t *s)
 {
@@ -41,11 +36,8 @@ static void follow_inner(solver_t *s)
         }
     }
     for (int k = 0; k < N; k++) {
-        if (INTERVAL_BEFORE) {
-            s->x[k + 1][NXHAT] = interval_length[k];
-        }
         if (TIMED) {
-            s->x[k + 1][NX - NMEM - 1] = s->time + node_time[k + 1];
+            s->x[k + 1][NXHAT] = s->time + node_time[k + 1];
         }
         for (int i = 0; i < NMEM; i++) {
             s->x[k + 1][NX - NMEM + i] = s->u[k][remembered[i]];
@@ -63,8 +55,8 @@ static void reset_inner(solver_t *s)
         s->time = s->time_rest = R(0);
     }
     for (int k = 0; k <= N; k++) {
-        for (int i = 0; i < NHELD; i++) {
-            s->p[k][NP - NHELD + i] = (real_t)block_start[k * NHELD + i];
+        for (int i = 0; i < NDATA; i++) {
+            s->p[k][NP - NDATA + i] = node_data[k * NDATA + i];
         }
     }
     follow_inner(s);
@@ -82,7 +74,6 @@ static void keep_sample(solver_t *s, const real_t *u0)
         s->time = time;
     }
 }
-#endif
 
 #if PREVIOUS
 status_t API(set_previous)(solver_t *s, const real_t u[NU])

@@ -16,6 +16,9 @@ static inline real_t control_lower(const solver_t *s, int k, int j)
     if (control_row[j] < 0) {
         return -INF;
     }
+    if (NHELD > 0 && BOUNDS_BY_NODE) {
+        return PATH_LOWER(s, block_node[k * NU + j], control_row[j]);
+    }
     return PATH_LOWER(s, k, control_row[j]);
 }
 
@@ -23,6 +26,9 @@ static inline real_t control_upper(const solver_t *s, int k, int j)
 {
     if (control_row[j] < 0) {
         return INF;
+    }
+    if (NHELD > 0 && BOUNDS_BY_NODE) {
+        return PATH_UPPER(s, block_node[k * NU + j], control_row[j]);
     }
     return PATH_UPPER(s, k, control_row[j]);
 }

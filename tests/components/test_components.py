@@ -36,6 +36,7 @@ FEATURES = {
     "integrated cost",
     "accumulators",
     "previous controls",
+    "blocks of controls",
     "time",
     "discrete states",
 }

@@ -36,8 +36,8 @@ def classified(state: Callable[[OCP, Any, Any], object]) -> object:
         (lambda ocp, x, u: ocp.previous(x), "previous: 'x' is no control; declared are: u"),
         (lambda ocp, x, u: ocp.rate("v"), "rate: 'v' is no control"),
         (lambda ocp, x, u: ocp.terminal_cost(ocp.rate(u) ** 2), "contains the control 'u'"),
-        (lambda ocp, x, u: ocp.start_cost(ocp.previous(u)), r"ocp\.previous\(u\), which is not known there"),
-        (lambda ocp, x, u: ocp.boundary(0, ocp.at_end(x) + ocp.time, 1), r"ocp\.time, which is not known there"),
+        (lambda ocp, x, u: ocp.start_cost(ocp.previous(u)), r"ocp\.previous\(u\), which may not occur there"),
+        (lambda ocp, x, u: ocp.boundary(0, ocp.at_end(x) + ocp.time, 1), r"ocp\.time, which may not occur there"),
         (lambda ocp, x, u: ocp.subject_to(0, ocp.time, 1), "depends on no state and no control"),
         (lambda ocp, x, u: ocp.subject_to(0, ocp.previous(u), 1, at="start"), "constrains states alone at node 0"),
         (lambda ocp, x, u: ocp.control("v", hold=[1, 2]), "control 'v': hold: the lengths sum up to 3, expected 5"),
@@ -64,8 +64,8 @@ def test_a_discrete_map_of_unequal_intervals_has_no_time() -> None:
     ocp = OCP("uneven", intervals=[1.0, 2.0])
     x, u = ocp.state("x"), ocp.control("u")
     ocp.dynamics({x: x + u}, discrete=True)
-    ocp.least_squares(ocp.rate(u), 1.0)
-    with pytest.raises(ProblemError, match="require intervals of one length"):
+    ocp.least_squares(u - ocp.time, 1.0)
+    with pytest.raises(ProblemError, match="requires intervals of one length"):
         classify(ocp)
 
 
@@ -86,7 +86,8 @@ def test_only_what_is_used_becomes_a_state() -> None:
     assert classify(ocp).nx == 1
     ocp.least_squares(ocp.rate(u), 1.0, names="slew")
     problem = classify(ocp)
-    assert problem.state_names == ("x", "interval before", "previous(u)")
+    assert problem.state_names == ("x", "previous(u)")
+    assert problem.parameter_names == ("interval before",)
     assert problem.measured == 1
     assert not problem.nonlinear_rows
 

@@ -142,7 +142,10 @@ MISTAKES: dict[str, tuple[Callable[[Given], Any], str]] = {
         lambda g: (g.ocp.dynamics({"x": 0}), g.ocp.dynamics({"r": g.r}, discrete=True)),
         "discrete and continuous dynamics cannot be mixed",
     ),
-    "discrete flag": (lambda g: g.ocp.dynamics({"x": 0}, discrete=1), "discrete must be True or False, got int"),  # type: ignore[arg-type]
+    "discrete flag": (
+        lambda g: g.ocp.dynamics({"x": 0}, discrete=1),
+        "discrete must be True, False or {state: next value}, got int",
+    ),  # type: ignore[arg-type]
     "foreign symbol": (
         lambda g: g.ocp.dynamics({"x": foreign()}),
         "derivative of 'x' contains the unknown symbol 'w'; declared are: x, r, u, q",

@@ -51,4 +51,4 @@ const char *golden_status_string(golden_status_t status);
 #endif
 
 #endif
-/* nmpc_codegen package 947c99d64b15a246, sha256 c47285562950331e0e355d15c0d8b440f456ff766f747aa8c5989d6f9b3ba63a */
+/* nmpc_codegen package 36e01ed8b9c6678d, sha256 b20ae42d5df6b85920786abb5393fd7f92aa9875653c2ce21c052c0d5359afc4 */

@@ -8,7 +8,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from nmpc_codegen import OCP, ExactHessian, GaussNewton, Options, RealTimeIteration, build, simulate
+from nmpc_codegen import OCP, ExactHessian, GaussNewton, Online, Options, RealTimeIteration, build, simulate
 from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.oracle.reference import solve_reference
 from nmpc_codegen.oracle.trajectory import evaluate_cost, kkt_residuals
@@ -151,6 +151,23 @@ def test_start_elsewhere() -> None:
     c.solve((0.3, 0.0, 0.0, 0.0))
     c.u[:] = 0.7
     assert_equal_to_ipopt("crane", c.solve(CASES["crane"].x0, tol=1e-10))
+
+
+def test_bounds_of_a_control_that_have_moved_beyond_the_plan() -> None:
+    """A plan that was optimal, and whose third control lies outside of its new bounds, is no place to stall."""
+    ocp = OCP("moved", T=3.0, N=10)
+    p, v, F = ocp.state("p"), ocp.state("v"), ocp.control("F")
+    ocp.dynamics({p: v, v: F - ca.sin(p)})
+    ocp.least_squares(ca.vertcat(p, v, F), weight=[1, 1, 1], reference=[1, 0, 0])
+    ocp.subject_to(-5, F, 5)
+    controller = build(ocp, Options(online=Online(bounds="node")))
+    assert controller.solve([0.0, 0.0]).status == Status.OK
+    controller.set_bounds("F", 1.2, 1.3, node=2)
+    found = controller.solve([0.0, 0.0])
+    assert found.status == Status.OK
+    assert found.u[2, 0] == pytest.approx(1.2)
+    controller.reset()
+    np.testing.assert_allclose(controller.solve([0.0, 0.0]).u, found.u, atol=1e-6)
 
 
 def test_iteration_limit() -> None:

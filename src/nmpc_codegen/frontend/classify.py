@@ -11,14 +11,15 @@ import numpy as np
 from nmpc_codegen.errors import ProblemError
 from nmpc_codegen.frontend.checks import element_names
 from nmpc_codegen.frontend.inner import (
-    block_signals,
-    block_starts,
     control_signals,
+    data_signals,
+    data_symbols,
     dynamics_of,
     effective_controls,
     inner_of,
     inner_signals,
     inner_symbols,
+    node_data,
     warn_of_integrals,
 )
 from nmpc_codegen.frontend.ocp import OCP
@@ -47,7 +48,7 @@ def classify(ocp: OCP) -> Problem:
         dt=dt,
         states=(*_signals(ocp.states), *inner_signals(ocp, path, rows, dt)),
         controls=control_signals(ocp),
-        parameters=(*_signals(ocp.parameters), *block_signals(ocp)),
+        parameters=(*_signals(ocp.parameters), *data_signals(ocp, dt)),
         dynamics=dynamics,
         discrete=bool(ocp.discrete),
         start=start,
@@ -64,7 +65,7 @@ def classify(ocp: OCP) -> Problem:
         inner=inner_of(ocp),
         maps=maps,
         jump=jump,
-        block_starts=block_starts(ocp),
+        node_data=node_data(ocp, dt),
     )
 
 
@@ -117,9 +118,10 @@ def _signals(declared: list[Any]) -> tuple[Signal, ...]:
 
 def _replace_symbols(ocp: OCP, expressions: list[Any], x: Any, u: Any, p: Any) -> list[Any]:
     """The expressions with the symbols of the OCP replaced by x, u, p (u empty: they contain no control)."""
-    states, own = ca.vertcat(ocp.x, *inner_symbols(ocp)), elements(p)[: ocp.p.numel()]
-    old = ca.vertcat(states, ocp.p) if u.numel() == 0 else ca.vertcat(states, ocp.u, ocp.p)
-    new = ca.vertcat(x, *own) if u.numel() == 0 else ca.vertcat(x, effective_controls(ocp, x, u, p), *own)
+    states, (parameters, places) = ca.vertcat(ocp.x, *inner_symbols(ocp)), data_symbols(ocp, p)
+    ends = u.numel() == 0
+    old = ca.vertcat(states, *([] if ends else [ocp.u]), *parameters)
+    new = ca.vertcat(x, *([] if ends else [effective_controls(ocp, x, u, p)]), *places)
     return [ca.densify(e) for e in ca.substitute(expressions, [old], [new])]
 
 
@@ -248,7 +250,7 @@ def _end_equality(ocp: OCP, s: _Scalar) -> bool:
 def _stage(ocp: OCP, h: list[Any], rows: tuple[Row, ...], stage: StageName) -> Stage:
     inner = inner_of(ocp)
     nx = ocp.x.numel() + inner.count
-    x, u, p, dt = symbols(nx, max(1, ocp.u.numel()) if stage == "path" else 0, ocp.p.numel() + len(inner.held))
+    x, u, p, dt = symbols(nx, max(1, ocp.u.numel()) if stage == "path" else 0, ocp.p.numel() + inner.data)
     residuals = [r for r in ocp.residuals if r.stage == stage]
     costs = [c for c in ocp.costs if c.stage == stage]
     nodal = [c.expression * (dt if c.scale_with_dt else 1) for c in costs if not c.integrate]
@@ -315,6 +317,7 @@ def _uses(ocp: OCP, rows: tuple[Row, ...]) -> frozenset[str]:
     used = {
         "previous controls": bool(inner.previous),
         "time": inner.time,
+        "blocks of controls": bool(inner.held),
         "discrete states": bool(ocp.maps),
         "soft rows": any(r.soft is not None for r in rows),
         "coupled rows": any(r.is_coupled for r in rows),

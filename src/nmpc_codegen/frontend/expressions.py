@@ -6,9 +6,10 @@ from collections.abc import Mapping
 from typing import Any
 
 import casadi as ca
+import numpy as np
 
 from nmpc_codegen.errors import ProblemError, warn
-from nmpc_codegen.frontend.checks import NONSMOOTH, check_operations, column, flag, list_names, quote
+from nmpc_codegen.frontend.checks import NONSMOOTH, check_operations, column, list_names, quote
 from nmpc_codegen.frontend.statement import Element, Kind, Stated, explain_misplacement
 
 #: What expressions of a node may contain.
@@ -133,7 +134,12 @@ class Dynamics(NodeBefore):
                 self._warn_nonsmooth(self._state_names()[index], expression)
             self.maps.update(given)
             return
-        discrete = flag(discrete, "dynamics: discrete")
+        if not isinstance(discrete, (bool, np.bool_)):
+            raise ProblemError(
+                f"dynamics: discrete must be True, False or {{state: next value}}, got {type(discrete).__name__} "
+                f"{quote(discrete)}"
+            )
+        discrete = bool(discrete)
         if not discrete and self.dt is None:
             raise ProblemError(
                 f"OCP '{self.name}' was given N only, so its dynamics must be discrete: "

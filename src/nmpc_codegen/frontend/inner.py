@@ -1,8 +1,10 @@
 """States behind those of the user: what a node knows of the one before it, and its time.
 
-    d_{k+1} = dt_k,   t_{k+1} = t_k + dt_k     (t' = 1 along an interval),   v_{k+1} = u_k
+    t_{k+1} = t_k + dt_k     (t' = 1 along an interval),   v_{k+1} = u_k
 
 Their maps are constant, so that kernels, integrators and second derivatives stay as they are; at node 0 they are known.
+Where blocks of controls begin, and the lengths of the intervals before the nodes, are parameters behind those of the
+user.
 """
 
 from __future__ import annotations
@@ -38,23 +40,28 @@ def control_signals(ocp: OCP) -> tuple[Signal, ...]:
     return found or (Signal("none", 1, "", (0.0,), 0, True, (1.0,)),)
 
 
-def block_starts(ocp: OCP) -> Array | None:
-    """(N + 1, held controls): 1 where a block begins."""
-    if not ocp.blocks:
-        return None
-    found = np.zeros((ocp.N + 1, len(ocp.blocks)))
+def node_data(ocp: OCP, dt: tuple[float, ...]) -> Array:
+    """(N + 1, data): 1 where a block of a control begins; the length of the interval before, at node 0 the first."""
+    blocks = np.zeros((ocp.N + 1, len(ocp.blocks)))
     for i, j in enumerate(sorted(ocp.blocks)):
-        found[np.cumsum((0, *ocp.blocks[j])), i] = 1.0
-    return found
+        blocks[np.cumsum((0, *ocp.blocks[j])), i] = 1.0
+    lengths = np.array([[dt[0], *dt]]).T
+    return np.hstack([blocks, lengths[:, : inner_of(ocp).interval]])
 
 
-def block_signals(ocp: OCP) -> tuple[Signal, ...]:
-    """The parameters that say where blocks begin."""
+def data_signals(ocp: OCP, dt: tuple[float, ...]) -> tuple[Signal, ...]:
+    """The parameters of these data."""
     names = [e for d in ocp.controls for e in d.signal.elements]
-    first = ocp.p.numel()
-    return tuple(
-        Signal(f"block start({names[j]})", 1, "", (1.0,), first + i, True) for i, j in enumerate(sorted(ocp.blocks))
-    )
+    found = [(f"block start({names[j]})", "", 1.0) for j in sorted(ocp.blocks)]
+    found += [("interval before", ocp.time_unit, dt[0])] * inner_of(ocp).interval
+    return tuple(Signal(n, 1, unit, (v,), ocp.p.numel() + i, True) for i, (n, unit, v) in enumerate(found))
+
+
+def data_symbols(ocp: OCP, p: Expression) -> tuple[list[Expression], list[Expression]]:
+    """Symbols of the OCP for parameters and the length of the interval before, and their places in p."""
+    own, interval = ocp.p.numel(), inner_of(ocp).interval
+    places = elements(p)
+    return [ocp.p, *([ocp.interval_before] * interval)], [*places[:own], *places[len(places) - interval :]]
 
 
 def effective_controls(ocp: OCP, x: Expression, u: Expression, p: Expression) -> Expression:
@@ -72,7 +79,7 @@ def _with_ties(problem: Problem, sizes: Scales) -> Problem:
     held, path = problem.inner.held, problem.path
     ties = []
     for i, j in enumerate(held):
-        begins = path.p[problem.np - len(held) + i]
+        begins = path.p[problem.np - problem.inner.data + i]
         before = path.x[problem.measured + problem.inner.places[j]]
         weight = float(np.sqrt(sizes.cost)) / float(sizes.z[problem.nx + j])
         ties.append(weight * (1 - begins) * (path.u[j] - before))
@@ -93,7 +100,7 @@ def inner_symbols(ocp: OCP) -> list[Expression]:
     """The symbols of the OCP for these states."""
     inner = inner_of(ocp)
     previous = [ocp.remembered[j] for j in inner.previous]
-    return [*([ocp.interval_before] * inner.interval), *([ocp.clock] * inner.time), *previous]
+    return [*([ocp.clock] * inner.time), *previous]
 
 
 def inner_signals(ocp: OCP, path: Stage, rows: tuple[Row, ...], dt: tuple[float, ...]) -> tuple[Signal, ...]:
@@ -101,7 +108,6 @@ def inner_signals(ocp: OCP, path: Stage, rows: tuple[Row, ...], dt: tuple[float,
     inner, offset = inner_of(ocp), ocp.x.numel()
     names = [(e, d.signal.unit) for d in ocp.controls for e in d.signal.elements]
     found: list[tuple[str, str, float, tuple[float, ...]]] = []
-    found += [("interval before", ocp.time_unit, dt[0], (dt[0],))] * inner.interval
     found += [("time", ocp.time_unit, 0.0, (sum(dt),))] * inner.time
     found += [(f"previous({names[j][0]})", names[j][1], _first_control(path, rows, j), ()) for j in inner.previous]
     return tuple(
@@ -127,24 +133,22 @@ def dynamics_of(ocp: OCP, path: Stage, dt: tuple[float, ...]) -> tuple[Function,
         ProblemError: a discrete map on a grid of different intervals asks for their lengths.
     """
     inner, own, nu = inner_of(ocp), ocp.x.numel(), path.nu
-    x, u, p, length = symbols(path.nx, nu, ocp.p.numel() + len(inner.held))
+    x, u, p, length = symbols(path.nx, nu, ocp.p.numel() + inner.data)
     acting = effective_controls(ocp, x, u, p)
-    old = ca.vertcat(ocp.x, *inner_symbols(ocp), ocp.u, ocp.p)
-    new = ca.vertcat(x, acting, *elements(p)[: ocp.p.numel()])
+    symbols_, places = data_symbols(ocp, p)
+    old, new = ca.vertcat(ocp.x, *inner_symbols(ocp), ocp.u, *symbols_), ca.vertcat(x, acting, *places)
     stated = {**ocp.derivatives, **ocp.maps}
     f = elements(ca.substitute(ca.vertcat(*(stated[i] for i in range(own))), old, new))
-    if ocp.discrete and (inner.interval or inner.time) and len(set(dt)) > 1:
-        raise ProblemError(f"OCP '{ocp.name}': time and rate() of a discrete map require intervals of one length")
-    step = ca.SX(dt[0]) if ocp.discrete else length
+    if ocp.discrete and inner.time and len(set(dt)) > 1:
+        raise ProblemError(f"OCP '{ocp.name}': time of a discrete map requires intervals of one length")
     controls = [acting[j] for j in inner.previous]
-    time = [x[own + inner.interval] + step] if inner.time else []
     if ocp.discrete:
-        return _function("f", [x, u, p], [*f, *([step] * inner.interval), *time, *controls]), (), None
-    clock = own + inner.interval if inner.time else -1
-    maps = (*sorted(ocp.maps), *(i for i in range(own, path.nx) if i != clock))
-    jumps = [*(f[i] for i in sorted(ocp.maps)), *([step] * inner.interval), *controls]
+        time = [x[own] + dt[0]] if inner.time else []
+        return _function("f", [x, u, p], [*f, *time, *controls]), (), None
+    maps = (*sorted(ocp.maps), *range(own + inner.time, path.nx))
+    jumps = [*(f[i] for i in sorted(ocp.maps)), *controls]
     rates = [*(ca.SX(0) if i in ocp.maps else f[i] for i in range(own))]
-    rates += [ca.SX(int(i == clock)) for i in range(own, path.nx)]
+    rates += [ca.SX(int(inner.time and i == own)) for i in range(own, path.nx)]
     return _function("f", [x, u, p], rates), maps, _function("g", [x, u, p, length], jumps) if maps else None
 
 
@@ -163,58 +167,42 @@ def complete_inner(problem: Problem, sampling_time: float | None) -> Problem:
 def _with_interval_before(problem: Problem, sampling_time: float | None) -> Problem:
     """The problem with the time since the sample before as the length of the interval before node 0, and without such
     lengths where all are the same."""
+    period = sampling_time or problem.dt[0]
     if not problem.inner.interval:
         return problem
-    at, period = problem.measured, sampling_time or problem.dt[0]
     if not problem.uniform or period != problem.dt[0]:
-        timed = (replace(s, value=(period,)) if s.offset == at else s for s in problem.states)
-        return replace(problem, states=tuple(timed))
-    kept = [i for i in range(problem.nx) if i != at]
-
-    def without(x: Expression) -> Expression:
-        """x with the length at its place, from a vector without it."""
-        parts = elements(x)
-        return ca.vertcat(*parts[:at], problem.dt[0], *parts[at:])
+        data = problem.node_data.copy()
+        data[0, -1] = period
+        return replace(problem, node_data=data)
+    fewer = problem.np - 1
 
     def stage(old: Stage) -> Stage:
-        x = ca.SX.sym("x", len(kept))
+        p = ca.SX.sym("p", fewer)
 
         def reduce(value: Expression) -> Expression:
-            return ca.densify(ca.substitute(value, old.x, without(x)))
+            return ca.densify(ca.substitute(value, old.p, ca.vertcat(p, period)))
 
         return replace(
             old,
-            x=x,
+            p=p,
             y=reduce(old.y),
             h=reduce(old.h),
             cost=None if old.cost is None else reduce(old.cost),
             cost_rate=None if old.cost_rate is None else reduce(old.cost_rate),
-            bare=None if old.bare is None else tuple(i - (i > at) for i in old.bare),
         )
 
-    x, u, p, dt = symbols(len(kept), problem.nu, problem.np)
-    f = problem.dynamics(without(x), u, p)[kept]
-    maps = tuple(i - (i > at) for i in problem.maps if i != at)
-    jump = None
-    if problem.jump is not None and maps:
-        values = problem.jump(without(x), u, p, dt)[[n for n, i in enumerate(problem.maps) if i != at]]
-        jump = _function("g", [x, u, p, dt], [values])
-    coupled = None
-    if problem.coupled is not None:
-        x_0, x_N = ca.SX.sym("x_0", len(kept)), ca.SX.sym("x_N", len(kept))
-        coupled = ca.Function("r", [x_0, x_N], [problem.coupled(without(x_0), without(x_N))], ["x_0", "x_N"], ["r"])
-    states = [replace(s, offset=s.offset - (s.offset > at)) for s in problem.states if s.offset != at]
+    x, u, p, dt = symbols(problem.nx, problem.nu, fewer)
+    jump = problem.jump
     return replace(
         problem,
-        states=tuple(states),
-        dynamics=_function("f", [x, u, p], [f]),
+        parameters=problem.parameters[:-1],
+        dynamics=_function("f", [x, u, p], [problem.dynamics(x, u, ca.vertcat(p, period))]),
         start=stage(problem.start),
         path=stage(problem.path),
         terminal=stage(problem.terminal),
-        coupled=coupled,
         inner=replace(problem.inner, interval=False),
-        maps=maps,
-        jump=jump,
+        jump=None if jump is None else _function("g", [x, u, p, dt], [jump(x, u, ca.vertcat(p, period), dt)]),
+        node_data=problem.node_data[:, :-1],
     )
 
 

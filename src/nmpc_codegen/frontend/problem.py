@@ -10,7 +10,7 @@ has only a cost, with fixed weights and references; the rows at node 0 belong to
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import ClassVar
 
@@ -28,6 +28,11 @@ from nmpc_codegen.package.signals import Signal as Signal
 from nmpc_codegen.package.signals import c_identifier as c_identifier
 
 Array = NDArray[np.float64]
+
+
+def no_data() -> Array:
+    """Of a problem without parameters behind those of the user."""
+    return np.zeros((0, 0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,12 +144,12 @@ class Problem:
     inner: Inner = NOTHING_INNER
     maps: tuple[int, ...] = ()  # positions in x
     jump: Function | None = None
-    block_starts: Array | None = None  # (N + 1, held controls): 1 where a block begins; values of the last parameters
+    node_data: Array = field(default_factory=no_data)  # (N + 1, inner.data): values of the last parameters
 
     @property
     def own_parameters(self) -> tuple[Signal, ...]:
         """The parameters of the user."""
-        return self.parameters[: len(self.parameters) - len(self.inner.held)]
+        return self.parameters[: len(self.parameters) - self.inner.data]
 
     @property
     def measured(self) -> int:

@@ -131,7 +131,7 @@ def explain_misplacement(element: Element, kinds: tuple[Kind, ...]) -> str:
     if element.kind in ("start", "end"):
         return f"at_{element.kind}({element.name}), which is allowed in boundary() only"
     if element.kind in ("previous", "interval", "time"):
-        return f"ocp.{element.name}, which is not known there; only these may occur: {', '.join(kinds)}"
+        return f"ocp.{element.name}, which may not occur there; only these may: {', '.join(kinds)}"
     if kinds == ("start", "end"):
         return f"the {element.kind} '{element.name}'; write at_start(...) or at_end(...) of states"
     return f"the {element.kind} '{element.name}'; only these may occur: {', '.join(kinds)}"

@@ -136,6 +136,7 @@ class CModule:
     absent_kernels: tuple[str, ...] = ()  # kernels and products that have nothing to compute here
     whole: bool = False  # nothing of its structs and parts is left out
     one_step: Kernel | None = None  # an integration step with its Jacobian, for lanes
+    jump_rows: Kernel | None = None  # behind the last one: states that are constant along an interval
     foreign: Mapping[str, str] = field(default_factory=dict)  # path -> text, for code of other generators
 
     @property

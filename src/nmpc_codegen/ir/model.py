@@ -18,7 +18,8 @@ class Interval:
 
     linearize: (x, u, p, dt) -> x_next, S = d x_next / d(x, u); step: (x, u, p, h) -> x_next, one integration step;
     curved: (x, u, p, dt, yref, W, mu, lam) -> x_next, S, g, Q, for Hessians with second derivatives of the dynamics.
-    jump: (x, u, p, dt) -> x_next of the states that step leaves constant, at the end of an interval.
+    jump: (x, u, p, dt) -> x_next of the states that step leaves constant, at the end of an interval; jump_rows: also
+    their rows of S.
     one_step: linearize for the first of its steps as straight-line code, where linearize has loops that expand.
     forward: (x, u, p, dt, dx, du) -> dx_next = A dx + B du; adjoint: (x, u, p, dt, adj) -> g = [A B]' adj; both for
     algorithms that multiply with S = [A B] and do not store it.
@@ -31,6 +32,7 @@ class Interval:
     forward: Routine | None = None
     adjoint: Routine | None = None
     jump: Kernel | None = None
+    jump_rows: Kernel | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -142,17 +142,17 @@ def linearize(problem: Problem, options: Options | None = None) -> Model:
 
 
 def with_blocks(problem: Problem, options: Options) -> Options:
-    """The options with parameters by node, which say where blocks of controls begin.
+    """The options with parameters by node, where blocks of controls or rates need some.
 
     Raises:
         OptionError: parameters of the user have another layout.
     """
-    if not problem.inner.held or options.online.parameter == "node":
+    if not problem.inner.data or options.online.parameter == "node":
         return options
     if problem.own_parameters:
         raise OptionError(
-            f'Online.parameter: "{options.online.parameter}" clashes with control(hold=...), whose blocks begin at '
-            'nodes; expected "node" (--set online.parameter=node)'
+            f'Online.parameter: "{options.online.parameter}" clashes with control(hold=...) and with rates on '
+            'unequal intervals, which have data of nodes; expected "node" (--set online.parameter=node)'
         )
     return replace(options, online=replace(options.online, parameter="node"))
 

@@ -79,7 +79,7 @@ def lower(model: Model, name: str | None = None, whole: bool = False) -> CModule
         signals=(
             ("x", problem.state_names[: problem.measured]),
             ("u", problem.control_names),
-            ("p", problem.parameter_names[: problem.np - len(problem.inner.held)]),
+            ("p", problem.parameter_names[: problem.np - problem.inner.data]),
             ("y", problem.path.y_names),
             ("y_N", problem.terminal.y_names),
             ("h", problem.path.h_names),
@@ -95,6 +95,7 @@ def lower(model: Model, name: str | None = None, whole: bool = False) -> CModule
         absent_kernels=tuple(name for name in KERNELS if not features.has(name)),
         whole=whole,
         one_step=model.interval.one_step,
+        jump_rows=model.interval.jump_rows,
         foreign={path: text for _, files in foreign for path, text in files.items()},
     )
     return _with_members_apart(with_lanes(module))
@@ -226,7 +227,6 @@ def _of_problem(model: Model) -> Features:
         all_measured=not p.accumulators and not p.free_initial,
         inner=bool(p.inner.count),
         previous=bool(p.inner.previous),
-        interval_before=p.inner.interval,
         timed=p.inner.time,
         solve=model.options.solves,
         nodes="nodes" in core,
@@ -303,14 +303,12 @@ def _macros(model: Model, dims: Dims, whole: bool) -> tuple[Macro, ...]:
     inner = model.problem.inner
     kept = [s for s in (*core, *of_qp) if s.text != "NXHAT" or inner.count]
     macros = [Macro(s.text, s.value, docs[s.text], shown=_in_header(s, model.problem)) for s in kept]
-    macros.append(Macro("NBAND", model.products.banded, "the last states, which act on no other one"))
-    macros.append(Macro("NMEM", len(inner.previous), "controls that a node knows of the node before"))
+    macros += _inner_macros(model)
     if dims.condensed:
         macros.append(Macro("PANEL", PANEL, "columns processed together"))
     macros.append(Macro("SOFT_ROWS", sum(r.soft is not None for r in model.problem.rows), "rows with a penalty"))
     macros.append(Macro("PULLS", PULLS, "moves of a control back onto rows, at most"))
     parameters = model.problem.own_parameters
-    macros.append(Macro("NHELD", len(inner.held), "controls with blocks"))
     macros.append(Macro("PARAMS", len(parameters), "parameters by name"))
     names = c_constants([s.name for s in parameters])
     macros += [Macro(f"SIZE_{c}", s.size, f"elements of {s.name}") for c, s in zip(names, parameters, strict=True)]
@@ -332,10 +330,21 @@ def _macros(model: Model, dims: Dims, whole: bool) -> tuple[Macro, ...]:
     return tuple(found.values())[::-1]
 
 
+def _inner_macros(model: Model) -> tuple[Macro, ...]:
+    """Sizes of what stands behind the states and parameters of the user."""
+    inner = model.problem.inner
+    return (
+        Macro("NBAND", model.products.banded, "the last states, which act on no other one"),
+        Macro("NMEM", len(inner.previous), "controls that a node knows of the node before"),
+        Macro("NHELD", len(inner.held), "controls with blocks"),
+        Macro("NDATA", inner.data, "parameters behind those of the user"),
+    )
+
+
 def _in_header(size: Size, problem: Problem) -> int | None:
     """What the header says of the number of states or parameters, if others stand behind those of the user."""
     inner = problem.inner
-    hidden = {"NX": inner.count, "NP": len(inner.held)}.get(size.text, 0)
+    hidden = {"NX": inner.count, "NP": inner.data}.get(size.text, 0)
     return size.value - hidden if hidden else None
 
 
@@ -387,7 +396,7 @@ def _tables(model: Model) -> tuple[Table, ...]:
 
     longest_step = model.parts.integrator.longest_step(p)
     first = np.searchsorted([r[0] for r in rows], range(p.N + 2))
-    offsets = [s.offset for s in p.own_parameters] + [p.np - len(p.inner.held)]
+    offsets = [s.offset for s in p.own_parameters] + [p.np - p.inner.data]
     found = (
         real("interval_length", p.dt, "dt_k"),
         *([] if p.discrete else [real("step_length", [longest_step], "longest integration step")]),
@@ -421,7 +430,9 @@ def _tables(model: Model) -> tuple[Table, ...]:
         integer("parameter_offset", offsets, "first element of a parameter in p"),
         integer("remembered", p.inner.previous, "controls that a node knows of the node before"),
         integer("held_control", p.inner.held, "controls with blocks"),
-        integer("block_start", [] if p.block_starts is None else p.block_starts.ravel(), "1: a block begins at node k"),
+        integer("block_start", p.node_data[:, : len(p.inner.held)].ravel(), "1: a block begins at node k"),
+        integer("block_node", _block_nodes(p), "first node of the block of control j at node k"),
+        real("node_data", p.node_data, "parameters behind those of the user"),
         *_time_tables(model),
         *(table for component in model.parts.components for table in component.tables(p)),
         *TABLES_OF_OTHERS,
@@ -429,11 +440,17 @@ def _tables(model: Model) -> tuple[Table, ...]:
     return tuple({table.name: table for table in reversed(found)}.values())[::-1]
 
 
+def _block_nodes(p: Problem) -> list[int]:
+    """(N nu,): the first node of the block to which a control of a node belongs."""
+    first = np.tile(np.arange(p.N)[:, None], (1, p.nu))
+    for i, j in enumerate(p.inner.held):
+        first[:, j] = np.maximum.accumulate(np.where(p.node_data[: p.N, i] > 0, np.arange(p.N), 0))
+    return [int(k) for k in first.ravel()]
+
+
 def _time_tables(model: Model) -> list[Table]:
     """Times of the nodes and between samples, for states behind the measured ones."""
     p, algorithm = model.problem, model.parts.algorithm
-    if not p.inner.count:
-        return []
     period = sampling_period(algorithm.shift, algorithm.sampling_time, p) or p.dt[0]
     times = tuple(math.fsum(p.dt[:k]) for k in range(p.N + 1))
     return [

@@ -116,7 +116,7 @@ def node_data(
         upper[:, names.index(name)] = high
     return Data(
         x0=x,
-        p=_with_blocks(problem, p),
+        p=_with_node_data(problem, p),
         yref=shape_of("yref", path.reference if yref is None else yref, (N, path.ny)),
         yref_N=shape_of("yref_N", end.reference if yref_N is None else yref_N, (end.ny,)),
         W=shape_of("W", _square(path.weight if W is None else W), (N, path.ny, path.ny)),
@@ -126,14 +126,14 @@ def node_data(
     )
 
 
-def _with_blocks(problem: Problem, p: Any) -> Array:
-    """(N+1, np), with the parameters behind those of the user, which say where blocks of controls begin."""
-    N, held = problem.N, len(problem.inner.held)
-    if problem.block_starts is None:
+def _with_node_data(problem: Problem, p: Any) -> Array:
+    """(N+1, np), with the parameters behind those of the user."""
+    N, more = problem.N, problem.inner.data
+    if not more:
         return shape_of("p", _parameters(problem, p), (N + 1, problem.np))
     given = np.asarray(_parameters(problem, p), dtype=float)
-    own = given[..., : problem.np - held]
-    return np.hstack([shape_of("p", own, (N + 1, problem.np - held)), problem.block_starts])
+    own = given[..., : problem.np - more]
+    return np.hstack([shape_of("p", own, (N + 1, problem.np - more)), problem.node_data])
 
 
 def _initial(problem: Problem, x0: Any) -> Array:

@@ -125,13 +125,13 @@ class PackageDescription:
     @property
     def dims(self) -> Dimensions:
         """Sizes in the notation of the project; nx: states of the user."""
-        sizes = {**self.interface, "NU": self.sizes["NU"] - self.inner.idle}
+        sizes = {n: value - (self.inner.idle if n == "NU" else 0) for n, value in self.interface.items()}
         return Dimensions(*(sizes[name] for name in DIMENSIONS))
 
     @property
     def interface(self) -> Mapping[str, int]:
         """The sizes as the header states them: NX and NP are the states and parameters of the user."""
-        behind = {"NX": self.inner.count, "NP": len(self.inner.held)}
+        behind = {"NX": self.inner.count, "NP": self.inner.data}
         return {name: value - behind.get(name, 0) for name, value in self.sizes.items()}
 
     @property

@@ -75,7 +75,6 @@ class Features:
     all_measured: bool = False  # x_0 is the measured state
     inner: bool = False  # states behind the measured ones
     previous: bool = False  # some are controls of the node before
-    interval_before: bool = False  # one is the length of the interval before
     timed: bool = False  # the last one is time
 
     # options, and parts of the core that the algorithm uses

@@ -64,15 +64,17 @@ class Signal:
 
 @dataclass(frozen=True)
 class Inner:
-    """States behind those of the user, whose values at node 0 are known: what a node knows of the one before it, and
+    """What the compiler adds behind the states and parameters of the user: what a node knows of the one before it, and
     its time.
 
-    ``interval``: the length of the interval before; ``time``: the time of the node; ``previous``: controls whose values
-    at the node before are remembered. In this order.
+    States, whose values at node 0 are known: ``time`` of the node; ``previous``: controls whose values at the node
+    before are remembered. In this order.
 
-    ``held``: controls with blocks of intervals, which a node takes from the one before unless it begins a block. For
-    each a parameter behind those of the user says so, 1 where a block begins, 0 elsewhere. ``idle``: the problem has no
-    control; a package has one that acts on nothing and stays 0.
+    Parameters of the nodes: ``held``: controls with blocks of intervals, which a node takes from the one before unless
+    it begins a block; for each a number says so, 1 where a block begins, 0 elsewhere. ``interval``: the length of the
+    interval before. In this order.
+
+    ``idle``: the problem has no control; a package has one that acts on nothing and stays 0.
     """
 
     previous: tuple[int, ...] = ()
@@ -84,15 +86,20 @@ class Inner:
     @property
     def count(self) -> int:
         """Number of these states."""
-        return len(self.previous) + self.interval + self.time
+        return len(self.previous) + self.time
+
+    @property
+    def data(self) -> int:
+        """Number of these parameters."""
+        return len(self.held) + self.interval
 
     @property
     def places(self) -> dict[int, int]:
         """Control -> place of its value at the node before among these states."""
-        return {j: i + self.interval + self.time for i, j in enumerate(self.previous)}
+        return {j: i + self.time for i, j in enumerate(self.previous)}
 
 
-#: Of a problem without such states.
+#: Of a problem without them.
 NOTHING_INNER = Inner()
 
 

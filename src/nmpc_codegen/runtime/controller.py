@@ -260,7 +260,7 @@ class Controller(Memory):
 
     def set_time(self, time: float) -> None:
         """Set the time of the next sample, in the unit of the problem; step() and feedback() move it on by the sampling
-        time."""
+        time. A sample that has been prepared sees the change to first order."""
         self._needs_inner(self.description.inner.time, "time", "ocp.time")
         value = float(self._array("time", time, ()))
         self._expect(self._call("set_time", self._s, value), "set_time")

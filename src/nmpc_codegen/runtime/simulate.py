@@ -17,7 +17,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from nmpc_codegen.errors import ControllerError
 from nmpc_codegen.runtime.controller import Controller, Status
-from nmpc_codegen.runtime.diagnosis.rows import path_bounds, references, row_values, start_parameters
+from nmpc_codegen.runtime.diagnosis.rows import (
+    path_bounds,
+    references,
+    row_values,
+    start_parameters,
+    whole_parameters,
+)
 from nmpc_codegen.runtime.given import is_positive, is_same_time
 from nmpc_codegen.runtime.records.html import units
 from nmpc_codegen.runtime.records.log import Log
@@ -122,9 +128,9 @@ def _sample_by(law: Law, ctrl: Controller, interval: float) -> Callable[[Array, 
 
 
 def _sample_rows(ctrl: Controller, x: Array, u: Array, p: Array) -> Array:
-    """Values of the rows of the samples; each of them begins a block of every control."""
-    starts = np.ones((len(x), len(ctrl.description.inner.held)))
-    return row_values(ctrl, x, u, np.hstack([p, starts]))
+    """Values of the rows of the samples, with what node 0 has behind the parameters of the user."""
+    data = whole_parameters(ctrl)[:1, ctrl.dims.np :]
+    return row_values(ctrl, x, u, np.hstack([p, np.tile(data, (len(x), 1))]))
 
 
 def _path_rows(ctrl: Controller) -> list[int]:

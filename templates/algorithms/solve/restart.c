@@ -71,6 +71,11 @@ static int take_over(solver_t *s, const real_t xhat[NXHAT])
         const real_t guess = xhat[free_state[f]];
         s->x[0][free_state[f]] = isfinite(guess) ? guess : s->x[0][free_state[f]];
     }
+    for (int k = 0; k < N; k++) { /* bounds of controls may have moved, and steps keep controls inside them */
+        for (int j = 0; j < NU; j++) {
+            s->u[k][j] = safe_value(s, k, j);
+        }
+    }
     if (INNER) {
         follow_inner(s);
     }

@@ -141,6 +141,7 @@ class AdjointShooting(Defaults):
             "soft rows",
             "coupled rows",
             "previous controls",
+            "blocks of controls",
             "time",
             "discrete states",
         }

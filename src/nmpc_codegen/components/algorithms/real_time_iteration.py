@@ -185,6 +185,7 @@ class RealTimeIteration(Defaults):
             "soft rows",
             "coupled rows",
             "previous controls",
+            "blocks of controls",
             "time",
             "discrete states",
         }

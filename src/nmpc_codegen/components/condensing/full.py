@@ -34,13 +34,8 @@ def _slacks(problem: Problem) -> tuple[int, ...]:
 
 def _variables(problem: Problem) -> list[tuple[int, int]]:
     """(node, control) of every control that is a variable of the QP: those that begin a block."""
-    starts, held = problem.block_starts, problem.inner.held
-    return [
-        (k, j)
-        for k in range(problem.N)
-        for j in range(problem.nu)
-        if starts is None or j not in held or starts[k, held.index(j)]
-    ]
+    starts, held = problem.node_data, problem.inner.held
+    return [(k, j) for k in range(problem.N) for j in range(problem.nu) if j not in held or starts[k, held.index(j)]]
 
 
 def _columns(dims: Dims) -> int:
@@ -68,6 +63,7 @@ class FullCondensing(Defaults):
             "soft rows",
             "coupled rows",
             "previous controls",
+            "blocks of controls",
             "time",
             "discrete states",
         }

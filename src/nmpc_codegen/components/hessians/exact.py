@@ -88,6 +88,7 @@ class ExactHessian(Defaults):
             "integrated cost",
             "accumulators",
             "previous controls",
+            "blocks of controls",
             "time",
             "discrete states",
         }

@@ -47,6 +47,7 @@ class GaussNewton(Defaults):
             "free initial state",
             "accumulators",
             "previous controls",
+            "blocks of controls",
             "time",
             "discrete states",
         }

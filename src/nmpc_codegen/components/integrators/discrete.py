@@ -26,7 +26,16 @@ class Discrete(Defaults):
     template: ClassVar[str] = "integrators/discrete.c"
     needs: ClassVar[tuple[Seam, ...]] = ()
     supports: ClassVar[frozenset[str]] = frozenset(
-        {"soft rows", "coupled rows", "free initial state", "general cost", "accumulators", "previous controls", "time"}
+        {
+            "soft rows",
+            "coupled rows",
+            "free initial state",
+            "general cost",
+            "accumulators",
+            "previous controls",
+            "blocks of controls",
+            "time",
+        }
     )
 
     def check(self, problem: Problem) -> None:

@@ -18,7 +18,7 @@ from nmpc_codegen.components.base import Defaults, Dims, Seam
 from nmpc_codegen.components.integrators.directional import Directional
 from nmpc_codegen.components.integrators.first_order import Sensitivities, step_sweep
 from nmpc_codegen.components.integrators.forward_over_adjoint import AdjointSweep
-from nmpc_codegen.components.integrators.jump import jump_kernel, with_jump
+from nmpc_codegen.components.integrators.jump import jump_kernel, jump_rows_kernel, with_jump
 from nmpc_codegen.components.integrators.products import IntervalSweeps
 from nmpc_codegen.components.integrators.quadrature import Quadrature
 from nmpc_codegen.components.integrators.symmetric import ThreeSweeps
@@ -81,6 +81,7 @@ class ExplicitRungeKutta(Defaults):
             "integrated cost",
             "accumulators",
             "previous controls",
+            "blocks of controls",
             "time",
             "discrete states",
         }
@@ -111,10 +112,11 @@ class ExplicitRungeKutta(Defaults):
         sensitivities = Sensitivities(problem, self.tableau, self.steps)
         interval = self._unroll(with_jump(sensitivities.sweep(), problem))
         loops = isinstance(interval, LoopedRoutine) and interval.count.total <= STEP_OPERATIONS * self.steps
-        loops = loops and not problem.maps
         one_step = lift_straight(sensitivities.sweep("integrator_one_step", 1)) if loops else None
         step = lift_straight(step_sweep(problem, self.tableau))
-        return Interval(interval, step, one_step=one_step, jump=jump_kernel(problem))
+        return Interval(
+            interval, step, one_step=one_step, jump=jump_kernel(problem), jump_rows=jump_rows_kernel(problem)
+        )
 
     def products(self, problem: Problem) -> IntervalProducts:
         """The value of an interval, and products with its Jacobians that do not form them."""

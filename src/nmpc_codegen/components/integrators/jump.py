@@ -43,6 +43,27 @@ def jump_kernel(problem: Problem) -> Kernel | None:
     )
 
 
+def jump_rows_kernel(problem: Problem) -> Kernel | None:
+    """integrator_jump_rows(x, u, p, dt -> x_next, S): the values of the maps and their rows of S, zeros included."""
+    if problem.jump is None:
+        return None
+    x, u, p, dt = symbols(problem.nx, problem.nu, problem.np)
+    nz = problem.nx + problem.nu
+    value, slopes = problem.jump_slopes(x, u, p, dt)
+    end, S = ca.SX(problem.nx, 1), ca.SX(problem.nx, nz)
+    for n, i in enumerate(problem.maps):
+        end[i], S[i, :] = value[n], slopes[n, :]
+    ports = (Port("x", problem.nx), Port("u", problem.nu), Port("p", problem.np), Port("dt", 1))
+    kernel = lift(
+        ca.Function("jump_rows", [x, u, p, dt], [end, ca.sparsify(S)]),
+        "integrator_jump_rows",
+        "x_next and rows of S of the states that are constant along an interval",
+        ports,
+        (Port("x_next", problem.nx), Port("S", problem.nx, nz)),
+    )
+    return kernel.with_zeros("S", [(i, j) for i in problem.maps for j in range(nz)])
+
+
 def with_jump(sweep: Sweep, problem: Problem) -> Sweep:
     """The sweep of an interval with what the maps add to it."""
     if problem.jump is None:

@@ -58,6 +58,7 @@ class DenseActiveSet(Defaults):
             "soft rows",
             "coupled rows",
             "previous controls",
+            "blocks of controls",
             "time",
             "discrete states",
         }

@@ -48,6 +48,7 @@ class Osqp(Defaults):
             "free initial state",
             "coupled rows",
             "previous controls",
+            "blocks of controls",
             "time",
             "discrete states",
         }

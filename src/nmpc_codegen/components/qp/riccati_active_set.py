@@ -103,6 +103,7 @@ class RiccatiActiveSet(Defaults):
             "soft rows",
             "coupled rows",
             "previous controls",
+            "blocks of controls",
             "time",
             "discrete states",
         }

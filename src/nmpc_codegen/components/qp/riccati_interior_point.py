@@ -138,6 +138,7 @@ class RiccatiInteriorPoint(Defaults):
             "soft rows",
             "coupled rows",
             "previous controls",
+            "blocks of controls",
             "time",
             "discrete states",
         }

@@ -44,17 +44,18 @@ OPTIONS: Mapping[str, Kind] = {"p": "parameter", "yref": "reference", "W": "weig
 class LaneRoutines:
     """The routines that linearise a path node. ``one_step`` replaces the loops of the interval, if it has any.
 
-    ``shift``: the integration step with which the plan is resampled, if it is.
+    ``jump``: what follows its last step. ``shift``: the integration step with which the plan is resampled, if it is.
     """
 
     routines: tuple[Routine, ...]
     one_step: Kernel | None = None
     shift: Routine | None = None
+    jump: Kernel | None = None
 
     @property
     def of_nodes(self) -> tuple[Routine, ...]:
         """Those of a node that are printed in lanes."""
-        return (*(() if self.one_step is None else (self.one_step,)), *self.called)
+        return (*(r for r in (self.one_step, self.jump) if r is not None), *self.called)
 
     @property
     def printed(self) -> tuple[Routine, ...]:
@@ -81,7 +82,7 @@ def lane_routines(module: CModule) -> LaneRoutines | None:
     shift = known.get("integrator_step") if module.features.shift_resample else None
     if routines[0].name != "integrator_interval" or isinstance(routines[0], Kernel):
         return LaneRoutines(routines, shift=shift)
-    return None if module.one_step is None else LaneRoutines(routines, module.one_step, shift)
+    return None if module.one_step is None else LaneRoutines(routines, module.one_step, shift, module.jump_rows)
 
 
 def has_conditions(routines: Iterable[Routine]) -> bool:
@@ -173,7 +174,7 @@ def lane_nodes(module: CModule, style: CStyle) -> str:
         declared += arrays
     calls += [
         f"{r.name}{SUFFIX}({', '.join(passed_lanes(p, places.get(p.name, p.name)) for p in (*r.reads, *r.writes))});"
-        for r in found.called
+        for r in (*(() if found.jump is None else (found.jump,)), *found.called)
     ]
     lines = [line for port in inputs.values() for line in _gather(port, module)]
     lines = [*(_MULTIPLIERS if "mu" in inputs else ()), *lines]

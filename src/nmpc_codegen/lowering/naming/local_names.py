@@ -37,18 +37,23 @@ def local_names(problem: Problem, others: Iterable[str]) -> LocalNames:
     return LocalNames(
         free((*own, *_inner_names(problem, known))),
         free(problem.control_names),
-        free(name.replace("block start(", "begins_").removesuffix(")") for name in problem.parameter_names),
+        free(_of_data(name) for name in problem.parameter_names),
         free(problem.path.y_names),
         free(problem.terminal.y_names),
         taken,
     )
 
 
+def _of_data(name: str) -> str:
+    """Names of the parameters behind those of the user: begins_F, interval_before."""
+    return name.replace("block start(", "begins_").removesuffix(")").replace(" ", "_")
+
+
 def _inner_names(problem: Problem, known: Collection[str]) -> Iterator[str]:
-    """Names of the states behind those of the user: F_before, interval_before, time."""
+    """Names of the states behind those of the user: F_before, time."""
     for name in problem.state_names[problem.measured :]:
         inner = name.removeprefix("previous(").removesuffix(")")
-        spelled = c_identifier(name.replace(" ", "_") if inner == name else f"{inner}_before")
+        spelled = c_identifier(name if inner == name else f"{inner}_before")
         while spelled in known:
             spelled += "_"
         yield spelled
