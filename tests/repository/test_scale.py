@@ -26,7 +26,7 @@ LIMITS: dict[str, tuple[int, str]] = {
     "src/firmware": (1093, ""),
     "src/frontend": (2020, "previous controls, rates, time, move blocks, discrete states"),
     "src/ir": (2031, ""),
-    "src/lowering": (4230, "states behind those of the user, which the header does not show"),
+    "src/lowering": (4240, "states behind those of the user, which the header does not show"),
     "src/oracle": (484, "the same states, and blocks"),
     "src/package": (990, "the same states in the description"),
     "src/runtime": (2850, "set_previous(), set_time(), loops of solve()"),
