@@ -150,7 +150,7 @@ def test_offset_free_main(tmp_path: Path) -> None:
         assert abs(both["h"][k] - 0.5) < 1e-6
         assert min(abs(log["h"][k] - 0.5) for log in (neither, rate)) > 0.01
     alone = offset_free.run(integral=False, corrected=True)
-    assert abs(alone["h"][-1] - 0.5) > 1e-3
+    assert abs(alone["h"][-1] - 0.5) > 5e-4
 
 
 @pytest.mark.usefixtures("quick")

@@ -41,7 +41,7 @@ START = 1.3
 def prepared(tuned: Tuned, options: Options | None) -> tuple[Controller, float]:
     """A controller that knows the control before and the time, and this time."""
     ocp, _, _, previous = tuned
-    ctrl = build(ocp, options)
+    ctrl = build(ocp, options, profile="test")
     ctrl.set_previous(previous)
     time = START if ctrl.description.inner.time else 0.0
     if time:
@@ -61,6 +61,7 @@ def distance(tuned: Tuned, options: Options | None, tol: float | None, most: int
     return float(max(np.max(np.abs(found.x - x)), np.max(np.abs(found.u - u))))
 
 
+@pytest.mark.few(12)
 @pytest.mark.parametrize("route", [*OURS, "OSQP"])
 @pytest.mark.parametrize("name", PROBLEMS)
 def test_every_route_finds_the_optimum(name: str, route: str) -> None:
@@ -72,12 +73,14 @@ def test_every_route_finds_the_optimum(name: str, route: str) -> None:
     assert distance(PROBLEMS[name](), on(route, hessian=hessian), tol) <= most
 
 
+@pytest.mark.few(5)
 @pytest.mark.parametrize("route", ["dense", "riccati"])
 @pytest.mark.parametrize("name", PROBLEMS)
 def test_single_precision_finds_the_optimum(name: str, route: str) -> None:
     assert distance(PROBLEMS[name](), on(route, precision="single"), None) <= 3e-4
 
 
+@pytest.mark.few(5)
 @pytest.mark.parametrize("route", ["dense", "partial"])
 @pytest.mark.parametrize("name", PROBLEMS)
 def test_samples_that_stay_find_the_optimum(name: str, route: str) -> None:
@@ -93,6 +96,7 @@ def test_samples_that_stay_find_the_optimum(name: str, route: str) -> None:
     np.testing.assert_array_equal(ctrl.previous, previous)
 
 
+@pytest.mark.few(6)
 @pytest.mark.parametrize("algorithm", [AdjointShooting(shift=None), AugmentedLagrangian(shift=None)])
 @pytest.mark.parametrize("name", PROBLEMS)
 def test_other_algorithms_find_the_optimum(name: str, algorithm: Any) -> None:
@@ -192,7 +196,7 @@ def test_a_problem_without_them_says_which_words_are_missing() -> None:
 @pytest.mark.parametrize("route", OURS)
 def test_a_loop_never_exceeds_its_rate_limit(route: str) -> None:
     """Disturbed, with an actuator that now and then does something else, of which the controller is told."""
-    ctrl = build(slewed_crane()[0], on(route))
+    ctrl = build(slewed_crane()[0], on(route), profile="test")
     random = np.random.default_rng(3)
     x, applied = np.zeros(4), 0.0
     for k in range(200):
