@@ -279,6 +279,13 @@ def test_an_unfinished_problem_says_what_is_missing() -> None:
     assert "... (20 in all)" in repr(ocp)
 
 
+def test_a_discrete_state_lacks_no_dynamics() -> None:
+    ocp = OCP("open", T=1.0, N=3)
+    x, mode = ocp.state("x"), ocp.state("mode")
+    ocp.dynamics({x: -x}, discrete={mode: 0.5 * mode})
+    assert "still missing: a control, a cost" in ocp._repr_html_()
+
+
 @pytest.mark.parametrize("unit", [5, "h\n", "a\0b", "h*/", "a|b"])
 def test_units_of_time_are_printable(unit: object) -> None:
     with pytest.raises(ValueError, match="time_unit must be"):

@@ -51,7 +51,7 @@ def _grid(ocp: Stated) -> str:
 def _incomplete(ocp: Stated) -> list[str]:
     """What is still to be stated before a controller can be built."""
     names = _elements(ocp.states)
-    open_states = [name for i, name in enumerate(names) if i not in ocp.derivatives]
+    open_states = [name for i, name in enumerate(names) if i not in ocp.derivatives and i not in ocp.maps]
     missing = [f"the dynamics of {list_some(open_states)}"] if open_states else []
     missing += [] if ocp.states else ["a state"]
     missing += [] if ocp.controls or ocp.free else ["a control"]
