@@ -33,6 +33,23 @@ Seam = Literal["integrator", "hessian", "condensing", "qp", "algorithm"]
 
 SEAMS: tuple[Seam, ...] = get_args(Seam)
 
+#: What a problem may use beyond the core (``Problem.uses``). A component supports all of it but what it takes away: who
+#: adds a use takes it away where it is not supported.
+EVERY_USE = frozenset(
+    {
+        "general cost",
+        "integrated cost",
+        "accumulators",
+        "free initial state",
+        "soft rows",
+        "coupled rows",
+        "previous controls",
+        "blocks of controls",
+        "time",
+        "discrete states",
+    }
+)
+
 #: Parts of the core that an algorithm can use: the linearisation of every node, the multipliers, products with the
 #: stage matrices, the KKT residuals, products of the derivatives of an interval and of the cost with vectors.
 Core = Literal["nodes", "multipliers", "products", "kkt", "directions"]

@@ -10,7 +10,7 @@ import numpy as np
 
 from nmpc_codegen.errors import ProblemError, warn
 from nmpc_codegen.frontend.checks import NONSMOOTH, check_operations, column, list_names, quote
-from nmpc_codegen.frontend.statement import Element, Kind, Stated, explain_misplacement
+from nmpc_codegen.frontend.statement import Declared, Element, Kind, Stated, explain_misplacement
 
 #: What expressions of a node may contain.
 NODE: tuple[Kind, ...] = ("state", "control", "parameter", "previous", "interval", "time")
@@ -93,16 +93,25 @@ class NodeBefore(Expressions):
 
     def control_places(self, which: Any, what: str) -> list[int]:
         """Positions in u of a control that is given by its symbol, a column of control symbols, or its name."""
-        names = self._control_names()
-        for d in self.controls:
-            if isinstance(which, str) and which == d.signal.name:
-                return list(range(d.signal.offset, d.signal.offset + d.signal.size))
-        if isinstance(which, str) and which in names:
-            return [names.index(which)]
-        found = [self.element(which[i]) for i in range(which.numel())] if isinstance(which, ca.SX) else []
-        if not found or any(e is None or e.kind != "control" for e in found):
-            raise ProblemError(f"{what} {quote(which)} is no control{list_names(names)}")
-        return [e.index for e in found if e is not None]
+        found = self._places(which, "control", self.controls)
+        if not found:
+            raise ProblemError(f"{what} {quote(which)} is no control{list_names(self._control_names())}")
+        return found
+
+    def _places(self, which: Any, kind: str, declared: list[Declared]) -> list[int]:
+        """Positions of a signal of this kind that is given by its symbol, a column of symbols, or its name; none if it
+        is something else."""
+        if isinstance(which, ca.SX):
+            found = [self.element(which[i]) for i in range(which.numel())]
+            places = [e.index for e in found if e is not None and e.kind == kind]
+            return places if len(places) == len(found) else []
+        if not isinstance(which, str):
+            return []
+        for signal in (d.signal for d in declared):
+            if which == signal.name:
+                return list(range(signal.offset, signal.offset + signal.size))
+        names = [e for d in declared for e in d.signal.elements]
+        return [names.index(which)] if which in names else []
 
     def _control_names(self) -> list[str]:
         return [e for d in self.controls for e in d.signal.elements]
@@ -185,20 +194,13 @@ class Dynamics(NodeBefore):
 
     def _components(self, which: Any, what: str) -> list[int]:
         """Positions in x of a state that is given by its symbol, a column of state symbols, or its name."""
-        names = self._state_names()
-        if isinstance(which, str):
-            for d in self.states:
-                if which == d.signal.name:
-                    return list(range(d.signal.offset, d.signal.offset + d.signal.size))
-            if which in names:
-                return [names.index(which)]
-            raise ProblemError(f"{what} {quote(which)} is no state{list_names(names)}")
-        if not isinstance(which, ca.SX):
-            raise ProblemError(f"{what} {quote(which)} must be the symbol or the name of a state{list_names(names)}")
-        found = [self.element(which[i]) for i in range(which.numel())]
-        if not found or any(e is None or e.kind != "state" for e in found):
-            raise ProblemError(f"{what} {quote(which)} is no state{list_names(names)}")
-        return [e.index for e in found if e is not None]
+        names = list_names(self._state_names())
+        if not isinstance(which, (str, ca.SX)):
+            raise ProblemError(f"{what} {quote(which)} must be the symbol or the name of a state{names}")
+        found = self._places(which, "state", self.states)
+        if not found:
+            raise ProblemError(f"{what} {quote(which)} is no state{names}")
+        return found
 
     def _warn_nonsmooth(self, name: str, expression: Any) -> None:
         found = sorted({NONSMOOTH[op] for op in check_operations(expression, "dynamics") if op in NONSMOOTH})

@@ -104,7 +104,7 @@ def inner_symbols(ocp: OCP) -> list[Expression]:
 
 
 def inner_signals(ocp: OCP, path: Stage, rows: tuple[Row, ...], dt: tuple[float, ...]) -> tuple[Signal, ...]:
-    """These states with what they are at first: references of controls inside their bounds, the first interval, 0."""
+    """These states with what they are at first: the time 0, references of controls inside their bounds."""
     inner, offset = inner_of(ocp), ocp.x.numel()
     names = [(e, d.signal.unit) for d in ocp.controls for e in d.signal.elements]
     found: list[tuple[str, str, float, tuple[float, ...]]] = []

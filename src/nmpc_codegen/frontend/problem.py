@@ -114,8 +114,8 @@ class Problem:
 
     ``dynamics`` is the CasADi SX Function f(x, u, p) -> xdot, or -> x_next if ``discrete``. ``dt`` holds the N interval
     lengths. ``uses`` names what it needs beyond the core ("soft rows", "coupled rows",
-    "free initial state", "general cost", "integrated cost", "accumulators", "previous controls", "time", "discrete
-    states"): a component that does not support one of them refuses the problem.
+    "free initial state", "general cost", "integrated cost", "accumulators", "previous controls", "blocks of controls",
+    "time", "discrete states"): a component that does not support one of them refuses the problem.
 
     ``inner``: the last states, which the compiler adds. ``jump``: SX Function (x, u, p, dt) -> values at the next node
     of the states ``maps``, which keep their values along an interval; their derivatives in ``dynamics`` are 0.

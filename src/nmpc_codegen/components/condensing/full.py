@@ -11,7 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-from nmpc_codegen.components.base import Counts, Defaults, Dims, QpShape, Seam
+from nmpc_codegen.components.base import EVERY_USE, Counts, Defaults, Dims, QpShape, Seam
 from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.cmodule import Table
 from nmpc_codegen.ir.model import ModelFunctions
@@ -54,20 +54,7 @@ class FullCondensing(Defaults):
     gives: ClassVar[str] = "condensed"
     columns: ClassVar[bool] = True
     eliminates: ClassVar[bool] = True
-    supports: ClassVar[frozenset[str]] = frozenset(
-        {
-            "general cost",
-            "integrated cost",
-            "accumulators",
-            "free initial state",
-            "soft rows",
-            "coupled rows",
-            "previous controls",
-            "blocks of controls",
-            "time",
-            "discrete states",
-        }
-    )
+    supports: ClassVar[frozenset[str]] = EVERY_USE
 
     @property
     def label(self) -> str:

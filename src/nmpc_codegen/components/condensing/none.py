@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-from nmpc_codegen.components.base import Counts, Defaults, Dims, QpShape, Seam
+from nmpc_codegen.components.base import EVERY_USE, Counts, Defaults, Dims, QpShape, Seam
 from nmpc_codegen.components.condensing.partial import PartialCondensing
 from nmpc_codegen.components.condensing.stages import copied_states, embed_cost, stage_tables
 from nmpc_codegen.frontend.problem import Problem
@@ -24,20 +24,7 @@ class NoCondensing(Defaults):
     gives: ClassVar[str] = "stages"
     columns: ClassVar[bool] = False
     eliminates: ClassVar[bool] = False
-    supports: ClassVar[frozenset[str]] = frozenset(
-        {
-            "general cost",
-            "integrated cost",
-            "accumulators",
-            "free initial state",
-            "soft rows",
-            "coupled rows",
-            "previous controls",
-            "blocks of controls",
-            "time",
-            "discrete states",
-        }
-    )
+    supports: ClassVar[frozenset[str]] = EVERY_USE
 
     @property
     def label(self) -> str:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from typing import ClassVar
 
 from nmpc_codegen.components.allowed import Whole, check_options, option
-from nmpc_codegen.components.base import Counts, Defaults, Dims, QpShape, Seam
+from nmpc_codegen.components.base import EVERY_USE, Counts, Defaults, Dims, QpShape, Seam
 from nmpc_codegen.components.condensing.stages import copied_states, embed_cost, stage_tables
 from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.cmodule import Table
@@ -35,20 +35,7 @@ class PartialCondensing(Defaults):
     gives: ClassVar[str] = "stages"
     columns: ClassVar[bool] = False
     eliminates: ClassVar[bool] = True
-    supports: ClassVar[frozenset[str]] = frozenset(
-        {
-            "general cost",
-            "integrated cost",
-            "accumulators",
-            "free initial state",
-            "soft rows",
-            "coupled rows",
-            "previous controls",
-            "blocks of controls",
-            "time",
-            "discrete states",
-        }
-    )
+    supports: ClassVar[frozenset[str]] = EVERY_USE
 
     def __post_init__(self) -> None:
         check_options(self, self.seam)

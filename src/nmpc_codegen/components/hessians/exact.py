@@ -15,7 +15,7 @@ from typing import ClassVar
 import casadi as ca
 
 from nmpc_codegen.components.allowed import Named, Number, check_options, option
-from nmpc_codegen.components.base import Counts, Defaults, Dims, Integrator, Regularization, Seam
+from nmpc_codegen.components.base import EVERY_USE, Counts, Defaults, Dims, Integrator, Regularization, Seam
 from nmpc_codegen.components.hessians.regularization import Mirror, Project
 from nmpc_codegen.components.stage_cost import StageCost, StageCosts, slices
 from nmpc_codegen.frontend.problem import Problem
@@ -79,20 +79,7 @@ class ExactHessian(Defaults):
     name: ClassVar[str] = "exact"
     template: ClassVar[str] = "hessians/exact.c"
     needs: ClassVar[tuple[Seam, ...]] = ("integrator",)
-    supports: ClassVar[frozenset[str]] = frozenset(
-        {
-            "soft rows",
-            "coupled rows",
-            "free initial state",
-            "general cost",
-            "integrated cost",
-            "accumulators",
-            "previous controls",
-            "blocks of controls",
-            "time",
-            "discrete states",
-        }
-    )
+    supports: ClassVar[frozenset[str]] = EVERY_USE
 
     def __post_init__(self) -> None:
         check_options(self, self.seam)

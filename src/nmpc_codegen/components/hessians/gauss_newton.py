@@ -13,7 +13,7 @@ from typing import ClassVar
 import casadi as ca
 
 from nmpc_codegen.components.allowed import Flag, Number, check_options, option
-from nmpc_codegen.components.base import Counts, Defaults, Dims, Integrator, Seam
+from nmpc_codegen.components.base import EVERY_USE, Counts, Defaults, Dims, Integrator, Seam
 from nmpc_codegen.components.hessians.exact import MAX_SWEEPS
 from nmpc_codegen.components.stage_cost import StageCost, StageCosts
 from nmpc_codegen.frontend.problem import Problem
@@ -40,18 +40,7 @@ class GaussNewton(Defaults):
     name: ClassVar[str] = "gauss_newton"
     template: ClassVar[str] = "hessians/gauss_newton.c"
     needs: ClassVar[tuple[Seam, ...]] = ()
-    supports: ClassVar[frozenset[str]] = frozenset(
-        {
-            "soft rows",
-            "coupled rows",
-            "free initial state",
-            "accumulators",
-            "previous controls",
-            "blocks of controls",
-            "time",
-            "discrete states",
-        }
-    )
+    supports: ClassVar[frozenset[str]] = EVERY_USE - {"general cost", "integrated cost"}
 
     def __post_init__(self) -> None:
         check_options(self, self.seam)

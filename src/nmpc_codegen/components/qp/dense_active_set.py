@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, ClassVar
 
 from nmpc_codegen.components.allowed import Whole, check_options, option
-from nmpc_codegen.components.base import Defaults, Seam
+from nmpc_codegen.components.base import EVERY_USE, Defaults, Seam
 from nmpc_codegen.package.features import Features
 from nmpc_codegen.package.memory import Field, Size, Struct
 from nmpc_codegen.package.opcount import OpCount
@@ -49,20 +49,7 @@ class DenseActiveSet(Defaults):
     needs: ClassVar[tuple[Seam, ...]] = ()
     takes: ClassVar[str] = "condensed"
     chosen_for: ClassVar[tuple[str, ...]] = ("speed", "size")
-    supports: ClassVar[frozenset[str]] = frozenset(
-        {
-            "general cost",
-            "integrated cost",
-            "accumulators",
-            "free initial state",
-            "soft rows",
-            "coupled rows",
-            "previous controls",
-            "blocks of controls",
-            "time",
-            "discrete states",
-        }
-    )
+    supports: ClassVar[frozenset[str]] = EVERY_USE
 
     max_iterations: int | None = option(None, Whole(optional=True))
 

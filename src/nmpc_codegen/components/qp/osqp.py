@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 
 from nmpc_codegen.components.allowed import Number, Whole, check_options, option
-from nmpc_codegen.components.base import Defaults, Seam
+from nmpc_codegen.components.base import EVERY_USE, Defaults, Seam
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.package.features import Features
 from nmpc_codegen.package.memory import Field, Size, Struct, only_if
@@ -40,19 +40,7 @@ class Osqp(Defaults):
     needs: ClassVar[tuple[Seam, ...]] = ()
     takes: ClassVar[str] = "condensed"
     chosen_for: ClassVar[tuple[str, ...]] = ()
-    supports: ClassVar[frozenset[str]] = frozenset(
-        {
-            "general cost",
-            "integrated cost",
-            "accumulators",
-            "free initial state",
-            "coupled rows",
-            "previous controls",
-            "blocks of controls",
-            "time",
-            "discrete states",
-        }
-    )
+    supports: ClassVar[frozenset[str]] = EVERY_USE - {"soft rows"}
 
     def __post_init__(self) -> None:
         check_options(self, self.seam)

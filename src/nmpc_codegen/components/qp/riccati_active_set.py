@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, ClassVar
 
 from nmpc_codegen.components.allowed import Named, Whole, check_options, option
-from nmpc_codegen.components.base import Defaults, Seam
+from nmpc_codegen.components.base import EVERY_USE, Defaults, Seam
 from nmpc_codegen.components.qp.riccati import (
     riccati_cost,
     riccati_search,
@@ -94,20 +94,7 @@ class RiccatiActiveSet(Defaults):
     needs: ClassVar[tuple[Seam, ...]] = ("condensing",)
     takes: ClassVar[str] = "stages"
     chosen_for: ClassVar[tuple[str, ...]] = ("speed",)
-    supports: ClassVar[frozenset[str]] = frozenset(
-        {
-            "general cost",
-            "integrated cost",
-            "accumulators",
-            "free initial state",
-            "soft rows",
-            "coupled rows",
-            "previous controls",
-            "blocks of controls",
-            "time",
-            "discrete states",
-        }
-    )
+    supports: ClassVar[frozenset[str]] = EVERY_USE
 
     max_iterations: int | None = option(None, Whole(optional=True))
     fallback: RiccatiInteriorPoint | None = option(_COLD, Named(_FALLBACKS, (RiccatiInteriorPoint,)))

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, ClassVar
 
 from nmpc_codegen.components.allowed import Flag, Whole, check_options, option
-from nmpc_codegen.components.base import Defaults, Seam
+from nmpc_codegen.components.base import EVERY_USE, Defaults, Seam
 from nmpc_codegen.components.qp.riccati import riccati_sizes, riccati_structs, stage_qp_fields, units_structs
 from nmpc_codegen.package.features import Features
 from nmpc_codegen.package.memory import Field, Size, Struct, only_if
@@ -129,20 +129,7 @@ class RiccatiInteriorPoint(Defaults):
     needs: ClassVar[tuple[Seam, ...]] = ("condensing",)
     takes: ClassVar[str] = "stages"
     chosen_for: ClassVar[tuple[str, ...]] = ("size",)
-    supports: ClassVar[frozenset[str]] = frozenset(
-        {
-            "general cost",
-            "integrated cost",
-            "accumulators",
-            "free initial state",
-            "soft rows",
-            "coupled rows",
-            "previous controls",
-            "blocks of controls",
-            "time",
-            "discrete states",
-        }
-    )
+    supports: ClassVar[frozenset[str]] = EVERY_USE
 
     def __post_init__(self) -> None:
         check_options(self, self.seam)
