@@ -36,7 +36,7 @@ from nmpc_codegen import (
     simulate,
 )
 from nmpc_codegen.runtime.controller import Solution
-from nmpc_codegen.runtime.simulate import Log
+from nmpc_codegen.runtime.loops.simulate import Log
 
 D, KI, KM, PM, YIELD, ALPHA, BETA, MU_MAX = 0.15, 22.0, 1.2, 50.0, 0.4, 2.2, 0.2, 0.48
 HORIZON, N, STEPS = 48.0, 20, 3

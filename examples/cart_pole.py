@@ -15,7 +15,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from nmpc_codegen import OCP, Options, RealTimeIteration, build, simulate
-from nmpc_codegen.runtime.simulate import Log
+from nmpc_codegen.runtime.loops.simulate import Log
 
 CART, POLE, GRAVITY = 1.0, 0.1, 9.81
 HANGING = np.array([0.0, np.pi, 0.0, 0.0])

@@ -20,7 +20,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from nmpc_codegen import OCP, build, simulate
-from nmpc_codegen.runtime.simulate import Log
+from nmpc_codegen.runtime.loops.simulate import Log
 
 MASS, STIFFNESS, GRAVITY = 0.033, 1.0, 9.81
 HAND = (1.0, 0.0, 0.0)

@@ -22,7 +22,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from nmpc_codegen import OCP, Controller, Options, RealTimeIteration, build, simulate
-from nmpc_codegen.runtime.simulate import Log
+from nmpc_codegen.runtime.loops.simulate import Log
 
 K10, K20, K30 = 1.287e12, 1.287e12, 9.043e9
 E1, E2, E3 = -9758.3, -9758.3, -8560.0
@@ -135,7 +135,7 @@ def main(picture: str = "out/cstr.png") -> tuple[Log, Log]:
     logs = []
     for title, intervals in (("refined grid", REFINED), ("150 s grid", None)):
         controller = build(build_ocp(intervals=intervals), options())
-        log = simulate(controller, START, steps=HOLD * len(SET_POINTS), dt=SAMPLING, reference=schedule)
+        log = simulate(controller, START, steps=HOLD * len(SET_POINTS), dt=SAMPLING, before=schedule)
         th, thK = log.x[:, 2:].min(axis=0)
         print(f"{log.summary()}\n{title}: th down to {th:.6f}, thK down to {thK:.6f}\n")
         logs.append(log)

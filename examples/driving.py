@@ -38,7 +38,7 @@ from nmpc_codegen import (
     simulate,
 )
 from nmpc_codegen.economic import Tuning, steady_state, tune
-from nmpc_codegen.runtime.simulate import Log
+from nmpc_codegen.runtime.loops.simulate import Log
 
 LENGTH, MASS, RADIUS, GRAVITY, GEAR = 4.8, 1700.0, 0.35, 9.81, 7.94
 DRAG, ROLLING = 0.45, 0.015
@@ -154,7 +154,7 @@ def closed_loop(side_step: float = 2.0, samples: int = 300, hessian: Any = None)
         return x_next
 
     start = np.array([0.0, 0.0, SPEED, 0.0, 0.0])
-    return simulate(controller, start, steps=samples, dt=SAMPLING, plant=plant, reference=schedule)
+    return simulate(controller, start, steps=samples, dt=SAMPLING, plant=plant, before=schedule)
 
 
 def draw(log: Log, picture: str) -> None:

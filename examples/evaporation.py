@@ -22,7 +22,7 @@ from matplotlib.figure import Figure
 
 from nmpc_codegen import OCP, RK4, ExactHessian, ExplicitRungeKutta, Options, ProblemError, Project, build, simulate
 from nmpc_codegen.economic import SteadyState, Tuning, steady_state, tune
-from nmpc_codegen.runtime.simulate import Log
+from nmpc_codegen.runtime.loops.simulate import Log
 
 A, B, C, D, E, F, G, H = 0.5616, 0.3126, 48.43, 0.507, 55.0, 0.1538, 90.0, 0.16
 M, CAPACITY, UA2, CP, LATENT, LATENT_STEAM = 20.0, 4.0, 6.84, 0.07, 38.5, 36.6

@@ -19,7 +19,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from nmpc_codegen import OCP, RK4, AdjointShooting, ExplicitRungeKutta, Online, Options, build, simulate
-from nmpc_codegen.runtime.simulate import Log
+from nmpc_codegen.runtime.loops.simulate import Log
 
 STATES, N, INTERVAL, STEPS = 100, 20, 5.0, 5
 C = 0.5  # 1/s

@@ -14,7 +14,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from nmpc_codegen import OCP, RK4, Controller, ExplicitRungeKutta, Options, RealTimeIteration, build, simulate
-from nmpc_codegen.runtime.simulate import Log
+from nmpc_codegen.runtime.loops.simulate import Log
 
 MASS, ARM, DRAG, GRAVITY = 0.5, 0.17, 0.016, 9.81
 INERTIA = (0.0023, 0.0023, 0.004)

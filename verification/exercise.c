@@ -75,6 +75,32 @@ static void uninitialised(void)
 #endif
 }
 
+/* Ranges of nodes that do not exist, rows with a number that is not finite: nothing is written. */
+static void refused_ranges(void)
+{
+    const int bad[][2] = { { -1, 1 }, { 0, 0 }, { 0, SIZE(_N) + 2 }, { SIZE(_N) + 1, 1 }, { 1, 1 << 30 } };
+    int i;
+    (void)bad;
+    fill((real)1);
+    for (i = 0; i < 5; i++) {
+#if SIZE(_NY) > 0
+        EXPECT(API(set_reference_range)(&s, bad[i][0], bad[i][1], large) == SIZE(_BAD_INDEX));
+#endif
+#if SIZE(_PARAMS) > 0
+        EXPECT(API(set_parameter_range)(&s, 0, bad[i][0], bad[i][1], large) == SIZE(_BAD_INDEX));
+        EXPECT(API(set_parameter_range)(&s, SIZE(_PARAMS), 0, 1, large) == SIZE(_BAD_INDEX));
+#endif
+    }
+    fill((real)NAN);
+#if SIZE(_NY) > 0
+    EXPECT(API(set_reference_range)(&s, SIZE(_N), 1, large) == SIZE(_BAD_INDEX));
+    EXPECT(API(set_reference_range)(&s, 0, 1, large) == SIZE(_BAD_ARGUMENT));
+#endif
+#if SIZE(_PARAMS) > 0
+    EXPECT(API(set_parameter_range)(&s, 0, SIZE(_N), 1, large) == SIZE(_BAD_ARGUMENT));
+#endif
+}
+
 /* Nodes that do not exist or have no data of their own; numbers that are not finite. */
 static void refused_costs(void)
 {
@@ -241,6 +267,7 @@ int main(int argc, char **argv)
     EXPECT(API(feedback)(&s, x, u) == SIZE(_NOT_PREPARED));
     safe(__LINE__);
     refused_costs();
+    refused_ranges();
 #if SIZE(_NR) > 0
     refused_bounds();
 #endif

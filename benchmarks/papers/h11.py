@@ -143,7 +143,7 @@ def figure_6(run: Run) -> Exhibit:
         def schedule(k: int, controller: Controller) -> None:
             cstr.schedule(k // hold * cstr.HOLD if k % hold == 0 else 1, controller)
 
-        logs.append(simulate(c, cstr.START, steps=3 * hold, dt=cstr.SAMPLING, reference=schedule))
+        logs.append(simulate(c, cstr.START, steps=3 * hold, dt=cstr.SAMPLING, before=schedule))
     coarse = logs[1]
     for i in range(3):
         ends.append(_end_error(coarse.x[(i + 1) * hold - 1], coarse.u[(i + 1) * hold - 1], i))

@@ -24,9 +24,9 @@ from nmpc_codegen.package.status import Status
 from nmpc_codegen.package.version import __version__ as __version__
 from nmpc_codegen.runtime.controller import Controller
 from nmpc_codegen.runtime.extras import DISTRIBUTION, HAS_COMPILER
+from nmpc_codegen.runtime.loops.simulate import simulate
 from nmpc_codegen.runtime.package import open_package
 from nmpc_codegen.runtime.records.log import Log
-from nmpc_codegen.runtime.simulate import simulate
 
 if TYPE_CHECKING:
     from nmpc_codegen.analysis import worst_case

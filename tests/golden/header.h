@@ -27,14 +27,17 @@ golden_status_t golden_solve(
  *   weight     no node
  *   parameter  0 .. N
  *   bounds     N, if the row holds there
+ * Those of a range of nodes, first .. first + count - 1, take a row of numbers for each.
  * A call that is refused (BAD_INDEX, BAD_ARGUMENT, BAD_BOUNDS) changes nothing. References and bounds take effect in
  * the next feedback, parameters and weights in the next prepare. */
 golden_status_t golden_set_reference(golden_solver_t *s, int k, const golden_real yref[GOLDEN_NY]);
+golden_status_t golden_set_reference_range(golden_solver_t *s, int first, int count, const golden_real *yref);
 golden_status_t golden_set_terminal_reference(golden_solver_t *s, const golden_real yref[GOLDEN_NY_N]);
 /* W: the diagonal, finite and not negative. */
 golden_status_t golden_set_weight(golden_solver_t *s, int k, const golden_real W[GOLDEN_NW]);
 golden_status_t golden_set_terminal_weight(golden_solver_t *s, const golden_real W[GOLDEN_NW_N]);
 golden_status_t golden_set_parameter(golden_solver_t *s, int param, int k, const golden_real *values);
+golden_status_t golden_set_parameter_range(golden_solver_t *s, int param, int first, int count, const golden_real *values);
 golden_status_t golden_set_bounds(golden_solver_t *s, int row, int k, golden_real lower, golden_real upper);
 
 /* integrate: plant model over a time dt >= 0 in s, x_next may be x; cost: cost of the present plan; kkt: its KKT residuals.
@@ -51,4 +54,4 @@ const char *golden_status_string(golden_status_t status);
 #endif
 
 #endif
-/* nmpc_codegen package 36e01ed8b9c6678d, sha256 b20ae42d5df6b85920786abb5393fd7f92aa9875653c2ce21c052c0d5359afc4 */
+/* nmpc_codegen package 087a31e1ceac9f68, sha256 2cca2dab135355c371693e89ef3ec55c1a4b90fe528bd2234624695e14e8b055 */

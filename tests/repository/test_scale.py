@@ -29,9 +29,9 @@ LIMITS: dict[str, tuple[int, str]] = {
     "src/lowering": (4240, "states behind those of the user, which the header does not show"),
     "src/oracle": (484, "the same states, and blocks"),
     "src/package": (990, "the same states in the description"),
-    "src/runtime": (2850, "set_previous(), set_time(), loops of solve()"),
-    "templates": (16960, "previous controls, time, blocks: what a sample leaves to the next one, bands of H"),
-    "tests": (23160, "previous controls, rates, blocks, time against IPOPT, in loops, and refused"),
+    "src/runtime": (3100, "setters by name and by node, soft penalties at run time, forecasts of loops"),
+    "templates": (17300, "setters for ranges of nodes, penalties that change, look-up tables"),
+    "tests": (23900, "data that change while it runs: setters, penalties, ranges, tables, formulations"),
     "verification": (7920, "problems with what tuned controllers use, stated a second time by hand for IPOPT"),
     "benchmarks": (
         3985,

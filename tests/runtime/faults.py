@@ -432,7 +432,7 @@ def summary_of_a_loop() -> str:
         if k == 3:
             ctrl.x[5, 0] = np.nan
 
-    return simulate(direction(RealTimeIteration()), np.zeros(6), 5, reference=spoil).summary()
+    return simulate(direction(RealTimeIteration()), np.zeros(6), 5, before=spoil).summary()
 
 
 # Calls ---------------------------------------------------------------------------------------------------------------
@@ -444,13 +444,13 @@ def measured_state_of_another_size() -> str:
     return refused(lambda: made(cart()).step([0.0, 0.0, 0.0]))
 
 
-@fault("parameter 'L' has shape (3,)", "(1,), or a number, or one row per node, (11, 1) or (11,)")
+@fault("parameter 'L' has shape (3,)", "(1,), or a number, or one row per node, (10,) or (11,)")
 def parameter_of_another_shape() -> str:
     """set_parameter() with three values for a scalar."""
     return refused(lambda: made(cart()).set_parameter("L", [1.0, 2.0, 3.0]))
 
 
-@fault("parameter 'gain' has shape (11,)", "(2,), or one row per node, (11, 2)")
+@fault("parameter 'gain' has shape (11,)", "(2,), or a number, or one row per node, (10, 2) or (11, 2)")
 def vector_parameter_of_another_shape() -> str:
     """set_parameter() with a scalar per node for a vector."""
     return refused(lambda: made(cart()).set_parameter("gain", np.ones(11)))

@@ -285,7 +285,7 @@ def test_the_runtime_needs_no_casadi(toy_files: Files, tmp_path: Path) -> None:
     program = (
         "import json, sys; sys.modules['casadi'] = None; sys.modules['jinja2'] = None\n"
         "from nmpc_codegen.runtime.build import load\n"
-        "from nmpc_codegen.runtime.simulate import simulate\n"
+        "from nmpc_codegen.runtime.loops.simulate import simulate\n"
         "log = simulate(load(json.load(open('toy.json')), 'toy', 'test'), [0.1, 0.0], 3)\n"
         "assert log.x.shape == (4, 2)\n"
     )

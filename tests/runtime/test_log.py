@@ -58,7 +58,7 @@ def log() -> Log:
         if k == 38:
             c.set_bounds("power", 1.5, 2.0)
 
-    return simulate(ctrl, [1.0], 40, reference=change, disturbance=lambda k, x: [0.5 * (k == 30)])
+    return simulate(ctrl, [1.0], 40, before=change, disturbance=lambda k, x: [0.5 * (k == 30)])
 
 
 def test_it_records_reference_and_parameters(log: Log) -> None:

@@ -73,7 +73,7 @@ def test_values_along_the_loop(case: str) -> None:
             c.set_parameter("m", 0.75)
 
     twin = ctrl.copy()
-    log = simulate(ctrl, [1.0, 0.0], 12, reference=heavier)
+    log = simulate(ctrl, [1.0, 0.0], 12, before=heavier)
     assert tuple(trace.name for trace in log.rows) == NAMES
     m = np.where((np.arange(12) >= 6) & changes, 0.75, 0.5)
     np.testing.assert_allclose(log.h, values(log, m), rtol=1e-5 if case == "single" else 1e-13, atol=1e-6)

@@ -8,17 +8,18 @@ import sys
 from collections import Counter
 from pathlib import Path
 
+import casadi as ca
 import matplotlib as mpl
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from nmpc_codegen import Options, build
+from nmpc_codegen import OCP, Options, RealTimeIteration, build
 from nmpc_codegen.errors import ControllerError
 from nmpc_codegen.runtime.build import load
 from nmpc_codegen.runtime.controller import Controller, Status
+from nmpc_codegen.runtime.loops.simulate import LONG_RUN, simulate
 from nmpc_codegen.runtime.records.trace import Trace
-from nmpc_codegen.runtime.simulate import LONG_RUN, simulate
 from verification import problems
 from verification.routes import PURE
 
@@ -51,7 +52,7 @@ def test_the_log_is_the_loop(toy: Controller) -> None:
 def test_warm_start_is_solve_before_the_first_sample(toy: Controller) -> None:
     twin = toy.copy()
     seen: list[int] = []
-    log = simulate(toy, X0, 3, reference=lambda k, _: seen.append(k), warm_start=True)
+    log = simulate(toy, X0, 3, before=lambda k, _: seen.append(k), warm_start=True)
     assert seen == [0, 0, 1, 2]
     twin.solve(X0)
     np.testing.assert_array_equal(log.u[0], twin.step(X0))
@@ -96,7 +97,7 @@ def test_own_plant_disturbance_and_reference(toy: Controller) -> None:
         60,
         plant=lambda x, u, dt: exact(x, 0.9 * u, dt).tolist(),
         disturbance=lambda k, x: np.array([0.0, 0.1 if k == 40 else 0.0]),
-        reference=target,
+        before=target,
     )
     assert abs(log.x[20, 0]) < 0.05
     assert log.x[40, 0] == pytest.approx(0.3, abs=0.02)
@@ -208,3 +209,78 @@ def test_a_plant_that_explodes_says_from_where(toy: Controller) -> None:
     message = r"after sample 0 is not finite: \[nan, 0\.0\]; it moved from p = 0\.1, v = 0\.2, .*the sample: OK: solved"
     with pytest.raises(ControllerError, match=message):
         simulate(toy, [0.1, 0.2], 3, plant=lambda x, u, dt: [np.nan, 0.0])
+
+
+# -- data over the samples --------------------------------------------------------------------------------------------
+
+
+def test_arrays_over_the_samples_move_along(toy: Controller) -> None:
+    """Node j of sample k has row k + j, the last one holds, before() comes last. Oracle: the setters by hand."""
+    price, target = np.linspace(1.0, 2.0, 8), np.arange(24.0).reshape(8, 3) / 100
+    seen: list[tuple[Array, Array, Array]] = []
+
+    def look(k: int, c: Controller) -> None:
+        seen.append((c.view("p")[:, 0].copy(), c.view("yref").copy(), c.view("lower")[:, 0].copy()))
+
+    by_hand = toy.copy()
+    data = {"parameters": {"m": price}, "references": target, "bounds": {"a": (-price, 7.0)}}
+    log = simulate(toy, {"p": 0.2}, 9, before=look, **data)  # type: ignore[arg-type]
+    for k, (m, y, lower) in enumerate(seen):
+        np.testing.assert_array_equal(m, price[np.minimum(k + np.arange(5), 7)])
+        np.testing.assert_array_equal(y, target[np.minimum(k + np.arange(4), 7)])
+        np.testing.assert_array_equal(lower, [-price[min(k, 7)]] * 2)  # Online(bounds="shared")
+
+    def tell(k: int, c: Controller) -> None:
+        c.set_parameter("m", price[np.minimum(k + np.arange(5), 7)])
+        c.set_reference(target[np.minimum(k + np.arange(5), 7)])
+        c.set_bounds("a", -price[min(k, 7)], 7.0)
+
+    np.testing.assert_array_equal(log.u, simulate(by_hand, [0.2, 0.0], 9, before=tell).u)
+
+
+def test_forecasts_where_samples_are_shorter_than_intervals() -> None:
+    """A node takes the row of the last sample at or before its time."""
+    ctrl = controller_of_slow_grid()
+    seen: list[Array] = []
+    simulate(
+        ctrl,
+        {"x": 1.0},
+        3,
+        dt=0.1,
+        parameters={"m": np.arange(20.0)},
+        references={"x": np.arange(20.0)},
+        before=lambda k, c: seen.append(np.hstack([c.view("p")[:, 0], c.view("yref")[:, 0], c.view("yref_N")])),
+    )
+    ahead = np.array([0, 1, 3, 6])
+    for k, row in enumerate(seen):
+        np.testing.assert_array_equal(row, np.hstack([k + ahead, k + ahead]))
+
+
+def controller_of_slow_grid() -> Controller:
+    ocp = OCP("slow_grid", intervals=[0.1, 0.2, 0.3])
+    x, u, m = ocp.state("x"), ocp.control("u"), ocp.parameter("m", value=1.0)
+    ocp.dynamics({x: u - 0.1 * m * x})
+    ocp.least_squares(ca.vertcat(x, u), weight=1.0)
+    ocp.terminal_least_squares(x, weight=1.0)
+    return build(ocp, Options(algorithm=RealTimeIteration(sampling_time=0.1)), "test")
+
+
+@pytest.mark.parametrize(
+    ("data", "message"),
+    [
+        ({"parameters": [1.0]}, r"parameters is list; expected \{name: array over the samples\}"),
+        ({"parameters": {"m": []}}, "parameters: 'm' is no array with a row for each sample"),
+        ({"parameters": {"mass": 1.0}}, "no parameter 'mass'"),
+        ({"parameters": {"d": np.zeros((4, 3))}}, "parameter 'd' has shape"),
+        ({"bounds": {"a": 1.0}}, r"bounds of 'a' is 1.0; expected \(lower, upper\)"),
+        ({"references": {"q": 1.0}}, "no residual 'q'"),
+        ({"reference": lambda k, c: None}, "reference is a function; expected before=f"),
+        ({"reference": np.zeros((3, 3)), "references": np.zeros((3, 3))}, "both given"),
+        ({"x0": {"q": 1.0}}, "x0: no state 'q'; those that exist: 'p', 'v'"),
+        ({"x0": {"p": [1.0, 2.0]}}, "x0: 'p' has shape"),
+    ],
+)
+def test_wrong_data_over_the_samples(toy: Controller, data: dict[str, object], message: str) -> None:
+    arguments = {"x0": X0, "steps": 3, **data}
+    with pytest.raises(ControllerError, match=message):
+        simulate(toy, **arguments)  # type: ignore[arg-type]

@@ -132,8 +132,8 @@ def _problem(arguments: argparse.Namespace, printer: Printer) -> tuple[OCP, Opti
 
 def _simulate(arguments: argparse.Namespace, folder: Path, name: str, printer: Printer) -> bool:
     """Print the summary of a closed loop; False if more samples failed than are allowed."""
+    from nmpc_codegen.runtime.loops.simulate import simulate
     from nmpc_codegen.runtime.package import open_package
-    from nmpc_codegen.runtime.simulate import simulate
 
     samples, allowed = arguments.simulate, arguments.allow_failures or 0
     if samples >= LONG_SIMULATION:

@@ -183,6 +183,16 @@ class CModule:
         return self.description.online
 
     @property
+    def ranges(self) -> tuple[Kind, ...]:
+        """Kinds of data that can be set for a range of nodes at once."""
+        ny = self.value("NY")
+        return tuple(
+            setter.option
+            for setter in self.setters
+            if self.layouts[setter.option] == "node" and (ny or setter.option not in ("reference", "weight"))
+        )
+
+    @property
     def statuses(self) -> tuple[Status, ...]:
         """The status codes that its functions return, in the order of their values."""
         return tuple(Status)

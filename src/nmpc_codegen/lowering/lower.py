@@ -206,14 +206,17 @@ def _of_problem(model: Model) -> Features:
     eliminates = parts.condensing is not None and parts.condensing.eliminates
     computing = {r.name for r in model.routines if r.writes}
     computing |= {"state_step", "adjoint_step"} if eliminates else set()
-    core = parts.algorithm.core
+    core, layouts = parts.algorithm.core, model.options.online.layouts
     return Features(
         kernels=frozenset(name for name in KERNELS if name in computing),
         set_reference=_is_set(model, "reference"),
         set_weight=_is_set(model, "weight"),
         set_parameter=_is_set(model, "parameter"),
         set_bounds=_is_set(model, "bounds"),
-        bounds_by_node=model.options.online.layouts["bounds"] == "node",
+        reference_by_node=layouts["reference"] == "node",
+        weight_by_node=layouts["weight"] == "node",
+        parameter_by_node=layouts["parameter"] == "node",
+        bounds_by_node=layouts["bounds"] == "node",
         state_rows=0 in kinds,
         general_rows=1 in kinds,
         hard_rows=any(p.rows[row].soft is None for _, _, _, row in p.qp_rows),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -60,9 +61,9 @@ def checked_array(
     real: np.dtype[Any],
     shape: tuple[int, ...],
     finite: bool = True,
-    also: str = "",
+    also: Callable[[], str] = str,
 ) -> NDArray[Any]:
-    """``value`` as an array of the given type and shape; ``also``: other shapes that the caller takes.
+    """``value`` as an array of the given type and shape; ``also`` says which other shapes the caller takes.
 
     Raises:
         ControllerError: it is not such an array, or, with ``finite``, it contains a NaN or an infinity.
@@ -75,35 +76,66 @@ def checked_array(
     except (TypeError, ValueError) as error:
         raise ControllerError(f"{what} is no array of numbers; expected shape {shape}: {error}") from error
     if array.shape != shape:
-        raise ControllerError(f"{what} has shape {array.shape}; expected {shape}{f', or {also}' if also else ''}")
-    if finite and not np.all(np.isfinite(array)):
+        others = also()
+        raise ControllerError(f"{what} has shape {array.shape}; expected {shape}{f', or {others}' if others else ''}")
+    if finite and not np.isfinite(array).all():
         raise ControllerError(f"{what} holds a NaN or an infinity: {array.tolist()}")
     return array
 
 
-def stored_weight(W: ArrayLike, what: str, real: np.dtype[Any], size: int, matrix: bool) -> NDArray[Any]:
-    """The checked weight in the form that a struct stores: diagonal (size,) or matrix (size, size)."""
-    shapes = [(size,), (size, size)] if ndim(W) == 1 else [(size, size), (size,)]
-    given = checked_array(W, what, real, shapes[0], also=f"{shapes[1]}")
-    square = np.diag(given) if given.ndim == 1 else given
-    dense = checked_weight(square, what, ControllerError, float(np.finfo(real).eps))
-    diagonal = np.diag(dense)
+def weights(
+    W: ArrayLike, what: str, real: np.dtype[Any], size: int, matrix: bool, lengths: Sequence[int] = ()
+) -> NDArray[Any]:
+    """Checked weights in the form that a struct stores: diagonals (rows, size) or matrices (rows, size, size).
+
+    Args:
+        W: (size,) or (size, size); or one of these for each of as many nodes as ``lengths`` names.
+        what: name of the weight, for the message.
+        real: type of the numbers.
+        size: number of residuals.
+        matrix: whether matrices are stored.
+        lengths: numbers of nodes.
+
+    Raises:
+        ControllerError: other shapes, or a weight that is not symmetric positive semidefinite.
+    """
+    matrices = [(size, size), *((n, size, size) for n in lengths)]
+    diagonals = [(size,), *((n, size) for n in lengths)]
+    found = np.shape(W) if ndim(W) >= 0 else None
+    first, second = (diagonals, matrices) if ndim(W) == 1 else (matrices, diagonals)
+    shape = found if found in (*matrices, *diagonals) else first[0]
+    array = checked_array(
+        W, what, real, shape, also=lambda: ", or ".join(map(str, [second[0], *first[1:], *second[1:]]))
+    )
+    if shape not in matrices:
+        checked = check_weights(array.reshape(-1, size), what, real)
+        return np.einsum("ki,ij->kij", checked, np.eye(size, dtype=real)) if matrix else checked
+    dense = check_weights(array.reshape(-1, size, size), what, real)
+    diagonal: NDArray[Any] = np.einsum("kii->ki", dense)
     if matrix:
         return dense
-    if np.any(dense != np.diag(diagonal)):
+    if np.count_nonzero(dense) > np.count_nonzero(diagonal):
         raise ControllerError(
             f"{what} has entries off its diagonal, which only Online(dense_weight=True) stores for this weight"
         )
     return diagonal
 
 
-def checked_bound(value: ArrayLike, what: str, real: np.dtype[Any], count: int) -> NDArray[np.float64]:
-    """``count`` bounds, or one for all of them; they may be infinite."""
-    expanded = np.broadcast_to(value, (count,)) if ndim(value) == 0 else value
-    array = checked_array(expanded, what, real, (count,), finite=False)
-    if np.any(np.isnan(array)):
-        raise ControllerError(f"{what} is NaN")
-    return array.astype(np.float64)
+def check_weights(W: NDArray[Any], what: str, real: np.dtype[Any]) -> NDArray[Any]:
+    """The checked weights (rows, size, size), or diagonals (rows, size); ControllerError names the wrong one."""
+    if W.ndim == 2 and not (W < 0).any():
+        return W
+    eps = float(np.finfo(real).eps)
+    names = [what] if len(W) == 1 else [f"{what} of node {k}" for k in range(len(W))]
+    dense = [w if w.ndim == 2 else np.diag(w) for w in W]
+    return np.array([checked_weight(w, name, ControllerError, eps) for w, name in zip(dense, names, strict=True)])
+
+
+def pair(value: Any, what: str) -> tuple[Any, Any]:
+    """Two values, or ControllerError."""
+    if not isinstance(value, (tuple, list)) or len(value) != 2:
+        raise ControllerError(f"{what} is {value!r}; expected (lower, upper)")
+    return value[0], value[1]
 
 
 #: Levels of an iteration in the order of their numbers in C.
@@ -124,28 +156,40 @@ def is_positive(value: object) -> bool:
     return math.isfinite(value) and bool(value > 0)
 
 
-def by_node(
-    value: ArrayLike, what: str, real: np.dtype[Any], size: int, nodes: int
-) -> list[tuple[int | None, NDArray[Any]]]:
-    """(None, array of ``size`` numbers) for all nodes, or (node, array) for each of ``nodes``; 0: only the former.
+def rows(
+    value: ArrayLike,
+    what: str,
+    real: np.dtype[Any],
+    size: int,
+    lengths: Sequence[int] = (),
+    finite: bool = True,
+    spread: bool = True,
+) -> NDArray[Any]:
+    """An array (1, size) for all nodes, or (n, size), one row per node, for one of the numbers of nodes ``lengths``.
 
-    One number is a row if ``size`` is 1.
+    (n,) are rows if ``size`` is 1. ``spread``: one number stands for all elements of a row.
 
     Raises:
         ControllerError: other shapes; the message lists all that are taken.
     """
-    single: list[tuple[int, ...]] = [(size,), ()] if size == 1 else [(size,)]
-    rows: list[tuple[int, ...]] = [(nodes, size)] if nodes else []
-    if size == 1 and nodes > 1:
-        rows.append((nodes,))
-    taken = [*single, *rows]
-    shape = next((s for s in taken if ndim(value) == len(s) and np.shape(value) == s), (size,))
-    others = ["a number"] if size == 1 else []
-    others += [f"one row per node, {' or '.join(map(str, rows))}"] if rows else []
-    array = checked_array(value, what, real, shape, also=", or ".join(others))
-    if shape in rows:
-        return list(enumerate(array.reshape(nodes, size)))
-    return [(None, array.reshape(size))]
+    shape = np.shape(value) if ndim(value) >= 0 else None
+    flat = shape is not None and size == 1 and len(shape) == 1 and shape[0] in lengths
+    by_node = shape is not None and len(shape) == 2 and shape[1] == size and shape[0] in lengths
+    taken = flat or by_node or shape == (size,) or (shape == () and (spread or size == 1))
+    expected = shape if taken and shape is not None else (size,)
+    array = checked_array(value, what, real, expected, finite, also=_other_shapes(size, lengths, spread))
+    return array.reshape(-1, size) if array.ndim else np.full((1, size), array)
+
+
+def _other_shapes(size: int, lengths: Sequence[int], spread: bool) -> Callable[[], str]:
+    """Says which shapes rows() takes besides (size,)."""
+
+    def say() -> str:
+        shapes = [f"({n},)" if size == 1 else f"({n}, {size})" for n in lengths]
+        found = ["a number"] if spread or size == 1 else []
+        return ", or ".join([*found, *([f"one row per node, {' or '.join(shapes)}"] if shapes else [])])
+
+    return say
 
 
 def ndim(value: ArrayLike) -> int:

@@ -52,7 +52,7 @@ def whole_parameters(ctrl: Memory) -> Array:
     return np.array([*([stored[0]] * d.N), stored[-1]], dtype=np.float64)
 
 
-def references(ctrl: Memory) -> Array:
+def path_reference(ctrl: Memory) -> Array:
     """Reference of the path residual at node 0, (ny,); the declared one if it is fixed."""
     if ctrl.description.online["reference"] == "fixed":
         return np.array([residual.reference for residual in ctrl.description.residuals])

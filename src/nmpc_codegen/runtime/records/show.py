@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from nmpc_codegen.package.signals import horizon, nodes
-from nmpc_codegen.runtime.diagnosis.rows import path_bounds, references, start_parameters
+from nmpc_codegen.runtime.diagnosis.rows import path_bounds, path_reference, start_parameters
 from nmpc_codegen.runtime.memory import Memory
 from nmpc_codegen.runtime.records.html import ROWS, page, shorten, table, units
 
@@ -37,7 +37,8 @@ def in_html(ctrl: Memory) -> str:
         soft = "hard" if row.soft is None else "soft"
         rows.append((lower, row.name, upper, unit.get(of_row, ""), nodes(row.nodes), soft))
     targets: list[tuple[object, ...]] = [
-        (r.name, unit.get(r.signal, ""), float(y)) for r, y in zip(described.residuals, references(ctrl), strict=True)
+        (r.name, unit.get(r.signal, ""), float(y))
+        for r, y in zip(described.residuals, path_reference(ctrl), strict=True)
     ]
     grid = horizon(described.dt, described.time_unit, described.discrete)
     code = f"{described.precision} precision, target {described.target}, profile {ctrl.profile}, {ctrl.nbytes:,} bytes"

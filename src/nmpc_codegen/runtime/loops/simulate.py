@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from functools import partial
 from importlib.util import find_spec
 from typing import Literal
@@ -19,12 +19,13 @@ from nmpc_codegen.errors import ControllerError
 from nmpc_codegen.runtime.controller import Controller, Status
 from nmpc_codegen.runtime.diagnosis.rows import (
     path_bounds,
-    references,
+    path_reference,
     row_values,
     start_parameters,
     whole_parameters,
 )
-from nmpc_codegen.runtime.given import is_positive, is_same_time
+from nmpc_codegen.runtime.given import is_positive, is_same_time, rows
+from nmpc_codegen.runtime.loops.forecast import Before, Bounds, OverSamples, References, forecast
 from nmpc_codegen.runtime.records.html import units
 from nmpc_codegen.runtime.records.log import Log
 from nmpc_codegen.runtime.records.trace import Bound, Trace
@@ -33,8 +34,8 @@ Array = NDArray[np.float64]
 Traces = tuple[Trace, ...]
 Plant = Callable[[Array, Array, float], ArrayLike]
 Disturbance = Callable[[int, Array], ArrayLike]
-Reference = Callable[[int, Controller], None]
 Law = Literal["step", "solve"]
+Sample = Callable[[Array, int], tuple[Array, int]]
 
 LOG_BYTES = 2**31  # a larger log may not fit into memory, and the run would take hours
 LOG_COLUMNS = 4  # status, cost, time and t
@@ -45,30 +46,42 @@ STEP_SLACK = 1e-9  # relative tolerance: dt = 3 intervals, computed as a sum of 
 
 def simulate(
     ctrl: Controller,
-    x0: ArrayLike,
+    x0: ArrayLike | Mapping[str, ArrayLike],
     steps: int,
     dt: float | None = None,
     plant: Plant | None = None,
     disturbance: Disturbance | None = None,
-    reference: Reference | None = None,
+    before: Before | None = None,
     warm_start: bool = False,
     law: Law = "step",
+    *,
+    parameters: OverSamples | None = None,
+    bounds: Bounds | None = None,
+    references: References | None = None,
+    reference: References | None = None,
 ) -> Log:
     """Run a controller in closed loop. The controller is left in its last state; copy() it to keep the initial one.
 
     Args:
         ctrl: the controller.
-        x0: initial state of the plant, shape (nx,).
+        x0: initial state of the plant, shape (nx,), or {name of a state or of a vector: value}, where others have
+            their declared initial values.
         steps: number of samples, >= 0.
         dt: sampling time (s, or the time_unit of the OCP); by default that of the controller, or its first interval if
             any will do, as with shift=None. Leave it out for a discrete map.
         plant: plant(x, u, dt) -> next x; by default the integrator of the package, in equal steps no longer than the
             controller's first interval.
         disturbance: disturbance(k, x) -> value added to the state after sample k; x is the state before this sample.
-        reference: called as reference(k, ctrl) before sample k, to set references, parameters or bounds.
+        before: called as before(k, ctrl) before sample k, to set data; after those of the next arguments.
         warm_start: call solve(x0) before the first sample, so that the loop starts from a converged plan. One iteration
             per sample may not find a plan from a cold start with hard rows.
         law: "step": step(x) at every sample; "solve": solve(x), from the plan of the sample before, moved as in step().
+        parameters: {name: array over the samples}, (n,), or (n, size) for a vector. A node of sample k has the row of
+            the sample at its time, k + j if intervals are as long as samples, so that a forecast moves along; the last
+            row holds from there on. Where all nodes share one value, it is that of sample k.
+        bounds: {name of a row: (lower, upper)}, each a number or an array over the samples as for parameters.
+        references: {name of a residual: array over the samples}, or (n, ny) for the path residual.
+        reference: the same; a function that is given here belongs to ``before``.
 
     Raises:
         ControllerError: shapes or numbers are wrong, there are more steps than a log can hold, or the plant returns
@@ -77,23 +90,39 @@ def simulate(
     numbers = _path_rows(ctrl)
     _check_steps(steps, ctrl, len(numbers))
     interval = _interval(ctrl, dt)
-    name, nx, nu = ctrl.description.name, ctrl.dims.nx, ctrl.dims.nu
     move, sample = plant or _own_plant(ctrl), _sample_by(law, ctrl, interval)
+    start = _state(_stack(x0, ctrl) if isinstance(x0, Mapping) else x0, ctrl.dims.nx, "x0")
+    tell = forecast(ctrl, interval, parameters, bounds, _references(references, reference), before)
+    if warm_start:
+        _solve_first(ctrl, start, tell)
+    return _run(ctrl, start, steps, interval, numbers, tell, sample, move, disturbance)
+
+
+def _run(
+    ctrl: Controller,
+    start: Array,
+    steps: int,
+    interval: float,
+    numbers: list[int],
+    tell: Before,
+    sample: Sample,
+    move: Plant,
+    disturbance: Disturbance | None,
+) -> Log:
+    """The loop and its log; ``numbers``: rows that are logged."""
+    name, nx, nu = ctrl.description.name, ctrl.dims.nx, ctrl.dims.nu
     x, u, known = np.zeros((steps + 1, nx)), np.zeros((steps, nu)), np.zeros((steps, ctrl.known.size))
     status, time_ns, cost = np.zeros(steps, np.int64), np.zeros(steps, np.int64), np.zeros(steps)
     p, y = np.zeros((steps, ctrl.dims.np)), np.zeros((steps, ctrl.dims.ny))
-    x[0] = _state(x0, nx, "x0")
+    x[0] = start
     reasons: dict[Status, str] = {}
-    if warm_start:
-        _solve_first(ctrl, x[0], reference)
     for k in _progress(range(steps), name):
-        if reference is not None:
-            reference(k, ctrl)
+        tell(k, ctrl)
         u[k], time_ns[k] = sample(x[k], k)
         status[k], cost[k], known[k] = ctrl.status, ctrl.cost, ctrl.known
         if status[k] not in reasons:
             reasons[Status(status[k])] = ctrl.diagnose() if status[k] else ""
-        p[k], y[k] = start_parameters(ctrl), references(ctrl)
+        p[k], y[k] = start_parameters(ctrl), path_reference(ctrl)
         moved = move(x[k].copy(), u[k].copy(), interval)
         x[k + 1] = _state(moved, nx, f"the plant's state after sample {k}", partial(_before, ctrl, x[k], u[k]))
         if disturbance is not None:
@@ -101,11 +130,10 @@ def simulate(
     h = _sample_rows(ctrl, np.hstack([x[:-1], known]), u, p)[:, numbers]
     own, traces = _own_axes(ctrl, numbers, h, x, u)
     t = interval * np.arange(steps + 1, dtype=np.float64)
-    samples = (status, cost, time_ns)
-    return Log(name, ctrl.description.time_unit, t, x, u, h[:, own], p, y, *samples, *traces, reasons)
+    return Log(name, ctrl.description.time_unit, t, x, u, h[:, own], p, y, status, cost, time_ns, *traces, reasons)
 
 
-def _sample_by(law: Law, ctrl: Controller, interval: float) -> Callable[[Array, int], tuple[Array, int]]:
+def _sample_by(law: Law, ctrl: Controller, interval: float) -> Sample:
     """(x, k) -> the control of sample k and its time. solve() leaves nothing to the next sample, so it is said here."""
 
     def step(x: Array, k: int) -> tuple[Array, int]:
@@ -143,13 +171,34 @@ def _path_rows(ctrl: Controller) -> list[int]:
     return found
 
 
-def _solve_first(ctrl: Controller, x0: Array, reference: Reference | None) -> None:
+def _references(references: References | None, reference: References | None) -> References | None:
+    """Which of both is given."""
+    if callable(reference):
+        raise ControllerError("reference is a function; expected before=f, and arrays over the samples in references=")
+    if references is not None and reference is not None:
+        raise ControllerError("references and reference are both given; expected one of them")
+    return reference if references is None else references
+
+
+def _stack(x0: Mapping[str, ArrayLike], ctrl: Controller) -> Array:
+    """The declared initial state with the values that are given by name."""
+    states = ctrl.description.states
+    x = np.array([v for s in states for v in s.value], dtype=np.float64)
+    known = list(ctrl.names.states)
+    for name, value in x0.items():
+        places = [i for i, element in enumerate(known) if name in (element, element.rpartition("[")[0]) and name]
+        if not places:
+            raise ControllerError(f"x0: no state {name!r}; those that exist: {', '.join(map(repr, known))}")
+        x[places] = rows(value, f"x0: {name!r}", x.dtype, len(places), finite=False)[0]
+    return x
+
+
+def _solve_first(ctrl: Controller, x0: Array, tell: Before) -> None:
     """Iterate to convergence with the data of the first sample; a plan that has not converged is a start as well.
 
     The plan belongs to the first sample, which therefore must not shift it.
     """
-    if reference is not None:
-        reference(0, ctrl)
+    tell(0, ctrl)
     ctrl.solve(x0)
     if "samples" in ctrl.description.members("solver"):
         ctrl.view("samples")[...] = 0

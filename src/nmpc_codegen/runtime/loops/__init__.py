@@ -1,0 +1,1 @@
+"""Closed loops of a controller and a plant, and what they are told at every sample."""

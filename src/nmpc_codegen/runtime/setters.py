@@ -1,0 +1,336 @@
+"""What a controller is told while it runs: references, weights, parameters, bounds, the control and time of the plant.
+
+Every setter takes one value for all nodes, an array with a row for each node, or {name: one of these}, where a name is
+that of an element or of a vector. Arrays are one call of the C package; what is refused changes nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from functools import cached_property
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from nmpc_codegen.errors import ControllerError
+from nmpc_codegen.package.signals import Kind, Signal
+from nmpc_codegen.runtime import given
+from nmpc_codegen.runtime.memory import Memory
+
+__all__ = ["EVERY_NODE", "Setters"]
+
+EVERY_NODE = -1  # <NAME>_ALL of the C package
+
+Array = NDArray[Any]
+Named = Mapping[str, ArrayLike]
+
+
+class Setters(Memory):
+    """The data of a controller that can be changed at run time."""
+
+    # -- references and weights ---------------------------------------------------------------------------------------
+
+    def set_reference(self, y: ArrayLike | Named, node: int | None = None) -> None:
+        """Set references of residuals.
+
+        Args:
+            y: (ny,), the path residual; (N, ny), one row per node, or (N+1, ny) if the terminal residual consists of
+                residuals of the path; (N,) and (N+1,) if ny = 1. Or {name: value}, where a name is that of a residual
+                or of a vector of them: a number, or one per element, sets it at every node, at the end too if the
+                terminal residual has that name; an array with a row per node as above. Others stay.
+            node: 0..N-1, N for the terminal residual, None for every node. Online(reference="shared") allows None and
+                N, and no rows per node.
+        """
+        self._set_residuals("reference", y, node)
+
+    def set_terminal_reference(self, y: ArrayLike | Named) -> None:
+        """Set the reference of the terminal residual: (ny_N,), or {name: value}."""
+        self._set_residuals("reference", y, self.dims.N)
+
+    def set_weight(self, W: ArrayLike | Named, node: int | None = None) -> None:
+        """Set weights of residuals, symmetric positive semidefinite up to rounding; (W + W') / 2 is stored.
+
+        Rows and columns of residuals that were stated with scale_with_dt are multiplied by dt_k wherever W is used, so
+        give them as in least_squares().
+
+        Args:
+            W: the diagonal (ny,) or the matrix (ny, ny) of the path residual; or (N, ny) and (N, ny, ny), one per node,
+                and with N+1 rows as for set_reference(); (ny, ny) is a matrix if N = ny, too. Or {name: value}:
+                entries of the diagonal. A number sets those of the path, as weights of the end are other ones; N+1
+                rows and node=N set the end.
+                Off-diagonal entries require a weight that was declared with some, or Online(dense_weight=True).
+            node: 0..N-1, N for the terminal residual, None for every node. Online(weight="shared") allows None and N,
+                and no rows per node.
+        """
+        self._set_residuals("weight", W, node)
+
+    def set_terminal_weight(self, W: ArrayLike | Named) -> None:
+        """Set the weight of the terminal residual: (ny_N,) or (ny_N, ny_N), or {name: entry of the diagonal}."""
+        self._set_residuals("weight", W, self.dims.N)
+
+    # -- parameters and bounds ----------------------------------------------------------------------------------------
+
+    def set_parameter(self, name: str, value: ArrayLike, node: int | None = None) -> None:
+        """Set the value of a parameter.
+
+        Args:
+            name: the declared name of a number or vector, or of an element of a vector, r[1].
+            value: a number, or (size,); or one row per node, (N+1, size), or (N, size) for the nodes before the end;
+                (N+1,) and (N,) if size = 1. A value outside of the bounds that the parameter was declared with is an
+                error.
+            node: 0..N, or None for every node. Online(parameter="shared") allows None and N, and no rows per node.
+        """
+        self._send_parameter(*self._checked_parameter(name, value, node))
+
+    def set_parameters(self, values: Named | None = None, /, *, node: int | None = None, **more: ArrayLike) -> None:
+        """Set several parameters, set_parameters(m=0.8, k=[1.0, 2.0]): all of them, or none if one is wrong.
+
+        Args:
+            values: {name: value}, for names that are no keywords: elements of vectors, a parameter named node.
+            node: as in set_parameter().
+            more: name=value.
+        """
+        checked = [self._checked_parameter(n, v, node) for n, v in {**(values or {}), **more}.items()]
+        for one in checked:
+            self._send_parameter(*one)
+
+    def set_bounds(
+        self,
+        name: str | Mapping[str, tuple[ArrayLike, ArrayLike]],
+        lower: ArrayLike | None = None,
+        upper: ArrayLike | None = None,
+        node: int | None = None,
+    ) -> None:
+        """Set the bounds of a row, or of all rows of a vector by its base name: all of them, or none if one is wrong.
+
+        Args:
+            name: name of the row, e.g. "swing" or "r[1]"; or "r" for r[0], r[1], ...; or {name: (lower, upper)}.
+            lower: a number or one per row; -inf: no bound. Or one row per node, (N+1, rows), (N+1,) for one row, where
+                nodes at which the row does not hold count nothing; with N rows if it does not hold at the end.
+            upper: the same; +inf: no bound.
+            node: a node of the row, or None for all of them. Online(bounds="shared") allows None and N, and no rows
+                per node.
+        """
+        if isinstance(name, Mapping):
+            pairs = {n: given.pair(both, f"bounds of {n!r}") for n, both in name.items()}
+        elif lower is None or upper is None:
+            raise ControllerError(f"bounds of {name!r}: expected a lower and an upper one; -inf and inf: no bound")
+        else:
+            pairs = {name: (lower, upper)}
+        checked = [one for n, both in pairs.items() for one in self._checked_bounds(n, *both, node)]
+        for row, low, high in checked:
+            if len(low) == 1:
+                status = self._call("set_bounds", self._s, row, self._node(node), float(low[0]), float(high[0]))
+            else:
+                bounds = self._pointer(low), self._pointer(high)
+                status = self._call("set_bounds_range", self._s, row, 0, len(low), *bounds)
+            self._expect(status, "set_bounds", f"row {self.names.rows[row]!r}, node {node}")
+
+    # -- the plant ----------------------------------------------------------------------------------------------------
+
+    def set_previous(self, u: ArrayLike) -> None:
+        """Set the control that was applied last, (nu,): what the actuator did, where it is not what step() returned.
+
+        Call it after step() or feedback(), which set it to the control that they return.
+        """
+        self._needs_inner(bool(self.description.inner.previous), "previous control", "ocp.previous(u) or ocp.rate(u)")
+        value = self._array("previous control", u, (self.dims.nu,))
+        self._expect(self._call("set_previous", self._s, self._pointer(value)), "set_previous")
+
+    def set_time(self, time: float) -> None:
+        """Set the time of the next sample, in the unit of the problem; step() and feedback() move it on by the sampling
+        time. A sample that has been prepared sees the change to first order."""
+        self._needs_inner(self.description.inner.time, "time", "ocp.time")
+        value = float(self._array("time", time, ()))
+        self._expect(self._call("set_time", self._s, value), "set_time")
+
+    # -- inner: residuals ---------------------------------------------------------------------------------------------
+
+    def _set_residuals(self, kind: Literal["reference", "weight"], value: ArrayLike | Named, node: int | None) -> None:
+        lengths = self._lengths(kind, f"the {kind}", node)
+        if isinstance(value, Mapping):
+            self._set_by_name(kind, value, node, lengths)
+            return
+        d, end = self.dims, node is not None and node == self.dims.N
+        size = d.ny_N if end else d.ny
+        if not size:
+            raise ControllerError(f"{self._package.name} has no {'terminal' if end else 'path'} residual")
+        what = f"terminal {kind}" if end else kind
+        if len(lengths) > 1 and self._path_of_end is None:
+            lengths = lengths[:1]
+        if kind == "reference":
+            rows = given.rows(value, what, self._real, size, lengths, spread=False)
+        else:
+            rows = given.weights(value, what, self._real, size, self._is_matrix(end), lengths)
+        if end:
+            self._send(f"set_terminal_{kind}", rows, None)
+            return
+        self._send(f"set_{kind}", rows[: d.N], node)
+        if len(rows) > d.N:
+            at_end = rows[-1][np.ix_(*[self._path_of_end] * (rows.ndim - 1))]
+            self._send(f"set_terminal_{kind}", at_end[None], None)
+
+    def _set_by_name(self, kind: Kind, values: Named, node: int | None, lengths: tuple[int, ...]) -> None:
+        """Replace entries of references, or of the diagonals of weights."""
+        N, matrices, path_name = self.dims.N, kind == "weight", "yref" if kind == "reference" else "W"
+        path, end = (np.array(self._view(name)) for name in (path_name, f"{path_name}_N"))
+        sent = [False, False]
+        for name, value in values.items():
+            elements = self._elements_of(name, node)
+            rows = given.rows(value, f"{kind} of {name!r}", self._real, len(elements), lengths)
+            for element, column in zip(elements, rows.T, strict=True):
+                here, there = self.names.y.index(element) if element in self.names.y else None, None
+                if node == N or len(column) > N or (node is None and (kind == "reference" or here is None)):
+                    there = self.names.y_N.index(element) if element in self.names.y_N else None
+                if len(column) > N and there is None:
+                    raise ControllerError(f"{kind} of {name!r}: N + 1 rows, but {element!r} is no terminal residual")
+                if here is not None and node != N:
+                    nodes = slice(None) if node is None else slice(node, node + 1)
+                    _diagonal(path, matrices and path.ndim == 3)[nodes, here] = column[:N]
+                    sent[0] = True
+                if there is not None:
+                    _diagonal(end[None], matrices and end.ndim == 2)[0, there] = column[-1]
+                    sent[1] = True
+        if matrices:
+            for W, word in ((path, "weight"), (end[None], "terminal weight")):
+                given.check_weights(W, word, self._real)
+        if sent[0]:
+            self._send(f"set_{kind}", path, None)
+        if sent[1]:
+            self._send(f"set_terminal_{kind}", end[None], None)
+
+    def _elements_of(self, name: str, node: int | None) -> list[str]:
+        """Names of the residuals that a name means, at a node or at all of them."""
+        N = self.dims.N
+        known = list(
+            dict.fromkeys((*(self.names.y if node != N else ()), *(self.names.y_N if node in (None, N) else ())))
+        )
+        return [known[i] for i in self._members(name, known, "residual")]
+
+    @cached_property
+    def _path_of_end(self) -> list[int] | None:
+        """For every terminal residual its place in that of the path; None if one is missing there, or there is none."""
+        places = [self.names.y.index(name) for name in self.names.y_N if name in self.names.y]
+        return places if places and len(places) == self.dims.ny_N else None
+
+    def _is_matrix(self, end: bool) -> bool:
+        """True if the weight is stored in full."""
+        return self._view("W_N").ndim == 2 if end else self._view("W").ndim == 3
+
+    # -- inner: parameters and bounds ---------------------------------------------------------------------------------
+
+    def _checked_parameter(self, name: str, value: ArrayLike, node: int | None) -> tuple[int, Array, int | None]:
+        """Number of the parameter, its rows, and the node; an element of a vector comes with the others as they are."""
+        signals = self.description.parameters
+        names = [p.name for p in signals]
+        base = name.rpartition("[")[0] if isinstance(name, str) and name not in names else ""
+        index = self._lookup(base if base in names else name, names, "parameter")
+        signal, what = signals[index], f"parameter {name!r}"
+        lengths = self._lengths("parameter", what, node)
+        column = None if name == signal.name else self._lookup(name, signal.elements, "parameter")
+        rows = given.rows(value, what, self._real, signal.size if column is None else 1, lengths)
+        if column is not None:
+            whole = self._stored_parameter(signal, node, len(rows))
+            whole[:, column] = rows[:, 0]
+            rows = whole
+        return index, rows, node
+
+    def _stored_parameter(self, signal: Signal, node: int | None, count: int) -> Array:
+        """The present rows of a parameter that ``count`` rows for a node, or for all, replace."""
+        stored = self._view("p")[:, signal.offset : signal.offset + signal.size]
+        if self.description.online["parameter"] == "shared":
+            return np.array(stored[[0 if node is None else -1]])
+        if node is not None:
+            return np.array(stored[[node]])
+        return np.array(stored[:count] if count > 1 else stored)
+
+    def _send_parameter(self, index: int, rows: Array, node: int | None) -> None:
+        self._send("set_parameter", rows, node, index)
+
+    def _checked_bounds(
+        self, name: str, lower: ArrayLike, upper: ArrayLike, node: int | None
+    ) -> Iterator[tuple[int, Array, Array]]:
+        """(row, lower, upper) for every row of that name: one number, or one per node."""
+        numbers = self._members(name, self.names.rows, "row")
+        lengths = self._lengths("bounds", f"the bounds of {name!r}", node)
+        rows = [self.description.rows[i] for i in numbers]
+        if any(self.dims.N in row.nodes for row in rows):
+            lengths = lengths[1:]
+        low, high = (
+            given.rows(value, f"{which} bound of {name!r}", self._real, len(rows), lengths, finite=False)
+            for which, value in (("lower", lower), ("upper", upper))
+        )
+        low, high = np.broadcast_arrays(low, high)
+        for number, row, one_low, one_high in zip(numbers, rows, low.T, high.T, strict=True):
+            if node is not None and node not in row.nodes:
+                raise ControllerError(f"bounds of {row.name!r}: it does not hold at node {node}, but at {row.nodes}")
+            imposed = [k for k in row.nodes if k < len(low)] if len(low) > 1 else [0]
+            for which, bound in (("lower", one_low), ("upper", one_high)):
+                if np.any(np.isnan(bound[imposed])):
+                    raise ControllerError(f"{which} bound of {row.name!r} is NaN")
+            if np.any(one_low[imposed] > one_high[imposed]):
+                raise ControllerError(
+                    f"bounds of {row.name!r}: lower {one_low.tolist()} above upper {one_high.tolist()}"
+                )
+            yield number, one_low, one_high
+
+    # -- inner: all kinds ---------------------------------------------------------------------------------------------
+
+    def _lengths(self, kind: Kind, what: str, node: int | None) -> tuple[int, ...]:
+        """Numbers of rows that an array with rows for nodes may have; none for one node, or for data that all share.
+
+        Raises:
+            ControllerError: this kind of data cannot be set, or not at this node.
+        """
+        layout, k, N = self.description.online[kind], self._node(node), self.dims.N
+        if layout == "fixed":
+            raise ControllerError(
+                f'{self._package.name}: {what} cannot be set: it was generated with Online({kind}="fixed"); '
+                f'generate it with "shared" or "node"'
+            )
+        if layout == "shared" and k not in (EVERY_NODE, N):
+            raise ControllerError(
+                f"{self._package.name}: {what} cannot be set at node {node}; expected node None or {N}: "
+                f'it was generated with Online({kind}="shared")'
+            )
+        return (N, N + 1) if layout == "node" and node is None else ()
+
+    def _node(self, node: int | None) -> int:
+        """Node number for C; None: every node. The C code checks whether data of this node can be set."""
+        if node is None:
+            return EVERY_NODE
+        if not given.is_integer(node) or not 0 <= node <= self.dims.N:
+            raise ControllerError(f"node is {node!r}; expected None or an integer in 0..{self.dims.N}")
+        return int(node)
+
+    def _send(self, call: str, rows: Array, node: int | None, *leading: int) -> None:
+        """Send one row for a node or for all, or one row per node from node 0 on."""
+        if call.startswith("set_terminal"):
+            status = self._call(call, self._s, self._pointer(rows))
+        elif len(rows) == 1:
+            status = self._call(call, self._s, *leading, self._node(node), self._pointer(rows))
+        else:
+            status = self._call(f"{call}_range", self._s, *leading, 0, len(rows), self._pointer(rows))
+        if status:
+            self._expect(status, call, "every node" if node is None else f"node {node}")
+
+    def _lookup(self, name: str, known: Sequence[str], kind: str) -> int:
+        return self._members(name, known, kind)[0] if name in known else self._unknown(name, known, kind)
+
+    def _members(self, name: str, known: Sequence[str], kind: str) -> list[int]:
+        """The element of that name, or all elements name[i]."""
+        if name in known:
+            return [known.index(name)]
+        return [i for i, element in enumerate(known) if element.rpartition("[")[0] == name and name] or [
+            self._unknown(name, known, kind)
+        ]
+
+    def _unknown(self, name: object, known: Sequence[str], kind: str) -> int:
+        there = ", ".join(map(repr, known)) or "none"
+        raise ControllerError(f"{self._package.name} has no {kind} {name!r}; those that exist: {there}")
+
+
+def _diagonal(values: Array, matrices: bool) -> Array:
+    """A view on rows (n, size), or on the diagonals of matrices (n, size, size), that can be written to."""
+    return np.einsum("kii->ki", values) if matrices else values
