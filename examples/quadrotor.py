@@ -125,7 +125,7 @@ def main(picture: str = "out/quadrotor.png") -> Log:
     start = (-0.5, 0.8, 0.2)
     controller = build(build_ocp(start), options(shift="repeat"))
     log = simulate(
-        controller, controller.x[0], steps=round(2 * PERIOD / SAMPLING), dt=SAMPLING, reference=preview, warm_start=True
+        controller, controller.x[0], steps=round(2 * PERIOD / SAMPLING), dt=SAMPLING, before=preview, warm_start=True
     )
     print(log.summary())
     draw(log, picture)

@@ -20,6 +20,7 @@ from nmpc_codegen.errors import (
     ProblemWarning,
 )
 from nmpc_codegen.exclusive import COMPILING
+from nmpc_codegen.package.signals import Soft
 from nmpc_codegen.package.status import Status
 from nmpc_codegen.package.version import __version__ as __version__
 from nmpc_codegen.runtime.controller import Controller
@@ -53,7 +54,8 @@ if TYPE_CHECKING:
         Midpoint,
     )
     from nmpc_codegen.components.qp import DenseActiveSet, Osqp, RiccatiActiveSet, RiccatiInteriorPoint
-    from nmpc_codegen.frontend.excess import smooth_excess
+    from nmpc_codegen.frontend.functions.excess import smooth_excess
+    from nmpc_codegen.frontend.functions.lookup_table import lookup_table
     from nmpc_codegen.frontend.ocp import OCP
     from nmpc_codegen.options import Online, Options
 
@@ -69,7 +71,8 @@ _HOMES = {
     "components.integrators": (
         *("RK4", "SSPRK3", "ButcherTableau", "Discrete", "Euler", "ExplicitRungeKutta", "Heun", "Midpoint"),
     ),
-    "frontend.excess": ("smooth_excess",),
+    "frontend.functions.excess": ("smooth_excess",),
+    "frontend.functions.lookup_table": ("lookup_table",),
     "frontend.ocp": ("OCP",),
     "options": ("Online", "Options"),
     "components.qp": ("DenseActiveSet", "Osqp", "RiccatiActiveSet", "RiccatiInteriorPoint"),
@@ -115,11 +118,13 @@ __all__ = [
     "RealTimeIteration",
     "RiccatiActiveSet",
     "RiccatiInteriorPoint",
+    "Soft",
     "Status",
     "Symmetric",
     "build",
     "export",
     "generate",
+    "lookup_table",
     "open_package",
     "simulate",
     "smooth_excess",

@@ -60,6 +60,7 @@ class Online:
     bounds: Layout = option("shared", Words(LAYOUTS))
     parameter: Layout = option("node", Words(LAYOUTS))
     dense_weight: bool = option(False, Flag())
+    soft: Layout = option("shared", Words(LAYOUTS))
 
     def __post_init__(self) -> None:
         check_options(self, "online")
@@ -77,6 +78,7 @@ class Online:
             "weight": self.weight,
             "bounds": self.bounds,
             "parameter": self.parameter,
+            "soft": self.soft,
         }
 
 

@@ -22,9 +22,9 @@ static real_t nodal_cost(const solver_t *s)
 }
 
 /* Penalty l1 v + l2/2 v^2 of a violation v >= 0 of the soft row m. */
-static real_t soft_penalty(int m, real_t v)
+static real_t soft_penalty(const solver_t *s, int m, real_t v)
 {
-    return row_l1(m) * v + R(0.5) * row_l2(m) * v * v;
+    return row_l1(s, m) * v + R(0.5) * row_l2(s, m) * v * v;
 }
 
 /* Sum of the penalties of all soft rows at the present iterate. */
@@ -33,8 +33,8 @@ static real_t soft_penalties(const solver_t *s)
     real_t value[NG], total = R(0);
     evaluate_rows(s, value);
     for (int m = 0; m < NG; m++) {
-        if (row_is_soft(m)) {
-            total += soft_penalty(m, outside(s, m, value[m]));
+        if (row_is_soft(s, m)) {
+            total += soft_penalty(s, m, outside(s, m, value[m]));
         }
     }
     return total;

@@ -92,22 +92,42 @@ static void path_multipliers(const solver_t *s, int k, real_t *mu)
     }
 }
 
-/* Penalty l1 v of a violation v of row m; infinite for a hard row. */
-static inline real_t row_l1(int m)
+/* Factor of the penalties of soft row i at a node: the length of its interval, at the end of the last one, or 1. */
+static inline real_t penalty_factor(int i, int k)
 {
-    return penalty_l1[row_id(m)];
+    if (SCALED_PENALTIES == 0) {
+        return R(1);
+    }
+    return penalty_scaled[i] ? interval_length[(k < N) ? k : N - 1] : R(1);
+}
+
+/* Penalty l1 v of a violation v of row m; infinite for a hard row. */
+static inline real_t row_l1(const solver_t *s, int m)
+{
+    if (SOFT_ROWS == 0) {
+        return INF;
+    }
+    const int i = soft_place[row_id(m)], k = row_node(m);
+    if (i < 0) {
+        return INF;
+    }
+    return SOFT_L1(s, k)[i] * penalty_factor(i, k);
 }
 
 /* Its quadratic part, l2/2 v^2. */
-static inline real_t row_l2(int m)
+static inline real_t row_l2(const solver_t *s, int m)
 {
     if (SOFT_ROWS == 0) {
         return R(0);
     }
-    return penalty_l2[row_id(m)];
+    const int i = soft_place[row_id(m)], k = row_node(m);
+    if (i < 0) {
+        return R(0);
+    }
+    return SOFT_L2(s, k)[i] * penalty_factor(i, k);
 }
 
-static inline int row_is_soft(int m)
+static inline int row_is_soft(const solver_t *s, int m)
 {
     if (SOFT_ROWS == 0) {
         return 0;
@@ -115,7 +135,7 @@ static inline int row_is_soft(int m)
     if (HARD_ROWS == 0) {
         return 1;
     }
-    return row_l1(m) < INF;
+    return row_l1(s, m) < INF;
 }
 
 /* What a violation of row m costs by its node: the way back may lead through larger ones of rows on states alone. */
@@ -130,8 +150,8 @@ static inline real_t relaxed_price(const solver_t *s, int m)
 /* Penalty of row m in a sample. That of a relaxed hard row is the price of a violation by the scale of the row. */
 static inline real_t row_penalty(const solver_t *s, int m)
 {
-    if (SOFT_ROWS > 0 && (RELAXATION == 0 || row_is_soft(m))) {
-        return row_l1(m);
+    if (SOFT_ROWS > 0 && (RELAXATION == 0 || row_is_soft(s, m))) {
+        return row_l1(s, m);
     }
     if (RELAXATION == 0) {
         return INF;

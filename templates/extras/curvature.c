@@ -58,7 +58,7 @@ static void evaluate_bent(solver_t *s)
 static int row_is_active(const solver_t *s)
 {
     for (int m = 0; m < NG; m++) {
-        if (!row_is_soft(m) && FABS(s->mult[m]) > R(0)) {
+        if (!row_is_soft(s, m) && FABS(s->mult[m]) > R(0)) {
             return 1;
         }
     }

@@ -16,8 +16,8 @@ static real_t row_term(const solver_t *s, int m, real_t v, real_t *slope, real_t
     real_t y = inside ? moved : clip(moved, lower, upper), penalty = R(0);
     *slope = inside ? R(0) : mu + weight * (v - y);
     *curvature = inside ? R(0) : weight;
-    if (SOFT_ROWS > 0 && FABS(*slope) > row_l1(m)) {
-        const real_t l1 = row_l1(m), l2 = row_l2(m);
+    if (SOFT_ROWS > 0 && FABS(*slope) > row_l1(s, m)) {
+        const real_t l1 = row_l1(s, m), l2 = row_l2(s, m);
         const real_t side = (*slope > R(0)) ? R(1) : -R(1), bound = (*slope > R(0)) ? upper : lower;
         const real_t excess = (side * (mu + weight * (v - bound)) - l1) / (weight + l2);
         y = bound + side * excess;

@@ -32,7 +32,7 @@ static void scale_rows(solver_t *s, real_t *size)
 static int hard_rows_hold(const solver_t *s)
 {
     for (int m = 0; m < NG; m++) {
-        if (row_is_soft(m)) {
+        if (row_is_soft(s, m)) {
             continue;
         }
         if (!(FABS(row_excess(s, m, R(0))) <= TOL_STEP * s->row_scale[row_id(m)])) {
@@ -93,7 +93,7 @@ static real_t next_violation(const solver_t *s)
 {
     real_t most = R(0);
     for (int m = 0; m < NG && row_node(m) <= 1; m++) {
-        if (row_node(m) == 1 && !row_is_soft(m)) {
+        if (row_node(m) == 1 && !row_is_soft(s, m)) {
             enlarge(&most, row_excess(s, m, R(0)) / s->row_scale[row_id(m)]);
         }
     }

@@ -25,8 +25,8 @@ static real_t row_term(const solver_t *s, int m, real_t v, real_t *slope, real_t
     const real_t lower = row_lower(s, m), upper = row_upper(s, m);
     const real_t unit = SQRT(row_weight[m]), sharpness = s->shooting.sharpness * unit;
     real_t l1 = hard_weight(s) * unit, value;
-    if (row_is_soft(m)) {
-        l1 = row_l1(m);
+    if (row_is_soft(s, m)) {
+        l1 = row_l1(s, m);
     }
     *slope = *curvature = value = R(0);
     if (upper < INF) {
@@ -37,9 +37,9 @@ static real_t row_term(const solver_t *s, int m, real_t v, real_t *slope, real_t
     }
     if (SOFT_ROWS > 0 && (v < lower || v > upper)) {
         const real_t excess = v - clip(v, lower, upper);
-        value += R(0.5) * row_l2(m) * excess * excess;
-        *slope += row_l2(m) * excess;
-        *curvature += row_l2(m);
+        value += R(0.5) * row_l2(s, m) * excess * excess;
+        *slope += row_l2(s, m) * excess;
+        *curvature += row_l2(s, m);
     }
     return value;
 }

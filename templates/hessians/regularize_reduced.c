@@ -105,7 +105,7 @@ static void hold_row(solver_t *s, int m, int n, const real_t *unit, real_t hold)
 /* Rows that are held: equations, and hard rows of the predicted working set. */
 static int is_held(const solver_t *s, int m)
 {
-    if (row_is_soft(m)) {
+    if (row_is_soft(s, m)) {
         return 0;
     }
     return s->qp.side[NV + m] != 0 || row_lower(s, m) >= row_upper(s, m);

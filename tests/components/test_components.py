@@ -30,6 +30,7 @@ every_component = pytest.mark.parametrize("cls", COMPONENTS, ids=lambda cls: cls
 #: Every feature that classify() can find.
 FEATURES = {
     "soft rows",
+    "switched rows",
     "coupled rows",
     "free initial state",
     "general cost",

@@ -105,7 +105,10 @@ def test_the_package_has_the_integrator_and_the_cost_and_nothing_else() -> None:
         assert not re.findall(r"(?i)\w*(?:condens|hessian|\bqp\b|working_set|riccati|multiplier)\w*", sources[file])
     declared = re.findall(r"pendulum_(\w+)\(", sources["pendulum.h"])
     own = ["init", "reset", "step", "integrate", "cost", "status_string"]
-    setters = [f"set_{name}" for name in ("reference", "terminal_reference", "weight", "terminal_weight", "bounds")]
+    setters = [
+        f"set_{name}"
+        for name in ("reference", "reference_range", "terminal_reference", "weight", "terminal_weight", "bounds")
+    ]
     assert sorted(declared) == sorted([*own, *setters])
     assert "_kkt" not in sources["pendulum.h"]
 

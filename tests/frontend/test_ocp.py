@@ -262,10 +262,19 @@ MISTAKES: dict[str, tuple[Callable[[Given], Any], str]] = {
         lambda g: (g.ocp.subject_to(0, g.x * g.q, 1, at=[0, 2]), classify(g.complete())),
         "row 'row_0' constrains states alone at node 0",
     ),
-    "soft scalar": (lambda g: g.ocp.subject_to(0, g.x, 1, soft=1e3), "soft must be None or (l1, l2), got '1000.0'"),
-    "soft negative": (lambda g: g.ocp.subject_to(0, g.x, 1, soft=(-1, 1)), "must be nonnegative and not both zero"),
-    "soft zero": (lambda g: g.ocp.subject_to(0, g.x, 1, soft=(0, 0)), "must be nonnegative and not both zero"),
-    "soft infinite": (lambda g: g.ocp.subject_to(0, g.x, 1, soft=(np.inf, 0)), "soft must be finite"),
+    "soft text": (
+        lambda g: g.ocp.subject_to(0, g.x, 1, soft="1"),
+        "soft must be None, (l1, l2) or Soft(lower=(l1, l2)",
+    ),
+    "soft negative": (
+        lambda g: g.ocp.subject_to(0, g.x, 1, soft=(-1, 1)),
+        "must be nonnegative and not both zero, and l2 finite",
+    ),
+    "soft zero": (
+        lambda g: g.ocp.subject_to(0, g.x, 1, soft=(0, 0)),
+        "must be nonnegative and not both zero, and l2 finite",
+    ),
+    "soft infinite": (lambda g: g.ocp.subject_to(0, g.x, 1, soft=(1, np.inf)), "and l2 finite, got (1, inf)"),
     "row name": (lambda g: g.ocp.subject_to(0, g.x, 1, name="a b"), "'a b' is no C identifier"),
     "row twice, hard and soft": (
         lambda g: (g.ocp.subject_to(0, g.x, 1), g.ocp.subject_to(0, g.x, 2, soft=(1, 0))),

@@ -29,7 +29,7 @@ golden_status_t golden_solve(
  *   bounds     N, if the row holds there
  * Those of a range of nodes, first .. first + count - 1, take a row of numbers for each.
  * A call that is refused (BAD_INDEX, BAD_ARGUMENT, BAD_BOUNDS) changes nothing. References and bounds take effect in
- * the next feedback, parameters and weights in the next prepare. */
+ * the next feedback, other data in the next prepare. */
 golden_status_t golden_set_reference(golden_solver_t *s, int k, const golden_real yref[GOLDEN_NY]);
 golden_status_t golden_set_reference_range(golden_solver_t *s, int first, int count, const golden_real *yref);
 golden_status_t golden_set_terminal_reference(golden_solver_t *s, const golden_real yref[GOLDEN_NY_N]);
@@ -54,4 +54,4 @@ const char *golden_status_string(golden_status_t status);
 #endif
 
 #endif
-/* nmpc_codegen package 087a31e1ceac9f68, sha256 2cca2dab135355c371693e89ef3ec55c1a4b90fe528bd2234624695e14e8b055 */
+/* nmpc_codegen package de776eb7a0a5bbc5, sha256 ade11386d2f676ec42253591d098a19c93b9a1849a0a22807a3fb4099bc09807 */

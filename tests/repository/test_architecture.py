@@ -82,7 +82,7 @@ ONLY_IN = {
     "matplotlib": {"runtime/records", "cli/arguments"},
     "pandas": {"runtime/records/tables"},
     "xarray": {"runtime/records/tables"},
-    "scipy": {"economic", "components/qp/osqp"},
+    "scipy": {"economic", "components/qp/osqp", "frontend/functions/lookup_table"},
 }
 
 MODULES_PER_ROOM = 14

@@ -302,7 +302,7 @@ def test_refused_data_change_nothing() -> None:
         (lambda: c.set_parameter("g", [0.0, np.inf], node=2), "g"),
         (lambda: c.set_reference(np.full(6, np.nan)), "reference"),
         (lambda: c.set_weight(-np.ones(6)), "weight"),
-        (lambda: c.set_bounds("a", 1.0, -1.0), r"'a'.*lower.*above upper"),
+        (lambda: c.set_bounds("a", 1.0, -1.0), r"'a\[0\]'.*lower.*above upper"),
         (lambda: c.set_bounds("a", np.nan, 1.0), "a"),
         (lambda: c.set_bounds("mix", 0.0, 1.0, node=3), "mix"),
     ):

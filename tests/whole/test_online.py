@@ -152,7 +152,7 @@ def change_all(c: Controller, online: Online) -> dict[str, Any]:
     """Change all data that the layout allows to change; returns the data of every node, for node_data()."""
     data: dict[str, Any] = {}
     for kind, layout in online.layouts.items():
-        if layout != "fixed":
+        if layout != "fixed" and kind in CHANGE:
             CHANGE[kind](c, layout, data)
     return data
 

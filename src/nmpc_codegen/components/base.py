@@ -42,6 +42,7 @@ EVERY_USE = frozenset(
         "accumulators",
         "free initial state",
         "soft rows",
+        "switched rows",
         "coupled rows",
         "previous controls",
         "blocks of controls",
@@ -483,4 +484,5 @@ def refuse_unsupported(
 
 
 def _uses(row: Row, use: str) -> bool:
-    return (use == "soft rows" and row.soft is not None) or (use == "coupled rows" and row.is_coupled)
+    soft = row.soft is not None
+    return {"soft rows": soft, "switched rows": soft and row.hard, "coupled rows": row.is_coupled}.get(use, False)

@@ -9,13 +9,23 @@ from nmpc_codegen.derivatives.layout import functions, macros, settings, structs
 from nmpc_codegen.derivatives.model import DerivativeModel
 from nmpc_codegen.ir.cmodule import Table
 from nmpc_codegen.ir.printing.c_style import unit_style
-from nmpc_codegen.ir.printing.routines import print_routine
 from nmpc_codegen.ir.sweep import Routine
+from nmpc_codegen.lowering.lower import lookup_tables
 from nmpc_codegen.lowering.parts import read_part
 from nmpc_codegen.lowering.preamble import REAL_CONSTANT, Definition, arithmetic
 from nmpc_codegen.lowering.pruning.constants import Constants
 from nmpc_codegen.lowering.pruning.reach import calling
-from nmpc_codegen.lowering.render import GCC_12, Unit, block_comment, context, environment, member, prototype, tidy
+from nmpc_codegen.lowering.render import (
+    GCC_12,
+    Unit,
+    block_comment,
+    context,
+    environment,
+    member,
+    print_functions,
+    prototype,
+    tidy,
+)
 from nmpc_codegen.package.memory import Field, struct_layout
 from nmpc_codegen.package.status import Status
 
@@ -57,7 +67,7 @@ def render(model: DerivativeModel, name: str) -> dict[str, str]:
         header,
         environment().get_template(f"{FOLDER}/body.c.jinja").render(names),
         tuple(known),
-        {routine.name: print_routine(routine, style) for routine in model.routines},
+        print_functions(model.routines, style),
         structs(model),
         _tables(model),
         Constants({m.name: m.value for m in macros(model)} | {"NOUT": model.outputs}, calling=calling(known)),
@@ -150,5 +160,6 @@ def _tables(model: DerivativeModel) -> tuple[Table, ...]:
         table("default_W", weight(path), "declared weight"),
         table("default_yref_N", terminal.reference, "declared terminal references"),
         table("default_W_N", weight(terminal), "declared terminal weight"),
+        *lookup_tables(model.routines),
     )
     return tuple(t for t in found if t.values)

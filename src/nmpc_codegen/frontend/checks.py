@@ -12,11 +12,13 @@ import numpy as np
 from nmpc_codegen.errors import ProblemError
 from nmpc_codegen.frontend.problem import Array
 from nmpc_codegen.ir.kernel import OPERATIONS
+from nmpc_codegen.ir.lookup import called_lookup
 from nmpc_codegen.ir.naming import C_KEYWORDS
+from nmpc_codegen.package.signals import Soft
 from nmpc_codegen.runtime.given import checked_weight
 
 #: Operations of a CasADi SX Function that have a C spelling.
-C_OPERATIONS = frozenset(OPERATIONS) | {ca.OP_CONST, ca.OP_INPUT, ca.OP_OUTPUT}
+C_OPERATIONS = (frozenset(OPERATIONS) | {ca.OP_CONST, ca.OP_INPUT, ca.OP_OUTPUT}) - {ca.OP_CALL}
 
 #: Operations whose derivative vanishes or is discontinuous somewhere.
 NONSMOOTH = {
@@ -147,6 +149,19 @@ def declared_scale(value: Any, size: int, what: str) -> tuple[float, ...]:
     return found
 
 
+def declared_range(value: Any, within: tuple[float, ...], what: str) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """(lower, upper) of every element of a signal, which contain its values ``within``; two empty ones for None."""
+    if value is None:
+        return (), ()
+    if not isinstance(value, (tuple, list)) or len(value) != 2:
+        raise ProblemError(f"{what} must be (lower, upper), got {quote(value)}")
+    low, high = (tuple(float(v) for v in vector(side, len(within), what, finite=False)) for side in value)
+    for a, v, b in zip(low, within, high, strict=True):
+        if not a <= v <= b:
+            raise ProblemError(f"{what}: the declared value {v:g} is not between {a:g} and {b:g}")
+    return low, high
+
+
 def weight_matrix(value: Any, size: int, what: str) -> Array:
     """A symmetric positive semidefinite matrix (size, size), up to rounding; a scalar or vector gives its diagonal."""
     array = numbers(value, what)
@@ -214,15 +229,30 @@ def list_names(names: Iterable[str]) -> str:
 
 
 def operations(expression: Any) -> set[int]:
-    """CasADi opcodes of an SX expression; OP_LOW among them marks a constant that is not finite."""
+    """CasADi opcodes of an SX expression; OP_LOW among them marks a constant that is not finite, OP_CALL a function
+    that is no look-up table."""
     f = ca.Function("expression", ca.symvar(expression), [expression])
     found: set[int] = set()
+    constants: dict[int, float] = {}
     for i in range(f.n_instructions()):
         op = f.instruction_id(i)
+        if op == ca.OP_CALL and _is_lookup(f.instruction_input(i), constants):
+            continue
         found.add(op)
-        if op == ca.OP_CONST and not np.isfinite(f.instruction_constant(i)):
-            found.add(ca.OP_LOW)
+        if op == ca.OP_CONST:
+            constants[f.instruction_output(i)[0]] = f.instruction_constant(i)
+            if not np.isfinite(f.instruction_constant(i)):
+                found.add(ca.OP_LOW)
     return found
+
+
+def _is_lookup(inputs: list[int], constants: dict[int, float]) -> bool:
+    """True if a call with these inputs reads a look-up table."""
+    try:
+        called_lookup(constants.get(inputs[0]) if inputs else None, len(inputs))
+    except KeyError:
+        return False
+    return True
 
 
 def check_operations(expression: Any, what: str) -> set[int]:
@@ -233,22 +263,37 @@ def check_operations(expression: Any, what: str) -> set[int]:
     foreign = found - C_OPERATIONS
     if foreign:
         word = "a function call (interpolant, callback, external)" if ca.OP_CALL in foreign else "an operation"
-        advice = "; a look-up table is ca.pw_lin(x, grid, values)" if ca.OP_CALL in foreign else ""
+        advice = "; a look-up table is lookup_table(x, grid, values)" if ca.OP_CALL in foreign else ""
         raise ProblemError(
             f"{what} = {quote(expression)} contains {word} that has no C equivalent; use SX operations{advice}"
         )
     return found
 
 
-def checked_penalty(soft: Any, what: str) -> tuple[float, float] | None:
-    """(l1, l2) of a soft row."""
-    if soft is None:
-        return None
-    if not isinstance(soft, (tuple, list, np.ndarray)) or len(soft) != 2:
-        raise ProblemError(f"{what}: soft must be None or (l1, l2), got {quote(soft)}")
-    l1, l2 = (float(v) for v in vector(soft, 2, f"{what}: soft"))
-    if l1 < 0 or l2 < 0 or l1 + l2 == 0:
-        raise ProblemError(f"{what}: soft=(l1, l2) must be nonnegative and not both zero, got ({l1:g}, {l2:g})")
+def checked_soft(soft: Any, what: str) -> Soft:
+    """Penalties (l1, l2) of both sides of a row, None for a hard side."""
+    if not isinstance(soft, Soft):
+        both = None if soft is None else _penalty(soft, f"{what}: soft")
+        return Soft(both, both)
+    lower, upper = (
+        None if side is None else _penalty(side, f"{what}: soft {word}")
+        for word, side in (("lower", soft.lower), ("upper", soft.upper))
+    )
+    if lower is None and upper is None:
+        raise ProblemError(f"{what}: soft=Soft() names no side; expected lower=(l1, l2), upper=(l1, l2) or both")
+    return Soft(lower, upper, flag(soft.scale_with_dt, f"{what}: soft: scale_with_dt"))
+
+
+def _penalty(value: Any, what: str) -> tuple[float, float]:
+    """(l1, l2); l1 may be infinite."""
+    pair = (value, 0.0) if isinstance(value, (int, float)) and not isinstance(value, bool) else value
+    if not isinstance(pair, (tuple, list, np.ndarray)) or len(pair) != 2:
+        raise ProblemError(f"{what} must be None, (l1, l2) or Soft(lower=(l1, l2), upper=(l1, l2)), got {quote(value)}")
+    l1, l2 = (float(v) for v in vector(pair, 2, what, finite=False))
+    if l1 < 0 or l2 < 0 or l1 + l2 == 0 or l2 == np.inf:
+        raise ProblemError(
+            f"{what}=(l1, l2) must be nonnegative and not both zero, and l2 finite, got ({l1:g}, {l2:g})"
+        )
     return l1, l2
 
 

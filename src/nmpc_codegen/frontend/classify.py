@@ -24,7 +24,7 @@ from nmpc_codegen.frontend.inner import (
 )
 from nmpc_codegen.frontend.ocp import OCP
 from nmpc_codegen.frontend.problem import Array, Problem, Row, RowKind, Signal, Stage, symbols
-from nmpc_codegen.frontend.statement import At, Element, Residual, Soft, StageName
+from nmpc_codegen.frontend.statement import At, Element, Penalty, Residual, StageName, Statement
 from nmpc_codegen.ir.casadi_types import elements
 
 
@@ -139,8 +139,17 @@ class _Scalar:
     nodes: tuple[int, ...]
     lower: float
     upper: float
-    soft: Soft
     on_path: bool
+    statement: Statement
+
+    @property
+    def soft(self) -> Penalty:
+        return self.statement.soft
+
+    @property
+    def stated(self) -> str:
+        """The name that the user gave, if this is one side of a row."""
+        return self.name.removesuffix(f"_{self.statement.side}") if self.statement.side else ""
 
 
 def _classify_rows(ocp: OCP) -> tuple[tuple[Row, ...], list[Any], list[Any]]:
@@ -168,7 +177,8 @@ def _classify_rows(ocp: OCP) -> tuple[tuple[Row, ...], list[Any], list[Any]]:
             if nodes[-1] == ocp.N:
                 index_terminal = len(terminal_h)
                 terminal_h.append(s.expression)
-        rows.append(Row(s.name, kind, index, index_terminal, nodes, s.lower, s.upper, s.soft))
+        of_side = (s.soft, s.statement.scaled, s.stated, s.statement.side)
+        rows.append(Row(s.name, kind, index, index_terminal, nodes, s.lower, s.upper, *of_side))
     return tuple(rows), path_h, terminal_h
 
 
@@ -176,7 +186,7 @@ def _take_apart(ocp: OCP, statement: Any, i: int) -> _Scalar:
     h, name = statement.expression[i], statement.names[i]
     bounds = float(statement.lower[i]), float(statement.upper[i])
     if statement.at is None:
-        return _Scalar(name, h, None, True, (0, ocp.N), *bounds, statement.soft, False)
+        return _Scalar(name, h, None, True, (0, ocp.N), *bounds, False, statement)
     elements = [e for e in map(ocp.element, ca.symvar(h)) if e is not None]
     on_states = all(e.kind != "control" for e in elements)
     free = any(e.kind == "state" and e.index in ocp.free for e in elements)
@@ -187,7 +197,7 @@ def _take_apart(ocp: OCP, statement: Any, i: int) -> _Scalar:
             f"row '{name}' constrains states alone at node 0, where x_0 is given; "
             "leave node 0 out, or let the solver choose them with ocp.free_initial(...)"
         )
-    return _Scalar(name, h, ocp.element(h), False, nodes, *bounds, statement.soft, nodes == path)
+    return _Scalar(name, h, ocp.element(h), False, nodes, *bounds, nodes == path, statement)
 
 
 def _path_nodes(ocp: OCP, on_states: bool, free: bool) -> tuple[int, ...]:
@@ -320,6 +330,7 @@ def _uses(ocp: OCP, rows: tuple[Row, ...]) -> frozenset[str]:
         "blocks of controls": bool(inner.held),
         "discrete states": bool(ocp.maps),
         "soft rows": any(r.soft is not None for r in rows),
+        "switched rows": any(r.soft is not None and r.hard for r in rows),
         "coupled rows": any(r.is_coupled for r in rows),
         "free initial state": bool(ocp.free),
         "general cost": bool(ocp.costs),

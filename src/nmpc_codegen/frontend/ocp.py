@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import casadi as ca
@@ -12,7 +13,8 @@ from nmpc_codegen.errors import ProblemError
 from nmpc_codegen.frontend.checks import (
     MAX_SIZE,
     block_lengths,
-    checked_penalty,
+    checked_soft,
+    declared_range,
     declared_scale,
     duplicate,
     element_names,
@@ -27,7 +29,7 @@ from nmpc_codegen.frontend.checks import (
 )
 from nmpc_codegen.frontend.expressions import NODE, Dynamics
 from nmpc_codegen.frontend.grid import grid
-from nmpc_codegen.frontend.problem import LqrRequest, Signal, c_identifier
+from nmpc_codegen.frontend.problem import Array, LqrRequest, Signal, c_identifier
 from nmpc_codegen.frontend.show import in_html, in_one_line
 from nmpc_codegen.frontend.statement import (
     At,
@@ -35,13 +37,16 @@ from nmpc_codegen.frontend.statement import (
     Element,
     GeneralCost,
     Kind,
+    Penalty,
     Residual,
+    Side,
     StageName,
     Statement,
     intersection,
 )
 from nmpc_codegen.frontend.symbol import Symbol, require_three
 from nmpc_codegen.ir.naming import check_package_name
+from nmpc_codegen.package.signals import Soft
 from nmpc_codegen.runtime.diagnosis.foreign_names import OF_PROBLEM, missing
 
 __all__ = ["OCP"]
@@ -104,7 +109,14 @@ class OCP(Dynamics):
     # Signals ---------------------------------------------------------------------------------------------------------
 
     def state(
-        self, name: str, *, size: int | None = None, unit: str = "", initial: Any = 0.0, scale: Any = None
+        self,
+        name: str,
+        *,
+        size: int | None = None,
+        unit: str = "",
+        initial: Any = 0.0,
+        scale: Any = None,
+        initial_range: Any = None,
     ) -> Any:
         """Declare a state; return its SX symbol, a scalar, or a column of ``size`` elements name[0], name[1], ...
 
@@ -115,8 +127,11 @@ class OCP(Dynamics):
         ``scale`` > 0: a value of it that is neither small nor large, in its unit. Tolerances are relative to it, and
         what is far below it counts as 0. None: the largest of half the width of its bounds, its initial value and its
         references; where all are 0, what the controls make of it.
+
+        ``initial_range``: (lower, upper), between which measured states are to be expected at the start of a loop;
+        warnings look at its corners.
         """
-        symbol = self._declare("state", self.states, name, size, unit, initial, "initial", scale)
+        symbol = self._declare("state", self.states, name, size, unit, initial, "initial", scale, initial_range)
         for which, kind in ((self._start, "start"), (self._end, "end")):
             twin = ca.SX.sym(f"{name}_{kind}", symbol.numel())
             which.append(twin)
@@ -141,9 +156,15 @@ class OCP(Dynamics):
             self.previous(symbol)
         return symbol
 
-    def parameter(self, name: str, *, value: Any = 0.0, size: int | None = None, unit: str = "") -> Any:
-        """Declare a parameter, which can be changed at run time; return its SX symbol."""
-        return self._declare("parameter", self.parameters, name, size, unit, value, "value")
+    def parameter(
+        self, name: str, *, value: Any = 0.0, size: int | None = None, unit: str = "", bounds: Any = None
+    ) -> Any:
+        """Declare a parameter, which can be changed at run time; return its SX symbol.
+
+        ``bounds``: (lower, upper), numbers or one per element; set_parameter() refuses values outside, and warnings
+        look at the corners.
+        """
+        return self._declare("parameter", self.parameters, name, size, unit, value, "value", None, bounds)
 
     @property
     def x_start(self) -> Any:
@@ -165,6 +186,7 @@ class OCP(Dynamics):
         value: Any,
         word: str,
         scale: Any = None,
+        limits: Any = None,
     ) -> Any:
         what = f"{kind} {quote(name)}"
         identifier(name, what)
@@ -172,7 +194,8 @@ class OCP(Dynamics):
         n = 1 if size is None else integer(size, f"{what}: size", 1, MAX_SIZE)
         values = tuple(float(v) for v in vector(value, n, f"{what}: {word}"))
         sizes = declared_scale(scale, n, f"{what}: scale")
-        signal = Signal(name, n, unit, values, sum(d.signal.size for d in to), size is None, sizes)
+        limits = declared_range(limits, values, f"{what}: {'initial_range' if kind == 'state' else 'bounds'}")
+        signal = Signal(name, n, unit, values, sum(d.signal.size for d in to), size is None, sizes, *limits)
         earlier = [d.signal for d in (*self.states, *self.controls, *self.parameters)]
         taken = {c_identifier(e): s.name for s in earlier for e in (*s.elements, s.name)}
         for element in (*signal.elements, name):
@@ -333,7 +356,9 @@ class OCP(Dynamics):
             expr: h(x, u, p), column. Elements that are a bare state or control become simple bounds.
             at: "path": nodes 0..N-1 for a row with a control, else 1..N (and 0 if one of its states is free there);
                 "start": node 0; "end": node N; or an iterable of nodes.
-            soft: (l1, l2): the row may be violated on either side by s >= 0, at the cost l1 s + 1/2 l2 s^2.
+            soft: (l1, l2): the row may be violated on either side by s >= 0, at the cost l1 s + 1/2 l2 s^2;
+                Soft(lower=(l1, l2), upper=(l1, l2)): by side, where the sides are rows name_lower and name_upper if
+                they differ. set_soft() changes the penalties at run time; l1 = inf is hard until then.
             name: by default the name of a bare symbol, else row_i; several rows are called name[i]; at="start" and
                 at="end" append _start and _end.
 
@@ -397,24 +422,30 @@ class OCP(Dynamics):
                 raise ProblemError(f"{what}: row {i} has lower {lb[i]:g} > upper {ub[i]:g}")
             if lb[i] == np.inf or ub[i] == -np.inf:
                 raise ProblemError(f"{what}: row {i} has bounds {lb[i]:g}, {ub[i]:g}, which nothing can satisfy")
-        penalty = checked_penalty(soft, what)
-        names, unnamed = self._row_names(h, name, suffix, what)
-        new = Statement(lb, h, ub, at, penalty, names)
-        earlier = {i: self._earlier(new, i) for i in range(n)}
-        self._refuse_clashes([row for i, row in enumerate(names) if earlier[i] is None], what)
+        penalty = checked_soft(soft, what)
+        stated, unnamed = self._row_names(h, name, suffix, what)
+        for side, low, high, of_side in _sides(lb, ub, penalty):
+            new = Statement(low, h, high, at, of_side, stated, penalty.scale_with_dt, side)
+            self._add_statement(new, what)
+        self._unnamed += unnamed
+
+    def _add_statement(self, new: Statement, what: str) -> None:
+        """Add the rows, or intersect the bounds of those that exist."""
+        earlier = {i: self._earlier(new, i) for i in range(new.expression.numel())}
+        self._refuse_clashes([row for i, row in enumerate(new.names) if earlier[i] is None], what)
         for place, bounds in [(p, intersection(new, i, *p, what)) for i, p in earlier.items() if p is not None]:
             place[0].lower[place[1]], place[0].upper[place[1]] = bounds
-        left = [i for i in range(n) if earlier[i] is None]
+        left = [i for i, place in earlier.items() if place is None]
         if left:
-            kept = tuple(names[i] for i in left)
-            self.statements.append(Statement(lb[left], h[left], ub[left], at, penalty, kept))
-        self._unnamed += unnamed
+            kept = tuple(new.stated[i] for i in left)
+            parts = {"lower": new.lower[left], "expression": new.expression[left], "upper": new.upper[left]}
+            self.statements.append(replace(new, **parts, stated=kept))
 
     def _earlier(self, new: Statement, i: int) -> tuple[Statement, int] | None:
         """The earlier row of the same name, bare state or control, nodes and penalty; None if there is none."""
         element = self.element(new.expression[i])
         for s in self.statements:
-            if element is None or (s.at, s.soft) != (new.at, new.soft):
+            if element is None or (s.at, s.soft, s.scaled) != (new.at, new.soft, new.scaled):
                 continue
             for j, name in enumerate(s.names):
                 if name == new.names[i] and self.element(s.expression[j]) == element:
@@ -486,3 +517,14 @@ class OCP(Dynamics):
         if not states:
             raise ProblemError(f"{what} names no state{list_names(self._state_names())}")
         return [i for s in states for i in self._components(s, f"{what}:")]
+
+
+def _sides(lower: Array, upper: Array, soft: Soft) -> Iterator[tuple[Side, Array, Array, Penalty]]:
+    """(side, lower, upper, penalty): one statement for rows, or one for each side if their penalties differ."""
+    below, above = soft.lower, soft.upper
+    no_lower, no_upper = below is None and np.all(lower == -np.inf), above is None and np.all(upper == np.inf)
+    if below == above or no_lower or no_upper:
+        yield "", lower, upper, above if no_lower else below  # type: ignore[misc]
+        return
+    yield "lower", lower, np.full(len(lower), np.inf), below  # type: ignore[misc]
+    yield "upper", np.full(len(upper), -np.inf), upper, above  # type: ignore[misc]

@@ -10,8 +10,11 @@ has only a cost, with fixed weights and references; the rows at node 0 belong to
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import product
 from typing import ClassVar
 
 import casadi as ca
@@ -28,6 +31,11 @@ from nmpc_codegen.package.signals import Signal as Signal
 from nmpc_codegen.package.signals import c_identifier as c_identifier
 
 Array = NDArray[np.float64]
+
+#: Elements with a range up to which all corners are looked at.
+MOST_RANGES = 4
+#: Elements, (signal, position, ends of the range), with a value each.
+Corner = Sequence[tuple[tuple[Signal, int, tuple[float, float]], float]]
 
 
 def no_data() -> Array:
@@ -189,7 +197,7 @@ class Problem:
         return any(
             row.index in coupled if row.is_coupled else row.index in path or row.index_terminal in terminal
             for row in self.rows
-            if row.soft is None and (row.is_general or row.is_coupled)
+            if row.hard and (row.is_general or row.is_coupled)
         )
 
     @property
@@ -269,6 +277,33 @@ class Problem:
         return np.array([v for s in self.parameters for v in s.value])
 
     @cached_property
+    def corners(self) -> tuple[tuple[str, Problem], ...]:
+        """The problem as it is declared, ("", itself), and with parameters and initial states at corners of their
+        ranges, each with its name: "m = 0.1, k = 3".
+
+        All corners if at most MOST_RANGES elements have a range, else one element at an end of its range each.
+        """
+        signals = (*self.parameters, *self.states)
+        ends = [(s, i, low, high) for s in signals for i, (low, high) in enumerate(zip(s.low, s.high, strict=True))]
+        wide = [(s, i, (low, high)) for s, i, low, high in ends if low < high and math.isfinite(high - low)]
+        if len(wide) <= MOST_RANGES:
+            moved = [list(zip(wide, values, strict=True)) for values in product(*(w[2] for w in wide))] if wide else []
+        else:
+            moved = [[(w, value)] for w in wide for value in w[2]]
+        return (("", self), *((_in_words(corner), self._at(corner)) for corner in moved))
+
+    def _at(self, corner: Corner) -> Problem:
+        """The problem with other values of some elements."""
+        values = {s.name: list(s.value) for s in (*self.parameters, *self.states)}
+        for (signal, i, _), value in corner:
+            values[signal.name][i] = value
+        states, parameters = (
+            tuple(replace(s, value=tuple(values[s.name])) for s in signals)
+            for signals in (self.states, self.parameters)
+        )
+        return replace(self, states=states, parameters=parameters)
+
+    @cached_property
     def qp_rows(self) -> tuple[ImposedRow, ...]:
         """Every row of the QP besides the control bounds, sorted by node."""
         return imposed_rows(self.rows, self.N)
@@ -299,6 +334,10 @@ class Problem:
     @property
     def parameter_names(self) -> tuple[str, ...]:
         return tuple(e for s in self.parameters for e in s.elements)
+
+
+def _in_words(corner: Corner) -> str:
+    return ", ".join(f"{signal.elements[i]} = {value:g}" for (signal, i, _), value in corner)
 
 
 def symbols(nx: int, nu: int, np_: int) -> tuple[Expression, Expression, Expression, Expression]:

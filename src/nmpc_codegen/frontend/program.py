@@ -13,8 +13,10 @@ import casadi as ca
 
 from nmpc_codegen.frontend.problem import Problem, Stage, symbols
 from nmpc_codegen.ir.casadi_types import Expression, elements
-from nmpc_codegen.ir.kernel import OPERATIONS, Instruction, Kernel, Port, lift, live, opcode_name
+from nmpc_codegen.ir.kernel import OPERATIONS, Instruction, Kernel, Port, function_of, lift, live, opcode_name
+from nmpc_codegen.ir.lookup import known_lookup
 from nmpc_codegen.ir.printing.expressions import needs_parentheses
+from nmpc_codegen.package.lookup import Lookup
 from nmpc_codegen.package.program import EDGES, Operation, Program, Quantity, Step
 
 #: Longer texts of operations are cut.
@@ -35,10 +37,12 @@ def program(problem: Problem) -> Program:
     kept, new = live(kernel.instructions, [*of_rows, *(a for i in suspects for a in kernel.instructions[i].args)])
     places = {place: new[value] for (_, _, place), value in zip(rows, of_rows, strict=True)}
     numbers = range(len(problem.rows))
+    lookups = sorted({known_lookup(ins.constant) for ins in kept if ins.opcode == ca.OP_CALL}, key=lambda t: t.function)
     return Program(
-        tuple(_step(ins, problem.dt[0]) for ins in kept),
+        tuple(_step(ins, problem.dt[0], lookups) for ins in kept),
         tuple((places.get((i, 0), -1), places.get((i, 1), -1)) for i in numbers),
         tuple(_operations(kernel, problem, [quantity for quantity, _ in parts], suspects, new)),
+        tuple(lookups),
     )
 
 
@@ -154,14 +158,16 @@ def _texts(kernel: Kernel, problem: Problem) -> list[str]:
                 if not operation.function and needs_parentheses(ins.opcode, n, inner, texts[a]):
                     operands[n] = f"({texts[a]})"
             form = _WRITTEN.get(ins.opcode, operation.c)
-            text = form.format(*operands, fn=operation.function, one="1", zero="0")
+            text = form.format(*operands, fn=function_of(ins), one="1", zero="0")
             cut = f"{operation.function}(...)" if operation.function else "..."
             texts.append(text if len(text) <= LONGEST else cut)
     return texts
 
 
-def _step(ins: Instruction, dt: float) -> Step:
+def _step(ins: Instruction, dt: float, lookups: Sequence[Lookup]) -> Step:
     """Return the step that an instruction is in an interval of length ``dt``."""
+    if ins.opcode == ca.OP_CALL:
+        return ("lookup", ins.args[0], ins.args[0], float(lookups.index(known_lookup(ins.constant))))
     if ins.opcode == ca.OP_CONST:
         return ("const", 0, 0, float(ins.constant))
     if ins.opcode == ca.OP_INPUT:

@@ -21,6 +21,7 @@ import numpy as np
 from nmpc_codegen.frontend.problem import Array, Problem, Stage, symbols
 from nmpc_codegen.ir.casadi_types import Expression
 from nmpc_codegen.ir.kernel import Instruction, Kernel, Port, lift, opcode_name
+from nmpc_codegen.ir.lookup import known_lookup
 from nmpc_codegen.package.program import VALUES
 
 #: Size of a state of which nothing is known, at least, relative to what a control of its size does over the horizon.
@@ -296,6 +297,10 @@ def _parts(kernel: Kernel, sizes: Sequence[Array], values: Sequence[Array]) -> l
 
 
 def _operation(ins: Instruction, operands: list[_Part]) -> _Part:
+    if ins.opcode == ca.OP_CALL:
+        lookup = known_lookup(ins.constant)
+        largest = max(map(abs, lookup.values)) if lookup.part == "entry" else float(len(lookup.values))
+        return 0.0, largest, float(lookup(np.array(operands[0][2])))
     name = opcode_name(ins.opcode).removeprefix("OP_").lower()
     (c, m, v), (d, n, w) = operands[0], operands[-1]
     value = float(VALUES[name](np.array(v), np.array(w)))

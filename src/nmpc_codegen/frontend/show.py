@@ -77,7 +77,8 @@ def _row_lines(ocp: Stated, statement: Statement) -> list[tuple[object, ...]]:
     at = statement.at if isinstance(statement.at, str) else "x_0, x_N" if statement.at is None else nodes(statement.at)
     l1, l2 = statement.soft or (0.0, 0.0)
     costs = [text for text, weight in ((f"{l1:g} v", l1), (f"½ {l2:g} v²", l2)) if weight]
-    soft = "hard" if statement.soft is None else f"soft, violation v costs {' + '.join(costs) or 0}"
+    dt = " times dt_k" if statement.scaled else ""
+    soft = "hard" if statement.soft is None else f"soft, violation v costs {' + '.join(costs) or 0}{dt}"
     found: list[tuple[object, ...]] = []
     for i, name in enumerate(statement.names):
         element = ocp.element(statement.expression[i])

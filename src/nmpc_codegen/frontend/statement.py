@@ -13,7 +13,8 @@ from nmpc_codegen.frontend.problem import Array, LqrRequest, Signal
 Kind = Literal["state", "control", "parameter", "previous", "interval", "time", "start", "end"]
 StageName = Literal["start", "path", "terminal"]
 At = Literal["path", "start", "end"] | tuple[int, ...]
-Soft = tuple[float, float] | None
+Penalty = tuple[float, float] | None
+Side = Literal["", "lower", "upper"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,14 +59,25 @@ class GeneralCost:
 
 @dataclass(frozen=True, eq=False)
 class Statement:
-    """Scalar rows lower <= expression <= upper as stated; ``at`` is None for a coupled condition."""
+    """Scalar rows lower <= expression <= upper as stated; ``at`` is None for a coupled condition.
+
+    ``names``: those that the user gave; rows with different penalties on their sides are two statements, one ``side``
+    each, and their names say so.
+    """
 
     lower: Array
     expression: Any
     upper: Array
     at: At | None
-    soft: Soft
-    names: tuple[str, ...]
+    soft: Penalty
+    stated: tuple[str, ...]
+    scaled: bool = False
+    side: Side = ""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the rows."""
+        return tuple(f"{name}_{self.side}" if self.side else name for name in self.stated)
 
 
 class Stated:

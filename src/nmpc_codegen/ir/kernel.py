@@ -16,6 +16,8 @@ import casadi as ca
 
 from nmpc_codegen.errors import ProblemError
 from nmpc_codegen.ir.casadi_types import Function, Sparsity
+from nmpc_codegen.ir.lookup import called_lookup, known_lookup
+from nmpc_codegen.package.lookup import Lookup
 from nmpc_codegen.package.opcount import OpCount as OpCount
 
 
@@ -85,6 +87,7 @@ OPERATIONS: dict[int, Operation] = {
     ca.OP_AND: Operation("(({0} != {zero}) && ({1} != {zero})) ? {one} : {zero}", "other"),
     ca.OP_OR: Operation("(({0} != {zero}) || ({1} != {zero})) ? {one} : {zero}", "other"),
     ca.OP_IF_ELSE_ZERO: Operation("({0} != {zero}) ? {1} : {zero}", "other"),
+    ca.OP_CALL: Operation("{fn}({0})", "other", "lookup"),  # of a look-up table, by the key that is its constant
 }
 
 # Operations of one argument that are zero at zero.
@@ -92,6 +95,14 @@ _ZERO_AT_ZERO = (
     *(ca.OP_NEG, ca.OP_SQ, ca.OP_TWICE, ca.OP_SQRT, ca.OP_SIN, ca.OP_TAN, ca.OP_ASIN, ca.OP_ATAN),
     *(ca.OP_SINH, ca.OP_TANH, ca.OP_ASINH, ca.OP_ATANH, ca.OP_EXPM1, ca.OP_LOG1P, ca.OP_FABS, ca.OP_ERF),
 )
+
+
+def function_of(instruction: Instruction) -> str:
+    """The C function that an instruction calls, of math.h or of a look-up table; "" if it calls none."""
+    if instruction.opcode == ca.OP_CALL:
+        return known_lookup(instruction.constant).function
+    return OPERATIONS[instruction.opcode].function
+
 
 _UNARY_ARITY = {op for op, o in OPERATIONS.items() if "{1}" not in o.c}
 _OPCODE_NAMES = {v: k for k, v in vars(ca).items() if k.startswith("OP_")}
@@ -170,7 +181,8 @@ class Kernel:
         for ins in self.instructions:
             if ins.opcode in OPERATIONS:
                 cls = OPERATIONS[ins.opcode].count
-                tally[cls] = tally.get(cls, 0) + 1
+                times = known_lookup(ins.constant).passes if ins.opcode == ca.OP_CALL else 1
+                tally[cls] = tally.get(cls, 0) + times
         return OpCount(**tally)
 
     @property
@@ -235,7 +247,13 @@ class _HasKernels(Protocol):
 def called_functions(routines: Iterable[_HasKernels]) -> set[str]:
     """Functions of math.h that routines call."""
     opcodes = {i.opcode for r in routines for kernel in r.kernels for i in kernel.instructions}
-    return {OPERATIONS[o].function for o in opcodes if o in OPERATIONS} - {""}
+    return {OPERATIONS[o].function for o in opcodes if o in OPERATIONS and o != ca.OP_CALL} - {""}
+
+
+def called_lookups(routines: Iterable[_HasKernels]) -> list[Lookup]:
+    """Parts of look-up tables that routines read, sorted by their names."""
+    called = (i for r in routines for kernel in r.kernels for i in kernel.instructions if i.opcode == ca.OP_CALL)
+    return sorted({known_lookup(i.constant) for i in called}, key=lambda lookup: lookup.function)
 
 
 class _ValueNumbering:
@@ -278,6 +296,7 @@ def lift(
     work: dict[int, int] = {}
     stores: list[tuple[int, int, int]] = []
     seen: dict[int, int] = {}
+    folds = False  # derivatives of look-up tables are zeros
     patterns = [_row_major(function.sparsity_out(number), port) for number, port in enumerate(outputs)]
     for k in range(function.n_instructions()):
         opcode, o, i = function.instruction_id(k), function.instruction_output(k), function.instruction_input(k)
@@ -289,15 +308,21 @@ def lift(
             work[o[0]] = numbering.number(Instruction(opcode, (i[0], i[1])))
         elif opcode == ca.OP_CONST:
             constant = float(function.instruction_constant(k))
-            if not math.isfinite(constant):
-                raise ProblemError(f"{name}: the expressions contain the constant {constant}; expected finite numbers")
             work[o[0]] = numbering.number(Instruction(opcode, (), constant))
+        elif opcode == ca.OP_CALL:
+            value = _call_of_lookup([work[a] for a in i], numbering, name)
+            work |= dict.fromkeys((place for place in o if place >= 0), value)
+            folds = True
         elif opcode in OPERATIONS:
             args = i[:1] if opcode in _UNARY_ARITY else i[:2]
-            work[o[0]] = numbering.number(Instruction(opcode, tuple(work[a] for a in args)))
+            ins = Instruction(opcode, tuple(work[a] for a in args))
+            work[o[0]] = _fold(ins, numbering) if folds else numbering.number(ins)
         else:
             raise ProblemError(f"{name}: {opcode_name(opcode)} has no C code; use elementary operations only")
     instructions, new = live(numbering.instructions, [v for _, _, v in stores])
+    for ins in instructions:
+        if not math.isfinite(ins.constant):
+            raise ProblemError(f"{name}: the expressions contain the constant {ins.constant}; expected finite numbers")
     if any(ins.opcode in (ca.OP_DIV, ca.OP_INV) for ins in instructions):
         multiplied, after = _reciprocals(instructions)
         instructions, last = live(multiplied, [after[new[v]] for _, _, v in stores])
@@ -305,6 +330,38 @@ def lift(
     stored = tuple((o, e, new[v]) for o, e, v in stores)
     values = [(what, new.get(seen[e], -1)) for e, what in enumerate(watched)]
     return Kernel(name, doc, tuple(inputs), tuple(outputs), instructions, stored, _parts(instructions, values))
+
+
+def _call_of_lookup(arguments: Sequence[int], numbering: _ValueNumbering, name: str) -> int:
+    """The value of a look-up table, or the 0 of a derivative of one."""
+    first = numbering.instructions[arguments[0]]
+    try:
+        lookup = called_lookup(first.constant if first.opcode == ca.OP_CONST else None, len(arguments))
+    except KeyError:
+        raise ProblemError(
+            f"{name}: a function call (interpolant, callback, external) has no C code; use elementary operations, or "
+            "lookup_table(x, grid, values)"
+        ) from None
+    if lookup is None:
+        return numbering.number(Instruction(ca.OP_CONST, ()))
+    return numbering.number(Instruction(ca.OP_CALL, (arguments[1],), first.constant))
+
+
+def _fold(ins: Instruction, numbering: _ValueNumbering) -> int:
+    """The value of an instruction, which needs no operation where operands are 0."""
+    zero = [numbering.instructions[a] == Instruction(ca.OP_CONST, ()) for a in ins.args]
+    first, last = ins.args[0], ins.args[-1]
+    if ins.opcode == ca.OP_MUL and any(zero):
+        return first if zero[0] else last
+    if ins.opcode in (ca.OP_NEG, ca.OP_SQ, ca.OP_TWICE) and zero[0]:
+        return first
+    if ins.opcode == ca.OP_DIV and zero[0]:
+        return first
+    if ins.opcode == ca.OP_ADD and any(zero):
+        return last if zero[0] else first
+    if ins.opcode == ca.OP_SUB and any(zero):
+        return first if zero[-1] else numbering.number(Instruction(ca.OP_NEG, (last,)))
+    return numbering.number(ins)
 
 
 def _parts(instructions: Sequence[Instruction], watched: Iterable[tuple[Watched, int]]) -> tuple[Part, ...]:

@@ -126,8 +126,8 @@ def growth(problem: Problem, integrator: Integrator, precision: Precision) -> Gr
     longest = math.inf if problem.discrete else integrator.longest_step(problem)
     found = []
     with np.errstate(all="ignore"):
-        for x, u in points(problem):
-            lengths = {dt: _interval(step, problem, x, u, dt, max(1, round(dt / longest))) for dt in set(problem.dt)}
+        for at, x, u in ((corner, *point) for _, corner in problem.corners for point in points(corner)):
+            lengths = {dt: _interval(step, at, x, u, dt, max(1, round(dt / longest))) for dt in set(problem.dt)}
             if all(np.all(np.isfinite(S)) for S in lengths.values()):
                 found.append(_factors(np.array([lengths[dt] for dt in problem.dt]), problem.uniform))
     return Growth(tuple(float(c) for c in np.max(found, axis=0)) if found else (), precision)
@@ -221,7 +221,18 @@ ACTIVE = 1e-9
 
 
 def first_plan_warnings(problem: Problem, program: Program, second: bool) -> tuple[str, ...]:
-    """One text for everything that cannot work at the first plan; ``second``: second derivatives are evaluated."""
+    """One text for everything that cannot work at the first plan, or at the first corner of the ranges of parameters
+    and initial states where more does not work; ``second``: second derivatives are evaluated."""
+    (_, declared), *corners = problem.corners
+    found = tuple(_warnings(declared, program, second))
+    for where, corner in corners:
+        more = [f"{text} (with {where})" for text in _warnings(corner, program, second) if text not in found]
+        if more:
+            return (*found, *more)
+    return found
+
+
+def _warnings(problem: Problem, program: Program, second: bool) -> tuple[str, ...]:
     x, u = first_plan(problem)
     still = tuple(_end_time(problem, x, u)) or tuple(_without_influence(problem, x, u))
     return (*_not_finite(problem, program, second, x, u), *still, *_without_gradient(problem, x, u))

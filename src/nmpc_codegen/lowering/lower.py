@@ -12,10 +12,10 @@ from numpy.typing import ArrayLike
 from nmpc_codegen.components.algorithms.shifts import sampling_period
 from nmpc_codegen.components.base import Component, Counts, Dims
 from nmpc_codegen.components.core import SIZES_OF_OTHERS, TABLES_OF_OTHERS
-from nmpc_codegen.errors import OptionError
-from nmpc_codegen.frontend.problem import Array, Problem, Row, Stage
+from nmpc_codegen.errors import OptionError, ProblemError
+from nmpc_codegen.frontend.problem import Array, Problem, Stage
 from nmpc_codegen.ir.cmodule import CModule, Macro, Section, Setter, Table, check_prefix
-from nmpc_codegen.ir.kernel import called_functions
+from nmpc_codegen.ir.kernel import called_functions, called_lookups
 from nmpc_codegen.ir.printing.c_style import CStyle
 from nmpc_codegen.ir.sweep import Routine
 from nmpc_codegen.ir.tuning import PANEL
@@ -28,6 +28,7 @@ from nmpc_codegen.lowering.structs import absent_members, extras, lowered_struct
 from nmpc_codegen.options import as_data
 from nmpc_codegen.package.description import INTERFACE_SIZES, PackageDescription, Report
 from nmpc_codegen.package.features import KERNELS, Features, KernelName
+from nmpc_codegen.package.lookup import Lookup
 from nmpc_codegen.package.memory import Size, Struct, place
 from nmpc_codegen.package.opcount import OpCount
 from nmpc_codegen.package.signals import Argument, EntryPoint, Kind, Layout, Residual, c_constants
@@ -188,7 +189,7 @@ def _features(model: Model) -> Features:
         keeps_multipliers=curved or found.stage_multipliers,
         relaxation=relaxable,
         priced_rows=found.relax
-        and any(k < p.N and p.rows[row].soft is None and p.rows_on_states[row] for k, _, _, row in p.qp_rows),
+        and any(k < p.N and p.rows[row].hard and p.rows_on_states[row] for k, _, _, row in p.qp_rows),
         elastic=relaxable or any(row.soft is not None for row in p.rows),
         nonlinear_rows=nonlinear,
         nonlinear_model=found.has_qp and p.nonlinear_model,
@@ -213,13 +214,15 @@ def _of_problem(model: Model) -> Features:
         set_weight=_is_set(model, "weight"),
         set_parameter=_is_set(model, "parameter"),
         set_bounds=_is_set(model, "bounds"),
+        set_soft=_is_set(model, "soft"),
         reference_by_node=layouts["reference"] == "node",
         weight_by_node=layouts["weight"] == "node",
         parameter_by_node=layouts["parameter"] == "node",
         bounds_by_node=layouts["bounds"] == "node",
+        soft_by_node=layouts["soft"] == "node",
         state_rows=0 in kinds,
         general_rows=1 in kinds,
-        hard_rows=any(p.rows[row].soft is None for _, _, _, row in p.qp_rows),
+        hard_rows=any(p.rows[row].hard for _, _, _, row in p.qp_rows),
         rows_move=any((k + 1, row) in imposed for k, row in imposed),
         proximal=bool(p.proximal),
         idle_end=p.idle_end and parts.algorithm.shift == "repeat",
@@ -255,6 +258,7 @@ def _is_set(model: Model, kind: Kind) -> bool:
         "weight": residuals,
         "parameter": len(p.own_parameters),
         "bounds": len(p.rows),
+        "soft": sum(row.soft is not None for row in p.rows),
     }
     return model.options.online.layouts[kind] != "fixed" and sizes[kind] > 0
 
@@ -309,7 +313,7 @@ def _macros(model: Model, dims: Dims, whole: bool) -> tuple[Macro, ...]:
     macros += _inner_macros(model)
     if dims.condensed:
         macros.append(Macro("PANEL", PANEL, "columns processed together"))
-    macros.append(Macro("SOFT_ROWS", sum(r.soft is not None for r in model.problem.rows), "rows with a penalty"))
+    macros += _data_macros(model.problem)
     macros.append(Macro("PULLS", PULLS, "moves of a control back onto rows, at most"))
     parameters = model.problem.own_parameters
     macros.append(Macro("PARAMS", len(parameters), "parameters by name"))
@@ -331,6 +335,17 @@ def _macros(model: Model, dims: Dims, whole: bool) -> tuple[Macro, ...]:
     public.update(INTERFACE_SIZES, (f"SIZE_{name}" for name in names))
     found = {macro.name: replace(macro, public=macro.name in public) for macro in reversed(macros)}
     return tuple(found.values())[::-1]
+
+
+def _data_macros(problem: Problem) -> tuple[Macro, ...]:
+    """What penalties and bounds of parameters there are."""
+    soft = [row for row in problem.rows if row.soft is not None]
+    scaled, bounded = any(row.scaled for row in soft), any(s.low for s in problem.own_parameters)
+    return (
+        Macro("SOFT_ROWS", len(soft), "rows with a penalty"),
+        Macro("SCALED_PENALTIES", int(scaled), "1: penalties of a row are times dt_k"),
+        Macro("BOUNDED_PARAMETERS", int(bounded), "1: some parameters have bounds"),
+    )
 
 
 def _inner_macros(model: Model) -> tuple[Macro, ...]:
@@ -378,6 +393,7 @@ _NODES: Mapping[Kind, Mapping[Layout, str]] = {
     "weight": {"shared": "no node", "node": "0 .. N - 1"},
     "parameter": {"shared": "N", "node": "0 .. N"},
     "bounds": {"shared": "N, if the row holds there", "node": "a node of the row"},
+    "soft": {"shared": "N", "node": "0 .. N"},
 }
 
 
@@ -423,13 +439,17 @@ def _tables(model: Model) -> tuple[Table, ...]:
         integer("control_row", _control_rows(p), "row that bounds control j, or -1"),
         integer("free_state", p.free_initial, "state that is free component f of x_0"),
         integer("row_first", first, "first row of node k"),
-        real("penalty_l1", [_penalty(r)[0] for r in p.rows], "l1 penalty of a row of the user; infinite: hard"),
-        real("penalty_l2", [_penalty(r)[1] for r in p.rows], "quadratic penalty of its violation"),
+        integer("soft_place", _soft_places(p), "place of a row among the soft ones; -1: it is hard"),
+        real("default_soft_l1", [r.soft[0] for r in p.rows if r.soft], "penalties l1 v of the soft rows"),
+        real("default_soft_l2", [r.soft[1] for r in p.rows if r.soft], "penalties l2/2 v^2 of the soft rows"),
+        integer("penalty_scaled", (r.scaled for r in p.rows if r.soft), "1: times the length of the interval"),
         real("proximal", _round(p.proximal), "curvature of steps in samples"),
         integer("on_states", p.rows_on_states, "1: row on states alone"),
         integer(
             "is_pulled", (i in p.pulled_rows for i in range(len(p.rows))), "1: hard row on controls alone that bends"
         ),
+        real("parameter_lower", _limits(p, -math.inf), "lower bounds of the elements of p"),
+        real("parameter_upper", _limits(p, math.inf), "upper bounds of the elements of p"),
         integer("parameter_offset", offsets, "first element of a parameter in p"),
         integer("remembered", p.inner.previous, "controls that a node knows of the node before"),
         integer("held_control", p.inner.held, "controls with blocks"),
@@ -437,10 +457,25 @@ def _tables(model: Model) -> tuple[Table, ...]:
         integer("block_node", _block_nodes(p), "first node of the block of control j at node k"),
         real("node_data", p.node_data, "parameters behind those of the user"),
         *_time_tables(model),
+        *lookup_tables(_printed_routines(model)),
         *(table for component in model.parts.components for table in component.tables(p)),
         *TABLES_OF_OTHERS,
     )
     return tuple({table.name: table for table in reversed(found)}.values())[::-1]
+
+
+def lookup_tables(routines: Iterable[Routine]) -> list[Table]:
+    """The arrays of the look-up tables in routines.
+
+    Raises:
+        ProblemError: two tables have one name.
+    """
+    found: dict[str, Lookup] = {}
+    for lookup in called_lookups(routines):
+        other = found.setdefault(lookup.table, lookup)
+        if other.values != lookup.values:
+            raise ProblemError(f"two look-up tables have the name {lookup.name!r}; give them different names=")
+    return [Table(name, "real", lookup.values, "look-up table") for name, lookup in found.items()]
 
 
 def _block_nodes(p: Problem) -> list[int]:
@@ -467,9 +502,16 @@ def _round(values: ArrayLike) -> list[float]:
     return [float(f"{v:.3g}") for v in np.ravel(values)]
 
 
-def _penalty(row: Row) -> tuple[float, float]:
-    """(l1, l2) of a row; a hard one has an infinite l1."""
-    return (math.inf, 0.0) if row.soft is None else row.soft
+def _limits(p: Problem, none: float) -> list[float]:
+    """The lower or upper bounds of the parameters of the user; those that have none have ``none``."""
+    sides = [(s.low if none < 0 else s.high) or (none,) * s.size for s in p.own_parameters]
+    return [value for side in sides for value in side]
+
+
+def _soft_places(p: Problem) -> list[int]:
+    """For every row its place among the soft ones, or -1."""
+    soft = [i for i, row in enumerate(p.rows) if row.soft is not None]
+    return [soft.index(i) if i in soft else -1 for i in range(len(p.rows))]
 
 
 def _weight_values(stage: Stage) -> Array:

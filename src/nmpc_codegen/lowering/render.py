@@ -17,8 +17,11 @@ from typing import Any
 import jinja2
 
 from nmpc_codegen.ir.cmodule import CModule, Macro, Table
+from nmpc_codegen.ir.kernel import called_lookups
 from nmpc_codegen.ir.printing.c_style import CStyle
+from nmpc_codegen.ir.printing.lookups import print_lookups
 from nmpc_codegen.ir.printing.routines import print_routine
+from nmpc_codegen.ir.sweep import Routine
 from nmpc_codegen.lowering.hooks import check_hooks, extra_parts, hook_prototypes, with_hooks
 from nmpc_codegen.lowering.lanes.nodes import GENERATED as IN_LANES
 from nmpc_codegen.lowering.parts import (
@@ -119,7 +122,7 @@ def _fill(module: CModule) -> dict[str, Any]:
         header,
         render_unit(module, names),
         tuple(known),
-        {routine.name: print_routine(routine, module.style) for routine in module.routines},
+        print_functions(module.routines, module.style),
         module.structs,
         module.tables,
         None if module.whole else constants_of(module, known),
@@ -133,6 +136,13 @@ def _fill(module: CModule) -> dict[str, Any]:
         "spelling": _spelling(module),
         "unit": module.value("MAGIC"),
     }
+
+
+def print_functions(routines: Sequence[Routine], style: CStyle) -> dict[str, str]:
+    """Name -> text of the functions of look-up tables that routines call, and of the routines."""
+    lookups = print_lookups(called_lookups(routines))
+    search = {"find_interval": read_part("core/lookup.c", lambda include: "").rstrip()} if lookups else {}
+    return search | lookups | {routine.name: print_routine(routine, style) for routine in routines}
 
 
 @dataclass(frozen=True, eq=False)

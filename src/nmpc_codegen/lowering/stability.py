@@ -32,12 +32,14 @@ def stability_warning(problem: Problem, integrator: Integrator) -> tuple[str, ..
     """A warning that names the steps that are needed, if the scheme is not stable for the longest interval."""
     if problem.discrete or not isinstance(integrator, ExplicitRungeKutta):
         return ()
-    modes = _modes(problem)
+    of_corners = [(where, _modes(corner)) for where, corner in problem.corners]
+    modes = np.concatenate([found for _, found in of_corners])
     steps = range(integrator.steps, MOST_STEPS + 1)
     needed = next((n for n in steps if _is_stable(integrator.tableau, modes * (max(problem.dt) / n))), None)
     if needed == integrator.steps or not len(modes):
         return ()
-    worst = modes[np.argmax(np.abs(modes))]
+    where, of_worst = max(of_corners, key=lambda found: np.max(np.abs(found[1]), initial=0.0))
+    worst = of_worst[np.argmax(np.abs(of_worst))]
     remedy = (
         f"{needed} steps per interval are needed for stability: ExplicitRungeKutta({integrator.tableau.name}, "
         f"steps={needed}), or --set integrator.steps={needed}"
@@ -46,7 +48,8 @@ def stability_warning(problem: Problem, integrator: Integrator) -> tuple[str, ..
     )
     return (
         f"integrator {integrator.tableau.name} with steps={integrator.steps} is unstable at the initial state "
-        f"or a reference, where the model has the eigenvalue {worst:.3g} 1/s; {remedy}",
+        f"or a reference{f' with {where}' if where else ''}, where the model has the eigenvalue {worst:.3g} 1/s; "
+        f"{remedy}",
     )
 
 

@@ -116,7 +116,7 @@ def settings(model: Model, dims: Dims, whole: bool) -> tuple[Setting, ...]:
     p, layouts = model.problem, model.options.online.layouts
     weight = (dims.ny,) if p.path.diagonal_weight else (dims.ny, dims.ny)
     weight_N = (dims.ny_N,) if p.terminal.diagonal_weight else (dims.ny_N, dims.ny_N)
-    one = Size("1", 1)
+    one, soft = Size("1", 1), Size("SOFT_ROWS", sum(row.soft is not None for row in p.rows))
     path: Mapping[Layout, Size] = {"shared": one, "node": dims.N}
     every: Mapping[Layout, Size] = {"shared": Size("2", 2), "node": Size("N + 1", dims.N.value + 1)}
     which = {"shared": "path, terminal", "node": "every node"}
@@ -130,7 +130,7 @@ def settings(model: Model, dims: Dims, whole: bool) -> tuple[Setting, ...]:
             return []
         count = copies[layout] if copies else one
         leading = (count,) if copies else ()
-        suffix = f": {which[layout]}" if option == "bounds" else ""
+        suffix = f": {which[layout]}" if option in ("bounds", "soft") else ""
         return [Setting(Field(name, (*leading, *shape), doc + suffix, "setting"), table, count, entries)]
 
     return (
@@ -148,6 +148,8 @@ def settings(model: Model, dims: Dims, whole: bool) -> tuple[Setting, ...]:
         *setting("weight", "W_N", "default_terminal_weight", weight_N, None, "weight of the terminal residual"),
         *setting("bounds", "lower", "default_lower", (dims.nr,), every, "lower bounds of the rows"),
         *setting("bounds", "upper", "default_upper", (dims.nr,), every, "upper bounds of the rows"),
+        *setting("soft", "soft_l1", "default_soft_l1", (soft,), every, "penalties l1 v of the soft rows"),
+        *setting("soft", "soft_l2", "default_soft_l2", (soft,), every, "penalties l2/2 v^2 of the soft rows"),
     )
 
 

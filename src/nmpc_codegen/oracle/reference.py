@@ -134,7 +134,8 @@ class Reference:
                 continue
             for k in row_nodes(row):
                 value = row.value(self._x[k], None, end if k == N else path[k], coupled, k == N)
-                if row.soft is None:
+                soft = row.penalty(k, problem.dt)
+                if soft is None:
                     self._g.append(value)
                     self._general.append((i, k, 0))
                     continue
@@ -142,7 +143,7 @@ class Reference:
                 self._slack.append(s)
                 self._g.extend((value + s[0], value - s[1]))
                 self._general.extend(((i, k, -1), (i, k, 1)))
-                penalty += ca.sum1(row.soft[0] * s + row.soft[1] / 2 * s * s)
+                penalty += ca.sum1(soft[0] * s + soft[1] / 2 * s * s)
         return penalty
 
     def solve(self, data: Data, *, x: Any = None, u: Any = None) -> ReferenceSolution:

@@ -244,12 +244,12 @@ def evaluate_cost(problem: Problem, x: Any, u: Any, data: Data, integrator: Tabl
         total += float(cost(x[k], u[k], data.p[k], problem.dt[k], data.yref[k], W))
     value = _row_values(problem, data)
     for i, row in enumerate(problem.rows):
-        if row.soft is None:
-            continue
         for k in row_nodes(row):
-            v = value(row, k, x, u)
+            soft, v = row.penalty(k, problem.dt), value(row, k, x, u)
+            if soft is None:
+                continue
             for s in (max(0.0, v - data.upper[k, i]), max(0.0, data.lower[k, i] - v)):
-                total += row.soft[0] * s + row.soft[1] * s * s / 2
+                total += soft[0] * s + soft[1] * s * s / 2
     return total
 
 
@@ -358,12 +358,13 @@ def _row_residuals(problem: Problem, point: Point, data: Data) -> tuple[float, f
             where, index = multiplier_of(problem, point, row, k)
             mu = float(where[index])
             low, high = float(data.lower[k, i]), float(data.upper[k, i])
+            soft = row.penalty(k, problem.dt)
             for excess, m in ((v - high, max(mu, 0.0)), (low - v, max(-mu, 0.0))):
-                if row.soft is None:
+                if soft is None:
                     violation.append(excess)
                     slackness.append(_product(m, excess))
                 else:
-                    slackness.append(_soft_product(m, excess, *row.soft))
+                    slackness.append(_soft_product(m, excess, *soft))
     return float(np.max(violation)), float(np.max(slackness))
 
 

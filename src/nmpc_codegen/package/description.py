@@ -36,7 +36,7 @@ from nmpc_codegen.package.signals import (
 INTERFACE_SIZES = ("N", "NX", "NU", "NP", "NY", "NY_N", "NW", "NW_N", "NR")
 
 #: Version of the layout of <name>.json.
-FORMAT = 7
+FORMAT = 8
 
 DIMENSIONS = ("N", "NX", "NU", "NP", "NY", "NY_N", "NH", "NH_N", "NR")
 
@@ -204,7 +204,7 @@ class PackageDescription:
             "inner": asdict(self.inner),
         }
         for kind in ("states", "controls", "parameters", "residuals", "residuals_N"):
-            entries[kind] = [vars(s) for s in entries[kind]]
+            entries[kind] = [_signal_entry(s) for s in entries[kind]]
         return json.dumps(entries, indent=1, allow_nan=False) + "\n"
 
     @classmethod
@@ -223,6 +223,9 @@ class PackageDescription:
                 struct["fields"] = [_field_of(member) for member in struct["fields"]]
             for row in raw["rows"]:
                 row |= {side: float(row[side]) for side in ("lower", "upper")}
+                row["soft"] = row["soft"] and [float(value) for value in row["soft"]]
+            for signal in (*raw["states"], *raw["controls"], *raw["parameters"]):
+                signal |= {side: [float(value) for value in signal[side]] for side in ("low", "high")}
             described = msgspec.convert(raw, cls, dec_hook=_size)
             described.dims  # noqa: B018 - all sizes are there
             solver = {struct.name: struct for struct in described.structs}["solver"]
@@ -265,7 +268,13 @@ def _field_entry(member: Field) -> dict[str, Any]:
 
 
 def _row_entry(row: Row) -> dict[str, Any]:
-    return vars(row) | {"lower": _number(row.lower), "upper": _number(row.upper)}
+    soft = None if row.soft is None else [_number(value) for value in row.soft]
+    return vars(row) | {"lower": _number(row.lower), "upper": _number(row.upper), "soft": soft}
+
+
+def _signal_entry(signal: Signal | Residual) -> dict[str, Any]:
+    limits = {side: [_number(v) for v in getattr(signal, side)] for side in ("low", "high") if hasattr(signal, side)}
+    return vars(signal) | limits
 
 
 def _number(value: float) -> float | str:

@@ -55,10 +55,12 @@ class Features:
     set_weight: bool = False
     set_parameter: bool = False
     set_bounds: bool = False
+    set_soft: bool = False
     reference_by_node: bool = False  # every node has data of its own
     weight_by_node: bool = False
     parameter_by_node: bool = False
     bounds_by_node: bool = False
+    soft_by_node: bool = False
 
     # the problem
     state_rows: bool = False  # bounds of states are rows of the QP

@@ -17,6 +17,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from nmpc_codegen.package.lookup import Lookup
+
 Array = NDArray[Any]
 
 #: Name, first and second operand (those of an input: port and element), value of a constant.
@@ -57,12 +59,14 @@ class Program:
     """Steps, each of which refers to steps before it or to an input: x, u or p.
 
     ``rows``: for every row of the problem the steps of its value at the nodes before the end and at the end; -1: none,
-    or the row is no general one. ``operations``: those with an edge.
+    or the row is no general one. ``operations``: those with an edge. ``lookups``: tables, which a step "lookup" reads
+    by the number that is its constant.
     """
 
     steps: tuple[Step, ...] = ()
     rows: tuple[tuple[int, int], ...] = ()
     operations: tuple[Operation, ...] = ()
+    lookups: tuple[Lookup, ...] = ()
 
     def check(self, sizes: Sequence[int], rows: int, edges: Container[str]) -> None:
         """ValueError unless all that it refers to exists.
@@ -74,9 +78,11 @@ class Program:
         """
         if len(self.rows) != rows:
             raise ValueError(f"the program has {len(self.rows)} rows, expected {rows}")
-        for i, (name, first, second, _) in enumerate(self.steps):
+        for i, (name, first, second, constant) in enumerate(self.steps):
             if name == "input":
                 known = 0 <= first < len(sizes) and 0 <= second < sizes[first]
+            elif name == "lookup":
+                known = 0 <= first < i and constant in range(len(self.lookups))
             else:
                 known = name == "const" or (name in VALUES and 0 <= first < i and 0 <= second < i)
             if not known:
@@ -96,6 +102,8 @@ class Program:
                 found.append(np.asarray(inputs[first][:, second], dtype=np.float64))
             elif name == "const":
                 found.append(np.full(len(x), constant))
+            elif name == "lookup":
+                found.append(self.lookups[int(constant)](found[first]))
             else:
                 found.append(np.asarray(VALUES[name](found[first], found[second]), dtype=np.float64))
         return found

@@ -9,7 +9,7 @@ from typing import Any, Literal, NamedTuple
 RowKind = Literal["control", "state", "general", "coupled"]
 
 #: Data that can be changed at run time, and how they are stored: as a table of declared values, once, or once per node.
-Kind = Literal["reference", "weight", "bounds", "parameter"]
+Kind = Literal["reference", "weight", "bounds", "parameter", "soft"]
 Layout = Literal["fixed", "shared", "node"]
 Layouts = Mapping[Kind, Layout]
 
@@ -45,7 +45,8 @@ class Signal:
 
     ``offset`` is the position of its first element in the stacked vector; ``value`` holds the initial value of a
     state (x_0 for --check, --simulate, main.c), the value of a parameter, and zeros for a control. ``scale``: declared
-    sizes of the elements; empty: none.
+    sizes of the elements; empty: none. ``low``, ``high``: bounds of a parameter, or between which the initial values of
+    a state are expected; empty: none.
     """
 
     name: str
@@ -55,6 +56,8 @@ class Signal:
     offset: int
     scalar: bool  # declared without size=
     scale: tuple[float, ...] = ()
+    low: tuple[float, ...] = ()
+    high: tuple[float, ...] = ()
 
     @property
     def elements(self) -> tuple[str, ...]:
@@ -104,6 +107,22 @@ NOTHING_INNER = Inner()
 
 
 @dataclass(frozen=True)
+class Soft:
+    """Penalties of a soft row, by side: a violation v >= 0 costs l1 v + l2/2 v^2.
+
+    Args:
+        lower: (l1, l2) below the lower bound, or l1; an infinite l1 is hard now and may become finite at run time.
+            None: hard for ever; in set_soft() as it was.
+        upper: the same above the upper bound.
+        scale_with_dt: multiply both by the length of the interval, at node N of the last one.
+    """
+
+    lower: tuple[float, float] | float | None = None
+    upper: tuple[float, float] | float | None = None
+    scale_with_dt: bool = False
+
+
+@dataclass(frozen=True)
 class Row:
     """One scalar row lower <= value <= upper that holds at ``nodes``, with its declared bounds.
 
@@ -111,7 +130,11 @@ class Row:
     kind "state": value = x[index]; ``nodes`` is empty if an equality at the end replaces the whole row (N = 1);
     kind "general": value = h[index] of the path stage (nodes < N) and h[index_terminal] of the terminal stage (node N),
     -1 if the row does not hold there;
-    kind "coupled": r[index](x_0, x_N), ``nodes`` is (0, N). ``soft`` is (l1, l2) or None. Equality: lower == upper.
+    kind "coupled": r[index](x_0, x_N), ``nodes`` is (0, N). Equality: lower == upper.
+
+    ``soft``: (l1, l2) of the penalty l1 v + l2/2 v^2 of a violation v, where an infinite l1 is a hard row that may
+    become soft, or None for a row that stays hard; ``scaled``: it is multiplied by the length of the interval, at the
+    end of the last one. ``stated``: the row of the user, if this is one ``side`` of it.
     """
 
     name: str
@@ -122,6 +145,26 @@ class Row:
     lower: float
     upper: float
     soft: tuple[float, float] | None = None
+    scaled: bool = False
+    stated: str = ""
+    side: Literal["", "lower", "upper"] = ""
+
+    @property
+    def hard(self) -> bool:
+        """True if it is hard, or may become so at run time."""
+        return self.soft is None or self.soft[0] == float("inf")
+
+    @property
+    def user_name(self) -> str:
+        """The name of the row in the words of the user."""
+        return self.stated or self.name
+
+    def penalty(self, node: int, dt: Sequence[float]) -> tuple[float, float] | None:
+        """Declared (l1, l2) at a node; None where the row is hard."""
+        if self.soft is None or self.hard:
+            return None
+        factor = dt[min(node, len(dt) - 1)] if self.scaled else 1.0
+        return self.soft[0] * factor, self.soft[1] * factor
 
     @property
     def is_general(self) -> bool:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from nmpc_codegen.errors import ControllerError, NmpcError
+from nmpc_codegen.package.signals import Soft
 
 #: Asymmetry |W - W'| and negative eigenvalues up to this multiple of eps max|W| are rounding of products like A' Q A.
 ROUNDING = 2.0**12
@@ -136,6 +137,53 @@ def pair(value: Any, what: str) -> tuple[Any, Any]:
     if not isinstance(value, (tuple, list)) or len(value) != 2:
         raise ControllerError(f"{what} is {value!r}; expected (lower, upper)")
     return value[0], value[1]
+
+
+def check_range(values: NDArray[Any], low: Sequence[float], high: Sequence[float], what: str) -> None:
+    """ControllerError if one of the rows is outside of the bounds of its elements."""
+    outside = (values < np.array(low, values.dtype)) | (values > np.array(high, values.dtype))
+    if outside.any():
+        k, i = (int(place) for place in np.unravel_index(outside.argmax(), outside.shape))
+        raise ControllerError(
+            f"{what}: {values[k, i]:g} is outside of {low[i]:g} .. {high[i]:g}, its bounds as declared in the OCP"
+        )
+
+
+def penalty_of_side(soft: Any, side: str, what: str) -> tuple[Any, Any] | None:
+    """(l1, l2) of one ``side`` of a row, "" for both; None: it stays.
+
+    Raises:
+        ControllerError: it is none, or the sides of a row that has one penalty would differ.
+    """
+    if isinstance(soft, Soft):
+        if soft.scale_with_dt:
+            raise ControllerError(f"{what}: scale_with_dt is declared, subject_to(..., soft=Soft(...)), and stays")
+        if not side and (soft.lower is None or soft.lower != soft.upper):
+            raise ControllerError(
+                f"{what} is the same on both sides, as it was declared; state the row with different ones, "
+                "soft=Soft(lower=(l1, l2), upper=(l1, l2)), to change them one by one"
+            )
+        chosen = soft.upper if side == "upper" else soft.lower
+        return None if chosen is None else penalty_of_side(chosen, side, what)
+    if isinstance(soft, int | float | np.number) and not isinstance(soft, bool):
+        return float(soft), 0.0
+    if not isinstance(soft, tuple | list | np.ndarray) or len(soft) != 2:
+        raise ControllerError(f"{what} is {soft!r}; expected (l1, l2), l1, or Soft(lower=(l1, l2), upper=(l1, l2))")
+    return soft[0], soft[1]
+
+
+def check_penalties(l1: NDArray[Any], l2: NDArray[Any], declared: tuple[float, float], what: str) -> None:
+    """ControllerError unless penalties are nonnegative, and infinite or positive only where they were declared so."""
+    least, infinite = min(l1.min(), l2.min()), bool(np.isinf(l1).any())
+    if not least >= 0.0 or np.isnan(l1).any() or not np.isfinite(l2).all():
+        raise ControllerError(f"{what} is {l1.tolist()}, {l2.tolist()}; expected numbers >= 0, l2 finite")
+    if infinite and not math.isinf(declared[0]):
+        raise ControllerError(f"{what} is infinite, but was declared {declared[0]:g}; state it with soft=(inf, l2)")
+    if (l2 > 0).any() != (l2 > 0).all() or bool((l2 > 0).all()) != (declared[1] > 0):
+        expected = "a positive l2" if declared[1] > 0 else "l2 = 0"
+        raise ControllerError(f"{what} has l2 = {l2.tolist()}; expected {expected}, as declared")
+    if not declared[1] and not (l1 > 0).all():
+        raise ControllerError(f"{what} is 0; expected a positive l1")
 
 
 #: Levels of an iteration in the order of their numbers in C.

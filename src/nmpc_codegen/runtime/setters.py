@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from nmpc_codegen.errors import ControllerError
-from nmpc_codegen.package.signals import Kind, Signal
+from nmpc_codegen.package.signals import Kind, Signal, Soft
 from nmpc_codegen.runtime import given
 from nmpc_codegen.runtime.memory import Memory
 
@@ -24,6 +24,7 @@ EVERY_NODE = -1  # <NAME>_ALL of the C package
 
 Array = NDArray[Any]
 Named = Mapping[str, ArrayLike]
+Penalty = float | tuple[ArrayLike, ArrayLike]
 
 
 class Setters(Memory):
@@ -120,12 +121,26 @@ class Setters(Memory):
             pairs = {name: (lower, upper)}
         checked = [one for n, both in pairs.items() for one in self._checked_bounds(n, *both, node)]
         for row, low, high in checked:
-            if len(low) == 1:
-                status = self._call("set_bounds", self._s, row, self._node(node), float(low[0]), float(high[0]))
-            else:
-                bounds = self._pointer(low), self._pointer(high)
-                status = self._call("set_bounds_range", self._s, row, 0, len(low), *bounds)
-            self._expect(status, "set_bounds", f"row {self.names.rows[row]!r}, node {node}")
+            self._send_pair("set_bounds", row, low, high, node)
+
+    def set_soft(
+        self, name: str | Mapping[str, Penalty | Soft], soft: Penalty | Soft | None = None, node: int | None = None
+    ) -> None:
+        """Set the penalties l1 v + l2/2 v^2 of violations of a soft row: all that are named, or none if one is wrong.
+
+        Args:
+            name: name of the row, or of a vector of rows; or {name: penalties}.
+            soft: (l1, l2) or l1 for both sides; Soft(lower=(l1, l2), upper=(l1, l2)) by side, where a side that is
+                None stays as it is. l1 and l2 are numbers, or one per node, (N+1,), or (N,) if the row does not hold at
+                the end. An infinite l1, for a hard row, is for rows that were declared with one; a declared l2 = 0
+                stays 0, a positive one positive.
+            node: a node of the row, or None for all of them. Online(soft="shared") allows None and N, and no rows per
+                node.
+        """
+        given_by_name = {name: soft} if isinstance(name, str) else name
+        checked = [one for n, value in given_by_name.items() for one in self._checked_soft(n, value, node)]
+        for row, l1, l2 in checked:
+            self._send_pair("set_soft", row, l1, l2, node)
 
     # -- the plant ----------------------------------------------------------------------------------------------------
 
@@ -230,6 +245,9 @@ class Setters(Memory):
         lengths = self._lengths("parameter", what, node)
         column = None if name == signal.name else self._lookup(name, signal.elements, "parameter")
         rows = given.rows(value, what, self._real, signal.size if column is None else 1, lengths)
+        if signal.low:
+            own = slice(None) if column is None else slice(column, column + 1)
+            given.check_range(rows, signal.low[own], signal.high[own], what)
         if column is not None:
             whole = self._stored_parameter(signal, node, len(rows))
             whole[:, column] = rows[:, 0]
@@ -252,28 +270,81 @@ class Setters(Memory):
         self, name: str, lower: ArrayLike, upper: ArrayLike, node: int | None
     ) -> Iterator[tuple[int, Array, Array]]:
         """(row, lower, upper) for every row of that name: one number, or one per node."""
-        numbers = self._members(name, self.names.rows, "row")
-        lengths = self._lengths("bounds", f"the bounds of {name!r}", node)
-        rows = [self.description.rows[i] for i in numbers]
-        if any(self.dims.N in row.nodes for row in rows):
-            lengths = lengths[1:]
+        groups = self._rows_of(name)
+        lengths = self._lengths_of_rows("bounds", name, groups, node)
         low, high = (
-            given.rows(value, f"{which} bound of {name!r}", self._real, len(rows), lengths, finite=False)
+            given.rows(value, f"{which} bound of {name!r}", self._real, len(groups), lengths, finite=False)
             for which, value in (("lower", lower), ("upper", upper))
         )
         low, high = np.broadcast_arrays(low, high)
-        for number, row, one_low, one_high in zip(numbers, rows, low.T, high.T, strict=True):
-            if node is not None and node not in row.nodes:
-                raise ControllerError(f"bounds of {row.name!r}: it does not hold at node {node}, but at {row.nodes}")
+        for group, one_low, one_high in zip(groups, low.T, high.T, strict=True):
+            row = self.description.rows[group[0]]
             imposed = [k for k in row.nodes if k < len(low)] if len(low) > 1 else [0]
             for which, bound in (("lower", one_low), ("upper", one_high)):
                 if np.any(np.isnan(bound[imposed])):
-                    raise ControllerError(f"{which} bound of {row.name!r} is NaN")
+                    raise ControllerError(f"{which} bound of {row.user_name!r} is NaN")
             if np.any(one_low[imposed] > one_high[imposed]):
                 raise ControllerError(
-                    f"bounds of {row.name!r}: lower {one_low.tolist()} above upper {one_high.tolist()}"
+                    f"bounds of {row.user_name!r}: lower {one_low.tolist()} above upper {one_high.tolist()}"
                 )
-            yield number, one_low, one_high
+            for number in group:
+                side = self.description.rows[number].side if name != self.names.rows[number] else ""
+                yield (
+                    number,
+                    np.full_like(one_low, -np.inf) if side == "upper" else one_low,
+                    np.full_like(one_high, np.inf) if side == "lower" else one_high,
+                )
+
+    def _checked_soft(
+        self, name: str, soft: Penalty | Soft | None, node: int | None
+    ) -> Iterator[tuple[int, Array, Array]]:
+        """(row, l1, l2) for every row of that name: one number, or one per node."""
+        groups = self._rows_of(name)
+        lengths = self._lengths_of_rows("soft", name, groups, node)
+        for number in (number for group in groups for number in group):
+            row = self.description.rows[number]
+            what = f"penalty of {row.name!r}"
+            if row.soft is None:
+                raise ControllerError(f"{row.name!r} is hard: state it with soft=(l1, l2), l1 = inf: hard at first")
+            pair = given.penalty_of_side(soft, row.side, what)
+            if pair is None:
+                continue
+            l1, l2 = (given.rows(value, what, self._real, 1, lengths, finite=False)[:, 0] for value in pair)
+            l1, l2 = np.broadcast_arrays(l1, l2)
+            given.check_penalties(l1, l2, row.soft, what)
+            yield number, l1, l2
+
+    def _rows_of(self, name: str) -> list[list[int]]:
+        """The rows of that name, a list for each row of the user: both sides where their penalties differ."""
+        if name in self.names.rows:
+            return [[self.names.rows.index(name)]]
+        of_rows = [row.user_name for row in self.description.rows]
+        known = list(dict.fromkeys(of_rows))
+        return [
+            [i for i, stated in enumerate(of_rows) if stated == known[k]] for k in self._members(name, known, "row")
+        ]
+
+    def _lengths_of_rows(
+        self, kind: Kind, name: str, groups: Sequence[Sequence[int]], node: int | None
+    ) -> tuple[int, ...]:
+        """_lengths() for rows: without node N only if none holds there; ``node`` must be one of all of them."""
+        lengths = self._lengths(
+            kind, f"the {kind} of {name!r}" if kind == "bounds" else f"the penalty of {name!r}", node
+        )
+        rows = [self.description.rows[group[0]] for group in groups]
+        for row in rows:
+            if node is not None and node not in row.nodes:
+                raise ControllerError(f"{row.user_name!r} does not hold at node {node}, but at {list(row.nodes)}")
+        return lengths[1:] if any(self.dims.N in row.nodes for row in rows) else lengths
+
+    def _send_pair(self, call: str, row: int, first: Array, second: Array, node: int | None) -> None:
+        """Send two numbers of a row, for a node or for all, or two for each node from node 0 on."""
+        if len(first) == 1:
+            status = self._call(call, self._s, row, self._node(node), float(first[0]), float(second[0]))
+        else:
+            both = self._pointer(first), self._pointer(second)
+            status = self._call(f"{call}_range", self._s, row, 0, len(first), *both)
+        self._expect(status, call, f"row {self.names.rows[row]!r}, node {node}")
 
     # -- inner: all kinds ---------------------------------------------------------------------------------------------
 

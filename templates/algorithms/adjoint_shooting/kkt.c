@@ -7,7 +7,7 @@
 
 static void kkt_soft_row(const solver_t *s, int m, real_t value, real_t mu, kkt_t *kkt)
 {
-    const real_t l1 = row_l1(m), l2 = row_l2(m);
+    const real_t l1 = row_l1(s, m), l2 = row_l2(s, m);
     const real_t scale = row_magnitude[row_id(m)];
     kkt_soft_side(kkt, value - row_upper(s, m), (mu > R(0)) ? mu : R(0), l1, l2, value, scale);
     kkt_soft_side(kkt, row_lower(s, m) - value, (mu < R(0)) ? -mu : R(0), l1, l2, value, scale);
@@ -20,7 +20,7 @@ static void kkt_rows(const solver_t *s, int what, kkt_t *kkt)
     evaluate_rows(s, value);
     for (int m = 0; m < NG; m++) {
         const real_t mu = row_factor(s, m, value[m], what, R(0));
-        if (row_is_soft(m)) {
+        if (row_is_soft(s, m)) {
             kkt_soft_row(s, m, value[m], mu, kkt);
             continue;
         }

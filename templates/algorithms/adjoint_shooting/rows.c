@@ -67,10 +67,10 @@ static real_t row_factor(const solver_t *s, int m, real_t v, int what, real_t mo
         return s->row[m];
     }
     (void)row_term(s, m, v, &slope, &curvature);
-    if (LUMPED_ROWS && row_is_soft(m) && what == HARD) {
+    if (LUMPED_ROWS && row_is_soft(s, m) && what == HARD) {
         return R(0);
     }
-    if (LUMPED_ROWS && !QUASI_NEWTON && !row_is_soft(m)) {
+    if (LUMPED_ROWS && !QUASI_NEWTON && !row_is_soft(s, m)) {
         curvature *= moved;
         return (what == PRODUCT) ? curvature + slope * s->shooting.lump_change : slope;
     }
@@ -121,7 +121,7 @@ static real_t row_terms_of_plan(solver_t *s, real_t *violation)
     *violation = R(0);
     for (int m = 0; m < NG; m++) {
         const real_t term = row_term(s, m, value[m], &slope, &curvature);
-        if (row_is_soft(m)) {
+        if (row_is_soft(s, m)) {
             sum += term;
             continue;
         }

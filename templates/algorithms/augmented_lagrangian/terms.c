@@ -51,7 +51,7 @@ static real_t row_term(const solver_t *s, int m, real_t v, real_t *slope, real_t
         *slope = R(0);
     }
     if (SOFT_ROWS) {
-        const real_t l1 = row_l1(m), l2 = row_l2(m);
+        const real_t l1 = row_l1(s, m), l2 = row_l2(s, m);
         if (FABS(*slope) > l1) {
             const real_t side = (*slope > R(0)) ? R(1) : -R(1), bound = (*slope > R(0)) ? upper : lower;
             const real_t excess = (side * (mu + weight * (v - bound)) - l1) / (weight + l2);

@@ -20,7 +20,7 @@ static int step_sizes(const solver_t *s, real_t *size)
 static int rows_hold(const solver_t *s, const real_t *size)
 {
     for (int m = 0; m < NG; m++) {
-        if (row_is_soft(m)) {
+        if (row_is_soft(s, m)) {
             continue;
         }
         const real_t excess = FABS(row_excess(s, m, s->step.mult[m]));

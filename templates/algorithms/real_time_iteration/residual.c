@@ -29,7 +29,7 @@ static real_t row_residual(solver_t *s, real_t length)
     real_t value[NG], most = R(0);
     evaluate_rows(s, value);
     for (int m = 0; m < NG; m++) {
-        if (row_is_soft(m) || row_is_state(m)) {
+        if (row_is_soft(s, m) || row_is_state(m)) {
             continue;
         }
         const real_t promised = outside(s, m, row_constant(s, m) + row_change(s, m) / length);
@@ -61,7 +61,7 @@ static real_t rows_left(solver_t *s)
         most = s->row_residual;
     }
     for (int m = 0; m < NG; m++) {
-        if (row_is_state(m) && !row_is_soft(m) && row_node(m) > 0) {
+        if (row_is_state(m) && !row_is_soft(s, m) && row_node(m) > 0) {
             const real_t value = s->x[row_node(m)][row_index(m)];
             const real_t end = value + s->node[row_node(m) - 1].b[row_index(m)];
             const real_t left = outside(s, m, end) - outside(s, m, value);

@@ -52,7 +52,7 @@ static void name_violation(solver_t *s)
     forget_violation(s);
     for (int m = 0; m < NG; m++) {
         const real_t excess = FABS(row_excess(s, m, R(0)));
-        if (row_is_soft(m)) {
+        if (row_is_soft(s, m)) {
             continue;
         }
         if (excess > s->stats.violation) {

@@ -5,7 +5,7 @@
 
 static void kkt_soft_row(const solver_t *s, int m, real_t value, kkt_t *kkt)
 {
-    const real_t l1 = row_l1(m), l2 = row_l2(m), mu = s->mult[m];
+    const real_t l1 = row_l1(s, m), l2 = row_l2(s, m), mu = s->mult[m];
     const real_t scale = row_magnitude[row_id(m)];
     kkt_soft_side(kkt, value - row_upper(s, m), (mu > R(0)) ? mu : R(0), l1, l2, value, scale);
     kkt_soft_side(kkt, row_lower(s, m) - value, (mu < R(0)) ? -mu : R(0), l1, l2, value, scale);
@@ -17,7 +17,7 @@ static void kkt_rows(const solver_t *s, kkt_t *kkt)
     real_t value[NG];
     evaluate_rows(s, value);
     for (int m = 0; m < NG; m++) {
-        if (row_is_soft(m)) {
+        if (row_is_soft(s, m)) {
             kkt_soft_row(s, m, value[m], kkt);
             continue;
         }

@@ -29,7 +29,7 @@ static real_t gain_of(const solver_t *s)
 {
     real_t gain = s->sqp.base.violation;
     for (int m = 0; m < NG; m++) {
-        if (row_is_soft(m)) {
+        if (row_is_soft(s, m)) {
             continue;
         }
         gain -= FABS(row_excess(s, m, R(0))) / size_or(s->row_scale[row_id(m)], row_magnitude[row_id(m)]);

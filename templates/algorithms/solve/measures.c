@@ -31,8 +31,8 @@ static measures_t measure(solver_t *s)
     evaluate_rows(s, value);
     for (int m = 0; m < NG; m++) {
         const real_t v = outside(s, m, value[m]);
-        if (row_is_soft(m)) {
-            at.cost += soft_penalty(m, v);
+        if (row_is_soft(s, m)) {
+            at.cost += soft_penalty(s, m, v);
             continue;
         }
         at.violation += v / size_or(s->row_scale[row_id(m)], row_magnitude[row_id(m)]);
@@ -82,7 +82,7 @@ static int update_row_scales(solver_t *s, const real_t *size)
 {
     int grew = 0;
     for (int m = 0; m < NG; m++) {
-        if (row_is_soft(m)) {
+        if (row_is_soft(s, m)) {
             continue;
         }
         real_t *scale = &s->row_scale[row_id(m)];

@@ -87,9 +87,9 @@ static real_t slope_of(solver_t *s)
         real_t value[NG];
         evaluate_rows(s, value);
         for (int m = 0; m < NG; m++) {
-            if (row_is_soft(m)) {
-                slope += soft_penalty(m, FABS(row_excess(s, m, R(0))));
-                slope -= soft_penalty(m, outside(s, m, value[m]));
+            if (row_is_soft(s, m)) {
+                slope += soft_penalty(s, m, FABS(row_excess(s, m, R(0))));
+                slope -= soft_penalty(s, m, outside(s, m, value[m]));
             }
         }
     }

@@ -17,6 +17,7 @@ import casadi as ca
 from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.casadi_types import Expression, Function, nonzeros
 from nmpc_codegen.ir.kernel import OPERATIONS, Kernel, Port, lift
+from nmpc_codegen.ir.lookup import known_lookup, look_up
 from nmpc_codegen.ir.tuning import CLOSED_STATES, TAPE_PER_COMPONENT
 
 Entry = tuple[int, int]
@@ -106,6 +107,8 @@ class Derivatives:
                     known[index] = inputs[ins.args[0]][ins.args[1]]
                 elif ins.opcode == ca.OP_CONST:
                     known[index] = ca.SX(ins.constant)
+                elif ins.opcode == ca.OP_CALL:
+                    known[index] = look_up(known_lookup(ins.constant), value(ins.args[0]))
                 elif len(ins.args) == 1:
                     known[index] = ca.SX.unary(ins.opcode, value(ins.args[0]))
                 else:
@@ -139,7 +142,7 @@ class Derivatives:
             if index not in found and ins.opcode in OPERATIONS:
                 found.add(index)
                 todo += ins.args
-        return sorted(v for v in found if OPERATIONS[self._kernel.instructions[v].opcode].count == "call")
+        return sorted(v for v in found if _is_call(self._kernel.instructions[v].opcode))
 
     def leaf_value_and_functions(self) -> Function:
         """K, and the values of ``functions``."""
@@ -239,3 +242,7 @@ def _lift(inputs: list[Expression], outputs: list[Expression]) -> Kernel:
         ports,
         [Port(f"o{n}", int(o.numel())) for n, o in enumerate(dense)],
     )
+
+
+def _is_call(opcode: int) -> bool:
+    return opcode == ca.OP_CALL or OPERATIONS[opcode].count == "call"

@@ -87,9 +87,11 @@ class CStyle:
         return not self.single or bool(np.float32(p) / np.float32(q) == np.float32(value))
 
     def function(self, name: str) -> str:
-        """Name of a function of math.h, or of the package's own, in the working precision."""
+        """Name of a function of math.h, or of the package's own, in the working precision; that of a look-up table."""
         if self.lanes:
             return f"lanes_{name}"
+        if name.startswith("lookup_"):
+            return name
         if self.own and name not in self.INSTRUCTIONS:
             return f"own_{name}"
         return name + ("f" if self.single else "")

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import casadi as ca
 
-from nmpc_codegen.ir.kernel import OPERATIONS, Kernel, Part
+from nmpc_codegen.ir.kernel import OPERATIONS, Kernel, Part, function_of
 from nmpc_codegen.ir.printing.local_names import Taken
 
 if TYPE_CHECKING:
@@ -115,7 +115,7 @@ def expression(ins: Instruction, operands: Mapping[int, str], style: CStyle) -> 
         return f"lanes_{style.CONDITIONS[ins.opcode]}({', '.join(operands[a] for a in ins.args)})"
     return operation.c.format(
         *(operands[a] for a in ins.args),
-        fn=style.function(operation.function) if operation.function else "",
+        fn=style.function(function_of(ins)) if operation.function else "",
         one=style.literal(1.0),
         zero=style.literal(0.0),
     )

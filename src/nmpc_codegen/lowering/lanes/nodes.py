@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 
 from nmpc_codegen.ir.cmodule import CModule
-from nmpc_codegen.ir.kernel import OPERATIONS, Kernel, Port, called_functions
+from nmpc_codegen.ir.kernel import OPERATIONS, Kernel, Port, called_functions, called_lookups
 from nmpc_codegen.ir.printing.c_style import CStyle, spell
 from nmpc_codegen.ir.printing.routines import print_routine
 from nmpc_codegen.ir.sweep import LoopedRoutine, Routine
@@ -142,6 +142,7 @@ def lane_kernels(module: CModule, style: CStyle) -> str:
     arity = {o.function: 2 if "{1}" in o.c else 1 for o in OPERATIONS.values() if o.function}
     others = sorted(called_functions(found.printed) - own_names(MATH_IN_LANES) - {"sqrt"})
     texts = [_one_by_one(name, arity[name], style) for name in others]
+    texts += [_one_by_one(lookup.function, 1, style) for lookup in called_lookups(found.printed)]
     texts += [print_routine(_rename_routine(r), lanes) for r in found.printed]
     if found.one_step is not None:
         texts.append(lane_steps.product(found.one_step))

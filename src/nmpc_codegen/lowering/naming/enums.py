@@ -60,4 +60,5 @@ def _row(row: Row) -> list[str]:
 
 
 def _value(parameter: Signal) -> list[str]:
-    return [parameter.unit, f"declared {', '.join(f'{value:g}' for value in parameter.value[:4])}"]
+    between = "" if len(parameter.low) != 1 else f"{parameter.low[0]:g} .. {parameter.high[0]:g}"
+    return [parameter.unit, f"declared {', '.join(f'{value:g}' for value in parameter.value[:4])}", between]

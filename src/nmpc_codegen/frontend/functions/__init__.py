@@ -1,0 +1,1 @@
+"""Functions that expressions of a problem may contain, besides those of CasADi."""

@@ -1,0 +1,63 @@
+"""Look-up tables inside CasADi expressions, as calls that nothing expands and whose derivatives are 0.
+
+A piecewise polynomial is a sum of products of entries and powers of the distance from a point of its grid. Interval
+and entries are constant between jumps, so the rules of sums and products give all its derivatives. Every call passes
+the key of its table in front of its operand; that tells it from the calls of derivatives that CasADi adds, which have
+more arguments and the value 0.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from functools import lru_cache
+from typing import Any
+
+import casadi as ca
+
+from nmpc_codegen.ir.casadi_types import Function
+from nmpc_codegen.package.lookup import Lookup
+
+#: Key -> table that an expression of this process contains.
+_KNOWN: dict[float, Lookup] = {}
+
+#: Hexadecimal digits of a key: a whole number that a double holds.
+_DIGITS = 12
+
+
+def look_up(table: Lookup, operand: Any) -> Any:
+    """The value of a table as an expression, SX or MX."""
+    key = key_of(table)
+    _KNOWN[key] = table
+    return _function(table)(key, operand)
+
+
+def known_lookup(key: float) -> Lookup:
+    """The table with a key that an expression contains."""
+    return _KNOWN[key]
+
+
+def called_lookup(key: float | None, arguments: int) -> Lookup | None:
+    """The table that a call with this first argument reads; None if it is the derivative of one, which is 0.
+
+    Raises:
+        KeyError: it is a call of something else.
+    """
+    if key is None or key not in _KNOWN:
+        raise KeyError(key)
+    return _KNOWN[key] if arguments == 2 else None
+
+
+def key_of(table: Lookup) -> float:
+    """A number that stands for the content of a table."""
+    text = repr((table.name, table.part, table.values))
+    return float(int(hashlib.sha256(text.encode()).hexdigest()[:_DIGITS], 16))
+
+
+@lru_cache(maxsize=256)
+def _function(table: Lookup) -> Function:
+    """(key, operand) -> value; its derivatives are 0."""
+    key, x, value = ca.MX.sym("key"), ca.MX.sym("x"), ca.MX.sym("value")
+    data = ca.MX(ca.DM(list(table.values)))
+    found = ca.low(data, x) if table.part == "interval" else data[x]
+    zero = ca.Function(f"jac_{table.function}", [key, x, value], [ca.MX(1, 1), ca.MX(1, 1)])
+    return ca.Function(table.function, [key, x], [found], {"never_inline": True, "custom_jacobian": zero})
