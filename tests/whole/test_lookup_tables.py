@@ -23,6 +23,7 @@ from nmpc_codegen import (
     NoCondensing,
     Options,
     ProblemError,
+    ProblemWarning,
     RiccatiInteriorPoint,
     build,
     generate,
@@ -33,6 +34,8 @@ from nmpc_codegen import (
 from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.oracle.reference import Reference, ReferenceSolution, node_data
 from verification.quality import warnings_of
+
+pytestmark = pytest.mark.filterwarnings("ignore:dynamics of .* contain lookup_table")
 
 RANDOM = np.random.default_rng(0)
 GRID = np.sort(np.append(RANDOM.uniform(-1, 1, 28), [-1.0, 1.0]))
@@ -247,7 +250,8 @@ def test_names_and_foreign_calls() -> None:
     ocp = OCP("names", T=1.0, N=2)
     x, u = ocp.state("x"), ocp.control("u")
     a, b = (lookup_table(x, [0, 1], [0, s], name="same") for s in (1, 2))
-    ocp.dynamics({x: u + a + b})
+    with pytest.warns(ProblemWarning, match=r'lookup_table\(kind="linear"\): derivatives jump'):
+        ocp.dynamics({x: u + a + b})
     ocp.least_squares(ca.vertcat(x, u), weight=1)
     with pytest.raises(ProblemError, match="two look-up tables have the name 'same'"):
         generate(ocp)

@@ -18,7 +18,10 @@ from nmpc_codegen.package.signals import Soft
 from nmpc_codegen.runtime.given import checked_weight
 
 #: Operations of a CasADi SX Function that have a C spelling.
-C_OPERATIONS = (frozenset(OPERATIONS) | {ca.OP_CONST, ca.OP_INPUT, ca.OP_OUTPUT}) - {ca.OP_CALL}
+C_OPERATIONS = (frozenset(OPERATIONS) | {ca.OP_CONST, ca.OP_INPUT, ca.OP_OUTPUT, ca.OP_HORZREPMAT}) - {ca.OP_CALL}
+
+#: Mark of a table that is interpolated linearly among the operations of an expression, which never has this one.
+KINKS = ca.OP_HORZREPMAT
 
 #: Operations whose derivative vanishes or is discontinuous somewhere.
 NONSMOOTH = {
@@ -28,7 +31,7 @@ NONSMOOTH = {
         "CEIL": "ceil", "FMOD": "fmod", "REMAINDER": "remainder", "FABS": "fabs", "SIGN": "sign",
         "COPYSIGN": "copysign", "IF_ELSE_ZERO": "if_else", "FMIN": "fmin", "FMAX": "fmax",
     }.items()
-}  # fmt: skip
+} | {KINKS: 'lookup_table(kind="linear")'}  # fmt: skip
 
 #: Maximum number of elements of one signal: for a state of that size, df/dx takes 128 MB at every node.
 MAX_SIZE = 4_000
@@ -230,13 +233,14 @@ def list_names(names: Iterable[str]) -> str:
 
 def operations(expression: Any) -> set[int]:
     """CasADi opcodes of an SX expression; OP_LOW among them marks a constant that is not finite, OP_CALL a function
-    that is no look-up table."""
+    that is no look-up table, KINKS a table with linear interpolation."""
     f = ca.Function("expression", ca.symvar(expression), [expression])
     found: set[int] = set()
     constants: dict[int, float] = {}
     for i in range(f.n_instructions()):
         op = f.instruction_id(i)
-        if op == ca.OP_CALL and _is_lookup(f.instruction_input(i), constants):
+        if op == ca.OP_CALL:
+            found |= _mark_call(f.instruction_input(i), constants)
             continue
         found.add(op)
         if op == ca.OP_CONST:
@@ -246,13 +250,13 @@ def operations(expression: Any) -> set[int]:
     return found
 
 
-def _is_lookup(inputs: list[int], constants: dict[int, float]) -> bool:
-    """True if a call with these inputs reads a look-up table."""
+def _mark_call(inputs: list[int], constants: dict[int, float]) -> set[int]:
+    """The marks of a call with these inputs: none if it reads a look-up table that is smooth."""
     try:
-        called_lookup(constants.get(inputs[0]) if inputs else None, len(inputs))
+        table = called_lookup(constants.get(inputs[0]) if inputs else None, len(inputs))
     except KeyError:
-        return False
-    return True
+        return {ca.OP_CALL}
+    return {KINKS} if table is not None and table.kinks else set()
 
 
 def check_operations(expression: Any, what: str) -> set[int]:

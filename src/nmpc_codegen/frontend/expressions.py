@@ -207,5 +207,6 @@ class Dynamics(NodeBefore):
         if found:
             warn(
                 f"dynamics of '{name}' contain {', '.join(found)}: derivatives jump or vanish there, and Newton-type "
-                "iterations may stall; smooth a switch at s = 0, e.g. by 0.5 * (1 + tanh(s / 0.01))"
+                "iterations may stall; smooth a switch at s = 0, e.g. by 0.5 * (1 + tanh(s / 0.01)), a table by "
+                'kind="cubic"'
             )

@@ -19,12 +19,13 @@ class Lookup:
     "interval": the number i of the interval of a sorted grid ``values`` with values[i] <= x < values[i + 1]; the first
     one for smaller x and for NaN, the last one for larger x. "entry": values[i] for a whole number i.
 
-    ``name``: C identifier of the table.
+    ``name``: C identifier of the table. ``kinks``: the slope of what is made of it jumps at its points.
     """
 
     name: str
     part: Part
     values: tuple[float, ...]
+    kinks: bool = False
 
     @property
     def table(self) -> str:

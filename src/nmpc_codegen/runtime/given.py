@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from nmpc_codegen.errors import ControllerError, NmpcError
-from nmpc_codegen.package.signals import Soft
+from nmpc_codegen.package.signals import Row, Soft
 
 #: Asymmetry |W - W'| and negative eigenvalues up to this multiple of eps max|W| are rounding of products like A' Q A.
 ROUNDING = 2.0**12
@@ -149,8 +149,8 @@ def check_range(values: NDArray[Any], low: Sequence[float], high: Sequence[float
         )
 
 
-def penalty_of_side(soft: Any, side: str, what: str) -> tuple[Any, Any] | None:
-    """(l1, l2) of one ``side`` of a row, "" for both; None: it stays.
+def penalty_of_row(soft: Any, row: Row, what: str) -> tuple[Any, Any] | None:
+    """(l1, l2) of a row, or of the side of a row that it is; None: it stays.
 
     Raises:
         ControllerError: it is none, or the sides of a row that has one penalty would differ.
@@ -158,13 +158,15 @@ def penalty_of_side(soft: Any, side: str, what: str) -> tuple[Any, Any] | None:
     if isinstance(soft, Soft):
         if soft.scale_with_dt:
             raise ControllerError(f"{what}: scale_with_dt is declared, subject_to(..., soft=Soft(...)), and stays")
+        only = "lower" if row.upper == np.inf else "upper" if row.lower == -np.inf else ""
+        side = row.side or (only if soft.lower is None or soft.upper is None else "")
         if not side and (soft.lower is None or soft.lower != soft.upper):
             raise ControllerError(
                 f"{what} is the same on both sides, as it was declared; state the row with different ones, "
                 "soft=Soft(lower=(l1, l2), upper=(l1, l2)), to change them one by one"
             )
         chosen = soft.upper if side == "upper" else soft.lower
-        return None if chosen is None else penalty_of_side(chosen, side, what)
+        return None if chosen is None else penalty_of_row(chosen, row, what)
     if isinstance(soft, int | float | np.number) and not isinstance(soft, bool):
         return float(soft), 0.0
     if not isinstance(soft, tuple | list | np.ndarray) or len(soft) != 2:

@@ -306,7 +306,7 @@ class Setters(Memory):
             what = f"penalty of {row.name!r}"
             if row.soft is None:
                 raise ControllerError(f"{row.name!r} is hard: state it with soft=(l1, l2), l1 = inf: hard at first")
-            pair = given.penalty_of_side(soft, row.side, what)
+            pair = given.penalty_of_row(soft, row, what)
             if pair is None:
                 continue
             l1, l2 = (given.rows(value, what, self._real, 1, lengths, finite=False)[:, 0] for value in pair)

@@ -112,16 +112,16 @@ class _Axis:
         self.distance = x - look_up(Lookup(name, "entry", points), self.interval)
 
 
-def _entries(name: str, values: Array) -> Any:
+def _entries(name: str, values: Array, kinks: bool = False) -> Any:
     """i -> entry i of the flattened values, as an expression."""
-    table = Lookup(name, "entry", tuple(map(float, values.ravel())))
+    table = Lookup(name, "entry", tuple(map(float, values.ravel())), kinks)
     return lambda i: look_up(table, i)
 
 
 def _line(x: Any, grid: Array, values: Array, name: str) -> Any:
     """y_i + s_i (x - x_i)."""
     axis, slopes = _Axis(x, grid, f"{name}_x"), np.diff(values) / np.diff(grid)
-    entry = _entries(name, np.column_stack([values[:-1], slopes]))
+    entry = _entries(name, np.column_stack([values[:-1], slopes]), kinks=True)
     return entry(2 * axis.interval) + axis.distance * entry(2 * axis.interval + 1)
 
 
@@ -132,7 +132,7 @@ def _bilinear(x: Sequence[Any], grids: Sequence[Array], values: Array, name: str
         axis.distance * _entries(f"{name}_per_{letter}", 1.0 / np.diff(grid))(axis.interval)
         for axis, grid, letter in zip(axes, grids, "xy", strict=True)
     )
-    entry, width = _entries(name, values), len(grids[1])
+    entry, width = _entries(name, values, kinks=True), len(grids[1])
     first = width * axes[0].interval + axes[1].interval
     low, low_y, high, high_y = (entry(first + offset) for offset in (0, 1, width, width + 1))
     left, right = low + v * (low_y - low), high + v * (high_y - high)
