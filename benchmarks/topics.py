@@ -12,7 +12,7 @@ from benchmarks.lib.firmware import sizes as forms
 from benchmarks.lib.report import Report
 from benchmarks.lib.robustness import at_rest, cold, episodes, qps, returns, violations, work, worst
 from benchmarks.lib.run import RefusedError, Run
-from benchmarks.lib.speed import choice, instructions, levels, own_math, rates, sizes, times
+from benchmarks.lib.speed import choice, data, instructions, levels, own_math, rates, sizes, times
 
 Topic = Callable[[Report, Run], None]
 
@@ -31,7 +31,7 @@ PAGE: dict[str, Topic] = {
 }
 
 #: Topics with a line per case and a column per figure.
-MATRICES = frozenset({*PAGE, "speed/levels", "convergence/routes"})
+MATRICES = frozenset({*PAGE, "speed/levels", "speed/setters", "speed/tables", "convergence/routes"})
 
 TOPICS: dict[str, Topic] = {
     **PAGE,
@@ -41,6 +41,8 @@ TOPICS: dict[str, Topic] = {
     "speed/choice": choice.measure,
     "speed/own_math": own_math.measure,
     "speed/rates": rates.measure,
+    "speed/setters": data.setters,
+    "speed/tables": data.tables,
     "robustness/at_rest": at_rest.measure,
     "robustness/work": work.measure,
     "robustness/worst": worst.measure,

@@ -11,7 +11,8 @@ from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 
 from nmpc_codegen.ir.cmodule import CModule
-from nmpc_codegen.lowering.parts import MATH, template_directory
+from nmpc_codegen.ir.kernel import called_lookups
+from nmpc_codegen.lowering.parts import MATH, SEARCH, template_directory
 from nmpc_codegen.lowering.pruning.directives import evaluate
 from nmpc_codegen.lowering.pruning.expressions import Expression, expression
 
@@ -68,7 +69,8 @@ def reached(modules: Iterable[CModule]) -> tuple[set[str], Values]:
     values: Values = defaultdict(set)
     for module in modules:
         math = (MATH,) if module.features.own_math or module.sizes["LANE_NODES"] else ()
-        for root in (*ALWAYS, *math, *(section.template for section in module.sections), *module.extras):
+        search = (SEARCH,) if called_lookups(module.routines) else ()
+        for root in (*ALWAYS, *math, *search, *(section.template for section in module.sections), *module.extras):
             for part, number, value in _walk(root, module.sizes):
                 parts.add(part)
                 if number:

@@ -35,6 +35,8 @@ from nmpc_codegen import (
     RealTimeIteration,
     RiccatiActiveSet,
     RiccatiInteriorPoint,
+    Soft,
+    lookup_table,
 )
 from verification.problems import tiny
 from verification.routes import PURE
@@ -306,6 +308,7 @@ REFERENCES = Online("node", "fixed", "fixed", "fixed")
 WEIGHTS = Online("fixed", "node", "fixed", "fixed")
 SHARED = Online("shared", "shared", "shared", "shared")
 NODE = Online("node", "node", "node", "node", dense_weight=True)
+EVERY_NODE = Online("node", "node", "node", "node", soft="node")
 RESAMPLE = RealTimeIteration(shift="resample", sampling_time=0.05)
 RELAXED = RealTimeIteration(relaxation=100.0)
 LEVELS, PURE_LEVELS = RealTimeIteration(levels=True), replace(PURE, levels=True)
@@ -361,6 +364,20 @@ def functions() -> OCP:
     return ocp
 
 
+def data() -> OCP:
+    """Tables of one and two variables, rows that are hard or soft, penalties by side and scaled, a parameter with
+    bounds."""
+    ocp, q, w, u = _pendulum("changing", intervals=[0.1, 0.1, 0.2, 0.2])
+    m = ocp.parameter("m", value=1.0, bounds=(0.5, 2.0))
+    grid = np.linspace(-1, 1, 9)
+    spring = lookup_table((q, w), (grid, grid), np.add.outer(grid**2, grid), "cubic", name="spring")
+    ocp.stage_cost(m * spring**2 + lookup_table(q, grid, np.abs(grid)))
+    ocp.subject_to(-1, u, 1)
+    ocp.subject_to(-0.6, w, 0.6, soft=(np.inf, 1.0))
+    ocp.subject_to(-0.8, u + q, 0.8, soft=Soft((5, 0), (1, 2), scale_with_dt=True), name="effort")
+    return ocp
+
+
 def clocked() -> OCP:
     """Time, and a component of x_0 that the solver chooses."""
     ocp, q, _, _ = _pendulum("clocked")
@@ -401,6 +418,8 @@ SAMPLES = (
     Sample("crane without solve", crane.build_ocp, Options(solve=False, algorithm=PURE)),
     Sample("crane scalar", crane.build_ocp, Options(target="cortex-m4f", precision="single")),
     Sample("cart_pole size", cart_pole.build_ocp, Options(goal="size", precision="single")),
+    Sample("data dense", data, _dense(hessian=ExactHessian(), online=EVERY_NODE)),
+    Sample("data riccati", data, _riccati(hessian=ExactHessian(), precision="single")),
     Sample("bare dense", bare, _dense(online=FIXED)),
     Sample("bare exact", bare, _partial(hessian=ExactHessian(), online=REFERENCES)),
     Sample("states simulated", states, Options(algorithm=RealTimeIteration(simulate=True))),

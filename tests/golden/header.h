@@ -54,4 +54,4 @@ const char *golden_status_string(golden_status_t status);
 #endif
 
 #endif
-/* nmpc_codegen package de776eb7a0a5bbc5, sha256 ade11386d2f676ec42253591d098a19c93b9a1849a0a22807a3fb4099bc09807 */
+/* nmpc_codegen package 112a9071177d9741, sha256 479f2cd59985a3e4d5fad2fd0d80f15bad6fd6d3e9069cc5a998357ba01aac35 */

@@ -339,8 +339,8 @@ def _call_of_lookup(arguments: Sequence[int], numbering: _ValueNumbering, name: 
         lookup = called_lookup(first.constant if first.opcode == ca.OP_CONST else None, len(arguments))
     except KeyError:
         raise ProblemError(
-            f"{name}: a function call (interpolant, callback, external) has no C code; use elementary operations, or "
-            "lookup_table(x, grid, values)"
+            f"{name}: OP_CALL has no C code: a call of an interpolant, a callback or an external function; use "
+            "elementary operations, or lookup_table(x, grid, values)"
         ) from None
     if lookup is None:
         return numbering.number(Instruction(ca.OP_CONST, ()))

@@ -134,6 +134,9 @@ GENERATED: Mapping[str, Callable[[CModule, CStyle], str]] = {
 
 #: The elementary functions of a package, and those of them that lanes have too.
 MATH, MATH_IN_LANES = "math/own.c", "math/functions.c"
+
+#: The search of look-up tables.
+SEARCH = "core/lookup.c"
 _FUNCTION = re.compile(r"^static (?:inline )?real_t own_(\w+)\(", re.MULTILINE)
 _HEADING = f"/* ==== elementary functions {'=' * 79} */"
 

@@ -26,6 +26,7 @@ from nmpc_codegen.lowering.hooks import check_hooks, extra_parts, hook_prototype
 from nmpc_codegen.lowering.lanes.nodes import GENERATED as IN_LANES
 from nmpc_codegen.lowering.parts import (
     GENERATED,
+    SEARCH,
     names_in,
     own_math,
     read_part,
@@ -141,7 +142,7 @@ def _fill(module: CModule) -> dict[str, Any]:
 def print_functions(routines: Sequence[Routine], style: CStyle) -> dict[str, str]:
     """Name -> text of the functions of look-up tables that routines call, and of the routines."""
     lookups = print_lookups(called_lookups(routines))
-    search = {"find_interval": read_part("core/lookup.c", lambda include: "").rstrip()} if lookups else {}
+    search = {"find_interval": read_part(SEARCH, lambda include: "").rstrip()} if lookups else {}
     return search | lookups | {routine.name: print_routine(routine, style) for routine in routines}
 
 
@@ -333,7 +334,7 @@ def _page(module: CModule) -> dict[str, Any]:
             f"{r.upper:g}",
             f"{macro}_ROW_{constant}",
             nodes(r.nodes),
-            "soft" if r.soft else "hard",
+            "hard" if r.soft is None else "hard or soft" if r.hard else "soft",
         )
         for r, constant in zip(d.rows, d.row_constants, strict=True)
     ]

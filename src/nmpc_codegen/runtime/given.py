@@ -149,6 +149,16 @@ def check_range(values: NDArray[Any], low: Sequence[float], high: Sequence[float
         )
 
 
+def check_bounds(low: NDArray[Any], high: NDArray[Any], row: Row) -> None:
+    """ControllerError if bounds are NaN or crossed, at a node where the row holds if there is a pair for each node."""
+    imposed = [k for k in row.nodes if k < len(low)] if len(low) > 1 else [0]
+    for which, bound in (("lower", low), ("upper", high)):
+        if np.any(np.isnan(bound[imposed])):
+            raise ControllerError(f"{which} bound of {row.user_name!r} is NaN")
+    if np.any(low[imposed] > high[imposed]):
+        raise ControllerError(f"bounds of {row.user_name!r}: lower {low.tolist()} above upper {high.tolist()}")
+
+
 def penalty_of_row(soft: Any, row: Row, what: str) -> tuple[Any, Any] | None:
     """(l1, l2) of a row, or of the side of a row that it is; None: it stays.
 

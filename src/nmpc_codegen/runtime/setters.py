@@ -276,17 +276,13 @@ class Setters(Memory):
             given.rows(value, f"{which} bound of {name!r}", self._real, len(groups), lengths, finite=False)
             for which, value in (("lower", lower), ("upper", upper))
         )
-        low, high = np.broadcast_arrays(low, high)
-        for group, one_low, one_high in zip(groups, low.T, high.T, strict=True):
+        if low.shape != high.shape:
+            low, high = np.broadcast_arrays(low, high)
+        for i, group in enumerate(groups):
             row = self.description.rows[group[0]]
-            imposed = [k for k in row.nodes if k < len(low)] if len(low) > 1 else [0]
-            for which, bound in (("lower", one_low), ("upper", one_high)):
-                if np.any(np.isnan(bound[imposed])):
-                    raise ControllerError(f"{which} bound of {row.user_name!r} is NaN")
-            if np.any(one_low[imposed] > one_high[imposed]):
-                raise ControllerError(
-                    f"bounds of {row.user_name!r}: lower {one_low.tolist()} above upper {one_high.tolist()}"
-                )
+            one_low, one_high = low[:, i], high[:, i]
+            if not (one_low <= one_high).all():
+                given.check_bounds(one_low, one_high, row)
             for number in group:
                 side = self.description.rows[number].side if name != self.names.rows[number] else ""
                 yield (
@@ -310,7 +306,8 @@ class Setters(Memory):
             if pair is None:
                 continue
             l1, l2 = (given.rows(value, what, self._real, 1, lengths, finite=False)[:, 0] for value in pair)
-            l1, l2 = np.broadcast_arrays(l1, l2)
+            if len(l1) != len(l2):
+                l1, l2 = np.broadcast_arrays(l1, l2)
             given.check_penalties(l1, l2, row.soft, what)
             yield number, l1, l2
 

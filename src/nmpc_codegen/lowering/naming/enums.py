@@ -24,7 +24,12 @@ def enums(problem: Problem) -> tuple[Enum, ...]:
         _enum("P", [e for s in parameters for e in s.elements], "parameters: places in p", of_parameters),
         _residuals("Y", problem.path, "residuals: places in yref, and in W"),
         _residuals("Y_N", problem.terminal, "terminal residuals: places in yref_N, and in W_N"),
-        _enum("ROW", [r.name for r in problem.rows], "scalar rows, for set_bounds", map(_row, problem.rows)),
+        _enum(
+            "ROW",
+            [r.name for r in problem.rows],
+            f"scalar rows, for set_bounds{' and set_soft' if any(r.soft for r in problem.rows) else ''}",
+            map(_row, problem.rows),
+        ),
         _enum("PARAM", [s.name for s in parameters], "parameters, for set_parameter", map(_value, parameters)),
     )
     return tuple(enum for enum in found if enum.names)
@@ -55,7 +60,7 @@ def _row(row: Row) -> list[str]:
     return [
         f"{row.lower:g} .. {row.upper:g}",
         f"nodes {nodes(row.nodes)}" if row.nodes else "",
-        "soft" if row.soft else "",
+        "" if row.soft is None else "hard or soft" if row.hard else "soft",
     ]
 
 
