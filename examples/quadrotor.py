@@ -13,7 +13,7 @@ import casadi as ca
 import numpy as np
 from matplotlib.figure import Figure
 
-from nmpc_codegen import OCP, RK4, Controller, ExplicitRungeKutta, Options, RealTimeIteration, build, simulate
+from nmpc_codegen import OCP, RK4, ExplicitRungeKutta, Options, RealTimeIteration, build, simulate
 from nmpc_codegen.runtime.loops.simulate import Log
 
 MASS, ARM, DRAG, GRAVITY = 0.5, 0.17, 0.016, 9.81
@@ -71,14 +71,6 @@ def path(t: np.ndarray) -> np.ndarray:
     return np.hstack([position, velocity, np.zeros((len(t), 6))])
 
 
-def preview(k: int, controller: Controller) -> None:
-    """Set the reference of every node to the path ahead; simulate() calls this before sample k."""
-    N = controller.dims.N
-    ahead = path(SAMPLING * np.arange(k, k + N + 1))
-    controller.set_reference(np.hstack([ahead[:N], np.full((N, 4), HOVER)]))
-    controller.set_terminal_reference(ahead[N])
-
-
 def draw(log: Log, picture: str) -> None:
     """Plot the flight in space, with the arms of the quadrotor every 0.25 s, the distance to the path, and thrusts."""
     wanted = path(log.t)
@@ -124,9 +116,10 @@ def main(picture: str = "out/quadrotor.png") -> Log:
     """Fly the figure twice, from rest at a point beside the path."""
     start = (-0.5, 0.8, 0.2)
     controller = build(build_ocp(start), options(shift="repeat"))
-    log = simulate(
-        controller, controller.x[0], steps=round(2 * PERIOD / SAMPLING), dt=SAMPLING, before=preview, warm_start=True
-    )
+    steps = round(2 * PERIOD / SAMPLING)
+    ahead = path(SAMPLING * np.arange(steps + controller.dims.N + 1))
+    wanted = np.hstack([ahead, np.full((len(ahead), 4), HOVER)])  # node j of sample k has row k + j
+    log = simulate(controller, controller.x[0], steps, dt=SAMPLING, references=wanted, warm_start=True)
     print(log.summary())
     draw(log, picture)
     return log
