@@ -252,12 +252,13 @@ def economic() -> OCP:
 
 
 def tuned() -> OCP:
-    """General costs with all data that a constant Hessian depends on, and a free start with a cost."""
+    """General costs with all data that a constant Hessian depends on, a soft row, and a free start with a cost."""
     ocp, q, w, u = _pendulum("tuned")
     p = ocp.parameter("p", value=0.5)
     ocp.stage_cost(p * ca.exp(0.1 * q * u))
     ocp.terminal_least_squares(q, weight=2.0)
     ocp.subject_to(-1, u, 1)
+    ocp.subject_to(-0.6, w, 0.6, soft=(1, 1))
     ocp.free_initial(w)
     ocp.start_least_squares(w, weight=2.0)
     return ocp
@@ -303,7 +304,7 @@ def discrete_rows() -> OCP:
     return ocp
 
 
-FIXED = Online("fixed", "fixed", "fixed", "fixed")
+FIXED = Online("fixed", "fixed", "fixed", "fixed", soft="fixed")
 REFERENCES = Online("node", "fixed", "fixed", "fixed")
 WEIGHTS = Online("fixed", "node", "fixed", "fixed")
 SHARED = Online("shared", "shared", "shared", "shared")

@@ -23,7 +23,7 @@ static int bounds_differ(const real_t lower[NR], const real_t upper[NR])
     return 0;
 }
 
-/* Returns 1 if parameters, weights or bounds have other values than those for which M was computed. */
+/* Returns 1 if data have other values than those for which M was computed. */
 static int data_differ(const solver_t *s)
 {
     int differ = 0;
@@ -48,6 +48,12 @@ static int data_differ(const solver_t *s)
     if (SET_BOUNDS) {
         for (int k = 0; k < (int)(sizeof s->lower / sizeof s->lower[0]); k++) { /* at most N + 1 passes */
             differ |= bounds_differ(s->lower[k], s->upper[k]);
+        }
+    }
+    if (SET_SOFT) {
+        for (int k = 0; k < (int)(sizeof s->soft_l1 / sizeof s->soft_l1[0]); k++) { /* at most N + 1 passes */
+            differ |= numbers_differ(s->soft_l1[k], default_soft_l1, SOFT_ROWS);
+            differ |= numbers_differ(s->soft_l2[k], default_soft_l2, SOFT_ROWS);
         }
     }
     return differ;

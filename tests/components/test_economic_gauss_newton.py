@@ -428,6 +428,12 @@ def test_stale_data_are_flagged_until_they_return() -> None:
     assert stale()
     c.copy().reset()
     assert stale(), "reset keeps settings, and so their effect"
+    c.set_bounds("rate", -0.3, 0.6)
+    c.set_soft("rate", (0.6, 0.1))
+    assert stale()
+    assert "not at their declared values: the penalty of rate" in c.diagnose()
+    c.set_soft("rate", (0.5, 0.1))
+    assert not stale()
 
 
 @pytest.mark.parametrize("online", [Online(), Online(bounds="node"), Online(bounds="node", parameter="shared")])
@@ -463,7 +469,9 @@ def test_weights_and_fixed_data() -> None:
     c.set_weight([0.25])
     c.prepare()
     assert c.stats.stale_hessian
-    fixed = options(EconomicGaussNewton(M, M_F), "dense", online=Online("fixed", "fixed", "fixed", "fixed"))
+    fixed = options(
+        EconomicGaussNewton(M, M_F), "dense", online=Online("fixed", "fixed", "fixed", "fixed", soft="fixed")
+    )
     text = generate(ocp, fixed)
     assert "stale" not in text["pendulum.c"] + text["pendulum.h"]
     assert not build(ocp, fixed, "test").stats.stale_hessian

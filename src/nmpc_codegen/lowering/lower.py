@@ -168,7 +168,7 @@ def _features(model: Model) -> Features:
     found = _of_problem(model)
     for component in parts.components:
         found = component.adds(found)
-    tuned = found.tuned and (found.set_parameter or found.set_weight or found.set_bounds)
+    tuned = found.tuned and (found.set_parameter or found.set_weight or found.set_bounds or found.set_soft)
     exact = bool(model.exact or found.regularize_reduced)
     curved = model.options.solves and exact and not p.couples_free_start
     relaxable = found.hard_rows and (model.options.solves or found.relax)

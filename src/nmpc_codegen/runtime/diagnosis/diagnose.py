@@ -91,7 +91,7 @@ def _left_by_samples(ctrl: Memory) -> list[str]:
 
 
 def _stale(ctrl: Memory) -> str:
-    """STALE, and which parameters and bounds have other values than the declared ones."""
+    """STALE, and which parameters, bounds and penalties have other values than the declared ones."""
     description, changed = ctrl.description, []
     p, declared = ctrl.member("p"), [v for s in description.parameters for v in s.value]
     if p.size:
@@ -101,6 +101,11 @@ def _stale(ctrl: Memory) -> str:
         bounds = ((ctrl.view("lower")[:, i], row.lower), (ctrl.view("upper")[:, i], row.upper))
         if any(np.any(present != present.dtype.type(bound)) for present, bound in bounds):
             changed.append(row.name)
+    soft = [row for row in description.rows if row.soft is not None]
+    for i, row in enumerate(soft if ctrl.member("soft_l1").size else ()):
+        penalties = zip((ctrl.view("soft_l1"), ctrl.view("soft_l2")), row.soft or (), strict=True)
+        if any(np.any(present[:, i] != present.dtype.type(value)) for present, value in penalties):
+            changed.append(f"the penalty of {row.name}")
     return f"{STALE} (not at their declared values: {', '.join(changed)})" if changed else STALE
 
 
