@@ -104,6 +104,9 @@ status_t API(prepare)(solver_t *s)
     if (s->magic != MAGIC) {
         return NOT_INITIALIZED;
     }
+    if (!LEVELS) {
+        take_penalties(s);
+    }
     before_prepare(s);
     restart_doubtful_plan(s);
     if (INNER) {

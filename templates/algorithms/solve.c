@@ -123,6 +123,7 @@ status_t API(solve)(solver_t *s, const real_t xhat[NXHAT], real_t tol, int max_i
     if (s->magic != MAGIC) {
         return NOT_INITIALIZED;
     }
+    take_penalties(s);
     s->prepared = 0;
     s->unsettled = 0;
     s->fresh = 0; /* its plan is no first plan */

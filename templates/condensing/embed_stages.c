@@ -1,4 +1,4 @@
-/* Bounds of the rows relative to the present iterate[if RELAXATION:, and penalties of relaxed rows]. [if NE > 0: The known part of
+/* Bounds of the rows relative to the present iterate, and the costs of their violation. [if NE > 0: The known part of
  * J_0 dx_0 of a coupled row is included.] */
 static void condense_embed_rows(solver_t *s)
 {
@@ -11,16 +11,6 @@ static void condense_embed_rows(solver_t *s)
         }
         s->qp.lower[NV + m] = row_lower(s, m) - value;
         s->qp.upper[NV + m] = row_upper(s, m) - value;
-        if (!row_is_soft(s, m)) {
-            s->qp.penalty[m] = row_penalty(s, m);
-        }
-    }
-}
-
-/* Penalties of soft rows: they hold until the next preparation. */
-static void condense_embed_penalties(solver_t *s)
-{
-    for (int m = 0; m < NG; ++m) {
         s->qp.penalty[m] = row_penalty(s, m);
         s->qp.curvature[m] = row_l2(s, m);
     }

@@ -441,36 +441,21 @@ static void condense_embed_free(solver_t *s, const real_t *dx0)
     }
 }
 
-/* Gradient and bounds of the slacks, and penalties of rows that are hard; the rows with a slack are hard. */
+/* Gradient, bounds, curvatures and penalties of the slacks; the rows with a slack are hard. */
 static void condense_embed_slacks(solver_t *s)
 {
     for (int m = 0; m < NG; ++m) {
         const int slack = row_slack[m];
         if (slack >= NV - NSL) {
             s->qp.g[slack] = s->qp.lower[slack] = s->qp.upper[slack] = R(0);
-            s->qp.penalty[NV + m] = INF;
-            if (!row_is_soft(s, m)) {
-                s->qp.penalty[slack] = row_penalty(s, m);
-            }
-        }
-    }
-}
-
-/* Penalties of soft rows[if NSL > 0:, and curvatures of the slacks]: they hold until the next preparation. */
-static void condense_embed_penalties(solver_t *s)
-{
-    for (int m = 0; m < NG; ++m) {
-        const int slack = NSL ? row_slack[m] : -1;
-        if (slack >= NV - NSL) {
             s->qp.curvature[slack - (NV - NSL)] = row_l2(s, m);
             s->qp.penalty[slack] = row_penalty(s, m);
-        } else {
-            s->qp.penalty[NV + m] = row_penalty(s, m);
+            s->qp.penalty[NV + m] = INF;
         }
     }
 }
 
-/* Bounds of the rows relative to their values at du = 0[if RELAXATION:, and penalties of relaxed rows]. The sum of the magnitudes
+/* Bounds of the rows relative to their values at du = 0[if ELASTIC:, and their penalties]. The sum of the magnitudes
  * has a loop of its own: GCC 12 compiles both sums in one wrongly at -O3 for AVX-512. */
 static void condense_embed_rows(solver_t *s, const real_t *dx0)
 {
@@ -483,9 +468,7 @@ static void condense_embed_rows(solver_t *s, const real_t *dx0)
         s->qp.terms[m] = terms;
         s->qp.lower[NV + m] = row_lower(s, m) - value;
         s->qp.upper[NV + m] = row_upper(s, m) - value;
-        if (!row_is_soft(s, m)) {
-            s->qp.penalty[NV + m] = row_penalty(s, m);
-        }
+        s->qp.penalty[NV + m] = row_penalty(s, m);
     }
 }
 
@@ -559,9 +542,6 @@ static status_t condense_prepare(solver_t *s)
     condense_rows(s);
     memset(s->step.dx[0], 0, sizeof s->step.dx[0]);
     condense_embed(s);
-    if (SOFT_ROWS) {
-        condense_embed_penalties(s);
-    }
     return condense_factorize(s);
 }
 

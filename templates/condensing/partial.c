@@ -261,9 +261,6 @@ static status_t condense_prepare(solver_t *s)
     condense_vectors(s);
     memset(s->step.dx[0], 0, sizeof s->step.dx[0]);
     condense_embed(s);
-    if (SOFT_ROWS) {
-        condense_embed_penalties(s);
-    }
     return qp_factorize(s);
 }
 

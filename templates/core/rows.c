@@ -127,6 +127,15 @@ static inline real_t row_l2(const solver_t *s, int m)
     return SOFT_L2(s, k)[i] * penalty_factor(i, k);
 }
 
+/* From here on the penalties that have been set are those of the rows. */
+static void take_penalties(solver_t *s)
+{
+    if (TAKES_PENALTIES) {
+        memcpy(s->penalty_l1, s->soft_l1, sizeof s->soft_l1);
+        memcpy(s->penalty_l2, s->soft_l2, sizeof s->soft_l2);
+    }
+}
+
 static inline int row_is_soft(const solver_t *s, int m)
 {
     if (SOFT_ROWS == 0) {

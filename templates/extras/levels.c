@@ -184,6 +184,7 @@ static status_t evaluate(solver_t *s, int level)
     status_t status = OK;
     s->levels.last = (s->levels.valid && s->failing <= NO_FAILURE) ? level : LEVEL_A;
     if (s->levels.last == LEVEL_A) {
+        take_penalties(s);
         status = evaluate_everything(s);
         s->levels.valid = (status == OK);
     } else {

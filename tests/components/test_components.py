@@ -30,7 +30,7 @@ every_component = pytest.mark.parametrize("cls", COMPONENTS, ids=lambda cls: cls
 #: Every feature that classify() can find.
 FEATURES = {
     "soft rows",
-    "switched rows",
+    "rows with an infinite penalty",
     "coupled rows",
     "free initial state",
     "general cost",

@@ -54,4 +54,4 @@ const char *golden_status_string(golden_status_t status);
 #endif
 
 #endif
-/* nmpc_codegen package 112a9071177d9741, sha256 479f2cd59985a3e4d5fad2fd0d80f15bad6fd6d3e9069cc5a998357ba01aac35 */
+/* nmpc_codegen package 202e7b551c29ac82, sha256 dcd7b76d6d6d1bb0a2f6d7b6a085826b76c1075578cc152f741f4de923d8c4af */

@@ -271,7 +271,12 @@ def controller_of_slow_grid() -> Controller:
         ({"parameters": [1.0]}, r"parameters is list; expected \{name: array over the samples\}"),
         ({"parameters": {"m": []}}, "parameters: 'm' is no array with a row for each sample"),
         ({"parameters": {"mass": 1.0}}, "no parameter 'mass'"),
-        ({"parameters": {"d": np.zeros((4, 3))}}, "parameter 'd' has shape"),
+        ({"parameters": {"d": np.zeros((4, 3))}}, r"parameters: 'd' has shape \(4, 3\); expected a number or \(n, 2\)"),
+        ({"parameters": {"d": [1.0, 2.0]}}, r"parameters: 'd' has shape \(2,\); expected a number or \(n, 2\)"),
+        ({"bounds": {"box": ([-1.0, -2.0], 1.0)}}, r"bounds: 'box' has shape \(2,\); expected a number or \(n, 2\)"),
+        ({"references": np.zeros((3, 2))}, r"references has shape \(3, 2\); expected \(n, 3\)"),
+        ({"parameters": {"m": 2.0}, "bounds": {"zz": (0, 1)}}, "no row 'zz'"),
+        ({"before": 3}, "before is 3; expected a function"),
         ({"bounds": {"a": 1.0}}, r"bounds of 'a' is 1.0; expected \(lower, upper\)"),
         ({"references": {"q": 1.0}}, "no residual 'q'"),
         ({"reference": lambda k, c: None}, "reference is a function; expected before=f"),
@@ -281,6 +286,7 @@ def controller_of_slow_grid() -> Controller:
     ],
 )
 def test_wrong_data_over_the_samples(toy: Controller, data: dict[str, object], message: str) -> None:
-    arguments = {"x0": X0, "steps": 3, **data}
+    arguments, before = {"x0": X0, "steps": 3, **data}, toy._memory.copy()
     with pytest.raises(ControllerError, match=message):
         simulate(toy, **arguments)  # type: ignore[arg-type]
+    np.testing.assert_array_equal(toy._memory, before)

@@ -240,6 +240,8 @@ def test_a_package_of_derivatives_with_a_table() -> None:
 def test_what_is_no_table(arguments: Any, message: str) -> None:
     with pytest.raises(ProblemError, match=message):
         lookup_table(*arguments)
+    with pytest.raises(ProblemError, match="mixes SX and MX"):
+        lookup_table((ca.SX.sym("x"), ca.MX.sym("y")), ([0, 1], [0, 1]), np.zeros((2, 2)))
     with pytest.raises(ProblemError, match="outside is 'nan'"):
         lookup_table(1.0, [0, 1], [0, 1], outside="nan")
     with pytest.raises(ProblemError, match="name"):

@@ -107,3 +107,10 @@ def test_ranges_without_a_problem_are_silent() -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         generate(mass())
+
+
+def test_a_corner_where_the_model_is_not_finite() -> None:
+    with pytest.warns(
+        ProblemWarning, match=r"no finite derivatives: the equation of v .*denominator is 0.*\(with m = 0"
+    ):
+        generate(mass((0.0, 10.0)))

@@ -21,9 +21,11 @@ from nmpc_codegen import (
     Options,
     PartialCondensing,
     ProblemError,
+    RealTimeIteration,
     RiccatiActiveSet,
     RiccatiInteriorPoint,
     Soft,
+    Status,
     build,
     generate,
     simulate,
@@ -189,6 +191,9 @@ def test_bounds_and_names_of_a_row_with_two_sides() -> None:
         ("speed", (np.nan, 1.0), "expected numbers >= 0"),
         ("speed", (math.inf, 1.0), "is infinite, but was declared 1"),
         ("speed", Soft(lower=(1.0, 2.0)), "the same on both sides, as it was declared"),
+        ("speed", Soft(), "names no side"),
+        ("speed", (np.ones(N + 1), np.ones(3)), "has shape"),
+        (3, 1.0, "no row 3"),
         ("speed", Soft((1.0, 2.0), (1.0, 2.0), True), "scale_with_dt is declared"),
         ("speed", None, r"is None; expected \(l1, l2\)"),
         ("speed", (np.ones(N), 1.0), r"has shape \(8,\); expected .*\(9,\)"),
@@ -209,7 +214,9 @@ def test_what_is_refused_at_export() -> None:
         sides((-1.0, 2.0), None)
     with pytest.raises(ProblemError, match="names no side"):
         sides(None, None)
-    with pytest.raises(OptionError, match=r"uses switched rows \(speed\), which algorithm AdjointShooting"):
+    with pytest.raises(
+        OptionError, match=r"uses rows with an infinite penalty \(speed\), which algorithm AdjointShooting"
+    ):
         generate(switched(1.0), Options(algorithm=AdjointShooting()))
     fixed = generate(sides((3.0, 2.0), (1.0, 4.0)), Options(online=Online(soft="fixed")))
     assert "pend_set_soft(" not in fixed["pend.h"]
@@ -226,3 +233,80 @@ def test_one_side_may_be_hard() -> None:
     ocp, w, _ = pendulum()
     ocp.subject_to(-np.inf, w, 0.3, soft=Soft(upper=(0.2, 1.0)), name="speed")
     assert [r.name for r in classify(ocp).rows] == ["u", "speed"]
+    ctrl = build(ocp, profile="test")
+    ctrl.set_soft("speed", Soft(upper=(0.3, 1.0)))
+    ctrl.set_bounds("speed", -np.inf, 0.2)
+    with pytest.raises(ControllerError, match="it has the upper side alone"):
+        ctrl.set_soft("speed", Soft(lower=(0.3, 1.0)))
+    with pytest.raises(ControllerError, match="it has the upper side alone; state it with both bounds"):
+        ctrl.set_bounds("speed", -0.2, 0.2)
+
+
+def test_rows_of_two_sides_are_stated_all_or_not() -> None:
+    """Names, contradictions and elements without a bound, of both sides at once."""
+    ocp, w, effort = pendulum()
+    two = Soft((1.0, 0.0), (2.0, 0.0))
+    ocp.subject_to(-1, effort, 1, name="f_upper")
+    before = len(ocp.statements)
+    with pytest.raises(ProblemError, match="clashes with 'f_upper'"):
+        ocp.subject_to(-1, w + effort, 1, name="f", soft=two)
+    assert len(ocp.statements) == before
+    ocp.subject_to(-1, w, 1, soft=two)
+    with pytest.raises(ProblemError, match="contradicts"):
+        ocp.subject_to(1.5, w, 2, soft=two)
+    ocp.subject_to(-1, w + effort, 1, name="s", soft=two)
+    with pytest.raises(ProblemError, match="the row name 's' clashes"):
+        ocp.subject_to(-1, w - effort, 1, name="s")
+    ocp.subject_to([-1, -np.inf], ca.vertcat(w * effort, w - effort), [1, 1], name="r", soft=Soft(upper=(1.0, 0.0)))
+    names = [r.name for r in classify(ocp).rows]
+    assert names == ["u", "f_upper", "w_lower", "w_upper", "s_lower", "s_upper", "r[1]", "r[0]_lower", "r[0]_upper"]
+
+
+@pytest.mark.usefixtures("compiler")
+def test_the_only_node_of_a_coupled_row() -> None:
+    ocp, w, _ = pendulum()
+    ocp.boundary(0, ocp.at_start(w) - ocp.at_end(w), 0, name="period", soft=(1.0, 0.0))
+    ctrl = build(ocp, Options(online=Online(soft="node", bounds="node")), "test")
+    for call in (lambda: ctrl.set_soft("period", 0.1, node=0), lambda: ctrl.set_bounds("period", 0, 1, node=0)):
+        with pytest.raises(ControllerError, match=r"does not hold at node 0, but at \[8\]"):
+            call()
+    ctrl.set_soft("period", 0.1, node=N)
+    number = [r.name for r in ctrl.description.rows].index("period")
+    assert ctrl._call("set_soft", ctrl._s, number, 0, 0.2, 0.0) == Status.BAD_INDEX
+
+
+@pytest.mark.usefixtures("compiler")
+@pytest.mark.parametrize("route", ROUTES)
+@pytest.mark.parametrize("kind", ["linear", "quadratic"])
+@pytest.mark.parametrize("before", [0.2, math.inf])
+def test_what_is_set_between_the_phases_waits_for_the_next_prepare(route: str, kind: str, before: float) -> None:
+    l2, x, late = 2.0 if kind == "quadratic" else 0.0, [1.0, -1.5], math.inf if before < 1 else 0.2
+    plain, changed = fresh(route, kind), fresh(route, kind)
+    for ctrl in (plain, changed):
+        ctrl.set_soft("speed", (before, l2))
+        ctrl.step([1.0, -0.2])
+        ctrl.prepare()
+    changed.set_soft("speed", (late, l2))
+    np.testing.assert_array_equal(changed.feedback(x), plain.feedback(x))
+    assert (changed.status, changed.cost) == (plain.status, plain.cost)
+    plain.set_soft("speed", (late, l2))
+    np.testing.assert_array_equal(changed.step(x), plain.step(x))
+
+
+@pytest.mark.usefixtures("compiler")
+def test_levels_take_penalties_with_their_factors() -> None:
+    """Levels B, C, D keep the QP of level A and its penalties; the next level A has the new ones."""
+    options = Options(qp=RiccatiActiveSet(), algorithm=RealTimeIteration(levels=True, shift=None))
+    ctrl = build(switched(2.0), options, "test")
+    ctrl.set_soft("speed", (0.2, 2.0))
+    for _ in range(3):
+        ctrl.step(X0)
+    same = ctrl.copy()
+    ctrl.set_soft("speed", (50.0, 20.0))
+    for level in "BCD":
+        one, other = ctrl.copy(), same.copy()
+        for each in (one, other):
+            each.prepare(level=level)
+        np.testing.assert_array_equal(one.feedback(X0), other.feedback(X0))
+    ctrl.prepare()
+    assert np.abs(ctrl.feedback(X0) - same.step(X0)).max() > 1e-3

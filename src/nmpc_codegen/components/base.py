@@ -42,7 +42,7 @@ EVERY_USE = frozenset(
         "accumulators",
         "free initial state",
         "soft rows",
-        "switched rows",
+        "rows with an infinite penalty",
         "coupled rows",
         "previous controls",
         "blocks of controls",
@@ -485,4 +485,6 @@ def refuse_unsupported(
 
 def _uses(row: Row, use: str) -> bool:
     soft = row.soft is not None
-    return {"soft rows": soft, "switched rows": soft and row.hard, "coupled rows": row.is_coupled}.get(use, False)
+    return {"soft rows": soft, "rows with an infinite penalty": soft and row.hard, "coupled rows": row.is_coupled}.get(
+        use, False
+    )

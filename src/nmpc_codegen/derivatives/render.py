@@ -10,7 +10,7 @@ from nmpc_codegen.derivatives.model import DerivativeModel
 from nmpc_codegen.ir.cmodule import Table
 from nmpc_codegen.ir.printing.c_style import unit_style
 from nmpc_codegen.ir.sweep import Routine
-from nmpc_codegen.lowering.lower import lookup_tables
+from nmpc_codegen.lowering.data.tables import lookup_tables
 from nmpc_codegen.lowering.parts import read_part
 from nmpc_codegen.lowering.preamble import REAL_CONSTANT, Definition, arithmetic
 from nmpc_codegen.lowering.pruning.constants import Constants

@@ -9,6 +9,8 @@ states, which grow for ever, are left out: nothing but their own equations may d
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -213,8 +215,14 @@ def _steady_rows(
         h=ca.vertcat(ca.SX(0, 1), *(value for _, value in chosen)),
         lower=np.array([row.lower for row, _ in chosen]),
         upper=np.array([row.upper for row, _ in chosen]),
-        penalty=np.array([np.inf if row.soft is None else row.soft[0] for row, _ in chosen]),
+        penalty=np.array([_least_penalty(row, problem.dt) for row, _ in chosen]),
     )
+
+
+def _least_penalty(row: Row, dt: Sequence[float]) -> float:
+    """The least linear penalty of a row over its nodes, infinite if it is hard."""
+    penalties = [row.penalty(k, dt) for k in row.nodes]
+    return min((math.inf if penalty is None else penalty[0] for penalty in penalties), default=math.inf)
 
 
 def _holds(row: Row, N: int, terminal: bool) -> bool:

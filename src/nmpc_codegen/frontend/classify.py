@@ -149,7 +149,8 @@ class _Scalar:
     @property
     def stated(self) -> str:
         """The name that the user gave, if this is one side of a row."""
-        return self.name.removesuffix(f"_{self.statement.side}") if self.statement.side else ""
+        side = self.statement.side
+        return self.name if self.statement.alone and side else self.name.removesuffix(f"_{side}") if side else ""
 
 
 def _classify_rows(ocp: OCP) -> tuple[tuple[Row, ...], list[Any], list[Any]]:
@@ -330,7 +331,7 @@ def _uses(ocp: OCP, rows: tuple[Row, ...]) -> frozenset[str]:
         "blocks of controls": bool(inner.held),
         "discrete states": bool(ocp.maps),
         "soft rows": any(r.soft is not None for r in rows),
-        "switched rows": any(r.soft is not None and r.hard for r in rows),
+        "rows with an infinite penalty": any(r.soft is not None and r.hard for r in rows),
         "coupled rows": any(r.is_coupled for r in rows),
         "free initial state": bool(ocp.free),
         "general cost": bool(ocp.costs),

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
-from dataclasses import replace
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import casadi as ca
@@ -424,22 +424,33 @@ class OCP(Dynamics):
                 raise ProblemError(f"{what}: row {i} has bounds {lb[i]:g}, {ub[i]:g}, which nothing can satisfy")
         penalty = checked_soft(soft, what)
         stated, unnamed = self._row_names(h, name, suffix, what)
-        for side, low, high, of_side in _sides(lb, ub, penalty):
-            new = Statement(low, h, high, at, of_side, stated, penalty.scale_with_dt, side)
-            self._add_statement(new, what)
+        places = [
+            place
+            for side, which, low, high, of_side in _sides(lb, ub, penalty)
+            for place in self._find_places(
+                Statement(
+                    low, h[which], high, at, of_side, tuple(stated[i] for i in which), penalty.scale_with_dt, *side
+                ),
+                what,
+            )
+        ]
+        self._refuse_clashes(places, what)
+        _refuse_crossed(places, what)
+        for place in places:
+            place.take()
+        self.statements.extend(new for place in places for new in place.left)
         self._unnamed += unnamed
 
-    def _add_statement(self, new: Statement, what: str) -> None:
-        """Add the rows, or intersect the bounds of those that exist."""
+    def _find_places(self, new: Statement, what: str) -> Iterator[_Place]:
+        """Where the rows go: into rows that exist, whose bounds become the intersection, or into a new statement."""
         earlier = {i: self._earlier(new, i) for i in range(new.expression.numel())}
-        self._refuse_clashes([row for i, row in enumerate(new.names) if earlier[i] is None], what)
-        for place, bounds in [(p, intersection(new, i, *p, what)) for i, p in earlier.items() if p is not None]:
-            place[0].lower[place[1]], place[0].upper[place[1]] = bounds
-        left = [i for i, place in earlier.items() if place is None]
-        if left:
-            kept = tuple(new.stated[i] for i in left)
-            parts = {"lower": new.lower[left], "expression": new.expression[left], "upper": new.upper[left]}
-            self.statements.append(replace(new, **parts, stated=kept))
+        taken = tuple(
+            (*there, *intersection(new, i, *there, what)) for i, there in earlier.items() if there is not None
+        )
+        left = [i for i, there in earlier.items() if there is None]
+        parts = {"lower": new.lower[left], "expression": new.expression[left], "upper": new.upper[left]}
+        rest = replace(new, **parts, stated=tuple(new.stated[i] for i in left))
+        yield _Place(taken, (rest,) if left else ())
 
     def _earlier(self, new: Statement, i: int) -> tuple[Statement, int] | None:
         """The earlier row of the same name, bare state or control, nodes and penalty; None if there is none."""
@@ -469,12 +480,14 @@ class OCP(Dynamics):
                     names.append(element.name)
         return tuple(f"{row}{suffix}" for row in names), unnamed
 
-    def _refuse_clashes(self, names: list[str], what: str) -> None:
-        """Raise ProblemError if the name of a new row is already in use."""
-        taken = {c_identifier(row): row for s in self.statements for row in s.names}
-        for row in names:
+    def _refuse_clashes(self, places: Sequence[_Place], what: str) -> None:
+        """Raise ProblemError if the name of a new row, or that of the row of which it is a side, is already in use."""
+        taken = {c_identifier(name): name for s in self.statements for name in (*s.names, *s.stated)}
+        new = dict.fromkeys(name for place in places for s in place.left for name in (*s.names, *s.stated))
+        known = {name for place in places for s, j, *_ in place.taken for name in (s.stated[j],)}
+        for row in new:
             key = c_identifier(row)
-            if key in taken:
+            if key in taken and row not in known:
                 raise ProblemError(
                     f"{what}: the row name '{row}' clashes with '{taken[key]}' (both are ROW_{key.upper()} in C); "
                     "give name="
@@ -519,12 +532,49 @@ class OCP(Dynamics):
         return [i for s in states for i in self._components(s, f"{what}:")]
 
 
-def _sides(lower: Array, upper: Array, soft: Soft) -> Iterator[tuple[Side, Array, Array, Penalty]]:
-    """(side, lower, upper, penalty): one statement for rows, or one for each side if their penalties differ."""
-    below, above = soft.lower, soft.upper
-    no_lower, no_upper = below is None and np.all(lower == -np.inf), above is None and np.all(upper == np.inf)
-    if below == above or no_lower or no_upper:
-        yield "", lower, upper, above if no_lower else below  # type: ignore[misc]
-        return
-    yield "lower", lower, np.full(len(lower), np.inf), below  # type: ignore[misc]
-    yield "upper", np.full(len(upper), -np.inf), upper, above  # type: ignore[misc]
+@dataclass(frozen=True, eq=False)
+class _Place:
+    """Rows that exist, with their new bounds, (statement, position, lower, upper), and a statement of those that do
+    not."""
+
+    taken: tuple[tuple[Statement, int, float, float], ...]
+    left: tuple[Statement, ...]
+
+    def take(self) -> None:
+        for statement, j, lower, upper in self.taken:
+            statement.lower[j], statement.upper[j] = lower, upper
+
+
+def _refuse_crossed(places: Sequence[_Place], what: str) -> None:
+    """Raise ProblemError if the two sides of a row would contradict each other."""
+    lowest: dict[str, float] = {}
+    for place in places:
+        rows = [(s.stated[j], lower, upper) for s, j, lower, upper in place.taken]
+        rows += [r for s in place.left for r in zip(s.stated, map(float, s.lower), map(float, s.upper), strict=True)]
+        for name, lower, upper in rows:
+            if lowest.setdefault(name, lower) > upper:
+                raise ProblemError(
+                    f"{what}: the row '{name}' contradicts that stated before: {lowest[name]:g} > {upper:g}"
+                )
+
+
+def _sides(
+    lower: Array, upper: Array, soft: Soft
+) -> Iterator[tuple[tuple[Side, bool], list[int], Array, Array, Penalty]]:
+    """((side, alone), rows, lower, upper, penalty): statements of rows, one for each side of a row whose penalties
+    differ; a side without a bound and without a penalty is none."""
+    below: Any = soft.lower
+    above: Any = soft.upper
+    both, none = np.full(len(lower), below == above), np.full(len(lower), np.inf)
+    no_lower, no_upper = ~both & (below is None) & (lower == -np.inf), ~both & (above is None) & (upper == np.inf)
+    two = ~(both | no_lower | no_upper)
+    for side, which, low, high, penalty in (
+        (("", True), both, lower, upper, below),
+        (("lower", True), no_upper, lower, upper, below),
+        (("upper", True), no_lower, lower, upper, above),
+        (("lower", False), two, lower, none, below),
+        (("upper", False), two, -none, upper, above),
+    ):
+        rows = [int(i) for i in np.flatnonzero(which)]
+        if rows:
+            yield side, rows, low[rows], high[rows], penalty  # type: ignore[misc]

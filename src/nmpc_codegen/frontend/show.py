@@ -67,6 +67,8 @@ def _signals(ocp: Stated) -> list[tuple[object, ...]]:
         for signal in (d.signal for d in declared):
             for i, (name, value) in enumerate(zip(signal.elements, signal.value, strict=True)):
                 notes = [mark for mark, which in marks.items() if kind == "state" and signal.offset + i in which]
+                if signal.low:
+                    notes.append(f"{signal.low[i]:g} .. {signal.high[i]:g}")
                 lines.append((kind, name, signal.unit, "" if kind == "control" else value, ", ".join(notes)))
         found += shorten(lines)
     return found
@@ -79,6 +81,7 @@ def _row_lines(ocp: Stated, statement: Statement) -> list[tuple[object, ...]]:
     costs = [text for text, weight in ((f"{l1:g} v", l1), (f"½ {l2:g} v²", l2)) if weight]
     dt = " times dt_k" if statement.scaled else ""
     soft = "hard" if statement.soft is None else f"soft, violation v costs {' + '.join(costs) or 0}{dt}"
+    soft = "hard, may become soft" if l1 == float("inf") else soft
     found: list[tuple[object, ...]] = []
     for i, name in enumerate(statement.names):
         element = ocp.element(statement.expression[i])

@@ -61,8 +61,8 @@ class GeneralCost:
 class Statement:
     """Scalar rows lower <= expression <= upper as stated; ``at`` is None for a coupled condition.
 
-    ``names``: those that the user gave; rows with different penalties on their sides are two statements, one ``side``
-    each, and their names say so.
+    ``stated``: the names that the user gave; rows with different penalties on their sides are two statements, one
+    ``side`` each, and their names say so, unless there is only one: it is ``alone``.
     """
 
     lower: Array
@@ -73,11 +73,12 @@ class Statement:
     stated: tuple[str, ...]
     scaled: bool = False
     side: Side = ""
+    alone: bool = True
 
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the rows."""
-        return tuple(f"{name}_{self.side}" if self.side else name for name in self.stated)
+        return self.stated if self.alone else tuple(f"{name}_{self.side}" for name in self.stated)
 
 
 class Stated:

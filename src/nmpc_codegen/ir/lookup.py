@@ -8,7 +8,6 @@ more arguments and the value 0.
 
 from __future__ import annotations
 
-import hashlib
 from functools import lru_cache
 from typing import Any
 
@@ -20,15 +19,12 @@ from nmpc_codegen.package.lookup import Lookup
 #: Key -> table that an expression of this process contains.
 _KNOWN: dict[float, Lookup] = {}
 
-#: Hexadecimal digits of a key: a whole number that a double holds.
-_DIGITS = 12
-
 
 def look_up(table: Lookup, operand: Any) -> Any:
     """The value of a table as an expression, SX or MX."""
-    key = key_of(table)
-    _KNOWN[key] = table
-    return _function(table)(key, operand)
+    if table.key not in _KNOWN:
+        _KNOWN[table.key] = table
+    return _function(table.key)(table.key, operand)
 
 
 def known_lookup(key: float) -> Lookup:
@@ -47,15 +43,10 @@ def called_lookup(key: float | None, arguments: int) -> Lookup | None:
     return _KNOWN[key] if arguments == 2 else None
 
 
-def key_of(table: Lookup) -> float:
-    """A number that stands for the content of a table."""
-    text = repr((table.name, table.part, table.values))
-    return float(int(hashlib.sha256(text.encode()).hexdigest()[:_DIGITS], 16))
-
-
 @lru_cache(maxsize=256)
-def _function(table: Lookup) -> Function:
-    """(key, operand) -> value; its derivatives are 0."""
+def _function(of: float) -> Function:
+    """(key, operand) -> value of the table with that key; its derivatives are 0."""
+    table = _KNOWN[of]
     key, x, value = ca.MX.sym("key"), ca.MX.sym("x"), ca.MX.sym("value")
     data = ca.MX(ca.DM(list(table.values)))
     found = ca.low(data, x) if table.part == "interval" else data[x]

@@ -226,22 +226,24 @@ def first_plan_warnings(problem: Problem, program: Program, second: bool) -> tup
     (_, declared), *corners = problem.corners
     found = tuple(_warnings(declared, program, second))
     for where, corner in corners:
-        more = [f"{text} (with {where})" for text in _warnings(corner, program, second) if text not in found]
+        texts = _warnings(corner, program, second, given=True)
+        more = [f"{text} (with {where})" for text in texts if text not in found]
         if more:
             return (*found, *more)
     return found
 
 
-def _warnings(problem: Problem, program: Program, second: bool) -> tuple[str, ...]:
+def _warnings(problem: Problem, program: Program, second: bool, given: bool = False) -> tuple[str, ...]:
     x, u = first_plan(problem)
     still = tuple(_end_time(problem, x, u)) or tuple(_without_influence(problem, x, u))
-    return (*_not_finite(problem, program, second, x, u), *still, *_without_gradient(problem, x, u))
+    return (*_not_finite(problem, program, second, x, u, given), *still, *_without_gradient(problem, x, u))
 
 
-def _not_finite(problem: Problem, program: Program, second: bool, x: Array, u: Array) -> Iterator[str]:
+def _not_finite(problem: Problem, program: Program, second: bool, x: Array, u: Array, given: bool) -> Iterator[str]:
+    """``given``: operations count of which parameters alone decide whether they are inside their domain."""
     nodes = problem.N + 1
     plan = (np.tile(x, (nodes, 1)), np.tile(u, (problem.N, 1)), np.tile(problem.p_value, (nodes, 1)))
-    found = [finding for finding in locate(program, *plan, second) if not finding.given]
+    found = [finding for finding in locate(program, *plan, second) if given or not finding.given]
     for text in in_words(found):
         yield f"{NOT_FINITE}: {text}"
 

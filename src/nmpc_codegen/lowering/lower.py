@@ -6,19 +6,17 @@ import math
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 
-import numpy as np
-from numpy.typing import ArrayLike
-
 from nmpc_codegen.components.algorithms.shifts import sampling_period
 from nmpc_codegen.components.base import Component, Counts, Dims
-from nmpc_codegen.components.core import SIZES_OF_OTHERS, TABLES_OF_OTHERS
-from nmpc_codegen.errors import OptionError, ProblemError
-from nmpc_codegen.frontend.problem import Array, Problem, Stage
-from nmpc_codegen.ir.cmodule import CModule, Macro, Section, Setter, Table, check_prefix
+from nmpc_codegen.components.core import SIZES_OF_OTHERS
+from nmpc_codegen.errors import OptionError
+from nmpc_codegen.frontend.problem import Problem, Stage
+from nmpc_codegen.ir.cmodule import CModule, Macro, Section, Setter, check_prefix
 from nmpc_codegen.ir.kernel import called_functions, called_lookups
 from nmpc_codegen.ir.printing.c_style import CStyle
 from nmpc_codegen.ir.sweep import Routine
 from nmpc_codegen.ir.tuning import PANEL
+from nmpc_codegen.lowering.data.tables import control_rows, round_scales, tables
 from nmpc_codegen.lowering.lanes.nodes import with_lanes
 from nmpc_codegen.lowering.linearize import Model
 from nmpc_codegen.lowering.naming.enums import enums
@@ -28,7 +26,6 @@ from nmpc_codegen.lowering.structs import absent_members, extras, lowered_struct
 from nmpc_codegen.options import as_data
 from nmpc_codegen.package.description import INTERFACE_SIZES, PackageDescription, Report
 from nmpc_codegen.package.features import KERNELS, Features, KernelName
-from nmpc_codegen.package.lookup import Lookup
 from nmpc_codegen.package.memory import Size, Struct, place
 from nmpc_codegen.package.opcount import OpCount
 from nmpc_codegen.package.signals import Argument, EntryPoint, Kind, Layout, Residual, c_constants
@@ -61,15 +58,18 @@ def lower(model: Model, name: str | None = None, whole: bool = False) -> CModule
     features = _features(model)
     structs, layout = place(lowered_structs(model, dims, features, whole), model.options.precision)
     macros = _macros(model, dims, whole)
-    ranges, tables = _ranges(model, dims, features), _tables(model)
-    routines = tuple(r for r in _printed_routines(model) if r.name not in KERNELS or r.name in features.kernels)
-    unit = [*(m.name for m in macros), *(t.name for t in tables), *(r.name for r in routines), *features.macros]
+    printed, ranges = _printed_routines(model), _ranges(model, dims, features)
+    stored = tables(model, printed)
+    routines = tuple(r for r in printed if r.name not in KERNELS or r.name in features.kernels)
+    lookups = called_lookups(printed)
+    unit = ["find_interval", *(name for lookup in lookups for name in (lookup.table, lookup.function))]
+    unit += [*(m.name for m in macros), *(t.name for t in stored), *(r.name for r in routines), *features.macros]
     module = CModule(
         description=_description(model, name, macros, structs, _report(model, dims, features, structs, layout), ranges),
         target=model.target,
         macros=macros,
         enums=enums(problem),
-        tables=tables,
+        tables=stored,
         rows=problem.qp_rows,
         settings=settings(model, dims, whole),
         setters=_setters(model),
@@ -184,6 +184,7 @@ def _features(model: Model) -> Features:
         found,
         kernels=found.kernels | _gradients_of_cost(model, found, eliminates),
         tuned=tuned,
+        takes_penalties=found.set_soft and found.has_qp,
         two_hessians=bool(model.exact),
         curved=curved,
         keeps_multipliers=curved or found.stage_multipliers,
@@ -228,7 +229,7 @@ def _of_problem(model: Model) -> Features:
         idle_end=p.idle_end and parts.algorithm.shift == "repeat",
         end_equations=any(k == p.N and p.rows[row].is_equation for k, _, _, row in p.qp_rows),
         pulled_rows=bool(p.pulled_rows),
-        control_bounds=any(place >= 0 for place in _control_rows(p)),
+        control_bounds=any(place >= 0 for place in control_rows(p)),
         accumulators=bool(p.accumulators),
         all_measured=not p.accumulators and not p.free_initial,
         inner=bool(p.inner.count),
@@ -393,7 +394,7 @@ _NODES: Mapping[Kind, Mapping[Layout, str]] = {
     "weight": {"shared": "no node", "node": "0 .. N - 1"},
     "parameter": {"shared": "N", "node": "0 .. N"},
     "bounds": {"shared": "N, if the row holds there", "node": "a node of the row"},
-    "soft": {"shared": "N", "node": "0 .. N"},
+    "soft": {"shared": "N, if the row holds there", "node": "a node of the row"},
 }
 
 
@@ -401,130 +402,6 @@ def _setters(model: Model) -> tuple[Setter, ...]:
     """The setters of all data that exist in the problem and can be changed."""
     layouts = model.options.online.layouts
     return tuple(Setter(n, nodes[layouts[n]]) for n, nodes in _NODES.items() if _is_set(model, n))
-
-
-def _tables(model: Model) -> tuple[Table, ...]:
-    p, sizes = model.problem, model.scales
-    rows = p.qp_rows
-
-    def real(name: str, values: ArrayLike, doc: str) -> Table:
-        return Table(name, "real", tuple(float(v) for v in np.ravel(values)), doc)
-
-    def integer(name: str, values: Iterable[int], doc: str) -> Table:
-        return Table(name, "int", tuple(int(v) for v in values), doc)
-
-    longest_step = model.parts.integrator.longest_step(p)
-    first = np.searchsorted([r[0] for r in rows], range(p.N + 2))
-    offsets = [s.offset for s in p.own_parameters] + [p.np - p.inner.data]
-    found = (
-        real("interval_length", p.dt, "dt_k"),
-        *([] if p.discrete else [real("step_length", [longest_step], "longest integration step")]),
-        real("z_scale", _round(sizes.z), "scales of (x, u)"),
-        real("row_magnitude", _round(sizes.rows), "scales of the terms of the rows"),
-        real("row_offset", sizes.offsets, "constant parts of the rows, which belong to their bounds"),
-        real("cost_size", _round(sizes.cost), "scale of the cost: its most expensive part"),
-        real("force_size", _round(sizes.forces), "scales of the gradient of the cost with respect to (x, u)"),
-        real("initial_state", p.x_initial, "initial values of the states"),
-        real("default_control", _default_controls(p), "0, clipped to the bounds"),
-        real("default_parameter", p.p_value, "p"),
-        real("default_reference", p.path.reference, "yref"),
-        real("default_terminal_reference", p.terminal.reference, "yref_N"),
-        real("default_start_reference", p.start.reference, "reference of the residual at the start"),
-        real("default_start_weight", _weight_values(p.start), "weight of the residual at the start"),
-        real("default_weight", _weight_values(p.path), "W"),
-        real("default_terminal_weight", _weight_values(p.terminal), "W_N"),
-        real("default_lower", [r.lower for r in p.rows], "lower bounds of the rows"),
-        real("default_upper", [r.upper for r in p.rows], "upper bounds of the rows"),
-        integer("control_reference", p.control_reference, "residual that holds the reference of control j, or -1"),
-        integer("control_row", _control_rows(p), "row that bounds control j, or -1"),
-        integer("free_state", p.free_initial, "state that is free component f of x_0"),
-        integer("row_first", first, "first row of node k"),
-        integer("soft_place", _soft_places(p), "place of a row among the soft ones; -1: it is hard"),
-        real("default_soft_l1", [r.soft[0] for r in p.rows if r.soft], "penalties l1 v of the soft rows"),
-        real("default_soft_l2", [r.soft[1] for r in p.rows if r.soft], "penalties l2/2 v^2 of the soft rows"),
-        integer("penalty_scaled", (r.scaled for r in p.rows if r.soft), "1: times the length of the interval"),
-        real("proximal", _round(p.proximal), "curvature of steps in samples"),
-        integer("on_states", p.rows_on_states, "1: row on states alone"),
-        integer(
-            "is_pulled", (i in p.pulled_rows for i in range(len(p.rows))), "1: hard row on controls alone that bends"
-        ),
-        real("parameter_lower", _limits(p, -math.inf), "lower bounds of the elements of p"),
-        real("parameter_upper", _limits(p, math.inf), "upper bounds of the elements of p"),
-        integer("parameter_offset", offsets, "first element of a parameter in p"),
-        integer("remembered", p.inner.previous, "controls that a node knows of the node before"),
-        integer("held_control", p.inner.held, "controls with blocks"),
-        integer("block_start", p.node_data[:, : len(p.inner.held)].ravel(), "1: a block begins at node k"),
-        integer("block_node", _block_nodes(p), "first node of the block of control j at node k"),
-        real("node_data", p.node_data, "parameters behind those of the user"),
-        *_time_tables(model),
-        *lookup_tables(_printed_routines(model)),
-        *(table for component in model.parts.components for table in component.tables(p)),
-        *TABLES_OF_OTHERS,
-    )
-    return tuple({table.name: table for table in reversed(found)}.values())[::-1]
-
-
-def lookup_tables(routines: Iterable[Routine]) -> list[Table]:
-    """The arrays of the look-up tables in routines.
-
-    Raises:
-        ProblemError: two tables have one name.
-    """
-    found: dict[str, Lookup] = {}
-    for lookup in called_lookups(routines):
-        other = found.setdefault(lookup.table, lookup)
-        if other.values != lookup.values:
-            raise ProblemError(f"two look-up tables have the name {lookup.name!r}; give them different names=")
-    return [Table(name, "real", lookup.values, "look-up table") for name, lookup in found.items()]
-
-
-def _block_nodes(p: Problem) -> list[int]:
-    """(N nu,): the first node of the block to which a control of a node belongs."""
-    first = np.tile(np.arange(p.N)[:, None], (1, p.nu))
-    for i, j in enumerate(p.inner.held):
-        first[:, j] = np.maximum.accumulate(np.where(p.node_data[: p.N, i] > 0, np.arange(p.N), 0))
-    return [int(k) for k in first.ravel()]
-
-
-def _time_tables(model: Model) -> list[Table]:
-    """Times of the nodes and between samples, for states behind the measured ones."""
-    p, algorithm = model.problem, model.parts.algorithm
-    period = sampling_period(algorithm.shift, algorithm.sampling_time, p) or p.dt[0]
-    times = tuple(math.fsum(p.dt[:k]) for k in range(p.N + 1))
-    return [
-        Table("node_time", "real", times, "t_k"),
-        Table("sampling_time", "real", (float(period),), "between samples"),
-    ]
-
-
-def _round(values: ArrayLike) -> list[float]:
-    """Scales with the digits that they have."""
-    return [float(f"{v:.3g}") for v in np.ravel(values)]
-
-
-def _limits(p: Problem, none: float) -> list[float]:
-    """The lower or upper bounds of the parameters of the user; those that have none have ``none``."""
-    sides = [(s.low if none < 0 else s.high) or (none,) * s.size for s in p.own_parameters]
-    return [value for side in sides for value in side]
-
-
-def _soft_places(p: Problem) -> list[int]:
-    """For every row its place among the soft ones, or -1."""
-    soft = [i for i, row in enumerate(p.rows) if row.soft is not None]
-    return [soft.index(i) if i in soft else -1 for i in range(len(p.rows))]
-
-
-def _weight_values(stage: Stage) -> Array:
-    return np.diag(stage.weight) if stage.diagonal_weight else stage.weight
-
-
-def _control_rows(p: Problem) -> list[int]:
-    return [next((i for i, r in enumerate(p.rows) if r.variable(p.nx) == p.nx + j), -1) for j in range(p.nu)]
-
-
-def _default_controls(p: Problem) -> list[float]:
-    rows = [p.rows[i] if i >= 0 else None for i in _control_rows(p)]
-    return [float(np.clip(0.0, r.lower, r.upper)) if r else 0.0 for r in rows]
 
 
 def _description(
@@ -561,8 +438,8 @@ def _description(
         options=as_data(model.options),
         report=report,
         ranges=ranges,
-        scales=tuple(_round([*sizes.z[: p.measured], *sizes.z[p.nx : p.nx + p.nu - p.inner.idle]])),
-        row_scales=tuple(_round(sizes.rows)),
+        scales=tuple(round_scales([*sizes.z[: p.measured], *sizes.z[p.nx : p.nx + p.nu - p.inner.idle]])),
+        row_scales=tuple(round_scales(sizes.rows)),
     )
 
 

@@ -139,6 +139,7 @@ def accessors(module: CModule) -> list[Definition]:
     def at(option: Kind, k: str, shared: str = "0") -> str:
         return k if layouts[option] == "node" else shared
 
+    soft = "penalty" if module.features.takes_penalties else "soft"
     weight = f"(s)->W[{at('weight', 'k')}]"
     path_weight = weight if module.diagonal_weight else f"&{weight}[0][0]"
     return [
@@ -154,8 +155,8 @@ def accessors(module: CModule) -> list[Definition]:
         ("PARAM_N", "s", member("parameter", f"(s)->p[{at('parameter', 'N', '1')}]", "default_parameter")),
         ("PATH_LOWER", "s, k, row", member("bounds", f"(s)->lower[{at('bounds', 'k')}]", "default_lower") + "[row]"),
         ("PATH_UPPER", "s, k, row", member("bounds", f"(s)->upper[{at('bounds', 'k')}]", "default_upper") + "[row]"),
-        ("SOFT_L1", "s, k", member("soft", f"(s)->soft_l1[{at('soft', 'k', '(k) == N')}]", "default_soft_l1")),
-        ("SOFT_L2", "s, k", member("soft", f"(s)->soft_l2[{at('soft', 'k', '(k) == N')}]", "default_soft_l2")),
+        ("SOFT_L1", "s, k", member("soft", f"(s)->{soft}_l1[{at('soft', 'k', '(k) == N')}]", "default_soft_l1")),
+        ("SOFT_L2", "s, k", member("soft", f"(s)->{soft}_l2[{at('soft', 'k', '(k) == N')}]", "default_soft_l2")),
         ("END_MULTIPLIERS", "s", _last_multipliers(module, "NE", "NH_N")),
         ("COUPLED_MULTIPLIERS", "s", _last_multipliers(module, "NE")),
     ]

@@ -23,6 +23,7 @@ def lowered_structs(model: Model, dims: Dims, features: Features, whole: bool) -
         Field("u", (dims.N, dims.nu), "controls of the plan", "iterate"),
         *_inner_fields(dims),
         *(setting.field for setting in settings(model, dims, whole)),
+        *_penalties_in_use(settings(model, dims, whole)),
     ]
     results = [
         Field("status", (), "status of the last call", "result", "int32"),
@@ -41,6 +42,22 @@ def lowered_structs(model: Model, dims: Dims, features: Features, whole: bool) -
     fields = (*common, *own_members, *members, *results)
     solver = Struct("solver", "the whole controller: no pointers, copy it with '='", fields)
     return (*inner, solver if whole else _existing(solver, features))
+
+
+def _penalties_in_use(found: Iterable[Setting]) -> list[Field]:
+    """Penalties that the last preparation has taken over from those that were set."""
+    return [
+        Field(
+            f"penalty_{name}",
+            setting.field.shape,
+            "the same in the prepared QP",
+            "keep",
+            only=lambda f: f.takes_penalties,
+        )
+        for name in ("l1", "l2")
+        for setting in found
+        if setting.field.name == f"soft_{name}"
+    ]
 
 
 def problem_names(problem: Problem) -> str:

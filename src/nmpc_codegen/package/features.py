@@ -56,6 +56,7 @@ class Features:
     set_parameter: bool = False
     set_bounds: bool = False
     set_soft: bool = False
+    takes_penalties: bool = False  # a preparation takes over the penalties that have been set
     reference_by_node: bool = False  # every node has data of its own
     weight_by_node: bool = False
     parameter_by_node: bool = False

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+
+#: Hexadecimal digits of a key: a whole number that a double holds.
+_DIGITS = 12
 
 #: What a function of a table returns: the number of the interval of a grid, or an entry.
 Part = Literal["interval", "entry"]
@@ -26,6 +31,12 @@ class Lookup:
     part: Part
     values: tuple[float, ...]
     kinks: bool = False
+
+    @cached_property
+    def key(self) -> float:
+        """A whole number that stands for its content."""
+        text = repr((self.name, self.part, self.values, self.kinks))
+        return float(int(hashlib.sha256(text.encode()).hexdigest()[:_DIGITS], 16))
 
     @property
     def table(self) -> str:

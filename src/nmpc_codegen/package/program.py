@@ -227,7 +227,7 @@ class Finding:
     def remedy(self) -> str:
         """What to write instead, and where the plan has to stay."""
         if self.given:
-            return "set the parameters in it: parameter(name, value=...), set_parameter()"
+            return "set the parameters in it: parameter(name, value=..., bounds=...), set_parameter()"
         edge = EDGES[self.operation.name]
         a, b = (f"({text})" if " " in text else text for text in self.operation.texts)
         found = ["bound the square instead"] if self.squares and edge.root else []

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from numbers import Real
 from typing import Any
 
 import numpy as np
@@ -71,6 +72,8 @@ def checked_array(
     """
     try:
         given = np.asarray(value)
+        if given.dtype.kind in "USO" and not all(isinstance(v, Real) for v in given.ravel()):
+            raise ControllerError(f"{what} is no array of numbers; expected shape {shape}, got {value!r:.60}")
         if np.iscomplexobj(given):
             raise ControllerError(f"{what} is complex; expected real numbers of shape {shape}")
         array = given.astype(real, copy=False)
@@ -126,16 +129,17 @@ def check_weights(W: NDArray[Any], what: str, real: np.dtype[Any]) -> NDArray[An
     """The checked weights (rows, size, size), or diagonals (rows, size); ControllerError names the wrong one."""
     if W.ndim == 2 and not (W < 0).any():
         return W
+    if W.ndim == 2:
+        raise ControllerError(f"{what} must be positive semidefinite, but has the eigenvalue {W.min():g}")
     eps = float(np.finfo(real).eps)
     names = [what] if len(W) == 1 else [f"{what} of node {k}" for k in range(len(W))]
-    dense = [w if w.ndim == 2 else np.diag(w) for w in W]
-    return np.array([checked_weight(w, name, ControllerError, eps) for w, name in zip(dense, names, strict=True)])
+    return np.array([checked_weight(w, name, ControllerError, eps) for w, name in zip(W, names, strict=True)])
 
 
 def pair(value: Any, what: str) -> tuple[Any, Any]:
     """Two values, or ControllerError."""
-    if not isinstance(value, (tuple, list)) or len(value) != 2:
-        raise ControllerError(f"{what} is {value!r}; expected (lower, upper)")
+    if not isinstance(value, (tuple, list, np.ndarray)) or len(value) != 2 or any(side is None for side in value):
+        raise ControllerError(f"{what} is {value!r}; expected (lower, upper), where -inf and inf are no bound")
     return value[0], value[1]
 
 
@@ -149,6 +153,15 @@ def check_range(values: NDArray[Any], low: Sequence[float], high: Sequence[float
         )
 
 
+def alike(one: NDArray[Any], other: NDArray[Any], what: str) -> tuple[NDArray[Any], NDArray[Any]]:
+    """Both with as many rows; ControllerError if they have different numbers of rows."""
+    if len(one) != len(other) and 1 not in (len(one), len(other)):
+        raise ControllerError(f"{what}: {len(one)} and {len(other)} rows; expected as many of both, or one")
+    if len(one) != len(other):
+        one, other = np.broadcast_arrays(one, other)
+    return one, other
+
+
 def check_bounds(low: NDArray[Any], high: NDArray[Any], row: Row) -> None:
     """ControllerError if bounds are NaN or crossed, at a node where the row holds if there is a pair for each node."""
     imposed = [k for k in row.nodes if k < len(low)] if len(low) > 1 else [0]
@@ -157,6 +170,8 @@ def check_bounds(low: NDArray[Any], high: NDArray[Any], row: Row) -> None:
             raise ControllerError(f"{which} bound of {row.user_name!r} is NaN")
     if np.any(low[imposed] > high[imposed]):
         raise ControllerError(f"bounds of {row.user_name!r}: lower {low.tolist()} above upper {high.tolist()}")
+    if np.any(low[imposed] == np.inf) or np.any(high[imposed] == -np.inf):
+        raise ControllerError(f"bounds of {row.user_name!r}: nothing is above inf or below -inf")
 
 
 def penalty_of_row(soft: Any, row: Row, what: str) -> tuple[Any, Any] | None:
@@ -168,20 +183,28 @@ def penalty_of_row(soft: Any, row: Row, what: str) -> tuple[Any, Any] | None:
     if isinstance(soft, Soft):
         if soft.scale_with_dt:
             raise ControllerError(f"{what}: scale_with_dt is declared, subject_to(..., soft=Soft(...)), and stays")
-        only = "lower" if row.upper == np.inf else "upper" if row.lower == -np.inf else ""
-        side = row.side or (only if soft.lower is None or soft.upper is None else "")
-        if not side and (soft.lower is None or soft.lower != soft.upper):
+        if soft.lower is None and soft.upper is None:
+            raise ControllerError(f"{what}: Soft() names no side; expected lower=(l1, l2), upper=(l1, l2) or both")
+        if not row.side and not _same(soft.lower, soft.upper):
             raise ControllerError(
                 f"{what} is the same on both sides, as it was declared; state the row with different ones, "
                 "soft=Soft(lower=(l1, l2), upper=(l1, l2)), to change them one by one"
             )
-        chosen = soft.upper if side == "upper" else soft.lower
+        chosen = soft.upper if row.side == "upper" else soft.lower
         return None if chosen is None else penalty_of_row(chosen, row, what)
     if isinstance(soft, int | float | np.number) and not isinstance(soft, bool):
         return float(soft), 0.0
     if not isinstance(soft, tuple | list | np.ndarray) or len(soft) != 2:
         raise ControllerError(f"{what} is {soft!r}; expected (l1, l2), l1, or Soft(lower=(l1, l2), upper=(l1, l2))")
     return soft[0], soft[1]
+
+
+def _same(one: Any, other: Any) -> bool:
+    """True if two penalties are given, and equal."""
+    if one is None or other is None:
+        return False
+    first, second = (value if isinstance(value, tuple | list) else (value, 0.0) for value in (one, other))
+    return len(first) == len(second) and all(map(np.array_equal, first, second))
 
 
 def check_penalties(l1: NDArray[Any], l2: NDArray[Any], declared: tuple[float, float], what: str) -> None:

@@ -8,13 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from functools import cached_property
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from nmpc_codegen.errors import ControllerError
-from nmpc_codegen.package.signals import Kind, Signal, Soft
+from nmpc_codegen.package.signals import Kind, Soft
 from nmpc_codegen.runtime import given
 from nmpc_codegen.runtime.memory import Memory
 
@@ -82,7 +82,11 @@ class Setters(Memory):
                 error.
             node: 0..N, or None for every node. Online(parameter="shared") allows None and N, and no rows per node.
         """
-        self._send_parameter(*self._checked_parameter(name, value, node))
+        one = self._checked_parameter(name, value, node)
+        if one.column is None:
+            self._send("set_parameter", one.rows, node, one.number)
+        else:
+            self._send_elements([one], node)
 
     def set_parameters(self, values: Named | None = None, /, *, node: int | None = None, **more: ArrayLike) -> None:
         """Set several parameters, set_parameters(m=0.8, k=[1.0, 2.0]): all of them, or none if one is wrong.
@@ -92,9 +96,10 @@ class Setters(Memory):
             node: as in set_parameter().
             more: name=value.
         """
-        checked = [self._checked_parameter(n, v, node) for n, v in {**(values or {}), **more}.items()]
-        for one in checked:
-            self._send_parameter(*one)
+        if values is not None and not isinstance(values, Mapping):
+            raise ControllerError(f"set_parameters: {values!r} is no {{name: value}}")
+        named = {**(values or {}), **more}
+        self._send_elements([self._checked_parameter(n, v, node) for n, v in named.items()], node)
 
     def set_bounds(
         self,
@@ -114,12 +119,13 @@ class Setters(Memory):
                 per node.
         """
         if isinstance(name, Mapping):
-            pairs = {n: given.pair(both, f"bounds of {n!r}") for n, both in name.items()}
+            self._expect_alone("set_bounds", lower, upper)
+            pairs = [(n, given.pair(both, f"bounds of {n!r}")) for n, both in name.items()]
         elif lower is None or upper is None:
             raise ControllerError(f"bounds of {name!r}: expected a lower and an upper one; -inf and inf: no bound")
         else:
-            pairs = {name: (lower, upper)}
-        checked = [one for n, both in pairs.items() for one in self._checked_bounds(n, *both, node)]
+            pairs = [(name, (lower, upper))]
+        checked = [one for n, both in pairs for one in self._checked_bounds(n, *both, node)]
         for row, low, high in checked:
             self._send_pair("set_bounds", row, low, high, node)
 
@@ -137,8 +143,10 @@ class Setters(Memory):
             node: a node of the row, or None for all of them. Online(soft="shared") allows None and N, and no rows per
                 node.
         """
-        given_by_name = {name: soft} if isinstance(name, str) else name
-        checked = [one for n, value in given_by_name.items() for one in self._checked_soft(n, value, node)]
+        if isinstance(name, Mapping):
+            self._expect_alone("set_soft", soft)
+        pairs = list(name.items()) if isinstance(name, Mapping) else [(name, soft)]
+        checked = [one for n, value in pairs for one in self._checked_soft(n, value, node)]
         for row, l1, l2 in checked:
             self._send_pair("set_soft", row, l1, l2, node)
 
@@ -172,8 +180,8 @@ class Setters(Memory):
         if not size:
             raise ControllerError(f"{self._package.name} has no {'terminal' if end else 'path'} residual")
         what = f"terminal {kind}" if end else kind
-        if len(lengths) > 1 and self._path_of_end is None:
-            lengths = lengths[:1]
+        if self._path_of_end is None:
+            lengths = tuple(n for n in lengths if n == d.N)
         if kind == "reference":
             rows = given.rows(value, what, self._real, size, lengths, spread=False)
         else:
@@ -181,10 +189,18 @@ class Setters(Memory):
         if end:
             self._send(f"set_terminal_{kind}", rows, None)
             return
+        at_end = self._row_at_end(kind, rows[-1]) if len(rows) > d.N else None
         self._send(f"set_{kind}", rows[: d.N], node)
-        if len(rows) > d.N:
-            at_end = rows[-1][np.ix_(*[self._path_of_end] * (rows.ndim - 1))]
-            self._send(f"set_terminal_{kind}", at_end[None], None)
+        if at_end is not None:
+            self._send(f"set_terminal_{kind}", at_end, None)
+
+    def _row_at_end(self, kind: str, row: Array) -> Array:
+        """The part of a row of the path that is the terminal residual's, as it is stored."""
+        places = self._path_of_end or []
+        if kind == "reference":
+            return row[None, places]
+        part = np.diag(row[places]) if row.ndim == 1 else row[np.ix_(places, places)]
+        return given.weights(part, "terminal weight", self._real, len(part), self._is_matrix(end=True))
 
     def _set_by_name(self, kind: Kind, values: Named, node: int | None, lengths: tuple[int, ...]) -> None:
         """Replace entries of references, or of the diagonals of weights."""
@@ -194,12 +210,18 @@ class Setters(Memory):
         for name, value in values.items():
             elements = self._elements_of(name, node)
             rows = given.rows(value, f"{kind} of {name!r}", self._real, len(elements), lengths)
+            if matrices and (rows < 0).any():
+                raise ControllerError(f"weight of {name!r} is {rows.min():g}; expected numbers >= 0")
             for element, column in zip(elements, rows.T, strict=True):
-                here, there = self.names.y.index(element) if element in self.names.y else None, None
-                if node == N or len(column) > N or (node is None and (kind == "reference" or here is None)):
-                    there = self.names.y_N.index(element) if element in self.names.y_N else None
+                here = self.names.y.index(element) if element in self.names.y else None
+                there = self.names.y_N.index(element) if element in self.names.y_N else None
                 if len(column) > N and there is None:
                     raise ControllerError(f"{kind} of {name!r}: N + 1 rows, but {element!r} is no terminal residual")
+                if len(column) == N > 1 and here is None:
+                    raise ControllerError(f"{kind} of {name!r}: N rows, but {element!r} is a terminal residual only")
+                of_end = node == N or len(column) > N or (len(column) == 1 and node is None)
+                if not of_end or (kind == "weight" and here is not None and node is None and len(column) == 1):
+                    there = None
                 if here is not None and node != N:
                     nodes = slice(None) if node is None else slice(node, node + 1)
                     _diagonal(path, matrices and path.ndim == 3)[nodes, here] = column[:N]
@@ -209,7 +231,7 @@ class Setters(Memory):
                     sent[1] = True
         if matrices:
             for W, word in ((path, "weight"), (end[None], "terminal weight")):
-                given.check_weights(W, word, self._real)
+                W[...] = given.check_weights(W, word, self._real)
         if sent[0]:
             self._send(f"set_{kind}", path, None)
         if sent[1]:
@@ -235,8 +257,7 @@ class Setters(Memory):
 
     # -- inner: parameters and bounds ---------------------------------------------------------------------------------
 
-    def _checked_parameter(self, name: str, value: ArrayLike, node: int | None) -> tuple[int, Array, int | None]:
-        """Number of the parameter, its rows, and the node; an element of a vector comes with the others as they are."""
+    def _checked_parameter(self, name: str, value: ArrayLike, node: int | None) -> _Checked:
         signals = self.description.parameters
         names = [p.name for p in signals]
         base = name.rpartition("[")[0] if isinstance(name, str) and name not in names else ""
@@ -248,23 +269,28 @@ class Setters(Memory):
         if signal.low:
             own = slice(None) if column is None else slice(column, column + 1)
             given.check_range(rows, signal.low[own], signal.high[own], what)
-        if column is not None:
-            whole = self._stored_parameter(signal, node, len(rows))
-            whole[:, column] = rows[:, 0]
-            rows = whole
-        return index, rows, node
+        return _Checked(index, column, rows)
 
-    def _stored_parameter(self, signal: Signal, node: int | None, count: int) -> Array:
-        """The present rows of a parameter that ``count`` rows for a node, or for all, replace."""
-        stored = self._view("p")[:, signal.offset : signal.offset + signal.size]
-        if self.description.online["parameter"] == "shared":
-            return np.array(stored[[0 if node is None else -1]])
-        if node is not None:
-            return np.array(stored[[node]])
-        return np.array(stored[:count] if count > 1 else stored)
-
-    def _send_parameter(self, index: int, rows: Array, node: int | None) -> None:
-        self._send("set_parameter", rows, node, index)
+    def _send_elements(self, checked: Sequence[_Checked], node: int | None) -> None:
+        """Send parameters of which some are elements of vectors, whose others stay as they are."""
+        signals, stored = self.description.parameters, np.array(self._view("p"))
+        shared = self.description.online["parameter"] == "shared"
+        for index, column, rows in checked:
+            first = signals[index].offset + (column or 0)
+            columns = slice(first, first + rows.shape[1])
+            count = len(rows) if len(rows) > 1 else len(stored)
+            nodes = slice(count) if node is None else slice(-1, None) if shared else slice(node, node + 1)
+            stored[nodes, columns] = rows
+        for index in dict.fromkeys(one.number for one in checked):
+            signal = signals[index]
+            rows = stored[:, signal.offset : signal.offset + signal.size]
+            if shared and node is None:
+                self._send("set_parameter", rows[:1], None, index)
+                self._send("set_parameter", rows[1:], self.dims.N, index)
+            elif node is None:
+                self._send("set_parameter", rows, None, index)
+            else:
+                self._send("set_parameter", rows[[-1 if shared else node]], node, index)
 
     def _checked_bounds(
         self, name: str, lower: ArrayLike, upper: ArrayLike, node: int | None
@@ -276,15 +302,20 @@ class Setters(Memory):
             given.rows(value, f"{which} bound of {name!r}", self._real, len(groups), lengths, finite=False)
             for which, value in (("lower", lower), ("upper", upper))
         )
-        if low.shape != high.shape:
-            low, high = np.broadcast_arrays(low, high)
+        low, high = given.alike(low, high, f"bounds of {name!r}")
         for i, group in enumerate(groups):
             row = self.description.rows[group[0]]
             one_low, one_high = low[:, i], high[:, i]
-            if not (one_low <= one_high).all():
+            if not ((one_low <= one_high) & (one_low < np.inf) & (one_high > -np.inf)).all():
                 given.check_bounds(one_low, one_high, row)
             for number in group:
-                side = self.description.rows[number].side if name != self.names.rows[number] else ""
+                side = self.description.rows[number].side if name != self.names.rows[number] or len(group) == 1 else ""
+                other = {"lower": one_high < np.inf, "upper": one_low > -np.inf}.get(side)
+                if len(group) == 1 and other is not None and other.any():
+                    raise ControllerError(
+                        f"bounds of {name!r}: it has the {side} side alone; state it with both bounds, or with "
+                        "soft=Soft(lower=(l1, l2), upper=(l1, l2))"
+                    )
                 yield (
                     number,
                     np.full_like(one_low, -np.inf) if side == "upper" else one_low,
@@ -303,11 +334,12 @@ class Setters(Memory):
             if row.soft is None:
                 raise ControllerError(f"{row.name!r} is hard: state it with soft=(l1, l2), l1 = inf: hard at first")
             pair = given.penalty_of_row(soft, row, what)
+            if pair is None and (len(groups) == len(groups[0]) == 1):
+                raise ControllerError(f"{what}: it has the {row.side} side alone")
             if pair is None:
                 continue
             l1, l2 = (given.rows(value, what, self._real, 1, lengths, finite=False)[:, 0] for value in pair)
-            if len(l1) != len(l2):
-                l1, l2 = np.broadcast_arrays(l1, l2)
+            l1, l2 = given.alike(l1, l2, what)
             given.check_penalties(l1, l2, row.soft, what)
             yield number, l1, l2
 
@@ -330,9 +362,11 @@ class Setters(Memory):
         )
         rows = [self.description.rows[group[0]] for group in groups]
         for row in rows:
-            if node is not None and node not in row.nodes:
-                raise ControllerError(f"{row.user_name!r} does not hold at node {node}, but at {list(row.nodes)}")
-        return lengths[1:] if any(self.dims.N in row.nodes for row in rows) else lengths
+            own = list(row.nodes[-1:] if row.is_coupled else row.nodes)
+            if node is not None and node not in own:
+                raise ControllerError(f"{row.user_name!r} does not hold at node {node}, but at {own}")
+        at_end = any(self.dims.N in row.nodes for row in rows)
+        return tuple(n for n in lengths if n > self.dims.N) if at_end else lengths
 
     def _send_pair(self, call: str, row: int, first: Array, second: Array, node: int | None) -> None:
         """Send two numbers of a row, for a node or for all, or two for each node from node 0 on."""
@@ -342,6 +376,11 @@ class Setters(Memory):
             both = self._pointer(first), self._pointer(second)
             status = self._call(f"{call}_range", self._s, row, 0, len(first), *both)
         self._expect(status, call, f"row {self.names.rows[row]!r}, node {node}")
+
+    def _expect_alone(self, call: str, *others: object) -> None:
+        """Raise ControllerError if more is given beside a mapping."""
+        if any(other is not None for other in others):
+            raise ControllerError(f"{call}: {{name: values}} takes no further values")
 
     # -- inner: all kinds ---------------------------------------------------------------------------------------------
 
@@ -362,7 +401,7 @@ class Setters(Memory):
                 f"{self._package.name}: {what} cannot be set at node {node}; expected node None or {N}: "
                 f'it was generated with Online({kind}="shared")'
             )
-        return (N, N + 1) if layout == "node" and node is None else ()
+        return tuple(n for n in (N, N + 1) if n > 1) if layout == "node" and node is None else ()
 
     def _node(self, node: int | None) -> int:
         """Node number for C; None: every node. The C code checks whether data of this node can be set."""
@@ -397,6 +436,14 @@ class Setters(Memory):
     def _unknown(self, name: object, known: Sequence[str], kind: str) -> int:
         there = ", ".join(map(repr, known)) or "none"
         raise ControllerError(f"{self._package.name} has no {kind} {name!r}; those that exist: {there}")
+
+
+class _Checked(NamedTuple):
+    """Rows for a parameter: its number, the element of a vector, or None for all of it."""
+
+    number: int
+    column: int | None
+    rows: Array
 
 
 def _diagonal(values: Array, matrices: bool) -> Array:

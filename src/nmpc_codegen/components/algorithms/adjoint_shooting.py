@@ -133,7 +133,7 @@ class AdjointShooting(Defaults):
     template: ClassVar[str] = "algorithms/adjoint_shooting.c"
     needs: ClassVar[tuple[Seam, ...]] = ("integrator",)
     core: ClassVar[frozenset[Core]] = frozenset({"directions", "kkt"})
-    supports: ClassVar[frozenset[str]] = EVERY_USE - {"free initial state", "switched rows"}
+    supports: ClassVar[frozenset[str]] = EVERY_USE - {"free initial state", "rows with an infinite penalty"}
 
     def __post_init__(self) -> None:
         check_options(self, self.seam)

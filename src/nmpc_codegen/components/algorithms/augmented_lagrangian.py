@@ -102,7 +102,7 @@ class AugmentedLagrangian(Defaults):
     template: ClassVar[str] = "algorithms/augmented_lagrangian.c"
     needs: ClassVar[tuple[Seam, ...]] = ("integrator", "hessian")
     core: ClassVar[frozenset[Core]] = frozenset({"nodes", "multipliers", "kkt"})
-    supports: ClassVar[frozenset[str]] = EVERY_USE - {"blocks of controls", "switched rows"}
+    supports: ClassVar[frozenset[str]] = EVERY_USE - {"blocks of controls", "rows with an infinite penalty"}
 
     def __post_init__(self) -> None:
         check_options(self, self.seam)

@@ -26,9 +26,9 @@ def variable_scales(problem: Problem) -> Array:
         bounds = [abs(bound) for bound in (row.lower, row.upper) if np.isfinite(bound)]
         place, half = row.variable(nx), (row.upper - row.lower) / 2
         if place is not None and place < nx:
-            largest[place] = max(largest[place], *bounds)
+            largest[place] = max([largest[place], *bounds])
         elif place is not None:
-            largest[place] = half if np.isfinite(half) else max(bounds)
+            largest[place] = half if np.isfinite(half) else max(bounds, default=0.0)
     stated = stated_scales(problem)
     return np.where(stated > 0.0, stated, np.where(largest > 0.0, largest, 1.0))
 

@@ -40,7 +40,7 @@ class Osqp(Defaults):
     needs: ClassVar[tuple[Seam, ...]] = ()
     takes: ClassVar[str] = "condensed"
     chosen_for: ClassVar[tuple[str, ...]] = ()
-    supports: ClassVar[frozenset[str]] = EVERY_USE - {"soft rows", "switched rows"}
+    supports: ClassVar[frozenset[str]] = EVERY_USE - {"soft rows", "rows with an infinite penalty"}
 
     def __post_init__(self) -> None:
         check_options(self, self.seam)

@@ -54,15 +54,20 @@ def lookup_table(
     axes = [_grid(g, KINDS[kind]) for g in (_pair(grid, "grid") if pair else [grid])]
     table = _finite(values, "values", tuple(map(len, axes)))
     points = [_scalar(v) for v in (_pair(x, "x") if pair else [x])]
-    if outside == "clamp":
-        points = [ca.fmin(ca.fmax(v, float(g[0])), float(g[-1])) for v, g in zip(points, axes, strict=True)]
+    if len({isinstance(v, ca.MX) for v in points}) > 1:
+        raise ProblemError("lookup_table: x mixes SX and MX")
     if name:
         identifier(name, "lookup_table: name")
-    stem = name or f"table_{hashlib.sha256(repr((kind, outside, axes, table.tolist())).encode()).hexdigest()[:6]}"
+    content = (kind, outside, [axis.tolist() for axis in axes], table.tolist())
+    stem = name or f"table_{hashlib.sha256(repr(content).encode()).hexdigest()[:10]}"
+    clamp = outside == "clamp"
     if kind == "linear":
+        if clamp:
+            axes, table = [_extend(axis) for axis in axes], np.pad(table, 1, mode="edge")
         return _line(points[0], axes[0], table, stem) if not pair else _bilinear(points, axes, table, stem)
-    beyond = outside == "extrapolate"
-    return _cubic(points[0], axes[0], table, stem, beyond) if not pair else _bicubic(points, axes, table, stem, beyond)
+    if pair:
+        return _bicubic(points, axes, table, stem, clamp)
+    return _cubic(points[0], axes[0], table, stem, clamp)
 
 
 # -- what is given ----------------------------------------------------------------------------------------------------
@@ -145,21 +150,21 @@ def _power_sum(t: Any, entry: Any, first: Any, offset: int = 0) -> Any:
     return c[0] + t * (c[1] + t * (c[2] + t * c[3]))
 
 
-def _cubic(x: Any, grid: Array, values: Array, name: str, beyond: bool) -> Any:
+def _cubic(x: Any, grid: Array, values: Array, name: str, clamp: bool) -> Any:
     """The spline, one polynomial per interval."""
     spline = make_interp_spline(grid, values, k=CUBIC - 1)
-    ends, pieces = _pieces(lambda order: spline(grid, nu=order), grid, beyond)
+    ends, pieces = _pieces(lambda order: spline(grid, nu=order), grid, clamp)
     axis = _Axis(x, ends, f"{name}_x")
     return _power_sum(axis.distance, _entries(name, pieces), CUBIC * axis.interval)
 
 
-def _bicubic(x: Sequence[Any], grids: Sequence[Array], values: Array, name: str, beyond: bool) -> Any:
+def _bicubic(x: Sequence[Any], grids: Sequence[Array], values: Array, name: str, clamp: bool) -> Any:
     """sum_ab B_a(x) B_b(y) C_ab over the four splines of each variable that are not zero there."""
     by_x = make_interp_spline(grids[0], values, k=CUBIC - 1, axis=0)
     by_y = make_interp_spline(grids[1], by_x.c.T, k=CUBIC - 1, axis=0)
     coefficient, count = _entries(name, by_y.c.T), len(grids[1])
     (first_x, basis_x), (first_y, basis_y) = (
-        _basis(v, g, knots, f"{name}_{letter}", beyond)
+        _basis(v, g, knots, f"{name}_{letter}", clamp)
         for v, g, knots, letter in zip(x, grids, (by_x.t, by_y.t), "xy", strict=True)
     )
     total: Any = 0
@@ -169,10 +174,10 @@ def _bicubic(x: Sequence[Any], grids: Sequence[Array], values: Array, name: str,
     return total
 
 
-def _basis(x: Any, grid: Array, knots: Array, name: str, beyond: bool) -> tuple[Any, list[Any]]:
+def _basis(x: Any, grid: Array, knots: Array, name: str, clamp: bool) -> tuple[Any, list[Any]]:
     """The number of the first spline that is not zero at x, and the values of four."""
     every = BSpline(knots, np.eye(len(grid)), CUBIC - 1)
-    ends, pieces = _pieces(lambda order: every(grid, nu=order), grid, beyond)
+    ends, pieces = _pieces(lambda order: every(grid, nu=order), grid, clamp)
     first = np.clip(np.searchsorted(knots, 0.5 * (ends[:-1] + ends[1:]), side="right") - CUBIC, 0, len(grid) - CUBIC)
     rows = [np.append(float(f), piece[f : f + CUBIC]) for f, piece in zip(first, pieces, strict=True)]
     entry, axis = _entries(f"{name}_splines", np.array(rows)), _Axis(x, ends, name)
@@ -180,19 +185,21 @@ def _basis(x: Any, grid: Array, knots: Array, name: str, beyond: bool) -> tuple[
     return entry(start), [_power_sum(axis.distance, entry, start, 1 + CUBIC * a) for a in range(CUBIC)]
 
 
-def _pieces(derivative: Any, grid: Array, beyond: bool) -> tuple[Array, Array]:
+def _pieces(derivative: Any, grid: Array, clamp: bool) -> tuple[Array, Array]:
     """(ends, coefficients): polynomials in the distance from the left end of every interval, (intervals, ..., 4).
 
-    ``derivative``: order -> values at the grid of a derivative of piecewise cubic functions. ``beyond``: an interval in
-    front of the grid and one behind it continue the functions by their tangents.
+    ``derivative``: order -> values at the grid of a derivative of piecewise cubic functions. An interval in front of
+    the grid and one behind it continue the functions by their tangents, or with ``clamp`` by their values.
     """
     factorials = (1.0, 1.0, 2.0, 6.0)
     at_points = np.stack([np.asarray(derivative(k)) / factorials[k] for k in range(CUBIC)], axis=-1)
-    pieces = at_points[:-1]
-    if not beyond:
-        return grid, pieces
-    before, behind = grid[0] - (grid[1] - grid[0]), grid[-1] + (grid[-1] - grid[-2])
+    ends, terms = _extend(grid), 1 if clamp else 2
     first, last = np.zeros_like(at_points[0]), np.zeros_like(at_points[-1])
-    first[..., 1], last[..., :2] = at_points[0][..., 1], at_points[-1][..., :2]
-    first[..., 0] = at_points[0][..., 0] - at_points[0][..., 1] * (grid[0] - before)
-    return np.concatenate([[before], grid, [behind]]), np.concatenate([first[None], pieces, last[None]])
+    first[..., :terms], last[..., :terms] = at_points[0][..., :terms], at_points[-1][..., :terms]
+    first[..., 0] -= first[..., 1] * (grid[0] - ends[0])
+    return ends, np.concatenate([first[None], at_points[:-1], last[None]])
+
+
+def _extend(grid: Array) -> Array:
+    """The grid with a point in front of it and one behind it."""
+    return np.concatenate([[2 * grid[0] - grid[1]], grid, [2 * grid[-1] - grid[-2]]])

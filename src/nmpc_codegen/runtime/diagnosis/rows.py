@@ -87,6 +87,17 @@ def bounds_at(ctrl: Memory, row: int, node: int) -> tuple[float, float]:
     return float(stored[0][place, row]), float(stored[1][place, row])
 
 
+def is_hard(ctrl: Memory, row: int, node: int) -> bool:
+    """True if scalar row number ``row`` is hard at a node at present."""
+    info = ctrl.description.rows[row]
+    if info.soft is None or ctrl.description.online["soft"] == "fixed":
+        return info.hard
+    stored = ctrl.view("soft_l1")
+    place = node if len(stored) == ctrl.dims.N + 1 else 0 if node < ctrl.dims.N else -1
+    number = sum(r.soft is not None for r in ctrl.description.rows[:row])
+    return bool(np.isinf(stored[place, number]))
+
+
 def path_bounds(ctrl: Memory, row: int) -> tuple[float, float]:
     """Smallest lower and largest upper bound of a scalar row at present over its nodes before the end, else at it."""
     nodes = [k for k in ctrl.description.rows[row].nodes if k < ctrl.dims.N] or [ctrl.dims.N]
@@ -103,11 +114,11 @@ def violations(ctrl: Memory) -> list[Violation]:
     general = np.append(path, end, axis=0)
     worst = []
     for number, row in enumerate(ctrl.description.rows):
-        if row.soft is None and not row.is_coupled:
+        if row.hard and not row.is_coupled:
             place = row.variable(ctrl.dims.nx)
             values = general[:, number] if place is None else np.hstack([x, held])[:, place]
             measured = place is not None and place < ctrl.dims.nx  # x_0 is given
-            nodes = (k for k in row.nodes if k or not measured)
+            nodes = (k for k in row.nodes if (k or not measured) and is_hard(ctrl, number, k))
             most = float(np.nanmax(np.abs(values), initial=ctrl.description.row_scales[number]))
             found = (_violation(row, k, float(values[k]), most, *bounds_at(ctrl, number, k)) for k in nodes)
             worst += sorted((v for v in found if v.amount > NEGLIGIBLE * v.size), key=lambda v: -v.amount)[:1]

@@ -15,16 +15,13 @@ from numpy.typing import ArrayLike, NDArray
 from nmpc_codegen.errors import ControllerError
 from nmpc_codegen.package.signals import Kind
 from nmpc_codegen.runtime.controller import Controller
-from nmpc_codegen.runtime.given import ndim, pair
+from nmpc_codegen.runtime.given import SAME_TIME, ndim, pair
 
 Array = NDArray[Any]
 Before = Callable[[int, Controller], Any]
 OverSamples = Mapping[str, ArrayLike]
 References = ArrayLike | OverSamples
 Bounds = Mapping[str, tuple[ArrayLike, ArrayLike]]
-
-#: Node times up to this part of an interval before a sample count as that of the sample.
-SAME_TIME = 1e-9
 
 
 def forecast(
@@ -47,14 +44,25 @@ def forecast(
     found: list[Before] = []
     if parameters is not None:
         tables = _tables("parameters", parameters)
+        sizes = {signal.name: signal.size for signal in ctrl.description.parameters}
+        for name, table in tables.items():
+            _check_columns("parameters", name, table, sizes.get(name, 1))
         found.append(lambda k, c: c.set_parameters(_at(k, ahead, c, "parameter", tables)))
     if bounds is not None:
         both = {name: pair(value, f"bounds of {name!r}") for name, value in _mapping("bounds", bounds).items()}
+        for name, (low, high) in both.items():
+            for side in (low, high):
+                _check_columns("bounds", name, np.asarray(side), _count_rows(ctrl, name))
         lower, upper = (_tables("bounds", {name: value[i] for name, value in both.items()}) for i in (0, 1))
         found.append(lambda k, c: c.set_bounds(_pairs(k, ahead, c, lower, upper)))
     if references is not None:
         columns = _columns(ctrl, references)
         found.append(lambda k, c: c.set_reference(_at(k, ahead, c, "reference", columns)))
+    twin = ctrl.copy() if found else ctrl
+    for each in found:  # what is refused changes nothing
+        each(0, twin)
+    if before is not None and not callable(before):
+        raise ControllerError(f"before is {before!r}; expected a function (k, ctrl)")
     found += [] if before is None else [before]
 
     def tell(k: int, c: Controller) -> None:
@@ -76,16 +84,26 @@ def _columns(ctrl: Controller, references: References) -> dict[str, Array]:
         return dict(zip(ctrl.names.y, table.T, strict=True))
     found: dict[str, Array] = {}
     for name, table in _tables("references", references).items():
-        elements = [e for e in names if name in (e, e.rpartition("[")[0])]
-        if len(elements) < 2 or table.ndim == 0 or table.shape == (len(elements),):
-            found[name] = table
-        elif table.ndim == 2 and table.shape[1] == len(elements):
-            found |= zip(elements, table.T, strict=True)
-        else:
-            raise ControllerError(
-                f"references: {name!r} has shape {table.shape}; expected (n, {len(elements)}), a row for each sample"
-            )
+        elements = [e for e in names if name in (e, e.rpartition("[")[0])] or [name]
+        _check_columns("references", name, table, len(elements))
+        columns = [table] * len(elements) if table.ndim == 0 else table.reshape(len(table), -1).T
+        found |= zip(elements, columns, strict=True)
     return found
+
+
+def _count_rows(ctrl: Controller, name: str) -> int:
+    """Rows of the user that a name means."""
+    known = dict.fromkeys(row.user_name for row in ctrl.description.rows)
+    return 1 if name in ctrl.names.rows else sum(name in (one, one.rpartition("[")[0]) for one in known)
+
+
+def _check_columns(what: str, name: str, table: Array, size: int) -> None:
+    """ControllerError unless it is a number, or has a row of so many numbers for each sample."""
+    if table.ndim and table.shape[1:] not in ([(), (1,)] if size == 1 else [(size,)]):
+        expected = "(n,)" if size == 1 else f"(n, {size})"
+        raise ControllerError(
+            f"{what}: {name!r} has shape {table.shape}; expected a number or {expected}, a row for each sample"
+        )
 
 
 def _mapping(what: str, given: Any) -> Mapping[str, Any]:

@@ -72,7 +72,8 @@ def simulate(
         plant: plant(x, u, dt) -> next x; by default the integrator of the package, in equal steps no longer than the
             controller's first interval.
         disturbance: disturbance(k, x) -> value added to the state after sample k; x is the state before this sample.
-        before: called as before(k, ctrl) before sample k, to set data; after those of the next arguments.
+        before: called as before(k, ctrl) before sample k, to set data, after those of parameters, bounds, references;
+            with ``warm_start`` before solve() too.
         warm_start: call solve(x0) before the first sample, so that the loop starts from a converged plan. One iteration
             per sample may not find a plan from a cold start with hard rows.
         law: "step": step(x) at every sample; "solve": solve(x), from the plan of the sample before, moved as in step().

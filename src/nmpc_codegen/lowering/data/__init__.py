@@ -1,0 +1,1 @@
+"""What a package knows from the start: constant arrays."""
