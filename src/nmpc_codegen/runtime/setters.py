@@ -219,14 +219,12 @@ class Setters(Memory):
                     raise ControllerError(f"{kind} of {name!r}: N + 1 rows, but {element!r} is no terminal residual")
                 if len(column) == N > 1 and here is None:
                     raise ControllerError(f"{kind} of {name!r}: N rows, but {element!r} is a terminal residual only")
-                of_end = node == N or len(column) > N or (len(column) == 1 and node is None)
-                if not of_end or (kind == "weight" and here is not None and node is None and len(column) == 1):
-                    there = None
+                every = node is None and len(column) == 1 and (kind == "reference" or here is None)
                 if here is not None and node != N:
                     nodes = slice(None) if node is None else slice(node, node + 1)
                     _diagonal(path, matrices and path.ndim == 3)[nodes, here] = column[:N]
                     sent[0] = True
-                if there is not None:
+                if there is not None and (node == N or len(column) > N or every):
                     _diagonal(end[None], matrices and end.ndim == 2)[0, there] = column[-1]
                     sent[1] = True
         if matrices:
