@@ -1,7 +1,7 @@
-/* Cost of the present iterate: the terms of the nodes[if SOFT_ROWS > 0: and the penalties l1 v + l2/2 v^2 of violated
+/* Cost of the present iterate: the terms of the nodes[if SOFT_ROWS > 0:, and the penalties l1 v + l2/2 v^2 of violated
  * soft rows]. */
 
-/* sum_k l_k + l_N[if HAS_START_COST: plus the separate cost of x_0]. */
+/* sum_k l_k + l_N[if HAS_START_COST:, plus the separate cost of x_0]. */
 static real_t nodal_cost(const solver_t *s)
 {
     real_t total = R(0);

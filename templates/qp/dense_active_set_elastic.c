@@ -110,7 +110,7 @@ static void qp_take_penalties(qp_t *q, int elastic)
     q->elastic = elastic;
 }
 
-/* Violation of row c, which is saturated[if NSL > 0: or has a slack that moves; 0 for a slack itself]. */
+/* Violation of row c, which is saturated[if NSL > 0:, or has a slack that moves; 0 for a slack itself]. */
 static real_t qp_relaxation(const qp_t *q, int c)
 {
     if (NSL) {

@@ -102,3 +102,9 @@ def test_entries_of_functions_that_are_not_there() -> None:
     )
     assert "third" in without_entries(contract, {"third"})
     assert "Here: nothing." in without_entries(contract, set())
+
+
+def test_a_phrase_behind_a_word_begins_with_a_mark() -> None:
+    """Its blank is that in front of the bracket: without one, the words would be one word."""
+    glued = re.compile(r"\w\[if [^:\]]*: \w")
+    assert [p.name for p in template_directory().rglob("*.c*") if glued.search(p.read_text(encoding="utf-8"))] == []
