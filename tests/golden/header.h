@@ -54,4 +54,4 @@ const char *golden_status_string(golden_status_t status);
 #endif
 
 #endif
-/* nmpc_codegen package 202e7b551c29ac82, sha256 dcd7b76d6d6d1bb0a2f6d7b6a085826b76c1075578cc152f741f4de923d8c4af */
+/* nmpc_codegen package 48a82293dea93da4, sha256 032c5a21373d606fb811dd6eb89af88a7d3537fe1d7e4d8c5dc37eb8bcc38a75 */

@@ -248,6 +248,12 @@ def test_what_is_no_table(arguments: Any, message: str) -> None:
         lookup_table(1.0, [0, 1], [0, 1], name="a b")
 
 
+def test_a_table_whose_entries_single_precision_cannot_number(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("nmpc_codegen.frontend.functions.lookup_table.MOST_ENTRIES", 8)
+    with pytest.raises(ProblemError, match="10 entries; expected at most 8"):
+        lookup_table(ca.SX.sym("x"), np.arange(6.0), np.zeros(6))
+
+
 def test_names_and_foreign_calls() -> None:
     ocp = OCP("names", T=1.0, N=2)
     x, u = ocp.state("x"), ocp.control("u")

@@ -273,6 +273,8 @@ def test_the_only_node_of_a_coupled_row() -> None:
     ctrl.set_soft("period", 0.1, node=N)
     number = [r.name for r in ctrl.description.rows].index("period")
     assert ctrl._call("set_soft", ctrl._s, number, 0, 0.2, 0.0) == Status.BAD_INDEX
+    one, none = (ctrl._package.ffi.new("pend_real[]", [value] * N) for value in (0.2, 0.0))
+    assert ctrl._call("set_soft_range", ctrl._s, number, 0, N, one, none) == Status.BAD_INDEX
 
 
 @pytest.mark.usefixtures("compiler")

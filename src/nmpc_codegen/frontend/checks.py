@@ -17,11 +17,11 @@ from nmpc_codegen.ir.naming import C_KEYWORDS
 from nmpc_codegen.package.signals import Soft
 from nmpc_codegen.runtime.given import checked_weight
 
-#: Operations of a CasADi SX Function that have a C spelling.
-C_OPERATIONS = (frozenset(OPERATIONS) | {ca.OP_CONST, ca.OP_INPUT, ca.OP_OUTPUT, ca.OP_HORZREPMAT}) - {ca.OP_CALL}
-
 #: Mark of a table that is interpolated linearly among the operations of an expression, which never has this one.
 KINKS = ca.OP_HORZREPMAT
+
+#: Operations of a CasADi SX Function that have a C spelling, and marks of tables, which are calls.
+C_OPERATIONS = (frozenset(OPERATIONS) | {ca.OP_CONST, ca.OP_INPUT, ca.OP_OUTPUT, KINKS}) - {ca.OP_CALL}
 
 #: Operations whose derivative vanishes or is discontinuous somewhere.
 NONSMOOTH = {

@@ -424,16 +424,11 @@ class OCP(Dynamics):
                 raise ProblemError(f"{what}: row {i} has bounds {lb[i]:g}, {ub[i]:g}, which nothing can satisfy")
         penalty = checked_soft(soft, what)
         stated, unnamed = self._row_names(h, name, suffix, what)
-        places = [
-            place
-            for side, which, low, high, of_side in _sides(lb, ub, penalty)
-            for place in self._find_places(
-                Statement(
-                    low, h[which], high, at, of_side, tuple(stated[i] for i in which), penalty.scale_with_dt, *side
-                ),
-                what,
-            )
-        ]
+        places = []
+        for side, which, low, high, of_side in _sides(lb, ub, penalty):
+            names = tuple(stated[i] for i in which)
+            new = Statement(low, h[which], high, at, of_side, names, penalty.scale_with_dt, *side)
+            places.append(self._find_place(new, what))
         self._refuse_clashes(places, what)
         _refuse_crossed(places, what)
         for place in places:
@@ -441,7 +436,7 @@ class OCP(Dynamics):
         self.statements.extend(new for place in places for new in place.left)
         self._unnamed += unnamed
 
-    def _find_places(self, new: Statement, what: str) -> Iterator[_Place]:
+    def _find_place(self, new: Statement, what: str) -> _Place:
         """Where the rows go: into rows that exist, whose bounds become the intersection, or into a new statement."""
         earlier = {i: self._earlier(new, i) for i in range(new.expression.numel())}
         taken = tuple(
@@ -450,7 +445,7 @@ class OCP(Dynamics):
         left = [i for i, there in earlier.items() if there is None]
         parts = {"lower": new.lower[left], "expression": new.expression[left], "upper": new.upper[left]}
         rest = replace(new, **parts, stated=tuple(new.stated[i] for i in left))
-        yield _Place(taken, (rest,) if left else ())
+        return _Place(taken, (rest,) if left else ())
 
     def _earlier(self, new: Statement, i: int) -> tuple[Statement, int] | None:
         """The earlier row of the same name, bare state or control, nodes and penalty; None if there is none."""

@@ -334,7 +334,7 @@ def _page(module: CModule) -> dict[str, Any]:
             f"{r.upper:g}",
             f"{macro}_ROW_{constant}",
             nodes(r.nodes),
-            "hard" if r.soft is None else "hard or soft" if r.hard else "soft",
+            r.strictness,
         )
         for r, constant in zip(d.rows, d.row_constants, strict=True)
     ]

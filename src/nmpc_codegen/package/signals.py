@@ -155,6 +155,11 @@ class Row:
         return self.soft is None or self.soft[0] == float("inf")
 
     @property
+    def strictness(self) -> str:
+        """Whether it is hard, in words."""
+        return "hard" if self.soft is None else "hard or soft" if self.hard else "soft"
+
+    @property
     def user_name(self) -> str:
         """The name of the row in the words of the user."""
         return self.stated or self.name
@@ -240,6 +245,13 @@ class Names:
     rows: tuple[str, ...]
     y: tuple[str, ...]
     y_N: tuple[str, ...]
+
+
+def members(name: str, known: Sequence[str]) -> list[int]:
+    """Places of the element of that name, or of all elements name[i]; empty if there is none."""
+    if name in known:
+        return [known.index(name)]
+    return [i for i, element in enumerate(known) if name and element.rpartition("[")[0] == name]
 
 
 # -- how they are written ---------------------------------------------------------------------------------------------

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from nmpc_codegen.errors import ControllerError
-from nmpc_codegen.package.signals import Kind, Soft
+from nmpc_codegen.package.signals import Kind, Soft, members
 from nmpc_codegen.runtime import given
 from nmpc_codegen.runtime.memory import Memory
 
@@ -421,19 +421,14 @@ class Setters(Memory):
             self._expect(status, call, "every node" if node is None else f"node {node}")
 
     def _lookup(self, name: str, known: Sequence[str], kind: str) -> int:
-        return self._members(name, known, kind)[0] if name in known else self._unknown(name, known, kind)
+        if name not in known:
+            there = ", ".join(map(repr, known)) or "none"
+            raise ControllerError(f"{self._package.name} has no {kind} {name!r}; those that exist: {there}")
+        return known.index(name)
 
     def _members(self, name: str, known: Sequence[str], kind: str) -> list[int]:
         """The element of that name, or all elements name[i]."""
-        if name in known:
-            return [known.index(name)]
-        return [i for i, element in enumerate(known) if element.rpartition("[")[0] == name and name] or [
-            self._unknown(name, known, kind)
-        ]
-
-    def _unknown(self, name: object, known: Sequence[str], kind: str) -> int:
-        there = ", ".join(map(repr, known)) or "none"
-        raise ControllerError(f"{self._package.name} has no {kind} {name!r}; those that exist: {there}")
+        return members(name, known) or [self._lookup(name, known, kind)]
 
 
 class _Checked(NamedTuple):

@@ -20,6 +20,9 @@ from nmpc_codegen.package.lookup import Lookup
 KINDS = {"linear": 2, "cubic": 4}
 OUTSIDE = ("extrapolate", "clamp")
 
+#: Entries whose numbers are whole numbers in single precision, too.
+MOST_ENTRIES = 2**24
+
 #: Coefficients of a cubic polynomial, and splines that are not zero in an interval.
 CUBIC = 4
 
@@ -44,7 +47,7 @@ def lookup_table(
         name: name of the table in C; by default one that follows from its content.
 
     Raises:
-        ProblemError: a part has another shape, a grid does not increase, a number is not finite.
+        ProblemError: a part has another shape, a grid does not increase, a number is not finite, it is too large.
     """
     if kind not in KINDS:
         raise ProblemError(f"lookup_table: kind is {kind!r}; allowed: {', '.join(map(repr, KINDS))}")
@@ -119,6 +122,8 @@ class _Axis:
 
 def _entries(name: str, values: Array, kinks: bool = False) -> Any:
     """i -> entry i of the flattened values, as an expression."""
+    if values.size > MOST_ENTRIES:
+        raise ProblemError(f"lookup_table: {values.size:,} entries; expected at most {MOST_ENTRIES:,}")
     table = Lookup(name, "entry", tuple(map(float, values.ravel())), kinks)
     return lambda i: look_up(table, i)
 

@@ -60,7 +60,7 @@ def _row(row: Row) -> list[str]:
     return [
         f"{row.lower:g} .. {row.upper:g}",
         f"nodes {nodes(row.nodes)}" if row.nodes else "",
-        "" if row.soft is None else "hard or soft" if row.hard else "soft",
+        row.strictness if row.soft else "",
     ]
 
 

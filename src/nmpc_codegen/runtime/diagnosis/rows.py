@@ -82,9 +82,8 @@ def bounds_at(ctrl: Memory, row: int, node: int) -> tuple[float, float]:
     info = ctrl.description.rows[row]
     if ctrl.description.online["bounds"] == "fixed":
         return info.lower, info.upper
-    stored = [ctrl.view(which) for which in ("lower", "upper")]
-    place = node if len(stored[0]) == ctrl.dims.N + 1 else 0 if node < ctrl.dims.N else -1
-    return float(stored[0][place, row]), float(stored[1][place, row])
+    lower, upper = (_copy_at(ctrl, which, node)[row] for which in ("lower", "upper"))
+    return float(lower), float(upper)
 
 
 def is_hard(ctrl: Memory, row: int, node: int) -> bool:
@@ -92,10 +91,15 @@ def is_hard(ctrl: Memory, row: int, node: int) -> bool:
     info = ctrl.description.rows[row]
     if info.soft is None or ctrl.description.online["soft"] == "fixed":
         return info.hard
-    stored = ctrl.view("soft_l1")
-    place = node if len(stored) == ctrl.dims.N + 1 else 0 if node < ctrl.dims.N else -1
     number = sum(r.soft is not None for r in ctrl.description.rows[:row])
-    return bool(np.isinf(stored[place, number]))
+    return bool(np.isinf(_copy_at(ctrl, "soft_l1", node)[number]))
+
+
+def _copy_at(ctrl: Memory, member: str, node: int) -> Array:
+    """Data of a node: its own, or those that the path, or the end, shares."""
+    stored: Array = ctrl.view(member)
+    own: Array = stored[node if len(stored) == ctrl.dims.N + 1 else 0 if node < ctrl.dims.N else -1]
+    return own
 
 
 def path_bounds(ctrl: Memory, row: int) -> tuple[float, float]:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from nmpc_codegen.errors import ControllerError
-from nmpc_codegen.package.signals import Kind
+from nmpc_codegen.package.signals import Kind, members
 from nmpc_codegen.runtime.controller import Controller
 from nmpc_codegen.runtime.given import SAME_TIME, ndim, pair
 
@@ -84,7 +84,7 @@ def _columns(ctrl: Controller, references: References) -> dict[str, Array]:
         return dict(zip(ctrl.names.y, table.T, strict=True))
     found: dict[str, Array] = {}
     for name, table in _tables("references", references).items():
-        elements = [e for e in names if name in (e, e.rpartition("[")[0])] or [name]
+        elements = [names[i] for i in members(name, names)] or [name]
         _check_columns("references", name, table, len(elements))
         columns = [table] * len(elements) if table.ndim == 0 else table.reshape(len(table), -1).T
         found |= zip(elements, columns, strict=True)
@@ -93,8 +93,8 @@ def _columns(ctrl: Controller, references: References) -> dict[str, Array]:
 
 def _count_rows(ctrl: Controller, name: str) -> int:
     """Rows of the user that a name means."""
-    known = dict.fromkeys(row.user_name for row in ctrl.description.rows)
-    return 1 if name in ctrl.names.rows else sum(name in (one, one.rpartition("[")[0]) for one in known)
+    known = list(dict.fromkeys(row.user_name for row in ctrl.description.rows))
+    return 1 if name in ctrl.names.rows else len(members(name, known))
 
 
 def _check_columns(what: str, name: str, table: Array, size: int) -> None:

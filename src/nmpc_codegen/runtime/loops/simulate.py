@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from nmpc_codegen.errors import ControllerError
+from nmpc_codegen.package.signals import members
 from nmpc_codegen.runtime.controller import Controller, Status
 from nmpc_codegen.runtime.diagnosis.rows import (
     path_bounds,
@@ -185,9 +186,9 @@ def _stack(x0: Mapping[str, ArrayLike], ctrl: Controller) -> Array:
     """The declared initial state with the values that are given by name."""
     states = ctrl.description.states
     x = np.array([v for s in states for v in s.value], dtype=np.float64)
-    known = list(ctrl.names.states)
+    known = ctrl.names.states
     for name, value in x0.items():
-        places = [i for i, element in enumerate(known) if name in (element, element.rpartition("[")[0]) and name]
+        places = members(name, known)
         if not places:
             raise ControllerError(f"x0: no state {name!r}; those that exist: {', '.join(map(repr, known))}")
         x[places] = rows(value, f"x0: {name!r}", x.dtype, len(places), finite=False)[0]

@@ -34,8 +34,7 @@ def in_html(ctrl: Memory) -> str:
         lower, upper = path_bounds(ctrl, i)
         place = row.variable(ctrl.dims.nx)
         of_row = "" if place is None else (*ctrl.names.states, *ctrl.names.controls)[place]
-        soft = "hard" if row.soft is None else "hard or soft" if row.hard else "soft"
-        rows.append((lower, row.name, upper, unit.get(of_row, ""), nodes(row.nodes), soft))
+        rows.append((lower, row.name, upper, unit.get(of_row, ""), nodes(row.nodes), row.strictness))
     targets: list[tuple[object, ...]] = [
         (r.name, unit.get(r.signal, ""), float(y))
         for r, y in zip(described.residuals, path_reference(ctrl), strict=True)
