@@ -107,7 +107,7 @@ def structs_of_others(dims: Dims) -> tuple[Struct, ...]:
     """Members that some components state and that parts of the core name."""
     return only_if(
         False,
-        Struct("hessian", "", (Field("changed", (), "", "scratch", "int32"),)),
+        Struct("hessian", "", tuple(Field(name, (), "", "scratch", "int32") for name in ("changed", "new_data"))),
         Struct("condensed", "", (Field("regularized", (), "", "data", "int32"),)),
         Struct("qp", "", (Field("inverse", (dims.nu,), "", "scratch"),)),
     )
