@@ -70,7 +70,8 @@ def reached(modules: Iterable[CModule]) -> tuple[set[str], Values]:
     for module in modules:
         math = (MATH,) if module.features.own_math or module.sizes["LANE_NODES"] else ()
         search = (SEARCH,) if called_lookups(module.routines) else ()
-        for root in (*ALWAYS, *math, *search, *(section.template for section in module.sections), *module.extras):
+        sections = (section.template for section in module.sections)
+        for root in (*ALWAYS, *math, *search, *module.stage_parts, *sections, *module.extras):
             for part, number, value in _walk(root, module.sizes):
                 parts.add(part)
                 if number:

@@ -15,6 +15,7 @@ from pathlib import Path
 from nmpc_codegen import OCP, Options
 from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.ir.cmodule import CModule
+from nmpc_codegen.ir.kernel import Port
 from nmpc_codegen.lowering.linearize import linearize
 from nmpc_codegen.lowering.lower import lower
 from nmpc_codegen.lowering.render import render
@@ -89,11 +90,17 @@ def _call(module: CModule, name: str, unit: str) -> str:
     for routine in module.routines:
         if routine.name == name:
             ports = (*routine.reads, *routine.writes)
-            return f"{name}({', '.join(f'(real_t(*)[{p.cols}])w' if p.cols else 'w' for p in ports)})"
+            return f"{name}({', '.join(map(_argument, ports))})"
     if name in STATEMENTS:
         return STATEMENTS[name]
     named = ARGUMENTS | ARGUMENTS_OF.get(name, {})
     return f"{name}({', '.join(named[parameter] for parameter in parameters_of(unit, name))})"
+
+
+def _argument(port: Port) -> str:
+    if port.whole:
+        return "NEWTON"
+    return f"(real_t(*)[{port.cols}])w" if port.cols else "w"
 
 
 def _room(module: CModule) -> int:
@@ -121,6 +128,8 @@ def run_counting(sources: Sources, name: str, calls: Mapping[str, str], size: in
         f"static {name}_real w[{size}];",
     ]
     start = [f"    {name}_init(&s);", f"    {name}_prepare(&s);"]
+    if "newton" in sources.description.members("solver"):
+        start.append("    s.newton = NEWTON;")  # as in a sample
     each = {
         function: [
             *([f"    {BEFORE[function]}"] if function in BEFORE else []),

@@ -15,16 +15,21 @@ import numpy as np
 
 from examples import bioreactor, cart_pole, chain, crane, cstr, quadrotor
 from nmpc_codegen import (
+    ESDIRK3,
     OCP,
     RK4,
+    SDIRK2,
     AdjointShooting,
     AugmentedLagrangian,
     DenseActiveSet,
     EconomicGaussNewton,
     ExactHessian,
     ExplicitRungeKutta,
+    ForwardOverAdjoint,
     FullCondensing,
     GaussNewton,
+    ImplicitMidpoint,
+    ImplicitRungeKutta,
     Mirror,
     NoCondensing,
     Online,
@@ -320,6 +325,7 @@ QUASI_NEWTON: dict[str, Any] = {"method": "quasi_newton"}
 SMOOTH: dict[str, Any] = {"rows": "smooth_l1", "penalty": 100.0}
 LUMPED, BARRIER = {**SMOOTH, "rows": "lumped"}, {"rows": "barrier"}
 LOOPED = ExplicitRungeKutta(unroll="none")
+IMPLICIT, FORWARD = ImplicitRungeKutta(SDIRK2), ExactHessian(sweep=ForwardOverAdjoint())
 
 
 def _augmented(hessian: Any = None, shift: str | None = None, repair: int = 3, **options: Any) -> Options:
@@ -506,6 +512,13 @@ SAMPLES = (
     Sample("vessel augmented", lambda: timed_vessel()[0], _augmented()),
     Sample("blocked partial", lambda: blocked_crane()[0], _partial(target="cortex-m4f", precision="single")),
     Sample("path barrier", path, _shooting({**BARRIER, "shift": "repeat"})),
+    Sample("stiff dense", data, _dense(integrator=IMPLICIT, hessian=ExactHessian(), algorithm=LEVELS)),
+    Sample("stiff riccati", sampled, _riccati(integrator=ImplicitRungeKutta(ESDIRK3, newton=3), precision="single")),
+    Sample("stiff everything", everything, _dense(integrator=IMPLICIT, hessian=FORWARD, algorithm=RESAMPLED)),
+    Sample("stiff augmented", economic, _augmented(integrator=ImplicitRungeKutta(ESDIRK3, steps=2))),
+    Sample("stiff economic", economic, _interior(integrator=ImplicitRungeKutta(ESDIRK3), hessian=FORWARD)),
+    Sample("stiff shooting", economic, _shooting(integrator=IMPLICIT, target="cortex-m4f", precision="single")),
+    Sample("stiff crane", crane.build_ocp, Options(integrator=ImplicitRungeKutta(ImplicitMidpoint), goal="size")),
 )  # fmt: skip
 
 #: GNU C: targets with lanes and tiles. These and those before meet every condition of the parts.

@@ -44,13 +44,19 @@ if TYPE_CHECKING:
         Symmetric,
     )
     from nmpc_codegen.components.integrators import (
+        ESDIRK3,
         RK4,
+        SDIRK2,
+        SDIRK3,
         SSPRK3,
         ButcherTableau,
         Discrete,
         Euler,
         ExplicitRungeKutta,
         Heun,
+        ImplicitEuler,
+        ImplicitMidpoint,
+        ImplicitRungeKutta,
         Midpoint,
     )
     from nmpc_codegen.components.qp import DenseActiveSet, Osqp, RiccatiActiveSet, RiccatiInteriorPoint
@@ -70,6 +76,7 @@ _HOMES = {
     ),
     "components.integrators": (
         *("RK4", "SSPRK3", "ButcherTableau", "Discrete", "Euler", "ExplicitRungeKutta", "Heun", "Midpoint"),
+        *("ESDIRK3", "SDIRK2", "SDIRK3", "ImplicitEuler", "ImplicitMidpoint", "ImplicitRungeKutta"),
     ),
     "frontend.functions.excess": ("smooth_excess",),
     "frontend.functions.lookup_table": ("lookup_table",),
@@ -80,8 +87,11 @@ _HOMES = {
 _HOME = {name: home for home, names in _HOMES.items() for name in names}
 
 __all__ = [
+    "ESDIRK3",
     "OCP",
     "RK4",
+    "SDIRK2",
+    "SDIRK3",
     "SSPRK3",
     "AdjointShooting",
     "AugmentedLagrangian",
@@ -101,6 +111,9 @@ __all__ = [
     "FullCondensing",
     "GaussNewton",
     "Heun",
+    "ImplicitEuler",
+    "ImplicitMidpoint",
+    "ImplicitRungeKutta",
     "Log",
     "Midpoint",
     "Mirror",

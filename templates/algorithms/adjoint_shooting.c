@@ -188,6 +188,7 @@ status_t API(step)(solver_t *s, const real_t xhat[NXHAT], real_t u0[NU])
         }
         return NOT_INITIALIZED;
     }
+    s->newton = NEWTON;
     memset(&s->stats, 0, sizeof s->stats);
     if (SHIFT && s->samples > 0) {
         shift_plan(s);

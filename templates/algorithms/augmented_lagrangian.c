@@ -68,6 +68,7 @@ status_t API(prepare)(solver_t *s)
     if (s->magic != MAGIC) {
         return NOT_INITIALIZED;
     }
+    s->newton = NEWTON;
     before_prepare(s);
     memset(&s->stats, 0, sizeof s->stats);
     if (s->prepared) {

@@ -107,6 +107,7 @@ status_t API(prepare)(solver_t *s)
     if (!LEVELS) {
         take_penalties(s);
     }
+    s->newton = NEWTON;
     before_prepare(s);
     restart_doubtful_plan(s);
     if (INNER) {

@@ -259,6 +259,7 @@ status_t API(iterate)(solver_t *s, int level)
     if (level < LEVEL_A || level > LEVEL_D) {
         return BAD_ARGUMENT;
     }
+    s->newton = NEWTON;
     forget_violation(s);
     status = evaluate(s, level);
     measure_residual(s);

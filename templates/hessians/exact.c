@@ -35,7 +35,7 @@ static void expand_node(solver_t *s, int k, real_t *x_next)
     if (NH > 0) {
         path_multipliers(s, k, mu);
     }
-    PATH_EXACT(s, k, mu, x_next, node->S, node->g, s->hessian.Q[k]);
+    PATH_EXACT(s, k, mu, x_next, node->S, node->g, s->hessian.Q[k], node->left);
     if (s->hessian.adjoint) {
         adjoint_node(s, k);
     }

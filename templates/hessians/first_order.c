@@ -1,7 +1,7 @@
 /* Evaluates node k: x_next = Phi(x_k, u_k), S = [A_k B_k] and the gradient g. */
 static inline void evaluate_node(const solver_t *s, int k, node_t *node, real_t *x_next)
 {
-    INTEGRATOR_INTERVAL(s, k, x_next, node->S);
+    INTEGRATOR_INTERVAL(s, k, x_next, node->S, node->left);
     PATH_GRADIENT(s, k, node->g);
 }
 

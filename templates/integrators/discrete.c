@@ -4,7 +4,7 @@
 
 static void interval_value(const solver_t *s, int k, real_t *x_next)
 {
-    INTEGRATOR_STEP(s, k, s->x[k], s->u[k], 0, x_next); /* a discrete map does not read the step length */
+    INTEGRATOR_STEP(s, k, s->x[k], s->u[k], 0, s->newton, x_next); /* a discrete map does not read the step length */
 }
 
 void API(integrate)(const solver_t *s, const real_t x[NXHAT], const real_t u[NU], real_t dt, real_t x_next[NXHAT])
@@ -19,9 +19,9 @@ void API(integrate)(const solver_t *s, const real_t x[NXHAT], const real_t u[NU]
         real_t whole[NX], end[NX];
         memcpy(whole, x, NXHAT * sizeof *x);
         recall_inner(s, whole);
-        INTEGRATOR_STEP(s, 0, whole, u, &dt, end);
+        INTEGRATOR_STEP(s, 0, whole, u, &dt, NEWTON_LIMIT, end);
         memcpy(x_next, end, NXHAT * sizeof *x);
     } else {
-        INTEGRATOR_STEP(s, 0, x, u, &dt, x_next);
+        INTEGRATOR_STEP(s, 0, x, u, &dt, NEWTON_LIMIT, x_next);
     }
 }

@@ -274,7 +274,7 @@ def test_stated_orders_are_sharp() -> None:
     [
         ([[0]], [Fraction(1, 2)], 1, "order 1 is off by -1/2"),
         ([[0, 0], [1, 0]], [Fraction(1, 3), Fraction(2, 3)], 2, "order 2 is off by 1/6"),
-        ([[1]], [1], 1, "strictly lower triangular"),
+        ([[0, 1], [0, 0]], [1, 0], 1, "lower triangular"),
         ([[0, 0]], [1], 1, "must be 1 x 1"),
     ],
 )

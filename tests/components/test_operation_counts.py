@@ -14,17 +14,22 @@ import numpy as np
 import pytest
 
 from nmpc_codegen import (
+    ESDIRK3,
     OCP,
+    SDIRK2,
     DenseActiveSet,
     EconomicGaussNewton,
     ExactHessian,
     ExplicitRungeKutta,
+    ForwardOverAdjoint,
     GaussNewton,
+    ImplicitRungeKutta,
     Options,
     RealTimeIteration,
     RiccatiActiveSet,
 )
 from nmpc_codegen.components.integrators import TABLEAUS
+from nmpc_codegen.components.integrators.tableau import IMPLICIT
 from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.ir import stage_products as products
 from nmpc_codegen.lowering.linearize import linearize
@@ -36,7 +41,12 @@ from tests.components.test_condensing import PROBLEMS, SPELLINGS
 from verification import problems, samples
 from verification.c_harness import module_of
 from verification.counting import CLASSES, count_mismatches, counting_header, mismatches
-from verification.models import discrete_map, problem_of
+from verification.models import discrete_map, pendulum_of_everything, problem_of
+
+
+def pendulum() -> OCP:
+    return pendulum_of_everything("pendulum", [0.1, 0.2])
+
 
 CASES: dict[str, tuple[Callable[[], OCP], Options]] = {
     **{f"condensing {name}": (PROBLEMS[name], Options(hessian=GaussNewton())) for name in ("general", "sparse")},
@@ -48,6 +58,15 @@ CASES: dict[str, tuple[Callable[[], OCP], Options]] = {
         f"unroll {unroll}": (lambda: problem_of("tanks"), Options(ExplicitRungeKutta(steps=3, unroll=unroll)))
         for unroll in ("step", "none")
     },
+    **{
+        f"implicit {name}": (lambda: problem_of("reactor", uniform=False), Options(ImplicitRungeKutta(tableau, 2)))
+        for name, tableau in IMPLICIT.items()
+    },
+    "implicit, exact": (pendulum, Options(ImplicitRungeKutta(ESDIRK3), ExactHessian(), qp=RiccatiActiveSet())),
+    "implicit, forward over adjoint": (
+        pendulum,
+        Options(ImplicitRungeKutta(SDIRK2, 2), ExactHessian(sweep=ForwardOverAdjoint()), qp=RiccatiActiveSet()),
+    ),
     "discrete": (discrete_map, Options()),
     "dense weight": (problems.dense_weight, Options(hessian=GaussNewton(levenberg_marquardt=0.1))),
     "scaled": (problems.scaled, Options(algorithm=RealTimeIteration())),

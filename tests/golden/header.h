@@ -54,4 +54,4 @@ const char *golden_status_string(golden_status_t status);
 #endif
 
 #endif
-/* nmpc_codegen package 48a82293dea93da4, sha256 032c5a21373d606fb811dd6eb89af88a7d3537fe1d7e4d8c5dc37eb8bcc38a75 */
+/* nmpc_codegen package e9d49c186be59528, sha256 495e6832bdcc99e7082c2a65f822e05091d95b421c577c52ee734bd5578b59fb */

@@ -333,13 +333,17 @@ def fast() -> OCP:
 
 @pytest.mark.usefixtures("compiler")
 def test_unstable_steps_are_said_by_all_and_repeated_after_a_failure(tmp_path: Path) -> None:
-    needed = r"RK4 with steps=2 is unstable.*eigenvalue -20 1/s; 8 steps.*ExplicitRungeKutta\(RK4, steps=8\)"
+    needed = (
+        r"RK4 with steps=2 is unstable.*eigenvalue -20 1/s; ImplicitRungeKutta\(SDIRK3, steps=\d\).*; 8 steps.*"
+        r"ExplicitRungeKutta\(RK4, steps=8\)"
+    )
+    explicit = Options(integrator=ExplicitRungeKutta())
     with pytest.warns(ProblemWarning, match=needed):
-        package = export(fast(), directory=tmp_path)
+        package = export(fast(), explicit, directory=tmp_path)
     assert [text.startswith("integrator RK4") for text in package.report["warnings"]] == [True]
     assert not any("unstable" in choice for choice in package.report["choices"])
     with pytest.warns(ProblemWarning, match=needed) as seen:
-        build(fast(), profile="test")
+        build(fast(), explicit, profile="test")
     assert [w.filename for w in seen] == [__file__]
     ctrl = open_package(tmp_path, profile="test")
     assert ctrl.solve([0.65, 0.3]).status.is_failure

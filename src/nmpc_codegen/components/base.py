@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar, Literal, Protocol, Self, get_args
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, Protocol, Self, get_args
 
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.ir.tuning import PANEL
@@ -28,6 +28,9 @@ if TYPE_CHECKING:
 
 # C function -> operations of one run
 Counts = Mapping[str, OpCount]
+
+#: (x, u, p, dt) -> d x_next / d(x, u).
+Transition = Callable[[Any, Any, Any, float], Any]
 
 Seam = Literal["integrator", "hessian", "condensing", "qp", "algorithm"]
 
@@ -234,6 +237,10 @@ class Integrator(Component, Protocol):
         """Length (s) of the longest integration step."""
         ...
 
+    def transition(self, problem: Problem) -> Transition | None:
+        """S of an interval in NumPy, where explicit steps do not give it."""
+        ...
+
     def interval(self, problem: Problem) -> Interval:
         """integrator_interval(x, u, p, dt -> x_next, S) and integrator_step(x, u, p, h -> x_next)."""
         ...
@@ -424,6 +431,9 @@ class Defaults:
 
     def absent_sizes(self, dims: Dims) -> tuple[tuple[str, int, str], ...]:
         return ()
+
+    def transition(self, problem: Problem) -> Transition | None:
+        return None
 
     def structs(self, dims: Dims) -> tuple[Struct, ...]:
         return ()

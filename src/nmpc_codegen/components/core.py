@@ -99,7 +99,12 @@ def _row_members(dims: Dims) -> Struct:
 
 
 #: Sizes, and tables without values, that some components state and that parts of others name.
-SIZES_OF_OTHERS = (("COLUMNS", COLUMNS, "columns of G_k that are processed together"), ("MIRROR", 0, "no Hessian"))
+SIZES_OF_OTHERS = (
+    ("NEWTON", 0, "no stages"),
+    ("NEWTON_LIMIT", 0, "no stages"),
+    ("COLUMNS", COLUMNS, "columns of G_k that are processed together"),
+    ("MIRROR", 0, "no Hessian"),
+)
 TABLES_OF_OTHERS = (Table("regularization", "real", (), "of no Hessian"),)
 
 
@@ -107,6 +112,8 @@ def structs_of_others(dims: Dims) -> tuple[Struct, ...]:
     """Members that some components state and that parts of the core name."""
     return only_if(
         False,
+        Struct("solver", "", (Field("newton", (), "", "keep", "int32"),)),
+        Struct("node", "", (Field("left", (dims.nx,), "", "data"),), shape=(dims.N,)),
         Struct("hessian", "", tuple(Field(name, (), "", "scratch", "int32") for name in ("changed", "new_data"))),
         Struct("condensed", "", (Field("regularized", (), "", "data", "int32"),)),
         Struct("qp", "", (Field("inverse", (dims.nu,), "", "scratch"),)),

@@ -173,6 +173,12 @@ class CModule:
         return ("generated/products.c",) if self.features.products else ()
 
     @property
+    def stage_parts(self) -> tuple[str, ...]:
+        """The part that functions of an interval call, if they call one."""
+        called = any(isinstance(r, LoopedRoutine) and r.calls_parts for r in self.routines)
+        return ("integrators/implicit/intervals.c",) if called else ()
+
+    @property
     def entry_points(self) -> tuple[EntryPoint, ...]:
         """The C functions of the algorithm."""
         return self.description.entry_points

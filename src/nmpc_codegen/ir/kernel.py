@@ -117,7 +117,8 @@ def opcode_name(opcode: int) -> str:
 class Port:
     """A named vector or row-major matrix that a routine reads or writes; ``cols`` is 0 for a vector.
 
-    flat: in C, calls pass a pointer to the first of its numbers, which may lie in a matrix.
+    flat: in C, calls pass a pointer to the first of its numbers, which may lie in a matrix. whole: an int by its value,
+    which no expression reads.
     """
 
     name: str
@@ -125,6 +126,7 @@ class Port:
     cols: int = 0
     doc: str = ""
     flat: bool = False
+    whole: bool = False
 
     @property
     def size(self) -> int:

@@ -8,7 +8,7 @@ from functools import cached_property
 
 from nmpc_codegen.ir.kernel import Kernel
 from nmpc_codegen.ir.stage_products import Pattern, Products, bandwidth, pattern
-from nmpc_codegen.ir.sweep import Routine
+from nmpc_codegen.ir.sweep import LoopedRoutine, Routine
 from nmpc_codegen.package.opcount import OpCount
 
 
@@ -21,6 +21,7 @@ class Interval:
     jump: (x, u, p, dt) -> x_next of the states that step leaves constant, at the end of an interval; jump_rows: also
     their rows of S.
     one_step: linearize for the first of its steps as straight-line code, where linearize has loops that expand.
+    value: (x, u, p, dt) -> x_next, without jump, where steps in a row do not give it.
     forward: (x, u, p, dt, dx, du) -> dx_next = A dx + B du; adjoint: (x, u, p, dt, adj) -> g = [A B]' adj; both for
     algorithms that multiply with S = [A B] and do not store it.
     """
@@ -33,6 +34,7 @@ class Interval:
     adjoint: Routine | None = None
     jump: Kernel | None = None
     jump_rows: Kernel | None = None
+    value: Routine | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,13 +131,20 @@ class ModelFunctions:
 
     @property
     def routines(self) -> tuple[Routine, ...]:
-        """All routines in the order of the C text: functions of nodes before those that integrate, rows last."""
+        """All routines in the order of the C text: what parts evaluate, functions of nodes before those that integrate,
+        rows last."""
+        found = self._own_routines
+        called = (k for r in found if isinstance(r, LoopedRoutine) for k in r.kernels_of_parts)
+        return (*{kernel.name: kernel for kernel in called}.values(), *found)
+
+    @property
+    def _own_routines(self) -> tuple[Routine, ...]:
         path, terminal = self.path, self.terminal
         cost = (path.cost, path.gradient)
         at_nodes, along_intervals = ((), cost) if path.integrated else (cost, ())
         return tuple(
             _present(
-                *(self.interval.linearize, self.interval.step, self.interval.jump),
+                *(self.interval.linearize, self.interval.step, self.interval.value, self.interval.jump),
                 *(self.interval.forward, self.interval.adjoint),
                 *(*at_nodes, path.hessian, path.curvature, path.product),
                 *(terminal.cost, terminal.gradient, terminal.hessian, terminal.curvature, terminal.product),

@@ -12,7 +12,7 @@ import casadi as ca
 
 from nmpc_codegen.ir.casadi_types import Function
 from nmpc_codegen.ir.kernel import Port
-from nmpc_codegen.ir.sweep import Affine, Call, For, Node, Slice, Sweep, unroll
+from nmpc_codegen.ir.sweep import Affine, Call, For, Node, Slice, Sweep, Written, unroll
 
 
 def copy(name: str, n: int) -> Function:
@@ -38,6 +38,8 @@ def fuse_steps(sweep: Sweep) -> Sweep:
 
 def _slices(node: Node) -> list[tuple[Slice, bool]]:
     """(slice, written) of all calls of a node, in the order of execution."""
+    if isinstance(node, Written):
+        return [(s, False) for s in node.ins if isinstance(s, Slice)] + [(s, True) for s in node.outs]
     if not isinstance(node, Call):
         return [found for inner in node.body for found in _slices(inner)]
     return [(s, False) for s in node.ins] + [(s, True) for s in node.outs]
@@ -109,6 +111,12 @@ def _map(
     inline: bool = False,
     mark: Callable[[Call], Call] = lambda call: call,
 ) -> Node:
+    if isinstance(node, Written):
+        return replace(
+            node,
+            ins=tuple(change(s) if isinstance(s, Slice) else s for s in node.ins),
+            outs=tuple(map(change, node.outs)),
+        )
     if not isinstance(node, Call):
         return replace(node, body=tuple(_map(n, change, inline, mark) for n in node.body))
     ins, outs = tuple(map(change, node.ins)), tuple(map(change, node.outs))

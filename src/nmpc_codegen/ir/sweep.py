@@ -92,6 +92,25 @@ class Call:
 
 
 @dataclass(frozen=True, eq=False)
+class Written:
+    """outs = function(ins): a C function of a part, whose text a person has written. ``ins``: slices, or the text of an
+    argument. ``count``: operations of one run. ``kernels``: what it evaluates. ``nonzeros``: elements of outs in these
+    buffers that may be nonzero; in other buffers all."""
+
+    function: str
+    ins: tuple[Slice | str, ...]
+    outs: tuple[Slice, ...]
+    count: OpCount
+    kernels: tuple[Kernel, ...] = ()
+    nonzeros: Mapping[str, frozenset[int]] = field(default_factory=dict)
+
+    @property
+    def slices(self) -> tuple[Slice, ...]:
+        """The slices among its arguments."""
+        return (*(s for s in self.ins if isinstance(s, Slice)), *self.outs)
+
+
+@dataclass(frozen=True, eq=False)
 class For:
     """``for index = start .. start + count - 1`` (backwards if ``down``): body; count may depend on outer indices."""
 
@@ -148,7 +167,7 @@ class If:
 
 
 Block = For | Entries | If
-Node = Call | Block
+Node = Call | Written | Block
 
 #: The stage of calls that compute the first stage point of the next step.
 NEXT_STEP = -2
@@ -160,8 +179,10 @@ def add_notes(nodes: Iterable[Node], note: str, stage: int = -1) -> list[Node]:
     for node in nodes:
         if isinstance(node, Call):
             marked.append(node if node.note else replace(node, note=note, stage=stage))
-        else:
+        elif isinstance(node, Block):
             marked.append(replace(node, body=tuple(add_notes(node.body, note, stage))))
+        else:
+            marked.append(node)
     return marked
 
 
@@ -250,6 +271,7 @@ def _run(
             for more in node.passes(indices):
                 _run(node.body, buffers, {**indices, **more}, watch)
             continue
+        assert isinstance(node, Call), "a function that is written in C has no expression"
         arguments = [buffers[s.buffer][s.elements(indices)] for s in node.ins]
         results = node.leaf.call(arguments)
         watch(node, indices.get("step", node.step), results)
@@ -310,7 +332,18 @@ class LoopedRoutine:
     @cached_property
     def touched(self) -> frozenset[str]:
         """Buffers that occur in its C text."""
-        return frozenset(b for c in calls(self.sweep.body) for b in _touched_buffers(c, self.leaves[c.leaf.name()]))
+        called = (b for c in calls(self.sweep.body) for b in _touched_buffers(c, self.leaves[c.leaf.name()]))
+        return frozenset(called) | {s.buffer for node in written(self.sweep.body) for s in node.slices}
+
+    @property
+    def calls_parts(self) -> bool:
+        """True if it calls functions that are written in C."""
+        return any(True for _ in written(self.sweep.body))
+
+    @property
+    def kernels_of_parts(self) -> tuple[Kernel, ...]:
+        """What these functions evaluate."""
+        return tuple(kernel for node in written(self.sweep.body) for kernel in node.kernels)
 
     @property
     def statements(self) -> int:
@@ -348,6 +381,11 @@ def _mark(
                 if buffers == before:
                     break  # further iterations would change nothing either
             continue
+        if isinstance(node, Written):
+            for s in node.outs:
+                for e in node.nonzeros.get(s.buffer, s.elements(indices)):
+                    buffers[s.buffer][e] = True
+            continue
         ins = [[buffers[s.buffer][e] for e in s.elements(indices)] for s in node.ins]
         outs = [s.elements(indices) for s in node.outs]
         kernel = leaves[node.leaf.name()]
@@ -364,7 +402,7 @@ def _reads(nodes: tuple[Node, ...], index: str) -> bool:
             if _reads(node.body, index) or (isinstance(node, If) and index in (node.left, node.right)):
                 return True
         else:
-            offsets = [s.offset for s in (*node.ins, *node.outs)]
+            offsets = [s.offset for s in (*node.ins, *node.outs) if isinstance(s, Slice)]
         if any(name == index for offset in offsets for name, _ in offset.terms):
             return True
     return False
@@ -399,6 +437,7 @@ def _without_unread(sweep: Sweep) -> Sweep:
         if kept is not None:
             body.append(kept)
             read |= {s.buffer for call in calls((kept,)) for s in _operands(call)}
+            read |= {s.buffer for node in written((kept,)) for s in node.slices}
     return replace(sweep, body=tuple(reversed(body)))
 
 
@@ -406,7 +445,7 @@ def _without_empty(nodes: tuple[Node, ...]) -> tuple[Node, ...]:
     """The nodes without blocks that run no call."""
     kept: list[Node] = []
     for node in nodes:
-        if isinstance(node, Call):
+        if not isinstance(node, Block):
             kept.append(node)
         elif not (isinstance(node, For) and node.count == 0) and (body := _without_empty(node.body)):
             kept.append(replace(node, body=body))
@@ -449,11 +488,20 @@ def _dense(leaf: Function) -> Function:
 
 
 def calls(nodes: tuple[Node, ...]) -> Iterator[Call]:
-    """All calls, in the order of the C text."""
+    """All calls of leaves, in the order of the C text."""
     for node in nodes:
         if isinstance(node, Block):
             yield from calls(node.body)
-        else:
+        elif isinstance(node, Call):
+            yield node
+
+
+def written(nodes: tuple[Node, ...]) -> Iterator[Written]:
+    """All calls of functions that are written in C."""
+    for node in nodes:
+        if isinstance(node, Block):
+            yield from written(node.body)
+        elif isinstance(node, Written):
             yield node
 
 
@@ -462,6 +510,9 @@ def _count(nodes: tuple[Node, ...], leaves: Mapping[str, Kernel], indices: Mappi
     for node in nodes:
         if isinstance(node, Call):
             total += leaves[node.leaf.name()].count
+            continue
+        if isinstance(node, Written):
+            total += node.count
             continue
         runs = list(node.passes(indices))
         if isinstance(node, For) and not any(isinstance(n, For) and isinstance(n.count, Affine) for n in node.body):

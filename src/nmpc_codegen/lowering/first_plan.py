@@ -27,7 +27,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from nmpc_codegen.components.base import Condensing, Integrator, spell
+from nmpc_codegen.components.base import Condensing, Integrator, Transition, spell
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.frontend.problem import Array, Problem, Row, Stage
 from nmpc_codegen.ir.casadi_types import Expression, Function, elements
@@ -122,15 +122,21 @@ def growth(problem: Problem, integrator: Integrator, precision: Precision) -> Gr
 
     Points without finite derivatives do not count.
     """
-    step = _step(problem)
-    longest = math.inf if problem.discrete else integrator.longest_step(problem)
+    transition = integrator.transition(problem) or _by_steps(problem, integrator)
     found = []
     with np.errstate(all="ignore"):
         for at, x, u in ((corner, *point) for _, corner in problem.corners for point in points(corner)):
-            lengths = {dt: _interval(step, at, x, u, dt, max(1, round(dt / longest))) for dt in set(problem.dt)}
+            lengths = {dt: transition(x, u, at.p_value, dt) for dt in set(problem.dt)}
             if all(np.all(np.isfinite(S)) for S in lengths.values()):
                 found.append(_factors(np.array([lengths[dt] for dt in problem.dt]), problem.uniform))
     return Growth(tuple(float(c) for c in np.max(found, axis=0)) if found else (), precision)
+
+
+def _by_steps(problem: Problem, integrator: Integrator) -> Transition:
+    """[A B] of an interval by steps of RK4, or by the discrete map."""
+    step = _step(problem)
+    longest = math.inf if problem.discrete else integrator.longest_step(problem)
+    return lambda x, u, p, dt: _interval(step, problem, x, u, p, dt, max(1, round(dt / longest)))
 
 
 def _step(problem: Problem) -> Function:
@@ -148,13 +154,13 @@ def _step(problem: Problem) -> Function:
     return ca.Function("step", [state, data], [ca.vertcat(x_next, ca.vec(S_next))])
 
 
-def _interval(step: Function, problem: Problem, x: Array, u: Array, dt: float, steps: int) -> Array:
+def _interval(step: Function, problem: Problem, x: Array, u: Array, p: Array, dt: float, steps: int) -> Array:
     """[A B] of an interval of length dt from x."""
     start = np.concatenate([x, np.eye(problem.nx, problem.nx + problem.nu).ravel(order="F")])
-    end = step.fold(steps)(start, np.concatenate([u, problem.p_value, [dt / steps]]))
+    end = step.fold(steps)(start, np.concatenate([u, p, [dt / steps]]))
     S: Array = np.array(end, dtype=np.float64)[problem.nx :, 0].reshape(problem.nx, -1, order="F")
     if problem.jump is not None:
-        S[list(problem.maps)] = problem.jump_slopes(x, u, problem.p_value, dt)[1].full()
+        S[list(problem.maps)] = problem.jump_slopes(x, u, p, dt)[1].full()
     return S
 
 

@@ -20,7 +20,6 @@ from nmpc_codegen.components.base import (
     refuse_unsupported,
 )
 from nmpc_codegen.components.hessians import ExactHessian
-from nmpc_codegen.components.integrators import Discrete, ExplicitRungeKutta
 from nmpc_codegen.components.stage_cost import StageCost, slices, stage_costs
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.frontend.flat import flat_controls, proximal_terms
@@ -41,6 +40,7 @@ from nmpc_codegen.lowering.choose import (
     solves_exactly,
 )
 from nmpc_codegen.lowering.first_plan import Growth, growth
+from nmpc_codegen.lowering.schemes.choose import choose_integrator
 from nmpc_codegen.options import REGISTRIES, Online, Options
 from nmpc_codegen.targets import NATIVE, PORTABLE, TARGETS, Target
 
@@ -110,7 +110,7 @@ def linearize(problem: Problem, options: Options | None = None) -> Model:
     online = options.online
     problem = _with_weights(problem, online)
     problem, flat = _with_proximal(problem, options) if chosen else (problem, ())
-    integrator, choices = _choose_integrator(problem, options)
+    integrator, choices = choose_integrator(problem, options)
     _check(problem, integrator, options.hessian)
     functions = _functions(problem, integrator, options.hessian, options.algorithm)
     if solves_exactly(problem, options, chosen):
@@ -310,15 +310,6 @@ def _constant_hessian(problem: Problem, online: Online, functions: ModelFunction
     varying = {"x", "u"} if problem.uniform else {"x", "u", "dt"}
     varying |= {name for name, layout in (("p", online.parameter), ("W", online.weight)) if layout == "node"}
     return path.hessian is not None and path.curvature is None and not varying & _inputs_read(path.hessian)
-
-
-def _choose_integrator(problem: Problem, options: Options) -> tuple[Integrator, tuple[str, ...]]:
-    chosen = options.integrator or (Discrete() if problem.discrete else ExplicitRungeKutta())
-    why = "the dynamics are a discrete map" if problem.discrete else "default for differential equations: RK4"
-    reasons = () if options.integrator else (f"integrator: {chosen.name}; {why}",)
-    if options.goal == "speed" or chosen.small == chosen:
-        return chosen, reasons
-    return chosen.small, (*reasons, f"integrator: {chosen.small}; goal: size")
 
 
 def _rows_kernel(stage: Stage, name: str) -> Kernel:

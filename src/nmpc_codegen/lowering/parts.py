@@ -24,6 +24,7 @@ from nmpc_codegen.ir.cmodule import CModule
 from nmpc_codegen.ir.kernel import OPERATIONS
 from nmpc_codegen.ir.printing.c_style import CStyle
 from nmpc_codegen.ir.printing.routines import print_routine
+from nmpc_codegen.ir.sweep import LoopedRoutine, Routine
 from nmpc_codegen.lowering.pruning.directives import resolve
 from nmpc_codegen.lowering.pruning.scopes import blank
 
@@ -124,8 +125,20 @@ def hessian_blocks(module: CModule, style: CStyle) -> str:
     return "\n".join([heading, f"enum {{ {numbers} }};", _tables(tables)])
 
 
+def intervals(module: CModule, style: CStyle) -> str:
+    """The routines that call functions of parts."""
+    return print_intervals(module.routines, style)
+
+
+def print_intervals(routines: Iterable[Routine], style: CStyle) -> str:
+    """Those of the routines that call functions of parts, and therefore follow them."""
+    called = (r for r in routines if isinstance(r, LoopedRoutine) and r.calls_parts)
+    return _paragraphs(*(print_routine(r, style) for r in called))
+
+
 #: Path of an include -> its text.
 GENERATED: Mapping[str, Callable[[CModule, CStyle], str]] = {
+    "generated/intervals.c": intervals,
     "generated/products.c": products,
     "generated/product_columns.c": product_columns,
     "generated/hessian_blocks.c": hessian_blocks,

@@ -195,6 +195,7 @@ PLACES = {
     "du": "du",
     "adj": "adj",
     "d": "d",
+    "newton": "(s)->newton",
 }
 TERMINAL_PLACES = {
     "x": "(s)->x[N]",
@@ -212,6 +213,9 @@ START_PLACES = {
 }
 
 
+#: Routines whose last result is what Newton's method leaves of the stages, which explicit schemes have not.
+LEAVING = ("integrator_interval", "path_exact")
+
 #: Inputs that are arguments of the macro of every kernel that has them.
 VECTORS = ("mu", "dx", "du", "adj", "d")
 
@@ -224,12 +228,16 @@ def kernel_call(
     ``kept``: places of outputs that a node keeps, which are no arguments.
 
     The arguments of the macro are always the same: the solver, the node of a path kernel, the vectors that it
-    multiplies, the outputs; INTEGRATOR_STEP also takes the state, the control and the step length, INTEGRATOR_JUMP the
-    state and the control.
+    multiplies, the outputs; INTEGRATOR_STEP also takes the state, the control, the step length and the steps of
+    Newton's method, INTEGRATOR_JUMP the state and the control. Kernels of stages have arguments for all of their ports.
     """
+    if routine.name.startswith("stage_"):
+        names = [p.name for p in (*routine.inputs, *routine.outputs)]
+        used = [p.name for p in (*routine.reads, *routine.writes)]
+        return routine.name.upper(), ", ".join(names), f"{routine.name}({', '.join(used)})"
     if routine.name == "integrator_step":
-        places = {"x": "x", "u": "u", "p": "PARAM(s, k)", "h": "h"}
-        leading = ["s", "k", "x", "u", "h"]
+        places = {"x": "x", "u": "u", "p": "PARAM(s, k)", "h": "h", "newton": "newton"}
+        leading = ["s", "k", "x", "u", "h", "newton"]
     elif routine.name == "integrator_jump":
         places = {"x": "x", "u": "u", "p": "PARAM(s, k)", "dt": "&interval_length[k]"}
         leading = ["s", "k", "x", "u"]
@@ -243,5 +251,8 @@ def kernel_call(
         places, leading = everywhere, ["s", "k"]
     leading += [p.name for p in routine.inputs if p.name in VECTORS]
     passed = [places[p.name] for p in routine.reads] + [kept.get(p.name, p.name) for p in routine.writes]
-    arguments = ", ".join([*leading, *(p.name for p in routine.outputs if p.name not in kept)])
+    outputs = [p.name for p in routine.outputs if p.name not in kept]
+    if routine.name in LEAVING and "left" not in outputs:
+        outputs.append("left")
+    arguments = ", ".join([*leading, *outputs])
     return routine.name.upper(), arguments, f"{routine.name}({', '.join(passed)})"

@@ -21,7 +21,7 @@ from nmpc_codegen.ir.kernel import called_lookups
 from nmpc_codegen.ir.printing.c_style import CStyle
 from nmpc_codegen.ir.printing.lookups import print_lookups
 from nmpc_codegen.ir.printing.routines import print_routine
-from nmpc_codegen.ir.sweep import Routine
+from nmpc_codegen.ir.sweep import LoopedRoutine, Routine
 from nmpc_codegen.lowering.hooks import check_hooks, extra_parts, hook_prototypes, with_hooks
 from nmpc_codegen.lowering.lanes.nodes import GENERATED as IN_LANES
 from nmpc_codegen.lowering.parts import (
@@ -140,10 +140,11 @@ def _fill(module: CModule) -> dict[str, Any]:
 
 
 def print_functions(routines: Sequence[Routine], style: CStyle) -> dict[str, str]:
-    """Name -> text of the functions of look-up tables that routines call, and of the routines."""
+    """Name -> text of the functions of look-up tables that routines call, and of the routines that call no part."""
     lookups = print_lookups(called_lookups(routines))
     search = {"find_interval": read_part(SEARCH, lambda include: "").rstrip()} if lookups else {}
-    return search | lookups | {routine.name: print_routine(routine, style) for routine in routines}
+    alone = (r for r in routines if not (isinstance(r, LoopedRoutine) and r.calls_parts))
+    return search | lookups | {routine.name: print_routine(routine, style) for routine in alone}
 
 
 @dataclass(frozen=True, eq=False)

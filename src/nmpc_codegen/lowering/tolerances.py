@@ -68,6 +68,11 @@ TOLERANCES: dict[str, tuple[float, str]] = {
         "what remains of a terminal row in a step of single shooting, relative to its share",
     ),
     "terminal_gap": (2.0**10, "rest of a terminal row that counts as met by a step, relative to 1 + its violation"),
+    "newton": (2.0**6, "correction of a stage that is taken as rounding, relative to its state and the scale"),
+    "newton_stalled": (
+        2.0**14,
+        "correction of a stage that is rounding where it does not decrease any more, relative to its state",
+    ),
     "step_count": (2.0**12, "part of an integration step that is taken as rounding of dt / h"),
 }
 

@@ -30,7 +30,9 @@ from nmpc_codegen.oracle.trajectory import (
     row_nodes,
     scaled_weight,
     shape_of,
+    stage_equations,
     start_cost,
+    with_maps,
 )
 
 __all__ = [
@@ -72,7 +74,8 @@ class Reference:
 
     Args:
         problem: the problem.
-        integrator: Runge-Kutta tableau as plain arrays; ignored by discrete maps, which have no integrator.
+        integrator: Runge-Kutta tableau as plain arrays; ignored by discrete maps, which have no integrator. The stages
+            of an implicit scheme are variables, and their equations rows of the program.
         tol: tolerance of IPOPT.
     """
 
@@ -85,12 +88,16 @@ class Reference:
         self._g: list[Any] = []
         self._general: list[tuple[int, int, int]] = []  # (row, node, slack side: 0 none, -1 lower, 1 upper) of g
         self._data = _symbolic_data(problem)
-        Phi = interval_map(problem, integrator)
+        self._increments: list[Any] = []
+        self._rest: list[Any] = []
+        implicit = integrator.implicit and not problem.discrete
+        Phi = self._implicit_interval() if implicit else interval_map(problem, integrator)
         cost = self._cost_and_dynamics(Phi)
         cost += self._add_rows()
-        z = ca.vertcat(*self._x, *self._u, *self._slack)
-        small = N * Phi.n_instructions() < 50_000
-        options = {
+        z = ca.vertcat(*self._x, *self._u, *self._slack, *self._increments)
+        self._g += self._rest
+        small = implicit or N * Phi.n_instructions() < 50_000
+        options: dict[str, Any] = {
             "print_time": False,
             "expand": small,
             "ipopt": {
@@ -107,6 +114,22 @@ class Reference:
         }
         nlp = {"x": z, "p": self._data.stacked, "f": cost, "g": ca.vertcat(*self._g)}
         self._solver = ca.nlpsol("reference", "ipopt", nlp, options)
+
+    def _implicit_interval(self) -> Any:
+        """(x, u, p, dt) -> (x_next, q) in the increments of the stages, which become variables."""
+        problem, steps = self.problem, self.integrator.steps
+        equations = stage_equations(problem, self.integrator)
+
+        def interval(x: Any, u: Any, p: Any, dt: Any) -> tuple[Any, Any]:
+            end, q = x, ca.MX(0)
+            for _ in range(steps):
+                self._increments.append(ca.MX.sym("D", equations.size1_in(0)))
+                rest, end, more = equations(self._increments[-1], end, u, p, dt / steps)
+                self._rest.append(rest)
+                q = q + more
+            return with_maps(problem, end, x, u, p, dt), q
+
+        return interval
 
     def _cost_and_dynamics(self, Phi: Any) -> Any:
         problem, d = self.problem, self._data
@@ -158,9 +181,9 @@ class Reference:
         lbx, ubx, lbg, ubg = self._bounds(data)
         x_guess = shape_of("x", data.x0 if x is None else x, (problem.N + 1, problem.nx))
         u_guess = shape_of("u", control_start(problem, data) if u is None else u, (problem.N, problem.nu))
-        slack = np.zeros(2 * len(self._slack))
+        more = np.zeros(2 * len(self._slack) + sum(D.numel() for D in self._increments))
         found = self._solver(
-            x0=np.concatenate([x_guess.ravel(), u_guess.ravel(), slack]),
+            x0=np.concatenate([x_guess.ravel(), u_guess.ravel(), more]),
             p=self._data.values(problem, data),
             lbx=lbx,
             ubx=ubx,
@@ -174,6 +197,7 @@ class Reference:
         N, nx, nu = problem.N, problem.nx, problem.nu
         count = (N + 1) * nx + N * nu
         lbx = np.concatenate([np.full(count, -np.inf), np.zeros(2 * len(self._slack))])
+        lbx = np.concatenate([lbx, np.full(sum(D.numel() for D in self._increments), -np.inf)])
         ubx = np.full(lbx.size, np.inf)
         for i, row in enumerate(problem.rows):
             place = row.variable(nx)
@@ -186,7 +210,8 @@ class Reference:
         for i, k, side in self._general:
             low.append(-np.inf if side > 0 else data.lower[k, i])
             high.append(np.inf if side < 0 else data.upper[k, i])
-        return lbx, ubx, np.array(low), np.array(high)
+        stages = np.zeros(sum(rest.numel() for rest in self._rest))
+        return lbx, ubx, np.concatenate([low, stages]), np.concatenate([high, stages])
 
     def _solution(self, found: Mapping[str, Any], data: Data) -> ReferenceSolution:
         problem = self.problem
@@ -207,7 +232,9 @@ class Reference:
             mu_N=np.zeros(problem.terminal.nh),
             eta=np.zeros(problem.coupled_rows),
         )
-        for (i, k, _), multiplier in zip(self._general, lam_g[nx - free + N * nx :], strict=True):
+        first = nx - free + N * nx
+        of_rows = lam_g[first : first + len(self._general)]
+        for (i, k, _), multiplier in zip(self._general, of_rows, strict=True):
             where, index = multiplier_of(problem, point, problem.rows[i], k)
             where[index] += multiplier
         residuals = kkt_residuals(problem, point, data, self.integrator)

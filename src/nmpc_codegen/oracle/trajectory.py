@@ -24,11 +24,17 @@ from nmpc_codegen.frontend.problem import Array, Problem, Row, Stage
 
 @dataclass(frozen=True, eq=False)
 class Tableau:
-    """Explicit Runge-Kutta scheme: A (s, s) strictly lower triangular, b (s,), ``steps`` equal steps per interval."""
+    """Runge-Kutta scheme: A (s, s), b (s,), ``steps`` equal steps per interval; it is explicit if A is strictly lower
+    triangular."""
 
     A: tuple[tuple[float, ...], ...]
     b: tuple[float, ...]
     steps: int = 1
+
+    @property
+    def implicit(self) -> bool:
+        """True if some stage depends on itself or a later one."""
+        return bool(np.any(np.triu(np.asarray(self.A, dtype=float))))
 
 
 CLASSICAL = Tableau(((0, 0, 0, 0), (0.5, 0, 0, 0), (0, 0.5, 0, 0), (0, 0, 1, 0)), (1 / 6, 1 / 3, 1 / 3, 1 / 6), 2)
@@ -176,6 +182,8 @@ def interval_map(problem: Problem, integrator: Tableau = CLASSICAL) -> Any:
 
     X_i = x + h sum_j a_ij K_j, K_i = f(X_i, u, p), x+ = x + h sum_i b_i K_i, h = dt / steps.
     """
+    if integrator.implicit and not problem.discrete:
+        return _implicit_map(problem, integrator)
     s = problem.path
     if problem.discrete:
         end = problem.dynamics(s.x, s.u, s.p)
@@ -196,11 +204,60 @@ def interval_map(problem: Problem, integrator: Tableau = CLASSICAL) -> Any:
             L.append(quadrature(X, s.u, s.p))
         for i in range(len(b)):
             x, q = x + h * b[i] * K[i], q + h * b[i] * L[i]
-    if problem.jump is not None:
-        maps = problem.jump(s.x, s.u, s.p, s.dt)
-        parts = {i: maps[n] for n, i in enumerate(problem.maps)}
-        x = ca.vertcat(*(parts.get(i, x[i]) for i in range(problem.nx)))
-    return ca.Function("Phi", [s.x, s.u, s.p, s.dt], [x, q])
+    return ca.Function("Phi", [s.x, s.u, s.p, s.dt], [with_maps(problem, x, s.x, s.u, s.p, s.dt), q])
+
+
+def with_maps(problem: Problem, end: Any, x: Any, u: Any, p: Any, dt: Any) -> Any:
+    """The end of an interval with the values of states that are maps."""
+    if problem.jump is None:
+        return end
+    maps = problem.jump(x, u, p, dt)
+    parts = {i: maps[n] for n, i in enumerate(problem.maps)}
+    return ca.vertcat(*(parts.get(i, end[i]) for i in range(problem.nx)))
+
+
+def stage_equations(problem: Problem, integrator: Tableau) -> Any:
+    """Function (D, x, u, p, h) -> (rest, x_next, q) of one step of an implicit scheme with the increments D_i = h K_i.
+
+    rest_i = D_i - h f(x + sum_j a_ij D_j, u, p) = 0, x_next = x + sum_i b_i D_i, q = h sum_i b_i rate(X_i, u, p).
+    """
+    s, n = problem.path, problem.nx
+    A, b = np.asarray(integrator.A, dtype=float), np.asarray(integrator.b, dtype=float)
+    D, h = ca.SX.sym("D", n * len(b)), ca.SX.sym("h")
+    parts = ca.vertsplit(D, n)
+    rate = ca.Function("rate", [s.x, s.u, s.p], [ca.SX(0) if s.cost_rate is None else s.cost_rate])
+    rest: list[Any] = []
+    q: Any = ca.SX(0)
+    for i in range(len(b)):
+        X = s.x + sum(A[i, j] * part for j, part in enumerate(parts))
+        rest.append(parts[i] - h * problem.dynamics(X, s.u, s.p))
+        q = q + h * b[i] * rate(X, s.u, s.p)
+    end = s.x + sum(b[i] * part for i, part in enumerate(parts))
+    return ca.Function("stages", [D, s.x, s.u, s.p, h], [ca.vertcat(*rest), end, q])
+
+
+#: Newton's method of CasADi until its steps are rounding errors.
+_ROOTFINDER = {"abstol": 0.0, "abstolStep": 1e-14, "max_iter": 30, "error_on_fail": False}
+
+
+def _implicit_map(problem: Problem, integrator: Tableau) -> Any:
+    """The map of an interval, whose stages a rootfinder of CasADi solves; derivatives by the implicit function theorem
+    as CasADi applies it."""
+    equations = stage_equations(problem, integrator)
+    size = equations.size1_in(0)
+    solver = ca.rootfinder("increments", "newton", equations, _ROOTFINDER)
+    x, u, p, dt = (ca.MX.sym(n, int(s.numel())) for n, s in zip(("x", "u", "p", "dt"), _symbols(problem), strict=True))
+    end, q = x, ca.MX(0)
+    h = dt / integrator.steps
+    for _ in range(integrator.steps):
+        _, end, more = solver(ca.DM.zeros(size), end, u, p, h)
+        q = q + more
+    return ca.Function("Phi", [x, u, p, dt], [with_maps(problem, end, x, u, p, dt), q])
+
+
+def _symbols(problem: Problem) -> tuple[Any, ...]:
+    s = problem.path
+    return s.x, s.u, s.p, s.dt
 
 
 def node_cost(stage: Stage) -> Any:
@@ -342,8 +399,9 @@ def _jacobians(problem: Problem, integrator: Tableau) -> tuple[tuple[Any, Any], 
 
 def _with_jacobian(f: Any) -> tuple[Any, Any]:
     """A Function, and the Function of the Jacobians of its outputs with respect to its first two inputs."""
-    inputs = [ca.SX.sym(f.name_in(i), f.sparsity_in(i)) for i in range(f.n_in())]
-    outputs = f.call(inputs)
+    kind = ca.SX if f.is_a("SXFunction") else ca.MX
+    inputs: list[Any] = [kind.sym(f.name_in(i), f.sparsity_in(i)) for i in range(f.n_in())]
+    outputs: Any = f.call(inputs)
     z = ca.vertcat(inputs[0], inputs[1])
     return f, ca.Function("with_jacobian", inputs, [ca.jacobian(o, z) for o in outputs])
 

@@ -32,6 +32,11 @@ KernelName = Literal[
     "initial_hessian",
     "initial_exact",
     "coupled_rows",
+    "stage_slope",
+    "stage_rate",
+    "stage_rate_gradient",
+    "stage_rate_product",
+    "stage_curvature",
     "integrator_interval",
     "integrator_jump",
     "integrator_forward",
@@ -82,6 +87,9 @@ class Features:
     inner: bool = False  # states behind the measured ones
     previous: bool = False  # some are controls of the node before
     timed: bool = False  # the last one is time
+
+    # integrator
+    implicit: bool = False  # stages are solved by Newton's method
 
     # options, and parts of the core that the algorithm uses
     solve: bool = False

@@ -78,6 +78,9 @@ static void measure_residual(solver_t *s)
     state_scales(s, size);
     for (int k = 0; k < N; k++) {
         enlarge_all(gap, s->node[k].b, NX);
+        if (IMPLICIT) {
+            enlarge_all(gap, s->node[k].left, NX);
+        }
     }
     for (int i = 0; i < NX; i++) {
         enlarge(&most, gap[i] / size[i]);

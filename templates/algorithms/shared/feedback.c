@@ -8,6 +8,7 @@ status_t API(feedback)(solver_t *s, const real_t xhat[NXHAT], real_t u0[NU])
         }
         return NOT_INITIALIZED;
     }
+    s->newton = NEWTON;
     measured = take_state(s, xhat);
     broken = s->prepared && s->status != OK;
     if (HAS_QP) {

@@ -11,8 +11,10 @@ static void safe_control(const solver_t *s, real_t *u0)
 #include "algorithms/shared/pull_back.c"
 #endif
 
+/* The end of a call[if IMPLICIT:: outside of samples stages are solved to rounding errors]. */
 static status_t finish(solver_t *s, status_t status)
 {
+    s->newton = NEWTON_LIMIT;
     s->status = (int32_t)status;
     return status;
 }

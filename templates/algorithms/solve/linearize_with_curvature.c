@@ -18,7 +18,7 @@ static void linearize_with_curvature(solver_t *s)
         if (NH > 0) {
             path_multipliers(s, k, mu);
         }
-        PATH_EXACT(s, k, mu, x_next, s->node[k].S, s->node[k].g, c->Q[k]);
+        PATH_EXACT(s, k, mu, x_next, s->node[k].S, s->node[k].g, c->Q[k], s->node[k].left);
         if (adjoint) {
             adjoint_node(s, k);
         }

@@ -8,24 +8,34 @@ from collections.abc import Mapping
 from nmpc_codegen.components.base import Integrator
 from nmpc_codegen.components.integrators.discrete import Discrete
 from nmpc_codegen.components.integrators.explicit_runge_kutta import ExplicitRungeKutta
+from nmpc_codegen.components.integrators.implicit.implicit_runge_kutta import ImplicitRungeKutta
 from nmpc_codegen.components.integrators.tableau import (
+    ESDIRK3,
     RK4,
+    SDIRK2,
+    SDIRK3,
     SSPRK3,
     TABLEAUS,
     ButcherTableau,
     Euler,
     Heun,
+    ImplicitEuler,
+    ImplicitMidpoint,
     Midpoint,
 )
 
 REGISTRY: Mapping[str, type[Integrator]] = {
     ExplicitRungeKutta.name: ExplicitRungeKutta,
+    ImplicitRungeKutta.name: ImplicitRungeKutta,
     Discrete.name: Discrete,
 }
 
 __all__ = [
+    "ESDIRK3",
     "REGISTRY",
     "RK4",
+    "SDIRK2",
+    "SDIRK3",
     "SSPRK3",
     "TABLEAUS",
     "ButcherTableau",
@@ -33,5 +43,8 @@ __all__ = [
     "Euler",
     "ExplicitRungeKutta",
     "Heun",
+    "ImplicitEuler",
+    "ImplicitMidpoint",
+    "ImplicitRungeKutta",
     "Midpoint",
 ]

@@ -76,6 +76,12 @@ class ExplicitRungeKutta(Defaults):
 
     def __post_init__(self) -> None:
         check_options(self, self.seam)
+        if self.tableau.kind != "explicit":
+            raise OptionError(
+                f"ExplicitRungeKutta.tableau: {self.tableau.name} is {self.tableau.kind}; expected an explicit scheme, "
+                f"one of {', '.join(TABLEAUS)}, or ImplicitRungeKutta({self.tableau.name}) "
+                "(--set integrator=implicit_runge_kutta)"
+            )
 
     def check(self, problem: Problem) -> None:
         """Raise OptionError unless the dynamics are a differential equation."""

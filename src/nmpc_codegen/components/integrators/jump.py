@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import replace
+from typing import TypeVar
 
 import casadi as ca
 
@@ -19,6 +20,9 @@ from nmpc_codegen.frontend.problem import Problem, symbols
 from nmpc_codegen.ir.casadi_types import Expression, nonzeros
 from nmpc_codegen.ir.kernel import Kernel, Port, lift
 from nmpc_codegen.ir.sweep import Affine, Block, Call, Node, Slice, Sweep
+
+#: An argument of a call.
+A = TypeVar("A", Slice, Slice | str)
 
 #: Input ports with multipliers of the end of an interval.
 ADJOINTS = ("lam", "adj")
@@ -85,15 +89,18 @@ def with_jump(sweep: Sweep, problem: Problem) -> Sweep:
 def _rename(nodes: Iterable[Node], old: str, new: str) -> tuple[Node, ...]:
     """The nodes with another name of a buffer."""
 
-    def slices(of: tuple[Slice, ...]) -> tuple[Slice, ...]:
-        return tuple(replace(s, buffer=new) if s.buffer == old else s for s in of)
+    def slices(of: Iterable[A]) -> tuple[A, ...]:
+        return tuple(replace(s, buffer=new) if isinstance(s, Slice) and s.buffer == old else s for s in of)
 
-    return tuple(
-        replace(node, body=_rename(node.body, old, new))
-        if isinstance(node, Block)
-        else replace(node, ins=slices(node.ins), outs=slices(node.outs))
-        for node in nodes
-    )
+    found: list[Node] = []
+    for node in nodes:
+        if isinstance(node, Block):
+            found.append(replace(node, body=_rename(node.body, old, new)))
+        elif isinstance(node, Call):
+            found.append(replace(node, ins=slices(node.ins), outs=slices(node.outs)))
+        else:
+            found.append(replace(node, ins=slices(node.ins), outs=slices(node.outs)))
+    return tuple(found)
 
 
 class _Jump:

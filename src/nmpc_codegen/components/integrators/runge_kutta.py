@@ -9,11 +9,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from fractions import Fraction
 
 import casadi as ca
 
-from nmpc_codegen.components.integrators.tableau import ButcherTableau, combine
+from nmpc_codegen.components.integrators.tableau import ButcherTableau, Coefficient, combine
 from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.casadi_types import Expression, Function
 from nmpc_codegen.ir.kernel import Port
@@ -63,7 +62,7 @@ class RungeKutta:
         return Slice("K", self.nx, Affine(stage * self.nx))
 
     def combine(
-        self, name: str, coefficients: Sequence[Fraction], x: Slice, slope: Callable[[int], Slice], y: Slice
+        self, name: str, coefficients: Sequence[Coefficient], x: Slice, slope: Callable[[int], Slice], y: Slice
     ) -> Call:
         """y = x + h sum_j c_j K_j over the nonzero c_j; equal coefficients share one product."""
         value, h = ca.SX.sym("x", x.size), ca.SX.sym("h")

@@ -1,10 +1,14 @@
-"""Butcher tableaus of explicit Runge-Kutta schemes, which validate themselves."""
+"""Butcher tableaus of explicit and diagonally implicit Runge-Kutta schemes, which validate themselves."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
+from typing import Literal
+
+import numpy as np
 
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.ir.casadi_types import Expression
@@ -12,46 +16,93 @@ from nmpc_codegen.ir.casadi_types import Expression
 F = Fraction
 
 
+#: A coefficient: exact, or a floating-point number where it is irrational.
+Coefficient = Fraction | float
+
+#: Residual of an order condition that rounding of irrational coefficients leaves.
+ROUNDING = 1e-13
+
+#: Excess of |R| over 1 that is rounding, and the inverse of a number that stands for infinity.
+UNSTABLE, FAR = 1e-9, 1e-6
+
+
 @dataclass(frozen=True)
 class ButcherTableau:
-    """Explicit scheme X_i = x + h sum_{j<i} a_ij K_j, K_i = f(X_i), x+ = x + h sum_i b_i K_i, of the given order.
+    """Scheme X_i = x + h sum_j a_ij K_j, K_i = f(X_i), x+ = x + h sum_i b_i K_i, of the given order.
 
-    Checked on creation: a is strictly lower triangular and the order conditions hold exactly up to min(order, 4).
+    Checked on creation: a is lower triangular, its diagonal is not negative, the order conditions hold up to
+    min(order, 4), exactly or, with floating-point coefficients, up to rounding, and so does the stability that is
+    claimed: "A": |R(z)| <= 1 for Re z <= 0; "L": also R = 0 at infinity; "": nothing.
+
+        R(z) = 1 + z b' (I - z A)^{-1} 1
     """
 
     name: str
-    a: tuple[tuple[Fraction, ...], ...]
-    b: tuple[Fraction, ...]
+    a: tuple[tuple[Coefficient, ...], ...]
+    b: tuple[Coefficient, ...]
     order: int
+    stability: Literal["", "A", "L"] = ""
 
     def __post_init__(self) -> None:
         s = len(self.b)
         if len(self.a) != s or any(len(row) != s for row in self.a):
             raise OptionError(f"tableau {self.name}: a must be {s} x {s}, as b has {s} entries")
-        if any(self.a[i][j] for i in range(s) for j in range(i, s)):
-            raise OptionError(f"tableau {self.name}: a must be strictly lower triangular (explicit scheme)")
+        if any(self.a[i][j] for i in range(s) for j in range(i + 1, s)):
+            raise OptionError(
+                f"tableau {self.name}: a must be lower triangular (explicit or diagonally implicit scheme)"
+            )
+        if any(self.a[i][i] < 0 for i in range(s)):
+            raise OptionError(f"tableau {self.name}: the diagonal of a must not be negative")
         for order, residual in self.order_residuals():
-            if order <= self.order and residual:
+            limit = 0.0 if isinstance(residual, Fraction) else ROUNDING
+            if order <= self.order and abs(float(residual)) > limit:
                 raise OptionError(f"tableau {self.name}: an order condition of order {order} is off by {residual}")
+        if self.stability:
+            self._check_stability()
+
+    def _check_stability(self) -> None:
+        """Raise OptionError unless |R(iy)| <= 1 for all y, R has no pole with Re z <= 0, and for "L" R vanishes at
+        infinity."""
+        limit = abs(self.stability_function(-1 / FAR))
+        along = np.tan(np.linspace(0, math.pi / 2, 2000, endpoint=False))
+        most = max(abs(self.stability_function(complex(0, y))) for y in along)
+        if self.kind == "explicit" or most > 1 + UNSTABLE or limit > 1 + UNSTABLE:
+            raise OptionError(f"tableau {self.name}: it is not A-stable; |R(iy)| reaches {most:.3g}")
+        if self.stability == "L" and limit > 10 * FAR:
+            raise OptionError(f"tableau {self.name}: it is not L-stable; |R| at infinity is {limit:.3g}")
+
+    def stability_function(self, z: complex) -> complex:
+        """R(z): x+ = R(h lambda) x for x' = lambda x."""
+        a, b = np.array(self.a, dtype=float), np.array(self.b, dtype=float)
+        one = np.ones(len(b))
+        return complex(1 + z * b @ np.linalg.solve(np.eye(len(b)) - z * a, one))
+
+    @property
+    def kind(self) -> str:
+        """Whether the diagonal of a is zero, at most in its first entry, or elsewhere."""
+        zeros = [not self.a[i][i] for i in range(self.stages)]
+        if all(zeros):
+            return "explicit"
+        return "implicit with explicit stages behind the first" if any(zeros[1:]) else "diagonally implicit"
 
     @property
     def stages(self) -> int:
         return len(self.b)
 
     @property
-    def c(self) -> tuple[Fraction, ...]:
+    def c(self) -> tuple[Coefficient, ...]:
         """c_i = sum_j a_ij."""
         return tuple(sum(row, F(0)) for row in self.a)
 
-    def order_residuals(self) -> list[tuple[int, Fraction]]:
+    def order_residuals(self) -> list[tuple[int, Coefficient]]:
         """(order, residual) of the eight order conditions up to order 4 (Hairer, Norsett, Wanner, table II.2.2)."""
         a, b, c = self.a, self.b, self.c
         s = range(len(b))
 
-        def ac(power: int) -> list[Fraction]:
+        def ac(power: int) -> list[Coefficient]:
             return [sum((a[i][j] * c[j] ** power for j in s), F(0)) for i in s]
 
-        def weigh(values: list[Fraction]) -> Fraction:
+        def weigh(values: list[Coefficient]) -> Coefficient:
             return sum((b[i] * values[i] for i in s), F(0))
 
         first, second = ac(1), ac(2)
@@ -68,7 +119,9 @@ class ButcherTableau:
         ]
 
 
-def combine(x: Expression, h: Expression, slopes: Sequence[Expression], coefficients: Sequence[Fraction]) -> Expression:
+def combine(
+    x: Expression, h: Expression, slopes: Sequence[Expression], coefficients: Sequence[Coefficient]
+) -> Expression:
     """x + h sum_j c_j K_j; ``slopes`` are the K_j with nonzero c_j, and equal coefficients share a product."""
     values = [c for c in coefficients if c]
     for c in dict.fromkeys(values):
@@ -100,4 +153,39 @@ RK4 = ButcherTableau(
     4,
 )
 
+#: Explicit schemes by name.
 TABLEAUS: dict[str, ButcherTableau] = {t.name: t for t in (Euler, Midpoint, Heun, SSPRK3, RK4)}
+
+
+def _sdirk3() -> ButcherTableau:
+    """Alexander (1977): three stages; g is the root of g^3 - 3 g^2 + 3/2 g - 1/6 between 1/6 and 1/2."""
+    g = _ROOT
+    b1, b2 = -(6 * g**2 - 16 * g + 1) / 4, (6 * g**2 - 20 * g + 5) / 4
+    return ButcherTableau("SDIRK3", ((g, 0.0, 0.0), ((1 - g) / 2, g, 0.0), (b1, b2, g)), (b1, b2, g), 3, "L")
+
+
+def _esdirk3() -> ButcherTableau:
+    """Four stages of order 2, the first one explicit, c = (0, 2 g, 3/5, 1) (Kennedy and Carpenter, NASA/TM-2016-219173,
+    ESDIRK3(2)4L[2]SA)."""
+    g, c3 = _ROOT, 0.6
+    c2 = 2 * g
+    a32 = c3 * (c3 - c2) / (2 * c2)
+    b3 = (1 / 3 - g - c2 * (1 / 2 - g)) / (c3 * (c3 - c2))
+    b2 = (1 / 2 - g - b3 * c3) / c2
+    b = (1 - b2 - b3 - g, b2, b3, g)
+    rows = ((0.0, 0.0, 0.0, 0.0), (g, g, 0.0, 0.0), (c3 - a32 - g, a32, g, 0.0), b)
+    return ButcherTableau("ESDIRK3", rows, b, 3, "L")
+
+
+_G2 = 1 - math.sqrt(0.5)
+#: Root of g^3 - 3 g^2 + 3/2 g - 1/6 between 1/6 and 1/2, with which three implicit stages of order 3 are L-stable.
+_ROOT = 0.43586652150845899942
+
+ImplicitEuler = ButcherTableau("ImplicitEuler", ((F(1),),), _values(1), 1, "L")
+ImplicitMidpoint = ButcherTableau("ImplicitMidpoint", ((F(1, 2),),), _values(1), 2, "A")
+SDIRK2 = ButcherTableau("SDIRK2", ((_G2, 0.0), (1 - _G2, _G2)), (1 - _G2, _G2), 2, "L")
+SDIRK3 = _sdirk3()
+ESDIRK3 = _esdirk3()
+
+#: Diagonally implicit schemes by name.
+IMPLICIT: dict[str, ButcherTableau] = {t.name: t for t in (ImplicitEuler, ImplicitMidpoint, SDIRK2, SDIRK3, ESDIRK3)}

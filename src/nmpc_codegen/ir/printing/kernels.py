@@ -20,7 +20,7 @@ from nmpc_codegen.package.opcount import OpCount
 
 def signature(name: str, inputs: tuple[Port, ...], outputs: tuple[Port, ...], style: CStyle) -> str:
     """``static void name(const real x[4], ..., real y[4])``."""
-    arguments = [f"const {style.real} {parameter(p)}" for p in inputs]
+    arguments = [f"int {p.name}" if p.whole else f"const {style.real} {parameter(p)}" for p in inputs]
     arguments += [f"{style.real} {parameter(p)}" for p in outputs]
     return f"static void {name}({', '.join(arguments)})"
 

@@ -22,7 +22,7 @@ from nmpc_codegen.ir.printing.kernels import (
     wrapped_head,
 )
 from nmpc_codegen.ir.printing.local_names import Taken
-from nmpc_codegen.ir.sweep import Affine, Call, For, LoopedRoutine, Node, Slice, calls, passed_slices
+from nmpc_codegen.ir.sweep import Affine, Call, For, LoopedRoutine, Node, Slice, Written, calls, passed_slices
 
 #: So many elements that receive the same number are one statement, and so many zeros one call.
 CHAIN, CLEARED = 3, 16
@@ -81,6 +81,8 @@ class _Printer:
         return lines
 
     def _node(self, node: Node, indent: str, alone: bool, note: str) -> list[str]:
+        if isinstance(node, Written):
+            return wrap_statement(indent, self._print_written(node))
         if isinstance(node, Call):
             return self._print_leaf(node, indent, alone) if node.written_out else [indent + self._print_call(node)]
         assert isinstance(node, For), "other blocks are printed in a frame"
@@ -94,6 +96,10 @@ class _Printer:
     def _print_call(self, call: Call) -> str:
         kernel = self.routine.leaves[call.leaf.name()]
         return f"{kernel.name}({', '.join(map(self._address, passed_slices(call, kernel)))});"
+
+    def _print_written(self, node: Written) -> str:
+        texts = (s if isinstance(s, str) else self._address(s) for s in (*node.ins, *node.outs))
+        return f"{node.function}({', '.join(texts)});"
 
     def _address(self, s: Slice) -> str:
         columns = self.columns.get(s.buffer)

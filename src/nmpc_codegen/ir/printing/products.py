@@ -79,6 +79,7 @@ class _Printer:
             if isinstance(node, Block):
                 lines += self._print_nest(node, indent, names, scalars)
             else:
+                assert isinstance(node, Call), "functions that are written in C are called in no frame"
                 lines += self._call(node, indent, names, scalars)
         return lines
 

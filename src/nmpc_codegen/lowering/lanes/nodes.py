@@ -71,14 +71,16 @@ class LaneRoutines:
 def lane_routines(module: CModule) -> LaneRoutines | None:
     """None if nodes are linearised one by one.
 
-    That is for one lane, for an interval with loops that cannot be expanded, and for a Hessian that does not promise
-    (NODE_KERNELS) that expand_node() is no more than its printed kernels.
+    That is for one lane, for an interval with stages that are solved or loops that cannot be expanded, for a Hessian
+    that does not promise (NODE_KERNELS) that expand_node() is no more than its printed kernels.
     """
     if module.sizes["VECTOR_LANES"] == 1 or module.features.node_memory or not module.features.node_kernels:
         return None
     first = ("path_exact",) if module.features.lagrangian else ("integrator_interval", "path_gradient")
     known = {r.name: r for r in module.routines}
     routines = tuple(known[name] for name in (*first, "path_rows") if name in known)
+    if any(isinstance(r, LoopedRoutine) and r.calls_parts for r in routines):
+        return None
     shift = known.get("integrator_step") if module.features.shift_resample else None
     if routines[0].name != "integrator_interval" or isinstance(routines[0], Kernel):
         return LaneRoutines(routines, shift=shift)

@@ -8,14 +8,15 @@ negative real axis and 2.83 on the imaginary one.
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
 from nmpc_codegen.components.base import Integrator
-from nmpc_codegen.components.integrators import ButcherTableau, ExplicitRungeKutta
+from nmpc_codegen.components.integrators import ButcherTableau, ExplicitRungeKutta, ImplicitRungeKutta
 from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.lowering.first_plan import points
 
@@ -24,32 +25,64 @@ Array = NDArray[Any]
 #: More steps than this are no remedy.
 MOST_STEPS = 1000
 
+#: Explicit steps per interval above which a model counts as stiff.
+MOST_EXPLICIT = 6
+
 #: A mode counts as damped if its decay rate is at least this part of |lambda|; others may grow by rounding or little.
 DAMPED, SLACK, UNDAMPED_SLACK = 1e-3, 1e-6, 0.5
 
 
-def stability_warning(problem: Problem, integrator: Integrator) -> tuple[str, ...]:
-    """A warning that names the steps that are needed, if the scheme is not stable for the longest interval."""
+class Modes(NamedTuple):
+    """Eigenvalues of f_x that do not grow, where the problem states points, and where the fastest of them is."""
+
+    values: Array
+    where: str
+
+    @property
+    def fastest(self) -> str:
+        """The fastest one, without an imaginary part that is rounding."""
+        worst = complex(self.values[np.argmax(np.abs(self.values))])
+        return f"{worst.real:.3g}" if abs(worst.imag) <= DAMPED * abs(worst) else f"{worst:.3g}"
+
+
+def needed_steps(problem: Problem, integrator: ExplicitRungeKutta) -> tuple[int | None, Modes]:
+    """The steps per interval with which an explicit scheme is stable, at least those that it has; None if MOST_STEPS
+    are not sufficient."""
+    of_corners = [(where, _modes(corner)) for where, corner in problem.corners]
+    values = np.concatenate([found for _, found in of_corners])
+    where, _ = max(of_corners, key=lambda found: np.max(np.abs(found[1]), initial=0.0))
+    steps = range(integrator.steps, MOST_STEPS + 1)
+    needed = next((n for n in steps if _is_stable(integrator.tableau, values * (max(problem.dt) / n))), None)
+    return needed, Modes(values, where)
+
+
+def stability_warning(
+    problem: Problem, integrator: Integrator, implicit: Callable[[Problem], ImplicitRungeKutta | None]
+) -> tuple[str, ...]:
+    """A warning if an explicit scheme is not stable for the longest interval, with the steps that are needed;
+    ``implicit``: an implicit scheme that works."""
     if problem.discrete or not isinstance(integrator, ExplicitRungeKutta):
         return ()
-    of_corners = [(where, _modes(corner)) for where, corner in problem.corners]
-    modes = np.concatenate([found for _, found in of_corners])
-    steps = range(integrator.steps, MOST_STEPS + 1)
-    needed = next((n for n in steps if _is_stable(integrator.tableau, modes * (max(problem.dt) / n))), None)
-    if needed == integrator.steps or not len(modes):
+    needed, modes = needed_steps(problem, integrator)
+    if needed == integrator.steps or not len(modes.values):
         return ()
-    where, of_worst = max(of_corners, key=lambda found: np.max(np.abs(found[1]), initial=0.0))
-    worst = of_worst[np.argmax(np.abs(of_worst))]
-    remedy = (
+    offers = []
+    found = implicit(problem) if needed is None or needed > MOST_EXPLICIT else None
+    if found is not None:
+        offers.append(
+            f"ImplicitRungeKutta({found.tableau.name}, steps={found.steps}) works there "
+            f"(--set integrator={found.name} --set integrator.steps={found.steps})"
+        )
+    offers.append(
         f"{needed} steps per interval are needed for stability: ExplicitRungeKutta({integrator.tableau.name}, "
         f"steps={needed}), or --set integrator.steps={needed}"
         if needed is not None
-        else "no number of steps up to 1,000 is sufficient: the model may be too stiff for an explicit scheme"
+        else f"the model is too stiff for an explicit scheme: {MOST_STEPS:,} steps per interval are not sufficient"
     )
+    where, remedy = f" with {modes.where}" if modes.where else "", "; ".join(offers)
     return (
         f"integrator {integrator.tableau.name} with steps={integrator.steps} is unstable at the initial state "
-        f"or a reference{f' with {where}' if where else ''}, where the model has the eigenvalue {worst:.3g} 1/s; "
-        f"{remedy}",
+        f"or a reference{where}, where the model has the eigenvalue {modes.fastest} 1/{problem.time_unit}; {remedy}",
     )
 
 

@@ -1,0 +1,198 @@
+"""Implicit Runge-Kutta integration for stiff models, fixed step, diagonally implicit schemes.
+
+    X_i = x + h sum_{j<=i} a_ij K_j,   K_i = f(X_i, u, p),   x+ = x + h sum_i b_i K_i
+    S = d x+ / d(x, u): K_i' = M^-1 (f_u + f_x (S + h sum_{j<i} a_ij K_j')),   M = I - h a_ii f_x(X_i)
+
+Every stage is solved by Newton's method with an LU factorisation of M; derivatives follow from the implicit function
+theorem with the same factors (Hairer and Wanner, Solving Ordinary Differential Equations II, sections IV.6 and IV.8).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+from nmpc_codegen.components.allowed import Named, Whole, check_options, option
+from nmpc_codegen.components.base import EVERY_USE, Defaults, Dims, Seam, Transition
+from nmpc_codegen.components.integrators.implicit.intervals import Intervals
+from nmpc_codegen.components.integrators.implicit.stage_kernels import StageKernels
+from nmpc_codegen.components.integrators.implicit.trial import Trial
+from nmpc_codegen.components.integrators.jump import jump_kernel, jump_rows_kernel
+from nmpc_codegen.components.integrators.tableau import IMPLICIT, SDIRK3, ButcherTableau
+from nmpc_codegen.errors import OptionError
+from nmpc_codegen.frontend.problem import Problem
+from nmpc_codegen.ir.cmodule import Table
+from nmpc_codegen.ir.kernel import Port
+from nmpc_codegen.ir.model import Interval, IntervalProducts
+from nmpc_codegen.ir.sweep import Call, Routine
+from nmpc_codegen.package.features import Features
+from nmpc_codegen.package.memory import Field, Size, Struct
+
+#: Limits on the steps per interval, on stages that a backward sweep stores and on the numbers that it stores, which are
+#: on the stack.
+MAX_STEPS, MAX_KEPT = 1000, 1 << 17
+
+#: Newton steps of a stage at most: with so many it iterates to rounding errors.
+NEWTON_LIMIT = 30
+
+#: Newton steps of a stage in a sample by default.
+NEWTON_STEPS = 2
+
+
+@dataclass(frozen=True)
+class ImplicitRungeKutta(Defaults):
+    """Diagonally implicit Runge-Kutta scheme with ``steps`` equal steps per interval, for stiff models.
+
+    newton: steps of Newton's method per stage in a sample; None: 2, or 3 if the first plan needs them. What they leave
+    of the stages counts in stats.residual. solve(), kkt(), integrate() and derivatives iterate to rounding errors.
+    """
+
+    tableau: ButcherTableau = option(SDIRK3, Named(IMPLICIT, (ButcherTableau,)))
+    steps: int = option(1, Whole(MAX_STEPS))
+    newton: int | None = option(None, Whole(NEWTON_LIMIT - 1, optional=True))
+
+    seam: ClassVar[Seam] = "integrator"
+    name: ClassVar[str] = "implicit_runge_kutta"
+    template: ClassVar[str] = "integrators/implicit_runge_kutta.c"
+    needs: ClassVar[tuple[Seam, ...]] = ()
+    supports: ClassVar[frozenset[str]] = EVERY_USE
+
+    def __post_init__(self) -> None:
+        check_options(self, self.seam)
+        if self.tableau.kind != "diagonally implicit":
+            raise OptionError(
+                f"ImplicitRungeKutta.tableau: {self.tableau.name} is {self.tableau.kind}; expected a "
+                f"diagonally implicit scheme, of which only the first stage may be explicit: {', '.join(IMPLICIT)}"
+            )
+
+    def check(self, problem: Problem) -> None:
+        """Raise OptionError unless the dynamics are a differential equation."""
+        if problem.discrete:
+            raise OptionError(
+                f"integrator: {problem.name} is a discrete map; expected Discrete() (--set integrator=discrete) "
+                "instead of ImplicitRungeKutta(...) (--set integrator=implicit_runge_kutta)"
+            )
+
+    @property
+    def small(self) -> ImplicitRungeKutta:
+        """Its code consists of loops."""
+        return self
+
+    @property
+    def newton_steps(self) -> int:
+        """Newton steps of a stage in a sample."""
+        return NEWTON_STEPS if self.newton is None else self.newton
+
+    def longest_step(self, problem: Problem) -> float:
+        """Length (s) of a step in the longest interval."""
+        return max(problem.dt) / self.steps
+
+    def _intervals(self, problem: Problem) -> Intervals:
+        return Intervals(problem, self.tableau, self.steps, self.newton_steps)
+
+    def transition(self, problem: Problem) -> Transition | None:
+        """S of an interval, with Newton's method to rounding errors."""
+        trial = Trial(problem, self.tableau)
+        return lambda x, u, p, dt: trial.interval(x, u, p, dt, self.steps, NEWTON_LIMIT).S
+
+    def interval(self, problem: Problem) -> Interval:
+        """interval(x, u, p, dt, newton -> x_next, S, left), step(x, u, p, h, newton -> x_next), and the value alone."""
+        found = self._intervals(problem)
+        return Interval(
+            found.interval(),
+            found.step(),
+            value=found.value(jumps=False),
+            jump=jump_kernel(problem),
+            jump_rows=jump_rows_kernel(problem),
+        )
+
+    def products(self, problem: Problem) -> IntervalProducts:
+        """The value of an interval, and products with its Jacobians that do not form them."""
+        self._refuse_long(problem, "derivatives")
+        found = self._intervals(problem)
+        return IntervalProducts(found.value(), found.adjoint(), found.columns(True), found.columns(False))
+
+    def directional(self, problem: Problem) -> tuple[Routine, Routine]:
+        """forward(x, u, p, dt, newton, dx, du -> dx_next) and adjoint(x, u, p, dt, newton, adj -> g)."""
+        self._refuse_long(problem, "the adjoint")
+        return self._intervals(problem).directional()
+
+    def lift_hessian(self, problem: Problem, scheme: str, name: str, start: Call, more: tuple[Port, ...]) -> Routine:
+        """(x, u, p, dt, newton, more, lam) -> (x_next, S, g, Q, left): ``start`` initialises g and Q, and the interval
+        adds d(integrated cost) / dz and the lower triangle of d2 (lam' Phi + integrated cost) / dz^2, where z = (x, u).
+
+        scheme: "symmetric" (three sweeps) or "forward_over_adjoint".
+        """
+        self._refuse_long(problem, name)
+        return self._intervals(problem).hessian(scheme, name, start, more)
+
+    def integrated_cost(self, problem: Problem, name: str, start: Call, more: tuple[Port, ...]) -> Routine:
+        """(x, u, p, dt, newton, more) -> l: what ``start`` stores in l, plus the integral of the cost rate."""
+        return self._intervals(problem).integral(name, start, more)
+
+    def integrated_gradient(self, problem: Problem, name: str, start: Call, more: tuple[Port, ...]) -> Routine:
+        """(x, u, p, dt, newton, more) -> g: what ``start`` stores in g, plus the adjoint gradient of the integral."""
+        self._refuse_long(problem, name)
+        return self._intervals(problem).gradient(name, start, more)
+
+    def integrated_product(self, problem: Problem, name: str, start: Call, more: tuple[Port, ...]) -> Routine:
+        """(x, u, p, dt, newton, more, d) -> w: what ``start`` stores in w, plus the Gauss-Newton Hessian of the
+        integral times d."""
+        self._refuse_long(problem, name)
+        return self._intervals(problem).product(name, start, more)
+
+    def _refuse_long(self, problem: Problem, name: str) -> None:
+        """Raise OptionError if a backward sweep, which stores the stages of all steps, would need too much stack."""
+        nx, nz = problem.nx, problem.nx + problem.nu
+        kept = self.steps * self.tableau.stages * (2 * nx + nx * nz + nx * nx)
+        if kept > MAX_KEPT:
+            raise OptionError(
+                f"ImplicitRungeKutta.steps: {self.steps}; {name} goes backward over all steps and stores {kept:,} "
+                f"numbers on the stack; expected at most {MAX_KEPT:,}: fewer steps (--set integrator.steps=...), or a "
+                "scheme with fewer stages"
+            )
+
+    def adds(self, features: Features) -> Features:
+        """Return the features with stages that are solved by Newton's method."""
+        return replace(features, implicit=True)
+
+    def tables(self, problem: Problem) -> tuple[Table, ...]:
+        """The scheme in the form of increments, and the variables that have second derivatives."""
+        scheme, curved = self.tableau, StageKernels(problem).curved
+        s = range(scheme.stages)
+        factor = [float(scheme.a[i][i]) or 1.0 for i in s]
+        return (
+            Table("stage_a", "real", tuple(float(scheme.a[i][i]) for i in s), "a_ii"),
+            Table("stage_weight", "real", tuple(map(float, scheme.b)), "b_i"),
+            Table("increment_a", "real", tuple(float(scheme.a[i][j]) / factor[j] for i in s for j in s), "a_ij / a_jj"),
+            Table("increment_b", "real", tuple(float(scheme.b[i]) / factor[i] for i in s), "b_i / a_ii"),
+            Table("bent_variable", "int", curved, "variables (x, u) in which f or the cost rate is nonlinear"),
+            Table("bent_count", "int", (len(curved),), "their number"),
+        )
+
+    def sizes(self, dims: Dims) -> tuple[tuple[str, int, str], ...]:
+        return (
+            ("STEPS", self.steps, "Runge-Kutta steps per interval"),
+            ("STAGES", self.tableau.stages, "stages of a step"),
+            ("EXPLICIT_FIRST", int(not self.tableau.a[0][0]), "1: the first stage is explicit"),
+            ("NEWTON", self.newton_steps, "Newton steps of a stage in a sample"),
+            ("NEWTON_LIMIT", NEWTON_LIMIT, "Newton steps of a stage at most"),
+        )
+
+    def ranges(self, dims: Dims) -> Mapping[str, tuple[int, int]]:
+        """Samples take a stated number of Newton steps."""
+        return {"newton": (self.newton_steps, self.newton_steps)}
+
+    def structs(self, dims: Dims) -> tuple[Struct, ...]:
+        """How far Newton's method goes, and what it leaves."""
+        return (
+            Struct("solver", "", (Field("newton", (), "Newton steps of a stage", "keep", "int32"),)),
+            Struct(
+                "node",
+                "linearisation of a path node",
+                (Field("left", (dims.nx,), "last corrections of the stages", "data"),),
+                shape=(Size("N", dims.N.value),),
+                only=lambda f: f.nodes,
+            ),
+        )

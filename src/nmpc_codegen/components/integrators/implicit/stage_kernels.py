@@ -1,0 +1,131 @@
+"""What the stages of implicit schemes evaluate, lifted from CasADi: f, its derivatives, and those of a cost rate.
+
+stage_slope(x, u, p -> f);   stage_slopes(x, u, p -> f, J = [f_x f_u])
+stage_rate(x, u, p -> l);    stage_rate_gradient(x, u, p -> rho = dl / d(x, u))
+stage_rate_product(x, u, p, dx, du -> w = d2 l (dx; du))
+stage_curvature(x, u, p, mu, weight -> H = d2 (mu' f + weight l) / d(x, u)^2, lower triangle)
+"""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import casadi as ca
+
+from nmpc_codegen.frontend.problem import Problem
+from nmpc_codegen.ir.casadi_types import Expression
+from nmpc_codegen.ir.kernel import Kernel, Port, lift
+
+#: Pairs (row, column).
+Pattern = frozenset[tuple[int, int]]
+
+
+class StageKernels:
+    """The kernels of one problem, and the patterns of what is computed with them."""
+
+    def __init__(self, problem: Problem) -> None:
+        stage = problem.path
+        self.x, self.u, self.p = stage.x, stage.u, stage.p
+        self.nx, self.nu = problem.nx, problem.nu
+        self.f = ca.densify(problem.dynamics(self.x, self.u, self.p))
+        self.rated = stage.cost_rate is not None
+        self.l = ca.SX(0) if stage.cost_rate is None else stage.cost_rate
+        self.z = ca.vertcat(self.x, self.u)
+        self._ports = (Port("x", self.nx), Port("u", self.nu), Port("p", problem.np))
+
+    @property
+    def all(self) -> tuple[Kernel, ...]:
+        """Those that compute something, whether functions of the package call them or not."""
+        found = (self.slope, self.slopes, self.rate, self.rate_gradient, self.rate_product, self.curvature)
+        return tuple(kernel for kernel in found if kernel is not None and kernel.writes)
+
+    def of(self, function: str) -> tuple[Kernel, ...]:
+        """Those that a function of an interval evaluates."""
+        more: dict[str, tuple[Kernel | None, ...]] = {
+            "integral": (self.rate,),
+            "integral_gradient": (self.rate_gradient,),
+            "integral_product": (self.rate_product,),
+            **dict.fromkeys(("symmetric", "forward_over_adjoint"), (self.rate_gradient, self.curvature)),
+        }
+        found = (self.slope, self.slopes, *more.get(function, ()))
+        return tuple(kernel for kernel in found if kernel is not None and kernel.writes)
+
+    def _kernel(
+        self, name: str, doc: str, results: list[Expression], outputs: list[Port], **more: Expression
+    ) -> Kernel:
+        ports = [*self._ports, *(Port(other, int(symbol.numel())) for other, symbol in more.items())]
+        function = ca.Function(name, [self.x, self.u, self.p, *more.values()], results)
+        return lift(function, f"stage_{name}", doc, ports, outputs)
+
+    @cached_property
+    def slope(self) -> Kernel:
+        return self._kernel("slope", "f = dx / dt", [self.f], [Port("f", self.nx)])
+
+    @cached_property
+    def slopes(self) -> Kernel:
+        outputs = [Port("f", self.nx), Port("J", self.nx, self.nx + self.nu)]
+        doc = "f = dx / dt, J = df / d(x, u)"
+        return self._kernel("slopes", doc, [self.f, ca.sparsify(ca.jacobian(self.f, self.z))], outputs)
+
+    @cached_property
+    def rate(self) -> Kernel | None:
+        return (
+            self._kernel("rate", "l = cost per unit of time", [ca.densify(self.l)], [Port("l", 1)])
+            if self.rated
+            else None
+        )
+
+    @cached_property
+    def rate_gradient(self) -> Kernel | None:
+        if not self.rated:
+            return None
+        gradient = ca.sparsify(ca.gradient(self.l, self.z))
+        return self._kernel("rate_gradient", "rho = dl / d(x, u)", [gradient], [Port("rho", self.nx + self.nu)])
+
+    @cached_property
+    def rate_product(self) -> Kernel | None:
+        if not self.rated:
+            return None
+        dx, du = ca.SX.sym("dx", self.nx), ca.SX.sym("du", self.nu)
+        slope = ca.jtimes(self.l, self.z, ca.vertcat(dx, du))
+        product = ca.sparsify(ca.gradient(slope, self.z))
+        doc = "w = d2 l / d(x, u)^2 (dx; du)"
+        return self._kernel("rate_product", doc, [product], [Port("w", self.nx + self.nu)], dx=dx, du=du)
+
+    @cached_property
+    def curvature(self) -> Kernel:
+        mu, weight = ca.SX.sym("mu", self.nx), ca.SX.sym("weight", 1)
+        H = ca.tril(ca.hessian(ca.dot(mu, self.f) + weight * self.l, self.z)[0])
+        nz = self.nx + self.nu
+        doc = "H = d2 (mu' f + weight l) / d(x, u)^2, lower triangle"
+        return self._kernel("curvature", doc, [ca.sparsify(H)], [Port("H", nz, nz)], mu=mu, weight=weight)
+
+    # Patterns --------------------------------------------------------------------------------------------------------
+
+    @cached_property
+    def curved(self) -> tuple[int, ...]:
+        """Variables (x, u) in which f or l is nonlinear."""
+        nz = self.nx + self.nu
+        return tuple(sorted({i for _, e, _ in self.curvature.stores for i in divmod(e, nz)}))
+
+    @cached_property
+    def reached(self) -> Pattern:
+        """(state, variable): the end of an interval depends on this variable at its start."""
+        nz = self.nx + self.nu
+        output = next(i for i, port in enumerate(self.slopes.outputs) if port.name == "J")
+        slopes = {divmod(e, nz) for o, e, _ in self.slopes.stores if o == output}
+        found = {(i, i) for i in range(self.nx)} | slopes
+        while more := {(i, j) for i, m in slopes if m < self.nx for k, j in found if k == m} - found:
+            found |= more
+        return frozenset(found)
+
+    @cached_property
+    def bent(self) -> Pattern:
+        """(row, column), row >= column, of second derivatives of the end and of the integral of an interval."""
+        nz = self.nx + self.nu
+        along = {i: {j for k, j in self.reached if k == i} for i in range(self.nx)} | {
+            i: {i} for i in range(self.nx, nz)
+        }
+        pairs = {divmod(e, nz) for _, e, _ in self.curvature.stores}
+        both = {(i, j) for r, c in pairs for i in along[r] for j in along[c]}
+        return frozenset((max(pair), min(pair)) for pair in both)

@@ -1,0 +1,14 @@
+/* Contract of this part: the stages of implicit Runge-Kutta schemes, and the functions of an interval that integrate
+ * over them. */
+
+#include "integrators/implicit/newton.c"
+
+#include "integrators/implicit/forward.c"
+
+#include "integrators/implicit/adjoint.c"
+
+#include "integrators/implicit/quadrature.c"
+
+#include "integrators/implicit/curvature.c"
+
+#include "generated/intervals.c"

@@ -1,0 +1,109 @@
+"""The functions of an interval of implicit schemes in a shared library of their own, called with NumPy vectors."""
+
+from __future__ import annotations
+
+import ctypes
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nmpc_codegen.components.base import Dims
+from nmpc_codegen.components.integrators.implicit.implicit_runge_kutta import NEWTON_LIMIT, ImplicitRungeKutta
+from nmpc_codegen.components.integrators.implicit.stage_kernels import StageKernels
+from nmpc_codegen.frontend.problem import Problem
+from nmpc_codegen.ir.printing.c_style import unit_style
+from nmpc_codegen.ir.printing.routines import print_routine
+from nmpc_codegen.lowering.parts import read_part
+from nmpc_codegen.lowering.preamble import REAL_CONSTANT, arithmetic, kernel_call
+from nmpc_codegen.package.memory import Precision
+from verification.c_harness import SCALARS, shared_library
+
+Array = NDArray[Any]
+
+#: Function -> its inputs behind x, u, p, dt and the Newton steps, and its outputs; numbers in terms of nx, nu, nz.
+FUNCTIONS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
+    "value": ((), ("nx",)),
+    "interval": ((), ("nx", "nx * nz", "nx")),
+    "forced": ((), ("nx", "nx * nu")),
+    "free": (("nx * nu",), ("nx", "nx * nu")),
+    "forward": (("nx", "nu"), ("nx",)),
+    "adjoint": (("nx",), ("nx", "nu")),
+    "symmetric": (("nx",), ("nx", "nx * nz", "nx", "nz", "nz * nz")),
+    "forward_over_adjoint": (("nx",), ("nx", "nx * nz", "nx", "nz", "nz * nz")),
+    "integral": ((), ("1",)),
+    "integral_gradient": ((), ("nz",)),
+    "integral_product": (("nz",), ("nz",)),
+}
+
+#: Kernels that a problem may lack.
+OPTIONAL = ("stage_rate", "stage_rate_gradient", "stage_rate_product", "stage_curvature")
+
+
+class Interval:
+    """The functions of one problem and integrator; ``scale``: that of the states."""
+
+    def __init__(
+        self, problem: Problem, integrator: ImplicitRungeKutta, precision: Precision = "double", scale: Any = None
+    ) -> None:
+        self.problem, self.scalar = problem, SCALARS[precision]
+        self.sizes = {"nx": problem.nx, "nu": problem.nu, "nz": problem.nx + problem.nu}
+        scales = np.ones(problem.nx) if scale is None else np.asarray(scale, dtype=float)
+        self.library = shared_library({"unit.c": _unit(problem, integrator, precision, scales)}, "unit.c", ("-w",))
+
+    def __call__(
+        self, function: str, x: Any, u: Any, p: Any, dt: float, *more: Any, newton: int = NEWTON_LIMIT
+    ) -> list[Array]:
+        """Results of a function; those that it adds to start at 0."""
+        inputs, outputs = FUNCTIONS[function]
+        arrays = [np.ascontiguousarray(v, dtype=self.scalar).ravel() for v in (x, u, p, [dt])]
+        given = [np.ascontiguousarray(v, dtype=self.scalar).ravel() for v in more]
+        assert [v.size for v in given] == [eval(n, {}, self.sizes) for n in inputs], function
+        results = [np.zeros(eval(n, {}, self.sizes), self.scalar) for n in outputs]
+        pointers = [ctypes.c_void_p(a.ctypes.data) for a in (*arrays, *given, *results)]
+        getattr(self.library, f"call_{function}")(*pointers[:4], newton, *pointers[4:])
+        return results
+
+    def failure(self, x: Any, u: Any, p: Any, h: float, newton: int = NEWTON_LIMIT) -> int:
+        """-1, or STAGES times the state plus the stage at which a step fails."""
+        arrays = [np.array(v, dtype=self.scalar).ravel() for v in (x, u, p, [h])]
+        pointers = [ctypes.c_void_p(a.ctypes.data) for a in arrays]
+        return int(self.library.call_failure(*pointers, newton))
+
+
+def _unit(problem: Problem, integrator: ImplicitRungeKutta, precision: Precision, scales: Array) -> str:
+    """Sizes, tables, kernels, the part, and functions that are visible."""
+    style, kernels = unit_style(precision), StageKernels(problem)
+    there = {kernel.name for kernel in kernels.all}
+    nx, nu = problem.nx, problem.nu
+    sizes = {name: value for name, value, _ in integrator.sizes(_NO_DIMS)} | {"NX": nx, "NU": nu, "NZ": nx + nu}
+    lines = ["#include <math.h>", "#include <stddef.h>", "#include <string.h>"]
+    lines.append(f"typedef {'double' if precision == 'double' else 'float'} real_t;")
+    lines += [f"#define {name} {value}" for name, value in sizes.items()]
+    lines += [f"#define HAS_{name.upper()} {int(name in there)}" for name in OPTIONAL]
+    lines += [f"#define {name} {text}" for name, text in arithmetic(precision)]
+    lines += [f"#define {kernel.upper()}(...) ((void)0)" for kernel in OPTIONAL if kernel not in there]
+    lines += [print_routine(kernel, style) for kernel in kernels.all]
+    macros = [REAL_CONSTANT, *map(kernel_call, kernels.all)]
+    lines += [f"#define {name}({arguments}) {text}" for name, arguments, text in macros]
+    for table in integrator.tables(problem):
+        ctype = "real_t" if table.ctype == "real" else "int"
+        values = ", ".join(str(v) for v in table.values or (0,))
+        lines.append(f"static const {ctype} {table.name}[] = {{ {values} }};")
+    lines.append(f"static const real_t z_scale[] = {{ {', '.join(map(str, scales.tolist()))} }};")
+    lines.append(read_part("integrators/implicit/intervals.c", lambda path: ""))
+    for function, (inputs, outputs) in FUNCTIONS.items():
+        more = [f"i{n}" for n in range(len(inputs))] + [f"o{n}" for n in range(len(outputs))]
+        if function.startswith("integral") and "stage_rate" not in there:
+            continue
+        head = ", ".join(["real_t *x, real_t *u, real_t *p, real_t *dt, int newton", *(f"real_t *{n}" for n in more)])
+        lines.append(f"void call_{function}({head}) {{ implicit_{function}(x, u, p, dt, newton, {', '.join(more)}); }}")
+    lines.append(
+        "int call_failure(real_t *x, real_t *u, real_t *p, real_t *h, int newton) "
+        "{ return step_in_place(x, u, p, *h, newton); }"
+    )
+    return "\n".join(lines) + "\n"
+
+
+#: Sizes of an integrator depend on none of these.
+_NO_DIMS: Dims = None  # type: ignore[assignment]
