@@ -63,6 +63,9 @@ BEFORE = {
     "riccati_backward": "for (int k = 0; k < NS; k++) { s.riccati.b[k][0] = 1.0; }",
 }
 
+#: Ports of a routine at most.
+MOST_PORTS = 16
+
 #: (function, stated, counted)
 Mismatch = tuple[str, dict[str, int], dict[str, int]]
 
@@ -77,7 +80,7 @@ def mismatches(module: CModule, sources: Sources) -> list[Mismatch]:
     """The same for a lowered package and its text."""
     stated = {name: _compared(count) for name, count in module.description.report.operations.items()}
     calls = {name: _call(module, name, sources[f"{module.name}.c"]) for name in stated}
-    counted = run_counting(sources, module.name, calls, _room(module))
+    counted = run_counting(sources, module.name, calls, _room(module) * MOST_PORTS)
     return [(name, stated[name], counted[name]) for name in stated if stated[name] != counted[name]]
 
 
@@ -90,17 +93,18 @@ def _call(module: CModule, name: str, unit: str) -> str:
     for routine in module.routines:
         if routine.name == name:
             ports = (*routine.reads, *routine.writes)
-            return f"{name}({', '.join(map(_argument, ports))})"
+            return f"{name}({', '.join(_argument(port, i * _room(module)) for i, port in enumerate(ports))})"
     if name in STATEMENTS:
         return STATEMENTS[name]
     named = ARGUMENTS | ARGUMENTS_OF.get(name, {})
     return f"{name}({', '.join(named[parameter] for parameter in parameters_of(unit, name))})"
 
 
-def _argument(port: Port) -> str:
+def _argument(port: Port, first: int) -> str:
+    """What a port is given: its own part of w."""
     if port.whole:
         return "NEWTON"
-    return f"(real_t(*)[{port.cols}])w" if port.cols else "w"
+    return f"(real_t(*)[{port.cols}])(w + {first})" if port.cols else f"w + {first}"
 
 
 def _room(module: CModule) -> int:

@@ -24,6 +24,7 @@ Array = NDArray[Any]
 #: Function -> its inputs behind x, u, p, dt and the Newton steps, and its outputs; numbers in terms of nx, nu, nz.
 FUNCTIONS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "value": ((), ("nx",)),
+    "failure": ((), ("3",)),
     "interval": ((), ("nx", "nx * nz", "nx")),
     "forced": ((), ("nx", "nx * nu")),
     "free": (("nx * nu",), ("nx", "nx * nu")),
@@ -64,12 +65,6 @@ class Interval:
         getattr(self.library, f"call_{function}")(*pointers[:4], newton, *pointers[4:])
         return results
 
-    def failure(self, x: Any, u: Any, p: Any, h: float, newton: int = NEWTON_LIMIT) -> int:
-        """-1, or STAGES times the state plus the stage at which a step fails."""
-        arrays = [np.array(v, dtype=self.scalar).ravel() for v in (x, u, p, [h])]
-        pointers = [ctypes.c_void_p(a.ctypes.data) for a in arrays]
-        return int(self.library.call_failure(*pointers, newton))
-
 
 def _unit(problem: Problem, integrator: ImplicitRungeKutta, precision: Precision, scales: Array) -> str:
     """Sizes, tables, kernels, the part, and functions that are visible."""
@@ -98,10 +93,6 @@ def _unit(problem: Problem, integrator: ImplicitRungeKutta, precision: Precision
             continue
         head = ", ".join(["real_t *x, real_t *u, real_t *p, real_t *dt, int newton", *(f"real_t *{n}" for n in more)])
         lines.append(f"void call_{function}({head}) {{ implicit_{function}(x, u, p, dt, newton, {', '.join(more)}); }}")
-    lines.append(
-        "int call_failure(real_t *x, real_t *u, real_t *p, real_t *h, int newton) "
-        "{ return step_in_place(x, u, p, *h, newton); }"
-    )
     return "\n".join(lines) + "\n"
 
 

@@ -10,4 +10,22 @@ static void interval_value(const solver_t *s, int k, real_t *x_next)
     }
 }
 
+/* Names the stage at which an evaluation of the plan fails: interval, step, stage, and the state whose column of the
+ * Newton matrix has no pivot or, with NX added, the one that does not converge; -1: none fails. */
+static void name_failed_stage(solver_t *s, status_t status)
+{
+    s->failed_interval = s->failed_step = s->failed_stage = s->failed_state = -1;
+    for (int k = 0; status == NUMERICAL_FAILURE && k < N; k++) {
+        real_t failure[3];
+        INTEGRATOR_FAILURE(s, k, failure);
+        if (failure[0] >= R(0)) {
+            s->failed_interval = (int32_t)k;
+            s->failed_state = (int32_t)failure[0];
+            s->failed_step = (int32_t)failure[1];
+            s->failed_stage = (int32_t)failure[2];
+            return;
+        }
+    }
+}
+
 #include "integrators/steps.c"

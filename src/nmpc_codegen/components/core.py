@@ -108,11 +108,15 @@ SIZES_OF_OTHERS = (
 TABLES_OF_OTHERS = (Table("regularization", "real", (), "of no Hessian"),)
 
 
+#: Members of packages whose integrator solves stages.
+_OF_STAGES = ("newton", "failed_interval", "failed_step", "failed_stage", "failed_state")
+
+
 def structs_of_others(dims: Dims) -> tuple[Struct, ...]:
     """Members that some components state and that parts of the core name."""
     return only_if(
         False,
-        Struct("solver", "", (Field("newton", (), "", "keep", "int32"),)),
+        Struct("solver", "", tuple(Field(name, (), "", "keep", "int32") for name in _OF_STAGES)),
         Struct("node", "", (Field("left", (dims.nx,), "", "data"),), shape=(dims.N,)),
         Struct("hessian", "", tuple(Field(name, (), "", "scratch", "int32") for name in ("changed", "new_data"))),
         Struct("condensed", "", (Field("regularized", (), "", "data", "int32"),)),

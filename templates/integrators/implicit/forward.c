@@ -14,7 +14,7 @@ static void stage_base(const real_t *x, int i, real_t (*D)[NX], real_t *base)
 }
 
 /* Point, increment and derivatives of stage i of a step from x. Newton's method starts at x or, behind an implicit
- * stage, with its slope. Returns the state at which the stage fails, or -1. */
+ * stage, with its slope. Returns why the stage fails, or -1. */
 static int run_stage(stage_t *t, real_t (*D)[NX], int i, const real_t *x, const real_t *u, const real_t *p, real_t h,
     int newton, real_t *left)
 {
@@ -51,16 +51,17 @@ static void end_step(real_t *x, real_t (*D)[NX])
     }
 }
 
-/* One step of length h in place. Returns -1, or STAGES times the state plus the stage at which it fails. */
-static int step_in_place(real_t *x, const real_t *u, const real_t *p, real_t h, int newton)
+/* One step of length h in place. Returns why `stage` fails, or -1. */
+static int step_in_place(real_t *x, const real_t *u, const real_t *p, real_t h, int newton, int *failing)
 {
     stage_t stage;
     real_t D[STAGES][NX], left[NX] = {R(0)};
     for (int i = 0; i < STAGES; i++) {
-        const int state = run_stage(&stage, D, i, x, u, p, h, newton, left);
-        if (state >= 0) {
+        const int reason = run_stage(&stage, D, i, x, u, p, h, newton, left);
+        if (reason >= 0) {
             x[0] = (real_t)NAN;
-            return state * STAGES + i;
+            *failing = i;
+            return reason;
         }
     }
     end_step(x, D);
@@ -72,8 +73,9 @@ static void implicit_step(
     const real_t *x, const real_t *u, const real_t *p, const real_t *h, int newton, real_t *x_next)
 {
     real_t end[NX];
+    int failing;
     memcpy(end, x, sizeof end);
-    (void)step_in_place(end, u, p, *h, newton);
+    (void)step_in_place(end, u, p, *h, newton, &failing);
     memcpy(x_next, end, sizeof end);
 }
 
@@ -82,12 +84,28 @@ static void implicit_value(
     const real_t *x, const real_t *u, const real_t *p, const real_t *dt, int newton, real_t *x_next)
 {
     real_t end[NX];
-    int failed = -1;
+    int reason = -1, failing;
     memcpy(end, x, sizeof end);
-    for (int step = 0; step < STEPS && failed < 0; step++) {
-        failed = step_in_place(end, u, p, *dt / (real_t)STEPS, newton);
+    for (int step = 0; step < STEPS && reason < 0; step++) {
+        reason = step_in_place(end, u, p, *dt / (real_t)STEPS, newton, &failing);
     }
     memcpy(x_next, end, sizeof end);
+}
+
+/* The first stage of STEPS steps that cannot be solved: reason, step, stage; reason -1: there is none. */
+static void implicit_failure(
+    const real_t *x, const real_t *u, const real_t *p, const real_t *dt, int newton, real_t *failure)
+{
+    real_t end[NX];
+    int reason = -1, failing = 0;
+    memcpy(end, x, sizeof end);
+    failure[1] = R(0);
+    for (int step = 0; step < STEPS && reason < 0; step++) {
+        reason = step_in_place(end, u, p, *dt / (real_t)STEPS, newton, &failing);
+        failure[1] = (real_t)step;
+    }
+    failure[0] = (real_t)reason;
+    failure[2] = (real_t)failing;
 }
 
 /* y += f_u U */

@@ -13,7 +13,7 @@ typedef struct {
 } stage_t;
 
 /* M = P' L U with row exchanges; pivots are compared in the scales of their states, and the diagonal of U is stored as
- * its inverse. Returns the state whose column has no pivot, or -1. */
+ * its inverse. Returns the state whose column has no pivot above rounding errors, or -1. */
 static int factorize_stage(real_t (*M)[NX], int *order)
 {
     for (int i = 0; i < NX; i++) {
@@ -34,7 +34,7 @@ static int factorize_stage(real_t (*M)[NX], int *order)
             M[best][c] = M[j][c];
             M[j][c] = moved;
         }
-        if (!(FABS(M[j][j]) > R(0)) || !isfinite(M[j][j])) {
+        if (!(FABS(M[j][j]) * z_scale[j] > TOL_UNIT * z_scale[order[j]]) || !isfinite(M[j][j])) {
             return j;
         }
         M[j][j] = R(1) / M[j][j];
@@ -132,8 +132,8 @@ static real_t correct_point(stage_t *t, const real_t *base, real_t ha, const rea
     return size;
 }
 
-/* A stage that cannot be solved: its point is NaN, so that the end of the interval is. Returns the state. */
-static int fail_stage(stage_t *t, int state)
+/* A stage that cannot be solved: its point is NaN, so that the end of the interval is. Returns the reason. */
+static int fail_stage(stage_t *t, int reason)
 {
     for (int i = 0; i < NX; i++) {
         t->X[i] = (real_t)NAN;
@@ -142,7 +142,7 @@ static int fail_stage(stage_t *t, int state)
             t->M[i][j] = R(0);
         }
     }
-    return state;
+    return reason;
 }
 
 /* Derivatives at the point, and the factors of M. */
@@ -158,8 +158,8 @@ static int factorize_at_point(stage_t *t, const real_t *u, const real_t *p, real
 }
 
 /* An implicit stage, from the point in X: `newton` Newton steps, or as many as rounding errors allow if there are
- * NEWTON_LIMIT, and one more with the factors of the last, whose magnitude is added to `left`. Returns the state that
- * has no pivot or does not converge, or -1. */
+ * NEWTON_LIMIT, and one more with the factors of the last, whose magnitude is added to `left`. Returns -1, the
+ * state whose column of M has no pivot, or NX plus the state that does not converge. */
 static int solve_stage(
     stage_t *t, const real_t *base, const real_t *u, const real_t *p, real_t ha, int newton, real_t *left)
 {
@@ -174,14 +174,14 @@ static int solve_stage(
         }
         size = correct_point(t, base, ha, f, d, &worst);
         if (!(size < INF)) {
-            return fail_stage(t, worst);
+            return fail_stage(t, NX + worst);
         }
         if (newton == NEWTON_LIMIT && size <= ((size >= R(0.5) * before) ? TOL_NEWTON_STALLED : TOL_NEWTON)) {
             break;
         }
     }
     if (newton == NEWTON_LIMIT && !(size <= TOL_NEWTON_STALLED)) {
-        return fail_stage(t, worst);
+        return fail_stage(t, NX + worst);
     }
     STAGE_SLOPE(t->X, u, p, f);
     (void)correct_point(t, base, ha, f, d, &worst);

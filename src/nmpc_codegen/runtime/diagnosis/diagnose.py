@@ -119,6 +119,7 @@ def _broken(ctrl: Memory, measured: Array) -> Iterator[Iterator[str]]:
     yield _plan(ctrl)
     if ctrl.status in _OF_NUMBERS:
         yield _domains(ctrl)
+        yield _stages(ctrl)
         yield _model(ctrl)
         yield _linearisation(ctrl)
 
@@ -127,6 +128,21 @@ def _find_measured(ctrl: Memory, measured: Array) -> Iterator[str]:
     unknown = [n for n, v in zip(ctrl.names.states, measured, strict=True) if not np.isfinite(v)]
     if unknown:
         yield f"measured {', '.join(unknown)} is not finite: hand over the last good value, or an estimate"
+
+
+def _stages(ctrl: Memory) -> Iterator[str]:
+    """The stage of an implicit scheme that could not be solved."""
+    found = ctrl.member("failed_interval")
+    if not found.size or int(found) < 0:
+        return
+    interval, step, stage = (int(ctrl.member(f"failed_{name}")) for name in ("interval", "step", "stage"))
+    reason, nx = int(ctrl.member("failed_state")), ctrl.description.sizes["NX"]
+    state, singular = ctrl.names.states[reason % nx], reason < nx
+    what = "the Newton matrix is singular" if singular else "Newton's method does not converge"
+    yield (
+        f"{what} in interval {interval}, step {step + 1}, stage {stage + 1}: state {state}; "
+        "check the model there, or take more steps (--set integrator.steps=...)"
+    )
 
 
 def _plan(ctrl: Memory) -> Iterator[str]:

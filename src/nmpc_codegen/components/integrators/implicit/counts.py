@@ -51,7 +51,7 @@ class Counts:
         """Return the count of the factors of M at a point, with the kernel of f and its derivatives."""
         n = self.n
         pairs, inner = n * (n - 1) // 2, (n - 1) * n * (2 * n - 1) // 6
-        form, pivots = _sums(n * n), OpCount(mul=2 * pairs, other=3 * pairs + 2 * n)
+        form, pivots = _sums(n * n), OpCount(mul=2 * (pairs + n), other=3 * pairs + 2 * n)
         return count_of(self.kernels.slopes) + form + pivots + OpCount(div=n, mul=pairs) + _sums(inner)
 
     def solve(self, columns: int) -> OpCount:

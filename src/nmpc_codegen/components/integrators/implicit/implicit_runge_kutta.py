@@ -103,6 +103,7 @@ class ImplicitRungeKutta(Defaults):
             found.interval(),
             found.step(),
             value=found.value(jumps=False),
+            failure=found.failure(),
             jump=jump_kernel(problem),
             jump_rows=jump_rows_kernel(problem),
         )
@@ -187,7 +188,7 @@ class ImplicitRungeKutta(Defaults):
     def structs(self, dims: Dims) -> tuple[Struct, ...]:
         """How far Newton's method goes, and what it leaves."""
         return (
-            Struct("solver", "", (Field("newton", (), "Newton steps of a stage", "keep", "int32"),)),
+            Struct("solver", "", (Field("newton", (), "Newton steps of a stage", "keep", "int32"), *_failed())),
             Struct(
                 "node",
                 "linearisation of a path node",
@@ -196,3 +197,14 @@ class ImplicitRungeKutta(Defaults):
                 only=lambda f: f.nodes,
             ),
         )
+
+
+def _failed() -> tuple[Field, ...]:
+    """What name_failed_stage() writes."""
+    docs = {
+        "interval": "interval with a stage that cannot be solved, or -1",
+        "step": "its step",
+        "stage": "the stage of this step",
+        "state": "state without a pivot, or NX + state that does not converge",
+    }
+    return tuple(Field(f"failed_{name}", (), doc, "result", "int32") for name, doc in docs.items())

@@ -93,6 +93,12 @@ class Intervals:
         call = self._call("value", (), (Slice("x_next", self.nx),), self.count.value)
         return self._routine("integrator_value", self.phi, (call,), (Port("x_next", self.nx),), jumps=jumps)
 
+    def failure(self) -> LoopedRoutine:
+        """(x, u, p, dt, newton) -> failure: reason, step and stage, see implicit_failure()."""
+        call = self._call("failure", (), (Slice("failure", 3),), self.count.value)
+        doc = "failure = reason, step, stage of the first stage that cannot be solved; reason -1: none"
+        return self._routine("integrator_failure", doc, (call,), (Port("failure", 3),), jumps=False)
+
     def adjoint(self) -> LoopedRoutine:
         """(x, u, p, dt, newton, lam) -> lam_x, lam_u."""
         outs = (Slice("lam_x", self.nx), Slice("lam_u", self.nu))

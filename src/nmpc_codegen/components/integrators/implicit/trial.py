@@ -97,7 +97,6 @@ class Trial:
 def _solve(M: Array, b: Array) -> Array:
     """M^-1 b; NaN if M is singular."""
     try:
-        found: Array = np.linalg.solve(M, b)
-        return found
+        return np.asarray(np.linalg.solve(M, b), dtype=np.float64)
     except np.linalg.LinAlgError:
         return np.full_like(b, np.nan)
