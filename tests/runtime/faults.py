@@ -21,8 +21,10 @@ from nmpc_codegen import (
     AugmentedLagrangian,
     Controller,
     DenseActiveSet,
+    ExplicitRungeKutta,
     FullCondensing,
     GaussNewton,
+    ImplicitRungeKutta,
     NmpcError,
     NoCondensing,
     Online,
@@ -233,10 +235,10 @@ def stiff(rate: float) -> OCP:
     return ocp
 
 
-@fault("RK4 with steps=2 is unstable", "eigenvalue -30 1/s", "11 steps", "integrator.steps=11")
+@fault("RK4 with steps=2 is unstable", "eigenvalue -30 1/s", "ImplicitRungeKutta(SDIRK3, steps=", "11 steps")
 def unstable_steps() -> str:
     """build(): too few integration steps for a fast pole."""
-    return warned(stiff(30.0))
+    return warned(stiff(30.0), Options(integrator=ExplicitRungeKutta()))
 
 
 def upright(N: int) -> OCP:
@@ -408,6 +410,30 @@ def augmented_lagrangian_still_on_its_way() -> str:
     return ctrl.diagnose()
 
 
+@fault("the Newton matrix is singular in interval 0, step 1, stage 1: state temp", never=("without prepare",))
+def stage_without_a_solution() -> str:
+    """an implicit scheme whose step is as long as the time in which a state doubles."""
+    ocp = OCP("blow", T=1.0, N=5)
+    x, temp, u = ocp.state("x"), ocp.state("temp", initial=1.0), ocp.control("u")
+    ocp.dynamics({x: u - x, temp: 10 * temp + u})
+    ocp.least_squares(ca.vertcat(x, temp, u), weight=1)
+    ctrl = made(ocp, Options(integrator=ImplicitRungeKutta("ImplicitMidpoint")))  # type: ignore[arg-type]
+    ctrl.step([1.0, 1.0])
+    return ctrl.diagnose()
+
+
+@fault("Newton's method does not converge in interval 0, step 1, stage 1: state temp")
+def stage_that_escapes() -> str:
+    """a model that explodes within one interval."""
+    ocp = OCP("escape", T=1.0, N=5)
+    x, temp, u = ocp.state("x"), ocp.state("temp", initial=1.0), ocp.control("u")
+    ocp.dynamics({x: u - x, temp: 5 * temp**2 + 3 + u})
+    ocp.least_squares(ca.vertcat(x, temp, u), weight=1)
+    ctrl = made(ocp, Options(integrator=ImplicitRungeKutta("ImplicitEuler")))  # type: ignore[arg-type]
+    ctrl.solve([1.0, 3.0])
+    return ctrl.diagnose()
+
+
 @fault("NOT_PREPARED", "prepare()")
 def feedback_without_preparation() -> str:
     """feedback() without prepare()."""
@@ -419,7 +445,7 @@ def feedback_without_preparation() -> str:
 @fault("warning at build: integrator RK4 with steps=2 is unstable", "22 steps", never=("hessian=GaussNewton()",))
 def failure_of_unstable_steps() -> str:
     """solve() with too few integration steps."""
-    ctrl = made(stiff(60.0))
+    ctrl = made(stiff(60.0), Options(integrator=ExplicitRungeKutta()))
     ctrl.solve([1.0])
     return ctrl.diagnose()
 

@@ -20,6 +20,8 @@ SHORT, DIFFERENCE = 1e-3, 1e-5
 DAMPED, SLACK = 1e-3, 1e-3
 #: |lambda| h up to which every scheme in use is stable; most steps that are proposed.
 SAFE, MOST_STEPS = 1.5, 1000
+#: Steps above which an implicit scheme costs less.
+STIFF = 6
 
 
 def unstable_poles(ctrl: Memory) -> Iterator[str]:
@@ -42,6 +44,8 @@ def unstable_poles(ctrl: Memory) -> Iterator[str]:
     text = f"{pole.real:.3g}" if abs(pole.imag) < DAMPED * abs(pole) else f"{pole:.3g}"
     enough = next((n for n in range(steps + 1, MOST_STEPS) if not _grows(ctrl, k, dt / n)), None)
     many = f"; {enough} steps are enough: ExplicitRungeKutta({scheme}, steps={enough})" if enough else ""
+    if enough is None or enough > STIFF:
+        many += "; an implicit scheme takes few: ImplicitRungeKutta() (--set integrator=implicit_runge_kutta)"
     yield (
         f"{scheme} with {steps} steps is unstable at node {k} of the plan: pole {text} "
         f"1/{ctrl.description.time_unit}{many}"
