@@ -1,4 +1,4 @@
-"""Implicit Runge-Kutta schemes: tableaus, values and derivatives against CasADi's rootfinder, Newton steps, failures."""
+"""Implicit Runge-Kutta schemes: tableaus, values and derivatives against CasADi's rootfinder, Newton steps."""
 
 from __future__ import annotations
 

@@ -12,7 +12,8 @@ static void record_stages(real_t *x, const real_t *u, const real_t *p, real_t h,
     real_t D[STAGES][NX];
     for (int step = 0; step < STEPS; step++) {
         for (int i = 0; i < STAGES; i++) {
-            (void)run_stage(&stage[step][i], D, i, x, u, p, h, newton, left);
+            stage_t *t = &stage[step][i];
+            (void)run_stage(t, (i > 0) ? (t - 1)->X : x, D, i, x, u, p, h, newton, left);
         }
         end_step(x, D);
     }

@@ -121,9 +121,10 @@ static void implicit_forward_over_adjoint(const real_t *x, const real_t *u, cons
     unit_columns(S, U);
     for (int step = 0; step < STEPS; step++) {
         for (int i = 0; i < STAGES; i++) {
-            (void)run_stage(&stage[step][i], D, i, end, u, p, h, newton, left);
+            stage_t *t = &stage[step][i];
+            (void)run_stage(t, (i > 0) ? (t - 1)->X : end, D, i, end, u, p, h, newton, left);
             memcpy(Z[step][i] + NX * NZ, U, sizeof U);
-            stage_columns(&stage[step][i], i, h, S, U, NZ, DV, Z[step][i]);
+            stage_columns(t, i, h, S, U, NZ, DV, Z[step][i]);
         }
         end_step(end, D);
         end_step_of_columns(S, DV, NZ);

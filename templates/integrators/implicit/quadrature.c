@@ -10,7 +10,7 @@ static void implicit_integral(
     memcpy(end, x, sizeof end);
     for (int step = 0; step < STEPS; step++) {
         for (int i = 0; i < STAGES; i++) {
-            (void)run_stage(&stage, D, i, end, u, p, h, newton, left);
+            (void)run_stage(&stage, stage.X, D, i, end, u, p, h, newton, left);
             STAGE_RATE(stage.X, u, p, &rate);
             *l += h * stage_weight[i] * rate;
         }
@@ -64,7 +64,7 @@ static void implicit_integral_product(
         for (int i = 0; i < STAGES; i++) {
             const real_t weight = h * stage_weight[i];
             stage_t *t = &stage[step][i];
-            (void)run_stage(t, D, i, end, u, p, h, newton, left);
+            (void)run_stage(t, (i > 0) ? (t - 1)->X : end, D, i, end, u, p, h, newton, left);
             stage_columns(t, i, h, V, d + NX, 1, DV, Z);
             STAGE_RATE_PRODUCT(t->X, u, p, Z, d + NX, rho[step][i]);
             for (int r = 0; r < NZ; r++) {

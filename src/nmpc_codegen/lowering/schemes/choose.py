@@ -1,7 +1,7 @@
 """Which integrator a problem has where the options leave it open, and with which steps, tried at its first plan.
 
 RK4 needs |h lambda| < 2.78 of the fastest mode. A model for which it would need many steps is stiff: an implicit scheme
-takes a few, each of which solves linear systems.
+takes a few, each of which solves linear systems. The one with fewer operations is chosen.
 """
 
 from __future__ import annotations
@@ -18,15 +18,15 @@ from nmpc_codegen.components.integrators.implicit.trial import Trial
 from nmpc_codegen.frontend.problem import Array, Problem
 from nmpc_codegen.frontend.scales import scales
 from nmpc_codegen.lowering.first_plan import points
-from nmpc_codegen.lowering.schemes.stability import MOST_EXPLICIT, MOST_STEPS, Modes, needed_steps
+from nmpc_codegen.lowering.schemes.stability import MOST_EXPLICIT, MOST_STEPS, needed_steps
 from nmpc_codegen.options import Options
 
 #: Steps per interval that are tried; error of an interval, relative to the scale of a state, that is accurate; steps of
 #: the comparison for every step.
 STEPS, ACCURATE, FINER = (1, 2, 3, 4), 1e-3, 4
 
-#: What two Newton steps may leave, relative to the scale of a state, before a third one pays.
-LEFT = 1e-5
+#: The last correction of a stage that samples may leave, relative to the scale of a state, and Newton steps at most.
+LEFT, MOST_NEWTON = 1e-3, 6
 
 
 def choose_integrator(problem: Problem, options: Options) -> tuple[Integrator, tuple[str, ...]]:
@@ -45,27 +45,30 @@ def _given(problem: Problem, options: Options) -> tuple[Integrator, tuple[str, .
         return options.integrator, ()
     if problem.discrete:
         return Discrete(), (f"integrator: {Discrete.name}; the dynamics are a discrete map",)
-    explicit = ExplicitRungeKutta()
-    needed, modes = needed_steps(problem, explicit)
-    if needed is not None and needed <= MOST_EXPLICIT:
-        return explicit, (f"integrator: {explicit.name}; default for differential equations: RK4",)
-    implicit = implicit_for(problem)
+    default = ExplicitRungeKutta()
+    needed, modes = needed_steps(problem, default)
+    if needed == default.steps:
+        return default, (f"integrator: {default.name}; default for differential equations: RK4",)
+    explicit = replace(default, steps=MOST_STEPS if needed is None else needed)
+    fast = f"the first plan has the eigenvalue {modes.fastest} 1/{problem.time_unit}, for which RK4"
+    few = needed is not None and needed <= MOST_EXPLICIT
+    implicit = None if few else implicit_for(problem)
     if implicit is None:
-        return explicit, (f"integrator: {explicit.name}; the model is stiff, but no implicit scheme was found",)
-    return implicit, (_reason(problem, implicit, needed, modes),)
-
-
-def _reason(problem: Problem, implicit: ImplicitRungeKutta, needed: int | None, modes: Modes) -> str:
-    """Why the scheme is implicit, and what either would cost per sample."""
-    steps = MOST_STEPS if needed is None else needed
-    one = ExplicitRungeKutta(steps=1, unroll="none").interval(problem).linearize.count.total
-    ours = implicit.interval(problem).linearize.count.total
-    return (
-        f"integrator: {implicit.name}, {implicit.tableau.name} with steps={implicit.steps}; the first plan is stiff, "
-        f"eigenvalue {modes.fastest} 1/{problem.time_unit}: RK4 needs {'more than ' if needed is None else ''}"
-        f"{steps:,} steps per interval, {one * steps * problem.N:,} operations per linearisation in place of "
-        f"{ours * problem.N:,}"
+        kept = explicit if few else default
+        return kept, (f"integrator: {kept.name}, RK4 with steps={kept.steps}; {fast} needs {explicit.steps} steps",)
+    theirs, ours = _operations(problem, replace(explicit, steps=1)) * explicit.steps, _operations(problem, implicit)
+    chosen: ExplicitRungeKutta | ImplicitRungeKutta = implicit if needed is None or theirs > ours else explicit
+    return chosen, (
+        f"integrator: {chosen.name}, {chosen.tableau.name} with steps={chosen.steps}; {fast} needs "
+        f"{'more than ' if needed is None else ''}{explicit.steps:,} steps per interval: {theirs:,} operations per "
+        f"linearisation, {implicit.tableau.name} with steps={implicit.steps}: {ours:,}",
     )
+
+
+def _operations(problem: Problem, integrator: ExplicitRungeKutta | ImplicitRungeKutta) -> int:
+    """Of a linearisation of all intervals; an explicit scheme in loops."""
+    looped = replace(integrator, unroll="none") if isinstance(integrator, ExplicitRungeKutta) else integrator
+    return looped.interval(problem).linearize.count.total * problem.N
 
 
 def implicit_for(problem: Problem) -> ImplicitRungeKutta | None:
@@ -91,13 +94,15 @@ def implicit_for(problem: Problem) -> ImplicitRungeKutta | None:
 def _with_newton(problem: Problem, given: ImplicitRungeKutta) -> tuple[ImplicitRungeKutta, tuple[str, ...]]:
     """The scheme with as many Newton steps as the first plan needs in a sample."""
     trial, size = Trial(problem, given.tableau), scales(problem).z[: problem.nx]
-    most = 0.0
-    for x, u, p in _starts(problem):
-        left = trial.interval(x, u, p, max(problem.dt), given.steps, NEWTON_STEPS).left
-        most = max(most, float(np.max(left / size))) if np.all(np.isfinite(left)) else most
-    newton = NEWTON_STEPS if most <= LEFT else NEWTON_STEPS + 1
-    return replace(given, newton=newton), (
-        f"Newton steps of a stage in samples: {newton}; from the first plan two leave {most:.0e} of the states",
+    left = np.inf
+    for newton in range(NEWTON_STEPS, MOST_NEWTON + 1):
+        found = [trial.interval(*at, max(problem.dt), given.steps, newton).left / size for at in _starts(problem)]
+        left = max((float(np.max(each)) for each in found if np.all(np.isfinite(each))), default=np.inf)
+        if left <= LEFT:
+            break
+    chosen = newton if np.isfinite(left) else NEWTON_STEPS
+    return replace(given, newton=chosen), (
+        f"Newton steps of a stage in samples: {chosen}; the last correction at the first plan is {left:.0e} of a state",
     )
 
 

@@ -79,8 +79,7 @@ class Counts:
         base = _sums(i * n)
         if self._is_explicit(i):
             return base + count_of(self.kernels.slopes) + OpCount(mul=n)
-        guess = OpCount(add=n) if i > self._is_explicit(0) else NONE
-        return base + guess + OpCount(mul=1) + self.newton_steps + OpCount(add=n)
+        return base + OpCount(mul=1) + self.newton_steps + OpCount(add=n)
 
     def end(self, columns: int) -> OpCount:
         """Return the count of the end of a step along so many columns."""

@@ -54,7 +54,7 @@ class Trial:
         slopes: list[Array] = []
         columns: list[Array] = []
         left = np.zeros(self.nx)
-        forcing = np.zeros_like(S)
+        forcing, X = np.zeros_like(S), x
         for i, row in enumerate(self.a):
             base = x + h * sum((row[j] * K for j, K in enumerate(slopes)), np.zeros_like(x))
             moved = S + h * sum((row[j] * K for j, K in enumerate(columns)), np.zeros_like(S))
@@ -65,8 +65,7 @@ class Trial:
                 slopes.append(f)
                 columns.append(J[:, : self.nx] @ moved + forcing)
                 continue
-            implicit = i > 0 and self.a[i - 1][i - 1] > 0
-            X, J, M, more = self._solve(base + ha * slopes[-1] if implicit else x.copy(), base, u, p, ha, newton)
+            X, J, M, more = self._solve(X, base, u, p, ha, newton)
             left += more
             forcing[:, self.nx :] = J[:, self.nx :]
             slopes.append((X - base) / ha)

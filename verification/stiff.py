@@ -1,0 +1,215 @@
+"""Stiff problems of users, and their closed loops: kinetics, a distillation column, a converter, a battery cell.
+
+The plant of a loop is the same model by Radau's method of SciPy, with other parameters and noise on what is measured.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+from scipy.integrate import solve_ivp
+
+from nmpc_codegen import OCP, Controller, build
+from nmpc_codegen.frontend.classify import classify
+
+Array = NDArray[Any]
+
+
+def kinetics() -> OCP:
+    """Robertson's reactions in a stirred tank: a slow one, a fast intermediate, an autocatalytic one; rates differ by
+    1e9. The feed holds the product at its set point. Time in s."""
+    ocp = OCP("kinetics", T=400.0, N=20)
+    a, b, c = (ocp.state(n, initial=v, unit="mol/l") for n, v in (("a", 0.6), ("b", 1e-5), ("c", 0.4)))
+    q = ocp.control("q", unit="1/s")
+    k = ocp.parameter("k", value=0.04, bounds=(0.03, 0.05))
+    slow, fast, very_fast = k * a, 1e4 * b * c, 3e7 * b**2
+    ocp.dynamics({a: q * (1 - a) - slow + fast, b: slow - fast - very_fast - q * b, c: very_fast - q * c})
+    ocp.least_squares(ca.vertcat(c, q), weight=[10, 200], reference=[0.3, 0.002])
+    ocp.subject_to(0, q, 0.02)
+    ocp.subject_to(0, c, 0.5)
+    return ocp
+
+
+#: Trays between reboiler (0) and condenser (TRAYS + 1), that of the feed, hydraulic time constant (min), volatility.
+TRAYS, FEED_TRAY, HYDRAULIC, VOLATILITY = 8, 4, 0.06, 2.0
+
+
+def column() -> OCP:
+    """A binary distillation column with constant relative volatility and liquid hydraulics: fast holdups, slow
+    compositions (Skogestad, Trans. IChemE 75, 1997, with fewer trays). Time in min."""
+    n = TRAYS + 2
+    ocp = OCP("column", T=120.0, N=24, time_unit="min")
+    start = np.linspace(0.06, 0.94, n)
+    x = ocp.state("x", size=n, initial=start)
+    M = ocp.state("M", size=n, initial=np.full(n, 0.5), unit="kmol")
+    L, V = ocp.control("L", unit="kmol/min"), ocp.control("V", unit="kmol/min")
+    F = ocp.parameter("F", value=1.0, bounds=(0.9, 1.1))
+    zF = ocp.parameter("zF", value=0.5, bounds=(0.45, 0.55))
+    y = VOLATILITY * x / (1 + (VOLATILITY - 1) * x)
+    liquid = [2.7 + (i <= FEED_TRAY) * 1.0 + (M[i] - 0.5) / HYDRAULIC for i in range(n)]
+    liquid[n - 1] = L
+    bottom, top = 0.5 + 10 * (M[0] - 0.5), 0.5 + 10 * (M[n - 1] - 0.5)  # level controllers of reboiler and condenser
+    dM, dx = [], []
+    for i in range(n):
+        vapour_in, vapour_out = (V if i > 0 else 0, V if i < n - 1 else 0)
+        liquid_in = liquid[i + 1] if i < n - 1 else 0
+        liquid_out = bottom if i == 0 else liquid[i] + (top if i == n - 1 else 0)
+        feed = F if i == FEED_TRAY else 0
+        dM.append(liquid_in - liquid_out + vapour_in - vapour_out + feed)
+        rate = vapour_in * ((y[i - 1] if i else 0) - x[i]) - vapour_out * (y[i] - x[i]) + feed * (zF - x[i])
+        rate += liquid_in * ((x[i + 1] if i < n - 1 else 0) - x[i])
+        dx.append(rate / M[i])
+    ocp.dynamics({x: ca.vertcat(*dx), M: ca.vertcat(*dM)})
+    ocp.least_squares(ca.vertcat(x[n - 1], x[0], L, V), weight=[1e3, 1e3, 0.1, 0.1], reference=[0.94, 0.06, 2.7, 3.2])
+    ocp.subject_to(2.0, L, 3.5)
+    ocp.subject_to(2.5, V, 4.0)
+    return ocp
+
+
+def converter() -> OCP:
+    """A buck converter with input filter and the inductance of its capacitor's leads: ringing in ns, regulation in
+    us. Time in us, averaged over a switching period."""
+    ocp = OCP("converter", T=200.0, N=20, time_unit="us")
+    ii, vi = ocp.state("ii", initial=1.7, unit="A"), ocp.state("vi", initial=24.0, unit="V")
+    i, vp = ocp.state("i", initial=5.0, unit="A"), ocp.state("vp", initial=12.0, unit="V")
+    v = ocp.state("v", initial=12.0, unit="V")
+    d, source = ocp.control("d"), ocp.parameter("source", value=24.0, bounds=(20, 28))
+    load = ocp.parameter("load", value=0.4, bounds=(0.2, 0.6))  # A/V, and a part that grows with the square
+    out = load * vp + 0.002 * vp**2
+    ocp.dynamics(
+        {
+            ii: (source - vi - 0.05 * ii) / 2.0,
+            vi: (ii - d * i) / 20.0,
+            i: (d * vi - vp - 0.02 * i) / 10.0,
+            vp: (i - out - (vp - v) / 0.01) / 0.05,
+            v: (vp - v) / 0.01 / 100.0,
+        }
+    )
+    ocp.least_squares(ca.vertcat(v, i, d), weight=[10, 0.1, 1], reference=[12, 5, 0.5])
+    ocp.subject_to(0.05, d, 0.95)
+    ocp.subject_to(-2, i, 10)
+    return ocp
+
+
+#: Shells of a particle.
+SHELLS = 6
+
+
+def battery() -> OCP:
+    """A lithium-ion cell: diffusion in one particle (finite volumes), double layer, core and surface temperature. The
+    current charges it as fast as voltage and temperature allow. Time in s."""
+    ocp = OCP("battery", T=600.0, N=30)
+    c = ocp.state("c", size=SHELLS, initial=np.full(SHELLS, 0.3))
+    eta = ocp.state("eta", initial=0.0, unit="V")
+    core, skin = ocp.state("core", initial=25.0, unit="degC"), ocp.state("skin", initial=25.0, unit="degC")
+    I = ocp.control("I", unit="A")  # noqa: E741
+    R = ocp.parameter("R", value=0.03, bounds=(0.02, 0.05), unit="Ohm")
+    edges = np.linspace(0, 1, SHELLS + 1)
+    volume, area = np.diff(edges**3) / 3, edges**2
+    rate = 2e-3 * ca.exp(0.02 * (core - 25))
+    flux = [0, *(rate * area[j] * (c[j] - c[j - 1]) * SHELLS for j in range(1, SHELLS)), I / 3 / 3600]
+    surface = c[SHELLS - 1]
+    transfer = 4 * ca.exp(0.03 * (core - 25)) * ca.sinh(20 * eta) * ca.sqrt((surface * (1 - surface)) ** 2 + 1e-2)
+    heat = I**2 * R + eta * transfer
+    ocp.dynamics(
+        {
+            c: ca.vertcat(*((flux[j + 1] - flux[j]) / volume[j] for j in range(SHELLS))),
+            eta: (I - transfer) / 0.2,
+            core: (heat - (core - skin) / 2.0) / 60.0,
+            skin: ((core - skin) / 2.0 - (skin - 25) / 3.0) / 10.0,
+        }
+    )
+    voltage = 3.4 + 0.8 * surface + eta + R * I
+    mean = sum(float(v) * c[j] for j, v in enumerate(volume)) * 3
+    ocp.least_squares(ca.vertcat(mean, I), weight=[100, 0.01], reference=[0.8, 0])
+    ocp.subject_to(0, I, 10)
+    ocp.subject_to(-ca.inf, voltage, 4.15, name="voltage")
+    ocp.subject_to(-ca.inf, core, 40, soft=(50, 10))
+    return ocp
+
+
+@dataclass(frozen=True)
+class Stiff:
+    """A problem, the spread of the initial states and of the parameters (relative), and how far its loop may end from
+    the set point: ``distance`` of the states and controls at the end."""
+
+    make: Callable[[], OCP]
+    spread: float
+    parameters: float
+    samples: int
+    distance: Callable[[Array, Array], float]
+    reach: float
+
+
+PROBLEMS = {
+    "kinetics": Stiff(kinetics, 0.2, 0.1, 40, lambda x, u: abs(float(x[2]) - 0.3), 0.05),
+    "column": Stiff(column, 0.05, 0.03, 40, lambda x, u: float(max(abs(x[9] - 0.94), abs(x[0] - 0.06))), 0.02),
+    "converter": Stiff(converter, 0.1, 0.1, 60, lambda x, u: abs(float(x[4]) - 12), 0.5),
+    "battery": Stiff(battery, 0.1, 0.2, 60, lambda x, u: max(0.0, float(x[7]) - 41), 0.5),
+}
+
+
+class Plant:
+    """The model by Radau's method of SciPy."""
+
+    def __init__(self, ocp: OCP) -> None:
+        problem = self.problem = classify(ocp)
+        x, u, p = problem.path.x, problem.path.u, problem.path.p
+        f = ca.densify(problem.dynamics(x, u, p))
+        self._f = ca.Function("f", [x, u, p], [f])
+        self._slopes = ca.Function("f_x", [x, u, p], [ca.densify(ca.jacobian(f, x))])
+
+    def step(self, x: Array, u: Array, p: Array) -> Array:
+        """The state one interval later."""
+        found = solve_ivp(
+            lambda t, x: np.asarray(self._f(x, u, p)).ravel(),
+            (0.0, self.problem.dt[0]),
+            x,
+            method="Radau",
+            jac=lambda t, x: np.asarray(self._slopes(x, u, p)),
+            rtol=1e-6,
+            atol=1e-8,
+        )
+        return np.asarray(found.y[:, -1], dtype=float)
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """A loop: its statuses, the distance from the set point at its end, and why it is lost ("": it is not)."""
+
+    statuses: Counter[str]
+    distance: float
+    lost: str
+
+
+def run(name: str, ctrl: Controller, plant: Plant, seed: int) -> Outcome:
+    """A closed loop from a random start, with other parameters than those of the model and noise on the states."""
+    case, rng, problem = PROBLEMS[name], np.random.default_rng(seed), plant.problem
+    x = problem.x_initial * (1 + case.spread * rng.uniform(-1, 1, problem.nx))
+    p = problem.p_value * (1 + case.parameters * rng.uniform(-1, 1, problem.np))
+    statuses, u = Counter[str](), np.zeros(problem.nu)
+    ctrl.reset()
+    for k in range(case.samples):
+        measured = x * (1 + 1e-3 * case.spread * rng.normal(size=x.size))
+        u = np.asarray(ctrl.step(measured), dtype=float)
+        statuses[ctrl.status.name] += 1
+        x = plant.step(x, u, p)
+        if k == case.samples // 2:
+            x = x * (1 + case.spread / 4 * rng.uniform(-1, 1, x.size))
+        if not np.all(np.isfinite(x)):
+            return Outcome(statuses, np.inf, "not finite")
+    distance = case.distance(x, u)
+    good = statuses["OK"] + statuses["RELAXED"]
+    lost = f"{distance:.3g} from the goal" if distance > case.reach else ""
+    return Outcome(statuses, distance, lost or ("" if good >= 0.8 * case.samples else f"{dict(statuses)}"))
+
+
+def controller(name: str) -> Controller:
+    """The controller of a user who says nothing."""
+    return build(PROBLEMS[name].make(), profile="fast")
