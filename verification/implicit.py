@@ -83,8 +83,8 @@ def _unit(problem: Problem, integrator: ImplicitRungeKutta, precision: Precision
     lines += [f"#define {name}({arguments}) {text}" for name, arguments, text in macros]
     for table in integrator.tables(problem):
         ctype = "real_t" if table.ctype == "real" else "int"
-        values = ", ".join(str(v) for v in table.values or (0,))
-        lines.append(f"static const {ctype} {table.name}[] = {{ {values} }};")
+        values = (1 / scales).tolist() if table.name == "state_unit" else table.values or (0,)
+        lines.append(f"static const {ctype} {table.name}[] = {{ {', '.join(map(str, values))} }};")
     lines.append(f"static const real_t z_scale[] = {{ {', '.join(map(str, scales.tolist()))} }};")
     lines.append(read_part("integrators/implicit/intervals.c", lambda path: ""))
     for function, (inputs, outputs) in FUNCTIONS.items():

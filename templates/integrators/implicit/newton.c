@@ -12,6 +12,18 @@ typedef struct {
     int order[NX];
 } stage_t;
 
+static void exchange_rows(real_t (*M)[NX], int *order, int i, int j)
+{
+    const int row = order[i];
+    order[i] = order[j];
+    order[j] = row;
+    for (int c = 0; c < NX; c++) {
+        const real_t moved = M[i][c];
+        M[i][c] = M[j][c];
+        M[j][c] = moved;
+    }
+}
+
 /* M = P' L U with row exchanges; pivots are compared in the scales of their states, and the diagonal of U is stored as
  * its inverse. Returns the state whose column has no pivot above rounding errors, or -1. */
 static int factorize_stage(real_t (*M)[NX], int *order)
@@ -21,21 +33,19 @@ static int factorize_stage(real_t (*M)[NX], int *order)
     }
     for (int j = 0; j < NX; j++) {
         int best = j;
-        for (int i = j + 1; i < NX; i++) {
-            if (FABS(M[i][j]) * z_scale[order[best]] > FABS(M[best][j]) * z_scale[order[i]]) {
+        real_t largest = R(0);
+        for (int i = j; i < NX; i++) {
+            const real_t size = FABS(M[i][j]) * state_unit[order[i]];
+            if (size > largest) {
+                largest = size;
                 best = i;
             }
         }
-        const int row = order[best];
-        order[best] = order[j];
-        order[j] = row;
-        for (int c = 0; c < NX; c++) {
-            const real_t moved = M[best][c];
-            M[best][c] = M[j][c];
-            M[j][c] = moved;
-        }
-        if (!(FABS(M[j][j]) * z_scale[j] > TOL_UNIT * z_scale[order[j]]) || !isfinite(M[j][j])) {
+        if (!(largest > TOL_UNIT * state_unit[j]) || !isfinite(largest)) {
             return j;
+        }
+        if (best != j) {
+            exchange_rows(M, order, best, j);
         }
         M[j][j] = R(1) / M[j][j];
         for (int i = j + 1; i < NX; i++) {
@@ -117,19 +127,17 @@ static real_t size_of_correction(const real_t *d, const real_t *X, int *worst)
     return most;
 }
 
-/* X -= M^-1 (X - base - ha f), for slopes f at X. Returns the size of this step. */
-static real_t correct_point(stage_t *t, const real_t *base, real_t ha, const real_t *f, real_t *d, int *worst)
+/* X -= d = M^-1 (X - base - ha f), for slopes f at X. */
+static void correct_point(stage_t *t, const real_t *base, real_t ha, const real_t *f, real_t *d)
 {
     real_t rest[NX];
     for (int i = 0; i < NX; i++) {
         rest[i] = t->X[i] - base[i] - ha * f[i];
     }
     solve_stage_columns(t, rest, d, 1);
-    const real_t size = size_of_correction(d, t->X, worst);
     for (int i = 0; i < NX; i++) {
         t->X[i] -= d[i];
     }
-    return size;
 }
 
 /* A stage that cannot be solved: its point is NaN, so that the end of the interval is. Returns the reason. */
@@ -145,7 +153,7 @@ static int fail_stage(stage_t *t, int reason)
     return reason;
 }
 
-/* Derivatives at the point, and the factors of M. */
+/* Derivatives at the point, and the factors of M. Returns the state whose column has no pivot, or -1. */
 static int factorize_at_point(stage_t *t, const real_t *u, const real_t *p, real_t ha, real_t *f)
 {
     STAGE_SLOPES(t->X, u, p, f, t->J);
@@ -157,34 +165,70 @@ static int factorize_at_point(stage_t *t, const real_t *u, const real_t *p, real
     return factorize_stage(t->M, t->order);
 }
 
+/* One Newton step. Returns the state whose column of M has no pivot, or -1. */
+static int newton_step(stage_t *t, const real_t *base, const real_t *u, const real_t *p, real_t ha, real_t *d)
+{
+    real_t f[NX];
+    const int singular = factorize_at_point(t, u, p, ha, f);
+    if (singular < 0) {
+        correct_point(t, base, ha, f, d);
+    }
+    return singular;
+}
+
+/* Newton steps from the point in X until they are rounding errors. Returns -1, the state whose column of M has no
+ * pivot, or NX plus the state that does not converge. */
+static int iterate_stage(stage_t *t, const real_t *base, const real_t *u, const real_t *p, real_t ha)
+{
+    real_t d[NX], size = INF;
+    int worst = 0;
+    for (int n = 0; n < NEWTON_LIMIT; n++) {
+        const real_t before = size;
+        const int singular = newton_step(t, base, u, p, ha, d);
+        if (singular >= 0) {
+            return singular;
+        }
+        size = size_of_correction(d, t->X, &worst);
+        if (size <= ((size >= R(0.5) * before) ? TOL_NEWTON_STALLED : TOL_NEWTON)) {
+            return -1;
+        }
+    }
+    return NX + worst;
+}
+
+/* `newton` Newton steps from the point in X. Returns the same; here a state that is not finite does not converge. */
+static int sample_stage(stage_t *t, const real_t *base, const real_t *u, const real_t *p, real_t ha, int newton)
+{
+    real_t d[NX];
+    for (int n = 0; n < newton; n++) {
+        const int singular = newton_step(t, base, u, p, ha, d);
+        if (singular >= 0) {
+            return singular;
+        }
+    }
+    for (int i = 0; i < NX; i++) {
+        if (!isfinite(t->X[i])) {
+            return NX + i;
+        }
+    }
+    return -1;
+}
+
 /* An implicit stage, from the point in X: `newton` Newton steps, or as many as rounding errors allow if there are
- * NEWTON_LIMIT, and one more with the factors of the last, whose magnitude is added to `left`. Returns -1, the
- * state whose column of M has no pivot, or NX plus the state that does not converge. */
+ * NEWTON_LIMIT, and one more with the factors of the last, whose magnitude is added to `left`. Returns why it fails, or
+ * -1. */
 static int solve_stage(
     stage_t *t, const real_t *base, const real_t *u, const real_t *p, real_t ha, int newton, real_t *left)
 {
-    real_t f[NX], d[NX], size = INF;
-    int worst = 0;
+    real_t f[NX], d[NX];
     memset(t->J, 0, sizeof t->J);
-    for (int n = 0; n < newton; n++) {
-        const real_t before = size;
-        const int singular = factorize_at_point(t, u, p, ha, f);
-        if (singular >= 0) {
-            return fail_stage(t, singular);
-        }
-        size = correct_point(t, base, ha, f, d, &worst);
-        if (!(size < INF)) {
-            return fail_stage(t, NX + worst);
-        }
-        if (newton == NEWTON_LIMIT && size <= ((size >= R(0.5) * before) ? TOL_NEWTON_STALLED : TOL_NEWTON)) {
-            break;
-        }
-    }
-    if (newton == NEWTON_LIMIT && !(size <= TOL_NEWTON_STALLED)) {
-        return fail_stage(t, NX + worst);
+    const int reason =
+        (newton < NEWTON_LIMIT) ? sample_stage(t, base, u, p, ha, newton) : iterate_stage(t, base, u, p, ha);
+    if (reason >= 0) {
+        return fail_stage(t, reason);
     }
     STAGE_SLOPE(t->X, u, p, f);
-    (void)correct_point(t, base, ha, f, d, &worst);
+    correct_point(t, base, ha, f, d);
     for (int i = 0; i < NX; i++) {
         left[i] += FABS(d[i]);
     }

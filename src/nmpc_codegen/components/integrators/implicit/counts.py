@@ -51,7 +51,7 @@ class Counts:
         """Return the count of the factors of M at a point, with the kernel of f and its derivatives."""
         n = self.n
         pairs, inner = n * (n - 1) // 2, (n - 1) * n * (2 * n - 1) // 6
-        form, pivots = _sums(n * n), OpCount(mul=2 * (pairs + n), other=3 * pairs + 2 * n)
+        form, pivots = _sums(n * n), OpCount(mul=pairs + 2 * n, other=2 * pairs + 3 * n)
         return count_of(self.kernels.slopes) + form + pivots + OpCount(div=n, mul=pairs) + _sums(inner)
 
     def solve(self, columns: int) -> OpCount:
@@ -63,7 +63,7 @@ class Counts:
     def correct(self) -> OpCount:
         """Return the count of one correction of a point with given slopes."""
         n = self.n
-        return self.solve(1) + OpCount(add=4 * n, mul=n, div=n, other=3 * n)
+        return self.solve(1) + OpCount(add=3 * n, mul=n)
 
     @property
     def newton_steps(self) -> OpCount:

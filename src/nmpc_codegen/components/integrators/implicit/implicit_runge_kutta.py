@@ -22,6 +22,7 @@ from nmpc_codegen.components.integrators.jump import jump_kernel, jump_rows_kern
 from nmpc_codegen.components.integrators.tableau import IMPLICIT, SDIRK3, ButcherTableau
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.frontend.problem import Problem
+from nmpc_codegen.frontend.scales import scales
 from nmpc_codegen.ir.cmodule import Table
 from nmpc_codegen.ir.kernel import Port
 from nmpc_codegen.ir.model import Interval, IntervalProducts
@@ -163,8 +164,10 @@ class ImplicitRungeKutta(Defaults):
         """The scheme in the form of increments, and the variables that have second derivatives."""
         scheme, curved = self.tableau, StageKernels(problem).curved
         s = range(scheme.stages)
+        units = tuple(float(f"{1 / size:.3g}") for size in scales(problem).z[: problem.nx])
         factor = [float(scheme.a[i][i]) or 1.0 for i in s]
         return (
+            Table("state_unit", "real", units, "1 / scale of a state"),
             Table("stage_a", "real", tuple(float(scheme.a[i][i]) for i in s), "a_ii"),
             Table("stage_weight", "real", tuple(map(float, scheme.b)), "b_i"),
             Table("increment_a", "real", tuple(float(scheme.a[i][j]) / factor[j] for i in s for j in s), "a_ij / a_jj"),
