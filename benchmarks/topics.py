@@ -5,7 +5,7 @@ from __future__ import annotations
 import shutil
 from collections.abc import Callable
 
-from benchmarks.lib import export, strangers
+from benchmarks.lib import export, stiff, strangers
 from benchmarks.lib.convergence import accuracy, loops, starts
 from benchmarks.lib.firmware import emulated, riscv, single
 from benchmarks.lib.firmware import sizes as forms
@@ -28,6 +28,7 @@ PAGE: dict[str, Topic] = {
     "qps": qps.measure,
     "solve": starts.measure,
     "strangers": strangers.measure,
+    "stiff": stiff.measure,
 }
 
 #: Topics with a line per case and a column per figure.

@@ -36,6 +36,28 @@ def kinetics() -> OCP:
     return ocp
 
 
+def reactor() -> OCP:
+    """A -> R -> B in a stirred tank with a jacket: R reacts in seconds, the tank takes an hour. Time in min."""
+    ocp = OCP("reactor", T=60.0, N=30, time_unit="min")
+    a, r, b = ocp.state("a", initial=1.0), ocp.state("r", initial=0.1), ocp.state("b", initial=0.5)
+    T, Tj = ocp.state("T", initial=350.0, unit="K"), ocp.state("Tj", initial=340.0, unit="K")
+    q, Tc = ocp.control("q", unit="1/min"), ocp.control("Tc", unit="K")
+    k = ocp.parameter("k", value=0.02, bounds=(0.015, 0.025))
+    slow, fast = k * ca.exp(3000 * (1 / 350 - 1 / T)) * a, 2 * r * a
+    ocp.dynamics(
+        {
+            a: q * (2 - a) - slow - fast,
+            r: 1e3 * (slow - fast) - 50 * r,
+            b: fast - q * b,
+            T: q * (320 - T) + 40 * (slow + fast) - 0.5 * (T - Tj),
+            Tj: 20 * (Tc - Tj) + 2 * (T - Tj),
+        }
+    )
+    ocp.least_squares(ca.vertcat(b, T, q, Tc), weight=[100, 0.1, 10, 0.01], reference=[1.0, 355, 0.05, 340])
+    ocp.subject_to([0, 290, -ca.inf], ca.vertcat(q, Tc, T), [0.5, 360, 365])
+    return ocp
+
+
 #: Trays between reboiler (0) and condenser (TRAYS + 1), that of the feed, hydraulic time constant (min), volatility.
 TRAYS, FEED_TRAY, HYDRAULIC, VOLATILITY = 8, 4, 0.06, 2.0
 
@@ -128,7 +150,7 @@ def battery() -> OCP:
     voltage = 3.4 + 0.8 * surface + eta + R * I
     mean = sum(float(v) * c[j] for j, v in enumerate(volume)) * 3
     ocp.least_squares(ca.vertcat(mean, I), weight=[100, 0.01], reference=[0.8, 0])
-    ocp.subject_to(0, I, 10)
+    ocp.subject_to(-5, I, 10)
     ocp.subject_to(-ca.inf, voltage, 4.15, name="voltage")
     ocp.subject_to(-ca.inf, core, 40, soft=(50, 10))
     return ocp
@@ -151,6 +173,7 @@ PROBLEMS = {
     "kinetics": Stiff(kinetics, 0.2, 0.1, 40, lambda x, u: abs(float(x[2]) - 0.3), 0.05),
     "column": Stiff(column, 0.05, 0.03, 40, lambda x, u: float(max(abs(x[9] - 0.94), abs(x[0] - 0.06))), 0.02),
     "converter": Stiff(converter, 0.1, 0.1, 60, lambda x, u: abs(float(x[4]) - 12), 0.5),
+    "reactor": Stiff(reactor, 0.02, 0.1, 60, lambda x, u: max(0.0, float(x[3]) - 365), 0.5),
     "battery": Stiff(battery, 0.1, 0.2, 60, lambda x, u: max(0.0, float(x[7]) - 41), 0.5),
 }
 

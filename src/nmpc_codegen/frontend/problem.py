@@ -212,10 +212,11 @@ class Problem:
 
     @property
     def idle_end(self) -> bool:
-        """True if nothing depends on x_N, so that the last control has no influence beyond its own node."""
+        """True if no cost and no equation depends on x_N, so that the last control serves its own node, and at most keeps
+        x_N inside of bounds."""
         end = self.terminal
         priced = bool(end.ny) or end.cost is not None or self.terminal_lqr is not None or self.coupled_rows
-        limited = any(k == self.N for k, _, _, _ in self.qp_rows)
+        limited = any(k == self.N and self.rows[row].is_equation for k, _, _, row in self.qp_rows)
         return not (priced or limited or self.path.cost_rate is not None)
 
     @property

@@ -1,0 +1,40 @@
+"""Stiff models: python -m benchmarks.stiff [--scale S] [--json FILE]
+
+Orders and derivatives of the implicit schemes, stiff problems against IPOPT and in closed loops, and what implicit
+schemes cost beside explicit ones. It ends with an exit status of 1 if a figure is beyond its limit.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from benchmarks.lib import stiff
+from benchmarks.lib.base import commits, head
+from benchmarks.lib.report import Report, listed
+from benchmarks.lib.run import Run
+
+
+def main() -> int:
+    """The command line."""
+    command = argparse.ArgumentParser(
+        "benchmarks.stiff", description=__doc__, formatter_class=argparse.RawTextHelpFormatter
+    )
+    command.add_argument("--scale", metavar="S", type=float, default=1.0, help="share of the loops (default all)")
+    command.add_argument("--json", metavar="FILE", help="write all records")
+    options = command.parse_args()
+    if not 0 < options.scale <= 1:
+        command.error(f"--scale {options.scale:g}: expected a share, more than 0 and at most 1")
+    report, run = Report(), Run(options.scale, commits(), Path())
+    report.topic = "stiff"
+    stiff.measure(report, run)
+    report.print_matrix("stiff")
+    if options.json:
+        report.write(options.json, commit=head(), scale=run.scale, seed=run.seed)
+    if report.missed():
+        print(f"beyond their limits:\n{listed(report.missed())}")
+    return int(bool(report.missed()))
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
