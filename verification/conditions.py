@@ -70,8 +70,9 @@ def reached(modules: Iterable[CModule]) -> tuple[set[str], Values]:
     for module in modules:
         math = (MATH,) if module.features.own_math or module.sizes["LANE_NODES"] else ()
         search = (SEARCH,) if called_lookups(module.routines) else ()
+        stages = ("integrators/implicit/intervals.c",) if module.stage_parts else ()
         sections = (section.template for section in module.sections)
-        for root in (*ALWAYS, *math, *search, *module.stage_parts, *sections, *module.extras):
+        for root in (*ALWAYS, *math, *search, *stages, *sections, *module.extras):
             for part, number, value in _walk(root, module.sizes):
                 parts.add(part)
                 if number:

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nmpc_codegen.components.base import Dims
-from nmpc_codegen.components.integrators.implicit.implicit_runge_kutta import NEWTON_LIMIT, ImplicitRungeKutta
 from nmpc_codegen.components.integrators.implicit.stage_kernels import StageKernels
+from nmpc_codegen.components.integrators.implicit_runge_kutta import NEWTON_LIMIT, ImplicitRungeKutta
 from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.printing.c_style import unit_style
 from nmpc_codegen.ir.printing.routines import print_routine

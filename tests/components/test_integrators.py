@@ -13,7 +13,7 @@ from scipy.integrate import solve_ivp
 
 from nmpc_codegen import OCP, OptionError
 from nmpc_codegen.components.integrators import TABLEAUS, ButcherTableau, Discrete, ExplicitRungeKutta
-from nmpc_codegen.components.integrators.first_order import Sensitivities
+from nmpc_codegen.components.integrators.explicit.first_order import Sensitivities
 from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.kernel import Kernel

@@ -13,8 +13,9 @@ import pytest
 
 from examples import bioreactor, cart_pole, chain, crane
 from nmpc_codegen import OCP
-from nmpc_codegen.components.integrators import TABLEAUS, Discrete, ExplicitRungeKutta, derivatives, symmetric
-from nmpc_codegen.components.integrators.derivatives import Derivatives
+from nmpc_codegen.components.integrators import TABLEAUS, Discrete, ExplicitRungeKutta
+from nmpc_codegen.components.integrators.explicit import derivatives, symmetric
+from nmpc_codegen.components.integrators.explicit.derivatives import Derivatives
 from nmpc_codegen.components.stage_cost import stage_cost
 from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.frontend.problem import Problem

@@ -74,7 +74,7 @@ ONLY_IN = {
         "components/stage_cost",
         "lowering/linearize",
         "lowering/first_plan",
-        "lowering/stability",
+        "lowering/schemes/stability",
     },
     "jinja2": {"lowering/render"},
     "cffi": {"runtime/build"},

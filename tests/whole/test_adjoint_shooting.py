@@ -22,8 +22,8 @@ from nmpc_codegen import (
     build,
     simulate,
 )
-from nmpc_codegen.components.integrators.directional import Directional
-from nmpc_codegen.components.integrators.quadrature import Quadrature
+from nmpc_codegen.components.integrators.explicit.directional import Directional
+from nmpc_codegen.components.integrators.explicit.quadrature import Quadrature
 from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.ir.kernel import Port
 from nmpc_codegen.ir.sweep import Call, Slice, unroll

@@ -75,7 +75,7 @@ MUTANTS = (
     ),
     Mutant(
         "a dropped term: the second derivatives with respect to the controls",
-        "src/nmpc_codegen/components/integrators/symmetric.py",
+        "src/nmpc_codegen/components/integrators/explicit/symmetric.py",
         " + self.curvature_forcing(H, units)",
         " + 0 * self.curvature_forcing(H, units)",
         ("tests/components/test_second_order.py",),

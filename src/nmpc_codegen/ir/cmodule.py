@@ -174,9 +174,9 @@ class CModule:
 
     @property
     def stage_parts(self) -> tuple[str, ...]:
-        """The part that functions of an interval call, if they call one."""
+        """The title of the part that functions of an interval call, if they call one."""
         called = any(isinstance(r, LoopedRoutine) and r.calls_parts for r in self.routines)
-        return ("integrators/implicit/intervals.c",) if called else ()
+        return ("intervals",) if called else ()
 
     @property
     def entry_points(self) -> tuple[EntryPoint, ...]:

@@ -333,17 +333,17 @@ class LoopedRoutine:
     def touched(self) -> frozenset[str]:
         """Buffers that occur in its C text."""
         called = (b for c in calls(self.sweep.body) for b in _touched_buffers(c, self.leaves[c.leaf.name()]))
-        return frozenset(called) | {s.buffer for node in written(self.sweep.body) for s in node.slices}
+        return frozenset(called) | {s.buffer for node in part_calls(self.sweep.body) for s in node.slices}
 
     @property
     def calls_parts(self) -> bool:
         """True if it calls functions that are written in C."""
-        return any(True for _ in written(self.sweep.body))
+        return any(True for _ in part_calls(self.sweep.body))
 
     @property
     def kernels_of_parts(self) -> tuple[Kernel, ...]:
         """What these functions evaluate."""
-        return tuple(kernel for node in written(self.sweep.body) for kernel in node.kernels)
+        return tuple(kernel for node in part_calls(self.sweep.body) for kernel in node.kernels)
 
     @property
     def statements(self) -> int:
@@ -437,7 +437,7 @@ def _without_unread(sweep: Sweep) -> Sweep:
         if kept is not None:
             body.append(kept)
             read |= {s.buffer for call in calls((kept,)) for s in _operands(call)}
-            read |= {s.buffer for node in written((kept,)) for s in node.slices}
+            read |= {s.buffer for node in part_calls((kept,)) for s in node.slices}
     return replace(sweep, body=tuple(reversed(body)))
 
 
@@ -496,11 +496,11 @@ def calls(nodes: tuple[Node, ...]) -> Iterator[Call]:
             yield node
 
 
-def written(nodes: tuple[Node, ...]) -> Iterator[Written]:
+def part_calls(nodes: tuple[Node, ...]) -> Iterator[Written]:
     """All calls of functions that are written in C."""
     for node in nodes:
         if isinstance(node, Block):
-            yield from written(node.body)
+            yield from part_calls(node.body)
         elif isinstance(node, Written):
             yield node
 

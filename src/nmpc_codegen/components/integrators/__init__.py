@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from nmpc_codegen.components.base import Integrator
 from nmpc_codegen.components.integrators.discrete import Discrete
 from nmpc_codegen.components.integrators.explicit_runge_kutta import ExplicitRungeKutta
-from nmpc_codegen.components.integrators.implicit.implicit_runge_kutta import ImplicitRungeKutta
+from nmpc_codegen.components.integrators.implicit_runge_kutta import ImplicitRungeKutta
 from nmpc_codegen.components.integrators.tableau import (
     ESDIRK3,
     RK4,

@@ -8,7 +8,7 @@ from typing import ClassVar
 import casadi as ca
 
 from nmpc_codegen.components.base import EVERY_USE, Defaults, Dims, Seam
-from nmpc_codegen.components.integrators.directional import ADJOINT, ADJOINT_DOC, FORWARD, FORWARD_DOC
+from nmpc_codegen.components.integrators.explicit.directional import ADJOINT, ADJOINT_DOC, FORWARD, FORWARD_DOC
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.casadi_types import Expression

@@ -15,13 +15,13 @@ from typing import ClassVar, Literal, get_args
 
 from nmpc_codegen.components.allowed import Named, Whole, Words, check_options, option
 from nmpc_codegen.components.base import EVERY_USE, Defaults, Dims, Seam
-from nmpc_codegen.components.integrators.directional import Directional
-from nmpc_codegen.components.integrators.first_order import Sensitivities, step_sweep
-from nmpc_codegen.components.integrators.forward_over_adjoint import AdjointSweep
+from nmpc_codegen.components.integrators.explicit.directional import Directional
+from nmpc_codegen.components.integrators.explicit.first_order import Sensitivities, step_sweep
+from nmpc_codegen.components.integrators.explicit.forward_over_adjoint import AdjointSweep
+from nmpc_codegen.components.integrators.explicit.products import IntervalSweeps
+from nmpc_codegen.components.integrators.explicit.quadrature import Quadrature
+from nmpc_codegen.components.integrators.explicit.symmetric import ThreeSweeps
 from nmpc_codegen.components.integrators.jump import jump_kernel, jump_rows_kernel, with_jump
-from nmpc_codegen.components.integrators.products import IntervalSweeps
-from nmpc_codegen.components.integrators.quadrature import Quadrature
-from nmpc_codegen.components.integrators.symmetric import ThreeSweeps
 from nmpc_codegen.components.integrators.tableau import RK4, TABLEAUS, ButcherTableau
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.frontend.problem import Problem

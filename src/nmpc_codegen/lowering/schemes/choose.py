@@ -13,8 +13,8 @@ import numpy as np
 
 from nmpc_codegen.components.base import Integrator
 from nmpc_codegen.components.integrators import Discrete, ExplicitRungeKutta, ImplicitRungeKutta
-from nmpc_codegen.components.integrators.implicit.implicit_runge_kutta import NEWTON_LIMIT, NEWTON_STEPS
 from nmpc_codegen.components.integrators.implicit.trial import Trial
+from nmpc_codegen.components.integrators.implicit_runge_kutta import NEWTON_LIMIT, NEWTON_STEPS
 from nmpc_codegen.frontend.problem import Array, Problem
 from nmpc_codegen.frontend.scales import scales
 from nmpc_codegen.lowering.first_plan import points
@@ -23,7 +23,7 @@ from nmpc_codegen.options import Options
 
 #: Steps per interval that are tried; error of an interval, relative to the scale of a state, that is accurate; steps of
 #: the comparison for every step.
-STEPS, ACCURATE, FINER = (1, 2, 3, 4), 1e-3, 4
+STEPS, ACCURATE, FINER = (1, 2, 3, 4), 2e-3, 4
 
 #: The last correction of a stage that samples may leave, relative to the scale of a state, and Newton steps at most.
 LEFT, MOST_NEWTON = 1e-3, 6
@@ -31,7 +31,7 @@ LEFT, MOST_NEWTON = 1e-3, 6
 
 def choose_integrator(problem: Problem, options: Options) -> tuple[Integrator, tuple[str, ...]]:
     """The integrator of the options or, where they leave it open, that of the problem; the reasons."""
-    chosen, reasons = _given(problem, options)
+    chosen, reasons = _choose(problem, options)
     if isinstance(chosen, ImplicitRungeKutta) and chosen.newton is None:
         chosen, more = _with_newton(problem, chosen)
         reasons = (*reasons, *more)
@@ -40,7 +40,7 @@ def choose_integrator(problem: Problem, options: Options) -> tuple[Integrator, t
     return chosen.small, (*reasons, f"integrator: {chosen.small}; goal: size")
 
 
-def _given(problem: Problem, options: Options) -> tuple[Integrator, tuple[str, ...]]:
+def _choose(problem: Problem, options: Options) -> tuple[Integrator, tuple[str, ...]]:
     if options.integrator:
         return options.integrator, ()
     if problem.discrete:

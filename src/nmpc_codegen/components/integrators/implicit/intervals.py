@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from nmpc_codegen.components.integrators.directional import ADJOINT, ADJOINT_DOC, FORWARD, FORWARD_DOC
+from nmpc_codegen.components.integrators.explicit.directional import ADJOINT, ADJOINT_DOC, FORWARD, FORWARD_DOC
 from nmpc_codegen.components.integrators.implicit.counts import Counts
 from nmpc_codegen.components.integrators.implicit.stage_kernels import StageKernels
 from nmpc_codegen.components.integrators.jump import with_jump

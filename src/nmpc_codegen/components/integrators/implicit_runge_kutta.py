@@ -192,7 +192,7 @@ class ImplicitRungeKutta(Defaults):
     def structs(self, dims: Dims) -> tuple[Struct, ...]:
         """How far Newton's method goes, and what it leaves."""
         return (
-            Struct("solver", "", (Field("newton", (), "Newton steps of a stage", "keep", "int32"), *_failed())),
+            Struct("solver", "", (Field("newton", (), "Newton steps of a stage", "keep", "int32"), *_failure_fields())),
             Struct(
                 "node",
                 "linearisation of a path node",
@@ -203,7 +203,7 @@ class ImplicitRungeKutta(Defaults):
         )
 
 
-def _failed() -> tuple[Field, ...]:
+def _failure_fields() -> tuple[Field, ...]:
     """What name_failed_stage() writes."""
     docs = {
         "interval": "interval with a stage that cannot be solved, or -1",

@@ -16,8 +16,8 @@ from itertools import zip_longest
 
 import casadi as ca
 
-from nmpc_codegen.components.integrators.derivatives import Derivatives
-from nmpc_codegen.components.integrators.runge_kutta import LENGTH, RungeKutta
+from nmpc_codegen.components.integrators.explicit.derivatives import Derivatives
+from nmpc_codegen.components.integrators.explicit.runge_kutta import LENGTH, RungeKutta
 from nmpc_codegen.components.integrators.tableau import ButcherTableau, combine
 from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.casadi_types import Expression, Function

@@ -16,8 +16,8 @@ from collections.abc import Callable
 
 import casadi as ca
 
-from nmpc_codegen.components.integrators.first_order import Dynamics
-from nmpc_codegen.components.integrators.runge_kutta import LENGTH, RungeKutta
+from nmpc_codegen.components.integrators.explicit.first_order import Dynamics
+from nmpc_codegen.components.integrators.explicit.runge_kutta import LENGTH, RungeKutta
 from nmpc_codegen.components.integrators.tableau import ButcherTableau, combine
 from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.casadi_types import Function, nonzeros

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import casadi as ca
 
-from nmpc_codegen.components.integrators.runge_kutta import LENGTH, RungeKutta
+from nmpc_codegen.components.integrators.explicit.runge_kutta import LENGTH, RungeKutta
 from nmpc_codegen.components.integrators.tableau import ButcherTableau
 from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.kernel import Port

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import casadi as ca
 
-from nmpc_codegen.components.integrators.runge_kutta import RungeKutta
+from nmpc_codegen.components.integrators.explicit.runge_kutta import RungeKutta
 from nmpc_codegen.components.integrators.tableau import ButcherTableau, combine
 from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.casadi_types import Function, nonzeros
