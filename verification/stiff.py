@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
+from examples import fast_charge
 from nmpc_codegen import OCP, Controller, build
 from nmpc_codegen.frontend.classify import classify
 
@@ -119,43 +120,6 @@ def converter() -> OCP:
     return ocp
 
 
-#: Shells of a particle.
-SHELLS = 6
-
-
-def battery() -> OCP:
-    """A lithium-ion cell: diffusion in one particle (finite volumes), double layer, core and surface temperature. The
-    current charges it as fast as voltage and temperature allow. Time in s."""
-    ocp = OCP("battery", T=600.0, N=30)
-    c = ocp.state("c", size=SHELLS, initial=np.full(SHELLS, 0.3))
-    eta = ocp.state("eta", initial=0.0, unit="V")
-    core, skin = ocp.state("core", initial=25.0, unit="degC"), ocp.state("skin", initial=25.0, unit="degC")
-    I = ocp.control("I", unit="A")  # noqa: E741
-    R = ocp.parameter("R", value=0.03, bounds=(0.02, 0.05), unit="Ohm")
-    edges = np.linspace(0, 1, SHELLS + 1)
-    volume, area = np.diff(edges**3) / 3, edges**2
-    rate = 2e-3 * ca.exp(0.02 * (core - 25))
-    flux = [0, *(rate * area[j] * (c[j] - c[j - 1]) * SHELLS for j in range(1, SHELLS)), I / 3 / 3600]
-    surface = c[SHELLS - 1]
-    transfer = 4 * ca.exp(0.03 * (core - 25)) * ca.sinh(20 * eta) * ca.sqrt((surface * (1 - surface)) ** 2 + 1e-2)
-    heat = I**2 * R + eta * transfer
-    ocp.dynamics(
-        {
-            c: ca.vertcat(*((flux[j + 1] - flux[j]) / volume[j] for j in range(SHELLS))),
-            eta: (I - transfer) / 0.2,
-            core: (heat - (core - skin) / 2.0) / 60.0,
-            skin: ((core - skin) / 2.0 - (skin - 25) / 3.0) / 10.0,
-        }
-    )
-    voltage = 3.4 + 0.8 * surface + eta + R * I
-    mean = sum(float(v) * c[j] for j, v in enumerate(volume)) * 3
-    ocp.least_squares(ca.vertcat(mean, I), weight=[100, 0.01], reference=[0.8, 0])
-    ocp.subject_to(-5, I, 10)
-    ocp.subject_to(-ca.inf, voltage, 4.15, name="voltage")
-    ocp.subject_to(-ca.inf, core, 40, soft=(50, 10))
-    return ocp
-
-
 @dataclass(frozen=True)
 class Stiff:
     """A problem, the spread of the initial states and of the parameters (relative), and how far its loop may end from
@@ -174,7 +138,7 @@ PROBLEMS = {
     "column": Stiff(column, 0.05, 0.03, 40, lambda x, u: float(max(abs(x[9] - 0.94), abs(x[0] - 0.06))), 0.02),
     "converter": Stiff(converter, 0.1, 0.1, 60, lambda x, u: abs(float(x[4]) - 12), 0.5),
     "reactor": Stiff(reactor, 0.02, 0.1, 60, lambda x, u: max(0.0, float(x[3]) - 365), 0.5),
-    "battery": Stiff(battery, 0.1, 0.2, 60, lambda x, u: max(0.0, float(x[7]) - 41), 0.5),
+    "battery": Stiff(fast_charge.build_ocp, 0.1, 0.2, 60, lambda x, u: max(0.0, float(x[7]) - 41), 0.5),
 }
 
 

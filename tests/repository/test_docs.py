@@ -231,6 +231,12 @@ def test_page_of_the_pipeline(tmp_path: Path) -> None:
     run([sys.executable, "-c", "\n".join(b.text for b in blocks("docs/how-it-works.md"))], tmp_path, (ROOT / "src",))
 
 
+def test_page_of_the_integrators(tmp_path: Path) -> None:
+    """Its blocks in their order."""
+    text = "\n".join(b.text for b in blocks("docs/integrators.md"))
+    assert "SDIRK3" in run([sys.executable, "-c", text], tmp_path, (ROOT / "src",))
+
+
 STATED = [(page, i) for page in documents() for i, block in enumerate(blocks(page)) if block.states_a_problem]
 
 

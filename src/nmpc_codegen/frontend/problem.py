@@ -212,8 +212,8 @@ class Problem:
 
     @property
     def idle_end(self) -> bool:
-        """True if no cost and no equation depends on x_N, so that the last control serves its own node, and at most bounds
-        of x_N."""
+        """True if no cost and no equation depends on x_N: the last control serves its own node, and at most bounds of
+        x_N."""
         end = self.terminal
         priced = bool(end.ny) or end.cost is not None or self.terminal_lqr is not None or self.coupled_rows
         limited = any(k == self.N and self.rows[row].is_equation for k, _, _, row in self.qp_rows)

@@ -45,7 +45,7 @@ NEWTON_STEPS = 2
 class ImplicitRungeKutta(Defaults):
     """Diagonally implicit Runge-Kutta scheme with ``steps`` equal steps per interval, for stiff models.
 
-    newton: steps of Newton's method per stage in a sample; None: 2, or up to 6 if the first plan needs them. The last
+    newton: steps of Newton's method per stage in a sample; None: 2, or up to 12 if the first plan needs them. The last
     correction of the stages counts in stats.residual. solve(), kkt(), integrate() and derivatives iterate to rounding
     errors.
     """

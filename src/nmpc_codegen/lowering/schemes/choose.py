@@ -26,7 +26,7 @@ from nmpc_codegen.options import Options
 STEPS, ACCURATE, FINER = (1, 2, 3, 4), 2e-3, 4
 
 #: The last correction of a stage that samples may leave, relative to the scale of a state, and Newton steps at most.
-LEFT, MOST_NEWTON = 1e-3, 6
+LEFT, MOST_NEWTON = 1e-3, 12
 
 
 def choose_integrator(problem: Problem, options: Options) -> tuple[Integrator, tuple[str, ...]]:
