@@ -201,7 +201,8 @@ def _code(sources: Sources) -> float:
 _DRIVER = """#include "{name}.h"
 static {name}_solver_t s;
 static {name}_real x[{NAME}_NX], u[{NAME}_NU];
-__attribute__((noinline)) void sample(void) {{ {name}_step(&s, x, u); }}
+static volatile int status;
+__attribute__((noinline)) void sample(void) {{ status = {name}_step(&s, x, u); }}
 int main(void)
 {{
     {name}_init(&s);

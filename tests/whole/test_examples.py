@@ -26,7 +26,6 @@ from examples import (
     driving,
     estimation,
     evaporation,
-    fast_charge,
     fermentation,
     heat_rod,
     input_delay,
@@ -75,7 +74,6 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
         cstr,
         driving,
         evaporation,
-        fast_charge,
         fermentation,
         heat_rod,
         input_delay,
@@ -116,18 +114,6 @@ def test_cart_pole_main(tmp_path: Path) -> None:
         assert np.abs(log.x[39, :2]).max() < 0.08
         assert np.abs(log.x[41:50, 1]).max() > 0.5
         assert np.abs(log.x[-1, :2]).max() < 0.1
-
-
-@pytest.mark.usefixtures("quick")
-def test_fast_charge_main(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """An implicit scheme is chosen; the cell is full, the voltage touches its ceiling and stays below it."""
-    log = fast_charge.main(str(tmp_path / "charge.png"))
-    assert_picture(tmp_path / "charge.png")
-    assert "implicit_runge_kutta, SDIRK3" in capsys.readouterr().out
-    assert log.ok
-    assert log.x[-1, : fast_charge.SHELLS] == pytest.approx(fast_charge.TARGET, abs=1e-3)
-    found = fast_charge.voltage(log)
-    assert fast_charge.CEILING - 1e-3 < found.max() < fast_charge.CEILING + 1e-3
 
 
 @pytest.mark.usefixtures("quick")

@@ -13,8 +13,8 @@ static void stage_base(const real_t *x, int i, real_t (*D)[NX], real_t *base)
     }
 }
 
-/* Point, increment and derivatives of stage i of a step from x. Newton's method starts at the point of the stage
- * before, or at x: fast states have settled there, while their slopes lead away. Returns why the stage fails, or -1. */
+/* Point, increment and derivatives of stage i of a step from x. Newton's method starts at `before`, the point of
+ * the stage before or x: fast states have settled there, while their slopes lead away. Returns why it fails, or -1. */
 static int run_stage(stage_t *t, const real_t *before, real_t (*D)[NX], int i, const real_t *x, const real_t *u,
     const real_t *p, real_t h, int newton, real_t *left)
 {
@@ -31,7 +31,7 @@ static int run_stage(stage_t *t, const real_t *before, real_t (*D)[NX], int i, c
         }
     } else {
         for (int r = 0; r < NX; r++) {
-            t->X[r] = (i > 0) ? before[r] : x[r];
+            t->X[r] = before[r];
         }
         failed = solve_stage(t, base, u, p, h * stage_a[i], newton, left);
         for (int r = 0; r < NX; r++) {
@@ -57,7 +57,7 @@ static int step_in_place(real_t *x, const real_t *u, const real_t *p, real_t h, 
     stage_t stage;
     real_t D[STAGES][NX], left[NX] = {R(0)};
     for (int i = 0; i < STAGES; i++) {
-        const int reason = run_stage(&stage, stage.X, D, i, x, u, p, h, newton, left);
+        const int reason = run_stage(&stage, (i > 0) ? stage.X : x, D, i, x, u, p, h, newton, left);
         if (reason >= 0) {
             x[0] = (real_t)NAN;
             *failing = i;
@@ -181,7 +181,7 @@ static inline void implicit_columns(real_t *x, const real_t *u, const real_t *p,
     stage_t stage;
     for (int step = 0; step < STEPS; step++) {
         for (int i = 0; i < STAGES; i++) {
-            (void)run_stage(&stage, stage.X, D, i, x, u, p, h, newton, left);
+            (void)run_stage(&stage, (i > 0) ? stage.X : x, D, i, x, u, p, h, newton, left);
             stage_columns(&stage, i, h, V, U, n, DV, Z);
         }
         end_step(x, D);

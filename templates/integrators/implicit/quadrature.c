@@ -10,7 +10,7 @@ static void implicit_integral(
     memcpy(end, x, sizeof end);
     for (int step = 0; step < STEPS; step++) {
         for (int i = 0; i < STAGES; i++) {
-            (void)run_stage(&stage, stage.X, D, i, end, u, p, h, newton, left);
+            (void)run_stage(&stage, (i > 0) ? stage.X : end, D, i, end, u, p, h, newton, left);
             STAGE_RATE(stage.X, u, p, &rate);
             *l += h * stage_weight[i] * rate;
         }

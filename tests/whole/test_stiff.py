@@ -1,0 +1,296 @@
+"""Stiff models with default options: what is chosen and said, optima against IPOPT, loops, residuals, every route."""
+
+from __future__ import annotations
+
+import re
+from functools import cache, partial
+from pathlib import Path
+from typing import Any
+
+import casadi as ca
+import matplotlib
+import numpy as np
+import pytest
+
+from examples import crane, fast_charge
+from nmpc_codegen import (
+    ESDIRK3,
+    OCP,
+    RK4,
+    SDIRK2,
+    SDIRK3,
+    AdjointShooting,
+    AugmentedLagrangian,
+    Controller,
+    DenseActiveSet,
+    ExactHessian,
+    ExplicitRungeKutta,
+    ForwardOverAdjoint,
+    FullCondensing,
+    ImplicitRungeKutta,
+    NoCondensing,
+    Online,
+    Options,
+    PartialCondensing,
+    ProblemWarning,
+    RealTimeIteration,
+    RiccatiActiveSet,
+    RiccatiInteriorPoint,
+    build,
+    generate,
+    worst_case,
+)
+from nmpc_codegen.cli import main
+from nmpc_codegen.frontend.classify import classify
+from nmpc_codegen.oracle.reference import Point, Reference, Tableau, kkt_residuals, node_data
+from nmpc_codegen.package.sources import Sources
+from verification import stiff
+from verification.samples import economic, sampled
+
+matplotlib.use("Agg")
+
+NAMES = ("x", "u", "lam", "mu_x", "mu_u", "mu", "mu_N", "eta")
+START = np.array([1.02, 0.1, 0.5, 349.0, 340.0])
+
+
+def numbers(integrator: ImplicitRungeKutta) -> Tableau:
+    rows = tuple(tuple(map(float, row)) for row in integrator.tableau.a)
+    return Tableau(rows, tuple(map(float, integrator.tableau.b)), integrator.steps)
+
+
+def decay(rate: float, time_unit: str = "s") -> OCP:
+    ocp = OCP("decay", T=1.0, N=2, time_unit=time_unit)
+    x, u = ocp.state("x", initial=1.0), ocp.control("u")
+    ocp.dynamics({x: -rate * x + u})
+    ocp.least_squares(ca.vertcat(x, u), weight=1.0)
+    return ocp
+
+
+# What is chosen ------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("rate", "scheme", "steps"), [(5.0, "RK4", 2), (20.0, "RK4", 4), (33.0, "RK4", 6), (5e3, "SDIRK3", None)]
+)
+def test_a_default_is_stable(rate: float, scheme: str, steps: int | None) -> None:
+    """Intervals of 0.5: RK4 with the steps that it needs, up to six; no warning."""
+    sources = generate(decay(rate, "h"))
+    options, (choice, *_) = sources.description.options, sources.description.report.choices
+    assert options["integrator.tableau.name"] == scheme
+    assert steps is None or int(options["integrator.steps"]) == steps
+    assert sources.description.report.warnings == ()
+    if rate > 5:
+        assert f"eigenvalue {-rate:.3g} 1/h" in choice
+    assert "operations" in choice or rate < 1e3
+
+
+def test_the_cheaper_one_is_chosen() -> None:
+    """With many states, few of which are coupled, eight steps of RK4 cost less than linear systems."""
+    ocp = OCP("row", T=1.0, N=2)
+    x, u = ocp.state("x", size=12), ocp.control("u")
+    ocp.dynamics(ca.vertcat(u - 44 * x[0], *(x[i] - x[i + 1] for i in range(11))))
+    ocp.least_squares(ca.vertcat(x, u), weight=1.0)
+    ocp.subject_to(-9, u, 9)
+    choices = generate(ocp).description.report.choices
+    assert "RK4 with steps=8" in choices[0]
+    assert "SDIRK3 with steps=" in choices[0]
+
+
+def test_a_given_scheme_is_kept_with_a_warning_that_names_one_that_works() -> None:
+    given = Options(integrator=ExplicitRungeKutta(RK4, 3))
+    with pytest.warns(ProblemWarning, match=r"eigenvalue -1e\+05 1/s; ImplicitRungeKutta\(SDIRK3, steps=\d\) works"):
+        sources = generate(decay(1e5), given)
+    assert sources.description.options["integrator.steps"] == 3
+    assert not generate(decay(1e5), Options(integrator=ImplicitRungeKutta())).description.report.warnings
+
+
+def test_newton_steps_follow_from_the_first_plan() -> None:
+    """Two where the model is linear; more where currents pass a double layer; those that are given."""
+    chosen = {
+        make().name: int(generate(make()).description.options["integrator.newton"])
+        for make in (partial(decay, 5e3), fast_charge.build_ocp)
+    }
+    assert chosen["decay"] == 2
+    assert chosen["fast_charge"] > 4
+    given = generate(decay(5e3), Options(integrator=ImplicitRungeKutta(newton=5)))
+    assert given.description.options["integrator.newton"] == 5
+
+
+def test_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    problem = Path(fast_charge.__file__)
+    command = [str(problem), "-o", str(tmp_path), "--set", "integrator=implicit_runge_kutta"]
+    assert main([*command, "--set", "integrator.tableau=SDIRK2", "--set", "integrator.steps=3", "--check"]) == 0
+    assert "check passed" in capsys.readouterr().out
+    assert main([*command, "--set", "integrator.tableau=RK4"]) != 0
+    assert "expected one of ImplicitEuler" in capsys.readouterr().err
+
+
+# Optima --------------------------------------------------------------------------------------------------------------
+
+
+def test_solve_finds_the_optimum_of_ipopt(need: Any) -> None:
+    """The stages are rows of the nonlinear program; residuals with CasADi's rootfinder."""
+    ocp = stiff.reactor()
+    ctrl, integrator = build(ocp, profile="test"), ImplicitRungeKutta(SDIRK3, 2)
+    problem = classify(ocp)
+    data = node_data(problem, x0=START)
+    ours, theirs = ctrl.solve(START, tol=1e-12), Reference(problem, numbers(integrator)).solve(data)
+    assert ours.status.name == "OK"
+    assert theirs.success
+    assert ours.x == pytest.approx(theirs.x, rel=1e-9, abs=1e-9)
+    assert ours.u == pytest.approx(theirs.u, rel=1e-8, abs=1e-8)
+    point = Point(**{n: getattr(ours, n) for n in NAMES})
+    assert kkt_residuals(problem, point, data, numbers(integrator)).worst < 1e-7
+
+
+ROUTES: dict[str, Options] = {
+    "dense": Options(condensing=FullCondensing(), qp=DenseActiveSet()),
+    "partial": Options(condensing=PartialCondensing(5), qp=RiccatiActiveSet()),
+    "interior": Options(condensing=NoCondensing(), qp=RiccatiInteriorPoint()),
+    "exact": Options(hessian=ExactHessian()),
+    "forward over adjoint": Options(hessian=ExactHessian(sweep=ForwardOverAdjoint())),
+    "levels": Options(algorithm=RealTimeIteration(levels=True)),
+    "augmented": Options(algorithm=AugmentedLagrangian()),
+    "shooting": Options(algorithm=AdjointShooting()),
+    "size": Options(goal="size"),
+    "by node": Options(online=Online(parameter="node")),
+}
+
+
+def small() -> OCP:
+    """Two states, one fast and nonlinear, over few intervals of unequal length, with a parameter."""
+    ocp = OCP("small", intervals=[0.2, 0.2, 0.3, 0.5])
+    x, r, u = ocp.state("x", initial=1.0), ocp.state("r", initial=0.8), ocp.control("u")
+    k = ocp.parameter("k", value=400.0)
+    ocp.dynamics({x: -r + u, r: k * (ca.sin(x) - r - 0.2 * r**3)})
+    ocp.least_squares(ca.vertcat(x, r, u), weight=[1, 0.5, 0.1])
+    ocp.terminal_least_squares(x, weight=2)
+    ocp.subject_to(-0.4, u, 0.4)
+    return ocp
+
+
+@pytest.mark.parametrize("route", ROUTES)
+def test_every_route_ends_at_the_optimum(route: str) -> None:
+    ocp, integrator = small(), ImplicitRungeKutta(ESDIRK3, 2)
+    options = ROUTES[route]
+    ctrl = build(ocp, Options(**{**vars(options), "integrator": integrator}), "test")
+    problem = classify(ocp)
+    theirs = Reference(problem, numbers(integrator)).solve(node_data(problem))
+    ours = ctrl.solve(problem.x_initial, tol=1e-10, max_iterations=2000)
+    assert ours.status.name == "OK"
+    assert ours.u == pytest.approx(theirs.u, abs=1e-6 if route in ("augmented", "shooting") else 1e-8)
+    for _ in range(30):
+        ctrl.step(problem.x_initial)
+    assert ctrl.status.name == "OK"
+    assert np.asarray(ctrl.u) == pytest.approx(theirs.u, abs=1e-3)
+
+
+@pytest.mark.parametrize("make", [economic, sampled], ids=["integrated cost", "discrete states"])
+def test_integrals_and_maps(make: Any) -> None:
+    ocp, integrator = make(), ImplicitRungeKutta(SDIRK2, 2)
+    ctrl, problem = build(ocp, Options(integrator=integrator), "test"), classify(ocp)
+    theirs = Reference(problem, numbers(integrator)).solve(node_data(problem))
+    ours = ctrl.solve(problem.x_initial, tol=1e-11)
+    assert ours.status.name == "OK"
+    assert ours.u == pytest.approx(theirs.u, abs=1e-7)
+    assert ours.cost == pytest.approx(theirs.cost, rel=1e-10)
+
+
+def test_single_precision() -> None:
+    double, single = (
+        build(small(), Options(integrator=ImplicitRungeKutta(SDIRK3), precision=p), "test")
+        for p in ("double", "single")
+    )  # type: ignore[arg-type]
+    for ctrl in (double, single):
+        for _ in range(20):
+            ctrl.step([1.0, 0.8])
+        assert ctrl.status.name == "OK"
+    assert np.asarray(single.u) == pytest.approx(np.asarray(double.u), abs=2e-3)
+
+
+# Samples -------------------------------------------------------------------------------------------------------------
+
+
+@cache
+def reactor() -> Controller:
+    return build(stiff.reactor(), profile="test")
+
+
+def test_what_newton_leaves_counts_in_the_residual() -> None:
+    """At an optimum, which has no gaps with all Newton steps, a sample with one does not solve the stages."""
+    start = np.array([*[0.3] * fast_charge.SHELLS, 0.0, 25.0, 25.0])
+    residuals = {}
+    for newton in (1, 11):
+        integrator = ImplicitRungeKutta(SDIRK3, 2, newton)
+        options = Options(integrator=integrator, algorithm=RealTimeIteration(shift=None))
+        ctrl = build(fast_charge.build_ocp(), options, "test")
+        assert ctrl.solve(start, tol=1e-9).status.name == "OK"
+        ctrl.step(start)
+        left = np.max(np.asarray(ctrl.view("node.left")) / np.asarray(ctrl.description.scales)[:9])
+        residuals[newton] = ctrl.stats.residual, left, ctrl.status.name
+    assert residuals[11][0] < 1e-3
+    assert residuals[11][1] < 1e-3
+    assert residuals[11][2] == "OK"
+    assert not residuals[1][0] < 0.1
+    assert residuals[1][1] > 1
+    assert residuals[1][2] != "OK"
+
+
+def test_a_plan_of_samples_is_the_optimum() -> None:
+    ctrl = build(stiff.reactor(), Options(algorithm=RealTimeIteration(shift=None)), profile="test")
+    for _ in range(40):
+        ctrl.step(START)
+    assert ctrl.status.name == "OK"
+    assert ctrl.kkt().relative < 1e-3
+    assert ctrl.stats.residual < 1e-3
+
+
+def test_integrate_is_independent_of_the_call() -> None:
+    """A step to rounding errors: the same after samples, in parts of an interval, and near the solution of Radau."""
+    ctrl, plant = reactor(), stiff.Plant(stiff.reactor())
+    u = np.array([0.05, 345.0])
+    first = np.asarray(ctrl.integrate(START, u, 2.0))
+    ctrl.step(START)
+    assert np.array_equal(first, np.asarray(ctrl.integrate(START, u, 2.0)))
+    exact = plant.step(START, u, plant.problem.p_value)
+    assert first == pytest.approx(exact, rel=1e-3)
+    assert np.asarray(ctrl.integrate(START, u, 0.0)) == pytest.approx(START, rel=1e-15)
+    middle = np.asarray(ctrl.integrate(START, u, 1.0))
+    assert np.asarray(ctrl.integrate(middle, u, 1.0)) == pytest.approx(exact, rel=1e-3)
+
+
+@pytest.mark.parametrize("name", ["kinetics", "converter", "reactor", "battery"])
+def test_loops(name: str) -> None:
+    ctrl, plant = build(stiff.PROBLEMS[name].make(), profile="test"), stiff.Plant(stiff.PROBLEMS[name].make())
+    for seed in (3, 4):
+        assert stiff.run(name, ctrl, plant, seed).lost == ""
+
+
+def test_fast_charge_main(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    """An implicit scheme is chosen; the cell is full, the voltage touches its ceiling and stays below it."""
+    monkeypatch.setattr(fast_charge, "build", partial(build, profile="test"))
+    log = fast_charge.main(str(tmp_path / "charge.png"))
+    assert matplotlib.image.imread(tmp_path / "charge.png")[..., :3].std() > 0.01
+    assert "implicit_runge_kutta, SDIRK3" in capsys.readouterr().out
+    assert log.ok
+    assert log.x[-1, : fast_charge.SHELLS] == pytest.approx(fast_charge.TARGET, abs=1e-3)
+    found = fast_charge.voltage(log)
+    assert fast_charge.CEILING - 1e-3 < found.max() < fast_charge.CEILING + 1e-3
+
+
+# Firmware ------------------------------------------------------------------------------------------------------------
+
+
+def test_the_worst_case_grows_with_the_newton_steps() -> None:
+    def prepare(newton: int) -> int:
+        sources: Sources = generate(small(), Options(integrator=ImplicitRungeKutta(newton=newton), solve=False))
+        return worst_case(sources)["prepare"]
+
+    assert prepare(2) < prepare(3) < prepare(6)
+    assert prepare(3) - prepare(2) == prepare(4) - prepare(3)
+
+
+def test_an_explicit_package_has_no_trace_of_stages() -> None:
+    sources = generate(crane.build_ocp())
+    for word in (r"\bnewton\b", r"\bfailed_", r"\bstage_t\b", r"\bleft\["):
+        assert not re.search(word, sources["crane.c"] + sources["crane.h"])
