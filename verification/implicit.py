@@ -24,7 +24,7 @@ Array = NDArray[Any]
 #: Function -> its inputs behind x, u, p, dt and the Newton steps, and its outputs; numbers in terms of nx, nu, nz.
 FUNCTIONS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "value": ((), ("nx",)),
-    "failure": ((), ("3",)),
+    "outcome": ((), ("4",)),
     "interval": ((), ("nx", "nx * nz", "nx")),
     "forced": ((), ("nx", "nx * nu")),
     "free": (("nx * nu",), ("nx", "nx * nu")),

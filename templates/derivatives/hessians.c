@@ -32,12 +32,12 @@ static status_t mirror_hessians(hessians_t *h)
 /* Forward, backward, and forward with a symmetric recursion: no matrix of NX + NU columns is stored per stage. */
 status_t API(hessians_symmetric)(const data_t *d, const real_t lam[N * NX], hessians_t *h)
 {
-    real_t g[NX + NU];
+    real_t g[NX + NU], left[NX];
     if (!start_hessians(d, lam, h)) {
         return NOT_FINITE;
     }
     for (int k = 0; k < N; k++) {
-        INTERVAL_SYMMETRIC(d, k, h->x[k], d->u[k], &lam[k * NX], h->x[k + 1], h->S[k], g, h->H[k]);
+        INTERVAL_SYMMETRIC(d, k, h->x[k], d->u[k], &lam[k * NX], h->x[k + 1], h->S[k], g, h->H[k], left);
     }
     return mirror_hessians(h);
 }
@@ -45,12 +45,12 @@ status_t API(hessians_symmetric)(const data_t *d, const real_t lam[N * NX], hess
 /* Forward mode over the adjoint: the sensitivities of all stages are stored. */
 status_t API(hessians_forward_over_adjoint)(const data_t *d, const real_t lam[N * NX], hessians_t *h)
 {
-    real_t g[NX + NU];
+    real_t g[NX + NU], left[NX];
     if (!start_hessians(d, lam, h)) {
         return NOT_FINITE;
     }
     for (int k = 0; k < N; k++) {
-        INTERVAL_FORWARD_OVER_ADJOINT(d, k, h->x[k], d->u[k], &lam[k * NX], h->x[k + 1], h->S[k], g, h->H[k]);
+        INTERVAL_FORWARD_OVER_ADJOINT(d, k, h->x[k], d->u[k], &lam[k * NX], h->x[k + 1], h->S[k], g, h->H[k], left);
     }
     return mirror_hessians(h);
 }

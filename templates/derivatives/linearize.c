@@ -19,7 +19,8 @@ status_t API(sensitivities)(const data_t *d, linearization_t *m)
     clear(&m->S[0][0][0], N * NX * (NX + NU));
     copy_state(m->nodes.x[0], d->x0);
     for (int k = 0; k < N; k++) {
-        INTEGRATOR_INTERVAL(d, k, m->nodes.x[k], d->u[k], m->nodes.x[k + 1], m->S[k]);
+        real_t left[NX];
+        INTEGRATOR_INTERVAL(d, k, m->nodes.x[k], d->u[k], m->nodes.x[k + 1], m->S[k], left);
     }
     return finite_or(&m->S[0][0][0], N * NX * (NX + NU));
 }

@@ -16,16 +16,28 @@ static void name_failed_stage(solver_t *s, status_t status)
 {
     s->failed_interval = s->failed_step = s->failed_stage = s->failed_state = -1;
     for (int k = 0; status == NUMERICAL_FAILURE && k < N; k++) {
-        real_t failure[3];
-        INTEGRATOR_FAILURE(s, k, failure);
-        if (failure[0] >= R(0)) {
+        real_t outcome[4];
+        INTEGRATOR_OUTCOME(s, k, outcome);
+        if (outcome[0] >= R(0)) {
             s->failed_interval = (int32_t)k;
-            s->failed_state = (int32_t)failure[0];
-            s->failed_step = (int32_t)failure[1];
-            s->failed_stage = (int32_t)failure[2];
+            s->failed_state = (int32_t)outcome[0];
+            s->failed_step = (int32_t)outcome[1];
+            s->failed_stage = (int32_t)outcome[2];
             return;
         }
     }
+}
+
+/* What Newton's method leaves of the stages along the plan, for algorithms whose samples do not linearise it. */
+static real_t stage_residual(const solver_t *s)
+{
+    real_t most = R(0);
+    for (int k = 0; k < N; k++) {
+        real_t outcome[4];
+        INTEGRATOR_OUTCOME(s, k, outcome);
+        most = (outcome[3] > most) ? outcome[3] : most;
+    }
+    return most;
 }
 
 #include "integrators/steps.c"

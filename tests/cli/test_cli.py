@@ -19,8 +19,9 @@ from nmpc_codegen.cli import check, main, settings
 from nmpc_codegen.cli.check import compare
 from nmpc_codegen.cli.problem_file import load_problem
 from nmpc_codegen.cli.settings import apply_settings
+from nmpc_codegen.components.allowed import rules
 from nmpc_codegen.components.hessians import Mirror
-from nmpc_codegen.components.integrators import RK4, ExplicitRungeKutta, Heun
+from nmpc_codegen.components.integrators import RK4, SDIRK2, ExplicitRungeKutta, Heun, ImplicitRungeKutta
 from nmpc_codegen.errors import OptionError, ProblemError
 from nmpc_codegen.options import REGISTRIES, Options
 
@@ -164,6 +165,12 @@ def words_listed(out: str) -> list[tuple[str, str]]:
     return found
 
 
+def taken(cls: Any, name: str, word: str) -> bool:
+    """True if an option of a class has a rule that takes a word."""
+    rule = rules(cls).get(name)
+    return rule is not None and rule.takes(rule.convert(word))
+
+
 def test_what_is_listed_is_taken(capsys: pytest.CaptureFixture[str]) -> None:
     """--set accepts exactly the words of --list-options, whichever component has the option."""
     assert main(["--list-options"]) == 0
@@ -173,6 +180,7 @@ def test_what_is_listed_is_taken(capsys: pytest.CaptureFixture[str]) -> None:
         seam, _, rest = key.partition(".")
         makers = [cls for cls in REGISTRIES.get(seam, {}).values() if rest.split(".")[0] in cls.__dataclass_fields__]
         owners = [cls for cls in makers if word == str(getattr(cls(), rest, word))] or makers
+        owners = [cls for cls in owners if taken(cls, rest, word)] or owners
         component = owners[0].name if owners and rest else ""
         first = [(seam, component)] if component else []
         first += [("algorithm.sampling_time", "0.1")] if (key, word) == ("algorithm.shift", "resample") else []
@@ -540,7 +548,7 @@ def test_settings() -> None:
     ("key", "text", "message"),
     [
         ("speed", "1", "no option 'speed'; there is integrator, hessian"),
-        ("integrator", "leapfrog", "no integrator 'leapfrog'; there is explicit_runge_kutta, discrete"),
+        ("integrator", "leapfrog", "there is explicit_runge_kutta, implicit_runge_kutta, discrete"),
         ("integrator.steps.more", "1", "integrator.steps has no option 'more'; it has none"),
         ("hessian.scale", "1", "hessian has no option 'scale'; there is convex_rows"),
         ("online.speed", "1", "online has no option 'speed'; there is reference"),
@@ -554,6 +562,11 @@ def test_settings_that_are_refused(key: str, text: str, message: str) -> None:
 
 
 def test_a_field_that_several_components_have(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The one that takes the values, else explicit Runge-Kutta; of other seams none is meant."""
+    found = apply_settings(Options(), [("integrator.steps", "3"), ("integrator.tableau", "SDIRK2")])
+    assert found.integrator == ImplicitRungeKutta(SDIRK2, steps=3)
+    assert apply_settings(Options(), [("integrator.newton", "4")]).integrator == ImplicitRungeKutta(newton=4)
+    assert apply_settings(Options(), [("integrator.steps", "3")]).integrator == ExplicitRungeKutta(steps=3)
     registry = {"first": ExplicitRungeKutta, "second": ExplicitRungeKutta}
     monkeypatch.setattr(settings, "registry", lambda seam: registry)
     with pytest.raises(OptionError, match="also give --set integrator=WORD, with one of first, second"):

@@ -9,7 +9,18 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from nmpc_codegen import OCP, ControllerError, Online, Options, ProblemError, ProblemWarning, Status, export, generate
+from nmpc_codegen import (
+    OCP,
+    ControllerError,
+    ExplicitRungeKutta,
+    Online,
+    Options,
+    ProblemError,
+    ProblemWarning,
+    Status,
+    export,
+    generate,
+)
 from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.runtime.package import open_package
 
@@ -100,7 +111,7 @@ def test_warnings_look_at_the_corners(where: str, message: str) -> None:
     ocp.dynamics({x: u - 0.5 * x / m, level: u - ca.sqrt(level)})
     ocp.least_squares(ca.vertcat(x, level, u), weight=1, reference=[0, 1, 0])
     with pytest.warns(ProblemWarning, match=message):
-        generate(ocp)
+        generate(ocp, Options(integrator=ExplicitRungeKutta()))
 
 
 def test_ranges_without_a_problem_are_silent() -> None:

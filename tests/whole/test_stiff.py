@@ -11,6 +11,7 @@ import casadi as ca
 import matplotlib
 import numpy as np
 import pytest
+import scipy.linalg
 
 from examples import crane, fast_charge
 from nmpc_codegen import (
@@ -37,12 +38,13 @@ from nmpc_codegen import (
     RiccatiActiveSet,
     RiccatiInteriorPoint,
     build,
+    derivatives,
     generate,
     worst_case,
 )
 from nmpc_codegen.cli import main
 from nmpc_codegen.frontend.classify import classify
-from nmpc_codegen.oracle.reference import Point, Reference, Tableau, kkt_residuals, node_data
+from nmpc_codegen.oracle.reference import Point, Reference, Tableau, interval_map, kkt_residuals, node_data
 from nmpc_codegen.package.sources import Sources
 from verification import stiff
 from verification.samples import economic, sampled
@@ -276,6 +278,61 @@ def test_fast_charge_main(tmp_path: Path, capsys: pytest.CaptureFixture[str], mo
     assert log.x[-1, : fast_charge.SHELLS] == pytest.approx(fast_charge.TARGET, abs=1e-3)
     found = fast_charge.voltage(log)
     assert fast_charge.CEILING - 1e-3 < found.max() < fast_charge.CEILING + 1e-3
+
+
+@pytest.mark.parametrize("algorithm", [AugmentedLagrangian(repair=0), AdjointShooting(shift=None, repair=0)])
+def test_samples_that_do_not_solve_their_stages_are_not_ok(algorithm: Any) -> None:
+    """One Newton step leaves the currents through the double layer unsolved, also where no gap tells."""
+    start = np.array([*[0.3] * fast_charge.SHELLS, 0.0, 25.0, 25.0])
+    given = ImplicitRungeKutta(SDIRK3, 2, newton=1)
+    ctrl = build(fast_charge.build_ocp(N=5), Options(integrator=given, algorithm=algorithm), "test")
+    statuses = [ctrl.step(start) is not None and ctrl.status.name for _ in range(4)]
+    assert "OK" not in statuses
+
+
+# Off line ------------------------------------------------------------------------------------------------------------
+
+
+def test_terminal_cost_of_the_regulator() -> None:
+    """P of the discrete algebraic Riccati equation with A, B of the implicit scheme, by CasADi's rootfinder."""
+    ocp = OCP("regulated", T=6.0, N=6)
+    x, r, u = ocp.state("x", initial=1.0), ocp.state("r", initial=0.8), ocp.control("u")
+    ocp.dynamics({x: -r + u, r: 400 * (ca.sin(x) - r)})
+    ocp.least_squares(ca.vertcat(x, r, u), weight=[1, 0.5, 0.1])
+    ocp.lqr_terminal_cost()
+    ctrl, problem = build(ocp, profile="test"), classify(ocp)
+    options = ctrl.description.options
+    scheme = Tableau(tuple(map(tuple, options["integrator.tableau.a"])), tuple(options["integrator.tableau.b"]), 2)
+    assert (options["integrator"], options["integrator.steps"]) == ("ImplicitRungeKutta", 2)
+    z = ca.MX.sym("z", 3)
+    end = interval_map(problem, scheme)(z[:2], z[2], ca.DM(0, 1), 1.0)[0]
+    S = np.array(ca.Function("S", [z], [ca.jacobian(end, z)])(np.zeros(3)))
+    P = scipy.linalg.solve_discrete_are(S[:, :2], S[:, 2:], np.diag([1, 0.5]), np.diag([0.1]))
+    small = 1e-3 * np.array([1.0, 0.5])
+    assert ctrl.solve(small, tol=1e-12).cost == pytest.approx(small @ P @ small / 2, rel=1e-4)
+
+
+@pytest.mark.parametrize("sweep", ["symmetric", "forward_over_adjoint"])
+def test_derivatives_without_a_controller(sweep: Any) -> None:
+    """States, [A B] and second derivatives of all intervals; the gradients of three methods agree."""
+    problem, integrator = classify(stiff.reactor()), ImplicitRungeKutta(SDIRK3, 2)
+    found = derivatives.build(stiff.reactor(), options=Options(integrator=integrator), second_order=True)
+    u, lam = np.tile([0.05, 345.0], (30, 1)), np.random.default_rng(0).normal(size=(30, 5))
+    A, B = found.sensitivities(problem.x_initial, u)
+    H, x = found.hessians(problem.x_initial, u, lam, sweep), problem.x_initial
+    z, weights = ca.MX.sym("z", 7), ca.MX.sym("lam", 5)
+    end = interval_map(problem, numbers(integrator))(z[:5], z[5:], problem.p_value, 2.0)[0]
+    outputs = [end, ca.jacobian(end, z), ca.hessian(ca.dot(weights, end), z)[0]]
+    exact = ca.Function("exact", [z, weights], outputs)
+    for k in range(30):
+        end_k, S, second = (np.array(value) for value in exact(np.concatenate([x, u[k]]), lam[k]))
+        assert np.hstack([A[k], B[k]]) == pytest.approx(S, rel=1e-9, abs=1e-9)
+        assert H[k] == pytest.approx(second, rel=1e-9, abs=1e-9 * float(np.abs(second).max()))
+        x = end_k.ravel()
+    first = found.gradient(problem.x_initial, u)
+    for method in ("adjoint", "forward", "alternative"):
+        other = found.gradient(problem.x_initial, u, method=method)  # type: ignore[arg-type]
+        assert other == pytest.approx(first, rel=1e-8, abs=1e-8)
 
 
 # Firmware ------------------------------------------------------------------------------------------------------------

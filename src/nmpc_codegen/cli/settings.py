@@ -83,6 +83,12 @@ def _change(part: Any, change: Change, where: str) -> Any:
     return dataclasses.replace(part, **new) if new else part
 
 
+def _takes(cls: Any, name: str, change: Change) -> bool:
+    """True if an option of a class takes the value that it is given."""
+    rule = rules(cls)[name]
+    return rule is None or not change.given or rule.takes(rule.convert(change.value))
+
+
 def _component(seam: str, word: Any) -> Any:
     """The component with the given word and default options; None leaves the choice to the compiler."""
     if word is None:
@@ -94,17 +100,26 @@ def _component(seam: str, word: Any) -> Any:
     return words[known]()
 
 
-def _default(options: Options, seam: str, names: Mapping[str, Any]) -> Any:
-    """The algorithm's default component, else the only one that has all these options."""
+#: The component that options mean which several have.
+MEANT = {"integrator": "explicit_runge_kutta"}
+
+
+def _default(options: Options, seam: str, names: Mapping[str, Change]) -> Any:
+    """The algorithm's default component, else the one that has all these options with these values."""
     default = getattr(options.with_defaults, seam)
     return default if default is not None else _first_with(seam, names)
 
 
-def _first_with(seam: str, names: Mapping[str, Any]) -> Any:
-    """The only component of a seam that has all these options."""
+def _first_with(seam: str, names: Mapping[str, Change]) -> Any:
+    """The component of a seam that has all these options: the only one, the only one that takes their values, or the
+    one that is meant."""
     able = {word: cls for word, cls in registry(seam).items() if set(names) <= set(rules(cls))}
-    if len(able) == 1:
-        return next(iter(able.values()))()
+    taking = {word: cls for word, cls in able.items() if all(_takes(cls, n, change) for n, change in names.items())}
+    for known in (able, taking):
+        if len(known) == 1:
+            return next(iter(known.values()))()
+    if MEANT.get(seam) in able:
+        return able[MEANT[seam]]()
     wanted = ", ".join(f"{seam}.{name}" for name in names)
     if able:
         raise OptionError(f"{wanted}: also give --set {seam}=WORD, with one of {', '.join(able)}")

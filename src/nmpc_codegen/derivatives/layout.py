@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from nmpc_codegen.derivatives.model import DerivativeModel
 from nmpc_codegen.ir.cmodule import Macro, Setting
+from nmpc_codegen.ir.sweep import LoopedRoutine
+from nmpc_codegen.lowering.choose import dimensions
+from nmpc_codegen.package.features import KERNELS
 from nmpc_codegen.package.memory import Field, Size, Struct
 from nmpc_codegen.package.signals import Argument, EntryPoint
 
@@ -24,6 +27,21 @@ def macros(model: DerivativeModel) -> tuple[Macro, ...]:
         ("NOUT", model.outputs, "outputs of a node"),
     )
     return tuple(Macro(name, value, doc, public=True) for name, value, doc in found if value)
+
+
+def scheme_sizes(model: DerivativeModel) -> dict[str, int]:
+    """Sizes that only the functions of an interval read: those of the scheme, and which kernels of stages there are."""
+    if not calls_parts(model):
+        return {}
+    known = {routine.name for routine in model.routines}
+    has = {f"HAS_{name.upper()}": int(name in known) for name in KERNELS if name.startswith("stage_")}
+    nz = {"NZ": model.problem.nx + model.problem.nu}
+    return nz | {name: value for name, value, _ in model.integrator.sizes(dimensions(model.problem, None, True))} | has
+
+
+def calls_parts(model: DerivativeModel) -> bool:
+    """True if functions of an interval call a part."""
+    return any(isinstance(r, LoopedRoutine) and r.calls_parts for r in model.routines)
 
 
 def _sizes(model: DerivativeModel) -> dict[str, Size]:

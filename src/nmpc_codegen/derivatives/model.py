@@ -20,7 +20,7 @@ from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.casadi_types import Expression
 from nmpc_codegen.ir.kernel import Port, lift
 from nmpc_codegen.ir.model import IntervalProducts, StageModel
-from nmpc_codegen.ir.sweep import Call, Routine, Slice
+from nmpc_codegen.ir.sweep import Call, LoopedRoutine, Routine, Slice
 from nmpc_codegen.lowering.linearize import complete, stage_model
 from nmpc_codegen.options import Options
 from nmpc_codegen.package.memory import Precision
@@ -39,6 +39,7 @@ class DerivativeModel:
     """
 
     problem: Problem
+    integrator: Integrator
     precision: Precision
     linearize: Routine
     products: IntervalProducts
@@ -61,7 +62,13 @@ class DerivativeModel:
 
     @property
     def routines(self) -> tuple[Routine, ...]:
-        """All functions in the order of the C text."""
+        """All functions in the order of the C text: first what functions of parts evaluate."""
+        own = self._own_routines
+        called = (k for r in own if isinstance(r, LoopedRoutine) for k in r.kernels_of_parts)
+        return (*{kernel.name: kernel for kernel in called}.values(), *own)
+
+    @property
+    def _own_routines(self) -> tuple[Routine, ...]:
         products = self.products
         found = (
             *(products.value, self.linearize, products.adjoint, products.forced, products.free),
@@ -99,6 +106,7 @@ def derivative_model(
     output, jacobian = _output(problem, z) if names else (None, None)
     return DerivativeModel(
         problem=problem,
+        integrator=integrator,
         precision=chosen.precision,
         linearize=integrator.interval(problem).linearize,
         products=integrator.products(problem),

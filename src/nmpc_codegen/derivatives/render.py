@@ -5,14 +5,14 @@ from __future__ import annotations
 from typing import Any
 
 from nmpc_codegen.derivatives.counts import Counts
-from nmpc_codegen.derivatives.layout import functions, macros, settings, structs
+from nmpc_codegen.derivatives.layout import calls_parts, functions, macros, scheme_sizes, settings, structs
 from nmpc_codegen.derivatives.model import DerivativeModel
 from nmpc_codegen.ir.cmodule import Table
 from nmpc_codegen.ir.printing.c_style import unit_style
 from nmpc_codegen.ir.sweep import Routine
 from nmpc_codegen.lowering.data.tables import lookup_tables
-from nmpc_codegen.lowering.parts import read_part
-from nmpc_codegen.lowering.preamble import REAL_CONSTANT, Definition, arithmetic
+from nmpc_codegen.lowering.parts import INTERVALS, print_intervals, read_part
+from nmpc_codegen.lowering.preamble import REAL_CONSTANT, Definition, arithmetic, kernel_call
 from nmpc_codegen.lowering.pruning.constants import Constants
 from nmpc_codegen.lowering.pruning.reach import calling
 from nmpc_codegen.lowering.render import (
@@ -26,6 +26,7 @@ from nmpc_codegen.lowering.render import (
     prototype,
     tidy,
 )
+from nmpc_codegen.package.features import KERNELS
 from nmpc_codegen.package.memory import Field, struct_layout
 from nmpc_codegen.package.status import Status
 
@@ -52,7 +53,15 @@ LEADING: dict[str, tuple[str, ...]] = {
     "terminal_cost": ("d", "x"),
     "terminal_gradient": ("d", "x"),
 }
-PLACES = {"p": "(d)->p[k]", "dt": "&interval_length[k]", "yref": "(d)->yref[k]", "W": "(d)->W"}
+#: Functions whose last result is what Newton's method leaves of the stages.
+LEAVING = ("integrator_interval", "interval_symmetric", "interval_forward_over_adjoint")
+PLACES = {
+    "newton": "NEWTON_LIMIT",
+    "p": "(d)->p[k]",
+    "dt": "&interval_length[k]",
+    "yref": "(d)->yref[k]",
+    "W": "(d)->W",
+}
 TERMINAL_PLACES = {"p": "(d)->p[N]", "yref": "(d)->yref_N", "W": "(d)->W_N"}
 
 
@@ -70,7 +79,7 @@ def render(model: DerivativeModel, name: str) -> dict[str, str]:
         print_functions(model.routines, style),
         structs(model),
         _tables(model),
-        Constants({m.name: m.value for m in macros(model)} | {"NOUT": model.outputs}, calling=calling(known)),
+        _constants(model, known),
     )
     names |= unit.texts(style)
     files = {
@@ -110,11 +119,28 @@ def _names(model: DerivativeModel, name: str) -> dict[str, Any]:
         "settings": settings(model),
         "functions": functions(model),
         "operations": Counts(model).all,
-        "parts": [read_part(f"{FOLDER}/{part}", lambda path: "").rstrip("\n") for part in parts],
+        "parts": [
+            *([_intervals(model)] if calls_parts(model) else []),
+            *(read_part(f"{FOLDER}/{part}", lambda path: "").rstrip("\n") for part in parts),
+        ],
         "comment": block_comment,
         "prototype": lambda function: prototype(function, name),
         "nout": model.outputs,
     }
+
+
+def _intervals(model: DerivativeModel) -> str:
+    """The part of implicit schemes, and the functions of an interval that call it."""
+    style = unit_style(model.precision)
+    return read_part(INTERVALS, lambda path: print_intervals(model.routines, style)).rstrip("\n")
+
+
+def _constants(model: DerivativeModel, known: list[Definition]) -> Constants:
+    sizes = {m.name: m.value for m in macros(model)} | {"NOUT": model.outputs} | scheme_sizes(model)
+    present = {routine.name for routine in model.routines}
+    absent = (name for name in KERNELS if name.startswith("stage_") and name not in present)
+    ranges = {t.name: (int(min(t.values)), int(max(t.values))) for t in _tables(model) if t.ctype == "int" and t.values}
+    return Constants(sizes, ranges, kernels=frozenset(name.upper() for name in absent), calling=calling(known))
 
 
 def _numbers(field: Field) -> str:
@@ -128,16 +154,21 @@ def _definitions(model: DerivativeModel, name: str) -> list[Definition]:
     constants += [(macro.name, f"{name.upper()}_{macro.name}") for macro in macros(model)[1:]]
     constants += [(status.name, f"{name.upper()}_{status.name}") for status in STATUSES]
     constants += arithmetic(model.precision)
+    constants += [(size, str(value)) for size, value in scheme_sizes(model).items() if not size.startswith("HAS_")]
     parametric: list[Definition] = [("API", "name", f"{name}_##name"), REAL_CONSTANT]
     return [*((macro, None, text) for macro, text in constants), *parametric, *map(_kernel_call, model.routines)]
 
 
 def _kernel_call(routine: Routine) -> Definition:
     """(macro, arguments, text): call of a lifted function with what it reads or writes."""
+    if routine.name.startswith("stage_"):
+        return kernel_call(routine)
     terminal = routine.name.startswith("terminal_")
     places = PLACES | (TERMINAL_PLACES if terminal else {})
     passed = [places.get(p.name, p.name) for p in routine.reads] + [p.name for p in routine.writes]
-    arguments = (*LEADING.get(routine.name, ("d", "k", "x", "u")), *(p.name for p in routine.outputs))
+    outputs = [p.name for p in routine.outputs]
+    outputs += ["left"] if routine.name in LEAVING and "left" not in outputs else []
+    arguments = (*LEADING.get(routine.name, ("d", "k", "x", "u")), *outputs)
     return routine.name.upper(), ", ".join(arguments), f"{routine.name}({', '.join(passed)})"
 
 
@@ -161,5 +192,6 @@ def _tables(model: DerivativeModel) -> tuple[Table, ...]:
         table("default_yref_N", terminal.reference, "declared terminal references"),
         table("default_W_N", weight(terminal), "declared terminal weight"),
         *lookup_tables(model.routines),
+        *(model.integrator.tables(problem) if calls_parts(model) else ()),
     )
     return tuple(t for t in found if t.values)

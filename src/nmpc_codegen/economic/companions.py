@@ -156,6 +156,9 @@ def rotate(
     problem.refuse_inner("rotate")
     if not problem.uniform:
         raise ProblemError(f"rotate: '{problem.name}' has intervals of different length; use on='nodes'")
-    Phi, _ = interval_map(problem, tableau(problem, options))(ocp.x, ocp.u, ocp.p, problem.dt[0])
+    scheme = tableau(problem, options)
+    if scheme.implicit:
+        raise ProblemError(f"rotate: the map of '{problem.name}' is that of an implicit scheme; use on='nodes'")
+    Phi, _ = interval_map(problem, scheme)(ocp.x, ocp.u, ocp.p, problem.dt[0])
     ocp.stage_cost(sign * (storage(ocp.x) - storage(Phi)), scale_with_dt=False)
     ocp.terminal_cost(sign * storage(ocp.x))

@@ -17,12 +17,14 @@ from functools import cached_property
 import casadi as ca
 import numpy as np
 
-from nmpc_codegen.components.integrators import ExplicitRungeKutta
+from nmpc_codegen.components.integrators import ExplicitRungeKutta, ImplicitRungeKutta
+from nmpc_codegen.economic.newton_map import newton_map
 from nmpc_codegen.errors import ProblemError
 from nmpc_codegen.frontend.problem import Array, Problem, Row
 from nmpc_codegen.ir.casadi_types import Expression, Function
+from nmpc_codegen.lowering.schemes.choose import choose_integrator
 from nmpc_codegen.options import Options
-from nmpc_codegen.oracle.trajectory import Tableau, interval_map, node_cost, scaled_weight
+from nmpc_codegen.oracle.trajectory import CLASSICAL, Tableau, interval_map, node_cost, scaled_weight
 
 #: Values of w below this part of the largest one are rounding errors.
 ROUNDING = float(np.finfo(float).eps)
@@ -139,10 +141,10 @@ def in_units(stage: SteadyStage, d: Array, money: float, rows: Array) -> SteadyS
 
 
 def tableau(problem: Problem, options: Options | None) -> Tableau:
-    """The scheme of the options, else the default of the compiler."""
-    chosen = None if options is None else options.integrator
-    if chosen is None or not isinstance(chosen, ExplicitRungeKutta):
-        chosen = ExplicitRungeKutta()
+    """The scheme of the options, else the one that the compiler chooses for the problem."""
+    chosen, _ = choose_integrator(problem, options or Options())
+    if not isinstance(chosen, ExplicitRungeKutta | ImplicitRungeKutta):
+        return CLASSICAL
     A = tuple(tuple(float(a) for a in row) for row in chosen.tableau.a)
     return Tableau(A, tuple(float(b) for b in chosen.tableau.b), chosen.steps)
 
@@ -164,7 +166,9 @@ def steady_stage(problem: Problem, options: Options | None = None, p: Array | No
     for position, i in enumerate(kept):
         whole[i] = x[position]
     p, dt = problem.p_value if p is None else p, problem.dt[-1]
-    Phi, integral = interval_map(problem, tableau(problem, options))(whole, u, p, dt)
+    scheme = tableau(problem, options)
+    of_interval = newton_map(problem, scheme) if scheme.implicit else interval_map(problem, scheme)
+    Phi, integral = of_interval(whole, u, p, dt)
     W = scaled_weight(problem, problem.path.weight, problem.N - 1)
     cost = integral + node_cost(problem.path)(whole, u, p, dt, problem.path.reference, W)
     end = node_cost(problem.terminal)(whole, ca.SX(0, 1), p, 0.0, problem.terminal.reference, problem.terminal.weight)

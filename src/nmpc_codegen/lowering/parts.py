@@ -148,6 +148,9 @@ GENERATED: Mapping[str, Callable[[CModule, CStyle], str]] = {
 #: The elementary functions of a package, and those of them that lanes have too.
 MATH, MATH_IN_LANES = "math/own.c", "math/functions.c"
 
+#: The stages of implicit schemes, with the functions of an interval that call them.
+INTERVALS = "integrators/implicit/intervals.c"
+
 #: The search of look-up tables.
 SEARCH = "core/lookup.c"
 _FUNCTION = re.compile(r"^static (?:inline )?real_t own_(\w+)\(", re.MULTILINE)

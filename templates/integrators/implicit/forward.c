@@ -52,10 +52,11 @@ static void end_step(real_t *x, real_t (*D)[NX])
 }
 
 /* One step of length h in place. Returns why `stage` fails, or -1. */
-static int step_in_place(real_t *x, const real_t *u, const real_t *p, real_t h, int newton, int *failing)
+static int step_in_place(
+    real_t *x, const real_t *u, const real_t *p, real_t h, int newton, int *failing, real_t *left)
 {
     stage_t stage;
-    real_t D[STAGES][NX], left[NX] = {R(0)};
+    real_t D[STAGES][NX];
     for (int i = 0; i < STAGES; i++) {
         const int reason = run_stage(&stage, (i > 0) ? stage.X : x, D, i, x, u, p, h, newton, left);
         if (reason >= 0) {
@@ -72,10 +73,10 @@ static int step_in_place(real_t *x, const real_t *u, const real_t *p, real_t h, 
 static void implicit_step(
     const real_t *x, const real_t *u, const real_t *p, const real_t *h, int newton, real_t *x_next)
 {
-    real_t end[NX];
+    real_t end[NX], left[NX] = {R(0)};
     int failing;
     memcpy(end, x, sizeof end);
-    (void)step_in_place(end, u, p, *h, newton, &failing);
+    (void)step_in_place(end, u, p, *h, newton, &failing, left);
     memcpy(x_next, end, sizeof end);
 }
 
@@ -83,29 +84,35 @@ static void implicit_step(
 static void implicit_value(
     const real_t *x, const real_t *u, const real_t *p, const real_t *dt, int newton, real_t *x_next)
 {
-    real_t end[NX];
+    real_t end[NX], left[NX] = {R(0)};
     int reason = -1, failing;
     memcpy(end, x, sizeof end);
     for (int step = 0; step < STEPS && reason < 0; step++) {
-        reason = step_in_place(end, u, p, *dt / (real_t)STEPS, newton, &failing);
+        reason = step_in_place(end, u, p, *dt / (real_t)STEPS, newton, &failing, left);
     }
     memcpy(x_next, end, sizeof end);
 }
 
-/* The first stage of STEPS steps that cannot be solved: reason, step, stage; reason -1: there is none. */
-static void implicit_failure(
-    const real_t *x, const real_t *u, const real_t *p, const real_t *dt, int newton, real_t *failure)
+/* How STEPS steps are solved: the reason why the first stage that cannot be solved fails, or -1, its step and its
+ * number; then the largest sum of last corrections, relative to the scale of its state. */
+static void implicit_outcome(
+    const real_t *x, const real_t *u, const real_t *p, const real_t *dt, int newton, real_t *outcome)
 {
-    real_t end[NX];
+    real_t end[NX], left[NX] = {R(0)};
     int reason = -1, failing = 0;
     memcpy(end, x, sizeof end);
-    failure[1] = R(0);
+    outcome[1] = R(0);
     for (int step = 0; step < STEPS && reason < 0; step++) {
-        reason = step_in_place(end, u, p, *dt / (real_t)STEPS, newton, &failing);
-        failure[1] = (real_t)step;
+        reason = step_in_place(end, u, p, *dt / (real_t)STEPS, newton, &failing, left);
+        outcome[1] = (real_t)step;
     }
-    failure[0] = (real_t)reason;
-    failure[2] = (real_t)failing;
+    outcome[0] = (real_t)reason;
+    outcome[2] = (real_t)failing;
+    outcome[3] = R(0);
+    for (int i = 0; i < NX; i++) {
+        const real_t size = left[i] * state_unit[i];
+        outcome[3] = (size > outcome[3]) ? size : outcome[3];
+    }
 }
 
 /* y += f_u U */

@@ -118,7 +118,7 @@ static real_t size_of_correction(const real_t *d, const real_t *X, int *worst)
     real_t most = R(0);
     *worst = 0;
     for (int i = 0; i < NX; i++) {
-        const real_t size = FABS(d[i]) / (FABS(X[i]) + z_scale[i]);
+        const real_t size = FABS(d[i]) * state_unit[i] / (FABS(X[i]) * state_unit[i] + R(1));
         if (!(size <= most)) { /* NaN, too */
             most = size;
             *worst = i;

@@ -105,7 +105,7 @@ class ImplicitRungeKutta(Defaults):
             found.interval(),
             found.step(),
             value=found.value(jumps=False),
-            failure=found.failure(),
+            outcome=found.outcome(),
             jump=jump_kernel(problem),
             jump_rows=jump_rows_kernel(problem),
         )

@@ -93,11 +93,11 @@ class Intervals:
         call = self._call("value", (), (Slice("x_next", self.nx),), self.count.value)
         return self._routine("integrator_value", self.phi, (call,), (Port("x_next", self.nx),), jumps=jumps)
 
-    def failure(self) -> LoopedRoutine:
-        """(x, u, p, dt, newton) -> failure: reason, step and stage, see implicit_failure()."""
-        call = self._call("failure", (), (Slice("failure", 3),), self.count.value)
-        doc = "failure = reason, step, stage of the first stage that cannot be solved; reason -1: none"
-        return self._routine("integrator_failure", doc, (call,), (Port("failure", 3),), jumps=False)
+    def outcome(self) -> LoopedRoutine:
+        """(x, u, p, dt, newton) -> outcome: how the stages are solved, see implicit_outcome()."""
+        call = self._call("outcome", (), (Slice("outcome", 4),), self.count.value + OpCount(mul=self.nx, other=self.nx))
+        doc = "outcome = reason (-1: none), step and stage of the first failure, size of the last corrections"
+        return self._routine("integrator_outcome", doc, (call,), (Port("outcome", 4),), jumps=False)
 
     def adjoint(self) -> LoopedRoutine:
         """(x, u, p, dt, newton, lam) -> lam_x, lam_u."""
