@@ -22,7 +22,7 @@ LIMITS: dict[str, tuple[int, str]] = {
     "src/cli": (830, "options that several components have"),
     "src/components": (
         5830,
-        "implicit schemes: their kernels, functions of an interval, exact counts, trials in NumPy",
+        "implicit schemes: kernels, functions of an interval, exact counts, trials in NumPy",
     ),
     "src/derivatives": (830, "derivatives of implicit schemes"),
     "src/economic": (1690, "steady states of implicit schemes, as expressions"),
