@@ -6,8 +6,8 @@
  *     g_u += f_u' mu_i + rho_u,    lam += sum_i bar_i                                 bar_i = f_x' mu_i + rho_x) */
 
 /* Stages of all steps; x becomes the end. */
-static void record_stages(real_t *x, const real_t *u, const real_t *p, real_t h, int newton, stage_t (*stage)[STAGES],
-    real_t *left)
+static void record_stages(
+    real_t *x, const real_t *u, const real_t *p, real_t h, int newton, stage_t (*stage)[STAGES], real_t *left)
 {
     real_t D[STAGES][NX];
     for (int step = 0; step < STEPS; step++) {
@@ -88,8 +88,7 @@ static inline void end_pulled_step(real_t *lam, real_t (*bar)[NX * NZ], int n)
 }
 
 /* A step backward: lam, mu_i of its stages, g_u. */
-static void pull_step(
-    const stage_t *stage, real_t h, real_t (*rho)[NZ], real_t *lam, real_t (*mu)[NX], real_t *g_u)
+static void pull_step(const stage_t *stage, real_t h, real_t (*rho)[NZ], real_t *lam, real_t (*mu)[NX], real_t *g_u)
 {
     real_t bar[STAGES][NX * NZ], kappa[NX];
     for (int i = STAGES - 1; i >= 0; i--) {

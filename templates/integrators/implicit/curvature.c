@@ -5,19 +5,23 @@
  * where the first NX rows of Z_i are dX_i / d(x, u), the others the unit rows of the controls. Only the variables in
  * bent_variable[] have second derivatives. */
 
-/* H_i, of which `lower` holds the lower triangle, times Z: W, NZ columns, rows of curved variables. */
-static void multiply_curvature(real_t (*lower)[NZ], const real_t *Z, real_t *W)
+/* W = H_i Z, NZ columns, rows of bent variables; H holds the lower triangle of H_i, and all of it afterwards. */
+static void multiply_curvature(real_t (*H)[NZ], const real_t *Z, real_t *W)
 {
+    for (int i = 0; i < NZ; i++) {
+        for (int j = 0; j < i; j++) {
+            H[j][i] = H[i][j];
+        }
+    }
     for (int a = 0; a < bent_count[0]; a++) {
         const int r = bent_variable[a];
         for (int c = 0; c < NZ; c++) {
             W[r * NZ + c] = R(0);
         }
         for (int b = 0; b < bent_count[0]; b++) {
-            const int q = bent_variable[b];
-            const real_t factor = (q < r) ? lower[r][q] : lower[q][r];
+            const real_t factor = H[r][bent_variable[b]];
             for (int c = 0; c < NZ; c++) {
-                W[r * NZ + c] += factor * Z[q * NZ + c];
+                W[r * NZ + c] += factor * Z[bent_variable[b] * NZ + c];
             }
         }
     }
@@ -114,7 +118,8 @@ static void implicit_forward_over_adjoint(const real_t *x, const real_t *u, cons
 {
     const real_t h = *dt / (real_t)STEPS;
     real_t end[NX], adj[NX], pulled[NU] = {R(0)}, rho[STEPS][STAGES][NZ], mu[STAGES][NX], D[STAGES][NX];
-    real_t DV[STAGES][NX * NZ], U[NU * NZ], Z[STEPS][STAGES][NZ * NZ], adjS[NX * NZ] = {R(0)}, controlS[NU * NZ] = {R(0)};
+    real_t DV[STAGES][NX * NZ], U[NU * NZ], Z[STEPS][STAGES][NZ * NZ], adjS[NX * NZ] = {R(0)},
+                                                                                 controlS[NU * NZ] = {R(0)};
     stage_t stage[STEPS][STAGES];
     memcpy(end, x, sizeof end);
     memset(left, 0, NX * sizeof *left);

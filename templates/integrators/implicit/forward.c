@@ -52,8 +52,7 @@ static void end_step(real_t *x, real_t (*D)[NX])
 }
 
 /* One step of length h in place. Returns why `stage` fails, or -1. */
-static int step_in_place(
-    real_t *x, const real_t *u, const real_t *p, real_t h, int newton, int *failing, real_t *left)
+static int step_in_place(real_t *x, const real_t *u, const real_t *p, real_t h, int newton, int *failing, real_t *left)
 {
     stage_t stage;
     real_t D[STAGES][NX];
@@ -180,8 +179,8 @@ static inline void end_step_of_columns(real_t *V, real_t (*DV)[NX * NZ], int n)
 
 /* STEPS steps over dt from x, which becomes their end, and along n <= NZ columns (V, U), of which V is followed. What
  * Newton's method leaves of the stages is added to `left`. */
-static inline void implicit_columns(real_t *x, const real_t *u, const real_t *p, real_t dt, int newton, real_t *V,
-    const real_t *U, int n, real_t *left)
+static inline void implicit_columns(
+    real_t *x, const real_t *u, const real_t *p, real_t dt, int newton, real_t *V, const real_t *U, int n, real_t *left)
 {
     const real_t h = dt / (real_t)STEPS;
     real_t D[STAGES][NX], DV[STAGES][NX * NZ], Z[NX * NZ];
@@ -222,8 +221,8 @@ static void implicit_interval(const real_t *x, const real_t *u, const real_t *p,
 }
 
 /* x_next, S_next = d x_next / du. */
-static void implicit_forced(const real_t *x, const real_t *u, const real_t *p, const real_t *dt, int newton,
-    real_t *x_next, real_t *S_next)
+static void implicit_forced(
+    const real_t *x, const real_t *u, const real_t *p, const real_t *dt, int newton, real_t *x_next, real_t *S_next)
 {
     real_t end[NX], U[NU * NU] = {R(0)}, left[NX] = {R(0)};
     memcpy(end, x, sizeof end);

@@ -11,4 +11,6 @@
 
 #include "integrators/implicit/curvature.c"
 
+/* The functions of an interval. */
+
 #include "generated/intervals.c"
