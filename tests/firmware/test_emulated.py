@@ -7,12 +7,13 @@ import subprocess
 from pathlib import Path
 from typing import Any
 
+import casadi as ca
 import numpy as np
 import pytest
 from conftest import require_tool
 
 from examples import crane
-from nmpc_codegen import AdjointShooting, BuildError, Options, generate
+from nmpc_codegen import OCP, AdjointShooting, BuildError, Options, generate
 from nmpc_codegen.firmware.certificate import Certificate, certify
 from nmpc_codegen.firmware.delivery import record_loop, sentences
 from nmpc_codegen.firmware.image import build
@@ -103,6 +104,24 @@ def test_an_algorithm_without_phases() -> None:
     assert verdict.run.stack["step"] <= certificate.stack_bytes["step"]
     assert "feedback" not in verdict.run.stack
     assert certificate.struct_bytes <= 1280
+
+
+def test_an_implicit_scheme() -> None:
+    """The same bits on the board, stages and all, inside the stack of the certificate."""
+    require_tool("qemu")
+    ocp = OCP("stiff", intervals=[0.2, 0.2, 0.3, 0.5])
+    x, r, u = ocp.state("x", initial=1.0), ocp.state("r", initial=0.8), ocp.control("u")
+    ocp.dynamics({x: -r + u, r: 400 * (ca.sin(x) - r - 0.2 * r**3)})
+    ocp.least_squares(ca.vertcat(x, r, u), weight=[1, 0.5, 0.1])
+    ocp.subject_to(-0.4, u, 0.4)
+    sources = generate(ocp, Options(target="cortex-m4f", precision="single"))
+    assert sources.description.options["integrator"] == "ImplicitRungeKutta"
+    certificate = certify(sources, "stiff", TARGETS["cortex-m4f"])
+    inputs, of_target = record_loop(sources, "stiff"), TARGETS["cortex-m4f"]
+    verdict = verify(sources, "stiff", inputs, of_target, "O2", certificate.stack_worst)
+    assert verdict.passed
+    assert verdict.error == 0.0
+    assert not {e: used for e, used in verdict.run.stack.items() if used > certificate.stack_bytes[e]}
 
 
 @pytest.mark.slow
