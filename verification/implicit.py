@@ -23,8 +23,8 @@ Array = NDArray[Any]
 
 #: Function -> its inputs behind x, u, p, dt and the Newton steps, and its outputs; numbers in terms of nx, nu, nz.
 FUNCTIONS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
-    "value": ((), ("nx",)),
-    "outcome": ((), ("4",)),
+    "value": ((), ("nx", "nx")),
+    "failure": ((), ("3",)),
     "interval": ((), ("nx", "nx * nz", "nx")),
     "forced": ((), ("nx", "nx * nu")),
     "free": (("nx * nu",), ("nx", "nx * nu")),

@@ -107,7 +107,11 @@ static void refresh_node(solver_t *s, int k, int level)
 {
     node_t *node = &s->node[k];
     real_t x_next[NX];
+#if IMPLICIT
+    interval_leaving(s, k, x_next, node->left);
+#else
     interval_value(s, k, x_next);
+#endif
     for (int i = 0; i < NX; i++) {
         node->b[i] = x_next[i] - s->x[k + 1][i];
     }

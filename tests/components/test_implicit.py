@@ -116,7 +116,7 @@ def test_an_interval_and_all_its_derivatives(name: str, steps: int) -> None:
     lam, V, d = rng.normal(size=3), rng.normal(size=(3, 2)), rng.normal(size=5)
     end, S, q, g, H = derivatives(problem, tableau, steps, lam)
     found = {
-        "value": [end],
+        "value": [end, 0],
         "interval": [end, S, 0],
         "forced": [end, S[:, 3:]],
         "free": [end, S[:, :3] @ V],
@@ -237,10 +237,10 @@ def test_a_stage_that_cannot_be_solved_is_named() -> None:
     ocp.dynamics({x: u - x, y: 4 * y + x})
     ocp.least_squares(x, weight=1.0)
     interval = Interval(classify(ocp), ImplicitRungeKutta(ImplicitMidpoint))
-    assert interval("outcome", [0.0, 1.0], [0.0], [], 0.5)[0][:3].tolist() == [1.0, 0.0, 0.0]  # state y, no pivot
+    assert interval("failure", [0.0, 1.0], [0.0], [], 0.5)[0].tolist() == [1.0, 0.0, 0.0]  # state y, no pivot
     assert np.isnan(interval("value", [0.0, 1.0], [0.0], [], 0.5)[0]).any()
-    assert interval("outcome", [0.0, 1.0], [0.0], [], 0.4)[0][0] == -1
-    assert interval("outcome", [np.inf, 1.0], [0.0], [], 0.4)[0][0] >= 0
+    assert interval("failure", [0.0, 1.0], [0.0], [], 0.4)[0][0] == -1
+    assert interval("failure", [np.inf, 1.0], [0.0], [], 0.4)[0][0] >= 0
     assert np.isnan(interval("value", [np.nan, 1.0], [0.0], [], 0.4)[0]).any()
 
 
@@ -251,7 +251,7 @@ def test_newton_steps_that_do_not_converge_are_named() -> None:
     ocp.dynamics({x: u - x, y: 5 * y**2 + 3})
     ocp.least_squares(x, weight=1.0)
     interval = Interval(classify(ocp), ImplicitRungeKutta(ImplicitEuler, 2))
-    assert interval("outcome", [0.0, 3.0], [0.0], [], 0.4)[0][:3].tolist() == [3.0, 0.0, 0.0]  # NX + state y
+    assert interval("failure", [0.0, 3.0], [0.0], [], 0.4)[0].tolist() == [3.0, 0.0, 0.0]  # NX + state y
     assert np.isnan(interval("value", [0.0, 3.0], [0.0], [], 0.4)[0]).any()
     assert np.isfinite(interval("value", [0.0, 3.0], [0.0], [], 0.4, newton=2)[0]).all()
 

@@ -21,8 +21,8 @@ class Interval:
     jump: (x, u, p, dt) -> x_next of the states that step leaves constant, at the end of an interval; jump_rows: also
     their rows of S.
     one_step: linearize for the first of its steps as straight-line code, where linearize has loops that expand.
-    value: (x, u, p, dt) -> x_next, without jump, where steps in a row do not give it; outcome: (x, u, p, dt) -> how
-    its stages are solved.
+    value: (x, u, p, dt) -> x_next, left, without jump, where steps in a row do not give it; failure: (x, u, p, dt) -> reason,
+    step and stage at which it fails.
     forward: (x, u, p, dt, dx, du) -> dx_next = A dx + B du; adjoint: (x, u, p, dt, adj) -> g = [A B]' adj; both for
     algorithms that multiply with S = [A B] and do not store it.
     """
@@ -36,7 +36,7 @@ class Interval:
     jump: Kernel | None = None
     jump_rows: Kernel | None = None
     value: Routine | None = None
-    outcome: Routine | None = None
+    failure: Routine | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,7 +147,7 @@ class ModelFunctions:
         return tuple(
             _present(
                 *(self.interval.linearize, self.interval.step, self.interval.value, self.interval.jump),
-                self.interval.outcome,
+                self.interval.failure,
                 *(self.interval.forward, self.interval.adjoint),
                 *(*at_nodes, path.hessian, path.curvature, path.product),
                 *(terminal.cost, terminal.gradient, terminal.hessian, terminal.curvature, terminal.product),

@@ -59,7 +59,9 @@ static int step_in_place(real_t *x, const real_t *u, const real_t *p, real_t h, 
     for (int i = 0; i < STAGES; i++) {
         const int reason = run_stage(&stage, (i > 0) ? stage.X : x, D, i, x, u, p, h, newton, left);
         if (reason >= 0) {
-            x[0] = (real_t)NAN;
+            for (int r = 0; r < NX; r++) {
+                x[r] = (real_t)NAN;
+            }
             *failing = i;
             return reason;
         }
@@ -79,39 +81,34 @@ static void implicit_step(
     memcpy(x_next, end, sizeof end);
 }
 
-/* x_next = STEPS steps over dt from x. */
+/* x_next = STEPS steps over dt from x, and what Newton's method leaves of the stages. */
 static void implicit_value(
-    const real_t *x, const real_t *u, const real_t *p, const real_t *dt, int newton, real_t *x_next)
+    const real_t *x, const real_t *u, const real_t *p, const real_t *dt, int newton, real_t *x_next, real_t *left)
 {
-    real_t end[NX], left[NX] = {R(0)};
+    real_t end[NX];
     int reason = -1, failing;
     memcpy(end, x, sizeof end);
+    memset(left, 0, NX * sizeof *left);
     for (int step = 0; step < STEPS && reason < 0; step++) {
         reason = step_in_place(end, u, p, *dt / (real_t)STEPS, newton, &failing, left);
     }
     memcpy(x_next, end, sizeof end);
 }
 
-/* How STEPS steps are solved: the reason why the first stage that cannot be solved fails, or -1, its step and its
- * number; then the largest sum of last corrections, relative to the scale of its state. */
-static void implicit_outcome(
-    const real_t *x, const real_t *u, const real_t *p, const real_t *dt, int newton, real_t *outcome)
+/* The first stage of STEPS steps that cannot be solved: reason, step, stage; reason -1: there is none. */
+static void implicit_failure(
+    const real_t *x, const real_t *u, const real_t *p, const real_t *dt, int newton, real_t *failure)
 {
     real_t end[NX], left[NX] = {R(0)};
     int reason = -1, failing = 0;
     memcpy(end, x, sizeof end);
-    outcome[1] = R(0);
+    failure[1] = R(0);
     for (int step = 0; step < STEPS && reason < 0; step++) {
         reason = step_in_place(end, u, p, *dt / (real_t)STEPS, newton, &failing, left);
-        outcome[1] = (real_t)step;
+        failure[1] = (real_t)step;
     }
-    outcome[0] = (real_t)reason;
-    outcome[2] = (real_t)failing;
-    outcome[3] = R(0);
-    for (int i = 0; i < NX; i++) {
-        const real_t size = left[i] * state_unit[i];
-        outcome[3] = (size > outcome[3]) ? size : outcome[3];
-    }
+    failure[0] = (real_t)reason;
+    failure[2] = (real_t)failing;
 }
 
 /* y += f_u U */

@@ -140,14 +140,14 @@ static void correct_point(stage_t *t, const real_t *base, real_t ha, const real_
     }
 }
 
-/* A stage that cannot be solved: its point is NaN, so that the end of the interval is. Returns the reason. */
+/* A stage that cannot be solved: its point and its factors are NaN, so that all results are. Returns the reason. */
 static int fail_stage(stage_t *t, int reason)
 {
     for (int i = 0; i < NX; i++) {
         t->X[i] = (real_t)NAN;
         t->order[i] = i;
         for (int j = 0; j < NX; j++) {
-            t->M[i][j] = R(0);
+            t->M[i][j] = (real_t)NAN;
         }
     }
     return reason;
@@ -165,15 +165,27 @@ static int factorize_at_point(stage_t *t, const real_t *u, const real_t *p, real
     return factorize_stage(t->M, t->order);
 }
 
-/* One Newton step. Returns the state whose column of M has no pivot, or -1. */
+/* NX plus the first state whose number is not finite, or -1. */
+static int first_not_finite(const real_t *values)
+{
+    for (int i = 0; i < NX; i++) {
+        if (!isfinite(values[i])) {
+            return NX + i;
+        }
+    }
+    return -1;
+}
+
+/* One Newton step. Returns -1, the state whose column of M has no pivot, or NX plus the state whose slope is not finite. */
 static int newton_step(stage_t *t, const real_t *base, const real_t *u, const real_t *p, real_t ha, real_t *d)
 {
     real_t f[NX];
-    const int singular = factorize_at_point(t, u, p, ha, f);
-    if (singular < 0) {
-        correct_point(t, base, ha, f, d);
+    const int singular = factorize_at_point(t, u, p, ha, f), undefined = first_not_finite(f);
+    if (undefined >= 0 || singular >= 0) {
+        return (undefined >= 0) ? undefined : singular;
     }
-    return singular;
+    correct_point(t, base, ha, f, d);
+    return -1;
 }
 
 /* Newton steps from the point in X until they are rounding errors. Returns -1, the state whose column of M has no
@@ -184,9 +196,9 @@ static int iterate_stage(stage_t *t, const real_t *base, const real_t *u, const 
     int worst = 0;
     for (int n = 0; n < NEWTON_LIMIT; n++) {
         const real_t before = size;
-        const int singular = newton_step(t, base, u, p, ha, d);
-        if (singular >= 0) {
-            return singular;
+        const int reason = newton_step(t, base, u, p, ha, d);
+        if (reason >= 0) {
+            return reason;
         }
         size = size_of_correction(d, t->X, &worst);
         if (size <= ((size >= R(0.5) * before) ? TOL_NEWTON_STALLED : TOL_NEWTON)) {
@@ -196,19 +208,14 @@ static int iterate_stage(stage_t *t, const real_t *base, const real_t *u, const 
     return NX + worst;
 }
 
-/* `newton` Newton steps from the point in X. Returns the same; here a state that is not finite does not converge. */
+/* `newton` Newton steps from the point in X. Returns the same. */
 static int sample_stage(stage_t *t, const real_t *base, const real_t *u, const real_t *p, real_t ha, int newton)
 {
     real_t d[NX];
     for (int n = 0; n < newton; n++) {
-        const int singular = newton_step(t, base, u, p, ha, d);
-        if (singular >= 0) {
-            return singular;
-        }
-    }
-    for (int i = 0; i < NX; i++) {
-        if (!isfinite(t->X[i])) {
-            return NX + i;
+        const int reason = newton_step(t, base, u, p, ha, d);
+        if (reason >= 0) {
+            return reason;
         }
     }
     return -1;
@@ -222,13 +229,16 @@ static int solve_stage(
 {
     real_t f[NX], d[NX];
     memset(t->J, 0, sizeof t->J);
-    const int reason =
-        (newton < NEWTON_LIMIT) ? sample_stage(t, base, u, p, ha, newton) : iterate_stage(t, base, u, p, ha);
+    int reason = (newton < NEWTON_LIMIT) ? sample_stage(t, base, u, p, ha, newton) : iterate_stage(t, base, u, p, ha);
     if (reason >= 0) {
         return fail_stage(t, reason);
     }
     STAGE_SLOPE(t->X, u, p, f);
     correct_point(t, base, ha, f, d);
+    reason = first_not_finite(t->X);
+    if (reason >= 0) {
+        return fail_stage(t, reason);
+    }
     for (int i = 0; i < NX; i++) {
         left[i] += FABS(d[i]);
     }

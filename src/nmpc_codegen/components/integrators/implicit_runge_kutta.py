@@ -104,8 +104,8 @@ class ImplicitRungeKutta(Defaults):
         return Interval(
             found.interval(),
             found.step(),
-            value=found.value(jumps=False),
-            outcome=found.outcome(),
+            value=found.value(leaving=True, jumps=False),
+            failure=found.failure(),
             jump=jump_kernel(problem),
             jump_rows=jump_rows_kernel(problem),
         )

@@ -60,8 +60,9 @@ class Intervals:
         more: tuple[Port, ...] = (),
         length: str = "dt",
         jumps: bool = True,
+        scratch: tuple[tuple[str, int], ...] = (),
     ) -> LoopedRoutine:
-        sweep = Sweep(name, doc, (*self._ports(length), *more), outputs, (), body)
+        sweep = Sweep(name, doc, (*self._ports(length), *more), outputs, scratch, body)
         return lift_loops(with_jump(sweep, self.problem) if jumps else sweep)
 
     @property
@@ -88,16 +89,20 @@ class Intervals:
         doc = f"x_next = one {self.count.tableau.name} step of length h from x"
         return self._routine("integrator_step", doc, (call,), (Port("x_next", self.nx),), length="h", jumps=False)
 
-    def value(self, jumps: bool = True) -> LoopedRoutine:
-        """(x, u, p, dt, newton) -> x_next."""
-        call = self._call("value", (), (Slice("x_next", self.nx),), self.count.value)
-        return self._routine("integrator_value", self.phi, (call,), (Port("x_next", self.nx),), jumps=jumps)
+    def value(self, leaving: bool = False, jumps: bool = True) -> LoopedRoutine:
+        """(x, u, p, dt, newton) -> x_next, left; without ``leaving`` left is no output."""
+        outs = (Slice("x_next", self.nx), Slice(LEFT, self.nx))
+        call = self._call("value", (), outs, self.count.value)
+        end, rest = Port("x_next", self.nx), Port(LEFT, self.nx)
+        outputs = (end, rest) if leaving else (end,)
+        scratch = () if leaving else ((LEFT, self.nx),)
+        return self._routine("integrator_value", self.phi, (call,), outputs, jumps=jumps, scratch=scratch)
 
-    def outcome(self) -> LoopedRoutine:
-        """(x, u, p, dt, newton) -> outcome: how the stages are solved, see implicit_outcome()."""
-        call = self._call("outcome", (), (Slice("outcome", 4),), self.count.value + OpCount(mul=self.nx, other=self.nx))
-        doc = "outcome = reason (-1: none), step and stage of the first failure, size of the last corrections"
-        return self._routine("integrator_outcome", doc, (call,), (Port("outcome", 4),), jumps=False)
+    def failure(self) -> LoopedRoutine:
+        """(x, u, p, dt, newton) -> failure: reason, step and stage, see implicit_failure()."""
+        call = self._call("failure", (), (Slice("failure", 3),), self.count.value)
+        doc = "failure = reason, step, stage of the first stage that cannot be solved; reason -1: none"
+        return self._routine("integrator_failure", doc, (call,), (Port("failure", 3),), jumps=False)
 
     def adjoint(self) -> LoopedRoutine:
         """(x, u, p, dt, newton, lam) -> lam_x, lam_u."""
