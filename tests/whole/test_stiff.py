@@ -33,6 +33,7 @@ from nmpc_codegen import (
     Online,
     Options,
     PartialCondensing,
+    ProblemError,
     ProblemWarning,
     RealTimeIteration,
     RiccatiActiveSet,
@@ -43,6 +44,7 @@ from nmpc_codegen import (
     worst_case,
 )
 from nmpc_codegen.cli import main
+from nmpc_codegen.economic import tune, tune_periodic
 from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.oracle.reference import Point, Reference, Tableau, interval_map, kkt_residuals, node_data
 from nmpc_codegen.package.sources import Sources
@@ -86,6 +88,52 @@ def test_a_default_is_stable(rate: float, scheme: str, steps: int | None) -> Non
     assert "operations" in choice or rate < 1e3
 
 
+def test_a_model_that_becomes_stiff_within_an_interval() -> None:
+    """A radical starts at 0, where its rate has no derivative, and is at sqrt(i / k) within microseconds."""
+    ocp = OCP("radical", T=10.0, N=20, time_unit="h")
+    x, r = ocp.state("x", initial=5.0), ocp.state("r", initial=0.0)
+    u, i = ocp.control("u"), ocp.control("i")
+    ocp.dynamics({x: u * (8 - x) - 0.1 * r * x, r: 6e4 * (i - r**2)})
+    ocp.least_squares(ca.vertcat(x, u, i), weight=[1, 1, 1], reference=[5, 0.5, 1])
+    ocp.subject_to([0, 0.1], ca.vertcat(u, i), [2, 2])
+    ctrl, state = build(ocp, profile="test"), np.array([5.0, 0.0])
+    assert "the first plan leads to the eigenvalue -1.2e+05 1/h" in ctrl.description.report.choices[0]
+    assert ctrl.integrate(state, [0.5, 1.0], 0.5)[1] == pytest.approx(1.0, abs=1e-4)
+    for _ in range(10):
+        state = ctrl.integrate(state, ctrl.step(state), 0.5)
+        assert ctrl.status.name == "OK"
+    with pytest.warns(ProblemWarning, match="unstable an interval behind the initial state"):
+        generate(ocp, Options(integrator=ExplicitRungeKutta()))
+
+
+def test_a_coarse_scheme_is_warned_of() -> None:
+    ocp = OCP("swing", T=1.0, N=2)
+    x, v, u = ocp.state("x", initial=1.0), ocp.state("v"), ocp.control("u")
+    ocp.dynamics({x: v, v: 400 * (u - x) - v})
+    ocp.least_squares(ca.vertcat(x, u), weight=1.0)
+    with pytest.warns(ProblemWarning, match=r"SDIRK3 with steps=1: an interval ends \S+ of the scale of a state"):
+        generate(ocp, Options(integrator=ImplicitRungeKutta()))
+    fine = generate(ocp, Options(integrator=ImplicitRungeKutta(steps=40)))
+    assert fine.description.report.warnings == ()
+
+
+@pytest.mark.parametrize("first", [True, False])
+def test_a_stage_without_a_solution_fails_the_interval(first: bool) -> None:
+    """X = x + h (X^2 + 50) has no real root; the map of the other state hides it nowhere."""
+    ocp = OCP("escape", T=1.0, N=2)
+    states = {name: ocp.state(name) for name in ("mx" if first else "xm")}
+    k, u = ocp.parameter("k", value=0.1), ocp.control("u")
+    ocp.dynamics({states["x"]: states["x"] ** 2 + k + u}, discrete={states["m"]: 0.5 * states["m"] + u})
+    ocp.least_squares(ca.vertcat(*states.values(), u), weight=1.0)
+    ctrl = build(ocp, Options(integrator=ImplicitRungeKutta("ImplicitEuler")), "test")
+    ctrl.set_parameter("k", 50.0)
+    assert np.isnan(ctrl.integrate(np.zeros(2), [0.0], 0.5)[int(first)])
+    for _ in range(3):
+        ctrl.step(np.zeros(2))
+        assert ctrl.status.name in ("NOT_CONVERGED", "NUMERICAL_FAILURE")
+    assert ctrl.solve(np.zeros(2)).status.name == "NUMERICAL_FAILURE"
+
+
 def test_the_cheaper_one_is_chosen() -> None:
     """With many states, few of which are coupled, eight steps of RK4 cost less than linear systems."""
     ocp = OCP("row", T=1.0, N=2)
@@ -122,6 +170,8 @@ def test_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Non
     problem = Path(fast_charge.__file__)
     command = [str(problem), "-o", str(tmp_path), "--set", "integrator=implicit_runge_kutta"]
     assert main([*command, "--set", "integrator.tableau=SDIRK2", "--set", "integrator.steps=3", "--check"]) == 0
+    assert "check passed" in capsys.readouterr().out
+    assert main([*command[:-2], "--check"]) == 0
     assert "check passed" in capsys.readouterr().out
     assert main([*command, "--set", "integrator.tableau=RK4"]) != 0
     assert "expected one of ImplicitEuler" in capsys.readouterr().err
@@ -218,6 +268,7 @@ def reactor() -> Controller:
     return build(stiff.reactor(), profile="test")
 
 
+@pytest.mark.filterwarnings("ignore:.* Newton steps leave")
 def test_what_newton_leaves_counts_in_the_residual() -> None:
     """At an optimum, which has no gaps with all Newton steps, a sample with one does not solve the stages."""
     start = np.array([*[0.3] * fast_charge.SHELLS, 0.0, 25.0, 25.0])
@@ -285,7 +336,8 @@ def test_samples_that_do_not_solve_their_stages_are_not_ok(algorithm: Any) -> No
     """One Newton step leaves the currents through the double layer unsolved, also where no gap tells."""
     start = np.array([*[0.3] * fast_charge.SHELLS, 0.0, 25.0, 25.0])
     given = ImplicitRungeKutta(SDIRK3, 2, newton=1)
-    ctrl = build(fast_charge.build_ocp(N=5), Options(integrator=given, algorithm=algorithm), "test")
+    with pytest.warns(ProblemWarning, match=r"SDIRK3 with steps=2: 1 Newton steps leave .* or more Newton steps"):
+        ctrl = build(fast_charge.build_ocp(N=5), Options(integrator=given, algorithm=algorithm), "test")
     statuses = [ctrl.step(start) is not None and ctrl.status.name for _ in range(4)]
     assert "OK" not in statuses
 
@@ -310,6 +362,20 @@ def test_terminal_cost_of_the_regulator() -> None:
     P = scipy.linalg.solve_discrete_are(S[:, :2], S[:, 2:], np.diag([1, 0.5]), np.diag([0.1]))
     small = 1e-3 * np.array([1.0, 0.5])
     assert ctrl.solve(small, tol=1e-12).cost == pytest.approx(small @ P @ small / 2, rel=1e-4)
+
+
+def test_a_point_that_newton_does_not_leave_is_no_steady_state() -> None:
+    """At x = 0 the Newton steps of an interval return to x, where x' = -2."""
+    ocp = OCP("cubic", T=3.0, N=3)
+    x, u = ocp.state("x"), ocp.control("u")
+    ocp.dynamics({x: -(x**3) + 3 * x - 2 + u})
+    ocp.least_squares(ca.vertcat(x, u), weight=1.0)
+    ocp.subject_to(-0.5, u, 0.5)
+    given = Options(integrator=ImplicitRungeKutta("ImplicitEuler"))
+    with pytest.raises(ProblemError, match="the state 'x' is not at rest at the steady state that was found"):
+        tune(ocp, given)
+    with pytest.raises(ProblemError, match="tune_periodic: the map of 'cubic' is that of an implicit scheme"):
+        tune_periodic(ocp, given, period=3)
 
 
 @pytest.mark.parametrize("sweep", ["symmetric", "forward_over_adjoint"])

@@ -17,10 +17,12 @@ from nmpc_codegen.errors import OptionError, ProblemWarning
 from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.frontend.inner import complete_inner
 from nmpc_codegen.lowering.linearize import complete
+from nmpc_codegen.lowering.schemes.choose import choose_integrator
 from nmpc_codegen.oracle.reference import Reference, Tableau, node_data
 from nmpc_codegen.runtime.build import load
 
 if TYPE_CHECKING:
+    from nmpc_codegen.components.base import Integrator
     from nmpc_codegen.frontend.ocp import OCP
     from nmpc_codegen.options import Options
     from nmpc_codegen.runtime.controller import Solution
@@ -40,7 +42,8 @@ def check(ocp: OCP, options: Options, folder: Path, name: str, printer: Printer)
     started again at the solution of the generated code, which it must then return.
     """
     problem = complete_inner(complete(classify(ocp), options), options.algorithm.sampling_time)
-    refuse_long(options, len(problem.dt))
+    integrator, _ = choose_integrator(problem, options)
+    refuse_long(integrator, len(problem.dt))
     files: Mapping[str, str] = {
         f"{name}.{ext}": (folder / f"{name}.{ext}").read_text(encoding="utf-8") for ext in ("h", "c", "json")
     }
@@ -54,7 +57,7 @@ def check(ocp: OCP, options: Options, folder: Path, name: str, printer: Printer)
     solution = controller.solve(
         problem.x_initial[: problem.measured], CHECK_TOLERANCE[options.precision], CHECK_ITERATIONS
     )
-    nlp = Reference(problem, *_tableau(options))
+    nlp = Reference(problem, *_tableau(integrator))
     data = node_data(problem)
     reference = nlp.solve(data)
     errors = compare(solution, reference)
@@ -71,23 +74,24 @@ def check(ocp: OCP, options: Options, folder: Path, name: str, printer: Printer)
     return passed
 
 
-def refuse_long(options: Options, intervals: int) -> None:
+def refuse_long(integrator: Integrator, intervals: int) -> None:
     """Raise OptionError if IPOPT would take more than about a minute."""
-    steps = getattr(options.integrator, "steps", 1) * intervals
+    steps = getattr(integrator, "steps", 1) * intervals
     if steps > CHECK_STEPS:
         raise OptionError(
             f"--check: IPOPT would take {steps:,} steps of the integrator per evaluation; expected at most "
-            f"{CHECK_STEPS:,}: check with fewer steps (--set integrator.steps=..., ExplicitRungeKutta(steps=...))"
+            f"{CHECK_STEPS:,}: check with fewer steps, or with an implicit scheme, "
+            "--set integrator=implicit_runge_kutta"
         )
 
 
-def _tableau(options: Options) -> tuple[Any, ...]:
-    """The integrator as plain numbers for the reference; nothing for a discrete map or the default."""
-    scheme = getattr(options.integrator, "tableau", None)
+def _tableau(integrator: Integrator) -> tuple[Any, ...]:
+    """The integrator as plain numbers for the reference; nothing for a discrete map."""
+    scheme = getattr(integrator, "tableau", None)
     if scheme is None:
         return ()
     A = tuple(tuple(float(a) for a in row) for row in scheme.a)
-    return (Tableau(A, tuple(float(b) for b in scheme.b), int(getattr(options.integrator, "steps", 1))),)
+    return (Tableau(A, tuple(float(b) for b in scheme.b), int(getattr(integrator, "steps", 1))),)
 
 
 def compare(solution: Solution, reference: Any) -> dict[str, float]:

@@ -22,7 +22,7 @@ import numpy as np
 from nmpc_codegen.economic.linear_quadratic import LinearQuadratic
 from nmpc_codegen.economic.orbit import Orbit, solve_orbit
 from nmpc_codegen.economic.semidefinite import Weights, convexify_period
-from nmpc_codegen.economic.stage import SteadyStage, steady_stage
+from nmpc_codegen.economic.stage import SteadyStage, steady_stage, tableau
 from nmpc_codegen.economic.steady_state import start_point
 from nmpc_codegen.errors import OptionError, ProblemError
 from nmpc_codegen.frontend.classify import classify
@@ -129,6 +129,11 @@ def tune_periodic(
         what = "has cyclic states" if problem.cyclic else "has intervals of different length"
         raise ProblemError(
             f"tune_periodic: '{problem.name}' {what}; expected a uniform grid and an orbit of all states"
+        )
+    if tableau(problem, options).implicit:
+        raise ProblemError(
+            f"tune_periodic: the map of '{problem.name}' is that of an implicit scheme; expected an explicit one "
+            "that is stable: Options(integrator=ExplicitRungeKutta(steps=...))"
         )
     values = _parameters(problem, parameters, period)
     stages = [steady_stage(problem, options, p) for p in values]

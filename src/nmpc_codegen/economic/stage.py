@@ -56,6 +56,7 @@ class SteadyStage:
     terminal_cost: Expression
     terminal_rows: Rows
     point_terminal: bool  # x_N of every kept state is fixed by rows
+    move: Expression | None  # dt f of an implicit scheme, whose map has fixed points beside those of f
 
     @property
     def w(self) -> Expression:
@@ -192,6 +193,7 @@ def steady_stage(problem: Problem, options: Options | None = None, p: Array | No
         terminal_cost=end,
         terminal_rows=_steady_rows(problem, (whole, u, p), cyclic, terminal=True),
         point_terminal=_is_point(problem, kept),
+        move=dt * problem.dynamics(whole, u, p)[list(kept)] if scheme.implicit else None,
     )
 
 

@@ -32,6 +32,8 @@ NEWTON_STEPS = 20
 #: Curvature below this part of the largest one, in units of the curvature, is negative; how often a point that is no
 #: minimum is left, and by which part of its size.
 CURVED, ATTEMPTS, LEAVE = -1e-9, 3, 0.1
+#: Distance, in the size of a state, that the model may still move at a steady state of an implicit scheme.
+MOVING = 1e-4
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,6 +79,7 @@ def solve_steady_state(stage: SteadyStage, guess: tuple[Array, Array] | None = N
     found = _least(in_units(stage, size, money, norms), w / size)
     lam, mu = found.lam * money / size[: stage.nx], found.mu * money / norms
     w = found.w * size
+    _refuse_moving(stage, w, magnitudes(stage, w, size))
     refuse_violated(stage.rows, found.active, mu, "steady state")
     n, cost = stage.nx, found.cost * money
     return SteadyState(w[:n], w[n:], lam, mu, cost, found.active, found.residual, magnitudes(stage, w, size))
@@ -152,6 +155,22 @@ def _refuse_infinite(stage: SteadyStage, w: Array) -> None:
         f"OCP '{stage.problem.name}': cost, dynamics or rows are not finite at {at}, where the search for a steady "
         "state starts; declare other initial= values of the states, or give a guess=(x, u)"
     )
+
+
+def _refuse_moving(stage: SteadyStage, w: Array, size: Array) -> None:
+    """Raise ProblemError if Newton's method of an implicit scheme returns to a point where the model is not at rest:
+    (I - dt f_x)^{-1} dt f is not 0."""
+    if stage.move is None:
+        return
+    evaluate = ca.Function("move", [stage.w], [stage.move, ca.densify(ca.jacobian(stage.move, stage.x))])
+    move, slopes = (np.asarray(value, dtype=float) for value in evaluate(w))
+    moved = np.abs(np.linalg.lstsq(np.eye(stage.nx) - slopes, move[:, 0])[0]) / size[: stage.nx]
+    worst = int(np.argmax(moved))
+    if moved[worst] > MOVING:
+        raise ProblemError(
+            f"OCP '{stage.problem.name}': the state '{stage.names[worst]}' is not at rest at the steady state that was "
+            f"found, x = {np.round(w[: stage.nx], 6).tolist()}; give a guess=(x, u) near it"
+        )
 
 
 def _refuse_failure(stage: SteadyStage, status: str, w: Array, over: Array) -> None:

@@ -21,8 +21,8 @@ class Interval:
     jump: (x, u, p, dt) -> x_next of the states that step leaves constant, at the end of an interval; jump_rows: also
     their rows of S.
     one_step: linearize for the first of its steps as straight-line code, where linearize has loops that expand.
-    value: (x, u, p, dt) -> x_next, left, without jump, where steps in a row do not give it; failure: (x, u, p, dt) -> reason,
-    step and stage at which it fails.
+    value: (x, u, p, dt) -> x_next, left, without jump, where steps in a row do not give it; failure: (x, u, p, dt) ->
+    reason, step and stage at which it fails.
     forward: (x, u, p, dt, dx, du) -> dx_next = A dx + B du; adjoint: (x, u, p, dt, adj) -> g = [A B]' adj; both for
     algorithms that multiply with S = [A B] and do not store it.
     """

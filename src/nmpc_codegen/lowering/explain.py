@@ -9,7 +9,7 @@ from nmpc_codegen.frontend.program import program
 from nmpc_codegen.ir.cmodule import CModule
 from nmpc_codegen.lowering.first_plan import first_plan_warnings
 from nmpc_codegen.lowering.linearize import Model, no_curvature_in
-from nmpc_codegen.lowering.schemes.choose import implicit_for
+from nmpc_codegen.lowering.schemes.choose import accuracy_warning, implicit_for
 from nmpc_codegen.lowering.schemes.stability import stability_warning
 from nmpc_codegen.package.program import Program
 
@@ -31,6 +31,7 @@ def warnings(model: Model, found: Program) -> tuple[str, ...]:
     return (
         *((f"{no_curvature_in(model.flat)}, {JUMPS}",) if model.flat else ()),
         *stability_warning(problem, model.parts.integrator, implicit_for),
+        *accuracy_warning(problem, model.parts.integrator),
         *(model.grown.of_simulation(type(algorithm).__name__, problem.N) if algorithm.simulates else ()),
         *first_plan_warnings(problem, found, second),
         *(() if model.choice is None else model.choice.warnings),

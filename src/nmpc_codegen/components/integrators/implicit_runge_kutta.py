@@ -32,7 +32,7 @@ from nmpc_codegen.package.memory import Field, Size, Struct
 
 #: Limits on the steps per interval, on stages that a backward sweep stores and on the numbers that it stores, which are
 #: on the stack.
-MAX_STEPS, MAX_KEPT = 1000, 1 << 17
+MAX_STEPS, MAX_KEPT = 1000, 1 << 16
 
 #: Newton steps of a stage at most: with so many it iterates to rounding errors.
 NEWTON_LIMIT = 30

@@ -21,12 +21,17 @@ from nmpc_codegen.lowering.first_plan import points
 from nmpc_codegen.lowering.schemes.stability import MOST_EXPLICIT, MOST_STEPS, needed_steps
 from nmpc_codegen.options import Options
 
-#: Steps per interval that are tried; error of an interval, relative to the scale of a state, that is accurate; steps of
-#: the comparison for every step.
-STEPS, ACCURATE, FINER = (1, 2, 3, 4), 2e-3, 4
+#: Steps per interval that are tried; error of an interval, relative to the scale of a state, that is accurate, and that
+#: is warned of; steps of the comparison for every step.
+STEPS, ACCURATE, ROUGH, FINER = (1, 2, 3, 4, 6, 8, 12), 2e-3, 5e-2, 4
 
-#: The last correction of a stage that samples may leave, relative to the scale of a state, and Newton steps at most.
-LEFT, MOST_NEWTON = 1e-3, 12
+#: If no number of steps is accurate, the fewest within this factor of the least error are taken; error of an interval
+#: that cannot be integrated.
+NEAR, LOST = 1.25, 1e3
+
+#: The last correction of a stage that samples may leave, relative to the scale of a state, and that is warned of;
+#: Newton steps at most.
+LEFT, FAR, MOST_NEWTON = 1e-3, 1e-1, 12
 
 
 def choose_integrator(problem: Problem, options: Options) -> tuple[Integrator, tuple[str, ...]]:
@@ -50,18 +55,21 @@ def _choose(problem: Problem, options: Options) -> tuple[Integrator, tuple[str, 
     if needed == default.steps:
         return default, (f"integrator: {default.name}; default for differential equations: RK4",)
     explicit = replace(default, steps=MOST_STEPS if needed is None else needed)
-    fast = f"the first plan has the eigenvalue {modes.fastest} 1/{problem.time_unit}, for which RK4"
+    fast = f"the first plan {modes.verb} the eigenvalue {modes.fastest} 1/{problem.time_unit}, for which RK4"
     few = needed is not None and needed <= MOST_EXPLICIT
     implicit = None if few else implicit_for(problem)
     if implicit is None:
-        kept = explicit if few else default
-        return kept, (f"integrator: {kept.name}, RK4 with steps={kept.steps}; {fast} needs {explicit.steps} steps",)
+        kept = default if needed is None else explicit
+        tried = "" if few else "; the stages of an implicit scheme cannot be solved there"
+        reason = f"{fast} needs {'more than ' if needed is None else ''}{explicit.steps:,} steps{tried}"
+        return kept, (f"integrator: {kept.name}, RK4 with steps={kept.steps}; {reason}",)
     theirs, ours = _operations(problem, replace(explicit, steps=1)) * explicit.steps, _operations(problem, implicit)
     chosen: ExplicitRungeKutta | ImplicitRungeKutta = implicit if needed is None or theirs > ours else explicit
     return chosen, (
         f"integrator: {chosen.name}, {chosen.tableau.name} with steps={chosen.steps}; {fast} needs "
         f"{'more than ' if needed is None else ''}{explicit.steps:,} steps per interval: {theirs:,} operations per "
-        f"linearisation, {implicit.tableau.name} with steps={implicit.steps}: {ours:,}",
+        f"linearisation{' with so many' if needed is None else ''}, {implicit.tableau.name} with "
+        f"steps={implicit.steps}: {ours:,}",
     )
 
 
@@ -72,38 +80,74 @@ def _operations(problem: Problem, integrator: ExplicitRungeKutta | ImplicitRunge
 
 
 def implicit_for(problem: Problem) -> ImplicitRungeKutta | None:
-    """The implicit scheme with the fewest steps that are accurate from the points of the first plan; None if no stage
-    of it can be solved there."""
+    """The implicit scheme with the fewest steps that are accurate from the points of the first plan, or with those that
+    are nearly as accurate as any; None if no stage of it can be solved there."""
     default = ImplicitRungeKutta()
-    trial, size = Trial(problem, default.tableau), scales(problem).z[: problem.nx]
+    errors: dict[int, float] = {}
+    for steps in STEPS:
+        errors[steps] = interval_error(problem, replace(default, steps=steps))
+        if errors[steps] <= ACCURATE:
+            return replace(default, steps=steps)
+    least = min(errors.values())
+    steps = next(steps for steps, error in errors.items() if error <= NEAR * least)
+    return replace(default, steps=steps) if np.isfinite(least) else None
+
+
+def interval_error(problem: Problem, scheme: ImplicitRungeKutta) -> float:
+    """Largest distance of the end of the longest interval from that with more steps, relative to the scales, from the
+    points of the first plan; LOST where only more steps have an end, infinite if no interval has one."""
+    trial, size = Trial(problem, scheme.tableau), scales(problem).z[: problem.nx]
     dt, found = max(problem.dt), list(_starts(problem))
 
     def ends(steps: int) -> Array:
         return np.array([trial.interval(x, u, p, dt, steps, NEWTON_LIMIT).x for x, u, p in found])
 
     with np.errstate(all="ignore"):
-        for steps in STEPS:
-            coarse, fine = ends(steps), ends(FINER * steps)
-            kept = np.all(np.isfinite(fine), axis=1)
-            error = np.max(np.abs(coarse - fine)[kept] / size, initial=0.0)
-            if np.any(kept) and (error <= ACCURATE or (steps == STEPS[-1] and np.isfinite(error))):
-                return replace(default, steps=steps)
-    return None
+        coarse, fine = ends(scheme.steps), ends(FINER * scheme.steps)
+        kept = np.all(np.isfinite(fine), axis=1)
+        errors = np.max(np.abs(coarse - fine)[kept] / size, axis=1, initial=0.0)
+    ended = np.isfinite(errors)
+    return float(np.max(np.where(ended, errors, LOST))) if np.any(ended) else np.inf
+
+
+def accuracy_warning(problem: Problem, integrator: Integrator) -> tuple[str, ...]:
+    """A warning if an implicit scheme is far from the model at the first plan, or does not solve its stages there."""
+    if not isinstance(integrator, ImplicitRungeKutta):
+        return ()
+    scheme = f"integrator {integrator.tableau.name} with steps={integrator.steps}"
+    where, more = "at the initial state or a reference, with controls there or at a bound", "take more steps"
+    error, left = interval_error(problem, integrator), newton_left(problem, integrator)
+    if error >= LOST:
+        return (f"{scheme}: its stages cannot be solved {where}; {more}",)
+    if error > ROUGH:
+        return (
+            f"{scheme}: an interval ends {error:.1g} of the scale of a state from where the model does {where}; {more}",
+        )
+    if left > FAR:
+        steps = f"{integrator.newton_steps} Newton steps"
+        return (f"{scheme}: {steps} leave {left:.1g} of the scale of a state {where}; {more}, or more Newton steps",)
+    return ()
 
 
 def _with_newton(problem: Problem, given: ImplicitRungeKutta) -> tuple[ImplicitRungeKutta, tuple[str, ...]]:
     """The scheme with as many Newton steps as the first plan needs in a sample."""
-    trial, size = Trial(problem, given.tableau), scales(problem).z[: problem.nx]
     left = np.inf
     for newton in range(NEWTON_STEPS, MOST_NEWTON + 1):
-        found = [trial.interval(*at, max(problem.dt), given.steps, newton).left / size for at in _starts(problem)]
-        left = max((float(np.max(each)) for each in found if np.all(np.isfinite(each))), default=np.inf)
+        left = newton_left(problem, replace(given, newton=newton))
         if left <= LEFT:
             break
     chosen = newton if np.isfinite(left) else NEWTON_STEPS
     return replace(given, newton=chosen), (
         f"Newton steps of a stage in samples: {chosen}; the last correction at the first plan is {left:.0e} of a state",
     )
+
+
+def newton_left(problem: Problem, given: ImplicitRungeKutta) -> float:
+    """The largest last correction of a stage over the longest interval from the points of the first plan, relative to
+    the scales; infinite if no stage can be solved."""
+    trial, size, dt = Trial(problem, given.tableau), scales(problem).z[: problem.nx], max(problem.dt)
+    found = [trial.interval(*at, dt, given.steps, given.newton_steps).left / size for at in _starts(problem)]
+    return max((float(np.max(each)) for each in found if np.all(np.isfinite(each))), default=np.inf)
 
 
 def _starts(problem: Problem) -> Iterator[tuple[Array, Array, Array]]:

@@ -16,7 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nmpc_codegen.components.base import Integrator
-from nmpc_codegen.components.integrators import ButcherTableau, ExplicitRungeKutta, ImplicitRungeKutta
+from nmpc_codegen.components.integrators import SDIRK3, ButcherTableau, ExplicitRungeKutta, ImplicitRungeKutta
+from nmpc_codegen.components.integrators.implicit.trial import Trial
+from nmpc_codegen.components.integrators.implicit_runge_kutta import NEWTON_LIMIT
 from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.lowering.first_plan import points
 
@@ -33,10 +35,17 @@ DAMPED, SLACK, UNDAMPED_SLACK = 1e-3, 1e-6, 0.5
 
 
 class Modes(NamedTuple):
-    """Eigenvalues of f_x that do not grow, where the problem states points, and where the fastest of them is."""
+    """Eigenvalues of f_x that do not grow, where the problem states points, and where the fastest of them is; or, if
+    the model becomes stiff from there, at the ends of intervals."""
 
     values: Array
     where: str
+    at_ends: bool = False
+
+    @property
+    def verb(self) -> str:
+        """What the first plan does to them."""
+        return "leads to" if self.at_ends else "has"
 
     @property
     def fastest(self) -> str:
@@ -47,13 +56,35 @@ class Modes(NamedTuple):
 
 def needed_steps(problem: Problem, integrator: ExplicitRungeKutta) -> tuple[int | None, Modes]:
     """The steps per interval with which an explicit scheme is stable, at least those that it has; None if MOST_STEPS
-    are not sufficient."""
-    of_corners = [(where, _modes(corner)) for where, corner in problem.corners]
-    values = np.concatenate([found for _, found in of_corners])
-    where, _ = max(of_corners, key=lambda found: np.max(np.abs(found[1]), initial=0.0))
+    are not sufficient. The ends of intervals count if the model is stiff there and not where they start."""
+    stated = _of_corners(problem, points, at_ends=False)
+    needed = _steps_for(stated, problem, integrator)
+    if needed is None or needed > MOST_EXPLICIT:
+        return needed, stated
+    ends = _of_corners(problem, _ends, at_ends=True)
+    more = _steps_for(ends, problem, integrator)
+    return (needed, stated) if more is not None and more <= MOST_EXPLICIT else (more, ends)
+
+
+def _steps_for(modes: Modes, problem: Problem, integrator: ExplicitRungeKutta) -> int | None:
+    """The steps per interval with which an explicit scheme is stable for these modes, at least those that it has."""
     steps = range(integrator.steps, MOST_STEPS + 1)
-    needed = next((n for n in steps if _is_stable(integrator.tableau, values * (max(problem.dt) / n))), None)
-    return needed, Modes(values, where)
+    return next((n for n in steps if _is_stable(integrator.tableau, modes.values * (max(problem.dt) / n))), None)
+
+
+def _of_corners(problem: Problem, places: Callable[[Problem], list[tuple[Array, Array]]], at_ends: bool) -> Modes:
+    """The modes at these places of all corners."""
+    found = [(where, _modes(corner, places(corner))) for where, corner in problem.corners]
+    where, _ = max(found, key=lambda each: np.max(np.abs(each[1]), initial=0.0))
+    return Modes(np.concatenate([values for _, values in found]), where, at_ends)
+
+
+def _ends(problem: Problem) -> list[tuple[Array, Array]]:
+    """The ends of the longest interval from the points that the problem states, by an implicit scheme."""
+    trial, dt = Trial(problem, SDIRK3), max(problem.dt)
+    starts = points(problem)
+    ends = [(trial.interval(x, u, problem.p_value, dt, 1, NEWTON_LIMIT).x, u) for x, u in starts]
+    return [(x, u) for x, u in ends if np.all(np.isfinite(x))]
 
 
 def stability_warning(
@@ -79,20 +110,21 @@ def stability_warning(
         if needed is not None
         else f"the model is too stiff for an explicit scheme: {MOST_STEPS:,} steps per interval are not sufficient"
     )
+    place = "an interval behind" if modes.at_ends else "at"
     where, remedy = f" with {modes.where}" if modes.where else "", "; ".join(offers)
     return (
-        f"integrator {integrator.tableau.name} with steps={integrator.steps} is unstable at the initial state "
+        f"integrator {integrator.tableau.name} with steps={integrator.steps} is unstable {place} the initial state "
         f"or a reference{where}, where the model has the eigenvalue {modes.fastest} 1/{problem.time_unit}; {remedy}",
     )
 
 
-def _modes(problem: Problem) -> Array:
-    """Eigenvalues of f_x with Re <= 0 at the points that the problem states; those without finite derivatives are left
+def _modes(problem: Problem, places: list[tuple[Array, Array]]) -> Array:
+    """Eigenvalues of f_x with Re <= 0 at these points (x, u); those without finite derivatives are left
     out."""
     x, u, p = problem.path.x, problem.path.u, problem.path.p
     jacobian = ca.Function("f_x", [x, u, p], [ca.densify(ca.jacobian(problem.dynamics(x, u, p), x))])
     found = []
-    for state, control in points(problem):
+    for state, control in places:
         F = np.asarray(jacobian(state, control, problem.p_value), dtype=float)
         if np.all(np.isfinite(F)):
             values = np.linalg.eigvals(F)
@@ -104,7 +136,10 @@ def _is_stable(tableau: ButcherTableau, z: Array) -> bool:
     a, b = (np.array(part, dtype=float) for part in (tableau.a, tableau.b))
     one = np.ones(len(b))
     for value in z:
-        amplification = abs(1 + value * b @ np.linalg.solve(np.eye(len(b)) - value * a, one))
+        stages = np.eye(len(b)) - value * a
+        if np.linalg.det(stages) == 0:
+            return False
+        amplification = abs(1 + value * b @ np.linalg.solve(stages, one))
         damped = value.real < -DAMPED * abs(value)
         if amplification > 1 + (SLACK if damped else UNDAMPED_SLACK):
             return False

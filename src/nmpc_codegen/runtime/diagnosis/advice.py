@@ -72,6 +72,8 @@ def _advise_convergence(ctrl: Memory) -> Iterator[str]:
                 f"residual of the plan: {residual:.3g}, above the tolerance of {tolerance:g}; one QP per sample does "
                 f"not follow it{more}"
             )
+        elif not residual <= tolerance:
+            yield "at the new plan, the model or a row has no finite value"
         else:
             yield (
                 f"the first control of a new plan still moves; the residual of the plan, {residual:.2g}, is below the "

@@ -141,7 +141,8 @@ def _stages(ctrl: Memory) -> Iterator[str]:
     what = "the Newton matrix is singular" if singular else "Newton's method does not converge"
     yield (
         f"{what} in interval {interval}, step {step + 1}, stage {stage + 1}: state {state}; "
-        "check the model there, or take more steps (--set integrator.steps=...)"
+        "check the model there, or take more steps: ImplicitRungeKutta(steps=...), "
+        "--set integrator=implicit_runge_kutta --set integrator.steps=..."
     )
 
 

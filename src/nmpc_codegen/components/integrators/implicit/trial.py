@@ -12,6 +12,7 @@ import numpy as np
 
 from nmpc_codegen.components.integrators.tableau import ButcherTableau
 from nmpc_codegen.frontend.problem import Array, Problem
+from nmpc_codegen.frontend.scales import scales
 
 #: Size of a correction that is rounding.
 ROUNDING = 1e-13
@@ -34,6 +35,7 @@ class Trial:
         J = ca.densify(ca.jacobian(f, ca.vertcat(x, u)))
         self._f, self._slopes = ca.Function("f", [x, u, p], [f]), ca.Function("J", [x, u, p], [f, J])
         self.problem, self.nx = problem, problem.nx
+        self.size = scales(problem).z[: problem.nx]
         self.a, self.b = (np.array(part, dtype=float) for part in (tableau.a, tableau.b))
 
     def interval(self, x: Array, u: Array, p: Array, dt: float, steps: int, newton: int) -> End:
@@ -86,7 +88,7 @@ class Trial:
             M = np.eye(self.nx) - ha * J[:, : self.nx]
             change = _solve(M, X - base - ha * f)
             X = X - change
-            if np.all(np.abs(change) <= ROUNDING * (1 + np.abs(X))):
+            if np.all(np.abs(change) <= ROUNDING * (self.size + np.abs(X))):
                 break
         f = np.asarray(self._f(X, u, p), dtype=float).ravel()
         change = _solve(M, X - base - ha * f)
