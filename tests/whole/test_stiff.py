@@ -111,7 +111,7 @@ def test_a_coarse_scheme_is_warned_of() -> None:
     x, v, u = ocp.state("x", initial=1.0), ocp.state("v"), ocp.control("u")
     ocp.dynamics({x: v, v: 400 * (u - x) - v})
     ocp.least_squares(ca.vertcat(x, u), weight=1.0)
-    with pytest.warns(ProblemWarning, match=r"SDIRK3 with steps=1: an interval ends \S+ of the scale of a state"):
+    with pytest.warns(ProblemWarning, match=r"SDIRK3 with steps=1: more steps end \S+ of the scale of a state"):
         generate(ocp, Options(integrator=ImplicitRungeKutta()))
     fine = generate(ocp, Options(integrator=ImplicitRungeKutta(steps=40)))
     assert fine.description.report.warnings == ()

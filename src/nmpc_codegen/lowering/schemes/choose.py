@@ -16,7 +16,6 @@ from nmpc_codegen.components.integrators import Discrete, ExplicitRungeKutta, Im
 from nmpc_codegen.components.integrators.implicit.trial import Trial
 from nmpc_codegen.components.integrators.implicit_runge_kutta import NEWTON_LIMIT, NEWTON_STEPS
 from nmpc_codegen.frontend.problem import Array, Problem
-from nmpc_codegen.frontend.scales import scales
 from nmpc_codegen.lowering.first_plan import points
 from nmpc_codegen.lowering.schemes.stability import MOST_EXPLICIT, MOST_STEPS, needed_steps
 from nmpc_codegen.options import Options
@@ -96,8 +95,7 @@ def implicit_for(problem: Problem) -> ImplicitRungeKutta | None:
 def interval_error(problem: Problem, scheme: ImplicitRungeKutta) -> float:
     """Largest distance of the end of the longest interval from that with more steps, relative to the scales, from the
     points of the first plan; LOST where only more steps have an end, infinite if no interval has one."""
-    trial, size = Trial(problem, scheme.tableau), scales(problem).z[: problem.nx]
-    dt, found = max(problem.dt), list(_starts(problem))
+    trial, dt, found = Trial(problem, scheme.tableau), max(problem.dt), list(_starts(problem))
 
     def ends(steps: int) -> Array:
         return np.array([trial.interval(x, u, p, dt, steps, NEWTON_LIMIT).x for x, u, p in found])
@@ -105,7 +103,7 @@ def interval_error(problem: Problem, scheme: ImplicitRungeKutta) -> float:
     with np.errstate(all="ignore"):
         coarse, fine = ends(scheme.steps), ends(FINER * scheme.steps)
         kept = np.all(np.isfinite(fine), axis=1)
-        errors = np.max(np.abs(coarse - fine)[kept] / size, axis=1, initial=0.0)
+        errors = np.max(np.abs(coarse - fine)[kept] / trial.size, axis=1, initial=0.0)
     ended = np.isfinite(errors)
     return float(np.max(np.where(ended, errors, LOST))) if np.any(ended) else np.inf
 
@@ -120,13 +118,9 @@ def accuracy_warning(problem: Problem, integrator: Integrator) -> tuple[str, ...
     if error >= LOST:
         return (f"{scheme}: its stages cannot be solved {where}; {more}",)
     if error > ROUGH:
-        return (
-            f"{scheme}: an interval ends {error:.1g} of the scale of a state from where the model does {where}; {more}",
-        )
-    if left > FAR:
-        steps = f"{integrator.newton_steps} Newton steps"
-        return (f"{scheme}: {steps} leave {left:.1g} of the scale of a state {where}; {more}, or more Newton steps",)
-    return ()
+        return (f"{scheme}: more steps end {error:.1g} of the scale of a state elsewhere {where}; {more}",)
+    steps = f"{integrator.newton_steps} Newton steps leave {left:.1g} of the scale of a state"
+    return (f"{scheme}: {steps} {where}; {more}, or more Newton steps",) if left > FAR else ()
 
 
 def _with_newton(problem: Problem, given: ImplicitRungeKutta) -> tuple[ImplicitRungeKutta, tuple[str, ...]]:
@@ -145,21 +139,18 @@ def _with_newton(problem: Problem, given: ImplicitRungeKutta) -> tuple[ImplicitR
 def newton_left(problem: Problem, given: ImplicitRungeKutta) -> float:
     """The largest last correction of a stage over the longest interval from the points of the first plan, relative to
     the scales; infinite if no stage can be solved."""
-    trial, size, dt = Trial(problem, given.tableau), scales(problem).z[: problem.nx], max(problem.dt)
-    found = [trial.interval(*at, dt, given.steps, given.newton_steps).left / size for at in _starts(problem)]
+    trial, dt = Trial(problem, given.tableau), max(problem.dt)
+    found = [trial.interval(*at, dt, given.steps, given.newton_steps).left / trial.size for at in _starts(problem)]
     return max((float(np.max(each)) for each in found if np.all(np.isfinite(each))), default=np.inf)
 
 
 def _starts(problem: Problem) -> Iterator[tuple[Array, Array, Array]]:
     """The points of the first plan, with the controls there and at their bounds, at all corners."""
     for _, corner in problem.corners:
-        sides = [np.array([row.lower, row.upper]) for row in corner.rows if row.kind == "control"]
-        places = [row.index for row in corner.rows if row.kind == "control"]
+        rows = [row for row in corner.rows if row.kind == "control"]
         for x, u in points(corner):
             yield x, u, corner.p_value
-            for side in (0, 1):
-                moved = u.copy()
-                for place, bounds in zip(places, sides, strict=True):
-                    if np.isfinite(bounds[side]):
-                        moved[place] = bounds[side]
+            for bounds in ([row.lower for row in rows], [row.upper for row in rows]):
+                moved, at = u.copy(), [row.index for row in rows]
+                moved[at] = np.where(np.isfinite(bounds), bounds, moved[at])
                 yield x, moved, corner.p_value
