@@ -10,8 +10,8 @@ import argparse
 from pathlib import Path
 
 from benchmarks.lib import stiff
-from benchmarks.lib.base import commits, head
-from benchmarks.lib.report import Report, listed
+from benchmarks.lib.base import commits
+from benchmarks.lib.report import Report, finish
 from benchmarks.lib.run import Run
 
 
@@ -28,12 +28,7 @@ def main() -> int:
     report, run = Report(), Run(options.scale, commits(), Path())
     report.topic = "stiff"
     stiff.measure(report, run)
-    report.print_matrix("stiff")
-    if options.json:
-        report.write(options.json, commit=head(), scale=run.scale, seed=run.seed)
-    if report.missed():
-        print(f"beyond their limits:\n{listed(report.missed())}")
-    return int(bool(report.missed()))
+    return finish(report, run, options.json)
 
 
 if __name__ == "__main__":

@@ -10,8 +10,8 @@ import argparse
 from pathlib import Path
 
 from benchmarks.lib import strangers
-from benchmarks.lib.base import commits, head
-from benchmarks.lib.report import Report, listed, replace_table
+from benchmarks.lib.base import commits
+from benchmarks.lib.report import Report, finish, replace_table
 from benchmarks.lib.run import Run
 from verification.strangers import remedies
 
@@ -40,12 +40,7 @@ def main() -> int:
     report.topic = "strangers"
     for part in [options.part] if options.part else parts:
         parts[part](report, run)
-    report.print_matrix("strangers")
-    if options.json:
-        report.write(options.json, commit=head(), scale=run.scale, seed=run.seed)
-    if report.missed():
-        print(f"beyond their limits:\n{listed(report.missed())}")
-    return int(bool(report.missed()))
+    return finish(report, run, options.json)
 
 
 if __name__ == "__main__":

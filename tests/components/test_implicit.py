@@ -14,6 +14,7 @@ from nmpc_codegen.components.integrators.implicit.trial import Trial
 from nmpc_codegen.components.integrators.tableau import IMPLICIT, ButcherTableau, ImplicitEuler, ImplicitMidpoint
 from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.frontend.problem import Problem
+from nmpc_codegen.lowering.schemes.stability import needed_steps
 from nmpc_codegen.oracle.trajectory import Tableau, interval_map
 from verification.implicit import Interval
 from verification.models import discrete_map
@@ -71,6 +72,7 @@ def test_rk4_is_not_stable_where_implicit_schemes_are() -> None:
     [
         (((Fraction(1, 3),),), (Fraction(1),), 1, "A", "not A-stable"),
         (((Fraction(1, 2),),), (Fraction(1),), 2, "L", "not L-stable"),
+        (((Fraction(1, 2),),), (Fraction(1),), 2, "stiff", "stability 'stiff'; expected one of"),
         (((Fraction(1, 2),),), (Fraction(1),), 3, "", "order 3 is off"),
         (((Fraction(-1),),), (Fraction(1),), 1, "", "must not be negative"),
         (((0.3, 0.0), (0.4, 0.3)), (0.4, 0.6), 2, "", "order 2 is off"),
@@ -90,6 +92,22 @@ def test_a_scheme_of_the_user() -> None:
     found, slopes, _ = Interval(problem, ImplicitRungeKutta(crouzeix, 2))("interval", *POINT)
     assert np.allclose(found, end.ravel(), rtol=0, atol=1e-12)
     assert np.allclose(slopes, S.ravel(), rtol=0, atol=1e-11)
+
+
+@pytest.mark.parametrize("z", [-0.3, -2.7 + 0.4j, 3j, -1e6])
+def test_stability_functions(z: complex) -> None:
+    assert RK4.stability_function(z) == pytest.approx(1 + z + z**2 / 2 + z**3 / 6 + z**4 / 24, rel=1e-9)
+    assert ImplicitEuler.stability_function(z) == pytest.approx(1 / (1 - z), rel=1e-9)
+    assert ImplicitMidpoint.stability_function(z) == pytest.approx((1 + z / 2) / (1 - z / 2), rel=1e-9)
+
+
+def test_a_mode_beyond_the_numbers_is_not_stable() -> None:
+    """|h lambda|^4 exceeds the largest number: the choice is that for a very stiff model."""
+    ocp = OCP("instant", T=1.0, N=2)
+    x, u = ocp.state("x", initial=1.0), ocp.control("u")
+    ocp.dynamics({x: -1e120 * x + u})
+    ocp.least_squares(ca.vertcat(x, u), weight=1.0)
+    assert needed_steps(classify(ocp), ExplicitRungeKutta())[0] is None
 
 
 def test_schemes_belong_to_their_components() -> None:

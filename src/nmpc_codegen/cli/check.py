@@ -13,16 +13,15 @@ from rich.table import Table
 
 from nmpc_codegen.cli.printing import Printer
 from nmpc_codegen.compiler import generate
+from nmpc_codegen.economic.stage import tableau
 from nmpc_codegen.errors import OptionError, ProblemWarning
 from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.frontend.inner import complete_inner
 from nmpc_codegen.lowering.linearize import complete
-from nmpc_codegen.lowering.schemes.choose import choose_integrator
-from nmpc_codegen.oracle.reference import Reference, Tableau, node_data
+from nmpc_codegen.oracle.reference import Reference, node_data
 from nmpc_codegen.runtime.build import load
 
 if TYPE_CHECKING:
-    from nmpc_codegen.components.base import Integrator
     from nmpc_codegen.frontend.ocp import OCP
     from nmpc_codegen.options import Options
     from nmpc_codegen.runtime.controller import Solution
@@ -42,8 +41,8 @@ def check(ocp: OCP, options: Options, folder: Path, name: str, printer: Printer)
     started again at the solution of the generated code, which it must then return.
     """
     problem = complete_inner(complete(classify(ocp), options), options.algorithm.sampling_time)
-    integrator, _ = choose_integrator(problem, options)
-    refuse_long(integrator, len(problem.dt))
+    scheme = tableau(problem, options)
+    refuse_long(scheme.steps * len(problem.dt))
     files: Mapping[str, str] = {
         f"{name}.{ext}": (folder / f"{name}.{ext}").read_text(encoding="utf-8") for ext in ("h", "c", "json")
     }
@@ -57,7 +56,7 @@ def check(ocp: OCP, options: Options, folder: Path, name: str, printer: Printer)
     solution = controller.solve(
         problem.x_initial[: problem.measured], CHECK_TOLERANCE[options.precision], CHECK_ITERATIONS
     )
-    nlp = Reference(problem, *_tableau(integrator))
+    nlp = Reference(problem, scheme)
     data = node_data(problem)
     reference = nlp.solve(data)
     errors = compare(solution, reference)
@@ -74,24 +73,14 @@ def check(ocp: OCP, options: Options, folder: Path, name: str, printer: Printer)
     return passed
 
 
-def refuse_long(integrator: Integrator, intervals: int) -> None:
+def refuse_long(steps: int) -> None:
     """Raise OptionError if IPOPT would take more than about a minute."""
-    steps = getattr(integrator, "steps", 1) * intervals
     if steps > CHECK_STEPS:
         raise OptionError(
             f"--check: IPOPT would take {steps:,} steps of the integrator per evaluation; expected at most "
             f"{CHECK_STEPS:,}: check with fewer steps, or with an implicit scheme, "
             "--set integrator=implicit_runge_kutta"
         )
-
-
-def _tableau(integrator: Integrator) -> tuple[Any, ...]:
-    """The integrator as plain numbers for the reference; nothing for a discrete map."""
-    scheme = getattr(integrator, "tableau", None)
-    if scheme is None:
-        return ()
-    A = tuple(tuple(float(a) for a in row) for row in scheme.a)
-    return (Tableau(A, tuple(float(b) for b in scheme.b), int(getattr(integrator, "steps", 1))),)
 
 
 def compare(solution: Solution, reference: Any) -> dict[str, float]:

@@ -14,20 +14,22 @@ Congress 2017.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
+from nmpc_codegen.components.integrators import ImplicitRungeKutta
 from nmpc_codegen.economic.linear_quadratic import LinearQuadratic
 from nmpc_codegen.economic.orbit import Orbit, solve_orbit
 from nmpc_codegen.economic.semidefinite import Weights, convexify_period
-from nmpc_codegen.economic.stage import SteadyStage, steady_stage, tableau
+from nmpc_codegen.economic.stage import SteadyStage, steady_stage
 from nmpc_codegen.economic.steady_state import start_point
 from nmpc_codegen.errors import OptionError, ProblemError
 from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.frontend.ocp import OCP
 from nmpc_codegen.frontend.problem import Array, Problem
+from nmpc_codegen.lowering.schemes.choose import choose_integrator
 from nmpc_codegen.options import Options
 
 
@@ -130,13 +132,15 @@ def tune_periodic(
         raise ProblemError(
             f"tune_periodic: '{problem.name}' {what}; expected a uniform grid and an orbit of all states"
         )
-    if tableau(problem, options).implicit:
+    chosen, _ = choose_integrator(problem, options or Options())
+    if isinstance(chosen, ImplicitRungeKutta):
         raise ProblemError(
             f"tune_periodic: the map of '{problem.name}' is that of an implicit scheme; expected an explicit one "
             "that is stable: Options(integrator=ExplicitRungeKutta(steps=...))"
         )
     values = _parameters(problem, parameters, period)
-    stages = [steady_stage(problem, options, p) for p in values]
+    fixed = replace(options or Options(), integrator=chosen)
+    stages = [steady_stage(problem, fixed, p) for p in values]
     return _tune(problem, stages, solve_orbit(stages, _guess(stages, guess)), weights)
 
 

@@ -17,7 +17,6 @@ from functools import cached_property
 import casadi as ca
 import numpy as np
 
-from nmpc_codegen.components.integrators import ExplicitRungeKutta, ImplicitRungeKutta
 from nmpc_codegen.economic.newton_map import newton_map
 from nmpc_codegen.errors import ProblemError
 from nmpc_codegen.frontend.problem import Array, Problem, Row
@@ -142,12 +141,14 @@ def in_units(stage: SteadyStage, d: Array, money: float, rows: Array) -> SteadyS
 
 
 def tableau(problem: Problem, options: Options | None) -> Tableau:
-    """The scheme of the options, else the one that the compiler chooses for the problem."""
+    """The scheme of the options, else the one that the compiler chooses for the problem, as plain numbers;
+    CLASSICAL for a discrete map, which reads none."""
     chosen, _ = choose_integrator(problem, options or Options())
-    if not isinstance(chosen, ExplicitRungeKutta | ImplicitRungeKutta):
+    scheme = getattr(chosen, "tableau", None)
+    if scheme is None:
         return CLASSICAL
-    A = tuple(tuple(float(a) for a in row) for row in chosen.tableau.a)
-    return Tableau(A, tuple(float(b) for b in chosen.tableau.b), chosen.steps)
+    A = tuple(tuple(float(a) for a in row) for row in scheme.a)
+    return Tableau(A, tuple(float(b) for b in scheme.b), int(getattr(chosen, "steps", 1)))
 
 
 def steady_stage(problem: Problem, options: Options | None = None, p: Array | None = None) -> SteadyStage:

@@ -176,7 +176,7 @@ static int first_not_finite(const real_t *values)
     return -1;
 }
 
-/* One Newton step. Returns -1, the state whose column of M has no pivot, or NX plus the state whose slope is not finite. */
+/* One Newton step. Returns -1, the state whose column of M has no pivot, or NX plus one whose slope is not finite. */
 static int newton_step(stage_t *t, const real_t *base, const real_t *u, const real_t *p, real_t ha, real_t *d)
 {
     real_t f[NX];

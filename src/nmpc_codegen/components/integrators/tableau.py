@@ -26,6 +26,10 @@ ROUNDING = 1e-13
 UNSTABLE, FAR = 1e-9, 1e-6
 
 
+#: What a tableau may state of its stability.
+STABILITY = ("", "A", "L")
+
+
 @dataclass(frozen=True)
 class ButcherTableau:
     """Scheme X_i = x + h sum_j a_ij K_j, K_i = f(X_i), x+ = x + h sum_i b_i K_i, of the given order.
@@ -34,7 +38,7 @@ class ButcherTableau:
     min(order, 4), exactly or, with floating-point coefficients, up to rounding, and so does the stability that is
     claimed: "A": |R(z)| <= 1 for Re z <= 0; "L": also R = 0 at infinity; "": nothing.
 
-        R(z) = 1 + z b' (I - z A)^{-1} 1
+        R(z) = 1 + z b' (I - z A)^{-1} 1 = det(I - z (A - 1 b')) / det(I - z A)
     """
 
     name: str
@@ -57,6 +61,8 @@ class ButcherTableau:
             limit = 0.0 if isinstance(residual, Fraction) else ROUNDING
             if order <= self.order and abs(float(residual)) > limit:
                 raise OptionError(f"tableau {self.name}: an order condition of order {order} is off by {residual}")
+        if self.stability not in STABILITY:
+            raise OptionError(f"tableau {self.name}: stability {self.stability!r}; expected one of {STABILITY}")
         if self.stability:
             self._check_stability()
 
@@ -74,8 +80,9 @@ class ButcherTableau:
     def stability_function(self, z: complex) -> complex:
         """R(z): x+ = R(h lambda) x for x' = lambda x."""
         a, b = np.array(self.a, dtype=float), np.array(self.b, dtype=float)
-        one = np.ones(len(b))
-        return complex(1 + z * b @ np.linalg.solve(np.eye(len(b)) - z * a, one))
+        one = np.eye(len(b))
+        with np.errstate(all="ignore"):  # NaN where a product exceeds the numbers
+            return complex(np.linalg.det(one - z * (a - b)) / np.linalg.det(one - z * a))
 
     @property
     def kind(self) -> str:

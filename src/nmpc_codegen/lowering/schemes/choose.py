@@ -82,9 +82,10 @@ def implicit_for(problem: Problem) -> ImplicitRungeKutta | None:
     """The implicit scheme with the fewest steps that are accurate from the points of the first plan, or with those that
     are nearly as accurate as any; None if no stage of it can be solved there."""
     default = ImplicitRungeKutta()
+    trial = Trial(problem, default.tableau)
     errors: dict[int, float] = {}
     for steps in STEPS:
-        errors[steps] = interval_error(problem, replace(default, steps=steps))
+        errors[steps] = interval_error(trial, steps)
         if errors[steps] <= ACCURATE:
             return replace(default, steps=steps)
     least = min(errors.values())
@@ -92,16 +93,16 @@ def implicit_for(problem: Problem) -> ImplicitRungeKutta | None:
     return replace(default, steps=steps) if np.isfinite(least) else None
 
 
-def interval_error(problem: Problem, scheme: ImplicitRungeKutta) -> float:
+def interval_error(trial: Trial, steps: int) -> float:
     """Largest distance of the end of the longest interval from that with more steps, relative to the scales, from the
     points of the first plan; LOST where only more steps have an end, infinite if no interval has one."""
-    trial, dt, found = Trial(problem, scheme.tableau), max(problem.dt), list(_starts(problem))
+    dt, found = max(trial.problem.dt), list(_starts(trial.problem))
 
     def ends(steps: int) -> Array:
         return np.array([trial.interval(x, u, p, dt, steps, NEWTON_LIMIT).x for x, u, p in found])
 
     with np.errstate(all="ignore"):
-        coarse, fine = ends(scheme.steps), ends(FINER * scheme.steps)
+        coarse, fine = ends(steps), ends(FINER * steps)
         kept = np.all(np.isfinite(fine), axis=1)
         errors = np.max(np.abs(coarse - fine)[kept] / trial.size, axis=1, initial=0.0)
     ended = np.isfinite(errors)
@@ -114,20 +115,21 @@ def accuracy_warning(problem: Problem, integrator: Integrator) -> tuple[str, ...
         return ()
     scheme = f"integrator {integrator.tableau.name} with steps={integrator.steps}"
     where, more = "at the initial state or a reference, with controls there or at a bound", "take more steps"
-    error, left = interval_error(problem, integrator), newton_left(problem, integrator)
+    trial, steps, newton = Trial(problem, integrator.tableau), integrator.steps, integrator.newton_steps
+    error, left = interval_error(trial, steps), newton_left(trial, steps, newton)
     if error >= LOST:
         return (f"{scheme}: its stages cannot be solved {where}; {more}",)
     if error > ROUGH:
         return (f"{scheme}: more steps end {error:.1g} of the scale of a state elsewhere {where}; {more}",)
-    steps = f"{integrator.newton_steps} Newton steps leave {left:.1g} of the scale of a state"
-    return (f"{scheme}: {steps} {where}; {more}, or more Newton steps",) if left > FAR else ()
+    rest = f"{newton} Newton steps leave {left:.1g} of the scale of a state"
+    return (f"{scheme}: {rest} {where}; {more}, or more Newton steps",) if left > FAR else ()
 
 
 def _with_newton(problem: Problem, given: ImplicitRungeKutta) -> tuple[ImplicitRungeKutta, tuple[str, ...]]:
     """The scheme with as many Newton steps as the first plan needs in a sample."""
-    left = np.inf
+    trial, left = Trial(problem, given.tableau), np.inf
     for newton in range(NEWTON_STEPS, MOST_NEWTON + 1):
-        left = newton_left(problem, replace(given, newton=newton))
+        left = newton_left(trial, given.steps, newton)
         if left <= LEFT:
             break
     chosen = newton if np.isfinite(left) else NEWTON_STEPS
@@ -136,11 +138,11 @@ def _with_newton(problem: Problem, given: ImplicitRungeKutta) -> tuple[ImplicitR
     )
 
 
-def newton_left(problem: Problem, given: ImplicitRungeKutta) -> float:
+def newton_left(trial: Trial, steps: int, newton: int) -> float:
     """The largest last correction of a stage over the longest interval from the points of the first plan, relative to
     the scales; infinite if no stage can be solved."""
-    trial, dt = Trial(problem, given.tableau), max(problem.dt)
-    found = [trial.interval(*at, dt, given.steps, given.newton_steps).left / trial.size for at in _starts(problem)]
+    dt, starts = max(trial.problem.dt), _starts(trial.problem)
+    found = [trial.interval(*at, dt, steps, newton).left / trial.size for at in starts]
     return max((float(np.max(each)) for each in found if np.all(np.isfinite(each))), default=np.inf)
 
 
