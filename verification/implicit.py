@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nmpc_codegen.components.base import Dims
 from nmpc_codegen.components.integrators.implicit.stage_kernels import StageKernels
 from nmpc_codegen.components.integrators.implicit_runge_kutta import NEWTON_LIMIT, ImplicitRungeKutta
 from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.printing.c_style import unit_style
 from nmpc_codegen.ir.printing.routines import print_routine
+from nmpc_codegen.lowering.choose import dimensions
 from nmpc_codegen.lowering.parts import read_part
 from nmpc_codegen.lowering.preamble import REAL_CONSTANT, arithmetic, kernel_call
 from nmpc_codegen.package.memory import Precision
@@ -71,7 +71,8 @@ def _unit(problem: Problem, integrator: ImplicitRungeKutta, precision: Precision
     style, kernels = unit_style(precision), StageKernels(problem)
     there = {kernel.name for kernel in kernels.all}
     nx, nu = problem.nx, problem.nu
-    sizes = {name: value for name, value, _ in integrator.sizes(_NO_DIMS)} | {"NX": nx, "NU": nu, "NZ": nx + nu}
+    sizes = {name: value for name, value, _ in integrator.sizes(dimensions(problem, None, True))}
+    sizes |= {"NX": nx, "NU": nu, "NZ": nx + nu, "NALG": len(problem.newton_names)}
     lines = ["#include <math.h>", "#include <stddef.h>", "#include <string.h>"]
     lines.append(f"typedef {'double' if precision == 'double' else 'float'} real_t;")
     lines += [f"#define {name} {value}" for name, value in sizes.items()]
@@ -83,7 +84,8 @@ def _unit(problem: Problem, integrator: ImplicitRungeKutta, precision: Precision
     lines += [f"#define {name}({arguments}) {text}" for name, arguments, text in macros]
     for table in integrator.tables(problem):
         ctype = "real_t" if table.ctype == "real" else "int"
-        values = (1 / scales).tolist() if table.name == "state_unit" else table.values or (0,)
+        units = [*(1 / scales), *(1 / value for value in (problem.algebra.scale if problem.algebra else ()))]
+        values = units * integrator.tableau.block if table.name == "state_unit" else table.values or (0,)
         lines.append(f"static const {ctype} {table.name}[] = {{ {', '.join(map(str, values))} }};")
     lines.append(f"static const real_t z_scale[] = {{ {', '.join(map(str, scales.tolist()))} }};")
     lines.append(read_part("integrators/implicit/intervals.c", lambda path: ""))
@@ -92,9 +94,6 @@ def _unit(problem: Problem, integrator: ImplicitRungeKutta, precision: Precision
         if function.startswith("integral") and "stage_rate" not in there:
             continue
         head = ", ".join(["real_t *x, real_t *u, real_t *p, real_t *dt, int newton", *(f"real_t *{n}" for n in more)])
-        lines.append(f"void call_{function}({head}) {{ implicit_{function}(x, u, p, dt, newton, {', '.join(more)}); }}")
+        arguments = ", ".join(["x, x + NX, u, p, dt, newton", *more])
+        lines.append(f"void call_{function}({head}) {{ implicit_{function}({arguments}); }}")
     return "\n".join(lines) + "\n"
-
-
-#: Sizes of an integrator depend on none of these.
-_NO_DIMS: Dims = None  # type: ignore[assignment]

@@ -56,7 +56,7 @@ def test_a_tableau_has_the_order_and_the_stability_that_it_claims(name: str) -> 
     tableau = IMPLICIT[name]
     residuals = tableau.order_residuals()
     assert all(abs(float(r)) < 1e-13 for order, r in residuals if order <= tableau.order)
-    assert any(abs(float(r)) > 1e-3 for order, r in residuals if order == tableau.order + 1)
+    assert any(abs(float(r)) > 1e-4 for order, r in residuals if order == tableau.order + 1)
     decay = [abs(tableau.stability_function(z)) for z in (-1.0, -1e2, -1e4, -1e6)]
     assert all(value <= 1 + 1e-12 for value in decay)
     assert (decay[-1] < 1e-5) == (tableau.stability == "L")
@@ -111,7 +111,7 @@ def test_a_mode_beyond_the_numbers_is_not_stable() -> None:
 
 
 def test_schemes_belong_to_their_components() -> None:
-    with pytest.raises(OptionError, match=r"RK4 is explicit; expected a diagonally implicit scheme"):
+    with pytest.raises(OptionError, match=r"RK4 is explicit; expected an implicit scheme"):
         ImplicitRungeKutta(RK4)
     with pytest.raises(OptionError, match=r"SDIRK2 is diagonally implicit; expected an explicit.*ImplicitRunge"):
         ExplicitRungeKutta(SDIRK2)
@@ -197,10 +197,11 @@ def test_order_of_convergence(name: str) -> None:
     ocp.least_squares(y, weight=1.0)
     problem = classify(ocp)
     errors = []
-    for steps in (8, 16, 32, 64, 128):
+    for steps in (2, 4, 8, 16, 32) if tableau.order > 3 else (8, 16, 32, 64, 128):
         end = Trial(problem, tableau).interval(np.array([0.0, 1.0]), np.zeros(1), np.zeros(0), 1.0, steps, 30).x
         errors.append(abs(end[1] - np.sin(1) - 0.5))
-    assert np.log2(np.array(errors[:-1]) / errors[1:])[-2:] == pytest.approx(tableau.order, abs=0.1)
+    slopes = np.log2(np.array(errors[:-1]) / errors[1:])
+    assert slopes[-2:] == pytest.approx(tableau.order, abs=0.1)
 
 
 # Newton steps --------------------------------------------------------------------------------------------------------

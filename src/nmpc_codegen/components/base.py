@@ -80,6 +80,7 @@ class Dims:
     nf: Size  # free components of x_0
     ne: Size  # coupled rows
     ng: Size  # scalar rows of all nodes besides control bounds
+    nalg: Size  # algebraic variables that Newton's method solves for
     condensed: QpDims | None  # sizes of the QP, None without condensing
     end_rows: int = 0  # hard rows that hold at node N alone
     banded: int = 0  # controls of the node before, which act on no state: the last states

@@ -35,7 +35,7 @@ def scheme_sizes(model: DerivativeModel) -> dict[str, int]:
         return {}
     known = {routine.name for routine in model.routines}
     has = {f"HAS_{name.upper()}": int(name in known) for name in KERNELS if name.startswith("stage_")}
-    nz = {"NZ": model.problem.nx + model.problem.nu}
+    nz = {"NZ": model.problem.nx + model.problem.nu, "NALG": len(model.problem.newton_names)}
     return nz | {name: value for name, value, _ in model.integrator.sizes(dimensions(model.problem, None, True))} | has
 
 

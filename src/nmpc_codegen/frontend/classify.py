@@ -23,7 +23,8 @@ from nmpc_codegen.frontend.inner import (
     warn_of_integrals,
 )
 from nmpc_codegen.frontend.ocp import OCP
-from nmpc_codegen.frontend.problem import Array, Problem, Row, RowKind, Signal, Stage, symbols
+from nmpc_codegen.frontend.problem import Algebra, Array, Problem, Row, RowKind, Signal, Stage, symbols
+from nmpc_codegen.frontend.resolution import Resolved, resolve
 from nmpc_codegen.frontend.statement import At, Element, Penalty, Residual, StageName, Statement
 from nmpc_codegen.ir.casadi_types import elements
 
@@ -36,6 +37,8 @@ def classify(ocp: OCP) -> Problem:
     """
     _require(ocp)
     warn_of_integrals(ocp)
+    resolved = resolve(ocp)
+    ocp = ocp if resolved is None else resolved.ocp
     rows, path_h, terminal_h = _classify_rows(ocp)
     start = _stage(ocp, [], rows, "start")
     path = _stage(ocp, path_h, rows, "path")
@@ -66,7 +69,19 @@ def classify(ocp: OCP) -> Problem:
         maps=maps,
         jump=jump,
         node_data=node_data(ocp, dt),
+        algebra=None if resolved is None else _algebra(resolved, path),
     )
+
+
+def _algebra(resolved: Resolved, path: Stage) -> Algebra:
+    """Values and equations of algebraic variables in the symbols of the path stage."""
+    ocp, z = resolved.ocp, ca.SX.sym("z", len(resolved.names))
+    stated = [ca.substitute(e, resolved.newton, z) for e in (resolved.values, resolved.rest)]
+    found = _replace_symbols(ocp, stated, path.x, path.u, path.p)
+    p = path.p[: path.p.numel() - ocp.node_data.numel()]
+    values, equations = (ca.Function("of_z", [path.x, path.u, p, z], [ca.densify(e)]) for e in found)
+    of_newton = resolved.names, resolved.start, resolved.scale, resolved.found
+    return Algebra(_signals(ocp.algebraics), values, equations, *of_newton)
 
 
 def outputs_of(ocp: OCP, problem: Problem, outputs: Any, names: Any) -> tuple[tuple[str, ...], Any]:
@@ -97,7 +112,8 @@ def _require(ocp: OCP) -> None:
             "ocp.free_initial(state) for components of x_0 that are to be found"
         )
     names = [e for s in _signals(ocp.states) for e in s.elements]
-    missing = [name for i, name in enumerate(names) if i not in ocp.derivatives and i not in ocp.maps]
+    known = {*ocp.derivatives, *ocp.maps, *ocp.slopes}
+    missing = [name for i, name in enumerate(names) if i not in known]
     if missing:
         word = "next value" if ocp.discrete else "derivative"
         raise ProblemError(f"OCP '{ocp.name}': the {word} of {', '.join(missing)} is missing; use ocp.dynamics")
@@ -134,6 +150,7 @@ class _Scalar:
 
     name: str
     expression: Any
+    end: Any  # the same at node N
     element: Element | None  # the state or control, if the expression is a bare symbol
     coupled: bool
     nodes: tuple[int, ...]
@@ -177,7 +194,7 @@ def _classify_rows(ocp: OCP) -> tuple[tuple[Row, ...], list[Any], list[Any]]:
                 path_h.append(s.expression)
             if nodes[-1] == ocp.N:
                 index_terminal = len(terminal_h)
-                terminal_h.append(s.expression)
+                terminal_h.append(s.end)
         of_side = (s.soft, s.statement.scaled, s.stated, s.statement.side)
         rows.append(Row(s.name, kind, index, index_terminal, nodes, s.lower, s.upper, *of_side))
     return tuple(rows), path_h, terminal_h
@@ -185,9 +202,10 @@ def _classify_rows(ocp: OCP) -> tuple[tuple[Row, ...], list[Any], list[Any]]:
 
 def _take_apart(ocp: OCP, statement: Any, i: int) -> _Scalar:
     h, name = statement.expression[i], statement.names[i]
+    end = h if statement.end is None else statement.end[i]
     bounds = float(statement.lower[i]), float(statement.upper[i])
     if statement.at is None:
-        return _Scalar(name, h, None, True, (0, ocp.N), *bounds, False, statement)
+        return _Scalar(name, h, h, None, True, (0, ocp.N), *bounds, False, statement)
     elements = [e for e in map(ocp.element, ca.symvar(h)) if e is not None]
     on_states = all(e.kind != "control" for e in elements)
     free = any(e.kind == "state" and e.index in ocp.free for e in elements)
@@ -198,7 +216,7 @@ def _take_apart(ocp: OCP, statement: Any, i: int) -> _Scalar:
             f"row '{name}' constrains states alone at node 0, where x_0 is given; "
             "leave node 0 out, or let the solver choose them with ocp.free_initial(...)"
         )
-    return _Scalar(name, h, ocp.element(h), False, nodes, *bounds, nodes == path, statement)
+    return _Scalar(name, h, end, ocp.element(h), False, nodes, *bounds, nodes == path, statement)
 
 
 def _path_nodes(ocp: OCP, on_states: bool, free: bool) -> tuple[int, ...]:
@@ -261,7 +279,8 @@ def _end_equality(ocp: OCP, s: _Scalar) -> bool:
 def _stage(ocp: OCP, h: list[Any], rows: tuple[Row, ...], stage: StageName) -> Stage:
     inner = inner_of(ocp)
     nx = ocp.x.numel() + inner.count
-    x, u, p, dt = symbols(nx, max(1, ocp.u.numel()) if stage == "path" else 0, ocp.p.numel() + inner.data)
+    count = ocp.p.numel() + inner.data + ocp.node_data.numel()
+    x, u, p, dt = symbols(nx, max(1, ocp.u.numel()) if stage == "path" else 0, count)
     residuals = [r for r in ocp.residuals if r.stage == stage]
     costs = [c for c in ocp.costs if c.stage == stage]
     nodal = [c.expression * (dt if c.scale_with_dt else 1) for c in costs if not c.integrate]

@@ -13,7 +13,7 @@ from nmpc_codegen.frontend.checks import NONSMOOTH, check_operations, column, li
 from nmpc_codegen.frontend.statement import Declared, Element, Kind, Stated, explain_misplacement
 
 #: What expressions of a node may contain.
-NODE: tuple[Kind, ...] = ("state", "control", "parameter", "previous", "interval", "time")
+NODE: tuple[Kind, ...] = ("state", "control", "parameter", "algebraic", "previous", "interval", "time")
 
 
 class Expressions(Stated):
@@ -33,6 +33,11 @@ class Expressions(Stated):
     def p(self) -> Any:
         """All parameters declared so far, SX (np,)."""
         return ca.vertcat(ca.SX(0, 1), *(d.symbol for d in self.parameters))
+
+    @property
+    def z(self) -> Any:
+        """All algebraic variables declared so far, SX (nz,)."""
+        return ca.vertcat(ca.SX(0, 1), *(d.symbol for d in self.algebraics))
 
     def _expression(self, value: Any, what: str, kinds: tuple[Kind, ...]) -> Any:
         """A dense SX column; raise ProblemError unless it contains only symbols of the given kinds."""

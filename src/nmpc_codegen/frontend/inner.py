@@ -58,10 +58,11 @@ def data_signals(ocp: OCP, dt: tuple[float, ...]) -> tuple[Signal, ...]:
 
 
 def data_symbols(ocp: OCP, p: Expression) -> tuple[list[Expression], list[Expression]]:
-    """Symbols of the OCP for parameters and the length of the interval before, and their places in p."""
-    own, interval = ocp.p.numel(), inner_of(ocp).interval
+    """Symbols of the OCP for parameters, the length of the interval before and what Newton's method finds, and their
+    places in p."""
+    own, held, more = ocp.p.numel(), len(ocp.blocks), ocp.node_data
     places = elements(p)
-    return [ocp.p, *([ocp.interval_before] * interval)], [*places[:own], *places[len(places) - interval :]]
+    return [ocp.p, *([ocp.interval_before] * inner_of(ocp).interval), more], [*places[:own], *places[own + held :]]
 
 
 def effective_controls(ocp: OCP, x: Expression, u: Expression, p: Expression) -> Expression:
@@ -93,6 +94,7 @@ def _expressions(ocp: OCP) -> list[Expression]:
         *(r.y for r in ocp.residuals),
         *(c.expression for c in ocp.costs),
         *(s.expression for s in ocp.statements),
+        *(s.end for s in ocp.statements if s.end is not None),
     ]
 
 
@@ -133,7 +135,7 @@ def dynamics_of(ocp: OCP, path: Stage, dt: tuple[float, ...]) -> tuple[Function,
         ProblemError: a discrete map on a grid of different intervals asks for their lengths.
     """
     inner, own, nu = inner_of(ocp), ocp.x.numel(), path.nu
-    x, u, p, length = symbols(path.nx, nu, ocp.p.numel() + inner.data)
+    x, u, p, length = symbols(path.nx, nu, int(path.p.numel()))
     acting = effective_controls(ocp, x, u, p)
     symbols_, places = data_symbols(ocp, p)
     old, new = ca.vertcat(ocp.x, *inner_symbols(ocp), ocp.u, *symbols_), ca.vertcat(x, acting, *places)

@@ -10,6 +10,7 @@ import casadi as ca
 import numpy as np
 
 from nmpc_codegen.errors import ProblemError
+from nmpc_codegen.frontend.algebra import Algebraic
 from nmpc_codegen.frontend.checks import (
     MAX_SIZE,
     block_lengths,
@@ -27,7 +28,7 @@ from nmpc_codegen.frontend.checks import (
     vector,
     weight_matrix,
 )
-from nmpc_codegen.frontend.expressions import NODE, Dynamics
+from nmpc_codegen.frontend.expressions import NODE
 from nmpc_codegen.frontend.grid import grid
 from nmpc_codegen.frontend.problem import Array, LqrRequest, Signal, c_identifier
 from nmpc_codegen.frontend.show import in_html, in_one_line
@@ -52,15 +53,17 @@ from nmpc_codegen.runtime.diagnosis.foreign_names import OF_PROBLEM, missing
 __all__ = ["OCP"]
 
 #: What expressions of node N and of node 0 may contain.
-_END: tuple[Kind, ...] = ("state", "parameter", "previous", "time")
+_END: tuple[Kind, ...] = ("state", "parameter", "algebraic", "previous", "time")
 _START: tuple[Kind, ...] = ("state", "parameter")
+#: Symbols after which a residual is named.
+_NAMED: tuple[Kind, ...] = ("state", "control", "parameter", "algebraic")
 
 
-class OCP(Dynamics):
+class OCP(Algebraic):
     """An optimal control problem over N intervals:
 
         min   sum_{k<N} l_k(x_k, u_k, p_k) + l_N(x_N, p_N)
-        s.t.  x_0 = xhat,  x' = f(x, u, p) on every interval (or x_{k+1} = f(x_k, u_k, p_k)),
+        s.t.  x_0 = xhat,  x' = f(x, z, u, p), 0 = g(x, z, u, p) on every interval (or x_{k+1} = f(x_k, u_k, p_k)),
               lower <= h(x_k, u_k, p_k) <= upper,   lower <= r(x_0, x_N) <= upper
 
     Args:
@@ -166,6 +169,16 @@ class OCP(Dynamics):
         """
         return self._declare("parameter", self.parameters, name, size, unit, value, "value", None, bounds)
 
+    def algebraic(
+        self, name: str, *, size: int | None = None, unit: str = "", initial: Any = 0.0, scale: Any = None
+    ) -> Any:
+        """Declare an algebraic variable, which an algebraic_equation() determines; return its SX symbol.
+
+        ``initial``: where Newton's method starts at first, and after values that lead nowhere. ``scale``: as for
+        state().
+        """
+        return self._declare("algebraic", self.algebraics, name, size, unit, initial, "initial", scale)
+
     @property
     def x_start(self) -> Any:
         """The symbols of x_0 that at_start() substitutes for the states, SX (nx,)."""
@@ -196,7 +209,7 @@ class OCP(Dynamics):
         sizes = declared_scale(scale, n, f"{what}: scale")
         limits = declared_range(limits, values, f"{what}: {'initial_range' if kind == 'state' else 'bounds'}")
         signal = Signal(name, n, unit, values, sum(d.signal.size for d in to), size is None, sizes, *limits)
-        earlier = [d.signal for d in (*self.states, *self.controls, *self.parameters)]
+        earlier = [d.signal for d in (*self.states, *self.controls, *self.parameters, *self.algebraics)]
         taken = {c_identifier(e): s.name for s in earlier for e in (*s.elements, s.name)}
         for element in (*signal.elements, name):
             if c_identifier(element) in taken:
@@ -276,7 +289,7 @@ class OCP(Dynamics):
             found: list[str] = []
             for i in range(y.numel()):
                 element = self.element(y[i])
-                named = element if element is not None and element.kind in ("state", "control", "parameter") else None
+                named = element if element is not None and element.kind in _NAMED else None
                 taken = named is None or named.name in earlier or named.name in found
                 found.append(f"y_{len(earlier) + i}" if named is None or taken else named.name)
         else:
@@ -372,7 +385,7 @@ class OCP(Dynamics):
         suffix = f"_{nodes}" if nodes in ("start", "end") else ""
         for i in range(h.numel()):
             kinds = self._kinds(h[i])
-            if not kinds & {"state", "control", "previous"}:
+            if not kinds & {"state", "control", "algebraic", "previous"}:
                 raise ProblemError(
                     f"{what}: {quote(h[i])} depends on no state and no control; the order is lower, expression, upper"
                 )
@@ -468,7 +481,7 @@ class OCP(Dynamics):
             names = []
             for i in range(n):
                 element = self.element(h[i])
-                if element is None or element.kind not in ("state", "control"):
+                if element is None or element.kind not in ("state", "control", "algebraic"):
                     names.append(f"row_{self._unnamed + unnamed}")
                     unnamed += 1
                 else:

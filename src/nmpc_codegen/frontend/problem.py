@@ -102,6 +102,35 @@ class Stage:
 
 
 @dataclass(frozen=True, eq=False)
+class Algebra:
+    """Algebraic variables, which equations r(x, z, u, p) = 0 determine at every node and stage.
+
+    ``signals``: those of the user; ``values``: Function (x, u, p, z) -> all of them, where z are those that Newton's
+    method solves for: ``names``, of which derivatives of states may be some too, with their ``start`` and ``scale``;
+    ``equations``: Function (x, u, p, z) -> r. Without any, all are expressions. ``found``: z at the first plan, NaN if
+    Newton's method finds none there.
+    """
+
+    signals: tuple[Signal, ...]
+    values: Function
+    equations: Function
+    names: tuple[str, ...]
+    start: tuple[float, ...]
+    scale: tuple[float, ...]
+    found: Array
+
+    @property
+    def size(self) -> int:
+        """Number of the variables that Newton's method solves for."""
+        return len(self.names)
+
+    @property
+    def data(self) -> int:
+        """Numbers of a node behind its parameters: z, and W = -(dr/dz)^-1 row by row."""
+        return self.size * (1 + self.size)
+
+
+@dataclass(frozen=True, eq=False)
 class LqrRequest:
     """A terminal cost that is computed when the integrator is known: the cost-to-go of the regulator at (x, u).
 
@@ -153,6 +182,7 @@ class Problem:
     maps: tuple[int, ...] = ()  # positions in x
     jump: Function | None = None
     node_data: Array = field(default_factory=no_data)  # (N + 1, inner.data): values of the last parameters
+    algebra: Algebra | None = None
 
     @property
     def own_parameters(self) -> tuple[Signal, ...]:
@@ -177,6 +207,11 @@ class Problem:
                 f"{what}: '{self.name}' has {', '.join(found)}, for which it is not made; expected a problem of states "
                 "and controls alone, as with terminal_least_squares() in the place of lqr_terminal_cost()"
             )
+
+    @property
+    def newton_names(self) -> tuple[str, ...]:
+        """The variables that Newton's method solves for."""
+        return self.algebra.names if self.algebra else ()
 
     @cached_property
     def jump_slopes(self) -> Function:
@@ -254,7 +289,13 @@ class Problem:
 
     @property
     def np(self) -> int:
-        return int(self.path.p.numel())
+        """Number of parameters, those behind the parameters of the user included."""
+        return int(self.path.p.numel()) - self.solved
+
+    @property
+    def solved(self) -> int:
+        """Numbers of a node that Newton's method finds; in expressions they stand behind the parameters."""
+        return self.algebra.data if self.algebra else 0
 
     @property
     def control_reference(self) -> tuple[int, ...]:

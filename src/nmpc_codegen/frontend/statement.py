@@ -10,7 +10,9 @@ import casadi as ca
 from nmpc_codegen.errors import ProblemError
 from nmpc_codegen.frontend.problem import Array, LqrRequest, Signal
 
-Kind = Literal["state", "control", "parameter", "previous", "interval", "time", "start", "end"]
+Kind = Literal[
+    "state", "control", "parameter", "algebraic", "derivative", "previous", "interval", "time", "start", "end"
+]
 StageName = Literal["start", "path", "terminal"]
 At = Literal["path", "start", "end"] | tuple[int, ...]
 Penalty = tuple[float, float] | None
@@ -74,11 +76,20 @@ class Statement:
     scaled: bool = False
     side: Side = ""
     alone: bool = True
+    end: Any = None  # the same at node N, where the expression is another one there
 
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the rows."""
         return self.stated if self.alone else tuple(f"{name}_{self.side}" for name in self.stated)
+
+
+@dataclass(frozen=True, eq=False)
+class Equation:
+    """The scalar equation expression = 0 among derivatives, algebraic variables and all else of a node."""
+
+    name: str
+    expression: Any
 
 
 class Stated:
@@ -89,10 +100,14 @@ class Stated:
         self.states: list[Declared] = []
         self.controls: list[Declared] = []
         self.parameters: list[Declared] = []
+        self.algebraics: list[Declared] = []
+        self.equations: list[Equation] = []
+        self.slopes: dict[int, Any] = {}  # position in x -> SX: der(x), of a state in implicit equations
         self.derivatives: dict[int, Any] = {}  # position in x -> SX
         self.maps: dict[int, Any] = {}  # position in x -> SX: the value at the next node of a discrete state
         self.remembered: dict[int, Any] = {}  # position in u -> SX: its value at the node before
         self.blocks: dict[int, tuple[int, ...]] = {}  # position in u -> lengths of the blocks of intervals
+        self.node_data = ca.SX(0, 1)  # symbols behind all parameters: what Newton's method finds at a node
         self.interval_before, self.clock = ca.SX.sym("interval"), ca.SX.sym("time")
         self._discrete: bool | None = None
         self.residuals: list[Residual] = []
@@ -143,6 +158,8 @@ def explain_misplacement(element: Element, kinds: tuple[Kind, ...]) -> str:
     """Explain why this symbol is not allowed in an expression of the given kinds."""
     if element.kind in ("start", "end"):
         return f"at_{element.kind}({element.name}), which is allowed in boundary() only"
+    if element.kind == "derivative":
+        return f"{element.name}, which is allowed in implicit_dynamics() only"
     if element.kind in ("previous", "interval", "time"):
         return f"ocp.{element.name}, which may not occur there; only these may: {', '.join(kinds)}"
     if kinds == ("start", "end"):

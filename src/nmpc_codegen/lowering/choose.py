@@ -252,6 +252,7 @@ def dimensions(
         "NF": len(p.free_initial),
         "NE": p.coupled_rows,
         "NG": len(p.qp_rows),
+        "NALG": len(p.newton_names),
     }
     fields = {"NY_N": "ny_N", "NW_N": "nw_N", "NH_N": "nh_N", "N": "N"}
     condensed = None if shape is None else _qp_dims(p, shape)

@@ -303,6 +303,7 @@ def _macros(model: Model, dims: Dims, whole: bool) -> tuple[Macro, ...]:
         "NV": "variables of the QP",
         "NSL": "slack variables of the QP",
         "NG": "scalar rows of all nodes besides control bounds",
+        "NALG": "algebraic variables that Newton's method solves for",
         "LDV": "NV rounded up to a multiple of 4",
         "LDH": "length of a row of H and A, a multiple of 4",
     }

@@ -195,6 +195,7 @@ PLACES = {
     "du": "du",
     "adj": "adj",
     "d": "d",
+    "z": "(s)->z[k]",
     "newton": "(s)->newton",
 }
 TERMINAL_PLACES = {
@@ -236,7 +237,7 @@ def kernel_call(
         used = [p.name for p in (*routine.reads, *routine.writes)]
         return routine.name.upper(), ", ".join(names), f"{routine.name}({', '.join(used)})"
     if routine.name == "integrator_step":
-        places = {"x": "x", "u": "u", "p": "PARAM(s, k)", "h": "h", "newton": "newton"}
+        places = {"x": "x", "u": "u", "p": "PARAM(s, k)", "h": "h", "z": "(s)->z[k]", "newton": "newton"}
         leading = ["s", "k", "x", "u", "h", "newton"]
     elif routine.name == "integrator_jump":
         places = {"x": "x", "u": "u", "p": "PARAM(s, k)", "dt": "&interval_length[k]"}

@@ -1,122 +1,155 @@
 /* Stages and steps, and their derivatives along n columns of directions (V, U) = d(x, u). */
 
-/* base_i */
-static void stage_base(const real_t *x, int i, real_t (*D)[NX], real_t *base)
+/* base_i of the stages of block b. */
+static void stage_base(const real_t *x, int b, real_t (*D)[NX], real_t *base)
 {
-    for (int r = 0; r < NX; r++) {
-        base[r] = x[r];
-    }
-    for (int j = 0; j < i; j++) {
+    for (int i = 0; i < BLOCK; i++) {
         for (int r = 0; r < NX; r++) {
-            base[r] += increment_a[i * STAGES + j] * D[j][r];
+            base[i * NX + r] = x[r];
+        }
+        for (int j = 0; j < b * BLOCK; j++) {
+            for (int r = 0; r < NX; r++) {
+                base[i * NX + r] += increment_a[(b * BLOCK + i) * STAGES + j] * D[j][r];
+            }
         }
     }
 }
 
-/* Point, increment and derivatives of stage i of a step from x. Newton's method starts at `before`, the point of
- * the stage before or x: fast states have settled there, while their slopes lead away. Returns why it fails, or -1. */
-static int run_stage(stage_t *t, const real_t *before, real_t (*D)[NX], int i, const real_t *x, const real_t *u,
+/* h A of the stages of block b. */
+static inline void stage_lengths(real_t h, int b, real_t *ha)
+{
+    for (int i = 0; i < BLOCK * BLOCK; i++) {
+        ha[i] = h * stage_a[b * BLOCK * BLOCK + i];
+    }
+}
+
+/* Points, increments and derivatives of the stages of block b of a step from x. Newton's method starts at `point`, the
+ * last point before, where fast states have settled, while their slopes lead away; the last one of these stages takes
+ * its place. Returns why it fails, or -1. */
+static int run_stage(stage_t *t, real_t *point, real_t (*D)[NX], int b, const real_t *x, const real_t *u,
     const real_t *p, real_t h, int newton, real_t *left)
 {
-    real_t base[NX];
+    real_t base[BLOCK * NX];
     int failed = -1;
-    stage_base(x, i, D, base);
-    if (EXPLICIT_FIRST && i == 0) {
+    stage_base(x, b, D, base);
+    if (EXPLICIT_FIRST && b == 0) {
         real_t f[NX];
         memcpy(t->X, base, sizeof base);
         memset(t->J, 0, sizeof t->J);
-        STAGE_SLOPES(t->X, u, p, f, t->J);
+        STAGE_SLOPES(t->X, u, p, f, t->J[0]);
         for (int r = 0; r < NX; r++) {
-            D[i][r] = h * f[r];
+            D[b][r] = h * f[r];
         }
     } else {
-        for (int r = 0; r < NX; r++) {
-            t->X[r] = before[r];
+        real_t ha[BLOCK * BLOCK];
+        stage_lengths(h, b, ha);
+        for (int i = 0; i < BLOCK; i++) {
+            for (int r = 0; r < NXA; r++) {
+                t->X[i * NXA + r] = point[r];
+            }
         }
-        failed = solve_stage(t, base, u, p, h * stage_a[i], newton, left);
-        for (int r = 0; r < NX; r++) {
-            D[i][r] = t->X[r] - base[r];
+        failed = solve_stage(t, base, u, p, ha, newton, left);
+        for (int i = 0; i < BLOCK; i++) {
+            for (int r = 0; r < NX; r++) {
+                D[b * BLOCK + i][r] = t->X[i * NXA + r] - base[i * NX + r];
+            }
         }
     }
+    memcpy(point, &t->X[(BLOCK - 1) * NXA], NXA * sizeof *point);
     return failed;
 }
 
-/* x += sum_i increment_b[i] D_i */
-static void end_step(real_t *x, real_t (*D)[NX])
+/* x += sum_i increment_b[i] D_i; `point` takes the place of its state. */
+static void end_step(real_t *x, real_t (*D)[NX], real_t *point)
 {
     for (int i = 0; i < STAGES; i++) {
         for (int r = 0; r < NX; r++) {
             x[r] += increment_b[i] * D[i][r];
         }
     }
+    memcpy(point, x, NX * sizeof *x);
 }
 
-/* One step of length h in place. Returns why `stage` fails, or -1. */
-static int step_in_place(real_t *x, const real_t *u, const real_t *p, real_t h, int newton, int *failing, real_t *left)
+/* The point where an interval starts: x[if NALG > 0:, and what is known of the algebraic variables]. */
+static inline void start_point(real_t *point, const real_t *x, const real_t *z)
+{
+    memcpy(point, x, NX * sizeof *x);
+    for (int r = 0; r < NALG; r++) {
+        point[NX + r] = z[r];
+    }
+}
+
+/* One step of length h in place. Returns why the block of stages `failing` fails, or -1. */
+static int step_in_place(real_t *x, real_t *point, const real_t *u, const real_t *p, real_t h, int newton, int *failing,
+    real_t *left)
 {
     stage_t stage;
     real_t D[STAGES][NX];
-    for (int i = 0; i < STAGES; i++) {
-        const int reason = run_stage(&stage, (i > 0) ? stage.X : x, D, i, x, u, p, h, newton, left);
+    for (int b = 0; b < BLOCKS; b++) {
+        const int reason = run_stage(&stage, point, D, b, x, u, p, h, newton, left);
         if (reason >= 0) {
             for (int r = 0; r < NX; r++) {
                 x[r] = (real_t)NAN;
             }
-            *failing = i;
+            *failing = b;
             return reason;
         }
     }
-    end_step(x, D);
+    end_step(x, D, point);
     return -1;
 }
 
 /* x_next = one step of length h from x. */
-static void implicit_step(
-    const real_t *x, const real_t *u, const real_t *p, const real_t *h, int newton, real_t *x_next)
+static void implicit_step(const real_t *x, const real_t *z, const real_t *u, const real_t *p, const real_t *h,
+    int newton, real_t *x_next)
 {
-    real_t end[NX], left[NX] = {R(0)};
+    real_t end[NX], left[NX] = {R(0)}, point[NXA];
     int failing;
     memcpy(end, x, sizeof end);
-    (void)step_in_place(end, u, p, *h, newton, &failing, left);
+    start_point(point, x, z);
+    (void)step_in_place(end, point, u, p, *h, newton, &failing, left);
     memcpy(x_next, end, sizeof end);
 }
 
 /* x_next = STEPS steps over dt from x, and what Newton's method leaves of the stages. */
-static void implicit_value(
-    const real_t *x, const real_t *u, const real_t *p, const real_t *dt, int newton, real_t *x_next, real_t *left)
+static void implicit_value(const real_t *x, const real_t *z, const real_t *u, const real_t *p, const real_t *dt,
+    int newton, real_t *x_next, real_t *left)
 {
-    real_t end[NX];
+    real_t end[NX], point[NXA];
     int reason = -1, failing;
     memcpy(end, x, sizeof end);
+    start_point(point, x, z);
     memset(left, 0, NX * sizeof *left);
     for (int step = 0; step < STEPS && reason < 0; step++) {
-        reason = step_in_place(end, u, p, *dt / (real_t)STEPS, newton, &failing, left);
+        reason = step_in_place(end, point, u, p, *dt / (real_t)STEPS, newton, &failing, left);
     }
     memcpy(x_next, end, sizeof end);
 }
 
-/* The first stage of STEPS steps that cannot be solved: reason, step, stage; reason -1: there is none. */
-static void implicit_failure(
-    const real_t *x, const real_t *u, const real_t *p, const real_t *dt, int newton, real_t *failure)
+/* The first stages of STEPS steps that cannot be solved: reason, step, block of stages; reason -1: there are none. */
+static void implicit_failure(const real_t *x, const real_t *z, const real_t *u, const real_t *p, const real_t *dt,
+    int newton, real_t *failure)
 {
-    real_t end[NX], left[NX] = {R(0)};
+    real_t end[NX], left[NX] = {R(0)}, point[NXA];
     int reason = -1, failing = 0;
     memcpy(end, x, sizeof end);
+    start_point(point, x, z);
     failure[1] = R(0);
     for (int step = 0; step < STEPS && reason < 0; step++) {
-        reason = step_in_place(end, u, p, *dt / (real_t)STEPS, newton, &failing, left);
+        reason = step_in_place(end, point, u, p, *dt / (real_t)STEPS, newton, &failing, left);
         failure[1] = (real_t)step;
     }
     failure[0] = (real_t)reason;
     failure[2] = (real_t)failing;
 }
 
-/* y += f_u U */
-static inline void add_forcing(const stage_t *t, real_t factor, const real_t *U, int n, real_t *y)
+/* y += factor f_u U of stage i of the block, for the first or the other rows of f. */
+static inline void add_forcing(
+    const stage_t *t, int i, int first, int last, real_t factor, const real_t *U, int n, real_t *y)
 {
-    for (int r = 0; r < NX; r++) {
+    for (int r = first; r < last; r++) {
         for (int j = 0; j < NU; j++) {
-            const real_t slope = factor * t->J[r][NX + j];
+            const real_t slope = factor * t->J[i][r][NXA + j];
             for (int c = 0; c < n; c++) {
                 y[r * n + c] += slope * U[j * n + c];
             }
@@ -124,42 +157,71 @@ static inline void add_forcing(const stage_t *t, real_t factor, const real_t *U,
     }
 }
 
-/* Derivatives Z of the point and DV of the increment of stage i along n <= NZ columns:
- * Z = M^-1 (base + h a_ii f_u U), DV = Z - base; of an explicit stage Z = base, DV = h (f_x Z + f_u U). */
-static inline void stage_columns(
-    const stage_t *t, int i, real_t h, const real_t *V, const real_t *U, int n, real_t (*DV)[NX * NZ], real_t *Z)
+/* The same of an explicit stage: Z = base, DV = h (f_x Z + f_u U). */
+static inline void explicit_columns(
+    const stage_t *t, real_t h, const real_t *V, const real_t *U, int n, real_t *DV, real_t *Z)
 {
-    real_t base[NX * NZ], rest[NX * NZ];
-    for (int r = 0; r < NX * n; r++) {
-        base[r] = V[r];
-    }
-    for (int j = 0; j < i; j++) {
-        for (int r = 0; r < NX * n; r++) {
-            base[r] += increment_a[i * STAGES + j] * DV[j][r];
+    for (int r = 0; r < NX; r++) {
+        for (int c = 0; c < n; c++) {
+            Z[r * n + c] = V[r * n + c];
+            DV[r * n + c] = R(0);
         }
     }
-    if (EXPLICIT_FIRST && i == 0) {
-        for (int r = 0; r < NX; r++) {
+    for (int r = 0; r < NX; r++) {
+        for (int j = 0; j < NX; j++) {
+            const real_t slope = h * t->J[0][r][j];
             for (int c = 0; c < n; c++) {
-                Z[r * n + c] = base[r * n + c];
-                DV[i][r * n + c] = R(0);
-            }
-            for (int j = 0; j < NX; j++) {
-                const real_t slope = h * t->J[r][j];
-                for (int c = 0; c < n; c++) {
-                    DV[i][r * n + c] += slope * base[j * n + c];
-                }
+                DV[r * n + c] += slope * V[j * n + c];
             }
         }
-        add_forcing(t, h, U, n, DV[i]);
-    } else {
+    }
+    add_forcing(t, 0, 0, NX, h, U, n, DV);
+}
+
+/* Derivatives of the bases of block b along n columns. */
+static inline void base_columns(const real_t *V, int b, int n, real_t (*DV)[NX * NZ], real_t *base)
+{
+    for (int i = 0; i < BLOCK; i++) {
         for (int r = 0; r < NX * n; r++) {
-            rest[r] = base[r];
+            base[i * NX * n + r] = V[r];
         }
-        add_forcing(t, h * stage_a[i], U, n, rest);
-        solve_stage_columns(t, rest, Z, n);
+        for (int j = 0; j < b * BLOCK; j++) {
+            for (int r = 0; r < NX * n; r++) {
+                base[i * NX * n + r] += increment_a[(b * BLOCK + i) * STAGES + j] * DV[j][r];
+            }
+        }
+    }
+}
+
+/* Derivatives of the points of block b, Z, and of their increments, DV, along n <= NZ columns:
+ * Z = M^-1 (base + h A f_u U[if NALG > 0:; g_u U]), DV = Z - base. */
+static inline void stage_columns(
+    const stage_t *t, int b, real_t h, const real_t *V, const real_t *U, int n, real_t (*DV)[NX * NZ], real_t *Z)
+{
+    if (EXPLICIT_FIRST && b == 0) {
+        explicit_columns(t, h, V, U, n, DV[0], Z);
+        return;
+    }
+    real_t base[BLOCK * NX * NZ], rest[NB * NZ], ha[BLOCK * BLOCK];
+    base_columns(V, b, n, DV, base);
+    stage_lengths(h, b, ha);
+    for (int i = 0; i < BLOCK; i++) {
+        real_t *own = &rest[i * NXA * n];
         for (int r = 0; r < NX * n; r++) {
-            DV[i][r] = Z[r] - base[r];
+            own[r] = base[i * NX * n + r];
+        }
+        for (int r = NX * n; r < NXA * n; r++) {
+            own[r] = R(0);
+        }
+        for (int j = 0; j < BLOCK; j++) {
+            add_forcing(t, j, 0, NX, ha[i * BLOCK + j], U, n, own);
+        }
+        add_forcing(t, i, NX, NXA, R(1), U, n, own);
+    }
+    solve_stage_columns(t, rest, Z, n);
+    for (int i = 0; i < BLOCK; i++) {
+        for (int r = 0; r < NX * n; r++) {
+            DV[b * BLOCK + i][r] = Z[i * NXA * n + r] - base[i * NX * n + r];
         }
     }
 }
@@ -176,18 +238,19 @@ static inline void end_step_of_columns(real_t *V, real_t (*DV)[NX * NZ], int n)
 
 /* STEPS steps over dt from x, which becomes their end, and along n <= NZ columns (V, U), of which V is followed. What
  * Newton's method leaves of the stages is added to `left`. */
-static inline void implicit_columns(
-    real_t *x, const real_t *u, const real_t *p, real_t dt, int newton, real_t *V, const real_t *U, int n, real_t *left)
+static inline void implicit_columns(real_t *x, const real_t *z, const real_t *u, const real_t *p, real_t dt, int newton,
+    real_t *V, const real_t *U, int n, real_t *left)
 {
     const real_t h = dt / (real_t)STEPS;
-    real_t D[STAGES][NX], DV[STAGES][NX * NZ], Z[NX * NZ];
+    real_t D[STAGES][NX], DV[STAGES][NX * NZ], Z[NB * NZ], point[NXA];
     stage_t stage;
+    start_point(point, x, z);
     for (int step = 0; step < STEPS; step++) {
-        for (int i = 0; i < STAGES; i++) {
-            (void)run_stage(&stage, (i > 0) ? stage.X : x, D, i, x, u, p, h, newton, left);
-            stage_columns(&stage, i, h, V, U, n, DV, Z);
+        for (int b = 0; b < BLOCKS; b++) {
+            (void)run_stage(&stage, point, D, b, x, u, p, h, newton, left);
+            stage_columns(&stage, b, h, V, U, n, DV, Z);
         }
-        end_step(x, D);
+        end_step(x, D, point);
         end_step_of_columns(V, DV, n);
     }
 }
@@ -206,20 +269,20 @@ static void unit_columns(real_t *V, real_t *U)
 }
 
 /* x_next, S = d x_next / d(x, u), what Newton's method leaves. */
-static void implicit_interval(const real_t *x, const real_t *u, const real_t *p, const real_t *dt, int newton,
+static void implicit_interval(const real_t *x, const real_t *z, const real_t *u, const real_t *p, const real_t *dt, int newton,
     real_t *x_next, real_t *S, real_t *left)
 {
     real_t end[NX], U[NU * NZ];
     memcpy(end, x, sizeof end);
     memset(left, 0, NX * sizeof *left);
     unit_columns(S, U);
-    implicit_columns(end, u, p, *dt, newton, S, U, NZ, left);
+    implicit_columns(end, z, u, p, *dt, newton, S, U, NZ, left);
     memcpy(x_next, end, sizeof end);
 }
 
 /* x_next, S_next = d x_next / du. */
 static void implicit_forced(
-    const real_t *x, const real_t *u, const real_t *p, const real_t *dt, int newton, real_t *x_next, real_t *S_next)
+    const real_t *x, const real_t *z, const real_t *u, const real_t *p, const real_t *dt, int newton, real_t *x_next, real_t *S_next)
 {
     real_t end[NX], U[NU * NU] = {R(0)}, left[NX] = {R(0)};
     memcpy(end, x, sizeof end);
@@ -227,28 +290,28 @@ static void implicit_forced(
         U[j * NU + j] = R(1);
     }
     memset(S_next, 0, NX * NU * sizeof *S_next);
-    implicit_columns(end, u, p, *dt, newton, S_next, U, NU, left);
+    implicit_columns(end, z, u, p, *dt, newton, S_next, U, NU, left);
     memcpy(x_next, end, sizeof end);
 }
 
 /* x_next, S_next = (d x_next / dx) S. */
-static void implicit_free(const real_t *x, const real_t *u, const real_t *p, const real_t *dt, int newton,
+static void implicit_free(const real_t *x, const real_t *z, const real_t *u, const real_t *p, const real_t *dt, int newton,
     const real_t *S, real_t *x_next, real_t *S_next)
 {
     real_t end[NX], U[NU * NU] = {R(0)}, left[NX] = {R(0)};
     memcpy(end, x, sizeof end);
     memcpy(S_next, S, NX * NU * sizeof *S_next);
-    implicit_columns(end, u, p, *dt, newton, S_next, U, NU, left);
+    implicit_columns(end, z, u, p, *dt, newton, S_next, U, NU, left);
     memcpy(x_next, end, sizeof end);
 }
 
 /* dx_next = A dx + B du. */
-static void implicit_forward(const real_t *x, const real_t *u, const real_t *p, const real_t *dt, int newton,
+static void implicit_forward(const real_t *x, const real_t *z, const real_t *u, const real_t *p, const real_t *dt, int newton,
     const real_t *dx, const real_t *du, real_t *dx_next)
 {
     real_t end[NX], V[NX], left[NX] = {R(0)};
     memcpy(end, x, sizeof end);
     memcpy(V, dx, sizeof V);
-    implicit_columns(end, u, p, *dt, newton, V, du, 1, left);
+    implicit_columns(end, z, u, p, *dt, newton, V, du, 1, left);
     memcpy(dx_next, V, sizeof V);
 }

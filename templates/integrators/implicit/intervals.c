@@ -1,6 +1,8 @@
 /* Contract of this part: the stages of implicit Runge-Kutta schemes, and the functions of an interval that integrate
  * over them. */
 
+#include "integrators/implicit/lu.c"
+
 #include "integrators/implicit/newton.c"
 
 #include "integrators/implicit/forward.c"

@@ -1,198 +1,128 @@
-/* Stages of implicit Runge-Kutta schemes whose coefficients a are lower triangular. With the increment D_i = h a_ii K_i
- * of an implicit stage (a_ii > 0) or D_i = h K_i of an explicit one (a_ii = 0),
+/* Stages of implicit Runge-Kutta schemes. BLOCK stages are solved together[if NALG > 0:, with their algebraic variables
+ * z]. With increments D_i,
  *
- *     base_i = x + sum_{j<i} increment_a[i][j] D_j,   X_i = base_i + D_i (explicit: base_i),   K_i = f(X_i, u, p),
- *     x_next = x + sum_i increment_b[i] D_i.
+ *     base_i = x + sum_j increment_a[i][j] D_j over the blocks before, X_i = base_i + D_i,
+ *     D_i = h sum_j a_ij f(X_j, u, p) over its own block[if NALG > 0:, 0 = g(X_i, z_i, u, p)],
+ *     x_next = x + sum_i increment_b[i] D_i;
  *
- * No number is divided by h, and M^-1 damps the rounding errors of f, M = I - h a_ii f_x. */
+ * an explicit first stage (a_ii = 0) has X_i = base_i and D_i = h f. No number is divided by h, and M^-1 damps the
+ * rounding errors of f; M is the derivative of X - base - h a f[if NALG > 0:, and of -g]. */
 
-/* A stage: its point, the derivatives J = [f_x f_u] there, the factors of M with the order of their rows. */
+/* Stages that are solved together: their points (x[if NALG > 0:, z]), the derivatives J there with respect to (x[if NALG
+ * > 0:, z], u), and the factors of M with the order of their rows. */
 typedef struct {
-    real_t X[NX], J[NX][NZ], M[NX][NX];
-    int order[NX];
+    real_t X[NB], J[BLOCK][NXA][NXAU], M[NB][NB];
+    int order[NB];
 } stage_t;
 
-static void exchange_rows(real_t (*M)[NX], int *order, int i, int j)
-{
-    const int row = order[i];
-    order[i] = order[j];
-    order[j] = row;
-    for (int c = 0; c < NX; c++) {
-        const real_t moved = M[i][c];
-        M[i][c] = M[j][c];
-        M[j][c] = moved;
-    }
-}
-
-/* M = P' L U with row exchanges; pivots are compared in the scales of their states, and the diagonal of U is stored as
- * its inverse. Returns the state whose column has no pivot above rounding errors, or -1. */
-static int factorize_stage(real_t (*M)[NX], int *order)
-{
-    for (int i = 0; i < NX; i++) {
-        order[i] = i;
-    }
-    for (int j = 0; j < NX; j++) {
-        int best = j;
-        real_t largest = R(0);
-        for (int i = j; i < NX; i++) {
-            const real_t size = FABS(M[i][j]) * state_unit[order[i]];
-            if (size > largest) {
-                largest = size;
-                best = i;
-            }
-        }
-        if (!(largest > TOL_UNIT * state_unit[j]) || !isfinite(largest)) {
-            return j;
-        }
-        if (best != j) {
-            exchange_rows(M, order, best, j);
-        }
-        M[j][j] = R(1) / M[j][j];
-        for (int i = j + 1; i < NX; i++) {
-            M[i][j] *= M[j][j];
-            for (int c = j + 1; c < NX; c++) {
-                M[i][c] -= M[i][j] * M[j][c];
-            }
-        }
-    }
-    return -1;
-}
-
-/* Y = M^-1 B for n columns. */
+/* Y = M^-1 B and Y = M'^-1 B for n <= NZ columns. */
 static inline void solve_stage_columns(const stage_t *t, const real_t *B, real_t *Y, int n)
 {
-    for (int i = 0; i < NX; i++) {
-        for (int c = 0; c < n; c++) {
-            Y[i * n + c] = B[t->order[i] * n + c];
-        }
-        for (int j = 0; j < i; j++) {
-            for (int c = 0; c < n; c++) {
-                Y[i * n + c] -= t->M[i][j] * Y[j * n + c];
-            }
-        }
-    }
-    for (int i = NX - 1; i >= 0; i--) {
-        for (int j = i + 1; j < NX; j++) {
-            for (int c = 0; c < n; c++) {
-                Y[i * n + c] -= t->M[i][j] * Y[j * n + c];
-            }
-        }
-        for (int c = 0; c < n; c++) {
-            Y[i * n + c] *= t->M[i][i];
-        }
-    }
+    lu_solve(t->M[0], t->order, NB, B, Y, n);
 }
 
-/* Y = M'^-1 B for n <= NZ columns. */
 static inline void solve_stage_transposed(const stage_t *t, const real_t *B, real_t *Y, int n)
 {
-    real_t W[NX * NZ];
-    for (int i = 0; i < NX; i++) {
-        for (int c = 0; c < n; c++) {
-            W[i * n + c] = B[i * n + c];
-        }
-        for (int j = 0; j < i; j++) {
-            for (int c = 0; c < n; c++) {
-                W[i * n + c] -= t->M[j][i] * W[j * n + c];
-            }
-        }
-        for (int c = 0; c < n; c++) {
-            W[i * n + c] *= t->M[i][i];
-        }
-    }
-    for (int i = NX - 1; i >= 0; i--) {
-        for (int j = i + 1; j < NX; j++) {
-            for (int c = 0; c < n; c++) {
-                W[i * n + c] -= t->M[j][i] * W[j * n + c];
-            }
-        }
-        for (int c = 0; c < n; c++) {
-            Y[t->order[i] * n + c] = W[i * n + c];
-        }
-    }
+    real_t W[NB * NZ];
+    lu_solve_transposed(t->M[0], t->order, NB, B, W, Y, n);
 }
 
-/* Largest entry of a step d of the point X, in the size of its state; `worst` is its state. */
-static real_t size_of_correction(const real_t *d, const real_t *X, int *worst)
+/* X -= d = M^-1 (X - base - h A f; -g), for slopes and equations f = (f; g) at X; ha: h A of these stages. */
+static void correct_point(stage_t *t, const real_t *base, const real_t *ha, const real_t *f, real_t *d)
 {
-    real_t most = R(0);
-    *worst = 0;
-    for (int i = 0; i < NX; i++) {
-        const real_t size = FABS(d[i]) * state_unit[i] / (FABS(X[i]) * state_unit[i] + R(1));
-        if (!(size <= most)) { /* NaN, too */
-            most = size;
-            *worst = i;
+    real_t rest[NB];
+    for (int i = 0; i < BLOCK; i++) {
+        for (int r = 0; r < NX; r++) {
+            rest[i * NXA + r] = t->X[i * NXA + r] - base[i * NX + r];
         }
-    }
-    return most;
-}
-
-/* X -= d = M^-1 (X - base - ha f), for slopes f at X. */
-static void correct_point(stage_t *t, const real_t *base, real_t ha, const real_t *f, real_t *d)
-{
-    real_t rest[NX];
-    for (int i = 0; i < NX; i++) {
-        rest[i] = t->X[i] - base[i] - ha * f[i];
+        for (int j = 0; j < BLOCK; j++) {
+            for (int r = 0; r < NX; r++) {
+                rest[i * NXA + r] -= ha[i * BLOCK + j] * f[j * NXA + r];
+            }
+        }
+        for (int r = NX; r < NXA; r++) {
+            rest[i * NXA + r] = -f[i * NXA + r];
+        }
     }
     solve_stage_columns(t, rest, d, 1);
-    for (int i = 0; i < NX; i++) {
+    for (int i = 0; i < NB; i++) {
         t->X[i] -= d[i];
     }
 }
 
-/* A stage that cannot be solved: its point and its factors are NaN, so that all results are. Returns the reason. */
+/* Stages that cannot be solved: their points and factors are NaN, so that all results are. Returns the reason. */
 static int fail_stage(stage_t *t, int reason)
 {
-    for (int i = 0; i < NX; i++) {
+    for (int i = 0; i < NB; i++) {
         t->X[i] = (real_t)NAN;
         t->order[i] = i;
-        for (int j = 0; j < NX; j++) {
+        for (int j = 0; j < NB; j++) {
             t->M[i][j] = (real_t)NAN;
         }
     }
     return reason;
 }
 
-/* Derivatives at the point, and the factors of M. Returns the state whose column has no pivot, or -1. */
-static int factorize_at_point(stage_t *t, const real_t *u, const real_t *p, real_t ha, real_t *f)
+/* Rows of M that belong to stage i. */
+static void form_rows(stage_t *t, const real_t *ha, int i)
 {
-    STAGE_SLOPES(t->X, u, p, f, t->J);
-    for (int i = 0; i < NX; i++) {
-        for (int j = 0; j < NX; j++) {
-            t->M[i][j] = ((i == j) ? R(1) : R(0)) - ha * t->J[i][j];
+    for (int j = 0; j < BLOCK; j++) {
+        for (int r = 0; r < NX; r++) {
+            for (int c = 0; c < NXA; c++) {
+                const real_t unit = (i == j && r == c) ? R(1) : R(0);
+                t->M[i * NXA + r][j * NXA + c] = unit - ha[i * BLOCK + j] * t->J[j][r][c];
+            }
+        }
+        for (int r = NX; r < NXA; r++) {
+            for (int c = 0; c < NXA; c++) {
+                t->M[i * NXA + r][j * NXA + c] = (i == j) ? -t->J[i][r][c] : R(0);
+            }
         }
     }
-    return factorize_stage(t->M, t->order);
 }
 
-/* NX plus the first state whose number is not finite, or -1. */
+/* Derivatives at the points, and the factors of M. Returns the variable whose column has no pivot, or -1. */
+static int factorize_at_point(stage_t *t, const real_t *u, const real_t *p, const real_t *ha, real_t *f)
+{
+    for (int i = 0; i < BLOCK; i++) {
+        STAGE_SLOPES(&t->X[i * NXA], u, p, &f[i * NXA], t->J[i]);
+    }
+    for (int i = 0; i < BLOCK; i++) {
+        form_rows(t, ha, i);
+    }
+    return lu_factorize(t->M[0], t->order, state_unit, NB);
+}
+
+/* NXA plus the first variable whose number is not finite, or -1. */
 static int first_not_finite(const real_t *values)
 {
-    for (int i = 0; i < NX; i++) {
+    for (int i = 0; i < NB; i++) {
         if (!isfinite(values[i])) {
-            return NX + i;
+            return NXA + i % NXA;
         }
     }
     return -1;
 }
 
-/* One Newton step. Returns -1, the state whose column of M has no pivot, or NX plus one whose slope is not finite. */
-static int newton_step(stage_t *t, const real_t *base, const real_t *u, const real_t *p, real_t ha, real_t *d)
+/* One Newton step. Returns -1, the variable whose column of M has no pivot, or NXA plus one whose slope is not
+ * finite. */
+static int newton_step(
+    stage_t *t, const real_t *base, const real_t *u, const real_t *p, const real_t *ha, real_t *d)
 {
-    real_t f[NX];
+    real_t f[NB];
     const int singular = factorize_at_point(t, u, p, ha, f), undefined = first_not_finite(f);
     if (undefined >= 0 || singular >= 0) {
-        return (undefined >= 0) ? undefined : singular;
+        return (undefined >= 0) ? undefined : singular % NXA;
     }
     correct_point(t, base, ha, f, d);
     return -1;
 }
 
-/* Newton steps from the point in X until they are rounding errors. Returns -1, the state whose column of M has no
- * pivot, or NX plus the state that does not converge. */
-static int iterate_stage(stage_t *t, const real_t *base, const real_t *u, const real_t *p, real_t ha)
+/* Newton steps from the points in X until they are rounding errors. Returns -1, the variable whose column of M has no
+ * pivot, or NXA plus the variable that does not converge. */
+static int iterate_stage(stage_t *t, const real_t *base, const real_t *u, const real_t *p, const real_t *ha)
 {
-    real_t d[NX], size = INF;
+    real_t d[NB], size = INF;
     int worst = 0;
     for (int n = 0; n < NEWTON_LIMIT; n++) {
         const real_t before = size;
@@ -200,18 +130,19 @@ static int iterate_stage(stage_t *t, const real_t *base, const real_t *u, const 
         if (reason >= 0) {
             return reason;
         }
-        size = size_of_correction(d, t->X, &worst);
+        size = size_of_correction(d, t->X, state_unit, NB, &worst);
         if (size <= ((size >= R(0.5) * before) ? TOL_NEWTON_STALLED : TOL_NEWTON)) {
             return -1;
         }
     }
-    return NX + worst;
+    return NXA + worst % NXA;
 }
 
-/* `newton` Newton steps from the point in X. Returns the same. */
-static int sample_stage(stage_t *t, const real_t *base, const real_t *u, const real_t *p, real_t ha, int newton)
+/* `newton` Newton steps from the points in X. Returns the same. */
+static int sample_stage(
+    stage_t *t, const real_t *base, const real_t *u, const real_t *p, const real_t *ha, int newton)
 {
-    real_t d[NX];
+    real_t d[NB];
     for (int n = 0; n < newton; n++) {
         const int reason = newton_step(t, base, u, p, ha, d);
         if (reason >= 0) {
@@ -221,26 +152,30 @@ static int sample_stage(stage_t *t, const real_t *base, const real_t *u, const r
     return -1;
 }
 
-/* An implicit stage, from the point in X: `newton` Newton steps, or as many as rounding errors allow if there are
+/* Implicit stages, from the points in X: `newton` Newton steps, or as many as rounding errors allow if there are
  * NEWTON_LIMIT, and one more with the factors of the last, whose magnitude is added to `left`. Returns why it fails, or
  * -1. */
 static int solve_stage(
-    stage_t *t, const real_t *base, const real_t *u, const real_t *p, real_t ha, int newton, real_t *left)
+    stage_t *t, const real_t *base, const real_t *u, const real_t *p, const real_t *ha, int newton, real_t *left)
 {
-    real_t f[NX], d[NX];
+    real_t f[NB], d[NB];
     memset(t->J, 0, sizeof t->J);
     int reason = (newton < NEWTON_LIMIT) ? sample_stage(t, base, u, p, ha, newton) : iterate_stage(t, base, u, p, ha);
     if (reason >= 0) {
         return fail_stage(t, reason);
     }
-    STAGE_SLOPE(t->X, u, p, f);
+    for (int i = 0; i < BLOCK; i++) {
+        STAGE_SLOPE(&t->X[i * NXA], u, p, &f[i * NXA]);
+    }
     correct_point(t, base, ha, f, d);
     reason = first_not_finite(t->X);
     if (reason >= 0) {
         return fail_stage(t, reason);
     }
-    for (int i = 0; i < NX; i++) {
-        left[i] += FABS(d[i]);
+    for (int i = 0; i < BLOCK; i++) {
+        for (int r = 0; r < NX; r++) {
+            left[r] += FABS(d[i * NXA + r]);
+        }
     }
     return -1;
 }

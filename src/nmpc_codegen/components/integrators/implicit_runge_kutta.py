@@ -1,10 +1,10 @@
-"""Implicit Runge-Kutta integration for stiff models, fixed step, diagonally implicit schemes.
+"""Implicit Runge-Kutta integration for stiff models and algebraic equations, fixed step.
 
-    X_i = x + h sum_{j<=i} a_ij K_j,   K_i = f(X_i, u, p),   x+ = x + h sum_i b_i K_i
-    S = d x+ / d(x, u): K_i' = M^-1 (f_u + f_x (S + h sum_{j<i} a_ij K_j')),   M = I - h a_ii f_x(X_i)
+    X_i = x + h sum_j a_ij K_j,   K_i = f(X_i, z_i, u, p),   0 = g(X_i, z_i, u, p),   x+ = x + h sum_i b_i K_i
 
-Every stage is solved by Newton's method with an LU factorisation of M; derivatives follow from the implicit function
-theorem with the same factors (Hairer and Wanner, Solving Ordinary Differential Equations II, sections IV.6 and IV.8).
+Stages that depend on each other are solved together, by Newton's method with an LU factorisation of their Jacobian M;
+derivatives follow from the implicit function theorem with the same factors (Hairer and Wanner, Solving Ordinary
+Differential Equations II, sections IV.5, IV.6, IV.8 and VI.1).
 """
 
 from __future__ import annotations
@@ -12,6 +12,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import ClassVar
+
+import numpy as np
 
 from nmpc_codegen.components.allowed import Named, Whole, check_options, option
 from nmpc_codegen.components.base import EVERY_USE, Defaults, Dims, Seam, Transition
@@ -21,7 +23,7 @@ from nmpc_codegen.components.integrators.implicit.trial import Trial
 from nmpc_codegen.components.integrators.jump import jump_kernel, jump_rows_kernel
 from nmpc_codegen.components.integrators.tableau import IMPLICIT, SDIRK3, ButcherTableau
 from nmpc_codegen.errors import OptionError
-from nmpc_codegen.frontend.problem import Problem
+from nmpc_codegen.frontend.problem import Array, Problem
 from nmpc_codegen.frontend.scales import scales
 from nmpc_codegen.ir.cmodule import Table
 from nmpc_codegen.ir.kernel import Port
@@ -29,6 +31,7 @@ from nmpc_codegen.ir.model import Interval, IntervalProducts
 from nmpc_codegen.ir.sweep import Call, Routine
 from nmpc_codegen.package.features import Features
 from nmpc_codegen.package.memory import Field, Size, Struct
+from nmpc_codegen.package.signals import list_some
 
 #: Limits on the steps per interval, on stages that a backward sweep stores and on the numbers that it stores, which are
 #: on the stack.
@@ -43,7 +46,7 @@ NEWTON_STEPS = 2
 
 @dataclass(frozen=True)
 class ImplicitRungeKutta(Defaults):
-    """Diagonally implicit Runge-Kutta scheme with ``steps`` equal steps per interval, for stiff models.
+    """Implicit Runge-Kutta scheme with ``steps`` equal steps per interval, for stiff models and algebraic equations.
 
     newton: steps of Newton's method per stage in a sample; None: 2, or up to 12 if the first plan needs them. The last
     correction of the stages counts in stats.residual. solve(), kkt(), integrate() and derivatives iterate to rounding
@@ -62,10 +65,10 @@ class ImplicitRungeKutta(Defaults):
 
     def __post_init__(self) -> None:
         check_options(self, self.seam)
-        if self.tableau.kind != "diagonally implicit":
+        if self.tableau.kind not in ("diagonally implicit", "fully implicit"):
             raise OptionError(
-                f"ImplicitRungeKutta.tableau: {self.tableau.name} is {self.tableau.kind}; expected a "
-                f"diagonally implicit scheme, of which only the first stage may be explicit: {', '.join(IMPLICIT)}"
+                f"ImplicitRungeKutta.tableau: {self.tableau.name} is {self.tableau.kind}; expected an implicit "
+                f"scheme, of which only the first stage may be explicit: {', '.join(IMPLICIT)}"
             )
 
     def check(self, problem: Problem) -> None:
@@ -74,6 +77,11 @@ class ImplicitRungeKutta(Defaults):
             raise OptionError(
                 f"integrator: {problem.name} is a discrete map; expected Discrete() (--set integrator=discrete) "
                 "instead of ImplicitRungeKutta(...) (--set integrator=implicit_runge_kutta)"
+            )
+        if problem.solved and not self.tableau.a[0][0]:
+            raise OptionError(
+                f"ImplicitRungeKutta.tableau: the first stage of {self.tableau.name} is explicit, and Newton's method "
+                f"solves for {list_some(problem.newton_names)}; expected a scheme without explicit stages, as RadauIIA3"
             )
 
     @property
@@ -147,8 +155,9 @@ class ImplicitRungeKutta(Defaults):
 
     def _refuse_long(self, problem: Problem, name: str) -> None:
         """Raise OptionError if a backward sweep, which stores the stages of all steps, would need too much stack."""
-        nx, nz = problem.nx, problem.nx + problem.nu
-        kept = self.steps * self.tableau.stages * (2 * nx + nx * nz + nx * nx)
+        kernels, block = StageKernels(problem), self.tableau.block
+        n, nv = block * kernels.nv, kernels.nv + problem.nu
+        kept = self.steps * (self.tableau.stages // block) * (2 * n + block * kernels.nv * nv + n * n)
         if kept > MAX_KEPT:
             raise OptionError(
                 f"ImplicitRungeKutta.steps: {self.steps}; {name} goes backward over all steps and stores {kept:,} "
@@ -162,24 +171,34 @@ class ImplicitRungeKutta(Defaults):
 
     def tables(self, problem: Problem) -> tuple[Table, ...]:
         """The scheme in the form of increments, and the variables that have second derivatives."""
-        scheme, curved = self.tableau, StageKernels(problem).curved
-        s = range(scheme.stages)
-        units = tuple(float(f"{1 / size:.3g}") for size in scales(problem).z[: problem.nx])
-        factor = [float(scheme.a[i][i]) or 1.0 for i in s]
+        scheme, kernels = self.tableau, StageKernels(problem)
+        s, block = range(scheme.stages), scheme.block
+        sizes = [*scales(problem).z[: problem.nx], *(problem.algebra.scale if problem.algebra else ())]
+        units = tuple(float(f"{1 / size:.3g}") for size in sizes)
+        first = [i - i % block for i in s]
+        together = tuple(float(scheme.a[i][first[i] + j]) for i in s for j in range(block))
+        a, b = increments(scheme)
+        curved = kernels.curved
         return (
-            Table("state_unit", "real", units, "1 / scale of a state"),
-            Table("stage_a", "real", tuple(float(scheme.a[i][i]) for i in s), "a_ii"),
+            Table("state_unit", "real", units * block, "1 / scale of a variable of a stage"),
+            Table("stage_a", "real", together, "a_ij of stages that are solved together"),
             Table("stage_weight", "real", tuple(map(float, scheme.b)), "b_i"),
-            Table("increment_a", "real", tuple(float(scheme.a[i][j]) / factor[j] for i in s for j in s), "a_ij / a_jj"),
-            Table("increment_b", "real", tuple(float(scheme.b[i]) / factor[i] for i in s), "b_i / a_ii"),
-            Table("bent_variable", "int", curved, "variables (x, u) in which f or the cost rate is nonlinear"),
+            Table("increment_a", "real", tuple(map(float, a.ravel())), "coefficients of increments in later stages"),
+            Table("increment_b", "real", tuple(map(float, b)), "and in x_next"),
+            Table("bent_variable", "int", curved, "variables of a stage and controls in which it is nonlinear"),
             Table("bent_count", "int", (len(curved),), "their number"),
         )
 
     def sizes(self, dims: Dims) -> tuple[tuple[str, int, str], ...]:
+        block, nv = self.tableau.block, dims.nx.value + dims.nalg.value
         return (
             ("STEPS", self.steps, "Runge-Kutta steps per interval"),
             ("STAGES", self.tableau.stages, "stages of a step"),
+            ("BLOCK", block, "stages that are solved together"),
+            ("BLOCKS", self.tableau.stages // block, "such blocks of a step"),
+            ("NXA", nv, "variables of a stage: NX + NALG"),
+            ("NXAU", nv + dims.nu.value, "NXA + NU"),
+            ("NB", nv * block, "variables of a block: BLOCK * NXA"),
             ("EXPLICIT_FIRST", int(not self.tableau.a[0][0]), "1: the first stage is explicit"),
             ("NEWTON", self.newton_steps, "Newton steps of a stage in a sample"),
             ("NEWTON_LIMIT", NEWTON_LIMIT, "Newton steps of a stage at most"),
@@ -201,6 +220,21 @@ class ImplicitRungeKutta(Defaults):
                 only=lambda f: f.nodes,
             ),
         )
+
+
+def increments(scheme: ButcherTableau) -> tuple[Array, Array]:
+    """(a, b): base_i = x + sum_j a_ij D_j over earlier blocks, x_next = x + sum_i b_i D_i, where D = h A K with the
+    coefficients A of the block, of an explicit stage h K."""
+    A, b, s = np.array(scheme.a, dtype=float), np.array(scheme.b, dtype=float), scheme.block
+    of_blocks = np.zeros_like(A)
+    for first in range(0, scheme.stages, s):
+        own = slice(first, first + s)
+        of_blocks[own, own] = A[own, own] if A[first, first] else np.eye(s)
+    if s == 1:
+        factor = np.diag(of_blocks)
+        return A / factor, b / factor
+    stiffly_accurate = bool(np.all(b == A[-1]))
+    return np.zeros_like(A), np.eye(scheme.stages)[-1] if stiffly_accurate else np.linalg.solve(A.T, b)
 
 
 def _failure_fields() -> tuple[Field, ...]:

@@ -1,4 +1,4 @@
-"""Butcher tableaus of explicit and diagonally implicit Runge-Kutta schemes, which validate themselves."""
+"""Butcher tableaus of explicit and implicit Runge-Kutta schemes, which validate themselves."""
 
 from __future__ import annotations
 
@@ -26,6 +26,9 @@ ROUNDING = 1e-13
 UNSTABLE, FAR = 1e-9, 1e-6
 
 
+#: Determinant of the coefficients of stages that depend on each other, at least.
+REGULAR = 1e-9
+
 #: What a tableau may state of its stability.
 STABILITY = ("", "A", "L")
 
@@ -34,9 +37,10 @@ STABILITY = ("", "A", "L")
 class ButcherTableau:
     """Scheme X_i = x + h sum_j a_ij K_j, K_i = f(X_i), x+ = x + h sum_i b_i K_i, of the given order.
 
-    Checked on creation: a is lower triangular, its diagonal is not negative, the order conditions hold up to
-    min(order, 4), exactly or, with floating-point coefficients, up to rounding, and so does the stability that is
-    claimed: "A": |R(z)| <= 1 for Re z <= 0; "L": also R = 0 at infinity; "": nothing.
+    Checked on creation: a is lower triangular with a diagonal that is not negative, or regular; the order conditions
+    hold up to min(order, 4), beyond that those of quadrature, exactly or, with floating-point coefficients, up to
+    rounding, and so does the stability that is claimed: "A": |R(z)| <= 1 for Re z <= 0; "L": also R = 0 at infinity;
+    "": nothing.
 
         R(z) = 1 + z b' (I - z A)^{-1} 1 = det(I - z (A - 1 b')) / det(I - z A)
     """
@@ -51,11 +55,10 @@ class ButcherTableau:
         s = len(self.b)
         if len(self.a) != s or any(len(row) != s for row in self.a):
             raise OptionError(f"tableau {self.name}: a must be {s} x {s}, as b has {s} entries")
-        if any(self.a[i][j] for i in range(s) for j in range(i + 1, s)):
-            raise OptionError(
-                f"tableau {self.name}: a must be lower triangular (explicit or diagonally implicit scheme)"
-            )
-        if any(self.a[i][i] < 0 for i in range(s)):
+        full = self.kind == "fully implicit"
+        if full and abs(np.linalg.det(np.array(self.a, dtype=float))) < REGULAR:
+            raise OptionError(f"tableau {self.name}: a must be lower triangular or regular")
+        if not full and any(self.a[i][i] < 0 for i in range(s)):
             raise OptionError(f"tableau {self.name}: the diagonal of a must not be negative")
         for order, residual in self.order_residuals():
             limit = 0.0 if isinstance(residual, Fraction) else ROUNDING
@@ -86,7 +89,10 @@ class ButcherTableau:
 
     @property
     def kind(self) -> str:
-        """Whether the diagonal of a is zero, at most in its first entry, or elsewhere."""
+        """Whether the diagonal of a is zero, at most in its first entry, or elsewhere; "fully implicit" if stages
+        depend on later ones."""
+        if any(self.a[i][j] for i in range(self.stages) for j in range(i + 1, self.stages)):
+            return "fully implicit"
         zeros = [not self.a[i][i] for i in range(self.stages)]
         if all(zeros):
             return "explicit"
@@ -97,12 +103,18 @@ class ButcherTableau:
         return len(self.b)
 
     @property
+    def block(self) -> int:
+        """Stages that are solved together."""
+        return self.stages if self.kind == "fully implicit" else 1
+
+    @property
     def c(self) -> tuple[Coefficient, ...]:
         """c_i = sum_j a_ij."""
         return tuple(sum(row, F(0)) for row in self.a)
 
     def order_residuals(self) -> list[tuple[int, Coefficient]]:
-        """(order, residual) of the eight order conditions up to order 4 (Hairer, Norsett, Wanner, table II.2.2)."""
+        """(order, residual) of the eight order conditions up to order 4 (Hairer, Norsett, Wanner, table II.2.2), and of
+        the quadrature b'c^(k-1) = 1 / k beyond, one more than the order that is claimed."""
         a, b, c = self.a, self.b, self.c
         s = range(len(b))
 
@@ -123,6 +135,7 @@ class ButcherTableau:
             (4, weigh([c[i] * first[i] for i in s]) - F(1, 8)),
             (4, weigh(second) - F(1, 12)),
             (4, weigh(nested) - F(1, 24)),
+            *((k, weigh([v ** (k - 1) for v in c]) - F(1, k)) for k in range(5, self.order + 2)),
         ]
 
 
@@ -194,5 +207,29 @@ SDIRK2 = ButcherTableau("SDIRK2", ((_G2, 0.0), (1 - _G2, _G2)), (1 - _G2, _G2), 
 SDIRK3 = _sdirk3()
 ESDIRK3 = _esdirk3()
 
-#: Diagonally implicit schemes by name.
-IMPLICIT: dict[str, ButcherTableau] = {t.name: t for t in (ImplicitEuler, ImplicitMidpoint, SDIRK2, SDIRK3, ESDIRK3)}
+
+def _collocation(name: str, c: Sequence[float], order: int, stability: Literal["A", "L"]) -> ButcherTableau:
+    """Scheme whose stages are the points c of a polynomial: sum_j a_ij c_j^(k-1) = c_i^k / k (Hairer and Wanner,
+    Solving Ordinary Differential Equations II, section IV.5)."""
+    s = np.arange(len(c))
+    powers = np.array(c)[:, None] ** s  # c_j^(k-1)
+    ends = np.array([*c, 1.0])[:, None] ** (s + 1) / (s + 1)
+    weights = np.linalg.solve(powers.T, ends.T).T
+    rows = tuple(tuple(map(float, row)) for row in weights)
+    return ButcherTableau(name, rows[:-1], rows[-1], order, stability)
+
+
+_R6, _R15 = math.sqrt(6), math.sqrt(15)
+GaussLegendre2 = _collocation("GaussLegendre2", (0.5 - math.sqrt(3) / 6, 0.5 + math.sqrt(3) / 6), 4, "A")
+GaussLegendre3 = _collocation("GaussLegendre3", (0.5 - _R15 / 10, 0.5, 0.5 + _R15 / 10), 6, "A")
+RadauIIA2 = _collocation("RadauIIA2", (1 / 3, 1.0), 3, "L")
+RadauIIA3 = _collocation("RadauIIA3", ((4 - _R6) / 10, (4 + _R6) / 10, 1.0), 5, "L")
+
+#: Implicit schemes by name.
+IMPLICIT: dict[str, ButcherTableau] = {
+    t.name: t
+    for t in (
+        *(ImplicitEuler, ImplicitMidpoint, SDIRK2, SDIRK3, ESDIRK3),
+        *(GaussLegendre2, GaussLegendre3, RadauIIA2, RadauIIA3),
+    )
+}

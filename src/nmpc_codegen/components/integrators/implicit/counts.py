@@ -34,52 +34,72 @@ class Counts:
         return self.kernels.nx
 
     @property
+    def nv(self) -> int:
+        """Variables of a stage."""
+        return self.kernels.nv
+
+    @property
     def nz(self) -> int:
         return self.kernels.nx + self.kernels.nu
 
     @property
-    def stages(self) -> range:
-        return range(self.tableau.stages)
+    def together(self) -> int:
+        """Stages of a block."""
+        return self.tableau.block
 
-    def _is_explicit(self, stage: int) -> bool:
-        return not self.tableau.a[stage][stage]
+    @property
+    def size(self) -> int:
+        """Variables of a block."""
+        return self.together * self.nv
+
+    @property
+    def blocks(self) -> range:
+        return range(self.tableau.stages // self.together)
+
+    def _is_explicit(self, block: int) -> bool:
+        return self.together == 1 and not self.tableau.a[block][block]
+
+    @property
+    def _lengths(self) -> OpCount:
+        return OpCount(mul=self.together**2)
 
     # newton.c --------------------------------------------------------------------------------------------------------
 
     @property
     def factorize(self) -> OpCount:
-        """Return the count of the factors of M at a point, with the kernel of f and its derivatives."""
-        n = self.n
-        pairs, inner = n * (n - 1) // 2, (n - 1) * n * (2 * n - 1) // 6
-        form, pivots = _sums(n * n), OpCount(mul=pairs + 2 * n, other=2 * pairs + 3 * n)
-        return count_of(self.kernels.slopes) + form + pivots + OpCount(div=n, mul=pairs) + _sums(inner)
+        """Return the count of the factors of M at the points of a block, with the kernel of f and its derivatives."""
+        n, s = self.size, self.together
+        form = _sums(s * s * self.n * self.nv) + OpCount(other=s * (self.nv - self.n) * self.nv)
+        return count_of(self.kernels.slopes) * s + form + factors_of(n)
 
     def solve(self, columns: int) -> OpCount:
         """Return the count of M^-1 or M'^-1 times so many columns."""
-        n = self.n
-        return _sums(columns * n * (n - 1)) + OpCount(mul=columns * n)
+        return solution_of(self.size, columns)
 
     @property
     def correct(self) -> OpCount:
-        """Return the count of one correction of a point with given slopes."""
-        n = self.n
-        return self.solve(1) + OpCount(add=3 * n, mul=n)
+        """Return the count of one correction of the points of a block with given slopes."""
+        s, n = self.together, self.n
+        rest = OpCount(add=s * n, other=s * (self.nv - n)) + _sums(s * s * n)
+        return self.solve(1) + rest + OpCount(add=self.size)
 
     @property
     def newton_steps(self) -> OpCount:
-        """Return the count of an implicit stage behind its base."""
-        evaluated = count_of(self.kernels.slope) + self.correct + OpCount(add=self.n, other=self.n)
+        """Return the count of a block behind its bases."""
+        left = self.together * self.n
+        evaluated = count_of(self.kernels.slope) * self.together + self.correct + OpCount(add=left, other=left)
         return (self.factorize + self.correct) * self.newton + evaluated
 
     # forward.c -------------------------------------------------------------------------------------------------------
 
-    def stage(self, i: int) -> OpCount:
-        """Return the count of the point and the increment of a stage."""
-        n = self.n
-        base = _sums(i * n)
-        if self._is_explicit(i):
-            return base + count_of(self.kernels.slopes) + OpCount(mul=n)
-        return base + OpCount(mul=1) + self.newton_steps + OpCount(add=n)
+    def _bases(self, block: int, columns: int) -> OpCount:
+        return _sums(self.together * block * self.together * self.n * columns)
+
+    def stage(self, block: int) -> OpCount:
+        """Return the count of the points and the increments of a block."""
+        if self._is_explicit(block):
+            return self._bases(block, 1) + count_of(self.kernels.slopes) + OpCount(mul=self.n)
+        return self._bases(block, 1) + self._lengths + self.newton_steps + OpCount(add=self.together * self.n)
 
     def end(self, columns: int) -> OpCount:
         """Return the count of the end of a step along so many columns."""
@@ -87,27 +107,29 @@ class Counts:
 
     @property
     def step(self) -> OpCount:
-        return sum(map(self.stage, self.stages), self.end(1))
+        return sum(map(self.stage, self.blocks), self.end(1))
 
     @property
     def value(self) -> OpCount:
         return (OpCount(div=1) + self.step) * self.steps
 
-    def _forcing(self, columns: int) -> OpCount:
-        entries = self.n * self.kernels.nu
+    def _forcing(self, columns: int, rows: int) -> OpCount:
+        entries = rows * self.kernels.nu
         return OpCount(mul=entries) + _sums(entries * columns)
 
-    def stage_columns(self, i: int, columns: int) -> OpCount:
-        """Return the count of the derivatives of a stage along so many columns."""
-        n = self.n
-        found = _sums(i * n * columns) + self._forcing(columns)
-        if self._is_explicit(i):
-            return found + OpCount(mul=n * n) + _sums(n * n * columns)
-        return found + OpCount(mul=1) + self.solve(columns) + OpCount(add=n * columns)
+    def stage_columns(self, block: int, columns: int) -> OpCount:
+        """Return the count of the derivatives of a block along so many columns."""
+        n, s = self.n, self.together
+        if self._is_explicit(block):
+            own = OpCount(mul=n * n) + _sums(n * n * columns)
+            return self._bases(block, columns) + self._forcing(columns, n) + own
+        forcing = self._forcing(columns, n) * s**2 + self._forcing(columns, self.nv - n) * s
+        found = self._bases(block, columns) + self._lengths + forcing
+        return found + self.solve(columns) + OpCount(add=s * n * columns)
 
     def all_columns(self, columns: int) -> OpCount:
         """Return the count of the derivatives of all stages of a step and of its end."""
-        return sum((self.stage_columns(i, columns) for i in self.stages), self.end(columns))
+        return sum((self.stage_columns(b, columns) for b in self.blocks), self.end(columns))
 
     def columns(self, columns: int) -> OpCount:
         """Return the count of an interval along so many columns."""
@@ -119,20 +141,23 @@ class Counts:
     def record(self) -> OpCount:
         return self.step * self.steps
 
-    def pull_stage(self, i: int, columns: int) -> OpCount:
-        """Return the count of the adjoint of a stage and of its controls."""
-        n, later = self.n, self.tableau.stages - 1 - i
-        found = OpCount(mul=n * columns) + _sums(later * n * columns)
-        if self._is_explicit(i):
+    def pull_stage(self, block: int, columns: int) -> OpCount:
+        """Return the count of the adjoint of a block and of its controls."""
+        n, s = self.n, self.together
+        later = self.tableau.stages - (block + 1) * s
+        found = OpCount(mul=s * n * columns) + _sums(s * later * n * columns)
+        if self._is_explicit(block):
             found += OpCount(mul=n * columns) + _sums(n * n * columns)
         else:
-            found += OpCount(mul=1 + n * columns, add=2 * n * columns) + self.solve(columns)
-        return found + OpCount(add=self.kernels.nu * columns) + _sums(n * self.kernels.nu * columns)
+            weighed = OpCount(mul=s * n * columns) + _sums(s * (s - 1) * n * columns)
+            found += self._lengths + OpCount(add=2 * s * n * columns) + self.solve(columns) + weighed
+        controls = OpCount(add=self.kernels.nu * columns) + _sums(self.nv * self.kernels.nu * columns)
+        return found + controls * s
 
     def pull(self, columns: int) -> OpCount:
         """Return the count of a step backward."""
         end = OpCount(add=self.tableau.stages * self.n * columns)
-        return sum((self.pull_stage(i, columns) for i in self.stages), end)
+        return sum((self.pull_stage(b, columns) for b in self.blocks), end)
 
     @property
     def adjoint(self) -> OpCount:
@@ -148,7 +173,7 @@ class Counts:
     @property
     def rate_gradients(self) -> OpCount:
         """Return the count of the gradients of the rate at the stages of a step."""
-        return (count_of(self.kernels.rate_gradient) + OpCount(mul=1 + self.nz)) * self.tableau.stages
+        return (count_of(self.kernels.rate_gradient) + OpCount(mul=1 + self.nv + self.kernels.nu)) * self.tableau.stages
 
     @property
     def integral_gradient(self) -> OpCount:
@@ -157,7 +182,7 @@ class Counts:
 
     @property
     def integral_product(self) -> OpCount:
-        rate = (count_of(self.kernels.rate_product) + OpCount(mul=1 + self.nz)) * self.tableau.stages
+        rate = (count_of(self.kernels.rate_product) + OpCount(mul=1 + self.nv + self.kernels.nu)) * self.tableau.stages
         forward = self.step + self.all_columns(1) + rate
         return OpCount(div=1, add=self.n) + (forward + self.pull(1)) * self.steps
 
@@ -174,7 +199,7 @@ class Counts:
         """Return the counts of the gradients of the rate in a step, and of what they add to g."""
         if self.kernels.rate_gradient is None:
             return NONE, NONE
-        return self.rate_gradients, _sums(self.nz**2) * self.tableau.stages
+        return self.rate_gradients, _sums((self.nv + self.kernels.nu) * self.nz) * self.tableau.stages
 
     @property
     def symmetric(self) -> OpCount:
@@ -189,6 +214,17 @@ class Counts:
         first = self.step + self.all_columns(self.nz) + gradients
         second = self.pull(1) + self._products * self.tableau.stages + self.pull(self.nz) + added
         return OpCount(div=1, add=self.nz * (self.nz + 1) // 2) + (first + second) * self.steps
+
+
+def factors_of(n: int) -> OpCount:
+    """Return the count of the factors of a matrix of n rows."""
+    pairs, inner = n * (n - 1) // 2, (n - 1) * n * (2 * n - 1) // 6
+    return OpCount(div=n, mul=2 * pairs + 2 * n, other=2 * pairs + 3 * n) + _sums(inner)
+
+
+def solution_of(n: int, columns: int) -> OpCount:
+    """Return the count of n equations with given factors and so many right sides."""
+    return _sums(columns * n * (n - 1)) + OpCount(mul=columns * n)
 
 
 def count_of(kernel: Kernel | None) -> OpCount:

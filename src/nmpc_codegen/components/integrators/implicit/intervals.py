@@ -20,6 +20,9 @@ from nmpc_codegen.package.opcount import OpCount
 #: Steps of Newton's method per stage, and what the last correction of a stage changes.
 NEWTON, LEFT = "newton", "left"
 
+#: Where Newton's method of algebraic variables starts at the beginning of an interval.
+START = "z"
+
 
 class Intervals:
     """The routines of one problem, scheme, number of steps per interval and of Newton's method per stage."""
@@ -28,16 +31,19 @@ class Intervals:
         self.problem, self.kernels = problem, StageKernels(problem)
         self.count = Counts(self.kernels, tableau, steps, newton)
         self.nx, self.nu, self.nz = problem.nx, problem.nu, problem.nx + problem.nu
+        self.na = self.kernels.na
         self.phi = f"x_next = Phi(x, u, p): {steps} {tableau.name} step{'s' if steps > 1 else ''} over dt"
         read = {port.name for kernel in self.kernels.all for port in kernel.reads}
         data = {"u": Slice("u", self.nu), "p": Slice("p", problem.np)}
-        self._data = tuple(s if name in read else "0" for name, s in data.items())
+        given = [s if name in read else "0" for name, s in data.items()]
+        self._data = (Slice(START, self.na) if self.na else "0", *given)
 
     # Parts -----------------------------------------------------------------------------------------------------------
 
     def _ports(self, length: str = "dt") -> tuple[Port, ...]:
         sizes = (("x", self.nx), ("u", self.nu), ("p", self.problem.np), (length, 1))
-        return (*(Port(name, size) for name, size in sizes), Port(NEWTON, 1, whole=True))
+        start = (Port(START, self.na),) if self.na else ()
+        return (*(Port(name, size) for name, size in sizes), *start, Port(NEWTON, 1, whole=True))
 
     def _call(
         self,

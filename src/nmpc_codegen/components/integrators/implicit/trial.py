@@ -1,15 +1,16 @@
-"""A diagonally implicit scheme in NumPy: what it does at points of the problem, before any C is written.
+"""An implicit scheme in NumPy: what it does at points of the problem, before any C is written.
 
 The same Newton steps from the same start as in templates/integrators/implicit, with f and its derivatives by CasADi.
 """
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
 
+from nmpc_codegen.components.integrators.implicit.stage_kernels import StageKernels
 from nmpc_codegen.components.integrators.tableau import ButcherTableau
 from nmpc_codegen.frontend.problem import Array, Problem
 from nmpc_codegen.frontend.scales import scales
@@ -30,21 +31,27 @@ class Trial:
     """A scheme for one problem."""
 
     def __init__(self, problem: Problem, tableau: ButcherTableau) -> None:
-        x, u, p = problem.path.x, problem.path.u, problem.path.p
-        f = ca.densify(problem.dynamics(x, u, p))
-        J = ca.densify(ca.jacobian(f, ca.vertcat(x, u)))
-        self._f, self._slopes = ca.Function("f", [x, u, p], [f]), ca.Function("J", [x, u, p], [f, J])
-        self.problem, self.nx = problem, problem.nx
-        self.size = scales(problem).z[: problem.nx]
-        self.a, self.b = (np.array(part, dtype=float) for part in (tableau.a, tableau.b))
+        kernels = StageKernels(problem)
+        given = [kernels.x, kernels.u, kernels.p]
+        J = ca.densify(ca.jacobian(kernels.f, kernels.z))
+        self._f, self._slopes = ca.Function("f", given, [kernels.f]), ca.Function("J", given, [kernels.f, J])
+        self.problem, self.nx, self.nv = problem, problem.nx, kernels.nv
+        self.start: Array = np.zeros(0)
+        if problem.algebra:
+            found = problem.algebra.found
+            self.start = np.where(np.isfinite(found), found, problem.algebra.start)
+        sizes = scales(problem).z[: problem.nx]
+        self.size, self.sizes = sizes, np.array([*sizes, *(problem.algebra.scale if problem.algebra else ())])
+        self.a, self.b, self.block = np.array(tableau.a, float), np.array(tableau.b, float), tableau.block
 
     def interval(self, x: Array, u: Array, p: Array, dt: float, steps: int, newton: int) -> End:
         """Integrate over dt; NaN where a stage cannot be solved."""
         nx, nz = self.nx, self.nx + self.problem.nu
         start, x, S, left = x, np.array(x, dtype=float), np.eye(nx, nz), np.zeros(nx)
+        point = np.concatenate([x, self.start])
         with np.errstate(all="ignore"):
             for _ in range(steps):
-                x, S, more = self._step(x, S, u, p, dt / steps, newton)
+                x, S, point, more = self._step(x, point, S, u, p, dt / steps, newton)
                 left += more
         if self.problem.jump is not None:
             rows = list(self.problem.maps)
@@ -52,47 +59,68 @@ class Trial:
             x[rows], S[rows] = value.full().ravel(), slopes.full()
         return End(x, S, left)
 
-    def _step(self, x: Array, S: Array, u: Array, p: Array, h: float, newton: int) -> tuple[Array, Array, Array]:
-        slopes: list[Array] = []
-        columns: list[Array] = []
-        left = np.zeros(self.nx)
-        forcing, X = np.zeros_like(S), x
-        for i, row in enumerate(self.a):
-            base = x + h * sum((row[j] * K for j, K in enumerate(slopes)), np.zeros_like(x))
-            moved = S + h * sum((row[j] * K for j, K in enumerate(columns)), np.zeros_like(S))
-            ha = h * row[i]
-            if not ha:
-                f, J = self._at(base, u, p)
-                forcing[:, self.nx :] = J[:, self.nx :]
-                slopes.append(f)
-                columns.append(J[:, : self.nx] @ moved + forcing)
+    def _step(
+        self, x: Array, point: Array, S: Array, u: Array, p: Array, h: float, newton: int
+    ) -> tuple[Array, Array, Array, Array]:
+        count, nx = len(self.b), self.nx
+        K, columns = np.zeros((count, nx)), np.zeros((count, *S.shape))
+        left, point = np.zeros(nx), np.concatenate([x, point[nx:]])
+        for first in range(0, count, self.block):
+            own = slice(first, first + self.block)
+            bases = x + h * self.a[own, :first] @ K[:first]
+            moved = S + h * np.tensordot(self.a[own, :first], columns[:first], 1)
+            A = h * self.a[own, own]
+            if not A.any():
+                f, J = self._at(bases[0], u, p)
+                K[first], point = f, bases[0]
+                columns[first] = J[:, :nx] @ moved[0]
+                columns[first][:, nx:] += J[:, nx:]
                 continue
-            X, J, M, more = self._solve(X, base, u, p, ha, newton)
+            X, Js, M, more = self._solve(np.tile(point, (self.block, 1)), bases, u, p, A, newton)
             left += more
-            forcing[:, self.nx :] = J[:, self.nx :]
-            slopes.append((X - base) / ha)
-            columns.append((_solve(M, moved + ha * forcing) - moved) / ha)
-        end = x + h * sum((b * K for b, K in zip(self.b, slopes, strict=True)), np.zeros_like(x))
-        return end, S + h * sum((b * K for b, K in zip(self.b, columns, strict=True)), np.zeros_like(S)), left
+            point = X[-1]
+            K[own] = _solve(A, X[:, :nx] - bases)
+            columns[own] = self._columns(Js, M, A, moved)
+        return x + h * self.b @ K, S + h * np.tensordot(self.b, columns, 1), point, left
+
+    def _columns(self, Js: Array, M: Array, A: Array, moved: Array) -> Array:
+        """Derivatives of the slopes of a block."""
+        nx, nv, block = self.nx, self.nv, self.block
+        rest = np.zeros((block, nv, moved.shape[-1]))
+        rest[:, :nx] = moved
+        rest[:, :nx, nx:] += np.tensordot(A, Js[:, :nx, nv:], 1)
+        rest[:, nx:, nx:] += Js[:, nx:, nv:]
+        Z = _solve(M, rest.reshape(block * nv, -1)).reshape(rest.shape)
+        return np.asarray(np.tensordot(_solve(A, np.eye(block)), Z[:, :nx] - moved, 1))
 
     def _at(self, X: Array, u: Array, p: Array) -> tuple[Array, Array]:
         f, J = self._slopes(X, u, p)
         return np.asarray(f, dtype=float).ravel(), np.asarray(J, dtype=float)
 
     def _solve(
-        self, X: Any, base: Array, u: Array, p: Array, ha: float, newton: int
+        self, X: Array, bases: Array, u: Array, p: Array, A: Array, newton: int
     ) -> tuple[Array, Array, Array, Array]:
-        """The point of a stage, derivatives and Newton matrix at the point before, and the last correction."""
+        """The points of a block, derivatives and Newton matrix at the points before, and the last corrections."""
+        nx, nv, block = self.nx, self.nv, self.block
+
+        def rest(f: Array) -> Array:
+            return np.hstack([X[:, :nx] - bases - A @ f[:, :nx], -f[:, nx:]]).ravel()
+
         for _ in range(newton):
-            f, J = self._at(X, u, p)
-            M = np.eye(self.nx) - ha * J[:, : self.nx]
-            change = _solve(M, X - base - ha * f)
+            f, Js = map(np.array, zip(*(self._at(each, u, p) for each in X), strict=True))
+            parts = np.zeros((block, nv, block, nv))
+            parts[:, :nx] = -np.einsum("ij,jrc->irjc", A, Js[:, :nx, :nv])
+            for i in range(block):
+                parts[i, :nx, i, :nx] += np.eye(nx)
+                parts[i, nx:, i] = -Js[i, nx:, :nv]
+            M = parts.reshape(block * nv, block * nv)
+            change = _solve(M, rest(f)).reshape(X.shape)
             X = X - change
-            if np.all(np.abs(change) <= ROUNDING * (self.size + np.abs(X))):
+            if np.all(np.abs(change) <= ROUNDING * (self.sizes + np.abs(X))):
                 break
-        f = np.asarray(self._f(X, u, p), dtype=float).ravel()
-        change = _solve(M, X - base - ha * f)
-        return X - change, J, M, np.abs(change)
+        f = np.array([np.asarray(self._f(each, u, p), dtype=float).ravel() for each in X])
+        change = _solve(M, rest(f)).reshape(X.shape)
+        return X - change, Js, M, np.sum(np.abs(change[:, :nx]), axis=0)
 
 
 def _solve(M: Array, b: Array) -> Array:

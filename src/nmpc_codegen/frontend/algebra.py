@@ -1,0 +1,83 @@
+"""Algebraic equations and implicit dynamics of an OCP, as stated: g(x, z, u, p) = 0, f(x', x, z, u, p) = 0."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import casadi as ca
+
+from nmpc_codegen.errors import ProblemError
+from nmpc_codegen.frontend.checks import duplicate, identifier, quote
+from nmpc_codegen.frontend.expressions import NODE, Dynamics
+from nmpc_codegen.frontend.statement import Element, Equation, Kind
+
+
+class Algebraic(Dynamics):
+    """An OCP as far as equations determine variables of it."""
+
+    def algebraic_equation(self, g: Any, *, name: str | None = None) -> None:
+        """State 0 = g(x, z, u, p), one scalar equation per algebraic variable, in one call or several.
+
+        The equations have to determine the algebraic variables: dg/dz is regular (index 1). They hold at every stage of
+        the integrator, and z of a node is that of its x, u and p; at node N, which has no control, of u_{N-1}.
+
+        Args:
+            g: column of expressions.
+            name: of the equations in messages; by default equation_i, several ones of a name are name[i].
+
+        Raises:
+            ProblemError: an expression contains a symbol that it may not, or a name is used twice.
+        """
+        self._add_equations(g, name, "algebraic_equation", "equation", NODE)
+
+    def implicit_dynamics(self, f: Any, *, name: str | None = None) -> None:
+        """State 0 = f(x', x, z, u, p) with x' = der(x), for states whose derivatives are not given by dynamics().
+
+        With the algebraic equations there are as many as such states and algebraic variables. A mass matrix M(x) is
+        implicit_dynamics(M @ ocp.der(v) - forces).
+
+        Args:
+            f: column of expressions, which may contain der() of states.
+            name: as for algebraic_equation(); by default implicit_i.
+
+        Raises:
+            ProblemError: as for algebraic_equation(), or the dynamics are a discrete map.
+        """
+        if self.dt is None or self.discrete:
+            raise ProblemError(f"implicit_dynamics: '{self.name}' is a discrete map, whose states have no derivatives")
+        self._add_equations(f, name, "implicit_dynamics", "implicit", (*NODE, "derivative"))
+        self._discrete = False
+
+    def der(self, x: Any) -> Any:
+        """The derivative of a state, SX of the shape of x, for implicit_dynamics().
+
+        Args:
+            x: symbol, name, or a column of symbols of states.
+        """
+        where, names = self._components(x, "der:"), self._state_names()
+        for i in where:
+            if i not in self.slopes:
+                self.slopes[i] = ca.SX.sym(f"der({names[i]})")
+                self._elements[self.slopes[i].element_hash()] = Element("derivative", i, f"der({names[i]})")
+        return ca.vertcat(*(self.slopes[i] for i in where))
+
+    def _add_equations(self, g: Any, name: str | None, call: str, word: str, kinds: tuple[Kind, ...]) -> None:
+        what = call if name is None else f"{call} {quote(name)}"
+        found = self._expression(g, what, kinds)
+        n, first = found.numel(), len(self.equations)
+        if not n:
+            raise ProblemError(f"{what}: the expression is empty")
+        if name is None:
+            names = [f"{word}_{first + i}" for i in range(n)]
+        else:
+            identifier(name, what)
+            names = [name] if n == 1 else [f"{name}[{i}]" for i in range(n)]
+        if clash := duplicate([*(e.name for e in self.equations), *names]):
+            raise ProblemError(f"{what}: an equation is called '{clash[1]}' already; give another name=")
+        for i, equation in enumerate(names):
+            if not self._kinds(found[i]) & {"algebraic", "derivative"}:
+                raise ProblemError(
+                    f"{what}: '{equation}' contains no algebraic variable and no derivative, so that it determines "
+                    "nothing: index 2 or higher; differentiate it with respect to time until it contains one"
+                )
+        self.equations.extend(map(Equation, names, ca.vertsplit(found)))

@@ -1,0 +1,249 @@
+"""Algebraic equations and implicit dynamics solved as far as expressions can: what remains is left to Newton's method.
+
+    0 = r(v; x, u, p),   v: algebraic variables and derivatives of states that are not stated
+
+A permutation brings dr/dv to block triangular form (Duff and Reid, ACM Trans. Math. Softw. 4, 1978). A block that is
+linear in its own variables is eliminated; the variables of the others are those of Newton's method, and all of their
+equations are solved together.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from nmpc_codegen.errors import ProblemError
+from nmpc_codegen.frontend.problem import Array
+from nmpc_codegen.frontend.statement import Equation
+from nmpc_codegen.ir.casadi_types import Expression
+from nmpc_codegen.package.signals import list_some
+
+#: A pivot below this, relative to the largest entry of its row, is a rounding error.
+SINGULAR = 1e-12
+#: Newton steps at the first plan, and halvings of each, at most; size of a step that is rounding, relative to v.
+STEPS, HALVINGS, ROUNDING = 50, 12, 1e-13
+
+
+@dataclass(frozen=True, eq=False)
+class Unknown:
+    """A scalar v_i that the equations determine."""
+
+    symbol: Any
+    name: str
+    initial: float
+
+
+@dataclass(frozen=True, eq=False)
+class Solved:
+    """``values``: every unknown in the given symbols and those of ``newton``, positions among the unknowns of what
+    Newton's method solves for; ``rest``: their equations. ``at``: values of all unknowns at the first plan; NaN where
+    Newton's method finds none there."""
+
+    values: tuple[Any, ...]
+    newton: tuple[int, ...]
+    rest: Any
+    at: Array
+
+
+def solve_equations(
+    unknowns: Sequence[Unknown], equations: Sequence[Equation], given: Sequence[tuple[Any, Array]]
+) -> Solved:
+    """Eliminate what is linear; ``given``: the other symbols with their values at the first plan.
+
+    Raises:
+        ProblemError: there are more or fewer equations than unknowns, or they do not determine them (index 2).
+    """
+    _check_count(unknowns, equations)
+    v, r = ca.vertcat(*(each.symbol for each in unknowns)), ca.vertcat(*(e.expression for e in equations))
+    pattern = ca.sparsify(ca.jacobian(r, v)).sparsity()
+    matched = _match(pattern)
+    if len(matched) < len(unknowns):
+        raise ProblemError(_of_structure(pattern, matched, unknowns, equations))
+    values: list[Any] = [each.symbol for each in unknowns]
+    newton: list[int] = []
+    left: list[int] = []
+    at = np.array([each.initial for each in unknowns])
+    for rows, columns in _blocks(pattern):
+        block = ca.substitute(r[rows], v, ca.vertcat(*values))
+        own = v[columns]
+        here, rows_of = [unknowns[c] for c in columns], [equations[i] for i in rows]
+        order = _pivots(_slopes(block, own, v, given, at), here, rows_of)
+        J = ca.jacobian(block, own)
+        if not ca.depends_on(J, own):
+            found = _eliminate(J, -ca.substitute(block, own, ca.SX.zeros(len(columns))), order)
+            for place, value in zip(columns, ca.vertsplit(found), strict=True):
+                values[place] = value
+        else:
+            newton += columns
+            left += rows
+        at[columns] = _solve_here(block, own, v, given, at, columns)
+        _pivots(_slopes(block, own, v, given, at), here, rows_of)
+    rest = ca.substitute(r[left], v, ca.vertcat(*values)) if left else ca.SX(0, 1)
+    return Solved(tuple(values), tuple(newton), rest, at)
+
+
+def _check_count(unknowns: Sequence[Unknown], equations: Sequence[Equation]) -> None:
+    if len(unknowns) != len(equations):
+        names, of = list_some([each.name for each in unknowns]), list_some([e.name for e in equations]) or "none"
+        raise ProblemError(
+            f"{len(equations)} algebraic equations ({of}) for {len(unknowns)} variables ({names}); expected one scalar "
+            "equation per variable: ocp.algebraic_equation(g), or ocp.implicit_dynamics(f) for derivatives"
+        )
+
+
+# Structure -----------------------------------------------------------------------------------------------------------
+
+
+def _match(pattern: Any) -> dict[int, int]:
+    """column -> row of a largest matching, by augmenting paths."""
+    n = pattern.size2()
+    rows: list[list[int]] = [[] for _ in range(n)]
+    for i, j in zip(*pattern.get_triplet(), strict=True):
+        rows[j].append(i)
+    of_row: dict[int, int] = {}
+
+    def augment(j: int, seen: set[int]) -> bool:
+        for i in rows[j]:
+            if i not in seen:
+                seen.add(i)
+                if i not in of_row or augment(of_row[i], seen):
+                    of_row[i] = j
+                    return True
+        return False
+
+    for j in range(n):
+        augment(j, set())
+    return {j: i for i, j in of_row.items()}
+
+
+def _of_structure(
+    pattern: Any, matched: dict[int, int], unknowns: Sequence[Unknown], equations: Sequence[Equation]
+) -> str:
+    """Which variable has no equation of its own, and which equation is left over."""
+    j = next(j for j in range(len(unknowns)) if j not in matched)
+    extra = next(e.name for i, e in enumerate(equations) if i not in matched.values())
+    entries = list(zip(*pattern.get_triplet(), strict=True))
+    where = [equations[i].name for i, column in entries if column == j]
+    occurs = f"occurs in {list_some(where)} alone, which determine others" if where else "occurs in no equation"
+    return (
+        f"'{unknowns[j].name}' {occurs}, and '{extra}' determines nothing new: index 2 or higher; differentiate "
+        f"'{extra}' with respect to time until it contains '{unknowns[j].name}', and state that instead"
+    )
+
+
+def _blocks(pattern: Any) -> Iterator[tuple[list[int], list[int]]]:
+    """(rows, columns) of the diagonal blocks, in an order in which each depends on earlier ones alone."""
+    count, row, column, first, first_column, *_ = pattern.btf()
+    blocks = [
+        (sorted(row[first[b] : first[b + 1]]), sorted(column[first_column[b] : first_column[b + 1]]))
+        for b in range(count)
+    ]
+    needs: dict[int, set[int]] = {}
+    for i, j in zip(*pattern.get_triplet(), strict=True):
+        needs.setdefault(i, set()).add(j)
+    known: set[int] = set()
+    while blocks:
+        ready = next(b for b in blocks if set().union(*(needs[i] for i in b[0])) <= known | set(b[1]))
+        blocks.remove(ready)
+        known |= set(ready[1])
+        yield ready
+
+
+# Linear blocks -------------------------------------------------------------------------------------------------------
+
+
+def _pivots(J: Array, unknowns: Sequence[Unknown], equations: Sequence[Equation]) -> list[int]:
+    """The row of every pivot, by partial pivoting at the first plan; as they are where it has no finite numbers.
+
+    Raises:
+        ProblemError: the equations of a block do not determine its variables there.
+    """
+    rows = list(range(len(J)))
+    if not np.all(np.isfinite(J)):
+        return rows
+    A = J / np.where((size := np.max(np.abs(J), axis=1, keepdims=True)) > 0, size, 1.0)
+    for j in rows.copy():
+        best = j + int(np.argmax(np.abs(A[j:, j])))
+        if abs(A[best, j]) <= SINGULAR:
+            raise ProblemError(
+                f"'{unknowns[j].name}' is not determined at the first plan: the derivatives of "
+                f"{', '.join(repr(equations[i].name) for i in rows[j:])} with respect to it are 0 there, or those with "
+                "respect to other variables make up for them: index 2, or a singular point; differentiate such an "
+                "equation with respect to time, or give other initial= values"
+            )
+        A[[j, best]], rows[j], rows[best] = A[[best, j]], rows[best], rows[j]
+        A[j + 1 :] -= np.outer(A[j + 1 :, j] / A[j, j], A[j])
+    return rows
+
+
+def _eliminate(J: Expression, right: Expression, order: Sequence[int]) -> Expression:
+    """J^-1 right, by elimination with these rows as pivots; up to two unknowns by determinants, which need none."""
+    n = J.shape[0]
+    if n == 2:
+        det = J[0, 0] * J[1, 1] - J[0, 1] * J[1, 0]
+        return ca.vertcat(J[1, 1] * right[0] - J[0, 1] * right[1], J[0, 0] * right[1] - J[1, 0] * right[0]) / det
+    rows = [{j: J[i, j] for j in range(n) if J[i, j].nnz()} for i in order]
+    values = [right[i] for i in order]
+    for j in range(n):
+        for i in range(j + 1, n):
+            if j not in rows[i]:
+                continue
+            factor = rows[i].pop(j) / rows[j][j]
+            for c, value in rows[j].items():
+                if c > j:
+                    rows[i][c] = rows[i].get(c, ca.SX(0)) - factor * value
+            values[i] = values[i] - factor * values[j]
+    for i in reversed(range(n)):
+        for c, value in rows[i].items():
+            if c > i:
+                values[i] = values[i] - value * values[c]
+        values[i] = values[i] / rows[i][i]
+    return ca.vertcat(*values)
+
+
+# The first plan ------------------------------------------------------------------------------------------------------
+
+
+def _evaluate(block: Any, own: Any, v: Any, given: Sequence[tuple[Any, Array]], at: Array) -> tuple[Array, Array]:
+    """Residuals and Jacobian of a block at the first plan."""
+    symbols = [v, *(symbol for symbol, _ in given)]
+    f = ca.Function("block", symbols, [ca.densify(block), ca.densify(ca.jacobian(block, own))])
+    value, J = f(at, *(value for _, value in given))
+    return np.asarray(value, dtype=float).ravel(), np.asarray(J, dtype=float)
+
+
+def _slopes(block: Any, own: Any, v: Any, given: Sequence[tuple[Any, Array]], at: Array) -> Array:
+    return _evaluate(block, own, v, given, at)[1]
+
+
+def _solve_here(
+    block: Any, own: Any, v: Any, given: Sequence[tuple[Any, Array]], at: Array, columns: Sequence[int]
+) -> Array:
+    """The variables of a block at the first plan by damped Newton steps; NaN if they are not found."""
+    point = at.copy()
+    with np.errstate(all="ignore"):
+        for _ in range(STEPS):
+            r, J = _evaluate(block, own, v, given, point)
+            if not (np.all(np.isfinite(r)) and np.all(np.isfinite(J))):
+                break
+            try:
+                step = -np.linalg.solve(J, r)
+            except np.linalg.LinAlgError:
+                break
+            size = np.max(np.abs(step) / (1 + np.abs(point[columns])))
+            if size <= ROUNDING:
+                return np.asarray(point[columns] + step)
+            length = 1.0
+            for _ in range(HALVINGS):
+                trial = point.copy()
+                trial[columns] += length * step
+                rest = np.linalg.solve(J, _evaluate(block, own, v, given, trial)[0])
+                if np.max(np.abs(rest) / (1 + np.abs(point[columns]))) <= (1 - length / 2) * size:
+                    break
+                length /= 2
+            point[columns] += length * step
+    return np.full(len(columns), np.nan)
