@@ -17,11 +17,61 @@ static void interval_value(const solver_t *s, int k, real_t *x_next)
     interval_leaving(s, k, x_next, left);
 }
 
-/* Names the stage at which an evaluation of the plan fails: interval, step, stage, and the state whose column of the
- * Newton matrix has no pivot or, with NX added, the one that does not converge; -1: none fails. */
+#if NALG
+/* The algebraic variables at the declared start. */
+static void forget_algebraic(solver_t *s)
+{
+    for (int k = 0; k <= N; k++) {
+        memcpy(s->z[k], algebraic_start, sizeof s->z[k]);
+    }
+}
+
+/* The algebraic variables of node k at (x, u), in the point (x, z). Returns -1, or why Newton's method fails. */
+static int algebraic_of_node(const solver_t *s, int k, const real_t *x, const real_t *u, real_t *point)
+{
+    real_t M[NALG][NALG];
+    int order[NALG];
+    memcpy(point, x, NX * sizeof *x);
+    return find_algebraic(point, s->z[k], u, (k < N) ? PARAM(s, k) : PARAM_N(s), M, order);
+}
+
+/* The algebraic variables follow the plan: Newton's method starts there in what is evaluated next. */
+static void follow_algebraic(solver_t *s)
+{
+    for (int k = 0; k <= N; k++) {
+        real_t point[NXA];
+        const int reason = algebraic_of_node(s, k, s->x[k], s->u[(k < N) ? k : N - 1], point);
+        memcpy(s->z[k], (reason < 0) ? point + NX : algebraic_start, sizeof s->z[k]);
+    }
+}
+
+/* Names the node at which the equations have no solution. Returns 1 if there is one. */
+static int name_failed_node(solver_t *s)
+{
+    for (int k = 0; k < N; k++) {
+        real_t point[NXA];
+        const int reason = algebraic_of_node(s, k, s->x[k], s->u[k], point);
+        if (reason >= 0) {
+            s->failed_interval = (int32_t)k;
+            s->failed_state = (int32_t)((reason < NALG) ? NX + reason : NXA + NX + reason - NALG);
+            return 1;
+        }
+    }
+    return 0;
+}
+#endif
+
+/* Names the stages at which an evaluation of the plan fails: interval, step, block of stages[if NALG > 0:, the last two
+ * -1 for equations of a node], and the variable whose column of the Newton matrix has no pivot or, with NXA added, the
+ * one that does not converge; -1: none fails. */
 static void name_failed_stage(solver_t *s, status_t status)
 {
     s->failed_interval = s->failed_step = s->failed_stage = s->failed_state = -1;
+#if NALG
+    if (status == NUMERICAL_FAILURE && name_failed_node(s)) {
+        return;
+    }
+#endif
     for (int k = 0; status == NUMERICAL_FAILURE && k < N; k++) {
         real_t failure[3];
         INTEGRATOR_FAILURE(s, k, failure);

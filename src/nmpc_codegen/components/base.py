@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal, Protocol, Self, get_ar
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.ir.tuning import PANEL
 from nmpc_codegen.package.opcount import OpCount
+from nmpc_codegen.package.signals import list_some
 
 if TYPE_CHECKING:
     from nmpc_codegen.components.stage_cost import StageCosts
@@ -36,6 +37,9 @@ Seam = Literal["integrator", "hessian", "condensing", "qp", "algorithm"]
 
 SEAMS: tuple[Seam, ...] = get_args(Seam)
 
+#: Of variables that Newton's method solves for.
+NONLINEAR = "nonlinear algebraic equations"
+
 #: What a problem may use beyond the core (``Problem.uses``). A component supports all of it but what it takes away: who
 #: adds a use takes it away where it is not supported.
 EVERY_USE = frozenset(
@@ -51,6 +55,7 @@ EVERY_USE = frozenset(
         "blocks of controls",
         "time",
         "discrete states",
+        NONLINEAR,
     }
 )
 
@@ -486,7 +491,8 @@ def refuse_unsupported(
     for component in components:
         missing = sorted(problem.uses - component.supports)
         if missing:
-            named = ", ".join(r.name for r in problem.rows if any(_uses(r, use) for use in missing))
+            of_rows = [r.name for r in problem.rows if any(_uses(r, use) for use in missing)]
+            named = list_some([*of_rows, *(problem.newton_names if NONLINEAR in missing else ())])
             where = f" ({named})" if named else ""
             able = [spell(c) for c in registries[component.seam].values() if c.supports.issuperset(missing)]
             offer = f"choose {' or '.join(able)}" if able else f"no {component.seam} of this version does"

@@ -356,5 +356,6 @@ def _uses(ocp: OCP, rows: tuple[Row, ...]) -> frozenset[str]:
         "general cost": bool(ocp.costs),
         "integrated cost": any(c.integrate for c in ocp.costs),
         "accumulators": bool(ocp.accumulators),
+        "nonlinear algebraic equations": bool(ocp.node_data.numel()),
     }
     return frozenset(name for name, is_used in used.items() if is_used)

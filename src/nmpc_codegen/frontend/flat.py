@@ -78,5 +78,8 @@ def _diagonal(stage: Stage, problem: Problem, z: Array) -> Array:
     start = np.concatenate([problem.x_initial, np.zeros(problem.nu)])[: v.numel()]
     random = np.random.default_rng(0)
     points = [start, *(z[: v.numel()] * random.uniform(-1, 1, v.numel()) for _ in range(POINTS))]
-    found = [np.abs(np.asarray(at(point, problem.p_value, max(problem.dt))).ravel()) for point in points]
+    nx, found = problem.nx, []
+    for point in points:
+        values = problem.node_values(point[:nx], point[nx:]) if stage.nu else problem.end_values(point)
+        found.append(np.abs(np.asarray(at(point, values, max(problem.dt))).ravel()))
     return np.asarray(np.nan_to_num(np.max(found, axis=0), nan=np.inf))

@@ -17,7 +17,7 @@ import numpy as np
 
 from nmpc_codegen.errors import ProblemError, warn
 from nmpc_codegen.frontend.ocp import OCP
-from nmpc_codegen.frontend.problem import Array, Inner, Problem, Row, Signal, Stage, symbols
+from nmpc_codegen.frontend.problem import Algebra, Array, Inner, Problem, Row, Signal, Stage, symbols
 from nmpc_codegen.frontend.scales import Scales, scales
 from nmpc_codegen.ir.casadi_types import Expression, Function, elements
 
@@ -176,13 +176,17 @@ def _with_interval_before(problem: Problem, sampling_time: float | None) -> Prob
         data = problem.node_data.copy()
         data[0, -1] = period
         return replace(problem, node_data=data)
-    fewer = problem.np - 1
+    fewer, last = int(problem.path.p.numel()) - 1, problem.np - 1
+
+    def complete(p: Expression) -> Expression:
+        """The parameters with the length of the interval before, which is in front of what Newton's method finds."""
+        return ca.vertcat(p[:last], period, p[last:])
 
     def stage(old: Stage) -> Stage:
         p = ca.SX.sym("p", fewer)
 
         def reduce(value: Expression) -> Expression:
-            return ca.densify(ca.substitute(value, old.p, ca.vertcat(p, period)))
+            return ca.densify(ca.substitute(value, old.p, complete(p)))
 
         return replace(
             old,
@@ -198,14 +202,28 @@ def _with_interval_before(problem: Problem, sampling_time: float | None) -> Prob
     return replace(
         problem,
         parameters=problem.parameters[:-1],
-        dynamics=_function("f", [x, u, p], [problem.dynamics(x, u, ca.vertcat(p, period))]),
+        dynamics=_function("f", [x, u, p], [problem.dynamics(x, u, complete(p))]),
         start=stage(problem.start),
         path=stage(problem.path),
         terminal=stage(problem.terminal),
         inner=replace(problem.inner, interval=False),
-        jump=None if jump is None else _function("g", [x, u, p, dt], [jump(x, u, ca.vertcat(p, period), dt)]),
+        jump=None if jump is None else _function("g", [x, u, p, dt], [jump(x, u, complete(p), dt)]),
         node_data=problem.node_data[:, :-1],
+        algebra=_with_period(problem, period),
     )
+
+
+def _with_period(problem: Problem, period: float) -> Algebra | None:
+    """The algebraic variables with a fixed length of the interval before, the last parameter."""
+    if problem.algebra is None:
+        return None
+    x, u, p, _ = symbols(problem.nx, problem.nu, problem.np - 1)
+    z = ca.SX.sym("z", problem.algebra.size)
+    values, equations = (
+        ca.Function("of_z", [x, u, p, z], [f(x, u, ca.vertcat(p, period), z)])
+        for f in (problem.algebra.values, problem.algebra.equations)
+    )
+    return replace(problem.algebra, values=values, equations=equations)
 
 
 #: Names of states that are meant to be controls of the node before.

@@ -32,6 +32,8 @@ from nmpc_codegen.package.signals import c_identifier as c_identifier
 
 Array = NDArray[np.float64]
 
+#: Newton steps for algebraic variables at most, the shortest one, and a step that is rounding, relative to its size.
+NEWTON_STEPS, SHORTEST, ROUNDING = 50, 1e-4, 1e-13
 #: Elements with a range up to which all corners are looked at.
 MOST_RANGES = 4
 #: Elements, (signal, position, ends of the range), with a value each.
@@ -201,12 +203,45 @@ class Problem:
 
     def refuse_inner(self, what: str) -> None:
         """Raise ProblemError if ``what`` would meet states that it does not know."""
-        found = sorted({"previous controls", "time", "discrete states"} & self.uses)
+        unknown = {"previous controls", "time", "discrete states", "nonlinear algebraic equations"}
+        found = sorted(unknown & self.uses)
         if found:
             raise ProblemError(
                 f"{what}: '{self.name}' has {', '.join(found)}, for which it is not made; expected a problem of states "
                 "and controls alone, as with terminal_least_squares() in the place of lqr_terminal_cost()"
             )
+
+    @property
+    def algebraic_names(self) -> tuple[str, ...]:
+        """The algebraic variables of the user."""
+        return tuple(e for s in self.algebra.signals for e in s.elements) if self.algebra else ()
+
+    @cached_property
+    def _solution(self) -> Function:
+        """(x, u, p, z) -> r, dr/dz of the algebraic equations."""
+        assert self.algebra is not None
+        x, u, p, _ = symbols(self.nx, self.nu, self.np)
+        z = ca.SX.sym("z", self.algebra.size)
+        r = self.algebra.equations(x, u, p, z)
+        return ca.Function("solution", [x, u, p, z], [r, ca.densify(ca.jacobian(r, z))])
+
+    def node_values(self, x: Array, u: Array, p: Array | None = None) -> Array:
+        """What expressions of a node read in place of p: parameters, by default the declared ones, and behind them z
+        and W at (x, u), where Newton's method starts from z at the first plan; NaN where it finds none."""
+        p = self.p_value if p is None else p
+        if self.algebra is None or not self.solved:
+            return p
+        z, size = solve_algebraic(self._solution, self.algebra, (x, u, p)), self.algebra.size
+        J = np.asarray(self._solution(x, u, p, z)[1], dtype=float)
+        W = -np.linalg.inv(J) if np.all(np.isfinite(J)) and np.linalg.det(J) else np.full((size, size), np.nan)
+        return np.concatenate([p, z, W.ravel()])
+
+    def end_values(self, x: Array, p: Array | None = None) -> Array:
+        """The same at node N, with the controls of the node before."""
+        u = np.zeros(self.nu)
+        for j, place in self.inner.places.items():
+            u[j] = x[self.measured + place]
+        return self.node_values(x, u, p)
 
     @property
     def newton_names(self) -> tuple[str, ...]:
@@ -217,7 +252,7 @@ class Problem:
     def jump_slopes(self) -> Function:
         """(x, u, p, dt) -> the values of ``jump`` and their derivatives with respect to (x, u)."""
         assert self.jump is not None
-        x, u, p, dt = symbols(self.nx, self.nu, self.np)
+        x, u, p, dt = symbols(self.nx, self.nu, self.np + self.solved)
         value = ca.densify(self.jump(x, u, p, dt))
         return ca.Function("jump_slopes", [x, u, p, dt], [value, ca.jacobian(value, ca.vertcat(x, u))])
 
@@ -380,6 +415,37 @@ class Problem:
 
 def _in_words(corner: Corner) -> str:
     return ", ".join(f"{signal.elements[i]} = {value:g}" for (signal, i, _), value in corner)
+
+
+def solve_algebraic(equations: Function, algebra: Algebra, at: tuple[Array, Array, Array]) -> Array:
+    """z where r(x, u, p, z) = 0, by Newton steps that are halved until the next one is shorter; NaN if there is none.
+
+    ``equations``: (x, u, p, z) -> r, dr/dz.
+    """
+    size = np.array(algebra.scale)
+    z = np.where(np.isfinite(algebra.found), algebra.found, algebra.start)
+
+    def evaluate(z: Array) -> tuple[Array, Array]:
+        r, J = equations(*at, z)
+        return np.asarray(r, dtype=float).ravel(), np.asarray(J, dtype=float)
+
+    with np.errstate(all="ignore"):
+        for _ in range(NEWTON_STEPS):
+            r, J = evaluate(z)
+            if not np.all(np.isfinite(J)) or not np.linalg.det(J):
+                break
+            step = np.linalg.solve(J, r)
+            change = np.max(np.abs(step) / (size + np.abs(z)), initial=0.0)
+            if change <= ROUNDING:
+                return np.asarray(z - step)
+            length = 1.0
+            while length > SHORTEST:
+                rest = np.linalg.solve(J, evaluate(z - length * step)[0])
+                if np.max(np.abs(rest) / (size + np.abs(z))) <= (1 - length / 2) * change:
+                    break
+                length /= 2
+            z = z - length * step
+    return np.full(len(z), np.nan)
 
 
 def symbols(nx: int, nu: int, np_: int) -> tuple[Expression, Expression, Expression, Expression]:

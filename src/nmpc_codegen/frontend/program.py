@@ -25,11 +25,11 @@ LONGEST = 100
 
 def program(problem: Problem) -> Program:
     """Rows, operations with an edge, their operands and the parts of the problem that they occur in."""
-    x, u, p, dt = symbols(problem.nx, problem.nu, problem.np)
+    x, u, p, dt = symbols(problem.nx, problem.nu, problem.np + problem.solved)
     rows = list(_general_rows(problem, x, u, p))
     parts = [*_parts(problem, x, u, p, dt), *((quantity, value) for quantity, value, _ in rows)]
     function = ca.Function("parts", [x, u, p, dt], [ca.densify(ca.vertcat(*(e for _, e in parts)))])
-    ports = [Port("x", problem.nx), Port("u", problem.nu), Port("p", problem.np), Port("dt", 1)]
+    ports = [Port("x", problem.nx), Port("u", problem.nu), Port("p", problem.np + problem.solved), Port("dt", 1)]
     kernel = lift(function, "parts", "", ports, [Port("value", len(parts))])
     suspects = [i for i, ins in enumerate(kernel.instructions) if _name(ins) in EDGES]
     value_of = {element: value for _, element, value in kernel.stores}
@@ -144,7 +144,9 @@ _WRITTEN = {ca.OP_SQ: "{0}**2", ca.OP_TWICE: "2 * {0}"}
 
 def _texts(kernel: Kernel, problem: Problem) -> list[str]:
     """Every value as a text in the user's names; long ones are cut."""
-    names = (problem.state_names, problem.control_names, problem.parameter_names, ("dt",))
+    slopes = tuple(f"d({name})" for name in problem.newton_names for _ in problem.newton_names)
+    data = (*problem.parameter_names, *problem.newton_names, *slopes)
+    names = (problem.state_names, problem.control_names, data, ("dt",))
     texts: list[str] = []
     for ins in kernel.instructions:
         if ins.opcode == ca.OP_INPUT:

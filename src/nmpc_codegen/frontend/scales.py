@@ -112,12 +112,11 @@ def responses(problem: Problem) -> tuple[Array, Array]:
     """(nx, nu) each: the change of a state at the first node, and the largest one over the horizon, by a control that
     changes by 1 at its beginning, in the linear model at the initial state without its exponential growth."""
     nx, nu = problem.nx, problem.nu
-    x, u, p, _ = symbols(nx, nu, problem.np)
+    x, u, p, _ = symbols(nx, nu, problem.np + problem.solved)
     slopes = ca.densify(ca.jacobian(problem.dynamics(x, u, p), ca.vertcat(x, u)))
     at = ca.Function("slopes", [x, u, p], [slopes])
-    S = np.array(at(problem.x_initial, _reference_controls(problem, problem.path), problem.p_value)).reshape(
-        nx, nx + nu
-    )
+    at_start = problem.x_initial, _reference_controls(problem, problem.path)
+    S = np.array(at(*at_start, problem.node_values(*at_start))).reshape(nx, nx + nu)
     first, most, dx = np.zeros((nx, nu)), np.zeros((nx, nu)), np.zeros((nx, nu))
     jumps = _jump_slopes(problem)
     if not (np.all(np.isfinite(S)) and np.all(np.isfinite(jumps))):
@@ -167,6 +166,13 @@ def _reference_controls(problem: Problem, stage: Stage) -> Array:
     return np.array([problem.path.reference[i] if i >= 0 else 0.0 for i in problem.control_reference])
 
 
+def _data(problem: Problem, stage: Stage) -> Array:
+    """What expressions of a stage read in place of p at the initial state and the references of the controls."""
+    if not stage.nu:
+        return problem.end_values(problem.x_initial)
+    return problem.node_values(problem.x_initial, _reference_controls(problem, stage))
+
+
 # Terms ---------------------------------------------------------------------------------------------------------------
 
 
@@ -200,7 +206,7 @@ def _terms(expression: Expression, stage: Stage, problem: Problem, z: Array) -> 
     """(constant part, size of the other terms) of every element of an expression of a stage."""
     u = _reference_controls(problem, stage)
     sizes = [z[: problem.nx], z[problem.nx :] if stage.nu else np.zeros(0)]
-    given = [problem.p_value, np.array([max(problem.dt)])]
+    given = [_data(problem, stage), np.array([max(problem.dt)])]
     symbols_ = [stage.x, stage.u, stage.p, stage.dt]
     return _magnitudes(expression, symbols_, sizes, [problem.x_initial, u, *given])
 
@@ -234,7 +240,7 @@ def _curvature(cost: Expression, stage: Stage, problem: Problem) -> Array:
     z = ca.vertcat(stage.x, stage.u)
     at = ca.Function("bend", [stage.x, stage.u, stage.p, stage.dt], [ca.densify(ca.diag(ca.hessian(cost, z)[0]))])
     u = _reference_controls(problem, stage)
-    found = np.abs(np.asarray(at(problem.x_initial, u, problem.p_value, max(problem.dt))).ravel())
+    found = np.abs(np.asarray(at(problem.x_initial, u, _data(problem, stage), max(problem.dt))).ravel())
     return np.where(np.isfinite(found), found, 0.0)
 
 
@@ -243,7 +249,7 @@ def _slopes(stage: Stage, problem: Problem) -> Array:
     z = ca.vertcat(stage.x, stage.u)
     at = ca.Function("slopes", [stage.x, stage.u, stage.p], [ca.densify(ca.jacobian(stage.y, z))])
     u = _reference_controls(problem, stage)
-    found = np.asarray(at(problem.x_initial, u, problem.p_value)).reshape(stage.ny, z.numel())
+    found = np.asarray(at(problem.x_initial, u, _data(problem, stage))).reshape(stage.ny, z.numel())
     return np.where(np.isfinite(found), found, 0.0)
 
 

@@ -119,7 +119,8 @@ class ModelFunctions:
     ``start``: the cost of node 0 in addition to that of the path. Its Hessian block and ``initial``, that of the
     coupled rows, are added to the first block of the path. ``coupled``: r(x_0, x_N) and its Jacobians. ``exact``:
     path_exact, terminal_exact, start_exact and initial_exact, the exact Hessian of solve() where samples have another.
-    ``previous``: number of the last states that are controls of the node before.
+    ``previous``: number of the last states that are controls of the node before. ``algebraic``: (x, u, p) -> algebraic
+    variables, where x of a stage ends with those that Newton's method solves for.
     """
 
     interval: Interval
@@ -130,6 +131,7 @@ class ModelFunctions:
     coupled: Routine | None
     exact: tuple[Routine, ...] = ()
     previous: int = 0
+    algebraic: Kernel | None = None
 
     @property
     def routines(self) -> tuple[Routine, ...]:
@@ -153,7 +155,7 @@ class ModelFunctions:
                 *(terminal.cost, terminal.gradient, terminal.hessian, terminal.curvature, terminal.product),
                 *(self.start.cost, self.start.gradient, self.start.hessian, self.initial),
                 *(*along_intervals, self.interval.curved, *self.exact),
-                *(path.rows, terminal.rows, self.coupled),
+                *(path.rows, terminal.rows, self.coupled, self.algebraic),
             )
         )
 

@@ -248,7 +248,7 @@ def _warnings(problem: Problem, program: Program, second: bool, given: bool = Fa
 def _not_finite(problem: Problem, program: Program, second: bool, x: Array, u: Array, given: bool) -> Iterator[str]:
     """``given``: operations count of which parameters alone decide whether they are inside their domain."""
     nodes = problem.N + 1
-    plan = (np.tile(x, (nodes, 1)), np.tile(u, (problem.N, 1)), np.tile(problem.p_value, (nodes, 1)))
+    plan = (np.tile(x, (nodes, 1)), np.tile(u, (problem.N, 1)), np.tile(problem.node_values(x, u), (nodes, 1)))
     found = [finding for finding in locate(program, *plan, second) if given or not finding.given]
     for text in in_words(found):
         yield f"{NOT_FINITE}: {text}"
@@ -270,7 +270,8 @@ def _end_time(problem: Problem, x: Array, u: Array) -> Iterator[str]:
         for states, controls, parameters in draws:
             z, p = states.copy(), parameters.copy()
             (z if kind == "state" else p)[i] = value
-            rate, influence = (np.asarray(v, dtype=float) for v in slopes(z, controls, p, problem.dt[0]))
+            values = problem.node_values(z, controls, p)
+            rate, influence = (np.asarray(v, dtype=float) for v in slopes(z, controls, values, problem.dt[0]))
             found.append((rate.ravel() - (z if problem.discrete else 0), influence))
         return np.array([rate for rate, _ in found]), np.array([influence for _, influence in found])
 
@@ -307,7 +308,9 @@ def _without_influence(problem: Problem, x: Array, u: Array) -> Iterator[str]:
     curvature = sum(
         (ca.hessian(part, problem.path.u)[0] for part in _costs(problem.path)), ca.SX(problem.nu, problem.nu)
     )
-    H = np.asarray(_function(problem.path, [ca.densify(curvature)])(x, u, problem.p_value, problem.dt[0]), dtype=float)
+    H = np.asarray(
+        _function(problem.path, [ca.densify(curvature)])(x, u, problem.node_values(x, u), problem.dt[0]), dtype=float
+    )
     for j in np.flatnonzero(moves & ~at_plan & ~np.any(H, axis=1)):
         name = problem.control_names[j]
         yield (
@@ -331,7 +334,8 @@ def _movable(problem: Problem, x: Array, u: Array) -> tuple[Marks, Marks]:
         for k in range(DRAWN):
             state = np.where(moved, _draw(x)[k], x)
             control = np.where(moves, u + _noise(problem.nu, k), u)
-            rate, *parts = evaluate(state, control, problem.p_value + _noise(problem.np, k), problem.dt[0])
+            values = problem.node_values(state, control, problem.p_value + _noise(problem.np, k))
+            rate, *parts = evaluate(state, control, values, problem.dt[0])
             going = going | (np.asarray(rate, dtype=float).ravel() - (state if problem.discrete else 0) != 0)
             sizes = [np.abs(np.asarray(part, dtype=float)).reshape(-1, problem.nu) for part in parts]
             seen = seen | np.any([np.any((size > 0) | ~np.isfinite(size), axis=0) for size in sizes], axis=0)
@@ -357,14 +361,18 @@ def _without_gradient(problem: Problem, x: Array, u: Array) -> Iterator[str]:
             continue
         z = ca.vertcat(stage.x, stage.u)
         evaluate = _function(stage, [ca.densify(stage.h), ca.densify(ca.jacobian(stage.h, z))])
-        h, J = (np.asarray(v, dtype=float) for v in evaluate(x, control, problem.p_value, problem.dt[0]))
-        other = np.asarray(evaluate(x, control, problem.p_value + _noise(problem.np, 0), problem.dt[0])[1], dtype=float)
+        values, others = (
+            problem.node_values(x, control, p) if stage.nu else problem.end_values(x, p)
+            for p in (problem.p_value, problem.p_value + _noise(problem.np, 0))
+        )
+        h, J = (np.asarray(v, dtype=float) for v in evaluate(x, control, values, problem.dt[0]))
+        other = np.asarray(evaluate(x, control, others, problem.dt[0])[1], dtype=float)
         for row in problem.rows:
             at = row.index if stage is problem.path else row.index_terminal
             if not row.is_general or at < 0 or row.name in said or np.any(J[at]) or np.any(other[at]):
                 continue
             H = _function(stage, [ca.densify(ca.hessian(stage.h[at], z)[0])])
-            curvature = np.nan_to_num(np.asarray(H(x, control, problem.p_value, problem.dt[0]), dtype=float))
+            curvature = np.nan_to_num(np.asarray(H(x, control, values, problem.dt[0]), dtype=float))
             if _is_lost(h[at, 0], row, curvature):
                 said.add(row.name)
                 cone = "; a cone w**2 <= g**2 v**2 is better stated as -g v <= w and w <= g v"

@@ -20,6 +20,7 @@ from nmpc_codegen.components.base import (
     refuse_unsupported,
 )
 from nmpc_codegen.components.hessians import ExactHessian
+from nmpc_codegen.components.integrators.implicit.node_data import algebraic_kernel, with_node_data
 from nmpc_codegen.components.stage_cost import StageCost, slices, stage_costs
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.frontend.flat import flat_controls, proximal_terms
@@ -116,6 +117,7 @@ def linearize(problem: Problem, options: Options | None = None) -> Model:
     if solves_exactly(problem, options, chosen):
         functions, of_solve = _with_exact(problem, integrator, functions)
         of_hessian = (*of_hessian, *of_solve)
+    functions = with_node_data(functions, problem) if problem.solved else functions
     constant = _constant_hessian(problem, online, functions)
     parts = Parts(integrator, options.algorithm, options.hessian)
     choice: Choice | None = None
@@ -236,6 +238,7 @@ def _functions(
         blocks.initial,
         _lift_coupled_rows(problem),
         previous=len(problem.inner.previous),
+        algebraic=algebraic_kernel(problem),
     )
 
 

@@ -80,6 +80,7 @@ def lower(model: Model, name: str | None = None, whole: bool = False) -> CModule
         signals=(
             ("x", problem.state_names[: problem.measured]),
             ("u", problem.control_names),
+            ("z", problem.algebraic_names),
             ("p", problem.parameter_names[: problem.np - problem.inner.data]),
             ("y", problem.path.y_names),
             ("y_N", problem.terminal.y_names),
@@ -316,6 +317,7 @@ def _macros(model: Model, dims: Dims, whole: bool) -> tuple[Macro, ...]:
     if dims.condensed:
         macros.append(Macro("PANEL", PANEL, "columns processed together"))
     macros += _data_macros(model.problem)
+    macros.append(Macro("ALGEBRAIC", len(model.problem.algebraic_names), "algebraic variables"))
     macros.append(Macro("PULLS", PULLS, "moves of a control back onto rows, at most"))
     parameters = model.problem.own_parameters
     macros.append(Macro("PARAMS", len(parameters), "parameters by name"))
@@ -382,10 +384,21 @@ SET_TIME = EntryPoint(
 )
 
 
+#: What finds the algebraic variables of a state.
+ALGEBRAIC = EntryPoint(
+    "algebraic",
+    "Algebraic variables at the state x and the controls u, with the parameters of node k; x[k] and u[k] of the plan "
+    "have those of the plan, x[N] with u[N - 1].",
+    (Argument("k", "int"), Argument("x", "real", ("NX",)), Argument("u", "real", ("NU",))),
+    (Argument("z", "real", ("ALGEBRAIC",)),),
+)
+
+
 def _entries(model: Model) -> tuple[EntryPoint, ...]:
     """The functions of the algorithm, and those of the states behind the measured ones."""
     inner = model.problem.inner
     more = (*((SET_PREVIOUS,) if inner.previous else ()), *((SET_TIME,) if inner.time else ()))
+    more += (ALGEBRAIC,) if model.problem.algebraic_names else ()
     return (*model.parts.algorithm.entries(_features(model)), *more)
 
 
@@ -439,6 +452,8 @@ def _description(
         options=as_data(model.options),
         report=report,
         ranges=ranges,
+        algebraic=p.algebra.signals if p.algebra else (),
+        newton=p.newton_names,
         scales=tuple(round_scales([*sizes.z[: p.measured], *sizes.z[p.nx : p.nx + p.nu - p.inner.idle]])),
         row_scales=tuple(round_scales(sizes.rows)),
     )

@@ -200,6 +200,7 @@ PLACES = {
 }
 TERMINAL_PLACES = {
     "x": "(s)->x[N]",
+    "z": "(s)->z[N]",
     "p": "PARAM_N(s)",
     "yref": "YREF_N(s)",
     "W": "WEIGHT_N(s)",
@@ -208,6 +209,7 @@ TERMINAL_PLACES = {
 MEASURED_START = {"x_0": "(s)->xhat", "first": "(s)->xhat"}
 START_PLACES = {
     "x": "(s)->x[0]",
+    "z": "(s)->z[0]",
     "p": "PARAM(s, 0)",
     "yref": "default_start_reference",
     "W": "default_start_weight",

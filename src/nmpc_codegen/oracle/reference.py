@@ -27,11 +27,14 @@ from nmpc_codegen.oracle.trajectory import (
     node_cost,
     node_data,
     node_rows,
+    node_values,
     row_nodes,
     scaled_weight,
     shape_of,
     stage_equations,
+    stage_start,
     start_cost,
+    start_of,
     with_maps,
 )
 
@@ -90,6 +93,8 @@ class Reference:
         self._data = _symbolic_data(problem)
         self._increments: list[Any] = []
         self._rest: list[Any] = []
+        self._starts: list[Array] = []
+        self._p = [self._values(k) for k in range(N + 1)]
         implicit = integrator.implicit and not problem.discrete
         Phi = self._implicit_interval() if implicit else interval_map(problem, integrator)
         cost = self._cost_and_dynamics(Phi)
@@ -115,6 +120,27 @@ class Reference:
         nlp = {"x": z, "p": self._data.stacked, "f": cost, "g": ca.vertcat(*self._g)}
         self._solver = ca.nlpsol("reference", "ipopt", nlp, options)
 
+    def _values(self, k: int) -> Any:
+        """What expressions of node k read in place of p; algebraic variables that occur there become variables."""
+        problem, algebra, p = self.problem, self.problem.algebra, self._data.p[k]
+        stage = problem.path if k < problem.N else problem.terminal
+        if algebra is None or not problem.solved:
+            return p
+        z = ca.MX.sym(f"z_{k}", algebra.size)
+        terms = ca.veccat(ca.SX(0, 1), stage.y, stage.h, *(c for c in (stage.cost, stage.ties) if c is not None))
+        if not ca.depends_on(terms, stage.p[problem.np :]):
+            return node_values(p, ca.MX.zeros(algebra.size))
+        x, places = self._x[k], problem.inner.places
+        held = [x[problem.measured + places[j]] if j in places else ca.MX(0) for j in range(problem.nu)]
+        self._add(z, algebra.equations(x, self._u[k] if k < problem.N else ca.vertcat(*held), p, z), start_of(algebra))
+        return node_values(p, z)
+
+    def _add(self, variables: Any, rest: Any, start: Array) -> None:
+        """Further variables with their equations, and where they start."""
+        self._increments.append(variables)
+        self._rest.append(rest)
+        self._starts.append(start)
+
     def _implicit_interval(self) -> Any:
         """(x, u, p, dt) -> (x_next, q) in the increments of the stages, which become variables."""
         problem, steps = self.problem, self.integrator.steps
@@ -123,9 +149,9 @@ class Reference:
         def interval(x: Any, u: Any, p: Any, dt: Any) -> tuple[Any, Any]:
             end, q = x, ca.MX(0)
             for _ in range(steps):
-                self._increments.append(ca.MX.sym("D", equations.size1_in(0)))
-                rest, end, more = equations(self._increments[-1], end, u, p, dt / steps)
-                self._rest.append(rest)
+                v = ca.MX.sym("D", equations.size1_in(0))
+                rest, end, more = equations(v, end, u, p, dt / steps)
+                self._add(v, rest, stage_start(problem, self.integrator))
                 q = q + more
             return with_maps(problem, end, x, u, p, dt), q
 
@@ -136,20 +162,20 @@ class Reference:
         node, node_N = node_cost(problem.path), node_cost(problem.terminal)
         given = [i for i in range(problem.nx) if i not in problem.free_initial]
         self._g.append(ca.vertcat(ca.MX(0, 1), *(d.x0[i] - self._x[0][i] for i in given)))
-        cost = node_N(self._x[-1], ca.MX(0, 1), d.p[-1], 0, d.yref_N, d.W_N)
+        cost = node_N(self._x[-1], ca.MX(0, 1), self._p[-1], 0, d.yref_N, d.W_N)
         cost += start_cost(problem)(self._x[0], d.p[0])
         for k in range(problem.N):
             x_next, q = Phi(self._x[k], self._u[k], d.p[k], problem.dt[k])
             self._g.append(x_next - self._x[k + 1])
-            cost += q + node(self._x[k], self._u[k], d.p[k], problem.dt[k], d.yref[k], d.W[k])
+            cost += q + node(self._x[k], self._u[k], self._p[k], problem.dt[k], d.yref[k], d.W[k])
         return cost
 
     def _add_rows(self) -> Any:
         """Append general and soft rows to g; return the penalty of the slacks."""
         problem = self.problem
         h, h_N, N = node_rows(problem.path), node_rows(problem.terminal), problem.N
-        path = [h(self._x[k], self._u[k], self._data.p[k]) for k in range(N)]
-        end = h_N(self._x[N], ca.MX(0, 1), self._data.p[N])
+        path = [h(self._x[k], self._u[k], self._p[k]) for k in range(N)]
+        end = h_N(self._x[N], ca.MX(0, 1), self._p[N])
         coupled: Any = None if problem.coupled is None else problem.coupled(self._x[0], self._x[N])
         penalty: Any = 0
         for i, row in enumerate(problem.rows):
@@ -181,7 +207,7 @@ class Reference:
         lbx, ubx, lbg, ubg = self._bounds(data)
         x_guess = shape_of("x", data.x0 if x is None else x, (problem.N + 1, problem.nx))
         u_guess = shape_of("u", control_start(problem, data) if u is None else u, (problem.N, problem.nu))
-        more = np.zeros(2 * len(self._slack) + sum(D.numel() for D in self._increments))
+        more = np.concatenate([np.zeros(2 * len(self._slack)), *self._starts])
         found = self._solver(
             x0=np.concatenate([x_guess.ravel(), u_guess.ravel(), more]),
             p=self._data.values(problem, data),

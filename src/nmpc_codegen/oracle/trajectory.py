@@ -19,7 +19,7 @@ import casadi as ca
 import numpy as np
 
 from nmpc_codegen.errors import ProblemError
-from nmpc_codegen.frontend.problem import Array, Problem, Row, Stage
+from nmpc_codegen.frontend.problem import Algebra, Array, Problem, Row, Stage
 
 
 @dataclass(frozen=True, eq=False)
@@ -217,23 +217,33 @@ def with_maps(problem: Problem, end: Any, x: Any, u: Any, p: Any, dt: Any) -> An
 
 
 def stage_equations(problem: Problem, integrator: Tableau) -> Any:
-    """Function (D, x, u, p, h) -> (rest, x_next, q) of one step of an implicit scheme with the increments D_i = h K_i.
+    """Function (v, x, u, p, h) -> (rest, x_next, q) of one step of an implicit scheme, where v are the increments
+    D_i = h K_i of all stages, and behind them their algebraic variables z_i.
 
-    rest_i = D_i - h f(x + sum_j a_ij D_j, u, p) = 0, x_next = x + sum_i b_i D_i, q = h sum_i b_i rate(X_i, u, p).
+    rest: D_i - h f(X_i, z_i, u, p) = 0 and g(X_i, z_i, u, p) = 0 with X_i = x + sum_j a_ij D_j,
+    x_next = x + sum_i b_i D_i, q = h sum_i b_i rate(X_i, z_i, u, p).
     """
-    s, n = problem.path, problem.nx
+    s, n, m = problem.path, problem.nx, len(problem.newton_names)
     A, b = np.asarray(integrator.A, dtype=float), np.asarray(integrator.b, dtype=float)
-    D, h = ca.SX.sym("D", n * len(b)), ca.SX.sym("h")
-    parts = ca.vertsplit(D, n)
+    D, Z, h = ca.SX.sym("D", n * len(b)), ca.SX.sym("Z", m * len(b)), ca.SX.sym("h")
+    p = ca.SX.sym("p", problem.np)
+    parts, z = ca.vertsplit(D, n), [Z[m * i : m * (i + 1)] for i in range(len(b))]
     rate = ca.Function("rate", [s.x, s.u, s.p], [ca.SX(0) if s.cost_rate is None else s.cost_rate])
     rest: list[Any] = []
+    equations: list[Any] = []
     q: Any = ca.SX(0)
     for i in range(len(b)):
-        X = s.x + sum(A[i, j] * part for j, part in enumerate(parts))
-        rest.append(parts[i] - h * problem.dynamics(X, s.u, s.p))
-        q = q + h * b[i] * rate(X, s.u, s.p)
+        X, data = s.x + sum(A[i, j] * part for j, part in enumerate(parts)), node_values(p, z[i])
+        rest.append(parts[i] - h * problem.dynamics(X, s.u, data))
+        equations += [problem.algebra.equations(X, s.u, p, z[i])] if problem.algebra and m else []
+        q = q + h * b[i] * rate(X, s.u, data)
     end = s.x + sum(b[i] * part for i, part in enumerate(parts))
-    return ca.Function("stages", [D, s.x, s.u, s.p, h], [ca.vertcat(*rest), end, q])
+    return ca.Function("stages", [ca.vertcat(D, Z), s.x, s.u, p, h], [ca.vertcat(*rest, *equations), end, q])
+
+
+def node_values(p: Any, z: Any) -> Any:
+    """What expressions read in place of p where z is a variable of its own: z, and no derivative of it."""
+    return ca.vertcat(p, z, ca.DM.zeros(z.numel() ** 2)) if z.numel() else p
 
 
 #: Newton's method of CasADi until its steps are rounding errors.
@@ -244,20 +254,28 @@ def _implicit_map(problem: Problem, integrator: Tableau) -> Any:
     """The map of an interval, whose stages a rootfinder of CasADi solves; derivatives by the implicit function theorem
     as CasADi applies it."""
     equations = stage_equations(problem, integrator)
-    size = equations.size1_in(0)
     solver = ca.rootfinder("increments", "newton", equations, _ROOTFINDER)
-    x, u, p, dt = (ca.MX.sym(n, int(s.numel())) for n, s in zip(("x", "u", "p", "dt"), _symbols(problem), strict=True))
+    x, u = ca.MX.sym("x", problem.nx), ca.MX.sym("u", problem.nu)
+    p, dt = ca.MX.sym("p", problem.np), ca.MX.sym("dt")
     end, q = x, ca.MX(0)
     h = dt / integrator.steps
+    start = stage_start(problem, integrator)
     for _ in range(integrator.steps):
-        _, end, more = solver(ca.DM.zeros(size), end, u, p, h)
+        _, end, more = solver(start, end, u, p, h)
         q = q + more
     return ca.Function("Phi", [x, u, p, dt], [with_maps(problem, end, x, u, p, dt), q])
 
 
-def _symbols(problem: Problem) -> tuple[Any, ...]:
-    s = problem.path
-    return s.x, s.u, s.p, s.dt
+def stage_start(problem: Problem, integrator: Tableau) -> Array:
+    """Where the equations of a step are solved from: no increments, algebraic variables of the first plan."""
+    stages = len(integrator.b)
+    known = start_of(problem.algebra) if problem.algebra else np.zeros(0)
+    return np.concatenate([np.zeros(problem.nx * stages), np.tile(known, stages)])
+
+
+def start_of(algebra: Algebra) -> Array:
+    """Algebraic variables at the first plan, or where Newton's method starts if it finds none."""
+    return np.where(np.isfinite(algebra.found), algebra.found, algebra.start)
 
 
 def node_cost(stage: Stage) -> Any:
@@ -275,8 +293,10 @@ def node_cost(stage: Stage) -> Any:
 def start_cost(problem: Problem) -> Any:
     """Function (x, p) -> cost at node 0 in addition to that of the path, with its declared weight and reference."""
     stage = problem.start
-    l = node_cost(stage)(stage.x, stage.u, stage.p, 0.0, stage.reference, stage.weight)  # noqa: E741
-    return ca.Function("l_0", [stage.x, stage.p], [l])
+    p = ca.SX.sym("p", problem.np)
+    values = node_values(p, ca.SX.zeros(len(problem.newton_names)))
+    l = node_cost(stage)(stage.x, stage.u, values, 0.0, stage.reference, stage.weight)  # noqa: E741
+    return ca.Function("l_0", [stage.x, p], [l])
 
 
 def node_rows(stage: Stage) -> Any:
@@ -293,12 +313,14 @@ def evaluate_cost(problem: Problem, x: Any, u: Any, data: Data, integrator: Tabl
     """Cost of a trajectory x (N+1, nx), u (N, nu): all terms of the problem and the penalties of violated soft rows."""
     Phi, cost, cost_N = interval_map(problem, integrator), node_cost(problem.path), node_cost(problem.terminal)
     x, u = np.asarray(x, dtype=float), np.asarray(u, dtype=float)
-    total = float(cost_N(x[-1], ca.DM(0, 1), data.p[-1], 0.0, data.yref_N, data.W_N))
+    at_end = problem.end_values(x[-1], data.p[-1])
+    total = float(cost_N(x[-1], ca.DM(0, 1), at_end, 0.0, data.yref_N, data.W_N))
     total += float(start_cost(problem)(x[0], data.p[0]))
     for k in range(problem.N):
         total += float(Phi(x[k], u[k], data.p[k], problem.dt[k])[1])
         W = scaled_weight(problem, data.W[k], k)
-        total += float(cost(x[k], u[k], data.p[k], problem.dt[k], data.yref[k], W))
+        values = problem.node_values(x[k], u[k], data.p[k])
+        total += float(cost(x[k], u[k], values, problem.dt[k], data.yref[k], W))
     value = _row_values(problem, data)
     for i, row in enumerate(problem.rows):
         for k in row_nodes(row):
@@ -319,12 +341,15 @@ def _row_values(problem: Problem, data: Data) -> Callable[[Row, int, Array, Arra
     """A function (row, k, x, u) -> value of the row."""
     h, h_N, N = node_rows(problem.path), node_rows(problem.terminal), problem.N
 
+    def at_end(x: Array, k: int) -> Any:
+        return h_N(x, ca.DM(0, 1), problem.end_values(x, data.p[k]))
+
     def value(row: Row, k: int, x: Array, u: Array) -> float:
         if row.is_coupled and problem.coupled is not None:
             return float(problem.coupled(x[0], x[N])[row.index])
         if k == N:
-            return float(row.value(x[N], None, h_N(x[N], ca.DM(0, 1), data.p[N]), None, at_end=True))
-        return float(row.value(x[k], u[k], h(x[k], u[k], data.p[k]), None))
+            return float(row.value(x[N], None, at_end(x[N], k), None, at_end=True))
+        return float(row.value(x[k], u[k], h(x[k], u[k], problem.node_values(x[k], u[k], data.p[k])), None))
 
     return value
 
@@ -359,16 +384,19 @@ def kkt_residuals(problem: Problem, point: Point, data: Data, integrator: Tablea
         gaps.append(end.full().ravel() - x[k + 1])
         AB, q = (J.full() for J in Phi_z(x[k], u[k], data.p[k], problem.dt[k]))
         W = scaled_weight(problem, data.W[k], k)
-        cost_gradient = cost_z(x[k], u[k], data.p[k], problem.dt[k], data.yref[k], W).full()
-        CD = h_z(x[k], u[k], data.p[k]).full()
+        values = problem.node_values(x[k], u[k], data.p[k])
+        cost_gradient = cost_z(x[k], u[k], values, problem.dt[k], data.yref[k], W).full()
+        CD = h_z(x[k], u[k], values).full()
         grad = AB.T @ point.lam[k + 1] + (q + cost_gradient).ravel() + CD.T @ point.mu[k]
         grad_x[k] += grad[: problem.nx]
         grad_u[k] += grad[problem.nx :]
     empty = ca.DM(0, 1)
-    start = problem.start
-    grad_x[0] += cost_0(x[0], empty, data.p[0], 0.0, start.reference, start.weight).full().ravel()
-    grad_x[N] += cost_N(x[N], empty, data.p[N], 0.0, data.yref_N, data.W_N).full().ravel()
-    grad_x[N] += h_N(x[N], empty, data.p[N]).full().T @ point.mu_N
+    start, values = problem.start, problem.end_values(x[N], data.p[N])
+    grad_x[0] += (
+        cost_0(x[0], empty, problem.end_values(x[0], data.p[0]), 0.0, start.reference, start.weight).full().ravel()
+    )
+    grad_x[N] += cost_N(x[N], empty, values, 0.0, data.yref_N, data.W_N).full().ravel()
+    grad_x[N] += h_N(x[N], empty, values).full().T @ point.mu_N
     if problem.coupled is not None:
         E = coupled_z(x[0], x[N]).full().T @ point.eta
         grad_x[0] += E[: problem.nx]

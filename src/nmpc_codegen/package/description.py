@@ -36,7 +36,7 @@ from nmpc_codegen.package.signals import (
 INTERFACE_SIZES = ("N", "NX", "NU", "NP", "NY", "NY_N", "NW", "NW_N", "NR")
 
 #: Version of the layout of <name>.json.
-FORMAT = 8
+FORMAT = 9
 
 DIMENSIONS = ("N", "NX", "NU", "NP", "NY", "NY_N", "NH", "NH_N", "NR")
 
@@ -119,6 +119,8 @@ class PackageDescription:
     scales: tuple[float, ...]  # of states and controls, (nx + nu,)
     row_scales: tuple[float, ...]  # of the terms of the rows
     inner: Inner = NOTHING_INNER  # states behind those of the user, in the struct alone
+    algebraic: tuple[Signal, ...] = ()
+    newton: tuple[str, ...] = ()  # variables that Newton's method solves for, derivatives of states among them
     ranges: Mapping[str, tuple[int, int]] = field(default_factory=dict)
     program: Program = field(default_factory=Program)
 
@@ -161,6 +163,7 @@ class PackageDescription:
             states=_elements(self.states),
             controls=_elements(self.controls),
             parameters=_elements(self.parameters),
+            algebraic=_elements(self.algebraic),
             rows=tuple(r.name for r in self.rows),
             y=tuple(r.name for r in self.residuals),
             y_N=tuple(r.name for r in self.residuals_N),
@@ -203,7 +206,7 @@ class PackageDescription:
             "program": asdict(self.program),
             "inner": asdict(self.inner),
         }
-        for kind in ("states", "controls", "parameters", "residuals", "residuals_N"):
+        for kind in ("states", "controls", "parameters", "algebraic", "residuals", "residuals_N"):
             entries[kind] = [_signal_entry(s) for s in entries[kind]]
         return json.dumps(entries, indent=1, allow_nan=False) + "\n"
 
@@ -224,7 +227,7 @@ class PackageDescription:
             for row in raw["rows"]:
                 row |= {side: float(row[side]) for side in ("lower", "upper")}
                 row["soft"] = row["soft"] and [float(value) for value in row["soft"]]
-            for signal in (*raw["states"], *raw["controls"], *raw["parameters"]):
+            for signal in (*raw["states"], *raw["controls"], *raw["parameters"], *raw["algebraic"]):
                 signal |= {side: [float(value) for value in signal[side]] for side in ("low", "high")}
             described = msgspec.convert(raw, cls, dec_hook=_size)
             described.dims  # noqa: B018 - all sizes are there

@@ -245,6 +245,7 @@ class Names:
     rows: tuple[str, ...]
     y: tuple[str, ...]
     y_N: tuple[str, ...]
+    algebraic: tuple[str, ...] = ()
 
 
 def members(name: str, known: Sequence[str]) -> list[int]:

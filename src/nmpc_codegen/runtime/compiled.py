@@ -52,7 +52,9 @@ class CompiledPackage:
         unknown = self.ffi.error if isinstance(self.ffi.error, tuple) else (self.ffi.error,)
         try:
             dims = self.description.dims
-            self.description.program.check([self.description.sizes[n] for n in ("NX", "NU", "NP")], dims.nr, EDGES)
+            sizes = self.description.sizes
+            solved = sizes["NALG"] * (1 + sizes["NALG"])  # what Newton's method finds, behind the parameters
+            self.description.program.check([sizes["NX"], sizes["NU"], sizes["NP"] + solved], dims.nr, EDGES)
             layouts = {struct.name: self.description.dtype(struct.name) for struct in self.description.structs}
             for name, layout in layouts.items():
                 self._check_layout(name, layout)

@@ -119,6 +119,29 @@ class Memory:
         self._set_multipliers("eta", value)
 
     @property
+    def z(self) -> Array:
+        """Algebraic variables of the plan, (N+1, number), a copy: at x and u of a node, at node N with u_{N-1}; NaN
+        where the equations have no solution."""
+        last = np.append(self.u, self.u[-1:], axis=0)
+        return np.array([self.algebraic(x, u, k) for k, (x, u) in enumerate(zip(self.x, last, strict=True))])
+
+    def algebraic(self, x: ArrayLike, u: ArrayLike, node: int = 0) -> Array:
+        """Algebraic variables (number,) at the state x (nx,) and the control u (nu,), with the parameters of a node.
+
+        Newton's method starts where it was at this node last. NaN where the equations have no solution.
+        """
+        names, N = self.names.algebraic, self.dims.N
+        if not names:
+            return np.zeros(0)
+        if not given.is_integer(node) or not 0 <= node <= N:
+            raise ControllerError(f"algebraic: node is {node!r}; expected an integer between 0 and {N}")
+        state = self._array("x", x, (self.dims.nx,), finite=False)
+        control = self._array("u", u, (self.dims.nu,), finite=False)
+        out, out_c = self._buffer(len(names))
+        self._call("algebraic", self._s, int(node), self._pointer(state), self._pointer(control), out_c)
+        return out
+
+    @property
     def whole_x(self) -> Array:
         """States of the plan with those behind the states of the user, (N+1, nx + their number)."""
         return self._view("x")

@@ -33,6 +33,7 @@ class Solution:
     status: Status
     x: Array  # (N+1, nx)
     u: Array  # (N, nu)
+    z: Array  # (N+1, number of algebraic variables), at node N with u_{N-1}
     lam: Array  # (N+1, nx): lam[0] of x_0 = xhat, lam[k+1] of x_{k+1} = Phi_k
     mu_x: Array  # (N+1, nx)
     mu_u: Array  # (N, nu)
@@ -114,7 +115,7 @@ def solve(ctrl: Memory, tol: float | None, max_iterations: int, globalization: G
         )
     run = _Run([])
     status = method(ctrl, run, float(tol), int(max_iterations))
-    parts = {part: np.array(getattr(ctrl, part, ())) for part in ("x", "u", *MULTIPLIERS)}
+    parts = {part: np.array(getattr(ctrl, part, ())) for part in ("x", "u", "z", *MULTIPLIERS)}
     return Solution(
         status,
         **parts,

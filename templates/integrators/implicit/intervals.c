@@ -5,6 +5,10 @@
 
 #include "integrators/implicit/newton.c"
 
+#if NALG
+#include "integrators/implicit/algebraic.c"
+#endif
+
 #include "integrators/implicit/forward.c"
 
 #include "integrators/implicit/adjoint.c"

@@ -7,7 +7,7 @@ from typing import ClassVar
 
 import casadi as ca
 
-from nmpc_codegen.components.base import EVERY_USE, Defaults, Dims, Seam
+from nmpc_codegen.components.base import EVERY_USE, NONLINEAR, Defaults, Dims, Seam
 from nmpc_codegen.components.integrators.explicit.directional import ADJOINT, ADJOINT_DOC, FORWARD, FORWARD_DOC
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.frontend.problem import Problem
@@ -25,7 +25,7 @@ class Discrete(Defaults):
     name: ClassVar[str] = "discrete"
     template: ClassVar[str] = "integrators/discrete.c"
     needs: ClassVar[tuple[Seam, ...]] = ()
-    supports: ClassVar[frozenset[str]] = EVERY_USE - {"integrated cost", "discrete states"}
+    supports: ClassVar[frozenset[str]] = EVERY_USE - {"integrated cost", "discrete states", NONLINEAR}
 
     def check(self, problem: Problem) -> None:
         """Raise OptionError unless the dynamics are a discrete map."""

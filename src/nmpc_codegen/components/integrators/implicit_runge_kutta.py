@@ -40,6 +40,9 @@ MAX_STEPS, MAX_KEPT = 1000, 1 << 16
 #: Newton steps of a stage at most: with so many it iterates to rounding errors.
 NEWTON_LIMIT = 30
 
+#: Halvings of a Newton step of the algebraic variables of a node, at most.
+HALVINGS = 12
+
 #: Newton steps of a stage in a sample by default.
 NEWTON_STEPS = 2
 
@@ -187,6 +190,7 @@ class ImplicitRungeKutta(Defaults):
             Table("increment_b", "real", tuple(map(float, b)), "and in x_next"),
             Table("bent_variable", "int", curved, "variables of a stage and controls in which it is nonlinear"),
             Table("bent_count", "int", (len(curved),), "their number"),
+            *_start_table(problem),
         )
 
     def sizes(self, dims: Dims) -> tuple[tuple[str, int, str], ...]:
@@ -200,6 +204,7 @@ class ImplicitRungeKutta(Defaults):
             ("NXAU", nv + dims.nu.value, "NXA + NU"),
             ("NB", nv * block, "variables of a block: BLOCK * NXA"),
             ("EXPLICIT_FIRST", int(not self.tableau.a[0][0]), "1: the first stage is explicit"),
+            ("HALVINGS", HALVINGS, "halvings of a Newton step of algebraic variables at most"),
             ("NEWTON", self.newton_steps, "Newton steps of a stage in a sample"),
             ("NEWTON_LIMIT", NEWTON_LIMIT, "Newton steps of a stage at most"),
         )
@@ -209,9 +214,11 @@ class ImplicitRungeKutta(Defaults):
         return {"newton": (self.newton_steps, self.newton_steps)}
 
     def structs(self, dims: Dims) -> tuple[Struct, ...]:
-        """How far Newton's method goes, and what it leaves."""
+        """How far Newton's method goes, where it starts, and what it leaves."""
+        nodes = Size("N + 1", dims.N.value + 1)
         return (
             Struct("solver", "", (Field("newton", (), "Newton steps of a stage", "keep", "int32"), *_failure_fields())),
+            Struct("solver", "", (Field("z", (nodes, dims.nalg), "algebraic variables of the plan", "keep"),)),
             Struct(
                 "node",
                 "linearisation of a path node",
@@ -235,6 +242,11 @@ def increments(scheme: ButcherTableau) -> tuple[Array, Array]:
         return A / factor, b / factor
     stiffly_accurate = bool(np.all(b == A[-1]))
     return np.zeros_like(A), np.eye(scheme.stages)[-1] if stiffly_accurate else np.linalg.solve(A.T, b)
+
+
+def _start_table(problem: Problem) -> tuple[Table, ...]:
+    doc = "where Newton's method of algebraic variables starts at first"
+    return (Table("algebraic_start", "real", problem.algebra.start, doc),) if problem.algebra and problem.solved else ()
 
 
 def _failure_fields() -> tuple[Field, ...]:

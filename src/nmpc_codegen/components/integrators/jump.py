@@ -82,11 +82,11 @@ def with_jump(sweep: Sweep, problem: Problem) -> Sweep:
     return replace(
         sweep,
         locals=(*sweep.locals, (masked, held.size)),
-        body=(jump.mask(held, masked), *_rename(body, held.name, masked), *more),
+        body=(jump.mask(held, masked), *rename_buffer(body, held.name, masked), *more),
     )
 
 
-def _rename(nodes: Iterable[Node], old: str, new: str) -> tuple[Node, ...]:
+def rename_buffer(nodes: Iterable[Node], old: str, new: str) -> tuple[Node, ...]:
     """The nodes with another name of a buffer."""
 
     def slices(of: Iterable[A]) -> tuple[A, ...]:
@@ -95,7 +95,7 @@ def _rename(nodes: Iterable[Node], old: str, new: str) -> tuple[Node, ...]:
     found: list[Node] = []
     for node in nodes:
         if isinstance(node, Block):
-            found.append(replace(node, body=_rename(node.body, old, new)))
+            found.append(replace(node, body=rename_buffer(node.body, old, new)))
         elif isinstance(node, Call):
             found.append(replace(node, ins=slices(node.ins), outs=slices(node.outs)))
         else:

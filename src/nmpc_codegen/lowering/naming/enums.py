@@ -17,10 +17,12 @@ def enums(problem: Problem) -> tuple[Enum, ...]:
     limits = {(row.kind, row.index): row for row in problem.rows if row.nodes and min(row.nodes) < problem.N}
     states = [_z(unit, size[i], limits.get(("state", i))) for i, unit in enumerate(_units(problem.own_states))]
     controls = [_z(unit, size[nx + i], limits.get(("control", i))) for i, unit in enumerate(_units(problem.controls))]
+    of_algebra = _units(problem.algebra.signals) if problem.algebra else []
     of_parameters = [[u] for u in _units(parameters)]
     found = (
         _enum("X", problem.state_names[: problem.measured], "states: places in x", states),
         _enum("U", problem.control_names, "controls: places in u", controls),
+        _enum("Z", problem.algebraic_names, "algebraic variables: places in z", [[unit] for unit in of_algebra]),
         _enum("P", [e for s in parameters for e in s.elements], "parameters: places in p", of_parameters),
         _residuals("Y", problem.path, "residuals: places in yref, and in W"),
         _residuals("Y_N", problem.terminal, "terminal residuals: places in yref_N, and in W_N"),

@@ -19,6 +19,7 @@ from nmpc_codegen.frontend.problem import Array, Problem
 from nmpc_codegen.lowering.first_plan import points
 from nmpc_codegen.lowering.schemes.stability import MOST_EXPLICIT, MOST_STEPS, needed_steps
 from nmpc_codegen.options import Options
+from nmpc_codegen.package.signals import list_some
 
 #: Steps per interval that are tried; error of an interval, relative to the scale of a state, that is accurate, and that
 #: is warned of; steps of the comparison for every step.
@@ -49,6 +50,8 @@ def _choose(problem: Problem, options: Options) -> tuple[Integrator, tuple[str, 
         return options.integrator, ()
     if problem.discrete:
         return Discrete(), (f"integrator: {Discrete.name}; the dynamics are a discrete map",)
+    if problem.solved:
+        return _for_algebra(problem)
     default = ExplicitRungeKutta()
     needed, modes = needed_steps(problem, default)
     if needed == default.steps:
@@ -69,6 +72,15 @@ def _choose(problem: Problem, options: Options) -> tuple[Integrator, tuple[str, 
         f"{'more than ' if needed is None else ''}{explicit.steps:,} steps per interval: {theirs:,} operations per "
         f"linearisation{' with so many' if needed is None else ''}, {implicit.tableau.name} with "
         f"steps={implicit.steps}: {ours:,}",
+    )
+
+
+def _for_algebra(problem: Problem) -> tuple[Integrator, tuple[str, ...]]:
+    """The implicit scheme for equations that Newton's method solves."""
+    chosen = implicit_for(problem) or ImplicitRungeKutta()
+    return chosen, (
+        f"integrator: {chosen.name}, {chosen.tableau.name} with steps={chosen.steps}; stages solve the equations of "
+        f"{list_some(problem.newton_names)}, which are not linear in them",
     )
 
 

@@ -10,7 +10,7 @@ from nmpc_codegen.package.program import NOT_FINITE, Array, in_words, locate
 from nmpc_codegen.package.status import STALE, Status
 from nmpc_codegen.runtime.diagnosis.advice import advice, has_qp, row_advice
 from nmpc_codegen.runtime.diagnosis.poles import unstable_poles
-from nmpc_codegen.runtime.diagnosis.rows import parameters, violations, whole_parameters
+from nmpc_codegen.runtime.diagnosis.rows import parameters, plan_data, violations
 from nmpc_codegen.runtime.memory import Memory
 
 #: Relative KKT residual of a sample above which steps with another Hessian than that of solve() may be the cause.
@@ -136,11 +136,21 @@ def _stages(ctrl: Memory) -> Iterator[str]:
     if not found.size or int(found) < 0:
         return
     interval, step, stage = (int(ctrl.member(f"failed_{name}")) for name in ("interval", "step", "stage"))
-    reason, nx = int(ctrl.member("failed_state")), ctrl.description.sizes["NX"]
-    state, singular = ctrl.names.states[reason % nx], reason < nx
-    what = "the Newton matrix is singular" if singular else "Newton's method does not converge"
+    reason, sizes = int(ctrl.member("failed_state")), ctrl.description.sizes
+    nx, count = sizes["NX"], sizes["NXA"]
+    what = "the Newton matrix is singular" if reason < count else "Newton's method does not converge"
+    number = reason % count
+    name = f"state {ctrl.names.states[number]}" if number < nx else ctrl.description.newton[number - nx]
+    if step < 0:
+        yield (
+            f"the algebraic equations have no solution at node {interval}: {what}: {name}; check the model there, or "
+            "give another initial="
+        )
+        return
+    first = stage * sizes["BLOCK"] + 1
+    stages = f"stage {first}" if sizes["BLOCK"] == 1 else f"stages {first} to {first + sizes['BLOCK'] - 1}"
     yield (
-        f"{what} in interval {interval}, step {step + 1}, stage {stage + 1}: state {state}; "
+        f"{what} in interval {interval}, step {step + 1}, {stages}: {name}; "
         "check the model there, or take more steps: ImplicitRungeKutta(steps=...), "
         "--set integrator=implicit_runge_kutta --set integrator.steps=..."
     )
@@ -165,7 +175,7 @@ def _domains(ctrl: Memory) -> Iterator[str]:
     """Operations that have no finite value or derivative at the plan, and what to write instead."""
     second = ctrl.description.options["hessian"] == "ExactHessian" or solves_exactly(ctrl)
     x, u = (np.asarray(v, dtype=np.float64) for v in (ctrl.whole_x, ctrl.u))
-    found = locate(ctrl.description.program, x, u, whole_parameters(ctrl), second)
+    found = locate(ctrl.description.program, x, u, plan_data(ctrl), second)
     yield from list(in_words(found))[:MOST]
 
 

@@ -52,6 +52,26 @@ def whole_parameters(ctrl: Memory) -> Array:
     return np.array([*([stored[0]] * d.N), stored[-1]], dtype=np.float64)
 
 
+def with_solved(ctrl: Memory, p: Array, solved: Array) -> Array:
+    """Parameters with what expressions read behind them: ``solved``, what Newton's method has found, and slopes of it,
+    which no value depends on."""
+    slopes = np.zeros((len(p), solved.shape[1] ** 2))
+    return np.hstack([p, solved, slopes])
+
+
+def solved_at(ctrl: Memory, x: Array, u: Array, node: int) -> Array:
+    """What Newton's method finds for algebraic variables at a state and a control."""
+    ctrl.algebraic(x, u, node)
+    return np.array(ctrl.view("z")[node], dtype=np.float64) if ctrl.description.sizes["NALG"] else np.zeros(0)
+
+
+def plan_data(ctrl: Memory) -> Array:
+    """What expressions of all nodes read in place of p."""
+    x, u = ctrl.x, np.append(ctrl.u, ctrl.u[-1:], axis=0)
+    solved = np.array([solved_at(ctrl, x[k], u[k], k) for k in range(ctrl.dims.N + 1)])
+    return with_solved(ctrl, np.asarray(whole_parameters(ctrl), dtype=np.float64), solved)
+
+
 def path_reference(ctrl: Memory) -> Array:
     """Reference of the path residual at node 0, (ny,); the declared one if it is fixed."""
     if ctrl.description.online["reference"] == "fixed":
@@ -111,7 +131,7 @@ def path_bounds(ctrl: Memory, row: int) -> tuple[float, float]:
 
 def violations(ctrl: Memory) -> list[Violation]:
     """Hard rows that the plan violates, at their worst nodes; those that are worst in their size come first."""
-    x, u, p = (np.asarray(v, dtype=np.float64) for v in (ctrl.x, ctrl.u, whole_parameters(ctrl)))
+    x, u, p = (np.asarray(v, dtype=np.float64) for v in (ctrl.x, ctrl.u, plan_data(ctrl)))
     held = np.append(u, u[-1:], axis=0)
     whole = np.asarray(ctrl.whole_x, dtype=np.float64)
     path, end = row_values(ctrl, whole[:-1], u, p[:-1]), row_values(ctrl, whole[-1:], held[-1:], p[-1:], end=True)

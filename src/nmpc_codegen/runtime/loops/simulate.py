@@ -22,8 +22,10 @@ from nmpc_codegen.runtime.diagnosis.rows import (
     path_bounds,
     path_reference,
     row_values,
+    solved_at,
     start_parameters,
     whole_parameters,
+    with_solved,
 )
 from nmpc_codegen.runtime.given import is_positive, is_same_time, rows
 from nmpc_codegen.runtime.loops.forecast import Before, Bounds, OverSamples, References, forecast
@@ -115,6 +117,7 @@ def _run(
     name, nx, nu = ctrl.description.name, ctrl.dims.nx, ctrl.dims.nu
     x, u, known = np.zeros((steps + 1, nx)), np.zeros((steps, nu)), np.zeros((steps, ctrl.known.size))
     status, time_ns, cost = np.zeros(steps, np.int64), np.zeros(steps, np.int64), np.zeros(steps)
+    z, solved = np.zeros((steps, len(ctrl.names.algebraic))), np.zeros((steps, ctrl.description.sizes.get("NALG", 0)))
     p, y = np.zeros((steps, ctrl.dims.np)), np.zeros((steps, ctrl.dims.ny))
     x[0] = start
     reasons: dict[Status, str] = {}
@@ -125,14 +128,15 @@ def _run(
         if status[k] not in reasons:
             reasons[Status(status[k])] = ctrl.diagnose() if status[k] else ""
         p[k], y[k] = start_parameters(ctrl), path_reference(ctrl)
+        z[k], solved[k] = ctrl.algebraic(x[k], u[k]), solved_at(ctrl, x[k], u[k], 0)
         moved = move(x[k].copy(), u[k].copy(), interval)
         x[k + 1] = _state(moved, nx, f"the plant's state after sample {k}", partial(_before, ctrl, x[k], u[k]))
         if disturbance is not None:
             x[k + 1] += _state(disturbance(k, x[k].copy()), nx, f"the disturbance of sample {k}")
-    h = _sample_rows(ctrl, np.hstack([x[:-1], known]), u, p)[:, numbers]
+    h = _sample_rows(ctrl, np.hstack([x[:-1], known]), u, p, solved)[:, numbers]
     own, traces = _own_axes(ctrl, numbers, h, x, u)
     t = interval * np.arange(steps + 1, dtype=np.float64)
-    return Log(name, ctrl.description.time_unit, t, x, u, h[:, own], p, y, status, cost, time_ns, *traces, reasons)
+    return Log(name, ctrl.description.time_unit, t, x, u, z, h[:, own], p, y, status, cost, time_ns, *traces, reasons)
 
 
 def _sample_by(law: Law, ctrl: Controller, interval: float) -> Sample:
@@ -157,10 +161,10 @@ def _sample_by(law: Law, ctrl: Controller, interval: float) -> Sample:
     return laws[law]
 
 
-def _sample_rows(ctrl: Controller, x: Array, u: Array, p: Array) -> Array:
+def _sample_rows(ctrl: Controller, x: Array, u: Array, p: Array, solved: Array) -> Array:
     """Values of the rows of the samples, with what node 0 has behind the parameters of the user."""
     data = whole_parameters(ctrl)[:1, ctrl.dims.np :]
-    return row_values(ctrl, x, u, np.hstack([p, np.tile(data, (len(x), 1))]))
+    return row_values(ctrl, x, u, with_solved(ctrl, np.hstack([p, np.tile(data, (len(x), 1))]), solved))
 
 
 def _path_rows(ctrl: Controller) -> list[int]:
@@ -279,7 +283,7 @@ def _progress(samples: range, name: str) -> Iterable[int]:
 
 def _own_axes(
     ctrl: Controller, numbers: list[int], h: Array, x: Array, u: Array
-) -> tuple[list[int], tuple[Traces, Traces, Traces, Traces, Traces]]:
+) -> tuple[list[int], tuple[Traces, Traces, Traces, Traces, Traces, Traces]]:
     """Columns of h with an axis of their own, and the traces of a log: states, controls, rows, parameters, references.
 
     The other columns are bare states or controls, whose traces have their bounds.
@@ -301,10 +305,11 @@ def _own_axes(
         else:
             own.append(i)
             rows.append(Trace(row.name, "", (bound,)))
-    unit = units(described.states, described.controls, described.parameters)
+    unit = units(described.states, described.controls, described.algebraic, described.parameters)
+    algebraic = tuple(Trace(name, unit[name]) for name in ctrl.names.algebraic)
     states, controls = (
         tuple(Trace(n, unit[n], tuple(bounds[n])) for n in names) for names in (ctrl.names.states, ctrl.names.controls)
     )
     declared = tuple(Trace(name, unit[name]) for name in ctrl.names.parameters)
     followed = tuple(Trace(r.name, unit.get(r.signal, ""), signal=r.signal) for r in described.residuals)
-    return own, (states, controls, tuple(rows), declared, followed)
+    return own, (states, controls, algebraic, tuple(rows), declared, followed)

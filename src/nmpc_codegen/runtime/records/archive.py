@@ -18,7 +18,7 @@ from nmpc_codegen.errors import ControllerError
 from nmpc_codegen.package.status import Status
 from nmpc_codegen.runtime.records.trace import COLUMNS, Bound, Record, Trace
 
-FORMAT = "nmpc_codegen log 1"
+FORMAT = "nmpc_codegen log 2"
 ARRAYS = ("t", *COLUMNS, "status", "cost", "time_ns")
 
 

@@ -14,7 +14,15 @@ from nmpc_codegen.package.status import Status
 from nmpc_codegen.runtime.diagnosis.diagnose import WARNED
 from nmpc_codegen.runtime.records import archive, tables
 from nmpc_codegen.runtime.records.html import page, shorten, table
-from nmpc_codegen.runtime.records.plot import CONTROL_COLOR, ROW_COLOR, STATE_COLOR, TIME_COLOR, Curve, draw
+from nmpc_codegen.runtime.records.plot import (
+    ALGEBRAIC_COLOR,
+    CONTROL_COLOR,
+    ROW_COLOR,
+    STATE_COLOR,
+    TIME_COLOR,
+    Curve,
+    draw,
+)
 from nmpc_codegen.runtime.records.trace import Record, Trace
 
 Array = NDArray[np.float64]
@@ -38,7 +46,10 @@ class Log(Record):
 
     def _repr_html_(self) -> str:
         found: list[tuple[object, ...]] = []
-        groups = (("state", self.states, self.x), ("control", self.controls, self.u), ("row", self.rows, self.h))
+        groups = (
+            *(("state", self.states, self.x), ("control", self.controls, self.u)),
+            *(("algebraic", self.algebraic, self.z), ("row", self.rows, self.h)),
+        )
         for kind, traces, values in groups:
             lines: list[tuple[object, ...]] = []
             for trace, column in zip(traces, values.T, strict=True):
@@ -133,6 +144,7 @@ class Log(Record):
             Curve(trace, self.t[: len(held)], held[:, j], CONTROL_COLOR, followed.get(trace.name), held=True)
             for j, trace in enumerate(self.controls)
         ]
+        curves += [Curve(trace, start, self.z[:, i], ALGEBRAIC_COLOR) for i, trace in enumerate(self.algebraic)]
         curves += [Curve(trace, start, self.h[:, i], ROW_COLOR, dots=True) for i, trace in enumerate(self.rows)]
         times = self.time_ns / 1e3
         uneven = bool(times.size and times.max() > UNEVEN * np.median(times) > 0)
@@ -162,7 +174,7 @@ class Log(Record):
         return tables.to_dataframe(self)
 
     def to_xarray(self) -> Any:
-        """An xarray Dataset over time with x (time, state), u (time, control), h, p, y, as far as they have columns,
+        """An xarray Dataset over time with x (time, state), u (time, control), z, h, p, y, as far as they have columns,
         status, cost, time_ns, and with units.
 
         At the end of the loop only x is known; the others are NaN there. It needs the extra ``notebook``.

@@ -36,7 +36,8 @@ STYLE = {
     "ytick.color": "0.35",
     "font.size": 9,
 }
-STATE_COLOR, CONTROL_COLOR, ROW_COLOR, TIME_COLOR = "#1f5fa8", "#c2571a", "#3f7d4e", "0.5"
+STATE_COLOR, CONTROL_COLOR, ALGEBRAIC_COLOR = "#1f5fa8", "#c2571a", "#7b4a91"
+ROW_COLOR, TIME_COLOR = "#3f7d4e", "0.5"
 BOUND_COLOR, REFERENCE_COLOR, DOUBT_COLOR, FAILURE_COLOR = "0.45", "0.15", "#d98c00", "#b3202c"
 #: What the legend says, and the style of the line or mark.
 HARD = ("hard bound", {"color": BOUND_COLOR, "linewidth": 1.0, "linestyle": (0, (5, 3))})

@@ -11,7 +11,7 @@ from nmpc_codegen.runtime.extras import extra
 from nmpc_codegen.runtime.records.trace import COLUMNS, Record
 
 #: Array of a log -> the name of the dimension of its columns.
-DIMENSIONS = {"x": "state", "u": "control", "h": "row", "p": "parameter", "y": "residual"}
+DIMENSIONS = {"x": "state", "u": "control", "z": "algebraic", "h": "row", "p": "parameter", "y": "residual"}
 PER_SAMPLE = ("cost", "time_ns")
 
 

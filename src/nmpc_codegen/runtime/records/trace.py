@@ -24,7 +24,7 @@ def with_unit(name: str, unit: str) -> str:
 
 
 #: Array of a log -> its field with the traces of the columns.
-COLUMNS = {"x": "states", "u": "controls", "h": "rows", "p": "parameters", "y": "references"}
+COLUMNS = {"x": "states", "u": "controls", "z": "algebraic", "h": "rows", "p": "parameters", "y": "references"}
 
 
 @dataclass(frozen=True)
@@ -65,9 +65,10 @@ class Trace:
 class Record:
     """The record of a closed loop, one entry per sample; t and x have one more for its end.
 
-    ``h``: values of the general path rows at x[k], u[k], those that hold at node 0 or at several nodes before the end.
-    ``p``, ``y``: parameters and reference of the path residual at node 0. ``cost[k]``: of the plan of sample k.
-    ``states`` ... ``references``: names, units and bounds of the columns of x, u, h, p, y.
+    ``z``: algebraic variables at x[k], u[k]. ``h``: values of the general path rows there, those that hold at node 0 or
+    at several nodes before the end. ``p``, ``y``: parameters and reference of the path residual at node 0. ``cost[k]``:
+    of the plan of sample k.
+    ``states`` ... ``references``: names, units and bounds of the columns of x, u, z, h, p, y.
     ``reasons``: what Controller.diagnose() said at the first sample with each status.
     """
 
@@ -76,6 +77,7 @@ class Record:
     t: Array  # (steps+1,)
     x: Array  # (steps+1, nx)
     u: Array  # (steps, nu)
+    z: Array  # (steps, number of algebraic variables)
     h: Array  # (steps, number of rows)
     p: Array  # (steps, np)
     y: Array  # (steps, ny)
@@ -84,6 +86,7 @@ class Record:
     time_ns: NDArray[np.int64]  # (steps,), prepare and feedback together
     states: tuple[Trace, ...]
     controls: tuple[Trace, ...]
+    algebraic: tuple[Trace, ...]
     rows: tuple[Trace, ...]
     parameters: tuple[Trace, ...]
     references: tuple[Trace, ...]

@@ -40,8 +40,10 @@ class Intervals:
 
     # Parts -----------------------------------------------------------------------------------------------------------
 
-    def _ports(self, length: str = "dt") -> tuple[Port, ...]:
-        sizes = (("x", self.nx), ("u", self.nu), ("p", self.problem.np), (length, 1))
+    def _ports(self, length: str, body: tuple[Node, ...]) -> tuple[Port, ...]:
+        """The inputs; calls that start with the terms of a node read more than parameters."""
+        more = self.problem.solved if any(isinstance(node, Call) for node in body) else 0
+        sizes = (("x", self.nx), ("u", self.nu), ("p", self.problem.np + more), (length, 1))
         start = (Port(START, self.na),) if self.na else ()
         return (*(Port(name, size) for name, size in sizes), *start, Port(NEWTON, 1, whole=True))
 
@@ -68,7 +70,7 @@ class Intervals:
         jumps: bool = True,
         scratch: tuple[tuple[str, int], ...] = (),
     ) -> LoopedRoutine:
-        sweep = Sweep(name, doc, (*self._ports(length), *more), outputs, scratch, body)
+        sweep = Sweep(name, doc, (*self._ports(length, body), *more), outputs, scratch, body)
         return lift_loops(with_jump(sweep, self.problem) if jumps else sweep)
 
     @property

@@ -1,0 +1,144 @@
+"""Functions of a node that contain algebraic variables: z and W = -(dg/dz)^-1 are found first, behind the parameters.
+
+At node N, which has no control, the equations have the controls of the node before, which are states there.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TypeVar
+
+import casadi as ca
+
+from nmpc_codegen.components.integrators.implicit.counts import factors_of, solution_of
+from nmpc_codegen.components.integrators.implicit.intervals import START
+from nmpc_codegen.components.integrators.implicit.stage_kernels import StageKernels
+from nmpc_codegen.components.integrators.jump import rename_buffer
+from nmpc_codegen.frontend.problem import Problem, symbols
+from nmpc_codegen.ir.casadi_types import Function
+from nmpc_codegen.ir.kernel import Kernel, Port, lift
+from nmpc_codegen.ir.model import ModelFunctions, StageModel
+from nmpc_codegen.ir.sweep import Call, LoopedRoutine, Node, Routine, Slice, Sweep, Written, calls
+from nmpc_codegen.package.opcount import OpCount
+
+#: The buffer of parameters, z and W; the leaf that reads it; Newton steps that are counted, as many as data need.
+DATA, LEAF, STEPS = "data", "of_data", 2
+
+R = TypeVar("R", Routine, Routine | None)
+
+
+def with_node_data(functions: ModelFunctions, problem: Problem) -> ModelFunctions:
+    """The functions of a package with z and W where they read them."""
+    complete = _Completion(problem)
+
+    def stage(model: StageModel) -> StageModel:
+        block = replace(model.block, hessian=complete(model.hessian), curvature=complete(model.curvature))
+        rows, product = complete(model.rows), complete(model.product)
+        return replace(
+            model, cost=complete(model.cost), gradient=complete(model.gradient), rows=rows, product=product, block=block
+        )
+
+    return replace(
+        functions,
+        interval=replace(functions.interval, curved=complete(functions.interval.curved)),
+        start=stage(functions.start),
+        path=stage(functions.path),
+        terminal=stage(functions.terminal),
+        exact=tuple(complete(routine) for routine in functions.exact),
+    )
+
+
+def algebraic_kernel(problem: Problem) -> Kernel | None:
+    """stage_algebraic(x, u, p -> z): all algebraic variables of a point, (x, those that Newton's method solves for)."""
+    algebra = problem.algebra
+    if algebra is None or not algebra.signals:
+        return None
+    x, u, p, _ = symbols(problem.nx, problem.nu, problem.np)
+    z = ca.SX.sym("z", algebra.size)
+    function = ca.Function("algebraic", [ca.vertcat(x, z), u, p], [ca.densify(algebra.values(x, u, p, z))])
+    ports = (Port("x", problem.nx + algebra.size), Port("u", problem.nu), Port("p", problem.np))
+    out = Port("z", int(function.size1_out(0)))
+    return lift(function, "stage_algebraic", "z = algebraic variables", ports, (out,))
+
+
+class _Completion:
+    """Completes the routines of one problem."""
+
+    def __init__(self, problem: Problem) -> None:
+        self.problem, self.kernels = problem, StageKernels(problem)
+        self.size = problem.np + problem.solved
+        assert self.kernels.equation is not None
+        self.equation = self.kernels.equation
+        self.reads = {port.name for port in self.equation.reads}
+
+    def __call__(self, routine: R) -> R:
+        """The routine with the parameters of the node as input and, if it reads more, with what finds that."""
+        if routine is None or all(port.name != "p" for port in routine.inputs):
+            return routine
+        inputs = tuple(Port("p", self.problem.np) if port.name == "p" else port for port in routine.inputs)
+        if isinstance(routine, Kernel):
+            if not self._reads_more(routine, [port.name for port in routine.inputs]):
+                return replace(routine, inputs=inputs)
+            return self._around(_with_leaf(routine), inputs)
+        leaves = routine.leaves
+        names = [(leaves[c.leaf.name()], [s.buffer for s in c.ins]) for c in calls(routine.sweep.body)]
+        if not any(self._reads_more(leaf, buffers) for leaf, buffers in names):
+            return LoopedRoutine(replace(routine.sweep, inputs=inputs), leaves)
+        return self._around(routine, inputs)
+
+    def _reads_more(self, kernel: Kernel, buffers: list[str]) -> bool:
+        """True if it reads z or W behind the parameters."""
+        places = {i for i, buffer in enumerate(buffers) if buffer == "p"}
+        loads = (i.args for i in kernel.instructions if i.opcode == ca.OP_INPUT)
+        return any(port in places and element >= self.problem.np for port, element in loads)
+
+    def _around(self, routine: LoopedRoutine, inputs: tuple[Port, ...]) -> LoopedRoutine:
+        """The routine behind the call that finds z and W; its own calls read them with the parameters."""
+        problem, sweep, leaves = self.problem, routine.sweep, dict(routine.leaves)
+        known = {port.name for port in inputs}
+        inputs = inputs if START in known else (*inputs, Port(START, self.kernels.na))
+        scratch, before = [*sweep.locals, (DATA, self.size)], list[Node]()
+        if "u" in self.reads and "u" not in known:
+            leaf = _controls_before(problem)
+            leaves[leaf.name()] = lift(
+                leaf, f"{sweep.name}_{leaf.name()}", "", (Port("x", problem.nx),), (Port("u", problem.nu),)
+            )
+            scratch.append(("u", problem.nu))
+            before.append(Call(leaf, (Slice("x", problem.nx),), (Slice("u", problem.nu),)))
+        given = (
+            *(Slice("x", problem.nx), Slice(START, self.kernels.na)),
+            *(Slice("u", problem.nu) if "u" in self.reads else "0", Slice("p", problem.np) if problem.np else "0"),
+        )
+        found = (Slice(DATA, self.size),)
+        before.append(Written("implicit_node_data", given, found, self._count, (self.equation,)))
+        own = (rename_buffer((node,), "p", DATA)[0] if isinstance(node, Call) else node for node in sweep.body)
+        return LoopedRoutine(
+            replace(sweep, inputs=inputs, locals=tuple(scratch), body=(*before, *own)),
+            leaves,
+        )
+
+    @property
+    def _count(self) -> OpCount:
+        n = self.kernels.na
+        step = self.equation.count + factors_of(n) + solution_of(n, 1)
+        return step * STEPS + solution_of(n, n)
+
+
+def _with_leaf(kernel: Kernel) -> LoopedRoutine:
+    """A kernel as a routine that calls it."""
+    leaf = replace(
+        kernel,
+        name=f"{kernel.name}_of_data",
+        outputs=tuple(Port(port.name, port.size, doc=port.doc, flat=True) for port in kernel.outputs),
+    )
+    ins, outs = (tuple(Slice(port.name, port.size) for port in ports) for ports in (leaf.inputs, leaf.outputs))
+    call = Call(ca.Function(LEAF, [], []), ins, outs)
+    return LoopedRoutine(Sweep(kernel.name, kernel.doc, kernel.inputs, kernel.outputs, (), (call,)), {LEAF: leaf})
+
+
+def _controls_before(problem: Problem) -> Function:
+    """(x) -> the controls of the node before, of those that the problem remembers."""
+    x = ca.SX.sym("x", problem.nx)
+    places = problem.inner.places
+    u = [x[problem.measured + places[j]] if j in places else ca.SX(0) for j in range(problem.nu)]
+    return ca.Function("controls_before", [x], [ca.densify(ca.vertcat(*u))])
