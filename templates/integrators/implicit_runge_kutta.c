@@ -61,7 +61,7 @@ static int name_failed_node(solver_t *s)
 }
 #endif
 
-/* Names the stages at which an evaluation of the plan fails: interval, step, block of stages[if NALG > 0:, the last two
+/* Names the stages at which an evaluation of the plan fails: interval, step, group of stages[if NALG > 0:, the last two
  * -1 for equations of a node], and the variable whose column of the Newton matrix has no pivot or, with NXA added, the
  * one that does not converge; -1: none fails. */
 static void name_failed_stage(solver_t *s, status_t status)

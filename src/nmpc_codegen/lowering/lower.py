@@ -338,6 +338,9 @@ def _macros(model: Model, dims: Dims, whole: bool) -> tuple[Macro, ...]:
     public = {s for e in _entries(model) for a in (*e.inputs, *e.outputs) for s in a.shape}
     public.update(INTERFACE_SIZES, (f"SIZE_{name}" for name in names))
     found = {macro.name: replace(macro, public=macro.name in public) for macro in reversed(macros)}
+    clash = [macro.name for macro in macros if not whole and found[macro.name].value != macro.value]
+    if clash:
+        raise ValueError(f"two components state the size {clash[0]}, with different values")
     return tuple(found.values())[::-1]
 
 

@@ -1,36 +1,36 @@
 /* Adjoints: the stages of all steps are stored, then followed backward. lam belongs to the end of a step, kappa_i to
  * its increment D_i, bar_i to base_i, mu_i to f(X_i, u, p)[if NALG > 0: and g]; rho_i is the gradient of a cost of the
- * stage, and sums over stages of its own block run over i and j:
+ * stage, and sums over stages of its own group run over i and j:
  *
- *     kappa_i = increment_b[i] lam + sum_{l behind the block} increment_a[l][i] bar_l
+ *     kappa_i = increment_b[i] lam + sum_{l behind the group} increment_a[l][i] bar_l
  *     M' nu = (kappa_i + rho_x[if NALG > 0:, rho_z]),   mu_j = h sum_i a_ij nu_i[if NALG > 0:, of g nu_j],
  *     bar_i = nu_i - kappa_i      (explicit: mu_i = h kappa_i, bar_i = f_x' mu_i + rho_x)
  *     g_u += f_u' mu_i + rho_u,   lam += sum_i bar_i */
 
 /* Stages of all steps; x becomes the end. */
 static void record_stages(real_t *x, const real_t *z, const real_t *u, const real_t *p, real_t h, int newton,
-    stage_t (*stage)[BLOCKS], real_t *left)
+    stage_t (*stage)[GROUPS], real_t *left)
 {
     real_t D[STAGES][NX], point[NXA];
     start_point(point, x, z);
     for (int step = 0; step < STEPS; step++) {
-        for (int b = 0; b < BLOCKS; b++) {
+        for (int b = 0; b < GROUPS; b++) {
             (void)run_stage(&stage[step][b], point, D, b, x, u, p, h, newton, left);
         }
         end_step(x, D, point);
     }
 }
 
-/* kappa_i of the stages of block b along n columns. */
+/* kappa_i of the stages of group b along n columns. */
 static inline void adjoint_of_increment(const real_t *lam, int b, real_t (*bar)[NX * NZ], int n, real_t *kappa)
 {
-    for (int i = 0; i < BLOCK; i++) {
+    for (int i = 0; i < GROUP; i++) {
         for (int r = 0; r < NX * n; r++) {
-            kappa[i * NX * n + r] = increment_b[b * BLOCK + i] * lam[r];
+            kappa[i * NX * n + r] = increment_b[b * GROUP + i] * lam[r];
         }
-        for (int l = (b + 1) * BLOCK; l < STAGES; l++) {
+        for (int l = (b + 1) * GROUP; l < STAGES; l++) {
             for (int r = 0; r < NX * n; r++) {
-                kappa[i * NX * n + r] += increment_a[l * STAGES + b * BLOCK + i] * bar[l][r];
+                kappa[i * NX * n + r] += increment_a[l * STAGES + b * GROUP + i] * bar[l][r];
             }
         }
     }
@@ -53,16 +53,16 @@ static inline void pull_explicit_stage(
     }
 }
 
-/* mu_j of all stages of a block from nu, along n columns. */
+/* mu_j of all stages of a group from nu, along n columns. */
 static inline void weigh_multipliers(const real_t *ha, const real_t *nu, int n, real_t *mu)
 {
-    for (int j = 0; j < BLOCK; j++) {
+    for (int j = 0; j < GROUP; j++) {
         for (int r = 0; r < NX * n; r++) {
             mu[j * NXA * n + r] = ha[j] * nu[r];
         }
-        for (int i = 1; i < BLOCK; i++) {
+        for (int i = 1; i < GROUP; i++) {
             for (int r = 0; r < NX * n; r++) {
-                mu[j * NXA * n + r] += ha[i * BLOCK + j] * nu[i * NXA * n + r];
+                mu[j * NXA * n + r] += ha[i * GROUP + j] * nu[i * NXA * n + r];
             }
         }
         for (int r = NX * n; r < NXA * n; r++) {
@@ -71,7 +71,7 @@ static inline void weigh_multipliers(const real_t *ha, const real_t *nu, int n, 
     }
 }
 
-/* mu and bar of the stages of block b along n columns: NXAU rows of rho and NXA rows of mu for each of its stages. */
+/* mu and bar of the stages of group b along n columns: NXAU rows of rho and NXA rows of mu for each of its stages. */
 static inline void pull_stage(const stage_t *t, int b, real_t h, const real_t *kappa, const real_t *rho, int n,
     real_t *mu, real_t (*bar)[NX * NZ])
 {
@@ -79,9 +79,9 @@ static inline void pull_stage(const stage_t *t, int b, real_t h, const real_t *k
         pull_explicit_stage(t, h, kappa, rho, n, mu, bar[0]);
         return;
     }
-    real_t rest[NB * NZ], nu[NB * NZ], ha[BLOCK * BLOCK];
+    real_t rest[NB * NZ], nu[NB * NZ], ha[GROUP * GROUP];
     stage_lengths(h, b, ha);
-    for (int i = 0; i < BLOCK; i++) {
+    for (int i = 0; i < GROUP; i++) {
         const real_t *own = &rho[i * NXAU * n];
         for (int r = 0; r < NX * n; r++) {
             rest[i * NXA * n + r] = kappa[i * NX * n + r] + own[r];
@@ -91,9 +91,9 @@ static inline void pull_stage(const stage_t *t, int b, real_t h, const real_t *k
         }
     }
     solve_stage_transposed(t, rest, nu, n);
-    for (int i = 0; i < BLOCK; i++) {
+    for (int i = 0; i < GROUP; i++) {
         for (int r = 0; r < NX * n; r++) {
-            bar[b * BLOCK + i][r] = nu[i * NXA * n + r] - kappa[i * NX * n + r];
+            bar[b * GROUP + i][r] = nu[i * NXA * n + r] - kappa[i * NX * n + r];
         }
     }
     weigh_multipliers(ha, nu, n, mu);
@@ -102,7 +102,7 @@ static inline void pull_stage(const stage_t *t, int b, real_t h, const real_t *k
 /* g_u += f_u' mu + rho_u along n columns. */
 static inline void pull_controls(const stage_t *t, const real_t *mu, const real_t *rho, int n, real_t *g_u)
 {
-    for (int i = 0; i < BLOCK; i++) {
+    for (int i = 0; i < GROUP; i++) {
         for (int j = 0; j < NU; j++) {
             for (int c = 0; c < n; c++) {
                 g_u[j * n + c] += rho[(i * NXAU + NXA + j) * n + c];
@@ -129,9 +129,9 @@ static inline void end_pulled_step(real_t *lam, real_t (*bar)[NX * NZ], int n)
 /* A step backward: lam, mu_i of its stages, g_u. */
 static void pull_step(const stage_t *stage, real_t h, real_t (*rho)[NXAU], real_t *lam, real_t (*mu)[NXA], real_t *g_u)
 {
-    real_t bar[STAGES][NX * NZ], kappa[BLOCK * NX];
-    for (int b = BLOCKS - 1; b >= 0; b--) {
-        const int i = b * BLOCK;
+    real_t bar[STAGES][NX * NZ], kappa[GROUP * NX];
+    for (int b = GROUPS - 1; b >= 0; b--) {
+        const int i = b * GROUP;
         adjoint_of_increment(lam, b, bar, 1, kappa);
         pull_stage(&stage[b], b, h, kappa, rho[i], 1, mu[i], bar);
         pull_controls(&stage[b], mu[i], rho[i], 1, g_u);
@@ -145,7 +145,7 @@ static void implicit_adjoint(const real_t *x, const real_t *z, const real_t *u, 
 {
     const real_t h = *dt / (real_t)STEPS;
     real_t end[NX], left[NX] = {R(0)}, rho[STAGES][NXAU] = {{R(0)}}, mu[STAGES][NXA];
-    stage_t stage[STEPS][BLOCKS];
+    stage_t stage[STEPS][GROUPS];
     memcpy(end, x, sizeof end);
     record_stages(end, z, u, p, h, newton, stage, left);
     memcpy(lam_x, lam, NX * sizeof *lam_x);

@@ -50,7 +50,7 @@ static void add_curvature_of_stage(const real_t *Z, const real_t *U, const real_
 
 /* The gradients of the cost of all stages, 0 without a cost rate. */
 static void all_rate_gradients(
-    stage_t (*stage)[BLOCKS], const real_t *u, const real_t *p, real_t h, real_t (*rho)[STAGES][NXAU])
+    stage_t (*stage)[GROUPS], const real_t *u, const real_t *p, real_t h, real_t (*rho)[STAGES][NXAU])
 {
     memset(rho, 0, STEPS * sizeof *rho);
     for (int step = 0; HAS_STAGE_RATE_GRADIENT && step < STEPS; step++) {
@@ -69,13 +69,13 @@ static void add_gradient_of_stage(const real_t *Z, const real_t *U, const real_t
     }
 }
 
-/* Second derivatives of the stages of a block, with the first of their multipliers and cost gradients: Q and g. */
-static void add_block(const stage_t *t, int b, const real_t *u, const real_t *p, real_t h, const real_t *Z,
+/* Second derivatives of the stages of a group, with the first of their multipliers and cost gradients: Q and g. */
+static void add_group(const stage_t *t, int b, const real_t *u, const real_t *p, real_t h, const real_t *Z,
     const real_t *U, real_t (*mu)[NXA], real_t (*rho)[NXAU], real_t *g, real_t *Q)
 {
     real_t W[NXAU * NZ], H[NXAU][NXAU] = {{R(0)}};
-    for (int i = 0; i < BLOCK; i++) {
-        const real_t weight = h * stage_weight[b * BLOCK + i], *own = &Z[i * NXA * NZ];
+    for (int i = 0; i < GROUP; i++) {
+        const real_t weight = h * stage_weight[b * GROUP + i], *own = &Z[i * NXA * NZ];
         STAGE_CURVATURE(&t->X[i * NXA], u, p, mu[i], &weight, H);
         multiply_curvature(H, own, U, W);
         add_curvature_of_stage(own, U, W, Q);
@@ -92,7 +92,7 @@ static void implicit_symmetric(const real_t *x, const real_t *z, const real_t *u
     const real_t h = *dt / (real_t)STEPS;
     real_t end[NX], adj[NX], pulled[NU] = {R(0)}, rho[STEPS][STAGES][NXAU], mu[STEPS][STAGES][NXA];
     real_t DV[STAGES][NX * NZ], U[NU * NZ], Z[NB * NZ];
-    stage_t stage[STEPS][BLOCKS];
+    stage_t stage[STEPS][GROUPS];
     memcpy(end, x, sizeof end);
     memset(left, 0, NX * sizeof *left);
     record_stages(end, z, u, p, h, newton, stage, left);
@@ -103,10 +103,10 @@ static void implicit_symmetric(const real_t *x, const real_t *z, const real_t *u
     }
     unit_columns(S, U);
     for (int step = 0; step < STEPS; step++) {
-        for (int b = 0; b < BLOCKS; b++) {
-            const int i = b * BLOCK;
+        for (int b = 0; b < GROUPS; b++) {
+            const int i = b * GROUP;
             stage_columns(&stage[step][b], b, h, S, U, NZ, DV, Z);
-            add_block(&stage[step][b], b, u, p, h, Z, U, &mu[step][i], &rho[step][i], g, Q);
+            add_group(&stage[step][b], b, u, p, h, Z, U, &mu[step][i], &rho[step][i], g, Q);
         }
         end_step_of_columns(S, DV, NZ);
     }
@@ -117,12 +117,12 @@ static void implicit_symmetric(const real_t *x, const real_t *z, const real_t *u
 static void pull_columns(const stage_t *stage, const real_t *u, const real_t *p, real_t h, real_t (*mu)[NXA],
     real_t (*Z)[NB * NZ], const real_t *U, real_t *adjS, real_t *controlS)
 {
-    real_t bar[STAGES][NX * NZ], kappa[BLOCK * NX * NZ], muS[NB * NZ], W[BLOCK * NXAU * NZ], H[NXAU][NXAU] = {{R(0)}};
+    real_t bar[STAGES][NX * NZ], kappa[GROUP * NX * NZ], muS[NB * NZ], W[GROUP * NXAU * NZ], H[NXAU][NXAU] = {{R(0)}};
     memset(W, 0, sizeof W);
-    for (int b = BLOCKS - 1; b >= 0; b--) {
-        for (int i = 0; i < BLOCK; i++) {
-            const real_t weight = h * stage_weight[b * BLOCK + i];
-            STAGE_CURVATURE(&stage[b].X[i * NXA], u, p, mu[b * BLOCK + i], &weight, H);
+    for (int b = GROUPS - 1; b >= 0; b--) {
+        for (int i = 0; i < GROUP; i++) {
+            const real_t weight = h * stage_weight[b * GROUP + i];
+            STAGE_CURVATURE(&stage[b].X[i * NXA], u, p, mu[b * GROUP + i], &weight, H);
             multiply_curvature(H, &Z[b][i * NXA * NZ], U, &W[i * NXAU * NZ]);
         }
         adjoint_of_increment(adjS, b, bar, NZ, kappa);
@@ -138,15 +138,15 @@ static void implicit_forward_over_adjoint(const real_t *x, const real_t *z, cons
 {
     const real_t h = *dt / (real_t)STEPS;
     real_t end[NX], adj[NX], pulled[NU] = {R(0)}, rho[STEPS][STAGES][NXAU], mu[STAGES][NXA], D[STAGES][NX];
-    real_t DV[STAGES][NX * NZ], U[NU * NZ], Z[STEPS][BLOCKS][NB * NZ], adjS[NX * NZ] = {R(0)}, point[NXA];
+    real_t DV[STAGES][NX * NZ], U[NU * NZ], Z[STEPS][GROUPS][NB * NZ], adjS[NX * NZ] = {R(0)}, point[NXA];
     real_t controlS[NU * NZ] = {R(0)};
-    stage_t stage[STEPS][BLOCKS];
+    stage_t stage[STEPS][GROUPS];
     memcpy(end, x, sizeof end);
     memset(left, 0, NX * sizeof *left);
     unit_columns(S, U);
     start_point(point, x, z);
     for (int step = 0; step < STEPS; step++) {
-        for (int b = 0; b < BLOCKS; b++) {
+        for (int b = 0; b < GROUPS; b++) {
             (void)run_stage(&stage[step][b], point, D, b, end, u, p, h, newton, left);
             stage_columns(&stage[step][b], b, h, S, U, NZ, DV, Z[step][b]);
         }
@@ -159,7 +159,7 @@ static void implicit_forward_over_adjoint(const real_t *x, const real_t *z, cons
         pull_step(stage[step], h, rho[step], adj, mu, pulled);
         pull_columns(stage[step], u, p, h, mu, Z[step], U, adjS, controlS);
         for (int i = 0; HAS_STAGE_RATE_GRADIENT && i < STAGES; i++) {
-            add_gradient_of_stage(&Z[step][i / BLOCK][i % BLOCK * NXA * NZ], U, rho[step][i], g);
+            add_gradient_of_stage(&Z[step][i / GROUP][i % GROUP * NXA * NZ], U, rho[step][i], g);
         }
     }
     for (int i = 0; i < NZ; i++) {

@@ -1,35 +1,35 @@
 /* Stages and steps, and their derivatives along n columns of directions (V, U) = d(x, u). */
 
-/* base_i of the stages of block b. */
+/* base_i of the stages of group b. */
 static void stage_base(const real_t *x, int b, real_t (*D)[NX], real_t *base)
 {
-    for (int i = 0; i < BLOCK; i++) {
+    for (int i = 0; i < GROUP; i++) {
         for (int r = 0; r < NX; r++) {
             base[i * NX + r] = x[r];
         }
-        for (int j = 0; j < b * BLOCK; j++) {
+        for (int j = 0; j < b * GROUP; j++) {
             for (int r = 0; r < NX; r++) {
-                base[i * NX + r] += increment_a[(b * BLOCK + i) * STAGES + j] * D[j][r];
+                base[i * NX + r] += increment_a[(b * GROUP + i) * STAGES + j] * D[j][r];
             }
         }
     }
 }
 
-/* h A of the stages of block b. */
+/* h A of the stages of group b. */
 static inline void stage_lengths(real_t h, int b, real_t *ha)
 {
-    for (int i = 0; i < BLOCK * BLOCK; i++) {
-        ha[i] = h * stage_a[b * BLOCK * BLOCK + i];
+    for (int i = 0; i < GROUP * GROUP; i++) {
+        ha[i] = h * stage_a[b * GROUP * GROUP + i];
     }
 }
 
-/* Points, increments and derivatives of the stages of block b of a step from x. Newton's method starts at `point`, the
+/* Points, increments and derivatives of the stages of group b of a step from x. Newton's method starts at `point`, the
  * last point before, where fast states have settled, while their slopes lead away; the last one of these stages takes
  * its place. Returns why it fails, or -1. */
 static int run_stage(stage_t *t, real_t *point, real_t (*D)[NX], int b, const real_t *x, const real_t *u,
     const real_t *p, real_t h, int newton, real_t *left)
 {
-    real_t base[BLOCK * NX];
+    real_t base[GROUP * NX];
     int failed = -1;
     stage_base(x, b, D, base);
     if (EXPLICIT_FIRST && b == 0) {
@@ -41,21 +41,21 @@ static int run_stage(stage_t *t, real_t *point, real_t (*D)[NX], int b, const re
             D[b][r] = h * f[r];
         }
     } else {
-        real_t ha[BLOCK * BLOCK];
+        real_t ha[GROUP * GROUP];
         stage_lengths(h, b, ha);
-        for (int i = 0; i < BLOCK; i++) {
+        for (int i = 0; i < GROUP; i++) {
             for (int r = 0; r < NXA; r++) {
                 t->X[i * NXA + r] = point[r];
             }
         }
         failed = solve_stage(t, base, u, p, ha, newton, left);
-        for (int i = 0; i < BLOCK; i++) {
+        for (int i = 0; i < GROUP; i++) {
             for (int r = 0; r < NX; r++) {
-                D[b * BLOCK + i][r] = t->X[i * NXA + r] - base[i * NX + r];
+                D[b * GROUP + i][r] = t->X[i * NXA + r] - base[i * NX + r];
             }
         }
     }
-    memcpy(point, &t->X[(BLOCK - 1) * NXA], NXA * sizeof *point);
+    memcpy(point, &t->X[(GROUP - 1) * NXA], NXA * sizeof *point);
     return failed;
 }
 
@@ -79,13 +79,13 @@ static inline void start_point(real_t *point, const real_t *x, const real_t *z)
     }
 }
 
-/* One step of length h in place. Returns why the block of stages `failing` fails, or -1. */
+/* One step of length h in place. Returns why the group of stages `failing` fails, or -1. */
 static int step_in_place(real_t *x, real_t *point, const real_t *u, const real_t *p, real_t h, int newton, int *failing,
     real_t *left)
 {
     stage_t stage;
     real_t D[STAGES][NX];
-    for (int b = 0; b < BLOCKS; b++) {
+    for (int b = 0; b < GROUPS; b++) {
         const int reason = run_stage(&stage, point, D, b, x, u, p, h, newton, left);
         if (reason >= 0) {
             for (int r = 0; r < NX; r++) {
@@ -126,7 +126,7 @@ static void implicit_value(const real_t *x, const real_t *z, const real_t *u, co
     memcpy(x_next, end, sizeof end);
 }
 
-/* The first stages of STEPS steps that cannot be solved: reason, step, block of stages; reason -1: there are none. */
+/* The first stages of STEPS steps that cannot be solved: reason, step, group of stages; reason -1: there are none. */
 static void implicit_failure(const real_t *x, const real_t *z, const real_t *u, const real_t *p, const real_t *dt,
     int newton, real_t *failure)
 {
@@ -143,7 +143,7 @@ static void implicit_failure(const real_t *x, const real_t *z, const real_t *u, 
     failure[2] = (real_t)failing;
 }
 
-/* y += factor f_u U of stage i of the block, for the first or the other rows of f. */
+/* y += factor f_u U of stage i of the group, for the first or the other rows of f. */
 static inline void add_forcing(
     const stage_t *t, int i, int first, int last, real_t factor, const real_t *U, int n, real_t *y)
 {
@@ -178,22 +178,22 @@ static inline void explicit_columns(
     add_forcing(t, 0, 0, NX, h, U, n, DV);
 }
 
-/* Derivatives of the bases of block b along n columns. */
+/* Derivatives of the bases of group b along n columns. */
 static inline void base_columns(const real_t *V, int b, int n, real_t (*DV)[NX * NZ], real_t *base)
 {
-    for (int i = 0; i < BLOCK; i++) {
+    for (int i = 0; i < GROUP; i++) {
         for (int r = 0; r < NX * n; r++) {
             base[i * NX * n + r] = V[r];
         }
-        for (int j = 0; j < b * BLOCK; j++) {
+        for (int j = 0; j < b * GROUP; j++) {
             for (int r = 0; r < NX * n; r++) {
-                base[i * NX * n + r] += increment_a[(b * BLOCK + i) * STAGES + j] * DV[j][r];
+                base[i * NX * n + r] += increment_a[(b * GROUP + i) * STAGES + j] * DV[j][r];
             }
         }
     }
 }
 
-/* Derivatives of the points of block b, Z, and of their increments, DV, along n <= NZ columns:
+/* Derivatives of the points of group b, Z, and of their increments, DV, along n <= NZ columns:
  * Z = M^-1 (base + h A f_u U[if NALG > 0:; g_u U]), DV = Z - base. */
 static inline void stage_columns(
     const stage_t *t, int b, real_t h, const real_t *V, const real_t *U, int n, real_t (*DV)[NX * NZ], real_t *Z)
@@ -202,10 +202,10 @@ static inline void stage_columns(
         explicit_columns(t, h, V, U, n, DV[0], Z);
         return;
     }
-    real_t base[BLOCK * NX * NZ], rest[NB * NZ], ha[BLOCK * BLOCK];
+    real_t base[GROUP * NX * NZ], rest[NB * NZ], ha[GROUP * GROUP];
     base_columns(V, b, n, DV, base);
     stage_lengths(h, b, ha);
-    for (int i = 0; i < BLOCK; i++) {
+    for (int i = 0; i < GROUP; i++) {
         real_t *own = &rest[i * NXA * n];
         for (int r = 0; r < NX * n; r++) {
             own[r] = base[i * NX * n + r];
@@ -213,15 +213,15 @@ static inline void stage_columns(
         for (int r = NX * n; r < NXA * n; r++) {
             own[r] = R(0);
         }
-        for (int j = 0; j < BLOCK; j++) {
-            add_forcing(t, j, 0, NX, ha[i * BLOCK + j], U, n, own);
+        for (int j = 0; j < GROUP; j++) {
+            add_forcing(t, j, 0, NX, ha[i * GROUP + j], U, n, own);
         }
         add_forcing(t, i, NX, NXA, R(1), U, n, own);
     }
     solve_stage_columns(t, rest, Z, n);
-    for (int i = 0; i < BLOCK; i++) {
+    for (int i = 0; i < GROUP; i++) {
         for (int r = 0; r < NX * n; r++) {
-            DV[b * BLOCK + i][r] = Z[i * NXA * n + r] - base[i * NX * n + r];
+            DV[b * GROUP + i][r] = Z[i * NXA * n + r] - base[i * NX * n + r];
         }
     }
 }
@@ -246,7 +246,7 @@ static inline void implicit_columns(real_t *x, const real_t *z, const real_t *u,
     stage_t stage;
     start_point(point, x, z);
     for (int step = 0; step < STEPS; step++) {
-        for (int b = 0; b < BLOCKS; b++) {
+        for (int b = 0; b < GROUPS; b++) {
             (void)run_stage(&stage, point, D, b, x, u, p, h, newton, left);
             stage_columns(&stage, b, h, V, U, n, DV, Z);
         }

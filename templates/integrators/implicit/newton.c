@@ -1,8 +1,8 @@
-/* Stages of implicit Runge-Kutta schemes. BLOCK stages are solved together[if NALG > 0:, with their algebraic variables
+/* Stages of implicit Runge-Kutta schemes. GROUP stages are solved together[if NALG > 0:, with their algebraic variables
  * z]. With increments D_i,
  *
- *     base_i = x + sum_j increment_a[i][j] D_j over the blocks before, X_i = base_i + D_i,
- *     D_i = h sum_j a_ij f(X_j, u, p) over its own block[if NALG > 0:, 0 = g(X_i, z_i, u, p)],
+ *     base_i = x + sum_j increment_a[i][j] D_j over the groups before, X_i = base_i + D_i,
+ *     D_i = h sum_j a_ij f(X_j, u, p) over its own group[if NALG > 0:, 0 = g(X_i, z_i, u, p)],
  *     x_next = x + sum_i increment_b[i] D_i;
  *
  * an explicit first stage (a_ii = 0) has X_i = base_i and D_i = h f. No number is divided by h, and M^-1 damps the
@@ -11,7 +11,7 @@
 /* Stages that are solved together: their points (x[if NALG > 0:, z]), the derivatives J there with respect to (x[if NALG
  * > 0:, z], u), and the factors of M with the order of their rows. */
 typedef struct {
-    real_t X[NB], J[BLOCK][NXA][NXAU], M[NB][NB];
+    real_t X[NB], J[GROUP][NXA][NXAU], M[NB][NB];
     int order[NB];
 } stage_t;
 
@@ -31,13 +31,13 @@ static inline void solve_stage_transposed(const stage_t *t, const real_t *B, rea
 static void correct_point(stage_t *t, const real_t *base, const real_t *ha, const real_t *f, real_t *d)
 {
     real_t rest[NB];
-    for (int i = 0; i < BLOCK; i++) {
+    for (int i = 0; i < GROUP; i++) {
         for (int r = 0; r < NX; r++) {
             rest[i * NXA + r] = t->X[i * NXA + r] - base[i * NX + r];
         }
-        for (int j = 0; j < BLOCK; j++) {
+        for (int j = 0; j < GROUP; j++) {
             for (int r = 0; r < NX; r++) {
-                rest[i * NXA + r] -= ha[i * BLOCK + j] * f[j * NXA + r];
+                rest[i * NXA + r] -= ha[i * GROUP + j] * f[j * NXA + r];
             }
         }
         for (int r = NX; r < NXA; r++) {
@@ -66,11 +66,11 @@ static int fail_stage(stage_t *t, int reason)
 /* Rows of M that belong to stage i. */
 static void form_rows(stage_t *t, const real_t *ha, int i)
 {
-    for (int j = 0; j < BLOCK; j++) {
+    for (int j = 0; j < GROUP; j++) {
         for (int r = 0; r < NX; r++) {
             for (int c = 0; c < NXA; c++) {
                 const real_t unit = (i == j && r == c) ? R(1) : R(0);
-                t->M[i * NXA + r][j * NXA + c] = unit - ha[i * BLOCK + j] * t->J[j][r][c];
+                t->M[i * NXA + r][j * NXA + c] = unit - ha[i * GROUP + j] * t->J[j][r][c];
             }
         }
         for (int r = NX; r < NXA; r++) {
@@ -84,10 +84,10 @@ static void form_rows(stage_t *t, const real_t *ha, int i)
 /* Derivatives at the points, and the factors of M. Returns the variable whose column has no pivot, or -1. */
 static int factorize_at_point(stage_t *t, const real_t *u, const real_t *p, const real_t *ha, real_t *f)
 {
-    for (int i = 0; i < BLOCK; i++) {
+    for (int i = 0; i < GROUP; i++) {
         STAGE_SLOPES(&t->X[i * NXA], u, p, &f[i * NXA], t->J[i]);
     }
-    for (int i = 0; i < BLOCK; i++) {
+    for (int i = 0; i < GROUP; i++) {
         form_rows(t, ha, i);
     }
     return lu_factorize(t->M[0], t->order, state_unit, NB);
@@ -164,7 +164,7 @@ static int solve_stage(
     if (reason >= 0) {
         return fail_stage(t, reason);
     }
-    for (int i = 0; i < BLOCK; i++) {
+    for (int i = 0; i < GROUP; i++) {
         STAGE_SLOPE(&t->X[i * NXA], u, p, &f[i * NXA]);
     }
     correct_point(t, base, ha, f, d);
@@ -172,7 +172,7 @@ static int solve_stage(
     if (reason >= 0) {
         return fail_stage(t, reason);
     }
-    for (int i = 0; i < BLOCK; i++) {
+    for (int i = 0; i < GROUP; i++) {
         for (int r = 0; r < NX; r++) {
             left[r] += FABS(d[i * NXA + r]);
         }

@@ -10,11 +10,11 @@ static void implicit_integral(const real_t *x, const real_t *z, const real_t *u,
     memcpy(end, x, sizeof end);
     start_point(point, x, z);
     for (int step = 0; step < STEPS; step++) {
-        for (int b = 0; b < BLOCKS; b++) {
+        for (int b = 0; b < GROUPS; b++) {
             (void)run_stage(&stage, point, D, b, end, u, p, h, newton, left);
-            for (int i = 0; i < BLOCK; i++) {
+            for (int i = 0; i < GROUP; i++) {
                 STAGE_RATE(&stage.X[i * NXA], u, p, &rate);
-                *l += h * stage_weight[b * BLOCK + i] * rate;
+                *l += h * stage_weight[b * GROUP + i] * rate;
             }
         }
         end_step(end, D, point);
@@ -27,7 +27,7 @@ static void rate_gradients(const stage_t *stage, const real_t *u, const real_t *
     for (int i = 0; i < STAGES; i++) {
         const real_t weight = h * stage_weight[i];
         memset(rho[i], 0, sizeof rho[i]);
-        STAGE_RATE_GRADIENT(&stage[i / BLOCK].X[i % BLOCK * NXA], u, p, rho[i]);
+        STAGE_RATE_GRADIENT(&stage[i / GROUP].X[i % GROUP * NXA], u, p, rho[i]);
         for (int r = 0; r < NXAU; r++) {
             rho[i][r] *= weight;
         }
@@ -40,7 +40,7 @@ static void implicit_integral_gradient(const real_t *x, const real_t *z, const r
 {
     const real_t h = *dt / (real_t)STEPS;
     real_t end[NX], left[NX] = {R(0)}, lam[NX] = {R(0)}, rho[STAGES][NXAU], mu[STAGES][NXA];
-    stage_t stage[STEPS][BLOCKS];
+    stage_t stage[STEPS][GROUPS];
     memcpy(end, x, sizeof end);
     record_stages(end, z, u, p, h, newton, stage, left);
     for (int step = STEPS - 1; step >= 0; step--) {
@@ -60,18 +60,18 @@ static void implicit_integral_product(const real_t *x, const real_t *z, const re
     const real_t h = *dt / (real_t)STEPS;
     real_t end[NX], left[NX] = {R(0)}, D[STAGES][NX], V[NX], DV[STAGES][NX * NZ], Z[NB], lam[NX] = {R(0)};
     real_t rho[STEPS][STAGES][NXAU] = {{{R(0)}}}, mu[STAGES][NXA], point[NXA];
-    stage_t stage[STEPS][BLOCKS];
+    stage_t stage[STEPS][GROUPS];
     memcpy(end, x, sizeof end);
     memcpy(V, d, sizeof V);
     start_point(point, x, z);
     for (int step = 0; step < STEPS; step++) {
-        for (int b = 0; b < BLOCKS; b++) {
+        for (int b = 0; b < GROUPS; b++) {
             stage_t *t = &stage[step][b];
             (void)run_stage(t, point, D, b, end, u, p, h, newton, left);
             stage_columns(t, b, h, V, d + NX, 1, DV, Z);
-            for (int i = 0; i < BLOCK; i++) {
-                real_t *own = rho[step][b * BLOCK + i];
-                const real_t weight = h * stage_weight[b * BLOCK + i];
+            for (int i = 0; i < GROUP; i++) {
+                real_t *own = rho[step][b * GROUP + i];
+                const real_t weight = h * stage_weight[b * GROUP + i];
                 STAGE_RATE_PRODUCT(&t->X[i * NXA], u, p, &Z[i * NXA], d + NX, own);
                 for (int r = 0; r < NXAU; r++) {
                     own[r] *= weight;

@@ -147,8 +147,8 @@ def _stages(ctrl: Memory) -> Iterator[str]:
             "give another initial="
         )
         return
-    first = stage * sizes["BLOCK"] + 1
-    stages = f"stage {first}" if sizes["BLOCK"] == 1 else f"stages {first} to {first + sizes['BLOCK'] - 1}"
+    first = stage * sizes["GROUP"] + 1
+    stages = f"stage {first}" if sizes["GROUP"] == 1 else f"stages {first} to {first + sizes['GROUP'] - 1}"
     yield (
         f"{what} in interval {interval}, step {step + 1}, {stages}: {name}; "
         "check the model there, or take more steps: ImplicitRungeKutta(steps=...), "
