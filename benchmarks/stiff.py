@@ -1,7 +1,8 @@
-"""Stiff models: python -m benchmarks.stiff [--scale S] [--json FILE]
+"""Stiff models and algebraic equations: python -m benchmarks.stiff [--scale S] [--json FILE]
 
 Orders and derivatives of the implicit schemes, stiff problems against IPOPT and in closed loops, and what implicit
-schemes cost beside explicit ones. It ends with an exit status of 1 if a figure is beyond its limit.
+schemes cost beside explicit ones; the same of algebraic equations, and what is left of them in long loops. It ends with
+an exit status of 1 if a figure is beyond its limit.
 """
 
 from __future__ import annotations
@@ -9,7 +10,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from benchmarks.lib import stiff
+from benchmarks.lib import algebraic, stiff
 from benchmarks.lib.base import commits
 from benchmarks.lib.report import Report, finish
 from benchmarks.lib.run import Run
@@ -28,6 +29,8 @@ def main() -> int:
     report, run = Report(), Run(options.scale, commits(), Path())
     report.topic = "stiff"
     stiff.measure(report, run)
+    report.topic = "algebraic"
+    algebraic.measure(report, run)
     return finish(report, run, options.json)
 
 

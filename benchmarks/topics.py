@@ -5,7 +5,7 @@ from __future__ import annotations
 import shutil
 from collections.abc import Callable
 
-from benchmarks.lib import export, stiff, strangers
+from benchmarks.lib import algebraic, export, stiff, strangers
 from benchmarks.lib.convergence import accuracy, loops, starts
 from benchmarks.lib.firmware import emulated, riscv, single
 from benchmarks.lib.firmware import sizes as forms
@@ -29,6 +29,7 @@ PAGE: dict[str, Topic] = {
     "solve": starts.measure,
     "strangers": strangers.measure,
     "stiff": stiff.measure,
+    "algebraic": algebraic.measure,
 }
 
 #: Topics with a line per case and a column per figure.

@@ -35,6 +35,7 @@ FUNCTIONS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "integral": ((), ("1",)),
     "integral_gradient": ((), ("nz",)),
     "integral_product": (("nz",), ("nz",)),
+    "node_data": ((), ("data",)),
 }
 
 #: Kernels that a problem may lack.
@@ -49,6 +50,7 @@ class Interval:
     ) -> None:
         self.problem, self.scalar = problem, SCALARS[precision]
         self.sizes = {"nx": problem.nx, "nu": problem.nu, "nz": problem.nx + problem.nu}
+        self.sizes["data"] = problem.np + problem.solved
         scales = np.ones(problem.nx) if scale is None else np.asarray(scale, dtype=float)
         self.library = shared_library({"unit.c": _unit(problem, integrator, precision, scales)}, "unit.c", ("-w",))
 
@@ -72,7 +74,7 @@ def _unit(problem: Problem, integrator: ImplicitRungeKutta, precision: Precision
     there = {kernel.name for kernel in kernels.all}
     nx, nu = problem.nx, problem.nu
     sizes = {name: value for name, value, _ in integrator.sizes(dimensions(problem, None, True))}
-    sizes |= {"NX": nx, "NU": nu, "NZ": nx + nu, "NALG": len(problem.newton_names)}
+    sizes |= {"NX": nx, "NU": nu, "NZ": nx + nu, "NP": problem.np, "NALG": len(problem.newton_names)}
     lines = ["#include <math.h>", "#include <stddef.h>", "#include <string.h>"]
     lines.append(f"typedef {'double' if precision == 'double' else 'float'} real_t;")
     lines += [f"#define {name} {value}" for name, value in sizes.items()]
@@ -91,9 +93,10 @@ def _unit(problem: Problem, integrator: ImplicitRungeKutta, precision: Precision
     lines.append(read_part("integrators/implicit/intervals.c", lambda path: ""))
     for function, (inputs, outputs) in FUNCTIONS.items():
         more = [f"i{n}" for n in range(len(inputs))] + [f"o{n}" for n in range(len(outputs))]
-        if function.startswith("integral") and "stage_rate" not in there:
+        lacks = {"integral": "stage_rate", "node_data": "stage_equation"}
+        if any(function.startswith(name) and kernel not in there for name, kernel in lacks.items()):
             continue
         head = ", ".join(["real_t *x, real_t *u, real_t *p, real_t *dt, int newton", *(f"real_t *{n}" for n in more)])
-        arguments = ", ".join(["x, x + NX, u, p, dt, newton", *more])
+        arguments = ", ".join(["x, x + NX, u, p", *(() if function == "node_data" else ("dt, newton",)), *more])
         lines.append(f"void call_{function}({head}) {{ implicit_{function}({arguments}); }}")
     return "\n".join(lines) + "\n"

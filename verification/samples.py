@@ -13,7 +13,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from examples import bioreactor, cart_pole, chain, crane, cstr, quadrotor
+from examples import bioreactor, cart_pole, chain, crane, cstr, quadrotor, rope_crane
 from nmpc_codegen import (
     ESDIRK3,
     OCP,
@@ -27,6 +27,7 @@ from nmpc_codegen import (
     ExplicitRungeKutta,
     ForwardOverAdjoint,
     FullCondensing,
+    GaussLegendre2,
     GaussNewton,
     ImplicitMidpoint,
     ImplicitRungeKutta,
@@ -37,12 +38,14 @@ from nmpc_codegen import (
     Osqp,
     PartialCondensing,
     ProblemWarning,
+    RadauIIA2,
     RealTimeIteration,
     RiccatiActiveSet,
     RiccatiInteriorPoint,
     Soft,
     lookup_table,
 )
+from verification.algebraic import neutralisation
 from verification.problems import tiny
 from verification.routes import PURE
 from verification.timed import Sample
@@ -297,6 +300,20 @@ def discrete() -> OCP:
     return ocp
 
 
+def rated_tank() -> OCP:
+    """A tank whose outflow is an algebraic variable, with a rate of its inflow, a cost rate and a parameter by node."""
+    ocp = OCP("rated_tank", T=2.0, N=4)
+    h, q = ocp.state("h", initial=1.0), ocp.control("q")
+    out, k = ocp.algebraic("out", initial=0.6), ocp.parameter("k", value=1.0)
+    ocp.algebraic_equation(out + 0.5 * out**3 - k * h, name="valve")
+    ocp.dynamics({h: q - out})
+    ocp.least_squares(ca.vertcat(out, q, ocp.rate(q)), weight=[10.0, 0.1, 0.1], reference=[0.8, 0.8, 0.0])
+    ocp.stage_cost(out**2 * q**2, integrate=True)
+    ocp.subject_to(0, q, 2)
+    ocp.subject_to(0, out * q, 1.5, soft=(10, 1), name="power")
+    return ocp
+
+
 def discrete_rows() -> OCP:
     """A discrete map with bounds on its state, a general row and a parameter."""
     ocp = OCP("discrete_rows", N=3)
@@ -519,6 +536,11 @@ SAMPLES = (
     Sample("stiff economic", economic, _interior(integrator=ImplicitRungeKutta(ESDIRK3), hessian=FORWARD)),
     Sample("stiff shooting", economic, _shooting(integrator=IMPLICIT, target="cortex-m4f", precision="single")),
     Sample("stiff crane", crane.build_ocp, Options(integrator=ImplicitRungeKutta(ImplicitMidpoint), goal="size")),
+    Sample("algebraic dense", neutralisation, _dense(algorithm=RESAMPLE, hessian=ExactHessian())),
+    Sample("algebraic riccati", rated_tank, _riccati(integrator=ImplicitRungeKutta(RadauIIA2), precision="single")),
+    Sample("algebraic augmented", rated_tank, _augmented(integrator=ImplicitRungeKutta(GaussLegendre2))),
+    Sample("algebraic alone", neutralisation, _alone(DenseActiveSet(), FullCondensing(), target="cortex-m4f")),
+    Sample("algebraic explicit", lambda: rope_crane.build_ocp(5), Options()),
 )  # fmt: skip
 
 #: GNU C: targets with lanes and tiles. These and those before meet every condition of the parts.

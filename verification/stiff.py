@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import casadi as ca
 import numpy as np
@@ -18,6 +18,7 @@ from scipy.integrate import solve_ivp
 from examples import fast_charge
 from nmpc_codegen import OCP, Controller, build
 from nmpc_codegen.frontend.classify import classify
+from nmpc_codegen.frontend.problem import Problem
 
 Array = NDArray[Any]
 
@@ -175,10 +176,21 @@ class Outcome:
     lost: str
 
 
-def run(name: str, ctrl: Controller, plant: Plant, seed: int) -> Outcome:
+class Moving(Protocol):
+    """A plant of a problem."""
+
+    problem: Problem
+
+    def step(self, x: Array, u: Array, p: Array) -> Array:
+        """The state one interval later."""
+        ...
+
+
+def run(case: Stiff, ctrl: Controller, plant: Moving, seed: int) -> Outcome:
     """A closed loop from a random start, with other parameters than those of the model and noise on the states."""
-    case, rng, problem = PROBLEMS[name], np.random.default_rng(seed), plant.problem
-    x = problem.x_initial * (1 + case.spread * rng.uniform(-1, 1, problem.nx))
+    rng, problem = np.random.default_rng(seed), plant.problem
+    x = problem.x_initial[: problem.measured]
+    x = x * (1 + case.spread * rng.uniform(-1, 1, x.size))
     p = problem.p_value * (1 + case.parameters * rng.uniform(-1, 1, problem.np))
     statuses, u = Counter[str](), np.zeros(problem.nu)
     ctrl.reset()
@@ -197,6 +209,6 @@ def run(name: str, ctrl: Controller, plant: Plant, seed: int) -> Outcome:
     return Outcome(statuses, distance, lost or ("" if good >= 0.8 * case.samples else f"{dict(statuses)}"))
 
 
-def controller(name: str) -> Controller:
+def controller(case: Stiff) -> Controller:
     """The controller of a user who says nothing."""
-    return build(PROBLEMS[name].make(), profile="fast")
+    return build(case.make(), profile="fast")

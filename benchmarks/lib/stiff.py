@@ -21,12 +21,13 @@ from nmpc_codegen import OCP, RK4, SDIRK3, Controller, ExplicitRungeKutta, Impli
 from nmpc_codegen.components.integrators.implicit.trial import Trial
 from nmpc_codegen.components.integrators.tableau import IMPLICIT, ButcherTableau
 from nmpc_codegen.frontend.classify import classify
-from nmpc_codegen.frontend.problem import Array
-from nmpc_codegen.oracle.reference import Reference, Tableau, interval_map, node_data
+from nmpc_codegen.frontend.problem import Array, Problem
+from nmpc_codegen.oracle.reference import Reference, ReferenceSolution, Tableau, interval_map, node_data
 from nmpc_codegen.package.sources import Sources
 from verification import stiff
 from verification.implicit import Interval
 from verification.quality import compile_c, package_name, written
+from verification.stiff import Moving, Stiff
 
 #: Distance of a measured order from that of the theory; error of derivatives; error of stiff solutions; of optima.
 ORDER, DERIVATIVES, SOLUTION, OPTIMUM = 0.1, 1e-9, 0.05, 1e-8
@@ -41,8 +42,9 @@ def measure(report: Report, asked: Run) -> None:
     for name, tableau in IMPLICIT.items():
         _schemes(report, name, tableau)
     for name in asked.cases(stiff.PROBLEMS):
-        _optimum(report, name)
-        _loops(report, name, asked.share(LOOPS, 3))
+        case = stiff.PROBLEMS[name]
+        optimum(report, name, case)
+        loops(report, name, case, stiff.Plant(case.make()), asked.share(LOOPS, 3))
     _reactor(report, asked.share(CALLS, 20))
     ocps: dict[str, Callable[[], OCP]] = {
         "crane": crane.build_ocp,
@@ -105,10 +107,16 @@ def _by_radau(f: Callable[[float, Array], object], x: Array | list[float], T: fl
     return np.asarray(found.y[:, -1], dtype=float)
 
 
+def halvings(tableau: ButcherTableau) -> list[int]:
+    """Numbers of steps whose errors are above those of rounding."""
+    first = 8 if tableau.order < 4 else 2 if tableau.order < 6 else 1
+    return [first << n for n in range(5)]
+
+
 def _order(tableau: ButcherTableau) -> float:
     """The slope of the error over the last of four halvings of the step."""
     trial, errors = Trial(classify(known()), tableau), []
-    for steps in (8, 16, 32, 64, 128):
+    for steps in halvings(tableau):
         end = trial.interval(np.array([0.0, 1.0]), np.zeros(1), np.zeros(0), 1.0, steps, 30).x
         errors.append(abs(end[1] - np.sin(1) - 0.5))
     return float(np.log2(errors[-2] / errors[-1]))
@@ -135,30 +143,44 @@ def _numbers(tableau: ButcherTableau, steps: int) -> Tableau:
 # -- problems ---------------------------------------------------------------------------------------------------------
 
 
-def _optimum(report: Report, name: str) -> None:
-    """Largest difference of states and controls from IPOPT's optimum of the same discretisation, in their sizes."""
-    ocp = stiff.PROBLEMS[name].make()
-    ctrl = build(ocp, profile="fast")
-    options, problem = ctrl.description.options, classify(ocp)
-    rows = tuple(map(tuple, options["integrator.tableau.a"]))
-    scheme = Tableau(rows, tuple(options["integrator.tableau.b"]), int(options["integrator.steps"]))
-    ours = ctrl.solve(problem.x_initial, tol=1e-13, max_iterations=300)
-    theirs = Reference(problem, scheme).solve(node_data(problem), x=ours.x, u=ours.u)
+def optimum(report: Report, name: str, case: Stiff, options: Options | None = None, figure: str = "optimum") -> None:
+    """Largest difference of states, controls, algebraic variables and multipliers from IPOPT's optimum of the same
+    discretisation, in their sizes."""
+    ocp = case.make()
+    ctrl = build(ocp, options, profile="fast")
+    chosen, problem = ctrl.description.options, classify(ocp)
+    n, rows = problem.measured, tuple(map(tuple, chosen["integrator.tableau.a"]))
+    scheme = Tableau(rows, tuple(chosen["integrator.tableau.b"]), int(chosen["integrator.steps"]))
+    ours = ctrl.solve(problem.x_initial[:n], tol=1e-13, max_iterations=300)
+    theirs = Reference(problem, scheme).solve(node_data(problem), x=ctrl.whole_x, u=ours.u)
+    pairs = [(ours.x, theirs.x[:, :n]), (ours.u, theirs.u), (ours.mu, theirs.mu), (ours.mu_u, theirs.mu_u)]
+    pairs += [(ours.lam, theirs.lam[:, :n]), (ours.z[:-1], _algebraic(problem, theirs))]
     error = 0.0
-    for mine, other in ((ours.x, theirs.x), (ours.u, theirs.u)):
-        size = np.maximum(1.0, np.abs(other).max(axis=0))
-        error = max(error, float(np.max(np.abs(mine - other) / size)))
-    report.add("optimum", error if theirs.success else np.inf, case=name, limit=OPTIMUM)
-    report.add("optimum, iterations", ours.iterations, case=name)
+    for mine, other in pairs:
+        size = np.maximum(1.0, np.abs(other).max(axis=0, initial=0.0))
+        error = max(error, float(np.max(np.abs(mine - other) / size, initial=0.0)))
+    report.add(figure, error if theirs.success else np.inf, case=name, limit=OPTIMUM)
+    report.add(f"{figure}, iterations", ours.iterations, case=name)
 
 
-def _loops(report: Report, name: str, count: int) -> None:
-    ctrl, plant = stiff.controller(name), stiff.Plant(stiff.PROBLEMS[name].make())
-    found = [stiff.run(name, ctrl, plant, seed) for seed in range(count)]
+def _algebraic(problem: Problem, found: ReferenceSolution) -> Array:
+    """Algebraic variables of IPOPT's optimum at the nodes before the end."""
+    algebra, n = problem.algebra, problem.np
+    if algebra is None:
+        return np.zeros((problem.N, 0))
+    at = ((x, u, problem.node_values(x, u)) for x, u in zip(found.x[:-1], found.u, strict=True))
+    found_z = (algebra.values(x, u, p[:n], p[n : n + algebra.size]) for x, u, p in at)
+    return np.array([np.asarray(z, dtype=float).ravel() for z in found_z])
+
+
+def loops(report: Report, name: str, case: Stiff, plant: Moving, count: int) -> None:
+    """Closed loops with what a user gets who says nothing."""
+    ctrl = stiff.controller(case)
+    found = [stiff.run(case, ctrl, plant, seed) for seed in range(count)]
     for outcome in found:
         if outcome.lost:
             print(f"{name}: {outcome.lost}")
-    samples = count * stiff.PROBLEMS[name].samples
+    samples = count * case.samples
     report.add("loops lost", sum(bool(outcome.lost) for outcome in found), case=name, n=count, limit=0)
     report.add("not OK", samples - sum(o.statuses["OK"] for o in found), case=name, n=samples)
 
@@ -175,7 +197,7 @@ def _reactor(report: Report, calls: int) -> None:
     slow, fast = _time(explicit, x, max(5, calls // 20)), _time(implicit, x, calls)
     report.add("sample", fast, "us", case="reactor", n=calls)
     report.add("explicit over implicit", slow / fast, case="reactor", limit=FASTER, at_least=True)
-    report.add("code", _code(generate(ocp)), "B", case="reactor", limit=CODE)
+    report.add("code", code_bytes(generate(ocp)), "B", case="reactor", limit=CODE)
 
 
 def _time(ctrl: Controller, x: Array, calls: int) -> float:
@@ -188,7 +210,7 @@ def _time(ctrl: Controller, x: Array, calls: int) -> float:
     return float(np.median(found))
 
 
-def _code(sources: Sources) -> float:
+def code_bytes(sources: Sources) -> float:
     """Bytes of code and constants, -O2."""
     with written(sources) as folder:
         compile_c(folder, "-std=c99", "-O2", "-c", f"{package_name(sources)}.c", "-o", "unit.o")
@@ -224,7 +246,7 @@ def _beside_rk4(report: Report, name: str, make: Callable[[], OCP]) -> None:
         sources = generate(make(), replace(given, integrator=integrator))
         operations = sources.description.report.operations["integrator_interval"].total
         report.add(f"interval, {scheme}", operations, "operations", case=name)
-        report.add(f"code, {scheme}", _code(sources), "B", case=name)
+        report.add(f"code, {scheme}", code_bytes(sources), "B", case=name)
         if callgrind.available():
             with written(sources) as folder:
                 count = callgrind.instructions(_driver(sources, folder), [], ["sample"])

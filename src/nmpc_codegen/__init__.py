@@ -53,11 +53,15 @@ if TYPE_CHECKING:
         Discrete,
         Euler,
         ExplicitRungeKutta,
+        GaussLegendre2,
+        GaussLegendre3,
         Heun,
         ImplicitEuler,
         ImplicitMidpoint,
         ImplicitRungeKutta,
         Midpoint,
+        RadauIIA2,
+        RadauIIA3,
     )
     from nmpc_codegen.components.qp import DenseActiveSet, Osqp, RiccatiActiveSet, RiccatiInteriorPoint
     from nmpc_codegen.frontend.functions.excess import smooth_excess
@@ -77,6 +81,7 @@ _HOMES = {
     "components.integrators": (
         *("RK4", "SSPRK3", "ButcherTableau", "Discrete", "Euler", "ExplicitRungeKutta", "Heun", "Midpoint"),
         *("ESDIRK3", "SDIRK2", "SDIRK3", "ImplicitEuler", "ImplicitMidpoint", "ImplicitRungeKutta"),
+        *("GaussLegendre2", "GaussLegendre3", "RadauIIA2", "RadauIIA3"),
     ),
     "frontend.functions.excess": ("smooth_excess",),
     "frontend.functions.lookup_table": ("lookup_table",),
@@ -109,6 +114,8 @@ __all__ = [
     "ExtraError",
     "ForwardOverAdjoint",
     "FullCondensing",
+    "GaussLegendre2",
+    "GaussLegendre3",
     "GaussNewton",
     "Heun",
     "ImplicitEuler",
@@ -128,6 +135,8 @@ __all__ = [
     "ProblemError",
     "ProblemWarning",
     "Project",
+    "RadauIIA2",
+    "RadauIIA3",
     "RealTimeIteration",
     "RiccatiActiveSet",
     "RiccatiInteriorPoint",

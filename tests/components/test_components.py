@@ -40,6 +40,7 @@ FEATURES = {
     "blocks of controls",
     "time",
     "discrete states",
+    "nonlinear algebraic equations",
 }
 
 #: Macro names that lower.py and render.py define themselves.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from fractions import Fraction
 from typing import Any
 
@@ -30,6 +31,20 @@ def mixed() -> OCP:
     u, v, a = ocp.control("u"), ocp.control("v"), ocp.parameter("a", value=5.0)
     ocp.dynamics({x: y + 0.1 * u * x, y: a * (1 - x**2) * y - x + u + ca.sin(w) + v, w: -30 * (w - ca.cos(x * u))})
     ocp.stage_cost(x**2 * u + ca.exp(0.1 * y) + u**2 * w, integrate=True)
+    ocp.least_squares(ca.vertcat(u, v), weight=[1, 1])
+    return ocp
+
+
+def algebraic() -> OCP:
+    """The same size with two algebraic variables in dynamics and cost rate, coupled and nonlinear."""
+    ocp = OCP("algebraic", T=2.0, N=10)
+    x, y, w = ocp.state("x", initial=1.0), ocp.state("y", initial=0.5), ocp.state("w", initial=0.3)
+    u, v, a = ocp.control("u"), ocp.control("v"), ocp.parameter("a", value=5.0)
+    z, q = ocp.algebraic("z", initial=0.5), ocp.algebraic("q", initial=0.2)
+    ocp.algebraic_equation(z + z**3 + q * x - y - 0.3 * u)
+    ocp.algebraic_equation(a * q + ca.sin(z) * q - w * v - x)
+    ocp.dynamics({x: z + 0.1 * u * q, y: a * (1 - x**2) * z - x + u, w: -30 * (w - ca.cos(q * u)) + v})
+    ocp.stage_cost(z**2 * u + ca.exp(0.1 * q) + u**2 * w, integrate=True)
     ocp.least_squares(ca.vertcat(u, v), weight=[1, 1])
     return ocp
 
@@ -125,11 +140,16 @@ def test_schemes_belong_to_their_components() -> None:
 # Values and derivatives ----------------------------------------------------------------------------------------------
 
 
-@pytest.mark.few(6)
+@pytest.mark.few(9)
+@pytest.mark.parametrize("make", [mixed, algebraic])
 @pytest.mark.parametrize("steps", [1, 3])
 @NAMES
-def test_an_interval_and_all_its_derivatives(name: str, steps: int) -> None:
-    problem, tableau, rng = classify(mixed()), IMPLICIT[name], np.random.default_rng(1)
+def test_an_interval_and_all_its_derivatives(name: str, steps: int, make: Callable[[], OCP]) -> None:
+    problem, tableau, rng = classify(make()), IMPLICIT[name], np.random.default_rng(1)
+    if problem.solved and not tableau.a[0][0]:
+        with pytest.raises(OptionError, match="first stage of ESDIRK3 is explicit, and Newton's method solves for z"):
+            ImplicitRungeKutta(tableau).check(problem)
+        return
     interval = Interval(problem, ImplicitRungeKutta(tableau, steps))
     lam, V, d = rng.normal(size=3), rng.normal(size=(3, 2)), rng.normal(size=5)
     end, S, q, g, H = derivatives(problem, tableau, steps, lam)
@@ -147,7 +167,9 @@ def test_an_interval_and_all_its_derivatives(name: str, steps: int) -> None:
     more = {"free": (V,), "forward": (d[:3], d[3:]), "adjoint": (lam,)}
     more |= dict.fromkeys(("symmetric", "forward_over_adjoint"), (lam,))
     for function, expected in found.items():
-        results = interval(function, *POINT, *more.get(function, ()))
+        x, *others = POINT
+        start = problem.algebra.start if problem.algebra else ()
+        results = interval(function, [*x, *start], *others, *more.get(function, ()))
         for result, value in zip(results, expected, strict=True):
             scale = max(1.0, float(np.abs(value).max()))
             assert np.allclose(result, np.ravel(value), rtol=0, atol=1e-10 * scale), function

@@ -534,10 +534,10 @@ def gauss_newton_of_a_general_cost() -> str:
 # Names of other tools ------------------------------------------------------------------------------------------------
 
 
-@fault("'algebraic'", "not supported", "insert it", "z' = g / eps")
+@fault("'set_alg'", "algebraic(name, initial=...)", "algebraic_equation(g)")
 def algebraic_variables() -> str:
-    """ocp.algebraic()."""
-    return refused(lambda: OCP("x1", T=1.0, N=2).algebraic("z"))  # type: ignore[attr-defined]
+    """ocp.set_alg()."""
+    return refused(lambda: OCP("x1", T=1.0, N=2).set_alg("z", None))  # type: ignore[attr-defined]
 
 
 @fault("'set_rterm'", "least_squares(ocp.rate(u), weight)", "ocp.previous(u)")

@@ -316,7 +316,7 @@ def test_integrate_is_independent_of_the_call() -> None:
 def test_loops(name: str) -> None:
     ctrl, plant = build(stiff.PROBLEMS[name].make(), profile="test"), stiff.Plant(stiff.PROBLEMS[name].make())
     for seed in (3, 4):
-        assert stiff.run(name, ctrl, plant, seed).lost == ""
+        assert stiff.run(stiff.PROBLEMS[name], ctrl, plant, seed).lost == ""
 
 
 def test_fast_charge_main(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:

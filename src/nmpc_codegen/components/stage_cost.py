@@ -13,7 +13,7 @@ from functools import cached_property
 
 import casadi as ca
 
-from nmpc_codegen.frontend.problem import Problem, Stage
+from nmpc_codegen.frontend.problem import Problem, Reduce, Stage
 from nmpc_codegen.ir.casadi_types import Expression
 from nmpc_codegen.ir.kernel import Kernel, Port, lift
 from nmpc_codegen.ir.sweep import Slice
@@ -40,6 +40,7 @@ class StageCost:
     general: Expression | None  # the general cost
     rows: Expression  # mu' h
     ties: Expression  # further residuals of weight 1
+    reduce: Reduce  # (expression, order) -> the same with derivatives up to this order, where fewer operations give it
 
     @property
     def nz(self) -> int:
@@ -49,32 +50,43 @@ class StageCost:
     def ny(self) -> int:
         return int(self.residual.numel())
 
-    @property
-    def jacobian(self) -> Expression:
-        """J = dy / dz."""
-        return ca.jacobian(self.residual, self.z) if self.ny else ca.SX(0, self.nz)
+    def _of_order(self, order: int) -> tuple[Expression, Expression, Expression]:
+        """Residual, ties and general cost with derivatives up to this order."""
+        parts = self.residual, self.ties, ca.SX(0) if self.general is None else self.general
+        residual, ties, general = (self.reduce(part, order) for part in parts)
+        return residual, ties, general
+
+    def _value(self, order: int) -> Expression:
+        residual, ties, general = self._of_order(order)
+        least_squares = ca.dot(residual, self.weight @ residual) / 2 if self.ny else ca.SX(1, 1)
+        if ties.numel():
+            least_squares += ca.sumsqr(ties) / 2
+        return least_squares if self.general is None else ca.SX(least_squares + general)
 
     @property
     def value(self) -> Expression:
         """The cost l."""
-        least_squares = ca.dot(self.residual, self.weight @ self.residual) / 2 if self.ny else ca.SX(1, 1)
-        if self.ties.numel():
-            least_squares += ca.sumsqr(self.ties) / 2
-        return least_squares if self.general is None else ca.SX(least_squares + self.general)
+        return self._value(0)
+
+    @property
+    def jacobian(self) -> Expression:
+        """J = dy / dz."""
+        return ca.jacobian(self._of_order(1)[0], self.z) if self.ny else ca.SX(0, self.nz)
 
     @property
     def gradient(self) -> Expression:
         """d l / dz."""
-        least_squares = self.jacobian.T @ (self.weight @ self.residual) if self.ny else ca.SX(self.nz, 1)
-        least_squares += ca.jacobian(self.ties, self.z).T @ self.ties
+        residual, ties, general = self._of_order(1)
+        least_squares = self.jacobian.T @ (self.weight @ residual) if self.ny else ca.SX(self.nz, 1)
+        least_squares += ca.jacobian(ties, self.z).T @ ties
         if self.general is None:
             return ca.sparsify(least_squares)
-        return ca.sparsify(least_squares + ca.gradient(self.general, self.z))
+        return ca.sparsify(least_squares + ca.gradient(general, self.z))
 
     @property
     def gauss_newton(self) -> Expression:
         """Lower triangle of J' W J."""
-        of_ties = ca.jacobian(self.ties, self.z)
+        of_ties = ca.jacobian(self._of_order(1)[1], self.z)
         return ca.sparsify(ca.tril(self.jacobian.T @ self.weight @ self.jacobian + of_ties.T @ of_ties))
 
     @property
@@ -87,7 +99,7 @@ class StageCost:
     @property
     def hessian(self) -> Expression:
         """Lower triangle of d2 (l + mu' h) / dz^2."""
-        return ca.sparsify(ca.tril(ca.hessian(self.value + self.rows, self.z)[0]))
+        return ca.sparsify(ca.tril(ca.hessian(self._value(2) + self.rows, self.z)[0]))
 
     @property
     def mu_port(self) -> Port:
@@ -118,9 +130,10 @@ class StageCost:
     def product(self) -> Expression:
         """J' W J d plus the Hessian of the general cost times d."""
         d = self.direction
-        moved = ca.jtimes(self.residual, self.z, d) if self.ny else ca.SX(0, 1)
-        least_squares = ca.jtimes(self.residual, self.z, self.weight @ moved, True) if self.ny else ca.SX(self.nz, 1)
-        of_ties = ca.jacobian(self.ties, self.z)
+        residual, ties, _ = self._of_order(1)
+        moved = ca.jtimes(residual, self.z, d) if self.ny else ca.SX(0, 1)
+        least_squares = ca.jtimes(residual, self.z, self.weight @ moved, True) if self.ny else ca.SX(self.nz, 1)
+        of_ties = ca.jacobian(ties, self.z)
         least_squares += of_ties.T @ (of_ties @ d)
         if self.general is None:
             return ca.sparsify(least_squares)
@@ -135,7 +148,7 @@ class StageCost:
         return lift(ca.Function("product", symbols, [self.product]), name, doc, ports, [Port("w", self.nz)])
 
 
-def stage_cost(stage: Stage, name: str) -> StageCost:
+def stage_cost(stage: Stage, name: str, reduce: Reduce = lambda expression, order: expression) -> StageCost:
     """The cost of a stage of the problem; ``name`` is "start", "path" or "terminal"."""
     yref, (W, weight, nw) = ca.SX.sym("yref", stage.ny), weight_matrix(stage)
     mu = ca.SX.sym("mu", stage.nh)
@@ -160,6 +173,7 @@ def stage_cost(stage: Stage, name: str) -> StageCost:
         general=stage.cost,
         rows=ca.dot(mu, stage.h) if stage.nh else ca.SX(0),
         ties=ca.SX(0, 1) if stage.ties is None else stage.ties,
+        reduce=reduce,
     )
 
 
@@ -174,7 +188,8 @@ class StageCosts:
 
 def stage_costs(problem: Problem) -> StageCosts:
     """The expressions that algorithms and Hessians share."""
-    return StageCosts(*(stage_cost(getattr(problem, name), name) for name in ("start", "path", "terminal")))
+    stages = {name: getattr(problem, name) for name in ("start", "path", "terminal")}
+    return StageCosts(*(stage_cost(stage, name, problem.reduction(stage)) for name, stage in stages.items()))
 
 
 def slices(*ports: Port) -> tuple[Slice, ...]:

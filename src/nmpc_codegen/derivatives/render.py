@@ -132,7 +132,8 @@ def _names(model: DerivativeModel, name: str) -> dict[str, Any]:
 def _intervals(model: DerivativeModel) -> str:
     """The part of implicit schemes, and the functions of an interval that call it."""
     style = unit_style(model.precision)
-    return read_part(INTERVALS, lambda path: print_intervals(model.routines, style)).rstrip("\n")
+    routines, sizes = model.routines, scheme_sizes(model)
+    return read_part(INTERVALS, lambda path: print_intervals(routines, style), sizes).rstrip("\n")
 
 
 def _constants(model: DerivativeModel, known: list[Definition]) -> Constants:

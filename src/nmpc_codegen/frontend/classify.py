@@ -9,6 +9,7 @@ import casadi as ca
 import numpy as np
 
 from nmpc_codegen.errors import ProblemError
+from nmpc_codegen.frontend.algebra.resolution import Resolved, resolve
 from nmpc_codegen.frontend.checks import element_names
 from nmpc_codegen.frontend.inner import (
     control_signals,
@@ -24,9 +25,8 @@ from nmpc_codegen.frontend.inner import (
 )
 from nmpc_codegen.frontend.ocp import OCP
 from nmpc_codegen.frontend.problem import Algebra, Array, Problem, Row, RowKind, Signal, Stage, symbols
-from nmpc_codegen.frontend.resolution import Resolved, resolve
 from nmpc_codegen.frontend.statement import At, Element, Penalty, Residual, StageName, Statement
-from nmpc_codegen.ir.casadi_types import elements
+from nmpc_codegen.ir.casadi_types import elements, part
 
 
 def classify(ocp: OCP) -> Problem:
@@ -78,7 +78,7 @@ def _algebra(resolved: Resolved, path: Stage) -> Algebra:
     ocp, z = resolved.ocp, ca.SX.sym("z", len(resolved.names))
     stated = [ca.substitute(e, resolved.newton, z) for e in (resolved.values, resolved.rest)]
     found = _replace_symbols(ocp, stated, path.x, path.u, path.p)
-    p = path.p[: path.p.numel() - ocp.node_data.numel()]
+    p = part(path.p, 0, path.p.numel() - ocp.node_data.numel())
     values, equations = (ca.Function("of_z", [path.x, path.u, p, z], [ca.densify(e)]) for e in found)
     of_newton = resolved.names, resolved.start, resolved.scale, resolved.found
     return Algebra(_signals(ocp.algebraics), values, equations, *of_newton)

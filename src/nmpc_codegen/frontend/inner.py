@@ -19,7 +19,7 @@ from nmpc_codegen.errors import ProblemError, warn
 from nmpc_codegen.frontend.ocp import OCP
 from nmpc_codegen.frontend.problem import Algebra, Array, Inner, Problem, Row, Signal, Stage, symbols
 from nmpc_codegen.frontend.scales import Scales, scales
-from nmpc_codegen.ir.casadi_types import Expression, Function, elements
+from nmpc_codegen.ir.casadi_types import Expression, Function, elements, part
 
 #: Derivatives below this are rounding errors.
 EQUAL = 1e-9
@@ -180,7 +180,7 @@ def _with_interval_before(problem: Problem, sampling_time: float | None) -> Prob
 
     def complete(p: Expression) -> Expression:
         """The parameters with the length of the interval before, which is in front of what Newton's method finds."""
-        return ca.vertcat(p[:last], period, p[last:])
+        return ca.vertcat(part(p, 0, last), period, part(p, last))
 
     def stage(old: Stage) -> Stage:
         p = ca.SX.sym("p", fewer)

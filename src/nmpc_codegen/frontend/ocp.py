@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 
 from nmpc_codegen.errors import ProblemError
-from nmpc_codegen.frontend.algebra import Algebraic
+from nmpc_codegen.frontend.algebra.equations import Algebraic
 from nmpc_codegen.frontend.checks import (
     MAX_SIZE,
     block_lengths,

@@ -11,18 +11,18 @@ has only a cost, with fixed weights and references; the rows at node 0 belong to
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import product
-from typing import ClassVar
+from typing import ClassVar, TypeVar
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
 from nmpc_codegen.errors import ProblemError
-from nmpc_codegen.ir.casadi_types import Expression, Function, curved_rows, elements
+from nmpc_codegen.ir.casadi_types import Expression, Function, curved_rows, elements, part
 from nmpc_codegen.package.signals import NOTHING_INNER, ImposedRow, imposed_rows
 from nmpc_codegen.package.signals import Inner as Inner
 from nmpc_codegen.package.signals import Row as Row
@@ -36,6 +36,9 @@ Array = NDArray[np.float64]
 NEWTON_STEPS, SHORTEST, ROUNDING = 50, 1e-4, 1e-13
 #: Elements with a range up to which all corners are looked at.
 MOST_RANGES = 4
+#: (expression, order) -> expression with derivatives up to this order.
+Reduce = Callable[[Expression, int], Expression]
+T = TypeVar("T")
 #: Elements, (signal, position, ends of the range), with a value each.
 Corner = Sequence[tuple[tuple[Signal, int, tuple[float, float]], float]]
 
@@ -225,6 +228,32 @@ class Problem:
         r = self.algebra.equations(x, u, p, z)
         return ca.Function("solution", [x, u, p, z], [r, ca.densify(ca.jacobian(r, z))])
 
+    def reduction(self, stage: Stage) -> Reduce:
+        """(expression, order) -> the expression of a stage, whose derivatives with respect to (x, u) are exact up to
+        this order: with as many steps with W from z, see resolution.py."""
+        algebra = self.algebra
+        if algebra is None or not self.solved:
+            return lambda expression, order: expression
+        size = algebra.size
+        p, z = part(stage.p, 0, self.np), part(stage.p, self.np, self.np + size)
+        tail = part(stage.p, self.np + size)
+        W = ca.reshape(tail, size, size).T
+        u = stage.u if stage.nu else ca.vertcat(*self._controls_before(elements(stage.x)))
+        points = [z]
+        for _ in range(2):
+            points.append(points[-1] + W @ algebra.equations(stage.x, u, p, points[-1]))
+
+        def reduce(expression: Expression, order: int) -> Expression:
+            stated = ca.substitute(expression, tail, ca.DM.zeros(tail.numel()))
+            return ca.substitute(stated, z, points[order])
+
+        return reduce
+
+    def _controls_before(self, x: Sequence[T]) -> list[T | float]:
+        """The controls of the node before, as far as x remembers them, else 0."""
+        places = self.inner.places
+        return [x[self.measured + places[j]] if j in places else 0.0 for j in range(self.nu)]
+
     def node_values(self, x: Array, u: Array, p: Array | None = None) -> Array:
         """What expressions of a node read in place of p: parameters, by default the declared ones, and behind them z
         and W at (x, u), where Newton's method starts from z at the first plan; NaN where it finds none."""
@@ -238,10 +267,7 @@ class Problem:
 
     def end_values(self, x: Array, p: Array | None = None) -> Array:
         """The same at node N, with the controls of the node before."""
-        u = np.zeros(self.nu)
-        for j, place in self.inner.places.items():
-            u[j] = x[self.measured + place]
-        return self.node_values(x, u, p)
+        return self.node_values(x, np.array(self._controls_before(list(x))), p)
 
     @property
     def newton_names(self) -> tuple[str, ...]:

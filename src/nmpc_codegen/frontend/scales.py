@@ -146,7 +146,9 @@ def _jump_slopes(problem: Problem) -> Array:
     if problem.jump is None:
         return np.zeros((0, problem.nx + problem.nu))
     u = _reference_controls(problem, problem.path)
-    return np.array(problem.jump_slopes(problem.x_initial, u, problem.p_value, problem.dt[0])[1].full())
+    return np.array(
+        problem.jump_slopes(problem.x_initial, u, problem.node_values(problem.x_initial, u), problem.dt[0])[1].full()
+    )
 
 
 def _exponential(A: Array) -> Array:

@@ -21,6 +21,11 @@ def elements(matrix: Expression) -> list[Expression]:
     return cast("list[Expression]", matrix.elements())
 
 
+def part(vector: Expression, first: int, last: int | None = None) -> Expression:
+    """Elements of a column as a column, of none (0, 1): a slice of one element of CasADi is a row."""
+    return ca.vertcat(ca.SX(0, 1), *elements(vector)[first:last])
+
+
 def nonzeros(matrix: Expression) -> list[Expression]:
     """Entries that are not structurally zero, column by column."""
     return cast("list[Expression]", matrix.nonzeros())

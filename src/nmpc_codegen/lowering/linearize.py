@@ -231,10 +231,10 @@ def _functions(
         replace(
             path,
             gradient=_with_zeros(path.gradient, "g", slope),
-            rows=_rows_kernel(problem.path, "path"),
+            rows=_rows_kernel(problem, problem.path, "path"),
             block=_with_start(blocks),
         ),
-        replace(terminal, rows=_rows_kernel(problem.terminal, "terminal"), block=blocks.terminal),
+        replace(terminal, rows=_rows_kernel(problem, problem.terminal, "terminal"), block=blocks.terminal),
         blocks.initial,
         _lift_coupled_rows(problem),
         previous=len(problem.inner.previous),
@@ -315,12 +315,13 @@ def _constant_hessian(problem: Problem, online: Online, functions: ModelFunction
     return path.hessian is not None and path.curvature is None and not varying & _inputs_read(path.hessian)
 
 
-def _rows_kernel(stage: Stage, name: str) -> Kernel:
+def _rows_kernel(problem: Problem, stage: Stage, name: str) -> Kernel:
     """h and J = dh / d(x, u) of the general rows of a stage."""
     z = ca.vertcat(stage.x, stage.u)
     terminal = not stage.nu
-    h = ca.densify(stage.h) if stage.nh else ca.SX(0, 1)
-    J = ca.sparsify(ca.jacobian(h, z)) if stage.nh else ca.SX(0, z.numel())
+    reduce = problem.reduction(stage)
+    h = ca.densify(reduce(stage.h, 0)) if stage.nh else ca.SX(0, 1)
+    J = ca.sparsify(ca.jacobian(reduce(stage.h, 1), z)) if stage.nh else ca.SX(0, z.numel())
     args = [stage.x, stage.p] if terminal else [stage.x, stage.u, stage.p]
     ports = [Port("x", stage.nx), Port("p", int(stage.p.numel()))]
     if not terminal:

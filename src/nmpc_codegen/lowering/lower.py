@@ -279,40 +279,43 @@ def _section_count(counts: Counts) -> OpCount | None:
     return sum(counts.values(), OpCount()) if counts else None
 
 
+#: Sizes that components share -> what they are.
+_DOCS = {
+    "N": "intervals",
+    "NX": "states",
+    "NXHAT": "states of the user",
+    "NU": "controls",
+    "NZ": "NX + NU",
+    "NP": "parameters",
+    "NY": "path residuals",
+    "NY_N": "terminal residuals",
+    "NW": "entries of the path weight",
+    "NW_N": "entries of the terminal weight",
+    "NH": "general path rows",
+    "NH_N": "general terminal rows",
+    "NR": "scalar rows with bounds",
+    "NQ": "path Hessian blocks",
+    "NF": "free components of x_0",
+    "NE": "coupled rows",
+    "NS": "stages of the QP",
+    "NUS": "controls of a stage of the QP",
+    "NXS": "states of a stage: NX and copies of components of x_0",
+    "NZS": "NXS + NUS",
+    "NV": "variables of the QP",
+    "NSL": "slack variables of the QP",
+    "NG": "scalar rows of all nodes besides control bounds",
+    "NALG": "algebraic variables that Newton's method solves for",
+    "LDV": "NV rounded up to a multiple of 4",
+    "LDH": "length of a row of H and A, a multiple of 4",
+}
+
+
 def _macros(model: Model, dims: Dims, whole: bool) -> tuple[Macro, ...]:
-    docs = {
-        "N": "intervals",
-        "NX": "states",
-        "NXHAT": "states of the user",
-        "NU": "controls",
-        "NZ": "NX + NU",
-        "NP": "parameters",
-        "NY": "path residuals",
-        "NY_N": "terminal residuals",
-        "NW": "entries of the path weight",
-        "NW_N": "entries of the terminal weight",
-        "NH": "general path rows",
-        "NH_N": "general terminal rows",
-        "NR": "scalar rows with bounds",
-        "NQ": "path Hessian blocks",
-        "NF": "free components of x_0",
-        "NE": "coupled rows",
-        "NS": "stages of the QP",
-        "NUS": "controls of a stage of the QP",
-        "NXS": "states of a stage: NX and copies of components of x_0",
-        "NZS": "NXS + NUS",
-        "NV": "variables of the QP",
-        "NSL": "slack variables of the QP",
-        "NG": "scalar rows of all nodes besides control bounds",
-        "NALG": "algebraic variables that Newton's method solves for",
-        "LDV": "NV rounded up to a multiple of 4",
-        "LDH": "length of a row of H and A, a multiple of 4",
-    }
     core = [s for s in vars(dims).values() if isinstance(s, Size) and (s.text != "NQ" or model.parts.hessian)]
     of_qp: Iterable[Size] = () if dims.condensed is None else vars(dims.condensed).values()
     inner = model.problem.inner
     kept = [s for s in (*core, *of_qp) if s.text != "NXHAT" or inner.count]
-    macros = [Macro(s.text, s.value, docs[s.text], shown=_in_header(s, model.problem)) for s in kept]
+    macros = [Macro(s.text, s.value, _DOCS[s.text], shown=_in_header(s, model.problem)) for s in kept]
     macros += _inner_macros(model)
     if dims.condensed:
         macros.append(Macro("PANEL", PANEL, "columns processed together"))
@@ -338,8 +341,7 @@ def _macros(model: Model, dims: Dims, whole: bool) -> tuple[Macro, ...]:
     public = {s for e in _entries(model) for a in (*e.inputs, *e.outputs) for s in a.shape}
     public.update(INTERFACE_SIZES, (f"SIZE_{name}" for name in names))
     found = {macro.name: replace(macro, public=macro.name in public) for macro in reversed(macros)}
-    clash = [macro.name for macro in macros if not whole and found[macro.name].value != macro.value]
-    if clash:
+    if clash := [macro.name for macro in macros if not whole and found[macro.name].value != macro.value]:
         raise ValueError(f"two components state the size {clash[0]}, with different values")
     return tuple(found.values())[::-1]
 

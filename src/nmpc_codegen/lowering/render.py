@@ -325,6 +325,10 @@ def _page(module: CModule) -> dict[str, Any]:
         *((e, s.unit, f"x[{places['X'][i]}]", f"state, initially {v:g}") for i, e, s, v in _elements(d.states)),
         *((e, s.unit, f"u[{places['U'][i]}]", "control") for i, e, s, _ in _elements(d.controls)),
     ]
+    signals += [
+        (e, s.unit, f"z[{places['Z'][i]}]", f"algebraic variable, at first about {v:g}")
+        for i, e, s, v in _elements(d.algebraic)
+    ]
     for s, constant in zip(d.parameters, d.parameter_constants, strict=True):
         declared = ", ".join(f"{value:g}" for value in s.value)
         signals.append((s.name, s.unit, f"{macro}_PARAM_{constant}", f"parameter, declared {declared}"))

@@ -14,6 +14,7 @@ import casadi as ca
 import numpy as np
 
 from nmpc_codegen.frontend.problem import Array, Problem
+from nmpc_codegen.ir.casadi_types import part
 from nmpc_codegen.oracle.trajectory import (
     CLASSICAL,
     Data,
@@ -128,7 +129,7 @@ class Reference:
             return p
         z = ca.MX.sym(f"z_{k}", algebra.size)
         terms = ca.veccat(ca.SX(0, 1), stage.y, stage.h, *(c for c in (stage.cost, stage.ties) if c is not None))
-        if not ca.depends_on(terms, stage.p[problem.np :]):
+        if not ca.depends_on(terms, part(stage.p, problem.np)):
             return node_values(p, ca.MX.zeros(algebra.size))
         x, places = self._x[k], problem.inner.places
         held = [x[problem.measured + places[j]] if j in places else ca.MX(0) for j in range(problem.nu)]

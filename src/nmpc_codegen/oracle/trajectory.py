@@ -211,7 +211,8 @@ def with_maps(problem: Problem, end: Any, x: Any, u: Any, p: Any, dt: Any) -> An
     """The end of an interval with the values of states that are maps."""
     if problem.jump is None:
         return end
-    maps = problem.jump(x, u, p, dt)
+    zeros = ca.DM.zeros(problem.np + problem.solved - p.numel())
+    maps = problem.jump(x, u, ca.vertcat(p, zeros), dt)
     parts = {i: maps[n] for n, i in enumerate(problem.maps)}
     return ca.vertcat(*(parts.get(i, end[i]) for i in range(problem.nx)))
 

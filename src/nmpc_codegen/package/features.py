@@ -33,6 +33,7 @@ KernelName = Literal[
     "initial_exact",
     "coupled_rows",
     "stage_slope",
+    "stage_equation",
     "stage_rate",
     "stage_rate_gradient",
     "stage_rate_product",

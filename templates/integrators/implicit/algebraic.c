@@ -67,20 +67,37 @@ static int find_algebraic(
     return reason;
 }
 
-/* What functions of a node read: the parameters, z, and W = -(dg/dz)^-1. */
-static void implicit_node_data(
-    const real_t *x, const real_t *z, const real_t *u, const real_t *p, real_t *data)
+/* What functions of a node read: the parameters and z. Returns -1, or why there is no z. */
+static int fill_node(const real_t *x, const real_t *z, const real_t *u, const real_t *p, real_t *data,
+    real_t (*M)[NALG], int *order)
 {
-    real_t point[NXA], M[NALG][NALG], minus[NALG * NALG] = {R(0)}, *W = data + NP + NALG;
-    int order[NALG];
+    real_t point[NXA];
     memcpy(point, x, NX * sizeof *x);
     const int reason = find_algebraic(point, z, u, p, M, order);
     for (int i = 0; i < NP; i++) {
         data[i] = p[i];
     }
     memcpy(data + NP, point + NX, NALG * sizeof *point);
+    return reason;
+}
+
+static void implicit_node_point(
+    const real_t *x, const real_t *z, const real_t *u, const real_t *p, real_t *data)
+{
+    real_t M[NALG][NALG];
+    int order[NALG];
+    (void)fill_node(x, z, u, p, data, M, order);
+}
+
+/* The same, and W = -(dg/dz)^-1 row by row. */
+static void implicit_node_data(
+    const real_t *x, const real_t *z, const real_t *u, const real_t *p, real_t *data)
+{
+    real_t M[NALG][NALG], minus[NALG * NALG] = {R(0)}, *W = data + NP + NALG;
+    int order[NALG];
+    const int reason = fill_node(x, z, u, p, data, M, order);
     for (int i = 0; i < NALG; i++) {
-        minus[i * NALG + i] = (reason < 0) ? R(-1) : (real_t)NAN;
+        minus[i * NALG + i] = (reason < 0) ? -R(1) : (real_t)NAN;
     }
     if (reason < 0) {
         lu_solve(M[0], order, NALG, minus, W, NALG);

@@ -18,10 +18,14 @@ from nmpc_codegen.components.integrators.tableau import (
     TABLEAUS,
     ButcherTableau,
     Euler,
+    GaussLegendre2,
+    GaussLegendre3,
     Heun,
     ImplicitEuler,
     ImplicitMidpoint,
     Midpoint,
+    RadauIIA2,
+    RadauIIA3,
 )
 
 REGISTRY: Mapping[str, type[Integrator]] = {
@@ -42,9 +46,13 @@ __all__ = [
     "Discrete",
     "Euler",
     "ExplicitRungeKutta",
+    "GaussLegendre2",
+    "GaussLegendre3",
     "Heun",
     "ImplicitEuler",
     "ImplicitMidpoint",
     "ImplicitRungeKutta",
     "Midpoint",
+    "RadauIIA2",
+    "RadauIIA3",
 ]

@@ -245,8 +245,10 @@ def increments(scheme: ButcherTableau) -> tuple[Array, Array]:
 
 
 def _start_table(problem: Problem) -> tuple[Table, ...]:
+    if problem.algebra is None or not problem.solved:
+        return ()
     doc = "where Newton's method of algebraic variables starts at first"
-    return (Table("algebraic_start", "real", problem.algebra.start, doc),) if problem.algebra and problem.solved else ()
+    return (Table("algebraic_start", "real", problem.algebra.start, doc),)
 
 
 def _failure_fields() -> tuple[Field, ...]:

@@ -33,7 +33,7 @@ def jump_kernel(problem: Problem) -> Kernel | None:
     if problem.jump is None:
         return None
     x, u, p, dt = symbols(problem.nx, problem.nu, problem.np)
-    value = problem.jump(x, u, p, dt)
+    value = problem.jump(x, u, without_solution(problem, p), dt)
     end = ca.SX(problem.nx, 1)
     for n, i in enumerate(problem.maps):
         end[i] = value[n]
@@ -53,7 +53,7 @@ def jump_rows_kernel(problem: Problem) -> Kernel | None:
         return None
     x, u, p, dt = symbols(problem.nx, problem.nu, problem.np)
     nz = problem.nx + problem.nu
-    value, slopes = problem.jump_slopes(x, u, p, dt)
+    value, slopes = problem.jump_slopes(x, u, without_solution(problem, p), dt)
     end, S = ca.SX(problem.nx, 1), ca.SX(problem.nx, nz)
     for n, i in enumerate(problem.maps):
         end[i], S[i, :] = value[n], slopes[n, :]
@@ -66,6 +66,11 @@ def jump_rows_kernel(problem: Problem) -> Kernel | None:
         (Port("x_next", problem.nx), Port("S", problem.nx, nz)),
     )
     return kernel.with_zeros("S", [(i, j) for i in problem.maps for j in range(nz)])
+
+
+def without_solution(problem: Problem, p: Expression) -> Expression:
+    """Parameters with zeros for what Newton's method finds, of which maps do not depend."""
+    return ca.vertcat(p, ca.SX.zeros(problem.solved))
 
 
 def with_jump(sweep: Sweep, problem: Problem) -> Sweep:
@@ -111,7 +116,7 @@ class _Jump:
         self.nx, self.nu, self.nz, self.maps = problem.nx, problem.nu, problem.nx + problem.nu, problem.maps
         x, u, p, dt = symbols(problem.nx, problem.nu, problem.np)
         self.symbols, self.z = [x, u, p, dt], ca.vertcat(x, u)
-        self.value = ca.densify(problem.jump(x, u, p, dt))
+        self.value = ca.densify(problem.jump(x, u, without_solution(problem, p), dt))
         self.slopes = ca.jacobian(self.value, self.z)
         self.given = (Slice("x", self.nx), Slice("u", self.nu), Slice("p", problem.np), Slice("dt", 1))
 

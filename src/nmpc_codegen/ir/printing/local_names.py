@@ -39,6 +39,7 @@ class LocalNames:
     residuals: tuple[str, ...] = ()
     residuals_N: tuple[str, ...] = ()
     reserved: frozenset[str] = frozenset()
+    algebraic: tuple[str, ...] = ()  # behind states of a stage, and behind parameters with slopes of theirs
 
     def signal(self, kernel: str, buffer: str, element: int, size: int) -> str:
         """Name for an element of a buffer of ``size`` elements in a kernel; "" if it is no signal."""
@@ -46,6 +47,10 @@ class LocalNames:
         if kind == "residuals" and not kernel.startswith("path"):
             kind = "residuals_N" if kernel.startswith("terminal") else ""
         names = getattr(self, kind) if kind else ()
+        if kind in ("states", "parameters") and len(names) < size:
+            names = (*names, *self.algebraic)
+        if kind == "parameters" and len(names) < size:
+            names = (*names, *(f"W_{name}_{i}" for name in self.algebraic for i in range(len(self.algebraic))))
         return f"{before}{names[element]}{behind}" if len(names) == size else ""
 
     def variable(self, element: int) -> str:

@@ -33,7 +33,9 @@ def local_names(problem: Problem, others: Iterable[str]) -> LocalNames:
         return tuple(f"{name}_" if name in taken or _MATH_CONSTANT.fullmatch(name) else name for name in spelled)
 
     own = problem.state_names[: problem.measured]
-    known = {c_identifier(name) for name in (*own, *problem.control_names, *problem.parameter_names)}
+    known = {
+        c_identifier(name) for name in (*own, *problem.newton_names, *problem.control_names, *problem.parameter_names)
+    }
     return LocalNames(
         free((*own, *_inner_names(problem, known))),
         free(problem.control_names),
@@ -41,6 +43,7 @@ def local_names(problem: Problem, others: Iterable[str]) -> LocalNames:
         free(problem.path.y_names),
         free(problem.terminal.y_names),
         taken,
+        free(name.replace("(", "_").replace(")", "") for name in problem.newton_names),
     )
 
 

@@ -10,16 +10,16 @@ _ROW = "subject_to(lower, expression, upper)"
 _DYNAMICS = "dynamics({state: derivative})"
 _RATE = "least_squares(ocp.rate(u), weight), subject_to(lower, ocp.rate(u), upper); u - ocp.previous(u) per sample"
 _BLOCKS = "control(name, hold=[1, 1, 2, 4]), the lengths of blocks of intervals with one control each"
-_NO_DAE = (
-    "algebraic equations 0 = g(x, z) are not supported: solve them for z and insert it, or state z' = g / eps if "
-    "dg/dz < 0, z' = -g / eps if dg/dz > 0, with as many integration steps as the warning names"
-)
+_ALGEBRAIC = "z = algebraic(name, initial=...) and algebraic_equation(g), for 0 = g(x, z, u, p)"
+_IMPLICIT = "implicit_dynamics(f) with der(x), for 0 = f(x', x, z, u, p)"
 
 #: Name in acados, ACADO, CasADi's Opti, do-mpc, rockit -> what OCP has instead.
 OF_PROBLEM: Mapping[str, str] = {
-    "algebraic": _NO_DAE,
-    "algebraic_state": _NO_DAE,
-    "add_alg": _NO_DAE,
+    "algebraic_state": _ALGEBRAIC,
+    "add_alg": _ALGEBRAIC,
+    "set_alg": _ALGEBRAIC,
+    "f_impl_expr": _IMPLICIT,
+    "xdot": _IMPLICIT,
     "minimize": _COST,
     "add_objective": _COST,
     "set_objective": _COST,

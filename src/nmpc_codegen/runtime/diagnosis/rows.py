@@ -52,14 +52,14 @@ def whole_parameters(ctrl: Memory) -> Array:
     return np.array([*([stored[0]] * d.N), stored[-1]], dtype=np.float64)
 
 
-def with_solved(ctrl: Memory, p: Array, solved: Array) -> Array:
+def append_solved(ctrl: Memory, p: Array, solved: Array) -> Array:
     """Parameters with what expressions read behind them: ``solved``, what Newton's method has found, and slopes of it,
     which no value depends on."""
     slopes = np.zeros((len(p), solved.shape[1] ** 2))
     return np.hstack([p, solved, slopes])
 
 
-def solved_at(ctrl: Memory, x: Array, u: Array, node: int) -> Array:
+def find_solved(ctrl: Memory, x: Array, u: Array, node: int) -> Array:
     """What Newton's method finds for algebraic variables at a state and a control."""
     ctrl.algebraic(x, u, node)
     return np.array(ctrl.view("z")[node], dtype=np.float64) if ctrl.description.sizes["NALG"] else np.zeros(0)
@@ -68,8 +68,8 @@ def solved_at(ctrl: Memory, x: Array, u: Array, node: int) -> Array:
 def plan_data(ctrl: Memory) -> Array:
     """What expressions of all nodes read in place of p."""
     x, u = ctrl.x, np.append(ctrl.u, ctrl.u[-1:], axis=0)
-    solved = np.array([solved_at(ctrl, x[k], u[k], k) for k in range(ctrl.dims.N + 1)])
-    return with_solved(ctrl, np.asarray(whole_parameters(ctrl), dtype=np.float64), solved)
+    solved = np.array([find_solved(ctrl, x[k], u[k], k) for k in range(ctrl.dims.N + 1)])
+    return append_solved(ctrl, np.asarray(whole_parameters(ctrl), dtype=np.float64), solved)
 
 
 def path_reference(ctrl: Memory) -> Array:

@@ -19,13 +19,13 @@ from nmpc_codegen.errors import ControllerError
 from nmpc_codegen.package.signals import members
 from nmpc_codegen.runtime.controller import Controller, Status
 from nmpc_codegen.runtime.diagnosis.rows import (
+    append_solved,
+    find_solved,
     path_bounds,
     path_reference,
     row_values,
-    solved_at,
     start_parameters,
     whole_parameters,
-    with_solved,
 )
 from nmpc_codegen.runtime.given import is_positive, is_same_time, rows
 from nmpc_codegen.runtime.loops.forecast import Before, Bounds, OverSamples, References, forecast
@@ -128,7 +128,7 @@ def _run(
         if status[k] not in reasons:
             reasons[Status(status[k])] = ctrl.diagnose() if status[k] else ""
         p[k], y[k] = start_parameters(ctrl), path_reference(ctrl)
-        z[k], solved[k] = ctrl.algebraic(x[k], u[k]), solved_at(ctrl, x[k], u[k], 0)
+        z[k], solved[k] = ctrl.algebraic(x[k], u[k]), find_solved(ctrl, x[k], u[k], 0)
         moved = move(x[k].copy(), u[k].copy(), interval)
         x[k + 1] = _state(moved, nx, f"the plant's state after sample {k}", partial(_before, ctrl, x[k], u[k]))
         if disturbance is not None:
@@ -164,7 +164,7 @@ def _sample_by(law: Law, ctrl: Controller, interval: float) -> Sample:
 def _sample_rows(ctrl: Controller, x: Array, u: Array, p: Array, solved: Array) -> Array:
     """Values of the rows of the samples, with what node 0 has behind the parameters of the user."""
     data = whole_parameters(ctrl)[:1, ctrl.dims.np :]
-    return row_values(ctrl, x, u, with_solved(ctrl, np.hstack([p, np.tile(data, (len(x), 1))]), solved))
+    return row_values(ctrl, x, u, append_solved(ctrl, np.hstack([p, np.tile(data, (len(x), 1))]), solved))
 
 
 def _path_rows(ctrl: Controller) -> list[int]:

@@ -77,22 +77,24 @@ class _Completion:
             return routine
         inputs = tuple(Port("p", self.problem.np) if port.name == "p" else port for port in routine.inputs)
         if isinstance(routine, Kernel):
-            if not self._reads_more(routine, [port.name for port in routine.inputs]):
+            numbers = self._numbers(routine, [port.name for port in routine.inputs])
+            if numbers <= self.problem.np:
                 return replace(routine, inputs=inputs)
-            return self._around(_with_leaf(routine), inputs)
+            return self._around(_with_leaf(routine), inputs, numbers)
         leaves = routine.leaves
         names = [(leaves[c.leaf.name()], [s.buffer for s in c.ins]) for c in calls(routine.sweep.body)]
-        if not any(self._reads_more(leaf, buffers) for leaf, buffers in names):
+        numbers = max((self._numbers(leaf, buffers) for leaf, buffers in names), default=0)
+        if numbers <= self.problem.np:
             return LoopedRoutine(replace(routine.sweep, inputs=inputs), leaves)
-        return self._around(routine, inputs)
+        return self._around(routine, inputs, numbers)
 
-    def _reads_more(self, kernel: Kernel, buffers: list[str]) -> bool:
-        """True if it reads z or W behind the parameters."""
+    def _numbers(self, kernel: Kernel, buffers: list[str]) -> int:
+        """Of how many parameters, with z and W behind them, it reads some."""
         places = {i for i, buffer in enumerate(buffers) if buffer == "p"}
         loads = (i.args for i in kernel.instructions if i.opcode == ca.OP_INPUT)
-        return any(port in places and element >= self.problem.np for port, element in loads)
+        return max((element + 1 for port, element in loads if port in places), default=0)
 
-    def _around(self, routine: LoopedRoutine, inputs: tuple[Port, ...]) -> LoopedRoutine:
+    def _around(self, routine: LoopedRoutine, inputs: tuple[Port, ...], numbers: int) -> LoopedRoutine:
         """The routine behind the call that finds z and W; its own calls read them with the parameters."""
         problem, sweep, leaves = self.problem, routine.sweep, dict(routine.leaves)
         known = {port.name for port in inputs}
@@ -109,19 +111,19 @@ class _Completion:
             *(Slice("x", problem.nx), Slice(START, self.kernels.na)),
             *(Slice("u", problem.nu) if "u" in self.reads else "0", Slice("p", problem.np) if problem.np else "0"),
         )
-        found = (Slice(DATA, self.size),)
-        before.append(Written("implicit_node_data", given, found, self._count, (self.equation,)))
+        slopes = numbers > problem.np + self.kernels.na
+        function, found = f"implicit_node_{'data' if slopes else 'point'}", (Slice(DATA, self.size),)
+        before.append(Written(function, given, found, self._count(slopes), (self.equation,)))
         own = (rename_buffer((node,), "p", DATA)[0] if isinstance(node, Call) else node for node in sweep.body)
         return LoopedRoutine(
             replace(sweep, inputs=inputs, locals=tuple(scratch), body=(*before, *own)),
             leaves,
         )
 
-    @property
-    def _count(self) -> OpCount:
+    def _count(self, slopes: bool) -> OpCount:
         n = self.kernels.na
         step = self.equation.count + factors_of(n) + solution_of(n, 1)
-        return step * STEPS + solution_of(n, n)
+        return step * STEPS + (solution_of(n, n) if slopes else OpCount())
 
 
 def _with_leaf(kernel: Kernel) -> LoopedRoutine:

@@ -55,7 +55,7 @@ class Trial:
                 left += more
         if self.problem.jump is not None:
             rows = list(self.problem.maps)
-            value, slopes = self.problem.jump_slopes(start, u, p, dt)
+            value, slopes = self.problem.jump_slopes(start, u, [*p, *np.zeros(self.problem.solved)], dt)
             x[rows], S[rows] = value.full().ravel(), slopes.full()
         return End(x, S, left)
 

@@ -18,10 +18,12 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from nmpc_codegen.frontend.elimination import Solved, Unknown, solve_equations
+from nmpc_codegen.errors import ProblemError
+from nmpc_codegen.frontend.algebra.elimination import Solved, Unknown, solve_equations
 from nmpc_codegen.frontend.ocp import OCP
 from nmpc_codegen.frontend.problem import Array
 from nmpc_codegen.frontend.statement import Declared, Statement
+from nmpc_codegen.package.signals import list_some
 
 #: Steps with the same W: as many as orders of derivatives are needed.
 ORDERS = 2
@@ -60,7 +62,7 @@ def resolve(ocp: OCP) -> Resolved | None:
     equations = [replace(e, expression=ca.substitute(e.expression, known, values)) for e in ocp.equations]
     unknowns = [Unknown(ocp.slopes[i], str(ocp.slopes[i]), 0.0) for i in implied]
     unknowns += [Unknown(*each) for each in _scalars(ocp.algebraics)]
-    solved = solve_equations(unknowns, equations, _given(ocp))
+    solved = solve_equations(unknowns, equations, _known_values(ocp))
     return _without(ocp, unknowns, implied, solved)
 
 
@@ -72,7 +74,7 @@ def _scalars(declared: Sequence[Declared]) -> list[tuple[Any, str, float]]:
     ]
 
 
-def _given(ocp: OCP) -> list[tuple[Any, Array]]:
+def _known_values(ocp: OCP) -> list[tuple[Any, Array]]:
     """States, controls, parameters and what else equations may contain, at the first plan."""
     u = _first_controls(ocp)
     before = sorted(ocp.remembered)
@@ -115,13 +117,14 @@ def _without(ocp: OCP, unknowns: Sequence[Unknown], implied: Sequence[int], solv
     z = ca.vertcat(ca.SX(0, 1), *own)
     sizes = np.array(_sizes(ocp, len(implied), solved))[list(solved.newton)]
     at = np.where(np.isfinite(solved.at), solved.at, [each.initial for each in unknowns])[list(solved.newton)]
-    rest = solved.rest * ca.DM(_factors(solved.rest, (z, at), _given(ocp), sizes)) if own else solved.rest
+    rest = solved.rest * ca.DM(_factors(solved.rest, (z, at), _known_values(ocp), sizes)) if own else solved.rest
     W = ca.SX.sym("W", len(own), len(own))
     point = z
     for _ in range(ORDERS if own else 0):
         point = point + W @ ca.substitute(rest, z, point)
     path = ca.substitute(ca.vertcat(*solved.values), z, point)
     end = _at_the_end(twin, path)
+    _refuse_maps(ocp, ca.substitute(ca.vertcat(ca.SX(0, 1), *ocp.maps.values()), v, path), z)
 
     def with_path(e: Any) -> Any:
         return ca.substitute(e, v, path)
@@ -149,6 +152,18 @@ def _without(ocp: OCP, unknowns: Sequence[Unknown], implied: Sequence[int], solv
         scale=tuple(map(float, sizes)),
         found=solved.at[list(solved.newton)],
     )
+
+
+def _refuse_maps(ocp: OCP, values: Any, z: Any) -> None:
+    """Raise ProblemError if the next value of a discrete state contains what Newton's method solves for."""
+    names = [name for d in ocp.states for name in d.signal.elements]
+    for i, value in zip(ocp.maps, ca.vertsplit(values), strict=True):
+        if z.numel() and ca.depends_on(value, z):
+            found = list_some([str(each) for each in ca.symvar(value) if ca.depends_on(each, z)])
+            raise ProblemError(
+                f"dynamics: the next value of '{names[i]}' depends on {found}, for which no expression is known "
+                "(the equations are not linear in it); expected states, controls and parameters"
+            )
 
 
 def _at_the_end(twin: OCP, values: Any) -> Any:

@@ -1,0 +1,195 @@
+"""Algebraic equations: orders, derivatives, optima against IPOPT, closed loops, what is left of the equations, and what
+they cost beside a model from which they are eliminated by hand."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+
+from benchmarks.lib.report import Report
+from benchmarks.lib.run import Run
+from benchmarks.lib.stiff import DERIVATIVES, LOOPS, ORDER, code_bytes, halvings, loops, optimum
+from examples import rope_crane
+from examples.rope_crane import CART, DAMPING, GRAVITY, LENGTH, STRONGEST
+from nmpc_codegen import (
+    OCP,
+    SDIRK3,
+    DenseActiveSet,
+    ExactHessian,
+    FullCondensing,
+    GaussNewton,
+    ImplicitRungeKutta,
+    NoCondensing,
+    Options,
+    PartialCondensing,
+    RiccatiActiveSet,
+    RiccatiInteriorPoint,
+    build,
+    generate,
+    simulate,
+)
+from nmpc_codegen.components.integrators.implicit.trial import Trial
+from nmpc_codegen.components.integrators.tableau import IMPLICIT, ButcherTableau
+from nmpc_codegen.frontend.classify import classify
+from nmpc_codegen.frontend.problem import Array
+from verification import algebraic
+from verification.implicit import Interval
+from verification.stiff import Stiff
+
+#: Residual of an equation, relative to the terms in it that contain z; samples of the long loops.
+RESIDUAL, SAMPLES = 1e-12, 10_000
+
+#: The routes of solve().
+ROUTES = {
+    "default": Options(),
+    "exact, full": Options(hessian=ExactHessian(), condensing=FullCondensing(), qp=DenseActiveSet()),
+    "Gauss-Newton, none": Options(hessian=GaussNewton(), condensing=NoCondensing(), qp=RiccatiInteriorPoint()),
+    "Gauss-Newton, partial": Options(hessian=GaussNewton(), condensing=PartialCondensing(5), qp=RiccatiActiveSet()),
+}
+
+
+def measure(report: Report, asked: Run) -> None:
+    """All figures; a line per scheme and per problem."""
+    for name, tableau in IMPLICIT.items():
+        if tableau.a[0][0]:
+            order = _order(tableau)
+            report.add("order", order, case=name)
+            report.add("order, distance", abs(order - tableau.order), case=name, limit=ORDER)
+    for name in asked.cases(algebraic.PROBLEMS):
+        case = algebraic.PROBLEMS[name]
+        for route, options in ROUTES.items():
+            optimum(report, name, case, options, f"optimum, {route}")
+        loops(report, name, case, algebraic.Plant(case.make()), asked.share(LOOPS, 3))
+        if classify(case.make()).solved:
+            report.add("dz / d(x, u)", _derivatives(case), case=name, limit=DERIVATIVES)
+    _long_loop(report, asked.share(SAMPLES, 200))
+    _drift(report, asked.share(SAMPLES, 200))
+    _beside(report, "battery", {"stated": algebraic.battery(), "by hand": battery_by_hand()})
+    _beside(report, "crane", {"stated": rope_crane.build_ocp(), "by hand": crane_by_hand()})
+
+
+# -- schemes and derivatives ------------------------------------------------------------------------------------------
+
+
+def known() -> OCP:
+    """y' = cos t + z - s, 0 = z + z^3 + y - s - s^3 - sin t with the solution y = sin t, z = s(t) = 1 / (1 + t)."""
+    ocp = OCP("known", T=1.0, N=1)
+    t, y, u = ocp.state("t"), ocp.state("y"), ocp.control("u")
+    z, s = ocp.algebraic("z", initial=1.0), 1 / (1 + t)
+    ocp.dynamics({t: 1 + 0 * u, y: ca.cos(t) + z - s})
+    ocp.algebraic_equation(z + z**3 + y - s - s**3 - ca.sin(t))
+    ocp.least_squares(y, weight=1.0)
+    return ocp
+
+
+def _order(tableau: ButcherTableau) -> float:
+    """The slope of the error over the last of four halvings of the step."""
+    trial, errors = Trial(classify(known()), tableau), []
+    for steps in halvings(tableau):
+        end = trial.interval(np.zeros(2), np.zeros(1), np.zeros(0), 1.0, steps, 30).x
+        errors.append(abs(end[1] - np.sin(1)))
+    return float(np.log2(errors[-2] / errors[-1]))
+
+
+def _derivatives(case: Stiff) -> float:
+    """Relative error of dz / d(x, u) with W = -(dg/dz)^-1 in C, against CasADi's rootfinder."""
+    problem = classify(case.make())
+    algebra, rng = problem.algebra, np.random.default_rng(3)
+    assert algebra is not None
+    x = problem.x_initial * (1 + 0.01 * rng.uniform(-1, 1, problem.nx))
+    u, p, m = np.array([0.5] * problem.nu), problem.p_value, algebra.size
+    data = Interval(problem, ImplicitRungeKutta())("node_data", [*x, *algebra.start], u, p, 1.0)[0]
+    z, W = data[problem.np : problem.np + m], data[problem.np + m :].reshape(m, m)
+    v, of_z = ca.SX.sym("v", problem.nx + problem.nu), ca.SX.sym("z", m)
+    r = algebra.equations(v[: problem.nx], v[problem.nx :], p, of_z)
+    at = np.concatenate([x, u])
+    ours = W @ np.asarray(ca.Function("r", [v, of_z], [ca.densify(ca.jacobian(r, v))])(at, z), dtype=float)
+    solver = ca.rootfinder("z", "newton", {"x": of_z, "p": v, "g": r}, {"abstol": 1e-14})
+    free = ca.MX.sym("v", v.numel())
+    slopes = ca.Function("dz", [free], [ca.jacobian(solver(x0=z, p=free)["x"], free)])
+    theirs = np.asarray(slopes(at), dtype=float)
+    return float(np.max(np.abs(ours - theirs)) / np.max(np.abs(theirs)))
+
+
+# -- long loops -------------------------------------------------------------------------------------------------------
+
+
+def residual(ocp: OCP, x: Array, z: Array, u: Array) -> float:
+    """Largest residual of the algebraic equations as they are stated, relative to the sum of |dg/dz_i z_i|."""
+    symbols = [ocp.x, ocp.z, ocp.u, ocp.p]
+    g = ca.vertcat(*(e.expression for e in ocp.equations))
+    p = np.array([v for d in ocp.parameters for v in d.signal.value])
+    at = ca.Function("g", symbols, [g, ca.fabs(ca.jacobian(g, ocp.z)) @ ca.fabs(ocp.z)])
+    found = [tuple(np.asarray(v, dtype=float) for v in at(*each, p)) for each in zip(x, z, u, strict=True)]
+    return max(float(np.max(np.abs(value) / size)) for value, size in found)
+
+
+def _long_loop(report: Report, samples: int) -> None:
+    """What is left of the charge balance in a loop with changing references."""
+    ocp, reference = algebraic.neutralisation(), 7 + np.sin(np.arange(samples) / 7.0)
+    log = simulate(build(ocp, profile="fast"), classify(ocp).x_initial[:3], samples, references={"pH": reference})
+    left = residual(ocp, log.x[:-1], log.z, log.u)
+    report.add("residual of g", left, case="neutralisation", n=samples, limit=RESIDUAL)
+    report.add("samples not OK", int(np.sum(log.status != 0)), case="neutralisation", n=samples)
+
+
+def _drift(report: Report, samples: int) -> None:
+    """How far the length of the rope is from its constraint while the crane goes to and fro."""
+    goal = np.where(np.arange(samples) // 60 % 2, 1.0, 0.0)
+    ctrl, start = build(rope_crane.build_ocp(), profile="fast"), [1.0, 0.0, 1.0, -LENGTH, 0.0, 0.0]
+    log = simulate(ctrl, start, samples, references={"s": goal, "p[0]": goal})
+    stretch = np.abs(rope_crane.stretch(log))
+    report.add("drift of the length", float(np.max(stretch)), "m", case="crane", n=samples)
+    report.add("drift at the end", float(np.max(stretch[-60:])), "m", case="crane", n=samples)
+
+
+# -- beside elimination by hand ---------------------------------------------------------------------------------------
+
+
+def battery_by_hand() -> OCP:
+    """The battery with the smaller solution of its quadratic equation in the place of the current."""
+    ocp = OCP("battery", T=20.0, N=20, time_unit="min")
+    q, vp = ocp.state("q", initial=0.8), ocp.state("vp", unit="V")
+    T, P = ocp.state("T", initial=30.0, unit="degC"), ocp.control("P", unit="kW")
+    demand = ocp.parameter("demand", value=60.0, unit="kW")
+    U = 350 + 60 * q - 10 * ca.exp(-20 * q) - vp
+    R = 0.12 * ca.exp(0.02 * (30 - T))
+    current = (U - ca.sqrt(U**2 - 4e3 * R * P)) / (2 * R)
+    heat = 60 * (R * current**2 / 1e5 - 12 * (T - 25) / 1e5)
+    ocp.dynamics({q: -current / (60 * 250.0), vp: 60 * (current / 3000 - vp / 120), T: heat})
+    ocp.least_squares(P - demand, weight=1.0)
+    ocp.subject_to(0, P, 100)
+    ocp.subject_to(-np.inf, current, 180.0)
+    ocp.subject_to(-np.inf, T, 45.0, soft=(1e3, 1e3))
+    return ocp
+
+
+def crane_by_hand() -> OCP:
+    """The crane with its tension: (r'r / load + r_x^2 / cart) tension is what the other terms of the equation of the
+    length are."""
+    ocp = OCP("rope_crane", T=3.0, N=30)
+    s, vs = ocp.state("s", initial=1.0, unit="m"), ocp.state("vs", unit="m/s")
+    p, v = ocp.state("p", size=2, initial=[1.0, -LENGTH], unit="m"), ocp.state("v", size=2, unit="m/s")
+    F, load = ocp.control("F", unit="N"), ocp.parameter("load", value=1.0, unit="kg")
+    rope, turning = ca.vertcat(p[0] - s, p[1]), ca.vertcat(v[0] - vs, v[1])
+    damped = 2 * DAMPING * ca.dot(rope, turning) + DAMPING**2 * (ca.sumsqr(rope) - LENGTH**2) / 2
+    others = ca.sumsqr(turning) + damped - GRAVITY * rope[1] - rope[0] * F / CART
+    tension = others / (ca.sumsqr(rope) / load + rope[0] ** 2 / CART)
+    fall = -tension * rope / load - ca.vertcat(0, GRAVITY)
+    ocp.dynamics({s: vs, p: v, vs: (F + tension * rope[0]) / CART, v: fall})
+    ocp.least_squares(ca.vertcat(s, p[0], vs, v[0], F), weight=[10, 10, 1, 1, 0.05])
+    ocp.terminal_least_squares(ca.vertcat(s, p[0], vs, v[0]), weight=20)
+    ocp.subject_to(-10, F, 10)
+    ocp.subject_to(-ca.inf, tension, STRONGEST, soft=(10, 10))
+    return ocp
+
+
+def _beside(report: Report, name: str, ocps: dict[str, OCP]) -> None:
+    """Operations of a linearisation, memory and code of both models."""
+    for which, ocp in ocps.items():
+        implicit = ImplicitRungeKutta(SDIRK3, 2, 2) if name == "battery" else None
+        sources = generate(ocp, Options(integrator=implicit, solve=False))
+        found = sources.description.report
+        report.add(f"linearisation, {which}", found.linearization_operations, "operations", case=name)
+        report.add(f"memory, {which}", found.ram_bytes, "B", case=name)
+        report.add(f"code, {which}", code_bytes(sources), "B", case=name)

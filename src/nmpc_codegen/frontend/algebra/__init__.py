@@ -1,0 +1,1 @@
+"""Algebraic equations: their statement, what expressions solve of them, and what is left to Newton's method."""

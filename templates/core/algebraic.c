@@ -1,0 +1,28 @@
+#if ALGEBRAIC
+/* Algebraic variables at the state x and the controls u, with the parameters of node k; at node N of the plan u is that
+ * of the node before. */
+status_t API(algebraic)(solver_t *s, int k, const real_t x[NXHAT], const real_t u[NU], real_t z[ALGEBRAIC])
+{
+    if (s->magic != MAGIC) {
+        return NOT_INITIALIZED;
+    }
+    if (k < 0 || k > N) {
+        return BAD_INDEX;
+    }
+    real_t start[NX];
+    memcpy(start, s->x[k], sizeof start);
+    memcpy(start, x, NXHAT * sizeof *x);
+#if NALG
+    real_t point[NXA];
+    const int reason = algebraic_of_node(s, k, start, u, point);
+    if (reason < 0) {
+        memcpy(s->z[k], point + NX, sizeof s->z[k]);
+    }
+    STAGE_ALGEBRAIC(point, u, (k < N) ? PARAM(s, k) : PARAM_N(s), z);
+    return (reason < 0) ? OK : NUMERICAL_FAILURE;
+#else
+    STAGE_ALGEBRAIC(start, u, (k < N) ? PARAM(s, k) : PARAM_N(s), z);
+    return OK;
+#endif
+}
+#endif
