@@ -14,7 +14,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from examples import distillation, rope_crane
-from nmpc_codegen import OCP
+from nmpc_codegen import (
+    OCP,
+    DenseActiveSet,
+    ExactHessian,
+    FullCondensing,
+    GaussNewton,
+    NoCondensing,
+    Options,
+    PartialCondensing,
+    RiccatiActiveSet,
+    RiccatiInteriorPoint,
+)
 from nmpc_codegen.frontend.classify import classify
 from verification.stiff import Stiff
 
@@ -135,3 +146,22 @@ class Plant:
         found = self._run(x0=x, z0=self._z, p=np.concatenate([u, p]))
         self._z = np.asarray(found["zf"], dtype=float).ravel()
         return np.asarray(found["xf"], dtype=float).ravel()
+
+
+#: The routes of solve().
+ROUTES = {
+    "default": Options(),
+    "exact, full": Options(hessian=ExactHessian(), condensing=FullCondensing(), qp=DenseActiveSet()),
+    "Gauss-Newton, none": Options(hessian=GaussNewton(), condensing=NoCondensing(), qp=RiccatiInteriorPoint()),
+    "Gauss-Newton, partial": Options(hessian=GaussNewton(), condensing=PartialCondensing(5), qp=RiccatiActiveSet()),
+}
+
+
+def residual(ocp: OCP, x: Array, z: Array, u: Array) -> float:
+    """Largest residual of the algebraic equations as they are stated, relative to the sum of |dg/dz_i z_i|."""
+    symbols = [ocp.x, ocp.z, ocp.u, ocp.p]
+    g = ca.vertcat(*(e.expression for e in ocp.equations))
+    p = np.array([v for d in ocp.parameters for v in d.signal.value])
+    at = ca.Function("g", symbols, [g, ca.fabs(ca.jacobian(g, ocp.z)) @ ca.fabs(ocp.z)])
+    found = [tuple(np.asarray(v, dtype=float) for v in at(*each, p)) for each in zip(x, z, u, strict=True)]
+    return max(float(np.max(np.abs(value) / size)) for value, size in found)

@@ -17,7 +17,7 @@ from nmpc_codegen.lowering.pruning.directives import evaluate
 from nmpc_codegen.lowering.pruning.expressions import Expression, expression
 
 #: Parts that unit.c.jinja inlines in every package.
-ALWAYS = ("core/sizes.c", "core/rows.c", "core/cost.c", "core/inner.c")
+ALWAYS = ("core/sizes.c", "core/rows.c", "core/cost.c", "core/inner.c", "core/algebraic.c")
 _PLAIN = re.compile(r"^ +(?:\} else )?if \((.*)\) \{")
 _CONSTANT = re.compile(r"[A-Z0-9_ <>=!+&|()]*[A-Z]{2}[A-Z0-9_ <>=!+&|()]*")
 _LINE = re.compile(r'#(include|if|elif|else|endif)\b\s*"?([^"]*)"?')

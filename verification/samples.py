@@ -536,7 +536,7 @@ SAMPLES = (
     Sample("stiff economic", economic, _interior(integrator=ImplicitRungeKutta(ESDIRK3), hessian=FORWARD)),
     Sample("stiff shooting", economic, _shooting(integrator=IMPLICIT, target="cortex-m4f", precision="single")),
     Sample("stiff crane", crane.build_ocp, Options(integrator=ImplicitRungeKutta(ImplicitMidpoint), goal="size")),
-    Sample("algebraic dense", neutralisation, _dense(algorithm=RESAMPLE, hessian=ExactHessian())),
+    Sample("algebraic dense", neutralisation, _dense(algorithm=RESAMPLE)),
     Sample("algebraic riccati", rated_tank, _riccati(integrator=ImplicitRungeKutta(RadauIIA2), precision="single")),
     Sample("algebraic augmented", rated_tank, _augmented(integrator=ImplicitRungeKutta(GaussLegendre2))),
     Sample("algebraic alone", neutralisation, _alone(DenseActiveSet(), FullCondensing(), target="cortex-m4f")),

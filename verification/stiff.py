@@ -16,9 +16,10 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
 from examples import fast_charge
-from nmpc_codegen import OCP, Controller, build
+from nmpc_codegen import OCP, Controller, Options, build
 from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.frontend.problem import Problem
+from nmpc_codegen.oracle.reference import Reference, ReferenceSolution, Tableau, node_data
 
 Array = NDArray[Any]
 
@@ -212,3 +213,32 @@ def run(case: Stiff, ctrl: Controller, plant: Moving, seed: int) -> Outcome:
 def controller(case: Stiff) -> Controller:
     """The controller of a user who says nothing."""
     return build(case.make(), profile="fast")
+
+
+def distance_from_optimum(case: Stiff, options: Options | None, profile: str) -> tuple[float, int]:
+    """Largest difference of states, controls, algebraic variables and multipliers of solve() from IPOPT's optimum of
+    the same discretisation, in their sizes, infinite if there is none; iterations of solve()."""
+    ocp = case.make()
+    ctrl = build(ocp, options, profile)
+    chosen, problem = ctrl.description.options, classify(ocp)
+    n, rows = problem.measured, tuple(map(tuple, chosen["integrator.tableau.a"]))
+    scheme = Tableau(rows, tuple(chosen["integrator.tableau.b"]), int(chosen["integrator.steps"]))
+    ours = ctrl.solve(problem.x_initial[:n], tol=1e-13, max_iterations=300)
+    theirs = Reference(problem, scheme).solve(node_data(problem), x=ctrl.whole_x, u=ours.u)
+    pairs = [(ours.x, theirs.x[:, :n]), (ours.u, theirs.u), (ours.mu, theirs.mu), (ours.mu_u, theirs.mu_u)]
+    pairs += [(ours.lam, theirs.lam[:, :n]), (ours.z[:-1], _algebraic(problem, theirs))]
+    error = 0.0
+    for mine, other in pairs:
+        size = np.maximum(1.0, np.abs(other).max(axis=0, initial=0.0))
+        error = max(error, float(np.max(np.abs(mine - other) / size, initial=0.0)))
+    return error if theirs.success else np.inf, ours.iterations
+
+
+def _algebraic(problem: Problem, found: ReferenceSolution) -> Array:
+    """Algebraic variables of IPOPT's optimum at the nodes before the end."""
+    algebra, n = problem.algebra, problem.np
+    if algebra is None:
+        return np.zeros((problem.N, 0))
+    at = ((x, u, problem.node_values(x, u)) for x, u in zip(found.x[:-1], found.u, strict=True))
+    z = (algebra.values(x, u, p[:n], p[n : n + algebra.size]) for x, u, p in at)
+    return np.array([np.asarray(each, dtype=float).ravel() for each in z])

@@ -14,16 +14,8 @@ from examples.rope_crane import CART, DAMPING, GRAVITY, LENGTH, STRONGEST
 from nmpc_codegen import (
     OCP,
     SDIRK3,
-    DenseActiveSet,
-    ExactHessian,
-    FullCondensing,
-    GaussNewton,
     ImplicitRungeKutta,
-    NoCondensing,
     Options,
-    PartialCondensing,
-    RiccatiActiveSet,
-    RiccatiInteriorPoint,
     build,
     generate,
     simulate,
@@ -31,21 +23,12 @@ from nmpc_codegen import (
 from nmpc_codegen.components.integrators.implicit.trial import Trial
 from nmpc_codegen.components.integrators.tableau import IMPLICIT, ButcherTableau
 from nmpc_codegen.frontend.classify import classify
-from nmpc_codegen.frontend.problem import Array
 from verification import algebraic
 from verification.implicit import Interval
 from verification.stiff import Stiff
 
 #: Residual of an equation, relative to the terms in it that contain z; samples of the long loops.
 RESIDUAL, SAMPLES = 1e-12, 10_000
-
-#: The routes of solve().
-ROUTES = {
-    "default": Options(),
-    "exact, full": Options(hessian=ExactHessian(), condensing=FullCondensing(), qp=DenseActiveSet()),
-    "Gauss-Newton, none": Options(hessian=GaussNewton(), condensing=NoCondensing(), qp=RiccatiInteriorPoint()),
-    "Gauss-Newton, partial": Options(hessian=GaussNewton(), condensing=PartialCondensing(5), qp=RiccatiActiveSet()),
-}
 
 
 def measure(report: Report, asked: Run) -> None:
@@ -57,7 +40,7 @@ def measure(report: Report, asked: Run) -> None:
             report.add("order, distance", abs(order - tableau.order), case=name, limit=ORDER)
     for name in asked.cases(algebraic.PROBLEMS):
         case = algebraic.PROBLEMS[name]
-        for route, options in ROUTES.items():
+        for route, options in algebraic.ROUTES.items():
             optimum(report, name, case, options, f"optimum, {route}")
         loops(report, name, case, algebraic.Plant(case.make()), asked.share(LOOPS, 3))
         if classify(case.make()).solved:
@@ -114,21 +97,11 @@ def _derivatives(case: Stiff) -> float:
 # -- long loops -------------------------------------------------------------------------------------------------------
 
 
-def residual(ocp: OCP, x: Array, z: Array, u: Array) -> float:
-    """Largest residual of the algebraic equations as they are stated, relative to the sum of |dg/dz_i z_i|."""
-    symbols = [ocp.x, ocp.z, ocp.u, ocp.p]
-    g = ca.vertcat(*(e.expression for e in ocp.equations))
-    p = np.array([v for d in ocp.parameters for v in d.signal.value])
-    at = ca.Function("g", symbols, [g, ca.fabs(ca.jacobian(g, ocp.z)) @ ca.fabs(ocp.z)])
-    found = [tuple(np.asarray(v, dtype=float) for v in at(*each, p)) for each in zip(x, z, u, strict=True)]
-    return max(float(np.max(np.abs(value) / size)) for value, size in found)
-
-
 def _long_loop(report: Report, samples: int) -> None:
     """What is left of the charge balance in a loop with changing references."""
     ocp, reference = algebraic.neutralisation(), 7 + np.sin(np.arange(samples) / 7.0)
     log = simulate(build(ocp, profile="fast"), classify(ocp).x_initial[:3], samples, references={"pH": reference})
-    left = residual(ocp, log.x[:-1], log.z, log.u)
+    left = algebraic.residual(ocp, log.x[:-1], log.z, log.u)
     report.add("residual of g", left, case="neutralisation", n=samples, limit=RESIDUAL)
     report.add("samples not OK", int(np.sum(log.status != 0)), case="neutralisation", n=samples)
 

@@ -21,8 +21,8 @@ from nmpc_codegen import OCP, RK4, SDIRK3, Controller, ExplicitRungeKutta, Impli
 from nmpc_codegen.components.integrators.implicit.trial import Trial
 from nmpc_codegen.components.integrators.tableau import IMPLICIT, ButcherTableau
 from nmpc_codegen.frontend.classify import classify
-from nmpc_codegen.frontend.problem import Array, Problem
-from nmpc_codegen.oracle.reference import Reference, ReferenceSolution, Tableau, interval_map, node_data
+from nmpc_codegen.frontend.problem import Array
+from nmpc_codegen.oracle.reference import Tableau, interval_map
 from nmpc_codegen.package.sources import Sources
 from verification import stiff
 from verification.implicit import Interval
@@ -144,33 +144,10 @@ def _numbers(tableau: ButcherTableau, steps: int) -> Tableau:
 
 
 def optimum(report: Report, name: str, case: Stiff, options: Options | None = None, figure: str = "optimum") -> None:
-    """Largest difference of states, controls, algebraic variables and multipliers from IPOPT's optimum of the same
-    discretisation, in their sizes."""
-    ocp = case.make()
-    ctrl = build(ocp, options, profile="fast")
-    chosen, problem = ctrl.description.options, classify(ocp)
-    n, rows = problem.measured, tuple(map(tuple, chosen["integrator.tableau.a"]))
-    scheme = Tableau(rows, tuple(chosen["integrator.tableau.b"]), int(chosen["integrator.steps"]))
-    ours = ctrl.solve(problem.x_initial[:n], tol=1e-13, max_iterations=300)
-    theirs = Reference(problem, scheme).solve(node_data(problem), x=ctrl.whole_x, u=ours.u)
-    pairs = [(ours.x, theirs.x[:, :n]), (ours.u, theirs.u), (ours.mu, theirs.mu), (ours.mu_u, theirs.mu_u)]
-    pairs += [(ours.lam, theirs.lam[:, :n]), (ours.z[:-1], _algebraic(problem, theirs))]
-    error = 0.0
-    for mine, other in pairs:
-        size = np.maximum(1.0, np.abs(other).max(axis=0, initial=0.0))
-        error = max(error, float(np.max(np.abs(mine - other) / size, initial=0.0)))
-    report.add(figure, error if theirs.success else np.inf, case=name, limit=OPTIMUM)
-    report.add(f"{figure}, iterations", ours.iterations, case=name)
-
-
-def _algebraic(problem: Problem, found: ReferenceSolution) -> Array:
-    """Algebraic variables of IPOPT's optimum at the nodes before the end."""
-    algebra, n = problem.algebra, problem.np
-    if algebra is None:
-        return np.zeros((problem.N, 0))
-    at = ((x, u, problem.node_values(x, u)) for x, u in zip(found.x[:-1], found.u, strict=True))
-    found_z = (algebra.values(x, u, p[:n], p[n : n + algebra.size]) for x, u, p in at)
-    return np.array([np.asarray(z, dtype=float).ravel() for z in found_z])
+    """Distance from IPOPT's optimum of the same discretisation."""
+    error, iterations = stiff.distance_from_optimum(case, options, "fast")
+    report.add(figure, error, case=name, limit=OPTIMUM)
+    report.add(f"{figure}, iterations", iterations, case=name)
 
 
 def loops(report: Report, name: str, case: Stiff, plant: Moving, count: int) -> None:
