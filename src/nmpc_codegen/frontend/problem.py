@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nmpc_codegen.errors import ProblemError
+from nmpc_codegen.frontend.algebra import newton
 from nmpc_codegen.ir.casadi_types import Expression, Function, curved_rows, elements, part
 from nmpc_codegen.package.signals import NOTHING_INNER, ImposedRow, imposed_rows
 from nmpc_codegen.package.signals import Inner as Inner
@@ -32,8 +33,6 @@ from nmpc_codegen.package.signals import c_identifier as c_identifier
 
 Array = NDArray[np.float64]
 
-#: Newton steps for algebraic variables at most, the shortest one, and a step that is rounding, relative to its size.
-NEWTON_STEPS, SHORTEST, ROUNDING = 50, 1e-4, 1e-13
 #: Elements with a range up to which all corners are looked at.
 MOST_RANGES = 4
 #: (expression, order) -> expression with derivatives up to this order.
@@ -260,9 +259,16 @@ class Problem:
         p = self.p_value if p is None else p
         if self.algebra is None or not self.solved:
             return p
-        z, size = solve_algebraic(self._solution, self.algebra, (x, u, p)), self.algebra.size
-        J = np.asarray(self._solution(x, u, p, z)[1], dtype=float)
-        W = -np.linalg.inv(J) if np.all(np.isfinite(J)) and np.linalg.det(J) else np.full((size, size), np.nan)
+        algebra, evaluate = self.algebra, self._solution
+
+        def at(z: Array) -> tuple[Array, Array]:
+            r, J = evaluate(x, u, p, z)
+            return np.asarray(r, dtype=float).ravel(), np.asarray(J, dtype=float)
+
+        start = np.where(np.isfinite(algebra.found), algebra.found, algebra.start)
+        z = newton.solve(at, start, np.array(algebra.scale))
+        J = at(z)[1]
+        W = -np.linalg.inv(J) if np.all(np.isfinite(J)) and np.linalg.det(J) else np.full_like(J, np.nan)
         return np.concatenate([p, z, W.ravel()])
 
     def end_values(self, x: Array, p: Array | None = None) -> Array:
@@ -441,37 +447,6 @@ class Problem:
 
 def _in_words(corner: Corner) -> str:
     return ", ".join(f"{signal.elements[i]} = {value:g}" for (signal, i, _), value in corner)
-
-
-def solve_algebraic(equations: Function, algebra: Algebra, at: tuple[Array, Array, Array]) -> Array:
-    """z where r(x, u, p, z) = 0, by Newton steps that are halved until the next one is shorter; NaN if there is none.
-
-    ``equations``: (x, u, p, z) -> r, dr/dz.
-    """
-    size = np.array(algebra.scale)
-    z = np.where(np.isfinite(algebra.found), algebra.found, algebra.start)
-
-    def evaluate(z: Array) -> tuple[Array, Array]:
-        r, J = equations(*at, z)
-        return np.asarray(r, dtype=float).ravel(), np.asarray(J, dtype=float)
-
-    with np.errstate(all="ignore"):
-        for _ in range(NEWTON_STEPS):
-            r, J = evaluate(z)
-            if not np.all(np.isfinite(J)) or not np.linalg.det(J):
-                break
-            step = np.linalg.solve(J, r)
-            change = np.max(np.abs(step) / (size + np.abs(z)), initial=0.0)
-            if change <= ROUNDING:
-                return np.asarray(z - step)
-            length = 1.0
-            while length > SHORTEST:
-                rest = np.linalg.solve(J, evaluate(z - length * step)[0])
-                if np.max(np.abs(rest) / (size + np.abs(z))) <= (1 - length / 2) * change:
-                    break
-                length /= 2
-            z = z - length * step
-    return np.full(len(z), np.nan)
 
 
 def symbols(nx: int, nu: int, np_: int) -> tuple[Expression, Expression, Expression, Expression]:

@@ -17,6 +17,7 @@ import casadi as ca
 import numpy as np
 
 from nmpc_codegen.errors import ProblemError
+from nmpc_codegen.frontend.algebra import newton
 from nmpc_codegen.frontend.problem import Array
 from nmpc_codegen.frontend.statement import Equation
 from nmpc_codegen.ir.casadi_types import Expression
@@ -24,8 +25,8 @@ from nmpc_codegen.package.signals import list_some
 
 #: A pivot below this, relative to the largest entry of its row, is a rounding error.
 SINGULAR = 1e-12
-#: Newton steps at the first plan, and halvings of each, at most; size of a step that is rounding, relative to v.
-STEPS, HALVINGS, ROUNDING = 50, 12, 1e-13
+#: Size of a variable that starts at 0.
+SMALL = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,7 +65,7 @@ def solve_equations(
     if len(matched) < len(unknowns):
         raise ProblemError(_of_structure(pattern, matched, unknowns, equations))
     values: list[Any] = [each.symbol for each in unknowns]
-    newton: list[int] = []
+    unsolved: list[int] = []
     left: list[int] = []
     at = np.array([each.initial for each in unknowns])
     for rows, columns in _blocks(pattern):
@@ -78,16 +79,16 @@ def solve_equations(
             for place, value in zip(columns, ca.vertsplit(found), strict=True):
                 values[place] = value
         else:
-            newton += columns
+            unsolved += columns
             left += rows
         at[columns] = _solve_here(block, own, v, given, at, columns)
         _pivots(_slopes(block, own, v, given, at), here, rows_of)
     rest = ca.substitute(r[left], v, ca.vertcat(*values)) if left else ca.SX(0, 1)
-    return Solved(tuple(values), tuple(newton), rest, at)
+    return Solved(tuple(values), tuple(unsolved), rest, at)
 
 
 def _check_count(unknowns: Sequence[Unknown], equations: Sequence[Equation]) -> None:
-    if len(unknowns) != len(equations):
+    if len(unknowns) != len(equations) or not unknowns:
         names, of = list_some([each.name for each in unknowns]), list_some([e.name for e in equations]) or "none"
         raise ProblemError(
             f"{len(equations)} algebraic equations ({of}) for {len(unknowns)} variables ({names}); expected one scalar "
@@ -223,27 +224,11 @@ def _slopes(block: Any, own: Any, v: Any, given: Sequence[tuple[Any, Array]], at
 def _solve_here(
     block: Any, own: Any, v: Any, given: Sequence[tuple[Any, Array]], at: Array, columns: Sequence[int]
 ) -> Array:
-    """The variables of a block at the first plan by damped Newton steps; NaN if they are not found."""
-    point = at.copy()
-    with np.errstate(all="ignore"):
-        for _ in range(STEPS):
-            r, J = _evaluate(block, own, v, given, point)
-            if not (np.all(np.isfinite(r)) and np.all(np.isfinite(J))):
-                break
-            try:
-                step = -np.linalg.solve(J, r)
-            except np.linalg.LinAlgError:
-                break
-            size = np.max(np.abs(step) / (1 + np.abs(point[columns])))
-            if size <= ROUNDING:
-                return np.asarray(point[columns] + step)
-            length = 1.0
-            for _ in range(HALVINGS):
-                trial = point.copy()
-                trial[columns] += length * step
-                rest = np.linalg.solve(J, _evaluate(block, own, v, given, trial)[0])
-                if np.max(np.abs(rest) / (1 + np.abs(point[columns]))) <= (1 - length / 2) * size:
-                    break
-                length /= 2
-            point[columns] += length * step
-    return np.full(len(columns), np.nan)
+    """The variables of a block at the first plan; NaN if they are not found."""
+
+    def evaluate(found: Array) -> tuple[Array, Array]:
+        point = at.copy()
+        point[columns] = found
+        return _evaluate(block, own, v, given, point)
+
+    return newton.solve(evaluate, at[columns], np.maximum(np.abs(at[columns]), SMALL))

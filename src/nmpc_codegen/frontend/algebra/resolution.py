@@ -53,9 +53,9 @@ def resolve(ocp: OCP) -> Resolved | None:
     Raises:
         ProblemError: the equations do not determine the variables.
     """
-    if not (ocp.algebraics or ocp.equations or ocp.slopes):
-        return None
     implied = [i for i in ocp.slopes if i not in ocp.derivatives]
+    if not (ocp.algebraics or ocp.equations or implied):
+        return None
     stated = [i for i in ocp.slopes if i in ocp.derivatives]
     known = ca.vertcat(ca.SX(0, 1), *(ocp.slopes[i] for i in stated))
     values = ca.vertcat(ca.SX(0, 1), *(ocp.derivatives[i] for i in stated))
