@@ -14,7 +14,8 @@ STAGES = {"start": "node 0", "path": "nodes 0..N-1", "terminal": "node N"}
 
 def in_one_line(ocp: Stated) -> str:
     """Name, grid, signals by name, number of rows."""
-    kinds = {"states": ocp.states, "controls": ocp.controls, "parameters": ocp.parameters}
+    kinds = {"states": ocp.states, "controls": ocp.controls, "algebraic variables": ocp.algebraics}
+    kinds["parameters"] = ocp.parameters
     parts = [f"{kind} {list_some(_elements(declared))}" for kind, declared in kinds.items() if declared]
     rows = sum(len(statement.names) for statement in ocp.statements)
     return f"<OCP {ocp.name}: {'; '.join([_grid(ocp), *parts])}; rows: {rows}>"
@@ -51,18 +52,24 @@ def _grid(ocp: Stated) -> str:
 def _incomplete(ocp: Stated) -> list[str]:
     """What is still to be stated before a controller can be built."""
     names = _elements(ocp.states)
-    open_states = [name for i, name in enumerate(names) if i not in ocp.derivatives and i not in ocp.maps]
+    known = {*ocp.derivatives, *ocp.maps, *ocp.slopes}
+    open_states = [name for i, name in enumerate(names) if i not in known]
     missing = [f"the dynamics of {list_some(open_states)}"] if open_states else []
     missing += [] if ocp.states else ["a state"]
     missing += [] if ocp.controls or ocp.free else ["a control"]
     missing += [] if ocp.residuals or ocp.costs else ["a cost"]
+    wanted = sum(d.signal.size for d in ocp.algebraics) + sum(i not in ocp.derivatives for i in ocp.slopes)
+    missing += [f"{wanted - len(ocp.equations)} algebraic equations"] if wanted > len(ocp.equations) else []
     return [f"still missing: {', '.join(missing)}"] if missing else []
 
 
 def _signals(ocp: Stated) -> list[tuple[object, ...]]:
     marks = {"free at node 0": ocp.free, "accumulator": ocp.accumulators, "cyclic": ocp.cyclic_states}
     found: list[tuple[object, ...]] = []
-    for kind, declared in (("state", ocp.states), ("control", ocp.controls), ("parameter", ocp.parameters)):
+    for kind, declared in (
+        *(("state", ocp.states), ("control", ocp.controls)),
+        *(("algebraic", ocp.algebraics), ("parameter", ocp.parameters)),
+    ):
         lines: list[tuple[object, ...]] = []
         for signal in (d.signal for d in declared):
             for i, (name, value) in enumerate(zip(signal.elements, signal.value, strict=True)):
@@ -75,7 +82,7 @@ def _signals(ocp: Stated) -> list[tuple[object, ...]]:
 
 
 def _row_lines(ocp: Stated, statement: Statement) -> list[tuple[object, ...]]:
-    known = units((d.signal for d in ocp.states), (d.signal for d in ocp.controls))
+    known = units(*([d.signal for d in of] for of in (ocp.states, ocp.controls, ocp.algebraics)))
     at = statement.at if isinstance(statement.at, str) else "x_0, x_N" if statement.at is None else nodes(statement.at)
     l1, l2 = statement.soft or (0.0, 0.0)
     costs = [text for text, weight in ((f"{l1:g} v", l1), (f"½ {l2:g} v²", l2)) if weight]

@@ -1,52 +1,45 @@
-/* Algebraic variables of a point (x, z): 0 = g(x, z, u, p), by Newton's method, whose steps are halved until the next
- * one with the same factors is shorter. */
-
-/* z -= length d. */
-static void take_damped_step(real_t *point, const real_t *u, const real_t *p, const real_t *M, const int *order,
-    const real_t *d, real_t size)
-{
-    real_t *z = point + NX, start[NALG], g[NALG], rest[NALG], J[NALG][NALG] = {{R(0)}}, length = R(1);
-    int worst;
-    memcpy(start, z, sizeof start);
-    for (int n = 0; n <= HALVINGS; n++) {
-        for (int i = 0; i < NALG; i++) {
-            z[i] = start[i] - length * d[i];
-        }
-        STAGE_EQUATION(point, u, p, g, J);
-        lu_solve(M, order, NALG, g, rest, 1);
-        if (size_of_correction(rest, start, state_unit + NX, NALG, &worst) <= (R(1) - R(0.5) * length) * size) {
-            return;
-        }
-        length *= R(0.5);
-    }
-}
+/* Algebraic variables of a point (x, z): 0 = g(x, z, u, p), by Newton's method. A step is halved until the next one with
+ * the same factors is shorter. */
 
 /* z from that in the point, and the factors of dg/dz. Returns -1, the variable whose column has no pivot, or NALG plus
  * the one that does not converge. */
 static int solve_algebraic(real_t *point, const real_t *u, const real_t *p, real_t (*M)[NALG], int *order)
 {
-    real_t *z = point + NX, g[NALG], d[NALG], size = INF;
-    int worst = 0;
+    real_t *z = point + NX, from[NALG], g[NALG], J[NALG][NALG], d[NALG], next[NALG], size = INF, length = R(1);
+    int halved = 0, worst = 0;
     for (int n = 0; n < NEWTON_LIMIT; n++) {
         const real_t before = size;
-        memset(M, 0, NALG * sizeof *M);
-        STAGE_EQUATION(point, u, p, g, M);
+        memset(J, 0, sizeof J);
+        STAGE_EQUATION(point, u, p, g, J);
+        if (n > 0 && halved < HALVINGS) {
+            lu_solve(M[0], order, NALG, g, next, 1);
+            const real_t shorter = size_of_correction(next, from, state_unit + NX, NALG, &worst);
+            if (!(shorter <= (R(1) - R(0.5) * length) * size)) { /* NaN, too */
+                length *= R(0.5);
+                halved++;
+                for (int i = 0; i < NALG; i++) {
+                    z[i] = from[i] - length * d[i];
+                }
+                continue;
+            }
+        }
+        memcpy(M, J, sizeof J);
         const int singular = lu_factorize(M[0], order, state_unit + NX, NALG);
         if (singular >= 0) {
             return singular;
         }
         lu_solve(M[0], order, NALG, g, d, 1);
         size = size_of_correction(d, z, state_unit + NX, NALG, &worst);
-        if (!(size < INF)) {
-            return NALG + worst;
+        const int converged = size <= ((size >= R(0.5) * before) ? TOL_NEWTON_STALLED : TOL_NEWTON);
+        memcpy(from, z, sizeof from);
+        for (int i = 0; i < NALG; i++) {
+            z[i] -= d[i];
         }
-        if (size <= ((size >= R(0.5) * before) ? TOL_NEWTON_STALLED : TOL_NEWTON)) {
-            for (int i = 0; i < NALG; i++) {
-                z[i] -= d[i];
-            }
-            return -1;
+        if (converged || !(size < INF)) {
+            return converged ? -1 : NALG + worst;
         }
-        take_damped_step(point, u, p, M[0], order, d, size);
+        length = R(1);
+        halved = 0;
     }
     return NALG + worst;
 }

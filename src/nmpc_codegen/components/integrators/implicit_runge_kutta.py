@@ -41,7 +41,7 @@ MAX_STEPS, MAX_KEPT = 1000, 1 << 16
 NEWTON_LIMIT = 30
 
 #: Halvings of a Newton step of the algebraic variables of a node, at most.
-HALVINGS = 12
+HALVINGS = 10
 
 #: Newton steps of a stage in a sample by default.
 NEWTON_STEPS = 2
