@@ -88,6 +88,9 @@ static status_t judge(solver_t *s, status_t status)
 #if IMPLICIT
     enlarge(&s->stats.residual, stage_residual(s));
 #endif
+#if NALG
+    require_algebraic(s);
+#endif
     status = judge_residual(status, s->stats.residual);
     if (status == OK && !s->auglag.settled) {
         status = NOT_CONVERGED;

@@ -196,6 +196,9 @@ static int recover_multipliers(solver_t *s)
 static status_t judge(solver_t *s, status_t status)
 {
     status = after_feedback(s, status);
+#if NALG
+    require_algebraic(s);
+#endif
     status = judge_residual(status, s->stats.residual);
     learn_sizes(s, status);
     return status;

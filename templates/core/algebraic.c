@@ -15,9 +15,6 @@ status_t API(algebraic)(solver_t *s, int k, const real_t x[NXHAT], const real_t 
 #if NALG
     real_t point[NXA];
     const int reason = algebraic_of_node(s, k, start, u, point);
-    if (reason < 0) {
-        memcpy(s->z[k], point + NX, sizeof s->z[k]);
-    }
     STAGE_ALGEBRAIC(point, u, (k < N) ? PARAM(s, k) : PARAM_N(s), z);
     return (reason < 0) ? OK : NUMERICAL_FAILURE;
 #else

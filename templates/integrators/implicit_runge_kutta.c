@@ -45,12 +45,21 @@ static void follow_algebraic(solver_t *s)
     }
 }
 
-/* Names the node at which the equations have no solution. Returns 1 if there is one. */
-static int name_failed_node(solver_t *s)
+/* The plan of a sample whose equations have no solution at its first node is far from the model. */
+static void require_algebraic(solver_t *s)
 {
-    for (int k = 0; k < N; k++) {
+    real_t point[NXA];
+    if (algebraic_of_node(s, 0, s->x[0], s->u[0], point) >= 0) {
+        s->stats.residual = INF;
+    }
+}
+
+/* Names the first of these nodes at which the equations have no solution. Returns 1 if there is one. */
+static int name_failed_node(solver_t *s, int first, int last)
+{
+    for (int k = first; k <= last; k++) {
         real_t point[NXA];
-        const int reason = algebraic_of_node(s, k, s->x[k], s->u[k], point);
+        const int reason = algebraic_of_node(s, k, s->x[k], s->u[(k < N) ? k : N - 1], point);
         if (reason >= 0) {
             s->failed_interval = (int32_t)k;
             s->failed_state = (int32_t)((reason < NALG) ? NX + reason : NXA + NX + reason - NALG);
@@ -68,7 +77,7 @@ static void name_failed_stage(solver_t *s, status_t status)
 {
     s->failed_interval = s->failed_step = s->failed_stage = s->failed_state = -1;
 #if NALG
-    if (status == NUMERICAL_FAILURE && name_failed_node(s)) {
+    if ((status == NUMERICAL_FAILURE || status == NOT_CONVERGED) && name_failed_node(s, 0, N - 1)) {
         return;
     }
 #endif
@@ -83,6 +92,11 @@ static void name_failed_stage(solver_t *s, status_t status)
             return;
         }
     }
+#if NALG
+    if (status == NUMERICAL_FAILURE) {
+        (void)name_failed_node(s, N, N);
+    }
+#endif
 }
 
 /* What Newton's method leaves of the stages along the plan, for algorithms whose samples do not linearise it. */

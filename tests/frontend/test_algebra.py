@@ -57,6 +57,36 @@ def test_linear_systems_are_eliminated_with_pivots_of_the_first_plan(n: int) -> 
     assert values(ocp, [2.0], [3.0])[1:] == pytest.approx(expected, rel=1e-9)
 
 
+@pytest.mark.parametrize("n", [3, 4, 6])
+def test_no_pivot_vanishes_where_a_system_is_regular(n: int) -> None:
+    """A rotation, whose entries are 0 at other angles than that of the first plan, and entries that do not move."""
+    rng = np.random.default_rng(n)
+    A, b, angle = rng.normal(size=(n, n)), rng.normal(size=n), np.pi / 2
+    A[n - 1, 0] = 0.0
+    ocp, x, u = started()
+    z = ocp.algebraic("z", size=n)
+    M = ca.SX(ca.DM(A))
+    M[0, 0], M[0, 1], M[1, 0], M[1, 1] = 4 * ca.cos(x), -4 * ca.sin(x), 4 * ca.sin(x), 4 * ca.cos(x)
+    M[2:, 2:] = M[2:, 2:] * (2 + ca.cos(x))
+    ocp.algebraic_equation(M @ z - ca.DM(b) * u)
+    ocp.dynamics({x: z[0]})
+    at = ca.Function("at", [x], [M])
+    for value in (0.5, angle - 1e-12, angle, 3.0):
+        expected = np.linalg.solve(np.asarray(at(value)), b)
+        assert values(ocp, [value], [1.0])[1:] == pytest.approx(expected, rel=1e-9, abs=1e-11)
+
+
+def test_a_system_that_is_not_finite_at_the_first_plan() -> None:
+    ocp = OCP("pole", T=1.0, N=3)
+    x, u = ocp.state("x", initial=0.0), ocp.control("u")
+    z = ocp.algebraic("z", size=3)
+    ocp.algebraic_equation(ca.vertcat(z[1] * (1 / x) + z[2] - u, z[0] + z[2] - x, z[0] + 2 * z[1] - 1))
+    ocp.dynamics({x: z[0]})
+    ocp.least_squares(ca.vertcat(x, u), weight=1.0)
+    expected = np.linalg.solve([[0, 0.5, 1], [1, 0, 1], [1, 2, 0]], [3.0, 2.0, 1.0])
+    assert values(ocp, [2.0], [3.0])[1:] == pytest.approx(expected, rel=1e-12)
+
+
 def test_a_mass_matrix() -> None:
     ocp = OCP("mass", T=1.0, N=4)
     q, v, u = ocp.state("q", size=2, initial=[0.3, 0.1]), ocp.state("v", size=2), ocp.control("u")
@@ -257,6 +287,8 @@ def test_what_may_not_stand_where() -> None:
         ocp.start_cost(z)
     with pytest.raises(ProblemError, match="an equation is called 'twice' already"):
         ocp.algebraic_equation(z - x, name="twice"), ocp.algebraic_equation(z - u, name="twice")
+    with pytest.raises(ProblemError, match="is a comparison; state 0 = left - right by its right side alone"):
+        ocp.algebraic_equation(z == x)
     with pytest.raises(ProblemError, match="clashes with 'z'"):
         ocp.control("z")
     with pytest.raises(ProblemError, match="der: 'w' is no state"):

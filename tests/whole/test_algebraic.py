@@ -24,6 +24,7 @@ from nmpc_codegen import (
     OptionError,
     Options,
     ProblemError,
+    ProblemWarning,
     Status,
     build,
     export,
@@ -192,12 +193,92 @@ def test_equations_without_a_solution_name_node_and_variable() -> None:
         statuses.append(ctrl.status)
     assert Status.OK not in statuses
     assert statuses[-1] == Status.NUMERICAL_FAILURE
-    assert "algebraic equations have no solution at node 0" in ctrl.diagnose()
+    assert "algebraic equations are not solved at node 0" in ctrl.diagnose()
     assert ": z; check the model there" in ctrl.diagnose()
     assert np.isnan(ctrl.algebraic([-1.0], [1.0])).all()
     for _ in range(3):
         ctrl.step([1.2])
     assert ctrl.status == Status.OK  # nothing is lost
+
+
+def drained(initial: float) -> OCP:
+    """A tank whose outflow stands in its dynamics alone."""
+    ocp = OCP("drained", T=2.0, N=5)
+    h, q, out = ocp.state("h", initial=1.0), ocp.control("q"), ocp.algebraic("out", initial=initial)
+    ocp.algebraic_equation(out**3 + out - h, name="valve")
+    ocp.dynamics({h: q - out})
+    ocp.least_squares(ca.vertcat(h - 1, q), weight=[1, 0.1])
+    ocp.subject_to(0, q, 2)
+    return ocp
+
+
+def test_variables_in_dynamics_alone_follow_the_plan() -> None:
+    """No function of a node reads them."""
+    ctrls = [build(drained(start), profile="test") for start in (0.7, 5.0)]
+    for ctrl in ctrls:
+        for _ in range(3):
+            ctrl.step([4.0])
+        assert ctrl.status == Status.OK
+        assert algebraic.residual(drained(0.7), ctrl.x[:-1], ctrl.z[:-1], ctrl.u) < 1e-13
+        ends = [ctrl.integrate(x, u, 0.4) for x, u in zip(ctrl.x, ctrl.u, strict=False)]
+        assert ctrl.x[1:] == pytest.approx(np.array(ends), abs=1e-2)
+    assert ctrls[0].u == pytest.approx(ctrls[1].u, abs=1e-6)
+
+
+def folded(terminal: bool = False) -> OCP:
+    """z^2 = 1 - x in the cost of the path, or of node N alone."""
+    ocp = OCP("folded", T=2.0, N=4)
+    x, u, z = ocp.state("x"), ocp.control("u"), ocp.algebraic("z", initial=1.0)
+    ocp.algebraic_equation(z**2 - 1 + x, name="fold")
+    ocp.dynamics({x: 0.55 + 1e-3 * u if terminal else u})
+    ocp.least_squares(ca.vertcat(x, u), weight=[1, 0.1])
+    (ocp.terminal_least_squares if terminal else ocp.least_squares)(z, weight=1e-3)
+    ocp.subject_to(-1, u, 1)
+    return ocp
+
+
+def test_a_measured_state_without_a_solution_is_not_ok() -> None:
+    ctrl = build(folded(), profile="test")
+    statuses = []
+    for x in (0.5, 1.2, 1.2, 0.5):
+        ctrl.step([x])
+        statuses.append(ctrl.status)
+        if x > 1:
+            assert "not solved at node 0: Newton's method does not converge: z" in ctrl.diagnose()
+    assert statuses == [Status.OK, Status.NOT_CONVERGED, Status.NOT_CONVERGED, Status.OK]
+
+
+def test_a_failure_at_the_end_is_named() -> None:
+    """Stages of GaussLegendre2 are inside of the interval."""
+    ctrl = build(folded(terminal=True), Options(integrator=ImplicitRungeKutta("GaussLegendre2")), "test")
+    ctrl.step([0.0])
+    assert ctrl.status == Status.NUMERICAL_FAILURE
+    assert "not solved at node 4" in ctrl.diagnose()
+
+
+def test_a_question_changes_nothing() -> None:
+    ocp = OCP("branches", T=1.0, N=4)
+    x, u, y = ocp.state("x", initial=1.0), ocp.control("u"), ocp.algebraic("y", initial=2.0)
+    ocp.algebraic_equation(y**3 - 3 * y - x)
+    ocp.dynamics({x: -x + u + 0.1 * y})
+    ocp.least_squares(ca.vertcat(x, u, y - 1), weight=1.0)
+    ocp.subject_to(-3, u, 3)
+    ctrl = build(ocp, profile="test")
+    ctrl.step([1.0])
+    twin = ctrl.copy()
+    assert ctrl.algebraic([-50.0], [0.0])[0] < -3  # on another branch
+    assert np.array_equal(ctrl.step([1.0]), twin.step([1.0]))
+    assert np.array_equal(ctrl.z, twin.z)
+
+
+def test_a_start_from_which_newton_finds_nothing_is_warned_of() -> None:
+    ocp = OCP("far", T=1.0, N=3)
+    x, u, z = ocp.state("x", initial=0.5), ocp.control("u"), ocp.algebraic("z", initial=800.0)
+    ocp.algebraic_equation(ca.exp(z) - x - 1)
+    ocp.dynamics({x: u - z})
+    ocp.least_squares(ca.vertcat(x, u, z), weight=1.0)
+    with pytest.warns(ProblemWarning, match="not solved at the first plan: Newton's method does not find z from 800"):
+        generate(ocp)
 
 
 def test_numbers_that_are_not_finite() -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 from nmpc_codegen.ir.kernel import Kernel
@@ -120,7 +120,8 @@ class ModelFunctions:
     coupled rows, are added to the first block of the path. ``coupled``: r(x_0, x_N) and its Jacobians. ``exact``:
     path_exact, terminal_exact, start_exact and initial_exact, the exact Hessian of solve() where samples have another.
     ``previous``: number of the last states that are controls of the node before. ``algebraic``: (x, u, p) -> algebraic
-    variables, where x of a stage ends with those that Newton's method solves for.
+    variables, where x of a stage ends with those that Newton's method solves for; ``following``: operations of a node
+    that Newton's method takes to follow a plan, with two steps.
     """
 
     interval: Interval
@@ -132,6 +133,7 @@ class ModelFunctions:
     exact: tuple[Routine, ...] = ()
     previous: int = 0
     algebraic: Kernel | None = None
+    following: OpCount = field(default_factory=OpCount)
 
     @property
     def routines(self) -> tuple[Routine, ...]:

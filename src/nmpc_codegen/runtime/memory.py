@@ -128,7 +128,8 @@ class Memory:
     def algebraic(self, x: ArrayLike, u: ArrayLike, node: int = 0) -> Array:
         """Algebraic variables (number,) at the state x (nx,) and the control u (nu,), with the parameters of a node.
 
-        Newton's method starts where it was at this node last. NaN where the equations have no solution.
+        Newton's method starts where it was at this node last. NaN where the equations have no solution. Where equations
+        contain previous controls, time or a control inside a block of hold=, they are those of the plan at the node.
         """
         names, N = self.names.algebraic, self.dims.N
         if not names:

@@ -347,7 +347,7 @@ class RealTimeIteration(Defaults):
         node = operations(*derivatives, path.rows) + OpCount(add=dims.nx.value)
         at_ends = operations(model.start.gradient, terminal.gradient, terminal.rows, model.coupled)
         added = OpCount(add=dims.nx.value if model.start.gradient.writes else 0)
-        return {"linearize": node * dims.N.value + at_ends + added}
+        return {"linearize": node * dims.N.value + at_ends + added + model.following * (dims.N.value + 1)}
 
 
 def _repairs(most: int) -> tuple[tuple[str, int, str], ...]:

@@ -9,6 +9,7 @@ equations are solved together.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -25,8 +26,8 @@ from nmpc_codegen.package.signals import list_some
 
 #: A pivot below this, relative to the largest entry of its row, is a rounding error.
 SINGULAR = 1e-12
-#: Size of a variable that starts at 0.
-SMALL = 1e-3
+#: Size of a variable that starts at 0, and of a pivot relative to its row; unknowns of which determinants are formed.
+SMALL, DETERMINANTS = 1e-3, 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,9 +52,10 @@ class Solved:
 
 
 def solve_equations(
-    unknowns: Sequence[Unknown], equations: Sequence[Equation], given: Sequence[tuple[Any, Array]]
+    unknowns: Sequence[Unknown], equations: Sequence[Equation], given: Sequence[tuple[Any, Array]], moving: Any
 ) -> Solved:
-    """Eliminate what is linear; ``given``: the other symbols with their values at the first plan.
+    """Eliminate what is linear; ``given``: the other symbols with their values at the first plan, ``moving``: those of
+    them that are no parameters.
 
     Raises:
         ProblemError: there are more or fewer equations than unknowns, or they do not determine them (index 2).
@@ -72,17 +74,19 @@ def solve_equations(
         block = ca.substitute(r[rows], v, ca.vertcat(*values))
         own = v[columns]
         here, rows_of = [unknowns[c] for c in columns], [equations[i] for i in rows]
-        order = _pivots(_slopes(block, own, v, given, at), here, rows_of)
+        slopes = _slopes(block, own, v, given, at)
+        _check_pivots(slopes, here, rows_of)
         J = ca.jacobian(block, own)
         if not ca.depends_on(J, own):
-            found = _eliminate(J, -ca.substitute(block, own, ca.SX.zeros(len(columns))), order)
+            right = -ca.substitute(block, own, ca.SX.zeros(len(columns)))
+            found = _solve_linear(J, right, slopes, ca.vertcat(v, moving))
             for place, value in zip(columns, ca.vertsplit(found), strict=True):
                 values[place] = value
         else:
             unsolved += columns
             left += rows
         at[columns] = _solve_here(block, own, v, given, at, columns)
-        _pivots(_slopes(block, own, v, given, at), here, rows_of)
+        _check_pivots(_slopes(block, own, v, given, at), here, rows_of)
     rest = ca.substitute(r[left], v, ca.vertcat(*values)) if left else ca.SX(0, 1)
     return Solved(tuple(values), tuple(unsolved), rest, at)
 
@@ -157,15 +161,11 @@ def _blocks(pattern: Any) -> Iterator[tuple[list[int], list[int]]]:
 # Linear blocks -------------------------------------------------------------------------------------------------------
 
 
-def _pivots(J: Array, unknowns: Sequence[Unknown], equations: Sequence[Equation]) -> list[int]:
-    """The row of every pivot, by partial pivoting at the first plan; as they are where it has no finite numbers.
-
-    Raises:
-        ProblemError: the equations of a block do not determine its variables there.
-    """
+def _check_pivots(J: Array, unknowns: Sequence[Unknown], equations: Sequence[Equation]) -> None:
+    """Raise ProblemError if the equations of a block do not determine its variables at the first plan."""
     rows = list(range(len(J)))
     if not np.all(np.isfinite(J)):
-        return rows
+        return
     A = J / np.where((size := np.max(np.abs(J), axis=1, keepdims=True)) > 0, size, 1.0)
     for j in rows.copy():
         best = j + int(np.argmax(np.abs(A[j:, j])))
@@ -178,32 +178,89 @@ def _pivots(J: Array, unknowns: Sequence[Unknown], equations: Sequence[Equation]
             )
         A[[j, best]], rows[j], rows[best] = A[[best, j]], rows[best], rows[j]
         A[j + 1 :] -= np.outer(A[j + 1 :, j] / A[j, j], A[j])
-    return rows
 
 
-def _eliminate(J: Expression, right: Expression, order: Sequence[int]) -> Expression:
-    """J^-1 right, by elimination with these rows as pivots; up to two unknowns by determinants, which need none."""
+def _solve_linear(J: Expression, right: Expression, at: Array, moving: Expression) -> Expression:
+    """J^-1 right without pivots that may vanish along a plan: by entries that do not move as pivots, and determinants
+    of up to three unknowns that are left, or Householder's reflections of more. ``at``: J at the first plan."""
     n = J.shape[0]
-    if n == 2:
-        det = J[0, 0] * J[1, 1] - J[0, 1] * J[1, 0]
-        return ca.vertcat(J[1, 1] * right[0] - J[0, 1] * right[1], J[0, 0] * right[1] - J[1, 0] * right[0]) / det
-    rows = [{j: J[i, j] for j in range(n) if J[i, j].nnz()} for i in order]
-    values = [right[i] for i in order]
+    rows = [{j: J[i, j] for j in range(n) if J[i, j].nnz()} for i in range(n)]
+    values = [right[i] for i in range(n)]
+    pivots: list[tuple[int, int]] = []
+    at = at.copy()
+    while found := _fixed_pivot(rows, pivots, at, moving):
+        i, j = found
+        pivots.append(found)
+        for k in (k for k in range(n) if k not in [row for row, _ in pivots] and j in rows[k]):
+            factor = rows[k].pop(j) / rows[i][j]
+            for c, value in rows[i].items():
+                if c != j:
+                    rows[k][c] = rows[k].get(c, ca.SX(0)) - factor * value
+            values[k] = values[k] - factor * values[i]
+            at[k] -= at[k, j] / at[i, j] * at[i]
+    left = [i for i in range(n) if i not in [row for row, _ in pivots]]
+    columns = [j for j in range(n) if j not in [column for _, column in pivots]]
+    solution: dict[int, Any] = {}
+    if left:
+        rest = ca.vertcat(*(ca.horzcat(*(rows[i].get(j, ca.SX(0)) for j in columns)) for i in left))
+        solution = dict(zip(columns, _solve_moving(rest, [values[i] for i in left]), strict=True))
+    for i, j in reversed(pivots):
+        known = sum((value * solution[c] for c, value in rows[i].items() if c != j), ca.SX(0))
+        solution[j] = (values[i] - known) / rows[i][j]
+    return ca.SX(ca.vertcat(*(solution[j] for j in range(n))))
+
+
+def _fixed_pivot(
+    rows: Sequence[dict[int, Any]], pivots: Sequence[tuple[int, int]], at: Array, moving: Expression
+) -> tuple[int, int] | None:
+    """(row, column) of an entry that does not move and is not small at the first plan, in the row and column with the
+    fewest others."""
+    used = [{row for row, _ in pivots}, {column for _, column in pivots}]
+    active = {(i, j) for i, row in enumerate(rows) if i not in used[0] for j in row if j not in used[1]}
+    counts = [Counter(pair[n] for pair in active) for n in (0, 1)]
+    for i, j in sorted(active, key=lambda pair: (counts[0][pair[0]] - 1) * (counts[1][pair[1]] - 1)):
+        largest = np.max(np.abs(at[i]), initial=0.0, where=np.isfinite(at[i]))
+        if at[i, j] and abs(at[i, j]) >= SMALL * largest and not ca.depends_on(rows[i][j], moving):
+            return i, j
+    return None
+
+
+def _solve_moving(A: Expression, b: list[Any]) -> list[Any]:
+    """A^-1 b by determinants, or by reflections."""
+    n = A.shape[0]
+    if n > DETERMINANTS:
+        return _reflect(A, b)
+    det = ca.det(A)
+    found = []
     for j in range(n):
-        for i in range(j + 1, n):
-            if j not in rows[i]:
-                continue
-            factor = rows[i].pop(j) / rows[j][j]
-            for c, value in rows[j].items():
-                if c > j:
-                    rows[i][c] = rows[i].get(c, ca.SX(0)) - factor * value
-            values[i] = values[i] - factor * values[j]
+        replaced = ca.SX(A)
+        replaced[:, j] = ca.vertcat(*b)
+        found.append(ca.det(replaced) / det)
+    return found
+
+
+def _reflect(A: Expression, b: list[Any]) -> list[Any]:
+    """A^-1 b by the QR factorisation with Householder's reflections (Golub and Van Loan, Matrix Computations, section
+    5.2): no pivot vanishes where A is regular."""
+    n = A.shape[0]
+    R = [[A[i, j] for j in range(n)] + [b[i]] for i in range(n)]
+    for j in range(n):
+        length = ca.sqrt(sum(R[i][j] ** 2 for i in range(j, n)))
+        if j == n - 1:
+            break
+        alpha = -ca.copysign(length, R[j][j])
+        v = [R[j][j] - alpha, *(R[i][j] for i in range(j + 1, n))]
+        half = length**2 - alpha * R[j][j]  # |v|^2 / 2
+        for c in range(j + 1, n + 1):
+            factor = sum(v[i - j] * R[i][c] for i in range(j, n)) / half
+            for i in range(j, n):
+                R[i][c] = R[i][c] - factor * v[i - j]
+        R[j][j] = alpha
+    found: list[Any] = [None] * n
     for i in reversed(range(n)):
-        for c, value in rows[i].items():
-            if c > i:
-                values[i] = values[i] - value * values[c]
-        values[i] = values[i] / rows[i][i]
-    return ca.vertcat(*values)
+        known = sum((R[i][c] * found[c] for c in range(i + 1, n)), ca.SX(0))
+        found[i] = (R[i][n] - known) / R[i][i]
+    return found
 
 
 # The first plan ------------------------------------------------------------------------------------------------------

@@ -10,6 +10,7 @@ from nmpc_codegen.errors import ProblemError
 from nmpc_codegen.frontend.checks import duplicate, identifier, quote
 from nmpc_codegen.frontend.expressions import NODE, Dynamics
 from nmpc_codegen.frontend.statement import Element, Equation, Kind
+from nmpc_codegen.frontend.symbol import is_comparison
 
 
 class Algebraic(Dynamics):
@@ -63,6 +64,8 @@ class Algebraic(Dynamics):
 
     def _add_equations(self, g: Any, name: str | None, call: str, word: str, kinds: tuple[Kind, ...]) -> None:
         what = call if name is None else f"{call} {quote(name)}"
+        if isinstance(g, ca.SX) and is_comparison(g):
+            raise ProblemError(f"{what}: {quote(g)} is a comparison; state 0 = left - right by its right side alone")
         found = self._expression(g, what, kinds)
         n, first = found.numel(), len(self.equations)
         if not n:

@@ -62,7 +62,10 @@ def resolve(ocp: OCP) -> Resolved | None:
     equations = [replace(e, expression=ca.substitute(e.expression, known, values)) for e in ocp.equations]
     unknowns = [Unknown(ocp.slopes[i], str(ocp.slopes[i]), 0.0) for i in implied]
     unknowns += [Unknown(*each) for each in _scalars(ocp.algebraics)]
-    solved = solve_equations(unknowns, equations, _known_values(ocp))
+    known_values = _known_values(ocp)
+    x, u, _, *others = (symbol for symbol, _ in known_values)
+    moving = ca.vertcat(x, u, *others)
+    solved = solve_equations(unknowns, equations, known_values, moving)
     return _without(ocp, unknowns, implied, solved)
 
 

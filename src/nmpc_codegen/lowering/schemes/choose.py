@@ -36,8 +36,10 @@ LEFT, FAR, MOST_NEWTON = 1e-3, 1e-1, 12
 
 def choose_integrator(problem: Problem, options: Options) -> tuple[Integrator, tuple[str, ...]]:
     """The integrator of the options or, where they leave it open, that of the problem; the reasons."""
+    if options.integrator:
+        options.integrator.check(problem)
     chosen, reasons = _choose(problem, options)
-    if isinstance(chosen, ImplicitRungeKutta) and chosen.newton is None:
+    if isinstance(chosen, ImplicitRungeKutta) and chosen.newton is None and _is_consistent(problem):
         chosen, more = _with_newton(problem, chosen)
         reasons = (*reasons, *more)
     if options.goal == "speed" or chosen.small == chosen:
@@ -77,11 +79,16 @@ def _choose(problem: Problem, options: Options) -> tuple[Integrator, tuple[str, 
 
 def _for_algebra(problem: Problem) -> tuple[Integrator, tuple[str, ...]]:
     """The implicit scheme for equations that Newton's method solves."""
-    chosen = implicit_for(problem) or ImplicitRungeKutta()
+    chosen = (implicit_for(problem) if _is_consistent(problem) else None) or ImplicitRungeKutta()
     return chosen, (
         f"integrator: {chosen.name}, {chosen.tableau.name} with steps={chosen.steps}; stages solve the equations of "
         f"{list_some(problem.newton_names)}, which are not linear in them",
     )
+
+
+def _is_consistent(problem: Problem) -> bool:
+    """True unless Newton's method finds no algebraic variables at the first plan."""
+    return problem.algebra is None or bool(np.all(np.isfinite(problem.algebra.found)))
 
 
 def _operations(problem: Problem, integrator: ExplicitRungeKutta | ImplicitRungeKutta) -> int:
@@ -125,6 +132,13 @@ def accuracy_warning(problem: Problem, integrator: Integrator) -> tuple[str, ...
     """A warning if an implicit scheme is far from the model at the first plan, or does not solve its stages there."""
     if not isinstance(integrator, ImplicitRungeKutta):
         return ()
+    if problem.algebra and not _is_consistent(problem):
+        unknown = zip(problem.algebra.names, problem.algebra.found, problem.algebra.start, strict=True)
+        names = list_some([f"{name} from {start:g}" for name, found, start in unknown if not np.isfinite(found)])
+        return (
+            f"the algebraic equations are not solved at the first plan: Newton's method does not find {names}; give "
+            "another initial= of it, or of states",
+        )
     scheme = f"integrator {integrator.tableau.name} with steps={integrator.steps}"
     where, more = "at the initial state or a reference, with controls there or at a bound", "take more steps"
     trial, steps, newton = Trial(problem, integrator.tableau), integrator.steps, integrator.newton_steps

@@ -117,6 +117,8 @@ def _broken(ctrl: Memory, measured: Array) -> Iterator[Iterator[str]]:
     if ctrl.status == Status.NOT_FINITE:
         yield _find_measured(ctrl, measured)
     yield _plan(ctrl)
+    if ctrl.status == Status.NOT_CONVERGED or ctrl.description.newton:
+        yield _stages(ctrl)
     if ctrl.status in _OF_NUMBERS:
         yield _domains(ctrl)
         yield _stages(ctrl)
@@ -143,7 +145,7 @@ def _stages(ctrl: Memory) -> Iterator[str]:
     name = f"state {ctrl.names.states[number]}" if number < nx else ctrl.description.newton[number - nx]
     if step < 0:
         yield (
-            f"the algebraic equations have no solution at node {interval}: {what}: {name}; check the model there, or "
+            f"the algebraic equations are not solved at node {interval}: {what}: {name}; check the model there, or "
             "give another initial="
         )
         return

@@ -60,9 +60,9 @@ def append_solved(ctrl: Memory, p: Array, solved: Array) -> Array:
 
 
 def find_solved(ctrl: Memory, x: Array, u: Array, node: int) -> Array:
-    """What Newton's method finds for algebraic variables at a state and a control."""
-    ctrl.algebraic(x, u, node)
-    return np.array(ctrl.view("z")[node], dtype=np.float64) if ctrl.description.sizes["NALG"] else np.zeros(0)
+    """What Newton's method finds at a state and a control; NaN for derivatives of states, which are no outputs."""
+    found = dict(zip(ctrl.names.algebraic, ctrl.algebraic(x, u, node), strict=True))
+    return np.array([found.get(name, np.nan) for name in ctrl.description.newton])
 
 
 def plan_data(ctrl: Memory) -> Array:

@@ -40,6 +40,7 @@ def with_node_data(functions: ModelFunctions, problem: Problem) -> ModelFunction
 
     return replace(
         functions,
+        following=complete.count(slopes=False),
         interval=replace(functions.interval, curved=complete(functions.interval.curved)),
         start=stage(functions.start),
         path=stage(functions.path),
@@ -113,14 +114,15 @@ class _Completion:
         )
         slopes = numbers > problem.np + self.kernels.na
         function, found = f"implicit_node_{'data' if slopes else 'point'}", (Slice(DATA, self.size),)
-        before.append(Written(function, given, found, self._count(slopes), (self.equation,)))
+        before.append(Written(function, given, found, self.count(slopes), (self.equation,)))
         own = (rename_buffer((node,), "p", DATA)[0] if isinstance(node, Call) else node for node in sweep.body)
         return LoopedRoutine(
             replace(sweep, inputs=inputs, locals=tuple(scratch), body=(*before, *own)),
             leaves,
         )
 
-    def _count(self, slopes: bool) -> OpCount:
+    def count(self, slopes: bool) -> OpCount:
+        """Return the count of the algebraic variables of a node, and of W with ``slopes``."""
         n = self.kernels.na
         step = self.equation.count + factors_of(n) + solution_of(n, 1)
         return step * STEPS + (solution_of(n, n) if slopes else OpCount())

@@ -68,7 +68,7 @@ class StageKernels:
             "integral_product": (self.rate_product,),
             **dict.fromkeys(("symmetric", "forward_over_adjoint"), (self.rate_gradient, self.curvature)),
         }
-        found = (self.slope, self.slopes, *more.get(function, ()))
+        found = (self.slope, self.slopes, self.equation, *more.get(function, ()))
         return tuple(kernel for kernel in found if kernel is not None and kernel.writes)
 
     def _kernel(
