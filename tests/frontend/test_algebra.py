@@ -160,6 +160,23 @@ def test_values_and_two_derivatives_of_expressions_with_newtons_z_are_those_of_t
     assert found[2] == pytest.approx(np.array(bends), abs=1e-6)
 
 
+def test_zeros_of_the_inverse_jacobian_are_left_out() -> None:
+    """z[0] and z[1] are coupled, z[2] follows from them, z[3] stands alone; equations stand in another order."""
+    ocp, x, u = started()
+    z = ocp.algebraic("z", size=4, initial=[0.5, 0.4, 0.3, 0.2])
+    rows = (z[2] ** 3 + z[2] - z[1], z[3] ** 3 + z[3] - u, z[0] + z[0] * z[1] ** 2 - x, z[1] ** 3 + z[1] - z[0])
+    ocp.algebraic_equation(ca.vertcat(*rows))
+    ocp.dynamics({x: -ca.sumsqr(z)})
+    ocp.stage_cost(ca.sumsqr(z))
+    problem = classify(ocp)
+    assert problem.algebra is not None
+    W = problem.node_values(np.array([0.7]), np.array([0.3]))[-16:].reshape(4, 4)
+    assert np.array_equal(problem.algebra.inverse, W != 0)
+    assert int(problem.algebra.inverse.sum()) == 8
+    read = {str(each) for each in ca.symvar(problem.path.cost)} & {str(each) for each in ca.vertsplit(problem.path.p)}
+    assert len(read) == 4 + 8
+
+
 # Nodes ---------------------------------------------------------------------------------------------------------------
 
 

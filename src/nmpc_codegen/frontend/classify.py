@@ -80,7 +80,7 @@ def _algebra(resolved: Resolved, path: Stage) -> Algebra:
     found = _replace_symbols(ocp, stated, path.x, path.u, path.p)
     p = part(path.p, 0, path.p.numel() - ocp.node_data.numel())
     values, equations = (ca.Function("of_z", [path.x, path.u, p, z], [ca.densify(e)]) for e in found)
-    of_newton = resolved.names, resolved.start, resolved.scale, resolved.found
+    of_newton = resolved.names, resolved.start, resolved.scale, resolved.found, resolved.inverse
     return Algebra(_signals(ocp.algebraics), values, equations, *of_newton)
 
 

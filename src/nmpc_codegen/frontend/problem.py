@@ -112,7 +112,7 @@ class Algebra:
     ``signals``: those of the user; ``values``: Function (x, u, p, z) -> all of them, where z are those that Newton's
     method solves for: ``names``, of which derivatives of states may be some too, with their ``start`` and ``scale``;
     ``equations``: Function (x, u, p, z) -> r. Without any, all are expressions. ``found``: z at the first plan, NaN if
-    Newton's method finds none there.
+    Newton's method finds none there; ``inverse``: 1 where W may be other than 0.
     """
 
     signals: tuple[Signal, ...]
@@ -122,6 +122,7 @@ class Algebra:
     start: tuple[float, ...]
     scale: tuple[float, ...]
     found: Array
+    inverse: Array
 
     @property
     def size(self) -> int:
@@ -236,7 +237,7 @@ class Problem:
         size = algebra.size
         p, z = part(stage.p, 0, self.np), part(stage.p, self.np, self.np + size)
         tail = part(stage.p, self.np + size)
-        W = ca.reshape(tail, size, size).T
+        W = ca.reshape(tail, size, size).T * ca.sparsify(ca.DM(algebra.inverse))
         u = stage.u if stage.nu else ca.vertcat(*self._controls_before(elements(stage.x)))
         points = [z]
         for _ in range(2):

@@ -42,12 +42,13 @@ class Unknown:
 @dataclass(frozen=True, eq=False)
 class Solved:
     """``values``: every unknown in the given symbols and those of ``newton``, positions among the unknowns of what
-    Newton's method solves for; ``rest``: their equations. ``at``: values of all unknowns at the first plan; NaN where
-    Newton's method finds none there."""
+    Newton's method solves for; ``rest``: their equations, and ``inverse``: 1 where the inverse of their Jacobian may be
+    other than 0. ``at``: values of all unknowns at the first plan; NaN where Newton's method finds none there."""
 
     values: tuple[Any, ...]
     newton: tuple[int, ...]
     rest: Any
+    inverse: Array
     at: Array
 
 
@@ -88,7 +89,8 @@ def solve_equations(
         at[columns] = _solve_here(block, own, v, given, at, columns)
         _check_pivots(_slopes(block, own, v, given, at), here, rows_of)
     rest = ca.substitute(r[left], v, ca.vertcat(*values)) if left else ca.SX(0, 1)
-    return Solved(tuple(values), tuple(unsolved), rest, at)
+    inverse = _inverse_pattern(ca.sparsify(ca.jacobian(rest, v[unsolved])).sparsity()) if left else np.zeros((0, 0))
+    return Solved(tuple(values), tuple(unsolved), rest, inverse, at)
 
 
 def _check_count(unknowns: Sequence[Unknown], equations: Sequence[Equation]) -> None:
@@ -123,6 +125,20 @@ def _match(pattern: Any) -> dict[int, int]:
     for j in range(n):
         augment(j, set())
     return {j: i for i, j in of_row.items()}
+
+
+def _inverse_pattern(pattern: Any) -> Array:
+    """1 in (j, i) where unknown j may depend on the residual i: where it reaches i over equations and unknowns."""
+    matched, size = _match(pattern), pattern.size2()
+    if len(matched) < size:
+        return np.ones((size, size))
+    rows = [matched[j] for j in range(size)]
+    reach = np.asarray(ca.DM(pattern, 1.0))[rows] > 0
+    for _ in range(size.bit_length()):
+        reach = reach @ reach | reach
+    inverse = np.zeros((size, size))
+    inverse[:, rows] = reach
+    return inverse
 
 
 def _of_structure(

@@ -34,7 +34,8 @@ class Resolved:
     """``ocp`` without algebraic variables.
 
     ``values``: all of them, in its symbols and those of ``newton``, which Newton's method solves ``rest`` = 0 for, with
-    their names, start and scales; ``found``: their values at the first plan, NaN if it finds none.
+    their names, start and scales; ``found``: their values at the first plan, NaN if it finds none; ``inverse``: 1 where
+    W may be other than 0.
     """
 
     ocp: OCP
@@ -45,6 +46,7 @@ class Resolved:
     start: tuple[float, ...]
     scale: tuple[float, ...]
     found: Array
+    inverse: Array
 
 
 def resolve(ocp: OCP) -> Resolved | None:
@@ -122,9 +124,9 @@ def _without(ocp: OCP, unknowns: Sequence[Unknown], implied: Sequence[int], solv
     at = np.where(np.isfinite(solved.at), solved.at, [each.initial for each in unknowns])[list(solved.newton)]
     rest = solved.rest * ca.DM(_factors(solved.rest, (z, at), _known_values(ocp), sizes)) if own else solved.rest
     W = ca.SX.sym("W", len(own), len(own))
-    point = z
+    inverse, point = W * ca.sparsify(ca.DM(solved.inverse)), z
     for _ in range(ORDERS if own else 0):
-        point = point + W @ ca.substitute(rest, z, point)
+        point = point + inverse @ ca.substitute(rest, z, point)
     path = ca.substitute(ca.vertcat(*solved.values), z, point)
     end = _at_the_end(twin, path)
     _refuse_maps(ocp, ca.substitute(ca.vertcat(ca.SX(0, 1), *ocp.maps.values()), v, path), z)
@@ -154,6 +156,7 @@ def _without(ocp: OCP, unknowns: Sequence[Unknown], implied: Sequence[int], solv
         start=tuple(unknowns[i].initial for i in solved.newton),
         scale=tuple(map(float, sizes)),
         found=solved.at[list(solved.newton)],
+        inverse=solved.inverse,
     )
 
 

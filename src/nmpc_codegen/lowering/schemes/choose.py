@@ -36,10 +36,9 @@ LEFT, FAR, MOST_NEWTON = 1e-3, 1e-1, 12
 
 def choose_integrator(problem: Problem, options: Options) -> tuple[Integrator, tuple[str, ...]]:
     """The integrator of the options or, where they leave it open, that of the problem; the reasons."""
-    if options.integrator:
-        options.integrator.check(problem)
     chosen, reasons = _choose(problem, options)
     if isinstance(chosen, ImplicitRungeKutta) and chosen.newton is None and _is_consistent(problem):
+        chosen.check(problem)
         chosen, more = _with_newton(problem, chosen)
         reasons = (*reasons, *more)
     if options.goal == "speed" or chosen.small == chosen:
