@@ -18,6 +18,9 @@ At = Literal["path", "start", "end"] | tuple[int, ...]
 Penalty = tuple[float, float] | None
 Side = Literal["", "lower", "upper"]
 
+#: Made here, where modules are loaded: CasADi's first SX takes a lock, which a fork must not copy.
+NOTHING = ca.SX(0, 1)
+
 
 @dataclass(frozen=True, eq=False)
 class Declared:
@@ -107,7 +110,7 @@ class Stated:
         self.maps: dict[int, Any] = {}  # position in x -> SX: the value at the next node of a discrete state
         self.remembered: dict[int, Any] = {}  # position in u -> SX: its value at the node before
         self.blocks: dict[int, tuple[int, ...]] = {}  # position in u -> lengths of the blocks of intervals
-        self.node_data = ca.SX(0, 1)  # symbols behind all parameters: what Newton's method finds at a node
+        self.node_data = NOTHING  # symbols behind all parameters: what Newton's method finds at a node
         self.interval_before, self.clock = ca.SX.sym("interval"), ca.SX.sym("time")
         self._discrete: bool | None = None
         self.residuals: list[Residual] = []

@@ -32,6 +32,7 @@ from typing import Any
 import cffi
 
 from nmpc_codegen.errors import BuildError, ControllerError, OptionError
+from nmpc_codegen.exclusive import COMPILING
 from nmpc_codegen.package.description import PackageDescription
 from nmpc_codegen.runtime.cache import CACHE_VARIABLE, PRODUCT, entry, keep_failed
 from nmpc_codegen.runtime.compiled import CompiledPackage
@@ -127,7 +128,8 @@ def load(
     _check_names(name, files)
     sources = {path: files[path] for path in (f"{name}.h", f"{name}.c", f"{name}.json")}
     sources |= {path: text for path, text in files.items() if "/" in path}
-    description = PackageDescription.from_json(sources[f"{name}.json"])
+    with COMPILING:  # msgspec leaves what it knows of a class with the class; a fork would copy half of it
+        description = PackageDescription.from_json(sources[f"{name}.json"])
     if description.target not in TARGETS:
         raise ControllerError(f"{name} is for the target {description.target!r}; known: {', '.join(TARGETS)}")
     target = TARGETS[description.target]
