@@ -80,6 +80,6 @@ def _diagonal(stage: Stage, problem: Problem, z: Array) -> Array:
     points = [start, *(z[: v.numel()] * random.uniform(-1, 1, v.numel()) for _ in range(POINTS))]
     nx, found = problem.nx, []
     for point in points:
-        values = problem.node_values(point[:nx], point[nx:]) if stage.nu else problem.end_values(point)
+        values = problem.node_values(point[:nx], point[nx:])
         found.append(np.abs(np.asarray(at(point, values, max(problem.dt))).ravel()))
     return np.asarray(np.nan_to_num(np.max(found, axis=0), nan=np.inf))

@@ -130,6 +130,11 @@ class Algebra:
         return len(self.names)
 
     @property
+    def first(self) -> Array:
+        """z at the first plan, or where Newton's method starts if it finds none."""
+        return np.where(np.isfinite(self.found), self.found, self.start)
+
+    @property
     def data(self) -> int:
         """Numbers of a node behind its parameters: z, and W = -(dr/dz)^-1 row by row."""
         return self.size * (1 + self.size)
@@ -237,11 +242,9 @@ class Problem:
         size = algebra.size
         p, z = part(stage.p, 0, self.np), part(stage.p, self.np, self.np + size)
         tail = part(stage.p, self.np + size)
-        W = ca.reshape(tail, size, size).T * ca.sparsify(ca.DM(algebra.inverse))
-        u = stage.u if stage.nu else ca.vertcat(*self._controls_before(elements(stage.x)))
-        points = [z]
-        for _ in range(2):
-            points.append(points[-1] + W @ algebra.equations(stage.x, u, p, points[-1]))
+        u = stage.u if stage.nu else ca.vertcat(*self.controls_before(elements(stage.x)))
+        W = ca.reshape(tail, size, size).T
+        points = newton.chord_steps(lambda at: algebra.equations(stage.x, u, p, at), z, W, algebra.inverse)
 
         def reduce(expression: Expression, order: int) -> Expression:
             stated = ca.substitute(expression, tail, ca.DM.zeros(tail.numel()))
@@ -249,14 +252,15 @@ class Problem:
 
         return reduce
 
-    def _controls_before(self, x: Sequence[T]) -> list[T | float]:
+    def controls_before(self, x: Sequence[T]) -> list[T | float]:
         """The controls of the node before, as far as x remembers them, else 0."""
         places = self.inner.places
         return [x[self.measured + places[j]] if j in places else 0.0 for j in range(self.nu)]
 
     def node_values(self, x: Array, u: Array, p: Array | None = None) -> Array:
         """What expressions of a node read in place of p: parameters, by default the declared ones, and behind them z
-        and W at (x, u), where Newton's method starts from z at the first plan; NaN where it finds none."""
+        and W at (x, u), where Newton's method starts from z at the first plan; NaN where it finds none. Without
+        controls, as at node N, they are those of the node before."""
         p = self.p_value if p is None else p
         if self.algebra is None or not self.solved:
             return p
@@ -266,15 +270,11 @@ class Problem:
             r, J = evaluate(x, u, p, z)
             return np.asarray(r, dtype=float).ravel(), np.asarray(J, dtype=float)
 
-        start = np.where(np.isfinite(algebra.found), algebra.found, algebra.start)
-        z = newton.solve(at, start, np.array(algebra.scale))
+        u = u if len(u) else np.array(self.controls_before(list(x)))
+        z = newton.solve(at, algebra.first, np.array(algebra.scale))
         J = at(z)[1]
         W = -np.linalg.inv(J) if np.all(np.isfinite(J)) and np.linalg.det(J) else np.full_like(J, np.nan)
         return np.concatenate([p, z, W.ravel()])
-
-    def end_values(self, x: Array, p: Array | None = None) -> Array:
-        """The same at node N, with the controls of the node before."""
-        return self.node_values(x, np.array(self._controls_before(list(x))), p)
 
     @property
     def newton_names(self) -> tuple[str, ...]:

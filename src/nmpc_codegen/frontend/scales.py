@@ -170,8 +170,6 @@ def _reference_controls(problem: Problem, stage: Stage) -> Array:
 
 def _data(problem: Problem, stage: Stage) -> Array:
     """What expressions of a stage read in place of p at the initial state and the references of the controls."""
-    if not stage.nu:
-        return problem.end_values(problem.x_initial)
     return problem.node_values(problem.x_initial, _reference_controls(problem, stage))
 
 

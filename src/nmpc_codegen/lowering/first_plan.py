@@ -361,10 +361,8 @@ def _without_gradient(problem: Problem, x: Array, u: Array) -> Iterator[str]:
             continue
         z = ca.vertcat(stage.x, stage.u)
         evaluate = _function(stage, [ca.densify(stage.h), ca.densify(ca.jacobian(stage.h, z))])
-        values, others = (
-            problem.node_values(x, control, p) if stage.nu else problem.end_values(x, p)
-            for p in (problem.p_value, problem.p_value + _noise(problem.np, 0))
-        )
+        parameters = problem.p_value, problem.p_value + _noise(problem.np, 0)
+        values, others = (problem.node_values(x, control, p) for p in parameters)
         h, J = (np.asarray(v, dtype=float) for v in evaluate(x, control, values, problem.dt[0]))
         other = np.asarray(evaluate(x, control, others, problem.dt[0])[1], dtype=float)
         for row in problem.rows:

@@ -35,7 +35,6 @@ from nmpc_codegen.oracle.trajectory import (
     stage_equations,
     stage_start,
     start_cost,
-    start_of,
     with_maps,
 )
 
@@ -131,9 +130,9 @@ class Reference:
         terms = ca.veccat(ca.SX(0, 1), stage.y, stage.h, *(c for c in (stage.cost, stage.ties) if c is not None))
         if not ca.depends_on(terms, part(stage.p, problem.np)):
             return node_values(p, ca.MX.zeros(algebra.size))
-        x, places = self._x[k], problem.inner.places
-        held = [x[problem.measured + places[j]] if j in places else ca.MX(0) for j in range(problem.nu)]
-        self._add(z, algebra.equations(x, self._u[k] if k < problem.N else ca.vertcat(*held), p, z), start_of(algebra))
+        x = self._x[k]
+        u = self._u[k] if k < problem.N else ca.vertcat(*problem.controls_before(ca.vertsplit(x)))
+        self._add(z, algebra.equations(x, u, p, z), algebra.first)
         return node_values(p, z)
 
     def _add(self, variables: Any, rest: Any, start: Array) -> None:

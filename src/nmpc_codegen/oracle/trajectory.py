@@ -19,7 +19,7 @@ import casadi as ca
 import numpy as np
 
 from nmpc_codegen.errors import ProblemError
-from nmpc_codegen.frontend.problem import Algebra, Array, Problem, Row, Stage
+from nmpc_codegen.frontend.problem import Array, Problem, Row, Stage
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,6 +36,9 @@ class Tableau:
         """True if some stage depends on itself or a later one."""
         return bool(np.any(np.triu(np.asarray(self.A, dtype=float))))
 
+
+#: Controls of node N.
+NONE: Array = np.zeros(0)
 
 CLASSICAL = Tableau(((0, 0, 0, 0), (0.5, 0, 0, 0), (0, 0.5, 0, 0), (0, 0, 1, 0)), (1 / 6, 1 / 3, 1 / 3, 1 / 6), 2)
 
@@ -270,13 +273,8 @@ def _implicit_map(problem: Problem, integrator: Tableau) -> Any:
 def stage_start(problem: Problem, integrator: Tableau) -> Array:
     """Where the equations of a step are solved from: no increments, algebraic variables of the first plan."""
     stages = len(integrator.b)
-    known = start_of(problem.algebra) if problem.algebra else np.zeros(0)
+    known = problem.algebra.first if problem.algebra else np.zeros(0)
     return np.concatenate([np.zeros(problem.nx * stages), np.tile(known, stages)])
-
-
-def start_of(algebra: Algebra) -> Array:
-    """Algebraic variables at the first plan, or where Newton's method starts if it finds none."""
-    return np.where(np.isfinite(algebra.found), algebra.found, algebra.start)
 
 
 def node_cost(stage: Stage) -> Any:
@@ -314,7 +312,7 @@ def evaluate_cost(problem: Problem, x: Any, u: Any, data: Data, integrator: Tabl
     """Cost of a trajectory x (N+1, nx), u (N, nu): all terms of the problem and the penalties of violated soft rows."""
     Phi, cost, cost_N = interval_map(problem, integrator), node_cost(problem.path), node_cost(problem.terminal)
     x, u = np.asarray(x, dtype=float), np.asarray(u, dtype=float)
-    at_end = problem.end_values(x[-1], data.p[-1])
+    at_end = problem.node_values(x[-1], NONE, data.p[-1])
     total = float(cost_N(x[-1], ca.DM(0, 1), at_end, 0.0, data.yref_N, data.W_N))
     total += float(start_cost(problem)(x[0], data.p[0]))
     for k in range(problem.N):
@@ -343,7 +341,7 @@ def _row_values(problem: Problem, data: Data) -> Callable[[Row, int, Array, Arra
     h, h_N, N = node_rows(problem.path), node_rows(problem.terminal), problem.N
 
     def at_end(x: Array, k: int) -> Any:
-        return h_N(x, ca.DM(0, 1), problem.end_values(x, data.p[k]))
+        return h_N(x, ca.DM(0, 1), problem.node_values(x, NONE, data.p[k]))
 
     def value(row: Row, k: int, x: Array, u: Array) -> float:
         if row.is_coupled and problem.coupled is not None:
@@ -392,10 +390,9 @@ def kkt_residuals(problem: Problem, point: Point, data: Data, integrator: Tablea
         grad_x[k] += grad[: problem.nx]
         grad_u[k] += grad[problem.nx :]
     empty = ca.DM(0, 1)
-    start, values = problem.start, problem.end_values(x[N], data.p[N])
-    grad_x[0] += (
-        cost_0(x[0], empty, problem.end_values(x[0], data.p[0]), 0.0, start.reference, start.weight).full().ravel()
-    )
+    start, values = problem.start, problem.node_values(x[N], NONE, data.p[N])
+    first = problem.node_values(x[0], NONE, data.p[0])
+    grad_x[0] += cost_0(x[0], empty, first, 0.0, start.reference, start.weight).full().ravel()
     grad_x[N] += cost_N(x[N], empty, values, 0.0, data.yref_N, data.W_N).full().ravel()
     grad_x[N] += h_N(x[N], empty, values).full().T @ point.mu_N
     if problem.coupled is not None:

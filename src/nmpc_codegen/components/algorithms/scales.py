@@ -101,9 +101,10 @@ def _sizes(stage: Stage, problem: Problem, scale: Array) -> tuple[float, float]:
 
 def _at_start(cost: StageCost, stage: Stage, problem: Problem, *expressions: Expression) -> list[Array]:
     """Magnitudes of expressions of a stage at the initial state, the references of the controls and declared data."""
-    u = [problem.path.reference[i] if i >= 0 else 0.0 for i in problem.control_reference]
-    x = problem.x_initial
-    at = (x, u, problem.node_values(x, np.array(u)), problem.dt[0]) if stage.nu else (x, problem.end_values(x))
+    x, places = problem.x_initial, problem.control_reference if stage.nu else ()
+    u = np.array([problem.path.reference[i] if i >= 0 else 0.0 for i in places])
+    values = problem.node_values(x, u)
+    at = (x, u, values, problem.dt[0]) if stage.nu else (x, values)
     weight = np.diag(stage.weight) if stage.diagonal_weight else stage.weight.ravel()
     evaluate = ca.Function("sizes", [*cost.inputs, cost.yref, cost.W, cost.mu], list(expressions))
     return [np.abs(np.asarray(v).ravel()) for v in evaluate(*at, stage.reference, weight, np.zeros(stage.nh))]
@@ -114,4 +115,4 @@ def _slopes(h: Expression, stage: Stage, problem: Problem) -> Array:
     z = ca.vertcat(stage.x, stage.u)
     J = ca.Function("slopes", [stage.x, stage.u, stage.p], [ca.densify(ca.jacobian(h, z))])
     x, u = problem.x_initial, np.zeros(stage.nu)
-    return np.asarray(J(x, u, problem.node_values(x, u) if stage.nu else problem.end_values(x)))
+    return np.asarray(J(x, u, problem.node_values(x, u)))

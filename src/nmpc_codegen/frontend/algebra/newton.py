@@ -1,10 +1,11 @@
-"""Newton's method for equations at a point, in NumPy; templates/integrators/implicit/algebraic.c does the same in C."""
+"""Newton's method for equations at a point, as templates/integrators/implicit/algebraic.c has it; expressions of z."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from typing import Any
 
+import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
@@ -12,6 +13,9 @@ Array = NDArray[np.float64]
 
 #: Steps at most, the length of the shortest one, and a step that is rounding, relative to the size of a variable.
 STEPS, SHORTEST, ROUNDING = 50, 1e-4, 1e-13
+
+#: Orders of derivatives that are needed, and steps with the same W that make them exact.
+ORDERS = 2
 
 
 def solve(evaluate: Callable[[Array], tuple[Array, Array]], start: Array, size: Array) -> Array:
@@ -35,6 +39,15 @@ def solve(evaluate: Callable[[Array], tuple[Array, Array]], start: Array, size: 
                 length /= 2
             v = v - length * step
     return np.full(len(start), np.nan)
+
+
+def chord_steps(residual: Callable[[Any], Any], z: Any, W: Any, inverse: Array) -> list[Any]:
+    """z, z_1 = z + W r(z), z_2 = z_1 + W r(z_1) as expressions: derivatives of z_i up to order i are those of the
+    solution of r = 0, where z is the solution and W = -(dr/dz)^-1. ``inverse``: 1 where W may be other than 0."""
+    known, points = W * ca.sparsify(ca.DM(inverse)), [z]
+    for _ in range(ORDERS):
+        points.append(points[-1] + known @ residual(points[-1]))
+    return points
 
 
 def _largest(step: NDArray[Any], v: Array, size: Array) -> float:

@@ -19,14 +19,12 @@ import casadi as ca
 import numpy as np
 
 from nmpc_codegen.errors import ProblemError
+from nmpc_codegen.frontend.algebra import newton
 from nmpc_codegen.frontend.algebra.elimination import Solved, Unknown, solve_equations
 from nmpc_codegen.frontend.ocp import OCP
 from nmpc_codegen.frontend.problem import Array
 from nmpc_codegen.frontend.statement import Declared, Statement
 from nmpc_codegen.package.signals import list_some
-
-#: Steps with the same W: as many as orders of derivatives are needed.
-ORDERS = 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,9 +122,7 @@ def _without(ocp: OCP, unknowns: Sequence[Unknown], implied: Sequence[int], solv
     at = np.where(np.isfinite(solved.at), solved.at, [each.initial for each in unknowns])[list(solved.newton)]
     rest = solved.rest * ca.DM(_factors(solved.rest, (z, at), _known_values(ocp), sizes)) if own else solved.rest
     W = ca.SX.sym("W", len(own), len(own))
-    inverse, point = W * ca.sparsify(ca.DM(solved.inverse)), z
-    for _ in range(ORDERS if own else 0):
-        point = point + inverse @ ca.substitute(rest, z, point)
+    point = newton.chord_steps(lambda at: ca.substitute(rest, z, at), z, W, solved.inverse)[-1] if own else z
     path = ca.substitute(ca.vertcat(*solved.values), z, point)
     end = _at_the_end(twin, path)
     _refuse_maps(ocp, ca.substitute(ca.vertcat(ca.SX(0, 1), *ocp.maps.values()), v, path), z)

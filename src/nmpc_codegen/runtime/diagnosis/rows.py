@@ -52,24 +52,17 @@ def whole_parameters(ctrl: Memory) -> Array:
     return np.array([*([stored[0]] * d.N), stored[-1]], dtype=np.float64)
 
 
-def append_solved(ctrl: Memory, p: Array, solved: Array) -> Array:
-    """Parameters with what expressions read behind them: ``solved``, what Newton's method has found, and slopes of it,
-    which no value depends on."""
-    slopes = np.zeros((len(p), solved.shape[1] ** 2))
-    return np.hstack([p, solved, slopes])
-
-
-def find_solved(ctrl: Memory, x: Array, u: Array, node: int) -> Array:
-    """What Newton's method finds at a state and a control; NaN for derivatives of states, which are no outputs."""
-    found = dict(zip(ctrl.names.algebraic, ctrl.algebraic(x, u, node), strict=True))
-    return np.array([found.get(name, np.nan) for name in ctrl.description.newton])
+def append_solved(ctrl: Memory, p: Array, z: Array) -> Array:
+    """Parameters, and behind them what expressions read: of the algebraic variables z those that Newton's method finds,
+    NaN for derivatives of states, which are no outputs, and slopes, which no value depends on."""
+    known, names = dict(zip(ctrl.names.algebraic, z.T, strict=True)), ctrl.description.newton
+    solved = [known.get(name, np.full(len(p), np.nan)) for name in names]
+    return np.column_stack([p, *solved, np.zeros((len(p), len(names) ** 2))])
 
 
 def plan_data(ctrl: Memory) -> Array:
     """What expressions of all nodes read in place of p."""
-    x, u = ctrl.x, np.append(ctrl.u, ctrl.u[-1:], axis=0)
-    solved = np.array([find_solved(ctrl, x[k], u[k], k) for k in range(ctrl.dims.N + 1)])
-    return append_solved(ctrl, np.asarray(whole_parameters(ctrl), dtype=np.float64), solved)
+    return append_solved(ctrl, np.asarray(whole_parameters(ctrl), dtype=np.float64), ctrl.z)
 
 
 def path_reference(ctrl: Memory) -> Array:

@@ -20,7 +20,6 @@ from nmpc_codegen.package.signals import members
 from nmpc_codegen.runtime.controller import Controller, Status
 from nmpc_codegen.runtime.diagnosis.rows import (
     append_solved,
-    find_solved,
     path_bounds,
     path_reference,
     row_values,
@@ -117,7 +116,7 @@ def _run(
     name, nx, nu = ctrl.description.name, ctrl.dims.nx, ctrl.dims.nu
     x, u, known = np.zeros((steps + 1, nx)), np.zeros((steps, nu)), np.zeros((steps, ctrl.known.size))
     status, time_ns, cost = np.zeros(steps, np.int64), np.zeros(steps, np.int64), np.zeros(steps)
-    z, solved = np.zeros((steps, len(ctrl.names.algebraic))), np.zeros((steps, ctrl.description.sizes.get("NALG", 0)))
+    z = np.zeros((steps, len(ctrl.names.algebraic)))
     p, y = np.zeros((steps, ctrl.dims.np)), np.zeros((steps, ctrl.dims.ny))
     x[0] = start
     reasons: dict[Status, str] = {}
@@ -128,12 +127,12 @@ def _run(
         if status[k] not in reasons:
             reasons[Status(status[k])] = ctrl.diagnose() if status[k] else ""
         p[k], y[k] = start_parameters(ctrl), path_reference(ctrl)
-        z[k], solved[k] = ctrl.algebraic(x[k], u[k]), find_solved(ctrl, x[k], u[k], 0)
+        z[k] = ctrl.algebraic(x[k], u[k])
         moved = move(x[k].copy(), u[k].copy(), interval)
         x[k + 1] = _state(moved, nx, f"the plant's state after sample {k}", partial(_before, ctrl, x[k], u[k]))
         if disturbance is not None:
             x[k + 1] += _state(disturbance(k, x[k].copy()), nx, f"the disturbance of sample {k}")
-    h = _sample_rows(ctrl, np.hstack([x[:-1], known]), u, p, solved)[:, numbers]
+    h = _sample_rows(ctrl, np.hstack([x[:-1], known]), u, p, z)[:, numbers]
     own, traces = _own_axes(ctrl, numbers, h, x, u)
     t = interval * np.arange(steps + 1, dtype=np.float64)
     return Log(name, ctrl.description.time_unit, t, x, u, z, h[:, own], p, y, status, cost, time_ns, *traces, reasons)
@@ -161,10 +160,10 @@ def _sample_by(law: Law, ctrl: Controller, interval: float) -> Sample:
     return laws[law]
 
 
-def _sample_rows(ctrl: Controller, x: Array, u: Array, p: Array, solved: Array) -> Array:
+def _sample_rows(ctrl: Controller, x: Array, u: Array, p: Array, z: Array) -> Array:
     """Values of the rows of the samples, with what node 0 has behind the parameters of the user."""
     data = whole_parameters(ctrl)[:1, ctrl.dims.np :]
-    return row_values(ctrl, x, u, append_solved(ctrl, np.hstack([p, np.tile(data, (len(x), 1))]), solved))
+    return row_values(ctrl, x, u, append_solved(ctrl, np.hstack([p, np.tile(data, (len(x), 1))]), z))
 
 
 def _path_rows(ctrl: Controller) -> list[int]:

@@ -15,7 +15,7 @@ from nmpc_codegen.components.integrators.implicit.intervals import START
 from nmpc_codegen.components.integrators.implicit.stage_kernels import StageKernels
 from nmpc_codegen.components.integrators.jump import rename_buffer
 from nmpc_codegen.frontend.problem import Problem, symbols
-from nmpc_codegen.ir.casadi_types import Function
+from nmpc_codegen.ir.casadi_types import Function, elements
 from nmpc_codegen.ir.kernel import Kernel, Port, lift
 from nmpc_codegen.ir.model import ModelFunctions, StageModel
 from nmpc_codegen.ir.sweep import Call, LoopedRoutine, Node, Routine, Slice, Sweep, Written, calls
@@ -143,6 +143,5 @@ def _with_leaf(kernel: Kernel) -> LoopedRoutine:
 def _controls_before(problem: Problem) -> Function:
     """(x) -> the controls of the node before, of those that the problem remembers."""
     x = ca.SX.sym("x", problem.nx)
-    places = problem.inner.places
-    u = [x[problem.measured + places[j]] if j in places else ca.SX(0) for j in range(problem.nu)]
-    return ca.Function("controls_before", [x], [ca.densify(ca.vertcat(*u))])
+    u = ca.SX(ca.vertcat(*problem.controls_before(elements(x))))
+    return ca.Function("controls_before", [x], [ca.densify(u)])

@@ -36,10 +36,7 @@ class Trial:
         J = ca.densify(ca.jacobian(kernels.f, kernels.z))
         self._f, self._slopes = ca.Function("f", given, [kernels.f]), ca.Function("J", given, [kernels.f, J])
         self.problem, self.nx, self.nv = problem, problem.nx, kernels.nv
-        self.start: Array = np.zeros(0)
-        if problem.algebra:
-            found = problem.algebra.found
-            self.start = np.where(np.isfinite(found), found, problem.algebra.start)
+        self.start: Array = problem.algebra.first if problem.algebra else np.zeros(0)
         sizes = scales(problem).z[: problem.nx]
         self.size, self.sizes = sizes, np.array([*sizes, *(problem.algebra.scale if problem.algebra else ())])
         self.a, self.b, self.block = np.array(tableau.a, float), np.array(tableau.b, float), tableau.block
