@@ -3,10 +3,10 @@
  *
  *     base_i = x + sum_j increment_a[i][j] D_j over the groups before, X_i = base_i + D_i,
  *     D_i = h sum_j a_ij f(X_j, u, p) over its own group[if NALG > 0:, 0 = g(X_i, z_i, u, p)],
- *     x_next = x + sum_i increment_b[i] D_i;
+ *     x_next = x + sum_i increment_b[i] D_i.
  *
- * an explicit first stage (a_ii = 0) has X_i = base_i and D_i = h f. No number is divided by h, and M^-1 damps the
- * rounding errors of f; M is the derivative of X - base - h a f[if NALG > 0:, and of -g]. */
+ * No number is divided by h, and M^-1 damps the rounding errors of f; M is the derivative of X - base - h a f[if NALG > 0:,
+ * and of -g][if EXPLICIT_FIRST:; an explicit first stage (a_ii = 0) has X_i = base_i and D_i = h f]. */
 
 /* Stages that are solved together: their points (x[if NALG > 0:, z]), the derivatives J there with respect to (x[if NALG
  * > 0:, z], u), and the factors of M with the order of their rows. */
@@ -15,12 +15,13 @@ typedef struct {
     int order[NB];
 } stage_t;
 
-/* Y = M^-1 B and Y = M'^-1 B for n <= NZ columns. */
+/* Y = M^-1 B for n columns. */
 static inline void solve_stage_columns(const stage_t *t, const real_t *B, real_t *Y, int n)
 {
     lu_solve(t->M[0], t->order, NB, B, Y, n);
 }
 
+/* Y = M'^-1 B for n <= NZ columns. */
 static inline void solve_stage_transposed(const stage_t *t, const real_t *B, real_t *Y, int n)
 {
     real_t W[NB * NZ];
