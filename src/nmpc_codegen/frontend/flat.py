@@ -78,8 +78,6 @@ def _diagonal(stage: Stage, problem: Problem, z: Array) -> Array:
     start = np.concatenate([problem.x_initial, np.zeros(problem.nu)])[: v.numel()]
     random = np.random.default_rng(0)
     points = [start, *(z[: v.numel()] * random.uniform(-1, 1, v.numel()) for _ in range(POINTS))]
-    nx, found = problem.nx, []
-    for point in points:
-        values = problem.node_values(point[:nx], point[nx:])
-        found.append(np.abs(np.asarray(at(point, values, max(problem.dt))).ravel()))
+    values = [problem.node_values(point[: problem.nx], point[problem.nx :]) for point in points]
+    found = [np.abs(np.asarray(at(*each, max(problem.dt))).ravel()) for each in zip(points, values, strict=True)]
     return np.asarray(np.nan_to_num(np.max(found, axis=0), nan=np.inf))

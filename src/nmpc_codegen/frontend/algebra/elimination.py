@@ -136,9 +136,7 @@ def _inverse_pattern(pattern: Any) -> Array:
     reach = np.asarray(ca.DM(pattern, 1.0))[rows] > 0
     for _ in range(size.bit_length()):
         reach = reach @ reach | reach
-    inverse = np.zeros((size, size))
-    inverse[:, rows] = reach
-    return inverse
+    return np.asarray(reach[:, np.argsort(rows)], dtype=float)
 
 
 def _of_structure(
