@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from functools import cache
 
-from nmpc_codegen.frontend.classify import classify
+from nmpc_codegen.compiler import read
 from nmpc_codegen.ir.cmodule import CModule
 from nmpc_codegen.lowering.linearize import Model, linearize
 from nmpc_codegen.lowering.lower import lower
@@ -16,7 +16,7 @@ from verification.timed import Sample
 @cache
 def model(sample: Sample) -> Model:
     """The Model of a sample."""
-    return linearize(classify(sample.make()), sample.options)
+    return linearize(*read(sample.make(), sample.options))
 
 
 @cache

@@ -23,6 +23,7 @@ from nmpc_codegen import (
     AugmentedLagrangian,
     DenseActiveSet,
     EconomicGaussNewton,
+    Estimator,
     ExactHessian,
     ExplicitRungeKutta,
     ForwardOverAdjoint,
@@ -46,10 +47,19 @@ from nmpc_codegen import (
     lookup_table,
 )
 from verification.algebraic import neutralisation
+from verification.estimation import PLANTS
 from verification.problems import tiny
 from verification.routes import PURE
 from verification.timed import Sample
 from verification.tuned import blocked_crane, dead_time, graded_tank, slewed_crane, timed_vessel
+
+
+def walk() -> Estimator:
+    """Of a discrete map without controls."""
+    ocp = OCP("walk", N=3)
+    x = ocp.state("x")
+    ocp.dynamics({x: 0.9 * x}, discrete=True)
+    return Estimator(ocp, N=3, measure={"x": x}, noise_std={"x": 0.1}, process_std={x: 0.2})
 
 
 def _pendulum(name: str, **grid: Any) -> tuple[OCP, Any, Any, Any]:
@@ -436,6 +446,7 @@ EXAMPLES = (
     Sample("bioreactor", bioreactor.build_ocp, Options(hessian=ExactHessian())),
 )
 
+SINGLE = Options(precision="single")
 SAMPLES = (
     *EXAMPLES,
     Sample("crane riccati single", crane.build_ocp, _riccati(precision="single", online=SHARED)),
@@ -447,6 +458,12 @@ SAMPLES = (
     Sample("bare dense", bare, _dense(online=FIXED)),
     Sample("bare exact", bare, _partial(hessian=ExactHessian(), online=REFERENCES)),
     Sample("states simulated", states, Options(algorithm=RealTimeIteration(simulate=True))),
+    Sample("battery window", lambda: PLANTS["battery"].estimator(N=5, loss="huber"), _dense()),
+    Sample("reactor window", lambda: PLANTS["reactor"].estimator(N=5), _riccati(precision="single")),
+    Sample("vehicle window", lambda: PLANTS["vehicle"].estimator(N=4), Options(integrator=ImplicitRungeKutta(SDIRK2))),
+    Sample("battery filter", lambda: PLANTS["battery"].estimator(kind="ekf")),
+    Sample("map window", walk),
+    Sample("reactor filter", lambda: PLANTS["reactor"].estimator(kind="ekf", loss="huber"), SINGLE),
     Sample("single dense", tiny, _dense(hessian=ExactHessian(), algorithm=PURE)),
     Sample("controls dense", controls, _dense(algorithm=RESAMPLE, precision="single", target="cortex-m3")),
     Sample("controls partial", controls, _partial(algorithm=RESAMPLE)),

@@ -10,6 +10,7 @@ from nmpc_codegen import (
     OCP,
     RK4,
     DenseActiveSet,
+    Estimator,
     ExactHessian,
     ExplicitRungeKutta,
     FullCondensing,
@@ -24,7 +25,7 @@ class Sample:
     """One package: the function that states its problem, and its options."""
 
     name: str
-    make: Callable[[], OCP]
+    make: Callable[[], OCP | Estimator]
     options: Options = field(default_factory=Options)
 
 

@@ -9,7 +9,9 @@ from __future__ import annotations
 
 import re
 import subprocess
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 from nmpc_codegen.lowering.lower import lower
 from nmpc_codegen.lowering.render import render
@@ -71,6 +73,44 @@ int main(void)
     return 0;
 }}
 """
+_ESTIMATING = """#include <stdio.h>
+#include "{p}.h"
+
+static {p}_solver_t s;
+static {p}_real y[{P}_NM], u[{P}_NIN + 1], x[{P}_NX], P[{P}_NX * {P}_NX];
+static unsigned long seed = 12345;
+
+static double next(void)
+{{
+    seed = (1103515245ul * seed + 12345ul) % 2147483648ul;
+    return (double)seed / 1073741824.0 - 1.0;
+}}
+
+int main(void)
+{{
+    {p}_init(&s);
+    for (int n = 0; n < {samples}; n++) {{
+        for (int i = 0; i < {P}_NM; i++) {{
+            y[i] = ({p}_real)((n % 8 == 3) ? 9 * next() : next());
+        }}
+        for (int i = 0; i < {P}_NIN; i++) {{
+            u[i] = ({p}_real)next();
+        }}
+        printf("%d %d", n, (int){p}_estimate(&s, y, {u}x));
+        {p}_covariance(&s, P);
+        for (int i = 0; i < {P}_NX; i++) {{
+            printf(" %a %a", (double)x[i], (double)P[i * {P}_NX + i]);
+        }}
+        printf("\\n");
+        if (n == 15) {{
+            printf("%d\\n", (int){p}_restart(&s, x, P));
+        }}
+        {late}
+    }}
+    return 0;
+}}
+"""
+_LATE = 'printf("%d\\n", (int){p}_correct(&s, y, n % 4, x));'
 _SOLVE = """for (int j = 0; j < {P}_NU; j++) {{
         u[j] = s.u[0][j];
     }}
@@ -102,7 +142,7 @@ def closed_loop(sources: Sources, *flags: str, samples: int = 20) -> str:
     solve = _SOLVE.format(**names) if f"{name}_solve(" in sources[f"{name}.h"] else ""
     with written(sources) as folder:
         _without_guard(folder / f"{name}.c")
-        (folder / "loop.c").write_text(_DRIVER.format(**names, solve=solve), encoding="utf-8")
+        (folder / "loop.c").write_text(_driver(sources, names, solve), encoding="utf-8")
         foreign = sorted(str(path.relative_to(folder)) for path in folder.rglob("*/*.c"))
         include = [f"-I{path}" for path in sorted(folder.rglob("*")) if path.is_dir()]
         units = ("loop.c", f"{name}.c", *foreign)
@@ -111,6 +151,15 @@ def closed_loop(sources: Sources, *flags: str, samples: int = 20) -> str:
         done = subprocess.run(["./loop"], cwd=folder, capture_output=True, text=True, check=False, timeout=120)
     assert done.returncode == 0, done.stderr
     return done.stdout
+
+
+def _driver(sources: Sources, names: Mapping[str, Any], solve: str) -> str:
+    """The program of a controller, or of an estimator."""
+    found = sources.description.estimation
+    if found is None:
+        return _DRIVER.format(**names, solve=solve)
+    late = _LATE.format(**names) if found.kind == "mhe" else ""
+    return _ESTIMATING.format(**names, u="u, " if found.nu else "", late=late)
 
 
 def _without_guard(file: Path) -> None:

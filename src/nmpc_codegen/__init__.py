@@ -24,15 +24,22 @@ from nmpc_codegen.package.signals import Soft
 from nmpc_codegen.package.status import Status
 from nmpc_codegen.package.version import __version__ as __version__
 from nmpc_codegen.runtime.controller import Controller
+from nmpc_codegen.runtime.estimation.observer import Observer
 from nmpc_codegen.runtime.extras import DISTRIBUTION, HAS_COMPILER
 from nmpc_codegen.runtime.loops.simulate import simulate
-from nmpc_codegen.runtime.package import open_package
+from nmpc_codegen.runtime.package import open_estimator, open_package
 from nmpc_codegen.runtime.records.log import Log
 
 if TYPE_CHECKING:
     from nmpc_codegen.analysis import worst_case
     from nmpc_codegen.compiler import Package, build, export, generate
-    from nmpc_codegen.components.algorithms import AdjointShooting, AugmentedLagrangian, RealTimeIteration
+    from nmpc_codegen.components.algorithms import (
+        AdjointShooting,
+        AugmentedLagrangian,
+        KalmanFilter,
+        MovingHorizon,
+        RealTimeIteration,
+    )
     from nmpc_codegen.components.condensing import FullCondensing, NoCondensing, PartialCondensing
     from nmpc_codegen.components.hessians import (
         EconomicGaussNewton,
@@ -64,6 +71,7 @@ if TYPE_CHECKING:
         RadauIIA3,
     )
     from nmpc_codegen.components.qp import DenseActiveSet, Osqp, RiccatiActiveSet, RiccatiInteriorPoint
+    from nmpc_codegen.frontend.estimator.declaration import Estimator
     from nmpc_codegen.frontend.functions.excess import smooth_excess
     from nmpc_codegen.frontend.functions.lookup_table import lookup_table
     from nmpc_codegen.frontend.ocp import OCP
@@ -71,7 +79,9 @@ if TYPE_CHECKING:
 
 _HOMES = {
     "analysis": ("worst_case",),
-    "components.algorithms": ("AdjointShooting", "AugmentedLagrangian", "RealTimeIteration"),
+    "components.algorithms": (
+        *("AdjointShooting", "AugmentedLagrangian", "KalmanFilter", "MovingHorizon", "RealTimeIteration"),
+    ),
     "compiler": ("Package", "build", "export", "generate"),
     "components.condensing": ("FullCondensing", "NoCondensing", "PartialCondensing"),
     "components.hessians": (
@@ -85,6 +95,7 @@ _HOMES = {
     ),
     "frontend.functions.excess": ("smooth_excess",),
     "frontend.functions.lookup_table": ("lookup_table",),
+    "frontend.estimator.declaration": ("Estimator",),
     "frontend.ocp": ("OCP",),
     "options": ("Online", "Options"),
     "components.qp": ("DenseActiveSet", "Osqp", "RiccatiActiveSet", "RiccatiInteriorPoint"),
@@ -107,6 +118,7 @@ __all__ = [
     "DenseActiveSet",
     "Discrete",
     "EconomicGaussNewton",
+    "Estimator",
     "Euler",
     "ExactHessian",
     "ExplicitRungeKutta",
@@ -121,11 +133,14 @@ __all__ = [
     "ImplicitEuler",
     "ImplicitMidpoint",
     "ImplicitRungeKutta",
+    "KalmanFilter",
     "Log",
     "Midpoint",
     "Mirror",
+    "MovingHorizon",
     "NmpcError",
     "NoCondensing",
+    "Observer",
     "Online",
     "OptionError",
     "Options",
@@ -147,6 +162,7 @@ __all__ = [
     "export",
     "generate",
     "lookup_table",
+    "open_estimator",
     "open_package",
     "simulate",
     "smooth_excess",

@@ -14,21 +14,25 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, overload
 
 from nmpc_codegen.errors import OptionError, warn
 from nmpc_codegen.exclusive import COMPILING
 from nmpc_codegen.frontend.classify import classify
+from nmpc_codegen.frontend.estimator.declaration import Estimator
+from nmpc_codegen.frontend.estimator.problem import estimation_problem
 from nmpc_codegen.frontend.ocp import OCP
+from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.lowering.explain import explain
 from nmpc_codegen.lowering.linearize import linearize
 from nmpc_codegen.lowering.lower import lower
 from nmpc_codegen.lowering.render import render
-from nmpc_codegen.options import Options
+from nmpc_codegen.options import Options, for_estimator
 from nmpc_codegen.package.description import PackageDescription
 from nmpc_codegen.package.sources import Sources
-from nmpc_codegen.runtime.build import load
+from nmpc_codegen.runtime.build import load, load_estimator
 from nmpc_codegen.runtime.controller import Controller
+from nmpc_codegen.runtime.estimation.observer import Observer
 from nmpc_codegen.runtime.folder import write
 
 
@@ -45,14 +49,21 @@ class Package:
     report: Mapping[str, Any]
 
 
-def compile(ocp: OCP, options: Options | None = None, name: str | None = None) -> Sources:
+def compile(ocp: OCP | Estimator, options: Options | None = None, name: str | None = None) -> Sources:
     """The files of the C package: OCP -> Problem -> Model -> CModule -> Sources. It raises the errors of generate()."""
     with COMPILING:
-        model = linearize(classify(ocp), options)
+        model = linearize(*read(ocp, options))
         return render(explain(lower(model, name), model))
 
 
-def generate(ocp: OCP, options: Options | None = None, name: str | None = None) -> Sources:
+def read(ocp: OCP | Estimator, options: Options | None) -> tuple[Problem, Options | None]:
+    """The problem that is stated, and the options for it."""
+    if isinstance(ocp, Estimator):
+        return estimation_problem(ocp), for_estimator(options, ocp.kind)
+    return classify(ocp), options
+
+
+def generate(ocp: OCP | Estimator, options: Options | None = None, name: str | None = None) -> Sources:
     """Run the pipeline up to text; return path -> contents of every file of the package, as a mapping
     that cannot be changed.
 
@@ -75,7 +86,7 @@ def _warn(description: PackageDescription) -> None:
 
 
 def export(
-    ocp: OCP,
+    ocp: OCP | Estimator,
     options: Options | None = None,
     directory: str | Path = ".",
     name: str | None = None,
@@ -114,11 +125,23 @@ def export(
     return Package(folder, description.name, tuple(folder / path for path in files), description.report.as_dict())
 
 
-def build(ocp: OCP, options: Options | None = None, profile: str = "fast", name: str | None = None) -> Controller:
+@overload
+def build(ocp: OCP, options: Options | None = None, profile: str = "fast", name: str | None = None) -> Controller: ...
+
+
+@overload
+def build(
+    ocp: Estimator, options: Options | None = None, profile: str = "fast", name: str | None = None
+) -> Observer: ...
+
+
+def build(
+    ocp: OCP | Estimator, options: Options | None = None, profile: str = "fast", name: str | None = None
+) -> Controller | Observer:
     """Generate, compile and load the code that export() writes, as a Python controller; builds are cached by content.
 
     Args:
-        ocp: the problem; it may be changed and built again.
+        ocp: the problem, or an estimator; it may be changed and built again.
         options: Options(...); what is not given is chosen, and ``controller.description.report.choices`` says why.
             Options(target="native") writes the code itself for the vector registers of this machine.
         profile: flags of the compiler besides those of the target: "fast" with all instructions of this processor
@@ -127,7 +150,7 @@ def build(ocp: OCP, options: Options | None = None, profile: str = "fast", name:
         name: prefix of the C names; by default that of the problem.
 
     Returns:
-        The controller, ready to step(); see help(Controller).
+        The controller, or of an estimator the Observer, ready to step(); see help(Controller), help(Observer).
 
     Raises:
         ProblemError, OptionError: see generate().
@@ -135,4 +158,6 @@ def build(ocp: OCP, options: Options | None = None, profile: str = "fast", name:
     """
     sources = compile(ocp, options, name)
     _warn(sources.description)
+    if isinstance(ocp, Estimator):
+        return load_estimator(sources, sources.description.name, profile)
     return load(sources, sources.description.name, profile)

@@ -9,7 +9,7 @@ from numbers import Real
 from typing import Any, Literal, TypeVar, get_args
 
 from nmpc_codegen.components import algorithms, condensing, hessians, integrators, qp
-from nmpc_codegen.components.algorithms import RealTimeIteration
+from nmpc_codegen.components.algorithms import KalmanFilter, MovingHorizon, RealTimeIteration
 from nmpc_codegen.components.allowed import Flag, Words, check_options, option, rules
 from nmpc_codegen.components.base import (
     SEAMS,
@@ -23,6 +23,7 @@ from nmpc_codegen.components.base import (
     spell,
 )
 from nmpc_codegen.errors import OptionError
+from nmpc_codegen.package.estimation import EstimatorKind
 from nmpc_codegen.package.memory import Precision
 from nmpc_codegen.package.signals import Layout, Layouts
 from nmpc_codegen.runtime.native import native
@@ -179,6 +180,23 @@ class Options:
         if self.solve is not None:
             return self.solve
         return self.target == NATIVE or TARGETS[self.target].roomy
+
+
+def for_estimator(options: Options | None, kind: EstimatorKind) -> Options:
+    """The options of an estimator: its algorithm, unless that is given, and its own data in the places of others.
+
+    Raises:
+        OptionError: options that an estimator does not have.
+    """
+    options = options or Options()
+    if options.solve or options.online != Online():
+        word = "solve" if options.solve else "online"
+        raise OptionError(f"{word}: {getattr(options, word)!r}; an estimator has no solve() and its own data of nodes")
+    parameter: Layout = "node" if kind == "mhe" else "shared"
+    online = Online("fixed", "fixed", "shared", parameter, False, "fixed")
+    algorithm: Algorithm = MovingHorizon() if kind == "mhe" else KalmanFilter()
+    given = options.algorithm if options.algorithm != RealTimeIteration() else algorithm
+    return replace(options, algorithm=given, online=online, solve=False)
 
 
 def as_data(value: Any, path: str = "") -> dict[str, Any]:

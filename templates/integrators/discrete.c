@@ -7,6 +7,7 @@ static void interval_value(const solver_t *s, int k, real_t *x_next)
     INTEGRATOR_STEP(s, k, s->x[k], s->u[k], 0, s->newton, x_next); /* a discrete map does not read the step length */
 }
 
+#if !ESTIMATOR
 void API(integrate)(const solver_t *s, const real_t x[NXHAT], const real_t u[NU], real_t dt, real_t x_next[NXHAT])
 {
     if (s->magic != MAGIC || !all_finite(x, NXHAT) || !all_finite(u, NU) || !isfinite(dt)) {
@@ -25,3 +26,4 @@ void API(integrate)(const solver_t *s, const real_t x[NXHAT], const real_t u[NU]
         INTEGRATOR_STEP(s, 0, x, u, &dt, NEWTON_LIMIT, x_next);
     }
 }
+#endif

@@ -5,6 +5,8 @@
  *   API(integrate)   x(dt) from x for any control and any dt >= 0; NaN if the solver is not initialised
  * Here: explicit Runge-Kutta with equal steps, none longer than the longest step of the controller. */
 
+#include "integrators/noise.c"
+
 static void interval_value(const solver_t *s, int k, real_t *x_next)
 {
     const real_t h = interval_length[k] / (real_t)STEPS;
@@ -15,6 +17,7 @@ static void interval_value(const solver_t *s, int k, real_t *x_next)
     if (HAS_INTEGRATOR_JUMP) {
         INTEGRATOR_JUMP(s, k, s->x[k], s->u[k], x_next);
     }
+    add_noise(s->u[k], x_next);
 }
 
 #include "integrators/steps.c"

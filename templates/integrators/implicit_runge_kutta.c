@@ -2,6 +2,8 @@
  * Here: implicit Runge-Kutta with equal steps. A sample takes NEWTON steps of Newton's method per stage; kkt()[if SOLVE:,
  * solve()] and integrate() iterate to rounding errors. */
 
+#include "integrators/noise.c"
+
 /* x_next of interval k, and what Newton's method leaves of its stages. */
 static void interval_leaving(const solver_t *s, int k, real_t *x_next, real_t *left)
 {
@@ -9,6 +11,7 @@ static void interval_leaving(const solver_t *s, int k, real_t *x_next, real_t *l
     if (HAS_INTEGRATOR_JUMP) {
         INTEGRATOR_JUMP(s, k, s->x[k], s->u[k], x_next);
     }
+    add_noise(s->u[k], x_next);
 }
 
 static void interval_value(const solver_t *s, int k, real_t *x_next)

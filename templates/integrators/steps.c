@@ -24,7 +24,8 @@ static void integrate_plan(const solver_t *s, int k, const real_t *x, real_t dt,
     }
 }
 
-#if INNER || HAS_INTEGRATOR_JUMP
+#if ESTIMATOR
+#elif INNER || HAS_INTEGRATOR_JUMP
 void API(integrate)(const solver_t *s, const real_t x[NXHAT], const real_t u[NU], real_t dt, real_t x_next[NXHAT])
 {
     const int steps = steps_for(dt);

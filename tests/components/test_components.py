@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from nmpc_codegen import EconomicGaussNewton, GaussNewton, OptionError, Options
+from nmpc_codegen import EconomicGaussNewton, GaussNewton, KalmanFilter, MovingHorizon, OptionError, Options
+from nmpc_codegen.compiler import read
 from nmpc_codegen.components.base import SEAMS, Component, Dims, refuse_unsupported, spell
 from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.ir.cmodule import Macro
@@ -22,6 +23,7 @@ from nmpc_codegen.lowering.render import render
 from nmpc_codegen.options import REGISTRIES, Online
 from nmpc_codegen.package.memory import Field, Size, Struct, struct_layout
 from nmpc_codegen.package.opcount import OpCount
+from verification.estimation import PLANTS
 from verification.models import discrete_map, problem_of
 
 COMPONENTS = [cls for seam in SEAMS for cls in REGISTRIES[seam].values()]
@@ -41,15 +43,22 @@ FEATURES = {
     "time",
     "discrete states",
     "nonlinear algebraic equations",
+    "measurements",
 }
 
 #: Macro names that lower.py and render.py define themselves.
 OWN_MACROS = {f.upper() for f in ("MANY", "MAGIC", "PANEL", "PARAMS", "ALL", "OK")}
 
 
+#: Algorithms of estimators, with their kind.
+ESTIMATORS: dict[type, str] = {MovingHorizon: "mhe", KalmanFilter: "ekf"}
+
+
 def linearization(cls: type) -> Model:
     """A tiny problem with the component among the options."""
     seam = cls.seam  # type: ignore[attr-defined]
+    if cls in ESTIMATORS:
+        return linearize(*read(PLANTS["reactor"].estimator(N=3, kind=ESTIMATORS[cls]), None))
     discrete = seam == "integrator" and cls.name == "discrete"  # type: ignore[attr-defined]
     constant = cls is EconomicGaussNewton
     ocp = discrete_map() if discrete else problem_of("reactor", uniform=constant)

@@ -54,4 +54,4 @@ const char *golden_status_string(golden_status_t status);
 #endif
 
 #endif
-/* nmpc_codegen package e9d49c186be59528, sha256 495e6832bdcc99e7082c2a65f822e05091d95b421c577c52ee734bd5578b59fb */
+/* nmpc_codegen package 4ee979330896dfb4, sha256 5f7ea2a775132787bcc0138f0ab1d17e7d8d280ac45c5ccd327fce3399e37f6e */

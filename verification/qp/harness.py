@@ -61,8 +61,8 @@ def qp_dims(nv: int, ng: int) -> Dims:
         "nsl": Size("NSL", 0),
     }
     condensed = QpDims(**{name: named[name] for name in QpDims.__dataclass_fields__})
-    core = {name: named[name] for name in Dims.__dataclass_fields__ if name != "condensed"}
-    return Dims(**core, condensed=condensed)
+    core = {name: named[name] for name in Dims.__dataclass_fields__ if name not in ("condensed", "estimation")}
+    return Dims(**core, condensed=condensed, estimation=None)
 
 
 def source(nv: int, ng: int, precision: str = "double", component: DenseActiveSet | None = None) -> str:

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from nmpc_codegen.ir.kernel import Port
     from nmpc_codegen.ir.model import HessianModel, Interval, IntervalProducts, ModelFunctions
     from nmpc_codegen.ir.sweep import Call, Routine
+    from nmpc_codegen.package.estimation import Estimation
     from nmpc_codegen.package.features import Features
     from nmpc_codegen.package.memory import Precision, Size, Struct
     from nmpc_codegen.package.signals import EntryPoint
@@ -40,6 +41,9 @@ SEAMS: tuple[Seam, ...] = get_args(Seam)
 #: Of variables that Newton's method solves for.
 NONLINEAR = "nonlinear algebraic equations"
 
+#: Of estimators.
+MEASUREMENTS = "measurements"
+
 #: What a problem may use beyond the core (``Problem.uses``). A component supports all of it but what it takes away: who
 #: adds a use takes it away where it is not supported.
 EVERY_USE = frozenset(
@@ -56,6 +60,7 @@ EVERY_USE = frozenset(
         "time",
         "discrete states",
         NONLINEAR,
+        MEASUREMENTS,
     }
 )
 
@@ -86,9 +91,12 @@ class Dims:
     ne: Size  # coupled rows
     ng: Size  # scalar rows of all nodes besides control bounds
     nalg: Size  # algebraic variables that Newton's method solves for
+    nm: Size  # measurements of an estimator
+    nin: Size  # controls of its plant
     condensed: QpDims | None  # sizes of the QP, None without condensing
     end_rows: int = 0  # hard rows that hold at node N alone
     banded: int = 0  # controls of the node before, which act on no state: the last states
+    estimation: Estimation | None = None
     multiple: int = PANEL  # to which leading dimensions of stage matrices are rounded up; 1: no padding
 
     @property

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from pkgutil import resolve_name
 from typing import TYPE_CHECKING, Any
 
 import casadi as ca
@@ -55,6 +56,8 @@ __all__ = ["OCP"]
 #: What expressions of node N and of node 0 may contain.
 _END: tuple[Kind, ...] = ("state", "parameter", "algebraic", "previous", "time")
 _START: tuple[Kind, ...] = ("state", "parameter")
+#: The class of estimators, which is above this module.
+_ESTIMATOR = "nmpc_codegen.frontend.estimator.declaration:Estimator"
 #: Symbols after which a residual is named.
 _NAMED: tuple[Kind, ...] = ("state", "control", "parameter", "algebraic")
 
@@ -221,6 +224,11 @@ class OCP(Algebraic):
         for i, element in enumerate(signal.elements):
             self._elements[symbol[i].element_hash()] = Element(kind, signal.offset + i, element)
         return symbol
+
+    def estimator(self, **statement: Any) -> Any:
+        """An Estimator of the states of this model from measurements, which build() and export() take like an OCP; its
+        arguments are those of Estimator behind the OCP."""
+        return resolve_name(_ESTIMATOR)(self, **statement)
 
     # Cost ------------------------------------------------------------------------------------------------------------
 

@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from nmpc_codegen.errors import ProblemError
 from nmpc_codegen.frontend.algebra import newton
 from nmpc_codegen.ir.casadi_types import Expression, Function, curved_rows, elements, part
+from nmpc_codegen.package.estimation import Estimation
 from nmpc_codegen.package.signals import NOTHING_INNER, ImposedRow, imposed_rows
 from nmpc_codegen.package.signals import Inner as Inner
 from nmpc_codegen.package.signals import Row as Row
@@ -193,11 +194,20 @@ class Problem:
     jump: Function | None = None
     node_data: Array = field(default_factory=no_data)  # (N + 1, inner.data): values of the last parameters
     algebra: Algebra | None = None
+    noise: tuple[tuple[int, int], ...] = ()  # (i, j): u_j is added to x_i at the end of an interval
+    estimation: Estimation | None = None  # of an estimator
+    observed: Function | None = None  # (x, p) -> its measurements
 
     @property
     def own_parameters(self) -> tuple[Signal, ...]:
         """The parameters of the user."""
-        return self.parameters[: len(self.parameters) - self.inner.data]
+        more = 0 if self.estimation is None else self.estimation.signals
+        return self.parameters[: len(self.parameters) - self.inner.data - more]
+
+    @property
+    def data_behind(self) -> int:
+        """Numbers behind the parameters of the user: lengths of intervals and the like, measurements."""
+        return self.inner.data + (0 if self.estimation is None else self.estimation.data)
 
     @property
     def measured(self) -> int:

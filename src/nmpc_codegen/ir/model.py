@@ -120,8 +120,9 @@ class ModelFunctions:
     coupled rows, are added to the first block of the path. ``coupled``: r(x_0, x_N) and its Jacobians. ``exact``:
     path_exact, terminal_exact, start_exact and initial_exact, the exact Hessian of solve() where samples have another.
     ``previous``: number of the last states that are controls of the node before. ``algebraic``: (x, u, p) -> algebraic
-    variables, where x of a stage ends with those that Newton's method solves for; ``following``: operations of a node
-    that Newton's method takes to follow a plan, with two steps.
+    variables, where x of a stage ends with those that Newton's method solves for; ``measurement``: (x, p) -> y,
+    H = dy / dx of an estimator; ``following``: operations of a node that Newton's method takes to follow a plan, with
+    two steps.
     """
 
     interval: Interval
@@ -133,6 +134,7 @@ class ModelFunctions:
     exact: tuple[Routine, ...] = ()
     previous: int = 0
     algebraic: Kernel | None = None
+    measurement: Kernel | None = None
     following: OpCount = field(default_factory=OpCount)
 
     @property
@@ -157,7 +159,7 @@ class ModelFunctions:
                 *(terminal.cost, terminal.gradient, terminal.hessian, terminal.curvature, terminal.product),
                 *(self.start.cost, self.start.gradient, self.start.hessian, self.initial),
                 *(*along_intervals, self.interval.curved, *self.exact),
-                *(path.rows, terminal.rows, self.coupled, self.algebraic),
+                *(path.rows, terminal.rows, self.coupled, self.algebraic, self.measurement),
             )
         )
 

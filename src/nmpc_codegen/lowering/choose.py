@@ -253,11 +253,18 @@ def dimensions(
         "NE": p.coupled_rows,
         "NG": len(p.qp_rows),
         "NALG": len(p.newton_names),
+        "NM": p.estimation.ny if p.estimation else 0,
+        "NIN": p.estimation.nu if p.estimation else 0,
     }
     fields = {"NY_N": "ny_N", "NW_N": "nw_N", "NH_N": "nh_N", "N": "N"}
     condensed = None if shape is None else _qp_dims(p, shape)
     return Dims(
-        **_sizes(sizes, fields), condensed=condensed, end_rows=len(p.end_rows), banded=banded, multiple=multiple
+        **_sizes(sizes, fields),
+        condensed=condensed,
+        end_rows=len(p.end_rows),
+        banded=banded,
+        estimation=p.estimation,
+        multiple=multiple,
     )
 
 

@@ -161,6 +161,8 @@ def _interval(step: Function, problem: Problem, x: Array, u: Array, p: Array, dt
     S: Array = np.array(end, dtype=np.float64)[problem.nx :, 0].reshape(problem.nx, -1, order="F")
     if problem.jump is not None:
         S[list(problem.maps)] = problem.jump_slopes(x, u, p, dt)[1].full()
+    for i, j in problem.noise:
+        S[i, problem.nx + j] = 1.0
     return S
 
 

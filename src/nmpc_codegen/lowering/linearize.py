@@ -25,7 +25,7 @@ from nmpc_codegen.components.stage_cost import StageCost, slices, stage_costs
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.frontend.flat import flat_controls, proximal_terms
 from nmpc_codegen.frontend.inner import complete_inner
-from nmpc_codegen.frontend.problem import Problem, Stage
+from nmpc_codegen.frontend.problem import Problem, Stage, symbols
 from nmpc_codegen.frontend.scales import Scales, scales
 from nmpc_codegen.ir.kernel import Kernel, Port, lift
 from nmpc_codegen.ir.model import Block, HessianModel, ModelFunctions, StageModel
@@ -239,6 +239,7 @@ def _functions(
         _lift_coupled_rows(problem),
         previous=len(problem.inner.previous),
         algebraic=algebraic_kernel(problem),
+        measurement=_measurement_kernel(problem),
     )
 
 
@@ -329,6 +330,17 @@ def _rows_kernel(problem: Problem, stage: Stage, name: str) -> Kernel:
     doc = f"h = general {name} rows, J = dh / d{'x' if terminal else '(x, u)'}"
     outputs = [Port("h", stage.nh), Port("J", stage.nh, int(z.numel()))]
     return lift(ca.Function("rows", args, [h, J]), f"{name}_rows", doc, ports, outputs)
+
+
+def _measurement_kernel(problem: Problem) -> Kernel | None:
+    """y = h(x, p) and H = dh / dx of an estimator."""
+    if problem.observed is None:
+        return None
+    x, _, p, _ = symbols(problem.nx, 0, problem.np)
+    y = problem.observed(x, p)
+    function = ca.Function("measurement", [x, p], [y, ca.sparsify(ca.jacobian(y, x))])
+    ports, n = (Port("x", problem.nx), Port("p", problem.np)), int(y.numel())
+    return lift(function, "measurement", "y = h(x, p), H = dh / dx", ports, (Port("y", n), Port("H", n, problem.nx)))
 
 
 def _lift_coupled_rows(problem: Problem) -> Kernel:

@@ -236,6 +236,8 @@ def _of_problem(model: Model) -> Features:
         inner=bool(p.inner.count),
         previous=bool(p.inner.previous),
         timed=p.inner.time,
+        estimator=p.estimation is not None,
+        known_controls=p.estimation is not None and p.estimation.nu > 0,
         solve=model.options.solves,
         nodes="nodes" in core,
         products="products" in core,
@@ -305,6 +307,8 @@ _DOCS = {
     "NSL": "slack variables of the QP",
     "NG": "scalar rows of all nodes besides control bounds",
     "NALG": "algebraic variables that Newton's method solves for",
+    "NM": "measurements",
+    "NIN": "controls of the plant",
     "LDV": "NV rounded up to a multiple of 4",
     "LDH": "length of a row of H and A, a multiple of 4",
 }
@@ -314,7 +318,8 @@ def _macros(model: Model, dims: Dims, whole: bool) -> tuple[Macro, ...]:
     core = [s for s in vars(dims).values() if isinstance(s, Size) and (s.text != "NQ" or model.parts.hessian)]
     of_qp: Iterable[Size] = () if dims.condensed is None else vars(dims.condensed).values()
     inner = model.problem.inner
-    kept = [s for s in (*core, *of_qp) if s.text != "NXHAT" or inner.count]
+    others = {*(() if inner.count else ("NXHAT",)), *(() if model.problem.estimation else ("NM", "NIN"))}
+    kept = [s for s in (*core, *of_qp) if s.text not in others]
     macros = [Macro(s.text, s.value, _DOCS[s.text], shown=_in_header(s, model.problem)) for s in kept]
     macros += _inner_macros(model)
     if dims.condensed:
@@ -347,11 +352,12 @@ def _macros(model: Model, dims: Dims, whole: bool) -> tuple[Macro, ...]:
 
 
 def _data_macros(problem: Problem) -> tuple[Macro, ...]:
-    """What penalties and bounds of parameters there are."""
+    """What penalties, noise and bounds of parameters there are."""
     soft = [row for row in problem.rows if row.soft is not None]
     scaled, bounded = any(row.scaled for row in soft), any(s.low for s in problem.own_parameters)
     return (
         Macro("SOFT_ROWS", len(soft), "rows with a penalty"),
+        Macro("NOISES", len(problem.noise), "controls that are noise at the end of an interval"),
         Macro("SCALED_PENALTIES", int(scaled), "1: penalties of a row are times dt_k"),
         Macro("BOUNDED_PARAMETERS", int(bounded), "1: some parameters have bounds"),
     )
@@ -371,7 +377,7 @@ def _inner_macros(model: Model) -> tuple[Macro, ...]:
 def _in_header(size: Size, problem: Problem) -> int | None:
     """What the header says of the number of states or parameters, if others stand behind those of the user."""
     inner = problem.inner
-    hidden = {"NX": inner.count, "NP": inner.data}.get(size.text, 0)
+    hidden = {"NX": inner.count, "NP": problem.data_behind}.get(size.text, 0)
     return size.value - hidden if hidden else None
 
 
@@ -458,6 +464,7 @@ def _description(
         report=report,
         ranges=ranges,
         algebraic=p.algebra.signals if p.algebra else (),
+        estimation=p.estimation,
         newton=p.newton_names,
         scales=tuple(round_scales([*sizes.z[: p.measured], *sizes.z[p.nx : p.nx + p.nu - p.inner.idle]])),
         row_scales=tuple(round_scales(sizes.rows)),

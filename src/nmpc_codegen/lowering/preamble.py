@@ -247,7 +247,8 @@ def kernel_call(
     elif routine.name.startswith("terminal_"):
         places, leading = {**everywhere, **TERMINAL_PLACES}, ["s"]
     elif routine.name.startswith("start_"):
-        places, leading = {**everywhere, **START_PLACES}, ["s"]
+        own = {name.removeprefix("start_"): text for name, text in kept.items() if name.startswith("start_")}
+        places, leading = {**everywhere, **START_PLACES, **own}, ["s"]
     elif routine.name.startswith(("coupled_", "initial_")):
         places, leading = everywhere, ["s"]
     else:

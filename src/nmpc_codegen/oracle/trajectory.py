@@ -211,7 +211,9 @@ def interval_map(problem: Problem, integrator: Tableau = CLASSICAL) -> Any:
 
 
 def with_maps(problem: Problem, end: Any, x: Any, u: Any, p: Any, dt: Any) -> Any:
-    """The end of an interval with the values of states that are maps."""
+    """The end of an interval with the values of states that are maps, and with noise."""
+    added = {i: u[j] for i, j in problem.noise}
+    end = ca.vertcat(*(end[i] + added.get(i, 0) for i in range(problem.nx)))
     if problem.jump is None:
         return end
     zeros = ca.DM.zeros(problem.np + problem.solved - p.numel())

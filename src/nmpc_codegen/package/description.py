@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nmpc_codegen.errors import ControllerError
+from nmpc_codegen.package.estimation import Estimation
 from nmpc_codegen.package.memory import INTEGERS, REAL, Field, Precision, Size, Struct
 from nmpc_codegen.package.opcount import OpCount
 from nmpc_codegen.package.program import Program
@@ -36,7 +37,7 @@ from nmpc_codegen.package.signals import (
 INTERFACE_SIZES = ("N", "NX", "NU", "NP", "NY", "NY_N", "NW", "NW_N", "NR")
 
 #: Version of the layout of <name>.json.
-FORMAT = 9
+FORMAT = 10
 
 DIMENSIONS = ("N", "NX", "NU", "NP", "NY", "NY_N", "NH", "NH_N", "NR")
 
@@ -121,6 +122,7 @@ class PackageDescription:
     inner: Inner = NOTHING_INNER  # states behind those of the user, in the struct alone
     algebraic: tuple[Signal, ...] = ()
     newton: tuple[str, ...] = ()  # variables that Newton's method solves for, derivatives of states among them
+    estimation: Estimation | None = None  # of an estimator
     ranges: Mapping[str, tuple[int, int]] = field(default_factory=dict)
     program: Program = field(default_factory=Program)
 
@@ -133,7 +135,8 @@ class PackageDescription:
     @property
     def interface(self) -> Mapping[str, int]:
         """The sizes as the header states them: NX and NP are the states and parameters of the user."""
-        behind = {"NX": self.inner.count, "NP": self.inner.data}
+        measured = 0 if self.estimation is None else self.estimation.data
+        behind = {"NX": self.inner.count, "NP": self.inner.data + measured}
         return {name: value - behind.get(name, 0) for name, value in self.sizes.items()}
 
     @property
@@ -205,6 +208,7 @@ class PackageDescription:
             "report": self.report.as_dict(),
             "program": asdict(self.program),
             "inner": asdict(self.inner),
+            "estimation": self.estimation and asdict(self.estimation),
         }
         for kind in ("states", "controls", "parameters", "algebraic", "residuals", "residuals_N"):
             entries[kind] = [_signal_entry(s) for s in entries[kind]]

@@ -88,6 +88,8 @@ class Features:
     inner: bool = False  # states behind the measured ones
     previous: bool = False  # some are controls of the node before
     timed: bool = False  # the last one is time
+    estimator: bool = False  # states follow from measurements
+    known_controls: bool = False  # of its plant
 
     # integrator
     implicit: bool = False  # stages are solved by Newton's method

@@ -38,6 +38,7 @@ from nmpc_codegen.runtime.cache import CACHE_VARIABLE, PRODUCT, entry, keep_fail
 from nmpc_codegen.runtime.compiled import CompiledPackage
 from nmpc_codegen.runtime.compilers import ask, environment, find_compiler
 from nmpc_codegen.runtime.controller import Controller
+from nmpc_codegen.runtime.estimation.observer import Observer
 from nmpc_codegen.runtime.native import check_target, flags_of_processor, macros_of
 from nmpc_codegen.targets import PORTABLE, TARGETS, Target
 
@@ -119,8 +120,26 @@ def load(
     Raises:
         OptionError: there is no such profile.
         BuildError: there is no compiler or no Python.h, the compiler rejects the code, or this machine cannot run it.
-        ControllerError: <name>.json is not a package description, or it does not describe this C code.
+        ControllerError: <name>.json is not the description of a controller, or it does not describe this C code.
     """
+    found = compile_package(files, name, profile, warnings_as_errors)
+    if found.description.estimation is not None:
+        raise ControllerError(f"{name} is an estimator; open_estimator() opens its folder")
+    return Controller(found)
+
+
+def load_estimator(files: Mapping[str, str], name: str, profile: str | Profile = "fast") -> Observer:
+    """The same for the package of an estimator."""
+    found = compile_package(files, name, profile)
+    if found.description.estimation is None:
+        raise ControllerError(f"{name} is a controller; open_package() opens its folder")
+    return Observer(found)
+
+
+def compile_package(
+    files: Mapping[str, str], name: str, profile: str | Profile, warnings_as_errors: bool = False
+) -> CompiledPackage:
+    """The compiled package; see load()."""
     chosen = get_profile(profile)
     missing = [f"{name}.{ext}" for ext in ("h", "c", "json") if f"{name}.{ext}" not in files]
     if missing:
@@ -137,7 +156,8 @@ def load(
     flags = (*chosen.all_flags(target), *(warnings_for(target) if warnings_as_errors else ()))
     path = compile_module(sources, name, flags, chosen.wrapper)
     ffi, lib = _import(name, path) if chosen.wrapper else _open(declarations(sources[f"{name}.h"], name), name, path)
-    return Controller(CompiledPackage(name, sources, description, chosen, ffi, lib, load))
+    reload = load if description.estimation is None else load_estimator
+    return CompiledPackage(name, sources, description, chosen, ffi, lib, reload)
 
 
 def load_library(

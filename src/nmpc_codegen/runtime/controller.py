@@ -8,19 +8,18 @@ pickling and saving copy these bytes. Use one controller per thread; C calls rel
 
 from __future__ import annotations
 
-import os
 from time import perf_counter_ns
-from typing import IO, TYPE_CHECKING, Any, Literal, Self
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from nmpc_codegen.errors import ControllerError
 from nmpc_codegen.package.status import Kkt, Stats, Status
-from nmpc_codegen.runtime import compiled, given
+from nmpc_codegen.runtime import given
 from nmpc_codegen.runtime.compiled import CompiledPackage
 from nmpc_codegen.runtime.diagnosis.diagnose import diagnosis
 from nmpc_codegen.runtime.diagnosis.foreign_names import OF_CONTROLLER, missing
+from nmpc_codegen.runtime.memory import OnFailure
 from nmpc_codegen.runtime.records.show import in_html, in_one_line
 from nmpc_codegen.runtime.setters import Setters
 from nmpc_codegen.runtime.solving import Globalization, Solution, solve
@@ -28,7 +27,6 @@ from nmpc_codegen.runtime.solving import Globalization, Solution, solve
 __all__ = ["CompiledPackage", "Controller", "Kkt", "Solution", "Stats", "Status"]
 
 Array = NDArray[Any]
-OnFailure = Literal["status", "raise"]
 
 
 class Controller(Setters):
@@ -172,42 +170,7 @@ class Controller(Setters):
                 return of_class.__get__(self)
             raise missing("Controller", attribute, OF_CONTROLLER, dir(type(self)))
 
-    # -- copies -----------------------------------------------------------------------------------------------------
-
-    def copy(self) -> Self:
-        """An independent controller in the same state."""
-        twin = type(self)(self._package)
-        twin._memory[:] = self._memory
-        return twin
-
-    __copy__ = copy
-
-    def __deepcopy__(self, memo: object) -> Self:
-        return self.copy()
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        package = self._package
-        state = self._memory.tobytes()
-        return compiled.restore, (package.reload, dict(package.files), package.name, package.profile, state)
-
-    def save(self, file: str | os.PathLike[str] | IO[bytes]) -> None:
-        """Write the state, the bytes of the struct and the fingerprint of its package, as an .npz archive."""
-        compiled.write_state(file, self._package.fingerprint, self._memory)
-
-    def load(self, file: str | os.PathLike[str] | IO[bytes]) -> None:
-        """Load a state that save() wrote; it must come from the same C package, but the profile may differ."""
-        self._memory[:] = compiled.read_state(file, self._package, self._memory.shape)
-
     # -- inner ------------------------------------------------------------------------------------------------------
-
-    def _judge(self, status: int, call: str, on_failure: OnFailure) -> Status:
-        judged = Status(status)
-        if on_failure == "raise" and judged.is_failure:
-            why = self.diagnose() if self.status == judged else str(judged)
-            raise ControllerError(f"{self._package.name}.{call}: {why}")
-        if on_failure not in ("raise", "status"):
-            raise ControllerError(f"on_failure is {on_failure!r}; allowed: 'status', 'raise'")
-        return judged
 
     def _measure(self, xhat: ArrayLike) -> None:
         """Copy the measured state to the buffer that C reads. NaN is passed on, as the C code handles it."""

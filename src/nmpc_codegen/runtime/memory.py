@@ -1,10 +1,12 @@
-"""The memory of a controller: NumPy views on the C struct, what is read from it, and the functions of its package."""
+"""The memory of a controller or estimator: NumPy views on the C struct, what is read from it, its copies and files, and
+the functions of its package."""
 
 from __future__ import annotations
 
 import math
+import os
 from functools import cached_property
-from typing import Any
+from typing import IO, Any, Literal, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,6 +20,7 @@ from nmpc_codegen.runtime.compiled import CompiledPackage
 from nmpc_codegen.runtime.multipliers import RowMultipliers
 
 Array = NDArray[Any]
+OnFailure = Literal["status", "raise"]
 
 #: Stats of an algorithm without counters.
 _NO_COUNTS = {**dict.fromkeys((*compiled.COUNTERS, *compiled.NEWTON), 0), "violation": 0.0}
@@ -247,7 +250,46 @@ class Memory:
             return Status(self._call("step", self._s, self._xhat_c, self._u0_c))
         return Status(self._call("prepare", self._s) or self._call("feedback", self._s, self._xhat_c, self._u0_c))
 
+    # -- copies -----------------------------------------------------------------------------------------------------
+
+    def copy(self) -> Self:
+        """An independent one in the same state."""
+        twin = type(self)(self._package)
+        twin._memory[:] = self._memory
+        return twin
+
+    __copy__ = copy
+
+    def __deepcopy__(self, memo: object) -> Self:
+        return self.copy()
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        package = self._package
+        state = self._memory.tobytes()
+        return compiled.restore, (package.reload, dict(package.files), package.name, package.profile, state)
+
+    def save(self, file: str | os.PathLike[str] | IO[bytes]) -> None:
+        """Write the state, the bytes of the struct and the fingerprint of its package, as an .npz archive."""
+        compiled.write_state(file, self._package.fingerprint, self._memory)
+
+    def load(self, file: str | os.PathLike[str] | IO[bytes]) -> None:
+        """Load a state that save() wrote; it must come from the same C package, but the profile may differ."""
+        self._memory[:] = compiled.read_state(file, self._package, self._memory.shape)
+
     # -- calls and their arguments -------------------------------------------------------------------------------------
+
+    def diagnose(self) -> str:
+        """Why the last call was not OK."""
+        raise NotImplementedError
+
+    def _judge(self, status: int, call: str, on_failure: OnFailure) -> Status:
+        judged = Status(status)
+        if on_failure == "raise" and judged.is_failure:
+            why = self.diagnose() if self.status == judged else str(judged)
+            raise ControllerError(f"{self._package.name}.{call}: {why}")
+        if on_failure not in ("raise", "status"):
+            raise ControllerError(f"on_failure is {on_failure!r}; allowed: 'status', 'raise'")
+        return judged
 
     def _functions(self, *names: str) -> tuple[Any, ...] | None:
         """The entry points of these names, looked up once; None if one of them does not exist."""

@@ -7,10 +7,13 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import msgspec
+
 from nmpc_codegen.errors import BuildError
 from nmpc_codegen.package.seal import LARGEST, has_seal, intact, package_of
-from nmpc_codegen.runtime.build import load
+from nmpc_codegen.runtime.build import load, load_estimator
 from nmpc_codegen.runtime.controller import Controller
+from nmpc_codegen.runtime.estimation.observer import Observer
 
 
 def open_package(directory: str | Path, profile: str = "fast", name: str | None = None) -> Controller:
@@ -23,13 +26,28 @@ def open_package(directory: str | Path, profile: str = "fast", name: str | None 
         BuildError: the folder does not contain that package, or not exactly one <name>.json with <name>.h and <name>.c;
             the three come from different exports; a file cannot be read; the package is for another machine than this
             one; or the compiler rejects the code.
-        ControllerError: <name>.json is not a package description, or it does not describe this C code.
+        ControllerError: <name>.json is not the description of a controller, or it does not describe this C code.
     """
+    files, prefix = _files(directory, name, estimator=False)
+    return load(files, prefix, profile)
+
+
+def open_estimator(directory: str | Path, profile: str = "fast", name: str | None = None) -> Observer:
+    """Compile and load the estimator of an exported folder, under the rules of open_package()."""
+    files, prefix = _files(directory, name, estimator=True)
+    return load_estimator(files, prefix, profile)
+
+
+def _files(directory: str | Path, name: str | None, estimator: bool) -> tuple[dict[str, str], str]:
+    """The files of the package in a folder, and its name; of several packages of which one is an estimator, that of the
+    wanted kind."""
     folder = Path(directory)
     try:
         found = [j for j in sorted(folder.glob("*.json")) if j.with_suffix(".h").exists() and name in (None, j.stem)]
     except OSError as error:
         raise BuildError(f"{folder} cannot be read: {error.strerror or error}") from error
+    if len(found) > 1 and name is None:
+        found = [j for j in found if _is_estimator(j) == estimator]
     if len(found) != 1:
         names = ", ".join(j.name for j in found) or "none"
         wanted = "one package" if name is None else f"the package {name!r}"
@@ -48,7 +66,15 @@ def open_package(directory: str | Path, profile: str = "fast", name: str | None 
     data = files[paths[2].name].encode()
     if has_seal(data) and not intact(data):
         raise BuildError(f"{paths[2]}: edited since export() wrote it: export the package again")
-    return load(files, prefix, profile)
+    return files, prefix
+
+
+def _is_estimator(path: Path) -> bool:
+    """Whether a package description, if it is one, has measurements."""
+    try:
+        return msgspec.json.decode(_read(path)).get("estimation") is not None
+    except (msgspec.MsgspecError, AttributeError):
+        return False
 
 
 def _read(path: Path) -> str:

@@ -36,7 +36,7 @@ from nmpc_codegen.components.algorithms.shifts import (
     with_shift,
 )
 from nmpc_codegen.components.allowed import Number, Whole, Words, check_options, option
-from nmpc_codegen.components.base import EVERY_USE, NONLINEAR, Core, Defaults, Dims, Extra, Seam
+from nmpc_codegen.components.base import EVERY_USE, MEASUREMENTS, NONLINEAR, Core, Defaults, Dims, Extra, Seam
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.cmodule import Table
@@ -133,7 +133,12 @@ class AdjointShooting(Defaults):
     template: ClassVar[str] = "algorithms/adjoint_shooting.c"
     needs: ClassVar[tuple[Seam, ...]] = ("integrator",)
     core: ClassVar[frozenset[Core]] = frozenset({"directions", "kkt"})
-    supports: ClassVar[frozenset[str]] = EVERY_USE - {"free initial state", "rows with an infinite penalty", NONLINEAR}
+    supports: ClassVar[frozenset[str]] = EVERY_USE - {
+        "free initial state",
+        "rows with an infinite penalty",
+        NONLINEAR,
+        MEASUREMENTS,
+    }
 
     def __post_init__(self) -> None:
         check_options(self, self.seam)

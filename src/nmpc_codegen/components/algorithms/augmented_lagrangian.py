@@ -43,7 +43,7 @@ from nmpc_codegen.components.algorithms.shifts import (
     with_shift,
 )
 from nmpc_codegen.components.allowed import Number, Whole, Words, check_options, option
-from nmpc_codegen.components.base import EVERY_USE, Core, Defaults, Dims, Extra, Parts, Seam
+from nmpc_codegen.components.base import EVERY_USE, MEASUREMENTS, Core, Defaults, Dims, Extra, Parts, Seam
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.cmodule import Table
@@ -102,7 +102,11 @@ class AugmentedLagrangian(Defaults):
     template: ClassVar[str] = "algorithms/augmented_lagrangian.c"
     needs: ClassVar[tuple[Seam, ...]] = ("integrator", "hessian")
     core: ClassVar[frozenset[Core]] = frozenset({"nodes", "multipliers", "kkt"})
-    supports: ClassVar[frozenset[str]] = EVERY_USE - {"blocks of controls", "rows with an infinite penalty"}
+    supports: ClassVar[frozenset[str]] = EVERY_USE - {
+        "blocks of controls",
+        "rows with an infinite penalty",
+        MEASUREMENTS,
+    }
 
     def __post_init__(self) -> None:
         check_options(self, self.seam)

@@ -27,7 +27,18 @@ from nmpc_codegen.components.algorithms.shifts import (
     with_shift,
 )
 from nmpc_codegen.components.allowed import Flag, Number, Whole, Words, check_options, option
-from nmpc_codegen.components.base import EVERY_USE, Core, Counts, Defaults, Dims, Extra, Parts, Seam, spell
+from nmpc_codegen.components.base import (
+    EVERY_USE,
+    MEASUREMENTS,
+    Core,
+    Counts,
+    Defaults,
+    Dims,
+    Extra,
+    Parts,
+    Seam,
+    spell,
+)
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.cmodule import Table
@@ -176,7 +187,7 @@ class RealTimeIteration(Defaults):
     template: ClassVar[str] = "algorithms/real_time_iteration.c"
     needs: ClassVar[tuple[Seam, ...]] = ("integrator", "hessian", "condensing", "qp")
     core: ClassVar[frozenset[Core]] = frozenset({"nodes", "multipliers", "products", "kkt"})
-    supports: ClassVar[frozenset[str]] = EVERY_USE
+    supports: ClassVar[frozenset[str]] = EVERY_USE - {MEASUREMENTS}
 
     def __post_init__(self) -> None:
         check_options(self, self.seam)

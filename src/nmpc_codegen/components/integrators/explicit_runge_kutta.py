@@ -21,10 +21,12 @@ from nmpc_codegen.components.integrators.explicit.forward_over_adjoint import Ad
 from nmpc_codegen.components.integrators.explicit.products import IntervalSweeps
 from nmpc_codegen.components.integrators.explicit.quadrature import Quadrature
 from nmpc_codegen.components.integrators.explicit.symmetric import ThreeSweeps
-from nmpc_codegen.components.integrators.jump import jump_kernel, jump_rows_kernel, with_jump
+from nmpc_codegen.components.integrators.jump import jump_kernel, jump_rows_kernel, with_end
+from nmpc_codegen.components.integrators.noise import noise_tables
 from nmpc_codegen.components.integrators.tableau import RK4, TABLEAUS, ButcherTableau
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.frontend.problem import Problem
+from nmpc_codegen.ir.cmodule import Table
 from nmpc_codegen.ir.kernel import Port
 from nmpc_codegen.ir.model import Interval, IntervalProducts
 from nmpc_codegen.ir.passes import expand_steps, fuse_steps
@@ -103,8 +105,9 @@ class ExplicitRungeKutta(Defaults):
     def interval(self, problem: Problem) -> Interval:
         """interval(x, u, p, dt -> x_next, S) and step(x, u, p, h -> x_next)."""
         sensitivities = Sensitivities(problem, self.tableau, self.steps)
-        interval = self._unroll(with_jump(sensitivities.sweep(), problem))
+        interval = self._unroll(with_end(sensitivities.sweep(), problem))
         loops = isinstance(interval, LoopedRoutine) and interval.count.total <= STEP_OPERATIONS * self.steps
+        loops = loops and not problem.noise  # lanes would add it to every step
         one_step = lift_straight(sensitivities.sweep("integrator_one_step", 1)) if loops else None
         step = lift_straight(step_sweep(problem, self.tableau))
         return Interval(
@@ -115,16 +118,16 @@ class ExplicitRungeKutta(Defaults):
         """The value of an interval, and products with its Jacobians that do not form them."""
         sweeps = IntervalSweeps(problem, self.tableau, self.steps)
         return IntervalProducts(
-            self._unroll(with_jump(sweeps.value(), problem)),
-            self._backward(with_jump(sweeps.adjoint(), problem)),
-            self._unroll(with_jump(sweeps.columns(forced=True), problem)),
-            self._unroll(with_jump(sweeps.columns(forced=False), problem)),
+            self._unroll(with_end(sweeps.value(), problem)),
+            self._backward(with_end(sweeps.adjoint(), problem)),
+            self._unroll(with_end(sweeps.columns(forced=True), problem)),
+            self._unroll(with_end(sweeps.columns(forced=False), problem)),
         )
 
     def directional(self, problem: Problem) -> tuple[Routine, Routine]:
         """forward(x, u, p, dt, dx, du -> dx_next) and adjoint(x, u, p, dt, adj -> g)."""
         sweeps = Directional(problem, self.tableau, self.steps)
-        forward, adjoint = (with_jump(sweep, problem) for sweep in (sweeps.forward(), sweeps.adjoint()))
+        forward, adjoint = (with_end(sweep, problem) for sweep in (sweeps.forward(), sweeps.adjoint()))
         return self._unroll(forward), self._backward(adjoint)
 
     def lift_hessian(self, problem: Problem, scheme: str, name: str, start: Call, more: tuple[Port, ...]) -> Routine:
@@ -148,7 +151,7 @@ class ExplicitRungeKutta(Defaults):
             columns=b.row_lengths(),
             steps=self.steps,
         )
-        sweep = with_jump(sweep, problem)
+        sweep = with_end(sweep, problem)
         self._refuse_long(name, sweep.locals)
         if self.unroll == "step":
             return lift_loops(fuse_steps(sweep))
@@ -213,6 +216,10 @@ class ExplicitRungeKutta(Defaults):
             if len(program.instructions) <= AUTO_INSTRUCTIONS:
                 return program
         return rolled
+
+    def tables(self, problem: Problem) -> tuple[Table, ...]:
+        """Where noise acts."""
+        return noise_tables(problem)
 
     def sizes(self, dims: Dims) -> tuple[tuple[str, int, str], ...]:
         return (("STEPS", self.steps, "Runge-Kutta steps per interval"),)

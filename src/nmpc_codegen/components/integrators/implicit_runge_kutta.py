@@ -21,6 +21,7 @@ from nmpc_codegen.components.integrators.implicit.intervals import Intervals
 from nmpc_codegen.components.integrators.implicit.stage_kernels import StageKernels
 from nmpc_codegen.components.integrators.implicit.trial import Trial
 from nmpc_codegen.components.integrators.jump import jump_kernel, jump_rows_kernel
+from nmpc_codegen.components.integrators.noise import noise_tables
 from nmpc_codegen.components.integrators.tableau import IMPLICIT, SDIRK3, ButcherTableau
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.frontend.problem import Array, Problem
@@ -191,6 +192,7 @@ class ImplicitRungeKutta(Defaults):
             Table("bent_variable", "int", curved, "variables of a stage and controls in which it is nonlinear"),
             Table("bent_count", "int", (len(curved),), "their number"),
             *_start_table(problem),
+            *noise_tables(problem),
         )
 
     def sizes(self, dims: Dims) -> tuple[tuple[str, int, str], ...]:

@@ -16,6 +16,7 @@ from typing import TypeVar
 
 import casadi as ca
 
+from nmpc_codegen.components.integrators.noise import with_noise
 from nmpc_codegen.frontend.problem import Problem, symbols
 from nmpc_codegen.ir.casadi_types import Expression, nonzeros
 from nmpc_codegen.ir.kernel import Kernel, Port, lift
@@ -73,7 +74,12 @@ def without_solution(problem: Problem, p: Expression) -> Expression:
     return ca.vertcat(p, ca.SX.zeros(problem.solved))
 
 
-def with_jump(sweep: Sweep, problem: Problem) -> Sweep:
+def with_end(sweep: Sweep, problem: Problem) -> Sweep:
+    """The sweep of an interval with what happens at its end: maps of a node, and noise."""
+    return with_noise(_with_jump(sweep, problem), problem)
+
+
+def _with_jump(sweep: Sweep, problem: Problem) -> Sweep:
     """The sweep of an interval with what the maps add to it."""
     if problem.jump is None:
         return sweep

@@ -32,7 +32,7 @@ def tables(model: Model, routines: Sequence[Routine]) -> tuple[Table, ...]:
 
     longest_step = model.parts.integrator.longest_step(p)
     first = np.searchsorted([r[0] for r in rows], range(p.N + 2))
-    offsets = [s.offset for s in p.own_parameters] + [p.np - p.inner.data]
+    offsets = [s.offset for s in p.own_parameters] + [p.np - p.data_behind]
     found = (
         real("interval_length", p.dt, "dt_k"),
         *([] if p.discrete else [real("step_length", [longest_step], "longest integration step")]),

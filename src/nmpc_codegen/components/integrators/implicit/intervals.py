@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from nmpc_codegen.components.integrators.explicit.directional import ADJOINT, ADJOINT_DOC, FORWARD, FORWARD_DOC
 from nmpc_codegen.components.integrators.implicit.counts import Counts
 from nmpc_codegen.components.integrators.implicit.stage_kernels import StageKernels
-from nmpc_codegen.components.integrators.jump import with_jump
+from nmpc_codegen.components.integrators.jump import with_end
 from nmpc_codegen.components.integrators.tableau import ButcherTableau
 from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.kernel import Port
@@ -71,7 +71,7 @@ class Intervals:
         scratch: tuple[tuple[str, int], ...] = (),
     ) -> LoopedRoutine:
         sweep = Sweep(name, doc, (*self._ports(length, body), *more), outputs, scratch, body)
-        return lift_loops(with_jump(sweep, self.problem) if jumps else sweep)
+        return lift_loops(with_end(sweep, self.problem) if jumps else sweep)
 
     @property
     def _S(self) -> Mapping[str, frozenset[int]]:

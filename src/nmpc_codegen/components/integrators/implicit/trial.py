@@ -54,6 +54,8 @@ class Trial:
             rows = list(self.problem.maps)
             value, slopes = self.problem.jump_slopes(start, u, [*p, *np.zeros(self.problem.solved)], dt)
             x[rows], S[rows] = value.full().ravel(), slopes.full()
+        for i, j in self.problem.noise:
+            x[i], S[i, nx + j] = x[i] + u[j], 1.0
         return End(x, S, left)
 
     def _step(

@@ -1,0 +1,111 @@
+"""What both estimators have in common: entry points, tables and members of the square-root filter."""
+
+from __future__ import annotations
+
+from nmpc_codegen.components.base import Dims, spell
+from nmpc_codegen.errors import OptionError
+from nmpc_codegen.frontend.problem import Problem
+from nmpc_codegen.frontend.scales import scales
+from nmpc_codegen.ir.cmodule import Table
+from nmpc_codegen.package.estimation import Estimation, EstimatorKind
+from nmpc_codegen.package.features import Features
+from nmpc_codegen.package.memory import Field, Struct
+from nmpc_codegen.package.signals import Argument, EntryPoint
+
+#: Least standard deviation of what is known before the window, relative to the scale of a state: the cost is its
+#: inverse.
+LEAST_STD = 1e-6
+
+_Y, _U, _XHAT = (Argument("y", "real", ("NM",)), Argument("u", "real", ("NIN",)), Argument("xhat", "real", ("NX",)))
+_P = Argument("P", "real", ("NX * NX",))
+_ESTIMATE = (
+    "A sample: xhat, the state at the time of the measurements y, of which NaN is a missing one; {of_u}xhat is finite "
+    "on every return. After a failure it is that of the filter along the same measurements."
+)
+_PARAMETERS = (
+    " Parameters that are set at node s->window hold from the present sample on; the window keeps those that held "
+    "before."
+)
+_OF_U = "u: the controls since the last sample, in the first one for measurements that contain them. "
+CORRECT = EntryPoint(
+    "correct",
+    "Measurements that come late: those that are not NaN take the place of those of `age` samples ago, and xhat is the "
+    "present state with them. BAD_INDEX if the window does not reach back so far.",
+    (_Y, Argument("age", "int")),
+    (_XHAT,),
+)
+COVARIANCE = EntryPoint("covariance", "Covariance P of the error of the last estimate.", (), (_P,))
+RESTART = EntryPoint(
+    "restart",
+    "Forget all measurements: the next sample begins at x0 with the covariance P0, symmetric and positive "
+    "semidefinite; BAD_ARGUMENT if it is not.",
+    (Argument("x0", "real", ("NX",)), Argument("P0", "real", ("NX * NX",))),
+)
+
+
+def estimate(features: Features) -> EntryPoint:
+    """The function of a sample; a plant without controls has no argument u."""
+    known = features.known_controls
+    inputs = (_Y, *((_U,) if known else ()))
+    doc = _ESTIMATE.format(of_u=_OF_U if known else "")
+    more = _PARAMETERS if features.set_parameter and features.has_qp else ""
+    return EntryPoint("estimate", doc + more, inputs, (_XHAT,))
+
+
+def check(algorithm: object, problem: Problem, kind: EstimatorKind) -> None:
+    """Raise OptionError unless the problem is that of an estimator of this kind."""
+    found = problem.estimation
+    if found is None:
+        raise OptionError(
+            f"algorithm {spell(type(algorithm))} estimates states from measurements, and {problem.name} is a "  # type: ignore[arg-type]
+            "controller; expected build(ocp.estimator(...))"
+        )
+    if found.kind != kind:
+        raise OptionError(
+            f"algorithm {spell(type(algorithm))} is that of kind={kind!r}, and {problem.name} is stated with "  # type: ignore[arg-type]
+            f"kind={found.kind!r}; leave algorithm out"
+        )
+
+
+def tables(problem: Problem) -> tuple[Table, ...]:
+    """Standard deviations, and thresholds of outliers."""
+    e = _of(problem)
+    least = LEAST_STD * scales(problem).z[: problem.nx]
+    return (
+        Table("process_std", "real", e.process_std, "standard deviations of the noise"),
+        Table("initial_std", "real", e.initial_std, "and of the initial state"),
+        Table("least_std", "real", tuple(float(f"{v:.3g}") for v in least), "least ones of what is known of a state"),
+        Table("accuracy", "real", tuple(1.0 / v for v in e.noise_std), "1 / standard deviation of a measurement"),
+        Table("threshold", "real", e.thresholds, "errors beyond so many of them are outliers; 0: none are"),
+    )
+
+
+def _of(problem: Problem) -> Estimation:
+    assert problem.estimation is not None
+    return problem.estimation
+
+
+def sizes(dims: Dims) -> tuple[tuple[str, int, str], ...]:
+    """Where the data of measurements stand among the parameters of a node."""
+    e = dims.estimation
+    u, before, y, accuracy = (0, 0, 0, 0) if e is None else e.places
+    return (
+        ("AT_U", u, "place of the controls among the parameters of a node"),
+        ("AT_BEFORE", before, "of those of the interval before"),
+        ("HAS_BEFORE", int(e is not None and e.before), "1: the node has these"),
+        ("AT_Y", y, "of the measurements"),
+        ("AT_ACCURACY", accuracy, "of their accuracy, 0 for a missing one"),
+        ("HUBER", int(e is not None and any(e.thresholds)), "1: outliers are expected"),
+    )
+
+
+def filter_struct(dims: Dims) -> Struct:
+    """A mean and a factor of its covariance."""
+    return Struct(
+        "filter",
+        "square-root Kalman filter",
+        (
+            Field("mean", (dims.nx,), "expected state", "keep"),
+            Field("L", (dims.nx, dims.nx), "factor of its covariance L L'", "keep"),
+        ),
+    )

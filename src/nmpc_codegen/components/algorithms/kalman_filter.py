@@ -1,0 +1,77 @@
+"""The extended Kalman filter in square-root form: no plan, no QP.
+
+    xhat, L with P = L L', for every measurement y_i with the standard deviation sigma_i:
+        e = y_i - h_i(xhat),  f = L' (dh_i/dx)',  s = sigma_i^2 + f'f:   xhat += L f e / s,
+        L -= L f f' / (s + sqrt(s) sigma_i)
+    to the next sample:  xhat = Phi(xhat, u),   [L 0] Q = [A L, B diag(std)] by reflections
+
+States are clipped to the bounds of rows that are bare states.
+
+Kaminski, Bryson and Schmidt, Discrete square root filtering, IEEE TAC 16 (1971); the first two lines are Potter's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import ClassVar
+
+import nmpc_codegen.components.algorithms.estimation as measuring
+from nmpc_codegen.components.base import MEASUREMENTS, Core, Defaults, Dims, Seam
+from nmpc_codegen.frontend.problem import Problem
+from nmpc_codegen.ir.cmodule import Table
+from nmpc_codegen.package.features import Features
+from nmpc_codegen.package.memory import Field, Struct
+from nmpc_codegen.package.signals import EntryPoint
+
+
+@dataclass(frozen=True)
+class KalmanFilter(Defaults):
+    """The extended Kalman filter, the algorithm of ``ocp.estimator(..., kind="ekf")``; it has no options."""
+
+    seam: ClassVar[Seam] = "algorithm"
+    name: ClassVar[str] = "kalman_filter"
+    template: ClassVar[str] = "algorithms/kalman_filter.c"
+    needs: ClassVar[tuple[Seam, ...]] = ("integrator",)
+    core: ClassVar[frozenset[Core]] = frozenset()
+    supports: ClassVar[frozenset[str]] = frozenset({MEASUREMENTS, "free initial state", "soft rows", "discrete states"})
+
+    @property
+    def shift(self) -> None:
+        """The estimator moves its data itself."""
+        return
+
+    @property
+    def sampling_time(self) -> None:
+        """It is the interval of the problem."""
+        return
+
+    def check(self, problem: Problem) -> None:
+        """Raise OptionError unless the problem is that of a filter."""
+        measuring.check(self, problem, "ekf")
+
+    def default(self, seam: Seam) -> str | None:
+        return None
+
+    def entries(self, features: Features) -> tuple[EntryPoint, ...]:
+        """A sample, the covariance, a new start."""
+        return (measuring.estimate(features), measuring.COVARIANCE, measuring.RESTART)
+
+    def tables(self, problem: Problem) -> tuple[Table, ...]:
+        """Standard deviations, and the bounds to which states are clipped."""
+        bounds = [-1] * problem.nx
+        for number, row in enumerate(problem.rows):
+            bounds[row.index] = number
+        clipped = Table("bound_of_state", "int", tuple(bounds), "row that bounds a state, or -1")
+        return (*measuring.tables(problem), clipped)
+
+    def sizes(self, dims: Dims) -> tuple[tuple[str, int, str], ...]:
+        return measuring.sizes(dims)
+
+    def ranges(self, dims: Dims) -> Mapping[str, tuple[int, int]]:
+        return {}
+
+    def structs(self, dims: Dims) -> tuple[Struct, ...]:
+        """The filter."""
+        samples = Field("samples", (), "samples since init, reset or restart", "keep", "int32")
+        return (measuring.filter_struct(dims), Struct("solver", "", (samples,)))

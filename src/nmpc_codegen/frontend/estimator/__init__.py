@@ -1,0 +1,1 @@
+"""Estimators: their statement, and the problem that they solve."""

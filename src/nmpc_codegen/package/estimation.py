@@ -1,0 +1,74 @@
+"""What the package of an estimator knows of measurements, besides what every package has."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+from nmpc_codegen.package.signals import Signal
+
+EstimatorKind = Literal["mhe", "ekf"]
+
+
+@dataclass(frozen=True)
+class Estimation:
+    """The estimator of x from y_k = h(x_k, u_{k-1}, p_k) + noise, x_{k+1} = Phi(x_k, u_k, p_k, w_k).
+
+    ``measured``: the measurements y; ``inputs``: the controls u of the plant; ``noise_std`` (ny,), ``process_std``
+    (nw,), ``initial_std`` (nx,): standard deviations of the noise, of w, and of x_0; ``thresholds`` (ny,): of Huber's
+    loss in standard deviations, 0: squares. ``unknown``: parameters of the OCP that are states here, behind its own.
+
+    Behind the parameters of the user, of which there are ``own``, a node has the controls u_k, u_{k-1} if ``before``,
+    y_k, and the inverse standard deviations of y_k, 0 for what is missing.
+    """
+
+    kind: EstimatorKind
+    measured: tuple[Signal, ...]
+    inputs: tuple[Signal, ...]
+    noise_std: tuple[float, ...]
+    process_std: tuple[float, ...]
+    initial_std: tuple[float, ...]
+    thresholds: tuple[float, ...]
+    unknown: tuple[str, ...]
+    own: int
+    before: bool
+
+    @property
+    def measurements(self) -> tuple[str, ...]:
+        """Names of the elements of y."""
+        return _elements(self.measured)
+
+    @property
+    def controls(self) -> tuple[str, ...]:
+        """Names of the elements of u."""
+        return _elements(self.inputs)
+
+    @property
+    def ny(self) -> int:
+        return len(self.measurements)
+
+    @property
+    def nu(self) -> int:
+        return len(self.controls)
+
+    @property
+    def signals(self) -> int:
+        """Number of the signals behind the parameters of the user."""
+        return len(self.inputs) * (1 + self.before) + 2 * len(self.measured)
+
+    @property
+    def data(self) -> int:
+        """Number of their elements."""
+        return self.nu * (1 + self.before) + 2 * self.ny
+
+    @property
+    def places(self) -> tuple[int, int, int, int]:
+        """Positions among the parameters of a node: u_k, u_{k-1}, y_k, their accuracy."""
+        before = self.own + self.nu
+        first = before + self.nu * self.before
+        return self.own, before, first, first + self.ny
+
+
+def _elements(signals: Sequence[Signal]) -> tuple[str, ...]:
+    return tuple(e for s in signals for e in s.elements)

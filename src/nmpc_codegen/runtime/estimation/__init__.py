@@ -1,0 +1,1 @@
+"""Estimators in Python, and their loops."""

@@ -1,0 +1,190 @@
+"""A compiled estimator: NumPy views on the C struct, and the calls of the C package.
+
+xhat = step(y, u)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from time import perf_counter_ns
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from nmpc_codegen.errors import ControllerError
+from nmpc_codegen.package.estimation import Estimation
+from nmpc_codegen.package.signals import members
+from nmpc_codegen.package.status import Status
+from nmpc_codegen.runtime.compiled import CompiledPackage
+from nmpc_codegen.runtime.memory import OnFailure
+from nmpc_codegen.runtime.setters import Setters
+
+Array = NDArray[Any]
+#: Numbers in the order of the elements, or {name of an element or of a vector: numbers}.
+Named = ArrayLike | Mapping[str, ArrayLike]
+
+
+class Observer(Setters):
+    """An estimator with its memory, which build() or open_package() creates ready to step.
+
+    ``estimation`` describes measurements and noise; ``names.states`` names the elements of the estimate.
+    """
+
+    def __init__(self, package: CompiledPackage) -> None:
+        super().__init__(package)
+        assert package.description.estimation is not None
+        self.estimation: Estimation = package.description.estimation
+        self._y, self._y_c = self._buffer(self.estimation.ny)
+        self._u, self._u_c = self._buffer(self.estimation.nu)
+        self._estimate = package.function("estimate")
+
+    def step(self, y: Named, u: Named | None = None, on_failure: OnFailure = "status") -> Array:
+        """Take a sample: move to the present measurements and estimate the state there.
+
+        Args:
+            y: measurements (ny,), of which NaN is a missing one, or {name: value}, where what is not named is missing.
+            u: controls (nu,) that have acted since the last sample, or {name: value} of all of them. In the first
+                sample they matter only where measurements contain controls; a plant without controls has none.
+            on_failure: "status" stores the outcome in ``status``; "raise" raises ControllerError after a failure.
+
+        Returns:
+            Estimate (nx,): the states, then the unknown parameters; a new array, finite whatever the status.
+        """
+        self._take(y)
+        first = int(self._struct["samples"]) == 0
+        if self.estimation.nu and u is None and not first:
+            names = ", ".join(self.estimation.controls)
+            raise ControllerError(f"{self._package.name}.step: expected u, the controls since the last sample: {names}")
+        if u is not None:
+            self._u[:] = self._stack("u", u, self.estimation.controls)
+            if isinstance(u, Mapping) and np.any(absent := np.isnan(self._u)):
+                missing = self.estimation.controls[int(np.argmax(absent))]
+                raise ControllerError(f"{self._package.name}.step: u has no {missing!r}")
+        controls = (self._u_c,) if self.estimation.nu else ()
+        start = perf_counter_ns()
+        status = self._estimate(self._s, self._y_c, *controls, self._xhat_c)
+        self._feedback_ns = perf_counter_ns() - start
+        self._judge(status, "step", on_failure)
+        return self._xhat.copy()
+
+    def correct(self, y: Named, node: int = 0, on_failure: OnFailure = "status") -> Array:
+        """Take measurements that come late, and estimate the present state again.
+
+        Args:
+            y: as in step(); what is not missing takes the place of what was measured then.
+            node: the sample that they belong to, counted from the present one: 0, -1 for the last one, ...; the window
+                must reach back so far.
+            on_failure: as in step().
+
+        Returns:
+            Estimate (nx,) of the present state.
+        """
+        if isinstance(node, bool) or not isinstance(node, int | np.integer):
+            raise ControllerError(f"{self._package.name}.correct: node is {node!r}; expected an integer <= 0")
+        if self.estimation.kind == "ekf":
+            raise ControllerError(f"{self._package.name}.correct: a filter keeps no sample; expected kind='mhe'")
+        back = self.nodes - 1
+        if not -back <= node <= 0:
+            raise ControllerError(f"{self._package.name}.correct: node is {node}; the window has -{max(back, 0)} .. 0")
+        self._take(y)
+        start = perf_counter_ns()
+        status = self._call("correct", self._s, self._y_c, -int(node), self._xhat_c)
+        self._feedback_ns = perf_counter_ns() - start
+        self._judge(status, "correct", on_failure)
+        return self._xhat.copy()
+
+    def reset(self, x0: ArrayLike | None = None, P0: ArrayLike | None = None) -> None:
+        """Forget all measurements.
+
+        Args:
+            x0: (nx,) expected state at the next sample; None: the declared initial state.
+            P0: (nx, nx) covariance of its error; None: that of the declared standard deviations.
+        """
+        nx = self.dims.nx
+        start = self.description.x_initial if x0 is None else self._array("x0", x0, (nx,))
+        P = np.diag(np.square(self.estimation.initial_std)) if P0 is None else self._array("P0", P0, (nx, nx))
+        status = self._call("restart", self._s, self._pointer(np.asarray(start)), self._pointer(np.asarray(P)))
+        if status == Status.BAD_ARGUMENT:
+            raise ControllerError("reset: P0 is not symmetric and positive semidefinite")
+        self._expect(status, "reset")
+
+    def set_parameter(self, name: str, value: ArrayLike, node: int | None = None) -> None:
+        """Set the value of a parameter from the present sample on; the window keeps what held before.
+
+        Args:
+            name: as in Controller.set_parameter().
+            value: as there.
+            node: a node of the window, 0 .. nodes - 1; None: the present one.
+        """
+        super().set_parameter(name, value, self._from_now_on(node))
+
+    def set_parameters(self, values: Any = None, /, *, node: int | None = None, **more: ArrayLike) -> None:
+        """Set several parameters from the present sample on; see Controller.set_parameters()."""
+        super().set_parameters(values, node=self._from_now_on(node), **more)
+
+    # -- what is known about it ---------------------------------------------------------------------------------------
+
+    @property
+    def covariance(self) -> Array:
+        """Covariance (nx, nx) of the error of the last estimate, where model and noise are what is declared."""
+        P, P_c = self._buffer(self.dims.nx**2)
+        self._call("covariance", self._s, P_c)
+        return P.reshape(self.dims.nx, self.dims.nx)
+
+    @property
+    def std(self) -> Array:
+        """Standard deviations (nx,) of the last estimate: the roots of the diagonal of its covariance."""
+        return np.asarray(np.sqrt(np.diag(self.covariance)))
+
+    @property
+    def nodes(self) -> int:
+        """Number of the nodes of the window that have been measured, 0 before the first sample."""
+        if int(self._struct["samples"]) == 0:
+            return 0
+        return int(self._struct["window"]) + 1 if self.estimation.kind == "mhe" else 1
+
+    @property
+    def window(self) -> Array:
+        """Estimates (nodes, nx) at the samples of the window, the present one last."""
+        return self.x[: self.nodes].copy()
+
+    def diagnose(self) -> str:
+        """Why the last call was not OK; a line."""
+        found = self.status
+        if found == Status.OK:
+            return str(found)
+        if found == Status.NOT_FINITE:
+            return f"{found.name}: a control is not finite; the estimate takes the one before"
+        if found == Status.NOT_CONVERGED:
+            return f"{found.name}: the window leaves gaps of {self.stats.residual:.2g}; the estimate is the filter's"
+        return f"{found}; the estimate is the filter's"
+
+    def __repr__(self) -> str:
+        e = self.estimation
+        sizes = f"{e.kind}, N={self.dims.N}, nx={self.dims.nx}, ny={e.ny}, nu={e.nu}"
+        code = f"{self.description.precision}, {self.nbytes} bytes; {self.status.name}"
+        return f"<Observer {self._package.name}: {sizes}; {code}>"
+
+    # -- inner --------------------------------------------------------------------------------------------------------
+
+    def _from_now_on(self, node: int | None) -> int | None:
+        """The node from which samples to come take the data; None: all nodes."""
+        return node if node is not None or self.nodes == 0 or self.estimation.kind == "ekf" else self.nodes - 1
+
+    def _take(self, y: Named) -> None:
+        self._y[:] = self._stack("y", y, self.estimation.measurements)
+
+    def _stack(self, what: str, given: Named, names: tuple[str, ...]) -> Array:
+        """The numbers of a vector; NaN where a mapping names none."""
+        if not isinstance(given, Mapping):
+            return self._array(what, given, (len(names),), finite=False)
+        found = np.full(len(names), np.nan, dtype=self._real)
+        for name, value in given.items():
+            places = members(name, names)
+            if not places:
+                raise ControllerError(f"{what}: no {name!r}; those that exist: {', '.join(map(repr, names))}")
+            found[places] = self._array(
+                f"{what}: {name!r}", np.atleast_1d(np.asarray(value)), (len(places),), finite=False
+            )
+        return found

@@ -1,0 +1,71 @@
+/* Contract of this part: the data of a node that the sample knows: controls, measurements and their accuracy. */
+
+/* The measurements y that are finite take their place at node k. */
+static void put_measurements(solver_t *s, int k, const real_t *y)
+{
+    for (int m = 0; m < NM; m++) {
+        if (isfinite(y[m])) {
+            s->p[k][AT_Y + m] = y[m];
+            s->p[k][AT_ACCURACY + m] = accuracy[m];
+        }
+    }
+}
+
+/* Nothing is measured at node k. */
+static void forget_measurements(solver_t *s, int k)
+{
+    for (int m = 0; m < NM; m++) {
+        s->p[k][AT_Y + m] = s->p[k][AT_ACCURACY + m] = R(0);
+    }
+}
+
+/* The controls u that have acted since node k. Returns 0 if one is not finite; then those before are kept. */
+static int put_controls(solver_t *s, int k, const real_t *u)
+{
+    if (!all_finite(u, NIN)) {
+        return 0;
+    }
+    for (int j = 0; j < NIN; j++) {
+        s->p[k][AT_U + j] = u[j];
+    }
+    return 1;
+}
+
+/* Node k knows the controls of the interval before it, which its own data still have. */
+static void keep_controls(solver_t *s, int k)
+{
+    for (int j = 0; HAS_BEFORE && j < NIN; j++) {
+        s->p[k][AT_BEFORE + j] = s->p[k][AT_U + j];
+    }
+}
+
+/* Without init() the estimate is the declared initial state. */
+static status_t refuse(real_t *xhat)
+{
+    memcpy(xhat, initial_state, sizeof initial_state);
+    return NOT_INITIALIZED;
+}
+
+#if HUBER
+/* The accuracy of a measurement with an error of so many standard deviations, and its weight in Huber's loss. */
+static real_t accuracy_with(int m, real_t deviations)
+{
+    const real_t most = threshold[m], size = FABS(deviations);
+    return (most > R(0) && size > most) ? accuracy[m] * SQRT(most / size) : accuracy[m];
+}
+
+/* Outliers are what the filter does not expect. */
+static void weigh_by_filter(solver_t *s, int k, const filter_t *f)
+{
+    real_t y[NM], H[NM][NX] = {{R(0)}};
+    MEASUREMENT(s, k, y, H);
+    for (int m = 0; m < NM; m++) {
+        real_t p[NX];
+        project(f, H[m], p);
+        if (s->p[k][AT_ACCURACY + m] > R(0)) {
+            const real_t own = R(1) / accuracy[m], size = SQRT(own * own + square_sum(p, NX));
+            s->p[k][AT_ACCURACY + m] = accuracy_with(m, (s->p[k][AT_Y + m] - y[m]) / size);
+        }
+    }
+}
+#endif

@@ -1,0 +1,154 @@
+/* Contract of this part: the window of the last N intervals. Node `window` is that of the present sample; nodes behind
+ * it, of samples to come, have no part. */
+
+/* information = (L L')^-1 of the arrival cost; a deviation below the least one counts as that. */
+static void weigh_arrival(solver_t *s)
+{
+    real_t V[NX][NX] = {{R(0)}};
+    for (int i = 0; i < NX; i++) {
+        const real_t own = FABS(s->arrival.L[i][i]), sign = (s->arrival.L[i][i] < R(0)) ? -R(1) : R(1);
+        const real_t pivot = sign * ((own > least_std[i]) ? own : least_std[i]);
+        for (int j = 0; j <= i; j++) {
+            real_t rest = (i == j) ? R(1) : R(0);
+            for (int l = j; l < i; l++) {
+                rest -= s->arrival.L[i][l] * V[l][j];
+            }
+            V[i][j] = rest / pivot;
+        }
+    }
+    for (int i = 0; i < NX; i++) {
+        for (int j = 0; j < NX; j++) {
+            real_t sum = R(0);
+            for (int l = (i > j) ? i : j; l < NX; l++) {
+                sum += V[l][i] * V[l][j];
+            }
+            s->information[i][j] = sum;
+        }
+    }
+}
+
+/* The window begins at its first node, of which the arrival cost is all that is known. */
+static void restart_window(solver_t *s)
+{
+    s->window = 0;
+    s->samples = 0;
+    start_at(s, s->arrival.mean);
+    memcpy(s->xhat, s->x[0], sizeof s->xhat);
+    for (int k = 0; k <= N; k++) {
+        forget_measurements(s, k);
+    }
+    weigh_arrival(s);
+}
+
+/* What leaves the window is kept in the arrival cost. */
+static void keep_arrival(solver_t *s)
+{
+    filter_t *f = &s->arrival;
+    update_filter(s, 0, f);
+    predict_filter(s, 0, f);
+    if (!filter_is_finite(f)) {
+        restart_filter(f);
+        memcpy(f->mean, s->x[1], sizeof f->mean);
+    }
+    weigh_arrival(s);
+}
+
+/* Node k begins as the end of the interval before it, without noise there, and without measurements. */
+static void begin_node(solver_t *s, int k)
+{
+    real_t x_next[NX];
+    memset(s->u[k - 1], 0, sizeof s->u[k - 1]);
+    interval_value(s, k - 1, x_next);
+    memcpy(s->x[k], all_finite(x_next, NX) ? x_next : s->x[k - 1], sizeof x_next);
+    memcpy(s->p[k], s->p[k - 1], sizeof s->p[k]);
+    forget_measurements(s, k);
+}
+
+/* Makes room for the present sample, which follows its last one by an interval. */
+static void move_window(solver_t *s)
+{
+    if (s->window == N) {
+        keep_arrival(s);
+        shift_by_one(s);
+        for (int k = 0; k < N; k++) {
+            memcpy(s->p[k], s->p[k + 1], sizeof s->p[k]);
+        }
+    } else {
+        s->window++;
+    }
+    begin_node(s, s->window);
+}
+
+/* Intervals behind the window do not move the states at their ends. */
+static void hold_future(solver_t *s)
+{
+    for (int k = s->window; k < N; k++) {
+        memset(s->node[k].S, 0, sizeof s->node[k].S);
+        memset(s->node[k].b, 0, sizeof s->node[k].b);
+    }
+}
+
+/* Largest gap of the window in the size of its state. */
+static real_t gap_of_window(const solver_t *s, const real_t *size)
+{
+    real_t most = R(0);
+    for (int k = 0; NONLINEAR_MODEL && k < s->window; k++) {
+        real_t x_next[NX];
+        interval_value(s, k, x_next);
+        for (int i = 0; i < NX; i++) {
+            enlarge(&most, (x_next[i] - s->x[k + 1][i]) / size[i]);
+        }
+    }
+    return most;
+}
+
+/* Largest change of the present estimate by the last step, in the size of its state. */
+static real_t change_of_estimate(const solver_t *s, const real_t *size)
+{
+    real_t most = R(0);
+    for (int i = 0; i < NX; i++) {
+        enlarge(&most, s->step.dx[s->window][i] / size[i]);
+    }
+    return most;
+}
+
+#if HUBER
+/* Outliers are what the window does not fit. */
+static void weigh_by_window(solver_t *s)
+{
+    for (int k = 0; k <= s->window; k++) {
+        real_t y[NM], H[NM][NX];
+        MEASUREMENT(s, k, y, H);
+        for (int m = 0; m < NM; m++) {
+            if (s->p[k][AT_ACCURACY + m] > R(0)) {
+                s->p[k][AT_ACCURACY + m] = accuracy_with(m, (s->p[k][AT_Y + m] - y[m]) * accuracy[m]);
+            }
+        }
+    }
+}
+#endif
+
+/* The filter from the arrival cost along the window takes the place of a plan that has failed. */
+static void filter_window(solver_t *s)
+{
+    filter_t f = s->arrival;
+    for (int k = 0; k <= s->window; k++) {
+        memcpy(s->x[k], f.mean, sizeof s->x[k]);
+#if HUBER
+        weigh_by_filter(s, k, &f);
+#endif
+        update_filter(s, k, &f);
+        memcpy(s->x[k], f.mean, sizeof s->x[k]);
+        if (k < s->window) {
+            memset(s->u[k], 0, sizeof s->u[k]);
+            predict_filter(s, k, &f);
+        }
+    }
+    if (!all_finite(s->x[0], (s->window + 1) * NX)) {
+        restart_filter(&s->arrival);
+        weigh_arrival(s);
+        start_at(s, initial_state);
+    }
+    forget_multipliers(s);
+    condense_init(s);
+}

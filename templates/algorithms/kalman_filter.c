@@ -1,0 +1,108 @@
+/* Component "algorithm". Contract: algorithm_reset, API(estimate), _covariance, _restart.
+ * Here: the extended Kalman filter, linearised at its own estimates. */
+
+#include "algorithms/shared/finish.c"
+
+#include "algorithms/estimation/filter.c"
+
+#include "algorithms/estimation/data.c"
+
+/* Begins with the state that the filter has. */
+static void begin_filter(solver_t *s)
+{
+    s->samples = 0;
+    s->status = (int32_t)OK;
+    memset(s->u, 0, sizeof s->u);
+    forget_measurements(s, 0);
+}
+
+/* Begins with the declared initial state. */
+static void algorithm_reset(solver_t *s)
+{
+    restart_filter(&s->filter);
+    begin_filter(s);
+}
+
+/* States stay inside the bounds that are rows. */
+static void clip_to_bounds(const solver_t *s, real_t *x)
+{
+    for (int i = 0; i < NX; i++) {
+        if (bound_of_state[i] >= 0) {
+            x[i] = clip(x[i], PATH_LOWER(s, 0, bound_of_state[i]), PATH_UPPER(s, 0, bound_of_state[i]));
+        }
+    }
+}
+
+/* Moves the filter to the present sample. */
+static void follow_model(solver_t *s)
+{
+    memcpy(s->x[0], s->filter.mean, sizeof s->x[0]);
+    predict_filter(s, 0, &s->filter);
+    forget_measurements(s, 0);
+}
+
+/* A sample whose controls have been put in their place, if they are known. */
+static status_t take_sample(solver_t *s, const real_t *y, int known, real_t *xhat)
+{
+    filter_t *f = &s->filter;
+    status_t status = known ? OK : NOT_FINITE;
+    s->newton = NEWTON;
+    if (s->samples > 0) {
+        follow_model(s);
+    }
+    keep_controls(s, 0);
+    s->samples += (s->samples < MANY);
+    put_measurements(s, 0, y);
+    memcpy(s->x[0], f->mean, sizeof s->x[0]);
+#if HUBER
+    weigh_by_filter(s, 0, f);
+#endif
+    update_filter(s, 0, f);
+    clip_to_bounds(s, f->mean);
+    if (!filter_is_finite(f)) {
+        restart_filter(f);
+        status = NUMERICAL_FAILURE;
+    }
+    memcpy(xhat, f->mean, sizeof f->mean);
+    return finish(s, status);
+}
+
+#if NIN
+status_t API(estimate)(solver_t *s, const real_t y[NM], const real_t u[NIN], real_t xhat[NX])
+{
+    if (s->magic != MAGIC) {
+        return refuse(xhat);
+    }
+    return take_sample(s, y, put_controls(s, 0, u) || s->samples == 0, xhat);
+}
+#else
+status_t API(estimate)(solver_t *s, const real_t y[NM], real_t xhat[NX])
+{
+    return (s->magic == MAGIC) ? take_sample(s, y, 1, xhat) : refuse(xhat);
+}
+#endif
+
+status_t API(covariance)(solver_t *s, real_t P[NX * NX])
+{
+    if (s->magic != MAGIC) {
+        memset(P, 0, NX * NX * sizeof *P);
+        return NOT_INITIALIZED;
+    }
+    multiply_factors(&s->filter, P);
+    return OK;
+}
+
+status_t API(restart)(solver_t *s, const real_t x0[NX], const real_t P0[NX * NX])
+{
+    filter_t f;
+    if (s->magic != MAGIC) {
+        return NOT_INITIALIZED;
+    }
+    memcpy(f.mean, x0, sizeof f.mean);
+    if (!all_finite(x0, NX) || !factorize_covariance(P0, f.L)) {
+        return BAD_ARGUMENT;
+    }
+    s->filter = f;
+    begin_filter(s);
+    return OK;
+}

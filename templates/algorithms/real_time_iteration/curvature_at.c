@@ -1,0 +1,17 @@
+/* Diagonal entry i of the Hessian of node k that the QP of the sample has. */
+static inline real_t curvature_at(const solver_t *s, int k, int i)
+{
+    if (ROW_CURVATURE) {
+        if (s->curved.in_solve) {
+            return (k < N) ? s->curved.Q[k][i][i] : s->curved.Q_N[i][i];
+        }
+    }
+    if (k < N) {
+        return HESSIAN(s, k)[i][i];
+    }
+    if (TERMINAL_BLOCK) {
+        return s->hessian.Q_N[i][i];
+    } else {
+        return R(0);
+    }
+}

@@ -1,0 +1,280 @@
+"""Plants whose states are not measured, and what their estimators are compared with: a Kalman filter in covariance
+form, and the estimate from all measurements since the beginning, by IPOPT."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from nmpc_codegen import OCP, Estimator
+from nmpc_codegen.frontend.estimator.problem import estimation_problem
+from nmpc_codegen.frontend.problem import Problem
+from nmpc_codegen.oracle.reference import Reference
+from nmpc_codegen.oracle.trajectory import node_data
+from nmpc_codegen.runtime.estimation.observer import Observer
+
+Array = NDArray[np.float64]
+
+#: Steps of RK4 in an interval of a plant.
+FINE = 20
+
+
+@dataclass(frozen=True)
+class Plant:
+    """A model with its measurements, how it moves, and what is believed of its start.
+
+    ``make``: the OCP and the statement of its estimator; ``truth``, ``guess`` (nx,): initial states, as they are and as
+    they are believed, ``spread`` (nx,) of the first; ``doubt`` (nx,): declared standard deviations of the guess;
+    ``controls``: k -> (nu,); ``scale`` (nx,): errors that count as 1; ``low``, ``high`` (nx,): what the plant
+    does not leave; ``silent``: samples without measurements.
+    """
+
+    make: Callable[[], tuple[OCP, Mapping[str, Any]]]
+    truth: tuple[float, ...]
+    spread: tuple[float, ...]
+    guess: tuple[float, ...]
+    doubt: tuple[float, ...]
+    scale: tuple[float, ...]
+    samples: int
+    N: int
+    low: tuple[float, ...] = ()
+    high: tuple[float, ...] = ()
+    controls: Callable[[int], tuple[float, ...]] = lambda k: ()
+    silent: Callable[[int], bool] = lambda k: False
+
+    def estimator(self, **changes: Any) -> Estimator:
+        """An estimator of it."""
+        ocp, statement = self.make()
+        return Estimator(ocp, **{"N": self.N, **statement, **changes})
+
+    def begin(self, observer: Observer) -> None:
+        """Forget what an estimator knows, and begin with the guess."""
+        observer.reset(self.guess, np.diag(np.square(self.doubt)))
+
+
+def reactor() -> tuple[OCP, Mapping[str, Any]]:
+    """A <-> B + C, 2 B <-> C in a batch, of which the pressure is measured; an extended Kalman filter goes to negative
+    concentrations (Haseltine and Rawlings, Industrial and Engineering Chemistry Research 44, 2005)."""
+    ocp = OCP("reactor", T=5.0, N=20, time_unit="min")
+    a, b, c = (ocp.state(name, unit="mol/l", scale=1.0) for name in ("c_A", "c_B", "c_C"))
+    first, second = 0.5 * a - 0.05 * b * c, 0.2 * b * b - 0.01 * c
+    ocp.dynamics({a: -first, b: first - 2 * second, c: first + second})
+    for state in (a, b, c):
+        ocp.subject_to(0, state, ca.inf)
+    noise = {a: 1e-3, b: 1e-3, c: 1e-3}
+    return ocp, {"measure": {"P": 32.84 * (a + b + c)}, "noise_std": {"P": 0.25}, "process_std": noise}
+
+
+def vehicle() -> tuple[OCP, Mapping[str, Any]]:
+    """Position, heading, bias of the gyroscope and slip of the wheels; a receiver tells the position at every other
+    sample, and not at all between samples 60 and 85."""
+    ocp = OCP("vehicle", T=2.0, N=20)
+    x, y = ocp.state("x", unit="m", scale=10.0), ocp.state("y", unit="m", scale=10.0)
+    heading, bias = ocp.state("heading", unit="rad", scale=1.0), ocp.state("bias", unit="rad/s", scale=0.1)
+    slip, v, w = ocp.state("slip", scale=0.1), ocp.control("v", unit="m/s"), ocp.control("w", unit="rad/s")
+    speed = v * (1 + slip)
+    ocp.dynamics({x: speed * ca.cos(heading), y: speed * ca.sin(heading), heading: w + bias, bias: 0, slip: 0})
+    statement = {
+        "measure": {"position": ca.vertcat(x, y)},
+        "noise_std": {"position": 0.5},
+        "process_std": {heading: 0.002, bias: 0.001, slip: 0.001},
+        "input_std": {v: 0.1, w: 0.02},
+    }
+    return ocp, statement
+
+
+def battery() -> tuple[OCP, Mapping[str, Any]]:
+    """State of charge of a cell whose open-circuit voltage is flat, with a current sensor that has an offset."""
+    ocp = OCP("battery", T=200.0, N=20)
+    soc, v = ocp.state("soc", scale=0.5), ocp.state("v", unit="V", scale=0.05)
+    offset, i = ocp.state("offset", unit="A", scale=0.5), ocp.control("i", unit="A")
+    current, ocv = i + offset, 3.3 - 0.3 * ca.exp(-25 * soc) + 0.06 * soc + 0.25 * ca.exp(-20 * (1 - soc))
+    ocp.dynamics({soc: -current / 8280, v: current / 2000 - v / 40, offset: 0})
+    ocp.subject_to(0, soc, 1)
+    noise = {soc: 1e-4, v: 5e-4, offset: 1e-3}
+    return ocp, {"measure": {"V": ocv - v - 0.03 * current}, "noise_std": {"V": 0.004}, "process_std": noise}
+
+
+def _load(k: int) -> tuple[float, ...]:
+    """A: charges and discharges in turn, and more of the latter."""
+    return (2.3 * float(np.sign(np.sin(0.07 * k))) * (1 + 0.5 * np.sin(0.31 * k)) + 0.8,)
+
+
+PLANTS: dict[str, Plant] = {
+    "reactor": Plant(
+        make=reactor,
+        truth=(0.5, 0.05, 0.0),
+        spread=(0.02, 0.02, 0.02),
+        guess=(0.0, 0.0, 4.0),
+        doubt=(1.0, 1.0, 1.0),
+        scale=(0.5, 0.5, 0.5),
+        samples=120,
+        N=10,
+        low=(0.0, 0.0, 0.0),
+    ),
+    "vehicle": Plant(
+        make=vehicle,
+        truth=(0.0, 0.0, 2.5, 0.08, -0.08),
+        spread=(0.2, 0.2, 0.4, 0.02, 0.02),
+        guess=(0.0, 0.0, 0.7, 0.0, 0.0),
+        doubt=(1.0, 1.0, 2.0, 0.1, 0.1),
+        scale=(1.0, 1.0, 0.2, 0.05, 0.05),
+        samples=150,
+        N=20,
+        controls=lambda k: (5 + 2 * float(np.sin(0.05 * k)), 0.5 * float(np.sin(0.1 * k))),
+        silent=lambda k: k % 2 == 1 or 60 <= k < 85,
+    ),
+    "battery": Plant(
+        make=battery,
+        truth=(0.95, 0.0, 0.1),
+        spread=(0.01, 0.002, 0.03),
+        guess=(0.5, 0.0, 0.0),
+        doubt=(0.4, 0.02, 0.15),
+        scale=(0.1, 0.02, 0.1),
+        samples=240,
+        N=20,
+        low=(0.0, -np.inf, -np.inf),
+        high=(1.0, np.inf, np.inf),
+        controls=_load,
+    ),
+}
+
+
+@dataclass(frozen=True)
+class Run:
+    """States (n, nx), measurements (n, ny) of which NaN is missing, and controls (n, nu) behind every sample."""
+
+    x: Array
+    y: Array
+    u: Array
+
+
+def _inside(plant: Plant, x: Array) -> Array:
+    return np.clip(x, plant.low or -np.inf, plant.high or np.inf)
+
+
+def run(plant: Plant, rng: np.random.Generator, missing: float = 0.0, outliers: float = 0.0) -> Run:
+    """Draw a run of the plant with the noise that its estimator expects; measurements that are ``missing`` or
+    ``outliers``, by 20 to 60 standard deviations, are drawn with these probabilities."""
+    model = Model(plant)
+    std, nx = model.noise, len(plant.truth)
+    x = _inside(plant, np.array(plant.truth) + plant.spread * rng.standard_normal(nx))
+    before = np.array(plant.controls(0))
+    states, measured, controls = [], [], []
+    for k in range(plant.samples):
+        y = model.measure(x, before) + std * rng.standard_normal(std.size)
+        far = rng.choice([-1, 1], std.size) * rng.uniform(20, 60, std.size) * std
+        y = np.where(rng.uniform(size=std.size) < outliers, y + far, y)
+        y = np.where((rng.uniform(size=std.size) < missing) | plant.silent(k), np.nan, y)
+        u = np.array(plant.controls(k))
+        states.append(x)
+        measured.append(y)
+        controls.append(u)
+        x = _inside(plant, model.move(x, u, rng))
+        before = u
+    return Run(np.array(states), np.array(measured), np.array(controls))
+
+
+class Model:
+    """Model, measurements and noise of a plant as they are stated."""
+
+    def __init__(self, plant: Plant) -> None:
+        ocp, statement = plant.make()
+        inputs = [ocp.x, ocp.u]
+        f = ca.vertcat(*(ocp.derivatives[i] for i in range(ocp.x.numel())))
+        self._f = ca.Function("f", inputs, [ca.densify(f)])
+        self._h = ca.Function("h", inputs, [ca.vertcat(*statement["measure"].values())])
+        self.noise = np.concatenate([np.atleast_1d(std) for std in statement["noise_std"].values()])
+        if self.noise.size < self._h.size1_out(0):
+            self.noise = np.full(self._h.size1_out(0), self.noise[0])
+        self.of_state, self.of_input = np.zeros(ocp.x.numel()), np.zeros(ocp.u.numel())
+        for of, word in ((self.of_state, "process_std"), (self.of_input, "input_std")):
+            for key, std in statement.get(word, {}).items():
+                element = ocp.element(key)
+                assert element is not None
+                of[element.index] = std
+        self.dt = 1.0 if ocp.dt is None else ocp.dt[0]
+
+    def measure(self, x: Array, before: Array) -> Array:
+        """What sensors without noise tell."""
+        return np.array(self._h(x, before)).ravel()
+
+    def move(self, x: Array, u: Array, rng: np.random.Generator) -> Array:
+        """The state at the next sample, with noise."""
+        u, h = u + self.of_input * rng.standard_normal(u.size), self.dt / FINE
+        for _ in range(FINE):
+            a = np.array(self._f(x, u)).ravel()
+            b = np.array(self._f(x + h / 2 * a, u)).ravel()
+            c = np.array(self._f(x + h / 2 * b, u)).ravel()
+            d = np.array(self._f(x + h * c, u)).ravel()
+            x = x + h / 6 * (a + 2 * b + 2 * c + d)
+        return x + self.of_state * rng.standard_normal(x.size)
+
+
+def estimate(observer: Observer, found: Run) -> tuple[Array, list[int], list[int]]:
+    """Estimates (n, nx), statuses and times in ns of a run."""
+    estimates, statuses, times = [], [], []
+    for k, y in enumerate(found.y):
+        u = found.u[max(k - 1, 0)]
+        estimates.append(observer.step(y, u if u.size else None))
+        statuses.append(int(observer.status))
+        times.append(observer.time_ns)
+    return np.array(estimates), statuses, times
+
+
+def full_information(plant: Plant, found: Run, k: int) -> Array:
+    """The estimate (nx,) at sample k >= 1 from all measurements up to there, by IPOPT."""
+    problem = believing(estimation_problem(plant.estimator(N=k)), plant)
+    data = node_data(problem, x0=np.array(plant.guess), p=window_data(problem, found, 0, k))
+    return np.array(Reference(problem, tol=1e-9).solve(data, x=found.x[: k + 1], u=np.zeros((k, problem.nu))).x[-1])
+
+
+def believing(problem: Problem, plant: Plant) -> Problem:
+    """The problem with the guess of the plant as what is known of x_0."""
+    start = replace(problem.start, reference=np.array(plant.guess), weight=np.diag(np.square(plant.doubt) ** -1.0))
+    return replace(problem, start=start)
+
+
+def window_data(problem: Problem, found: Run, first: int, last: int) -> Array:
+    """Parameters (N + 1, np) of the nodes of a window: controls, those before, measurements, their accuracy."""
+    e = problem.estimation
+    assert e is not None
+    rows = np.tile(problem.p_value, (last - first + 1, 1))
+    at_u, at_before, at_y, at_accuracy = e.places
+    for row, k in zip(rows, range(first, last + 1), strict=True):
+        y = found.y[k]
+        row[at_u : at_u + e.nu] = found.u[k]
+        if e.before:
+            row[at_before : at_before + e.nu] = found.u[max(k - 1, 0)]
+        row[at_y : at_y + e.ny] = np.nan_to_num(y)
+        row[at_accuracy : at_accuracy + e.ny] = np.where(np.isnan(y), 0.0, 1 / np.array(e.noise_std))
+    return rows
+
+
+@dataclass(frozen=True)
+class Linear:
+    """x_{k+1} = A x_k + B u_k + w_k, y_k = H x_k + v_k with covariances Q and R, and of x_0."""
+
+    A: Array
+    B: Array
+    H: Array
+    Q: Array
+    R: Array
+
+    def filter(self, x: Array, P: Array, y: Array, u: Array) -> list[tuple[Array, Array]]:
+        """Estimates and covariances of the Kalman filter, where NaN is a missing measurement."""
+        found = []
+        for k, values in enumerate(y):
+            if k:
+                x, P = self.A @ x + self.B @ u[k - 1], self.A @ P @ self.A.T + self.Q
+            there = np.isfinite(values)
+            H, R = self.H[there], self.R[np.ix_(there, there)]
+            gain = P @ H.T @ np.linalg.inv(H @ P @ H.T + R)
+            x, P = x + gain @ (values[there] - H @ x), (np.eye(len(x)) - gain @ H) @ P
+            found.append((x, P))
+        return found
