@@ -1,9 +1,8 @@
 """Level of a tank with a pump of unknown gain and an unknown leak: tracking without offset.
 
 What it shows: integral action. The cost has the rate of the control, `ocp.rate(u)`, in the place of the control, so
-that no value of the control is dearer than another; the difference between what was measured and what the model had
-predicted is a parameter of the model. Both together leave no offset, whatever the model is wrong about. Either of them
-alone leaves one.
+that no value of the control is dearer than another; the error of the model is a parameter that an estimator finds from
+the measured level. Both together leave no offset, whatever the model is wrong about. Either of them alone leaves one.
 """
 
 from __future__ import annotations
@@ -16,7 +15,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from nmpc_codegen import OCP, build
+from nmpc_codegen import OCP, Log, build, simulate
 
 Array = NDArray[np.float64]
 
@@ -24,6 +23,7 @@ DT, N, SAMPLES = 5.0, 20, 120  # s
 GAIN, REAL_GAIN = 0.020, 0.016  # m/s at full speed, as it is believed and as it is
 OUTFLOW, LEAK = 0.012, 0.002  # m^0.5/s, m/s
 LEAK_FROM = 60  # sample
+NOISE, DRIFT = 0.001, 5e-4  # m of a measurement; m/s by which the error of the model may change from sample to sample
 
 
 def build_ocp(integral: bool = True) -> OCP:
@@ -40,37 +40,42 @@ def build_ocp(integral: bool = True) -> OCP:
     return ocp
 
 
-def run(integral: bool, corrected: bool) -> dict[str, Array]:
-    """10 min of the loop: the level goes to 0.5 m, and at 5 min the tank begins to leak."""
-    controller = build(build_ocp(integral))
-    h, error = 0.3, 0.0
-    log: dict[str, list[float]] = {"h": [], "s": [], "error": []}
-    for k in range(SAMPLES):
-        if corrected:
-            controller.set_parameter("error", error)
-        s = float(controller.step([h])[0])
-        predicted = float(controller.integrate([h], [s], DT)[0])
-        for name, value in zip(log, (h, s, error), strict=True):
-            log[name].append(value)
-        leak = LEAK if k >= LEAK_FROM else 0.0
-        for _ in range(20):
-            h += DT / 20 * (REAL_GAIN * s - OUTFLOW * np.sqrt(h + 1e-3) - leak)
-        error += (h - predicted) / DT if corrected else 0.0
-    return {name: np.array(values) for name, values in log.items()}
+def move(x: Array, u: Array, dt: float) -> Array:
+    """The tank as it is, without its leak."""
+    h = x[0]
+    for _ in range(20):
+        h += dt / 20 * (REAL_GAIN * u[0] - OUTFLOW * np.sqrt(h + 1e-3))
+    return np.array([h])
 
 
-#: Label -> the cost has the rate of the control; the error of the model is a parameter.
-LOOPS = {"neither": (False, False), "rate alone": (True, False), "rate and error of the model": (True, True)}
+def run(integral: bool, corrected: bool, seed: int | None = None) -> Log:
+    """10 min of the loop: the level goes to 0.5 m, and at 5 min the tank begins to leak; ``seed``: of noise."""
+    ocp = build_ocp(integral)
+    deviations = {
+        "noise_std": {"h": NOISE},
+        "process_std": {"error": DRIFT},
+        "initial_std": {"h": NOISE, "error": 0.01},
+    }
+    estimator = ocp.estimator(N=10, measure={"h": ocp.x}, **deviations) if corrected else None
+
+    def leak(k: int, x: Array) -> Array:
+        return np.array([-DT * LEAK if k >= LEAK_FROM else 0.0])
+
+    observer = None if estimator is None else build(estimator)
+    return simulate(build(ocp), [0.3], SAMPLES, plant=move, disturbance=leak, estimator=observer, seed=seed)
 
 
-def draw(logs: dict[str, dict[str, Array]], picture: str) -> None:
+#: Label -> the cost has the rate of the control; the error of the model is estimated.
+LOOPS = {"neither": (False, False), "rate alone": (True, False), "rate and estimated error": (True, True)}
+
+
+def draw(logs: dict[str, Log], picture: str) -> None:
     """Level and speed of the pump."""
-    t = DT * np.arange(SAMPLES) / 60
     figure = Figure(figsize=(8, 4.6), layout="constrained")
     axes = figure.subplots(2, 1, sharex=True)
     for (label, log), color in zip(logs.items(), ("0.55", "#c2571a", "#1f5fa8"), strict=True):
-        axes[0].plot(t, log["h"], color=color, label=label)
-        axes[1].step(t, log["s"], where="post", color=color)
+        axes[0].plot(log.t / 60, log.x[:, 0], color=color, label=label)
+        axes[1].step(log.t[:-1] / 60, log.u[:, 0], where="post", color=color)
     axes[0].axhline(0.5, color="0.3", linewidth=0.8)
     for axis, name in zip(axes, ("h [m]", "speed of the pump"), strict=True):
         axis.set_ylabel(name)
@@ -84,11 +89,11 @@ def draw(logs: dict[str, dict[str, Array]], picture: str) -> None:
     figure.savefig(picture, dpi=110)
 
 
-def main(picture: str = "out/offset_free.png") -> dict[str, dict[str, Array]]:
+def main(picture: str = "out/offset_free.png") -> dict[str, Log]:
     """Run the loops and draw them."""
     logs = {label: run(*which) for label, which in LOOPS.items()}
     for label, log in logs.items():
-        before, after = log["h"][LEAK_FROM - 1] - 0.5, log["h"][-1] - 0.5
+        before, after = log.x[LEAK_FROM, 0] - 0.5, log.x[-1, 0] - 0.5
         print(f"{label}: offset {1e3 * before:+.3f} mm before the leak, {1e3 * after:+.3f} mm with it")
     draw(logs, picture)
     return logs

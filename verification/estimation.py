@@ -4,14 +4,14 @@ form, and the estimate from all measurements since the beginning, by IPOPT."""
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from nmpc_codegen import OCP, Estimator
+from nmpc_codegen import OCP, Controller, Estimator, Log, simulate
 from nmpc_codegen.frontend.estimator.problem import estimation_problem
 from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.oracle.reference import Reference
@@ -114,7 +114,7 @@ PLANTS: dict[str, Plant] = {
         doubt=(1.0, 1.0, 1.0),
         scale=(0.5, 0.5, 0.5),
         samples=120,
-        N=10,
+        N=20,
         low=(0.0, 0.0, 0.0),
     ),
     "vehicle": Plant(
@@ -278,3 +278,112 @@ class Linear:
             x, P = x + gain @ (values[there] - H @ x), (np.eye(len(x)) - gain @ H) @ P
             found.append((x, P))
         return found
+
+
+# -- with controllers -------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Loop:
+    """A controller and an estimator of one plant: their OCP and the statement of the estimator; where the plant starts,
+    what it shall follow over the samples, its true parameters, and the noise of its states from sample to sample.
+
+    ``followed``: states that count, by name, with the errors at the end that are too large.
+    """
+
+    make: Callable[[], tuple[OCP, Mapping[str, Any]]]
+    x0: tuple[float, ...]
+    spread: tuple[float, ...]
+    references: Mapping[str, Array]
+    noise: tuple[float, ...]
+    followed: Mapping[str, float]
+    parameters: Mapping[str, Array] = field(default_factory=dict)
+
+    @property
+    def samples(self) -> int:
+        return len(next(iter(self.references.values())))
+
+    def run(self, ctrl: Controller, observer: Observer, seed: int) -> tuple[Log, bool]:
+        """A loop with noise, and whether it was lost: an error at the end is too large, or a state is not finite."""
+        ctrl.reset()
+        observer.reset()
+        rng = np.random.default_rng([7, seed])
+        x0 = np.array(self.x0) + np.array(self.spread) * rng.standard_normal(len(self.x0))
+        given: dict[str, Any] = {"references": self.references, "parameters": self.parameters or None}
+
+        def disturb(k: int, x: Array) -> Array:
+            return np.array(self.noise) * rng.standard_normal(x.size)
+
+        log = simulate(ctrl, x0, self.samples, disturbance=disturb, estimator=observer, seed=seed, **given)
+        places = {name: ctrl.names.states.index(name) for name in self.followed}
+        errors = {n: np.abs(log.x[-10:, i] - self.references[n][-10:]) for n, i in places.items()}
+        lost = any(np.max(errors[name]) > most for name, most in self.followed.items())
+        return log, lost or not np.all(np.isfinite(log.x))
+
+
+def vehicle_on_a_circle() -> tuple[OCP, Mapping[str, Any]]:
+    """The vehicle follows positions that move along a circle."""
+    ocp, statement = vehicle()
+    ocp.least_squares(ca.vertcat(ocp.x[:2], ocp.u), weight=[1, 1, 0.1, 0.5], reference=[0, 0, 3, 0.3], names=_FOLLOWED)
+    ocp.terminal_least_squares(ocp.x[:2], weight=5, names=_FOLLOWED[:2])
+    ocp.subject_to([0, -1], ocp.u, [6, 1])
+    return ocp, {**statement, "initial_std": {"x": 1, "y": 1, "heading": 0.5, "bias": 0.1, "slip": 0.1}}
+
+
+_FOLLOWED = ["x", "y", "v", "w"]
+
+
+def charging() -> tuple[OCP, Mapping[str, Any]]:
+    """The cell is charged to 80 % with at most 6 A."""
+    ocp, statement = battery()
+    ocp.least_squares(ca.vertcat(ocp.x[0], ocp.u), weight=[100, 0.01], names=["soc", "i"])
+    ocp.terminal_least_squares(ocp.x[0], weight=1e3, names=["soc"])
+    ocp.subject_to(-6, ocp.u, 1)
+    return ocp, {**statement, "initial_std": {"soc": 0.3, "v": 0.02, "offset": 0.15}}
+
+
+def heating() -> tuple[OCP, Mapping[str, Any]]:
+    """An oven whose losses nobody knows: the temperature of its air is measured, that of its heater is not."""
+    ocp = OCP("oven", T=600.0, N=20)
+    T, h = ocp.state("T", unit="K", initial=300.0), ocp.state("h", unit="K", initial=300.0)
+    P, loss = ocp.control("P", unit="kW"), ocp.parameter("loss", value=0.02, unit="kW/K")
+    ocp.dynamics({h: (P - 0.1 * (h - T)) / 3, T: (0.1 * (h - T) - loss * (T - 290)) / 8})
+    ocp.least_squares(ca.vertcat(T, ocp.rate(P)), weight=[1, 1e3], names=["T", "rate"])
+    ocp.subject_to(0, P, 10)
+    ocp.subject_to(0, h, 900)
+    noise = {"noise_std": {"T": 0.5}, "process_std": {"h": 0.5, "loss": 2e-4}}
+    return ocp, {"measure": {"T": T}, **noise, "initial_std": {"T": 2, "h": 5, "loss": 0.01}}
+
+
+def _circle(samples: int) -> dict[str, Array]:
+    angle = 0.03 * np.arange(samples)
+    return {"x": 10 * np.sin(angle), "y": 10 - 10 * np.cos(angle)}
+
+
+LOOPS: dict[str, Loop] = {
+    "vehicle": Loop(
+        make=vehicle_on_a_circle,
+        x0=(0.0, 0.0, 0.2, 0.05, -0.05),
+        spread=(0.5, 0.5, 0.2, 0.03, 0.03),
+        references=_circle(250),
+        noise=(0.005, 0.005, 0.002, 0.001, 0.001),
+        followed={"x": 2.0, "y": 2.0},
+    ),
+    "battery": Loop(
+        make=charging,
+        x0=(0.3, 0.0, 0.1),
+        spread=(0.1, 0.005, 0.05),
+        references={"soc": np.full(360, 0.8)},
+        noise=(1e-5, 5e-4, 1e-3),
+        followed={"soc": 0.05},
+    ),
+    "oven": Loop(
+        make=heating,
+        x0=(300.0, 300.0),
+        spread=(2.0, 2.0),
+        references={"T": np.where(np.arange(150) < 75, 380.0, 350.0)},
+        noise=(0.0, 0.5),
+        followed={"T": 4.0},
+        parameters={"loss": np.where(np.arange(150) < 50, 0.03, 0.025)},
+    ),
+}

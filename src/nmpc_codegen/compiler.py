@@ -25,9 +25,10 @@ from nmpc_codegen.frontend.ocp import OCP
 from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.lowering.explain import explain
 from nmpc_codegen.lowering.linearize import linearize
+from nmpc_codegen.lowering.loop import with_estimator
 from nmpc_codegen.lowering.lower import lower
 from nmpc_codegen.lowering.render import render
-from nmpc_codegen.options import Options, for_estimator
+from nmpc_codegen.options import Options, for_estimator, shared
 from nmpc_codegen.package.description import PackageDescription
 from nmpc_codegen.package.sources import Sources
 from nmpc_codegen.runtime.build import load, load_estimator
@@ -91,6 +92,7 @@ def export(
     directory: str | Path = ".",
     name: str | None = None,
     *,
+    estimator: Estimator | None = None,
     allow_foreign: bool = False,
     force: bool = False,
     more: Callable[[Sources], Mapping[str, str]] | None = None,
@@ -102,6 +104,9 @@ def export(
     those of the last export. A main.c that you have edited stays, and a warning says so. Any other file that is edited,
     read-only or of other origin is replaced only with ``force=True``, which keeps copies (.bak). Links, folders and
     devices in the place of a file are never replaced or followed; ``directory`` itself may be a link to a folder.
+
+    ``estimator``: of the same plant; its package is written beside the controller's, for the same machine and
+    precision, and main.c runs the loop of both.
 
     ``more``: called with the files before any is written; it returns further ones with their seals (package.seal), or
     raises an error to refuse all.
@@ -120,9 +125,19 @@ def export(
         )
     _warn(sources.description)
     files = dict(sources) if more is None else {**sources, **more(sources)}
+    files |= {} if estimator is None else _files_beside(files, sources.description, estimator, options)
     folder = write(directory, files, force=force)
     description = sources.description
     return Package(folder, description.name, tuple(folder / path for path in files), description.report.as_dict())
+
+
+def _files_beside(
+    files: Mapping[str, str], description: PackageDescription, estimator: Estimator, options: Options | None
+) -> Mapping[str, str]:
+    """The files of an estimator, with what they change of the controller's."""
+    found = compile(estimator, shared(options))
+    _warn(found.description)
+    return with_estimator(files, description, found)
 
 
 @overload

@@ -199,6 +199,13 @@ def for_estimator(options: Options | None, kind: EstimatorKind) -> Options:
     return replace(options, algorithm=given, online=online, solve=False)
 
 
+def shared(options: Options | None) -> Options:
+    """The options that an estimator beside a controller has in common with it."""
+    given = options or Options()
+    names = ("integrator", "precision", "math", "goal", "target")
+    return Options(**{name: getattr(given, name) for name in names})
+
+
 def as_data(value: Any, path: str = "") -> dict[str, Any]:
     """Options as (dotted name -> value), as for --set: a component, or another object, has the name of its class, and
     its own options behind that; matrices are lists."""

@@ -10,7 +10,7 @@ static solver_t solver;
 
 static void sample(int k)
 {
-    real_t u[NU];
+    real_t u[OUTPUTS];
     uint32_t words[sizeof u / sizeof(uint32_t)];
     before_sample(&solver, k);
     const status_t prepared = PREPARE(&solver);

@@ -21,8 +21,12 @@ typedef struct {
 } cost_t;
 
 static solver_t solver;
-static real_t x[NX], u[NU];
+static real_t x[INPUTS], u[OUTPUTS];
+#if HAS_MODEL
 static CALL(kkt_t) residuals;
+#else
+static real_t covariance[OUTPUTS * OUTPUTS];
+#endif
 
 INSIDE void paint(void)
 {
@@ -65,12 +69,16 @@ MEASURED(nothing, nothing(&solver))
 MEASURED(init, CALL(init)(&solver))
 MEASURED(prepare, PREPARE(&solver))
 MEASURED(feedback, CONTROL(&solver, x, u))
-MEASURED(step, CALL(step)(&solver, x, u))
+MEASURED(step, SAMPLE(&solver, x, u))
 MEASURED(reset, CALL(reset)(&solver))
+#if HAS_MODEL
 MEASURED(integrate, (CALL(integrate)(&solver, x, u, (real_t)0.001, x), 0))
 MEASURED(cost, (int)(CALL(cost)(&solver) > (real_t)0))
 MEASURED(shift, CALL(shift)(&solver))
 MEASURED(kkt, (CALL(kkt)(&solver, &residuals), 0))
+#else
+MEASURED(covariance, CALL(covariance)(&solver, covariance))
+#endif
 #if HAS_SOLVE
 MEASURED(solve, CALL(solve)(&solver, x, (real_t)1e-3, 20))
 #endif
@@ -129,10 +137,14 @@ int main(void)
         sample(k);
     }
     put_other(0, measured_step());
+#if HAS_MODEL
     put_other(1, measured_cost());
     put_other(2, measured_integrate());
     put_other(3, measured_shift());
     put_other(4, measured_kkt());
+#else
+    put_other(7, measured_covariance());
+#endif
 #if HAS_SOLVE
     put_other(6, measured_solve());
 #endif

@@ -502,7 +502,7 @@ def test_no_such_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Non
     ],
 )  # fmt: skip
 def test_where_a_file_states_its_problem(state_problem: Any, text: str, name: str, steps: int | None) -> None:
-    ocp, options, _ = load_problem(Path(state_problem(text)))
+    ocp, options, *_ = load_problem(Path(state_problem(text)))
     assert ocp.name == name
     assert (None if steps is None else options.integrator.steps) == steps
 

@@ -17,6 +17,7 @@ from nmpc_codegen import (
     Estimator,
     FullCondensing,
     ImplicitRungeKutta,
+    Log,
     MovingHorizon,
     NoCondensing,
     Observer,
@@ -31,6 +32,7 @@ from nmpc_codegen import (
     export,
     open_estimator,
     open_package,
+    simulate,
 )
 from nmpc_codegen.frontend.estimator.problem import estimation_problem
 from nmpc_codegen.oracle.reference import Reference
@@ -314,6 +316,61 @@ def test_a_model_that_explodes_leaves_finite_estimates() -> None:
             assert np.all(np.isfinite(observer.step([np.nan if k % 3 else 1e3])))
             statuses.add(observer.status)
         assert statuses - {Status.OK}
+
+
+# -- with a controller -----------------------------------------------------------------------------------------------
+
+
+def loop(**changes: Any) -> Log:
+    """A cart on a slope that the estimator finds."""
+    ocp, statement = cart()
+    ocp.least_squares(ca.vertcat(ocp.x, ocp.u + ocp.p), weight=[10, 1, 0.1], reference=[0.5, 0, 0])
+    observer = build(ocp.estimator(N=8, **statement), None, "test")
+    given = {"estimator": observer, "parameters": {"d": np.full(40, -0.1)}} | changes
+    return simulate(build(ocp, None, "test"), [0.3, 0.0], 40, **given)
+
+
+def test_a_loop_with_an_estimator(tmp_path: Path) -> None:
+    """The log has truth, measurements with noise, and estimates; the controller uses the parameter that is found."""
+    log = loop(seed=3)
+    found = log.estimates
+    assert found is not None
+    assert log.ok
+    assert not found.status.any()
+    np.testing.assert_array_equal(found.p[:, 0], -0.1)
+    np.testing.assert_array_equal(log.p[:, 0], found.x[:, 2])
+    noise = found.y - np.column_stack([log.x[:-1, 0], log.x[:-1].sum(axis=1)])
+    assert np.std(noise, axis=0) == pytest.approx([0.01, 0.05], rel=0.4)
+    assert abs(found.x[-1, 2] + 0.1) < 3 * found.std[-1, 2]
+    assert abs(log.x[-1, 0] - 0.5) < 0.05
+    np.testing.assert_array_equal(loop(seed=3).x, log.x)
+    assert np.any(loop(seed=4).x != log.x)
+    np.testing.assert_allclose(loop(seed=None).estimates.y[0], [0.3, 0.3])  # type: ignore[union-attr]
+    assert "estimator: 0 samples not OK" in log.summary()
+    figure = log.plot(tmp_path / "loop.png")
+    assert [axis.get_ylabel() for axis in figure.axes][:4] == ["p", "v", "d", "s"]
+    log.save(tmp_path / "log.npz")
+    again = Log.load(tmp_path / "log.npz").estimates
+    assert again is not None
+    assert again.sensors == found.sensors
+    for name in ("x", "std", "y", "p", "status", "time_ns"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(found, name))
+    frame = log.to_dataframe()
+    np.testing.assert_array_equal(frame["xhat", "d"].to_numpy()[:-1], found.x[:, 2])
+
+
+def test_estimators_of_other_plants_are_refused() -> None:
+    ocp, statement = cart()
+    other = OCP("other", N=3)
+    p, v, _ = other.state("p"), other.state("v"), other.control("G")
+    other.dynamics({p: p, v: v}, discrete=True)
+    observer = build(other.estimator(measure={"p": p}, noise_std={"p": 1.0}), None, "test")
+    with pytest.raises(ControllerError, match=r"has the controls \('G',\), not \('F',\)"):
+        loop(estimator=observer)
+    with pytest.raises(ControllerError, match=r"expected the states \('p', 'v'\)"):
+        loop(estimator=build(PLANTS["reactor"].estimator(), None, "test"))
+    with pytest.raises(ControllerError, match="expected an Observer"):
+        loop(estimator=ocp.estimator(N=3, **statement))
 
 
 # -- statements -------------------------------------------------------------------------------------------------------

@@ -14,7 +14,6 @@ from typing import Any
 import matplotlib
 import numpy as np
 import pytest
-import scipy.linalg
 
 from examples import (
     adjoint_gradient,
@@ -35,7 +34,7 @@ from examples import (
     slew_rate,
     vandevusse,
 )
-from nmpc_codegen import OCP, Controller, Options, RealTimeIteration, Status, build, cli
+from nmpc_codegen import OCP, Options, Status, build, cli
 from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.oracle.reference import Reference, node_data
 from nmpc_codegen.oracle.trajectory import CLASSICAL, Tableau, interval_map
@@ -77,6 +76,7 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
         fermentation,
         heat_rod,
         input_delay,
+        estimation,
         offset_free,
         output_rows,
         quadrotor,
@@ -146,11 +146,15 @@ def test_offset_free_main(tmp_path: Path) -> None:
     """Only rate and error of the model together leave no offset."""
     neither, rate, both = offset_free.main(str(tmp_path / "offset.png")).values()
     assert_picture(tmp_path / "offset.png")
-    for k in (offset_free.LEAK_FROM - 1, -1):
-        assert abs(both["h"][k] - 0.5) < 1e-6
-        assert min(abs(log["h"][k] - 0.5) for log in (neither, rate)) > 0.01
+    for k in (offset_free.LEAK_FROM, -1):
+        assert abs(both.x[k, 0] - 0.5) < 1e-6
+        assert min(abs(log.x[k, 0] - 0.5) for log in (neither, rate)) > 0.01
     alone = offset_free.run(integral=False, corrected=True)
-    assert abs(alone["h"][-1] - 0.5) > 5e-4
+    assert abs(alone.x[-1, 0] - 0.5) > 5e-4
+    noisy = offset_free.run(integral=True, corrected=True, seed=1)
+    assert noisy.estimates is not None
+    np.testing.assert_allclose(noisy.x[-20:, 0], 0.5, atol=0.005)
+    assert noisy.estimates.x[-1, 1] == pytest.approx(0.004 * -noisy.u[-1, 0] - offset_free.LEAK, abs=1e-3)
 
 
 @pytest.mark.usefixtures("quick")
@@ -444,47 +448,21 @@ def test_evaporation_main(tmp_path: Path, capsys: pytest.CaptureFixture[str]) ->
     assert "eta=1 uses the strictly active rows (X2)" in capsys.readouterr().out
 
 
-def test_estimation_main(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.usefixtures("quick")
+def test_estimation_main(tmp_path: Path) -> None:
     """Every sample is solved, the estimates converge to what is true, and the cart follows although it tilts."""
-    statuses = []
-
-    def recorded(ocp: OCP, options: Options | None = None) -> Controller:
-        made = build(ocp, options, "test")
-        step = made.step
-        monkeypatch.setattr(made, "step", lambda x: (step(x), statuses.append(made.status))[0])
-        return made
-
-    monkeypatch.setattr(estimation, "build", recorded)
-    log = estimation.main(str(tmp_path / "estimation.png"))
+    log, errors = estimation.main(str(tmp_path / "estimation.png"))
     assert_picture(tmp_path / "estimation.png")
-    assert len(statuses) == 2 * estimation.SAMPLES
-    assert set(statuses) == {Status.OK}
+    found = log.estimates
+    assert log.ok
+    assert found is not None
+    assert not found.status.any()
     settled = np.r_[60:80, 140:160, 220:240]
-    error = np.abs(log["estimate"] - np.column_stack([log["x"], log["slope"]]))[settled]
+    error = np.abs(found.x - np.column_stack([log.x[:-1], found.p]))[settled]
     assert (error.mean(axis=0) < [estimation.NOISE, 0.02, 0.06]).all()
-    assert np.abs(log["x"][settled, 0] - log["wanted"][settled]).max() < 0.01
-
-
-def test_estimate_is_the_least_squares_solution() -> None:
-    """One sample of the linear problem against numpy.linalg.lstsq over x_0 and all changes of the slope."""
-    e, random = estimation, np.random.default_rng(3)
-    estimator = build(e.build_estimator(), Options(algorithm=RealTimeIteration(shift="repeat")), "test")
-    measured, applied = list(0.05 * random.standard_normal(e.BACK + 1)), list(random.uniform(-1, 1, e.BACK))
-    found = e.estimate(estimator, measured, applied)
-    assert estimator.status == Status.OK
-    F = np.array([[0, 1, 0], [0, -e.DRAG / e.MASS, 1], [0, 0, 0]])
-    generator = np.zeros((5, 5))
-    generator[:3, :3], generator[2, 3], generator[1, 4] = F, 1.0, 1 / e.MASS  # inputs: change and force
-    step = scipy.linalg.expm(generator * e.DT)[:3]
-    columns, fixed = np.hstack([np.eye(3), np.zeros((3, e.BACK))]), np.zeros(3)  # x_k = columns unknowns + fixed
-    rows, values = [columns[0] / e.NOISE], [(measured[0] - fixed[0]) / e.NOISE]
-    for k in range(e.BACK):
-        columns, fixed = step[:, :3] @ columns, step[:, :3] @ fixed + step[:, 4] * applied[k]
-        columns[:, 3 + k] += step[:, 3]
-        rows += [columns[0] / e.NOISE, np.eye(3 + e.BACK)[3 + k]]
-        values += [(measured[k + 1] - fixed[0]) / e.NOISE, 0.0]
-    optimum = np.linalg.lstsq(np.array(rows), np.array(values), rcond=None)[0]
-    np.testing.assert_allclose(found, columns @ optimum + fixed, rtol=1e-5, atol=1e-7)
+    wanted = np.where(settled < estimation.JUMP, 0.5, -0.2)[~np.isin(settled, range(60, 80))]
+    assert np.abs(log.x[settled, 0][20:] - wanted).max() < 0.01
+    assert errors["mhe"] < errors["ekf"] < 0.1
 
 
 @pytest.mark.slow

@@ -34,7 +34,7 @@ def bound(package: Mapping[str, str]) -> dict[str, int]:
     found = WorstCase(unit_of(package, description))
     try:
         if not description.has_phases:
-            return {"sample": found.operations("api_step")}
+            return {"sample": found.operations(f"api_{description.sample_call}")}
         worst = {phase: found.operations(f"api_{phase}") for phase in ("prepare", "feedback")}
     except UnboundedError as error:
         raise OptionError(f"{description.name}: the worst case of a sample is unknown: {error}") from error

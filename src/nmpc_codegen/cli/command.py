@@ -16,9 +16,8 @@ from nmpc_codegen.cli.printing import Printer, ReaderLeftError, drop_output, iso
 from nmpc_codegen.errors import OptionError
 
 if TYPE_CHECKING:
+    from nmpc_codegen.cli.problem_file import Stated
     from nmpc_codegen.compiler import Package
-    from nmpc_codegen.frontend.ocp import OCP
-    from nmpc_codegen.options import Options
 
 SHOWN_FUNCTIONS = 8
 LONG_SIMULATION = 10_000  # number of samples from which the simulation is announced
@@ -65,7 +64,7 @@ def _run(arguments: argparse.Namespace, printer: Printer) -> int:
     from nmpc_codegen.cli.check import check
     from nmpc_codegen.cli.firmware import Firmware
     from nmpc_codegen.compiler import compile, export
-    from nmpc_codegen.options import Options
+    from nmpc_codegen.options import Options, shared
     from nmpc_codegen.runtime.compilers import find_compiler
     from nmpc_codegen.runtime.native import check_target
     from nmpc_codegen.targets import TARGETS
@@ -75,14 +74,16 @@ def _run(arguments: argparse.Namespace, printer: Printer) -> int:
     firmware = Firmware(arguments)
     if arguments.target is not None:
         firmware.look_for_tools(Options(target=arguments.target))
-    ocp, options, _ = _problem(arguments, printer)
+    ocp, options, _, estimator = _problem(arguments, printer)
     firmware.look_for_tools(options)
     name = ocp.name if arguments.name is None else arguments.name
     if arguments.check or arguments.simulate is not None:
         check_target(name, TARGETS[options.with_defaults.target])
     folder = Path(arguments.output or Path("out") / name)
-    more = firmware.hook(name, lambda **changes: compile(ocp, replace(options, **changes), name))
-    given = {"allow_foreign": arguments.allow_foreign, "force": arguments.force, "more": more}
+    beside = None if estimator is None else lambda: compile(estimator, shared(options))
+    more = firmware.hook(name, lambda **changes: compile(ocp, replace(options, **changes), name), beside)
+    given: dict[str, Any] = {"allow_foreign": arguments.allow_foreign, "force": arguments.force, "more": more}
+    given |= {"estimator": estimator}
     with saying_warnings(printer):
         package = export(ocp, options, str(folder), name=name, **given)
         _print_package(printer, package, folder, arguments.verbose)
@@ -98,7 +99,7 @@ def _derivatives(arguments: argparse.Namespace, printer: Printer) -> int:
     """Write a package of derivatives and print its files and operations."""
     from nmpc_codegen import derivatives
 
-    ocp, options, outputs = _problem(arguments, printer)
+    ocp, options, outputs, _ = _problem(arguments, printer)
     outputs = outputs() if callable(outputs) else outputs
     name = f"{ocp.name}_derivatives" if arguments.name is None else arguments.name
     folder = Path(arguments.output or Path("out") / name)
@@ -109,8 +110,8 @@ def _derivatives(arguments: argparse.Namespace, printer: Printer) -> int:
     return 0
 
 
-def _problem(arguments: argparse.Namespace, printer: Printer) -> tuple[OCP, Options, Any]:
-    """The problem of the file, its options with the changes of the command line, and its outputs.
+def _problem(arguments: argparse.Namespace, printer: Printer) -> Stated:
+    """What the file states, with the changes of the command line.
 
     Derivatives have the integrator and the precision of the file, and no other option of a controller.
     """
@@ -120,14 +121,15 @@ def _problem(arguments: argparse.Namespace, printer: Printer) -> tuple[OCP, Opti
     from nmpc_codegen.cli.settings import apply_settings
 
     with isolate(printer, arguments.problem, arguments.verbose), np.errstate():
-        ocp, options, outputs = load_problem(Path(arguments.problem))
+        stated = load_problem(Path(arguments.problem))
+    options = stated.options
     if arguments.derivatives:
         options = type(options)(integrator=options.integrator, precision=options.precision)
     settings = [] if arguments.target is None else [("target", arguments.target)]
     for setting in arguments.settings:
         key, _, text = setting.partition("=")
         settings.append((key.strip(), text.strip()))
-    return ocp, apply_settings(options, settings), outputs
+    return stated._replace(options=apply_settings(options, settings))
 
 
 def _simulate(arguments: argparse.Namespace, folder: Path, name: str, printer: Printer) -> bool:

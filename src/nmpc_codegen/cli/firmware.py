@@ -12,11 +12,12 @@ from nmpc_codegen.cli.printing import Printer
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.firmware.budgets import BYTES, OPERATIONS, Budgets, parse_size
 from nmpc_codegen.firmware.certificate import Certificate, Form
-from nmpc_codegen.firmware.delivery import Delivery, Variant, deliver, sentences
+from nmpc_codegen.firmware.delivery import Delivery, Variant, deliver, deliver_estimator, sentences
 from nmpc_codegen.firmware.process import compiler_for, emulator_command
 from nmpc_codegen.firmware.toolchain import LEVELS, require
 from nmpc_codegen.options import Options
 from nmpc_codegen.package.seal import seal_beside
+from nmpc_codegen.package.sources import Sources
 from nmpc_codegen.runtime.compilers import find_compiler
 from nmpc_codegen.targets import TARGETS
 
@@ -32,6 +33,7 @@ class Firmware:
             if text is not None
         }
         self._budgets, self._delivery = Budgets(**limits), Delivery({}, None, None)
+        self._estimator = self._delivery
         self._level, self._run = arguments.level or LEVELS[0], arguments.verify
         stated = {"level": arguments.level, "max-flash": self._budgets.flash, "max-stack": self._budgets.stack}
         self._of_boards = [f"--{flag}" for flag, value in stated.items() if value is not None]
@@ -54,28 +56,43 @@ class Firmware:
             emulator_command(target)
             compiler_for(target)
 
-    def hook(self, name: str, variant: Variant) -> Callable[[Mapping[str, str]], dict[str, str]]:
-        """What export() calls before it writes anything; ``variant`` makes the package with other options."""
+    def hook(
+        self, name: str, variant: Variant, beside: Callable[[], Sources] | None = None
+    ) -> Callable[[Mapping[str, str]], dict[str, str]]:
+        """What export() calls before it writes anything; ``variant`` makes the package with other options, ``beside``
+        that of an estimator."""
 
         def more(sources: Mapping[str, str]) -> dict[str, str]:
             """Further files, sealed; an error if a budget is exceeded or a tool fails."""
             self._delivery = deliver(sources, name, self._level, self._budgets, self._run, variant)
-            return seal_beside(self._delivery.files, sources)
+            files = dict(self._delivery.files)
+            if beside is not None and self._delivery.certificate is not None:
+                package = beside()
+                self._estimator = deliver_estimator(package, package.description.name, self._level, self._run)
+                files |= self._estimator.files
+            return seal_beside(files, sources)
 
         return more
 
     def report(self, printer: Printer) -> bool:
         """Print certificate and verdict; return False if host and target disagree."""
-        certificate, verdict = self._delivery.certificate, self._delivery.verdict
-        if certificate is not None:
-            _print(printer, certificate)
-            _print_forms(printer, self._delivery.forms)
-        if verdict is None:
-            return True
-        printer.line(sentences(verdict).replace("\n\n", "\n"))
-        for line in () if verdict.passed else ("target and host DISAGREE",):
-            printer.line(line, style="red")
-        return verdict.passed
+        passed = [_report(printer, found) for found in (self._delivery, self._estimator)]
+        return all(passed)
+
+
+def _report(printer: Printer, found: Delivery) -> bool:
+    """Print what was found of one package; False if host and target disagree."""
+    certificate, verdict = found.certificate, found.verdict
+    if certificate is not None:
+        _print(printer, certificate)
+        if found.forms:
+            _print_forms(printer, found.forms)
+    if verdict is None:
+        return True
+    printer.line(sentences(verdict).replace("\n\n", "\n"))
+    for line in () if verdict.passed else ("target and host DISAGREE",):
+        printer.line(line, style="red")
+    return verdict.passed
 
 
 def _print_forms(printer: Printer, forms: tuple[Form, ...]) -> None:
@@ -88,7 +105,7 @@ def _print_forms(printer: Printer, forms: tuple[Form, ...]) -> None:
 
 
 def _print(printer: Printer, certificate: Certificate) -> None:
-    table = Table(f"{certificate.core}, -{certificate.level}", "bytes")
+    table = Table(f"{certificate.name}: {certificate.core}, -{certificate.level}", "bytes")
     table.columns[1].justify = "right"
     rows = {
         "solver struct": certificate.struct_bytes,

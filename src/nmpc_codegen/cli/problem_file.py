@@ -7,9 +7,10 @@ import sys
 import types
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from nmpc_codegen.errors import ProblemError
+from nmpc_codegen.frontend.estimator.declaration import Estimator
 from nmpc_codegen.frontend.ocp import OCP
 from nmpc_codegen.options import Options
 
@@ -17,12 +18,22 @@ from nmpc_codegen.options import Options
 MODULE = "nmpc_problem"
 
 
-def load_problem(path: Path) -> tuple[OCP, Options, Any]:
-    """Run a problem file and return its problem, its options and its outputs.
+class Stated(NamedTuple):
+    """What a file states: the problem, its options, the outputs of --derivatives, and an estimator or None."""
+
+    ocp: OCP
+    options: Options
+    outputs: Any
+    estimator: Estimator | None
+
+
+def load_problem(path: Path) -> Stated:
+    """Run a problem file and return what it states.
 
     The problem is that of ``problem()``, else ``ocp``, else that of ``build_ocp()``, else the only OCP in the file. The
     options are those that ``problem()`` returns, else ``options`` or the result of ``options()``, else the defaults.
-    The outputs, of which --derivatives takes the impulse response, are ``outputs`` or None.
+    The outputs, of which --derivatives takes the impulse response, are ``outputs`` or None. The estimator is
+    ``estimator``, else that of ``build_estimator()``, or of ``build_estimator(ocp)``, else None.
 
     Raises:
         ProblemError: there is no such file, or no problem in it, or several of which none is called ``ocp``.
@@ -38,7 +49,8 @@ def load_problem(path: Path) -> tuple[OCP, Options, Any]:
     sys.modules[MODULE] = module
     try:
         exec(compile(path.read_bytes(), module.__file__, "exec"), module.__dict__)
-        return *_find_statement(module.__dict__, path), module.__dict__.get("outputs")
+        ocp, options = _find_statement(module.__dict__, path)
+        return Stated(ocp, options, module.__dict__.get("outputs"), _find_estimator(module.__dict__, ocp, path))
     finally:
         sys.modules.pop(MODULE, None)
         sys.path = search
@@ -79,6 +91,19 @@ def _problem(names: Mapping[str, Any], path: Path) -> Any:
         f"{path} defines no problem: expected an OCP called `ocp`, or a function problem() or build_ocp() that "
         "returns one"
     )
+
+
+def _find_estimator(names: Mapping[str, Any], ocp: OCP, path: Path) -> Estimator | None:
+    """The estimator of the problem, if the file states one."""
+    found = names.get("estimator", names.get("build_estimator"))
+    if found is None:
+        return None
+    if callable(found):
+        takes = [p for p in inspect.signature(found).parameters.values() if p.default is p.empty]
+        found = found(ocp) if len(takes) == 1 else _call("build_estimator", found, path)
+    if not isinstance(found, Estimator):
+        raise ProblemError(f"{path}: estimator is a {type(found).__name__}; expected ocp.estimator(...)")
+    return found
 
 
 def _call(name: str, function: Any, path: Path) -> Any:

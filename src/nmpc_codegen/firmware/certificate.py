@@ -24,7 +24,7 @@ from nmpc_codegen.package.description import PackageDescription
 from nmpc_codegen.targets import Target
 
 #: Entry points that a controller with a real-time iteration calls.
-REAL_TIME = ("init", "prepare", "feedback", "step", "shift", "reset")
+REAL_TIME = ("init", "prepare", "feedback", "step", "estimate", "shift", "reset")
 SOLVE = "solve"
 
 #: Functions of libgcc that compute in double precision: a package in single precision must not call them.

@@ -1,6 +1,7 @@
 """What nmpc-export checks for a target and adds for a microcontroller, before anything is written.
 
 certificate.json, certificate.md    properties of the package on the target, for programs and for people
+certificate_<name>.json, .md        the same of an estimator beside it
 firmware/                           a bare-metal program that replays a recorded closed loop, and its Makefile
 """
 
@@ -17,14 +18,14 @@ from nmpc_codegen.firmware.certificate import REAL_TIME, Certificate, Form, cert
 from nmpc_codegen.firmware.deviations import DEVIATIONS
 from nmpc_codegen.firmware.image import sources
 from nmpc_codegen.firmware.layouts import layouts
-from nmpc_codegen.firmware.recording import Recording, record, restart_loop
+from nmpc_codegen.firmware.recording import Recording, record, record_estimates, restart_loop
 from nmpc_codegen.firmware.toolchain import Level
 from nmpc_codegen.firmware.verify import Verdict, verify
 from nmpc_codegen.lowering.render import environment
 from nmpc_codegen.options import GOALS
 from nmpc_codegen.package.description import PackageDescription
 from nmpc_codegen.package.seal import without_seal
-from nmpc_codegen.runtime.build import load
+from nmpc_codegen.runtime.build import load, load_estimator
 from nmpc_codegen.targets import PORTABLE, TARGETS, Target
 
 FOLDER = "firmware"
@@ -88,6 +89,23 @@ def deliver(
     files["certificate.json"] = certificate_json(certificate, verdict, forms)
     files["certificate.md"] = page(certificate, verdict, forms, sorted(files))
     return Delivery(files, certificate, verdict, forms)
+
+
+def deliver_estimator(package: Mapping[str, str], name: str, level: Level, run: bool) -> Delivery:
+    """The certificate of the estimator beside a controller for a microcontroller, and its replay on request.
+
+    Raises:
+        BuildError: a tool is missing or refuses the code.
+    """
+    target = TARGETS[PackageDescription.from_json(package[f"{name}.json"]).target]
+    if target.board is None:
+        return Delivery({}, None, None)
+    certificate = certify(package, name, target, level)
+    recording = record_estimates(load_estimator(package, name, "verify"), SAMPLES)
+    verdict = verify(package, name, recording, target, level, certificate.stack_worst) if run else None
+    paths = [f"certificate_{name}.{ending}" for ending in ("json", "md")]
+    texts = certificate_json(certificate, verdict), page(certificate, verdict, files=paths)
+    return Delivery(dict(zip(paths, texts, strict=True)), certificate, verdict)
 
 
 def _at_level(package: Mapping[str, str], level: Level) -> dict[str, str]:

@@ -23,7 +23,7 @@ OUTPUT = "uart.txt"
 SECONDS = 600.0  # that an emulation may take
 
 #: Entry points that replay.c calls once at the end, by the number on their line.
-OTHERS = ("step", "cost", "integrate", "shift", "kkt", "reset", "solve")
+OTHERS = ("step", "cost", "integrate", "shift", "kkt", "reset", "solve", "covariance")
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,10 +133,12 @@ def _parse(lines: Sequence[str], description: PackageDescription, samples: int, 
 
     table = np.array([sample[:6] for sample in words["S"]], dtype=np.int64).reshape(samples, 6)
     bits = np.array([sample[6:] for sample in words["S"]], dtype=np.uint32)
-    u = np.ascontiguousarray(bits).view(description.real).reshape(samples, description.dims.nu)
-    used = (("prepare", 1), ("feedback", 4)) if description.has_phases else (("step", 4),)
+    u = np.ascontiguousarray(bits).view(description.real).reshape(samples, len(description.outputs))
+    whole = description.sample_call
+    used = (("prepare", 1), ("feedback", 4)) if description.has_phases else ((whole, 4),)
     stack = {"init": words["I"][0][1], **{name: int(table[:, column].max()) for name, column in used}}
-    others = {OTHERS[number]: (ticks, used) for number, ticks, used in words["O"]}
+    names = (whole, *OTHERS[1:])
+    others = {names[number]: (ticks, used) for number, ticks, used in words["O"]}
     return Run(
         u=u,
         status=np.where(table[:, 2] != 0, table[:, 2], table[:, 5]),

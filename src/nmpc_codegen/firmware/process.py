@@ -67,4 +67,4 @@ def _parse(text: str, recording: Recording) -> Outcome:
         raise BuildError(f"the program reported {len(table)} of {samples} samples")
     bits = np.array([row[2:] for row in table], dtype=np.uint32)
     status = np.array([row[0] or row[1] for row in table], dtype=np.int64)
-    return Outcome(np.ascontiguousarray(bits).view(description.real).reshape(samples, description.dims.nu), status)
+    return Outcome(np.ascontiguousarray(bits).view(description.real).reshape(samples, len(description.outputs)), status)

@@ -21,6 +21,7 @@ from nmpc_codegen.lowering.render import environment
 from nmpc_codegen.package.description import PackageDescription
 from nmpc_codegen.package.memory import Precision
 from nmpc_codegen.runtime.controller import Controller
+from nmpc_codegen.runtime.estimation.observer import Observer
 
 Array = NDArray[np.float64]
 Disturbed = Callable[[int, Array], Array]
@@ -91,7 +92,7 @@ class Recording:
             .get_template("firmware/recording.h.jinja")
             .render(
                 p=d.name,
-                P=d.name.upper(),
+                **_call(d),
                 has_solve=int(d.offers("solve")),
                 has_phases=int(d.has_phases),
                 samples=len(self.x),
@@ -101,10 +102,21 @@ class Recording:
         )
 
 
+def _call(d: PackageDescription) -> dict[str, object]:
+    """How a sample is called: its inputs in one vector, and its outputs."""
+    P, found = d.name.upper(), d.estimation
+    if found is None:
+        return {"P": P, "inputs": f"{P}_NX", "outputs": f"{P}_NU", "call": "step)(s, x, u)", "has_model": 1}
+    known, controls = (f"({P}_NM + {P}_NIN)", f", (x) + {P}_NM") if found.nu else (f"{P}_NM", "")
+    call = f"estimate)(s, x{controls}, u)"
+    return {"P": P, "inputs": known, "outputs": f"{P}_NX", "call": call, "has_model": 0}
+
+
 def literals(values: ArrayLike, precision: Precision) -> str:
-    """The numbers as exact C literals, separated by commas."""
+    """The numbers as exact C literals, separated by commas; NaN by its name in math.h."""
     suffix = "F" if precision == "single" else ""
-    return ", ".join(f"{float(v).hex()}{suffix}" for v in np.asarray(values).ravel())
+    numbers = np.asarray(values, dtype=np.float64).ravel()
+    return ", ".join("NAN" if math.isnan(v) else f"{float(v).hex()}{suffix}" for v in numbers)
 
 
 def record(
@@ -150,6 +162,24 @@ def record(
     size = float(max(np.abs(u).max(initial=0.0), np.abs(measured).max(initial=0.0)))
     found = ranges(description, u, size)
     return Recording(description, np.array(measured), exact, u, np.array(statuses), np.array(states), found)
+
+
+def record_estimates(observer: Observer, samples: int, seed: int = 1) -> Recording:
+    """Run an estimator that was just built, in the profile "verify", on measurements of the declared initial state with
+    noise, of which every fifth is missing on average, and controls that are noise of the size 0.1."""
+    description, found = observer.description, observer.estimation
+    rng, real = np.random.default_rng(seed), description.real
+    inputs, estimates, statuses = [], [], []
+    for _ in range(samples):
+        u = (0.1 * rng.standard_normal(found.nu)).astype(real)
+        y = observer.measure(description.x_initial, u) + np.array(found.noise_std) * rng.standard_normal(found.ny)
+        y = np.where(rng.uniform(size=found.ny) < 0.2, np.nan, y).astype(real)
+        estimates.append(observer.step(y, u if found.nu else None).astype(np.float64))
+        inputs.append(np.concatenate([y, u]).astype(np.float64))
+        statuses.append(int(observer.status))
+    x = np.array(estimates)
+    spread = np.maximum(np.ptp(x, axis=0), np.abs(np.array(description.scales[: x.shape[1]])))
+    return Recording(description, np.array(inputs), (), x, np.array(statuses), x, spread)
 
 
 def _next(controller: Controller, x: Array, u: Array, dt: float | None) -> Array:

@@ -98,5 +98,5 @@ def _example(recording: Recording, run: Outcome, k: int, errors: Array) -> str:
     if run.status[k] != recording.status[k]:
         return f"sample {k}: status {int(run.status[k])} instead of {int(recording.status[k])}"
     j = int(np.argmax(np.nan_to_num(errors[k], nan=np.inf)))
-    name = recording.description.names.controls[j]
+    name = recording.description.outputs[j]
     return f"sample {k}: {name} {float(run.u[k, j])!r} instead of {float(recording.u[k, j])!r}"

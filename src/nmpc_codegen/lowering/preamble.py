@@ -232,7 +232,8 @@ def kernel_call(
 
     The arguments of the macro are always the same: the solver, the node of a path kernel, the vectors that it
     multiplies, the outputs; INTEGRATOR_STEP also takes the state, the control, the step length and the steps of
-    Newton's method, INTEGRATOR_JUMP the state and the control. Kernels of stages have arguments for all of their ports.
+    Newton's method, INTEGRATOR_JUMP the state and the control, MEASUREMENT the state and the parameters. Kernels of
+    stages have arguments for all of their ports.
     """
     if routine.name.startswith("stage_"):
         names = [p.name for p in (*routine.inputs, *routine.outputs)]
@@ -244,6 +245,8 @@ def kernel_call(
     elif routine.name == "integrator_jump":
         places = {"x": "x", "u": "u", "p": "PARAM(s, k)", "dt": "&interval_length[k]"}
         leading = ["s", "k", "x", "u"]
+    elif routine.name == "measurement":
+        places, leading = {"x": "x", "p": "p"}, ["x", "p"]
     elif routine.name.startswith("terminal_"):
         places, leading = {**everywhere, **TERMINAL_PLACES}, ["s"]
     elif routine.name.startswith("start_"):

@@ -47,6 +47,7 @@ from nmpc_codegen.lowering.pruning.reach import calling
 from nmpc_codegen.lowering.pruning.scopes import blank
 from nmpc_codegen.lowering.pruning.unit import prune
 from nmpc_codegen.lowering.rows import row_functions, row_ranges
+from nmpc_codegen.package.estimation import WORDS
 from nmpc_codegen.package.memory import PURPOSES, WORK, Field, Size, Struct
 from nmpc_codegen.package.seal import seal
 from nmpc_codegen.package.signals import Argument, EntryPoint, Layout, Signal, horizon, nodes
@@ -98,7 +99,7 @@ def render(module: CModule) -> Sources:
     names = _fill(module)
     files = {
         f"{module.name}.c": "package/solver.c.jinja",
-        "main.c": "package/main.c.jinja",
+        "main.c": "package/main.c.jinja" if module.description.kind is None else "package/main_estimator.c.jinja",
         "CMakeLists.txt": "package/CMakeLists.txt.jinja",
         "README.md": "package/README.md.jinja",
     }
@@ -222,8 +223,28 @@ def _names(module: CModule) -> dict[str, Any]:
         "copies": lambda option: _copies(module.layouts[option], option in ("reference", "weight")),
         "initial": ", ".join(names["lit"](v) for s in module.description.states for v in s.value),
         "dt": names["lit"](module.description.sampling_time or module.description.dt[0]),
+        "what": WORDS[module.description.kind],
+        "usage": f"package/usage_{'controller' if module.description.kind is None else 'estimator'}.md.jinja",
     }
-    return names
+    return names | _of_estimator(module, names)
+
+
+def _of_estimator(module: CModule, names: Mapping[str, Any]) -> dict[str, Any]:
+    """What the example and README.md of an estimator say of measurements and controls."""
+    found = module.description.estimation
+    if found is None:
+        return {}
+    real, u = names["real"], f"u[{module.macro}_NIN]"
+    units = [s.unit for s in found.measured for _ in s.elements]
+    return {
+        "inputs": found.nu,
+        "arguments": f"const {real} y[{module.macro}_NM]" + (f", const {real} {u}" if found.nu else ""),
+        "controls": f"    const {real} {u} = {{ 0 }};" if found.nu else "",
+        "noise": ", ".join(names["lit"](v) for v in found.noise_std),
+        "measurements": [
+            (name, unit, f"{std:g}") for name, unit, std in zip(found.measurements, units, found.noise_std, strict=True)
+        ],
+    }
 
 
 def constants_of(module: CModule, known: Sequence[Definition]) -> Constants:
@@ -315,7 +336,7 @@ def _page(module: CModule) -> dict[str, Any]:
         f"{name}.h": "the interface: sizes, names, the solver struct, all functions with their arguments",
         f"{name}.c": "the solver, one translation unit",
         f"{name}.json": "sizes, names, units, options and report, for open_package() in Python and for other tools",
-        "main.c": "an example: a closed loop on the computer, the only file that uses stdio",
+        "main.c": "an example: a loop on the computer, the only file that uses stdio",
         "CMakeLists.txt": f"the library {name}::{name}, its installation, the example",
         "README.md": "this page",
         **{f"{folder}/": "code of another generator" for folder in module.folders},

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nmpc_codegen.errors import ControllerError
-from nmpc_codegen.package.estimation import Estimation
+from nmpc_codegen.package.estimation import Estimation, EstimatorKind
 from nmpc_codegen.package.memory import INTEGERS, REAL, Field, Precision, Size, Struct
 from nmpc_codegen.package.opcount import OpCount
 from nmpc_codegen.package.program import Program
@@ -138,6 +138,21 @@ class PackageDescription:
         measured = 0 if self.estimation is None else self.estimation.data
         behind = {"NX": self.inner.count, "NP": self.inner.data + measured}
         return {name: value - behind.get(name, 0) for name, value in self.sizes.items()}
+
+    @property
+    def kind(self) -> EstimatorKind | None:
+        """Kind of the estimator; None: it is a controller."""
+        return None if self.estimation is None else self.estimation.kind
+
+    @property
+    def sample_call(self) -> str:
+        """The entry point of a whole sample."""
+        return "step" if self.estimation is None else "estimate"
+
+    @property
+    def outputs(self) -> tuple[str, ...]:
+        """What a sample yields, by name: controls, or estimates."""
+        return self.names.controls if self.estimation is None else self.names.states
 
     @property
     def real(self) -> np.dtype[Any]:

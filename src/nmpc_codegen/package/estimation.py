@@ -11,13 +11,22 @@ from nmpc_codegen.package.signals import Signal
 EstimatorKind = Literal["mhe", "ekf"]
 
 
+#: What a package is, in words; None: that of a controller.
+WORDS = {
+    None: "nonlinear model predictive controller",
+    "mhe": "moving horizon estimator",
+    "ekf": "extended Kalman filter",
+}
+
+
 @dataclass(frozen=True)
 class Estimation:
     """The estimator of x from y_k = h(x_k, u_{k-1}, p_k) + noise, x_{k+1} = Phi(x_k, u_k, p_k, w_k).
 
     ``measured``: the measurements y; ``inputs``: the controls u of the plant; ``noise_std`` (ny,), ``process_std``
     (nw,), ``initial_std`` (nx,): standard deviations of the noise, of w, and of x_0; ``thresholds`` (ny,): of Huber's
-    loss in standard deviations, 0: squares. ``unknown``: parameters of the OCP that are states here, behind its own.
+    loss in standard deviations, 0: squares; ``states`` (ny,): the state that a measurement is, "" for another
+    expression. ``unknown``: parameters of the OCP that are states here, behind its own.
 
     Behind the parameters of the user, of which there are ``own``, a node has the controls u_k, u_{k-1} if ``before``,
     y_k, and the inverse standard deviations of y_k, 0 for what is missing.
@@ -30,6 +39,7 @@ class Estimation:
     process_std: tuple[float, ...]
     initial_std: tuple[float, ...]
     thresholds: tuple[float, ...]
+    states: tuple[str, ...]
     unknown: tuple[str, ...]
     own: int
     before: bool

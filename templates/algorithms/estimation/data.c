@@ -39,6 +39,24 @@ static void keep_controls(solver_t *s, int k)
     }
 }
 
+/* What sensors without noise tell of x at node k, where the controls u act, if there are any. */
+static status_t tell_measurements(const solver_t *s, int k, const real_t *x, const real_t *u, real_t *y)
+{
+    real_t p[NP], H[NM][NX];
+    if (s->magic != MAGIC) {
+        for (int m = 0; m < NM; m++) {
+            y[m] = (real_t)NAN;
+        }
+        return NOT_INITIALIZED;
+    }
+    memcpy(p, PARAM(s, k), sizeof p);
+    for (int j = 0; HAS_BEFORE && j < NIN; j++) {
+        p[AT_BEFORE + j] = u[j];
+    }
+    MEASUREMENT(x, p, y, H);
+    return OK;
+}
+
 /* Without init() the estimate is the declared initial state. */
 static status_t refuse(real_t *xhat)
 {
@@ -58,7 +76,7 @@ static real_t accuracy_with(int m, real_t deviations)
 static void weigh_by_filter(solver_t *s, int k, const filter_t *f)
 {
     real_t y[NM], H[NM][NX] = {{R(0)}};
-    MEASUREMENT(s, k, y, H);
+    MEASUREMENT(s->x[k], PARAM(s, k), y, H);
     for (int m = 0; m < NM; m++) {
         real_t p[NX];
         project(f, H[m], p);

@@ -49,7 +49,7 @@ static void update_filter(const solver_t *s, int k, filter_t *f)
 {
     const real_t *p = PARAM(s, k);
     real_t y[NM], H[NM][NX] = {{R(0)}};
-    MEASUREMENT(s, k, y, H);
+    MEASUREMENT(s->x[k], PARAM(s, k), y, H);
     for (int m = 0; m < NM; m++) {
         const real_t inverse = p[AT_ACCURACY + m];
         real_t error = p[AT_Y + m] - y[m];

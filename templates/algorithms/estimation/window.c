@@ -118,7 +118,7 @@ static void weigh_by_window(solver_t *s)
 {
     for (int k = 0; k <= s->window; k++) {
         real_t y[NM], H[NM][NX];
-        MEASUREMENT(s, k, y, H);
+        MEASUREMENT(s->x[k], PARAM(s, k), y, H);
         for (int m = 0; m < NM; m++) {
             if (s->p[k][AT_ACCURACY + m] > R(0)) {
                 s->p[k][AT_ACCURACY + m] = accuracy_with(m, (s->p[k][AT_Y + m] - y[m]) * accuracy[m]);

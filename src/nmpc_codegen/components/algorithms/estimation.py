@@ -17,6 +17,7 @@ from nmpc_codegen.package.signals import Argument, EntryPoint
 LEAST_STD = 1e-6
 
 _Y, _U, _XHAT = (Argument("y", "real", ("NM",)), Argument("u", "real", ("NIN",)), Argument("xhat", "real", ("NX",)))
+_Y_OUT = Argument("y", "real", ("NM",))
 _P = Argument("P", "real", ("NX * NX",))
 _ESTIMATE = (
     "A sample: xhat, the state at the time of the measurements y, of which NaN is a missing one; {of_u}xhat is finite "
@@ -35,6 +36,7 @@ CORRECT = EntryPoint(
     (_XHAT,),
 )
 COVARIANCE = EntryPoint("covariance", "Covariance P of the error of the last estimate.", (), (_P,))
+_MEASURE = "What sensors without noise tell of the state x, with the parameters of the present sample"
 RESTART = EntryPoint(
     "restart",
     "Forget all measurements: the next sample begins at x0 with the covariance P0, symmetric and positive "
@@ -50,6 +52,13 @@ def estimate(features: Features) -> EntryPoint:
     doc = _ESTIMATE.format(of_u=_OF_U if known else "")
     more = _PARAMETERS if features.set_parameter and features.has_qp else ""
     return EntryPoint("estimate", doc + more, inputs, (_XHAT,))
+
+
+def measure(features: Features) -> EntryPoint:
+    """The function of the sensors; a plant without controls has no argument u."""
+    known = features.known_controls
+    inputs = (Argument("x", "real", ("NX",)), *((_U,) if known else ()))
+    return EntryPoint("measure", f"{_MEASURE}{' and the controls u that act' if known else ''}.", inputs, (_Y_OUT,))
 
 
 def check(algorithm: object, problem: Problem, kind: EstimatorKind) -> None:

@@ -54,8 +54,9 @@ class KalmanFilter(Defaults):
         return None
 
     def entries(self, features: Features) -> tuple[EntryPoint, ...]:
-        """A sample, the covariance, a new start."""
-        return (measuring.estimate(features), measuring.COVARIANCE, measuring.RESTART)
+        """A sample, the sensors, the covariance, a new start."""
+        of_features = (measuring.estimate(features), measuring.measure(features))
+        return (*of_features, measuring.COVARIANCE, measuring.RESTART)
 
     def tables(self, problem: Problem) -> tuple[Table, ...]:
         """Standard deviations, and the bounds to which states are clipped."""

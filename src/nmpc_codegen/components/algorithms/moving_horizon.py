@@ -87,9 +87,9 @@ class MovingHorizon(Defaults):
         return replace(features, first=False)
 
     def entries(self, features: Features) -> tuple[EntryPoint, ...]:
-        """A sample, late measurements, the covariance, a new start."""
+        """A sample, the sensors, late measurements, the covariance, a new start."""
         return (
-            measuring.estimate(features),
+            *(measuring.estimate(features), measuring.measure(features)),
             *(measuring.CORRECT, measuring.COVARIANCE, measuring.RESTART),
         )
 

@@ -261,10 +261,16 @@ class _Window:
             process_std=tuple(n.std for n in self.noises) or (0.0,) * problem.nu,
             initial_std=tuple(map(float, self.initial_std)),
             thresholds=tuple(m.threshold for m in e.measurements for _ in m.signal.elements),
+            states=tuple(self._state_of(m.expression[i]) for m in e.measurements for i in range(m.signal.size)),
             unknown=tuple(d.signal.name for d in e.unknown),
             own=self.own,
             before=self.has_before,
         )
+
+    def _state_of(self, expression: Any) -> str:
+        """Name of the state that an expression is, "" if it is another one."""
+        element = self.estimator.ocp.element(expression)
+        return element.name if element is not None and element.kind == "state" else ""
 
 
 def _grid(e: Estimator) -> OCP:

@@ -94,6 +94,18 @@ class Observer(Setters):
         self._judge(status, "correct", on_failure)
         return self._xhat.copy()
 
+    def measure(self, x: ArrayLike, u: ArrayLike | None = None) -> Array:
+        """What sensors without noise tell: h(x, u, p), shape (ny,), of a state (nx,) with the controls u (nu,) that act
+        there, by default 0, and the parameters of the present sample."""
+        state = self._array("x", x, (self.dims.nx,), finite=False)
+        control = (
+            np.zeros(self.estimation.nu) if u is None else self._array("u", u, (self.estimation.nu,), finite=False)
+        )
+        y, y_c = self._buffer(self.estimation.ny)
+        arguments = (self._pointer(control),) if self.estimation.nu else ()
+        self._call("measure", self._s, self._pointer(state), *arguments, y_c)
+        return y
+
     def reset(self, x0: ArrayLike | None = None, P0: ArrayLike | None = None) -> None:
         """Forget all measurements.
 

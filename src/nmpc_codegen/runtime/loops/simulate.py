@@ -26,6 +26,8 @@ from nmpc_codegen.runtime.diagnosis.rows import (
     start_parameters,
     whole_parameters,
 )
+from nmpc_codegen.runtime.estimation.observer import Observer
+from nmpc_codegen.runtime.estimation.sensing import Sensing, see
 from nmpc_codegen.runtime.given import is_positive, is_same_time, rows
 from nmpc_codegen.runtime.loops.forecast import Before, Bounds, OverSamples, References, forecast
 from nmpc_codegen.runtime.records.html import units
@@ -61,23 +63,22 @@ def simulate(
     bounds: Bounds | None = None,
     references: References | None = None,
     reference: References | None = None,
+    estimator: Observer | None = None,
+    seed: int | None = 0,
 ) -> Log:
     """Run a controller in closed loop. The controller is left in its last state; copy() it to keep the initial one.
 
     Args:
         ctrl: the controller.
-        x0: initial state of the plant, shape (nx,), or {name of a state or of a vector: value}, where others have
-            their declared initial values.
+        x0: initial state of the plant, (nx,), or {name of a state or vector: value}; others as declared.
         steps: number of samples, >= 0.
         dt: sampling time (s, or the time_unit of the OCP); by default that of the controller, or its first interval if
             any will do, as with shift=None. Leave it out for a discrete map.
         plant: plant(x, u, dt) -> next x; by default the integrator of the package, in equal steps no longer than the
             controller's first interval.
         disturbance: disturbance(k, x) -> value added to the state after sample k; x is the state before this sample.
-        before: called as before(k, ctrl) before sample k, to set data, after those of parameters, bounds, references;
-            with ``warm_start`` before solve() too.
-        warm_start: call solve(x0) before the first sample, so that the loop starts from a converged plan. One iteration
-            per sample may not find a plan from a cold start with hard rows.
+        before: called as before(k, ctrl) before sample k, and before solve() of ``warm_start``, to set further data.
+        warm_start: call solve(x0) before the first sample: a cold start with hard rows may need more iterations.
         law: "step": step(x) at every sample; "solve": solve(x), from the plan of the sample before, moved as in step().
         parameters: {name: array over the samples}, (n,), or (n, size) for a vector. A node of sample k has the row of
             the sample at its time, k + j if intervals are as long as samples, so that a forecast moves along; the last
@@ -85,6 +86,9 @@ def simulate(
         bounds: {name of a row: (lower, upper)}, each a number or an array over the samples as for parameters.
         references: {name of a residual: array over the samples}, or (n, ny) for the path residual.
         reference: the same; a function that is given here belongs to ``before``.
+        estimator: build(ocp.estimator(...)), which tells the controller the state; ``parameters`` that it finds are
+            those of the plant alone.
+        seed: of the noise of its measurements; None: no noise.
 
     Raises:
         ControllerError: shapes or numbers are wrong, there are more steps than a log can hold, or the plant returns
@@ -93,12 +97,15 @@ def simulate(
     numbers = _path_rows(ctrl)
     _check_steps(steps, ctrl, len(numbers))
     interval = _interval(ctrl, dt)
-    move, sample = plant or _own_plant(ctrl), _sample_by(law, ctrl, interval)
     start = _state(_stack(x0, ctrl) if isinstance(x0, Mapping) else x0, ctrl.dims.nx, "x0")
     tell = forecast(ctrl, interval, parameters, bounds, _references(references, reference), before)
+    of_plant = forecast(ctrl, interval, parameters, None, None, None)
+    sensing = None if estimator is None else Sensing(ctrl, estimator, seed, steps, interval, of_plant)
+    move = plant or _own_plant(ctrl if sensing is None else sensing.truth)
     if warm_start:
         _solve_first(ctrl, start, tell)
-    return _run(ctrl, start, steps, interval, numbers, tell, sample, move, disturbance)
+    sample = _sample_by(law, ctrl, interval)
+    return _run(ctrl, start, steps, interval, numbers, tell, sample, move, disturbance, sensing)
 
 
 def _run(
@@ -111,8 +118,10 @@ def _run(
     sample: Sample,
     move: Plant,
     disturbance: Disturbance | None,
+    sensing: Sensing | None,
 ) -> Log:
     """The loop and its log; ``numbers``: rows that are logged."""
+    look = see if sensing is None else sensing.look
     name, nx, nu = ctrl.description.name, ctrl.dims.nx, ctrl.dims.nu
     x, u, known = np.zeros((steps + 1, nx)), np.zeros((steps, nu)), np.zeros((steps, ctrl.known.size))
     status, time_ns, cost = np.zeros(steps, np.int64), np.zeros(steps, np.int64), np.zeros(steps)
@@ -122,7 +131,7 @@ def _run(
     reasons: dict[Status, str] = {}
     for k in _progress(range(steps), name):
         tell(k, ctrl)
-        u[k], time_ns[k] = sample(x[k], k)
+        u[k], time_ns[k] = sample(look(k, x[k], u[k - 1] if k else np.zeros(nu)), k)
         status[k], cost[k], known[k] = ctrl.status, ctrl.cost, ctrl.known
         if status[k] not in reasons:
             reasons[Status(status[k])] = ctrl.diagnose() if status[k] else ""
@@ -135,7 +144,9 @@ def _run(
     h = _sample_rows(ctrl, np.hstack([x[:-1], known]), u, p, z)[:, numbers]
     own, traces = _own_axes(ctrl, numbers, h, x, u)
     t = interval * np.arange(steps + 1, dtype=np.float64)
-    return Log(name, ctrl.description.time_unit, t, x, u, z, h[:, own], p, y, status, cost, time_ns, *traces, reasons)
+    arrays = t, x, u, z, h[:, own], p, y, status, cost, time_ns
+    found = None if sensing is None else sensing.record()
+    return Log(name, ctrl.description.time_unit, *arrays, *traces, reasons, found)
 
 
 def _sample_by(law: Law, ctrl: Controller, interval: float) -> Sample:

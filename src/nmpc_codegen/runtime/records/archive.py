@@ -16,10 +16,14 @@ from numpy.typing import NDArray
 
 from nmpc_codegen.errors import ControllerError
 from nmpc_codegen.package.status import Status
-from nmpc_codegen.runtime.records.trace import COLUMNS, Bound, Record, Trace
+from nmpc_codegen.runtime.records.trace import COLUMNS, Bound, Estimates, Record, Trace
 
-FORMAT = "nmpc_codegen log 2"
+FORMAT = "nmpc_codegen log 3"
 ARRAYS = ("t", *COLUMNS, "status", "cost", "time_ns")
+
+#: Arrays of estimates, with the field of the traces of their columns, and the prefix of their names in the archive.
+OF_ESTIMATES = {"x": "states", "std": "states", "y": "sensors", "p": "", "status": "", "time_ns": ""}
+ESTIMATED = "estimates_"
 
 
 def write(log: Record, file: str | os.PathLike[str] | IO[bytes]) -> None:
@@ -31,7 +35,11 @@ def write(log: Record, file: str | os.PathLike[str] | IO[bytes]) -> None:
         "traces": {kind: [asdict(trace) for trace in getattr(log, kind)] for kind in COLUMNS.values()},
         "reasons": {status.name: reason for status, reason in log.reasons.items()},
     }
-    content = {name: getattr(log, name) for name in ARRAYS} | {"description": np.array(json.dumps(text))}
+    content = {name: getattr(log, name) for name in ARRAYS}
+    if (found := log.estimates) is not None:
+        text["estimates"] = {kind: [asdict(t) for t in getattr(found, kind)] for kind in ("states", "sensors")}
+        content |= {f"{ESTIMATED}{name}": getattr(found, name) for name in OF_ESTIMATES}
+    content["description"] = np.array(json.dumps(text))
     write_arrays(file, np.savez_compressed, content)
 
 
@@ -59,12 +67,14 @@ def read(file: str | os.PathLike[str] | IO[bytes]) -> dict[str, Any]:
                 raise ValueError(f"it lacks {', '.join(lacking)}")
             arrays = {name: found[name] for name in ARRAYS}
             text = json.loads(str(found["description"]))
+            of_estimates = {n: found[f"{ESTIMATED}{n}"] for n in OF_ESTIMATES} if "estimates" in text else None
         if text["format"] != FORMAT:
             raise ValueError(f"its format is {text['format']!r}, not {FORMAT!r}")
         traces = {kind: tuple(_trace(**entry) for entry in text["traces"][kind]) for kind in COLUMNS.values()}
         _check(arrays, traces)
         reasons = {Status[name]: str(reason) for name, reason in text["reasons"].items()}
-        return {"name": text["name"], "time_unit": text["time_unit"], "reasons": reasons, **arrays, **traces}
+        more = {"estimates": None if of_estimates is None else _estimates(of_estimates, text["estimates"], arrays)}
+        return {"name": text["name"], "time_unit": text["time_unit"], "reasons": reasons, **arrays, **traces, **more}
     except (ValueError, KeyError, TypeError, AttributeError, zipfile.BadZipFile, zlib.error, EOFError) as error:
         what = (
             f"{error} is missing"
@@ -84,6 +94,17 @@ def _check(arrays: Mapping[str, Any], traces: Mapping[str, tuple[Trace, ...]]) -
             raise ValueError(f"{name} has the shape {arrays[name].shape}, not {expected}")
     for status in np.unique(arrays["status"]):
         Status(int(status))
+
+
+def _estimates(arrays: Mapping[str, Any], text: Mapping[str, Any], log: Mapping[str, Any]) -> Estimates:
+    """ValueError unless there is an entry for every sample and trace."""
+    traces = {kind: tuple(_trace(**entry) for entry in text[kind]) for kind in ("states", "sensors")}
+    fields: dict[str, Any] = {**arrays, **traces}
+    for name, kind in OF_ESTIMATES.items():
+        columns = (len(traces[kind]),) if kind else arrays[name].shape[1:]
+        if arrays[name].shape != (len(log["u"]), *columns):
+            raise ValueError(f"{ESTIMATED}{name} has the shape {arrays[name].shape}")
+    return Estimates(**fields)
 
 
 def _trace(name: str, unit: str, bounds: list[dict[str, Any]], signal: str) -> Trace:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import IO, Any, Self
 
 import numpy as np
@@ -17,7 +17,9 @@ from nmpc_codegen.runtime.records.html import page, shorten, table
 from nmpc_codegen.runtime.records.plot import (
     ALGEBRAIC_COLOR,
     CONTROL_COLOR,
+    PARAMETER_COLOR,
     ROW_COLOR,
+    SENSOR_COLOR,
     STATE_COLOR,
     TIME_COLOR,
     Curve,
@@ -110,6 +112,10 @@ class Log(Record):
         if len(self.time_ns):
             median, worst = np.median(self.time_ns) / 1e3, np.max(self.time_ns) / 1e3
             lines.append(f"time per sample: median {median:.1f} us, worst {worst:.1f} us")
+        if (found := self.estimates) is not None and len(found.status):
+            bad = int(np.sum(found.status != Status.OK))
+            median, worst = np.median(found.time_ns) / 1e3, np.max(found.time_ns) / 1e3
+            lines.append(f"estimator: {bad} samples not OK; median {median:.1f} us, worst {worst:.1f} us")
         last = zip(self.states, self.x[-1], strict=True)
         lines.append("last state: " + list_some([f"{trace.name} = {value:.6g}" for trace, value in last]))
         return "\n".join(lines)
@@ -118,8 +124,9 @@ class Log(Record):
         """Plot states, controls, general path rows and the time per sample over time. It needs the extra ``plot``.
 
         Hard bounds are dashed and soft ones dotted where a curve comes near or violates them; they are those at the end
-        of the loop. References of bare states and controls are thin lines. Marks at the lower edge: samples that
-        failed, red, and those that are RELAXED or NOT_CONVERGED, orange.
+        of the loop. References of bare states and controls are thin lines. With an estimator there are also estimates
+        with two standard deviations, measurements, and axes of what is estimated besides states. Marks at the lower
+        edge: samples that failed, red, and those that are RELAXED or NOT_CONVERGED, orange.
 
         Args:
             file: file for the picture (.png, .pdf, .svg); None: only return the figure, for plt.show().
@@ -137,9 +144,10 @@ class Log(Record):
         start = self.t[:-1]
         held = np.append(self.u, self.u[-1:], axis=0)
         curves = [
-            Curve(trace, self.t, self.x[:, i], STATE_COLOR, followed.get(trace.name))
+            self._with_estimate(Curve(trace, self.t, self.x[:, i], STATE_COLOR, followed.get(trace.name)), i)
             for i, trace in enumerate(self.states)
         ]
+        curves += self._unknown_curves()
         curves += [
             Curve(trace, self.t[: len(held)], held[:, j], CONTROL_COLOR, followed.get(trace.name), held=True)
             for j, trace in enumerate(self.controls)
@@ -149,6 +157,30 @@ class Log(Record):
         times = self.time_ns / 1e3
         uneven = bool(times.size and times.max() > UNEVEN * np.median(times) > 0)
         return [*curves, Curve(Trace("time", "µs"), start, times, TIME_COLOR, dots=True, logarithmic=uneven)]
+
+    def _with_estimate(self, curve: Curve, i: int) -> Curve:
+        """The curve of state i with what is measured of it and what the estimator makes of it."""
+        if (found := self.estimates) is None:
+            return curve
+        shown = [found.y[:, m] for m, sensor in enumerate(found.sensors) if sensor.signal == curve.trace.name]
+        estimate = found.x[:, i], 2 * found.std[:, i]
+        return replace(curve, estimate=estimate, measured=shown[0] if shown else None)
+
+    def _unknown_curves(self) -> list[Curve]:
+        """The unknown parameters, and measurements that are no states."""
+        if (found := self.estimates) is None:
+            return []
+        start, nx = self.t[:-1], len(self.states)
+        unknown = [
+            self._with_estimate(Curve(trace, start, found.p[:, i], PARAMETER_COLOR), nx + i)
+            for i, trace in enumerate(found.states[nx:])
+        ]
+        sensors = [
+            Curve(trace, start, found.y[:, m], SENSOR_COLOR, dots=True)
+            for m, trace in enumerate(found.sensors)
+            if not trace.signal
+        ]
+        return [*unknown, *sensors]
 
     def _title(self) -> str:
         bad = int(np.sum(self.status != Status.OK))

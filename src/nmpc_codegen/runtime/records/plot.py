@@ -37,12 +37,16 @@ STYLE = {
     "font.size": 9,
 }
 STATE_COLOR, CONTROL_COLOR, ALGEBRAIC_COLOR = "#1f5fa8", "#c2571a", "#7b4a91"
+PARAMETER_COLOR, SENSOR_COLOR = "#5b6b7a", "0.55"
 ROW_COLOR, TIME_COLOR = "#3f7d4e", "0.5"
 BOUND_COLOR, REFERENCE_COLOR, DOUBT_COLOR, FAILURE_COLOR = "0.45", "0.15", "#d98c00", "#b3202c"
 #: What the legend says, and the style of the line or mark.
 HARD = ("hard bound", {"color": BOUND_COLOR, "linewidth": 1.0, "linestyle": (0, (5, 3))})
 SOFT = ("soft bound", {"color": BOUND_COLOR, "linewidth": 1.2, "linestyle": (0, (1, 2))})
 REFERENCE = ("reference", {"color": REFERENCE_COLOR, "linewidth": 0.8})
+MEASURED = ("measured", {"color": "0.6", "marker": ".", "markersize": 2.5, "linestyle": ""})
+ESTIMATE_COLOR = "#d1495b"
+ESTIMATE = ("estimate ± 2 standard deviations", {"color": ESTIMATE_COLOR, "linewidth": 1.0})
 MARKS = (
     ("RELAXED, NOT_CONVERGED", {"color": DOUBT_COLOR, "marker": "|", "linestyle": ""}),
     ("failed", {"color": FAILURE_COLOR, "marker": "|", "linestyle": ""}),
@@ -53,7 +57,8 @@ Legend = tuple[str, dict[str, Any]]
 @dataclass(frozen=True, eq=False)
 class Curve:
     """Values of a trace over time, and their reference, one value per sample; ``held``: constant until the next sample;
-    ``dots``: known at the samples only; ``logarithmic``: positive values of different magnitude."""
+    ``dots``: known at the samples only; ``logarithmic``: positive values of different magnitude. ``estimate``: what an
+    estimator makes of them at the samples, and two standard deviations; ``measured``: what is measured of them."""
 
     trace: Trace
     t: Array
@@ -63,6 +68,8 @@ class Curve:
     held: bool = False
     dots: bool = False
     logarithmic: bool = False
+    estimate: tuple[Array, Array] | None = None
+    measured: Array | None = None
 
 
 def draw(
@@ -147,6 +154,16 @@ def _draw_curve(axis: Any, curve: Curve) -> list[Legend]:
         axis.axhline(value, zorder=1.5, **look)
         shown.append((label, look))
         low, high = min(low, value), max(high, value)
+    if curve.measured is not None:
+        axis.plot(curve.t[: len(curve.measured)], curve.measured, zorder=1.6, **MEASURED[1])
+        shown.append(MEASURED)
+    if curve.estimate is not None:
+        found, around = curve.estimate
+        t = curve.t[: len(found)]
+        axis.plot(t, found, zorder=2.4, **ESTIMATE[1])
+        axis.fill_between(t, found - around, found + around, color=ESTIMATE_COLOR, alpha=0.18, linewidth=0, zorder=1.4)
+        shown.append(ESTIMATE)
+        low, high = min(low, float(found.min())), max(high, float(found.max()))
     if curve.reference is not None and len(curve.reference):
         followed = np.append(curve.reference, curve.reference[-1])[: len(curve.t)]
         axis.plot(curve.t, followed, drawstyle="steps-post", zorder=1.8, **REFERENCE[1])

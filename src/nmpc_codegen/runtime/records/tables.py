@@ -25,6 +25,12 @@ def to_dataframe(log: Record) -> Any:
         for trace, values in zip(getattr(log, kind), getattr(log, array).T, strict=True):
             columns[array, trace.name] = pandas.Series(values, index[: len(values)])
             units[array, trace.name] = trace.unit
+    if (found := log.estimates) is not None:
+        for array, traces in (("xhat", found.states), ("std", found.states), ("measured", found.sensors)):
+            values = {"xhat": found.x, "std": found.std, "measured": found.y}[array]
+            for trace, column in zip(traces, values.T, strict=True):
+                columns[array, trace.name] = pandas.Series(column, index[:-1])
+                units[array, trace.name] = trace.unit
     columns["status", ""] = pandas.Series(_statuses(log), index[:-1], dtype=object)
     for name in PER_SAMPLE:
         columns[name, ""] = pandas.Series(getattr(log, name), index[:-1])

@@ -61,6 +61,25 @@ class Trace:
         return with_unit(self.name, self.unit)
 
 
+@dataclass(frozen=True, eq=False)
+class Estimates:
+    """What an estimator has found in a loop, one entry per sample.
+
+    ``x``, ``std``: its estimates, the unknown parameters behind the states, and their standard deviations. ``y``: the
+    measurements, NaN where one was missing. ``p``: the true values of the unknown parameters.
+    ``states``, ``sensors``: names and units of the columns of x and y; ``signal`` of a sensor: the state that it shows.
+    """
+
+    x: Array  # (steps, nx + unknown parameters)
+    std: Array  # (steps, nx + unknown parameters)
+    y: Array  # (steps, ny)
+    p: Array  # (steps, unknown parameters)
+    status: NDArray[np.int64]  # (steps,)
+    time_ns: NDArray[np.int64]  # (steps,)
+    states: tuple[Trace, ...]
+    sensors: tuple[Trace, ...]
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class Record:
     """The record of a closed loop, one entry per sample; t and x have one more for its end.
@@ -91,3 +110,4 @@ class Record:
     parameters: tuple[Trace, ...]
     references: tuple[Trace, ...]
     reasons: Mapping[Status, str] = field(default_factory=dict)
+    estimates: Estimates | None = None  # of a loop with an estimator
