@@ -28,7 +28,7 @@ from nmpc_codegen.lowering.linearize import linearize
 from nmpc_codegen.lowering.loop import with_estimator
 from nmpc_codegen.lowering.lower import lower
 from nmpc_codegen.lowering.render import render
-from nmpc_codegen.options import Options, for_estimator, shared
+from nmpc_codegen.options import Options, common_options, for_estimator
 from nmpc_codegen.package.description import PackageDescription
 from nmpc_codegen.package.sources import Sources
 from nmpc_codegen.runtime.build import load, load_estimator
@@ -135,7 +135,7 @@ def _files_beside(
     files: Mapping[str, str], description: PackageDescription, estimator: Estimator, options: Options | None
 ) -> Mapping[str, str]:
     """The files of an estimator, with what they change of the controller's."""
-    found = compile(estimator, shared(options))
+    found = compile(estimator, common_options(options))
     _warn(found.description)
     return with_estimator(files, description, found)
 

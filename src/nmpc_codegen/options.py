@@ -199,7 +199,7 @@ def for_estimator(options: Options | None, kind: EstimatorKind) -> Options:
     return replace(options, algorithm=given, online=online, solve=False)
 
 
-def shared(options: Options | None) -> Options:
+def common_options(options: Options | None) -> Options:
     """The options that an estimator beside a controller has in common with it."""
     given = options or Options()
     names = ("integrator", "precision", "math", "goal", "target")

@@ -11,9 +11,11 @@
 static void begin_filter(solver_t *s)
 {
     s->samples = 0;
+    memcpy(s->known, s->filter.mean, sizeof s->known);
     s->status = (int32_t)OK;
     memset(s->u, 0, sizeof s->u);
     forget_measurements(s, 0);
+    forget_controls(s, 0);
 }
 
 /* Begins with the declared initial state. */
@@ -26,18 +28,21 @@ static void algorithm_reset(solver_t *s)
 /* States stay inside the bounds that are rows. */
 static void clip_to_bounds(const solver_t *s, real_t *x)
 {
-    for (int i = 0; i < NX; i++) {
-        if (bound_of_state[i] >= 0) {
-            x[i] = clip(x[i], PATH_LOWER(s, 0, bound_of_state[i]), PATH_UPPER(s, 0, bound_of_state[i]));
-        }
+    for (int r = 0; r < NR; r++) {
+        const int i = bounded_state[r];
+        x[i] = clip(x[i], PATH_LOWER(s, 0, r), PATH_UPPER(s, 0, r));
     }
 }
 
-/* Moves the filter to the present sample. */
+/* Moves the filter to the present sample. The estimate before is known to be one from which that is possible. */
 static void follow_model(solver_t *s)
 {
     memcpy(s->x[0], s->filter.mean, sizeof s->x[0]);
     predict_filter(s, 0, &s->filter);
+    clip_to_bounds(s, s->filter.mean);
+    if (filter_is_sane(&s->filter)) {
+        memcpy(s->known, s->x[0], sizeof s->known);
+    }
     forget_measurements(s, 0);
 }
 
@@ -51,6 +56,7 @@ static status_t take_sample(solver_t *s, const real_t *y, int known, real_t *xha
         follow_model(s);
     }
     keep_controls(s, 0);
+    put_parameters(s, 0);
     s->samples += (s->samples < MANY);
     put_measurements(s, 0, y);
     memcpy(s->x[0], f->mean, sizeof s->x[0]);
@@ -59,8 +65,9 @@ static status_t take_sample(solver_t *s, const real_t *y, int known, real_t *xha
 #endif
     update_filter(s, 0, f);
     clip_to_bounds(s, f->mean);
-    if (!filter_is_finite(f)) {
+    if (!filter_is_sane(f)) {
         restart_filter(f);
+        memcpy(f->mean, s->known, sizeof f->mean);
         status = NUMERICAL_FAILURE;
     }
     memcpy(xhat, f->mean, sizeof f->mean);

@@ -73,7 +73,9 @@ static status_t estimate_here(solver_t *s, real_t *xhat)
     }
     status = judge_residual(status, s->stats.residual);
     learn_sizes(s, status);
-    if (status != OK) {
+    if (status == OK) {
+        memcpy(s->known, s->x[s->window], sizeof s->known);
+    } else {
         filter_window(s);
     }
     memcpy(xhat, s->x[s->window], sizeof s->x[s->window]);
@@ -88,6 +90,7 @@ static status_t take_sample(solver_t *s, const real_t *y, int known, real_t *xha
         move_window(s);
     }
     keep_controls(s, s->window);
+    put_parameters(s, s->window);
     s->samples += (s->samples < MANY);
     put_measurements(s, s->window, y);
     status = estimate_here(s, xhat);
@@ -137,6 +140,7 @@ status_t API(measure)(solver_t *s, const real_t x[NX], real_t y[NM])
 status_t API(covariance)(solver_t *s, real_t P[NX * NX])
 {
     filter_t f;
+    status_t status = OK;
     if (s->magic != MAGIC) {
         memset(P, 0, NX * NX * sizeof *P);
         return NOT_INITIALIZED;
@@ -147,8 +151,12 @@ status_t API(covariance)(solver_t *s, real_t P[NX * NX])
         predict_filter(s, k, &f);
     }
     update_filter(s, s->window, &f);
+    if (!filter_is_sane(&f)) {
+        restart_filter(&f);
+        status = NUMERICAL_FAILURE;
+    }
     multiply_factors(&f, P);
-    return OK;
+    return status;
 }
 
 status_t API(restart)(solver_t *s, const real_t x0[NX], const real_t P0[NX * NX])

@@ -19,24 +19,24 @@ from tests.repository.test_architecture import ROOT
 #: Room -> the largest number of lines of code, and what the last raise has bought.
 LIMITS: dict[str, tuple[int, str]] = {
     "src/analysis": (630, ""),
-    "src/cli": (830, "options that several components have"),
+    "src/cli": (845, "a file with a controller and its estimator"),
     "src/components": (
         6380,
         "estimators: a filter, a window, noise at the end of an interval",
     ),
     "src/derivatives": (830, "derivatives of implicit schemes"),
     "src/economic": (1690, "steady states of implicit schemes, as expressions"),
-    "src/firmware": (1093, ""),
-    "src/frontend": (3280, "estimators: their statement, and the problem of a window"),
+    "src/firmware": (1115, "certificates and replays of estimators"),
+    "src/frontend": (3300, "estimators: their statement, and the problem of a window"),
     "src/ir": (2200, "calls of functions that are written in C"),
-    "src/lowering": (4600, "measurements"),
+    "src/lowering": (4670, "measurements, and the loop of a controller and its estimator"),
     "src/oracle": (590, "algebraic variables of stages and nodes as variables of the NLP"),
     "src/package": (1140, "measurements and noise in the description"),
-    "src/runtime": (3660, "estimators in Python, loops that know measurements only"),
-    "templates": (18940, "a square-root filter, a window of measurements"),
-    "tests": (25600, "estimators against the Kalman filter and IPOPT"),
-    "verification": (8660, "plants with noise, the Kalman filter, the estimate from all measurements"),
-    "benchmarks": (4470, "algebraic equations"),
+    "src/runtime": (3670, "estimators in Python, loops that know measurements only"),
+    "templates": (19120, "a square-root filter, a window of measurements"),
+    "tests": (25740, "estimators against the Kalman filter and IPOPT"),
+    "verification": (8730, "plants with noise, the Kalman filter, the estimate from all measurements"),
+    "benchmarks": (4500, "estimators beside the Kalman filter and IPOPT"),
     "examples": (1760, "a column with bubble points, a mechanism in Cartesian coordinates"),
 }
 

@@ -64,7 +64,7 @@ def _run(arguments: argparse.Namespace, printer: Printer) -> int:
     from nmpc_codegen.cli.check import check
     from nmpc_codegen.cli.firmware import Firmware
     from nmpc_codegen.compiler import compile, export
-    from nmpc_codegen.options import Options, shared
+    from nmpc_codegen.options import Options, common_options
     from nmpc_codegen.runtime.compilers import find_compiler
     from nmpc_codegen.runtime.native import check_target
     from nmpc_codegen.targets import TARGETS
@@ -80,7 +80,7 @@ def _run(arguments: argparse.Namespace, printer: Printer) -> int:
     if arguments.check or arguments.simulate is not None:
         check_target(name, TARGETS[options.with_defaults.target])
     folder = Path(arguments.output or Path("out") / name)
-    beside = None if estimator is None else lambda: compile(estimator, shared(options))
+    beside = None if estimator is None else lambda: compile(estimator, common_options(options))
     more = firmware.hook(name, lambda **changes: compile(ocp, replace(options, **changes), name), beside)
     given: dict[str, Any] = {"allow_foreign": arguments.allow_foreign, "force": arguments.force, "more": more}
     given |= {"estimator": estimator}

@@ -196,6 +196,7 @@ class CModule:
             setter.option
             for setter in self.setters
             if self.layouts[setter.option] == "node" and (ny or setter.option not in ("reference", "weight"))
+            if not (self.features.estimator and setter.option == "parameter")
         )
 
     @property

@@ -168,7 +168,8 @@ def _with_weights(problem: Problem, online: Online) -> Problem:
 def _with_proximal(problem: Problem, options: Options) -> tuple[Problem, tuple[str, ...]]:
     """The problem with proximal terms for controls without curvature, where samples solve QPs, and their names."""
     sizes = scales(problem)
-    flat = flat_controls(problem, sizes) if "qp" in options.algorithm.needs else ()
+    needed = "qp" in options.algorithm.needs and problem.estimation is None
+    flat = flat_controls(problem, sizes) if needed else ()
     if not flat:
         return problem, ()
     return replace(problem, proximal=proximal_terms(problem, sizes)), tuple(problem.control_names[j] for j in flat)

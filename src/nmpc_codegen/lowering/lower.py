@@ -426,7 +426,12 @@ _NODES: Mapping[Kind, Mapping[Layout, str]] = {
 def _setters(model: Model) -> tuple[Setter, ...]:
     """The setters of all data that exist in the problem and can be changed."""
     layouts = model.options.online.layouts
-    return tuple(Setter(n, nodes[layouts[n]]) for n, nodes in _NODES.items() if _is_set(model, n))
+    estimates = model.problem.estimation is not None
+    return tuple(
+        Setter(n, "no node" if estimates and n == "parameter" else nodes[layouts[n]])
+        for n, nodes in _NODES.items()
+        if _is_set(model, n)
+    )
 
 
 def _description(

@@ -152,6 +152,7 @@ def settings(model: Model, dims: Dims, whole: bool) -> tuple[Setting, ...]:
 
     return (
         *setting("parameter", "p", "default_parameter", (dims.np,), every, "parameters"),
+        *_parameters_to_come(p, dims),
         *setting("reference", "yref", "default_reference", (dims.ny,), path, "references of the path residual"),
         *setting(
             "reference",
@@ -168,6 +169,14 @@ def settings(model: Model, dims: Dims, whole: bool) -> tuple[Setting, ...]:
         *setting("soft", "soft_l1", "default_soft_l1", (soft,), every, "penalties l1 v of the soft rows"),
         *setting("soft", "soft_l2", "default_soft_l2", (soft,), every, "penalties l2/2 v^2 of the soft rows"),
     )
+
+
+def _parameters_to_come(p: Problem, dims: Dims) -> list[Setting]:
+    """Of an estimator, whose window keeps those that held before."""
+    if p.estimation is None or not p.own_parameters:
+        return []
+    member = Field("next", (dims.np,), "parameters from the next sample on", "setting")
+    return [Setting(member, "default_parameter", Size("1", 1), dims.np)]
 
 
 def _scaling_note(p: Problem) -> str:

@@ -283,6 +283,7 @@ FACTORS: dict[str, tuple[float, str]] = {
         10.0,
         "growth of a state since the last plan that was OK, above which it is no scale of its gaps",
     ),
+    "estimate_known": (8.0, "least deviation before the window, in epsilons of that of the state or of its scale"),
     "scale_little_of_row": (0.01, "least scale of a row, relative to that of its terms"),
     "gap_short_step": (1e-3, "length of a step, in the scales of its variables, whose gaps need no evaluation"),
     "gap_trusted": (0.25, "part of the tolerance that the gaps of earlier steps of this length may have had"),

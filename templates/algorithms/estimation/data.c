@@ -11,6 +11,22 @@ static void put_measurements(solver_t *s, int k, const real_t *y)
     }
 }
 
+/* The parameters of the user at node k are those that hold from the present sample on. */
+static void put_parameters(solver_t *s, int k)
+{
+    for (int i = 0; i < AT_U; i++) {
+        s->p[k][i] = s->next[i];
+    }
+}
+
+/* The controls at node k have their declared values. */
+static void forget_controls(solver_t *s, int k)
+{
+    for (int j = 0; j < NIN; j++) {
+        s->p[k][AT_U + j] = default_parameter[AT_U + j];
+    }
+}
+
 /* Nothing is measured at node k. */
 static void forget_measurements(solver_t *s, int k)
 {
@@ -39,7 +55,7 @@ static void keep_controls(solver_t *s, int k)
     }
 }
 
-/* What sensors without noise tell of x at node k, where the controls u act, if there are any. */
+/* What sensors without noise tell of x, where the controls u act, if there are any; other data are those of node k. */
 static status_t tell_measurements(const solver_t *s, int k, const real_t *x, const real_t *u, real_t *y)
 {
     real_t p[NP], H[NM][NX];
@@ -50,6 +66,9 @@ static status_t tell_measurements(const solver_t *s, int k, const real_t *x, con
         return NOT_INITIALIZED;
     }
     memcpy(p, PARAM(s, k), sizeof p);
+    for (int i = 0; i < AT_U; i++) {
+        p[i] = s->next[i];
+    }
     for (int j = 0; HAS_BEFORE && j < NIN; j++) {
         p[AT_BEFORE + j] = u[j];
     }

@@ -1,9 +1,15 @@
 /* Contract of this part: the square-root Kalman filter. The covariance is L L'. Model and measurements are linearised
  * at the state x[k] and the noise u[k] of the plan, which need not be the mean. */
 
-static int filter_is_finite(const filter_t *f)
+/* Returns 1 if all numbers are finite and no state has run away from its scale. */
+static int filter_is_sane(const filter_t *f)
 {
-    return all_finite(f->mean, NX) && all_finite(f->L[0], NX * NX);
+    const real_t most = R(1) / (SQRT(TOL_UNIT) * SQRT(SQRT(TOL_UNIT)));
+    int sane = all_finite(f->mean, NX) && all_finite(f->L[0], NX * NX);
+    for (int i = 0; i < NX; i++) {
+        sane &= FABS(f->mean[i]) <= most * z_scale[i];
+    }
+    return sane;
 }
 
 /* f = L' h', with which h P h' = f'f. */

@@ -1,13 +1,15 @@
 /* Contract of this part: the window of the last N intervals. Node `window` is that of the present sample; nodes behind
  * it, of samples to come, have no part. */
 
-/* information = (L L')^-1 of the arrival cost; a deviation below the least one counts as that. */
+/* information = (L L')^-1 of the arrival cost; what rounding errors alone tell of a state is not taken for knowledge. */
 static void weigh_arrival(solver_t *s)
 {
     real_t V[NX][NX] = {{R(0)}};
     for (int i = 0; i < NX; i++) {
         const real_t own = FABS(s->arrival.L[i][i]), sign = (s->arrival.L[i][i] < R(0)) ? -R(1) : R(1);
-        const real_t pivot = sign * ((own > least_std[i]) ? own : least_std[i]);
+        const real_t of_state = SQRT(square_sum(s->arrival.L[i], NX)), size = z_scale[i];
+        const real_t least = FACTOR_ESTIMATE_KNOWN * TOL_UNIT * ((of_state > size) ? of_state : size);
+        const real_t pivot = sign * ((own > least) ? own : least);
         for (int j = 0; j <= i; j++) {
             real_t rest = (i == j) ? R(1) : R(0);
             for (int l = j; l < i; l++) {
@@ -32,10 +34,13 @@ static void restart_window(solver_t *s)
 {
     s->window = 0;
     s->samples = 0;
+    memcpy(s->known, s->arrival.mean, sizeof s->known);
     start_at(s, s->arrival.mean);
     memcpy(s->xhat, s->x[0], sizeof s->xhat);
     for (int k = 0; k <= N; k++) {
         forget_measurements(s, k);
+        forget_controls(s, k);
+        put_parameters(s, k);
     }
     weigh_arrival(s);
 }
@@ -46,7 +51,7 @@ static void keep_arrival(solver_t *s)
     filter_t *f = &s->arrival;
     update_filter(s, 0, f);
     predict_filter(s, 0, f);
-    if (!filter_is_finite(f)) {
+    if (!filter_is_sane(f)) {
         restart_filter(f);
         memcpy(f->mean, s->x[1], sizeof f->mean);
     }
@@ -128,6 +133,18 @@ static void weigh_by_window(solver_t *s)
 }
 #endif
 
+/* Data that lead nowhere are given up, the present ones too: the window begins anew at the last estimate that was OK. */
+static void forget_window(solver_t *s)
+{
+    memcpy(s->p[0], s->p[s->window], sizeof s->p[0]);
+    forget_measurements(s, 0);
+    s->window = 0;
+    restart_filter(&s->arrival);
+    memcpy(s->arrival.mean, s->known, sizeof s->arrival.mean);
+    weigh_arrival(s);
+    start_at(s, s->arrival.mean);
+}
+
 /* The filter from the arrival cost along the window takes the place of a plan that has failed. */
 static void filter_window(solver_t *s)
 {
@@ -144,10 +161,8 @@ static void filter_window(solver_t *s)
             predict_filter(s, k, &f);
         }
     }
-    if (!all_finite(s->x[0], (s->window + 1) * NX)) {
-        restart_filter(&s->arrival);
-        weigh_arrival(s);
-        start_at(s, initial_state);
+    if (!filter_is_sane(&f)) {
+        forget_window(s);
     }
     forget_multipliers(s);
     condense_init(s);

@@ -5,16 +5,11 @@ from __future__ import annotations
 from nmpc_codegen.components.base import Dims, spell
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.frontend.problem import Problem
-from nmpc_codegen.frontend.scales import scales
 from nmpc_codegen.ir.cmodule import Table
-from nmpc_codegen.package.estimation import Estimation, EstimatorKind
+from nmpc_codegen.package.estimation import EstimatorKind
 from nmpc_codegen.package.features import Features
 from nmpc_codegen.package.memory import Field, Struct
 from nmpc_codegen.package.signals import Argument, EntryPoint
-
-#: Least standard deviation of what is known before the window, relative to the scale of a state: the cost is its
-#: inverse.
-LEAST_STD = 1e-6
 
 _Y, _U, _XHAT = (Argument("y", "real", ("NM",)), Argument("u", "real", ("NIN",)), Argument("xhat", "real", ("NX",)))
 _Y_OUT = Argument("y", "real", ("NM",))
@@ -22,10 +17,6 @@ _P = Argument("P", "real", ("NX * NX",))
 _ESTIMATE = (
     "A sample: xhat, the state at the time of the measurements y, of which NaN is a missing one; {of_u}xhat is finite "
     "on every return. After a failure it is that of the filter along the same measurements."
-)
-_PARAMETERS = (
-    " Parameters that are set at node s->window hold from the present sample on; the window keeps those that held "
-    "before."
 )
 _OF_U = "u: the controls since the last sample, in the first one for measurements that contain them. "
 CORRECT = EntryPoint(
@@ -49,9 +40,7 @@ def estimate(features: Features) -> EntryPoint:
     """The function of a sample; a plant without controls has no argument u."""
     known = features.known_controls
     inputs = (_Y, *((_U,) if known else ()))
-    doc = _ESTIMATE.format(of_u=_OF_U if known else "")
-    more = _PARAMETERS if features.set_parameter and features.has_qp else ""
-    return EntryPoint("estimate", doc + more, inputs, (_XHAT,))
+    return EntryPoint("estimate", _ESTIMATE.format(of_u=_OF_U if known else ""), inputs, (_XHAT,))
 
 
 def measure(features: Features) -> EntryPoint:
@@ -78,20 +67,14 @@ def check(algorithm: object, problem: Problem, kind: EstimatorKind) -> None:
 
 def tables(problem: Problem) -> tuple[Table, ...]:
     """Standard deviations, and thresholds of outliers."""
-    e = _of(problem)
-    least = LEAST_STD * scales(problem).z[: problem.nx]
+    e = problem.estimation
+    assert e is not None
     return (
         Table("process_std", "real", e.process_std, "standard deviations of the noise"),
         Table("initial_std", "real", e.initial_std, "and of the initial state"),
-        Table("least_std", "real", tuple(float(f"{v:.3g}") for v in least), "least ones of what is known of a state"),
         Table("accuracy", "real", tuple(1.0 / v for v in e.noise_std), "1 / standard deviation of a measurement"),
         Table("threshold", "real", e.thresholds, "errors beyond so many of them are outliers; 0: none are"),
     )
-
-
-def _of(problem: Problem) -> Estimation:
-    assert problem.estimation is not None
-    return problem.estimation
 
 
 def sizes(dims: Dims) -> tuple[tuple[str, int, str], ...]:
@@ -106,6 +89,11 @@ def sizes(dims: Dims) -> tuple[tuple[str, int, str], ...]:
         ("AT_ACCURACY", accuracy, "of their accuracy, 0 for a missing one"),
         ("HUBER", int(e is not None and any(e.thresholds)), "1: outliers are expected"),
     )
+
+
+def known_field(dims: Dims) -> Field:
+    """Where an estimator begins anew."""
+    return Field("known", (dims.nx,), "an estimate that was OK", "keep")
 
 
 def filter_struct(dims: Dims) -> Struct:

@@ -60,10 +60,7 @@ class KalmanFilter(Defaults):
 
     def tables(self, problem: Problem) -> tuple[Table, ...]:
         """Standard deviations, and the bounds to which states are clipped."""
-        bounds = [-1] * problem.nx
-        for number, row in enumerate(problem.rows):
-            bounds[row.index] = number
-        clipped = Table("bound_of_state", "int", tuple(bounds), "row that bounds a state, or -1")
+        clipped = Table("bounded_state", "int", tuple(row.index for row in problem.rows), "state that a row bounds")
         return (*measuring.tables(problem), clipped)
 
     def sizes(self, dims: Dims) -> tuple[tuple[str, int, str], ...]:
@@ -75,4 +72,4 @@ class KalmanFilter(Defaults):
     def structs(self, dims: Dims) -> tuple[Struct, ...]:
         """The filter."""
         samples = Field("samples", (), "samples since init, reset or restart", "keep", "int32")
-        return (measuring.filter_struct(dims), Struct("solver", "", (samples,)))
+        return (measuring.filter_struct(dims), Struct("solver", "", (measuring.known_field(dims), samples)))

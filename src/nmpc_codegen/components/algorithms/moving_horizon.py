@@ -21,7 +21,8 @@ from nmpc_codegen.components.algorithms.real_time_iteration import RealTimeItera
 from nmpc_codegen.components.algorithms.scales import tolerance_table
 from nmpc_codegen.components.algorithms.shifts import initial_tables
 from nmpc_codegen.components.allowed import Number, Whole, check_options, option
-from nmpc_codegen.components.base import MEASUREMENTS, Core, Counts, Defaults, Dims, Seam
+from nmpc_codegen.components.base import MEASUREMENTS, Core, Counts, Defaults, Dims, Parts, Seam
+from nmpc_codegen.errors import OptionError
 from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.cmodule import Table
 from nmpc_codegen.ir.model import ModelFunctions
@@ -79,6 +80,13 @@ class MovingHorizon(Defaults):
         """Raise OptionError unless the problem is that of a window."""
         measuring.check(self, problem, "mhe")
 
+    def check_parts(self, parts: Parts) -> None:
+        """Raise OptionError for another Hessian than that of residuals."""
+        if parts.hessian is None or parts.hessian.name != "gauss_newton":
+            raise OptionError(
+                f"hessian: an estimator minimises residuals; expected GaussNewton() instead of {parts.hessian!r}"
+            )
+
     def default(self, seam: Seam) -> str | None:
         return _ITERATION.default(seam)
 
@@ -112,6 +120,7 @@ class MovingHorizon(Defaults):
         members = (
             Field("arrival", (), "what is known of x_0 before the window", "keep", "filter"),
             Field("information", (dims.nx, dims.nx), "the inverse of its covariance", "keep"),
+            measuring.known_field(dims),
             Field("window", (), "node of the present sample", "keep", "int32"),
             Field("samples", (), "samples since init, reset or restart", "keep", "int32"),
         )

@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 
 from nmpc_codegen.errors import ProblemError
-from nmpc_codegen.frontend.checks import integer, list_names, quote, vector
+from nmpc_codegen.frontend.checks import identifier, integer, list_names, quote, vector
 from nmpc_codegen.frontend.expressions import NODE
 from nmpc_codegen.frontend.ocp import OCP
 from nmpc_codegen.frontend.problem import Array
@@ -25,6 +25,9 @@ __all__ = ["Estimator"]
 
 #: Threshold of loss="huber" in standard deviations: 95 % of the efficiency of squares where the noise is normal.
 HUBER = 1.345
+
+#: Largest standard deviation, and the inverse of the least one.
+LARGEST = 1e30
 
 LOSSES = ("squares", "huber")
 KINDS: tuple[EstimatorKind, ...] = get_args(EstimatorKind)
@@ -145,12 +148,16 @@ class Estimator:
         found: list[Measurement] = []
         for name, value in measure.items():
             what = f"estimator: measurement {quote(name)}"
+            identifier(name, what)
             h = self.ocp._expression(value, what, tuple(kind for kind in NODE if kind not in ("interval", "time")))
             if name not in noise_std:
                 raise ProblemError(f"{what} has no standard deviation; expected one in noise_std")
             std = vector(noise_std[name], h.numel(), f"{what}: noise_std")
             if not h.numel() or np.any(std <= 0.0):
                 raise ProblemError(f"{what}: noise_std is {quote(noise_std[name])}; expected numbers > 0")
+            _require_moderate(std, f"{what}: noise_std")
+            if any(not self._varies(h[i]) for i in range(h.numel())):
+                raise ProblemError(f"{what} depends on no state; expected one, or a parameter that is not known")
             word = loss.get(name, "squares") if isinstance(loss, Mapping) else loss
             if word not in LOSSES:
                 raise ProblemError(f"{what}: loss is {quote(word)}; expected 'squares' or 'huber'")
@@ -158,6 +165,11 @@ class Estimator:
             signal = Signal(name, h.numel(), self._unit(h), (0.0,) * h.numel(), offset, h.numel() == 1)
             found.append(Measurement(signal, h, std, HUBER if word == "huber" else 0.0))
         return tuple(found)
+
+    def _varies(self, h: Any) -> bool:
+        """Whether a measurement depends on anything that is estimated; an algebraic variable may."""
+        symbols = ca.vertcat(self.ocp.x, self.ocp.p, self.ocp.z)
+        return bool(ca.depends_on(h, symbols))
 
     def _unit(self, h: Any) -> str:
         """The unit of a measured symbol."""
@@ -183,6 +195,7 @@ class Estimator:
             if np.any(std < 0.0) or (what == "initial_std" and not np.all(std > 0.0)):
                 least = "> 0" if what == "initial_std" else ">= 0"
                 raise ProblemError(f"estimator: {what} of '{signal.name}' is {quote(value)}; expected numbers {least}")
+            _require_moderate(std, f"estimator: {what} of '{signal.name}'")
             if signal.name in found:
                 raise ProblemError(f"estimator: {what} of '{signal.name}' is given twice")
             found[signal.name] = std
@@ -208,3 +221,9 @@ class Estimator:
             wrong = quote(rows) if not isinstance(rows, (list, tuple)) else quote(unknown[0])
             raise ProblemError(f"estimator: rows: {wrong} is no row{list_names(sorted(known))}")
         return tuple(rows)
+
+
+def _require_moderate(std: Array, what: str) -> None:
+    """Raise ProblemError for a standard deviation whose square or its inverse is no number."""
+    if np.any((std != 0.0) & ((std < 1 / LARGEST) | (std > LARGEST))):
+        raise ProblemError(f"{what} is {quote(std.tolist())}; expected numbers between {1 / LARGEST:g} and {LARGEST:g}")

@@ -40,6 +40,7 @@ def estimation_problem(estimator: Estimator) -> Problem:
     window = _Window(estimator, model, h)
     window.state_dynamics()
     window.state_rows()
+    window.state_ranges()
     window.state_costs()
     return window.problem()
 
@@ -118,6 +119,7 @@ class _Window:
         accuracy = [replace(m.signal, value=tuple(1.0 / m.std)) for m in estimator.measurements]
         self.accuracy = _stack(self._parameter(s, f"accuracy_{s.name}") for s in accuracy)
         self.noises: list[_Noise] = []
+        self.row_names: dict[str, str] = {}
         self.at_end: list[tuple[int, int]] = []
         self.of_input = {n: self._channel(n, std) for n, std in estimator.input_std.items()}
         self.h = self._here(h, self.before)
@@ -206,15 +208,36 @@ class _Window:
         return sum(t.size for t in self.states[: self.states.index(s)])
 
     def state_rows(self) -> None:
-        """The rows of the OCP that the estimator shares; their penalties follow from scales."""
+        """The rows of the OCP that the estimator shares; their penalties follow from scales.
+
+        Raises:
+            ProblemError: a row that is named contains what is not known at the present sample.
+        """
         wanted = self.estimator.rows
+        known = ca.vertcat(*(d.symbol for d in (*self.model.states, *self.model.parameters)))
+        states = self.model.x
         for s in self.model.statements:
-            h = self._here(s.expression, self.u)
             for i, name in enumerate(s.names):
+                free = ca.vertcat(NOTHING, *ca.symvar(s.expression[i]))
+                later = [str(v) for v in ca.vertsplit(free) if not ca.depends_on(known, v)] if free.numel() else []
                 chosen = name in wanted if isinstance(wanted, tuple) else wanted and s.at == "path" and s.soft is None
-                if chosen and ca.depends_on(h[i], self.ocp.x):
-                    identifier = c_identifier(name)
-                    self.ocp.subject_to(s.lower[i], h[i], s.upper[i], soft=(0.0, 1.0), name=identifier)
+                if isinstance(wanted, tuple) and chosen and later:
+                    raise ProblemError(
+                        f"estimator: the row '{name}' contains {', '.join(later)}; expected states alone"
+                    )
+                if chosen and not later and ca.depends_on(s.expression[i], states):
+                    identifier, h = c_identifier(name), self._here(s.expression[i], self.u)
+                    self.row_names[identifier] = name
+                    self.ocp.subject_to(s.lower[i], h, s.upper[i], soft=(0.0, 1.0), name=identifier)
+
+    def state_ranges(self) -> None:
+        """Bounds with which unknown parameters were declared are rows."""
+        for s in (d.signal for d in self.estimator.unknown if d.signal.low and self.estimator.rows is True):
+            for i, name in enumerate(s.elements):
+                identifier = c_identifier(name)
+                self.row_names[identifier] = name
+                x = self.known[s.name][i]
+                self.ocp.subject_to(s.low[i], x, s.high[i], soft=(0.0, 1.0), name=identifier)
 
     def state_costs(self) -> None:
         """Measurements at all nodes, noise on the intervals, and what is known before the window."""
@@ -243,7 +266,7 @@ class _Window:
         """The problem of the window, or of the filter, which has one interval and no cost."""
         found = classify(self.ocp)
         found = replace(found, noise=tuple(self.at_end), start=replace(found.start, dense_weight=True))
-        found = _with_penalties(found)
+        found = _with_penalties(found, self.row_names)
         if self.estimator.kind == "ekf":
             found = _without_costs(found)
         x, p = found.terminal.x, found.terminal.p
@@ -284,10 +307,14 @@ def _stack(columns: Iterable[Any]) -> Any:
     return ca.vertcat(NOTHING, *columns)
 
 
-def _with_penalties(problem: Problem) -> Problem:
-    """The problem with quadratic penalties of its rows: SOFTNESS of the scale of a row is one standard deviation."""
+def _with_penalties(problem: Problem, names: dict[str, str]) -> Problem:
+    """The problem with quadratic penalties of its rows, SOFTNESS of the scale of a row is one standard deviation, and
+    with the names that they have in the OCP."""
     penalties = (SOFTNESS * scales(problem).rows) ** -2
-    rows = (replace(row, soft=(0.0, float(l2))) for row, l2 in zip(problem.rows, penalties, strict=True))
+    rows = (
+        replace(row, soft=(0.0, float(l2)), name=names[row.name])
+        for row, l2 in zip(problem.rows, penalties, strict=True)
+    )
     return replace(problem, rows=tuple(rows))
 
 

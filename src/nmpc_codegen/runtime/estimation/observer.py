@@ -18,7 +18,7 @@ from nmpc_codegen.package.signals import members
 from nmpc_codegen.package.status import Status
 from nmpc_codegen.runtime.compiled import CompiledPackage
 from nmpc_codegen.runtime.memory import OnFailure
-from nmpc_codegen.runtime.setters import Setters
+from nmpc_codegen.runtime.setters import EVERY_NODE, Setters
 
 Array = NDArray[Any]
 #: Numbers in the order of the elements, or {name of an element or of a vector: numbers}.
@@ -54,13 +54,15 @@ class Observer(Setters):
         self._take(y)
         first = int(self._struct["samples"]) == 0
         if self.estimation.nu and u is None and not first:
-            names = ", ".join(self.estimation.controls)
-            raise ControllerError(f"{self._package.name}.step: expected u, the controls since the last sample: {names}")
+            listed = ", ".join(self.estimation.controls)
+            raise ControllerError(f"{self._package.name}.step: expected u, the controls since the last one: {listed}")
+        self._u[:] = 0.0
         if u is not None:
-            self._u[:] = self._stack("u", u, self.estimation.controls)
-            if isinstance(u, Mapping) and np.any(absent := np.isnan(self._u)):
-                missing = self.estimation.controls[int(np.argmax(absent))]
-                raise ControllerError(f"{self._package.name}.step: u has no {missing!r}")
+            names = self.estimation.controls
+            self._u[:] = self._stack("u", u, names)
+            there = {i for name in u for i in members(name, names)} if isinstance(u, Mapping) else range(len(names))
+            if missing := [name for i, name in enumerate(names) if i not in there]:
+                raise ControllerError(f"{self._package.name}.step: u has no {missing[0]!r}")
         controls = (self._u_c,) if self.estimation.nu else ()
         start = perf_counter_ns()
         status = self._estimate(self._s, self._y_c, *controls, self._xhat_c)
@@ -85,8 +87,10 @@ class Observer(Setters):
         if self.estimation.kind == "ekf":
             raise ControllerError(f"{self._package.name}.correct: a filter keeps no sample; expected kind='mhe'")
         back = self.nodes - 1
+        if back < 0:
+            raise ControllerError(f"{self._package.name}.correct: there is no sample yet; expected a step() before")
         if not -back <= node <= 0:
-            raise ControllerError(f"{self._package.name}.correct: node is {node}; the window has -{max(back, 0)} .. 0")
+            raise ControllerError(f"{self._package.name}.correct: node is {node}; expected -{back} .. 0, its window")
         self._take(y)
         start = perf_counter_ns()
         status = self._call("correct", self._s, self._y_c, -int(node), self._xhat_c)
@@ -122,18 +126,30 @@ class Observer(Setters):
         self._expect(status, "reset")
 
     def set_parameter(self, name: str, value: ArrayLike, node: int | None = None) -> None:
-        """Set the value of a parameter from the present sample on; the window keeps what held before.
+        """Set the value of a parameter from the next sample on; the window keeps what held before.
 
         Args:
-            name: as in Controller.set_parameter().
-            value: as there.
-            node: a node of the window, 0 .. nodes - 1; None: the present one.
+            name: the declared name of a number or vector, or of an element of a vector, r[1].
+            value: a number, or (size,).
+            node: None; an estimator has no other.
         """
-        super().set_parameter(name, value, self._from_now_on(node))
+        self.set_parameters({name: value}, node=node)
 
     def set_parameters(self, values: Any = None, /, *, node: int | None = None, **more: ArrayLike) -> None:
-        """Set several parameters from the present sample on; see Controller.set_parameters()."""
-        super().set_parameters(values, node=self._from_now_on(node), **more)
+        """Set several parameters from the next sample on, all of them or none; see set_parameter()."""
+        if node is not None:
+            raise ControllerError(f"{self._package.name}: node is {node!r}; parameters hold from the next sample on")
+        if values is not None and not isinstance(values, Mapping):
+            raise ControllerError(f"set_parameters: {values!r} is no {{name: value}}")
+        named = {**(values or {}), **more}
+        signals, stored = self.description.parameters, np.array(self._view("next")) if named else np.zeros(0)
+        checked = [self._checked_parameter(n, v, self.dims.N) for n, v in named.items()]
+        for number, column, rows in checked:
+            first = signals[number].offset + (column or 0)
+            stored[first : first + rows.shape[1]] = rows[0]
+        for number in dict.fromkeys(one.number for one in checked):
+            own = stored[signals[number].offset :][: signals[number].size]
+            self._expect(self._call("set_parameter", self._s, number, EVERY_NODE, self._pointer(own)), "set_parameter")
 
     # -- what is known about it ---------------------------------------------------------------------------------------
 
@@ -170,7 +186,11 @@ class Observer(Setters):
             return f"{found.name}: a control is not finite; the estimate takes the one before"
         if found == Status.NOT_CONVERGED:
             return f"{found.name}: the window leaves gaps of {self.stats.residual:.2g}; the estimate is the filter's"
-        return f"{found}; the estimate is the filter's"
+        return f"{found.name}: {found.text}; the estimate is the filter's"
+
+    def integrate(self, x: ArrayLike, u: ArrayLike, dt: float) -> Array:
+        """Not of an estimator; its controller has it."""
+        raise ControllerError(f"{self._package.name}: an estimator has no integrate(); expected that of the controller")
 
     def __repr__(self) -> str:
         e = self.estimation
@@ -179,10 +199,6 @@ class Observer(Setters):
         return f"<Observer {self._package.name}: {sizes}; {code}>"
 
     # -- inner --------------------------------------------------------------------------------------------------------
-
-    def _from_now_on(self, node: int | None) -> int | None:
-        """The node from which samples to come take the data; None: all nodes."""
-        return node if node is not None or self.nodes == 0 or self.estimation.kind == "ekf" else self.nodes - 1
 
     def _take(self, y: Named) -> None:
         self._y[:] = self._stack("y", y, self.estimation.measurements)

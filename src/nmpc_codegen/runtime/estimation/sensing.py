@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nmpc_codegen.errors import ControllerError
-from nmpc_codegen.package.signals import members
+from nmpc_codegen.package.signals import Signal, members
 from nmpc_codegen.runtime.controller import Controller
 from nmpc_codegen.runtime.diagnosis.rows import start_parameters
 from nmpc_codegen.runtime.estimation.observer import Observer
-from nmpc_codegen.runtime.given import is_same_time
+from nmpc_codegen.runtime.given import is_integer, is_same_time
 from nmpc_codegen.runtime.loops.forecast import Before
 from nmpc_codegen.runtime.records.html import units
 from nmpc_codegen.runtime.records.trace import Estimates, Trace
@@ -37,10 +37,16 @@ class Sensing:
         self._ctrl, self._observer, self.truth = ctrl, observer, ctrl.copy()
         self._tell = tell
         self._check(interval)
+        if observer.nodes:  # samples of another loop
+            observer.reset()
         found = observer.estimation
         self._std = np.array(found.noise_std)
+        if seed is not None and (not is_integer(seed) or seed < 0):
+            raise ControllerError(f"seed is {seed!r}; expected an integer >= 0, or None for no noise")
         self._random = None if seed is None else np.random.default_rng(seed)
         self._unknown = [i for name in found.unknown for i in members(name, ctrl.names.parameters)]
+        ends = [(low, high) for s in ctrl.description.parameters for low, high in _limits(s)]
+        self._limits = np.array([ends[i] for i in self._unknown]).T if self._unknown else np.zeros((2, 0))
         self._known = [i for i in range(ctrl.dims.np) if i not in self._unknown]
         nx, ny = observer.dims.nx, found.ny
         self._x, self._std_x = np.zeros((steps, nx)), np.zeros((steps, nx))
@@ -76,7 +82,8 @@ class Sensing:
         self._x[k] = observer.step(self._y[k], before)
         self._std_x[k], self._status[k], self._time[k] = observer.std, observer.status, observer.time_ns
         if self._unknown:
-            self._ctrl.set_parameters({names[i]: v for i, v in zip(self._unknown, self._x[k, x.size :], strict=True)})
+            values = np.clip(self._x[k, x.size :], *self._limits)
+            self._ctrl.set_parameters({names[i]: v for i, v in zip(self._unknown, values, strict=True)})
         return self._x[k, : x.size]
 
     def record(self) -> Estimates:
@@ -89,6 +96,11 @@ class Sensing:
         )
         arrays = self._x, self._std_x, self._y, self._p, self._status, self._time
         return Estimates(*arrays, estimated, sensors)
+
+
+def _limits(signal: Signal) -> list[tuple[float, float]]:
+    """Between which the elements of a parameter may be set."""
+    return list(zip(signal.low, signal.high, strict=True)) or [(-np.inf, np.inf)] * signal.size
 
 
 def see(k: int, x: Array, before: Array) -> Array:

@@ -94,7 +94,7 @@ def simulate(
         ControllerError: shapes or numbers are wrong, there are more steps than a log can hold, or the plant returns
             something other than a finite state.
     """
-    numbers = _path_rows(ctrl)
+    numbers = _path_rows(_controller(ctrl))
     _check_steps(steps, ctrl, len(numbers))
     interval = _interval(ctrl, dt)
     start = _state(_stack(x0, ctrl) if isinstance(x0, Mapping) else x0, ctrl.dims.nx, "x0")
@@ -106,6 +106,13 @@ def simulate(
         _solve_first(ctrl, start, tell)
     sample = _sample_by(law, ctrl, interval)
     return _run(ctrl, start, steps, interval, numbers, tell, sample, move, disturbance, sensing)
+
+
+def _controller(ctrl: Controller) -> Controller:
+    """ControllerError unless it is one."""
+    if isinstance(ctrl, Observer):
+        raise ControllerError(f"{ctrl.description.name} is an estimator; expected a controller, and estimator=")
+    return ctrl
 
 
 def _run(
