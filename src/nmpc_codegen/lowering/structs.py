@@ -40,7 +40,8 @@ def lowered_structs(model: Model, dims: Dims, features: Features, whole: bool) -
     held = {f.ctype for s in inner for f in s.fields} | {f.ctype for f in own_members}
     members = [Field(s.name, s.shape, s.doc, "data", s.name) for s in inner if s.name not in held and s.name != "kkt"]
     fields = (*common, *own_members, *members, *results)
-    solver = Struct("solver", "the whole controller: no pointers, copy it with '='", fields)
+    what = "controller" if dims.estimation is None else "estimator"
+    solver = Struct("solver", f"the whole {what}: no pointers, copy it with '='", fields)
     return (*inner, solver if whole else _existing(solver, features))
 
 

@@ -16,7 +16,7 @@ _Y_OUT = Argument("y", "real", ("NM",))
 _P = Argument("P", "real", ("NX * NX",))
 _ESTIMATE = (
     "A sample: xhat, the state at the time of the measurements y, of which NaN is a missing one; {of_u}xhat is finite "
-    "on every return. After a failure it is that of the filter along the same measurements."
+    "on every return. After a failure of the window it is that of the filter, after one of the filter an earlier one."
 )
 _OF_U = "u: the controls since the last sample, in the first one for measurements that contain them. "
 CORRECT = EntryPoint(
