@@ -340,9 +340,12 @@ def unrelated_bounds(rng: np.random.Generator, nv: int, ng: int) -> QuadraticPro
 @few
 @given(seed=seeds)
 def test_elastic_rows(nv: int, ng: int, penalties: str, seed: int) -> None:
-    """Optimality conditions of the relaxed problem, recomputed; the number of violated rows; then a warm start."""
+    """Optimality conditions of the relaxed problem, recomputed; the number of violated rows; then a warm start.
+
+    One in a hundred of these takes more iterations from nothing than the default cap, 6.8 per variable and row.
+    """
     rng = np.random.default_rng(seed)
-    solver = solver_of(nv, ng)
+    solver = solver_of(nv, ng, max_iterations=20 * (nv + ng))
     for build in (unrelated_bounds, infeasible):
         qp = build(rng, nv, ng)
         penalty = rng.choice(PENALTIES[penalties], size=ng) * rng.exponential(size=ng)
