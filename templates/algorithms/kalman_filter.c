@@ -89,18 +89,6 @@ status_t API(estimate)(solver_t *s, const real_t y[NM], real_t xhat[NX])
 }
 #endif
 
-#if NIN
-status_t API(measure)(solver_t *s, const real_t x[NX], const real_t u[NIN], real_t y[NM])
-{
-    return tell_measurements(s, 0, x, u, y);
-}
-#else
-status_t API(measure)(solver_t *s, const real_t x[NX], real_t y[NM])
-{
-    return tell_measurements(s, 0, x, x, y);
-}
-#endif
-
 status_t API(covariance)(solver_t *s, real_t P[NX * NX])
 {
     if (s->magic != MAGIC) {

@@ -125,18 +125,6 @@ status_t API(correct)(solver_t *s, const real_t y[NM], int age, real_t xhat[NX])
     return estimate_here(s, xhat);
 }
 
-#if NIN
-status_t API(measure)(solver_t *s, const real_t x[NX], const real_t u[NIN], real_t y[NM])
-{
-    return tell_measurements(s, s->window, x, u, y);
-}
-#else
-status_t API(measure)(solver_t *s, const real_t x[NX], real_t y[NM])
-{
-    return tell_measurements(s, s->window, x, x, y);
-}
-#endif
-
 status_t API(covariance)(solver_t *s, real_t P[NX * NX])
 {
     filter_t f;

@@ -1,4 +1,5 @@
-/* Contract of this part: the data of a node that the sample knows: controls, measurements and their accuracy. */
+/* Contract of this part: API(measure), and the data of a node that the sample knows: controls, measurements and their
+ * accuracy. */
 
 /* The measurements y that are finite take their place at node k. */
 static void put_measurements(solver_t *s, int k, const real_t *y)
@@ -55,17 +56,16 @@ static void keep_controls(solver_t *s, int k)
     }
 }
 
-/* What sensors without noise tell of x, where the controls u act, if there are any; other data are those of node k. */
-static status_t tell_measurements(const solver_t *s, int k, const real_t *x, const real_t *u, real_t *y)
+/* What sensors without noise tell of x, where the controls u act, if there are any. They read no data of a sample. */
+static status_t tell_measurements(const solver_t *s, const real_t *x, const real_t *u, real_t *y)
 {
-    real_t p[NP], H[NM][NX];
+    real_t p[NP] = {R(0)}, H[NM][NX];
     if (s->magic != MAGIC) {
         for (int m = 0; m < NM; m++) {
             y[m] = (real_t)NAN;
         }
         return NOT_INITIALIZED;
     }
-    memcpy(p, PARAM(s, k), sizeof p);
     for (int i = 0; i < AT_U; i++) {
         p[i] = s->next[i];
     }
@@ -75,6 +75,18 @@ static status_t tell_measurements(const solver_t *s, int k, const real_t *x, con
     MEASUREMENT(x, p, y, H);
     return OK;
 }
+
+#if NIN
+status_t API(measure)(solver_t *s, const real_t x[NX], const real_t u[NIN], real_t y[NM])
+{
+    return tell_measurements(s, x, u, y);
+}
+#else
+status_t API(measure)(solver_t *s, const real_t x[NX], real_t y[NM])
+{
+    return tell_measurements(s, x, x, y);
+}
+#endif
 
 /* Without init() the estimate is the declared initial state. */
 static status_t refuse(real_t *xhat)
