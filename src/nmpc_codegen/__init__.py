@@ -23,6 +23,9 @@ from nmpc_codegen.exclusive import COMPILING
 from nmpc_codegen.package.signals import Soft
 from nmpc_codegen.package.status import Status
 from nmpc_codegen.package.version import __version__ as __version__
+from nmpc_codegen.runtime.batch.flights import Flights
+from nmpc_codegen.runtime.batch.many import Batch
+from nmpc_codegen.runtime.batch.random import Normal, Uniform
 from nmpc_codegen.runtime.controller import Controller
 from nmpc_codegen.runtime.estimation.observer import Observer
 from nmpc_codegen.runtime.extras import DISTRIBUTION, HAS_COMPILER
@@ -32,7 +35,7 @@ from nmpc_codegen.runtime.records.log import Log
 
 if TYPE_CHECKING:
     from nmpc_codegen.analysis import worst_case
-    from nmpc_codegen.compiler import Package, build, export, generate
+    from nmpc_codegen.compiler import Package, batch, build, export, generate
     from nmpc_codegen.components.algorithms import (
         AdjointShooting,
         AugmentedLagrangian,
@@ -82,7 +85,7 @@ _HOMES = {
     "components.algorithms": (
         *("AdjointShooting", "AugmentedLagrangian", "KalmanFilter", "MovingHorizon", "RealTimeIteration"),
     ),
-    "compiler": ("Package", "build", "export", "generate"),
+    "compiler": ("Package", "batch", "build", "export", "generate"),
     "components.condensing": ("FullCondensing", "NoCondensing", "PartialCondensing"),
     "components.hessians": (
         *("EconomicGaussNewton", "ExactHessian", "ForwardOverAdjoint", "GaussNewton", "Mirror"),
@@ -111,6 +114,7 @@ __all__ = [
     "SSPRK3",
     "AdjointShooting",
     "AugmentedLagrangian",
+    "Batch",
     "BuildError",
     "ButcherTableau",
     "Controller",
@@ -124,6 +128,7 @@ __all__ = [
     "ExplicitRungeKutta",
     "ExportError",
     "ExtraError",
+    "Flights",
     "ForwardOverAdjoint",
     "FullCondensing",
     "GaussLegendre2",
@@ -140,6 +145,7 @@ __all__ = [
     "MovingHorizon",
     "NmpcError",
     "NoCondensing",
+    "Normal",
     "Observer",
     "Online",
     "OptionError",
@@ -158,6 +164,8 @@ __all__ = [
     "Soft",
     "Status",
     "Symmetric",
+    "Uniform",
+    "batch",
     "build",
     "export",
     "generate",

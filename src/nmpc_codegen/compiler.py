@@ -31,6 +31,7 @@ from nmpc_codegen.lowering.render import render
 from nmpc_codegen.options import Options, common_options, for_estimator
 from nmpc_codegen.package.description import PackageDescription
 from nmpc_codegen.package.sources import Sources
+from nmpc_codegen.runtime.batch.many import Batch
 from nmpc_codegen.runtime.build import load, load_estimator
 from nmpc_codegen.runtime.controller import Controller
 from nmpc_codegen.runtime.estimation.observer import Observer
@@ -176,3 +177,29 @@ def build(
     if isinstance(ocp, Estimator):
         return load_estimator(sources, sources.description.name, profile)
     return load(sources, sources.description.name, profile)
+
+
+def batch(
+    ocp_or_controller: OCP | Controller,
+    number: int,
+    options: Options | None = None,
+    *,
+    threads: int | None = None,
+) -> Batch:
+    """Many controllers of one package, in one block of memory, whose calls all cores share; see help(Batch).
+
+    Args:
+        ocp_or_controller: a problem, which is built with ``options``; or a controller, of which all are copies.
+        number: of controllers, M >= 1.
+        options: for a problem.
+        threads: >= 1; None: one for every core that this process may use. Results do not depend on it.
+
+    Raises:
+        OptionError: a controller has been built with its options.
+        ControllerError: a number is wrong. Further errors are those of build().
+    """
+    if isinstance(ocp_or_controller, OCP):
+        return Batch(build(ocp_or_controller, options), number, threads)
+    if options is not None:
+        raise OptionError("batch(): options belong to a problem; a controller has been built with its own")
+    return Batch(ocp_or_controller, number, threads)

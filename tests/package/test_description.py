@@ -41,7 +41,7 @@ def changed(text: str, path: str, value: Any) -> str:
         ("dt", 0.1, r"at `\$\.dt"),
         ("structs", [], "'solver' is missing"),
         ("rows.0.lower", 10**400, "package description"),
-        ("format", 6, "format 6, not 10: export it again"),
+        ("format", 6, "format 6, not 11: export it again"),
         ("format", "1", "Expected"),
     ],
 )

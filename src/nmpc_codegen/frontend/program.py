@@ -22,6 +22,9 @@ from nmpc_codegen.package.program import EDGES, Operation, Program, Quantity, St
 #: Longer texts of operations are cut.
 LONGEST = 100
 
+#: Names of the costs that are no least squares.
+GENERAL = "general cost", "integrated cost"
+
 
 def program(problem: Problem) -> Program:
     """Rows, operations with an edge, their operands and the parts of the problem that they occur in."""
@@ -34,7 +37,9 @@ def program(problem: Problem) -> Program:
     suspects = [i for i, ins in enumerate(kernel.instructions) if _name(ins) in EDGES]
     value_of = {element: value for _, element, value in kernel.stores}
     of_rows = [value_of[len(parts) - len(rows) + i] for i in range(len(rows))]
-    kept, new = live(kernel.instructions, [*of_rows, *(a for i in suspects for a in kernel.instructions[i].args)])
+    of_cost = _costs(problem, value_of)
+    wanted = [*of_rows, *(value for _, value in of_cost), *(a for i in suspects for a in kernel.instructions[i].args)]
+    kept, new = live(kernel.instructions, wanted)
     places = {place: new[value] for (_, _, place), value in zip(rows, of_rows, strict=True)}
     numbers = range(len(problem.rows))
     lookups = sorted({known_lookup(ins.constant) for ins in kept if ins.opcode == ca.OP_CALL}, key=lambda t: t.function)
@@ -43,7 +48,21 @@ def program(problem: Problem) -> Program:
         tuple((places.get((i, 0), -1), places.get((i, 1), -1)) for i in numbers),
         tuple(_operations(kernel, problem, [quantity for quantity, _ in parts], suspects, new)),
         tuple(lookups),
+        tuple(new[value] for name, value in of_cost if name not in GENERAL),
+        tuple(problem.path.scale_with_dt),
+        (_of_name(GENERAL[0], of_cost, new), _of_name(GENERAL[1], of_cost, new)),
     )
+
+
+def _costs(problem: Problem, value_of: Mapping[int, int]) -> list[tuple[str, int]]:
+    """Names and values of the residuals and general costs of the path."""
+    first = problem.nx + len(problem.maps) + len(list(_of_stage(problem.start)))
+    return [(name, value_of[first + i]) for i, (name, _) in enumerate(_of_stage(problem.path))]
+
+
+def _of_name(name: str, values: Sequence[tuple[str, int]], new: Mapping[int, int]) -> int:
+    """The step of the value of this name; -1: there is none."""
+    return next((new[value] for found, value in values if found == name), -1)
 
 
 def _operations(
@@ -107,9 +126,9 @@ def _of_stage(stage: Stage) -> Iterator[tuple[str, Expression]]:
     for name, residual in zip(stage.y_names, elements(stage.y), strict=True):
         yield f"residual '{name}'", residual
     if stage.cost is not None:
-        yield "general cost", stage.cost
+        yield GENERAL[0], stage.cost
     if stage.cost_rate is not None:
-        yield "integrated cost", stage.cost_rate
+        yield GENERAL[1], stage.cost_rate
 
 
 def _name(ins: Instruction) -> str:

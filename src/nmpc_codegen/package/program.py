@@ -60,13 +60,18 @@ class Program:
 
     ``rows``: for every row of the problem the steps of its value at the nodes before the end and at the end; -1: none,
     or the row is no general one. ``operations``: those with an edge. ``lookups``: tables, which a step "lookup" reads
-    by the number that is its constant.
+    by the number that is its constant. ``residuals``: steps of the path residual; ``scaled``: those whose weight is
+    multiplied by the length of the interval; ``costs``: steps of the general cost of a node and of the integrated one;
+    -1: there is none.
     """
 
     steps: tuple[Step, ...] = ()
     rows: tuple[tuple[int, int], ...] = ()
     operations: tuple[Operation, ...] = ()
     lookups: tuple[Lookup, ...] = ()
+    residuals: tuple[int, ...] = ()
+    scaled: tuple[bool, ...] = ()
+    costs: tuple[int, int] = (-1, -1)
 
     def check(self, sizes: Sequence[int], rows: int, edges: Container[str]) -> None:
         """ValueError unless all that it refers to exists.
@@ -87,7 +92,10 @@ class Program:
                 known = name == "const" or (name in VALUES and 0 <= first < i and 0 <= second < i)
             if not known:
                 raise ValueError(f"step {i} of the program is {name} {first} {second}")
-        for steps, least in ((self.rows, -1), ([o.operands for o in self.operations], 0)):
+        if len(self.residuals) != len(self.scaled):
+            raise ValueError(f"the program has {len(self.residuals)} residuals, of which {len(self.scaled)} are scaled")
+        operands = [o.operands for o in self.operations]
+        for steps, least in ((self.rows, -1), (operands, 0), ([self.residuals], 0), ([self.costs], -1)):
             if not all(least <= i < len(self.steps) for pair in steps for i in pair):
                 raise ValueError("the program lacks a step of a row or an operand")
         unknown = [o.name for o in self.operations if o.name not in edges]

@@ -147,18 +147,21 @@ def check_range(values: NDArray[Any], low: Sequence[float], high: Sequence[float
     """ControllerError if one of the rows is outside of the bounds of its elements."""
     outside = (values < np.array(low, values.dtype)) | (values > np.array(high, values.dtype))
     if outside.any():
-        k, i = (int(place) for place in np.unravel_index(outside.argmax(), outside.shape))
+        place = np.unravel_index(outside.argmax(), outside.shape)
+        i = int(place[-1])
         raise ControllerError(
-            f"{what}: {values[k, i]:g} is outside of {low[i]:g} .. {high[i]:g}, its bounds as declared in the OCP"
+            f"{what}: {values[place]:g} is outside of {low[i]:g} .. {high[i]:g}, its bounds as declared in the OCP"
         )
 
 
 def alike(one: NDArray[Any], other: NDArray[Any], what: str) -> tuple[NDArray[Any], NDArray[Any]]:
     """Both with as many rows; ControllerError if they have different numbers of rows."""
-    if len(one) != len(other) and 1 not in (len(one), len(other)):
-        raise ControllerError(f"{what}: {len(one)} and {len(other)} rows; expected as many of both, or one")
-    if len(one) != len(other):
+    if one.shape == other.shape:
+        return one, other
+    try:
         one, other = np.broadcast_arrays(one, other)
+    except ValueError:
+        raise ControllerError(f"{what}: {len(one)} and {len(other)} rows; expected as many of both, or one") from None
     return one, other
 
 

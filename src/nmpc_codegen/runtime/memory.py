@@ -5,19 +5,16 @@ from __future__ import annotations
 
 import math
 import os
-from functools import cached_property
 from typing import IO, Any, Literal, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from nmpc_codegen.errors import ControllerError
-from nmpc_codegen.package.description import Dimensions
-from nmpc_codegen.package.signals import Names
 from nmpc_codegen.package.status import Kkt, Stats, Status
 from nmpc_codegen.runtime import compiled, given
+from nmpc_codegen.runtime.access.iterate import Iterate
 from nmpc_codegen.runtime.compiled import CompiledPackage
-from nmpc_codegen.runtime.multipliers import RowMultipliers
 
 Array = NDArray[Any]
 OnFailure = Literal["status", "raise"]
@@ -26,17 +23,15 @@ OnFailure = Literal["status", "raise"]
 _NO_COUNTS = {**dict.fromkeys((*compiled.COUNTERS, *compiled.NEWTON), 0), "violation": 0.0}
 
 
-class Memory:
-    """A struct of a package, initialised, with views on its iterate and what the last call has left in it."""
+class Memory(Iterate):
+    """A struct of a package, initialised, with views on its iterate and what the last call has left in it.
 
-    def __init__(self, package: CompiledPackage) -> None:
-        self._package = package
-        self.description = package.description
-        self.dims: Dimensions = self.description.dims
-        self.names: Names = self.description.names
-        self._real = self.description.real
-        self._memory = compiled.allocate(package.dtype.itemsize)
-        self._struct: NDArray[np.void] = self._memory.view(package.dtype).reshape(())
+    ``memory``: the bytes of an initialised struct, which someone else owns, too.
+    """
+
+    def __init__(self, package: CompiledPackage, memory: NDArray[np.uint8] | None = None) -> None:
+        self._memory = compiled.allocate(package.dtype.itemsize) if memory is None else memory
+        super().__init__(package, self._memory.view(package.dtype).reshape(()))
         self._s = package.ffi.from_buffer(f"{package.name}_solver_t *", self._memory)
         self._xhat, self._xhat_c = self._buffer(self.dims.nx)
         self._u0, self._u0_c = self._buffer(self.dims.nu)
@@ -45,81 +40,10 @@ class Memory:
         self._prepare_ns = 0
         self._feedback_ns = 0
         self._solved = False  # the last call was solve()
-        self._expect(self._call("init", self._s), "init")
+        if memory is None:
+            self._expect(self._call("init", self._s), "init")
 
-    # -- the iterate and what is known about it ---------------------------------------------------------------------
-
-    @property
-    def x(self) -> Array:
-        """States of the plan, (N+1, nx)."""
-        return self._view("x")[:, : self.dims.nx]
-
-    @x.setter
-    def x(self, value: ArrayLike) -> None:
-        self._assign(self.x, "x", value)
-
-    @property
-    def u(self) -> Array:
-        """Controls of the plan, (N, nu)."""
-        return self._view("u")[:, : self.dims.nu]
-
-    @u.setter
-    def u(self, value: ArrayLike) -> None:
-        self._assign(self.u, "u", value)
-
-    @property
-    def lam(self) -> Array:
-        """Multipliers of initial condition and dynamics, (N+1, nx)."""
-        return self._view("lam")[:, : self.dims.nx]
-
-    @lam.setter
-    def lam(self, value: ArrayLike) -> None:
-        self._assign(self.lam, "lam", value)
-
-    @property
-    def mu_x(self) -> Array:
-        """Multipliers of state bounds, (N+1, nx), a read-only copy: assign to it."""
-        return self._multipliers("mu_x")
-
-    @mu_x.setter
-    def mu_x(self, value: ArrayLike) -> None:
-        self._set_multipliers("mu_x", value)
-
-    @property
-    def mu_u(self) -> Array:
-        """Multipliers of control bounds, (N, nu)."""
-        return self._view("mu_u")[:, : self.dims.nu]
-
-    @mu_u.setter
-    def mu_u(self, value: ArrayLike) -> None:
-        self._assign(self.mu_u, "mu_u", value)
-
-    @property
-    def mu(self) -> Array:
-        """Multipliers of general path rows, (N, nh), a read-only copy: assign to it."""
-        return self._multipliers("mu")
-
-    @mu.setter
-    def mu(self, value: ArrayLike) -> None:
-        self._set_multipliers("mu", value)
-
-    @property
-    def mu_N(self) -> Array:
-        """Multipliers of general terminal rows, (nh_N,), a read-only copy: assign to it."""
-        return self._multipliers("mu_N")
-
-    @mu_N.setter
-    def mu_N(self, value: ArrayLike) -> None:
-        self._set_multipliers("mu_N", value)
-
-    @property
-    def eta(self) -> Array:
-        """Multipliers of coupled rows, a read-only copy: assign to it; empty without such rows."""
-        return self._multipliers("eta")
-
-    @eta.setter
-    def eta(self, value: ArrayLike) -> None:
-        self._set_multipliers("eta", value)
+    # -- what is known about it ----------------------------------------------------------------------------------------
 
     @property
     def z(self) -> Array:
@@ -144,17 +68,6 @@ class Memory:
         out, out_c = self._buffer(len(names))
         self._call("algebraic", self._s, int(node), self._pointer(state), self._pointer(control), out_c)
         return out
-
-    @property
-    def whole_x(self) -> Array:
-        """States of the plan with those behind the states of the user, (N+1, nx + their number)."""
-        return self._view("x")
-
-    @property
-    def known(self) -> Array:
-        """View on the states behind those of the user in x_0 of the last sample; integrate() starts from them."""
-        last = self._view("xhat") if "xhat" in self.description.members("solver") else self._view("x")[0]
-        return last[self.dims.nx :]
 
     @property
     def previous(self) -> Array:
@@ -225,10 +138,6 @@ class Memory:
         out, out_c = self._buffer(self.dims.nx)
         self._call("integrate", self._s, self._pointer(start), self._pointer(control), float(dt), out_c)
         return out[: self.dims.nx]
-
-    def view(self, path: str) -> Array:
-        """View on any member of the solver struct, in its true shape; dots access inner structs ("qp.g")."""
-        return self._view(path)
 
     @property
     def profile(self) -> str:
@@ -322,51 +231,3 @@ class Memory:
         if contiguous.size == 0:
             contiguous = np.zeros(1, dtype=self._real)
         return self._package.ffi.from_buffer(f"{self._package.name}_real[]", contiguous)
-
-    def _array(self, what: str, value: ArrayLike, shape: tuple[int, ...], finite: bool = True) -> Array:
-        """``value`` as an array of the given shape in the working precision."""
-        return given.checked_array(value, what, self._real, shape, finite)
-
-    def _view(self, path: str) -> Array:
-        struct, here = "solver", self._struct
-        for part in path.split("."):
-            member = self.description.members(struct).get(part)
-            if member is None and path in self._package.empty:
-                return np.zeros(self._package.empty[path], dtype=self._real)
-            if member is None:
-                raise AttributeError(f"the algorithm of {self._package.name} has no {path!r}")
-            here, struct = here[part], member.ctype
-            true_shape: Any = (..., *(slice(n) for n in member.values))
-            here = here[true_shape] if member.shape else here
-        return here
-
-    def _multipliers(self, name: str) -> Array:
-        return self._row_multipliers.read(name, self._every_multiplier(name))
-
-    def _set_multipliers(self, name: str, value: ArrayLike) -> None:
-        every = self._every_multiplier(name)
-        self._row_multipliers.write(name, self._array(name, value, self._row_multipliers.shapes[name]), every)
-
-    def _every_multiplier(self, name: str) -> Array:
-        """The multipliers of all rows.
-
-        Raises:
-            AttributeError: the algorithm keeps none.
-        """
-        if "mu_u" not in self.description.members("solver"):
-            raise AttributeError(f"the algorithm of {self._package.name} has no {name!r}")
-        return self.member("mult")
-
-    @cached_property
-    def _row_multipliers(self) -> RowMultipliers:
-        return RowMultipliers(self.description)
-
-    def member(self, name: str) -> Array:
-        """A member that only some algorithms and problems have; empty if it does not exist."""
-        try:
-            return self._view(name)
-        except AttributeError:
-            return np.zeros(0, dtype=self._real)
-
-    def _assign(self, view: Array, name: str, value: ArrayLike) -> None:
-        view[...] = self._array(name, value, view.shape)

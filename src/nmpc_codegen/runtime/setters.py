@@ -8,26 +8,25 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from functools import cached_property
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from nmpc_codegen.errors import ControllerError
-from nmpc_codegen.package.signals import Kind, Soft, members
+from nmpc_codegen.package.signals import Kind, Soft
 from nmpc_codegen.runtime import given
+from nmpc_codegen.runtime.access.addressing import EVERY_NODE, Addressing, Checked
 from nmpc_codegen.runtime.memory import Memory
 
 __all__ = ["EVERY_NODE", "Setters"]
-
-EVERY_NODE = -1  # <NAME>_ALL of the C package
 
 Array = NDArray[Any]
 Named = Mapping[str, ArrayLike]
 Penalty = float | tuple[ArrayLike, ArrayLike]
 
 
-class Setters(Memory):
+class Setters(Memory, Addressing):
     """The data of a controller that can be changed at run time."""
 
     # -- references and weights ---------------------------------------------------------------------------------------
@@ -235,41 +234,15 @@ class Setters(Memory):
         if sent[1]:
             self._send(f"set_terminal_{kind}", end[None], None)
 
-    def _elements_of(self, name: str, node: int | None) -> list[str]:
-        """Names of the residuals that a name means, at a node or at all of them."""
-        N = self.dims.N
-        known = list(
-            dict.fromkeys((*(self.names.y if node != N else ()), *(self.names.y_N if node in (None, N) else ())))
-        )
-        return [known[i] for i in self._members(name, known, "residual")]
-
     @cached_property
     def _path_of_end(self) -> list[int] | None:
         """For every terminal residual its place in that of the path; None if one is missing there, or there is none."""
         places = [self.names.y.index(name) for name in self.names.y_N if name in self.names.y]
         return places if places and len(places) == self.dims.ny_N else None
 
-    def _is_matrix(self, end: bool) -> bool:
-        """True if the weight is stored in full."""
-        return self._view("W_N").ndim == 2 if end else self._view("W").ndim == 3
-
     # -- inner: parameters and bounds ---------------------------------------------------------------------------------
 
-    def _checked_parameter(self, name: str, value: ArrayLike, node: int | None) -> _Checked:
-        signals = self.description.parameters
-        names = [p.name for p in signals]
-        base = name.rpartition("[")[0] if isinstance(name, str) and name not in names else ""
-        index = self._lookup(base if base in names else name, names, "parameter")
-        signal, what = signals[index], f"parameter {name!r}"
-        lengths = self._lengths("parameter", what, node)
-        column = None if name == signal.name else self._lookup(name, signal.elements, "parameter")
-        rows = given.rows(value, what, self._real, signal.size if column is None else 1, lengths)
-        if signal.low:
-            own = slice(None) if column is None else slice(column, column + 1)
-            given.check_range(rows, signal.low[own], signal.high[own], what)
-        return _Checked(index, column, rows)
-
-    def _send_elements(self, checked: Sequence[_Checked], node: int | None) -> None:
+    def _send_elements(self, checked: Sequence[Checked], node: int | None) -> None:
         """Send parameters of which some are elements of vectors, whose others stay as they are."""
         signals, stored = self.description.parameters, np.array(self._view("p"))
         shared = self.description.online["parameter"] == "shared"
@@ -289,36 +262,6 @@ class Setters(Memory):
                 self._send("set_parameter", rows, None, index)
             else:
                 self._send("set_parameter", rows[[-1 if shared else node]], node, index)
-
-    def _checked_bounds(
-        self, name: str, lower: ArrayLike, upper: ArrayLike, node: int | None
-    ) -> Iterator[tuple[int, Array, Array]]:
-        """(row, lower, upper) for every row of that name: one number, or one per node."""
-        groups = self._rows_of(name)
-        lengths = self._lengths_of_rows("bounds", name, groups, node)
-        low, high = (
-            given.rows(value, f"{which} bound of {name!r}", self._real, len(groups), lengths, finite=False)
-            for which, value in (("lower", lower), ("upper", upper))
-        )
-        low, high = given.alike(low, high, f"bounds of {name!r}")
-        for i, group in enumerate(groups):
-            row = self.description.rows[group[0]]
-            one_low, one_high = low[:, i], high[:, i]
-            if not ((one_low <= one_high) & (one_low < np.inf) & (one_high > -np.inf)).all():
-                given.check_bounds(one_low, one_high, row)
-            for number in group:
-                side = self.description.rows[number].side if name != self.names.rows[number] or len(group) == 1 else ""
-                other = {"lower": one_high < np.inf, "upper": one_low > -np.inf}.get(side)
-                if len(group) == 1 and other is not None and other.any():
-                    raise ControllerError(
-                        f"bounds of {name!r}: it has the {side} side alone; state it with both bounds, or with "
-                        "soft=Soft(lower=(l1, l2), upper=(l1, l2))"
-                    )
-                yield (
-                    number,
-                    np.full_like(one_low, -np.inf) if side == "upper" else one_low,
-                    np.full_like(one_high, np.inf) if side == "lower" else one_high,
-                )
 
     def _checked_soft(
         self, name: str, soft: Penalty | Soft | None, node: int | None
@@ -341,31 +284,6 @@ class Setters(Memory):
             given.check_penalties(l1, l2, row.soft, what)
             yield number, l1, l2
 
-    def _rows_of(self, name: str) -> list[list[int]]:
-        """The rows of that name, a list for each row of the user: both sides where their penalties differ."""
-        if name in self.names.rows:
-            return [[self.names.rows.index(name)]]
-        of_rows = [row.user_name for row in self.description.rows]
-        known = list(dict.fromkeys(of_rows))
-        return [
-            [i for i, stated in enumerate(of_rows) if stated == known[k]] for k in self._members(name, known, "row")
-        ]
-
-    def _lengths_of_rows(
-        self, kind: Kind, name: str, groups: Sequence[Sequence[int]], node: int | None
-    ) -> tuple[int, ...]:
-        """_lengths() for rows: without node N only if none holds there; ``node`` must be one of all of them."""
-        lengths = self._lengths(
-            kind, f"the {kind} of {name!r}" if kind == "bounds" else f"the penalty of {name!r}", node
-        )
-        rows = [self.description.rows[group[0]] for group in groups]
-        for row in rows:
-            own = list(row.nodes[-1:] if row.is_coupled else row.nodes)
-            if node is not None and node not in own:
-                raise ControllerError(f"{row.user_name!r} does not hold at node {node}, but at {own}")
-        at_end = any(self.dims.N in row.nodes for row in rows)
-        return tuple(n for n in lengths if n > self.dims.N) if at_end else lengths
-
     def _send_pair(self, call: str, row: int, first: Array, second: Array, node: int | None) -> None:
         """Send two numbers of a row, for a node or for all, or two for each node from node 0 on."""
         if len(first) == 1:
@@ -382,32 +300,8 @@ class Setters(Memory):
 
     # -- inner: all kinds ---------------------------------------------------------------------------------------------
 
-    def _lengths(self, kind: Kind, what: str, node: int | None) -> tuple[int, ...]:
-        """Numbers of rows that an array with rows for nodes may have; none for one node, or for data that all share.
-
-        Raises:
-            ControllerError: this kind of data cannot be set, or not at this node.
-        """
-        layout, k, N = self.description.online[kind], self._node(node), self.dims.N
-        if layout == "fixed":
-            raise ControllerError(
-                f'{self._package.name}: {what} cannot be set: it was generated with Online({kind}="fixed"); '
-                f'generate it with "shared" or "node"'
-            )
-        if layout == "shared" and k not in (EVERY_NODE, N):
-            raise ControllerError(
-                f"{self._package.name}: {what} cannot be set at node {node}; expected node None or {N}: "
-                f'it was generated with Online({kind}="shared")'
-            )
-        return tuple(n for n in (N, N + 1) if n > 1) if layout == "node" and node is None else ()
-
-    def _node(self, node: int | None) -> int:
-        """Node number for C; None: every node. The C code checks whether data of this node can be set."""
-        if node is None:
-            return EVERY_NODE
-        if not given.is_integer(node) or not 0 <= node <= self.dims.N:
-            raise ControllerError(f"node is {node!r}; expected None or an integer in 0..{self.dims.N}")
-        return int(node)
+    def _read(self, value: ArrayLike, what: str, size: int, lengths: Sequence[int], finite: bool = True) -> Array:
+        return given.rows(value, what, self._real, size, lengths, finite)
 
     def _send(self, call: str, rows: Array, node: int | None, *leading: int) -> None:
         """Send one row for a node or for all, or one row per node from node 0 on."""
@@ -419,24 +313,6 @@ class Setters(Memory):
             status = self._call(f"{call}_range", self._s, *leading, 0, len(rows), self._pointer(rows))
         if status:
             self._expect(status, call, "every node" if node is None else f"node {node}")
-
-    def _lookup(self, name: str, known: Sequence[str], kind: str) -> int:
-        if name not in known:
-            there = ", ".join(map(repr, known)) or "none"
-            raise ControllerError(f"{self._package.name} has no {kind} {name!r}; those that exist: {there}")
-        return known.index(name)
-
-    def _members(self, name: str, known: Sequence[str], kind: str) -> list[int]:
-        """The element of that name, or all elements name[i]."""
-        return members(name, known) or [self._lookup(name, known, kind)]
-
-
-class _Checked(NamedTuple):
-    """Rows for a parameter: its number, the element of a vector, or None for all of it."""
-
-    number: int
-    column: int | None
-    rows: Array
 
 
 def _diagonal(values: Array, matrices: bool) -> Array:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from nmpc_codegen.package.description import PackageDescription
 from nmpc_codegen.package.program import Array
 from nmpc_codegen.package.signals import Row
 from nmpc_codegen.runtime.memory import Memory
@@ -52,17 +53,17 @@ def whole_parameters(ctrl: Memory) -> Array:
     return np.array([*([stored[0]] * d.N), stored[-1]], dtype=np.float64)
 
 
-def append_solved(ctrl: Memory, p: Array, z: Array) -> Array:
+def append_solved(described: PackageDescription, p: Array, z: Array) -> Array:
     """Parameters, and behind them what expressions read: of the algebraic variables z those that Newton's method finds,
     NaN for derivatives of states, which are no outputs, and slopes, which no value depends on."""
-    known, names = dict(zip(ctrl.names.algebraic, z.T, strict=True)), ctrl.description.newton
+    known, names = dict(zip(described.names.algebraic, z.T, strict=True)), described.newton
     solved = [known.get(name, np.full(len(p), np.nan)) for name in names]
     return np.column_stack([p, *solved, np.zeros((len(p), len(names) ** 2))])
 
 
 def plan_data(ctrl: Memory) -> Array:
     """What expressions of all nodes read in place of p."""
-    return append_solved(ctrl, np.asarray(whole_parameters(ctrl), dtype=np.float64), ctrl.z)
+    return append_solved(ctrl.description, np.asarray(whole_parameters(ctrl), dtype=np.float64), ctrl.z)
 
 
 def path_reference(ctrl: Memory) -> Array:

@@ -5,7 +5,6 @@ u_k = step(x_k),   x_{k+1} = plant(x_k, u_k, dt) + disturbance(k, x_k)
 
 from __future__ import annotations
 
-import math
 import sys
 from collections.abc import Callable, Iterable, Mapping
 from functools import partial
@@ -28,15 +27,15 @@ from nmpc_codegen.runtime.diagnosis.rows import (
 )
 from nmpc_codegen.runtime.estimation.observer import Observer
 from nmpc_codegen.runtime.estimation.sensing import Sensing, see
-from nmpc_codegen.runtime.given import is_positive, is_same_time, rows
+from nmpc_codegen.runtime.given import rows
 from nmpc_codegen.runtime.loops.forecast import Before, Bounds, OverSamples, References, forecast
+from nmpc_codegen.runtime.loops.sampling import Plant, interval_of, own_plant
 from nmpc_codegen.runtime.records.html import units
 from nmpc_codegen.runtime.records.log import Log
 from nmpc_codegen.runtime.records.trace import Bound, Trace
 
 Array = NDArray[np.float64]
 Traces = tuple[Trace, ...]
-Plant = Callable[[Array, Array, float], ArrayLike]
 Disturbance = Callable[[int, Array], ArrayLike]
 Law = Literal["step", "solve"]
 Sample = Callable[[Array, int], tuple[Array, int]]
@@ -45,7 +44,6 @@ LOG_BYTES = 2**31  # a larger log may not fit into memory, and the run would tak
 LOG_COLUMNS = 4  # status, cost, time and t
 LONG_RUN = 200  # number of steps from which a progress bar is shown
 SAME = 1e-6  # relative tolerance within which a row equals a signal, in single precision too
-STEP_SLACK = 1e-9  # relative tolerance: dt = 3 intervals, computed as a sum of floats, is 3 steps, not 4
 
 
 def simulate(
@@ -96,12 +94,12 @@ def simulate(
     """
     numbers = _path_rows(_controller(ctrl))
     _check_steps(steps, ctrl, len(numbers))
-    interval = _interval(ctrl, dt)
+    interval = interval_of(ctrl.description, dt)
     start = _state(_stack(x0, ctrl) if isinstance(x0, Mapping) else x0, ctrl.dims.nx, "x0")
     tell = forecast(ctrl, interval, parameters, bounds, _references(references, reference), before)
     of_plant = forecast(ctrl, interval, parameters, None, None, None)
     sensing = None if estimator is None else Sensing(ctrl, estimator, seed, steps, interval, of_plant)
-    move = plant or _own_plant(ctrl if sensing is None else sensing.truth)
+    move = plant or own_plant(ctrl if sensing is None else sensing.truth)
     if warm_start:
         _solve_first(ctrl, start, tell)
     sample = _sample_by(law, ctrl, interval)
@@ -181,7 +179,7 @@ def _sample_by(law: Law, ctrl: Controller, interval: float) -> Sample:
 def _sample_rows(ctrl: Controller, x: Array, u: Array, p: Array, z: Array) -> Array:
     """Values of the rows of the samples, with what node 0 has behind the parameters of the user."""
     data = whole_parameters(ctrl)[:1, ctrl.dims.np :]
-    return row_values(ctrl, x, u, append_solved(ctrl, np.hstack([p, np.tile(data, (len(x), 1))]), z))
+    return row_values(ctrl, x, u, append_solved(ctrl.description, np.hstack([p, np.tile(data, (len(x), 1))]), z))
 
 
 def _path_rows(ctrl: Controller) -> list[int]:
@@ -234,36 +232,6 @@ def _check_steps(steps: object, ctrl: Controller, rows: int) -> None:
     most = LOG_BYTES // (columns * np.dtype(np.float64).itemsize)
     if steps > most:
         raise ControllerError(f"steps is {steps}; expected at most {most}, whose log takes {LOG_BYTES >> 30} GiB")
-
-
-def _interval(ctrl: Controller, dt: float | None) -> float:
-    own, sampled, unit = ctrl.description.dt[0], ctrl.description.sampling_time, ctrl.description.time_unit
-    if dt is None:
-        return sampled or own
-    if not is_positive(dt):
-        raise ControllerError(f"dt is {dt!r}; expected a positive number ({unit})")
-    if ctrl.description.discrete and dt != own:
-        raise ControllerError(f"dt is {dt!r}, but the dynamics are a discrete map of dt = {own!r}: leave dt out")
-    if sampled is not None and not is_same_time(dt, sampled):
-        raise ControllerError(
-            f"dt is {dt!r}, but the plan is shifted by {sampled!r} {unit} before every sample: state the "
-            f"sampling time by RealTimeIteration(sampling_time={dt!r}), or shift nothing, shift=None"
-        )
-    return float(dt)
-
-
-def _own_plant(ctrl: Controller) -> Plant:
-    """The integrator of the package, in equal steps no longer than the first interval."""
-    longest = ctrl.description.dt[0]
-    whole = ctrl.known.size or "integrator_jump" in ctrl.description.report.operations  # what a sample does once
-
-    def integrate(x: Array, u: Array, dt: float) -> Array:
-        count = 1 if whole else max(1, math.ceil(dt / longest * (1.0 - STEP_SLACK)))
-        for _ in range(count):
-            x = ctrl.integrate(x, u, dt / count)
-        return x
-
-    return integrate
 
 
 def _before(ctrl: Controller, x: Array, u: Array) -> str:

@@ -16,7 +16,7 @@ from nmpc_codegen.package.description import PackageDescription
 from nmpc_codegen.package.signals import imposed_rows
 
 Array = NDArray[Any]
-Places = tuple[list[int], tuple[list[int], ...]]
+Places = tuple[list[int], Any]
 
 
 class RowMultipliers:
@@ -35,8 +35,8 @@ class RowMultipliers:
     def read(self, name: str, mult: Array) -> Array:
         """The multipliers of this name, a read-only copy."""
         rows, places = self._places[name]
-        values = np.zeros(self.shapes[name], dtype=mult.dtype)
-        values[places] = mult[rows]
+        values = np.zeros((*mult.shape[:-1], *self.shapes[name]), dtype=mult.dtype)
+        values[places] = mult[..., rows]
         values.flags.writeable = False
         return values
 
@@ -53,9 +53,9 @@ class RowMultipliers:
             place = tuple(int(i) for i in np.argwhere(rest)[0])
             at = ", ".join(map(str, place))
             raise ControllerError(f"{name}[{at}] is {rest[place]:g}; expected 0, as no row is imposed there")
-        mult[rows] = values[places]
+        mult[..., rows] = values[places]
 
 
 def _columns(entries: list[tuple[int, ...]], dimensions: int) -> Places:
-    """Positions in the vector, and indices of the array, dimension by dimension."""
-    return [e[0] for e in entries], tuple([e[i + 1] for e in entries] for i in range(dimensions))
+    """Positions in the vector, and indices of the array behind the axes of the structs, dimension by dimension."""
+    return [e[0] for e in entries], (..., *([e[i + 1] for e in entries] for i in range(dimensions)))

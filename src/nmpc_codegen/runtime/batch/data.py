@@ -1,0 +1,188 @@
+"""What the controllers of a batch are told: references, weights, parameters, bounds, for all of them or some.
+
+Every array has a first axis of the controllers, one row for each or one row for all. It may be left out where there is
+no axis of nodes behind it:
+
+    a number, (size,)     one value for all controllers and nodes
+    (M, size), (1, size)  a value for each controller, for all of its nodes; (M,), (1,) if the value is a number
+    (M, nodes, size)      a value for each node, (1, nodes, size): the same for all controllers
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from nmpc_codegen.errors import ControllerError
+from nmpc_codegen.package.status import Status
+from nmpc_codegen.runtime import given
+from nmpc_codegen.runtime.access.addressing import Addressing
+from nmpc_codegen.runtime.batch.structs import Structs
+
+Array = NDArray[Any]
+Named = Mapping[str, ArrayLike]
+
+
+class Told(Addressing):
+    """Those controllers of a batch that are told something: ``index``, their numbers; None: all."""
+
+    def __init__(self, batch: Structs, index: ArrayLike | None) -> None:
+        super().__init__(batch._package, batch._struct)
+        self._batch = batch
+        self._index = None if index is None else numbers(index, len(batch))
+        self._count = len(batch) if self._index is None else len(self._index)
+
+    def set_reference(self, y: ArrayLike | Named, node: int | None) -> None:
+        """References of the path residual, of the end with node N, or of residuals by their names."""
+        lengths = self._lengths("reference", "the reference", node)
+        if isinstance(y, Mapping):
+            self._set_by_name(y, node, lengths)
+            return
+        end = node is not None and node == self.dims.N
+        size = self.dims.ny_N if end else self.dims.ny
+        self._expect_residual(size, end)
+        rows = self._read(y, "reference", size, [] if end else [self.dims.N][: len(lengths)])
+        self._send("terminal_reference" if end else "reference", rows, node)
+
+    def _set_by_name(self, values: Named, node: int | None, lengths: Sequence[int]) -> None:
+        """References of some residuals; the others stay as they are."""
+        N = self.dims.N
+        stored = {end: self._copy_of("yref_N" if end else "yref") for end in (False, True)}
+        sent = set()
+        for name, value in values.items():
+            elements = self._elements_of(name, node)
+            rows = self._read(value, f"reference of {name!r}", len(elements), lengths)
+            for element, column in zip(elements, np.moveaxis(rows, -1, 0), strict=True):
+                if element in self.names.y and node != N:
+                    nodes = slice(None) if node is None else slice(node, node + 1)
+                    stored[False][:, nodes, self.names.y.index(element)] = column[:, :N]
+                    sent.add(False)
+                if element in self.names.y_N and node in (None, N):
+                    stored[True][:, 0, self.names.y_N.index(element)] = column[:, -1]
+                    sent.add(True)
+        for end in sorted(sent):
+            self._send("terminal_reference" if end else "reference", stored[end], None)
+
+    def set_weight(self, W: ArrayLike, node: int | None) -> None:
+        """Weights of the path residual, or with node N of the end."""
+        self._lengths("weight", "the weight", node)
+        end = node is not None and node == self.dims.N
+        size = self.dims.ny_N if end else self.dims.ny
+        self._expect_residual(size, end)
+        diagonal = given.ndim(W) < 3
+        flat = self._read(W, "weight", size if diagonal else size * size, [], matrix=None if diagonal else size)
+        rows = flat[:, 0] if diagonal else flat.reshape(-1, size, size)
+        if self._is_matrix(end):
+            dense = given.check_weights(rows, "weight", self._real)
+            rows = np.einsum("ki,ij->kij", dense, np.eye(size, dtype=self._real)) if diagonal else dense
+        else:
+            rows = given.weights(rows, "weight", self._real, size, False, [len(rows)])
+        self._send("terminal_weight" if end else "weight", rows.reshape(len(rows), 1, -1), node)
+
+    def set_parameters(self, values: Named, node: int | None) -> None:
+        """Parameters or elements of them: all, or none if one is wrong."""
+        for one in [self._checked_parameter(name, value, node) for name, value in values.items()]:
+            signal, shared = self.description.parameters[one.number], self.description.online["parameter"] == "shared"
+            rows = one.rows
+            if one.column is not None:
+                stored = self._copy_of("p")[..., signal.offset : signal.offset + signal.size]
+                end = len(stored[0]) - 1
+                nodes = slice(None) if node is None else slice(end, None) if shared else slice(node, node + 1)
+                if rows.shape[1] == self.dims.N > 1 and node is None:
+                    nodes = slice(self.dims.N)
+                stored[:, nodes, one.column] = rows[..., 0]
+                rows = stored if node is None else stored[:, nodes]
+                if shared and node is None:
+                    self._send("parameter", rows[:, 1:], self.dims.N, one.number)
+                    rows = rows[:, :1]
+            self._send("parameter", rows, node, one.number)
+
+    def set_bounds(self, name: str, lower: ArrayLike, upper: ArrayLike, node: int | None) -> None:
+        """Bounds of a row, or of all rows of a vector."""
+        for row, low, high in list(self._checked_bounds(name, lower, upper, node)):
+            operation, function = ("SET_PAIR", "set_bounds") if low.shape[1] == 1 else ("SET_PAIRS", "set_bounds_range")
+            places = (row, self._node(node)) if low.shape[1] == 1 else (row, 0, low.shape[1])
+            self._call(operation, function, f"row {self.names.rows[row]!r}", low, high, places)
+
+    # -- inner --------------------------------------------------------------------------------------------------------
+
+    def _expect_residual(self, size: int, end: bool) -> None:
+        if not size:
+            raise ControllerError(f"{self._package.name} has no {'terminal' if end else 'path'} residual")
+
+    def _copy_of(self, member: str) -> Array:
+        """A copy of stored rows of the controllers that are told, (count, nodes, size)."""
+        found = np.array(self._view(member) if self._index is None else self._view(member)[self._index])
+        return found.reshape(self._count, -1, found.shape[-1])
+
+    def _read(
+        self,
+        value: ArrayLike,
+        what: str,
+        size: int,
+        lengths: Sequence[int],
+        finite: bool = True,
+        matrix: int | None = None,
+    ) -> Array:
+        """Values as (count or 1, 1 or one of ``lengths``, size); ``matrix``: they are square ones of this length."""
+        one: tuple[int, ...] = (size,) if matrix is None else (matrix, matrix)
+        axes = [(), *((n,) for n in (self._count, 1)), *((n, k) for n in (self._count, 1) for k in lengths)]
+        bare = axes if size == 1 else [()]  # numbers, without an axis of elements
+        allowed = [*(bare if matrix is None else []), *((*a, *one) for a in axes)]
+        shape = np.shape(value) if given.ndim(value) >= 0 else None
+        found = shape if shape in allowed and shape is not None else (self._count, *one)
+        array = given.checked_array(value, what, self._real, found, finite, lambda: ", ".join(map(str, allowed)))
+        if found == ():
+            return np.full((1, 1, size), array)
+        before = found if matrix is None and found in bare else found[: len(found) - len(one)]
+        return array.reshape(*(before + (1, 1)[len(before) :] if before else (1, 1)), size)
+
+    def _send(self, what: str, rows: Array, node: int | None, *leading: int) -> None:
+        """Hand rows (count or 1, nodes, size) to a setter."""
+        function, nodes = f"set_{what}", rows.shape[1]
+        if what.startswith("terminal"):
+            operation, places = "SET", leading
+        elif nodes == 1:
+            operation, places = "SET_TWO" if leading else "SET_NODE", (*leading, self._node(node))
+        else:
+            operation, places = "SET_THREE" if leading else "SET_TWO", (*leading, 0, nodes)
+            function = f"{function}_range"
+        self._call(operation, function, what.replace("_", " "), rows, None, places)
+
+    def _call(
+        self, operation: str, function: str, what: str, first: Array, second: Array | None, places: Sequence[int]
+    ) -> None:
+        """Call a setter for every controller that is told; what Python has checked is not refused."""
+        ready = [None if a is None else np.ascontiguousarray(a, dtype=self._real) for a in (first, second)]
+        status = self._batch.call(
+            operation, function, index=self._index, first=ready[0], second=ready[1], places=places
+        )
+        if status.any():
+            i = int(np.flatnonzero(status)[0])
+            number = i if self._index is None else int(self._index[i])
+            raise ControllerError(
+                f"{self._package.name}.{function} of controller {number} ({what}): {Status(status[i])}"
+            )
+
+
+def numbers(index: ArrayLike, count: int) -> NDArray[np.int64]:
+    """Numbers of controllers, from integers or a mask (count,).
+
+    Raises:
+        ControllerError: there is no such controller, or one is named twice.
+    """
+    found = np.atleast_1d(np.asarray(index))
+    if found.dtype == np.bool_ and found.shape == (count,):
+        return np.flatnonzero(found)
+    if found.ndim != 1 or (found.size and found.dtype.kind not in "iu"):
+        raise ControllerError(f"index has shape {found.shape}; expected integers, or a mask of shape ({count},)")
+    chosen = found.astype(np.int64)
+    if ((chosen < -count) | (chosen >= count)).any():
+        raise ControllerError(f"index names controller {chosen[(chosen < -count) | (chosen >= count)][0]} of {count}")
+    chosen %= count
+    if len(np.unique(chosen)) < len(chosen):
+        raise ControllerError("index names a controller twice")
+    return chosen

@@ -1,0 +1,179 @@
+"""The compiled code that calls a package for many of its structs, and the threads that share it.
+
+Functions of the package are called by their addresses, so that a batch runs the same machine code as one controller.
+"""
+
+from __future__ import annotations
+
+import os
+from collections import deque
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nmpc_codegen.errors import ControllerError
+from nmpc_codegen.runtime.batch.random import Signal
+from nmpc_codegen.runtime.build import Profile, load_library
+from nmpc_codegen.runtime.compiled import CompiledPackage
+from nmpc_codegen.runtime.given import is_integer
+
+Array = NDArray[Any]
+
+PARTS = Path(__file__).parent
+
+#: Arithmetic as it is written: random numbers and sums have the same bits everywhere.
+EXACT = Profile("exact", ("-std=c99", "-O2", "-ffp-contract=off"), wrapper=False)
+
+#: Controllers that a thread claims at once: of so many claims by every thread, at most so many controllers.
+CLAIMS, MOST = 8, 64
+
+#: What the parts of the driver begin with, for a processor.
+_PROLOGUE = """\
+#include <math.h>
+#include <stddef.h>
+#include <stdint.h>
+#include <string.h>
+
+typedef {real} real_t;
+enum {{ N = {N}, NX = {NX}, NU = {NU}, NALG = {NALG}, ALL = -1 }};
+#define TARGET
+#define PRODUCT(a, b) ((a) * (b))
+
+"""
+
+
+def sizes_of(package: CompiledPackage) -> dict[str, object]:
+    """The words of a prologue."""
+    found = package.description.interface
+    real = {"double": "double", "single": "float"}[package.description.precision]
+    algebraic = max(1, len(package.description.names.algebraic))
+    return {"real": real, "NALG": algebraic, **{name: found[name] for name in ("N", "NX", "NU")}}
+
+
+def part(name: str) -> str:
+    """The text of a C file of this folder, with those that it includes."""
+    text = (PARTS / name).read_text(encoding="utf-8")
+    for other in ("random.c", "flight.c"):
+        if f'#include "{other}"' in text:
+            text = text.replace(f'#include "{other}"', part(other))
+    return text
+
+
+class Driver:
+    """Calls of one package, by ``threads`` threads; None: as many as this process may use."""
+
+    def __init__(self, package: CompiledPackage, threads: int | None = None) -> None:
+        if threads is not None and (not is_integer(threads) or threads < 1):
+            raise ControllerError(f"threads is {threads!r}; expected an integer >= 1, or None for all cores")
+        self.package = package
+        self.threads = _cores() if threads is None else int(threads)
+        header = part("driver.h")
+        text = _PROLOGUE.format(**sizes_of(package)) + header + part("processor.c")
+        self.ffi, self.lib = load_library({"batch.h": header, "batch.c": text}, "batch", EXACT)
+        self._pool: tuple[int, ThreadPoolExecutor] | None = None
+
+    def address(self, name: str, package: CompiledPackage | None = None) -> Any:
+        """The address of a function of the package, or of another one; ControllerError if it has none of that name."""
+        found = self.package if package is None else package
+        return self.ffi.cast("function_t", int(found.ffi.cast("uintptr_t", found.function(name))))
+
+    def pointer(self, array: Array | None) -> Any:
+        """The address of an array of consecutive bytes."""
+        return self.ffi.NULL if array is None else self.ffi.cast("void *", array.ctypes.data)
+
+    def call(
+        self,
+        operation: str,
+        function: str | None,
+        memory: Array,
+        stride: int,
+        *,
+        index: Array | None = None,
+        first: Array | None = None,
+        second: Array | None = None,
+        out: Array | None = None,
+        places: Sequence[int] = (),
+        number: float = 0.0,
+    ) -> NDArray[np.int32]:
+        """The statuses of one call of a function for structs in memory, which threads share.
+
+        ``index``: their numbers; None: all. Arrays have a first axis of the length of the call, or 1: the same for all.
+        """
+        count = len(memory) // stride if index is None else len(index)
+        status = np.zeros(count, np.int32)
+        threads = max(1, min(self.threads, count))
+        taken = np.zeros((threads, 8), np.int64)
+        taken[:, 0] = [count * t // threads for t in range(threads)]
+        call = self.ffi.new("call_t *")
+        call.work = {
+            "count": count,
+            "chunk": max(1, min(MOST, count // (CLAIMS * threads))),
+            "threads": threads,
+            "next": self.ffi.cast("int64_t *", taken.ctypes.data),
+        }
+        call.operation = getattr(self.lib, operation)
+        call.function = self.ffi.NULL if function is None else self.address(function)
+        call.memory, call.stride = self.ffi.cast("char *", memory.ctypes.data), stride
+        call.index = self.ffi.cast("int64_t *", self.pointer(index))
+        call.first, call.first_step = self.pointer(first), _step(first)
+        call.second, call.second_step = self.pointer(second), _step(second)
+        call.out, call.out_step = self.pointer(out), _step(out)
+        call.status = self.ffi.cast("int32_t *", status.ctypes.data)
+        call.place = list(places)
+        call.number = number
+        self.share(partial(self.lib.run, call), range(threads))
+        return status
+
+    def draw(self, signal: Signal, seed: int, flight: int, out: NDArray[np.float64]) -> None:
+        """Fill out (samples, nx) with the random numbers of a signal in a flight."""
+        random = self.random(signal)
+        pointer = self.ffi.cast("double *", self.pointer(out))
+        self.lib.draw(self.ffi.addressof(random), seed, flight, 0, len(out), out.shape[1], pointer)
+
+    def random(self, signal: Signal | None) -> Any:
+        """A signal as random_t; it holds a pointer to the sizes."""
+        found = self.ffi.new("random_t *")
+        if signal is not None:
+            found.size = self.ffi.cast("double *", self.pointer(signal.size))
+            found.uniform, found.stream = signal.uniform, signal.stream
+        return found[0]
+
+    def share(self, function: Callable[[Any], Any], work: Sequence[Any]) -> list[Any]:
+        """The results of a function that releases the interpreter, for each piece of work: threads take one after the
+        other."""
+        found: list[Any] = [None] * len(work)
+        pending = iter(enumerate(work))
+
+        def serve() -> None:
+            for i, one in pending:
+                found[i] = function(one)
+
+        helpers = [self._threads().submit(serve) for _ in range(min(len(work), self.threads) - 1)]
+        try:
+            serve()
+        finally:
+            deque(pending, maxlen=0)  # after an error, nobody begins another piece
+            for helper in helpers:
+                helper.result()
+        return found
+
+    def _threads(self) -> ThreadPoolExecutor:
+        """The threads of this process: a fork does not have those of its parent."""
+        if self._pool is None or self._pool[0] != os.getpid():
+            self._pool = os.getpid(), ThreadPoolExecutor(self.threads - 1, "nmpc_codegen")
+        return self._pool[1]
+
+
+def _cores() -> int:
+    """Cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def _step(array: Array | None) -> int:
+    """Bytes from what belongs to one controller to that of the next one."""
+    return 0 if array is None or len(array) == 1 else array.strides[0]

@@ -1,0 +1,148 @@
+/* One closed loop of a controller and its plant. Structs are opaque: call_step, call_integrate and hand_over call the
+ * functions of their packages. */
+
+/* The value of a flight at a sample; the last row holds from there on. */
+TARGET static real_t value_at(const column_t *c, int64_t flight, int64_t sample)
+{
+    const int64_t row = (sample < c->rows) ? sample : c->rows - 1;
+    return ((const real_t *)((const char *)c->values + flight * c->flight_step))[row];
+}
+
+/* Rows as they are stored, with the values of a sample in the columns that have some. A row takes the values of the
+ * sample at the time of its node. */
+TARGET static void gather(const data_t *d, const char *s, int64_t flight, int64_t k, real_t *rows)
+{
+    for (int32_t n = 0; n < d->nodes; n++) {
+        memcpy(rows + n * d->width, s + d->offset + n * d->row_step, (size_t)d->width * sizeof(real_t));
+        for (int32_t i = 0; i < d->count; i++) {
+            rows[n * d->width + d->columns[i].column] = value_at(&d->columns[i], flight, k + d->ahead[n]);
+        }
+    }
+}
+
+/* Set the data of sample k; those that hold in all samples, before the first one. */
+TARGET static int32_t tell(const place_t *place, void *s, int64_t flight, int64_t k, real_t *rows)
+{
+    for (int32_t i = 0; i < place->count; i++) {
+        const data_t *d = &place->data[i];
+        int changes = k == 0;
+        for (int32_t j = 0; j < d->count; j++) {
+            changes |= d->columns[j].rows > 1;
+        }
+        if (changes) {
+            gather(d, (const char *)s, flight, k, rows);
+            const int32_t refused = hand_over(d, s, rows);
+            if (refused) {
+                return refused;
+            }
+        }
+    }
+    return 0;
+}
+
+/* Move the plant by a sample. Returns 0 if its state is not finite. */
+TARGET static int move(const flights_t *f, const void *plant, const real_t *u, double *x)
+{
+    int finite = 1;
+    for (int32_t piece = 0; piece < f->pieces; piece++) {
+        real_t start[NX], next[NX];
+        for (int i = 0; i < NX; i++) {
+            start[i] = (real_t)x[i];
+        }
+        call_integrate(f, plant, start, u, (real_t)f->dt, next);
+        for (int i = 0; i < NX; i++) {
+            x[i] = (double)next[i];
+            finite &= isfinite(x[i]) != 0;
+        }
+    }
+    return finite;
+}
+
+/* Algebraic variables of the plant at a sample. */
+TARGET static void evaluate_algebraic(const flights_t *f, void *s, const double *x, const real_t *u, double *z)
+{
+    real_t start[NX], found[NALG];
+    for (int i = 0; i < NX; i++) {
+        start[i] = (real_t)x[i];
+    }
+    call_algebraic(f, s, start, u, found);
+    for (int i = 0; i < f->algebraic_count; i++) {
+        z[i] = (double)found[i];
+    }
+}
+
+/* Add what disturbs the state after sample k of a flight. */
+TARGET static void disturb(const flights_t *f, int64_t flight, int64_t k, double *x)
+{
+    if (f->disturbance.size != NULL) {
+        double d[NX];
+        draw_sample(&f->disturbance, f->seed, f->number + flight, k, NX, d);
+        for (int i = 0; i < NX; i++) {
+            x[i] += d[i];
+        }
+    }
+    if (f->given != NULL) {
+        const double *d = (const double *)((const char *)f->given + flight * f->given_step) + k * NX;
+        for (int i = 0; i < NX; i++) {
+            x[i] += d[i];
+        }
+    }
+}
+
+/* The state as the controller is told it. */
+TARGET static void measure(const flights_t *f, int64_t flight, int64_t k, const double *x, real_t *xhat)
+{
+    double noise[NX] = { 0.0 };
+    if (f->noise.size != NULL) {
+        draw_sample(&f->noise, f->seed, f->number + flight, k, NX, noise);
+    }
+    for (int i = 0; i < NX; i++) {
+        xhat[i] = (real_t)(x[i] + noise[i]);
+    }
+}
+
+/* Fly a flight, which writes in place at of the arrays. Returns the status of a setter that has refused data, or 0. A
+ * flight ends where its state is not finite; the rest of its samples stays as it is. */
+TARGET static int32_t fly_one(const flights_t *f, int64_t flight, int64_t at, void *s, void *plant, real_t *rows)
+{
+    double *x = f->x + at * (f->steps + 1) * NX, *u = f->u + at * f->steps * NU, now[NX];
+    int8_t *statuses = f->status + at * f->steps;
+    int finite = 1;
+    f->failed[at] = f->lost[at] = -1;
+    memcpy(now, f->x0 + flight * NX, sizeof now);
+    memcpy(x, now, sizeof now);
+    for (int64_t k = 0; k < f->steps && finite; k++) {
+        real_t xhat[NX], control[NU];
+        int32_t refused = tell(&f->controller, s, flight, k, rows);
+        if (!refused && plant != s) {
+            refused = tell(&f->plant, plant, flight, k, rows);
+        }
+        if (refused) {
+            return refused;
+        }
+        measure(f, flight, k, now, xhat);
+        const int32_t status = call_step(f, s, xhat, control);
+        statuses[k] = (int8_t)status;
+        if (f->failed[at] < 0 && (f->failures >> status & 1u)) {
+            f->failed[at] = k;
+        }
+        for (int j = 0; j < NU; j++) {
+            u[k * NU + j] = (double)control[j];
+        }
+        if (f->algebraic_count) {
+            const int64_t place = (at * f->steps + k) * f->algebraic_count;
+            evaluate_algebraic(f, s, now, control, f->z + place);
+        }
+        if (f->known_size) {
+            memcpy((char *)plant + f->known, (const char *)s + f->known, (size_t)f->known_size);
+        }
+        finite = move(f, plant, control, now);
+        if (finite) {
+            disturb(f, flight, k, now);
+        } else {
+            f->lost[at] = k;
+        }
+        memcpy(x + (k + 1) * NX, now, sizeof now);
+    }
+    return 0;
+}

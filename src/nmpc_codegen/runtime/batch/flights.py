@@ -1,0 +1,116 @@
+"""Closed loops of many controllers in compiled code.
+
+u_k = step(x_k + noise_k),   x_{k+1} = plant(x_k, u_k, dt) + disturbance_k
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nmpc_codegen.package.status import Status
+from nmpc_codegen.runtime.batch.random import Signal
+
+Array = NDArray[Any]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Flights:
+    """What has become of F flights.
+
+    status_counts: (F, number of statuses), samples with each status. failed: (F,), the first sample whose status is a
+    failure, or -1. lost: (F,), the sample after which the state of the plant was not finite, where the flight has
+    ended, or -1. cost: (F,), sum over the samples of the stage cost at the state of the plant and its control, with the
+    references, weights and parameters of the sample; an integrated cost counts its value times the interval.
+    violation: (F, rows), largest violation of each of ``rows`` in its unit, 0 where it is kept, NaN where it is not
+    known; the first state does not count. rounding: (rows,), violations up to this one are rounding. last: (F, nx),
+    last states.
+
+    x (F, steps + 1, nx), u (F, steps, nu), status (F, steps) with record=True, else None; NaN and -1 after the end.
+    """
+
+    name: str
+    steps: int
+    dt: float
+    time_unit: str
+    states: tuple[str, ...]
+    controls: tuple[str, ...]
+    rows: tuple[str, ...]
+    status_counts: NDArray[np.int64]
+    failed: NDArray[np.int64]
+    lost: NDArray[np.int64]
+    cost: Array
+    violation: Array
+    rounding: Array
+    last: Array
+    x: Array | None
+    u: Array | None
+    status: NDArray[np.int8] | None
+    draws: Draws
+
+    def __len__(self) -> int:
+        return len(self.failed)
+
+    def __repr__(self) -> str:
+        return f"<Flights {self.name}: {len(self)} of {self.steps} samples, {self._outcome()}>"
+
+    def __str__(self) -> str:
+        return self.summary()
+
+    @property
+    def ok(self) -> NDArray[np.bool_]:
+        """(F,): True for flights of which every sample was OK."""
+        return np.asarray(self.status_counts[:, Status.OK] == self.steps)
+
+    def summary(self) -> str:
+        """A few lines: flights, samples by status, failed and lost flights, cost, rows that were violated."""
+        lines = [f"{self.name}: {len(self)} flights of {self.steps} samples, {self.dt:g} {self.time_unit} each"]
+        lines.append(f"status of samples: {self._outcome()}")
+        lines.append(
+            f"flights: {int(np.sum(self.ok))} OK throughout, {int(np.sum(self.failed >= 0))} with a failure, "
+            f"{int(np.sum(self.lost >= 0))} whose state was not finite"
+        )
+        if len(self):
+            middle, most = np.nanmedian(self.cost), np.nanmax(self.cost)
+            lines.append(f"cost: median {middle:.6g}, largest {most:.6g} (flight {int(np.nanargmax(self.cost))})")
+        for name, amounts, rounding in zip(self.rows, self.violation.T, self.rounding, strict=True):
+            count = int(np.sum(amounts > rounding))
+            if count:
+                worst = int(np.nanargmax(amounts))
+                text = f"violated in {count} flight{'s' if count > 1 else ''}, by {amounts[worst]:.3g} at most"
+                lines.append(f"row {name!r}: {text} (flight {worst})")
+        return "\n".join(lines)
+
+    def _outcome(self) -> str:
+        total = self.status_counts.sum(axis=0)
+        return ", ".join(f"{Status(i).name} {n}" for i, n in enumerate(total) if n) or "none"
+
+    def disturbance(self, i: int) -> Array:
+        """What was drawn and added to the state after every sample of flight i, (steps, nx)."""
+        return self.draws.of(self.draws.disturbance, i, self.steps)
+
+    def noise(self, i: int) -> Array:
+        """What was drawn and added to the measured states of flight i, (steps, nx)."""
+        return self.draws.of(self.draws.noise, i, self.steps)
+
+
+@dataclass(frozen=True, eq=False)
+class Draws:
+    """The generator of the flights, which draws the numbers of any of them again."""
+
+    driver: Any  # nmpc_codegen.runtime.batch.driver.Driver
+    seed: int
+    first: int
+    nx: int
+    disturbance: Signal | None
+    noise: Signal | None
+
+    def of(self, signal: Signal | None, i: int, steps: int) -> Array:
+        """Numbers (steps, nx) of a signal in flight i."""
+        out = np.zeros((steps, self.nx))
+        if signal is not None:
+            self.driver.draw(signal, self.seed, self.first + i, out)
+        return out

@@ -1,0 +1,287 @@
+"""Closed loops of many controllers: what the compiled loop is given, block by block, and what is kept of it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from nmpc_codegen.errors import ControllerError
+from nmpc_codegen.package.status import Status
+from nmpc_codegen.runtime import given
+from nmpc_codegen.runtime.access.addressing import Addressing
+from nmpc_codegen.runtime.batch.flights import Draws, Flights
+from nmpc_codegen.runtime.batch.random import DISTURBANCE, NOISE, Random, Signal, signal
+from nmpc_codegen.runtime.batch.structs import Structs, reserve, stride_of
+from nmpc_codegen.runtime.batch.summary import Judge, Samples, bounds_of, data_before, judge_of
+from nmpc_codegen.runtime.batch.tables import Data, Tables, at_samples, in_c, parameter_data, reference_data
+from nmpc_codegen.runtime.given import SAME_TIME
+from nmpc_codegen.runtime.loops.sampling import integrations, interval_of
+
+Array = NDArray[Any]
+
+#: Blocks of flights for every thread, flights of a block and bytes of its samples at most.
+BLOCKS, LARGEST, BYTES = 8, 256, 2**25
+
+#: Bits of the statuses that are failures.
+FAILURES = sum(1 << status for status in Status if status.is_failure)
+
+
+@dataclass(frozen=True, eq=False)
+class Task:
+    """The arguments of Batch.simulate()."""
+
+    steps: int
+    dt: float | None
+    parameters: Tables | None
+    references: ArrayLike | Tables | None
+    disturbance: Random | ArrayLike | Mapping[str, ArrayLike] | None
+    noise: Random | ArrayLike | Mapping[str, ArrayLike] | None
+    added: ArrayLike | None
+    plant_parameters: Tables | None
+    seed: int
+    first: int
+    record: bool
+
+    def check(self) -> None:
+        """ControllerError if a number is wrong."""
+        for name, most in (("steps", 2**31 - 1), ("seed", 2**64 - 1), ("first", 2**62)):
+            value = getattr(self, name)
+            if not given.is_integer(value) or not 0 <= value <= most:
+                raise ControllerError(f"{name} is {value!r}; expected an integer between 0 and {most}")
+
+
+@dataclass(frozen=True, eq=False)
+class Loop:
+    """Everything that blocks of flights share."""
+
+    batch: Structs
+    plant: Structs | None
+    starts: Array
+    steps: int
+    interval: float
+    data: list[Data]  # of the controllers, and of plants that are theirs
+    plant_data: list[Data]
+    disturbance: Signal | None
+    noise: Signal | None
+    added: Array | None
+    seed: int
+    first: int
+    judge: Judge
+    keep: list[Any]  # what C points to
+
+    def in_c(self) -> Any:
+        """flights_t without what a block writes to."""
+        driver, described = self.batch.driver, self.batch.description
+        plant = self.batch if self.plant is None else self.plant
+        ahead = np.floor(np.append(0.0, np.cumsum(described.dt)) / self.interval + SAME_TIME).astype(np.int64)
+        c = driver.ffi.new("flights_t *")
+        c.step, c.integrate = driver.address("step"), driver.address("integrate", plant._package)
+        c.algebraic_count = len(self.batch.names.algebraic)
+        if c.algebraic_count:
+            c.algebraic = driver.address("algebraic")
+        self._place(c.controller, self.batch, self.data, ahead)
+        if self.plant is not None:
+            self._place(c.plant, self.plant, self.plant_data, np.zeros_like(ahead))
+        c.steps, c.number, c.seed, c.failures = self.steps, self.first, self.seed, FAILURES
+        c.pieces = integrations(plant.description, self.interval)
+        c.dt = self.interval / c.pieces
+        c.disturbance, c.noise = driver.random(self.disturbance), driver.random(self.noise)
+        if plant is not self.batch and described.inner.count:
+            known = self.batch.known
+            c.known = known.ctypes.data - self.batch.memory.ctypes.data
+            c.known_size = known.shape[1] * known.itemsize
+        if self.added is not None:
+            c.given = driver.ffi.cast("double *", driver.pointer(self.added))
+            c.given_step = 0 if len(self.added) == 1 else self.added.strides[0]
+        c.x0 = driver.ffi.cast("double *", driver.pointer(self.starts))
+        return c
+
+    def _place(self, c: Any, structs: Structs, data: list[Data], ahead: NDArray[np.int64]) -> None:
+        driver = self.batch.driver
+        c.memory = driver.ffi.cast("char *", driver.pointer(structs.memory))
+        c.stride, c.size = structs.stride if len(structs) > 1 else 0, structs._package.dtype.itemsize
+        c.data, c.count = in_c(driver, _Where(structs), data, ahead, self.keep), len(data)
+
+    def samples(self, block: slice) -> Samples:
+        """Data of a block as they are before the first sample, with those of the tables."""
+        batch, described, count = self.batch, self.batch.description, block.stop - block.start
+        own = block if len(batch) > 1 else slice(1)
+
+        def every(values: Array) -> Array:
+            return np.broadcast_to(values, (count, *values.shape[1:]))
+
+        def over(member: str, declared: list[float]) -> Array:
+            found = every(data_before(batch, member, own, np.array(declared)))
+            return at_samples([d for d in self.data if d.member == member], block, self.steps, found)
+
+        lower, upper = bounds_of(batch, own)
+        time, previous = (np.array(batch.member(name)).reshape(len(batch), -1)[own] for name in ("time", "previous"))
+        return Samples(
+            p=over("p", [v for s in described.parameters for v in s.value]),
+            yref=over("yref", [r.reference for r in described.residuals]),
+            W=every(data_before(batch, "W", own, np.zeros(described.dims.ny))),
+            lower=every(lower),
+            upper=every(upper),
+            time=every(time),
+            previous=every(previous),
+        )
+
+
+class _Where(Addressing):
+    """The data of structs by their names."""
+
+    def __init__(self, structs: Structs) -> None:
+        super().__init__(structs._package, structs._struct)
+
+
+def simulate_all(batch: Structs, X0: ArrayLike, task: Task, plant: Structs | None) -> Flights:
+    """Fly closed loops; see Batch.simulate()."""
+    task.check()
+    starts = _starts(X0, batch.dims.nx, len(batch))
+    if plant is not None:
+        _check_plant(batch, plant, len(starts))
+    loop = _loop(batch, plant, starts, task)
+    threads = max(1, min(batch.driver.threads, len(starts)))
+    numbers = sum((batch.dims.nx, batch.dims.nu, *(2 * n for n in (batch.dims.np, batch.dims.ny)), 2))
+    most = BYTES // (8 * numbers * (loop.steps + 1))
+    size = max(1, min(LARGEST, most, -(-len(starts) // (BLOCKS * threads))))
+    blocks = [slice(i, min(i + size, len(starts))) for i in range(0, len(starts), size)]
+    result = _Result(loop, task.record)
+    batch.driver.share(partial(result.fly, loop.in_c()), blocks)
+    return result.flights()
+
+
+def _loop(batch: Structs, plant: Structs | None, starts: Array, task: Task) -> Loop:
+    """The checked arguments."""
+    names, flights, where = batch.names.states, len(starts), _Where(batch)
+    interval = interval_of(batch.description, task.dt)
+    data = [*parameter_data(where, task.parameters, flights), *reference_data(where, task.references, flights)]
+    of_plant = task.plant_parameters
+    if plant is None and of_plant is not None:
+        plant = batch.copy()
+        of_plant = {**(task.parameters or {}), **of_plant}
+    return Loop(
+        batch,
+        plant,
+        starts,
+        int(task.steps),
+        interval,
+        data,
+        plant_data=[] if plant is None else parameter_data(_Where(plant), of_plant, flights, "plant_parameters"),
+        disturbance=signal(task.disturbance, "disturbance", names, DISTURBANCE),
+        noise=signal(task.noise, "noise", names, NOISE),
+        added=None if task.added is None else _disturbances(task.added, flights, int(task.steps), len(names)),
+        seed=int(task.seed),
+        first=int(task.first),
+        judge=judge_of(batch.description, interval),
+        keep=[],
+    )
+
+
+def _disturbances(value: ArrayLike, flights: int, steps: int, nx: int) -> Array:
+    """Given disturbances (1 or flights, steps, nx)."""
+    shape = np.shape(value) if given.ndim(value) >= 0 else ()
+    allowed = [(steps, nx), (1, steps, nx), (flights, steps, nx)]
+    expected = shape if shape in allowed else allowed[-1]
+    array = given.checked_array(value, "added", np.dtype(np.float64), expected, True, lambda: str(allowed[0]))
+    return np.ascontiguousarray(array.reshape(-1, steps, nx))
+
+
+def _check_plant(batch: Structs, plant: Structs, flights: int) -> None:
+    """ControllerError unless the plant has the states and controls of the controller."""
+    name = plant.description.name
+    for what in ("states", "controls"):
+        own, other = getattr(batch.names, what), getattr(plant.names, what)
+        if own != other:
+            raise ControllerError(f"plant: {name} has the {what} {other}; expected {own}")
+    if plant.description.precision != batch.description.precision:
+        raise ControllerError(f"plant: {name} has another precision than {batch.description.name}")
+    if plant.description.inner.count and plant._package is not batch._package:
+        raise ControllerError(f"plant: {name} has time or previous controls in its dynamics, which no other loop knows")
+    if len(plant) not in (1, flights):
+        raise ControllerError(
+            f"plant: a batch of {len(plant)}; expected one plant, or one for each of {flights} flights"
+        )
+
+
+def _starts(X0: ArrayLike, nx: int, count: int) -> Array:
+    """Initial states (F, nx): as many as controllers, or any number if there is one controller."""
+    found = given.checked_array(X0, "X0", np.dtype(np.float64), np.shape(X0) if given.ndim(X0) == 2 else (count, nx))
+    if found.shape[1] != nx or (count > 1 and len(found) != count):
+        raise ControllerError(f"X0 has shape {found.shape}; expected ({count if count > 1 else 'any number'}, {nx})")
+    return np.ascontiguousarray(found)
+
+
+class _Result:
+    """The arrays that blocks of flights fill."""
+
+    def __init__(self, loop: Loop, record: bool) -> None:
+        self._loop = loop
+        flights, steps = len(loop.starts), loop.steps
+        nx, nu = loop.batch.dims.nx, loop.batch.description.interface["NU"]
+        self._shapes = (steps + 1, nx), (steps, nu), (steps,)
+        self._record = [_unflown((flights, *s), i == 2) for i, s in enumerate(self._shapes)] if record else None
+        self._counts = np.zeros((flights, len(Status)), np.int64)
+        self._failed, self._lost = np.full(flights, -1), np.full(flights, -1)
+        self._cost, self._last = np.zeros(flights), np.zeros((flights, nx))
+        self._violation = np.zeros((flights, len(loop.judge.rows)))
+
+    def fly(self, shared: Any, block: slice) -> None:
+        """Fly a block and keep what is asked for."""
+        loop, driver = self._loop, self._loop.batch.driver
+        samples, count = loop.samples(block), block.stop - block.start
+        x, u, status = (
+            [_unflown((count, *s), i == 2) for i, s in enumerate(self._shapes)]
+            if self._record is None
+            else [a[block] for a in self._record]
+        )
+        cast = driver.ffi.cast
+        z = np.full((count, loop.steps, len(loop.batch.names.algebraic)), np.nan)
+        c = driver.ffi.new("flights_t *", shared[0])
+        c.x, c.u = cast("double *", driver.pointer(x)), cast("double *", driver.pointer(u))
+        c.status, c.z = cast("int8_t *", driver.pointer(status)), cast("double *", driver.pointer(z))
+        c.failed, c.lost = (cast("int64_t *", driver.pointer(a[block])) for a in (self._failed, self._lost))
+        structs = [s for s in (loop.batch, loop.plant) if s is not None]
+        copies = reserve(sum(stride_of(s._package.dtype.itemsize) for s in structs))
+        widest = max((d.width for d in (*loop.data, *loop.plant_data)), default=1)
+        rows = np.zeros((loop.batch.dims.N + 2) * widest, loop.batch._real)
+        c.copies, c.rows = cast("char *", driver.pointer(copies)), driver.pointer(rows)
+        refused = driver.lib.fly(c, block.start, block.stop)
+        if refused:
+            raise ControllerError(f"{loop.batch.description.name}: data of the samples: {Status(refused)}")
+        self._keep(block, x, u[..., : loop.batch.dims.nu], z, status, samples)
+
+    def _keep(self, block: slice, x: Array, u: Array, z: Array, status: Array, samples: Samples) -> None:
+        for value in Status:
+            self._counts[block, value] = np.sum(status == value, axis=1)
+        flown = self._counts[block].sum(axis=1)
+        self._last[block] = x[np.arange(len(x)), flown]
+        self._cost[block], self._violation[block] = self._loop.judge.judge(x, u, z, samples)
+
+    def flights(self) -> Flights:
+        """The result."""
+        loop, described = self._loop, self._loop.batch.description
+        x, u, status = self._record or (None, None, None)
+        draws = Draws(loop.batch.driver, loop.seed, loop.first, loop.batch.dims.nx, loop.disturbance, loop.noise)
+        return Flights(
+            described.name,
+            loop.steps,
+            loop.interval,
+            described.time_unit,
+            loop.batch.names.states,
+            loop.batch.names.controls,
+            loop.judge.names,
+            *(self._counts, self._failed, self._lost, self._cost, self._violation),
+            *(loop.judge.rounding, self._last),
+            *(x, None if u is None else u[..., : loop.batch.dims.nu], status),
+            draws,
+        )
+
+
+def _unflown(shape: tuple[int, ...], status: bool) -> Array:
+    return np.full(shape, -1, np.int8) if status else np.full(shape, np.nan)

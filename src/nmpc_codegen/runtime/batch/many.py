@@ -1,0 +1,288 @@
+"""Many controllers of one package in one block of memory, which threads share.
+
+    many = batch(ocp, 4096)
+    u, status = many.step(X)       # X (M, nx) -> u (M, nu), status (M,)
+
+Every controller has the bits that it would have alone, for every number of threads.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from nmpc_codegen.errors import ControllerError
+from nmpc_codegen.runtime import given
+from nmpc_codegen.runtime.batch.data import Named, Told, numbers
+from nmpc_codegen.runtime.batch.driver import Driver
+from nmpc_codegen.runtime.batch.flights import Flights
+from nmpc_codegen.runtime.batch.loop import Task, simulate_all
+from nmpc_codegen.runtime.batch.random import Random
+from nmpc_codegen.runtime.batch.structs import Statuses, Structs, reserve, single, stride_of
+from nmpc_codegen.runtime.batch.tables import Tables
+from nmpc_codegen.runtime.controller import Controller
+from nmpc_codegen.runtime.solving import TOLERANCE
+
+Array = NDArray[Any]
+
+
+class Batch(Structs):
+    """Many controllers of one package: M copies of one, which go on by themselves.
+
+    x, u, lam, mu_u are views with a first axis of M; mu_x, mu, mu_N, eta are read-only copies; many[i] is a Controller
+    on the same memory. Calls are made by ``threads`` threads, by default one for every core that this process may use;
+    the results do not depend on their number.
+
+    batch() makes one; where the compiler of problems is not installed, so does Batch(controller, number).
+
+    Args:
+        controller: from build() or open_package(); it is copied in its present state.
+        number: M >= 1.
+        threads: >= 1, or None.
+
+    Raises:
+        ControllerError: the numbers are wrong, or it is no controller.
+        BuildError: there is no compiler.
+    """
+
+    def __init__(self, controller: Controller, number: int, threads: int | None = None) -> None:
+        if not isinstance(controller, Controller):
+            raise ControllerError(f"batch() was given {controller!r:.80}; expected an OCP or a Controller")
+        if not given.is_integer(number) or number < 1:
+            raise ControllerError(f"number is {number!r}; expected an integer >= 1")
+        package = controller._package
+        stride = stride_of(package.dtype.itemsize)
+        super().__init__(Driver(package, threads), reserve(int(number) * stride), int(number), stride)
+        first = np.zeros((1, stride), np.uint8)
+        first[0, : package.dtype.itemsize] = controller._memory
+        self.call("COPY", None, first=first)
+
+    # -- calls --------------------------------------------------------------------------------------------------------
+
+    def step(self, X: ArrayLike) -> tuple[Array, Statuses]:
+        """A sample of every controller: Controller.step().
+
+        Args:
+            X: measured states (M, nx). NaN gives the status NOT_FINITE and a safe control.
+
+        Returns:
+            Controls to apply (M, nu), finite and inside their bounds whatever the status; statuses (M,).
+        """
+        return self._sample("step", X)
+
+    def prepare(self) -> Statuses:
+        """The preparation phase of every controller; statuses (M,)."""
+        return self.call("PLAIN", "prepare")
+
+    def feedback(self, X: ArrayLike) -> tuple[Array, Statuses]:
+        """The feedback phase of every controller for the measured states (M, nx): what step() returns."""
+        return self._sample("feedback", X)
+
+    def solve(self, X: ArrayLike, tol: float | None = None, max_iterations: int = 100) -> Statuses:
+        """Iterate every controller to convergence from its plan, for the states (M, nx); x, u, ... are the solutions.
+
+        Args:
+            X: initial states (M, nx).
+            tol: KKT residual, relative to the terms that it sums; None: 1e-8, in single precision 1e-4.
+            max_iterations: maximum number of SQP iterations of each.
+
+        Returns:
+            Statuses (M,).
+        """
+        tol = TOLERANCE[self.description.precision] if tol is None else tol
+        if not given.is_positive(tol):
+            raise ControllerError(f"tol is {tol!r}; expected a positive number")
+        if not given.is_integer(max_iterations) or max_iterations < 1:
+            raise ControllerError(f"max_iterations is {max_iterations!r}; expected an integer >= 1")
+        states = self._states(X, "X")
+        return self.call("SOLVE", "solve", first=states, number=float(tol), places=[int(max_iterations)])
+
+    def shift(self) -> None:
+        """Shift every plan by one interval."""
+        self._expect(self.call("PLAIN", "shift"), "shift")
+
+    def reset(self, index: ArrayLike | None = None) -> None:
+        """Return to the initial plan, of all or of those that a mask (M,) or numbers name; data are kept."""
+        chosen = None if index is None else numbers(index, self._count)
+        self._expect(self.call("PLAIN", "reset", index=chosen), "reset")
+
+    def integrate(self, X: ArrayLike, U: ArrayLike, dt: float) -> Array:
+        """States (M, nx) after the time dt from X (M, nx) under constant U (M, nu): Controller.integrate()."""
+        states, controls = self._states(X, "X"), self._controls(U)
+        out = np.zeros((self._count, max(1, self.dims.nx)), self._real)
+        self.call("INTEGRATE", "integrate", first=states, second=controls, out=out, number=float(dt))
+        return out[:, : self.dims.nx]
+
+    # -- closed loops -------------------------------------------------------------------------------------------------
+
+    def simulate(
+        self,
+        X0: ArrayLike,
+        steps: int,
+        dt: float | None = None,
+        *,
+        parameters: Tables | None = None,
+        references: ArrayLike | Tables | None = None,
+        disturbance: Random | ArrayLike | Mapping[str, ArrayLike] | None = None,
+        noise: Random | ArrayLike | Mapping[str, ArrayLike] | None = None,
+        added: ArrayLike | None = None,
+        plant: Controller | Batch | None = None,
+        plant_parameters: Tables | None = None,
+        seed: int = 0,
+        first: int = 0,
+        record: bool = False,
+    ) -> Flights:
+        """Fly F closed loops in compiled code: u_k = step(x_k + noise_k), x_{k+1} = plant(x_k, u_k) + disturbance_k.
+
+        F = M: flight i is flown by controller i, which is left in its last state. A batch of one controller flies any
+        number: each flight begins with a copy of it, and a million of them need no more memory than their summaries.
+
+        Args:
+            X0: initial states of the plant (F, nx).
+            steps: number of samples, >= 0.
+            dt: sampling time, as in simulate().
+            parameters: {name: table over the samples} of controllers and their own plant: a number; (n,) or (F, n); for
+                a vector (n, size) or (F, n, size); 1 in the place of F: the same for all. A node has the row of the
+                sample at its time; the last row holds from there on. (F, 1) is one value for each flight.
+            references: {name of a residual: table}, or (n, ny), (F, n, ny) for the path residual.
+            disturbance: random numbers that are added to the state after every sample: Normal(std) or Uniform(half
+                width); standard deviations alone are those of normal numbers.
+            noise: the same, added to the state that the controller is told.
+            added: (steps, nx) or (F, steps, nx): added to the state after every sample, too.
+            plant: a controller of the same or another package, whose integrator moves the state with its parameters; or
+                a batch of F of them. None: the controller's own.
+            plant_parameters: tables of the plant alone; without ``plant`` it is another copy of the controller.
+            seed: of the random numbers, 0 .. 2^64 - 1. Numbers are those of (seed, first + i, sample, state) alone.
+            first: number of flight 0 in the generator.
+            record: keep x, u and status of every sample.
+
+        Raises:
+            ControllerError: shapes or numbers are wrong, or the plant has other states or controls.
+        """
+        task = Task(steps, dt, parameters, references, disturbance, noise, added, plant_parameters, seed, first, record)
+        return simulate_all(self, X0, task, single(plant) if isinstance(plant, Controller) else plant)
+
+    # -- data ---------------------------------------------------------------------------------------------------------
+
+    def set_reference(self, y: ArrayLike | Named, node: int | None = None, index: ArrayLike | None = None) -> None:
+        """Set references of residuals.
+
+        Args:
+            y: (ny,), the same for all; (M, ny), one for each; (M, N, ny), one for each node; 1 in the place of M: the
+                same for all. Or {name of a residual or of a vector of them: values of the same forms}.
+            node: as in Controller.set_reference().
+            index: a mask (M,), or numbers of the controllers that are meant; M is then their number.
+        """
+        Told(self, index).set_reference(y, node)
+
+    def set_terminal_reference(self, y: ArrayLike | Named, index: ArrayLike | None = None) -> None:
+        """Set the reference of the terminal residual: (ny_N,), (M, ny_N), or {name: value}."""
+        Told(self, index).set_reference(y, self.dims.N)
+
+    def set_weight(self, W: ArrayLike, node: int | None = None, index: ArrayLike | None = None) -> None:
+        """Set weights of residuals: the diagonal (ny,), or (M, ny), one for each; matrices (M, ny, ny), (1, ny, ny)."""
+        Told(self, index).set_weight(W, node)
+
+    def set_terminal_weight(self, W: ArrayLike, index: ArrayLike | None = None) -> None:
+        """Set the weight of the terminal residual, in the same forms."""
+        Told(self, index).set_weight(W, self.dims.N)
+
+    def set_parameter(
+        self, name: str, value: ArrayLike, node: int | None = None, index: ArrayLike | None = None
+    ) -> None:
+        """Set a parameter.
+
+        Args:
+            name: that of a parameter, or of an element of a vector.
+            value: a number or (size,), the same for all; (M,) or (M, size), one for each; (M, N+1) or (M, N+1, size), a
+                row for each node; 1 in the place of M: the same for all.
+            node: as in Controller.set_parameter().
+            index: a mask (M,), or numbers of the controllers that are meant; M is then their number.
+        """
+        Told(self, index).set_parameters({name: value}, node)
+
+    def set_parameters(self, values: Named, node: int | None = None, index: ArrayLike | None = None) -> None:
+        """Set several parameters, {name: value}: all of them, or none if one is wrong."""
+        if not isinstance(values, Mapping):
+            raise ControllerError(f"set_parameters: {values!r} is no {{name: value}}")
+        Told(self, index).set_parameters(values, node)
+
+    def set_bounds(
+        self,
+        name: str,
+        lower: ArrayLike,
+        upper: ArrayLike,
+        node: int | None = None,
+        index: ArrayLike | None = None,
+    ) -> None:
+        """Set the bounds of a row, or of all rows of a vector: numbers or (rows,), (M,) or (M, rows), and (M, N+1) or
+        (M, N+1, rows) with a row for each node; -inf, inf: no bound."""
+        Told(self, index).set_bounds(name, lower, upper, node)
+
+    # -- what is known of them ----------------------------------------------------------------------------------------
+
+    def __getitem__(self, i: int) -> Controller:
+        """Controller number i, on the memory of the batch."""
+        if not given.is_integer(i):
+            raise TypeError(f"a batch has controllers with numbers, not {i!r}")
+        if not -self._count <= i < self._count:
+            raise IndexError(f"controller {i} of {self._count}")
+        begin = (int(i) % self._count) * self.stride
+        return Controller(self._package, self.memory[begin : begin + self._package.dtype.itemsize])
+
+    def __iter__(self) -> Iterator[Controller]:
+        return (self[i] for i in range(self._count))
+
+    @property
+    def threads(self) -> int:
+        """Number of threads that share the work."""
+        return self.driver.threads
+
+    @property
+    def status(self) -> Statuses:
+        """View on the statuses of the last call, (M,)."""
+        return self._view("status")
+
+    @property
+    def stats(self) -> NDArray[np.void]:
+        """View on the counters of the last call: stats["qp_iterations"] (M,), and what else the package counts."""
+        return self._view("stats")
+
+    @property
+    def cost(self) -> Array:
+        """Costs of the plans with their present data, (M,)."""
+        out = np.zeros((self._count, 1), self._real)
+        self.call("COST", "cost", out=out)
+        return out[:, 0]
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of all structs."""
+        return self.memory.nbytes
+
+    def __repr__(self) -> str:
+        sizes = f"{self._count} of {self.description.name}, {self.nbytes / 2**20:.3g} MiB, {self.threads} threads"
+        return f"<Batch {sizes}>"
+
+    # -- inner --------------------------------------------------------------------------------------------------------
+
+    def _sample(self, function: str, X: ArrayLike) -> tuple[Array, Statuses]:
+        out = np.zeros((self._count, max(1, self.dims.nu)), self._real)
+        status = self.call("SAMPLE", function, first=self._states(X, "X"), out=out)
+        return out[:, : self.dims.nu], status
+
+    def _states(self, X: ArrayLike, what: str) -> Array:
+        """States (M, nx) as C reads them; NaN is passed on, as the C code handles it."""
+        return np.ascontiguousarray(self._array(what, X, (self._count, self.dims.nx), finite=False))
+
+    def _controls(self, U: ArrayLike) -> Array:
+        found = self._array("U", U, (self._count, self.dims.nu), finite=False)
+        return np.ascontiguousarray(found) if self.dims.nu else np.zeros((self._count, 1), self._real)
+
+    def _expect(self, status: Statuses, call: str) -> None:
+        """Raise ControllerError if a call that only writes data has failed."""
+        if status.any():
+            raise ControllerError(f"{self._package.name}.{call} of controller {int(np.flatnonzero(status)[0])} failed")

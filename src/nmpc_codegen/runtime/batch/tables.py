@@ -1,0 +1,154 @@
+"""Data over the samples of many flights: parameters and references, as the compiled loop sets them before a sample.
+
+A table has a row for each sample, and before that an axis of flights if they differ:
+
+    a number; (n,), (flights, n) for a number; (n, size), (flights, n, size) for a vector
+
+1 in the place of flights: the same for all. A node takes the row of the sample at its time, and the last row holds from
+there on, as in simulate().
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from nmpc_codegen.errors import ControllerError
+from nmpc_codegen.package.signals import Kind, members
+from nmpc_codegen.runtime import given
+from nmpc_codegen.runtime.access.addressing import Addressing
+from nmpc_codegen.runtime.batch.driver import Driver
+
+Array = NDArray[Any]
+Tables = Mapping[str, ArrayLike]
+
+
+@dataclass(frozen=True, eq=False)
+class Column:
+    """Values of one element: (1 or flights, n)."""
+
+    place: int
+    values: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Data:
+    """Columns of one setter: of parameter ``number``, or of references; ``offset``: column where its own begin."""
+
+    setter: str
+    number: int
+    member: str
+    offset: int
+    width: int
+    columns: list[Column] = field(default_factory=list)
+
+
+def parameter_data(where: Addressing, tables: Tables | None, flights: int, what: str = "parameters") -> list[Data]:
+    """Tables of parameters by name, as data; see above."""
+    if tables is None:
+        return []
+    found: dict[int, Data] = {}
+    for name, value in _mapping(what, tables).items():
+        where._lengths("parameter", f"parameter {name!r}", None)
+        signals = where.description.parameters
+        whole = [i for i, s in enumerate(signals) if s.name == name]
+        elements = [(i, j) for i, s in enumerate(signals) for j, e in enumerate(s.elements) if e == name or i in whole]
+        if not elements:
+            where._lookup(name, [s.name for s in signals], "parameter")
+        table = _table(f"{what}: {name!r}", value, len(elements), flights, where._real)
+        for (i, j), values in zip(elements, table, strict=True):
+            signal = signals[i]
+            if signal.low:
+                given.check_range(values[..., None], signal.low[j : j + 1], signal.high[j : j + 1], f"{what}: {name!r}")
+            data = found.setdefault(i, Data("PARAMETER", i, "p", signal.offset, signal.size))
+            data.columns.append(Column(j, values))
+    return list(found.values())
+
+
+def reference_data(where: Addressing, references: ArrayLike | Tables | None, flights: int) -> list[Data]:
+    """Tables of references: by the names of residuals, or of the whole path residual; see above."""
+    if references is None:
+        return []
+    where._lengths("reference", "references", None)
+    y, y_N = where.names.y, where.names.y_N
+    known = list(dict.fromkeys((*y, *y_N)))
+    path, end = Data("REFERENCE", 0, "yref", 0, len(y)), Data("TERMINAL_REFERENCE", 0, "yref_N", 0, len(y_N))
+    named = references if isinstance(references, Mapping) else {"": references}
+    for name, value in named.items():
+        elements = [known[i] for i in (members(name, known) or [where._lookup(name, known, "residual")])] if name else y
+        for element, values in zip(
+            elements, _table(f"references: {name!r}", value, len(elements), flights, where._real), strict=True
+        ):
+            for data, names in ((path, y), (end, y_N)):
+                if element in names:
+                    data.columns.append(Column(names.index(element), values))
+    return [data for data in (path, end) if data.columns]
+
+
+def in_c(driver: Driver, where: Addressing, data: list[Data], ahead: NDArray[np.int64], keep: list[Any]) -> Any:
+    """The data as data_t[]; ``keep`` holds what they point to."""
+    found = driver.ffi.new("data_t[]", max(1, len(data)))
+    itemsize = where._real.itemsize
+    for c, one in zip(found, data, strict=False):
+        kind: Kind = "parameter" if one.setter == "PARAMETER" else "reference"
+        by_node = where.description.online[kind] == "node"
+        name = f"set_{one.setter.lower()}"
+        fields: Any = where._package.dtype.fields
+        layout = fields[one.member]
+        stored, end = layout[0].shape, one.setter == "TERMINAL_REFERENCE"
+        nodes = 1 if end else stored[0]
+        times = (ahead[-1:] if end else ahead[:nodes]) if by_node else np.zeros(nodes, np.int64)
+        columns = driver.ffi.new("column_t[]", len(one.columns))
+        for column, of in zip(columns, one.columns, strict=True):
+            values = np.ascontiguousarray(of.values)
+            column.column, column.rows, column.values = of.place, values.shape[1], driver.pointer(values)
+            column.flight_step = 0 if len(values) == 1 else values.strides[0]
+            keep.append(values)
+        c.setter, c.number, c.nodes, c.width = getattr(driver.lib, one.setter), one.number, nodes, one.width
+        c.set = driver.address(name, where._package)
+        if by_node and not end:
+            c.set_range = driver.address(f"{name}_range", where._package)
+        c.offset, c.row_step = layout[1] + one.offset * itemsize, stored[-1] * itemsize
+        c.ahead, c.count, c.columns = driver.ffi.cast("int64_t *", driver.pointer(times)), len(one.columns), columns
+        keep += [times, columns]
+    keep.append(found)
+    return found
+
+
+def at_samples(data: list[Data], flights: slice, steps: int, stored: Array) -> Array:
+    """Data of node 0 at every sample: (flights, steps, width) from stored (flights, width), with those of tables."""
+    found = np.repeat(stored[:, None, :], steps, axis=1).astype(np.float64)
+    for one in data:
+        for column in one.columns:
+            rows = column.values if len(column.values) == 1 else column.values[flights]
+            found[:, :, one.offset + column.place] = rows[:, np.minimum(np.arange(steps), rows.shape[1] - 1)]
+    return found
+
+
+def _table(what: str, value: ArrayLike, size: int, flights: int, real: np.dtype[Any]) -> list[Array]:
+    """Columns (1 or flights, n) of the elements."""
+    shape = np.shape(value) if given.ndim(value) >= 0 else ()
+    vector = size > 1 or (len(shape) > 1 and shape[-1] == 1 and len(shape) == 3)
+    known = [len(shape) == 0, len(shape) in ((2, 3) if vector else (1, 2))]
+    axes = shape[:-1] if vector else shape
+    right = any(known) and (not vector or not shape or shape[-1] == size) and (len(axes) < 2 or axes[0] in (1, flights))
+    if not right or 0 in shape:
+        expected = f"(n, {size}), ({flights}, n, {size})" if size > 1 else f"(n,), ({flights}, n)"
+        raise ControllerError(
+            f"{what} has shape {shape}; expected a number, {expected}, or 1 in the place of {flights}"
+        )
+    array = given.checked_array(value, what, real, shape)
+    if not shape:
+        return [array.reshape(1, 1)] * size
+    whole = array.reshape(*((1,) if len(axes) < 2 else ()), *axes, size)
+    return [whole[..., j] for j in range(size)]
+
+
+def _mapping(what: str, value: Any) -> Mapping[str, Any]:
+    if not isinstance(value, Mapping):
+        raise ControllerError(f"{what} is {type(value).__name__}; expected {{name: table over the samples}}")
+    return value
