@@ -18,7 +18,8 @@ import pytest
 from hypothesis import settings
 from sampling import thin
 
-from nmpc_codegen.errors import BuildError
+from nmpc_codegen.errors import BuildError, ExtraError
+from nmpc_codegen.runtime.batch.cuda import Cuda
 from nmpc_codegen.runtime.build import load
 from nmpc_codegen.runtime.compilers import find_compiler
 from nmpc_codegen.runtime.controller import Controller
@@ -112,6 +113,17 @@ def require_target(name: str) -> None:
 def need() -> Callable[[str], str]:
     """need("cxx") -> its path, or the test is skipped."""
     return require_tool
+
+
+@pytest.fixture(autouse=True)
+def _there_is_a_gpu(request: pytest.FixtureRequest) -> None:
+    """A test marked gpu is skipped where CuPy finds none."""
+    if request.node.get_closest_marker("gpu") is None:
+        return
+    try:
+        Cuda()
+    except (BuildError, ExtraError) as error:
+        missing(str(error), "gpu")
 
 
 @pytest.fixture(scope="session")

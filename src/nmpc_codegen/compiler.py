@@ -14,7 +14,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, overload
+from typing import Any, Literal, overload
 
 from nmpc_codegen.errors import OptionError, warn
 from nmpc_codegen.exclusive import COMPILING
@@ -31,6 +31,7 @@ from nmpc_codegen.lowering.render import render
 from nmpc_codegen.options import Options, common_options, for_estimator
 from nmpc_codegen.package.description import PackageDescription
 from nmpc_codegen.package.sources import Sources
+from nmpc_codegen.runtime.batch.choose import make
 from nmpc_codegen.runtime.batch.many import Batch
 from nmpc_codegen.runtime.build import load, load_estimator
 from nmpc_codegen.runtime.controller import Controller
@@ -183,7 +184,7 @@ def batch(
     ocp_or_controller: OCP | Controller,
     number: int,
     options: Options | None = None,
-    *,
+    device: Literal["cpu", "cuda"] = "cpu",
     threads: int | None = None,
 ) -> Batch:
     """Many controllers of one package, in one block of memory, whose calls all cores share; see help(Batch).
@@ -192,14 +193,15 @@ def batch(
         ocp_or_controller: a problem, which is built with ``options``; or a controller, of which all are copies.
         number: of controllers, M >= 1.
         options: for a problem.
+        device: "cuda": on the present GPU of CuPy (extra [cuda]); its calls take and return arrays there.
         threads: >= 1; None: one for every core that this process may use. Results do not depend on it.
 
     Raises:
         OptionError: a controller has been built with its options.
         ControllerError: a number is wrong. Further errors are those of build().
+        ExtraError: CuPy is not installed.
     """
-    if isinstance(ocp_or_controller, OCP):
-        return Batch(build(ocp_or_controller, options), number, threads)
-    if options is not None:
+    found = ocp_or_controller
+    if options is not None and not isinstance(found, OCP):
         raise OptionError("batch(): options belong to a problem; a controller has been built with its own")
-    return Batch(ocp_or_controller, number, threads)
+    return make(build(found, options) if isinstance(found, OCP) else found, number, device, threads)

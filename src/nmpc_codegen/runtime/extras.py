@@ -19,6 +19,8 @@ EXTRAS = {
     "xarray": "notebook",
     "cvxpy": "economic",
     "clarabel": "economic",
+    "cupy": "cuda",
+    "nvidia": "cuda",
 }
 
 
@@ -32,8 +34,8 @@ def extra(module: str, user: str) -> Any:
     try:
         return import_module(module)
     except ModuleNotFoundError as error:
-        if error.name != package:
+        if error.name not in (package, module):
             raise
         raise ExtraError(
-            f"{user} needs the package {package}: pip install {package}, or '{DISTRIBUTION}[{EXTRAS[package]}]'"
+            f"{user} needs the package {package}: pip install '{DISTRIBUTION}[{EXTRAS[package]}]'"
         ) from error

@@ -22,17 +22,17 @@ PROBE = """
 #define PRODUCT(a, b) ((a) * (b))
 """
 DECLARED = """/* begin declarations */
-typedef struct { const double *size; int32_t uniform; int32_t stream; } random_t;
+typedef struct { const double *size; int32_t uniform; int32_t stream; } batch_random_t;
 void words(uint32_t *c, uint32_t k0, uint32_t k1);
 double inverse(double p);
 double log_of(double x);
 /* end declarations */
 """
 WRAPPERS = """
-void words(uint32_t *c, uint32_t k0, uint32_t k1) { philox(c, k0, k1); }
-double inverse(double p) { return normal(p); }
-double log_of(double x) { return logarithm(x); }
-void unused(const random_t *r, double *out) { draw_sample(r, 0, 0, 0, 1, out); }
+void words(uint32_t *c, uint32_t k0, uint32_t k1) { batch_philox(c, k0, k1); }
+double inverse(double p) { return batch_normal(p); }
+double log_of(double x) { return batch_logarithm(x); }
+void unused(const batch_random_t *r, double *out) { batch_draw_sample(r, 0, 0, 0, 1, out); }
 """
 
 

@@ -2,35 +2,35 @@
  * share the work. Every struct is the caller's; nothing is kept between calls. */
 
 /* begin declarations */
-typedef void (*function_t)(void); /* of the package; its true type follows from the operation */
+typedef void (*batch_function_t)(void); /* of the package; its true type follows from the operation */
 
 typedef enum {
-    COPY, /* the struct becomes a copy of first */
-    PLAIN, /* f(s) */
-    SAMPLE, /* f(s, first, out) */
-    SOLVE, /* f(s, first, number, place[0]) */
-    INTEGRATE, /* f(s, first, second, number, out) */
-    COST, /* out = f(s) */
-    SET, /* f(s, first) */
-    SET_NUMBER, /* f(s, first[0]) */
-    SET_NODE, /* f(s, place[0], first) */
-    SET_TWO, /* f(s, place[0], place[1], first) */
-    SET_THREE, /* f(s, place[0], place[1], place[2], first) */
-    SET_PAIR, /* f(s, place[0], place[1], first[0], second[0]) */
-    SET_PAIRS /* f(s, place[0], place[1], place[2], first, second) */
-} operation_t;
+    BATCH_COPY, /* the struct becomes a copy of first */
+    BATCH_PLAIN, /* f(s) */
+    BATCH_SAMPLE, /* f(s, first, out) */
+    BATCH_SOLVE, /* f(s, first, number, place[0]) */
+    BATCH_INTEGRATE, /* f(s, first, second, number, out) */
+    BATCH_COST, /* out = f(s) */
+    BATCH_SET, /* f(s, first) */
+    BATCH_SET_NUMBER, /* f(s, first[0]) */
+    BATCH_SET_NODE, /* f(s, place[0], first) */
+    BATCH_SET_TWO, /* f(s, place[0], place[1], first) */
+    BATCH_SET_THREE, /* f(s, place[0], place[1], place[2], first) */
+    BATCH_SET_PAIR, /* f(s, place[0], place[1], first[0], second[0]) */
+    BATCH_SET_PAIRS /* f(s, place[0], place[1], place[2], first, second) */
+} batch_operation_t;
 
 typedef struct { /* controllers that threads claim, chunk by chunk, first each its own share, then those of others */
     int64_t count; /* of controllers */
     int64_t chunk; /* claimed at once */
     int32_t threads;
     int64_t *next; /* next[8 t]: first one of share t that nobody has claimed */
-} work_t;
+} batch_work_t;
 
 typedef struct { /* one call for all of them */
-    work_t work;
+    batch_work_t work;
     int32_t operation;
-    function_t function;
+    batch_function_t function;
     char *memory; /* of the structs */
     int64_t stride; /* bytes from one struct to the next */
     const int64_t *index; /* numbers of the structs; NULL: all of them */
@@ -43,28 +43,28 @@ typedef struct { /* one call for all of them */
     int32_t *status; /* of every controller */
     int32_t place[3];
     double number;
-} call_t;
+} batch_call_t;
 
 /* What thread number t of a call does. */
-void run(const call_t *call, int32_t t);
+void batch_run(const batch_call_t *call, int32_t t);
 
 typedef struct { /* random numbers of a signal: standard normal, or uniform between -1 and 1, times size */
     const double *size; /* of every element; NULL: none */
     int32_t uniform;
     int32_t stream; /* number of the signal in the generator */
-} random_t;
+} batch_random_t;
 
 typedef struct { /* values over the samples for one column of stored data */
     int32_t column;
     int64_t rows; /* 1: they hold in all samples */
     int64_t flight_step; /* bytes from the table of a flight to that of the next one; 0: one for all */
     const void *values;
-} column_t;
+} batch_column_t;
 
 typedef struct { /* data that are set before every sample, by one call of a setter */
     int32_t setter; /* setter_t */
-    function_t set; /* its function, of one row for all nodes or for the end */
-    function_t set_range; /* its function, of a row for each node; NULL: all nodes share one */
+    batch_function_t set; /* its function, of one row for all nodes or for the end */
+    batch_function_t set_range; /* its function, of a row for each node; NULL: all nodes share one */
     int32_t number; /* of the parameter */
     int32_t nodes; /* rows of stored data */
     int32_t width; /* columns of the setter */
@@ -72,25 +72,26 @@ typedef struct { /* data that are set before every sample, by one call of a sett
     int64_t row_step; /* bytes from a stored row to the next one */
     const int64_t *ahead; /* samples from the present one to that of each row */
     int32_t count; /* of columns */
-    const column_t *columns;
-} data_t;
+    const batch_column_t *columns;
+} batch_data_t;
 
-typedef enum { PARAMETER, REFERENCE, TERMINAL_REFERENCE } setter_t;
+typedef enum { BATCH_PARAMETER, BATCH_REFERENCE, BATCH_TERMINAL_REFERENCE } batch_setter_t;
 
 typedef struct { /* the struct of a flight: one of many, or a copy of one */
     char *memory;
     int64_t stride; /* bytes; 0: every flight begins with a copy */
     int64_t size; /* bytes of a struct */
+    int64_t structs;
     int32_t count;
-    const data_t *data;
-} place_t;
+    const batch_data_t *data;
+} batch_place_t;
 
 typedef struct { /* closed loops: x_{k+1} = plant(x_k, u_k) + disturbance_k, u_k = step(x_k + noise_k) */
-    function_t step;
-    function_t integrate; /* of the plant */
-    function_t algebraic; /* NULL: there are no algebraic variables */
-    place_t controller;
-    place_t plant; /* memory NULL: the controller is its own plant */
+    batch_function_t step;
+    batch_function_t integrate; /* of the plant */
+    batch_function_t algebraic; /* NULL: there are no algebraic variables */
+    batch_place_t controller;
+    batch_place_t plant; /* memory NULL: the controller is its own plant */
     int64_t known; /* bytes from a struct to what a sample knows of the one before: plants of their own are told it */
     int64_t known_size; /* bytes */
     int64_t steps;
@@ -98,8 +99,8 @@ typedef struct { /* closed loops: x_{k+1} = plant(x_k, u_k) + disturbance_k, u_k
     int32_t pieces; /* integrations of a sample */
     double dt; /* length of one of them */
     uint64_t seed;
-    random_t disturbance;
-    random_t noise;
+    batch_random_t disturbance;
+    batch_random_t noise;
     const double *given; /* (flights, steps, nx): added to the state, too; NULL: nothing */
     int64_t given_step; /* bytes from one flight to the next; 0: the same for all */
     uint32_t failures; /* bit of every status that is a failure */
@@ -113,11 +114,11 @@ typedef struct { /* closed loops: x_{k+1} = plant(x_k, u_k) + disturbance_k, u_k
     int64_t *lost; /* sample after which the state was not finite, or -1 */
     char *copies; /* a struct of the controller, then one of the plant, each aligned */
     void *rows; /* largest number of rows and columns of any data */
-} flights_t;
+} batch_flights_t;
 
 /* Fly the flights from .. until - 1. Returns 0, or the status of a setter that has refused data. */
-int32_t fly(const flights_t *f, int64_t from, int64_t until);
+int32_t batch_fly(const batch_flights_t *f, int64_t from, int64_t until);
 
 /* The random numbers of a signal (count, n) of samples from .. from + count - 1 of a flight. */
-void draw(const random_t *r, uint64_t seed, int64_t flight, int64_t from, int64_t count, int32_t n, double *out);
+void batch_draw(const batch_random_t *r, uint64_t seed, int64_t flight, int64_t from, int64_t count, int32_t n, double *out);
 /* end declarations */

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from nmpc_codegen.errors import ControllerError
 from nmpc_codegen.runtime.batch.random import Signal
-from nmpc_codegen.runtime.build import Profile, load_library
+from nmpc_codegen.runtime.build import BEGIN, END, Profile, declarations, load_library
 from nmpc_codegen.runtime.compiled import CompiledPackage
 from nmpc_codegen.runtime.given import is_integer
 
@@ -55,6 +55,11 @@ def sizes_of(package: CompiledPackage) -> dict[str, object]:
     return {"real": real, "NALG": algebraic, **{name: found[name] for name in ("N", "NX", "NU")}}
 
 
+def declarations_of(*names: str) -> str:
+    """The declarations of header files of this folder, between one pair of markers."""
+    return f"{BEGIN}\n" + "\n".join(declarations(part(name), name) for name in names) + f"{END}\n"
+
+
 def part(name: str) -> str:
     """The text of a C file of this folder, with those that it includes."""
     text = (PARTS / name).read_text(encoding="utf-8")
@@ -72,7 +77,7 @@ class Driver:
             raise ControllerError(f"threads is {threads!r}; expected an integer >= 1, or None for all cores")
         self.package = package
         self.threads = _cores() if threads is None else int(threads)
-        header = part("driver.h")
+        header = declarations_of("driver.h", "device.h")
         text = _PROLOGUE.format(**sizes_of(package)) + header + part("processor.c")
         self.ffi, self.lib = load_library({"batch.h": header, "batch.c": text}, "batch", EXACT)
         self._pool: tuple[int, ThreadPoolExecutor] | None = None
@@ -80,7 +85,7 @@ class Driver:
     def address(self, name: str, package: CompiledPackage | None = None) -> Any:
         """The address of a function of the package, or of another one; ControllerError if it has none of that name."""
         found = self.package if package is None else package
-        return self.ffi.cast("function_t", int(found.ffi.cast("uintptr_t", found.function(name))))
+        return self.ffi.cast("batch_function_t", int(found.ffi.cast("uintptr_t", found.function(name))))
 
     def pointer(self, array: Array | None) -> Any:
         """The address of an array of consecutive bytes."""
@@ -109,14 +114,14 @@ class Driver:
         threads = max(1, min(self.threads, count))
         taken = np.zeros((threads, 8), np.int64)
         taken[:, 0] = [count * t // threads for t in range(threads)]
-        call = self.ffi.new("call_t *")
+        call = self.ffi.new("batch_call_t *")
         call.work = {
             "count": count,
             "chunk": max(1, min(MOST, count // (CLAIMS * threads))),
             "threads": threads,
             "next": self.ffi.cast("int64_t *", taken.ctypes.data),
         }
-        call.operation = getattr(self.lib, operation)
+        call.operation = getattr(self.lib, f"BATCH_{operation}")
         call.function = self.ffi.NULL if function is None else self.address(function)
         call.memory, call.stride = self.ffi.cast("char *", memory.ctypes.data), stride
         call.index = self.ffi.cast("int64_t *", self.pointer(index))
@@ -126,22 +131,16 @@ class Driver:
         call.status = self.ffi.cast("int32_t *", status.ctypes.data)
         call.place = list(places)
         call.number = number
-        self.share(partial(self.lib.run, call), range(threads))
+        self.share(partial(self.lib.batch_run, call), range(threads))
         return status
 
     def draw(self, signal: Signal, seed: int, flight: int, out: NDArray[np.float64]) -> None:
         """Fill out (samples, nx) with the random numbers of a signal in a flight."""
-        random = self.random(signal)
+        random = self.ffi.new("batch_random_t *")
+        random.size = self.ffi.cast("double *", self.pointer(signal.size))
+        random.uniform, random.stream = signal.uniform, signal.stream
         pointer = self.ffi.cast("double *", self.pointer(out))
-        self.lib.draw(self.ffi.addressof(random), seed, flight, 0, len(out), out.shape[1], pointer)
-
-    def random(self, signal: Signal | None) -> Any:
-        """A signal as random_t; it holds a pointer to the sizes."""
-        found = self.ffi.new("random_t *")
-        if signal is not None:
-            found.size = self.ffi.cast("double *", self.pointer(signal.size))
-            found.uniform, found.stream = signal.uniform, signal.stream
-        return found[0]
+        self.lib.batch_draw(random, seed, flight, 0, len(out), out.shape[1], pointer)
 
     def share(self, function: Callable[[Any], Any], work: Sequence[Any]) -> list[Any]:
         """The results of a function that releases the interpreter, for each piece of work: threads take one after the

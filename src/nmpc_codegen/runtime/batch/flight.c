@@ -2,7 +2,7 @@
  * functions of their packages. */
 
 /* The value of a flight at a sample; the last row holds from there on. */
-TARGET static real_t value_at(const column_t *c, int64_t flight, int64_t sample)
+TARGET static real_t batch_value_at(const batch_column_t *c, int64_t flight, int64_t sample)
 {
     const int64_t row = (sample < c->rows) ? sample : c->rows - 1;
     return ((const real_t *)((const char *)c->values + flight * c->flight_step))[row];
@@ -10,28 +10,28 @@ TARGET static real_t value_at(const column_t *c, int64_t flight, int64_t sample)
 
 /* Rows as they are stored, with the values of a sample in the columns that have some. A row takes the values of the
  * sample at the time of its node. */
-TARGET static void gather(const data_t *d, const char *s, int64_t flight, int64_t k, real_t *rows)
+TARGET static void batch_gather(const batch_data_t *d, const char *s, int64_t flight, int64_t k, real_t *rows)
 {
     for (int32_t n = 0; n < d->nodes; n++) {
         memcpy(rows + n * d->width, s + d->offset + n * d->row_step, (size_t)d->width * sizeof(real_t));
         for (int32_t i = 0; i < d->count; i++) {
-            rows[n * d->width + d->columns[i].column] = value_at(&d->columns[i], flight, k + d->ahead[n]);
+            rows[n * d->width + d->columns[i].column] = batch_value_at(&d->columns[i], flight, k + d->ahead[n]);
         }
     }
 }
 
 /* Set the data of sample k; those that hold in all samples, before the first one. */
-TARGET static int32_t tell(const place_t *place, void *s, int64_t flight, int64_t k, real_t *rows)
+TARGET static int32_t batch_tell(const batch_place_t *place, void *s, int64_t flight, int64_t k, real_t *rows)
 {
     for (int32_t i = 0; i < place->count; i++) {
-        const data_t *d = &place->data[i];
+        const batch_data_t *d = &place->data[i];
         int changes = k == 0;
         for (int32_t j = 0; j < d->count; j++) {
             changes |= d->columns[j].rows > 1;
         }
         if (changes) {
-            gather(d, (const char *)s, flight, k, rows);
-            const int32_t refused = hand_over(d, s, rows);
+            batch_gather(d, (const char *)s, flight, k, rows);
+            const int32_t refused = batch_hand_over(d, s, rows);
             if (refused) {
                 return refused;
             }
@@ -41,7 +41,7 @@ TARGET static int32_t tell(const place_t *place, void *s, int64_t flight, int64_
 }
 
 /* Move the plant by a sample. Returns 0 if its state is not finite. */
-TARGET static int move(const flights_t *f, const void *plant, const real_t *u, double *x)
+TARGET static int batch_move(const batch_flights_t *f, const void *plant, const real_t *u, double *x)
 {
     int finite = 1;
     for (int32_t piece = 0; piece < f->pieces; piece++) {
@@ -49,7 +49,7 @@ TARGET static int move(const flights_t *f, const void *plant, const real_t *u, d
         for (int i = 0; i < NX; i++) {
             start[i] = (real_t)x[i];
         }
-        call_integrate(f, plant, start, u, (real_t)f->dt, next);
+        batch_call_integrate(f, plant, start, u, (real_t)f->dt, next);
         for (int i = 0; i < NX; i++) {
             x[i] = (double)next[i];
             finite &= isfinite(x[i]) != 0;
@@ -59,24 +59,24 @@ TARGET static int move(const flights_t *f, const void *plant, const real_t *u, d
 }
 
 /* Algebraic variables of the plant at a sample. */
-TARGET static void evaluate_algebraic(const flights_t *f, void *s, const double *x, const real_t *u, double *z)
+TARGET static void batch_evaluate_algebraic(const batch_flights_t *f, void *s, const double *x, const real_t *u, double *z)
 {
     real_t start[NX], found[NALG];
     for (int i = 0; i < NX; i++) {
         start[i] = (real_t)x[i];
     }
-    call_algebraic(f, s, start, u, found);
+    batch_call_algebraic(f, s, start, u, found);
     for (int i = 0; i < f->algebraic_count; i++) {
         z[i] = (double)found[i];
     }
 }
 
 /* Add what disturbs the state after sample k of a flight. */
-TARGET static void disturb(const flights_t *f, int64_t flight, int64_t k, double *x)
+TARGET static void batch_disturb(const batch_flights_t *f, int64_t flight, int64_t k, double *x)
 {
     if (f->disturbance.size != NULL) {
         double d[NX];
-        draw_sample(&f->disturbance, f->seed, f->number + flight, k, NX, d);
+        batch_draw_sample(&f->disturbance, f->seed, f->number + flight, k, NX, d);
         for (int i = 0; i < NX; i++) {
             x[i] += d[i];
         }
@@ -90,11 +90,11 @@ TARGET static void disturb(const flights_t *f, int64_t flight, int64_t k, double
 }
 
 /* The state as the controller is told it. */
-TARGET static void measure(const flights_t *f, int64_t flight, int64_t k, const double *x, real_t *xhat)
+TARGET static void batch_measure(const batch_flights_t *f, int64_t flight, int64_t k, const double *x, real_t *xhat)
 {
     double noise[NX] = { 0.0 };
     if (f->noise.size != NULL) {
-        draw_sample(&f->noise, f->seed, f->number + flight, k, NX, noise);
+        batch_draw_sample(&f->noise, f->seed, f->number + flight, k, NX, noise);
     }
     for (int i = 0; i < NX; i++) {
         xhat[i] = (real_t)(x[i] + noise[i]);
@@ -103,7 +103,7 @@ TARGET static void measure(const flights_t *f, int64_t flight, int64_t k, const 
 
 /* Fly a flight, which writes in place at of the arrays. Returns the status of a setter that has refused data, or 0. A
  * flight ends where its state is not finite; the rest of its samples stays as it is. */
-TARGET static int32_t fly_one(const flights_t *f, int64_t flight, int64_t at, void *s, void *plant, real_t *rows)
+TARGET static int32_t batch_fly_one(const batch_flights_t *f, int64_t flight, int64_t at, void *s, void *plant, real_t *rows)
 {
     double *x = f->x + at * (f->steps + 1) * NX, *u = f->u + at * f->steps * NU, now[NX];
     int8_t *statuses = f->status + at * f->steps;
@@ -113,15 +113,15 @@ TARGET static int32_t fly_one(const flights_t *f, int64_t flight, int64_t at, vo
     memcpy(x, now, sizeof now);
     for (int64_t k = 0; k < f->steps && finite; k++) {
         real_t xhat[NX], control[NU];
-        int32_t refused = tell(&f->controller, s, flight, k, rows);
+        int32_t refused = batch_tell(&f->controller, s, flight, k, rows);
         if (!refused && plant != s) {
-            refused = tell(&f->plant, plant, flight, k, rows);
+            refused = batch_tell(&f->plant, plant, flight, k, rows);
         }
         if (refused) {
             return refused;
         }
-        measure(f, flight, k, now, xhat);
-        const int32_t status = call_step(f, s, xhat, control);
+        batch_measure(f, flight, k, now, xhat);
+        const int32_t status = batch_call_step(f, s, xhat, control);
         statuses[k] = (int8_t)status;
         if (f->failed[at] < 0 && (f->failures >> status & 1u)) {
             f->failed[at] = k;
@@ -131,14 +131,14 @@ TARGET static int32_t fly_one(const flights_t *f, int64_t flight, int64_t at, vo
         }
         if (f->algebraic_count) {
             const int64_t place = (at * f->steps + k) * f->algebraic_count;
-            evaluate_algebraic(f, s, now, control, f->z + place);
+            batch_evaluate_algebraic(f, s, now, control, f->z + place);
         }
         if (f->known_size) {
             memcpy((char *)plant + f->known, (const char *)s + f->known, (size_t)f->known_size);
         }
-        finite = move(f, plant, control, now);
+        finite = batch_move(f, plant, control, now);
         if (finite) {
-            disturb(f, flight, k, now);
+            batch_disturb(f, flight, k, now);
         } else {
             f->lost[at] = k;
         }

@@ -16,7 +16,7 @@ from nmpc_codegen.runtime import given
 from nmpc_codegen.runtime.access.addressing import Addressing
 from nmpc_codegen.runtime.batch.flights import Draws, Flights
 from nmpc_codegen.runtime.batch.random import DISTURBANCE, NOISE, Random, Signal, signal
-from nmpc_codegen.runtime.batch.structs import Structs, reserve, stride_of
+from nmpc_codegen.runtime.batch.structs import Into, Structs
 from nmpc_codegen.runtime.batch.summary import Judge, Samples, bounds_of, data_before, judge_of
 from nmpc_codegen.runtime.batch.tables import Data, Tables, at_samples, in_c, parameter_data, reference_data
 from nmpc_codegen.runtime.given import SAME_TIME
@@ -24,8 +24,8 @@ from nmpc_codegen.runtime.loops.sampling import integrations, interval_of
 
 Array = NDArray[Any]
 
-#: Blocks of flights for every thread, flights of a block and bytes of its samples at most.
-BLOCKS, LARGEST, BYTES = 8, 256, 2**25
+#: Bytes of the samples of a block at most.
+BYTES = 2**25
 
 #: Bits of the statuses that are failures.
 FAILURES = sum(1 << status for status in Status if status.is_failure)
@@ -75,11 +75,11 @@ class Loop:
     keep: list[Any]  # what C points to
 
     def in_c(self) -> Any:
-        """flights_t without what a block writes to."""
-        driver, described = self.batch.driver, self.batch.description
+        """batch_flights_t without what a block writes to."""
+        batch, driver, described = self.batch, self.batch.driver, self.batch.description
         plant = self.batch if self.plant is None else self.plant
         ahead = np.floor(np.append(0.0, np.cumsum(described.dt)) / self.interval + SAME_TIME).astype(np.int64)
-        c = driver.ffi.new("flights_t *")
+        c = driver.ffi.new("batch_flights_t *")
         c.step, c.integrate = driver.address("step"), driver.address("integrate", plant._package)
         c.algebraic_count = len(self.batch.names.algebraic)
         if c.algebraic_count:
@@ -90,22 +90,28 @@ class Loop:
         c.steps, c.number, c.seed, c.failures = self.steps, self.first, self.seed, FAILURES
         c.pieces = integrations(plant.description, self.interval)
         c.dt = self.interval / c.pieces
-        c.disturbance, c.noise = driver.random(self.disturbance), driver.random(self.noise)
+        for random, drawn in ((c.disturbance, self.disturbance), (c.noise, self.noise)):
+            if drawn is not None:
+                random.size = driver.ffi.cast("double *", batch.reach(drawn.size, self.keep))
+                random.uniform, random.stream = drawn.uniform, drawn.stream
         if plant is not self.batch and described.inner.count:
-            known = self.batch.known
-            c.known = known.ctypes.data - self.batch.memory.ctypes.data
-            c.known_size = known.shape[1] * known.itemsize
+            c.known, c.known_size = batch.place_of_known()
         if self.added is not None:
-            c.given = driver.ffi.cast("double *", driver.pointer(self.added))
+            c.given = driver.ffi.cast("double *", batch.reach(self.added, self.keep))
             c.given_step = 0 if len(self.added) == 1 else self.added.strides[0]
-        c.x0 = driver.ffi.cast("double *", driver.pointer(self.starts))
+        c.x0 = driver.ffi.cast("double *", batch.reach(self.starts, self.keep))
         return c
+
+    @property
+    def rows(self) -> int:
+        """Numbers that a setter is given at most."""
+        return (self.batch.dims.N + 2) * max((d.width for d in (*self.data, *self.plant_data)), default=0)
 
     def _place(self, c: Any, structs: Structs, data: list[Data], ahead: NDArray[np.int64]) -> None:
         driver = self.batch.driver
-        c.memory = driver.ffi.cast("char *", driver.pointer(structs.memory))
+        c.memory, c.structs = driver.ffi.cast("char *", self.batch.address_of(structs, self.keep)), len(structs)
         c.stride, c.size = structs.stride if len(structs) > 1 else 0, structs._package.dtype.itemsize
-        c.data, c.count = in_c(driver, _Where(structs), data, ahead, self.keep), len(data)
+        c.data, c.count = in_c(self.batch, _Where(structs), data, ahead, self.keep), len(data)
 
     def samples(self, block: slice) -> Samples:
         """Data of a block as they are before the first sample, with those of the tables."""
@@ -120,7 +126,7 @@ class Loop:
             return at_samples([d for d in self.data if d.member == member], block, self.steps, found)
 
         lower, upper = bounds_of(batch, own)
-        time, previous = (np.array(batch.member(name)).reshape(len(batch), -1)[own] for name in ("time", "previous"))
+        time, previous = (np.array(batch.fetch(name)).reshape(len(batch), -1)[own] for name in ("time", "previous"))
         return Samples(
             p=over("p", [v for s in described.parameters for v in s.value]),
             yref=over("yref", [r.reference for r in described.residuals]),
@@ -146,10 +152,8 @@ def simulate_all(batch: Structs, X0: ArrayLike, task: Task, plant: Structs | Non
     if plant is not None:
         _check_plant(batch, plant, len(starts))
     loop = _loop(batch, plant, starts, task)
-    threads = max(1, min(batch.driver.threads, len(starts)))
     numbers = sum((batch.dims.nx, batch.dims.nu, *(2 * n for n in (batch.dims.np, batch.dims.ny)), 2))
-    most = BYTES // (8 * numbers * (loop.steps + 1))
-    size = max(1, min(LARGEST, most, -(-len(starts) // (BLOCKS * threads))))
+    size = batch.block_size(len(starts), BYTES // (8 * numbers * (loop.steps + 1)))
     blocks = [slice(i, min(i + size, len(starts))) for i in range(0, len(starts), size)]
     result = _Result(loop, task.record)
     batch.driver.share(partial(result.fly, loop.in_c()), blocks)
@@ -202,7 +206,7 @@ def _check_plant(batch: Structs, plant: Structs, flights: int) -> None:
     if plant.description.precision != batch.description.precision:
         raise ControllerError(f"plant: {name} has another precision than {batch.description.name}")
     if plant.description.inner.count and plant._package is not batch._package:
-        raise ControllerError(f"plant: {name} has time or previous controls in its dynamics, which no other loop knows")
+        raise ControllerError(f"plant: {name} knows time or previous controls, which only its own controller tells it")
     if len(plant) not in (1, flights):
         raise ControllerError(
             f"plant: a batch of {len(plant)}; expected one plant, or one for each of {flights} flights"
@@ -233,25 +237,16 @@ class _Result:
 
     def fly(self, shared: Any, block: slice) -> None:
         """Fly a block and keep what is asked for."""
-        loop, driver = self._loop, self._loop.batch.driver
+        loop = self._loop
         samples, count = loop.samples(block), block.stop - block.start
         x, u, status = (
             [_unflown((count, *s), i == 2) for i, s in enumerate(self._shapes)]
             if self._record is None
             else [a[block] for a in self._record]
         )
-        cast = driver.ffi.cast
         z = np.full((count, loop.steps, len(loop.batch.names.algebraic)), np.nan)
-        c = driver.ffi.new("flights_t *", shared[0])
-        c.x, c.u = cast("double *", driver.pointer(x)), cast("double *", driver.pointer(u))
-        c.status, c.z = cast("int8_t *", driver.pointer(status)), cast("double *", driver.pointer(z))
-        c.failed, c.lost = (cast("int64_t *", driver.pointer(a[block])) for a in (self._failed, self._lost))
-        structs = [s for s in (loop.batch, loop.plant) if s is not None]
-        copies = reserve(sum(stride_of(s._package.dtype.itemsize) for s in structs))
-        widest = max((d.width for d in (*loop.data, *loop.plant_data)), default=1)
-        rows = np.zeros((loop.batch.dims.N + 2) * widest, loop.batch._real)
-        c.copies, c.rows = cast("char *", driver.pointer(copies)), driver.pointer(rows)
-        refused = driver.lib.fly(c, block.start, block.stop)
+        into = Into(x, u, z, status, self._failed[block], self._lost[block])
+        refused = loop.batch.fly(shared, block, into, loop.rows)
         if refused:
             raise ControllerError(f"{loop.batch.description.name}: data of the samples: {Status(refused)}")
         self._keep(block, x, u[..., : loop.batch.dims.nu], z, status, samples)

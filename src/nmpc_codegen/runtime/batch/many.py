@@ -8,7 +8,7 @@ Every controller has the bits that it would have alone, for every number of thre
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -49,10 +49,7 @@ class Batch(Structs):
     """
 
     def __init__(self, controller: Controller, number: int, threads: int | None = None) -> None:
-        if not isinstance(controller, Controller):
-            raise ControllerError(f"batch() was given {controller!r:.80}; expected an OCP or a Controller")
-        if not given.is_integer(number) or number < 1:
-            raise ControllerError(f"number is {number!r}; expected an integer >= 1")
+        check(controller, number)
         package = controller._package
         stride = stride_of(package.dtype.itemsize)
         super().__init__(Driver(package, threads), reserve(int(number) * stride), int(number), stride)
@@ -112,7 +109,7 @@ class Batch(Structs):
     def integrate(self, X: ArrayLike, U: ArrayLike, dt: float) -> Array:
         """States (M, nx) after the time dt from X (M, nx) under constant U (M, nu): Controller.integrate()."""
         states, controls = self._states(X, "X"), self._controls(U)
-        out = np.zeros((self._count, max(1, self.dims.nx)), self._real)
+        out = self._zeros(max(1, self.dims.nx))
         self.call("INTEGRATE", "integrate", first=states, second=controls, out=out, number=float(dt))
         return out[:, : self.dims.nx]
 
@@ -163,7 +160,7 @@ class Batch(Structs):
             ControllerError: shapes or numbers are wrong, or the plant has other states or controls.
         """
         task = Task(steps, dt, parameters, references, disturbance, noise, added, plant_parameters, seed, first, record)
-        return simulate_all(self, X0, task, single(plant) if isinstance(plant, Controller) else plant)
+        return simulate_all(self, X0, task, None if plant is None else self._plant(plant))
 
     # -- data ---------------------------------------------------------------------------------------------------------
 
@@ -176,19 +173,19 @@ class Batch(Structs):
             node: as in Controller.set_reference().
             index: a mask (M,), or numbers of the controllers that are meant; M is then their number.
         """
-        Told(self, index).set_reference(y, node)
+        self._tell(index, lambda told: told.set_reference(y, node))
 
     def set_terminal_reference(self, y: ArrayLike | Named, index: ArrayLike | None = None) -> None:
         """Set the reference of the terminal residual: (ny_N,), (M, ny_N), or {name: value}."""
-        Told(self, index).set_reference(y, self.dims.N)
+        self._tell(index, lambda told: told.set_reference(y, self.dims.N))
 
     def set_weight(self, W: ArrayLike, node: int | None = None, index: ArrayLike | None = None) -> None:
         """Set weights of residuals: the diagonal (ny,), or (M, ny), one for each; matrices (M, ny, ny), (1, ny, ny)."""
-        Told(self, index).set_weight(W, node)
+        self._tell(index, lambda told: told.set_weight(W, node))
 
     def set_terminal_weight(self, W: ArrayLike, index: ArrayLike | None = None) -> None:
         """Set the weight of the terminal residual, in the same forms."""
-        Told(self, index).set_weight(W, self.dims.N)
+        self._tell(index, lambda told: told.set_weight(W, self.dims.N))
 
     def set_parameter(
         self, name: str, value: ArrayLike, node: int | None = None, index: ArrayLike | None = None
@@ -202,13 +199,13 @@ class Batch(Structs):
             node: as in Controller.set_parameter().
             index: a mask (M,), or numbers of the controllers that are meant; M is then their number.
         """
-        Told(self, index).set_parameters({name: value}, node)
+        self._tell(index, lambda told: told.set_parameters({name: value}, node))
 
     def set_parameters(self, values: Named, node: int | None = None, index: ArrayLike | None = None) -> None:
         """Set several parameters, {name: value}: all of them, or none if one is wrong."""
         if not isinstance(values, Mapping):
             raise ControllerError(f"set_parameters: {values!r} is no {{name: value}}")
-        Told(self, index).set_parameters(values, node)
+        self._tell(index, lambda told: told.set_parameters(values, node))
 
     def set_bounds(
         self,
@@ -220,17 +217,13 @@ class Batch(Structs):
     ) -> None:
         """Set the bounds of a row, or of all rows of a vector: numbers or (rows,), (M,) or (M, rows), and (M, N+1) or
         (M, N+1, rows) with a row for each node; -inf, inf: no bound."""
-        Told(self, index).set_bounds(name, lower, upper, node)
+        self._tell(index, lambda told: told.set_bounds(name, lower, upper, node))
 
     # -- what is known of them ----------------------------------------------------------------------------------------
 
     def __getitem__(self, i: int) -> Controller:
         """Controller number i, on the memory of the batch."""
-        if not given.is_integer(i):
-            raise TypeError(f"a batch has controllers with numbers, not {i!r}")
-        if not -self._count <= i < self._count:
-            raise IndexError(f"controller {i} of {self._count}")
-        begin = (int(i) % self._count) * self.stride
+        begin = self._number(i) * self.stride
         return Controller(self._package, self.memory[begin : begin + self._package.dtype.itemsize])
 
     def __iter__(self) -> Iterator[Controller]:
@@ -254,7 +247,7 @@ class Batch(Structs):
     @property
     def cost(self) -> Array:
         """Costs of the plans with their present data, (M,)."""
-        out = np.zeros((self._count, 1), self._real)
+        out = self._zeros(1)
         self.call("COST", "cost", out=out)
         return out[:, 0]
 
@@ -269,8 +262,28 @@ class Batch(Structs):
 
     # -- inner --------------------------------------------------------------------------------------------------------
 
+    def _number(self, i: int) -> int:
+        """The number of a controller, that of the last one for -1."""
+        if not given.is_integer(i):
+            raise TypeError(f"a batch has controllers with numbers, not {i!r}")
+        if not -self._count <= i < self._count:
+            raise IndexError(f"controller {i} of {self._count}")
+        return int(i) % self._count
+
+    def _plant(self, plant: Controller | Batch) -> Structs:
+        """The structs of a plant."""
+        return single(plant) if isinstance(plant, Controller) else plant
+
+    def _tell(self, index: ArrayLike | None, tell: Callable[[Told], None]) -> None:
+        """Tell data to the controllers that are meant."""
+        tell(Told(self, index))
+
+    def _zeros(self, width: int) -> Array:
+        """Room for results."""
+        return np.zeros((self._count, width), self._real)
+
     def _sample(self, function: str, X: ArrayLike) -> tuple[Array, Statuses]:
-        out = np.zeros((self._count, max(1, self.dims.nu)), self._real)
+        out = self._zeros(max(1, self.dims.nu))
         status = self.call("SAMPLE", function, first=self._states(X, "X"), out=out)
         return out[:, : self.dims.nu], status
 
@@ -285,4 +298,12 @@ class Batch(Structs):
     def _expect(self, status: Statuses, call: str) -> None:
         """Raise ControllerError if a call that only writes data has failed."""
         if status.any():
-            raise ControllerError(f"{self._package.name}.{call} of controller {int(np.flatnonzero(status)[0])} failed")
+            raise ControllerError(f"{self._package.name}.{call} of controller {int((status != 0).argmax())} failed")
+
+
+def check(controller: Controller, number: int) -> None:
+    """ControllerError unless this many copies of it can be made."""
+    if not isinstance(controller, Controller):
+        raise ControllerError(f"batch() was given {controller!r:.80}; expected an OCP or a Controller")
+    if not given.is_integer(number) or number < 1:
+        raise ControllerError(f"number is {number!r}; expected an integer >= 1")

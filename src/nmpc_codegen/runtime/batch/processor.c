@@ -16,30 +16,30 @@ typedef int (*set_three_t)(void *s, int a, int b, int c, const real_t *v);
 typedef int (*set_pair_t)(void *s, int a, int b, real_t v, real_t w);
 typedef int (*set_pairs_t)(void *s, int a, int b, int c, const real_t *v, const real_t *w);
 
-static int32_t call_step(const flights_t *f, void *s, const real_t *xhat, real_t *u)
+static int32_t batch_call_step(const batch_flights_t *f, void *s, const real_t *xhat, real_t *u)
 {
     return ((sample_t)f->step)(s, xhat, u);
 }
 
-static void call_integrate(
-    const flights_t *f, const void *plant, const real_t *x, const real_t *u, real_t dt, real_t *x_next)
+static void batch_call_integrate(
+    const batch_flights_t *f, const void *plant, const real_t *x, const real_t *u, real_t dt, real_t *x_next)
 {
     ((integrate_t)f->integrate)(plant, x, u, dt, x_next);
 }
 
-static void call_algebraic(const flights_t *f, void *s, const real_t *x, const real_t *u, real_t *z)
+static void batch_call_algebraic(const batch_flights_t *f, void *s, const real_t *x, const real_t *u, real_t *z)
 {
     (void)((algebraic_t)f->algebraic)(s, 0, x, u, z); /* NaN where there is no solution */
 }
 
 /* Hand rows to a setter. */
-static int32_t hand_over(const data_t *d, void *s, const real_t *rows)
+static int32_t batch_hand_over(const batch_data_t *d, void *s, const real_t *rows)
 {
     int refused = 0;
-    if (d->setter == TERMINAL_REFERENCE) {
+    if (d->setter == BATCH_TERMINAL_REFERENCE) {
         return ((set_t)d->set)(s, rows);
     }
-    if (d->setter == REFERENCE) {
+    if (d->setter == BATCH_REFERENCE) {
         return (d->set_range != NULL) ? ((set_two_t)d->set_range)(s, 0, d->nodes, rows)
                                       : ((set_node_t)d->set)(s, ALL, rows);
     }
@@ -57,31 +57,31 @@ static int32_t hand_over(const data_t *d, void *s, const real_t *rows)
 #include "flight.c"
 
 /* The struct of a flight. */
-static void *struct_of(const place_t *place, int64_t flight, char *copy)
+static void *batch_struct_of(const batch_place_t *place, int64_t flight, char *copy)
 {
     return place->stride ? place->memory + flight * place->stride : memcpy(copy, place->memory, (size_t)place->size);
 }
 
-int32_t fly(const flights_t *f, int64_t from, int64_t until)
+int32_t batch_fly(const batch_flights_t *f, int64_t from, int64_t until)
 {
     int32_t refused = 0;
     for (int64_t i = from; i < until && !refused; i++) {
-        void *s = struct_of(&f->controller, i, f->copies);
-        void *plant = (f->plant.memory == NULL) ? s : struct_of(&f->plant, i, f->copies + ALIGNED(f->controller.size));
-        refused = fly_one(f, i, i - from, s, plant, (real_t *)f->rows);
+        void *s = batch_struct_of(&f->controller, i, f->copies);
+        void *plant = (f->plant.memory == NULL) ? s : batch_struct_of(&f->plant, i, f->copies + ALIGNED(f->controller.size));
+        refused = batch_fly_one(f, i, i - from, s, plant, (real_t *)f->rows);
     }
     return refused;
 }
 
-void draw(const random_t *r, uint64_t seed, int64_t flight, int64_t from, int64_t count, int32_t n, double *out)
+void batch_draw(const batch_random_t *r, uint64_t seed, int64_t flight, int64_t from, int64_t count, int32_t n, double *out)
 {
     for (int64_t k = 0; k < count; k++) {
-        draw_sample(r, seed, flight, from + k, n, out + k * n);
+        batch_draw_sample(r, seed, flight, from + k, n, out + k * n);
     }
 }
 
 /* The call of controller number i of those that are called. */
-static int call_one(const call_t *c, int64_t i)
+static int batch_call_one(const batch_call_t *c, int64_t i)
 {
     void *s = c->memory + ((c->index == NULL) ? i : c->index[i]) * c->stride;
     const real_t *first = (const real_t *)((const char *)c->first + i * c->first_step);
@@ -89,41 +89,41 @@ static int call_one(const call_t *c, int64_t i)
     real_t *out = (real_t *)((char *)c->out + i * c->out_step);
     const int32_t *at = c->place;
     switch (c->operation) {
-    case COPY:
+    case BATCH_COPY:
         memcpy(s, c->first, (size_t)c->stride);
         return 0;
-    case PLAIN:
+    case BATCH_PLAIN:
         return ((plain_t)c->function)(s);
-    case SAMPLE:
+    case BATCH_SAMPLE:
         return ((sample_t)c->function)(s, first, out);
-    case SOLVE:
+    case BATCH_SOLVE:
         return ((solve_t)c->function)(s, first, (real_t)c->number, at[0]);
-    case INTEGRATE:
+    case BATCH_INTEGRATE:
         ((integrate_t)c->function)(s, first, second, (real_t)c->number, out);
         return 0;
-    case COST:
+    case BATCH_COST:
         *out = ((cost_t)c->function)(s);
         return 0;
-    case SET:
+    case BATCH_SET:
         return ((set_t)c->function)(s, first);
-    case SET_NUMBER:
+    case BATCH_SET_NUMBER:
         return ((set_number_t)c->function)(s, *first);
-    case SET_NODE:
+    case BATCH_SET_NODE:
         return ((set_node_t)c->function)(s, at[0], first);
-    case SET_TWO:
+    case BATCH_SET_TWO:
         return ((set_two_t)c->function)(s, at[0], at[1], first);
-    case SET_THREE:
+    case BATCH_SET_THREE:
         return ((set_three_t)c->function)(s, at[0], at[1], at[2], first);
-    case SET_PAIR:
+    case BATCH_SET_PAIR:
         return ((set_pair_t)c->function)(s, at[0], at[1], *first, *second);
     default:
         return ((set_pairs_t)c->function)(s, at[0], at[1], at[2], first, second);
     }
 }
 
-void run(const call_t *c, int32_t t)
+void batch_run(const batch_call_t *c, int32_t t)
 {
-    const work_t *w = &c->work;
+    const batch_work_t *w = &c->work;
     for (int32_t v = 0; v < w->threads; v++) { /* its own share, then those of others */
         const int32_t share = (t + v) % w->threads;
         const int64_t end = w->count * (share + 1) / w->threads;
@@ -132,7 +132,7 @@ void run(const call_t *c, int32_t t)
              from = __atomic_fetch_add(next, w->chunk, __ATOMIC_RELAXED)) {
             const int64_t until = (from + w->chunk < end) ? from + w->chunk : end;
             for (int64_t i = from; i < until; i++) {
-                c->status[i] = call_one(c, i);
+                c->status[i] = batch_call_one(c, i);
             }
         }
     }

@@ -6,7 +6,7 @@
  * fma(), which compilers may neither split nor contract. */
 
 /* Four words from a counter of four and a key of two. */
-TARGET static void philox(uint32_t c[4], uint32_t k0, uint32_t k1)
+TARGET static void batch_philox(uint32_t c[4], uint32_t k0, uint32_t k1)
 {
     for (int round = 0; round < 10; round++) {
         const uint64_t p = (uint64_t)0xD2511F53u * c[0], q = (uint64_t)0xCD9E8D57u * c[2];
@@ -21,14 +21,14 @@ TARGET static void philox(uint32_t c[4], uint32_t k0, uint32_t k1)
 }
 
 /* (m + 1/2) 2^-52 with the 52 leading bits m of two words: inside (0, 1), without rounding. */
-TARGET static double unit(uint32_t high, uint32_t low)
+TARGET static double batch_unit(uint32_t high, uint32_t low)
 {
     const uint64_t m = ((uint64_t)(high >> 6) << 26) | (low >> 6);
     return ((double)m + 0.5) * 2.220446049250313e-16;
 }
 
 /* c[n - 1] x^(n - 1) + ... + c[0]. */
-TARGET static double polynomial(const double *c, int n, double x)
+TARGET static double batch_polynomial(const double *c, int n, double x)
 {
     double sum = c[n - 1];
     for (int i = n - 2; i >= 0; i--) {
@@ -38,7 +38,7 @@ TARGET static double polynomial(const double *c, int n, double x)
 }
 
 /* Logarithm of a positive normal number: e log(2) + 2 artanh(s) with x = 2^e m, s = (m - 1) / (m + 1). */
-TARGET static double logarithm(double x)
+TARGET static double batch_logarithm(double x)
 {
     const double odd[12] = { 1.0, 1.0 / 3.0, 1.0 / 5.0, 1.0 / 7.0, 1.0 / 9.0, 1.0 / 11.0, 1.0 / 13.0, 1.0 / 15.0,
         1.0 / 17.0, 1.0 / 19.0, 1.0 / 21.0, 1.0 / 23.0 };
@@ -50,11 +50,11 @@ TARGET static double logarithm(double x)
     bits -= (uint64_t)e << 52;
     memcpy(&m, &bits, sizeof m);
     const double s = (m - 1.0) / (m + 1.0);
-    return fma((double)e, 0.6931471805599453, 2.0 * s * polynomial(odd, 12, s * s));
+    return fma((double)e, 0.6931471805599453, 2.0 * s * batch_polynomial(odd, 12, s * s));
 }
 
 /* z with P(Z <= z) = p of a standard normal Z. */
-TARGET static double normal(double p)
+TARGET static double batch_normal(double p)
 {
     const double a[8] = { 3.3871328727963666080, 133.14166789178437745, 1971.5909503065514427, 13731.693765509461125,
         45921.953931549871457, 67265.770927008700853, 33430.575583588128105, 2509.0809287301226727 };
@@ -73,24 +73,24 @@ TARGET static double normal(double p)
     const double q = p - 0.5;
     if (fabs(q) <= 0.425) {
         const double r = fma(-q, q, 0.180625);
-        return q * polynomial(a, 8, r) / polynomial(b, 8, r);
+        return q * batch_polynomial(a, 8, r) / batch_polynomial(b, 8, r);
     }
-    const double r = sqrt(-logarithm(q < 0.0 ? p : 1.0 - p));
-    const double z = (r <= 5.0) ? polynomial(c, 8, r - 1.6) / polynomial(d, 8, r - 1.6)
-                                : polynomial(e, 8, r - 5.0) / polynomial(f, 8, r - 5.0);
+    const double r = sqrt(-batch_logarithm(q < 0.0 ? p : 1.0 - p));
+    const double z = (r <= 5.0) ? batch_polynomial(c, 8, r - 1.6) / batch_polynomial(d, 8, r - 1.6)
+                                : batch_polynomial(e, 8, r - 5.0) / batch_polynomial(f, 8, r - 5.0);
     return (q < 0.0) ? -z : z;
 }
 
 /* The n numbers of a sample of a flight. */
-TARGET static void draw_sample(const random_t *r, uint64_t seed, int64_t flight, int64_t k, int n, double *out)
+TARGET static void batch_draw_sample(const batch_random_t *r, uint64_t seed, int64_t flight, int64_t k, int n, double *out)
 {
     for (int i = 0; i < n; i += 2) {
         uint32_t word[4] = { (uint32_t)k, (uint32_t)flight, (uint32_t)((uint64_t)flight >> 32),
             ((uint32_t)r->stream << 16) | (uint32_t)(i / 2) };
-        philox(word, (uint32_t)seed, (uint32_t)(seed >> 32));
+        batch_philox(word, (uint32_t)seed, (uint32_t)(seed >> 32));
         for (int j = 0; j < 2 && i + j < n; j++) {
-            const double p = unit(word[2 * j], word[2 * j + 1]);
-            out[i + j] = PRODUCT(r->size[i + j], r->uniform ? 2.0 * p - 1.0 : normal(p));
+            const double p = batch_unit(word[2 * j], word[2 * j + 1]);
+            out[i + j] = PRODUCT(r->size[i + j], r->uniform ? 2.0 * p - 1.0 : batch_normal(p));
         }
     }
 }

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,9 @@ from nmpc_codegen.runtime.access.iterate import Iterate
 from nmpc_codegen.runtime.batch.driver import Driver
 from nmpc_codegen.runtime.compiled import ALIGNMENT
 from nmpc_codegen.runtime.controller import Controller
+
+#: Blocks of flights for every thread, and flights of a block at most.
+BLOCKS, LARGEST = 8, 256
 
 Array = NDArray[Any]
 Statuses = NDArray[np.int32]
@@ -37,6 +41,63 @@ class Structs(Iterate):
     def call(self, operation: str, function: str | None, **arguments: Any) -> Statuses:
         """Statuses (M,) of one call of a function of the package for every struct; see Driver.call()."""
         return self.driver.call(operation, function, self.memory, self.stride, **arguments)
+
+    # -- closed loops -------------------------------------------------------------------------------------------------
+
+    def fetch(self, member: str) -> Array:
+        """A member of the structs for NumPy; empty if it does not exist."""
+        return self.member(member)
+
+    def address_of(self, structs: Structs, keep: list[Any]) -> Any:
+        """Where the code that flies finds these structs or others; ``keep`` holds what has to live as long."""
+        return self.driver.pointer(structs.memory)
+
+    def place_of_known(self) -> tuple[int, int]:
+        """Bytes from the begin of a struct to the states of the last sample behind those of the user; their size."""
+        fields: Any = self._package.dtype.fields
+        member = fields["xhat" if "xhat" in fields else "x"]
+        return member[1] + self.dims.nx * self._real.itemsize, self.description.inner.count * self._real.itemsize
+
+    def reach(self, array: Array, keep: list[Any]) -> Any:
+        """The address of an array for that code."""
+        keep.append(array)
+        return self.driver.pointer(array)
+
+    def reach_structs(self, structs: Any, keep: list[Any]) -> Any:
+        """The address of an array of C structs for that code."""
+        keep.append(structs)
+        return structs
+
+    def block_size(self, flights: int, most: int) -> int:
+        """Flights that are flown at once: a few blocks for every thread, at most ``most`` flights."""
+        threads = max(1, min(self.driver.threads, flights))
+        return max(1, min(LARGEST, most, -(-flights // (BLOCKS * threads))))
+
+    def fly(self, shared: Any, block: slice, into: Into, rows: int) -> int:
+        """Fly the flights of a block; return 0, or the status of a setter that has refused data.
+
+        ``shared``: batch_flights_t without what is written to; ``rows``: numbers that a setter is given at most.
+        """
+        cast = self.driver.ffi.cast
+        c = self.driver.ffi.new("batch_flights_t *", shared[0])
+        for name, array in vars(into).items():
+            setattr(c, name, cast(self.driver.ffi.typeof(getattr(c, name)), self.driver.pointer(array)))
+        copies = reserve(2 * stride_of(max(int(c.controller.size), int(c.plant.size))))
+        scratch = np.zeros(max(1, rows), self._real)
+        c.copies, c.rows = cast("char *", self.driver.pointer(copies)), self.driver.pointer(scratch)
+        return int(self.driver.lib.batch_fly(c, block.start, block.stop))
+
+
+@dataclass(frozen=True, eq=False)
+class Into:
+    """What a block of flights writes, under the names of batch_flights_t."""
+
+    x: Array
+    u: Array
+    z: Array
+    status: Array
+    failed: Array
+    lost: Array
 
 
 def single(controller: Controller) -> Structs:

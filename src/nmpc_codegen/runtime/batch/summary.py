@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from nmpc_codegen.package.description import PackageDescription
 from nmpc_codegen.package.signals import Row
-from nmpc_codegen.runtime.access.iterate import Iterate
+from nmpc_codegen.runtime.batch.structs import Structs
 from nmpc_codegen.runtime.diagnosis.rows import NEGLIGIBLE, append_solved
 
 Array = NDArray[np.float64]
@@ -120,24 +120,23 @@ def _has_samples(row: Row, N: int) -> bool:
     return row.kind == "control" or 0 in path or len(path) > 1
 
 
-def data_before(where: Iterate, name: str, flights: slice, declared: Array, node: int = 0) -> Array:
+def data_before(batch: Structs, name: str, flights: slice, declared: Array, node: int = 0) -> Array:
     """Data of a node before the first sample, (flights or 1, ...); the declared ones if they are fixed or missing."""
-    found = where.member(name)
+    found = batch.fetch(name)
     if not found.size:
         return declared[None]
-    found = found[None] if where._struct.shape == () else found
     return np.asarray((found if len(found) == 1 else found[flights])[:, node], dtype=np.float64)
 
 
-def bounds_of(where: Iterate, flights: slice) -> tuple[Array, Array]:
+def bounds_of(batch: Structs, flights: slice) -> tuple[Array, Array]:
     """Smallest lower and largest upper bounds (flights or 1, rows) over the nodes before the end."""
-    rows, N = where.description.rows, where.dims.N
+    rows, N = batch.description.rows, batch.dims.N
     low, high = (np.array([getattr(row, side) for row in rows]) for side in ("lower", "upper"))
-    if where.description.online["bounds"] == "fixed" or not rows:
+    if batch.description.online["bounds"] == "fixed" or not rows:
         return low[None], high[None]
     found = []
     for name, pick in (("lower", np.min), ("upper", np.max)):
-        every = where._view(name)
+        every = batch.fetch(name)
         every = np.asarray(every if len(every) == 1 else every[flights], dtype=np.float64)
         shared = every.shape[1] <= N
         sides = [

@@ -21,7 +21,7 @@ from nmpc_codegen.errors import ControllerError
 from nmpc_codegen.package.signals import Kind, members
 from nmpc_codegen.runtime import given
 from nmpc_codegen.runtime.access.addressing import Addressing
-from nmpc_codegen.runtime.batch.driver import Driver
+from nmpc_codegen.runtime.batch.structs import Structs
 
 Array = NDArray[Any]
 Tables = Mapping[str, ArrayLike]
@@ -89,9 +89,10 @@ def reference_data(where: Addressing, references: ArrayLike | Tables | None, fli
     return [data for data in (path, end) if data.columns]
 
 
-def in_c(driver: Driver, where: Addressing, data: list[Data], ahead: NDArray[np.int64], keep: list[Any]) -> Any:
-    """The data as data_t[]; ``keep`` holds what they point to."""
-    found = driver.ffi.new("data_t[]", max(1, len(data)))
+def in_c(batch: Structs, where: Addressing, data: list[Data], ahead: NDArray[np.int64], keep: list[Any]) -> Any:
+    """The data as batch_data_t[]; ``keep`` holds what they point to."""
+    driver = batch.driver
+    found = driver.ffi.new("batch_data_t[]", max(1, len(data)))
     itemsize = where._real.itemsize
     for c, one in zip(found, data, strict=False):
         kind: Kind = "parameter" if one.setter == "PARAMETER" else "reference"
@@ -102,21 +103,19 @@ def in_c(driver: Driver, where: Addressing, data: list[Data], ahead: NDArray[np.
         stored, end = layout[0].shape, one.setter == "TERMINAL_REFERENCE"
         nodes = 1 if end else stored[0]
         times = (ahead[-1:] if end else ahead[:nodes]) if by_node else np.zeros(nodes, np.int64)
-        columns = driver.ffi.new("column_t[]", len(one.columns))
+        columns = driver.ffi.new("batch_column_t[]", len(one.columns))
         for column, of in zip(columns, one.columns, strict=True):
             values = np.ascontiguousarray(of.values)
-            column.column, column.rows, column.values = of.place, values.shape[1], driver.pointer(values)
+            column.column, column.rows, column.values = of.place, values.shape[1], batch.reach(values, keep)
             column.flight_step = 0 if len(values) == 1 else values.strides[0]
-            keep.append(values)
-        c.setter, c.number, c.nodes, c.width = getattr(driver.lib, one.setter), one.number, nodes, one.width
+        c.setter, c.number, c.nodes, c.width = getattr(driver.lib, f"BATCH_{one.setter}"), one.number, nodes, one.width
         c.set = driver.address(name, where._package)
         if by_node and not end:
             c.set_range = driver.address(f"{name}_range", where._package)
         c.offset, c.row_step = layout[1] + one.offset * itemsize, stored[-1] * itemsize
-        c.ahead, c.count, c.columns = driver.ffi.cast("int64_t *", driver.pointer(times)), len(one.columns), columns
-        keep += [times, columns]
-    keep.append(found)
-    return found
+        c.ahead, c.count = driver.ffi.cast("int64_t *", batch.reach(times, keep)), len(one.columns)
+        c.columns = batch.reach_structs(columns, keep)
+    return batch.reach_structs(found, keep)
 
 
 def at_samples(data: list[Data], flights: slice, steps: int, stored: Array) -> Array:
