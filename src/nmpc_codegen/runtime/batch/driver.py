@@ -6,6 +6,7 @@ Functions of the package are called by their addresses, so that a batch runs the
 from __future__ import annotations
 
 import os
+import time
 from collections import deque
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -28,6 +29,9 @@ PARTS = Path(__file__).parent
 
 #: Arithmetic as it is written: random numbers and sums have the same bits everywhere.
 EXACT = Profile("exact", ("-std=c99", "-O2", "-ffp-contract=off"), wrapper=False)
+
+#: Time (s) that it takes to wake a thread, and of a controller in a call before it is known.
+WAKING, UNKNOWN = 5e-5, 1e-6
 
 #: Controllers that a thread claims at once: of so many claims by every thread, at most so many controllers.
 CLAIMS, MOST = 8, 64
@@ -80,6 +84,7 @@ class Driver:
         header = declarations_of("driver.h", "device.h")
         text = _PROLOGUE.format(**sizes_of(package)) + header + part("processor.c")
         self.ffi, self.lib = load_library({"batch.h": header, "batch.c": text}, "batch", EXACT)
+        self._took: dict[str | None, float] = {}  # seconds of one controller in the last call of a function
         self._pool: tuple[int, ThreadPoolExecutor] | None = None
 
     def address(self, name: str, package: CompiledPackage | None = None) -> Any:
@@ -111,7 +116,7 @@ class Driver:
         """
         count = len(memory) // stride if index is None else len(index)
         status = np.zeros(count, np.int32)
-        threads = max(1, min(self.threads, count))
+        threads = self._worth(function, count)
         taken = np.zeros((threads, 8), np.int64)
         taken[:, 0] = [count * t // threads for t in range(threads)]
         call = self.ffi.new("batch_call_t *")
@@ -131,8 +136,14 @@ class Driver:
         call.status = self.ffi.cast("int32_t *", status.ctypes.data)
         call.place = list(places)
         call.number = number
+        begin = time.perf_counter()
         self.share(partial(self.lib.batch_run, call), range(threads))
+        self._took[function] = (time.perf_counter() - begin) * threads / max(1, count)
         return status
+
+    def _worth(self, function: str | None, count: int) -> int:
+        """Threads for a call: so many that each has more to do than it takes to wake it, by the last such call."""
+        return max(1, min(self.threads, count, round(count * self._took.get(function, UNKNOWN) / WAKING)))
 
     def draw(self, signal: Signal, seed: int, flight: int, out: NDArray[np.float64]) -> None:
         """Fill out (samples, nx) with the random numbers of a signal in a flight."""

@@ -5,14 +5,18 @@ u_k = step(x_k + noise_k),   x_{k+1} = plant(x_k, u_k, dt) + disturbance_k
 
 from __future__ import annotations
 
+import os
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from nmpc_codegen.errors import ControllerError
 from nmpc_codegen.package.status import Status
 from nmpc_codegen.runtime.batch.random import Signal
+from nmpc_codegen.runtime.records.paths import draw_paths
 
 Array = NDArray[Any]
 
@@ -26,8 +30,8 @@ class Flights:
     ended, or -1. cost: (F,), sum over the samples of the stage cost at the state of the plant and its control, with the
     references, weights and parameters of the sample; an integrated cost counts its value times the interval.
     violation: (F, rows), largest violation of each of ``rows`` in its unit, 0 where it is kept, NaN where it is not
-    known; the first state does not count. rounding: (rows,), violations up to this one are rounding. last: (F, nx),
-    last states.
+    known; the first state does not count. hard: (rows,), True for hard ones; rounding: (rows,), up to which violations
+    are rounding. last: (F, nx), last states.
 
     x (F, steps + 1, nx), u (F, steps, nu), status (F, steps) with record=True, else None; NaN and -1 after the end.
     """
@@ -39,6 +43,8 @@ class Flights:
     states: tuple[str, ...]
     controls: tuple[str, ...]
     rows: tuple[str, ...]
+    hard: NDArray[np.bool_]
+    units: Mapping[str, str]
     status_counts: NDArray[np.int64]
     failed: NDArray[np.int64]
     lost: NDArray[np.int64]
@@ -64,6 +70,29 @@ class Flights:
     def ok(self) -> NDArray[np.bool_]:
         """(F,): True for flights of which every sample was OK."""
         return np.asarray(self.status_counts[:, Status.OK] == self.steps)
+
+    @property
+    def wrong(self) -> NDArray[np.bool_]:
+        """(F,): True for flights with a failure, with a state that was not finite, or with a hard row violated."""
+        violated = np.any((self.violation > self.rounding) & self.hard, axis=1)
+        return np.asarray((self.failed >= 0) | (self.lost >= 0) | violated)
+
+    def plot(self, file: str | os.PathLike[str] | None = None) -> Any:
+        """Figure of the paths of all flights, wrong ones in red on top; written to ``file`` if one is given.
+
+        Raises:
+            ControllerError: the samples were not recorded, or there is none.
+            ExtraError: matplotlib is not installed.
+        """
+        if self.x is None or self.u is None or not self.u.size:
+            raise ControllerError("plot() needs the samples of at least one flight: simulate(..., record=True)")
+        names = (*self.states, *self.controls)
+        labels = [f"{name} ({self.units[name]})" if self.units.get(name) else name for name in names]
+        paths = [*np.moveaxis(self.x, 2, 0), *np.moveaxis(self.u, 2, 0)]
+        panels = list(zip(labels, paths, strict=True))
+        title = f"{self.name}: {len(self)} flights, {int(self.wrong.sum())} of them wrong"
+        unit = f"time ({self.time_unit})"
+        return draw_paths(panels, len(self.states), self.wrong, self.dt, title, unit, file)
 
     def summary(self) -> str:
         """A few lines: flights, samples by status, failed and lost flights, cost, rows that were violated."""

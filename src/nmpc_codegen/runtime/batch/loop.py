@@ -21,6 +21,7 @@ from nmpc_codegen.runtime.batch.summary import Judge, Samples, bounds_of, data_b
 from nmpc_codegen.runtime.batch.tables import Data, Tables, at_samples, in_c, parameter_data, reference_data
 from nmpc_codegen.runtime.given import SAME_TIME
 from nmpc_codegen.runtime.loops.sampling import integrations, interval_of
+from nmpc_codegen.runtime.records.html import units
 
 Array = NDArray[Any]
 
@@ -271,6 +272,8 @@ class _Result:
             loop.batch.names.states,
             loop.batch.names.controls,
             loop.judge.names,
+            np.array([described.rows[i].hard for i in loop.judge.rows], dtype=np.bool_),
+            units(described.states, described.controls),
             *(self._counts, self._failed, self._lost, self._cost, self._violation),
             *(loop.judge.rounding, self._last),
             *(x, None if u is None else u[..., : loop.batch.dims.nu], status),

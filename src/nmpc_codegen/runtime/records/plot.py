@@ -98,7 +98,7 @@ def draw(
         for axis in axes[len(curves) :]:
             axis.set_visible(False)
         _finish(figure, grid, time_label, curves[0].t)
-        _explain(figure, shown)
+        explain(figure, shown)
         figure.suptitle(title, fontsize=10, color=FAILURE_COLOR if len(marks[1]) else "0.2")
         if file is not None:
             figure.savefig(Path(file), dpi=160)
@@ -123,7 +123,7 @@ def _finish(figure: Any, grid: Any, time_label: str, t: Array) -> None:
     figure.align_ylabels()
 
 
-def _explain(figure: Any, shown: Iterable[Legend]) -> None:
+def explain(figure: Any, shown: Iterable[Legend]) -> None:
     """A legend of the lines and marks that occur."""
     styles = dict(shown)
     if styles:

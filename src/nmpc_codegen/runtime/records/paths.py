@@ -1,0 +1,97 @@
+"""The picture of many closed loops: all paths of every state and control, those that went wrong on top."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nmpc_codegen.runtime.extras import extra
+from nmpc_codegen.runtime.records.plot import (
+    CONTROL_COLOR,
+    FAILURE_COLOR,
+    ROW_HEIGHT,
+    STATE_COLOR,
+    STYLE,
+    WIDTH,
+    Legend,
+    explain,
+    new_figure,
+)
+
+Array = NDArray[np.float64]
+
+#: What the legend says, and the style of the line.
+MEDIAN: Legend = ("median", {"color": "0.1", "linewidth": 1.0})
+WRONG: Legend = ("failed, lost or a hard row violated", {"color": FAILURE_COLOR})
+MOST = 1000  # wrong paths that are drawn
+FEW = 200  # paths that are drawn as lines; of more, their density is drawn
+COLUMNS, ROWS = 360, 140  # of the picture of a density
+
+
+def draw_paths(
+    panels: Sequence[tuple[str, Array]],
+    states: int,
+    wrong: NDArray[np.bool_],
+    dt: float,
+    title: str,
+    time_label: str,
+    file: str | os.PathLike[str] | None,
+) -> Any:
+    """Figure with an axis for each of ``panels``: label, paths (flights, samples); ``states`` of them are states, the
+    rest controls, which are held until the next sample. ``wrong``: flights that are drawn last, in red."""
+    mpl = extra("matplotlib", "plot()")
+    collections = extra("matplotlib.collections", "plot()")
+    figure = new_figure((WIDTH, 0.8 + ROW_HEIGHT * len(panels)), file)
+    with mpl.rc_context(STYLE):
+        axes = figure.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0]
+        for i, (axis, (label, values)) in enumerate(zip(axes, panels, strict=True)):
+            paths = np.append(values, values[:, -1:], axis=1) if i >= states else values
+            t = dt * np.arange(paths.shape[1])
+            if i >= states:
+                t, paths = np.repeat(t, 2)[1:], np.repeat(paths, 2, axis=1)[:, :-1]
+            color = STATE_COLOR if i < states else CONTROL_COLOR
+            if np.sum(~wrong) > FEW:
+                _draw_density(axis, t, paths[~wrong], color)
+            for some, ink in ((~wrong & (len(wrong) <= FEW), color), (wrong, FAILURE_COLOR)):
+                lines = [np.column_stack([t, path]) for path in paths[some][:MOST]]
+                style = {"linewidths": 0.6, "alpha": 0.5, "rasterized": True}
+                axis.add_collection(collections.LineCollection(lines, colors=ink, **style))
+            axis.plot(t, np.nanmedian(paths, axis=0), **MEDIAN[1])
+            axis.use_sticky_edges = False
+            axis.margins(x=0.0, y=0.05)
+            axis.autoscale_view()
+            axis.set_ylabel(label)
+            axis.locator_params(axis="y", nbins=4)
+        axes[-1].set_xlabel(time_label)
+        axes[0].set_xlim(0.0, t[-1])
+        figure.align_ylabels(axes)
+        shown = [("median", {"color": "0.1", "linewidth": 1.0})]
+        explain(
+            figure,
+            [*shown, ("failed, lost or a hard row violated", {"color": FAILURE_COLOR})] if wrong.any() else shown,
+        )
+        figure.suptitle(title, fontsize=10, color="0.2")
+        if file is not None:
+            figure.savefig(Path(file), dpi=160)
+    return figure
+
+
+def _draw_density(axis: Any, t: Array, paths: Array, color: str) -> None:
+    """How many paths pass a place, on a logarithmic scale, from white to the color."""
+    low, high = float(np.nanmin(paths)), float(np.nanmax(paths))
+    edges = np.linspace(low, high if high > low else low + 1.0, ROWS + 1)
+    counts = np.zeros((ROWS, COLUMNS))
+    for j, time in enumerate(np.linspace(t[0], t[-1], COLUMNS)):
+        k = min(max(int(np.searchsorted(t, time, side="right")) - 1, 0), len(t) - 2)
+        share = (time - t[k]) / (t[k + 1] - t[k]) if t[k + 1] > t[k] else 1.0
+        values = paths[:, k] + share * (paths[:, k + 1] - paths[:, k])
+        counts[:, j] = np.histogram(values[np.isfinite(values)], edges)[0]
+    maps = extra("matplotlib.colors", "plot()").LinearSegmentedColormap.from_list("paths", ["white", color, "0.1"])
+    extent = (t[0], t[-1], edges[0], edges[-1])
+    axis.imshow(np.log1p(counts), cmap=maps, extent=extent, origin="lower", aspect="auto", interpolation="nearest")
+    axis.grid(visible=False)
