@@ -192,7 +192,7 @@ def test_problem_class_scaling_and_signs() -> None:
 
 
 @pytest.mark.usefixtures("compiler")
-@pytest.mark.parametrize("page", ["estimation", "samples", "formulations"])
+@pytest.mark.parametrize("page", ["estimation", "many", "samples", "formulations"])
 def test_programs_of_the_reference_run(page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     found = blocks(f"docs/{page}.md")

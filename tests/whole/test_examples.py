@@ -28,13 +28,14 @@ from examples import (
     fermentation,
     heat_rod,
     input_delay,
+    many_cranes,
     offset_free,
     output_rows,
     quadrotor,
     slew_rate,
     vandevusse,
 )
-from nmpc_codegen import OCP, Options, Status, build, cli
+from nmpc_codegen import OCP, ControllerError, Options, Status, build, cli
 from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.oracle.reference import Reference, node_data
 from nmpc_codegen.oracle.trajectory import CLASSICAL, Tableau, interval_map
@@ -449,6 +450,23 @@ def test_evaporation_main(tmp_path: Path, capsys: pytest.CaptureFixture[str]) ->
 
 
 @pytest.mark.usefixtures("quick")
+def test_many_cranes_main(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    """All arrive, no sample fails; the picture is that of a density, and of few flights that of lines."""
+    monkeypatch.setattr(many_cranes, "run", partial(many_cranes.run, 300))
+    flights = many_cranes.main(str(tmp_path / "many.png"))
+    assert flights.ok.all()
+    assert "within 0.1 m: 300 of 300" in capsys.readouterr().out
+    few = many_cranes.run(20)
+    few.plot(tmp_path / "few.png")
+    few.failed[3] = 5
+    assert few.wrong.sum() == 1
+    few.plot(tmp_path / "wrong.png")
+    for name in ("many", "few", "wrong"):
+        assert_picture(tmp_path / f"{name}.png")
+    with pytest.raises(ControllerError, match="record=True"):
+        many_cranes.run(2, record=False).plot()
+
+
 def test_estimation_main(tmp_path: Path) -> None:
     """Every sample is solved, the estimates converge to what is true, and the cart follows although it tilts."""
     log, errors = estimation.main(str(tmp_path / "estimation.png"))

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from nmpc_codegen import Batch, ControllerError, Online, OptionError, Options, batch, build
 from nmpc_codegen.package.status import Status
 from nmpc_codegen.runtime.controller import Controller
-from tests.runtime.batch.problems import N, car
+from tests.runtime.batch.problems import N, car, reactor
 
 Array = NDArray[np.float64]
 M = 23
@@ -155,6 +155,15 @@ def test_data_for_all_and_for_some(controller: Controller) -> None:
     same(many, singles)
     u, _ = many.step(X)
     np.testing.assert_array_equal(u, [c.step(x) for c, x in zip(singles, X, strict=True)])
+
+
+def test_references_without_an_end() -> None:
+    """The terminal residual is missing; names mean the path alone."""
+    many = batch(build(reactor(), None, "test"), 3)
+    many.set_reference({"x": [0.1, 0.2, 0.3]})
+    np.testing.assert_array_equal(many.view("yref")[:, :, 0], np.repeat([[0.1], [0.2], [0.3]], 4, axis=1))
+    with pytest.raises(ControllerError, match="has no terminal residual"):
+        many.set_terminal_reference([0.0])
 
 
 @pytest.mark.parametrize(

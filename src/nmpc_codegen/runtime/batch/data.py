@@ -10,6 +10,7 @@ no axis of nodes behind it:
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -116,7 +117,7 @@ class Told(Addressing):
     def _copy_of(self, member: str) -> Array:
         """A copy of stored rows of the controllers that are told, (count, nodes, size)."""
         found = np.array(self._view(member) if self._index is None else self._view(member)[self._index])
-        return found.reshape(self._count, -1, found.shape[-1])
+        return found.reshape(self._count, math.prod(found.shape[1:-1]), found.shape[-1])
 
     def _read(
         self,
