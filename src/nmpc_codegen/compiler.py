@@ -16,7 +16,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, overload
 
-from nmpc_codegen.components.qp import RiccatiActiveSet, RiccatiInteriorPoint
 from nmpc_codegen.errors import OptionError, warn
 from nmpc_codegen.exclusive import COMPILING
 from nmpc_codegen.frontend.classify import classify
@@ -193,7 +192,7 @@ def batch(
     Args:
         ocp_or_controller: a problem, which is built with ``options``; or a controller, of which all are copies.
         number: of controllers, M >= 1.
-        options: for a problem. None: chosen; on a GPU never an interior point, which is slow there.
+        options: for a problem.
         device: "cuda": on the present GPU of CuPy (extra [cuda]); its calls take and return arrays there.
         threads: >= 1; None: one for every core that this process may use. Results do not depend on it.
 
@@ -205,12 +204,4 @@ def batch(
     found = ocp_or_controller
     if options is not None and not isinstance(found, OCP):
         raise OptionError("batch(): options belong to a problem; a controller has been built with its own")
-    if isinstance(found, OCP):
-        found = build(found, options if options is not None or device == "cpu" else _for_gpu(found))
-    return make(found, number, device, threads)
-
-
-def _for_gpu(ocp: OCP) -> Options | None:
-    """Options for a GPU, where an interior point takes ten times as long as active sets."""
-    chosen = compile(ocp).description.options["qp"]
-    return Options(qp=RiccatiActiveSet()) if chosen == RiccatiInteriorPoint.__name__ else None
+    return make(build(found, options) if isinstance(found, OCP) else found, number, device, threads)

@@ -197,8 +197,9 @@ def test_programs_of_the_reference_run(page: str, tmp_path: Path, monkeypatch: p
     monkeypatch.chdir(tmp_path)
     found = blocks(f"docs/{page}.md")
     assert found
+    shared: dict[str, Any] = {}
     for block in found:
-        exec(block.text, {})
+        exec(block.text, shared if page == "many" else {})
 
 
 @pytest.mark.parametrize(("page", "scale"), [("acado", 1.0), ("acados", 0.3)])

@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 
 from nmpc_codegen import Batch, ControllerError, Online, OptionError, Options, batch, build
 from nmpc_codegen.package.status import Status
+from nmpc_codegen.runtime.batch.driver import EXACT, declarations_of, driver_text
+from nmpc_codegen.runtime.build import load_library
 from nmpc_codegen.runtime.controller import Controller
 from tests.runtime.batch.problems import N, car, reactor
 
@@ -198,6 +200,13 @@ def test_options_belong_to_problems(controller: Controller) -> None:
         batch(controller, 2, Options())
     with pytest.raises(IndexError, match="controller 2 of 2"):
         batch(controller, 2)[2]
+
+
+def test_the_driver_compiles_without_a_warning(controller: Controller) -> None:
+    header = declarations_of("driver.h", "device.h")
+    load_library(
+        {"batch.h": header, "batch.c": driver_text(controller._package)}, "batch", EXACT, warnings_as_errors=True
+    )
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork")

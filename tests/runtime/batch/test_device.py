@@ -10,11 +10,25 @@ import pytest
 from numpy.typing import NDArray
 
 from examples.crane import build_ocp
-from nmpc_codegen import OCP, Batch, Controller, ControllerError, Options, Uniform, batch, build
+from nmpc_codegen import (
+    OCP,
+    Batch,
+    Controller,
+    ControllerError,
+    NoCondensing,
+    Options,
+    Osqp,
+    RiccatiInteriorPoint,
+    Uniform,
+    batch,
+    build,
+)
 from nmpc_codegen.errors import BuildError, ExtraError
 from nmpc_codegen.runtime.batch.cuda import BEGIN
-from nmpc_codegen.runtime.batch.device import DeviceBatch, keep_calls, kernel_text
+from nmpc_codegen.runtime.batch.device import DeviceBatch, check_package, keep_calls, kernel_text
 from nmpc_codegen.runtime.batch.nvrtc import compile_kernel
+from nmpc_codegen.runtime.native import native
+from nmpc_codegen.targets import PORTABLE
 from tests.runtime.batch.emulated import Emulated
 from tests.runtime.batch.problems import N, car, reactor
 from tests.runtime.batch.test_flights import GAINS, MASSES, STEPS, TRACKS, VARIANTS, X0
@@ -173,6 +187,20 @@ def test_without_a_gpu() -> None:
             batch(build(car(), None, "test"), 2, device="cuda")
     with pytest.raises(ControllerError, match="device is 'tpu'; allowed: 'cpu', 'cuda'"):
         batch(build(car(), None, "test"), 2, device="tpu")  # type: ignore[arg-type]
+
+
+def test_what_a_device_does_not_run() -> None:
+    interior = build(car(), Options(qp=RiccatiInteriorPoint(), condensing=NoCondensing()), "test")
+    with pytest.warns(RuntimeWarning, match="its interior point takes ten times as long"):
+        check_package(interior._package)
+    check_package(build(car(), None, "test")._package)
+    osqp = build(build_ocp(), Options(qp=Osqp()), "test")
+    with pytest.raises(ControllerError, match="a QP solver of other authors"):
+        check_package(osqp._package)
+    if native() != PORTABLE:
+        lanes = build(car(), Options(target="native"), "test")
+        with pytest.raises(ControllerError, match=r"has the target .*; a device runs 'portable'"):
+            check_package(lanes._package)
 
 
 @pytest.mark.gpu

@@ -39,7 +39,12 @@ TARGET static void batch_call_algebraic(
 {
     (void)f;
 #if HAS_ALGEBRAIC
-    (void)PACKAGE(algebraic)((PACKAGE(solver_t) *)s, 0, x, u, z);
+    (void)PACKAGE(algebraic)((PACKAGE(solver_t) *)s, 0, x, u, z); /* NaN where there is no solution */
+#else
+    (void)s;
+    (void)x;
+    (void)u;
+    z[0] = (real_t)0;
 #endif
 }
 

@@ -12,7 +12,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from nmpc_codegen.errors import ControllerError
+from nmpc_codegen.errors import ControllerError, warn
 from nmpc_codegen.runtime import given
 from nmpc_codegen.runtime.batch.data import Told, numbers
 from nmpc_codegen.runtime.batch.driver import Driver, declarations_of, part, sizes_of
@@ -20,6 +20,7 @@ from nmpc_codegen.runtime.batch.many import Batch, check
 from nmpc_codegen.runtime.batch.structs import Into, Statuses, Structs, reserve, stride_of
 from nmpc_codegen.runtime.compiled import CompiledPackage
 from nmpc_codegen.runtime.controller import Controller
+from nmpc_codegen.targets import TARGETS
 
 Array = Any  # of the device
 
@@ -27,6 +28,9 @@ WORD = 4  # bytes
 
 #: Functions of at least so many lines are not inlined: the compiler takes a tenth of the time.
 LARGE = 8
+
+#: QP solvers whose threads diverge.
+SLOW = ("RiccatiInteriorPoint",)
 
 #: Functions of a package that not every package has.
 OPTIONAL = (
@@ -93,6 +97,19 @@ def keep_calls(lines: list[str]) -> list[str]:
     return found
 
 
+def check_package(package: CompiledPackage) -> None:
+    """ControllerError unless a device can run it; a RuntimeWarning says what it runs slowly."""
+    described = package.description
+    if TARGETS[described.target].lanes > 1 or any("/" in path for path in package.files):
+        what = f"target {described.target!r}" if TARGETS[described.target].lanes > 1 else "a QP solver of other authors"
+        raise ControllerError(
+            f'{package.name} has {what}; a device runs ISO C: Options(target="portable"), another qp='
+        )
+    if described.options.get("qp") in SLOW:
+        text = f"{package.name}: its interior point takes ten times as long on a GPU as an active-set method would"
+        warn(text, RuntimeWarning)
+
+
 class DeviceBatch(Batch):
     """A Batch whose structs stay on a device.
 
@@ -104,6 +121,7 @@ class DeviceBatch(Batch):
     def __init__(self, controller: Controller, number: int, engine: Engine) -> None:
         check(controller, number)
         package = controller._package
+        check_package(package)
         self._engine, self._xp = engine, engine.xp
         self.driver, self._count = Driver(package, 1), int(number)
         self.stride = stride_of(package.dtype.itemsize)

@@ -73,6 +73,11 @@ def part(name: str) -> str:
     return text
 
 
+def driver_text(package: CompiledPackage) -> str:
+    """The C that calls a package for many of its structs."""
+    return _PROLOGUE.format(**sizes_of(package)) + declarations_of("driver.h", "device.h") + part("processor.c")
+
+
 class Driver:
     """Calls of one package, by ``threads`` threads; None: as many as this process may use."""
 
@@ -81,9 +86,8 @@ class Driver:
             raise ControllerError(f"threads is {threads!r}; expected an integer >= 1, or None for all cores")
         self.package = package
         self.threads = _cores() if threads is None else int(threads)
-        header = declarations_of("driver.h", "device.h")
-        text = _PROLOGUE.format(**sizes_of(package)) + header + part("processor.c")
-        self.ffi, self.lib = load_library({"batch.h": header, "batch.c": text}, "batch", EXACT)
+        files = {"batch.h": declarations_of("driver.h", "device.h"), "batch.c": driver_text(package)}
+        self.ffi, self.lib = load_library(files, "batch", EXACT)
         self._took: dict[str | None, float] = {}  # seconds of one controller in the last call of a function
         self._pool: tuple[int, ThreadPoolExecutor] | None = None
 

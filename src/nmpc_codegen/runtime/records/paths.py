@@ -30,7 +30,7 @@ MEDIAN: Legend = ("median", {"color": "0.1", "linewidth": 1.0})
 WRONG: Legend = ("failed, lost or a hard row violated", {"color": FAILURE_COLOR})
 MOST = 1000  # wrong paths that are drawn
 FEW = 200  # paths that are drawn as lines; of more, their density is drawn
-COLUMNS, ROWS = 360, 140  # of the picture of a density
+COLUMNS, ROWS = 240, 90  # of the picture of a density
 
 
 def draw_paths(
@@ -77,7 +77,7 @@ def draw_paths(
         )
         figure.suptitle(title, fontsize=10, color="0.2")
         if file is not None:
-            figure.savefig(Path(file), dpi=160)
+            figure.savefig(Path(file), dpi=130)
     return figure
 
 
