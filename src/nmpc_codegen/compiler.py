@@ -31,7 +31,7 @@ from nmpc_codegen.lowering.render import render
 from nmpc_codegen.options import Options, common_options, for_estimator
 from nmpc_codegen.package.description import PackageDescription
 from nmpc_codegen.package.sources import Sources
-from nmpc_codegen.runtime.batch.choose import make
+from nmpc_codegen.runtime.batch.choose import check_request, make
 from nmpc_codegen.runtime.batch.many import Batch
 from nmpc_codegen.runtime.build import load, load_estimator
 from nmpc_codegen.runtime.controller import Controller
@@ -204,4 +204,5 @@ def batch(
     found = ocp_or_controller
     if options is not None and not isinstance(found, OCP):
         raise OptionError("batch(): options belong to a problem; a controller has been built with its own")
+    check_request(number, device, threads)
     return make(build(found, options) if isinstance(found, OCP) else found, number, device, threads)

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 
 import casadi as ca
+import numpy as np
 
 from nmpc_codegen.frontend.problem import Problem, Stage, symbols
 from nmpc_codegen.ir.casadi_types import Expression, elements
@@ -37,7 +38,7 @@ def program(problem: Problem) -> Program:
     suspects = [i for i, ins in enumerate(kernel.instructions) if _name(ins) in EDGES]
     value_of = {element: value for _, element, value in kernel.stores}
     of_rows = [value_of[len(parts) - len(rows) + i] for i in range(len(rows))]
-    of_cost = _costs(problem, value_of)
+    of_cost, weight = _costs(problem, value_of), problem.path.weight
     wanted = [*of_rows, *(value for _, value in of_cost), *(a for i in suspects for a in kernel.instructions[i].args)]
     kept, new = live(kernel.instructions, wanted)
     places = {place: new[value] for (_, _, place), value in zip(rows, of_rows, strict=True)}
@@ -51,6 +52,8 @@ def program(problem: Problem) -> Program:
         tuple(new[value] for name, value in of_cost if name not in GENERAL),
         tuple(problem.path.scale_with_dt),
         (_of_name(GENERAL[0], of_cost, new), _of_name(GENERAL[1], of_cost, new)),
+        tuple(float(w) for w in (np.diag(weight) if problem.path.diagonal_weight else weight.ravel())),
+        tuple(_resets(problem)),
     )
 
 
@@ -58,6 +61,16 @@ def _costs(problem: Problem, value_of: Mapping[int, int]) -> list[tuple[str, int
     """Names and values of the residuals and general costs of the path."""
     first = problem.nx + len(problem.maps) + len(list(_of_stage(problem.start)))
     return [(name, value_of[first + i]) for i, (name, _) in enumerate(_of_stage(problem.path))]
+
+
+def _resets(problem: Problem) -> Iterator[int]:
+    """Numbers of the rows that contain accumulators."""
+    known = ca.vertcat(*(problem.path.x[i] for i in problem.accumulators))
+    for number, row in enumerate(problem.rows):
+        if row.kind == "state" and row.index in problem.accumulators:
+            yield number
+        if row.is_general and row.index >= 0 and known.numel() and ca.depends_on(problem.path.h[row.index], known):
+            yield number
 
 
 def _of_name(name: str, values: Sequence[tuple[str, int]], new: Mapping[int, int]) -> int:

@@ -62,7 +62,8 @@ class Program:
     or the row is no general one. ``operations``: those with an edge. ``lookups``: tables, which a step "lookup" reads
     by the number that is its constant. ``residuals``: steps of the path residual; ``scaled``: those whose weight is
     multiplied by the length of the interval; ``costs``: steps of the general cost of a node and of the integrated one;
-    -1: there is none.
+    -1: there is none. ``weight``: the declared one of the path residual, its diagonal, or row by row. ``resets``: rows
+    that contain states which every sample resets.
     """
 
     steps: tuple[Step, ...] = ()
@@ -72,6 +73,8 @@ class Program:
     residuals: tuple[int, ...] = ()
     scaled: tuple[bool, ...] = ()
     costs: tuple[int, int] = (-1, -1)
+    weight: tuple[float, ...] = ()
+    resets: tuple[int, ...] = ()
 
     def check(self, sizes: Sequence[int], rows: int, edges: Container[str]) -> None:
         """ValueError unless all that it refers to exists.
@@ -94,6 +97,8 @@ class Program:
                 raise ValueError(f"step {i} of the program is {name} {first} {second}")
         if len(self.residuals) != len(self.scaled):
             raise ValueError(f"the program has {len(self.residuals)} residuals, of which {len(self.scaled)} are scaled")
+        if len(self.weight) not in (len(self.residuals), len(self.residuals) ** 2):
+            raise ValueError(f"the program has {len(self.residuals)} residuals and {len(self.weight)} weights")
         operands = [o.operands for o in self.operations]
         for steps, least in ((self.rows, -1), (operands, 0), ([self.residuals], 0), ([self.costs], -1)):
             if not all(least <= i < len(self.steps) for pair in steps for i in pair):

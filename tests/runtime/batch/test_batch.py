@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from nmpc_codegen import Batch, ControllerError, Online, OptionError, Options, batch, build
 from nmpc_codegen.package.status import Status
-from nmpc_codegen.runtime.batch.driver import EXACT, declarations_of, driver_text
+from nmpc_codegen.runtime.batch.driver import EXACT, declarations_of, driver_text, sizes_of
 from nmpc_codegen.runtime.build import load_library
 from nmpc_codegen.runtime.controller import Controller
 from tests.runtime.batch.problems import N, car, reactor
@@ -41,6 +41,7 @@ def same(many: Batch, singles: list[Controller]) -> None:
 @pytest.mark.parametrize("threads", [1, 2, 5, None])
 def test_calls_have_the_bits_of_single_controllers(controller: Controller, threads: int | None) -> None:
     many, singles, x = Batch(controller, M, threads), [controller.copy() for _ in range(M)], X.copy()
+    many.driver._took |= {"step": 1.0, "integrate": 1.0}  # worth all threads
     for k in range(6):
         x[k] = np.nan if k == 3 else x[k]
         u, status = many.step(x)
@@ -135,6 +136,7 @@ def test_data_for_all_and_for_some(controller: Controller) -> None:
     many.set_terminal_reference([[0.1, 0.2]], index=some)
     many.set_weight(W)
     many.set_weight(W[:1], node=3)
+    many.set_reference({"p": Y[21:, :, 2]}, index=np.arange(M) > 20)
     many.set_terminal_weight(np.eye(2)[None] * 3)
     many.set_bounds("a", low, 1.5)
     many.set_bounds("v", np.full((1, N + 1), -0.8), 0.9, index=some)
@@ -150,6 +152,8 @@ def test_data_for_all_and_for_some(controller: Controller) -> None:
             one.set_terminal_reference([0.1, 0.2])
         one.set_weight(W[i])
         one.set_weight(W[0], node=3)
+        if i > 20:
+            one.set_reference({"p": Y[i, :, 2][:N]})
         one.set_terminal_weight(np.eye(2) * 3)
         one.set_bounds("a", low[i], 1.5)
         if i in some:
@@ -157,6 +161,25 @@ def test_data_for_all_and_for_some(controller: Controller) -> None:
     same(many, singles)
     u, _ = many.step(X)
     np.testing.assert_array_equal(u, [c.step(x) for c, x in zip(singles, X, strict=True)])
+
+
+def test_weights_of_as_many_controllers_as_residuals() -> None:
+    """A square array alone would be both: a diagonal for each, or a matrix for all."""
+    ctrl = build(car(), Options(online=Online(dense_weight=True)), "test")
+    many, W = Batch(ctrl, 5), np.diag(np.arange(1.0, 6.0)) + 0.1
+    with pytest.raises(ControllerError, match=r"expected W\[None\] for a matrix, W\[:, None\] for diagonals"):
+        many.set_weight(W)
+    many.set_weight(W[None])
+    single = ctrl.copy()
+    single.set_weight(W)
+    same(many, [single] * 5)
+    many.set_weight(W[:, None])
+    for i, one in enumerate(many):
+        single.set_weight(W[i])
+        np.testing.assert_array_equal(one._memory, single._memory)
+    W[3, 3] = -1.0
+    with pytest.raises(ControllerError, match="weight of controller 3 must be positive semidefinite"):
+        many.set_weight(W[:, None])
 
 
 def test_references_without_an_end() -> None:
@@ -182,6 +205,9 @@ def test_references_without_an_end() -> None:
         (lambda m: m.set_parameter("m", 1.0, index=[M]), "names controller 23 of 23"),
         (lambda m: m.reset(np.ones(3, bool)), "expected integers, or a mask"),
         (lambda m: m.solve(X, tol=-1), "tol is -1"),
+        (lambda m: m.solve(X, max_iterations=2**40), "max_iterations is"),
+        (lambda m: m.integrate(X, np.zeros((M, 1)), "a"), "dt is no array of numbers"),
+        (lambda m: m.set_weight(np.eye(5)[:, None] - 2), "weight has shape"),
         (lambda m: Batch(m[0], 0), "number is 0"),
         (lambda m: Batch(m[0], 2, threads=0), "threads is 0"),
         (lambda m: Batch(m, 2), "expected an OCP or a Controller"),
@@ -205,7 +231,10 @@ def test_options_belong_to_problems(controller: Controller) -> None:
 def test_the_driver_compiles_without_a_warning(controller: Controller) -> None:
     header = declarations_of("driver.h", "device.h")
     load_library(
-        {"batch.h": header, "batch.c": driver_text(controller._package)}, "batch", EXACT, warnings_as_errors=True
+        {"batch.h": header, "batch.c": driver_text(sizes_of(controller._package))},
+        "batch",
+        EXACT,
+        warnings_as_errors=True,
     )
 
 
@@ -213,8 +242,10 @@ def test_the_driver_compiles_without_a_warning(controller: Controller) -> None:
 def test_a_fork_has_threads_of_its_own(controller: Controller) -> None:
     many = Batch(controller, M, 2)
     expected, _ = Batch(controller, M, 2).step(X)
+    many.driver._took["step"] = 1.0  # worth a thread
     many.step(X)
     many.reset()
+    assert many.driver._pool is not None
     child = os.fork()
     if child == 0:  # pragma: no cover - in another process
         u, _ = Batch(controller, M, 2).step(X)

@@ -8,10 +8,9 @@ from scipy import special, stats
 
 from nmpc_codegen import ControllerError, Normal, Uniform
 from nmpc_codegen.runtime.batch.driver import EXACT, part
+from nmpc_codegen.runtime.batch.flights import draw
 from nmpc_codegen.runtime.batch.random import NOISE, Signal, signal
-from nmpc_codegen.runtime.batch.structs import single
 from nmpc_codegen.runtime.build import load_library
-from nmpc_codegen.runtime.controller import Controller
 
 PROBE = """
 #include <math.h>
@@ -69,13 +68,12 @@ def test_inverse_of_the_normal_distribution(probe) -> None:  # type: ignore[no-u
     np.testing.assert_allclose([lib.log_of(v) for v in x], np.log(x), rtol=4e-16, atol=1e-17)
 
 
-def test_numbers_are_those_of_flight_sample_and_state(toy: Controller) -> None:
-    driver = single(toy).driver
+def test_numbers_are_those_of_flight_sample_and_state() -> None:
     for uniform, law in ((True, stats.uniform(-1, 2)), (False, stats.norm())):
         out = np.zeros((200, 3))
         drawn = []
         for flight in range(60):
-            driver.draw(Signal(np.array([1.0, 2.0, 0.5]), uniform, NOISE), 7, flight, out)
+            draw(Signal(np.array([1.0, 2.0, 0.5]), uniform, NOISE), 7, flight, out)
             drawn.append(out / [1.0, 2.0, 0.5])
         values = np.array(drawn)
         assert stats.kstest(values.ravel(), law.cdf).pvalue > 1e-3
@@ -83,9 +81,9 @@ def test_numbers_are_those_of_flight_sample_and_state(toy: Controller) -> None:
         flat = values.reshape(60, -1)
         assert abs(np.corrcoef(flat[:-1].ravel(), flat[1:].ravel())[0, 1]) < 0.01
         again = np.zeros((200, 3))
-        driver.draw(Signal(np.array([1.0, 2.0, 0.5]), uniform, NOISE), 7, 59, again)
+        draw(Signal(np.array([1.0, 2.0, 0.5]), uniform, NOISE), 7, 59, again)
         np.testing.assert_array_equal(again, out)
-        driver.draw(Signal(np.array([1.0, 2.0, 0.5]), uniform, NOISE), 8, 59, again)
+        draw(Signal(np.array([1.0, 2.0, 0.5]), uniform, NOISE), 8, 59, again)
         assert not np.any(again == out)
 
 

@@ -52,7 +52,7 @@ class Told(Addressing):
         """References of some residuals; the others stay as they are."""
         N = self.dims.N
         stored = {end: self._copy_of("yref_N" if end else "yref") for end in (False, True)}
-        sent = set()
+        sent: set[bool] = set()
         for name, value in values.items():
             elements = self._elements_of(name, node)
             rows = self._read(value, f"reference of {name!r}", len(elements), lengths)
@@ -61,7 +61,7 @@ class Told(Addressing):
                     nodes = slice(None) if node is None else slice(node, node + 1)
                     stored[False][:, nodes, self.names.y.index(element)] = column[:, :N]
                     sent.add(False)
-                if element in self.names.y_N and node in (None, N):
+                if element in self.names.y_N and node in (None, N) and (node == N or rows.shape[1] in (1, N + 1)):
                     stored[True][:, 0, self.names.y_N.index(element)] = column[:, -1]
                     sent.add(True)
         for end in sorted(sent):
@@ -73,15 +73,35 @@ class Told(Addressing):
         end = node is not None and node == self.dims.N
         size = self.dims.ny_N if end else self.dims.ny
         self._expect_residual(size, end)
-        diagonal = given.ndim(W) < 3
+        shape = np.shape(W) if given.ndim(W) >= 0 else ()
+        if shape == (size, size) and size > 1 and self._count == size:
+            raise ControllerError(
+                f"weight has shape {shape}; expected W[None] for a matrix, W[:, None] for diagonals of the controllers"
+            )
+        diagonal = len(shape) < 3 or (shape[1] == 1 and size > 1)
+        if diagonal and len(shape) == 3:
+            W = np.asarray(W)[:, 0]
         flat = self._read(W, "weight", size if diagonal else size * size, [], matrix=None if diagonal else size)
-        rows = flat[:, 0] if diagonal else flat.reshape(-1, size, size)
-        if self._is_matrix(end):
-            dense = given.check_weights(rows, "weight", self._real)
-            rows = np.einsum("ki,ij->kij", dense, np.eye(size, dtype=self._real)) if diagonal else dense
-        else:
+        rows = self._check_weights(flat[:, 0] if diagonal else flat.reshape(-1, size, size))
+        if self._is_matrix(end) and diagonal:
+            rows = np.einsum("ki,ij->kij", rows, np.eye(size, dtype=self._real))
+        elif not self._is_matrix(end) and not diagonal:
             rows = given.weights(rows, "weight", self._real, size, False, [len(rows)])
         self._send("terminal_weight" if end else "weight", rows.reshape(len(rows), 1, -1), node)
+
+    def _check_weights(self, rows: Array) -> Array:
+        """Weights that are positive semidefinite; ControllerError names the controller of another one."""
+        for i, W in enumerate(rows):
+            what = "weight" if len(rows) == 1 else f"weight of controller {self._number(i)}"
+            if W.ndim == 1 and (W < 0).any():
+                raise ControllerError(f"{what} must be positive semidefinite, but has the eigenvalue {W.min():g}")
+            if W.ndim == 2:
+                rows[i] = given.checked_weight(W, what, ControllerError, float(np.finfo(self._real).eps))
+        return rows
+
+    def _number(self, i: int) -> int:
+        """The number of one of those that are told."""
+        return i if self._index is None else int(self._index[i])
 
     def set_parameters(self, values: Named, node: int | None) -> None:
         """Parameters or elements of them: all, or none if one is wrong."""
@@ -132,7 +152,7 @@ class Told(Addressing):
         one: tuple[int, ...] = (size,) if matrix is None else (matrix, matrix)
         axes = [(), *((n,) for n in (self._count, 1)), *((n, k) for n in (self._count, 1) for k in lengths)]
         bare = axes if size == 1 else [()]  # numbers, without an axis of elements
-        allowed = [*(bare if matrix is None else []), *((*a, *one) for a in axes)]
+        allowed = list(dict.fromkeys([*(bare if matrix is None else []), *((*a, *one) for a in axes)]))
         shape = np.shape(value) if given.ndim(value) >= 0 else None
         found = shape if shape in allowed and shape is not None else (self._count, *one)
         array = given.checked_array(value, what, self._real, found, finite, lambda: ", ".join(map(str, allowed)))
@@ -179,7 +199,7 @@ def numbers(index: ArrayLike, count: int) -> NDArray[np.int64]:
     if found.dtype == np.bool_ and found.shape == (count,):
         return np.flatnonzero(found)
     if found.ndim != 1 or (found.size and found.dtype.kind not in "iu"):
-        raise ControllerError(f"index has shape {found.shape}; expected integers, or a mask of shape ({count},)")
+        raise ControllerError(f"index is {index!r:.60}; expected integers, or a mask of shape ({count},)")
     chosen = found.astype(np.int64)
     if ((chosen < -count) | (chosen >= count)).any():
         raise ControllerError(f"index names controller {chosen[(chosen < -count) | (chosen >= count)][0]} of {count}")

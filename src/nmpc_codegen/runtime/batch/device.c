@@ -6,18 +6,16 @@
 /* Copy a struct out of the interleaved ones. */
 TARGET static void batch_load(PACKAGE(solver_t) *s, const uint32_t *words, int64_t structs, int64_t i)
 {
-    uint32_t *own = (uint32_t *)(void *)s;
     for (size_t w = 0; w < WORDS; w++) {
-        own[w] = words[(int64_t)w * structs + i];
+        memcpy((char *)s + w * sizeof(uint32_t), &words[(int64_t)w * structs + i], sizeof(uint32_t));
     }
 }
 
 /* Copy it back. */
 TARGET static void batch_store(const PACKAGE(solver_t) *s, uint32_t *words, int64_t structs, int64_t i)
 {
-    const uint32_t *own = (const uint32_t *)(const void *)s;
     for (size_t w = 0; w < WORDS; w++) {
-        words[(int64_t)w * structs + i] = own[w];
+        memcpy(&words[(int64_t)w * structs + i], (const char *)s + w * sizeof(uint32_t), sizeof(uint32_t));
     }
 }
 
@@ -135,11 +133,12 @@ TARGET static int32_t batch_fly_there(const batch_launch_t *l, int64_t t, PACKAG
 /* What a thread does for its controller. */
 KERNEL batch_all(const batch_launch_t *l)
 {
-    const int64_t t = THREAD, i = (l->index == NULL) ? l->from + t : l->index[t];
+    const int64_t t = THREAD;
     const int fly = l->operation == BATCH_ON_FLY, copy = l->operation == BATCH_ON_COPY;
     const int one = copy || (fly && l->structs == 1);
     PACKAGE(solver_t) s;
     if (t < l->threads) {
+        const int64_t i = (l->index == NULL) ? l->from + t : l->index[t];
         batch_load(&s, copy ? (const uint32_t *)l->first : l->words, one ? 1 : l->structs, one ? 0 : i);
         l->status[t] = fly ? batch_fly_there(l, t, &s) : batch_on(l, t, &s);
         if (!fly || l->structs > 1) {

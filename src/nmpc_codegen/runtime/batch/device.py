@@ -26,6 +26,9 @@ Array = Any  # of the device
 
 WORD = 4  # bytes
 
+#: Bytes of the samples of a launch at most.
+BYTES = 2**31
+
 #: Functions of at least so many lines are not inlined: the compiler takes a tenth of the time.
 LARGE = 8
 
@@ -100,10 +103,11 @@ def keep_calls(lines: list[str]) -> list[str]:
 def check_package(package: CompiledPackage) -> None:
     """ControllerError unless a device can run it; a RuntimeWarning says what it runs slowly."""
     described = package.description
-    if TARGETS[described.target].lanes > 1 or any("/" in path for path in package.files):
-        what = f"target {described.target!r}" if TARGETS[described.target].lanes > 1 else "a QP solver of other authors"
+    if TARGETS[described.target].lanes > 1:
+        raise ControllerError(f"{package.name} has the target {described.target!r}; a device runs 'portable' ones")
+    if any("/" in path for path in package.files):
         raise ControllerError(
-            f'{package.name} has {what}; a device runs ISO C: Options(target="portable"), another qp='
+            f"{package.name} has a QP solver of other authors, which no device runs; choose another qp"
         )
     if described.options.get("qp") in SLOW:
         text = f"{package.name}: its interior point takes ten times as long on a GPU as an active-set method would"
@@ -173,8 +177,10 @@ class DeviceBatch(Batch):
         """States or controls (M, width) on the device, without a copy if they are there."""
         if isinstance(value, np.ndarray | list | tuple):
             value = given.checked_array(value, what, self._real, (self._count, width), finite=False)
-        elif not isinstance(value, self._xp.ndarray):
+        elif hasattr(value, "__dlpack__"):
             value = self._xp.from_dlpack(value)
+        elif not isinstance(value, self._xp.ndarray):
+            raise ControllerError(f"{what} is {value!r:.60}; expected an array of shape ({self._count}, {width})")
         array = self._xp.ascontiguousarray(self._xp.asarray(value, self._real))
         if array.shape != (self._count, width):
             raise ControllerError(f"{what} has shape {array.shape}; expected ({self._count}, {width})")
@@ -195,7 +201,21 @@ class DeviceBatch(Batch):
         rows[:, :bytes_of] = np.ascontiguousarray(self._engine.fetch(self.words).T).view(np.uint8)
         return Structs(self.driver, memory, self._count, self.stride)
 
-    copy = host
+    def shares(self, other: Structs) -> bool:
+        return other is self
+
+    def twin(self) -> Structs:
+        return self.host()
+
+    def copy(self) -> Batch:
+        twin = DeviceBatch(self[0], self._count, self._engine)
+        twin.words[...] = self.words
+        return twin
+
+    __copy__ = copy
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        raise ControllerError("a batch on a device cannot be pickled; many[i] can")
 
     def _tell(self, index: ArrayLike | None, tell: Callable[[Told], None]) -> None:
         host = self.host()
@@ -218,6 +238,8 @@ class DeviceBatch(Batch):
         begin, layout = self._find(path)
         if layout is None:
             return self._xp.zeros((self._count, *self._package.empty[path]), self._real)
+        if begin < 0 or (layout.base.fields is not None and layout.shape):
+            return self.host().view(path)
         if layout.base.fields is not None:
             host = self._engine.fetch(self._words_of(begin, layout))
             return np.ascontiguousarray(host.T).view(layout.base).reshape(self._count)
@@ -240,11 +262,12 @@ class DeviceBatch(Batch):
 
     def _set_multipliers(self, name: str, value: ArrayLike) -> None:
         every, shape = self._every_multiplier(name).copy(), (self._count, *self._row_multipliers.shapes[name])
-        self._row_multipliers.write(name, self._array(name, value, shape), every)
+        on_host = value if isinstance(value, np.ndarray | list) else self._engine.fetch(value)
+        self._row_multipliers.write(name, self._array(name, on_host, shape), every)
         self._put("mult", self._xp.asarray(every))
 
     def _find(self, path: str) -> tuple[int, Any]:
-        """First byte and type of a member; None: the package lacks it as it is empty."""
+        """First byte and type of a member; None: it is empty, and the package lacks it; < 0: in an array of structs."""
         begin, layout = 0, self._package.dtype
         for name in path.split("."):
             fields: Any = layout.base.fields or {}
@@ -252,7 +275,7 @@ class DeviceBatch(Batch):
                 return 0, None
             if name not in fields:
                 raise AttributeError(f"the algorithm of {self._package.name} has no {path!r}")
-            begin, layout = begin + fields[name][1], fields[name][0]
+            begin, layout = -1 if layout.shape or begin < 0 else begin + fields[name][1], fields[name][0]
         return begin, layout
 
     def _words_of(self, begin: int, layout: Any) -> Array:
@@ -291,9 +314,8 @@ class DeviceBatch(Batch):
         address = self.reach(np.frombuffer(ffi.buffer(structs), np.uint8).copy(), keep)
         return ffi.cast(ffi.getctype(ffi.typeof(structs).item, "*"), address)
 
-    def block_size(self, flights: int, most: int) -> int:
-        sample = 8 * (self.dims.nx + self.description.interface["NU"] + len(self.names.algebraic)) + 1
-        return max(1, min(flights, self._engine.largest(sample), most * 64))
+    def block_size(self, flights: int, bytes_of: int) -> int:
+        return max(1, min(flights, self._engine.largest(bytes_of), BYTES // bytes_of))
 
     def fly(self, shared: Any, block: slice, into: Into, rows: int) -> int:
         ffi = self.driver.ffi

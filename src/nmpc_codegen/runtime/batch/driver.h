@@ -77,9 +77,9 @@ typedef struct { /* data that are set before every sample, by one call of a sett
 
 typedef enum { BATCH_PARAMETER, BATCH_REFERENCE, BATCH_TERMINAL_REFERENCE } batch_setter_t;
 
-typedef struct { /* the struct of a flight: one of many, or a copy of one */
+typedef struct { /* structs of flights: one for each, or one for all */
     char *memory;
-    int64_t stride; /* bytes; 0: every flight begins with a copy */
+    int64_t stride; /* bytes from one to the next; 0: one for all */
     int64_t size; /* bytes of a struct */
     int64_t structs;
     int32_t count;
@@ -90,8 +90,10 @@ typedef struct { /* closed loops: x_{k+1} = plant(x_k, u_k) + disturbance_k, u_k
     batch_function_t step;
     batch_function_t integrate; /* of the plant */
     batch_function_t algebraic; /* NULL: there are no algebraic variables */
-    batch_place_t controller;
-    batch_place_t plant; /* memory NULL: the controller is its own plant */
+    batch_place_t controller; /* a flight changes its own, or a copy of the one for all */
+    batch_place_t plant; /* a flight changes a copy; memory NULL: the controller is its own plant */
+    int32_t plant_is_true; /* 1: algebraic variables are those of the plant, else those of the controller */
+    const volatile int32_t *stop; /* not 0: flights end before their next sample; NULL: never */
     int64_t known; /* bytes from a struct to what a sample knows of the one before: plants of their own are told it */
     int64_t known_size; /* bytes */
     int64_t steps;
@@ -116,7 +118,7 @@ typedef struct { /* closed loops: x_{k+1} = plant(x_k, u_k) + disturbance_k, u_k
     void *rows; /* largest number of rows and columns of any data */
 } batch_flights_t;
 
-/* Fly the flights from .. until - 1. Returns 0, or the status of a setter that has refused data. */
+/* Fly the flights from .. until - 1. Returns 0, the status of a setter that has refused data, or -1 if it was stopped. */
 int32_t batch_fly(const batch_flights_t *f, int64_t from, int64_t until);
 
 /* The random numbers of a signal (count, n) of samples from .. from + count - 1 of a flight. */

@@ -8,9 +8,10 @@ from __future__ import annotations
 import os
 import time
 from collections import deque
-from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from functools import partial
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor, wait
+from contextlib import suppress
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nmpc_codegen.errors import ControllerError
-from nmpc_codegen.runtime.batch.random import Signal
 from nmpc_codegen.runtime.build import BEGIN, END, Profile, declarations, load_library
 from nmpc_codegen.runtime.compiled import CompiledPackage
 from nmpc_codegen.runtime.given import is_integer
@@ -73,22 +73,33 @@ def part(name: str) -> str:
     return text
 
 
-def driver_text(package: CompiledPackage) -> str:
-    """The C that calls a package for many of its structs."""
-    return _PROLOGUE.format(**sizes_of(package)) + declarations_of("driver.h", "device.h") + part("processor.c")
+def driver_text(sizes: Mapping[str, object]) -> str:
+    """The C that calls a package of these sizes for many of its structs."""
+    return _PROLOGUE.format(**sizes) + declarations_of("driver.h", "device.h") + part("processor.c")
+
+
+def load_driver(sizes: Mapping[str, object]) -> tuple[Any, Any]:
+    """ffi and lib of this C."""
+    files = {"batch.h": declarations_of("driver.h", "device.h"), "batch.c": driver_text(sizes)}
+    return load_library(files, "batch", EXACT)
+
+
+@cache
+def generator() -> tuple[Any, Any]:
+    """ffi and lib of the random numbers, which are the same for all packages."""
+    return load_driver({"real": "double", "N": 1, "NX": 1, "NU": 1, "NALG": 1})
 
 
 class Driver:
     """Calls of one package, by ``threads`` threads; None: as many as this process may use."""
 
     def __init__(self, package: CompiledPackage, threads: int | None = None) -> None:
-        if threads is not None and (not is_integer(threads) or threads < 1):
-            raise ControllerError(f"threads is {threads!r}; expected an integer >= 1, or None for all cores")
+        check_threads(threads)
         self.package = package
         self.threads = _cores() if threads is None else int(threads)
-        files = {"batch.h": declarations_of("driver.h", "device.h"), "batch.c": driver_text(package)}
-        self.ffi, self.lib = load_library(files, "batch", EXACT)
+        self.ffi, self.lib = load_driver(sizes_of(package))
         self._took: dict[str | None, float] = {}  # seconds of one controller in the last call of a function
+        self.stop = np.zeros(1, np.int32)  # 1: flights end before their next sample
         self._pool: tuple[int, ThreadPoolExecutor] | None = None
 
     def address(self, name: str, package: CompiledPackage | None = None) -> Any:
@@ -149,38 +160,45 @@ class Driver:
         """Threads for a call: so many that each has more to do than it takes to wake it, by the last such call."""
         return max(1, min(self.threads, count, round(count * self._took.get(function, UNKNOWN) / WAKING)))
 
-    def draw(self, signal: Signal, seed: int, flight: int, out: NDArray[np.float64]) -> None:
-        """Fill out (samples, nx) with the random numbers of a signal in a flight."""
-        random = self.ffi.new("batch_random_t *")
-        random.size = self.ffi.cast("double *", self.pointer(signal.size))
-        random.uniform, random.stream = signal.uniform, signal.stream
-        pointer = self.ffi.cast("double *", self.pointer(out))
-        self.lib.batch_draw(random, seed, flight, 0, len(out), out.shape[1], pointer)
+    def share(self, function: Callable[[Any], Any], work: Sequence[Any], interruptible: bool = False) -> None:
+        """Call a function that releases the interpreter for each piece of work: threads take one after the other.
 
-    def share(self, function: Callable[[Any], Any], work: Sequence[Any]) -> list[Any]:
-        """The results of a function that releases the interpreter, for each piece of work: threads take one after the
-        other."""
-        found: list[Any] = [None] * len(work)
-        pending = iter(enumerate(work))
+        ``interruptible``: this thread waits, so that an interrupt stops the flights; else it takes its part.
+        """
+        pending = iter(work)
 
         def serve() -> None:
-            for i, one in pending:
-                found[i] = function(one)
+            try:
+                for one in pending:
+                    function(one)
+            finally:
+                deque(pending, maxlen=0)  # after an error, nobody begins another piece
 
-        helpers = [self._threads().submit(serve) for _ in range(min(len(work), self.threads) - 1)]
+        helpers = [self._threads().submit(serve) for _ in range(min(len(work), self.threads) - (not interruptible))]
         try:
-            serve()
+            if not interruptible:
+                serve()
+            wait(helpers)
         finally:
-            deque(pending, maxlen=0)  # after an error, nobody begins another piece
-            for helper in helpers:
-                helper.result()
-        return found
+            self.stop[0] = 1
+            while not all(helper.done() for helper in helpers):  # what they write to must live as long
+                with suppress(KeyboardInterrupt):
+                    wait(helpers)
+            self.stop[0] = 0
+        for helper in helpers:
+            helper.result()
 
     def _threads(self) -> ThreadPoolExecutor:
         """The threads of this process: a fork does not have those of its parent."""
         if self._pool is None or self._pool[0] != os.getpid():
-            self._pool = os.getpid(), ThreadPoolExecutor(self.threads - 1, "nmpc_codegen")
+            self._pool = os.getpid(), ThreadPoolExecutor(self.threads, "nmpc_codegen")
         return self._pool[1]
+
+
+def check_threads(threads: int | None) -> None:
+    """ControllerError unless it is a number of threads, or None."""
+    if threads is not None and (not is_integer(threads) or threads < 1):
+        raise ControllerError(f"threads is {threads!r}; expected an integer >= 1, or None for all cores")
 
 
 def _cores() -> int:

@@ -101,8 +101,8 @@ TARGET static void batch_measure(const batch_flights_t *f, int64_t flight, int64
     }
 }
 
-/* Fly a flight, which writes in place at of the arrays. Returns the status of a setter that has refused data, or 0. A
- * flight ends where its state is not finite; the rest of its samples stays as it is. */
+/* Fly a flight, which writes in place at of the arrays. Returns 0, the status of a setter that has refused data, or -1
+ * if it was stopped. A flight ends where its state is not finite; the rest of its samples stays as it is. */
 TARGET static int32_t batch_fly_one(const batch_flights_t *f, int64_t flight, int64_t at, void *s, void *plant, real_t *rows)
 {
     double *x = f->x + at * (f->steps + 1) * NX, *u = f->u + at * f->steps * NU, now[NX];
@@ -113,6 +113,9 @@ TARGET static int32_t batch_fly_one(const batch_flights_t *f, int64_t flight, in
     memcpy(x, now, sizeof now);
     for (int64_t k = 0; k < f->steps && finite; k++) {
         real_t xhat[NX], control[NU];
+        if (f->stop != NULL && *f->stop) {
+            return -1;
+        }
         int32_t refused = batch_tell(&f->controller, s, flight, k, rows);
         if (!refused && plant != s) {
             refused = batch_tell(&f->plant, plant, flight, k, rows);
@@ -131,7 +134,7 @@ TARGET static int32_t batch_fly_one(const batch_flights_t *f, int64_t flight, in
         }
         if (f->algebraic_count) {
             const int64_t place = (at * f->steps + k) * f->algebraic_count;
-            batch_evaluate_algebraic(f, s, now, control, f->z + place);
+            batch_evaluate_algebraic(f, f->plant_is_true ? plant : s, now, control, f->z + place);
         }
         if (f->known_size) {
             memcpy((char *)plant + f->known, (const char *)s + f->known, (size_t)f->known_size);

@@ -15,7 +15,9 @@ from numpy.typing import NDArray
 
 from nmpc_codegen.errors import ControllerError
 from nmpc_codegen.package.status import Status
+from nmpc_codegen.runtime.batch.driver import generator
 from nmpc_codegen.runtime.batch.random import Signal
+from nmpc_codegen.runtime.given import is_integer
 from nmpc_codegen.runtime.records.paths import draw_paths
 
 Array = NDArray[Any]
@@ -27,11 +29,12 @@ class Flights:
 
     status_counts: (F, number of statuses), samples with each status. failed: (F,), the first sample whose status is a
     failure, or -1. lost: (F,), the sample after which the state of the plant was not finite, where the flight has
-    ended, or -1. cost: (F,), sum over the samples of the stage cost at the state of the plant and its control, with the
-    references, weights and parameters of the sample; an integrated cost counts its value times the interval.
-    violation: (F, rows), largest violation of each of ``rows`` in its unit, 0 where it is kept, NaN where it is not
-    known; the first state does not count. hard: (rows,), True for hard ones; rounding: (rows,), up to which violations
-    are rounding. last: (F, nx), last states.
+    ended, or -1. cost: (F,), sum over the samples of the cost of a node at the state of the plant and its control, with
+    the references and weights of the sample; what is integrated or scaled with dt counts the length of a sample.
+    violation: (F, rows), largest violation of each of ``rows``, those of the whole path, in its unit, 0 where it is
+    kept, NaN where it is not known: of a row with controls at every sample, of another one at every state but the
+    first. hard: (rows,), True for hard ones; rounding: (rows,), up to which violations are rounding. last: (F, nx),
+    last states.
 
     x (F, steps + 1, nx), u (F, steps, nu), status (F, steps) with record=True, else None; NaN and -1 after the end.
     """
@@ -92,7 +95,7 @@ class Flights:
         panels = list(zip(labels, paths, strict=True))
         title = f"{self.name}: {len(self)} flights, {int(self.wrong.sum())} of them wrong"
         unit = f"time ({self.time_unit})"
-        return draw_paths(panels, len(self.states), self.wrong, self.dt, title, unit, file)
+        return draw_paths(panels, len(self.states), self.wrong, self.lost >= 0, self.dt, title, unit, file)
 
     def summary(self) -> str:
         """A few lines: flights, samples by status, failed and lost flights, cost, rows that were violated."""
@@ -103,8 +106,11 @@ class Flights:
             f"{int(np.sum(self.lost >= 0))} whose state was not finite"
         )
         if len(self):
-            middle, most = np.nanmedian(self.cost), np.nanmax(self.cost)
-            lines.append(f"cost: median {middle:.6g}, largest {most:.6g} (flight {int(np.nanargmax(self.cost))})")
+            cost = np.where((self.lost < 0) & np.isfinite(self.cost), self.cost, -np.inf)
+            known = cost[cost > -np.inf]
+            if known.size:
+                most = f"largest {known.max():.6g} (flight {int(cost.argmax())})"
+                lines.append(f"cost of flights that were not lost: median {np.median(known):.6g}, {most}")
         for name, amounts, rounding in zip(self.rows, self.violation.T, self.rounding, strict=True):
             count = int(np.sum(amounts > rounding))
             if count:
@@ -119,18 +125,22 @@ class Flights:
 
     def disturbance(self, i: int) -> Array:
         """What was drawn and added to the state after every sample of flight i, (steps, nx)."""
-        return self.draws.of(self.draws.disturbance, i, self.steps)
+        return self.draws.of(self.draws.disturbance, self._number(i), self.steps)
 
     def noise(self, i: int) -> Array:
         """What was drawn and added to the measured states of flight i, (steps, nx)."""
-        return self.draws.of(self.draws.noise, i, self.steps)
+        return self.draws.of(self.draws.noise, self._number(i), self.steps)
+
+    def _number(self, i: int) -> int:
+        if not is_integer(i) or not 0 <= i < len(self):
+            raise ControllerError(f"flight {i!r}; expected an integer between 0 and {len(self) - 1}")
+        return int(i)
 
 
 @dataclass(frozen=True, eq=False)
 class Draws:
     """The generator of the flights, which draws the numbers of any of them again."""
 
-    driver: Any  # nmpc_codegen.runtime.batch.driver.Driver
     seed: int
     first: int
     nx: int
@@ -141,5 +151,14 @@ class Draws:
         """Numbers (steps, nx) of a signal in flight i."""
         out = np.zeros((steps, self.nx))
         if signal is not None:
-            self.driver.draw(signal, self.seed, self.first + i, out)
+            draw(signal, self.seed, self.first + i, out)
         return out
+
+
+def draw(signal: Signal, seed: int, flight: int, out: NDArray[np.float64]) -> None:
+    """Fill out (samples, nx) with the random numbers of a signal in a flight."""
+    ffi, lib = generator()
+    random = ffi.new("batch_random_t *")
+    random.size = ffi.cast("double *", signal.size.ctypes.data)
+    random.uniform, random.stream = signal.uniform, signal.stream
+    lib.batch_draw(random, seed, flight, 0, len(out), out.shape[1], ffi.cast("double *", out.ctypes.data))

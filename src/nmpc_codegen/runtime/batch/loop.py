@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -17,16 +17,16 @@ from nmpc_codegen.runtime.access.addressing import Addressing
 from nmpc_codegen.runtime.batch.flights import Draws, Flights
 from nmpc_codegen.runtime.batch.random import DISTURBANCE, NOISE, Random, Signal, signal
 from nmpc_codegen.runtime.batch.structs import Into, Structs
-from nmpc_codegen.runtime.batch.summary import Judge, Samples, bounds_of, data_before, judge_of
-from nmpc_codegen.runtime.batch.tables import Data, Tables, at_samples, in_c, parameter_data, reference_data
-from nmpc_codegen.runtime.given import SAME_TIME
+from nmpc_codegen.runtime.batch.summary import Before, Judge, Samples, before, judge_of
+from nmpc_codegen.runtime.batch.tables import Data, Tables, at_samples, in_c, parameter_data, reference_data, replace_in
+from nmpc_codegen.runtime.given import SAME_TIME, is_same_time
 from nmpc_codegen.runtime.loops.sampling import integrations, interval_of
 from nmpc_codegen.runtime.records.html import units
 
 Array = NDArray[Any]
 
-#: Bytes of the samples of a block at most.
-BYTES = 2**25
+#: Bytes of the samples of a flight at most.
+MOST = 2**30
 
 #: Bits of the statuses that are failures.
 FAILURES = sum(1 << status for status in Status if status.is_failure)
@@ -62,6 +62,7 @@ class Loop:
 
     batch: Structs
     plant: Structs | None
+    plant_is_true: bool  # rows and costs are those of the plant's parameters
     starts: Array
     steps: int
     interval: float
@@ -95,8 +96,9 @@ class Loop:
             if drawn is not None:
                 random.size = driver.ffi.cast("double *", batch.reach(drawn.size, self.keep))
                 random.uniform, random.stream = drawn.uniform, drawn.stream
-        if plant is not self.batch and described.inner.count:
+        if plant._package is batch._package and plant is not batch:
             c.known, c.known_size = batch.place_of_known()
+        c.plant_is_true, c.stop = self.plant_is_true, batch.stop
         if self.added is not None:
             c.given = driver.ffi.cast("double *", batch.reach(self.added, self.keep))
             c.given_step = 0 if len(self.added) == 1 else self.added.strides[0]
@@ -116,27 +118,37 @@ class Loop:
 
     def samples(self, block: slice) -> Samples:
         """Data of a block as they are before the first sample, with those of the tables."""
-        batch, described, count = self.batch, self.batch.description, block.stop - block.start
-        own = block if len(batch) > 1 else slice(1)
+        described, count = self.batch.description, block.stop - block.start
+        truth, data = (self.of_plant, self.plant_data) if self.plant_is_true else (self.before, self.data)
 
         def every(values: Array) -> Array:
             return np.broadcast_to(values, (count, *values.shape[1:]))
 
-        def over(member: str, declared: list[float]) -> Array:
-            found = every(data_before(batch, member, own, np.array(declared)))
-            return at_samples([d for d in self.data if d.member == member], block, self.steps, found)
+        def over(member: str, steps: int, known: Before, data: list[Data], declared: list[float]) -> Array:
+            found = every(known.of(member, block, np.array(declared)))
+            return at_samples([d for d in data if d.member == member], block, steps, found)
 
-        lower, upper = bounds_of(batch, own)
-        time, previous = (np.array(batch.fetch(name)).reshape(len(batch), -1)[own] for name in ("time", "previous"))
+        weight, ny = np.array(described.program.weight), described.dims.ny
+        lower, upper = self.before.bounds(described, block)
         return Samples(
-            p=over("p", [v for s in described.parameters for v in s.value]),
-            yref=over("yref", [r.reference for r in described.residuals]),
-            W=every(data_before(batch, "W", own, np.zeros(described.dims.ny))),
+            p=over("p", self.steps + 1, truth, data, [v for s in described.parameters for v in s.value]),
+            yref=over("yref", self.steps, self.before, self.data, [r.reference for r in described.residuals]),
+            W=every(self.before.of("W", block, weight if len(weight) == ny else weight.reshape(ny, ny))),
             lower=every(lower),
             upper=every(upper),
-            time=every(time),
-            previous=every(previous),
+            time=every(self.before.whole("time", block)),
+            previous=every(self.before.whole("previous", block)),
         )
+
+    @cached_property
+    def before(self) -> Before:
+        """What the controllers hold."""
+        return before(self.batch)
+
+    @cached_property
+    def of_plant(self) -> Before:
+        """What the plants hold."""
+        return before(self.batch if self.plant is None else self.plant)
 
 
 class _Where(Addressing):
@@ -150,14 +162,15 @@ def simulate_all(batch: Structs, X0: ArrayLike, task: Task, plant: Structs | Non
     """Fly closed loops; see Batch.simulate()."""
     task.check()
     starts = _starts(X0, batch.dims.nx, len(batch))
-    if plant is not None:
-        _check_plant(batch, plant, len(starts))
     loop = _loop(batch, plant, starts, task)
-    numbers = sum((batch.dims.nx, batch.dims.nu, *(2 * n for n in (batch.dims.np, batch.dims.ny)), 2))
-    size = batch.block_size(len(starts), BYTES // (8 * numbers * (loop.steps + 1)))
+    columns = sum((batch.dims.nx, batch.dims.nu, *(2 * n for n in (batch.dims.np, batch.dims.ny)), 2))
+    bytes_of = 8 * columns * (loop.steps + 1)
+    if bytes_of > MOST:
+        raise ControllerError(f"steps is {loop.steps}; expected at most {MOST // (8 * columns) - 1}: flights in pieces")
+    size = batch.block_size(len(starts), bytes_of)
     blocks = [slice(i, min(i + size, len(starts))) for i in range(0, len(starts), size)]
     result = _Result(loop, task.record)
-    batch.driver.share(partial(result.fly, loop.in_c()), blocks)
+    batch.driver.share(partial(result.fly, loop.in_c()), blocks, interruptible=True)
     return result.flights()
 
 
@@ -165,19 +178,26 @@ def _loop(batch: Structs, plant: Structs | None, starts: Array, task: Task) -> L
     """The checked arguments."""
     names, flights, where = batch.names.states, len(starts), _Where(batch)
     interval = interval_of(batch.description, task.dt)
-    data = [*parameter_data(where, task.parameters, flights), *reference_data(where, task.references, flights)]
-    of_plant = task.plant_parameters
-    if plant is None and of_plant is not None:
-        plant = batch.copy()
-        of_plant = {**(task.parameters or {}), **of_plant}
+    parameters = parameter_data(where, task.parameters, flights, "parameters")
+    if plant is not None:
+        _check_plant(batch, plant, flights, interval)
+    of_plant = parameter_data(
+        where if plant is None else _Where(plant), task.plant_parameters, flights, "plant_parameters"
+    )
+    true = plant is None and task.plant_parameters is not None
+    if true:  # another copy of the controller
+        plant, of_plant = batch, replace_in(parameters, of_plant)
+    if plant is not None and batch.shares(plant):
+        plant = plant.twin()
     return Loop(
         batch,
         plant,
+        true,
         starts,
         int(task.steps),
         interval,
-        data,
-        plant_data=[] if plant is None else parameter_data(_Where(plant), of_plant, flights, "plant_parameters"),
+        data=[*parameters, *reference_data(where, task.references, flights)],
+        plant_data=of_plant,
         disturbance=signal(task.disturbance, "disturbance", names, DISTURBANCE),
         noise=signal(task.noise, "noise", names, NOISE),
         added=None if task.added is None else _disturbances(task.added, flights, int(task.steps), len(names)),
@@ -194,32 +214,37 @@ def _disturbances(value: ArrayLike, flights: int, steps: int, nx: int) -> Array:
     allowed = [(steps, nx), (1, steps, nx), (flights, steps, nx)]
     expected = shape if shape in allowed else allowed[-1]
     array = given.checked_array(value, "added", np.dtype(np.float64), expected, True, lambda: str(allowed[0]))
-    return np.ascontiguousarray(array.reshape(-1, steps, nx))
+    return np.ascontiguousarray(array[None] if array.ndim == 2 else array)
 
 
-def _check_plant(batch: Structs, plant: Structs, flights: int) -> None:
-    """ControllerError unless the plant has the states and controls of the controller."""
-    name = plant.description.name
+def _check_plant(batch: Structs, plant: Structs, flights: int, interval: float) -> None:
+    """ControllerError unless the plant has the states, controls and samples of the controller."""
+    own, other = batch.description, plant.description
     for what in ("states", "controls"):
-        own, other = getattr(batch.names, what), getattr(plant.names, what)
-        if own != other:
-            raise ControllerError(f"plant: {name} has the {what} {other}; expected {own}")
-    if plant.description.precision != batch.description.precision:
-        raise ControllerError(f"plant: {name} has another precision than {batch.description.name}")
-    if plant.description.inner.count and plant._package is not batch._package:
-        raise ControllerError(f"plant: {name} knows time or previous controls, which only its own controller tells it")
-    if len(plant) not in (1, flights):
+        ours, theirs = getattr(batch.names, what), getattr(plant.names, what)
+        if ours != theirs:
+            raise ControllerError(f"plant: {other.name} has the {what} {theirs}; expected {ours}")
+    for what in ("precision",) if other.discrete or own.discrete else ("precision", "time_unit"):
+        if getattr(own, what) != getattr(other, what):
+            raise ControllerError(
+                f"plant: {other.name} has the {what} {getattr(other, what)!r}, not that of {own.name}"
+            )
+    if other.discrete and not is_same_time(other.dt[0], interval):
+        raise ControllerError(f"plant: {other.name} is a map of {other.dt[0]!r}, a sample takes {interval!r}")
+    if other.inner.count and plant._package is not batch._package:
         raise ControllerError(
-            f"plant: a batch of {len(plant)}; expected one plant, or one for each of {flights} flights"
+            f"plant: {other.name} knows time or previous controls, which no other controller tells it"
         )
+    if len(plant) not in (1, flights):
+        raise ControllerError(f"plant: a batch of {len(plant)}; expected one plant, or one for each of {flights}")
 
 
 def _starts(X0: ArrayLike, nx: int, count: int) -> Array:
     """Initial states (F, nx): as many as controllers, or any number if there is one controller."""
-    found = given.checked_array(X0, "X0", np.dtype(np.float64), np.shape(X0) if given.ndim(X0) == 2 else (count, nx))
-    if found.shape[1] != nx or (count > 1 and len(found) != count):
-        raise ControllerError(f"X0 has shape {found.shape}; expected ({count if count > 1 else 'any number'}, {nx})")
-    return np.ascontiguousarray(found)
+    many = "any number" if count == 1 else f"{count}"
+    if given.ndim(X0) != 2 or np.shape(X0)[1] != nx or (count > 1 and len(np.asarray(X0)) != count):
+        raise ControllerError(f"X0 has shape {np.shape(X0)}; expected ({many}, {nx}), a state for each flight")
+    return np.ascontiguousarray(given.checked_array(X0, "X0", np.dtype(np.float64), np.shape(X0)))
 
 
 class _Result:
@@ -232,7 +257,7 @@ class _Result:
         self._shapes = (steps + 1, nx), (steps, nu), (steps,)
         self._record = [_unflown((flights, *s), i == 2) for i, s in enumerate(self._shapes)] if record else None
         self._counts = np.zeros((flights, len(Status)), np.int64)
-        self._failed, self._lost = np.full(flights, -1), np.full(flights, -1)
+        self._failed, self._lost = np.full(flights, -1, np.int64), np.full(flights, -1, np.int64)
         self._cost, self._last = np.zeros(flights), np.zeros((flights, nx))
         self._violation = np.zeros((flights, len(loop.judge.rows)))
 
@@ -263,7 +288,7 @@ class _Result:
         """The result."""
         loop, described = self._loop, self._loop.batch.description
         x, u, status = self._record or (None, None, None)
-        draws = Draws(loop.batch.driver, loop.seed, loop.first, loop.batch.dims.nx, loop.disturbance, loop.noise)
+        draws = Draws(loop.seed, loop.first, loop.batch.dims.nx, loop.disturbance, loop.noise)
         return Flights(
             described.name,
             loop.steps,

@@ -92,8 +92,8 @@ class Batch(Structs):
         tol = TOLERANCE[self.description.precision] if tol is None else tol
         if not given.is_positive(tol):
             raise ControllerError(f"tol is {tol!r}; expected a positive number")
-        if not given.is_integer(max_iterations) or max_iterations < 1:
-            raise ControllerError(f"max_iterations is {max_iterations!r}; expected an integer >= 1")
+        if not given.is_integer(max_iterations) or not 1 <= max_iterations < 2**31:
+            raise ControllerError(f"max_iterations is {max_iterations!r}; expected an integer >= 1 of 32 bits")
         states = self._states(X, "X")
         return self.call("SOLVE", "solve", first=states, number=float(tol), places=[int(max_iterations)])
 
@@ -110,7 +110,8 @@ class Batch(Structs):
         """States (M, nx) after the time dt from X (M, nx) under constant U (M, nu): Controller.integrate()."""
         states, controls = self._states(X, "X"), self._controls(U)
         out = self._zeros(max(1, self.dims.nx))
-        self.call("INTEGRATE", "integrate", first=states, second=controls, out=out, number=float(dt))
+        time = float(given.checked_array(dt, "dt", np.dtype(np.float64), ()))
+        self.call("INTEGRATE", "integrate", first=states, second=controls, out=out, number=time)
         return out[:, : self.dims.nx]
 
     # -- closed loops -------------------------------------------------------------------------------------------------
@@ -150,8 +151,9 @@ class Batch(Structs):
             noise: the same, added to the state that the controller is told.
             added: (steps, nx) or (F, steps, nx): added to the state after every sample, too.
             plant: a controller of the same or another package, whose integrator moves the state with its parameters; or
-                a batch of F of them. None: the controller's own.
-            plant_parameters: tables of the plant alone; without ``plant`` it is another copy of the controller.
+                a batch of F of them. They are copied. None: the controller's own.
+            plant_parameters: tables of the plant alone. Without ``plant`` it is another copy of the controller, which
+                has ``parameters``, too, and rows and costs are those of its parameters.
             seed: of the random numbers, 0 .. 2^64 - 1. Numbers are those of (seed, first + i, sample, state) alone.
             first: number of flight 0 in the generator.
             record: keep x, u and status of every sample.
@@ -219,6 +221,20 @@ class Batch(Structs):
         (M, N+1, rows) with a row for each node; -inf, inf: no bound."""
         self._tell(index, lambda told: told.set_bounds(name, lower, upper, node))
 
+    def copy(self) -> Batch:
+        """An independent batch in the same state."""
+        twin = Batch(self[0], len(self), self.threads)
+        twin.memory[:] = self.memory
+        return twin
+
+    __copy__ = copy
+
+    def __deepcopy__(self, memo: object) -> Batch:
+        return self.copy()
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _restore, (self[0], len(self), self.threads, self.memory.tobytes())
+
     # -- what is known of them ----------------------------------------------------------------------------------------
 
     def __getitem__(self, i: int) -> Controller:
@@ -272,6 +288,8 @@ class Batch(Structs):
 
     def _plant(self, plant: Controller | Batch) -> Structs:
         """The structs of a plant."""
+        if not isinstance(plant, Controller | Batch):
+            raise ControllerError(f"plant is {plant!r:.60}; expected a Controller or a Batch")
         return single(plant) if isinstance(plant, Controller) else plant
 
     def _tell(self, index: ArrayLike | None, tell: Callable[[Told], None]) -> None:
@@ -305,5 +323,17 @@ def check(controller: Controller, number: int) -> None:
     """ControllerError unless this many copies of it can be made."""
     if not isinstance(controller, Controller):
         raise ControllerError(f"batch() was given {controller!r:.80}; expected an OCP or a Controller")
+    check_number(number)
+
+
+def check_number(number: int) -> None:
+    """ControllerError unless it is a number of controllers."""
     if not given.is_integer(number) or number < 1:
         raise ControllerError(f"number is {number!r}; expected an integer >= 1")
+
+
+def _restore(controller: Controller, number: int, threads: int, state: bytes) -> Batch:
+    """Unpickle."""
+    found = Batch(controller, number, threads)
+    found.memory[:] = np.frombuffer(state, np.uint8)
+    return found

@@ -56,18 +56,19 @@ static int32_t batch_hand_over(const batch_data_t *d, void *s, const real_t *row
 
 #include "flight.c"
 
-/* The struct of a flight. */
-static void *batch_struct_of(const batch_place_t *place, int64_t flight, char *copy)
+/* A copy of the struct of a flight. */
+static void *batch_copy_of(const batch_place_t *place, int64_t flight, char *copy)
 {
-    return place->stride ? place->memory + flight * place->stride : memcpy(copy, place->memory, (size_t)place->size);
+    return memcpy(copy, place->memory + flight * place->stride, (size_t)place->size);
 }
 
 int32_t batch_fly(const batch_flights_t *f, int64_t from, int64_t until)
 {
+    const batch_place_t *c = &f->controller, *p = &f->plant;
     int32_t refused = 0;
     for (int64_t i = from; i < until && !refused; i++) {
-        void *s = batch_struct_of(&f->controller, i, f->copies);
-        void *plant = (f->plant.memory == NULL) ? s : batch_struct_of(&f->plant, i, f->copies + ALIGNED(f->controller.size));
+        void *s = c->stride ? c->memory + i * c->stride : batch_copy_of(c, i, f->copies);
+        void *plant = (p->memory == NULL) ? s : batch_copy_of(p, i, f->copies + ALIGNED(c->size));
         refused = batch_fly_one(f, i, i - from, s, plant, (real_t *)f->rows);
     }
     return refused;

@@ -13,8 +13,8 @@ from nmpc_codegen.runtime.batch.driver import Driver
 from nmpc_codegen.runtime.compiled import ALIGNMENT
 from nmpc_codegen.runtime.controller import Controller
 
-#: Blocks of flights for every thread, and flights of a block at most.
-BLOCKS, LARGEST = 8, 256
+#: Blocks of flights for every thread; flights of a block, and bytes of their samples, at most.
+BLOCKS, LARGEST, BYTES = 8, 256, 2**25
 
 Array = NDArray[Any]
 Statuses = NDArray[np.int32]
@@ -32,7 +32,11 @@ class Structs(Iterate):
     def __len__(self) -> int:
         return self._count
 
-    def copy(self) -> Structs:
+    def shares(self, other: Structs) -> bool:
+        """True if they have memory in common."""
+        return bool(np.shares_memory(self.memory, other.memory))
+
+    def twin(self) -> Structs:
         """The same structs in memory of their own."""
         memory = reserve(self.memory.nbytes)
         memory[:] = self.memory
@@ -52,6 +56,11 @@ class Structs(Iterate):
         """Where the code that flies finds these structs or others; ``keep`` holds what has to live as long."""
         return self.driver.pointer(structs.memory)
 
+    @property
+    def stop(self) -> Any:
+        """Where the code that flies looks whether to stop."""
+        return self.driver.ffi.cast("int32_t *", self.driver.pointer(self.driver.stop))
+
     def place_of_known(self) -> tuple[int, int]:
         """Bytes from the begin of a struct to the states of the last sample behind those of the user; their size."""
         fields: Any = self._package.dtype.fields
@@ -68,10 +77,10 @@ class Structs(Iterate):
         keep.append(structs)
         return structs
 
-    def block_size(self, flights: int, most: int) -> int:
-        """Flights that are flown at once: a few blocks for every thread, at most ``most`` flights."""
+    def block_size(self, flights: int, bytes_of: int) -> int:
+        """Flights that are flown at once, a few blocks for every thread; ``bytes_of``: of the samples of one."""
         threads = max(1, min(self.driver.threads, flights))
-        return max(1, min(LARGEST, most, -(-flights // (BLOCKS * threads))))
+        return max(1, min(LARGEST, BYTES // bytes_of, -(-flights // (BLOCKS * threads))))
 
     def fly(self, shared: Any, block: slice, into: Into, rows: int) -> int:
         """Fly the flights of a block; return 0, or the status of a setter that has refused data.

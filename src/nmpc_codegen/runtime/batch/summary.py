@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +20,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Judge:
-    """Evaluates samples with the data of their controllers; rows at the end of the horizon alone have no samples."""
+    """Evaluates samples of length dt. ``rows``: those that hold all along the path."""
 
     description: PackageDescription
     rows: tuple[int, ...]
@@ -34,22 +36,35 @@ class Judge:
         """Violations of the rows up to which they are rounding."""
         return NEGLIGIBLE * np.array([self.description.row_scales[i] for i in self.rows])
 
+    @cached_property
+    def _with_controls(self) -> list[bool]:
+        """For every step of the program, True if it depends on controls, or on what Newton's method finds with them."""
+        program, np_ = self.description.program, self.description.sizes["NP"]
+        found: list[bool] = []
+        for name, first, second, _ in program.steps:
+            if name == "input":
+                found.append(first == 1 or (first == 2 and second >= np_))
+            else:
+                found.append(name != "const" and (found[first] or found[second]))
+        return found
+
     def judge(self, x: Array, u: Array, z: Array, data: Samples) -> tuple[Array, Array]:
         """Costs (flights,) and largest violations (flights, rows), 0 where a row is kept, of states x (flights, steps +
-        1, nx), controls u (flights, steps, nu) and algebraic variables z (flights, steps, their number); samples after
-        the end of a flight are NaN and do not count."""
+        1, nx), controls u (flights, steps, nu) and algebraic variables z (flights, steps, their number). Samples after
+        the end of a flight do not count; NaN in one of the others is NaN here."""
         flights, steps, nu = u.shape
-        if not steps:
+        if not steps or not flights:
             return np.zeros(flights), np.zeros((flights, len(self.rows)))
-        inner = self._inner(u, data)
-        xs = np.concatenate([x[:, :-1], inner], axis=2).reshape(flights * steps, -1)
-        us = u.reshape(flights * steps, nu)
+        n = flights * (steps + 1)
+        held, z = np.append(u, u[:, -1:], axis=1), np.append(z, np.full_like(z[:, :1], np.nan), axis=1)
+        xs = np.concatenate([x, self._inner(u, data)], axis=2).reshape(n, -1)
         with np.errstate(all="ignore"):
-            read = append_solved(self.description, data.p.reshape(flights * steps, -1), z.reshape(flights * steps, -1))
-            values = self.description.program.values(xs, us, read)
-            cost = self._cost(values, data, (flights, steps))
-        amounts = [self._violation(i, x, u, values, data) for i in self.rows]
-        return cost, np.array(amounts).reshape(len(self.rows), flights).T
+            read = append_solved(self.description, data.p.reshape(n, -1), z.reshape(n, z.shape[2]))
+            found = self.description.program.values(xs, held.reshape(n, nu), read)
+        values = [np.broadcast_to(v, n).reshape(flights, steps + 1) for v in found]
+        flown = np.asarray(np.isfinite(u).all(axis=2) if nu else np.isfinite(x[:, :-1]).all(axis=2))
+        amounts = [self._violation(i, x, u, values, data, flown) for i in self.rows]
+        return self._cost(values, data, flown), np.array(amounts).reshape(len(self.rows), flights).T
 
     def _inner(self, u: Array, data: Samples) -> Array:
         """States behind those of the user at every sample: time, then controls of the sample before."""
@@ -57,45 +72,49 @@ class Judge:
         flights, steps, _ = u.shape
         parts = []
         if found.time:
-            parts.append(data.time[:, :, None] + self.dt * np.arange(steps)[None, :, None])
+            parts.append(data.time[:, :, None] + self.dt * np.arange(steps + 1)[None, :, None])
         if found.previous:
-            before = np.concatenate([data.previous[:, None, :], u[:, :-1]], axis=1)
+            before = np.concatenate([data.previous[:, None, :], u], axis=1)
             parts.append(before[..., list(found.previous)])
-        return np.concatenate(parts, axis=2) if parts else np.zeros((flights, steps, 0))
+        return np.concatenate(parts, axis=2) if parts else np.zeros((flights, steps + 1, 0))
 
-    def _cost(self, values: list[Any], data: Samples, shape: tuple[int, int]) -> Array:
+    def _cost(self, values: list[Array], data: Samples, flown: NDArray[np.bool_]) -> Array:
         """Sum over the samples of 1/2 (y - yref)' W (y - yref) + the general cost + the integrated one times dt."""
-        program, dt = self.description.program, self.description.dt[0]
-        total = np.zeros(shape)
+        program = self.description.program
+        total = np.zeros(flown.shape)
         if program.residuals:
-            y = np.stack([np.broadcast_to(values[i], shape[0] * shape[1]) for i in program.residuals], axis=1)
-            error = y.reshape(*shape, -1) - data.yref
-            error *= np.where(program.scaled, np.sqrt(dt), 1.0)
+            error = np.stack([values[i][:, :-1] for i in program.residuals], axis=2) - data.yref
+            error *= np.where(program.scaled, np.sqrt(self.dt), 1.0)
             weighted = data.W[:, None] * error if data.W.ndim == 2 else np.einsum("fij,fkj->fki", data.W, error)
             total += 0.5 * np.sum(error * weighted, axis=2)
-        for step, factor in zip(program.costs, (1.0, dt), strict=True):
+        for step, factor in zip(program.costs, (1.0, self.dt), strict=True):
             if step >= 0:
-                total += factor * np.broadcast_to(values[step], shape[0] * shape[1]).reshape(shape)
-        return np.asarray(np.nansum(total, axis=1))
+                total += factor * values[step][:, :-1]
+        return np.asarray(np.where(flown, total, 0.0).sum(axis=1))
 
-    def _violation(self, i: int, x: Array, u: Array, values: list[Any], data: Samples) -> Array:
-        """Largest violation (flights,) of a row. The first state is given, so that its bounds do not count."""
-        row, program = self.description.rows[i], self.description.program
-        flights, steps, _ = u.shape
-        place = row.variable(self.description.dims.nx)
+    def _violation(
+        self, i: int, x: Array, u: Array, values: list[Array], data: Samples, flown: NDArray[np.bool_]
+    ) -> Array:
+        """Largest violation (flights,) of a row: one without controls at all states but the first, which is given."""
+        row, nx = self.description.rows[i], self.description.dims.nx
+        place, step = row.variable(nx), self.description.program.rows[i][0]
+        of_controls = place >= nx if place is not None else self._with_controls[step]
         if place is None:
-            value = np.broadcast_to(values[program.rows[i][0]], flights * steps).reshape(flights, steps)
+            value = values[step][:, :-1] if of_controls else values[step][:, 1:]
         else:
-            value = x[:, 1:, place] if place < x.shape[2] else u[:, :, place - x.shape[2]]
+            value = u[:, :, place - nx] if of_controls else x[:, 1:, place]
         low, high = (side[:, i, None] for side in (data.lower, data.upper))
-        return np.asarray(np.fmax.reduce(np.fmax(value - high, low - value), axis=1, initial=0.0))
+        counted = flown if of_controls else flown & np.isfinite(x[:, 1:]).all(axis=2)
+        with np.errstate(invalid="ignore"):
+            amount = np.where(counted, np.maximum(value - high, low - value), 0.0)
+        return np.asarray(np.maximum(amount, 0.0).max(axis=1))
 
 
 @dataclass(frozen=True, eq=False)
 class Samples:
-    """Data of flights: parameters (flights, steps, np and those behind them), references (flights, steps, ny), weights
-    (flights, ny) or (flights, ny, ny), bounds (flights, rows); time (flights, 1) of the first sample
-    and controls (flights, nu) before it."""
+    """Data of flights: parameters (flights, steps + 1, np and those behind them), references (flights, steps, ny),
+    weights (flights, ny) or (flights, ny, ny), bounds (flights, rows); time (flights, 1) of the first sample and
+    controls (flights, nu) before it."""
 
     p: Array
     yref: Array
@@ -108,40 +127,54 @@ class Samples:
 
 def judge_of(description: PackageDescription, dt: float) -> Judge:
     """The judge of a package for samples of length dt."""
-    rows = tuple(i for i, row in enumerate(description.rows) if _has_samples(row, description.dims.N))
-    return Judge(description, rows, dt)
+    resets, N = description.program.resets, description.dims.N
+    rows = (i for i, row in enumerate(description.rows) if i not in resets and _is_of_path(row, N))
+    return Judge(description, tuple(rows), dt)
 
 
-def _has_samples(row: Row, N: int) -> bool:
-    """True if a row holds on the path: at node 0, or at several nodes before the end."""
-    path = [k for k in row.nodes if k < N]
+def _is_of_path(row: Row, N: int) -> bool:
+    """True if a row holds at all nodes of the path, whether or not at the first one, whose state is given."""
     if row.is_coupled or (row.is_general and row.index < 0):
         return False
-    return row.kind == "control" or 0 in path or len(path) > 1
+    path = {k for k in row.nodes if k < N}
+    return bool(path or row.kind == "state") and path >= set(range(1, N))
 
 
-def data_before(batch: Structs, name: str, flights: slice, declared: Array, node: int = 0) -> Array:
-    """Data of a node before the first sample, (flights or 1, ...); the declared ones if they are fixed or missing."""
-    found = batch.fetch(name)
-    if not found.size:
-        return declared[None]
-    return np.asarray((found if len(found) == 1 else found[flights])[:, node], dtype=np.float64)
+@dataclass(frozen=True, eq=False)
+class Before:
+    """What structs hold before the flights, member by member: views, of which a flight changes those of its own."""
+
+    members: Mapping[str, Array]
+
+    def of(self, name: str, flights: slice, declared: Array) -> Array:
+        """Data of node 0 (flights or 1, ...); the declared ones if they are fixed or missing."""
+        found = self.members[name]
+        if not found.size:
+            return declared[None]
+        return np.asarray((found if len(found) == 1 else found[flights])[:, 0], dtype=np.float64)
+
+    def whole(self, name: str, flights: slice) -> Array:
+        """A member (flights or 1, size)."""
+        found = self.members[name]
+        rows = np.array(found if len(found) == 1 else found[flights], dtype=np.float64)
+        return rows.reshape(len(rows), math.prod(rows.shape[1:]))
+
+    def bounds(self, description: PackageDescription, flights: slice) -> tuple[Array, Array]:
+        """Smallest lower and largest upper bounds (flights or 1, rows) over the nodes before the end."""
+        rows, N = description.rows, description.dims.N
+        if description.online["bounds"] == "fixed" or not rows:
+            return np.array([[row.lower for row in rows]]), np.array([[row.upper for row in rows]])
+        found = []
+        for name, pick in (("lower", np.min), ("upper", np.max)):
+            every = self.members[name]
+            every = np.asarray(every if len(every) == 1 else every[flights], dtype=np.float64)
+            path = [[k for k in row.nodes if k < N] or [N] for row in rows]
+            nodes = [[0]] * len(rows) if every.shape[1] <= N else path
+            found.append(np.array([pick(every[:, nodes[i], i], axis=1) for i in range(len(rows))]).T)
+        return found[0], found[1]
 
 
-def bounds_of(batch: Structs, flights: slice) -> tuple[Array, Array]:
-    """Smallest lower and largest upper bounds (flights or 1, rows) over the nodes before the end."""
-    rows, N = batch.description.rows, batch.dims.N
-    low, high = (np.array([getattr(row, side) for row in rows]) for side in ("lower", "upper"))
-    if batch.description.online["bounds"] == "fixed" or not rows:
-        return low[None], high[None]
-    found = []
-    for name, pick in (("lower", np.min), ("upper", np.max)):
-        every = batch.fetch(name)
-        every = np.asarray(every if len(every) == 1 else every[flights], dtype=np.float64)
-        shared = every.shape[1] <= N
-        sides = [
-            pick(every[:, [0] if shared else [k for k in row.nodes if k < N] or [N], i], axis=1)
-            for i, row in enumerate(rows)
-        ]
-        found.append(np.array(sides).T)
-    return found[0], found[1]
+def before(structs: Structs) -> Before:
+    """The members of structs that a summary needs."""
+    names = ("p", "yref", "W", "lower", "upper", "time", "previous")
+    return Before({name: structs.fetch(name) for name in names})

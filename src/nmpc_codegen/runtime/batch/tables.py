@@ -11,7 +11,7 @@ there on, as in simulate().
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -47,12 +47,12 @@ class Data:
     columns: list[Column] = field(default_factory=list)
 
 
-def parameter_data(where: Addressing, tables: Tables | None, flights: int, what: str = "parameters") -> list[Data]:
+def parameter_data(where: Addressing, tables: Tables | None, flights: int, what: str) -> list[Data]:
     """Tables of parameters by name, as data; see above."""
     if tables is None:
         return []
     found: dict[int, Data] = {}
-    for name, value in _mapping(what, tables).items():
+    for name, value in mapping(what, tables).items():
         where._lengths("parameter", f"parameter {name!r}", None)
         signals = where.description.parameters
         whole = [i for i, s in enumerate(signals) if s.name == name]
@@ -65,7 +65,7 @@ def parameter_data(where: Addressing, tables: Tables | None, flights: int, what:
             if signal.low:
                 given.check_range(values[..., None], signal.low[j : j + 1], signal.high[j : j + 1], f"{what}: {name!r}")
             data = found.setdefault(i, Data("PARAMETER", i, "p", signal.offset, signal.size))
-            data.columns.append(Column(j, values))
+            _append(data, Column(j, values), f"{what}: {name!r}")
     return list(found.values())
 
 
@@ -80,13 +80,31 @@ def reference_data(where: Addressing, references: ArrayLike | Tables | None, fli
     named = references if isinstance(references, Mapping) else {"": references}
     for name, value in named.items():
         elements = [known[i] for i in (members(name, known) or [where._lookup(name, known, "residual")])] if name else y
-        for element, values in zip(
-            elements, _table(f"references: {name!r}", value, len(elements), flights, where._real), strict=True
-        ):
+        what = f"references: {name!r}" if name else "references"
+        table = _table(what, value, len(elements), flights, where._real, vector=not name)
+        for element, values in zip(elements, table, strict=True):
             for data, names in ((path, y), (end, y_N)):
                 if element in names:
-                    data.columns.append(Column(names.index(element), values))
+                    _append(data, Column(names.index(element), values), f"references: {element!r}")
     return [data for data in (path, end) if data.columns]
+
+
+def replace_in(base: list[Data], new: list[Data]) -> list[Data]:
+    """Parameters with those of ``new`` in the place of theirs."""
+    found = {data.number: data for data in new}
+    for data in base:
+        if data.setter == "PARAMETER":
+            into = found.setdefault(data.number, replace(data, columns=[]))
+            known = {column.place for column in into.columns}
+            into.columns.extend(column for column in data.columns if column.place not in known)
+    return list(found.values())
+
+
+def _append(data: Data, column: Column, what: str) -> None:
+    """Add a column; ControllerError if its element has one."""
+    if any(column.place == other.place for other in data.columns):
+        raise ControllerError(f"{what} is given twice")
+    data.columns.append(column)
 
 
 def in_c(batch: Structs, where: Addressing, data: list[Data], ahead: NDArray[np.int64], keep: list[Any]) -> Any:
@@ -128,18 +146,17 @@ def at_samples(data: list[Data], flights: slice, steps: int, stored: Array) -> A
     return found
 
 
-def _table(what: str, value: ArrayLike, size: int, flights: int, real: np.dtype[Any]) -> list[Array]:
-    """Columns (1 or flights, n) of the elements."""
+def _table(
+    what: str, value: ArrayLike, size: int, flights: int, real: np.dtype[Any], vector: bool = False
+) -> list[Array]:
+    """Columns (1 or flights, n) of the elements; ``vector``: even one element has an axis of elements."""
     shape = np.shape(value) if given.ndim(value) >= 0 else ()
-    vector = size > 1 or (len(shape) > 1 and shape[-1] == 1 and len(shape) == 3)
-    known = [len(shape) == 0, len(shape) in ((2, 3) if vector else (1, 2))]
-    axes = shape[:-1] if vector else shape
-    right = any(known) and (not vector or not shape or shape[-1] == size) and (len(axes) < 2 or axes[0] in (1, flights))
-    if not right or 0 in shape:
-        expected = f"(n, {size}), ({flights}, n, {size})" if size > 1 else f"(n,), ({flights}, n)"
-        raise ControllerError(
-            f"{what} has shape {shape}; expected a number, {expected}, or 1 in the place of {flights}"
-        )
+    vector = vector or size > 1
+    axes = shape[:-1] if vector and shape else shape
+    known = len(axes) in (1, 2) and (not vector or shape[-1] == size) and (len(axes) < 2 or axes[0] in (1, flights))
+    if (shape and not known) or 0 in shape:
+        expected = f"(n, {size}), ({flights}, n, {size})" if vector else f"(n,), ({flights}, n)"
+        raise ControllerError(f"{what} has shape {shape}; expected a number, {expected}, or 1 for {flights}")
     array = given.checked_array(value, what, real, shape)
     if not shape:
         return [array.reshape(1, 1)] * size
@@ -147,7 +164,8 @@ def _table(what: str, value: ArrayLike, size: int, flights: int, real: np.dtype[
     return [whole[..., j] for j in range(size)]
 
 
-def _mapping(what: str, value: Any) -> Mapping[str, Any]:
+def mapping(what: str, value: Any) -> Mapping[str, Any]:
+    """The mapping that a value has to be."""
     if not isinstance(value, Mapping):
         raise ControllerError(f"{what} is {type(value).__name__}; expected {{name: table over the samples}}")
     return value

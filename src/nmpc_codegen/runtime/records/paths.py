@@ -37,15 +37,16 @@ def draw_paths(
     panels: Sequence[tuple[str, Array]],
     states: int,
     wrong: NDArray[np.bool_],
+    lost: NDArray[np.bool_],
     dt: float,
     title: str,
     time_label: str,
     file: str | os.PathLike[str] | None,
 ) -> Any:
     """Figure with an axis for each of ``panels``: label, paths (flights, samples); ``states`` of them are states, the
-    rest controls, which are held until the next sample. ``wrong``: flights that are drawn last, in red."""
+    rest controls, which are held until the next sample. ``wrong``: flights that are drawn last, in red. The limits of
+    an axis are those of flights that are not ``lost``, if there is one."""
     mpl = extra("matplotlib", "plot()")
-    collections = extra("matplotlib.collections", "plot()")
     figure = new_figure((WIDTH, 0.8 + ROW_HEIGHT * len(panels)), file)
     with mpl.rc_context(STYLE):
         axes = figure.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0]
@@ -54,31 +55,39 @@ def draw_paths(
             t = dt * np.arange(paths.shape[1])
             if i >= states:
                 t, paths = np.repeat(t, 2)[1:], np.repeat(paths, 2, axis=1)[:, :-1]
-            color = STATE_COLOR if i < states else CONTROL_COLOR
-            if np.sum(~wrong) > FEW:
-                _draw_density(axis, t, paths[~wrong], color)
-            for some, ink in ((~wrong & (len(wrong) <= FEW), color), (wrong, FAILURE_COLOR)):
-                lines = [np.column_stack([t, path]) for path in paths[some][:MOST]]
-                style = {"linewidths": 0.6, "alpha": 0.5, "rasterized": True}
-                axis.add_collection(collections.LineCollection(lines, colors=ink, **style))
-            axis.plot(t, np.nanmedian(paths, axis=0), **MEDIAN[1])
-            axis.use_sticky_edges = False
-            axis.margins(x=0.0, y=0.05)
-            axis.autoscale_view()
+            _draw_panel(axis, t, paths, wrong, STATE_COLOR if i < states else CONTROL_COLOR)
+            _set_limits(axis, paths[~lost] if (~lost).any() else paths)
             axis.set_ylabel(label)
             axis.locator_params(axis="y", nbins=4)
         axes[-1].set_xlabel(time_label)
         axes[0].set_xlim(0.0, t[-1])
         figure.align_ylabels(axes)
-        shown = [("median", {"color": "0.1", "linewidth": 1.0})]
-        explain(
-            figure,
-            [*shown, ("failed, lost or a hard row violated", {"color": FAILURE_COLOR})] if wrong.any() else shown,
-        )
+        explain(figure, (MEDIAN, WRONG) if wrong.any() else (MEDIAN,))
         figure.suptitle(title, fontsize=10, color="0.2")
         if file is not None:
             figure.savefig(Path(file), dpi=130)
     return figure
+
+
+def _draw_panel(axis: Any, t: Array, paths: Array, wrong: NDArray[np.bool_], color: str) -> None:
+    """Good paths as a density, or as lines if they are few; wrong ones on top; the median of all."""
+    collections = extra("matplotlib.collections", "plot()")
+    few = np.sum(~wrong) <= FEW
+    if not few:
+        _draw_density(axis, t, paths[~wrong], color)
+    for some, ink in ((~wrong & few, color), (wrong, FAILURE_COLOR)):
+        lines = [np.column_stack([t, path]) for path in paths[some][:MOST]]
+        style = {"linewidths": 0.6, "alpha": 0.5, "rasterized": True}
+        axis.add_collection(collections.LineCollection(lines, colors=ink, **style))
+    axis.plot(t, np.nanmedian(paths, axis=0), **MEDIAN[1])
+
+
+def _set_limits(axis: Any, paths: Array) -> None:
+    """The range of the finite values, with a margin."""
+    finite = paths[np.isfinite(paths)]
+    low, high = (float(finite.min()), float(finite.max())) if finite.size else (0.0, 1.0)
+    margin = 0.05 * (high - low or abs(high) or 1.0)
+    axis.set_ylim(low - margin, high + margin)
 
 
 def _draw_density(axis: Any, t: Array, paths: Array, color: str) -> None:
