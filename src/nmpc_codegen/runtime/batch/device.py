@@ -300,6 +300,10 @@ class DeviceBatch(Batch):
         found = self.member(member)
         return found if isinstance(found, np.ndarray) else self._engine.fetch(found)
 
+    @property
+    def stop(self) -> Any:
+        return self.driver.ffi.NULL  # a launch is not interrupted
+
     def address_of(self, structs: Structs, keep: list[Any]) -> Any:
         if structs is not self:
             return self.reach(self._interleave(structs), keep)

@@ -273,6 +273,8 @@ class _Result:
         z = np.full((count, loop.steps, len(loop.batch.names.algebraic)), np.nan)
         into = Into(x, u, z, status, self._failed[block], self._lost[block])
         refused = loop.batch.fly(shared, block, into, loop.rows)
+        if refused < 0:  # stopped, because of an error or interrupt that is raised
+            return
         if refused:
             raise ControllerError(f"{loop.batch.description.name}: data of the samples: {Status(refused)}")
         self._keep(block, x, u[..., : loop.batch.dims.nu], z, status, samples)
