@@ -118,9 +118,10 @@ typedef struct { /* closed loops: x_{k+1} = plant(x_k, u_k) + disturbance_k, u_k
     void *rows; /* largest number of rows and columns of any data */
 } batch_flights_t;
 
-/* Fly the flights from .. until - 1. Returns 0, the status of a setter that has refused data, or -1 if it was stopped. */
+/* Fly the flights from .. until - 1. Returns 0, the status of a setter that has refused data, or -1 if stopped. */
 int32_t batch_fly(const batch_flights_t *f, int64_t from, int64_t until);
 
 /* The random numbers of a signal (count, n) of samples from .. from + count - 1 of a flight. */
-void batch_draw(const batch_random_t *r, uint64_t seed, int64_t flight, int64_t from, int64_t count, int32_t n, double *out);
+void batch_draw(
+    const batch_random_t *r, uint64_t seed, int64_t flight, int64_t from, int64_t count, int32_t n, double *out);
 /* end declarations */

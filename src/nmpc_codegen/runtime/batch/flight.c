@@ -58,8 +58,9 @@ TARGET static int batch_move(const batch_flights_t *f, const void *plant, const 
     return finite;
 }
 
-/* Algebraic variables of the plant at a sample. */
-TARGET static void batch_evaluate_algebraic(const batch_flights_t *f, void *s, const double *x, const real_t *u, double *z)
+/* Algebraic variables at a sample. */
+TARGET static void batch_evaluate_algebraic(
+    const batch_flights_t *f, void *s, const double *x, const real_t *u, double *z)
 {
     real_t start[NX], found[NALG];
     for (int i = 0; i < NX; i++) {
@@ -103,7 +104,8 @@ TARGET static void batch_measure(const batch_flights_t *f, int64_t flight, int64
 
 /* Fly a flight, which writes in place at of the arrays. Returns 0, the status of a setter that has refused data, or -1
  * if it was stopped. A flight ends where its state is not finite; the rest of its samples stays as it is. */
-TARGET static int32_t batch_fly_one(const batch_flights_t *f, int64_t flight, int64_t at, void *s, void *plant, real_t *rows)
+TARGET static int32_t batch_fly_one(
+    const batch_flights_t *f, int64_t flight, int64_t at, void *s, void *plant, real_t *rows)
 {
     double *x = f->x + at * (f->steps + 1) * NX, *u = f->u + at * f->steps * NU, now[NX];
     int8_t *statuses = f->status + at * f->steps;

@@ -74,7 +74,8 @@ int32_t batch_fly(const batch_flights_t *f, int64_t from, int64_t until)
     return refused;
 }
 
-void batch_draw(const batch_random_t *r, uint64_t seed, int64_t flight, int64_t from, int64_t count, int32_t n, double *out)
+void batch_draw(
+    const batch_random_t *r, uint64_t seed, int64_t flight, int64_t from, int64_t count, int32_t n, double *out)
 {
     for (int64_t k = 0; k < count; k++) {
         batch_draw_sample(r, seed, flight, from + k, n, out + k * n);

@@ -82,7 +82,8 @@ TARGET static double batch_normal(double p)
 }
 
 /* The n numbers of a sample of a flight. */
-TARGET static void batch_draw_sample(const batch_random_t *r, uint64_t seed, int64_t flight, int64_t k, int n, double *out)
+TARGET static void batch_draw_sample(
+    const batch_random_t *r, uint64_t seed, int64_t flight, int64_t k, int n, double *out)
 {
     for (int i = 0; i < n; i += 2) {
         uint32_t word[4] = { (uint32_t)k, (uint32_t)flight, (uint32_t)((uint64_t)flight >> 32),
