@@ -221,11 +221,15 @@ def test_plants_are_copies() -> None:
 def test_an_interrupt_stops_long_flights() -> None:
     """Of the process that waits; the batch goes on afterwards."""
     many = Batch(build(car(), None, "test"), 1, 2)
+    handler = signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell may have it ignored
     timer = threading.Timer(0.5, signal.pthread_kill, [threading.main_thread().ident, signal.SIGINT])
     timer.start()
     start = time.monotonic()
-    with pytest.raises(KeyboardInterrupt):
-        many.simulate(X0, 300_000)
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            many.simulate(X0, 300_000)
+    finally:
+        signal.signal(signal.SIGINT, handler)
     assert time.monotonic() - start < 10.0
     assert len(many.simulate(X0, 3)) == F
 
