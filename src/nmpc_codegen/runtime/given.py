@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from numbers import Real
 from typing import Any
 
@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from nmpc_codegen.errors import ControllerError, NmpcError
-from nmpc_codegen.package.signals import Row, Soft
+from nmpc_codegen.package.signals import Row, Soft, members
 
 #: Asymmetry |W - W'| and negative eigenvalues up to this multiple of eps max|W| are rounding of products like A' Q A.
 ROUNDING = 2.0**12
@@ -125,14 +125,20 @@ def weights(
     return diagonal
 
 
-def check_weights(W: NDArray[Any], what: str, real: np.dtype[Any]) -> NDArray[Any]:
-    """The checked weights (rows, size, size), or diagonals (rows, size); ControllerError names the wrong one."""
-    if W.ndim == 2 and not (W < 0).any():
-        return W
+def check_weights(
+    W: NDArray[Any], what: str, real: np.dtype[Any], row: Callable[[int], str] = "node {}".format
+) -> NDArray[Any]:
+    """The checked weights (rows, size, size), or diagonals (rows, size); ControllerError names the wrong one.
+
+    ``row``: what a row of several belongs to.
+    """
+    names = (what if len(W) == 1 else f"{what} of {row(k)}" for k in range(len(W)))
+    if W.ndim == 2 and (W < 0).any():
+        name, least = next((n, w.min()) for n, w in zip(names, W, strict=True) if (w < 0).any())
+        raise ControllerError(f"{name} must be positive semidefinite, but has the eigenvalue {least:g}")
     if W.ndim == 2:
-        raise ControllerError(f"{what} must be positive semidefinite, but has the eigenvalue {W.min():g}")
+        return W
     eps = float(np.finfo(real).eps)
-    names = [what] if len(W) == 1 else [f"{what} of node {k}" for k in range(len(W))]
     return np.array([checked_weight(w, name, ControllerError, eps) for w, name in zip(W, names, strict=True)])
 
 
@@ -265,6 +271,21 @@ def rows(
     expected = shape if taken and shape is not None else (size,)
     array = checked_array(value, what, real, expected, finite, also=_other_shapes(size, lengths, spread))
     return array.reshape(-1, size) if array.ndim else np.full((1, size), array)
+
+
+def fill_by_name(
+    into: NDArray[Any], values: Mapping[str, ArrayLike], names: Sequence[str], what: str, finite: bool = True
+) -> None:
+    """Write {name of a state or of a vector of them: value} to ``into`` (states,), whose elements have these names.
+
+    Raises:
+        ControllerError: there is no such state; or see rows().
+    """
+    for name, value in values.items():
+        places = members(name, names)
+        if not places:
+            raise ControllerError(f"{what}: no state {name!r}; those that exist: {', '.join(map(repr, names))}")
+        into[places] = rows(value, f"{what}: {name!r}", into.dtype, len(places), finite=finite)[0]
 
 
 def _other_shapes(size: int, lengths: Sequence[int], spread: bool) -> Callable[[], str]:

@@ -175,9 +175,7 @@ class Setters(Memory, Addressing):
             self._set_by_name(kind, value, node, lengths)
             return
         d, end = self.dims, node is not None and node == self.dims.N
-        size = d.ny_N if end else d.ny
-        if not size:
-            raise ControllerError(f"{self._package.name} has no {'terminal' if end else 'path'} residual")
+        size = self._size_of_residual(end)
         what = f"terminal {kind}" if end else kind
         if self._path_of_end is None:
             lengths = tuple(n for n in lengths if n == d.N)

@@ -96,13 +96,19 @@ class _Run:
 TOLERANCE = {"double": 1e-8, "single": 1e-4}
 
 
-def solve(ctrl: Memory, tol: float | None, max_iterations: int, globalization: Globalization) -> Solution:
-    """Iterate from the present plan and the state that the controller has been given; see Controller.solve()."""
-    tol = TOLERANCE[ctrl.description.precision] if tol is None else tol
+def limits(precision: str, tol: float | None, max_iterations: int) -> tuple[float, int]:
+    """Tolerance and largest number of iterations of solve(); ControllerError if they are none."""
+    tol = TOLERANCE[precision] if tol is None else tol
     if not is_positive(tol):
         raise ControllerError(f"tol is {tol!r}; expected a positive number")
-    if not is_integer(max_iterations) or max_iterations < 1:
-        raise ControllerError(f"max_iterations is {max_iterations!r}; expected an integer >= 1")
+    if not is_integer(max_iterations) or not 1 <= max_iterations < 2**31:
+        raise ControllerError(f"max_iterations is {max_iterations!r}; expected an integer >= 1 of 32 bits")
+    return float(tol), int(max_iterations)
+
+
+def solve(ctrl: Memory, tol: float | None, max_iterations: int, globalization: Globalization) -> Solution:
+    """Iterate from the present plan and the state that the controller has been given; see Controller.solve()."""
+    tol, max_iterations = limits(ctrl.description.precision, tol, max_iterations)
     methods = {"filter": (_search, "solve"), "full_step": (_full_steps, "feedback")}
     if globalization not in methods:
         raise ControllerError(f"globalization is {globalization!r}; expected 'filter' or 'full_step'")
@@ -114,7 +120,7 @@ def solve(ctrl: Memory, tol: float | None, max_iterations: int, globalization: G
             "algorithm that has none"
         )
     run = _Run([])
-    status = method(ctrl, run, float(tol), int(max_iterations))
+    status = method(ctrl, run, tol, max_iterations)
     parts = {part: np.array(getattr(ctrl, part, ())) for part in ("x", "u", "z", *MULTIPLIERS)}
     return Solution(
         status,

@@ -183,6 +183,21 @@ def test_rows_and_costs_of_the_true_plant(weight: Any) -> None:
     assert "row 'z': violated in 1 flight" in str(flights)
 
 
+def test_a_hard_row_that_is_not_known_is_wrong() -> None:
+    """log(x) at a state that a gust has made negative, while the controller is told a positive one."""
+    ocp = OCP("log", T=1.0, N=4)
+    x, u = ocp.state("x", initial=1.0), ocp.control("u")
+    ocp.dynamics({x: u})
+    ocp.least_squares(ca.vertcat(x, u), [1.0, 1.0], reference=[1.0, 0.0])
+    ocp.subject_to(-1, u, 1)
+    ocp.subject_to(-5, ca.log(x), 5, name="log")
+    added = np.zeros((2, 6, 1))
+    added[1, -1] = -3.0
+    flights = batch(ocp, 1).simulate([[1.0], [1.0]], 6, added=added)
+    np.testing.assert_array_equal(np.isnan(flights.violation[:, flights.rows.index("log")]), [False, True])
+    np.testing.assert_array_equal(flights.wrong, [False, True])
+
+
 def test_a_start_outside_is_no_violation_but_an_end_is() -> None:
     ocp = OCP("wall", T=2.0, N=10)
     x, u = ocp.state("x"), ocp.control("u")

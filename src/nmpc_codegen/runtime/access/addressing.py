@@ -37,6 +37,13 @@ class Addressing(Iterate):
         )
         return [known[i] for i in self._members(name, known, "residual")]
 
+    def _size_of_residual(self, end: bool) -> int:
+        """Number of path or terminal residuals; ControllerError if there is none."""
+        size = self.dims.ny_N if end else self.dims.ny
+        if not size:
+            raise ControllerError(f"{self._package.name} has no {'terminal' if end else 'path'} residual")
+        return size
+
     def _is_matrix(self, end: bool) -> bool:
         """True if the weight is stored in full."""
         members = self.description.members("solver")

@@ -43,8 +43,7 @@ class Told(Addressing):
             self._set_by_name(y, node, lengths)
             return
         end = node is not None and node == self.dims.N
-        size = self.dims.ny_N if end else self.dims.ny
-        self._expect_residual(size, end)
+        size = self._size_of_residual(end)
         rows = self._read(y, "reference", size, [] if end else [self.dims.N][: len(lengths)])
         self._send("terminal_reference" if end else "reference", rows, node)
 
@@ -71,8 +70,7 @@ class Told(Addressing):
         """Weights of the path residual, or with node N of the end."""
         self._lengths("weight", "the weight", node)
         end = node is not None and node == self.dims.N
-        size = self.dims.ny_N if end else self.dims.ny
-        self._expect_residual(size, end)
+        size = self._size_of_residual(end)
         shape = np.shape(W) if given.ndim(W) >= 0 else ()
         if shape == (size, size) and size > 1 and self._count == size:
             raise ControllerError(
@@ -82,22 +80,13 @@ class Told(Addressing):
         if diagonal and len(shape) == 3:
             W = np.asarray(W)[:, 0]
         flat = self._read(W, "weight", size if diagonal else size * size, [], matrix=None if diagonal else size)
-        rows = self._check_weights(flat[:, 0] if diagonal else flat.reshape(-1, size, size))
+        rows = flat[:, 0] if diagonal else flat.reshape(-1, size, size)
+        rows = given.check_weights(rows, "weight", self._real, lambda i: f"controller {self._number(i)}")
         if self._is_matrix(end) and diagonal:
             rows = np.einsum("ki,ij->kij", rows, np.eye(size, dtype=self._real))
         elif not self._is_matrix(end) and not diagonal:
             rows = given.weights(rows, "weight", self._real, size, False, [len(rows)])
         self._send("terminal_weight" if end else "weight", rows.reshape(len(rows), 1, -1), node)
-
-    def _check_weights(self, rows: Array) -> Array:
-        """Weights that are positive semidefinite; ControllerError names the controller of another one."""
-        for i, W in enumerate(rows):
-            what = "weight" if len(rows) == 1 else f"weight of controller {self._number(i)}"
-            if W.ndim == 1 and (W < 0).any():
-                raise ControllerError(f"{what} must be positive semidefinite, but has the eigenvalue {W.min():g}")
-            if W.ndim == 2:
-                rows[i] = given.checked_weight(W, what, ControllerError, float(np.finfo(self._real).eps))
-        return rows
 
     def _number(self, i: int) -> int:
         """The number of one of those that are told."""
@@ -129,10 +118,6 @@ class Told(Addressing):
             self._call(operation, function, f"row {self.names.rows[row]!r}", low, high, places)
 
     # -- inner --------------------------------------------------------------------------------------------------------
-
-    def _expect_residual(self, size: int, end: bool) -> None:
-        if not size:
-            raise ControllerError(f"{self._package.name} has no {'terminal' if end else 'path'} residual")
 
     def _copy_of(self, member: str) -> Array:
         """A copy of stored rows of the controllers that are told, (count, nodes, size)."""

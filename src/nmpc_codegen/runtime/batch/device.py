@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from nmpc_codegen.errors import ControllerError, warn
 from nmpc_codegen.runtime import given
-from nmpc_codegen.runtime.batch.data import Told, numbers
+from nmpc_codegen.runtime.batch.data import Told
 from nmpc_codegen.runtime.batch.driver import Driver, declarations_of, part, sizes_of
 from nmpc_codegen.runtime.batch.many import Batch, check
 from nmpc_codegen.runtime.batch.structs import Into, Statuses, Structs, reserve, stride_of
@@ -110,7 +110,7 @@ def check_package(package: CompiledPackage) -> None:
             f"{package.name} has a QP solver of other authors, which no device runs; choose another qp"
         )
     if described.options.get("qp") in SLOW:
-        text = f"{package.name}: its interior point takes ten times as long on a GPU as an active-set method would"
+        text = f"{package.name}: threads of a GPU diverge in its interior point; an active-set method suits them"
         warn(text, RuntimeWarning)
 
 
@@ -185,10 +185,6 @@ class DeviceBatch(Batch):
         if array.shape != (self._count, width):
             raise ControllerError(f"{what} has shape {array.shape}; expected ({self._count}, {width})")
         return array
-
-    def reset(self, index: ArrayLike | None = None) -> None:
-        chosen = None if index is None else numbers(index, self._count)
-        self._expect(self.call("PLAIN", "reset", index=chosen), "reset")
 
     # -- structs ------------------------------------------------------------------------------------------------------
 

@@ -12,7 +12,6 @@ typedef enum {
     BATCH_INTEGRATE, /* f(s, first, second, number, out) */
     BATCH_COST, /* out = f(s) */
     BATCH_SET, /* f(s, first) */
-    BATCH_SET_NUMBER, /* f(s, first[0]) */
     BATCH_SET_NODE, /* f(s, place[0], first) */
     BATCH_SET_TWO, /* f(s, place[0], place[1], first) */
     BATCH_SET_THREE, /* f(s, place[0], place[1], place[2], first) */
@@ -62,7 +61,7 @@ typedef struct { /* values over the samples for one column of stored data */
 } batch_column_t;
 
 typedef struct { /* data that are set before every sample, by one call of a setter */
-    int32_t setter; /* setter_t */
+    int32_t setter; /* batch_setter_t */
     batch_function_t set; /* its function, of one row for all nodes or for the end */
     batch_function_t set_range; /* its function, of a row for each node; NULL: all nodes share one */
     int32_t number; /* of the parameter */

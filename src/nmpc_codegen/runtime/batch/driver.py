@@ -9,7 +9,7 @@ import os
 import time
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor, wait
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from contextlib import suppress
 from functools import cache, partial
 from pathlib import Path
@@ -174,8 +174,10 @@ class Driver:
             finally:
                 deque(pending, maxlen=0)  # after an error, nobody begins another piece
 
-        helpers = [self._threads().submit(serve) for _ in range(min(len(work), self.threads) - (not interruptible))]
+        helpers: list[Future[None]] = []
         try:
+            for _ in range(min(len(work), self.threads) - (not interruptible)):
+                helpers.append(self._threads().submit(serve))
             if not interruptible:
                 serve()
             wait(helpers)

@@ -76,8 +76,9 @@ class Flights:
 
     @property
     def wrong(self) -> NDArray[np.bool_]:
-        """(F,): True for flights with a failure, with a state that was not finite, or with a hard row violated."""
-        violated = np.any((self.violation > self.rounding) & self.hard, axis=1)
+        """(F,): True for flights with a failure, a state that was not finite, or a hard row that is violated, or not
+        known."""
+        violated = np.any(~(self.violation <= self.rounding) & self.hard, axis=1)
         return np.asarray((self.failed >= 0) | (self.lost >= 0) | violated)
 
     def plot(self, file: str | os.PathLike[str] | None = None) -> Any:

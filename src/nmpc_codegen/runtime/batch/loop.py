@@ -13,14 +13,13 @@ from numpy.typing import ArrayLike, NDArray
 from nmpc_codegen.errors import ControllerError
 from nmpc_codegen.package.status import Status
 from nmpc_codegen.runtime import given
-from nmpc_codegen.runtime.access.addressing import Addressing
 from nmpc_codegen.runtime.batch.flights import Draws, Flights
 from nmpc_codegen.runtime.batch.random import DISTURBANCE, NOISE, Random, Signal, signal
 from nmpc_codegen.runtime.batch.structs import Into, Structs
 from nmpc_codegen.runtime.batch.summary import Before, Judge, Samples, before, judge_of
 from nmpc_codegen.runtime.batch.tables import Data, Tables, at_samples, in_c, parameter_data, reference_data, replace_in
-from nmpc_codegen.runtime.given import SAME_TIME, is_same_time
-from nmpc_codegen.runtime.loops.sampling import integrations, interval_of
+from nmpc_codegen.runtime.given import is_same_time
+from nmpc_codegen.runtime.loops.sampling import integrations, interval_of, samples_ahead
 from nmpc_codegen.runtime.records.html import units
 
 Array = NDArray[Any]
@@ -80,7 +79,7 @@ class Loop:
         """batch_flights_t without what a block writes to."""
         batch, driver, described = self.batch, self.batch.driver, self.batch.description
         plant = self.batch if self.plant is None else self.plant
-        ahead = np.floor(np.append(0.0, np.cumsum(described.dt)) / self.interval + SAME_TIME).astype(np.int64)
+        ahead = samples_ahead(described, self.interval)
         c = driver.ffi.new("batch_flights_t *")
         c.step, c.integrate = driver.address("step"), driver.address("integrate", plant._package)
         c.algebraic_count = len(self.batch.names.algebraic)
@@ -114,7 +113,7 @@ class Loop:
         driver = self.batch.driver
         c.memory, c.structs = driver.ffi.cast("char *", self.batch.address_of(structs, self.keep)), len(structs)
         c.stride, c.size = structs.stride if len(structs) > 1 else 0, structs._package.dtype.itemsize
-        c.data, c.count = in_c(self.batch, _Where(structs), data, ahead, self.keep), len(data)
+        c.data, c.count = in_c(self.batch, structs, data, ahead, self.keep), len(data)
 
     def samples(self, block: slice) -> Samples:
         """Data of a block as they are before the first sample, with those of the tables."""
@@ -151,13 +150,6 @@ class Loop:
         return before(self.batch if self.plant is None else self.plant)
 
 
-class _Where(Addressing):
-    """The data of structs by their names."""
-
-    def __init__(self, structs: Structs) -> None:
-        super().__init__(structs._package, structs._struct)
-
-
 def simulate_all(batch: Structs, X0: ArrayLike, task: Task, plant: Structs | None) -> Flights:
     """Fly closed loops; see Batch.simulate()."""
     task.check()
@@ -176,14 +168,12 @@ def simulate_all(batch: Structs, X0: ArrayLike, task: Task, plant: Structs | Non
 
 def _loop(batch: Structs, plant: Structs | None, starts: Array, task: Task) -> Loop:
     """The checked arguments."""
-    names, flights, where = batch.names.states, len(starts), _Where(batch)
+    names, flights = batch.names.states, len(starts)
     interval = interval_of(batch.description, task.dt)
-    parameters = parameter_data(where, task.parameters, flights, "parameters")
+    parameters = parameter_data(batch, task.parameters, flights, "parameters")
     if plant is not None:
         _check_plant(batch, plant, flights, interval)
-    of_plant = parameter_data(
-        where if plant is None else _Where(plant), task.plant_parameters, flights, "plant_parameters"
-    )
+    of_plant = parameter_data(plant or batch, task.plant_parameters, flights, "plant_parameters")
     true = plant is None and task.plant_parameters is not None
     if true:  # another copy of the controller
         plant, of_plant = batch, replace_in(parameters, of_plant)
@@ -196,7 +186,7 @@ def _loop(batch: Structs, plant: Structs | None, starts: Array, task: Task) -> L
         starts,
         int(task.steps),
         interval,
-        data=[*parameters, *reference_data(where, task.references, flights)],
+        data=[*parameters, *reference_data(batch, task.references, flights)],
         plant_data=of_plant,
         disturbance=signal(task.disturbance, "disturbance", names, DISTURBANCE),
         noise=signal(task.noise, "noise", names, NOISE),

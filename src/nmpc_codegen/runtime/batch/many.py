@@ -24,7 +24,7 @@ from nmpc_codegen.runtime.batch.random import Random
 from nmpc_codegen.runtime.batch.structs import Statuses, Structs, reserve, single, stride_of
 from nmpc_codegen.runtime.batch.tables import Tables
 from nmpc_codegen.runtime.controller import Controller
-from nmpc_codegen.runtime.solving import TOLERANCE
+from nmpc_codegen.runtime.solving import limits
 
 Array = NDArray[Any]
 
@@ -89,13 +89,8 @@ class Batch(Structs):
         Returns:
             Statuses (M,).
         """
-        tol = TOLERANCE[self.description.precision] if tol is None else tol
-        if not given.is_positive(tol):
-            raise ControllerError(f"tol is {tol!r}; expected a positive number")
-        if not given.is_integer(max_iterations) or not 1 <= max_iterations < 2**31:
-            raise ControllerError(f"max_iterations is {max_iterations!r}; expected an integer >= 1 of 32 bits")
-        states = self._states(X, "X")
-        return self.call("SOLVE", "solve", first=states, number=float(tol), places=[int(max_iterations)])
+        tol, max_iterations = limits(self.description.precision, tol, max_iterations)
+        return self.call("SOLVE", "solve", first=self._states(X, "X"), number=tol, places=[max_iterations])
 
     def shift(self) -> None:
         """Shift every plan by one interval."""
@@ -223,9 +218,7 @@ class Batch(Structs):
 
     def copy(self) -> Batch:
         """An independent batch in the same state."""
-        twin = Batch(self[0], len(self), self.threads)
-        twin.memory[:] = self.memory
-        return twin
+        return _restore(self[0], len(self), self.threads, self.memory)
 
     __copy__ = copy
 
@@ -332,8 +325,8 @@ def check_number(number: int) -> None:
         raise ControllerError(f"number is {number!r}; expected an integer >= 1")
 
 
-def _restore(controller: Controller, number: int, threads: int, state: bytes) -> Batch:
-    """Unpickle."""
+def _restore(controller: Controller, number: int, threads: int, state: bytes | NDArray[np.uint8]) -> Batch:
+    """A batch with these bytes as memory."""
     found = Batch(controller, number, threads)
     found.memory[:] = np.frombuffer(state, np.uint8)
     return found

@@ -9,7 +9,6 @@ typedef void (*integrate_t)(const void *s, const real_t *x, const real_t *u, rea
 typedef real_t (*cost_t)(const void *s);
 typedef int (*algebraic_t)(void *s, int k, const real_t *x, const real_t *u, real_t *z);
 typedef int (*set_t)(void *s, const real_t *v);
-typedef int (*set_number_t)(void *s, real_t v);
 typedef int (*set_node_t)(void *s, int a, const real_t *v);
 typedef int (*set_two_t)(void *s, int a, int b, const real_t *v);
 typedef int (*set_three_t)(void *s, int a, int b, int c, const real_t *v);
@@ -108,8 +107,6 @@ static int batch_call_one(const batch_call_t *c, int64_t i)
         return 0;
     case BATCH_SET:
         return ((set_t)c->function)(s, first);
-    case BATCH_SET_NUMBER:
-        return ((set_number_t)c->function)(s, *first);
     case BATCH_SET_NODE:
         return ((set_node_t)c->function)(s, at[0], first);
     case BATCH_SET_TWO:

@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from nmpc_codegen.errors import ControllerError
-from nmpc_codegen.package.signals import members
 from nmpc_codegen.runtime import given
 
 Array = NDArray[np.float64]
@@ -68,11 +67,7 @@ def signal(
     size = size.std if isinstance(size, Normal) else size
     found = np.zeros(len(names))
     if isinstance(size, Mapping):
-        for name, value in size.items():
-            places = members(name, names)
-            if not places:
-                raise ControllerError(f"{what}: no state {name!r}; those that exist: {', '.join(map(repr, names))}")
-            found[places] = given.rows(value, f"{what} of {name!r}", found.dtype, len(places))[0]
+        given.fill_by_name(found, size, names, what)
     else:
         found[:] = given.rows(size, what, found.dtype, len(names))[0]
     if (found < 0).any():

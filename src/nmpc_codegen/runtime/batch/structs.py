@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nmpc_codegen.runtime.access.iterate import Iterate
+from nmpc_codegen.runtime.access.addressing import Addressing
 from nmpc_codegen.runtime.batch.driver import Driver
 from nmpc_codegen.runtime.compiled import ALIGNMENT
 from nmpc_codegen.runtime.controller import Controller
@@ -20,7 +20,7 @@ Array = NDArray[Any]
 Statuses = NDArray[np.int32]
 
 
-class Structs(Iterate):
+class Structs(Addressing):
     """M structs, ``stride`` bytes apart, in ``memory``."""
 
     def __init__(self, driver: Driver, memory: NDArray[np.uint8], count: int, stride: int) -> None:

@@ -15,7 +15,8 @@ from numpy.typing import ArrayLike, NDArray
 from nmpc_codegen.errors import ControllerError
 from nmpc_codegen.package.signals import Kind, members
 from nmpc_codegen.runtime.controller import Controller
-from nmpc_codegen.runtime.given import SAME_TIME, ndim, pair
+from nmpc_codegen.runtime.given import ndim, pair
+from nmpc_codegen.runtime.loops.sampling import samples_ahead
 
 Array = NDArray[Any]
 Before = Callable[[int, Controller], Any]
@@ -39,8 +40,7 @@ def forecast(
     Raises:
         ControllerError: a mapping is none, or an array has no row.
     """
-    times = np.append(0.0, np.cumsum(ctrl.description.dt))
-    ahead = np.floor(times / interval + SAME_TIME).astype(np.int64)
+    ahead = samples_ahead(ctrl.description, interval)
     found: list[Before] = []
     if parameters is not None:
         tables = _tables("parameters", parameters)

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from nmpc_codegen.errors import ControllerError
 from nmpc_codegen.package.description import PackageDescription
 from nmpc_codegen.runtime.controller import Controller
-from nmpc_codegen.runtime.given import is_positive, is_same_time
+from nmpc_codegen.runtime.given import SAME_TIME, is_positive, is_same_time
 
 Array = NDArray[np.float64]
 Plant = Callable[[Array, Array, float], ArrayLike]
@@ -38,6 +38,12 @@ def interval_of(described: PackageDescription, dt: float | None) -> float:
             f"sampling time by RealTimeIteration(sampling_time={dt!r}), or shift nothing, shift=None"
         )
     return float(dt)
+
+
+def samples_ahead(described: PackageDescription, interval: float) -> NDArray[np.int64]:
+    """For every node, (N+1,), the samples from the present one to the last one at or before its time."""
+    times = np.append(0.0, np.cumsum(described.dt))
+    return np.floor(times / interval + SAME_TIME).astype(np.int64)
 
 
 def integrations(described: PackageDescription, dt: float) -> int:

@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from nmpc_codegen.errors import ControllerError
-from nmpc_codegen.package.signals import members
 from nmpc_codegen.runtime.controller import Controller, Status
 from nmpc_codegen.runtime.diagnosis.rows import (
     append_solved,
@@ -27,7 +26,7 @@ from nmpc_codegen.runtime.diagnosis.rows import (
 )
 from nmpc_codegen.runtime.estimation.observer import Observer
 from nmpc_codegen.runtime.estimation.sensing import Sensing, see
-from nmpc_codegen.runtime.given import rows
+from nmpc_codegen.runtime.given import fill_by_name
 from nmpc_codegen.runtime.loops.forecast import Before, Bounds, OverSamples, References, forecast
 from nmpc_codegen.runtime.loops.sampling import Plant, interval_of, own_plant
 from nmpc_codegen.runtime.records.html import units
@@ -205,12 +204,7 @@ def _stack(x0: Mapping[str, ArrayLike], ctrl: Controller) -> Array:
     """The declared initial state with the values that are given by name."""
     states = ctrl.description.states
     x = np.array([v for s in states for v in s.value], dtype=np.float64)
-    known = ctrl.names.states
-    for name, value in x0.items():
-        places = members(name, known)
-        if not places:
-            raise ControllerError(f"x0: no state {name!r}; those that exist: {', '.join(map(repr, known))}")
-        x[places] = rows(value, f"x0: {name!r}", x.dtype, len(places), finite=False)[0]
+    fill_by_name(x, x0, ctrl.names.states, "x0", finite=False)
     return x
 
 
