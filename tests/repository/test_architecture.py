@@ -40,7 +40,7 @@ ORDER = (
         "lowering",
         "analysis",
     ),
-    *("oracle", "economic", "compiler", "derivatives", "firmware", "cli"),
+    *("oracle", "economic", "compiler", "derivatives", "firmware", "campaigns", "cli"),
 )
 RANK = {room: rank for rank, room in enumerate(ORDER)}
 
@@ -79,10 +79,15 @@ ONLY_IN = {
     "jinja2": {"lowering/render"},
     "cffi": {"runtime/build"},
     "cvxpy": {"economic/semidefinite"},
-    "matplotlib": {"runtime/records", "cli/arguments"},
+    "matplotlib": {"runtime/records", "campaigns/judging/pictures", "cli/arguments"},
+    "optuna": {"campaigns/coach/weights"},
+    "pyarrow": {"campaigns/flying/archive"},
     "pandas": {"runtime/records/tables"},
     "xarray": {"runtime/records/tables"},
-    "scipy": {"economic", "components/qp/osqp", "frontend/functions/lookup_table"},
+    "scipy": {
+        *("economic", "components/qp/osqp", "frontend/functions/lookup_table"),
+        *("campaigns/stated/distributions", "campaigns/judging/verdict", "campaigns/coach/choice"),
+    },
 }
 
 MODULES_PER_ROOM = 14

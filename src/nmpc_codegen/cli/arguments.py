@@ -18,6 +18,9 @@ from nmpc_codegen.targets import NATIVE, TARGETS
 #: Maximum number of samples of --simulate: a longer log may not fit into memory.
 MAX_SAMPLES = 1_000_000
 
+#: Maximum number of flights of --campaign.
+MAX_FLIGHTS = 10_000_000
+
 #: Names of the flags --max-NAME, and what they limit.
 BUDGETS = {
     "ram": "bytes of solver struct",
@@ -27,7 +30,17 @@ BUDGETS = {
 }
 
 #: Flags without a meaning for --derivatives.
-OF_CONTROLLERS = ("allow_foreign", "check", "simulate", "allow_failures", "plot", "target", "level", "verify")
+OF_CONTROLLERS = (
+    "allow_foreign",
+    "check",
+    "simulate",
+    "campaign",
+    "allow_failures",
+    "plot",
+    "target",
+    "level",
+    "verify",
+)
 
 DERIVATIVES = (
     "in place of a controller, write functions for gradients, sensitivities and second derivatives of the simulated "
@@ -77,9 +90,16 @@ def parser() -> Parser:
         "--allow-failures",
         type=int,
         metavar="N",
-        help="how many samples of the simulation may fail (default 0); OK and NOT_CONVERGED are no failures",
+        help="how many samples of the simulation may fail, and flights of the campaign be lost (default 0); OK and "
+        "NOT_CONVERGED are no failures",
     )
-    add("--plot", metavar="FILE", help="write a picture of the simulation (.png, .pdf, .svg)")
+    add("--plot", metavar="FILE", help="write a picture of the simulation, or of the campaign (.png, .pdf, .svg)")
+    add(
+        "--campaign",
+        type=int,
+        metavar="FLIGHTS",
+        help="fly so many closed loops, with the arguments of campaign() that the file may define as `campaign`",
+    )
     add(
         "--target",
         choices=[NATIVE, *TARGETS],
@@ -113,6 +133,8 @@ def _mistakes(arguments: argparse.Namespace) -> Iterator[str]:
             yield f"{'problem.py' if flag == 'problem' else f'--{flag}'} {value!r}: expected a name that is not empty"
     if arguments.simulate is not None and not 1 <= arguments.simulate <= MAX_SAMPLES:
         yield f"--simulate {arguments.simulate}: expected at least one step and at most {MAX_SAMPLES:,}"
+    if arguments.campaign is not None and not 1 <= arguments.campaign <= MAX_FLIGHTS:
+        yield f"--campaign {arguments.campaign}: expected at least one flight and at most {MAX_FLIGHTS:,}"
     if arguments.derivatives:
         for flag in (*OF_CONTROLLERS, *(f"max_{name}" for name in BUDGETS)):
             if getattr(arguments, flag) not in (None, False):
@@ -121,10 +143,10 @@ def _mistakes(arguments: argparse.Namespace) -> Iterator[str]:
         if "=" not in setting or not setting.partition("=")[0].strip():
             yield f"--set {setting}: expected KEY=VALUE, e.g. integrator.steps=3"
     for flag in ("plot", "allow_failures"):
-        if getattr(arguments, flag) is not None and arguments.simulate is None:
-            yield f"--{flag.replace('_', '-')} needs --simulate STEPS"
+        if getattr(arguments, flag) is not None and arguments.simulate is None and arguments.campaign is None:
+            yield f"--{flag.replace('_', '-')} needs --simulate STEPS or --campaign FLIGHTS"
     if arguments.allow_failures is not None and arguments.allow_failures < 0:
-        yield f"--allow-failures {arguments.allow_failures}: expected a number of samples >= 0"
+        yield f"--allow-failures {arguments.allow_failures}: expected a number of samples or flights >= 0"
     for flag, look in (("output", _folder), ("plot", _picture)):
         value = getattr(arguments, flag)
         try:

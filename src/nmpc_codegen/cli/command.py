@@ -18,6 +18,7 @@ from nmpc_codegen.errors import OptionError
 if TYPE_CHECKING:
     from nmpc_codegen.cli.problem_file import Stated
     from nmpc_codegen.compiler import Package
+    from nmpc_codegen.firmware.delivery import Variant
 
 SHOWN_FUNCTIONS = 8
 LONG_SIMULATION = 10_000  # number of samples from which the simulation is announced
@@ -61,6 +62,7 @@ def _run(arguments: argparse.Namespace, printer: Printer) -> int:
         return 0
     if arguments.derivatives:
         return _derivatives(arguments, printer)
+    from nmpc_codegen.cli.campaign import Flights
     from nmpc_codegen.cli.check import check
     from nmpc_codegen.cli.firmware import Firmware
     from nmpc_codegen.compiler import compile, export
@@ -69,25 +71,30 @@ def _run(arguments: argparse.Namespace, printer: Printer) -> int:
     from nmpc_codegen.runtime.native import check_target
     from nmpc_codegen.targets import TARGETS
 
-    if arguments.check or arguments.simulate is not None:
+    runs = arguments.check or arguments.simulate is not None or arguments.campaign is not None
+    if runs:
         find_compiler()
     firmware = Firmware(arguments)
     if arguments.target is not None:
         firmware.look_for_tools(Options(target=arguments.target))
-    ocp, options, _, estimator = _problem(arguments, printer)
+    stated = _problem(arguments, printer)
+    ocp, options, estimator = stated.ocp, stated.options, stated.estimator
     firmware.look_for_tools(options)
     name = ocp.name if arguments.name is None else arguments.name
-    if arguments.check or arguments.simulate is not None:
+    if runs:
         check_target(name, TARGETS[options.with_defaults.target])
     folder = Path(arguments.output or Path("out") / name)
     beside = None if estimator is None else lambda: compile(estimator, common_options(options))
-    more = firmware.hook(name, lambda **changes: compile(ocp, replace(options, **changes), name), beside)
+    flights = Flights(arguments, stated, name)
+    variant: Variant = lambda **changes: compile(ocp, replace(options, **changes), name)  # noqa: E731
+    more = firmware.hook(name, variant, beside, flights.fly)
     given: dict[str, Any] = {"allow_foreign": arguments.allow_foreign, "force": arguments.force, "more": more}
     given |= {"estimator": estimator}
     with saying_warnings(printer):
         package = export(ocp, options, str(folder), name=name, **given)
         _print_package(printer, package, folder, arguments.verbose)
         passed = firmware.report(printer)
+        passed = flights.report(printer) and passed
         if arguments.check:
             passed = check(ocp, options, folder, name, printer) and passed
         if arguments.simulate is not None:
@@ -99,7 +106,8 @@ def _derivatives(arguments: argparse.Namespace, printer: Printer) -> int:
     """Write a package of derivatives and print its files and operations."""
     from nmpc_codegen import derivatives
 
-    ocp, options, outputs, _ = _problem(arguments, printer)
+    stated = _problem(arguments, printer)
+    ocp, options, outputs = stated.ocp, stated.options, stated.outputs
     outputs = outputs() if callable(outputs) else outputs
     name = f"{ocp.name}_derivatives" if arguments.name is None else arguments.name
     folder = Path(arguments.output or Path("out") / name)

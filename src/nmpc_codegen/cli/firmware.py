@@ -12,11 +12,11 @@ from nmpc_codegen.cli.printing import Printer
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.firmware.budgets import BYTES, OPERATIONS, Budgets, parse_size
 from nmpc_codegen.firmware.certificate import Certificate, Form
-from nmpc_codegen.firmware.delivery import Delivery, Variant, deliver, deliver_estimator, sentences
+from nmpc_codegen.firmware.delivery import Delivery, Flown, Variant, deliver, deliver_estimator, sentences
 from nmpc_codegen.firmware.process import compiler_for, emulator_command
 from nmpc_codegen.firmware.toolchain import LEVELS, require
 from nmpc_codegen.options import Options
-from nmpc_codegen.package.seal import seal_beside
+from nmpc_codegen.package.seal import seal_beside, without_seal
 from nmpc_codegen.package.sources import Sources
 from nmpc_codegen.runtime.compilers import find_compiler
 from nmpc_codegen.targets import TARGETS
@@ -57,15 +57,23 @@ class Firmware:
             compiler_for(target)
 
     def hook(
-        self, name: str, variant: Variant, beside: Callable[[], Sources] | None = None
+        self,
+        name: str,
+        variant: Variant,
+        beside: Callable[[], Sources] | None = None,
+        fly: Callable[[Mapping[str, str]], Flown | None] = lambda _: None,
     ) -> Callable[[Mapping[str, str]], dict[str, str]]:
         """What export() calls before it writes anything; ``variant`` makes the package with other options, ``beside``
-        that of an estimator."""
+        that of an estimator, and ``fly`` flies a campaign with the package, if one is asked for."""
 
         def more(sources: Mapping[str, str]) -> dict[str, str]:
             """Further files, sealed; an error if a budget is exceeded or a tool fails."""
-            self._delivery = deliver(sources, name, self._level, self._budgets, self._run, variant)
+            flown = fly(sources)
+            self._delivery = deliver(sources, name, self._level, self._budgets, self._run, variant, flown)
             files = dict(self._delivery.files)
+            if flown is not None:
+                readme = files.get("README.md") or without_seal(sources["README.md"])
+                files["README.md"] = f"{readme.rstrip()}\n\n## Campaign\n\n{flown.sentences}\n"
             if beside is not None and self._delivery.certificate is not None:
                 package = beside()
                 self._estimator = deliver_estimator(package, package.description.name, self._level, self._run)

@@ -19,12 +19,14 @@ MODULE = "nmpc_problem"
 
 
 class Stated(NamedTuple):
-    """What a file states: the problem, its options, the outputs of --derivatives, and an estimator or None."""
+    """What a file states: the problem, its options, the outputs of --derivatives, an estimator or None, and arguments
+    of campaign()."""
 
     ocp: OCP
     options: Options
     outputs: Any
     estimator: Estimator | None
+    campaign: Mapping[str, Any]
 
 
 def load_problem(path: Path) -> Stated:
@@ -33,7 +35,8 @@ def load_problem(path: Path) -> Stated:
     The problem is that of ``problem()``, else ``ocp``, else that of ``build_ocp()``, else the only OCP in the file. The
     options are those that ``problem()`` returns, else ``options`` or the result of ``options()``, else the defaults.
     The outputs, of which --derivatives takes the impulse response, are ``outputs`` or None. The estimator is
-    ``estimator``, else that of ``build_estimator()``, or of ``build_estimator(ocp)``, else None.
+    ``estimator``, else that of ``build_estimator()``, or of ``build_estimator(ocp)``, else None. The arguments of
+    campaign() are the dictionary ``campaign``, or what the function of that name returns.
 
     Raises:
         ProblemError: there is no such file, or no problem in it, or several of which none is called ``ocp``.
@@ -50,7 +53,9 @@ def load_problem(path: Path) -> Stated:
     try:
         exec(compile(path.read_bytes(), module.__file__, "exec"), module.__dict__)
         ocp, options = _find_statement(module.__dict__, path)
-        return Stated(ocp, options, module.__dict__.get("outputs"), _find_estimator(module.__dict__, ocp, path))
+        names = module.__dict__
+        estimator, campaign = _find_estimator(names, ocp, path), _find_campaign(names, path)
+        return Stated(ocp, options, names.get("outputs"), estimator, campaign)
     finally:
         sys.modules.pop(MODULE, None)
         sys.path = search
@@ -103,6 +108,17 @@ def _find_estimator(names: Mapping[str, Any], ocp: OCP, path: Path) -> Estimator
         found = found(ocp) if len(takes) == 1 else _call("build_estimator", found, path)
     if not isinstance(found, Estimator):
         raise ProblemError(f"{path}: estimator is a {type(found).__name__}; expected ocp.estimator(...)")
+    return found
+
+
+def _find_campaign(names: Mapping[str, Any], path: Path) -> Mapping[str, Any]:
+    """The arguments of campaign(), if the file states some."""
+    found = names.get("campaign", {})
+    if found is getattr(sys.modules.get("nmpc_codegen.campaigns"), "campaign", None):  # it was imported
+        return {}
+    found = _call("campaign", found, path) if callable(found) else found
+    if not isinstance(found, Mapping):
+        raise ProblemError(f"{path}: campaign is a {type(found).__name__}; expected a dictionary of its arguments")
     return found
 
 

@@ -31,6 +31,15 @@ from nmpc_codegen.targets import PORTABLE, TARGETS, Target
 FOLDER = "firmware"
 SAMPLES = 200
 NOT_RUN = "Not run: export with --verify."
+NOT_FLOWN = "Not flown: export with --campaign."
+
+
+@dataclass(frozen=True)
+class Flown:
+    """A campaign that the package has flown: for programs and for people."""
+
+    entries: Mapping[str, object]
+    sentences: str
 
 
 #: Makes the package with other options.
@@ -51,12 +60,19 @@ class Delivery:
 
 
 def deliver(
-    package: Mapping[str, str], name: str, level: Level, budgets: Budgets, run: bool, variant: Variant
+    package: Mapping[str, str],
+    name: str,
+    level: Level,
+    budgets: Budgets,
+    run: bool,
+    variant: Variant,
+    flown: Flown | None = None,
 ) -> Delivery:
     """Check the budgets; replay a closed loop on the target of the package on request; for a microcontroller also
     certify the package, and add what its firmware is built from.
 
     ``variant``: makes the package with other options: for every goal, whose sizes are compared, and in portable C.
+    ``flown``: a campaign of the package, which the certificate tells of.
 
     Raises:
         OptionError: a budget is exceeded, or the package cannot be verified.
@@ -86,8 +102,8 @@ def deliver(
     files |= layouts(package, recording, target, certificate, budgets.ram)
     files |= _at_level(package, level)
     forms = forms_of({goal: variant(goal=goal) for goal in GOALS}, name, target)
-    files["certificate.json"] = certificate_json(certificate, verdict, forms)
-    files["certificate.md"] = page(certificate, verdict, forms, sorted(files))
+    files["certificate.json"] = certificate_json(certificate, verdict, forms, flown)
+    files["certificate.md"] = page(certificate, verdict, forms, sorted(files), flown)
     return Delivery(files, certificate, verdict, forms)
 
 
@@ -126,16 +142,24 @@ def record_loop(package: Mapping[str, str], name: str) -> Recording:
     return record(controller, x0, SAMPLES, disturbed=restart_loop(x0))
 
 
-def certificate_json(certificate: Certificate, verdict: Verdict | None, forms: tuple[Form, ...] = ()) -> str:
-    """The certificate, the sizes for every goal, and the outcome of the run if there was one."""
+def certificate_json(
+    certificate: Certificate, verdict: Verdict | None, forms: tuple[Form, ...] = (), flown: Flown | None = None
+) -> str:
+    """The certificate, the sizes for every goal, and the outcomes of the run and of the campaign if there were some."""
     entries = certificate.as_dict() | {"forms": [form.as_dict() for form in forms]}
     if verdict is not None:
         entries["emulated"] = verdict.as_dict()
+    if flown is not None:
+        entries["campaign"] = flown.entries
     return json.dumps(entries, indent=1, allow_nan=False) + "\n"
 
 
 def page(
-    certificate: Certificate, verdict: Verdict | None, forms: tuple[Form, ...] = (), files: Sequence[str] = ()
+    certificate: Certificate,
+    verdict: Verdict | None,
+    forms: tuple[Form, ...] = (),
+    files: Sequence[str] = (),
+    flown: Flown | None = None,
 ) -> str:
     """The certificate for people; ``files``: those that came with it."""
     goals = environment().get_template("firmware/certificate_goals.md.jinja")
@@ -148,6 +172,7 @@ def page(
         "double": ", ".join(certificate.double_functions) or "none",
         "deviations": DEVIATIONS,
         "files": files,
+        "campaign": NOT_FLOWN if flown is None else flown.sentences,
         "verdict": NOT_RUN if verdict is None else sentences(verdict),
     }
     return environment().get_template("firmware/certificate.md.jinja").render(names)

@@ -352,6 +352,18 @@ class Problem:
         return bool(curved_rows(f, ca.vertcat(x, u)))
 
     @property
+    def model_parameters(self) -> frozenset[str]:
+        """Elements of parameters that the model depends on: dynamics, jumps, algebraic equations."""
+        x, u, p = self.path.x, self.path.u, self.path.p
+        parts = [self.dynamics(x, u, p), *([] if self.jump is None else [self.jump(x, u, p, 1)])]
+        if self.algebra is not None:
+            parts += [self.algebra.values(x, u, part(p, 0, self.np), ca.SX.sym("z", self.algebra.size))]
+            parts += [self.algebra.equations(x, u, part(p, 0, self.np), ca.SX.sym("z", self.algebra.size))]
+        names = [element for signal in self.own_parameters for element in signal.elements]
+        moved = ca.which_depends(ca.vertcat(*parts), p, 1, False) if names else ()
+        return frozenset(name for name, moves in zip(names, moved, strict=False) if moves)
+
+    @property
     def couples_free_start(self) -> bool:
         """True if rows couple x_N with components of x_0 that the solver chooses: a recursion over the stages alone
         cannot hold such equations. solve() then leaves an indefinite Hessian to the route of the QP."""

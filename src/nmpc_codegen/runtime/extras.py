@@ -21,6 +21,8 @@ EXTRAS = {
     "clarabel": "economic",
     "cupy": "cuda",
     "nvidia": "cuda",
+    "pyarrow": "campaign",
+    "optuna": "campaign",
 }
 
 

@@ -113,6 +113,7 @@ typedef struct { /* closed loops: x_{k+1} = plant(x_k, u_k) + disturbance_k, u_k
     int8_t *status; /* (steps) of each */
     int64_t *failed; /* first sample that failed, or -1 */
     int64_t *lost; /* sample after which the state was not finite, or -1 */
+    double *seconds; /* (2) of each: of all calls of step, and of the longest one; NaN without a clock */
     char *copies; /* a struct of the controller, then one of the plant, each aligned */
     void *rows; /* largest number of rows and columns of any data */
 } batch_flights_t;

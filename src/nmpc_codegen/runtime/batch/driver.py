@@ -38,10 +38,13 @@ CLAIMS, MOST = 8, 64
 
 #: What the parts of the driver begin with, for a processor.
 _PROLOGUE = """\
+#define _POSIX_C_SOURCE 199309L
+
 #include <math.h>
 #include <stddef.h>
 #include <stdint.h>
 #include <string.h>
+#include <time.h>
 
 typedef {real} real_t;
 enum {{ N = {N}, NX = {NX}, NU = {NU}, NALG = {NALG}, ALL = -1 }};

@@ -110,7 +110,9 @@ TARGET static int32_t batch_fly_one(
     double *x = f->x + at * (f->steps + 1) * NX, *u = f->u + at * f->steps * NU, now[NX];
     int8_t *statuses = f->status + at * f->steps;
     int finite = 1;
+    double *seconds = f->seconds + 2 * at;
     f->failed[at] = f->lost[at] = -1;
+    seconds[0] = seconds[1] = 0.0;
     memcpy(now, f->x0 + flight * NX, sizeof now);
     memcpy(x, now, sizeof now);
     for (int64_t k = 0; k < f->steps && finite; k++) {
@@ -126,8 +128,12 @@ TARGET static int32_t batch_fly_one(
             return refused;
         }
         batch_measure(f, flight, k, now, xhat);
+        const double begin = batch_now();
         const int32_t status = batch_call_step(f, s, xhat, control);
+        const double took = batch_now() - begin;
         statuses[k] = (int8_t)status;
+        seconds[0] += took;
+        seconds[1] = (took < seconds[1]) ? seconds[1] : took;
         if (f->failed[at] < 0 && (f->failures >> status & 1u)) {
             f->failed[at] = k;
         }

@@ -27,14 +27,15 @@ Array = NDArray[Any]
 class Flights:
     """What has become of F flights.
 
-    status_counts: (F, number of statuses), samples with each status. failed: (F,), the first sample whose status is a
-    failure, or -1. lost: (F,), the sample after which the state of the plant was not finite, where the flight has
-    ended, or -1. cost: (F,), sum over the samples of the cost of a node at the state of the plant and its control, with
-    the references and weights of the sample; what is integrated or scaled with dt counts the length of a sample.
-    violation: (F, rows), largest violation of each of ``rows``, those of the whole path, in its unit, 0 where it is
-    kept, NaN where it is not known: of a row with controls at every sample, of another one at every state but the
-    first. hard: (rows,), True for hard ones; rounding: (rows,), up to which violations are rounding. last: (F, nx),
-    last states.
+    status_counts: (F, number of statuses), samples with each status. failed: (F,), the first sample whose status is
+    a failure, or -1. lost: (F,), the sample after which the state of the plant was not finite, where the flight has
+    ended, or -1. ended: (F,), status of the last sample. cost: (F,), sum over the samples of the cost of a node at
+    the state of the plant and its control, with the references and weights of the sample; what is integrated or
+    scaled with dt counts the length of a sample. violation: (F, rows), largest violation of each of ``rows``, those
+    of the whole path, in its unit, 0 where it is kept, NaN where it is not known: of a row with controls at every
+    sample, of another one at every state but the first. hard: (rows,), True for hard ones; rounding: (rows,), up to
+    which violations are rounding. last: (F, nx), last states. seconds: (F, 2), mean and longest time of a sample,
+    NaN on a device.
 
     x (F, steps + 1, nx), u (F, steps, nu), status (F, steps) with record=True, else None; NaN and -1 after the end.
     """
@@ -51,10 +52,12 @@ class Flights:
     status_counts: NDArray[np.int64]
     failed: NDArray[np.int64]
     lost: NDArray[np.int64]
+    ended: NDArray[np.int8]
     cost: Array
     violation: Array
     rounding: Array
     last: Array
+    seconds: Array
     x: Array | None
     u: Array | None
     status: NDArray[np.int8] | None
@@ -156,10 +159,10 @@ class Draws:
         return out
 
 
-def draw(signal: Signal, seed: int, flight: int, out: NDArray[np.float64]) -> None:
-    """Fill out (samples, nx) with the random numbers of a signal in a flight."""
+def draw(signal: Signal, seed: int, flight: int, out: NDArray[np.float64], begin: int = 0) -> None:
+    """Fill out (samples, nx) with the random numbers of a signal in a flight, from sample ``begin``."""
     ffi, lib = generator()
     random = ffi.new("batch_random_t *")
     random.size = ffi.cast("double *", signal.size.ctypes.data)
     random.uniform, random.stream = signal.uniform, signal.stream
-    lib.batch_draw(random, seed, flight, 0, len(out), out.shape[1], ffi.cast("double *", out.ctypes.data))
+    lib.batch_draw(random, seed, flight, begin, len(out), out.shape[1], ffi.cast("double *", out.ctypes.data))

@@ -166,6 +166,16 @@ def simulate_all(batch: Structs, X0: ArrayLike, task: Task, plant: Structs | Non
     return result.flights()
 
 
+def judge_paths(
+    batch: Structs, X0: ArrayLike, task: Task, plant: Structs | None, paths: tuple[Array, Array, Array]
+) -> tuple[Array, Array]:
+    """Costs (F,) and largest violations (F, rows) of paths that something else has flown with the data of a task:
+    states (F, steps + 1, nx), controls (F, steps, nu) and algebraic variables (F, steps, their number)."""
+    task.check()
+    loop = _loop(batch, plant, _starts(X0, batch.dims.nx, len(batch)), task)
+    return loop.judge.judge(*paths, loop.samples(slice(0, len(loop.starts))))
+
+
 def _loop(batch: Structs, plant: Structs | None, starts: Array, task: Task) -> Loop:
     """The checked arguments."""
     names, flights = batch.names.states, len(starts)
@@ -248,6 +258,7 @@ class _Result:
         self._record = [_unflown((flights, *s), i == 2) for i, s in enumerate(self._shapes)] if record else None
         self._counts = np.zeros((flights, len(Status)), np.int64)
         self._failed, self._lost = np.full(flights, -1, np.int64), np.full(flights, -1, np.int64)
+        self._ended, self._seconds = np.full(flights, -1, np.int8), np.zeros((flights, 2))
         self._cost, self._last = np.zeros(flights), np.zeros((flights, nx))
         self._violation = np.zeros((flights, len(loop.judge.rows)))
 
@@ -261,7 +272,7 @@ class _Result:
             else [a[block] for a in self._record]
         )
         z = np.full((count, loop.steps, len(loop.batch.names.algebraic)), np.nan)
-        into = Into(x, u, z, status, self._failed[block], self._lost[block])
+        into = Into(x, u, z, status, self._failed[block], self._lost[block], self._seconds[block])
         refused = loop.batch.fly(shared, block, into, loop.rows)
         if refused < 0:  # stopped, because of an error or interrupt that is raised
             return
@@ -274,6 +285,9 @@ class _Result:
             self._counts[block, value] = np.sum(status == value, axis=1)
         flown = self._counts[block].sum(axis=1)
         self._last[block] = x[np.arange(len(x)), flown]
+        if status.size:
+            self._ended[block] = status[np.arange(len(x)), flown - 1]
+        self._seconds[block, 0] /= np.maximum(1, flown)
         self._cost[block], self._violation[block] = self._loop.judge.judge(x, u, z, samples)
 
     def flights(self) -> Flights:
@@ -291,8 +305,8 @@ class _Result:
             loop.judge.names,
             np.array([described.rows[i].hard for i in loop.judge.rows], dtype=np.bool_),
             units(described.states, described.controls),
-            *(self._counts, self._failed, self._lost, self._cost, self._violation),
-            *(loop.judge.rounding, self._last),
+            *(self._counts, self._failed, self._lost, self._ended, self._cost, self._violation),
+            *(loop.judge.rounding, self._last, self._seconds),
             *(x, None if u is None else u[..., : loop.batch.dims.nu], status),
             draws,
         )

@@ -15,6 +15,14 @@ typedef int (*set_three_t)(void *s, int a, int b, int c, const real_t *v);
 typedef int (*set_pair_t)(void *s, int a, int b, real_t v, real_t w);
 typedef int (*set_pairs_t)(void *s, int a, int b, int c, const real_t *v, const real_t *w);
 
+/* Seconds of a clock that only goes forward. */
+static double batch_now(void)
+{
+    struct timespec t;
+    (void)clock_gettime(CLOCK_MONOTONIC, &t);
+    return (double)t.tv_sec + 1e-9 * (double)t.tv_nsec;
+}
+
 static int32_t batch_call_step(const batch_flights_t *f, void *s, const real_t *xhat, real_t *u)
 {
     return ((sample_t)f->step)(s, xhat, u);

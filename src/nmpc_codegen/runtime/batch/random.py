@@ -14,8 +14,8 @@ from nmpc_codegen.runtime import given
 
 Array = NDArray[np.float64]
 
-#: Numbers of the signals in the generator.
-DISTURBANCE, NOISE = 0, 1
+#: Numbers of the signals in the generator; START: what a campaign draws for a flight as a whole.
+DISTURBANCE, NOISE, START = 0, 1, 2
 
 
 @dataclass(frozen=True, eq=False)

@@ -107,6 +107,7 @@ class Into:
     status: Array
     failed: Array
     lost: Array
+    seconds: Array
 
 
 def single(controller: Controller) -> Structs:

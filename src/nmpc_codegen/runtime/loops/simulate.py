@@ -56,6 +56,7 @@ def simulate(
     warm_start: bool = False,
     law: Law = "step",
     *,
+    noise: Disturbance | None = None,
     parameters: OverSamples | None = None,
     bounds: Bounds | None = None,
     references: References | None = None,
@@ -69,14 +70,14 @@ def simulate(
         ctrl: the controller.
         x0: initial state of the plant, (nx,), or {name of a state or vector: value}; others as declared.
         steps: number of samples, >= 0.
-        dt: sampling time (s, or the time_unit of the OCP); by default that of the controller, or its first interval if
-            any will do, as with shift=None. Leave it out for a discrete map.
-        plant: plant(x, u, dt) -> next x; by default the integrator of the package, in equal steps no longer than the
-            controller's first interval.
+        dt: sampling time (s, or the OCP's unit); by default that of the controller, or its first interval if any will
+            do, as with shift=None. Leave it out for a discrete map.
+        plant: plant(x, u, dt) -> next x; by default the integrator of the package, in steps of at most one interval.
         disturbance: disturbance(k, x) -> value added to the state after sample k; x is the state before this sample.
-        before: called as before(k, ctrl) before sample k, and before solve() of ``warm_start``, to set further data.
+        before: before(k, ctrl), called before sample k, and before solve() of ``warm_start``, to set further data.
         warm_start: call solve(x0) before the first sample: a cold start with hard rows may need more iterations.
         law: "step": step(x) at every sample; "solve": solve(x), from the plan of the sample before, moved as in step().
+        noise: noise(k, x) -> value added to the state x of sample k that the controller is told.
         parameters: {name: array over the samples}, (n,), or (n, size) for a vector. A node of sample k has the row of
             the sample at its time, k + j if intervals are as long as samples, so that a forecast moves along; the last
             row holds from there on. Where all nodes share one value, it is that of sample k.
@@ -101,8 +102,20 @@ def simulate(
     move = plant or own_plant(ctrl if sensing is None else sensing.truth)
     if warm_start:
         _solve_first(ctrl, start, tell)
-    sample = _sample_by(law, ctrl, interval)
-    return _run(ctrl, start, steps, interval, numbers, tell, sample, move, disturbance, sensing)
+    sample, told = _sample_by(law, ctrl, interval), _measure_by(noise, sensing)
+    return _run(ctrl, start, steps, interval, numbers, tell, sample, move, disturbance, sensing, told)
+
+
+def _measure_by(noise: Disturbance | None, sensing: Sensing | None) -> Callable[[int, Array, Array], Array]:
+    """What a controller without an estimator is told; ControllerError for noise beside one."""
+    if sensing is not None and noise is not None:
+        raise ControllerError("noise is given beside an estimator, whose measurements have their own")
+    return see if noise is None else partial(_add_noise, noise)
+
+
+def _add_noise(noise: Disturbance, k: int, x: Array, u: Array) -> Array:
+    """The measured state of sample k."""
+    return x + _state(noise(k, x.copy()), len(x), f"the noise of sample {k}")
 
 
 def _controller(ctrl: Controller) -> Controller:
@@ -123,9 +136,11 @@ def _run(
     move: Plant,
     disturbance: Disturbance | None,
     sensing: Sensing | None,
+    told: Callable[[int, Array, Array], Array],
 ) -> Log:
-    """The loop and its log; ``numbers``: rows that are logged."""
-    look = see if sensing is None else sensing.look
+    """The loop and its log; ``numbers``: rows that are logged; ``told``: what a controller without an estimator is
+    told of the state."""
+    look = told if sensing is None else sensing.look
     name, nx, nu = ctrl.description.name, ctrl.dims.nx, ctrl.dims.nu
     x, u, known = np.zeros((steps + 1, nx)), np.zeros((steps, nu)), np.zeros((steps, ctrl.known.size))
     status, time_ns, cost = np.zeros(steps, np.int64), np.zeros(steps, np.int64), np.zeros(steps)

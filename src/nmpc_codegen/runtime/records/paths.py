@@ -27,7 +27,7 @@ Array = NDArray[np.float64]
 
 #: What the legend says, and the style of the line.
 MEDIAN: Legend = ("median", {"color": "0.1", "linewidth": 1.0})
-WRONG: Legend = ("failed, lost or a hard row violated", {"color": FAILURE_COLOR})
+WRONG = "failed, lost or a hard row violated"
 MOST = 1000  # wrong paths that are drawn
 FEW = 200  # paths that are drawn as lines; of more, their density is drawn
 COLUMNS, ROWS = 240, 90  # of the picture of a density
@@ -42,10 +42,11 @@ def draw_paths(
     title: str,
     time_label: str,
     file: str | os.PathLike[str] | None,
+    words: str = WRONG,
 ) -> Any:
     """Figure with an axis for each of ``panels``: label, paths (flights, samples); ``states`` of them are states, the
-    rest controls, which are held until the next sample. ``wrong``: flights that are drawn last, in red. The limits of
-    an axis are those of flights that are not ``lost``, if there is one."""
+    rest controls, which are held until the next sample. ``wrong``: flights that are drawn last, in red, as ``words``
+    in the legend. The limits of an axis are those of flights that are not ``lost``, if there is one."""
     mpl = extra("matplotlib", "plot()")
     figure = new_figure((WIDTH, 0.8 + ROW_HEIGHT * len(panels)), file)
     with mpl.rc_context(STYLE):
@@ -62,7 +63,8 @@ def draw_paths(
         axes[-1].set_xlabel(time_label)
         axes[0].set_xlim(0.0, t[-1])
         figure.align_ylabels(axes)
-        explain(figure, (MEDIAN, WRONG) if wrong.any() else (MEDIAN,))
+        red: Legend = (words, {"color": FAILURE_COLOR})
+        explain(figure, (MEDIAN, red) if wrong.any() else (MEDIAN,))
         figure.suptitle(title, fontsize=10, color="0.2")
         if file is not None:
             figure.savefig(Path(file), dpi=130)

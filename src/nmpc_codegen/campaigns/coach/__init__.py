@@ -1,0 +1,1 @@
+"""Options and weights that are chosen by campaigns."""

@@ -1,0 +1,120 @@
+"""Few sets of options that differ in what most often decides a closed loop, as far as the problem allows them."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Any
+
+from nmpc_codegen.campaigns.coach.spelling import spell_options
+from nmpc_codegen.compiler import compile
+from nmpc_codegen.components.algorithms import RealTimeIteration
+from nmpc_codegen.components.condensing import FullCondensing, NoCondensing
+from nmpc_codegen.components.hessians import ExactHessian, GaussNewton
+from nmpc_codegen.components.integrators import ExplicitRungeKutta
+from nmpc_codegen.errors import NmpcError, ProblemWarning
+from nmpc_codegen.frontend.classify import classify
+from nmpc_codegen.frontend.horizon import with_horizon
+from nmpc_codegen.frontend.ocp import OCP
+from nmpc_codegen.lowering.schemes.choose import choose_integrator
+from nmpc_codegen.options import Options
+from nmpc_codegen.runtime.build import load
+from nmpc_codegen.runtime.controller import Controller
+
+#: Factors of the horizon and of the integration steps, tolerances and numbers of repairs that are tried.
+HORIZONS, STEPS, TOLERANCES, REPAIRS = (0.5, 2.0), (0.5, 2.0), (0.01,), (0, 10)
+#: Intervals of a horizon at least; integration steps of the plant for one of the finest candidate.
+LEAST, FINER = 2, 2
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """Options, a horizon, what distinguishes them, and the controller."""
+
+    change: str
+    options: Options
+    intervals: int
+    controller: Controller
+
+    @property
+    def line(self) -> str:
+        """The options as a line of Python."""
+        return spell_options(self.options)
+
+
+def propose(ocp: OCP, base: Options) -> Iterator[tuple[str, Options, int]]:
+    """What is tried beside the base: what it changes, options, intervals."""
+    algorithm = base.algorithm
+    yield "default" if base == Options() else "as given", base, ocp.N
+    if base.hessian is None:
+        yield "hessian=ExactHessian()", replace(base, hessian=ExactHessian()), ocp.N
+        yield "hessian=GaussNewton()", replace(base, hessian=GaussNewton()), ocp.N
+    if isinstance(algorithm, RealTimeIteration):
+        changes: list[tuple[str, Any]] = [("shift", None), *(("repair", n) for n in REPAIRS)]
+        for name, value in (*changes, *(("tolerance", t) for t in TOLERANCES)):
+            if getattr(algorithm, name) != value:
+                yield f"{name}={value}", replace(base, algorithm=replace(algorithm, **{name: value})), ocp.N
+    if base.condensing is None and "condensing" in algorithm.needs:
+        for component in (FullCondensing(), NoCondensing()):
+            yield f"condensing={spell_options(component)}", replace(base, condensing=component), ocp.N
+    scheme = scheme_of(ocp, base)
+    if scheme is not None:
+        for steps in _multiples(scheme.steps, STEPS, 1):
+            yield f"steps={steps}", replace(base, integrator=replace(scheme, steps=steps)), ocp.N
+    for N in _multiples(ocp.N, HORIZONS, LEAST):
+        yield f"N = {N}", base, N
+
+
+def _multiples(value: int, factors: tuple[float, ...], least: int) -> list[int]:
+    found = [max(least, round(factor * value)) for factor in factors]
+    return [n for n in dict.fromkeys(found) if n != value]
+
+
+def scheme_of(ocp: OCP, options: Options) -> ExplicitRungeKutta | None:
+    """The explicit scheme of the controller; None: another one, or one whose number of steps cannot be tried, as no
+    plant of another package is told time and previous controls."""
+    problem = classify(ocp)
+    if problem.discrete or problem.inner.count or problem.jump is not None:
+        return None
+    chosen = choose_integrator(problem, options)[0]
+    return chosen if isinstance(chosen, ExplicitRungeKutta) else None
+
+
+def build_candidates(ocp: OCP, stated: Iterator[tuple[str, Options, int]]) -> list[Candidate]:
+    """The candidates that the problem allows and whose code differs from those before; the first one has to build.
+
+    Raises:
+        NmpcError: the first one cannot be built.
+    """
+    found: list[Candidate] = []
+    known: set[str] = set()
+    for change, options, N in stated:
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore" if found else "default", ProblemWarning)
+                sources = compile(ocp if ocp.N == N else with_horizon(ocp, N), options)
+        except NmpcError:
+            if not found:
+                raise
+            continue
+        code = sources[f"{sources.description.name}.c"]
+        if code in known:
+            continue
+        known.add(code)
+        found.append(Candidate(change, options, N, load(sources, sources.description.name, "fast")))
+    return found
+
+
+def build_plant(ocp: OCP, candidates: list[Candidate]) -> Controller | None:
+    """One plant for all candidates, finer than each of them, if they integrate differently; else None."""
+    schemes = [scheme_of(ocp, c.options) for c in candidates]
+    steps = {s.steps for s in schemes if s is not None}
+    if None in schemes or len(steps) < 2:
+        return None
+    finest = max((s for s in schemes if s is not None), key=lambda s: s.steps)
+    options = replace(candidates[0].options, integrator=replace(finest, steps=FINER * finest.steps))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ProblemWarning)
+        sources = compile(ocp, options, f"{ocp.name}_plant")
+    return load(sources, sources.description.name, "fast")

@@ -1,0 +1,210 @@
+"""Options that are chosen by campaigns: all candidates fly from the same starts, with the same parameters and
+disturbances; the better half goes on with twice as many flights; the verdict is on fresh ones."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import binom
+
+from nmpc_codegen.campaigns.coach.candidates import Candidate, build_candidates, build_plant, propose
+from nmpc_codegen.campaigns.judging.result import Campaign
+from nmpc_codegen.campaigns.request import Conduct, fly_campaign
+from nmpc_codegen.campaigns.stated.defaults import default_steps
+from nmpc_codegen.campaigns.stated.statement import Wish
+from nmpc_codegen.frontend.horizon import with_horizon
+from nmpc_codegen.frontend.ocp import OCP
+from nmpc_codegen.options import Options
+from nmpc_codegen.runtime.loops.sampling import interval_of
+
+#: Flights of the first round, relative to those of the verdict, and at least.
+SHARE, LEAST = 8, 20
+#: A candidate is better if it loses fewer flights with this confidence; else if it costs less by this part in the
+#: median; else, if nothing is worse, if a sample takes less than this part of the time.
+CONFIDENCE, CHEAPER, FASTER = 0.95, 0.01, 0.8
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A row of the table: what distinguishes the candidate, its last flights, how many are lost and their interval, the
+    largest violation relative to what is allowed, its cost relative to the default (median of pairs), the mean time of
+    a sample (s) and the solver struct (bytes)."""
+
+    change: str
+    flights: int
+    lost: int
+    interval: tuple[float, float]
+    violation: float
+    cost: float
+    seconds: float
+    ram_bytes: int
+    verdict: bool  # on fresh flights
+
+
+@dataclass(frozen=True, eq=False)
+class Choice:
+    """Chosen options. line: they as Python, to paste; intervals: N that was chosen; reason: why; entries: the table;
+    result, default: campaigns of the choice and of the default, on the same fresh flights."""
+
+    options: Options
+    intervals: int
+    line: str
+    reason: str
+    entries: tuple[Entry, ...]
+    result: Campaign
+    default: Campaign
+
+    def __repr__(self) -> str:
+        return f"<Choice {self.line}: {self.reason}>"
+
+    def __str__(self) -> str:
+        return self.summary()
+
+    def summary(self) -> str:
+        """The table and the choice."""
+        head = ("candidate", "flights", "lost", "95 % interval", "violation", "cost", "us", "bytes")
+        rows = [
+            (
+                *(e.change + ("" if e.verdict else " *"), f"{e.flights:,}", f"{e.lost:,}"),
+                f"{100 * e.interval[0]:.2g} to {100 * e.interval[1]:.2g} %",
+                *(f"{e.violation:.2g}", f"{100 * e.cost:+.2g} %", f"{1e6 * e.seconds:.3g}", f"{e.ram_bytes:,}"),
+            )
+            for e in self.entries
+        ]
+        widths = [max(len(row[i]) for row in (head, *rows)) for i in range(len(head))]
+        lines = [
+            "  ".join(
+                cell.ljust(w) if i == 0 else cell.rjust(w) for i, (cell, w) in enumerate(zip(row, widths, strict=True))
+            )
+            for row in (head, *rows)
+        ]
+        lines.append(
+            "violation: largest, 1 is allowed; cost: beside the first candidate; *: of the last round it flew in"
+        )
+        return "\n".join([*lines, f"chosen: {self.line}", f"reason: {self.reason}"])
+
+
+def choose(ocp: OCP, given: Sequence[Options] | None, base: Options, wish: Wish, conduct: Conduct) -> Choice:
+    """The choice among given options, the first of which is what others are compared with; None: among candidates that
+    the coach proposes beside ``base``."""
+    stated = propose(ocp, base) if given is None else iter([(f"options[{i}]", o, ocp.N) for i, o in enumerate(given)])
+    candidates = build_candidates(ocp, stated)
+    described = candidates[0].controller.description
+    if wish.steps is None:
+        wish = replace(wish, steps=default_steps(described, interval_of(described, wish.dt)))
+    if wish.plant is None:
+        wish = replace(wish, plant=build_plant(ocp, candidates))
+    fly = _Course(ocp, wish, conduct)
+    entries: dict[str, Entry] = {}
+    alive, flights = candidates, max(LEAST, fly.flights // SHARE)
+    while len(alive) > 2 and flights < fly.flights:
+        found = {c.change: fly.round(c, flights) for c in alive}
+        first = found[candidates[0].change]
+        entries |= {c.change: _entry(c, found[c.change], first, False) for c in alive}
+        ranked = sorted(alive, key=lambda c: _rank(found[c.change], first))
+        alive = [candidates[0], *(c for c in ranked if c is not candidates[0])][: 1 + math.ceil((len(alive) - 1) / 2)]
+        flights *= 2
+    final = {c.change: fly.verdict(c) for c in alive}
+    first = final[candidates[0].change]
+    entries |= {c.change: _entry(c, final[c.change], first, True) for c in alive}
+    best, reason = candidates[0], "no candidate is better"
+    for c in sorted(alive[1:], key=lambda c: _rank(final[c.change], first)):
+        why = _better(final[c.change], final[best.change])
+        if why:
+            best, reason = c, f"beside {best.change}: {why}"
+    line = best.line if best.intervals == ocp.N else f"{_grid(ocp, best.intervals)}, {best.line}"
+    table = tuple(entries[c.change] for c in candidates)
+    return Choice(best.options, best.intervals, line, reason, table, final[best.change], first)
+
+
+def _grid(ocp: OCP, intervals: int) -> str:
+    """The horizon in the words of the statement."""
+    return f"OCP(..., N={intervals})" if ocp.dt is None else f"OCP(..., T={intervals * ocp.dt[0]:.12g}, N={intervals})"
+
+
+class _Course:
+    """Flies candidates: rounds on the seed of the wish, the verdict on the next one."""
+
+    def __init__(self, ocp: OCP, wish: Wish, conduct: Conduct) -> None:
+        self._ocp, self._wish, self._conduct = ocp, wish, conduct
+        self.flights = 1000 if wish.flights is None else wish.flights
+
+    def round(self, candidate: Candidate, flights: int) -> Campaign:
+        """The first flights, the same for all candidates."""
+        return self._fly(candidate, replace(self._wish, flights=flights), "round")
+
+    def verdict(self, candidate: Candidate) -> Campaign:
+        """Fresh flights."""
+        return self._fly(candidate, replace(self._wish, flights=self.flights, seed=self._wish.seed + 1), "verdict")
+
+    def _fly(self, candidate: Candidate, wish: Wish, what: str) -> Campaign:
+        ocp = self._ocp if candidate.intervals == self._ocp.N else with_horizon(self._ocp, candidate.intervals)
+        folder, against = self._conduct.folder, self._conduct.against if what == "verdict" else None
+        if folder is not None:
+            folder = Path(folder) / f"{what} {candidate.change}".replace("/", " ")
+        conduct = replace(self._conduct, folder=folder, against=against)
+        found = fly_campaign(candidate.controller, ocp, candidate.options, wish, conduct)
+        if not found.complete:
+            raise KeyboardInterrupt
+        return found
+
+
+def _both(mine: Campaign, other: Campaign) -> NDArray[np.bool_]:
+    """Flights that neither loses, with known costs."""
+    known = np.isfinite(mine.flown.cost) & np.isfinite(other.flown.cost)
+    return np.asarray(~mine.lost & ~other.lost & known)
+
+
+def _relative_cost(mine: Campaign, other: Campaign) -> float:
+    """Median over the flights of how much more one costs."""
+    both = _both(mine, other)
+    if not both.any():
+        return 0.0
+    a, b = mine.flown.cost[both], other.flown.cost[both]
+    return float(np.median((a - b) / np.maximum(np.abs(b), 1e-12 + 1e-6 * np.median(np.abs(b)))))
+
+
+def _rank(mine: Campaign, first: Campaign) -> tuple[float, ...]:
+    """By losses, then by cost in steps of what counts, then by time."""
+    return (
+        float(mine.lost.sum()),
+        round(_relative_cost(mine, first) / CHEAPER),
+        float(np.mean(mine.flown.seconds[:, 0])),
+    )
+
+
+def _better(mine: Campaign, best: Campaign) -> str:
+    """Why one is better than the other; "" if it is not."""
+    saved, broken = int(np.sum(best.lost & ~mine.lost)), int(np.sum(mine.lost & ~best.lost))
+    if saved != broken and binom.cdf(min(saved, broken), saved + broken, 0.5) < 1.0 - CONFIDENCE:
+        return (
+            f"it loses {int(mine.lost.sum()):,} instead of {int(best.lost.sum()):,} flights" if saved > broken else ""
+        )
+    if mine.lost.sum() > best.lost.sum():
+        return ""
+    cost = _relative_cost(mine, best)
+    if cost < -CHEAPER:
+        return f"it costs {-100 * cost:.2g} % less in the median, and loses no more flights"
+    times = float(np.mean(mine.flown.seconds[:, 0])), float(np.mean(best.flown.seconds[:, 0]))
+    if cost < 0.1 * CHEAPER and times[0] < FASTER * times[1]:
+        return f"a sample takes {times[0] / times[1]:.2g} of the time, at equal cost and losses"
+    return ""
+
+
+def _entry(c: Candidate, mine: Campaign, first: Campaign, verdict: bool) -> Entry:
+    judged = np.isfinite(mine.rules.allowed)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        excess = mine.flown.violation[:, judged] / mine.rules.allowed[judged]
+    return Entry(
+        *(c.change, len(mine), int(mine.lost.sum()), mine.interval),
+        float(np.nanmax(excess, initial=0.0)),
+        _relative_cost(mine, first),
+        float(np.mean(mine.flown.seconds[:, 0])),
+        int(c.controller.description.report.ram_bytes),
+        verdict,
+    )

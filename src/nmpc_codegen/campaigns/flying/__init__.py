@@ -1,0 +1,1 @@
+"""Flights in parts, by workers, kept on disk as they come."""

@@ -1,0 +1,68 @@
+"""What makes two campaigns the same: digests of everything that flights are a function of."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterator, Mapping
+from dataclasses import fields, is_dataclass
+from typing import Any
+
+import numpy as np
+
+from nmpc_codegen.campaigns.flying.fly import Job
+
+
+def digest(value: Any) -> str:
+    """SHA-256 of numbers, words, arrays, mappings and dataclasses of them."""
+    found = hashlib.sha256()
+    for piece in _pieces(value):
+        found.update(piece)
+    return found.hexdigest()
+
+
+def _pieces(value: Any) -> Iterator[bytes]:
+    if is_dataclass(value):
+        yield type(value).__name__.encode()
+        for field in fields(value):
+            yield f"\0{field.name}=".encode()
+            yield from _pieces(getattr(value, field.name))
+    elif isinstance(value, Mapping):
+        for key in sorted(value, key=str):
+            yield f"\0{key}:".encode()
+            yield from _pieces(value[key])
+    elif isinstance(value, np.ndarray):
+        yield f"\0{value.dtype.str}{value.shape}".encode() + np.ascontiguousarray(value).tobytes()
+    elif isinstance(value, list | tuple):
+        yield b"\0("
+        for each in value:
+            yield from _pieces(each)
+        yield b")"
+    else:
+        yield f"\0{value!r}".encode()
+
+
+def identity(job: Job) -> dict[str, Any]:
+    """What flights of a job are a function of, in words and digests. Independent flights do not depend on how many
+    there are."""
+    s, controller = job.statement, job.controller
+    independent = not s.points.sets and not s.given.starts and not s.given.tables and s.given.added is None
+    packages = [
+        (c._package.fingerprint, c._package.profile, c._memory.tobytes())
+        for c in (controller, job.plant)
+        if c is not None
+    ]
+    return {
+        "controller": controller.description.name,
+        "package": digest(packages[0]),
+        "plant": digest(packages[1:]),
+        "steps": s.steps,
+        "dt": s.dt,
+        "seed": s.seed,
+        "flights": None if independent else s.flights,
+        "starts": digest([s.x0, [v for v in s.variables if v.kind == "start"], s.given.starts]),
+        "data": digest([[v for v in s.variables if v.kind != "start"], s.tables, s.given.tables]),
+        "points": digest([s.points.sets, s.points.length]),
+        "disturbance": digest([s.disturbance, s.added, s.given.added]),
+        "noise": digest(s.noise),
+        "device": job.device,
+    }

@@ -1,0 +1,183 @@
+"""The work of a campaign in parts: here, or by the workers of an executor. What a worker loses is flown again."""
+
+from __future__ import annotations
+
+import os
+import pickle
+import time
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import BrokenExecutor, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import dataclass, replace
+from queue import Empty, SimpleQueue
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nmpc_codegen.campaigns.flying.flown import Flown
+from nmpc_codegen.campaigns.flying.fly import Flyer, Job, fly_elsewhere
+from nmpc_codegen.errors import ControllerError, NmpcError
+
+#: Flights of the first part, and of any at most; seconds that a part is to take.
+FIRST, MOST, SECONDS = 32, 8192, 1.0
+#: Losses of every part that waits, without one that comes back, after which there is no use in flying on.
+ATTEMPTS = 3
+#: Parts in flight for every worker.
+AHEAD = 3
+#: Seconds after which a waiting process looks whether it was interrupted.
+LOOK = 0.2
+
+
+@dataclass(frozen=True)
+class Part:
+    """The flights first .. first + count - 1."""
+
+    first: int
+    count: int
+    attempt: int = 0
+
+
+def fly_all(job: Job, done: NDArray[np.bool_], executor: Any) -> Iterator[Flown]:
+    """The flights that are not done, in parts, in the order in which they are ready.
+
+    Raises:
+        ControllerError: data are refused, or a part has lost its worker again and again.
+    """
+    if executor is None:
+        yield from _fly_here(job, _Parts(done))
+    else:
+        yield from _Elsewhere(job, _Parts(done), executor).fly()
+
+
+class _Parts:
+    """Cuts the flights that are not done into parts that take about a second."""
+
+    def __init__(self, done: NDArray[np.bool_]) -> None:
+        edges = np.flatnonzero(np.diff(np.concatenate([[True], done, [True]]).astype(np.int8)))
+        self._gaps = deque((int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True))
+        self._size = FIRST
+
+    def take(self) -> Part | None:
+        """The next part; None if there is no more."""
+        if not self._gaps:
+            return None
+        begin, end = self._gaps.popleft()
+        count = min(self._size, end - begin)
+        if begin + count < end:
+            self._gaps.appendleft((begin + count, end))
+        return Part(begin, count)
+
+    def learn(self, flights: int, seconds: float) -> None:
+        """What a part has taken."""
+        wanted = flights * SECONDS / max(seconds, 1e-6)
+        self._size = int(max(1, min(MOST, wanted, 4 * self._size)))
+
+
+def _fly_here(job: Job, parts: _Parts) -> Iterator[Flown]:
+    """On all cores of this process."""
+    flyer = Flyer(job, None)
+    while (part := parts.take()) is not None:
+        begin = time.monotonic()
+        own = job.statement.given.part(slice(part.first, part.first + part.count))
+        flown = flyer.fly(part.first, part.count, own)
+        parts.learn(part.count, time.monotonic() - begin)
+        yield flown
+
+
+class _Elsewhere:
+    """By the workers of an executor, each with one thread at a time."""
+
+    def __init__(self, job: Job, parts: _Parts, executor: Any) -> None:
+        if not callable(getattr(executor, "submit", None)):
+            raise ControllerError(
+                f"executor is {executor!r:.60}; expected an object with submit(), as those of concurrent.futures or "
+                "Dask's Client"
+            )
+        self._job, self._parts, self._executor = job, parts, executor
+        self._blob = pickle.dumps(replace(job, statement=job.statement.common))
+        self._ready: SimpleQueue[Any] = SimpleQueue()
+        self._pending: dict[Any, Part] = {}
+        self._again: deque[Part] = deque()
+        self._own: ProcessPoolExecutor | None = None
+        self._fruitless = 0  # losses since a part has come back
+
+    def fly(self) -> Iterator[Flown]:
+        """The parts in the order in which they are ready."""
+        most = AHEAD * _count_workers(self._executor)
+        try:
+            while True:
+                while len(self._pending) < most and (part := self._next()) is not None:
+                    self._submit(part)
+                if not self._pending:
+                    return
+                yield from self._collect()
+        finally:
+            for future in list(self._pending):
+                future.cancel()
+            if self._own is not None:
+                self._own.shutdown(wait=False, cancel_futures=True)
+
+    def _next(self) -> Part | None:
+        return self._again.popleft() if self._again else self._parts.take()
+
+    def _submit(self, part: Part) -> None:
+        own = self._job.statement.given.part(slice(part.first, part.first + part.count))
+        arguments = (fly_elsewhere, self._blob, part.first, part.count, own, part.attempt)
+        try:
+            future = self._executor.submit(*arguments)
+        except BrokenExecutor as error:
+            self._replace_pool(error)
+            future = self._executor.submit(*arguments)
+        self._pending[future] = part
+        future.add_done_callback(self._ready.put)
+
+    def _collect(self) -> Iterable[Flown]:
+        """What is ready; nothing after a while."""
+        try:
+            future = self._ready.get(timeout=LOOK)
+        except Empty:
+            return
+        part = self._pending.pop(future, None)
+        if part is None:
+            return
+        try:
+            flown = future.result()
+        except NmpcError:
+            raise
+        except Exception as error:
+            self._lose(part, error)
+            return
+        self._fruitless = 0
+        spent = float(np.sum(flown.seconds[:, 0])) * self._job.statement.steps
+        self._parts.learn(part.count, spent if np.isfinite(spent) else SECONDS)
+        yield flown
+
+    def _lose(self, part: Part, error: Exception) -> None:
+        """A part whose worker is lost is flown again."""
+        self._again.append(replace(part, attempt=part.attempt + 1))
+        self._fruitless += 1
+        if self._fruitless >= ATTEMPTS * (len(self._pending) + len(self._again)):
+            last = part.first + part.count - 1
+            raise ControllerError(
+                f"flights {part.first} to {last} lose their workers again and again: {type(error).__name__}: {error}"
+            ) from error
+
+    def _replace_pool(self, error: BrokenExecutor) -> None:
+        """A pool of processes, one of which has died, takes no more work: a new one of the same size does."""
+        if not isinstance(error, BrokenProcessPool):
+            raise ControllerError(f"executor: {error}") from error
+        if self._own is not None:
+            self._own.shutdown(wait=False, cancel_futures=True)
+        known: Callable[[str], Any] = lambda name: getattr(self._executor, name, None)  # noqa: E731
+        self._own = ProcessPoolExecutor(known("_max_workers"), known("_mp_context"))
+        self._executor = self._own
+
+
+def _count_workers(executor: Any) -> int:
+    """Workers of an executor, as far as it says so."""
+    threads = getattr(executor, "nthreads", None)  # of Dask: {worker: threads}
+    if callable(threads):
+        return max(1, int(sum(threads().values())))
+    return int(getattr(executor, "_max_workers", None) or os.cpu_count() or 1)

@@ -1,0 +1,1 @@
+"""Verdicts, replays, reference loops, pictures."""

@@ -1,0 +1,92 @@
+"""Reference loops: what flights would have cost with a converged plan in every sample."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nmpc_codegen.campaigns.flying.flown import Flown
+from nmpc_codegen.campaigns.flying.fly import Flyer, Job
+from nmpc_codegen.campaigns.judging.replay import Replay
+from nmpc_codegen.economic.stage import tableau
+from nmpc_codegen.errors import OptionError
+from nmpc_codegen.frontend.classify import classify
+from nmpc_codegen.frontend.ocp import OCP
+from nmpc_codegen.lowering.linearize import complete
+from nmpc_codegen.options import Options
+from nmpc_codegen.oracle.reference import Reference, node_data
+from nmpc_codegen.runtime.controller import Controller
+from nmpc_codegen.runtime.diagnosis.rows import parameters
+from nmpc_codegen.runtime.loops.forecast import forecast
+
+Array = NDArray[np.float64]
+Against = Literal["solve", "ipopt"]
+Paths = tuple[Array, Array, Array]
+
+TOLERANCE = 1e-8  # of IPOPT
+
+
+def reference_costs(job: Job, flown: Flown, against: Against, count: int, ocp: OCP, options: Options) -> Array:
+    """Costs (F,) of the loops of the first ``count`` flights with converged plans, NaN for the others.
+
+    "solve": solve() in every sample; "ipopt": IPOPT, from the plan of the sample before.
+
+    Raises:
+        OptionError: the package has no solve(), or the problem is none for IPOPT's loop.
+    """
+    found = np.full(len(flown), np.nan)
+    flyer, s = Flyer(job, None), job.statement
+    law = _IpoptLaw(job.controller, ocp, options) if against == "ipopt" else None
+    if law is None and not options.solves:
+        raise OptionError("against='solve': the package has no solve(); Options(solve=True), or against='ipopt'")
+    for i, number in enumerate(int(n) for n in flown.number[:count]):
+        paths = _by_solve(job, number) if law is None else law.fly(Replay(job, number))
+        data = s.data(number, 1, s.given.part(slice(number, number + 1)))
+        found[i] = flyer.judge(data, number, paths)[0]
+    return found
+
+
+def _by_solve(job: Job, number: int) -> Paths:
+    """Paths with a first axis of one flight."""
+    log = Replay(job, number).simulate("solve", job.statement.steps)
+    return log.x[None], log.u[None], np.asarray(log.z)[None]
+
+
+class _IpoptLaw:
+    """IPOPT in every sample."""
+
+    def __init__(self, controller: Controller, ocp: OCP, options: Options) -> None:
+        if controller.description.inner.count or controller.description.discrete:
+            raise OptionError(
+                "against='ipopt': the problem has time, previous controls or a map; against='solve' serves"
+            )
+        self._problem = complete(classify(ocp), options)
+        self._nlp = Reference(self._problem, tableau(self._problem, options), tol=TOLERANCE)
+
+    def fly(self, flight: Replay) -> Paths:
+        """The loop of a flight."""
+        controller, steps = flight.controller, flight.steps
+        tell = forecast(controller, flight.dt, flight.known or None, None, flight.references, None)
+        x, u, z = [flight.start], [], []
+        plan: tuple[Array | None, Array | None] = None, None
+        for k in range(steps):
+            tell(k, controller)
+            y = (
+                controller.view("yref")
+                if controller.dims.ny and "yref" in controller.description.members("solver")
+                else None
+            )
+            whole = (
+                None if y is None else np.broadcast_to(np.asarray(y, float), (controller.dims.N, controller.dims.ny))
+            )
+            p = parameters(controller) if controller.dims.np else None
+            found = self._nlp.solve(
+                node_data(self._problem, x0=flight.measure(k, x[-1]), p=p, yref=whole), x=plan[0], u=plan[1]
+            )
+            u.append(found.u[0])
+            z.append(np.asarray(controller.algebraic(x[-1], found.u[0])))
+            x.append(flight.plant(x[-1], found.u[0], flight.dt))
+            plan = np.vstack([found.x[1:], found.x[-1:]]), np.vstack([found.u[1:], found.u[-1:]])
+        return np.array(x)[None], np.array(u)[None], np.array(z).reshape(1, steps, -1)

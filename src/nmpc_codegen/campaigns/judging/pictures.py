@@ -1,0 +1,137 @@
+"""Pictures of campaigns: paths, distributions, lost flights over what was drawn."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nmpc_codegen.campaigns.flying.flown import Flown
+from nmpc_codegen.runtime.batch.flights import Flights
+from nmpc_codegen.runtime.extras import extra
+from nmpc_codegen.runtime.records.paths import draw_paths
+from nmpc_codegen.runtime.records.plot import FAILURE_COLOR, ROW_HEIGHT, STATE_COLOR, STYLE, WIDTH, explain, new_figure
+
+Array = NDArray[Any]
+File = str | os.PathLike[str] | None
+
+BINS = 60
+#: Variables of plot_lost(), and points of every kind in a panel.
+VARIABLES, POINTS = 4, 3000
+LOST = ("lost", {"color": FAILURE_COLOR, "marker": "o", "markersize": 3, "linestyle": ""})
+KEPT = ("not lost", {"color": STATE_COLOR, "marker": "o", "markersize": 3, "linestyle": ""})
+LIMIT = ("allowed", {"color": "0.2", "linewidth": 1.0, "linestyle": (0, (5, 3))})
+
+
+def draw_flights(again: Sequence[Flights], lost: int, title: str, unit: Mapping[str, str], file: File) -> Any:
+    """Paths of flights, each flown again with its samples; the last ``lost`` of them are lost."""
+    first = again[0]
+    names = (*first.states, *first.controls)
+    every = [np.concatenate([getattr(f, part) for f in again]) for part in ("x", "u")]
+    paths = [*np.moveaxis(every[0], 2, 0), *np.moveaxis(every[1], 2, 0)]
+    panels = [(label(name, unit), path) for name, path in zip(names, paths, strict=True)]
+    wrong = np.arange(len(again)) >= len(again) - lost
+    broken = np.concatenate([f.lost for f in again]) >= 0
+    title += f"; {len(again)} are drawn"
+    return draw_paths(panels, len(first.states), wrong, broken, first.dt, title, f"time ({unit['']})", file, "lost")
+
+
+def label(name: str, unit: Mapping[str, str]) -> str:
+    """A name with its unit."""
+    return f"{name} ({unit[name]})" if unit.get(name) else name
+
+
+def draw_distributions(
+    flown: Flown, allowed: Array, lost: NDArray[np.bool_], title: str, unit: Mapping[str, str], file: File
+) -> Any:
+    """Histograms of costs, of violations of rows that were violated, of times."""
+    panels: list[tuple[str, Array, float]] = [("cost", flown.cost, np.inf)]
+    for name, limit, amounts in zip(flown.labels.rows, allowed, flown.violation.T, strict=True):
+        if np.nanmax(amounts, initial=0.0) > 0:
+            panels.append((f"largest violation of {label(name, unit)}", amounts, limit))
+    if np.isfinite(flown.seconds).all():
+        panels.append(("mean time of a sample (us)", 1e6 * flown.seconds[:, 0], np.inf))
+    mpl = extra("matplotlib", "plot_distributions()")
+    figure = new_figure((WIDTH, 0.9 + 1.25 * ROW_HEIGHT * len(panels)), file)
+    with mpl.rc_context(STYLE):
+        axes = figure.subplots(len(panels), 1, squeeze=False)[:, 0]
+        for axis, (text, values, limit) in zip(axes, panels, strict=True):
+            _draw_histogram(axis, values, lost)
+            axis.set_xlabel(text)
+            axis.set_ylabel("flights")
+            if np.isfinite(limit):
+                axis.axvline(limit, **LIMIT[1])
+        shown = [KEPT] * bool((~lost).any()) + [LOST] * bool(lost.any())
+        explain(figure, [*shown, *([LIMIT] if any(np.isfinite(limit) for _, _, limit in panels) else [])])
+        _finish(figure, title, file)
+    return figure
+
+
+def _draw_histogram(axis: Any, values: Array, lost: NDArray[np.bool_]) -> None:
+    """Counts on a logarithmic scale, those of lost flights on top; what is far out is in the last bin."""
+    finite = values[np.isfinite(values)]
+    if not finite.size:
+        return
+    low, high = float(finite.min()), float(np.quantile(finite, 0.995))
+    top = float(finite.max())
+    high = top if top - low < 2 * (high - low) else high + 0.1 * (high - low)
+    edges = np.linspace(low, high if high > low else low + max(1e-12, 1e-3 * abs(low)), BINS + 1)
+    inside = np.clip(values, edges[0], edges[-1])
+    kinds = [inside[~lost & np.isfinite(values)], inside[lost & np.isfinite(values)]]
+    axis.hist(kinds, edges, stacked=True, color=[STATE_COLOR, FAILURE_COLOR])
+    axis.set_yscale("symlog", linthresh=10)
+    axis.set_ylim(bottom=0)
+
+
+def draw_pairs(flown: Flown, lost: NDArray[np.bool_], title: str, unit: Mapping[str, str], file: File) -> Any:
+    """Lost and other flights over pairs of the variables in which they differ most."""
+    heads = [*(f"start.{name}" for name in flown.labels.states), *flown.labels.drawn]
+    every = np.hstack([flown.start, flown.drawn])
+    spread = [i for i in range(len(heads)) if np.ptp(every[:, i]) > 0] or [0]
+    chosen = sorted(spread, key=lambda i: -_difference(every[:, i], lost))[:VARIABLES]
+    mpl = extra("matplotlib", "plot_lost()")
+    n = max(1, len(chosen) - 1)
+    figure = new_figure((WIDTH, 0.9 + WIDTH * n / (n + 0.4) * 0.8 if n > 1 else 4.2), file)
+    with mpl.rc_context(STYLE):
+        axes = figure.subplots(n, n, squeeze=False)
+        for i in range(n):
+            for j in range(n):
+                axis = axes[i, j]
+                if j > i:
+                    axis.set_visible(False)
+                    continue
+                column, row = chosen[j], chosen[min(i + 1, len(chosen) - 1)]
+                _draw_points(axis, every[:, column], every[:, row] if len(chosen) > 1 else flown.cost, lost)
+                axis.set_xlabel(label(heads[column], unit) if i == n - 1 else "")
+                axis.set_ylabel((label(heads[row], unit) if len(chosen) > 1 else "cost") if j == 0 else "")
+                axis.locator_params(nbins=5)
+        explain(figure, [KEPT, LOST] if lost.any() else [KEPT])
+        _finish(figure, title, file)
+    return figure
+
+
+def _difference(values: Array, lost: NDArray[np.bool_]) -> float:
+    """Largest distance between the distributions of lost and of other flights (Kolmogorov and Smirnov)."""
+    if not lost.any() or lost.all():
+        return 0.0
+    order = np.argsort(values)
+    own, other = np.cumsum(lost[order]) / lost.sum(), np.cumsum(~lost[order]) / (~lost).sum()
+    return float(np.max(np.abs(own - other)))
+
+
+def _draw_points(axis: Any, x: Array, y: Array, lost: NDArray[np.bool_]) -> None:
+    """The rarer kind on top."""
+    kinds = [(~lost, KEPT), (lost, LOST)]
+    for (some, (_, style)), alpha in zip(sorted(kinds, key=lambda k: -int(k[0].sum())), (0.25, 0.8), strict=True):
+        places = np.flatnonzero(some)[:POINTS]
+        axis.plot(x[places], y[places], **{**style, "markersize": 2.5, "alpha": alpha, "markeredgewidth": 0})
+
+
+def _finish(figure: Any, title: str, file: File) -> None:
+    figure.suptitle(title, fontsize=10, color="0.2")
+    if file is not None:
+        figure.savefig(Path(file), dpi=130)

@@ -1,0 +1,291 @@
+"""What a campaign has found: a verdict on every flight, the share lost with its interval, replays, pictures."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nmpc_codegen.campaigns.flying.flown import Flown
+from nmpc_codegen.campaigns.flying.fly import Flyer, Job
+from nmpc_codegen.campaigns.judging import pictures
+from nmpc_codegen.campaigns.judging.replay import replay
+from nmpc_codegen.campaigns.judging.verdict import LEVEL, Reason, Rules, interval_of_share
+from nmpc_codegen.errors import ControllerError
+from nmpc_codegen.package.status import Status
+from nmpc_codegen.runtime import given
+from nmpc_codegen.runtime.batch.flights import Flights
+from nmpc_codegen.runtime.records.html import units
+from nmpc_codegen.runtime.records.log import Log
+
+Array = NDArray[Any]
+
+#: Flights of plot() that are drawn at most, lost ones among them.
+DRAWN, DRAWN_LOST = 300, 100
+
+
+@dataclass(frozen=True, eq=False)
+class Campaign:
+    """The flights of a campaign and their verdicts.
+
+    flown: what is kept of every flight (Flown): number, start, drawn, samples by status, cost, violation by row, last
+    state, time. reasons: (F,), why each is lost (Reason). complete: False after an interrupt. ``best`` (F,): costs of
+    reference loops (see campaign(against=)), NaN where none was flown; None: none.
+    """
+
+    job: Job
+    rules: Rules
+    flown: Flown
+    reasons: NDArray[np.int8]
+    complete: bool
+    best: Array | None = None
+    against: str = ""
+
+    def __len__(self) -> int:
+        return len(self.flown)
+
+    @property
+    def lost(self) -> NDArray[np.bool_]:
+        """(F,): True for flights that are lost."""
+        return np.asarray(self.reasons != Reason.NONE)
+
+    @property
+    def share(self) -> float:
+        """Share of the flights that are lost."""
+        return float(np.mean(self.lost)) if len(self) else 0.0
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """Between which limits the share lost of all flights lies with a confidence of 95 %: by Clopper and Pearson, of
+        quasi-random points by Student."""
+        return self.interval_at(LEVEL)
+
+    def interval_at(self, level: float) -> tuple[float, float]:
+        """The same with another confidence, 0 < level < 1."""
+        points = self.job.statement.points
+        return interval_of_share(self.lost, self.flown.number // points.length if points.sets else None, level)
+
+    @cached_property
+    def losses(self) -> Array:
+        """(F,), how much more than its reference loop a flight costs, relative to that; NaN where there is none."""
+        if self.best is None:
+            return np.full(len(self), np.nan)
+        return np.asarray((self.flown.cost - self.best) / np.abs(self.best))
+
+    # -- flights ------------------------------------------------------------------------------------------------------
+
+    def worst(self, count: int = 5) -> list[int]:
+        """Numbers of the worst flights: whose state was not finite, then by violation, then those that did not arrive
+        or ended with a failure, then by cost."""
+        f = self.flown
+        excess = self._excess.max(axis=1, initial=0.0)
+        size = np.where(self.reasons == Reason.NOT_FINITE, -f.broken.astype(float), 0.0)
+        size = np.where(self.reasons == Reason.ROW, excess, size)
+        rank = np.where(self.reasons == Reason.NONE, 9, self.reasons)
+        cost = np.where(np.isfinite(f.cost), f.cost, np.inf)
+        order = np.lexsort((f.number, -cost, -size, rank))
+        return [int(f.number[i]) for i in order[:count]]
+
+    @property
+    def _excess(self) -> Array:
+        """Violations (F, judged rows) relative to what is allowed, inf where they are not known."""
+        judged = np.isfinite(self.rules.allowed)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            found = self.flown.violation[:, judged] / self.rules.allowed[judged]
+        return np.asarray(
+            np.where(np.isnan(self.flown.violation[:, judged]), np.inf, np.nan_to_num(found, posinf=np.inf))
+        )
+
+    def verdict(self, number: int) -> str:
+        """One line on a flight: why it is lost, its cost, from where it started, what was drawn for it."""
+        i, f = self._place(number), self.flown
+        reason = Reason(self.reasons[i])
+        why = reason.words
+        if reason is Reason.ROW:
+            j = np.flatnonzero(np.isfinite(self.rules.allowed))[int(self._excess[i].argmax())]
+            why = f"row {f.labels.rows[j]!r} is violated by {f.violation[i, j]:.3g}"
+        elif reason is Reason.NOT_FINITE:
+            why += f" after sample {f.broken[i]}"
+        elif reason is Reason.ENDS_FAILING:
+            why += f": {Status(int(f.ended[i])).name}"
+        drawn = zip((*f.labels.states, *f.labels.drawn), (*f.start[i], *f.drawn[i]), strict=True)
+        return f"flight {number}: {why}; cost {f.cost[i]:.6g}; " + ", ".join(f"{n} = {v:.4g}" for n, v in drawn)
+
+    def replay(self, number: int) -> Log:
+        """Fly a flight again with simulate(), sample by sample: the log has the same states to the bit.
+
+        A flight whose state was not finite ends before that.
+
+        Raises:
+            ControllerError: there is no such flight.
+        """
+        i = self._place(number)
+        return replay(self.job, number, int(self.flown.broken[i]), self.flown.last[i])
+
+    def fly_again(self, number: int) -> Flights:
+        """The same with its samples as Flights of one, in compiled code."""
+        self._place(number)
+        own = self.job.statement.given.part(slice(number, number + 1))
+        return self._flyer.simulate(self.job.statement.data(number, 1, own), number, record=True)
+
+    @cached_property
+    def _flyer(self) -> Flyer:
+        return Flyer(self.job, None)
+
+    def _place(self, number: int) -> int:
+        if not given.is_integer(number):
+            raise ControllerError(f"flight {number!r}; expected the number of a flight")
+        i = int(np.searchsorted(self.flown.number, number))
+        if i == len(self) or self.flown.number[i] != number:
+            raise ControllerError(f"flight {number!r}; expected the number of a flight that was flown")
+        return i
+
+    # -- pictures -----------------------------------------------------------------------------------------------------
+
+    def plot(self, file: str | os.PathLike[str] | None = None) -> Any:
+        """Figure of the paths of some flights, 300 at most, lost ones in red on top; the worst ones are among them.
+
+        Raises:
+            ControllerError: nothing was flown.
+            ExtraError: matplotlib is not installed.
+        """
+        self._check_some()
+        lost = self.worst(min(DRAWN_LOST, int(self.lost.sum())))
+        others = [int(n) for n in self.flown.number[~self.lost][: DRAWN - len(lost)]]
+        again = [self.fly_again(n) for n in (*others, *lost)]
+        return pictures.draw_flights(again, len(lost), self._title, self._unit, file)
+
+    def plot_distributions(self, file: str | os.PathLike[str] | None = None) -> Any:
+        """Figure of the distributions of costs, violations of rows, and times of samples; raises what plot() raises."""
+        self._check_some()
+        return pictures.draw_distributions(self.flown, self.rules.allowed, self.lost, self._title, self._unit, file)
+
+    def plot_lost(self, file: str | os.PathLike[str] | None = None) -> Any:
+        """Figure of lost flights over pairs of what was drawn: the starts and parameters in which lost and other
+        flights differ most; raises what plot() raises."""
+        self._check_some()
+        return pictures.draw_pairs(self.flown, self.lost, self._title, self._unit, file)
+
+    def _check_some(self) -> None:
+        if not len(self):
+            raise ControllerError("nothing was flown, so there is nothing to draw")
+
+    @property
+    def _title(self) -> str:
+        low, high = self.interval
+        return (
+            f"{self.job.controller.description.name}: {int(self.lost.sum()):,} of {len(self):,} flights lost "
+            f"({100 * low:.3g} to {100 * high:.3g} %)"
+        )
+
+    @property
+    def _unit(self) -> Mapping[str, str]:
+        """Names of states, controls and what is drawn -> units; "" -> that of time."""
+        described = self.job.controller.description
+        found = units(described.states, described.controls, described.parameters)
+        drawn = {v.label: found.get(v.name, "") for v in self.job.statement.variables}
+        return {**found, **drawn, "": described.time_unit}
+
+    # -- words --------------------------------------------------------------------------------------------------------
+
+    def __repr__(self) -> str:
+        return f"<Campaign {self._title}>"
+
+    def __str__(self) -> str:
+        return self.summary()
+
+    def as_dict(self) -> dict[str, Any]:
+        """The result as JSON has it."""
+        s, low_high = self.job.statement, self.interval
+        total = self.flown.samples.sum(axis=0)
+        return {
+            "flights": len(self),
+            "samples": s.steps,
+            "dt": s.dt,
+            "seed": s.seed,
+            "lost": int(self.lost.sum()),
+            "interval": [round(v, 9) for v in low_high],
+            "confidence": LEVEL,
+            "reasons": {r.name: int(np.sum(self.reasons == r)) for r in Reason if r},
+            "statuses": {status.name: int(total[status]) for status in Status if total[status]},
+            "arrival_judged": self.rules.judges_arrival,
+            "drawn": [v.label for v in s.variables],
+            "violation": {
+                name: float(np.max(amounts)) if np.isfinite(amounts).all() else None
+                for name, amounts in zip(self.flown.labels.rows, self.flown.violation.T, strict=True)
+            },
+        }
+
+    def sentences(self) -> str:
+        """What a page says of it, in Markdown."""
+        s, described, (low, high) = self.job.statement, self.job.controller.description, self.interval
+        varied = ", ".join(f"`{v.label}`" for v in s.variables) or "nothing"
+        arrival = "They had to arrive at their goal." if self.rules.judges_arrival else "Arrival is not judged."
+        reasons = [f"{np.sum(self.reasons == r):,} {r.words}" for r in Reason if r and np.any(self.reasons == r)]
+        why = f" ({'; '.join(reasons)})" if reasons else ""
+        loops = f"{len(self):,} closed loops of {s.steps} samples, {s.dt:g} {described.time_unit} each"
+        return "\n".join(
+            (
+                f"{loops}, seed {s.seed}, on",
+                f"the computer that wrote this: {int(self.lost.sum()):,} lost{why}. With a confidence of 95 %,",
+                f"{100 * low:.3g} to {100 * high:.3g} % of all such loops are lost. Drawn for each: {varied}.",
+                arrival,
+            )
+        )
+
+    def summary(self) -> str:
+        """Some lines: flights, lost ones by reason with the interval, statuses, costs, rows, times, the worst ones."""
+        f, s, described = self.flown, self.job.statement, self.job.controller.description
+        lines = [f"{described.name}: {len(self):,} flights of {s.steps} samples, {s.dt:g} {described.time_unit} each"]
+        if not self.complete:
+            lines.append(f"interrupted: {s.flights:,} flights were asked for")
+        if not len(self):
+            return "\n".join(lines)
+        low, high = self.interval
+        lines.append(
+            f"lost: {int(self.lost.sum()):,}, {100 * self.share:.3g} %; of all such flights {100 * low:.3g} to "
+            f"{100 * high:.3g} % (95 % confidence)"
+        )
+        lines += [f"  {np.sum(self.reasons == r):,}: {r.words}" for r in Reason if r and np.any(self.reasons == r)]
+        if not self.rules.judges_arrival:
+            lines.append("where flights arrive is not judged: success= says where they have to")
+        total = f.samples.sum(axis=0, dtype=np.int64)
+        share = 100.0 / max(1, int(total.sum()))
+        lines.append("samples: " + ", ".join(f"{st.name} {share * total[st]:.3g} %" for st in Status if total[st]))
+        known = f.cost[np.isfinite(f.cost) & ~self.lost]
+        if known.size:
+            lines.append(f"cost of flights that are not lost: median {np.median(known):.6g}, largest {known.max():.6g}")
+        lines += self._lines_of_references()
+        lines += self._lines_of_rows()
+        if np.isfinite(f.seconds).all():
+            mean, longest = np.mean(f.seconds[:, 0]), np.max(f.seconds[:, 1])
+            lines.append(f"time of a sample: mean {1e6 * mean:.3g} us, longest {1e6 * longest:.3g} us")
+        if self.lost.any():
+            lines += ["worst:", *(f"  {self.verdict(n)}" for n in self.worst(min(5, int(self.lost.sum()))))]
+        return "\n".join(lines)
+
+    def _lines_of_references(self) -> list[str]:
+        known = self.losses[np.isfinite(self.losses)]
+        if not known.size:
+            return []
+        text = f"beside loops with {self.against} in every sample, {known.size} flights cost more by"
+        return [f"{text} {100 * np.median(known):.3g} % (median), {100 * known.max():.3g} % at most"]
+
+    def _lines_of_rows(self) -> list[str]:
+        """What was violated by more than rounding."""
+        lines = []
+        rules = zip(self.flown.labels.rows, self.rules.allowed, self.rules.rounding, strict=True)
+        for (name, allowed, rounding), amounts in zip(rules, self.flown.violation.T, strict=True):
+            unknown, known = int(np.sum(np.isnan(amounts))), amounts[np.isfinite(amounts)]
+            worst = float(known.max(initial=0.0))
+            if worst > rounding or unknown:
+                limit = f", by more than {allowed:.3g} in {int(np.sum(amounts > allowed)):,} flights"
+                missing = f"; not known in {unknown:,}" if unknown else ""
+                text = limit if np.isfinite(allowed) else " (soft)"
+                lines.append(f"row {name!r}: largest violation {worst:.3g}{text}{missing}")
+        return lines

@@ -1,0 +1,216 @@
+"""The verdict on a flight: whether it is lost, and why; how sure the share of lost ones is."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.stats import beta, t
+
+from nmpc_codegen.campaigns.flying.flown import Flown
+from nmpc_codegen.campaigns.stated.distributions import Box
+from nmpc_codegen.campaigns.stated.statement import Data
+from nmpc_codegen.errors import ControllerError
+from nmpc_codegen.package.description import PackageDescription
+from nmpc_codegen.package.signals import members
+from nmpc_codegen.package.status import Status
+from nmpc_codegen.runtime import given
+from nmpc_codegen.runtime.batch.summary import judge_of
+
+Array = NDArray[Any]
+Success = Callable[[Flown], ArrayLike]
+Asked = Literal["set point"] | Mapping[str, Any] | Success
+
+#: Violation of a hard row, and distance from a set point, relative to the size of the row or state, that are allowed.
+ALLOWED, NEAR = 1e-2, 0.1
+#: Level of an interval.
+LEVEL = 0.95
+
+
+class Reason(IntEnum):
+    """Why a flight is lost; the first one that holds."""
+
+    NONE = 0
+    NOT_FINITE = 1
+    ROW = 2
+    NOT_ARRIVED = 3
+    ENDS_FAILING = 4
+
+    @property
+    def words(self) -> str:
+        """In a table."""
+        return {
+            Reason.NONE: "not lost",
+            Reason.NOT_FINITE: "the state was not finite",
+            Reason.ROW: "a row was violated",
+            Reason.NOT_ARRIVED: "did not arrive",
+            Reason.ENDS_FAILING: "the last sample failed",
+        }[self]
+
+
+@dataclass(frozen=True, eq=False)
+class Target:
+    """The last value of a state has to be within ``near`` of its set point, or between two limits."""
+
+    state: int
+    residual: int  # whose reference is the set point; -1: limits
+    near: float
+    lower: float = -math.inf
+    upper: float = math.inf
+
+
+@dataclass(frozen=True, eq=False)
+class Rules:
+    """What a flight is judged by: ``allowed`` (rows,), the largest violation of each row, inf of one that is not
+    judged; ``rounding`` (rows,), what is none; ``targets`` and ``success``: what it has to arrive at."""
+
+    allowed: Array
+    rounding: Array
+    targets: tuple[Target, ...]
+    success: Success | None
+
+    @property
+    def judges_arrival(self) -> bool:
+        """True if flights have to arrive somewhere."""
+        return bool(self.targets) or self.success is not None
+
+    def judge(self, flown: Flown, goals: Array) -> NDArray[np.int8]:
+        """The reasons (F,); ``goals`` (F, targets): the set points."""
+        failures = np.array([status.is_failure for status in Status])
+        found = np.zeros(len(flown), np.int8)
+        found[failures[np.maximum(flown.ended, 0)] & (flown.ended >= 0)] = Reason.ENDS_FAILING
+        found[~self._has_arrived(flown, goals)] = Reason.NOT_ARRIVED
+        found[np.any(~(flown.violation <= self.allowed) & np.isfinite(self.allowed), axis=1)] = Reason.ROW
+        found[flown.broken >= 0] = Reason.NOT_FINITE
+        return found
+
+    def _has_arrived(self, flown: Flown, goals: Array) -> NDArray[np.bool_]:
+        arrived = np.ones(len(flown), np.bool_)
+        for target, goal in zip(self.targets, goals.T, strict=True):
+            last = flown.last[:, target.state]
+            if target.residual >= 0:
+                arrived &= np.abs(last - goal) <= target.near
+            else:
+                arrived &= (target.lower <= last) & (last <= target.upper)
+        if self.success is not None:
+            said = np.asarray(self.success(flown))
+            if said.shape != (len(flown),) or said.dtype.kind not in "b":
+                raise ControllerError(
+                    f"success returns {said.dtype} of shape {said.shape}; expected True or False for each of "
+                    f"{len(flown)} flights, as in success=lambda flown: flown.cost < 10"
+                )
+            arrived &= said
+        return arrived
+
+    def goals(self, described: PackageDescription, data: Data, steps: int) -> Array:
+        """The set points (F, targets) at the last sample: references that are given, else the declared ones."""
+        count = len(data.starts)
+        out = np.zeros((count, len(self.targets)))
+        for j, target in enumerate(self.targets):
+            if target.residual >= 0:
+                out[:, j] = _reference(described, data, target.residual, steps)
+        return out
+
+
+def _reference(described: PackageDescription, data: Data, residual: int, steps: int) -> Array:
+    """The reference (F,) of a path residual after the last sample."""
+    tables = data.tables["reference"]
+    for key, table in tables.items():
+        places = members(key, [r.name for r in described.residuals]) if key else list(range(described.dims.ny))
+        if residual not in places:
+            continue
+        values = np.asarray(table, float)
+        if len(places) > 1 or not key:
+            values = values[..., places.index(residual)] if values.ndim else values
+        rows = values.reshape(1, 1) if values.ndim == 0 else values if values.ndim == 2 else values[None]
+        return np.asarray(np.broadcast_to(rows[:, min(steps, rows.shape[1] - 1)], (len(data.starts),)))
+    return np.full(len(data.starts), described.residuals[residual].reference)
+
+
+def rules_of(
+    described: PackageDescription, dt: float, success: Asked | None, tolerance: Mapping[str, float] | None
+) -> Rules:
+    """What flights of a package are judged by.
+
+    Raises:
+        ControllerError: there is no such row or state, or a number is wrong.
+    """
+    judge = judge_of(described, dt)
+    allowed = np.array([ALLOWED * described.row_scales[i] if described.rows[i].hard else np.inf for i in judge.rows])
+    for name, value in (tolerance or {}).items():
+        places = [
+            j for j, i in enumerate(judge.rows) if name in (described.rows[i].name, described.rows[i].user_name)
+        ] or members(name, judge.names)
+        if not places:
+            raise ControllerError(f"tolerance: no row {name!r} along the path; there is {', '.join(judge.names)}")
+        allowed[places] = given.checked_array(value, f"tolerance: {name!r}", np.dtype(np.float64), (), finite=False)
+    if success is None or callable(success):
+        return Rules(allowed, judge.rounding, (), success)
+    return Rules(allowed, judge.rounding, tuple(_targets(described, success)), None)
+
+
+def _targets(described: PackageDescription, success: Any) -> list[Target]:
+    """What states have to be near at the end."""
+    states, scales = described.names.states, described.scales
+    followed = {r.signal: i for i, r in reversed(list(enumerate(described.residuals))) if r.signal in states}
+    if success == "set point":
+        if not followed:
+            raise ControllerError("success: no residual of the path is a state; name states: success={'p': Box(-1, 1)}")
+        return [Target(states.index(s), i, NEAR * scales[states.index(s)]) for s, i in followed.items()]
+    if not isinstance(success, Mapping):
+        raise ControllerError(
+            f"success is {success!r:.60}; expected 'set point', {{state: distance from its set point, or Box}}, or a "
+            "function of what was flown that says who has arrived"
+        )
+    found = []
+    for name, value in success.items():
+        places = members(name, states)
+        if not places:
+            raise ControllerError(f"success: there is no state {name!r}; there is {', '.join(states)}")
+        found += [_target(place, states, followed, value, name) for place in places]
+    return found
+
+
+def _target(place: int, states: Sequence[str], followed: Mapping[str, int], value: Any, name: str) -> Target:
+    """One target; a vector has the same for all elements."""
+    real = np.dtype(np.float64)
+    if isinstance(value, Box):
+        low, high = (
+            float(given.checked_array(side, f"success: {name!r}", real, (), finite=False))
+            for side in (value.lower, value.upper)
+        )
+        return Target(place, -1, 0.0, low, high)
+    near = float(given.checked_array(value, f"success: {name!r}", real, ()))
+    if near < 0 or states[place] not in followed:
+        raise ControllerError(
+            f"success: {states[place]!r}: {value!r}; expected a distance >= 0 from the reference of a residual that is "
+            "this state, or Box(lower, upper)"
+        )
+    return Target(place, followed[states[place]], near)
+
+
+def interval_of_share(
+    lost: NDArray[np.bool_], set_of: Array | None = None, level: float = LEVEL
+) -> tuple[float, float]:
+    """Between which limits the share lost of all flights lies with this confidence.
+
+    Independent flights: Clopper and Pearson, Biometrika 26 (1934). ``set_of`` (F,): numbers of independent sets of
+    quasi-random points; the interval is Student's, of the shares of the sets.
+    """
+    n, k = len(lost), int(np.sum(lost))
+    if not n:
+        return 0.0, 1.0
+    tail = (1.0 - level) / 2.0
+    if set_of is not None:
+        shares = np.array([np.mean(lost[set_of == s]) for s in np.unique(set_of)])
+        if len(shares) > 1 and np.ptp(shares) > 0:
+            half = float(t.ppf(1.0 - tail, len(shares) - 1) * np.std(shares, ddof=1) / math.sqrt(len(shares)))
+            return max(0.0, float(shares.mean()) - half), min(1.0, float(shares.mean()) + half)
+    low = 0.0 if k == 0 else float(beta.ppf(tail, k, n - k + 1))
+    high = 1.0 if k == n else float(beta.ppf(1.0 - tail, k + 1, n - k))
+    return low, high

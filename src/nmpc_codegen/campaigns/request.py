@@ -1,0 +1,109 @@
+"""campaign(): many closed loops of one controller, and a verdict on each."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from contextlib import nullcontext
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from nmpc_codegen.campaigns.flying.archive import Archive
+from nmpc_codegen.campaigns.flying.flown import Flown
+from nmpc_codegen.campaigns.flying.fly import Device, Job
+from nmpc_codegen.campaigns.flying.identity import identity
+from nmpc_codegen.campaigns.flying.progress import Report
+from nmpc_codegen.campaigns.flying.work import fly_all
+from nmpc_codegen.campaigns.judging.against import Against, reference_costs
+from nmpc_codegen.campaigns.judging.result import Campaign
+from nmpc_codegen.campaigns.judging.verdict import Asked, Reason, Rules, rules_of
+from nmpc_codegen.campaigns.stated.defaults import facts_of
+from nmpc_codegen.campaigns.stated.statement import Wish, state_flights
+from nmpc_codegen.errors import ControllerError
+from nmpc_codegen.frontend.ocp import OCP
+from nmpc_codegen.options import Options
+from nmpc_codegen.runtime.controller import Controller
+
+
+@dataclass(frozen=True, eq=False)
+class Conduct:
+    """The arguments of campaign() that say how flights are judged, flown and kept."""
+
+    success: Asked | None = None
+    tolerance: Mapping[str, float] | None = None
+    against: Against | None = None
+    compared: int = 20
+    executor: Any = None
+    folder: str | os.PathLike[str] | None = None
+    device: Device = "cpu"
+    progress: bool | None = None
+
+    def check(self) -> None:
+        """ControllerError if a word is wrong."""
+        if self.device not in ("cpu", "cuda"):
+            raise ControllerError(f"device is {self.device!r}; allowed: 'cpu', 'cuda'")
+        if self.against not in (None, "solve", "ipopt"):
+            raise ControllerError(f"against is {self.against!r}; allowed: None, 'solve', 'ipopt'")
+
+
+def fly_campaign(controller: Controller, ocp: OCP, options: Options, wish: Wish, conduct: Conduct) -> Campaign:
+    """Fly and judge; ``controller`` is that of the problem and the options."""
+    conduct.check()
+    statement = state_flights(controller, facts_of(ocp), wish)
+    job = Job(controller, wish.check_plant(), statement, conduct.device)
+    rules = rules_of(controller.description, statement.dt, conduct.success, conduct.tolerance)
+    flown, reasons, complete = _fly(job, rules, conduct)
+    best = None
+    if conduct.against is not None and complete:
+        best = reference_costs(job, flown, conduct.against, conduct.compared, ocp, options)
+    return Campaign(
+        job,
+        rules,
+        flown,
+        reasons,
+        complete,
+        best,
+        {"solve": "solve()", "ipopt": "IPOPT"}.get(conduct.against or "", ""),
+    )
+
+
+def _fly(job: Job, rules: Rules, conduct: Conduct) -> tuple[Flown, np.ndarray[Any, np.dtype[np.int8]], bool]:
+    """What was flown, and its reasons; False after an interrupt."""
+    s, name = job.statement, job.controller.description.name
+    flown, done = Flown.empty(job.labels, s.flights), np.zeros(s.flights, np.bool_)
+    reasons = np.zeros(s.flights, np.int8)
+    archive = nullcontext() if conduct.folder is None else Archive(conduct.folder, job.labels, identity(job))
+    complete = True
+    with archive as kept:
+        if kept is not None:
+            kept.read(flown, done)
+            known = np.flatnonzero(done)
+            reasons[known] = _judge(job, rules, flown.of_some(known))
+        with Report(name, s.flights, int(done.sum()), conduct.progress) as report:
+            try:
+                for part in fly_all(job, done.copy(), conduct.executor):
+                    if kept is not None:
+                        kept.add(part)
+                    flown.put(part, part.number)
+                    reasons[part.number] = found = _judge(job, rules, part)
+                    done[part.number] = True
+                    report.add(len(part), int(np.sum(found != Reason.NONE)))
+            except KeyboardInterrupt:
+                complete = False
+    if not done.all():
+        return flown.of_some(done), reasons[done], complete
+    return flown, reasons, True
+
+
+def _judge(job: Job, rules: Rules, part: Flown) -> np.ndarray[Any, np.dtype[np.int8]]:
+    """Reasons (F,); set points follow from the numbers of the flights."""
+    s = job.statement
+    goals = np.zeros((len(part), len(rules.targets)))
+    if rules.targets and len(part):
+        begin, end = int(part.number[0]), int(part.number[-1]) + 1
+        own = s.given.part(slice(begin, end))
+        every = rules.goals(job.controller.description, s.data(begin, end - begin, own), s.steps)
+        goals = every[part.number - begin]
+    return rules.judge(part, goals)

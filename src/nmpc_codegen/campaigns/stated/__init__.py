@@ -1,0 +1,1 @@
+"""What is flown: distributions, defaults, data of every flight."""

@@ -1,0 +1,125 @@
+"""What varies from flight to flight: distributions, and the points of the unit cube at which they are evaluated."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.special import ndtri
+from scipy.stats import qmc
+
+from nmpc_codegen.errors import ControllerError
+from nmpc_codegen.runtime import given
+from nmpc_codegen.runtime.batch.flights import draw
+from nmpc_codegen.runtime.batch.random import START, Normal, Signal
+
+Array = NDArray[np.float64]
+
+#: What a number belongs to: the initial state, the plant alone, plant and controller, references.
+Kind = Literal["start", "plant", "known", "reference"]
+
+
+@dataclass(frozen=True, eq=False)
+class Box:
+    """A number that is uniform between two limits, or a vector of independent ones.
+
+    Args:
+        lower, upper: lower <= upper, finite; numbers, or one for each element of the vector.
+    """
+
+    lower: ArrayLike
+    upper: ArrayLike
+
+
+Distribution = Box | Normal
+
+
+@dataclass(frozen=True)
+class Variable:
+    """A number that is drawn for every flight: uniform from ``begin`` to begin + size, or normal with mean ``begin``
+    and standard deviation ``size``."""
+
+    kind: Kind
+    name: str
+    begin: float
+    size: float
+    normal: bool
+
+    @property
+    def label(self) -> str:
+        """Its name in tables and pictures."""
+        return f"{self.kind}.{self.name}"
+
+    def quantile(self, p: Array) -> Array:
+        """Its value where its distribution reaches p, 0 < p < 1."""
+        return np.asarray(self.begin + self.size * (ndtri(p) if self.normal else p))
+
+
+def variables(kind: Kind, names: list[str], found: Distribution, middle: ArrayLike, what: str) -> list[Variable]:
+    """Independent variables of these elements; a normal one has its mean in the middle.
+
+    Raises:
+        ControllerError: limits or sizes are wrong.
+    """
+    count = len(names)
+    real = np.dtype(np.float64)
+    if isinstance(found, Normal):
+        if isinstance(found.std, Mapping):
+            sizes = np.zeros(count)
+            given.fill_by_name(sizes, found.std, names, what)
+        else:
+            sizes = given.rows(found.std, what, real, count)[0]
+        if (sizes < 0).any():
+            raise ControllerError(f"{what} is {sizes.tolist()}; expected standard deviations >= 0")
+        begin = np.broadcast_to(np.asarray(middle, float), (count,))
+    else:
+        begin, end = (given.rows(side, what, real, count)[0] for side in (found.lower, found.upper))
+        if (begin > end).any():
+            i = int((begin > end).argmax())
+            raise ControllerError(f"{what}: Box({begin[i]:g}, {end[i]:g}) of {names[i]!r}; expected lower <= upper")
+        sizes = end - begin
+    return [
+        Variable(kind, name, float(b), float(s), isinstance(found, Normal))
+        for name, b, s in zip(names, begin, sizes, strict=True)
+    ]
+
+
+@dataclass(frozen=True)
+class Points:
+    """Points of the open unit cube, one for each flight: independent ones, or ``sets`` of scrambled Sobol sequences.
+
+    A point is a function of (seed, number of the flight) alone; of Sobol sequences of the length of a set, too.
+    """
+
+    seed: int
+    dimensions: int
+    sets: int = 0
+    length: int = 0  # of a set
+
+    def at(self, first: int, count: int) -> Array:
+        """The points (count, dimensions) of the flights from ``first`` on."""
+        out = np.zeros((count, self.dimensions))
+        if not self.dimensions or not count:
+            return out
+        if not self.sets:
+            draw(Signal(np.full(self.dimensions, 0.5), True, START), self.seed, 0, out, first)
+            return np.asarray(out + 0.5)
+        done = 0
+        while done < count:
+            number, begin = divmod(first + done, self.length)
+            some = min(count - done, self.length - begin)
+            out[done : done + some] = self._of_set(number, begin, some)
+            done += some
+        return np.asarray(np.clip(out, 2.0**-53, 1 - 2.0**-53))
+
+    def _of_set(self, number: int, begin: int, count: int) -> Array:
+        sequence = qmc.Sobol(self.dimensions, scramble=True, rng=np.random.default_rng([self.seed, number]))
+        if begin:
+            sequence.fast_forward(begin)
+        with warnings.catch_warnings():  # of a set that is no power of 2
+            warnings.simplefilter("ignore", UserWarning)
+            return np.asarray(sequence.random(count))

@@ -1,0 +1,341 @@
+"""What is flown: starts, parameters, references, disturbances of every flight, as functions of its number."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, TypedDict, cast
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from nmpc_codegen.campaigns.stated.defaults import Facts, default_known, default_starts, default_steps, default_unknown
+from nmpc_codegen.campaigns.stated.distributions import Box, Distribution, Kind, Points, Variable, variables
+from nmpc_codegen.errors import ControllerError
+from nmpc_codegen.package.signals import members
+from nmpc_codegen.runtime import given
+from nmpc_codegen.runtime.batch.random import Normal, Random
+from nmpc_codegen.runtime.controller import Controller
+from nmpc_codegen.runtime.loops.sampling import interval_of
+
+Array = NDArray[Any]
+Values = Mapping[str, Any]
+
+MOST = 2**31 - 1
+REAL = np.dtype(np.float64)
+
+
+class Stated(TypedDict, total=False):
+    """The arguments of campaign() that say what is flown; None, or left out: what follows from the problem.
+
+    Attributes:
+        starts: Box or Normal for all states, an array (flights, nx), or {state: Box, Normal, number or (flights,)},
+            where others start at their initial value. By default every state is in its ``initial_range``, else around
+            its initial value in a box of a tenth of the width of its bounds, or of twice its size.
+        parameters: {name: Box, Normal, or a table as in Batch.simulate()} of the plants, which the controllers do not
+            know. By default those with bounds on which the model depends, uniform between them.
+        known: the same of parameters that controllers and plants have. By default those with bounds on which costs and
+            rows alone depend.
+        references: {residual: Box, Normal or table}, or a table of the path residual, as in Batch.simulate().
+        disturbance: Normal(std) or Uniform(half width), added to the state after every sample; std alone is normal.
+        noise: the same, added to the state that the controllers are told.
+        added: (steps, nx) or (flights, steps, nx), added to the state after every sample, too.
+        steps: samples of a flight; by default three horizons, at least 50 and at most 1000.
+        dt: sampling time, as in simulate().
+        plant: a controller whose integrator moves the state; by default each controller's own, of the same text.
+        sets: 0: independent draws; else scrambled Sobol points in so many independent sets, from which the interval
+            follows.
+        seed: of all random numbers.
+    """
+
+    starts: Distribution | ArrayLike | Values | None
+    parameters: Values | None
+    known: Values | None
+    references: ArrayLike | Values | None
+    disturbance: Random | ArrayLike | Mapping[str, ArrayLike] | None
+    noise: Random | ArrayLike | Mapping[str, ArrayLike] | None
+    added: ArrayLike | None
+    steps: int | None
+    dt: float | None
+    plant: Controller | None
+    sets: int
+    seed: int
+
+
+@dataclass(frozen=True, eq=False)
+class Wish:
+    """What is asked for; see Stated."""
+
+    flights: int | None = None
+    steps: int | None = None
+    dt: float | None = None
+    starts: Distribution | ArrayLike | Values | None = None
+    parameters: Values | None = None
+    known: Values | None = None
+    references: ArrayLike | Values | None = None
+    disturbance: Random | ArrayLike | Mapping[str, ArrayLike] | None = None
+    noise: Random | ArrayLike | Mapping[str, ArrayLike] | None = None
+    added: ArrayLike | None = None
+    plant: Controller | None = None
+    sets: int = 0
+    seed: int = 0
+
+    def check_plant(self) -> Controller | None:
+        """The plant; ControllerError if it is none."""
+        if self.plant is not None and not isinstance(self.plant, Controller):
+            raise ControllerError(f"plant is {self.plant!r:.60}; expected a Controller, as build() returns it")
+        return self.plant
+
+
+@dataclass(frozen=True, eq=False)
+class Given:
+    """What is given for each flight by itself: a first axis of flights in every array."""
+
+    starts: Mapping[int, Array]  # place in x -> (F,)
+    tables: Mapping[Kind, Mapping[str, Array]]  # (F, n) or (F, n, size)
+    added: Array | None  # (F, steps, nx)
+
+    def part(self, some: slice) -> Given:
+        """That of a part of the flights."""
+        tables: dict[Kind, Mapping[str, Array]] = {
+            kind: {name: table[some] for name, table in of_kind.items()} for kind, of_kind in self.tables.items()
+        }
+        starts = {place: values[some] for place, values in self.starts.items()}
+        return Given(starts, tables, None if self.added is None else self.added[some])
+
+
+@dataclass(frozen=True, eq=False)
+class Data:
+    """Arguments of Batch.simulate() for a part of the flights, and the values that were drawn for them (F, n)."""
+
+    starts: Array
+    tables: Mapping[Kind, Mapping[str, Array]]
+    added: Array | None
+    drawn: Array
+
+    @property
+    def references(self) -> Any:
+        """By name, or the whole path residual."""
+        found = self.tables["reference"]
+        return found.get("", found) if found else None
+
+
+@dataclass(frozen=True, eq=False)
+class Statement:
+    """Flight i is a function of this and of i. ``tables``: the same for all flights."""
+
+    flights: int
+    steps: int
+    dt: float
+    seed: int
+    x0: Array
+    variables: tuple[Variable, ...]
+    points: Points
+    tables: Mapping[Kind, Mapping[str, Array]]
+    given: Given
+    added: Array | None
+    disturbance: Random | ArrayLike | Mapping[str, ArrayLike] | None
+    noise: Random | ArrayLike | Mapping[str, ArrayLike] | None
+    states: tuple[str, ...]
+
+    @property
+    def drawn(self) -> tuple[str, ...]:
+        """Names of the variables that are no initial states."""
+        return tuple(v.label for v in self.variables if v.kind != "start")
+
+    @property
+    def common(self) -> Statement:
+        """Without what is given for each flight by itself."""
+        return replace(self, given=Given({}, {}, None))
+
+    def data(self, first: int, count: int, own: Given) -> Data:
+        """Data of the flights from ``first`` on; ``own``: what is given for them."""
+        unit = self.points.at(first, count)
+        starts = np.tile(self.x0, (count, 1))
+        for place, values in own.starts.items():
+            starts[:, place] = values
+        found: dict[Kind, dict[str, Array]] = {
+            kind: {**self.tables.get(kind, {}), **own.tables.get(kind, {})} for kind in ("plant", "known", "reference")
+        }
+        drawn = []
+        for variable, p in zip(self.variables, unit.T, strict=True):
+            value = variable.quantile(p)
+            if variable.kind == "start":
+                starts[:, self.states.index(variable.name)] = value
+            else:
+                found[variable.kind][variable.name] = value[:, None]
+                drawn.append(value)
+        added = self.added if own.added is None else own.added
+        whole = np.array(drawn).reshape(len(drawn), count).T
+        return Data(starts, cast("Mapping[Kind, Mapping[str, Array]]", found), added, whole)
+
+
+def state_flights(controller: Controller, facts: Facts, wish: Wish) -> Statement:
+    """Check the arguments of campaign() and complete them.
+
+    Raises:
+        ControllerError: a shape or a number is wrong, or there is no such state, parameter or residual.
+    """
+    described = controller.description
+    dt = interval_of(described, wish.dt)
+    flights = _count("flights", _flights_of(wish.starts) if wish.flights is None else wish.flights, 1, MOST)
+    steps = _count("steps", default_steps(described, dt) if wish.steps is None else wish.steps, 1, MOST)
+    seed = _count("seed", wish.seed, 0, 2**64 - 1)
+    length = _length_of_set(flights, wish.sets)
+    reader = _Reader(controller, flights)
+    starts = default_starts(described, facts) if wish.starts is None else wish.starts
+    reader.read_starts(starts)
+    unknown = default_unknown(described, facts) if wish.parameters is None else wish.parameters
+    told = default_known(described, facts) if wish.known is None else wish.known
+    reader.read("plant", _without(unknown, wish.known), "parameters", described.names.parameters)
+    reader.read("known", _without(told, wish.parameters), "known", described.names.parameters)
+    if wish.references is not None:
+        known = list(dict.fromkeys((*described.names.y, *described.names.y_N)))
+        named = wish.references if isinstance(wish.references, Mapping) else {"": wish.references}
+        reader.read("reference", named, "references", known)
+    every, own = reader.split_added(wish.added, steps)
+    return Statement(
+        *(flights, steps, dt, seed, described.x_initial, tuple(reader.variables)),
+        Points(seed, len(reader.variables), wish.sets, length),
+        reader.tables,
+        Given(reader.starts, reader.each, own),
+        every,
+        wish.disturbance,
+        wish.noise,
+        described.names.states,
+    )
+
+
+def _without(values: Values, others: Values | None) -> Values:
+    """Those that the other argument does not name."""
+    if not isinstance(values, Mapping):
+        raise ControllerError(f"{values!r:.60} is no {{name of a parameter: Box, Normal or table}}")
+    return {name: value for name, value in values.items() if name not in (others or {})}
+
+
+def _count(what: str, value: object, least: int, most: int) -> int:
+    if not given.is_integer(value) or not least <= cast("int", value) <= most:
+        raise ControllerError(f"{what} is {value!r}; expected an integer between {least} and {most}")
+    return int(cast("int", value))
+
+
+def _flights_of(starts: Any) -> int:
+    """Flights where their number is not given: those of an array of starts, else a thousand."""
+    return len(starts) if isinstance(starts, np.ndarray | list) and np.ndim(starts) == 2 else 1000
+
+
+def _length_of_set(flights: int, sets: int) -> int:
+    """Flights of a set of quasi-random points."""
+    if not given.is_integer(sets) or sets < 0 or sets == 1 or (sets and flights % sets):
+        raise ControllerError(
+            f"sets is {sets!r}; expected 0, independent draws, or a number of sets of equal length of Sobol sequences, "
+            f"at least 2, that divides the {flights} flights; a length of a power of 2 serves best"
+        )
+    return flights // sets if sets else 0
+
+
+class _Reader:
+    """Sorts what is given by name into variables, tables for all flights, and tables for each."""
+
+    def __init__(self, controller: Controller, flights: int) -> None:
+        self._controller, self._flights = controller, flights
+        self.variables: list[Variable] = []
+        self.tables: dict[Kind, dict[str, Array]] = {}
+        self.each: dict[Kind, dict[str, Array]] = {}
+        self.starts: dict[int, Array] = {}
+        self._taken: set[tuple[str, str]] = set()
+
+    def read_starts(self, starts: Any) -> None:
+        """Initial states: a distribution of all, an array (F, nx), or by name."""
+        names = list(self._controller.names.states)
+        described = self._controller.description
+        if isinstance(starts, Box | Normal):
+            self.variables += variables("start", names, starts, described.x_initial, "starts")
+        elif isinstance(starts, Mapping):
+            for name, value in starts.items():
+                self._read_start(name, value, names)
+        else:
+            every = given.checked_array(starts, "starts", REAL, (self._flights, len(names)))
+            self.starts = dict(enumerate(every.T))
+
+    def _read_start(self, name: str, value: Any, names: list[str]) -> None:
+        places = self._places("starts", name, names)
+        what = f"starts: {name!r}"
+        if isinstance(value, Box | Normal):
+            middle = self._controller.description.x_initial[places]
+            self.variables += variables("start", [names[i] for i in places], value, middle, what)
+            return
+        shape: tuple[int, ...] = np.shape(value) if given.ndim(value) >= 0 else ()
+        per_flight = len(shape) > 0 and shape[0] == self._flights and len(shape) == (1 if len(places) == 1 else 2)
+        rows = given.checked_array(value, what, REAL, shape if per_flight or not shape else (len(places),))
+        for j, place in enumerate(places):
+            column = rows if rows.ndim == 0 else rows[:, j] if rows.ndim == 2 else rows if per_flight else rows[j]
+            self.starts[place] = np.array(np.broadcast_to(column, (self._flights,)))
+
+    def read(self, kind: Kind, values: Values, what: str, known: Sequence[str]) -> None:
+        """Parameters or references by name."""
+        for name, value in values.items():
+            elements = [known[i] for i in self._places(what, name, known)] if name else list(self._controller.names.y)
+            for element in elements:
+                if (kind, element) in self._taken:
+                    raise ControllerError(f"{what}: {element!r} is given twice")
+                self._taken.add((kind, element))
+            if isinstance(value, Box | Normal):
+                middle = self._declared_values(kind, elements)
+                self.variables += variables(kind, elements, value, middle, f"{what}: {name!r}")
+                self._check_range(elements, what)
+            else:
+                self._read_table(kind, name, value, len(elements), what)
+
+    def _read_table(self, kind: Kind, name: str, value: Any, size: int, what: str) -> None:
+        array = given.checked_array(value, f"{what}: {name!r}", REAL, np.shape(value) if given.ndim(value) >= 0 else ())
+        vector = size > 1 or not name
+        axes: tuple[int, ...] = array.shape[:-1] if vector and array.ndim else array.shape
+        if len(axes) == 2 and axes[0] == 1:  # the same for all
+            array, axes = array[0], axes[1:]
+        if vector and not array.ndim:
+            array = np.full((1, size), array)
+        into = self.each if len(axes) == 2 and axes[0] not in (0, 1) else self.tables
+        if into is self.each and array.shape[0] != self._flights:
+            raise ControllerError(f"{what}: {name!r} has shape {array.shape}; expected {self._flights} flights first")
+        into.setdefault(kind, {})[name] = array
+
+    def _places(self, what: str, name: str, known: Sequence[str]) -> list[int]:
+        found = members(name, known)
+        if not found:
+            raise ControllerError(f"{what}: there is no {name!r}; there is {', '.join(known) or 'none'}")
+        return found
+
+    def _declared_values(self, kind: Kind, elements: list[str]) -> Array:
+        """Declared values of parameters or references."""
+        described = self._controller.description
+        if kind == "reference":
+            values = {r.name: r.reference for r in (*described.residuals_N, *described.residuals)}
+        else:
+            values = {e: v for s in described.parameters for e, v in zip(s.elements, s.value, strict=True)}
+        return np.array([values[element] for element in elements])
+
+    def _check_range(self, elements: list[str], what: str) -> None:
+        """ControllerError if a box leaves the bounds of a parameter; normal numbers may, and are refused in flight."""
+        ends = {
+            e: (low, high)
+            for s in self._controller.description.parameters
+            for e, low, high in zip(s.elements, s.low, s.high, strict=False)
+        }
+        for v in self.variables[-len(elements) :]:
+            low, high = ends.get(v.name, (-math.inf, math.inf)) if v.kind != "reference" else (-math.inf, math.inf)
+            if not v.normal and (v.begin < low or (v.begin + v.size > high * (1 + 1e-15) and v.begin + v.size > high)):
+                raise ControllerError(
+                    f"{what}: {v.name!r} between {v.begin:g} and {v.begin + v.size:g}; its bounds are {low:g}, {high:g}"
+                )
+
+    def split_added(self, added: ArrayLike | None, steps: int) -> tuple[Array | None, Array | None]:
+        """What is added to the states: the same for all flights, or for each."""
+        if added is None:
+            return None, None
+        nx = self._controller.dims.nx
+        shape = np.shape(added) if given.ndim(added) >= 0 else ()
+        expected = (steps, nx) if len(shape) == 2 else (self._flights, steps, nx)
+        array = given.checked_array(added, "added", REAL, expected)
+        return (array, None) if array.ndim == 2 else (None, array)

@@ -1,0 +1,59 @@
+"""--campaign: closed loops of the package before it is written, and what is said of them."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+from nmpc_codegen.cli.printing import Printer
+from nmpc_codegen.cli.problem_file import Stated
+from nmpc_codegen.firmware.delivery import Flown
+from nmpc_codegen.package.description import PackageDescription
+from nmpc_codegen.runtime.build import load
+from nmpc_codegen.targets import TARGETS
+
+if TYPE_CHECKING:
+    from nmpc_codegen.campaigns.judging.result import Campaign
+
+
+class Flights:
+    """The flag, and what was flown."""
+
+    def __init__(self, arguments: argparse.Namespace, stated: Stated, name: str) -> None:
+        self._count, self._stated, self._name = arguments.campaign, stated, name
+        self._allowed = arguments.allow_failures or 0
+        self._plot = None if arguments.simulate is not None else arguments.plot
+        self._result: Campaign | None = None
+
+    def fly(self, sources: Mapping[str, str]) -> Flown | None:
+        """Fly the package; None without the flag.
+
+        Raises:
+            ControllerError: an argument that the file defines is wrong.
+        """
+        if self._count is None:
+            return None
+        from nmpc_codegen.campaigns.entry import split_words
+        from nmpc_codegen.campaigns.request import fly_campaign
+
+        wish, conduct = split_words({**self._stated.campaign, "flights": self._count})
+        target = TARGETS[PackageDescription.from_json(sources[f"{self._name}.json"]).target]
+        controller = load(sources, self._name, "fast" if target.board is None else "verify")
+        self._result = fly_campaign(controller, self._stated.ocp, self._stated.options, wish, conduct)
+        return Flown(self._result.as_dict(), self._result.sentences())
+
+    def report(self, printer: Printer) -> bool:
+        """Print the result; False if more flights are lost than are allowed, or not all were flown."""
+        result = self._result
+        if result is None:
+            return True
+        printer.line(str(result))
+        if self._plot is not None:
+            result.plot(self._plot)
+            printer.line(f"picture: {self._plot}")
+        lost = int(result.lost.sum())
+        if lost > self._allowed:
+            limit = f", --allow-failures {self._allowed}" if self._allowed else ""
+            printer.error(f"campaign FAILED: {lost:,} of {len(result):,} flights are lost{limit}")
+        return lost <= self._allowed and result.complete
