@@ -5,7 +5,7 @@ from __future__ import annotations
 import shutil
 from collections.abc import Callable
 
-from benchmarks.lib import algebraic, batch, estimation, export, stiff, strangers
+from benchmarks.lib import algebraic, batch, campaigns, estimation, export, stiff, strangers
 from benchmarks.lib.convergence import accuracy, loops, starts
 from benchmarks.lib.firmware import emulated, riscv, single
 from benchmarks.lib.firmware import sizes as forms
@@ -34,12 +34,13 @@ PAGE: dict[str, Topic] = {
 
 #: Topics with a line per case and a column per figure.
 MATRICES = frozenset(
-    {*PAGE, "batch", "estimation", "speed/levels", "speed/setters", "speed/tables", "convergence/routes"}
+    {*PAGE, "batch", "campaigns", "estimation", "speed/levels", "speed/setters", "speed/tables", "convergence/routes"}
 )
 
 TOPICS: dict[str, Topic] = {
     **PAGE,
     "batch": batch.measure,
+    "campaigns": campaigns.measure,
     "estimation": estimation.measure,
     "strangers/solve": strangers.measure_solve,
     "speed/first_control": levels.first_control,

@@ -15,10 +15,10 @@ from verification.built import build_all
 from verification.convergence.starts import Attempt
 from verification.routes import PURE
 from verification.strangers import house, linear, solves
-from verification.strangers.loops import Judge, Verdict, run
+from verification.strangers.loops import Verdict, run
 from verification.strangers.problems import CASES, ONCE, OPEN, STRANGERS
 from verification.strangers.statement import Stranger
-from verification.strangers.twin import NOMINAL, STARTS, Twin
+from verification.strangers.twin import NOMINAL, STARTS
 
 LEAST = 3
 LOST, NOT_OK, UNSOLVED = 0.0067, 0.0125, 0.02
@@ -41,14 +41,9 @@ def loops(
     strangers: Sequence[Stranger], numbers: Sequence[int], scheme: str, nominal: bool = False
 ) -> dict[str, list[Verdict]]:
     """The loops with these numbers of every stranger, without their kicks if ``nominal``."""
-    algorithm = SCHEMES[scheme]
-    built = build_all((s.ocp(), replace(s.options(), algorithm=algorithm)) for s in strangers)
-    found = {}
-    for stranger, controller in zip(strangers, built, strict=True):
-        twin = Twin(stranger)
-        judge = Judge(twin)
-        found[stranger.name] = [run(twin, judge, controller, number, nominal) for number in numbers]
-    return found
+    stated = [(s, replace(s.options(), algorithm=SCHEMES[scheme])) for s in strangers]
+    build_all((s.ocp(), options) for s, options in stated)  # two at a time; campaigns find them in the cache
+    return {s.name: run(s, numbers, options, nominal) for s, options in stated}
 
 
 def measure(report: Report, asked: Run) -> None:

@@ -9,7 +9,7 @@ import pytest
 
 from nmpc_codegen import Status, build
 from verification.strangers import house, remedies
-from verification.strangers.loops import Judge, controller_of, run
+from verification.strangers.loops import Judge, run
 from verification.strangers.problems import CASES, STRANGERS, known
 from verification.strangers.statement import Stranger
 from verification.strangers.twin import NOMINAL, STARTS, Outcome, Twin, by_ipopt
@@ -44,8 +44,7 @@ def test_the_twin_states_the_same_problem(name: str) -> None:
 @pytest.mark.parametrize("name", ["car", "storage"])
 def test_a_loop_is_that_of_ipopt(name: str) -> None:
     stranger = known(name)
-    twin = Twin(stranger)
-    verdict = run(twin, Judge(twin), controller_of(stranger), 0)
+    (verdict,) = run(stranger, [0])
     assert verdict.lost == ""
     assert verdict.far == 0
     assert verdict.bad <= 0.05 * verdict.samples
@@ -87,8 +86,7 @@ def test_a_loop_that_is_worse_is_lost(monkeypatch: pytest.MonkeyPatch) -> None:
     stranger = replace(known("drone"), reach=1e-12)
     ideal = {stranger.name: [Outcome(0.0, 0.0, 0.0, 0)] * STARTS}
     monkeypatch.setattr("verification.strangers.loops.by_ipopt", lambda: ideal)
-    twin = Twin(stranger)
-    verdict = run(twin, Judge(twin), controller_of(known("drone")), 0)
+    (verdict,) = run(stranger, [0])
     assert "from the goal" in verdict.lost
     assert verdict.statuses[Status.OK.name] > 50
 

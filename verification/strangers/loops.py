@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import casadi as ca
 import numpy as np
 
-from nmpc_codegen import Controller, build
+from nmpc_codegen import Controller, Options, Status
+from nmpc_codegen.campaigns import Campaign, campaign
 from verification.strangers.statement import Array, Limit, Stranger
 from verification.strangers.twin import Loop, Outcome, Twin, by_ipopt
 
@@ -94,41 +96,76 @@ def _violation(rows: list[Limit], values: Array) -> float:
     return float(np.max(np.maximum(lower - values, values - upper) / scale, initial=0.0))
 
 
-def controller_of(stranger: Stranger) -> Controller:
-    """The controller of a user who says nothing but the integration steps."""
-    return build(stranger.ocp(), stranger.options(), "fast")
+def run(
+    stranger: Stranger, numbers: Sequence[int], options: Options | None = None, nominal: bool = False
+) -> list[Verdict]:
+    """The loops with these numbers from fresh plans, without their kicks if ``nominal``, and what is wrong with them;
+    by default with the options of a user who says nothing but the integration steps."""
+    twin = Twin(stranger)
+    flown = campaign(
+        stranger.ocp(), options=options or stranger.options(), progress=False, **stranger.flights(numbers, nominal)
+    )
+    return [_judge_loop(twin, Judge(twin), flown, i, number, nominal) for i, number in enumerate(numbers)]
 
 
-def run(twin: Twin, judge: Judge, controller: Controller, number: int, nominal: bool = False) -> Verdict:
-    """The loop with this number from a fresh plan, without its kick if ``nominal``, and what is wrong with it."""
-    s, loop, statuses = twin.stranger, Loop(twin, number, nominal), Counter[str]()
-    controller.reset()
-    relaxed, on_end = 0, 0
-    far, repairs, shifts = 0, 0, controller.description.shift is not None
-    for k in range(s.samples):
-        if not loop.finite:
-            statuses["lost"] += s.samples - k
-            break
-        if k == 0:
-            controller.x[0] = loop.x
-        controller.prepare()
-        point = controller.x.copy(), controller.u.copy()
-        u = controller.feedback(loop.x)
-        status = controller.status.name
-        statuses[status] += 1
-        repairs += controller.stats.repairs
-        on_end = on_end + 1 if status == "RELAXED" else 0
-        relaxed = max(relaxed, on_end)
+def _judge_loop(twin: Twin, judge: Judge, flown: Campaign, i: int, number: int, nominal: bool) -> Verdict:
+    """The verdict on flight i, which is replayed beside its plans."""
+    s, watcher = twin.stranger, _Watcher()
+    log = flown.replay(i, watcher.look)
+    watcher.keep()
+    far, on_end = 0, [0]
+    for k, sample in enumerate(watcher.samples[: len(log.u)]):
         residuals = (
-            judge.residual(controller.x, controller.u, loop.x, False),
-            judge.residual(*point, loop.x, shifts and k > 0),
-            judge.broken(np.asarray(u, dtype=float)),
+            judge.residual(*sample.plan, log.x[k], False),
+            judge.residual(*sample.point, log.x[k], sample.moves and k > 0),
+            judge.broken(log.u[k]),
         )
-        far += status == "OK" and max(residuals) > TOLERANCE
-        loop.apply(k, np.asarray(u, dtype=float))
-    outcome = loop.outcome(0)
+        far += sample.status == "OK" and max(residuals) > TOLERANCE
+        on_end.append(on_end[-1] + 1 if sample.status == "RELAXED" else 0)
+    loop = Loop(twin, number, nominal)
+    loop.follow(log.x, log.u)
+    outcome = replace(loop.outcome(0), finite=bool(flown.flown.broken[i] < 0))
+    counts = flown.flown.samples[i]
+    statuses = Counter({status.name: int(n) for status, n in zip(Status, counts, strict=True) if n})
+    statuses.update({"lost": s.samples - int(counts.sum())} if counts.sum() < s.samples else {})
     lost = _why_lost(s, number, outcome, by_ipopt()[f"{s.name} nominal" if nominal else s.name])
-    return Verdict(outcome, statuses, far, repairs, lost, s.samples, relaxed)
+    return Verdict(outcome, statuses, far, sum(one.repairs for one in watcher.samples), lost, s.samples, max(on_end))
+
+
+@dataclass(frozen=True, eq=False)
+class _Sample:
+    """The plan of a sample, (N+1, nx) and (N, nu), the point at which it linearised, whether its plan had moved there,
+    its status, and how often it repaired the plan."""
+
+    plan: tuple[Array, Array]
+    point: tuple[Array, Array]
+    moves: bool
+    status: str
+    repairs: int
+
+
+class _Watcher:
+    """Looks at the plans of a flight."""
+
+    def __init__(self) -> None:
+        self.samples: list[_Sample] = []
+        self._controller: Controller | None = None
+        self._point: tuple[Array, Array] | None = None
+
+    def look(self, k: int, controller: Controller) -> None:
+        """Before sample k: what the one before has left, and where this one will linearise."""
+        self.keep()
+        ahead = controller.copy()
+        ahead.prepare()
+        self._point, self._controller = (ahead.x.copy(), ahead.u.copy()), controller
+
+    def keep(self) -> None:
+        """After a sample."""
+        c = self._controller
+        if c is not None and self._point is not None:
+            moves = c.description.shift is not None
+            plan = c.x.copy(), c.u.copy()
+            self.samples.append(_Sample(plan, self._point, moves, c.status.name, c.stats.repairs))
 
 
 def _why_lost(s: Stranger, number: int, mine: Outcome, theirs: list[Outcome]) -> str:

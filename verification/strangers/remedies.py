@@ -22,13 +22,16 @@ from nmpc_codegen import (
     ProblemWarning,
     RealTimeIteration,
     RiccatiActiveSet,
+    Status,
     build,
+    simulate,
 )
+from nmpc_codegen.campaigns import campaign
 from verification.strangers import house
-from verification.strangers.loops import Judge, run
+from verification.strangers.loops import run
 from verification.strangers.problems import known
 from verification.strangers.statement import Array
-from verification.strangers.twin import Loop, Twin
+from verification.strangers.twin import Twin
 
 #: Loops of a stranger, and cold starts of solve(), that are flown.
 LOOPS, STARTS = 10, 10
@@ -53,17 +56,16 @@ def _stranger(name: str, failure: str, solved: bool = False, **options: Any) -> 
 
     def fly() -> tuple[int, int]:
         s = known(name)
-        twin, controller, found = Twin(s), build(s.ocp(), replace(s.options(), **options), "fast"), 0
-        for number in range(LOOPS):
-            loop = Loop(twin, number)
-            controller.reset()
-            if solved:
-                controller.solve(loop.x)
-                controller.view("samples")[...] = 0
-            for k in range(s.samples):
-                u = controller.step(loop.x)
-                found += controller.status.name == failure
-                loop.apply(k, np.asarray(u, dtype=float))
+        flown = campaign(s.ocp(), options=replace(s.options(), **options), progress=False, **s.flights(range(LOOPS)))
+        if not solved:
+            return int(flown.flown.samples[:, Status[failure]].sum()), LOOPS * s.samples
+        found, words = 0, s.flights(range(LOOPS))
+        gusts = words["added"]
+        for start in words["starts"]:
+            log = simulate(
+                flown.job.controller.copy(), start, s.samples, disturbance=lambda k, _: gusts[k], warm_start=True
+            )
+            found += int(np.sum(log.status == Status[failure]))
         return found, LOOPS * s.samples
 
     return fly
@@ -74,9 +76,8 @@ def _lost(name: str, algorithm: RealTimeIteration | AugmentedLagrangian) -> Flig
 
     def fly() -> tuple[int, int]:
         s = known(name)
-        twin, controller = Twin(s), build(s.ocp(), replace(s.options(), algorithm=algorithm), "fast")
-        judge = Judge(twin)
-        return sum(bool(run(twin, judge, controller, number).lost) for number in range(LOOPS)), LOOPS
+        verdicts = run(s, range(LOOPS), replace(s.options(), algorithm=algorithm))
+        return sum(bool(v.lost) for v in verdicts), LOOPS
 
     return fly
 

@@ -70,6 +70,14 @@ class Stranger:
         random = np.random.default_rng([40, number])
         return random.uniform(*map(np.asarray, self.start))
 
+    def flights(self, numbers: Sequence[int], nominal: bool = False) -> dict[str, Any]:
+        """Arguments of campaign(): the loops with these numbers, without their kicks if ``nominal``."""
+        added = np.zeros((self.samples, len(self.states)))
+        if not nominal:
+            added[self.kick[0]] = self.kick[1]
+        starts = np.array([self.initial(number) for number in numbers])
+        return {"starts": starts, "added": added, "steps": self.samples, "parameters": {}, "known": {}}
+
     def options(self) -> Options:
         """What a user has to say: the number of integration steps."""
         return Options(ExplicitRungeKutta(RK4, steps=self.steps))

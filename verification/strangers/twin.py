@@ -136,12 +136,23 @@ class Loop:
     def apply(self, k: int, u: Array) -> None:
         """Sample k with the control u."""
         twin, (when, kick) = self._twin, self._twin.stranger.kick
-        self._cost += float(twin.stage(self.x, u))
-        if k != 0 and (self._nominal or k != when + 1):  # nothing can be done about a state into which the plant is put
-            self._violation = max(self._violation, float(twin.excess(self.x, u)))
+        self._judge(k, u)
         self.x = np.asarray(twin.step(self.x, u)).ravel()
         if k == when and not self._nominal:
             self.x = self.x + np.asarray(kick, float)
+
+    def follow(self, x: Array, u: Array) -> None:
+        """The samples (n + 1, nx), (n, nu) of something else."""
+        for k, (state, control) in enumerate(zip(x, u, strict=False)):
+            self.x = state
+            self._judge(k, control)
+        self.x = x[-1]
+
+    def _judge(self, k: int, u: Array) -> None:
+        twin, (when, _) = self._twin, self._twin.stranger.kick
+        self._cost += float(twin.stage(self.x, u))
+        if k != 0 and (self._nominal or k != when + 1):  # nothing can be done about a state into which the plant is put
+            self._violation = max(self._violation, float(twin.excess(self.x, u)))
 
     def outcome(self, failed: int) -> Outcome:
         """The loop so far."""

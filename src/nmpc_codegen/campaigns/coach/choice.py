@@ -48,16 +48,23 @@ class Entry:
 
 @dataclass(frozen=True, eq=False)
 class Choice:
-    """Chosen options. line: they as Python, to paste; intervals: N that was chosen; reason: why; entries: the table;
-    result, default: campaigns of the choice and of the default, on the same fresh flights."""
+    """Chosen options. line: they as Python, to paste; intervals: N that was chosen; reason: why; entries: the table,
+    chosen and first: two of its rows, that of the choice, and of what others are compared with; result, default: their
+    campaigns, on the same fresh flights."""
 
     options: Options
     intervals: int
     line: str
     reason: str
     entries: tuple[Entry, ...]
+    chosen: Entry
     result: Campaign
     default: Campaign
+
+    @property
+    def first(self) -> Entry:
+        """The first row of the table."""
+        return self.entries[0]
 
     def __repr__(self) -> str:
         return f"<Choice {self.line}: {self.reason}>"
@@ -119,7 +126,7 @@ def choose(ocp: OCP, given: Sequence[Options] | None, base: Options, wish: Wish,
             best, reason = c, f"beside {best.change}: {why}"
     line = best.line if best.intervals == ocp.N else f"{_grid(ocp, best.intervals)}, {best.line}"
     table = tuple(entries[c.change] for c in candidates)
-    return Choice(best.options, best.intervals, line, reason, table, final[best.change], first)
+    return Choice(best.options, best.intervals, line, reason, table, entries[best.change], final[best.change], first)
 
 
 def _grid(ocp: OCP, intervals: int) -> str:

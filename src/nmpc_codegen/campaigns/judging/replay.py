@@ -14,7 +14,7 @@ from nmpc_codegen.errors import warn
 from nmpc_codegen.runtime.batch.flights import draw
 from nmpc_codegen.runtime.batch.random import DISTURBANCE, NOISE, signal
 from nmpc_codegen.runtime.controller import Controller
-from nmpc_codegen.runtime.loops.forecast import forecast
+from nmpc_codegen.runtime.loops.forecast import Before, forecast
 from nmpc_codegen.runtime.loops.sampling import own_plant
 from nmpc_codegen.runtime.loops.simulate import Law, simulate
 from nmpc_codegen.runtime.records.log import Log
@@ -22,10 +22,10 @@ from nmpc_codegen.runtime.records.log import Log
 Array = NDArray[np.float64]
 
 
-def replay(job: Job, number: int, broken: int, last: Array) -> Log:
+def replay(job: Job, number: int, broken: int, last: Array, before: Before | None) -> Log:
     """The log of a flight. ``broken``: the sample after which its state was not finite, or -1; ``last``: its last state
     in the campaign, with which a warning compares that of the log."""
-    log = Replay(job, number).simulate("step", job.statement.steps if broken < 0 else broken)
+    log = Replay(job, number).simulate("step", job.statement.steps if broken < 0 else broken, before)
     if broken < 0 and not np.array_equal(log.x[-1], last):
         warn(
             f"flight {number} does not end where it ended in the campaign: it was flown by other machine code; "
@@ -51,7 +51,7 @@ class Replay:
         """The state of sample k as the controller is told it."""
         return x if self._noise is None else x + self._noise[k]
 
-    def simulate(self, law: Law, steps: int) -> Log:
+    def simulate(self, law: Law, steps: int, before: Before | None = None) -> Log:
         """The log of its first samples."""
         noise = self._noise
         return simulate(
@@ -60,6 +60,7 @@ class Replay:
             steps,
             self.dt,
             plant=self.plant,
+            before=before,
             noise=None if noise is None else lambda k, _: noise[k],
             law=law,
             parameters=self.known or None,

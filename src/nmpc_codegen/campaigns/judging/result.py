@@ -20,6 +20,7 @@ from nmpc_codegen.errors import ControllerError
 from nmpc_codegen.package.status import Status
 from nmpc_codegen.runtime import given
 from nmpc_codegen.runtime.batch.flights import Flights
+from nmpc_codegen.runtime.loops.forecast import Before
 from nmpc_codegen.runtime.records.html import units
 from nmpc_codegen.runtime.records.log import Log
 
@@ -116,16 +117,17 @@ class Campaign:
         drawn = zip((*f.labels.states, *f.labels.drawn), (*f.start[i], *f.drawn[i]), strict=True)
         return f"flight {number}: {why}; cost {f.cost[i]:.6g}; " + ", ".join(f"{n} = {v:.4g}" for n, v in drawn)
 
-    def replay(self, number: int) -> Log:
+    def replay(self, number: int, before: Before | None = None) -> Log:
         """Fly a flight again with simulate(), sample by sample: the log has the same states to the bit.
 
-        A flight whose state was not finite ends before that.
+        A flight whose state was not finite ends before that. ``before``: before(k, ctrl), called before sample k, to
+        look at plans.
 
         Raises:
             ControllerError: there is no such flight.
         """
         i = self._place(number)
-        return replay(self.job, number, int(self.flown.broken[i]), self.flown.last[i])
+        return replay(self.job, number, int(self.flown.broken[i]), self.flown.last[i], before)
 
     def fly_again(self, number: int) -> Flights:
         """The same with its samples as Flights of one, in compiled code."""
