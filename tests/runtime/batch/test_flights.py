@@ -29,6 +29,7 @@ from nmpc_codegen import (
     build,
     simulate,
 )
+from nmpc_codegen.frontend.horizon import with_horizon
 from tests.runtime.batch.problems import N, car, reactor
 
 Array = NDArray[np.float64]
@@ -114,6 +115,19 @@ def test_a_flight_is_a_loop_of_single_calls(name: str) -> None:
 
 def of_some(some: slice) -> dict[str, Any]:
     return {"parameters": {"m": MASSES[some], "k": GAINS[some]}, "references": {"p": TRACKS[some]}}
+
+
+def test_a_plant_with_another_horizon() -> None:
+    """Data by node of plants that have more nodes than the controller, and fewer: the bits of simulate()."""
+    ctrl = build(car(), None, "test")
+    for N_of_plant in (2, 40):
+        plant = build(with_horizon(car(), N_of_plant), None, "test", name="long_car")
+        gains = {"k": np.full((1, 1, 2), 0.2), "m": 1.1}
+        flights = Batch(ctrl, 1).simulate(X0, STEPS, plant=plant, plant_parameters=gains, record=True)
+        twin = plant.copy()
+        twin.set_parameters(k=[0.2, 0.2], m=1.1)
+        log = simulate(ctrl.copy(), X0[3], STEPS, plant=twin.integrate)
+        np.testing.assert_array_equal(log.x, flights.x[3])  # type: ignore[index]
 
 
 @pytest.mark.parametrize("dt", [0.25, 0.4])

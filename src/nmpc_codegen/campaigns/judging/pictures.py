@@ -21,7 +21,7 @@ File = str | os.PathLike[str] | None
 
 BINS = 60
 #: Variables of plot_lost(), and points of every kind in a panel.
-VARIABLES, POINTS = 4, 3000
+VARIABLES, POINTS = 3, 600
 LOST = ("lost", {"color": FAILURE_COLOR, "marker": "o", "markersize": 3, "linestyle": ""})
 KEPT = ("not lost", {"color": STATE_COLOR, "marker": "o", "markersize": 3, "linestyle": ""})
 LIMIT = ("allowed", {"color": "0.2", "linewidth": 1.0, "linestyle": (0, (5, 3))})
@@ -134,4 +134,4 @@ def _draw_points(axis: Any, x: Array, y: Array, lost: NDArray[np.bool_]) -> None
 def _finish(figure: Any, title: str, file: File) -> None:
     figure.suptitle(title, fontsize=10, color="0.2")
     if file is not None:
-        figure.savefig(Path(file), dpi=130)
+        figure.savefig(Path(file), dpi=120)

@@ -114,8 +114,15 @@ class Campaign:
             why += f" after sample {f.broken[i]}"
         elif reason is Reason.ENDS_FAILING:
             why += f": {Status(int(f.ended[i])).name}"
-        drawn = zip((*f.labels.states, *f.labels.drawn), (*f.start[i], *f.drawn[i]), strict=True)
-        return f"flight {number}: {why}; cost {f.cost[i]:.6g}; " + ", ".join(f"{n} = {v:.4g}" for n, v in drawn)
+        drawn = zip((*f.labels.states, *f.labels.drawn), (*f.start[i], *f.drawn[i]), self._varies, strict=True)
+        words = [f"{name} = {value:.4g}" for name, value, varies in drawn if varies]
+        return "; ".join([f"flight {number}: {why}", f"cost {f.cost[i]:.6g}", *([", ".join(words)] if words else [])])
+
+    @cached_property
+    def _varies(self) -> list[bool]:
+        """Which initial states, and what else was drawn, differ between flights."""
+        every = np.hstack([self.flown.start, self.flown.drawn])
+        return [bool(np.ptp(column) > 0) for column in every.T]
 
     def replay(self, number: int, before: Before | None = None) -> Log:
         """Fly a flight again with simulate(), sample by sample: the log has the same states to the bit.

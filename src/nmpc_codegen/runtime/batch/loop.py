@@ -87,7 +87,7 @@ class Loop:
             c.algebraic = driver.address("algebraic")
         self._place(c.controller, self.batch, self.data, ahead)
         if self.plant is not None:
-            self._place(c.plant, self.plant, self.plant_data, np.zeros_like(ahead))
+            self._place(c.plant, self.plant, self.plant_data, np.zeros(self.plant.dims.N + 1, np.int64))
         c.steps, c.number, c.seed, c.failures = self.steps, self.first, self.seed, FAILURES
         c.pieces = integrations(plant.description, self.interval)
         c.dt = self.interval / c.pieces
@@ -107,7 +107,8 @@ class Loop:
     @property
     def rows(self) -> int:
         """Numbers that a setter is given at most."""
-        return (self.batch.dims.N + 2) * max((d.width for d in (*self.data, *self.plant_data)), default=0)
+        most = max(structs.dims.N for structs in (self.batch, self.plant or self.batch))
+        return (most + 2) * max((d.width for d in (*self.data, *self.plant_data)), default=0)
 
     def _place(self, c: Any, structs: Structs, data: list[Data], ahead: NDArray[np.int64]) -> None:
         driver = self.batch.driver
