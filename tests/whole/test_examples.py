@@ -31,7 +31,6 @@ from examples import (
     many_cranes,
     offset_free,
     output_rows,
-    pillar,
     quadrotor,
     slew_rate,
     vandevusse,
@@ -466,26 +465,6 @@ def test_many_cranes_main(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsy
         assert_picture(tmp_path / f"{name}.png")
     with pytest.raises(ControllerError, match="record=True"):
         many_cranes.run(2, record=False).plot()
-
-
-def test_pillar_main(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    """A margin of 0.1 m keeps nearly all drones away from the pillar; without one light ones touch it."""
-    found = []
-
-    def fly(margin: float) -> Any:
-        found.append(pillar_fly(margin, 200))
-        return found[-1]
-
-    pillar_fly = pillar.fly
-    monkeypatch.setattr(pillar, "fly", fly)
-    wide = pillar.main(str(tmp_path / "pillar.png"))
-    assert_picture(tmp_path / "pillar.png")
-    bare = found[0]
-    assert bare.share > 0.1
-    assert wide.share < 0.01
-    mass = bare.flown.drawn[:, bare.flown.labels.drawn.index("plant.m")]
-    assert np.mean(mass[bare.lost]) < 0.46 < np.mean(mass[~bare.lost])
-    assert "the worst flight again: 0.4" in capsys.readouterr().out
 
 
 def test_estimation_main(tmp_path: Path) -> None:
