@@ -27,6 +27,8 @@ SHARE, LEAST = 8, 20
 #: A candidate is better if it loses fewer flights with this confidence; else if it costs less by this part in the
 #: median; else, if nothing is worse, if a sample takes less than this part of the time.
 CONFIDENCE, CHEAPER, FASTER = 0.95, 0.01, 0.8
+#: Share of flights that neither loses from which costs are compared by them alone.
+FEW = 0.1
 
 
 @dataclass(frozen=True)
@@ -162,9 +164,18 @@ class _Course:
 
 
 def _both(mine: Campaign, other: Campaign) -> NDArray[np.bool_]:
-    """Flights that neither loses, with known costs."""
+    """Flights with known costs that neither loses; if they are few, those that both lose, too."""
     known = np.isfinite(mine.flown.cost) & np.isfinite(other.flown.cost)
-    return np.asarray(~mine.lost & ~other.lost & known)
+    good = ~mine.lost & ~other.lost & known
+    return np.asarray(good if good.sum() >= FEW * len(good) else known & (mine.lost == other.lost))
+
+
+def _excess(mine: Campaign) -> float:
+    """Mean over the flights of the largest violation, relative to what is allowed, as far as it is beyond that."""
+    judged = np.isfinite(mine.rules.allowed) & (mine.rules.allowed > 0)
+    with np.errstate(invalid="ignore"):
+        found = np.nanmax(mine.flown.violation[:, judged] / mine.rules.allowed[judged], axis=1, initial=0.0)
+    return float(np.mean(np.maximum(found - 1.0, 0.0)))
 
 
 def _relative_cost(mine: Campaign, other: Campaign) -> float:
@@ -192,7 +203,7 @@ def _better(mine: Campaign, best: Campaign) -> str:
         return (
             f"it loses {int(mine.lost.sum()):,} instead of {int(best.lost.sum()):,} flights" if saved > broken else ""
         )
-    if mine.lost.sum() > best.lost.sum():
+    if mine.lost.sum() > best.lost.sum() or _excess(mine) > (1.0 + CHEAPER) * _excess(best):
         return ""
     cost = _relative_cost(mine, best)
     if cost < -CHEAPER:
