@@ -16,9 +16,11 @@ from nmpc_codegen import (
     AugmentedLagrangian,
     ControllerError,
     EconomicGaussNewton,
+    Euler,
     ExactHessian,
     ExplicitRungeKutta,
     Flights,
+    GaussNewton,
     ImplicitRungeKutta,
     NoCondensing,
     Online,
@@ -130,6 +132,29 @@ def test_the_coach_chooses_among_candidates() -> None:
     assert abs(found.entries[0].cost) == 0
 
 
+def test_options_that_cannot_be_compared() -> None:
+    """Those that the problem refuses are named; those that integrate differently need one plant."""
+    ocp = OCP("general", T=1.0, N=4)
+    x, u = ocp.state("x", initial=1.0), ocp.control("u")
+    ocp.dynamics({x: u})
+    ocp.stage_cost(ca.cos(x) + u**2)
+    with pytest.raises(OptionError, match=r"options\[1\]: "):
+        campaign(ocp, 10, [Options(), Options(hessian=GaussNewton())])
+    with pytest.raises(OptionError, match="give plant="):
+        campaign(point(), 10, [Options(), Options(ImplicitRungeKutta())])
+    euler = Options(ExplicitRungeKutta(Euler, steps=4))
+    found = build_candidates(point(), iter([("a", euler, 4), ("b", Options(), 4)]), given=True)
+    plant = build_plant(point(), found)
+    assert plant is not None
+    assert plant.description.options["integrator.steps"] == 8
+    assert plant.description.options["integrator.tableau.name"] == "RK4"
+    starts = np.linspace(-1, 1, 30)[:, None]
+    given = campaign(
+        point(), options=[Options(), Options(algorithm=RealTimeIteration(repair=0))], starts=starts, steps=5
+    )
+    assert [e.flights for e in given.entries] == [30, 30]
+
+
 @pytest.mark.parametrize("options", ["best", [], [1], 3])
 def test_options_that_are_none(options: Any) -> None:
     with pytest.raises(OptionError, match="expected Options, a list of them, or 'candidates'"):
@@ -172,6 +197,10 @@ def test_weights_are_tuned() -> None:
         ({"weights": {"q": (1, 2)}}, "weight 'q'"),
         ({"weights": {"x": (2, 1)}}, "0 < lower < upper"),
         ({"weights": {"x": (1, 2)}, "flight": 1}, "flight"),
+        ({"weights": {}}, "weights is empty"),
+        ({"weights": ["x"]}, "weights is"),
+        ({"weights": {"x": (1, 2)}, "trials": 2.5}, "trials is 2.5"),
+        ({"weights": {"x": (1, 2)}, "cost": lambda flights: 1.0}, "shape"),
         ({"weights": {"x": (1, 2)}, "cost": lambda flights: np.zeros(3)}, "shape"),
     ],
 )

@@ -157,6 +157,14 @@ WRONG: tuple[tuple[dict[str, Any], str], ...] = (
     ({"success": lambda flown: 1}, "True or False"),
     ({"tolerance": {"q": 1}}, "no row 'q'"),
     ({"against": "best"}, "against"),
+    ({"compared": 5}, "with against="),
+    ({"against": "solve", "compared": 0}, "compared is 0"),
+    ({"folder": 3}, "folder is 3"),
+    ({"tolerance": 0.1}, "tolerance is 0.1"),
+    ({"tolerance": {"wall": -1}}, "'wall'"),
+    ({"tolerance": {"wall": np.nan}}, "'wall'"),
+    ({"parameters": [("m", 1)]}, "parameters is"),
+    ({"parameters": {"m": np.linspace(0.6, 1, 10)}}, "a table over samples"),
     ({"device": "tpu"}, "device"),
     ({"plant": 3}, "plant"),
     ({"executor": 3}, "submit"),
@@ -167,3 +175,36 @@ WRONG: tuple[tuple[dict[str, Any], str], ...] = (
 def test_wrong_arguments(words: dict[str, Any], text: str) -> None:
     with pytest.raises(ControllerError, match=text):
         campaign(cart(), **{"flights": 10, **words})
+
+
+def test_true_and_believed_values_of_a_parameter() -> None:
+    """Plants have what parameters= says, controllers what known= says; a plant of another package has its own names."""
+    both = campaign(cart(), 20, parameters={"m": Box(1.5, 2.0)}, known={"m": Box(0.6, 0.7)}, steps=20)
+    assert {"plant.m", "known.m"} <= set(both.flown.labels.drawn)
+    m = both.flown.drawn[3, both.flown.labels.drawn.index("plant.m")]
+    plant = build(cart())
+    plant.set_parameter("m", m)
+    log = both.replay(3)
+    np.testing.assert_allclose(plant.integrate(log.x[0], log.u[0], 0.25), log.x[1], atol=1e-12)
+    windy = cart()
+    windy.parameter("drag", value=0.0)
+    richer = build(windy, name="richer")
+    named = campaign(cart(), 10, plant=richer, parameters={"drag": Box(0, 1)}, steps=5)
+    assert "plant.drag" in named.flown.labels.drawn
+
+
+def test_normal_numbers_stay_within_bounds() -> None:
+    result = campaign(cart(), 2000, parameters={"m": Normal(1.0)}, steps=1)
+    m = result.flown.drawn[:, result.flown.labels.drawn.index("plant.m")]
+    known = stats.truncnorm(-0.5, 1.0, 1.0, 1.0)
+    assert stats.kstest(m, known.cdf).pvalue > 1e-3
+    assert 0.5 <= m.min() < m.max() <= 2.0
+
+
+def test_success_is_judged_on_all_flights_together(monkeypatch: pytest.MonkeyPatch, tmp_path: Any) -> None:
+    """Whatever the parts, and whether they are kept."""
+    words: dict[str, Any] = {"success": lambda flown: flown.cost <= np.median(flown.cost)}
+    whole = campaign(cart(), 60, **words)
+    monkeypatch.setattr(work, "MOST", 7)
+    equal(whole, campaign(cart(), 60, folder=tmp_path, **words))
+    assert whole.lost.sum() == 30

@@ -95,6 +95,10 @@ def test_a_flight_that_is_not_finite_replays_up_to_there() -> None:
     broken = int(result.flown.broken[number])
     log = result.replay(number)
     assert len(log.u) == broken == result.flown.broken.min()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        compared = campaign(ocp, 5, starts={"x": Box(0.9, 2.0)}, steps=20, against="solve")
+    assert np.isnan(compared.losses).all()
     np.testing.assert_array_equal(log.x, result.fly_again(number).x[0, : broken + 1])  # type: ignore[index]
 
 
@@ -130,7 +134,7 @@ def test_reference_loops() -> None:
     y = np.column_stack([log.x[:-1, 0] - 0.1, log.x[:-1, 1], log.u])
     assert result.best[0] == pytest.approx(0.5 * np.sum(y**2 * [1, 0.1, 0.01]), rel=1e-9)
     assert np.abs(result.losses[:3]).max() < 0.01
-    assert "beside loops with solve() in every sample, 3 flights cost more by" in str(result)
+    assert "cost of 3 flights beside loops with solve() in every sample" in str(result)
     same = {"parameters": {"m": 1.2}, "known": {"goal": 0.1}, "steps": 30}
     ipopt = campaign(ocp, 6, against="ipopt", compared=1, **same)
     assert ipopt.best is not None
@@ -158,3 +162,27 @@ def test_pictures_and_words(rough: Campaign, tmp_path: Path) -> None:
     assert sum(found["reasons"].values()) == found["lost"]
     with pytest.raises(ControllerError, match="number of a flight"):
         rough.replay(300)
+    for wrong in (0, 1, -1, float("nan")):
+        with pytest.raises(ControllerError, match="between 0 and 1"):
+            rough.interval_at(wrong)
+    with pytest.raises(ControllerError, match="worst"):
+        rough.worst(-1)
+    late = next(int(n) for n in rough.flown.number if rough.reasons[n] == Reason.NOT_ARRIVED)
+    assert "p is " in rough.verdict(late)
+    assert "not within -0.3 .. 0.12" in rough.verdict(late)
+
+
+def test_what_is_allowed_follows_from_the_bound() -> None:
+    """Of an obstacle whose squared distance becomes large: a hundredth of its bound, not of the distance."""
+    import casadi as ca
+
+    from nmpc_codegen import OCP
+
+    ocp = OCP("far", T=1.0, N=4)
+    x, y, u = ocp.state("x", initial=-20.0), ocp.state("y"), ocp.control("u", size=2)
+    ocp.dynamics({x: 10 * u[0], y: u[1]})
+    ocp.least_squares(ca.vertcat(x, y, u), [1, 1, 1, 1])
+    ocp.subject_to(2.25, x**2 + (y - 1) ** 2, np.inf, name="obstacle")
+    ocp.subject_to(-1, u, 1)
+    result = campaign(ocp, 2, steps=2)
+    assert result.rules.allowed[result.flown.labels.rows.index("obstacle")] == pytest.approx(0.0225)

@@ -97,6 +97,13 @@ def test_what_is_kept_is_read_by_others(whole: Campaign, tmp_path: Path) -> None
     np.testing.assert_array_equal(few.flown.last, whole.flown.last[:100])
 
 
+def test_equal_campaigns_are_equal(tmp_path: Path) -> None:
+    """However their numbers are written; and a constant start is that of any number of flights."""
+    words: dict[str, Any] = {"starts": {"v": 0.1}, "steps": 5, "folder": tmp_path}
+    for flights, noise in ((10, 0.01), (10, np.float64(0.01)), (20, [0.01, 0.01])):
+        assert len(campaign(cart(), flights, noise=noise, **words)) == flights
+
+
 @pytest.mark.parametrize(
     ("words", "differs"),
     [

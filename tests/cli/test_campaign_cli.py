@@ -40,7 +40,8 @@ def test_a_campaign_with_the_arguments_of_the_file(tmp_path: Path, capsys: pytes
     readme = (tmp_path / "out" / "README.md").read_bytes()
     assert intact(readme)
     assert b"200 closed loops of 40 samples, 0.25 s each, seed 3" in readme
-    assert b"Drawn for each: `start.x`, `plant.k`.\nThey had to arrive at their goal." in readme
+    assert b"Drawn for each: `start.x`, `plant.k`, noise Uniform(half_width=0.01)." in readme
+    assert b"They had to arrive: `x` within 0.1." in readme
     assert run(tmp_path, STATED % 0.1, "--campaign", "200") == 0
     assert (tmp_path / "out" / "README.md").read_bytes() == readme  # no time enters it
 

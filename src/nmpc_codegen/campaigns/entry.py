@@ -43,7 +43,7 @@ def campaign(
     success: Asked | None = None,
     tolerance: Mapping[str, float] | None = None,
     against: Against | None = None,
-    compared: int = 20,
+    compared: int | None = None,
     executor: Any = None,
     folder: str | os.PathLike[str] | None = None,
     device: Device = "cpu",
@@ -65,7 +65,7 @@ def campaign(
         tolerance: {row along the path: violation that is allowed, in its unit}. By default a hundredth of the size of
             hard rows; soft ones that are not named are not judged.
         against: "solve" or "ipopt": compare costs with loops that have a converged plan in every sample.
-        compared: how many flights, the first ones, are flown so.
+        compared: how many flights, the first ones, are flown so, by default 20.
         executor: what has submit(), as the executors of concurrent.futures and Dask's Client; parts whose worker is
             lost are flown again. None: all cores of this process.
         folder: where flights are kept as they come, in Parquet files (extra [campaign]); a campaign that was stopped
@@ -89,6 +89,8 @@ def campaign(
 
 def _fly(ocp: OCP, options: Any, wish: Wish, conduct: Conduct) -> Campaign | Choice:
     """With one set of options, or the best of several."""
+    if not isinstance(ocp, OCP):
+        raise ControllerError(f"campaign: {ocp!r:.60} is no OCP; expected the problem, as build() takes it")
     if options is None or isinstance(options, Options):
         chosen = options or Options()
         return fly_campaign(build(ocp, chosen), ocp, chosen, wish, conduct)

@@ -6,6 +6,7 @@ import os
 from collections.abc import Mapping
 from contextlib import nullcontext
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,7 +17,7 @@ from nmpc_codegen.campaigns.flying.fly import Device, Job
 from nmpc_codegen.campaigns.flying.identity import identity
 from nmpc_codegen.campaigns.flying.progress import Report
 from nmpc_codegen.campaigns.flying.work import fly_all
-from nmpc_codegen.campaigns.judging.against import Against, reference_costs
+from nmpc_codegen.campaigns.judging.against import Against, check_against, reference_costs
 from nmpc_codegen.campaigns.judging.result import Campaign
 from nmpc_codegen.campaigns.judging.verdict import Asked, Reason, Rules, rules_of
 from nmpc_codegen.campaigns.stated.defaults import facts_of
@@ -25,6 +26,10 @@ from nmpc_codegen.errors import ControllerError
 from nmpc_codegen.frontend.ocp import OCP
 from nmpc_codegen.options import Options
 from nmpc_codegen.runtime.controller import Controller
+from nmpc_codegen.runtime.given import is_integer
+
+#: Flights that are compared with reference loops.
+COMPARED = 20
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,7 +39,7 @@ class Conduct:
     success: Asked | None = None
     tolerance: Mapping[str, float] | None = None
     against: Against | None = None
-    compared: int = 20
+    compared: int | None = None
     executor: Any = None
     folder: str | os.PathLike[str] | None = None
     device: Device = "cpu"
@@ -44,6 +49,11 @@ class Conduct:
         """ControllerError if a word is wrong."""
         if self.device not in ("cpu", "cuda"):
             raise ControllerError(f"device is {self.device!r}; allowed: 'cpu', 'cuda'")
+        if self.compared is not None and (not is_integer(self.compared) or self.compared < 1 or self.against is None):
+            raise ControllerError(f"compared is {self.compared!r}; expected a number of flights >= 1, with against=")
+        named = isinstance(self.folder, str | os.PathLike)
+        if self.folder is not None and (not named or Path(self.folder).is_file()):
+            raise ControllerError(f"folder is {self.folder!r:.80}; expected a folder, which need not exist yet")
         if self.against not in (None, "solve", "ipopt"):
             raise ControllerError(f"against is {self.against!r}; allowed: None, 'solve', 'ipopt'")
 
@@ -51,13 +61,15 @@ class Conduct:
 def fly_campaign(controller: Controller, ocp: OCP, options: Options, wish: Wish, conduct: Conduct) -> Campaign:
     """Fly and judge; ``controller`` is that of the problem and the options."""
     conduct.check()
+    check_against(controller, conduct.against, options)
     statement = state_flights(controller, facts_of(ocp), wish)
     job = Job(controller, wish.check_plant(), statement, conduct.device)
     rules = rules_of(controller.description, statement.dt, conduct.success, conduct.tolerance)
     flown, reasons, complete = _fly(job, rules, conduct)
     best = None
     if conduct.against is not None and complete:
-        best = reference_costs(job, flown, conduct.against, conduct.compared, ocp, options)
+        count = COMPARED if conduct.compared is None else conduct.compared
+        best = reference_costs(job, flown, conduct.against, count, ocp, options)
     return Campaign(
         job,
         rules,
@@ -73,35 +85,32 @@ def _fly(job: Job, rules: Rules, conduct: Conduct) -> tuple[Flown, np.ndarray[An
     """What was flown, and its reasons; False after an interrupt."""
     s, name = job.statement, job.controller.description.name
     flown, done = Flown.empty(job.labels, s.flights), np.zeros(s.flights, np.bool_)
-    reasons = np.zeros(s.flights, np.int8)
     archive = nullcontext() if conduct.folder is None else Archive(conduct.folder, job.labels, identity(job))
     complete = True
     with archive as kept:
         if kept is not None:
             kept.read(flown, done)
-            known = np.flatnonzero(done)
-            reasons[known] = _judge(job, rules, flown.of_some(known))
         with Report(name, s.flights, int(done.sum()), conduct.progress) as report:
             try:
                 for part in fly_all(job, done.copy(), conduct.executor):
                     if kept is not None:
                         kept.add(part)
                     flown.put(part, part.number)
-                    reasons[part.number] = found = _judge(job, rules, part)
                     done[part.number] = True
-                    report.add(len(part), int(np.sum(found != Reason.NONE)))
+                    report.add(len(part), int(np.sum(_judge(job, rules, part) != Reason.NONE)))
             except KeyboardInterrupt:
                 complete = False
-    if not done.all():
-        return flown.of_some(done), reasons[done], complete
-    return flown, reasons, True
+    flown = flown if done.all() else flown.of_some(done)
+    return flown, _judge(job, rules, flown), complete or bool(done.all())
 
 
 def _judge(job: Job, rules: Rules, part: Flown) -> np.ndarray[Any, np.dtype[np.int8]]:
     """Reasons (F,); set points follow from the numbers of the flights."""
     s = job.statement
+    if not len(part):
+        return np.zeros(0, np.int8)
     goals = np.zeros((len(part), len(rules.targets)))
-    if rules.targets and len(part):
+    if rules.targets:
         begin, end = int(part.number[0]), int(part.number[-1]) + 1
         own = s.given.part(slice(begin, end))
         every = rules.goals(job.controller.description, s.data(begin, end - begin, own), s.steps)

@@ -13,7 +13,7 @@ from nmpc_codegen.components.algorithms import RealTimeIteration
 from nmpc_codegen.components.condensing import FullCondensing, NoCondensing
 from nmpc_codegen.components.hessians import ExactHessian, GaussNewton
 from nmpc_codegen.components.integrators import ExplicitRungeKutta
-from nmpc_codegen.errors import NmpcError, ProblemWarning
+from nmpc_codegen.errors import NmpcError, OptionError, ProblemWarning
 from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.frontend.horizon import with_horizon
 from nmpc_codegen.frontend.ocp import OCP
@@ -81,11 +81,12 @@ def scheme_of(ocp: OCP, options: Options) -> ExplicitRungeKutta | None:
     return chosen if isinstance(chosen, ExplicitRungeKutta) else None
 
 
-def build_candidates(ocp: OCP, stated: Iterator[tuple[str, Options, int]]) -> list[Candidate]:
-    """The candidates that the problem allows and whose code differs from those before; the first one has to build.
+def build_candidates(ocp: OCP, stated: Iterator[tuple[str, Options, int]], given: bool = False) -> list[Candidate]:
+    """The candidates that the problem allows and whose code differs from those before. The first one has to build, and
+    those that the user has ``given``, of which none is left out.
 
     Raises:
-        NmpcError: the first one cannot be built.
+        NmpcError: one that has to be built cannot be.
     """
     found: list[Candidate] = []
     known: set[str] = set()
@@ -94,12 +95,14 @@ def build_candidates(ocp: OCP, stated: Iterator[tuple[str, Options, int]]) -> li
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore" if found else "default", ProblemWarning)
                 sources = compile(ocp if ocp.N == N else with_horizon(ocp, N), options)
-        except NmpcError:
+        except NmpcError as error:
+            if given:
+                raise type(error)(f"{change}: {error}") from error
             if not found:
                 raise
             continue
         code = sources[f"{sources.description.name}.c"]
-        if code in known:
+        if code in known and not given:
             continue
         known.add(code)
         found.append(Candidate(change, options, N, load(sources, sources.description.name, "fast")))
@@ -107,13 +110,25 @@ def build_candidates(ocp: OCP, stated: Iterator[tuple[str, Options, int]]) -> li
 
 
 def build_plant(ocp: OCP, candidates: list[Candidate]) -> Controller | None:
-    """One plant for all candidates, finer than each of them, if they integrate differently; else None."""
-    schemes = [scheme_of(ocp, c.options) for c in candidates]
-    steps = {s.steps for s in schemes if s is not None}
-    if None in schemes or len(steps) < 2:
+    """One plant for all candidates, finer than each of them, if they integrate differently; else None.
+
+    Raises:
+        OptionError: no such plant can be chosen.
+    """
+    problem = classify(ocp)
+    schemes = [choose_integrator(problem, c.options)[0] for c in candidates]
+    precisions = {c.options.precision for c in candidates}
+    if problem.discrete or all(scheme == schemes[0] for scheme in schemes):
         return None
-    finest = max((s for s in schemes if s is not None), key=lambda s: s.steps)
-    options = replace(candidates[0].options, integrator=replace(finest, steps=FINER * finest.steps))
+    explicit = [scheme for scheme in schemes if isinstance(scheme, ExplicitRungeKutta)]
+    if len(explicit) < len(schemes) or len(precisions) > 1 or scheme_of(ocp, candidates[0].options) is None:
+        raise OptionError(
+            "options integrate differently, and no plant serves all of them: compare those of one integrator and one "
+            "precision, or give plant=build(ocp, ...)"
+        )
+    finest = max(explicit, key=lambda scheme: (scheme.tableau.order, scheme.steps))
+    steps = FINER * max(scheme.steps for scheme in explicit)
+    options = replace(candidates[0].options, integrator=replace(finest, steps=steps))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ProblemWarning)
         sources = compile(ocp, options, f"{ocp.name}_plant")

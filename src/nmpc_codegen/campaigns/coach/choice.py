@@ -13,14 +13,15 @@ from numpy.typing import NDArray
 from scipy.stats import binom
 
 from nmpc_codegen.campaigns.coach.candidates import Candidate, build_candidates, build_plant, propose
+from nmpc_codegen.campaigns.flying.archive import HEAD
 from nmpc_codegen.campaigns.judging.result import Campaign
 from nmpc_codegen.campaigns.request import Conduct, fly_campaign
-from nmpc_codegen.campaigns.stated.defaults import default_steps
-from nmpc_codegen.campaigns.stated.statement import Wish
+from nmpc_codegen.campaigns.stated.defaults import facts_of
+from nmpc_codegen.campaigns.stated.statement import Wish, state_flights
+from nmpc_codegen.errors import ControllerError
 from nmpc_codegen.frontend.horizon import with_horizon
 from nmpc_codegen.frontend.ocp import OCP
 from nmpc_codegen.options import Options
-from nmpc_codegen.runtime.loops.sampling import interval_of
 
 #: Flights of the first round, relative to those of the verdict, and at least.
 SHARE, LEAST = 8, 20
@@ -102,16 +103,18 @@ def choose(ocp: OCP, given: Sequence[Options] | None, base: Options, wish: Wish,
     """The choice among given options, the first of which is what others are compared with; None: among candidates that
     the coach proposes beside ``base``."""
     stated = propose(ocp, base) if given is None else iter([(f"options[{i}]", o, ocp.N) for i, o in enumerate(given)])
-    candidates = build_candidates(ocp, stated)
-    described = candidates[0].controller.description
-    if wish.steps is None:
-        wish = replace(wish, steps=default_steps(described, interval_of(described, wish.dt)))
+    _check_folder(conduct)
+    candidates = build_candidates(ocp, stated, given is not None)
+    whole = state_flights(candidates[0].controller, facts_of(ocp), wish)
+    wish = replace(wish, steps=whole.steps, flights=whole.flights)
     if wish.plant is None:
         wish = replace(wish, plant=build_plant(ocp, candidates))
     fly = _Course(ocp, wish, conduct)
     entries: dict[str, Entry] = {}
-    alive, flights = candidates, max(LEAST, fly.flights // SHARE)
-    while len(alive) > 2 and flights < fly.flights:
+    alive, flights = candidates, max(LEAST, whole.flights // SHARE)
+    if wish.sets or whole.given.starts or whole.given.tables or whole.given.added is not None:
+        flights = whole.flights  # which cannot be cut: all fly all of them
+    while len(alive) > 2 and flights < whole.flights:
         found = {c.change: fly.round(c, flights) for c in alive}
         first = found[candidates[0].change]
         entries |= {c.change: _entry(c, found[c.change], first, False) for c in alive}
@@ -123,7 +126,7 @@ def choose(ocp: OCP, given: Sequence[Options] | None, base: Options, wish: Wish,
     entries |= {c.change: _entry(c, final[c.change], first, True) for c in alive}
     best, reason = candidates[0], "no candidate is better"
     for c in sorted(alive[1:], key=lambda c: _rank(final[c.change], first)):
-        why = _better(final[c.change], final[best.change])
+        why = _better(final[c.change], final[best.change], first)
         if why:
             best, reason = c, f"beside {best.change}: {why}"
     line = best.line if best.intervals == ocp.N else f"{_grid(ocp, best.intervals)}, {best.line}"
@@ -136,12 +139,17 @@ def _grid(ocp: OCP, intervals: int) -> str:
     return f"OCP(..., N={intervals})" if ocp.dt is None else f"OCP(..., T={intervals * ocp.dt[0]:.12g}, N={intervals})"
 
 
+def _check_folder(conduct: Conduct) -> None:
+    """ControllerError if the folder is that of a single campaign."""
+    if conduct.folder is not None and (Path(conduct.folder) / HEAD).exists():
+        raise ControllerError(f"folder: {conduct.folder} holds a campaign; expected a folder for several of them")
+
+
 class _Course:
     """Flies candidates: rounds on the seed of the wish, the verdict on the next one."""
 
     def __init__(self, ocp: OCP, wish: Wish, conduct: Conduct) -> None:
         self._ocp, self._wish, self._conduct = ocp, wish, conduct
-        self.flights = 1000 if wish.flights is None else wish.flights
 
     def round(self, candidate: Candidate, flights: int) -> Campaign:
         """The first flights, the same for all candidates."""
@@ -149,7 +157,7 @@ class _Course:
 
     def verdict(self, candidate: Candidate) -> Campaign:
         """Fresh flights."""
-        return self._fly(candidate, replace(self._wish, flights=self.flights, seed=self._wish.seed + 1), "verdict")
+        return self._fly(candidate, replace(self._wish, seed=(self._wish.seed + 1) % 2**64), "verdict")
 
     def _fly(self, candidate: Candidate, wish: Wish, what: str) -> Campaign:
         ocp = self._ocp if candidate.intervals == self._ocp.N else with_horizon(self._ocp, candidate.intervals)
@@ -189,25 +197,24 @@ def _relative_cost(mine: Campaign, other: Campaign) -> float:
 
 def _rank(mine: Campaign, first: Campaign) -> tuple[float, ...]:
     """By losses, then by cost in steps of what counts, then by time."""
-    return (
-        float(mine.lost.sum()),
-        round(_relative_cost(mine, first) / CHEAPER),
-        float(np.mean(mine.flown.seconds[:, 0])),
-    )
+    seconds = float(np.nan_to_num(np.mean(mine.flown.seconds[:, 0])))
+    return float(mine.lost.sum()), round(_relative_cost(mine, first) / CHEAPER), seconds
 
 
-def _better(mine: Campaign, best: Campaign) -> str:
-    """Why one is better than the other; "" if it is not."""
+def _better(mine: Campaign, best: Campaign, first: Campaign) -> str:
+    """Why one is better than the best so far; "" if it is not, or if it loses more flights than the first one."""
+    if mine.lost.sum() > first.lost.sum():
+        return ""
     saved, broken = int(np.sum(best.lost & ~mine.lost)), int(np.sum(mine.lost & ~best.lost))
     if saved != broken and binom.cdf(min(saved, broken), saved + broken, 0.5) < 1.0 - CONFIDENCE:
         return (
             f"it loses {int(mine.lost.sum()):,} instead of {int(best.lost.sum()):,} flights" if saved > broken else ""
         )
-    if mine.lost.sum() > best.lost.sum() or _excess(mine) > (1.0 + CHEAPER) * _excess(best):
+    if _excess(mine) > (1.0 + CHEAPER) * max(_excess(best), _excess(first)):
         return ""
     cost = _relative_cost(mine, best)
     if cost < -CHEAPER:
-        return f"it costs {-100 * cost:.2g} % less in the median, and loses no more flights"
+        return f"it costs {-100 * cost:.2g} % less in the median, at equal losses"
     times = float(np.mean(mine.flown.seconds[:, 0])), float(np.mean(best.flown.seconds[:, 0]))
     if cost < 0.1 * CHEAPER and times[0] < FASTER * times[1]:
         return f"a sample takes {times[0] / times[1]:.2g} of the time, at equal cost and losses"

@@ -8,7 +8,7 @@ from dataclasses import dataclass, fields
 from typing import Any, Unpack
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from nmpc_codegen.campaigns.flying.fly import Flyer, Job
 from nmpc_codegen.campaigns.stated.defaults import facts_of
@@ -20,6 +20,7 @@ from nmpc_codegen.options import Options
 from nmpc_codegen.runtime.batch.flights import Flights
 from nmpc_codegen.runtime.controller import Controller
 from nmpc_codegen.runtime.extras import extra
+from nmpc_codegen.runtime.given import is_integer
 
 Cost = Callable[[Flights], ArrayLike]
 Ranges = Mapping[str, tuple[float, float]]
@@ -46,6 +47,7 @@ class Tuned:
         lines = [f"weights {{{found}}}"] * bool(found) + [f"terminal weights {{{end}}}"] * bool(end)
         costs = (f"{mean:.5g} +- {error:.2g}" for mean, error in (self.value, self.declared))
         lines.append("mean cost of fresh flights: {}; with the declared weights {}".format(*costs))
+        lines += ["they are no better than the declared ones"] * (self.value[0] >= self.declared[0])
         return "\n".join(lines)
 
 
@@ -68,8 +70,9 @@ def tune_weights(
     Args:
         ocp: the problem; its weights have to be changeable at run time, which they are by default.
         weights: {residual of the path: (lower, upper)}, 0 < lower < upper, searched on a logarithmic scale.
-        cost: function of recorded flights (Flights: x (F, steps + 1, nx), u (F, steps, nu), violation, lost, ...) that
-            returns a cost for each, (F,); their mean is made least. What is not finite is the worst.
+        cost: function of recorded flights (Flights: x (F, steps + 1, nx), u (F, steps, nu), violation (F, rows), ...)
+            that returns a cost for each, (F,); their mean is made least. What is not finite is the worst. Flights.cost
+            has the weights of the trial, and compares nothing.
         terminal_weights: the same of terminal residuals.
         options: of the controller.
         flights: of a trial.
@@ -83,6 +86,7 @@ def tune_weights(
     """
     optuna = extra("optuna", "tune_weights()")
     allowed = {field.name for field in fields(Wish)} - {"flights"}
+    _check(weights, terminal_weights or {}, trials)
     if not set(stated) <= allowed:
         raise ControllerError(f"tune_weights: {sorted(set(stated) - allowed)}; expected {', '.join(sorted(allowed))}")
     ranges = {("", name): pair for name, pair in weights.items()}
@@ -92,6 +96,7 @@ def tune_weights(
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     sampler = optuna.samplers.TPESampler(seed=int(stated.get("seed", 0)) % 2**32)
     study = optuna.create_study(sampler=sampler)
+    course.mean({}, fresh=False)  # a cost that is wrong says so before the search
     study.enqueue_trial({f"{end}{name}": value for (end, name), value in declared.items()})
 
     def objective(trial: Any) -> float:
@@ -102,6 +107,17 @@ def tune_weights(
     best = {key: float(study.best_params["".join(key)]) for key in ranges}
     of_path, of_end = ({name: best[end, name] for end, name in best if bool(end) == is_end} for is_end in (False, True))
     return Tuned(of_path, of_end, course.mean(best, fresh=True), course.mean({}, fresh=True), study)
+
+
+def _check(weights: object, terminal_weights: object, trials: Any) -> None:
+    """ControllerError if there is nothing to search."""
+    for what, value in (("weights", weights), ("terminal_weights", terminal_weights)):
+        if not isinstance(value, Mapping):
+            raise ControllerError(f"{what} is {value!r:.60}; expected {{residual: (lower, upper)}}")
+    if not weights and not terminal_weights:
+        raise ControllerError("weights is empty; expected {residual: (lower, upper)}")
+    if not is_integer(trials) or trials < 1:
+        raise ControllerError(f"trials is {trials!r}; expected an integer >= 1")
 
 
 def _declared_weights(ocp: OCP, ranges: Mapping[tuple[str, str], tuple[float, float]]) -> dict[tuple[str, str], float]:
@@ -147,10 +163,8 @@ class _Course:
                 tell(of_kind)
         flyer = Flyer(Job(controller, self._plant, s), None)
         found = np.asarray(self._cost(flyer.simulate(s.data(0, s.flights, s.given), 0, record=True)), dtype=float)
-        costs: NDArray[np.float64] = np.broadcast_to(found, (s.flights,)) if found.ndim == 0 else found
-        if costs.shape != (s.flights,):
-            raise ControllerError(
-                f"cost returns an array of shape {costs.shape}; expected ({s.flights},), one per flight"
-            )
-        costs = np.where(np.isfinite(costs), costs, WORST)
-        return float(np.mean(costs)), float(np.std(costs) / math.sqrt(len(costs)))
+        if found.shape != (s.flights,):
+            raise ControllerError(f"cost returns an array of shape {found.shape}; expected ({s.flights},)")
+        if not np.isfinite(found).all():
+            return WORST, math.nan
+        return float(np.mean(found)), float(np.std(found) / math.sqrt(len(found)))

@@ -84,7 +84,7 @@ class Flyer:
         }
 
 
-@lru_cache(maxsize=8)
+@lru_cache(maxsize=64)
 def _flyer(job: bytes, thread: int) -> Flyer:
     """What a thread of a worker keeps of a job: its package is compiled once."""
     return Flyer(pickle.loads(job), 1)

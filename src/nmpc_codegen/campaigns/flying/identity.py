@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from nmpc_codegen.campaigns.flying.fly import Job
+from nmpc_codegen.runtime.batch.random import DISTURBANCE, NOISE, signal
 
 
 def digest(value: Any) -> str:
@@ -62,7 +63,7 @@ def identity(job: Job) -> dict[str, Any]:
         "starts": digest([s.x0, [v for v in s.variables if v.kind == "start"], s.given.starts]),
         "data": digest([[v for v in s.variables if v.kind != "start"], s.tables, s.given.tables]),
         "points": digest([s.points.sets, s.points.length]),
-        "disturbance": digest([s.disturbance, s.added, s.given.added]),
-        "noise": digest(s.noise),
+        "disturbance": digest([signal(s.disturbance, "disturbance", s.states, DISTURBANCE), s.added, s.given.added]),
+        "noise": digest(signal(s.noise, "noise", s.states, NOISE)),
         "device": job.device,
     }

@@ -130,6 +130,8 @@ class _Elsewhere:
         except BrokenExecutor as error:
             self._replace_pool(error)
             future = self._executor.submit(*arguments)
+        except RuntimeError as error:  # it is shut down
+            raise ControllerError(f"executor: {error}") from error
         self._pending[future] = part
         future.add_done_callback(self._ready.put)
 

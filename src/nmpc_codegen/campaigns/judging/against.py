@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from typing import Literal
 
 import numpy as np
@@ -11,7 +12,7 @@ from nmpc_codegen.campaigns.flying.flown import Flown
 from nmpc_codegen.campaigns.flying.fly import Flyer, Job
 from nmpc_codegen.campaigns.judging.replay import Replay
 from nmpc_codegen.economic.stage import tableau
-from nmpc_codegen.errors import OptionError
+from nmpc_codegen.errors import ControllerError, OptionError
 from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.frontend.ocp import OCP
 from nmpc_codegen.lowering.linearize import complete
@@ -29,23 +30,31 @@ TOLERANCE = 1e-8  # of IPOPT
 
 
 def reference_costs(job: Job, flown: Flown, against: Against, count: int, ocp: OCP, options: Options) -> Array:
-    """Costs (F,) of the loops of the first ``count`` flights with converged plans, NaN for the others.
+    """Costs (F,) of the loops of the first ``count`` flights with converged plans, NaN for the others, for those whose
+    state was not finite, and after an interrupt.
 
     "solve": solve() in every sample; "ipopt": IPOPT, from the plan of the sample before.
 
-    Raises:
-        OptionError: the package has no solve(), or the problem is none for IPOPT's loop.
     """
     found = np.full(len(flown), np.nan)
     flyer, s = Flyer(job, None), job.statement
     law = _IpoptLaw(job.controller, ocp, options) if against == "ipopt" else None
-    if law is None and not options.solves:
-        raise OptionError("against='solve': the package has no solve(); Options(solve=True), or against='ipopt'")
-    for i, number in enumerate(int(n) for n in flown.number[:count]):
-        paths = _by_solve(job, number) if law is None else law.fly(Replay(job, number))
-        data = s.data(number, 1, s.given.part(slice(number, number + 1)))
-        found[i] = flyer.judge(data, number, paths)[0]
+    with suppress(KeyboardInterrupt):
+        for i, number in enumerate(int(n) for n in flown.number[:count]):
+            if flown.broken[i] < 0:
+                data = s.data(number, 1, s.given.part(slice(number, number + 1)))
+                with suppress(ControllerError):  # the state of the plant is not finite
+                    paths = _by_solve(job, number) if law is None else law.fly(Replay(job, number))
+                    found[i] = flyer.judge(data, number, paths)[0]
     return found
+
+
+def check_against(controller: Controller, against: Against | None, options: Options) -> None:
+    """OptionError if the package has no solve(), or the problem is none for IPOPT's loop."""
+    if against == "solve" and not options.solves:
+        raise OptionError("against='solve': the package has no solve(); Options(solve=True), or against='ipopt'")
+    if against == "ipopt" and (controller.description.inner.count or controller.description.discrete):
+        raise OptionError("against='ipopt': the problem has time, previous controls or a map; against='solve' serves")
 
 
 def _by_solve(job: Job, number: int) -> Paths:
@@ -58,10 +67,6 @@ class _IpoptLaw:
     """IPOPT in every sample."""
 
     def __init__(self, controller: Controller, ocp: OCP, options: Options) -> None:
-        if controller.description.inner.count or controller.description.discrete:
-            raise OptionError(
-                "against='ipopt': the problem has time, previous controls or a map; against='solve' serves"
-            )
         self._problem = complete(classify(ocp), options)
         self._nlp = Reference(self._problem, tableau(self._problem, options), tol=TOLERANCE)
 

@@ -36,7 +36,7 @@ def draw_flights(again: Sequence[Flights], lost: int, title: str, unit: Mapping[
     panels = [(label(name, unit), path) for name, path in zip(names, paths, strict=True)]
     wrong = np.arange(len(again)) >= len(again) - lost
     broken = np.concatenate([f.lost for f in again]) >= 0
-    title += f"; {len(again)} are drawn"
+    title += f"; drawn are {lost} of them and {len(again) - lost} others"
     return draw_paths(panels, len(first.states), wrong, broken, first.dt, title, f"time ({unit['']})", file, "lost")
 
 
@@ -60,7 +60,7 @@ def draw_distributions(
     with mpl.rc_context(STYLE):
         axes = figure.subplots(len(panels), 1, squeeze=False)[:, 0]
         for axis, (text, values, limit) in zip(axes, panels, strict=True):
-            _draw_histogram(axis, values, lost)
+            _draw_histogram(axis, values, lost, flown.broken < 0)
             axis.set_xlabel(text)
             axis.set_ylabel("flights")
             if np.isfinite(limit):
@@ -71,17 +71,18 @@ def draw_distributions(
     return figure
 
 
-def _draw_histogram(axis: Any, values: Array, lost: NDArray[np.bool_]) -> None:
-    """Counts on a logarithmic scale, those of lost flights on top; what is far out is in the last bin."""
-    finite = values[np.isfinite(values)]
+def _draw_histogram(axis: Any, values: Array, lost: NDArray[np.bool_], whole: NDArray[np.bool_]) -> None:
+    """Counts on a logarithmic scale, those of lost flights on top; what is far out or not finite is in the last bin,
+    and flights that are not ``whole`` do not widen the axis."""
+    finite = values[np.isfinite(values) & (whole if whole.any() else True)]
     if not finite.size:
         return
     low, high = float(finite.min()), float(np.quantile(finite, 0.995))
     top = float(finite.max())
     high = top if top - low < 2 * (high - low) else high + 0.1 * (high - low)
     edges = np.linspace(low, high if high > low else low + max(1e-12, 1e-3 * abs(low)), BINS + 1)
-    inside = np.clip(values, edges[0], edges[-1])
-    kinds = [inside[~lost & np.isfinite(values)], inside[lost & np.isfinite(values)]]
+    inside = np.clip(np.nan_to_num(values, nan=np.inf), edges[0], edges[-1])
+    kinds = [inside[~lost], inside[lost]]
     axis.hist(kinds, edges, stacked=True, color=[STATE_COLOR, FAILURE_COLOR])
     axis.set_yscale("symlog", linthresh=10)
     axis.set_ylim(bottom=0)
@@ -126,7 +127,7 @@ def _difference(values: Array, lost: NDArray[np.bool_]) -> float:
 def _draw_points(axis: Any, x: Array, y: Array, lost: NDArray[np.bool_]) -> None:
     """The rarer kind on top."""
     kinds = [(~lost, KEPT), (lost, LOST)]
-    for (some, (_, style)), alpha in zip(sorted(kinds, key=lambda k: -int(k[0].sum())), (0.25, 0.8), strict=True):
+    for (some, (_, style)), alpha in zip(sorted(kinds, key=lambda k: -int(k[0].sum())), (0.4, 0.8), strict=True):
         places = np.flatnonzero(some)[:POINTS]
         axis.plot(x[places], y[places], **{**style, "markersize": 2.5, "alpha": alpha, "markeredgewidth": 0})
 

@@ -82,7 +82,13 @@ class Campaign:
 
     def worst(self, count: int = 5) -> list[int]:
         """Numbers of the worst flights: whose state was not finite, then by violation, then those that did not arrive
-        or ended with a failure, then by cost."""
+        or ended with a failure, then by cost.
+
+        Raises:
+            ControllerError: ``count`` is no number >= 0.
+        """
+        if not given.is_integer(count) or count < 0:
+            raise ControllerError(f"worst: {count!r}; expected a number of flights >= 0")
         f = self.flown
         excess = self._excess.max(axis=1, initial=0.0)
         size = np.where(self.reasons == Reason.NOT_FINITE, -f.broken.astype(float), 0.0)
@@ -107,7 +113,12 @@ class Campaign:
         i, f = self._place(number), self.flown
         reason = Reason(self.reasons[i])
         why = reason.words
-        if reason is Reason.ROW:
+        if reason is Reason.NOT_ARRIVED and self.rules.targets:
+            s = self.job.statement
+            data = s.data(number, 1, s.given.part(slice(number, number + 1)))
+            goals = self.rules.goals(self.job.controller.description, data, s.steps)[0]
+            why = self.rules.distance(f.last[i], goals, f.labels.states) or why
+        elif reason is Reason.ROW:
             j = np.flatnonzero(np.isfinite(self.rules.allowed))[int(self._excess[i].argmax())]
             why = f"row {f.labels.rows[j]!r} is violated by {f.violation[i, j]:.3g}"
         elif reason is Reason.NOT_FINITE:
@@ -214,6 +225,7 @@ class Campaign:
         total = self.flown.samples.sum(axis=0)
         return {
             "flights": len(self),
+            "asked_for": s.flights,
             "samples": s.steps,
             "dt": s.dt,
             "seed": s.seed,
@@ -222,10 +234,14 @@ class Campaign:
             "confidence": LEVEL,
             "reasons": {r.name: int(np.sum(self.reasons == r)) for r in Reason if r},
             "statuses": {status.name: int(total[status]) for status in Status if total[status]},
-            "arrival_judged": self.rules.judges_arrival,
+            "arrival": self.rules.asked if self.rules.judges_arrival else None,
+            "allowed": {
+                name: float(allowed) if np.isfinite(allowed) else None
+                for name, allowed in zip(self.flown.labels.rows, self.rules.allowed, strict=True)
+            },
             "drawn": [v.label for v in s.variables],
             "violation": {
-                name: float(np.max(amounts)) if np.isfinite(amounts).all() else None
+                name: float(np.max(amounts)) if len(self) and np.isfinite(amounts).all() else None
                 for name, amounts in zip(self.flown.labels.rows, self.flown.violation.T, strict=True)
             },
         }
@@ -234,15 +250,20 @@ class Campaign:
         """What a page says of it, in Markdown."""
         s, described, (low, high) = self.job.statement, self.job.controller.description, self.interval
         varied = ", ".join(f"`{v.label}`" for v in s.variables) or "nothing"
-        arrival = "They had to arrive at their goal." if self.rules.judges_arrival else "Arrival is not judged."
-        reasons = [f"{np.sum(self.reasons == r):,} {r.words}" for r in Reason if r and np.any(self.reasons == r)]
+        arrival = f"They had to arrive: {self.rules.asked}." if self.rules.judges_arrival else "Arrival is not judged."
+        reasons = [f"{r.words}: {np.sum(self.reasons == r):,}" for r in Reason if r and np.any(self.reasons == r)]
         why = f" ({'; '.join(reasons)})" if reasons else ""
+        more = [f"{what} {getattr(s, what)}" for what in ("disturbance", "noise") if getattr(s, what) is not None]
+        varied = ", ".join([varied, *more])
+        rows = zip(self.flown.labels.rows, self.rules.allowed, strict=True)
+        limits = ", ".join(f"`{name}` {allowed:.3g}" for name, allowed in rows if np.isfinite(allowed)) or "none"
         loops = f"{len(self):,} closed loops of {s.steps} samples, {s.dt:g} {described.time_unit} each"
         return "\n".join(
             (
                 f"{loops}, seed {s.seed}, on",
                 f"the computer that wrote this: {int(self.lost.sum()):,} lost{why}. With a confidence of 95 %,",
                 f"{100 * low:.3g} to {100 * high:.3g} % of all such loops are lost. Drawn for each: {varied}.",
+                f"Violations of rows that are allowed: {limits}.",
                 arrival,
             )
         )
@@ -263,6 +284,9 @@ class Campaign:
         lines += [f"  {np.sum(self.reasons == r):,}: {r.words}" for r in Reason if r and np.any(self.reasons == r)]
         if not self.rules.judges_arrival:
             lines.append("where flights arrive is not judged: success= says where they have to")
+        drawn = [v.label for v in s.variables]
+        drawn += [what for what in ("disturbance", "noise") if getattr(s, what) is not None]
+        lines.append(f"drawn: {', '.join(drawn) or 'nothing'}; seed {s.seed}")
         total = f.samples.sum(axis=0, dtype=np.int64)
         share = 100.0 / max(1, int(total.sum()))
         lines.append("samples: " + ", ".join(f"{st.name} {share * total[st]:.3g} %" for st in Status if total[st]))
@@ -282,8 +306,8 @@ class Campaign:
         known = self.losses[np.isfinite(self.losses)]
         if not known.size:
             return []
-        text = f"beside loops with {self.against} in every sample, {known.size} flights cost more by"
-        return [f"{text} {100 * np.median(known):.3g} % (median), {100 * known.max():.3g} % at most"]
+        text = f"cost of {known.size} flights beside loops with {self.against} in every sample"
+        return [f"{text}: {100 * np.median(known):+.3g} % (median), {100 * known.max():+.3g} % at most"]
 
     def _lines_of_rows(self) -> list[str]:
         """What was violated by more than rounding."""
@@ -295,6 +319,6 @@ class Campaign:
             if worst > rounding or unknown:
                 limit = f", by more than {allowed:.3g} in {int(np.sum(amounts > allowed)):,} flights"
                 missing = f"; not known in {unknown:,}" if unknown else ""
-                text = limit if np.isfinite(allowed) else " (soft)"
+                text = limit if np.isfinite(allowed) else " (not judged)"
                 lines.append(f"row {name!r}: largest violation {worst:.3g}{text}{missing}")
         return lines

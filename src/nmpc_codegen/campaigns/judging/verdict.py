@@ -67,12 +67,14 @@ class Target:
 @dataclass(frozen=True, eq=False)
 class Rules:
     """What a flight is judged by: ``allowed`` (rows,), the largest violation of each row, inf of one that is not
-    judged; ``rounding`` (rows,), what is none; ``targets`` and ``success``: what it has to arrive at."""
+    judged; ``rounding`` (rows,), what is none; ``targets`` and ``success``: what it has to arrive at,
+    in the words ``asked``."""
 
     allowed: Array
     rounding: Array
     targets: tuple[Target, ...]
     success: Success | None
+    asked: str = ""
 
     @property
     def judges_arrival(self) -> bool:
@@ -106,6 +108,19 @@ class Rules:
                 )
             arrived &= said
         return arrived
+
+    def distance(self, last: Array, goals: Array, states: Sequence[str]) -> str:
+        """Which state of a flight (nx,) is farthest from where it has to be, relative to what is allowed."""
+        found = []
+        for target, goal in zip(self.targets, goals, strict=True):
+            x = last[target.state]
+            if target.residual >= 0:
+                found.append(
+                    (abs(x - goal) / max(target.near, 1e-300), f"{abs(x - goal):.3g} from {goal:.4g}", target.state)
+                )
+            elif not target.lower <= x <= target.upper:
+                found.append((math.inf, f"{x:.4g}, not within {target.lower:.4g} .. {target.upper:.4g}", target.state))
+        return "" if not found else f"{states[max(found)[2]]} is {max(found)[1]}"
 
     def goals(self, described: PackageDescription, data: Data, steps: int) -> Array:
         """The set points (F, targets) at the last sample: references that are given, else the declared ones."""
@@ -141,17 +156,41 @@ def rules_of(
         ControllerError: there is no such row or state, or a number is wrong.
     """
     judge = judge_of(described, dt)
-    allowed = np.array([ALLOWED * described.row_scales[i] if described.rows[i].hard else np.inf for i in judge.rows])
+    allowed = np.array([ALLOWED * _size_of(described, i) if described.rows[i].hard else np.inf for i in judge.rows])
+    if tolerance is not None and not isinstance(tolerance, Mapping):
+        raise ControllerError(f"tolerance is {tolerance!r:.60}; expected {{row: violation that is allowed}}")
     for name, value in (tolerance or {}).items():
         places = [
             j for j, i in enumerate(judge.rows) if name in (described.rows[i].name, described.rows[i].user_name)
         ] or members(name, judge.names)
         if not places:
             raise ControllerError(f"tolerance: no row {name!r} along the path; there is {', '.join(judge.names)}")
-        allowed[places] = given.checked_array(value, f"tolerance: {name!r}", np.dtype(np.float64), (), finite=False)
+        most = float(given.checked_array(value, f"tolerance: {name!r}", np.dtype(np.float64), (), finite=False))
+        if not most >= 0:
+            raise ControllerError(
+                f"tolerance: {name!r}: {value!r}; expected a violation >= 0, inf: the row is not judged"
+            )
+        allowed[places] = most
     if success is None or callable(success):
-        return Rules(allowed, judge.rounding, (), success)
-    return Rules(allowed, judge.rounding, tuple(_targets(described, success)), None)
+        said = "" if success is None else "by a function of the user"
+        return Rules(allowed, judge.rounding, (), success, said)
+    return Rules(allowed, judge.rounding, tuple(_targets(described, success)), None, _spell(success))
+
+
+def _spell(success: Any) -> str:
+    """The goal in words."""
+    if not isinstance(success, Mapping):
+        return str(success)
+    goals = ((f"`{name}`", goal) for name, goal in success.items())
+    return ", ".join(
+        f"{n} in {g.lower!r} .. {g.upper!r}" if isinstance(g, Box) else f"{n} within {g!r}" for n, g in goals
+    )
+
+
+def _size_of(described: PackageDescription, i: int) -> float:
+    """What counts as far for a row: its size, or its largest finite bound if that is less and not 0."""
+    bounds = [abs(side) for side in (described.rows[i].lower, described.rows[i].upper) if 0 < abs(side) < math.inf]
+    return min(described.row_scales[i], max(bounds, default=math.inf))
 
 
 def _targets(described: PackageDescription, success: Any) -> list[Target]:
@@ -172,12 +211,20 @@ def _targets(described: PackageDescription, success: Any) -> list[Target]:
         places = members(name, states)
         if not places:
             raise ControllerError(f"success: there is no state {name!r}; there is {', '.join(states)}")
-        found += [_target(place, states, followed, value, name) for place in places]
+        for j, place in enumerate(places):
+            found.append(_target(place, states, followed, _element(value, j, len(places)), name))
     return found
 
 
+def _element(value: Any, j: int, size: int) -> Any:
+    """Element j of a vector; a number holds for all."""
+    if isinstance(value, Box):
+        return Box(_element(value.lower, j, size), _element(value.upper, j, size))
+    return np.asarray(value)[j] if size > 1 and np.shape(value) == (size,) else value
+
+
 def _target(place: int, states: Sequence[str], followed: Mapping[str, int], value: Any, name: str) -> Target:
-    """One target; a vector has the same for all elements."""
+    """One target."""
     real = np.dtype(np.float64)
     if isinstance(value, Box):
         low, high = (
@@ -202,6 +249,8 @@ def interval_of_share(
     Independent flights: Clopper and Pearson, Biometrika 26 (1934). ``set_of`` (F,): numbers of independent sets of
     quasi-random points; the interval is Student's, of the shares of the sets.
     """
+    if not 0 < level < 1:
+        raise ControllerError(f"level is {level!r}; expected a confidence between 0 and 1")
     n, k = len(lost), int(np.sum(lost))
     if not n:
         return 0.0, 1.0

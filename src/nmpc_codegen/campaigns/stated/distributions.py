@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -9,7 +10,7 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.special import ndtri
+from scipy.special import ndtr, ndtri
 from scipy.stats import qmc
 
 from nmpc_codegen.errors import ControllerError
@@ -41,13 +42,15 @@ Distribution = Box | Normal
 @dataclass(frozen=True)
 class Variable:
     """A number that is drawn for every flight: uniform from ``begin`` to begin + size, or normal with mean ``begin``
-    and standard deviation ``size``."""
+    and standard deviation ``size``, within ``low`` and ``high``."""
 
     kind: Kind
     name: str
     begin: float
     size: float
     normal: bool
+    low: float = -math.inf
+    high: float = math.inf
 
     @property
     def label(self) -> str:
@@ -56,7 +59,14 @@ class Variable:
 
     def quantile(self, p: Array) -> Array:
         """Its value where its distribution reaches p, 0 < p < 1."""
-        return np.asarray(self.begin + self.size * (ndtri(p) if self.normal else p))
+        if not self.normal:
+            return np.asarray(np.clip(self.begin + self.size * p, self.begin, self.begin + self.size))
+        if self.size == 0:
+            return np.full_like(p, self.begin)
+        ends = [float(ndtr((end - self.begin) / self.size)) for end in (self.low, self.high)]
+        return np.asarray(
+            np.clip(self.begin + self.size * ndtri(ends[0] + (ends[1] - ends[0]) * p), self.low, self.high)
+        )
 
 
 def variables(kind: Kind, names: list[str], found: Distribution, middle: ArrayLike, what: str) -> list[Variable]:

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from nmpc_codegen.campaigns.stated.defaults import Facts, default_known, default_starts, default_steps, default_unknown
 from nmpc_codegen.campaigns.stated.distributions import Box, Distribution, Kind, Points, Variable, variables
 from nmpc_codegen.errors import ControllerError
+from nmpc_codegen.package.description import PackageDescription
 from nmpc_codegen.package.signals import members
 from nmpc_codegen.runtime import given
 from nmpc_codegen.runtime.batch.random import Normal, Random
@@ -183,20 +184,21 @@ def state_flights(controller: Controller, facts: Facts, wish: Wish) -> Statement
     steps = _count("steps", default_steps(described, dt) if wish.steps is None else wish.steps, 1, MOST)
     seed = _count("seed", wish.seed, 0, 2**64 - 1)
     length = _length_of_set(flights, wish.sets)
-    reader = _Reader(controller, flights)
+    plant = wish.check_plant()
+    reader = _Reader(controller, plant, flights, steps)
     starts = default_starts(described, facts) if wish.starts is None else wish.starts
     reader.read_starts(starts)
-    unknown = default_unknown(described, facts) if wish.parameters is None else wish.parameters
-    told = default_known(described, facts) if wish.known is None else wish.known
-    reader.read("plant", _without(unknown, wish.known), "parameters", described.names.parameters)
-    reader.read("known", _without(told, wish.parameters), "known", described.names.parameters)
+    of_plant = described.names.parameters if plant is None else plant.names.parameters
+    unknown, told = _parameters_of(described, of_plant, facts, wish)
+    reader.read("plant", unknown, "parameters", of_plant)
+    reader.read("known", told, "known", described.names.parameters)
     if wish.references is not None:
         known = list(dict.fromkeys((*described.names.y, *described.names.y_N)))
         named = wish.references if isinstance(wish.references, Mapping) else {"": wish.references}
         reader.read("reference", named, "references", known)
     every, own = reader.split_added(wish.added, steps)
     return Statement(
-        *(flights, steps, dt, seed, described.x_initial, tuple(reader.variables)),
+        *(flights, steps, dt, seed, reader.x0, tuple(reader.variables)),
         Points(seed, len(reader.variables), wish.sets, length),
         reader.tables,
         Given(reader.starts, reader.each, own),
@@ -207,11 +209,26 @@ def state_flights(controller: Controller, facts: Facts, wish: Wish) -> Statement
     )
 
 
-def _without(values: Values, others: Values | None) -> Values:
-    """Those that the other argument does not name."""
-    if not isinstance(values, Mapping):
-        raise ControllerError(f"{values!r:.60} is no {{name of a parameter: Box, Normal or table}}")
-    return {name: value for name, value in values.items() if name not in (others or {})}
+def _parameters_of(
+    described: PackageDescription, of_plant: Sequence[str], facts: Facts, wish: Wish
+) -> tuple[Values, Values]:
+    """Parameters of the plants, and those that controllers know, too. Plants that are given a parameter by both have
+    that of the first."""
+    for what in ("parameters", "known"):
+        value = getattr(wish, what)
+        if value is not None and not isinstance(value, Mapping):
+            raise ControllerError(f"{what} is {value!r:.60}; expected {{name of a parameter: Box, Normal or table}}")
+    names = described.names.parameters
+
+    def free(default: Values, other: Values | None) -> Values:
+        taken = {i for name in (other or {}) for i in members(name, names)}
+        return {name: value for name, value in default.items() if names.index(name) not in taken}
+
+    unknown = free(default_unknown(described, facts), wish.known) if wish.parameters is None else wish.parameters
+    if wish.parameters is None:
+        unknown = {name: value for name, value in unknown.items() if name in of_plant}
+    told = free(default_known(described, facts), wish.parameters) if wish.known is None else wish.known
+    return unknown, told
 
 
 def _count(what: str, value: object, least: int, most: int) -> int:
@@ -222,7 +239,7 @@ def _count(what: str, value: object, least: int, most: int) -> int:
 
 def _flights_of(starts: Any) -> int:
     """Flights where their number is not given: those of an array of starts, else a thousand."""
-    return len(starts) if isinstance(starts, np.ndarray | list) and np.ndim(starts) == 2 else 1000
+    return len(starts) if not isinstance(starts, Box | Normal) and given.ndim(starts) == 2 else 1000
 
 
 def _length_of_set(flights: int, sets: int) -> int:
@@ -238,8 +255,9 @@ def _length_of_set(flights: int, sets: int) -> int:
 class _Reader:
     """Sorts what is given by name into variables, tables for all flights, and tables for each."""
 
-    def __init__(self, controller: Controller, flights: int) -> None:
-        self._controller, self._flights = controller, flights
+    def __init__(self, controller: Controller, plant: Controller | None, flights: int, steps: int) -> None:
+        self._controller, self._plant, self._flights, self._steps = controller, plant, flights, steps
+        self.x0 = np.array(controller.description.x_initial, dtype=float)
         self.variables: list[Variable] = []
         self.tables: dict[Kind, dict[str, Array]] = {}
         self.each: dict[Kind, dict[str, Array]] = {}
@@ -270,8 +288,10 @@ class _Reader:
         per_flight = len(shape) > 0 and shape[0] == self._flights and len(shape) == (1 if len(places) == 1 else 2)
         rows = given.checked_array(value, what, REAL, shape if per_flight or not shape else (len(places),))
         for j, place in enumerate(places):
-            column = rows if rows.ndim == 0 else rows[:, j] if rows.ndim == 2 else rows if per_flight else rows[j]
-            self.starts[place] = np.array(np.broadcast_to(column, (self._flights,)))
+            if per_flight:
+                self.starts[place] = rows[:, j] if rows.ndim == 2 else rows
+            else:
+                self.x0[place] = rows[j] if rows.ndim else rows
 
     def read(self, kind: Kind, values: Values, what: str, known: Sequence[str]) -> None:
         """Parameters or references by name."""
@@ -284,7 +304,7 @@ class _Reader:
             if isinstance(value, Box | Normal):
                 middle = self._declared_values(kind, elements)
                 self.variables += variables(kind, elements, value, middle, f"{what}: {name!r}")
-                self._check_range(elements, what)
+                self._check_range(kind, elements, what)
             else:
                 self._read_table(kind, name, value, len(elements), what)
 
@@ -296,6 +316,11 @@ class _Reader:
             array, axes = array[0], axes[1:]
         if vector and not array.ndim:
             array = np.full((1, size), array)
+        if len(axes) == 1 and axes[0] == self._flights > 1 and axes[0] != self._steps:
+            raise ControllerError(
+                f"{what}: {name!r} has shape {array.shape}, a table over samples; expected a row for each of the "
+                f"{self._steps} samples, or one value for each flight, ({self._flights}, 1{', ...' * vector})"
+            )
         into = self.each if len(axes) == 2 and axes[0] not in (0, 1) else self.tables
         if into is self.each and array.shape[0] != self._flights:
             raise ControllerError(f"{what}: {name!r} has shape {array.shape}; expected {self._flights} flights first")
@@ -307,25 +332,31 @@ class _Reader:
             raise ControllerError(f"{what}: there is no {name!r}; there is {', '.join(known) or 'none'}")
         return found
 
+    def _of(self, kind: Kind) -> PackageDescription:
+        """The package whose parameters these are."""
+        return (self._plant if kind == "plant" and self._plant is not None else self._controller).description
+
     def _declared_values(self, kind: Kind, elements: list[str]) -> Array:
         """Declared values of parameters or references."""
-        described = self._controller.description
+        described = self._of(kind)
         if kind == "reference":
             values = {r.name: r.reference for r in (*described.residuals_N, *described.residuals)}
         else:
             values = {e: v for s in described.parameters for e, v in zip(s.elements, s.value, strict=True)}
         return np.array([values[element] for element in elements])
 
-    def _check_range(self, elements: list[str], what: str) -> None:
-        """ControllerError if a box leaves the bounds of a parameter; normal numbers may, and are refused in flight."""
+    def _check_range(self, kind: Kind, elements: list[str], what: str) -> None:
+        """ControllerError if a box leaves the bounds of a parameter; normal numbers are those within them."""
         ends = {
             e: (low, high)
-            for s in self._controller.description.parameters
+            for s in self._of(kind).parameters
             for e, low, high in zip(s.elements, s.low, s.high, strict=False)
         }
-        for v in self.variables[-len(elements) :]:
+        for i, v in enumerate(self.variables[-len(elements) :], len(self.variables) - len(elements)):
             low, high = ends.get(v.name, (-math.inf, math.inf)) if v.kind != "reference" else (-math.inf, math.inf)
-            if not v.normal and (v.begin < low or (v.begin + v.size > high * (1 + 1e-15) and v.begin + v.size > high)):
+            if v.normal:
+                self.variables[i] = replace(v, low=low, high=high)
+            elif v.begin < low or v.begin + v.size > high + 1e-12 * abs(high):
                 raise ControllerError(
                     f"{what}: {v.name!r} between {v.begin:g} and {v.begin + v.size:g}; its bounds are {low:g}, {high:g}"
                 )

@@ -64,7 +64,9 @@ class Judge:
         values = [np.broadcast_to(v, n).reshape(flights, steps + 1) for v in found]
         flown = np.asarray(np.isfinite(u).all(axis=2) if nu else np.isfinite(x[:, :-1]).all(axis=2))
         amounts = [self._violation(i, x, u, values, data, flown) for i in self.rows]
-        return self._cost(values, data, flown), np.array(amounts).reshape(len(self.rows), flights).T
+        with np.errstate(all="ignore"):
+            cost = self._cost(values, data, flown)
+        return cost, np.array(amounts).reshape(len(self.rows), flights).T
 
     def _inner(self, u: Array, data: Samples) -> Array:
         """States behind those of the user at every sample: time, then controls of the sample before."""
