@@ -24,7 +24,7 @@ from nmpc_codegen.campaigns import Campaign, campaign
 from nmpc_codegen.campaigns.flying import work
 from nmpc_codegen.campaigns.flying.progress import PERIOD, Report
 from tests.campaigns.problems import cart
-from tests.campaigns.test_flights import equal
+from tests.campaigns.test_campaigns import equal
 
 ROOT = Path(__file__).parents[2]
 WORDS: dict[str, Any] = {"noise": 0.01, "steps": 400}

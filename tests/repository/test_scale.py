@@ -19,7 +19,7 @@ from tests.repository.test_architecture import ROOT
 #: Room -> the largest number of lines of code, and what the last raise has bought.
 LIMITS: dict[str, tuple[int, str]] = {
     "src/analysis": (630, ""),
-    "src/campaigns": (2060, "flights with verdicts, by any workers, kept as they come; options and weights by them"),
+    "src/campaigns": (2200, "flights with verdicts, by any workers, kept as they come; options and weights by them"),
     "src/cli": (930, "campaigns: a flag, arguments that the file defines, a report"),
     "src/components": (
         6380,
