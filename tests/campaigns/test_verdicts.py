@@ -139,6 +139,9 @@ def test_reference_loops() -> None:
     ipopt = campaign(ocp, 6, against="ipopt", compared=1, **same)
     assert ipopt.best is not None
     assert ipopt.best[0] == pytest.approx(result.best[0], rel=1e-5)
+    same |= {"references": {"v": 0.3}}  # of the end, too
+    found = [campaign(ocp, 1, against=law, compared=1, **same).best for law in ("solve", "ipopt")]
+    assert found[1][0] == pytest.approx(found[0][0], rel=1e-5)
 
 
 def test_a_poor_controller_is_found() -> None:

@@ -112,7 +112,6 @@ def _judge(job: Job, rules: Rules, part: Flown) -> np.ndarray[Any, np.dtype[np.i
     goals = np.zeros((len(part), len(rules.targets)))
     if rules.targets:
         begin, end = int(part.number[0]), int(part.number[-1]) + 1
-        own = s.given.part(slice(begin, end))
-        every = rules.goals(job.controller.description, s.data(begin, end - begin, own), s.steps)
+        every = rules.goals(job.controller.description, s.whole_data(begin, end - begin), s.steps)
         goals = every[part.number - begin]
     return rules.judge(part, goals)

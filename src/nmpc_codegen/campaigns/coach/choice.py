@@ -180,10 +180,7 @@ def _both(mine: Campaign, other: Campaign) -> NDArray[np.bool_]:
 
 def _excess(mine: Campaign) -> float:
     """Mean over the flights of the largest violation, relative to what is allowed, as far as it is beyond that."""
-    judged = np.isfinite(mine.rules.allowed) & (mine.rules.allowed > 0)
-    with np.errstate(invalid="ignore"):
-        found = np.nanmax(mine.flown.violation[:, judged] / mine.rules.allowed[judged], axis=1, initial=0.0)
-    return float(np.mean(np.maximum(found - 1.0, 0.0)))
+    return float(np.mean(np.maximum(mine.excess - 1.0, 0.0)))
 
 
 def _relative_cost(mine: Campaign, other: Campaign) -> float:
@@ -222,12 +219,9 @@ def _better(mine: Campaign, best: Campaign, first: Campaign) -> str:
 
 
 def _entry(c: Candidate, mine: Campaign, first: Campaign, verdict: bool) -> Entry:
-    judged = np.isfinite(mine.rules.allowed)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        excess = mine.flown.violation[:, judged] / mine.rules.allowed[judged]
     return Entry(
         *(c.change, len(mine), int(mine.lost.sum()), mine.interval),
-        float(np.nanmax(excess, initial=0.0)),
+        float(np.max(mine.excess, initial=0.0)),
         _relative_cost(mine, first),
         float(np.mean(mine.flown.seconds[:, 0])),
         int(c.controller.description.report.ram_bytes),

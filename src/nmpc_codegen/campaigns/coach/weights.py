@@ -148,7 +148,7 @@ class _Course:
         self._controller, self._cost, self._plant = controller, cost, wish.check_plant()
         facts = facts_of(ocp)
         self._statements: dict[bool, Statement] = {
-            fresh: state_flights(controller, facts, Wish(**{**vars(wish), "seed": wish.seed + fresh}))
+            fresh: state_flights(controller, facts, Wish(**{**vars(wish), "seed": (wish.seed + fresh) % 2**64}))
             for fresh in (False, True)
         }
 
@@ -162,7 +162,7 @@ class _Course:
             if of_kind:
                 tell(of_kind)
         flyer = Flyer(Job(controller, self._plant, s), None)
-        found = np.asarray(self._cost(flyer.simulate(s.data(0, s.flights, s.given), 0, record=True)), dtype=float)
+        found = np.asarray(self._cost(flyer.simulate(s.whole_data(0, s.flights), 0, record=True)), dtype=float)
         if found.shape != (s.flights,):
             raise ControllerError(f"cost returns an array of shape {found.shape}; expected ({s.flights},)")
         if not np.isfinite(found).all():

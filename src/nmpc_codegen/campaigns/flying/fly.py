@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pickle
 import threading
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, Literal
@@ -41,6 +42,12 @@ class Job:
         return Labels(described.names.states, judge_of(described, self.statement.dt).names, self.statement.drawn)
 
 
+def known_to(plant: Controller, tables: Mapping[str, Array]) -> dict[str, Array]:
+    """Those tables of parameters that a plant has, too."""
+    theirs = {*plant.names.parameters, *(signal.name for signal in plant.description.parameters)}
+    return {name: table for name, table in tables.items() if name in theirs}
+
+
 class Flyer:
     """Flies parts of a job with ``threads`` threads; None: all cores."""
 
@@ -68,8 +75,7 @@ class Flyer:
         job, s = self._job, self._job.statement
         unknown = dict(data.tables["plant"])
         if job.plant is not None:
-            theirs = {*job.plant.names.parameters, *(signal.name for signal in job.plant.description.parameters)}
-            unknown = {**{n: table for n, table in data.tables["known"].items() if n in theirs}, **unknown}
+            unknown = {**known_to(job.plant, data.tables["known"]), **unknown}
         return {
             "steps": s.steps,
             "dt": s.dt,

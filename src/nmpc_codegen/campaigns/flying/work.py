@@ -80,7 +80,7 @@ def _fly_here(job: Job, parts: _Parts) -> Iterator[Flown]:
     flyer = Flyer(job, None)
     while (part := parts.take()) is not None:
         begin = time.monotonic()
-        own = job.statement.given.part(slice(part.first, part.first + part.count))
+        own = job.statement.given_for(part.first, part.count)
         flown = flyer.fly(part.first, part.count, own)
         parts.learn(part.count, time.monotonic() - begin)
         yield flown
@@ -123,7 +123,7 @@ class _Elsewhere:
         return self._again.popleft() if self._again else self._parts.take()
 
     def _submit(self, part: Part) -> None:
-        own = self._job.statement.given.part(slice(part.first, part.first + part.count))
+        own = self._job.statement.given_for(part.first, part.count)
         arguments = (fly_elsewhere, self._blob, part.first, part.count, own, part.attempt)
         try:
             future = self._executor.submit(*arguments)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from contextlib import suppress
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,7 +34,6 @@ def reference_costs(job: Job, flown: Flown, against: Against, count: int, ocp: O
     state was not finite, and after an interrupt.
 
     "solve": solve() in every sample; "ipopt": IPOPT, from the plan of the sample before.
-
     """
     found = np.full(len(flown), np.nan)
     flyer, s = Flyer(job, None), job.statement
@@ -42,7 +41,7 @@ def reference_costs(job: Job, flown: Flown, against: Against, count: int, ocp: O
     with suppress(KeyboardInterrupt):
         for i, number in enumerate(int(n) for n in flown.number[:count]):
             if flown.broken[i] < 0:
-                data = s.data(number, 1, s.given.part(slice(number, number + 1)))
+                data = s.whole_data(number)
                 with suppress(ControllerError):  # the state of the plant is not finite
                     paths = _by_solve(job, number) if law is None else law.fly(Replay(job, number))
                     found[i] = flyer.judge(data, number, paths)[0]
@@ -78,20 +77,19 @@ class _IpoptLaw:
         plan: tuple[Array | None, Array | None] = None, None
         for k in range(steps):
             tell(k, controller)
-            y = (
-                controller.view("yref")
-                if controller.dims.ny and "yref" in controller.description.members("solver")
-                else None
-            )
-            whole = (
-                None if y is None else np.broadcast_to(np.asarray(y, float), (controller.dims.N, controller.dims.ny))
-            )
-            p = parameters(controller) if controller.dims.np else None
-            found = self._nlp.solve(
-                node_data(self._problem, x0=flight.measure(k, x[-1]), p=p, yref=whole), x=plan[0], u=plan[1]
-            )
+            data = node_data(self._problem, x0=flight.measure(k, x[-1]), **_data_of(controller))
+            found = self._nlp.solve(data, x=plan[0], u=plan[1])
             u.append(found.u[0])
             z.append(np.asarray(controller.algebraic(x[-1], found.u[0])))
             x.append(flight.plant(x[-1], found.u[0], flight.dt))
             plan = np.vstack([found.x[1:], found.x[-1:]]), np.vstack([found.u[1:], found.u[-1:]])
         return np.array(x)[None], np.array(u)[None], np.array(z).reshape(1, steps, -1)
+
+
+def _data_of(controller: Controller) -> dict[str, Any]:
+    """Parameters and references that a controller holds, as node_data() takes them."""
+    d, found = controller.dims, dict[str, Any]({"p": parameters(controller)} if controller.dims.np else {})
+    if controller.description.online["reference"] != "fixed":
+        found |= {"yref": np.broadcast_to(np.asarray(controller.view("yref"), float), (d.N, d.ny))} if d.ny else {}
+        found |= {"yref_N": np.asarray(controller.view("yref_N"), float).ravel()} if d.ny_N else {}
+    return found

@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nmpc_codegen.campaigns.flying.fly import Job
+from nmpc_codegen.campaigns.flying.fly import Job, known_to
 from nmpc_codegen.campaigns.stated.distributions import Kind
 from nmpc_codegen.campaigns.stated.statement import Data
 from nmpc_codegen.errors import warn
-from nmpc_codegen.runtime.batch.flights import draw
+from nmpc_codegen.runtime.batch.flights import Draws
 from nmpc_codegen.runtime.batch.random import DISTURBANCE, NOISE, signal
 from nmpc_codegen.runtime.controller import Controller
 from nmpc_codegen.runtime.loops.forecast import Before, forecast
@@ -39,7 +39,7 @@ class Replay:
 
     def __init__(self, job: Job, number: int) -> None:
         s = job.statement
-        data = s.data(number, 1, s.given.part(slice(number, number + 1)))
+        data = s.whole_data(number)
         self.controller, self.start, self.steps, self.dt = job.controller.copy(), data.starts[0], s.steps, s.dt
         self.known, named = _tables(job, data, "known"), _tables(job, data, "reference")
         self.references: Any = named.get("", named or None)
@@ -79,11 +79,7 @@ def _draws(job: Job, number: int, stream: int) -> Array | None:
     s = job.statement
     what = {DISTURBANCE: "disturbance", NOISE: "noise"}[stream]
     found = signal(getattr(s, what), what, s.states, stream)
-    if found is None:
-        return None
-    out = np.zeros((s.steps, len(s.states)))
-    draw(found, s.seed, number, out)
-    return out
+    return None if found is None else Draws(s.seed, 0, len(s.states), None, None).of(found, number, s.steps)
 
 
 class _Plant:
@@ -96,8 +92,7 @@ class _Plant:
         self._plant: Controller = self._controller
         if not own or unknown:
             self._plant = (job.plant or self._controller).copy()
-            theirs = {*self._plant.names.parameters, *(p.name for p in self._plant.description.parameters)}
-            unknown = {**{name: table for name, table in flight.known.items() if name in theirs}, **unknown}
+            unknown = {**known_to(self._plant, flight.known), **unknown}
         self._tell = forecast(self._plant, job.statement.dt, unknown or None, None, None, None)
         self._is_told = self._plant is not self._controller and own and self._plant.known.size > 0
         self._integrate = own_plant(self._plant)

@@ -90,13 +90,17 @@ class Campaign:
         if not given.is_integer(count) or count < 0:
             raise ControllerError(f"worst: {count!r}; expected a number of flights >= 0")
         f = self.flown
-        excess = self._excess.max(axis=1, initial=0.0)
         size = np.where(self.reasons == Reason.NOT_FINITE, -f.broken.astype(float), 0.0)
-        size = np.where(self.reasons == Reason.ROW, excess, size)
+        size = np.where(self.reasons == Reason.ROW, self.excess, size)
         rank = np.where(self.reasons == Reason.NONE, 9, self.reasons)
         cost = np.where(np.isfinite(f.cost), f.cost, np.inf)
         order = np.lexsort((f.number, -cost, -size, rank))
         return [int(f.number[i]) for i in order[:count]]
+
+    @property
+    def excess(self) -> Array:
+        """(F,), the largest violation of a judged row relative to what is allowed, inf where it is not known."""
+        return np.asarray(self._excess.max(axis=1, initial=0.0))
 
     @property
     def _excess(self) -> Array:
@@ -115,8 +119,7 @@ class Campaign:
         why = reason.words
         if reason is Reason.NOT_ARRIVED and self.rules.targets:
             s = self.job.statement
-            data = s.data(number, 1, s.given.part(slice(number, number + 1)))
-            goals = self.rules.goals(self.job.controller.description, data, s.steps)[0]
+            goals = self.rules.goals(self.job.controller.description, s.whole_data(number), s.steps)[0]
             why = self.rules.distance(f.last[i], goals, f.labels.states) or why
         elif reason is Reason.ROW:
             j = np.flatnonzero(np.isfinite(self.rules.allowed))[int(self._excess[i].argmax())]
@@ -150,8 +153,7 @@ class Campaign:
     def fly_again(self, number: int) -> Flights:
         """The same with its samples as Flights of one, in compiled code."""
         self._place(number)
-        own = self.job.statement.given.part(slice(number, number + 1))
-        return self._flyer.simulate(self.job.statement.data(number, 1, own), number, record=True)
+        return self._flyer.simulate(self.job.statement.whole_data(number), number, record=True)
 
     @cached_property
     def _flyer(self) -> Flyer:

@@ -150,6 +150,14 @@ class Statement:
         """Without what is given for each flight by itself."""
         return replace(self, given=Given({}, {}, None))
 
+    def given_for(self, first: int, count: int = 1) -> Given:
+        """What is given for the flights from ``first`` on."""
+        return self.given.part(slice(first, first + count))
+
+    def whole_data(self, first: int, count: int = 1) -> Data:
+        """Data of the flights from ``first`` on."""
+        return self.data(first, count, self.given_for(first, count))
+
     def data(self, first: int, count: int, own: Given) -> Data:
         """Data of the flights from ``first`` on; ``own``: what is given for them."""
         unit = self.points.at(first, count)
