@@ -22,7 +22,7 @@ import pytest
 from nmpc_codegen import ControllerError
 from nmpc_codegen.campaigns import Campaign, campaign
 from nmpc_codegen.campaigns.flying import work
-from nmpc_codegen.campaigns.flying.progress import PERIOD, Report
+from nmpc_codegen.runtime.loops.progress import PERIOD, Progress
 from tests.campaigns.problems import cart
 from tests.campaigns.test_campaigns import equal
 
@@ -208,8 +208,8 @@ def test_workers_that_always_die() -> None:
 def test_an_interrupt_keeps_what_was_flown(whole: Campaign, where: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """As a person presses Ctrl-C once some flights are there."""
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
-    begun, add = threading.Event(), Report.add
-    monkeypatch.setattr(Report, "add", lambda self, *counts: (begun.set(), add(self, *counts)))
+    begun, add = threading.Event(), Progress.add
+    monkeypatch.setattr(Progress, "add", lambda self, *counts: (begun.set(), add(self, *counts)))
 
     def press() -> None:
         if begun.wait(30):
@@ -238,14 +238,14 @@ def test_progress_in_a_log(monkeypatch: pytest.MonkeyPatch) -> None:
     now = [0.0]
     monkeypatch.setattr(time, "monotonic", lambda: now[0])
     stream = io.StringIO()
-    with Report("cart", 1000, 100, None, stream) as report:
-        report.add(100, 3)
+    with Progress("cart", 1000, "flights", 100, None, stream) as progress:
+        progress.add(100, "3 lost")
         now[0] = 2 * PERIOD
-        report.add(100, 1)
+        progress.add(100, "4 lost")
     assert stream.getvalue() == "cart: 300 of 1,000 flights, 10/s, 4 lost, 70 s left\n"
-    with Report("cart", 1000, 0, False, stream) as silent:
+    with Progress("cart", 1000, "flights", 0, False, stream) as silent:
         now[0] *= 3
-        silent.add(10, 0)
+        silent.add(10)
     assert stream.getvalue().count("\n") == 1
 
 

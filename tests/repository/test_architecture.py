@@ -79,7 +79,7 @@ ONLY_IN = {
     "jinja2": {"lowering/render"},
     "cffi": {"runtime/build"},
     "cvxpy": {"economic/semidefinite"},
-    "matplotlib": {"runtime/records", "campaigns/judging/pictures", "cli/arguments"},
+    "matplotlib": {"runtime/pictures", "campaigns/judging/pictures", "cli/arguments"},
     "optuna": {"campaigns/coach/weights"},
     "pyarrow": {"campaigns/flying/archive"},
     "pandas": {"runtime/records/tables"},

@@ -26,9 +26,11 @@ from nmpc_codegen import (
     generate,
     simulate,
 )
-from nmpc_codegen.runtime.records.plot import BOUND_COLOR, DOUBT_COLOR, FAILURE_COLOR, HARD, REFERENCE_COLOR, SOFT
+from nmpc_codegen.runtime.pictures.style import BOUND_COLOR, DOUBT_COLOR, FAILURE_COLOR, HARD, REFERENCE_COLOR, SOFT
 
 mpl.use("Agg")
+
+COMPUTING = "computing\ntime [µs]"
 
 
 def tank() -> OCP:
@@ -82,12 +84,16 @@ def test_save_and_load(log: Log, tmp_path: Path, kind: str) -> None:
     log.save(file)
     stream.seek(0)
     again = Log.load(file)
-    for name, value in vars(log).items():
+    pairs = [(value, getattr(again, name)) for name, value in vars(log).items() if name != "plans"]
+    assert log.plans is not None
+    assert again.plans is not None
+    pairs += [(value, getattr(again.plans, name)) for name, value in vars(log.plans).items()]
+    for value, other in pairs:
         if isinstance(value, np.ndarray):
-            np.testing.assert_array_equal(getattr(again, name), value)
-            assert getattr(again, name).dtype == value.dtype
+            np.testing.assert_array_equal(other, value)
+            assert other.dtype == value.dtype
         else:
-            assert getattr(again, name) == value
+            assert other == value
     assert again.summary() == log.summary()
     assert list(again.reasons) == list(log.reasons)
 
@@ -178,9 +184,9 @@ def test_picture(log: Log, tmp_path: Path) -> None:
     assert np.flatnonzero(log.status == Status.RELAXED).tolist() == [38, 39]
     figure = log.plot(tmp_path / "tank.png")
     axes = {axis.get_ylabel(): axis for axis in figure.axes}
-    assert list(axes) == ["level [m]", "flow [m³/h]", "power", "time [µs]"]
-    assert axes["time [µs]"].get_xlabel() == "time [h]"
-    np.testing.assert_array_equal(axes["time [µs]"].lines[0].get_ydata(), log.time_ns / 1e3)
+    assert list(axes) == ["level [m]", "flow [m³/h]", "power", "leak [1/h]", COMPUTING]
+    assert axes[COMPUTING].get_xlabel() == "time [h]"
+    np.testing.assert_array_equal(axes[COMPUTING].lines[0].get_ydata(), log.time_ns / 1e3)
     level = {str(line.get_color()): line for line in axes["level [m]"].lines}
     np.testing.assert_array_equal(level[REFERENCE_COLOR].get_ydata(), [*log.y[:, 0], log.y[-1, 0]])
     dashes = [line._unscaled_dash_pattern for line in (level[BOUND_COLOR], axes["flow [m³/h]"].lines[1])]

@@ -22,7 +22,6 @@ from nmpc_codegen import (
     simulate,
 )
 from nmpc_codegen.runtime.records.log import Log
-from nmpc_codegen.runtime.records.trace import Bound
 
 mpl.use("Agg")
 
@@ -77,7 +76,9 @@ def test_values_along_the_loop(case: str) -> None:
     assert tuple(trace.name for trace in log.rows) == NAMES
     m = np.where((np.arange(12) >= 6) & changes, 0.75, 0.5)
     np.testing.assert_allclose(log.h, values(log, m), rtol=1e-5 if case == "single" else 1e-13, atol=1e-6)
-    assert [(t.lower, t.upper) for t in log.rows][:4] == [(-2, 2), (-3, 3), (-4, 4), (-5, 5)]
+    general = [i for i, limit in enumerate(log.limits) if limit.array == "h"]
+    np.testing.assert_allclose(log.upper[:, general], [[2, 3, 4, 5, 0.6]] * 12, rtol=1e-7)
+    np.testing.assert_allclose(log.lower[:, general], [[-2, -3, -4, -5, -0.7]] * 12, rtol=1e-7)
     for k in range(12):  # the loop is not disturbed
         heavier(k, twin)
         np.testing.assert_array_equal(twin.step(log.x[k]), log.u[k])
@@ -90,14 +91,16 @@ def test_axes_of_rows(tmp_path: Path) -> None:
     log = simulate(ctrl, [1.0, 0.0], 12)
     figure = log.plot(tmp_path / "rows.png")
     axes = {axis.get_ylabel(): axis for axis in figure.axes if axis.get_visible()}
-    assert tuple(axes) == ("p", "v", "F", *NAMES, "time [µs]")
+    assert tuple(axes) == ("p", "v", "F", *NAMES, "computing\ntime [µs]")
     drawn = axes["power"].lines[0]
     np.testing.assert_array_equal(drawn.get_ydata(), log.h[:, 0])
     np.testing.assert_array_equal(drawn.get_xdata(), log.t[:-1])
     assert sorted(line.get_ydata()[0] for line in axes["power"].lines[1:]) == [-0.1, 0.1]
     assert all(line.is_dashed() for line in axes["power"].lines[1:])
-    assert log.states[1].bounds == (Bound(-0.9, 0.8, soft=True),)
-    assert log.controls[0].bounds == (Bound(-1, 1),)
+    simple = {limit.name: (limit.array, limit.column, limit.soft) for limit in log.limits}
+    assert simple["v"] == ("x", 1, True)
+    assert simple["F"] == ("u", 0, False)
+    np.testing.assert_array_equal(log.lower[:, [limit.name == "v" for limit in log.limits]], [[-0.9]] * 12)
 
 
 def test_no_samples(tmp_path: Path) -> None:

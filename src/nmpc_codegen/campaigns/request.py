@@ -15,7 +15,6 @@ from nmpc_codegen.campaigns.flying.archive import Archive
 from nmpc_codegen.campaigns.flying.flown import Flown
 from nmpc_codegen.campaigns.flying.fly import Device, Job
 from nmpc_codegen.campaigns.flying.identity import identity
-from nmpc_codegen.campaigns.flying.progress import Report
 from nmpc_codegen.campaigns.flying.work import fly_all
 from nmpc_codegen.campaigns.judging.against import Against, check_against, reference_costs
 from nmpc_codegen.campaigns.judging.result import Campaign
@@ -27,6 +26,7 @@ from nmpc_codegen.frontend.ocp import OCP
 from nmpc_codegen.options import Options
 from nmpc_codegen.runtime.controller import Controller
 from nmpc_codegen.runtime.given import is_integer
+from nmpc_codegen.runtime.loops.progress import Progress
 
 #: Flights that are compared with reference loops.
 COMPARED = 20
@@ -90,14 +90,16 @@ def _fly(job: Job, rules: Rules, conduct: Conduct) -> tuple[Flown, np.ndarray[An
     with archive as kept:
         if kept is not None:
             kept.read(flown, done)
-        with Report(name, s.flights, int(done.sum()), conduct.progress) as report:
+        lost = 0
+        with Progress(name, s.flights, "flights", int(done.sum()), conduct.progress) as progress:
             try:
                 for part in fly_all(job, done.copy(), conduct.executor):
                     if kept is not None:
                         kept.add(part)
                     flown.put(part, part.number)
                     done[part.number] = True
-                    report.add(len(part), int(np.sum(_judge(job, rules, part) != Reason.NONE)))
+                    lost += int(np.sum(_judge(job, rules, part) != Reason.NONE))
+                    progress.add(len(part), f"{lost} lost")
             except KeyboardInterrupt:
                 complete = False
     flown = flown if done.all() else flown.of_some(done)

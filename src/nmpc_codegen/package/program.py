@@ -107,11 +107,17 @@ class Program:
         if unknown:
             raise ValueError(f"the program contains the operations {', '.join(unknown)}")
 
-    def values(self, x: Array, u: Array, p: Array) -> list[Array]:
-        """Values of all steps at nodes: x (n, nx), u (n, nu), p (n, np) -> arrays (n,)."""
+    def values(self, x: Array, u: Array, p: Array, wanted: int | None = None) -> list[Array]:
+        """Values of all steps at nodes: x (n, nx), u (n, nu), p (n, np) -> arrays (n,).
+
+        ``wanted``: only what this step is computed from has values, the other arrays are empty.
+        """
         inputs, found = (x, u, p), []
-        for name, first, second, constant in self.steps:
-            if name == "input":
+        needed = range(len(self.steps)) if wanted is None else self._behind(wanted)
+        for i, (name, first, second, constant) in enumerate(self.steps):
+            if i not in needed:
+                found.append(np.zeros(0))
+            elif name == "input":
                 found.append(np.asarray(inputs[first][:, second], dtype=np.float64))
             elif name == "const":
                 found.append(np.full(len(x), constant))
@@ -119,6 +125,20 @@ class Program:
                 found.append(self.lookups[int(constant)](found[first]))
             else:
                 found.append(np.asarray(VALUES[name](found[first], found[second]), dtype=np.float64))
+        return found
+
+    def inputs(self, step: int) -> frozenset[tuple[int, int]]:
+        """Port and element of every input that a step is computed from."""
+        return frozenset(self.steps[i][1:3] for i in self._behind(step) if self.steps[i][0] == "input")
+
+    def _behind(self, step: int) -> set[int]:
+        """The step and all that it is computed from."""
+        found, waiting = {step}, [step]
+        while waiting:
+            name, first, second, _ = self.steps[waiting.pop()]
+            operands = () if name in ("input", "const") else (first,) if name == "lookup" else (first, second)
+            waiting += [i for i in operands if i not in found]
+            found.update(operands)
         return found
 
 

@@ -15,8 +15,12 @@ from nmpc_codegen.errors import ControllerError
 from nmpc_codegen.package.status import Kkt, Status
 from nmpc_codegen.runtime.given import is_integer, is_positive
 from nmpc_codegen.runtime.memory import Memory
+from nmpc_codegen.runtime.pictures.convergence import draw as draw_convergence
+from nmpc_codegen.runtime.pictures.plans import draw_plan
 from nmpc_codegen.runtime.records import convergence
 from nmpc_codegen.runtime.records.convergence import Iteration
+from nmpc_codegen.runtime.records.html import page, ranges, table
+from nmpc_codegen.runtime.records.plan import Plan, take_plan
 
 Array = NDArray[Any]
 Globalization = Literal["filter", "full_step"]
@@ -46,6 +50,7 @@ class Solution:
     time_ns: int
     controls: tuple[str, ...] = ()  # names of the controls
     log: tuple[Iteration, ...] = ()  # one entry per iteration
+    plan: Plan | None = None  # with its rows, bounds and references
 
     def convergence_table(self, file: str | os.PathLike[str] | None = None) -> str:
         """The iterations in aligned columns: cost, KKT residuals by parts and relative, length of the step, shift of
@@ -53,6 +58,28 @@ class Solution:
         if file is not None:
             Path(file).write_text(convergence.write_csv(self.log), encoding="utf-8")
         return convergence.table(self.log)
+
+    def plot(self, file: str | os.PathLike[str] | None = None) -> Any:
+        """Figure of the plan over its nodes: states, controls, algebraic variables and rows, with bounds and references
+        as in Log.plot(); written to ``file`` if one is given.
+
+        Raises:
+            ExtraError: matplotlib is not installed.
+        """
+        if self.plan is None:
+            raise ControllerError("plot(): this solution was not made by solve()")
+        title = f"{self.plan.name}: {self.status.name} after {self.iterations} iterations, cost {self.cost:.6g}"
+        return draw_plan(self.plan, title, self.status != Status.OK, file)
+
+    def _repr_html_(self) -> str:
+        plan = self.plan
+        text = "\n".join(str(self).splitlines()[:-2])
+        if plan is None:
+            return page("Solution", text, [])
+        groups = [("state", plan.states, self.x), ("control", plan.controls, self.u)]
+        residuals = [(part, f"{value:.1e}") for part, value in self.kkt.parts.items()]
+        tables = [ranges([*groups, ("algebraic", plan.algebraic, self.z)]), table(("KKT residual", ""), residuals)]
+        return page(f"Solution {plan.name}", text, tables)
 
     def plot_convergence(self, file: str | os.PathLike[str] | None = None) -> Any:
         """Figure of the residuals, step lengths and shifts of all iterations; written to ``file`` if one is given.
@@ -64,7 +91,7 @@ class Solution:
         if not self.log:
             raise ControllerError("plot_convergence(): solve() took no iteration; expected at least one")
         title = f"{self.status.name} after {self.iterations} iterations, cost {self.cost:.6g}"
-        return convergence.draw(self.log, title, self.status != Status.OK, file)
+        return draw_convergence(self.log, title, self.status != Status.OK, file)
 
     def __str__(self) -> str:
         names = self.controls or tuple(f"u[{j}]" for j in range(self.u.shape[1]))
@@ -131,6 +158,7 @@ def solve(ctrl: Memory, tol: float | None, max_iterations: int, globalization: G
         time_ns=run.time_ns,
         controls=ctrl.names.controls,
         log=tuple(run.log),
+        plan=take_plan(ctrl),
     )
 
 

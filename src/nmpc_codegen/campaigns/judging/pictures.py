@@ -13,8 +13,17 @@ from numpy.typing import NDArray
 from nmpc_codegen.campaigns.flying.flown import Flown
 from nmpc_codegen.runtime.batch.flights import Flights
 from nmpc_codegen.runtime.extras import extra
-from nmpc_codegen.runtime.records.paths import draw_paths
-from nmpc_codegen.runtime.records.plot import FAILURE_COLOR, ROW_HEIGHT, STATE_COLOR, STYLE, WIDTH, explain, new_figure
+from nmpc_codegen.runtime.pictures.paths import draw_paths
+from nmpc_codegen.runtime.pictures.style import (
+    FAILURE_COLOR,
+    ROW_HEIGHT,
+    STATE_COLOR,
+    STYLE,
+    WIDTH,
+    explain,
+    new_figure,
+)
+from nmpc_codegen.runtime.records.trace import with_unit
 
 Array = NDArray[Any]
 File = str | os.PathLike[str] | None
@@ -37,12 +46,14 @@ def draw_flights(again: Sequence[Flights], lost: int, title: str, unit: Mapping[
     wrong = np.arange(len(again)) >= len(again) - lost
     broken = np.concatenate([f.lost for f in again]) >= 0
     title += f"; drawn are {lost} of them and {len(again) - lost} others"
-    return draw_paths(panels, len(first.states), wrong, broken, first.dt, title, f"time ({unit['']})", file, "lost")
+    return draw_paths(
+        panels, len(first.states), wrong, broken, first.dt, title, with_unit("time", unit[""]), file, "lost"
+    )
 
 
 def label(name: str, unit: Mapping[str, str]) -> str:
     """A name with its unit."""
-    return f"{name} ({unit[name]})" if unit.get(name) else name
+    return with_unit(name, unit.get(name, ""))
 
 
 def draw_distributions(
@@ -54,7 +65,7 @@ def draw_distributions(
         if np.nanmax(amounts, initial=0.0) > 0:
             panels.append((f"largest violation of {label(name, unit)}", amounts, limit))
     if np.isfinite(flown.seconds).all():
-        panels.append(("mean time of a sample (us)", 1e6 * flown.seconds[:, 0], np.inf))
+        panels.append(("mean time of a sample [µs]", 1e6 * flown.seconds[:, 0], np.inf))
     mpl = extra("matplotlib", "plot_distributions()")
     figure = new_figure((WIDTH, 0.9 + 1.25 * ROW_HEIGHT * len(panels)), file)
     with mpl.rc_context(STYLE):

@@ -18,7 +18,8 @@ from nmpc_codegen.package.status import Status
 from nmpc_codegen.runtime.batch.driver import generator
 from nmpc_codegen.runtime.batch.random import Signal
 from nmpc_codegen.runtime.given import is_integer
-from nmpc_codegen.runtime.records.paths import draw_paths
+from nmpc_codegen.runtime.pictures.paths import draw_paths
+from nmpc_codegen.runtime.records.trace import with_unit
 
 Array = NDArray[Any]
 
@@ -94,11 +95,11 @@ class Flights:
         if self.x is None or self.u is None or not self.u.size:
             raise ControllerError("plot() needs the samples of at least one flight: simulate(..., record=True)")
         names = (*self.states, *self.controls)
-        labels = [f"{name} ({self.units[name]})" if self.units.get(name) else name for name in names]
+        labels = [with_unit(name, self.units.get(name, "")) for name in names]
         paths = [*np.moveaxis(self.x, 2, 0), *np.moveaxis(self.u, 2, 0)]
         panels = list(zip(labels, paths, strict=True))
         title = f"{self.name}: {len(self)} flights, {int(self.wrong.sum())} of them wrong"
-        unit = f"time ({self.time_unit})"
+        unit = with_unit("time", self.time_unit)
         return draw_paths(panels, len(self.states), self.wrong, self.lost >= 0, self.dt, title, unit, file)
 
     def summary(self) -> str:

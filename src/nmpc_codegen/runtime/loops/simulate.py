@@ -5,44 +5,30 @@ u_k = step(x_k),   x_{k+1} = plant(x_k, u_k, dt) + disturbance(k, x_k)
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from functools import partial
-from importlib.util import find_spec
 from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from nmpc_codegen.errors import ControllerError
-from nmpc_codegen.runtime.controller import Controller, Status
-from nmpc_codegen.runtime.diagnosis.rows import (
-    append_solved,
-    path_bounds,
-    path_reference,
-    row_values,
-    start_parameters,
-    whole_parameters,
-)
+from nmpc_codegen.runtime.controller import Controller
 from nmpc_codegen.runtime.estimation.observer import Observer
 from nmpc_codegen.runtime.estimation.sensing import Sensing, see
-from nmpc_codegen.runtime.given import fill_by_name
+from nmpc_codegen.runtime.given import fill_by_name, is_integer
 from nmpc_codegen.runtime.loops.forecast import Before, Bounds, OverSamples, References, forecast
+from nmpc_codegen.runtime.loops.progress import Progress
 from nmpc_codegen.runtime.loops.sampling import Plant, interval_of, own_plant
-from nmpc_codegen.runtime.records.html import units
 from nmpc_codegen.runtime.records.log import Log
-from nmpc_codegen.runtime.records.trace import Bound, Trace
+from nmpc_codegen.runtime.records.notes import REAL, Notes, columns_of_log, spacing
 
 Array = NDArray[np.float64]
-Traces = tuple[Trace, ...]
 Disturbance = Callable[[int, Array], ArrayLike]
 Law = Literal["step", "solve"]
 Sample = Callable[[Array, int], tuple[Array, int]]
 
 LOG_BYTES = 2**31  # a larger log may not fit into memory, and the run would take hours
-LOG_COLUMNS = 4  # status, cost, time and t
-LONG_RUN = 200  # number of steps from which a progress bar is shown
-SAME = 1e-6  # relative tolerance within which a row equals a signal, in single precision too
 
 
 def simulate(
@@ -63,6 +49,7 @@ def simulate(
     reference: References | None = None,
     estimator: Observer | None = None,
     seed: int | None = 0,
+    plans: int | None = None,
 ) -> Log:
     """Run a controller in closed loop. The controller is left in its last state; copy() it to keep the initial one.
 
@@ -87,13 +74,15 @@ def simulate(
         estimator: build(ocp.estimator(...)), which tells the controller the state; ``parameters`` that it finds are
             those of the plant alone.
         seed: of the noise of its measurements; None: no noise.
+        plans: the log keeps the plan of every so many samples; 0: of none; None: of all, or fewer in a long loop, so
+            that there are at most 1000 and they take at most 64 MiB.
 
     Raises:
         ControllerError: shapes or numbers are wrong, there are more steps than a log can hold, or the plant returns
             something other than a finite state.
     """
-    numbers = _path_rows(_controller(ctrl))
-    _check_steps(steps, ctrl, len(numbers))
+    _check_steps(steps, _controller(ctrl))
+    every = _every(plans, ctrl, steps)
     interval = interval_of(ctrl.description, dt)
     start = _state(_stack(x0, ctrl) if isinstance(x0, Mapping) else x0, ctrl.dims.nx, "x0")
     tell = forecast(ctrl, interval, parameters, bounds, _references(references, reference), before)
@@ -103,7 +92,7 @@ def simulate(
     if warm_start:
         _solve_first(ctrl, start, tell)
     sample, told = _sample_by(law, ctrl, interval), _measure_by(noise, sensing)
-    return _run(ctrl, start, steps, interval, numbers, tell, sample, move, disturbance, sensing, told)
+    return _run(ctrl, start, steps, interval, every, tell, sample, move, disturbance, sensing, told)
 
 
 def _measure_by(noise: Disturbance | None, sensing: Sensing | None) -> Callable[[int, Array, Array], Array]:
@@ -130,7 +119,7 @@ def _run(
     start: Array,
     steps: int,
     interval: float,
-    numbers: list[int],
+    every: int,
     tell: Before,
     sample: Sample,
     move: Plant,
@@ -138,34 +127,23 @@ def _run(
     sensing: Sensing | None,
     told: Callable[[int, Array, Array], Array],
 ) -> Log:
-    """The loop and its log; ``numbers``: rows that are logged; ``told``: what a controller without an estimator is
-    told of the state."""
+    """The loop and its log; ``every``: samples from plan to plan that is kept; ``told``: what a controller without an
+    estimator is told of the state."""
     look = told if sensing is None else sensing.look
     name, nx, nu = ctrl.description.name, ctrl.dims.nx, ctrl.dims.nu
-    x, u, known = np.zeros((steps + 1, nx)), np.zeros((steps, nu)), np.zeros((steps, ctrl.known.size))
-    status, time_ns, cost = np.zeros(steps, np.int64), np.zeros(steps, np.int64), np.zeros(steps)
-    z = np.zeros((steps, len(ctrl.names.algebraic)))
-    p, y = np.zeros((steps, ctrl.dims.np)), np.zeros((steps, ctrl.dims.ny))
+    notes = Notes(ctrl, steps, interval, every)
+    x, u = notes.x, notes.u
     x[0] = start
-    reasons: dict[Status, str] = {}
-    for k in _progress(range(steps), name):
-        tell(k, ctrl)
-        u[k], time_ns[k] = sample(look(k, x[k], u[k - 1] if k else np.zeros(nu)), k)
-        status[k], cost[k], known[k] = ctrl.status, ctrl.cost, ctrl.known
-        if status[k] not in reasons:
-            reasons[Status(status[k])] = ctrl.diagnose() if status[k] else ""
-        p[k], y[k] = start_parameters(ctrl), path_reference(ctrl)
-        z[k] = ctrl.algebraic(x[k], u[k])
-        moved = move(x[k].copy(), u[k].copy(), interval)
-        x[k + 1] = _state(moved, nx, f"the plant's state after sample {k}", partial(_before, ctrl, x[k], u[k]))
-        if disturbance is not None:
-            x[k + 1] += _state(disturbance(k, x[k].copy()), nx, f"the disturbance of sample {k}")
-    h = _sample_rows(ctrl, np.hstack([x[:-1], known]), u, p, z)[:, numbers]
-    own, traces = _own_axes(ctrl, numbers, h, x, u)
-    t = interval * np.arange(steps + 1, dtype=np.float64)
-    arrays = t, x, u, z, h[:, own], p, y, status, cost, time_ns
-    found = None if sensing is None else sensing.record()
-    return Log(name, ctrl.description.time_unit, *arrays, *traces, reasons, found)
+    with Progress(name, steps, "samples") as progress:
+        for k in range(steps):
+            tell(k, ctrl)
+            notes.take(k, *sample(look(k, x[k], u[k - 1] if k else np.zeros(nu)), k))
+            moved = move(x[k].copy(), u[k].copy(), interval)
+            x[k + 1] = _state(moved, nx, f"the plant's state after sample {k}", partial(_before, ctrl, x[k], u[k]))
+            if disturbance is not None:
+                x[k + 1] += _state(disturbance(k, x[k].copy()), nx, f"the disturbance of sample {k}")
+            progress.add()
+    return notes.finish(None if sensing is None else sensing.record())
 
 
 def _sample_by(law: Law, ctrl: Controller, interval: float) -> Sample:
@@ -188,22 +166,6 @@ def _sample_by(law: Law, ctrl: Controller, interval: float) -> Sample:
     if law not in laws:
         raise ControllerError(f"law is {law!r}; allowed: 'step', 'solve'")
     return laws[law]
-
-
-def _sample_rows(ctrl: Controller, x: Array, u: Array, p: Array, z: Array) -> Array:
-    """Values of the rows of the samples, with what node 0 has behind the parameters of the user."""
-    data = whole_parameters(ctrl)[:1, ctrl.dims.np :]
-    return row_values(ctrl, x, u, append_solved(ctrl.description, np.hstack([p, np.tile(data, (len(x), 1))]), z))
-
-
-def _path_rows(ctrl: Controller) -> list[int]:
-    """Numbers of the general rows that apply to a sample: they hold at node 0, or at several nodes before the end."""
-    found = []
-    for i, row in enumerate(ctrl.description.rows):
-        path = [k for k in row.nodes if k < ctrl.dims.N]
-        if row.is_general and row.index >= 0 and (0 in path or len(path) > 1):
-            found.append(i)
-    return found
 
 
 def _references(references: References | None, reference: References | None) -> References | None:
@@ -234,13 +196,22 @@ def _solve_first(ctrl: Controller, x0: Array, tell: Before) -> None:
         ctrl.view("samples")[...] = 0
 
 
-def _check_steps(steps: object, ctrl: Controller, rows: int) -> None:
+def _check_steps(steps: object, ctrl: Controller) -> None:
     if not isinstance(steps, int | np.integer) or isinstance(steps, bool) or steps < 0:
         raise ControllerError(f"steps is {steps!r}; expected an integer >= 0")
-    columns = ctrl.dims.nx + ctrl.dims.nu + ctrl.dims.np + ctrl.dims.ny + rows + LOG_COLUMNS
-    most = LOG_BYTES // (columns * np.dtype(np.float64).itemsize)
+    columns = columns_of_log(ctrl)
+    most = LOG_BYTES // (columns * REAL)
     if steps > most:
         raise ControllerError(f"steps is {steps}; expected at most {most}, whose log takes {LOG_BYTES >> 30} GiB")
+
+
+def _every(plans: object, ctrl: Controller, steps: int) -> int:
+    """Samples from one plan that the log keeps to the next; 0: none."""
+    if plans is None:
+        return spacing(ctrl, steps)
+    if not is_integer(plans) or int(plans) < 0:  # type: ignore[call-overload]
+        raise ControllerError(f"plans is {plans!r}; expected an integer >= 0: every how many samples a plan is kept")
+    return int(plans)  # type: ignore[call-overload, no-any-return]
 
 
 def _before(ctrl: Controller, x: Array, u: Array) -> str:
@@ -263,47 +234,3 @@ def _state(value: ArrayLike, nx: int, what: str, before: Callable[[], str] = str
     if not np.all(np.isfinite(array)):
         raise ControllerError(f"{what} is not finite: {array.tolist()}{before()}")
     return array
-
-
-def _progress(samples: range, name: str) -> Iterable[int]:
-    """The samples, with a progress bar on a terminal if there are many and rich is installed."""
-    if len(samples) < LONG_RUN or not sys.stderr.isatty() or find_spec("rich") is None:
-        return samples
-    from rich.console import Console
-    from rich.progress import track
-
-    return track(samples, description=name, console=Console(stderr=True), transient=True)
-
-
-def _own_axes(
-    ctrl: Controller, numbers: list[int], h: Array, x: Array, u: Array
-) -> tuple[list[int], tuple[Traces, Traces, Traces, Traces, Traces, Traces]]:
-    """Columns of h with an axis of their own, and the traces of a log: states, controls, rows, parameters, references.
-
-    The other columns are bare states or controls, whose traces have their bounds.
-    """
-    described = ctrl.description
-    names = (*ctrl.names.states, *ctrl.names.controls)
-    signals = dict(zip(names, (*x[:-1].T, *u.T), strict=True))
-    bounds: dict[str, list[Bound]] = {name: [] for name in signals}
-    for i, row in enumerate(described.rows):
-        place = row.variable(ctrl.dims.nx)
-        if place is not None and (place >= ctrl.dims.nx or len(row.nodes) > 1):
-            bounds[names[place]].append(Bound(*path_bounds(ctrl, i), soft=row.soft is not None))
-    own, rows = [], []
-    for i, number in enumerate(numbers):
-        row = described.rows[number]
-        bound = Bound(*path_bounds(ctrl, number), soft=row.soft is not None)
-        if row.name in signals and np.allclose(h[:, i], signals[row.name], rtol=SAME, atol=0.0):
-            bounds[row.name].append(bound)
-        else:
-            own.append(i)
-            rows.append(Trace(row.name, "", (bound,)))
-    unit = units(described.states, described.controls, described.algebraic, described.parameters)
-    algebraic = tuple(Trace(name, unit[name]) for name in ctrl.names.algebraic)
-    states, controls = (
-        tuple(Trace(n, unit[n], tuple(bounds[n])) for n in names) for names in (ctrl.names.states, ctrl.names.controls)
-    )
-    declared = tuple(Trace(name, unit[name]) for name in ctrl.names.parameters)
-    followed = tuple(Trace(r.name, unit.get(r.signal, ""), signal=r.signal) for r in described.residuals)
-    return own, (states, controls, algebraic, tuple(rows), declared, followed)

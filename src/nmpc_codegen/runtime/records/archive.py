@@ -11,19 +11,28 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import IO, Any
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from nmpc_codegen.errors import ControllerError
+from nmpc_codegen.package.program import Program
 from nmpc_codegen.package.status import Status
-from nmpc_codegen.runtime.records.trace import COLUMNS, Bound, Estimates, Record, Trace
+from nmpc_codegen.runtime.records.trace import COLUMNS, Estimates, Limit, Plans, Record, Trace
 
-FORMAT = "nmpc_codegen log 3"
-ARRAYS = ("t", *COLUMNS, "status", "cost", "time_ns")
+FORMAT = "nmpc_codegen log 4"
+ARRAYS = ("t", *COLUMNS, "status", "cost", "time_ns", "lower", "upper", "residual", "began_ns")
 
 #: Arrays of estimates, with the field of the traces of their columns, and the prefix of their names in the archive.
 OF_ESTIMATES = {"x": "states", "std": "states", "y": "sensors", "p": "", "status": "", "time_ns": ""}
 ESTIMATED = "estimates_"
+
+#: Arrays of plans, and the prefix of their names in the archive.
+OF_PLANS = ("sample", "t", "x", "u", "distance", "multiplier", "active")
+PLANNED = "plans_"
+
+#: What files that are no archives make NumPy raise.
+BROKEN = (zipfile.BadZipFile, zlib.error, EOFError, msgspec.ValidationError)
 
 
 def write(log: Record, file: str | os.PathLike[str] | IO[bytes]) -> None:
@@ -34,11 +43,17 @@ def write(log: Record, file: str | os.PathLike[str] | IO[bytes]) -> None:
         "time_unit": log.time_unit,
         "traces": {kind: [asdict(trace) for trace in getattr(log, kind)] for kind in COLUMNS.values()},
         "reasons": {status.name: reason for status, reason in log.reasons.items()},
+        "limits": [asdict(limit) for limit in log.limits],
+        "program": asdict(log.program),
+        "dt": log.dt,
     }
     content = {name: getattr(log, name) for name in ARRAYS}
     if (found := log.estimates) is not None:
         text["estimates"] = {kind: [asdict(t) for t in getattr(found, kind)] for kind in ("states", "sensors")}
         content |= {f"{ESTIMATED}{name}": getattr(found, name) for name in OF_ESTIMATES}
+    if (kept := log.plans) is not None:
+        text["plans"] = [asdict(trace) for trace in kept.rows]
+        content |= {f"{PLANNED}{name}": getattr(kept, name) for name in OF_PLANS}
     content["description"] = np.array(json.dumps(text))
     write_arrays(file, np.savez_compressed, content)
 
@@ -67,15 +82,29 @@ def read(file: str | os.PathLike[str] | IO[bytes]) -> dict[str, Any]:
                 raise ValueError(f"it lacks {', '.join(lacking)}")
             arrays = {name: found[name] for name in ARRAYS}
             text = json.loads(str(found["description"]))
+            of_plans = {n: found[f"{PLANNED}{n}"] for n in OF_PLANS} if "plans" in text else None
             of_estimates = {n: found[f"{ESTIMATED}{n}"] for n in OF_ESTIMATES} if "estimates" in text else None
         if text["format"] != FORMAT:
             raise ValueError(f"its format is {text['format']!r}, not {FORMAT!r}")
         traces = {kind: tuple(_trace(**entry) for entry in text["traces"][kind]) for kind in COLUMNS.values()}
-        _check(arrays, traces)
+        limits = tuple(Limit(**entry) for entry in text["limits"])
+        _check(arrays, traces, limits)
         reasons = {Status[name]: str(reason) for name, reason in text["reasons"].items()}
-        more = {"estimates": None if of_estimates is None else _estimates(of_estimates, text["estimates"], arrays)}
+        program = msgspec.convert(text["program"], Program)
+        plans = None if of_plans is None else _plans(of_plans, text["plans"], arrays)
+        more = {"limits": limits, "program": program, "dt": float(text["dt"]), "plans": plans}
+        more |= {"estimates": None if of_estimates is None else _estimates(of_estimates, text["estimates"], arrays)}
         return {"name": text["name"], "time_unit": text["time_unit"], "reasons": reasons, **arrays, **traces, **more}
-    except (ValueError, KeyError, TypeError, AttributeError, zipfile.BadZipFile, zlib.error, EOFError) as error:
+    except (
+        ValueError,
+        KeyError,
+        TypeError,
+        AttributeError,
+        zipfile.BadZipFile,
+        zlib.error,
+        EOFError,
+        msgspec.ValidationError,
+    ) as error:
         what = (
             f"{error} is missing"
             if isinstance(error, KeyError)
@@ -84,12 +113,16 @@ def read(file: str | os.PathLike[str] | IO[bytes]) -> dict[str, Any]:
         raise ControllerError(f"{file} is not a log that Log.save() wrote: {what}") from error
 
 
-def _check(arrays: Mapping[str, Any], traces: Mapping[str, tuple[Trace, ...]]) -> None:
+def _check(arrays: Mapping[str, Any], traces: Mapping[str, tuple[Trace, ...]], limits: tuple[Limit, ...]) -> None:
     """ValueError unless lengths and numbers of columns fit together, and every status is one."""
     steps = len(arrays["u"])
     for name in ARRAYS:
         rows = steps + (name in ("t", "x"))
-        expected = (rows, len(traces[COLUMNS[name]])) if name in COLUMNS else (rows,)
+        expected: tuple[int, ...] = (rows, len(traces[COLUMNS[name]])) if name in COLUMNS else (rows,)
+        if name in ("lower", "upper"):
+            expected = steps, len(limits)
+        if name == "began_ns" and not len(arrays[name]):
+            continue
         if arrays[name].shape != expected:
             raise ValueError(f"{name} has the shape {arrays[name].shape}, not {expected}")
     for status in np.unique(arrays["status"]):
@@ -107,5 +140,18 @@ def _estimates(arrays: Mapping[str, Any], text: Mapping[str, Any], log: Mapping[
     return Estimates(**fields)
 
 
-def _trace(name: str, unit: str, bounds: list[dict[str, Any]], signal: str) -> Trace:
-    return Trace(name, unit, tuple(Bound(**bound) for bound in bounds), signal)
+def _plans(arrays: Mapping[str, Any], rows: list[dict[str, Any]], log: Mapping[str, Any]) -> Plans:
+    """ValueError unless plans belong to samples and have the columns of the log."""
+    n, nodes = len(arrays["sample"]), len(arrays["t"])
+    shapes: dict[str, tuple[int, ...]] = {"x": (n, nodes, log["x"].shape[1]), "u": (n, nodes - 1, log["u"].shape[1])}
+    shapes |= dict.fromkeys(("distance", "multiplier", "active"), (n, len(rows)))
+    for name, shape in shapes.items():
+        if arrays[name].shape != shape:
+            raise ValueError(f"{PLANNED}{name} has the shape {arrays[name].shape}, not {shape}")
+    if n and not 0 <= arrays["sample"].min() <= arrays["sample"].max() < len(log["u"]):
+        raise ValueError("a plan belongs to no sample")
+    return Plans(**arrays, rows=tuple(_trace(**row) for row in rows))
+
+
+def _trace(name: str, unit: str, signal: str) -> Trace:
+    return Trace(name, unit, signal)

@@ -6,7 +6,13 @@ import math
 from collections.abc import Iterable, Sequence
 from html import escape
 
+import numpy as np
+from numpy.typing import NDArray
+
 from nmpc_codegen.package.signals import Signal
+from nmpc_codegen.runtime.records.trace import Trace
+
+Array = NDArray[np.float64]
 
 #: Head of the table of rows of a problem.
 ROWS = ("lower", "row", "upper", "unit", "nodes", "")
@@ -31,6 +37,18 @@ def shorten(rows: Sequence[tuple[object, ...]]) -> list[tuple[object, ...]]:
     """The first SHOWN rows of one kind, and how many there are besides."""
     more = [("", f"and {len(rows) - SHOWN} more")] if len(rows) > SHOWN else []
     return [*rows[:SHOWN], *more]
+
+
+def ranges(groups: Iterable[tuple[str, Sequence[Trace], Array]]) -> str:
+    """A table of quantities with their first, last, least and largest values: kind, traces, values (n, traces)."""
+    found: list[tuple[object, ...]] = []
+    for kind, traces, values in groups:
+        lines: list[tuple[object, ...]] = []
+        for trace, column in zip(traces, values.T, strict=True):
+            ends = (column[0], column[-1], column.min(), column.max()) if len(column) else ("",) * 4
+            lines.append((kind, trace.name, trace.unit, *ends))
+        found += shorten(lines)
+    return table(("", "name", "unit", "first", "last", "least", "most"), found)
 
 
 def _line(tag: str, cells: Sequence[object]) -> str:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import IO, Any, Self
 
 import numpy as np
@@ -12,28 +13,14 @@ from numpy.typing import NDArray
 from nmpc_codegen.package.signals import list_some
 from nmpc_codegen.package.status import Status
 from nmpc_codegen.runtime.diagnosis.diagnose import WARNED
+from nmpc_codegen.runtime.pictures import compare, film, loop, plane, plans, times
+from nmpc_codegen.runtime.pictures import rows as rows_over_time
+from nmpc_codegen.runtime.pictures.style import File
 from nmpc_codegen.runtime.records import archive, tables
-from nmpc_codegen.runtime.records.html import page, shorten, table
-from nmpc_codegen.runtime.records.plot import (
-    ALGEBRAIC_COLOR,
-    CONTROL_COLOR,
-    PARAMETER_COLOR,
-    ROW_COLOR,
-    SENSOR_COLOR,
-    STATE_COLOR,
-    TIME_COLOR,
-    Curve,
-    draw,
-)
-from nmpc_codegen.runtime.records.trace import Record, Trace
+from nmpc_codegen.runtime.records.html import page, ranges
+from nmpc_codegen.runtime.records.trace import Record
 
 Array = NDArray[np.float64]
-
-#: Statuses whose control is that of a QP, while its rows or its plan are doubtful.
-DOUBTFUL = (Status.RELAXED, Status.NOT_CONVERGED)
-
-#: Times per sample are drawn on a logarithmic axis if the longest one is so many times the median.
-UNEVEN = 20
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -47,22 +34,12 @@ class Log(Record):
         return f"<Log {self.name}: {self._length()}, {self._outcome()}; x {self.x.shape}, u {self.u.shape}>"
 
     def _repr_html_(self) -> str:
-        found: list[tuple[object, ...]] = []
-        groups = (
+        groups = [
             *(("state", self.states, self.x), ("control", self.controls, self.u)),
             *(("algebraic", self.algebraic, self.z), ("row", self.rows, self.h)),
-        )
-        for kind, traces, values in groups:
-            lines: list[tuple[object, ...]] = []
-            for trace, column in zip(traces, values.T, strict=True):
-                ends = (column[0], column[-1], column.min(), column.max()) if len(column) else ("",) * 4
-                lines.append((kind, trace.name, trace.unit, *ends))
-            found += shorten(lines)
-        return page(
-            f"Log {self.name}",
-            self.summary().partition(": ")[2],
-            [table(("", "name", "unit", "first", "last", "least", "most"), found)],
-        )
+            ("parameter", self.parameters, self.p),
+        ]
+        return page(f"Log {self.name}", self.summary().partition(": ")[2], [ranges(groups)])
 
     @property
     def ok(self) -> bool:
@@ -116,83 +93,98 @@ class Log(Record):
             bad = int(np.sum(found.status != Status.OK))
             median, worst = np.median(found.time_ns) / 1e3, np.max(found.time_ns) / 1e3
             lines.append(f"estimator: {bad} samples not OK; median {median:.1f} us, worst {worst:.1f} us")
+        if len(self.began_ns):
+            lines.append(times.in_words(self))
         last = zip(self.states, self.x[-1], strict=True)
         lines.append("last state: " + list_some([f"{trace.name} = {value:.6g}" for trace, value in last]))
         return "\n".join(lines)
 
-    def plot(self, file: str | os.PathLike[str] | None = None) -> Any:
-        """Plot states, controls, general path rows and the time per sample over time. It needs the extra ``plot``.
+    def plot(self, file: File = None) -> Any:
+        """Plot states, controls, rows, changing parameters and computing times over time. Extra ``plot``.
 
-        Hard bounds are dashed and soft ones dotted where a curve comes near or violates them; they are those at the end
-        of the loop. References of bare states and controls are thin lines. With an estimator there are also estimates
-        with two standard deviations, measurements, and axes of what is estimated besides states. Marks at the lower
-        edge: samples that failed, red, and those that are RELAXED or NOT_CONVERGED, orange.
+        Hard bounds are dashed and soft ones dotted, as they were at every sample, where a curve comes near or violates
+        them. References of bare states and controls are thin lines. With an estimator there are also estimates with
+        two standard deviations, measurements, and axes of what is estimated besides states. Marks at the lower edge:
+        samples that failed, red, and those that are RELAXED or NOT_CONVERGED, orange.
 
         Args:
             file: file for the picture (.png, .pdf, .svg); None: only return the figure, for plt.show().
 
         Returns:
-            The matplotlib figure.
+            The matplotlib figure. The other pictures have the same argument, result and error.
 
         Raises:
             ExtraError: matplotlib is not installed.
         """
-        return draw(self._curves(), self._title(), self._time_label(), self._marks(), file)
+        return loop.draw(self, file)
 
-    def _curves(self) -> list[Curve]:
-        followed = {trace.signal: self.y[:, i] for i, trace in reversed([*enumerate(self.references)])}
-        start = self.t[:-1]
-        held = np.append(self.u, self.u[-1:], axis=0)
-        curves = [
-            self._with_estimate(Curve(trace, self.t, self.x[:, i], STATE_COLOR, followed.get(trace.name)), i)
-            for i, trace in enumerate(self.states)
-        ]
-        curves += self._unknown_curves()
-        curves += [
-            Curve(trace, self.t[: len(held)], held[:, j], CONTROL_COLOR, followed.get(trace.name), held=True)
-            for j, trace in enumerate(self.controls)
-        ]
-        curves += [Curve(trace, start, self.z[:, i], ALGEBRAIC_COLOR) for i, trace in enumerate(self.algebraic)]
-        curves += [Curve(trace, start, self.h[:, i], ROW_COLOR, dots=True) for i, trace in enumerate(self.rows)]
-        times = self.time_ns / 1e3
-        uneven = bool(times.size and times.max() > UNEVEN * np.median(times) > 0)
-        return [*curves, Curve(Trace("time", "µs"), start, times, TIME_COLOR, dots=True, logarithmic=uneven)]
+    def plot_plans(self, every: int = 5, file: File = None) -> Any:
+        """Plot states and controls with the plan of every ``every``-th sample: what was predicted, and what happened.
 
-    def _with_estimate(self, curve: Curve, i: int) -> Curve:
-        """The curve of state i with what is measured of it and what the estimator makes of it."""
-        if (found := self.estimates) is None:
-            return curve
-        shown = [found.y[:, m] for m, sensor in enumerate(found.sensors) if sensor.signal == curve.trace.name]
-        estimate = found.x[:, i], 2 * found.std[:, i]
-        return replace(curve, estimate=estimate, measured=shown[0] if shown else None)
+        Raises:
+            ControllerError: the log has no plans.
+        """
+        return plans.draw(self, every, file)
 
-    def _unknown_curves(self) -> list[Curve]:
-        """The unknown parameters, and measurements that are no states."""
-        if (found := self.estimates) is None:
-            return []
-        start, nx = self.t[:-1], len(self.states)
-        unknown = [
-            self._with_estimate(Curve(trace, start, found.p[:, i], PARAMETER_COLOR), nx + i)
-            for i, trace in enumerate(found.states[nx:])
-        ]
-        sensors = [
-            Curve(trace, start, found.y[:, m], SENSOR_COLOR, dots=True)
-            for m, trace in enumerate(found.sensors)
-            if not trace.signal
-        ]
-        return [*unknown, *sensors]
+    def plot_rows(self, rows: Sequence[str] | None = None, file: File = None) -> Any:
+        """Plot, for every row of the problem, the least distance of the plans from its bounds over the horizon, with
+        marks where it is active, and its largest multiplier beside it.
 
-    def _title(self) -> str:
-        bad = int(np.sum(self.status != Status.OK))
-        return f"{self.name}  ({len(self.u)} samples{f', {bad} not OK' if bad else ''})"
+        Args:
+            rows: names of rows; None: those that come nearest, at most twelve.
+            file: as in plot().
 
-    def _time_label(self) -> str:
-        return "sample" if self.time_unit == "samples" else f"time [{self.time_unit}]"
+        Raises:
+            ControllerError: the log has no plans, or there is no such row.
+        """
+        return rows_over_time.draw(self, rows, file)
 
-    def _marks(self) -> tuple[Array, Array]:
-        """Times of doubtful and of failed samples."""
-        doubtful = np.isin(self.status, DOUBTFUL)
-        return self.t[:-1][doubtful], self.t[:-1][(self.status != Status.OK) & ~doubtful]
+    def plot_times(self, dt: float | None = None, file: File = None) -> Any:
+        """Plot how many samples took how long, with median, worst case and deadline; of a recording also the periods.
+
+        Args:
+            dt: deadline, in the unit of time of the problem; None: the sampling time.
+            file: as in plot().
+        """
+        return times.draw(self, dt, file)
+
+    def plot_xy(self, x: str, y: str, rows: bool = True, every: int = 0, file: File = None) -> Any:
+        """Plot one state over another, with what the rows forbid there.
+
+        Args:
+            x: name of a state.
+            y: name of another one.
+            rows: shade where a row is violated that depends on these two states and on parameters alone, such as an
+                obstacle; if parameters change, at its first, middle and last place.
+            every: draw the plan of every so many samples; 0: of none.
+            file: as in plot().
+
+        Raises:
+            ControllerError: there is no such state, or the log has no plans.
+        """
+        return plane.draw(self, x, y, rows, every, file)
+
+    def compare(self, other: Record, names: tuple[str, str] = ("this", "other"), file: File = None) -> Any:
+        """Plot this log and, over it, what another one has of the same names."""
+        return compare.draw(self, other, names, file)
+
+    def animate(self, file: File = None, xy: tuple[str, str] | None = None, every: int = 1, fps: float = 20.0) -> Any:
+        """A film of the loop with the plan of every sample: over time, or of one state over another.
+
+        Args:
+            file: .gif, or .mp4 if ffmpeg is installed; None: only return the animation, for a notebook its
+                to_jshtml().
+            xy: names of two states, as in plot_xy(); None: all states and controls over time.
+            every: samples from picture to picture.
+            fps: pictures per second, > 0.
+
+        Returns:
+            The animation of matplotlib.
+
+        Raises:
+            ControllerError: the log has no plans, a name or number is wrong, or the file cannot be written.
+        """
+        return film.draw(self, file, xy, every, fps)
 
     def to_dataframe(self) -> Any:
         """A pandas DataFrame over time with two levels of columns: ("x", "p"), ("u", "a"), ("status", ""), ...

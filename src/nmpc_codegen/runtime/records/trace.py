@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -10,6 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from nmpc_codegen.package.program import Program
 from nmpc_codegen.package.status import Status
 
 Array = NDArray[np.float64]
@@ -28,37 +28,52 @@ COLUMNS = {"x": "states", "u": "controls", "z": "algebraic", "h": "rows", "p": "
 
 
 @dataclass(frozen=True)
-class Bound:
-    """Bounds of a row at the end of the loop (+-inf: none); ``soft``: they may be violated at a cost."""
-
-    lower: float = -math.inf
-    upper: float = math.inf
-    soft: bool = False
-
-
-@dataclass(frozen=True)
 class Trace:
     """One quantity of a log; ``signal``: the state or control that a residual is, "" for another expression."""
 
     name: str
     unit: str = ""
-    bounds: tuple[Bound, ...] = ()
     signal: str = ""
-
-    @property
-    def lower(self) -> float:
-        """The largest lower bound, -inf if there is none."""
-        return max((bound.lower for bound in self.bounds), default=-math.inf)
-
-    @property
-    def upper(self) -> float:
-        """The smallest upper bound, inf if there is none."""
-        return min((bound.upper for bound in self.bounds), default=math.inf)
 
     @property
     def label(self) -> str:
         """Label of its axis."""
         return with_unit(self.name, self.unit)
+
+
+@dataclass(frozen=True)
+class Limit:
+    """A row that bounds a column of a log.
+
+    ``array``, ``column``: what it bounds, of "x", "u" or "h"; ``row``: its place in the program of the rows; ``soft``:
+    it may be violated at a cost; ``delay``: time of the first node where it holds, at which the bound of a sample is.
+    """
+
+    name: str
+    array: str
+    column: int
+    row: int
+    soft: bool = False
+    delay: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Plans:
+    """Plans that a log has kept, of n samples, with the rows of the problem along each.
+
+    ``distance``: the least of all nodes to the nearer bound, negative where a row is violated, and NaN of coupled rows;
+    ``multiplier``: the one of largest size, positive at an upper bound; ``active``: number of nodes at which the row
+    is active. ``rows``: names of their columns.
+    """
+
+    sample: NDArray[np.int64]  # (n,)
+    t: Array  # (N+1,), time of every node after the sample
+    x: Array  # (n, N+1, nx)
+    u: Array  # (n, N, nu)
+    distance: Array  # (n, number of rows)
+    multiplier: Array  # (n, number of rows)
+    active: NDArray[np.int64]  # (n, number of rows)
+    rows: tuple[Trace, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,8 +102,13 @@ class Record:
     ``z``: algebraic variables at x[k], u[k]. ``h``: values of the general path rows there, those that hold at node 0 or
     at several nodes before the end. ``p``, ``y``: parameters and reference of the path residual at node 0. ``cost[k]``:
     of the plan of sample k.
-    ``states`` ... ``references``: names, units and bounds of the columns of x, u, z, h, p, y.
-    ``reasons``: what Controller.diagnose() said at the first sample with each status.
+    ``lower``, ``upper``: bounds of the rows in ``limits``, each at the first node where it holds. ``residual``: how far
+    the plan was from the model and its rows, see Stats; NaN where the algorithm has none.
+    ``states`` ... ``references``: names and units of the columns of x, u, z, h, p, y.
+    ``reasons``: what Controller.diagnose() said at the first sample with each status. ``program``: the rows as
+    functions of states, controls and parameters.
+    ``began_ns``: when each sample began, of a recording, by a clock that only runs forward; else empty; ``dt``: the
+    time between samples that was meant.
     """
 
     name: str
@@ -103,6 +123,9 @@ class Record:
     status: NDArray[np.int64]  # (steps,), values of Status
     cost: Array  # (steps,)
     time_ns: NDArray[np.int64]  # (steps,), prepare and feedback together
+    lower: Array  # (steps, number of limits)
+    upper: Array  # (steps, number of limits)
+    residual: Array  # (steps,)
     states: tuple[Trace, ...]
     controls: tuple[Trace, ...]
     algebraic: tuple[Trace, ...]
@@ -110,4 +133,9 @@ class Record:
     parameters: tuple[Trace, ...]
     references: tuple[Trace, ...]
     reasons: Mapping[Status, str] = field(default_factory=dict)
+    limits: tuple[Limit, ...] = ()
+    program: Program = field(default_factory=Program)
+    dt: float = 0.0
+    plans: Plans | None = None
     estimates: Estimates | None = None  # of a loop with an estimator
+    began_ns: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))

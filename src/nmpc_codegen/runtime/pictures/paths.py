@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nmpc_codegen.runtime.extras import extra
-from nmpc_codegen.runtime.records.plot import (
+from nmpc_codegen.runtime.pictures.style import (
     CONTROL_COLOR,
     FAILURE_COLOR,
     ROW_HEIGHT,

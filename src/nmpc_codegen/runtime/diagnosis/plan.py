@@ -1,0 +1,116 @@
+"""The plan of a controller with the values, bounds and multipliers of its rows."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nmpc_codegen.package.signals import imposed_rows
+from nmpc_codegen.runtime.diagnosis.rows import append_solved, row_values, whole_parameters
+from nmpc_codegen.runtime.memory import Memory
+
+Array = NDArray[np.float64]
+
+#: A row is active if its multiplier times its scale exceeds this part of the largest one, and of the cost, and if it is
+#: near its bound: interior-point methods leave small multipliers at all rows.
+LEAST_WEIGHT, NEAR = 1e-6, 1e-2
+
+
+@dataclass(frozen=True, eq=False)
+class PlanData:
+    """What a plan is evaluated from: states with those behind the user's, controls, algebraic variables, parameters
+    with those behind the user's, bounds and multipliers of all rows at all nodes, cost."""
+
+    x: Array
+    u: Array
+    z: Array
+    p: Array
+    lower: Array
+    upper: Array
+    multiplier: Array
+    cost: float
+
+
+@dataclass(frozen=True, eq=False)
+class RowsOfPlans:
+    """Rows of n plans, (n, N+1, number of rows): values, NaN where a row does not hold, distances to the nearer bound,
+    multipliers, and where they are active."""
+
+    values: Array
+    distance: Array
+    multiplier: Array
+    active: NDArray[np.bool_]
+
+
+class PlanReader:
+    """Copies plans of the controllers of one package, and evaluates their rows, many plans at once."""
+
+    def __init__(self, ctrl: Memory) -> None:
+        self._described = described = ctrl.description
+        self._dims, rows, N = ctrl.dims, described.rows, ctrl.dims.N
+        self._holds = np.zeros((N + 1, len(rows)), dtype=bool)
+        self._simple = [(i, place) for i, row in enumerate(rows) if (place := row.variable(self._dims.nx)) is not None]
+        for i, row in enumerate(rows):
+            nodes = [k for k in row.nodes if k or row.kind != "state"]  # x_0 is given
+            self._holds[() if row.is_coupled else nodes, i] = not row.is_coupled
+        imposed = imposed_rows(rows, N)
+        self._imposed = [entry.node for entry in imposed], [entry.row for entry in imposed]
+        self._of_controls = [(i, row.index) for i, row in enumerate(rows) if row.kind == "control"]
+        self._declared = np.array([[row.lower, row.upper] for row in rows]).reshape(-1, 2).T
+
+    def copy(self, ctrl: Memory) -> PlanData:
+        """The present plan."""
+        p = np.array(whole_parameters(ctrl), dtype=np.float64)
+        lower, upper = self.bounds(ctrl)
+        x, u = np.array(ctrl.whole_x, dtype=np.float64), np.array(ctrl.u, dtype=np.float64)
+        z = np.array(ctrl.z, dtype=np.float64).reshape(len(x), len(ctrl.names.algebraic))
+        return PlanData(x, u, z, p, lower, upper, self._multipliers(ctrl), ctrl.cost)
+
+    def bounds(self, ctrl: Memory) -> tuple[Array, Array]:
+        """Present lower and upper bounds of all rows at all nodes, (N+1, number of rows)."""
+        shape = self._holds.shape
+        if self._described.online["bounds"] == "fixed":
+            return np.broadcast_to(self._declared[0], shape), np.broadcast_to(self._declared[1], shape)
+        found = []
+        for side in ("lower", "upper"):
+            stored = np.array(ctrl.view(side), dtype=np.float64)
+            found.append(stored if len(stored) == shape[0] else stored[[*[0] * self._dims.N, -1]])
+        return found[0], found[1]
+
+    def _multipliers(self, ctrl: Memory) -> Array:
+        """Multipliers of all rows, (N+1, number of rows), NaN if the algorithm keeps none."""
+        members = self._described.members("solver")
+        found = np.full(self._holds.shape, 0.0 if "mu_u" in members else np.nan)
+        if "mu_u" in members:
+            found[self._imposed] = ctrl.member("mult")
+            for i, j in self._of_controls:
+                found[:-1, i] = ctrl.mu_u[:, j]
+        return found
+
+    def evaluate(self, ctrl: Memory, plans: Sequence[PlanData]) -> RowsOfPlans:
+        """The rows of all plans."""
+        x, u, z, p, lower, upper, multiplier = (
+            np.stack([getattr(plan, part) for plan in plans])
+            for part in ("x", "u", "z", "p", "lower", "upper", "multiplier")
+        )
+        n, N, nx = len(plans), self._dims.N, self._dims.nx
+        held = np.append(u, u[:, -1:], axis=1)
+        values = np.empty(lower.shape)
+        for end, nodes in ((False, slice(0, N)), (True, slice(N, N + 1))):
+            flat = [a[:, nodes].reshape(n * (1 if end else N), a.shape[2]) for a in (x, held, p, z)]
+            known = append_solved(self._described, flat[2], flat[3])
+            values[:, nodes] = row_values(ctrl, flat[0], flat[1], known, end).reshape(values[:, nodes].shape)
+        for i, place in self._simple:
+            values[..., i] = x[..., place] if place < nx else held[..., place - nx]
+        values = np.where(self._holds, values, np.nan)
+        distance = np.minimum(values - lower, upper - values)
+        scales = np.array(self._described.row_scales)
+        weights = np.abs(multiplier) * scales
+        bounds = np.where(np.isfinite(lower), np.abs(lower), 0.0), np.where(np.isfinite(upper), np.abs(upper), 0.0)
+        cost = np.abs([plan.cost for plan in plans])[:, None, None]
+        least = LEAST_WEIGHT * np.fmax(np.max(weights, axis=(1, 2), keepdims=True, initial=0.0), cost)
+        active = (weights > least) & (distance <= NEAR * np.maximum(scales, np.maximum(*bounds)))
+        return RowsOfPlans(values, distance, multiplier, active)

@@ -1,0 +1,1 @@
+"""Pictures: of closed loops, plans, rows, times and iterations, with matplotlib."""

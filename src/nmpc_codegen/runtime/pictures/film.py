@@ -1,0 +1,116 @@
+"""A closed loop as a film: what has happened, and the plan of the moment."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from nmpc_codegen.errors import ControllerError
+from nmpc_codegen.runtime.extras import extra
+from nmpc_codegen.runtime.given import is_positive
+from nmpc_codegen.runtime.pictures.loop import curves_of, draw_bounds, time_label, title_of
+from nmpc_codegen.runtime.pictures.plane import PATH, draw_surroundings, places
+from nmpc_codegen.runtime.pictures.plans import choose, hold, kept_plans
+from nmpc_codegen.runtime.pictures.style import (
+    CONTROL_COLOR,
+    PLAN,
+    STATE_COLOR,
+    WIDTH,
+    File,
+    finish,
+    fit,
+    name_times,
+    new_figure,
+    stack_axes,
+    styled,
+)
+from nmpc_codegen.runtime.records.trace import Plans, Record
+
+WRITERS = {".gif": "pillow", ".mp4": "ffmpeg"}
+NOW = {"color": PLAN[1]["color"], "linewidth": 1.6}
+
+#: Draws the sample of the n-th plan.
+Frame = Callable[[int], None]
+
+
+def draw(log: Record, file: File, xy: tuple[str, str] | None, every: int, fps: float) -> Any:
+    """The film, written if a file is given."""
+    plans = kept_plans(log, "animate()")
+    chosen = choose(plans, every, "animate()")
+    if not is_positive(fps):
+        raise ControllerError(f"animate(): fps is {fps!r}; expected a positive number")
+    animation = extra("matplotlib.animation", "animate()")
+    writer = "" if file is None else _writer(file, animation)
+    with styled():
+        figure, show = _over_time(log, plans, file) if xy is None else _in_plane(log, plans, xy, file)
+        film = animation.FuncAnimation(figure, show, frames=chosen, interval=1e3 / fps, blit=False, repeat=True)
+        if file is not None:
+            film.save(Path(file), writer=writer, fps=fps, dpi=100)
+    return film
+
+
+def _writer(file: Any, animation: Any) -> str:
+    """What writes a file of this ending; ControllerError if nothing does."""
+    ending = Path(file).suffix.lower()
+    if ending not in WRITERS:
+        raise ControllerError(f"animate(): {file} ends in {ending!r}; expected {' or '.join(WRITERS)}")
+    if not animation.writers.is_available(WRITERS[ending]):
+        raise ControllerError(f"animate(): {file} needs {WRITERS[ending]}, which is not installed; .gif needs nothing")
+    return WRITERS[ending]
+
+
+def _over_time(log: Record, plans: Plans, file: File) -> tuple[Any, Frame]:
+    """States and controls over time."""
+    nx, nu = len(log.states), len(log.controls)
+    known = curves_of(log)
+    curves = [*known[:nx], *[c for c in known if c.trace in log.controls][:nu]]
+    figure, columns = stack_axes(nx + nu, file)
+    axes = [axis for column in columns for axis in column]
+    lines = []
+    for i, (axis, curve) in enumerate(zip(axes, curves, strict=True)):
+        planned = plans.x[..., i] if i < nx else plans.u[..., i - nx]
+        values = np.append(planned.ravel(), curve.values)
+        values = values[np.isfinite(values)]
+        low, high = (float(values.min()), float(values.max())) if values.size else (0.0, 0.0)
+        _, seen = draw_bounds(axis, curve.bounds, low, high)
+        fit(axis, min([low, *seen]), max([high, *seen]))
+        axis.set_ylabel(curve.trace.label)
+        style = {"drawstyle": "steps-post" if curve.held else "default"}
+        color = CONTROL_COLOR if curve.held else STATE_COLOR
+        past = axis.plot([], [], color=color, linewidth=1.6, **style)[0]
+        lines.append((past, axis.plot([], [], **NOW, **style)[0]))
+    axes[0].set_xlim(log.t[0], log.t[plans.sample[-1]] + plans.t[-1])
+    name_times(columns, time_label(log.time_unit))
+    finish(figure, title_of(log), [("plan", NOW)], None)
+
+    def show(n: int) -> None:
+        k = int(plans.sample[n])
+        for i, ((past, plan), curve) in enumerate(zip(lines, curves, strict=True)):
+            past.set_data(curve.t[: k + 1], curve.values[: k + 1])
+            plan.set_data(log.t[k] + plans.t, plans.x[n, :, i] if i < nx else hold(plans.u[n, :, i - nx]))
+
+    return figure, show
+
+
+def _in_plane(log: Record, plans: Plans, xy: tuple[str, str], file: File) -> tuple[Any, Frame]:
+    """One state over another; obstacles are where they are at the moment."""
+    i, j = places(log, *xy, "animate()")
+    figure = new_figure((WIDTH, 0.75 * WIDTH), file)
+    axis = figure.subplots()
+    shown = draw_surroundings(axis, log, i, j, True, [int(plans.sample[0])])
+    finish(figure, title_of(log), [PATH, ("plan", NOW), *shown], None)
+    limits = axis.get_xlim(), axis.get_ylim()
+
+    def show(n: int) -> None:
+        k = int(plans.sample[n])
+        axis.clear()
+        draw_surroundings(axis, log, i, j, True, [k])
+        axis.set_xlim(*limits[0])
+        axis.set_ylim(*limits[1])
+        axis.plot(log.x[: k + 1, i], log.x[: k + 1, j], zorder=3, **PATH[1])
+        axis.plot(plans.x[n, :, i], plans.x[n, :, j], zorder=2.5, marker=".", markersize=3, **NOW)
+
+    return figure, show

@@ -1,0 +1,257 @@
+"""The picture of a closed loop: one axis per quantity, with bounds, references and marks."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nmpc_codegen.package.status import Status
+from nmpc_codegen.runtime.extras import extra
+from nmpc_codegen.runtime.pictures.style import (
+    ALGEBRAIC_COLOR,
+    CONTROL_COLOR,
+    ESTIMATE,
+    ESTIMATE_COLOR,
+    FAILURE_COLOR,
+    HARD,
+    MARKS,
+    MEASURED,
+    PARAMETER_COLOR,
+    REFERENCE,
+    ROW_COLOR,
+    SENSOR_COLOR,
+    SOFT,
+    STATE_COLOR,
+    TIME_COLOR,
+    File,
+    Legend,
+    finish,
+    fit,
+    name_times,
+    spread,
+    stack_axes,
+    styled,
+)
+from nmpc_codegen.runtime.records.trace import Record, Trace, with_unit
+
+Array = NDArray[np.float64]
+
+#: Statuses whose control is that of a QP, while its rows or its plan are doubtful.
+DOUBTFUL = (Status.RELAXED, Status.NOT_CONVERGED)
+
+#: Times per sample are drawn on a logarithmic axis if the longest one is so many times the median.
+UNEVEN = 20
+
+
+@dataclass(frozen=True, eq=False)
+class Bounds:
+    """Bounds of a curve as they were, from each of the times ``t`` to the next."""
+
+    t: Array
+    lower: Array
+    upper: Array
+    soft: bool
+
+
+@dataclass(frozen=True, eq=False)
+class Curve:
+    """Values of a trace over time, and their reference, one value per sample; ``held``: constant until the next sample;
+    ``dots``: known at the samples only; ``logarithmic``: positive values of different magnitude. ``estimate``: what an
+    estimator makes of them at the samples, and two standard deviations; ``measured``: what is measured of them;
+    ``bounds``: of all rows that limit them."""
+
+    trace: Trace
+    t: Array
+    values: Array
+    color: str
+    reference: Array | None = None
+    held: bool = False
+    dots: bool = False
+    logarithmic: bool = False
+    estimate: tuple[Array, Array] | None = None
+    measured: Array | None = None
+    bounds: tuple[Bounds, ...] = ()
+
+
+def draw(log: Record, file: File) -> Any:
+    """See Log.plot()."""
+    marks = marks_of(log)
+    return draw_curves(curves_of(log), title_of(log), time_label(log.time_unit), marks, file, len(marks[1]) > 0)
+
+
+def draw_curves(
+    curves: Sequence[Curve], title: str, label: str, marks: tuple[Array, Array] | None, file: File, failed: bool
+) -> Any:
+    """Figure with one axis per curve, with marks at the times of doubtful and of failed samples."""
+    figure, columns = stack_axes(len(curves), file)
+    shown: list[Legend] = []
+    with styled():
+        axes = [axis for column in columns for axis in column]
+        for axis, curve in zip(axes, curves, strict=True):
+            shown += draw_curve(axis, curve)
+            for times, (said, style) in zip(marks or (), MARKS, strict=False):
+                if len(times):
+                    axis.plot(times, np.zeros(len(times)), transform=axis.get_xaxis_transform(), zorder=4, **style)
+                    shown.append((said, style))
+        name_times(columns, label)
+        t = curves[0].t
+        axes[0].set_xlim(t[0], t[-1] if len(t) > 1 else t[0] + 1.0)
+        return finish(figure, title, shown, file, FAILURE_COLOR if failed else "0.2")
+
+
+def draw_curve(axis: Any, curve: Curve) -> list[Legend]:
+    """The curve, its reference, bounds that it comes near or violates, the limits of the axis; what a legend has to
+    explain."""
+    style = "steps-post" if curve.held else "default"
+    dots: dict[str, Any] = {"marker": ".", "markersize": 4.0} if curve.dots else {}
+    axis.plot(curve.t, curve.values, color=curve.color, linewidth=1.6, drawstyle=style, **dots)
+    axis.set_ylabel(curve.trace.label)
+    if curve.logarithmic:
+        _scale(axis)
+        return []
+    finite = curve.values[np.isfinite(curve.values)]
+    low, high = (float(finite.min()), float(finite.max())) if finite.size else (0.0, 0.0)
+    shown, seen = draw_bounds(axis, curve.bounds, low, high)
+    if curve.measured is not None:
+        axis.plot(curve.t[: len(curve.measured)], curve.measured, zorder=1.6, **MEASURED[1])
+        shown.append(MEASURED)
+    if curve.estimate is not None:
+        found, around = curve.estimate
+        t = curve.t[: len(found)]
+        axis.plot(t, found, zorder=2.4, **ESTIMATE[1])
+        axis.fill_between(t, found - around, found + around, color=ESTIMATE_COLOR, alpha=0.18, linewidth=0, zorder=1.4)
+        shown.append(ESTIMATE)
+        seen += [float(found.min()), float(found.max())]
+    if curve.reference is not None and len(curve.reference):
+        followed = np.append(curve.reference, curve.reference[-1])[: len(curve.t)]
+        axis.plot(curve.t, followed, drawstyle="steps-post", zorder=1.8, **REFERENCE[1])
+        shown.append(REFERENCE)
+        seen += [float(followed.min()), float(followed.max())]
+    fit(axis, min([low, *seen]), max([high, *seen]))
+    return shown
+
+
+def _scale(axis: Any) -> None:
+    """A logarithmic axis with plain numbers."""
+    ticker = extra("matplotlib.ticker", "plot()")
+    axis.set_yscale("log")
+    axis.yaxis.set_major_locator(ticker.LogLocator(subs=(1.0, 2.0, 5.0)))
+    axis.yaxis.set_minor_locator(ticker.NullLocator())
+    axis.yaxis.set_major_formatter("{x:g}")
+
+
+def draw_bounds(axis: Any, bounds: Iterable[Bounds], low: float, high: float) -> tuple[list[Legend], list[float]]:
+    """Draw the parts of bounds that values between ``low`` and ``high`` come near or violate; the legend, and the
+    values that the axis has to show."""
+    reach = spread(low, high)
+    shown: list[Legend] = []
+    seen: list[float] = []
+    for bound in bounds:
+        label, look = SOFT if bound.soft else HARD
+        for values, near in (
+            (bound.lower, bound.lower >= low - reach),
+            (bound.upper, bound.upper <= high + reach),
+        ):
+            drawn = np.where(near & np.isfinite(values), values, math.nan)
+            if np.isnan(drawn).all():
+                continue
+            if np.ptp(drawn) == 0.0:
+                axis.axhline(float(drawn[0]), zorder=1.5, **look)
+            else:
+                last = bound.t[-1] + (bound.t[-1] - bound.t[-2])
+                held = np.append(drawn, drawn[-1])
+                axis.plot(np.append(bound.t, last), held, drawstyle="steps-post", zorder=1.5, **look)
+            shown.append((label, look))
+            seen += [float(np.nanmin(drawn)), float(np.nanmax(drawn))]
+    return shown, seen
+
+
+def curves_of(log: Record) -> list[Curve]:
+    """Every quantity of a log that changes, or may: states, what is estimated, controls, algebraic variables, rows,
+    parameters that have changed, computing times."""
+    followed = {trace.signal: log.y[:, i] for i, trace in reversed([*enumerate(log.references)])}
+    start, held = log.t[:-1], np.append(log.u, log.u[-1:], axis=0)
+    curves = [
+        _with_estimate(log, Curve(trace, log.t, log.x[:, i], STATE_COLOR, followed.get(trace.name)), i)
+        for i, trace in enumerate(log.states)
+    ]
+    curves = [replace(curve, bounds=bounds_of(log, "x", i)) for i, curve in enumerate(curves)]
+    curves += _unknown_curves(log)
+    for j, trace in enumerate(log.controls):
+        reference, bounds = followed.get(trace.name), bounds_of(log, "u", j)
+        curves.append(Curve(trace, log.t[: len(held)], held[:, j], CONTROL_COLOR, reference, held=True, bounds=bounds))
+    curves += [Curve(trace, start, log.z[:, i], ALGEBRAIC_COLOR) for i, trace in enumerate(log.algebraic)]
+    curves += [
+        Curve(trace, start, log.h[:, i], ROW_COLOR, dots=True, bounds=bounds_of(log, "h", i))
+        for i, trace in enumerate(log.rows)
+    ]
+    moved = [i for i in range(len(log.parameters)) if (log.p[:, i] != log.p[:1, i]).any()]
+    ended = np.append(log.p, log.p[-1:], axis=0)
+    curves += [Curve(log.parameters[i], log.t[: len(ended)], ended[:, i], PARAMETER_COLOR, held=True) for i in moved]
+    return [*curves, _times(log)]
+
+
+def _times(log: Record) -> Curve:
+    """The computing time of every sample."""
+    times = log.time_ns / 1e3
+    uneven = bool(times.size and times.max() > UNEVEN * np.median(times) > 0)
+    return Curve(Trace("computing\ntime", "µs"), log.t[:-1], times, TIME_COLOR, dots=True, logarithmic=uneven)
+
+
+def bounds_of(log: Record, array: str, column: int) -> tuple[Bounds, ...]:
+    """The bounds of a column, at the times of the nodes where they hold."""
+    if not len(log.u):
+        return ()
+    return tuple(
+        Bounds(log.t[:-1] + limit.delay, log.lower[:, i], log.upper[:, i], limit.soft)
+        for i, limit in enumerate(log.limits)
+        if (limit.array, limit.column) == (array, column)
+    )
+
+
+def _with_estimate(log: Record, curve: Curve, i: int) -> Curve:
+    """The curve of state i with what is measured of it and what the estimator makes of it."""
+    if (found := log.estimates) is None:
+        return curve
+    shown = [found.y[:, m] for m, sensor in enumerate(found.sensors) if sensor.signal == curve.trace.name]
+    estimate = found.x[:, i], 2 * found.std[:, i]
+    return replace(curve, estimate=estimate, measured=shown[0] if shown else None)
+
+
+def _unknown_curves(log: Record) -> list[Curve]:
+    """The unknown parameters, and measurements that are no states."""
+    if (found := log.estimates) is None:
+        return []
+    start, nx = log.t[:-1], len(log.states)
+    unknown = [
+        _with_estimate(log, Curve(trace, start, found.p[:, i], PARAMETER_COLOR), nx + i)
+        for i, trace in enumerate(found.states[nx:])
+    ]
+    sensors = [
+        Curve(trace, start, found.y[:, m], SENSOR_COLOR, dots=True)
+        for m, trace in enumerate(found.sensors)
+        if not trace.signal
+    ]
+    return [*unknown, *sensors]
+
+
+def time_label(unit: str) -> str:
+    """Label of an axis of time."""
+    return "sample" if unit == "samples" else with_unit("time", unit)
+
+
+def title_of(log: Record) -> str:
+    """Name, length, and how many samples were not OK."""
+    bad = int(np.sum(log.status != Status.OK))
+    return f"{log.name}  ({len(log.u)} samples{f', {bad} not OK' if bad else ''})"
+
+
+def marks_of(log: Record) -> tuple[Array, Array]:
+    """Times of doubtful and of failed samples."""
+    doubtful = np.isin(log.status, DOUBTFUL)
+    return log.t[:-1][doubtful], log.t[:-1][(log.status != Status.OK) & ~doubtful]

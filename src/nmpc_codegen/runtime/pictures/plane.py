@@ -1,0 +1,145 @@
+"""One state over another: the path, plans, and what rows forbid there."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nmpc_codegen.errors import ControllerError
+from nmpc_codegen.package.signals import list_some
+from nmpc_codegen.runtime.pictures.loop import title_of
+from nmpc_codegen.runtime.pictures.plans import choose, kept_plans
+from nmpc_codegen.runtime.pictures.style import (
+    DOUBT_COLOR,
+    FAILURE_COLOR,
+    HARD,
+    PLAN,
+    REFERENCE_COLOR,
+    SOFT,
+    STATE_COLOR,
+    WIDTH,
+    File,
+    Legend,
+    finish,
+    new_figure,
+    spread,
+    styled,
+)
+from nmpc_codegen.runtime.records.trace import Limit, Record
+
+Array = NDArray[np.float64]
+
+SET_POINTS = 10  # references up to this number are drawn as points
+POINTS = 240  # of the grid on which rows are evaluated, in each direction
+FORBIDDEN: Legend = ("forbidden", {"color": FAILURE_COLOR, "alpha": 0.18, "marker": "s", "linestyle": ""})
+COSTLY: Legend = ("soft row violated", {"color": DOUBT_COLOR, "alpha": 0.18, "marker": "s", "linestyle": ""})
+PATH: Legend = ("path", {"color": STATE_COLOR, "linewidth": 1.8})
+BEGIN: Legend = ("start", {"color": STATE_COLOR, "marker": "o", "linestyle": ""})
+TARGET: Legend = ("reference", {"color": REFERENCE_COLOR, "linewidth": 0.8, "marker": "+", "markersize": 5})
+
+
+def places(log: Record, x: str, y: str, user: str) -> tuple[int, int]:
+    """Columns of two states; ControllerError if there is no such state."""
+    names = [trace.name for trace in log.states]
+    for name in (x, y):
+        if name not in names:
+            raise ControllerError(f"{user}: there is no state {name!r}; expected one of {list_some(names)}")
+    return names.index(x), names.index(y)
+
+
+def draw(log: Record, x: str, y: str, rows: bool, every: int, file: File) -> Any:
+    """The path with its start, what is forbidden, the reference, and plans."""
+    i, j = places(log, x, y, "plot_xy()")
+    chosen = choose(kept_plans(log, "plot_xy()"), every, "plot_xy()") if every else []
+    figure = new_figure((WIDTH, 0.75 * WIDTH), file)
+    with styled():
+        axis = figure.subplots()
+        shown = draw_surroundings(axis, log, i, j, rows, list(moments(log)))
+        if log.plans is not None and chosen:
+            for plan in log.plans.x[chosen]:
+                axis.plot(plan[:, i], plan[:, j], zorder=1.8, **PLAN[1])
+            shown.append(PLAN)
+        axis.plot(log.x[:, i], log.x[:, j], zorder=3, **PATH[1])
+        axis.plot(log.x[:1, i], log.x[:1, j], zorder=4, **BEGIN[1])
+        return finish(figure, title_of(log), [PATH, BEGIN, *shown], file)
+
+
+def moments(log: Record) -> tuple[int, ...]:
+    """Samples at which obstacles are drawn: first, middle and last one."""
+    return tuple(sorted({0, len(log.u) // 2, len(log.u) - 1})) if len(log.u) else ()
+
+
+def draw_surroundings(axis: Any, log: Record, i: int, j: int, rows: bool, samples: list[int]) -> list[Legend]:
+    """Axes whose scales fit, bounds of both states, their references, and what rows forbid at these samples."""
+    seen = [log.x] if log.plans is None else [log.x, log.plans.x.reshape(-1, len(log.states))]
+    ends = []
+    for place in (i, j):
+        values = np.concatenate([part[:, place] for part in seen])
+        values = values[np.isfinite(values)]
+        low, high = (float(values.min()), float(values.max())) if values.size else (0.0, 1.0)
+        ends.append((low - 0.12 * spread(low, high), high + 0.12 * spread(low, high)))
+    axis.set_xlim(*ends[0])
+    axis.set_ylim(*ends[1])
+    axis.set_xlabel(log.states[i].label)
+    axis.set_ylabel(log.states[j].label)
+    if log.states[i].unit == log.states[j].unit:
+        axis.set_aspect("equal", adjustable="box")
+    shown = _draw_lines(axis, log, i, j)
+    if rows and samples:
+        for limit in log.limits:
+            shown += _draw_forbidden(axis, log, limit, (i, j), samples)
+    return shown
+
+
+def _draw_lines(axis: Any, log: Record, i: int, j: int) -> list[Legend]:
+    """Bounds of the two states that are in the picture, and their references if both have one."""
+    shown: list[Legend] = []
+    (left, right), (bottom, top) = axis.get_xlim(), axis.get_ylim()
+    for k, limit in enumerate(log.limits):
+        if limit.array == "x" and limit.column in (i, j) and len(log.lower):
+            style = SOFT if limit.soft else HARD
+            low, high, line = (left, right, axis.axvline) if limit.column == i else (bottom, top, axis.axhline)
+            for value in (log.lower[-1, k], log.upper[-1, k]):
+                if low <= value <= high:
+                    line(value, zorder=1.5, **style[1])
+                    shown.append(style)
+    followed = {trace.signal: column for column, trace in enumerate(log.references)}
+    names = log.states[i].name, log.states[j].name
+    if all(name in followed for name in names) and len(log.y):
+        target = log.y[:, [followed[name] for name in names]]
+        points = np.unique(target, axis=0)
+        few = {"linestyle": ""} if len(points) <= SET_POINTS else {"marker": ""}
+        axis.plot(*(points if few.get("marker") is None else target).T, zorder=1.6, **{**TARGET[1], **few})
+        shown.append(TARGET)
+    return shown
+
+
+def _draw_forbidden(axis: Any, log: Record, limit: Limit, columns: tuple[int, int], samples: list[int]) -> list[Legend]:
+    """Shade where a row is violated that depends on the two states and on parameters alone."""
+    place = max(log.program.rows[limit.row]) if limit.row < len(log.program.rows) else -1
+    needed = log.program.inputs(place) if place >= 0 else frozenset()
+    of_states = {element for port, element in needed if port == 0}
+    own = [element for port, element in needed if port == 2]
+    foreign = any(port == 1 for port, _ in needed) or any(element >= log.p.shape[1] for element in own)
+    if not of_states or not of_states <= set(columns) or foreign:
+        return []
+    number = log.limits.index(limit)
+    data = np.column_stack([log.p[:, own], log.lower[:, number], log.upper[:, number]])[samples]
+    different = [k for k, row in enumerate(data) if not any(np.array_equal(row, data[m]) for m in range(k))]
+    across, up = (np.linspace(ends[0], ends[1], POINTS) for ends in (axis.get_xlim(), axis.get_ylim()))
+    grid = np.meshgrid(across, up)
+    x = np.full((grid[0].size, max(columns) + 1), math.nan)
+    x[:, columns[0]], x[:, columns[1]] = grid[0].ravel(), grid[1].ravel()
+    color = (COSTLY if limit.soft else FORBIDDEN)[1]["color"]
+    for k in different:
+        p = np.tile(log.p[samples[k]], (len(x), 1))
+        with np.errstate(all="ignore"):
+            value = log.program.values(x, np.zeros((len(x), 0)), p, place)[place]
+        inside = np.minimum(value - data[k, -2], data[k, -1] - value).reshape(grid[0].shape)
+        if np.nanmin(inside) < 0.0:
+            axis.contourf(across, up, inside, levels=[-math.inf, 0.0], colors=[color], alpha=0.18, zorder=1.1)
+            axis.contour(across, up, inside, levels=[0.0], colors=[color], linewidths=0.9, zorder=1.2)
+    return [COSTLY if limit.soft else FORBIDDEN]

@@ -1,0 +1,104 @@
+"""Plans over what happened: a fan of predictions, and the plan of one moment."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nmpc_codegen.errors import ControllerError
+from nmpc_codegen.runtime.given import is_integer
+from nmpc_codegen.runtime.pictures.loop import Bounds, Curve, curves_of, draw_curve, draw_curves, time_label, title_of
+from nmpc_codegen.runtime.pictures.style import (
+    ALGEBRAIC_COLOR,
+    CONTROL_COLOR,
+    PLAN,
+    ROW_COLOR,
+    STATE_COLOR,
+    File,
+    Legend,
+    finish,
+    fit,
+    name_times,
+    stack_axes,
+    styled,
+)
+from nmpc_codegen.runtime.records.plan import Plan
+from nmpc_codegen.runtime.records.trace import Plans, Record
+
+Array = NDArray[np.float64]
+
+
+def kept_plans(log: Record, user: str) -> Plans:
+    """The plans of a log; ControllerError if there are none."""
+    if log.plans is None:
+        raise ControllerError(f"{user}: the log has no plans; expected one of simulate(..., plans=1) or of a recording")
+    return log.plans
+
+
+def choose(plans: Plans, every: int, user: str) -> list[int]:
+    """Places of the plans of every ``every``-th sample, as far as they are kept."""
+    if not is_integer(every) or every < 1:
+        raise ControllerError(f"{user}: every is {every!r}; expected an integer >= 1")
+    step = plans.sample[1] - plans.sample[0] if len(plans.sample) > 1 else 1
+    return list(range(0, len(plans.sample), max(1, round(every / step))))
+
+
+def draw(log: Record, every: int, file: File) -> Any:
+    """States and controls as they were, and plans from where they began."""
+    plans = kept_plans(log, "plot_plans()")
+    chosen, nx, nu = choose(plans, every, "plot_plans()"), len(log.states), len(log.controls)
+    known = curves_of(log)
+    curves = [*known[:nx], *[c for c in known if c.trace in log.controls][:nu]]
+    figure, columns = stack_axes(len(curves), file)
+    shown: list[Legend] = []
+    with styled():
+        axes = [axis for column in columns for axis in column]
+        for i, (axis, curve) in enumerate(zip(axes, curves, strict=True)):
+            shown += draw_curve(axis, curve)
+            values = plans.x[chosen, :, i] if i < nx else hold(plans.u[chosen, :, i - nx])
+            lines = draw_fan(axis, log.t[plans.sample[chosen]], plans.t, values, held=i >= nx)
+            low, high = axis.get_ylim()
+            fit(axis, min(low, lines[0]), max(high, lines[1]))
+        name_times(columns, time_label(log.time_unit))
+        axes[0].set_xlim(log.t[0], max(log.t[-1], log.t[plans.sample[chosen[-1]]] + plans.t[-1]))
+        return finish(figure, title_of(log), [*shown, PLAN], file)
+
+
+def hold(u: Array) -> Array:
+    """Controls with the last one once more, for the end of its interval."""
+    return np.append(u, u[..., -1:], axis=-1)
+
+
+def draw_fan(axis: Any, begin: Array, t: Array, values: Array, held: bool) -> tuple[float, float]:
+    """Thin lines of plans, (n, N+1), each with a dot where it begins; the range of their values."""
+    style = {**PLAN[1], "drawstyle": "steps-post" if held else "default"}
+    for start, line in zip(begin, values, strict=True):
+        axis.plot(start + t, line, zorder=1.2, **style)
+    axis.plot(begin, values[:, 0], linestyle="", marker=".", markersize=3, color=PLAN[1]["color"], zorder=3)
+    finite = values[np.isfinite(values)]
+    return (float(finite.min()), float(finite.max())) if finite.size else (np.inf, -np.inf)
+
+
+def draw_plan(plan: Plan, title: str, failed: bool, file: File) -> Any:
+    """States, controls, algebraic variables and rows of one plan over its nodes, with bounds and references."""
+    followed = {trace.signal: plan.y[:, i] for i, trace in reversed([*enumerate(plan.references)])}
+    colors = {"states": STATE_COLOR, "controls": CONTROL_COLOR, "algebraic": ALGEBRAIC_COLOR, "rows": ROW_COLOR}
+    curves = []
+    for kind, array in (("states", "x"), ("controls", "u"), ("algebraic", "z"), ("rows", "h")):
+        held = array == "u"
+        for i, trace in enumerate(getattr(plan, kind)):
+            values = hold(plan.u[:, i]) if held else getattr(plan, array)[:, i]
+            reference = followed.get(trace.name) if array in ("x", "u") else None
+            bounds = tuple(_bounds_of_plan(plan, array, i))
+            curves.append(Curve(trace, plan.t, values, colors[kind], reference, held, not held, bounds=bounds))
+    return draw_curves(curves, title, time_label(plan.time_unit), None, file, failed)
+
+
+def _bounds_of_plan(plan: Plan, array: str, column: int) -> Iterator[Bounds]:
+    """Bounds of a column over the nodes."""
+    for i, limit in enumerate(plan.limits):
+        if (limit.array, limit.column) == (array, column):
+            yield Bounds(plan.t, plan.lower[:, i], plan.upper[:, i], limit.soft)

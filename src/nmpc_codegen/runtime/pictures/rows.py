@@ -1,0 +1,91 @@
+"""Rows over time: how near plans come to their bounds, where they are active, and their multipliers."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from nmpc_codegen.errors import ControllerError
+from nmpc_codegen.package.signals import list_some
+from nmpc_codegen.runtime.pictures.loop import time_label, title_of
+from nmpc_codegen.runtime.pictures.plans import kept_plans
+from nmpc_codegen.runtime.pictures.style import (
+    CONTROL_COLOR,
+    FAILURE_COLOR,
+    HARD,
+    ROW_COLOR,
+    ROW_HEIGHT,
+    WIDTH,
+    File,
+    Legend,
+    finish,
+    fit,
+    new_figure,
+    styled,
+)
+from nmpc_codegen.runtime.records.trace import Plans, Record
+
+MOST = 12  # rows that are drawn if none are named
+BOUND: Legend = ("bound", HARD[1])
+ACTIVE: Legend = ("active", {"color": ROW_COLOR, "marker": "o", "markersize": 3.5, "linestyle": ""})
+VIOLATED: Legend = ("violated", {"color": FAILURE_COLOR, "marker": "o", "markersize": 3.5, "linestyle": ""})
+
+
+def draw(log: Record, rows: Sequence[str] | None, file: File) -> Any:
+    """Two axes for every row: its distance from the bound on the left, its multiplier on the right."""
+    plans = kept_plans(log, "plot_rows()")
+    chosen = _choose(plans, rows)
+    t = log.t[plans.sample]
+    figure = new_figure((1.25 * WIDTH, 0.9 + ROW_HEIGHT * len(chosen)), file)
+    shown: list[Legend] = [BOUND]
+    with styled():
+        axes = figure.subplots(len(chosen), 2, sharex=True, squeeze=False)
+        for (left, right), i in zip(axes, chosen, strict=True):
+            distance, on = plans.distance[:, i], plans.active[:, i] > 0
+            left.plot(t, distance, color=ROW_COLOR, linewidth=1.4)
+            left.axhline(0.0, zorder=1.5, **HARD[1])
+            rounding = 1e-6 * max(1e-6, float(np.nanmax(np.abs(distance), initial=0.0)))
+            for marked, legend in ((on, ACTIVE), (distance < -rounding, VIOLATED)):
+                if marked.any():
+                    left.plot(t[marked], distance[marked], **legend[1])
+                    shown.append(legend)
+            left.set_ylabel(plans.rows[i].label)
+            fit(left, *_range(distance))
+            right.plot(t, plans.multiplier[:, i], color=CONTROL_COLOR, linewidth=1.4, marker=".", markersize=3)
+            fit(right, *_range(plans.multiplier[:, i]))
+        axes[0, 0].set_title("least distance of the plan from the bound", fontsize=9)
+        axes[0, 1].set_title("largest multiplier (> 0: upper bound)", fontsize=9)
+        for axis in axes[-1]:
+            axis.set_xlabel(time_label(log.time_unit))
+        figure.align_ylabels()
+        some = "" if len(chosen) == len(plans.rows) else f"; {len(chosen)} of {len(plans.rows)} rows"
+        return finish(figure, title_of(log) + some, shown, file)
+
+
+def _range(values: Any) -> tuple[float, float]:
+    """Least and largest finite value, and 0."""
+    finite = values[np.isfinite(values)]
+    return min(0.0, float(finite.min(initial=0.0))), max(0.0, float(finite.max(initial=0.0)))
+
+
+def _choose(plans: Plans, rows: Sequence[str] | None) -> list[int]:
+    """Numbers of the rows: named ones, whole vectors too, or those that are active or come nearest in their range."""
+    names = [trace.name for trace in plans.rows]
+    bounded = np.array(np.isfinite(plans.distance).any(axis=0))
+    if rows is None:
+        size = np.nanmax(np.abs(np.where(np.isfinite(plans.distance), plans.distance, 0.0)), axis=0, initial=1e-300)
+        least = np.min(np.where(np.isnan(plans.distance), np.inf, plans.distance), axis=0) / size
+        order = sorted(np.flatnonzero(bounded), key=lambda i: (not plans.active[:, i].any(), least[i]))
+        chosen = sorted(int(i) for i in order[:MOST])
+        wanted = "the problem has no row with a finite bound at a single node"
+    else:
+        chosen = [i for row in rows for i, n in enumerate(names) if row in (n, n.partition("[")[0])]
+        unknown = [row for row in rows if not any(row in (n, n.partition("[")[0]) for n in names)]
+        wanted = f"there is no row {list_some(unknown)}; expected some of {list_some(names)}" if unknown else ""
+        chosen = [] if unknown else [i for i in chosen if bounded[i]]
+        wanted = wanted or f"{list_some(list(rows))} has no finite bound"
+    if not chosen:
+        raise ControllerError(f"plot_rows(): {wanted}")
+    return chosen

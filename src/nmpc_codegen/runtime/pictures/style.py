@@ -1,0 +1,156 @@
+"""The style of all pictures, figures for files and for displays, legends."""
+
+from __future__ import annotations
+
+import io
+import math
+import os
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from nmpc_codegen.runtime.extras import extra
+
+WIDTH, ROW_HEIGHT = 7.2, 1.35  # inches
+LEAST_SPREAD = 0.1  # of an axis, relative to its values
+COLUMN_LIMIT = 9  # traces in one column
+LEGEND_COLUMNS = 5
+STYLE = {
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.edgecolor": "0.35",
+    "axes.linewidth": 0.8,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "axes.labelsize": 9,
+    "grid.color": "0.9",
+    "grid.linewidth": 0.7,
+    "xtick.labelsize": 8,
+    "ytick.labelsize": 8,
+    "xtick.color": "0.35",
+    "ytick.color": "0.35",
+    "font.size": 9,
+}
+STATE_COLOR, CONTROL_COLOR, ALGEBRAIC_COLOR = "#1f5fa8", "#c2571a", "#7b4a91"
+PARAMETER_COLOR, SENSOR_COLOR = "#5b6b7a", "0.55"
+ROW_COLOR, TIME_COLOR = "#3f7d4e", "0.5"
+BOUND_COLOR, REFERENCE_COLOR, DOUBT_COLOR, FAILURE_COLOR = "0.45", "0.15", "#d98c00", "#b3202c"
+#: What the legend says, and the style of the line or mark.
+HARD = ("hard bound", {"color": BOUND_COLOR, "linewidth": 1.0, "linestyle": (0, (5, 3))})
+SOFT = ("soft bound", {"color": BOUND_COLOR, "linewidth": 1.2, "linestyle": (0, (1, 2))})
+REFERENCE = ("reference", {"color": REFERENCE_COLOR, "linewidth": 0.8})
+MEASURED = ("measured", {"color": "0.6", "marker": ".", "markersize": 2.5, "linestyle": ""})
+ESTIMATE_COLOR = "#d1495b"
+ESTIMATE = ("estimate ± 2 standard deviations", {"color": ESTIMATE_COLOR, "linewidth": 1.0})
+PLAN = ("plans", {"color": "#6fa3c9", "linewidth": 0.8, "alpha": 0.75})
+MARKS = (
+    ("RELAXED, NOT_CONVERGED", {"color": DOUBT_COLOR, "marker": "|", "linestyle": ""}),
+    ("failed", {"color": FAILURE_COLOR, "marker": "|", "linestyle": ""}),
+)
+Legend = tuple[str, dict[str, Any]]
+File = str | os.PathLike[str] | None
+
+
+def new_figure(size: tuple[float, float], file: object) -> Any:
+    """A figure; if it is for a file, neither a display nor pyplot is needed. Not inside rc_context(): the first figure
+    chooses the display and whether it is interactive, and the end of the context would take that back."""
+    if file is None:
+        pyplot = extra("matplotlib.pyplot", "plot()")
+        return pyplot.figure(figsize=size, layout="constrained", FigureClass=_figure_class())
+    return extra("matplotlib.figure", "plot()").Figure(figsize=size, layout="constrained")
+
+
+@cache
+def _figure_class() -> Any:
+    """A figure that a notebook shows once: at the end of its cell, as pyplot does, or as the value of a later one."""
+
+    class Figure(extra("matplotlib.figure", "plot()").Figure):  # type: ignore[misc]
+        """A figure of pyplot."""
+
+        def _ipython_display_(self) -> None:
+            pyplot = extra("matplotlib.pyplot", "plot()")
+            if pyplot.fignum_exists(getattr(self, "number", -1)) and "inline" in pyplot.get_backend():
+                return  # the display draws all open figures at the end of the cell
+            display = extra("IPython.display", "plot()")
+            display.display(display.Image(_png(self), retina=False))
+
+    return Figure
+
+
+def _png(figure: Any) -> bytes:
+    """The figure as the bytes of a file."""
+    stream = io.BytesIO()
+    figure.savefig(stream, format="png", dpi=100)
+    return stream.getvalue()
+
+
+@contextmanager
+def styled() -> Iterator[None]:
+    """The style of the project for all that is drawn inside."""
+    with extra("matplotlib", "plot()").rc_context(STYLE):
+        yield
+
+
+def finish(figure: Any, title: str, shown: Iterable[Legend], file: File, color: str = "0.2") -> Any:
+    """Add legend and title, write the file if one is given, return the figure."""
+    explain(figure, shown)
+    figure.suptitle(title, fontsize=10, color=color)
+    if file is not None:
+        figure.savefig(Path(file), dpi=160)
+    return figure
+
+
+def explain(figure: Any, shown: Iterable[Legend]) -> None:
+    """A legend of the lines and marks that occur, in lines of at most LEGEND_COLUMNS."""
+    styles = dict(shown)
+    if styles:
+        lines = extra("matplotlib.lines", "plot()")
+        handles = [lines.Line2D([], [], label=label, **style) for label, style in styles.items()]
+        count = min(len(handles), LEGEND_COLUMNS)
+        figure.legend(handles=handles, fontsize=8, ncols=count, frameon=False, loc="outside lower center")
+
+
+def columns_of(count: int) -> list[int]:
+    """Numbers of axes in columns of at most COLUMN_LIMIT, as equal as can be: 11 are 6 and 5."""
+    columns = math.ceil(count / COLUMN_LIMIT)
+    return [count // columns + (i < count % columns) for i in range(columns)]
+
+
+def stack_axes(count: int, file: File, height: float = ROW_HEIGHT) -> tuple[Any, list[list[Any]]]:
+    """A figure with ``count`` axes over one time, in columns that are filled to the bottom, and the axes by column."""
+    columns = columns_of(count)
+    width = WIDTH * (1.0 if len(columns) == 1 else 0.62 * len(columns))
+    figure = new_figure((width, 0.8 + height * columns[0]), file)
+    with styled():
+        outer = figure.add_gridspec(1, len(columns))
+        found: list[list[Any]] = []
+        for j, rows in enumerate(columns):
+            inner = outer[j].subgridspec(rows, 1)
+            found.append([])
+            for i in range(rows):
+                first = found[0][0] if found[0] else None
+                found[-1].append(figure.add_subplot(inner[i], sharex=first))
+                found[-1][-1].tick_params(labelbottom=i == rows - 1)
+    return figure, found
+
+
+def name_times(columns: Sequence[Sequence[Any]], label: str) -> None:
+    """Name the time below the lowest axis of every column, and align the names of the others."""
+    for column in columns:
+        column[-1].set_xlabel(label)
+    columns[0][0].figure.align_ylabels()
+
+
+def fit(axis: Any, low: float, high: float) -> None:
+    """Limits and few plain ticks for values between these."""
+    margin = 0.08 * spread(low, high)
+    axis.set_ylim(low - margin, high + margin)
+    axis.locator_params(axis="y", nbins=4)
+    axis.ticklabel_format(axis="y", useOffset=False)
+
+
+def spread(low: float, high: float) -> float:
+    """Distance of two values, at least a part of their size, and of 1 if both are 0."""
+    return max(high - low, LEAST_SPREAD * max(abs(low), abs(high))) or LEAST_SPREAD

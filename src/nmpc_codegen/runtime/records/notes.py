@@ -1,0 +1,204 @@
+"""What a log takes from a controller, sample by sample, of a simulation or of a recording."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nmpc_codegen.package.status import Status
+from nmpc_codegen.runtime.controller import Controller
+from nmpc_codegen.runtime.diagnosis.plan import PlanData, PlanReader
+from nmpc_codegen.runtime.diagnosis.rows import (
+    append_solved,
+    path_reference,
+    row_values,
+    start_parameters,
+    whole_parameters,
+)
+from nmpc_codegen.runtime.records.html import units
+from nmpc_codegen.runtime.records.log import Log
+from nmpc_codegen.runtime.records.trace import Estimates, Limit, Plans, Trace
+
+Array = NDArray[np.float64]
+
+SAME = 1e-6  # relative tolerance within which a row equals a signal, in single precision too
+LOG_COLUMNS = 5  # status, cost, time, residual and t
+#: Plans that a log keeps where nobody says how many, and the bytes that they may take.
+MOST_PLANS, PLAN_BYTES = 1000, 2**26
+REAL: int = np.dtype(np.float64).itemsize
+
+
+@dataclass(frozen=True)
+class Logged:
+    """Rows that a log shows, by their numbers: ``general``, in h, and ``limits``, whose bounds are kept."""
+
+    general: list[int]
+    limits: list[int]
+
+    @classmethod
+    def of(cls, ctrl: Controller) -> Logged:
+        """General rows that hold at node 0 or at several nodes before the end, bounds of controls, and those of states
+        that hold at several nodes."""
+        general, limits = [], []
+        for i, row in enumerate(ctrl.description.rows):
+            path = [k for k in row.nodes if k < ctrl.dims.N]
+            if row.is_general and row.index >= 0 and (0 in path or len(path) > 1):
+                general.append(i)
+                limits.append(i)
+            elif row.kind == "control" or (row.kind == "state" and len(row.nodes) > 1):
+                limits.append(i)
+        return cls(general, limits)
+
+
+def columns_of_log(ctrl: Controller) -> int:
+    """Numbers that a log takes for every sample, besides plans."""
+    logged, d = Logged.of(ctrl), ctrl.dims
+    return d.nx + d.nu + d.np + d.ny + len(logged.general) + 2 * len(logged.limits) + LOG_COLUMNS
+
+
+def spacing(ctrl: Controller, steps: int) -> int:
+    """Every how many samples a plan is kept, so that all take at most PLAN_BYTES, and are at most MOST_PLANS."""
+    N, d = ctrl.dims.N, ctrl.dims
+    size = REAL * (N + 1) * int(ctrl.whole_x.shape[1] + d.nu + d.np + 3 * d.nr)
+    return max(1, math.ceil(steps / MOST_PLANS), math.ceil(steps * size / PLAN_BYTES))
+
+
+class Notes:
+    """The samples of a loop while it runs. ``every``: samples from one plan that is kept to the next; 0: none."""
+
+    def __init__(self, ctrl: Controller, steps: int, interval: float, every: int) -> None:
+        d, described = ctrl.dims, ctrl.description
+        self._ctrl, self._interval, self._every, self._logged = ctrl, interval, every, Logged.of(ctrl)
+        self.x, self.u = np.zeros((steps + 1, d.nx)), np.zeros((steps, d.nu))
+        self._known = np.zeros((steps, ctrl.known.size))
+        self.status, self.time_ns = np.zeros(steps, np.int64), np.zeros(steps, np.int64)
+        self._cost, self._residual = np.zeros(steps), np.full(steps, np.nan)
+        self._z = np.zeros((steps, len(ctrl.names.algebraic)))
+        self._p, self._y = np.zeros((steps, d.np)), np.zeros((steps, d.ny))
+        self._lower, self._upper = (np.zeros((steps, len(self._logged.limits))) for _ in range(2))
+        self._reasons: dict[Status, str] = {}
+        self._plans: list[PlanData] = []
+        self._reader = PlanReader(ctrl)
+        self._has_residual = "residual" in described.members("stats")
+        rows = [described.rows[i] for i in self._logged.limits]
+        self._first = [next(k for k in row.nodes if k or row.kind != "state") for row in rows]
+
+    def take(self, k: int, u: Array, time_ns: int, residual: float | None = None) -> None:
+        """Note sample k, whose state is in ``x``, from the controller as the sample has left it."""
+        ctrl = self._ctrl
+        self.u[k], self.time_ns[k] = u, time_ns
+        self.status[k], self._cost[k], self._known[k] = ctrl.status, ctrl.cost, ctrl.known
+        if self.status[k] not in self._reasons:
+            self._reasons[Status(self.status[k])] = ctrl.diagnose() if self.status[k] else ""
+        self._p[k], self._y[k] = start_parameters(ctrl), path_reference(ctrl)
+        self._z[k] = ctrl.algebraic(self.x[k], u)
+        if self._has_residual:
+            self._residual[k] = ctrl.view("stats.residual")
+        lower, upper = self._reader.bounds(ctrl)
+        self._lower[k], self._upper[k] = (side[self._first, self._logged.limits] for side in (lower, upper))
+        if self._every and k % self._every == 0:
+            self._plans.append(self._reader.copy(ctrl))
+
+    def finish(self, estimates: Estimates | None = None, began_ns: NDArray[np.int64] | None = None) -> Log:
+        """The log."""
+        ctrl, steps = self._ctrl, len(self.u)
+        data = whole_parameters(ctrl)[:1, ctrl.dims.np :]
+        p = append_solved(ctrl.description, np.hstack([self._p, np.tile(data, (steps, 1))]), self._z)
+        h = row_values(ctrl, np.hstack([self.x[:-1], self._known]), self.u, p)[:, self._logged.general]
+        own, rows, limits = self._find_axes(h)
+        unit = units(*(getattr(ctrl.description, kind) for kind in ("states", "controls", "algebraic", "parameters")))
+        named = {kind: tuple(Trace(n, unit[n]) for n in getattr(ctrl.names, kind)) for kind in _NAMED}
+        followed = tuple(Trace(r.name, unit.get(r.signal, ""), r.signal) for r in ctrl.description.residuals)
+        return Log(
+            name=ctrl.description.name,
+            time_unit=ctrl.description.time_unit,
+            t=self._interval * np.arange(steps + 1, dtype=np.float64),
+            x=self.x,
+            u=self.u,
+            z=self._z,
+            h=h[:, own],
+            p=self._p,
+            y=self._y,
+            status=self.status,
+            cost=self._cost,
+            time_ns=self.time_ns,
+            residual=self._residual,
+            lower=self._lower,
+            upper=self._upper,
+            **named,
+            rows=rows,
+            references=followed,
+            reasons=self._reasons,
+            limits=limits,
+            program=ctrl.description.program,
+            dt=self._interval,
+            plans=self._keep_plans(),
+            estimates=estimates,
+            began_ns=np.zeros(0, np.int64) if began_ns is None else began_ns,
+        )
+
+    def _find_axes(self, h: Array) -> tuple[list[int], tuple[Trace, ...], tuple[Limit, ...]]:
+        """Columns of h with an axis of their own, their traces, and what all rows limit; the other columns are bare
+        states or controls, which have their bounds."""
+        described, names = self._ctrl.description, self._ctrl.names
+        signals = {n: ("x", i) for i, n in enumerate(names.states)} | {
+            n: ("u", j) for j, n in enumerate(names.controls)
+        }
+        values = {"x": self.x[:-1], "u": self.u}
+        own: list[int] = []
+        rows: list[Trace] = []
+        limits: list[Limit] = []
+        for number, first in zip(self._logged.limits, self._first, strict=True):
+            row = described.rows[number]
+            if row.is_general:
+                column = h[:, self._logged.general.index(number)]
+                place = signals.get(row.name)
+                if place is None or not np.allclose(column, values[place[0]][:, place[1]], rtol=SAME, atol=0.0):
+                    place = "h", len(own)
+                    own.append(self._logged.general.index(number))
+                    rows.append(Trace(row.name))
+            else:
+                place = ("u" if row.kind == "control" else "x"), row.index
+            delay = float(sum(described.dt[:first]))
+            limits.append(Limit(row.name, *place, number, row.soft is not None, delay))
+        return own, tuple(rows), tuple(limits)
+
+    def _keep_plans(self) -> Plans | None:
+        """The plans with what their rows are, node by node, in short."""
+        if not self._plans:
+            return None
+        ctrl, found = self._ctrl, self._reader.evaluate(self._ctrl, self._plans)
+        nx, n, described = ctrl.dims.nx, len(self._plans), ctrl.description
+        unit = units(described.states, described.controls)
+        of_rows = ((*ctrl.names.states, *ctrl.names.controls)[p] if p is not None else "" for p in self._variables())
+        return Plans(
+            sample=self._every * np.arange(n),
+            t=np.append(0.0, np.cumsum(described.dt)),
+            x=np.stack([plan.x[:, :nx] for plan in self._plans]),
+            u=np.stack([plan.u for plan in self._plans]),
+            distance=_least(found.distance),
+            multiplier=_largest(found.multiplier),
+            active=found.active.sum(axis=1),
+            rows=tuple(Trace(r.name, unit.get(of, "")) for r, of in zip(described.rows, of_rows, strict=True)),
+        )
+
+    def _variables(self) -> list[int | None]:
+        return [row.variable(self._ctrl.dims.nx) for row in self._ctrl.description.rows]
+
+
+_NAMED = ("states", "controls", "algebraic", "parameters")
+
+
+def _least(distance: Array) -> Array:
+    """The least of all nodes, NaN where a row holds at none."""
+    known = np.where(np.isnan(distance), np.inf, distance).min(axis=1)
+    return np.where(np.isnan(distance).all(axis=1), np.nan, known)
+
+
+def _largest(multiplier: Array) -> Array:
+    """The multiplier of largest size over the nodes."""
+    place = np.argmax(np.abs(np.nan_to_num(multiplier)), axis=1)
+    return np.take_along_axis(multiplier, place[:, None, :], axis=1)[:, 0, :]
