@@ -18,6 +18,9 @@ from nmpc_codegen.runtime.pictures.style import HARD, columns_of
 
 mpl.use("Agg")
 
+#: A layout that does not fit is a warning of matplotlib.
+pytestmark = pytest.mark.filterwarnings("error")
+
 STEPS = 40
 
 
@@ -128,6 +131,7 @@ def test_odd_counts_leave_no_hole(tmp_path: Path) -> None:
     assert [axis.get_xlabel() for axis in lowest] == ["time [s]"] * 2
     assert lowest[0].get_position().y0 == pytest.approx(lowest[1].get_position().y0, abs=1e-3)
     assert lowest[1].get_ylabel() == "computing\ntime [µs]"
+    assert figure.axes[6].yaxis.label.get_window_extent().x0 > figure.axes[0].get_window_extent().x1
 
 
 @pytest.mark.parametrize(

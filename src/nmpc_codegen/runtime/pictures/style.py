@@ -140,7 +140,7 @@ def name_times(columns: Sequence[Sequence[Any]], label: str) -> None:
     """Name the time below the lowest axis of every column, and align the names of the others."""
     for column in columns:
         column[-1].set_xlabel(label)
-    columns[0][0].figure.align_ylabels()
+        column[0].figure.align_ylabels(column)
 
 
 def fit(axis: Any, low: float, high: float) -> None:
