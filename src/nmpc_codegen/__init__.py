@@ -32,6 +32,8 @@ from nmpc_codegen.runtime.extras import DISTRIBUTION, HAS_COMPILER
 from nmpc_codegen.runtime.loops.simulate import simulate
 from nmpc_codegen.runtime.package import open_estimator, open_package
 from nmpc_codegen.runtime.records.log import Log
+from nmpc_codegen.runtime.records.recorder import Recorder, open_recording
+from nmpc_codegen.runtime.records.replay import Replay, replay
 
 if TYPE_CHECKING:
     from nmpc_codegen.analysis import worst_case
@@ -159,6 +161,8 @@ __all__ = [
     "RadauIIA2",
     "RadauIIA3",
     "RealTimeIteration",
+    "Recorder",
+    "Replay",
     "RiccatiActiveSet",
     "RiccatiInteriorPoint",
     "Soft",
@@ -172,6 +176,8 @@ __all__ = [
     "lookup_table",
     "open_estimator",
     "open_package",
+    "open_recording",
+    "replay",
     "simulate",
     "smooth_excess",
     "worst_case",

@@ -23,9 +23,10 @@ from nmpc_codegen.frontend.estimator.declaration import Estimator
 from nmpc_codegen.frontend.estimator.problem import estimation_problem
 from nmpc_codegen.frontend.ocp import OCP
 from nmpc_codegen.frontend.problem import Problem
+from nmpc_codegen.lowering.beside.dumps import with_dumps
+from nmpc_codegen.lowering.beside.loop import with_estimator
 from nmpc_codegen.lowering.explain import explain
 from nmpc_codegen.lowering.linearize import linearize
-from nmpc_codegen.lowering.loop import with_estimator
 from nmpc_codegen.lowering.lower import lower
 from nmpc_codegen.lowering.render import render
 from nmpc_codegen.options import Options, common_options, for_estimator
@@ -97,7 +98,8 @@ def export(
     estimator: Estimator | None = None,
     allow_foreign: bool = False,
     force: bool = False,
-    more: Callable[[Sources], Mapping[str, str]] | None = None,
+    dumps: int = 0,
+    more: Callable[[Mapping[str, str]], Mapping[str, str]] | None = None,
 ) -> Package:
     """Write the C package of the problem into a folder, which is created if needed.
 
@@ -109,6 +111,9 @@ def export(
 
     ``estimator``: of the same plant; its package is written beside the controller's, for the same machine and
     precision, and main.c runs the loop of both.
+
+    ``dumps``: of a controller, a further header, <name>_dumps.h, keeps so many samples in memory, which replay() takes
+    again; 0: none.
 
     ``more``: called with the files before any is written; it returns further ones with their seals (package.seal), or
     raises an error to refuse all.
@@ -126,7 +131,11 @@ def export(
             "choose another solver, or export(..., allow_foreign=True) (--allow-foreign)"
         )
     _warn(sources.description)
-    files = dict(sources) if more is None else {**sources, **more(sources)}
+    files = dict(sources)
+    if dumps:
+        files |= with_dumps(sources, sources.description, dumps)
+    if more is not None:
+        files |= more(files)
     files |= {} if estimator is None else _files_beside(files, sources.description, estimator, options)
     folder = write(directory, files, force=force)
     description = sources.description

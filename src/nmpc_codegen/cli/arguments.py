@@ -37,6 +37,7 @@ OF_CONTROLLERS = (
     "campaign",
     "allow_failures",
     "plot",
+    "dumps",
     "target",
     "level",
     "verify",
@@ -107,6 +108,7 @@ def parser() -> Parser:
     )
     add("--level", choices=LEVELS, help=f"optimisation level on a microcontroller (default {LEVELS[0]})")
     add("--verify", action="store_true", help="replay a closed loop on the emulated target, compare")
+    add("--dumps", type=int, metavar="SAMPLES", help="add a C header that keeps so many samples for a replay")
     for name, what in BUDGETS.items():
         add(f"--max-{name}", metavar="NUMBER", help=f"export nothing if the package takes more {what}, e.g. 64k or 2e6")
     add("--derivatives", action="store_true", help=DERIVATIVES)

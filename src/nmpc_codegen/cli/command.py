@@ -89,7 +89,7 @@ def _run(arguments: argparse.Namespace, printer: Printer) -> int:
     variant: Variant = lambda **changes: compile(ocp, replace(options, **changes), name)  # noqa: E731
     more = firmware.hook(name, variant, beside, flights.fly)
     given: dict[str, Any] = {"allow_foreign": arguments.allow_foreign, "force": arguments.force, "more": more}
-    given |= {"estimator": estimator}
+    given |= {"estimator": estimator, "dumps": arguments.dumps or 0}
     with saying_warnings(printer):
         package = export(ocp, options, str(folder), name=name, **given)
         _print_package(printer, package, folder, arguments.verbose)

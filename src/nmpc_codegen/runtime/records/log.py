@@ -95,7 +95,9 @@ class Log(Record):
             lines.append(f"estimator: {bad} samples not OK; median {median:.1f} us, worst {worst:.1f} us")
         if len(self.began_ns):
             lines.append(times.in_words(self))
-        last = zip(self.states, self.x[-1], strict=True)
+            left_out = round(self.t[-1] / self.dt) - len(self.u)
+            lines += [f"{left_out} samples were left out of the recording"] if left_out else []
+        last = zip(self.states, self.x[-2 if len(self.began_ns) else -1], strict=True)
         lines.append("last state: " + list_some([f"{trace.name} = {value:.6g}" for trace, value in last]))
         return "\n".join(lines)
 

@@ -81,16 +81,18 @@ class Notes:
         self._lower, self._upper = (np.zeros((steps, len(self._logged.limits))) for _ in range(2))
         self._reasons: dict[Status, str] = {}
         self._plans: list[PlanData] = []
+        self._planned: list[int] = []
         self._reader = PlanReader(ctrl)
         self._has_residual = "residual" in described.members("stats")
         rows = [described.rows[i] for i in self._logged.limits]
         self._first = [next(k for k in row.nodes if k or row.kind != "state") for row in rows]
 
-    def take(self, k: int, u: Array, time_ns: int, residual: float | None = None) -> None:
-        """Note sample k, whose state is in ``x``, from the controller as the sample has left it."""
+    def take(self, k: int, u: Array, time_ns: int, planned: bool = True, keep: bool | None = None) -> None:
+        """Note sample k, whose state is in ``x``, from the controller as the sample has left it; unless ``planned`` it
+        has another plan than that of the sample. ``keep``: whether its plan is kept; None: that of every so many."""
         ctrl = self._ctrl
         self.u[k], self.time_ns[k] = u, time_ns
-        self.status[k], self._cost[k], self._known[k] = ctrl.status, ctrl.cost, ctrl.known
+        self.status[k], self._cost[k], self._known[k] = ctrl.status, ctrl.cost if planned else np.nan, ctrl.known
         if self.status[k] not in self._reasons:
             self._reasons[Status(self.status[k])] = ctrl.diagnose() if self.status[k] else ""
         self._p[k], self._y[k] = start_parameters(ctrl), path_reference(ctrl)
@@ -99,11 +101,14 @@ class Notes:
             self._residual[k] = ctrl.view("stats.residual")
         lower, upper = self._reader.bounds(ctrl)
         self._lower[k], self._upper[k] = (side[self._first, self._logged.limits] for side in (lower, upper))
-        if self._every and k % self._every == 0:
+        if (self._every and k % self._every == 0) if keep is None else keep:
             self._plans.append(self._reader.copy(ctrl))
+            self._planned.append(k)
 
-    def finish(self, estimates: Estimates | None = None, began_ns: NDArray[np.int64] | None = None) -> Log:
-        """The log."""
+    def finish(
+        self, estimates: Estimates | None = None, t: Array | None = None, began_ns: NDArray[np.int64] | None = None
+    ) -> Log:
+        """The log; ``t``: times of the samples and of the end, by default from 0 on."""
         ctrl, steps = self._ctrl, len(self.u)
         data = whole_parameters(ctrl)[:1, ctrl.dims.np :]
         p = append_solved(ctrl.description, np.hstack([self._p, np.tile(data, (steps, 1))]), self._z)
@@ -115,7 +120,7 @@ class Notes:
         return Log(
             name=ctrl.description.name,
             time_unit=ctrl.description.time_unit,
-            t=self._interval * np.arange(steps + 1, dtype=np.float64),
+            t=self._interval * np.arange(steps + 1, dtype=np.float64) if t is None else t,
             x=self.x,
             u=self.u,
             z=self._z,
@@ -171,11 +176,11 @@ class Notes:
         if not self._plans:
             return None
         ctrl, found = self._ctrl, self._reader.evaluate(self._ctrl, self._plans)
-        nx, n, described = ctrl.dims.nx, len(self._plans), ctrl.description
+        nx, described = ctrl.dims.nx, ctrl.description
         unit = units(described.states, described.controls)
         of_rows = ((*ctrl.names.states, *ctrl.names.controls)[p] if p is not None else "" for p in self._variables())
         return Plans(
-            sample=self._every * np.arange(n),
+            sample=np.array(self._planned, dtype=np.int64),
             t=np.append(0.0, np.cumsum(described.dt)),
             x=np.stack([plan.x[:, :nx] for plan in self._plans]),
             u=np.stack([plan.u for plan in self._plans]),

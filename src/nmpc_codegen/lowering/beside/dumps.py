@@ -1,0 +1,36 @@
+"""A ring buffer of samples beside a controller, for replays on a computer."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from nmpc_codegen.errors import OptionError
+from nmpc_codegen.lowering.render import environment, tidy
+from nmpc_codegen.package.description import PackageDescription
+from nmpc_codegen.package.seal import package_of, seal_beside, without_seal
+
+MOST = 1000  # slots
+
+
+def with_dumps(package: Mapping[str, str], description: PackageDescription, slots: int) -> dict[str, str]:
+    """<name>_dumps.h, with its number of slots, and the README that speaks of it.
+
+    Raises:
+        OptionError: the number is wrong, or the package is no controller.
+    """
+    name = description.name
+    if not isinstance(slots, int) or isinstance(slots, bool) or not 1 <= slots <= MOST:
+        raise OptionError(f"dumps is {slots!r}; expected the number of samples that are kept, 1 to {MOST}")
+    if description.estimation is not None or not description.dims.nu:
+        raise OptionError(f"dumps: {name} is no controller with controls")
+    names = {"p": name, "P": name.upper(), "slots": slots, "digest": package_of(package[f"{name}.c"])}
+    header = tidy(environment().get_template("package/dumps.h.jinja").render(names))
+    size = description.report.ram_bytes
+    words = (
+        f"`{name}_dumps.h` keeps the last {slots} samples in a `{name}_dumps_t`, about {slots * size:,} bytes: call "
+        f"`{name}_dumps_step()` in the place of `{name}_step()`. Save its bytes after a fault; "
+        '`nmpc_codegen.replay("dumps.bin", "this folder")` takes the samples again on a computer, and says which '
+        "status, row and node each had."
+    )
+    readme = f"{without_seal(package['README.md']).rstrip()}\n\n## Dumps\n\n{words}\n"
+    return seal_beside({f"{name}_dumps.h": header, "README.md": readme}, package)

@@ -1,0 +1,278 @@
+"""Recordings of real loops: the same log, whatever happens to the program, its disk and its deadlines."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from nmpc_codegen import Controller, ControllerError, Log, Recorder, Status, build, export, open_recording, simulate
+from nmpc_codegen.runtime.records import recorder, stream
+from tests.runtime.test_log import tank
+
+STEPS = 60
+Array = Any
+
+
+@pytest.fixture(scope="module")
+def ctrl() -> Controller:
+    return build(tank(), profile="test")
+
+
+def change(k: int, c: Controller) -> None:
+    """Reference, parameter and bounds jump; the bounds become crossed."""
+    if k == 10:
+        c.set_reference({"target": 0.7})
+    if k == 20:
+        c.set_parameter("leak", 0.3)
+    if k == 38:
+        c.set_bounds("power", 1.5, 2.0)
+
+
+def fly(r: Recorder, c: Controller, steps: int = STEPS) -> None:
+    """The loop of simulate(), by hand."""
+    x = np.array([1.0])
+    for k in range(steps):
+        change(k, c)
+        u = r.step(x)
+        x = c.integrate(x, u, 0.2)
+
+
+@pytest.mark.parametrize("file", [None, "run.rec"])
+def test_the_same_log_as_of_a_simulation(ctrl: Controller, tmp_path: Path, file: str | None) -> None:
+    """With plans, bounds, rows, parameters and reasons; x after the last sample is not known."""
+    expected = simulate(ctrl.copy(), [1.0], STEPS, before=change)
+    c = ctrl.copy()
+    with Recorder(c, file=None if file is None else tmp_path / file) as r:
+        fly(r, c)
+        found = r.log()
+    if file is not None:
+        found = open_recording(tmp_path / file, ctrl)
+    for name, value in vars(expected).items():
+        if name in ("x", "time_ns", "plans", "began_ns"):
+            continue
+        other = getattr(found, name)
+        if isinstance(value, np.ndarray):
+            np.testing.assert_allclose(other, value, rtol=1e-14, err_msg=name)
+        elif name == "reasons":
+            assert list(other) == list(value)
+        else:
+            assert other == value
+    np.testing.assert_array_equal(found.x[:-1], expected.x[:-1])
+    assert np.isnan(found.x[-1]).all()
+    assert found.plans is not None
+    assert expected.plans is not None
+    for name, value in vars(expected.plans).items():
+        if isinstance(value, np.ndarray):
+            np.testing.assert_allclose(getattr(found.plans, name), value, rtol=1e-12, atol=1e-12, err_msg=name)
+    assert (np.diff(found.began_ns) > 0).all()
+    assert (found.time_ns > 0).all()
+    assert "period" in found.summary()
+    found.plot(tmp_path / "loop.png")
+    found.plot_times(file=tmp_path / "times.png")
+    found.save(tmp_path / "log.npz")
+    np.testing.assert_array_equal(Log.load(tmp_path / "log.npz").began_ns, found.began_ns)
+
+
+def test_the_controls_are_those_of_the_controller(ctrl: Controller) -> None:
+    """A recorded step returns what step() returns; phases are recorded, too."""
+    one, two = ctrl.copy(), ctrl.copy()
+    with Recorder(one) as r:
+        for k in range(5):
+            np.testing.assert_array_equal(r.step([1.0 + 0.1 * k]), two.step([1.0 + 0.1 * k]))
+        one.prepare()
+        np.testing.assert_array_equal(r.feedback([1.5]), two.step([1.5]))
+        assert r.log().x[:-1, 0].tolist() == pytest.approx([1.0, 1.1, 1.2, 1.3, 1.4, 1.5])
+
+
+def test_memory_holds_the_last_samples(ctrl: Controller) -> None:
+    c = ctrl.copy()
+    with Recorder(c, keep=16) as r:
+        fly(r, c, 50)
+        log = r.log()
+    assert len(log.u) == 16
+    expected = simulate(ctrl.copy(), [1.0], 50, before=change)
+    np.testing.assert_array_equal(log.u, expected.u[-16:])
+    assert log.t[0] == 0.0
+
+
+def test_few_plans(ctrl: Controller, tmp_path: Path) -> None:
+    """Of every twentieth sample, and of those that are not OK; the file is smaller, costs elsewhere are not known."""
+    sizes = []
+    for plans in (1, 20):
+        c = ctrl.copy()
+        with Recorder(c, file=tmp_path / f"{plans}.rec", plans=plans) as r:
+            fly(r, c)
+        sizes.append((tmp_path / f"{plans}.rec").stat().st_size)
+    log = open_recording(tmp_path / "20.rec", ctrl)
+    bad = np.flatnonzero(log.status != Status.OK)
+    wanted = sorted({0, 20, 40, *bad.tolist()})
+    assert log.plans is not None
+    assert log.plans.sample.tolist() == wanted
+    assert np.flatnonzero(np.isfinite(log.cost)).tolist() == wanted
+    assert sizes[1] < sizes[0]
+
+
+CHILD = """
+import sys, time
+import numpy as np
+from nmpc_codegen import Recorder, open_package
+c = open_package(sys.argv[1], "test")
+r = Recorder(c, file=sys.argv[2])
+k = 0
+while True:
+    r.step([1.0 + 0.001 * k])
+    k += 1
+    print(k, flush=True)
+    time.sleep(0.002)
+"""
+
+
+def test_a_killed_recording_opens(ctrl: Controller, tmp_path: Path) -> None:
+    """After kill -9 all samples are there but those of the last second."""
+    export(tank(), None, tmp_path / "tank")
+    command = [sys.executable, "-c", CHILD, str(tmp_path / "tank"), str(tmp_path / "run.rec")]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as child:
+        assert child.stdout is not None
+        lines = [(int(child.stdout.readline()), time.monotonic())]
+        while lines[-1][1] < lines[0][1] + 2.0:
+            lines.append((int(child.stdout.readline()), time.monotonic()))
+        child.send_signal(signal.SIGKILL)
+        lines += [(int(line), time.monotonic()) for line in child.stdout if line.endswith("\n")]
+    log = open_recording(tmp_path / "run.rec", tmp_path / "tank")
+    second_before = max(k for k, at in lines if at <= lines[-1][1] - 1.0)
+    assert second_before <= len(log.u) <= lines[-1][0] + 1
+    np.testing.assert_allclose(log.x[:-1, 0], 1.0 + 0.001 * np.arange(len(log.u)))
+
+
+def test_every_cut_opens(ctrl: Controller, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A part is there as a whole, or not at all; a flipped bit ends the recording before its part."""
+    c = ctrl.copy()
+    with Recorder(c, file=tmp_path / "run.rec") as r:
+        ends = []
+        for _ in range(4):
+            fly(r, c, 5)
+            r.log()
+            ends.append((tmp_path / "run.rec").stat().st_size)
+    data = (tmp_path / "run.rec").read_bytes()
+    counts = []
+    for size in (ends[0] - 1, ends[0], ends[1] - 1, ends[1], ends[1] + 7, ends[3]):
+        (tmp_path / "cut.rec").write_bytes(data[:size])
+        counts.append(len(open_recording(tmp_path / "cut.rec", ctrl).u))
+    assert counts == [0, 5, 5, 10, 10, 20]
+    flipped = bytearray(data)
+    flipped[ends[1] + 40] ^= 1
+    (tmp_path / "cut.rec").write_bytes(flipped)
+    assert len(open_recording(tmp_path / "cut.rec", ctrl).u) == 10
+
+
+def test_a_disk_that_stalls(ctrl: Controller, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A loop in real time leaves samples out and says how many; one that runs faster waits, and loses none."""
+    monkeypatch.setattr(stream, "PERIOD", 1000.0)
+    for name, seconds, kept in (("real.rec", 720.0, 256), ("fast.rec", 1e-3, 300)):
+        now = [0]
+        monkeypatch.setattr(recorder, "perf_counter_ns", lambda now=now: now[0])
+        c = ctrl.copy()
+        with Recorder(c, file=tmp_path / name) as r:
+            for k in range(300):
+                now[0] = int(k * seconds * 1e9)
+                r.step([1.0])
+            assert r.dropped == 300 - kept
+        log = open_recording(tmp_path / name, ctrl)
+        assert len(log.u) == kept
+
+
+def test_samples_that_were_left_out_leave_a_gap(ctrl: Controller, tmp_path: Path, monkeypatch: Any) -> None:
+    c = ctrl.copy()
+    with Recorder(c, file=tmp_path / "gap.rec") as r:
+        fly(r, c, 5)
+        monkeypatch.setattr(r, "_make_room", lambda began: False)
+        r._ring.tail -= r._ring.slots
+        r.step([1.0])
+        r.step([1.0])
+        r._ring.tail += r._ring.slots
+        fly(r, c, 3)
+    log = open_recording(tmp_path / "gap.rec", ctrl)
+    np.testing.assert_allclose(log.t, 0.2 * np.array([0, 1, 2, 3, 4, 7, 8, 9, 10]))
+    assert "2 samples were left out of the recording" in log.summary()
+
+
+def test_a_disk_that_is_full(ctrl: Controller, tmp_path: Path) -> None:
+    """The loop goes on; the end of it says how many samples are lost, and what was written before opens."""
+    c = ctrl.copy()
+    r = Recorder(c, file=tmp_path / "full.rec")
+    fly(r, c, 5)
+    r.log()
+    assert r._writer is not None
+
+    def refuse(data: bytes) -> None:
+        raise OSError(28, os.strerror(28))
+
+    r._writer._write = refuse  # type: ignore[method-assign]
+    fly(r, c, 7)
+    with pytest.raises(ControllerError, match=r"full.rec: 7 samples could not be written: No space left"):
+        r.close()
+    assert len(open_recording(tmp_path / "full.rec", ctrl).u) == 5
+
+
+def test_late_samples_are_counted(ctrl: Controller, monkeypatch: pytest.MonkeyPatch) -> None:
+    c = ctrl.copy()
+    c_step = c.step
+
+    def step(x: Any, on_failure: Any = "status") -> Array:
+        u = c_step(x, on_failure)
+        c._feedback_ns = int(800e9)  # the interval is 720 s
+        return u
+
+    monkeypatch.setattr(c, "step", step)
+    with Recorder(c) as r:
+        r.step([1.0])
+        assert (r.samples, r.missed) == (1, 1)
+        assert "1 late" in repr(r)
+        assert "1 of 1 samples later than 720000 ms" in r.log().summary()
+
+
+def test_a_raised_failure_is_recorded(ctrl: Controller) -> None:
+    c = ctrl.copy()
+    with Recorder(c) as r:
+        with pytest.raises(ControllerError, match="NOT_FINITE"):
+            r.step([np.nan], on_failure="raise")
+        log = r.log()
+    assert log.status.tolist() == [Status.NOT_FINITE]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"dt": -1.0}, "dt is -1.0; expected a positive number"),
+        ({"plans": -1}, "plans is -1; expected an integer >= 0"),
+        ({"keep": 0}, "keep is 0; expected an integer >= 1"),
+        ({"file": "/nowhere/run.rec"}, "/nowhere/run.rec cannot be written: No such file"),
+        ({"controller": 3}, "3 is no controller"),
+    ],
+)
+def test_mistakes(ctrl: Controller, arguments: dict[str, Any], message: str) -> None:
+    with pytest.raises(ControllerError, match=message):
+        Recorder(**{"controller": ctrl, **arguments})
+
+
+def test_other_files(ctrl: Controller, tmp_path: Path) -> None:
+    """An existing file is not replaced; a text, or a recording of another package, is refused."""
+    (tmp_path / "run.rec").write_text("mine")
+    with pytest.raises(ControllerError, match=r"run.rec exists; expected a new file"):
+        Recorder(ctrl, file=tmp_path / "run.rec")
+    assert (tmp_path / "run.rec").read_text() == "mine"
+    with pytest.raises(ControllerError, match=r"run.rec is no recording: it begins with other words"):
+        open_recording(tmp_path / "run.rec", ctrl)
+    other = build(tank(), profile="test", name="other")
+    with Recorder(other, file=tmp_path / "other.rec") as r:
+        r.step([1.0])
+    with pytest.raises(ControllerError, match="a recording of 'other', of another package than this tank"):
+        open_recording(tmp_path / "other.rec", ctrl)

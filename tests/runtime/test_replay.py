@@ -1,0 +1,139 @@
+"""Dumps of a target, here of C programs on this machine, replayed to the bit."""
+
+from __future__ import annotations
+
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from nmpc_codegen import Controller, ControllerError, OptionError, Options, Status, build, export, generate, replay
+from nmpc_codegen.runtime.build import WARNINGS
+from nmpc_codegen.runtime.compilers import find_compiler
+from tests.runtime.test_log import tank
+
+PROGRAM = """
+#include <stdio.h>
+#include "tank.h"
+#include "tank_dumps.h"
+
+static tank_solver_t s;
+static tank_dumps_t d;
+
+int main(void)
+{
+    tank_real x[TANK_NX] = {1}, u[TANK_NU];
+    FILE *f;
+    (void)tank_init(&s);
+    tank_dumps_init(&d);
+    for (int k = 0; k < 10; k++) {
+        if (k == 6) {
+            (void)tank_set_bounds(&s, TANK_ROW_POWER, TANK_ALL, (tank_real)1.5, (tank_real)2);
+        }
+        if (tank_dumps_step(&d, &s, x, u) == TANK_RELAXED && k == HOLD) {
+            d.hold = 1U;
+        }
+        tank_integrate(&s, x, u, (tank_real)0.2, x);
+    }
+    f = fopen("dumps.bin", "wb");
+    (void)fwrite(&d, sizeof d, 1, f);
+    (void)fclose(f);
+    f = fopen("solver.bin", "wb");
+    (void)fwrite(&s, sizeof s, 1, f);
+    return fclose(f);
+}
+"""
+
+
+def run(folder: Path, hold: int = -1) -> None:
+    """Compile the program as the package says, with all warnings, and run it."""
+    (folder / "program.c").write_text(PROGRAM)
+    flags = [*WARNINGS, "-O2", "-fno-math-errno", "-fno-trapping-math", "-ffp-contract=off", f"-DHOLD={hold}"]
+    command = [*find_compiler(), *flags, "program.c", "tank.c", "-o", "program", "-lm"]
+    subprocess.run(command, cwd=folder, check=True)
+    subprocess.run([str(folder / "program")], cwd=folder, check=True)
+
+
+@pytest.fixture(scope="module", params=["double", "single"])
+def target(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder: Path = tmp_path_factory.mktemp(request.param)
+    export(tank(), Options(precision=request.param), folder, dumps=4)
+    run(folder)
+    return folder
+
+
+def test_a_ring_is_replayed_to_the_bit(target: Path, tmp_path: Path) -> None:
+    """The last four samples, their status and row, the plan that the last one left."""
+    found = replay(target / "dumps.bin", target)
+    assert [s.number for s in found.samples] == [7, 8, 9, 10]
+    assert found.same
+    assert all(s.again == s.status and s.difference == 0.0 for s in found.samples)
+    assert found.status == Status.RELAXED
+    assert (found.sample.number, found.row, found.node) == (7, "power", 0)
+    text = str(found)
+    assert "sample 7: RELAXED, row 'power' at node 0" in text
+    assert "replayed to the bit" in text
+    assert "of sample 7: RELAXED" in text
+    figure = found.plot(file=tmp_path / "plan.png")
+    assert [axis.get_ylabel() for axis in figure.axes] == ["level [m]", "flow [m³/h]", "power"]
+    assert "plan of sample 7, RELAXED" in figure.get_suptitle()
+    assert "plan of sample 9" in found.plot(9, tmp_path / "plan.png").get_suptitle()
+    with pytest.raises(ControllerError, match="there is no sample 3; expected one of 7, 8, 9, 10"):
+        found.plot(3)
+
+
+def test_a_copy_of_the_solver(target: Path) -> None:
+    """It says what the last sample said; from there the loop goes on as the target's would."""
+    found = replay((target / "solver.bin").read_bytes(), target)
+    ring = replay(target / "dumps.bin", target)
+    assert (found.status, found.row) == (Status.OK, None)
+    np.testing.assert_array_equal(found.controller.x, ring.samples[-1].controller.x)
+    again = replay(target / "solver.bin", target, xhat=[1.2])
+    np.testing.assert_array_equal(again.samples[0].u, ring.samples[-1].controller.copy().step([1.2]))
+
+
+def test_a_target_that_differs_is_seen(target: Path) -> None:
+    data = bytearray((target / "dumps.bin").read_bytes())
+    ctrl = replay(target / "dumps.bin", target).controller
+    slot = (len(data) - 40) // 4
+    place = 40 + 2 * slot - 16  # u of the second slot: behind it status and number, in single precision 8 bytes nearer
+    place += 4 if ctrl.description.precision == "single" else 0
+    data[place] ^= 1
+    found = replay(bytes(data), target)
+    assert [s.same for s in found.samples].count(False) == 1
+    assert not found.same
+    assert "replay differs: OK, controls by" in str(found)
+
+
+def test_hold_keeps_what_led_to_a_fault(tmp_path: Path) -> None:
+    export(tank(), None, tmp_path, dumps=3)
+    run(tmp_path, hold=6)
+    assert [s.number for s in replay(tmp_path / "dumps.bin", tmp_path).samples] == [5, 6, 7]
+
+
+def test_other_bytes_are_refused(target: Path) -> None:
+    ctrl: Controller = replay(target / "solver.bin", target).controller
+    ring = (target / "dumps.bin").read_bytes()
+    for data, message in (
+        (b"", "0 bytes are no dump; a tank_solver_t has"),
+        (bytes(ctrl.nbytes), "are no initialised tank_solver_t of this package"),
+        (ring[:-1], "the dump is cut"),
+        (b"0123456789abcdef" + ring[16:], "are no tank_dumps_t of this package"),
+        (ring[:40] + bytes(len(ring) - 40), "the dump holds no sample"),
+    ):
+        with pytest.raises(ControllerError, match=message):
+            replay(data, ctrl)
+    with pytest.raises(ControllerError, match="xhat belongs to the copy of a solver"):
+        replay(ring, ctrl, xhat=[1.0])
+
+
+@pytest.mark.parametrize("slots", [-1, 1001, 2.0, True])
+def test_numbers_of_slots(tmp_path: Path, slots: object) -> None:
+    with pytest.raises(OptionError, match=r"dumps is .*; expected the number of samples that are kept, 1 to 1000"):
+        export(tank(), None, tmp_path, dumps=slots)  # type: ignore[arg-type]
+
+
+def test_without_dumps_there_is_no_header(tmp_path: Path) -> None:
+    assert set(generate(tank())) == {path.name for path in export(tank(), None, tmp_path).files}
+    assert build(tank(), profile="test").nbytes > 0
