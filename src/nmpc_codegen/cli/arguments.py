@@ -116,6 +116,8 @@ def parser() -> Parser:
     add(
         "--version", action="version", version=f"%(prog)s {nmpc_codegen.__version__}", help="print the version and exit"
     )
+    add("--json", action="store_true", help="print one JSON object in place of text")
+    add("--quiet", action="store_true", help="print nothing but warnings and errors")
     add("-v", "--verbose", action="store_true", help="print the whole report, and tracebacks of errors")
     return made
 

@@ -20,7 +20,8 @@ if TYPE_CHECKING:
 class Flights:
     """The flag, and what was flown."""
 
-    def __init__(self, arguments: argparse.Namespace, stated: Stated, name: str) -> None:
+    def __init__(self, arguments: argparse.Namespace, stated: Stated, name: str, printer: Printer) -> None:
+        self._printer = printer
         self._count, self._stated, self._name = arguments.campaign, stated, name
         self._allowed = arguments.allow_failures or 0
         self._plot = None if arguments.simulate is not None else arguments.plot
@@ -40,6 +41,7 @@ class Flights:
         wish, conduct = split_words({**self._stated.campaign, "flights": self._count})
         target = TARGETS[PackageDescription.from_json(sources[f"{self._name}.json"]).target]
         controller = load(sources, self._name, "fast" if target.board is None else "verify")
+        self._printer.stage(f"flying {self._count:,} closed loops")
         self._result = fly_campaign(controller, self._stated.ocp, self._stated.options, wish, conduct)
         if not self._result.complete:  # nothing is written of a campaign that was not flown
             raise KeyboardInterrupt
@@ -51,6 +53,7 @@ class Flights:
         if result is None:
             return True
         printer.line(str(result))
+        printer.note("campaign", result.as_dict())
         if self._plot is not None:
             result.plot(self._plot)
             printer.line(f"picture: {self._plot}")

@@ -3,25 +3,20 @@
 from __future__ import annotations
 
 import argparse
-import os
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from nmpc_codegen.cli.arguments import check_usage, parser
-from nmpc_codegen.cli.messages import message, one_line
+from nmpc_codegen.cli.messages import message
 from nmpc_codegen.cli.printing import Printer, ReaderLeftError, drop_output, isolate, own_streams, saying_warnings
-from nmpc_codegen.errors import OptionError
+from nmpc_codegen.cli.report import report_files, report_operations, report_package
 
 if TYPE_CHECKING:
     from nmpc_codegen.cli.problem_file import Stated
-    from nmpc_codegen.compiler import Package
     from nmpc_codegen.firmware.delivery import Variant
-
-SHOWN_FUNCTIONS = 8
-LONG_SIMULATION = 10_000  # number of samples from which the simulation is announced
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -50,7 +45,11 @@ def _main(argv: Sequence[str] | None, printer: Printer) -> int:
             raise
         if arguments.verbose:
             printer.trace(error)
-        printer.error(message(error, arguments.problem))
+        text = message(error, arguments.problem)
+        printer.error(text)
+        if arguments.json:
+            printer.note("error", text)
+            printer.document(passed=False)
         return 1
 
 
@@ -60,8 +59,15 @@ def _run(arguments: argparse.Namespace, printer: Printer) -> int:
     if arguments.list_options:
         list_options(printer)
         return 0
-    if arguments.derivatives:
-        return _derivatives(arguments, printer)
+    printer.settle(arguments.verbose, arguments.quiet or arguments.json)
+    passed = (_derivatives if arguments.derivatives else _export)(arguments, printer)
+    if arguments.json:
+        printer.document(passed)
+    return 0 if passed else 1
+
+
+def _export(arguments: argparse.Namespace, printer: Printer) -> bool:
+    """Write a package and do what else was asked for; False if a check failed."""
     from nmpc_codegen.cli.campaign import Flights
     from nmpc_codegen.cli.check import check
     from nmpc_codegen.cli.firmware import Firmware
@@ -74,7 +80,7 @@ def _run(arguments: argparse.Namespace, printer: Printer) -> int:
     runs = arguments.check or arguments.simulate is not None or arguments.campaign is not None
     if runs:
         find_compiler()
-    firmware = Firmware(arguments)
+    firmware = Firmware(arguments, printer)
     if arguments.target is not None:
         firmware.look_for_tools(Options(target=arguments.target))
     stated = _problem(arguments, printer)
@@ -85,24 +91,26 @@ def _run(arguments: argparse.Namespace, printer: Printer) -> int:
         check_target(name, TARGETS[options.with_defaults.target])
     folder = Path(arguments.output or Path("out") / name)
     beside = None if estimator is None else lambda: compile(estimator, common_options(options))
-    flights = Flights(arguments, stated, name)
+    flights = Flights(arguments, stated, name, printer)
     variant: Variant = lambda **changes: compile(ocp, replace(options, **changes), name)  # noqa: E731
     more = firmware.hook(name, variant, beside, flights.fly)
     given: dict[str, Any] = {"allow_foreign": arguments.allow_foreign, "force": arguments.force, "more": more}
     given |= {"estimator": estimator, "dumps": arguments.dumps or 0}
     with saying_warnings(printer):
+        printer.stage(f"{name}: generating C, N={ocp.N}")
         package = export(ocp, options, str(folder), name=name, **given)
-        _print_package(printer, package, folder, arguments.verbose)
+        report_package(printer, package, folder)
         passed = firmware.report(printer)
         passed = flights.report(printer) and passed
         if arguments.check:
+            printer.stage("compiling with all warnings, solving, and asking IPOPT")
             passed = check(ocp, options, folder, name, printer) and passed
         if arguments.simulate is not None:
             passed = _simulate(arguments, folder, name, printer) and passed
-    return 0 if passed else 1
+    return passed
 
 
-def _derivatives(arguments: argparse.Namespace, printer: Printer) -> int:
+def _derivatives(arguments: argparse.Namespace, printer: Printer) -> bool:
     """Write a package of derivatives and print its files and operations."""
     from nmpc_codegen import derivatives
 
@@ -112,10 +120,13 @@ def _derivatives(arguments: argparse.Namespace, printer: Printer) -> int:
     name = f"{ocp.name}_derivatives" if arguments.name is None else arguments.name
     folder = Path(arguments.output or Path("out") / name)
     with saying_warnings(printer):
+        printer.stage(f"{name}: generating C")
         package = derivatives.export(ocp, outputs, options, folder, name, force=arguments.force, second_order=True)
-    _print_files(printer, package.name, package.directory, package.files, folder)
-    _print_operations(printer, {f: count.as_dict() for f, count in package.operations.items()}, True)
-    return 0
+    report_files(printer, package.name, package.directory, package.files, folder)
+    operations = {f: count.as_dict() for f, count in package.operations.items()}
+    printer.note("operations", operations)
+    report_operations(printer, operations)
+    return True
 
 
 def _problem(arguments: argparse.Namespace, printer: Printer) -> Stated:
@@ -128,6 +139,7 @@ def _problem(arguments: argparse.Namespace, printer: Printer) -> Stated:
     from nmpc_codegen.cli.problem_file import load_problem
     from nmpc_codegen.cli.settings import apply_settings
 
+    printer.stage(f"reading {arguments.problem}")
     with isolate(printer, arguments.problem, arguments.verbose), np.errstate():
         stated = load_problem(Path(arguments.problem))
     options = stated.options
@@ -146,11 +158,11 @@ def _simulate(arguments: argparse.Namespace, folder: Path, name: str, printer: P
     from nmpc_codegen.runtime.package import open_package
 
     samples, allowed = arguments.simulate, arguments.allow_failures or 0
-    if samples >= LONG_SIMULATION:
-        printer.line(f"simulating {samples:,} samples")
+    printer.stage(f"compiling, and simulating {samples:,} samples")
     controller = open_package(str(folder), name=name)
     log = simulate(controller, controller.description.x_initial, samples)
     printer.line(log.summary())
+    printer.note("simulation", {"samples": samples, "failures": log.failures, "summary": log.summary().splitlines()})
     if arguments.plot is not None:
         log.plot(arguments.plot)
         printer.line(f"picture: {arguments.plot}")
@@ -159,58 +171,3 @@ def _simulate(arguments: argparse.Namespace, folder: Path, name: str, printer: P
         why = "; ".join(line.strip() for line in log.first_failure.splitlines())
         printer.error(f"simulation FAILED: {log.failures} of {samples} samples{limit}; {why}")
     return log.failures <= allowed
-
-
-def _print_files(printer: Printer, name: str, directory: Path, paths: Sequence[Path], folder: Path) -> None:
-    from rich.table import Table
-
-    printer.line(one_line(f"{name} in {folder}"))
-    files = Table("file", "bytes")
-    files.columns[1].justify = "right"
-    for path in sorted(paths):
-        files.add_row(one_line(os.path.relpath(path, directory)), f"{path.stat().st_size:,}")
-    printer.table(files)
-
-
-def _print_package(printer: Printer, package: Package, folder: Path, verbose: bool) -> None:
-    """Print files with sizes, choices with reasons, memory, and operations of the largest functions, or of all."""
-    _print_files(printer, package.name, package.directory, package.files, folder)
-    for choice in package.report.get("choices", ()):
-        printer.line(f"chosen  {choice}")
-    if "ram_bytes" in package.report:
-        bytes_of_struct = f"{package.report['ram_bytes']:,} bytes of solver struct"
-        printer.line(f"memory  {bytes_of_struct}, all that the code needs except its stack")
-    _print_operations(printer, package.report.get("operations", {}), verbose)
-    if verbose:
-        printer.line(f"worst   {_worst(package)}")
-
-
-def _worst(package: Package) -> str:
-    """The worst case of a sample in words."""
-    from nmpc_codegen.analysis import worst_case
-
-    paths = [f"{package.name}.{ending}" for ending in ("h", "c", "json")]
-    try:
-        found = worst_case({path: (package.directory / path).read_text(encoding="utf-8") for path in paths})
-    except OptionError as error:
-        return str(error)
-    return ", ".join(f"{phase} {count:,}" for phase, count in found.items()) + " operations"
-
-
-def _print_operations(printer: Printer, operations: Mapping[str, Mapping[str, Any]], verbose: bool) -> None:
-    from rich.table import Table
-
-    counts = {function: sum(count.values()) for function, count in operations.items()}
-    largest = sorted(counts, key=lambda function: -counts[function])
-    shown = largest if verbose else largest[:SHOWN_FUNCTIONS]
-    if shown:
-        table = Table("operations per call", *next(iter(operations.values())), "all")
-        table.columns[0].overflow = "fold"
-        for column in table.columns[1:]:
-            column.justify = "right"
-        for function in shown:
-            numbers = [*operations[function].values(), counts[function]]
-            table.add_row(function, *(f"{number:,}" for number in numbers))
-        printer.table(table)
-    if len(shown) < len(largest):
-        printer.line(f"and {len(largest) - len(shown)} smaller functions (-v shows all)")

@@ -16,6 +16,7 @@ from nmpc_codegen.firmware.delivery import Delivery, Flown, Variant, deliver, de
 from nmpc_codegen.firmware.process import compiler_for, emulator_command
 from nmpc_codegen.firmware.toolchain import LEVELS, require
 from nmpc_codegen.options import Options
+from nmpc_codegen.package.description import PackageDescription
 from nmpc_codegen.package.seal import seal_beside, without_seal
 from nmpc_codegen.package.sources import Sources
 from nmpc_codegen.runtime.compilers import find_compiler
@@ -25,7 +26,8 @@ from nmpc_codegen.targets import TARGETS
 class Firmware:
     """The flags of an export for a target; with ``hook`` as a part of the export there is a delivery."""
 
-    def __init__(self, arguments: argparse.Namespace) -> None:
+    def __init__(self, arguments: argparse.Namespace, printer: Printer) -> None:
+        self._printer = printer
         given = {flag: getattr(arguments, f"max_{flag}") for flag in BUDGETS}
         limits = {
             flag: parse_size(f"--max-{flag}", text, OPERATIONS if flag == "operations" else BYTES)
@@ -69,6 +71,7 @@ class Firmware:
         def more(sources: Mapping[str, str]) -> dict[str, str]:
             """Further files, sealed; an error if a budget is exceeded or a tool fails."""
             flown = fly(sources)
+            self._announce(sources[f"{name}.json"])
             self._delivery = deliver(sources, name, self._level, self._budgets, self._run, variant, flown)
             files = dict(self._delivery.files)
             if flown is not None:
@@ -82,6 +85,13 @@ class Firmware:
 
         return more
 
+    def _announce(self, description: str) -> None:
+        """Say what takes long: the certificate of a microcontroller, the emulation."""
+        target = TARGETS[PackageDescription.from_json(description).target]
+        if target.board is not None or self._run:
+            work = (["certifying"] if target.board else []) + (["replaying a loop"] if self._run else [])
+            self._printer.stage(f"{' and '.join(work)} for {target.name}")
+
     def report(self, printer: Printer) -> bool:
         """Print certificate and verdict; return False if host and target disagree."""
         passed = [_report(printer, found) for found in (self._delivery, self._estimator)]
@@ -91,6 +101,10 @@ class Firmware:
 def _report(printer: Printer, found: Delivery) -> bool:
     """Print what was found of one package; False if host and target disagree."""
     certificate, verdict = found.certificate, found.verdict
+    if certificate is not None:
+        printer.note(f"certificate of {certificate.name}", certificate.as_dict())
+    if verdict is not None:
+        printer.note("emulated", verdict.as_dict())
     if certificate is not None:
         _print(printer, certificate)
         if found.forms:

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import contextlib
+import json
+import math
 import os
 import sys
 import threading
+import time
 import traceback
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Any, TextIO
 
 from rich.console import Console
@@ -30,16 +33,40 @@ class Printer:
     """Output and errors. Characters that the stream cannot encode are escaped; markup in names is not interpreted."""
 
     def __init__(self, output: TextIO, errors: TextIO) -> None:
+        self._begin = time.monotonic()
+        self._facts: dict[str, Any] = {}
+        self.verbose = self._quiet = False
         self._output = Console(file=output, markup=False, emoji=False, highlight=False)
         self._errors = Console(file=errors, markup=False, emoji=False, highlight=False)
 
+    def settle(self, verbose: bool, quiet: bool) -> None:
+        """How much is printed from now on; ``quiet``: nothing but errors and the document."""
+        self.verbose, self._quiet = verbose, quiet
+
+    def stage(self, text: str) -> None:
+        """Say what begins, after the seconds since the start."""
+        self.line(f"[{time.monotonic() - self._begin:5.1f} s] {text}")
+
+    def note(self, key: str, value: Any) -> None:
+        """An entry of the document of --json."""
+        self._facts[key] = value
+
+    def document(self, passed: bool) -> None:
+        """Print all entries as one JSON object."""
+        text = json.dumps(_plain({**self._facts, "passed": passed}), indent=1, allow_nan=False)
+        self._print(self._output, text, soft_wrap=True)
+
     def line(self, text: str, style: str = "") -> None:
         """Print each line of the text as a line of output, never wrapped."""
+        if self._quiet:
+            return
         for part in text.split("\n"):
             self._print(self._output, printable(part), style=style, soft_wrap=True)
 
     def table(self, table: Any) -> None:
         """Print a rich table."""
+        if self._quiet:
+            return
         self._print(self._output, table)
 
     def trace(self, error: BaseException) -> None:
@@ -62,6 +89,19 @@ class Printer:
             raise ReaderLeftError from None
         except OSError as error:
             raise ReaderLeftError.of(error) from None
+
+
+def _plain(value: Any) -> Any:
+    """A value of which JSON has a word; numbers that are not finite are null."""
+    if isinstance(value, Mapping):
+        return {str(key): _plain(entry) for key, entry in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(entry) for entry in value]
+    if hasattr(value, "item"):  # of NumPy
+        value = value.item()
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value if value is None or isinstance(value, bool | int | float | str) else str(value)
 
 
 @contextlib.contextmanager

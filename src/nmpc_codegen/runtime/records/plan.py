@@ -75,6 +75,8 @@ def take_plan(ctrl: Memory) -> Plan:
 def _references(ctrl: Memory) -> Array:
     """References of the path residual at all nodes before the end, (N, ny)."""
     d, described = ctrl.dims, ctrl.description
+    if not d.ny:
+        return np.zeros((d.N, 0))
     if described.online["reference"] == "fixed":
         stored = np.array([[r.reference for r in described.residuals]])
     else:
