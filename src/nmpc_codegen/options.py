@@ -27,6 +27,7 @@ from nmpc_codegen.package.estimation import EstimatorKind
 from nmpc_codegen.package.memory import Precision
 from nmpc_codegen.package.signals import Layout, Layouts
 from nmpc_codegen.runtime.native import native
+from nmpc_codegen.runtime.records.html import page, table
 from nmpc_codegen.targets import MATHS, NATIVE, TARGETS, Math
 
 REGISTRIES: Mapping[str, Mapping[str, type[Component]]] = {
@@ -158,6 +159,17 @@ class Options:
                     f"{seam} {spell(given)} clashes with algorithm {spell(self.algorithm)}, which takes none; "
                     f"it needs {needed}"
                 )
+
+    def _repr_html_(self) -> str:
+        """A table of all options with their values, and which of them are given."""
+        mine, complete, default = as_data(self), as_data(self.with_defaults), as_data(Options())
+        rows: list[tuple[object, ...]] = []
+        for name, value in complete.items():
+            given = name in mine and (name not in default or mine[name] != default[name])
+            open_seam = value is None and name in SEAMS and name in self.algorithm.needs
+            shown = "chosen from the problem" if open_seam else "" if value is None else value
+            rows.append((name, shown, "given" if given else ""))
+        return page("Options", "what is not given has its default", [table(("option", "value", ""), rows)])
 
     @property
     def with_defaults(self) -> Options:

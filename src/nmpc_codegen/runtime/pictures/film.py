@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +23,7 @@ from nmpc_codegen.runtime.pictures.style import (
     File,
     finish,
     fit,
+    is_inline,
     name_times,
     new_figure,
     stack_axes,
@@ -46,10 +48,25 @@ def draw(log: Record, file: File, xy: tuple[str, str] | None, every: int, fps: f
     writer = "" if file is None else _writer(file, animation)
     with styled():
         figure, show = _over_time(log, plans, file) if xy is None else _in_plane(log, plans, xy, file)
-        film = animation.FuncAnimation(figure, show, frames=chosen, interval=1e3 / fps, blit=False, repeat=True)
+        film = _class_of(animation)(figure, show, frames=chosen, interval=1e3 / fps, blit=False, repeat=True)
         if file is not None:
             film.save(Path(file), writer=writer, fps=fps, dpi=100)
+        elif is_inline():  # the film is the value of the cell, not its first picture
+            extra("matplotlib.pyplot", "animate()").close(figure)
     return film
+
+
+@cache
+def _class_of(animation: Any) -> Any:
+    """An animation that a notebook plays."""
+
+    class Film(animation.FuncAnimation):  # type: ignore[misc]
+        """An animation of matplotlib."""
+
+        def _repr_html_(self) -> str:
+            return str(self.to_jshtml())
+
+    return Film
 
 
 def _writer(file: Any, animation: Any) -> str:

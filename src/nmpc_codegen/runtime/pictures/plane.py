@@ -33,6 +33,7 @@ from nmpc_codegen.runtime.records.trace import Limit, Record
 Array = NDArray[np.float64]
 
 SET_POINTS = 10  # references up to this number are drawn as points
+LONGEST = 4.0  # ratio of the axes up to which both have one scale
 POINTS = 240  # of the grid on which rows are evaluated, in each direction
 FORBIDDEN: Legend = ("forbidden", {"color": FAILURE_COLOR, "alpha": 0.18, "marker": "s", "linestyle": ""})
 COSTLY: Legend = ("soft row violated", {"color": DOUBT_COLOR, "alpha": 0.18, "marker": "s", "linestyle": ""})
@@ -85,7 +86,8 @@ def draw_surroundings(axis: Any, log: Record, i: int, j: int, rows: bool, sample
     axis.set_ylim(*ends[1])
     axis.set_xlabel(log.states[i].label)
     axis.set_ylabel(log.states[j].label)
-    if log.states[i].unit == log.states[j].unit:
+    lengths = [high - low for low, high in ends]
+    if log.states[i].unit == log.states[j].unit and max(lengths) <= LONGEST * min(lengths):
         axis.set_aspect("equal", adjustable="box")
     shown = _draw_lines(axis, log, i, j)
     if rows and samples:

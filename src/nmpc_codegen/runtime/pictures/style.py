@@ -64,19 +64,27 @@ def new_figure(size: tuple[float, float], file: object) -> Any:
 
 @cache
 def _figure_class() -> Any:
-    """A figure that a notebook shows once: at the end of its cell, as pyplot does, or as the value of a later one."""
+    """A figure that a notebook shows once in a cell: as its value or, as pyplot does, at its end."""
 
     class Figure(extra("matplotlib.figure", "plot()").Figure):  # type: ignore[misc]
         """A figure of pyplot."""
 
+        _shown = False
+
         def _ipython_display_(self) -> None:
-            pyplot = extra("matplotlib.pyplot", "plot()")
-            if pyplot.fignum_exists(getattr(self, "number", -1)) and "inline" in pyplot.get_backend():
-                return  # the display draws all open figures at the end of the cell
             display = extra("IPython.display", "plot()")
-            display.display(display.Image(_png(self), retina=False))
+            if not is_inline():
+                display.display({"text/plain": repr(self)}, raw=True)
+            elif not (self._shown and extra("matplotlib.pyplot", "plot()").fignum_exists(self.number)):
+                self._shown = True
+                display.display(display.Image(_png(self)))
 
     return Figure
+
+
+def is_inline() -> bool:
+    """True if a notebook shows figures as pictures at the end of their cell."""
+    return "inline" in extra("matplotlib.pyplot", "plot()").get_backend()
 
 
 def _png(figure: Any) -> bytes:

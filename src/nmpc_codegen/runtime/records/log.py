@@ -174,8 +174,8 @@ class Log(Record):
         """A film of the loop with the plan of every sample: over time, or of one state over another.
 
         Args:
-            file: .gif, or .mp4 if ffmpeg is installed; None: only return the animation, for a notebook its
-                to_jshtml().
+            file: .gif, or .mp4 if ffmpeg is installed; None: only return the animation, which a
+                notebook plays.
             xy: names of two states, as in plot_xy(); None: all states and controls over time.
             every: samples from picture to picture.
             fps: pictures per second, > 0.
