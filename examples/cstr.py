@@ -103,7 +103,8 @@ def draw(log: Log, coarse: Log, picture: str) -> None:
         axis.plot(t, value, color="#c2571a" if trace in log.controls else "#1f5fa8", linewidth=1.6)
         axis.set_ylabel(trace.label.replace("degC", "°C"))
         low, high = axis.get_ylim()
-        for bound, far in ((trace.lower, low), (trace.upper, high)):
+        lower, upper = (float(side[0]) for side in log.bounds(trace.name))
+        for bound, far in ((lower, low), (upper, high)):
             if low <= bound <= high:
                 axis.axhspan(bound, bound + 10 * (far - bound), color="#b3202c", alpha=0.12, linewidth=0)
                 axis.axhline(bound, color="#b3202c", linewidth=1.0)

@@ -47,6 +47,8 @@ POWER = 14341.0  # W
 SPEED = 50 / 3.6
 SAMPLING, N, STEPS = 0.1, 100, 5
 OBSTACLE, CLEARED, MOVE = 80.0, 6.0, 8.0  # m, s, s
+TARGET: dict[str, Any] = {"color": "0.15", "linewidth": 0.8}
+BOUND: dict[str, Any] = {"color": "0.45", "linewidth": 1.0, "linestyle": "--"}
 
 
 def build_ocp(newton: float = 1000.0, intervals: int = N, *, economic: bool = True) -> OCP:
@@ -158,22 +160,31 @@ def closed_loop(side_step: float = 2.0, samples: int = 300, hessian: Any = None)
 
 
 def draw(log: Log, picture: str) -> None:
-    """Plot speed, position with the obstacle, lateral distance, torque and brake."""
-    figure = Figure(figsize=(9, 6.5), layout="constrained")
-    axes = figure.subplots(4, 1, sharex=True)
+    """Plot speed, position with the obstacle, lateral distance, torque and brake, each with its bounds."""
+    figure = Figure(figsize=(9, 7.5), layout="constrained")
+    axes = figure.subplots(5, 1, sharex=True)
     values = (log.x[:, 2] * 3.6, log.x[:, 0], log.x[:, 1])
     names = ("speed [km/h]", "position [m]", "distance from\nthe lane [m]")
     for axis, value, name in zip(axes, values, names, strict=False):
         axis.plot(log.t, value, color="#1f5fa8", linewidth=1.6)
         axis.set_ylabel(name)
+    axes[0].axhline(3.6 * SPEED, **TARGET, label="best steady speed")
     axes[1].fill_between([0, CLEARED], OBSTACLE, log.x[:, 0].max(), color="#b3202c", alpha=0.12, linewidth=0)
-    axes[3].step(log.t[:-1], log.u[:, 0], where="post", color="#c2571a", linewidth=1.6, label="torque [kN m]")
-    axes[3].step(log.t[:-1], log.u[:, 1], where="post", color="0.4", linewidth=1.2, label="brake [kN]")
-    axes[3].legend(frameon=False)
-    axes[3].set_xlabel("time [s]")
+    axes[1].annotate("obstacle", (0.5 * CLEARED, 0.5 * (OBSTACLE + log.x[:, 0].max())), ha="center", fontsize=8)
+    axes[2].axhline(0.0, **TARGET, label="middle of the lane")
+    most = np.minimum(T_MAX, P_MAX * RADIUS / (GEAR * log.x[:-1, 2])) / 1000.0
+    for axis, j, name, bound in ((axes[3], 0, "torque [kN m]", most), (axes[4], 1, "brake [kN]", 0 * most + 10.0)):
+        axis.step(log.t[:-1], log.u[:, j], where="post", color="#c2571a", linewidth=1.6)
+        axis.plot(log.t[:-1], bound, **BOUND, label="bound")
+        axis.axhline(0.0, **BOUND)
+        axis.set_ylabel(name)
+    axes[-1].set_xlabel("time [s]")
     for axis in axes:
         axis.grid(alpha=0.25)
         axis.margins(x=0)
+        if axis is not axes[1]:
+            axis.legend(frameon=False, fontsize=8, loc="upper right" if axis is axes[0] else "right")
+    figure.align_ylabels(axes)
     figure.suptitle("Energy-optimal driving: an obstacle until 6 s, a move of the lane at 8 s", fontsize=11)
     Path(picture).parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(picture, dpi=90)

@@ -13,13 +13,24 @@ Without a penalty the compiler chooses one for the cost. Time in hours, concentr
 from __future__ import annotations
 
 import sys
+import warnings
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from nmpc_codegen import OCP, RK4, AugmentedLagrangian, Controller, ExplicitRungeKutta, Options, Status, build
+from nmpc_codegen import (
+    OCP,
+    RK4,
+    AugmentedLagrangian,
+    Controller,
+    ExplicitRungeKutta,
+    Options,
+    ProblemWarning,
+    Status,
+    build,
+)
 
 PERIOD, N = 48.0, 20
 SAMPLING = PERIOD / N
@@ -100,19 +111,39 @@ def closed_loop(samples: int = 200, at: int = 100) -> Loop:
     return Loop(np.array(states), np.array(feeds), np.array(residuals), not_ok)
 
 
-def draw(loop: Loop, picture: str) -> None:
-    """Plot concentrations, the feed, and the residual of every plan."""
+def orbit() -> np.ndarray:
+    """The best period, (N+1, 5): the same problem, whose first state the solver chooses."""
+    ocp = build_ocp()
+    ocp.free_initial("X", "S", "P")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ProblemWarning)  # the cost has no curvature in the feed
+        controller = build(ocp)
+    guess(controller)
+    return np.array(controller.solve(START).x)
+
+
+def draw(loop: Loop, best: np.ndarray, picture: str) -> None:
+    """Plot concentrations, the feed, and the residual of every plan; beside them the path and the best period."""
     t = SAMPLING * np.arange(len(loop.feed))
-    figure = Figure(figsize=(9, 6.5), layout="constrained")
-    top, middle, bottom = figure.subplots(3, 1, sharex=True)
+    figure = Figure(figsize=(11, 6.5), layout="constrained")
+    curves, plane = figure.subfigures(1, 2, width_ratios=(1.7, 1))
+    top, middle, bottom = curves.subplots(3, 1, sharex=True)
+    path = plane.subplots()
+    path.plot(*loop.x[:, [1, 2]].T, color="#1f5fa8", linewidth=0.8, label="loop")
+    path.plot(*loop.x[-N:, [1, 2]].T, color="#c2571a", linewidth=1.6, label="its last period")
+    path.plot(*best[:, [1, 2]].T, color="0.1", linestyle="--", linewidth=1.2, label="best period")
+    path.plot(*START[[1, 2]], color="#1f5fa8", marker="o")
+    path.set(xlabel="S [g/L]", ylabel="P [g/L]")
+    path.grid(alpha=0.25)
+    plane.legend(frameon=False, ncols=3, fontsize=8, loc="outside lower center")
     for i, (name, colour) in enumerate((("X", "#3a7d44"), ("S", "#c2571a"), ("P", "#1f5fa8"))):
         top.plot(t, loop.x[:, i], color=colour, label=name)
-    top.legend(frameon=False, ncols=3, loc="upper right")
+    top.legend(frameon=False, ncols=3, loc="lower right", bbox_to_anchor=(1.0, 0.98))
     top.set(ylabel="concentrations [g/L]", ylim=(0, 30))
     middle.step(t, loop.feed, where="post", color="#1f5fa8")
     middle.set(ylabel="feed [g/L]")
     for bound in (28.7, 40.0):
-        middle.axhline(bound, color="#b3202c", linewidth=1.0)
+        middle.axhline(bound, color="0.45", linewidth=1.0, linestyle="--")
     bottom.semilogy(t, loop.residual, color="0.3", marker=".", markersize=4, linewidth=0.8)
     bottom.axhline(0.1, color="#b3202c", linewidth=1.0)
     bottom.annotate("NOT_CONVERGED above", (t[-1], 0.1), ha="right", va="bottom", fontsize=8, color="#b3202c")
@@ -129,7 +160,7 @@ def main(picture: str = "out/fermentation.png") -> Loop:
     for first in (0, 80, 180):
         print(f"samples {first} to {first + N}: {loop.productivity(first):.4f} g/(L h)")
     print(f"{loop.not_ok} of {len(loop.feed)} samples were not OK")
-    draw(loop, picture)
+    draw(loop, orbit(), picture)
     return loop
 
 

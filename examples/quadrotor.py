@@ -74,8 +74,8 @@ def path(t: np.ndarray) -> np.ndarray:
 def draw(log: Log, picture: str) -> None:
     """Plot the flight in space, with the arms of the quadrotor every 0.25 s, the distance to the path, and thrusts."""
     wanted = path(log.t)
-    figure = Figure(figsize=(9, 6.5), layout="constrained")
-    space, curves = figure.subfigures(2, 1, height_ratios=(2.1, 1))
+    figure = Figure(figsize=(9, 7.6), layout="constrained")
+    space, curves = figure.subfigures(2, 1, height_ratios=(2.6, 1))
     axis = space.add_subplot(projection="3d")
     axis.plot(*wanted[:, :3].T, color="0.35", linestyle=":", linewidth=1.2, label="reference")
     axis.plot(*log.x[:, :3].T, color="#1f5fa8", linewidth=1.6, label="flight")
@@ -86,21 +86,23 @@ def draw(log: Log, picture: str) -> None:
             ends = np.stack([position - ARM * arm, position + ARM * arm])
             axis.plot(*ends.T, color="#c2571a", linewidth=1.5)
     axis.set(xlabel="x [m]", ylabel="y [m]", zlabel="z [m]")
+    axis.locator_params(nbins=5)
     axis.set_aspect("equal")
-    axis.set_box_aspect(None, zoom=1.25)
+    axis.set_box_aspect(None, zoom=1.0)
     axis.view_init(elev=38, azim=-72)
     axis.legend(frameon=False, loc="upper right")
     left, right = curves.subplots(1, 2, sharex=True)
     left.semilogy(log.t, 100 * np.linalg.norm(log.x[:, :3] - wanted[:, :3], axis=1), color="#1f5fa8")
     left.set(ylabel="distance to reference [cm]", xlabel="time [s]", xlim=(0, log.t[-1]))
-    right.step(log.t[:-1], log.u, where="post", linewidth=1.0)
+    right.step(log.t[:-1], log.u, where="post", linewidth=1.0, label=["1", "2", "3", "4"])
+    right.legend(title="rotor", title_fontsize=8, fontsize=8, frameon=False, ncols=4, loc="lower right")
     for bound in (0, 2.5):
-        right.axhline(bound, color="#b3202c", linewidth=1.0)
+        right.axhline(bound, color="0.45", linewidth=1.0, linestyle="--")
     right.set(ylabel="thrusts [N]", xlabel="time [s]")
     for curve in (left, right):
         curve.grid(alpha=0.25)
     Path(picture).parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(picture, dpi=110)
+    figure.savefig(picture, dpi=85)
 
 
 def _turn(axis: int, angle: float) -> np.ndarray:

@@ -99,6 +99,10 @@ def test_bounds_as_they_were(log: Log, tmp_path: Path) -> None:
     bounds = {limit.name: i for i, limit in enumerate(log.limits)}
     np.testing.assert_allclose(log.upper[:, bounds["ax"]], 2 - 0.02 * np.arange(STEPS))
     np.testing.assert_array_equal(log.lower[:, bounds["obstacle"]], 0.25)
+    np.testing.assert_array_equal(log.bounds("ax")[1], log.upper[:, bounds["ax"]])
+    assert [side[0] for side in log.bounds("vy")] == [-np.inf, np.inf]
+    with pytest.raises(ControllerError, match="there is no 'mass'; expected one of px, py, vx, vy, ax, ay, obstacle"):
+        log.bounds("mass")
     assert [log.limits[bounds[name]].delay for name in ("ax", "vx", "effort")] == [0.0, pytest.approx(0.2), 0.0]
     assert log.limits[bounds["vx"]].soft
     axis = next(a for a in log.plot(tmp_path / "bounds.png").axes if a.get_ylabel() == "ax [m/s²]")

@@ -534,7 +534,7 @@ c = open_package(sys.argv[1], profile="test")
 if c.description.online["bounds"] == "node":
     c.set_bounds("u", -0.1, 0.1, node=0)
 log = simulate(c, [1.0, 0.2], 3)
-print(repr(log.u.tolist()), log.controls[0].lower, log.controls[0].upper)
+print(repr(log.u.tolist()), *(float(side[-1]) for side in log.bounds("u")))
 """
 
 

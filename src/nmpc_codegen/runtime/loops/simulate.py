@@ -71,18 +71,15 @@ def simulate(
         bounds: {name of a row: (lower, upper)}, each a number or an array over the samples as for parameters.
         references: {name of a residual: array over the samples}, or (n, ny) for the path residual.
         reference: the same; a function that is given here belongs to ``before``.
-        estimator: build(ocp.estimator(...)), which tells the controller the state; ``parameters`` that it finds are
-            those of the plant alone.
+        estimator: build(ocp.estimator(...)), which tells the controller the state. Parameters it finds are the plant's.
         seed: of the noise of its measurements; None: no noise.
-        plans: the log keeps the plan of every so many samples; 0: of none; None: of all, or fewer in a long loop, so
-            that there are at most 1000 and they take at most 64 MiB.
+        plans: the plan of every so many samples is logged; 0: none; None: of all, of long loops at most 1000, 64 MiB.
 
     Raises:
         ControllerError: shapes or numbers are wrong, there are more steps than a log can hold, or the plant returns
             something other than a finite state.
     """
     _check_steps(steps, _controller(ctrl))
-    every = _every(plans, ctrl, steps)
     interval = interval_of(ctrl.description, dt)
     start = _state(_stack(x0, ctrl) if isinstance(x0, Mapping) else x0, ctrl.dims.nx, "x0")
     tell = forecast(ctrl, interval, parameters, bounds, _references(references, reference), before)
@@ -91,8 +88,8 @@ def simulate(
     move = plant or own_plant(ctrl if sensing is None else sensing.truth)
     if warm_start:
         _solve_first(ctrl, start, tell)
-    sample, told = _sample_by(law, ctrl, interval), _measure_by(noise, sensing)
-    return _run(ctrl, start, steps, interval, every, tell, sample, move, disturbance, sensing, told)
+    how = tell, _sample_by(law, ctrl, interval), move, disturbance, sensing, _measure_by(noise, sensing)
+    return _run(ctrl, start, steps, interval, _every(plans, ctrl, steps), *how)
 
 
 def _measure_by(noise: Disturbance | None, sensing: Sensing | None) -> Callable[[int, Array, Array], Array]:

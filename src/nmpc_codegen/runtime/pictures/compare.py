@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from nmpc_codegen.runtime.pictures.loop import curves_of, draw_curve, time_label
-from nmpc_codegen.runtime.pictures.style import File, Legend, finish, fit, name_times, stack_axes, styled
+from nmpc_codegen.runtime.pictures.style import File, Legend, finish, fit, name_times, stack_axes, use_style
 from nmpc_codegen.runtime.records.trace import Record
 
 OTHER_COLOR = "#b0307a"
@@ -21,7 +21,7 @@ def draw(log: Record, other: Record, names: tuple[str, str], file: File) -> Any:
     figure, columns = stack_axes(len(curves), file)
     second: Legend = (names[1], {"color": OTHER_COLOR, "linewidth": 1.2})
     shown: list[Legend] = [(names[0], {"color": "0.25", "linewidth": 1.6}), second]
-    with styled():
+    with use_style():
         axes = [axis for column in columns for axis in column]
         for axis, curve in zip(axes, curves, strict=True):
             shown += draw_curve(axis, curve)

@@ -16,7 +16,7 @@ from nmpc_codegen.runtime.pictures.style import (
     File,
     finish,
     new_figure,
-    styled,
+    use_style,
 )
 from nmpc_codegen.runtime.records.convergence import Iteration
 
@@ -32,7 +32,7 @@ def draw(log: Sequence[Iteration], title: str, failed: bool, file: File) -> Any:
     """Figure: residuals above, length of the step and shift of the Hessian below, over the iterations."""
     numbers = range(1, len(log) + 1)
     figure = new_figure((7.2, 4.6), file)
-    with styled():
+    with use_style():
         above, below = figure.subplots(2, 1, sharex=True, height_ratios=(2, 1))
         for part, color in PARTS.items():
             values = [_drawable(getattr(entry.kkt, part)) for entry in log]

@@ -27,7 +27,7 @@ from nmpc_codegen.runtime.pictures.style import (
     name_times,
     new_figure,
     stack_axes,
-    styled,
+    use_style,
 )
 from nmpc_codegen.runtime.records.trace import Plans, Record
 
@@ -46,7 +46,7 @@ def draw(log: Record, file: File, xy: tuple[str, str] | None, every: int, fps: f
         raise ControllerError(f"animate(): fps is {fps!r}; expected a positive number")
     animation = extra("matplotlib.animation", "animate()")
     writer = "" if file is None else _writer(file, animation)
-    with styled():
+    with use_style():
         figure, show = _over_time(log, plans, file) if xy is None else _in_plane(log, plans, xy, file)
         film = _class_of(animation)(figure, show, frames=chosen, interval=1e3 / fps, blit=False, repeat=True)
         if file is not None:

@@ -35,7 +35,7 @@ from nmpc_codegen.runtime.pictures.style import (
     name_times,
     spread,
     stack_axes,
-    styled,
+    use_style,
 )
 from nmpc_codegen.runtime.records.trace import Record, Trace, with_unit
 
@@ -90,7 +90,7 @@ def draw_curves(
     """Figure with one axis per curve, with marks at the times of doubtful and of failed samples."""
     figure, columns = stack_axes(len(curves), file)
     shown: list[Legend] = []
-    with styled():
+    with use_style():
         axes = [axis for column in columns for axis in column]
         for axis, curve in zip(axes, curves, strict=True):
             shown += draw_curve(axis, curve)

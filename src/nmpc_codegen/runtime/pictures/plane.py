@@ -26,7 +26,7 @@ from nmpc_codegen.runtime.pictures.style import (
     finish,
     new_figure,
     spread,
-    styled,
+    use_style,
 )
 from nmpc_codegen.runtime.records.trace import Limit, Record
 
@@ -56,7 +56,7 @@ def draw(log: Record, x: str, y: str, rows: bool, every: int, file: File) -> Any
     i, j = places(log, x, y, "plot_xy()")
     chosen = choose(kept_plans(log, "plot_xy()"), every, "plot_xy()") if every else []
     figure = new_figure((WIDTH, 0.75 * WIDTH), file)
-    with styled():
+    with use_style():
         axis = figure.subplots()
         shown = draw_surroundings(axis, log, i, j, rows, list(moments(log)))
         if log.plans is not None and chosen:

@@ -23,7 +23,7 @@ from nmpc_codegen.runtime.pictures.style import (
     fit,
     name_times,
     stack_axes,
-    styled,
+    use_style,
 )
 from nmpc_codegen.runtime.records.plan import Plan
 from nmpc_codegen.runtime.records.trace import Plans, Record
@@ -54,7 +54,7 @@ def draw(log: Record, every: int, file: File) -> Any:
     curves = [*known[:nx], *[c for c in known if c.trace in log.controls][:nu]]
     figure, columns = stack_axes(len(curves), file)
     shown: list[Legend] = []
-    with styled():
+    with use_style():
         axes = [axis for column in columns for axis in column]
         for i, (axis, curve) in enumerate(zip(axes, curves, strict=True)):
             shown += draw_curve(axis, curve)

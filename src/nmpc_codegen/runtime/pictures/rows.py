@@ -23,7 +23,7 @@ from nmpc_codegen.runtime.pictures.style import (
     finish,
     fit,
     new_figure,
-    styled,
+    use_style,
 )
 from nmpc_codegen.runtime.records.trace import Plans, Record
 
@@ -40,7 +40,7 @@ def draw(log: Record, rows: Sequence[str] | None, file: File) -> Any:
     t = log.t[plans.sample]
     figure = new_figure((1.25 * WIDTH, 0.9 + ROW_HEIGHT * len(chosen)), file)
     shown: list[Legend] = [BOUND]
-    with styled():
+    with use_style():
         axes = figure.subplots(len(chosen), 2, sharex=True, squeeze=False)
         for (left, right), i in zip(axes, chosen, strict=True):
             distance, on = plans.distance[:, i], plans.active[:, i] > 0

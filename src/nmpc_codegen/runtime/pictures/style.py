@@ -95,7 +95,7 @@ def _png(figure: Any) -> bytes:
 
 
 @contextmanager
-def styled() -> Iterator[None]:
+def use_style() -> Iterator[None]:
     """The style of the project for all that is drawn inside."""
     with extra("matplotlib", "plot()").rc_context(STYLE):
         yield
@@ -131,7 +131,7 @@ def stack_axes(count: int, file: File, height: float = ROW_HEIGHT) -> tuple[Any,
     columns = columns_of(count)
     width = WIDTH * (1.0 if len(columns) == 1 else 0.62 * len(columns))
     figure = new_figure((width, 0.8 + height * columns[0]), file)
-    with styled():
+    with use_style():
         outer = figure.add_gridspec(1, len(columns))
         found: list[list[Any]] = []
         for j, rows in enumerate(columns):

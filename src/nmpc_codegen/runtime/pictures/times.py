@@ -19,7 +19,7 @@ from nmpc_codegen.runtime.pictures.style import (
     Legend,
     finish,
     new_figure,
-    styled,
+    use_style,
 )
 from nmpc_codegen.runtime.records.trace import Record
 
@@ -63,7 +63,7 @@ def draw(log: Record, dt: float | None, file: File) -> Any:
         period = np.diff(log.began_ns) / 1e6
         panels.append(("period from sample to sample [ms]", period, None if deadline is None else deadline / 1e6))
     figure = new_figure((WIDTH, 0.9 + 1.6 * ROW_HEIGHT * len(panels)), file)
-    with styled():
+    with use_style():
         axes = figure.subplots(len(panels), 1, squeeze=False)[:, 0]
         for axis, (label, values, limit) in zip(axes, panels, strict=True):
             _draw_histogram(axis, values, limit)

@@ -10,6 +10,7 @@ from typing import IO, Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from nmpc_codegen.errors import ControllerError
 from nmpc_codegen.package.signals import list_some
 from nmpc_codegen.package.status import Status
 from nmpc_codegen.runtime.diagnosis.diagnose import WARNED
@@ -100,6 +101,22 @@ class Log(Record):
         last = zip(self.states, self.x[-2 if len(self.began_ns) else -1], strict=True)
         lines.append("last state: " + list_some([f"{trace.name} = {value:.6g}" for trace, value in last]))
         return "\n".join(lines)
+
+    def bounds(self, name: str) -> tuple[Array, Array]:
+        """Lower and upper bounds of a state, control or row as they were, (steps,) each: the tightest of all rows that
+        bound it, inf without one.
+
+        Raises:
+            ControllerError: there is no such quantity.
+        """
+        groups = {"x": self.states, "u": self.controls, "h": self.rows}
+        places = [(array, i) for array, traces in groups.items() for i, t in enumerate(traces) if t.name == name]
+        if not places:
+            known = list_some([trace.name for traces in groups.values() for trace in traces])
+            raise ControllerError(f"bounds: there is no {name!r}; expected one of {known}")
+        rows = [i for i, limit in enumerate(self.limits) if (limit.array, limit.column) == places[0]]
+        lower, upper = self.lower[:, rows], self.upper[:, rows]
+        return lower.max(axis=1, initial=-np.inf), upper.min(axis=1, initial=np.inf)
 
     def plot(self, file: File = None) -> Any:
         """Plot states, controls, rows, changing parameters and computing times over time. Extra ``plot``.
