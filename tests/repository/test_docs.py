@@ -192,14 +192,14 @@ def test_problem_class_scaling_and_signs() -> None:
 
 
 @pytest.mark.usefixtures("compiler")
-@pytest.mark.parametrize("page", ["campaigns", "estimation", "many", "samples", "formulations"])
+@pytest.mark.parametrize("page", ["campaigns", "estimation", "logs", "many", "samples", "formulations"])
 def test_programs_of_the_reference_run(page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     found = blocks(f"docs/{page}.md")
     assert found
     shared: dict[str, Any] = {}
     for block in found:
-        exec(block.text, shared if page in ("campaigns", "many") else {})
+        exec(block.text, shared if page in ("campaigns", "logs", "many") else {})
 
 
 @pytest.mark.parametrize(("page", "scale"), [("acado", 1.0), ("acados", 0.3)])

@@ -86,6 +86,7 @@ def test_a_ring_is_replayed_to_the_bit(target: Path, tmp_path: Path) -> None:
 def test_a_copy_of_the_solver(target: Path) -> None:
     """It says what the last sample said; from there the loop goes on as the target's would."""
     found = replay((target / "solver.bin").read_bytes(), target)
+    assert bytes(found.controller) == (target / "solver.bin").read_bytes()
     ring = replay(target / "dumps.bin", target)
     assert (found.status, found.row) == (Status.OK, None)
     np.testing.assert_array_equal(found.controller.x, ring.samples[-1].controller.x)

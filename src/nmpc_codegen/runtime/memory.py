@@ -169,12 +169,16 @@ class Memory(Iterate):
 
     __copy__ = copy
 
+    def __bytes__(self) -> bytes:
+        """The bytes of the solver struct, as memcpy() gives them on a target; replay() reads them."""
+        return self._memory.tobytes()
+
     def __deepcopy__(self, memo: object) -> Self:
         return self.copy()
 
     def __reduce__(self) -> tuple[Any, ...]:
         package = self._package
-        state = self._memory.tobytes()
+        state = bytes(self)
         return compiled.restore, (package.reload, dict(package.files), package.name, package.profile, state)
 
     def save(self, file: str | os.PathLike[str] | IO[bytes]) -> None:
