@@ -12,7 +12,7 @@ from benchmarks.lib.firmware import sizes as forms
 from benchmarks.lib.report import Report
 from benchmarks.lib.robustness import at_rest, cold, episodes, qps, returns, violations, work, worst
 from benchmarks.lib.run import RefusedError, Run
-from benchmarks.lib.speed import choice, data, instructions, levels, own_math, rates, sizes, times
+from benchmarks.lib.speed import choice, data, instructions, levels, own_math, rates, recording, sizes, times
 
 Topic = Callable[[Report, Run], None]
 
@@ -34,7 +34,11 @@ PAGE: dict[str, Topic] = {
 
 #: Topics with a line per case and a column per figure.
 MATRICES = frozenset(
-    {*PAGE, "batch", "campaigns", "estimation", "speed/levels", "speed/setters", "speed/tables", "convergence/routes"}
+    {
+        *PAGE,
+        *("batch", "campaigns", "estimation", "speed/levels", "speed/recording", "speed/setters", "speed/tables"),
+        "convergence/routes",
+    }
 )
 
 TOPICS: dict[str, Topic] = {
@@ -48,6 +52,7 @@ TOPICS: dict[str, Topic] = {
     "speed/choice": choice.measure,
     "speed/own_math": own_math.measure,
     "speed/rates": rates.measure,
+    "speed/recording": recording.measure,
     "speed/setters": data.setters,
     "speed/tables": data.tables,
     "robustness/at_rest": at_rest.measure,

@@ -37,7 +37,7 @@ LIMITS: dict[str, tuple[int, str]] = {
     "templates": (19180, "a ring of dumps"),
     "tests": (28200, "recordings that are killed, dumps of C programs, pictures, notebooks"),
     "verification": (8800, "plans of flights that are replayed"),
-    "benchmarks": (4680, "campaigns: losses, replays, memory, what the coach chooses"),
+    "benchmarks": (4730, "what a recording costs"),
     "examples": (1840, "a thousand flights past a pillar, the best period of the fermentation"),
 }
 

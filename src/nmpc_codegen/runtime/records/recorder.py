@@ -32,6 +32,7 @@ STAMPS = struct.Struct("<qqq")  # number of the sample, when it began, how long 
 MEMORY = 2**26  # bytes of samples that are kept in memory
 SECONDS = 4.0  # of a loop whose samples fit into memory before they are written
 LEAST_SLOTS = 256
+PADDING = 8  # bytes between two members of a struct, at most
 
 
 class Layout:
@@ -46,7 +47,10 @@ class Layout:
         spans = {name: (fields[name][1], fields[name][1] + fields[name][0].itemsize) for name in members}
         of_roles = {name: spans[name] for name, member in members.items() if member.role in ("setting", "result")}
         self.plan = _join([spans[name] for name, member in members.items() if member.role == "iterate"])
-        self.rest = _join([*of_roles.values(), *([spans["xhat"]] if "xhat" in spans else [])])
+        known = [spans["xhat"]] if "xhat" in spans and ctrl.description.inner.count else []
+        self.rest = _join([*of_roles.values(), *known])
+        if self.plan and self.rest and 0 <= self.rest[0][0] - self.plan[-1][1] <= PADDING:
+            self.rest[0] = self.plan[-1][1], self.rest[0][1]  # so that both can be copied at once
         real = ctrl.description.real.itemsize
         self.x = STAMPS.size, STAMPS.size + real * ctrl.dims.nx
         self.u = self.x[1], self.x[1] + real * ctrl.dims.nu
@@ -61,7 +65,7 @@ def _join(spans: list[tuple[int, int]]) -> list[tuple[int, int]]:
     """Spans in order, those that touch each other in one."""
     found: list[tuple[int, int]] = []
     for first, last in sorted(spans):
-        if found and first - found[-1][1] <= 8:  # padding
+        if found and first - found[-1][1] <= PADDING:
             found[-1] = found[-1][0], last
         else:
             found.append((first, last))
@@ -125,7 +129,10 @@ class Recorder:
         self._x, self._u = (memoryview(a.view(np.uint8).data) for a in (ctrl._xhat, ctrl._u0))
         sources = [memory[first:last] for first, last in (*layout.plan, *layout.rest)]
         pairs = [(*place, source) for place, source in zip(layout.places, sources, strict=True)]
-        self._of_plan, self._of_rest = pairs[: len(layout.plan)], pairs[len(layout.plan) :]
+        self._of_all, self._of_rest = pairs, pairs[len(layout.plan) :]
+        if _join([*layout.plan, *layout.rest]) == [(layout.plan[0][0], layout.rest[-1][1])]:
+            whole = memory[layout.plan[0][0] : layout.rest[-1][1]]
+            self._of_all = [(layout.places[0][0], layout.places[-1][1], whole)]
         self._status = ctrl._struct["status"]
         self._target = memoryview(self._ring.buffer)
 
@@ -172,11 +179,8 @@ class Recorder:
         STAMPS.pack_into(ring.buffer, start, number if planned else ~number, began, took)
         target[start + layout.x[0] : start + layout.x[1]] = self._x
         target[start + layout.u[0] : start + layout.u[1]] = self._u
-        for first, last, source in self._of_rest:
+        for first, last, source in self._of_all if planned else self._of_rest:
             target[start + first : start + last] = source
-        if planned:
-            for first, last, source in self._of_plan:
-                target[start + first : start + last] = source
         ring.head += 1
 
     def _make_room(self, began: int) -> bool:
