@@ -98,7 +98,7 @@ def export(
     estimator: Estimator | None = None,
     allow_foreign: bool = False,
     force: bool = False,
-    dumps: int = 0,
+    dumps: int | None = None,
     more: Callable[[Mapping[str, str]], Mapping[str, str]] | None = None,
 ) -> Package:
     """Write the C package of the problem into a folder, which is created if needed.
@@ -113,7 +113,7 @@ def export(
     precision, and main.c runs the loop of both.
 
     ``dumps``: of a controller, a further header, <name>_dumps.h, keeps so many samples in memory, which replay() takes
-    again; 0: none.
+    again; None: none, and one of an earlier export is removed.
 
     ``more``: called with the files before any is written; it returns further ones with their seals (package.seal), or
     raises an error to refuse all.
@@ -132,13 +132,14 @@ def export(
         )
     _warn(sources.description)
     files = dict(sources)
-    if dumps:
+    if dumps is not None:
         files |= with_dumps(sources, sources.description, dumps)
     if more is not None:
         files |= more(files)
     files |= {} if estimator is None else _files_beside(files, sources.description, estimator, options)
-    folder = write(directory, files, force=force)
     description = sources.description
+    obsolete = () if dumps is not None else (f"{description.name}_dumps.h",)
+    folder = write(directory, files, force=force, obsolete=obsolete)
     return Package(folder, description.name, tuple(folder / path for path in files), description.report.as_dict())
 
 

@@ -165,6 +165,22 @@ def test_json(state_problem: Any, tmp_path: Path, capsys: pytest.CaptureFixture[
     assert json.loads(captured.out) == {"error": captured.err.strip(), "passed": False}
 
 
+def test_json_of_a_file_that_prints(state_problem: Any, tmp_path: Path) -> None:
+    """What the file prints goes to the errors."""
+    file = state_problem("print('hello')\nocp = cart()")
+    done = command(file, "-o", "c", "--json", "--dumps", "2", "--max-ram", "100k", where=tmp_path)
+    assert json.loads(done.stdout)["dumps_bytes"] > 2 * json.loads(done.stdout)["ram_bytes"]
+    assert b"hello" in done.stderr
+
+
+def test_dumps_count_as_memory(state_problem: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = state_problem("ocp = cart()")
+    assert main([file, "-o", str(tmp_path / "c"), "--dumps", "100", "--max-ram", "20k"]) == 1
+    assert "bytes of solver struct and dumps" in capsys.readouterr().err
+    assert main([file, "-o", str(tmp_path / "c"), "--dumps", "0"]) == 1
+    assert "dumps is 0; expected the number of samples" in capsys.readouterr().err
+
+
 def test_quiet(state_problem: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main([state_problem("ocp = cart()"), "-o", str(tmp_path / "c"), "--quiet"]) == 0
     assert capsys.readouterr() == ("", "")

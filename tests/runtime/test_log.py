@@ -30,7 +30,7 @@ from nmpc_codegen.runtime.pictures.style import BOUND_COLOR, DOUBT_COLOR, FAILUR
 
 mpl.use("Agg")
 
-COMPUTING = "computing\ntime [µs]"
+COMPUTING = "computing time\n[µs]"
 
 
 def tank() -> OCP:

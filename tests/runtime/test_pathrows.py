@@ -91,7 +91,7 @@ def test_axes_of_rows(tmp_path: Path) -> None:
     log = simulate(ctrl, [1.0, 0.0], 12)
     figure = log.plot(tmp_path / "rows.png")
     axes = {axis.get_ylabel(): axis for axis in figure.axes if axis.get_visible()}
-    assert tuple(axes) == ("p", "v", "F", *NAMES, "computing\ntime [µs]")
+    assert tuple(axes) == ("p", "v", "F", *NAMES, "computing time\n[µs]")
     drawn = axes["power"].lines[0]
     np.testing.assert_array_equal(drawn.get_ydata(), log.h[:, 0])
     np.testing.assert_array_equal(drawn.get_xdata(), log.t[:-1])

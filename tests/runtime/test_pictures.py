@@ -12,9 +12,20 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from nmpc_codegen import OCP, Controller, ControllerError, FullCondensing, Log, NoCondensing, Options, build, simulate
+from nmpc_codegen import (
+    OCP,
+    AdjointShooting,
+    Controller,
+    ControllerError,
+    FullCondensing,
+    Log,
+    NoCondensing,
+    Options,
+    build,
+    simulate,
+)
 from nmpc_codegen.components.qp import RiccatiInteriorPoint
-from nmpc_codegen.runtime.pictures.style import HARD, columns_of
+from nmpc_codegen.runtime.pictures.style import HARD, break_label, columns_of
 
 mpl.use("Agg")
 
@@ -111,6 +122,65 @@ def test_bounds_as_they_were(log: Log, tmp_path: Path) -> None:
     np.testing.assert_allclose(drawn[1].get_xdata()[:-1], log.t[:-1])
 
 
+def test_bounds_by_names_of_rows(log: Log) -> None:
+    """A row on a bare signal has the axis of the signal, and its own name."""
+    ocp = drone("named")
+    ocp.subject_to(-1.0, ocp.x[3], 1.2, name="climb", soft=(1, 1))
+    ocp.subject_to(-1.0, 2 * ocp.x[3], 5.0, name="vy")
+    found = simulate(build(ocp, OPTIONS["condensed"], "test"), [0, 0, 0, 0], 3)
+    assert [trace.name for trace in found.rows] == ["obstacle", "effort", "vy"]
+    assert [side[0] for side in found.bounds("climb")] == [-1.0, 1.2]
+    with pytest.raises(ControllerError, match="'vy' is a signal and a row; expected a row with a name of its own"):
+        found.bounds("vy")
+
+
+def test_equations_are_active_and_not_violated_by_rounding(tmp_path: Path) -> None:
+    """In both precisions, with active sets and interior points."""
+    for qp, precision in ((None, "double"), (RiccatiInteriorPoint(), "double"), (None, "single")):
+        ocp = OCP("goal", T=2.0, N=10)
+        p, v = ocp.state("p", initial=1.0), ocp.state("v")
+        u = ocp.control("u")
+        ocp.dynamics({p: v, v: u})
+        ocp.least_squares(ca.vertcat(p, v, u), [1.0, 1.0, 0.1])
+        ocp.subject_to(0, ca.vertcat(p, v), 0, at="end", name="goal")
+        log = simulate(build(ocp, Options(precision=precision, qp=qp), "test"), [1.0, 0.0], 12)  # type: ignore[arg-type]
+        assert log.plans is not None
+        assert [trace.name for trace in log.plans.rows] == ["goal[0]_end", "goal[1]_end"]
+        np.testing.assert_array_equal(log.plans.active, 1)
+        assert (log.plans.distance >= -log.plans.rounding).all()
+        assert "violated" not in {t.get_text() for t in log.plot_rows(file=tmp_path / "r.png").legends[0].get_texts()}
+
+
+def test_an_algorithm_without_multipliers(tmp_path: Path) -> None:
+    """Rows are active at their bounds, and the picture says why there is no multiplier."""
+    ocp = OCP("shot", T=1.0, N=5)
+    x, u = ocp.state("x", initial=2.0), ocp.control("u")
+    ocp.dynamics({x: u})
+    ocp.least_squares(ca.vertcat(x, u), [1.0, 0.01])
+    ocp.subject_to(-0.3, u, 0.3)
+    log = simulate(build(ocp, Options(algorithm=AdjointShooting()), "test"), [2.0], 4)
+    assert log.plans is not None
+    assert (log.plans.active > 0).all()
+    texts = [text.get_text() for axis in log.plot_rows(file=tmp_path / "r.png").axes for text in axis.texts]
+    assert ("the algorithm keeps none" in texts) == np.isnan(log.plans.multiplier).all()
+
+
+def test_plans_at_uneven_samples(log: Log, tmp_path: Path) -> None:
+    """As a recording keeps them: those of every so many samples, and the next one of which there is a plan."""
+    assert log.plans is not None
+    kept = [0, 1, 10, 20, 30]
+    some = {name: getattr(log.plans, name)[kept] for name in ("sample", "x", "u", "distance", "multiplier", "active")}
+    figure = replace(log, plans=replace(log.plans, **some)).plot_plans(10, tmp_path / "plans.png")
+    starts = next(line for line in figure.axes[0].lines if line.get_marker() == ".")
+    np.testing.assert_allclose(starts.get_xdata(), log.t[[0, 10, 20, 30]])
+
+
+def test_long_names_are_broken() -> None:
+    assert break_label("euler_angles_of_body[0] [rad]") == ["euler_angles_", "of_body[0]", "[rad]"]
+    assert break_label("computing time [µs]") == ["computing time", "[µs]"]
+    assert break_label("speed [km/h]") == ["speed [km/h]"]
+
+
 def test_parameters_that_change_are_drawn(log: Log, tmp_path: Path) -> None:
     labels = [axis.get_ylabel() for axis in log.plot(tmp_path / "moved.png").axes]
     assert "middle" in labels
@@ -134,7 +204,7 @@ def test_odd_counts_leave_no_hole(tmp_path: Path) -> None:
     lowest = figure.axes[5], figure.axes[10]
     assert [axis.get_xlabel() for axis in lowest] == ["time [s]"] * 2
     assert lowest[0].get_position().y0 == pytest.approx(lowest[1].get_position().y0, abs=1e-3)
-    assert lowest[1].get_ylabel() == "computing\ntime [µs]"
+    assert lowest[1].get_ylabel() == "computing time\n[µs]"
     assert figure.axes[6].yaxis.label.get_window_extent().x0 > figure.axes[0].get_window_extent().x1
 
 
@@ -191,7 +261,7 @@ def test_films(log: Log, tmp_path: Path) -> None:
     log.animate(tmp_path / "plane.gif", ("px", "py"), every=10)
     for name in ("time", "plane"):
         with Image.open(tmp_path / f"{name}.gif") as film:
-            assert film.n_frames == STEPS / 10
+            assert film.n_frames == STEPS / 10 + 1  # and the last sample
             first = film.convert("RGB").tobytes()
             film.seek(2)
             assert film.convert("RGB").tobytes() != first
@@ -206,6 +276,13 @@ def test_films(log: Log, tmp_path: Path) -> None:
         (lambda log, p: log.plot_times(-1.0), "dt is -1.0; expected a positive number"),
         (lambda log, p: log.animate(p / "a.avi"), "ends in '.avi'; expected .gif or .mp4"),
         (lambda log, p: log.animate(fps=0), "fps is 0"),
+        (lambda log, p: log.animate(xy="px"), "xy is 'px'; expected the names of two states"),
+        (lambda log, p: log.plot_xy("px", "px"), "'px' over itself; expected two states"),
+        (lambda log, p: log.plot_rows([]), "rows is empty"),
+        (lambda log, p: log.plot_rows("wall"), "there is no row wall"),
+        (lambda log, p: log.compare(5), "5 is no log"),
+        (lambda log, p: log.compare(log, ("a",)), "expected two"),
+        (lambda log, p: log.compare(replace(log, time_unit="h")), "one log is in s, the other in h"),
         (lambda log, p: replace(log, plans=None).plot_plans(), r"no plans; expected one of simulate\(..., plans=1\)"),
         (lambda log, p: replace(log, plans=None).plot_rows(), "no plans"),
     ],

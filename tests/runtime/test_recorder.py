@@ -100,7 +100,8 @@ def test_memory_holds_the_last_samples(ctrl: Controller) -> None:
     assert len(log.u) == 16
     expected = simulate(ctrl.copy(), [1.0], 50, before=change)
     np.testing.assert_array_equal(log.u, expected.u[-16:])
-    assert log.t[0] == 0.0
+    assert log.t[0] == pytest.approx(34 * 0.2)
+    assert "left out" not in log.summary()
 
 
 def test_few_plans(ctrl: Controller, tmp_path: Path) -> None:
@@ -153,7 +154,7 @@ def test_a_killed_recording_opens(ctrl: Controller, tmp_path: Path) -> None:
 
 
 def test_every_cut_opens(ctrl: Controller, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A part is there as a whole, or not at all; a flipped bit ends the recording before its part."""
+    """A part is there as a whole, or not at all; a flipped bit costs the samples of its part."""
     c = ctrl.copy()
     with Recorder(c, file=tmp_path / "run.rec") as r:
         ends = []
@@ -170,7 +171,9 @@ def test_every_cut_opens(ctrl: Controller, tmp_path: Path, monkeypatch: pytest.M
     flipped = bytearray(data)
     flipped[ends[1] + 40] ^= 1
     (tmp_path / "cut.rec").write_bytes(flipped)
-    assert len(open_recording(tmp_path / "cut.rec", ctrl).u) == 10
+    log = open_recording(tmp_path / "cut.rec", ctrl)
+    np.testing.assert_allclose(log.t[:-1], 0.2 * np.array([*range(10), *range(15, 20)]))
+    assert "5 samples were left out of the recording" in log.summary()
 
 
 def test_a_disk_that_stalls(ctrl: Controller, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -217,9 +220,114 @@ def test_a_disk_that_is_full(ctrl: Controller, tmp_path: Path) -> None:
 
     r._writer._write = refuse  # type: ignore[method-assign]
     fly(r, c, 7)
-    with pytest.raises(ControllerError, match=r"full.rec: 7 samples could not be written: No space left"):
+    assert len(r.log().u) == 12  # those that are not written are in memory
+    with pytest.raises(ControllerError, match=r"full.rec: 7 samples could not be written: .*No space left"):
         r.close()
     assert len(open_recording(tmp_path / "full.rec", ctrl).u) == 5
+
+
+def test_a_call_that_is_refused_is_no_sample(ctrl: Controller) -> None:
+    c = ctrl.copy()
+    with Recorder(c) as r:
+        r.step([1.0])
+        for call in (lambda: r.step([1.0, 2.0]), lambda: r.step("abc"), lambda: r.feedback([1.0, 2.0])):
+            with pytest.raises(ControllerError):
+                call()
+        assert r.samples == len(r.log().u) == 1
+
+
+def test_a_closed_recorder_says_so(ctrl: Controller, tmp_path: Path) -> None:
+    """Before the sample is taken, so that nothing vanishes."""
+    c = ctrl.copy()
+    r = Recorder(c, file=tmp_path / "run.rec")
+    r.step([1.0])
+    r.close()
+    r.close()
+    with pytest.raises(ControllerError, match=r"step\(\): the recorder is closed"):
+        r.step([1.0])
+    assert len(open_recording(tmp_path / "run.rec", ctrl).u) == r.samples == 1
+
+
+def test_an_interrupt_while_it_closes(ctrl: Controller, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """close() can be called again, and everything is written."""
+    c = ctrl.copy()
+    r = Recorder(c, file=tmp_path / "run.rec")
+    fly(r, c, 5)
+    assert r._writer is not None
+    join = r._writer._thread.join
+
+    def interrupt() -> None:
+        monkeypatch.setattr(r._writer._thread, "join", join)  # type: ignore[union-attr]
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(r._writer._thread, "join", interrupt)
+    with pytest.raises(KeyboardInterrupt):
+        r.close()
+    r.close()
+    assert len(open_recording(tmp_path / "run.rec", ctrl).u) == 5
+
+
+@pytest.mark.parametrize("error", [OSError(5, "Input/output error"), MemoryError(), ValueError("strange")])
+def test_a_write_that_fails_once(ctrl: Controller, tmp_path: Path, error: Exception) -> None:
+    """Half of a part is taken back, and the samples are written at the next attempt."""
+    c = ctrl.copy()
+    with Recorder(c, file=tmp_path / "run.rec") as r:
+        fly(r, c, 5)
+        r.log()
+        writer = r._writer
+        assert writer is not None
+        write = writer._write
+
+        def fail(data: bytes) -> None:
+            write(data[: len(data) // 2])
+            writer._write = write  # type: ignore[method-assign]
+            raise error
+
+        writer._write = fail  # type: ignore[method-assign]
+        fly(r, c, 5)
+        assert len(r.log().u) == 10
+    assert len(open_recording(tmp_path / "run.rec", ctrl).u) == 10
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")
+def test_a_forked_process_leaves_the_recording_alone(ctrl: Controller, tmp_path: Path) -> None:
+    c = ctrl.copy()
+    r = Recorder(c, file=tmp_path / "run.rec")
+    fly(r, c, 5)
+    if (child := os.fork()) == 0:
+        fly(r, c, 3)
+        try:
+            r.close()
+        except ControllerError as error:
+            os._exit("it belongs to another process" not in str(error))
+        os._exit(2)
+    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
+    fly(r, c, 2)
+    r.close()
+    assert open_recording(tmp_path / "run.rec", ctrl).t[:-1].tolist() == pytest.approx([0.2 * k for k in range(7)])
+
+
+def test_a_recorder_that_is_forgotten_is_closed(ctrl: Controller, tmp_path: Path) -> None:
+    """Also if the garbage is collected in the thread that writes."""
+    for name, in_thread in (("one.rec", False), ("two.rec", True)):
+        c = ctrl.copy()
+        r = Recorder(c, file=tmp_path / name)
+        fly(r, c, 5)
+        writer, finalize = r._writer, r._finalize
+        assert writer is not None
+        if in_thread:
+            add = writer._add
+
+            def collect(add: Any = add, finalize: Any = finalize) -> None:
+                finalize()
+                add()
+
+            writer._add = collect  # type: ignore[method-assign]
+            writer._thread.join(10.0)
+        del r
+        writer._thread.join(10.0)
+        assert not writer._thread.is_alive()
+        assert len(open_recording(tmp_path / name, ctrl).u) == 5
 
 
 def test_late_samples_are_counted(ctrl: Controller, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -236,7 +344,7 @@ def test_late_samples_are_counted(ctrl: Controller, monkeypatch: pytest.MonkeyPa
         r.step([1.0])
         assert (r.samples, r.missed) == (1, 1)
         assert "1 late" in repr(r)
-        assert "1 of 1 samples later than 720000 ms" in r.log().summary()
+        assert "1 of 1 samples later than 12 min" in r.log().summary()
 
 
 def test_a_raised_failure_is_recorded(ctrl: Controller) -> None:
@@ -256,6 +364,9 @@ def test_a_raised_failure_is_recorded(ctrl: Controller) -> None:
         ({"keep": 0}, "keep is 0; expected an integer >= 1"),
         ({"file": "/nowhere/run.rec"}, "/nowhere/run.rec cannot be written: No such file"),
         ({"controller": 3}, "3 is no controller"),
+        ({"file": 3}, "file is 3; expected the path of a new file"),
+        ({"file": ""}, "file is ''; expected the path of a new file"),
+        ({"keep": 10**14}, "100000000000000 samples take .* bytes; expected fewer in keep="),
     ],
 )
 def test_mistakes(ctrl: Controller, arguments: dict[str, Any], message: str) -> None:
@@ -271,6 +382,14 @@ def test_other_files(ctrl: Controller, tmp_path: Path) -> None:
     assert (tmp_path / "run.rec").read_text() == "mine"
     with pytest.raises(ControllerError, match=r"run.rec is no recording: it begins with other words"):
         open_recording(tmp_path / "run.rec", ctrl)
+    for text in (b"", stream.MAGIC, stream.MAGIC + stream.LENGTH.pack(9) + b"no zlib !"):
+        (tmp_path / "bad.rec").write_bytes(text)
+        with pytest.raises(ControllerError, match=r"bad.rec is no recording"):
+            open_recording(tmp_path / "bad.rec", ctrl)
+    with Recorder(ctrl.copy(), file=tmp_path / "good.rec") as r:
+        r.step([1.0])
+    with pytest.raises(ControllerError, match=r"good.rec is a recording; open_recording\(\) opens it"):
+        Log.load(tmp_path / "good.rec")
     other = build(tank(), profile="test", name="other")
     with Recorder(other, file=tmp_path / "other.rec") as r:
         r.step([1.0])

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from nmpc_codegen import Controller, ControllerError, OptionError, Options, Status, build, export, generate, replay
+from nmpc_codegen.lowering.beside.dumps import ring_bytes
 from nmpc_codegen.runtime.build import WARNINGS
 from nmpc_codegen.runtime.compilers import find_compiler
 from tests.runtime.test_log import tank
@@ -104,7 +105,7 @@ def test_a_target_that_differs_is_seen(target: Path) -> None:
     found = replay(bytes(data), target)
     assert [s.same for s in found.samples].count(False) == 1
     assert not found.same
-    assert "replay differs: OK, controls by" in str(found)
+    assert "the replay differs: OK, controls by" in str(found)
 
 
 def test_hold_keeps_what_led_to_a_fault(tmp_path: Path) -> None:
@@ -119,7 +120,7 @@ def test_other_bytes_are_refused(target: Path) -> None:
     for data, message in (
         (b"", "0 bytes are no dump; a tank_solver_t has"),
         (bytes(ctrl.nbytes), "are no initialised tank_solver_t of this package"),
-        (ring[:-1], "the dump is cut"),
+        (ring[:-1], "the dump is cut or damaged"),
         (b"0123456789abcdef" + ring[16:], "are no tank_dumps_t of this package"),
         (ring[:40] + bytes(len(ring) - 40), "the dump holds no sample"),
     ):
@@ -138,3 +139,63 @@ def test_numbers_of_slots(tmp_path: Path, slots: object) -> None:
 def test_without_dumps_there_is_no_header(tmp_path: Path) -> None:
     assert set(generate(tank())) == {path.name for path in export(tank(), None, tmp_path).files}
     assert build(tank(), profile="test").nbytes > 0
+
+
+def slots_of(data: bytes) -> tuple[int, int]:
+    """Begin and size of the slots of a ring of four."""
+    return 40, (len(data) - 40) // 4
+
+
+def test_a_sample_that_the_target_did_not_end(target: Path) -> None:
+    """As a fault inside the step leaves it: it is taken here, and it is the sample that is shown."""
+    data = bytearray((target / "dumps.bin").read_bytes())
+    begin, size = slots_of(data)
+    last = begin + 2 * size  # ten samples: the third slot holds the last one
+    real = 4 if replay(bytes(data), target).controller.description.precision == "single" else 8
+    assert int.from_bytes(data[last - 4 : last], "little") == 10
+    data[last - 8 : last - 4] = (-1).to_bytes(4, "little", signed=True)
+    data[last - 8 - real : last - 8] = bytes(real)
+    found = replay(bytes(data), target)
+    assert (found.sample.number, found.status, found.sample.u) == (10, None, None)
+    assert found.same
+    assert "sample 10: the target did not end it, replayed: OK" in str(found)
+
+
+def test_a_solver_that_was_not_initialised_is_shown(target: Path) -> None:
+    """The other samples are replayed."""
+    data = bytearray((target / "dumps.bin").read_bytes())
+    begin, _ = slots_of(data)
+    solver = replay(bytes(data), target).controller.nbytes
+    data[begin : begin + solver] = bytes(solver)
+    found = replay(bytes(data), target)
+    assert [s.same for s in found.samples].count(None) == 1
+    assert [s.same for s in found.samples].count(True) == 3
+
+
+def test_numbers_of_samples_start_again(target: Path) -> None:
+    """After 2^32 samples; the order is that of the slots."""
+    data = bytearray((target / "dumps.bin").read_bytes())
+    begin, size = slots_of(data)
+    for slot, number in enumerate((2**32 - 1, 1, 2, 2**32 - 2)):
+        place = begin + (slot + 1) * size - 4
+        data[place : place + 4] = number.to_bytes(4, "little")
+    data[36:40] = (3).to_bytes(4, "little")
+    found = replay(bytes(data), target)
+    assert [s.number for s in found.samples] == [2**32 - 2, 2**32 - 1, 1, 2]
+
+
+def test_a_header_of_an_earlier_export_is_removed(tmp_path: Path) -> None:
+    """Unless it was edited: it belongs to another package."""
+    export(tank(), None, tmp_path, dumps=4)
+    assert (tmp_path / "tank_dumps.h").exists()
+    export(tank(), Options(precision="single"), tmp_path)
+    assert not (tmp_path / "tank_dumps.h").exists()
+    (tmp_path / "tank_dumps.h").write_text("mine")
+    export(tank(), None, tmp_path)
+    assert (tmp_path / "tank_dumps.h").read_text() == "mine"
+
+
+def test_the_bytes_of_a_ring_are_those_of_the_compiler(target: Path) -> None:
+    described = replay(target / "solver.bin", target).controller.description
+    assert ring_bytes(described, 4) == (target / "dumps.bin").stat().st_size
+    assert f"{ring_bytes(described, 4):,} bytes" in (target / "README.md").read_text()

@@ -168,7 +168,7 @@ def test_plot(toy: Controller, tmp_path: Path) -> None:
     log = simulate(toy, X0, 12)
     figure = log.plot(tmp_path / "toy.png")
     assert (tmp_path / "toy.png").read_bytes().startswith(b"\x89PNG")
-    assert [axis.get_ylabel() for axis in figure.axes] == ["p [m]", "v [m/s]", "a [m/s²]", "computing\ntime [µs]"]
+    assert [axis.get_ylabel() for axis in figure.axes] == ["p [m]", "v [m/s]", "a [m/s²]", "computing time\n[µs]"]
     position, _, control, _ = figure.axes
     np.testing.assert_array_equal(position.lines[0].get_ydata(), log.x[:, 0])
     assert [line.get_ydata()[0] for line in position.lines[1:]] == [0.0]

@@ -135,6 +135,8 @@ def _mistakes(arguments: argparse.Namespace) -> Iterator[str]:
         value = getattr(arguments, flag)
         if value is not None and (not value.strip() or "\0" in value):
             yield f"{'problem.py' if flag == 'problem' else f'--{flag}'} {value!r}: expected a name that is not empty"
+    if arguments.json and arguments.list_options:
+        yield "--json belongs to an export and clashes with --list-options"
     if arguments.simulate is not None and not 1 <= arguments.simulate <= MAX_SAMPLES:
         yield f"--simulate {arguments.simulate}: expected at least one step and at most {MAX_SAMPLES:,}"
     if arguments.campaign is not None and not 1 <= arguments.campaign <= MAX_FLIGHTS:

@@ -95,11 +95,11 @@ def _export(arguments: argparse.Namespace, printer: Printer) -> bool:
     variant: Variant = lambda **changes: compile(ocp, replace(options, **changes), name)  # noqa: E731
     more = firmware.hook(name, variant, beside, flights.fly)
     given: dict[str, Any] = {"allow_foreign": arguments.allow_foreign, "force": arguments.force, "more": more}
-    given |= {"estimator": estimator, "dumps": arguments.dumps or 0}
+    given |= {"estimator": estimator, "dumps": arguments.dumps}
     with saying_warnings(printer):
         printer.stage(f"{name}: generating C, N={ocp.N}")
         package = export(ocp, options, str(folder), name=name, **given)
-        report_package(printer, package, folder)
+        report_package(printer, package, folder, arguments.dumps)
         passed = firmware.report(printer)
         passed = flights.report(printer) and passed
         if arguments.check:
@@ -140,7 +140,7 @@ def _problem(arguments: argparse.Namespace, printer: Printer) -> Stated:
     from nmpc_codegen.cli.settings import apply_settings
 
     printer.stage(f"reading {arguments.problem}")
-    with isolate(printer, arguments.problem, arguments.verbose), np.errstate():
+    with isolate(printer, arguments.problem, arguments.verbose, arguments.json), np.errstate():
         stated = load_problem(Path(arguments.problem))
     options = stated.options
     if arguments.derivatives:
@@ -166,6 +166,7 @@ def _simulate(arguments: argparse.Namespace, folder: Path, name: str, printer: P
     if arguments.plot is not None:
         log.plot(arguments.plot)
         printer.line(f"picture: {arguments.plot}")
+        printer.note("picture", arguments.plot)
     if log.failures > allowed:
         limit = f", --allow-failures {allowed}" if allowed else ""
         why = "; ".join(line.strip() for line in log.first_failure.splitlines())

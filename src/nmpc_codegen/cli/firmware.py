@@ -15,6 +15,7 @@ from nmpc_codegen.firmware.certificate import Certificate, Form
 from nmpc_codegen.firmware.delivery import Delivery, Flown, Variant, deliver, deliver_estimator, sentences
 from nmpc_codegen.firmware.process import compiler_for, emulator_command
 from nmpc_codegen.firmware.toolchain import LEVELS, require
+from nmpc_codegen.lowering.beside.dumps import ring_bytes
 from nmpc_codegen.options import Options
 from nmpc_codegen.package.description import PackageDescription
 from nmpc_codegen.package.seal import seal_beside, without_seal
@@ -27,7 +28,7 @@ class Firmware:
     """The flags of an export for a target; with ``hook`` as a part of the export there is a delivery."""
 
     def __init__(self, arguments: argparse.Namespace, printer: Printer) -> None:
-        self._printer = printer
+        self._printer, self._dumps = printer, arguments.dumps
         given = {flag: getattr(arguments, f"max_{flag}") for flag in BUDGETS}
         limits = {
             flag: parse_size(f"--max-{flag}", text, OPERATIONS if flag == "operations" else BYTES)
@@ -72,7 +73,8 @@ class Firmware:
             """Further files, sealed; an error if a budget is exceeded or a tool fails."""
             flown = fly(sources)
             self._announce(sources[f"{name}.json"])
-            self._delivery = deliver(sources, name, self._level, self._budgets, self._run, variant, flown)
+            how = self._level, self._budgets, self._run, variant, flown, self._ring(sources[f"{name}.json"])
+            self._delivery = deliver(sources, name, *how)
             files = dict(self._delivery.files)
             if flown is not None:
                 readme = files.get("README.md") or without_seal(sources["README.md"])
@@ -84,6 +86,10 @@ class Firmware:
             return seal_beside(files, sources)
 
         return more
+
+    def _ring(self, description: str) -> int:
+        """Bytes of the dumps that are asked for."""
+        return ring_bytes(PackageDescription.from_json(description), self._dumps) if self._dumps else 0
 
     def _announce(self, description: str) -> None:
         """Say what takes long: the certificate of a microcontroller, the emulation."""

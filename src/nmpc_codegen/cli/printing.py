@@ -97,8 +97,8 @@ def _plain(value: Any) -> Any:
         return {str(key): _plain(entry) for key, entry in value.items()}
     if isinstance(value, list | tuple):
         return [_plain(entry) for entry in value]
-    if hasattr(value, "item"):  # of NumPy
-        value = value.item()
+    if hasattr(value, "tolist"):  # of NumPy
+        return _plain(value.tolist())
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return value if value is None or isinstance(value, bool | int | float | str) else str(value)
@@ -144,15 +144,16 @@ def drop_output() -> None:
 
 
 @contextlib.contextmanager
-def isolate(printer: Printer, file: str, verbose: bool) -> Iterator[None]:
-    """Give the problem file streams of its own, and undo its changes to the interpreter.
+def isolate(printer: Printer, file: str, verbose: bool, aside: bool = False) -> Iterator[None]:
+    """Give the problem file streams of its own, and undo its changes to the interpreter; ``aside``: both are those of
+    errors.
 
     Its warnings, and exceptions in its threads and finalisers, are printed on one line each.
     """
     ours = sys.stdout, sys.stderr
     saved = sys.stdin, sys.excepthook, sys.displayhook, sys.argv, sys.path
     folder, limit, path = os.getcwd(), sys.getrecursionlimit(), sys.path[:]
-    sys.stdout, sys.stderr = _duplicate(sys.stdout), _duplicate(sys.stderr)
+    sys.stdout, sys.stderr = _duplicate(sys.stderr if aside else sys.stdout), _duplicate(sys.stderr)
     if not verbose:
         sys.unraisablehook = lambda raised: printer.error(message(raised.exc_value or raised.exc_type(), file))
         threading.excepthook = lambda raised: printer.error(message(raised.exc_value or raised.exc_type(), file))

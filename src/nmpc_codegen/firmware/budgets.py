@@ -54,14 +54,16 @@ def check(
     description: PackageDescription,
     certificate: Certificate | None,
     worst: Callable[[], int],
+    dumps: int = 0,
 ) -> None:
-    """Compare the package with the budgets; ``worst`` gives the operations of a sample at most.
+    """Compare the package with the budgets; ``worst`` gives the operations of a sample at most, ``dumps``:
+    bytes of a ring of samples beside the struct.
 
     Raises:
         OptionError: it exceeds one of them; the message says by how much, and what to change. Or flash or stack are
             limited, but there is no certificate, which needs a target.
     """
-    exceeded = list(_find_excesses(budgets, description, certificate))
+    exceeded = list(_find_excesses(budgets, description, certificate, dumps))
     if budgets.operations is not None:
         what = "operations of a sample at most"
         exceeded += _judge("operations", budgets.operations, worst(), what, description, _operations_advice)
@@ -69,11 +71,14 @@ def check(
         raise OptionError("; ".join(exceeded))
 
 
-def _find_excesses(budgets: Budgets, description: PackageDescription, certificate: Certificate | None) -> Iterator[str]:
+def _find_excesses(
+    budgets: Budgets, description: PackageDescription, certificate: Certificate | None, dumps: int
+) -> Iterator[str]:
     report = description.report
     if budgets.ram is not None:
         ram = report.ram_bytes if certificate is None else certificate.struct_bytes
-        yield from _judge("ram", budgets.ram, ram, "bytes of solver struct", description, _ram_advice)
+        what = "bytes of solver struct" + (" and dumps" if dumps else "")
+        yield from _judge("ram", budgets.ram, ram + dumps, what, description, _ram_advice)
     for name, advice in (("flash", _flash_advice), ("stack", _stack_advice)):
         limit = getattr(budgets, name)
         if limit is None:

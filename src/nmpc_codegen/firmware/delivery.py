@@ -67,12 +67,13 @@ def deliver(
     run: bool,
     variant: Variant,
     flown: Flown | None = None,
+    dumps: int = 0,
 ) -> Delivery:
     """Check the budgets; replay a closed loop on the target of the package on request; for a microcontroller also
     certify the package, and add what its firmware is built from.
 
     ``variant``: makes the package with other options: for every goal, whose sizes are compared, and in portable C.
-    ``flown``: a campaign of the package, which the certificate tells of.
+    ``flown``: a campaign of the package, which the certificate tells of. ``dumps``: bytes of a ring of samples.
 
     Raises:
         OptionError: a budget is exceeded, or the package cannot be verified.
@@ -90,10 +91,10 @@ def deliver(
         return worst_case(package if target.lanes == 1 else variant(target=PORTABLE.name))["sample"]
 
     if target.board is None:
-        check(budgets, description, None, worst)
+        check(budgets, description, None, worst, dumps)
         return Delivery({}, None, _verify(package, name, target, variant) if run else None)
     certificate = certify(package, name, target, level)
-    check(budgets, description, certificate, worst)
+    check(budgets, description, certificate, worst, dumps)
     recording = record_loop(package, name)
     verdict = verify(package, name, recording, target, level, certificate.stack_worst) if run else None
     files = {

@@ -46,7 +46,11 @@ def layouts(
     arduino = f"arduino/{name}"
     files[f"{arduino}/library.properties"] = render_file("library.properties")
     files[f"{arduino}/examples/{name}_loop/{name}_loop.ino"] = render_file("sketch.ino")
-    return files | {f"{arduino}/src/{name}.{ext}": without_seal(package[f"{name}.{ext}"]) for ext in ("h", "c")}
+    return (
+        files
+        | {f"{arduino}/src/{name}.{ext}": without_seal(package[f"{name}.{ext}"]) for ext in ("h", "c")}
+        | {f"{arduino}/src/{path}": without_seal(package[path]) for path in (f"{name}_dumps.h",) if path in package}
+    )
 
 
 def _names(recording: Recording, target: Target, certificate: Certificate, ram: int | None) -> dict[str, Any]:

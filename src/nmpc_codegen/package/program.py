@@ -10,7 +10,7 @@ there, and in_words() says which they are, in the user's names, with the remedy.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Container, Iterator, Mapping, Sequence
+from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -107,13 +107,13 @@ class Program:
         if unknown:
             raise ValueError(f"the program contains the operations {', '.join(unknown)}")
 
-    def values(self, x: Array, u: Array, p: Array, wanted: int | None = None) -> list[Array]:
+    def values(self, x: Array, u: Array, p: Array, wanted: Iterable[int] | None = None) -> list[Array]:
         """Values of all steps at nodes: x (n, nx), u (n, nu), p (n, np) -> arrays (n,).
 
-        ``wanted``: only what this step is computed from has values, the other arrays are empty.
+        ``wanted``: only these steps and what they are computed from have values, the other arrays are empty.
         """
         inputs, found = (x, u, p), []
-        needed = range(len(self.steps)) if wanted is None else self._behind(wanted)
+        needed = range(len(self.steps)) if wanted is None else self._behind(*wanted)
         for i, (name, first, second, constant) in enumerate(self.steps):
             if i not in needed:
                 found.append(np.zeros(0))
@@ -131,9 +131,9 @@ class Program:
         """Port and element of every input that a step is computed from."""
         return frozenset(self.steps[i][1:3] for i in self._behind(step) if self.steps[i][0] == "input")
 
-    def _behind(self, step: int) -> set[int]:
-        """The step and all that it is computed from."""
-        found, waiting = {step}, [step]
+    def _behind(self, *steps: int) -> set[int]:
+        """The steps and all that they are computed from."""
+        found, waiting = set(steps), list(steps)
         while waiting:
             name, first, second, _ = self.steps[waiting.pop()]
             operands = () if name in ("input", "const") else (first,) if name == "lookup" else (first, second)

@@ -14,7 +14,7 @@ import shutil
 import stat
 import tempfile
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
@@ -45,13 +45,15 @@ class Change:
         return self.target.with_name(self.target.name + TEMPORARY)
 
 
-def write(directory: str | os.PathLike[str], files: Mapping[str, str], *, force: bool = False) -> Path:
+def write(
+    directory: str | os.PathLike[str], files: Mapping[str, str], *, force: bool = False, obsolete: Iterable[str] = ()
+) -> Path:
     """Write ``files`` (relative path -> text) into the folder, which is created if needed; return its absolute path.
 
     Files that already have the right content are not touched. An edited main.c, or one of other origin, stays as it is,
     and a warning says so. Any other file that is not generated, edited or read-only is an error. With ``force`` such
     files are replaced, and copies of them are kept beside. Links, folders and devices in the place of a file are never
-    replaced.
+    replaced. Files of ``obsolete`` are removed, if an export has written them and nobody has edited them since.
 
     Raises:
         OptionError: ``directory`` or ``force`` has a wrong type.
@@ -71,6 +73,9 @@ def write(directory: str | os.PathLike[str], files: Mapping[str, str], *, force:
             for change in changes:
                 with _naming(change.target, "cannot be replaced"):
                     _replace(change)
+            for path in obsolete:
+                with _naming(folder / path, "cannot be removed"):
+                    _remove(folder / path)
         finally:
             for path in files:
                 with suppress(OSError):
@@ -223,3 +228,10 @@ def _replace(change: Change) -> None:
     if (None if mode is None else _read(change.target)) != change.old:
         raise ExportError(f"{change.target}: has changed during the export; look at it and export again")
     os.replace(change.new, change.target)
+
+
+def _remove(target: Path) -> None:
+    """Remove a generated file that is as it was written."""
+    mode = _mode(target)
+    if mode is not None and stat.S_ISREG(mode) and _objection(_read(target), mode) is None:
+        target.unlink()

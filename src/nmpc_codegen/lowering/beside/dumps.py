@@ -10,6 +10,7 @@ from nmpc_codegen.package.description import PackageDescription
 from nmpc_codegen.package.seal import package_of, seal_beside, without_seal
 
 MOST = 1000  # slots
+HEAD = 40  # bytes of a ring before its slots
 
 
 def with_dumps(package: Mapping[str, str], description: PackageDescription, slots: int) -> dict[str, str]:
@@ -25,12 +26,19 @@ def with_dumps(package: Mapping[str, str], description: PackageDescription, slot
         raise OptionError(f"dumps: {name} is no controller with controls")
     names = {"p": name, "P": name.upper(), "slots": slots, "digest": package_of(package[f"{name}.c"])}
     header = tidy(environment().get_template("package/dumps.h.jinja").render(names))
-    size = description.report.ram_bytes
     words = (
-        f"`{name}_dumps.h` keeps the last {slots} samples in a `{name}_dumps_t`, about {slots * size:,} bytes: call "
+        f"`{name}_dumps.h` keeps the last {slots} samples in a `{name}_dumps_t`, {ring_bytes(description, slots):,} "
+        f"bytes beside the solver struct: call "
         f"`{name}_dumps_step()` in the place of `{name}_step()`. Save its bytes after a fault; "
         '`nmpc_codegen.replay("dumps.bin", "this folder")` takes the samples again on a computer, and says which '
         "status, row and node each had."
     )
     readme = f"{without_seal(package['README.md']).rstrip()}\n\n## Dumps\n\n{words}\n"
     return seal_beside({f"{name}_dumps.h": header, "README.md": readme}, package)
+
+
+def ring_bytes(description: PackageDescription, slots: int) -> int:
+    """Size of a ring of so many samples."""
+    real, d = description.real.itemsize, description.dims
+    used = description.report.ram_bytes + real * (d.nx + d.nu) + 8
+    return HEAD + slots * -(-used // real) * real

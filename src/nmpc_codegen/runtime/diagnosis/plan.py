@@ -9,20 +9,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nmpc_codegen.package.signals import imposed_rows
-from nmpc_codegen.runtime.diagnosis.rows import append_solved, row_values, whole_parameters
+from nmpc_codegen.runtime.diagnosis.rows import NEGLIGIBLE, append_solved, row_values, whole_parameters
 from nmpc_codegen.runtime.memory import Memory
 
 Array = NDArray[np.float64]
 
-#: A row is active if its multiplier times its scale exceeds this part of the largest one, and of the cost, and if it is
-#: near its bound: interior-point methods leave small multipliers at all rows.
-LEAST_WEIGHT, NEAR = 1e-6, 1e-2
+#: Near its bound is a row within this part of its size: of the bound, or of the scale of the row.
+NEAR = 1e-2
 
 
 @dataclass(frozen=True, eq=False)
 class PlanData:
     """What a plan is evaluated from: states with those behind the user's, controls, algebraic variables, parameters
-    with those behind the user's, bounds and multipliers of all rows at all nodes, cost."""
+    with those behind the user's, bounds and multipliers of all rows at all nodes."""
 
     x: Array
     u: Array
@@ -31,7 +30,6 @@ class PlanData:
     lower: Array
     upper: Array
     multiplier: Array
-    cost: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,7 +65,7 @@ class PlanReader:
         lower, upper = self.bounds(ctrl)
         x, u = np.array(ctrl.whole_x, dtype=np.float64), np.array(ctrl.u, dtype=np.float64)
         z = np.array(ctrl.z, dtype=np.float64).reshape(len(x), len(ctrl.names.algebraic))
-        return PlanData(x, u, z, p, lower, upper, self._multipliers(ctrl), ctrl.cost)
+        return PlanData(x, u, z, p, lower, upper, self._multipliers(ctrl))
 
     def bounds(self, ctrl: Memory) -> tuple[Array, Array]:
         """Present lower and upper bounds of all rows at all nodes, (N+1, number of rows)."""
@@ -107,10 +105,31 @@ class PlanReader:
             values[..., i] = x[..., place] if place < nx else held[..., place - nx]
         values = np.where(self._holds, values, np.nan)
         distance = np.minimum(values - lower, upper - values)
-        scales = np.array(self._described.row_scales)
-        weights = np.abs(multiplier) * scales
-        bounds = np.where(np.isfinite(lower), np.abs(lower), 0.0), np.where(np.isfinite(upper), np.abs(upper), 0.0)
-        cost = np.abs([plan.cost for plan in plans])[:, None, None]
-        least = LEAST_WEIGHT * np.fmax(np.max(weights, axis=(1, 2), keepdims=True, initial=0.0), cost)
-        active = (weights > least) & (distance <= NEAR * np.maximum(scales, np.maximum(*bounds)))
-        return RowsOfPlans(values, distance, multiplier, active)
+        return RowsOfPlans(values, distance, multiplier, self._find_active(distance, lower, upper, multiplier))
+
+    def _find_active(self, distance: Array, lower: Array, upper: Array, multiplier: Array) -> NDArray[np.bool_]:
+        """Where rows are active: equations that are met; rows with a multiplier, if a method leaves others at 0; where
+        it leaves small ones everywhere, as interior points do, rows that are relatively nearer to their bound than
+        their multiplier is to 0; without multipliers, rows at their bound."""
+        bounds = [np.where(np.isfinite(side), np.abs(side), 0.0) for side in (lower, upper)]
+        size = np.maximum(np.array(self._described.row_scales), np.maximum(*bounds))
+        near = np.isfinite(distance) & (distance <= NEAR * size)
+        weight = np.abs(multiplier)
+        largest = np.max(np.nan_to_num(weight), axis=(1, 2), keepdims=True, initial=0.0)
+        some = np.isfinite(distance)
+        exact = np.any(some & (weight == 0.0), axis=(1, 2), keepdims=True)
+        with np.errstate(invalid="ignore"):  # infinite times 0
+            relatively = distance * largest < size * weight
+        by_multiplier = np.where(exact, weight > 0.0, near & relatively)
+        at_bound = distance <= self.rounding * np.ones_like(size)
+        found: NDArray[np.bool_] = some & (
+            (near & (lower >= upper)) | np.where(np.isnan(weight), at_bound, by_multiplier)
+        )
+        return found
+
+    @property
+    def rounding(self) -> Array:
+        """Violations of every row that are rounding, (number of rows,)."""
+        ends = np.where(np.isfinite(self._declared), np.abs(self._declared), 0.0).max(axis=0, initial=0.0)
+        least = max(NEGLIGIBLE, 100.0 * float(np.finfo(self._described.real).eps))
+        return np.asarray(least * np.maximum(np.array(self._described.row_scales), ends))

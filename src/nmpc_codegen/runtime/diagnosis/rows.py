@@ -14,6 +14,9 @@ from nmpc_codegen.runtime.memory import Memory
 #: Violations up to this part of the size of a row are rounding, or what a QP solver leaves.
 NEGLIGIBLE = 1e-6
 
+#: Values of steps of a program that are in memory at once.
+MOST_VALUES = 2**21
+
 
 @dataclass(frozen=True)
 class Violation:
@@ -82,12 +85,14 @@ def row_values(ctrl: Memory, x: Array, u: Array, p: Array, end: bool = False) ->
     """
     program = ctrl.description.program
     out = np.full((len(x), len(program.rows)), np.nan)
-    if any(place[end] >= 0 for place in program.rows):
+    places = {i: place[end] for i, place in enumerate(program.rows) if place[end] >= 0}
+    size = max(1, MOST_VALUES // max(1, len(program.steps)))
+    for begin in range(0, len(x) if places else 0, size):
+        some = slice(begin, begin + size)
         with np.errstate(all="ignore"):
-            values = program.values(x, u, p)
-        for i, place in enumerate(program.rows):
-            if place[end] >= 0:
-                out[:, i] = values[place[end]]
+            values = program.values(x[some], u[some], p[some], places.values())
+        for i, place in places.items():
+            out[some, i] = values[place]
     return out
 
 

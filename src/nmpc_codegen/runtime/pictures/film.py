@@ -24,26 +24,33 @@ from nmpc_codegen.runtime.pictures.style import (
     finish,
     fit,
     is_inline,
+    name_axis,
     name_times,
     new_figure,
     stack_axes,
     use_style,
 )
+from nmpc_codegen.runtime.pictures.times import nanoseconds
 from nmpc_codegen.runtime.records.trace import Plans, Record
 
 WRITERS = {".gif": "pillow", ".mp4": "ffmpeg"}
+SLOWEST, FASTEST = 5.0, 30.0  # pictures per second
 NOW = {"color": PLAN[1]["color"], "linewidth": 1.6}
 
 #: Draws the sample of the n-th plan.
 Frame = Callable[[int], None]
 
 
-def draw(log: Record, file: File, xy: tuple[str, str] | None, every: int, fps: float) -> Any:
+def draw(log: Record, file: File, xy: tuple[str, str] | None, every: int, fps: float | None) -> Any:
     """The film, written if a file is given."""
     plans = kept_plans(log, "animate()")
-    chosen = choose(plans, every, "animate()")
-    if not is_positive(fps):
+    chosen = sorted({*choose(plans, every, "animate()"), len(plans.sample) - 1})
+    if fps is not None and not is_positive(fps):
         raise ControllerError(f"animate(): fps is {fps!r}; expected a positive number")
+    if xy is not None and (isinstance(xy, str) or len(xy) != 2):
+        raise ControllerError(f"animate(): xy is {xy!r}; expected the names of two states")
+    if fps is None:
+        fps = float(np.clip(1e9 / (every * (nanoseconds(log, None) or 1e8)), SLOWEST, FASTEST))
     animation = extra("matplotlib.animation", "animate()")
     writer = "" if file is None else _writer(file, animation)
     with use_style():
@@ -79,6 +86,11 @@ def _writer(file: Any, animation: Any) -> str:
     return WRITERS[ending]
 
 
+def _title(log: Record, k: int) -> str:
+    """Name, and the time of a sample in as many digits for all."""
+    return f"{log.name}: {time_label(log.time_unit)} {log.t[k]:.{max(0, 2 - int(np.log10(log.dt)))}f}"
+
+
 def _over_time(log: Record, plans: Plans, file: File) -> tuple[Any, Frame]:
     """States and controls over time."""
     nx, nu = len(log.states), len(log.controls)
@@ -94,7 +106,7 @@ def _over_time(log: Record, plans: Plans, file: File) -> tuple[Any, Frame]:
         low, high = (float(values.min()), float(values.max())) if values.size else (0.0, 0.0)
         _, seen = draw_bounds(axis, curve.bounds, low, high)
         fit(axis, min([low, *seen]), max([high, *seen]))
-        axis.set_ylabel(curve.trace.label)
+        name_axis(axis, curve.trace)
         style = {"drawstyle": "steps-post" if curve.held else "default"}
         color = CONTROL_COLOR if curve.held else STATE_COLOR
         past = axis.plot([], [], color=color, linewidth=1.6, **style)[0]
@@ -108,6 +120,7 @@ def _over_time(log: Record, plans: Plans, file: File) -> tuple[Any, Frame]:
         for i, ((past, plan), curve) in enumerate(zip(lines, curves, strict=True)):
             past.set_data(curve.t[: k + 1], curve.values[: k + 1])
             plan.set_data(log.t[k] + plans.t, plans.x[n, :, i] if i < nx else hold(plans.u[n, :, i - nx]))
+        figure.suptitle(_title(log, k), fontsize=10, color="0.2")
 
     return figure, show
 
@@ -129,5 +142,6 @@ def _in_plane(log: Record, plans: Plans, xy: tuple[str, str], file: File) -> tup
         axis.set_ylim(*limits[1])
         axis.plot(log.x[: k + 1, i], log.x[: k + 1, j], zorder=3, **PATH[1])
         axis.plot(plans.x[n, :, i], plans.x[n, :, j], zorder=2.5, marker=".", markersize=3, **NOW)
+        figure.suptitle(_title(log, k), fontsize=10, color="0.2")
 
     return figure, show

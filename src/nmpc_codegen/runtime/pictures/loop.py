@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -15,11 +15,11 @@ from nmpc_codegen.runtime.extras import extra
 from nmpc_codegen.runtime.pictures.style import (
     ALGEBRAIC_COLOR,
     CONTROL_COLOR,
+    DOUBT_COLOR,
     ESTIMATE,
     ESTIMATE_COLOR,
     FAILURE_COLOR,
     HARD,
-    MARKS,
     MEASURED,
     PARAMETER_COLOR,
     REFERENCE,
@@ -32,6 +32,7 @@ from nmpc_codegen.runtime.pictures.style import (
     Legend,
     finish,
     fit,
+    name_axis,
     name_times,
     spread,
     stack_axes,
@@ -43,6 +44,9 @@ Array = NDArray[np.float64]
 
 #: Statuses whose control is that of a QP, while its rows or its plan are doubtful.
 DOUBTFUL = (Status.RELAXED, Status.NOT_CONVERGED)
+
+#: Times of samples, and what the legend says of them.
+Mark = tuple[Array, Legend]
 
 #: Times per sample are drawn on a logarithmic axis if the longest one is so many times the median.
 UNEVEN = 20
@@ -80,12 +84,12 @@ class Curve:
 
 def draw(log: Record, file: File) -> Any:
     """See Log.plot()."""
-    marks = marks_of(log)
-    return draw_curves(curves_of(log), title_of(log), time_label(log.time_unit), marks, file, len(marks[1]) > 0)
+    failed = bool(np.any((log.status != Status.OK) & ~np.isin(log.status, DOUBTFUL)))
+    return draw_curves(curves_of(log), title_of(log), time_label(log.time_unit), marks_of(log), file, failed)
 
 
 def draw_curves(
-    curves: Sequence[Curve], title: str, label: str, marks: tuple[Array, Array] | None, file: File, failed: bool
+    curves: Sequence[Curve], title: str, label: str, marks: Sequence[Mark], file: File, failed: bool
 ) -> Any:
     """Figure with one axis per curve, with marks at the times of doubtful and of failed samples."""
     figure, columns = stack_axes(len(curves), file)
@@ -94,10 +98,9 @@ def draw_curves(
         axes = [axis for column in columns for axis in column]
         for axis, curve in zip(axes, curves, strict=True):
             shown += draw_curve(axis, curve)
-            for times, (said, style) in zip(marks or (), MARKS, strict=False):
-                if len(times):
-                    axis.plot(times, np.zeros(len(times)), transform=axis.get_xaxis_transform(), zorder=4, **style)
-                    shown.append((said, style))
+            for times, (said, style) in marks:
+                axis.plot(times, np.zeros(len(times)), transform=axis.get_xaxis_transform(), zorder=4, **style)
+                shown.append((said, style))
         name_times(columns, label)
         t = curves[0].t
         axes[0].set_xlim(t[0], t[-1] if len(t) > 1 else t[0] + 1.0)
@@ -110,7 +113,8 @@ def draw_curve(axis: Any, curve: Curve) -> list[Legend]:
     style = "steps-post" if curve.held else "default"
     dots: dict[str, Any] = {"marker": ".", "markersize": 4.0} if curve.dots else {}
     axis.plot(curve.t, curve.values, color=curve.color, linewidth=1.6, drawstyle=style, **dots)
-    axis.set_ylabel(curve.trace.label)
+    _mark_single(axis, curve)
+    name_axis(axis, curve.trace)
     if curve.logarithmic:
         _scale(axis)
         return []
@@ -126,7 +130,8 @@ def draw_curve(axis: Any, curve: Curve) -> list[Legend]:
         axis.plot(t, found, zorder=2.4, **ESTIMATE[1])
         axis.fill_between(t, found - around, found + around, color=ESTIMATE_COLOR, alpha=0.18, linewidth=0, zorder=1.4)
         shown.append(ESTIMATE)
-        seen += [float(found.min()), float(found.max())]
+        seen += [float(np.nanquantile(found - around, 0.1)), float(np.nanquantile(found + around, 0.9))]
+        seen += [float(np.nanmin(found)), float(np.nanmax(found))]
     if curve.reference is not None and len(curve.reference):
         followed = np.append(curve.reference, curve.reference[-1])[: len(curve.t)]
         axis.plot(curve.t, followed, drawstyle="steps-post", zorder=1.8, **REFERENCE[1])
@@ -134,6 +139,14 @@ def draw_curve(axis: Any, curve: Curve) -> list[Legend]:
         seen += [float(followed.min()), float(followed.max())]
     fit(axis, min([low, *seen]), max([high, *seen]))
     return shown
+
+
+def _mark_single(axis: Any, curve: Curve) -> None:
+    """Dots at values between unknown ones, through which no line goes."""
+    known = np.concatenate([[False], np.isfinite(curve.values), [False]])
+    single = known[1:-1] & ~known[:-2] & ~known[2:]
+    if single.any():
+        axis.plot(curve.t[single], curve.values[single], color=curve.color, marker=".", linestyle="")
 
 
 def _scale(axis: Any) -> None:
@@ -145,14 +158,17 @@ def _scale(axis: Any) -> None:
     axis.yaxis.set_major_formatter("{x:g}")
 
 
-def draw_bounds(axis: Any, bounds: Iterable[Bounds], low: float, high: float) -> tuple[list[Legend], list[float]]:
+def draw_bounds(
+    axis: Any, bounds: Iterable[Bounds], low: float, high: float, more: Mapping[str, Any] | None = None
+) -> tuple[list[Legend], list[float]]:
     """Draw the parts of bounds that values between ``low`` and ``high`` come near or violate; the legend, and the
-    values that the axis has to show."""
+    values that the axis has to show. ``more``: of their style."""
     reach = spread(low, high)
     shown: list[Legend] = []
     seen: list[float] = []
     for bound in bounds:
         label, look = SOFT if bound.soft else HARD
+        look = {**look, **(more or {})}
         for values, near in (
             (bound.lower, bound.lower >= low - reach),
             (bound.upper, bound.upper <= high + reach),
@@ -171,9 +187,9 @@ def draw_bounds(axis: Any, bounds: Iterable[Bounds], low: float, high: float) ->
     return shown, seen
 
 
-def curves_of(log: Record) -> list[Curve]:
+def curves_of(log: Record, parameters: Collection[str] = ()) -> list[Curve]:
     """Every quantity of a log that changes, or may: states, what is estimated, controls, algebraic variables, rows,
-    parameters that have changed, computing times."""
+    parameters that have changed and those of these names, computing times."""
     followed = {trace.signal: log.y[:, i] for i, trace in reversed([*enumerate(log.references)])}
     start, held = log.t[:-1], np.append(log.u, log.u[-1:], axis=0)
     curves = [
@@ -190,17 +206,22 @@ def curves_of(log: Record) -> list[Curve]:
         Curve(trace, start, log.h[:, i], ROW_COLOR, dots=True, bounds=bounds_of(log, "h", i))
         for i, trace in enumerate(log.rows)
     ]
-    moved = [i for i in range(len(log.parameters)) if (log.p[:, i] != log.p[:1, i]).any()]
+    moved = [i for i, trace in enumerate(log.parameters) if trace.name in {*changed_parameters(log), *parameters}]
     ended = np.append(log.p, log.p[-1:], axis=0)
     curves += [Curve(log.parameters[i], log.t[: len(ended)], ended[:, i], PARAMETER_COLOR, held=True) for i in moved]
     return [*curves, _times(log)]
+
+
+def changed_parameters(log: Record) -> list[str]:
+    """Names of the parameters that are not the same at all samples."""
+    return [trace.name for i, trace in enumerate(log.parameters) if (log.p[:, i] != log.p[:1, i]).any()]
 
 
 def _times(log: Record) -> Curve:
     """The computing time of every sample."""
     times = log.time_ns / 1e3
     uneven = bool(times.size and times.max() > UNEVEN * np.median(times) > 0)
-    return Curve(Trace("computing\ntime", "µs"), log.t[:-1], times, TIME_COLOR, dots=True, logarithmic=uneven)
+    return Curve(Trace("computing time", "µs"), log.t[:-1], times, TIME_COLOR, dots=True, logarithmic=uneven)
 
 
 def bounds_of(log: Record, array: str, column: int) -> tuple[Bounds, ...]:
@@ -251,7 +272,12 @@ def title_of(log: Record) -> str:
     return f"{log.name}  ({len(log.u)} samples{f', {bad} not OK' if bad else ''})"
 
 
-def marks_of(log: Record) -> tuple[Array, Array]:
-    """Times of doubtful and of failed samples."""
-    doubtful = np.isin(log.status, DOUBTFUL)
-    return log.t[:-1][doubtful], log.t[:-1][(log.status != Status.OK) & ~doubtful]
+def marks_of(log: Record) -> list[Mark]:
+    """Times of doubtful and of failed samples, with their statuses and style."""
+    doubtful, bad = np.isin(log.status, DOUBTFUL), log.status != Status.OK
+    found = []
+    for some, color in ((doubtful, DOUBT_COLOR), (bad & ~doubtful, FAILURE_COLOR)):
+        if some.any():
+            names = ", ".join(Status(status).name for status in np.unique(log.status[some]))
+            found.append((log.t[:-1][some], (names, {"color": color, "marker": "|", "linestyle": ""})))
+    return found

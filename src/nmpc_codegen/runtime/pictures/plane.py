@@ -45,6 +45,8 @@ TARGET: Legend = ("reference", {"color": REFERENCE_COLOR, "linewidth": 0.8, "mar
 def places(log: Record, x: str, y: str, user: str) -> tuple[int, int]:
     """Columns of two states; ControllerError if there is no such state."""
     names = [trace.name for trace in log.states]
+    if x == y:
+        raise ControllerError(f"{user}: {x!r} over itself; expected two states")
     for name in (x, y):
         if name not in names:
             raise ControllerError(f"{user}: there is no state {name!r}; expected one of {list_some(names)}")
@@ -135,13 +137,18 @@ def _draw_forbidden(axis: Any, log: Record, limit: Limit, columns: tuple[int, in
     grid = np.meshgrid(across, up)
     x = np.full((grid[0].size, max(columns) + 1), math.nan)
     x[:, columns[0]], x[:, columns[1]] = grid[0].ravel(), grid[1].ravel()
-    color = (COSTLY if limit.soft else FORBIDDEN)[1]["color"]
+    legend = COSTLY if limit.soft else FORBIDDEN
+    color, shown = legend[1]["color"], []
     for k in different:
         p = np.tile(log.p[samples[k]], (len(x), 1))
         with np.errstate(all="ignore"):
-            value = log.program.values(x, np.zeros((len(x), 0)), p, place)[place]
+            value = log.program.values(x, np.zeros((len(x), 0)), p, [place])[place]
         inside = np.minimum(value - data[k, -2], data[k, -1] - value).reshape(grid[0].shape)
         if np.nanmin(inside) < 0.0:
             axis.contourf(across, up, inside, levels=[-math.inf, 0.0], colors=[color], alpha=0.18, zorder=1.1)
             axis.contour(across, up, inside, levels=[0.0], colors=[color], linewidths=0.9, zorder=1.2)
-    return [COSTLY if limit.soft else FORBIDDEN]
+            shown = [legend]
+            if len(different) > 1:
+                middle = [float(part.ravel()[np.ravel(inside) < 0.0].mean()) for part in grid]
+                axis.annotate(f"t = {log.t[samples[k]]:.3g}", middle, ha="center", va="center", fontsize=7, color="0.3")
+    return shown

@@ -39,11 +39,11 @@ def kept_plans(log: Record, user: str) -> Plans:
 
 
 def choose(plans: Plans, every: int, user: str) -> list[int]:
-    """Places of the plans of every ``every``-th sample, as far as they are kept."""
+    """Places of the plans of every ``every``-th sample, or of the next one of which it is kept."""
     if not is_integer(every) or every < 1:
         raise ControllerError(f"{user}: every is {every!r}; expected an integer >= 1")
-    step = plans.sample[1] - plans.sample[0] if len(plans.sample) > 1 else 1
-    return list(range(0, len(plans.sample), max(1, round(every / step))))
+    wanted = np.arange(0, plans.sample[-1] + 1, every)
+    return sorted({int(place) for place in np.searchsorted(plans.sample, wanted)})
 
 
 def draw(log: Record, every: int, file: File) -> Any:
@@ -94,7 +94,7 @@ def draw_plan(plan: Plan, title: str, failed: bool, file: File) -> Any:
             reference = followed.get(trace.name) if array in ("x", "u") else None
             bounds = tuple(_bounds_of_plan(plan, array, i))
             curves.append(Curve(trace, plan.t, values, colors[kind], reference, held, not held, bounds=bounds))
-    return draw_curves(curves, title, time_label(plan.time_unit), None, file, failed)
+    return draw_curves(curves, title, time_label(plan.time_unit), (), file, failed)
 
 
 def _bounds_of_plan(plan: Plan, array: str, column: int) -> Iterator[Bounds]:

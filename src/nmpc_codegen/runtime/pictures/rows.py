@@ -22,6 +22,7 @@ from nmpc_codegen.runtime.pictures.style import (
     Legend,
     finish,
     fit,
+    name_axis,
     new_figure,
     use_style,
 )
@@ -33,7 +34,7 @@ ACTIVE: Legend = ("active", {"color": ROW_COLOR, "marker": "o", "markersize": 3.
 VIOLATED: Legend = ("violated", {"color": FAILURE_COLOR, "marker": "o", "markersize": 3.5, "linestyle": ""})
 
 
-def draw(log: Record, rows: Sequence[str] | None, file: File) -> Any:
+def draw(log: Record, rows: Sequence[str] | str | None, file: File) -> Any:
     """Two axes for every row: its distance from the bound on the left, its multiplier on the right."""
     plans = kept_plans(log, "plot_rows()")
     chosen = _choose(plans, rows)
@@ -46,15 +47,17 @@ def draw(log: Record, rows: Sequence[str] | None, file: File) -> Any:
             distance, on = plans.distance[:, i], plans.active[:, i] > 0
             left.plot(t, distance, color=ROW_COLOR, linewidth=1.4)
             left.axhline(0.0, zorder=1.5, **HARD[1])
-            rounding = 1e-6 * max(1e-6, float(np.nanmax(np.abs(distance), initial=0.0)))
-            for marked, legend in ((on, ACTIVE), (distance < -rounding, VIOLATED)):
+            for marked, legend in ((on, ACTIVE), (distance < -plans.rounding[i], VIOLATED)):
                 if marked.any():
                     left.plot(t[marked], distance[marked], **legend[1])
                     shown.append(legend)
-            left.set_ylabel(plans.rows[i].label)
-            fit(left, *_range(distance))
+            name_axis(left, plans.rows[i])
+            fit(left, *_range(distance, plans.rounding[i]))
             right.plot(t, plans.multiplier[:, i], color=CONTROL_COLOR, linewidth=1.4, marker=".", markersize=3)
             fit(right, *_range(plans.multiplier[:, i]))
+            if np.isnan(plans.multiplier[:, i]).all():
+                place: Any = {"xycoords": "axes fraction", "ha": "center", "fontsize": 8}
+                right.annotate("the algorithm keeps none", (0.5, 0.6), **place)
         axes[0, 0].set_title("least distance of the plan from the bound", fontsize=9)
         axes[0, 1].set_title("largest multiplier (> 0: upper bound)", fontsize=9)
         for axis in axes[-1]:
@@ -64,15 +67,15 @@ def draw(log: Record, rows: Sequence[str] | None, file: File) -> Any:
         return finish(figure, title_of(log) + some, shown, file)
 
 
-def _range(values: Any) -> tuple[float, float]:
-    """Least and largest finite value, and 0."""
+def _range(values: Any, least: float = 0.0) -> tuple[float, float]:
+    """Least and largest finite value, and 0; ``least``: half of the distance of the ends, at least."""
     finite = values[np.isfinite(values)]
-    return min(0.0, float(finite.min(initial=0.0))), max(0.0, float(finite.max(initial=0.0)))
+    return min(-least, float(finite.min(initial=0.0))), max(least, float(finite.max(initial=0.0)))
 
 
-def _choose(plans: Plans, rows: Sequence[str] | None) -> list[int]:
+def _choose(plans: Plans, rows: Sequence[str] | str | None) -> list[int]:
     """Numbers of the rows: named ones, whole vectors too, or those that are active or come nearest in their range."""
-    names = [trace.name for trace in plans.rows]
+    names, rows = [trace.name for trace in plans.rows], (rows,) if isinstance(rows, str) else rows
     bounded = np.array(np.isfinite(plans.distance).any(axis=0))
     if rows is None:
         size = np.nanmax(np.abs(np.where(np.isfinite(plans.distance), plans.distance, 0.0)), axis=0, initial=1e-300)
@@ -85,7 +88,7 @@ def _choose(plans: Plans, rows: Sequence[str] | None) -> list[int]:
         unknown = [row for row in rows if not any(row in (n, n.partition("[")[0]) for n in names)]
         wanted = f"there is no row {list_some(unknown)}; expected some of {list_some(names)}" if unknown else ""
         chosen = [] if unknown else [i for i in chosen if bounded[i]]
-        wanted = wanted or f"{list_some(list(rows))} has no finite bound"
+        wanted = wanted or (f"{list_some(list(rows))} has no finite bound" if rows else "rows is empty")
     if not chosen:
         raise ControllerError(f"plot_rows(): {wanted}")
     return chosen

@@ -12,11 +12,13 @@ from pathlib import Path
 from typing import Any
 
 from nmpc_codegen.runtime.extras import extra
+from nmpc_codegen.runtime.records.trace import Trace
 
 WIDTH, ROW_HEIGHT = 7.2, 1.35  # inches
 LEAST_SPREAD = 0.1  # of an axis, relative to its values
 COLUMN_LIMIT = 9  # traces in one column
-LEGEND_COLUMNS = 5
+LABEL = 15  # characters of a line beside an axis
+CHARACTER = 0.062  # width of one in a legend, inches
 STYLE = {
     "axes.spines.top": False,
     "axes.spines.right": False,
@@ -45,10 +47,6 @@ MEASURED = ("measured", {"color": "0.6", "marker": ".", "markersize": 2.5, "line
 ESTIMATE_COLOR = "#d1495b"
 ESTIMATE = ("estimate ± 2 standard deviations", {"color": ESTIMATE_COLOR, "linewidth": 1.0})
 PLAN = ("plans", {"color": "#6fa3c9", "linewidth": 0.8, "alpha": 0.75})
-MARKS = (
-    ("RELAXED, NOT_CONVERGED", {"color": DOUBT_COLOR, "marker": "|", "linestyle": ""}),
-    ("failed", {"color": FAILURE_COLOR, "marker": "|", "linestyle": ""}),
-)
 Legend = tuple[str, dict[str, Any]]
 File = str | os.PathLike[str] | None
 
@@ -111,12 +109,13 @@ def finish(figure: Any, title: str, shown: Iterable[Legend], file: File, color: 
 
 
 def explain(figure: Any, shown: Iterable[Legend]) -> None:
-    """A legend of the lines and marks that occur, in lines of at most LEGEND_COLUMNS."""
+    """A legend of the lines and marks that occur, in as many columns as fit into the figure."""
     styles = dict(shown)
     if styles:
         lines = extra("matplotlib.lines", "plot()")
         handles = [lines.Line2D([], [], label=label, **style) for label, style in styles.items()]
-        count = min(len(handles), LEGEND_COLUMNS)
+        width = CHARACTER * (max(map(len, styles)) + 8)
+        count = max(1, min(len(handles), int(figure.get_figwidth() / width)))
         figure.legend(handles=handles, fontsize=8, ncols=count, frameon=False, loc="outside lower center")
 
 
@@ -149,6 +148,22 @@ def name_times(columns: Sequence[Sequence[Any]], label: str) -> None:
     for column in columns:
         column[-1].set_xlabel(label)
         column[0].figure.align_ylabels(column)
+
+
+def name_axis(axis: Any, trace: Trace) -> None:
+    """The label of a quantity, in lines that fit beside the axis."""
+    axis.set_ylabel("\n".join(break_label(trace.label)), fontsize=9 if len(trace.label) <= LABEL else 8)
+
+
+def break_label(label: str) -> list[str]:
+    """Lines of about LABEL characters, which end at a blank or an underscore if they can."""
+    lines = []
+    while len(label) > LABEL:
+        cut = max((label.rfind(mark, 0, LABEL) for mark in " _["), default=-1)
+        end = cut + (label[cut] != "[") if cut > 0 else LABEL
+        lines.append(label[:end].rstrip())
+        label = label[end:]
+    return [*lines, label]
 
 
 def fit(axis: Any, low: float, high: float) -> None:

@@ -23,7 +23,7 @@ from nmpc_codegen.runtime.pictures.style import (
 )
 from nmpc_codegen.runtime.records.trace import Record
 
-Array = NDArray[np.float64]
+Array = NDArray[Any]
 
 BINS = 60
 WIDE = 100.0  # times are drawn on a logarithmic axis if the largest is so many times the least
@@ -38,6 +38,9 @@ NANOSECONDS = {
     "d": 86400e9,
     "days": 86400e9,
 }
+#: Units in which times are shown, in nanoseconds.
+SHOWN = {"h": 3600e9, "min": 60e9, "s": 1e9, "ms": 1e6, "µs": 1e3, "ns": 1.0}
+FAR = 100.0  # a deadline that is so many times the worst case is not drawn
 MEDIAN: Legend = ("median", {"color": "0.2", "linewidth": 1.0})
 WORST: Legend = ("worst", {"color": CONTROL_COLOR, "linewidth": 1.2})
 DEADLINE: Legend = ("deadline", {"color": FAILURE_COLOR, "linewidth": 1.2, "linestyle": (0, (5, 3))})
@@ -58,25 +61,27 @@ def draw(log: Record, dt: float | None, file: File) -> Any:
     if not len(log.time_ns):
         raise ControllerError("plot_times(): the log has no sample")
     deadline = nanoseconds(log, dt)
-    panels = [("computing time of a sample [µs]", log.time_ns / 1e3, None if deadline is None else deadline / 1e3)]
+    panels = [("computing time of a sample", log.time_ns)]
     if len(log.began_ns) > 1:
-        period = np.diff(log.began_ns) / 1e6
-        panels.append(("period from sample to sample [ms]", period, None if deadline is None else deadline / 1e6))
-    figure = new_figure((WIDTH, 0.9 + 1.6 * ROW_HEIGHT * len(panels)), file)
+        panels.append(("period from sample to sample", np.diff(log.began_ns)))
+    figure = new_figure((WIDTH, 1.2 + 1.6 * ROW_HEIGHT * len(panels)), file)
+    shown = [MEDIAN, WORST]
     with use_style():
         axes = figure.subplots(len(panels), 1, squeeze=False)[:, 0]
-        for axis, (label, values, limit) in zip(axes, panels, strict=True):
-            _draw_histogram(axis, values, limit)
-            axis.set_xlabel(label)
+        for axis, (label, values) in zip(axes, panels, strict=True):
+            unit = next((u for u in SHOWN if np.median(values) >= SHOWN[u]), "ns")
+            near = deadline is not None and deadline <= FAR * values.max()
+            _draw_histogram(axis, values / SHOWN[unit], deadline / SHOWN[unit] if deadline and near else None)
+            shown += [DEADLINE] if near else []
+            axis.set_xlabel(f"{label} [{unit}]")
             axis.set_ylabel("samples")
-        shown = [MEDIAN, WORST, *([DEADLINE] if deadline is not None else [])]
-        return finish(figure, f"{log.name}: {in_words(log, dt)}", shown, file)
+        return finish(figure, "\n".join([log.name, *in_words(log, dt)]), shown, file)
 
 
 def _draw_histogram(axis: Any, values: Array, limit: float | None) -> None:
     """Counts on a logarithmic scale, so that a single late sample is seen."""
-    edge = [] if limit is None else [limit]
-    low, high = min(values.min(), *edge, values.max()), max(values.max(), *edge, values.min())
+    ends = [values.min(), values.max(), *([] if limit is None else [limit])]
+    low, high = float(min(ends)), float(max(ends))
     wide = low > 0 and high > WIDE * low
     if wide:
         axis.set_xscale("log")
@@ -90,15 +95,20 @@ def _draw_histogram(axis: Any, values: Array, limit: float | None) -> None:
         axis.axvline(limit, **DEADLINE[1])
 
 
-def in_words(log: Record, dt: float | None = None) -> str:
-    """Median and worst time, deadlines that were missed, periods of a recording."""
+def in_words(log: Record, dt: float | None = None) -> list[str]:
+    """Median and worst time with the deadline, and the periods of a recording, each in a line."""
     deadline = nanoseconds(log, dt)
-    median, worst = np.median(log.time_ns) / 1e3, np.max(log.time_ns) / 1e3
-    words = [f"median {median:.1f} µs, worst {worst:.1f} µs"]
+    words = f"median {_short(np.median(log.time_ns))}, worst {_short(np.max(log.time_ns))}"
     if deadline is not None:
         late = int(np.sum(log.time_ns > deadline))
-        words.append(f"{late} of {len(log.time_ns)} samples later than {deadline / 1e6:g} ms")
-    if len(log.began_ns) > 1:
-        period = np.diff(log.began_ns) / 1e6
-        words.append(f"period {np.mean(period):.3f} ms, jitter {np.std(period):.3f} ms, longest {period.max():.3f} ms")
-    return "; ".join(words)
+        words += f"; {late} of {len(log.time_ns)} samples later than {_short(deadline)}"
+    if len(log.began_ns) < 2:
+        return [words]
+    period = np.diff(log.began_ns)
+    return [words, f"period {_short(np.mean(period))}, jitter {_short(np.std(period))}, longest {_short(period.max())}"]
+
+
+def _short(nanoseconds: Any) -> str:
+    """A time in the largest unit in which it is at least 1."""
+    unit = next((u for u in SHOWN if nanoseconds >= SHOWN[u]), "ns")
+    return f"{nanoseconds / SHOWN[unit]:.4g} {unit}"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import sys
 import zipfile
 import zlib
 from collections.abc import Callable, Mapping
@@ -16,8 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nmpc_codegen.errors import ControllerError
-from nmpc_codegen.package.program import Program
+from nmpc_codegen.package.program import EDGES, Program
 from nmpc_codegen.package.status import Status
+from nmpc_codegen.runtime.records.stream import is_recording
 from nmpc_codegen.runtime.records.trace import COLUMNS, Estimates, Limit, Plans, Record, Trace
 
 FORMAT = "nmpc_codegen log 4"
@@ -28,7 +30,7 @@ OF_ESTIMATES = {"x": "states", "std": "states", "y": "sensors", "p": "", "status
 ESTIMATED = "estimates_"
 
 #: Arrays of plans, and the prefix of their names in the archive.
-OF_PLANS = ("sample", "t", "x", "u", "distance", "multiplier", "active")
+OF_PLANS = ("sample", "t", "x", "u", "distance", "multiplier", "active", "rounding")
 PLANNED = "plans_"
 
 #: What files that are no archives make NumPy raise.
@@ -75,36 +77,35 @@ def read(file: str | os.PathLike[str] | IO[bytes]) -> dict[str, Any]:
     Raises:
         ControllerError: the file is no log.
     """
+    if isinstance(file, str | os.PathLike) and is_recording(file):
+        raise ControllerError(f"{file} is a recording; open_recording() opens it")
     try:
         with np.load(file, allow_pickle=False) as found:
-            lacking = [name for name in (*ARRAYS, "description") if name not in found]
+            if "description" not in found:
+                raise ValueError("it lacks a description")
+            text = json.loads(str(found["description"]))
+            if text["format"] != FORMAT:
+                raise ValueError(f"its format is {text['format']!r}, not {FORMAT!r}")
+            lacking = [name for name in ARRAYS if name not in found]
             if lacking:
                 raise ValueError(f"it lacks {', '.join(lacking)}")
             arrays = {name: found[name] for name in ARRAYS}
-            text = json.loads(str(found["description"]))
             of_plans = {n: found[f"{PLANNED}{n}"] for n in OF_PLANS} if "plans" in text else None
             of_estimates = {n: found[f"{ESTIMATED}{n}"] for n in OF_ESTIMATES} if "estimates" in text else None
-        if text["format"] != FORMAT:
-            raise ValueError(f"its format is {text['format']!r}, not {FORMAT!r}")
         traces = {kind: tuple(_trace(**entry) for entry in text["traces"][kind]) for kind in COLUMNS.values()}
         limits = tuple(Limit(**entry) for entry in text["limits"])
         _check(arrays, traces, limits)
         reasons = {Status[name]: str(reason) for name, reason in text["reasons"].items()}
         program = msgspec.convert(text["program"], Program)
+        program.check([sys.maxsize] * 3, len(program.rows), EDGES)
+        for limit in limits:
+            if not (0 <= limit.column < arrays[limit.array].shape[1] and 0 <= limit.row < len(program.rows)):
+                raise ValueError(f"{limit} limits nothing")
         plans = None if of_plans is None else _plans(of_plans, text["plans"], arrays)
         more = {"limits": limits, "program": program, "dt": float(text["dt"]), "plans": plans}
         more |= {"estimates": None if of_estimates is None else _estimates(of_estimates, text["estimates"], arrays)}
         return {"name": text["name"], "time_unit": text["time_unit"], "reasons": reasons, **arrays, **traces, **more}
-    except (
-        ValueError,
-        KeyError,
-        TypeError,
-        AttributeError,
-        zipfile.BadZipFile,
-        zlib.error,
-        EOFError,
-        msgspec.ValidationError,
-    ) as error:
+    except (ValueError, KeyError, TypeError, AttributeError, *BROKEN) as error:
         what = (
             f"{error} is missing"
             if isinstance(error, KeyError)
@@ -145,6 +146,7 @@ def _plans(arrays: Mapping[str, Any], rows: list[dict[str, Any]], log: Mapping[s
     n, nodes = len(arrays["sample"]), len(arrays["t"])
     shapes: dict[str, tuple[int, ...]] = {"x": (n, nodes, log["x"].shape[1]), "u": (n, nodes - 1, log["u"].shape[1])}
     shapes |= dict.fromkeys(("distance", "multiplier", "active"), (n, len(rows)))
+    shapes["rounding"] = (len(rows),)
     for name, shape in shapes.items():
         if arrays[name].shape != shape:
             raise ValueError(f"{PLANNED}{name} has the shape {arrays[name].shape}, not {shape}")

@@ -89,32 +89,38 @@ class Log(Record):
         lines += [line for i, line in enumerate(reasons) if WARNED not in line or line not in reasons[:i]]
         if len(self.time_ns):
             median, worst = np.median(self.time_ns) / 1e3, np.max(self.time_ns) / 1e3
-            lines.append(f"time per sample: median {median:.1f} us, worst {worst:.1f} us")
+            late = times.in_words(self)[0].partition("; ")[2] if len(self.began_ns) else ""
+            lines.append(f"time per sample: median {median:.1f} us, worst {worst:.1f} us{late and f'; {late}'}")
         if (found := self.estimates) is not None and len(found.status):
             bad = int(np.sum(found.status != Status.OK))
             median, worst = np.median(found.time_ns) / 1e3, np.max(found.time_ns) / 1e3
             lines.append(f"estimator: {bad} samples not OK; median {median:.1f} us, worst {worst:.1f} us")
         if len(self.began_ns):
-            lines.append(times.in_words(self))
-            left_out = round(self.t[-1] / self.dt) - len(self.u)
+            lines += times.in_words(self)[1:]
+            left_out = round((self.t[-1] - self.t[0]) / self.dt) - len(self.u)
             lines += [f"{left_out} samples were left out of the recording"] if left_out else []
         last = zip(self.states, self.x[-2 if len(self.began_ns) else -1], strict=True)
         lines.append("last state: " + list_some([f"{trace.name} = {value:.6g}" for trace, value in last]))
         return "\n".join(lines)
 
     def bounds(self, name: str) -> tuple[Array, Array]:
-        """Lower and upper bounds of a state, control or row as they were, (steps,) each: the tightest of all rows that
-        bound it, inf without one.
+        """Lower and upper bounds of a state, control or row as they were, (steps,) each.
+
+        Of a signal the tightest of the rows in ``limits`` that bound it, which hold at several nodes or at the first
+        one; inf without one.
 
         Raises:
-            ControllerError: there is no such quantity.
+            ControllerError: there is no such quantity, or there are two.
         """
         groups = {"x": self.states, "u": self.controls, "h": self.rows}
         places = [(array, i) for array, traces in groups.items() for i, t in enumerate(traces) if t.name == name]
-        if not places:
+        if len(places) > 1:
+            raise ControllerError(f"bounds: {name!r} is a signal and a row; expected a row with a name of its own")
+        of_rows = [] if places else [i for i, limit in enumerate(self.limits) if limit.name == name]
+        if not places and not of_rows:
             known = list_some([trace.name for traces in groups.values() for trace in traces])
             raise ControllerError(f"bounds: there is no {name!r}; expected one of {known}")
-        rows = [i for i, limit in enumerate(self.limits) if (limit.array, limit.column) == places[0]]
+        rows = of_rows or [i for i, limit in enumerate(self.limits) if (limit.array, limit.column) == places[0]]
         lower, upper = self.lower[:, rows], self.upper[:, rows]
         return lower.max(axis=1, initial=-np.inf), upper.min(axis=1, initial=np.inf)
 
@@ -145,12 +151,12 @@ class Log(Record):
         """
         return plans.draw(self, every, file)
 
-    def plot_rows(self, rows: Sequence[str] | None = None, file: File = None) -> Any:
+    def plot_rows(self, rows: Sequence[str] | str | None = None, file: File = None) -> Any:
         """Plot, for every row of the problem, the least distance of the plans from its bounds over the horizon, with
         marks where it is active, and its largest multiplier beside it.
 
         Args:
-            rows: names of rows; None: those that come nearest, at most twelve.
+            rows: name of a row, or names; None: those that come nearest, at most twelve.
             file: as in plot().
 
         Raises:
@@ -184,10 +190,16 @@ class Log(Record):
         return plane.draw(self, x, y, rows, every, file)
 
     def compare(self, other: Record, names: tuple[str, str] = ("this", "other"), file: File = None) -> Any:
-        """Plot this log and, over it, what another one has of the same names."""
+        """Plot this log and, over it, what another one has of the same names; ``names``: of the two.
+
+        Raises:
+            ControllerError: the logs have other units of time.
+        """
         return compare.draw(self, other, names, file)
 
-    def animate(self, file: File = None, xy: tuple[str, str] | None = None, every: int = 1, fps: float = 20.0) -> Any:
+    def animate(
+        self, file: File = None, xy: tuple[str, str] | None = None, every: int = 1, fps: float | None = None
+    ) -> Any:
         """A film of the loop with the plan of every sample: over time, or of one state over another.
 
         Args:
@@ -195,7 +207,7 @@ class Log(Record):
                 notebook plays.
             xy: names of two states, as in plot_xy(); None: all states and controls over time.
             every: samples from picture to picture.
-            fps: pictures per second, > 0.
+            fps: pictures per second, > 0; None: as in life, but 5 at least and 30 at most.
 
         Returns:
             The animation of matplotlib.

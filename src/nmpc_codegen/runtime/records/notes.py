@@ -24,7 +24,6 @@ from nmpc_codegen.runtime.records.trace import Estimates, Limit, Plans, Trace
 
 Array = NDArray[np.float64]
 
-SAME = 1e-6  # relative tolerance within which a row equals a signal, in single precision too
 LOG_COLUMNS = 5  # status, cost, time, residual and t
 #: Plans that a log keeps where nobody says how many, and the bytes that they may take.
 MOST_PLANS, PLAN_BYTES = 1000, 2**26
@@ -113,7 +112,7 @@ class Notes:
         data = whole_parameters(ctrl)[:1, ctrl.dims.np :]
         p = append_solved(ctrl.description, np.hstack([self._p, np.tile(data, (steps, 1))]), self._z)
         h = row_values(ctrl, np.hstack([self.x[:-1], self._known]), self.u, p)[:, self._logged.general]
-        own, rows, limits = self._find_axes(h)
+        own, rows, limits = self._find_axes()
         unit = units(*(getattr(ctrl.description, kind) for kind in ("states", "controls", "algebraic", "parameters")))
         named = {kind: tuple(Trace(n, unit[n]) for n in getattr(ctrl.names, kind)) for kind in _NAMED}
         followed = tuple(Trace(r.name, unit.get(r.signal, ""), r.signal) for r in ctrl.description.residuals)
@@ -145,23 +144,23 @@ class Notes:
             began_ns=np.zeros(0, np.int64) if began_ns is None else began_ns,
         )
 
-    def _find_axes(self, h: Array) -> tuple[list[int], tuple[Trace, ...], tuple[Limit, ...]]:
+    def _find_axes(self) -> tuple[list[int], tuple[Trace, ...], tuple[Limit, ...]]:
         """Columns of h with an axis of their own, their traces, and what all rows limit; the other columns are bare
         states or controls, which have their bounds."""
         described, names = self._ctrl.description, self._ctrl.names
         signals = {n: ("x", i) for i, n in enumerate(names.states)} | {
             n: ("u", j) for j, n in enumerate(names.controls)
         }
-        values = {"x": self.x[:-1], "u": self.u}
+        steps, places = described.program.steps, described.program.rows
         own: list[int] = []
         rows: list[Trace] = []
         limits: list[Limit] = []
         for number, first in zip(self._logged.limits, self._first, strict=True):
             row = described.rows[number]
             if row.is_general:
-                column = h[:, self._logged.general.index(number)]
+                name, port, element, _ = steps[max(places[number])]
                 place = signals.get(row.name)
-                if place is None or not np.allclose(column, values[place[0]][:, place[1]], rtol=SAME, atol=0.0):
+                if name != "input" or place != ("xup"[port], element):
                     place = "h", len(own)
                     own.append(self._logged.general.index(number))
                     rows.append(Trace(row.name))
@@ -187,6 +186,7 @@ class Notes:
             distance=_least(found.distance),
             multiplier=_largest(found.multiplier),
             active=found.active.sum(axis=1),
+            rounding=self._reader.rounding,
             rows=tuple(Trace(r.name, unit.get(of, "")) for r, of in zip(described.rows, of_rows, strict=True)),
         )
 

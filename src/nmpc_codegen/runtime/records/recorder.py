@@ -31,7 +31,7 @@ Array = NDArray[Any]
 STAMPS = struct.Struct("<qqq")  # number of the sample, when it began, how long it took (ns)
 MEMORY = 2**26  # bytes of samples that are kept in memory
 SECONDS = 4.0  # of a loop whose samples fit into memory before they are written
-LEAST_SLOTS = 256
+USUAL_SLOTS, LEAST_SLOTS = 256, 2
 PADDING = 8  # bytes between two members of a struct, at most
 
 
@@ -101,38 +101,45 @@ class Recorder:
         plans: int = 1,
     ) -> None:
         if not isinstance(controller, Controller):
-            raise ControllerError(f"Recorder: {controller!r} is no controller")
+            raise ControllerError(f"Recorder: {controller!r} is no controller; an estimator is not recorded")
+        if file is not None and (not isinstance(file, str | os.PathLike) or not os.fspath(file)):
+            raise ControllerError(f"Recorder: file is {file!r}; expected the path of a new file")
         for name, value, least in (("plans", plans, 0), ("keep", 1 if keep is None else keep, 1)):
             if not is_integer(value) or value < least:
                 raise ControllerError(f"Recorder: {name} is {value!r}; expected an integer >= {least}")
-        self._ctrl, self._file, self._layout = controller, file, Layout(controller)
+        self._ctrl, self._layout, self._closed = controller, Layout(controller), False
+        self._file = None if file is None else Path(file).absolute()
         self.dt = interval_of(controller.description, dt)
         self._deadline = NANOSECONDS.get(controller.description.time_unit, 0.0) * self.dt
         needs_plan = controller.description.inner.count and "xhat" not in controller.description.members("solver")
         self._every = 1 if needs_plan else int(plans)
         self.samples = self.missed = self.dropped = 0
-        self._ring = stream.Ring(self._slots(keep), self._layout.size)
+        slots = self._slots(keep)
+        try:
+            self._ring = stream.Ring(slots, self._layout.size)
+        except (MemoryError, OverflowError) as error:
+            size = slots * self._layout.size
+            raise ControllerError(f"Recorder: {slots} samples take {size} bytes; expected fewer in keep=") from error
         self._prepare_views()
-        self._writer = None if file is None else stream.Writer(file, self._ring, self._description())
-        self._close: Callable[[], Any] = weakref.finalize(self, _close, self._writer)
+        self._writer = None if self._file is None else stream.Writer(self._file, self._ring, self._description())
+        self._finalize = weakref.finalize(self, _close, self._writer)
 
     def _slots(self, keep: int | None) -> int:
         most = max(LEAST_SLOTS, MEMORY // self._layout.size)
         if self._file is None:
             return most if keep is None else int(keep)
-        wanted = SECONDS * 1e9 / self._deadline if self._deadline else float(LEAST_SLOTS)
-        return int(min(most, max(LEAST_SLOTS, wanted)))
+        return min(most, max(USUAL_SLOTS, int(SECONDS * 1e9 / self._deadline) if self._deadline else 0))
 
     def _prepare_views(self) -> None:
         """Views of the bytes that every sample copies, looked up once."""
         memory, layout, ctrl = self._ctrl._memory.data, self._layout, self._ctrl
         self._x, self._u = (memoryview(a.view(np.uint8).data) for a in (ctrl._xhat, ctrl._u0))
         sources = [memory[first:last] for first, last in (*layout.plan, *layout.rest)]
-        pairs = [(*place, source) for place, source in zip(layout.places, sources, strict=True)]
-        self._of_all, self._of_rest = pairs, pairs[len(layout.plan) :]
-        if _join([*layout.plan, *layout.rest]) == [(layout.plan[0][0], layout.rest[-1][1])]:
-            whole = memory[layout.plan[0][0] : layout.rest[-1][1]]
-            self._of_all = [(layout.places[0][0], layout.places[-1][1], whole)]
+        self._of_all = [(*place, source) for place, source in zip(layout.places, sources, strict=True)]
+        self._of_rest = self._of_all[len(layout.plan) :]
+        if len(sources) == 2 and layout.plan[0][1] == layout.rest[0][0]:
+            whole = memory[layout.plan[0][0] : layout.rest[0][1]]
+            self._of_all = [(layout.places[0][0], layout.places[1][1], whole)]
         self._status = ctrl._struct["status"]
         self._target = memoryview(self._ring.buffer)
 
@@ -151,28 +158,31 @@ class Recorder:
 
     def step(self, x: ArrayLike, on_failure: OnFailure = "status") -> Array:
         """A sample; see Controller.step()."""
-        began = perf_counter_ns()
-        try:
-            return self._ctrl.step(x, on_failure)
-        finally:
-            self._take(began)
+        return self._record(self._ctrl.step, x, "step", on_failure)
 
     def feedback(self, x: ArrayLike, on_failure: OnFailure = "status") -> Array:
         """The second phase of a sample, after prepare() of the controller; see Controller.feedback()."""
+        return self._record(self._ctrl.feedback, x, "feedback", on_failure)
+
+    def _record(self, call: Callable[[ArrayLike], Array], x: ArrayLike, name: str, on_failure: OnFailure) -> Array:
+        """Call the controller and copy what belongs to the sample; what the controller refuses is none."""
+        if self._closed:
+            raise ControllerError(f"{name}(): the recorder is closed; go on with the controller, or with a new one")
         began = perf_counter_ns()
-        try:
-            return self._ctrl.feedback(x, on_failure)
-        finally:
-            self._take(began)
+        u = call(x)
+        self._take(began)
+        if on_failure != "status":
+            self._ctrl._judge(self._ctrl.status, name, on_failure)
+        return u
 
     def _take(self, began: int) -> None:
-        """Copy what belongs to the sample."""
         ring, layout, target, number = self._ring, self._layout, self._target, self.samples
         took = self._ctrl._prepare_ns + self._ctrl._feedback_ns
-        self.samples = number + 1
         if took > self._deadline > 0.0:
             self.missed += 1
         if self._writer is not None and ring.head - ring.tail >= ring.slots and not self._make_room(began):
+            self.dropped += 1
+            self.samples = number + 1
             return
         start = ring.head % ring.slots * ring.size
         planned = (self._every and number % self._every == 0) or self._status[()] != 0
@@ -181,45 +191,48 @@ class Recorder:
         target[start + layout.u[0] : start + layout.u[1]] = self._u
         for first, last, source in self._of_all if planned else self._of_rest:
             target[start + first : start + last] = source
+        self.samples = number + 1
         ring.head += 1
 
     def _make_room(self, began: int) -> bool:
-        """Write the samples of a loop that runs faster than real time; leave one out of a loop that must not wait."""
+        """Write the samples of a loop that runs faster than real time; False in a loop that must not wait, and where
+        they cannot be written."""
         assert self._writer is not None
         ring = self._ring
         oldest = STAMPS.unpack_from(ring.buffer, ring.tail % ring.slots * ring.size)[1]
         if self._deadline and began - oldest > 0.5 * self._deadline * ring.slots:
-            self.dropped += 1
             return False
         self._writer.flush()
-        if self._writer.error is not None:
-            self.dropped += 1
-            return False
-        return True
+        return ring.head - ring.tail < ring.slots
 
     # -- what is recorded ---------------------------------------------------------------------------------------------
 
     def log(self) -> Log:
         """The samples so far; without a file those that are kept."""
+        ring = self._ring
+        before = np.zeros((0, ring.size), np.uint8)
         if self._writer is not None and self._file is not None:
             self._writer.flush()
-            return open_recording(self._file, self._ctrl)
-        ring = self._ring
-        first = max(0, ring.head - ring.slots)
-        data = ring.bytes_of(first, ring.head) if ring.head else b""
-        return log_of(self._ctrl, np.frombuffer(data, np.uint8).reshape(-1, ring.size), self.dt)
+            before = stream.read(self._file)[1]
+        first = max(ring.tail, ring.head - ring.slots)
+        data = ring.bytes_of(first, ring.head) if ring.head > first else b""
+        rest = np.frombuffer(data, np.uint8).reshape(-1, ring.size)
+        return log_of(self._ctrl, np.concatenate([before, rest]), self.dt)
 
     def close(self) -> None:
         """Write the rest and close the file.
 
         Raises:
-            ControllerError: samples could not be written.
+            ControllerError: samples could not be written; also when it is called again.
         """
-        self._close()
-        if self._writer is not None and self._writer.error is not None:
-            error, self._writer.error = self._writer.error, None
-            lost = self._ring.head - self._ring.tail + self.dropped
-            raise ControllerError(f"{self._file}: {lost} samples could not be written: {error.strerror or error}")
+        self._closed = True
+        if self._writer is None:
+            return
+        self._writer.close()
+        self._finalize.detach()
+        if (lost := self._ring.head - self._ring.tail) > 0:
+            why = "it belongs to another process" if self._writer.error is None else self._writer.error
+            raise ControllerError(f"{self._file}: {lost + self.dropped} samples could not be written: {why}")
 
     def __enter__(self) -> Self:
         return self
@@ -284,6 +297,5 @@ def log_of(ctrl: Controller, data: NDArray[np.uint8], dt: float) -> Log:
                 twin._memory[first:last] = data[k, slice(*place)]
         twin._xhat[:] = notes.x[k]
         notes.take(k, controls[k], int(stamps[k, 2]), planned, keep=planned and (count - 1) % every == 0)
-    begin = numbers[0] if steps else 0
-    t = dt * np.append(numbers - begin, numbers[-1:] - begin + 1 if steps else 0)
+    t = dt * np.append(numbers, numbers[-1:] + 1 if steps else 0)
     return notes.finish(t=t, began_ns=stamps[:, 1].copy())

@@ -22,22 +22,29 @@ from nmpc_codegen.runtime.records.plan import take_plan
 Array = NDArray[Any]
 
 FORMAT = 1
-HEAD = np.dtype([("package", "S16"), *((name, "<u4") for name in ("format", "slots", "bytes", "samples", "hold", "_"))])
+HEAD = np.dtype(
+    [("package", "S16"), *((name, "<u4") for name in ("format", "slots", "bytes", "samples", "hold", "next"))]
+)
+NOT_ENDED = -1
 
 
 @dataclass(frozen=True, eq=False)
 class ReplayedSample:
-    """One sample. ``status``, ``u``: of the target, of a solver alone those that it holds; ``x``: the measured state,
-    None if it is not known; ``again``: status of the replay, None without a state; ``difference``: largest difference
-    of the two controls; ``same``: equal status, and controls to the bit. ``controller``: as the sample left it."""
+    """One sample.
+
+    ``status``, ``u``: of the target, None of a sample that it did not end; of the copy of a solver what it holds, or of
+    its next sample. ``x``: the measured state, None if it is not known. ``again``: status of the replay, None if there
+    was none. ``same``: equal status, and controls to the bit; None: there is nothing to compare. ``difference``: the
+    largest one of the controls. ``controller``: as the sample left it.
+    """
 
     number: int
-    status: Status
-    u: Array
+    status: Status | None
+    u: Array | None
     x: Array | None
     again: Status | None
+    same: bool | None
     difference: float
-    same: bool
     controller: Controller
 
     @property
@@ -50,15 +57,31 @@ class ReplayedSample:
         """Its node."""
         return self.controller.stats.violated_node
 
+    @property
+    def wrong(self) -> bool:
+        """True unless the status is OK."""
+        return self.status is not Status.OK
+
     def __str__(self) -> str:
         place = "" if self.row is None else f", row {self.row!r} at node {self.node}"
-        controls = ", ".join(f"{n} = {v:.6g}" for n, v in zip(self.controller.names.controls, self.u, strict=True))
-        equal = "" if self.again is None else ", replayed to the bit" if self.same else f", replay {self._other()}"
-        return f"sample {self.number}: {self.status.name}{place}, {controls}{equal}"
+        return f"sample {self.number}: {self.name}{place}{self._controls()}{self._comparison()}"
 
-    def _other(self) -> str:
-        assert self.again is not None
-        return f"differs: {self.again.name}, controls by {self.difference:.1e}"
+    @property
+    def name(self) -> str:
+        """Its status in a word."""
+        return "the target did not end it" if self.status is None else self.status.name
+
+    def _controls(self) -> str:
+        if self.u is None:
+            return ""
+        named = zip(self.controller.names.controls, self.u, strict=True)
+        return ", " + ", ".join(f"{name} = {value:.6g}" for name, value in named)
+
+    def _comparison(self) -> str:
+        if self.same is not None and self.again is not None:
+            differs = f"the replay differs: {self.again.name}, controls by {self.difference:.1e}"
+            return ", replayed to the bit" if self.same else f", {differs}"
+        return f", replayed: {self.again.name}" if self.status is None and self.again is not None else ""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -71,10 +94,10 @@ class Replay:
     @property
     def sample(self) -> ReplayedSample:
         """The last sample that was not OK, or the last one if all were."""
-        return next((s for s in reversed(self.samples) if s.status != Status.OK), self.samples[-1])
+        return next((s for s in reversed(self.samples) if s.wrong), self.samples[-1])
 
     @property
-    def status(self) -> Status:
+    def status(self) -> Status | None:
         return self.sample.status
 
     @property
@@ -93,7 +116,7 @@ class Replay:
     @property
     def same(self) -> bool:
         """True if all samples that could be taken again had the same status and control, to the bit."""
-        return all(sample.same for sample in self.samples)
+        return all(sample.same is not False for sample in self.samples)
 
     def __str__(self) -> str:
         return "\n".join([f"{self.name}: {len(self.samples)} samples", *map(str, self.samples), self._why()])
@@ -103,7 +126,7 @@ class Replay:
         return f"of sample {self.sample.number}: {self.controller.diagnose()}"
 
     def __repr__(self) -> str:
-        return f"<Replay of {self.name}: {len(self.samples)} samples; {self.sample.number}: {self.status.name}>"
+        return f"<Replay of {self.name}: {len(self.samples)} samples; {self.sample.number}: {self.sample.name}>"
 
     def plot(self, number: int | None = None, file: str | os.PathLike[str] | None = None) -> Any:
         """Figure of the plan that a sample left, with bounds and references.
@@ -120,8 +143,8 @@ class Replay:
         if chosen is None:
             known = ", ".join(str(s.number) for s in self.samples)
             raise ControllerError(f"plot(): there is no sample {number!r}; expected one of {known}")
-        title = f"{self.name}: plan of sample {chosen.number}, {chosen.status.name}"
-        return draw_plan(take_plan(chosen.controller), title, chosen.status != Status.OK, file)
+        title = f"{self.name}: plan of sample {chosen.number}, {chosen.name}"
+        return draw_plan(take_plan(chosen.controller), title, chosen.wrong, file)
 
 
 def replay(
@@ -155,55 +178,77 @@ def _bytes_of(dump: bytes | str | os.PathLike[str] | Array) -> bytes:
     return np.ascontiguousarray(dump).tobytes() if isinstance(dump, np.ndarray) else bytes(dump)
 
 
-def _load(ctrl: Controller, solver: bytes) -> Controller:
-    """A controller in the state of these bytes; ControllerError unless they are those of an initialised solver."""
-    twin = ctrl.copy()
+def _load(ctrl: Controller, solver: bytes) -> tuple[Controller, bool]:
+    """A controller in the state of these bytes, and whether they are those of an initialised solver."""
+    twin, members = ctrl.copy(), ctrl.description.members("solver")
     twin.reset()
-    magic = int(twin.view("magic")) if "magic" in ctrl.description.members("solver") else 0
+    magic = int(twin.view("magic")) if "magic" in members else 0
     twin._memory[:] = np.frombuffer(solver, np.uint8)
-    if magic and int(twin.view("magic")) != magic:
-        raise ControllerError(f"replay: the bytes are no initialised {ctrl.description.name}_solver_t of this package")
-    if "xhat" in ctrl.description.members("solver"):
+    if "xhat" in members:
         twin._xhat[:] = twin.view("xhat")[: ctrl.dims.nx]
-    return twin
+    return twin, not magic or int(twin.view("magic")) == magic
 
 
 def _read_solver(ctrl: Controller, data: bytes, xhat: ArrayLike | None) -> ReplayedSample:
     """The solver as it is, or after the sample that xhat begins."""
-    twin = _load(ctrl, data)
+    twin, ready = _load(ctrl, data)
+    if not ready:
+        raise ControllerError(f"replay: the bytes are no initialised {ctrl.description.name}_solver_t of this package")
     if xhat is None:
-        return ReplayedSample(0, twin.status, np.array(twin.u[0]), None, None, 0.0, True, twin)
+        return ReplayedSample(0, twin.status, np.array(twin.u[0]), None, None, None, 0.0, twin)
     u = twin.step(xhat)
-    return ReplayedSample(0, twin.status, u, np.array(xhat, dtype=np.float64), twin.status, 0.0, True, twin)
+    return ReplayedSample(0, twin.status, u, np.array(xhat, dtype=np.float64), twin.status, None, 0.0, twin)
 
 
 def _read_ring(ctrl: Controller, data: bytes) -> Iterator[ReplayedSample]:
-    """The samples of a ring, each taken again."""
+    """The samples of a ring, from the oldest on, each taken again."""
     described, d = ctrl.description, ctrl.dims
     layout = [("before", ctrl._struct.dtype), ("x", described.real, (d.nx,)), ("u", described.real, (d.nu,))]
     slot = np.dtype([*layout, ("status", "<i4"), ("sample", "<u4")], align=True)
     if len(data) < HEAD.itemsize:
         raise ControllerError(f"replay: {len(data)} bytes are no dump; a {described.name}_solver_t has {ctrl.nbytes}")
     head = np.frombuffer(data, HEAD, 1)[0]
-    ours = package_of(ctrl._package.files[f"{described.name}.c"])
-    theirs = bytes(head["package"]).decode("ascii", "replace")
-    if int(head["format"]) != FORMAT or int(head["bytes"]) != slot.itemsize or theirs != ours:
-        raise ControllerError(
-            f"replay: the {len(data)} bytes are no {described.name}_dumps_t of this package ({ours}; the dump says "
-            f"{theirs!r}), and a {described.name}_solver_t has {ctrl.nbytes}"
-        )
-    count = int(head["slots"])
-    if len(data) < HEAD.itemsize + count * slot.itemsize:
-        raise ControllerError(f"replay: the dump is cut: {len(data)} bytes of {HEAD.itemsize + count * slot.itemsize}")
-    slots = np.frombuffer(data, slot, count, HEAD.itemsize)
-    kept = sorted((entry for entry in slots if entry["sample"]), key=lambda entry: int(entry["sample"]))
+    _check_head(ctrl, head, slot.itemsize, len(data))
+    slots = np.frombuffer(data, slot, int(head["slots"]), HEAD.itemsize)
+    kept = [entry for entry in np.roll(slots, -int(head["next"])) if entry["sample"]]
     if not kept:
         raise ControllerError("replay: the dump holds no sample")
     for entry in kept:
-        twin = _load(ctrl, entry["before"].tobytes())
-        u = twin.step(entry["x"])
-        status, bits = Status(int(entry["status"])), u.astype(described.real).tobytes() == entry["u"].tobytes()
-        difference = float(np.max(np.abs(u - entry["u"]), initial=0.0))
-        same = bits and twin.status == status
-        x, recorded = np.array(entry["x"], dtype=np.float64), np.array(entry["u"])
-        yield ReplayedSample(int(entry["sample"]), status, recorded, x, twin.status, difference, same, twin)
+        yield _take_again(ctrl, entry)
+
+
+def _check_head(ctrl: Controller, head: Any, slot: int, size: int) -> None:
+    """ControllerError unless a ring of this package follows, whole."""
+    name = ctrl.description.name
+    ours = package_of(ctrl._package.files[f"{name}.c"])
+    theirs = ascii(bytes(head["package"]).decode("latin-1"))
+    if int(head["format"]) != FORMAT or theirs != repr(ours):
+        raise ControllerError(
+            f"replay: the {size} bytes are no {name}_dumps_t of this package, whose digest is {ours}; theirs is "
+            f"{theirs} in format {int(head['format'])}. A {name}_solver_t has {ctrl.nbytes} bytes"
+        )
+    if int(head["bytes"]) != slot:
+        theirs = str(int(head["bytes"]))
+        raise ControllerError(f"replay: a slot of the dump has {theirs} bytes, here {slot}: another layout")
+    whole = HEAD.itemsize + int(head["slots"]) * slot
+    if size < whole or int(head["next"]) >= int(head["slots"]):
+        raise ControllerError(f"replay: the dump is cut or damaged: {size} bytes of {whole}")
+
+
+def _take_again(ctrl: Controller, entry: Any) -> ReplayedSample:
+    """One slot. A solver that was not initialised is only read."""
+    twin, ready = _load(ctrl, entry["before"].tobytes())
+    number, x, recorded = int(entry["sample"]), np.array(entry["x"], dtype=np.float64), np.array(entry["u"])
+    ended = int(entry["status"]) != NOT_ENDED
+    try:
+        status = Status(int(entry["status"])) if ended else None
+    except ValueError as error:
+        raise ControllerError(f"replay: sample {number} of the dump is damaged: {error}") from error
+    if not ready:
+        return ReplayedSample(number, status, recorded if ended else None, x, None, None, 0.0, twin)
+    u = twin.step(x)
+    if status is None:
+        return ReplayedSample(number, None, None, x, twin.status, None, 0.0, twin)
+    same = twin.status == status and u.astype(recorded.dtype).tobytes() == recorded.tobytes()
+    difference = float(np.max(np.abs(u - recorded), initial=0.0))
+    return ReplayedSample(number, status, recorded, x, twin.status, same, difference, twin)

@@ -14,7 +14,7 @@ import os
 import struct
 import threading
 import zlib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -50,11 +50,16 @@ class Ring:
 
 
 class Writer:
-    """Writes what is in a ring to a file, four times a second in a thread of its own, and at close()."""
+    """Writes what is in a ring to a file, in a thread of its own: four times a second, when asked to, and at the end.
+
+    ``error``: of the last attempt; the samples are still in the ring, and the next attempt begins at the same place.
+    """
 
     def __init__(self, file: str | os.PathLike[str], ring: Ring, description: Mapping[str, Any]) -> None:
-        self._ring, self._lock, self._stop = ring, threading.Lock(), threading.Event()
-        self.error: OSError | None = None
+        self._ring, self._process = ring, os.getpid()
+        self._wanted, self._stop, self._tried = threading.Event(), threading.Event(), threading.Condition()
+        self._attempts = 0
+        self.error: Exception | None = None
         text = zlib.compress(json.dumps(description).encode())
         try:
             self._file = Path(file).open("xb", buffering=0)  # noqa: SIM115 - it stays open
@@ -63,12 +68,37 @@ class Writer:
             raise ControllerError(f"{file} exists; expected a new file for the recording") from error
         except OSError as error:
             raise ControllerError(f"{file} cannot be written: {error.strerror or error}") from error
+        self._end = self._file.tell()
         self._thread = threading.Thread(target=self._run, name=f"recording {file}", daemon=True)
         self._thread.start()
 
     def _run(self) -> None:
-        while not self._stop.wait(PERIOD):
-            self.flush()
+        stops = False
+        while not stops:
+            self._wanted.wait(PERIOD)
+            self._wanted.clear()
+            stops = self._stop.is_set()
+            try:
+                self._add()
+                self.error = None
+            except Exception as error:
+                self.error = error
+            with self._tried:
+                self._attempts += 1
+                self._tried.notify_all()
+        self._file.close()
+
+    def _add(self) -> None:
+        """Write the samples that are in the ring as a part, behind the last whole one."""
+        ring, last = self._ring, self._ring.head
+        if last == ring.tail:
+            return
+        data = zlib.compress(ring.bytes_of(ring.tail, last), 1)
+        if self._file.tell() != self._end:  # an attempt has failed
+            self._file.seek(self._end)
+            self._file.truncate()
+        self._write(PART.pack(WORD, last - ring.tail, len(data), zlib.crc32(data)) + data)
+        self._end, ring.tail = self._file.tell(), last
 
     def _write(self, data: bytes) -> None:
         """All of the data; a file may take a part of them at once."""
@@ -76,49 +106,71 @@ class Writer:
         while view:
             view = view[self._file.write(view) :]
 
+    @property
+    def is_here(self) -> bool:
+        """False in a process that was forked: the file belongs to its parent."""
+        return os.getpid() == self._process and self._thread.is_alive()
+
     def flush(self) -> None:
-        """Write the samples that are in the ring; after an error nothing more is written."""
-        with self._lock:
-            ring, last = self._ring, self._ring.head
-            if last == ring.tail or self.error is not None or self._file.closed:
-                return
-            data = zlib.compress(ring.bytes_of(ring.tail, last), 1)
-            try:
-                self._write(PART.pack(WORD, last - ring.tail, len(data), zlib.crc32(data)) + data)
-                ring.tail = last
-            except OSError as error:
-                self.error = error
+        """Wait for an attempt to write all samples that are in the ring."""
+        with self._tried:
+            until = self._attempts + 2  # the present attempt may have begun before
+            while self.is_here and self._attempts < until and self._ring.tail < self._ring.head:
+                self._wanted.set()
+                self._tried.wait(PERIOD)
 
     def close(self) -> None:
-        """Write the rest."""
+        """Write the rest and close the file; again after an interrupt."""
         self._stop.set()
-        self._thread.join()
-        self.flush()
-        self._file.close()
+        self._wanted.set()
+        if self.is_here and threading.current_thread() is not self._thread:
+            self._thread.join()
+
+
+def is_recording(file: str | os.PathLike[str]) -> bool:
+    """True if the file begins as one."""
+    with Path(file).open("rb") as stream:
+        return stream.read(len(MAGIC)) == MAGIC
 
 
 def read(file: str | os.PathLike[str]) -> tuple[dict[str, Any], NDArray[np.uint8]]:
-    """Description and samples, (n, size), of a recording; what a killed program has left of a part is passed over.
+    """Description and samples, (n, size), of a recording; what a killed program has left of a part, and
+    damaged parts, are passed over.
 
     Raises:
         ControllerError: the file is no recording.
     """
     data = memoryview(Path(file).read_bytes())
-    start = len(MAGIC) + LENGTH.size
     try:
         if data[: len(MAGIC)] != MAGIC:
             raise ValueError("it begins with other words")
         (length,) = LENGTH.unpack_from(data, len(MAGIC))
+        start = len(MAGIC) + LENGTH.size
         description = json.loads(zlib.decompress(data[start : start + length]))
         size = int(description["size"])
+        if size < 1 or float(description["dt"]) <= 0.0:
+            raise ValueError(f"its samples have {size} bytes and come every {description['dt']}")
+        parts = list(_parts(data, start + length))
+        found = np.empty((sum(count for count, _ in parts), size), np.uint8)
+        place = 0
+        for count, part in parts:
+            samples = zlib.decompressobj().decompress(part, count * size + 1)
+            found[place : place + count] = np.frombuffer(samples, np.uint8).reshape(count, size)
+            place += count
     except (ValueError, KeyError, TypeError, struct.error, zlib.error) as error:
-        raise ControllerError(f"{file} is no recording: {error}") from error
-    found, place = [np.zeros((0, size), np.uint8)], start + length
-    while place + PART.size <= len(data):
-        word, count, length, check = PART.unpack_from(data, place)
+        what = f"{error} is missing" if isinstance(error, KeyError) else str(error)
+        raise ControllerError(f"{file} is no recording: {what}") from error
+    return description, found
+
+
+def _parts(data: memoryview, place: int) -> Iterator[tuple[int, memoryview]]:
+    """Number of samples and compressed bytes of every part; one that is damaged is passed over."""
+    whole = bytes(data)
+    while (place := whole.find(WORD, place)) >= 0 and place + PART.size <= len(whole):
+        _, count, length, check = PART.unpack_from(data, place)
         part = data[place + PART.size : place + PART.size + length]
-        if word != WORD or len(part) != length or zlib.crc32(part) != check:
-            break
-        found.append(np.frombuffer(zlib.decompress(part), np.uint8).reshape(count, size))
-        place += PART.size + length
-    return description, np.concatenate(found)
+        if len(part) == length and zlib.crc32(part) == check:
+            yield count, part
+            place += PART.size + length
+        else:
+            place += 1

@@ -62,8 +62,8 @@ class Plans:
     """Plans that a log has kept, of n samples, with the rows of the problem along each.
 
     ``distance``: the least of all nodes to the nearer bound, negative where a row is violated, and NaN of coupled rows;
-    ``multiplier``: the one of largest size, positive at an upper bound; ``active``: number of nodes at which the row
-    is active. ``rows``: names of their columns.
+    ``multiplier``: the one of largest size, positive at an upper bound, NaN if the algorithm has none; ``active``: at
+    how many nodes the row is active. ``rows``: names of their columns; ``rounding``: violations that are none.
     """
 
     sample: NDArray[np.int64]  # (n,)
@@ -73,6 +73,7 @@ class Plans:
     distance: Array  # (n, number of rows)
     multiplier: Array  # (n, number of rows)
     active: NDArray[np.int64]  # (n, number of rows)
+    rounding: Array  # (number of rows,)
     rows: tuple[Trace, ...]
 
 
