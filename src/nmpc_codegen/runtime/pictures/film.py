@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
@@ -88,7 +89,10 @@ def _writer(file: Any, animation: Any) -> str:
 
 def _title(log: Record, k: int) -> str:
     """Name, and the time of a sample in as many digits for all."""
-    return f"{log.name}: {time_label(log.time_unit)} {log.t[k]:.{max(0, 2 - int(np.log10(log.dt)))}f}"
+    if log.time_unit == "samples":
+        return f"{log.name}: sample {k}"
+    digits = max(0, 1 - math.floor(math.log10(log.dt)))
+    return f"{log.name}: t = {log.t[k]:.{digits}f} {log.time_unit}"
 
 
 def _over_time(log: Record, plans: Plans, file: File) -> tuple[Any, Frame]:
