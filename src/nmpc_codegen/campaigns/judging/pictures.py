@@ -15,6 +15,7 @@ from nmpc_codegen.runtime.batch.flights import Flights
 from nmpc_codegen.runtime.extras import extra
 from nmpc_codegen.runtime.pictures.paths import draw_paths
 from nmpc_codegen.runtime.pictures.style import (
+    DPI,
     FAILURE_COLOR,
     ROW_HEIGHT,
     STATE_COLOR,
@@ -146,4 +147,4 @@ def _draw_points(axis: Any, x: Array, y: Array, lost: NDArray[np.bool_]) -> None
 def _finish(figure: Any, title: str, file: File) -> None:
     figure.suptitle(title, fontsize=10, color="0.2")
     if file is not None:
-        figure.savefig(Path(file), dpi=120)
+        figure.savefig(Path(file), dpi=DPI)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,7 +18,7 @@ from nmpc_codegen.runtime.pictures.style import (
     STYLE,
     WIDTH,
     Legend,
-    explain,
+    finish,
     new_figure,
 )
 
@@ -64,11 +63,7 @@ def draw_paths(
         axes[0].set_xlim(0.0, t[-1])
         figure.align_ylabels(axes)
         red: Legend = (words, {"color": FAILURE_COLOR})
-        explain(figure, (MEDIAN, red) if wrong.any() else (MEDIAN,))
-        figure.suptitle(title, fontsize=10, color="0.2")
-        if file is not None:
-            figure.savefig(Path(file), dpi=130)
-    return figure
+        return finish(figure, title, (MEDIAN, red) if wrong.any() else (MEDIAN,), file)
 
 
 def _draw_panel(axis: Any, t: Array, paths: Array, wrong: NDArray[np.bool_], color: str) -> None:

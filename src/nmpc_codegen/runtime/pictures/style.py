@@ -17,6 +17,7 @@ from nmpc_codegen.runtime.records.trace import Trace
 WIDTH, ROW_HEIGHT = 7.2, 1.35  # inches
 LEAST_SPREAD = 0.1  # of an axis, relative to its values
 COLUMN_LIMIT = 9  # traces in one column
+DPI = 130  # of files
 LABEL = 15  # characters of a line beside an axis
 CHARACTER = 0.062  # width of one in a legend, inches
 STYLE = {
@@ -104,7 +105,7 @@ def finish(figure: Any, title: str, shown: Iterable[Legend], file: File, color: 
     explain(figure, shown)
     figure.suptitle(title, fontsize=10, color=color)
     if file is not None:
-        figure.savefig(Path(file), dpi=160)
+        figure.savefig(Path(file), dpi=DPI)
     return figure
 
 

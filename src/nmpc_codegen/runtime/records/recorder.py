@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 import os
 import struct
 import weakref
 from collections.abc import Callable
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from time import perf_counter_ns
@@ -42,9 +44,7 @@ class Layout:
     """
 
     def __init__(self, ctrl: Controller) -> None:
-        fields: Any = ctrl._struct.dtype.fields
-        members = ctrl.description.members("solver")
-        spans = {name: (fields[name][1], fields[name][1] + fields[name][0].itemsize) for name in members}
+        members, spans = ctrl.description.members("solver"), _places(ctrl)
         of_roles = {name: spans[name] for name, member in members.items() if member.role in ("setting", "result")}
         self.plan = _join([spans[name] for name, member in members.items() if member.role == "iterate"])
         known = [spans["xhat"]] if "xhat" in spans and ctrl.description.inner.count else []
@@ -61,6 +61,12 @@ class Layout:
         self.size = place
 
 
+def _places(ctrl: Controller) -> dict[str, tuple[int, int]]:
+    """First byte of every member of the solver struct, and the one behind it."""
+    fields: Any = ctrl._struct.dtype.fields
+    return {name: (entry[1], entry[1] + entry[0].itemsize) for name, entry in fields.items()}
+
+
 def _join(spans: list[tuple[int, int]]) -> list[tuple[int, int]]:
     """Spans in order, those that touch each other in one."""
     found: list[tuple[int, int]] = []
@@ -72,12 +78,72 @@ def _join(spans: list[tuple[int, int]]) -> list[tuple[int, int]]:
     return found
 
 
+@dataclass
+class Counts:
+    """Samples that took too long, and samples that were left out."""
+
+    missed: int = 0
+    dropped: int = 0
+
+
+def prepare_copy(
+    ctrl: Controller,
+    layout: Layout,
+    ring: stream.Ring,
+    counts: Counts,
+    writer: stream.Writer | None,
+    limits: tuple[float, int],
+) -> Callable[[int], None]:
+    """The function that copies a sample, which has begun at a time, into the ring. It is made once, with all that it
+    needs as its own variables: in a loop at rest between samples that takes half of the time of attributes."""
+    memory, buffer, target = ctrl._memory.data, ring.buffer, memoryview(ring.buffer)
+    measured, control = (memoryview(a.view(np.uint8).data) for a in (ctrl._xhat, ctrl._u0))
+    place = _places(ctrl)["status"][0]
+    status, pack, slots, size = memory[place : place + 4].cast("i"), STAMPS.pack_into, ring.slots, ring.size
+    (x, u), (_, end) = layout.x, layout.u
+    sources = [memory[first:last] for first, last in (*layout.plan, *layout.rest)]
+    whole = [(*place, source) for place, source in zip(layout.places, sources, strict=True)]
+    rest = whole[len(layout.plan) :]
+    if len(sources) == 2 and layout.plan[0][1] == layout.rest[0][0]:
+        whole = [(layout.places[0][0], layout.places[1][1], memory[layout.plan[0][0] : layout.rest[0][1]])]
+    most = math.inf if writer is None else slots
+    deadline, every = limits
+
+    def copy(began: int) -> None:
+        took, head = ctrl._prepare_ns + ctrl._feedback_ns, ring.head
+        if took > deadline:
+            counts.missed += 1
+        if head - ring.tail >= most and writer is not None and not make_room(ring, writer, began, deadline):
+            counts.dropped += 1
+            return
+        number, start = head + counts.dropped, head % slots * size
+        planned = every == 1 or (every and number % every == 0) or status[0] != 0
+        pack(buffer, start, number if planned else ~number, began, took)
+        target[start + x : start + u] = measured
+        target[start + u : start + end] = control
+        for first, last, source in whole if planned else rest:
+            target[start + first : start + last] = source
+        ring.head = head + 1
+
+    return copy
+
+
+def make_room(ring: stream.Ring, writer: stream.Writer, began: int, deadline: float) -> bool:
+    """Write the samples of a loop that runs faster than real time; False in a loop that must not wait, and where they
+    cannot be written."""
+    oldest = STAMPS.unpack_from(ring.buffer, ring.tail % ring.slots * ring.size)[1]
+    if began - oldest > 0.5 * deadline * ring.slots:
+        return False
+    writer.flush()
+    return ring.head - ring.tail < ring.slots
+
+
 class Recorder:
     """Records the samples of a controller; ``with Recorder(controller, dt=0.01, file="run.rec") as r: u = r.step(x)``.
 
     Set data and read the plan at the controller itself. A sample takes about two microseconds more. A thread writes
     four times a second, so that a program that is killed loses less than a second. If the disk cannot follow for
-    seconds, samples are left out rather than late: ``dropped``. ``missed``: samples that took longer than ``dt``.
+    seconds, samples are left out rather than late.
 
     Args:
         controller: the controller; it may have taken samples before.
@@ -107,21 +173,23 @@ class Recorder:
         for name, value, least in (("plans", plans, 0), ("keep", 1 if keep is None else keep, 1)):
             if not is_integer(value) or value < least:
                 raise ControllerError(f"Recorder: {name} is {value!r}; expected an integer >= {least}")
-        self._ctrl, self._layout, self._closed = controller, Layout(controller), False
+        self._ctrl, self._layout = controller, Layout(controller)
         self._file = None if file is None else Path(file).absolute()
         self.dt = interval_of(controller.description, dt)
         self._deadline = NANOSECONDS.get(controller.description.time_unit, 0.0) * self.dt
         needs_plan = controller.description.inner.count and "xhat" not in controller.description.members("solver")
         self._every = 1 if needs_plan else int(plans)
-        self.samples = self.missed = self.dropped = 0
+        self._counts = Counts()
         slots = self._slots(keep)
         try:
             self._ring = stream.Ring(slots, self._layout.size)
         except (MemoryError, OverflowError) as error:
             size = slots * self._layout.size
             raise ControllerError(f"Recorder: {slots} samples take {size} bytes; expected fewer in keep=") from error
-        self._prepare_views()
         self._writer = None if self._file is None else stream.Writer(self._file, self._ring, self._description())
+        self._step: Callable[[ArrayLike], Array] = controller.step
+        self._feedback: Callable[[ArrayLike], Array] = controller.feedback
+        self._take = prepare_copy(controller, self._layout, self._ring, self._counts, self._writer, self._limits())
         self._finalize = weakref.finalize(self, _close, self._writer)
 
     def _slots(self, keep: int | None) -> int:
@@ -129,19 +197,6 @@ class Recorder:
         if self._file is None:
             return most if keep is None else int(keep)
         return min(most, max(USUAL_SLOTS, int(SECONDS * 1e9 / self._deadline) if self._deadline else 0))
-
-    def _prepare_views(self) -> None:
-        """Views of the bytes that every sample copies, looked up once."""
-        memory, layout, ctrl = self._ctrl._memory.data, self._layout, self._ctrl
-        self._x, self._u = (memoryview(a.view(np.uint8).data) for a in (ctrl._xhat, ctrl._u0))
-        sources = [memory[first:last] for first, last in (*layout.plan, *layout.rest)]
-        self._of_all = [(*place, source) for place, source in zip(layout.places, sources, strict=True)]
-        self._of_rest = self._of_all[len(layout.plan) :]
-        if len(sources) == 2 and layout.plan[0][1] == layout.rest[0][0]:
-            whole = memory[layout.plan[0][0] : layout.rest[0][1]]
-            self._of_all = [(layout.places[0][0], layout.places[1][1], whole)]
-        self._status = ctrl._struct["status"]
-        self._target = memoryview(self._ring.buffer)
 
     def _description(self) -> dict[str, Any]:
         ctrl = self._ctrl
@@ -154,56 +209,44 @@ class Recorder:
             "began": datetime.now(UTC).isoformat(),
         }
 
+    def _limits(self) -> tuple[float, int]:
+        """Deadline in nanoseconds, inf if there is none, and samples from one plan to the next."""
+        return self._deadline or math.inf, self._every
+
+    @property
+    def samples(self) -> int:
+        """Number of samples so far."""
+        return self._ring.head + self._counts.dropped
+
+    @property
+    def missed(self) -> int:
+        """Number of samples that took longer than ``dt``."""
+        return self._counts.missed
+
+    @property
+    def dropped(self) -> int:
+        """Number of samples that were left out, as the disk could not follow."""
+        return self._counts.dropped
+
     # -- samples ------------------------------------------------------------------------------------------------------
 
     def step(self, x: ArrayLike, on_failure: OnFailure = "status") -> Array:
-        """A sample; see Controller.step()."""
-        return self._record(self._ctrl.step, x, "step", on_failure)
+        """A sample; see Controller.step(). What the controller refuses is none."""
+        began = perf_counter_ns()
+        u = self._step(x)
+        self._take(began)
+        if on_failure != "status":
+            self._ctrl._judge(self._ctrl.status, "step", on_failure)
+        return u
 
     def feedback(self, x: ArrayLike, on_failure: OnFailure = "status") -> Array:
         """The second phase of a sample, after prepare() of the controller; see Controller.feedback()."""
-        return self._record(self._ctrl.feedback, x, "feedback", on_failure)
-
-    def _record(self, call: Callable[[ArrayLike], Array], x: ArrayLike, name: str, on_failure: OnFailure) -> Array:
-        """Call the controller and copy what belongs to the sample; what the controller refuses is none."""
-        if self._closed:
-            raise ControllerError(f"{name}(): the recorder is closed; go on with the controller, or with a new one")
         began = perf_counter_ns()
-        u = call(x)
+        u = self._feedback(x)
         self._take(began)
         if on_failure != "status":
-            self._ctrl._judge(self._ctrl.status, name, on_failure)
+            self._ctrl._judge(self._ctrl.status, "feedback", on_failure)
         return u
-
-    def _take(self, began: int) -> None:
-        ring, layout, target, number = self._ring, self._layout, self._target, self.samples
-        took = self._ctrl._prepare_ns + self._ctrl._feedback_ns
-        if took > self._deadline > 0.0:
-            self.missed += 1
-        if self._writer is not None and ring.head - ring.tail >= ring.slots and not self._make_room(began):
-            self.dropped += 1
-            self.samples = number + 1
-            return
-        start = ring.head % ring.slots * ring.size
-        planned = (self._every and number % self._every == 0) or self._status[()] != 0
-        STAMPS.pack_into(ring.buffer, start, number if planned else ~number, began, took)
-        target[start + layout.x[0] : start + layout.x[1]] = self._x
-        target[start + layout.u[0] : start + layout.u[1]] = self._u
-        for first, last, source in self._of_all if planned else self._of_rest:
-            target[start + first : start + last] = source
-        self.samples = number + 1
-        ring.head += 1
-
-    def _make_room(self, began: int) -> bool:
-        """Write the samples of a loop that runs faster than real time; False in a loop that must not wait, and where
-        they cannot be written."""
-        assert self._writer is not None
-        ring = self._ring
-        oldest = STAMPS.unpack_from(ring.buffer, ring.tail % ring.slots * ring.size)[1]
-        if self._deadline and began - oldest > 0.5 * self._deadline * ring.slots:
-            return False
-        self._writer.flush()
-        return ring.head - ring.tail < ring.slots
 
     # -- what is recorded ---------------------------------------------------------------------------------------------
 
@@ -225,7 +268,7 @@ class Recorder:
         Raises:
             ControllerError: samples could not be written; also when it is called again.
         """
-        self._closed = True
+        self._step = self._feedback = _refuse
         if self._writer is None:
             return
         self._writer.close()
@@ -244,6 +287,11 @@ class Recorder:
         where = "memory" if self._file is None else str(self._file)
         counts = f"{self.samples} samples, {self.missed} late, {self.dropped} left out"
         return f"<Recorder of {self._ctrl.description.name}: {counts}; {self._layout.size} bytes each, in {where}>"
+
+
+def _refuse(x: ArrayLike) -> Array:
+    """In the place of step() after close()."""
+    raise ControllerError("the recorder is closed; go on with the controller, or with a new recorder")
 
 
 def _close(writer: stream.Writer | None) -> None:
