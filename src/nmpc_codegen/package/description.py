@@ -10,6 +10,7 @@ import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
+from functools import cached_property
 from typing import Any
 
 import msgspec
@@ -126,13 +127,13 @@ class PackageDescription:
     ranges: Mapping[str, tuple[int, int]] = field(default_factory=dict)
     program: Program = field(default_factory=Program)
 
-    @property
+    @cached_property
     def dims(self) -> Dimensions:
         """Sizes in the notation of the project; nx: states of the user."""
         sizes = {n: value - (self.inner.idle if n == "NU" else 0) for n, value in self.interface.items()}
         return Dimensions(*(sizes[name] for name in DIMENSIONS))
 
-    @property
+    @cached_property
     def interface(self) -> Mapping[str, int]:
         """The sizes as the header states them: NX and NP are the states and parameters of the user."""
         measured = 0 if self.estimation is None else self.estimation.data
@@ -198,7 +199,12 @@ class PackageDescription:
 
     def members(self, struct: str) -> Mapping[str, Field]:
         """Members of a struct by name; none if there is no such struct."""
-        return {f.name: f for s in self.structs if s.name == struct for f in s.fields}
+        return self._members.get(struct, {})
+
+    @cached_property
+    def _members(self) -> Mapping[str, Mapping[str, Field]]:
+        """Name of a struct -> its members by name."""
+        return {s.name: {f.name: f for f in s.fields} for s in self.structs}
 
     def dtype(self, struct: str = "solver") -> np.dtype[Any]:
         """Structured NumPy type of a C struct: members in order and aligned as in C; those of a union overlap."""

@@ -106,7 +106,7 @@ class CompiledPackage:
                 waiting += [member.type for _, member in members]
         return found
 
-    @property
+    @cached_property
     def empty(self) -> dict[str, tuple[int, ...]]:
         """Members of the solver that the package lacks because their size is 0 -> their shape."""
         d = self.description.dims

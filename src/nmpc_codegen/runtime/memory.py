@@ -49,6 +49,8 @@ class Memory(Iterate):
     def z(self) -> Array:
         """Algebraic variables of the plan, (N+1, number), a copy: at x and u of a node, at node N with u_{N-1}; NaN
         where the equations have no solution."""
+        if not self.names.algebraic:
+            return np.zeros((self.dims.N + 1, 0))
         last = np.append(self.u, self.u[-1:], axis=0)
         return np.array([self.algebraic(x, u, k) for k, (x, u) in enumerate(zip(self.x, last, strict=True))])
 
