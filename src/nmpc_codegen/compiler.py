@@ -23,7 +23,7 @@ from nmpc_codegen.frontend.estimator.declaration import Estimator
 from nmpc_codegen.frontend.estimator.problem import estimation_problem
 from nmpc_codegen.frontend.ocp import OCP
 from nmpc_codegen.frontend.problem import Problem
-from nmpc_codegen.lowering.beside.dumps import with_dumps
+from nmpc_codegen.lowering.beside.dumps import obsolete_dumps, with_dumps
 from nmpc_codegen.lowering.beside.loop import with_estimator
 from nmpc_codegen.lowering.explain import explain
 from nmpc_codegen.lowering.linearize import linearize
@@ -138,7 +138,7 @@ def export(
         files |= more(files)
     files |= {} if estimator is None else _files_beside(files, sources.description, estimator, options)
     description = sources.description
-    obsolete = () if dumps is not None else (f"{description.name}_dumps.h",)
+    obsolete = {} if dumps is not None else obsolete_dumps(description.name)
     folder = write(directory, files, force=force, obsolete=obsolete)
     return Package(folder, description.name, tuple(folder / path for path in files), description.report.as_dict())
 

@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 from typing import Any
@@ -101,7 +102,7 @@ def test_memory_holds_the_last_samples(ctrl: Controller) -> None:
     expected = simulate(ctrl.copy(), [1.0], 50, before=change)
     np.testing.assert_array_equal(log.u, expected.u[-16:])
     assert log.t[0] == pytest.approx(34 * 0.2)
-    assert "left out" not in log.summary()
+    assert "missing" not in log.summary()
 
 
 def test_few_plans(ctrl: Controller, tmp_path: Path) -> None:
@@ -148,6 +149,7 @@ def test_a_killed_recording_opens(ctrl: Controller, tmp_path: Path) -> None:
         child.send_signal(signal.SIGKILL)
         lines += [(int(line), time.monotonic()) for line in child.stdout if line.endswith("\n")]
     log = open_recording(tmp_path / "run.rec", tmp_path / "tank")
+    assert log.remarks == ("the recording was not closed: the program was killed, or the disk was full",)
     second_before = max(k for k, at in lines if at <= lines[-1][1] - 1.0)
     assert second_before <= len(log.u) <= lines[-1][0] + 1
     np.testing.assert_allclose(log.x[:-1, 0], 1.0 + 0.001 * np.arange(len(log.u)))
@@ -173,7 +175,12 @@ def test_every_cut_opens(ctrl: Controller, tmp_path: Path, monkeypatch: pytest.M
     (tmp_path / "cut.rec").write_bytes(flipped)
     log = open_recording(tmp_path / "cut.rec", ctrl)
     np.testing.assert_allclose(log.t[:-1], 0.2 * np.array([*range(10), *range(15, 20)]))
-    assert "5 samples were left out of the recording" in log.summary()
+    assert "5 samples are missing in the recording" in log.summary()
+    assert "bytes of the recording are damaged" in log.summary()
+    assert "was not closed" not in log.summary()
+    again = tmp_path / "log.npz"
+    log.save(again)
+    assert Log.load(again).remarks == log.remarks
 
 
 def test_a_disk_that_stalls(ctrl: Controller, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -204,7 +211,7 @@ def test_samples_that_were_left_out_leave_a_gap(ctrl: Controller, tmp_path: Path
         fly(r, c, 3)
     log = open_recording(tmp_path / "gap.rec", ctrl)
     np.testing.assert_allclose(log.t, 0.2 * np.array([0, 1, 2, 3, 4, 7, 8, 9, 10]))
-    assert "2 samples were left out of the recording" in log.summary()
+    assert "2 samples are missing in the recording" in log.summary()
 
 
 def test_a_disk_that_is_full(ctrl: Controller, tmp_path: Path) -> None:
@@ -343,8 +350,65 @@ def test_late_samples_are_counted(ctrl: Controller, monkeypatch: pytest.MonkeyPa
     with Recorder(c) as r:
         r.step([1.0])
         assert (r.samples, r.missed) == (1, 1)
-        assert "1 late" in repr(r)
-        assert "1 of 1 samples later than 12 min" in r.log().summary()
+        assert "1 took too long, 0 began late" in repr(r)
+        assert "1 of 1 samples took more than 12 min" in r.log().summary()
+
+
+def test_a_sample_that_begins_late(ctrl: Controller, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It is counted, named in the summary, and marked in the pictures; the failing sample has the recorder's number."""
+    now = [0]
+    monkeypatch.setattr(recorder, "perf_counter_ns", lambda: now[0])
+    c = ctrl.copy()
+    with Recorder(c, keep=12) as r:
+        for k in range(20):
+            now[0] += int(720e9 * (3 if k == 15 else 1))
+            r.step([np.nan if k == 17 else 1.0])
+        assert (r.late, r.missed) == (1, 0)
+        log = r.log()
+    assert "longest 36 min before sample 15; began late: 1" in log.summary()
+    assert "first NOT_FINITE: sample 17, t = 3.4 h" in log.summary()
+    marks = {line.get_marker(): line for line in log.plot(tmp_path / "late.png").axes[0].lines}
+    np.testing.assert_allclose(marks["x"].get_xdata(), [15 * 0.2])
+
+
+def test_an_exception_of_the_loop_is_not_replaced(ctrl: Controller, tmp_path: Path) -> None:
+    """What the recorder has to say is a note of it."""
+    c = ctrl.copy()
+
+    def refuse(data: bytes) -> None:
+        raise OSError(28, os.strerror(28))
+
+    def loop() -> None:
+        with Recorder(c, file=tmp_path / "run.rec") as r:
+            assert r._writer is not None
+            r._writer._write = refuse  # type: ignore[method-assign]
+            r.step([1.0])
+            r._writer.flush()
+            assert "No space left" in r.error
+            assert "which cannot be written" in repr(r)
+            raise KeyError("mine")
+
+    with pytest.raises(KeyError) as raised:
+        loop()
+    assert "1 samples could not be written" in raised.value.__notes__[0]
+
+
+def test_a_log_while_another_thread_steps(ctrl: Controller, tmp_path: Path) -> None:
+    """It has no gap, whatever is written meanwhile."""
+    c, stop = ctrl.copy(), threading.Event()
+
+    def loop(r: Recorder) -> None:
+        while not stop.is_set():
+            r.step([1.0])
+
+    with Recorder(c, file=tmp_path / "run.rec") as r:
+        thread = threading.Thread(target=loop, args=(r,))
+        thread.start()
+        for _ in range(5):
+            log = r.log()
+            np.testing.assert_allclose(np.diff(log.t), 0.2)
+        stop.set()
+        thread.join()
 
 
 def test_a_raised_failure_is_recorded(ctrl: Controller) -> None:

@@ -159,6 +159,12 @@ def test_a_sample_that_the_target_did_not_end(target: Path) -> None:
     assert (found.sample.number, found.status, found.sample.u) == (10, None, None)
     assert found.same
     assert "sample 10: the target did not end it, replayed: OK" in str(found)
+    assert "of sample 10: here it ends, OK; on the target look at the pointers" in str(found)
+    state = last - 8 - 2 * real
+    data[state : state + real] = b"\xff" * real
+    unread = replay(bytes(data), target)
+    assert unread.sample.x is None
+    assert "sample 10: the target did not end it, nor read its state" in str(unread)
 
 
 def test_a_solver_that_was_not_initialised_is_shown(target: Path) -> None:
@@ -190,6 +196,9 @@ def test_a_header_of_an_earlier_export_is_removed(tmp_path: Path) -> None:
     assert (tmp_path / "tank_dumps.h").exists()
     export(tank(), Options(precision="single"), tmp_path)
     assert not (tmp_path / "tank_dumps.h").exists()
+    export(tank(), None, tmp_path, name="tank_dumps")
+    export(tank(), None, tmp_path)
+    assert (tmp_path / "tank_dumps.h").exists()  # of another package
     (tmp_path / "tank_dumps.h").write_text("mine")
     export(tank(), None, tmp_path)
     assert (tmp_path / "tank_dumps.h").read_text() == "mine"

@@ -105,7 +105,9 @@ def _print_check(
 ) -> None:
     for key, limit in limits.items():
         fits = errors[key] <= limit
-        words = f"{errors[key]:.1e} from IPOPT's, at most {limit:.0e}{'' if fits else ': FAILED'}"
+        words = (
+            f"differs from IPOPT's by {errors[key]:.1e} of its size, allowed {limit:.0e}{'' if fits else ': FAILED'}"
+        )
         printer.line(f"{key:<7} {words}", style="" if fits else "red")
     ours = f"{solution.status.name} ({solution.status.meaning}), {solution.iterations} iterations"
     printer.line(f"generated code: {ours}, cost {solution.cost:.10g}")

@@ -42,9 +42,9 @@ def report_package(printer: Printer, package: Package, folder: Path, dumps: int 
     for key in ("choices", "warnings", "ram_bytes", "operations"):
         if key in package.report and (key != "operations" or printer.verbose):
             printer.note(key, package.report[key])
-    for choice in package.report.get("choices", ()):
-        text = f"chosen  {choice}"
-        printer.line(text if printer.verbose else shorten(text))
+    lines = [f"chosen  {choice}" for choice in package.report.get("choices", ())]
+    for line in lines:
+        printer.line(line if printer.verbose else shorten(line))
     if "ram_bytes" in package.report:
         bytes_of_struct = f"{package.report['ram_bytes']:,} bytes of solver struct"
         printer.line(f"memory  {bytes_of_struct}, all that the code needs except its stack")
@@ -52,7 +52,9 @@ def report_package(printer: Printer, package: Package, folder: Path, dumps: int 
         size = ring_bytes(_describe(package), dumps)
         printer.note("dumps_bytes", size)
         printer.line(f"dumps   {size:,} bytes more for {dumps} samples")
-    if printer.verbose:
+    if not printer.verbose:
+        printer.line("(-v: reasons in full, files, operations, worst case)")
+    else:
         report_operations(printer, package.report.get("operations", {}))
         printer.line(f"worst   {_worst(package)}")
 

@@ -282,7 +282,7 @@ def _with_exact(
     ends = {"terminal_exact": blocks.terminal.hessian, "start_exact": blocks.start, "initial_exact": blocks.initial}
     named = (replace(routine, name=name) for name, routine in ends.items() if isinstance(routine, Kernel))
     exact = tuple(routine for routine in (curved, *named) if routine is not None)
-    return replace(functions, exact=exact), ("solve(): exact Hessian; nothing is chosen",)
+    return replace(functions, exact=exact), ("solve(): exact Hessian; for convergence from afar",)
 
 
 def _with_start(blocks: HessianModel) -> Block:

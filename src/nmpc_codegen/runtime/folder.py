@@ -14,7 +14,7 @@ import shutil
 import stat
 import tempfile
 import warnings
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
@@ -46,14 +46,19 @@ class Change:
 
 
 def write(
-    directory: str | os.PathLike[str], files: Mapping[str, str], *, force: bool = False, obsolete: Iterable[str] = ()
+    directory: str | os.PathLike[str],
+    files: Mapping[str, str],
+    *,
+    force: bool = False,
+    obsolete: Mapping[str, str] | None = None,
 ) -> Path:
     """Write ``files`` (relative path -> text) into the folder, which is created if needed; return its absolute path.
 
     Files that already have the right content are not touched. An edited main.c, or one of other origin, stays as it is,
     and a warning says so. Any other file that is not generated, edited or read-only is an error. With ``force`` such
     files are replaced, and copies of them are kept beside. Links, folders and devices in the place of a file are never
-    replaced. Files of ``obsolete`` are removed, if an export has written them and nobody has edited them since.
+    replaced. Files of ``obsolete`` (relative path -> how they begin) are removed, if an export has written
+    them and nobody has edited them since.
 
     Raises:
         OptionError: ``directory`` or ``force`` has a wrong type.
@@ -73,9 +78,9 @@ def write(
             for change in changes:
                 with _naming(change.target, "cannot be replaced"):
                     _replace(change)
-            for path in obsolete:
+            for path, beginning in (obsolete or {}).items():
                 with _naming(folder / path, "cannot be removed"):
-                    _remove(folder / path)
+                    _remove(folder / path, beginning.encode())
         finally:
             for path in files:
                 with suppress(OSError):
@@ -230,8 +235,10 @@ def _replace(change: Change) -> None:
     os.replace(change.new, change.target)
 
 
-def _remove(target: Path) -> None:
-    """Remove a generated file that is as it was written."""
+def _remove(target: Path, beginning: bytes) -> None:
+    """Remove a generated file that begins so and is as it was written."""
     mode = _mode(target)
-    if mode is not None and stat.S_ISREG(mode) and _objection(_read(target), mode) is None:
-        target.unlink()
+    if mode is not None and stat.S_ISREG(mode):
+        old = _read(target)
+        if old is not None and old.startswith(beginning) and _objection(old, mode) is None:
+            target.unlink()

@@ -37,6 +37,11 @@ def with_dumps(package: Mapping[str, str], description: PackageDescription, slot
     return seal_beside({f"{name}_dumps.h": header, "README.md": readme}, package)
 
 
+def obsolete_dumps(name: str) -> dict[str, str]:
+    """The header that an earlier export may have left, and how it begins."""
+    return {f"{name}_dumps.h": f"/* {name}_dumps: the last "}
+
+
 def ring_bytes(description: PackageDescription, slots: int) -> int:
     """Size of a ring of so many samples."""
     real, d = description.real.itemsize, description.dims

@@ -35,12 +35,13 @@ class PlanData:
 @dataclass(frozen=True, eq=False)
 class RowsOfPlans:
     """Rows of n plans, (n, N+1, number of rows): values, NaN where a row does not hold, distances to the nearer bound,
-    multipliers, and where they are active."""
+    multipliers, and where they are active; ``rounding`` (number of rows,): violations that are none."""
 
     values: Array
     distance: Array
     multiplier: Array
     active: NDArray[np.bool_]
+    rounding: Array
 
 
 class PlanReader:
@@ -105,31 +106,24 @@ class PlanReader:
             values[..., i] = x[..., place] if place < nx else held[..., place - nx]
         values = np.where(self._holds, values, np.nan)
         distance = np.minimum(values - lower, upper - values)
-        return RowsOfPlans(values, distance, multiplier, self._find_active(distance, lower, upper, multiplier))
-
-    def _find_active(self, distance: Array, lower: Array, upper: Array, multiplier: Array) -> NDArray[np.bool_]:
-        """Where rows are active: equations that are met; rows with a multiplier, if a method leaves others at 0; where
-        it leaves small ones everywhere, as interior points do, rows that are relatively nearer to their bound than
-        their multiplier is to 0; without multipliers, rows at their bound."""
         bounds = [np.where(np.isfinite(side), np.abs(side), 0.0) for side in (lower, upper)]
         size = np.maximum(np.array(self._described.row_scales), np.maximum(*bounds))
-        near = np.isfinite(distance) & (distance <= NEAR * size)
-        weight = np.abs(multiplier)
-        largest = np.max(np.nan_to_num(weight), axis=(1, 2), keepdims=True, initial=0.0)
-        some = np.isfinite(distance)
-        exact = np.any(some & (weight == 0.0), axis=(1, 2), keepdims=True)
-        with np.errstate(invalid="ignore"):  # infinite times 0
-            relatively = distance * largest < size * weight
-        by_multiplier = np.where(exact, weight > 0.0, near & relatively)
-        at_bound = distance <= self.rounding * np.ones_like(size)
-        found: NDArray[np.bool_] = some & (
-            (near & (lower >= upper)) | np.where(np.isnan(weight), at_bound, by_multiplier)
-        )
-        return found
+        equal = lower >= upper
+        rounding = max(NEGLIGIBLE, 100.0 * float(np.finfo(self._described.real).eps)) * size
+        active = _find_active(distance, size, rounding, equal, multiplier)
+        return RowsOfPlans(values, distance, multiplier, active, rounding.max(axis=(0, 1), initial=0.0))
 
-    @property
-    def rounding(self) -> Array:
-        """Violations of every row that are rounding, (number of rows,)."""
-        ends = np.where(np.isfinite(self._declared), np.abs(self._declared), 0.0).max(axis=0, initial=0.0)
-        least = max(NEGLIGIBLE, 100.0 * float(np.finfo(self._described.real).eps))
-        return np.asarray(least * np.maximum(np.array(self._described.row_scales), ends))
+
+def _find_active(
+    distance: Array, size: Array, rounding: Array, equal: NDArray[np.bool_], multiplier: Array
+) -> NDArray[np.bool_]:
+    """Where rows are active: near their bound, and equations; or with a multiplier, if a method leaves others at 0; or,
+    where it leaves small ones everywhere, as interior points do, relatively nearer to their bound than their multiplier
+    is to 0. Without multipliers, at their bound."""
+    near, weight = np.isfinite(distance) & (distance <= NEAR * size), np.abs(multiplier)
+    largest = np.max(np.nan_to_num(weight), axis=(1, 2), keepdims=True, initial=0.0)
+    exact = np.any(np.isfinite(distance) & (weight == 0.0), axis=(1, 2), keepdims=True)
+    with np.errstate(invalid="ignore"):  # infinite times 0
+        relatively = distance * largest < size * weight
+    by_multiplier = np.where(exact, weight > 0.0, relatively)
+    return np.asarray(near & (equal | np.where(np.isnan(weight), distance <= rounding, by_multiplier)))

@@ -24,7 +24,7 @@ def draw(log: Record, other: Record, names: tuple[str, str], file: File) -> Any:
     if isinstance(names, str) or len(names) != 2:
         raise ControllerError(f"compare(): names is {names!r}; expected two")
     changed = {*changed_parameters(log), *changed_parameters(other)}
-    theirs = {curve.trace.label: curve for curve in curves_of(other, changed)}
+    theirs = {(curve.color, curve.trace.label): curve for curve in curves_of(other, changed)}
     curves = [replace(curve, logarithmic=False) for curve in curves_of(log, changed)]
     figure, columns = stack_axes(len(curves), file)
     second: Legend = (names[1], {"color": OTHER_COLOR, "linewidth": 1.2})
@@ -33,7 +33,7 @@ def draw(log: Record, other: Record, names: tuple[str, str], file: File) -> Any:
         axes = [axis for column in columns for axis in column]
         for axis, curve in zip(axes, curves, strict=True):
             shown += draw_curve(axis, curve)
-            found = theirs.get(curve.trace.label)
+            found = theirs.get((curve.color, curve.trace.label))
             if found is not None and np.isfinite(found.values).any():
                 style = "steps-post" if curve.held else "default"
                 axis.plot(found.t, found.values, drawstyle=style, zorder=2.6, **second[1])

@@ -140,12 +140,13 @@ def _in_plane(log: Record, plans: Plans, xy: tuple[str, str], file: File) -> tup
 
     def show(n: int) -> None:
         k = int(plans.sample[n])
-        axis.clear()
-        draw_surroundings(axis, log, i, j, True, [k])
-        axis.set_xlim(*limits[0])
-        axis.set_ylim(*limits[1])
-        axis.plot(log.x[: k + 1, i], log.x[: k + 1, j], zorder=3, **PATH[1])
-        axis.plot(plans.x[n, :, i], plans.x[n, :, j], zorder=2.5, marker=".", markersize=3, **NOW)
-        figure.suptitle(_title(log, k), fontsize=10, color="0.2")
+        with use_style():  # what is cleared is made again
+            axis.clear()
+            draw_surroundings(axis, log, i, j, True, [k])
+            axis.set_xlim(*limits[0])
+            axis.set_ylim(*limits[1])
+            axis.plot(log.x[: k + 1, i], log.x[: k + 1, j], zorder=3, **PATH[1])
+            axis.plot(plans.x[n, :, i], plans.x[n, :, j], zorder=2.5, marker=".", markersize=3, **NOW)
+            figure.suptitle(_title(log, k), fontsize=10, color="0.2")
 
     return figure, show

@@ -20,6 +20,7 @@ from nmpc_codegen.runtime.pictures.style import (
     ESTIMATE_COLOR,
     FAILURE_COLOR,
     HARD,
+    LATE_COLOR,
     MEASURED,
     PARAMETER_COLOR,
     REFERENCE,
@@ -38,6 +39,7 @@ from nmpc_codegen.runtime.pictures.style import (
     stack_axes,
     use_style,
 )
+from nmpc_codegen.runtime.pictures.times import late_starts
 from nmpc_codegen.runtime.records.trace import Record, Trace, with_unit
 
 Array = NDArray[np.float64]
@@ -98,9 +100,7 @@ def draw_curves(
         axes = [axis for column in columns for axis in column]
         for axis, curve in zip(axes, curves, strict=True):
             shown += draw_curve(axis, curve)
-            for times, (said, style) in marks:
-                axis.plot(times, np.zeros(len(times)), transform=axis.get_xaxis_transform(), zorder=4, **style)
-                shown.append((said, style))
+            shown += draw_marks(axis, marks)
         name_times(columns, label)
         t = curves[0].t
         axes[0].set_xlim(t[0], t[-1] if len(t) > 1 else t[0] + 1.0)
@@ -139,6 +139,13 @@ def draw_curve(axis: Any, curve: Curve) -> list[Legend]:
         seen += [float(followed.min()), float(followed.max())]
     fit(axis, min([low, *seen]), max([high, *seen]))
     return shown
+
+
+def draw_marks(axis: Any, marks: Sequence[Mark]) -> list[Legend]:
+    """Marks at the lower edge."""
+    for times, (_, style) in marks:
+        axis.plot(times, np.zeros(len(times)), transform=axis.get_xaxis_transform(), zorder=4, **style)
+    return [legend for _, legend in marks]
 
 
 def _mark_single(axis: Any, curve: Curve) -> None:
@@ -280,4 +287,7 @@ def marks_of(log: Record) -> list[Mark]:
         if some.any():
             names = ", ".join(Status(status).name for status in np.unique(log.status[some]))
             found.append((log.t[:-1][some], (names, {"color": color, "marker": "|", "linestyle": ""})))
+    if len(late := late_starts(log)):
+        style: dict[str, Any] = {"color": LATE_COLOR, "marker": "x", "markersize": 4, "linestyle": ""}
+        found.append((log.t[:-1][late], ("began late", style)))
     return found

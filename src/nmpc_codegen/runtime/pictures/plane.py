@@ -77,10 +77,9 @@ def moments(log: Record) -> tuple[int, ...]:
 
 def draw_surroundings(axis: Any, log: Record, i: int, j: int, rows: bool, samples: list[int]) -> list[Legend]:
     """Axes whose scales fit, bounds of both states, their references, and what rows forbid at these samples."""
-    seen = [log.x] if log.plans is None else [log.x, log.plans.x.reshape(-1, len(log.states))]
     ends = []
     for place in (i, j):
-        values = np.concatenate([part[:, place] for part in seen])
+        values = np.concatenate([log.x[:, place], *_also_seen(log, place)])
         values = values[np.isfinite(values)]
         low, high = (float(values.min()), float(values.max())) if values.size else (0.0, 1.0)
         ends.append((low - 0.12 * spread(low, high), high + 0.12 * spread(low, high)))
@@ -91,29 +90,38 @@ def draw_surroundings(axis: Any, log: Record, i: int, j: int, rows: bool, sample
     lengths = [high - low for low, high in ends]
     if log.states[i].unit == log.states[j].unit and max(lengths) <= LONGEST * min(lengths):
         axis.set_aspect("equal", adjustable="box")
-    shown = _draw_lines(axis, log, i, j)
+    shown = _draw_lines(axis, log, i, j, samples)
     if rows and samples:
         for limit in log.limits:
             shown += _draw_forbidden(axis, log, limit, (i, j), samples)
     return shown
 
 
-def _draw_lines(axis: Any, log: Record, i: int, j: int) -> list[Legend]:
-    """Bounds of the two states that are in the picture, and their references if both have one."""
+def _also_seen(log: Record, place: int) -> list[Array]:
+    """Values of a state in plans and its references."""
+    planned = [] if log.plans is None else [log.plans.x[:, :, place].ravel()]
+    followed = [log.y[:, i] for i, trace in enumerate(log.references) if trace.signal == log.states[place].name]
+    return [*planned, *followed[:1]]
+
+
+def _draw_lines(axis: Any, log: Record, i: int, j: int, samples: list[int]) -> list[Legend]:
+    """Bounds of the two states that are in the picture, and their references if both have one: all, or that of a single
+    sample."""
     shown: list[Legend] = []
     (left, right), (bottom, top) = axis.get_xlim(), axis.get_ylim()
     for k, limit in enumerate(log.limits):
-        if limit.array == "x" and limit.column in (i, j) and len(log.lower):
+        if limit.array == "x" and limit.column in (i, j) and samples:
             style = SOFT if limit.soft else HARD
             low, high, line = (left, right, axis.axvline) if limit.column == i else (bottom, top, axis.axhline)
-            for value in (log.lower[-1, k], log.upper[-1, k]):
+            for value in np.unique([log.lower[samples, k], log.upper[samples, k]]):
                 if low <= value <= high:
-                    line(value, zorder=1.5, **style[1])
+                    line(float(value), zorder=1.5, **style[1])
                     shown.append(style)
     followed = {trace.signal: column for column, trace in enumerate(log.references)}
     names = log.states[i].name, log.states[j].name
     if all(name in followed for name in names) and len(log.y):
         target = log.y[:, [followed[name] for name in names]]
+        target = target[samples] if len(samples) == 1 else target
         points = np.unique(target, axis=0)
         few = {"linestyle": ""} if len(points) <= SET_POINTS else {"marker": ""}
         axis.plot(*(points if few.get("marker") is None else target).T, zorder=1.6, **{**TARGET[1], **few})

@@ -10,7 +10,17 @@ from numpy.typing import NDArray
 
 from nmpc_codegen.errors import ControllerError
 from nmpc_codegen.runtime.given import is_integer
-from nmpc_codegen.runtime.pictures.loop import Bounds, Curve, curves_of, draw_curve, draw_curves, time_label, title_of
+from nmpc_codegen.runtime.pictures.loop import (
+    Bounds,
+    Curve,
+    curves_of,
+    draw_curve,
+    draw_curves,
+    draw_marks,
+    marks_of,
+    time_label,
+    title_of,
+)
 from nmpc_codegen.runtime.pictures.style import (
     ALGEBRAIC_COLOR,
     CONTROL_COLOR,
@@ -57,7 +67,7 @@ def draw(log: Record, every: int, file: File) -> Any:
     with use_style():
         axes = [axis for column in columns for axis in column]
         for i, (axis, curve) in enumerate(zip(axes, curves, strict=True)):
-            shown += draw_curve(axis, curve)
+            shown += [*draw_curve(axis, curve), *draw_marks(axis, marks_of(log))]
             values = plans.x[chosen, :, i] if i < nx else hold(plans.u[chosen, :, i - nx])
             lines = draw_fan(axis, log.t[plans.sample[chosen]], plans.t, values, held=i >= nx)
             low, high = axis.get_ylim()

@@ -9,7 +9,7 @@ import numpy as np
 
 from nmpc_codegen.errors import ControllerError
 from nmpc_codegen.package.signals import list_some
-from nmpc_codegen.runtime.pictures.loop import time_label, title_of
+from nmpc_codegen.runtime.pictures.loop import draw_marks, marks_of, time_label, title_of
 from nmpc_codegen.runtime.pictures.plans import kept_plans
 from nmpc_codegen.runtime.pictures.style import (
     CONTROL_COLOR,
@@ -51,6 +51,7 @@ def draw(log: Record, rows: Sequence[str] | str | None, file: File) -> Any:
                 if marked.any():
                     left.plot(t[marked], distance[marked], **legend[1])
                     shown.append(legend)
+            shown += draw_marks(left, marks_of(log))
             name_axis(left, plans.rows[i])
             fit(left, *_range(distance, plans.rounding[i]))
             right.plot(t, plans.multiplier[:, i], color=CONTROL_COLOR, linewidth=1.4, marker=".", markersize=3)

@@ -45,6 +45,7 @@ HARD = ("hard bound", {"color": BOUND_COLOR, "linewidth": 1.0, "linestyle": (0, 
 SOFT = ("soft bound", {"color": BOUND_COLOR, "linewidth": 1.2, "linestyle": (0, (1, 2))})
 REFERENCE = ("reference", {"color": REFERENCE_COLOR, "linewidth": 0.8})
 MEASURED = ("measured", {"color": "0.6", "marker": ".", "markersize": 2.5, "linestyle": ""})
+LATE_COLOR = "#7a4fa3"
 ESTIMATE_COLOR = "#d1495b"
 ESTIMATE = ("estimate ± 2 standard deviations", {"color": ESTIMATE_COLOR, "linewidth": 1.0})
 PLAN = ("plans", {"color": "#6fa3c9", "linewidth": 0.8, "alpha": 0.75})

@@ -40,6 +40,7 @@ NANOSECONDS = {
 }
 #: Units in which times are shown, in nanoseconds.
 SHOWN = {"h": 3600e9, "min": 60e9, "s": 1e9, "ms": 1e6, "µs": 1e3, "ns": 1.0}
+LATE = 1.5  # periods after which a sample counts as one that began late
 FAR = 100.0  # a deadline that is so many times the worst case is not drawn
 MEDIAN: Legend = ("median", {"color": "0.2", "linewidth": 1.0})
 WORST: Legend = ("worst", {"color": CONTROL_COLOR, "linewidth": 1.2})
@@ -98,14 +99,25 @@ def _draw_histogram(axis: Any, values: Array, limit: float | None) -> None:
 def in_words(log: Record, dt: float | None = None) -> list[str]:
     """Median and worst time with the deadline, and the periods of a recording, each in a line."""
     deadline = nanoseconds(log, dt)
-    words = f"median {_short(np.median(log.time_ns))}, worst {_short(np.max(log.time_ns))}"
+    slowest = log.number(int(np.argmax(log.time_ns)))
+    words = f"median {_short(np.median(log.time_ns))}, worst {_short(np.max(log.time_ns))} (sample {slowest})"
     if deadline is not None:
         late = int(np.sum(log.time_ns > deadline))
-        words += f"; {late} of {len(log.time_ns)} samples later than {_short(deadline)}"
+        words += f"; {late} of {len(log.time_ns)} samples took more than {_short(deadline)}"
     if len(log.began_ns) < 2:
         return [words]
     period = np.diff(log.began_ns)
-    return [words, f"period {_short(np.mean(period))}, jitter {_short(np.std(period))}, longest {_short(period.max())}"]
+    longest = f"{_short(period.max())} before sample {log.number(int(np.argmax(period)) + 1)}"
+    began = f"; began late: {len(late_starts(log))}" if deadline is not None else ""
+    return [words, f"period {_short(np.mean(period))}, jitter {_short(np.std(period))}, longest {longest}{began}"]
+
+
+def late_starts(log: Record) -> Array:
+    """Samples of a recording, by their places in the log, that began more than half of a period late."""
+    period = nanoseconds(log, None)
+    if period is None or len(log.began_ns) < 2:
+        return np.zeros(0, np.int64)
+    return np.flatnonzero(np.diff(log.began_ns) > LATE * period * np.diff(np.round(log.t[:-1] / log.dt))) + 1
 
 
 def _short(nanoseconds: Any) -> str:

@@ -48,6 +48,7 @@ def write(log: Record, file: str | os.PathLike[str] | IO[bytes]) -> None:
         "limits": [asdict(limit) for limit in log.limits],
         "program": asdict(log.program),
         "dt": log.dt,
+        "remarks": list(log.remarks),
     }
     content = {name: getattr(log, name) for name in ARRAYS}
     if (found := log.estimates) is not None:
@@ -103,6 +104,7 @@ def read(file: str | os.PathLike[str] | IO[bytes]) -> dict[str, Any]:
                 raise ValueError(f"{limit} limits nothing")
         plans = None if of_plans is None else _plans(of_plans, text["plans"], arrays)
         more = {"limits": limits, "program": program, "dt": float(text["dt"]), "plans": plans}
+        more |= {"remarks": tuple(map(str, text["remarks"]))}
         more |= {"estimates": None if of_estimates is None else _estimates(of_estimates, text["estimates"], arrays)}
         return {"name": text["name"], "time_unit": text["time_unit"], "reasons": reasons, **arrays, **traces, **more}
     except (ValueError, KeyError, TypeError, AttributeError, *BROKEN) as error:

@@ -23,6 +23,8 @@ from nmpc_codegen.runtime.records.trace import Record
 
 Array = NDArray[np.float64]
 
+MOST_RANGES = 4  # of samples with a status that the summary names
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Log(Record):
@@ -71,7 +73,7 @@ class Log(Record):
         """The first sample with a status: its number, its time and what diagnose() said."""
         first = int(np.argmax(self.status == status))
         why = self.reasons[status].removeprefix(f"{status.name}: ")
-        when = f"sample {first}, t = {self.t[first]:g} {self.time_unit}"
+        when = f"sample {self.number(first)}, t = {self.t[first]:g} {self.time_unit}"
         return f"first {status.name}: {when}: " + "\n    ".join(why.splitlines())
 
     def _length(self) -> str:
@@ -79,7 +81,12 @@ class Log(Record):
         return f"{len(self.u)} samples{time}"
 
     def _outcome(self) -> str:
-        return ", ".join(f"{Status(s).name} {np.sum(self.status == s)}" for s in np.unique(self.status)) or "none"
+        found = []
+        for status in np.unique(self.status):
+            samples = [self.number(int(k)) for k in np.flatnonzero(self.status == status)]
+            where = f" (samples {_ranges(samples)})" if status != Status.OK else ""
+            found.append(f"{Status(status).name} {len(samples)}{where if len(samples) > 1 else ''}")
+        return ", ".join(found) or "none"
 
     def summary(self) -> str:
         """A summary in a few lines: length, statuses, when and why the first sample with each of them other than OK was
@@ -88,9 +95,7 @@ class Log(Record):
         reasons = "\n".join(self._first(status) for status in self._in_order() if status != Status.OK).splitlines()
         lines += [line for i, line in enumerate(reasons) if WARNED not in line or line not in reasons[:i]]
         if len(self.time_ns):
-            median, worst = np.median(self.time_ns) / 1e3, np.max(self.time_ns) / 1e3
-            late = times.in_words(self)[0].partition("; ")[2] if len(self.began_ns) else ""
-            lines.append(f"time per sample: median {median:.1f} us, worst {worst:.1f} us{late and f'; {late}'}")
+            lines.append(f"time per sample: {times.in_words(self)[0]}")
         if (found := self.estimates) is not None and len(found.status):
             bad = int(np.sum(found.status != Status.OK))
             median, worst = np.median(found.time_ns) / 1e3, np.max(found.time_ns) / 1e3
@@ -98,7 +103,8 @@ class Log(Record):
         if len(self.began_ns):
             lines += times.in_words(self)[1:]
             left_out = round((self.t[-1] - self.t[0]) / self.dt) - len(self.u)
-            lines += [f"{left_out} samples were left out of the recording"] if left_out else []
+            lines += [f"{left_out} samples are missing in the recording"] if left_out else []
+            lines += self.remarks
         last = zip(self.states, self.x[-2 if len(self.began_ns) else -1], strict=True)
         lines.append("last state: " + list_some([f"{trace.name} = {value:.6g}" for trace, value in last]))
         return "\n".join(lines)
@@ -251,3 +257,11 @@ class Log(Record):
             ControllerError: the file is no log.
         """
         return cls(**archive.read(file))
+
+
+def _ranges(samples: Sequence[int]) -> str:
+    """Numbers in ascending order as ranges, "3..7, 12", of many the first ones."""
+    ends = [i for i in range(len(samples)) if i + 1 == len(samples) or samples[i + 1] != samples[i] + 1]
+    begins = [0, *(i + 1 for i in ends[:-1])]
+    found = [f"{samples[i]}..{samples[j]}" if j > i else str(samples[i]) for i, j in zip(begins, ends, strict=True)]
+    return ", ".join(found[:MOST_RANGES]) + (", ..." if len(found) > MOST_RANGES else "")

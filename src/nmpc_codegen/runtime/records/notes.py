@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -114,7 +115,7 @@ class Notes:
         h = row_values(ctrl, np.hstack([self.x[:-1], self._known]), self.u, p)[:, self._logged.general]
         own, rows, limits = self._find_axes()
         unit = units(*(getattr(ctrl.description, kind) for kind in ("states", "controls", "algebraic", "parameters")))
-        named = {kind: tuple(Trace(n, unit[n]) for n in getattr(ctrl.names, kind)) for kind in _NAMED}
+        named: dict[str, Any] = {kind: tuple(Trace(n, unit[n]) for n in getattr(ctrl.names, kind)) for kind in _NAMED}
         followed = tuple(Trace(r.name, unit.get(r.signal, ""), r.signal) for r in ctrl.description.residuals)
         return Log(
             name=ctrl.description.name,
@@ -186,7 +187,7 @@ class Notes:
             distance=_least(found.distance),
             multiplier=_largest(found.multiplier),
             active=found.active.sum(axis=1),
-            rounding=self._reader.rounding,
+            rounding=found.rounding,
             rows=tuple(Trace(r.name, unit.get(of, "")) for r, of in zip(described.rows, of_rows, strict=True)),
         )
 

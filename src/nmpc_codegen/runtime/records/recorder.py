@@ -7,7 +7,7 @@ import os
 import struct
 import weakref
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from time import perf_counter_ns
@@ -23,7 +23,7 @@ from nmpc_codegen.runtime.given import is_integer
 from nmpc_codegen.runtime.loops.sampling import interval_of
 from nmpc_codegen.runtime.memory import OnFailure
 from nmpc_codegen.runtime.package import open_package
-from nmpc_codegen.runtime.pictures.times import NANOSECONDS
+from nmpc_codegen.runtime.pictures.times import LATE, NANOSECONDS
 from nmpc_codegen.runtime.records import stream
 from nmpc_codegen.runtime.records.log import Log
 from nmpc_codegen.runtime.records.notes import Notes, spacing
@@ -80,10 +80,12 @@ def _join(spans: list[tuple[int, int]]) -> list[tuple[int, int]]:
 
 @dataclass
 class Counts:
-    """Samples that took too long, and samples that were left out."""
+    """Samples that took too long, that began late, and that were left out; when the last one began."""
 
     missed: int = 0
+    late: int = 0
     dropped: int = 0
+    began: int = 0
 
 
 def prepare_copy(
@@ -108,11 +110,15 @@ def prepare_copy(
         whole = [(layout.places[0][0], layout.places[1][1], memory[layout.plan[0][0] : layout.rest[0][1]])]
     most = math.inf if writer is None else slots
     deadline, every = limits
+    longest = LATE * deadline
 
     def copy(began: int) -> None:
         took, head = ctrl._prepare_ns + ctrl._feedback_ns, ring.head
         if took > deadline:
             counts.missed += 1
+        if began - counts.began > longest and head:
+            counts.late += 1
+        counts.began = began
         if head - ring.tail >= most and writer is not None and not make_room(ring, writer, began, deadline):
             counts.dropped += 1
             return
@@ -224,6 +230,16 @@ class Recorder:
         return self._counts.missed
 
     @property
+    def late(self) -> int:
+        """Number of samples that began more than half of ``dt`` after their time, seen from the sample before."""
+        return self._counts.late
+
+    @property
+    def error(self) -> str:
+        """Why samples could not be written at the last attempt, as where the disk is full; "" if they were."""
+        return "" if self._writer is None or self._writer.error is None else str(self._writer.error)
+
+    @property
     def dropped(self) -> int:
         """Number of samples that were left out, as the disk could not follow."""
         return self._counts.dropped
@@ -252,15 +268,19 @@ class Recorder:
 
     def log(self) -> Log:
         """The samples so far; without a file those that are kept."""
-        ring = self._ring
-        before = np.zeros((0, ring.size), np.uint8)
-        if self._writer is not None and self._file is not None:
+        if self._writer is not None and not self._writer.is_ours:
+            raise ControllerError(f"log(): {self._file} belongs to the process from which this one was forked")
+        if self._writer is not None:
             self._writer.flush()
-            before = stream.read(self._file)[1]
-        first = max(ring.tail, ring.head - ring.slots)
-        data = ring.bytes_of(first, ring.head) if ring.head > first else b""
+        ring = self._ring
+        first, last = max(ring.tail, ring.head - ring.slots), ring.head
+        data = ring.bytes_of(first, last) if last > first else b""
         rest = np.frombuffer(data, np.uint8).reshape(-1, ring.size)
-        return log_of(self._ctrl, np.concatenate([before, rest]), self.dt)
+        if self._file is None:
+            return log_of(self._ctrl, rest, self.dt)
+        written = stream.read(self._file)[1]
+        already = len(written) - first  # the thread may have written more since
+        return log_of(self._ctrl, np.concatenate([written, rest[max(0, already) :]]), self.dt)
 
     def close(self) -> None:
         """Write the rest and close the file.
@@ -274,18 +294,24 @@ class Recorder:
         self._writer.close()
         self._finalize.detach()
         if (lost := self._ring.head - self._ring.tail) > 0:
-            why = "it belongs to another process" if self._writer.error is None else self._writer.error
+            why = self._writer.error if self._writer.is_ours else "it belongs to another process"
             raise ControllerError(f"{self._file}: {lost + self.dropped} samples could not be written: {why}")
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
-        self.close()
+        try:
+            self.close()
+        except ControllerError as lost:
+            if error is None:
+                raise
+            error.add_note(str(lost))
 
     def __repr__(self) -> str:
         where = "memory" if self._file is None else str(self._file)
-        counts = f"{self.samples} samples, {self.missed} late, {self.dropped} left out"
+        counts = f"{self.samples} samples, {self.missed} took too long, {self.late} began late, {self.dropped} left out"
+        where += f", which cannot be written: {self.error}" if self.error else ""
         return f"<Recorder of {self._ctrl.description.name}: {counts}; {self._layout.size} bytes each, in {where}>"
 
 
@@ -312,7 +338,7 @@ def open_recording(file: str | os.PathLike[str], package: Controller | str | Pat
     Raises:
         ControllerError: the file is no recording, or one of another package.
     """
-    description, data = stream.read(file)
+    description, data, remarks = stream.read(file)
     ctrl = package if isinstance(package, Controller) else open_package(package)
     if description.get("package") != ctrl._package.fingerprint:
         name = description.get("name")
@@ -321,11 +347,11 @@ def open_recording(file: str | os.PathLike[str], package: Controller | str | Pat
         )
     if description["size"] != Layout(ctrl).size:
         raise ControllerError(f"{file} is no recording of {ctrl.description.name}: its samples have another size")
-    return log_of(ctrl, data, float(description["dt"]))
+    return log_of(ctrl, data, float(description["dt"]), remarks)
 
 
-def log_of(ctrl: Controller, data: NDArray[np.uint8], dt: float) -> Log:
-    """The log of samples (n, size), each of which a copy of the controller is set to."""
+def log_of(ctrl: Controller, data: NDArray[np.uint8], dt: float, remarks: tuple[str, ...] = ()) -> Log:
+    """The log of samples (n, size), each of which a copy of the controller is set to; ``remarks``: on their file."""
     layout, twin, steps = Layout(ctrl), ctrl.copy(), len(data)
     stamps = data[:, : STAMPS.size].copy().view("<i8").reshape(steps, 3)
     numbers = np.where(stamps[:, 0] < 0, ~stamps[:, 0], stamps[:, 0])
@@ -346,4 +372,4 @@ def log_of(ctrl: Controller, data: NDArray[np.uint8], dt: float) -> Log:
         twin._xhat[:] = notes.x[k]
         notes.take(k, controls[k], int(stamps[k, 2]), planned, keep=planned and (count - 1) % every == 0)
     t = dt * np.append(numbers, numbers[-1:] + 1 if steps else 0)
-    return notes.finish(t=t, began_ns=stamps[:, 1].copy())
+    return replace(notes.finish(t=t, began_ns=stamps[:, 1].copy()), remarks=remarks)

@@ -81,6 +81,8 @@ class ReplayedSample:
         if self.same is not None and self.again is not None:
             differs = f"the replay differs: {self.again.name}, controls by {self.difference:.1e}"
             return ", replayed to the bit" if self.same else f", {differs}"
+        if self.status is None and self.x is None:
+            return ", nor read its state"
         return f", replayed: {self.again.name}" if self.status is None and self.again is not None else ""
 
 
@@ -122,8 +124,14 @@ class Replay:
         return "\n".join([f"{self.name}: {len(self.samples)} samples", *map(str, self.samples), self._why()])
 
     def _why(self) -> str:
-        """What diagnose() says of the sample."""
-        return f"of sample {self.sample.number}: {self.controller.diagnose()}"
+        """What diagnose() says of the sample, or where to look for what it does not see."""
+        sample = self.sample
+        if sample.status is None:
+            ended = "the solver was not initialised" if sample.again is None else f"here it ends, {sample.again.name}"
+            read = "its state was not read" if sample.x is None else ended
+            where = "look at the pointers x and u, the stack, a watchdog, an interrupt that uses the solver"
+            return f"of sample {sample.number}: {read}; on the target {where}"
+        return f"of sample {sample.number}: {self.controller.diagnose()}"
 
     def __repr__(self) -> str:
         return f"<Replay of {self.name}: {len(self.samples)} samples; {self.sample.number}: {self.sample.name}>"
@@ -236,17 +244,20 @@ def _check_head(ctrl: Controller, head: Any, slot: int, size: int) -> None:
 
 
 def _take_again(ctrl: Controller, entry: Any) -> ReplayedSample:
-    """One slot. A solver that was not initialised is only read."""
+    """One slot. A solver that was not initialised, or whose state was not read, is only read."""
     twin, ready = _load(ctrl, entry["before"].tobytes())
-    number, x, recorded = int(entry["sample"]), np.array(entry["x"], dtype=np.float64), np.array(entry["u"])
+    number, recorded = int(entry["sample"]), np.array(entry["u"])
+    x: Array | None = np.array(entry["x"], dtype=np.float64)
     ended = int(entry["status"]) != NOT_ENDED
     try:
         status = Status(int(entry["status"])) if ended else None
     except ValueError as error:
         raise ControllerError(f"replay: sample {number} of the dump is damaged: {error}") from error
-    if not ready:
+    unread = not ended and entry["x"].tobytes() == b"\xff" * entry["x"].nbytes
+    if not ready or unread:
+        x = None if unread else x
         return ReplayedSample(number, status, recorded if ended else None, x, None, None, 0.0, twin)
-    u = twin.step(x)
+    u = twin.step(entry["x"])
     if status is None:
         return ReplayedSample(number, None, None, x, twin.status, None, 0.0, twin)
     same = twin.status == status and u.astype(recorded.dtype).tobytes() == recorded.tobytes()

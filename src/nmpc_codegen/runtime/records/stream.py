@@ -2,6 +2,7 @@
 
     line "nmpc_codegen recording 1", length and text of a description (JSON, zlib)
     then parts: "PART", number of samples, bytes, CRC-32 (little endian, 32 bits each), and the samples (zlib)
+    at the end, if there was one: "DONE"
 
 A part is complete or it is not there: whatever ends the program, all parts before remain readable. What the samples
 consist of follows from the package, see recorder.Layout.
@@ -14,7 +15,7 @@ import os
 import struct
 import threading
 import zlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +27,7 @@ from nmpc_codegen.errors import ControllerError
 MAGIC = b"nmpc_codegen recording 1\n"
 PART = struct.Struct("<4sIII")
 LENGTH = struct.Struct("<I")
-WORD = b"PART"
+WORD, END = b"PART", b"DONE"
 
 #: Seconds from one part to the next.
 PERIOD = 0.25
@@ -86,6 +87,8 @@ class Writer:
             with self._tried:
                 self._attempts += 1
                 self._tried.notify_all()
+        if self.error is None:
+            self._file.write(END)
         self._file.close()
 
     def _add(self) -> None:
@@ -107,23 +110,27 @@ class Writer:
             view = view[self._file.write(view) :]
 
     @property
-    def is_here(self) -> bool:
-        """False in a process that was forked: the file belongs to its parent."""
-        return os.getpid() == self._process and self._thread.is_alive()
+    def is_ours(self) -> bool:
+        """False in a process that was forked: the file belongs to its parent, whose locks may be taken for ever."""
+        return os.getpid() == self._process
 
     def flush(self) -> None:
         """Wait for an attempt to write all samples that are in the ring."""
+        if not self.is_ours:
+            return
         with self._tried:
             until = self._attempts + 2  # the present attempt may have begun before
-            while self.is_here and self._attempts < until and self._ring.tail < self._ring.head:
+            while self._thread.is_alive() and self._attempts < until and self._ring.tail < self._ring.head:
                 self._wanted.set()
                 self._tried.wait(PERIOD)
 
     def close(self) -> None:
         """Write the rest and close the file; again after an interrupt."""
+        if not self.is_ours:
+            return
         self._stop.set()
         self._wanted.set()
-        if self.is_here and threading.current_thread() is not self._thread:
+        if threading.current_thread() is not self._thread:
             self._thread.join()
 
 
@@ -133,14 +140,14 @@ def is_recording(file: str | os.PathLike[str]) -> bool:
         return stream.read(len(MAGIC)) == MAGIC
 
 
-def read(file: str | os.PathLike[str]) -> tuple[dict[str, Any], NDArray[np.uint8]]:
-    """Description and samples, (n, size), of a recording; what a killed program has left of a part, and
-    damaged parts, are passed over.
+def read(file: str | os.PathLike[str]) -> tuple[dict[str, Any], NDArray[np.uint8], tuple[str, ...]]:
+    """Description and samples, (n, size), of a recording, and what is to be said of the file; what a killed program has
+    left of a part, and damaged parts, are passed over.
 
     Raises:
         ControllerError: the file is no recording.
     """
-    data = memoryview(Path(file).read_bytes())
+    data = Path(file).read_bytes()
     try:
         if data[: len(MAGIC)] != MAGIC:
             raise ValueError("it begins with other words")
@@ -151,26 +158,35 @@ def read(file: str | os.PathLike[str]) -> tuple[dict[str, Any], NDArray[np.uint8
         if size < 1 or float(description["dt"]) <= 0.0:
             raise ValueError(f"its samples have {size} bytes and come every {description['dt']}")
         parts = list(_parts(data, start + length))
-        found = np.empty((sum(count for count, _ in parts), size), np.uint8)
+        found = np.empty((sum(count for _, count, _ in parts), size), np.uint8)
         place = 0
-        for count, part in parts:
+        for _, count, part in parts:
             samples = zlib.decompressobj().decompress(part, count * size + 1)
             found[place : place + count] = np.frombuffer(samples, np.uint8).reshape(count, size)
             place += count
     except (ValueError, KeyError, TypeError, struct.error, zlib.error) as error:
         what = f"{error} is missing" if isinstance(error, KeyError) else str(error)
         raise ControllerError(f"{file} is no recording: {what}") from error
-    return description, found
+    return description, found, tuple(_remarks(data, start + length, parts))
 
 
-def _parts(data: memoryview, place: int) -> Iterator[tuple[int, memoryview]]:
-    """Number of samples and compressed bytes of every part; one that is damaged is passed over."""
-    whole = bytes(data)
-    while (place := whole.find(WORD, place)) >= 0 and place + PART.size <= len(whole):
+def _parts(data: bytes, place: int) -> Iterator[tuple[int, int, bytes]]:
+    """Place, number of samples and compressed bytes of every part; one that is damaged is passed over."""
+    while (place := data.find(WORD, place)) >= 0 and place + PART.size <= len(data):
         _, count, length, check = PART.unpack_from(data, place)
         part = data[place + PART.size : place + PART.size + length]
         if len(part) == length and zlib.crc32(part) == check:
-            yield count, part
+            yield place, count, part
             place += PART.size + length
         else:
             place += 1
+
+
+def _remarks(data: bytes, place: int, parts: Sequence[tuple[int, int, bytes]]) -> Iterator[str]:
+    """Whether bytes between parts are damaged, and whether the recording was closed."""
+    for begin, _, part in parts:
+        if begin != place:
+            yield f"{begin - place} bytes of the recording are damaged"
+        place = begin + PART.size + len(part)
+    if data[place:] != END:
+        yield "the recording was not closed: the program was killed, or the disk was full"

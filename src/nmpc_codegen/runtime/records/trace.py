@@ -57,7 +57,7 @@ class Limit:
     delay: float = 0.0
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Plans:
     """Plans that a log has kept, of n samples, with the rows of the problem along each.
 
@@ -75,6 +75,10 @@ class Plans:
     active: NDArray[np.int64]  # (n, number of rows)
     rounding: Array  # (number of rows,)
     rows: tuple[Trace, ...]
+
+    def __repr__(self) -> str:
+        rows = ", ".join(trace.name for trace in self.rows)
+        return f"<Plans of {len(self.sample)} samples: x {self.x.shape}, u {self.u.shape}; rows {rows}>"
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,7 +113,7 @@ class Record:
     ``reasons``: what Controller.diagnose() said at the first sample with each status. ``program``: the rows as
     functions of states, controls and parameters.
     ``began_ns``: when each sample began, of a recording, by a clock that only runs forward; else empty; ``dt``: the
-    time between samples that was meant.
+    time between samples that was meant. ``remarks``: on the file of a recording.
     """
 
     name: str
@@ -140,3 +144,8 @@ class Record:
     plans: Plans | None = None
     estimates: Estimates | None = None  # of a loop with an estimator
     began_ns: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
+    remarks: tuple[str, ...] = ()
+
+    def number(self, k: int) -> int:
+        """Number of the k-th sample of the log: of a recording that of the recorder, from 0 on."""
+        return round(self.t[k] / self.dt) if len(self.began_ns) else k
