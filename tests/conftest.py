@@ -6,6 +6,7 @@ import gc
 import os
 import shutil
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 
 # The matrices of the tests are small: further threads of NumPy's BLAS would only spin, at the expense of other workers.
@@ -25,6 +26,7 @@ from nmpc_codegen.runtime.compilers import find_compiler
 from nmpc_codegen.runtime.controller import Controller
 from nmpc_codegen.runtime.native import runs
 from nmpc_codegen.targets import TARGETS
+from tests.cli.cart import write_problem
 from verification.problems import toy_sources
 
 # Expressions and texts live as long as the session: a search for garbage after every 700 new objects finds nothing.
@@ -147,6 +149,12 @@ def _all_compilers_run(request: pytest.FixtureRequest) -> Iterator[None]:
             if name == "tcc":
                 patch.setenv("C_INCLUDE_PATH", str(TCC_HEADERS))
         yield
+
+
+@pytest.fixture
+def state_problem(tmp_path: Path) -> Callable[[str], str]:
+    """state_problem("ocp = cart()") -> path of a problem file for the command line."""
+    return partial(write_problem, tmp_path)
 
 
 @pytest.fixture(scope="session")

@@ -23,35 +23,7 @@ from nmpc_codegen.components.allowed import rules
 from nmpc_codegen.components.integrators import RK4, ExplicitRungeKutta
 from nmpc_codegen.errors import ProblemError
 from nmpc_codegen.options import REGISTRIES, Options
-
-CART = """\
-import numpy as np
-from nmpc_codegen import OCP, Options
-
-def cart(name="cart", initial=1.0):
-    ocp = OCP(name, T=1.0, N=5)
-    p = ocp.state("p", unit="m", initial=initial)
-    v = ocp.state("v", unit="m/s")
-    a = ocp.control("a", unit="m/s^2")
-    ocp.dynamics({p: v, v: a - 0.1 * v**3})
-    ocp.least_squares(ocp.x, weight=np.diag([4.0, 1.0]))
-    ocp.least_squares(a, weight=0.1 * np.eye(1), names=["effort"])
-    ocp.terminal_least_squares(ocp.x, weight=10 * np.eye(2))
-    ocp.subject_to(-2, a, 2)
-    return ocp
-"""
-
-
-@pytest.fixture
-def state_problem(tmp_path: Path) -> Any:
-    """state_problem("ocp = cart()") -> path of a problem file."""
-
-    def write(text: str) -> str:
-        path = tmp_path / "problem.py"
-        path.write_text(CART + text + "\n", encoding="utf-8")
-        return str(path)
-
-    return write
+from tests.cli.cart import CART
 
 
 def said(capsys: pytest.CaptureFixture[str]) -> tuple[str, str]:

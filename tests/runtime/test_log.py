@@ -47,19 +47,20 @@ def tank() -> OCP:
     return ocp
 
 
+def change(k: int, c: Controller) -> None:
+    """Reference and parameter jump; the bounds become crossed."""
+    if k == 10:
+        c.set_reference({"target": 0.7})
+    if k == 20:
+        c.set_parameter("leak", 0.3)
+    if k == 38:
+        c.set_bounds("power", 1.5, 2.0)
+
+
 @pytest.fixture(scope="module")
 def log() -> Log:
     """Forty samples, in which the reference, the leak and the state jump; the bounds become crossed at the end."""
     ctrl = build(tank(), profile="test")
-
-    def change(k: int, c: Controller) -> None:
-        if k == 10:
-            c.set_reference({"target": 0.7})
-        if k == 20:
-            c.set_parameter("leak", 0.3)
-        if k == 38:
-            c.set_bounds("power", 1.5, 2.0)
-
     return simulate(ctrl, [1.0], 40, before=change, disturbance=lambda k, x: [0.5 * (k == 30)])
 
 

@@ -16,7 +16,7 @@ import pytest
 
 from nmpc_codegen import Controller, ControllerError, Log, Recorder, Status, build, export, open_recording, simulate
 from nmpc_codegen.runtime.records import recorder, stream
-from tests.runtime.test_log import tank
+from tests.runtime.test_log import change, tank
 
 STEPS = 60
 Array = Any
@@ -25,16 +25,6 @@ Array = Any
 @pytest.fixture(scope="module")
 def ctrl() -> Controller:
     return build(tank(), profile="test")
-
-
-def change(k: int, c: Controller) -> None:
-    """Reference, parameter and bounds jump; the bounds become crossed."""
-    if k == 10:
-        c.set_reference({"target": 0.7})
-    if k == 20:
-        c.set_parameter("leak", 0.3)
-    if k == 38:
-        c.set_bounds("power", 1.5, 2.0)
 
 
 def fly(r: Recorder, c: Controller, steps: int = STEPS) -> None:
@@ -430,6 +420,7 @@ def test_a_raised_failure_is_recorded(ctrl: Controller) -> None:
         ({"controller": 3}, "3 is no controller"),
         ({"file": 3}, "file is 3; expected the path of a new file"),
         ({"file": ""}, "file is ''; expected the path of a new file"),
+        ({"keep": 5, "file": "run.rec"}, "keep=5 belongs to a recorder without a file"),
         ({"keep": 10**14}, "100000000000000 samples take .* bytes; expected fewer in keep="),
     ],
 )

@@ -99,7 +99,7 @@ def _export(arguments: argparse.Namespace, printer: Printer) -> bool:
     with saying_warnings(printer):
         printer.stage(f"{name}: generating C, N={ocp.N}")
         package = export(ocp, options, str(folder), name=name, **given)
-        report_package(printer, package, folder, arguments.dumps)
+        report_package(printer, package, folder, firmware.ring)
         passed = firmware.report(printer)
         passed = flights.report(printer) and passed
         if arguments.check:

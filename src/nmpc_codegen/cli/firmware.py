@@ -21,7 +21,7 @@ from nmpc_codegen.package.description import PackageDescription
 from nmpc_codegen.package.seal import seal_beside, without_seal
 from nmpc_codegen.package.sources import Sources
 from nmpc_codegen.runtime.compilers import find_compiler
-from nmpc_codegen.targets import TARGETS
+from nmpc_codegen.targets import TARGETS, Target
 
 
 class Firmware:
@@ -29,6 +29,7 @@ class Firmware:
 
     def __init__(self, arguments: argparse.Namespace, printer: Printer) -> None:
         self._printer, self._dumps = printer, arguments.dumps
+        self.ring = 0  # bytes of the dumps that are asked for
         given = {flag: getattr(arguments, f"max_{flag}") for flag in BUDGETS}
         limits = {
             flag: parse_size(f"--max-{flag}", text, OPERATIONS if flag == "operations" else BYTES)
@@ -72,8 +73,10 @@ class Firmware:
         def more(sources: Mapping[str, str]) -> dict[str, str]:
             """Further files, sealed; an error if a budget is exceeded or a tool fails."""
             flown = fly(sources)
-            self._announce(sources[f"{name}.json"])
-            how = self._level, self._budgets, self._run, variant, flown, self._ring(sources[f"{name}.json"])
+            description = PackageDescription.from_json(sources[f"{name}.json"])
+            self._announce(TARGETS[description.target])
+            self.ring = ring_bytes(description, self._dumps) if self._dumps else 0
+            how = self._level, self._budgets, self._run, variant, flown, self.ring
             self._delivery = deliver(sources, name, *how)
             files = dict(self._delivery.files)
             if flown is not None:
@@ -87,13 +90,8 @@ class Firmware:
 
         return more
 
-    def _ring(self, description: str) -> int:
-        """Bytes of the dumps that are asked for."""
-        return ring_bytes(PackageDescription.from_json(description), self._dumps) if self._dumps else 0
-
-    def _announce(self, description: str) -> None:
+    def _announce(self, target: Target) -> None:
         """Say what takes long: the certificate of a microcontroller, the emulation."""
-        target = TARGETS[PackageDescription.from_json(description).target]
         if target.board is not None or self._run:
             work = (["certifying"] if target.board else []) + (["replaying a loop"] if self._run else [])
             self._printer.stage(f"{' and '.join(work)} for {target.name}")

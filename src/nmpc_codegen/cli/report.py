@@ -10,8 +10,6 @@ from typing import TYPE_CHECKING, Any
 from nmpc_codegen.cli.messages import one_line
 from nmpc_codegen.cli.printing import Printer
 from nmpc_codegen.errors import OptionError
-from nmpc_codegen.lowering.beside.dumps import ring_bytes
-from nmpc_codegen.package.description import PackageDescription
 
 if TYPE_CHECKING:
     from nmpc_codegen.compiler import Package
@@ -36,32 +34,27 @@ def report_files(printer: Printer, name: str, directory: Path, paths: Sequence[P
         printer.table(files)
 
 
-def report_package(printer: Printer, package: Package, folder: Path, dumps: int | None) -> None:
-    """Files, choices and memory; with -v also all reasons, the operations of every function and the worst case."""
+def report_package(printer: Printer, package: Package, folder: Path, ring: int) -> None:
+    """Files, choices and memory; with -v also all reasons, the operations of every function and the worst case.
+    ``ring``: bytes of dumps."""
     report_files(printer, package.name, package.directory, package.files, folder)
     for key in ("choices", "warnings", "ram_bytes", "operations"):
         if key in package.report and (key != "operations" or printer.verbose):
             printer.note(key, package.report[key])
-    lines = [f"chosen  {choice}" for choice in package.report.get("choices", ())]
-    for line in lines:
+    for choice in package.report.get("choices", ()):
+        line = f"chosen  {choice}"
         printer.line(line if printer.verbose else shorten(line))
     if "ram_bytes" in package.report:
         bytes_of_struct = f"{package.report['ram_bytes']:,} bytes of solver struct"
         printer.line(f"memory  {bytes_of_struct}, all that the code needs except its stack")
-    if dumps is not None:
-        size = ring_bytes(_describe(package), dumps)
-        printer.note("dumps_bytes", size)
-        printer.line(f"dumps   {size:,} bytes more for {dumps} samples")
+    if ring:
+        printer.note("dumps_bytes", ring)
+        printer.line(f"dumps   {ring:,} bytes more")
     if not printer.verbose:
         printer.line("(-v: reasons in full, files, operations, worst case)")
     else:
         report_operations(printer, package.report.get("operations", {}))
         printer.line(f"worst   {_worst(package)}")
-
-
-def _describe(package: Package) -> PackageDescription:
-    """The description in the folder."""
-    return PackageDescription.from_json((package.directory / f"{package.name}.json").read_text(encoding="utf-8"))
 
 
 def shorten(text: str) -> str:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from nmpc_codegen.frontend.statement import Declared, Residual, Stated, Statement
-from nmpc_codegen.package.signals import horizon, list_some, nodes
-from nmpc_codegen.runtime.records.html import ROWS, page, shorten, table, units
+from nmpc_codegen.package.signals import horizon, list_some, nodes, units
+from nmpc_codegen.runtime.records.html import ROWS, page, shorten, table
 
 LONGEST = 80  # characters of an expression
 STAGES = {"start": "node 0", "path": "nodes 0..N-1", "terminal": "node N"}

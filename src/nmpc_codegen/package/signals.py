@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple
 
@@ -253,6 +253,11 @@ def members(name: str, known: Sequence[str]) -> list[int]:
     if name in known:
         return [known.index(name)]
     return [i for i, element in enumerate(known) if name and element.rpartition("[")[0] == name]
+
+
+def units(*groups: Iterable[Signal]) -> dict[str, str]:
+    """Name of an element -> its unit."""
+    return {name: signal.unit for signals in groups for signal in signals for name in signal.elements}
 
 
 # -- how they are written ---------------------------------------------------------------------------------------------

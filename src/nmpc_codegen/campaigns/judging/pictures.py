@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,22 +10,20 @@ from numpy.typing import NDArray
 
 from nmpc_codegen.campaigns.flying.flown import Flown
 from nmpc_codegen.runtime.batch.flights import Flights
-from nmpc_codegen.runtime.extras import extra
 from nmpc_codegen.runtime.pictures.paths import draw_paths
 from nmpc_codegen.runtime.pictures.style import (
-    DPI,
     FAILURE_COLOR,
     ROW_HEIGHT,
     STATE_COLOR,
-    STYLE,
     WIDTH,
-    explain,
+    File,
+    finish,
     new_figure,
+    use_style,
 )
 from nmpc_codegen.runtime.records.trace import with_unit
 
 Array = NDArray[Any]
-File = str | os.PathLike[str] | None
 
 BINS = 60
 #: Variables of plot_lost(), and points of every kind in a panel.
@@ -67,9 +63,8 @@ def draw_distributions(
             panels.append((f"largest violation of {label(name, unit)}", amounts, limit))
     if np.isfinite(flown.seconds).all():
         panels.append(("mean time of a sample [µs]", 1e6 * flown.seconds[:, 0], np.inf))
-    mpl = extra("matplotlib", "plot_distributions()")
     figure = new_figure((WIDTH, 0.9 + 1.25 * ROW_HEIGHT * len(panels)), file)
-    with mpl.rc_context(STYLE):
+    with use_style():
         axes = figure.subplots(len(panels), 1, squeeze=False)[:, 0]
         for axis, (text, values, limit) in zip(axes, panels, strict=True):
             _draw_histogram(axis, values, lost, flown.broken < 0)
@@ -78,9 +73,8 @@ def draw_distributions(
             if np.isfinite(limit):
                 axis.axvline(limit, **LIMIT[1])
         shown = [KEPT] * bool((~lost).any()) + [LOST] * bool(lost.any())
-        explain(figure, [*shown, *([LIMIT] if any(np.isfinite(limit) for _, _, limit in panels) else [])])
-        _finish(figure, title, file)
-    return figure
+        shown += [LIMIT] * any(np.isfinite(limit) for _, _, limit in panels)
+        return finish(figure, title, shown, file)
 
 
 def _draw_histogram(axis: Any, values: Array, lost: NDArray[np.bool_], whole: NDArray[np.bool_]) -> None:
@@ -106,10 +100,9 @@ def draw_pairs(flown: Flown, lost: NDArray[np.bool_], title: str, unit: Mapping[
     every = np.hstack([flown.start, flown.drawn])
     spread = [i for i in range(len(heads)) if np.ptp(every[:, i]) > 0] or [0]
     chosen = sorted(spread, key=lambda i: -_difference(every[:, i], lost))[:VARIABLES]
-    mpl = extra("matplotlib", "plot_lost()")
     n = max(1, len(chosen) - 1)
     figure = new_figure((WIDTH, 0.9 + WIDTH * n / (n + 0.4) * 0.8 if n > 1 else 4.2), file)
-    with mpl.rc_context(STYLE):
+    with use_style():
         axes = figure.subplots(n, n, squeeze=False)
         for i in range(n):
             for j in range(n):
@@ -122,9 +115,7 @@ def draw_pairs(flown: Flown, lost: NDArray[np.bool_], title: str, unit: Mapping[
                 axis.set_xlabel(label(heads[column], unit) if i == n - 1 else "")
                 axis.set_ylabel((label(heads[row], unit) if len(chosen) > 1 else "cost") if j == 0 else "")
                 axis.locator_params(nbins=5)
-        explain(figure, [KEPT, LOST] if lost.any() else [KEPT])
-        _finish(figure, title, file)
-    return figure
+        return finish(figure, title, [KEPT, LOST] if lost.any() else [KEPT], file)
 
 
 def _difference(values: Array, lost: NDArray[np.bool_]) -> float:
@@ -142,9 +133,3 @@ def _draw_points(axis: Any, x: Array, y: Array, lost: NDArray[np.bool_]) -> None
     for (some, (_, style)), alpha in zip(sorted(kinds, key=lambda k: -int(k[0].sum())), (0.4, 0.8), strict=True):
         places = np.flatnonzero(some)[:POINTS]
         axis.plot(x[places], y[places], **{**style, "markersize": 2.5, "alpha": alpha, "markeredgewidth": 0})
-
-
-def _finish(figure: Any, title: str, file: File) -> None:
-    figure.suptitle(title, fontsize=10, color="0.2")
-    if file is not None:
-        figure.savefig(Path(file), dpi=DPI)

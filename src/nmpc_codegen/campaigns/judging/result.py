@@ -17,11 +17,11 @@ from nmpc_codegen.campaigns.judging import pictures
 from nmpc_codegen.campaigns.judging.replay import replay
 from nmpc_codegen.campaigns.judging.verdict import LEVEL, Reason, Rules, interval_of_share
 from nmpc_codegen.errors import ControllerError
+from nmpc_codegen.package.signals import units
 from nmpc_codegen.package.status import Status
 from nmpc_codegen.runtime import given
 from nmpc_codegen.runtime.batch.flights import Flights
 from nmpc_codegen.runtime.loops.forecast import Before
-from nmpc_codegen.runtime.records.html import units
 from nmpc_codegen.runtime.records.log import Log
 
 Array = NDArray[Any]

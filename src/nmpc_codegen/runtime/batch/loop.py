@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from nmpc_codegen.errors import ControllerError
+from nmpc_codegen.package.signals import units
 from nmpc_codegen.package.status import Status
 from nmpc_codegen.runtime import given
 from nmpc_codegen.runtime.batch.flights import Draws, Flights
@@ -20,7 +21,6 @@ from nmpc_codegen.runtime.batch.summary import Before, Judge, Samples, before, j
 from nmpc_codegen.runtime.batch.tables import Data, Tables, at_samples, in_c, parameter_data, reference_data, replace_in
 from nmpc_codegen.runtime.given import is_same_time
 from nmpc_codegen.runtime.loops.sampling import integrations, interval_of, samples_ahead
-from nmpc_codegen.runtime.records.html import units
 
 Array = NDArray[Any]
 

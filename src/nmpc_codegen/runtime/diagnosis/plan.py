@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
 
 from nmpc_codegen.package.signals import imposed_rows
-from nmpc_codegen.runtime.diagnosis.rows import NEGLIGIBLE, append_solved, row_values, whole_parameters
+from nmpc_codegen.runtime.diagnosis.rows import NEGLIGIBLE, by_node, imposed_nodes, values_at_nodes, whole_parameters
 from nmpc_codegen.runtime.memory import Memory
 
 Array = NDArray[np.float64]
@@ -20,13 +20,13 @@ NEAR = 1e-2
 
 @dataclass(frozen=True, eq=False)
 class PlanData:
-    """What a plan is evaluated from: states with those behind the user's, controls, algebraic variables, parameters
-    with those behind the user's, bounds and multipliers of all rows at all nodes."""
+    """What a plan is evaluated from: states with those behind the user's, controls, parameters with those behind the
+    user's, algebraic variables, bounds and multipliers of all rows at all nodes."""
 
     x: Array
     u: Array
-    z: Array
     p: Array
+    z: Array
     lower: Array
     upper: Array
     multiplier: Array
@@ -49,35 +49,26 @@ class PlanReader:
 
     def __init__(self, ctrl: Memory) -> None:
         self._described = described = ctrl.description
-        self._dims, rows, N = ctrl.dims, described.rows, ctrl.dims.N
-        self._holds = np.zeros((N + 1, len(rows)), dtype=bool)
-        self._simple = [(i, place) for i, row in enumerate(rows) if (place := row.variable(self._dims.nx)) is not None]
+        rows, self._N = described.rows, ctrl.dims.N
+        self._holds = np.zeros((self._N + 1, len(rows)), dtype=bool)
         for i, row in enumerate(rows):
-            nodes = [k for k in row.nodes if k or row.kind != "state"]  # x_0 is given
-            self._holds[() if row.is_coupled else nodes, i] = not row.is_coupled
-        imposed = imposed_rows(rows, N)
+            self._holds[[] if row.is_coupled else imposed_nodes(row), i] = True
+        imposed = imposed_rows(rows, self._N)
         self._imposed = [entry.node for entry in imposed], [entry.row for entry in imposed]
         self._of_controls = [(i, row.index) for i, row in enumerate(rows) if row.kind == "control"]
-        self._declared = np.array([[row.lower, row.upper] for row in rows]).reshape(-1, 2).T
-
-    def copy(self, ctrl: Memory) -> PlanData:
-        """The present plan."""
-        p = np.array(whole_parameters(ctrl), dtype=np.float64)
-        lower, upper = self.bounds(ctrl)
-        x, u = np.array(ctrl.whole_x, dtype=np.float64), np.array(ctrl.u, dtype=np.float64)
-        z = np.array(ctrl.z, dtype=np.float64).reshape(len(x), len(ctrl.names.algebraic))
-        return PlanData(x, u, z, p, lower, upper, self._multipliers(ctrl))
+        self._declared = [np.tile([getattr(r, side) for r in rows], (self._N + 1, 1)) for side in ("lower", "upper")]
 
     def bounds(self, ctrl: Memory) -> tuple[Array, Array]:
         """Present lower and upper bounds of all rows at all nodes, (N+1, number of rows)."""
-        shape = self._holds.shape
         if self._described.online["bounds"] == "fixed":
-            return np.broadcast_to(self._declared[0], shape), np.broadcast_to(self._declared[1], shape)
-        found = []
-        for side in ("lower", "upper"):
-            stored = np.array(ctrl.view(side), dtype=np.float64)
-            found.append(stored if len(stored) == shape[0] else stored[[*[0] * self._dims.N, -1]])
-        return found[0], found[1]
+            return self._declared[0], self._declared[1]
+        return by_node(ctrl.view("lower"), self._N), by_node(ctrl.view("upper"), self._N)
+
+    def copy(self, ctrl: Memory, bounds: tuple[Array, Array]) -> PlanData:
+        """The present plan; ``bounds``: the present ones."""
+        parts = ctrl.whole_x, ctrl.u, whole_parameters(ctrl), ctrl.z
+        x, u, p, z = (np.array(part, dtype=np.float64) for part in parts)
+        return PlanData(x, u, p, z, *bounds, self._multipliers(ctrl))
 
     def _multipliers(self, ctrl: Memory) -> Array:
         """Multipliers of all rows, (N+1, number of rows), NaN if the algorithm keeps none."""
@@ -91,20 +82,10 @@ class PlanReader:
 
     def evaluate(self, ctrl: Memory, plans: Sequence[PlanData]) -> RowsOfPlans:
         """The rows of all plans."""
-        x, u, z, p, lower, upper, multiplier = (
-            np.stack([getattr(plan, part) for plan in plans])
-            for part in ("x", "u", "z", "p", "lower", "upper", "multiplier")
+        x, u, p, z, lower, upper, multiplier = (
+            np.stack([getattr(plan, part.name) for plan in plans]) for part in fields(PlanData)
         )
-        n, N, nx = len(plans), self._dims.N, self._dims.nx
-        held = np.append(u, u[:, -1:], axis=1)
-        values = np.empty(lower.shape)
-        for end, nodes in ((False, slice(0, N)), (True, slice(N, N + 1))):
-            flat = [a[:, nodes].reshape(n * (1 if end else N), a.shape[2]) for a in (x, held, p, z)]
-            known = append_solved(self._described, flat[2], flat[3])
-            values[:, nodes] = row_values(ctrl, flat[0], flat[1], known, end).reshape(values[:, nodes].shape)
-        for i, place in self._simple:
-            values[..., i] = x[..., place] if place < nx else held[..., place - nx]
-        values = np.where(self._holds, values, np.nan)
+        values = np.where(self._holds, values_at_nodes(ctrl, x, u, p, z), np.nan)
         distance = np.minimum(values - lower, upper - values)
         bounds = [np.where(np.isfinite(side), np.abs(side), 0.0) for side in (lower, upper)]
         size = np.maximum(np.array(self._described.row_scales), np.maximum(*bounds))

@@ -51,9 +51,13 @@ def whole_parameters(ctrl: Memory) -> Array:
     if ctrl.description.online["parameter"] == "fixed":
         return np.tile(start_parameters(ctrl), (d.N + 1, 1))
     stored = ctrl.member("p")
-    if len(stored) == d.N + 1 or not stored.size:
-        return np.asarray(stored, dtype=np.float64).reshape(d.N + 1, -1)
-    return np.array([*([stored[0]] * d.N), stored[-1]], dtype=np.float64)
+    return by_node(stored, d.N) if stored.size else np.zeros((d.N + 1, 0))
+
+
+def by_node(stored: Array, N: int) -> Array:
+    """Data of all nodes 0..N, a copy, from their own, or from those that the path and the end share."""
+    nodes = slice(None) if len(stored) == N + 1 else [*[0] * N, -1]
+    return np.array(stored[nodes], dtype=np.float64)
 
 
 def append_solved(described: PackageDescription, p: Array, z: Array) -> Array:
@@ -66,7 +70,7 @@ def append_solved(described: PackageDescription, p: Array, z: Array) -> Array:
 
 def plan_data(ctrl: Memory) -> Array:
     """What expressions of all nodes read in place of p."""
-    return append_solved(ctrl.description, np.asarray(whole_parameters(ctrl), dtype=np.float64), ctrl.z)
+    return append_solved(ctrl.description, whole_parameters(ctrl), ctrl.z)
 
 
 def path_reference(ctrl: Memory) -> Array:
@@ -77,23 +81,45 @@ def path_reference(ctrl: Memory) -> Array:
     return stored[0] if len(stored) else np.zeros(ctrl.dims.ny)
 
 
-def row_values(ctrl: Memory, x: Array, u: Array, p: Array, end: bool = False) -> Array:
-    """Values of all general rows at x (n, nx and the states behind those of the user), u (n, nu), p (n, np) -> (n,
-    number of rows), NaN for other rows.
+def row_values(ctrl: Memory, x: Array, u: Array, p: Array, z: Array, end: bool = False) -> Array:
+    """Values of all general rows, (n, number of rows), NaN for other rows.
 
-    end: those of the end of the horizon.
+    x (n, nx and the states behind those of the user), u (n, nu), p (n, np and what is behind the parameters of the
+    user), z (n, number of algebraic variables); end: those of the end of the horizon.
     """
-    program = ctrl.description.program
+    program, solved = ctrl.description.program, len(ctrl.description.newton)
     out = np.full((len(x), len(program.rows)), np.nan)
     places = {i: place[end] for i, place in enumerate(program.rows) if place[end] >= 0}
-    size = max(1, MOST_VALUES // max(1, len(program.steps)))
+    size = max(1, MOST_VALUES // (1 + len(program.steps) + solved**2))
     for begin in range(0, len(x) if places else 0, size):
         some = slice(begin, begin + size)
         with np.errstate(all="ignore"):
-            values = program.values(x[some], u[some], p[some], places.values())
+            read = append_solved(ctrl.description, p[some], z[some])
+            values = program.values(x[some], u[some], read, places.values())
         for i, place in places.items():
             out[some, i] = values[place]
     return out
+
+
+def values_at_nodes(ctrl: Memory, x: Array, u: Array, p: Array, z: Array) -> Array:
+    """Values of all rows at the nodes of n plans, (n, N+1, number of rows), those of bare states and controls too; NaN
+    for coupled rows. The arguments are those of row_values() for n plans: (n, N+1, ...), u (n, N, nu)."""
+    n, N, nx = len(x), ctrl.dims.N, ctrl.dims.nx
+    held, rows = np.append(u, u[:, -1:], axis=1), ctrl.description.rows
+    found = np.empty((n, N + 1, len(rows)))
+    for end, nodes in ((False, slice(0, N)), (True, slice(N, N + 1))):
+        count = n * (1 if end else N)
+        xs, us, ps, zs = (a[:, nodes].reshape(count, a.shape[2]) for a in (x, held, p, z))
+        found[:, nodes] = row_values(ctrl, xs, us, ps, zs, end).reshape(found[:, nodes].shape)
+    for i, row in enumerate(rows):
+        if (place := row.variable(nx)) is not None:
+            found[..., i] = x[..., place] if place < nx else held[..., place - nx]
+    return found
+
+
+def imposed_nodes(row: Row) -> list[int]:
+    """Nodes at which a row is imposed on a plan: x_0 is given."""
+    return [k for k in row.nodes if k or row.kind != "state"]
 
 
 def bounds_at(ctrl: Memory, row: int, node: int) -> tuple[float, float]:
@@ -130,21 +156,17 @@ def path_bounds(ctrl: Memory, row: int) -> tuple[float, float]:
 
 def violations(ctrl: Memory) -> list[Violation]:
     """Hard rows that the plan violates, at their worst nodes; those that are worst in their size come first."""
-    x, u, p = (np.asarray(v, dtype=np.float64) for v in (ctrl.x, ctrl.u, plan_data(ctrl)))
-    held = np.append(u, u[-1:], axis=0)
-    whole = np.asarray(ctrl.whole_x, dtype=np.float64)
-    path, end = row_values(ctrl, whole[:-1], u, p[:-1]), row_values(ctrl, whole[-1:], held[-1:], p[-1:], end=True)
-    general = np.append(path, end, axis=0)
+    parts = ctrl.whole_x, ctrl.u, whole_parameters(ctrl), ctrl.z
+    x, u, p, z = (np.asarray(part, dtype=np.float64)[None] for part in parts)
+    found = values_at_nodes(ctrl, x, u, p, z)[0]
     worst = []
     for number, row in enumerate(ctrl.description.rows):
         if row.hard and not row.is_coupled:
-            place = row.variable(ctrl.dims.nx)
-            values = general[:, number] if place is None else np.hstack([x, held])[:, place]
-            measured = place is not None and place < ctrl.dims.nx  # x_0 is given
-            nodes = (k for k in row.nodes if (k or not measured) and is_hard(ctrl, number, k))
+            values = found[:, number]
+            nodes = (k for k in imposed_nodes(row) if is_hard(ctrl, number, k))
             most = float(np.nanmax(np.abs(values), initial=ctrl.description.row_scales[number]))
-            found = (_violation(row, k, float(values[k]), most, *bounds_at(ctrl, number, k)) for k in nodes)
-            worst += sorted((v for v in found if v.amount > NEGLIGIBLE * v.size), key=lambda v: -v.amount)[:1]
+            at = (_violation(row, k, float(values[k]), most, *bounds_at(ctrl, number, k)) for k in nodes)
+            worst += sorted((v for v in at if v.amount > NEGLIGIBLE * v.size), key=lambda v: -v.amount)[:1]
     return sorted(worst, key=lambda v: -v.amount / v.size)
 
 

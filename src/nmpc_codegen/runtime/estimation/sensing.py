@@ -10,13 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nmpc_codegen.errors import ControllerError
-from nmpc_codegen.package.signals import Signal, members
+from nmpc_codegen.package.signals import Signal, members, units
 from nmpc_codegen.runtime.controller import Controller
 from nmpc_codegen.runtime.diagnosis.rows import start_parameters
 from nmpc_codegen.runtime.estimation.observer import Observer
 from nmpc_codegen.runtime.given import is_integer, is_same_time
 from nmpc_codegen.runtime.loops.forecast import Before
-from nmpc_codegen.runtime.records.html import units
 from nmpc_codegen.runtime.records.trace import Estimates, Trace
 
 Array = NDArray[np.float64]

@@ -9,7 +9,7 @@ import numpy as np
 
 from nmpc_codegen.errors import ControllerError
 from nmpc_codegen.runtime.pictures.loop import changed_parameters, curves_of, draw_bounds, draw_curve, time_label
-from nmpc_codegen.runtime.pictures.style import File, Legend, finish, fit, name_times, stack_axes, use_style
+from nmpc_codegen.runtime.pictures.style import File, Legend, finish, fit, stack_axes, use_style
 from nmpc_codegen.runtime.records.trace import Record
 
 OTHER_COLOR = "#b0307a"
@@ -26,11 +26,10 @@ def draw(log: Record, other: Record, names: tuple[str, str], file: File) -> Any:
     changed = {*changed_parameters(log), *changed_parameters(other)}
     theirs = {(curve.color, curve.trace.label): curve for curve in curves_of(other, changed)}
     curves = [replace(curve, logarithmic=False) for curve in curves_of(log, changed)]
-    figure, columns = stack_axes(len(curves), file)
+    figure, axes = stack_axes(len(curves), time_label(log.time_unit), file)
     second: Legend = (names[1], {"color": OTHER_COLOR, "linewidth": 1.2})
     shown: list[Legend] = [(names[0], {"color": "0.25", "linewidth": 1.6}), second]
     with use_style():
-        axes = [axis for column in columns for axis in column]
         for axis, curve in zip(axes, curves, strict=True):
             shown += draw_curve(axis, curve)
             found = theirs.get((curve.color, curve.trace.label))
@@ -43,6 +42,5 @@ def draw(log: Record, other: Record, names: tuple[str, str], file: File) -> Any:
                 low, high = axis.get_ylim()
                 if not low <= min([ends[0], *seen]) <= max([ends[1], *seen]) <= high:
                     fit(axis, min([low, ends[0], *seen]), max([high, ends[1], *seen]))
-        name_times(columns, time_label(log.time_unit))
         axes[0].set_xlim(min(log.t[0], other.t[0]), max(log.t[-1], other.t[-1]))
         return finish(figure, f"{log.name}: {names[0]} and {names[1]}", shown, file)

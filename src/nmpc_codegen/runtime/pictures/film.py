@@ -13,9 +13,9 @@ import numpy as np
 from nmpc_codegen.errors import ControllerError
 from nmpc_codegen.runtime.extras import extra
 from nmpc_codegen.runtime.given import is_positive
-from nmpc_codegen.runtime.pictures.loop import curves_of, draw_bounds, time_label, title_of
+from nmpc_codegen.runtime.pictures.loop import draw_bounds, hold, signals_of, time_label, title_of
 from nmpc_codegen.runtime.pictures.plane import PATH, draw_surroundings, places
-from nmpc_codegen.runtime.pictures.plans import choose, hold, kept_plans
+from nmpc_codegen.runtime.pictures.plans import choose, kept_plans
 from nmpc_codegen.runtime.pictures.style import (
     CONTROL_COLOR,
     PLAN,
@@ -26,7 +26,6 @@ from nmpc_codegen.runtime.pictures.style import (
     fit,
     is_inline,
     name_axis,
-    name_times,
     new_figure,
     stack_axes,
     use_style,
@@ -97,12 +96,8 @@ def _title(log: Record, k: int) -> str:
 
 def _over_time(log: Record, plans: Plans, file: File) -> tuple[Any, Frame]:
     """States and controls over time."""
-    nx, nu = len(log.states), len(log.controls)
-    known = curves_of(log)
-    curves = [*known[:nx], *[c for c in known if c.trace in log.controls][:nu]]
-    figure, columns = stack_axes(nx + nu, file)
-    axes = [axis for column in columns for axis in column]
-    lines = []
+    nx, curves, lines = len(log.states), signals_of(log), []
+    figure, axes = stack_axes(len(curves), time_label(log.time_unit), file)
     for i, (axis, curve) in enumerate(zip(axes, curves, strict=True)):
         planned = plans.x[..., i] if i < nx else plans.u[..., i - nx]
         values = np.append(planned.ravel(), curve.values)
@@ -116,7 +111,6 @@ def _over_time(log: Record, plans: Plans, file: File) -> tuple[Any, Frame]:
         past = axis.plot([], [], color=color, linewidth=1.6, **style)[0]
         lines.append((past, axis.plot([], [], **NOW, **style)[0]))
     axes[0].set_xlim(log.t[0], log.t[plans.sample[-1]] + plans.t[-1])
-    name_times(columns, time_label(log.time_unit))
     finish(figure, title_of(log), [("plan", NOW)], None)
 
     def show(n: int) -> None:

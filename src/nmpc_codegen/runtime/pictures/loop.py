@@ -34,12 +34,12 @@ from nmpc_codegen.runtime.pictures.style import (
     finish,
     fit,
     name_axis,
-    name_times,
     spread,
     stack_axes,
     use_style,
 )
 from nmpc_codegen.runtime.pictures.times import late_starts
+from nmpc_codegen.runtime.records.plan import Plan
 from nmpc_codegen.runtime.records.trace import Record, Trace, with_unit
 
 Array = NDArray[np.float64]
@@ -94,14 +94,12 @@ def draw_curves(
     curves: Sequence[Curve], title: str, label: str, marks: Sequence[Mark], file: File, failed: bool
 ) -> Any:
     """Figure with one axis per curve, with marks at the times of doubtful and of failed samples."""
-    figure, columns = stack_axes(len(curves), file)
+    figure, axes = stack_axes(len(curves), label, file)
     shown: list[Legend] = []
     with use_style():
-        axes = [axis for column in columns for axis in column]
         for axis, curve in zip(axes, curves, strict=True):
             shown += draw_curve(axis, curve)
             shown += draw_marks(axis, marks)
-        name_times(columns, label)
         t = curves[0].t
         axes[0].set_xlim(t[0], t[-1] if len(t) > 1 else t[0] + 1.0)
         return finish(figure, title, shown, file, FAILURE_COLOR if failed else "0.2")
@@ -197,26 +195,48 @@ def draw_bounds(
 def curves_of(log: Record, parameters: Collection[str] = ()) -> list[Curve]:
     """Every quantity of a log that changes, or may: states, what is estimated, controls, algebraic variables, rows,
     parameters that have changed and those of these names, computing times."""
-    followed = {trace.signal: log.y[:, i] for i, trace in reversed([*enumerate(log.references)])}
-    start, held = log.t[:-1], np.append(log.u, log.u[-1:], axis=0)
-    curves = [
-        _with_estimate(log, Curve(trace, log.t, log.x[:, i], STATE_COLOR, followed.get(trace.name)), i)
-        for i, trace in enumerate(log.states)
-    ]
-    curves = [replace(curve, bounds=bounds_of(log, "x", i)) for i, curve in enumerate(curves)]
-    curves += _unknown_curves(log)
-    for j, trace in enumerate(log.controls):
-        reference, bounds = followed.get(trace.name), bounds_of(log, "u", j)
-        curves.append(Curve(trace, log.t[: len(held)], held[:, j], CONTROL_COLOR, reference, held=True, bounds=bounds))
+    start, wanted, ended = log.t[:-1], {*changed_parameters(log), *parameters}, hold(log.p)
+    curves = [*_state_curves(log), *_unknown_curves(log), *_control_curves(log)]
     curves += [Curve(trace, start, log.z[:, i], ALGEBRAIC_COLOR) for i, trace in enumerate(log.algebraic)]
     curves += [
-        Curve(trace, start, log.h[:, i], ROW_COLOR, dots=True, bounds=bounds_of(log, "h", i))
+        Curve(trace, start, log.h[:, i], ROW_COLOR, dots=True, bounds=bounds_of(log, start, "h", i))
         for i, trace in enumerate(log.rows)
     ]
-    moved = [i for i, trace in enumerate(log.parameters) if trace.name in {*changed_parameters(log), *parameters}]
-    ended = np.append(log.p, log.p[-1:], axis=0)
-    curves += [Curve(log.parameters[i], log.t[: len(ended)], ended[:, i], PARAMETER_COLOR, held=True) for i in moved]
+    curves += [
+        Curve(trace, log.t[: len(ended)], ended[:, i], PARAMETER_COLOR, held=True)
+        for i, trace in enumerate(log.parameters)
+        if trace.name in wanted
+    ]
     return [*curves, _times(log)]
+
+
+def signals_of(log: Record) -> list[Curve]:
+    """States and controls."""
+    return [*_state_curves(log), *_control_curves(log)]
+
+
+def _state_curves(log: Record) -> list[Curve]:
+    """States with their bounds, references and estimates."""
+    followed, found = references_of(log), []
+    for i, trace in enumerate(log.states):
+        reference, bounds = followed.get(trace.name), bounds_of(log, log.t[:-1], "x", i)
+        curve = Curve(trace, log.t, log.x[:, i], STATE_COLOR, reference, bounds=bounds)
+        found.append(_with_estimate(log, curve, i))
+    return found
+
+
+def _control_curves(log: Record) -> list[Curve]:
+    """Controls with their bounds and references."""
+    followed, held, found = references_of(log), hold(log.u), []
+    for j, trace in enumerate(log.controls):
+        reference, bounds = followed.get(trace.name), bounds_of(log, log.t[:-1], "u", j)
+        found.append(Curve(trace, log.t[: len(held)], held[:, j], CONTROL_COLOR, reference, held=True, bounds=bounds))
+    return found
+
+
+def hold(values: Array) -> Array:
+    """Values of samples, or of intervals, (n, ...), with the last one once more, for the end of its interval."""
+    return np.append(values, values[-1:], axis=0)
 
 
 def changed_parameters(log: Record) -> list[str]:
@@ -231,15 +251,18 @@ def _times(log: Record) -> Curve:
     return Curve(Trace("computing time", "µs"), log.t[:-1], times, TIME_COLOR, dots=True, logarithmic=uneven)
 
 
-def bounds_of(log: Record, array: str, column: int) -> tuple[Bounds, ...]:
-    """The bounds of a column, at the times of the nodes where they hold."""
-    if not len(log.u):
-        return ()
+def bounds_of(shown: Record | Plan, t: Array, array: str, column: int) -> tuple[Bounds, ...]:
+    """The bounds of a column at the times ``t``, in a log each at the node where it holds first."""
     return tuple(
-        Bounds(log.t[:-1] + limit.delay, log.lower[:, i], log.upper[:, i], limit.soft)
-        for i, limit in enumerate(log.limits)
-        if (limit.array, limit.column) == (array, column)
+        Bounds(t + limit.delay, shown.lower[:, i], shown.upper[:, i], limit.soft)
+        for i, limit in enumerate(shown.limits)
+        if len(t) and (limit.array, limit.column) == (array, column)
     )
+
+
+def references_of(shown: Record | Plan) -> dict[str, Array]:
+    """Name of a state or control -> the references of the first residual that it is."""
+    return {trace.signal: shown.y[:, i] for i, trace in reversed([*enumerate(shown.references)])}
 
 
 def _with_estimate(log: Record, curve: Curve, i: int) -> Curve:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from typing import Any
 
@@ -15,11 +14,12 @@ from nmpc_codegen.runtime.pictures.style import (
     FAILURE_COLOR,
     ROW_HEIGHT,
     STATE_COLOR,
-    STYLE,
     WIDTH,
+    File,
     Legend,
     finish,
     new_figure,
+    use_style,
 )
 
 Array = NDArray[np.float64]
@@ -40,15 +40,14 @@ def draw_paths(
     dt: float,
     title: str,
     time_label: str,
-    file: str | os.PathLike[str] | None,
+    file: File,
     words: str = WRONG,
 ) -> Any:
     """Figure with an axis for each of ``panels``: label, paths (flights, samples); ``states`` of them are states, the
     rest controls, which are held until the next sample. ``wrong``: flights that are drawn last, in red, as ``words``
     in the legend. The limits of an axis are those of flights that are not ``lost``, if there is one."""
-    mpl = extra("matplotlib", "plot()")
     figure = new_figure((WIDTH, 0.8 + ROW_HEIGHT * len(panels)), file)
-    with mpl.rc_context(STYLE):
+    with use_style():
         axes = figure.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0]
         for i, (axis, (label, values)) in enumerate(zip(axes, panels, strict=True)):
             paths = np.append(values, values[:, -1:], axis=1) if i >= states else values

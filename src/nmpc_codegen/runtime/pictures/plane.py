@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from nmpc_codegen.errors import ControllerError
 from nmpc_codegen.package.signals import list_some
-from nmpc_codegen.runtime.pictures.loop import title_of
+from nmpc_codegen.runtime.pictures.loop import references_of, title_of
 from nmpc_codegen.runtime.pictures.plans import choose, kept_plans
 from nmpc_codegen.runtime.pictures.style import (
     DOUBT_COLOR,
@@ -28,7 +28,7 @@ from nmpc_codegen.runtime.pictures.style import (
     spread,
     use_style,
 )
-from nmpc_codegen.runtime.records.trace import Limit, Record
+from nmpc_codegen.runtime.records.trace import Record
 
 Array = NDArray[np.float64]
 
@@ -60,7 +60,7 @@ def draw(log: Record, x: str, y: str, rows: bool, every: int, file: File) -> Any
     figure = new_figure((WIDTH, 0.75 * WIDTH), file)
     with use_style():
         axis = figure.subplots()
-        shown = draw_surroundings(axis, log, i, j, rows, list(moments(log)))
+        shown = draw_surroundings(axis, log, i, j, rows, _moments(log))
         if log.plans is not None and chosen:
             for plan in log.plans.x[chosen]:
                 axis.plot(plan[:, i], plan[:, j], zorder=1.8, **PLAN[1])
@@ -70,9 +70,9 @@ def draw(log: Record, x: str, y: str, rows: bool, every: int, file: File) -> Any
         return finish(figure, title_of(log), [PATH, BEGIN, *shown], file)
 
 
-def moments(log: Record) -> tuple[int, ...]:
+def _moments(log: Record) -> list[int]:
     """Samples at which obstacles are drawn: first, middle and last one."""
-    return tuple(sorted({0, len(log.u) // 2, len(log.u) - 1})) if len(log.u) else ()
+    return sorted({0, len(log.u) // 2, len(log.u) - 1}) if len(log.u) else []
 
 
 def draw_surroundings(axis: Any, log: Record, i: int, j: int, rows: bool, samples: list[int]) -> list[Legend]:
@@ -92,16 +92,16 @@ def draw_surroundings(axis: Any, log: Record, i: int, j: int, rows: bool, sample
         axis.set_aspect("equal", adjustable="box")
     shown = _draw_lines(axis, log, i, j, samples)
     if rows and samples:
-        for limit in log.limits:
-            shown += _draw_forbidden(axis, log, limit, (i, j), samples)
+        for number in range(len(log.limits)):
+            shown += _draw_forbidden(axis, log, number, (i, j), samples)
     return shown
 
 
 def _also_seen(log: Record, place: int) -> list[Array]:
     """Values of a state in plans and its references."""
     planned = [] if log.plans is None else [log.plans.x[:, :, place].ravel()]
-    followed = [log.y[:, i] for i, trace in enumerate(log.references) if trace.signal == log.states[place].name]
-    return [*planned, *followed[:1]]
+    followed = references_of(log).get(log.states[place].name)
+    return planned if followed is None else [*planned, followed]
 
 
 def _draw_lines(axis: Any, log: Record, i: int, j: int, samples: list[int]) -> list[Legend]:
@@ -117,28 +117,29 @@ def _draw_lines(axis: Any, log: Record, i: int, j: int, samples: list[int]) -> l
                 if low <= value <= high:
                     line(float(value), zorder=1.5, **style[1])
                     shown.append(style)
-    followed = {trace.signal: column for column, trace in enumerate(log.references)}
-    names = log.states[i].name, log.states[j].name
-    if all(name in followed for name in names) and len(log.y):
-        target = log.y[:, [followed[name] for name in names]]
+    known, names = references_of(log), [log.states[column].name for column in (i, j)]
+    if len(log.y) and all(name in known for name in names):
+        target = np.column_stack([known[name] for name in names])
         target = target[samples] if len(samples) == 1 else target
         points = np.unique(target, axis=0)
-        few = {"linestyle": ""} if len(points) <= SET_POINTS else {"marker": ""}
-        axis.plot(*(points if few.get("marker") is None else target).T, zorder=1.6, **{**TARGET[1], **few})
+        if len(points) <= SET_POINTS:
+            axis.plot(*points.T, zorder=1.6, **{**TARGET[1], "linestyle": ""})
+        else:
+            axis.plot(*target.T, zorder=1.6, **{**TARGET[1], "marker": ""})
         shown.append(TARGET)
     return shown
 
 
-def _draw_forbidden(axis: Any, log: Record, limit: Limit, columns: tuple[int, int], samples: list[int]) -> list[Legend]:
+def _draw_forbidden(axis: Any, log: Record, number: int, columns: tuple[int, int], samples: list[int]) -> list[Legend]:
     """Shade where a row is violated that depends on the two states and on parameters alone."""
-    place = max(log.program.rows[limit.row]) if limit.row < len(log.program.rows) else -1
+    limit = log.limits[number]
+    place = max(log.program.rows[limit.row])
     needed = log.program.inputs(place) if place >= 0 else frozenset()
     of_states = {element for port, element in needed if port == 0}
     own = [element for port, element in needed if port == 2]
     foreign = any(port == 1 for port, _ in needed) or any(element >= log.p.shape[1] for element in own)
     if not of_states or not of_states <= set(columns) or foreign:
         return []
-    number = log.limits.index(limit)
     data = np.column_stack([log.p[:, own], log.lower[:, number], log.upper[:, number]])[samples]
     different = [k for k, row in enumerate(data) if not any(np.array_equal(row, data[m]) for m in range(k))]
     across, up = (np.linspace(ends[0], ends[1], POINTS) for ends in (axis.get_xlim(), axis.get_ylim()))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -11,13 +10,15 @@ from numpy.typing import NDArray
 from nmpc_codegen.errors import ControllerError
 from nmpc_codegen.runtime.given import is_integer
 from nmpc_codegen.runtime.pictures.loop import (
-    Bounds,
     Curve,
-    curves_of,
+    bounds_of,
     draw_curve,
     draw_curves,
     draw_marks,
+    hold,
     marks_of,
+    references_of,
+    signals_of,
     time_label,
     title_of,
 )
@@ -31,7 +32,6 @@ from nmpc_codegen.runtime.pictures.style import (
     Legend,
     finish,
     fit,
-    name_times,
     stack_axes,
     use_style,
 )
@@ -59,27 +59,18 @@ def choose(plans: Plans, every: int, user: str) -> list[int]:
 def draw(log: Record, every: int, file: File) -> Any:
     """States and controls as they were, and plans from where they began."""
     plans = kept_plans(log, "plot_plans()")
-    chosen, nx, nu = choose(plans, every, "plot_plans()"), len(log.states), len(log.controls)
-    known = curves_of(log)
-    curves = [*known[:nx], *[c for c in known if c.trace in log.controls][:nu]]
-    figure, columns = stack_axes(len(curves), file)
+    chosen, nx, curves = choose(plans, every, "plot_plans()"), len(log.states), signals_of(log)
+    figure, axes = stack_axes(len(curves), time_label(log.time_unit), file)
     shown: list[Legend] = []
     with use_style():
-        axes = [axis for column in columns for axis in column]
         for i, (axis, curve) in enumerate(zip(axes, curves, strict=True)):
             shown += [*draw_curve(axis, curve), *draw_marks(axis, marks_of(log))]
-            values = plans.x[chosen, :, i] if i < nx else hold(plans.u[chosen, :, i - nx])
+            values = plans.x[chosen, :, i] if i < nx else hold(plans.u[chosen, :, i - nx].T).T
             lines = draw_fan(axis, log.t[plans.sample[chosen]], plans.t, values, held=i >= nx)
             low, high = axis.get_ylim()
             fit(axis, min(low, lines[0]), max(high, lines[1]))
-        name_times(columns, time_label(log.time_unit))
         axes[0].set_xlim(log.t[0], max(log.t[-1], log.t[plans.sample[chosen[-1]]] + plans.t[-1]))
         return finish(figure, title_of(log), [*shown, PLAN], file)
-
-
-def hold(u: Array) -> Array:
-    """Controls with the last one once more, for the end of its interval."""
-    return np.append(u, u[..., -1:], axis=-1)
 
 
 def draw_fan(axis: Any, begin: Array, t: Array, values: Array, held: bool) -> tuple[float, float]:
@@ -94,7 +85,7 @@ def draw_fan(axis: Any, begin: Array, t: Array, values: Array, held: bool) -> tu
 
 def draw_plan(plan: Plan, title: str, failed: bool, file: File) -> Any:
     """States, controls, algebraic variables and rows of one plan over its nodes, with bounds and references."""
-    followed = {trace.signal: plan.y[:, i] for i, trace in reversed([*enumerate(plan.references)])}
+    followed = references_of(plan)
     colors = {"states": STATE_COLOR, "controls": CONTROL_COLOR, "algebraic": ALGEBRAIC_COLOR, "rows": ROW_COLOR}
     curves = []
     for kind, array in (("states", "x"), ("controls", "u"), ("algebraic", "z"), ("rows", "h")):
@@ -102,13 +93,6 @@ def draw_plan(plan: Plan, title: str, failed: bool, file: File) -> Any:
         for i, trace in enumerate(getattr(plan, kind)):
             values = hold(plan.u[:, i]) if held else getattr(plan, array)[:, i]
             reference = followed.get(trace.name) if array in ("x", "u") else None
-            bounds = tuple(_bounds_of_plan(plan, array, i))
+            bounds = bounds_of(plan, plan.t, array, i)
             curves.append(Curve(trace, plan.t, values, colors[kind], reference, held, not held, bounds=bounds))
     return draw_curves(curves, title, time_label(plan.time_unit), (), file, failed)
-
-
-def _bounds_of_plan(plan: Plan, array: str, column: int) -> Iterator[Bounds]:
-    """Bounds of a column over the nodes."""
-    for i, limit in enumerate(plan.limits):
-        if (limit.array, limit.column) == (array, column):
-            yield Bounds(plan.t, plan.lower[:, i], plan.upper[:, i], limit.soft)

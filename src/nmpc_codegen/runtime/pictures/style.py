@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import math
 import os
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
@@ -127,29 +127,23 @@ def columns_of(count: int) -> list[int]:
     return [count // columns + (i < count % columns) for i in range(columns)]
 
 
-def stack_axes(count: int, file: File, height: float = ROW_HEIGHT) -> tuple[Any, list[list[Any]]]:
-    """A figure with ``count`` axes over one time, in columns that are filled to the bottom, and the axes by column."""
+def stack_axes(count: int, time: str, file: File) -> tuple[Any, list[Any]]:
+    """A figure with ``count`` axes over one time, in columns that are filled to the bottom, and the axes. The lowest
+    one of each column names the time; names of the others are aligned."""
     columns = columns_of(count)
     width = WIDTH * (1.0 if len(columns) == 1 else 0.62 * len(columns))
-    figure = new_figure((width, 0.8 + height * columns[0]), file)
+    figure = new_figure((width, 0.8 + ROW_HEIGHT * columns[0]), file)
+    axes: list[Any] = []
     with use_style():
         outer = figure.add_gridspec(1, len(columns))
-        found: list[list[Any]] = []
         for j, rows in enumerate(columns):
             inner = outer[j].subgridspec(rows, 1)
-            found.append([])
             for i in range(rows):
-                first = found[0][0] if found[0] else None
-                found[-1].append(figure.add_subplot(inner[i], sharex=first))
-                found[-1][-1].tick_params(labelbottom=i == rows - 1)
-    return figure, found
-
-
-def name_times(columns: Sequence[Sequence[Any]], label: str) -> None:
-    """Name the time below the lowest axis of every column, and align the names of the others."""
-    for column in columns:
-        column[-1].set_xlabel(label)
-        column[0].figure.align_ylabels(column)
+                axes.append(figure.add_subplot(inner[i], sharex=axes[0] if axes else None))
+                axes[-1].tick_params(labelbottom=i == rows - 1)
+            axes[-1].set_xlabel(time)
+            figure.align_ylabels(axes[-rows:])
+    return figure, axes
 
 
 def name_axis(axis: Any, trace: Trace) -> None:

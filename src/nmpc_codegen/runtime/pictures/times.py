@@ -70,7 +70,7 @@ def draw(log: Record, dt: float | None, file: File) -> Any:
     with use_style():
         axes = figure.subplots(len(panels), 1, squeeze=False)[:, 0]
         for axis, (label, values) in zip(axes, panels, strict=True):
-            unit = next((u for u in SHOWN if np.median(values) >= SHOWN[u]), "ns")
+            unit = _unit(np.median(values))
             near = deadline is not None and deadline <= FAR * values.max()
             _draw_histogram(axis, values / SHOWN[unit], deadline / SHOWN[unit] if deadline and near else None)
             shown += [DEADLINE] if near else []
@@ -100,16 +100,20 @@ def in_words(log: Record, dt: float | None = None) -> list[str]:
     """Median and worst time with the deadline, and the periods of a recording, each in a line."""
     deadline = nanoseconds(log, dt)
     slowest = log.number(int(np.argmax(log.time_ns)))
-    words = f"median {_short(np.median(log.time_ns))}, worst {_short(np.max(log.time_ns))} (sample {slowest})"
+    median, worst = short_time(np.median(log.time_ns)), short_time(np.max(log.time_ns))
+    words = f"median {median}, worst {worst} (sample {slowest})"
     if deadline is not None:
         late = int(np.sum(log.time_ns > deadline))
-        words += f"; {late} of {len(log.time_ns)} samples took more than {_short(deadline)}"
+        words += f"; {late} of {len(log.time_ns)} samples took more than {short_time(deadline)}"
     if len(log.began_ns) < 2:
         return [words]
     period = np.diff(log.began_ns)
-    longest = f"{_short(period.max())} before sample {log.number(int(np.argmax(period)) + 1)}"
+    longest = f"{short_time(period.max())} before sample {log.number(int(np.argmax(period)) + 1)}"
     began = f"; began late: {len(late_starts(log))}" if deadline is not None else ""
-    return [words, f"period {_short(np.mean(period))}, jitter {_short(np.std(period))}, longest {longest}{began}"]
+    return [
+        words,
+        f"period {short_time(np.mean(period))}, jitter {short_time(np.std(period))}, longest {longest}{began}",
+    ]
 
 
 def late_starts(log: Record) -> Array:
@@ -120,7 +124,12 @@ def late_starts(log: Record) -> Array:
     return np.flatnonzero(np.diff(log.began_ns) > LATE * period * np.diff(np.round(log.t[:-1] / log.dt))) + 1
 
 
-def _short(nanoseconds: Any) -> str:
-    """A time in the largest unit in which it is at least 1."""
-    unit = next((u for u in SHOWN if nanoseconds >= SHOWN[u]), "ns")
+def _unit(nanoseconds: Any) -> str:
+    """The largest unit in which a time is at least 1."""
+    return next((unit for unit in SHOWN if nanoseconds >= SHOWN[unit]), "ns")
+
+
+def short_time(nanoseconds: Any) -> str:
+    """A time in that unit."""
+    unit = _unit(nanoseconds)
     return f"{nanoseconds / SHOWN[unit]:.4g} {unit}"

@@ -9,7 +9,6 @@ from html import escape
 import numpy as np
 from numpy.typing import NDArray
 
-from nmpc_codegen.package.signals import Signal
 from nmpc_codegen.runtime.records.trace import Trace
 
 Array = NDArray[np.float64]
@@ -59,8 +58,3 @@ def _in_short(value: object) -> str:
     if not isinstance(value, float):
         return str(value)
     return ("∞" if value > 0 else "-∞") if math.isinf(value) else f"{value:.6g}"
-
-
-def units(*groups: Iterable[Signal]) -> dict[str, str]:
-    """Name of an element -> its unit."""
-    return {name: signal.unit for signals in groups for signal in signals for name in signal.elements}

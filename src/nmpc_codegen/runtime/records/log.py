@@ -98,8 +98,8 @@ class Log(Record):
             lines.append(f"time per sample: {times.in_words(self)[0]}")
         if (found := self.estimates) is not None and len(found.status):
             bad = int(np.sum(found.status != Status.OK))
-            median, worst = np.median(found.time_ns) / 1e3, np.max(found.time_ns) / 1e3
-            lines.append(f"estimator: {bad} samples not OK; median {median:.1f} us, worst {worst:.1f} us")
+            median, worst = times.short_time(np.median(found.time_ns)), times.short_time(np.max(found.time_ns))
+            lines.append(f"estimator: {bad} samples not OK; median {median}, worst {worst}")
         if len(self.began_ns):
             lines += times.in_words(self)[1:]
             left_out = round((self.t[-1] - self.t[0]) / self.dt) - len(self.u)

@@ -4,24 +4,23 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from nmpc_codegen.package.signals import units
 from nmpc_codegen.package.status import Status
 from nmpc_codegen.runtime.controller import Controller
 from nmpc_codegen.runtime.diagnosis.plan import PlanData, PlanReader
 from nmpc_codegen.runtime.diagnosis.rows import (
-    append_solved,
+    imposed_nodes,
     path_reference,
     row_values,
     start_parameters,
     whole_parameters,
 )
-from nmpc_codegen.runtime.records.html import units
 from nmpc_codegen.runtime.records.log import Log
-from nmpc_codegen.runtime.records.trace import Estimates, Limit, Plans, Trace
+from nmpc_codegen.runtime.records.trace import Estimates, Limit, Plans, Trace, traces_of
 
 Array = NDArray[np.float64]
 
@@ -85,7 +84,7 @@ class Notes:
         self._reader = PlanReader(ctrl)
         self._has_residual = "residual" in described.members("stats")
         rows = [described.rows[i] for i in self._logged.limits]
-        self._first = [next(k for k in row.nodes if k or row.kind != "state") for row in rows]
+        self._first = [imposed_nodes(row)[0] for row in rows]
 
     def take(self, k: int, u: Array, time_ns: int, planned: bool = True, keep: bool | None = None) -> None:
         """Note sample k, whose state is in ``x``, from the controller as the sample has left it; unless ``planned`` it
@@ -99,10 +98,10 @@ class Notes:
         self._z[k] = ctrl.algebraic(self.x[k], u)
         if self._has_residual:
             self._residual[k] = ctrl.view("stats.residual")
-        lower, upper = self._reader.bounds(ctrl)
-        self._lower[k], self._upper[k] = (side[self._first, self._logged.limits] for side in (lower, upper))
+        bounds = self._reader.bounds(ctrl)
+        self._lower[k], self._upper[k] = (side[self._first, self._logged.limits] for side in bounds)
         if (self._every and k % self._every == 0) if keep is None else keep:
-            self._plans.append(self._reader.copy(ctrl))
+            self._plans.append(self._reader.copy(ctrl, bounds))
             self._planned.append(k)
 
     def finish(
@@ -110,13 +109,10 @@ class Notes:
     ) -> Log:
         """The log; ``t``: times of the samples and of the end, by default from 0 on."""
         ctrl, steps = self._ctrl, len(self.u)
-        data = whole_parameters(ctrl)[:1, ctrl.dims.np :]
-        p = append_solved(ctrl.description, np.hstack([self._p, np.tile(data, (steps, 1))]), self._z)
-        h = row_values(ctrl, np.hstack([self.x[:-1], self._known]), self.u, p)[:, self._logged.general]
+        behind = np.tile(whole_parameters(ctrl)[:1, ctrl.dims.np :], (steps, 1))
+        x, p = np.hstack([self.x[:-1], self._known]), np.hstack([self._p, behind])
+        h = row_values(ctrl, x, self.u, p, self._z)[:, self._logged.general]
         own, rows, limits = self._find_axes()
-        unit = units(*(getattr(ctrl.description, kind) for kind in ("states", "controls", "algebraic", "parameters")))
-        named: dict[str, Any] = {kind: tuple(Trace(n, unit[n]) for n in getattr(ctrl.names, kind)) for kind in _NAMED}
-        followed = tuple(Trace(r.name, unit.get(r.signal, ""), r.signal) for r in ctrl.description.residuals)
         return Log(
             name=ctrl.description.name,
             time_unit=ctrl.description.time_unit,
@@ -133,9 +129,8 @@ class Notes:
             residual=self._residual,
             lower=self._lower,
             upper=self._upper,
-            **named,
+            **traces_of(ctrl.description),
             rows=rows,
-            references=followed,
             reasons=self._reasons,
             limits=limits,
             program=ctrl.description.program,
@@ -193,9 +188,6 @@ class Notes:
 
     def _variables(self) -> list[int | None]:
         return [row.variable(self._ctrl.dims.nx) for row in self._ctrl.description.rows]
-
-
-_NAMED = ("states", "controls", "algebraic", "parameters")
 
 
 def _least(distance: Array) -> Array:

@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 
 from nmpc_codegen.runtime.diagnosis.plan import PlanReader
 from nmpc_codegen.runtime.memory import Memory
-from nmpc_codegen.runtime.records.html import units
-from nmpc_codegen.runtime.records.trace import Limit, Trace
+from nmpc_codegen.runtime.records.trace import Limit, Trace, traces_of
 
 Array = NDArray[np.float64]
 
@@ -41,9 +40,9 @@ class Plan:
 
 def take_plan(ctrl: Memory) -> Plan:
     """The present plan of a controller."""
-    described, names, d = ctrl.description, ctrl.names, ctrl.dims
+    described, d = ctrl.description, ctrl.dims
     reader = PlanReader(ctrl)
-    data = reader.copy(ctrl)
+    data = reader.copy(ctrl, reader.bounds(ctrl))
     found = reader.evaluate(ctrl, [data])
     known = ~np.isnan(found.values[0])
     general = [i for i, row in enumerate(described.rows) if row.is_general]
@@ -51,7 +50,7 @@ def take_plan(ctrl: Memory) -> Plan:
     places = {i: ("h", general.index(i)) for i in general}
     places |= {i: ("x", row.index) for i, row in enumerate(described.rows) if row.kind == "state"}
     places |= {i: ("u", row.index) for i, row in enumerate(described.rows) if row.kind == "control"}
-    unit = units(described.states, described.controls, described.algebraic)
+    traces = traces_of(described)
     return Plan(
         name=described.name,
         time_unit=described.time_unit,
@@ -63,11 +62,8 @@ def take_plan(ctrl: Memory) -> Plan:
         y=_references(ctrl),
         lower=np.where(known, data.lower, np.nan)[:, limits],
         upper=np.where(known, data.upper, np.nan)[:, limits],
-        states=tuple(Trace(n, unit[n]) for n in names.states),
-        controls=tuple(Trace(n, unit[n]) for n in names.controls),
-        algebraic=tuple(Trace(n, unit[n]) for n in names.algebraic),
+        **{kind: traces[kind] for kind in ("states", "controls", "algebraic", "references")},
         rows=tuple(Trace(described.rows[i].name) for i in general),
-        references=tuple(Trace(r.name, unit.get(r.signal, ""), r.signal) for r in described.residuals),
         limits=tuple(Limit(described.rows[i].name, *places[i], i, described.rows[i].soft is not None) for i in limits),
     )
 

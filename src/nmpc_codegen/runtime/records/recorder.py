@@ -157,7 +157,8 @@ class Recorder:
             controller.
         file: a new file, which open_recording() reads; None: the last samples remain in memory.
         keep: without a file, how many samples; None: as many as 64 MiB hold.
-        plans: the plan of every so many samples is recorded, and of those that are not OK; 0: only of the latter.
+        plans: the plan of every so many samples is recorded, and of those that are not OK; 0: only of the latter. If
+            states behind those of the user are known from the plan alone, it is that of every sample.
 
     Raises:
         ControllerError: an argument is wrong, or the file exists or cannot be written.
@@ -179,6 +180,10 @@ class Recorder:
         for name, value, least in (("plans", plans, 0), ("keep", 1 if keep is None else keep, 1)):
             if not is_integer(value) or value < least:
                 raise ControllerError(f"Recorder: {name} is {value!r}; expected an integer >= {least}")
+        if file is not None and keep is not None:
+            raise ControllerError(
+                f"Recorder: keep={keep!r} belongs to a recorder without a file, which keeps all samples"
+            )
         self._ctrl, self._layout = controller, Layout(controller)
         self._file = None if file is None else Path(file).absolute()
         self.dt = interval_of(controller.description, dt)

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from nmpc_codegen.package.signals import horizon, nodes
+from nmpc_codegen.package.signals import horizon, nodes, units
 from nmpc_codegen.runtime.diagnosis.rows import path_bounds, path_reference, start_parameters
 from nmpc_codegen.runtime.memory import Memory
-from nmpc_codegen.runtime.records.html import ROWS, page, shorten, table, units
+from nmpc_codegen.runtime.records.html import ROWS, page, shorten, table
 
 
 def in_one_line(ctrl: Memory) -> str:

@@ -5,11 +5,14 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from nmpc_codegen.package.description import PackageDescription
 from nmpc_codegen.package.program import Program
+from nmpc_codegen.package.signals import units
 from nmpc_codegen.package.status import Status
 
 Array = NDArray[np.float64]
@@ -39,6 +42,14 @@ class Trace:
     def label(self) -> str:
         """Label of its axis."""
         return with_unit(self.name, self.unit)
+
+
+def traces_of(described: PackageDescription) -> dict[str, Any]:
+    """Names and units of states, controls, algebraic variables, parameters and references, by these words."""
+    kinds = ("states", "controls", "algebraic", "parameters")
+    unit = units(*(getattr(described, kind) for kind in kinds))
+    found = {kind: tuple(Trace(name, unit[name]) for name in getattr(described.names, kind)) for kind in kinds}
+    return found | {"references": tuple(Trace(r.name, unit.get(r.signal, ""), r.signal) for r in described.residuals)}
 
 
 @dataclass(frozen=True)
