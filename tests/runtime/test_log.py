@@ -60,8 +60,7 @@ def change(k: int, c: Controller) -> None:
 @pytest.fixture(scope="module")
 def log() -> Log:
     """Forty samples, in which the reference, the leak and the state jump; the bounds become crossed at the end."""
-    ctrl = build(tank(), profile="test")
-    return simulate(ctrl, [1.0], 40, before=change, disturbance=lambda k, x: [0.5 * (k == 30)])
+    return simulate(build(tank(), profile="test"), [1.0], 40, before=change, disturbance=lambda k, x: [0.5 * (k == 30)])
 
 
 def test_it_records_reference_and_parameters(log: Log) -> None:

@@ -19,7 +19,6 @@ from nmpc_codegen.runtime.records import recorder, stream
 from tests.runtime.test_log import change, tank
 
 STEPS = 60
-Array = Any
 
 
 @pytest.fixture(scope="module")
@@ -185,8 +184,7 @@ def test_a_disk_that_stalls(ctrl: Controller, tmp_path: Path, monkeypatch: pytes
                 now[0] = int(k * seconds * 1e9)
                 r.step([1.0])
             assert r.dropped == 300 - kept
-        log = open_recording(tmp_path / name, ctrl)
-        assert len(log.u) == kept
+        assert len(open_recording(tmp_path / name, ctrl).u) == kept
 
 
 def test_samples_that_were_left_out_leave_a_gap(ctrl: Controller, tmp_path: Path, monkeypatch: Any) -> None:
@@ -331,7 +329,7 @@ def test_late_samples_are_counted(ctrl: Controller, monkeypatch: pytest.MonkeyPa
     c = ctrl.copy()
     c_step = c.step
 
-    def step(x: Any, on_failure: Any = "status") -> Array:
+    def step(x: Any, on_failure: Any = "status") -> Any:
         u = c_step(x, on_failure)
         c._feedback_ns = int(800e9)  # the interval is 720 s
         return u

@@ -25,7 +25,7 @@ FORMAT = 1
 HEAD = np.dtype(
     [("package", "S16"), *((name, "<u4") for name in ("format", "slots", "bytes", "samples", "hold", "next"))]
 )
-NOT_ENDED = -1
+NOT_ENDED, NOT_READ = -1, -2
 
 
 @dataclass(frozen=True, eq=False)
@@ -248,12 +248,11 @@ def _take_again(ctrl: Controller, entry: Any) -> ReplayedSample:
     twin, ready = _load(ctrl, entry["before"].tobytes())
     number, recorded = int(entry["sample"]), np.array(entry["u"])
     x: Array | None = np.array(entry["x"], dtype=np.float64)
-    ended = int(entry["status"]) != NOT_ENDED
+    ended, unread = int(entry["status"]) not in (NOT_ENDED, NOT_READ), int(entry["status"]) == NOT_READ
     try:
         status = Status(int(entry["status"])) if ended else None
     except ValueError as error:
         raise ControllerError(f"replay: sample {number} of the dump is damaged: {error}") from error
-    unread = not ended and entry["x"].tobytes() == b"\xff" * entry["x"].nbytes
     if not ready or unread:
         x = None if unread else x
         return ReplayedSample(number, status, recorded if ended else None, x, None, None, 0.0, twin)
