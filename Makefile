@@ -9,7 +9,7 @@ BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test test-all lint format bench mutants clean distclean
+.PHONY: help setup demo docs test test-all lint format bench mutants clean distclean
 
 help:
 	@echo "make demo      crane: OCP -> C -> check against IPOPT -> closed loop -> picture, all in $(OUT)/"
@@ -18,6 +18,7 @@ help:
 	@echo "make lint      formatter, linter, type checker"
 	@echo "make format    apply the formatters: ruff, and clang-format to the C parts if it is there"
 	@echo "make bench     times, bytes, instructions and draws beside their baseline, on one page"
+	@echo "make docs      the site, in $(OUT)/site/; a dead link is an error"
 	@echo "make mutants   whether the tests see the faults that are put into a copy"
 	@echo "make clean     remove $(OUT)/ and caches; make distclean also $(VENV)/"
 	@echo "Variables: PYTHON=$(PYTHON) VENV=$(VENV) OUT=$(OUT)"
@@ -38,6 +39,10 @@ demo: $(READY)
 	@echo "C package:  $(OUT)/crane/ (start with $(OUT)/crane/README.md and crane.h)"
 	@echo "picture:    $(OUT)/crane.png"
 	@echo "problem:    examples/crane.py"
+
+docs: $(READY)
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --strict -f site/mkdocs.yml -d ../$(OUT)/site
+	@echo "site: $(OUT)/site/index.html; to read it with its search: $(BIN)/python -m http.server -d $(OUT)/site"
 
 lint: $(READY)
 	$(BIN)/ruff format --check

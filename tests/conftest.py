@@ -79,6 +79,7 @@ TOOLS = {
     "make": ("make",),
     "qemu": ("qemu-system-arm",),
     "valgrind": ("valgrind",),
+    "chromium": ("chromium", "google-chrome"),
 }
 
 

@@ -42,9 +42,14 @@ from nmpc_codegen.runtime.folder import write
 
 @dataclass(frozen=True)
 class Package:
-    """An exported folder, the absolute paths of its files, and the compiler's report.
+    """What export() has written.
 
-    report: ram_bytes, ram_bytes_by_struct, operations per function, choices (with reasons), warnings, looped routines.
+    Attributes:
+        directory: the folder, an absolute path.
+        name: of the package, prefix of every C name.
+        files: absolute paths of its files.
+        report: ram_bytes, ram_bytes_by_struct, operations per function, choices (with reasons), warnings, looped
+            routines.
     """
 
     directory: Path
@@ -68,8 +73,15 @@ def read(ocp: OCP | Estimator, options: Options | None) -> tuple[Problem, Option
 
 
 def generate(ocp: OCP | Estimator, options: Options | None = None, name: str | None = None) -> Sources:
-    """Run the pipeline up to text; return path -> contents of every file of the package, as a mapping
-    that cannot be changed.
+    """Run the pipeline up to text.
+
+    Args:
+        ocp: the problem, or an estimator.
+        options: as in build().
+        name: prefix of the C names; by default that of the problem.
+
+    Returns:
+        Path -> contents of every file of the package, as a mapping that cannot be changed.
 
     A ProblemWarning says what is likely to give poor results, here and in export() and build(): an unstable integrator,
     lost digits, derivatives that are not finite at the first plan, a control without influence there.
@@ -106,19 +118,22 @@ def export(
     Files that export() wrote and that have not been edited since are replaced; the seal at their end identifies them.
     So exporting again is safe, and several packages can share a folder: its main.c, CMakeLists.txt and README.md are
     those of the last export. A main.c that you have edited stays, and a warning says so. Any other file that is edited,
-    read-only or of other origin is replaced only with ``force=True``, which keeps copies (.bak). Links, folders and
-    devices in the place of a file are never replaced or followed; ``directory`` itself may be a link to a folder.
+    read-only or of other origin is refused. Links, folders and devices in the place of a file are never replaced or
+    followed; ``directory`` itself may be a link to a folder.
 
-    ``estimator``: of the same plant; its package is written beside the controller's, for the same machine and
-    precision, and main.c runs the loop of both.
-
-    ``dumps``: of a controller, a further header, <name>_dumps.h, keeps so many samples in memory, which replay() takes
-    again; None: none, and one of an earlier export is removed.
-
-    ``more``: called with the files before any is written; it returns further ones with their seals (package.seal), or
-    raises an error to refuse all.
-
-    ``allow_foreign``: code of another generator (OSQP) may be written, to a folder of its own beside the files.
+    Args:
+        ocp: the problem, or an estimator.
+        options: as in build().
+        directory: the folder.
+        name: prefix of the C names, and name of the files; by default that of the problem.
+        estimator: of the same plant; its package is written beside the controller's, for the same machine and
+            precision, and main.c runs the loop of both.
+        allow_foreign: code of another generator (OSQP) may be written, to a folder of its own beside the files.
+        force: replace refused files, too, and keep copies (.bak).
+        dumps: of a controller, a further header, <name>_dumps.h, keeps so many samples in memory, which replay() takes
+            again; None: none, and one of an earlier export is removed.
+        more: called with the files before any is written; it returns further ones with their seals (package.seal), or
+            raises an error to refuse all.
 
     Raises:
         ProblemError, OptionError: see generate(); OptionError also for foreign code that is not allowed.

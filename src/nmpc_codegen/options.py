@@ -53,8 +53,21 @@ class Online:
     """Storage of the data that can be changed at run time.
 
     "fixed": the declared values, in a constant table without a setter; "shared": one value for all path nodes and one
-    for the terminal node; "node": one value for every node. ``dense_weight`` stores the whole matrix of a weight that
-    is declared diagonal, so that a weight with off-diagonal entries can be set.
+    for the terminal node; "node": one value for every node. Less is smaller: setters and memory that nobody needs are
+    not in the package.
+
+    Args:
+        reference: references of the residuals.
+        weight: their weights.
+        bounds: bounds of the rows.
+        parameter: values of the parameters.
+        dense_weight: store the whole matrix of a weight that is declared diagonal, so that a weight with off-diagonal
+            entries can be set; clashes with weight="fixed".
+        soft: penalties of soft rows.
+
+    Examples:
+        >>> from nmpc_codegen import Online, Options
+        >>> options = Options(online=Online(weight="fixed", parameter="shared"))
     """
 
     reference: Layout = option("node", Words(LAYOUTS))
@@ -121,20 +134,35 @@ class Group:
 
 @dataclass(frozen=True)
 class Options:
-    """One component for every seam that the algorithm needs.
+    """One component for every part of the algorithm, and how data are stored and C is written.
 
-    None selects the default of the algorithm or lets the compiler choose a component for the problem; the report gives
-    the reason. ``solve``: generate <name>_solve(), which iterates to convergence; a controller for real-time use alone
-    is smaller without it; None: not for a microcontroller. ``math``: "own" puts exp, sin, pow and their like into the
-    package, so that every machine computes the same bits and no libm is needed; "libm" calls those of math.h; None:
-    "own" for a microcontroller. ``goal``: "size" chooses loops instead of straight-line code, matrices without padding
-    and the smallest QP method, "speed" what takes the least time. ``target``: the machine for which the C is written
-    (targets.py), obeyed by export() and build() alike; "portable" is ISO C99 for any machine, "native" the target of
-    this machine. Targets compute the same to rounding, but for a microcontroller less is chosen: no repairs before a
-    sample, no solve(), and with it no second Hessian.
+    A component that is None is the default of the algorithm, or the compiler chooses it for the problem; the report
+    gives the reason. Results of targets differ by rounding, but for a microcontroller less is chosen: no repairs before
+    a sample, no solve(), and with it no second Hessian.
+
+    Args:
+        integrator: the scheme of the dynamics.
+        hessian: second derivatives of the QP.
+        condensing: which states the QP keeps as variables.
+        qp: the QP solver.
+        algorithm: what a sample does.
+        online: which data can be changed at run time.
+        precision: of all numbers of the package.
+        solve: generate <name>_solve(), which iterates to convergence; a controller for real-time use alone is smaller
+            without it. None: not for a microcontroller.
+        math: "own" puts exp, sin, pow and their like into the package, so that every machine computes the same bits and
+            no libm is needed; "libm" calls those of math.h. None: "own" for a microcontroller.
+        goal: "size" chooses loops instead of straight-line code, matrices without padding and the smallest QP method,
+            "speed" what takes the least time.
+        target: the machine for which the C is written, obeyed by export() and build() alike; "portable" is ISO C99 for
+            any machine, "native" the target of this machine.
 
     Raises:
-        OptionError: a value is not allowed, or a component is given for a seam that the algorithm does not need.
+        OptionError: a value is not allowed, or a component is given for a part that the algorithm does not have.
+
+    Examples:
+        >>> from nmpc_codegen import RK4, ExplicitRungeKutta, GaussNewton, Options
+        >>> options = Options(integrator=ExplicitRungeKutta(RK4, steps=2), hessian=GaussNewton(), precision="single")
     """
 
     integrator: Integrator | None = option(None, Chosen("integrator", optional=True))

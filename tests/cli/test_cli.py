@@ -23,7 +23,7 @@ from nmpc_codegen.components.allowed import rules
 from nmpc_codegen.components.integrators import RK4, ExplicitRungeKutta
 from nmpc_codegen.errors import ProblemError
 from nmpc_codegen.options import REGISTRIES, Options
-from tests.cli.cart import CART
+from tests.cli.cart import CART, write_problem
 
 
 def said(capsys: pytest.CaptureFixture[str]) -> tuple[str, str]:
@@ -79,6 +79,16 @@ def test_check_with_another_integrator_in_single_precision(
     description = json.loads((tmp_path / "c" / "cart_f32.json").read_text())
     assert (description["name"], description["precision"]) == ("cart_f32", "single")
     assert description["options"]["integrator.tableau.name"] == "Heun"
+
+
+@pytest.mark.usefixtures("compiler")
+def test_a_check_at_the_goal(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Where nothing costs anything, soft rows included, IPOPT's barrier is no error of the code."""
+    more = "ocp = cart(initial=0.0)\nocp.subject_to(-0.5, ocp.x, 0.5, soft=1000.0, name='soft')"
+    passed = main([write_problem(tmp_path, more), "-o", str(tmp_path / "c"), "--check"]) == 0
+    out, _ = said(capsys)
+    assert passed, out
+    assert "cost 0 " in out
 
 
 @pytest.mark.usefixtures("compiler")

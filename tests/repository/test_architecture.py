@@ -100,7 +100,7 @@ DRAWERS = {"util", "utils", "helper", "helpers", "manager", "managers", "misc", 
 
 PYTHON = sorted(
     path
-    for folder in ("src", "verification", "tests", "examples", "benchmarks")
+    for folder in ("src", "verification", "tests", "examples", "benchmarks", "site")
     for path in (ROOT / folder).rglob("*.py")
 )
 COMPONENTS = [cls for registry in REGISTRIES.values() for cls in registry.values()]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import email
 import json
+import os
 import re
 import subprocess
 import sys
@@ -13,7 +14,9 @@ import zipfile
 from pathlib import Path
 from typing import Any
 
+import numpy
 import pytest
+import yaml
 from mypy import api
 
 import nmpc_codegen
@@ -135,6 +138,37 @@ print(json.dumps([nmpc_codegen.__file__, missing, log.ok, controller.solve([0.1,
     assert "'nmpc-codegen-runtime[plot]'" in plot
 
 
+def environment(folder: Path, wheel: Path) -> dict[str, Path]:
+    """A virtual environment into which pip has installed a wheel; its requirements are those of this one."""
+    subprocess.run([sys.executable, "-m", "venv", "--without-pip", str(folder)], check=True)
+    python = folder / "bin" / "python"
+    pip = [sys.executable, "-m", "pip", "--python", str(python), "install", "--no-index", "--no-deps", str(wheel)]
+    hatch(pip, folder)
+    (place,) = folder.glob("lib/*/site-packages")
+    (place / "requirements.pth").write_text(str(Path(numpy.__file__).parents[1]), encoding="utf-8")
+    return {"python": python, "nmpc-export": folder / "bin" / "nmpc-export"}
+
+
+def test_wheels_are_installed(wheels: dict[str, zipfile.ZipFile], compiler: tuple[str, ...], tmp_path: Path) -> None:
+    """The whole exports a package in one environment, by its command; the runtime runs it in another one."""
+    assert compiler
+    whole, robot = (environment(tmp_path / name, Path(str(wheels[name].filename))) for name in FOLDERS)
+    problem = str(ROOT / "examples" / "crane.py")
+    for command in (
+        [str(whole["nmpc-export"]), "--version"],
+        [str(whole["nmpc-export"]), problem, "-o", "crane", "--check", "--simulate", "20"],
+    ):
+        done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+        assert done.returncode == 0, done.stderr
+    program = (
+        "from nmpc_codegen import *; print(simulate(open_package('crane'), [2.0, 0, 0, 0], 20).ok, 'OCP' in dir())"
+    )
+    command = [str(robot["python"]), "-I", "-c", program]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert (done.stdout, done.returncode) == ("True False\n", 0), done.stderr
+    assert not robot["nmpc-export"].exists()
+
+
 def test_extras_hold_what_functions_ask_for() -> None:
     """extra() names an extra that brings the package; ``all`` brings every one that needs no GPU; the base, none."""
     found = project("nmpc_codegen")["optional-dependencies"]
@@ -208,18 +242,36 @@ def test_a_type_checker_finds_misspelt_names(tmp_path: Path, monkeypatch: pytest
 def test_release_data_agree() -> None:
     """One version, one list of Pythons, in every file that names them; the workflow runs targets that exist."""
     version = nmpc_codegen.__version__
-    assert re.search(rf"^version: {re.escape(version)}$", (ROOT / "CITATION.cff").read_text(), re.MULTILINE)
+    citation = (ROOT / "CITATION.cff").read_text(encoding="utf-8")
+    assert re.search(rf"^version: {re.escape(version)}$", citation, re.MULTILINE)
+    assert f'url: "{project("nmpc_codegen")["urls"]["Homepage"]}"' in citation
     changes = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
     assert re.search(rf"^## \[{re.escape(version)}\] - \d{{4}}-\d\d-\d\d$", changes, re.MULTILINE)
     workflow = (ROOT / ".github" / "workflows" / "ci.yml").read_text(encoding="utf-8")
+    release = (ROOT / ".github" / "workflows" / "release.yml").read_text(encoding="utf-8")
     (matrix,) = re.findall(r"python: \[(.*)\]", workflow)
     classified = re.findall(r"Python :: (3\.\d+)", " ".join(project("nmpc_codegen")["classifiers"]))
     assert [word.strip('" ') for word in matrix.split(",")] == classified
     targets = set(re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE))
-    assert {"test-all", "mutants"} <= set(re.findall(r"make ([a-z-]+)", workflow)) <= targets
-    assert not [
-        path for path in re.findall(r"(?:examples|tests|packaging)/[\w/.]+", workflow) if not (ROOT / path).exists()
-    ]
+    assert {"docs", "test-all", "mutants"} <= set(re.findall(r"make ([a-z-]+)", workflow + release)) <= targets
+    paths = re.findall(r"(?:examples|tests|packaging|src)/[\w/.]+", workflow + release)
+    assert not [path for path in paths if not (ROOT / path).exists()]
+
+
+def test_the_release_publishes_the_version_of_its_tag() -> None:
+    """The workflow of a tag: its check of the version, run here; nothing is published before both jobs have passed."""
+    release = yaml.load((ROOT / ".github" / "workflows" / "release.yml").read_text(encoding="utf-8"), yaml.BaseLoader)
+    assert release["on"] == {"push": {"tags": ["v*"]}}
+    jobs = release["jobs"]
+    assert {name: job.get("needs") for name, job in jobs.items() if name.startswith("publish")} == {
+        "publish-distributions": ["distributions", "site"],
+        "publish-site": ["distributions", "site"],
+    }
+    (check,) = (step["run"] for step in jobs["distributions"]["steps"] if step.get("name") == "The tag is the version")
+    for tag, passes in ((f"v{nmpc_codegen.__version__}", True), ("v0.0.0", False)):
+        environ = {**os.environ, "GITHUB_REF_NAME": tag}
+        done = subprocess.run(["sh", "-ec", check], cwd=ROOT, env=environ, check=False)
+        assert (done.returncode == 0) == passes
 
 
 def test_version(capsys: pytest.CaptureFixture[str]) -> None:

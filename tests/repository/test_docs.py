@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import sys
+import tomllib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -18,44 +19,77 @@ from nmpc_codegen.cli import main
 from nmpc_codegen.runtime.build import WARNINGS
 from tests.snippets import ROOT, blocks, changed, copy_tree, documents, install_command, run
 
-DOCUMENTS = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md")])
+DOCUMENTS = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")])
 
 # README --------------------------------------------------------------------------------------------------------------
 
 
-def test_readme_walk(tmp_path: Path, compiler: tuple[str, ...]) -> None:
-    """All blocks in order, in one folder: excerpt, problem file, command line, firmware, Python."""
-    install_command(tmp_path)
-    search = (ROOT / "src",)
-    outputs = []
-    for block in blocks("README.md"):
+def test_readme_runs(tmp_path: Path, compiler: tuple[str, ...]) -> None:
+    """Its program, which states the crane of the examples."""
+    assert compiler
+    (program,) = blocks("README.md")
+    run([sys.executable, "-c", program.text], tmp_path, (ROOT / "src",))
+    excerpt = (tmp_path / "out" / "crane" / "crane.c").read_text(encoding="utf-8")
+    assert excerpt == generate(build_ocp())["crane.c"], "the README shows another crane than examples/crane.py"
+    assert (tmp_path / "out" / "crane.png").stat().st_size > 10_000
+
+
+def walk(page: str, folder: Path, without: str = "never") -> list[str]:
+    """All blocks of a page in order, in one folder, those of Python in one program; what commands and it print."""
+    install_command(folder)
+    search = (ROOT / "src", folder)
+    outputs, program = [], ""
+    for block in blocks(page):
         if block.file:
-            (tmp_path / block.file).write_text(block.text, encoding="utf-8")
+            (folder / block.file).write_text(block.text, encoding="utf-8")
         elif block.language == "python":
-            outputs.append(run([sys.executable, "-c", block.text], tmp_path, search))
-        else:
+            program += block.text + "\n"
+        elif without not in block.text:
             assert block.language == "sh"
-            outputs.append(run(["sh", "-ec", block.text], tmp_path, search))
-    _, exported, stepped = outputs
+            outputs.append(run(["sh", "-ec", block.text], folder, search))
+    return [*outputs, run([sys.executable, "-c", program], folder, search)]
+
+
+def test_five_minutes(tmp_path: Path, compiler: tuple[str, ...]) -> None:
+    """Problem file, command line, Python, firmware; the table of files is that of the folder."""
+    exported, stepped = walk("docs/start.md", tmp_path)
     assert "check passed" in exported
     assert "status: OK 60" in exported
     assert "OK" in stepped
     assert "status: OK 60" in stepped
-    excerpt = (tmp_path / "out" / "crane" / "crane.c").read_text(encoding="utf-8")
-    assert excerpt == generate(build_ocp())["crane.c"], "the README shows another crane than examples/crane.py"
-    for picture in ("out/crane.png", "cart.png"):
-        assert (tmp_path / picture).stat().st_size > 10_000
-    listed = set(re.findall(r"`([\w.]+)`", "".join(re.findall(r"^\| (`.*?) \|", readme(), re.MULTILINE))))
+    assert (tmp_path / "cart.png").stat().st_size > 10_000
+    text = (ROOT / "docs" / "start.md").read_text(encoding="utf-8")
+    listed = set(re.findall(r"`([\w.]+)`", "".join(re.findall(r"^\| (`.*?) \|", text, re.MULTILINE))))
     assert {p.name for p in (tmp_path / "cart").iterdir()} == {name for name in listed if "." in name}
     firmware(tmp_path, compiler)
 
 
-def readme() -> str:
-    return (ROOT / "README.md").read_text(encoding="utf-8")
+def test_tutorial(tmp_path: Path, compiler: tuple[str, ...]) -> None:
+    """The servo: problem file, check, loops that assert what the page says."""
+    assert compiler
+    checked, printed = walk("docs/tutorial.md", tmp_path, without="--target")
+    assert "check passed" in checked
+    assert "RK4" in checked
+    assert "dense_active_set" in checked
+    assert "lost: 0, 0 %; of all such flights 0 to 1.22 %" in printed
+
+
+@pytest.mark.slow
+def test_board_of_the_tutorial(tmp_path: Path, need: Callable[[str], str]) -> None:
+    """The package for the board passes on the emulated one, and the firmware compiles without warnings."""
+    need("qemu")
+    install_command(tmp_path)
+    found = blocks("docs/tutorial.md")
+    for block in found:
+        if block.file:
+            (tmp_path / block.file).write_text(block.text, encoding="utf-8")
+    (command,) = (b.text for b in found if "--target" in b.text)
+    assert "All 200 samples agree with the host" in run(["sh", "-ec", command], tmp_path, (ROOT / "src",))
+    run([need("arm"), "-std=c99", *WARNINGS, "-c", "-Iboard", "firmware.c", "-o", "firmware.o"], tmp_path, ())
 
 
 def firmware(folder: Path, compiler: tuple[str, ...]) -> None:
-    """The C of the README has no warnings, links, and drives the cart to the origin."""
+    """The C of the page has no warnings, links, and drives the cart to the origin."""
     loop = """
 #include <stdio.h>
 #include "cart.h"
@@ -191,23 +225,50 @@ def test_problem_class_scaling_and_signs() -> None:
     assert solution.mu_u[0, 0] < 0
 
 
+#: Pages whose blocks run one by one, or, if they go on from each other, as one program.
+APART, TOGETHER = ("algebraic", "estimation", "formulations", "samples"), ("campaigns", "logs", "many")
+#: Pages with tests of their own, here and in other modules.
+APART_FROM_HERE = ("README", "derivatives", "firmware", "papers")
+BY_NAME = (
+    *("add-a-component", "add-an-extra", "economic", "how-it-works", "integrators", "start", "statuses", "tutorial"),
+    *("coming-from-acado", "coming-from-acados", "coming-from-casadi-opti", "coming-from-do-mpc", "which-options"),
+)
+
+
+def test_every_block_is_run() -> None:
+    found = {Path(page).stem for page in documents()}
+    assert found == {*APART, *TOGETHER, *BY_NAME, *APART_FROM_HERE}
+
+
 @pytest.mark.usefixtures("compiler")
-@pytest.mark.parametrize("page", ["campaigns", "estimation", "logs", "many", "samples", "formulations"])
+@pytest.mark.parametrize("page", [*APART, *TOGETHER])
 def test_programs_of_the_reference_run(page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     found = blocks(f"docs/{page}.md")
     assert found
     shared: dict[str, Any] = {}
     for block in found:
-        exec(block.text, shared if page in ("campaigns", "logs", "many") else {})
+        if block.language != "text":
+            exec(block.text, shared if page in TOGETHER else {})
 
 
-@pytest.mark.parametrize(("page", "scale"), [("acado", 1.0), ("acados", 0.3)])
-def test_pages_for_newcomers(page: str, scale: float) -> None:
-    """Their blocks run; the cost has the scaling that the page states: nodes times 1 or dt, no factor at the end."""
-    (block,) = blocks(f"docs/coming-from-{page}.md")
+# Those who come from other tools --------------------------------------------------------------------------------------
+
+
+def shown(page: str) -> dict[str, Any]:
+    """The names that the blocks of a page define, in order."""
     names: dict[str, Any] = {}
-    exec(block.text, names)
+    for block in blocks(f"docs/coming-from-{page}.md"):
+        exec(block.text, names)
+    return names
+
+
+@pytest.mark.usefixtures("compiler")
+@pytest.mark.parametrize(("page", "scale"), [("acado", 1.0), ("acados", 0.3)])
+def test_pages_for_users_of_c_code(page: str, scale: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The cost has the scaling that the page states: nodes times 1 or dt, no factor at the end."""
+    monkeypatch.chdir(tmp_path)
+    names = shown(page)
     ocp, options = names["ocp"], names["options"]
     assert options.integrator.steps == 3
     solution = build(ocp, options, profile="test").solve(np.array([4.0, 0.0, 0.0, 0.0]), tol=1e-9)
@@ -215,6 +276,41 @@ def test_pages_for_newcomers(page: str, scale: float) -> None:
     assert np.abs(solution.u).max() == pytest.approx(1.0)
     path = np.sum(solution.x[:-1] ** 2) + np.sum(solution.u**2)
     assert solution.cost == pytest.approx(scale * path / 2 + 5 * np.sum(solution.x[-1] ** 2) / 2, rel=1e-12)
+    assert (tmp_path / "crane" / "crane.c").exists() == (page == "acado")
+
+
+@pytest.mark.usefixtures("compiler")
+def test_page_for_users_of_opti() -> None:
+    """IPOPT's solution of the block of Opti is that of ours."""
+    names = shown("casadi-opti")
+    solution, theirs = names["solution"], names["by_ipopt"]
+    assert solution.status is Status.OK
+    np.testing.assert_allclose(solution.u, theirs.value(names["U"]).T, atol=1e-6)
+    np.testing.assert_allclose(solution.x, theirs.value(names["X"]).T, atol=1e-6)
+    assert solution.cost == pytest.approx(theirs.value(names["cost"]), rel=1e-6)
+
+
+#: Controls of the loop of the page by do-mpc 5.1.2, samples 21 to 40.
+DO_MPC = (
+    *(0.000000, 0.009568, 0.202800, 0.334104, 0.359178, 0.312301, 0.238409, 0.167603, 0.112689, 0.075042),
+    *(0.050981, 0.035921, 0.026220, 0.019564, 0.014691, 0.010979, 0.008126, 0.005955, 0.004333, 0.003141),
+)
+
+
+@pytest.mark.usefixtures("compiler")
+def test_page_for_users_of_do_mpc() -> None:
+    """The loop has the controls of do-mpc's, which solves every sample to convergence."""
+    np.testing.assert_allclose(shown("do-mpc")["log"].u[20:, 0], DO_MPC, atol=2e-6)
+
+
+@pytest.mark.usefixtures("compiler")
+def test_page_of_the_options() -> None:
+    """Its call, of fewer flights, for the cart of the page of campaigns."""
+    names: dict[str, Any] = {}
+    exec(blocks("docs/campaigns.md")[0].text.partition("result =")[0], names)
+    (block,) = blocks("docs/which-options.md")
+    exec(block.text.replace("1000", "30"), names)
+    assert names["choice"].line.endswith("Options()")
 
 
 @pytest.mark.usefixtures("compiler")
@@ -269,12 +365,11 @@ def test_names_in_the_page_for_acado() -> None:
 
 
 def test_page_of_the_examples_is_complete() -> None:
-    """Every example has its heading and its figure there, and a line in the README."""
+    """Every example has its heading and its figure there."""
     page = (ROOT / "docs" / "examples.md").read_text(encoding="utf-8")
     for path in (ROOT / "examples").glob("*.py"):
         assert f"(../examples/{path.name})" in page
         assert f"({path.stem}.png)" in page
-        assert f"(examples/{path.name})" in readme()
 
 
 @pytest.mark.parametrize("document", DOCUMENTS, ids=lambda p: p.name)
@@ -282,6 +377,20 @@ def test_links_lead_somewhere(document: Path) -> None:
     text = document.read_text(encoding="utf-8")
     targets = re.findall(r"\]\(([^)#\s]+)[^)]*\)", text)
     assert not [t for t in targets if "://" not in t and not (document.parent / t).exists()]
+
+
+@pytest.mark.parametrize("page", ["README.md", "packaging/runtime/README.md"])
+def test_pages_of_an_index_have_absolute_links(page: str) -> None:
+    """To pages and pictures of the site that exist, at the address of the project."""
+    text = (ROOT / page).read_text(encoding="utf-8")
+    home = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["urls"]["Homepage"]
+    assert f"site_url: {home}\n" in (ROOT / "site" / "mkdocs.yml").read_text(encoding="utf-8")
+    targets = re.findall(r"\]\(([^)#\s]+)[^)]*\)", text)
+    assert targets
+    for target in targets:
+        assert target.startswith((home, "https://pypi.org/project/nmpc-codegen"))
+        name = target.removeprefix(home).replace(".html", ".md")
+        assert "://" in name or name in ("", "contributing.md", "changelog.md") or (ROOT / "docs" / name).exists(), name
 
 
 def test_documented_make_targets_exist() -> None:

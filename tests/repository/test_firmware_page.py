@@ -35,11 +35,11 @@ unsigned k_timer_status_sync(struct k_timer *timer);
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The cart of the README, exported for a target, and the programs of the page beside it."""
+    """The cart of the first page, exported for a target, and the programs of the page beside it."""
     for tool in ("cc", "arm", "qemu", "make"):
         require_tool(tool)
     place = tmp_path_factory.mktemp("page")
-    for document in ("README.md", PAGE):
+    for document in ("docs/start.md", PAGE):
         for block in blocks(document):
             if block.file:
                 (place / block.file).write_text(block.text, encoding="utf-8")

@@ -24,7 +24,15 @@ from nmpc_codegen.runtime.folder import write
 
 @dataclass(frozen=True)
 class Folder:
-    """An exported folder and the absolute paths of its files; operations per function, bytes per struct."""
+    """What export() has written.
+
+    Attributes:
+        directory: the folder, an absolute path.
+        name: prefix of every C name.
+        files: absolute paths of its files.
+        operations: per function.
+        bytes: per struct.
+    """
 
     directory: Path
     name: str
@@ -83,7 +91,17 @@ def export(
     second_order: bool = False,
     force: bool = False,
 ) -> Folder:
-    """Write the C files into a folder, under the rules of nmpc_codegen.export(); see generate() for the arguments.
+    """Write the C files into a folder, under the rules of nmpc_codegen.export().
+
+    Args:
+        ocp: as in generate().
+        outputs: as in generate().
+        options: as in generate().
+        directory: the folder.
+        name: as in generate().
+        output_names: as in generate().
+        second_order: as in generate().
+        force: as in nmpc_codegen.export().
 
     Raises:
         ProblemError, OptionError: see generate().
@@ -100,7 +118,13 @@ def export(
 def operations(
     ocp: OCP, outputs: Any = None, options: Options | None = None, *, second_order: bool = False
 ) -> dict[str, OpCount]:
-    """Exact operations of every function of the package, without writing or compiling it; see generate().
+    """Exact operations of every function of the package, without writing or compiling it.
+
+    Args:
+        ocp: as in generate().
+        outputs: as in generate().
+        options: as in generate().
+        second_order: as in generate().
 
     Raises:
         ProblemError, OptionError: see generate().
@@ -118,7 +142,16 @@ def build(
     output_names: Sequence[str] | None = None,
     second_order: bool = False,
 ) -> Derivatives:
-    """Generate, compile and load the functions; see generate() for the arguments. Builds are cached by content.
+    """Generate, compile and load the functions. Builds are cached by content.
+
+    Args:
+        ocp: as in generate().
+        outputs: as in generate().
+        options: as in generate().
+        profile: as in nmpc_codegen.build().
+        name: as in generate().
+        output_names: as in generate().
+        second_order: as in generate().
 
     Raises:
         ProblemError, OptionError: see generate().

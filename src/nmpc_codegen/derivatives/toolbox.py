@@ -35,7 +35,13 @@ BY_ROWS = ("adjoint", "adjoint_matrices")
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """x (N + 1, nx), z (N, nout) and the cost J of a simulation."""
+    """A simulation.
+
+    Attributes:
+        x: (N + 1, nx), states.
+        z: (N, nout), outputs.
+        cost: J.
+    """
 
     x: Array
     z: Array
@@ -45,12 +51,23 @@ class Trajectory:
 class Derivatives:
     """Derivatives of J and z with respect to the controls u_0, ..., u_{N-1} of a single-shooting problem.
 
-    Attributes:
-        p, yref, yref_N, W, W_N: parameters (N + 1, np), references (N, ny), (ny_N,) and weights (diagonals, or all
-            entries row by row), as views that may be changed; those that the problem lacks do not exist.
-        operations: exact operations per C function.
+    The arrays are views that may be changed; those that the problem lacks do not exist. One object belongs to one
+    thread at a time.
 
-    It is not safe to call one object from several threads at a time.
+    Attributes:
+        p: parameters (N + 1, np).
+        yref: references (N, ny).
+        yref_N: reference of the end (ny_N,).
+        W: weight of the path, its diagonal, or all entries row by row.
+        W_N: weight of the end; the same.
+        operations: exact operations per C function.
+        name: prefix of the C names.
+        N: number of intervals.
+        nx: number of states.
+        nu: number of controls.
+        nout: number of outputs.
+        output_names: their names.
+        precision: "double" or "single".
     """
 
     p: Array
@@ -146,6 +163,10 @@ class Derivatives:
     def sensitivities(self, x0: ArrayLike, u: ArrayLike) -> tuple[Array, Array]:
         """A (N, nx, nx) and B (N, nx, nu) of every interval: Algorithm 6.7.
 
+        Args:
+            x0: (nx,), initial state.
+            u: (N, nu), controls.
+
         Raises:
             DerivativeError: an argument has a wrong shape, or an argument or a result is not finite.
         """
@@ -155,7 +176,15 @@ class Derivatives:
         return S[:, :, : self.nx].copy(), S[:, :, self.nx :].copy()
 
     def responses(self, x0: ArrayLike, u: ArrayLike, k: int | None = None) -> Array:
-        """dx_n / du_k for n = 0, ..., N: (N + 1, nx, nu) for one k, or (N, N + 1, nx, nu) for all: Algorithm 6.8.
+        """dx_n / du_k for n = 0, ..., N: Algorithm 6.8.
+
+        Args:
+            x0: (nx,), initial state.
+            u: (N, nu), controls.
+            k: interval; None: all.
+
+        Returns:
+            (N + 1, nx, nu) for one k, or (N, N + 1, nx, nu) for all.
 
         Raises:
             DerivativeError: an argument is wrong, or an argument or a result is not finite.

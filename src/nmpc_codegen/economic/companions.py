@@ -36,9 +36,17 @@ from nmpc_codegen.oracle.trajectory import interval_map
 
 
 def letempc_cost(tuning: Tuning, x: Any, u: Any) -> Expression:
-    """The stage cost of LETEMPC as an expression of x (nx,), u (nu,), for ocp.stage_cost(..., scale_with_dt=False).
+    """The stage cost of LETEMPC, for ocp.stage_cost(..., scale_with_dt=False).
 
     Without its linear term, the pull of the economic cost against the strictly active rows, it is not equivalent.
+
+    Args:
+        tuning: M and what belongs to it.
+        x: symbols (nx,).
+        u: symbols (nu,).
+
+    Returns:
+        An expression, a scalar.
     """
     dw = ca.vertcat(x, u) - np.concatenate([tuning.x_s, tuning.u_s])
     quadratic = ca.dot(dw, ca.DM(tuning.M) @ dw) / 2
@@ -47,6 +55,10 @@ def letempc_cost(tuning: Tuning, x: Any, u: Any) -> Expression:
 
 def letempc_terminal_cost(tuning: Tuning, x: Any) -> Expression:
     """1/2 (x - x_s)' M_f (x - x_s) - nu_s' D (x - x_s), for ocp.terminal_cost().
+
+    Args:
+        tuning: M and what belongs to it.
+        x: symbols (nx,).
 
     Raises:
         ProblemError: the tuning has no M_f, because x_N is fixed.
@@ -66,9 +78,13 @@ def periodic_letempc(tuning: PeriodicTuning, ocp: OCP) -> Callable[[int], dict[s
     parameters letempc_end_factor and letempc_end_centre of node N. c_k makes a square of the quadratic term of LETEMPC
     and of its linear one, the pull against the strictly active rows.
 
+    Args:
+        tuning: the orbit.
+        ocp: the problem, with dynamics and rows.
+
     Returns:
         A function that gives the values of the four parameters, one row per node, for the plan of sample n:
-        ``for name, values in at(n).items(): controller.set_parameter(name, values)``.
+            ``for name, values in at(n).items(): controller.set_parameter(name, values)``.
     """
     if not isinstance(tuning, PeriodicTuning):
         raise ProblemError(f"periodic_letempc: {type(tuning).__name__}; expected the result of tune_periodic()")
@@ -122,7 +138,14 @@ def _columns(matrices: NDArray[Any]) -> Array:
 
 
 def tracking_cost(tuning: Tuning, x: Any, u: Any, weight: Any) -> Expression:
-    """1/2 (w - w_s)' W (w - w_s) at the economic steady state; ``weight``: W (nx+nu, nx+nu) or its diagonal."""
+    """1/2 (w - w_s)' W (w - w_s) at the economic steady state.
+
+    Args:
+        tuning: what belongs to it.
+        x: symbols (nx,).
+        u: symbols (nu,).
+        weight: W (nx+nu, nx+nu) or its diagonal.
+    """
     dw = ca.vertcat(x, u) - np.concatenate([tuning.x_s, tuning.u_s])
     W = np.asarray(weight, dtype=float)
     W = np.diag(W) if W.ndim == 1 else W

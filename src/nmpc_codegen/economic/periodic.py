@@ -37,8 +37,22 @@ from nmpc_codegen.options import Options
 class PeriodicTuning:
     """The orbit and its Hessians, in the units of the problem, P intervals.
 
-    x (P, nx), u (P, nu), lam (P, nx), mu (P arrays of the strictly active rows, whose names are ``active``);
-    M (P, nx+nu, nx+nu); H, A, B, C, dP: the expansion and the storage at every interval; ``cost``: mean of an interval.
+    Attributes:
+        problem: the problem.
+        x: (P, nx), states.
+        u: (P, nu), controls.
+        lam: (P, nx), multipliers of the dynamics.
+        mu: P arrays, multipliers of the strictly active rows.
+        active: their names.
+        M: (P, nx+nu, nx+nu), Hessians of LETEMPC.
+        H: (P, nx+nu, nx+nu), Hessians of the Lagrangian.
+        A: (P, nx, nx), of the discrete map.
+        B: (P, nx, nu), of the discrete map.
+        C: P arrays, slopes of the strictly active rows.
+        dP: (P, nx, nx), of the storage.
+        alpha: factor of H in the program, by which its other terms are divided.
+        beta: bound of the condition number of M in the scaling of the program.
+        cost: mean of an interval.
     """
 
     problem: Problem

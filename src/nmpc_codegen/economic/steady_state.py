@@ -38,10 +38,17 @@ MOVING = 1e-4
 
 @dataclass(frozen=True, eq=False)
 class SteadyState:
-    """x (n,) of the kept states, u (nu,), lam (n,), mu (one per row), the cost of one interval.
+    """A steady state without the cyclic states, n of them kept.
 
-    ``active``: positions of the rows that are strictly active; ``residual``: of the optimality conditions;
-    ``size`` (n + nu,): typical magnitudes of w.
+    Attributes:
+        x: (n,), states.
+        u: (nu,), controls.
+        lam: (n,), multipliers of the dynamics.
+        mu: one per row.
+        cost: of one interval.
+        active: positions of the rows that are strictly active.
+        residual: of the optimality conditions.
+        size: (n + nu,), typical magnitudes of w.
     """
 
     x: Array

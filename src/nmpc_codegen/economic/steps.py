@@ -24,9 +24,20 @@ from nmpc_codegen.frontend.problem import Array
 
 @dataclass(frozen=True, eq=False)
 class StageQp:
-    """Data of a step: A (N, n, n), B (N, n, m), b (N, n), H (N, n+m, n+m), g (N, n+m); H_N (n, n), g_N (n,).
+    """Data of a step, of N intervals, n states, m controls.
 
-    Rows of every node: C, c, N arrays (rows, n+m) and (rows,); of node N: D (rows, n), d (rows,).
+    Attributes:
+        A: (N, n, n), of the dynamics.
+        B: (N, n, m), of the dynamics.
+        b: (N, n), gaps.
+        H: (N, n+m, n+m), Hessians.
+        g: (N, n+m), gradients.
+        C: N arrays (rows, n+m), slopes of rows that are held.
+        c: N arrays (rows,), their right-hand sides.
+        H_N: (n, n), Hessian of the end.
+        g_N: (n,), its gradient.
+        D: (rows, n), slopes of rows that are held at the end.
+        d: (rows,), their right-hand sides.
     """
 
     A: Array
@@ -44,7 +55,15 @@ class StageQp:
 
 @dataclass(frozen=True, eq=False)
 class Step:
-    """dx (N+1, n), du (N, m), and the new multipliers lam (N+1, n), mu (N arrays), nu of D."""
+    """A step and its multipliers.
+
+    Attributes:
+        dx: (N+1, n), of the states.
+        du: (N, m), of the controls.
+        lam: (N+1, n), multipliers of the dynamics.
+        mu: N arrays, those of C.
+        nu: those of D.
+    """
 
     dx: Array
     du: Array
@@ -99,6 +118,10 @@ def kkt_step(qp: StageQp, dx0: Array) -> Step:
 
     L = cost + lam_0'(dx0 - dx_0) + lam_{k+1}'(A dx_k + B du_k + b - dx_{k+1}) + mu_k'(C dw_k - c) + nu'(D dx_N - d)
 
+    Args:
+        qp: data of the step.
+        dx0: (n,), step of x_0.
+
     Raises:
         ProblemError: the conditions are singular: the rows depend on each other.
     """
@@ -139,6 +162,10 @@ def corrected_multipliers(tuning: Tuning, step: Step) -> Step:
     correction removes the part of the error that is linear in the step. The mu_k belong to the strictly active rows at
     the nodes where the step has as many rows. Rows of states alone have no multiplier at node 0, where x_0 is given;
     their term C'F C dw_0 / alpha is then subtracted from lam_0.
+
+    Args:
+        tuning: M and what belongs to it.
+        step: the step with M.
 
     Source: Zanon, "A Gauss-Newton-like Hessian approximation for economic NMPC" (2020), section V.A, dashed in Fig. 1.
     """

@@ -47,9 +47,18 @@ SEMIDEFINITE = -1e-12  # least eigenvalue of a weight, relative to the largest
 
 @dataclass(frozen=True, eq=False)
 class TerminalCost:
-    """P (nx, nx) with zero rows for cyclic states, lam (nx,), the feedback K (nu, nx), x_s (nx,), u_s (nu,).
+    """The numbers of a cost-to-go.
 
-    ``slope`` (nx,) is the gradient of V_f at x_s: lam - D' mu_s, and zero for tracking.
+    Attributes:
+        P: (nx, nx), with zero rows for cyclic states.
+        lam: (nx,), multipliers of the dynamics at the steady state.
+        slope: (nx,), gradient of the cost-to-go at x_s: lam - D' mu_s, and zero for tracking.
+        K: (nu, nx), the feedback.
+        x_s: (nx,), steady state.
+        u_s: (nu,), its control.
+        economic: whether it belongs to an economic cost.
+        residual: of the Riccati equation.
+        active: names of the strictly active rows.
     """
 
     P: Array
@@ -72,7 +81,15 @@ class TerminalCost:
 def lqr_terminal_cost(
     ocp: OCP, options: Options | None = None, *, economic: bool = False, x: Any = None, u: Any = None
 ) -> TerminalCost:
-    """The numbers of ocp.lqr_terminal_cost() with the integrator of the options; see there."""
+    """The numbers of ocp.lqr_terminal_cost().
+
+    Args:
+        ocp: the problem.
+        options: its integrator defines the discrete map.
+        economic: as in ocp.lqr_terminal_cost().
+        x: as there.
+        u: as there.
+    """
     problem = replace(classify(ocp), terminal_lqr=None)
     given = [
         None if part is None else vector(part, size, f"lqr_terminal_cost: {name}")
@@ -83,6 +100,10 @@ def lqr_terminal_cost(
 
 def with_terminal_cost(problem: Problem, options: Options | None = None) -> Problem:
     """The problem with the terminal cost that it requests; the same problem if it requests none.
+
+    Args:
+        problem: what classify() makes of an OCP.
+        options: their integrator defines the discrete map.
 
     Raises:
         ProblemError: there is no steady state, or the Riccati equation has no solution.

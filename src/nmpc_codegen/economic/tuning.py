@@ -37,11 +37,37 @@ if TYPE_CHECKING:
 class Tuning:
     """The result of tune(), in the units and the order of the problem; cyclic states have zero rows and columns.
 
-    M (nx+nu, nx+nu); M_f (nx, nx), None if x_N is fixed; dP (nx, nx), F, G, alpha, beta: the solution of the program;
-    H (nx+nu, nx+nu), A (nx, nx), B (nx, nu), C (rows, nx+nu): the expansion at the steady state x_s (nx,), u_s (nu,)
-    with multipliers lam_s (nx,), mu_s (strictly active rows, > 0 at the upper bound); nu_s those of D (rows, nx), the
-    rows that are active at node N. ``dissipativity``: the least
-    value of the frequency function without rows, positive if a quadratic storage function exists without them.
+    Attributes:
+        problem: the problem.
+        M: (nx+nu, nx+nu), the Hessian of a stage.
+        M_f: (nx, nx), that of the end; None if x_N is fixed.
+        dP: (nx, nx), of the solution of the program; -dP / alpha is the storage.
+        F: multiples of strictly active rows.
+        G: the same at node N.
+        alpha: factor of H in the program, by which its other terms are divided.
+        beta: bound of the condition number of M in the scaling of the program.
+        eta: 1 if strictly active rows were used.
+        H: (nx+nu, nx+nu), Hessian of the Lagrangian at the steady state.
+        H_f: (nx, nx), that of the end; None if x_N is fixed.
+        A: (nx, nx), of the discrete map.
+        B: (nx, nu), of the discrete map.
+        C: (rows, nx+nu), slopes of the strictly active rows.
+        D: (rows, nx), slopes of those that are active at node N.
+        x_s: (nx,), steady state.
+        u_s: (nu,), its control.
+        lam_s: (nx,), multipliers of the dynamics.
+        mu_s: (rows,), of the strictly active rows, > 0 at the upper bound.
+        nu_s: (rows,), those of D.
+        cost: of an interval at the steady state.
+        active: names of the rows of C.
+        active_terminal: names of the rows of D.
+        names: of states and controls.
+        kept: states that are not cyclic.
+        scaling: which scaling of the variables succeeded.
+        conditioning: condition number of M.
+        dissipativity: the least value of the frequency function without rows, positive if a quadratic storage function
+            exists without them.
+        with_rows: the same on the strictly active rows.
     """
 
     problem: Problem

@@ -85,6 +85,15 @@ class NodeBefore(Expressions):
         """(u - previous(u)) / dt, the slope of a control, in its unit per unit of time; SX of the shape of u.
 
         dt is the sampling time at node 0, and the length of the interval k - 1 at node k = 1 .. N - 1.
+
+        Args:
+            u: symbol, name, or a column of symbols of controls.
+
+        Examples:
+            >>> from nmpc_codegen import OCP
+            >>> ocp = OCP("valve", T=1.0, N=10)
+            >>> u = ocp.control("u", unit="V")
+            >>> ocp.subject_to(-5, ocp.rate(u), 5, name="slew")
         """
         where = self.control_places(u, "rate:")
         return (self.u[where] - self.previous(u)) / self.interval_before
@@ -97,7 +106,7 @@ class NodeBefore(Expressions):
         return self.clock
 
     def control_places(self, which: Any, what: str) -> list[int]:
-        """Positions in u of a control that is given by its symbol, a column of control symbols, or its name."""
+        """Internal: positions in u of a control, given by its symbol, a column of symbols, or its name."""
         found = self._places(which, "control", self.controls)
         if not found:
             raise ProblemError(f"{what} {quote(which)} is no control{list_names(self._control_names())}")
@@ -132,6 +141,12 @@ class Dynamics(NodeBefore):
             rhs: {state symbol or name: expression}, in one call or several, or a column in declaration order.
             discrete: True: the expressions are the states at the next node. {state symbol or name: expression}: these
                 are, of states that keep their value along an interval, beside those that ``rhs`` integrates.
+
+        Examples:
+            >>> from nmpc_codegen import OCP
+            >>> ocp = OCP("heater", T=60.0, N=30)
+            >>> T, late, P = ocp.state("T"), ocp.state("late"), ocp.control("P")
+            >>> ocp.dynamics({T: late - 0.1 * T}, discrete={late: ocp.previous(P)})
         """
         if isinstance(discrete, Mapping):
             if not isinstance(rhs, Mapping):

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
 from pkgutil import resolve_name
 from typing import TYPE_CHECKING, Any
 
@@ -11,11 +9,9 @@ import casadi as ca
 import numpy as np
 
 from nmpc_codegen.errors import ProblemError
-from nmpc_codegen.frontend.algebra.equations import Algebraic
 from nmpc_codegen.frontend.checks import (
     MAX_SIZE,
     block_lengths,
-    checked_soft,
     declared_range,
     declared_scale,
     duplicate,
@@ -31,24 +27,19 @@ from nmpc_codegen.frontend.checks import (
 )
 from nmpc_codegen.frontend.expressions import NODE
 from nmpc_codegen.frontend.grid import grid
-from nmpc_codegen.frontend.problem import Array, LqrRequest, Signal, c_identifier
+from nmpc_codegen.frontend.problem import LqrRequest, Signal, c_identifier
+from nmpc_codegen.frontend.rows.constraints import Constraints
 from nmpc_codegen.frontend.show import in_html, in_one_line
 from nmpc_codegen.frontend.statement import (
-    At,
     Declared,
     Element,
     GeneralCost,
     Kind,
-    Penalty,
     Residual,
-    Side,
     StageName,
-    Statement,
-    intersection,
 )
 from nmpc_codegen.frontend.symbol import Symbol, require_three
 from nmpc_codegen.ir.naming import check_package_name
-from nmpc_codegen.package.signals import Soft
 from nmpc_codegen.runtime.diagnosis.foreign_names import OF_PROBLEM, missing
 
 __all__ = ["OCP"]
@@ -62,11 +53,12 @@ _ESTIMATOR = "nmpc_codegen.frontend.estimator.declaration:Estimator"
 _NAMED: tuple[Kind, ...] = ("state", "control", "parameter", "algebraic")
 
 
-class OCP(Algebraic):
+class OCP(Constraints):
     """An optimal control problem over N intervals:
 
         min   sum_{k<N} l_k(x_k, u_k, p_k) + l_N(x_N, p_N)
-        s.t.  x_0 = xhat,  x' = f(x, z, u, p), 0 = g(x, z, u, p) on every interval (or x_{k+1} = f(x_k, u_k, p_k)),
+        s.t.  x_0 = xhat
+              x' = f(x, z, u, p), 0 = g(x, z, u, p) on every interval, or x_{k+1} = f(x_k, u_k, p_k)
               lower <= h(x_k, u_k, p_k) <= upper,   lower <= r(x_0, x_N) <= upper
 
     Args:
@@ -78,7 +70,24 @@ class OCP(Algebraic):
         time_unit: unit of T, of the derivatives and of every time that is given later; it is only printed.
 
     Raises:
-        ProblemError: the problem is stated wrongly; the message names the wrong input and what was expected.
+        ProblemError: the problem is stated wrongly; the message names the wrong input and what was expected. So do all
+            methods.
+
+    Examples:
+        >>> import casadi as ca
+        >>> from nmpc_codegen import OCP
+        >>> ocp = OCP("cart", T=2.0, N=20)
+        >>> p, v = ocp.state("p", unit="m", initial=1.0), ocp.state("v", unit="m/s")
+        >>> F = ocp.control("F", unit="N")
+        >>> ocp.dynamics({p: v, v: F / 0.5})
+        >>> ocp.least_squares(ca.vertcat(p, v, F), weight=[10, 1, 0.1])
+        >>> ocp.subject_to(-1, F, 1)
+
+    Attributes:
+        name: the name.
+        N: number of intervals.
+        dt: lengths of the intervals (N,); None for a discrete map.
+        time_unit: unit of time.
     """
 
     def __init__(
@@ -89,7 +98,6 @@ class OCP(Algebraic):
         super().__init__(name, *grid(name, T, N, intervals, unit), unit)
         self._start: list[Any] = []
         self._end: list[Any] = []
-        self._unnamed = 0
 
     def __setattr__(self, attribute: str, value: Any) -> None:
         """Refuse to assign public attributes, which the constructor and the methods set and later calls rely on."""
@@ -124,18 +132,26 @@ class OCP(Algebraic):
         scale: Any = None,
         initial_range: Any = None,
     ) -> Any:
-        """Declare a state; return its SX symbol, a scalar, or a column of ``size`` elements name[0], name[1], ...
+        """Declare a state.
 
-        Symbols, including those of vectors, can be keys of a dictionary.
+        Args:
+            name: its name; elements of a vector are name[0], name[1], ...
+            size: number of elements; None: a scalar.
+            unit: it is printed and written into the C.
+            initial: the x_0 that --check, --simulate, main.c and the test vectors use, a number or (size,).
+            scale: > 0, a value of it that is neither small nor large, in its unit. Tolerances are relative to it, and
+                what is far below it counts as 0. None: the largest of half the width of its bounds, its initial value
+                and its references; where all are 0, what the controls make of it.
+            initial_range: (lower, upper), between which measured states are to be expected at the start of a loop;
+                warnings look at its corners, campaigns start there.
 
-        ``initial`` is the x_0 that --check, --simulate, main.c and the test vectors use.
+        Returns:
+            Its SX symbol, a scalar or a column, which can be the key of a dictionary.
 
-        ``scale`` > 0: a value of it that is neither small nor large, in its unit. Tolerances are relative to it, and
-        what is far below it counts as 0. None: the largest of half the width of its bounds, its initial value and its
-        references; where all are 0, what the controls make of it.
-
-        ``initial_range``: (lower, upper), between which measured states are to be expected at the start of a loop;
-        warnings look at its corners.
+        Examples:
+            >>> from nmpc_codegen import OCP
+            >>> ocp = OCP("drone", T=1.0, N=10)
+            >>> position = ocp.state("position", size=3, unit="m", initial=[0, 0, 1])
         """
         symbol = self._declare("state", self.states, name, size, unit, initial, "initial", scale, initial_range)
         for which, kind in ((self._start, "start"), (self._end, "end")):
@@ -149,10 +165,18 @@ class OCP(Algebraic):
     def control(
         self, name: str, *, size: int | None = None, unit: str = "", scale: Any = None, hold: Any = None
     ) -> Any:
-        """Declare a control, which is constant on every interval; return its SX symbol. ``scale``: as for state().
+        """Declare a control, which is constant on every interval.
 
-        ``hold``: lengths of blocks of intervals with one value each, whose sum is N: [1, 1, 2, 4] are four values over
-        eight intervals. None: one value per interval.
+        Args:
+            name: its name; elements of a vector are name[0], name[1], ...
+            size: number of elements; None: a scalar.
+            unit: it is printed and written into the C.
+            scale: as for state().
+            hold: lengths of blocks of intervals with one value each, whose sum is N: [1, 1, 2, 4] are four values over
+                eight intervals. None: one value per interval.
+
+        Returns:
+            Its SX symbol, a scalar or a column.
         """
         blocks = None if hold is None else block_lengths(hold, self.N, f"control {quote(name)}: hold")
         symbol = self._declare("control", self.controls, name, size, unit, 0.0, "value", scale)
@@ -165,20 +189,41 @@ class OCP(Algebraic):
     def parameter(
         self, name: str, *, value: Any = 0.0, size: int | None = None, unit: str = "", bounds: Any = None
     ) -> Any:
-        """Declare a parameter, which can be changed at run time; return its SX symbol.
+        """Declare a parameter, which can be changed at run time, for all nodes or for each.
 
-        ``bounds``: (lower, upper), numbers or one per element; set_parameter() refuses values outside, and warnings
-        look at the corners.
+        Args:
+            name: its name; elements of a vector are name[0], name[1], ...
+            value: a number or (size,), until set_parameter() says otherwise.
+            size: number of elements; None: a scalar.
+            unit: it is printed and written into the C.
+            bounds: (lower, upper), numbers or one per element; set_parameter() refuses values outside, warnings look at
+                the corners, and campaigns draw from between them.
+
+        Returns:
+            Its SX symbol, a scalar or a column.
         """
         return self._declare("parameter", self.parameters, name, size, unit, value, "value", None, bounds)
 
     def algebraic(
         self, name: str, *, size: int | None = None, unit: str = "", initial: Any = 0.0, scale: Any = None
     ) -> Any:
-        """Declare an algebraic variable, which an algebraic_equation() determines; return its SX symbol.
+        """Declare an algebraic variable, which an algebraic_equation() determines.
 
-        ``initial``: where Newton's method starts at first, and after values that lead nowhere. ``scale``: as for
-        state().
+        Args:
+            name: its name; elements of a vector are name[0], name[1], ...
+            size: number of elements; None: a scalar.
+            unit: it is printed and written into the C.
+            initial: where Newton's method starts at first, and after values that lead nowhere.
+            scale: as for state().
+
+        Returns:
+            Its SX symbol, a scalar or a column.
+
+        Examples:
+            >>> from nmpc_codegen import OCP
+            >>> ocp = OCP("diode", T=1.0, N=10)
+            >>> i, u = ocp.algebraic("i", unit="A", initial=0.1), ocp.control("u", unit="V")
+            >>> ocp.algebraic_equation(i + i**3 - u)
         """
         return self._declare("algebraic", self.algebraics, name, size, unit, initial, "initial", scale)
 
@@ -191,6 +236,22 @@ class OCP(Algebraic):
     def x_end(self) -> Any:
         """The symbols of x_N that at_end() substitutes for the states, SX (nx,)."""
         return ca.vertcat(ca.SX(0, 1), *self._end)
+
+    def at_start(self, expr: Any) -> Any:
+        """An expression at node 0, for boundary().
+
+        Args:
+            expr: of states.
+        """
+        return ca.substitute(self._expression(expr, "at_start", ("state",)), self.x, self.x_start)
+
+    def at_end(self, expr: Any) -> Any:
+        """An expression at node N, for boundary().
+
+        Args:
+            expr: of states.
+        """
+        return ca.substitute(self._expression(expr, "at_end", ("state",)), self.x, self.x_end)
 
     def _declare(
         self,
@@ -226,8 +287,18 @@ class OCP(Algebraic):
         return symbol
 
     def estimator(self, **statement: Any) -> Any:
-        """An Estimator of the states of this model from measurements, which build() and export() take like an OCP; its
-        arguments are those of Estimator behind the OCP."""
+        """An Estimator of the states of this model from measurements, which build() and export() take like an OCP.
+
+        Args:
+            statement: the arguments of Estimator behind the OCP.
+
+        Examples:
+            >>> from nmpc_codegen import OCP
+            >>> ocp = OCP("cart", T=2.0, N=20)
+            >>> p, v = ocp.state("p"), ocp.state("v")
+            >>> ocp.dynamics({p: v, v: 0})
+            >>> estimator = ocp.estimator(N=10, measure={"p": p}, noise_std={"p": 0.01}, process_std={"v": 0.1})
+        """
         return resolve_name(_ESTIMATOR)(self, **statement)
 
     # Cost ------------------------------------------------------------------------------------------------------------
@@ -258,14 +329,29 @@ class OCP(Algebraic):
     def terminal_least_squares(
         self, expr: Any, weight: Any, *, reference: Any = None, names: Any = None, scale: Any = None
     ) -> None:
-        """Add 1/2 (y - reference)' W (y - reference) at node N, y(x, p); never scaled. See least_squares()."""
+        """Add 1/2 (y - reference)' W (y - reference) at node N; never scaled.
+
+        Args:
+            expr: y(x, p), column (ny_N,).
+            weight: as in least_squares().
+            reference: as in least_squares(); set_terminal_reference() changes it.
+            names: as in least_squares(). A name that a residual of the path has, too, shares references by name with
+                it.
+            scale: as in least_squares().
+        """
         self._residual("terminal_least_squares", expr, weight, reference, names, False, "terminal", scale)
 
     def start_least_squares(self, expr: Any, weight: Any, *, reference: Any = None, names: Any = None) -> None:
-        """Add 1/2 (y - reference)' W (y - reference) at node 0, y(x, p); never scaled. See least_squares().
+        """Add 1/2 (y - reference)' W (y - reference) at node 0; never scaled.
 
         A cost of x_0, e.g. an arrival cost, affects the solution only if components of x_0 are free (free_initial).
         Its weight and reference are fixed; use parameters for data that change at run time.
+
+        Args:
+            expr: y(x, p), column.
+            weight: as in least_squares().
+            reference: a number or one per element, 0 by default.
+            names: as in least_squares().
         """
         self._residual("start_least_squares", expr, weight, reference, names, False, "start")
 
@@ -308,17 +394,24 @@ class OCP(Algebraic):
         return tuple(found)
 
     def stage_cost(self, expr: Any, *, integrate: bool = False, scale_with_dt: bool = True) -> None:
-        """Add a general cost l(x, u, p), a scalar.
+        """Add a general cost l(x, u, p) of the path, with exact Hessians or a constant one.
 
-        It is evaluated at the nodes 0..N-1 and multiplied by dt_k if ``scale_with_dt``. With ``integrate`` it is
-        integrated over every interval by the Runge-Kutta scheme of the dynamics instead, and not scaled again.
+        Args:
+            expr: l, a scalar.
+            integrate: integrate it over every interval by the scheme of the dynamics; it is not scaled again. False: it
+                is evaluated at the nodes 0..N-1.
+            scale_with_dt: multiply the value at node k by the length of its interval.
         """
         l = self._scalar(expr, "stage_cost", NODE)  # noqa: E741
         integrate, scale = flag(integrate, "stage_cost: integrate"), flag(scale_with_dt, "stage_cost: scale_with_dt")
         self.costs.append(GeneralCost(l, integrate, scale and not integrate, "path"))
 
     def terminal_cost(self, expr: Any) -> None:
-        """Add a general cost l_N(x, p) at node N, a scalar; never scaled."""
+        """Add a general cost at node N; never scaled.
+
+        Args:
+            expr: l_N(x, p), a scalar.
+        """
         l = self._scalar(expr, "terminal_cost", _END)  # noqa: E741
         self.costs.append(GeneralCost(l, False, False, "terminal"))
 
@@ -347,7 +440,11 @@ class OCP(Algebraic):
         self._terminal_lqr = LqrRequest(flag(economic, "lqr_terminal_cost: economic"), *given)
 
     def start_cost(self, expr: Any) -> None:
-        """Add a general cost l_0(x, p) at node 0, a scalar; never scaled. See start_least_squares()."""
+        """Add a general cost at node 0; never scaled. It acts on free components of x_0, as start_least_squares() does.
+
+        Args:
+            expr: l_0(x, p), a scalar.
+        """
         l = self._scalar(expr, "start_cost", _START)  # noqa: E741
         self.costs.append(GeneralCost(l, False, False, "start"))
 
@@ -408,9 +505,20 @@ class OCP(Algebraic):
     def boundary(
         self, lower: Any, expr: Any = None, upper: Any = None, *, soft: Any = None, name: str | None = None
     ) -> None:
-        """Add the coupled rows lower <= r(x_0, x_N) <= upper, e.g. periodicity: at_start(x) - at_end(x).
+        """Add the rows lower <= r(x_0, x_N) <= upper, which couple both ends, e.g. periodicity.
 
-        The arguments are those of subject_to(); the expression is written with at_start() and at_end().
+        Args:
+            lower: as in subject_to().
+            expr: r, written with at_start() and at_end(), column.
+            upper: as in subject_to().
+            soft: as in subject_to().
+            name: as in subject_to().
+
+        Examples:
+            >>> from nmpc_codegen import OCP
+            >>> ocp = OCP("orbit", T=1.0, N=10)
+            >>> x = ocp.state("x")
+            >>> ocp.boundary(0, ocp.at_start(x) - ocp.at_end(x), 0, name="period")
         """
         what = f"boundary {quote(name)}" if name is not None else "boundary"
         require_three(lower, expr, upper, what, "boundary")
@@ -423,174 +531,33 @@ class OCP(Algebraic):
                 )
         self._add_rows(lower, r, upper, None, soft, name, "", what)
 
-    def at_start(self, expr: Any) -> Any:
-        """The expression evaluated at the states of node 0, for boundary()."""
-        return ca.substitute(self._expression(expr, "at_start", ("state",)), self.x, self.x_start)
-
-    def at_end(self, expr: Any) -> Any:
-        """The expression evaluated at the states of node N, for boundary()."""
-        return ca.substitute(self._expression(expr, "at_end", ("state",)), self.x, self.x_end)
-
-    def _add_rows(
-        self, lower: Any, h: Any, upper: Any, at: At | None, soft: Any, name: str | None, suffix: str, what: str
-    ) -> None:
-        n = h.numel()
-        if n == 0:
-            raise ProblemError(f"{what}: the expression is empty")
-        lb, ub = (vector(v, n, f"{what}: {w}", finite=False) for v, w in ((lower, "lower"), (upper, "upper")))
-        for i in range(n):
-            if lb[i] > ub[i]:
-                raise ProblemError(f"{what}: row {i} has lower {lb[i]:g} > upper {ub[i]:g}")
-            if lb[i] == np.inf or ub[i] == -np.inf:
-                raise ProblemError(f"{what}: row {i} has bounds {lb[i]:g}, {ub[i]:g}, which nothing can satisfy")
-        penalty = checked_soft(soft, what)
-        stated, unnamed = self._row_names(h, name, suffix, what)
-        places = []
-        for side, which, low, high, of_side in _sides(lb, ub, penalty):
-            names = tuple(stated[i] for i in which)
-            new = Statement(low, h[which], high, at, of_side, names, penalty.scale_with_dt, *side)
-            places.append(self._find_place(new, what))
-        self._refuse_clashes(places, what)
-        _refuse_crossed(places, what)
-        for place in places:
-            place.take()
-        self.statements.extend(new for place in places for new in place.left)
-        self._unnamed += unnamed
-
-    def _find_place(self, new: Statement, what: str) -> _Place:
-        """Where the rows go: into rows that exist, whose bounds become the intersection, or into a new statement."""
-        earlier = {i: self._earlier(new, i) for i in range(new.expression.numel())}
-        taken = tuple(
-            (*there, *intersection(new, i, *there, what)) for i, there in earlier.items() if there is not None
-        )
-        left = [i for i, there in earlier.items() if there is None]
-        parts = {"lower": new.lower[left], "expression": new.expression[left], "upper": new.upper[left]}
-        rest = replace(new, **parts, stated=tuple(new.stated[i] for i in left))
-        return _Place(taken, (rest,) if left else ())
-
-    def _earlier(self, new: Statement, i: int) -> tuple[Statement, int] | None:
-        """The earlier row of the same name, bare state or control, nodes and penalty; None if there is none."""
-        element = self.element(new.expression[i])
-        for s in self.statements:
-            if element is None or (s.at, s.soft, s.scaled) != (new.at, new.soft, new.scaled):
-                continue
-            for j, name in enumerate(s.names):
-                if name == new.names[i] and self.element(s.expression[j]) == element:
-                    return s, j
-        return None
-
-    def _row_names(self, h: Any, name: str | None, suffix: str, what: str) -> tuple[tuple[str, ...], int]:
-        """Names of the rows, and how many of them are default names row_i."""
-        n, unnamed = h.numel(), 0
-        if name is not None:
-            identifier(name, what)
-            names = [name] if n == 1 else [f"{name}[{i}]" for i in range(n)]
-        else:
-            names = []
-            for i in range(n):
-                element = self.element(h[i])
-                if element is None or element.kind not in ("state", "control", "algebraic"):
-                    names.append(f"row_{self._unnamed + unnamed}")
-                    unnamed += 1
-                else:
-                    names.append(element.name)
-        return tuple(f"{row}{suffix}" for row in names), unnamed
-
-    def _refuse_clashes(self, places: Sequence[_Place], what: str) -> None:
-        """Raise ProblemError if the name of a new row, or that of the row of which it is a side, is already in use."""
-        taken = {c_identifier(name): name for s in self.statements for name in (*s.names, *s.stated)}
-        new = dict.fromkeys(name for place in places for s in place.left for name in (*s.names, *s.stated))
-        known = {name for place in places for s, j, *_ in place.taken for name in (s.stated[j],)}
-        for row in new:
-            key = c_identifier(row)
-            if key in taken and row not in known:
-                raise ProblemError(
-                    f"{what}: the row name '{row}' clashes with '{taken[key]}' (both are ROW_{key.upper()} in C); "
-                    "give name="
-                )
-            taken[key] = row
-
-    def _at(self, at: Any, what: str) -> At:
-        if isinstance(at, str):
-            if at not in ("path", "start", "end"):
-                raise ProblemError(f"{what}: at={at!r}, expected 'path', 'start', 'end' or an iterable of nodes")
-            return at  # type: ignore[return-value]
-        if not isinstance(at, Iterable):
-            raise ProblemError(f"{what}: at={quote(at)}, expected 'path', 'start', 'end' or an iterable of nodes")
-        try:
-            listed = list(at)
-        except Exception as error:
-            raise ProblemError(f"{what}: at={quote(at)} is no iterable of nodes") from error
-        nodes = sorted({integer(k, f"{what}: node in at=", 0) for k in listed})
-        if not nodes:
-            raise ProblemError(f"{what}: at= names no node")
-        if nodes[-1] > self.N:
-            raise ProblemError(f"{what}: node {nodes[-1]} in at= is out of range 0..{self.N}")
-        return tuple(nodes)
-
     # Initial state ---------------------------------------------------------------------------------------------------
 
     def free_initial(self, *states: Any) -> None:
-        """Let the solver choose these components of x_0 (symbols or names); xhat is their initial guess."""
+        """Let the solver choose components of x_0; xhat is their initial guess.
+
+        Args:
+            states: symbols or names.
+        """
         self.free.update(self._list_states(states, "free_initial"))
 
     def accumulator(self, *states: Any) -> None:
-        """Reset these states to 0 at every sample, e.g. running averages; their entries of xhat are ignored."""
+        """Reset states to 0 at every sample, e.g. running averages; their entries of xhat are ignored.
+
+        Args:
+            states: symbols or names.
+        """
         self.accumulators.update(self._list_states(states, "accumulator"))
 
     def cyclic(self, *states: Any) -> None:
-        """Mark states that grow without bound, e.g. a position; steady state, SDP and LQR leave them out."""
+        """Mark states that grow without bound, e.g. a position; steady state, tune() and LQR leave them out.
+
+        Args:
+            states: symbols or names.
+        """
         self.cyclic_states.update(self._list_states(states, "cyclic"))
 
     def _list_states(self, states: tuple[Any, ...], what: str) -> list[int]:
         if not states:
             raise ProblemError(f"{what} names no state{list_names(self._state_names())}")
         return [i for s in states for i in self._components(s, f"{what}:")]
-
-
-@dataclass(frozen=True, eq=False)
-class _Place:
-    """Rows that exist, with their new bounds, (statement, position, lower, upper), and a statement of those that do
-    not."""
-
-    taken: tuple[tuple[Statement, int, float, float], ...]
-    left: tuple[Statement, ...]
-
-    def take(self) -> None:
-        for statement, j, lower, upper in self.taken:
-            statement.lower[j], statement.upper[j] = lower, upper
-
-
-def _refuse_crossed(places: Sequence[_Place], what: str) -> None:
-    """Raise ProblemError if the two sides of a row would contradict each other."""
-    lowest: dict[str, float] = {}
-    for place in places:
-        rows = [(s.stated[j], lower, upper) for s, j, lower, upper in place.taken]
-        rows += [r for s in place.left for r in zip(s.stated, map(float, s.lower), map(float, s.upper), strict=True)]
-        for name, lower, upper in rows:
-            if lowest.setdefault(name, lower) > upper:
-                raise ProblemError(
-                    f"{what}: the row '{name}' contradicts that stated before: {lowest[name]:g} > {upper:g}"
-                )
-
-
-def _sides(
-    lower: Array, upper: Array, soft: Soft
-) -> Iterator[tuple[tuple[Side, bool], list[int], Array, Array, Penalty]]:
-    """((side, alone), rows, lower, upper, penalty): statements of rows, one for each side of a row whose penalties
-    differ; a side without a bound and without a penalty is none."""
-    below: Any = soft.lower
-    above: Any = soft.upper
-    both, none = np.full(len(lower), below == above), np.full(len(lower), np.inf)
-    no_lower, no_upper = ~both & (below is None) & (lower == -np.inf), ~both & (above is None) & (upper == np.inf)
-    two = ~(both | no_lower | no_upper)
-    for side, which, low, high, penalty in (
-        (("", True), both, lower, upper, below),
-        (("lower", True), no_upper, lower, upper, below),
-        (("upper", True), no_lower, lower, upper, above),
-        (("lower", False), two, lower, none, below),
-        (("upper", False), two, -none, upper, above),
-    ):
-        rows = [int(i) for i in np.flatnonzero(which)]
-        if rows:
-            yield side, rows, low[rows], high[rows], penalty  # type: ignore[misc]

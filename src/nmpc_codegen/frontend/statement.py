@@ -96,7 +96,27 @@ class Equation:
 
 
 class Stated:
-    """What an OCP has been told so far: its name, its grid, and every statement in the order of the calls."""
+    """What an OCP has been told so far: its name, its grid, and every statement in the order of the calls.
+
+    Attributes:
+        states: declarations of the states.
+        controls: of the controls.
+        parameters: of the parameters.
+        algebraics: of the algebraic variables.
+        equations: of algebraic_equation() and implicit_dynamics().
+        slopes: position in x -> SX: der(x), of a state in implicit equations.
+        derivatives: position in x -> SX.
+        maps: position in x -> SX: the value at the next node of a discrete state.
+        remembered: position in u -> SX: its value at the node before.
+        blocks: position in u -> lengths of the blocks of intervals.
+        node_data: symbols behind all parameters: what Newton's method finds at a node.
+        residuals: terms of least squares.
+        costs: general terms.
+        statements: rows.
+        free: positions in x that the solver chooses at node 0.
+        accumulators: positions that start at 0.
+        cyclic_states: positions that grow without bound.
+    """
 
     def __init__(self, name: str, N: int, dt: tuple[float, ...] | None, time_unit: str) -> None:
         self.name, self.N, self.dt, self.time_unit = name, N, dt, time_unit
@@ -105,12 +125,12 @@ class Stated:
         self.parameters: list[Declared] = []
         self.algebraics: list[Declared] = []
         self.equations: list[Equation] = []
-        self.slopes: dict[int, Any] = {}  # position in x -> SX: der(x), of a state in implicit equations
-        self.derivatives: dict[int, Any] = {}  # position in x -> SX
-        self.maps: dict[int, Any] = {}  # position in x -> SX: the value at the next node of a discrete state
-        self.remembered: dict[int, Any] = {}  # position in u -> SX: its value at the node before
-        self.blocks: dict[int, tuple[int, ...]] = {}  # position in u -> lengths of the blocks of intervals
-        self.node_data = NOTHING  # symbols behind all parameters: what Newton's method finds at a node
+        self.slopes: dict[int, Any] = {}
+        self.derivatives: dict[int, Any] = {}
+        self.maps: dict[int, Any] = {}
+        self.remembered: dict[int, Any] = {}
+        self.blocks: dict[int, tuple[int, ...]] = {}
+        self.node_data = NOTHING
         self.interval_before, self.clock = ca.SX.sym("interval"), ca.SX.sym("time")
         self._discrete: bool | None = None
         self.residuals: list[Residual] = []
@@ -133,11 +153,11 @@ class Stated:
 
     @property
     def terminal_lqr(self) -> LqrRequest | None:
-        """The request of lqr_terminal_cost(), None without one."""
+        """Internal: the request of lqr_terminal_cost(), None without one."""
         return self._terminal_lqr
 
     def element(self, scalar: Any) -> Element | None:
-        """Kind, position and name of a bare declared symbol; None for any other expression, and for foreign symbols."""
+        """Internal: kind, position and name of a bare declared symbol; None for any other expression."""
         is_bare = scalar.is_scalar() and scalar.is_symbolic()
         return self._elements.get(scalar.element_hash()) if is_bare else None
 

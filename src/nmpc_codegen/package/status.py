@@ -16,8 +16,11 @@ Array = NDArray[Any]
 class Status(IntEnum):
     """The status that a call of the C package returns; the values are those of <name>_status_t.
 
-    ``text`` is the result of <name>_status_string() in C, ``meaning`` an explanation in one line. It prints as
-    ``OK: solved``, and it compares, converts and formats with ``d`` as an integer.
+    It prints as ``OK: solved``, and it compares, converts and formats with ``d`` as an integer.
+
+    Attributes:
+        text: the result of <name>_status_string() in C.
+        meaning: an explanation in one line.
     """
 
     text: str
@@ -101,8 +104,13 @@ KKT_PARTS = ("stationarity", "equality", "inequality", "complementarity")
 class Kkt:
     """Largest violation of each part of the optimality conditions.
 
-    ``relative``: the largest of all, divided by its scale + the magnitudes of the terms that it sums; solve() stops
-    when it is at most ``tol``, which therefore means the same in all units.
+    Attributes:
+        stationarity: of the gradient of the Lagrangian.
+        equality: of the gaps of the dynamics and x_0 - xhat.
+        inequality: of bounds and rows.
+        complementarity: multiplier times distance to its bound.
+        relative: the largest of all, divided by its scale + the magnitudes of the terms that it sums; solve() stops
+            when it is at most ``tol``, which therefore means the same in all units. NaN of an algorithm without it.
     """
 
     stationarity: float
@@ -134,21 +142,36 @@ STALE = (
 
 @dataclass(frozen=True)
 class Stats:
-    """Statistics of the last call. Times (ns) are those of the C calls alone.
+    """Statistics of the last call. Times (ns) are those of the C calls alone; counters that an algorithm lacks are 0.
 
-    ``violated_row``, ``violated_node``, ``violation``: after INFEASIBLE or RELAXED the hard row (by the user's name)
-    that the last step of the QP violates most, its node, and the violation; else None, None and 0.
-    ``newton_iterations``, ``accepted``, ``faces``, ``cg_iterations``, ``shifts``, ``negative_curvature``: those of the
-    augmented Lagrangian, whose ``violation`` is the largest gap or violation of a hard row in its scale; else 0. Single
-    shooting has them without ``shifts``, and ``simulations`` of the plan.
-    ``residual``: of the plan at which the QP of the last sample was linearised: its largest gap in the scale of the
-    state, and the largest difference of a hard row from what the step before predicted for it, in the scale of the row;
-    above ``RealTimeIteration(tolerance=...)`` the status is NOT_CONVERGED. Of the augmented Lagrangian and of single
-    shooting it is that of the plan itself. ``repairs``: linearisations, or rounds of the augmented Lagrangian, that
-    prepare() has added to lower it.
-    ``kkt``: of the present plan.
-    ``first_deviation``: largest difference between the control of feedback_finish() and that of feedback_first().
-    ``stale_hessian``: parameters, weights or bounds are not those for which a constant Hessian was computed.
+    Attributes:
+        qp_iterations: iterations of the last QP.
+        active_set_changes: changes of its working set.
+        dropped_rows: redundant rows that were left out.
+        relaxed_rows: soft or relaxed rows that are violated.
+        sqp_iterations: iterations of the last solve().
+        violated_row: after INFEASIBLE or RELAXED the hard row (by the user's name) that the last step of the QP
+            violates most; else None.
+        violated_node: its node; else None.
+        violation: how much it is violated; of the augmented Lagrangian and of single shooting the largest gap or
+            violation of a hard row in its scale. Else 0.
+        kkt: residuals of the present plan.
+        prepare_ns: time of the preparation phase.
+        feedback_ns: time of the feedback phase.
+        stale_hessian: parameters, weights or bounds are not those for which a constant Hessian was computed.
+        first_deviation: largest difference between the control of feedback_finish() and that of feedback_first().
+        newton_iterations: steps of the augmented Lagrangian or of single shooting.
+        accepted: those that were accepted.
+        cg_iterations: iterations of conjugate gradients.
+        faces: sets of active bounds on which they ran.
+        shifts: shifts of a preconditioner.
+        negative_curvature: directions of negative curvature that were met.
+        simulations: of the plan, by single shooting.
+        residual: of the plan at which the QP of the last sample was linearised: its largest gap in the scale of the
+            state, and the largest difference of a hard row from what the step before predicted for it, in the scale of
+            the row; above ``RealTimeIteration(tolerance=...)`` the status is NOT_CONVERGED. Of the augmented Lagrangian
+            and of single shooting it is that of the plan itself.
+        repairs: linearisations, or rounds of the augmented Lagrangian, that prepare() has added to lower it.
     """
 
     qp_iterations: int

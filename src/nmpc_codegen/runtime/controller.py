@@ -32,8 +32,25 @@ Array = NDArray[Any]
 class Controller(Setters):
     """A controller with its memory, which build() or open_package() creates initialised and ready to step.
 
-    The arrays x, u, lam, mu_u are views on the current iterate; write an initial guess to them. The multipliers of
-    rows, mu_x, mu, mu_N and eta, are read-only copies; assign to them.
+    The whole state is one struct: copies, pickles and files are its bytes. One controller belongs to one thread at a
+    time.
+
+    Attributes:
+        description: what <name>.json says: sizes, signals, rows, options, the report of the compiler.
+        dims: sizes N, nx, nu, np, ny, ny_N, nh, nh_N (general rows of the path and of the end), nr (scalar rows).
+        names: names of the elements of every vector: states, controls, parameters, rows, residuals.
+
+    Examples:
+        >>> from nmpc_codegen import OCP, build
+        >>> ocp = OCP("tank", T=10.0, N=10)
+        >>> h, q = ocp.state("h", unit="m"), ocp.control("q", unit="m/s")
+        >>> ocp.dynamics({h: q - 0.1 * h})
+        >>> ocp.least_squares(h, weight=1, reference=0.5)
+        >>> ocp.subject_to(0, q, 0.2)
+        >>> controller = build(ocp)
+        >>> q0 = controller.step([0.3])
+        >>> controller.status.name
+        'OK'
     """
 
     # -- the real-time iteration ------------------------------------------------------------------------------------
@@ -85,11 +102,23 @@ class Controller(Setters):
         """One iteration at the state x_0 of the plan: a preparation at that level, the QP and its full step.
 
         It needs RealTimeIteration(levels=True). The plan changes only if the status is OK or RELAXED.
+
+        Args:
+            level: as in prepare().
+            on_failure: as in step().
         """
         return self._judge(self._call("iterate", self._s, given.level_number(level)), "iterate", on_failure)
 
     def feedback(self, xhat: ArrayLike, on_failure: OnFailure = "status") -> Array:
-        """Solve the prepared problem for the measured state (nx,); return the control (nu,) as step() does."""
+        """The feedback phase: solve the prepared problem for the measured state.
+
+        Args:
+            xhat: measured state (nx,), as in step().
+            on_failure: as in step().
+
+        Returns:
+            Control to apply (nu,), as step() does.
+        """
         self._measure(xhat)
         start = perf_counter_ns()
         status = self._call("feedback", self._s, self._xhat_c, self._u0_c)
@@ -98,17 +127,29 @@ class Controller(Setters):
         return self._u0.copy()
 
     def feedback_first(self, xhat: ArrayLike, on_failure: OnFailure = "status") -> Array:
-        """Return the control (nu,) for the measured state (nx,) on the predicted working set, before the QP is solved.
+        """The first part of the feedback phase: the control on the predicted working set, before the QP is solved.
 
         It needs RealTimeIteration(levels=True), an active-set method and a measured x_0. Apply the control, then call
         feedback_finish().
+
+        Args:
+            xhat: measured state (nx,).
+            on_failure: as in step().
+
+        Returns:
+            Control to apply (nu,).
         """
         self._measure(xhat)
         self._judge(self._call("feedback_first", self._s, self._xhat_c, self._u0_c), "feedback_first", on_failure)
         return self._u0.copy()
 
     def feedback_finish(self, on_failure: OnFailure = "status") -> Status:
-        """Solve the QP for the state of feedback_first() and update the plan; see stats.first_deviation."""
+        """The second part: solve the QP for the state of feedback_first() and update the plan; see
+        stats.first_deviation.
+
+        Args:
+            on_failure: as in step().
+        """
         start = perf_counter_ns()
         status = self._call("feedback_finish", self._s)
         self._feedback_ns = perf_counter_ns() - start

@@ -152,11 +152,11 @@ class Memory(Iterate):
         return self._package.dtype.itemsize
 
     def call_solve(self, tol: float, last: int) -> Status:
-        """C function solve() for the state last given, up to iteration ``last``."""
+        """Internal: C function solve() for the state last given, up to iteration ``last``."""
         return Status(self._call("solve", self._s, self._xhat_c, tol, last))
 
     def call_iteration(self) -> Status:
-        """C functions prepare() and feedback() for the state last given, or what replaces them."""
+        """Internal: C functions prepare() and feedback() for the state last given, or what replaces them."""
         if self._phases is None:
             return Status(self._call("step", self._s, self._xhat_c, self._u0_c))
         return Status(self._call("prepare", self._s) or self._call("feedback", self._s, self._xhat_c, self._u0_c))
@@ -184,11 +184,22 @@ class Memory(Iterate):
         return compiled.restore, (package.reload, dict(package.files), package.name, package.profile, state)
 
     def save(self, file: str | os.PathLike[str] | IO[bytes]) -> None:
-        """Write the state, the bytes of the struct and the fingerprint of its package, as an .npz archive."""
+        """Write the state, the bytes of the struct and the fingerprint of its package, as an .npz archive.
+
+        Args:
+            file: path, or a file that is open for writing bytes.
+        """
         compiled.write_state(file, self._package.fingerprint, self._memory)
 
     def load(self, file: str | os.PathLike[str] | IO[bytes]) -> None:
-        """Load a state that save() wrote; it must come from the same C package, but the profile may differ."""
+        """Load a state that save() wrote; it must come from the same C package, but the profile may differ.
+
+        Args:
+            file: path, or a file that is open for reading bytes.
+
+        Raises:
+            ControllerError: it is no such file, or one of another package.
+        """
         self._memory[:] = compiled.read_state(file, self._package, self._memory.shape)
 
     # -- calls and their arguments -------------------------------------------------------------------------------------

@@ -17,10 +17,15 @@ from nmpc_codegen.runtime.estimation.observer import Observer
 
 
 def open_package(directory: str | Path, profile: str = "fast", name: str | None = None) -> Controller:
-    """Compile and load an exported folder; ``name`` selects one of several packages in it.
+    """Compile and load an exported folder, without CasADi.
 
     The C code of the folder runs in this process, so open only folders that you trust. A description that does not
     match the C code raises an error.
+
+    Args:
+        directory: the folder.
+        profile: as in build().
+        name: selects one of several packages in the folder.
 
     Raises:
         BuildError: the folder does not contain that package, or not exactly one <name>.json with <name>.h and <name>.c;
@@ -33,7 +38,13 @@ def open_package(directory: str | Path, profile: str = "fast", name: str | None 
 
 
 def open_estimator(directory: str | Path, profile: str = "fast", name: str | None = None) -> Observer:
-    """Compile and load the estimator of an exported folder, under the rules of open_package()."""
+    """Compile and load the estimator of an exported folder, under the rules of open_package().
+
+    Args:
+        directory: the folder.
+        profile: as in build().
+        name: selects one of several estimators in the folder.
+    """
     files, prefix = _files(directory, name, estimator=True)
     return load_estimator(files, prefix, profile)
 

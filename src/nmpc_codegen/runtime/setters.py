@@ -45,7 +45,11 @@ class Setters(Memory, Addressing):
         self._set_residuals("reference", y, node)
 
     def set_terminal_reference(self, y: ArrayLike | Named) -> None:
-        """Set the reference of the terminal residual: (ny_N,), or {name: value}."""
+        """Set the reference of the terminal residual.
+
+        Args:
+            y: (ny_N,), or {name: value}.
+        """
         self._set_residuals("reference", y, self.dims.N)
 
     def set_weight(self, W: ArrayLike | Named, node: int | None = None) -> None:
@@ -66,7 +70,11 @@ class Setters(Memory, Addressing):
         self._set_residuals("weight", W, node)
 
     def set_terminal_weight(self, W: ArrayLike | Named) -> None:
-        """Set the weight of the terminal residual: (ny_N,) or (ny_N, ny_N), or {name: entry of the diagonal}."""
+        """Set the weight of the terminal residual.
+
+        Args:
+            W: the diagonal (ny_N,) or the matrix (ny_N, ny_N), or {name: entry of the diagonal}.
+        """
         self._set_residuals("weight", W, self.dims.N)
 
     # -- parameters and bounds ----------------------------------------------------------------------------------------
@@ -152,17 +160,31 @@ class Setters(Memory, Addressing):
     # -- the plant ----------------------------------------------------------------------------------------------------
 
     def set_previous(self, u: ArrayLike) -> None:
-        """Set the control that was applied last, (nu,): what the actuator did, where it is not what step() returned.
+        """Set the control that was applied last: what the actuator did, where it is not what step() returned.
 
         Call it after step() or feedback(), which set it to the control that they return.
+
+        Args:
+            u: (nu,).
+
+        Raises:
+            ControllerError: the problem contains neither previous() nor rate().
         """
         self._needs_inner(bool(self.description.inner.previous), "previous control", "ocp.previous(u) or ocp.rate(u)")
         value = self._array("previous control", u, (self.dims.nu,))
         self._expect(self._call("set_previous", self._s, self._pointer(value)), "set_previous")
 
     def set_time(self, time: float) -> None:
-        """Set the time of the next sample, in the unit of the problem; step() and feedback() move it on by the sampling
-        time. A sample that has been prepared sees the change to first order."""
+        """Set the time of the next sample, which step() and feedback() move on by the sampling time.
+
+        A sample that has been prepared sees the change to first order.
+
+        Args:
+            time: in the unit of the problem.
+
+        Raises:
+            ControllerError: the problem does not contain ocp.time.
+        """
         self._needs_inner(self.description.inner.time, "time", "ocp.time")
         value = float(self._array("time", time, ()))
         self._expect(self._call("set_time", self._s, value), "set_time")

@@ -32,25 +32,44 @@ class Solution:
     """Result of solve(); arrays are copies. Multipliers are positive at upper and negative at lower bounds.
 
     It prints in a few lines: status, cost, iterations, time, KKT residuals, first control, shapes.
+
+    Attributes:
+        status: OK if the KKT residual is at most ``tol``.
+        x: (N+1, nx), states.
+        u: (N, nu), controls.
+        z: (N+1, number), algebraic variables, at node N with u_{N-1}.
+        lam: (N+1, nx): lam[0] of x_0 = xhat, lam[k+1] of x_{k+1} = Phi_k.
+        mu_x: (N+1, nx), of bounds of states.
+        mu_u: (N, nu), of bounds of controls.
+        mu: (N, nh), of the general rows of the path.
+        mu_N: (nh_N,), of those of the end.
+        eta: (number,), of coupled rows.
+        cost: of the plan.
+        kkt: its residuals.
+        iterations: of the SQP method.
+        time_ns: time of computing (ns).
+        controls: names of the controls.
+        log: one entry per iteration; convergence_table() prints it.
+        plan: the plan with its rows, bounds and references, for plot().
     """
 
     status: Status
-    x: Array  # (N+1, nx)
-    u: Array  # (N, nu)
-    z: Array  # (N+1, number of algebraic variables), at node N with u_{N-1}
-    lam: Array  # (N+1, nx): lam[0] of x_0 = xhat, lam[k+1] of x_{k+1} = Phi_k
-    mu_x: Array  # (N+1, nx)
-    mu_u: Array  # (N, nu)
-    mu: Array  # (N, nh)
-    mu_N: Array  # (nh_N,)
-    eta: Array  # (number of coupled rows,)
+    x: Array
+    u: Array
+    z: Array
+    lam: Array
+    mu_x: Array
+    mu_u: Array
+    mu: Array
+    mu_N: Array
+    eta: Array
     cost: float
     kkt: Kkt
     iterations: int
     time_ns: int
-    controls: tuple[str, ...] = ()  # names of the controls
-    log: tuple[Iteration, ...] = ()  # one entry per iteration
-    plan: Plan | None = None  # with its rows, bounds and references
+    controls: tuple[str, ...] = ()
+    log: tuple[Iteration, ...] = ()
+    plan: Plan | None = None
 
     def convergence_table(self, file: str | os.PathLike[str] | None = None) -> str:
         """The iterations in aligned columns: cost, KKT residuals by parts and relative, length of the step, shift of

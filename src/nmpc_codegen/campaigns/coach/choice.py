@@ -51,9 +51,18 @@ class Entry:
 
 @dataclass(frozen=True, eq=False)
 class Choice:
-    """Chosen options. line: they as Python, to paste; intervals: N that was chosen; reason: why; entries: the table,
-    chosen and first: two of its rows, that of the choice, and of what others are compared with; result, default: their
-    campaigns, on the same fresh flights."""
+    """Options that were chosen by flights; print(choice) is the table.
+
+    Attributes:
+        options: the chosen ones.
+        intervals: N that was chosen.
+        line: the options as Python, to paste.
+        reason: why.
+        entries: the table, one for each candidate.
+        chosen: the row of the choice.
+        result: its campaign, on fresh flights.
+        default: the campaign of what others are compared with, on the same flights.
+    """
 
     options: Options
     intervals: int

@@ -31,9 +31,15 @@ WORST = 1e300
 
 @dataclass(frozen=True, eq=False)
 class Tuned:
-    """Weights that were found. weights, terminal_weights: {residual: weight}, for set_weight() and the statement;
-    value, declared: mean cost, with its standard error, on fresh flights with them and with the declared ones; study:
-    Optuna's, with all trials."""
+    """Weights that were found.
+
+    Attributes:
+        weights: {residual: weight}, for set_weight() and the statement.
+        terminal_weights: the same of the terminal residual.
+        value: mean cost with them on fresh flights, and its standard error.
+        declared: the same with the declared weights.
+        study: Optuna's, with all trials.
+    """
 
     weights: Mapping[str, float]
     terminal_weights: Mapping[str, float]

@@ -27,11 +27,22 @@ class Labels:
 
 @dataclass(frozen=True, eq=False)
 class Flown:
-    """Flights: their ``number``; ``start`` (F, nx); ``drawn`` (F, variables), what else was drawn for them; ``samples``
-    (F, statuses) by status; ``ended`` (F,), the status of the last one; ``failed`` (F,), the first failure, or -1;
-    ``broken`` (F,), the sample after which the state was not finite, or -1; ``cost`` (F,); ``violation`` (F, rows), the
-    largest, in the unit of the row, NaN where it is not known; ``last`` (F, nx), the last state; ``seconds`` (F, 2),
-    mean and longest time of a sample."""
+    """What is kept of F flights.
+
+    Attributes:
+        labels: names of the columns.
+        number: (F,), numbers of the flights.
+        start: (F, nx), initial states.
+        drawn: (F, variables), what else was drawn for them.
+        samples: (F, statuses), samples by status.
+        ended: (F,), the status of the last one.
+        failed: (F,), the first failure, or -1.
+        broken: (F,), the sample after which the state was not finite, or -1.
+        cost: (F,), as in Flights.
+        violation: (F, rows), the largest, in the unit of the row, NaN where it is not known.
+        last: (F, nx), the last state.
+        seconds: (F, 2), mean and longest time of a sample.
+    """
 
     labels: Labels
     number: Array
@@ -51,12 +62,12 @@ class Flown:
 
     @staticmethod
     def empty(labels: Labels, flights: int) -> Flown:
-        """Room for so many flights."""
+        """Internal: room for so many flights."""
         return Flown(labels, *(np.zeros((flights, *shape), kind) for kind, shape in layout(labels).values()))
 
     @staticmethod
     def of(flights: Flights, first: int, drawn: Array, start: Array, labels: Labels) -> Flown:
-        """A part of a campaign, from its summaries."""
+        """Internal: a part of a campaign, from its summaries."""
         f = flights
         columns = (
             *(first + np.arange(len(f)), start, drawn, f.status_counts, f.ended, f.failed, f.lost, f.cost),
@@ -71,12 +82,12 @@ class Flown:
         return {name: getattr(self, name) for name in layout(self.labels)}
 
     def put(self, other: Flown, at: Array | slice) -> None:
-        """Write the flights of another one to these places."""
+        """Internal: write the flights of another one to these places."""
         for name, column in self.columns.items():
             column[at] = getattr(other, name)
 
     def of_some(self, some: Any) -> Flown:
-        """Those that a slice, a mask or places name."""
+        """Internal: those that a slice, a mask or places name."""
         return Flown(self.labels, *(column[some] for column in self.columns.values()))
 
     def final(self, state: str) -> Array:

@@ -32,11 +32,16 @@ DRAWN, DRAWN_LOST = 300, 100
 
 @dataclass(frozen=True, eq=False)
 class Campaign:
-    """The flights of a campaign and their verdicts.
+    """The flights of a campaign and their verdicts; print(result) is their summary.
 
-    flown: what is kept of every flight (Flown): number, start, drawn, samples by status, cost, violation by row, last
-    state, time. reasons: (F,), why each is lost (Reason). complete: False after an interrupt. ``best`` (F,): costs of
-    reference loops (see campaign(against=)), NaN where none was flown; None: none.
+    Attributes:
+        job: what was flown, by whom.
+        rules: by which a flight is lost.
+        flown: what is kept of every flight.
+        reasons: (F,), why each is lost, numbers of Reason.
+        complete: False after an interrupt.
+        best: (F,), costs of reference loops (see campaign(against=)), NaN where none was flown; None: none.
+        against: what flew them.
     """
 
     job: Job
@@ -113,7 +118,11 @@ class Campaign:
         )
 
     def verdict(self, number: int) -> str:
-        """One line on a flight: why it is lost, its cost, from where it started, what was drawn for it."""
+        """One line on a flight: why it is lost, its cost, from where it started, what was drawn for it.
+
+        Args:
+            number: of the flight.
+        """
         i, f = self._place(number), self.flown
         reason = Reason(self.reasons[i])
         why = reason.words
@@ -141,8 +150,11 @@ class Campaign:
     def replay(self, number: int, before: Before | None = None) -> Log:
         """Fly a flight again with simulate(), sample by sample: the log has the same states to the bit.
 
-        A flight whose state was not finite ends before that. ``before``: before(k, ctrl), called before sample k, to
-        look at plans.
+        A flight whose state was not finite ends before that.
+
+        Args:
+            number: of the flight.
+            before: before(k, ctrl), called before sample k, to look at plans.
 
         Raises:
             ControllerError: there is no such flight.
@@ -151,7 +163,7 @@ class Campaign:
         return replay(self.job, number, int(self.flown.broken[i]), self.flown.last[i], before)
 
     def fly_again(self, number: int) -> Flights:
-        """The same with its samples as Flights of one, in compiled code."""
+        """Internal: the same with its samples as Flights of one, in compiled code."""
         self._place(number)
         return self._flyer.simulate(self.job.statement.whole_data(number), number, record=True)
 
@@ -172,6 +184,9 @@ class Campaign:
     def plot(self, file: str | os.PathLike[str] | None = None) -> Any:
         """Figure of the paths of some flights, 300 at most, lost ones in red on top; the worst ones are among them.
 
+        Args:
+            file: where it is written; None: nowhere.
+
         Raises:
             ControllerError: nothing was flown.
             ExtraError: matplotlib is not installed.
@@ -183,13 +198,22 @@ class Campaign:
         return pictures.draw_flights(again, len(lost), self._title, self._unit, file)
 
     def plot_distributions(self, file: str | os.PathLike[str] | None = None) -> Any:
-        """Figure of the distributions of costs, violations of rows, and times of samples; raises what plot() raises."""
+        """Figure of the distributions of costs, violations of rows, and times of samples; raises what plot() raises.
+
+        Args:
+            file: where it is written; None: nowhere.
+        """
         self._check_some()
         return pictures.draw_distributions(self.flown, self.rules.allowed, self.lost, self._title, self._unit, file)
 
     def plot_lost(self, file: str | os.PathLike[str] | None = None) -> Any:
         """Figure of lost flights over pairs of what was drawn: the starts and parameters in which lost and other
-        flights differ most; raises what plot() raises."""
+        flights
+        differ most; raises what plot() raises.
+
+        Args:
+            file: where it is written; None: nowhere.
+        """
         self._check_some()
         return pictures.draw_pairs(self.flown, self.lost, self._title, self._unit, file)
 

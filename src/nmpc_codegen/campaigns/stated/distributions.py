@@ -29,7 +29,8 @@ class Box:
     """A number that is uniform between two limits, or a vector of independent ones.
 
     Args:
-        lower, upper: lower <= upper, finite; numbers, or one for each element of the vector.
+        lower: finite; a number, or one for each element of the vector.
+        upper: the same, not below ``lower``.
     """
 
     lower: ArrayLike

@@ -86,34 +86,36 @@ STEP = EntryPoint(
 
 @dataclass(frozen=True)
 class AdjointShooting(Defaults):
-    """A fixed number of steps per sample, each with a bounded number of simulations.
+    """Single shooting with adjoints: a fixed number of steps per sample, each with a bounded number of simulations.
 
-    ``method``: "gauss_newton", whose steps take ``products`` products with the Hessian at most (default: one for each
-    control of the plan, between 12 and 100), or "quasi_newton", a projected method that stores ``memory`` pairs of
-    vectors (default 5) and needs gradients alone.
-    ``iterations``: steps of a sample (default 1 or 10). ``trials``: simulations of a step at most (default 2), besides
-    one at the start of a sample and one after a step that is given up.
+    With rows="smooth_l1", "barrier" and "lumped" a continuation over the samples makes the terms sharper while steps
+    are accepted at once. A sample then has 3 Gauss-Newton steps of 4 trials by default.
 
-    ``rows``: the terms of rows other than bounds of controls. "augmented_lagrangian": exact, with one update of the
-    multipliers per sample. "smooth_l1": an l1 penalty with a smooth max, exact in the limit of solve() if no multiplier
-    exceeds the weight. "barrier": logarithmic barriers, which keep a distance from the bounds, recentred in every
-    sample at the end of the plan; solve() decreases their weight to 0. "lumped": the sum C of the smooth l1 terms as
-    one scalar row C <= 0, whose multiplier solve() increases. Soft rows keep their penalties, and have no barriers.
-    ``penalty``: weight of the rows in their scales. The scale of a row is the magnitude of its slopes or that of its
-    bounds, whichever is smaller. None: three times the largest curvature of the cost of a node along a state in its
-    scale. A general cost counts with N of its slopes, a cost of controls alone with its curvature along them, and
-    barriers have a hundredth of that weight.
-
-    With "smooth_l1", "barrier" and "lumped" a continuation over the samples makes the terms sharper while steps are
-    accepted at once. A sample then has 3 Gauss-Newton steps of 4 trials by default.
-
-    ``repair``: steps that a sample may add while the last one is longer than ``tolerance`` in the scale of a control
-    and was not taken as a whole; 0 in packages without solve() and for microcontrollers.
-
-    ``shift`` and ``sampling_time``: how the plan moves before every step but the first, as in RealTimeIteration; by
-    default as "auto" does there.
-    ``tolerance``: violation of a hard row in its scale above which a sample is NOT_CONVERGED, as it is if the last step
-    was cut and is longer than that in the first control.
+    Args:
+        method: "gauss_newton", by conjugate gradients inside the bounds, or "quasi_newton", a projected method that
+            needs gradients alone.
+        iterations: steps of a sample; None: 1, or 10 with "quasi_newton".
+        products: products with the Hessian of a Gauss-Newton step at most; None: one for each control of the plan,
+            between 12 and 100.
+        memory: pairs of vectors that "quasi_newton" stores; None: 5.
+        trials: simulations of a step at most, besides one at the start of a sample and one after a step that is given
+            up; None: 2.
+        rows: the terms of rows other than bounds of controls. "augmented_lagrangian": exact, with one update of the
+            multipliers per sample. "smooth_l1": an l1 penalty with a smooth max, exact in the limit of solve() if no
+            multiplier exceeds the weight. "barrier": logarithmic barriers, which keep a distance from the bounds,
+            recentred in every sample at the end of the plan; solve() decreases their weight to 0. "lumped": the sum C
+            of the smooth l1 terms as one scalar row C <= 0, whose multiplier solve() increases. Soft rows keep their
+            penalties, and have no barriers.
+        penalty: weight of the rows in their scales. The scale of a row is the magnitude of its slopes or that of its
+            bounds, whichever is smaller. None: three times the largest curvature of the cost of a node along a state in
+            its scale. A general cost counts with N of its slopes, a cost of controls alone with its curvature along
+            them, and barriers have a hundredth of that weight.
+        tolerance: violation of a hard row in its scale above which a sample is NOT_CONVERGED, as it is if the last step
+            was cut and is longer than that in the first control.
+        repair: steps that a sample may add while the last one is longer than ``tolerance`` in the scale of a control
+            and was not taken as a whole; 0 in packages without solve() and for microcontrollers.
+        shift: how the plan moves before every step but the first, as in RealTimeIteration.
+        sampling_time: time between samples, as in RealTimeIteration.
     """
 
     method: str = option("gauss_newton", Words(METHODS))

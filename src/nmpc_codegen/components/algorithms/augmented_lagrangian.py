@@ -70,22 +70,27 @@ PROXIMAL = 0.3
 
 @dataclass(frozen=True)
 class AugmentedLagrangian(Defaults):
-    """``iterations`` Newton iterations per sample on the augmented Lagrangian with the penalty ``penalty``.
+    """Newton iterations on the augmented Lagrangian, without a QP.
 
-    ``penalty``: rho in the scales of states and rows; None: 3,000 times what the cost changes by in the scale of a
-    variable, its curvature or, for general costs, N of its slopes. It grows by factors of 10 while accepted steps do
-    not reduce a large violation, up to 100 times its usual value. ``proximal``: weight r of the term r/2 |z - z_c|^2
-    that keeps the refinement near the Cauchy point z_c; None: 0.3 times the largest curvature of a stage with a Hessian
-    that depends on multipliers, else 0. ``radius``: of the trust region of a new plan; later samples begin with that of
-    the sample before. Variables are divided by their declared initial value or bounds, rows by their declared
-    magnitude.
+    Variables are divided by their declared initial value or bounds, rows by their declared magnitude. OK is said of a
+    plan near the model, which need not be optimal yet. A sample is NOT_CONVERGED if stats.residual, its largest gap or
+    violation in these scales, exceeds ``tolerance``, or if the last step did not do what its model promised. A plan
+    that is then farther from the model than a fresh one starts anew, and so does every plan after 10 such samples on
+    end.
 
-    ``repair``: rounds, each as much work as a sample, that prepare() may add at the predicted x_0 of a new plan, or
-    after a sample that failed or was NOT_CONVERGED; 0: none. A sample is NOT_CONVERGED if stats.residual, its largest
-    gap or violation in the scales of states and rows, exceeds ``tolerance``, or if the last step did not do what its
-    model promised. A plan that is then farther from the model than a fresh one starts anew, and so does every plan
-    after 10 such samples on end. OK is said of a plan near the model, which need not be optimal yet. ``shift`` and
-    ``sampling_time``: how the plan moves before every prepare but the first, as in RealTimeIteration.
+    Args:
+        iterations: Newton iterations per sample.
+        penalty: rho in the scales of states and rows; None: 3,000 times what the cost changes by in the scale of a
+            variable, its curvature or, for general costs, N of its slopes. It grows by factors of 10 while accepted
+            steps do not reduce a large violation, up to 100 times its usual value.
+        proximal: weight r of the term r/2 |z - z_c|^2 that keeps the refinement near the Cauchy point z_c; None: 0.3
+            times the largest curvature of a stage with a Hessian that depends on multipliers, else 0.
+        radius: of the trust region of a new plan, in the scales; later samples begin with that of the sample before.
+        repair: rounds, each as much work as a sample, that prepare() may add at the predicted x_0 of a new plan, or
+            after a sample that failed or was NOT_CONVERGED; 0: none.
+        tolerance: stats.residual above which a sample is NOT_CONVERGED.
+        shift: how the plan moves before every prepare but the first, as in RealTimeIteration.
+        sampling_time: time between samples, as in RealTimeIteration.
     """
 
     iterations: int = option(3, Whole(most=1000))

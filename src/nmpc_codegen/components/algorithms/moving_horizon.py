@@ -48,9 +48,11 @@ def _shared_structs(dims: Dims) -> tuple[Struct, ...]:
 class MovingHorizon(Defaults):
     """The algorithm of ``ocp.estimator(..., kind="mhe")``.
 
-    ``iterations``: QPs of a sample at most; there is another one while the estimate moves by more than ``tolerance`` in
-    the scale of a state, or a gap of the window is larger. With a larger gap after the last one the sample is
-    NOT_CONVERGED, and the estimate is that of the filter.
+    Args:
+        iterations: QPs of a sample at most; there is another one while the estimate moves by more than ``tolerance``,
+            or a gap of the window is larger.
+        tolerance: in the scale of a state. With a larger gap after the last iteration the sample is NOT_CONVERGED, and
+            the estimate is that of the filter.
     """
 
     iterations: int = option(3, Whole(most=100))

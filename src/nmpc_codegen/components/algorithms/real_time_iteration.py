@@ -141,37 +141,41 @@ def state_size(dims: Dims) -> Field:
 
 @dataclass(frozen=True)
 class RealTimeIteration(Defaults):
-    """One QP per sample, with a full step. ``shift``: how the plan moves before every prepare but the first.
+    """One QP per sample, with a full step; repair=0, shift=None, relaxation=None is the pure scheme.
 
-    None: not at all. "repeat": by one interval; the last control is repeated and the last state integrated. "periodic":
-    by one interval; the first control becomes the last one, the states are integrated again, and accumulators start at
-    0. "resample": the old plan is evaluated ``sampling_time`` (s) later, on any grid. "auto": "periodic" where coupled
-    rows compare x_N with a measured x_0; None where x_0 is more than a measured state, or the grid is not uniform; else
-    "resample" if a ``sampling_time`` is given that differs from the interval, "repeat" if not. ``sampling_time`` goes
-    with every shift; "repeat" and "periodic" are for that of one interval.
-
-    ``repair``: linearisations that prepare() may add at the predicted x_0, each with a QP and a step that is shortened
-    until it reduces stats.residual, while that is above ``tolerance``, while the first control of a new plan moves, or
-    after a sample that failed; 0: none. ``tolerance``: stats.residual of the plan, before or after the step of a
-    sample, above which it is NOT_CONVERGED; so it is while the first control of a new plan moves.
-
-    ``relaxation``: l1 weight with which hard rows on states are relaxed at a sample whose QP is infeasible; the status
-    is then RELAXED. It is that of a violation in the scale of its row, in units of the cost; "auto": 1e4. At early
-    nodes it falls while samples stay RELAXED. None: the status is INFEASIBLE, and the plan does not change. repair=0,
-    shift=None, relaxation=None: the pure scheme.
-
-    ``simulate``: single shooting. prepare() simulates the plan from its x_0 with its controls before it linearises it,
-    so that the QP has no gaps (Houska, Ferreau and Diehl, Automatica 47, 2011, section 2.2). What the states change by
-    counts in stats.residual. A simulation that is not finite leaves the plan as it is. There is no repair, and solve()
-    is that of multiple shooting.
-
-    ``levels``: adds prepare_level() and iterate(), which keep derivatives and factors and evaluate part of the rest.
-    Where the QP solver has a working set, DenseActiveSet() and RiccatiActiveSet(), and x_0 is the measured state, the
-    feedback phase is split as well: feedback_first() returns the control of the minimiser on the predicted working set,
-    clipped to its bounds, by one product with a matrix; feedback_finish() solves the QP.
+    Args:
+        shift: how the plan moves before every prepare but the first. None: not at all. "repeat": by one interval; the
+            last control is repeated and the last state integrated. "periodic": by one interval; the first control
+            becomes the last one, the states are integrated again, and accumulators start at 0. "resample": the old plan
+            is evaluated ``sampling_time`` later, on any grid. "auto": "periodic" where coupled rows compare x_N with a
+            measured x_0; None where x_0 is more than a measured state, or the grid is not uniform; else "resample" if a
+            ``sampling_time`` is given that differs from the interval, "repeat" if not.
+        sampling_time: time between samples (the OCP's unit of time), with every shift; "repeat" and "periodic" are for
+            that of one interval. None: one interval.
+        repair: linearisations that prepare() may add at the predicted x_0, each with a QP and a step that is shortened
+            until it reduces stats.residual, while that is above ``tolerance``, while the first control of a new plan
+            moves, or after a sample that failed; 0: none.
+        tolerance: stats.residual of the plan, before or after the step of a sample, above which it is NOT_CONVERGED; so
+            it is while the first control of a new plan moves.
+        relaxation: l1 weight with which hard rows on states are relaxed at a sample whose QP is infeasible; the status
+            is then RELAXED. It is that of a violation in the scale of its row, in units of the cost; "auto": 1e4. At
+            early nodes it falls while samples stay RELAXED. None: the status is INFEASIBLE, and the plan does not
+            change.
+        simulate: single shooting. prepare() simulates the plan from its x_0 with its controls before it linearises it,
+            so that the QP has no gaps (Houska, Ferreau and Diehl, Automatica 47, 2011, section 2.2). What the states
+            change by counts in stats.residual. A simulation that is not finite leaves the plan as it is. There is no
+            repair, and solve() is that of multiple shooting.
+        levels: add prepare_level() and iterate(), which keep derivatives and factors and evaluate part of the rest.
+            Where the QP solver has a working set, DenseActiveSet() and RiccatiActiveSet(), and x_0 is the measured
+            state, the feedback phase is split as well: feedback_first() returns the control of the minimiser on the
+            predicted working set, clipped to its bounds, by one product with a matrix; feedback_finish() solves the QP.
 
     Levels: Bock et al., in Assessment and Future Directions of NMPC (2007), multi-level iterations; Nurkanovic et al.,
     CDC 2019, advanced step real-time iteration. There, D is the level that evaluates everything; here it is A.
+
+    Examples:
+        >>> from nmpc_codegen import Options, RealTimeIteration
+        >>> options = Options(algorithm=RealTimeIteration(sampling_time=0.02))
     """
 
     shift: str | None = option("auto", Words(("auto", *SHIFTS)))

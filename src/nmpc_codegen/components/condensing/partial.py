@@ -21,9 +21,11 @@ from nmpc_codegen.package.opcount import OpCount
 
 @dataclass(frozen=True)
 class PartialCondensing(Defaults):
-    """Eliminate all states but every ``block``-th: ceil(N / block) stages with block nu controls each.
+    """Eliminate all states but every block-th: ceil(N / block) stages with block nu controls each.
 
-    A block is at most as long as the horizon; a shorter last block is padded with controls that stay 0.
+    Args:
+        block: intervals of a stage, at most as many as the horizon has; a shorter last block is padded with controls
+            that stay 0.
     """
 
     block: int = option(2, Whole())

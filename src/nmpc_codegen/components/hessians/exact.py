@@ -65,10 +65,16 @@ _SWEEPS: dict[str, Symmetric | ForwardOverAdjoint] = {cls.scheme: cls() for cls 
 
 @dataclass(frozen=True)
 class ExactHessian(Defaults):
-    """Exact second derivatives; ``levenberg_marquardt`` >= 0 is added to the diagonal of every block.
+    """Exact second derivatives of the Lagrangian, for any cost.
 
-    regularization: Project(floor, level), Mirror(floor, level) or None, applied if the QP would not be convex.
-    sweep: Symmetric() or ForwardOverAdjoint(), the propagation of second derivatives of the dynamics.
+    Args:
+        regularization: what is done where the QP would not be convex; None: nothing.
+        sweep: the propagation of second derivatives of the dynamics.
+        levenberg_marquardt: added to the diagonal of every block.
+
+    Examples:
+        >>> from nmpc_codegen import ExactHessian, Mirror, Options
+        >>> options = Options(hessian=ExactHessian(Mirror(1e-4, level="stage")))
     """
 
     regularization: Regularization | None = option(Mirror(), Named(_REGULARIZATIONS, (Project, Mirror)))

@@ -26,11 +26,14 @@ from nmpc_codegen.package.memory import Field, Struct
 
 @dataclass(frozen=True)
 class GaussNewton(Defaults):
-    """Gauss-Newton Hessian; ``levenberg_marquardt`` >= 0 is added to its diagonal.
+    """Gauss-Newton Hessian of a cost of least squares: H = sum_k J_k' W_k J_k, J_k the Jacobian of the residual.
 
-    ``convex_rows`` adds mu_i d2 h_i of every general row for which it is positive semidefinite, with the multipliers of
-    the last QP; with discs and other convex rows steps need this to converge. Linear rows have none. If this Hessian is
-    given, and not chosen by the compiler, solve() has it, too.
+    If it is given, and not chosen by the compiler, solve() has it, too.
+
+    Args:
+        convex_rows: add mu_i d2 h_i of every general row for which it is positive semidefinite, with the multipliers of
+            the last QP; with discs and other convex rows steps need this to converge. Linear rows have none.
+        levenberg_marquardt: added to the diagonal.
     """
 
     convex_rows: bool = option(True, Flag())

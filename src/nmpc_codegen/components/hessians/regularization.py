@@ -25,8 +25,7 @@ LEVELS = ("reduced", "stage")
 
 @dataclass(frozen=True)
 class EigenvalueFloor:
-    """``floor``: smallest eigenvalue, relative to the largest absolute one; ``level``: "reduced" changes the reduced
-    Hessian, and only if it is not positive definite; "stage" treats the block of every node."""
+    """Which eigenvalues of a Hessian are changed."""
 
     floor: float = option(1e-8, Number(upper=1.0))
     level: str = option("reduced", Words(LEVELS))
@@ -39,13 +38,24 @@ class EigenvalueFloor:
 
 @dataclass(frozen=True)
 class Project(EigenvalueFloor):
-    """Raises eigenvalues below the floor to the floor."""
+    """Raises eigenvalues below the floor to the floor.
+
+    Args:
+        floor: as in Mirror.
+        level: as in Mirror.
+    """
 
     mirrors: ClassVar[bool] = False
 
 
 @dataclass(frozen=True)
 class Mirror(EigenvalueFloor):
-    """Changes the sign of negative eigenvalues, and raises small ones to the floor. The default."""
+    """Changes the sign of negative eigenvalues, and raises small ones to the floor. The default.
+
+    Args:
+        floor: smallest eigenvalue, relative to the largest absolute one.
+        level: "reduced" changes the Hessian on the predicted working set, and only if it is not positive definite;
+            "stage" treats the block of every node.
+    """
 
     mirrors: ClassVar[bool] = True

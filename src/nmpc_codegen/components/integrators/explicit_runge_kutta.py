@@ -58,12 +58,19 @@ SCHEMES: dict[str, type[ThreeSweeps] | type[AdjointSweep]] = {
 
 @dataclass(frozen=True)
 class ExplicitRungeKutta(Defaults):
-    """Explicit Runge-Kutta scheme with ``steps`` equal steps per interval.
+    """Explicit Runge-Kutta scheme with equal steps per interval.
 
-    unroll: "all" (one straight-line program per interval), "step" (a loop over steps), "none" (loops over steps and
-    sensitivity columns, calls per stage), "auto" (the most unrolled one below a size limit). With second derivatives
-    "all" keeps loops over columns and over the stages of a step: with vector instructions they are twice as fast as one
-    straight-line program, in half the code.
+    Args:
+        tableau: the scheme.
+        steps: steps per interval.
+        unroll: "all" (one straight-line program per interval), "step" (a loop over steps), "none" (loops over steps and
+            sensitivity columns, calls per stage), "auto" (the most unrolled one below a size limit). With second
+            derivatives "all" keeps loops over columns and over the stages of a step: with vector instructions they are
+            twice as fast as one straight-line program, in half the code.
+
+    Examples:
+        >>> from nmpc_codegen import RK4, ExplicitRungeKutta, Options
+        >>> options = Options(integrator=ExplicitRungeKutta(RK4, steps=2))
     """
 
     tableau: ButcherTableau = option(RK4, Named(TABLEAUS, (ButcherTableau,)))

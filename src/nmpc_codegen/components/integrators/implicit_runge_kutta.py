@@ -50,11 +50,18 @@ NEWTON_STEPS = 2
 
 @dataclass(frozen=True)
 class ImplicitRungeKutta(Defaults):
-    """Implicit Runge-Kutta scheme with ``steps`` equal steps per interval, for stiff models and algebraic equations.
+    """Implicit Runge-Kutta scheme with equal steps per interval, for stiff models and algebraic equations.
 
-    newton: steps of Newton's method per stage in a sample; None: 2, or up to 12 if the first plan needs them. The last
-    correction of the stages counts in stats.residual. solve(), kkt(), integrate() and derivatives iterate to rounding
-    errors.
+    Args:
+        tableau: the scheme.
+        steps: steps per interval.
+        newton: steps of Newton's method per stage in a sample; None: 2, or up to 12 if the first plan needs them. The
+            last correction of the stages counts in stats.residual. solve(), kkt(), integrate() and derivatives iterate
+            to rounding errors.
+
+    Examples:
+        >>> from nmpc_codegen import ImplicitRungeKutta, Options, RadauIIA3
+        >>> options = Options(integrator=ImplicitRungeKutta(RadauIIA3))
     """
 
     tableau: ButcherTableau = option(SDIRK3, Named(IMPLICIT, (ButcherTableau,)))

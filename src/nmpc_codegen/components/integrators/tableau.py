@@ -35,14 +35,28 @@ STABILITY = ("", "A", "L")
 
 @dataclass(frozen=True)
 class ButcherTableau:
-    """Scheme X_i = x + h sum_j a_ij K_j, K_i = f(X_i), x+ = x + h sum_i b_i K_i, of the given order.
+    """Scheme X_i = x + h sum_j a_ij K_j, K_i = f(X_i), x+ = x + h sum_i b_i K_i.
 
     Checked on creation: a is lower triangular with a diagonal that is not negative, or regular; the order conditions
     hold up to min(order, 4), beyond that those of quadrature, exactly or, with floating-point coefficients, up to
-    rounding, and so does the stability that is claimed: "A": |R(z)| <= 1 for Re z <= 0; "L": also R = 0 at infinity;
-    "": nothing.
+    rounding, and so does the stability that is claimed.
 
         R(z) = 1 + z b' (I - z A)^{-1} 1 = det(I - z (A - 1 b')) / det(I - z A)
+
+    Args:
+        name: its name in reports.
+        a: (s, s), rows of fractions or numbers.
+        b: (s,).
+        order: the order that it has.
+        stability: "A": |R(z)| <= 1 for Re z <= 0; "L": also R = 0 at infinity; "": nothing is claimed.
+
+    Raises:
+        OptionError: a condition does not hold.
+
+    Examples:
+        >>> from nmpc_codegen import ButcherTableau, ExplicitRungeKutta
+        >>> ralston = ButcherTableau("Ralston", ((0, 0), (2 / 3, 0)), (1 / 4, 3 / 4), 2)
+        >>> integrator = ExplicitRungeKutta(ralston, steps=3)
     """
 
     name: str
@@ -100,6 +114,7 @@ class ButcherTableau:
 
     @property
     def stages(self) -> int:
+        """Number of stages."""
         return len(self.b)
 
     @property
@@ -163,15 +178,20 @@ def _values(*values: Fraction | int) -> tuple[Fraction, ...]:
 
 
 Euler = ButcherTableau("Euler", _fractions(()), _values(1), 1)
+"""One stage, order 1, explicit."""
 Midpoint = ButcherTableau("Midpoint", _fractions((), (F(1, 2),)), _values(0, 1), 2)
+"""Two stages, order 2, explicit."""
 Heun = ButcherTableau("Heun", _fractions((), (1,)), _values(F(1, 2), F(1, 2)), 2)
+"""Two stages, order 2, explicit: the trapezoidal rule."""
 SSPRK3 = ButcherTableau("SSPRK3", _fractions((), (1,), (F(1, 4), F(1, 4))), _values(F(1, 6), F(1, 6), F(2, 3)), 3)
+"""Three stages, order 3, explicit: convex combinations of Euler steps (Shu and Osher 1988)."""
 RK4 = ButcherTableau(
     "RK4",
     _fractions((), (F(1, 2),), (0, F(1, 2)), (0, 0, 1)),
     _values(F(1, 6), F(1, 3), F(1, 3), F(1, 6)),
     4,
 )
+"""Four stages, order 4, explicit: the classical scheme, and the default."""
 
 #: Explicit schemes by name.
 TABLEAUS: dict[str, ButcherTableau] = {t.name: t for t in (Euler, Midpoint, Heun, SSPRK3, RK4)}
@@ -202,10 +222,15 @@ _G2 = 1 - math.sqrt(0.5)
 _ROOT = 0.43586652150845899942
 
 ImplicitEuler = ButcherTableau("ImplicitEuler", ((F(1),),), _values(1), 1, "L")
+"""One stage, order 1, L-stable."""
 ImplicitMidpoint = ButcherTableau("ImplicitMidpoint", ((F(1, 2),),), _values(1), 2, "A")
+"""One stage, order 2, A-stable."""
 SDIRK2 = ButcherTableau("SDIRK2", ((_G2, 0.0), (1 - _G2, _G2)), (1 - _G2, _G2), 2, "L")
+"""Two stages, order 2, L-stable, one factorisation for both."""
 SDIRK3 = _sdirk3()
+"""Three stages, order 3, L-stable (Alexander 1977): what stiff models and equations get by default."""
 ESDIRK3 = _esdirk3()
+"""Four stages, the first one explicit, order 3, L-stable, stages of order 2 (Kennedy and Carpenter 2016)."""
 
 
 def _collocation(name: str, c: Sequence[float], order: int, stability: Literal["A", "L"]) -> ButcherTableau:
@@ -221,9 +246,13 @@ def _collocation(name: str, c: Sequence[float], order: int, stability: Literal["
 
 _R6, _R15 = math.sqrt(6), math.sqrt(15)
 GaussLegendre2 = _collocation("GaussLegendre2", (0.5 - math.sqrt(3) / 6, 0.5 + math.sqrt(3) / 6), 4, "A")
+"""Two stages that depend on each other, order 4, A-stable, symmetric."""
 GaussLegendre3 = _collocation("GaussLegendre3", (0.5 - _R15 / 10, 0.5, 0.5 + _R15 / 10), 6, "A")
+"""Three stages that depend on each other, order 6, A-stable, symmetric."""
 RadauIIA2 = _collocation("RadauIIA2", (1 / 3, 1.0), 3, "L")
+"""Two stages that depend on each other, order 3, L-stable."""
 RadauIIA3 = _collocation("RadauIIA3", ((4 - _R6) / 10, (4 + _R6) / 10, 1.0), 5, "L")
+"""Three stages that depend on each other, order 5, L-stable."""
 
 #: Implicit schemes by name.
 IMPLICIT: dict[str, ButcherTableau] = {

@@ -37,10 +37,12 @@ PROXIMAL_STEPS = math.ceil(CAUTION * PROXIMAL_STEPS_NEEDED)
 
 @dataclass(frozen=True)
 class DenseActiveSet(Defaults):
-    """Options of the dense active-set solver.
+    """Dual active-set solver of the condensed QP, to rounding accuracy.
 
-    ``max_iterations``: maximum number of working-set changes in one feedback phase; None: 6.8 (NV + NG),
-    at least 50.
+    It starts with the working set of the QP before.
+
+    Args:
+        max_iterations: changes of the working set in one feedback phase at most; None: 6.8 (NV + NG), at least 50.
     """
 
     seam: ClassVar[Seam] = "qp"

@@ -29,7 +29,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Osqp(Defaults):
-    """Options of OSQP: maximum number of iterations, absolute and relative tolerance ``eps`` of its residuals."""
+    """OSQP, as the osqp package generates it for the condensed QP: an oracle, for build() only.
+
+    Args:
+        max_iterations: its iterations at most.
+        eps: absolute and relative tolerance of its residuals.
+    """
 
     max_iterations: int = option(20_000, Whole())
     eps: float = option(1e-9, Number())

@@ -79,13 +79,14 @@ def _schur_struct(dims: Dims) -> Struct:
 
 @dataclass(frozen=True)
 class RiccatiActiveSet(Defaults):
-    """Options of the Riccati active-set solver.
+    """Active-set solver of a QP on stages, to rounding accuracy; time and memory are linear in N.
 
-    ``max_iterations``: maximum number of working sets that are tried in one feedback phase; None: 30. ``fallback``: the
-    method, with its options, that takes over earlier, once the number of changes has failed to fall three times. It
-    continues until its iterate indicates a working set, from which the active-set method finishes. With None a QP for
-    which no working set is found, even an infeasible one, ends with ITERATION_LIMIT (crossed bounds with INFEASIBLE),
-    and the package is smaller.
+    Args:
+        max_iterations: working sets that are tried in one feedback phase at most; None: 30.
+        fallback: the method, with its options, that takes over earlier, once the number of changes has failed to fall
+            three times. It continues until its iterate indicates a working set, from which the active-set method
+            finishes. With None a QP for which no working set is found, even an infeasible one, ends with
+            ITERATION_LIMIT (crossed bounds with INFEASIBLE), and the package is smaller.
     """
 
     seam: ClassVar[Seam] = "qp"

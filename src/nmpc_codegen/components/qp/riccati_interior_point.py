@@ -114,10 +114,11 @@ def _progress(dims: Dims, warm: bool) -> tuple[Field, ...]:
 
 @dataclass(frozen=True)
 class RiccatiInteriorPoint(Defaults):
-    """Options of the interior point solver.
+    """Interior point solver of a QP on stages; time and memory are linear in N.
 
-    ``max_iterations``: maximum number of factorisations in one feedback phase. ``warm_start``: start near the
-    multipliers of the previous QP.
+    Args:
+        max_iterations: factorisations in one feedback phase at most.
+        warm_start: start near the multipliers of the previous QP.
     """
 
     max_iterations: int = option(MAX_ITERATIONS, Whole())

@@ -53,6 +53,7 @@ class Estimator:
         |x_0 - xbar|^2_P^-1 + sum_k |v_k|^2 + |w_k|^2,   in standard deviations, and the rows of the OCP as soft rows,
 
     where (xbar, P) is what a Kalman filter knows before the window. kind="ekf": the extended Kalman filter alone.
+    ocp.estimator(...) is the usual way to make one.
 
     Args:
         ocp: the model; its controls are known, its costs and its rows on controls have no part. An OCP without controls
@@ -74,6 +75,10 @@ class Estimator:
 
     Raises:
         ProblemError: a name, an expression or a number is wrong; the message names it.
+
+    Attributes:
+        measurements: measured expressions with their noise.
+        unknown: declarations of the unknown parameters.
     """
 
     def __init__(

@@ -105,17 +105,26 @@ class Iterate:
 
     @property
     def whole_x(self) -> Array:
-        """States of the plan with those behind the states of the user, (N+1, nx + their number)."""
+        """Internal: states of the plan with those behind the states of the user, (N+1, nx + their number)."""
         return self._view("x")
 
     @property
     def known(self) -> Array:
-        """View on the states behind those of the user in x_0 of the last sample; integrate() starts from them."""
+        """Internal: view on the states behind those of the user in x_0 of the last sample, from which integrate()
+        starts.
+        """
         last = self._view("xhat") if "xhat" in self.description.members("solver") else self._view("x")[..., 0, :]
         return last[..., self.dims.nx :]
 
     def view(self, path: str) -> Array:
-        """View on any member of the solver struct, in its true shape; dots access inner structs ("qp.g")."""
+        """View on any member of the solver struct, in its true shape.
+
+        Args:
+            path: its name in the header; dots access inner structs: "qp.g".
+
+        Raises:
+            ControllerError: there is no such member.
+        """
         return self._view(path)
 
     def _array(self, what: str, value: ArrayLike, shape: tuple[int, ...], finite: bool = True) -> Array:
@@ -159,7 +168,7 @@ class Iterate:
         return RowMultipliers(self.description)
 
     def member(self, name: str) -> Array:
-        """A member that only some algorithms and problems have; empty if it does not exist."""
+        """Internal: a member that only some algorithms and problems have; empty if it does not exist."""
         try:
             return self._view(name)
         except AttributeError:

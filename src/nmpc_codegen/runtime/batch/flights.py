@@ -26,19 +26,33 @@ Array = NDArray[Any]
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Flights:
-    """What has become of F flights.
+    """What has become of F flights, closed loops of the same number of samples.
 
-    status_counts: (F, number of statuses), samples with each status. failed: (F,), the first sample whose status is
-    a failure, or -1. lost: (F,), the sample after which the state of the plant was not finite, where the flight has
-    ended, or -1. ended: (F,), status of the last sample. cost: (F,), sum over the samples of the cost of a node at
-    the state of the plant and its control, with the references and weights of the sample; what is integrated or
-    scaled with dt counts the length of a sample. violation: (F, rows), largest violation of each of ``rows``, those
-    of the whole path, in its unit, 0 where it is kept, NaN where it is not known: of a row with controls at every
-    sample, of another one at every state but the first. hard: (rows,), True for hard ones; rounding: (rows,), up to
-    which violations are rounding. last: (F, nx), last states. seconds: (F, 2), mean and longest time of a sample,
-    NaN on a device.
-
-    x (F, steps + 1, nx), u (F, steps, nu), status (F, steps) with record=True, else None; NaN and -1 after the end.
+    Attributes:
+        name: of the package.
+        steps: samples of a flight.
+        dt: time between them.
+        time_unit: its unit.
+        states: names of the elements of x.
+        controls: names of the elements of u.
+        rows: names of the rows of the whole path.
+        hard: (rows,), True for hard ones.
+        units: name -> unit.
+        status_counts: (F, number of statuses), samples with each status.
+        failed: (F,), the first sample whose status is a failure, or -1.
+        lost: (F,), the sample after which the state of the plant was not finite, where the flight has ended, or -1.
+        ended: (F,), status of the last sample.
+        cost: (F,), sum over the samples of the cost of a node at the state of the plant and its control, with the
+            references and weights of the sample; what is integrated or scaled with dt counts the length of a sample.
+        violation: (F, rows), largest violation of each row in its unit, 0 where it is kept, NaN where it is not known:
+            of a row with controls at every sample, of another one at every state but the first.
+        rounding: (rows,), up to which violations are rounding.
+        last: (F, nx), last states.
+        seconds: (F, 2), mean and longest time of a sample, NaN on a device.
+        x: (F, steps + 1, nx), NaN after the end of a flight; None without record=True.
+        u: (F, steps, nu); the same.
+        status: (F, steps), -1 after the end; the same.
+        draws: the random numbers, as far as they can be drawn again.
     """
 
     name: str

@@ -33,19 +33,23 @@ class Batch(Structs):
     """Many controllers of one package: M copies of one, which go on by themselves.
 
     x, u, lam, mu_u are views with a first axis of M; mu_x, mu, mu_N, eta are read-only copies; many[i] is a Controller
-    on the same memory. Calls are made by ``threads`` threads, by default one for every core that this process may use;
-    the results do not depend on their number.
+    on the same memory. Calls are made by ``threads`` threads; the results do not depend on their number.
 
     batch() makes one; where the compiler of problems is not installed, so does Batch(controller, number).
 
     Args:
         controller: from build() or open_package(); it is copied in its present state.
         number: M >= 1.
-        threads: >= 1, or None.
+        threads: >= 1; None: one for every core that this process may use.
 
     Raises:
         ControllerError: the numbers are wrong, or it is no controller.
         BuildError: there is no compiler.
+
+    Attributes:
+        description: what <name>.json says.
+        dims: sizes, as those of a Controller.
+        names: names of the elements of every vector.
     """
 
     def __init__(self, controller: Controller, number: int, threads: int | None = None) -> None:
@@ -75,7 +79,14 @@ class Batch(Structs):
         return self.call("PLAIN", "prepare")
 
     def feedback(self, X: ArrayLike) -> tuple[Array, Statuses]:
-        """The feedback phase of every controller for the measured states (M, nx): what step() returns."""
+        """The feedback phase of every controller.
+
+        Args:
+            X: measured states (M, nx).
+
+        Returns:
+            What step() returns.
+        """
         return self._sample("feedback", X)
 
     def solve(self, X: ArrayLike, tol: float | None = None, max_iterations: int = 100) -> Statuses:
@@ -97,7 +108,11 @@ class Batch(Structs):
         self._expect(self.call("PLAIN", "shift"), "shift")
 
     def reset(self, index: ArrayLike | None = None) -> None:
-        """Return to the initial plan, of all or of those that a mask (M,) or numbers name; data are kept."""
+        """Return to the initial plan; data are kept.
+
+        Args:
+            index: a mask (M,), or numbers of the controllers that are meant; None: all.
+        """
         chosen = None if index is None else numbers(index, self._count)
         self._expect(self.call("PLAIN", "reset", index=chosen), "reset")
 
@@ -173,15 +188,31 @@ class Batch(Structs):
         self._tell(index, lambda told: told.set_reference(y, node))
 
     def set_terminal_reference(self, y: ArrayLike | Named, index: ArrayLike | None = None) -> None:
-        """Set the reference of the terminal residual: (ny_N,), (M, ny_N), or {name: value}."""
+        """Set the reference of the terminal residual.
+
+        Args:
+            y: (ny_N,), (M, ny_N), or {name: value}.
+            index: as in set_reference().
+        """
         self._tell(index, lambda told: told.set_reference(y, self.dims.N))
 
     def set_weight(self, W: ArrayLike, node: int | None = None, index: ArrayLike | None = None) -> None:
-        """Set weights of residuals: the diagonal (ny,), or (M, ny), one for each; matrices (M, ny, ny), (1, ny, ny)."""
+        """Set weights of residuals.
+
+        Args:
+            W: the diagonal (ny,), or (M, ny), one for each; matrices (M, ny, ny), (1, ny, ny).
+            node: as in Controller.set_weight().
+            index: as in set_reference().
+        """
         self._tell(index, lambda told: told.set_weight(W, node))
 
     def set_terminal_weight(self, W: ArrayLike, index: ArrayLike | None = None) -> None:
-        """Set the weight of the terminal residual, in the same forms."""
+        """Set the weight of the terminal residual.
+
+        Args:
+            W: in the forms of set_weight().
+            index: as in set_reference().
+        """
         self._tell(index, lambda told: told.set_weight(W, self.dims.N))
 
     def set_parameter(
@@ -199,7 +230,13 @@ class Batch(Structs):
         self._tell(index, lambda told: told.set_parameters({name: value}, node))
 
     def set_parameters(self, values: Named, node: int | None = None, index: ArrayLike | None = None) -> None:
-        """Set several parameters, {name: value}: all of them, or none if one is wrong."""
+        """Set several parameters: all of them, or none if one is wrong.
+
+        Args:
+            values: {name: value}, in the forms of set_parameter().
+            node: as in set_parameter().
+            index: as in set_reference().
+        """
         if not isinstance(values, Mapping):
             raise ControllerError(f"set_parameters: {values!r} is no {{name: value}}")
         self._tell(index, lambda told: told.set_parameters(values, node))
@@ -212,8 +249,16 @@ class Batch(Structs):
         node: int | None = None,
         index: ArrayLike | None = None,
     ) -> None:
-        """Set the bounds of a row, or of all rows of a vector: numbers or (rows,), (M,) or (M, rows), and (M, N+1) or
-        (M, N+1, rows) with a row for each node; -inf, inf: no bound."""
+        """Set the bounds of a row, or of all rows of a vector.
+
+        Args:
+            name: of the row, or of the vector.
+            lower: a number or (rows,), (M,) or (M, rows), and (M, N+1) or (M, N+1, rows) with a row for each node;
+                -inf: no bound.
+            upper: the same; inf: no bound.
+            node: as in Controller.set_bounds().
+            index: as in set_reference().
+        """
         self._tell(index, lambda told: told.set_bounds(name, lower, upper, node))
 
     def copy(self) -> Batch:

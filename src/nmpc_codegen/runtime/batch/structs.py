@@ -33,17 +33,17 @@ class Structs(Addressing):
         return self._count
 
     def shares(self, other: Structs) -> bool:
-        """True if they have memory in common."""
+        """Internal: true if they have memory in common."""
         return bool(np.shares_memory(self.memory, other.memory))
 
     def twin(self) -> Structs:
-        """The same structs in memory of their own."""
+        """Internal: the same structs in memory of their own."""
         memory = reserve(self.memory.nbytes)
         memory[:] = self.memory
         return Structs(self.driver, memory, self._count, self.stride)
 
     def call(self, operation: str, function: str | None, **arguments: Any) -> Statuses:
-        """Statuses (M,) of one call of a function of the package for every struct; see Driver.call()."""
+        """Internal: statuses (M,) of one call of a function of the package for every struct; see Driver.call()."""
         return self.driver.call(operation, function, self.memory, self.stride, **arguments)
 
     # -- closed loops -------------------------------------------------------------------------------------------------
@@ -53,37 +53,37 @@ class Structs(Addressing):
         return self.member(member)
 
     def address_of(self, structs: Structs, keep: list[Any]) -> Any:
-        """Where the code that flies finds these structs or others; ``keep`` holds what has to live as long."""
+        """Internal: where the code that flies finds structs; ``keep`` holds what has to live as long."""
         return self.driver.pointer(structs.memory)
 
     @property
     def stop(self) -> Any:
-        """Where the code that flies looks whether to stop."""
+        """Internal: where the code that flies looks whether to stop."""
         return self.driver.ffi.cast("int32_t *", self.driver.pointer(self.driver.stop))
 
     def place_of_known(self) -> tuple[int, int]:
-        """Bytes from the begin of a struct to the states of the last sample behind those of the user; their size."""
+        """Internal: bytes from the begin of a struct to the states behind those of the user; their size."""
         fields: Any = self._package.dtype.fields
         member = fields["xhat" if "xhat" in fields else "x"]
         return member[1] + self.dims.nx * self._real.itemsize, self.description.inner.count * self._real.itemsize
 
     def reach(self, array: Array, keep: list[Any]) -> Any:
-        """The address of an array for that code."""
+        """Internal: the address of an array for that code."""
         keep.append(array)
         return self.driver.pointer(array)
 
     def reach_structs(self, structs: Any, keep: list[Any]) -> Any:
-        """The address of an array of C structs for that code."""
+        """Internal: the address of an array of C structs for that code."""
         keep.append(structs)
         return structs
 
     def block_size(self, flights: int, bytes_of: int) -> int:
-        """Flights that are flown at once, a few blocks for every thread; ``bytes_of``: of the samples of one."""
+        """Internal: flights that are flown at once, a few blocks for every thread; ``bytes_of``: of one."""
         threads = max(1, min(self.driver.threads, flights))
         return max(1, min(LARGEST, BYTES // bytes_of, -(-flights // (BLOCKS * threads))))
 
     def fly(self, shared: Any, block: slice, into: Into, rows: int) -> int:
-        """Fly the flights of a block; return 0, or the status of a setter that has refused data.
+        """Internal: fly the flights of a block; return 0, or the status of a setter that has refused data.
 
         ``shared``: batch_flights_t without what is written to; ``rows``: numbers that a setter is given at most.
         """

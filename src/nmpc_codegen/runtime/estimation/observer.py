@@ -26,9 +26,21 @@ Named = ArrayLike | Mapping[str, ArrayLike]
 
 
 class Observer(Setters):
-    """An estimator with its memory, which build() or open_package() creates ready to step.
+    """An estimator with its memory, which build() or open_estimator() creates ready to step.
 
-    ``estimation`` describes measurements and noise; ``names.states`` names the elements of the estimate.
+    Attributes:
+        description: what <name>.json says.
+        dims: sizes; nx counts the unknown parameters behind the states.
+        names: names of the elements; ``states`` those of the estimate.
+        estimation: measurements with their noise, and what is unknown.
+
+    Examples:
+        >>> from nmpc_codegen import OCP, build
+        >>> ocp = OCP("ball", T=1.0, N=10)
+        >>> h, v = ocp.state("h"), ocp.state("v")
+        >>> ocp.dynamics({h: v, v: -9.81})
+        >>> observer = build(ocp.estimator(N=10, measure={"h": h}, noise_std={"h": 0.01}))
+        >>> h0, v0 = observer.step([1.0])
     """
 
     def __init__(self, package: CompiledPackage) -> None:
@@ -136,7 +148,13 @@ class Observer(Setters):
         self.set_parameters({name: value}, node=node)
 
     def set_parameters(self, values: Any = None, /, *, node: int | None = None, **more: ArrayLike) -> None:
-        """Set several parameters from the next sample on, all of them or none; see set_parameter()."""
+        """Set several parameters from the next sample on: all of them, or none if one is wrong.
+
+        Args:
+            values: {name: value}, for names that are no keywords.
+            node: None; parameters hold from the next sample on.
+            more: name=value.
+        """
         if node is not None:
             raise ControllerError(f"{self._package.name}: node is {node!r}; parameters hold from the next sample on")
         if values is not None and not isinstance(values, Mapping):
@@ -189,7 +207,11 @@ class Observer(Setters):
         return f"{found.name}: {found.text}; the estimate is the filter's"
 
     def integrate(self, x: ArrayLike, u: ArrayLike, dt: float) -> Array:
-        """Not of an estimator; its controller has it."""
+        """Not of an estimator: integrate(x, u, dt) is that of its controller.
+
+        Raises:
+            ControllerError: always.
+        """
         raise ControllerError(f"{self._package.name}: an estimator has no integrate(); expected that of the controller")
 
     def __repr__(self) -> str:

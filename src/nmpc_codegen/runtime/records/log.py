@@ -28,7 +28,21 @@ MOST_RANGES = 4  # of samples with a status that the summary names
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Log(Record):
-    """The record of a closed loop, which says, draws and saves what happened."""
+    """The record of a closed loop, which says, draws and saves what happened.
+
+    simulate() and open_recording() make one; print(log) is its summary.
+
+    Examples:
+        >>> from nmpc_codegen import OCP, build, simulate
+        >>> ocp = OCP("tank", T=10.0, N=10)
+        >>> h, q = ocp.state("h", unit="m"), ocp.control("q", unit="m/s")
+        >>> ocp.dynamics({h: q - 0.1 * h})
+        >>> ocp.least_squares(h, weight=1, reference=0.5)
+        >>> ocp.subject_to(0, q, 0.2)
+        >>> log = simulate(build(ocp), [0.3], steps=20)
+        >>> log.ok, log.x.shape
+        (True, (21, 1))
+    """
 
     def __str__(self) -> str:
         return self.summary()
@@ -115,6 +129,9 @@ class Log(Record):
         Of a signal the tightest of the rows in ``limits`` that bound it, which hold at several nodes or at the first
         one; inf without one.
 
+        Args:
+            name: of the signal or row.
+
         Raises:
             ControllerError: there is no such quantity, or there are two.
         """
@@ -150,7 +167,11 @@ class Log(Record):
         return loop.draw(self, file)
 
     def plot_plans(self, every: int = 5, file: File = None) -> Any:
-        """Plot states and controls with the plan of every ``every``-th sample: what was predicted, and what happened.
+        """Plot states and controls with the plan of some samples: what was predicted, and what happened.
+
+        Args:
+            every: of so many samples one.
+            file: where the figure is written; None: nowhere.
 
         Raises:
             ControllerError: the log has no plans.
@@ -196,7 +217,12 @@ class Log(Record):
         return plane.draw(self, x, y, rows, every, file)
 
     def compare(self, other: Record, names: tuple[str, str] = ("this", "other"), file: File = None) -> Any:
-        """Plot this log and, over it, what another one has of the same names; ``names``: of the two.
+        """Plot this log and, over it, what another one has of the same names.
+
+        Args:
+            other: the other log.
+            names: of the two, for the legend.
+            file: where the figure is written; None: nowhere.
 
         Raises:
             ControllerError: the logs have other units of time.
@@ -246,7 +272,11 @@ class Log(Record):
         return tables.to_xarray(self)
 
     def save(self, file: str | os.PathLike[str] | IO[bytes]) -> None:
-        """Write everything, with names, units, bounds and reasons, to an .npz archive that numpy.load() reads, too."""
+        """Write everything, with names, units, bounds and reasons, to an .npz archive that numpy.load() reads, too.
+
+        Args:
+            file: path, or a file that is open for writing bytes.
+        """
         archive.write(self, file)
 
     @classmethod

@@ -252,7 +252,15 @@ class Recorder:
     # -- samples ------------------------------------------------------------------------------------------------------
 
     def step(self, x: ArrayLike, on_failure: OnFailure = "status") -> Array:
-        """A sample; see Controller.step(). What the controller refuses is none."""
+        """A sample, as Controller.step() takes it, and recorded. What the controller refuses is none.
+
+        Args:
+            x: measured state (nx,).
+            on_failure: as in Controller.step().
+
+        Returns:
+            Control to apply (nu,).
+        """
         began = perf_counter_ns()
         u = self._step(x)
         self._take(began)
@@ -261,7 +269,15 @@ class Recorder:
         return u
 
     def feedback(self, x: ArrayLike, on_failure: OnFailure = "status") -> Array:
-        """The second phase of a sample, after prepare() of the controller; see Controller.feedback()."""
+        """The second phase of a sample, after prepare() of the controller, and recorded.
+
+        Args:
+            x: measured state (nx,).
+            on_failure: as in Controller.step().
+
+        Returns:
+            Control to apply (nu,).
+        """
         began = perf_counter_ns()
         u = self._feedback(x)
         self._take(began)

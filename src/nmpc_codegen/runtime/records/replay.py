@@ -30,12 +30,18 @@ NOT_ENDED, NOT_READ = -1, -2
 
 @dataclass(frozen=True, eq=False)
 class ReplayedSample:
-    """One sample.
+    """A sample of a dump, and the same taken again.
 
-    ``status``, ``u``: of the target, None of a sample that it did not end; of the copy of a solver what it holds, or of
-    its next sample. ``x``: the measured state, None if it is not known. ``again``: status of the replay, None if there
-    was none. ``same``: equal status, and controls to the bit; None: there is nothing to compare. ``difference``: the
-    largest one of the controls. ``controller``: as the sample left it.
+    Attributes:
+        number: of the sample since init.
+        status: of the target, None of a sample that it did not end; of the copy of a solver what it holds, or of its
+            next sample.
+        u: (nu,), control of the target; None with ``status``.
+        x: (nx,), the measured state; None if it is not known.
+        again: status of the replay; None if there was none.
+        same: equal status, and controls to the bit; None: there is nothing to compare.
+        difference: the largest one of the controls.
+        controller: as the sample left it.
     """
 
     number: int
@@ -88,7 +94,15 @@ class ReplayedSample:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Replay:
-    """The samples of a dump, the oldest one first; status, row, node and controller are those of ``sample``."""
+    """The samples of a dump, the oldest one first.
+
+    Attributes:
+        name: of the package.
+        samples: all of them.
+        status: of ``sample``.
+        row: of ``sample``.
+        node: of ``sample``.
+    """
 
     name: str
     samples: tuple[ReplayedSample, ...]

@@ -32,7 +32,13 @@ COLUMNS = {"x": "states", "u": "controls", "z": "algebraic", "h": "rows", "p": "
 
 @dataclass(frozen=True)
 class Trace:
-    """One quantity of a log; ``signal``: the state or control that a residual is, "" for another expression."""
+    """A quantity of a log.
+
+    Attributes:
+        name: its name.
+        unit: its unit, "" for none.
+        signal: the state or control that a residual is, "" for another expression.
+    """
 
     name: str
     unit: str = ""
@@ -56,8 +62,13 @@ def traces_of(described: PackageDescription) -> dict[str, Any]:
 class Limit:
     """A row that bounds a column of a log.
 
-    ``array``, ``column``: what it bounds, of "x", "u" or "h"; ``row``: its place in the program of the rows; ``soft``:
-    it may be violated at a cost; ``delay``: time of the first node where it holds, at which the bound of a sample is.
+    Attributes:
+        name: of the row.
+        array: what it bounds, of "x", "u" or "h".
+        column: the column of this array.
+        row: its place in the program of the rows.
+        soft: it may be violated at a cost.
+        delay: time of the first node where it holds, at which the bound of a sample is.
     """
 
     name: str
@@ -72,19 +83,27 @@ class Limit:
 class Plans:
     """Plans that a log has kept, of n samples, with the rows of the problem along each.
 
-    ``distance``: the least of all nodes to the nearer bound, negative where a row is violated, and NaN of coupled rows;
-    ``multiplier``: the one of largest size, positive at an upper bound, NaN if the algorithm has none; ``active``: at
-    how many nodes the row is active. ``rows``: names of their columns; ``rounding``: violations that are none.
+    Attributes:
+        sample: (n,), numbers of the samples.
+        t: (N+1,), time of every node after the sample.
+        x: (n, N+1, nx), states.
+        u: (n, N, nu), controls.
+        distance: (n, rows), the least of all nodes to the nearer bound, negative where a row is violated, and NaN of
+            coupled rows.
+        multiplier: (n, rows), the one of largest size, positive at an upper bound, NaN if the algorithm has none.
+        active: (n, rows), at how many nodes the row is active.
+        rounding: (rows,), violations that are none.
+        rows: names of these columns.
     """
 
-    sample: NDArray[np.int64]  # (n,)
-    t: Array  # (N+1,), time of every node after the sample
-    x: Array  # (n, N+1, nx)
-    u: Array  # (n, N, nu)
-    distance: Array  # (n, number of rows)
-    multiplier: Array  # (n, number of rows)
-    active: NDArray[np.int64]  # (n, number of rows)
-    rounding: Array  # (number of rows,)
+    sample: NDArray[np.int64]
+    t: Array
+    x: Array
+    u: Array
+    distance: Array
+    multiplier: Array
+    active: NDArray[np.int64]
+    rounding: Array
     rows: tuple[Trace, ...]
 
     def __repr__(self) -> str:
@@ -96,17 +115,23 @@ class Plans:
 class Estimates:
     """What an estimator has found in a loop, one entry per sample.
 
-    ``x``, ``std``: its estimates, the unknown parameters behind the states, and their standard deviations. ``y``: the
-    measurements, NaN where one was missing. ``p``: the true values of the unknown parameters.
-    ``states``, ``sensors``: names and units of the columns of x and y; ``signal`` of a sensor: the state that it shows.
+    Attributes:
+        x: (steps, nx + unknown parameters), estimates, the parameters behind the states.
+        std: their standard deviations.
+        y: (steps, ny), measurements, NaN where one was missing.
+        p: (steps, unknown parameters), the true values.
+        status: (steps,), values of Status.
+        time_ns: (steps,), times of computing (ns).
+        states: names and units of the columns of x.
+        sensors: of the columns of y; ``signal``: the state that it shows.
     """
 
-    x: Array  # (steps, nx + unknown parameters)
-    std: Array  # (steps, nx + unknown parameters)
-    y: Array  # (steps, ny)
-    p: Array  # (steps, unknown parameters)
-    status: NDArray[np.int64]  # (steps,)
-    time_ns: NDArray[np.int64]  # (steps,)
+    x: Array
+    std: Array
+    y: Array
+    p: Array
+    status: NDArray[np.int64]
+    time_ns: NDArray[np.int64]
     states: tuple[Trace, ...]
     sensors: tuple[Trace, ...]
 
@@ -115,33 +140,55 @@ class Estimates:
 class Record:
     """The record of a closed loop, one entry per sample; t and x have one more for its end.
 
-    ``z``: algebraic variables at x[k], u[k]. ``h``: values of the general path rows there, those that hold at node 0 or
-    at several nodes before the end. ``p``, ``y``: parameters and reference of the path residual at node 0. ``cost[k]``:
-    of the plan of sample k.
-    ``lower``, ``upper``: bounds of the rows in ``limits``, each at the first node where it holds. ``residual``: how far
-    the plan was from the model and its rows, see Stats; NaN where the algorithm has none.
-    ``states`` ... ``references``: names and units of the columns of x, u, z, h, p, y.
-    ``reasons``: what Controller.diagnose() said at the first sample with each status. ``program``: the rows as
-    functions of states, controls and parameters.
-    ``began_ns``: when each sample began, of a recording, by a clock that only runs forward; else empty; ``dt``: the
-    time between samples that was meant. ``remarks``: on the file of a recording.
+    Attributes:
+        name: of the package.
+        time_unit: of t; "samples" for a discrete map.
+        t: (steps+1,), times.
+        x: (steps+1, nx), states of the plant.
+        u: (steps, nu), controls.
+        z: (steps, number), algebraic variables at x[k], u[k].
+        h: (steps, number), values of the general path rows there, those that hold at node 0 or at several nodes before
+            the end.
+        p: (steps, np), parameters at node 0.
+        y: (steps, ny), reference of the path residual at node 0.
+        status: (steps,), values of Status.
+        cost: (steps,), of the plan of every sample.
+        time_ns: (steps,), of prepare and feedback together (ns).
+        lower: (steps, number of ``limits``), bounds of these rows, each at the first node where it holds.
+        upper: the same.
+        residual: (steps,), how far the plan was from the model and its rows, see Stats; NaN where the algorithm has
+            none.
+        states: names and units of the columns of x.
+        controls: of the columns of u.
+        algebraic: of the columns of z.
+        rows: of the columns of h.
+        parameters: of the columns of p.
+        references: of the columns of y.
+        reasons: what Controller.diagnose() said at the first sample with each status.
+        limits: rows that bound columns of x, u and h.
+        program: the rows as functions of states, controls and parameters.
+        dt: the time between samples that was meant.
+        plans: those that were kept; None: none.
+        estimates: of a loop with an estimator; else None.
+        began_ns: of a recording, when each sample began, by a clock that only runs forward (ns); else empty.
+        remarks: on the file of a recording.
     """
 
     name: str
-    time_unit: str  # "samples" for a discrete map
-    t: Array  # (steps+1,)
-    x: Array  # (steps+1, nx)
-    u: Array  # (steps, nu)
-    z: Array  # (steps, number of algebraic variables)
-    h: Array  # (steps, number of rows)
-    p: Array  # (steps, np)
-    y: Array  # (steps, ny)
-    status: NDArray[np.int64]  # (steps,), values of Status
-    cost: Array  # (steps,)
-    time_ns: NDArray[np.int64]  # (steps,), prepare and feedback together
-    lower: Array  # (steps, number of limits)
-    upper: Array  # (steps, number of limits)
-    residual: Array  # (steps,)
+    time_unit: str
+    t: Array
+    x: Array
+    u: Array
+    z: Array
+    h: Array
+    p: Array
+    y: Array
+    status: NDArray[np.int64]
+    cost: Array
+    time_ns: NDArray[np.int64]
+    lower: Array
+    upper: Array
+    residual: Array
     states: tuple[Trace, ...]
     controls: tuple[Trace, ...]
     algebraic: tuple[Trace, ...]
@@ -153,7 +200,7 @@ class Record:
     program: Program = field(default_factory=Program)
     dt: float = 0.0
     plans: Plans | None = None
-    estimates: Estimates | None = None  # of a loop with an estimator
+    estimates: Estimates | None = None
     began_ns: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
     remarks: tuple[str, ...] = ()
 

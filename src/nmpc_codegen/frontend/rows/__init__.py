@@ -1,0 +1,1 @@
+"""Rows of a problem: how they are stated."""
