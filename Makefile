@@ -41,7 +41,7 @@ demo: $(READY)
 	@echo "problem:    examples/crane.py"
 
 docs: $(READY)
-	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --strict -f site/mkdocs.yml -d ../$(OUT)/site
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict -f site/mkdocs.yml -d $(abspath $(OUT))/site
 	@echo "site: $(OUT)/site/index.html; to read it with its search: $(BIN)/python -m http.server -d $(OUT)/site"
 
 lint: $(READY)

@@ -17,7 +17,7 @@ from typing import Any
 import casadi as ca
 from markdown.extensions.toc import slugify
 
-from nmpc_codegen import OCP, Online, Options, RealTimeIteration, Soft, Status, generate
+from nmpc_codegen import OCP, ButcherTableau, Online, Options, RealTimeIteration, Soft, Status, generate
 from nmpc_codegen.cli import main
 
 ROOT = Path(__file__).parents[2]
@@ -86,11 +86,14 @@ def _names() -> str:
 
 
 def _first(found: Any) -> str:
-    """The first sentence of what help() says; of a constant, that of its value."""
+    """The first sentence of what help() says of a class or function; what a constant is."""
+    if isinstance(found, ButcherTableau):
+        return f"Scheme of order {found.order}, {found.kind}"
+    if not callable(found):
+        return ", ".join(f"`{word}`" for word in found)
     text = (inspect.getdoc(found) or "").partition("\n\n")[0].replace("\n", " ")
-    text = str(getattr(found, "summary", text)) if not callable(found) else text
     sentence = re.match(r".*?[.:](?= [A-Z]|$)|.*", text)
-    return (sentence[0] if sentence else text).rstrip(":").replace("|", "\\|").replace("<", "&lt;")
+    return (sentence[0] if sentence else text).rstrip(".:").replace("|", "\\|").replace("<", "&lt;")
 
 
 def _times() -> str:

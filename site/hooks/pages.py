@@ -25,6 +25,7 @@ PAGES = {"README.md": "index.md", "CHANGELOG.md": "changelog.md", "CONTRIBUTING.
 
 _LINK = re.compile(r"(\]\(|(?:src|href)=\")([^)\s\"#]+)((?:#[^)\s\"]*)?)")
 _FENCE = re.compile(r"^```(\w+) (?:file|run|theirs)(?:=(\S+))?$", re.MULTILINE)
+_FILE = re.compile(r"\[(?:docs/)?([\w-]+)\.md\]\(")  # a link whose text is the name of a page
 #: A row of a table, and a span of code in it, in which GitHub needs an escape for | and Python-Markdown none.
 _ROW, _SPAN = re.compile(r"^\|.*$", re.MULTILINE), re.compile(r"`[^`]*`")
 _CODE = re.compile(r"^```.*?^```$", re.MULTILINE | re.DOTALL)
@@ -67,7 +68,9 @@ def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Fil
     for block in _CODE.finditer(markdown):
         pieces += [_LINK.sub(lead, markdown[end : block.start()]), _FENCE.sub(_titled, block[0], count=1)]
         end = block.end()
-    text = "".join([*pieces, _LINK.sub(lead, markdown[end:])])
+    text = _FILE.sub(
+        lambda name: f"[{name[1].replace('-', ' ')}](", "".join([*pieces, _LINK.sub(lead, markdown[end:])])
+    )
     return _ROW.sub(lambda row: _SPAN.sub(lambda span: span[0].replace("\\|", "|"), row[0]), text)
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import enum
+import inspect
 import re
 from functools import reduce
 from importlib import import_module
@@ -17,6 +18,7 @@ import griffe
 
 from nmpc_codegen.components.allowed import rules
 
+_ATTRIBUTES = re.compile(r"^Attributes:\n(?: {4}.*\n?)+", re.MULTILINE)
 _SPAN = re.compile(r"(``.*?``|`.*?`)")
 #: What Markdown takes for an element; in an indented line, which may be code, only with its end.
 _ELEMENT, _WHOLE_ELEMENT = re.compile(r"<(?=[A-Za-z])"), re.compile(r"<(?=\w+>)")
@@ -60,7 +62,8 @@ def _escape_line(line: str) -> str:
 def _complete(found: griffe.Class) -> None:
     """Options with their rules, members of enumerations with their meanings."""
     cls = reduce(getattr, found.path.removeprefix(f"{found.module.path}.").split("."), import_module(found.module.path))
-    if dataclasses.is_dataclass(cls) and any(rules(cls).values()):
+    _show_attributes_of_bases(found, cls)
+    if any(rules(cls).values()) or hasattr(cls, "seam"):
         _show_options(found, cls)
     if issubclass(cls, enum.Enum):
         for word in cls:
@@ -69,6 +72,13 @@ def _complete(found: griffe.Class) -> None:
                 found.members[word.name].docstring = griffe.Docstring(text, parent=found.members[word.name])
     for name in [n for n, member in found.members.items() if not member.is_alias and _is_internal(member)]:
         found.del_member(name)
+
+
+def _show_attributes_of_bases(found: griffe.Class, cls: type) -> None:
+    """The section of attributes that a class without one has from a base."""
+    sections = [s for base in cls.__mro__ if (s := _ATTRIBUTES.search(inspect.getdoc(base) or ""))]
+    if found.docstring is not None and sections and "Attributes:" not in found.docstring.value:
+        found.docstring.value += "\n\n" + sections[0][0]
 
 
 def _is_internal(member: Any) -> bool:

@@ -451,6 +451,26 @@ def test_files_that_are_no_programs(
     assert "Traceback" not in err
 
 
+@pytest.mark.parametrize(
+    ("call", "expected"),
+    [
+        ("ocp.subject_to(-1, ocp.x, 1, label='x')", "lower, expr, upper, at, soft, name"),
+        ("ocp.least_squares(ocp.x, 1.0, name='x')", "expr, weight, reference, names, scale_with_dt, scale"),
+        ("Options(qpsolver=None)", "integrator, hessian, condensing, qp, "),
+        ("OCP('a', n=3)", "name, T, N, intervals, time_unit"),
+        ("dict(1, a=2)", ""),
+        ("sorted([1], order=2)", ""),
+    ],
+)
+def test_a_wrong_keyword_names_the_right_ones(
+    call: str, expected: str, state_problem: Any, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main([state_problem(f"ocp = cart()\n{call}")]) == 1
+    _, err = said(capsys)
+    assert "TypeError" in err
+    assert (f"; expected {expected}" in err) if expected else ("expected " not in err.partition("TypeError: ")[2][60:])
+
+
 def test_an_exception_of_ours_names_its_stage(
     state_problem: Any, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -259,14 +259,16 @@ def test_release_data_agree() -> None:
 
 
 def test_the_release_publishes_the_version_of_its_tag() -> None:
-    """The workflow of a tag: its check of the version, run here; nothing is published before both jobs have passed."""
+    """The workflow of a tag: its check of the version, run here; nothing is published before all tests have passed."""
     release = yaml.load((ROOT / ".github" / "workflows" / "release.yml").read_text(encoding="utf-8"), yaml.BaseLoader)
     assert release["on"] == {"push": {"tags": ["v*"]}}
     jobs = release["jobs"]
     assert {name: job.get("needs") for name, job in jobs.items() if name.startswith("publish")} == {
-        "publish-distributions": ["distributions", "site"],
         "publish-site": ["distributions", "site"],
+        "publish-distributions": ["distributions", "publish-site"],
     }
+    kept = [step["with"]["name"] for step in jobs["distributions"]["steps"] if "upload" in step.get("uses", "")]
+    assert kept == jobs["publish-distributions"]["strategy"]["matrix"]["project"]
     (check,) = (step["run"] for step in jobs["distributions"]["steps"] if step.get("name") == "The tag is the version")
     for tag, passes in ((f"v{nmpc_codegen.__version__}", True), ("v0.0.0", False)):
         environ = {**os.environ, "GITHUB_REF_NAME": tag}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import re
 import sys
 import tomllib
@@ -14,9 +15,23 @@ import numpy as np
 import pytest
 
 from examples.crane import build_ocp
-from nmpc_codegen import OCP, GaussNewton, OptionError, Options, Status, build, generate
+from nmpc_codegen import (
+    OCP,
+    Controller,
+    GaussNewton,
+    Log,
+    Observer,
+    OptionError,
+    Options,
+    Recorder,
+    Status,
+    build,
+    generate,
+)
+from nmpc_codegen.campaigns import Campaign, Choice
 from nmpc_codegen.cli import main
 from nmpc_codegen.runtime.build import WARNINGS
+from nmpc_codegen.runtime.solving import Solution
 from tests.snippets import ROOT, blocks, changed, copy_tree, documents, install_command, run
 
 DOCUMENTS = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")])
@@ -290,8 +305,9 @@ def test_page_for_users_of_opti() -> None:
     assert solution.cost == pytest.approx(theirs.value(names["cost"]), rel=1e-6)
 
 
-#: Controls of the loop of the page by do-mpc 5.1.2, samples 21 to 40.
+#: Controls of the loop of the page by do-mpc 5.1.2.
 DO_MPC = (
+    *(-1.0, -1.0, *[0.0] * 18),
     *(0.000000, 0.009568, 0.202800, 0.334104, 0.359178, 0.312301, 0.238409, 0.167603, 0.112689, 0.075042),
     *(0.050981, 0.035921, 0.026220, 0.019564, 0.014691, 0.010979, 0.008126, 0.005955, 0.004333, 0.003141),
 )
@@ -300,7 +316,7 @@ DO_MPC = (
 @pytest.mark.usefixtures("compiler")
 def test_page_for_users_of_do_mpc() -> None:
     """The loop has the controls of do-mpc's, which solves every sample to convergence."""
-    np.testing.assert_allclose(shown("do-mpc")["log"].u[20:, 0], DO_MPC, atol=2e-6)
+    np.testing.assert_allclose(shown("do-mpc")["log"].u[:, 0], DO_MPC, atol=2e-6)
 
 
 @pytest.mark.usefixtures("compiler")
@@ -310,7 +326,7 @@ def test_page_of_the_options() -> None:
     exec(blocks("docs/campaigns.md")[0].text.partition("result =")[0], names)
     (block,) = blocks("docs/which-options.md")
     exec(block.text.replace("1000", "30"), names)
-    assert names["choice"].line.endswith("Options()")
+    assert names["choice"].line.startswith(("Options(", "OCP(..."))
 
 
 @pytest.mark.usefixtures("compiler")
@@ -370,6 +386,41 @@ def test_page_of_the_examples_is_complete() -> None:
     for path in (ROOT / "examples").glob("*.py"):
         assert f"(../examples/{path.name})" in page
         assert f"({path.stem}.png)" in page
+
+
+#: Variable of the pages -> what it is.
+NAMED = {
+    "ocp": OCP,
+    "ctrl": Controller,
+    "controller": Controller,
+    "observer": Observer,
+    "log": Log,
+    "solution": Solution,
+    "result": Campaign,
+    "choice": Choice,
+    "recorder": Recorder,
+}
+
+
+@pytest.mark.parametrize("document", sorted((ROOT / "docs").rglob("*.md")), ids=lambda p: p.name)
+def test_attributes_on_pages_exist(document: Path) -> None:
+    """What spans of code call of a problem, a controller, a log, ..."""
+    text = re.sub(r"^```.*?^```$", "", document.read_text(encoding="utf-8"), flags=re.MULTILINE | re.DOTALL)
+    if document.name.startswith("coming-from"):
+        text = re.sub(r"^\|.*?[^\\]\|", "", text, flags=re.MULTILINE)  # the first column has the other tool's words
+    spans = " ".join(re.findall(r"`[^`]+`", text))
+    for variable, name in re.findall(r"(?<![\w.])(\w+)\.(\w+)", spans):
+        if variable in NAMED and name != "py":
+            known = {*dir(NAMED[variable]), *stated(NAMED[variable])}
+            assert name in known, f"{variable}.{name}"
+
+
+def stated(cls: type) -> set[str]:
+    """Names that the sections of attributes of a class and its bases explain."""
+    texts = (inspect.getdoc(base) or "" for base in cls.__mro__)
+    return {
+        name for text in texts for name in re.findall(r"^    (\w+):", text.partition("Attributes:")[2], re.MULTILINE)
+    }
 
 
 @pytest.mark.parametrize("document", DOCUMENTS, ids=lambda p: p.name)

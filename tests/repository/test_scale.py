@@ -34,7 +34,7 @@ LIMITS: dict[str, tuple[int, str]] = {
     "src/oracle": (590, "algebraic variables of stages and nodes as variables of the NLP"),
     "src/package": (1170, "what a row depends on, and its value alone"),
     "src/runtime": (7720, "plans and rows of logs, eight pictures, recordings, replays of dumps"),
-    "site": (260, "pages that are files elsewhere, parts that programs print, options with their rules, dead links"),
+    "site": (280, "pages that are files elsewhere, parts that programs print, options with their rules, dead links"),
     "templates": (19180, "a ring of dumps"),
     "tests": (28700, "the site: its reference, examples of docstrings, pages, wheels that are installed"),
     "verification": (8800, "plans of flights that are replayed"),

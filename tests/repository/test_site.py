@@ -7,6 +7,7 @@ import enum
 import functools
 import http.server
 import importlib
+import inspect
 import json
 import re
 import shutil
@@ -53,9 +54,13 @@ look(0);
 </script></body>"""
 
 
+#: How the Makefile calls it.
+(OPTIONS,) = re.findall(r"mkdocs build (.*) -f", (ROOT / "Makefile").read_text(encoding="utf-8"))
+
+
 def build(configuration: Path, folder: Path) -> subprocess.CompletedProcess[str]:
-    """mkdocs build --strict."""
-    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "-f", str(configuration), "-d", str(folder)]
+    """mkdocs build, as `make docs` does it."""
+    command = [sys.executable, "-m", "mkdocs", "build", *OPTIONS.split(), "-f", str(configuration), "-d", str(folder)]
     return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
 
 
@@ -72,16 +77,18 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     ("text", "said"),
     [
         ("[there](other.html)", "other.html leads nowhere"),
-        ("<a href='#nowhere'>here</a>", "#nowhere leads nowhere"),
-        ("<img src='missing.png'>", "missing.png leads nowhere"),
-        ("the function <name>_step", "<name> is no element of HTML"),
+        ("[here](#nowhere)", "#nowhere leads nowhere"),
+        ("![a picture](missing.png)", "missing.png leads nowhere"),
+        ("the function <name>_step", "<name> is an element to a browser"),
+        ("the file <path>", "<path> is an element to a browser"),
+        ("the function `<name>_step`", ""),
         ("[here](#page)", ""),
     ],
 )
 def test_dead_links_stop_the_build(text: str, said: str, tmp_path: Path) -> None:
     (tmp_path / "docs").mkdir()
     (tmp_path / "docs" / "index.md").write_text(f"# Page\n\n{text}\n", encoding="utf-8")
-    hook = ROOT / "site" / "hooks" / "links.py"
+    hook = ROOT / "site" / "hooks" / "checks.py"
     (tmp_path / "mkdocs.yml").write_text(f"site_name: a\nhooks: [{hook}]\n", encoding="utf-8")
     done = build(tmp_path / "mkdocs.yml", tmp_path / "out")
     assert (done.returncode == 0) == (said == ""), done.stderr
@@ -127,9 +134,13 @@ def public() -> list[Any]:
 
 def stated(cls: Any) -> set[str]:
     """Names that the sections of a class and its bases explain."""
-    texts = [c.docstring.value + "\n" for c in (cls, *cls.mro()) if c.docstring]
-    sections = re.findall(r"^(?:Args|Attributes):\n((?:    .*\n|\n)*)", "\n".join(texts), re.MULTILINE)
-    return set(re.findall(r"^    (\w+):", "\n".join(sections), re.MULTILINE))
+    return set().union(*(entries(c.docstring.value, "Args|Attributes") for c in (cls, *cls.mro()) if c.docstring))
+
+
+def entries(text: str, section: str) -> set[str]:
+    """Names that a section of a docstring explains."""
+    found = re.findall(rf"^(?:{section}):\n((?:    .*\n|\n)*)", text + "\n", re.MULTILINE)
+    return set(re.findall(r"^    (\w+):", "\n".join(found), re.MULTILINE))
 
 
 def is_of_components(cls: Any, member: Any) -> bool:
@@ -150,6 +161,7 @@ def members(cls: Any) -> Iterator[tuple[str, Any]]:
 def unexplained(function: Any) -> list[str]:
     """Parameters that the docstring of a function does not mention."""
     text = function.docstring.value if function.docstring else ""
+    text = text.partition("Args:\n")[2] or text
     names = [p.name for p in function.parameters if p.name not in ("self", "cls")]
     return [name for name in names if not re.search(rf"\b{re.escape(name)}\b", text)]
 
@@ -167,6 +179,8 @@ def test_every_member_is_explained(found: Any) -> None:
     explained = stated(found) | words
     bare = [name for name, member in members(found) if not member.docstring and name not in explained]
     assert bare == []
+    texts = "".join(inspect.getsource(base) for base in cls.__mro__ if base.__module__.startswith("nmpc_codegen"))
+    assert [n for n in entries(found.docstring.value, "Attributes") if not re.search(rf"\b{n}\b(: |,| =)", texts)] == []
     assert not {n: m for n, member in members(found) if member.is_function and (m := unexplained(member))}
 
 

@@ -335,6 +335,15 @@ def test_load_refuses_another_package(toy: Controller, tmp_path: Path, toy_singl
     np.savez(tmp_path / "other.npz", a=np.zeros(3))
     with pytest.raises(ControllerError, match=r"other\.npz is not a state"):
         toy.load(tmp_path / "other.npz")
+    np.save(tmp_path / "array.npy", np.zeros(3))
+    (tmp_path / "junk.npz").write_bytes(b"no archive")
+    (tmp_path / "empty.npz").write_bytes(b"")
+    (tmp_path / "cut.npz").write_bytes((tmp_path / "single.npz").read_bytes()[:200])
+    for name in ("array.npy", "junk.npz", "empty.npz", "cut.npz"):
+        with pytest.raises(ControllerError, match=f"{name} is not a state that"):
+            toy.load(tmp_path / name)
+    with pytest.raises(FileNotFoundError):
+        toy.load(tmp_path / "missing.npz")
     np.testing.assert_array_equal(toy._memory, before)
 
 

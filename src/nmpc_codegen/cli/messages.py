@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import inspect
+import re
 import traceback
 from pathlib import Path
+from pkgutil import resolve_name
 
 from nmpc_codegen.errors import NmpcError
 
 #: Longer messages, e.g. of other libraries, are cut.
 LONGEST = 1000
+
+_UNKNOWN = re.compile(r"([\w.]+)\(\) got an unexpected keyword argument")
 
 PACKAGE = Path(__file__).resolve().parents[1]
 
@@ -50,7 +55,20 @@ def _message(error: BaseException, file: str | None) -> str:
         return f"{place if lines else ''}{kind}: {_text(error)}"
     if isinstance(error, OSError) and error.strerror and not lines:
         return f"{kind}: {error.filename or file}: {error.strerror}"
-    return f"{place}{kind}: {_text(error)}" + ("" if lines else f"{_stage(frames)} (-v shows where)")
+    return f"{place}{kind}: {_text(error)}{_expected(error)}" + ("" if lines else f"{_stage(frames)} (-v shows where)")
+
+
+def _expected(error: BaseException) -> str:
+    """The keywords that a function of this package takes, where it was given another one."""
+    found = _UNKNOWN.match(_text(error)) if isinstance(error, TypeError) else None
+    if found is None:
+        return ""
+    try:
+        function = resolve_name(f"nmpc_codegen:{found[1].removesuffix('.__init__')}")
+    except (AttributeError, ImportError):
+        return ""
+    names = [name for name in inspect.signature(function).parameters if name != "self"]
+    return f"; expected {', '.join(names)}"
 
 
 def _text(error: BaseException) -> str:

@@ -46,7 +46,7 @@ class Tuning:
         G: the same at node N.
         alpha: factor of H in the program, by which its other terms are divided.
         beta: bound of the condition number of M in the scaling of the program.
-        eta: 1 if strictly active rows were used.
+        eta: 1 if strictly active rows could be used.
         H: (nx+nu, nx+nu), Hessian of the Lagrangian at the steady state.
         H_f: (nx, nx), that of the end; None if x_N is fixed.
         A: (nx, nx), of the discrete map.

@@ -474,7 +474,7 @@ class OCP(Constraints):
             expr: h(x, u, p), column. Elements that are a bare state or control become simple bounds.
             at: "path": nodes 0..N-1 for a row with a control, else 1..N (and 0 if one of its states is free there);
                 "start": node 0; "end": node N; or an iterable of nodes.
-            soft: (l1, l2): the row may be violated on either side by s >= 0, at the cost l1 s + 1/2 l2 s^2;
+            soft: (l1, l2), or l1: the row may be violated on either side by s >= 0, at the cost l1 s + 1/2 l2 s^2;
                 Soft(lower=(l1, l2), upper=(l1, l2)): by side, where the sides are rows name_lower and name_upper if
                 they differ. set_soft() changes the penalties at run time; l1 = inf is hard until then.
             name: by default the name of a bare symbol, else row_i; several rows are called name[i]; at="start" and

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from nmpc_codegen.errors import ControllerError
 from nmpc_codegen.package.description import INTERFACE_SIZES, PackageDescription
 from nmpc_codegen.package.program import EDGES
-from nmpc_codegen.runtime.records.archive import write_arrays
+from nmpc_codegen.runtime.records.archive import BROKEN, write_arrays
 
 ALIGNMENT = 64  # bytes: a cache line, and the widest vector register
 COUNTERS = (
@@ -156,10 +156,11 @@ def read_state(
     file: str | os.PathLike[str] | IO[bytes], package: CompiledPackage, shape: tuple[int, ...]
 ) -> NDArray[np.uint8]:
     """The bytes that write_state() has written for this package; ControllerError if they are of another one."""
-    with np.load(file, allow_pickle=False) as archive:
-        if not {"package", "state"} <= set(archive):
-            raise ControllerError(f"{file} is not a state that Controller.save() wrote")
-        fingerprint, state = str(archive["package"]), np.asarray(archive["state"])
+    try:
+        with np.load(file, allow_pickle=False) as archive:
+            fingerprint, state = str(archive["package"]), np.asarray(archive["state"])
+    except (ValueError, KeyError, TypeError, AttributeError, *BROKEN) as error:
+        raise ControllerError(f"{file} is not a state that Controller.save() wrote") from error
     if fingerprint != package.fingerprint or state.shape != shape:
         raise ControllerError(f"{file} holds the state of another package than this {package.name}")
     return state

@@ -64,6 +64,9 @@ class Controller(Setters):
 
         Returns:
             Control to apply, shape (nu,): a new array, finite and inside its bounds whatever the status.
+
+        Raises:
+            ControllerError: xhat has another shape, or no numbers; or on_failure="raise".
         """
         self._measure(xhat)
         start = perf_counter_ns()

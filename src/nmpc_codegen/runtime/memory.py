@@ -199,6 +199,7 @@ class Memory(Iterate):
 
         Raises:
             ControllerError: it is no such file, or one of another package.
+            OSError: it cannot be read.
         """
         self._memory[:] = compiled.read_state(file, self._package, self._memory.shape)
 

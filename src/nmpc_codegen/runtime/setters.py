@@ -41,6 +41,9 @@ class Setters(Memory, Addressing):
                 terminal residual has that name; an array with a row per node as above. Others stay.
             node: 0..N-1, N for the terminal residual, None for every node. Online(reference="shared") allows None and
                 N, and no rows per node.
+
+        Raises:
+            ControllerError: a name, a node, a shape or a number is wrong, or these data cannot be set; nothing changes.
         """
         self._set_residuals("reference", y, node)
 
@@ -49,6 +52,9 @@ class Setters(Memory, Addressing):
 
         Args:
             y: (ny_N,), or {name: value}.
+
+        Raises:
+            ControllerError: a name, a node, a shape or a number is wrong, or these data cannot be set; nothing changes.
         """
         self._set_residuals("reference", y, self.dims.N)
 
@@ -66,6 +72,9 @@ class Setters(Memory, Addressing):
                 Off-diagonal entries require a weight that was declared with some, or Online(dense_weight=True).
             node: 0..N-1, N for the terminal residual, None for every node. Online(weight="shared") allows None and N,
                 and no rows per node.
+
+        Raises:
+            ControllerError: a name, a node, a shape or a number is wrong, or these data cannot be set; nothing changes.
         """
         self._set_residuals("weight", W, node)
 
@@ -74,6 +83,9 @@ class Setters(Memory, Addressing):
 
         Args:
             W: the diagonal (ny_N,) or the matrix (ny_N, ny_N), or {name: entry of the diagonal}.
+
+        Raises:
+            ControllerError: a name, a node, a shape or a number is wrong, or these data cannot be set; nothing changes.
         """
         self._set_residuals("weight", W, self.dims.N)
 
@@ -88,6 +100,9 @@ class Setters(Memory, Addressing):
                 (N+1,) and (N,) if size = 1. A value outside of the bounds that the parameter was declared with is an
                 error.
             node: 0..N, or None for every node. Online(parameter="shared") allows None and N, and no rows per node.
+
+        Raises:
+            ControllerError: a name, a node, a shape or a number is wrong, or these data cannot be set; nothing changes.
         """
         one = self._checked_parameter(name, value, node)
         if one.column is None:
@@ -102,6 +117,9 @@ class Setters(Memory, Addressing):
             values: {name: value}, for names that are no keywords: elements of vectors, a parameter named node.
             node: as in set_parameter().
             more: name=value.
+
+        Raises:
+            ControllerError: a name, a node, a shape or a number is wrong, or these data cannot be set; nothing changes.
         """
         if values is not None and not isinstance(values, Mapping):
             raise ControllerError(f"set_parameters: {values!r} is no {{name: value}}")
@@ -124,6 +142,9 @@ class Setters(Memory, Addressing):
             upper: the same; +inf: no bound.
             node: a node of the row, or None for all of them. Online(bounds="shared") allows None and N, and no rows
                 per node.
+
+        Raises:
+            ControllerError: a name, a node, a shape or a number is wrong, or these data cannot be set; nothing changes.
         """
         if isinstance(name, Mapping):
             self._expect_alone("set_bounds", lower, upper)
@@ -149,6 +170,9 @@ class Setters(Memory, Addressing):
                 stays 0, a positive one positive.
             node: a node of the row, or None for all of them. Online(soft="shared") allows None and N, and no rows per
                 node.
+
+        Raises:
+            ControllerError: a name, a node, a shape or a number is wrong, or these data cannot be set; nothing changes.
         """
         if isinstance(name, Mapping):
             self._expect_alone("set_soft", soft)

@@ -198,21 +198,27 @@ class Campaign:
         return pictures.draw_flights(again, len(lost), self._title, self._unit, file)
 
     def plot_distributions(self, file: str | os.PathLike[str] | None = None) -> Any:
-        """Figure of the distributions of costs, violations of rows, and times of samples; raises what plot() raises.
+        """Figure of the distributions of costs, violations of rows, and times of samples.
 
         Args:
             file: where it is written; None: nowhere.
+
+        Raises:
+            ControllerError: nothing was flown.
+            ExtraError: matplotlib is not installed.
         """
         self._check_some()
         return pictures.draw_distributions(self.flown, self.rules.allowed, self.lost, self._title, self._unit, file)
 
     def plot_lost(self, file: str | os.PathLike[str] | None = None) -> Any:
-        """Figure of lost flights over pairs of what was drawn: the starts and parameters in which lost and other
-        flights
-        differ most; raises what plot() raises.
+        """Figure of lost flights over pairs of what was drawn, those in which lost and other flights differ most.
 
         Args:
             file: where it is written; None: nowhere.
+
+        Raises:
+            ControllerError: nothing was flown.
+            ExtraError: matplotlib is not installed.
         """
         self._check_some()
         return pictures.draw_pairs(self.flown, self.lost, self._title, self._unit, file)

@@ -123,7 +123,7 @@ class Iterate:
             path: its name in the header; dots access inner structs: "qp.g".
 
         Raises:
-            ControllerError: there is no such member.
+            AttributeError: there is no such member.
         """
         return self._view(path)
 

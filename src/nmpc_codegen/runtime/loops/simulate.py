@@ -68,7 +68,8 @@ def simulate(
         parameters: {name: array over the samples}, (n,), or (n, size) for a vector. A node of sample k has the row of
             the sample at its time, k + j if intervals are as long as samples, so that a forecast moves along; the last
             row holds from there on. Where all nodes share one value, it is that of sample k.
-        bounds: {name of a row: (lower, upper)}, each a number or an array over the samples as for parameters.
+        bounds: {name of a row: (lower, upper)}, each a number or an array over the samples, (n,), or (n, rows) for the
+            name of a vector of rows; nodes as for parameters.
         references: {name of a residual: array over the samples}, or (n, ny) for the path residual.
         reference: the same; a function that is given here belongs to ``before``.
         estimator: build(ocp.estimator(...)), which tells the controller the state. Parameters it finds are the plant's.

@@ -153,7 +153,7 @@ class Log(Record):
         Hard bounds are dashed and soft ones dotted, as they were at every sample, where a curve comes near or violates
         them. References of bare states and controls are thin lines. With an estimator there are also estimates with
         two standard deviations, measurements, and axes of what is estimated besides states. Marks at the lower edge:
-        samples that failed, red, and those that are RELAXED or NOT_CONVERGED, orange.
+        samples that are RELAXED or NOT_CONVERGED, orange, and all others that are not OK, red.
 
         Args:
             file: file for the picture (.png, .pdf, .svg); None: only return the figure, for plt.show().
