@@ -125,7 +125,7 @@ def theorem_4_2(run: Run) -> Exhibit:
         f"{' and '.join(f'{gain:.1f}' for gain in gains)}; the bound has terms in 1/rho. M changes it by "
         f"{spread:.1%} at most: one Newton step nearly minimises the augmented Lagrangian, whose multipliers are "
         "what is off.",
-        tables=[Table([f"M = {m}" for m in counts], list(lines), "mean of max |u - u*|, m/s^2")],
+        tables=[Table([f"M = {m}" for m in counts], list(lines), "mean of max abs(u - u*), m/s^2")],
         pictures=[save(figure, run, "hsj_theorem_4_2", "Theorem 4.2: 1/rho counts, M does not")],
     )
 

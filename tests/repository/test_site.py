@@ -5,6 +5,7 @@ from __future__ import annotations
 import doctest
 import enum
 import functools
+import html
 import http.server
 import importlib
 import inspect
@@ -218,6 +219,22 @@ def address(site: Path) -> Iterator[str]:
     yield f"http://localhost:{server.server_port}"
     server.shutdown()
     thread.join()
+
+
+#: Marks of Markdown that no renderer has read: lists without an empty line, tables, links, code, bold text.
+LEFT_OVER = re.compile(r"\n\s*(?:- |\d+\. )|^\|.*\|$|\]\(|`|\*\*(?!\w)", re.MULTILINE)
+
+
+def test_no_markdown_is_left_over(site: Path) -> None:
+    """What GitHub reads and Python-Markdown does not."""
+    found = []
+    for path in site.rglob("*.html"):
+        (article,) = re.findall(r"<article.*?</article>", path.read_text(encoding="utf-8"), re.DOTALL) or [""]
+        bare = re.sub(r"<(pre|code|script|style)\b.*?</\1>", "", article, flags=re.DOTALL)
+        texts = re.findall(r"<(p|li|td|h\d)\b[^>]*>(.*?)</\1>", bare, re.DOTALL)
+        plain = [html.unescape(re.sub(r"<[^>]+>", "", text)) for _, text in texts]
+        found += [(path.name, text) for text in plain if LEFT_OVER.search(text)]
+    assert found == []
 
 
 def test_pages_fit_a_telephone(site: Path, address: str, tmp_path: Path) -> None:
