@@ -89,6 +89,10 @@ def generate(ocp: OCP | Estimator, options: Options | None = None, name: str | N
     Raises:
         ProblemError: the problem is stated wrongly.
         OptionError: options clash, or a component does not support the problem.
+
+    Examples:
+        >>> generate(ocp)["tank.h"].splitlines()[0]
+        '/* tank: nonlinear model predictive controller, double precision.'
     """
     sources = compile(ocp, options, name)
     _warn(sources.description)
@@ -138,6 +142,11 @@ def export(
     Raises:
         ProblemError, OptionError: see generate(); OptionError also for foreign code that is not allowed.
         ExportError: a file must not be replaced, and nothing is written; or a file cannot be written.
+
+    Examples:
+        >>> package = export(ocp, directory="out/tank")
+        >>> sorted(path.name for path in package.files)
+        ['CMakeLists.txt', 'README.md', 'main.c', 'tank.c', 'tank.h', 'tank.json']
     """
     sources = compile(ocp, options, name)
     if sources.foreign and not allow_foreign:
@@ -197,6 +206,12 @@ def build(
     Raises:
         ProblemError, OptionError: see generate().
         BuildError: there is no compiler, it rejected the code, or this machine does not run the target.
+
+    Examples:
+        >>> controller = build(ocp)
+        >>> controller.step([0.3]).shape, controller.status.name
+        ((1,), 'OK')
+        >>> observer = build(ocp.estimator(N=10, measure={"h": ocp.x}, noise_std={"h": 0.01}))
     """
     sources = compile(ocp, options, name)
     _warn(sources.description)
@@ -225,6 +240,12 @@ def batch(
         OptionError: a controller has been built with its options.
         ControllerError: a number is wrong. Further errors are those of build().
         ExtraError: CuPy is not installed.
+
+    Examples:
+        >>> many = batch(ocp, 100)
+        >>> controls, statuses = many.step(np.linspace(0.1, 1.0, 100)[:, None])
+        >>> controls.shape, len(statuses)
+        ((100, 1), 100)
     """
     found = ocp_or_controller
     if options is not None and not isinstance(found, OCP):

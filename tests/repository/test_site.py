@@ -25,7 +25,7 @@ import griffe
 import pytest
 from conftest import require_tool
 
-from tests.snippets import ROOT
+from tests.snippets import ROOT, blocks
 
 #: Rooms with public names of their own.
 ROOMS = ("nmpc_codegen", "nmpc_codegen.campaigns", "nmpc_codegen.economic", "nmpc_codegen.derivatives")
@@ -196,8 +196,13 @@ def modules() -> list[types.ModuleType]:
 
 @pytest.mark.usefixtures("compiler")
 @pytest.mark.parametrize("module", modules(), ids=lambda m: m.__name__.removeprefix("nmpc_codegen."))
-def test_examples_of_docstrings(module: types.ModuleType) -> None:
-    result = doctest.testmod(module)
+def test_examples_of_docstrings(module: types.ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """They know what the page of the reference states, and write into a folder of their own."""
+    monkeypatch.chdir(tmp_path)
+    known: dict[str, Any] = {"inf": float("inf")}
+    for block in blocks("docs/reference/index.md"):
+        exec(block.text, known)
+    result = doctest.testmod(module, extraglobs=known)
     assert result.attempted > 0
     assert result.failed == 0
 

@@ -24,6 +24,11 @@ def worst_case(package: Mapping[str, str]) -> dict[str, int]:
         OptionError: the text does not bound them, as foreign code (OSQP) does not; or these are not the files of one
             package.
         ControllerError: <name>.json is not a package description.
+
+    Examples:
+        >>> from nmpc_codegen import generate
+        >>> sorted(worst_case(generate(ocp)))
+        ['feedback', 'prepare', 'sample']
     """
     if not isinstance(package, Mapping):
         raise OptionError(

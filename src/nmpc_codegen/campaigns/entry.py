@@ -81,6 +81,12 @@ def campaign(
     Raises:
         ControllerError: a shape, a name or a number is wrong. Further errors are those of build().
         ExtraError: a package is missing.
+
+    Examples:
+        >>> from nmpc_codegen.campaigns import Box, Uniform, campaign
+        >>> result = campaign(ocp, 100, starts=Box(0.1, 0.9), noise=Uniform(0.005), success={"h": 0.05}, progress=False)
+        >>> len(result), result.complete
+        (100, True)
     """
     judged = {"success": success, "tolerance": tolerance, "against": against, "compared": compared}
     flown = {"executor": executor, "folder": folder, "device": device, "progress": progress}

@@ -198,6 +198,11 @@ def steady_state(ocp: OCP, options: Options | None = None, guess: Any = None) ->
     """The best steady state and its multipliers, without M: min l  s.t.  x = Phi(x, u) and the rows of the path.
 
     Cyclic states are left out; the other arguments and errors are those of tune().
+
+    Examples:
+        >>> from nmpc_codegen.economic import steady_state
+        >>> [float(round(value, 6)) for value in steady_state(ocp).u]
+        [0.05]
     """
     return solve_steady_state(steady_stage(_classify(ocp, options), options), guess)
 

@@ -323,6 +323,13 @@ class OCP(Constraints):
             scale_with_dt: multiply the weight by the length of the interval.
             scale: (ny,) or scalar > 0, a deviation that is neither small nor large; None: what the scales of states
                 and controls make of y. With the weight, it says what cost counts as 0.
+
+        Examples:
+            >>> import casadi as ca
+            >>> from nmpc_codegen import OCP
+            >>> ocp = OCP("cart", T=2.0, N=20)
+            >>> p, F = ocp.state("p"), ocp.control("F")
+            >>> ocp.least_squares(ca.vertcat(p, F), weight=[10, 0.1], reference=[1, 0])
         """
         self._residual("least_squares", expr, weight, reference, names, scale_with_dt, "path", scale)
 
@@ -482,6 +489,14 @@ class OCP(Constraints):
 
         If a bare state or control already has a row of this name with the same ``at`` and ``soft``, no second row is
         added: its bounds become the intersection of both.
+
+        Examples:
+            >>> from nmpc_codegen import OCP
+            >>> ocp = OCP("robot", T=2.0, N=20)
+            >>> x, y, v = ocp.state("x"), ocp.state("y"), ocp.control("v")
+            >>> ocp.subject_to(-1, v, 1)
+            >>> ocp.subject_to(0.4**2, x**2 + y**2, float("inf"), soft=(1e3, 0), name="pillar")
+            >>> ocp.subject_to(0, x, 0, at="end")
         """
         what = f"subject_to {quote(name)}" if name is not None else "subject_to"
         require_three(lower, expr, upper, what, "subject_to")

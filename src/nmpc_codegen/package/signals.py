@@ -115,6 +115,10 @@ class Soft:
             None: hard for ever; in set_soft() as it was.
         upper: the same above the upper bound.
         scale_with_dt: multiply both by the length of the interval, at node N of the last one.
+
+    Examples:
+        >>> from nmpc_codegen import Soft
+        >>> penalties = Soft(lower=(100, 10), upper=50)
     """
 
     lower: tuple[float, float] | float | None = None

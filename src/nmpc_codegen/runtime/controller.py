@@ -176,6 +176,12 @@ class Controller(Setters):
             max_iterations: maximum number of SQP iterations, >= 1.
             globalization: "filter", a line search that accepts what reduces cost or violation, with restoration of
                 feasibility; or "full_step", the real-time iteration repeated.
+
+        Examples:
+            >>> from nmpc_codegen import build
+            >>> solution = build(ocp).solve([0.3], tol=1e-9)
+            >>> solution.status.name, solution.x.shape, solution.u.shape
+            ('OK', (11, 1), (10, 1))
         """
         self._measure(xhat)
         self._solved = True

@@ -32,6 +32,11 @@ def open_package(directory: str | Path, profile: str = "fast", name: str | None 
             the three come from different exports; a file cannot be read; the package is for another machine than this
             one; or the compiler rejects the code.
         ControllerError: <name>.json is not the description of a controller, or it does not describe this C code.
+
+    Examples:
+        >>> from nmpc_codegen import export
+        >>> package = export(ocp, directory="tank")
+        >>> controller = open_package("tank")
     """
     files, prefix = _files(directory, name, estimator=False)
     return load(files, prefix, profile)

@@ -44,6 +44,12 @@ class Setters(Memory, Addressing):
 
         Raises:
             ControllerError: a name, a node, a shape or a number is wrong, or these data cannot be set; nothing changes.
+
+        Examples:
+            >>> from nmpc_codegen import build
+            >>> controller = build(ocp)
+            >>> controller.set_reference({"h": 0.8})
+            >>> controller.set_reference(np.linspace(0.5, 0.8, 10)[:, None])
         """
         self._set_residuals("reference", y, node)
 
@@ -103,6 +109,12 @@ class Setters(Memory, Addressing):
 
         Raises:
             ControllerError: a name, a node, a shape or a number is wrong, or these data cannot be set; nothing changes.
+
+        Examples:
+            >>> from nmpc_codegen import build
+            >>> controller = build(ocp)
+            >>> controller.set_parameter("drain", 0.12)
+            >>> controller.set_parameter("drain", np.linspace(0.1, 0.2, 11))
         """
         one = self._checked_parameter(name, value, node)
         if one.column is None:
@@ -145,6 +157,12 @@ class Setters(Memory, Addressing):
 
         Raises:
             ControllerError: a name, a node, a shape or a number is wrong, or these data cannot be set; nothing changes.
+
+        Examples:
+            >>> from nmpc_codegen import build
+            >>> controller = build(ocp)
+            >>> controller.set_bounds("q", 0, 0.1)
+            >>> controller.set_bounds({"q": (0, 0.15)})
         """
         if isinstance(name, Mapping):
             self._expect_alone("set_bounds", lower, upper)

@@ -32,6 +32,9 @@ def smooth_excess(lower: Any, expr: Any, upper: Any, width: Any) -> Expression:
 
     Raises:
         ProblemError: sizes do not match, lower exceeds upper, or the width is not positive.
+
+    Examples:
+        >>> cost = 10 * smooth_excess(-inf, ocp.x, 0.9, width=0.01)
     """
     h = expr if isinstance(expr, (ca.SX, ca.MX)) else ca.SX(ca.DM(expr))
     n, what = h.numel(), "smooth_excess"

@@ -48,6 +48,10 @@ def lookup_table(
 
     Raises:
         ProblemError: a part has another shape, a grid does not increase, a number is not finite, it is too large.
+
+    Examples:
+        >>> speed, torque = [0, 100, 200, 300], [2.0, 1.9, 1.5, 0.8]
+        >>> most = lookup_table(ocp.x, speed, torque, kind="cubic")
     """
     if kind not in KINDS:
         raise ProblemError(f"lookup_table: kind is {kind!r}; allowed: {', '.join(map(repr, KINDS))}")

@@ -170,6 +170,12 @@ class Batch(Structs):
 
         Raises:
             ControllerError: shapes or numbers are wrong, or the plant has other states or controls.
+
+        Examples:
+            >>> from nmpc_codegen import Normal, batch
+            >>> flights = batch(ocp, 1).simulate(np.full((1000, 1), 0.3), 50, noise=Normal(0.01))
+            >>> len(flights), flights.last.shape
+            (1000, (1000, 1))
         """
         task = Task(steps, dt, parameters, references, disturbance, noise, added, plant_parameters, seed, first, record)
         return simulate_all(self, X0, task, None if plant is None else self._plant(plant))

@@ -39,9 +39,10 @@ class Log(Record):
         >>> ocp.dynamics({h: q - 0.1 * h})
         >>> ocp.least_squares(h, weight=1, reference=0.5)
         >>> ocp.subject_to(0, q, 0.2)
-        >>> log = simulate(build(ocp), [0.3], steps=20)
-        >>> log.ok, log.x.shape
-        (True, (21, 1))
+        >>> references = {"h": [0.5] * 10 + [0.8] * 10}
+        >>> log = simulate(build(ocp), [0.3], 20, references=references, disturbance=lambda k, x: [0.02 * (k == 15)])
+        >>> log.ok, log.x.shape, log.u.shape
+        (True, (21, 1), (20, 1))
     """
 
     def __str__(self) -> str:

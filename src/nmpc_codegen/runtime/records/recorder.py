@@ -162,6 +162,11 @@ class Recorder:
 
     Raises:
         ControllerError: an argument is wrong, or the file exists or cannot be written.
+
+    Examples:
+        >>> from nmpc_codegen import build
+        >>> with Recorder(build(ocp), file="run.rec") as recorder:
+        ...     q = recorder.step([0.3])
     """
 
     def __init__(
@@ -358,6 +363,14 @@ def open_recording(file: str | os.PathLike[str], package: Controller | str | Pat
 
     Raises:
         ControllerError: the file is no recording, or one of another package.
+
+    Examples:
+        >>> from nmpc_codegen import build
+        >>> controller = build(ocp)
+        >>> with Recorder(controller, file="again.rec") as recorder:
+        ...     q = recorder.step([0.3])
+        >>> open_recording("again.rec", controller).u.shape
+        (1, 1)
     """
     description, data, remarks = stream.read(file)
     ctrl = package if isinstance(package, Controller) else open_package(package)

@@ -184,6 +184,13 @@ def replay(
     Raises:
         ControllerError: the bytes are no dump of this package.
         BuildError: the folder cannot be opened.
+
+    Examples:
+        >>> from nmpc_codegen import build
+        >>> controller = build(ocp)
+        >>> q = controller.step([0.3])
+        >>> replay(bytes(controller), controller, xhat=[0.31]).sample.status.name
+        'OK'
     """
     ctrl = package if isinstance(package, Controller) else open_package(package, "verify")
     data = _bytes_of(dump)
