@@ -3,7 +3,7 @@
 Times and instructions of a sample in closed loops of nine problems: portable C as build() compiles it for this
 processor, portable C for any processor, and C for the target of this machine. ``--base``: the loops of that commit run
 in turn with ours, and its figures stand in parentheses. ``--table`` writes them in place of the table of a Markdown
-file (README.md).
+file (docs/performance.md).
 """
 
 from __future__ import annotations

@@ -16,9 +16,9 @@ from mkdocs.plugins import get_plugin_logger
 from mkdocs.structure.pages import Page
 
 LOG = get_plugin_logger("checks")
-#: Code in any form, and words in angle brackets outside of it, which no page has on purpose.
+#: Code in any form, and words in angle brackets outside of it, of which pages have pictures alone on purpose.
 _CODE = re.compile(r"^```.*?^```$|^ {4,}.*?$|`[^`]+`", re.MULTILINE | re.DOTALL)
-_ELEMENT = re.compile(r"</?([A-Za-z][\w-]*)(?=[\s/>])[^<>]*>")
+_ELEMENT = re.compile(r"</?(?!img\b)([A-Za-z][\w-]*)(?=[\s/>])[^<>]*>")
 
 
 def on_page_markdown(markdown: str, page: Page, **_: Any) -> str:

@@ -96,14 +96,6 @@ def _first(found: Any) -> str:
     return (sentence[0] if sentence else text).rstrip(".:").replace("|", "\\|").replace("<", "&lt;")
 
 
-def _times() -> str:
-    """The table of README.md."""
-    (table,) = re.findall(
-        r"^\| time of a sample.*?(?=^$)", (ROOT / "README.md").read_text(encoding="utf-8"), _PARAGRAPH
-    )
-    return str(table)
-
-
 def _gallery() -> str:
     """A picture of every example, which leads to its section."""
     page = (ROOT / "docs" / "examples.md").read_text(encoding="utf-8")
@@ -123,5 +115,4 @@ INSERTS: dict[str, Callable[[], str]] = {
     "names": _names,
     "options": lambda: _printed("--list-options"),
     "statuses": _statuses,
-    "times": _times,
 }

@@ -23,7 +23,7 @@ LOG = get_plugin_logger("pages")
 #: File of the repository -> page of the site.
 PAGES = {"README.md": "index.md", "CHANGELOG.md": "changelog.md", "CONTRIBUTING.md": "contributing.md"}
 
-_LINK = re.compile(r"(\]\(|(?:src|href)=\")([^)\s\"#]+)((?:#[^)\s\"]*)?)")
+_LINK = re.compile(r"(\]\(|src=\"|^\[[\w-]+\]: )([^)\s\"#]+)((?:#[^)\s\"]*)?)", re.MULTILINE)
 _FENCE = re.compile(r"^```(\w+) (?:file|run|theirs)(?:=(\S+))?$", re.MULTILINE)
 _FILE = re.compile(r"\[(?:docs/)?([\w-]+)\.md\]\(")  # a link whose text is the name of a page
 #: A row of a table, and a span of code in it, in which GitHub needs an escape for | and Python-Markdown none.

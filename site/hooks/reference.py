@@ -46,7 +46,8 @@ def _modules(module: griffe.Module) -> list[griffe.Module]:
 def _escape(found: Any) -> None:
     """The docstrings of an object and its members, with words in angle brackets as text."""
     if found.docstring is not None:
-        lines = found.docstring.value.splitlines()
+        first, gap, rest = found.docstring.value.partition("\n\n")
+        lines = [first.replace("\n", " "), *(gap + rest).splitlines()[1:]]  # summaries show the first line
         found.docstring.value = "\n".join(map(_escape_line, lines))
     for member in found.members.values() if found.is_class else ():
         if not member.is_alias:

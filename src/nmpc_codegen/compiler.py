@@ -234,7 +234,7 @@ def batch(
         number: of controllers, M >= 1.
         options: for a problem.
         device: "cuda": on the present GPU of CuPy (extra [cuda]); its calls take and return arrays there.
-        threads: >= 1; None: one for every core that this process may use. Results do not depend on it.
+        threads: 1 or more; None: one for every core that this process may use. Results do not depend on it.
 
     Raises:
         OptionError: a controller has been built with its options.

@@ -6,6 +6,7 @@ import hashlib
 import json
 import shutil
 import subprocess
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -53,6 +54,25 @@ def test_files_of_an_export_for_a_target(exported: Path, tmp_path: Path) -> None
     assert all(intact(data) for data in files.values())
     copied = files["arduino/crane/src/crane.c"].splitlines()[:-1]
     assert copied == files["crane.c"].splitlines()[:-1]
+
+
+def test_a_certificate_does_not_outlive_its_package(exported: Path, tmp_path: Path) -> None:
+    """Another package in the same folder takes away what certified the old one, but for what somebody has edited."""
+    folder = tmp_path / "crane"
+    shutil.copytree(exported, folder)
+    options = Options(precision="single", solve=False, target="cortex-m4f")
+    for name in ("certificate.md", "firmware/Makefile", "arduino/crane/src/crane.c"):
+        assert (folder / name).exists()
+    export(crane.build_ocp(), options, folder, force=True)  # the same C: it is still certified
+    assert (folder / "certificate.md").exists()
+    (folder / "firmware" / "Makefile").write_text("# mine\n" + (folder / "firmware" / "Makefile").read_text())
+    (folder / "firmware" / "notes.txt").write_text("mine")
+    with pytest.warns(UserWarning, match="belonged to the package before|is of the package that was replaced") as said:
+        export(crane.build_ocp(), replace(options, precision="double"), folder)
+    assert len(said) == 2
+    left = {p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.is_file()}
+    own = {"crane.c", "crane.h", "crane.json", "main.c", "CMakeLists.txt", "README.md"}
+    assert left == own | {"firmware/Makefile", "firmware/notes.txt"}
 
 
 def test_certificate_of_an_export(exported: Path) -> None:

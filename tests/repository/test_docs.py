@@ -430,13 +430,25 @@ def test_links_lead_somewhere(document: Path) -> None:
     assert not [t for t in targets if "://" not in t and not (document.parent / t).exists()]
 
 
+def test_times_of_the_readme_are_those_of_the_page() -> None:
+    def rows(page: str) -> list[list[str]]:
+        lines = re.findall(r"^\| (.*) \|$", (ROOT / page).read_text(encoding="utf-8"), re.MULTILINE)
+        cells = [line.split(" | ") for line in lines]
+        return [[name, *(time.split(",")[0] for time in times)] for name, *times in cells]
+
+    complete = {row[0]: [row[1], row[3], row[4]] for row in rows("docs/performance.md") if len(row) == 7}
+    short = [row for row in rows("README.md")[1:] if len(row) == 4]
+    assert len(short) == 4
+    assert all(complete[name] == times for name, *times in short)
+
+
 @pytest.mark.parametrize("page", ["README.md", "packaging/runtime/README.md"])
 def test_pages_of_an_index_have_absolute_links(page: str) -> None:
     """To pages and pictures of the site that exist, at the address of the project."""
     text = (ROOT / page).read_text(encoding="utf-8")
     home = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["urls"]["Homepage"]
     assert f"site_url: {home}\n" in (ROOT / "site" / "mkdocs.yml").read_text(encoding="utf-8")
-    targets = re.findall(r"\]\(([^)#\s]+)[^)]*\)", text)
+    targets = re.findall(r"(?:\]\(|src=\"|^\[[\w-]+\]: )([^)#\s\"]+)", text, re.MULTILINE)
     assert targets
     for target in targets:
         assert target.startswith((home, "https://pypi.org/project/nmpc-codegen"))

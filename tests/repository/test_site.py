@@ -129,6 +129,7 @@ def public() -> list[Any]:
     names = [f"{room}.{name}" for room in ROOMS for name in importlib.import_module(room).__all__]
     names += [f"nmpc_codegen.{name}" for name in RETURNED]
     found = [package()[name.removeprefix("nmpc_codegen.")] for name in names]
+    assert not [f.path for f in found if f.is_module], "a module has the name of a function"
     final = {f.path: f for f in (f.final_target if f.is_alias else f for f in found)}
     return [f for _, f in sorted(final.items()) if f.is_class or f.is_function]
 

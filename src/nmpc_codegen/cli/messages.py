@@ -55,10 +55,10 @@ def _message(error: BaseException, file: str | None) -> str:
         return f"{place if lines else ''}{kind}: {_text(error)}"
     if isinstance(error, OSError) and error.strerror and not lines:
         return f"{kind}: {error.filename or file}: {error.strerror}"
-    return f"{place}{kind}: {_text(error)}{_expected(error)}" + ("" if lines else f"{_stage(frames)} (-v shows where)")
+    return f"{place}{kind}: {_text(error)}{_keywords(error)}" + ("" if lines else f"{_stage(frames)} (-v shows where)")
 
 
-def _expected(error: BaseException) -> str:
+def _keywords(error: BaseException) -> str:
     """The keywords that a function of this package takes, where it was given another one."""
     found = _UNKNOWN.match(_text(error)) if isinstance(error, TypeError) else None
     if found is None:

@@ -75,11 +75,18 @@ class Derivatives:
     yref_N: Array
     W: Array
     W_N: Array
+    name: str
+    N: int
+    nx: int
+    nu: int
+    nout: int
 
     def __init__(self, model: DerivativeModel, name: str, ffi: Any, lib: Any) -> None:
         problem = model.problem
-        self.name, self.N, self.nx, self.nu, self.nout = name, problem.N, problem.nx, problem.nu, model.outputs
-        self.output_names, self.precision = model.output_names, model.precision
+        self.name = name
+        self.N, self.nx, self.nu, self.nout = problem.N, problem.nx, problem.nu, model.outputs
+        self.output_names = model.output_names
+        self.precision = model.precision
         self.operations: Mapping[str, OpCount] = Counts(model).all
         self._ffi, self._lib = ffi, lib
         self._scalar = np.float64 if model.precision == "double" else np.float32

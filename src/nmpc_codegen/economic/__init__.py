@@ -18,7 +18,7 @@ from nmpc_codegen.economic.companions import (
     tracking_cost,
 )
 from nmpc_codegen.economic.periodic import PeriodicTuning, tune_periodic
-from nmpc_codegen.economic.steady_state import SteadyState
+from nmpc_codegen.economic.stationary import SteadyState
 from nmpc_codegen.economic.steps import StageQp, Step, corrected_multipliers, kkt_step
 from nmpc_codegen.economic.terminal import TerminalCost, lqr_terminal_cost, with_terminal_cost
 from nmpc_codegen.economic.tuning import Tuning, steady_state, tune

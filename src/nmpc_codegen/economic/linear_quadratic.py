@@ -18,7 +18,7 @@ import scipy.linalg
 import scipy.optimize
 
 from nmpc_codegen.economic.stage import Rows, SteadyStage
-from nmpc_codegen.economic.steady_state import SteadyState
+from nmpc_codegen.economic.stationary import SteadyState
 from nmpc_codegen.frontend.problem import Array
 
 FREQUENCIES = 721

@@ -18,7 +18,7 @@ import numpy as np
 import scipy.linalg
 
 from nmpc_codegen.economic.stage import SteadyStage, in_units, magnitudes, units
-from nmpc_codegen.economic.steady_state import (
+from nmpc_codegen.economic.stationary import (
     ATTEMPTS,
     CURVED,
     IPOPT_TOLERANCE,

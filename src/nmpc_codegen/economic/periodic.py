@@ -24,7 +24,7 @@ from nmpc_codegen.economic.linear_quadratic import LinearQuadratic
 from nmpc_codegen.economic.orbit import Orbit, solve_orbit
 from nmpc_codegen.economic.semidefinite import Weights, convexify_period
 from nmpc_codegen.economic.stage import SteadyStage, steady_stage
-from nmpc_codegen.economic.steady_state import start_point
+from nmpc_codegen.economic.stationary import start_point
 from nmpc_codegen.errors import OptionError, ProblemError
 from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.frontend.ocp import OCP
@@ -133,7 +133,8 @@ def tune_periodic(
 
     Raises:
         ProblemError: there are cyclic states or unequal intervals, no orbit is found, or there are no such M_k.
-        OptionError: an argument has a value that is not allowed, or CVXPY or Clarabel is missing.
+        OptionError: an argument has a value that is not allowed.
+        ExtraError: CVXPY or Clarabel is missing.
     """
     weights = Weights(rho1, eta=eta)
     if not isinstance(ocp, OCP):

@@ -28,7 +28,7 @@ import scipy.linalg
 from nmpc_codegen.economic.linear_quadratic import LinearQuadratic, curvature_scaling, linear_quadratic
 from nmpc_codegen.economic.riccati import CostToGo, cost_to_go
 from nmpc_codegen.economic.stage import SteadyStage, magnitudes, steady_stage
-from nmpc_codegen.economic.steady_state import SteadyState, solve_steady_state
+from nmpc_codegen.economic.stationary import SteadyState, solve_steady_state
 from nmpc_codegen.errors import ProblemError
 from nmpc_codegen.frontend.checks import flag, vector
 from nmpc_codegen.frontend.classify import classify

@@ -21,7 +21,7 @@ import numpy as np
 from nmpc_codegen.economic.linear_quadratic import Frequency, LinearQuadratic, frequency_function, linear_quadratic
 from nmpc_codegen.economic.semidefinite import Certificate, Weights, convexify, scalings
 from nmpc_codegen.economic.stage import SteadyStage, steady_stage
-from nmpc_codegen.economic.steady_state import SteadyState, solve_steady_state
+from nmpc_codegen.economic.stationary import SteadyState, solve_steady_state
 from nmpc_codegen.economic.terminal import with_terminal_cost
 from nmpc_codegen.errors import OptionError, ProblemError
 from nmpc_codegen.frontend.classify import classify
@@ -179,7 +179,8 @@ def tune(
 
     Raises:
         ProblemError: there is no steady state or no solution; the message says which condition fails.
-        OptionError: an argument has a value that is not allowed, or CVXPY or Clarabel is missing.
+        OptionError: an argument has a value that is not allowed.
+        ExtraError: CVXPY or Clarabel is missing.
     """
     weights = Weights(rho1, rho2, eta)
     problem = with_terminal_cost(_classify(ocp, options), options)
@@ -197,7 +198,15 @@ def tune(
 def steady_state(ocp: OCP, options: Options | None = None, guess: Any = None) -> SteadyState:
     """The best steady state and its multipliers, without M: min l  s.t.  x = Phi(x, u) and the rows of the path.
 
-    Cyclic states are left out; the other arguments and errors are those of tune().
+    Cyclic states are left out.
+
+    Args:
+        ocp: the problem.
+        options: their integrator defines the discrete map.
+        guess: (x, u) near the steady state, as in tune().
+
+    Raises:
+        ProblemError: there is no steady state; the message says which condition fails.
 
     Examples:
         >>> from nmpc_codegen.economic import steady_state

@@ -139,9 +139,9 @@ class OCP(Constraints):
             size: number of elements; None: a scalar.
             unit: it is printed and written into the C.
             initial: the x_0 that --check, --simulate, main.c and the test vectors use, a number or (size,).
-            scale: > 0, a value of it that is neither small nor large, in its unit. Tolerances are relative to it, and
-                what is far below it counts as 0. None: the largest of half the width of its bounds, its initial value
-                and its references; where all are 0, what the controls make of it.
+            scale: positive, a value of it that is neither small nor large, in its unit. Tolerances are relative to it,
+                and what is far below it counts as 0. None: the largest of half the width of its bounds, its initial
+                value and its references; where all are 0, what the controls make of it.
             initial_range: (lower, upper), between which measured states are to be expected at the start of a loop;
                 warnings look at its corners, campaigns start there.
 

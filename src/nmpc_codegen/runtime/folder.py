@@ -22,10 +22,12 @@ from pathlib import Path, PurePosixPath
 from filelock import FileLock, Timeout
 
 from nmpc_codegen.errors import ExportError, OptionError
-from nmpc_codegen.package.seal import LARGEST, has_seal, intact
+from nmpc_codegen.package.seal import LARGEST, has_seal, intact, package_of
 
 TEMPORARY = ".nmpc_codegen-new"
 LOCK_TIMEOUT = 10.0  # seconds that an export waits for another one into the same folder
+#: What an export for a microcontroller adds to a package; it belongs to this package and to no other.
+BESIDE = ("certificate*.json", "certificate*.md", "library.json", "firmware/**/*", "zephyr/**/*", "arduino/**/*")
 EXAMPLE = "main.c"  # a file to start from: it is not needed, so that an edited one stays
 
 
@@ -58,7 +60,7 @@ def write(
     and a warning says so. Any other file that is not generated, edited or read-only is an error. With ``force`` such
     files are replaced, and copies of them are kept beside. Links, folders and devices in the place of a file are never
     replaced. Files of ``obsolete`` (relative path -> how they begin) are removed, if an export has written
-    them and nobody has edited them since.
+    them and nobody has edited them since. So are certificate and firmware of a package whose C is replaced by another.
 
     Raises:
         OptionError: ``directory`` or ``force`` has a wrong type.
@@ -71,10 +73,14 @@ def write(
         folder.mkdir(parents=True, exist_ok=True)
     with _alone(folder):
         changes, kept = _changes(folder, files, force)
+        stale = _stale(folder, files, changes)
         try:
             for change in changes:
                 with _naming(change.target, "cannot be written"):
                     _stage(change)
+            for old in stale:
+                with _naming(old, "cannot be removed"):
+                    _remove(old)
             for change in changes:
                 with _naming(change.target, "cannot be replaced"):
                     _replace(change)
@@ -85,6 +91,10 @@ def write(
             for path in files:
                 with suppress(OSError):
                     (folder / (path + TEMPORARY)).unlink()
+    kept += [f"{old}: is of the package that was replaced, and edited" for old in stale if old.exists()]
+    if removed := [old for old in stale if not old.exists()]:
+        said = f"{removed[0]} and {len(removed) - 1} other files are removed: they belonged to the package before"
+        warnings.warn(f"{said}; nmpc-export --target writes new ones", stacklevel=3)
     for what in kept:
         warnings.warn(f"{what}; left as it is (force=True, --force replaces it)", stacklevel=3)
     return folder
@@ -165,6 +175,18 @@ def _changes(folder: Path, files: Mapping[str, str], force: bool) -> tuple[list[
     return changes, kept
 
 
+def _stale(folder: Path, files: Mapping[str, str], changes: list[Change]) -> list[Path]:
+    """What lies beside packages whose C is replaced, is sealed as theirs, and is not written now."""
+    headers = [change for change in changes if change.target.suffix == ".h" and change.target.parent == folder]
+    replaced = {package_of((change.old or b"").decode(errors="replace")) for change in headers}
+    gone = replaced - {None, *(package_of(text) for text in files.values())}
+    if not gone:
+        return []
+    found = (path for pattern in BESIDE for path in sorted(folder.glob(pattern)))
+    mine = (p for p in found if p.relative_to(folder).as_posix() not in files and stat.S_ISREG(_mode(p) or 0))
+    return [path for path in mine if package_of((_read(path) or b"").decode(errors="replace")) in gone]
+
+
 def _target(folder: Path, path: str) -> Path:
     """The place of a file; a link or anything else that is not a folder on the way to it is refused."""
     parts = PurePosixPath(path).parts
@@ -235,7 +257,7 @@ def _replace(change: Change) -> None:
     os.replace(change.new, change.target)
 
 
-def _remove(target: Path, beginning: bytes) -> None:
+def _remove(target: Path, beginning: bytes = b"") -> None:
     """Remove a generated file that begins so and is as it was written."""
     mode = _mode(target)
     if mode is not None and stat.S_ISREG(mode):

@@ -90,7 +90,7 @@ class Memory(Iterate):
 
     @property
     def status(self) -> Status:
-        """Outcome of the last prepare(), feedback(), step() or solve()."""
+        """Outcome of the last prepare(), feedback(), step() or solve(); of an estimator of step() or correct()."""
         return Status(int(self._struct["status"]))
 
     @property
@@ -130,10 +130,15 @@ class Memory(Iterate):
         return Kkt.read(lambda part: getattr(out, part), self.description.members("kkt"))
 
     def integrate(self, x: ArrayLike, u: ArrayLike, dt: float) -> Array:
-        """State (nx,) after the time dt (s) from x (nx,) under constant u (nu,), by the integrator of the package.
+        """State (nx,) after a time under a constant control, by the integrator of the package.
 
         Where the dynamics contain previous controls or time, they are those of the last sample. Discrete states beside
         continuous ones take their next value, whatever dt is.
+
+        Args:
+            x: state (nx,).
+            u: control (nu,).
+            dt: the time, in the unit of the problem.
         """
         start = self._array("x", x, (self.dims.nx,), finite=False)
         control = self._array("u", u, (self.dims.nu,), finite=False)

@@ -165,10 +165,11 @@ class RealTimeIteration(Defaults):
             so that the QP has no gaps (Houska, Ferreau and Diehl, Automatica 47, 2011, section 2.2). What the states
             change by counts in stats.residual. A simulation that is not finite leaves the plan as it is. There is no
             repair, and solve() is that of multiple shooting.
-        levels: add prepare_level() and iterate(), which keep derivatives and factors and evaluate part of the rest.
-            Where the QP solver has a working set, DenseActiveSet() and RiccatiActiveSet(), and x_0 is the measured
-            state, the feedback phase is split as well: feedback_first() returns the control of the minimiser on the
-            predicted working set, clipped to its bounds, by one product with a matrix; feedback_finish() solves the QP.
+        levels: add prepare(level=), in C prepare_level(), and iterate(), which keep derivatives and factors and
+            evaluate part of the rest. Where the QP solver has a working set, DenseActiveSet() and RiccatiActiveSet(),
+            and x_0 is the measured state, the feedback phase is split as well: feedback_first() returns the control of
+            the minimiser on the predicted working set, clipped to its bounds, by one product with a matrix;
+            feedback_finish() solves the QP.
 
     Levels: Bock et al., in Assessment and Future Directions of NMPC (2007), multi-level iterations; Nurkanovic et al.,
     CDC 2019, advanced step real-time iteration. There, D is the level that evaluates everything; here it is A.

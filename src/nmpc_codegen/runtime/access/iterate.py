@@ -60,7 +60,7 @@ class Iterate:
 
     @property
     def mu_x(self) -> Array:
-        """Multipliers of state bounds, (N+1, nx), a read-only copy: assign to it."""
+        """Multipliers of state bounds, (N+1, nx), a copy; ``ctrl.mu_x = values`` sets them."""
         return self._multipliers("mu_x")
 
     @mu_x.setter
@@ -78,7 +78,7 @@ class Iterate:
 
     @property
     def mu(self) -> Array:
-        """Multipliers of general path rows, (N, nh), a read-only copy: assign to it."""
+        """Multipliers of general path rows, (N, nh), a copy; ``ctrl.mu = values`` sets them."""
         return self._multipliers("mu")
 
     @mu.setter
@@ -87,7 +87,7 @@ class Iterate:
 
     @property
     def mu_N(self) -> Array:
-        """Multipliers of general terminal rows, (nh_N,), a read-only copy: assign to it."""
+        """Multipliers of general terminal rows, (nh_N,), a copy; ``ctrl.mu_N = values`` sets them."""
         return self._multipliers("mu_N")
 
     @mu_N.setter

@@ -32,15 +32,16 @@ Array = NDArray[Any]
 class Batch(Structs):
     """Many controllers of one package: M copies of one, which go on by themselves.
 
-    x, u, lam, mu_u are views with a first axis of M; mu_x, mu, mu_N, eta are read-only copies; many[i] is a Controller
-    on the same memory. Calls are made by ``threads`` threads; the results do not depend on their number.
+    x, u, lam, mu_u are views, with a first axis of M before the shapes of a Controller: x (M, N+1, nx). So are the
+    copies mu_x, mu, mu_N, eta, which cannot be written to. many[i] is a Controller on the same memory. Calls are made
+    by ``threads`` threads; the results do not depend on their number.
 
     batch() makes one; where the compiler of problems is not installed, so does Batch(controller, number).
 
     Args:
         controller: from build() or open_package(); it is copied in its present state.
         number: M >= 1.
-        threads: >= 1; None: one for every core that this process may use.
+        threads: 1 or more; None: one for every core that this process may use.
 
     Raises:
         ControllerError: the numbers are wrong, or it is no controller.

@@ -74,7 +74,7 @@ def simulate(
         reference: the same; a function that is given here belongs to ``before``.
         estimator: build(ocp.estimator(...)), which tells the controller the state. Parameters it finds are the plant's.
         seed: of the noise of its measurements; None: no noise.
-        plans: the plan of every so many samples is logged; 0: none; None: of all, of long loops at most 1000, 64 MiB.
+        plans: the plan of every so many samples is logged; 0: none; None: all plans, but at most 1000 and 64 MiB.
 
     Raises:
         ControllerError: shapes or numbers are wrong, there are more steps than a log can hold, or the plant returns
