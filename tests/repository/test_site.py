@@ -34,8 +34,8 @@ RETURNED = ("runtime.solving.Solution", "package.status.Kkt", "package.status.St
 
 WIDTH = 390  # of a telephone, in pixels
 CHROMIUM = (
-    *("--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--dump-dom"),
-    *("--disable-background-networking", "--disable-component-update", "--disable-sync"),
+    *("--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--disable-dev-shm-usage", "--no-first-run"),
+    *("--disable-background-networking", "--disable-component-update", "--disable-sync", "--dump-dom"),
     "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE localhost",
 )
 #: One page after the other in a frame of this width; each writes how wide it is.
