@@ -46,7 +46,7 @@ def page_of_example(path: Path) -> str:
     text = path.read_text(encoding="utf-8")
     said = ast.get_docstring(ast.parse(text)) or ""
     picture = f"![](../docs/{path.stem}.png)\n\n" if (ROOT / "docs" / f"{path.stem}.png").exists() else ""
-    more = "What it adds, in the order of the tutorial: [examples](../docs/examples.md).\n\n"
+    more = "What it adds to the examples before it: [examples](../docs/examples.md).\n\n"
     return f'# {path.name}\n\n{escape(said)}\n\n{picture}{more}```python title="examples/{path.name}"\n{text}```\n'
 
 
@@ -68,9 +68,8 @@ def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Fil
     for block in _CODE.finditer(markdown):
         pieces += [_LINK.sub(lead, markdown[end : block.start()]), _FENCE.sub(_titled, block[0], count=1)]
         end = block.end()
-    text = _FILE.sub(
-        lambda name: f"[{name[1].replace('-', ' ')}](", "".join([*pieces, _LINK.sub(lead, markdown[end:])])
-    )
+    text = "".join([*pieces, _LINK.sub(lead, markdown[end:])])
+    text = _FILE.sub(lambda name: f"[{name[1].replace('-', ' ')}](", text)
     return _ROW.sub(lambda row: _SPAN.sub(lambda span: span[0].replace("\\|", "|"), row[0]), text)
 
 

@@ -17,6 +17,7 @@ from typing import Any
 import griffe
 
 from nmpc_codegen.components.allowed import rules
+from nmpc_codegen.components.integrators import ButcherTableau
 
 _ATTRIBUTES = re.compile(r"^Attributes:\n(?: {4}.*\n?)+", re.MULTILINE)
 _SPAN = re.compile(r"(``.*?``|`.*?`)")
@@ -44,11 +45,12 @@ def _modules(module: griffe.Module) -> list[griffe.Module]:
 
 
 def _escape(found: Any) -> None:
-    """The docstrings of an object and its members, with words in angle brackets as text."""
+    """The docstrings of an object and its members: words in angle brackets are text, the first paragraph is one line,
+    which is what summaries show."""
     if found.docstring is not None:
         first, gap, rest = found.docstring.value.partition("\n\n")
-        lines = [first.replace("\n", " "), *(gap + rest).splitlines()[1:]]  # summaries show the first line
-        found.docstring.value = "\n".join(map(_escape_line, lines))
+        joined = first.replace("\n", " ") + gap + rest
+        found.docstring.value = "\n".join(map(_escape_line, joined.split("\n")))
     for member in found.members.values() if found.is_class else ():
         if not member.is_alias:
             _escape(member)
@@ -102,10 +104,7 @@ def _show_options(found: griffe.Class, cls: Any) -> None:
 
 
 def repr_of(value: Any) -> str:
-    """A default as it is written: a tableau by its name, an object by its class."""
-    if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        name = getattr(value, "name", "")
-        return (
-            name if isinstance(name, str) and name.isidentifier() and name[0].isupper() else f"{type(value).__name__}()"
-        )
-    return repr(value)
+    """A default as it is written: a tableau by its name, another object by its class."""
+    if isinstance(value, ButcherTableau):
+        return value.name
+    return f"{type(value).__name__}()" if dataclasses.is_dataclass(value) else repr(value)
