@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from conftest import require_tool
 
-from nmpc_codegen import Options, RealTimeIteration, generate
+from nmpc_codegen import OCP, Options, RealTimeIteration, generate
 from nmpc_codegen.errors import BuildError
 from nmpc_codegen.package.status import Status
 from nmpc_codegen.runtime.build import load
@@ -53,6 +53,21 @@ def test_no_warning_as_cpp17(name: str) -> None:
     precision = {"single": "double", "double": "single"}[precision_in_turn(name)]
     level = "-O1" if name == "path_rows" else "-fsyntax-only"
     assert quality.warnings_of(problems.sources(name, precision), (level,), ("C++17",)) == ""
+
+
+@pytest.mark.parametrize("kind", ["mhe", "ekf"])
+@pytest.mark.parametrize("sensed", ["x", "x and known", "x and unknown", "x and u"])
+def test_no_warning_of_an_estimator(kind: str, sensed: str) -> None:
+    """Whatever sensors see of the parameters and controls that the model has."""
+    ocp = OCP("plant", T=1.0, N=5)
+    x, u = ocp.state("x"), ocp.control("u")
+    known, unknown = ocp.parameter("known", value=1.0), ocp.parameter("unknown")
+    ocp.dynamics({x: u - known * x + unknown})
+    seen = {"x": x, "x and known": known * x, "x and unknown": x + unknown, "x and u": x + u}[sensed]
+    estimator = ocp.estimator(
+        N=4, kind=kind, measure={"y": seen}, noise_std={"y": 0.1}, process_std={"x": 0.1, "unknown": 0.1}
+    )
+    assert quality.warnings_of(generate(estimator), ("-fsyntax-only",), ("C99",)) == ""
 
 
 def test_warnings_are_seen() -> None:

@@ -56,6 +56,18 @@ static void keep_controls(solver_t *s, int k)
     }
 }
 
+/* p, filled with the parameters of the next sample, and the controls u where sensors see them. */
+static const real_t *seen_parameters(const solver_t *s, const real_t *u, real_t *p)
+{
+    for (int i = 0; i < AT_U; i++) {
+        p[i] = s->next[i];
+    }
+    for (int j = 0; HAS_BEFORE && j < NIN; j++) {
+        p[AT_BEFORE + j] = u[j];
+    }
+    return p;
+}
+
 /* What sensors without noise tell of x, where the controls u act, if there are any. They read no data of a sample. */
 static status_t tell_measurements(const solver_t *s, const real_t *x, const real_t *u, real_t *y)
 {
@@ -66,13 +78,7 @@ static status_t tell_measurements(const solver_t *s, const real_t *x, const real
         }
         return NOT_INITIALIZED;
     }
-    for (int i = 0; i < AT_U; i++) {
-        p[i] = s->next[i];
-    }
-    for (int j = 0; HAS_BEFORE && j < NIN; j++) {
-        p[AT_BEFORE + j] = u[j];
-    }
-    MEASUREMENT(x, p, y, H);
+    MEASUREMENT(x, seen_parameters(s, u, p), y, H);
     return OK;
 }
 
