@@ -74,3 +74,9 @@ def copy_tree(folder: Path) -> None:
     """Copy the compiler with its examples to a folder, for pages that edit it."""
     for name in ("src", "templates", "examples"):
         shutil.copytree(ROOT / name, folder / name, ignore=shutil.ignore_patterns("__pycache__"))
+
+
+def entries(text: str, section: str) -> set[str]:
+    """Names that a section of a docstring explains."""
+    found = re.findall(rf"^(?:{section}):\n((?:    .*\n|\n)*)", text + "\n", re.MULTILINE)
+    return set(re.findall(r"^    (\w+):", "\n".join(found), re.MULTILINE))

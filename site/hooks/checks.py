@@ -46,9 +46,7 @@ class Found(HTMLParser):
 def on_post_build(config: MkDocsConfig) -> None:
     """Warn of every dead link of the site."""
     site = Path(config.site_dir)
-    paths = [
-        path for path in site.rglob("*.html") if path.name != "404.html"
-    ]  # that is shown anywhere, with links from /
+    paths = (path for path in site.rglob("*.html") if path.name != "404.html")  # its links begin at the site's address
     pages = {path: Found(path.read_text(encoding="utf-8")) for path in paths}
     for path, page in pages.items():
         name = path.relative_to(site)

@@ -22,9 +22,10 @@ from nmpc_codegen.cli import main
 
 ROOT = Path(__file__).parents[2]
 _MARK = re.compile(r"^<!-- insert: (\w+) -->$", re.MULTILINE)
-_FUNCTIONS = re.compile(r"^(/\* init: .*?)^/\* end declarations \*/", re.MULTILINE | re.DOTALL)
-_PARAGRAPH = re.MULTILINE | re.DOTALL
-_EXAMPLE = re.compile(r"^## \[([\w.]+)\]\(.*?\): (.*?)$.*?^!\[(.*?)\]\((.*?)\)$", _PARAGRAPH)
+_LINES = re.MULTILINE | re.DOTALL
+_CART = re.compile(r"^```python file=cart\.py\n(.*?)^```$", _LINES)
+_FUNCTIONS = re.compile(r"^(/\* init: .*?)^/\* end declarations \*/", _LINES)
+_EXAMPLE = re.compile(r"^## \[([\w.]+)\]\(.*?\): (.*?)$.*?^!\[(.*?)\]\((.*?)\)$", _LINES)
 #: Rooms with public names of their own.
 ROOMS = ("", ".campaigns", ".economic", ".derivatives")
 
@@ -54,8 +55,7 @@ def _functions() -> str:
 def _header() -> str:
     """The header of the cart."""
     found: dict[str, Any] = {}
-    page = (ROOT / "docs" / "start.md").read_text(encoding="utf-8")
-    (text,) = re.findall(r"^```python file=cart\.py\n(.*?)^```$", page, re.MULTILINE | re.DOTALL)
+    (text,) = _CART.findall((ROOT / "docs" / "start.md").read_text(encoding="utf-8"))
     exec(text, found)
     return f'```c title="cart.h"\n{generate(found["ocp"])["cart.h"].rstrip()}\n```'
 

@@ -47,12 +47,7 @@ def page_of_example(path: Path) -> str:
     said = ast.get_docstring(ast.parse(text)) or ""
     picture = f"![](../docs/{path.stem}.png)\n\n" if (ROOT / "docs" / f"{path.stem}.png").exists() else ""
     more = "What it adds to the examples before it: [examples](../docs/examples.md).\n\n"
-    return f'# {path.name}\n\n{escape(said)}\n\n{picture}{more}```python title="examples/{path.name}"\n{text}```\n'
-
-
-def escape(text: str) -> str:
-    """A docstring as Markdown: what looks like an element of HTML is text."""
-    return text.replace("<", "&lt;")
+    return f'# {path.name}\n\n{said}\n\n{picture}{more}```python title="examples/{path.name}"\n{text}```\n'
 
 
 def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:

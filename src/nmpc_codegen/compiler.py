@@ -123,7 +123,7 @@ def export(
     So exporting again is safe, and several packages can share a folder: its main.c, CMakeLists.txt and README.md are
     those of the last export. A main.c that you have edited stays, and a warning says so. Any other file that is edited,
     read-only or of other origin is refused. Links, folders and devices in the place of a file are never replaced or
-    followed; ``directory`` itself may be a link to a folder.
+    followed; ``directory`` itself may be a link to a folder. A full disk leaves the folder unchanged.
 
     Args:
         ocp: the problem, or an estimator.

@@ -25,7 +25,7 @@ import griffe
 import pytest
 from conftest import require_tool
 
-from tests.snippets import ROOT, blocks
+from tests.snippets import ROOT, blocks, entries
 
 #: Rooms with public names of their own.
 ROOMS = ("nmpc_codegen", "nmpc_codegen.campaigns", "nmpc_codegen.economic", "nmpc_codegen.derivatives")
@@ -137,12 +137,6 @@ def public() -> list[Any]:
 def stated(cls: Any) -> set[str]:
     """Names that the sections of a class and its bases explain."""
     return set().union(*(entries(c.docstring.value, "Args|Attributes") for c in (cls, *cls.mro()) if c.docstring))
-
-
-def entries(text: str, section: str) -> set[str]:
-    """Names that a section of a docstring explains."""
-    found = re.findall(rf"^(?:{section}):\n((?:    .*\n|\n)*)", text + "\n", re.MULTILINE)
-    return set(re.findall(r"^    (\w+):", "\n".join(found), re.MULTILINE))
 
 
 def is_of_components(cls: Any, member: Any) -> bool:

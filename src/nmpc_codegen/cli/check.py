@@ -31,9 +31,8 @@ CHECK_TOLERANCE = {"double": 1e-9, "single": 1e-3}
 CHECK_ITERATIONS = 1000
 CHECK_STEPS = 5000  # of the integrator over the horizon
 COST_FLOOR = 1e-6  # least cost that a relative error refers to, so that a problem that starts at its goal can pass
-BARRIER = (
-    4e-12  # what a row may add to IPOPT's cost at a node: complementarity of both sides and, if soft, their excesses
-)
+#: What a row may add to IPOPT's cost at a node: its tolerance at both sides, and at both excesses of a soft row.
+BARRIER = 4e-12
 
 
 def check(ocp: OCP, options: Options, folder: Path, name: str, printer: Printer) -> bool:

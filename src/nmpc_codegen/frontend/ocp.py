@@ -62,8 +62,9 @@ class OCP(Constraints):
               lower <= h(x_k, u_k, p_k) <= upper,   lower <= r(x_0, x_N) <= upper
 
     Args:
-        name: C identifier of at most 60 characters; prefix of the generated C, and name of its files. Standard
-            headers (string, math), main, README and the like are refused, in upper or lower case.
+        name: C identifier of at most 60 characters; prefix of the generated C, and name of its files. Refused, in
+            upper or lower case: standard headers (math, string), files next to it (main, README), targets of CMake
+            (clean), devices (con), prefixes of macros of the system (x).
         T: length of the horizon (s, or ``time_unit``), divided into N equal intervals.
         N: number of intervals. If neither T nor intervals is given, the dynamics are a discrete map with dt = 1.
         intervals: lengths of the intervals, instead of T.

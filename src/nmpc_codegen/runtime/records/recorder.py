@@ -274,15 +274,7 @@ class Recorder:
         return u
 
     def feedback(self, x: ArrayLike, on_failure: OnFailure = "status") -> Array:
-        """The second phase of a sample, after prepare() of the controller, and recorded.
-
-        Args:
-            x: measured state (nx,).
-            on_failure: as in Controller.step().
-
-        Returns:
-            Control to apply (nu,).
-        """
+        """The second phase of a sample, after prepare() of the controller, and recorded; x, on_failure as in step()."""
         began = perf_counter_ns()
         u = self._feedback(x)
         self._take(began)
