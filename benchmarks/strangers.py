@@ -1,7 +1,8 @@
 """Strangers: python -m benchmarks.strangers [--part loops|solve] [--scale S] [--json FILE] [--table FILE]
 
-It ends with an exit status of 1 if a figure is beyond its limit. ``--table`` writes the loops with and without repair
-and relaxation, and ``--remedies`` what advice changes, in place of the tables of a Markdown file (docs/strangers.md).
+It ends with an exit status of 1 if a figure is beyond its limit. ``--table`` writes the loops with and without
+iterations and relaxation, and ``--remedies`` what advice changes, in place of the tables of a Markdown file
+(docs/strangers.md).
 """
 
 from __future__ import annotations

@@ -10,7 +10,7 @@ from benchmarks.lib.convergence import accuracy, loops, starts
 from benchmarks.lib.firmware import emulated, riscv, single
 from benchmarks.lib.firmware import sizes as forms
 from benchmarks.lib.report import Report
-from benchmarks.lib.robustness import at_rest, cold, episodes, qps, returns, violations, work, worst
+from benchmarks.lib.robustness import at_rest, cold, draws, episodes, qps, returns, violations, work, worst
 from benchmarks.lib.run import RefusedError, Run
 from benchmarks.lib.speed import choice, data, instructions, levels, own_math, rates, recording, sizes, times
 
@@ -56,6 +56,7 @@ TOPICS: dict[str, Topic] = {
     "speed/setters": data.setters,
     "speed/tables": data.tables,
     "robustness/at_rest": at_rest.measure,
+    "robustness/draws": draws.measure,
     "robustness/work": work.measure,
     "robustness/worst": worst.measure,
     "robustness/violations": violations.measure,

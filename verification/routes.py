@@ -20,7 +20,7 @@ from nmpc_codegen import (
 from nmpc_codegen.components.base import Condensing, QpSolver
 
 #: The plain scheme: the plan stays where it is, one full step per sample, rows stay hard. The status is that of the QP.
-PURE = RealTimeIteration(repair=0, shift=None, relaxation=None, tolerance=1e30)
+PURE = RealTimeIteration(iterations=1, shift=None, relaxation=None, tolerance=1e30)
 
 ROUTES: dict[str, tuple[Condensing, QpSolver]] = {
     "dense": (FullCondensing(), DenseActiveSet()),

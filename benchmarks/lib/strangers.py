@@ -31,7 +31,7 @@ STAYS, DEARER = 50, 0.01
 SCHEMES: Mapping[str, RealTimeIteration | AugmentedLagrangian] = {
     "default": RealTimeIteration(),
     "relaxation=None": RealTimeIteration(relaxation=None),
-    "repair=0": RealTimeIteration(repair=0),
+    "iterations=1": RealTimeIteration(iterations=1),
     "pure": replace(PURE, tolerance=RealTimeIteration().tolerance),
     "augmented Lagrangian": AugmentedLagrangian(),
 }
@@ -146,7 +146,7 @@ def _report(report: Report, name: str, verdicts: list[Verdict]) -> None:
     report.add("not OK", sum(v.bad for v in verdicts) / samples, "share", case=name, n=samples)
     report.add("relaxed", sum(v.statuses["RELAXED"] for v in verdicts) / samples, "share", case=name, n=samples)
     report.add("OK while far", sum(v.far for v in verdicts), "samples", case=name, n=samples, limit=0)
-    report.add("repairs", sum(v.repairs for v in verdicts) / samples, "per sample", case=name, n=samples)
+    report.add("iterations", sum(v.iterations for v in verdicts) / samples, "per sample", case=name, n=samples)
 
 
 def table() -> str:

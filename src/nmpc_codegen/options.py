@@ -137,8 +137,7 @@ class Options:
     """One component for every part of the algorithm, and how data are stored and C is written.
 
     A component that is None is the default of the algorithm, or the compiler chooses it for the problem; the report
-    gives the reason. Results of targets differ by rounding, but for a microcontroller less is chosen: no repairs before
-    a sample, no solve(), and with it no second Hessian.
+    gives the reason. Targets obey the same options: their results differ by rounding.
 
     Args:
         integrator: the scheme of the dynamics.
@@ -148,8 +147,8 @@ class Options:
         algorithm: what a sample does.
         online: which data can be changed at run time.
         precision: of all numbers of the package.
-        solve: generate <name>_solve(), which iterates to convergence; a controller for real-time use alone is smaller
-            without it. None: not for a microcontroller.
+        solve: generate <name>_solve(), which iterates to convergence, and an exact Hessian for it and for samples that
+            iterate. A controller for real-time use alone is smaller without them. None: yes.
         math: "own" puts exp, sin, pow and their like into the package, so that every machine computes the same bits and
             no libm is needed; "libm" calls those of math.h. None: "own" for a microcontroller.
         goal: "size" chooses loops instead of straight-line code, matrices without padding and the smallest QP method,
@@ -216,10 +215,8 @@ class Options:
 
     @property
     def solves(self) -> bool:
-        """True if the package has a solve(): that of a microcontroller only where it is asked for."""
-        if self.solve is not None:
-            return self.solve
-        return self.target == NATIVE or TARGETS[self.target].roomy
+        """True if the package has a solve()."""
+        return self.solve is not False
 
 
 def for_estimator(options: Options | None, kind: EstimatorKind) -> Options:

@@ -72,11 +72,6 @@ class Target:
         return "gnu99" if self.lanes > 1 else "c99"
 
     @property
-    def roomy(self) -> bool:
-        """False for microcontrollers: a second Hessian, and iterations before a sample, are too much there."""
-        return self.board is None
-
-    @property
     def of_machine(self) -> tuple[str, ...]:
         """Flags for a compiler of the machine that runs the package; code for boards is compiled like portable code."""
         return self.flags if self.defines else ()

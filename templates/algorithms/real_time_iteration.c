@@ -45,15 +45,9 @@ static void algorithm_reset(solver_t *s)
 
 #include "algorithms/real_time_iteration/residual.c"
 
-static void evaluate_bent(solver_t *s);
-
 /* Linearises the present point and evaluates the Hessian. */
 static void evaluate_here(solver_t *s)
 {
-    if (ROW_CURVATURE && s->bent) {
-        evaluate_bent(s);
-        return;
-    }
     linearize(s);
     hessian(s);
     s->renewal = UP_TO_DATE;
@@ -105,13 +99,16 @@ status_t API(prepare)(solver_t *s)
 
 #include "algorithms/real_time_iteration/apply.c"
 
-/* The status of a sample; its QP belongs to the plan that was linearised. */
+/* The status of a sample, by the plan that it leaves. */
 static status_t judge(solver_t *s, status_t status)
 {
     status = after_feedback(s, status);
 #if NALG
     require_algebraic(s);
 #endif
+    if (EXACT_QP && !LEVELS && status == OK) { /* whose solution has no gaps */
+        s->stats.residual = R(0);
+    }
     status = judge_residual(status, s->stats.residual);
     learn_sizes(s, status);
     return status;
@@ -123,7 +120,7 @@ static status_t judge(solver_t *s, status_t status)
 
 #include "algorithms/shared/kkt.c"
 
-#if SOLVE
+#if SEARCH
 #include "algorithms/real_time_iteration/trial.c"
 
 #include "algorithms/solve.c"

@@ -3,6 +3,17 @@
 
 #include "algorithms/solve/measures.c"
 
+/* Linearises the present point, unless that has been done, and evaluates the Hessian of samples. */
+static void evaluate_for_sample(solver_t *s)
+{
+    if (ITERATES && s->sqp.linearized) {
+        hessian(s);
+    } else {
+        evaluate_here(s);
+    }
+    s->sqp.linearized = 0;
+}
+
 #if CURVED
 #include "algorithms/solve/curved.c"
 #else
@@ -61,32 +72,47 @@ static status_t sqp_iteration(solver_t *s)
     return status;
 }
 
-/* KKT residuals from the linearisation of the last prepare. Returns 1 if all are at most tol, relative to their
- * terms. */
-static int kkt_is_within(solver_t *s, real_t tol)
+/* After an iteration of a sample with its own Hessian, which has left this status: the exact one takes over where the full
+ * step was not taken, or has brought the plan little nearer. Returns the status of the search. */
+static status_t take_exact_hessian(solver_t *s, status_t status)
 {
-    kkt_t *kkt = &s->kkt;
-    memset(kkt, 0, sizeof *kkt);
-    for (int k = 0; k < N; k++) {
-        kkt_node(s, k, &s->node[k], kkt);
+    if (CURVED && ITERATES) {
+        sqp_t *q = &s->sqp;
+        const int slow = s->stats.sqp_iterations > 0 && !(s->kkt.relative <= FACTOR_NEAR_CONTRACTION * q->before);
+        q->before = s->kkt.relative;
+        if (!s->curved.in_solve && (status != OK || s->trial.length < R(1) || slow)) {
+            s->curved.in_solve = 1;
+            return OK;
+        }
     }
-    kkt_terminal(s, &s->terminal, kkt);
-    kkt_rows(s, kkt);
-    return kkt->relative <= tol;
+    return status;
+}
+
+/* Returns 1 if x_0 of the plan is the measured state. */
+static int starts_at_measured(const solver_t *s)
+{
+    for (int i = 0; i < NX; i++) {
+        if ((is_measured[i] || is_accumulator[i]) &&
+            !(FABS(s->xhat[i] - s->x[0][i]) <= TOL_ROUNDING * (z_scale[i] + FABS(s->xhat[i])))) {
+            return 0;
+        }
+    }
+    return 1;
 }
 
 /* Iterations until stats.sqp_iterations = last. */
 static status_t iterate(solver_t *s, real_t tol, int last)
 {
-    for (;; s->stats.sqp_iterations++) {
+    for (;; s->stats.sqp_iterations++) { /* [if ITERATES: at most SAMPLE_ITERATIONS passes in iterations_after_feedback] */
         evaluate_iterate(s);
-        if (kkt_is_within(s, tol)) {
+        if (kkt_is_within(s, tol) && starts_at_measured(s)) {
             return OK;
         }
         if (s->stats.sqp_iterations >= last) {
             return ITERATION_LIMIT;
         }
         status_t status = sqp_iteration(s);
+        status = take_exact_hessian(s, status);
         if (status == OK && cost_is_unbounded(s)) {
             return STALLED;
         }
@@ -101,7 +127,7 @@ static status_t iterate(solver_t *s, real_t tol, int last)
 
 static status_t solve_here(solver_t *s, real_t tol, int last)
 {
-    for (;;) {
+    for (;;) { /* at most MAX_ATTEMPTS + 1 passes */
         const status_t status = iterate(s, tol, last);
         const int ends = status == OK || status == ITERATION_LIMIT ||
             (status == STALLED && !(s->sqp.base.violation > FACTOR_SQP_INFEASIBLE));
@@ -116,6 +142,7 @@ static status_t solve_here(solver_t *s, real_t tol, int last)
     }
 }
 
+#if SOLVE
 /* Starts from the plan, of which it gives up what is not finite, or resumes the last search. */
 status_t API(solve)(solver_t *s, const real_t xhat[NXHAT], real_t tol, int max_iterations)
 {
@@ -126,7 +153,6 @@ status_t API(solve)(solver_t *s, const real_t xhat[NXHAT], real_t tol, int max_i
     take_penalties(s);
     s->prepared = 0;
     s->unsettled = 0;
-    s->fresh = 0; /* its plan is no first plan */
     before_solve(s);
     if (!(tol > R(0)) || max_iterations < 0) {
         return finish(s, BAD_ARGUMENT);
@@ -144,3 +170,4 @@ status_t API(solve)(solver_t *s, const real_t xhat[NXHAT], real_t tol, int max_i
     }
     return finish(s, status);
 }
+#endif

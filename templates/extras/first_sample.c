@@ -1,4 +1,4 @@
-/* A plan that no sample has changed is prepared, and so repaired, at the measured state. */
+/* A plan that no sample has changed is prepared at the measured state. */
 
 static void first_sample_before_sample(solver_t *s, const real_t *xhat)
 {

@@ -235,16 +235,6 @@ static status_t levels_prepare_plan(solver_t *s)
     return status;
 }
 
-/* What is kept belongs to the plan that a repair has left. */
-static status_t levels_after_prepare(solver_t *s, status_t status)
-{
-    if (REPAIR > 0 && s->levels.last == LEVEL_A) {
-        memcpy(s->levels.x, s->x, sizeof s->levels.x);
-        memcpy(s->levels.u, s->u, sizeof s->levels.u);
-    }
-    return status;
-}
-
 status_t API(prepare_level)(solver_t *s, int level)
 {
     if (level < LEVEL_A || level > LEVEL_D) {

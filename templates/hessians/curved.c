@@ -1,4 +1,4 @@
-/* While solve() iterates, s->curved holds the Hessian as full symmetric blocks and s->hessian is zero: products with
+/* In a search, s->curved holds the Hessian as full symmetric blocks and s->hessian is zero: products with
  * the nonzeros of s->hessian are completed by dense ones. */
 
 /* w += Q_k (dx, du). */

@@ -46,8 +46,11 @@ SPELLED: tuple[tuple[Options, str], ...] = (
         "Options(hessian=ExactHessian(regularization=Project(floor=1e-06)))",
     ),
     (
-        Options(algorithm=RealTimeIteration(repair=0, shift=None), precision="single", online=Online(weight="fixed")),
-        "Options(algorithm=RealTimeIteration(shift=None, repair=0), online=Online(weight='fixed'), precision='single')",
+        Options(
+            algorithm=RealTimeIteration(iterations=1, shift=None), precision="single", online=Online(weight="fixed")
+        ),
+        "Options(algorithm=RealTimeIteration(shift=None, iterations=1), online=Online(weight='fixed'), "
+        "precision='single')",
     ),
     (Options(ImplicitRungeKutta(nmpc_codegen.SDIRK3, steps=2)), ""),
     (Options(condensing=NoCondensing()), "Options(condensing=NoCondensing())"),
@@ -74,7 +77,7 @@ def test_candidates_are_few_and_differ() -> None:
     found = build_candidates(cart(), propose(cart(), Options()))
     changes = [c.change for c in found]
     assert changes[0] == "default"
-    assert {"hessian=ExactHessian()", "shift=None", "repair=0", "steps=4", "N = 16"} <= set(changes)
+    assert {"hessian=ExactHessian()", "shift=None", "iterations=1", "steps=4", "N = 16"} <= set(changes)
     assert 6 <= len(changes) <= 14
     assert len({c.controller._package.fingerprint for c in found}) == len(found)
     assert [c.intervals for c in found if c.change == "N = 16"] == [16]
@@ -150,7 +153,7 @@ def test_options_that_cannot_be_compared() -> None:
     assert plant.description.options["integrator.tableau.name"] == "RK4"
     starts = np.linspace(-1, 1, 30)[:, None]
     given = campaign(
-        point(), options=[Options(), Options(algorithm=RealTimeIteration(repair=0))], starts=starts, steps=5
+        point(), options=[Options(), Options(algorithm=RealTimeIteration(iterations=1))], starts=starts, steps=5
     )
     assert [e.flights for e in given.entries] == [30, 30]
 

@@ -182,7 +182,7 @@ def test_bounds_that_block_one_another_need_many_iterations() -> None:
     ocp.dynamics({x: 1.3 / np.abs(np.linalg.eigvals(A)).max() * A @ x + B @ u}, discrete=True)
     ocp.least_squares(ca.vertcat(x, u), weight=[1.0] * 6 + [0.01] * 2)
     ocp.subject_to(-1, u, 1)
-    algorithm = RealTimeIteration(repair=0, shift=None)
+    algorithm = RealTimeIteration(iterations=1, shift=None)
     options = Options(condensing=NoCondensing(), qp=RiccatiInteriorPoint(), algorithm=algorithm)
     controller = build(ocp, options, "test")
     controller.step(10 * rng.standard_normal(6))

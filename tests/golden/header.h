@@ -4,8 +4,8 @@
 golden_status_t golden_init(golden_solver_t *s);
 golden_status_t golden_reset(golden_solver_t *s);
 
-/* Preparation phase: move the plan to the next sample, repair it if it is far from the model, linearise, condense,
- * factorise. A call that fails leaves the plan unchanged; feedback restarts a plan that fails repeatedly. */
+/* Preparation phase: move the plan to the next sample, linearise, condense, factorise. A call that fails leaves the
+ * plan unchanged; feedback restarts a plan that fails repeatedly. */
 golden_status_t golden_prepare(golden_solver_t *s);
 
 /* Feedback phase: compute u0 for the measured xhat; u0 is finite and inside its bounds on every return. */
@@ -54,4 +54,4 @@ const char *golden_status_string(golden_status_t status);
 #endif
 
 #endif
-/* nmpc_codegen package 4ee979330896dfb4, sha256 5f7ea2a775132787bcc0138f0ab1d17e7d8d280ac45c5ccd327fce3399e37f6e */
+/* nmpc_codegen package cfe38bafc65631af, sha256 3f07da3f32f174a9a872e136356699594d5e8561abd51ee219625c600bfbf547 */

@@ -14,18 +14,18 @@ from nmpc_codegen.lowering.parts import template_directory
 from verification.rendered import lowered, texts
 from verification.samples import SAMPLES
 
-EXTRAS = ("extras/shift.c", "extras/curvature.c", "extras/repair.c")
+EXTRAS = ("extras/shift.c", "extras/nearness.c", "extras/iterations.c")
 PARTS = {path: path.read_text(encoding="utf-8") for path in template_directory().rglob("*.c")}
 NAMED = sorted(path for path in PARTS if path.parent.name == "extras")
 
 
 def test_a_call_of_a_hook_is_one_for_every_feature_that_defines_it() -> None:
-    text = "    before_prepare(s);\n    status = after_prepare(s, status);\n    on_failure(s);\n"
-    expected = [f"    {name}_before_prepare(s);" for name in ("shift", "curvature")]
-    expected += [f"    status = {name}_after_prepare(s, status);" for name in ("curvature", "repair")]
+    text = "    before_prepare(s);\n    status = after_feedback(s, status);\n    on_failure(s);\n"
+    expected = ["    shift_before_prepare(s);"]
+    expected += [f"    status = {name}_after_feedback(s, status);" for name in ("nearness", "iterations")]
     expected += ["    on_failure(s);"]
     assert with_hooks(text, EXTRAS).splitlines() == expected
-    assert with_hooks(text, EXTRAS[::-1]).splitlines()[:4] == [*expected[1::-1], *expected[3:1:-1]]
+    assert with_hooks(text, EXTRAS[::-1]).splitlines()[:3] == [expected[0], *expected[2:0:-1]]
     assert with_hooks(text, ()) == "    on_failure(s);\n"
 
 
@@ -73,4 +73,9 @@ def test_features_that_a_package_lacks_leave_no_trace() -> None:
         hook for hook in HOOKS if re.search(rf"\b(?!plain_|gaps_|relaxation_|violation_|references_)\w*{hook}\(", unit)
     ]
     module = lowered(next(s for s in SAMPLES if s.name == "everything dense"))
-    assert [part.rpartition("/")[2] for part in module.extras][:4] == ["shift.c", "gaps.c", "repair.c", "levels.c"]
+    assert [part.rpartition("/")[2] for part in module.extras][:4] == [
+        "shift.c",
+        "levels.c",
+        "references.c",
+        "relaxation.c",
+    ]

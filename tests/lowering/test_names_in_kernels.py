@@ -55,7 +55,7 @@ def test_quotients_are_for_the_tableau() -> None:
     assert CStyle("real", False).number(0.1) == "0.1"
 
 
-@pytest.mark.parametrize(("make", "late"), [(crane.build_ocp, "sqp_iteration"), (quadrotor.build_ocp, "path_exact")])
+@pytest.mark.parametrize(("make", "late"), [(crane.build_ocp, "take_over"), (quadrotor.build_ocp, "take_over")])
 def test_nothing_before_the_last_part_calls_it(make: Callable[[], OCP], late: str) -> None:
     sources = generate(make())
     first, _, last = sources[f"{quality.package_name(sources)}.c"].partition(LAST_HEADING)
@@ -66,10 +66,10 @@ def test_nothing_before_the_last_part_calls_it(make: Callable[[], OCP], late: st
     assert not found & set(re.findall(r"\w+", code))
 
 
-def test_microcontrollers_have_no_solve_by_default() -> None:
-    assert "crane_solve(" not in generate(crane.build_ocp(), Options(target="cortex-m7"))["crane.h"]
-    assert "crane_solve(" in generate(crane.build_ocp(), Options(target="cortex-m7", solve=True))["crane.h"]
-    assert "crane_solve(" in generate(crane.build_ocp())["crane.h"]
+def test_every_target_has_solve_unless_it_is_left_out() -> None:
+    for target in ("portable", "cortex-m7"):
+        assert "crane_solve(" in generate(crane.build_ocp(), Options(target=target))["crane.h"]
+        assert "crane_solve(" not in generate(crane.build_ocp(), Options(target=target, solve=False))["crane.h"]
 
 
 def test_places_in_the_header() -> None:

@@ -380,10 +380,10 @@ def direction(algorithm: RealTimeIteration) -> Controller:
     return made(stranger.ocp(), replace(stranger.options(), algorithm=algorithm))
 
 
-@fault("NOT_CONVERGED", "row 'unit' at node", "misses the model most in state", "repair=3", "solve() before")
+@fault("NOT_CONVERGED", "row 'unit' at node", "misses the model most in state", "iterations=10", "solve() before")
 def plan_far_from_the_model() -> str:
-    """a sample that leaves its plan far from the model, without repair."""
-    ctrl = direction(RealTimeIteration(repair=0))
+    """a sample that leaves its plan far from the model, with one iteration."""
+    ctrl = direction(RealTimeIteration(iterations=1))
     for _ in range(3):
         ctrl.step(np.zeros(6))
     return ctrl.diagnose()

@@ -1,4 +1,4 @@
-"""A controller at rest: every sample is OK, nothing is repaired, and units decide nothing."""
+"""A controller at rest: every sample is OK with one QP, and units decide nothing."""
 
 from __future__ import annotations
 

@@ -25,6 +25,7 @@ from nmpc_codegen import (
     Options,
     ProblemError,
     ProblemWarning,
+    RealTimeIteration,
     Status,
     build,
     export,
@@ -238,7 +239,7 @@ def folded(terminal: bool = False) -> OCP:
 
 
 def test_a_measured_state_without_a_solution_is_not_ok() -> None:
-    ctrl = build(folded(), profile="test")
+    ctrl = build(folded(), Options(algorithm=RealTimeIteration(iterations=1)), "test")
     statuses = []
     for x in (0.5, 1.2, 1.2, 0.5):
         ctrl.step([x])
@@ -250,9 +251,10 @@ def test_a_measured_state_without_a_solution_is_not_ok() -> None:
 
 def test_a_failure_at_the_end_is_named() -> None:
     """Stages of GaussLegendre2 are inside of the interval."""
-    ctrl = build(folded(terminal=True), Options(integrator=ImplicitRungeKutta("GaussLegendre2")), "test")
+    algorithm = RealTimeIteration(iterations=1)
+    ctrl = build(folded(terminal=True), Options(ImplicitRungeKutta("GaussLegendre2"), algorithm=algorithm), "test")
     ctrl.step([0.0])
-    assert ctrl.status == Status.NUMERICAL_FAILURE
+    assert ctrl.status in (Status.NUMERICAL_FAILURE, Status.NOT_CONVERGED)
     assert "not solved at node 4" in ctrl.diagnose()
 
 

@@ -141,7 +141,7 @@ def test_the_second_hessian_is_for_those_who_choose_none() -> None:
 def test_samples_are_the_same_with_and_without_solve() -> None:
     """The Hessian of solve() leaves samples alone, before and after."""
     stranger = known("unicycle")
-    plain = RealTimeIteration(repair=0)
+    plain = RealTimeIteration(iterations=1)
     start = stranger.initial(0)
     with_solve, without = (
         build(stranger.ocp(), replace(stranger.options(), algorithm=plain, solve=solve), profile="test")

@@ -462,7 +462,7 @@ def test_options_of_an_estimator() -> None:
     with pytest.raises(OptionError, match=r"solve: True; an estimator has no solve\(\)"):
         build(estimator, Options(solve=True))
     with pytest.raises(OptionError, match=r"measurements.*MovingHorizon"):
-        build(estimator, Options(algorithm=RealTimeIteration(repair=0)))
+        build(estimator, Options(algorithm=RealTimeIteration(iterations=1)))
     with pytest.raises(OptionError, match="is that of kind='mhe'"):
         build(ocp.estimator(kind="ekf", **statement), Options(algorithm=MovingHorizon()))
     ocp.least_squares(ca.vertcat(ocp.x, ocp.u), weight=1.0)

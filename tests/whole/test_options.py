@@ -94,7 +94,7 @@ BAD: list[tuple[Callable[[], Any], list[str]]] = [
     (lambda: RealTimeIteration(shift=True), ["shift: True", "repeat"]),
     (lambda: RealTimeIteration(shift="resample"), ["sampling_time: None", "resample"]),
     (lambda: RealTimeIteration(relaxation="hard"), ["relaxation: 'hard'", "auto", "> 0", "None"]),
-    (lambda: RealTimeIteration(repair=-1), ["repair: -1", ">= 0"]),
+    (lambda: RealTimeIteration(iterations=0), ["iterations: 0", ">= 1"]),
     (lambda: RealTimeIteration(tolerance=0.0), ["tolerance: 0.0", "> 0"]),
     (lambda: RealTimeIteration(shift="resample", sampling_time=-1.0), ["sampling_time: -1.0", "> 0"]),
     (lambda: ExplicitRungeKutta(steps=10**9), ["steps: 1000000000", "<= 100000"]),

@@ -132,7 +132,7 @@ def test_step_keeps_the_control_that_it_returns_and_set_previous_says_what_was_a
 
 
 def test_feedback_takes_a_control_that_is_set_after_prepare() -> None:
-    ctrl, _ = prepared(slewed_crane(), Options(algorithm=RealTimeIteration(repair=0, shift=None)))
+    ctrl, _ = prepared(slewed_crane(), Options(algorithm=RealTimeIteration(iterations=1, shift=None)))
     other = ctrl.copy()
     x0 = [0.0, 0, 0.1, 0]
     ctrl.prepare()
@@ -256,7 +256,7 @@ def test_the_rate_of_a_sample_is_over_the_sampling_time() -> None:
 def test_levels_keep_derivatives_of_previous_controls_and_maps(level: str) -> None:
     tuned = timed_vessel()
     _, by_hand, x0, previous = tuned
-    ctrl, time = prepared(tuned, Options(algorithm=RealTimeIteration(levels=True, shift=None, repair=0)))
+    ctrl, time = prepared(tuned, Options(algorithm=RealTimeIteration(levels=True, shift=None, iterations=1)))
     _, u, _ = by_hand.solve(x0, previous, time)
     ctrl.prepare()
     ctrl.feedback(x0)
@@ -280,7 +280,7 @@ def test_the_control_of_feedback_first_is_the_one_before_the_next_sample() -> No
 
 def test_diagnose_knows_the_states_behind_those_of_the_user() -> None:
     ocp = timed_vessel()[0]
-    ctrl = build(ocp, Options(algorithm=RealTimeIteration(relaxation=None, repair=0)))
+    ctrl = build(ocp, Options(algorithm=RealTimeIteration(relaxation=None, iterations=1)))
     ctrl.step([5.0, 0.0, 0.0])
     assert "'wall'" in ctrl.diagnose()
     ctrl.solve([0.5, 0.0, 0.2], 1e-12, 1)
@@ -316,7 +316,7 @@ def test_a_long_loop_in_single_precision_keeps_its_time() -> None:
     x, u = ocp.state("x"), ocp.control("u")
     ocp.dynamics({x: u})
     ocp.least_squares(ca.vertcat(x - ca.sin(ocp.time), u), 1.0)
-    ctrl = build(ocp, Options(precision="single", algorithm=RealTimeIteration(repair=0), solve=False))
+    ctrl = build(ocp, Options(precision="single", algorithm=RealTimeIteration(iterations=1), solve=False))
     for _ in range(50_000):
         ctrl.step([0.0])
     assert ctrl.time == pytest.approx(500.0, rel=1e-6)

@@ -1,4 +1,4 @@
-"""Loops that come to rest, where a controller spends its life: every sample must be OK, without repair.
+"""Loops that come to rest, where a controller spends its life: every sample must be OK, with one QP.
 
 A plant at rest has states, controls and rows whose values are 0 up to rounding. The draws vary how it rests: at a set
 point, at a bound, at a bound of 0, on a row whose bound is 0, in a soft band, with a penalty of rates; with exact,
@@ -255,7 +255,7 @@ class Package:
 
 
 #: As a microcontroller gets it, and the algorithms without a QP.
-FIRMWARE: dict[str, Any] = {"goal": "size", "solve": False, "algorithm": RealTimeIteration(repair=0)}
+FIRMWARE: dict[str, Any] = {"goal": "size", "solve": False, "algorithm": RealTimeIteration(iterations=1)}
 OTHERS = {
     "augmented Lagrangian": Options(algorithm=AugmentedLagrangian()),
     "single shooting": Options(algorithm=AdjointShooting()),
@@ -386,8 +386,8 @@ def _moved(c: Controller, value: float) -> Array:
 def _judge(c: Controller, out: Outcome, where: str) -> None:
     if c.status != Status.OK:
         out.note(c.status.name, f"{where}: {c.diagnose().splitlines()[0]}")
-    if getattr(c.stats, "repairs", 0) > 0:
-        out.note("repaired", where)
+    if c.stats.iterations > 1:
+        out.note("iterated", where)
     tiny = np.finfo(c.x.dtype).tiny
     for values in (c.x, c.u):
         if np.any((values != 0) & (np.abs(values) < tiny)):
@@ -437,8 +437,8 @@ def differences(name: str, seed: int) -> list[str]:
         u, v = c.step(x), d.step(x / units.x) * units.u
         if c.status != d.status:
             found.append(f"sample {sample} {c.status.name} {d.status.name}")
-        elif c.stats.repairs != d.stats.repairs:
-            found.append(f"sample {sample} repairs {c.stats.repairs} {d.stats.repairs}")
+        elif c.stats.iterations != d.stats.iterations:
+            found.append(f"sample {sample} iterations {c.stats.iterations} {d.stats.iterations}")
         elif not np.all(np.abs(u - v) <= 1e-5 * size):
             found.append(f"sample {sample} controls {u} {v}")
         x = np.asarray(c.integrate(x, u, float(c.description.dt[0])), dtype=float)

@@ -21,13 +21,13 @@ VIOLATED, DEARER, RANGE, LITTLE = 1e-2, 0.2, 0.02, 0.25
 @dataclass(frozen=True)
 class Verdict:
     """A loop of the product: what it came to, its statuses, the samples that are OK although their plan is far from the
-    model or their control breaks a row, linearisations that repaired plans, why the loop is lost ("" if it is not), and
+    model or their control breaks a row, QPs that samples took, why the loop is lost ("" if it is not), and
     the most samples on end that were RELAXED."""
 
     outcome: Outcome
     statuses: Counter[str]
     far: int
-    repairs: int
+    iterations: int
     lost: str
     samples: int
     relaxed: int = 0
@@ -115,11 +115,7 @@ def _judge_loop(twin: Twin, judge: Judge, flown: Campaign, i: int, number: int, 
     watcher.keep()
     far, on_end = 0, [0]
     for k, sample in enumerate(watcher.samples[: len(log.u)]):
-        residuals = (
-            judge.residual(*sample.plan, log.x[k], False),
-            judge.residual(*sample.point, log.x[k], sample.moves and k > 0),
-            judge.broken(log.u[k]),
-        )
+        residuals = judge.residual(*sample.plan, log.x[k], False), judge.broken(log.u[k])
         far += sample.status == "OK" and max(residuals) > TOLERANCE
         on_end.append(on_end[-1] + 1 if sample.status == "RELAXED" else 0)
     loop = Loop(twin, number, nominal)
@@ -129,19 +125,16 @@ def _judge_loop(twin: Twin, judge: Judge, flown: Campaign, i: int, number: int, 
     statuses = Counter({status.name: int(n) for status, n in zip(Status, counts, strict=True) if n})
     statuses.update({"lost": s.samples - int(counts.sum())} if counts.sum() < s.samples else {})
     lost = _why_lost(s, number, outcome, by_ipopt()[f"{s.name} nominal" if nominal else s.name])
-    return Verdict(outcome, statuses, far, sum(one.repairs for one in watcher.samples), lost, s.samples, max(on_end))
+    return Verdict(outcome, statuses, far, sum(one.iterations for one in watcher.samples), lost, s.samples, max(on_end))
 
 
 @dataclass(frozen=True, eq=False)
 class _Sample:
-    """The plan of a sample, (N+1, nx) and (N, nu), the point at which it linearised, whether its plan had moved there,
-    its status, and how often it repaired the plan."""
+    """The plan of a sample, (N+1, nx) and (N, nu), its status, and how many QPs it took."""
 
     plan: tuple[Array, Array]
-    point: tuple[Array, Array]
-    moves: bool
     status: str
-    repairs: int
+    iterations: int
 
 
 class _Watcher:
@@ -150,22 +143,17 @@ class _Watcher:
     def __init__(self) -> None:
         self.samples: list[_Sample] = []
         self._controller: Controller | None = None
-        self._point: tuple[Array, Array] | None = None
 
     def look(self, k: int, controller: Controller) -> None:
-        """Before sample k: what the one before has left, and where this one will linearise."""
+        """Before sample k: what the one before has left."""
         self.keep()
-        ahead = controller.copy()
-        ahead.prepare()
-        self._point, self._controller = (ahead.x.copy(), ahead.u.copy()), controller
+        self._controller = controller
 
     def keep(self) -> None:
         """After a sample."""
         c = self._controller
-        if c is not None and self._point is not None:
-            moves = c.description.shift is not None
-            plan = c.x.copy(), c.u.copy()
-            self.samples.append(_Sample(plan, self._point, moves, c.status.name, c.stats.repairs))
+        if c is not None:
+            self.samples.append(_Sample((c.x.copy(), c.u.copy()), c.status.name, c.stats.iterations))
 
 
 def _why_lost(s: Stranger, number: int, mine: Outcome, theirs: list[Outcome]) -> str:

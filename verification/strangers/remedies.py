@@ -188,8 +188,8 @@ TRIALS: tuple[Trial, ...] = (
     ),
     *(
         Trial(
-            *("loops lost", f"{name}, `repair=0`", "`repair=3`"),
-            *(_lost(name, RealTimeIteration(repair=0)), _lost(name, RealTimeIteration())),
+            *("loops lost", f"{name}, `iterations=1`", "`iterations=10`"),
+            *(_lost(name, RealTimeIteration(iterations=1)), _lost(name, RealTimeIteration())),
         )
         for name in ("unicycle", "drone", "car")
     ),

@@ -18,7 +18,8 @@ def worst_case(package: Mapping[str, str]) -> dict[str, int]:
 
     Returns:
         Operations of "prepare", of "feedback" and of the "sample" that calls both; of an algorithm without these phases
-        those of a "sample" alone.
+        those of a "sample" alone. Where a sample may take several QPs, those of "one iteration" are what remains of it
+        with ``step(iterations=1)``.
 
     Raises:
         OptionError: the text does not bound them, as foreign code (OSQP) does not; or these are not the files of one

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
+from dataclasses import replace
 
 from nmpc_codegen.analysis.interpret import UnboundedError, WorstCase
 from nmpc_codegen.analysis.source import Type, Unit, constants, defined_macros, functions, struct_members, tables
@@ -31,13 +32,22 @@ def bound(package: Mapping[str, str]) -> dict[str, int]:
             f"{description.name} is written in GNU C for {description.target}, whose vectors compute several nodes at "
             'once; the worst case is known of portable C: generate it with Options(target="portable")'
         )
-    found = WorstCase(unit_of(package, description))
+    unit = unit_of(package, description)
     try:
-        if not description.has_phases:
-            return {"sample": found.operations(f"api_{description.sample_call}")}
-        worst = {phase: found.operations(f"api_{phase}") for phase in ("prepare", "feedback")}
+        worst = _bound(unit, description)
+        if "most_iterations" in description.members("solver"):
+            ranges = {**description.ranges, "most_iterations": (1, 1), "in_solve": (0, 0)}
+            worst["one iteration"] = _bound(replace(unit, ranges=ranges), description)["sample"]
     except UnboundedError as error:
         raise OptionError(f"{description.name}: the worst case of a sample is unknown: {error}") from error
+    return worst
+
+
+def _bound(unit: Unit, description: PackageDescription) -> dict[str, int]:
+    found = WorstCase(unit)
+    if not description.has_phases:
+        return {"sample": found.operations(f"api_{description.sample_call}")}
+    worst = {phase: found.operations(f"api_{phase}") for phase in ("prepare", "feedback")}
     return worst | {"sample": sum(worst.values())}
 
 

@@ -151,6 +151,7 @@ HOOKS = {
     "before_sample": "step(), with the measured state",
     "before_qp": "feedback(), before the QP is solved",
     "after_qp": "feedback(), with the status of the QP; returns the status",
+    "before_step": "feedback(), before the step of a QP that has been solved, with its status",
     "on_success": "feedback(), after the step has been taken, with the status of the QP",
     "after_feedback": "feedback(), with the status of the sample; returns the status",
     "before_solve": "solve(), before the first iteration",
@@ -374,7 +375,7 @@ class Algorithm(Component, Protocol):
         """True if the states of its plans are those of a simulation from x_0."""
         ...
 
-    def decide(self, problem: Problem, repairs: bool) -> tuple[Algorithm, tuple[str, ...]]:
+    def decide(self, problem: Problem, small: bool) -> tuple[Algorithm, tuple[str, ...]]:
         """The algorithm with every option chosen that it leaves open for the problem, and the reasons; ``repairs``: the
         package may iterate on a plan before a sample."""
         ...
@@ -461,7 +462,7 @@ class Defaults:
     def check_parts(self, parts: Parts) -> None:
         return None
 
-    def decide(self, problem: Problem, repairs: bool) -> tuple[Self, tuple[str, ...]]:
+    def decide(self, problem: Problem, small: bool) -> tuple[Self, tuple[str, ...]]:
         return self, ()
 
     @property

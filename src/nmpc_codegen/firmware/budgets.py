@@ -133,7 +133,7 @@ def _operations_advice(description: PackageDescription, limit: int) -> Iterator[
     options = description.options
     if "qp.max_iterations" in options:
         yield "a smaller --set qp.max_iterations=..., after a simulation with disturbances"
-    if "algorithm.iterations" in options:
+    if options.get("algorithm.iterations", 1) != 1:
         yield "a smaller --set algorithm.iterations=..."
     if options.get("qp.fallback"):
         yield "--set qp.fallback=None"

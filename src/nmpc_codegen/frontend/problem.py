@@ -106,6 +106,13 @@ class Stage:
         return not self.dense_weight and bool(np.count_nonzero(self.weight - np.diag(np.diag(self.weight))) == 0)
 
 
+def _is_curved(stage: Stage) -> bool:
+    """True if a residual, or the gradient of a general cost, is no affine function of (x, u)."""
+    z = ca.vertcat(stage.x, stage.u)
+    slopes = [ca.gradient(cost, z) for cost in (stage.cost, stage.cost_rate) if cost is not None]
+    return bool(curved_rows(ca.vertcat(stage.y, *slopes), z))
+
+
 @dataclass(frozen=True, eq=False)
 class Algebra:
     """Algebraic variables, which equations r(x, z, u, p) = 0 determine at every node and stage.
@@ -350,6 +357,11 @@ class Problem:
         x, u, p = (self.path.x, self.path.u, self.path.p)
         f = self.dynamics(x, u, p) if self.jump is None else ca.vertcat(self.dynamics(x, u, p), self.jump(x, u, p, 1))
         return bool(curved_rows(f, ca.vertcat(x, u)))
+
+    @property
+    def nonlinear_cost(self) -> bool:
+        """True if the cost is no quadratic function of states and controls."""
+        return any(_is_curved(stage) for stage in (self.path, self.terminal))
 
     @property
     def model_parameters(self) -> frozenset[str]:

@@ -22,7 +22,6 @@ from nmpc_codegen.options import Goal, Options
 from nmpc_codegen.package.features import Features
 from nmpc_codegen.package.memory import Precision, Size, struct_layout
 from nmpc_codegen.package.opcount import OpCount
-from nmpc_codegen.targets import TARGETS
 
 #: Block lengths of partial condensing that are considered.
 BLOCKS = (2, 3, 4, 5, 8, 10)
@@ -140,9 +139,9 @@ def _best(candidates: list[Candidate], soft: bool) -> tuple[Candidate, str]:
 
 def _mirrors_few(problem: Problem, options: Options) -> bool:
     """True for a general cost whose Hessian may be indefinite in few controls: eigenvalues of the condensed one can be
-    mirrored. The plain scheme, which neither relaxes rows nor repairs plans, takes the fewest operations."""
+    mirrored. The plain scheme, of one iteration without relaxed rows, takes the fewest operations."""
     found = Features() if options.hessian is None else options.hessian.adds(Features())
-    safe = (algorithm := options.algorithm.adds(Features())).relax or algorithm.repair
+    safe = (algorithm := options.algorithm.adds(Features())).relax or algorithm.iterates or algorithm.repair
     indefinite = found.regularize_reduced and not problem.uses <= GaussNewton.supports
     return bool(safe and indefinite) and problem.N * problem.nu <= MOST_MIRRORED
 
@@ -204,18 +203,19 @@ def choose_hessian(problem: Problem, options: Options) -> tuple[Options, tuple[s
     return replace(options, hessian=exact), (f"hessian: {ExactHessian.name}; {why}",)
 
 
-def roomy(options: Options) -> bool:
-    """True if the package may hold a second Hessian for solve(), and iterate on a plan before a sample."""
-    return options.solves and options.goal == "speed" and TARGETS[options.target].roomy
+def is_small(options: Options) -> bool:
+    """True if nothing in the package iterates: neither solve() nor samples."""
+    return options.goal == "size" and not options.solves
 
 
 def solves_exactly(problem: Problem, options: Options, chosen: bool) -> bool:
     """Return True if solve() has an exact Hessian beside the Gauss-Newton one of samples.
 
-    So it is where the Hessian was ``chosen`` by the compiler, and the package is not for a microcontroller.
+    So it is where the Hessian was ``chosen`` by the compiler, and the package has room for a second one.
     """
     approximate = isinstance(options.hessian, GaussNewton) and "qp" in options.algorithm.needs
-    return approximate and chosen and roomy(options) and not problem.couples_free_start
+    roomy = options.solves and options.goal == "speed"
+    return approximate and chosen and roomy and not problem.couples_free_start
 
 
 # -- sizes -------------------------------------------------------------------------------------------------------------

@@ -36,8 +36,8 @@ from nmpc_codegen.lowering.choose import (
     choose_hessian,
     choose_qp,
     dimensions,
+    is_small,
     multiple_of,
-    roomy,
     solves_exactly,
 )
 from nmpc_codegen.lowering.first_plan import Growth, growth
@@ -106,7 +106,7 @@ def linearize(problem: Problem, options: Options | None = None) -> Model:
     options, of_hessian = choose_hessian(problem, options)
     wanted, options = options, options.with_defaults
     target, of_target = TARGETS[options.target], _target_reasons(wanted, TARGETS[options.target])
-    algorithm, of_algorithm = options.algorithm.decide(problem, roomy(options))
+    algorithm, of_algorithm = options.algorithm.decide(problem, is_small(options))
     options = replace(options, algorithm=algorithm)
     online = options.online
     problem = _with_weights(problem, online)
@@ -187,8 +187,7 @@ def _of_flat(flat: tuple[str, ...]) -> tuple[str, ...]:
 def _target_reasons(asked: Options, target: Target) -> tuple[str, ...]:
     """Return what the report says of the target: its name, what its packages lack, and what "native" has become."""
     if target != PORTABLE:
-        left = ("solve(): left out; default of microcontrollers, Options(solve=True) adds it",)
-        return (f"target: {target.name}; {target.machine}", *(() if asked.solve is not None or target.roomy else left))
+        return (f"target: {target.name}; {target.machine}",)
     return ("target: portable; of this machine the compiler knows no vectors",) if asked.target == NATIVE else ()
 
 

@@ -58,7 +58,7 @@ def lower(model: Model, name: str | None = None, whole: bool = False) -> CModule
     features = _features(model)
     structs, layout = place(lowered_structs(model, dims, features, whole), model.options.precision)
     macros = _macros(model, dims, whole)
-    printed, ranges = _printed_routines(model), _ranges(model, dims, features)
+    printed, ranges = _printed_routines(model), _ranges(model, dims)
     stored = tables(model, printed)
     routines = tuple(r for r in printed if r.name not in KERNELS or r.name in features.kernels)
     lookups = called_lookups(printed)
@@ -119,12 +119,9 @@ def _sections(
     )
 
 
-def _ranges(model: Model, dims: Dims, features: Features) -> dict[str, tuple[int, int]]:
+def _ranges(model: Model, dims: Dims) -> dict[str, tuple[int, int]]:
     """Values that members may have in a sample."""
-    found = {name: limits for c in model.parts.components for name, limits in c.ranges(dims).items()}
-    if features.row_curvature:  # samples may have the Hessian of solve()
-        found["in_solve"] = (0, 1)
-    return found
+    return {name: limits for c in model.parts.components for name, limits in c.ranges(dims).items()}
 
 
 def _with_members_apart(module: CModule) -> CModule:
@@ -171,15 +168,14 @@ def _features(model: Model) -> Features:
         found = component.adds(found)
     tuned = found.tuned and (found.set_parameter or found.set_weight or found.set_bounds or found.set_soft)
     exact = bool(model.exact or found.regularize_reduced)
-    curved = model.options.solves and exact and not p.couples_free_start
-    relaxable = found.hard_rows and (model.options.solves or found.relax)
+    bends = found.has_qp and (p.nonlinear_model or p.nonlinear_rows or p.nonlinear_cost or found.tuned)
+    goes_on = bends and found.judges and found.iterates
+    search = found.has_qp and (found.solve or goes_on)
+    curved = search and exact and not p.couples_free_start
+    relaxable = found.hard_rows and (search or found.solve or found.relax)
     nonlinear = found.has_qp and p.nonlinear_rows
     eliminates = parts.condensing is not None and parts.condensing.eliminates
     checked = eliminates and not found.approximate
-    bends = found.has_qp and (p.nonlinear_model or p.nonlinear_rows)
-    bent = bool(
-        model.exact and curved and not p.proximal and found.repair and found.hard_rows and bends and not found.levels
-    )
     condensed = parts.condensing is not None and parts.condensing.gives == "condensed"
     return replace(
         found,
@@ -195,8 +191,13 @@ def _features(model: Model) -> Features:
         elastic=relaxable or any(row.soft is not None for row in p.rows),
         nonlinear_rows=nonlinear,
         nonlinear_model=found.has_qp and p.nonlinear_model,
-        row_curvature=bent,
-        row_scales=relaxable or nonlinear or bent,
+        nonlinear_cost=found.has_qp and p.nonlinear_cost,
+        search=search,
+        judges=bends and found.judges,
+        iterates=goes_on,
+        exact_qp=found.has_qp and not bends,
+        shifts_back=goes_on and parts.algorithm.shift == "repeat" and not found.idle_end,
+        row_scales=relaxable or nonlinear or search,
         check_step=checked,
         check_gradient=checked and condensed,
     )

@@ -79,7 +79,7 @@ class Features:
     pulled_rows: bool = False  # hard rows on controls alone bend
     nonlinear_model: bool = False  # a step leaves gaps
     proximal: bool = False  # samples limit steps of controls without curvature
-    row_curvature: bool = False  # samples may add that of active rows to their Hessian
+    nonlinear_cost: bool = False  # a QP does not see all of its curvature
     idle_end: bool = False  # the last control influences nothing but its own terms
     end_equations: bool = False  # hard equations at the last node
     control_bounds: bool = False
@@ -124,6 +124,11 @@ class Features:
 
     # algorithm
     repair: int = 0  # repairs of a plan, at most
+    iterates: bool = False  # a sample may take several QPs
+    search: bool = False  # steps of QPs may be shortened: solve(), samples that iterate
+    exact_qp: bool = False  # the QP of a sample is the problem itself
+    shifts_back: bool = False  # a sample may take the plan as it was before its shift
+    judges: bool = False  # a sample tells whether its plan is near a solution
     relax: bool = False
     relaxation: bool = False  # hard rows of a QP may be relaxed
     row_scales: bool = False

@@ -171,7 +171,7 @@ class Stats:
             state, and the largest difference of a hard row from what the step before predicted for it, in the scale of
             the row; above ``RealTimeIteration(tolerance=...)`` the status is NOT_CONVERGED. Of the augmented Lagrangian
             and of single shooting it is that of the plan itself.
-        repairs: linearisations, or rounds of the augmented Lagrangian, that prepare() has added to lower it.
+        iterations: QPs of the last sample, or rounds of the augmented Lagrangian; 1: none but the first.
     """
 
     qp_iterations: int
@@ -195,12 +195,12 @@ class Stats:
     negative_curvature: int = 0
     simulations: int = 0
     residual: float = 0.0
-    repairs: int = 0
+    iterations: int = 1
 
     def __str__(self) -> str:
         lines = [*(self._newton() if self.newton_iterations else self._qp())]
         lines += [
-            f"plan: residual {self.residual:.1e} after {self.repairs} repairs",
+            f"plan: residual {self.residual:.1e} after {self.iterations} iterations",
             f"KKT: {self.kkt}",
             f"time: prepare {self.prepare_ns / 1e3:.1f} us, feedback {self.feedback_ns / 1e3:.1f} us",
         ]

@@ -8,12 +8,15 @@ pickling and saving copy these bytes. Use one controller per thread; C calls rel
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from time import perf_counter_ns
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from nmpc_codegen.errors import ControllerError
 from nmpc_codegen.package.status import Kkt, Stats, Status
 from nmpc_codegen.runtime import given
 from nmpc_codegen.runtime.compiled import CompiledPackage
@@ -55,19 +58,25 @@ class Controller(Setters):
 
     # -- the real-time iteration ------------------------------------------------------------------------------------
 
-    def step(self, xhat: ArrayLike, on_failure: OnFailure = "status") -> Array:
+    def step(self, xhat: ArrayLike, on_failure: OnFailure = "status", iterations: int | None = None) -> Array:
         """Call prepare() and feedback(xhat); an algorithm without these phases computes the sample in one call.
 
         Args:
             xhat: measured state, shape (nx,). NaN is not an error here: the status is NOT_FINITE, the control is safe.
             on_failure: "status" stores the outcome in ``status``; "raise" raises ControllerError after a failure.
+            iterations: QPs that this sample may take, for a caller with a deadline; None: as many as the options say.
+                The control is that of the best plan so far, and the status tells whether it is near a solution.
 
         Returns:
             Control to apply, shape (nu,): a new array, finite and inside its bounds whatever the status.
 
         Raises:
-            ControllerError: xhat has another shape, or no numbers; or on_failure="raise".
+            ControllerError: xhat has another shape, or no numbers; iterations is no number from 1 on; or
+                on_failure="raise".
         """
+        if iterations is not None:
+            with self._limit(iterations):
+                return self.step(xhat, on_failure)
         self._measure(xhat)
         start = perf_counter_ns()
         if self._phases is None or (self._starts_at_measured and self._struct["samples"] == 0):
@@ -112,16 +121,20 @@ class Controller(Setters):
         """
         return self._judge(self._call("iterate", self._s, given.level_number(level)), "iterate", on_failure)
 
-    def feedback(self, xhat: ArrayLike, on_failure: OnFailure = "status") -> Array:
+    def feedback(self, xhat: ArrayLike, on_failure: OnFailure = "status", iterations: int | None = None) -> Array:
         """The feedback phase: solve the prepared problem for the measured state.
 
         Args:
             xhat: measured state (nx,), as in step().
             on_failure: as in step().
+            iterations: as in step().
 
         Returns:
             Control to apply (nu,), as step() does.
         """
+        if iterations is not None:
+            with self._limit(iterations):
+                return self.feedback(xhat, on_failure)
         self._measure(xhat)
         start = perf_counter_ns()
         status = self._call("feedback", self._s, self._xhat_c, self._u0_c)
@@ -221,6 +234,23 @@ class Controller(Setters):
             raise missing("Controller", attribute, OF_CONTROLLER, dir(type(self)))
 
     # -- inner ------------------------------------------------------------------------------------------------------
+
+    @contextmanager
+    def _limit(self, iterations: int) -> Iterator[None]:
+        """QPs that a sample may take; a package without this member takes one."""
+        if not given.is_integer(iterations) or iterations < 1:
+            raise ControllerError(f"iterations is {iterations!r}; expected an integer from 1 on")
+        if self.description.options["algorithm"] != "RealTimeIteration":
+            raise ControllerError("iterations: only samples of RealTimeIteration can be limited at run time")
+        member = self.member("most_iterations")
+        usual = member.copy()
+        if member.size:
+            member[...] = min(int(iterations), int(usual))
+        try:
+            yield
+        finally:
+            if member.size:
+                member[...] = usual
 
     def _measure(self, xhat: ArrayLike) -> None:
         """Copy the measured state to the buffer that C reads. NaN is passed on, as the C code handles it."""

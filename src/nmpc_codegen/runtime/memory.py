@@ -36,7 +36,9 @@ class Memory(Iterate):
         self._xhat, self._xhat_c = self._buffer(self.dims.nx)
         self._u0, self._u0_c = self._buffer(self.dims.nu)
         self._phases = self._functions("prepare", "feedback")
-        self._starts_at_measured = "REPAIRS" in self.description.sizes
+        self._starts_at_measured = "REPAIRS" in self.description.sizes or "most_iterations" in self.description.members(
+            "solver"
+        )
         self._prepare_ns = 0
         self._feedback_ns = 0
         self._solved = False  # the last call was solve()
@@ -109,7 +111,7 @@ class Memory(Iterate):
             stale_hessian=bool(counts.get("stale_hessian", 0)),
             first_deviation=float(counts.get("first_deviation", 0)),
             residual=float(counts["residual"] if "residual" in counts else counts["violation"]),
-            repairs=int(counts.get("repairs", 0)),
+            iterations=int(counts.get("iterations", 1 + counts.get("repairs", 0))),
         )
 
     @property

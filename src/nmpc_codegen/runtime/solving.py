@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from time import perf_counter_ns
@@ -206,6 +207,16 @@ def _full_steps(ctrl: Memory, run: _Run, tol: float, most: int) -> Status:
     """The real-time iteration, repeated for the same state without a shift of the plan."""
     members = ctrl.description.members("solver")
     left = {name: ctrl.view(name).copy() for name in ("previous", "time", "time_rest") if name in members}
+    usual = ctrl.member("most_iterations").copy()
+    ctrl.member("most_iterations")[...] = 1
+    try:
+        return _repeat(ctrl, run, tol, most, left)
+    finally:
+        ctrl.member("most_iterations")[...] = usual
+
+
+def _repeat(ctrl: Memory, run: _Run, tol: float, most: int, left: Mapping[str, Array]) -> Status:
+    members = ctrl.description.members("solver")
     for number in range(1, most + 1):
         if "samples" in members:
             ctrl.view("samples")[...] = 0

@@ -84,6 +84,7 @@ static status_t feedback_here(solver_t *s)
     if (!step_holds(s, status) || !plan_is_finite(s)) {
         return NUMERICAL_FAILURE;
     }
+    before_step(s, status);
     copy_multipliers(s);
     if (!recover_multipliers(s) && status == OK) { /* those of relaxed rows drown the gradient in their rounding */
         return NUMERICAL_FAILURE;

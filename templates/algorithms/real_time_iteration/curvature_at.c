@@ -1,11 +1,6 @@
 /* Diagonal entry i of the Hessian of node k that the QP of the sample has. */
 static inline real_t curvature_at(const solver_t *s, int k, int i)
 {
-    if (ROW_CURVATURE) {
-        if (s->curved.in_solve) {
-            return (k < N) ? s->curved.Q[k][i][i] : s->curved.Q_N[i][i];
-        }
-    }
     if (k < N) {
         return HESSIAN(s, k)[i][i];
     }

@@ -12,6 +12,30 @@ static inline real_t *step_at(step_t *d, int k, int i)
     return (i < NX) ? &d->dx[k][i] : &d->du[k][i - NX];
 }
 
+/* Keeps the plan: its states, controls and multipliers. */
+static void keep_plan(solver_t *s)
+{
+    trial_t *kept = &s->trial;
+    memcpy(kept->x, s->x, sizeof s->x);
+    memcpy(kept->u, s->u, sizeof s->u);
+    if (KEEPS_MULTIPLIERS) {
+        memcpy(kept->lam, s->lam, sizeof s->lam);
+        memcpy(kept->step.mult_u, s->mu_u, sizeof s->mu_u);
+        memcpy(kept->step.mult, s->mult, sizeof s->mult);
+    }
+}
+
+/* Takes the multipliers of the plan that is kept, if the Hessian may depend on them. */
+static void return_multipliers(solver_t *s)
+{
+    const trial_t *kept = &s->trial;
+    if (KEEPS_MULTIPLIERS) {
+        memcpy(s->lam, kept->lam, sizeof s->lam);
+        memcpy(s->mu_u, kept->step.mult_u, sizeof s->mu_u);
+        memcpy(s->mult, kept->step.mult, sizeof s->mult);
+    }
+}
+
 /* Returns to the base, from which the steps of this iteration start. */
 static void move_back(solver_t *s)
 {

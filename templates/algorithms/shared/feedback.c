@@ -29,6 +29,7 @@ status_t API(feedback)(solver_t *s, const real_t xhat[NXHAT], real_t u0[NU])
             forget_multipliers(s);
         }
     }
+    status = judge(s, status);
     s->prepared = 0;
     s->samples += (s->samples < MANY);
     safe_control(s, u0);
@@ -38,7 +39,6 @@ status_t API(feedback)(solver_t *s, const real_t xhat[NXHAT], real_t u0[NU])
     if (INNER) {
         keep_sample(s, u0);
     }
-    status = judge(s, status);
     watch(s, status, broken);
     return finish(s, status);
 }

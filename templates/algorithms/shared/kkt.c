@@ -110,6 +110,20 @@ static void kkt_terminal(const solver_t *s, const terminal_t *terminal, kkt_t *k
     }
 }
 
+/* KKT residuals from the present linearisation. Returns 1 if all are at most tol, relative to their
+ * terms. */
+static int kkt_is_within(solver_t *s, real_t tol)
+{
+    kkt_t *kkt = &s->kkt;
+    memset(kkt, 0, sizeof *kkt);
+    for (int k = 0; k < N; k++) {
+        kkt_node(s, k, &s->node[k], kkt);
+    }
+    kkt_terminal(s, &s->terminal, kkt);
+    kkt_rows(s, kkt);
+    return kkt->relative <= tol;
+}
+
 /* KKT residuals of the present iterate from a new linearisation, one node at a time on the stack. */
 void API(kkt)(const solver_t *s, kkt_t *out)
 {

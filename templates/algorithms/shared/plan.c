@@ -54,6 +54,17 @@ static void start_anew(solver_t *s)
     start_at_measured(s);
 }
 
+/* Sets the controls of the plan to the middle of their bounds, where they have two. */
+static void center_controls(solver_t *s)
+{
+    for (int k = 0; k < N; k++) {
+        for (int j = 0; j < NU; j++) {
+            const real_t middle = R(0.5) * control_lower(s, k, j) + R(0.5) * control_upper(s, k, j);
+            s->u[k][j] = isfinite(middle) ? middle : s->u[k][j];
+        }
+    }
+}
+
 static int plan_is_finite(const solver_t *s)
 {
     return all_finite(s->x[0], (N + 1) * NX) && all_finite(s->u[0], N * NU);

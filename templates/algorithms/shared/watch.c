@@ -4,7 +4,7 @@
  * among the first RESTART_SAMPLES successes after that, which a negative failing counts. [if NODES: So it is if there is no
  * finite linearisation at the plan (broken), or if the plan is not finite.] [if HAS_QP: A single failure may come from
  * its sample alone: then only the working set is discarded if the QP solver did not converge.]
- * [if REPAIR > 0 || !HAS_QP: unconverged: samples that were NOT_CONVERGED; after RESTART_SAMPLES of them it starts anew.] [if
+ * [if REPAIR > 0 || ITERATES || !HAS_QP: unconverged: samples that were NOT_CONVERGED; after RESTART_SAMPLES of them it starts anew.] [if
  * LAGRANGIAN && HAS_QP: unsettled: samples in which lam changed by half its size, as the Hessian then belongs to no
  * problem; after RESTART_SAMPLES / 2 of them multipliers are forgotten, after RESTART_SAMPLES the plan starts anew.] */
 enum { NO_FAILURE, FIRST_FAILURE, SECOND_FAILURE, LASTING_FAILURE };
@@ -15,8 +15,6 @@ static void reset_watch(solver_t *s)
     s->unconverged = 0;
     s->unsettled = 0;
     memset(s->lam_before, 0, sizeof s->lam_before);
-    s->fresh = RESTART_SAMPLES;
-    s->moved = R(0);
 }
 
 #if LAGRANGIAN && HAS_QP
@@ -66,6 +64,9 @@ static void give_up(solver_t *s, status_t status)
 {
     if (s->failing == LASTING_FAILURE) {
         forget_plan(s);
+        if (ITERATES && s->samples % 2 == 0) { /* no failure may come back with its plan for ever */
+            center_controls(s);
+        }
     }
     if (s->failing >= SECOND_FAILURE) {
         start_at_measured(s);
@@ -119,7 +120,7 @@ static void watch(solver_t *s, status_t status, int broken)
 static void restart_doubtful_plan(solver_t *s)
 {
     int given_up = 0;
-    if (REPAIR > 0 || !HAS_QP) {
+    if (REPAIR > 0 || ITERATES || !HAS_QP) {
         given_up |= s->unconverged >= RESTART_SAMPLES;
     }
     if (LAGRANGIAN && HAS_QP) {
@@ -139,6 +140,5 @@ static void restart_doubtful_plan(solver_t *s)
         }
         s->unconverged = 0;
         s->unsettled = 0;
-        s->fresh = RESTART_SAMPLES;
     }
 }

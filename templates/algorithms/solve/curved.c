@@ -1,4 +1,4 @@
-/* The exact Hessian of solve(), made convex on the stages of the problem, whatever the QP solver:
+/* The exact Hessian of a search, made convex on the stages of the problem, whatever the QP solver:
  *
  *     Q_k + sum_m w_m a_m a_m' + shift D,   D = diag(unit) on states and controls.
  *
@@ -14,10 +14,15 @@
 #include "algorithms/solve/linearize_with_curvature.c"
 
 #endif
-/* Linearises the present point, and writes its Hessian to s->curved. */
+/* Linearises the present point, and writes its Hessian to s->curved[if ITERATES:, unless the Hessian of samples is
+ * used]. */
 static void evaluate_iterate(solver_t *s)
 {
     curved_t *c = &s->curved;
+    if (ITERATES && !c->in_solve) {
+        evaluate_for_sample(s);
+        return;
+    }
     if (TWO_HESSIANS) {
         linearize_with_curvature(s);
         s->renewal = UP_TO_DATE;
@@ -284,6 +289,9 @@ static void hold_active(solver_t *s, real_t hold)
 static void push_to_bounds(solver_t *s)
 {
     curved_t *c = &s->curved;
+    if (ITERATES && !c->in_solve) {
+        return;
+    }
     for (int k = 0; k < N; k++) {
         memcpy(c->g[k], s->node[k].g, sizeof c->g[0]);
     }
@@ -300,6 +308,9 @@ static void push_to_bounds(solver_t *s)
 
 static void restore_gradients(solver_t *s)
 {
+    if (ITERATES && !s->curved.in_solve) {
+        return;
+    }
     for (int k = 0; k < N; k++) {
         memcpy(s->node[k].g, s->curved.g[k], sizeof s->curved.g[0]);
     }
@@ -312,7 +323,7 @@ static real_t smallest_shift(solver_t *s)
 {
     real_t high = (s->curved.shift > FACTOR_SHIFT_RESTART) ? s->curved.shift : FACTOR_SHIFT_FIRST;
     int trial = 0;
-    while (!is_convex(s, high)) {
+    while (!is_convex(s, high)) { /* at most MAX_SHIFTS + 1 passes */
         if (trial++ == MAX_SHIFTS) {
             return INF;
         }
@@ -370,6 +381,9 @@ static int convexify(solver_t *s)
 /* The QP of the present linearisation. */
 static status_t form_qp(solver_t *s)
 {
+    if (ITERATES && !s->curved.in_solve) {
+        return condense_prepare(s);
+    }
     if (!convexify(s)) {
         return NUMERICAL_FAILURE;
     }
@@ -381,10 +395,16 @@ static status_t form_qp(solver_t *s)
 static int damp_qp(solver_t *s)
 {
     curved_t *c = &s->curved;
+    if (ITERATES && !c->in_solve) {
+        return 0;
+    }
     if (!(c->damping < R(1))) {
         return 0;
     }
     c->damping = (c->damping > R(0)) ? FACTOR_SQP_DAMP_STRONGLY * c->damping : FACTOR_SQP_FIRST_DAMPING;
+    if (ITERATES) {
+        enlarge(&c->damping, s->sqp.hasty ? R(1) : R(0));
+    }
     s->trial.length = R(0);
     s->trial.elastic = 0;
     return 1;
@@ -395,6 +415,9 @@ static int damp_qp(solver_t *s)
 static int adapt_shifts(solver_t *s, status_t status)
 {
     curved_t *c = &s->curved;
+    if (ITERATES && !c->in_solve) {
+        return 0;
+    }
     const real_t length = (status == STALLED) ? R(0) : s->trial.length;
     c->proximal = clip(
         c->proximal * ((length < R(1)) ? FACTOR_SQP_DAMP : R(1) / FACTOR_SQP_DAMP), FACTOR_SQP_LEAST_PROXIMAL, R(1));

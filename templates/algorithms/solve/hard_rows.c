@@ -1,4 +1,4 @@
-/* Hard rows in solve(): the rows of a linearisation that has no solution are relaxed with the penalty row_weight (elastic
+/* Hard rows in a search: the rows of a linearisation that has no solution are relaxed with the penalty row_weight (elastic
  * QP), which grows while that is so. */
 
 /* Solves the QP with its rows relaxed. */

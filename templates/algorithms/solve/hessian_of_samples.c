@@ -1,9 +1,9 @@
-/* solve() with the Hessian of the samples, which is convex. */
+/* A search with the Hessian of the samples, which is convex. */
 
 /* Linearises the present point, and evaluates the Hessian. */
 static void evaluate_iterate(solver_t *s)
 {
-    evaluate_here(s);
+    evaluate_for_sample(s);
 }
 
 /* The QP of the present linearisation. */

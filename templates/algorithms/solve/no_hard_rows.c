@@ -1,4 +1,4 @@
-/* solve() without hard rows: every QP has a solution. */
+/* A search without hard rows: every QP has a solution. */
 
 /* Solves the QP of the present linearisation. */
 static status_t solve_qp(solver_t *s)

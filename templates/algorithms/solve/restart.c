@@ -1,4 +1,4 @@
-/* Starts of solve(): the plan, and after a search that has failed where the constraints cannot be satisfied, others. */
+/* Starts of a search: the plan, and after a search that has failed where the constraints cannot be satisfied, others. */
 
 /* Starts from the plan with an empty filter and unknown scales. */
 static void start_search(solver_t *s, int attempts)
@@ -34,8 +34,19 @@ static int cost_is_unbounded(const solver_t *s)
     return 0;
 }
 
+/* Returns 1 if the states of a node are far beyond all sizes, as those of an unstable plant soon are. */
+static int is_escaping(const solver_t *s, const real_t *x)
+{
+    int escapes = 0;
+    for (int i = 0; i < NX; i++) {
+        escapes |= !(FABS(x[i]) <= FACTOR_SCALE_STATE_GROWTH * (z_scale[i] + FABS(s->xhat[i])));
+    }
+    return escapes;
+}
+
 /* A new start after a search that has ended where the constraints cannot be satisfied: the states to which the controls
- * of the plan lead, and the next time those to which the reference controls do. */
+ * of the plan lead, and the next time those to which the reference controls do. From where they escape, the measured
+ * state. */
 static void restart_search(solver_t *s)
 {
     if (s->sqp.attempts > 0) {
@@ -44,11 +55,15 @@ static void restart_search(solver_t *s)
     memcpy(s->x[0], s->xhat, sizeof s->xhat);
     for (int k = 0; k < N; k++) {
         interval_value(s, k, s->x[k + 1]);
+        if (is_escaping(s, s->x[k + 1])) {
+            memcpy(s->x[k + 1], s->xhat, sizeof s->xhat);
+        }
     }
     forget_multipliers(s);
-    const int32_t infeasible = s->sqp.infeasible;
+    const int32_t infeasible = s->sqp.infeasible, hasty = s->sqp.hasty;
     start_search(s, s->sqp.attempts + 1);
     s->sqp.infeasible = infeasible;
+    s->sqp.hasty = hasty;
 }
 
 /* Returns 1 if all multipliers that the first Hessian may read are finite. */
@@ -58,6 +73,16 @@ static int multipliers_are_finite(solver_t *s)
         return 0;
     }
     return all_finite(s->lam[0], (N + 1) * NX);
+}
+
+/* Bounds of controls may have moved, and steps keep controls inside them. */
+static void clip_controls(solver_t *s)
+{
+    for (int k = 0; k < N; k++) {
+        for (int j = 0; j < NU; j++) {
+            s->u[k][j] = safe_value(s, k, j);
+        }
+    }
 }
 
 /* Begins with the plan and this state. Returns 0 if the state is not finite. */
@@ -71,11 +96,7 @@ static int take_over(solver_t *s, const real_t xhat[NXHAT])
         const real_t guess = xhat[free_state[f]];
         s->x[0][free_state[f]] = isfinite(guess) ? guess : s->x[0][free_state[f]];
     }
-    for (int k = 0; k < N; k++) { /* bounds of controls may have moved, and steps keep controls inside them */
-        for (int j = 0; j < NU; j++) {
-            s->u[k][j] = safe_value(s, k, j);
-        }
-    }
+    clip_controls(s);
     if (INNER) {
         follow_inner(s);
     }

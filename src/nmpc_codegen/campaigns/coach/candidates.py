@@ -22,8 +22,8 @@ from nmpc_codegen.options import Options
 from nmpc_codegen.runtime.build import load
 from nmpc_codegen.runtime.controller import Controller
 
-#: Factors of the horizon and of the integration steps, tolerances and numbers of repairs that are tried.
-HORIZONS, STEPS, TOLERANCES, REPAIRS = (0.5, 2.0), (0.5, 2.0), (0.01,), (0, 10)
+#: Factors of the horizon and of the integration steps, tolerances and numbers of iterations that are tried.
+HORIZONS, STEPS, TOLERANCES, ITERATIONS = (0.5, 2.0), (0.5, 2.0), (0.01,), (1, 30)
 #: Intervals of a horizon at least; integration steps of the plant for one of the finest candidate.
 LEAST, FINER = 2, 2
 
@@ -51,7 +51,7 @@ def propose(ocp: OCP, base: Options) -> Iterator[tuple[str, Options, int]]:
         yield "hessian=ExactHessian()", replace(base, hessian=ExactHessian()), ocp.N
         yield "hessian=GaussNewton()", replace(base, hessian=GaussNewton()), ocp.N
     if isinstance(algorithm, RealTimeIteration):
-        changes: list[tuple[str, Any]] = [("shift", None), *(("repair", n) for n in REPAIRS)]
+        changes: list[tuple[str, Any]] = [("shift", None), *(("iterations", n) for n in ITERATIONS)]
         for name, value in (*changes, *(("tolerance", t) for t in TOLERANCES)):
             if getattr(algorithm, name) != value:
                 yield f"{name}={value}", replace(base, algorithm=replace(algorithm, **{name: value})), ocp.N

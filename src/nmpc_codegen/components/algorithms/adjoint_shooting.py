@@ -166,13 +166,13 @@ class AdjointShooting(Defaults):
         """None: the compiler chooses the integrator for the problem."""
         return None
 
-    def decide(self, problem: Problem, repairs: bool) -> tuple[AdjointShooting, tuple[str, ...]]:
+    def decide(self, problem: Problem, small: bool) -> tuple[AdjointShooting, tuple[str, ...]]:
         """The shift that "auto" stands for; no repair in a package that cannot."""
         shift, reasons = decide_shift(self.shift, self.sampling_time, problem)
-        if self.repair and not repairs:
-            reasons.append("repair: 0; a package without solve() or for a microcontroller has none")
+        if self.repair and small:
+            reasons.append('repair: 0; goal="size" without solve()')
         time = resample_time(shift, self.sampling_time, problem)
-        found = replace(self, shift=shift, sampling_time=time, repair=self.repair if repairs else 0)
+        found = replace(self, shift=shift, sampling_time=time, repair=0 if small else self.repair)
         return found, tuple(reasons)
 
     def entries(self, features: Features) -> tuple[EntryPoint, ...]:

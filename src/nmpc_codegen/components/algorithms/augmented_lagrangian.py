@@ -200,7 +200,7 @@ class AugmentedLagrangian(Defaults):
             return float(self.penalty)
         return PENALTY * cost_magnitude(problem, variable_scales(problem))
 
-    def decide(self, problem: Problem, repairs: bool) -> tuple[AugmentedLagrangian, tuple[str, ...]]:
+    def decide(self, problem: Problem, small: bool) -> tuple[AugmentedLagrangian, tuple[str, ...]]:
         """The shift that "auto" stands for."""
         shift, reasons = decide_shift(self.shift, self.sampling_time, problem)
         time = resample_time(shift, self.sampling_time, problem)

@@ -10,21 +10,18 @@ from nmpc_codegen.package.memory import Field, Size, Struct
 def watch_fields(dims: Dims) -> tuple[Field, ...]:
     """What the watch on plans counts, templates/algorithms/shared/watch.c."""
     nodes = Size("N + 1", dims.N.value + 1)
-    fresh = "samples in which a first plan may still become a solution"
-    moved = "how far the last step of a first plan moved the first control, in its scale"
     return (
         Field("failing", (), "failures in a row, at most 3; < 0: successes lacking since a restart", "keep", "int32"),
         Field(
             *("unconverged", (), "samples on end that were NOT_CONVERGED", "keep", "int32"),
-            only=lambda f: f.repair or not f.has_qp,
+            only=lambda f: f.repair or f.iterates or not f.has_qp,
         ),
+        Field("first_control", (dims.nu,), "of the plan before its shift", "keep", only=lambda f: f.shifts_back),
         Field(
             *("unsettled", (), "samples on end in which lam changed by half its size", "keep", "int32"),
             only=_has_settling_multipliers,
         ),
         Field("lam_before", (nodes, dims.nx), "lam after the sample before", "keep", only=_has_settling_multipliers),
-        Field("fresh", (), fresh, "keep", "int32", only=lambda f: f.repair and f.has_qp),
-        Field("moved", (), moved, "keep", only=lambda f: f.repair and f.has_qp),
     )
 
 
@@ -67,13 +64,17 @@ def level_structs(dims: Dims) -> tuple[Struct, ...]:
 
 
 def _left(dims: Dims) -> tuple[Struct, ...]:
-    """What steps leave of the model."""
+    """What steps leave of the model and of optimality."""
     members = (
         Field("length", (), "of the last step, in the scales of its variables", "keep"),
         Field("longest", (), "step of late", "keep"),
         Field("left", (), "largest residual that steps of late have left", "keep"),
+        Field("slope", (), "of the cost along it", "keep", only=lambda f: f.search),
+        Field("before", (), "relative KKT residual before it", "keep", only=lambda f: f.search),
+        Field("doubted", (), "1: the plan before it was not optimal", "keep", "int32"),
+        Field("trusted", (), "1: it leaves little by all that is known", "keep", "int32"),
     )
-    return (Struct("gaps", "steps of late and what they have left", members),)
+    return (Struct("near", "steps of late and what they have left", members),)
 
 
 def _price(dims: Dims) -> tuple[Struct, ...]:
@@ -91,15 +92,17 @@ SHIFT = Extra("shift")
 PLAIN = Extra("plain")
 SIMULATE = Extra("simulate")
 LEVELS = Extra("levels")
-CURVATURE = Extra("curvature")
-GAPS = Extra("gaps", _left)
-REPAIR = Extra("repair")
+NEARNESS = Extra("nearness", _left)
+ITERATIONS = Extra("iterations")
 REFERENCES = Extra("references")
 RELAXATION = Extra("relaxation", _price)
 VIOLATION = Extra("violation")
 BENT_ROWS = Extra("bent_rows")
 FIRST_SAMPLE = Extra("first_sample")
 FIRST_CONTROL = Extra("first")
+
+#: Samples of which one checks the optimality of its plan, however short its steps are.
+CHECKED = 5
 
 #: Failed, unconverged or unsettled samples in a row after which a plan starts anew.
 RESTART_SAMPLES = 10

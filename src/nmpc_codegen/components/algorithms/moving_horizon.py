@@ -31,11 +31,11 @@ from nmpc_codegen.package.memory import Field, Struct
 from nmpc_codegen.package.signals import EntryPoint
 
 #: What an estimator takes over of the iteration: its QP and its structs.
-_ITERATION = RealTimeIteration(shift=None, repair=0, relaxation=None)
+_ITERATION = RealTimeIteration(shift=None, iterations=1, relaxation=None)
 
 #: Members of its structs that watch a plan from sample to sample.
 _OF_CONTROL = frozenset(
-    {"prepared", "failing", "unconverged", "unsettled", "lam_before", "fresh", "moved", "violated_row", "violated_node"}
+    {"prepared", "failing", "unconverged", "unsettled", "lam_before", "violated_row", "violated_node", "first_control"}
     | {"violation", "sqp_iterations"}
 )
 

@@ -67,9 +67,8 @@ SOLVE = EntryPoint(
 )
 
 
-def _prepare(moves: bool, repairs: bool) -> EntryPoint:
-    first = ["move the plan to the next sample"] * moves + ["repair it if it is far from the model"] * repairs
-    steps = ", ".join([*first, "linearise, condense, factorise"])
+def _prepare(moves: bool) -> EntryPoint:
+    steps = ", ".join([*["move the plan to the next sample"] * moves, "linearise, condense, factorise"])
     failed = "A call that fails leaves the plan unchanged; feedback restarts a plan that fails repeatedly."
     return EntryPoint("prepare", f"Preparation phase: {steps}. {failed}")
 
@@ -123,8 +122,8 @@ MAX_ATTEMPTS = 3
 # Shifts of an indefinite Hessian in solve(), each four times the one before, and bisections of the last interval.
 MAX_SHIFTS = 24
 BISECTIONS = 3
-#: Trial points of a step that repairs the plan.
-REPAIR_TRIALS = 4
+#: Tolerance from which on no plan is judged.
+UNJUDGED = 1e30
 #: Weight that relaxation="auto" stands for.
 RELAXATION = 1e4
 #: Price of a relaxed row at the first node, relative to that at the last one, after this many relaxed samples on end.
@@ -141,7 +140,7 @@ def state_size(dims: Dims) -> Field:
 
 @dataclass(frozen=True)
 class RealTimeIteration(Defaults):
-    """One QP per sample, with a full step; repair=0, shift=None, relaxation=None is the pure scheme.
+    """One QP per sample with a full step, and more until the plan is near a solution.
 
     Args:
         shift: how the plan moves before every prepare but the first. None: not at all. "repeat": by one interval; the
@@ -152,19 +151,20 @@ class RealTimeIteration(Defaults):
             ``sampling_time`` is given that differs from the interval, "repeat" if not.
         sampling_time: time between samples (the OCP's unit of time), with every shift; "repeat" and "periodic" are for
             that of one interval. None: one interval.
-        repair: linearisations that prepare() may add at the predicted x_0, each with a QP and a step that is shortened
-            until it reduces stats.residual, while that is above ``tolerance``, while the first control of a new plan
-            moves, or after a sample that failed; 0: none.
-        tolerance: stats.residual of the plan, before or after the step of a sample, above which it is NOT_CONVERGED; so
-            it is while the first control of a new plan moves.
+        iterations: QPs of a sample, at most. The first one is that of the real-time iteration; where it fails, or its
+            step leaves a plan that is far from a solution, iterations of solve() follow until the plan is near. 1: none
+            follow, the scheme of the literature, with shift=None and relaxation=None in its plain form.
+        tolerance: stats.residual of the plan after a sample above which it is far from a solution, and the status is
+            NOT_CONVERGED: the largest of its gaps, of its violations of hard rows, and of its relative KKT residual.
+            1e30: no plan is judged.
         relaxation: l1 weight with which hard rows on states are relaxed at a sample whose QP is infeasible; the status
             is then RELAXED. It is that of a violation in the scale of its row, in units of the cost; "auto": 1e4. At
             early nodes it falls while samples stay RELAXED. None: the status is INFEASIBLE, and the plan does not
             change.
         simulate: single shooting. prepare() simulates the plan from its x_0 with its controls before it linearises it,
             so that the QP has no gaps (Houska, Ferreau and Diehl, Automatica 47, 2011, section 2.2). What the states
-            change by counts in stats.residual. A simulation that is not finite leaves the plan as it is. There is no
-            repair, and solve() is that of multiple shooting.
+            change by counts in stats.residual. A simulation that is not finite leaves the plan as it is. A sample is
+            one iteration, and solve() is that of multiple shooting.
         levels: add prepare(level=), in C prepare_level(), and iterate(), which keep derivatives and factors and
             evaluate part of the rest. Where the QP solver has a working set, DenseActiveSet() and RiccatiActiveSet(),
             and x_0 is the measured state, the feedback phase is split as well: feedback_first() returns the control of
@@ -181,7 +181,7 @@ class RealTimeIteration(Defaults):
 
     shift: str | None = option("auto", Words(("auto", *SHIFTS)))
     sampling_time: float | None = option(None, Number(optional=True, unit="s"))
-    repair: int = option(3, Whole(most=100, least=0))
+    iterations: int = option(10, Whole(most=100))
     tolerance: float = option(0.1, Number())
     relaxation: float | str | None = option("auto", Number(optional=True, word="auto"))
     simulate: bool = option(False, Flag())
@@ -203,16 +203,20 @@ class RealTimeIteration(Defaults):
                 "simulation leaves; expected levels=False (--set algorithm.simulate=False)"
             )
 
-    def decide(self, problem: Problem, repairs: bool) -> tuple[RealTimeIteration, tuple[str, ...]]:
-        """The shift and the relaxation that "auto" stands for; no repair in a package that cannot."""
+    def decide(self, problem: Problem, small: bool) -> tuple[RealTimeIteration, tuple[str, ...]]:
+        """The shift and the relaxation that "auto" stands for; one iteration in a package that cannot do more."""
         shift, reasons = decide_shift(self.shift, self.sampling_time, problem)
         found = replace(self, shift=shift, sampling_time=resample_time(shift, self.sampling_time, problem))
         if self.relaxation == "auto":
             found = replace(found, relaxation=RELAXATION)
-        if self.repair and (self.simulate or not repairs):
-            found = replace(found, repair=0)
-            bare = "a package without solve() or for a microcontroller has none"
-            reasons.append(f"repair: 0; {'a simulated plan has no gaps to repair' if self.simulate else bare}")
+        alone = {
+            "solve() of a simulated plan is that of multiple shooting": self.simulate,
+            "levels keep the derivatives of the plan": self.levels,
+            'goal="size" without solve()': small,
+        }
+        if self.iterations > 1 and any(alone.values()):
+            found = replace(found, iterations=1)
+            reasons.append(f"iterations: 1; {next(why for why, holds in alone.items() if holds)}")
         return found, tuple(reasons)
 
     def check_parts(self, parts: Parts) -> None:
@@ -232,7 +236,7 @@ class RealTimeIteration(Defaults):
     def entries(self, features: Features) -> tuple[EntryPoint, ...]:
         """The two phases of a sample, both in one call, the shift of the plan, and the iteration to convergence."""
         optional = (*(FIRST if features.first else ()), *(LEVELS if features.levels else ()))
-        prepare = _prepare(self.shift is not None, self.repair > 0)
+        prepare = _prepare(self.shift is not None)
         return (prepare, *SAMPLE, shift_entry(self.shift), *optional, *((SOLVE,) if features.solve else ()))
 
     @property
@@ -252,23 +256,24 @@ class RealTimeIteration(Defaults):
             relax=self.relaxation is not None,
             first=features.first and self.levels and features.all_measured,
             levels=self.levels,
-            repair=self.repair,
+            iterates=self.iterations > 1,
+            judges=self.tolerance < UNJUDGED,
         )
 
     def extras(self, features: Features) -> tuple[Extra, ...]:
         """What the options, and the Hessian and the rows, make of a sample."""
         evaluation = at_hooks.LEVELS if self.levels else at_hooks.SIMULATE if self.simulate else at_hooks.PLAIN
         failure = at_hooks.RELAXATION if self.relaxation is not None else at_hooks.VIOLATION
+        goes_on = features.iterates and features.judges
         wanted = (
             (at_hooks.SHIFT, self.shift is not None),
-            (at_hooks.GAPS, features.nonlinear_model),
-            (at_hooks.CURVATURE, features.row_curvature),
-            (at_hooks.REPAIR, self.repair > 0),
             (evaluation, True),
             (at_hooks.REFERENCES, features.set_reference),
             (failure, features.hard_rows),
             (at_hooks.BENT_ROWS, features.nonlinear_rows),
-            (at_hooks.FIRST_SAMPLE, self.repair > 0),
+            (at_hooks.NEARNESS, features.judges),
+            (at_hooks.ITERATIONS, goes_on),
+            (at_hooks.FIRST_SAMPLE, goes_on),
             (at_hooks.FIRST_CONTROL, features.first),
         )
         return tuple(extra for extra, present in wanted if present)
@@ -311,37 +316,47 @@ class RealTimeIteration(Defaults):
     def sizes(self, dims: Dims) -> tuple[tuple[str, int, str], ...]:
         return (
             *(_LEVEL_SIZES if self.levels else ()),
-            *(_repairs(self.repair) if self.repair else ()),
+            *_iterations(self.iterations),
             ("RESTART_SAMPLES", at_hooks.RESTART_SAMPLES, "failed samples in a row after which a plan starts anew"),
+            ("CHECKED", at_hooks.CHECKED, "samples of which one checks the optimality of its plan"),
             ("SHIFT", int(self.shift is not None), "1: step() moves the plan before preparing"),
-            ("MAX_TRIALS", MAX_TRIALS, "halvings of the step in the line search of solve()"),
-            ("MAX_ATTEMPTS", MAX_ATTEMPTS, "new starts of solve() where rows cannot be satisfied, at most"),
+            ("MAX_TRIALS", MAX_TRIALS, "halvings of a step in a line search"),
+            ("MAX_ATTEMPTS", MAX_ATTEMPTS, "new starts of a search where rows cannot be satisfied, at most"),
             ("MAX_SHIFTS", MAX_SHIFTS, "shifts of an indefinite Hessian that are tried"),
             ("BISECTIONS", BISECTIONS, "bisections of the last interval of shifts"),
-            ("FILTER", FILTER, "pairs of violation and cost that solve() does not accept again"),
+            ("FILTER", FILTER, "pairs of violation and cost that a search does not accept again"),
         )
 
     def absent_sizes(self, dims: Dims) -> tuple[tuple[str, int, str], ...]:
-        return (*_LEVEL_SIZES, *_repairs(0), ("LANES", 1, "blocks that are decomposed at once"))
+        return (*_LEVEL_SIZES, ("LANES", 1, "blocks that are decomposed at once"))
 
     def structs(self, dims: Dims) -> tuple[Struct, ...]:
         """Solution of the QP, counters, and data that are kept between samples."""
-        curvature = "1: the curvature of active rows is added to the Hessian"
         keep = (
             Field("xhat", (dims.nx,), "state measured at the last feedback", "keep"),
             Field("prepared", (), "1 between prepare and feedback", "keep", "int32"),
-            replace(SAMPLES, only=lambda f: self.shift or f.repair),
+            replace(SAMPLES, only=lambda f: self.shift or f.iterates or f.judges),
             state_size(dims),
-            Field("bent", (), curvature, "keep", "int32", only=lambda f: f.row_curvature),
+            Field(
+                *("most_iterations", (), "QPs that a sample may take, at most SAMPLE_ITERATIONS", "keep", "int32"),
+                only=lambda f: f.iterates,
+            ),
             *at_hooks.watch_fields(dims),
         )
         results = (
             Field("step", (), "solution of the QP", "data", "step"),
             Field("stats", (), "counters", "result", "stats"),
-            Field("kkt", (), "KKT residuals of the last solve", "result", "kkt", only=lambda f: f.solve),
+            Field(
+                "kkt",
+                (),
+                "KKT residuals that were evaluated last",
+                "result",
+                "kkt",
+                only=lambda f: f.search or f.judges,
+            ),
         )
         return (
-            _stats(self.repair),
+            _stats(),
             _step(dims),
             _measures(),
             _hessian_struct(dims),
@@ -353,8 +368,9 @@ class RealTimeIteration(Defaults):
         )
 
     def ranges(self, dims: Dims) -> Mapping[str, tuple[int, int]]:
-        """No phase of a sample is part of solve()."""
-        return {"in_solve": (0, 0)}
+        """A sample of one iteration has no part of solve()."""
+        several = int(self.iterations > 1)
+        return {"in_solve": (0, several), "most_iterations": (1, self.iterations), "entries": (0, FILTER)}
 
     def cost(self, dims: Dims, model: ModelFunctions) -> Counts:
         """The linearisation of all nodes; a gap is one subtraction per state."""
@@ -366,15 +382,12 @@ class RealTimeIteration(Defaults):
         return {"linearize": node * dims.N.value + at_ends + added + model.following * (dims.N.value + 1)}
 
 
-def _repairs(most: int) -> tuple[tuple[str, int, str], ...]:
-    """The bounds of the work of prepare()."""
-    return (
-        ("REPAIRS", most, "linearisations that repair a plan, at most"),
-        ("REPAIR_TRIALS", REPAIR_TRIALS, "lengths that are tried of a step that repairs a plan, at most"),
-    )
+def _iterations(most: int) -> tuple[tuple[str, int, str], ...]:
+    """The bound of the work of a sample."""
+    return (("SAMPLE_ITERATIONS", most, "QPs of a sample, at most"),)
 
 
-def _stats(repair: int) -> Struct:
+def _stats() -> Struct:
     """Counters of the last sample, and the row that it could not satisfy."""
 
     def count(name: str, doc: str) -> Field:
@@ -388,7 +401,8 @@ def _stats(repair: int) -> Struct:
             count("active_set_changes", "changes of the working set in the last QP"),
             count("dropped_rows", "redundant rows left out of the working set"),
             count("relaxed_rows", "soft or relaxed rows that are violated"),
-            Field("sqp_iterations", (), "iterations of the last solve", "result", "int32", only=lambda f: f.solve),
+            Field("sqp_iterations", (), "iterations of the last search", "result", "int32", only=lambda f: f.search),
+            Field("iterations", (), "QPs of the last sample", "result", "int32", only=lambda f: f.iterates),
             Field(
                 *("stale_hessian", (), "1: the Hessian belongs to other data than the present ones", "result", "int32"),
                 only=lambda f: f.tuned,
@@ -396,8 +410,7 @@ def _stats(repair: int) -> Struct:
             count("violated_row", "hard row that is infeasible (INFEASIBLE) or relaxed (RELAXED), or -1"),
             count("violated_node", "its node, or -1"),
             Field("violation", (), "violation of this row by the last step of the QP", "result"),
-            Field("residual", (), "of the plan: scaled gaps and hard rows", "result"),
-            *only_if(repair, count("repairs", "linearisations that have repaired it")),
+            Field("residual", (), "of the plan: scaled gaps, hard rows, relative KKT residual", "result"),
             Field(
                 "first_deviation",
                 (),
@@ -433,16 +446,16 @@ def _measures() -> Struct:
             Field("violation", (), "of gaps, initial condition and rows, in their scales", "scratch"),
             Field("cost", (), "with the penalties of the soft rows", "scratch"),
         ),
-        only=lambda f: f.solve,
+        only=lambda f: f.search,
     )
 
 
 def _hessian_struct(dims: Dims) -> Struct:
     """The exact Hessian of solve(), and what makes it convex."""
-    nodes, square = Size("N + 1", dims.N.value + 1), (Size("NZ * NZ", dims.nz.value**2), Size("LANES", 1))
+    nodes = Size("N + 1", dims.N.value + 1)
     return Struct(
         "curved",
-        "exact Hessian of solve(), symmetric blocks, z = (x, u)",
+        "exact Hessian of a search, symmetric blocks, z = (x, u)",
         (
             Field("Q", (dims.N, dims.nz, dims.nz), "path blocks", "scratch"),
             Field("Q_N", (dims.nx, dims.nx), "terminal block", "scratch"),
@@ -450,10 +463,6 @@ def _hessian_struct(dims: Dims) -> Struct:
             Field("P", (dims.nx, dims.nx), "cost to go", "scratch"),
             Field("M", (dims.nz, dims.nz), "cost to go of a stage", "scratch"),
             Field("T", (dims.nx, dims.nz), "P [A B]", "scratch"),
-            *(
-                Field(name, square, doc, "scratch", only=lambda f: f.row_curvature)
-                for name, doc in (("A", "block to be decomposed, then eigenvalues"), ("V", "its eigenvectors"))
-            ),
             Field("unit", (dims.nz,), "curvature that is typical of each variable", "scratch"),
             Field("weight_u", (dims.N, dims.nu), "of the controls that are held, else 0", "scratch"),
             Field("target_u", (dims.N, dims.nu), "their bounds", "scratch"),
@@ -484,7 +493,7 @@ def _trial(dims: Dims) -> Struct:
             Field("length", (), "length of the last step", "scratch"),
             Field("elastic", (), "1: the last QP was infeasible and relaxed", "scratch", "int32"),
         ),
-        only=lambda f: f.solve,
+        only=lambda f: f.search,
     )
 
 
@@ -493,7 +502,7 @@ def _search(dims: Dims) -> Struct:
     weight, infeasible = "penalty of the rows in the elastic QP", "1: one of them ended where rows contradict"
     return Struct(
         "sqp",
-        "search of solve()",
+        "search for a solution",
         (
             Field("state_scale", (dims.nx,), "scales of the states", "scratch"),
             Field("row_weight", (), weight, "scratch", only=lambda f: f.hard_rows),
@@ -507,8 +516,22 @@ def _search(dims: Dims) -> Struct:
             Field("cost_scale", (), "largest slope of the cost", "scratch"),
             Field("most_violation", (), "violation that is never accepted", "scratch"),
             Field("attempts", (), "new starts", "scratch", "int32"),
+            Field(
+                "hasty", (), "1: in a sample, which has few iterations", "scratch", "int32", only=lambda f: f.iterates
+            ),
+            Field(
+                *("linearized", (), "1: the present point is linearised", "scratch", "int32"),
+                only=lambda f: f.iterates,
+            ),
+            Field(
+                *("before", (), "relative KKT residual before the last iteration", "scratch"),
+                only=lambda f: f.iterates and f.curved,
+            ),
             Field("infeasible", (), infeasible, "scratch", "int32", only=lambda f: f.hard_rows),
-            Field("resumes", (), "set to 1 before solve() goes on from where it reached its limit", "scratch", "int32"),
+            Field(
+                *("resumes", (), "set to 1 before solve() goes on from where it reached its limit", "scratch", "int32"),
+                only=lambda f: f.solve,
+            ),
         ),
-        only=lambda f: f.solve,
+        only=lambda f: f.search,
     )

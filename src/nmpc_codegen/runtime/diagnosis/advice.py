@@ -64,21 +64,19 @@ def _numerical(ctrl: Memory) -> Iterator[str]:
 def _advise_convergence(ctrl: Memory) -> Iterator[str]:
     options = ctrl.description.options
     name, tolerance, residual = options["algorithm"], options["algorithm.tolerance"], ctrl.stats.residual
-    repairs = options.get("algorithm.repair")
+    repairs, most = options.get("algorithm.repair"), options.get("algorithm.iterations")
     if name == "RealTimeIteration":
-        more = ": let prepare() repair the plan, RealTimeIteration(repair=3)" if repairs == 0 else ""
         if residual > tolerance:
             yield (
-                f"residual of the plan: {residual:.3g}, above the tolerance of {tolerance:g}; one QP per sample does "
-                f"not follow it{more}"
+                f"residual of the plan: {residual:.3g}, above the tolerance of {tolerance:g} after "
+                f"{ctrl.stats.iterations} QPs; the next samples go on from it"
             )
-        elif not residual <= tolerance:
-            yield "at the new plan, the model or a row has no finite value"
         else:
-            yield (
-                f"the first control of a new plan still moves; the residual of the plan, {residual:.2g}, is below the "
-                f"tolerance of {tolerance:g}"
-            )
+            yield "at the new plan, the model or a row has no finite value"
+        if most == 1:
+            yield "let a sample iterate until its plan is near a solution: RealTimeIteration(iterations=10)"
+        elif ctrl.stats.iterations == most:
+            yield f"more of them, if the plan does not come nearer: RealTimeIteration(iterations={3 * most})"
     else:
         if residual <= tolerance:
             yield f"the plan is near the model, residual {residual:.2g}, but its last step was cut or refused"

@@ -82,12 +82,15 @@ def solves_exactly(ctrl: Memory) -> bool:
 
 def _left_by_samples(ctrl: Memory) -> list[str]:
     """That the plan is not optimal, which may be due to the steps of the samples."""
-    if not np.any(ctrl.member("samples")) or not solves_exactly(ctrl) or not ctrl.kkt().relative > FAR_FROM_OPTIMAL:
+    if not np.any(ctrl.member("samples")) or not has_qp(ctrl) or not ctrl.kkt().relative > FAR_FROM_OPTIMAL:
         return []
-    return [
-        f"the plan is not optimal, relative KKT residual {ctrl.kkt().relative:.1e}: where it does not fall from sample "
-        "to sample, Gauss-Newton steps leave the optimum that solve() finds: try Options(hessian=ExactHessian())"
-    ]
+    remedy = ""
+    if ctrl.description.options["hessian"] == "GaussNewton":
+        remedy = (
+            ": where it does not fall from sample to sample, Gauss-Newton steps leave the optimum that solve() finds: "
+            "try Options(hessian=ExactHessian())"
+        )
+    return [f"the plan is not optimal, relative KKT residual {ctrl.kkt().relative:.1e}{remedy}"]
 
 
 def _stale(ctrl: Memory) -> str:

@@ -1,4 +1,4 @@
-"""Samples that hold: the residual of a plan, NOT_CONVERGED, repair in prepare(), relaxation in the scales of rows."""
+"""Samples that hold: the residual of a plan, NOT_CONVERGED, iterations, relaxation in the scales of rows."""
 
 from __future__ import annotations
 
@@ -11,7 +11,19 @@ import numpy as np
 import pytest
 
 from examples import quadrotor
-from nmpc_codegen import OCP, ExactHessian, Options, RealTimeIteration, Status, build, generate, simulate, worst_case
+from nmpc_codegen import (
+    OCP,
+    AugmentedLagrangian,
+    ControllerError,
+    ExactHessian,
+    Options,
+    RealTimeIteration,
+    Status,
+    build,
+    generate,
+    simulate,
+    worst_case,
+)
 from nmpc_codegen.runtime.controller import Controller
 from verification import problems
 from verification.routes import OURS, PURE, on
@@ -52,7 +64,7 @@ def made(algorithm: RealTimeIteration, **more: Any) -> Controller:
 # The residual ---------------------------------------------------------------------------------------------------------
 
 
-def test_the_residual_is_that_of_the_plan_that_was_linearised() -> None:
+def test_the_residual_of_a_preparation_is_that_of_the_plan_that_was_linearised() -> None:
     """Gaps in the scales of the states, and rows less what the last step predicted for them, recomputed in numpy."""
     c, xhat = made(MEASURED), np.array([0.1, -0.2, 0.3, 0.0])
     predicted, seen = None, set()
@@ -68,26 +80,25 @@ def test_the_residual_is_that_of_the_plan_that_was_linearised() -> None:
         assert c.prepare() is Status.OK
         assert c.stats.residual == pytest.approx(residual, rel=1e-9, abs=1e-13)
         c.feedback(xhat)
-        assert c.status is (Status.NOT_CONVERGED if residual > MEASURED.tolerance else Status.OK)
+        assert c.status is (Status.NOT_CONVERGED if c.stats.residual > MEASURED.tolerance else Status.OK)
         seen.add(c.status)
         learnt = np.max(np.abs(c.x), axis=0) if c.status is Status.OK else learnt
         predicted = np.sum(U**2, axis=1) + np.sum(2 * U * c.view("step.du"), axis=1)
     assert seen == {Status.OK, Status.NOT_CONVERGED}
 
 
-def test_what_has_changed_since_does_not_count() -> None:
-    """A far measured state, another reference and other bounds are no fault of the plan."""
-    c = made(replace(MEASURED, relaxation=1e5))
-    for _ in range(30):
-        c.step([0.1, 0.0, 0.0, 0.0])
-    before = c.stats.residual
-    c.set_reference([5.0, 5.0, 0, 0, 0, 0])
-    c.set_bounds("d[0]", -0.5, 0.5)
-    c.prepare()
-    assert c.stats.residual <= max(before, 1e-6)
-    c.feedback([9.0, -9.0, 1.0, 1.0])
-    assert c.status is Status.NOT_CONVERGED  # what the step leaves is another matter
-    assert c.stats.residual > 0.1
+def test_after_a_step_that_is_not_trusted_the_residual_contains_that_of_the_kkt_conditions() -> None:
+    c, xhat, judged = made(MEASURED), np.array([0.1, -0.2, 0.3, 0.0]), 0
+    for _ in range(12):
+        c.step(xhat)
+        if not c.view("near.trusted"):
+            judged += 1
+            assert c.stats.residual >= c.kkt().relative * (1 - 1e-9)
+    assert judged > 1
+    for _ in range(10):
+        c.step(xhat)
+    assert c.view("near.trusted")
+    assert c.kkt().relative < 1e-5
 
 
 def test_the_tail_of_a_shift_does_not_count() -> None:
@@ -111,7 +122,7 @@ def test_not_converged_is_no_failure() -> None:
     assert int(c.view("failing")) == 0
     text = c.diagnose()
     assert "residual of the plan" in text
-    assert "RealTimeIteration(repair=3)" in text
+    assert "RealTimeIteration(iterations=10)" in text
     summary = simulate(made(MEASURED), x, 4).summary()
     assert "NOT_CONVERGED" in summary
     assert "first NOT_CONVERGED: sample 0" in summary
@@ -125,52 +136,67 @@ def test_stats_after_a_step_are_those_of_the_plan() -> None:
     assert "residual" in str(c.stats)
 
 
-# Repair ---------------------------------------------------------------------------------------------------------------
+# Iterations -----------------------------------------------------------------------------------------------------------
 
 
-def test_repair_brings_plans_home_that_plain_steps_lose() -> None:
-    """Without repair, plans are never what their QP believes; controls leave on the circle all the same."""
-    good = {}
-    for name, algorithm in (("plain", MEASURED), ("repaired", RealTimeIteration())):
-        c, x, good[name] = made(algorithm), np.array([-0.5, 0.5, 0.0, 0.0]), 0
-        for _ in range(40):
-            u = c.step(x)
-            assert np.sum(u**2) == pytest.approx(1.0, abs=1e-9)
-            good[name] += np.max(np.abs(np.sum(c.u**2, axis=1) - 1)) < 0.1
-            x = np.asarray(c.integrate(x, u, DT))
-    assert good["repaired"] > good["plain"]
-    assert np.linalg.norm(x[:2] - [2, 1]) < 0.5
-
-
-def test_a_repaired_plan_is_closer_to_the_model() -> None:
-    """Random plans: prepare() never raises the residual, and halves it for most."""
-    random, improved = np.random.default_rng(3), 0
+def test_a_sample_goes_on_until_its_plan_is_near() -> None:
+    """From random plans: NOT_CONVERGED only after all iterations, and OK only near a solution."""
+    random, several = np.random.default_rng(3), 0
     for _ in range(20):
-        plain, c = made(MEASURED), made(RealTimeIteration(shift=None))
-        for ctrl in (plain, c):
-            ctrl.step([0.0, 0.0, 0.0, 0.0])
+        c = made(RealTimeIteration(shift=None))
         c.x[...] += random.normal(size=c.x.shape)
-        plain.x[...], plain.u[...] = c.x, c.u
-        plain.view("row_residual")[...] = c.view("row_residual")
-        plain.prepare()
-        c.prepare()
-        assert c.stats.residual <= plain.stats.residual
-        assert c.stats.repairs <= 3
-        improved += c.stats.residual < 0.5 * plain.stats.residual
-    assert improved > 10
+        u = c.step([0.4, 0.0, 0.1, 0.0])
+        assert np.sum(u**2) == pytest.approx(1.0, abs=1e-9)
+        assert 1 <= c.stats.iterations <= 10
+        several += c.stats.iterations > 1
+        if c.status is Status.OK:
+            assert c.kkt().relative <= 0.1
+            np.testing.assert_allclose(c.x[0], [0.4, 0.0, 0.1, 0.0], atol=1e-12)
+        else:
+            assert c.status is Status.NOT_CONVERGED
+            assert c.stats.iterations == 10
+    assert several == 20
 
 
-def test_a_plan_that_cannot_be_improved_stays() -> None:
-    """The QP has no solution, and nothing may give way: bit for bit as it was."""
-    hard = RealTimeIteration(relaxation=None, shift=None)
-    c = build(stopped(1.0, "state"), Options(algorithm=hard), "test")
-    c.x[...], c.u[...] = [1.5, 2.0], 0.3
-    x, u = c.x.copy(), c.u.copy()
-    assert c.prepare() is Status.OK
-    assert c.stats.residual > hard.tolerance
-    assert c.stats.repairs == 0
-    np.testing.assert_array_equal(c.x, x)
-    np.testing.assert_array_equal(c.u, u)
+def test_a_caller_may_limit_a_sample() -> None:
+    """At most that many QPs, the rest in the next samples; without a limit again afterwards."""
+    c, whole = made(RealTimeIteration(shift=None)), made(RealTimeIteration(shift=None))
+    random = np.random.default_rng(5)
+    c.x[...] += random.normal(size=c.x.shape)
+    whole.x[...] = c.x
+    x = [0.4, 0.0, 0.1, 0.0]
+    whole.step(x)
+    assert whole.stats.iterations > 3
+    c.step(x, iterations=2)
+    assert c.stats.iterations == 2
+    assert c.status is Status.NOT_CONVERGED
+    c.prepare()
+    c.feedback(x, iterations=1)
+    assert c.stats.iterations == 1
+    assert int(c.view("most_iterations")) == 10
+    for _ in range(10):
+        c.step(x, iterations=3)
+    assert c.status is Status.OK
+    assert c.kkt().relative < 0.1
+    for wrong in (0, -1, 1.5, True):
+        with pytest.raises(ControllerError, match="iterations is"):
+            c.step(x, iterations=wrong)
+    with pytest.raises(ControllerError, match="RealTimeIteration"):
+        build(tilted(), Options(algorithm=AugmentedLagrangian()), "test").step(x, iterations=2)
+
+
+def test_a_problem_whose_qp_is_exact_is_never_judged() -> None:
+    """Linear dynamics, linear rows, quadratic cost: no search in the sample, any limit holds."""
+    ocp = OCP("cart", T=2.0, N=10)
+    x, v, u = ocp.state("x"), ocp.state("v"), ocp.control("u")
+    ocp.dynamics({x: v, v: u})
+    ocp.least_squares(ca.vertcat(x, v, u), weight=[10, 1, 0.1])
+    ocp.subject_to(-1, u, 1)
+    c = build(ocp, None, "test")
+    assert "near" not in c.description.members("solver")
+    c.step([4.0, 0.0], iterations=1)
+    assert c.status is Status.OK
+    assert c.stats.iterations == 1
 
 
 @pytest.mark.parametrize("route", OURS)
@@ -184,31 +210,70 @@ def test_the_same_inputs_give_the_same_bits(route: str) -> None:
     np.testing.assert_array_equal(c._memory, twin._memory)
 
 
-def test_packages_for_microcontrollers_and_without_solve_do_not_repair() -> None:
-    for more in ({"solve": False}, {"target": "cortex-m4f"}, {"goal": "size"}):
+def test_what_leaves_the_iterations_out() -> None:
+    """A small package without solve(), levels and simulated plans, and the report says so; targets do not."""
+    alone = (
+        {"goal": "size", "solve": False},
+        {"algorithm": RealTimeIteration(levels=True)},
+        {"algorithm": RealTimeIteration(simulate=True)},
+    )
+    for more in alone:
         module = generate(tilted(), Options(**more))
-        assert "REPAIRS" not in module.description.sizes
-        assert "repair: 0" in module["tilted.json"]
-    assert "#define REPAIRS 3 " in generate(tilted())["tilted.c"]
+        assert module.description.sizes["SAMPLE_ITERATIONS"] == 1
+        assert "iterations: 1; " in module["tilted.json"]
+    for more in ({}, {"solve": False}, {"target": "cortex-m4f"}, {"goal": "size"}):
+        assert generate(tilted(), Options(**more)).description.sizes["SAMPLE_ITERATIONS"] == 10
 
 
-def test_the_worst_case_contains_the_repair() -> None:
-    worst = [worst_case(generate(tilted(), Options(algorithm=RealTimeIteration(repair=n)))) for n in (0, 1, 2)]
-    first, second = (worst[n + 1]["prepare"] - worst[n]["prepare"] for n in (0, 1))
-    assert first > worst[0]["feedback"]
-    assert second == pytest.approx(first, rel=0.05)
+def test_the_worst_case_is_stated_with_one_iteration_and_with_all() -> None:
+    one, two, three = (
+        worst_case(generate(tilted(), Options(algorithm=RealTimeIteration(iterations=n)))) for n in (1, 2, 3)
+    )
+    assert "one iteration" not in one
+    assert one["sample"] <= two["one iteration"] < 1.1 * one["sample"]
+    assert two["one iteration"] == three["one iteration"] < two["sample"] < three["sample"]
 
 
-def test_steps_of_levels_follow_a_repaired_plan() -> None:
-    """Level C after a repaired level A is that of the plan which the repair has left."""
-    c = build(tilted(), Options(algorithm=RealTimeIteration(levels=True, shift=None)), "test")
-    c.step([0.4, 0.0, 0.0, 0.0])
-    c.x[...] += 0.5
-    c.prepare()
-    assert c.stats.repairs
-    np.testing.assert_array_equal(c.view("levels.x"), c.x)
-    c.feedback([0.4, 0.0, 0.0, 0.0])
-    assert c.prepare(level="C") is Status.OK
+# Kinds of loops that one full step per sample loses -------------------------------------------------------------------
+
+
+def reactor() -> OCP:
+    """An exothermic tank at its unstable steady state."""
+    ocp = OCP("reactor", T=3.0, N=20)
+    c, T, Tc = ocp.state("c", initial=0.7), ocp.state("T", initial=330.0), ocp.control("Tc")
+    k = 7.2e10 * ca.exp(-8750 / T)
+    ocp.dynamics({c: 1 - c - k * c, T: 350 - T + 209.2 * k * c + 2.092 * (Tc - T)})
+    ocp.least_squares(ca.vertcat(c, T, Tc), weight=[100, 0.01, 0.001], reference=[0.5, 350, 300])
+    ocp.terminal_least_squares(ca.vertcat(c, T), weight=[75, 0.0075], reference=[0.5, 350])
+    ocp.subject_to(280, Tc, 370)
+    ocp.subject_to(300, T, 390)
+    return ocp
+
+
+def battery() -> OCP:
+    """A battery that heats with the square of its current."""
+    ocp = OCP("battery", T=600.0, N=20)
+    soc, temp, i = ocp.state("soc", initial=0.8), ocp.state("temp", initial=25.0), ocp.control("i")
+    ocp.dynamics({soc: -i / 3600, temp: (0.02 * i * i - 0.5 * (temp - 25)) / 40})
+    ocp.least_squares(ca.vertcat(soc, i), weight=[2000, 1e-4], reference=[0.3, 0])
+    ocp.terminal_least_squares(soc, weight=300000, reference=0.3)
+    ocp.subject_to(-20, i, 60)
+    ocp.subject_to(-20, temp, 40)
+    return ocp
+
+
+@pytest.mark.parametrize("start", [(0.7, 330.0), (0.5, 350.0), (0.6, 340.0)])
+def test_an_unstable_reactor_stays_at_its_set_point(start: tuple[float, float]) -> None:
+    log = simulate(build(reactor(), None, "test"), start, 60)
+    assert log.x[:, 1].max() < 360
+    np.testing.assert_allclose(log.x[-1], [0.5, 350], atol=0.1)
+
+
+@pytest.mark.parametrize("more", [{}, {"solve": False}, {"target": "cortex-m7"}])
+def test_a_board_keeps_the_limit_that_the_desk_keeps(more: dict[str, Any]) -> None:
+    log = simulate(build(battery(), Options(**more), "test"), [0.8, 25.0], 40)
+    assert log.x[:, 1].max() < 40.5
+    assert np.all(log.status == Status.OK)
 
 
 # Relaxation -----------------------------------------------------------------------------------------------------------
@@ -276,7 +341,7 @@ def test_a_drone_commanded_by_a_quaternion_arrives() -> None:
     assert np.sum(far & (log.status == Status.OK)) <= 1
 
 
-def test_a_plan_that_repair_does_not_bring_back_is_given_up() -> None:
+def test_a_plan_that_iterations_do_not_bring_back_is_given_up() -> None:
     """A quadrotor after one sample with a reference far away: its plan leads nowhere, and the next ones start anew."""
     c = build(quadrotor.build_ocp(), replace(quadrotor.options(), algorithm=RealTimeIteration()), "test")
     rest = np.zeros(12)

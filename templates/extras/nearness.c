@@ -1,0 +1,131 @@
+/* How near the plan of a sample is to a solution. A step leaves gaps, and a gradient of the Lagrangian, that grow with its
+ * square: one that is about as long as those of late leaves about what they did. After any other step the plan is
+ * linearised anew, which tells. */
+
+static void nearness_on_reset(solver_t *s)
+{
+    memset(&s->near, 0, sizeof s->near);
+}
+
+/* Now and then a linearisation tells whether the plan is optimal, too, however short its steps are. */
+static void doubt_plan(solver_t *s)
+{
+    real_t measured[NX];
+    s->near.doubted = 0;
+    if (s->samples % CHECKED == 0) {
+        measure_plan(s, measured);
+        s->near.doubted = !kkt_is_within(s, residual_tolerance[0]);
+        memcpy(s->xhat, measured, sizeof s->xhat);
+    }
+}
+
+/* The gaps of the plan that has been linearised are what the last step has left. */
+static status_t nearness_after_prepare(solver_t *s, status_t status)
+{
+    near_t *near = &s->near;
+    near->left *= R(0.5);
+    near->longest *= R(0.5);
+    enlarge(&near->left, is_far(s->stats.residual) ? residual_tolerance[0] : s->stats.residual);
+    enlarge(&near->longest, near->length);
+    if (HARD_ROWS && !LEVELS) {
+        enlarge(&near->left, rows_left(s) / FACTOR_NEAR_ROWS);
+    }
+    if (status == OK && !LEVELS) {
+        doubt_plan(s);
+    }
+    return status;
+}
+
+/* Length of the step of the QP, which is finite: the largest component of dx_0 and the du_k in the scale of its
+ * variable, which cause all others. */
+static real_t length_of_step(const solver_t *s)
+{
+    real_t size[NZ] = {R(0)}, length = R(0);
+    enlarge_all(size, s->step.dx[0], NX);
+    for (int k = 0; k < N; k++) {
+        for (int j = 0; j < NU; j++) {
+            const real_t a = FABS(s->step.du[k][j]);
+            size[NX + j] = (a > size[NX + j]) ? a : size[NX + j];
+        }
+    }
+    for (int i = 0; i < NZ; i++) {
+        const real_t a = size[i] / z_scale[i];
+        length = (a > length) ? a : length;
+    }
+    return length;
+}
+
+/* Returns 1 if a step of this length leaves little by all that is known. */
+static int leaves_little(const near_t *near, real_t length)
+{
+    if (length <= FACTOR_NEAR_SHORT_STEP) {
+        return 1;
+    }
+    if (!(length <= R(2) * near->longest)) {
+        return 0;
+    }
+    const real_t ratio = (length > near->longest) ? length / near->longest : R(1);
+    return near->left * ratio * ratio <= FACTOR_NEAR_TRUSTED * residual_tolerance[0];
+}
+
+/* A step whose outcome is not known may have to be taken back. */
+static void nearness_before_step(solver_t *s, status_t status)
+{
+    s->near.length = length_of_step(s);
+    s->near.trusted = status == OK && !is_far(s->stats.residual) && leaves_little(&s->near, s->near.length) &&
+        !s->near.doubted;
+#if SEARCH
+    if (!s->near.trusted) {
+        keep_plan(s);
+        s->near.slope = slope_of(s);
+        memset(&s->sqp, 0, sizeof s->sqp);
+        update_scales(s);
+        (void)kkt_is_within(s, residual_tolerance[0]);
+        s->near.before = s->kkt.relative;
+    }
+#endif
+}
+
+/* Largest gap of the plan that has been linearised, relative to how far its state moves along the horizon: what a step
+ * leaves matters where that is not far more, whatever the value at which the plant works. */
+static real_t gaps_in_motion(const solver_t *s)
+{
+    real_t most = R(0);
+    for (int i = 0; i < NX; i++) {
+        real_t moved = FACTOR_SCALE_LITTLE_OF_STATE * z_scale[i], gap = R(0);
+        for (int k = 0; k < N; k++) {
+            enlarge(&moved, s->x[k + 1][i] - s->x[0][i]);
+            enlarge(&gap, s->node[k].b[i]);
+        }
+        enlarge(&most, gap / moved);
+    }
+    return most;
+}
+
+/* The plan after a step whose outcome is not known: the largest of its gaps, of what it leaves of hard rows, and of its
+ * relative KKT residual. */
+static status_t nearness_after_feedback(solver_t *s, status_t status)
+{
+    if ((status != OK && status != RELAXED) || s->near.trusted) {
+        return status;
+    }
+    if (LEVELS) { /* whose derivatives are kept */
+        real_t size[NX];
+        state_scales(s, size);
+        enlarge(&s->stats.residual, largest_gap(s, size));
+        return status;
+    }
+    linearize(s);
+    measure_residual(s);
+    enlarge(&s->near.left, s->stats.residual);
+    enlarge(&s->near.left, gaps_in_motion(s));
+    if (HARD_ROWS) {
+        enlarge(&s->near.left, rows_left(s) / FACTOR_NEAR_ROWS);
+    }
+    if (status == OK) { /* the multipliers of relaxed rows are those of their penalty */
+        (void)kkt_is_within(s, residual_tolerance[0]);
+        enlarge(&s->stats.residual, s->kkt.relative);
+        enlarge(&s->near.left, s->kkt.relative);
+    }
+    return status;
+}
