@@ -176,11 +176,11 @@ static int sample_is_done(const solver_t *s, status_t status)
 static status_t iterations_after_feedback(solver_t *s, status_t status)
 {
     const int stepped = status == OK || status == RELAXED;
-    const int allowed = (s->most_iterations < SAMPLE_ITERATIONS) ? s->most_iterations : SAMPLE_ITERATIONS;
     s->stats.iterations = 1;
-    if (allowed <= 1 || sample_is_done(s, status)) {
+    if (s->most_iterations <= 1 || sample_is_done(s, status)) {
         return status;
     }
+    const int allowed = (s->most_iterations < SAMPLE_ITERATIONS) ? s->most_iterations : SAMPLE_ITERATIONS;
     if (!stepped) {
         memset(&s->sqp, 0, sizeof s->sqp);
         memset(&s->step, 0, sizeof s->step);

@@ -10,9 +10,9 @@ static void nearness_on_reset(solver_t *s)
 /* Now and then a linearisation tells whether the plan is optimal, too, however short its steps are. */
 static void doubt_plan(solver_t *s)
 {
-    real_t measured[NX];
     s->near.doubted = 0;
     if (s->samples % CHECKED == 0) {
+        real_t measured[NX];
         measure_plan(s, measured);
         s->near.doubted = !kkt_is_within(s, residual_tolerance[0]);
         memcpy(s->xhat, measured, sizeof s->xhat);

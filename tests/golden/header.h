@@ -54,4 +54,4 @@ const char *golden_status_string(golden_status_t status);
 #endif
 
 #endif
-/* nmpc_codegen package cfe38bafc65631af, sha256 3f07da3f32f174a9a872e136356699594d5e8561abd51ee219625c600bfbf547 */
+/* nmpc_codegen package 87a4f45ba2dff48c, sha256 92c52cd85bbfbc7f97fc726d83fe98b24febe71f3a7a9d205d7dcc42354b0a28 */
