@@ -96,15 +96,13 @@ static void shift_back(solver_t *s)
  * costs less and does not violate much. */
 static void reconsider_shift(solver_t *s)
 {
-    trial_t *kept = &s->trial;
     const measures_t shifted = measure(s);
     keep_plan(s);
     shift_back(s);
     const measures_t before = measure(s);
     if (!(before.cost < shifted.cost) ||
         !(before.violation <= FACTOR_SQP_MOST_GROWTH * shifted.violation + FACTOR_SQP_GROWTH_FLOOR)) {
-        memcpy(s->x, kept->x, sizeof s->x);
-        memcpy(s->u, kept->u, sizeof s->u);
+        move_back(s);
         return_multipliers(s);
     }
 }

@@ -74,7 +74,7 @@ static void nearness_before_step(solver_t *s, status_t status)
     s->near.length = length_of_step(s);
     s->near.trusted = status == OK && !is_far(s->stats.residual) && leaves_little(&s->near, s->near.length) &&
         !s->near.doubted;
-#if SEARCH
+#if ITERATES
     if (!s->near.trusted) {
         keep_plan(s);
         s->near.slope = slope_of(s);

@@ -54,4 +54,4 @@ const char *golden_status_string(golden_status_t status);
 #endif
 
 #endif
-/* nmpc_codegen package 87a4f45ba2dff48c, sha256 92c52cd85bbfbc7f97fc726d83fe98b24febe71f3a7a9d205d7dcc42354b0a28 */
+/* nmpc_codegen package 70e29678dbe48e59, sha256 b2cbd3f3dd006daf3936ff935cc61bb01040f25c60dcae1163ac26dce8163b4e */

@@ -191,7 +191,6 @@ def _features(model: Model) -> Features:
         elastic=relaxable or any(row.soft is not None for row in p.rows),
         nonlinear_rows=nonlinear,
         nonlinear_model=found.has_qp and p.nonlinear_model,
-        nonlinear_cost=found.has_qp and p.nonlinear_cost,
         search=search,
         judges=bends and found.judges,
         iterates=goes_on,

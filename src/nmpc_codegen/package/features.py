@@ -79,7 +79,6 @@ class Features:
     pulled_rows: bool = False  # hard rows on controls alone bend
     nonlinear_model: bool = False  # a step leaves gaps
     proximal: bool = False  # samples limit steps of controls without curvature
-    nonlinear_cost: bool = False  # a QP does not see all of its curvature
     idle_end: bool = False  # the last control influences nothing but its own terms
     end_equations: bool = False  # hard equations at the last node
     control_bounds: bool = False

@@ -69,8 +69,8 @@ def _left(dims: Dims) -> tuple[Struct, ...]:
         Field("length", (), "of the last step, in the scales of its variables", "keep"),
         Field("longest", (), "step of late", "keep"),
         Field("left", (), "largest residual that steps of late have left", "keep"),
-        Field("slope", (), "of the cost along it", "keep", only=lambda f: f.search),
-        Field("before", (), "relative KKT residual before it", "keep", only=lambda f: f.search),
+        Field("slope", (), "of the cost along it", "keep", only=lambda f: f.iterates),
+        Field("before", (), "relative KKT residual before it", "keep", only=lambda f: f.iterates),
         Field("doubted", (), "1: the plan before it was not optimal", "keep", "int32"),
         Field("trusted", (), "1: it leaves little by all that is known", "keep", "int32"),
     )

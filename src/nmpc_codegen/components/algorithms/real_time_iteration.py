@@ -316,7 +316,7 @@ class RealTimeIteration(Defaults):
     def sizes(self, dims: Dims) -> tuple[tuple[str, int, str], ...]:
         return (
             *(_LEVEL_SIZES if self.levels else ()),
-            *_iterations(self.iterations),
+            ("SAMPLE_ITERATIONS", self.iterations, "QPs of a sample, at most"),
             ("RESTART_SAMPLES", at_hooks.RESTART_SAMPLES, "failed samples in a row after which a plan starts anew"),
             ("CHECKED", at_hooks.CHECKED, "samples of which one checks the optimality of its plan"),
             ("SHIFT", int(self.shift is not None), "1: step() moves the plan before preparing"),
@@ -380,11 +380,6 @@ class RealTimeIteration(Defaults):
         at_ends = operations(model.start.gradient, terminal.gradient, terminal.rows, model.coupled)
         added = OpCount(add=dims.nx.value if model.start.gradient.writes else 0)
         return {"linearize": node * dims.N.value + at_ends + added + model.following * (dims.N.value + 1)}
-
-
-def _iterations(most: int) -> tuple[tuple[str, int, str], ...]:
-    """The bound of the work of a sample."""
-    return (("SAMPLE_ITERATIONS", most, "QPs of a sample, at most"),)
 
 
 def _stats() -> Struct:
