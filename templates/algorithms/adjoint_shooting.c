@@ -28,6 +28,10 @@
 
 #include "algorithms/adjoint_shooting/shift.c"
 
+#if SADDLES
+#include "algorithms/shared/saddle.c"
+#endif
+
 /* Brings the terms closer to the rows. Returns 0 if they are as close as they may be. */
 static int sharpen(solver_t *s)
 {
@@ -175,6 +179,12 @@ static status_t run_sample(solver_t *s)
         const int easy = s->stats.simulations <= s->stats.accepted + 1 && s->shooting.length >= R(1);
         update_rows(s, R(1));
         follow_terms(s, easy);
+    }
+    if (SADDLES) {
+        if (status != NUMERICAL_FAILURE && leave_saddle(s)) {
+            s->shooting.pairs = 0;
+            return is_far(s->saddle.saved) ? NOT_CONVERGED : status;
+        }
     }
     return (status == OK && moved < MOVED && step_is_long(s, 1)) ? NOT_CONVERGED : status;
 }

@@ -61,6 +61,10 @@ static void hold_gradients(solver_t *s)
 
 #include "algorithms/augmented_lagrangian/search.c"
 
+#if SADDLES
+#include "algorithms/shared/saddle.c"
+#endif
+
 #include "algorithms/augmented_lagrangian/rounds.c"
 
 status_t API(prepare)(solver_t *s)

@@ -109,6 +109,9 @@ static status_t judge(solver_t *s, status_t status)
     if (EXACT_QP && !LEVELS && status == OK) { /* whose solution has no gaps */
         s->stats.residual = R(0);
     }
+    if (SADDLES && !ITERATES) { /* nothing else is known of a plan after a probe */
+        enlarge(&s->stats.residual, s->saddle.saved);
+    }
     status = judge_residual(status, s->stats.residual);
     learn_sizes(s, status);
     return status;

@@ -105,11 +105,21 @@ static status_t iterate(solver_t *s, real_t tol, int last)
 {
     for (;; s->stats.sqp_iterations++) { /* [if ITERATES: at most SAMPLE_ITERATIONS passes in iterations_after_feedback] */
         evaluate_iterate(s);
-        if (kkt_is_within(s, tol) && starts_at_measured(s)) {
+        const int solved = kkt_is_within(s, tol) && starts_at_measured(s);
+        int left = 0;
+        if (SADDLES) {
+            const int asked = solved || s->stats.sqp_iterations % CHECKED == CHECKED - 1;
+            left = asked && s->sqp.probes < MAX_ATTEMPTS && leave_saddle(s);
+        }
+        if (solved && !left) {
             return OK;
         }
         if (s->stats.sqp_iterations >= last) {
             return ITERATION_LIMIT;
+        }
+        if (left) {
+            s->sqp.probes++;
+            continue;
         }
         status_t status = sqp_iteration(s);
         status = take_exact_hessian(s, status);

@@ -19,6 +19,7 @@ def core_structs(core: Iterable[Core], dims: Dims) -> tuple[Struct, ...]:
         *only_if("multipliers" in wanted, _multipliers(dims)),
         *only_if("kkt" in wanted, _kkt()),
         _row_members(dims),
+        _saddle(dims),
     )
 
 
@@ -95,6 +96,21 @@ def _row_members(dims: Dims) -> Struct:
             Field("price", (nodes,), price, "keep", only=lambda f: f.priced_rows),
         ),
         only=lambda f: f.has_qp,
+    )
+
+
+def _saddle(dims: Dims) -> Struct:
+    """The plan before a probe of idle controls."""
+    nodes = Size("N + 1", dims.N.value + 1)
+    return Struct(
+        "saddle",
+        "plan before a probe of idle controls",
+        (
+            Field("x", (nodes, dims.nx), "its states", "scratch"),
+            Field("u", (dims.N, dims.nu), "its controls", "scratch"),
+            Field("saved", (), "part of its cost by which the last probe has lowered that of the plan", "scratch"),
+        ),
+        only=lambda f: f.saddles,
     )
 
 

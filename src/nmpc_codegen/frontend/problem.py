@@ -406,6 +406,11 @@ class Problem:
         return tuple(places.index(self.nx + j) if self.nx + j in places else -1 for j in range(self.nu))
 
     @property
+    def reference_controls(self) -> Array:
+        """References of the controls, 0 where there is none, shape (nu,)."""
+        return np.array([self.path.reference[i] if i >= 0 else 0.0 for i in self.control_reference])
+
+    @property
     def uniform(self) -> bool:
         """True if all intervals have the same length."""
         return len(set(self.dt)) == 1

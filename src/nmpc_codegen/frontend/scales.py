@@ -115,7 +115,7 @@ def responses(problem: Problem) -> tuple[Array, Array]:
     x, u, p, _ = symbols(nx, nu, problem.np + problem.solved)
     slopes = ca.densify(ca.jacobian(problem.dynamics(x, u, p), ca.vertcat(x, u)))
     at = ca.Function("slopes", [x, u, p], [slopes])
-    at_start = problem.x_initial, _reference_controls(problem, problem.path)
+    at_start = problem.x_initial, problem.reference_controls
     S = np.array(at(*at_start, problem.node_values(*at_start))).reshape(nx, nx + nu)
     first, most, dx = np.zeros((nx, nu)), np.zeros((nx, nu)), np.zeros((nx, nu))
     jumps = _jump_slopes(problem)
@@ -145,7 +145,7 @@ def _jump_slopes(problem: Problem) -> Array:
     """d(value at the next node) / d(x, u) of the states that are constant along an interval, at the initial state."""
     if problem.jump is None:
         return np.zeros((0, problem.nx + problem.nu))
-    u = _reference_controls(problem, problem.path)
+    u = problem.reference_controls
     return np.array(
         problem.jump_slopes(problem.x_initial, u, problem.node_values(problem.x_initial, u), problem.dt[0])[1].full()
     )
@@ -161,16 +161,14 @@ def _exponential(A: Array) -> Array:
     return np.asarray(np.linalg.matrix_power(E, 2**halvings))
 
 
-def _reference_controls(problem: Problem, stage: Stage) -> Array:
-    """References of the controls, 0 where there is none; empty for a stage without controls."""
-    if not stage.nu:
-        return np.zeros(0)
-    return np.array([problem.path.reference[i] if i >= 0 else 0.0 for i in problem.control_reference])
+def _controls(problem: Problem, stage: Stage) -> Array:
+    """References of the controls; empty for a stage without controls."""
+    return problem.reference_controls if stage.nu else np.zeros(0)
 
 
 def _data(problem: Problem, stage: Stage) -> Array:
     """What expressions of a stage read in place of p at the initial state and the references of the controls."""
-    return problem.node_values(problem.x_initial, _reference_controls(problem, stage))
+    return problem.node_values(problem.x_initial, _controls(problem, stage))
 
 
 # Terms ---------------------------------------------------------------------------------------------------------------
@@ -204,7 +202,7 @@ def _coupled_terms(problem: Problem, z: Array) -> list[tuple[float, float]]:
 
 def _terms(expression: Expression, stage: Stage, problem: Problem, z: Array) -> list[tuple[float, float]]:
     """(constant part, size of the other terms) of every element of an expression of a stage."""
-    u = _reference_controls(problem, stage)
+    u = _controls(problem, stage)
     sizes = [z[: problem.nx], z[problem.nx :] if stage.nu else np.zeros(0)]
     given = [_data(problem, stage), np.array([max(problem.dt)])]
     symbols_ = [stage.x, stage.u, stage.p, stage.dt]
@@ -239,7 +237,7 @@ def _curvature(cost: Expression, stage: Stage, problem: Problem) -> Array:
     """Magnitudes of the second derivatives of a general cost with respect to every variable at the initial state."""
     z = ca.vertcat(stage.x, stage.u)
     at = ca.Function("bend", [stage.x, stage.u, stage.p, stage.dt], [ca.densify(ca.diag(ca.hessian(cost, z)[0]))])
-    u = _reference_controls(problem, stage)
+    u = _controls(problem, stage)
     found = np.abs(np.asarray(at(problem.x_initial, u, _data(problem, stage), max(problem.dt))).ravel())
     return np.where(np.isfinite(found), found, 0.0)
 
@@ -248,7 +246,7 @@ def _slopes(stage: Stage, problem: Problem) -> Array:
     """dy/dz of the residuals of a stage at the initial state."""
     z = ca.vertcat(stage.x, stage.u)
     at = ca.Function("slopes", [stage.x, stage.u, stage.p], [ca.densify(ca.jacobian(stage.y, z))])
-    u = _reference_controls(problem, stage)
+    u = _controls(problem, stage)
     found = np.asarray(at(problem.x_initial, u, _data(problem, stage))).reshape(stage.ny, z.numel())
     return np.where(np.isfinite(found), found, 0.0)
 

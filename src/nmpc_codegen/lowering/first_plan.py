@@ -168,9 +168,7 @@ def _interval(step: Function, problem: Problem, x: Array, u: Array, p: Array, dt
 
 def first_plan(problem: Problem) -> tuple[Array, Array]:
     """(x, u) at all nodes of the first plan: initial states, and controls at their references inside their bounds."""
-    u = np.zeros(problem.nu)
-    for j, position in enumerate(problem.control_reference):
-        u[j] = problem.path.reference[position] if position >= 0 else 0.0
+    u = problem.reference_controls
     for row in problem.rows:
         if row.kind == "control":
             u[row.index] = np.clip(u[row.index], row.lower, row.upper)

@@ -26,6 +26,7 @@ from nmpc_codegen.errors import OptionError
 from nmpc_codegen.frontend.flat import flat_controls, proximal_terms
 from nmpc_codegen.frontend.inner import complete_inner
 from nmpc_codegen.frontend.problem import Problem, Stage, symbols
+from nmpc_codegen.frontend.saddles import Saddles, find_saddles
 from nmpc_codegen.frontend.scales import Scales, scales
 from nmpc_codegen.ir.kernel import Kernel, Port, lift
 from nmpc_codegen.ir.model import Block, HessianModel, ModelFunctions, StageModel
@@ -82,6 +83,11 @@ class Model(ModelFunctions):
     def scales(self) -> Scales:
         """The sizes of the quantities of the problem."""
         return scales(self.problem)
+
+    @cached_property
+    def saddles(self) -> Saddles:
+        """The controls whose slope vanishes somewhere."""
+        return find_saddles(self.problem, self.scales.z)
 
     @property
     def choices(self) -> tuple[str, ...]:

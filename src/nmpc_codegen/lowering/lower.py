@@ -11,6 +11,7 @@ from nmpc_codegen.components.base import Component, Counts, Dims
 from nmpc_codegen.components.core import SIZES_OF_OTHERS
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.frontend.problem import Problem, Stage
+from nmpc_codegen.frontend.saddles import PROBE_PARTS, PROBE_SIZES, Saddles
 from nmpc_codegen.ir.cmodule import CModule, Macro, Section, Setter, check_prefix
 from nmpc_codegen.ir.kernel import called_functions, called_lookups
 from nmpc_codegen.ir.printing.c_style import CStyle
@@ -227,6 +228,7 @@ def _of_problem(model: Model) -> Features:
         hard_rows=any(p.rows[row].hard for _, _, _, row in p.qp_rows),
         rows_move=any((k + 1, row) in imposed for k, row in imposed),
         proximal=bool(p.proximal),
+        saddles=bool(model.saddles.controls),
         idle_end=p.idle_end and parts.algorithm.shift == "repeat",
         end_equations=any(k == p.N and p.rows[row].is_equation for k, _, _, row in p.qp_rows),
         pulled_rows=bool(p.pulled_rows),
@@ -325,6 +327,7 @@ def _macros(model: Model, dims: Dims, whole: bool) -> tuple[Macro, ...]:
     if dims.condensed:
         macros.append(Macro("PANEL", PANEL, "columns processed together"))
     macros += _data_macros(model.problem)
+    macros += _probe_macros(model.saddles)
     macros.append(Macro("ALGEBRAIC", len(model.problem.algebraic_names), "algebraic variables"))
     macros.append(Macro("PULLS", PULLS, "moves of a control back onto rows, at most"))
     parameters = model.problem.own_parameters
@@ -360,6 +363,16 @@ def _data_macros(problem: Problem) -> tuple[Macro, ...]:
         Macro("NOISES", len(problem.noise), "controls that are noise at the end of an interval"),
         Macro("SCALED_PENALTIES", int(scaled), "1: penalties of a row are times dt_k"),
         Macro("BOUNDED_PARAMETERS", int(bounded), "1: some parameters have bounds"),
+    )
+
+
+def _probe_macros(saddles: Saddles) -> tuple[Macro, ...]:
+    """How idle controls are probed."""
+    partners = any(partner >= 0 for partner in saddles.partners)
+    return (
+        Macro("PROBES", len(PROBE_SIZES), "sizes of a move of an idle control that are tried"),
+        Macro("PROBE_PARTS", PROBE_PARTS, "halvings of a probe, at most"),
+        Macro("PARTNERS", int(partners), "1: some controls act by a product"),
     )
 
 

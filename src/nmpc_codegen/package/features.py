@@ -79,6 +79,7 @@ class Features:
     pulled_rows: bool = False  # hard rows on controls alone bend
     nonlinear_model: bool = False  # a step leaves gaps
     proximal: bool = False  # samples limit steps of controls without curvature
+    saddles: bool = False  # the slope of a control vanishes somewhere
     idle_end: bool = False  # the last control influences nothing but its own terms
     end_equations: bool = False  # hard equations at the last node
     control_bounds: bool = False

@@ -54,6 +54,13 @@ static status_t iterate(solver_t *s, real_t tol, int max_iterations)
     for (int n = 0; n < max_iterations; n++) {
         const real_t stationarity = residual_of(s, ESTIMATE, &s->kkt);
         if (s->kkt.relative <= tol) {
+            if (SADDLES) {
+                if (leave_saddle(s)) {
+                    s->shooting.pairs = 0;
+                    (void)merit(s);
+                    continue;
+                }
+            }
             return OK;
         }
         follow(s, tol, stationarity, moved, &progress);

@@ -133,6 +133,11 @@ static void close_round(solver_t *s, real_t before, int accepted)
         stiffen(s);
     }
     finish_multipliers(s);
+    if (SADDLES) {
+        if (leave_saddle(s)) {
+            enlarge(&s->stats.residual, s->saddle.saved);
+        }
+    }
     if (stuck || !accepted) {
         restore_multipliers(s);
     }

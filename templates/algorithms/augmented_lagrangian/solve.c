@@ -53,6 +53,15 @@ static status_t iterate(solver_t *s, real_t tol, int max_iterations)
         }
         const int solved = residual_of(s) <= tol;
         if (solved && (polished || n == 0)) {
+            if (SADDLES) {
+                if (leave_saddle(s)) {
+                    evaluate_path(s);
+                    evaluate_ends(s);
+                    linearize_plan(s);
+                    polished = 0;
+                    continue;
+                }
+            }
             return OK;
         }
         polished = solved;

@@ -54,6 +54,10 @@ static status_t run_sample_qp(solver_t *s)
     return status;
 }
 
+#if SADDLES
+#include "algorithms/shared/saddle.c"
+#endif
+
 #if CHECK_STEP
 #include "algorithms/real_time_iteration/check_step.c"
 #else
@@ -93,9 +97,14 @@ static status_t feedback_here(solver_t *s)
     if (PULLED_ROWS) {
         pull_back(s);
     }
+    on_success(s, status);
+    if (SADDLES) {
+        if (leave_saddle(s) && JUDGES) {
+            s->near.trusted = 0;
+        }
+    }
     if (LAGRANGIAN && status == RELAXED) { /* its multipliers are those of the penalty, not of a plan */
         forget_multipliers(s);
     }
-    on_success(s, status);
     return status;
 }

@@ -511,6 +511,7 @@ def _search(dims: Dims) -> Struct:
             Field("cost_scale", (), "largest slope of the cost", "scratch"),
             Field("most_violation", (), "violation that is never accepted", "scratch"),
             Field("attempts", (), "new starts", "scratch", "int32"),
+            Field("probes", (), "saddles that have been left", "scratch", "int32", only=lambda f: f.saddles),
             Field(
                 "hasty", (), "1: in a sample, which has few iterations", "scratch", "int32", only=lambda f: f.iterates
             ),

@@ -101,8 +101,7 @@ def _sizes(stage: Stage, problem: Problem, scale: Array) -> tuple[float, float]:
 
 def _at_start(cost: StageCost, stage: Stage, problem: Problem, *expressions: Expression) -> list[Array]:
     """Magnitudes of expressions of a stage at the initial state, the references of the controls and declared data."""
-    x, places = problem.x_initial, problem.control_reference if stage.nu else ()
-    u = np.array([problem.path.reference[i] if i >= 0 else 0.0 for i in places])
+    x, u = problem.x_initial, problem.reference_controls if stage.nu else np.zeros(0)
     values = problem.node_values(x, u)
     at = (x, u, values, problem.dt[0]) if stage.nu else (x, values)
     weight = np.diag(stage.weight) if stage.diagonal_weight else stage.weight.ravel()

@@ -12,6 +12,7 @@ from nmpc_codegen.components.algorithms.shifts import sampling_period
 from nmpc_codegen.components.core import TABLES_OF_OTHERS
 from nmpc_codegen.errors import ProblemError
 from nmpc_codegen.frontend.problem import Array, Problem, Stage
+from nmpc_codegen.frontend.saddles import PROBE_SIZES
 from nmpc_codegen.ir.cmodule import Table
 from nmpc_codegen.ir.kernel import called_lookups
 from nmpc_codegen.ir.sweep import Routine
@@ -60,6 +61,9 @@ def tables(model: Model, routines: Sequence[Routine]) -> tuple[Table, ...]:
         real("default_soft_l1", [r.soft[0] for r in p.rows if r.soft], "penalties l1 v of the soft rows"),
         real("default_soft_l2", [r.soft[1] for r in p.rows if r.soft], "penalties l2/2 v^2 of the soft rows"),
         integer("penalty_scaled", (r.scaled for r in p.rows if r.soft), "1: times the length of the interval"),
+        real("idle_slope", round_scales(model.saddles.slopes), "|dx_i / du_j| with which control j is idle; < 0: never"),
+        integer("idle_partner", model.saddles.partners, "control with which control j acts by a product, or -1"),
+        real("probe_size", PROBE_SIZES, "moves of an idle control that are tried, in its scale"),
         real("proximal", round_scales(p.proximal), "curvature of steps in samples"),
         integer("on_states", p.rows_on_states, "1: row on states alone"),
         integer(

@@ -1,0 +1,109 @@
+"""Controls whose influence vanishes somewhere: u^2 at 0, u |u| at 0, a product of two at 0.
+
+Where the slope of the dynamics with respect to a control is 0, no step of an iteration moves it, and the conditions of
+optimality may hold at a point from which the cost falls to both sides: a saddle. Samples and solve() leave it by a
+probe, algorithms/shared/saddle.c; here is which controls need one, and which slopes are next to none.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+
+from nmpc_codegen.frontend.problem import Array, Problem
+
+#: Slope, relative to the largest of the same control, that is next to none.
+IDLE = 1e-2
+#: Moves of a control from a saddle that are tried, in its scale, and halvings of what they lead to.
+PROBE_SIZES, PROBE_PARTS = (1.0, 0.25, 0.0625), 12
+#: States at which slopes are compared, and values of a control in its range.
+STATES, VALUES = 5, 41
+
+
+@dataclass(frozen=True)
+class Saddles:
+    """``controls``: numbers of those that may stand at a saddle. ``slopes`` (nx, nu): |dx_i / du_j| of an interval below
+    which control j does next to nothing to state i; infinite where it does not act directly, -1 for other controls.
+    ``partners`` (nu,): another control whose value decides on the slope of control j, or -1."""
+
+    controls: tuple[int, ...]
+    slopes: tuple[float, ...]
+    partners: tuple[int, ...]
+
+
+def find_saddles(problem: Problem, z: Array) -> Saddles:
+    """The controls that may stand at a saddle; ``z`` (nx + nu,): scales."""
+    none = Saddles((), (-1.0,) * problem.nx * problem.nu, (-1,) * problem.nu)
+    if problem.estimation is not None:
+        return none
+    bends = _bends(problem)
+    if not np.any(bends):
+        return none
+    largest, vanishes = _compare(problem, z, np.any(bends, axis=0))
+    found = tuple(int(j) for j in np.flatnonzero(vanishes))
+    slopes = np.where(vanishes, np.where(largest > 0.0, IDLE * largest, np.inf), -1.0)
+    others = [[m for m in range(problem.nu) if m != j and bends[m, j] and j in found] for j in range(problem.nu)]
+    partners = [next((m for m in sorted(of, key=lambda m: m not in found)), -1) for of in others]
+    return Saddles(found, tuple(float(v) for v in slopes.ravel()), tuple(partners))
+
+
+def _bends(problem: Problem) -> Array:
+    """(nu, nu): 1 where the slope of the dynamics with respect to control j depends on control i."""
+    path = problem.path
+    J = ca.jacobian(problem.dynamics(path.x, path.u, path.p), path.u)
+    found = np.zeros((problem.nu, problem.nu), dtype=bool)
+    for j in range(problem.nu):
+        found[:, j] = ca.which_depends(J[:, j], path.u, 1)
+    return found
+
+
+def _compare(problem: Problem, z: Array, bent: Array) -> tuple[Array, Array]:
+    """(nx, nu) the largest slopes of an interval at a typical state, and marks of the controls for which all of them
+    vanish somewhere."""
+    path = problem.path
+    f = problem.reduction(path)(problem.dynamics(path.x, path.u, path.p), 1)
+    at = ca.Function("slopes", [path.x, path.u, path.p], [ca.densify(ca.jacobian(f, path.u))])
+    length = 1.0 if problem.discrete else min(problem.dt)
+    points = [[(x, u) for u in _values(problem, z, bent)] for x in _states(problem, z)]
+    flat = [(x, u, problem.node_values(x, u)) for rows in points for x, u in rows]
+    with np.errstate(all="ignore"):
+        J = np.asarray(at.map(len(flat))(*(np.array(v).T for v in zip(*flat, strict=True))))
+        slopes = length * np.nan_to_num(np.abs(J), posinf=0.0).reshape(problem.nx, len(points), -1, problem.nu)
+    most = np.max(slopes, axis=2, keepdims=True)
+    still = np.any(np.all(slopes <= IDLE * most, axis=0), axis=1) & np.any(most > 0.0, axis=(0, 2))
+    return np.median(most[:, :, 0], axis=1), np.any(still, axis=0) & bent
+
+
+def _states(problem: Problem, z: Array) -> Iterator[Array]:
+    """The initial state, and others around it."""
+    yield problem.x_initial
+    random = np.random.default_rng(0)
+    for _ in range(STATES - 1):
+        yield problem.x_initial + z[: problem.nx] * random.uniform(-0.5, 0.5, problem.nx)
+
+
+def _values(problem: Problem, z: Array, bent: Array) -> Iterator[Array]:
+    """Controls: one through its range, while the others are at their references, at 0, or anywhere."""
+    lower, upper = control_range(problem, z)
+    reference = np.clip(problem.reference_controls, lower, upper)
+    random = np.random.default_rng(1)
+    for others in (reference, np.clip(0.0, lower, upper), random.uniform(lower, upper)):
+        for j in np.flatnonzero(bent):
+            for value in (reference[j], np.clip(0.0, lower[j], upper[j]), *np.linspace(lower[j], upper[j], VALUES)):
+                u = others.copy()
+                u[j] = value
+                yield u
+
+
+def control_range(problem: Problem, z: Array) -> tuple[Array, Array]:
+    """Bounds of the controls; where there are none, their scale about their reference."""
+    size, at = z[problem.nx :], problem.reference_controls
+    lower, upper = at - size, at + size
+    for row in problem.rows:
+        if row.kind == "control":
+            lower[row.index] = row.lower if np.isfinite(row.lower) else min(lower[row.index], row.upper)
+            upper[row.index] = row.upper if np.isfinite(row.upper) else max(upper[row.index], row.lower)
+    return lower, upper
