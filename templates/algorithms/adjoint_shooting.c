@@ -103,6 +103,9 @@ static void algorithm_reset(solver_t *s)
     reset_watch(s);
     memset(&s->stats, 0, sizeof s->stats);
     s->samples = 0;
+    if (SOLVE && SHIFT) {
+        s->solved = 0;
+    }
     s->status = (int32_t)OK;
     if (INNER) {
         reset_inner(s);
@@ -189,6 +192,10 @@ static status_t run_sample(solver_t *s)
     return (status == OK && moved < MOVED && step_is_long(s, 1)) ? NOT_CONVERGED : status;
 }
 
+#if SOLVE && SHIFT
+#include "algorithms/shared/solved.c"
+#endif
+
 status_t API(step)(solver_t *s, const real_t xhat[NXHAT], real_t u0[NU])
 {
     status_t status = NOT_FINITE;
@@ -200,7 +207,13 @@ status_t API(step)(solver_t *s, const real_t xhat[NXHAT], real_t u0[NU])
     }
     s->newton = NEWTON;
     memset(&s->stats, 0, sizeof s->stats);
-    if (SHIFT && s->samples > 0) {
+    if (SOLVE && SHIFT) {
+        compare_solved(s, xhat);
+        if (s->samples > 0 && !s->solved) {
+            shift_plan(s);
+        }
+        s->solved = 0;
+    } else if (SHIFT && s->samples > 0) {
         shift_plan(s);
     }
     s->samples += (s->samples < MANY);

@@ -175,6 +175,9 @@ status_t API(solve)(solver_t *s, const real_t xhat[NXHAT], real_t tol, int max_i
     s->curved.in_solve = 0;
     s->sqp.resumes = 0;
     s->trial.elastic = 0;
+    if (SHIFT) {
+        s->solved = 1;
+    }
     if (HARD_ROWS && status == INFEASIBLE) {
         name_violation(s);
     }

@@ -2,7 +2,12 @@
 
 static void shift_before_prepare(solver_t *s)
 {
-    if (s->samples > 0 && !s->prepared) {
+    int moves = s->samples > 0 && !s->prepared;
+    if (SOLVE) {
+        moves = moves && !s->solved;
+        s->solved = 0;
+    }
+    if (moves) {
         if (SHIFTS_BACK) {
             memcpy(s->first_control, s->u[0], sizeof s->first_control);
         }

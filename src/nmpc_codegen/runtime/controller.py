@@ -79,7 +79,7 @@ class Controller(Setters):
                 return self.step(xhat, on_failure)
         self._measure(xhat)
         start = perf_counter_ns()
-        if self._phases is None or (self._starts_at_measured and self._struct["samples"] == 0):
+        if self._phases is None or self._depends_on_measured():
             status = self._call("step", self._s, self._xhat_c, self._u0_c)
             self._feedback_ns, self._prepare_ns = perf_counter_ns() - start, 0
         else:

@@ -39,6 +39,7 @@ class Memory(Iterate):
         self._starts_at_measured = "REPAIRS" in self.description.sizes or "most_iterations" in self.description.members(
             "solver"
         )
+        self._may_be_solved = "solved" in self.description.members("solver")
         self._prepare_ns = 0
         self._feedback_ns = 0
         self._solved = False  # the last call was solve()
@@ -152,6 +153,12 @@ class Memory(Iterate):
     def profile(self) -> str:
         """Name of the compiler profile."""
         return str(self._package.profile.name)
+
+    def _depends_on_measured(self) -> bool:
+        """True if the preparation of the next sample depends on the measured state: the first one, or one that may be
+        at the state of solve()."""
+        first = self._starts_at_measured and self._struct["samples"] == 0
+        return bool(first or (self._may_be_solved and self._struct["solved"]))
 
     @property
     def nbytes(self) -> int:

@@ -114,5 +114,8 @@ status_t API(solve)(solver_t *s, const real_t xhat[NXHAT], real_t tol, int max_i
     }
     place_terms(s, status == OK);
     s->shooting.pairs = 0; /* of other terms and penalties */
+    if (SHIFT) {
+        s->solved = 1;
+    }
     return finish(s, keep_finite(s, status));
 }

@@ -43,9 +43,18 @@ status_t API(feedback)(solver_t *s, const real_t xhat[NXHAT], real_t u0[NU])
     return finish(s, status);
 }
 
+#if SOLVE && SHIFT
+#include "algorithms/shared/solved.c"
+#endif
+
 /* If prepare fails, feedback returns its status. */
 status_t API(step)(solver_t *s, const real_t xhat[NXHAT], real_t u0[NU])
 {
+    if (SOLVE && SHIFT) {
+        if (s->magic == MAGIC) {
+            compare_solved(s, xhat);
+        }
+    }
     before_sample(s, xhat);
     API(prepare)(s);
     return API(feedback)(s, xhat, u0);

@@ -17,5 +17,8 @@ status_t API(shift)(solver_t *s)
     }
     shift_plan(s);
     s->prepared = 0;
+    if (SOLVE && SHIFT) {
+        s->solved = 0;
+    }
     return OK;
 }

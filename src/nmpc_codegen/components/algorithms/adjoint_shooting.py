@@ -23,7 +23,7 @@ import numpy as np
 
 from nmpc_codegen.components.algorithms.extras import RESTART_SAMPLES, watch_fields
 from nmpc_codegen.components.algorithms.extras import ROWS as TERMS
-from nmpc_codegen.components.algorithms.real_time_iteration import SAMPLE, SOLVE, shift_entry
+from nmpc_codegen.components.algorithms.real_time_iteration import SAMPLE, SOLVE, SOLVED, shift_entry
 from nmpc_codegen.components.algorithms.scales import cost_magnitude, row_sizes, tolerance_table, variable_scales
 from nmpc_codegen.components.algorithms.shifts import (
     SHIFTS,
@@ -328,6 +328,7 @@ class AdjointShooting(Defaults):
     def structs(self, dims: Dims) -> tuple[Struct, ...]:
         members = (
             Field("row", (dims.ng,), "multipliers of the rows", "keep"),
+            replace(SOLVED, only=lambda f: f.solve and self.shift),
             Field("samples", (), "samples since init or reset", "keep", "int32", only=lambda f: self.shift),
             *watch_fields(dims),
             Field("stats", (), "counters", "result", "stats"),

@@ -19,6 +19,7 @@ from nmpc_codegen.components.algorithms.extras import FIRST_SAMPLE, RESTART_SAMP
 from nmpc_codegen.components.algorithms.real_time_iteration import (
     SAMPLE,
     SAMPLES,
+    SOLVED,
     SOLVE,
     shift_entry,
     state_size,
@@ -241,6 +242,7 @@ class AugmentedLagrangian(Defaults):
             Field("xhat", (dims.nx,), "state measured at the last feedback", "keep"),
             Field("prepared", (), "1 between prepare and feedback", "keep", "int32"),
             replace(SAMPLES, only=lambda f: self.shift or f.repair),
+            replace(SOLVED, only=lambda f: f.solve and self.shift),
             state_size(dims),
             *watch_fields(dims),
         )

@@ -130,6 +130,8 @@ RELAXATION = 1e4
 LEAST_PRICE, RELAXED_SAMPLES = 1e-6, 10
 #: How much slower the price recovers in samples that are OK.
 SLOWER = 4
+#: What says that no time has passed since solve().
+SOLVED = Field("solved", (), "1: the plan is that of solve(), at the time of its state", "keep", "int32")
 SAMPLES = Field("samples", (), "feedbacks since init or reset", "keep", "int32")
 
 
@@ -336,6 +338,7 @@ class RealTimeIteration(Defaults):
             Field("xhat", (dims.nx,), "state measured at the last feedback", "keep"),
             Field("prepared", (), "1 between prepare and feedback", "keep", "int32"),
             replace(SAMPLES, only=lambda f: self.shift or f.iterates or f.judges),
+            replace(SOLVED, only=lambda f: f.solve and self.shift),
             state_size(dims),
             Field(
                 *("most_iterations", (), "QPs that a sample may take, at most SAMPLE_ITERATIONS", "keep", "int32"),

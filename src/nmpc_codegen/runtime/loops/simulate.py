@@ -184,14 +184,12 @@ def _stack(x0: Mapping[str, ArrayLike], ctrl: Controller) -> Array:
 
 
 def _solve_first(ctrl: Controller, x0: Array, tell: Before) -> None:
-    """Iterate to convergence with the data of the first sample; a plan that has not converged is a start as well.
-
-    The plan belongs to the first sample, which therefore must not shift it.
-    """
+    """Iterate to convergence with the data of the first sample; a plan that has not converged is a start as well. Once
+    it is prepared, the first sample takes it as it is, whatever it measures."""
     tell(0, ctrl)
     ctrl.solve(x0)
-    if "samples" in ctrl.description.members("solver"):
-        ctrl.view("samples")[...] = 0
+    if ctrl.description.has_phases:
+        ctrl.prepare()
 
 
 def _check_steps(steps: object, ctrl: Controller) -> None:
