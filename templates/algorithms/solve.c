@@ -181,6 +181,9 @@ status_t API(solve)(solver_t *s, const real_t xhat[NXHAT], real_t tol, int max_i
     if (HARD_ROWS && status == INFEASIBLE) {
         name_violation(s);
     }
+    if (PULLED_ROWS && status != OK) {
+        pull_back(s);
+    }
     return finish(s, status);
 }
 #endif

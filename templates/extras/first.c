@@ -15,6 +15,12 @@ static status_t first_after_prepare(solver_t *s, status_t status)
     return status;
 }
 
+/* The plan is not that of a sample any more. */
+static void first_before_solve(solver_t *s)
+{
+    s->first.call = FIRST_NONE;
+}
+
 /* Returns 1 if the law belongs to the present data. References that have changed since prepare change it. */
 static inline int first_is_current(const solver_t *s)
 {
@@ -49,6 +55,7 @@ status_t API(feedback_first)(solver_t *s, const real_t xhat[NXHAT], real_t u0[NU
     if (status != NOT_INITIALIZED) {
         memcpy(s->first.control, u0, sizeof s->first.control);
         s->first.call = FIRST_WHOLE;
+        s->first.status = (int32_t)status;
         s->stats.first_deviation = R(0);
     }
     return status;
@@ -66,7 +73,7 @@ status_t API(feedback_finish)(solver_t *s)
     const int32_t call = s->first.call;
     s->first.call = FIRST_NONE;
     if (call != FIRST_BY_LAW) {
-        return (call == FIRST_WHOLE) ? (status_t)s->status : NOT_PREPARED;
+        return finish(s, (call == FIRST_WHOLE) ? (status_t)s->first.status : NOT_PREPARED);
     }
     memcpy(xhat, s->xhat, sizeof xhat);
     status = API(feedback)(s, xhat, u0);

@@ -341,14 +341,18 @@ class Problem:
 
     @property
     def pulled_rows(self) -> tuple[int, ...]:
-        """Hard general rows on controls alone, at node 0, that are no affine function of them."""
+        """Hard general rows at node 0 on its controls, those before them and data alone."""
         path = self.path
-        bent, mixed = curved_rows(path.h, path.u), ca.which_depends(path.h, path.x, 1, True) if path.nh else ()
+        if not path.nh:
+            return ()
+        known = {self.measured + place for place in self.inner.places.values()}
+        states = ca.vertcat(*(x for i, x in enumerate(elements(path.x)) if i not in known))
+        of_states, of_controls = (ca.which_depends(path.h, z, 1, True) for z in (states, path.u))
         return tuple(
             i
             for i, row in enumerate(self.rows)
-            if row.is_general and row.soft is None and 0 in row.nodes and row.index in bent
-            if not mixed[row.index]
+            if row.is_general and row.soft is None and 0 in row.nodes and row.index >= 0
+            if of_controls[row.index] and not of_states[row.index]
         )
 
     @cached_property

@@ -76,7 +76,7 @@ class Features:
     rows_move: bool = False  # some row holds at two consecutive nodes
     priced_rows: bool = False  # hard rows on states before the last node, which samples may relax
     nonlinear_rows: bool = False  # a QP does not see how rows bend
-    pulled_rows: bool = False  # hard rows on controls alone bend
+    pulled_rows: bool = False  # hard rows on controls, and on those before them, alone
     nonlinear_model: bool = False  # a step leaves gaps
     proximal: bool = False  # samples limit steps of controls without curvature
     saddles: bool = False  # the slope of a control vanishes somewhere

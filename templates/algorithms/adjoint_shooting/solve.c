@@ -113,6 +113,9 @@ status_t API(solve)(solver_t *s, const real_t xhat[NXHAT], real_t tol, int max_i
         limit_rows(s);
     }
     place_terms(s, status == OK);
+    if (PULLED_ROWS && status != OK) {
+        pull_back(s);
+    }
     s->shooting.pairs = 0; /* of other terms and penalties */
     if (SHIFT) {
         s->solved = 1;

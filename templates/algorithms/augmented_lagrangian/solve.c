@@ -120,6 +120,9 @@ status_t API(solve)(solver_t *s, const real_t xhat[NXHAT], real_t tol, int max_i
     s->failing = (status == OK) ? NO_FAILURE : s->failing;
     couple_start(s, R(1));
     s->stats.violation = violation_of(s);
+    if (PULLED_ROWS && status != OK) {
+        pull_back(s);
+    }
     if (SHIFT) {
         s->solved = 1;
     }

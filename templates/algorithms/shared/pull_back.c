@@ -1,4 +1,5 @@
-/* Hard rows on the controls alone that bend: a QP sees them straight, so that its step may leave them. */
+/* Hard rows on controls alone[if PREVIOUS:, and on those before them]: the first control can keep them whatever the state
+ * is, as it keeps its bounds. A step may leave those that bend, a relaxed QP gives them up, and a sample may fail. */
 
 /* Row of these that the first control violates most, relative to its scale, or -1; by how much, and that in its scale;
  * values and gradients of all rows of its node. */
@@ -28,6 +29,9 @@ static int most_broken_row(const solver_t *s, real_t *h, real_t (*J)[NZ], real_t
 static void pull_back(solver_t *s)
 {
     real_t h[NH] = {R(0)}, J[NH][NZ] = {{R(0)}}, before[NU], excess = R(0), relative = R(0), first = R(0);
+    if (INNER) {
+        take_inner(s, s->x[0]);
+    }
     memcpy(before, s->u[0], sizeof before);
     for (int pass = 0; pass <= PULLS; pass++) {
         const int m = most_broken_row(s, h, J, &excess, &relative);

@@ -39,6 +39,7 @@ def law_structs(dims: Dims) -> tuple[Struct, ...]:
             Field("feed", (dims.nu,), "du_0 at dx_0 = 0", "scratch"),
             Field("control", (dims.nu,), "control that feedback_first() has returned", "scratch"),
             Field("valid", (), "1: the law belongs to the last preparation", "scratch", "int32"),
+            Field("status", (), "of the whole feedback, where feedback_first() has run it", "scratch", "int32"),
             Field("call", (), "what the last feedback_first() has done", "scratch", "int32"),
         ),
         only=lambda f: f.first,

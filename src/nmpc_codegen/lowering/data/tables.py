@@ -67,7 +67,7 @@ def tables(model: Model, routines: Sequence[Routine]) -> tuple[Table, ...]:
         real("proximal", round_scales(p.proximal), "curvature of steps in samples"),
         integer("on_states", p.rows_on_states, "1: row on states alone"),
         integer(
-            "is_pulled", (i in p.pulled_rows for i in range(len(p.rows))), "1: hard row on controls alone that bends"
+            "is_pulled", (i in p.pulled_rows for i in range(len(p.rows))), "1: hard row on controls alone"
         ),
         real("parameter_lower", _limits(p, -math.inf), "lower bounds of the elements of p"),
         real("parameter_upper", _limits(p, math.inf), "upper bounds of the elements of p"),
