@@ -36,6 +36,11 @@ static inline real_t control_upper(const solver_t *s, int k, int j)
 /* What control j is compared with in the cost, or 0. */
 static inline real_t reference_of_control(const solver_t *s, int k, int j)
 {
+    if (HAS_CONTROL_START) {
+        real_t start[NU] = {R(0)};
+        CONTROL_START(s, k, start);
+        return isfinite(start[j]) ? start[j] : R(0);
+    }
     if (control_reference[j] < 0) {
         return R(0);
     }

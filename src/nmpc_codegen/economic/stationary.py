@@ -213,8 +213,8 @@ def start_point(stage: SteadyStage, guess: tuple[Array, Array] | None = None) ->
         if row.kind == "control":
             both = np.isfinite(row.lower) and np.isfinite(row.upper)
             u[row.index] = (row.lower + row.upper) / 2 if both else np.clip(u[row.index], row.lower, row.upper)
-    for j, at in enumerate(problem.control_reference):
-        u[j] = problem.path.reference[at] if at >= 0 else u[j]
+    for j, value in enumerate(problem.reference_controls):
+        u[j] = value if problem.path.target_of(problem.nx + j) else u[j]
     return np.concatenate([problem.x_initial[list(stage.kept)], u])
 
 

@@ -111,16 +111,20 @@ def inner_signals(ocp: OCP, path: Stage, rows: tuple[Row, ...], dt: tuple[float,
     names = [(e, d.signal.unit) for d in ocp.controls for e in d.signal.elements]
     found: list[tuple[str, str, float, tuple[float, ...]]] = []
     found += [("time", ocp.time_unit, 0.0, (sum(dt),))] * inner.time
-    found += [(f"previous({names[j][0]})", names[j][1], _first_control(path, rows, j), ()) for j in inner.previous]
+    found += [(f"previous({names[j][0]})", names[j][1], _first_control(ocp, path, rows, j), ()) for j in inner.previous]
     return tuple(
         Signal(name, 1, unit, (value,), offset + i, True, scale) for i, (name, unit, value, scale) in enumerate(found)
     )
 
 
-def _first_control(path: Stage, rows: tuple[Row, ...], j: int) -> float:
-    """The reference of a control, 0 without one, inside its bounds."""
-    place = path.y_elements.index(path.nx + j) if path.nx + j in path.y_elements else -1
-    value = float(path.reference[place]) if place >= 0 else 0.0
+def _first_control(ocp: OCP, path: Stage, rows: tuple[Row, ...], j: int) -> float:
+    """The control of the first plan, inside its bounds."""
+    known = np.concatenate([np.zeros(0), *(np.ravel(d.signal.value) for d in ocp.parameters)])
+    p = np.concatenate([known, np.zeros(int(path.p.numel()) - known.size)])
+    value, target = 0.0, path.target_of(path.nx + j)
+    if target is not None:
+        found = float(ca.Function("target", [path.p, target[1]], [target[0]])(p, path.reference))
+        value = found if np.isfinite(found) else 0.0
     for row in rows:
         if row.kind == "control" and row.index == j:
             value = float(np.clip(value, row.lower, row.upper))

@@ -11,7 +11,7 @@ has only a cost, with fixed weights and references; the rows at node 0 belong to
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import product
@@ -83,6 +83,37 @@ class Stage:
         symbols = (*elements(self.x), *elements(self.u))
         known = {symbol.element_hash(): i for i, symbol in enumerate(symbols)}
         return tuple(known.get(y.element_hash(), -1) if y.is_symbolic() else -1 for y in elements(self.y))
+
+    @cached_property
+    def _targets(self) -> tuple[tuple[int, ...], Expression, Expression]:
+        """Places, values in (p, yref), yref: see targets()."""
+        places, yref = list(self.y_elements), ca.SX.sym("yref", self.ny)
+        values = [yref[i] if place >= 0 else ca.SX(0) for i, place in enumerate(places)]
+        z = ca.vertcat(self.x, self.u)
+        J, bent = ca.jacobian(self.y, z), curved_rows(self.y, z)
+        timed = ca.which_depends(self.y, self.dt, 1, True) if self.ny else ()
+        for i in (i for i, place in enumerate(places) if place < 0 and self.bare is None):
+            row = J[i, :].sparsity().get_triplet()[1]
+            if len(row) == 1 and i not in bent and not timed[i]:
+                places[i] = int(row[0])
+                values[i] = (yref[i] - ca.substitute(self.y[i], z[row[0]], 0)) / J[i, row[0]]
+        return tuple(places), ca.vertcat(ca.SX(0, 1), *values), yref
+
+    def target_of(self, place: int) -> tuple[Expression, Expression] | None:
+        """(value in (p, yref), yref) of the first residual that is element ``place`` of (x, u), else of the first one
+        that is an affine function of it alone: the value at which that is yref. None: there is none."""
+        places, values, yref = self._targets
+        for known in (self.y_elements, places):
+            if place in known:
+                return values[known.index(place)], yref
+        return None
+
+    def targets(self, p: Array) -> Iterator[tuple[int, float]]:
+        """(position in (x, u), value at which the residual is its reference) of every residual that is an affine
+        function of one element alone, with the parameters p."""
+        places, values, yref = self._targets
+        found = np.asarray(ca.Function("targets", [self.p, yref], [ca.densify(values)])(p, self.reference)).ravel()
+        return ((i, float(v)) for i, v in zip(places, found, strict=True) if i >= 0 and np.isfinite(v))
 
     @property
     def nx(self) -> int:
@@ -409,10 +440,26 @@ class Problem:
         places = self.path.y_elements
         return tuple(places.index(self.nx + j) if self.nx + j in places else -1 for j in range(self.nu))
 
+    @cached_property
+    def control_start(self) -> Function:
+        """(p, yref) -> u (nu,): controls of the first plan, where their residuals have their references; 0 without."""
+        yref, values = ca.SX.sym("yref", self.path.ny), []
+        for j in range(self.nu):
+            found = self.path.target_of(self.nx + j)
+            values.append(ca.SX(0) if found is None else ca.substitute(found[0], found[1], yref))
+        return ca.Function("control_start", [self.path.p, yref], [ca.densify(ca.vertcat(*values))])
+
+    @property
+    def data(self) -> Array:
+        """Declared values of all that expressions read in place of p but the variables that Newton's method finds, which
+        are NaN."""
+        return np.concatenate([self.p_value, np.full(self.solved, np.nan)])
+
     @property
     def reference_controls(self) -> Array:
-        """References of the controls, 0 where there is none, shape (nu,)."""
-        return np.array([self.path.reference[i] if i >= 0 else 0.0 for i in self.control_reference])
+        """Controls of the first plan with the declared data, before they are clipped to their bounds, shape (nu,)."""
+        found = np.asarray(self.control_start(self.data, self.path.reference)).ravel()
+        return np.where(np.isfinite(found), found, 0.0)
 
     @property
     def uniform(self) -> bool:

@@ -73,9 +73,8 @@ def _declared_scales(problem: Problem) -> Array:
         if (i := row.variable(nx)) is not None:
             found[i] = max(found[i], _width(row.lower, row.upper))
     for stage in (problem.path, problem.terminal):
-        for place, value in zip(stage.y_elements, stage.reference, strict=True):
-            if place >= 0:
-                found[place] = max(found[place], abs(value))
+        for place, value in stage.targets(problem.data):
+            found[place] = max(found[place], abs(value))
     return found
 
 

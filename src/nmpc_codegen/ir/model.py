@@ -121,7 +121,7 @@ class ModelFunctions:
     path_exact, terminal_exact, start_exact and initial_exact, the exact Hessian of solve() where samples have another.
     ``previous``: number of the last states that are controls of the node before. ``algebraic``: (x, u, p) -> algebraic
     variables, where x of a stage ends with those that Newton's method solves for; ``measurement``: (x, p) -> y,
-    H = dy / dx of an estimator; ``following``: operations of a node that Newton's method takes to follow a plan, with
+    H = dy / dx of an estimator; ``control_start``: (p, yref) -> controls of the first plan; ``following``: operations of a node that Newton's method takes to follow a plan, with
     two steps.
     """
 
@@ -135,6 +135,7 @@ class ModelFunctions:
     previous: int = 0
     algebraic: Kernel | None = None
     measurement: Kernel | None = None
+    control_start: Kernel | None = None
     following: OpCount = field(default_factory=OpCount)
 
     @property
@@ -159,7 +160,7 @@ class ModelFunctions:
                 *(terminal.cost, terminal.gradient, terminal.hessian, terminal.curvature, terminal.product),
                 *(self.start.cost, self.start.gradient, self.start.hessian, self.initial),
                 *(*along_intervals, self.interval.curved, *self.exact),
-                *(path.rows, terminal.rows, self.coupled, self.algebraic, self.measurement),
+                *(path.rows, terminal.rows, self.coupled, self.algebraic, self.measurement, self.control_start),
             )
         )
 

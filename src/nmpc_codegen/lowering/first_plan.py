@@ -178,17 +178,16 @@ def first_plan(problem: Problem) -> tuple[Array, Array]:
 def points(problem: Problem) -> list[tuple[Array, Array]]:
     """Return points (x, u): those of the first plan, and the same with the states at the references of the cost."""
     start, u = first_plan(problem)
-    states = [start, *(_at_reference(stage, start) for stage in (problem.path, problem.terminal))]
+    states = [start, *(_at_reference(problem, stage, start) for stage in (problem.path, problem.terminal))]
     return [(x, u) for x in np.unique(states, axis=0)]
 
 
-def _at_reference(stage: Stage, start: Array) -> Array:
-    """``start`` with the references of those states that are residuals themselves."""
+def _at_reference(problem: Problem, stage: Stage, start: Array) -> Array:
+    """``start`` with those states for which a residual tells a value."""
     x = start.copy()
-    positions = {e.element_hash(): i for i, e in enumerate(elements(stage.x))}
-    for residual, reference in zip(elements(stage.y), stage.reference, strict=True):
-        if residual.is_symbolic() and residual.element_hash() in positions:
-            x[positions[residual.element_hash()]] = reference
+    for place, value in stage.targets(problem.data):
+        if place < problem.nx:
+            x[place] = value
     return x
 
 
@@ -226,22 +225,27 @@ DRAWN = 4
 ACTIVE = 1e-9
 
 
-def first_plan_warnings(problem: Problem, program: Program, second: bool) -> tuple[str, ...]:
+def first_plan_warnings(
+    problem: Problem, program: Program, second: bool, probed: tuple[int, ...]
+) -> tuple[str, ...]:
     """One text for everything that cannot work at the first plan, or at the first corner of the ranges of parameters
-    and initial states where more does not work; ``second``: second derivatives are evaluated."""
+    and initial states where more does not work; ``second``: second derivatives are evaluated; ``probed``: controls that
+    samples move where their slopes vanish."""
     (_, declared), *corners = problem.corners
-    found = tuple(_warnings(declared, program, second))
+    found = tuple(_warnings(declared, program, second, probed))
     for where, corner in corners:
-        texts = _warnings(corner, program, second, given=True)
+        texts = _warnings(corner, program, second, probed, given=True)
         more = [f"{text} (with {where})" for text in texts if text not in found]
         if more:
             return (*found, *more)
     return found
 
 
-def _warnings(problem: Problem, program: Program, second: bool, given: bool = False) -> tuple[str, ...]:
+def _warnings(
+    problem: Problem, program: Program, second: bool, probed: tuple[int, ...], given: bool = False
+) -> tuple[str, ...]:
     x, u = first_plan(problem)
-    still = tuple(_end_time(problem, x, u)) or tuple(_without_influence(problem, x, u))
+    still = tuple(_end_time(problem, x, u)) or tuple(_without_influence(problem, x, u, probed))
     return (*_not_finite(problem, program, second, x, u, given), *still, *_without_gradient(problem, x, u))
 
 
@@ -292,13 +296,13 @@ def _end_time(problem: Problem, x: Array, u: Array) -> Iterator[str]:
                 )
 
 
-def _without_influence(problem: Problem, x: Array, u: Array) -> Iterator[str]:
+def _without_influence(problem: Problem, x: Array, u: Array, probed: tuple[int, ...]) -> Iterator[str]:
     """Controls whose first derivatives vanish in dynamics, cost and rows at the first plan, and to which states and
     controls that move do not give any; and those without a weight that wait for others."""
     if problem.inner.idle:
         return
     at_plan, moves = _movable(problem, x, u)
-    for j in np.flatnonzero(~moves):
+    for j in (j for j in np.flatnonzero(~moves) if j not in probed):
         yield (
             f"control '{problem.control_names[j]}' is {u[j]:g} at the first plan, where its first derivatives in "
             f"dynamics, cost and rows vanish: no iteration moves it. Write another value, e.g. ctrl.u[:, {j}] = 0.1, "

@@ -92,7 +92,9 @@ class Model(ModelFunctions):
     @property
     def choices(self) -> tuple[str, ...]:
         """All choices with their reasons."""
-        return (*self.reasons, *(() if self.choice is None else self.choice.reasons))
+        idle = [self.problem.control_names[j] for j in self.saddles.controls]
+        probes = (f"probes at saddles: the slope of {', '.join(idle)} vanishes somewhere",) if idle else ()
+        return (*self.reasons, *probes, *(() if self.choice is None else self.choice.reasons))
 
 
 def linearize(problem: Problem, options: Options | None = None) -> Model:
@@ -246,6 +248,7 @@ def _functions(
         previous=len(problem.inner.previous),
         algebraic=algebraic_kernel(problem),
         measurement=_measurement_kernel(problem),
+        control_start=_control_start_kernel(problem),
     )
 
 
@@ -336,6 +339,16 @@ def _rows_kernel(problem: Problem, stage: Stage, name: str) -> Kernel:
     doc = f"h = general {name} rows, J = dh / d{'x' if terminal else '(x, u)'}"
     outputs = [Port("h", stage.nh), Port("J", stage.nh, int(z.numel()))]
     return lift(ca.Function("rows", args, [h, J]), f"{name}_rows", doc, ports, outputs)
+
+
+def _control_start_kernel(problem: Problem) -> Kernel | None:
+    """Controls of the first plan, where a residual that is no bare control tells one."""
+    bare = set(problem.path.y_elements)
+    if not any(problem.nx + j not in bare and problem.path.target_of(problem.nx + j) for j in range(problem.nu)):
+        return None
+    ports = Port("p", problem.np + problem.solved), Port("yref", problem.path.ny)
+    doc = "controls at which their residuals have their references"
+    return lift(problem.control_start, "control_start", doc, ports, (Port("start", problem.nu),))
 
 
 def _measurement_kernel(problem: Problem) -> Kernel | None:

@@ -317,12 +317,11 @@ def _symbolic_data(problem: Problem) -> _Symbols:
 
 
 def control_start(problem: Problem, data: Data) -> Array:
-    """Controls of the initial plan, shape (N, nu): the control reference, or 0 without one."""
-    u = np.zeros((problem.N, problem.nu))
-    for j, at in enumerate(problem.control_reference):
-        if at >= 0:
-            u[:, j] = data.yref[:, at]
-    return u
+    """Controls of the initial plan, shape (N, nu): where their residuals have their references, or 0."""
+    hidden = np.full(problem.solved, np.nan)
+    nodes = zip(data.p, data.yref, strict=False)
+    u = np.array([np.asarray(problem.control_start(np.concatenate([p, hidden]), y)).ravel() for p, y in nodes])
+    return np.where(np.isfinite(u), u, 0.0)
 
 
 def solve_reference(

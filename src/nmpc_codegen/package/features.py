@@ -32,6 +32,7 @@ KernelName = Literal[
     "initial_hessian",
     "initial_exact",
     "coupled_rows",
+    "control_start",
     "stage_slope",
     "stage_equation",
     "stage_rate",
