@@ -451,8 +451,7 @@ class Problem:
 
     @property
     def data(self) -> Array:
-        """Declared values of all that expressions read in place of p but the variables that Newton's method finds, which
-        are NaN."""
+        """Declared values of all that expressions read in place of p; NaN where Newton's method finds them."""
         return np.concatenate([self.p_value, np.full(self.solved, np.nan)])
 
     @property

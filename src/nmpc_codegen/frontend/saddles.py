@@ -25,7 +25,7 @@ STATES, VALUES = 5, 41
 
 @dataclass(frozen=True)
 class Saddles:
-    """``controls``: numbers of those that may stand at a saddle. ``slopes`` (nx, nu): |dx_i / du_j| of an interval below
+    """``controls``: numbers of those that may stand at a saddle. ``slopes`` (nx, nu): |dx_i / du_j| of an interval with
     which control j does next to nothing to state i; infinite where it does not act directly, -1 for other controls.
     ``partners`` (nu,): another control whose value decides on the slope of control j, or -1."""
 

@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 from nmpc_codegen.components.base import Condensing, Integrator, Transition, spell
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.frontend.problem import Array, Problem, Row, Stage
-from nmpc_codegen.ir.casadi_types import Expression, Function, elements
+from nmpc_codegen.ir.casadi_types import Expression, Function
 from nmpc_codegen.lowering.tolerances import EPS
 from nmpc_codegen.package.memory import Precision
 from nmpc_codegen.package.program import NOT_FINITE, Program, in_words, locate
@@ -225,9 +225,7 @@ DRAWN = 4
 ACTIVE = 1e-9
 
 
-def first_plan_warnings(
-    problem: Problem, program: Program, second: bool, probed: tuple[int, ...]
-) -> tuple[str, ...]:
+def first_plan_warnings(problem: Problem, program: Program, second: bool, probed: tuple[int, ...]) -> tuple[str, ...]:
     """One text for everything that cannot work at the first plan, or at the first corner of the ranges of parameters
     and initial states where more does not work; ``second``: second derivatives are evaluated; ``probed``: controls that
     samples move where their slopes vanish."""

@@ -292,7 +292,10 @@ FACTORS: dict[str, tuple[float, str]] = {
     "near_enough": (0.1, "part of the tolerance at which the iterations of a sample end"),
     "idle_step": (1e-2, "part of its scale by which an idle control may move in a step"),
     "saddle_gain": (1e-4, "part of its cost by which a probe of idle controls lowers that of a plan at a saddle"),
-    "saddle_nearer": (0.9, "violation of hard rows with which a probe of idle controls is taken, relative to that before"),
+    "saddle_nearer": (
+        0.9,
+        "violation of hard rows with which a probe of idle controls is taken, relative to that before",
+    ),
     "relaxation_falls": (0.999, "violation, relative to that of the sample before, below which it falls"),
 }
 

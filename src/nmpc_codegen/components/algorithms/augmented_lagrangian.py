@@ -19,8 +19,8 @@ from nmpc_codegen.components.algorithms.extras import FIRST_SAMPLE, RESTART_SAMP
 from nmpc_codegen.components.algorithms.real_time_iteration import (
     SAMPLE,
     SAMPLES,
-    SOLVED,
     SOLVE,
+    SOLVED,
     shift_entry,
     state_size,
 )

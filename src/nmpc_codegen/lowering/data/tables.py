@@ -61,14 +61,14 @@ def tables(model: Model, routines: Sequence[Routine]) -> tuple[Table, ...]:
         real("default_soft_l1", [r.soft[0] for r in p.rows if r.soft], "penalties l1 v of the soft rows"),
         real("default_soft_l2", [r.soft[1] for r in p.rows if r.soft], "penalties l2/2 v^2 of the soft rows"),
         integer("penalty_scaled", (r.scaled for r in p.rows if r.soft), "1: times the length of the interval"),
-        real("idle_slope", round_scales(model.saddles.slopes), "|dx_i / du_j| with which control j is idle; < 0: never"),
+        real(
+            "idle_slope", round_scales(model.saddles.slopes), "|dx_i / du_j| with which control j is idle; < 0: never"
+        ),
         integer("idle_partner", model.saddles.partners, "control with which control j acts by a product, or -1"),
         real("probe_size", PROBE_SIZES, "moves of an idle control that are tried, in its scale"),
         real("proximal", round_scales(p.proximal), "curvature of steps in samples"),
         integer("on_states", p.rows_on_states, "1: row on states alone"),
-        integer(
-            "is_pulled", (i in p.pulled_rows for i in range(len(p.rows))), "1: hard row on controls alone"
-        ),
+        integer("is_pulled", (i in p.pulled_rows for i in range(len(p.rows))), "1: hard row on controls alone"),
         real("parameter_lower", _limits(p, -math.inf), "lower bounds of the elements of p"),
         real("parameter_upper", _limits(p, math.inf), "upper bounds of the elements of p"),
         integer("parameter_offset", offsets, "first element of a parameter in p"),
