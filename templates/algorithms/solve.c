@@ -100,29 +100,45 @@ static int starts_at_measured(const solver_t *s)
     return 1;
 }
 
+/* What becomes of the plan of an iteration: it is no solution yet; it is one; it was at a saddle and is another one. */
+enum { GOES_ON, IS_SOLVED, HAS_LEFT };
+
+#if SADDLES
+#include "algorithms/solve/saddles.c"
+#endif
+
+static int judge_iterate(solver_t *s, real_t tol)
+{
+    const int solved = kkt_is_within(s, tol) && starts_at_measured(s);
+    if (SADDLES) {
+        return look_for_saddle(s, solved);
+    }
+    return solved ? IS_SOLVED : GOES_ON;
+}
+
 /* Iterations until stats.sqp_iterations = last. */
 static status_t iterate(solver_t *s, real_t tol, int last)
 {
     for (;; s->stats.sqp_iterations++) { /* [if ITERATES: at most SAMPLE_ITERATIONS passes in iterations_after_feedback] */
         evaluate_iterate(s);
-        const int solved = kkt_is_within(s, tol) && starts_at_measured(s);
-        int left = 0;
-        if (SADDLES) {
-            const int asked = solved || s->stats.sqp_iterations % CHECKED == CHECKED - 1;
-            left = asked && s->sqp.probes < MAX_ATTEMPTS && leave_saddle(s);
-        }
-        if (solved && !left) {
+        const int found = judge_iterate(s, tol);
+        if (found == IS_SOLVED) {
             return OK;
         }
         if (s->stats.sqp_iterations >= last) {
             return ITERATION_LIMIT;
         }
-        if (left) {
-            s->sqp.probes++;
+        if (found == HAS_LEFT) {
             continue;
         }
         status_t status = sqp_iteration(s);
         status = take_exact_hessian(s, status);
+        if (SADDLES && SOLVE) {
+            if (status != OK && s->saddle.departed > 0) {
+                end_departure(s, 0);
+                return OK;
+            }
+        }
         if (status == OK && cost_is_unbounded(s)) {
             return STALLED;
         }

@@ -104,14 +104,24 @@ def _saddle(dims: Dims) -> Struct:
     nodes = Size("N + 1", dims.N.value + 1)
     return Struct(
         "saddle",
-        "plan before a probe of idle controls",
+        "plan at a saddle, before idle controls move",
         (
             Field("x", (nodes, dims.nx), "its states", "scratch"),
             Field("u", (dims.N, dims.nu), "its controls", "scratch"),
+            Field("lam", (nodes, dims.nx), "its multipliers of the dynamics", "scratch", only=_departs),
+            Field("mu_u", (dims.N, dims.nu), "those of the control bounds", "scratch", only=_departs),
+            Field("mult", (dims.ng,), "those of the other rows", "scratch", only=_departs),
+            Field("cost", (), "its cost", "scratch", only=_departs),
+            Field("departed", (), "iterations of a departure from it that are left", "scratch", "int32", only=_departs),
             Field("saved", (), "part of its cost by which the last probe has lowered that of the plan", "scratch"),
         ),
         only=lambda f: f.saddles,
     )
+
+
+def _departs(features: Features) -> bool:
+    """True if solve() may return to this plan."""
+    return features.solve and features.search
 
 
 #: Sizes, and tables without values, that some components state and that parts of others name.

@@ -344,6 +344,19 @@ static real_t smallest_shift(solver_t *s)
     return high;
 }
 
+/* Idle controls, whose column of B is next to none, have the curvature of their own entry alone: it is made positive. */
+static void mirror_idle(solver_t *s)
+{
+    curved_t *c = &s->curved;
+    for (int k = 0; k < N; k++) {
+        for (int j = 0; j < NU; j++) {
+            if (c->Q[k][NX + j][NX + j] < R(0) && is_idle(s, k, j)) {
+                c->Q[k][NX + j][NX + j] *= -R(1);
+            }
+        }
+    }
+}
+
 /* Makes the Hessian convex: as it is, with little or much of the predicted active set held, with the proximal shift, or
  * with the smallest shift. Returns 0 if that is impossible. */
 static int convexify(solver_t *s)
@@ -353,6 +366,12 @@ static int convexify(solver_t *s)
     find_units(s);
     predict_active(s);
     int convex = is_convex(s, shift);
+    if (SADDLES) {
+        if (!convex) {
+            mirror_idle(s);
+            convex = is_convex(s, shift);
+        }
+    }
     for (int trial = 0; trial < 3 && !convex; trial++) {
         if (trial < 2) {
             hold_active(s, (trial == 0) ? R(1) : FACTOR_SHIFT_FIRM_HOLD);

@@ -15,6 +15,9 @@ static void start_search(solver_t *s, int attempts)
     s->curved.proximal = FACTOR_SQP_FIRST_PROXIMAL;
     s->curved.damping = (attempts % 2 == 0) ? R(0) : FACTOR_SQP_SECOND_START;
     s->sqp.most_violation = s->sqp.base.violation = INF;
+    if (SADDLES && SOLVE) {
+        s->saddle.departed = 0;
+    }
     s->sqp.row_weight = FACTOR_SQP_ELASTIC_WEIGHT;
 }
 

@@ -122,6 +122,8 @@ MAX_ATTEMPTS = 3
 # Shifts of an indefinite Hessian in solve(), each four times the one before, and bisections of the last interval.
 MAX_SHIFTS = 24
 BISECTIONS = 3
+#: Departures of solve() from saddles without a better plan, and iterations of one, at most.
+DEPARTURES, DEPARTURE = 2, 20
 #: Tolerance from which on no plan is judged.
 UNJUDGED = 1e30
 #: Weight that relaxation="auto" stands for.
@@ -324,6 +326,8 @@ class RealTimeIteration(Defaults):
             ("SHIFT", int(self.shift is not None), "1: step() moves the plan before preparing"),
             ("MAX_TRIALS", MAX_TRIALS, "halvings of a step in a line search"),
             ("MAX_ATTEMPTS", MAX_ATTEMPTS, "new starts of a search where rows cannot be satisfied, at most"),
+            ("DEPARTURES", DEPARTURES, "departures from saddles that lead to no better plan, at most"),
+            ("DEPARTURE", DEPARTURE, "iterations of a departure, at most"),
             ("MAX_SHIFTS", MAX_SHIFTS, "shifts of an indefinite Hessian that are tried"),
             ("BISECTIONS", BISECTIONS, "bisections of the last interval of shifts"),
             ("FILTER", FILTER, "pairs of violation and cost that a search does not accept again"),
@@ -495,6 +499,10 @@ def _trial(dims: Dims) -> Struct:
     )
 
 
+def _departs(features: Features) -> bool:
+    return features.saddles and features.solve
+
+
 def _search(dims: Dims) -> Struct:
     """What solve() knows of its search."""
     weight, infeasible = "penalty of the rows in the elastic QP", "1: one of them ended where rows contradict"
@@ -514,6 +522,7 @@ def _search(dims: Dims) -> Struct:
             Field("cost_scale", (), "largest slope of the cost", "scratch"),
             Field("most_violation", (), "violation that is never accepted", "scratch"),
             Field("attempts", (), "new starts", "scratch", "int32"),
+            Field("departures", (), "of them without a better plan", "scratch", "int32", only=_departs),
             Field("probes", (), "saddles that have been left", "scratch", "int32", only=lambda f: f.saddles),
             Field(
                 "hasty", (), "1: in a sample, which has few iterations", "scratch", "int32", only=lambda f: f.iterates

@@ -1,0 +1,109 @@
+/* A search at saddles. Where a probe of the idle controls alone leads to no better plan, as the others would have to
+ * follow, solve() departs: idle controls move, states stay, and the search goes on. What it finds is compared with the
+ * plan at the saddle. */
+
+#if SOLVE
+/* Keeps the plan at the saddle, with its multipliers. */
+static void keep_saddle(solver_t *s)
+{
+    saddle_t *q = &s->saddle;
+    memcpy(q->x, s->x, sizeof q->x);
+    memcpy(q->u, s->u, sizeof q->u);
+    memcpy(q->lam, s->lam, sizeof q->lam);
+    memcpy(q->mu_u, s->mu_u, sizeof q->mu_u);
+    memcpy(q->mult, s->mult, sizeof q->mult);
+    q->cost = cost_of_plan(s);
+}
+
+static void return_to_saddle(solver_t *s)
+{
+    const saddle_t *q = &s->saddle;
+    memcpy(s->x, q->x, sizeof q->x);
+    memcpy(s->u, q->u, sizeof q->u);
+    memcpy(s->lam, q->lam, sizeof q->lam);
+    memcpy(s->mu_u, q->mu_u, sizeof q->mu_u);
+    memcpy(s->mult, q->mult, sizeof q->mult);
+}
+
+/* Moves idle controls by this part of their probe. Returns 0 if it says that none is to be moved. */
+static int depart(solver_t *s, real_t part)
+{
+    saddle_t *q = &s->saddle;
+    int moved = 0;
+    keep_saddle(s);
+    probe_plan(s);
+    for (int k = 0; k < N; k++) {
+        for (int j = 0; j < NU; j++) {
+            const real_t from = q->u[k][j];
+            moved |= s->u[k][j] != from; /* exactly: the probe has found another value */
+            s->u[k][j] = from + part * (s->u[k][j] - from);
+            s->u[k][j] = safe_value(s, k, j);
+        }
+    }
+    if (INNER) {
+        follow_inner(s);
+    }
+    q->departed = DEPARTURE;
+    s->sqp.entries = 0;
+    s->sqp.most_violation = INF;
+    return moved;
+}
+
+/* The end of a departure, at a solution or not. Where the plan is not a better one, it is that at the saddle again. */
+static void end_departure(solver_t *s, int solved)
+{
+    saddle_t *q = &s->saddle;
+    q->departed = 0;
+    if (solved && cost_of_plan(s) < q->cost - FACTOR_SADDLE_GAIN * FABS(q->cost)) {
+        return;
+    }
+    return_to_saddle(s);
+    evaluate_iterate(s);
+    (void)kkt_is_within(s, R(1)); /* it was solved */
+    s->sqp.departures++;
+}
+
+/* Departs from a saddle, by less the second time. Samples have no time for that. */
+static int departs(solver_t *s)
+{
+    int hasty = 0;
+    if (ITERATES) {
+        hasty = s->sqp.hasty;
+    }
+    if (hasty || s->sqp.departures >= DEPARTURES || !may_be_at_saddle(s)) {
+        return 0;
+    }
+    if (!depart(s, (s->sqp.departures == 0) ? R(0.5) : R(0.125))) {
+        end_departure(s, 0);
+        return 0;
+    }
+    return 1;
+}
+#endif
+
+static int look_for_saddle(solver_t *s, int solved)
+{
+#if SOLVE
+    if (s->saddle.departed > 0) {
+        s->saddle.departed--;
+        if (!solved && s->saddle.departed > 0) {
+            return GOES_ON;
+        }
+        end_departure(s, solved);
+        solved = 1;
+    }
+#endif
+    if (!solved) {
+        return GOES_ON;
+    }
+    if (s->sqp.probes < MAX_ATTEMPTS && leave_saddle(s)) {
+        s->sqp.probes++;
+        return HAS_LEFT;
+    }
+#if SOLVE
+    if (departs(s)) {
+        return HAS_LEFT;
+    }
+#endif
+    return IS_SOLVED;
+}
