@@ -134,6 +134,20 @@ def test_calls_in_the_wrong_order(made: Any) -> None:
     assert ctrl.status is Status.OK
 
 
+@pytest.mark.parametrize("xhat", [[0.3, 0.1], [np.nan, 0.0]])
+@pytest.mark.parametrize("level", ["A", "B", "D"])
+def test_an_iteration_between_both_parts_is_refused(made: Any, level: str, xhat: list[float]) -> None:
+    """Its plan has another x_0 than the measured state: no OK for it, whatever the first part was."""
+    ctrl = made("dense", "")
+    ctrl.step([0.5, 0.0])
+    ctrl.prepare()
+    ctrl.feedback_first(xhat)
+    ctrl.iterate(level)
+    assert ctrl.feedback_finish() is Status.NOT_PREPARED
+    ctrl.step([0.1, 0.0])
+    np.testing.assert_allclose(ctrl.x[0], [0.1, 0.0], atol=1e-12)
+
+
 def test_bounds_that_shrink_after_prepare_hold(made: Any) -> None:
     ctrl = made("riccati", "")
     ctrl.prepare()

@@ -13,10 +13,12 @@ from nmpc_codegen import (
     AdjointShooting,
     AugmentedLagrangian,
     Controller,
+    DenseActiveSet,
     ExactHessian,
     FullCondensing,
     NoCondensing,
     Options,
+    RealTimeIteration,
     RiccatiActiveSet,
     RiccatiInteriorPoint,
     Status,
@@ -105,6 +107,77 @@ def test_a_control_of_a_failed_sample_stays_inside_rows_on_controls() -> None:
     u = np.asarray(c.step([np.nan, 0.0]))
     assert c.status is Status.NOT_FINITE
     assert u @ u <= 1 + 1e-9
+
+
+# ---- rates of the first control
+
+
+def cart(name: str = "cart", previous: bool = True) -> OCP:
+    """A hard rate, and a hard limit of the speed that no plan meets at once where it is measured beyond it."""
+    ocp = OCP(name, T=1.0, N=10)
+    p, v, a = ocp.state("p", initial=1.0), ocp.state("v"), ocp.control("a")
+    ocp.dynamics({p: v, v: a - 0.1 * v**3})
+    ocp.least_squares(ca.vertcat(p, v, a), weight=[10, 1, 0.1])
+    ocp.subject_to(-2, a, 2)
+    ocp.subject_to(-1, v, 1)
+    if previous:
+        ocp.subject_to(-0.3, a - ocp.previous(a), 0.3, name="change")
+    return ocp
+
+
+RATES = {
+    "default": Options(),
+    "dense": Options(condensing=FullCondensing(), qp=DenseActiveSet()),
+    "interior point": Options(qp=RiccatiInteriorPoint()),
+    "one iteration": Options(algorithm=RealTimeIteration(iterations=1)),
+    "augmented Lagrangian": Options(algorithm=AugmentedLagrangian()),
+    "adjoint shooting": Options(algorithm=AdjointShooting()),
+}
+
+
+@pytest.mark.parametrize("options", RATES)
+def test_a_rate_of_the_first_control_holds_whatever_the_status(options: str) -> None:
+    """As bounds do: a row on the first control, the one before and data can be kept whatever the state is."""
+    c, x, applied = build(cart(), RATES[options], "test"), np.array([1.0, 0.0]), 0.0
+    for measured in (x, [0.5, 1.2], [0.5, 2.0], [0.5, 5.0], [np.nan, 0.0], [1e200, 1e200], [-3.0, -0.5], x):
+        if c.description.has_phases:  # without a preparation
+            u = float(c.copy().feedback(measured)[0])
+            assert abs(u - applied) <= 0.3 * (1 + 1e-9)
+        u = float(c.step(measured)[0])
+        assert abs(u - applied) <= 0.3 * (1 + 1e-9), c.status
+        applied = u
+    applied = float(c.u[0, 0])
+    c.u[...] = 2.0
+    assert abs(float(c.step([0.1, np.inf])[0]) - u) <= 0.3 * (1 + 1e-9)
+
+
+def test_a_rate_of_the_plan_of_a_solve_that_fails() -> None:
+    c = build(cart(), profile="test")
+    u = float(c.step([1.0, 0.0])[0])
+    solution = c.solve([0.5, 5.0])
+    assert solution.status is not Status.OK
+    assert abs(solution.u[0, 0] - u) <= 0.3 * (1 + 1e-9)
+
+
+def test_several_rows_of_the_first_control_hold_together() -> None:
+    """Rates of two controls and a sum that a parameter limits, met by moves onto one row after the other."""
+    ocp = OCP("pair", T=1.0, N=10)
+    v, a, b, most = ocp.state("v"), ocp.control("a"), ocp.control("b"), ocp.parameter("most", value=1.0)
+    ocp.dynamics({v: a + b - 0.1 * v**3})
+    ocp.least_squares(ca.vertcat(v - 3, a, b), weight=[10, 0.1, 0.2])
+    ocp.subject_to(-2, ca.vertcat(a, b), 2)
+    ocp.subject_to(-0.2, v, 0.2)
+    ocp.subject_to(-0.3, a - ocp.previous(a), 0.3, name="change_a")
+    ocp.subject_to(-0.4, b - ocp.previous(b), 0.4, name="change_b")
+    ocp.subject_to(-np.inf, a + b - most, 0, name="sum")
+    c, before = build(ocp, profile="test"), np.zeros(2)
+    for k, measured in enumerate((0.0, 0.5, 2.0, -3.0, -1.0, 4.0, 0.1, -2.0, -2.0, -2.0)):
+        if k == 7:
+            c.set_parameter("most", 0.5)
+        u = c.step([measured])
+        assert (np.abs(u - before) <= np.array([0.3, 0.4]) * (1 + 1e-6)).all()
+        assert u.sum() <= (0.5 if k > 6 else 1.0) + 1e-6
+        before = u
 
 
 # ---- plans that are far from the model, or still move

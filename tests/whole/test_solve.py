@@ -2,13 +2,26 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import casadi as ca
 import numpy as np
 import pytest
 
-from nmpc_codegen import OCP, ExactHessian, GaussNewton, Online, Options, RealTimeIteration, build, simulate
+from nmpc_codegen import (
+    OCP,
+    AdjointShooting,
+    AugmentedLagrangian,
+    ExactHessian,
+    GaussNewton,
+    Online,
+    Options,
+    RealTimeIteration,
+    batch,
+    build,
+    simulate,
+)
 from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.oracle.reference import solve_reference
 from nmpc_codegen.oracle.trajectory import evaluate_cost, kkt_residuals
@@ -143,6 +156,73 @@ def test_a_warm_started_loop_begins_with_the_solution() -> None:
     solution = c.copy().solve(x0, tol=1e-10)
     log = simulate(c, x0, 1, warm_start=True)
     np.testing.assert_allclose(log.u[0], solution.u[0], atol=1e-9)
+
+
+ALGORITHMS = {
+    "repeat": RealTimeIteration(shift="repeat"),
+    "resample": RealTimeIteration(sampling_time=0.04),
+    "levels": RealTimeIteration(levels=True),
+    "augmented Lagrangian": AugmentedLagrangian(),
+    "adjoint shooting": AdjointShooting(),
+}
+
+
+def pendulum() -> OCP:
+    ocp = OCP("swing", T=1.0, N=20)
+    q, w, u = ocp.state("q", initial=np.pi), ocp.state("w"), ocp.control("u")
+    ocp.dynamics({q: w, w: 9.81 * ca.sin(q) + 4 * u})
+    ocp.least_squares(ca.vertcat(q, w, u), weight=[5, 0.1, 0.05], names=["to_q", "to_w", "to_u"])
+    ocp.subject_to(-40, u, 40)
+    return ocp
+
+
+@pytest.mark.parametrize("algorithm", ALGORITHMS)
+def test_a_sample_at_the_state_of_solve_takes_its_plan(algorithm: str) -> None:
+    """No time has passed: the plan is not shifted, by step() or prepare()."""
+    c, x = build(pendulum(), Options(algorithm=ALGORITHMS[algorithm]), "test"), np.array([1.0, 0.0])
+    solution = c.solve(x)
+    assert solution.status is Status.OK
+    both = c.copy()
+    np.testing.assert_allclose(both.step(x), solution.u[0], atol=1e-6)
+    assert both.status is Status.OK
+    if c.description.has_phases:
+        split = c.copy()
+        split.prepare()
+        np.testing.assert_allclose(split.feedback(x), solution.u[0], atol=1e-6)
+    told = c.copy()
+    told.set_reference([0.0, 0.0, 0.0])  # as it was
+    np.testing.assert_allclose(told.step(x), solution.u[0], atol=1e-6)
+
+
+def test_samples_of_a_batch_take_the_plans_of_solve(compiler: None) -> None:
+    many, X = batch(pendulum(), 2), np.array([[1.0, 0.0], [0.5, 0.2]])
+    many.solve(X)
+    np.testing.assert_allclose(many.step(X)[0], many.u[:, 0], atol=1e-6)
+
+
+@pytest.mark.parametrize("algorithm", ALGORITHMS)
+def test_any_other_call_moves_the_plan_as_ever(algorithm: str) -> None:
+    """A sample elsewhere, the one after a sample at the state of solve(), and one after shift() are shifted."""
+    c, x = build(pendulum(), Options(algorithm=ALGORITHMS[algorithm]), "test"), np.array([1.0, 0.0])
+    c.solve(x)
+    assert c.member("solved") == 1
+    calls: list[Callable[[Controller], object]] = [
+        lambda d: d.step([1.0, 1e-9]),
+        lambda d: d.step([np.nan, 0.0]),
+        lambda d: d.step(x),
+        lambda d: d.shift(),
+        lambda d: d.reset(),
+    ]
+    for call in calls:
+        d = c.copy()
+        call(d)
+        assert d.member("solved") == 0
+    if not c.description.has_phases:
+        return
+    again = c.copy()
+    again.shift()
+    again.solve(c.x[1])  # a loop that samples by solve()
+    np.testing.assert_allclose(again.copy().step(c.x[1]), again.u[0], atol=1e-6)
 
 
 def test_start_elsewhere() -> None:

@@ -1,0 +1,255 @@
+"""Controls whose slope vanishes where they stand: u^2 at 0, u |u| at 0, a product of two at 0."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from nmpc_codegen import (
+    OCP,
+    AdjointShooting,
+    AugmentedLagrangian,
+    ExactHessian,
+    Options,
+    RealTimeIteration,
+    Status,
+    batch,
+    build,
+)
+from nmpc_codegen.frontend.classify import classify
+from nmpc_codegen.frontend.saddles import IDLE, find_saddles
+from nmpc_codegen.frontend.scales import scales
+from nmpc_codegen.oracle.reference import solve_reference
+from nmpc_codegen.runtime.controller import Controller
+
+#: Laws of real thrusters are n |n|.
+pytestmark = pytest.mark.filterwarnings("ignore:dynamics of 'v' contain fabs")
+
+DT = 0.2
+
+
+def heater(name: str = "heater") -> OCP:
+    """A power that is the square of a voltage."""
+    ocp = OCP(name, T=600, N=20)
+    T, V = ocp.state("T", initial=20.0), ocp.control("V")
+    ocp.dynamics({T: -(T - 20) / 300 + 2e-5 * V**2})
+    ocp.least_squares(T, weight=1.0, names=["to_T"])
+    ocp.least_squares(V, weight=1e-4)
+    ocp.subject_to(0, V, 230)
+    return ocp
+
+
+def vehicle() -> OCP:
+    """A thrust n |n| against drag."""
+    ocp = OCP("vehicle", T=4, N=20)
+    p, v, n = ocp.state("p"), ocp.state("v"), ocp.control("n")
+    ocp.dynamics({p: v, v: 0.002 * n * ca.fabs(n) - 0.3 * v * ca.fabs(v)})
+    ocp.least_squares(ca.vertcat(p, v), weight=[1, 0.1], names=["to_p", "to_v"])
+    ocp.least_squares(n, weight=1e-5)
+    ocp.subject_to(-50, n, 50)
+    return ocp
+
+
+def motor() -> OCP:
+    """A torque that is the product of two currents, both 0 at rest."""
+    ocp = OCP("motor", T=4, N=20)
+    w, a, b = ocp.state("w"), ocp.control("a"), ocp.control("b")
+    ocp.dynamics({w: 2 * a * b - 0.3 * w})
+    ocp.least_squares(w, weight=1, names=["to_w"])
+    ocp.least_squares(ca.vertcat(a, b), weight=1e-2)
+    ocp.subject_to(-1, a, 1)
+    ocp.subject_to(-1, b, 1)
+    return ocp
+
+
+def drone() -> OCP:
+    """Two rotors lift with the squares of their speeds; without the other one, each turns the drone over."""
+    ocp = OCP("drone", T=1.5, N=20)
+    x, z, angle, vx, vz, w = (ocp.state(name) for name in ("x", "z", "angle", "vx", "vz", "w"))
+    n, m = ocp.control("n"), ocp.control("m")
+    left, right = 6e-6 * n**2, 6e-6 * m**2
+    lift = left + right
+    ocp.dynamics({x: vx, z: vz, angle: w, vx: -lift * ca.sin(angle), vz: lift * ca.cos(angle) - 9.81})
+    ocp.dynamics({w: 10 * (left - right)})
+    names = [f"to_{name}" for name in ("x", "z", "angle", "vx", "vz", "w")]
+    ocp.least_squares(ca.vertcat(x, z, angle, vx, vz, w), weight=[2, 2, 0.5, 0.2, 0.2, 0.05], names=names)
+    ocp.least_squares(ca.vertcat(n, m), weight=1e-7)
+    ocp.terminal_least_squares(ca.vertcat(x, z), weight=20, names=["end_x", "end_z"])
+    ocp.subject_to(0, n, 1500)
+    ocp.subject_to(0, m, 1500)
+    return ocp
+
+
+OPTIONS = {
+    "default": Options(),
+    "exact": Options(hessian=ExactHessian()),
+    "one iteration": Options(algorithm=RealTimeIteration(iterations=1)),
+    "size": Options(goal="size", solve=False),
+    "augmented Lagrangian": Options(algorithm=AugmentedLagrangian()),
+    "adjoint shooting": Options(algorithm=AdjointShooting()),
+}
+
+
+@cache
+def _built(make: Callable[[], OCP], options: str) -> Controller:
+    return build(make(), OPTIONS[options], "test")
+
+
+def made(make: Callable[[], OCP], options: str = "default") -> Controller:
+    return _built(make, options).copy()
+
+
+def fly(c: Controller, x: np.ndarray, samples: int, law: str = "step") -> tuple[np.ndarray, int]:
+    """The last state and the samples that were OK."""
+    ok, dt = 0, float(np.ravel(c.description.dt)[0])
+    for _ in range(samples):
+        u = c.step(x) if law == "step" else c.solve(x).u[0]
+        ok += c.status is Status.OK
+        x = np.ravel(c.integrate(x, u, dt))
+    return x, ok
+
+
+@pytest.mark.parametrize("options", OPTIONS)
+def test_a_heater_heats_whatever_came_before(options: str) -> None:
+    """After a set point below the ambient temperature the voltage is 0, where its slope vanishes."""
+    c, x = made(heater, options), np.array([20.0])
+    for target in (60.0, 15.0, 60.0):
+        c.set_reference({"to_T": target})
+        x, ok = fly(c, x, 40)
+        assert abs(x[0] - max(target, 20.0)) < 1
+        assert ok >= 10 or options == "augmented Lagrangian"
+
+
+@pytest.mark.parametrize("options", OPTIONS)
+def test_a_vehicle_that_has_arrived_leaves_again(options: str) -> None:
+    c, x = made(vehicle, options), np.zeros(2)
+    for target in (2.0, -1.0, 3.0):
+        c.set_reference({"to_p": target})
+        x, _ = fly(c, x, 60)
+        assert abs(x[0] - target) < 0.05
+
+
+@pytest.mark.parametrize("options", OPTIONS)
+def test_a_product_of_controls_starts_from_rest(options: str) -> None:
+    c, x = made(motor, options), np.zeros(1)
+    for target in (1.0, 0.0, -1.0):
+        c.set_reference({"to_w": target})
+        x, _ = fly(c, x, 50)
+        assert abs(x[0] - target) < 0.05
+
+
+@pytest.mark.parametrize("law", ["step", "solve"])
+def test_a_drone_takes_off_by_itself(law: str) -> None:
+    """A probe of the rotors alone turns the drone over: the others follow in the search of solve()."""
+    c, x = made(drone), np.zeros(6)
+    for target in ((1.0, 1.0), (0.0, 0.5)):
+        c.set_reference({"to_x": target[0], "to_z": target[1]})
+        c.set_terminal_reference({"end_x": target[0], "end_z": target[1]})
+        x, ok = fly(c, x, 40, law)
+        assert np.abs(x[:2] - target).max() < 0.05
+        assert ok >= 38
+
+
+@pytest.mark.parametrize("make", [heater, vehicle, motor])
+def test_solve_finds_what_ipopt_finds_from_elsewhere(make: Callable[[], OCP]) -> None:
+    """IPOPT starts with the controls in the middle of their ranges, as it stays at the saddle as well."""
+    c, problem = made(make), classify(make())
+    reference = {heater: [60.0, 0.0], vehicle: [2.0, 0.0, 0.0], motor: [1.0, 0.0, 0.0]}[make]
+    c.set_reference(np.array(reference))
+    x0 = np.array(problem.x_initial)
+    found = c.solve(x0)
+    assert found.status is Status.OK
+    guess = np.full((problem.N, problem.nu), 0.3 * problem_range(problem))
+    optimum = solve_reference(problem, x0=x0, yref=np.tile(reference, (problem.N, 1)), u_guess=guess)
+    assert found.cost <= optimum.cost * (1 + 1e-3)
+
+
+def problem_range(problem: object) -> float:
+    """The largest upper bound of a control."""
+    return max(row.upper for row in problem.rows if row.kind == "control")  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize("options", OPTIONS)
+@pytest.mark.parametrize("make", [heater, vehicle, motor])
+def test_a_plant_at_its_reference_stays_at_rest(make: Callable[[], OCP], options: str) -> None:
+    c = made(make, options)
+    at = np.array(classify(make()).x_initial)
+    if make is heater:
+        c.set_reference({"to_T": 20.0})
+    for _ in range(10):
+        assert np.abs(c.step(at)).max() < 1e-9
+        assert c.status is Status.OK
+
+
+def test_a_reference_that_cannot_be_reached_leaves_the_heater_off() -> None:
+    c = made(heater)
+    c.set_reference({"to_T": 10.0})
+    for _ in range(10):
+        assert c.step([20.0])[0] == 0.0
+        assert c.status is Status.OK
+
+
+def test_one_iteration_says_that_its_plan_has_left_a_saddle() -> None:
+    """Nothing but its cost is known of the plan after the probe."""
+    c = made(heater, "one iteration")
+    c.set_reference({"to_T": 60.0})
+    assert c.step([20.0])[0] > 1.0
+    assert c.status is Status.NOT_CONVERGED
+
+
+def test_hard_rows_call_for_idle_controls_too() -> None:
+    """The cost wants the heater off, the row T >= 30 does not: the first QP is infeasible, as no voltage heats."""
+    c = build(_warm(), profile="test")
+    x = np.array([25.0])
+    for _ in range(30):
+        x = np.ravel(c.integrate(x, c.step(x), 30.0))
+    assert x[0] >= 30 - 0.1
+    assert c.status is Status.OK
+
+
+def _warm() -> OCP:
+    ocp = OCP("warm", T=600, N=20)
+    T, V = ocp.state("T", initial=25.0), ocp.control("V")
+    ocp.dynamics({T: -(T - 20) / 300 + 2e-5 * V**2})
+    ocp.least_squares(V, weight=1e-4)
+    ocp.subject_to(0, V, 230)
+    ocp.subject_to(30, T, 100, name="warm")
+    return ocp
+
+
+def test_batches_leave_saddles_as_single_controllers_do(compiler: None) -> None:
+    c = made(heater)
+    many = batch(heater(), 3)
+    for each in (c, many):
+        each.set_reference({"to_T": 60.0})
+    U, _ = many.step(np.full((3, 1), 20.0))
+    np.testing.assert_array_equal(U, np.tile(c.step([20.0]), (3, 1)))
+    assert U[0, 0] > 10.0
+
+
+def test_which_controls_and_slopes_are_meant() -> None:
+    """Of u |u| the slope 2 c |u| dt, whose largest is that at the bound, vanishes at 0; a force does not."""
+    problem = classify(vehicle())
+    found = find_saddles(problem, scales(problem).z)
+    slopes = np.array(found.slopes)
+    assert found.controls == (0,)
+    assert found.partners == (-1,)
+    np.testing.assert_allclose(slopes, [np.inf, IDLE * 2 * 0.002 * 50 * DT])
+    problem = classify(motor())
+    assert find_saddles(problem, scales(problem).z).partners == (1, 0)
+    ocp = OCP("cart", T=1, N=5)
+    v, force = ocp.state("v"), ocp.control("force")
+    ocp.dynamics({v: force - v**3})
+    ocp.least_squares(ca.vertcat(v, force), weight=1)
+    problem = classify(ocp)
+    assert find_saddles(problem, scales(problem).z).controls == ()
+
+
+def test_the_report_names_them_in_the_place_of_a_warning() -> None:
+    report = made(heater).description.report
+    assert any("the slope of V vanishes somewhere" in line for line in report.choices)
+    assert not report.warnings
