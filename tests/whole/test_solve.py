@@ -18,7 +18,6 @@ from nmpc_codegen import (
     Online,
     Options,
     RealTimeIteration,
-    batch,
     build,
     simulate,
 )
@@ -192,12 +191,6 @@ def test_a_sample_at_the_state_of_solve_takes_its_plan(algorithm: str) -> None:
     told = c.copy()
     told.set_reference([0.0, 0.0, 0.0])  # as it was
     np.testing.assert_allclose(told.step(x), solution.u[0], atol=1e-6)
-
-
-def test_samples_of_a_batch_take_the_plans_of_solve(compiler: None) -> None:
-    many, X = batch(pendulum(), 2), np.array([[1.0, 0.0], [0.5, 0.2]])
-    many.solve(X)
-    np.testing.assert_allclose(many.step(X)[0], many.u[:, 0], atol=1e-6)
 
 
 @pytest.mark.parametrize("algorithm", ALGORITHMS)

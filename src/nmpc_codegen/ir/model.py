@@ -121,8 +121,8 @@ class ModelFunctions:
     path_exact, terminal_exact, start_exact and initial_exact, the exact Hessian of solve() where samples have another.
     ``previous``: number of the last states that are controls of the node before. ``algebraic``: (x, u, p) -> algebraic
     variables, where x of a stage ends with those that Newton's method solves for; ``measurement``: (x, p) -> y,
-    H = dy / dx of an estimator; ``control_start``: (p, yref) -> controls of the first plan; ``following``: operations of
-    a node that Newton's method takes to follow a plan, with two steps.
+    H = dy / dx of an estimator; ``control_start``: (p, yref) -> controls of the first plan; ``following``: operations
+    of a node that Newton's method takes to follow a plan, with two steps.
     """
 
     interval: Interval

@@ -33,6 +33,6 @@ def warnings(model: Model, found: Program) -> tuple[str, ...]:
         *stability_warning(problem, model.parts.integrator, implicit_for),
         *accuracy_warning(problem, model.parts.integrator),
         *(model.grown.of_simulation(type(algorithm).__name__, problem.N) if algorithm.simulates else ()),
-        *(() if problem.estimation else first_plan_warnings(problem, found, second, model.saddles.controls)),
+        *(() if problem.estimation else first_plan_warnings(problem, found, second, model.saddles)),
         *(() if model.choice is None else model.choice.warnings),
     )

@@ -30,6 +30,7 @@ from numpy.typing import NDArray
 from nmpc_codegen.components.base import Condensing, Integrator, Transition, spell
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.frontend.problem import Array, Problem, Row, Stage
+from nmpc_codegen.frontend.saddles import Saddles
 from nmpc_codegen.ir.casadi_types import Expression, Function
 from nmpc_codegen.lowering.tolerances import EPS
 from nmpc_codegen.package.memory import Precision
@@ -225,14 +226,14 @@ DRAWN = 4
 ACTIVE = 1e-9
 
 
-def first_plan_warnings(problem: Problem, program: Program, second: bool, probed: tuple[int, ...]) -> tuple[str, ...]:
+def first_plan_warnings(problem: Problem, program: Program, second: bool, saddles: Saddles) -> tuple[str, ...]:
     """One text for everything that cannot work at the first plan, or at the first corner of the ranges of parameters
-    and initial states where more does not work; ``second``: second derivatives are evaluated; ``probed``: controls that
-    samples move where their slopes vanish."""
+    and initial states where more does not work; ``second``: second derivatives are evaluated; ``saddles``: controls
+    that samples move where their slopes vanish."""
     (_, declared), *corners = problem.corners
-    found = tuple(_warnings(declared, program, second, probed))
+    found = tuple(_warnings(declared, program, second, saddles))
     for where, corner in corners:
-        texts = _warnings(corner, program, second, probed, given=True)
+        texts = _warnings(corner, program, second, saddles, given=True)
         more = [f"{text} (with {where})" for text in texts if text not in found]
         if more:
             return (*found, *more)
@@ -240,10 +241,10 @@ def first_plan_warnings(problem: Problem, program: Program, second: bool, probed
 
 
 def _warnings(
-    problem: Problem, program: Program, second: bool, probed: tuple[int, ...], given: bool = False
+    problem: Problem, program: Program, second: bool, saddles: Saddles, given: bool = False
 ) -> tuple[str, ...]:
     x, u = first_plan(problem)
-    still = tuple(_end_time(problem, x, u)) or tuple(_without_influence(problem, x, u, probed))
+    still = tuple(_end_time(problem, x, u)) or tuple(_without_influence(problem, x, u, saddles))
     return (*_not_finite(problem, program, second, x, u, given), *still, *_without_gradient(problem, x, u))
 
 
@@ -294,18 +295,19 @@ def _end_time(problem: Problem, x: Array, u: Array) -> Iterator[str]:
                 )
 
 
-def _without_influence(problem: Problem, x: Array, u: Array, probed: tuple[int, ...]) -> Iterator[str]:
+def _without_influence(problem: Problem, x: Array, u: Array, saddles: Saddles) -> Iterator[str]:
     """Controls whose first derivatives vanish in dynamics, cost and rows at the first plan, and to which states and
     controls that move do not give any; and those without a weight that wait for others."""
     if problem.inner.idle:
         return
     at_plan, moves = _movable(problem, x, u)
-    for j in (j for j in np.flatnonzero(~moves) if j not in probed):
+    probed = any(_is_probed(problem, x, u, j, saddles) for j in saddles.controls)
+    for j in (j for j in np.flatnonzero(~moves) if not (probed and j in saddles.controls)):
         yield (
             f"control '{problem.control_names[j]}' is {u[j]:g} at the first plan, where its first derivatives in "
-            f"dynamics, cost and rows vanish: no iteration moves it. Write another value, e.g. ctrl.u[:, {j}] = 0.1, "
-            "after build() and after every reset(); or state a residual of it with another reference; or take the "
-            "whole term that contains it as the control"
+            "dynamics, cost and rows vanish: no iteration moves it. Start where a state or parameter that scales it is "
+            f"not 0, by initial= or value=, or write another value, e.g. ctrl.u[:, {j}] = 0.1, after build() and after "
+            "every reset()"
         )
     curvature = sum(
         (ca.hessian(part, problem.path.u)[0] for part in _costs(problem.path)), ca.SX(problem.nu, problem.nu)
@@ -319,6 +321,42 @@ def _without_influence(problem: Problem, x: Array, u: Array, probed: tuple[int, 
             f"control '{name}' has neither a weight nor an influence at the first plan, so that the first QP does not "
             f"determine it: give it a weight, e.g. least_squares({name}, weight=1e-2)"
         )
+
+
+def _is_probed(problem: Problem, x: Array, u: Array, j: int, saddles: Saddles) -> bool:
+    """True if a finite move of an idle control, alone or with its partner, changes a state for which the cost or rows
+    ask, as far as they see it at this point: then a probe of the sample moves it."""
+    path = problem.path
+    f = problem.dynamics(path.x, path.u, path.p)
+    at = _function(path, [ca.densify(f), ca.densify(ca.jacobian(f, path.x))])
+    values = problem.node_values(x, u)
+    rate, A = (np.asarray(v, dtype=float) for v in at(x, u, values, problem.dt[0]))
+    changed = np.zeros(problem.nx, dtype=bool)
+    partner = saddles.partners[j]
+    for side, other in ((1, 0), (-1, 0), (1, 1), (1, -1)):
+        moved = u.copy()
+        moved[j] += side * (1 + abs(u[j]))
+        if partner >= 0:
+            moved[partner] += other * (1 + abs(u[partner]))
+        changed |= (np.asarray(at(x, moved, values, problem.dt[0])[0], dtype=float) != rate).ravel()
+    seen = _asked_for(problem, x, u)
+    for _ in range(problem.nx):
+        seen = seen | np.any(A[seen] != 0, axis=0)
+    return bool(np.any(changed & seen))
+
+
+def _asked_for(problem: Problem, x: Array, u: Array) -> Marks:
+    """States along which the cost changes; where it changes along none, all on which residuals, costs and rows
+    depend."""
+    slopes, depends = np.zeros(problem.nx, dtype=bool), np.zeros(problem.nx, dtype=bool)
+    for stage, control in ((problem.path, u), (problem.terminal, np.zeros(0))):
+        cost = sum(_costs(stage), ca.SX(0))
+        terms = ca.vertcat(cost, stage.h)
+        slope = _function(stage, [ca.densify(ca.gradient(cost, stage.x))])
+        values = problem.node_values(x, control)
+        slopes |= np.asarray(slope(x, control, values, problem.dt[0]), dtype=float).ravel() != 0
+        depends |= np.array(ca.which_depends(terms, stage.x, 1, False), dtype=bool)
+    return slopes if np.any(slopes) else depends
 
 
 def _movable(problem: Problem, x: Array, u: Array) -> tuple[Marks, Marks]:

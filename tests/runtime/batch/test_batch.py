@@ -78,6 +78,7 @@ def test_solutions_are_those_of_single_controllers(controller: Controller) -> No
         found = getattr(many, part)
         assert found.shape[0] == M
         np.testing.assert_array_equal(found, [getattr(s, part) for s in solutions])
+    np.testing.assert_allclose(many.step(X)[0][status == Status.OK], many.u[status == Status.OK, 0], atol=1e-6)
 
 
 def test_views_write_to_the_controllers(controller: Controller) -> None:
