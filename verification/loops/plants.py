@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import casadi as ca
 import numpy as np
@@ -143,6 +143,15 @@ def lost_slope() -> list[Drawn]:
         random = np.random.default_rng([7, number])
         plant = kinds[number % len(kinds)](_actuator(law, random))
         found.append(Drawn(plant, 10.0 ** random.uniform(-4, 0), FIRST, number))
+    return found
+
+
+def dead_points() -> list[Drawn]:
+    """The same, where the first plan has the controls at 0, where most of their slopes vanish."""
+    found = []
+    for drawn in lost_slope():
+        lower, upper = next(iter(drawn.plant.controls.values()))
+        found.append(replace(drawn, first=-lower / (upper - lower)))
     return found
 
 
@@ -300,4 +309,4 @@ def unstable() -> list[Drawn]:
 
 
 #: The draws by name: problems of each, of which LOOPS are flown.
-DRAWS: dict[str, Callable[[], list[Drawn]]] = {"lost slope": lost_slope, "unstable": unstable}
+DRAWS: dict[str, Callable[[], list[Drawn]]] = {"lost slope": lost_slope, "dead points": dead_points, "unstable": unstable}

@@ -213,6 +213,7 @@ def _full_steps(ctrl: Memory, run: _Run, tol: float, most: int) -> Status:
         return _repeat(ctrl, run, tol, most, left)
     finally:
         ctrl.member("most_iterations")[...] = usual
+        ctrl.member("solved")[...] = 1
 
 
 def _repeat(ctrl: Memory, run: _Run, tol: float, most: int, left: Mapping[str, Array]) -> Status:

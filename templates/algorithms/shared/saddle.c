@@ -67,51 +67,56 @@ static real_t hamiltonian(const solver_t *s, int k, const real_t *lam)
     return sum;
 }
 
-/* Moves idle control j of node k, and with it its partner by `with` of its own scale, to the value with the least
- * Hamiltonian. */
-static void probe_control(solver_t *s, int k, int j, const real_t *lam, real_t with)
+/* Moves the controls of node k along a direction, in their scales, to where the Hamiltonian is least. */
+static void probe_along(solver_t *s, int k, const real_t *lam, const real_t *direction)
 {
-    const int other = (idle_partner[j] < 0) ? j : idle_partner[j];
-    const real_t from = s->u[k][j], of_other = s->u[k][other];
-    real_t least = hamiltonian(s, k, lam), best = from, of_best = of_other;
+    real_t from[NU], best[NU], least = hamiltonian(s, k, lam);
+    memcpy(from, s->u[k], sizeof from);
+    memcpy(best, from, sizeof best);
     for (int n = 0; n < 2 * PROBES; n++) {
         const real_t size = (n % 2 == 0) ? probe_size[n / 2] : -probe_size[n / 2];
-        s->u[k][other] = of_other + size * with * z_scale[NX + other];
-        s->u[k][other] = safe_value(s, k, other);
-        s->u[k][j] = from + size * z_scale[NX + j];
-        s->u[k][j] = safe_value(s, k, j);
+        for (int j = 0; j < NU; j++) {
+            s->u[k][j] = from[j] + size * direction[j] * z_scale[NX + j];
+            s->u[k][j] = safe_value(s, k, j);
+        }
         const real_t value = hamiltonian(s, k, lam);
         if (value < least) {
             least = value;
-            best = s->u[k][j];
-            of_best = s->u[k][other];
+            memcpy(best, s->u[k], sizeof best);
         }
     }
-    s->u[k][other] = of_best;
-    s->u[k][j] = best;
+    memcpy(s->u[k], best, sizeof best);
 }
 
-/* Moves the idle controls of node k that the cost wants to be moved. */
+/* Moves the idle controls of node k that the cost wants to be moved[if PARTNERS:, alone and together with those that they
+ * are multiplied by]. */
 static void probe_node(solver_t *s, int k, const real_t *lam)
 {
     int idle[NU];
+    real_t direction[NU] = {R(0)};
     for (int j = 0; j < NU; j++) {
         idle[j] = is_wanted(lam, j) && is_idle(s, k, j);
     }
     for (int j = 0; j < NU; j++) {
-        if (idle[j]) {
-            probe_control(s, k, j, lam, R(0));
+        if (!idle[j]) {
+            continue;
         }
+        direction[j] = R(1);
+        probe_along(s, k, lam, direction);
         if (PARTNERS) {
-            if (idle[j] && idle_partner[j] >= 0) {
-                probe_control(s, k, j, lam, R(1));
-                probe_control(s, k, j, lam, -R(1));
+            if (idle_partner[j] >= 0) {
+                direction[idle_partner[j]] = R(1);
+                probe_along(s, k, lam, direction);
+                direction[idle_partner[j]] = -R(1);
+                probe_along(s, k, lam, direction);
+                direction[idle_partner[j]] = R(0);
             }
         }
+        direction[j] = R(0);
     }
 }
 
-#if NODES
+#if HAS_QP
 /* Returns 1 if there are idle controls that the cost wants to be moved. */
 static int may_be_at_saddle(const solver_t *s)
 {
@@ -124,7 +129,9 @@ static int may_be_at_saddle(const solver_t *s)
     }
     return 0;
 }
+#endif
 
+#if NODES
 /* Moves the idle controls of all nodes. */
 static void probe_plan(solver_t *s)
 {
@@ -133,12 +140,6 @@ static void probe_plan(solver_t *s)
     }
 }
 #else
-/* Whether controls are idle is found node by node. */
-static int may_be_at_saddle(const solver_t *s)
-{
-    return 1;
-}
-
 /* Moves the idle controls of all nodes. */
 static void probe_plan(solver_t *s)
 {
@@ -188,6 +189,7 @@ static void follow_controls(solver_t *s)
 }
 #endif
 
+#if HARD_ROWS
 /* Sum of the violations of hard rows, in the scales of their terms. */
 static real_t hard_violation(const solver_t *s)
 {
@@ -200,33 +202,31 @@ static real_t hard_violation(const solver_t *s)
     }
     return sum;
 }
+#endif
 
 static real_t cost_of_plan(const solver_t *s)
 {
-    real_t cost = nodal_cost(s);
     if (SOFT_ROWS > 0) {
-        cost += soft_penalties(s);
+        return nodal_cost(s) + soft_penalties(s);
     }
-    return cost;
+    return nodal_cost(s);
 }
 
-/* Returns 1 if the plan violates less than these measures, or costs less by this much and violates no more, and takes
- * its own. */
-static int is_better(const solver_t *s, real_t *cost, real_t *violation, real_t gain)
+/* Returns 1 if the plan costs less than the best one, by this much[if HARD_ROWS:, and violates no more, or violates less]:
+ * it is the best one now. */
+static int is_better(solver_t *s, real_t gain)
 {
-    const real_t at = cost_of_plan(s);
-    real_t out = R(0);
-    if (NG > 0) {
-        out = hard_violation(s);
-    }
-    const int nearer = out < FACTOR_SADDLE_NEARER * *violation && *violation > TOL_MERIT_ROUNDING;
-    const int cheaper = at < *cost - gain;
-    if (!isfinite(at) || !(nearer || (cheaper && out <= *violation + TOL_MERIT_ROUNDING))) {
-        return 0;
-    }
-    *cost = at;
-    *violation = out;
-    return 1;
+    saddle_t *q = &s->saddle;
+    const real_t cost = cost_of_plan(s);
+    int better = isfinite(cost) && cost < q->cost - gain;
+#if HARD_ROWS
+    const real_t out = hard_violation(s);
+    const int nearer = out < FACTOR_SADDLE_NEARER * q->violation && q->violation > TOL_MERIT_ROUNDING;
+    better = (better && out <= q->violation + TOL_MERIT_ROUNDING) || (isfinite(cost) && nearer);
+    q->violation = better ? out : q->violation;
+#endif
+    q->cost = better ? cost : q->cost;
+    return better;
 }
 
 /* The controls move away from those before the probe, or towards them, by this factor. */
@@ -244,14 +244,14 @@ static void stretch_probe(solver_t *s, real_t factor)
 
 /* Takes the part 1, 1/2, 1/4, ... of the probe with the best plan. Returns 0 if none is better than the plan before
  * it. */
-static int take_probe(solver_t *s, real_t cost, real_t violation)
+static int take_probe(solver_t *s)
 {
-    real_t gain = FACTOR_SADDLE_GAIN * FABS(cost);
+    real_t gain = FACTOR_SADDLE_GAIN * FABS(s->saddle.cost);
     int better = 0;
     enlarge(&gain, least_cost());
     follow_controls(s);
     for (int n = 0; n < PROBE_PARTS; n++) {
-        if (is_better(s, &cost, &violation, gain)) {
+        if (is_better(s, gain)) {
             gain = R(0);
             better = 1;
         } else if (better) {
@@ -269,27 +269,28 @@ static int take_probe(solver_t *s, real_t cost, real_t violation)
 static int leave_saddle(solver_t *s)
 {
     saddle_t *q = &s->saddle;
-    real_t violation = R(0);
     q->saved = R(0);
+#if HAS_QP
     if (!may_be_at_saddle(s)) {
         return 0;
     }
+#endif
     memcpy(q->x, s->x, sizeof q->x);
     memcpy(q->u, s->u, sizeof q->u);
     if (!HAS_QP) { /* whose plan may have large gaps */
         follow_controls(s);
     }
     const real_t cost = cost_of_plan(s);
-    if (NG > 0) {
-        violation = hard_violation(s);
-    }
+    q->cost = cost;
+#if HARD_ROWS
+    q->violation = hard_violation(s);
+#endif
     probe_plan(s);
-    if (!take_probe(s, cost, violation)) {
+    if (!take_probe(s)) {
         memcpy(s->x, q->x, sizeof q->x);
         memcpy(s->u, q->u, sizeof q->u);
         return 0;
     }
-    const real_t less = cost - cost_of_plan(s);
-    q->saved = (less > R(0)) ? less / FABS(cost) : R(1); /* 1: it violates less */
+    q->saved = (q->cost < cost) ? (cost - q->cost) / FABS(cost) : R(1); /* 1: it violates less */
     return 1;
 }
