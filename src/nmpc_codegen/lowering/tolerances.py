@@ -290,7 +290,7 @@ FACTORS: dict[str, tuple[float, str]] = {
     "near_contraction": (0.5, "residual after an iteration, relative to that before it, with which a Hessian is kept"),
     "near_rows": (0.02, "part of the tolerance by which a plan may leave hard rows before its sample goes on"),
     "near_enough": (0.1, "part of the tolerance at which the iterations of a sample end"),
-    "idle_step": (1e-2, "part of its scale by which an idle control may move in a step"),
+    "idle_step": (0.1, "part of its scale by which an idle control may move in a step"),
     "saddle_gain": (1e-4, "part of its cost by which a probe of idle controls lowers that of a plan at a saddle"),
     "saddle_nearer": (
         0.9,
