@@ -73,7 +73,7 @@ status_t API(feedback_finish)(solver_t *s)
     const int32_t call = s->first.call;
     s->first.call = FIRST_NONE;
     if (call != FIRST_BY_LAW) {
-        return finish(s, (call == FIRST_WHOLE) ? (status_t)s->first.status : NOT_PREPARED);
+        return (call == FIRST_WHOLE) ? (status_t)s->first.status : NOT_PREPARED;
     }
     memcpy(xhat, s->xhat, sizeof xhat);
     status = API(feedback)(s, xhat, u0);

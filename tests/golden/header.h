@@ -54,4 +54,4 @@ const char *golden_status_string(golden_status_t status);
 #endif
 
 #endif
-/* nmpc_codegen package 70e29678dbe48e59, sha256 b2cbd3f3dd006daf3936ff935cc61bb01040f25c60dcae1163ac26dce8163b4e */
+/* nmpc_codegen package c47da8f86f533072, sha256 731d6b8861b3194096ca42b667f0f38134dc79872d452f91736ba791424c1a1f */

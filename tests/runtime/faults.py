@@ -256,12 +256,12 @@ def condensing_that_loses_digits() -> str:
     return warned(upright(40), Options(condensing=FullCondensing(), qp=DenseActiveSet()))
 
 
-@fault("control 'u' is 0 at the first plan", "ctrl.u[:, 0] = 0.1", "reset()")
+@fault("control 'u' is 0 at the first plan", "initial=", "ctrl.u[:, 0] = 0.1", "reset()")
 def control_without_influence() -> str:
-    """build(): a force u^3 that starts at 0."""
-    ocp = OCP("cube", T=1.0, N=5)
+    """build(): a growth rate of a population that starts at 0."""
+    ocp = OCP("growth", T=1.0, N=5)
     x, u = ocp.state("x"), ocp.control("u")
-    ocp.dynamics({x: u**3})
+    ocp.dynamics({x: x * (1 + u)})
     ocp.least_squares(ca.vertcat(x - 1, u), weight=1)
     return warned(ocp)
 
@@ -450,7 +450,7 @@ def failure_of_unstable_steps() -> str:
     return ctrl.diagnose()
 
 
-@fault("first NOT_CONVERGED: sample 1, t = 0.1 s", "first NUMERICAL_FAILURE: sample 3, t = 0.3 s", "row 'unit' at node")
+@fault("first NOT_CONVERGED: sample 0, t = 0 s", "first NUMERICAL_FAILURE: sample 3, t = 0.3 s", "row 'unit' at node")
 def summary_of_a_loop() -> str:
     """the summary of a loop with two kinds of bad samples."""
 

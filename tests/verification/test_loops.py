@@ -20,7 +20,9 @@ def test_samples_fly_as_well_as_solve_in_every_sample(draw: str) -> None:
     assert faulty <= 1
 
 
-@pytest.mark.parametrize(("draw", "number"), [("lost slope", 1), ("lost slope", 28), ("dead points", 0), ("unstable", 4)])
+@pytest.mark.parametrize(
+    ("draw", "number"), [("lost slope", 1), ("lost slope", 28), ("dead points", 0), ("unstable", 4)]
+)
 def test_some_loops(draw: str, number: int) -> None:
     (loop,) = judge(draw, number, 1).loops
     assert loop.counts

@@ -21,7 +21,7 @@ from nmpc_codegen import (
     build,
 )
 from nmpc_codegen.frontend.classify import classify
-from nmpc_codegen.frontend.saddles import IDLE, find_saddles
+from nmpc_codegen.frontend.controls import IDLE, find_saddles
 from nmpc_codegen.frontend.scales import scales
 from nmpc_codegen.oracle.reference import solve_reference
 from nmpc_codegen.runtime.controller import Controller

@@ -309,4 +309,8 @@ def unstable() -> list[Drawn]:
 
 
 #: The draws by name: problems of each, of which LOOPS are flown.
-DRAWS: dict[str, Callable[[], list[Drawn]]] = {"lost slope": lost_slope, "dead points": dead_points, "unstable": unstable}
+DRAWS: dict[str, Callable[[], list[Drawn]]] = {
+    "lost slope": lost_slope,
+    "dead points": dead_points,
+    "unstable": unstable,
+}

@@ -29,8 +29,8 @@ from numpy.typing import NDArray
 
 from nmpc_codegen.components.base import Condensing, Integrator, Transition, spell
 from nmpc_codegen.errors import OptionError
+from nmpc_codegen.frontend.controls import Saddles
 from nmpc_codegen.frontend.problem import Array, Problem, Row, Stage
-from nmpc_codegen.frontend.saddles import Saddles
 from nmpc_codegen.ir.casadi_types import Expression, Function
 from nmpc_codegen.lowering.tolerances import EPS
 from nmpc_codegen.package.memory import Precision

@@ -23,10 +23,9 @@ from nmpc_codegen.components.hessians import ExactHessian
 from nmpc_codegen.components.integrators.implicit.node_data import algebraic_kernel, with_node_data
 from nmpc_codegen.components.stage_cost import StageCost, slices, stage_costs
 from nmpc_codegen.errors import OptionError
-from nmpc_codegen.frontend.flat import flat_controls, proximal_terms
+from nmpc_codegen.frontend.controls import Saddles, find_saddles, flat_controls, proximal_terms
 from nmpc_codegen.frontend.inner import complete_inner
 from nmpc_codegen.frontend.problem import Problem, Stage, symbols
-from nmpc_codegen.frontend.saddles import Saddles, find_saddles
 from nmpc_codegen.frontend.scales import Scales, scales
 from nmpc_codegen.ir.kernel import Kernel, Port, lift
 from nmpc_codegen.ir.model import Block, HessianModel, ModelFunctions, StageModel

@@ -10,8 +10,8 @@ from nmpc_codegen.components.algorithms.shifts import sampling_period
 from nmpc_codegen.components.base import Component, Counts, Dims
 from nmpc_codegen.components.core import SIZES_OF_OTHERS
 from nmpc_codegen.errors import OptionError
+from nmpc_codegen.frontend.controls import PROBE_PARTS, PROBE_SIZES, Saddles
 from nmpc_codegen.frontend.problem import Problem, Stage
-from nmpc_codegen.frontend.saddles import PROBE_PARTS, PROBE_SIZES, Saddles
 from nmpc_codegen.ir.cmodule import CModule, Macro, Section, Setter, check_prefix
 from nmpc_codegen.ir.kernel import called_functions, called_lookups
 from nmpc_codegen.ir.printing.c_style import CStyle

@@ -291,6 +291,12 @@ FACTORS: dict[str, tuple[float, str]] = {
     "near_rows": (0.02, "part of the tolerance by which a plan may leave hard rows before its sample goes on"),
     "near_enough": (0.1, "part of the tolerance at which the iterations of a sample end"),
     "idle_step": (0.1, "part of its scale by which an idle control may move in a step"),
+    "idle_change": (0.01, "part of its scale by which a control is changed to see whether it is idle"),
+    "departure": (0.5, "part of their probe by which idle controls depart from a saddle"),
+    "second_departure": (
+        0.125,
+        "part of their probe by which they depart again, after a departure that has led to no better plan",
+    ),
     "saddle_gain": (1e-4, "part of its cost by which a probe of idle controls lowers that of a plan at a saddle"),
     "saddle_nearer": (
         0.9,

@@ -25,7 +25,7 @@ static int is_idle(const solver_t *s, int k, int j)
 static int is_idle(solver_t *s, int k, int j)
 {
     real_t here[NX], there[NX];
-    const real_t u = s->u[k][j], h = R(0.1) * FACTOR_IDLE_STEP * z_scale[NX + j];
+    const real_t u = s->u[k][j], h = FACTOR_IDLE_CHANGE * z_scale[NX + j];
     if (idle_slope[j] < R(0)) {
         return 0;
     }

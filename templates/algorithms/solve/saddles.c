@@ -66,14 +66,15 @@ static void end_departure(solver_t *s, int solved)
 /* Departs from a saddle, by less the second time. Samples have no time for that. */
 static int departs(solver_t *s)
 {
-    int hasty = 0;
     if (ITERATES) {
-        hasty = s->sqp.hasty;
+        if (s->sqp.hasty) {
+            return 0;
+        }
     }
-    if (hasty || s->sqp.departures >= DEPARTURES || !may_be_at_saddle(s)) {
+    if (s->sqp.departures >= DEPARTURES || !may_be_at_saddle(s)) {
         return 0;
     }
-    if (!depart(s, (s->sqp.departures == 0) ? R(0.5) : R(0.125))) {
+    if (!depart(s, (s->sqp.departures == 0) ? FACTOR_DEPARTURE : FACTOR_SECOND_DEPARTURE)) {
         end_departure(s, 0);
         return 0;
     }

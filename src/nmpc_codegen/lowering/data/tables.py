@@ -11,8 +11,8 @@ from numpy.typing import ArrayLike
 from nmpc_codegen.components.algorithms.shifts import sampling_period
 from nmpc_codegen.components.core import TABLES_OF_OTHERS
 from nmpc_codegen.errors import ProblemError
+from nmpc_codegen.frontend.controls import PROBE_SIZES, Saddles
 from nmpc_codegen.frontend.problem import Array, Problem, Stage
-from nmpc_codegen.frontend.saddles import PROBE_SIZES
 from nmpc_codegen.ir.cmodule import Table
 from nmpc_codegen.ir.kernel import called_lookups
 from nmpc_codegen.ir.sweep import Routine
@@ -61,11 +61,7 @@ def tables(model: Model, routines: Sequence[Routine]) -> tuple[Table, ...]:
         real("default_soft_l1", [r.soft[0] for r in p.rows if r.soft], "penalties l1 v of the soft rows"),
         real("default_soft_l2", [r.soft[1] for r in p.rows if r.soft], "penalties l2/2 v^2 of the soft rows"),
         integer("penalty_scaled", (r.scaled for r in p.rows if r.soft), "1: times the length of the interval"),
-        real(
-            "idle_slope", round_scales(model.saddles.slopes), "|dx_i / du_j| with which control j is idle; < 0: never"
-        ),
-        integer("idle_partner", model.saddles.partners, "control with which control j acts by a product, or -1"),
-        real("probe_size", PROBE_SIZES, "moves of an idle control that are tried, in its scale"),
+        *_saddle_tables(model.saddles),
         real("proximal", round_scales(p.proximal), "curvature of steps in samples"),
         integer("on_states", p.rows_on_states, "1: row on states alone"),
         integer("is_pulled", (i in p.pulled_rows for i in range(len(p.rows))), "1: hard row on controls alone"),
@@ -83,6 +79,15 @@ def tables(model: Model, routines: Sequence[Routine]) -> tuple[Table, ...]:
         *TABLES_OF_OTHERS,
     )
     return tuple({table.name: table for table in reversed(found)}.values())[::-1]
+
+
+def _saddle_tables(saddles: Saddles) -> tuple[Table, ...]:
+    slopes, partners = tuple(round_scales(saddles.slopes)), saddles.partners
+    return (
+        Table("idle_slope", "real", slopes, "|dx_i / du_j| with which control j is idle; < 0: never"),
+        Table("idle_partner", "int", partners, "control with which control j acts by a product, or -1"),
+        Table("probe_size", "real", PROBE_SIZES, "moves of an idle control that are tried, in its scale"),
+    )
 
 
 def lookup_tables(routines: Iterable[Routine]) -> list[Table]:
