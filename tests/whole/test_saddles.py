@@ -21,7 +21,7 @@ from nmpc_codegen import (
     build,
 )
 from nmpc_codegen.frontend.classify import classify
-from nmpc_codegen.frontend.controls import IDLE, find_saddles
+from nmpc_codegen.frontend.controls import IDLE, Saddles, find_saddles
 from nmpc_codegen.frontend.scales import scales
 from nmpc_codegen.oracle.reference import solve_reference
 from nmpc_codegen.runtime.controller import Controller
@@ -51,6 +51,29 @@ def vehicle() -> OCP:
     ocp.least_squares(ca.vertcat(p, v), weight=[1, 0.1], names=["to_p", "to_v"])
     ocp.least_squares(n, weight=1e-5)
     ocp.subject_to(-50, n, 50)
+    return ocp
+
+
+def lagging() -> OCP:
+    """The same thrust of a speed that follows its command with a lag."""
+    ocp = OCP("lagging", T=4, N=20)
+    p, v, n, command = ocp.state("p"), ocp.state("v"), ocp.state("n"), ocp.control("command")
+    ocp.dynamics({p: v, v: 0.002 * n * ca.fabs(n) - 0.3 * v * ca.fabs(v), n: (command - n) / 0.3})
+    ocp.least_squares(ca.vertcat(p, v), weight=[1, 0.1], names=["to_p", "to_v"])
+    ocp.least_squares(command, weight=1e-5)
+    ocp.terminal_least_squares(p, weight=20, names=["end_p"])
+    ocp.subject_to(-50, command, 50)
+    return ocp
+
+
+def delayed() -> OCP:
+    """The heater, whose voltage acts a sample later."""
+    ocp = OCP("delayed", T=600, N=20)
+    T, V = ocp.state("T", initial=20.0), ocp.control("V")
+    ocp.dynamics({T: -(T - 20) / 300 + 2e-5 * ocp.previous(V) ** 2})
+    ocp.least_squares(T, weight=1.0, names=["to_T"])
+    ocp.least_squares(V, weight=1e-4)
+    ocp.subject_to(0, V, 230)
     return ocp
 
 
@@ -134,6 +157,22 @@ def test_a_vehicle_that_has_arrived_leaves_again(options: str) -> None:
 
 
 @pytest.mark.parametrize("options", OPTIONS)
+def test_a_lag_or_a_delay_before_the_square_is_no_way_to_stand_still(options: str) -> None:
+    """The control moves its state, and the state at rest moves nothing."""
+    c, x = made(lagging, options), np.zeros(3)
+    for target in (2.0, -1.0, 3.0):
+        c.set_reference({"to_p": target})
+        c.set_terminal_reference({"end_p": target})
+        x, _ = fly(c, x, 60)
+        assert abs(x[0] - target) < 0.05
+    c, x = made(delayed, options), np.array([20.0])
+    for target in (60.0, 15.0, 60.0):
+        c.set_reference({"to_T": target})
+        x, _ = fly(c, x, 40)
+        assert abs(x[0] - max(target, 20.0)) < 1
+
+
+@pytest.mark.parametrize("options", OPTIONS)
 def test_a_product_of_controls_starts_from_rest(options: str) -> None:
     c, x = made(motor, options), np.zeros(1)
     for target in (1.0, 0.0, -1.0):
@@ -204,9 +243,7 @@ def test_one_iteration_says_that_its_plan_has_left_a_saddle() -> None:
 def test_hard_rows_call_for_idle_controls_too() -> None:
     """The cost wants the heater off, the row T >= 30 does not: the first QP is infeasible, as no voltage heats."""
     c = build(_warm(), profile="test")
-    x = np.array([25.0])
-    for _ in range(30):
-        x = np.ravel(c.integrate(x, c.step(x), 30.0))
+    x, _ = fly(c, np.array([25.0]), 30)
     assert x[0] >= 30 - 0.1
     assert c.status is Status.OK
 
@@ -231,22 +268,26 @@ def test_batches_leave_saddles_as_single_controllers_do(compiler: None) -> None:
     assert U[0, 0] > 10.0
 
 
-def test_which_controls_and_slopes_are_meant() -> None:
+def test_which_variables_and_slopes_are_meant() -> None:
     """Of u |u| the slope 2 c |u| dt, whose largest is that at the bound, vanishes at 0; a force does not."""
-    problem = classify(vehicle())
-    found = find_saddles(problem, scales(problem).z)
-    slopes = np.array(found.slopes)
-    assert found.controls == (0,)
-    assert found.partners == (-1,)
-    np.testing.assert_allclose(slopes, [np.inf, IDLE * 2 * 0.002 * 50 * DT])
-    problem = classify(motor())
-    assert find_saddles(problem, scales(problem).z).partners == (1, 0)
+    found = saddles_of(vehicle())
+    assert (found.controls, found.states, found.partners, found.drivers) == ((0,), (), (-1,), (False,))
+    slopes = np.array(found.slopes).reshape(2, 3)
+    np.testing.assert_array_equal(slopes[:, :2], -1.0)
+    np.testing.assert_allclose(slopes[:, 2], [np.inf, IDLE * 2 * 0.002 * 50 * DT])
+    assert saddles_of(motor()).partners == (1, 0)
+    found = saddles_of(lagging())
+    assert (found.controls, found.states, found.drivers) == ((), (2,), (True,))
     ocp = OCP("cart", T=1, N=5)
     v, force = ocp.state("v"), ocp.control("force")
     ocp.dynamics({v: force - v**3})
     ocp.least_squares(ca.vertcat(v, force), weight=1)
+    assert not any(saddles_of(ocp).controls + saddles_of(ocp).states)
+
+
+def saddles_of(ocp: OCP) -> Saddles:
     problem = classify(ocp)
-    assert find_saddles(problem, scales(problem).z).controls == ()
+    return find_saddles(problem, scales(problem).z)
 
 
 def test_the_report_names_them_in_the_place_of_a_warning() -> None:

@@ -115,6 +115,9 @@ def _saddle(dims: Dims) -> Struct:
             Field("cost", (), "of the best plan", "scratch"),
             Field("violation", (), "of its hard rows, in their scales", "scratch", only=lambda f: f.hard_rows),
             Field("departed", (), "iterations of a departure from it that are left", "scratch", "int32", only=_departs),
+            Field(
+                "asked", (), "1: an idle state asks for another value", "scratch", "int32", only=lambda f: f.idle_states
+            ),
             Field("saved", (), "part of its cost by which the last probe has lowered that of the plan", "scratch"),
         ),
         only=lambda f: f.saddles,

@@ -22,7 +22,7 @@ import numpy as np
 
 from nmpc_codegen.frontend.problem import Array, Problem, Stage
 from nmpc_codegen.frontend.scales import Scales, responses
-from nmpc_codegen.ir.casadi_types import curved_rows
+from nmpc_codegen.ir.casadi_types import Expression, curved_rows
 
 #: Curvature of a control, relative to the scale of the cost, below which it has none.
 NONE = 1e-6
@@ -92,63 +92,95 @@ def _diagonal(stage: Stage, problem: Problem, z: Array) -> Array:
     return np.asarray(np.nan_to_num(np.max(found, axis=0), nan=np.inf))
 
 
-#: Slope, relative to the largest of the same control, that is next to none.
+#: Slope, relative to the largest of the same variable, that is next to none.
 IDLE = 1e-2
 #: Moves of a control from a saddle that are tried, in its scale, and halvings of what they lead to.
 PROBE_SIZES, PROBE_PARTS = (1.0, 0.25, 0.0625), 12
-#: States at which slopes are compared, and values of a control in its range.
+#: States at which slopes are compared, and values of a variable in its range.
 STATES, VALUES = 5, 41
 
 
 @dataclass(frozen=True)
 class Saddles:
-    """``controls``: numbers of those that may stand at a saddle. ``slopes`` (nx, nu): |dx_i / du_j| of an interval with
-    which control j does next to nothing to state i; infinite where it does not act directly, -1 for other controls.
-    ``partners`` (nu,): another control whose value decides on the slope of control j, or -1."""
+    """What may stand at a saddle: ``controls`` and ``states`` by their numbers, states that controls drive alone.
+
+    ``slopes`` (nx, nx + nu): |d Phi_l / dz_i| of an interval with which z_i does next to nothing to state l; infinite
+    where it does not act directly, and on itself; -1 for variables that are never idle. ``partners`` (nu,): another
+    control whose value decides on the slope of control j, or -1. ``drivers`` (nu,): marks of controls that drive one of
+    the states.
+    """
 
     controls: tuple[int, ...]
+    states: tuple[int, ...]
     slopes: tuple[float, ...]
     partners: tuple[int, ...]
+    drivers: tuple[bool, ...]
 
 
 def find_saddles(problem: Problem, z: Array) -> Saddles:
-    """The controls that may stand at a saddle; ``z`` (nx + nu,): scales."""
-    none = Saddles((), (-1.0,) * problem.nx * problem.nu, (-1,) * problem.nu)
+    """The controls and states that may stand at a saddle; ``z`` (nx + nu,): scales."""
+    nx, nu = problem.nx, problem.nu
+    none = Saddles((), (), (-1.0,) * nx * (nx + nu), (-1,) * nu, (False,) * nu)
     if problem.estimation is not None:
         return none
-    bends = _bends(problem)
-    if not np.any(bends):
+    bends, driven = _bends(problem), _driven(problem)
+    bent = np.concatenate([np.diag(bends)[:nx] & np.any(driven, axis=1), np.any(bends[nx:, nx:], axis=0)])
+    if not np.any(bent):
         return none
-    largest, vanishes = _compare(problem, z, np.any(bends, axis=0))
-    found = tuple(int(j) for j in np.flatnonzero(vanishes))
+    largest, vanishes = _compare(problem, z, bent)
+    found = np.flatnonzero(vanishes)
+    controls, states = tuple(int(j) for j in found[found >= nx] - nx), tuple(int(i) for i in found[found < nx])
     slopes = np.where(vanishes, np.where(largest > 0.0, IDLE * largest, np.inf), -1.0)
-    others = [[m for m in range(problem.nu) if m != j and bends[m, j] and j in found] for j in range(problem.nu)]
-    partners = [next((m for m in sorted(of, key=lambda m: m not in found)), -1) for of in others]
-    return Saddles(found, tuple(float(v) for v in slopes.ravel()), tuple(partners))
+    others = [[m for m in range(nu) if m != j and bends[nx + m, nx + j] and j in controls] for j in range(nu)]
+    partners = [next((m for m in sorted(of, key=lambda m: m not in controls)), -1) for of in others]
+    drivers = np.any(driven[list(states)], axis=0)
+    return Saddles(controls, states, tuple(map(float, slopes.ravel())), tuple(partners), tuple(map(bool, drivers)))
+
+
+def _slopes(problem: Problem, f: Expression) -> Expression:
+    """df/d(x, u), without what a state does to itself."""
+    path = problem.path
+    J = ca.jacobian(f, ca.vertcat(path.x, path.u))
+    return ca.sparsify(J * (1 - ca.horzcat(ca.DM.eye(problem.nx), ca.DM.zeros(problem.nx, problem.nu))))
 
 
 def _bends(problem: Problem) -> Array:
-    """(nu, nu): 1 where the slope of the dynamics with respect to control j depends on control i."""
+    """(nx + nu, nx + nu): True where the slope of the dynamics with respect to variable j depends on variable i."""
     path = problem.path
-    J = ca.jacobian(problem.dynamics(path.x, path.u, path.p), path.u)
-    found = np.zeros((problem.nu, problem.nu), dtype=bool)
-    for j in range(problem.nu):
-        found[:, j] = ca.which_depends(J[:, j], path.u, 1)
+    z = ca.vertcat(path.x, path.u)
+    J = _slopes(problem, problem.dynamics(path.x, path.u, path.p))
+    found = np.zeros((z.numel(), z.numel()), dtype=bool)
+    for j in range(z.numel()):
+        found[:, j] = ca.which_depends(J[:, j], z, 1)
+    return found
+
+
+def _driven(problem: Problem) -> Array:
+    """(nx, nu): True where control j drives state i alone, as that of an actuator with a lag: its derivative is an
+    affine function of the control and itself; or where it is what the state remembers."""
+    path = problem.path
+    z, f = ca.vertcat(path.x, path.u), problem.dynamics(path.x, path.u, path.p)
+    found = np.array(ca.DM(ca.jacobian(f, path.u).sparsity(), 1), dtype=bool).reshape(problem.nx, problem.nu)
+    on_others = ca.DM(_slopes(problem, f)[:, : problem.nx].sparsity(), 1)
+    found[sorted(curved_rows(f, z))] = False
+    found[np.any(np.array(on_others, dtype=bool), axis=1)] = False
+    for control, place in problem.inner.places.items():
+        found[problem.measured + place, control] = True
     return found
 
 
 def _compare(problem: Problem, z: Array, bent: Array) -> tuple[Array, Array]:
-    """(nx, nu) the largest slopes of an interval at a typical state, and marks of the controls for which all of them
-    vanish somewhere."""
-    path = problem.path
+    """(nx, nx + nu) the largest slopes of an interval at a typical state, and marks of variables of which all vanish
+    somewhere."""
+    path, nz = problem.path, z.size
     f = problem.reduction(path)(problem.dynamics(path.x, path.u, path.p), 1)
-    at = ca.Function("slopes", [path.x, path.u, path.p], [ca.densify(ca.jacobian(f, path.u))])
+    at = ca.Function("slopes", [path.x, path.u, path.p], [ca.densify(_slopes(problem, f))])
     length = 1.0 if problem.discrete else min(problem.dt)
-    points = [[(x, u) for u in _values(problem, z, bent)] for x in _states(problem, z)]
+    points = [list(_values(problem, x, z, bent)) for x in _states(problem, z)]
     flat = [(x, u, problem.node_values(x, u)) for rows in points for x, u in rows]
     with np.errstate(all="ignore"):
         J = np.asarray(at.map(len(flat))(*(np.array(v).T for v in zip(*flat, strict=True))))
-        slopes = length * np.nan_to_num(np.abs(J), posinf=0.0).reshape(problem.nx, len(points), -1, problem.nu)
+        slopes = length * np.nan_to_num(np.abs(J), posinf=0.0).reshape(problem.nx, len(points), -1, nz)
     most = np.max(slopes, axis=2, keepdims=True)
     still = np.any(np.all(slopes <= IDLE * most, axis=0), axis=1) & np.any(most > 0.0, axis=(0, 2))
     return np.median(most[:, :, 0], axis=1), np.any(still, axis=0) & bent
@@ -162,20 +194,23 @@ def _states(problem: Problem, z: Array) -> Iterator[Array]:
         yield problem.x_initial + z[: problem.nx] * random.uniform(-0.5, 0.5, problem.nx)
 
 
-def _values(problem: Problem, z: Array, bent: Array) -> Iterator[Array]:
-    """Controls: one through its range, while the others are at their references, at 0, or anywhere."""
-    lower, upper = control_range(problem, z)
+def _values(problem: Problem, x: Array, z: Array, bent: Array) -> Iterator[tuple[Array, Array]]:
+    """(x, u): one variable through its range, while the other controls are at their references, at 0, or anywhere."""
+    nx, (lower, upper) = problem.nx, _control_range(problem, z)
     reference = np.clip(problem.reference_controls, lower, upper)
     random = np.random.default_rng(1)
     for others in (reference, np.clip(0.0, lower, upper), random.uniform(lower, upper)):
-        for j in np.flatnonzero(bent):
-            for value in (reference[j], np.clip(0.0, lower[j], upper[j]), *np.linspace(lower[j], upper[j], VALUES)):
-                u = others.copy()
-                u[j] = value
-                yield u
+        for i in np.flatnonzero(bent):
+            j = i - nx
+            low, high = (lower[j], upper[j]) if j >= 0 else (-z[i], z[i])
+            at = reference[j] if j >= 0 else problem.x_initial[i]
+            for value in (at, np.clip(0.0, low, high), *np.linspace(low, high, VALUES)):
+                point = np.concatenate([x, others])
+                point[i] = value
+                yield point[:nx], point[nx:]
 
 
-def control_range(problem: Problem, z: Array) -> tuple[Array, Array]:
+def _control_range(problem: Problem, z: Array) -> tuple[Array, Array]:
     """Bounds of the controls; where there are none, their scale about their reference."""
     size, at = z[problem.nx :], problem.reference_controls
     lower, upper = at - size, at + size

@@ -356,6 +356,8 @@ def _asked_for(problem: Problem, x: Array, u: Array) -> Marks:
         values = problem.node_values(x, control)
         slopes |= np.asarray(slope(x, control, values, problem.dt[0]), dtype=float).ravel() != 0
         depends |= np.array(ca.which_depends(terms, stage.x, 1, False), dtype=bool)
+    bounded = [row.index for row in problem.rows if row.kind == "state"]
+    depends[bounded] = True
     return slopes if np.any(slopes) else depends
 
 

@@ -91,7 +91,8 @@ class Model(ModelFunctions):
     @property
     def choices(self) -> tuple[str, ...]:
         """All choices with their reasons."""
-        idle = [self.problem.control_names[j] for j in self.saddles.controls]
+        problem, found = self.problem, self.saddles
+        idle = [problem.control_names[j] for j in found.controls] + [problem.state_names[i] for i in found.states]
         probes = (f"probes at saddles: the slope of {', '.join(idle)} vanishes somewhere",) if idle else ()
         return (*self.reasons, *probes, *(() if self.choice is None else self.choice.reasons))
 

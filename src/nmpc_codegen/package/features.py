@@ -81,6 +81,7 @@ class Features:
     nonlinear_model: bool = False  # a step leaves gaps
     proximal: bool = False  # samples limit steps of controls without curvature
     saddles: bool = False  # the slope of a control vanishes somewhere
+    idle_states: bool = False  # so does that of a state that controls drive
     idle_end: bool = False  # the last control influences nothing but its own terms
     end_equations: bool = False  # hard equations at the last node
     control_bounds: bool = False

@@ -4,37 +4,35 @@
  *
  *     l_k(x_k, u) + lam_{k+1}' Phi(x_k, u),
  *
- * and the plan goes as far towards them as lowers its cost. */
+ * and the plan goes as far towards them as lowers its cost. [if IDLE_STATES: Where a state that controls drive is idle, such
+ * as the speed of a propeller at rest, all nodes of these controls are pushed to one side.] */
 
 #if HAS_QP
-/* Returns 1 if control j of node k moves next to nothing, by the last linearisation. */
-static int is_idle(const solver_t *s, int k, int j)
+/* Returns 1 if component i of (x, u) at node k moves next to nothing else, by the last linearisation. */
+static int is_idle(const solver_t *s, int k, int i)
 {
-    if (!(FABS(s->step.du[k][j]) <= FACTOR_IDLE_STEP * z_scale[NX + j])) {
+    if (!(FABS((i < NX) ? s->step.dx[k][i] : s->step.du[k][i - NX]) <= FACTOR_IDLE_STEP * z_scale[i])) {
         return 0;
     }
-    for (int i = 0; i < NX; i++) {
-        if (FABS(s->node[k].S[i][NX + j]) > idle_slope[i * NU + j]) {
+    for (int l = 0; l < NX; l++) {
+        if (FABS(s->node[k].S[l][i]) > idle_slope[l * NZ + i]) {
             return 0;
         }
     }
     return 1;
 }
 #else
-/* Returns 1 if control j of node k moves next to nothing, by a small change of it. */
-static int is_idle(solver_t *s, int k, int j)
+/* Returns 1 if component i of (x, u) at node k moves next to nothing else, by a small change of it. */
+static int is_idle(solver_t *s, int k, int i)
 {
-    real_t here[NX], there[NX];
-    const real_t u = s->u[k][j], h = FACTOR_IDLE_CHANGE * z_scale[NX + j];
-    if (idle_slope[j] < R(0)) {
-        return 0;
-    }
+    real_t here[NX], there[NX], *z = (i < NX) ? &s->x[k][i] : &s->u[k][i - NX];
+    const real_t from = *z, h = FACTOR_IDLE_CHANGE * z_scale[i];
     interval_value(s, k, here);
-    s->u[k][j] = (u + h > control_upper(s, k, j)) ? u - h : u + h;
+    *z = (i >= NX && from + h > control_upper(s, k, i - NX)) ? from - h : from + h;
     interval_value(s, k, there);
-    s->u[k][j] = u;
-    for (int i = 0; i < NX; i++) {
-        if (FABS(there[i] - here[i]) > R(2) * h * idle_slope[i * NU + j]) {
+    *z = from;
+    for (int l = 0; l < NX; l++) {
+        if (FABS(there[l] - here[l]) > R(2) * h * idle_slope[l * NZ + i]) {
             return 0;
         }
     }
@@ -42,13 +40,14 @@ static int is_idle(solver_t *s, int k, int j)
 }
 #endif
 
-/* Returns 1 if the states that control j moves by a finite change are worth it, beyond rounding. */
-static int is_wanted(const real_t *lam, int j)
+/* Returns 1 if component i is idle somewhere and the states that a finite change of it moves are worth it, beyond
+ * rounding. */
+static int is_wanted(const real_t *lam, int i)
 {
     real_t worth = R(0);
-    for (int i = 0; i < NX; i++) {
-        if (idle_slope[i * NU + j] < INF) {
-            worth += FABS(lam[i]) * idle_slope[i * NU + j] * z_scale[NX + j];
+    for (int l = 0; l < NX && idle_slope[i] >= R(0); l++) {
+        if (idle_slope[l * NZ + i] < INF) {
+            worth += FABS(lam[l]) * idle_slope[l * NZ + i] * z_scale[i];
         }
     }
     return worth > TOL_ZERO * cost_size[0];
@@ -88,6 +87,29 @@ static void probe_along(solver_t *s, int k, const real_t *lam, const real_t *dir
     memcpy(s->u[k], best, sizeof best);
 }
 
+#if IDLE_STATES
+/* Returns 1 if the Hamiltonian of node k is less at another value of state i. */
+static int state_asks(solver_t *s, int k, int i, const real_t *lam)
+{
+    const real_t from = s->x[k][i], here = hamiltonian(s, k, lam);
+    int asks = 0;
+    for (int n = 0; n < 2 * PROBES; n++) {
+        s->x[k][i] = from + ((n % 2 == 0) ? probe_size[n / 2] : -probe_size[n / 2]) * z_scale[i];
+        asks |= hamiltonian(s, k, lam) < here - TOL_MERIT_ROUNDING * (FABS(here) + cost_size[0]);
+    }
+    s->x[k][i] = from;
+    return asks;
+}
+
+/* Notes whether an idle state of node k, to which plans lead, asks for another value. */
+static void ask_states(solver_t *s, int k, const real_t *lam)
+{
+    for (int i = 0; i < NX && k > 0 && !s->saddle.asked; i++) {
+        s->saddle.asked = is_wanted(lam, i) && is_idle(s, k, i) && state_asks(s, k, i, lam);
+    }
+}
+#endif
+
 /* Moves the idle controls of node k that the cost wants to be moved[if PARTNERS:, alone and together with those that they
  * are multiplied by]. */
 static void probe_node(solver_t *s, int k, const real_t *lam)
@@ -95,7 +117,7 @@ static void probe_node(solver_t *s, int k, const real_t *lam)
     int idle[NU];
     real_t direction[NU] = {R(0)};
     for (int j = 0; j < NU; j++) {
-        idle[j] = is_wanted(lam, j) && is_idle(s, k, j);
+        idle[j] = is_wanted(lam, NX + j) && is_idle(s, k, NX + j);
     }
     for (int j = 0; j < NU; j++) {
         if (!idle[j]) {
@@ -114,15 +136,18 @@ static void probe_node(solver_t *s, int k, const real_t *lam)
         }
         direction[j] = R(0);
     }
+#if IDLE_STATES
+    ask_states(s, k, lam);
+#endif
 }
 
 #if HAS_QP
-/* Returns 1 if there are idle controls that the cost wants to be moved. */
+/* Returns 1 if there are idle controls[if IDLE_STATES: or states] that the cost wants to be moved. */
 static int may_be_at_saddle(const solver_t *s)
 {
     for (int k = 0; k < N; k++) {
-        for (int j = 0; j < NU; j++) {
-            if (is_wanted(s->lam[k + 1], j) && is_idle(s, k, j)) {
+        for (int i = (IDLE_STATES ? 0 : NX); i < NZ; i++) {
+            if (is_wanted(s->lam[k + 1], i) && is_idle(s, k, i)) {
                 return 1;
             }
         }
@@ -135,6 +160,9 @@ static int may_be_at_saddle(const solver_t *s)
 /* Moves the idle controls of all nodes. */
 static void probe_plan(solver_t *s)
 {
+#if IDLE_STATES
+    s->saddle.asked = 0;
+#endif
     for (int k = 0; k < N; k++) {
         probe_node(s, k, s->lam[k + 1]);
     }
@@ -144,6 +172,9 @@ static void probe_plan(solver_t *s)
 static void probe_plan(solver_t *s)
 {
     real_t lam[NX], next[NX], g[NZ], own[NZ];
+#if IDLE_STATES
+    s->saddle.asked = 0;
+#endif
     start_adjoint(s, ESTIMATE, lam);
     for (int k = N - 1; k >= 0; k--) {
         memcpy(next, lam, sizeof next);
@@ -265,6 +296,46 @@ static int take_probe(solver_t *s)
     return better;
 }
 
+/* Returns 1 if a control differs from that before the probe. */
+static int has_moved(const solver_t *s)
+{
+    int moved = 0;
+    for (int k = 0; k < N; k++) {
+        for (int j = 0; j < NU; j++) {
+            moved |= s->u[k][j] != s->saddle.u[k][j]; /* exactly: the probe has found another value */
+        }
+    }
+    return moved;
+}
+
+#if IDLE_STATES
+/* Pushes, from the plan before the probe, a control that drives idle states, or all of them (NU), at all nodes. */
+static void push_control(solver_t *s, int pushed, real_t size)
+{
+    for (int k = 0; k < N; k++) {
+        for (int j = 0; j < NU; j++) {
+            const real_t part = (drives_idle[j] && (j == pushed || pushed == NU)) ? size : R(0);
+            s->u[k][j] = s->saddle.u[k][j] + part * z_scale[NX + j];
+            s->u[k][j] = safe_value(s, k, j);
+        }
+    }
+}
+
+/* Takes the first push that leads to a better plan: of one control, or of all, to either side. */
+static int take_push(solver_t *s)
+{
+    for (int pushed = NU; pushed >= 0; pushed--) {
+        for (int side = -1; side <= 1; side += 2) {
+            push_control(s, pushed, R(side));
+            if (has_moved(s) && take_probe(s)) {
+                return 1;
+            }
+        }
+    }
+    return 0;
+}
+#endif
+
 /* Leaves a saddle. Returns 1 if the plan has moved. */
 static int leave_saddle(solver_t *s)
 {
@@ -286,7 +357,11 @@ static int leave_saddle(solver_t *s)
     q->violation = hard_violation(s);
 #endif
     probe_plan(s);
-    if (!take_probe(s)) {
+    int left = has_moved(s) && take_probe(s);
+#if IDLE_STATES
+    left = left || (q->asked && take_push(s));
+#endif
+    if (!left) {
         memcpy(s->x, q->x, sizeof q->x);
         memcpy(s->u, q->u, sizeof q->u);
         return 0;

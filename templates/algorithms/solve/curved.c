@@ -344,14 +344,15 @@ static real_t smallest_shift(solver_t *s)
     return high;
 }
 
-/* Idle controls, whose column of B is next to none, have the curvature of their own entry alone: it is made positive. */
+/* Idle controls[if IDLE_STATES: and states], whose columns of [A B] are next to none, have the curvature of their own entry
+ * alone: it is made positive. */
 static void mirror_idle(solver_t *s)
 {
     curved_t *c = &s->curved;
     for (int k = 0; k < N; k++) {
-        for (int j = 0; j < NU; j++) {
-            if (c->Q[k][NX + j][NX + j] < R(0) && is_idle(s, k, j)) {
-                c->Q[k][NX + j][NX + j] *= -R(1);
+        for (int i = (IDLE_STATES ? 0 : NX); i < NZ; i++) {
+            if (c->Q[k][i][i] < R(0) && idle_slope[i] >= R(0) && is_idle(s, k, i)) {
+                c->Q[k][i][i] *= -R(1);
             }
         }
     }

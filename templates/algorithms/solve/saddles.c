@@ -1,6 +1,6 @@
-/* A search at saddles. Where a probe of the idle controls alone leads to no better plan, as the others would have to
- * follow, solve() departs: idle controls move, states stay, and the search goes on. What it finds is compared with the
- * plan at the saddle. */
+/* A search at saddles.[if SOLVE: Where a probe of the idle controls alone leads to no better plan, as the others would have
+ * to follow, solve() departs: idle controls move, states stay, and the search goes on. What it finds is compared with the
+ * plan at the saddle.] */
 
 #if SOLVE
 /* Keeps the plan at the saddle, with its multipliers. */
@@ -29,13 +29,17 @@ static void return_to_saddle(solver_t *s)
 static int depart(solver_t *s, real_t part)
 {
     saddle_t *q = &s->saddle;
-    int moved = 0;
     keep_saddle(s);
     probe_plan(s);
+#if IDLE_STATES
+    if (!has_moved(s) && q->asked) {
+        push_control(s, NU, (s->sqp.departures == 0) ? R(1) : -R(1));
+    }
+#endif
+    const int moved = has_moved(s);
     for (int k = 0; k < N; k++) {
         for (int j = 0; j < NU; j++) {
             const real_t from = q->u[k][j];
-            moved |= s->u[k][j] != from; /* exactly: the probe has found another value */
             s->u[k][j] = from + part * (s->u[k][j] - from);
             s->u[k][j] = safe_value(s, k, j);
         }

@@ -84,7 +84,8 @@ def tables(model: Model, routines: Sequence[Routine]) -> tuple[Table, ...]:
 def _saddle_tables(saddles: Saddles) -> tuple[Table, ...]:
     slopes, partners = tuple(round_scales(saddles.slopes)), saddles.partners
     return (
-        Table("idle_slope", "real", slopes, "|dx_i / du_j| with which control j is idle; < 0: never"),
+        Table("idle_slope", "real", slopes, "|d Phi_l / d z_i| with which z_i is idle; < 0: never"),
+        Table("drives_idle", "int", tuple(map(int, saddles.drivers)), "1: control that drives an idle state"),
         Table("idle_partner", "int", partners, "control with which control j acts by a product, or -1"),
         Table("probe_size", "real", PROBE_SIZES, "moves of an idle control that are tried, in its scale"),
     )
