@@ -50,6 +50,7 @@ from verification.algebraic import neutralisation
 from verification.estimation import PLANTS
 from verification.problems import tiny
 from verification.routes import PURE
+from verification.saddles import delayed, rated_heater, rated_heater_at_the_end, rated_heater_in_steps
 from verification.timed import Sample
 from verification.tuned import blocked_crane, dead_time, graded_tank, slewed_crane, timed_vessel
 
@@ -108,33 +109,6 @@ def circle() -> OCP:
     ocp.dynamics({x: u - 0.3 * x})
     ocp.least_squares(ca.vertcat(x - ca.DM([3, 0]), u), weight=[1, 1, 0.01, 0.01])
     ocp.subject_to(-np.inf, ca.sumsqr(u), 1, name="circle")
-    return ocp
-
-
-def heater(hard: bool = False) -> OCP:
-    """The slope of V^2 vanishes at 0; its first value is a parameter; its changes cost, and may have a limit."""
-    ocp = OCP("heater", T=2.0, N=4)
-    T, V, rated = ocp.state("T"), ocp.control("V"), ocp.parameter("rated")
-    ocp.dynamics({T: V**2 - T})
-    ocp.least_squares(ca.vertcat(T, V - rated, V - ocp.previous(V)), weight=[1, 0.1, 0.1])
-    ocp.subject_to(-1, V, 1)
-    if hard:
-        ocp.subject_to(-0.2, V - ocp.previous(V), 0.2)
-    return ocp
-
-
-def heater_in_steps() -> OCP:
-    """The same with a limit."""
-    return heater(hard=True)
-
-
-def heater_at_the_end() -> OCP:
-    """The same, where the end alone counts."""
-    ocp = OCP("heater", T=2.0, N=4)
-    T, V = ocp.state("T"), ocp.control("V")
-    ocp.dynamics({T: V**2 - T})
-    ocp.terminal_least_squares(T, weight=1)
-    ocp.subject_to(-1, V, 1)
     return ocp
 
 
@@ -508,10 +482,12 @@ SAMPLES = (
     ),
     Sample("path dense", path, _dense(hessian=GaussNewton(convex_rows=True), integrator=LOOPED)),
     Sample("path riccati", path, _riccati(hessian=GaussNewton(convex_rows=True), online=NODE)),
-    Sample("heater", heater),
-    Sample("heater without solve", heater, Options(solve=False)),
-    Sample("heater augmented", heater_in_steps, _augmented()),
-    Sample("heater shooting", heater_at_the_end, _shooting()),
+    Sample("heater", rated_heater),
+    Sample("heater without solve", rated_heater, Options(solve=False)),
+    Sample("heater augmented", rated_heater_in_steps, _augmented()),
+    Sample("heater shooting", rated_heater_at_the_end, _shooting()),
+    Sample("delayed", delayed),
+    Sample("delayed shooting", delayed, _shooting()),
     Sample("flat", flat),
     Sample("flat in levels", flat, Options(algorithm=RealTimeIteration(levels=True))),
     Sample("circle dense", circle, _dense(algorithm=LEVELS)),

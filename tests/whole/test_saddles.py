@@ -25,86 +25,12 @@ from nmpc_codegen.frontend.controls import IDLE, Saddles, find_saddles
 from nmpc_codegen.frontend.scales import scales
 from nmpc_codegen.oracle.reference import solve_reference
 from nmpc_codegen.runtime.controller import Controller
+from verification.saddles import delayed, drone, heater, lagging, motor, vehicle, warm
 
 #: Laws of real thrusters are n |n|.
 pytestmark = pytest.mark.filterwarnings("ignore:dynamics of 'v' contain fabs")
 
 DT = 0.2
-
-
-def heater(name: str = "heater") -> OCP:
-    """A power that is the square of a voltage."""
-    ocp = OCP(name, T=600, N=20)
-    T, V = ocp.state("T", initial=20.0), ocp.control("V")
-    ocp.dynamics({T: -(T - 20) / 300 + 2e-5 * V**2})
-    ocp.least_squares(T, weight=1.0, names=["to_T"])
-    ocp.least_squares(V, weight=1e-4)
-    ocp.subject_to(0, V, 230)
-    return ocp
-
-
-def vehicle() -> OCP:
-    """A thrust n |n| against drag."""
-    ocp = OCP("vehicle", T=4, N=20)
-    p, v, n = ocp.state("p"), ocp.state("v"), ocp.control("n")
-    ocp.dynamics({p: v, v: 0.002 * n * ca.fabs(n) - 0.3 * v * ca.fabs(v)})
-    ocp.least_squares(ca.vertcat(p, v), weight=[1, 0.1], names=["to_p", "to_v"])
-    ocp.least_squares(n, weight=1e-5)
-    ocp.subject_to(-50, n, 50)
-    return ocp
-
-
-def lagging() -> OCP:
-    """The same thrust of a speed that follows its command with a lag."""
-    ocp = OCP("lagging", T=4, N=20)
-    p, v, n, command = ocp.state("p"), ocp.state("v"), ocp.state("n"), ocp.control("command")
-    ocp.dynamics({p: v, v: 0.002 * n * ca.fabs(n) - 0.3 * v * ca.fabs(v), n: (command - n) / 0.3})
-    ocp.least_squares(ca.vertcat(p, v), weight=[1, 0.1], names=["to_p", "to_v"])
-    ocp.least_squares(command, weight=1e-5)
-    ocp.terminal_least_squares(p, weight=20, names=["end_p"])
-    ocp.subject_to(-50, command, 50)
-    return ocp
-
-
-def delayed() -> OCP:
-    """The heater, whose voltage acts a sample later."""
-    ocp = OCP("delayed", T=600, N=20)
-    T, V = ocp.state("T", initial=20.0), ocp.control("V")
-    ocp.dynamics({T: -(T - 20) / 300 + 2e-5 * ocp.previous(V) ** 2})
-    ocp.least_squares(T, weight=1.0, names=["to_T"])
-    ocp.least_squares(V, weight=1e-4)
-    ocp.subject_to(0, V, 230)
-    return ocp
-
-
-def motor() -> OCP:
-    """A torque that is the product of two currents, both 0 at rest."""
-    ocp = OCP("motor", T=4, N=20)
-    w, a, b = ocp.state("w"), ocp.control("a"), ocp.control("b")
-    ocp.dynamics({w: 2 * a * b - 0.3 * w})
-    ocp.least_squares(w, weight=1, names=["to_w"])
-    ocp.least_squares(ca.vertcat(a, b), weight=1e-2)
-    ocp.subject_to(-1, a, 1)
-    ocp.subject_to(-1, b, 1)
-    return ocp
-
-
-def drone() -> OCP:
-    """Two rotors lift with the squares of their speeds; without the other one, each turns the drone over."""
-    ocp = OCP("drone", T=1.5, N=20)
-    x, z, angle, vx, vz, w = (ocp.state(name) for name in ("x", "z", "angle", "vx", "vz", "w"))
-    n, m = ocp.control("n"), ocp.control("m")
-    left, right = 6e-6 * n**2, 6e-6 * m**2
-    lift = left + right
-    ocp.dynamics({x: vx, z: vz, angle: w, vx: -lift * ca.sin(angle), vz: lift * ca.cos(angle) - 9.81})
-    ocp.dynamics({w: 10 * (left - right)})
-    names = [f"to_{name}" for name in ("x", "z", "angle", "vx", "vz", "w")]
-    ocp.least_squares(ca.vertcat(x, z, angle, vx, vz, w), weight=[2, 2, 0.5, 0.2, 0.2, 0.05], names=names)
-    ocp.least_squares(ca.vertcat(n, m), weight=1e-7)
-    ocp.terminal_least_squares(ca.vertcat(x, z), weight=20, names=["end_x", "end_z"])
-    ocp.subject_to(0, n, 1500)
-    ocp.subject_to(0, m, 1500)
-    return ocp
 
 
 OPTIONS = {
@@ -242,20 +168,10 @@ def test_one_iteration_says_that_its_plan_has_left_a_saddle() -> None:
 
 def test_hard_rows_call_for_idle_controls_too() -> None:
     """The cost wants the heater off, the row T >= 30 does not: the first QP is infeasible, as no voltage heats."""
-    c = build(_warm(), profile="test")
+    c = build(warm(), profile="test")
     x, _ = fly(c, np.array([25.0]), 30)
     assert x[0] >= 30 - 0.1
     assert c.status is Status.OK
-
-
-def _warm() -> OCP:
-    ocp = OCP("warm", T=600, N=20)
-    T, V = ocp.state("T", initial=25.0), ocp.control("V")
-    ocp.dynamics({T: -(T - 20) / 300 + 2e-5 * V**2})
-    ocp.least_squares(V, weight=1e-4)
-    ocp.subject_to(0, V, 230)
-    ocp.subject_to(30, T, 100, name="warm")
-    return ocp
 
 
 def test_batches_leave_saddles_as_single_controllers_do(compiler: None) -> None:
