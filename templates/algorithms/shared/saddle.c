@@ -142,7 +142,7 @@ static void probe_node(solver_t *s, int k, const real_t *lam)
 }
 
 #if HAS_QP
-/* Returns 1 if there are idle controls[if IDLE_STATES: or states] that the cost wants to be moved. */
+/* Returns 1 if there are idle controls [if IDLE_STATES: or states] that the cost wants to be moved. */
 static int may_be_at_saddle(const solver_t *s)
 {
     for (int k = 0; k < N; k++) {

@@ -344,7 +344,7 @@ static real_t smallest_shift(solver_t *s)
     return high;
 }
 
-/* Idle controls[if IDLE_STATES: and states], whose columns of [A B] are next to none, have the curvature of their own entry
+/* Idle controls [if IDLE_STATES: and states], whose columns of [A B] are next to none, have the curvature of their own entry
  * alone: it is made positive. */
 static void mirror_idle(solver_t *s)
 {

@@ -1,4 +1,4 @@
-/* A search at saddles.[if SOLVE: Where a probe of the idle controls alone leads to no better plan, as the others would have
+/* A search at saddles. [if SOLVE: Where a probe of the idle controls alone leads to no better plan, as the others would have
  * to follow, solve() departs: idle controls move, states stay, and the search goes on. What it finds is compared with the
  * plan at the saddle.] */
 
