@@ -7,15 +7,20 @@ import casadi as ca
 from nmpc_codegen import OCP
 
 
-def heater() -> OCP:
-    """A power that is the square of a voltage."""
-    ocp = OCP("heater", T=600, N=20)
+def heater(delay: bool = False) -> OCP:
+    """A power that is the square of a voltage, which may act a sample later."""
+    ocp = OCP("delayed" if delay else "heater", T=600, N=20)
     T, V = ocp.state("T", initial=20.0), ocp.control("V")
-    ocp.dynamics({T: -(T - 20) / 300 + 2e-5 * V**2})
+    ocp.dynamics({T: -(T - 20) / 300 + 2e-5 * (ocp.previous(V) if delay else V) ** 2})
     ocp.least_squares(T, weight=1.0, names=["to_T"])
     ocp.least_squares(V, weight=1e-4)
     ocp.subject_to(0, V, 230)
     return ocp
+
+
+def delayed() -> OCP:
+    """The heater, whose voltage acts a sample later."""
+    return heater(delay=True)
 
 
 def vehicle() -> OCP:
@@ -38,17 +43,6 @@ def lagging() -> OCP:
     ocp.least_squares(command, weight=1e-5)
     ocp.terminal_least_squares(p, weight=20, names=["end_p"])
     ocp.subject_to(-50, command, 50)
-    return ocp
-
-
-def delayed() -> OCP:
-    """The heater, whose voltage acts a sample later."""
-    ocp = OCP("delayed", T=600, N=20)
-    T, V = ocp.state("T", initial=20.0), ocp.control("V")
-    ocp.dynamics({T: -(T - 20) / 300 + 2e-5 * ocp.previous(V) ** 2})
-    ocp.least_squares(T, weight=1.0, names=["to_T"])
-    ocp.least_squares(V, weight=1e-4)
-    ocp.subject_to(0, V, 230)
     return ocp
 
 

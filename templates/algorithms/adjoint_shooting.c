@@ -103,9 +103,7 @@ static void algorithm_reset(solver_t *s)
     reset_watch(s);
     memset(&s->stats, 0, sizeof s->stats);
     s->samples = 0;
-    if (SOLVE && SHIFT) {
-        s->solved = 0;
-    }
+    s->solved = 0;
     s->status = (int32_t)OK;
     if (INNER) {
         reset_inner(s);

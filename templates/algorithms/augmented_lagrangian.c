@@ -24,9 +24,7 @@ static void algorithm_reset(solver_t *s)
     forget_plan(s);
     s->prepared = 0;
     s->samples = 0;
-    if (SOLVE && SHIFT) {
-        s->solved = 0;
-    }
+    s->solved = 0;
     reset_watch(s);
     s->status = (int32_t)OK;
     reset_search(s);

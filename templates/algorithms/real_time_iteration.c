@@ -23,9 +23,7 @@ static void algorithm_reset(solver_t *s)
     forget_plan(s);
     s->prepared = 0;
     s->samples = 0;
-    if (SOLVE && SHIFT) {
-        s->solved = 0;
-    }
+    s->solved = 0;
     reset_watch(s);
     s->status = (int32_t)OK;
     s->relaxation = INF;
@@ -112,7 +110,7 @@ static status_t judge(solver_t *s, status_t status)
     if (EXACT_QP && !LEVELS && status == OK) { /* whose solution has no gaps */
         s->stats.residual = R(0);
     }
-    if (SADDLES && !ITERATES) { /* nothing else is known of a plan after a probe */
+    if (SADDLES && !ITERATES && (status == OK || status == RELAXED)) { /* nothing else is known of a plan after a probe */
         enlarge(&s->stats.residual, s->saddle.saved);
     }
     status = judge_residual(status, s->stats.residual);

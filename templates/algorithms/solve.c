@@ -100,36 +100,30 @@ static int starts_at_measured(const solver_t *s)
     return 1;
 }
 
-/* What becomes of the plan of an iteration: it is no solution yet; it is one; it was at a saddle and is another one. */
-enum { GOES_ON, IS_SOLVED, HAS_LEFT };
-
 #if SADDLES
 #include "algorithms/solve/saddles.c"
 #endif
-
-static int judge_iterate(solver_t *s, real_t tol)
-{
-    const int solved = kkt_is_within(s, tol) && starts_at_measured(s);
-    if (SADDLES) {
-        return look_for_saddle(s, solved);
-    }
-    return solved ? IS_SOLVED : GOES_ON;
-}
 
 /* Iterations until stats.sqp_iterations = last. */
 static status_t iterate(solver_t *s, real_t tol, int last)
 {
     for (;; s->stats.sqp_iterations++) { /* [if ITERATES: at most SAMPLE_ITERATIONS passes in iterations_after_feedback] */
         evaluate_iterate(s);
-        const int found = judge_iterate(s, tol);
+#if SADDLES
+        const int found = look_for_saddle(s, kkt_is_within(s, tol) && starts_at_measured(s));
         if (found == IS_SOLVED) {
             return OK;
         }
+        if (found == HAS_LEFT && s->stats.sqp_iterations < last) {
+            continue;
+        }
+#else
+        if (kkt_is_within(s, tol) && starts_at_measured(s)) {
+            return OK;
+        }
+#endif
         if (s->stats.sqp_iterations >= last) {
             return ITERATION_LIMIT;
-        }
-        if (found == HAS_LEFT) {
-            continue;
         }
         status_t status = sqp_iteration(s);
         status = take_exact_hessian(s, status);
@@ -191,14 +185,12 @@ status_t API(solve)(solver_t *s, const real_t xhat[NXHAT], real_t tol, int max_i
     s->curved.in_solve = 0;
     s->sqp.resumes = 0;
     s->trial.elastic = 0;
-    if (SHIFT) {
-        s->solved = 1;
-    }
+    s->solved = 1;
     if (HARD_ROWS && status == INFEASIBLE) {
         name_violation(s);
     }
     if (PULLED_ROWS && status != OK) {
-        pull_back(s);
+        pull_plan_back(s);
     }
     return finish(s, status);
 }

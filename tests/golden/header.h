@@ -54,4 +54,4 @@ const char *golden_status_string(golden_status_t status);
 #endif
 
 #endif
-/* nmpc_codegen package c47da8f86f533072, sha256 731d6b8861b3194096ca42b667f0f38134dc79872d452f91736ba791424c1a1f */
+/* nmpc_codegen package 4fdec9029f237b72, sha256 9ff4b0aed6b7a1dc59f393805f1aeea32df2e7e70174867a3e77ea6c371aeb43 */

@@ -22,6 +22,7 @@ from nmpc_codegen import (
 )
 from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.frontend.controls import IDLE, Saddles, find_saddles
+from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.frontend.scales import scales
 from nmpc_codegen.oracle.reference import solve_reference
 from nmpc_codegen.runtime.controller import Controller
@@ -133,9 +134,9 @@ def test_solve_finds_what_ipopt_finds_from_elsewhere(make: Callable[[], OCP]) ->
     assert found.cost <= optimum.cost * (1 + 1e-3)
 
 
-def problem_range(problem: object) -> float:
+def problem_range(problem: Problem) -> float:
     """The largest upper bound of a control."""
-    return max(row.upper for row in problem.rows if row.kind == "control")  # type: ignore[attr-defined]
+    return max(row.upper for row in problem.rows if row.kind == "control")
 
 
 @pytest.mark.parametrize("options", OPTIONS)

@@ -172,18 +172,20 @@ def _driven(problem: Problem) -> Array:
 def _compare(problem: Problem, z: Array, bent: Array) -> tuple[Array, Array]:
     """(nx, nx + nu) the largest slopes of an interval at a typical state, and marks of variables of which all vanish
     somewhere."""
-    path, nz = problem.path, z.size
+    path, columns = problem.path, np.flatnonzero(bent)
     f = problem.reduction(path)(problem.dynamics(path.x, path.u, path.p), 1)
-    at = ca.Function("slopes", [path.x, path.u, path.p], [ca.densify(_slopes(problem, f))])
+    at = ca.Function("slopes", [path.x, path.u, path.p], [ca.densify(_slopes(problem, f)[:, columns.tolist()])])
     length = 1.0 if problem.discrete else min(problem.dt)
     points = [list(_values(problem, x, z, bent)) for x in _states(problem, z)]
     flat = [(x, u, problem.node_values(x, u)) for rows in points for x, u in rows]
     with np.errstate(all="ignore"):
-        J = np.asarray(at.map(len(flat))(*(np.array(v).T for v in zip(*flat, strict=True))))
-        slopes = length * np.nan_to_num(np.abs(J), posinf=0.0).reshape(problem.nx, len(points), -1, nz)
+        found = np.asarray(at.map(len(flat))(*(np.array(v).T for v in zip(*flat, strict=True))))
+        slopes = length * np.nan_to_num(np.abs(found), posinf=0.0).reshape(problem.nx, len(points), -1, columns.size)
     most = np.max(slopes, axis=2, keepdims=True)
     still = np.any(np.all(slopes <= IDLE * most, axis=0), axis=1) & np.any(most > 0.0, axis=(0, 2))
-    return np.median(most[:, :, 0], axis=1), np.any(still, axis=0) & bent
+    largest, vanishes = np.zeros((problem.nx, z.size)), np.zeros(z.size, dtype=bool)
+    largest[:, columns], vanishes[columns] = np.median(most[:, :, 0], axis=1), np.any(still, axis=0)
+    return largest, vanishes
 
 
 def _states(problem: Problem, z: Array) -> Iterator[Array]:

@@ -301,8 +301,9 @@ def _without_influence(problem: Problem, x: Array, u: Array, saddles: Saddles) -
     if problem.inner.idle:
         return
     at_plan, moves = _movable(problem, x, u)
-    probed = any(_is_probed(problem, x, u, j, saddles) for j in saddles.controls)
-    for j in (j for j in np.flatnonzero(~moves) if not (probed and j in saddles.controls)):
+    still = np.flatnonzero(~moves)
+    probed = still.size > 0 and any(_is_probed(problem, x, u, j, saddles) for j in saddles.controls)
+    for j in (j for j in still if not (probed and j in saddles.controls)):
         yield (
             f"control '{problem.control_names[j]}' is {u[j]:g} at the first plan, where its first derivatives in "
             "dynamics, cost and rows vanish: no iteration moves it. Start where a state or parameter that scales it is "

@@ -69,8 +69,6 @@ status_t API(shift)(solver_t *s)
         return NOT_INITIALIZED;
     }
     shift_plan(s);
-    if (SOLVE && SHIFT) {
-        s->solved = 0;
-    }
+    s->solved = 0;
     return OK;
 }

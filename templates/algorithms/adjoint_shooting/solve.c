@@ -114,11 +114,9 @@ status_t API(solve)(solver_t *s, const real_t xhat[NXHAT], real_t tol, int max_i
     }
     place_terms(s, status == OK);
     if (PULLED_ROWS && status != OK) {
-        pull_back(s);
+        pull_plan_back(s);
     }
     s->shooting.pairs = 0; /* of other terms and penalties */
-    if (SHIFT) {
-        s->solved = 1;
-    }
+    s->solved = 1;
     return finish(s, keep_finite(s, status));
 }

@@ -121,10 +121,8 @@ status_t API(solve)(solver_t *s, const real_t xhat[NXHAT], real_t tol, int max_i
     couple_start(s, R(1));
     s->stats.violation = violation_of(s);
     if (PULLED_ROWS && status != OK) {
-        pull_back(s);
+        pull_plan_back(s);
     }
-    if (SHIFT) {
-        s->solved = 1;
-    }
+    s->solved = 1;
     return finish(s, status);
 }

@@ -29,9 +29,6 @@ static int most_broken_row(const solver_t *s, real_t *h, real_t (*J)[NZ], real_t
 static void pull_back(solver_t *s)
 {
     real_t h[NH] = {R(0)}, J[NH][NZ] = {{R(0)}}, before[NU], excess = R(0), relative = R(0), first = R(0);
-    if (INNER) {
-        take_inner(s, s->x[0]);
-    }
     memcpy(before, s->u[0], sizeof before);
     for (int pass = 0; pass <= PULLS; pass++) {
         const int m = most_broken_row(s, h, J, &excess, &relative);
@@ -60,13 +57,28 @@ static void pull_back(solver_t *s)
     }
 }
 
-/* Moves a control that is returned in place of that of the plan back onto these rows; the plan stays as it is. */
+/* Moves a control that is returned in place of that of the plan back onto these rows; the plan stays as it is[if PREVIOUS:,
+ * with the controls before as they were when it was linearised]. */
 static void pull_control_back(solver_t *s, real_t *u0)
 {
-    real_t kept[NU];
+    real_t kept[NU], start[NX];
     memcpy(kept, s->u[0], sizeof kept);
+    memcpy(start, s->x[0], sizeof start);
     memcpy(s->u[0], u0, sizeof s->u[0]);
+    if (INNER) {
+        take_inner(s, s->x[0]);
+    }
     pull_back(s);
     memcpy(u0, s->u[0], sizeof s->u[0]);
     memcpy(s->u[0], kept, sizeof kept);
+    memcpy(s->x[0], start, sizeof start);
+}
+
+/* The same for the first control of a plan that solve() has not brought to a solution. */
+static void pull_plan_back(solver_t *s)
+{
+    real_t u0[NU];
+    memcpy(u0, s->u[0], sizeof u0);
+    pull_control_back(s, u0);
+    memcpy(s->u[0], u0, sizeof u0);
 }

@@ -17,8 +17,6 @@ status_t API(shift)(solver_t *s)
     }
     shift_plan(s);
     s->prepared = 0;
-    if (SOLVE && SHIFT) {
-        s->solved = 0;
-    }
+    s->solved = 0;
     return OK;
 }

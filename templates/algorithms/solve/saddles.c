@@ -86,6 +86,9 @@ static int departs(solver_t *s)
 }
 #endif
 
+/* What becomes of the plan of an iteration: it is no solution yet; it is one; it was at a saddle and is another one. */
+enum { GOES_ON, IS_SOLVED, HAS_LEFT };
+
 static int look_for_saddle(solver_t *s, int solved)
 {
 #if SOLVE
