@@ -185,19 +185,21 @@ class Model:
 
     def __init__(self, plant: Plant) -> None:
         ocp, statement = plant.make()
-        inputs = [ocp.x, ocp.u]
-        f = ca.vertcat(*(ocp.derivatives[i] for i in range(ocp.x.numel())))
+        unknown = [d for d in ocp.parameters if d.signal.name in statement.get("process_std", {})]
+        x = ca.vertcat(ocp.x, *(d.symbol for d in unknown))
+        inputs = [x, ocp.u]
+        f = ca.vertcat(*(ocp.derivatives.get(i, 0) for i in range(x.numel())))
         self._f = ca.Function("f", inputs, [ca.densify(f)])
         self._h = ca.Function("h", inputs, [ca.vertcat(*statement["measure"].values())])
         self.noise = np.concatenate([np.atleast_1d(std) for std in statement["noise_std"].values()])
         if self.noise.size < self._h.size1_out(0):
             self.noise = np.full(self._h.size1_out(0), self.noise[0])
-        self.of_state, self.of_input = np.zeros(ocp.x.numel()), np.zeros(ocp.u.numel())
+        self.of_state, self.of_input = np.zeros(x.numel()), np.zeros(ocp.u.numel())
+        moved = [e for d in (*ocp.states, *unknown) for e in d.signal.elements]
+        acting = [e for d in ocp.controls for e in d.signal.elements]
         for of, word in ((self.of_state, "process_std"), (self.of_input, "input_std")):
             for key, std in statement.get(word, {}).items():
-                element = ocp.element(key)
-                assert element is not None
-                of[element.index] = std
+                of[(acting if word == "input_std" else moved).index(str(key))] = std
         self.dt = 1.0 if ocp.dt is None else ocp.dt[0]
 
     def measure(self, x: Array, before: Array) -> Array:
@@ -278,6 +280,14 @@ class Linear:
             x, P = x + gain @ (values[there] - H @ x), (np.eye(len(x)) - gain @ H) @ P
             found.append((x, P))
         return found
+
+    def run(self, x: Array, u: Array, rng: np.random.Generator) -> Array:
+        """Measurements (n, ny) of a run that begins at x, with the noise of the model."""
+        found = []
+        for control in u:
+            found.append(self.H @ x + rng.multivariate_normal(np.zeros(len(self.R)), self.R))
+            x = self.A @ x + self.B @ control + rng.multivariate_normal(np.zeros(len(self.Q)), self.Q)
+        return np.array(found)
 
 
 # -- with controllers -------------------------------------------------------------------------------------------------

@@ -49,9 +49,9 @@ def _distance(N: int, seed: int) -> float:
         ocp.dynamics({x: ca.DM(A) @ x + ca.DM(B) @ u}, discrete=True)
         stated = {"measure": {"y": ca.DM(H) @ x}, "noise_std": {"y": noise}, "process_std": {x: process}}
         observer = build(ocp.estimator(N=N, **stated, initial_std={x: initial}), profile="test")
-        y, controls = rng.normal(size=(100, 2)), rng.normal(size=(100, 1))
+        controls, model = rng.normal(size=(100, 1)), Linear(A, B, H, np.diag(process**2), np.diag(noise**2))
+        y = model.run(initial * rng.normal(size=4), controls, rng)
         y[rng.uniform(size=y.shape) < MISSING] = np.nan
-        model = Linear(A, B, H, np.diag(process**2), np.diag(noise**2))
         reference = model.filter(np.zeros(4), np.diag(initial**2), y, controls)
         for k, (expected, P) in enumerate(reference):
             found = observer.step(y[k], controls[k - 1] if k else None)

@@ -1,11 +1,15 @@
 /* Component "algorithm". Contract: algorithm_reset, API(estimate), _covariance, _restart.
  * Here: the extended Kalman filter, linearised at its own estimates. */
 
+#include "algorithms/shared/enlarge.c"
+
 #include "algorithms/shared/finish.c"
 
 #include "algorithms/estimation/filter.c"
 
 #include "algorithms/estimation/data.c"
+
+#include "algorithms/estimation/innovation.c"
 
 /* Begins with the state that the filter has. */
 static void begin_filter(solver_t *s)
@@ -14,6 +18,8 @@ static void begin_filter(solver_t *s)
     memcpy(s->known, s->filter.mean, sizeof s->known);
     s->status = (int32_t)OK;
     memset(s->u, 0, sizeof s->u);
+    memset(&s->watch, 0, sizeof s->watch);
+    forget_innovations(s);
     forget_measurements(s, 0);
     forget_controls(s, 0);
 }
@@ -23,15 +29,6 @@ static void algorithm_reset(solver_t *s)
 {
     restart_filter(&s->filter);
     begin_filter(s);
-}
-
-/* States stay inside the bounds that are rows. */
-static void clip_to_bounds(const solver_t *s, real_t *x)
-{
-    for (int r = 0; r < NR; r++) {
-        const int i = bounded_state[r];
-        x[i] = clip(x[i], PATH_LOWER(s, 0, r), PATH_UPPER(s, 0, r));
-    }
 }
 
 /* Moves the filter to the present sample. The estimate before is known to be one from which that is possible. */
@@ -49,7 +46,7 @@ static void follow_model(solver_t *s)
 /* A sample whose controls have been put in their place, if they are known. */
 static status_t take_sample(solver_t *s, const real_t *y, int known, real_t *xhat)
 {
-    filter_t *f = &s->filter;
+    filter_t *f = &s->filter, expected;
     status_t status = known ? OK : NOT_FINITE;
     s->newton = NEWTON;
     if (s->samples > 0) {
@@ -60,6 +57,11 @@ static status_t take_sample(solver_t *s, const real_t *y, int known, real_t *xha
     s->samples += (s->samples < MANY);
     put_measurements(s, 0, y);
     memcpy(s->x[0], f->mean, sizeof s->x[0]);
+    expected = *f;
+    judge_measurements(s, 0, &expected);
+    if (is_lost(s)) {
+        renew_filter(s, 0, s->x[0], y, f);
+    }
 #if HUBER
     weigh_by_filter(s, 0, f);
 #endif
@@ -68,10 +70,11 @@ static status_t take_sample(solver_t *s, const real_t *y, int known, real_t *xha
     if (!filter_is_sane(f)) {
         restart_filter(f);
         memcpy(f->mean, s->known, sizeof f->mean);
+        watch_again(s);
         status = NUMERICAL_FAILURE;
     }
     memcpy(xhat, f->mean, sizeof f->mean);
-    return finish(s, status);
+    return finish(s, judge_innovation(s, status));
 }
 
 #if NIN

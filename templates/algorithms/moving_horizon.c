@@ -26,6 +26,8 @@
 
 #include "algorithms/estimation/data.c"
 
+#include "algorithms/estimation/innovation.c"
+
 #include "algorithms/estimation/window.c"
 
 /* Begins with the declared initial state. */
@@ -53,7 +55,11 @@ static status_t improve_estimate(solver_t *s)
     hessian(s);
     hold_future(s);
     status = condense_prepare(s);
-    return (status == OK) ? feedback_here(s) : status;
+    if (status == OK) {
+        status = feedback_here(s);
+    }
+    clip_window(s);
+    return status;
 }
 
 /* The present state with the data of the window. */
@@ -79,7 +85,7 @@ static status_t estimate_here(solver_t *s, real_t *xhat)
         filter_window(s);
     }
     memcpy(xhat, s->x[s->window], sizeof s->x[s->window]);
-    return finish(s, status);
+    return finish(s, judge_innovation(s, status));
 }
 
 /* A sample whose controls have been put in their place, if they are known. */
@@ -93,8 +99,12 @@ static status_t take_sample(solver_t *s, const real_t *y, int known, real_t *xha
     put_parameters(s, s->window);
     s->samples += (s->samples < MANY);
     put_measurements(s, s->window, y);
+    judge_measurements(s, s->window, &s->expected);
+    if (is_lost(s)) {
+        renew_window(s, y);
+    }
     status = estimate_here(s, xhat);
-    return (known || status != OK) ? status : finish(s, NOT_FINITE);
+    return (known || (status != OK && status != NOT_CONVERGED)) ? status : finish(s, NOT_FINITE);
 }
 
 #if NIN

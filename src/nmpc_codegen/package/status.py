@@ -172,6 +172,10 @@ class Stats:
             the row; above ``RealTimeIteration(tolerance=...)`` the status is NOT_CONVERGED. Of the augmented Lagrangian
             and of single shooting it is that of the plan itself.
         iterations: QPs of the last sample, or rounds of the augmented Lagrangian; 1: none but the first.
+        innovation: of an estimator, the largest |y - what was expected of it| of the last sample, in deviations
+            of that difference, 1e9 at most; 0 without measurements.
+        error: this difference, y less what was expected, in the unit of the measurement.
+        measurement: the measurement that has it; None: nothing was measured.
     """
 
     qp_iterations: int
@@ -196,6 +200,9 @@ class Stats:
     simulations: int = 0
     residual: float = 0.0
     iterations: int = 1
+    innovation: float = 0.0
+    error: float = 0.0
+    measurement: str | None = None
 
     def __str__(self) -> str:
         lines = [*(self._newton() if self.newton_iterations else self._qp())]
@@ -204,6 +211,8 @@ class Stats:
             f"KKT: {self.kkt}",
             f"time: prepare {self.prepare_ns / 1e3:.1f} us, feedback {self.feedback_ns / 1e3:.1f} us",
         ]
+        if self.measurement is not None:
+            lines.append(f"innovation: {self.innovation:.2g} standard deviations, of {self.measurement}")
         if self.violated_row is not None:
             lines.insert(3, f"violated: {self.violated_row} at node {self.violated_node} by {self.violation:.3g}")
         return "\n".join([*lines, STALE] if self.stale_hessian else lines)

@@ -113,7 +113,15 @@ class Memory(Iterate):
             first_deviation=float(counts.get("first_deviation", 0)),
             residual=float(counts["residual"] if "residual" in counts else counts["violation"]),
             iterations=int(counts.get("iterations", 1 + counts.get("repairs", 0))),
+            innovation=float(counts.get("innovation", 0)),
+            error=float(counts.get("error", 0)),
+            measurement=self._farthest(int(counts.get("measurement", -1))),
         )
+
+    def _farthest(self, index: int) -> str | None:
+        """Name of a measurement; None of -1."""
+        found = self.description.estimation
+        return None if found is None or index < 0 else found.measurements[index]
 
     @property
     def time_ns(self) -> int:

@@ -12,6 +12,17 @@ static void put_measurements(solver_t *s, int k, const real_t *y)
     }
 }
 
+/* What is declared to be inside of bounds is. */
+static void clip_to_bounds(const solver_t *s, real_t *x)
+{
+    for (int r = 0; r < NR; r++) {
+        const int i = clipped[r];
+        if (i >= 0) {
+            x[i] = clip(x[i], PATH_LOWER(s, 0, r), PATH_UPPER(s, 0, r));
+        }
+    }
+}
+
 /* The parameters of the user at node k are those that hold from the present sample on. */
 static void put_parameters(solver_t *s, int k)
 {

@@ -42,7 +42,18 @@ static void restart_window(solver_t *s)
         forget_controls(s, k);
         put_parameters(s, k);
     }
+    memset(&s->watch, 0, sizeof s->watch);
+    forget_innovations(s);
+    s->expected = s->arrival;
     weigh_arrival(s);
+}
+
+/* What is declared to be inside of bounds is, in the whole window. */
+static void clip_window(solver_t *s)
+{
+    for (int k = 0; k <= N; k++) {
+        clip_to_bounds(s, s->x[k]);
+    }
 }
 
 /* What leaves the window is kept in the arrival cost. */
@@ -55,16 +66,22 @@ static void keep_arrival(solver_t *s)
         restart_filter(f);
         memcpy(f->mean, s->x[1], sizeof f->mean);
     }
+    clip_to_bounds(s, f->mean);
     weigh_arrival(s);
 }
 
 /* Node k begins as the end of the interval before it, without noise there, and without measurements. */
 static void begin_node(solver_t *s, int k)
 {
-    real_t x_next[NX];
+    filter_t *f = &s->expected;
     memset(s->u[k - 1], 0, sizeof s->u[k - 1]);
-    interval_value(s, k - 1, x_next);
-    memcpy(s->x[k], all_finite(x_next, NX) ? x_next : s->x[k - 1], sizeof x_next);
+    memcpy(f->mean, s->x[k - 1], sizeof f->mean);
+    predict_filter(s, k - 1, f);
+    if (!filter_is_sane(f)) {
+        restart_filter(f);
+        memcpy(f->mean, s->x[k - 1], sizeof f->mean);
+    }
+    memcpy(s->x[k], f->mean, sizeof s->x[k]);
     memcpy(s->p[k], s->p[k - 1], sizeof s->p[k]);
     forget_measurements(s, k);
 }
@@ -133,16 +150,35 @@ static void weigh_by_window(solver_t *s)
 }
 #endif
 
+/* The window consists of the present sample alone, of which the arrival cost tells. */
+static void begin_window(solver_t *s)
+{
+    s->window = 0;
+    s->expected = s->arrival;
+    weigh_arrival(s);
+    start_at(s, s->arrival.mean);
+}
+
 /* Data that lead nowhere are given up, the present ones too: the window begins anew at the last estimate that was OK. */
 static void forget_window(solver_t *s)
 {
     memcpy(s->p[0], s->p[s->window], sizeof s->p[0]);
     forget_measurements(s, 0);
-    s->window = 0;
     restart_filter(&s->arrival);
     memcpy(s->arrival.mean, s->known, sizeof s->arrival.mean);
-    weigh_arrival(s);
-    start_at(s, s->arrival.mean);
+    watch_again(s);
+    begin_window(s);
+}
+
+/* Data that have left what is expected for good are given up, but for the present measurements y. */
+static void renew_window(solver_t *s, const real_t *y)
+{
+    memcpy(s->p[0], s->p[s->window], sizeof s->p[0]);
+    forget_measurements(s, 0);
+    renew_filter(s, 0, s->x[s->window], y, &s->arrival);
+    begin_window(s);
+    update_filter(s, 0, &s->expected);
+    forget_multipliers(s);
 }
 
 /* The filter from the arrival cost along the window takes the place of a plan that has failed. */
@@ -159,8 +195,10 @@ static void filter_window(solver_t *s)
         if (k < s->window) {
             memset(s->u[k], 0, sizeof s->u[k]);
             predict_filter(s, k, &f);
+            clip_to_bounds(s, f.mean);
         }
     }
+    clip_window(s);
     if (!filter_is_sane(&f)) {
         forget_window(s);
     }

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from nmpc_codegen.components.base import Dims, spell
 from nmpc_codegen.errors import OptionError
-from nmpc_codegen.frontend.problem import Problem
+from nmpc_codegen.frontend.problem import Problem, Row
 from nmpc_codegen.ir.cmodule import Table
-from nmpc_codegen.package.estimation import EstimatorKind
+from nmpc_codegen.package.estimation import Estimation, EstimatorKind
 from nmpc_codegen.package.features import Features
 from nmpc_codegen.package.memory import Field, Struct
 from nmpc_codegen.package.signals import Argument, EntryPoint
@@ -16,7 +16,8 @@ _Y_OUT = Argument("y", "real", ("NM",))
 _P = Argument("P", "real", ("NX * NX",))
 _ESTIMATE = (
     "A sample: xhat, the state at the time of the measurements y, of which NaN is a missing one; {of_u}xhat is finite "
-    "on every return. After a failure of the window it is that of the filter, after one of the filter an earlier one."
+    "on every return. After a failure of the window it is that of the filter, after one of the filter an earlier one. "
+    "NOT_CONVERGED while measurements are not what is expected: stats.innovation. An outlier is left out."
 )
 _OF_U = "u: the controls since the last sample, in the first one for measurements that contain them. "
 CORRECT = EntryPoint(
@@ -66,7 +67,7 @@ def check(algorithm: object, problem: Problem, kind: EstimatorKind) -> None:
 
 
 def tables(problem: Problem) -> tuple[Table, ...]:
-    """Standard deviations, and thresholds of outliers."""
+    """Standard deviations, thresholds of outliers, and the bounds to which states are clipped."""
     e = problem.estimation
     assert e is not None
     return (
@@ -74,12 +75,22 @@ def tables(problem: Problem) -> tuple[Table, ...]:
         Table("initial_std", "real", e.initial_std, "and of the initial state"),
         Table("accuracy", "real", tuple(1.0 / v for v in e.noise_std), "1 / standard deviation of a measurement"),
         Table("threshold", "real", e.thresholds, "errors beyond so many of them are outliers; 0: none are"),
+        Table(
+            "clipped", "int", tuple(_clipped(e, row) for row in problem.rows), "state that never leaves a row, or -1"
+        ),
     )
+
+
+def _clipped(e: Estimation, row: Row) -> int:
+    """The state that never leaves a row: an unknown parameter; in a filter, every one that is bounded."""
+    never = row.kind == "state" and (e.kind == "ekf" or row.name.split("[")[0] in e.unknown)
+    return row.index if never else -1
 
 
 def sizes(dims: Dims) -> tuple[tuple[str, int, str], ...]:
     """Where the data of measurements stand among the parameters of a node."""
     e = dims.estimation
+    huber = e is not None and any(e.thresholds)
     u, before, y, accuracy = (0, 0, 0, 0) if e is None else e.places
     return (
         ("AT_U", u, "place of the controls among the parameters of a node"),
@@ -87,22 +98,61 @@ def sizes(dims: Dims) -> tuple[tuple[str, int, str], ...]:
         ("HAS_BEFORE", int(e is not None and e.before), "1: the node has these"),
         ("AT_Y", y, "of the measurements"),
         ("AT_ACCURACY", accuracy, "of their accuracy, 0 for a missing one"),
-        ("HUBER", int(e is not None and any(e.thresholds)), "1: outliers are expected"),
+        ("HUBER", int(huber), "1: outliers are expected"),
+        ("EXPECTED_SAMPLES", 5, "samples as expected behind which one that is far from it is left out"),
+        ("EXPECTED_OUTLIERS", 3 if huber else 0, "samples in a row that outliers may have"),
+        ("DOUBTED_SAMPLES", 11, "samples after which an estimate that they contradict is given up"),
+        ("TRIAL_SAMPLES", 8, "samples as expected after which the next one is OK"),
+        ("FORGIVING_SAMPLES", 100, "samples as expected after which new beginnings before them do not count"),
+        ("MOST_RESTARTS", 10, "times that the patience with an estimate doubles, at most"),
     )
 
 
-def known_field(dims: Dims) -> Field:
-    """Where an estimator begins anew."""
-    return Field("known", (dims.nx,), "an estimate that was OK", "keep")
+def own_fields(dims: Dims) -> tuple[Field, ...]:
+    """Where an estimator begins anew, and how its measurements compare with what it expects."""
+    return (
+        Field("known", (dims.nx,), "an estimate that was OK", "keep"),
+        Field("samples", (), "samples since init, reset or restart", "keep", "int32"),
+        Field("watch", (), "of the innovations", "keep", "watch"),
+    )
 
 
-def filter_struct(dims: Dims) -> Struct:
-    """A mean and a factor of its covariance."""
-    return Struct(
-        "filter",
-        "square-root Kalman filter",
-        (
-            Field("mean", (dims.nx,), "expected state", "keep"),
-            Field("L", (dims.nx, dims.nx), "factor of its covariance L L'", "keep"),
+#: What is told of the measurements of a sample.
+INNOVATION = (
+    Field("innovation", (), "largest error of a measurement, in standard deviations of what is expected", "result"),
+    Field("error", (), "this error, in the unit of the measurement", "result"),
+    Field("measurement", (), "the measurement that has it, or -1", "result", "int32"),
+)
+
+
+def structs(dims: Dims) -> tuple[Struct, ...]:
+    """A mean and a factor of its covariance, and what is known of the innovations."""
+
+    def count(name: str, doc: str) -> Field:
+        return Field(name, (), doc, "keep", "int32")
+
+    return (
+        Struct(
+            "filter",
+            "square-root Kalman filter",
+            (
+                Field("mean", (dims.nx,), "expected state", "keep"),
+                Field("L", (dims.nx, dims.nx), "factor of its covariance L L'", "keep"),
+            ),
+        ),
+        Struct(
+            "watch",
+            "innovations of the last samples",
+            (
+                Field("surprise", (), "sum of their squares", "keep"),
+                Field("count", (), "of how many", "keep"),
+                Field("sum", (dims.nm,), "sums of the last innovations of a measurement", "keep"),
+                Field("variance", (dims.nm,), "of these", "keep"),
+                count("expected", "samples in a row that are as expected"),
+                count("doubted", "samples in a row that are not"),
+                count("left_out", "samples in a row of which a measurement was left out"),
+                count("trial", "expected samples after which the estimate is OK again"),
+                count("restarts", "new beginnings in a row"),
+            ),
         ),
     )

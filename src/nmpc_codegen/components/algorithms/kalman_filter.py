@@ -59,9 +59,8 @@ class KalmanFilter(Defaults):
         return (*of_features, measuring.COVARIANCE, measuring.RESTART)
 
     def tables(self, problem: Problem) -> tuple[Table, ...]:
-        """Standard deviations, and the bounds to which states are clipped."""
-        clipped = Table("bounded_state", "int", tuple(row.index for row in problem.rows), "state that a row bounds")
-        return (*measuring.tables(problem), clipped)
+        """Standard deviations, thresholds, and the bounds to which states are clipped."""
+        return measuring.tables(problem)
 
     def sizes(self, dims: Dims) -> tuple[tuple[str, int, str], ...]:
         return measuring.sizes(dims)
@@ -71,5 +70,6 @@ class KalmanFilter(Defaults):
 
     def structs(self, dims: Dims) -> tuple[Struct, ...]:
         """The filter."""
-        samples = Field("samples", (), "samples since init, reset or restart", "keep", "int32")
-        return (measuring.filter_struct(dims), Struct("solver", "", (measuring.known_field(dims), samples)))
+        stats = Struct("stats", "of the last sample", measuring.INNOVATION)
+        own = (*measuring.own_fields(dims), Field("stats", (), "of the last sample", "result", "stats"))
+        return (*measuring.structs(dims), stats, Struct("solver", "", own))

@@ -122,14 +122,15 @@ class MovingHorizon(Defaults):
         members = (
             Field("arrival", (), "what is known of x_0 before the window", "keep", "filter"),
             Field("information", (dims.nx, dims.nx), "the inverse of its covariance", "keep"),
-            measuring.known_field(dims),
+            Field("expected", (), "what the measurements are compared with", "keep", "filter"),
             Field("window", (), "node of the present sample", "keep", "int32"),
-            Field("samples", (), "samples since init, reset or restart", "keep", "int32"),
+            *measuring.own_fields(dims),
         )
         shared = (
             replace(s, fields=tuple(f for f in s.fields if f.name not in _OF_CONTROL)) for s in _shared_structs(dims)
         )
-        return (measuring.filter_struct(dims), *shared, Struct("solver", "", members))
+        told = Struct("stats", "", measuring.INNOVATION)
+        return (*measuring.structs(dims), *shared, told, Struct("solver", "", members))
 
     def ranges(self, dims: Dims) -> Mapping[str, tuple[int, int]]:
         return {"window": (0, dims.N.value)}

@@ -231,8 +231,8 @@ class _Window:
                     self.ocp.subject_to(s.lower[i], h, s.upper[i], soft=(0.0, 1.0), name=identifier)
 
     def state_ranges(self) -> None:
-        """Bounds with which unknown parameters were declared are rows."""
-        for s in (d.signal for d in self.estimator.unknown if d.signal.low and self.estimator.rows is True):
+        """Bounds with which unknown parameters were declared are rows, which the estimates never leave."""
+        for s in (d.signal for d in self.estimator.unknown if d.signal.low):
             for i, name in enumerate(s.elements):
                 identifier = c_identifier(name)
                 self.row_names[identifier] = name

@@ -1,0 +1,161 @@
+/* Contract of this part: judge_measurements() compares the measurements of a sample with what a filter expects,
+ * is_lost() tells that they have left it for good, renew_filter() begins it anew, and judge_innovation() is the status
+ * of all this. An innovation is the error of a measurement in standard deviations of what is expected of it. */
+
+/* Nothing has been compared yet. */
+static void forget_innovations(solver_t *s)
+{
+    s->stats.innovation = R(0);
+    s->stats.error = R(0);
+    s->stats.measurement = -1;
+}
+
+/* The sum of the squares of so many normal numbers is larger once in 3e5 (Wilson and Hilferty). */
+static real_t largest_sum(real_t count)
+{
+    const real_t width = R(2) / (R(9) * count);
+    const real_t root = R(1) - width + FACTOR_INNOVATION_QUANTILE * SQRT(width);
+    return count * root * root * root;
+}
+
+/* The magnitude of an innovation with this unexpected error, of the standard deviation `size`; that of measurement m is
+ * kept if it is the largest one. */
+static real_t note_innovation(solver_t *s, int m, real_t error, real_t size)
+{
+    const real_t found = FABS(error) / size;
+    const real_t magnitude = (found < FACTOR_INNOVATION_LARGEST) ? found : FACTOR_INNOVATION_LARGEST;
+    if (s->stats.measurement < 0 || magnitude > s->stats.innovation) {
+        s->stats.innovation = magnitude;
+        s->stats.error = error;
+        s->stats.measurement = m;
+    }
+    return magnitude;
+}
+
+/* A sample in which a measurement has been taken: its innovation, not far from what is expected, or at that limit. */
+static void keep_innovation(watch_t *w, int m, real_t innovation)
+{
+    const real_t memory = FACTOR_INNOVATION_MEMORY_OF_SIGNS;
+    w->surprise += innovation * innovation;
+    w->count += R(1);
+    w->sum[m] = memory * w->sum[m] + innovation;
+    w->variance[m] = memory * memory * w->variance[m] + R(1);
+}
+
+/* Returns 1 if neither the squares of the innovations nor their sums are larger than noise explains. */
+static int is_expected(const watch_t *w)
+{
+    int expected = w->surprise <= largest_sum(w->count);
+    for (int m = 0; m < NM; m++) {
+        expected &= FABS(w->sum[m]) <= FACTOR_INNOVATION_QUANTILE * SQRT(w->variance[m]);
+    }
+    return expected;
+}
+
+/* Counts samples in a row that are as expected, or are not. */
+static void count_samples(watch_t *w)
+{
+    if (is_expected(w)) {
+        w->expected += (w->expected < MANY);
+        w->doubted = 0;
+        w->trial -= (w->trial > 0);
+        w->restarts = (w->expected < FORGIVING_SAMPLES) ? w->restarts : 0;
+    } else {
+        w->expected = 0;
+        w->doubted += (w->doubted < MANY);
+    }
+}
+
+/* Compares the measurements of node k with the prediction f of the state x[k], and f takes them. One that is far from
+ * what is expected counts as missing as long as those before were as expected; one that is absurd always does. */
+static void judge_measurements(solver_t *s, int k, filter_t *f)
+{
+    watch_t *w = &s->watch;
+    const int trusted = w->expected >= EXPECTED_SAMPLES;
+    const real_t most = trusted ? FACTOR_INNOVATION_FAR : FACTOR_INNOVATION_WIDEST;
+    real_t *p = s->p[k], y[NM], H[NM][NX] = {{R(0)}};
+    int left_out = 0, taken = 0;
+    w->surprise *= FACTOR_INNOVATION_MEMORY;
+    w->count *= FACTOR_INNOVATION_MEMORY;
+    forget_innovations(s);
+    MEASUREMENT(s->x[k], PARAM(s, k), y, H);
+    for (int m = 0; m < NM; m++) {
+        const real_t own = R(1) / accuracy[m];
+        real_t projected[NX], error = p[AT_Y + m] - y[m], innovation;
+        if (!(p[AT_ACCURACY + m] > R(0))) {
+            continue;
+        }
+        for (int i = 0; i < NX; i++) {
+            error -= H[m][i] * (f->mean[i] - s->x[k][i]);
+        }
+        project(f, H[m], projected);
+        innovation = note_innovation(s, m, error, SQRT(own * own + square_sum(projected, NX)));
+        if (innovation > most) {
+            p[AT_ACCURACY + m] = R(0);
+            left_out = 1;
+            continue;
+        }
+        take_measurement(f, H[m], error, own * own);
+        innovation = (innovation < FACTOR_INNOVATION_FAR) ? innovation : FACTOR_INNOVATION_FAR;
+        keep_innovation(w, m, (error > R(0)) ? innovation : -innovation);
+        taken = 1;
+    }
+    if (taken && (w->left_out > EXPECTED_OUTLIERS + 1 || w->doubted > EXPECTED_OUTLIERS + 1)) {
+        w->trial = TRIAL_SAMPLES;
+    }
+    w->left_out = left_out ? w->left_out + 1 : 0;
+    if (taken) {
+        count_samples(w);
+    }
+}
+
+/* Returns 1 if measurements have not been what is expected for so long that the estimate must be wrong. Each time that
+ * a new beginning has not helped it takes twice as long. */
+static int is_lost(const solver_t *s)
+{
+    const watch_t *w = &s->watch;
+    return w->left_out >= DOUBTED_SAMPLES || (w->doubted >> w->restarts) >= DOUBTED_SAMPLES;
+}
+
+/* What was found so far is of an estimate that has been given up; the next one is on trial. */
+static void watch_again(solver_t *s)
+{
+    const int32_t restarts = s->watch.restarts;
+    memset(&s->watch, 0, sizeof s->watch);
+    s->watch.restarts = restarts + (restarts < MOST_RESTARTS);
+    s->watch.trial = TRIAL_SAMPLES;
+}
+
+/* The filter begins anew at node k with the measurements y: at x or, if that has not helped, at the declared initial
+ * state, with the declared covariance or a larger one that explains them. */
+static void renew_filter(solver_t *s, int k, const real_t *x, const real_t *y, filter_t *f)
+{
+    real_t told[NM], H[NM][NX] = {{R(0)}}, wide = R(1);
+    restart_filter(f);
+    memcpy(f->mean, (s->watch.restarts & 1) ? initial_state : x, sizeof f->mean);
+    memcpy(s->x[k], f->mean, sizeof s->x[k]);
+    watch_again(s);
+    put_measurements(s, k, y);
+    MEASUREMENT(s->x[k], PARAM(s, k), told, H);
+    for (int m = 0; m < NM; m++) {
+        real_t projected[NX];
+        project(f, H[m], projected);
+        if (s->p[k][AT_ACCURACY + m] > R(0)) {
+            const real_t own = R(1) / accuracy[m], size = SQRT(own * own + square_sum(projected, NX));
+            enlarge(&wide, (s->p[k][AT_Y + m] - told[m]) / size);
+        }
+    }
+    wide = (wide < FACTOR_INNOVATION_WIDEST) ? wide : FACTOR_INNOVATION_WIDEST;
+    for (int i = 0; i < NX; i++) {
+        for (int j = 0; j < NX; j++) {
+            f->L[i][j] *= wide;
+        }
+    }
+}
+
+/* The status of a sample: NOT_CONVERGED instead of OK while its estimate is in doubt. */
+static status_t judge_innovation(const solver_t *s, status_t status)
+{
+    const watch_t *w = &s->watch;
+    return (status == OK && (w->doubted > 0 || w->left_out > EXPECTED_OUTLIERS || w->trial > 0)) ? NOT_CONVERGED : status;
+}
