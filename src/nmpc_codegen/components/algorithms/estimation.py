@@ -76,12 +76,12 @@ def tables(problem: Problem) -> tuple[Table, ...]:
         Table("accuracy", "real", tuple(1.0 / v for v in e.noise_std), "1 / standard deviation of a measurement"),
         Table("threshold", "real", e.thresholds, "errors beyond so many of them are outliers; 0: none are"),
         Table(
-            "clipped", "int", tuple(_clipped(e, row) for row in problem.rows), "state that never leaves a row, or -1"
+            "clipped", "int", tuple(_clip_of(e, row) for row in problem.rows), "state that never leaves a row, or -1"
         ),
     )
 
 
-def _clipped(e: Estimation, row: Row) -> int:
+def _clip_of(e: Estimation, row: Row) -> int:
     """The state that never leaves a row: an unknown parameter; in a filter, every one that is bounded."""
     never = row.kind == "state" and (e.kind == "ekf" or row.name.split("[")[0] in e.unknown)
     return row.index if never else -1
