@@ -32,6 +32,9 @@ class Example:
     tableau: Tableau = CLASSICAL
 
 
+#: The integrator of peers.
+TWO_STEPS = Options(ExplicitRungeKutta())
+
 #: The crane's closed loop: a disturbance every 50 samples.
 CRANE_LOOP = Scenario((0.1, 0.0, 0.1, 0.0), 0.3, 50, amplitude=0.05)
 BIOREACTOR_LOOP = Scenario(bioreactor.START, bioreactor.SAMPLING, 50, restart=1e-2)
@@ -47,7 +50,7 @@ def _set_point(index: int) -> tuple[Array, Array]:
 CSTR = Example(
     name="cstr",
     make=cstr.build_ocp,
-    options=Options(),
+    options=TWO_STEPS,
     x0=lambda: cstr.START,
     scenario=lambda: Scenario(cstr.START, cstr.SAMPLING, 200, set_points=(_set_point(0), _set_point(2))),
 )
@@ -102,7 +105,7 @@ def _at_rest(n: int) -> tuple[float, ...]:
 @cache
 def _pushed(n: int) -> Array:
     """State after five pushes."""
-    controller = build(chain.build_ocp(n), profile="fast")
+    controller = build(chain.build_ocp(n), TWO_STEPS, "fast")
     x = np.array(_at_rest(n))
     for _ in range(5):
         x = np.asarray(controller.integrate(x, np.array(PUSH), 0.2))
@@ -113,7 +116,7 @@ def _chain(n: int) -> Example:
     return Example(
         name=f"chain{n}",
         make=lambda: chain.build_ocp(n),
-        options=Options(),
+        options=TWO_STEPS,
         x0=lambda: _pushed(n),
         scenario=lambda: Scenario(_at_rest(n), 0.2, 100, push=PUSH, pushes=5),
         steps=400,

@@ -32,13 +32,17 @@ class Sample:
 #: The timed problems, in the settings of the benchmarks that compare their times with those of peers.
 TIMED = (
     Sample("timed crane", crane.build_ocp),
-    Sample("timed cstr", cstr.build_ocp, Options(algorithm=RealTimeIteration(sampling_time=cstr.SAMPLING))),
+    Sample(
+        "timed cstr",
+        cstr.build_ocp,
+        Options(ExplicitRungeKutta(), algorithm=RealTimeIteration(sampling_time=cstr.SAMPLING)),
+    ),
     Sample(
         "timed quadrotor",
         lambda: quadrotor.build_ocp((0.5, 0.5, 0.5)),
         Options(integrator=ExplicitRungeKutta(RK4, steps=1)),
     ),
-    Sample("timed chain5", lambda: chain.build_ocp(5)),
+    Sample("timed chain5", lambda: chain.build_ocp(5), Options(ExplicitRungeKutta())),
     Sample(
         "timed bioreactor",
         lambda: bioreactor.build_ocp("a", periodic=False),

@@ -55,11 +55,11 @@ static real_t length_of_step(const solver_t *s)
     return length;
 }
 
-/* Returns 1 if a step of this length leaves little by all that is known. */
+/* Returns 1 if a step of this length leaves little by all that is known. The first steps close gaps besides. */
 static int leaves_little(const near_t *near, real_t length)
 {
     if (length <= FACTOR_NEAR_SHORT_STEP) {
-        return 1;
+        return near->longest > R(0) || near->left <= FACTOR_NEAR_TRUSTED * residual_tolerance[0];
     }
     if (!(length <= R(2) * near->longest)) {
         return 0;

@@ -32,7 +32,7 @@ void API(integrate)(const solver_t *s, const real_t x[NXHAT], const real_t u[NU]
     const real_t h = dt / (real_t)steps;
     real_t start[NX], end[NX];
     for (int i = 0; i < NXHAT; i++) {
-        start[i] = (s->magic == MAGIC) ? x[i] : (real_t)NAN;
+        start[i] = (s->magic == MAGIC && dt >= R(0)) ? x[i] : (real_t)NAN;
     }
     if (INNER) {
         recall_inner(s, start);
@@ -52,7 +52,7 @@ void API(integrate)(const solver_t *s, const real_t x[NX], const real_t u[NU], r
     const int steps = steps_for(dt);
     const real_t h = dt / (real_t)steps;
     for (int i = 0; i < NX; i++) {
-        x_next[i] = (s->magic == MAGIC) ? x[i] : (real_t)NAN;
+        x_next[i] = (s->magic == MAGIC && dt >= R(0)) ? x[i] : (real_t)NAN;
     }
     for (int n = 0; n < steps; n++) {
         INTEGRATOR_STEP(s, 0, x_next, u, &h, NEWTON_LIMIT, x_next);

@@ -54,4 +54,4 @@ const char *golden_status_string(golden_status_t status);
 #endif
 
 #endif
-/* nmpc_codegen package 4fdec9029f237b72, sha256 9ff4b0aed6b7a1dc59f393805f1aeea32df2e7e70174867a3e77ea6c371aeb43 */
+/* nmpc_codegen package 1844b16a846839b6, sha256 b44dfe2ac597ea9fa0d5c4e65de8769791a23a70cb800dea22914f3968312f71 */

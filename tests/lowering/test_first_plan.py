@@ -354,7 +354,7 @@ def test_unstable_steps_are_said_by_all_and_repeated_after_a_failure(tmp_path: P
     ctrl = open_package(tmp_path, profile="test")
     assert ctrl.solve([0.65, 0.3]).status.is_failure
     assert "warning at build: integrator RK4 with steps=2 is unstable" in ctrl.diagnose()
-    better = build(fast(), Options(integrator=ExplicitRungeKutta(RK4, steps=8)), profile="test")
+    better = build(fast(), Options(integrator=ExplicitRungeKutta(RK4, steps=12)), profile="test")
     assert better.solve([0.65, 0.3]).status == Status.OK
 
 

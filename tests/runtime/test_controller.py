@@ -200,6 +200,12 @@ def test_reset_and_shift(toy: Controller) -> None:
     np.testing.assert_array_equal(toy.view("yref")[:, 0], 1.0)
 
 
+@pytest.mark.parametrize("dt", [-1.0, np.nan, np.inf, "soon", None])
+def test_integrate_takes_times(toy: Controller, dt: float) -> None:
+    with pytest.raises(ControllerError, match=r"dt is .*; expected a finite number >= 0"):
+        toy.integrate(np.zeros(toy.dims.nx), np.zeros(toy.dims.nu), dt)
+
+
 def test_integrate(toy: Controller) -> None:
     toy.set_parameter("m", 2.0)
     np.testing.assert_allclose(toy.integrate([1.0, 3.0], [4.0], 0.5), [1.0 + 1.5 + 0.25, 4.0], rtol=1e-15)

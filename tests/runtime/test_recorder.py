@@ -155,10 +155,15 @@ def test_every_cut_opens(ctrl: Controller, tmp_path: Path, monkeypatch: pytest.M
             ends.append((tmp_path / "run.rec").stat().st_size)
     data = (tmp_path / "run.rec").read_bytes()
     counts = []
-    for size in (ends[0] - 1, ends[0], ends[1] - 1, ends[1], ends[1] + 7, ends[3]):
+    (tmp_path / "cut.rec").write_bytes(data[: ends[0] - 1])
+    with pytest.raises(
+        ControllerError, match=f"has no whole sample: it is cut off, or damaged, after {ends[0] - 1} bytes"
+    ):
+        open_recording(tmp_path / "cut.rec", ctrl)
+    for size in (ends[0], ends[1] - 1, ends[1], ends[1] + 7, ends[3]):
         (tmp_path / "cut.rec").write_bytes(data[:size])
         counts.append(len(open_recording(tmp_path / "cut.rec", ctrl).u))
-    assert counts == [0, 5, 5, 10, 10, 20]
+    assert counts == [5, 5, 10, 10, 20]
     flipped = bytearray(data)
     flipped[ends[1] + 40] ^= 1
     (tmp_path / "cut.rec").write_bytes(flipped)
@@ -441,6 +446,11 @@ def test_other_files(ctrl: Controller, tmp_path: Path) -> None:
             open_recording(tmp_path / "bad.rec", ctrl)
     with Recorder(ctrl.copy(), file=tmp_path / "good.rec") as r:
         r.step([1.0])
+    whole = (tmp_path / "good.rec").read_bytes()
+    for last, message in ((40, r"its description is cut off or damaged"), (len(whole) - 40, r"has no whole sample")):
+        (tmp_path / "cut.rec").write_bytes(whole[:last])
+        with pytest.raises(ControllerError, match=message):
+            open_recording(tmp_path / "cut.rec", ctrl)
     with pytest.raises(ControllerError, match=r"good.rec is a recording; open_recording\(\) opens it"):
         Log.load(tmp_path / "good.rec")
     other = build(tank(), profile="test", name="other")

@@ -459,6 +459,7 @@ def explosive() -> OCP:
     return ocp
 
 
+@pytest.mark.filterwarnings("ignore:.*is not accurate")
 def test_shift_of_a_tail_that_explodes() -> None:
     """The new end of the plan is finite whatever the model does there: the controller remains usable."""
     c = build(explosive(), Options(algorithm=PURE), profile="test")

@@ -262,6 +262,7 @@ def battery() -> OCP:
     return ocp
 
 
+@pytest.mark.filterwarnings("ignore:.*is not accurate")  # where it has ignited
 @pytest.mark.parametrize("start", [(0.7, 330.0), (0.5, 350.0), (0.6, 340.0)])
 def test_an_unstable_reactor_stays_at_its_set_point(start: tuple[float, float]) -> None:
     log = simulate(build(reactor(), None, "test"), start, 60)

@@ -6,6 +6,7 @@ from __future__ import annotations
 import copy
 import io
 import pickle
+from dataclasses import replace
 from typing import Any
 
 import casadi as ca
@@ -37,10 +38,16 @@ from verification.tuned import PROBLEMS, Tuned, blocked_crane, dead_time, slewed
 #: Time of the first sample of problems with time.
 START = 1.3
 
+#: Levels that are negative fall without limit.
+pytestmark = pytest.mark.filterwarnings("ignore:.*is not accurate")
+
 
 def prepared(tuned: Tuned, options: Options | None) -> tuple[Controller, float]:
     """A controller that knows the control before and the time, and this time."""
     ocp, _, _, previous = tuned
+    options = options or Options()
+    if ocp.dt is not None:
+        options = replace(options, integrator=ExplicitRungeKutta())
     ctrl = build(ocp, options, profile="test")
     ctrl.set_previous(previous)
     time = START if ctrl.description.inner.time else 0.0

@@ -142,10 +142,10 @@ def subjects() -> tuple[Subject, ...]:
     fermenter = lambda: bioreactor.build_ocp(soft=True)  # noqa: E731
     return (
         Subject("crane", crane.build_ocp, np.zeros(4), np.array([0.4, 0.2, 0.1, 0.1])),
-        Subject("cstr", cstr.build_ocp, steady, np.array([0.02, 0.02, 0.5, 0.5])),
+        Subject("cstr", cstr.build_ocp, steady, np.array([0.02, 0.02, 0.5, 0.5]), integrator=ExplicitRungeKutta()),
         Subject("cart_pole", cart_pole.build_ocp, np.zeros(4), np.array([0.2, 0.1, 0.1, 0.1])),
         Subject("quadrotor", hover, np.zeros(12), np.full(12, 0.1), integrator=ExplicitRungeKutta(RK4, steps=1)),
-        Subject("chain3", lambda: chain.build_ocp(3), tip, np.full(tip.size, 0.02)),
+        Subject("chain3", lambda: chain.build_ocp(3), tip, np.full(tip.size, 0.02), integrator=ExplicitRungeKutta()),
         Subject("bioreactor", fermenter, bioreactor.START, 0.02 * bioreactor.START, general=True),
         *(Subject(make.__name__, make, two, np.full(2, spread)) for make, spread in small),
         Subject("one_interval", one_interval, np.zeros(1), np.full(1, 0.5)),

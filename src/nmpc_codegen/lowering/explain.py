@@ -31,7 +31,7 @@ def warnings(model: Model, found: Program) -> tuple[str, ...]:
     return (
         *((f"{no_curvature_in(model.flat)}, {JUMPS}",) if model.flat else ()),
         *stability_warning(problem, model.parts.integrator, implicit_for),
-        *accuracy_warning(problem, model.parts.integrator),
+        *accuracy_warning(problem, model.parts.integrator, not any(r.startswith("integrator") for r in model.reasons)),
         *(model.grown.of_simulation(type(algorithm).__name__, problem.N) if algorithm.simulates else ()),
         *(() if problem.estimation else first_plan_warnings(problem, found, second, model.saddles)),
         *(() if model.choice is None else model.choice.warnings),

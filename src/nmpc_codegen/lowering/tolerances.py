@@ -286,7 +286,11 @@ FACTORS: dict[str, tuple[float, str]] = {
     "estimate_known": (8.0, "least deviation before the window, in epsilons of that of the state or of its scale"),
     "innovation_quantile": (4.5, "quantile of the normal distribution beyond which innovations are unexpected"),
     "innovation_memory": (0.9, "weight of innovations relative to those of the sample before"),
-    "innovation_memory_of_signs": (0.8, "the same of innovations with their signs"),
+    "innovation_memory_of_signs": (
+        0.8,
+        "weight of innovations with their signs relative to those of the sample before",
+    ),
+    "innovation_cube_root": (2.0 / 9.0, "variance of the cube root of a mean square of one normal number"),
     "innovation_far": (5.0, "innovation that no noise explains, in standard deviations"),
     "innovation_largest": (1e9, "innovation above which its size is not told"),
     "innovation_widest": (

@@ -241,6 +241,12 @@ def level_number(level: object) -> int:
     return LEVELS.index(level)
 
 
+def require_time(dt: object) -> None:
+    """Raise ControllerError unless it is a finite number >= 0."""
+    if not is_positive(dt) and not (isinstance(dt, int | float) and dt == 0):
+        raise ControllerError(f"dt is {dt!r}; expected a finite number >= 0")
+
+
 def is_positive(value: object) -> bool:
     """True for a finite positive number."""
     if isinstance(value, bool) or not isinstance(value, int | float | np.integer | np.floating):

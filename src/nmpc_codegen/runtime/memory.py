@@ -149,8 +149,9 @@ class Memory(Iterate):
         Args:
             x: state (nx,).
             u: control (nu,).
-            dt: the time, in the unit of the problem.
+            dt: the time >= 0, in the unit of the problem.
         """
+        given.require_time(dt)
         start = self._array("x", x, (self.dims.nx,), finite=False)
         control = self._array("u", u, (self.dims.nu,), finite=False)
         out, out_c = self._buffer(self.dims.nx)

@@ -13,7 +13,7 @@ static void forget_innovations(solver_t *s)
 /* The sum of the squares of so many normal numbers is larger once in 3e5 (Wilson and Hilferty). */
 static real_t largest_sum(real_t count)
 {
-    const real_t width = R(2) / (R(9) * count);
+    const real_t width = FACTOR_INNOVATION_CUBE_ROOT / count;
     const real_t root = R(1) - width + FACTOR_INNOVATION_QUANTILE * SQRT(width);
     return count * root * root * root;
 }
@@ -52,17 +52,17 @@ static int is_expected(const watch_t *w)
     return expected;
 }
 
-/* Counts samples in a row that are as expected, or are not. */
-static void count_samples(watch_t *w)
+/* Counts samples in a row that are as expected, or are not. Behind several that are not, the estimate is on trial. */
+static void count_sample(watch_t *w, int left_out, int taken)
 {
-    if (is_expected(w)) {
+    if (left_out || (taken && !is_expected(w))) {
+        w->expected = left_out ? w->expected : 0;
+        w->doubted += (w->doubted < MANY);
+    } else if (taken) {
+        w->trial = (w->doubted > EXPECTED_OUTLIERS + 1) ? TRIAL_SAMPLES : w->trial - (w->trial > 0);
         w->expected += (w->expected < MANY);
         w->doubted = 0;
-        w->trial -= (w->trial > 0);
         w->restarts = (w->expected < FORGIVING_SAMPLES) ? w->restarts : 0;
-    } else {
-        w->expected = 0;
-        w->doubted += (w->doubted < MANY);
     }
 }
 
@@ -100,13 +100,8 @@ static void judge_measurements(solver_t *s, int k, filter_t *f)
         keep_innovation(w, m, (error > R(0)) ? innovation : -innovation);
         taken = 1;
     }
-    if (taken && (w->left_out > EXPECTED_OUTLIERS + 1 || w->doubted > EXPECTED_OUTLIERS + 1)) {
-        w->trial = TRIAL_SAMPLES;
-    }
-    w->left_out = left_out ? w->left_out + 1 : 0;
-    if (taken) {
-        count_samples(w);
-    }
+    w->left_out = left_out;
+    count_sample(w, left_out, taken);
 }
 
 /* Returns 1 if measurements have not been what is expected for so long that the estimate must be wrong. Each time that
@@ -114,7 +109,7 @@ static void judge_measurements(solver_t *s, int k, filter_t *f)
 static int is_lost(const solver_t *s)
 {
     const watch_t *w = &s->watch;
-    return w->left_out >= DOUBTED_SAMPLES || (w->doubted >> w->restarts) >= DOUBTED_SAMPLES;
+    return (w->doubted >> w->restarts) >= DOUBTED_SAMPLES;
 }
 
 /* What was found so far is of an estimate that has been given up; the next one is on trial. */
@@ -157,5 +152,5 @@ static void renew_filter(solver_t *s, int k, const real_t *x, const real_t *y, f
 static status_t judge_innovation(const solver_t *s, status_t status)
 {
     const watch_t *w = &s->watch;
-    return (status == OK && (w->doubted > 0 || w->left_out > EXPECTED_OUTLIERS || w->trial > 0)) ? NOT_CONVERGED : status;
+    return (status == OK && (w->doubted > EXPECTED_OUTLIERS || w->trial > 0)) ? NOT_CONVERGED : status;
 }

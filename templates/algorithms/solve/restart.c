@@ -47,16 +47,39 @@ static int is_escaping(const solver_t *s, const real_t *x)
     return escapes;
 }
 
-/* A new start after a search that has ended where the constraints cannot be satisfied: the states to which the controls
- * of the plan lead, and the next time those to which the reference controls do. From where they escape, the measured
- * state. */
+/* Where a plan from x_0 may end: x_0 inside the bounds of node N. Returns 0 if that is x_0 itself. */
+static int find_end(const solver_t *s, real_t *end)
+{
+    int moved = 0;
+    memcpy(end, s->xhat, sizeof s->xhat);
+    for (int m = row_first[N]; m < row_first[N + 1]; m++) {
+        if (row_is_state(m)) {
+            end[row_index(m)] = clip(end[row_index(m)], row_lower(s, m), row_upper(s, m));
+            moved |= end[row_index(m)] < s->xhat[row_index(m)] || end[row_index(m)] > s->xhat[row_index(m)];
+        }
+    }
+    return moved;
+}
+
+/* A new start after a search that has ended where the constraints cannot be satisfied, which says nothing of other
+ * places. The first time: the straight line to where bounds of node N are met, with the reference controls or, if they
+ * are met, the states to which the controls of the plan lead. Then: the states to which the reference controls lead.
+ * From where they escape, the measured state. */
 static void restart_search(solver_t *s)
 {
-    if (s->sqp.attempts > 0) {
+    real_t end[NX];
+    const int straight = find_end(s, end) && s->sqp.attempts == 0;
+    if (straight || s->sqp.attempts > 0) {
         forget_plan(s);
     }
     memcpy(s->x[0], s->xhat, sizeof s->xhat);
     for (int k = 0; k < N; k++) {
+        if (straight) {
+            for (int i = 0; i < NX; i++) {
+                s->x[k + 1][i] = s->xhat[i] + (real_t)(k + 1) / (real_t)N * (end[i] - s->xhat[i]);
+            }
+            continue;
+        }
         interval_value(s, k, s->x[k + 1]);
         if (is_escaping(s, s->x[k + 1])) {
             memcpy(s->x[k + 1], s->xhat, sizeof s->xhat);

@@ -100,10 +100,10 @@ def sizes(dims: Dims) -> tuple[tuple[str, int, str], ...]:
         ("AT_ACCURACY", accuracy, "of their accuracy, 0 for a missing one"),
         ("HUBER", int(huber), "1: outliers are expected"),
         ("EXPECTED_SAMPLES", 5, "samples as expected behind which one that is far from it is left out"),
-        ("EXPECTED_OUTLIERS", 3 if huber else 0, "samples in a row that outliers may have"),
+        ("EXPECTED_OUTLIERS", 3 if huber else 0, "doubted samples in a row that outliers may cause"),
         ("DOUBTED_SAMPLES", 11, "samples after which an estimate that they contradict is given up"),
         ("TRIAL_SAMPLES", 8, "samples as expected after which the next one is OK"),
-        ("FORGIVING_SAMPLES", 100, "samples as expected after which new beginnings before them do not count"),
+        ("FORGIVING_SAMPLES", 30, "samples as expected after which new beginnings before them do not count"),
         ("MOST_RESTARTS", 10, "times that the patience with an estimate doubles, at most"),
     )
 
@@ -150,7 +150,7 @@ def structs(dims: Dims) -> tuple[Struct, ...]:
                 Field("variance", (dims.nm,), "of these", "keep"),
                 count("expected", "samples in a row that are as expected"),
                 count("doubted", "samples in a row that are not"),
-                count("left_out", "samples in a row of which a measurement was left out"),
+                count("left_out", "1: a measurement of the last sample was left out"),
                 count("trial", "expected samples after which the estimate is OK again"),
                 count("restarts", "new beginnings in a row"),
             ),

@@ -26,6 +26,9 @@ from nmpc_codegen.frontend.problem import Array
 from nmpc_codegen.frontend.statement import Declared, Statement
 from nmpc_codegen.package.signals import list_some
 
+#: A value of an unknown that is 0 but for rounding, relative to where it starts.
+ROUNDED = 1e-8
+
 
 @dataclass(frozen=True, eq=False)
 class Resolved:
@@ -187,11 +190,12 @@ def _statement(ocp: OCP, s: Statement, with_path: Any, with_end: Any) -> Stateme
 
 
 def _sizes(ocp: OCP, implied: int, solved: Solved) -> list[float]:
-    """Sizes of the unknowns: declared, else their magnitude at the first plan or where they start, else 1."""
+    """Sizes of the unknowns: declared, else their magnitude at the first plan, unless it is rounding, or where they
+    start, else 1."""
     declared = [v for d in ocp.algebraics for v in d.signal.scale or (0.0,) * d.signal.size]
     initial = [v for d in ocp.algebraics for v in d.signal.value]
     return [
-        stated or (abs(at) if np.isfinite(at) and at else abs(start)) or 1.0
+        stated or (abs(at) if np.isfinite(at) and abs(at) > ROUNDED * (abs(start) or 1.0) else abs(start)) or 1.0
         for stated, at, start in zip([0.0] * implied + declared, solved.at, [0.0] * implied + initial, strict=True)
     ]
 

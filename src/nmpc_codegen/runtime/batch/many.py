@@ -121,8 +121,8 @@ class Batch(Structs):
         """States (M, nx) after the time dt from X (M, nx) under constant U (M, nu): Controller.integrate()."""
         states, controls = self._states(X, "X"), self._controls(U)
         out = self._zeros(max(1, self.dims.nx))
-        time = float(given.checked_array(dt, "dt", np.dtype(np.float64), ()))
-        self.call("INTEGRATE", "integrate", first=states, second=controls, out=out, number=time)
+        given.require_time(dt)
+        self.call("INTEGRATE", "integrate", first=states, second=controls, out=out, number=float(dt))
         return out[:, : self.dims.nx]
 
     # -- closed loops -------------------------------------------------------------------------------------------------

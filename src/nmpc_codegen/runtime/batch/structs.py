@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from nmpc_codegen.errors import ControllerError
 from nmpc_codegen.runtime.access.addressing import Addressing
 from nmpc_codegen.runtime.batch.driver import Driver
 from nmpc_codegen.runtime.compiled import ALIGNMENT
@@ -123,6 +124,11 @@ def stride_of(size: int) -> int:
 
 def reserve(size: int) -> NDArray[np.uint8]:
     """Aligned bytes that nobody has touched: each thread touches those of its share first."""
-    raw = np.empty(size + ALIGNMENT, dtype=np.uint8)
+    try:
+        raw = np.empty(size + ALIGNMENT, dtype=np.uint8)
+    except (MemoryError, ValueError) as error:
+        raise ControllerError(
+            f"a batch of {size:,} bytes does not fit into memory; expected a smaller number"
+        ) from error
     start = -raw.ctypes.data % ALIGNMENT
     return raw[start : start + size]

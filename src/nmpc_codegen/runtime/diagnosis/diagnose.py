@@ -276,6 +276,8 @@ def _violated_rows(ctrl: Memory, solved: bool) -> Iterator[str]:
         more = [str(v) for v in others if v.row.name != stats.violated_row][: MOST - 1]
         if more:
             yield f"of the plan, also {'; '.join(more)}"
+        if solved and status == Status.INFEASIBLE:
+            yield "that is so near the plans that were tried: another guess, written to ctrl.x and ctrl.u, may lead on"
     elif status not in _BEFORE:
         yield from map(str, violations(ctrl)[:MOST])
 

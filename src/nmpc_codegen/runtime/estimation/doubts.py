@@ -15,14 +15,14 @@ TURNS = {"rad": 2 * np.pi, "": 2 * np.pi, "deg": 360.0}
 
 def is_doubted(watch: Any) -> bool:
     """Whether measurements are not what the estimate leads to expect, by the counters of the C struct."""
-    return any(int(watch[name]) for name in ("doubted", "left_out", "trial"))
+    return any(int(watch[name]) for name in ("doubted", "trial"))
 
 
 def describe_doubts(found: Estimation, stats: Stats, watch: Any) -> str:
     """What was expected, what became of it, and what would help; a line."""
     said = []
     name = stats.measurement
-    if name is not None and (int(watch["doubted"]) or int(watch["left_out"])):
+    if name is not None and int(watch["doubted"]):
         place = found.measurements.index(name)
         unit = next(s.unit for s in found.measured if name in s.elements)
         size = f"{stats.error:.3g} {unit}".strip()
@@ -33,9 +33,10 @@ def describe_doubts(found: Estimation, stats: Stats, watch: Any) -> str:
         if int(watch["left_out"]):
             said.append("an outlier was left out")
         if not turns:
-            said.append(_advice(found.thresholds[place] > 0, bool(watch["doubted"])))
+            said.append(_advice(found.thresholds[place] > 0, not int(watch["left_out"])))
     if int(watch["trial"]):
-        said.append(f"the estimate began anew, and is OK after {int(watch['trial'])} more samples as expected")
+        anew = "the estimate began anew, and " if int(watch["restarts"]) else "the estimate "
+        said.append(f"{anew}is OK after {int(watch['trial'])} more samples as expected")
     return "; ".join(said)
 
 

@@ -354,7 +354,7 @@ def open_recording(file: str | os.PathLike[str], package: Controller | str | Pat
         package: the controller, or the folder of its package, which is compiled.
 
     Raises:
-        ControllerError: the file is no recording, or one of another package.
+        ControllerError: the file is no recording, one of another package, or no sample of it is whole.
 
     Examples:
         >>> from nmpc_codegen import build

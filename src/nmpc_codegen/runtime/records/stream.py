@@ -145,7 +145,7 @@ def read(file: str | os.PathLike[str]) -> tuple[dict[str, Any], NDArray[np.uint8
     left of a part, and damaged parts, are passed over.
 
     Raises:
-        ControllerError: the file is no recording.
+        ControllerError: the file is no recording, or no sample of it is whole.
     """
     data = Path(file).read_bytes()
     try:
@@ -166,7 +166,10 @@ def read(file: str | os.PathLike[str]) -> tuple[dict[str, Any], NDArray[np.uint8
             place += count
     except (ValueError, KeyError, TypeError, struct.error, zlib.error) as error:
         what = f"{error} is missing" if isinstance(error, KeyError) else str(error)
+        what = "its description is cut off or damaged" if isinstance(error, (zlib.error, struct.error)) else what
         raise ControllerError(f"{file} is no recording: {what}") from error
+    if not parts and data[start + length :] not in (b"", END):
+        raise ControllerError(f"{file} has no whole sample: it is cut off, or damaged, after {len(data)} bytes")
     return description, found, tuple(_remarks(data, start + length, parts))
 
 

@@ -50,6 +50,8 @@ class Trial:
             for _ in range(steps):
                 x, S, point, more = self._step(x, point, S, u, p, dt / steps, newton)
                 left += more
+                if not np.all(np.isfinite(x)):
+                    break
         if self.problem.jump is not None:
             rows = list(self.problem.maps)
             value, slopes = self.problem.jump_slopes(start, u, [*p, *np.zeros(self.problem.solved)], dt)
@@ -115,7 +117,7 @@ class Trial:
             M = parts.reshape(block * nv, block * nv)
             change = _solve(M, rest(f)).reshape(X.shape)
             X = X - change
-            if np.all(np.abs(change) <= ROUNDING * (self.sizes + np.abs(X))):
+            if np.all(np.abs(change) <= ROUNDING * (self.sizes + np.abs(X))) or not np.all(np.isfinite(change)):
                 break
         f = np.array([np.asarray(self._f(each, u, p), dtype=float).ravel() for each in X])
         change = _solve(M, rest(f)).reshape(X.shape)

@@ -1,0 +1,115 @@
+"""How far the end of an interval by an explicit scheme is from the model, where the loop may be.
+
+    max_i |x_n(dt) - x(dt)|_i / max(scale_i, |x_i|)   over points (x, u): those of the first plan, with controls there
+    and at their bounds, for all corners of ranges, and points drawn inside of the bounds of states and controls
+
+x(dt) is that of RK4 with many steps. A state without two finite bounds is drawn between its values at the first plan.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+
+import casadi as ca
+import numpy as np
+
+from nmpc_codegen.components.integrators import RK4, ButcherTableau
+from nmpc_codegen.frontend.problem import Array, Problem
+from nmpc_codegen.frontend.scales import scales
+from nmpc_codegen.lowering.first_plan import first_plan, points
+
+#: Error of an interval that is accurate; steps that are tried for it.
+ACCURATE, MOST_ACCURATE = 1e-3, 10
+
+#: Steps of the comparison, points that are drawn, the error of an interval that only the comparison ends, and the
+#: growth of the largest value of a state over an interval that has left where the loop may be.
+FINE, DRAWN, LOST, ESCAPED = 64, 64, 1e3, 10.0
+
+
+def starts(problem: Problem) -> Iterator[tuple[Array, Array, Array]]:
+    """The points (x, u, p) of the first plan, with the controls there and at their bounds, at all corners; those of an
+    estimator are at its initial state, for its references are measurements."""
+    for _, corner in problem.corners:
+        rows = [row for row in corner.rows if row.kind == "control"]
+        for x, u in [first_plan(corner)] if problem.estimation else points(corner):
+            yield x, u, corner.p_value
+            for bounds in ([row.lower for row in rows], [row.upper for row in rows]):
+                moved, at = u.copy(), [row.index for row in rows]
+                moved[at] = np.where(np.isfinite(bounds), bounds, moved[at])
+                yield x, moved, corner.p_value
+
+
+def _drawn(problem: Problem, x: Array, u: Array) -> Array:
+    """Points (nx + nu, DRAWN) inside of the bounds, or between the points that are given."""
+    z, nx = np.vstack([x, u]), problem.nx
+    low, high = np.min(z, axis=1), np.max(z, axis=1)
+    for row in problem.rows:
+        ends = np.min(row.lower), np.max(row.upper)
+        if row.kind in ("state", "control") and np.all(np.isfinite(ends)):
+            i = row.index + (nx if row.kind == "control" else 0)
+            low[i], high[i] = min(low[i], ends[0]), max(high[i], ends[1])
+    share = np.random.default_rng(0).uniform(size=(DRAWN, len(low)))
+    found: Array = (low + (high - low) * share).T
+    return found
+
+
+class Flow:
+    """The model over the longest interval from these points."""
+
+    def __init__(self, problem: Problem, fine: int = FINE) -> None:
+        stage, found = problem.path, list(starts(problem))
+        f = ca.densify(problem.dynamics(stage.x, stage.u, stage.p))
+        self._f = ca.Function("f", [stage.x, stage.u, stage.p], [f])
+        x, u, p = (np.array(each).T for each in zip(*found, strict=True))
+        more = _drawn(problem, x, u)
+        self._x, self._u = np.hstack([x, more[: problem.nx]]), np.hstack([u, more[problem.nx :]])
+        self._p = np.hstack([p, np.tile(problem.p_value, (DRAWN, 1)).T])
+        self._dt = max(problem.dt)
+        end = self._end(RK4, fine)
+        size = np.maximum(scales(problem).z[: problem.nx], np.max(np.abs(self._x), axis=1))[:, None]
+        self._ended = np.all(np.abs(end) <= ESCAPED * size, axis=0)
+        self._fine = end[:, self._ended]
+        self._size = np.maximum(size, np.max(np.abs(self._fine), axis=1, initial=0.0)[:, None])
+
+    def error(self, tableau: ButcherTableau, steps: int) -> float:
+        """The largest error of an interval with these steps; LOST where it has no end; 0 if no interval has one."""
+        return float(np.max(self._errors(self._end(tableau, steps)[:, self._ended], self._fine), initial=0.0))
+
+    def worst(self, tableau: ButcherTableau, steps: int) -> Array:
+        """The state (nx,) from which the error of an interval is largest."""
+        errors = self._errors(self._end(tableau, steps)[:, self._ended], self._fine)
+        found: Array = self._x[:, np.flatnonzero(self._ended)[np.argmax(errors)]]
+        return found
+
+    def _errors(self, end: Array, fine: Array) -> Array:
+        """The error of every interval."""
+        with np.errstate(all="ignore"):
+            errors = np.max(np.abs(end - fine) / self._size, axis=0)
+            found: Array = np.where(errors < LOST, errors, LOST)
+        return found
+
+    def error_where_worst(
+        self, tableau: ButcherTableau, steps: int, end: Callable[[Array, Array, Array], Array], count: int = 12
+    ) -> float:
+        """The largest error of another scheme, by its end of an interval from (x, u, p), at the points where these
+        steps are worst."""
+        off = self._errors(self._end(tableau, steps)[:, self._ended], self._fine)
+        worst = np.argsort(-off)[:count]
+        at = np.flatnonzero(self._ended)[worst]
+        found = [end(self._x[:, i], self._u[:, i], self._p[:, i]) for i in at]
+        return float(np.max(self._errors(np.array(found).T, self._fine[:, worst]), initial=0.0)) if found else 0.0
+
+    def accurate_steps(self, tableau: ButcherTableau, tried: Iterable[int]) -> int | None:
+        """The first of these numbers of steps that is accurate; None if none is."""
+        return next((n for n in tried if self.error(tableau, n) <= ACCURATE), None)
+
+    def _end(self, tableau: ButcherTableau, steps: int) -> Array:
+        a, b, h, x = np.array(tableau.a, float), np.array(tableau.b, float), self._dt / steps, self._x
+        with np.errstate(all="ignore"):
+            for _ in range(steps):
+                slopes: list[Array] = []
+                for row in a:
+                    at = x + h * sum((c * k for c, k in zip(row, slopes, strict=False)), np.zeros_like(x))
+                    slopes.append(np.asarray(self._f(at, self._u, self._p), dtype=float))
+                x = x + h * sum((c * k for c, k in zip(b, slopes, strict=True)), np.zeros_like(x))
+        return x
