@@ -26,9 +26,6 @@ from nmpc_codegen.frontend.problem import Array
 from nmpc_codegen.frontend.statement import Declared, Statement
 from nmpc_codegen.package.signals import list_some
 
-#: A value of an unknown that is 0 but for rounding, relative to where it starts.
-ROUNDED = 1e-8
-
 
 @dataclass(frozen=True, eq=False)
 class Resolved:
@@ -195,7 +192,7 @@ def _sizes(ocp: OCP, implied: int, solved: Solved) -> list[float]:
     declared = [v for d in ocp.algebraics for v in d.signal.scale or (0.0,) * d.signal.size]
     initial = [v for d in ocp.algebraics for v in d.signal.value]
     return [
-        stated or (abs(at) if np.isfinite(at) and abs(at) > ROUNDED * (abs(start) or 1.0) else abs(start)) or 1.0
+        stated or (abs(at) if abs(at) > newton.ROUNDING * (abs(start) or 1) and abs(at) < np.inf else abs(start)) or 1.0
         for stated, at, start in zip([0.0] * implied + declared, solved.at, [0.0] * implied + initial, strict=True)
     ]
 
