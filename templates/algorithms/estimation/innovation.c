@@ -52,12 +52,14 @@ static int is_expected(const watch_t *w)
     return expected;
 }
 
-/* Counts samples in a row that are as expected, or are not. Behind several that are not, the estimate is on trial. */
+/* Counts samples in a row that are as expected, or are not. Behind several that are not, the estimate is on trial. The
+ * first samples are not judged: they tell where the plant is, and models bend on the way there. */
 static void count_sample(watch_t *w, int left_out, int taken)
 {
+    w->seen += (taken && w->seen < EXPECTED_SAMPLES);
     if (left_out || (taken && !is_expected(w))) {
         w->expected = left_out ? w->expected : 0;
-        w->doubted += (w->doubted < MANY);
+        w->doubted += (w->doubted < MANY && (left_out || w->seen == EXPECTED_SAMPLES));
     } else if (taken) {
         w->trial = (w->doubted > EXPECTED_OUTLIERS + 1) ? TRIAL_SAMPLES : w->trial - (w->trial > 0);
         w->expected += (w->expected < MANY);

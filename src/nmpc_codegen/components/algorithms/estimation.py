@@ -148,6 +148,7 @@ def structs(dims: Dims) -> tuple[Struct, ...]:
                 Field("count", (), "of how many", "keep"),
                 Field("sum", (dims.nm,), "sums of the last innovations of a measurement", "keep"),
                 Field("variance", (dims.nm,), "of these", "keep"),
+                count("seen", "samples since the beginning, up to those that are not judged"),
                 count("expected", "samples in a row that are as expected"),
                 count("doubted", "samples in a row that are not"),
                 count("left_out", "1: a measurement of the last sample was left out"),
