@@ -7,7 +7,6 @@ from typing import Any
 from nmpc_codegen import (
     AdjointShooting,
     DenseActiveSet,
-    ExplicitRungeKutta,
     FullCondensing,
     NoCondensing,
     Online,
@@ -43,4 +42,4 @@ def on(route: str, **more: Any) -> Options:
 def shooting(online: Online | None = None, precision: Any = "double", solve: bool = True, **algorithm: Any) -> Options:
     """Single shooting whose plan does not move unless a shift is given."""
     given = AdjointShooting(**({"shift": None} | algorithm))
-    return Options(ExplicitRungeKutta(), algorithm=given, online=online or Online(), precision=precision, solve=solve)
+    return Options(algorithm=given, online=online or Online(), precision=precision, solve=solve)

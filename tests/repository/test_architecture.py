@@ -74,6 +74,7 @@ ONLY_IN = {
         "components/stage_cost",
         "lowering/linearize",
         "lowering/first_plan",
+        "lowering/schemes/accuracy",
         "lowering/schemes/stability",
     },
     "jinja2": {"lowering/render"},

@@ -74,7 +74,7 @@ def test_the_sweeps_multiply_with_the_jacobian_of_the_interval(steps: int, table
 def test_the_stationarity_is_the_gradient_of_casadi(method: str) -> None:
     """Without rows: max |dJ/du| of the simulated cost, from CasADi, at controls between the bounds."""
     ocp = cstr.build_ocp(state_bounds=False)
-    problem, controller = classify(ocp), build(ocp, options(method=method), "test")
+    problem, controller = classify(ocp), build(ocp, replace(options(method=method), integrator=TWO_STEPS), "test")
     u = ca.MX.sym("u", problem.N, 2)
     x, cost, r = ca.MX(cstr.START), ca.MX(0), cstr.SET_POINTS[0]
     step = interval_map(problem, CLASSICAL)
@@ -129,7 +129,9 @@ def test_solve_finds_the_solution_of_ipopt(name: str, method: str) -> None:
 def test_reactor_with_bounds_of_states(set_point: int) -> None:
     """Set point 1 is out of reach of th >= 98 and thK >= 92; the controls differ by three orders of magnitude."""
     ocp = cstr.build_ocp(set_point)
-    solution = build(ocp, options(penalty=1e4), "test").solve(cstr.START, tol=1e-9, max_iterations=300)
+    solution = build(ocp, replace(options(penalty=1e4), integrator=TWO_STEPS), "test").solve(
+        cstr.START, tol=1e-9, max_iterations=300
+    )
     found = ipopt(ocp, cstr.START)
     assert solution.status is Status.OK
     np.testing.assert_allclose(solution.u, found.u, rtol=1e-6, atol=1e-6)

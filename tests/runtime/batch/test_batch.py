@@ -207,7 +207,7 @@ def test_references_without_an_end() -> None:
         (lambda m: m.reset(np.ones(3, bool)), "expected integers, or a mask"),
         (lambda m: m.solve(X, tol=-1), "tol is -1"),
         (lambda m: m.solve(X, max_iterations=2**40), "max_iterations is"),
-        (lambda m: m.integrate(X, np.zeros((M, 1)), "a"), "dt is no array of numbers"),
+        (lambda m: m.integrate(X, np.zeros((M, 1)), "a"), "expected a finite number >= 0"),
         (lambda m: m.set_weight(np.eye(5)[:, None] - 2), "weight has shape"),
         (lambda m: Batch(m[0], 0), "number is 0"),
         (lambda m: Batch(m[0], 2, threads=0), "threads is 0"),

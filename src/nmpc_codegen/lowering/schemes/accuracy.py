@@ -39,7 +39,7 @@ def starts(problem: Problem) -> Iterator[tuple[Array, Array, Array]]:
                 yield x, moved, corner.p_value
 
 
-def _drawn(problem: Problem, x: Array, u: Array) -> Array:
+def _inner_points(problem: Problem, x: Array, u: Array) -> Array:
     """Points (nx + nu, DRAWN) inside of the bounds, or between the points that are given."""
     z, nx = np.vstack([x, u]), problem.nx
     low, high = np.min(z, axis=1), np.max(z, axis=1)
@@ -61,7 +61,7 @@ class Flow:
         f = ca.densify(problem.dynamics(stage.x, stage.u, stage.p))
         self._f = ca.Function("f", [stage.x, stage.u, stage.p], [f])
         x, u, p = (np.array(each).T for each in zip(*found, strict=True))
-        more = _drawn(problem, x, u)
+        more = _inner_points(problem, x, u)
         self._x, self._u = np.hstack([x, more[: problem.nx]]), np.hstack([u, more[problem.nx :]])
         self._p = np.hstack([p, np.tile(problem.p_value, (DRAWN, 1)).T])
         self._dt = max(problem.dt)
