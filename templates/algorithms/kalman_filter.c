@@ -18,8 +18,7 @@ static void begin_filter(solver_t *s)
     memcpy(s->known, s->filter.mean, sizeof s->known);
     s->status = (int32_t)OK;
     memset(s->u, 0, sizeof s->u);
-    memset(&s->watch, 0, sizeof s->watch);
-    forget_innovations(s);
+    begin_watch(s);
     forget_measurements(s, 0);
     forget_controls(s, 0);
 }

@@ -55,9 +55,7 @@ static status_t improve_estimate(solver_t *s)
     hessian(s);
     hold_future(s);
     status = condense_prepare(s);
-    if (status == OK) {
-        status = feedback_here(s);
-    }
+    status = (status == OK) ? feedback_here(s) : status;
     clip_window(s);
     return status;
 }

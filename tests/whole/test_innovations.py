@@ -116,7 +116,7 @@ def test_noise_that_is_larger_than_declared_is_told() -> None:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("plant", ["cart", "pendulum"])
+@pytest.mark.parametrize("plant", FAULTY)
 def test_sensors_that_fail_for_a_while(plant: str, kind: str) -> None:
     """No estimate is OK that is wrong, and two windows later all is well; no alarm where nothing has failed."""
     stated = FAULTY[plant]

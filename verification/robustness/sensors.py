@@ -73,7 +73,7 @@ FAULTY: dict[str, Plant] = {
 
 @dataclass(frozen=True)
 class Fault:
-    """What a sensor tells in its place, with the last measurement before the fault and the number of the sample."""
+    """What a sensor tells for some samples, from what it should, the last one before the fault, and its noise."""
 
     samples: int
     tells: Callable[[np.random.Generator, Array, Array, Array], Array]

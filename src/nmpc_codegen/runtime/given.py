@@ -243,7 +243,7 @@ def level_number(level: object) -> int:
 
 def require_time(dt: object) -> None:
     """Raise ControllerError unless it is a finite number >= 0."""
-    if not is_positive(dt) and not (isinstance(dt, int | float) and dt == 0):
+    if not is_positive(dt) and not (isinstance(dt, int | float | np.integer | np.floating) and dt == 0):
         raise ControllerError(f"dt is {dt!r}; expected a finite number >= 0")
 
 

@@ -126,10 +126,8 @@ static void weigh_by_filter(solver_t *s, int k, const filter_t *f)
     real_t y[NM], H[NM][NX] = {{R(0)}};
     MEASUREMENT(s->x[k], PARAM(s, k), y, H);
     for (int m = 0; m < NM; m++) {
-        real_t p[NX];
-        project(f, H[m], p);
         if (s->p[k][AT_ACCURACY + m] > R(0)) {
-            const real_t own = R(1) / accuracy[m], size = SQRT(own * own + square_sum(p, NX));
+            const real_t size = expected_deviation(f, H[m], R(1) / accuracy[m]);
             s->p[k][AT_ACCURACY + m] = accuracy_with(m, (s->p[k][AT_Y + m] - y[m]) / size);
         }
     }

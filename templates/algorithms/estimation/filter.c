@@ -32,6 +32,23 @@ static real_t square_sum(const real_t *v, int n)
     return sum;
 }
 
+/* Standard deviation of what is expected of a measurement with the slope h and the standard deviation `own`. */
+static real_t expected_deviation(const filter_t *f, const real_t *h, real_t own)
+{
+    real_t projected[NX];
+    project(f, h, projected);
+    return SQRT(own * own + square_sum(projected, NX));
+}
+
+/* What the mean of the filter leaves of an error at x, by the slope h of the measurement. */
+static real_t error_at_mean(const filter_t *f, const real_t *x, const real_t *h, real_t error)
+{
+    for (int i = 0; i < NX; i++) {
+        error -= h[i] * (f->mean[i] - x[i]);
+    }
+    return error;
+}
+
 /* One measurement with the slope h and the variance `own`, `error` above what the mean gives (Potter). */
 static void take_measurement(filter_t *f, const real_t *h, real_t error, real_t own)
 {
@@ -58,11 +75,8 @@ static void update_filter(const solver_t *s, int k, filter_t *f)
     MEASUREMENT(s->x[k], PARAM(s, k), y, H);
     for (int m = 0; m < NM; m++) {
         const real_t inverse = p[AT_ACCURACY + m];
-        real_t error = p[AT_Y + m] - y[m];
-        for (int i = 0; i < NX; i++) {
-            error -= H[m][i] * (f->mean[i] - s->x[k][i]);
-        }
         if (inverse > R(0)) {
+            const real_t error = error_at_mean(f, s->x[k], H[m], p[AT_Y + m] - y[m]);
             take_measurement(f, H[m], error, R(1) / (inverse * inverse));
         }
     }

@@ -10,6 +10,13 @@ static void forget_innovations(solver_t *s)
     s->stats.measurement = -1;
 }
 
+/* The first sample is still to come. */
+static void begin_watch(solver_t *s)
+{
+    memset(&s->watch, 0, sizeof s->watch);
+    forget_innovations(s);
+}
+
 /* The sum of the squares of so many normal numbers is larger once in 3e5 (Wilson and Hilferty). */
 static real_t largest_sum(real_t count)
 {
@@ -73,8 +80,7 @@ static void count_sample(watch_t *w, int left_out, int taken)
 static void judge_measurements(solver_t *s, int k, filter_t *f)
 {
     watch_t *w = &s->watch;
-    const int trusted = w->expected >= EXPECTED_SAMPLES;
-    const real_t most = trusted ? FACTOR_INNOVATION_FAR : FACTOR_INNOVATION_WIDEST;
+    const real_t most = (w->expected >= EXPECTED_SAMPLES) ? FACTOR_INNOVATION_FAR : FACTOR_INNOVATION_WIDEST;
     real_t *p = s->p[k], y[NM], H[NM][NX] = {{R(0)}};
     int left_out = 0, taken = 0;
     w->surprise *= FACTOR_INNOVATION_MEMORY;
@@ -83,15 +89,11 @@ static void judge_measurements(solver_t *s, int k, filter_t *f)
     MEASUREMENT(s->x[k], PARAM(s, k), y, H);
     for (int m = 0; m < NM; m++) {
         const real_t own = R(1) / accuracy[m];
-        real_t projected[NX], error = p[AT_Y + m] - y[m], innovation;
         if (!(p[AT_ACCURACY + m] > R(0))) {
             continue;
         }
-        for (int i = 0; i < NX; i++) {
-            error -= H[m][i] * (f->mean[i] - s->x[k][i]);
-        }
-        project(f, H[m], projected);
-        innovation = note_innovation(s, m, error, SQRT(own * own + square_sum(projected, NX)));
+        const real_t error = error_at_mean(f, s->x[k], H[m], p[AT_Y + m] - y[m]);
+        real_t innovation = note_innovation(s, m, error, expected_deviation(f, H[m], own));
         if (innovation > most) {
             p[AT_ACCURACY + m] = R(0);
             left_out = 1;
@@ -110,8 +112,7 @@ static void judge_measurements(solver_t *s, int k, filter_t *f)
  * a new beginning has not helped it takes twice as long. */
 static int is_lost(const solver_t *s)
 {
-    const watch_t *w = &s->watch;
-    return (w->doubted >> w->restarts) >= DOUBTED_SAMPLES;
+    return (s->watch.doubted >> s->watch.restarts) >= DOUBTED_SAMPLES;
 }
 
 /* What was found so far is of an estimate that has been given up; the next one is on trial. */
@@ -135,11 +136,8 @@ static void renew_filter(solver_t *s, int k, const real_t *x, const real_t *y, f
     put_measurements(s, k, y);
     MEASUREMENT(s->x[k], PARAM(s, k), told, H);
     for (int m = 0; m < NM; m++) {
-        real_t projected[NX];
-        project(f, H[m], projected);
         if (s->p[k][AT_ACCURACY + m] > R(0)) {
-            const real_t own = R(1) / accuracy[m], size = SQRT(own * own + square_sum(projected, NX));
-            enlarge(&wide, (s->p[k][AT_Y + m] - told[m]) / size);
+            enlarge(&wide, (s->p[k][AT_Y + m] - told[m]) / expected_deviation(f, H[m], R(1) / accuracy[m]));
         }
     }
     wide = (wide < FACTOR_INNOVATION_WIDEST) ? wide : FACTOR_INNOVATION_WIDEST;

@@ -42,8 +42,7 @@ static void restart_window(solver_t *s)
         forget_controls(s, k);
         put_parameters(s, k);
     }
-    memset(&s->watch, 0, sizeof s->watch);
-    forget_innovations(s);
+    begin_watch(s);
     s->expected = s->arrival;
     weigh_arrival(s);
 }
@@ -159,11 +158,19 @@ static void begin_window(solver_t *s)
     start_at(s, s->arrival.mean);
 }
 
+/* The first node has the data of the present sample, without its measurements. */
+static void keep_present_data(solver_t *s)
+{
+    if (s->window > 0) {
+        memcpy(s->p[0], s->p[s->window], sizeof s->p[0]);
+    }
+    forget_measurements(s, 0);
+}
+
 /* Data that lead nowhere are given up, the present ones too: the window begins anew at the last estimate that was OK. */
 static void forget_window(solver_t *s)
 {
-    memcpy(s->p[0], s->p[s->window], sizeof s->p[0]);
-    forget_measurements(s, 0);
+    keep_present_data(s);
     restart_filter(&s->arrival);
     memcpy(s->arrival.mean, s->known, sizeof s->arrival.mean);
     watch_again(s);
@@ -173,8 +180,7 @@ static void forget_window(solver_t *s)
 /* Data that have left what is expected for good are given up, but for the present measurements y. */
 static void renew_window(solver_t *s, const real_t *y)
 {
-    memcpy(s->p[0], s->p[s->window], sizeof s->p[0]);
-    forget_measurements(s, 0);
+    keep_present_data(s);
     renew_filter(s, 0, s->x[s->window], y, &s->arrival);
     begin_window(s);
     update_filter(s, 0, &s->expected);

@@ -44,10 +44,9 @@ def _inner_points(problem: Problem, x: Array, u: Array) -> Array:
     z, nx = np.vstack([x, u]), problem.nx
     low, high = np.min(z, axis=1), np.max(z, axis=1)
     for row in problem.rows:
-        ends = np.min(row.lower), np.max(row.upper)
-        if row.kind in ("state", "control") and np.all(np.isfinite(ends)):
+        if row.kind in ("state", "control") and np.isfinite(row.lower) and np.isfinite(row.upper):
             i = row.index + (nx if row.kind == "control" else 0)
-            low[i], high[i] = min(low[i], ends[0]), max(high[i], ends[1])
+            low[i], high[i] = min(low[i], row.lower), max(high[i], row.upper)
     share = np.random.default_rng(0).uniform(size=(DRAWN, len(low)))
     found: Array = (low + (high - low) * share).T
     return found
@@ -65,6 +64,7 @@ class Flow:
         self._x, self._u = np.hstack([x, more[: problem.nx]]), np.hstack([u, more[problem.nx :]])
         self._p = np.hstack([p, np.tile(problem.p_value, (DRAWN, 1)).T])
         self._dt = max(problem.dt)
+        self._known: dict[tuple[ButcherTableau, int], Array] = {}
         end = self._end(RK4, fine)
         size = np.maximum(scales(problem).z[: problem.nx], np.max(np.abs(self._x), axis=1))[:, None]
         self._ended = np.all(np.abs(end) <= ESCAPED * size, axis=0)
@@ -73,13 +73,18 @@ class Flow:
 
     def error(self, tableau: ButcherTableau, steps: int) -> float:
         """The largest error of an interval with these steps; LOST where it has no end; 0 if no interval has one."""
-        return float(np.max(self._errors(self._end(tableau, steps)[:, self._ended], self._fine), initial=0.0))
+        return float(np.max(self._of_steps(tableau, steps), initial=0.0))
 
     def worst(self, tableau: ButcherTableau, steps: int) -> Array:
         """The state (nx,) from which the error of an interval is largest."""
-        errors = self._errors(self._end(tableau, steps)[:, self._ended], self._fine)
-        found: Array = self._x[:, np.flatnonzero(self._ended)[np.argmax(errors)]]
+        found: Array = self._x[:, np.flatnonzero(self._ended)[np.argmax(self._of_steps(tableau, steps))]]
         return found
+
+    def _of_steps(self, tableau: ButcherTableau, steps: int) -> Array:
+        """The error of every interval with these steps."""
+        if (tableau, steps) not in self._known:
+            self._known[tableau, steps] = self._errors(self._end(tableau, steps)[:, self._ended], self._fine)
+        return self._known[tableau, steps]
 
     def _errors(self, end: Array, fine: Array) -> Array:
         """The error of every interval."""
@@ -93,8 +98,7 @@ class Flow:
     ) -> float:
         """The largest error of another scheme, by its end of an interval from (x, u, p), at the points where these
         steps are worst."""
-        off = self._errors(self._end(tableau, steps)[:, self._ended], self._fine)
-        worst = np.argsort(-off)[:count]
+        worst = np.argsort(-self._of_steps(tableau, steps))[:count]
         at = np.flatnonzero(self._ended)[worst]
         found = [end(self._x[:, i], self._u[:, i], self._p[:, i]) for i in at]
         return float(np.max(self._errors(np.array(found).T, self._fine[:, worst]), initial=0.0)) if found else 0.0

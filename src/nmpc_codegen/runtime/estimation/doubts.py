@@ -13,11 +13,6 @@ from nmpc_codegen.package.status import Stats
 TURNS = {"rad": 2 * np.pi, "": 2 * np.pi, "deg": 360.0}
 
 
-def is_doubted(watch: Any) -> bool:
-    """Whether measurements are not what the estimate leads to expect, by the counters of the C struct."""
-    return any(int(watch[name]) for name in ("doubted", "trial"))
-
-
 def describe_doubts(found: Estimation, stats: Stats, watch: Any) -> str:
     """What was expected, what became of it, and what would help; a line."""
     said = []

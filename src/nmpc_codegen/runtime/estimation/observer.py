@@ -17,7 +17,7 @@ from nmpc_codegen.package.estimation import Estimation
 from nmpc_codegen.package.signals import members
 from nmpc_codegen.package.status import Status
 from nmpc_codegen.runtime.compiled import CompiledPackage
-from nmpc_codegen.runtime.estimation.doubts import describe_doubts, is_doubted
+from nmpc_codegen.runtime.estimation.doubts import describe_doubts
 from nmpc_codegen.runtime.memory import OnFailure
 from nmpc_codegen.runtime.setters import EVERY_NODE, Setters
 
@@ -203,8 +203,9 @@ class Observer(Setters):
             return str(found)
         if found == Status.NOT_FINITE:
             return f"{found.name}: a control is not finite; the estimate takes the one before"
-        if found == Status.NOT_CONVERGED and is_doubted(watch := self._struct["watch"]):
-            return f"{found.name}: {describe_doubts(self.estimation, self.stats, watch)}"
+        gaps = self.stats.residual > self.description.options.get("algorithm.tolerance", np.inf)
+        if found == Status.NOT_CONVERGED and not gaps:
+            return f"{found.name}: {describe_doubts(self.estimation, self.stats, self._struct['watch'])}"
         if found == Status.NOT_CONVERGED:
             return f"{found.name}: the window leaves gaps of {self.stats.residual:.2g}; the estimate is the filter's"
         return f"{found.name}: {found.text}; the estimate is the filter's"
