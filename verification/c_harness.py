@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from nmpc_codegen import OCP, Options
+from nmpc_codegen.compiler import text_of
 from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.ir.cmodule import CModule
 from nmpc_codegen.ir.printing.c_style import CStyle
@@ -24,7 +25,6 @@ from nmpc_codegen.ir.printing.routines import print_routine
 from nmpc_codegen.ir.sweep import Routine
 from nmpc_codegen.lowering.linearize import linearize
 from nmpc_codegen.lowering.lower import lower
-from nmpc_codegen.lowering.render import render
 from nmpc_codegen.package.description import union_dtype
 from nmpc_codegen.package.sources import Sources
 from nmpc_codegen.runtime.build import PROFILES, WARNINGS
@@ -112,7 +112,7 @@ class Package:
 
     def __init__(self, module: CModule, functions: Sequence[str] = (), sources: Sources | None = None) -> None:
         self.module = module
-        self.sources = sources or render(module)
+        self.sources = sources or text_of(module)
         p = module.name
         lines = [
             f'#include "{p}.c"',

@@ -12,11 +12,13 @@ from contextlib import suppress
 
 from nmpc_codegen.ir.cmodule import CModule
 from nmpc_codegen.ir.kernel import called_lookups
-from nmpc_codegen.lowering.parts import MATH, SEARCH, template_directory
-from nmpc_codegen.lowering.pruning.directives import evaluate
-from nmpc_codegen.lowering.pruning.expressions import Expression, expression
+from nmpc_codegen.lowering.dialect.directives import evaluate
+from nmpc_codegen.lowering.dialect.expressions import Expression, expression
+from nmpc_codegen.lowering.templates import template_directory
+from nmpc_codegen.lowering.unit.assemble import INTERVALS, SEARCH
+from nmpc_codegen.lowering.unit.read import MATH
 
-#: Parts that unit.c.jinja inlines in every package.
+#: Parts of every package.
 ALWAYS = ("core/sizes.c", "core/rows.c", "core/cost.c", "core/inner.c", "core/algebraic.c")
 _PLAIN = re.compile(r"^ +(?:\} else )?if \((.*)\) \{")
 _CONSTANT = re.compile(r"[A-Z0-9_ <>=!+&|()]*[A-Z]{2}[A-Z0-9_ <>=!+&|()]*")
@@ -70,7 +72,7 @@ def reached(modules: Iterable[CModule]) -> tuple[set[str], Values]:
     for module in modules:
         math = (MATH,) if module.features.own_math or module.sizes["LANE_NODES"] else ()
         search = (SEARCH,) if called_lookups(module.routines) else ()
-        stages = ("integrators/implicit/intervals.c",) if module.stage_parts else ()
+        stages = (INTERVALS,) if module.stage_parts else ()
         sections = (section.template for section in module.sections)
         for root in (*ALWAYS, *math, *search, *stages, *sections, *module.extras):
             for part, number, value in _walk(root, module.sizes):

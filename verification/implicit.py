@@ -14,8 +14,8 @@ from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.printing.c_style import unit_style
 from nmpc_codegen.ir.printing.routines import print_routine
 from nmpc_codegen.lowering.choose import dimensions
-from nmpc_codegen.lowering.parts import read_part
-from nmpc_codegen.lowering.preamble import REAL_CONSTANT, arithmetic, kernel_call
+from nmpc_codegen.lowering.unit.macros import REAL_CONSTANT, arithmetic, kernel_call, print_macro
+from nmpc_codegen.lowering.unit.read import read_part
 from nmpc_codegen.package.memory import Precision
 from verification.c_harness import SCALARS, shared_library
 
@@ -79,11 +79,10 @@ def _unit(problem: Problem, integrator: ImplicitRungeKutta, precision: Precision
     lines.append(f"typedef {'double' if precision == 'double' else 'float'} real_t;")
     lines += [f"#define {name} {value}" for name, value in sizes.items()]
     lines += [f"#define HAS_{name.upper()} {int(name in there)}" for name in OPTIONAL]
-    lines += [f"#define {name} {text}" for name, text in arithmetic(precision)]
+    lines += [print_macro(item, {}) for item in arithmetic(precision)]
     lines += [f"#define {kernel.upper()}(...) ((void)0)" for kernel in OPTIONAL if kernel not in there]
     lines += [print_routine(kernel, style) for kernel in kernels.all]
-    macros = [REAL_CONSTANT, *map(kernel_call, kernels.all)]
-    lines += [f"#define {name}({arguments}) {text}" for name, arguments, text in macros]
+    lines += [print_macro(item, {}) for item in (REAL_CONSTANT, *map(kernel_call, kernels.all))]
     for table in integrator.tables(problem):
         ctype = "real_t" if table.ctype == "real" else "int"
         units = [*(1 / scales), *(1 / value for value in (problem.algebra.scale if problem.algebra else ()))]

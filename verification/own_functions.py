@@ -11,7 +11,7 @@ import numpy as np
 
 from nmpc_codegen.ir.printing.c_style import unit_style
 from nmpc_codegen.lowering.lanes.nodes import in_lanes, transpose
-from nmpc_codegen.lowering.parts import MATH, MATH_IN_LANES, own_names, own_text, read_part
+from nmpc_codegen.lowering.unit.read import MATH, MATH_IN_LANES, own_names, read_part
 from nmpc_codegen.package.program import OF_ONE, OF_TWO
 from nmpc_codegen.runtime.compilers import find_compiler
 
@@ -38,7 +38,7 @@ def source(single: bool, lanes: int, avx512: bool) -> str:
         f"typedef {real} real_t;\n#define R(x) ((real_t)(x))\n#define INF R(INFINITY)\n#define VECTOR_LANES {lanes}\n"
     )
     head += "".join(f"#define {name.upper()} {name}{suffix}\n" for name in ("sqrt", "fabs"))
-    texts = [head, own_text(MATH, sizes)]
+    texts = [head, read_part(MATH, sizes=sizes)]
     if lanes > 1:
         texts += [read_part(f"lanes/{part}.c", lambda path: transpose(lanes), sizes) for part in LANE_PARTS]
         texts.append(in_lanes(own_names(MATH_IN_LANES), sizes, unit_style("single" if single else "double")))

@@ -16,7 +16,7 @@ from pathlib import Path
 
 from examples.crane import build_ocp
 from nmpc_codegen import Options, generate
-from nmpc_codegen.lowering.pruning.scopes import signature
+from nmpc_codegen.lowering.dialect.scopes import signature
 from nmpc_codegen.package.sources import Sources
 from nmpc_codegen.runtime.build import WARNINGS as STRICT
 from nmpc_codegen.runtime.compilers import find_compiler

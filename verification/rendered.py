@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from functools import cache
 
-from nmpc_codegen.compiler import read
+from nmpc_codegen.compiler import read, text_of
 from nmpc_codegen.ir.cmodule import CModule
 from nmpc_codegen.lowering.linearize import Model, linearize
 from nmpc_codegen.lowering.lower import lower
-from nmpc_codegen.lowering.render import render
 from nmpc_codegen.package.sources import Sources
 from verification.timed import Sample
 
@@ -27,4 +26,4 @@ def lowered(sample: Sample) -> CModule:
 
 def texts(sample: Sample) -> Sources:
     """The package of a sample, without third-party code."""
-    return render(lowered(sample))
+    return text_of(lowered(sample))

@@ -11,7 +11,7 @@ import hashlib
 import importlib
 import pkgutil
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -592,7 +592,7 @@ def digests() -> Iterator[str]:
     """SHA-256 and name of every file that the samples, the examples and derivatives of the crane export."""
     modules = [importlib.import_module(f"examples.{found.name}") for found in pkgutil.iter_modules(examples.__path__)]
     more = [(m.__name__, m.build_ocp, getattr(m, "options", Options)()) for m in modules if hasattr(m, "build_ocp")]
-    packages = {name: generate(make(), options) for name, make, options in more}
+    packages: dict[str, Mapping[str, str]] = {name: generate(make(), options) for name, make, options in more}
     packages |= {sample.name: generate(sample.make(), sample.options) for sample in (*SAMPLES, *IN_LANES)}
     for name, options in (
         ("explicit", Options(ExplicitRungeKutta())),

@@ -13,8 +13,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from nmpc_codegen.compiler import text_of
 from nmpc_codegen.lowering.lower import lower
-from nmpc_codegen.lowering.render import render
 from nmpc_codegen.package.sources import Sources
 from verification.quality import compile_c, package_name, written
 from verification.rendered import model, texts
@@ -119,7 +119,7 @@ _SOLVE = """for (int j = 0; j < {P}_NU; j++) {{
 
 def packages(sample: Sample) -> tuple[Sources, Sources]:
     """The exported package of a sample, and the whole one."""
-    return texts(sample), render(lower(model(sample), whole=True))
+    return texts(sample), text_of(lower(model(sample), whole=True))
 
 
 def errors_of(whole: Sources, *flags: str) -> str:

@@ -23,12 +23,15 @@ from nmpc_codegen.frontend.estimator.declaration import Estimator
 from nmpc_codegen.frontend.estimator.problem import estimation_problem
 from nmpc_codegen.frontend.ocp import OCP
 from nmpc_codegen.frontend.problem import Problem
+from nmpc_codegen.ir.cmodule import CModule
 from nmpc_codegen.lowering.beside.dumps import obsolete_dumps, with_dumps
 from nmpc_codegen.lowering.beside.loop import with_estimator
 from nmpc_codegen.lowering.explain import explain
 from nmpc_codegen.lowering.linearize import linearize
 from nmpc_codegen.lowering.lower import lower
 from nmpc_codegen.lowering.render import render
+from nmpc_codegen.lowering.unit.assemble import assemble, constants_of
+from nmpc_codegen.lowering.unit.passes import run
 from nmpc_codegen.options import Options, common_options, for_estimator
 from nmpc_codegen.package.description import PackageDescription
 from nmpc_codegen.package.sources import Sources
@@ -62,7 +65,13 @@ def compile(ocp: OCP | Estimator, options: Options | None = None, name: str | No
     """The files of the C package: OCP -> Problem -> Model -> CModule -> Sources. It raises the errors of generate()."""
     with COMPILING:
         model = linearize(*read(ocp, options))
-        return render(explain(lower(model, name), model))
+        return text_of(explain(lower(model, name), model))
+
+
+def text_of(module: CModule) -> Sources:
+    """CModule -> items -> Sources; a whole package keeps all items."""
+    items = assemble(module)
+    return render(module, items if module.whole else run(items, constants_of(module)))
 
 
 def read(ocp: OCP | Estimator, options: Options | None) -> tuple[Problem, Options | None]:

@@ -16,6 +16,11 @@ from typing import Literal, get_args
 
 from nmpc_codegen.package.memory import Precision
 
+#: GCC 12 and 13 may align the stack of a leaf function less than its vector stores require, which then fault (observed
+#: with 12.2 on processors with AVX-512). With this option the GNU assembler encodes the same moves for any alignment,
+#: which costs no time on addresses that are aligned.
+UNALIGNED_MOVES = "-Wa,-muse-unaligned-vector-move"
+
 #: How a sum of products is written: in small arrays, which compilers hold in vector registers, or in variables.
 Sums = Literal["arrays", "variables"]
 

@@ -11,15 +11,14 @@ import numpy as np
 import pytest
 
 from nmpc_codegen import EconomicGaussNewton, GaussNewton, KalmanFilter, MovingHorizon, OptionError, Options
-from nmpc_codegen.compiler import read
+from nmpc_codegen.compiler import read, text_of
 from nmpc_codegen.components.base import SEAMS, Component, Dims, refuse_unsupported, spell
 from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.ir.cmodule import Macro
 from nmpc_codegen.ir.sweep import Routine
 from nmpc_codegen.lowering.linearize import Model, linearize
 from nmpc_codegen.lowering.lower import lower
-from nmpc_codegen.lowering.parts import template_directory
-from nmpc_codegen.lowering.render import render
+from nmpc_codegen.lowering.templates import template_directory
 from nmpc_codegen.options import REGISTRIES, Online
 from nmpc_codegen.package.memory import Field, Size, Struct, struct_layout
 from nmpc_codegen.package.opcount import OpCount
@@ -105,7 +104,7 @@ def test_template_exists_and_is_included(cls: type) -> None:
     assert path.is_file()
     module = lower(linearization(cls))
     assert cls.template in {section.template for section in module.sections}  # type: ignore[attr-defined]
-    assert f"/* ==== {cls.seam}: {cls.name} =" in render(module)[f"{module.name}.c"]  # type: ignore[attr-defined]
+    assert f"/* ==== {cls.seam}: {cls.name} =" in text_of(module)[f"{module.name}.c"]  # type: ignore[attr-defined]
 
 
 @every_component
@@ -143,7 +142,7 @@ def test_costs_are_of_functions_in_its_own_section(cls: type) -> None:
     module = lower(lin)
     known = {*(r.name for r in lin.routines), *module.products.counts, *module.products.column_counts}
     cost = component.cost(dims, lin)
-    text = render(module)[f"{module.name}.c"]
+    text = text_of(module)[f"{module.name}.c"]
     section = text[text.index(f"/* ==== {component.seam}: ") :].split("/* ==== ")[1]
     for name, count in cost.items():
         assert isinstance(count, OpCount)

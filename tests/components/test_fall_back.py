@@ -11,7 +11,7 @@ import pytest
 from examples import crane, quadrotor
 from nmpc_codegen import OCP, NoCondensing, Options, RiccatiActiveSet, RiccatiInteriorPoint, Status, build
 from nmpc_codegen.cli.settings import apply_settings
-from nmpc_codegen.lowering.render import render
+from nmpc_codegen.compiler import text_of
 from verification.c_harness import module_of
 from verification.models import problem_of
 from verification.routes import PURE
@@ -25,7 +25,7 @@ def test_without_fall_back_the_interior_point_method_is_not_in_the_package() -> 
     assert "ipm" in {s.name for s in with_it.structs}
     assert "ipm" not in {s.name for s in without.structs}
     assert without.bytes < with_it.bytes
-    assert "ipm" not in render(without)[f"{without.name}.c"]
+    assert "ipm" not in text_of(without)[f"{without.name}.c"]
     assert apply_settings(Options(), [("qp.fallback", "None")]).qp == RiccatiActiveSet(fallback=None)
 
 

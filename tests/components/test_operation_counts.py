@@ -28,13 +28,13 @@ from nmpc_codegen import (
     RealTimeIteration,
     RiccatiActiveSet,
 )
+from nmpc_codegen.compiler import text_of
 from nmpc_codegen.components.integrators import TABLEAUS
 from nmpc_codegen.components.integrators.tableau import IMPLICIT
 from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.ir import stage_products as products
 from nmpc_codegen.lowering.linearize import linearize
 from nmpc_codegen.lowering.lower import lower
-from nmpc_codegen.lowering.render import render
 from nmpc_codegen.options import REGISTRIES
 from nmpc_codegen.package.opcount import OpCount
 from tests.components.test_condensing import PROBLEMS, SPELLINGS
@@ -98,7 +98,7 @@ def test_both_spellings_of_the_products(name: str, spelling: str, monkeypatch: p
     monkeypatch.setattr(products, "WRITTEN_OUT", SPELLINGS[spelling])
     module = module_of(PROBLEMS[name](), Options(hessian=GaussNewton(), qp=DenseActiveSet()))
     assert module.products.spelling == spelling
-    assert mismatches(module, render(module)) == []
+    assert mismatches(module, text_of(module)) == []
 
 
 def test_what_is_stated_covers_routines_products_and_components() -> None:
@@ -120,7 +120,7 @@ def test_a_wrong_count_is_found() -> None:
         operations[function] += OpCount(**{cls: 1})
     report = dataclasses.replace(module.description.report, operations=operations)
     altered = dataclasses.replace(module, description=dataclasses.replace(module.description, report=report))
-    found = mismatches(altered, render(module))
+    found = mismatches(altered, text_of(module))
     assert {name for name, _, _ in found} == set(functions)
     for name, stated, counted in found:
         assert {cls: stated[cls] - counted[cls] for cls in CLASSES} == {cls: int(cls == wrong[name]) for cls in CLASSES}
@@ -144,7 +144,7 @@ def test_sections_of_the_table_of_contents() -> None:
         "integrator": (),
     }
     assert set(expected) == set(REGISTRIES)
-    text = render(module)[f"{module.name}.c"]
+    text = text_of(module)[f"{module.name}.c"]
     for section in module.sections:
         functions = expected[section.title.split(":")[0]]
         total = sum((operations[f] for f in functions), OpCount())

@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 
 import nmpc_codegen
-from nmpc_codegen.lowering.parts import template_directory
-from nmpc_codegen.lowering.pruning.comments import without_entries, word_comments
-from nmpc_codegen.lowering.pruning.constants import Constants
+from nmpc_codegen.lowering.dialect.constants import Constants
+from nmpc_codegen.lowering.templates import template_directory
+from nmpc_codegen.lowering.unit.comments import without_entries, word_comments
 from verification.rendered import lowered
 from verification.samples import SAMPLES
 

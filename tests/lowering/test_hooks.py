@@ -9,8 +9,8 @@ import pytest
 
 from nmpc_codegen.components.base import HOOKS
 from nmpc_codegen.lowering import hooks
-from nmpc_codegen.lowering.hooks import check_hooks, with_hooks
-from nmpc_codegen.lowering.parts import template_directory
+from nmpc_codegen.lowering.templates import template_directory
+from nmpc_codegen.lowering.unit.hooks import check_hooks, with_hooks
 from verification.rendered import lowered, texts
 from verification.samples import SAMPLES
 

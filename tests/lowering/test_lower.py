@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 from nmpc_codegen import Options
+from nmpc_codegen.compiler import text_of
 from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.cmodule import CModule
 from nmpc_codegen.lowering.linearize import linearize
 from nmpc_codegen.lowering.lower import lower
-from nmpc_codegen.lowering.render import render
 from nmpc_codegen.package.description import PackageDescription
 from nmpc_codegen.package.memory import Field, Size, Struct, struct_layout
 from verification import problems
@@ -36,7 +36,7 @@ def sizes_in_c(m: CModule) -> dict[str, int]:
     lines = [f'#include "{m.name}.h"', "#include <stddef.h>", "int value(int i);", "int value(int i)", "{"]
     lines += ["    static const int v[] = {", ",\n".join(f"        (int){e}" for e in expressions.values())]
     lines += ["    };", "    return v[i];", "}", ""]
-    library = shared_library({**render(m), "main.c": "\n".join(lines)}, "main.c")
+    library = shared_library({**text_of(m), "main.c": "\n".join(lines)}, "main.c")
     return {name: int(library.value(i)) for i, name in enumerate(expressions)}
 
 
@@ -53,7 +53,7 @@ def test_layout_equals_that_of_the_compiler(case: str, precision: str) -> None:
     for field in m.structs[-1].fields:
         assert found[f"offset {field.name}"] == dtype.fields[field.name][1], field.name
     assert m.bytes == found["solver"] == m.description.report.ram_bytes
-    assert f"one {m.name}_solver_t is {m.bytes} bytes" in render(m)[f"{m.name}.h"]
+    assert f"one {m.name}_solver_t is {m.bytes} bytes" in text_of(m)[f"{m.name}.h"]
 
 
 def test_layout_pads_by_the_rules_of_c() -> None:
@@ -139,7 +139,7 @@ def test_tables_hold_what_the_user_stated() -> None:
 def test_every_name_carries_the_prefix() -> None:
     """Macros, enum constants, types and functions of the header."""
     m = module("parameters", name="other")
-    header = render(m)["other.h"]
+    header = text_of(m)["other.h"]
     body = header[header.index("/* begin declarations") : header.index("/* end declarations")]
     assert all(name.startswith("OTHER_") for name in re.findall(r"#define (\w+)", body))
     assert all(name.startswith("OTHER_") for name in re.findall(r"^    (\w+) = ", body, re.M))
@@ -157,8 +157,8 @@ def test_sizes_in_c() -> None:
 def test_description_is_json_and_agrees_with_the_structs() -> None:
     for case in CASES:
         m = module(case)
-        data = json.loads(render(m)[f"{m.name}.json"])
-        assert PackageDescription.from_json(render(m)[f"{m.name}.json"]) == m.description
+        data = json.loads(text_of(m)[f"{m.name}.json"])
+        assert PackageDescription.from_json(text_of(m)[f"{m.name}.json"]) == m.description
         assert data["sizes"] == {macro.name: macro.value for macro in m.macros}
         described = {s["name"]: [f["name"] for f in s["fields"]] for s in data["structs"]}
         assert described == {s.name: [f.name for f in s.fields] for s in m.structs}
@@ -166,4 +166,4 @@ def test_description_is_json_and_agrees_with_the_structs() -> None:
 
 def test_lowering_is_pure() -> None:
     lin = linearize(classify(problems.path_rows()), Options())
-    assert render(lower(lin)) == render(lower(lin))
+    assert text_of(lower(lin)) == text_of(lower(lin))

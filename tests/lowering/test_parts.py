@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from nmpc_codegen.lowering.pruning.directives import evaluate, resolve
+from nmpc_codegen.lowering.dialect.directives import evaluate, resolve
 from tests.conftest import require_tool
 
 SIZES = st.fixed_dictionaries({name: st.integers(0, 3) for name in ("A", "B", "NX", "NH_N")})

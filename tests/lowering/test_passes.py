@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import pytest
-
 from nmpc_codegen.lowering.pruning import passes, reach
-from nmpc_codegen.lowering.pruning.constants import Constants
-from nmpc_codegen.lowering.pruning.expressions import expression, words
-from nmpc_codegen.lowering.pruning.passes import simplify
-from nmpc_codegen.lowering.pruning.scopes import free_names
+
+from nmpc_codegen.lowering.dialect.constants import Constants
+from nmpc_codegen.lowering.dialect.expressions import expression, words
+from nmpc_codegen.lowering.dialect.scopes import free_names
+from nmpc_codegen.lowering.unit.functions import simplify
 from verification.rendered import texts
 from verification.samples import SAMPLES
 

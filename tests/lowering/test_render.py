@@ -14,9 +14,9 @@ import pytest
 
 from nmpc_codegen import Options, generate
 from nmpc_codegen.ir.printing.c_style import unit_style
-from nmpc_codegen.lowering.parts import template_directory
-from nmpc_codegen.lowering.preamble import arithmetic
 from nmpc_codegen.lowering.render import context, environment, tidy
+from nmpc_codegen.lowering.templates import template_directory
+from nmpc_codegen.lowering.unit.macros import arithmetic
 from nmpc_codegen.package.sources import Sources
 from verification import problems
 

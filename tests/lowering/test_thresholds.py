@@ -6,8 +6,8 @@ import re
 
 import pytest
 
-from nmpc_codegen.lowering.parts import template_directory
-from nmpc_codegen.lowering.preamble import REASONS
+from nmpc_codegen.lowering.templates import template_directory
+from nmpc_codegen.lowering.unit.macros import REASONS
 from verification.rendered import texts
 from verification.samples import SAMPLES
 

@@ -9,8 +9,8 @@ import pytest
 import tree_sitter
 import tree_sitter_c
 
-from nmpc_codegen.lowering.parts import template_directory
-from nmpc_codegen.lowering.pruning.tree import Edit, Node, edit, parse
+from nmpc_codegen.lowering.dialect.tree import Edit, Node, edit, parse
+from nmpc_codegen.lowering.templates import template_directory
 from verification.conditions import all_parts
 
 #: Nodes of tree-sitter -> kind; it reads nothing else than C, so that it knows no macro that is a statement.

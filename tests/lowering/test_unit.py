@@ -6,6 +6,8 @@ import casadi as ca
 import numpy as np
 import pytest
 from conftest import require_tool
+from nmpc_codegen.lowering.pruning.reach import calling
+from nmpc_codegen.lowering.pruning.unit import prune
 
 from nmpc_codegen import (
     OCP,
@@ -22,9 +24,7 @@ from nmpc_codegen import (
     generate,
 )
 from nmpc_codegen.components.integrators import ButcherTableau
-from nmpc_codegen.lowering.pruning.constants import Constants
-from nmpc_codegen.lowering.pruning.reach import calling
-from nmpc_codegen.lowering.pruning.unit import prune
+from nmpc_codegen.lowering.dialect.constants import Constants
 from verification import quality
 
 #: N is a size; ROW drops its second argument; OUTER passes its arguments to ROW in turn.

@@ -14,8 +14,8 @@ from conftest import require_tool
 
 from nmpc_codegen import OCP, ProblemError, build, generate, worst_case
 from nmpc_codegen.ir.naming import check_package_name
-from nmpc_codegen.lowering.parts import names_in, rename, renamed_words
-from nmpc_codegen.lowering.pruning.scopes import blank
+from nmpc_codegen.lowering.dialect.scopes import blank
+from nmpc_codegen.lowering.unit.read import names_in, rename, renamed_words
 from nmpc_codegen.package.signals import c_constants
 from nmpc_codegen.package.sources import Sources
 from verification import quality

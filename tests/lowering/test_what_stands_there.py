@@ -9,7 +9,7 @@ from functools import cache
 import pytest
 
 from nmpc_codegen.ir.cmodule import CModule
-from nmpc_codegen.lowering.parts import template_directory
+from nmpc_codegen.lowering.templates import template_directory
 from verification.rendered import lowered, texts
 from verification.samples import SAMPLES
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from nmpc_codegen import Options, RiccatiActiveSet, worst_case
-from nmpc_codegen.lowering.render import render
+from nmpc_codegen.compiler import text_of
 from verification.c_harness import module_of
 from verification.timed import TIMED, Sample
 
@@ -26,7 +26,7 @@ _COMMENT = re.compile(r"/\*.*?\*/", re.S)
 def numbers(sample: Sample) -> dict[str, int]:
     """Bytes of the struct and of the source without comments and indentation; operations of the linearisation."""
     module = module_of(sample.make(), sample.options)
-    sources = render(module)
+    sources = text_of(module)
     lines = (line.strip() for line in _COMMENT.sub("", sources[f"{module.name}.c"]).splitlines())
     report = module.description.report
     return {

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
-from nmpc_codegen.lowering.parts import template_directory
+from nmpc_codegen.lowering.templates import template_directory
 from nmpc_codegen.package.sources import Sources
 from verification.quality import package_name, written
 from verification.rendered import lowered, texts

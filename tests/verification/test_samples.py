@@ -9,8 +9,8 @@ import pytest
 from conftest import require_tool
 
 from nmpc_codegen.ir.cmodule import CModule
-from nmpc_codegen.lowering.parts import read_part
-from nmpc_codegen.lowering.pruning.directives import resolve
+from nmpc_codegen.lowering.dialect.directives import resolve
+from nmpc_codegen.lowering.unit.read import read_part
 from verification.conditions import all_parts, covering, gaps, reached
 from verification.rendered import lowered
 from verification.samples import IN_LANES, SAMPLES

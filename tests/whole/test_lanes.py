@@ -33,7 +33,7 @@ from nmpc_codegen import (
     open_package,
 )
 from nmpc_codegen.lowering.lanes.nodes import ANGLES, REDUCTION, ROOTS, in_lanes
-from nmpc_codegen.lowering.parts import MATH_IN_LANES, names_in, own_names
+from nmpc_codegen.lowering.unit.read import MATH_IN_LANES, names_in, own_names
 from nmpc_codegen.package.memory import Precision
 from nmpc_codegen.runtime.build import warnings_for
 from nmpc_codegen.runtime.native import native, runs

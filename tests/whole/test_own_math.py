@@ -20,7 +20,7 @@ from conftest import require_target, require_tool
 from examples import crane, cstr, quadrotor
 from nmpc_codegen import OCP, Controller, OptionError, Options, Osqp, ProblemWarning, build, derivatives, generate
 from nmpc_codegen.cli.command import main
-from nmpc_codegen.lowering.parts import needed_paragraphs, own_names
+from nmpc_codegen.lowering.unit.read import needed_paragraphs, own_names
 from nmpc_codegen.package.memory import Precision
 from nmpc_codegen.package.program import OF_TWO
 from nmpc_codegen.runtime.build import PROFILES

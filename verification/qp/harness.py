@@ -18,11 +18,11 @@ import numpy as np
 
 from nmpc_codegen.components.base import Dims, QpDims
 from nmpc_codegen.components.qp import DenseActiveSet
-from nmpc_codegen.lowering.parts import read_part
-from nmpc_codegen.lowering.preamble import CHOSEN, REAL_CONSTANT, arithmetic
-from nmpc_codegen.lowering.pruning.constants import Constants
-from nmpc_codegen.lowering.pruning.unit import prune as pruned_unit
+from nmpc_codegen.lowering.dialect.constants import Constants
 from nmpc_codegen.lowering.tolerances import TOLERANCES
+from nmpc_codegen.lowering.unit.macros import CHOSEN, REAL_CONSTANT, arithmetic, print_macro
+from nmpc_codegen.lowering.unit.passes import run
+from nmpc_codegen.lowering.unit.read import items_of, read_part
 from nmpc_codegen.package.description import union_dtype
 from nmpc_codegen.package.features import Features
 from nmpc_codegen.package.memory import Size, Struct
@@ -86,14 +86,10 @@ def source(nv: int, ng: int, precision: str = "double", component: DenseActiveSe
 
 def unit_head(sizes: Mapping[str, int], precision: str) -> str:
     """The text that a part needs before it besides its structs: includes, sizes, types, statuses, arithmetic."""
-    name, arguments, text = REAL_CONSTANT
     lines = ["#include <math.h>", "#include <stdint.h>", "#include <string.h>"]
-    lines += [f"#define {macro} {value}" for macro, value in (*sizes.items(), *arithmetic(precision))]
-    lines += [
-        f"typedef {'float' if precision == 'single' else 'double'} real_t;",
-        f"#define {name}({arguments}) {text}",
-        *CHOSEN.values(),
-    ]
+    lines += [f"#define {name} {value}" for name, value in sizes.items()]
+    lines += [print_macro(item, {}) for item in (*arithmetic(precision), REAL_CONSTANT)]
+    lines += [f"typedef {'float' if precision == 'single' else 'double'} real_t;", *CHOSEN.values()]
     return "\n".join(
         [*lines, "typedef enum { " + ", ".join(STATUSES) + " } status_t;", part_text("core/clip.c", sizes)]
     )
@@ -107,7 +103,7 @@ def struct_text(struct: Struct) -> str:
 
 def part_text(path: str, sizes: Mapping[str, int]) -> str:
     """A part with its included parts and its conditions resolved."""
-    return read_part(path, no_generated_part, {**FEATURES.macros, **sizes})
+    return read_part(path, sizes={**FEATURES.macros, **sizes})
 
 
 def pruned(
@@ -119,14 +115,9 @@ def pruned(
 ) -> str:
     """Parts with the functions that call them, without what the sizes exclude; ``absent``: members of no struct;
     ``ranges``: least and greatest entries of tables."""
-    known = [*((name, None, value) for name, value in arithmetic(precision)), REAL_CONSTANT]
-    constants = Constants({**FEATURES.macros, **sizes}, dict(ranges), absent=frozenset(absent))
-    return pruned_unit(text, {}, known, constants)[0]
-
-
-def no_generated_part(path: str) -> str:
-    """Parts that are tested separately include no generated text of a package."""
-    raise LookupError(path)
+    known = Constants({**FEATURES.macros, **sizes}, dict(ranges), absent=frozenset(absent))
+    unit = run((*arithmetic(precision), REAL_CONSTANT, *items_of(text)), known)
+    return "\n\n".join(item.text for item in unit if item.kind != "macro") + "\n"
 
 
 def members(struct: Struct) -> list[str]:

@@ -22,9 +22,9 @@ import casadi as ca
 import numpy as np
 
 from nmpc_codegen import OCP, Online, Options
+from nmpc_codegen.compiler import text_of
 from nmpc_codegen.components import condensing, qp
 from nmpc_codegen.frontend.classify import classify
-from nmpc_codegen.lowering.render import render
 from nmpc_codegen.package.status import Status
 from nmpc_codegen.runtime.build import PROFILES
 from nmpc_codegen.runtime.compilers import find_compiler
@@ -166,7 +166,7 @@ def _sources(shape: Shape, options: Options) -> tuple[Any, np.dtype[Any]]:
     stated = [(k, kind, index, user - shape.bounded) for k, kind, index, user in classify(ocp).qp_rows]
     rows = rows_of(shape)
     assert stated == list(zip(rows.node, rows.kind, rows.index, rows.user, strict=True))
-    return render(module), memory_layout(module)
+    return text_of(module), memory_layout(module)
 
 
 def _compile(sources: Any, folder: Path) -> Path:

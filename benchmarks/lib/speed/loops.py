@@ -7,8 +7,8 @@ from functools import cache
 
 from examples import chain
 from nmpc_codegen import Options, RealTimeIteration
+from nmpc_codegen.compiler import text_of
 from nmpc_codegen.ir.cmodule import CModule
-from nmpc_codegen.lowering.render import render
 from nmpc_codegen.package.sources import Sources
 from nmpc_codegen.runtime.native import native
 from nmpc_codegen.targets import NATIVE
@@ -59,7 +59,7 @@ def module_of(loop: Loop) -> CModule:
 @cache
 def package_of(loop: Loop) -> Sources:
     """Its files."""
-    return render(module_of(loop))
+    return text_of(module_of(loop))
 
 
 def without_avx512(loop: Loop) -> Loop:

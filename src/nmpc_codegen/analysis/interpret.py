@@ -32,9 +32,9 @@ from nmpc_codegen.analysis.source import (
     split_head,
     type_of,
 )
-from nmpc_codegen.lowering.pruning.constants import Range, apply_operator, truth
-from nmpc_codegen.lowering.pruning.scopes import DECLARATION, declarators, split
-from nmpc_codegen.lowering.pruning.tree import Node
+from nmpc_codegen.lowering.dialect.constants import Range, apply_operator, truth
+from nmpc_codegen.lowering.dialect.scopes import DECLARATION, declarators, split
+from nmpc_codegen.lowering.dialect.tree import Node
 
 #: Type of a pointer to integers, which may be a constant table.
 POINTER = Type("int", 1)

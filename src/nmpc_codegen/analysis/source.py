@@ -11,9 +11,9 @@ from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import NamedTuple
 
-from nmpc_codegen.lowering.pruning.expressions import Expression, expression
-from nmpc_codegen.lowering.pruning.scopes import DECLARATION, blank, declarators, split
-from nmpc_codegen.lowering.pruning.tree import Node, parse
+from nmpc_codegen.lowering.dialect.expressions import Expression, expression
+from nmpc_codegen.lowering.dialect.scopes import DECLARATION, blank, declarators, split
+from nmpc_codegen.lowering.dialect.tree import Node, parse
 
 _COMMENT = re.compile(r"/\*.*?\*/", re.DOTALL)
 _API = re.compile(r"API\((\w+)\)")

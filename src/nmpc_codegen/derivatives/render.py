@@ -11,21 +11,15 @@ from nmpc_codegen.ir.cmodule import Table
 from nmpc_codegen.ir.printing.c_style import unit_style
 from nmpc_codegen.ir.sweep import Routine
 from nmpc_codegen.lowering.data.tables import lookup_tables
-from nmpc_codegen.lowering.parts import INTERVALS, print_intervals, read_part
-from nmpc_codegen.lowering.preamble import REAL_CONSTANT, Definition, arithmetic, kernel_call
-from nmpc_codegen.lowering.pruning.constants import Constants
-from nmpc_codegen.lowering.pruning.reach import calling
-from nmpc_codegen.lowering.render import (
-    GCC_12,
-    Unit,
-    block_comment,
-    context,
-    environment,
-    member,
-    print_functions,
-    prototype,
-    tidy,
-)
+from nmpc_codegen.lowering.dialect.constants import Constants
+from nmpc_codegen.lowering.render import GCC_12, block_comment, member, prototype, tidy
+from nmpc_codegen.lowering.templates import context, environment
+from nmpc_codegen.lowering.unit.assemble import INTERVALS, heading, kernel_items, print_intervals, table_items
+from nmpc_codegen.lowering.unit.item import Item
+from nmpc_codegen.lowering.unit.join import join, library_headers
+from nmpc_codegen.lowering.unit.macros import REAL_CONSTANT, alias, arithmetic, kernel_call, macro, short_names
+from nmpc_codegen.lowering.unit.passes import run
+from nmpc_codegen.lowering.unit.read import items_of, read_part
 from nmpc_codegen.package.features import KERNELS
 from nmpc_codegen.package.memory import Field, struct_layout
 from nmpc_codegen.package.status import Status
@@ -67,21 +61,10 @@ TERMINAL_PLACES = {"p": "(d)->p[N]", "yref": "(d)->yref_N", "W": "(d)->W_N"}
 
 def render(model: DerivativeModel, name: str) -> dict[str, str]:
     """All files of the package ``name``."""
-    style = unit_style(model.precision)
     names = _names(model, name)
     header = tidy(environment().get_template(f"{FOLDER}/header.h.jinja").render(names))
-    known = _definitions(model, name)
-    unit = Unit(
-        name,
-        header,
-        environment().get_template(f"{FOLDER}/body.c.jinja").render(names),
-        tuple(known),
-        print_functions(model.routines, style),
-        structs(model),
-        _tables(model),
-        _constants(model, known),
-    )
-    names |= unit.texts(style)
+    items = run(_assemble(model, name, names), _constants(model))
+    names |= {"unit": join(items, header, name, structs(model)), "system_headers": library_headers(items)}
     files = {
         f"{name}.c": f"{FOLDER}/unit.c.jinja",
         "main.c": f"{FOLDER}/main.c.jinja",
@@ -98,7 +81,7 @@ def _names(model: DerivativeModel, name: str) -> dict[str, Any]:
     return context(name, unit_style(model.precision)) | {
         "precision": model.precision,
         "gcc12": GCC_12,
-        "unit": problem.N,
+        "magic": problem.N,
         "folders": (),
         "libraries": ("m",),
         "contraction": "fast",
@@ -121,7 +104,7 @@ def _names(model: DerivativeModel, name: str) -> dict[str, Any]:
         "operations": Counts(model).all,
         "parts": [
             *([_intervals(model)] if calls_parts(model) else []),
-            *(read_part(f"{FOLDER}/{part}", lambda path: "").rstrip("\n") for part in parts),
+            *(read_part(f"{FOLDER}/{part}").rstrip("\n") for part in parts),
         ],
         "comment": block_comment,
         "prototype": lambda function: prototype(function, name),
@@ -136,12 +119,20 @@ def _intervals(model: DerivativeModel) -> str:
     return read_part(INTERVALS, lambda path: print_intervals(routines, style), sizes).rstrip("\n")
 
 
-def _constants(model: DerivativeModel, known: list[Definition]) -> Constants:
+def _assemble(model: DerivativeModel, name: str, names: dict[str, Any]) -> tuple[Item, ...]:
+    """The items of the unit."""
+    style = unit_style(model.precision)
+    body = environment().get_template(f"{FOLDER}/body.c.jinja").render(names)
+    found = [*_definitions(model, name), *table_items(_tables(model), style), *kernel_items(model.routines, style)]
+    return (heading("/* Short names inside this translation unit. */"), *found, *items_of(body))
+
+
+def _constants(model: DerivativeModel) -> Constants:
     sizes = {m.name: m.value for m in macros(model)} | {"NOUT": model.outputs} | scheme_sizes(model)
     present = {routine.name for routine in model.routines}
     absent = (name for name in KERNELS if name.startswith("stage_") and name not in present)
     ranges = {t.name: (int(min(t.values)), int(max(t.values))) for t in _tables(model) if t.ctype == "int" and t.values}
-    return Constants(sizes, ranges, kernels=frozenset(name.upper() for name in absent), calling=calling(known))
+    return Constants(sizes, ranges, kernels=frozenset(name.upper() for name in absent))
 
 
 def _numbers(field: Field) -> str:
@@ -149,19 +140,18 @@ def _numbers(field: Field) -> str:
     return " * ".join(f"({size.text})" if " " in size.text else size.text for size in field.shape)
 
 
-def _definitions(model: DerivativeModel, name: str) -> list[Definition]:
-    """Every macro that the unit may use."""
-    constants = [("N", "NMPC_CODEGEN_UNIT")]
-    constants += [(macro.name, f"{name.upper()}_{macro.name}") for macro in macros(model)[1:]]
-    constants += [(status.name, f"{name.upper()}_{status.name}") for status in STATUSES]
-    constants += arithmetic(model.precision)
-    constants += [(size, str(value)) for size, value in scheme_sizes(model).items() if not size.startswith("HAS_")]
-    parametric: list[Definition] = [("API", "name", f"{name}_##name"), REAL_CONSTANT]
-    return [*((macro, None, text) for macro, text in constants), *parametric, *map(_kernel_call, model.routines)]
+def _definitions(model: DerivativeModel, name: str) -> list[Item]:
+    """Every type and macro that the unit may use."""
+    found = [*short_names(name, structs(model)), macro("N", "NMPC_CODEGEN_UNIT")]
+    found += [alias(size.name, f"{name.upper()}_{size.name}") for size in macros(model)[1:]]
+    found += [alias(status.name, f"{name.upper()}_{status.name}") for status in STATUSES]
+    found += arithmetic(model.precision)
+    found += [macro(size, str(value)) for size, value in scheme_sizes(model).items() if not size.startswith("HAS_")]
+    return [*found, macro("API", f"{name}_##name", "name"), REAL_CONSTANT, *map(_kernel_call, model.routines)]
 
 
-def _kernel_call(routine: Routine) -> Definition:
-    """(macro, arguments, text): call of a lifted function with what it reads or writes."""
+def _kernel_call(routine: Routine) -> Item:
+    """The call of a lifted function with what it reads or writes."""
     if routine.name.startswith("stage_"):
         return kernel_call(routine)
     terminal = routine.name.startswith("terminal_")
@@ -170,7 +160,7 @@ def _kernel_call(routine: Routine) -> Definition:
     outputs = [p.name for p in routine.outputs]
     outputs += ["left"] if routine.name in LEAVING and "left" not in outputs else []
     arguments = (*LEADING.get(routine.name, ("d", "k", "x", "u")), *outputs)
-    return routine.name.upper(), ", ".join(arguments), f"{routine.name}({', '.join(passed)})"
+    return macro(routine.name.upper(), f"{routine.name}({', '.join(passed)})", ", ".join(arguments))
 
 
 def _tables(model: DerivativeModel) -> tuple[Table, ...]:

@@ -21,7 +21,7 @@ from nmpc_codegen.firmware.layouts import layouts
 from nmpc_codegen.firmware.recording import Recording, record, record_estimates, restart_loop
 from nmpc_codegen.firmware.toolchain import Level
 from nmpc_codegen.firmware.verify import Verdict, verify
-from nmpc_codegen.lowering.render import environment
+from nmpc_codegen.lowering.templates import environment
 from nmpc_codegen.options import GOALS
 from nmpc_codegen.package.description import PackageDescription
 from nmpc_codegen.package.seal import without_seal

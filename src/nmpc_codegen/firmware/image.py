@@ -8,8 +8,7 @@ from pathlib import Path
 
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.firmware.toolchain import Level, compile_flags, cross
-from nmpc_codegen.lowering.parts import template_directory
-from nmpc_codegen.lowering.render import environment
+from nmpc_codegen.lowering.templates import environment, template_directory
 from nmpc_codegen.targets import Board, Target
 
 #: Stack of the program: that of the call that needs most, half as much again, so that an excess shows, and its own.

@@ -12,7 +12,7 @@ from typing import Any
 from nmpc_codegen.firmware.certificate import Certificate
 from nmpc_codegen.firmware.recording import TOLERANCE, Recording, literals
 from nmpc_codegen.firmware.toolchain import ARITHMETIC, SECTIONS
-from nmpc_codegen.lowering.render import environment
+from nmpc_codegen.lowering.templates import environment
 from nmpc_codegen.package.seal import has_seal
 from nmpc_codegen.targets import ICOUNT_SHIFT, Target
 

@@ -13,7 +13,7 @@ from nmpc_codegen.firmware.emulate import SECONDS, Outcome
 from nmpc_codegen.firmware.image import write
 from nmpc_codegen.firmware.recording import Recording
 from nmpc_codegen.firmware.toolchain import ROUNDING, find, run
-from nmpc_codegen.lowering.parts import template_directory
+from nmpc_codegen.lowering.templates import template_directory
 from nmpc_codegen.runtime.compilers import find_compiler
 from nmpc_codegen.runtime.native import runs
 from nmpc_codegen.targets import Target

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from nmpc_codegen.errors import ControllerError
-from nmpc_codegen.lowering.render import environment
+from nmpc_codegen.lowering.templates import environment
 from nmpc_codegen.package.description import PackageDescription
 from nmpc_codegen.package.memory import Precision
 from nmpc_codegen.runtime.controller import Controller

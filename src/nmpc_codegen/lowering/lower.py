@@ -22,8 +22,8 @@ from nmpc_codegen.lowering.lanes.nodes import with_lanes
 from nmpc_codegen.lowering.linearize import Model
 from nmpc_codegen.lowering.naming.enums import enums
 from nmpc_codegen.lowering.naming.local_names import local_names
-from nmpc_codegen.lowering.parts import own_names
 from nmpc_codegen.lowering.structs import absent_members, extras, lowered_structs, settings
+from nmpc_codegen.lowering.unit.read import own_names
 from nmpc_codegen.options import as_data
 from nmpc_codegen.package.description import INTERFACE_SIZES, PackageDescription, Report
 from nmpc_codegen.package.features import KERNELS, Features, KernelName

@@ -1,60 +1,25 @@
-"""CModule -> Sources, with jinja2. The text is the same to the byte in every run: no dates, no paths, numbers by repr.
-
-No other module imports jinja2.
-"""
+"""CModule and its unit -> Sources. The text is the same in every run: no dates, no paths, numbers by repr."""
 
 from __future__ import annotations
 
-import math
 import re
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
-from functools import cache
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from itertools import groupby
 from textwrap import wrap
 from typing import Any
 
-import jinja2
-
-from nmpc_codegen.ir.cmodule import CModule, Macro, Table
-from nmpc_codegen.ir.kernel import called_lookups
-from nmpc_codegen.ir.printing.c_style import CStyle
-from nmpc_codegen.ir.printing.lookups import print_lookups
-from nmpc_codegen.ir.printing.routines import print_routine
-from nmpc_codegen.ir.sweep import LoopedRoutine, Routine
-from nmpc_codegen.lowering.hooks import check_hooks, extra_parts, hook_prototypes, with_hooks
-from nmpc_codegen.lowering.lanes.nodes import GENERATED as IN_LANES
-from nmpc_codegen.lowering.parts import (
-    GENERATED,
-    SEARCH,
-    names_in,
-    own_math,
-    read_part,
-    rename,
-    renamed_words,
-    template_directory,
-)
-from nmpc_codegen.lowering.preamble import (
-    Definition,
-    all_definitions,
-    definitions,
-    preamble,
-)
-from nmpc_codegen.lowering.pruning.comments import word_comments
-from nmpc_codegen.lowering.pruning.constants import Constants
-from nmpc_codegen.lowering.pruning.directives import resolve
-from nmpc_codegen.lowering.pruning.reach import calling
-from nmpc_codegen.lowering.pruning.scopes import blank
-from nmpc_codegen.lowering.pruning.unit import prune
-from nmpc_codegen.lowering.rows import row_functions, row_ranges
+from nmpc_codegen.ir.cmodule import CModule, Macro
+from nmpc_codegen.lowering.dialect.directives import resolve
+from nmpc_codegen.lowering.templates import context, environment
+from nmpc_codegen.lowering.unit.item import Item
+from nmpc_codegen.lowering.unit.join import join, library_headers
 from nmpc_codegen.package.estimation import WORDS
 from nmpc_codegen.package.memory import PURPOSES, WORK, Field, Size, Struct
 from nmpc_codegen.package.seal import seal
-from nmpc_codegen.package.signals import Argument, EntryPoint, Layout, Signal, horizon, nodes
+from nmpc_codegen.package.signals import Argument, EntryPoint, Signal, horizon, nodes
 from nmpc_codegen.package.sources import Sources
 from nmpc_codegen.package.version import __version__
-from nmpc_codegen.runtime.compilers import UNALIGNED_MOVES
-from nmpc_codegen.targets import PORTABLE, Target
+from nmpc_codegen.targets import PORTABLE, UNALIGNED_MOVES, Target
 
 #: Maximum length of a comment line in the header without its margin.
 WIDTH = 116
@@ -64,144 +29,31 @@ WIDTH = 116
 GCC_12 = ("no-delete-null-pointer-checks", "no-tree-loop-distribute-patterns", "no-inline-functions")
 
 
-@cache
-def environment() -> jinja2.Environment:
-    """The jinja2 environment; with StrictUndefined a misspelt name in a template raises an error."""
-    return jinja2.Environment(
-        loader=jinja2.FileSystemLoader(template_directory()),
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        keep_trailing_newline=True,
-        autoescape=False,
-    )
-
-
-def context(prefix: str, style: CStyle) -> dict[str, Any]:
-    """Names that every template may use: prefixes, type of the header, and spelling of literals in the unit."""
-    return {"p": prefix, "P": prefix.upper(), "real": f"{prefix}_real", "lit": style.literal}
-
-
-#: Path of an include below generated/ -> what writes its text.
-GENERATORS: Mapping[str, Callable[[CModule, CStyle], str]] = {
-    **GENERATED,
-    **IN_LANES,
-    "generated/hooks.c": hook_prototypes,
-    "generated/extras.c": extra_parts,
-}
-
-#: The functions of the rows, which are written by a template.
-ROWS = "generated/rows.c"
-
-
-def render(module: CModule) -> Sources:
-    """All files of the package, sealed."""
-    names = _fill(module)
+def render(module: CModule, items: Sequence[Item]) -> Sources:
+    """All files of the package, sealed; ``items``: its translation unit."""
+    names = _names(module)
+    header = tidy(environment().get_template("package/solver.h.jinja").render(names))
+    included = library_headers(items)
     files = {
         f"{module.name}.c": "package/solver.c.jinja",
         "main.c": "package/main.c.jinja" if module.description.kind is None else "package/main_estimator.c.jinja",
         "CMakeLists.txt": "package/CMakeLists.txt.jinja",
         "README.md": "package/README.md.jinja",
     }
-    sources = {f"{module.name}.h": names["header"]}
-    names |= (
-        _page(module)
-        | _target_files(module, names["system_headers"])
-        | {"folders": module.folders, "libraries": module.libraries}
-    )
+    names |= _page(module) | _target_files(module, included)
+    names |= {
+        "folders": module.folders,
+        "libraries": module.libraries,
+        "guard": _guard(module.name, module.target),
+        "spelling": _spelling(module),
+        "magic": module.value("MAGIC"),
+        "system_headers": included,
+        "unit": join(items, header, module.name, module.structs),
+    }
+    sources = {f"{module.name}.h": header}
     sources |= {path: tidy(environment().get_template(t).render(names)) for path, t in files.items()}
     sources[f"{module.name}.json"] = module.description.to_json()
     return Sources(seal({**sources, **module.foreign}, module.name), module.description)
-
-
-def _fill(module: CModule) -> dict[str, Any]:
-    """The names of the templates, with the header, the body of the unit, its tables and short names."""
-    names = _names(module)
-    header = tidy(environment().get_template("package/solver.h.jinja").render(names))
-    known = all_definitions(module)
-    unit = Unit(
-        module.name,
-        header,
-        render_unit(module, names),
-        tuple(known),
-        print_functions(module.routines, module.style),
-        module.structs,
-        module.tables,
-        None if module.whole else constants_of(module, known),
-        {macro.name: macro.doc for macro in module.macros if not macro.public or macro.shown is not None},
-    )
-    texts = unit.texts(module.style, lambda used: own_math(module, used))
-    return {
-        **names,
-        **texts,
-        "guard": _guard(module.name, module.target),
-        "spelling": _spelling(module),
-        "unit": module.value("MAGIC"),
-    }
-
-
-def print_functions(routines: Sequence[Routine], style: CStyle) -> dict[str, str]:
-    """Name -> text of the functions of look-up tables that routines call, and of the routines that call no part."""
-    lookups = print_lookups(called_lookups(routines))
-    search = {"find_interval": read_part(SEARCH, lambda include: "").rstrip()} if lookups else {}
-    alone = (r for r in routines if not (isinstance(r, LoopedRoutine) and r.calls_parts))
-    return search | lookups | {routine.name: print_routine(routine, style) for routine in alone}
-
-
-@dataclass(frozen=True, eq=False)
-class Unit:
-    """What makes a translation unit: the header of the package, parts, macros, printed kernels, structs, tables.
-
-    ``constants``: what pruning knows; None: nothing is left out. ``docs``: what sizes of this unit alone are.
-    """
-
-    name: str
-    header: str
-    body: str
-    known: tuple[Definition, ...]
-    kernels: Mapping[str, str]
-    structs: tuple[Struct, ...]
-    tables: tuple[Table, ...]
-    constants: Constants | None
-    docs: Mapping[str, str] = field(default_factory=dict)
-
-    def texts(
-        self, style: CStyle, math: Callable[[Collection[str]], str] = lambda used: ""
-    ) -> dict[str, str | list[str]]:
-        """Place in the templates -> text; ``math`` writes the elementary functions among names that are used."""
-        known: Sequence[Definition] = self.known
-        if self.constants is None:
-            body = "\n\n".join([*self.kernels.values(), word_comments(self.body, None)])
-        else:
-            body, known = prune(self.body, self.kernels, known, self.constants)
-        words = names_in(blank(body))
-        functions = math(definitions(known, words)[1])
-        words |= names_in(functions)
-        tables = self._tables(style, definitions(known, words)[1])
-        words |= names_in(tables)
-        members = {member.name for struct in self.structs for member in struct.fields}
-        renamed = renamed_words(definitions(known, words)[1], self.header, self.name, members)
-        types = [*(s.name for s in self.structs), "status"]
-        short_names = word_comments(preamble(self.name, types, known, words, renamed, self.docs), self.constants)
-        texts = {"body": body, "math": functions, "tables": word_comments(tables, self.constants)}
-        return {
-            **{place: rename(text, renamed) for place, text in texts.items()},
-            "header": self.header,
-            "system_headers": _system_headers(body),
-            "preamble": short_names,
-        }
-
-    def _tables(self, style: CStyle, used: Collection[str]) -> str:
-        """The tables among names that are used, directly or through macros of the preamble."""
-        tables = [t for t in self.tables if t.name in used and (t.values or self.constants is None)]
-        names = {"tables": tables, "values": lambda table: table_values(table, style)}
-        return environment().get_template("package/tables.c.jinja").render(names).rstrip("\n")
-
-
-def _system_headers(body: str) -> list[str]:
-    """What the unit includes besides its own header."""
-    more = {"immintrin.h": "_mm512_", "math.h": "", "stddef.h": "ptrdiff_t", "string.h": ""}
-    return [header for header, word in more.items() if word in body]
 
 
 def _names(module: CModule) -> dict[str, Any]:
@@ -220,7 +72,6 @@ def _names(module: CModule) -> dict[str, Any]:
         "precision": module.precision,
         "dim": lambda macro: f"{module.macro}_{macro}",
         "resolved": lambda template: _resolve(environment().get_template(template).render(names), module),
-        "copies": lambda option: _copies(module.layouts[option], option in ("reference", "weight")),
         "initial": ", ".join(names["lit"](v) for s in module.description.states for v in s.value),
         "dt": names["lit"](module.description.sampling_time or module.description.dt[0]),
         "what": WORDS[module.description.kind],
@@ -247,43 +98,9 @@ def _of_estimator(module: CModule, names: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-def constants_of(module: CModule, known: Sequence[Definition]) -> Constants:
-    """What the package decides at export: sizes, features, ranges of tables of integers and of what is known of rows,
-    what it lacks."""
-    ranges = {t.name: (int(min(t.values)), int(max(t.values))) for t in module.tables if t.ctype == "int" and t.values}
-    kernels = frozenset(name.upper() for name in module.absent_kernels)
-    named = {s.name for s in module.structs}
-    types = {(s.name, f.name): f.ctype for s in module.structs for f in s.fields if f.ctype in named}
-    ranges |= row_ranges(module)
-    return Constants(module.sizes, ranges, module.absent_members, types, kernels, calling(known))
-
-
 def _resolve(text: str, module: CModule) -> str:
     """The text with the branches of `#if` that the package has; a whole package leaves them to the compiler."""
     return (text if module.decided is None else resolve(text, module.decided)).rstrip()
-
-
-def render_unit(module: CModule, names: dict[str, Any]) -> str:
-    """The translation unit after its tables: printed kernels, parts."""
-
-    def generate_part(path: str) -> str:
-        if path == ROWS:
-            return environment().get_template("core/rows.c.jinja").render(row_functions(module))
-        return GENERATORS[path](module, module.style)
-
-    def part(path: str) -> str:
-        text = read_part(path, generate_part, module.decided)
-        if path == module.sections[-1].template:
-            check_hooks([read_part(path, lambda include: "")], module.extras)
-        return _with_states(with_hooks(text, module.extras), module).rstrip()
-
-    more: dict[str, Any] = {"part": part, "generated": generate_part}
-    return environment().get_template("package/unit.c.jinja").render(names | more)
-
-
-def _with_states(text: str, module: CModule) -> str:
-    """Without states behind the measured ones, the number of both is NX."""
-    return text if module.features.inner else rename(text, {"NXHAT": "NX"})
 
 
 def _guard(name: str, target: Target) -> str:
@@ -383,13 +200,6 @@ def _elements(signals: Sequence[Signal]) -> list[tuple[int, str, Signal, float]]
     ]
 
 
-def _copies(layout: Layout, path_only: bool) -> str:
-    """Lowest and highest node that has a copy of its own, and how many copies there are."""
-    if layout == "node":
-        return "0, N - 1, N" if path_only else "0, N, N + 1"
-    return "0, -1, 1" if path_only else "N, N, 2"
-
-
 def member(field: Field, name: str, public: Iterable[Macro]) -> str:
     """Declaration of a struct member; sizes that are not ``public`` are numbers."""
     ctype = {"real": f"{name}_real", "int32": "int32_t"}.get(field.ctype, f"{name}_{field.ctype}_t")
@@ -433,16 +243,6 @@ def prototype(entry: EntryPoint, name: str, owner: tuple[Argument, ...] = ()) ->
     glued = re.sub(r"(?<!,) ", "\0", arguments)
     lines = wrap(f"{glued});", WIDTH, initial_indent="    ", subsequent_indent="    ", break_long_words=False)
     return "\n".join([head, *lines]).replace("\0", " ")
-
-
-def table_values(table: Table, style: CStyle) -> str:
-    return ", ".join(_value(v, style) if table.ctype == "real" else str(v) for v in table.values)
-
-
-def _value(value: float, style: CStyle) -> str:
-    if math.isinf(value):
-        return f"{'-' if value < 0 else ''}({style.real})INFINITY"
-    return style.literal(value)
 
 
 def tidy(text: str) -> str:

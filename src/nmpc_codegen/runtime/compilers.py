@@ -19,16 +19,13 @@ from nmpc_codegen.errors import BuildError
 from nmpc_codegen.exclusive import COMPILING
 from nmpc_codegen.runtime.cache import temporary_directory
 from nmpc_codegen.runtime.extras import DISTRIBUTION
+from nmpc_codegen.targets import UNALIGNED_MOVES
 
 #: The compiler of the package ziglang, which is clang with a C library. Without the option it inserts traps at -O0.
 ZIG = (sys.executable, "-m", "ziglang", "cc", "-fno-sanitize=undefined")
 #: Names the folder in which zig keeps the parts of its C library.
 ZIG_CACHE = "ZIG_GLOBAL_CACHE_DIR"
 
-#: GCC 12 and 13 may align the stack of a leaf function less than its vector stores require, which then fault (observed
-#: with 12.2 on processors with AVX-512). With this option the GNU assembler encodes the same moves for any alignment,
-#: which costs no time on addresses that are aligned.
-UNALIGNED_MOVES = "-Wa,-muse-unaligned-vector-move"
 _PROBE = """#if !defined(__GNUC__) || defined(__clang__) || defined(__TINYC__)
 #error "another compiler, which does not need the option and may accept it without knowing it"
 #endif

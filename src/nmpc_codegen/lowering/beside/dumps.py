@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from nmpc_codegen.errors import OptionError
-from nmpc_codegen.lowering.render import environment, tidy
+from nmpc_codegen.lowering.render import tidy
+from nmpc_codegen.lowering.templates import environment
 from nmpc_codegen.package.description import PackageDescription
 from nmpc_codegen.package.seal import package_of, seal_beside, without_seal
 

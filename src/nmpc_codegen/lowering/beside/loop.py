@@ -7,7 +7,8 @@ from collections.abc import Mapping
 
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.ir.printing.c_style import unit_style
-from nmpc_codegen.lowering.render import environment, tidy
+from nmpc_codegen.lowering.render import tidy
+from nmpc_codegen.lowering.templates import environment
 from nmpc_codegen.package.description import PackageDescription
 from nmpc_codegen.package.seal import seal_beside, without_seal
 from nmpc_codegen.package.signals import c_constants

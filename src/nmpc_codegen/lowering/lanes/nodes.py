@@ -16,8 +16,9 @@ from nmpc_codegen.ir.printing.c_style import CStyle, spell
 from nmpc_codegen.ir.printing.routines import print_routine
 from nmpc_codegen.ir.sweep import LoopedRoutine, Routine
 from nmpc_codegen.lowering.lanes import steps as lane_steps
-from nmpc_codegen.lowering.parts import MATH_IN_LANES, names_in, needed_paragraphs, own_names, own_text
-from nmpc_codegen.lowering.preamble import PLACES
+from nmpc_codegen.lowering.unit.macros import PLACES
+from nmpc_codegen.lowering.unit.reach import reach
+from nmpc_codegen.lowering.unit.read import MATH_IN_LANES, items_of, own_names, read_part
 from nmpc_codegen.package.features import Features
 from nmpc_codegen.package.signals import Kind
 
@@ -94,11 +95,12 @@ def has_conditions(routines: Iterable[Routine]) -> bool:
 
 def in_lanes(names: Iterable[str], sizes: Mapping[str, int], style: CStyle) -> str:
     """The elementary functions of these names in math.h, and what they need, on vectors."""
-    text = spell(own_text(MATH_IN_LANES, sizes), style.on_vectors)
-    roots = [f"lanes_{name}" for name in names]
-    if REDUCTION in names_in(needed_paragraphs(text, roots)):
-        roots.append(f"{REDUCTION}_moderate")  # which the part for all angles calls
-    return needed_paragraphs(text, roots)
+    items = items_of(spell(read_part(MATH_IN_LANES, sizes=sizes), style.on_vectors))
+    roots = [n for n, item in enumerate(items) if item.name.removeprefix("lanes_") in names]
+    found = reach(items, roots)
+    if any(REDUCTION in item.calls for item in found.values()):  # whose part calls the function for moderate angles
+        found |= reach(items, [n for n, item in enumerate(items) if item.name == f"{REDUCTION}_moderate"])
+    return "\n\n".join(found[n].text for n in sorted(found))
 
 
 def with_lanes(module: CModule) -> CModule:

@@ -11,7 +11,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from textwrap import wrap
 
 from nmpc_codegen.ir.kernel import Kernel
-from nmpc_codegen.lowering.pruning.tree import WIDTH, wrap_line
+from nmpc_codegen.lowering.dialect.tree import WIDTH, wrap_line
 
 #: Most rows of a tile of the product, and its columns; the sums stay in registers.
 ROWS, COLUMNS = 4, 6

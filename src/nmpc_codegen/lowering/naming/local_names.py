@@ -10,8 +10,9 @@ from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.kernel import OPERATIONS
 from nmpc_codegen.ir.naming import C_KEYWORDS
 from nmpc_codegen.ir.printing.local_names import LocalNames
-from nmpc_codegen.lowering.parts import defined_names, template_directory
-from nmpc_codegen.lowering.preamble import arithmetic
+from nmpc_codegen.lowering.templates import template_directory
+from nmpc_codegen.lowering.unit.macros import arithmetic
+from nmpc_codegen.lowering.unit.read import defined_names
 from nmpc_codegen.package.signals import c_identifier
 from nmpc_codegen.package.status import Status
 
@@ -66,6 +67,6 @@ def _inner_names(problem: Problem, known: Collection[str]) -> Iterator[str]:
 def _of_every_unit() -> frozenset[str]:
     """Keywords, names of the C library, and what the parts define."""
     functions = {operation.function for operation in OPERATIONS.values()} - {""}
-    macros = {name for name, _ in arithmetic("double")} | {status.name for status in Status}
+    macros = {macro.name for macro in arithmetic("double")} | {status.name for status in Status}
     parts = {name for path in template_directory().rglob("*.c*") for name in defined_names(path.read_text("utf-8"))}
     return C_KEYWORDS | set(_MACROS.split()) | functions | {f"{name}f" for name in functions} | macros | parts

@@ -12,12 +12,10 @@ import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import lru_cache
 
-from nmpc_codegen.lowering.pruning.choices import choices, decide
-from nmpc_codegen.lowering.pruning.constants import Constants, Fact
-from nmpc_codegen.lowering.pruning.expressions import Expression, expression, words
-from nmpc_codegen.lowering.pruning.scopes import (
+from nmpc_codegen.lowering.dialect.constants import Constants, Fact
+from nmpc_codegen.lowering.dialect.expressions import Expression, expression, words
+from nmpc_codegen.lowering.dialect.scopes import (
     DECLARATION,
-    check_names,
     declarators,
     free_names,
     function_of,
@@ -25,8 +23,9 @@ from nmpc_codegen.lowering.pruning.scopes import (
     names_in_code,
     pointers,
 )
-from nmpc_codegen.lowering.pruning.tree import Edit, Node, edit, margin, whole_lines, wrap_line
-from nmpc_codegen.lowering.pruning.values import of_known_value
+from nmpc_codegen.lowering.dialect.tree import Edit, Node, edit, margin, whole_lines, wrap_line
+from nmpc_codegen.lowering.unit.choices import choices, decide
+from nmpc_codegen.lowering.unit.values import of_known_value
 
 #: A loop over a variable of its own; the step of one that only counts.
 _LOOP = re.compile(r"(?:int|ptrdiff_t) (?P<variable>\w+) = (?P<first>[^,;]+); (?P<condition>[^;]*);(?P<step>.*)")
@@ -303,18 +302,13 @@ _VARIABLE = re.compile(r"->|\.|\b[a-z]\w*\b(?!\$)")
 _SIGN = re.compile(r"([A-Z]\w*)(?: (?:>|==|!=) 0)?|0 < ([A-Z]\w*)|([A-Z]\w*) - 1 >= 0")
 
 
+@lru_cache(maxsize=16384)
 def simplify(text: str, known: Constants) -> str:
     """A function, with its comment, without what the package does not need.
 
     Raises:
         ValueError: it is not of the dialect, or a pass has left a name without its declaration.
     """
-    check_names(text, known.ranges.keys() | known.sizes.keys())
-    return simplify_again(text, known)
-
-
-def simplify_again(text: str, known: Constants) -> str:
-    """The same for a function that comes out of it, in which a block may have a variable of one around it."""
     found = _simplify(text, known.facts(*heads(text), words(text)))
     while found != text:  # a number in place of a variable may bring in other facts
         text, found = found, _simplify(found, known.facts(*heads(found), words(found)))

@@ -5,8 +5,8 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 
-from nmpc_codegen.lowering.pruning.scopes import declarators, readable
-from nmpc_codegen.lowering.pruning.tree import Edit, Node, whole_lines
+from nmpc_codegen.lowering.dialect.scopes import declarators, readable
+from nmpc_codegen.lowering.dialect.tree import Edit, Node, whole_lines
 
 #: A declaration of one variable with a number, or of an integer with a size.
 _NUMBER = re.compile(r"(?:const )?(?:(?:int|real_t) \w+ = (R\(\d[\w.]*\)|\d+)|int \w+ = ([A-Z]\w*));")

@@ -10,7 +10,7 @@ from functools import cached_property, lru_cache
 from itertools import product
 from typing import Any
 
-from nmpc_codegen.lowering.pruning.expressions import Expression, expression, words
+from nmpc_codegen.lowering.dialect.expressions import Expression, expression, words
 
 #: Least and greatest value of an expression of integers.
 Range = tuple[int, int]

@@ -6,10 +6,10 @@ import re
 from collections.abc import Iterator
 from functools import lru_cache
 
-from nmpc_codegen.lowering.pruning.constants import Constants
-from nmpc_codegen.lowering.pruning.expressions import Expression, expression
-from nmpc_codegen.lowering.pruning.scopes import DECLARATION, blank, split
-from nmpc_codegen.lowering.pruning.tree import Edit, Node
+from nmpc_codegen.lowering.dialect.constants import Constants
+from nmpc_codegen.lowering.dialect.expressions import Expression, expression
+from nmpc_codegen.lowering.dialect.scopes import DECLARATION, blank, split
+from nmpc_codegen.lowering.dialect.tree import Edit, Node
 
 #: A condition of sizes and features alone.
 _DECISIVE = re.compile(r"[A-Z0-9_ <>=!&|()*+-]+")

@@ -1,12 +1,12 @@
 """The preamble of a package's .c: short names for declarations of the header, access to run-time data, kernel calls.
 
 Inside the one translation unit everything is static, so names need no prefix: NX is CRANE_NX, solver_t is
-crane_solver_t (parts.py: unless the header declares the short name). Only names that the unit uses are defined.
+crane_solver_t (names.py: unless the header declares the short name).
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from textwrap import wrap
 from types import MappingProxyType
 
@@ -14,9 +14,10 @@ from nmpc_codegen.ir.cmodule import CModule
 from nmpc_codegen.ir.printing.c_style import CStyle, unit_style
 from nmpc_codegen.ir.printing.products import call
 from nmpc_codegen.ir.sweep import LoopedRoutine, Routine
-from nmpc_codegen.lowering.parts import names_in, rename
-from nmpc_codegen.lowering.pruning.reach import Definition as Definition
 from nmpc_codegen.lowering.tolerances import FACTORS, TOLERANCES, tolerance
+from nmpc_codegen.lowering.unit.item import Item
+from nmpc_codegen.lowering.unit.names import rename
+from nmpc_codegen.package.memory import Struct
 from nmpc_codegen.package.signals import Kind
 
 #: Functions of math.h that the parts call in the working precision: upper case in the parts.
@@ -27,37 +28,22 @@ FUNCTIONS = ("sqrt", "fabs", "ceil", "sin", "cos", "exp", "log", "log1p")
 WIDTH, LINE = 114, 120
 
 #: A number in the working precision: R(0.5).
-REAL_CONSTANT = ("R", "x", "((real_t)(x))")
+REAL_CONSTANT = Item("R", "macro", "((real_t)(x))", "x", apart=False)
 
 
-def preamble(
-    name: str,
-    types: Sequence[str],
-    known: Sequence[Definition],
-    body: Collection[str],
-    renamed: Mapping[str, str],
-    docs: Mapping[str, str] = MappingProxyType({}),
-) -> str:
-    """Short names of those types of the package ``name``, and those macros of ``known``, that a text with the
-    identifiers ``body`` uses; ``renamed``: inner name -> new name; ``docs``: what sizes of this unit alone are."""
-    found, used = definitions(known, body)
-    chosen = [text for macro, text in CHOSEN.items() if macro in used]
-    inner = [rename(f"{short}_t", renamed) for short in types]
-    lines = [f"typedef {name}_real {rename('real_t', renamed)};"]
-    lines += [f"typedef {name}_{t}_t {short};" for t, short in zip(types, inner, strict=True) if f"{t}_t" in used]
-    for macro, arguments, text in found:
-        declared = arguments is None and text in (f"{name.upper()}_{macro}", _of_header(macro, name))
-        head = rename(macro if arguments is None else f"{macro}({arguments})", renamed)
-        define = f"#define {head} {text if declared else rename(text, renamed)}"
-        lines.append(" \\\n    ".join(wrap(define, WIDTH, break_long_words=False, break_on_hyphens=False)))
-        if reason := REASONS.get(macro, docs.get(macro, "")):
-            lines[-1:] = _with_reason(lines[-1], reason)
-    return "\n".join([*lines, *(rename(text, renamed) for text in chosen)])
-
-
-def _of_header(macro: str, name: str) -> str:
-    """The macro of the header with another name that this one stands for; "": none."""
-    return f"{name.upper()}_NX" if macro == "NXHAT" else ""
+def print_macro(item: Item, renamed: Mapping[str, str]) -> str:
+    """The definition of a macro, or of a short name; ``renamed``: inner name -> new name."""
+    name = renamed.get(item.name, item.name)
+    if item.kind == "alias":
+        text = f"typedef {item.text} {name};" if name.endswith("_t") else f"#define {name} {item.text}"
+    else:
+        head = name if item.arguments is None else rename(f"{item.name}({item.arguments})", renamed)
+        text = f"#define {head} {rename(item.text, renamed)}"
+    text = " \\\n    ".join(wrap(text, WIDTH, break_long_words=False, break_on_hyphens=False))
+    beside = f"{text} /* {item.note} */"
+    if not item.note:
+        return text
+    return beside if len(beside) <= LINE else f"/* {item.note} */\n{text}"
 
 
 #: Macro of which the compiler chooses the value -> its definition.
@@ -70,63 +56,64 @@ CHOSEN: Mapping[str, str] = {
 #endif"""
 }
 
-#: Macro of a threshold -> its reason.
-REASONS: Mapping[str, str] = {
-    **{f"TOL_{name.upper()}": reason for name, (_, reason) in TOLERANCES.items()},
-    **{f"FACTOR_{name.upper()}": reason for name, (_, reason) in FACTORS.items()},
-}
+
+def short_names(name: str, structs: Sequence[Struct]) -> tuple[Item, ...]:
+    """The types of the header of the package ``name`` without their prefix."""
+    types = [f"{struct}_t" for struct in (*(s.name for s in structs), "status")]
+    return (alias("real_t", f"{name}_real"), *(alias(short, f"{name}_{short}") for short in types))
 
 
-def _with_reason(define: str, reason: str) -> list[str]:
-    """The definition with a comment behind it, or above it if the line would be too long."""
-    beside = f"{define} /* {reason} */"
-    return [beside] if len(beside) <= LINE else [f"/* {reason} */", define]
+def alias(name: str, text: str, note: str = "") -> Item:
+    """A short name of what the header declares."""
+    return Item(name, "alias", text, apart=False, note=note)
 
 
-def definitions(known: Sequence[Definition], body: Collection[str]) -> tuple[list[Definition], set[str]]:
-    """Macros that a text with the identifiers ``body`` uses, also through other macros, and all its identifiers."""
-    used = set(body)
-    found: set[str] = set()
-    while more := {name for name, _, _ in known if name in used} - found:
-        found |= more
-        used |= names_in(*(text for name, _, text in known if name in more))
-    return [definition for definition in known if definition[0] in found], used
+def macro(name: str, text: str, arguments: str | None = None, note: str = "") -> Item:
+    """A macro; ``arguments``: its names between commas."""
+    return Item(name, "macro", text, arguments, apart=False, note=note)
 
 
-def all_definitions(module: CModule) -> list[Definition]:
-    """Every macro that a unit may use."""
-    p, P = module.name, module.macro
-    sizes = [m for m in module.macros if m.name != "MAGIC"]
-    constants = [(m.name, f"{P}_{m.name}" if m.public and m.shown is None else str(m.value)) for m in sizes]
-    constants = [(n, _of_header(n, p) or text) for n, text in constants]
-    constants.append(("MAGIC", "NMPC_CODEGEN_UNIT"))
-    constants += [(name, f"{P}_{name}") for name in ("ALL", *(status.name for status in module.statuses))]
-    features = module.features.macros
-    constants += [
-        *((name, str(features[name])) for name in (features if module.whole else ("VECTOR_LANES", "PACK_WIDTH"))),
-        *arithmetic(module.precision, module.features.own_math),
-    ]
-    parametric = [("API", "name", f"{p}_##name"), REAL_CONSTANT, *accessors(module)]
+def definitions(module: CModule) -> tuple[Item, ...]:
+    """Every type and macro that a unit may use."""
+    p, P, features = module.name, module.macro, module.features.macros
+    found = list(short_names(p, module.structs))
+    for m in module.macros:
+        note = m.doc if not m.public or m.shown is not None else ""
+        if m.name == "NXHAT":
+            found.append(alias(m.name, f"{P}_NX", note))
+        elif m.public and m.shown is None:
+            found.append(alias(m.name, f"{P}_{m.name}", note))
+        elif m.name != "MAGIC":
+            found.append(macro(m.name, str(m.value), note=note))
+    found.append(macro("MAGIC", "NMPC_CODEGEN_UNIT", note=next(m.doc for m in module.macros if m.name == "MAGIC")))
+    found += [alias(status, f"{P}_{status}") for status in ("ALL", *(status.name for status in module.statuses))]
+    spelling = features if module.whole else ("VECTOR_LANES", "PACK_WIDTH")
+    found += [macro(name, str(features[name])) for name in spelling]
+    found += arithmetic(module.precision, module.features.own_math)
+    found += [macro("API", f"{p}_##name", "name"), REAL_CONSTANT, *accessors(module)]
     if module.whole:
-        parametric += [(name.upper(), "...", "((void)0)") for name in module.absent_kernels]
-    parametric.append(("HESSIAN", "s, k", f"(s)->hessian.Q[{'0' if module.sizes.get('NQ') == 1 else 'k'}]"))
+        found += [macro(name.upper(), "((void)0)", "...") for name in module.absent_kernels]
+    found.append(macro("HESSIAN", f"(s)->hessian.Q[{'0' if module.sizes.get('NQ') == 1 else 'k'}]", "s, k"))
     places = {**PLACES, **module.places} | (MEASURED_START if module.features.start_is_measured else {})
-    parametric += [kernel_call(routine, places, module.places) for routine in module.routines]
-    parametric += [product_call(routine, module.style) for routine in module.called_products]
-    return [*((name, None, text) for name, text in constants), *parametric]
+    found += [kernel_call(routine, places, module.places) for routine in module.routines]
+    found += [product_call(routine, module.style) for routine in module.called_products]
+    return (*found, *(Item(name, "directive", text, apart=False) for name, text in CHOSEN.items()))
 
 
-def arithmetic(precision: str, own: bool = False) -> list[tuple[str, str]]:
-    """(macro, text): functions of math.h or their own text, infinity, tolerances, factors in the working precision."""
+def arithmetic(precision: str, own: bool = False) -> list[Item]:
+    """Functions of math.h or their own text, infinity, tolerances and factors in the working precision."""
     style = unit_style(precision, own)
-    functions = [(name.upper(), style.function(name)) for name in FUNCTIONS]
-    tolerances = [(f"TOL_{name.upper()}", style.literal(tolerance(name, precision))) for name in TOLERANCES]
-    factors = [(f"FACTOR_{name.upper()}", style.literal(value)) for name, (value, _) in FACTORS.items()]
-    return [*functions, ("INF", "((real_t)INFINITY)"), *tolerances, *factors]
+    found = [macro(name.upper(), style.function(name)) for name in FUNCTIONS]
+    found.append(macro("INF", "((real_t)INFINITY)"))
+    for name, (_, reason) in TOLERANCES.items():
+        found.append(macro(f"TOL_{name.upper()}", style.literal(tolerance(name, precision)), note=reason))
+    for name, (value, reason) in FACTORS.items():
+        found.append(macro(f"FACTOR_{name.upper()}", style.literal(value), note=reason))
+    return found
 
 
-def accessors(module: CModule) -> list[Definition]:
-    """(macro, arguments, text): access to references, weights, parameters and bounds of a node.
+def accessors(module: CModule) -> list[Item]:
+    """Access to references, weights, parameters and bounds of a node.
 
     Data that can be changed are members of the solver ``s``: one copy, one per node, or one for the path and one for
     the terminal node. Fixed data are tables.
@@ -142,7 +129,7 @@ def accessors(module: CModule) -> list[Definition]:
     soft = "penalty" if module.features.takes_penalties else "soft"
     weight = f"(s)->W[{at('weight', 'k')}]"
     path_weight = weight if module.diagonal_weight else f"&{weight}[0][0]"
-    return [
+    found = [
         ("YREF", "s, k", member("reference", f"(s)->yref[{at('reference', 'k')}]", "default_reference")),
         ("YREF_N", "s", member("reference", "(s)->yref_N", "default_terminal_reference")),
         ("WEIGHT", "s, k", member("weight", path_weight, "default_weight")),
@@ -160,6 +147,7 @@ def accessors(module: CModule) -> list[Definition]:
         ("END_MULTIPLIERS", "s", _last_multipliers(module, "NE", "NH_N")),
         ("COUPLED_MULTIPLIERS", "s", _last_multipliers(module, "NE")),
     ]
+    return [macro(name, text, arguments) for name, arguments, text in found]
 
 
 def _last_multipliers(module: CModule, *sizes: str) -> str:
@@ -168,10 +156,10 @@ def _last_multipliers(module: CModule, *sizes: str) -> str:
     return f"((s)->mult + ({' - '.join(['NG', *(size for size in sizes if module.value(size))])}))"
 
 
-def product_call(routine: LoopedRoutine, style: CStyle) -> Definition:
-    """(macro, arguments, text): call of a product with the stage matrices; it passes what is read or written."""
+def product_call(routine: LoopedRoutine, style: CStyle) -> Item:
+    """The call of a product with the stage matrices; it passes what is read or written."""
     names, text = call(routine, style)
-    return routine.name.upper(), ", ".join(names), text
+    return macro(routine.name.upper(), text, ", ".join(names))
 
 
 #: C text of the kernel inputs at node k of the solver s; two tables with those that differ at the terminal node and at
@@ -225,8 +213,8 @@ VECTORS = ("mu", "dx", "du", "adj", "d")
 
 def kernel_call(
     routine: Routine, everywhere: dict[str, str] = PLACES, kept: Mapping[str, str] = MappingProxyType({})
-) -> Definition:
-    """(macro, arguments, text): call of a printed kernel; it passes what is read or written, nothing else.
+) -> Item:
+    """The call of a printed kernel; it passes what is read or written, nothing else.
 
     ``kept``: places of outputs that a node keeps, which are no arguments.
 
@@ -238,7 +226,7 @@ def kernel_call(
     if routine.name.startswith("stage_"):
         names = [p.name for p in (*routine.inputs, *routine.outputs)]
         used = [p.name for p in (*routine.reads, *routine.writes)]
-        return routine.name.upper(), ", ".join(names), f"{routine.name}({', '.join(used)})"
+        return macro(routine.name.upper(), f"{routine.name}({', '.join(used)})", ", ".join(names))
     if routine.name == "integrator_step":
         places = {"x": "x", "u": "u", "p": "PARAM(s, k)", "h": "h", "z": "(s)->z[k]", "newton": "newton"}
         leading = ["s", "k", "x", "u", "h", "newton"]
@@ -261,5 +249,4 @@ def kernel_call(
     outputs = [p.name for p in routine.outputs if p.name not in kept]
     if routine.name in LEAVING and "left" not in outputs:
         outputs.append("left")
-    arguments = ", ".join([*leading, *outputs])
-    return routine.name.upper(), arguments, f"{routine.name}({', '.join(passed)})"
+    return macro(routine.name.upper(), f"{routine.name}({', '.join(passed)})", ", ".join([*leading, *outputs]))

@@ -6,7 +6,7 @@ import re
 from collections.abc import Mapping, Sequence, Set
 from functools import lru_cache
 
-from nmpc_codegen.lowering.pruning.tree import Node, parse
+from nmpc_codegen.lowering.dialect.tree import Node, parse
 
 _NO_CODE = re.compile(r"/\*.*?\*/|\"(?:\\.|[^\"\\\n])*\"|'(?:\\.|[^'\\\n])*'", re.DOTALL)
 _PASSES = re.compile(r"/\* at most ([^*]+?) passes")
@@ -91,6 +91,11 @@ def signature(text: str) -> tuple[str, tuple[str, ...]]:
 def function_of(text: str) -> Node:
     """The function that a text with its comment is."""
     return parse(text)[-1]
+
+
+def head_of(text: str) -> str:
+    """The head of a function: its type, name and parameters."""
+    return text[slice(*function_of(text).head)].strip()
 
 
 def pointers(text: str) -> Mapping[str, str]:

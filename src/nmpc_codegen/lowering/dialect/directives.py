@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from functools import lru_cache
 
-from nmpc_codegen.lowering.pruning.constants import Constants
-from nmpc_codegen.lowering.pruning.expressions import Expression, expression, words
-from nmpc_codegen.lowering.pruning.scopes import blank
-from nmpc_codegen.lowering.pruning.tree import Edit, Node, edit, parse
+from nmpc_codegen.lowering.dialect.constants import Constants
+from nmpc_codegen.lowering.dialect.expressions import Expression, expression, words
+from nmpc_codegen.lowering.dialect.scopes import blank
+from nmpc_codegen.lowering.dialect.tree import Edit, Node, edit, parse
 
 
 def resolve(text: str, sizes: Mapping[str, int]) -> str:

@@ -11,9 +11,9 @@ from collections.abc import Collection
 from itertools import groupby
 from textwrap import wrap
 
-from nmpc_codegen.lowering.pruning.constants import Constants
-from nmpc_codegen.lowering.pruning.expressions import expression
-from nmpc_codegen.lowering.pruning.tree import WIDTH
+from nmpc_codegen.lowering.dialect.constants import Constants
+from nmpc_codegen.lowering.dialect.expressions import expression
+from nmpc_codegen.lowering.dialect.tree import WIDTH
 
 _WORDS = r"(?:[^\[\]]|\[[^\[\]]*\])*?"
 _PHRASE = re.compile(

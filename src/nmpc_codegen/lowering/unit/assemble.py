@@ -1,0 +1,237 @@
+"""CModule -> the items of its unit, in their order: short names, elementary functions, tables, kernels, parts.
+
+All are there that some package may need; the passes leave out what this one does not.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from itertools import accumulate
+
+from nmpc_codegen.ir.cmodule import CModule, Table
+from nmpc_codegen.ir.kernel import called_lookups
+from nmpc_codegen.ir.printing.c_style import CStyle
+from nmpc_codegen.ir.printing.lookups import print_lookups
+from nmpc_codegen.ir.printing.routines import print_routine
+from nmpc_codegen.ir.sweep import LoopedRoutine, Routine
+from nmpc_codegen.lowering.dialect.constants import Constants
+from nmpc_codegen.lowering.dialect.directives import resolve
+from nmpc_codegen.lowering.lanes.nodes import GENERATED as IN_LANES
+from nmpc_codegen.lowering.rows import row_functions, row_ranges
+from nmpc_codegen.lowering.templates import context, environment
+from nmpc_codegen.lowering.unit.hooks import call_hooks, check_hooks, hook_prototypes
+from nmpc_codegen.lowering.unit.item import Item
+from nmpc_codegen.lowering.unit.macros import definitions
+from nmpc_codegen.lowering.unit.names import rename
+from nmpc_codegen.lowering.unit.read import MATH, items_of, read_part
+from nmpc_codegen.package.signals import Layout
+
+#: The stages of implicit schemes, with the functions of an interval that call them.
+INTERVALS = "integrators/implicit/intervals.c"
+#: The search of look-up tables.
+SEARCH = "core/lookup.c"
+
+
+def assemble(module: CModule) -> tuple[Item, ...]:
+    """The items of a package."""
+    style = module.style
+    return (
+        heading("/* Short names inside this translation unit. */"),
+        *definitions(module),
+        *_elementary(module),
+        *table_items(module.tables, style),
+        *kernel_items(module.routines, style),
+        *_of_parts(module),
+    )
+
+
+def heading(text: str) -> Item:
+    """A comment that stands alone."""
+    return Item("", "heading", text)
+
+
+def section(title: str) -> Item:
+    """The heading of a part of the unit."""
+    return Item("", "section", f"/* ==== {title} {'=' * (100 - len(title))} */")
+
+
+def kernel_items(routines: Sequence[Routine], style: CStyle) -> list[Item]:
+    """The functions of look-up tables that routines call, and the routines that call no part."""
+    lookups = print_lookups(called_lookups(routines))
+    texts = {"find_interval": read_part(SEARCH).rstrip()} if lookups else {}
+    alone = (r for r in routines if not (isinstance(r, LoopedRoutine) and r.calls_parts))
+    texts |= lookups | {routine.name: print_routine(routine, style) for routine in alone}
+    return [Item(name, "function", text, ready=True) for name, text in texts.items()]
+
+
+def table_items(tables: Iterable[Table], style: CStyle) -> list[Item]:
+    """Tables of numbers."""
+    return [Item(t.name, "table", _table(t, style), apart=False) for t in tables]
+
+
+def _table(table: Table, style: CStyle) -> str:
+    if table.ctype == "real":
+        ctype, values = "real_t", [_value(v, style) for v in table.values]
+    else:
+        ctype, values = "int", [str(v) for v in table.values]
+    return f"/* {table.doc} */\nstatic const {ctype} {table.name}[{len(values)}] = {{ {', '.join(values)} }};"
+
+
+def _value(value: float, style: CStyle) -> str:
+    if math.isinf(value):
+        return f"{'-' if value < 0 else ''}({style.real})INFINITY"
+    return style.literal(value)
+
+
+def _elementary(module: CModule) -> list[Item]:
+    """The elementary functions, if the package has its own; lanes need some of them as well."""
+    if not (module.features.own_math or module.sizes["LANE_NODES"]):
+        return []
+    title = f"/* ==== elementary functions {'=' * 79} */"
+    items = items_of(read_part(MATH, sizes=module.sizes))
+    return [heading(title), *(replace(item, ready=True) for item in items)]
+
+
+def _of_parts(module: CModule) -> Iterator[Item]:
+    """The items of the parts and of what they include, with the calls of hooks."""
+    style, extras = module.style, module.extras
+
+    def generate(path: str) -> str:
+        return GENERATED[path](module, style)
+
+    def part(path: str) -> Iterator[Item]:
+        for item in _items(read_part(path, generate, module.decided), module):
+            yield _with_states(call_hooks(item, extras), module)
+
+    yield from part("core/sizes.c")
+    for title in module.stage_parts:
+        yield section(title)
+        yield from part(INTERVALS)
+    for path in ("core/rows.c", "core/cost.c", "core/inner.c"):
+        yield from part(path)
+    if module.features.products:
+        yield section("stage products")
+        yield from _items(products(module, style), module)
+    for found in module.sections:
+        yield section(found.title)
+        yield from part(found.template)
+    check_hooks(read_part(module.sections[-1].template, lambda include: ""), extras)
+    yield from part("core/algebraic.c")
+    yield section("settings and results")
+    yield from _items(_interface(module), module)
+
+
+def _items(text: str, module: CModule) -> tuple[Item, ...]:
+    """The items of a text; that of a whole package, whose `#if` the compiler resolves, is one."""
+    return (Item("", "directive", text.rstrip("\n")),) if module.whole else items_of(text)
+
+
+def _interface(module: CModule) -> str:
+    """The functions that the application calls besides those of the algorithm."""
+    layouts = module.layouts
+    names = context(module.name, module.style) | {
+        "m": module,
+        "copies": lambda option: _copies(layouts[option], option in ("reference", "weight")),
+    }
+    text = environment().get_template("package/api.c.jinja").render(names)
+    return text if module.decided is None else resolve(text, module.decided)
+
+
+def _copies(layout: Layout, path_only: bool) -> str:
+    """Lowest and highest node that has a copy of its own, and how many copies there are."""
+    if layout == "node":
+        return "0, N - 1, N" if path_only else "0, N, N + 1"
+    return "0, -1, 1" if path_only else "N, N, 2"
+
+
+def _with_states(item: Item, module: CModule) -> Item:
+    """Without states behind the measured ones, the number of both is NX."""
+    if module.features.inner or "NXHAT" not in item.words:
+        return item
+    return replace(item, text=rename(item.text, {"NXHAT": "NX"}))
+
+
+def constants_of(module: CModule) -> Constants:
+    """What the package decides at export: sizes, features, ranges of tables of integers and of what is known of rows,
+    what it lacks."""
+    ranges = {t.name: (int(min(t.values)), int(max(t.values))) for t in module.tables if t.ctype == "int" and t.values}
+    kernels = frozenset(name.upper() for name in module.absent_kernels)
+    named = {s.name for s in module.structs}
+    types = {(s.name, f.name): f.ctype for s in module.structs for f in s.fields if f.ctype in named}
+    return Constants(module.sizes, ranges | row_ranges(module), module.absent_members, types, kernels)
+
+
+# -- parts that are generated ------------------------------------------------------------------------------------------
+
+
+def products(module: CModule, style: CStyle) -> str:
+    """The products with a vector that the package calls, after the tables that the loops of all products read."""
+    routines = module.products.called_vectors(module.features).values()
+    heading = (
+        "/* Products with the stage matrices S = [A B] and Q (lower triangle): "
+        + ("written out over the structural nonzeros." if module.products.written_out else "dense loops.")
+        + " */"
+    )
+    called = [print_routine(r, style) for r in routines]
+    read = {name: of for name, of in module.products.tables.items() if any(f"{name}[" in text for text in called)}
+    tables = _tables(read)
+    if tables:
+        tables = "/* Structural nonzeros (row, column) of the lower triangles Q and Q_N. */\n" + tables
+    return _paragraphs(heading, tables, *called)
+
+
+def product_columns(module: CModule, style: CStyle) -> str:
+    """The products with a panel of columns of G_k."""
+    routines = (print_routine(r, style) for r in module.products.panels.values())
+    return _paragraphs("/* Products with a panel of columns of G_k. */", *routines)
+
+
+def hessian_blocks(module: CModule, style: CStyle) -> str:
+    """Irreducible blocks of Q and Q_N: a table of the rows of all blocks, and of where each block begins in it."""
+    blocks = {"Q": module.products.Q_blocks, "Q_N": module.products.Q_N_blocks}
+    numbers = ", ".join(f"{name}_BLOCKS = {len(found)}" for name, found in blocks.items())
+    tables: dict[str, Iterable[int]] = {}
+    for name, found in blocks.items():
+        tables[f"{name}_block_row"] = [i for block in found for i in block]
+        tables[f"{name}_block_first"] = [0, *accumulate(map(len, found))]
+    heading = "/* Irreducible blocks of Q and Q_N: the rows of all blocks, and where each block begins among them. */"
+    return "\n".join([heading, f"enum {{ {numbers} }};", _tables(tables)])
+
+
+def print_intervals(routines: Iterable[Routine], style: CStyle) -> str:
+    """Those of the routines that call functions of parts, and therefore follow them."""
+    called = (r for r in routines if isinstance(r, LoopedRoutine) and r.calls_parts)
+    return _paragraphs(*(print_routine(r, style) for r in called))
+
+
+def _tables(tables: Mapping[str, Iterable[int]]) -> str:
+    texts = {name: list(map(str, values)) for name, values in tables.items()}
+    return "\n".join(f"static const int {name}[{len(v)}] = {{ {', '.join(v)} }};" for name, v in texts.items())
+
+
+def _paragraphs(*texts: str) -> str:
+    return "\n\n".join(text for text in texts if text) + "\n"
+
+
+def _rows(module: CModule, style: CStyle) -> str:
+    return environment().get_template("core/rows.c.jinja").render(row_functions(module))
+
+
+def _extras(module: CModule, style: CStyle) -> str:
+    """The files of the extras."""
+    return "\n\n".join(read_part(part, sizes=module.decided).rstrip("\n") for part in module.extras) + "\n"
+
+
+#: Path of an include -> its text.
+GENERATED: Mapping[str, Callable[[CModule, CStyle], str]] = {
+    "generated/rows.c": _rows,
+    "generated/intervals.c": lambda module, style: print_intervals(module.routines, style),
+    "generated/products.c": products,
+    "generated/product_columns.c": product_columns,
+    "generated/hessian_blocks.c": hessian_blocks,
+    "generated/hooks.c": lambda module, style: hook_prototypes(module.extras),
+    "generated/extras.c": _extras,
+    **IN_LANES,
+}

@@ -1,0 +1,78 @@
+"""Hooks of an algorithm: a call for every extra that defines the function of a hook; without one, none."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+from functools import cache, lru_cache
+
+from nmpc_codegen.components.base import HOOKS
+from nmpc_codegen.lowering.dialect.scopes import head_of
+from nmpc_codegen.lowering.dialect.tree import Edit, edit, margin, parse
+from nmpc_codegen.lowering.unit.item import Item, calls
+from nmpc_codegen.lowering.unit.read import items_of, read_part
+
+_CALL = re.compile(rf"(?P<before>(?:\w+ = )?)(?P<hook>{'|'.join(HOOKS)})(?P<arguments>\(.*\);)", re.DOTALL)
+_NAMES = frozenset(HOOKS)
+
+#: Hooks that exactly one extra defines.
+ALONE = ("prepare_plan",)
+
+
+@cache
+def _hooks(part: str) -> Mapping[str, Item]:
+    """Hook -> its function, for those that an extra defines."""
+    extra = part.rpartition("/")[2].removesuffix(".c")
+    functions = [item for item in items_of(read_part(part)) if item.kind == "function"]
+    found = {}
+    for item in functions:
+        word = item.name.removeprefix(f"{extra}_")
+        if word in HOOKS and word != item.name:
+            found[word] = item
+        elif word != item.name and not any(item.name in other.calls for other in functions if other is not item):
+            raise ValueError(f"{part}: {item.name}(): expected a hook, {', '.join(HOOKS)}, or a function that it calls")
+    return found
+
+
+def check_hooks(algorithm: str, extras: Sequence[str]) -> None:
+    """Raise ValueError if an extra defines a hook that the text of the algorithm does not call."""
+    stated = calls(algorithm) & _NAMES
+    for part in extras:
+        if missing := sorted(_hooks(part).keys() - stated):
+            has = f"it has {', '.join(sorted(stated))}"
+            raise ValueError(f"{part} defines {', '.join(missing)}, which the algorithm does not state; {has}")
+
+
+def hook_prototypes(extras: Iterable[str]) -> str:
+    """Declarations of the functions that extras define for hooks."""
+    heads = [f"{head_of(hook.text)};" for part in extras for hook in _hooks(part).values()]
+    return "\n".join(["/* What else happens in a sample, at the hooks of the algorithm. */", *heads]) if heads else ""
+
+
+def call_hooks(item: Item, extras: tuple[str, ...]) -> Item:
+    """The item with the calls of hooks written out.
+
+    Raises:
+        ValueError: no extra defines a hook that needs a definition, or several extras define it.
+    """
+    if _NAMES.isdisjoint(item.calls):
+        return item
+    return replace(item, text=_with_hooks(item.text, extras))
+
+
+@lru_cache(maxsize=1024)
+def _with_hooks(text: str, extras: tuple[str, ...]) -> str:
+    named = {part.rpartition("/")[2].removesuffix(".c"): _hooks(part) for part in extras}
+    edits = []
+    for node in (n for top in parse(text) for n in top.walk() if n.kind == "statement"):
+        call = _CALL.fullmatch(text, node.start, node.end)
+        if call is None:
+            continue
+        names = [f"{name}_{call['hook']}" for name, hooks in named.items() if call["hook"] in hooks]
+        if call["hook"] in ALONE and len(names) != 1:
+            raise ValueError(f"{call['hook']}: expected one extra that defines it, found {names}")
+        before = margin(text, node)
+        lines = [f"{before}{call['before']}{name}{call['arguments']}\n" for name in names]
+        edits.append(Edit(node.start - len(before), node.end + 1, "".join(lines)))
+    return edit(text, edits)

@@ -1,0 +1,115 @@
+"""What a translation unit consists of: an item is a function, a macro, a table, ..., and the comment above it.
+
+What an item defines, calls and reads is found once for its text and remembered.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Literal
+
+from nmpc_codegen.lowering.dialect.expressions import words
+from nmpc_codegen.lowering.dialect.scopes import blank, free_names, in_line, names_in_code, signature
+
+#: A section is the heading of a part of the unit, a heading a comment that stands alone. An alias is a short name of
+#: what the header declares; macros are written by the compiler, the definitions of parts are directives.
+Kind = Literal["section", "heading", "alias", "macro", "directive", "type", "table", "enum", "prototype", "function"]
+
+#: Heads of functions that only this unit calls.
+_INNER = ("static ", "LANES_INLINE ", "PACK_INLINE ")
+_CALL = re.compile(r"(?<![.\w])(?<!->)[A-Za-z_]\w*(?=\()")
+_DEFINED = re.compile(r"^#define (\w+)", re.MULTILINE)
+_TYPE = re.compile(r"(?:\} |^typedef \w+ )(\w+)")
+_TABLE = re.compile(r"(\w+)(?:\[[^\]]*\])+(?:\)\([^)]*\))? =")
+
+
+@dataclass(frozen=True)
+class Item:
+    """A piece of a unit.
+
+    Attributes:
+        name: what it defines, if that is one thing; API(f) for a function f of the interface.
+        kind: see Kind.
+        text: C text with the comment above it; of an alias and a macro the text in its place.
+        arguments: of a macro with arguments their names.
+        apart: an empty line stands in front of it.
+        note: what stands behind a macro.
+        ready: a printed kernel or an elementary function, which no pass changes.
+    """
+
+    name: str
+    kind: Kind
+    text: str
+    arguments: str | None = None
+    apart: bool = True
+    note: str = ""
+    ready: bool = False
+
+    def with_text(self, text: str) -> Item:
+        """The item with another text."""
+        return self if text == self.text else replace(self, text=text)
+
+    @property
+    def defines(self) -> frozenset[str]:
+        """The names that others may read."""
+        return frozenset((self.name,)) if self.kind in ("alias", "macro") else _defines(self.kind, self.name, self.text)
+
+    @property
+    def calls(self) -> frozenset[str]:
+        """The functions and macros that it calls."""
+        return calls(self.text)
+
+    @property
+    def reads(self) -> frozenset[str]:
+        """The names that it uses and does not declare."""
+        if self.kind in ("section", "heading", "alias"):
+            return frozenset()
+        return free_names(self.text) if self.is_prunable else names_in_code(self.text)
+
+    @property
+    def words(self) -> frozenset[str]:
+        """All names in its code, those of members and variables too."""
+        return self.defines if self.kind == "alias" else _words(self.text) | self.defines
+
+    @property
+    def is_prunable(self) -> bool:
+        """True for a function of a part, which passes may change."""
+        return self.kind == "function" and not self.ready
+
+    @property
+    def is_entry(self) -> bool:
+        """True for a function, or its prototype, that other units call."""
+        return self.kind in ("function", "prototype") and not in_line(self.text).startswith(_INNER)
+
+
+@lru_cache(maxsize=16384)
+def _defines(kind: Kind, name: str, text: str) -> frozenset[str]:
+    code = blank(text)
+    if kind == "directive":
+        return frozenset(_DEFINED.findall(code))
+    if kind == "enum":
+        inside = code[code.index("{") + 1 : code.rindex("}")]
+        return frozenset(part.partition("=")[0].strip() for part in inside.split(","))
+    return frozenset((name,) if name else ())
+
+
+@lru_cache(maxsize=16384)
+def calls(text: str) -> frozenset[str]:
+    """The functions and macros that a text calls."""
+    return frozenset(_CALL.findall(blank(text)))
+
+
+@lru_cache(maxsize=16384)
+def _words(text: str) -> frozenset[str]:
+    return words(blank(text))
+
+
+def name_of(kind: Kind, code: str) -> str:
+    """The name of an item with this code."""
+    if kind in ("function", "prototype"):
+        return signature(code)[0]
+    pattern = {"type": _TYPE, "table": _TABLE}.get(kind)
+    found = pattern.findall(code) if pattern else ()
+    return found[-1] if found else ""

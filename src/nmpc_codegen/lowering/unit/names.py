@@ -1,0 +1,40 @@
+"""Names inside a unit, which differ from all names of its header.
+
+The header declares <name>_..., where <name> is the user's; names inside the unit are short and the same in every
+package. Both can be one word: the package "ny" declares NY_N, the number of its intervals, and NY_N is also the short
+name of the number of terminal residuals. The inner name, of a macro, function, variable or member, then ends in "_".
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Collection, Mapping
+
+from nmpc_codegen.lowering.dialect.expressions import words
+from nmpc_codegen.lowering.dialect.scopes import blank
+
+_INNER = re.compile(r"\bAPI\(\w+\)|[A-Za-z_]\w*")
+
+#: Types of <stdint.h> in the header, which are not the package's even if it is called "int32".
+STANDARD = frozenset({"int32_t"})
+
+
+def renamed_words(inner: Collection[str], header: str, name: str, members: Collection[str] = ()) -> Mapping[str, str]:
+    """Inner name -> new name, for those of ``inner`` that the header of the package ``name`` declares.
+
+    ``members``: words of the header that belong to its structs alone.
+    """
+    prefixes = (f"{name}_", f"{name.upper()}_")
+    declared = {w for w in words(blank(header)) if w.startswith(prefixes)} - set(members) - STANDARD
+    found: dict[str, str] = {}
+    for word in sorted(declared.intersection(inner)):
+        new = f"{word}_"
+        while new in inner or new in declared:
+            new += "_"
+        found[word] = new
+    return found
+
+
+def rename(text: str, renamed: Mapping[str, str]) -> str:
+    """The text with new inner names; API(f), the name of a function of the header, stays."""
+    return _INNER.sub(lambda found: renamed.get(found[0], found[0]), text) if renamed else text

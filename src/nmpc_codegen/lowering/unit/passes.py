@@ -1,0 +1,174 @@
+"""The pipeline: passes that leave out of a unit what its package does not need, from items to items.
+
+A part is written for every problem, with all its rows, bounds and components. While a pass changes the unit, the passes
+before it run again; the last ones put in order what is left. After every pass a verifier looks whether all names that
+are read are still defined.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import replace
+from functools import lru_cache
+
+from nmpc_codegen.lowering.dialect.constants import Constants
+from nmpc_codegen.lowering.dialect.scopes import function_of
+from nmpc_codegen.lowering.unit.arguments import (
+    drop_arguments_of_macros,
+    drop_parameters,
+    functions_without_effect,
+    macros_that_act,
+    pure_functions,
+    put_in_calls,
+    put_in_numbers,
+    unread_parameters,
+)
+from nmpc_codegen.lowering.unit.comments import without_entries, word_comments
+from nmpc_codegen.lowering.unit.item import Item
+from nmpc_codegen.lowering.unit.reach import keep_reached, reach, roots, simplified
+
+#: The entry point that what only it calls stands in front of, in the last part of a unit, and the heading of that part.
+LAST = "API(solve)"
+LAST_HEADING = "/* ==== solve(): what only it calls " + "=" * 68 + " */"
+#: A constant in a sum, behind its first term.
+_TERM = re.compile(r"(?<=[\w)]) [-+] ([A-Z]\w*)\b(?! *[*/%\[(.])")
+
+Items = Sequence[Item]
+Pass = Callable[[Items, Constants], tuple[Item, ...]]
+
+
+def word(items: Items, known: Constants) -> tuple[Item, ...]:
+    """Comments with the phrases of what the package has."""
+
+    def worded(text: str) -> str:
+        return word_comments(text, known)
+
+    return tuple(replace(item, text=worded(item.text), note=worded(f"/* {item.note} */")[3:-3]) for item in items)
+
+
+def drop_zeros(items: Items, known: Constants) -> tuple[Item, ...]:
+    """Sums without sizes that are 0."""
+
+    def term(found: re.Match[str]) -> str:
+        return "" if known.sizes.get(found[1]) == 0 else found[0]
+
+    return tuple(item if item.ready else item.with_text(_TERM.sub(term, item.text)) for item in items)
+
+
+def drop_idle_calls(items: Items, known: Constants) -> tuple[Item, ...]:
+    """Functions without calls of those that do nothing."""
+    idle = functions_without_effect(items)
+    more = replace(known, kernels=known.kernels | idle)
+    return tuple(simplified(item, more) for item in items) if idle else tuple(items)
+
+
+def drop_entries(items: Items, _: Constants) -> tuple[Item, ...]:
+    """Contracts without the entries of functions that are not there."""
+    there = {"API", *(item.name for item in items if item.kind == "function")}
+    return tuple(
+        item if item.kind == "function" else item.with_text(without_entries(item.text, there)) for item in items
+    )
+
+
+def put_last(items: Items, _: Constants) -> tuple[Item, ...]:
+    """What only the last entry point reaches behind everything else, under the headings of its sections."""
+    early = reach(items, [n for n in roots(items) if items[n].name != LAST])
+    sections: list[list[int]] = [[]]
+    for n, item in enumerate(items):
+        if item.kind == "section":
+            sections.append([])
+        sections[-1].append(n)
+    first: list[Item] = []
+    last: list[Item] = []
+    for section in sections:
+        late = _late(items, section, early.keys())
+        for target, of in ((first, False), (last, True)):
+            chosen = [n for n, is_late in late.items() if is_late is of or items[n].kind == "section"]
+            if any(items[n].kind != "section" for n in chosen) or not (of or any(late.values())):
+                target += (items[n] for n in chosen)
+    return (*first, *([Item("", "section", LAST_HEADING), *last] if last else []))
+
+
+def _late(items: Items, section: Sequence[int], early: Collection[int]) -> dict[int, bool]:
+    """Which items of a section only the last entry point reaches; a comment that stands alone goes with the functions
+    below it."""
+    late: dict[int, bool] = {}
+    below, some = True, False  # all functions below, up to the next comment, are late
+    for n in reversed(section):
+        kind = items[n].kind
+        if kind == "heading":
+            late[n] = some and below
+            below, some = True, False
+        elif kind in ("function", "prototype"):
+            late[n] = n not in early
+            below, some = below and late[n], True
+        else:
+            late[n] = kind == "enum" and n not in early
+    return dict(sorted(late.items()))
+
+
+def mark_unread(items: Items, _: Constants) -> tuple[Item, ...]:
+    """Functions of the interface with a statement for every parameter that they do not read."""
+    return tuple(item.with_text(_marked(item.text)) if item.is_prunable else item for item in items)
+
+
+@lru_cache(maxsize=8192)
+def _marked(text: str) -> str:
+    at, _ = function_of(text).inside
+    return text[:at] + "".join(f"\n    (void){name};" for _, name in unread_parameters(text)) + text[at:]
+
+
+#: After a change all of these run again.
+REPEATED: tuple[Pass, ...] = (
+    drop_arguments_of_macros,
+    keep_reached,
+    drop_idle_calls,
+    drop_parameters,
+    put_in_numbers,
+    put_in_calls,
+)
+PIPELINE: tuple[Pass, ...] = (word, drop_zeros, *REPEATED, drop_entries, put_last, mark_unread)
+
+
+def run(
+    items: Items, known: Constants, watch: Callable[[Pass, Items, Items], None] = lambda step, before, after: None
+) -> tuple[Item, ...]:
+    """The unit after the pipeline; ``watch`` is called after every pass that has changed it.
+
+    Raises:
+        ValueError: a function is not of the dialect, two have one name, or a pass has left a name without definition.
+    """
+    _check_names(items)
+    known = replace(known, calling=macros_that_act(items), pure=pure_functions(items))
+    unit, place, again = tuple(items), 0, PIPELINE.index(REPEATED[0])
+    while place < len(PIPELINE):
+        step = PIPELINE[place]
+        after = step(unit, known)
+        place += 1
+        if after != unit:
+            watch(step, unit, after)
+            verify(step.__name__, after, items)
+            unit, place = after, again if step in REPEATED else place
+    return unit
+
+
+def verify(step: str, unit: Items, first: Items) -> None:
+    """Raise ValueError if an item reads a name that was defined at first and is not any more."""
+    lost = defined_in(first) - defined_in(unit)
+    for item in unit if lost else ():
+        if missing := sorted(lost & item.reads):
+            raise ValueError(f"{step} has left {missing[0]}, which {item.name} reads, without its definition")
+
+
+def defined_in(items: Items) -> frozenset[str]:
+    """All names that the items define."""
+    return frozenset[str]().union(*(item.defines for item in items))
+
+
+def _check_names(items: Items) -> None:
+    """Raise ValueError if two functions have one name."""
+    functions: dict[str, str] = {}
+    for item in items:
+        if item.kind == "function" and functions.setdefault(item.name, item.text) != item.text:
+            raise ValueError(f"{item.name}(): there are two functions with this name")
