@@ -6,20 +6,13 @@ For every part or condition that no sample reaches, a sample has to be added her
 
 from __future__ import annotations
 
-import argparse
-import hashlib
-import importlib
-import pkgutil
 import warnings
-from collections.abc import Iterator, Mapping
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
-import examples
 from examples import bioreactor, cart_pole, chain, crane, cstr, quadrotor, rope_crane
 from nmpc_codegen import (
     ESDIRK3,
@@ -51,8 +44,6 @@ from nmpc_codegen import (
     RiccatiActiveSet,
     RiccatiInteriorPoint,
     Soft,
-    derivatives,
-    generate,
     lookup_table,
 )
 from verification.algebraic import neutralisation
@@ -586,28 +577,3 @@ IN_LANES = (
     Sample("quadrotor v3", quadrotor.build_ocp, _partial(algorithm=LEVELS, target="x86-64-v3")),
     Sample("chain5 v4", lambda: chain.build_ocp(5), Options(target="x86-64-v4")),
 )
-
-
-def digests() -> Iterator[str]:
-    """SHA-256 and name of every file that the samples, the examples and derivatives of the crane export."""
-    modules = [importlib.import_module(f"examples.{found.name}") for found in pkgutil.iter_modules(examples.__path__)]
-    more = [(m.__name__, m.build_ocp, getattr(m, "options", Options)()) for m in modules if hasattr(m, "build_ocp")]
-    packages: dict[str, Mapping[str, str]] = {name: generate(make(), options) for name, make, options in more}
-    packages |= {sample.name: generate(sample.make(), sample.options) for sample in (*SAMPLES, *IN_LANES)}
-    for name, options in (
-        ("explicit", Options(ExplicitRungeKutta())),
-        ("looped", Options(LOOPED)),
-        ("stiff", Options(IMPLICIT)),
-    ):
-        packages[f"derivatives, {name}"] = derivatives.generate(crane.build_ocp(), None, options, second_order=True)
-    for name, files in packages.items():
-        yield from (f"{hashlib.sha256(text.encode()).hexdigest()}  {name}: {path}" for path, text in files.items())
-
-
-if __name__ == "__main__":
-    parser = argparse.ArgumentParser(
-        description="What the compiler writes, for a comparison before and after a change."
-    )
-    parser.add_argument("--digests", type=Path, required=True, metavar="FILE", help="a line for every exported file")
-    warnings.simplefilter("ignore", ProblemWarning)
-    parser.parse_args().digests.write_text("\n".join([*digests(), ""]), encoding="utf-8")

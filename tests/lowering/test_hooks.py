@@ -8,15 +8,21 @@ from collections import Counter
 import pytest
 
 from nmpc_codegen.components.base import HOOKS
-from nmpc_codegen.lowering import hooks
 from nmpc_codegen.lowering.templates import template_directory
-from nmpc_codegen.lowering.unit.hooks import check_hooks, with_hooks
+from nmpc_codegen.lowering.unit import hooks
+from nmpc_codegen.lowering.unit.hooks import call_hooks, check_hooks
+from nmpc_codegen.lowering.unit.item import Item
 from verification.rendered import lowered, texts
 from verification.samples import SAMPLES
 
 EXTRAS = ("extras/shift.c", "extras/nearness.c", "extras/iterations.c")
 PARTS = {path: path.read_text(encoding="utf-8") for path in template_directory().rglob("*.c")}
 NAMED = sorted(path for path in PARTS if path.parent.name == "extras")
+
+
+def with_hooks(text: str, extras: tuple[str, ...]) -> str:
+    """The text with the calls of hooks written out."""
+    return call_hooks(Item("", "directive", text), extras).text
 
 
 def test_a_call_of_a_hook_is_one_for_every_feature_that_defines_it() -> None:
@@ -38,11 +44,11 @@ def test_exactly_one_feature_evaluates_the_plan() -> None:
 def test_hooks_that_would_not_run_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     """A name that is spelt wrong, and a hook that the algorithm does not state."""
     with pytest.raises(ValueError, match=r"barrier_rows\.c defines before_solve, follow_terms, place_terms, which the"):
-        check_hooks(["    before_steps(s);"], ["extras/barrier_rows.c"])
-    check_hooks(["    before_prepare(s);"], ["extras/shift.c"])
-    monkeypatch.setattr(hooks, "read_part", lambda part, generated: "static void late_on_rest(solver_t *s)\n{\n}\n")
+        check_hooks("    before_steps(s);", ["extras/barrier_rows.c"])
+    check_hooks("    before_prepare(s);", ["extras/shift.c"])
+    monkeypatch.setattr(hooks, "read_part", lambda part: "static void late_on_rest(solver_t *s)\n{\n}\n")
     with pytest.raises(ValueError, match=r"late_on_rest\(\): expected a hook, on_reset"):
-        check_hooks([""], ["extras/late.c"])
+        check_hooks("", ["extras/late.c"])
 
 
 @pytest.mark.parametrize("hook", HOOKS)

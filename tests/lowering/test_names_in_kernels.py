@@ -8,11 +8,11 @@ from collections.abc import Callable
 import casadi as ca
 import numpy as np
 import pytest
-from nmpc_codegen.lowering.pruning.unit import LAST_HEADING
 
 from examples import crane, quadrotor
 from nmpc_codegen import OCP, Options, generate
 from nmpc_codegen.ir.printing.c_style import CStyle
+from nmpc_codegen.lowering.unit.passes import LAST_HEADING
 from verification import quality
 from verification.whole import closed_loop
 

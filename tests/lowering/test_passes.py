@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import pytest
-from nmpc_codegen.lowering.pruning import passes, reach
 
 from nmpc_codegen.lowering.dialect.constants import Constants
 from nmpc_codegen.lowering.dialect.expressions import expression, words
 from nmpc_codegen.lowering.dialect.scopes import free_names
+from nmpc_codegen.lowering.unit import functions, reach
 from nmpc_codegen.lowering.unit.functions import simplify
+from nmpc_codegen.lowering.unit.item import Item
+from nmpc_codegen.lowering.unit.reach import simplified
 from verification.rendered import texts
 from verification.samples import SAMPLES
 
@@ -29,8 +31,8 @@ def function(*block: str) -> str:
 
 def left(*block: str) -> list[str]:
     """The lines of a function after the passes."""
-    text = function(*block)
-    lines = simplify(text, CONSTANTS).split("\n")
+    item = Item("f", "function", function(*block), raw=True)
+    lines = simplified(item, CONSTANTS).text.split("\n")
     assert lines[:2] == [HEAD, "{"]
     assert lines[-1] == "}"
     return [line.removeprefix("    ") for line in lines[2:-1]]
@@ -328,4 +330,4 @@ def test_a_package_gets_what_all_facts_give(name: str, monkeypatch: pytest.Monke
     assert len(found) > 60
     for text, known in found.items():
         everything = known.facts(words(text), frozenset(), words(text))
-        assert passes._simplify(text, everything) == simplify(text, known)
+        assert functions._simplify(text, everything) == simplify(text, known)

@@ -14,8 +14,8 @@ import pytest
 
 from nmpc_codegen import Options, generate
 from nmpc_codegen.ir.printing.c_style import unit_style
-from nmpc_codegen.lowering.render import context, environment, tidy
-from nmpc_codegen.lowering.templates import template_directory
+from nmpc_codegen.lowering.render import tidy
+from nmpc_codegen.lowering.templates import context, environment, template_directory
 from nmpc_codegen.lowering.unit.macros import arithmetic
 from nmpc_codegen.package.sources import Sources
 from verification import problems
@@ -114,7 +114,7 @@ def test_context() -> None:
 
 
 def test_arithmetic_of_the_working_precision() -> None:
-    macros = dict(arithmetic("single"))
+    macros = {macro.name: macro.text for macro in arithmetic("single")}
     assert macros["SQRT"] == "sqrtf"
     assert float(macros["TOL_QP_PIVOT"].rstrip("F")) == 2.0**5 * 2.0**-23
 

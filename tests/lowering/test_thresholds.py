@@ -7,10 +7,11 @@ import re
 import pytest
 
 from nmpc_codegen.lowering.templates import template_directory
-from nmpc_codegen.lowering.unit.macros import REASONS
+from nmpc_codegen.lowering.unit.macros import arithmetic
 from verification.rendered import texts
 from verification.samples import SAMPLES
 
+REASONS = {macro.name: macro.note for macro in arithmetic("double") if macro.note}
 #: Folders whose numbers are those of their mathematics: series, and programs that are no part of a controller.
 MATHEMATICS = ("math", "lanes", "derivatives", "firmware")
 #: Numbers that formulas contain.

@@ -6,8 +6,6 @@ import casadi as ca
 import numpy as np
 import pytest
 from conftest import require_tool
-from nmpc_codegen.lowering.pruning.reach import calling
-from nmpc_codegen.lowering.pruning.unit import prune
 
 from nmpc_codegen import (
     OCP,
@@ -25,24 +23,37 @@ from nmpc_codegen import (
 )
 from nmpc_codegen.components.integrators import ButcherTableau
 from nmpc_codegen.lowering.dialect.constants import Constants
+from nmpc_codegen.lowering.unit.arguments import macros_that_act
+from nmpc_codegen.lowering.unit.item import Item
+from nmpc_codegen.lowering.unit.join import join
+from nmpc_codegen.lowering.unit.macros import macro
+from nmpc_codegen.lowering.unit.passes import run
+from nmpc_codegen.lowering.unit.read import items_of
 from verification import quality
 
 #: N is a size; ROW drops its second argument; OUTER passes its arguments to ROW in turn.
-KNOWN = [
-    ("N", None, "P_N"),
-    ("ROW", "s, h", "(s)->x[N]"),
-    ("OUTER", "a, b", "ROW(a, b) + 1"),
-    ("BOTH", "a, b", "a * b"),
-    ("KERNEL", "s", "kernel((s)->x)"),
-]
-KERNELS = {
-    "kernel": "static void kernel(const real_t *x)\n{\n    own_sin(x[0]);\n}",
-    "spare": "static void spare(void);",
-}
+KNOWN = (
+    macro("N", "P_N"),
+    macro("ROW", "(s)->x[N]", "s, h"),
+    macro("OUTER", "ROW(a, b) + 1", "a, b"),
+    macro("BOTH", "a * b", "a, b"),
+    macro("KERNEL", "kernel((s)->x)", "s"),
+)
+KERNELS = (
+    Item("kernel", "function", "static void kernel(const real_t *x)\n{\n    own_sin(x[0]);\n}", ready=True),
+    Item("spare", "function", "static void spare(void)\n{\n}", ready=True),
+)
 
 
-def kept(text: str, constants: Constants | None = None) -> str:
-    return prune(text, {}, KNOWN, constants or Constants())[0].strip("\n")
+def kept(text: str, constants: Constants | None = None, known: tuple[Item, ...] = KNOWN) -> str:
+    """The functions of a text, and what else is no macro, after the pipeline."""
+    unit = run((*known, *items_of(text)), constants or Constants())
+    return join([item for item in unit if item.kind != "macro"], "", "p", ()).strip("\n")
+
+
+def left(text: str, known: tuple[Item, ...]) -> list[tuple[str, str | None, str]]:
+    """The macros after the pipeline."""
+    return [(i.name, i.arguments, i.text) for i in run((*known, *items_of(text)), Constants()) if i.kind == "macro"]
 
 
 def function(*block: str, head: str = "void API(f)(solver_t *s, int *out)", unread: str = "") -> str:
@@ -59,17 +70,16 @@ def test_what_macros_drop_leaves_them() -> None:
     assert kept(function("out[0] = OUTER(s, h + 1);")) == function("out[0] = OUTER(s);")
     read = function("const real_t h = s->h;", "out[0] = BOTH(s->a, h);")
     assert kept(read) == read
-    _, known = prune(function("out[0] = OUTER(s, 1);"), {}, KNOWN, Constants())
-    assert known[1:3] == [("ROW", "s", "(s)->x[N]"), ("OUTER", "a", "ROW(a) + 1")]
+    known = left(function("out[0] = OUTER(s, 1);"), KNOWN)
+    assert known == [("N", None, "P_N"), ("ROW", "s", "(s)->x[N]"), ("OUTER", "a", "ROW(a) + 1")]
 
 
 def test_macros_that_are_names() -> None:
     """Without arguments they are one; the call of a function with the same arguments, or with none, is that call."""
-    known = [("TABLE", "s, k", "table"), ("CALL", "s, k", "next(1)"), ("SAME", "x, y", "step(x, y)")]
+    known = (macro("TABLE", "table", "s, k"), macro("CALL", "next(1)", "s, k"), macro("SAME", "step(x, y)", "x, y"))
     text = function("out[0] = TABLE(s, 1) + CALL(s, TABLE(s, 2)) + SAME(s->a, CALL(s, 1));")
-    found, left = prune(text, {}, known, Constants())
-    assert found.strip() == function("out[0] = TABLE + next(1) + step(s->a, next(1));")
-    assert left == [("TABLE", None, "table")]
+    assert kept(text, known=known) == function("out[0] = TABLE + next(1) + step(s->a, next(1));")
+    assert left(text, known) == [("TABLE", None, "table")]
 
 
 def test_directives_end_no_block() -> None:
@@ -136,7 +146,7 @@ def test_functions_that_nothing_reaches_go_with_their_comments() -> None:
     spare = "/* For other problems:\n * returns 1. */\n" + function("return spare(n);", head=static.format("spare"))
     table = "/* functions */\nstatic int (*const table[1])(int) = { listed };"
     listed = function("return n;", head=static.format("listed"))
-    root = function("out[0] = called(s->a);")
+    root = function("out[0] = called(s->a) + table[0](1);")
     prototype = "static int spare(int n);"
     found = kept("\n\n".join([prototype, deeper, spare, called, listed, table, root]))
     assert "spare" not in found
@@ -152,9 +162,9 @@ def test_calls_that_constants_exclude_reach_nothing() -> None:
 
 
 def test_printed_kernels_that_nothing_calls_go() -> None:
-    found, _ = prune(function("KERNEL(s);", "out[0] = 1;"), KERNELS, KNOWN, Constants())
-    assert found.startswith(KERNELS["kernel"] + "\n\nvoid API(f)")
-    assert KERNELS["spare"] not in found
+    found = kept(function("KERNEL(s);", "out[0] = 1;"), known=(*KNOWN, *KERNELS))
+    assert found.startswith(KERNELS[0].text + "\n\nvoid API(f)")
+    assert "spare" not in found
 
 
 def test_enumerations_and_headings_of_what_is_gone() -> None:
@@ -182,14 +192,10 @@ def test_two_functions_with_a_name_are_refused() -> None:
 
 
 def test_macros_that_call_through_others() -> None:
-    known = [
-        ("A", "s", "B(s)"),
-        ("B", "s", "next(s)"),
-        ("C", "s", "(s)->n++"),
-        ("D", "s", "(s)->n == 1"),
-        ("E", None, "f(1)"),
-    ]
-    assert calling(known) == {"A", "B", "C"}
+    texts = {"A": "B(s)", "B": "next(s)", "C": "(s)->n++", "D": "(s)->n == 1"}
+    assert macros_that_act([*(macro(name, text, "s") for name, text in texts.items()), macro("E", "f(1)")]) == set(
+        "ABC"
+    )
 
 
 def test_layout_stays() -> None:
@@ -202,7 +208,7 @@ def test_layout_stays() -> None:
     items += [
         f"/* {name} */\n" + function("", "/* n */", "return n;", head=f"static int {name}(int n)") for name in "gh"
     ]
-    text = "\n\n".join(items).replace("g(1)", "g(h(1))").replace("{\n    \n", "{\n")
+    text = "\n\n".join(items).replace("g(1)", "g(h(A))").replace("{\n    \n", "{\n")
     assert kept(text) == text
 
 

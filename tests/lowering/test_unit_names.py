@@ -14,8 +14,9 @@ from conftest import require_tool
 
 from nmpc_codegen import OCP, ProblemError, build, generate, worst_case
 from nmpc_codegen.ir.naming import check_package_name
+from nmpc_codegen.lowering.dialect.expressions import words
 from nmpc_codegen.lowering.dialect.scopes import blank
-from nmpc_codegen.lowering.unit.read import names_in, rename, renamed_words
+from nmpc_codegen.lowering.unit.names import rename, renamed_words
 from nmpc_codegen.package.signals import c_constants
 from nmpc_codegen.package.sources import Sources
 from verification import quality
@@ -36,9 +37,9 @@ def sources(sample: str, name: str = NEUTRAL) -> Sources:
 def clashing(text: Sources) -> dict[str, str]:
     """Package name -> inner name that a package of this name would declare in its header."""
     header, unit = (blank(text[f"{NEUTRAL}.{ext}"]) for ext in ("h", "c"))
-    declared = {w.partition("_")[2] for w in names_in(header) if w.startswith((f"{NEUTRAL}_", f"{NEUTRAL.upper()}_"))}
+    declared = {w.partition("_")[2] for w in words(header) if w.startswith((f"{NEUTRAL}_", f"{NEUTRAL.upper()}_"))}
     found: dict[str, str] = {}
-    for word in sorted(names_in(unit)):
+    for word in sorted(words(unit)):
         for last in declared:
             name = word.removesuffix(f"_{last}")
             if name != word and (name.islower() if last.islower() else name.isupper()) and is_allowed(name.lower()):
@@ -122,11 +123,11 @@ def test_a_keyword_is_only_a_prefix(name: str) -> None:
 
 
 def test_only_inner_words_change() -> None:
-    words = renamed_words(
+    found = renamed_words(
         {"NY_N", "NX", "a", "ny_"}, "#define NY_N 3 /* NY_NX */\nstruct { int ny_w; } ny_t;", "ny", {"ny_w"}
     )
-    assert words == {"NY_N": "NY_N_"}
-    assert rename("x = NY_N + NY_NX; API(NY_N)(x);", words) == "x = NY_N_ + NY_NX; API(NY_N)(x);"
+    assert found == {"NY_N": "NY_N_"}
+    assert rename("x = NY_N + NY_NX; API(NY_N)(x);", found) == "x = NY_N_ + NY_NX; API(NY_N)(x);"
     assert renamed_words({"NY_N", "NY_N_"}, "#define NY_N 3", "ny") == {"NY_N": "NY_N__"}
 
 
@@ -177,7 +178,7 @@ def system_words() -> set[str]:
     code = "#define _GNU_SOURCE\n" + "".join(f"#include <{header}.h>\n" for header in HEADERS)
     command = ["gcc", "-E", "-dD", "-x", "c", "-I", sysconfig.get_path("include"), "-"]
     run = subprocess.run(command, input=code, capture_output=True, text=True, check=True)
-    return names_in(re.sub(r"^# .*", "", run.stdout, flags=re.MULTILINE))
+    return words(re.sub(r"^# .*", "", run.stdout, flags=re.MULTILINE))
 
 
 def test_names_of_the_header_are_no_names_of_the_system() -> None:
@@ -185,10 +186,10 @@ def test_names_of_the_header_are_no_names_of_the_system() -> None:
     ends: set[str] = set()
     for sample in CHOSEN:
         header = blank(sources(sample)[f"{NEUTRAL}.h"])
-        ends |= {w for w in names_in(header) if w.startswith((f"{NEUTRAL}_", f"{NEUTRAL.upper()}_"))}
-    words, found = system_words(), set()
+        ends |= {w for w in words(header) if w.startswith((f"{NEUTRAL}_", f"{NEUTRAL.upper()}_"))}
+    others, found = system_words(), set[str]()
     for end in {word.partition("_")[2] for word in ends}:
-        for word in words:
+        for word in others:
             name = word.removesuffix(f"_{end}")
             if name != word and (name.islower() if end.islower() else name.isupper()):
                 found.add(name.lower())

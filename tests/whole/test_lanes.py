@@ -32,8 +32,9 @@ from nmpc_codegen import (
     generate,
     open_package,
 )
+from nmpc_codegen.lowering.dialect.expressions import words
 from nmpc_codegen.lowering.lanes.nodes import ANGLES, REDUCTION, ROOTS, in_lanes
-from nmpc_codegen.lowering.unit.read import MATH_IN_LANES, names_in, own_names
+from nmpc_codegen.lowering.unit.read import MATH_IN_LANES, own_names
 from nmpc_codegen.package.memory import Precision
 from nmpc_codegen.runtime.build import warnings_for
 from nmpc_codegen.runtime.native import native, runs
@@ -242,9 +243,9 @@ def test_controllers_with_lanes_are_copied_and_pickled() -> None:
 def test_functions_in_lanes_state_what_they_need(name: str) -> None:
     """The tables by which lowering chooses parts, against the text of the functions."""
     module = lowered(SAMPLES[0])
-    words = names_in(in_lanes([name], module.sizes, module.style))
-    assert (REDUCTION in words) == (name in ANGLES)
-    assert ("lanes_sqrt" in words or name == "sqrt") == (name in ROOTS)
+    found = words(in_lanes([name], module.sizes, module.style))
+    assert (REDUCTION in found) == (name in ANGLES)
+    assert ("lanes_sqrt" in found or name == "sqrt") == (name in ROOTS)
 
 
 def test_few_intervals_take_fewer_lanes() -> None:

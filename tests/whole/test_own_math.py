@@ -20,7 +20,7 @@ from conftest import require_target, require_tool
 from examples import crane, cstr, quadrotor
 from nmpc_codegen import OCP, Controller, OptionError, Options, Osqp, ProblemWarning, build, derivatives, generate
 from nmpc_codegen.cli.command import main
-from nmpc_codegen.lowering.unit.read import needed_paragraphs, own_names
+from nmpc_codegen.lowering.unit.read import own_names
 from nmpc_codegen.package.memory import Precision
 from nmpc_codegen.package.program import OF_TWO
 from nmpc_codegen.runtime.build import PROFILES
@@ -244,9 +244,3 @@ def test_other_clashes() -> None:
 def test_the_command_line(tmp_path: Path) -> None:
     assert main([crane.__file__, "-o", str(tmp_path), "--set", "math=own"]) == 0
     assert "own_sin(" in (tmp_path / "crane.c").read_text(encoding="utf-8")
-
-
-def test_paragraphs_that_are_needed() -> None:
-    text = "#define A 1\n\nstatic int f(int x)\n{\n    return x + A; /* g() */\n}\n\nstatic int g(void)\n{\n}\n"
-    assert needed_paragraphs(text, ["f"]) == text[: text.index("static int g")].strip()
-    assert needed_paragraphs(text, ["h"]) == ""

@@ -91,7 +91,7 @@ def _elementary(module: CModule) -> list[Item]:
         return []
     title = f"/* ==== elementary functions {'=' * 79} */"
     items = items_of(read_part(MATH, sizes=module.sizes))
-    return [heading(title), *(replace(item, ready=True) for item in items)]
+    return [heading(title), *(replace(item, raw=False, ready=True) for item in items)]
 
 
 def _of_parts(module: CModule) -> Iterator[Item]:

@@ -36,6 +36,7 @@ class Item:
         arguments: of a macro with arguments their names.
         apart: an empty line stands in front of it.
         note: what stands behind a macro.
+        raw: a function as a part has it, before any pass.
         ready: a printed kernel or an elementary function, which no pass changes.
     """
 
@@ -45,6 +46,7 @@ class Item:
     arguments: str | None = None
     apart: bool = True
     note: str = ""
+    raw: bool = False
     ready: bool = False
 
     def with_text(self, text: str) -> Item:

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
 
 from nmpc_codegen.lowering.dialect.constants import Constants
+from nmpc_codegen.lowering.dialect.scopes import check_names
 from nmpc_codegen.lowering.unit.functions import simplify
 from nmpc_codegen.lowering.unit.item import Item
 
@@ -49,7 +51,9 @@ def simplified(item: Item, known: Constants) -> Item:
     if not item.is_prunable:
         return item
     try:
-        return item.with_text(simplify(item.text, known))
+        if item.raw:
+            check_names(item.text, known.ranges.keys() | known.sizes.keys())
+        return replace(item, text=simplify(item.text, known), raw=False)
     except ValueError as error:
         raise ValueError(f"{item.name}(): {error}") from error
 

@@ -71,7 +71,8 @@ def _items(piece: str) -> tuple[Item, ...]:
     found = list(_declarations(before, parse(before)))
     if brace:
         name = name_of("function", in_line(head[start:]))
-        found.append(Item(name, "function", piece[start:], apart=_is_apart(piece[len(before) : start])))
+        apart = _is_apart(piece[len(before) : start])
+        found.append(Item(name, "function", piece[start:], apart=apart, raw=True))
     return tuple(found)
 
 
