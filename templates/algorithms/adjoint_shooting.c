@@ -1,4 +1,4 @@
-/* Component "algorithm". Contract: algorithm_reset, API(step), _shift, _kkt[if SOLVE:, _solve].
+/* Component "algorithm". Contract: algorithm_reset, API(step) and the other functions of the interface.
  * Here: single shooting. The controls inside their bounds are the only variables, the states follow by simulation, and
  * derivatives by adjoint and forward sweeps that recompute A_k and B_k at every interval. */
 
@@ -79,7 +79,7 @@ static void hold_states(solver_t *s)
     }
 }
 
-/* Sets the weights of the terms of rows for a sample[if SOLVE:; solve() increases them later]. */
+/* Sets the weights of the terms of rows for a sample. */
 static void set_weights(solver_t *s)
 {
     if (!BARRIER_ROWS) {
@@ -110,8 +110,7 @@ static void algorithm_reset(solver_t *s)
     }
 }
 
-/* x_0 = xhat[if ACCUMULATORS:, 0 in accumulators]. Returns 0, and leaves x_0 as it is, if a measured entry is not
- * finite. */
+/* x_0 = xhat in what is measured. Returns 0, and leaves x_0 as it is, if a measured entry is not finite. */
 static int take_state(solver_t *s, const real_t *xhat)
 {
     if (!ACCUMULATORS) {
@@ -162,15 +161,15 @@ static status_t start_sample(solver_t *s)
     return OK;
 }
 
-/* ITERATIONS steps from the measured x_0, [if REPAIRS > 0: and up to REPAIRS more while the last one is long and was
- * not taken as a whole,] then one update of the multipliers of the rows. NOT_CONVERGED if the last one should have
- * moved the first control. */
+/* ITERATIONS steps from the measured x_0, then one update of the multipliers of the rows. NOT_CONVERGED if the last
+ * step should have moved the first control. */
 static status_t run_sample(solver_t *s)
 {
     status_t status = start_sample(s);
     int moved = MOVED;
     before_steps(s);
     for (int n = 0; n < ITERATIONS + REPAIRS && status != NUMERICAL_FAILURE; n++) {
+        /* one more while the last one is long and was not taken as a whole */
         if (n >= ITERATIONS && (moved == MOVED || !step_is_long(s, N))) {
             break;
         }

@@ -1,4 +1,4 @@
-/* Component "algorithm". Contract: algorithm_reset, API(prepare), _feedback, _step, _shift, _kkt[if SOLVE:, _solve].
+/* Component "algorithm". Contract: algorithm_reset, API(prepare) and the other functions of the interface.
  * Here: ITERATIONS trust-region Newton iterations on the bound-constrained augmented Lagrangian, then one update of the
  * multipliers, per sample. Gaps, the initial condition and all rows are relaxed, except bounds of controls and hard
  * bounds of states. */

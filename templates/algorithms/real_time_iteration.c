@@ -1,4 +1,4 @@
-/* Component "algorithm". Contract: algorithm_reset, API(prepare), _feedback, _step, _shift, _kkt[if SOLVE:, _solve].
+/* Component "algorithm". Contract: algorithm_reset, API(prepare) and the other functions of the interface.
  * Here: real-time iteration, one QP and one full step per sample. What else happens stands in functions that are named
  * after it and the place of the call. */
 

@@ -72,8 +72,8 @@ static status_t sqp_iteration(solver_t *s)
     return status;
 }
 
-/* After an iteration of a sample with its own Hessian, which has left this status: the exact one takes over where the full
- * step was not taken, or has brought the plan little nearer. Returns the status of the search. */
+/* After an iteration of a sample with its own Hessian, which has left this status: the exact one takes over where the
+ * full step was not taken, or has brought the plan little nearer. Returns the status of the search. */
 static status_t take_exact_hessian(solver_t *s, status_t status)
 {
     if (CURVED && ITERATES) {
@@ -107,7 +107,10 @@ static int starts_at_measured(const solver_t *s)
 /* Iterations until stats.sqp_iterations = last. */
 static status_t iterate(solver_t *s, real_t tol, int last)
 {
-    for (;; s->stats.sqp_iterations++) { /* [if ITERATES: at most SAMPLE_ITERATIONS passes in iterations_after_feedback] */
+    for (;; s->stats.sqp_iterations++) {
+#if ITERATES
+        /* at most SAMPLE_ITERATIONS passes in iterations_after_feedback */
+#endif
         evaluate_iterate(s);
 #if SADDLES
         const int found = look_for_saddle(s, kkt_is_within(s, tol) && starts_at_measured(s));

@@ -1,10 +1,9 @@
-/* Bounds of the rows relative to the present iterate, and the costs of their violation. [if NE > 0: The known part of
- * J_0 dx_0 of a coupled row is included.] */
+/* Bounds of the rows relative to the present iterate, and the costs of their violation. */
 static void condense_embed_rows(solver_t *s)
 {
     for (int m = 0; m < NG; ++m) {
         real_t value = stage_row_value(s, m);
-        if (row_is_coupled(m)) {
+        if (row_is_coupled(m)) { /* the known part of J_0 dx_0 */
             for (int i = 0; i < NX; ++i) {
                 value += is_free[i] ? R(0.0) : s->coupled.J_0[row_index(m)][i] * s->step.dx[0][i];
             }
@@ -16,7 +15,7 @@ static void condense_embed_rows(solver_t *s)
     }
 }
 
-/* Bounds of the controls and rows relative to the present iterate[if ELASTIC:, and penalties]. */
+/* Bounds of the controls and rows relative to the present iterate. */
 static void condense_embed(solver_t *s)
 {
     for (int k = 0; k < N; ++k) {

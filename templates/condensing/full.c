@@ -8,10 +8,8 @@
  *   condense_shift     shifts the predicted working set of the controls by one interval
  *   condense_shift_rows  row m takes the predicted side of row source[m]
  * Here: dx_k = G_k (dx_0, du_0, ..., du_{N-1}) + c_k. All states but dx_0 are eliminated in O(N^2), COLUMNS columns at
- * a time, in memory of the QP solver: qp.work.columns, which qp_factorize overwrites. The variables of the QP are du_0
- * .. du_{N-1}[if NF > 0:, the free components of dx_0][if NSL > 0:, and a slack sigma for every row with a quadratic
- * penalty: lower <= row - sigma <= upper, cost l2/2 sigma^2, and sigma = 0 as an elastic bound with penalty l1. The QP
- * solver knows where slacks occur: neither the Hessian nor the rows have entries for them]. */
+ * a time, in memory of the QP solver: qp.work.columns, which qp_factorize overwrites. The variables of the QP begin
+ * with du_0 .. du_{N-1}. */
 
 #include "generated/product_columns.c"
 
@@ -33,7 +31,7 @@ static inline real_t condense_sum(real_t sum, const real_t *a, const real_t *x)
     return sum;
 }
 
-/* Variable of the QP that is control j of node k[if NHELD > 0:; -1: it begins no block]. */
+/* Variable of the QP that is control j of node k; -1: none, as no block begins there. */
 static inline int condense_variable(int k, int j)
 {
     if (NHELD > 0) {
@@ -223,8 +221,7 @@ static void condense_follow(solver_t *s, int k)
     }
 }
 
-/* Panel of the condensed Hessian without R_k: [if TERMINAL_BLOCK: W_N = Q_N G_N, then] its block rows T from the last
- * to the first. */
+/* Panel of the condensed Hessian without R_k: its block rows T from the last to the first. */
 static void condense_hessian(solver_t *s, int column)
 {
     columns_t *p = &s->qp.work.columns;
@@ -232,7 +229,7 @@ static void condense_hessian(solver_t *s, int column)
     const int curved = s->curved.in_solve;
     real_t later[NBAND][COLUMNS]; /* rows of W of controls of the node before */
     if (TERMINAL_BLOCK) {
-        CONDENSE_TERMINAL_PANEL(p, s->hessian.Q_N);
+        CONDENSE_TERMINAL_PANEL(p, s->hessian.Q_N); /* W_N = Q_N G_N */
     } else {
         condense_clear(p->W);
     }
@@ -283,14 +280,13 @@ static void condense_store_free(solver_t *s)
     }
 }
 
-/* Panel of J_x G_k + J_u at du_k for the general [if NE > 0: or coupled] row m[if NE > 0:; a coupled row also contains
- * J_0 dx_0]. */
+/* Panel of J_x G_k + J_u at du_k for row m, which is no bound. */
 static void condense_add_row(const solver_t *s, int m, int column, real_t *sum)
 {
     const int k = row_node(m), entering = NXC + k * NU - column;
     const real_t *J = row_gradient(s, m);
     const int last = (k + 1 >= condense_first_node(column)) ? NX : 0;
-    if (row_is_coupled(m)) {
+    if (row_is_coupled(m)) { /* it contains J_0 dx_0 as well */
         for (int i = column; i < NXC && i < column + COLUMNS; ++i) {
             sum[i - column] = s->coupled.J_0[row_index(m)][i];
         }
@@ -324,8 +320,7 @@ static inline const real_t *condense_state_row(const solver_t *s, int m, int col
     return reached ? s->qp.work.columns.G[row_node(m)][row_index(m)] : zero;
 }
 
-/* Panel of row m of the QP: A = J_x G_k + J_u at du_k. [if STATE_ROWS: A state row has J_x = e_i.] [if NE > 0: A
- * coupled row also contains J_0 dx_0.] */
+/* Panel of row m of the QP: A = J_x G_k + J_u at du_k; a bound of a state has J_x = e_i. */
 static void condense_row(solver_t *s, int m, int column)
 {
     real_t sum[COLUMNS] = {R(0)};
@@ -455,7 +450,7 @@ static void condense_embed_slacks(solver_t *s)
     }
 }
 
-/* Bounds of the rows relative to their values at du = 0[if ELASTIC:, and their penalties]. The sum of the magnitudes
+/* Bounds of the rows relative to their values at du = 0, and the costs of their violation. The sum of the magnitudes
  * has a loop of its own: GCC 12 compiles both sums in one wrongly at -O3 for AVX-512. */
 static void condense_embed_rows(solver_t *s, const real_t *dx0)
 {
@@ -472,8 +467,7 @@ static void condense_embed_rows(solver_t *s, const real_t *dx0)
     }
 }
 
-/* g = g(0) + Hx dx_0 [if NF > 0: without the free components of dx_0]; bounds of du and of the rows relative to the
- * present iterate. */
+/* g = g(0) + Hx dx_0; bounds of du and of the rows relative to the present iterate. */
 static void condense_embed(solver_t *s)
 {
     real_t dx0[NX];

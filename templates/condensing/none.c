@@ -9,8 +9,8 @@
  *   condense_shift     shifts the predicted working set of the controls by one interval
  *   condense_shift_rows  row m takes the predicted side of row source[m]
  * Here: nothing is eliminated; the stages of the QP are those of the problem. Data that a QP solver on stages reads:
- * stage_S = [A B], stage_b, stage_g, stage_Q, stage_Q_N (lower triangles), [if NG > 0: gradients and constants of
- * rows,] and the tables stage_first, stage_of_row, stage_state. */
+ * stage_S = [A B], stage_b, stage_g, stage_Q, stage_Q_N (lower triangles), gradients and constants of rows, and the
+ * tables stage_first, stage_of_row, stage_state. */
 
 static void qp_init(solver_t *s);
 static status_t qp_factorize(solver_t *s);
@@ -40,7 +40,10 @@ static inline real_t (*stage_Q(solver_t *s, int k))[NZS]
             return s->curved.Q[k];
         }
     }
-    return s->hessian.Q[NQ == 1 ? 0 : k];
+    if (NQ == 1) {
+        return s->hessian.Q[0];
+    }
+    return s->hessian.Q[k];
 }
 
 /* The Hessian of the last stage, lower triangle. */
@@ -54,7 +57,7 @@ static inline real_t (*stage_Q_N(solver_t *s))[NXS]
     return s->hessian.Q_N;
 }
 
-/* Gradient of the general [if NE > 0: or coupled] row m in the variables of its stage. */
+/* Gradient of row m, which is no bound of a control, in the variables of its stage. */
 static inline const real_t *stage_row(const solver_t *s, int m)
 {
     return row_gradient(s, m);

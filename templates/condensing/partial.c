@@ -11,11 +11,9 @@
  *     dx_{kB+j} = G_j (dx_kB, du_kB .. du_{kB+B-1}) + c_j,   [A B] = G_B,  b = c_B,
  *     Q = sum_j Z_j' Q_{kB+j} Z_j,   g = sum_j Z_j' (g_{kB+j} + Q_{kB+j} (c_j, 0)),
  *     Z_j = [G_j; selection of du_{kB+j}].
- * [if NE > 0 && NF > 0: The states of the stages also contain copies of the free components of x_0, which remain
- * constant: z = (dx, copies, du).] Controls beyond the horizon are padding with Hessian 1, no gradient and no bounds,
- * so that they remain 0. Data that a QP solver on stages reads: stage_S = [A B], stage_b, stage_g, stage_Q, stage_Q_N
- * (lower triangles), [if NG > 0: gradients and constants of rows,] and the tables stage_first, stage_of_row,
- * stage_state. */
+ * Controls beyond the horizon are padding with Hessian 1, no gradient and no bounds, so that they remain 0. Data that a
+ * QP solver on stages reads: stage_S = [A B], stage_b, stage_g, stage_Q, stage_Q_N (lower triangles), gradients and
+ * constants of rows, and the tables stage_first, stage_of_row, stage_state. */
 
 static void qp_init(solver_t *s);
 static status_t qp_factorize(solver_t *s);
@@ -49,7 +47,7 @@ static inline real_t (*stage_Q_N(solver_t *s))[NXS]
     return s->blocks.Q_N;
 }
 
-/* Gradient of the general [if NE > 0: or coupled] row m in the variables of its stage. */
+/* Gradient of row m, which is no bound of a control, in the variables of its stage. */
 static inline const real_t *stage_row(const solver_t *s, int m)
 {
     return s->blocks.J[m];
@@ -140,8 +138,7 @@ static void condense_hessian(solver_t *s, block_t *block, real_t (*Q)[NZ], int n
     }
 }
 
-/* Gradients of the rows of a node in the variables of its block: J_x G_j, and J_u at du_j. At the terminal node the
- * gradient is J_x[if NE > 0:, with J_0 at the copies for a coupled row]. */
+/* Gradients of the rows of a node in the variables of its block: J_x G_j, and J_u at du_j; J_x at the terminal node. */
 static void condense_block_rows(solver_t *s, int node)
 {
     const int j = node - node / BLOCK * BLOCK; /* index of the node in its block */
@@ -153,7 +150,7 @@ static void condense_block_rows(solver_t *s, int node)
         memset(row, 0, sizeof s->blocks.J[m]);
         if (node == N) {
             memcpy(row, J, sizeof row[0] * NX);
-            if (row_is_coupled(m)) {
+            if (row_is_coupled(m)) { /* the stages have copies of what is free at the start: z = (dx, copies, du) */
                 for (int l = NX; l < NXS; l++) {
                     row[l] = s->coupled.J_0[row_index(m)][copied_state[l - NX]];
                 }

@@ -3,11 +3,11 @@ static void condense_shift(solver_t *s)
     qp_shift_controls(&s->qp, NU);
 }
 
-/* The rows move as `source` says[if NSL > 0:; the predicted sides of the slacks move with those of their rows]. */
+/* The rows move as `source` says. */
 static void condense_shift_rows(solver_t *s, const int *source)
 {
     for (int m = 0; m < NG; ++m) {
-        if (row_slack[m] >= 0) {
+        if (row_slack[m] >= 0) { /* the predicted side of the slack moves with that of its row */
             s->qp.side[row_slack[m]] = s->qp.side[row_slack[source[m]]];
         }
     }

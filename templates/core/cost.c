@@ -1,12 +1,12 @@
-/* Cost of the present iterate: the terms of the nodes[if SOFT_ROWS > 0:, and the penalties l1 v + l2/2 v^2 of violated
- * soft rows]. */
+/* Cost of the present iterate: the terms of the nodes, and the penalties l1 v + l2/2 v^2 of violated rows that have
+ * one. */
 
-/* sum_k l_k + l_N[if HAS_START_COST:, plus the separate cost of x_0]. */
+/* sum_k l_k + l_N. */
 static real_t nodal_cost(const solver_t *s)
 {
     real_t total = R(0);
     TERMINAL_COST(s, &total);
-    if (HAS_START_COST) {
+    if (HAS_START_COST) { /* of x_0 alone */
         real_t l_0;
         START_COST(s, &l_0);
         total += l_0;

@@ -23,14 +23,13 @@ static inline void recall_inner(const solver_t *s, real_t *x)
     }
 }
 
-/* Sets the states behind the measured ones at all nodes of the plan[if NHELD > 0:, after controls that begin no block have taken the value of the node
- * before]. */
+/* Sets the states behind the measured ones at all nodes of the plan. */
 static void follow_inner(solver_t *s)
 {
     take_inner(s, s->x[0]);
     for (int k = 1; k < N; k++) {
         for (int i = 0; i < NHELD; i++) {
-            if (!block_start[k * NHELD + i]) {
+            if (!block_start[k * NHELD + i]) { /* a control that begins no block has the value of the node before */
                 s->u[k][held_control[i]] = s->u[k - 1][held_control[i]];
             }
         }

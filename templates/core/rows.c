@@ -1,5 +1,5 @@
-/* Rows (constraints other than the control bounds), sorted by node[if STATE_ROWS:; bounds of states stand first][if
- * GENERAL_ROWS > 0:, general rows h after them][if NE > 0:; at the end, coupled rows r(x_0, x_N)]. */
+/* Rows (constraints other than the control bounds), sorted by node: bounds of states, then rows h, then those that read
+ * both ends. */
 
 #include "generated/rows.c"
 
@@ -62,8 +62,7 @@ static inline real_t row_constant(const solver_t *s, int m)
     return s->node[row_node(m)].h[row_index(m)];
 }
 
-/* Stored gradient of the general [if NE > 0: or coupled] row m: NZ entries at a path node, NX at the terminal node. [if
- * NE > 0: For a coupled row it is dr / dx_N.] */
+/* Stored gradient of row m, which is no bound: NZ entries at a path node, at the terminal node those of x_N. */
 static inline const real_t *row_gradient(const solver_t *s, int m)
 {
     if (NE > 0 && (NH + NH_N == 0 || row_is_coupled(m))) {
@@ -83,7 +82,7 @@ static void copy_row_gradient(const solver_t *s, int m, real_t *a)
         a[row_index(m)] = R(1);
         return;
     }
-    memcpy(a, row_gradient(s, m), (size_t)((row_node(m) < N) ? NZ : NX) * sizeof *a);
+    memcpy(a, row_gradient(s, m), (size_t)nz_at(row_node(m)) * sizeof *a);
 }
 
 /* mu of the general rows at path node k, 0 where one does not hold. */
@@ -227,7 +226,7 @@ static real_t row_terms(const solver_t *s, int m, const real_t *size)
     }
     const real_t *J = row_gradient(s, m);
     real_t terms = constant;
-    for (int i = 0; i < (row_node(m) < N ? NZ : NX); i++) {
+    for (int i = 0; i < nz_at(row_node(m)); i++) {
         terms += FABS(J[i]) * size[i];
     }
     return terms;

@@ -3,6 +3,12 @@
  * below its scale is no size; a residual near the rounding of its scale is what rounding leaves, however small the
  * terms at hand are. */
 
+/* Number of components of (x, u) at node k. */
+static inline int nz_at(int k)
+{
+    return (k < N) ? NZ : NX;
+}
+
 /* A size that was found in data, or the scale where that is a zero. */
 static inline real_t size_or(real_t size, real_t scale)
 {

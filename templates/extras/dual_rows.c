@@ -1,8 +1,7 @@
 /* Rows of single shooting as terms of an augmented Lagrangian. */
 
 /* psi_m(v) = min_y P_m(y) + mu_m (v - y) + rho_m / 2 (v - y)^2, where P_m is 0 between the bounds of row m and,
- * outside, [if SOFT_ROWS > 0: the penalty of a soft row or infinite else: infinite]. psi_m' is the first-order estimate
- * of the multiplier. */
+ * outside, its penalty or infinite. psi_m' is the first-order estimate of the multiplier. */
 static real_t row_term(const solver_t *s, int m, real_t v, real_t *slope, real_t *curvature)
 {
     const real_t lower = row_lower(s, m), upper = row_upper(s, m);

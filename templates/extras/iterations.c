@@ -23,8 +23,8 @@ static void shorten(real_t *a, const real_t *b, int n, real_t length)
     }
 }
 
-/* The plan, and with it its multipliers if the Hessian may depend on them, goes back towards the one that was kept before
- * the step, by one half. */
+/* The plan, and with it its multipliers if the Hessian may depend on them, goes back towards the one that was kept
+ * before the step, by one half. */
 static void halve_step(solver_t *s)
 {
     const trial_t *kept = &s->trial;
@@ -48,8 +48,8 @@ static measures_t measure_kept(solver_t *s)
     return at;
 }
 
-/* Takes the step of the sample back if it has led away from a plan that was near a solution; otherwise shortens it until
- * the filter accepts it. Returns 1 if all of it is left. */
+/* Takes the step of the sample back if it has led away from a plan that was near a solution; otherwise shortens it
+ * until the filter accepts it. Returns 1 if all of it is left. */
 static int shorten_step(solver_t *s)
 {
     sqp_t *q = &s->sqp;
@@ -107,7 +107,7 @@ static void reconsider_shift(solver_t *s)
     }
 }
 
-/* The search begins at the plan[if CURVED:, with the Hessian of samples if the whole step has been taken]. */
+/* The search begins at the plan, of which samples have the Hessian if the whole step has been taken. */
 static void begin_search(solver_t *s, int whole)
 {
     if (SHIFTS_BACK && !whole && s->samples > 0) {

@@ -12,7 +12,7 @@ static int has_multipliers(const solver_t *s)
     return 0;
 }
 
-/* lam_k = q_k + A_k' lam_{k+1}[if NF > 0:; the multiplier of a free component of x_0 is 0]. */
+/* lam_k = q_k + A_k' lam_{k+1}. */
 static void adjoint_node(solver_t *s, int k)
 {
     const node_t *node = &s->node[k];
@@ -24,6 +24,6 @@ static void adjoint_node(solver_t *s, int k)
         s->lam[k][i] = sum;
     }
     for (int f = 0; k == 0 && f < NF; f++) {
-        s->lam[0][free_state[f]] = R(0);
+        s->lam[0][free_state[f]] = R(0); /* nothing imposes it */
     }
 }

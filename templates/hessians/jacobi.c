@@ -1,7 +1,5 @@
-/* Eigenvalues of [if LANES > 1: LANES symmetric matrices of n rows at once else: a symmetric matrix of n rows], by
- * Jacobi rotations. [if LANES > 1: Element (i, j) of all matrices is stored at [i * n + j][lane], so that every loop
- * over lanes vectorises. else: Element (i, j) is stored at [i * n + j][0]: the code is written for several matrices
- * side by side.] */
+/* Eigenvalues of LANES symmetric matrices of n rows at once, by Jacobi rotations. Element (i, j) of all matrices is
+ * stored at [i * n + j][lane], so that every loop over lanes vectorises. */
 
 /* cos and sin of the rotations that annihilate the elements a_pq, with the smaller of the two angles: t = tan = 2 a_pq
  * / (d + sign(d) sqrt(d^2 + 4 a_pq^2)), d = a_qq - a_pp. Returns 0 if all elements a_pq are negligible. Entries are at

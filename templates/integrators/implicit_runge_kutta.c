@@ -1,6 +1,5 @@
-/* Component "integrator". Contract: that of explicit_runge_kutta.c.
- * Here: implicit Runge-Kutta with equal steps. A sample takes NEWTON steps of Newton's method per stage; kkt()[if SOLVE:,
- * solve()] and integrate() iterate to rounding errors. */
+/* Component "integrator". Contract: that of explicit_runge_kutta.c. Here: implicit Runge-Kutta with equal steps. A
+ * sample takes NEWTON steps of Newton's method per stage; all other calls iterate to rounding errors. */
 
 #include "integrators/noise.c"
 
@@ -73,9 +72,9 @@ static int name_failed_node(solver_t *s, int first, int last)
 }
 #endif
 
-/* Names the stages at which an evaluation of the plan fails: interval, step, group of stages[if NALG > 0:, the last two
- * -1 for equations of a node], and the variable whose column of the Newton matrix has no pivot or, with NXA added, the
- * one that does not converge; -1: none fails. */
+/* Names the stages at which an evaluation of the plan fails: interval, step, group of stages (both -1 for equations of
+ * a node), and the variable whose column of the Newton matrix has no pivot or, with NXA added, the one that does not
+ * converge; -1: none fails. */
 static void name_failed_stage(solver_t *s, status_t status)
 {
     s->failed_interval = s->failed_step = s->failed_stage = s->failed_state = -1;

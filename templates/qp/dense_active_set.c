@@ -7,10 +7,10 @@
  *     H z + g + mult[0..NV) + A' mult[NV..NV+NG) = 0,   mult > 0 at an upper bound, < 0 at a lower one, 0 in between
  *
  * Contract
- *   qp_init       once: all data zero, all bounds [if ELASTIC: and penalties] infinite, empty working set.
+ *   qp_init       once: all data zero, all bounds infinite, empty working set.
  *   qp_factorize  preparation: H (lower triangle) and A are known, lower and upper hold a prediction. Overwrites H.
  *                 Returns OK, or NUMERICAL_FAILURE if H is not positive semidefinite or data are not finite.
- *   qp_solve      feedback: g, lower and upper [if ELASTIC: and penalty] are known.
+ *   qp_solve      feedback: g, lower and upper are known.
  *                 Writes z, mult, iterations, changes, dropped, relaxed.
  *                 Returns OK; ITERATION_LIMIT, STALLED (a working set repeats itself, or rounding decides whether rows
  *                 contradict one another) or INFEASIBLE with z the last iterate, or 0 if bounds cross;
@@ -18,21 +18,10 @@
  *   qp_shift_controls  called before qp_factorize: shifts the predicted working set by n controls
  *   qp_shift_rows      the same of its rows, as given by source[]
  *
- * [if ELASTIC: A row c with a finite penalty[c] >= 0 is elastic: the cost has the term penalty[c] (violation of the
- * row) in place of the row, so that |mult| <= penalty. If the multiplier is at that limit, the row is saturated and may
- * be violated.]
- *
  * Bounds may be infinite; equal bounds are an equality. Redundant consistent equalities get the multiplier 0; `dropped`
- * is their number[if ELASTIC:, and `relaxed` is the number of violated elastic rows]. Crossed bounds are INFEASIBLE[if
- * ELASTIC:, also those of elastic rows; without crossed bounds and hard rows the result is never INFEASIBLE]. [if
- * SOLVE: After INFEASIBLE certificate[] holds weights f, |f| <= 1, with]
- *     [if SOLVE: sum_c f_c a_c = 0   and   sum_c f_c (upper_c if f_c > 0, lower_c if f_c < 0) < 0  (0 if bounds cross)]
- * side[] is the working set and is kept for the warm start (+-1: member at its upper or lower bound[if ELASTIC:, +-2:
- * saturated there]); the caller may change it before qp_factorize. Between qp_solve and qp_factorize the caller may use
- * all of `work`. [if NSL > 0: The last NSL variables are the slacks of the rows that row_slack states; their curvature
- * is in curvature[], and neither H nor A has entries for them: A has NV - NSL columns and zeros up to LDH. The other
- * entries of H and its upper triangle are not read. else: A has NV columns and zeros up to LDH. The upper triangle of H
- * is not read.]
+ * is their number. Crossed bounds are INFEASIBLE. side[] is the working set (+-1: member at its upper or lower bound)
+ * and is kept for the warm start; the caller may change it before qp_factorize. Between qp_solve and qp_factorize the
+ * caller may use all of `work`. A has zeros in columns up to LDH. The upper triangle of H is not read.
  *
  * Method (Goldfarb and Idnani 1983) in the coordinates y = C'z, where H = C C' and C is lower triangular. In them the
  * cost is 1/2 |y - y0|^2 with y0 = -C^{-1} g, and row a is m'y with m = C^{-1} a. The nw rows of the working set W are
@@ -41,15 +30,12 @@
  *
  *     R'w = t,   c = Q y0 - w,   y = y0 - Q'c,   lam = R^{-1} c,   z = C^{-T} y
  *
- * [if ELASTIC: A saturated row belongs to the cost: y0 = -C^{-1} (g + sum_saturated mult_c a_c). The multipliers of the
- * dual problem are then between 0 and the penalty, and every step increases its objective as before.]
- *
  * If a pivot of H may be zero, H + E is factorised, where E is diagonal with E_ii > 0 at such pivots only, and the
  * proximal point method iterates to the minimiser for H itself.
  *
  * Storage: H holds D on its diagonal, L below and L' above it, C = L D^{1/2}, L unit lower triangular. R is stored
  * transposed (row j: coefficients of member j). Loops run over panels of four, for which every vector and matrix is
- * padded with zeros. [if NSL > 0: C continues with the square roots of the curvatures of the slacks.]
+ * padded with zeros.
  * ------------------------------------------------------------------------------------------------------------------ */
 
 #include "qp/dense_linear_algebra.c"

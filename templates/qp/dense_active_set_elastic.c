@@ -1,5 +1,8 @@
-/* Contract of this part: rows with a finite penalty, which limits their multipliers. A row whose multiplier is at the
- * limit is saturated and may be violated. */
+/* Contract of this part: elastic rows. A row c with a finite penalty[c] >= 0 has the cost penalty[c] (violation of the
+ * row) in place of the row, so that |mult| <= penalty. A row whose multiplier is at the limit is saturated (side +-2)
+ * and may be violated; `relaxed` is the number of violated ones. Without crossed bounds and hard rows the result is
+ * never INFEASIBLE. A saturated row belongs to the cost: y0 = -C^{-1} (g + sum_saturated mult_c a_c). The multipliers
+ * of the dual problem are then between 0 and the penalty, and every step increases its objective as before. */
 
 enum { SATURATED_LOWER = -2, SATURATED_UPPER = 2 };
 
@@ -36,8 +39,7 @@ static void qp_shift_origin(qp_t *q, real_t mult)
     q->scale += FABS(mult) * norm(q->work.basis.m);
 }
 
-/* Moves member k from the working set to the cost, with its multiplier at the limit of the given side; m = Q'R. [if NSL
- * > 0: A row with a slack stays.] */
+/* Moves member k from the working set to the cost, with its multiplier at the limit of the given side; m = Q'R. */
 static void qp_saturate(qp_t *q, int k, int side)
 {
     /* 0 <= k <= NV - 1 */
@@ -110,7 +112,7 @@ static void qp_take_penalties(qp_t *q, int elastic)
     q->elastic = elastic;
 }
 
-/* Violation of row c, which is saturated[if NSL > 0:, or has a slack that moves; 0 for a slack itself]. */
+/* Violation of row c, which is saturated, or whose violation is a variable that moves. */
 static real_t qp_relaxation(const qp_t *q, int c)
 {
     if (NSL) {

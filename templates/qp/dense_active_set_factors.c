@@ -1,13 +1,13 @@
 /* Contract of this part: H = L D L' = C C' and the substitutions with its factors. */
 
-/* A pivot may be zero if it is below this fraction of the diagonal entry: [if SINGLE: 2^-15.5 else: 2^-40]. */
+/* A pivot may be zero if it is below this fraction of the diagonal entry. */
 static inline real_t qp_zero_pivot(void)
 {
     const real_t root = SQRT(TOL_UNIT / 256), least = 4096 * TOL_UNIT;
     return least < root ? least : root;
 }
 
-/* Weight of the proximal term as a fraction of the diagonal entry: [if SINGLE: 2^-10 else: 2^-17]. */
+/* Weight of the proximal term as a fraction of the diagonal entry. */
 static inline real_t qp_proximal_share(void)
 {
     return SQRT(SQRT(TOL_UNIT / 65536));
@@ -163,8 +163,8 @@ static real_t qp_curvature(const qp_t *q, int i)
     return i < NV ? q->curvature[i - (NV - NSL)] : R(1);
 }
 
-/* H + diag(proximal) = L D L' in place, inverse = D^{-1/2}. Rows [if NSL > 0: of slacks and] of the identity complete
- * the last panel. If a pivot of H may be zero, H is restored from a copy, and the proximal term is added. */
+/* H + diag(proximal) = L D L' in place, inverse = D^{-1/2}. Rows behind those of H complete the last panel. If a pivot
+ * of H may be zero, H is restored from a copy, and the proximal term is added. */
 static status_t qp_factorize_hessian(qp_t *q)
 {
     real_t reference[LDH];

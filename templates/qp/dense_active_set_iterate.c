@@ -169,8 +169,10 @@ static real_t qp_rounding(const qp_t *q, int c, const real_t *r, int side, real_
     return size + TOL_UNIT * SQRT(vv) * q->scale;
 }
 
-/* Certificate of the contradiction between row c and the rows of the working set: side (e_c - sum_k r_k e_k),
- * normalised, without entries that are rounding errors. */
+/* Certificate of the contradiction between row c and the rows of the working set: f = side (e_c - sum_k r_k e_k),
+ * normalised to |f| <= 1, without entries that are rounding errors. With a_c the gradients of the rows,
+ *
+ *     sum_c f_c a_c = 0   and   sum_c f_c (upper_c if f_c > 0, lower_c if f_c < 0) < 0; f = 0 if bounds cross. */
 static void qp_certify(qp_t *q, int c, int side, const real_t *r, real_t mm)
 {
     real_t largest = R(1);

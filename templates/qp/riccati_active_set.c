@@ -5,18 +5,17 @@
  *     s.t. x_{k+1} = S_k z_k + b_k,   dx_0 given,   lower <= (u, rows) <= upper
  *
  * Contract
- *   qp_init       once: all data zero, all bounds [if ELASTIC: and penalties] infinite, empty working set.
+ *   qp_init       once: all data zero, all bounds infinite, empty working set.
  *   qp_factorize  preparation: all data but x_0 are known; lower and upper hold a prediction. Runs the recursion
  *                 for the predicted working set.
  *   qp_gradient   called if gradients of the stages have changed, but no matrix.
- *   qp_solve      feedback: dx_0 in step.dx[0], lower and upper [if ELASTIC: and penalty] are known.
+ *   qp_solve      feedback: dx_0 in step.dx[0], lower and upper are known.
  *                 Writes x, z, mult, iterations, changes, relaxed. Returns OK; ITERATION_LIMIT;
  *                 STALLED if a working set repeats itself; INFEASIBLE; NUMERICAL_FAILURE with x = z = mult = 0.
  *   qp_shift_controls  called before qp_factorize: shifts the predicted working set by n controls
  *   qp_shift_rows      the same of its rows, as given by source[]
- * Bounds may be infinite; equal bounds are an equation. [if ELASTIC: A soft row (finite penalty) costs penalty v +
- * curvature / 2 v^2 for a violation v; `relaxed` is the number of violated soft rows.] side[] is the working set and is
- * kept for the warm start; the caller may change it before qp_factorize.
+ * Bounds may be infinite; equal bounds are an equation. side[] is the working set and is kept for the warm start; the
+ * caller may change it before qp_factorize.
  *
  * Method: one Riccati recursion gives the minimiser on the working set. Controls in the working set are eliminated. A
  * small number of rows is treated by their Schur complement; where this does not lead to a solution, rows in the

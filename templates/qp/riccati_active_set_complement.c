@@ -5,7 +5,7 @@
  * complement. One sweep through the stages gives
  *     push   gradient of the controls for a unit multiplier of a member: w_u of a backward substitution
  *     pull   gradient of x_0 for a unit multiplier, which is also the change of the value of the member with x_0
- *     C      sum over the stages of push' M_uu^{-1} push[if NF > 0:, and the part of the free components of x_0]
+ *     C      sum over the stages of push' M_uu^{-1} push, and the part of what is free at the start
  * As H does not depend on the members, a change of the members requires no recursion.
  *   schur_begin       decides whether the QP is solved in this way; clears `applies` if not.
  *   schur_update      push, pull, C and its factors for the present members and factors. `applies` becomes 0 if

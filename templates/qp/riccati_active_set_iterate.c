@@ -57,13 +57,12 @@ static largest_t qp_largest_multipliers(const qp_t *q)
     return largest;
 }
 
-/* New side of the member row m from its multiplier: it leaves if the sign is wrong[if ELASTIC:, and a soft row becomes
- * violated if its multiplier exceeds the penalty]. */
+/* New side of the member row m from its multiplier: it leaves if the sign is wrong. */
 static int qp_side_of_member(const qp_t *q, int m, real_t rounding)
 {
     const int c = NV + m, side = q->side[c];
     const real_t mult = side > 0 ? q->mult[c] : -q->mult[c];
-    if (mult > q->penalty[m] + rounding) {
+    if (mult > q->penalty[m] + rounding) { /* it becomes violated */
         return side > 0 ? ABOVE : BELOW;
     }
     if (mult >= -rounding) {
@@ -298,8 +297,7 @@ static inline int qp_wrong_sign(const qp_t *q, int c)
     return q->side[c] > 0 ? q->mult[c] < R(0) : q->mult[c] > R(0);
 }
 
-/* Clips the controls to their bounds, sets multipliers of the wrong sign to 0 [if ELASTIC: and counts the violated soft
- * rows]. */
+/* Clips the controls to their bounds, sets multipliers of the wrong sign to 0. */
 static void qp_finish(qp_t *q)
 {
     for (int c = 0; c < NV; c++) {

@@ -1,13 +1,13 @@
 /* Primal-dual interior point method of Mehrotra (1992) on the stages of the QP; the Riccati recursion solves the linear
  * systems.
  *
- *     min  sum_k 1/2 z_k'Q_k z_k + g_k'z_k [if ELASTIC: + sum_soft (l1_c e_c + l2_c/2 e_c^2)]
+ *     min  sum_k 1/2 z_k'Q_k z_k + g_k'z_k + sum_c (l1_c e_c + l2_c/2 e_c^2)
  *     s.t. x_{k+1} = S_k z_k + b_k,   v_c = B_c  for an equation,
- *          bound_i - sign_i v_i [if ELASTIC: + e_i] = t_i >= 0  for every finite side i of a row
+ *          bound_i - sign_i v_i + e_i = t_i >= 0  for every finite side i of a row; e_c is 0 unless it has a price
  *
- * The directions of t, lam [if ELASTIC: (and of e, kappa of a soft side)] are eliminated row by row, so that only the
- * weights of the rows enter the recursion. An equation is a row with a small compliance; corrections of its multiplier
- * make it exact. */
+ * The directions of t and lam, of e and its multiplier kappa, are eliminated row by row, so that only the weights of
+ * the rows enter the recursion. An equation is a row with a small compliance; corrections of its multiplier make it
+ * exact. */
 
 #include "qp/riccati_interior_point_rows.c"
 
@@ -53,8 +53,8 @@ static void ipm_write_others(solver_t *s)
     }
 }
 
-/* Sets side[]: the active rows [if ELASTIC: and the violated soft rows]. Multipliers of the other rows that are only
- * rounding errors become 0. */
+/* Sets side[]: the active rows and the violated ones. Multipliers of the other rows that are only rounding errors
+ * become 0. */
 static void ipm_write_sides(solver_t *s)
 {
     qp_t *qp = &s->qp;

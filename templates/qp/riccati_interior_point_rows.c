@@ -49,7 +49,7 @@ static void ipm_load_gradient(solver_t *s)
     memcpy(s->riccati.work.vectors.rhs.g, s->ipm.gradient, sizeof s->ipm.gradient);
 }
 
-/* Kind of row c[if ELASTIC:; a soft row is never an equation]. */
+/* Kind of row c. */
 static inline int ipm_row_kind(const qp_t *q, int c)
 {
     if (!(q->lower[c] >= q->upper[c])) {
@@ -136,8 +136,7 @@ static void ipm_add_sides(solver_t *s, int c)
     }
 }
 
-/* Lists the sides of all inequalities[if ELASTIC:, hard ones first; soft rows only if their violation has a cost. Rows
- * that the controls do not move are left to ipm_constant_rows]. */
+/* Lists the sides of all inequalities, hard ones first. */
 static void ipm_list_sides(solver_t *s)
 {
     ipm_t *q = &s->ipm;
@@ -151,7 +150,7 @@ static void ipm_list_sides(solver_t *s)
         }
     }
     q->hard = q->sides;
-    for (int m = 0; m < NG; m++) {
+    for (int m = 0; m < NG; m++) { /* rows whose violation has a cost */
         if (qp_is_soft(&s->qp, m) && s->qp.penalty[m] + s->qp.curvature[m] > R(0)) {
             ipm_add_sides(s, NV + m);
         }

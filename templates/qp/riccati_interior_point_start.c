@@ -40,8 +40,7 @@ static real_t ipm_damping_cost(solver_t *s)
 }
 
 /* If the Hessian is singular, proximal point steps prevent rounding errors from moving the iterate along its null
- * space. The proximal term is a small fraction of the largest diagonal entry of each control [if NF > 0: and free
- * component of x_0]. */
+ * space. The proximal term is a small fraction of the largest diagonal entry of each variable. */
 static void ipm_set_proximal(solver_t *s)
 {
     ipm_t *q = &s->ipm;

@@ -21,8 +21,8 @@ static void qp_component_sizes(solver_t *s, int full, real_t *size)
 }
 
 /* Returns 1 if row c with the value v is inside its bounds, and at the bound of its multiplier, up to rounding. `size`:
- * magnitude of its terms; `scale`: its scale. full: a multiplier whose bound the value does not reach becomes 0, and the
- * gradient, which is checked next, then shows whether it was needed. Otherwise the row does not hold. */
+ * magnitude of its terms; `scale`: its scale. full: a multiplier whose bound the value does not reach becomes 0, and
+ * the gradient, which is checked next, then shows whether it was needed. Otherwise the row does not hold. */
 static int qp_row_holds(qp_t *q, int c, int hard, real_t v, real_t size, real_t scale, int full)
 {
     const real_t over = v - q->upper[c], under = q->lower[c] - v;
@@ -195,7 +195,7 @@ static void qp_start_check(solver_t *s)
 
 /* Returns 1 if the gradient of the Lagrangian vanishes up to its tolerance, or moves the cost by no more than zeros do
  * (full). The multipliers of the dynamics follow from the states and remain in the first entries of rhs.g, so that only
- * the components of the controls [if NF > 0: and of a free x_0] are to be checked. */
+ * the components of what is free are to be checked. */
 static int qp_is_stationary(solver_t *s, int full)
 {
     real_t(*w)[NZS] = s->riccati.work.vectors.rhs.g;

@@ -2,7 +2,7 @@
  * and clearing of results. A row has its gradient in the variables of one stage; a bound on a state is stored as the
  * index of its component. */
 
-/* Side of a row. A member of the working set is an equation at its bound[if ELASTIC:; a soft row may be violated]. */
+/* Side of a row. A member of the working set is an equation at its bound; a row BELOW or ABOVE is violated. */
 enum { BELOW = -2, AT_LOWER = -1, INACTIVE = 0, AT_UPPER = 1, ABOVE = 2 };
 
 static inline int qp_is_violated(int side)
@@ -187,7 +187,7 @@ static void qp_clear(qp_t *q)
     }
 }
 
-/* Checks bounds [if ELASTIC: and penalties]. Returns NUMERICAL_FAILURE if one is invalid, INFEASIBLE if bounds cross,
+/* Checks bounds and what violations cost. Returns NUMERICAL_FAILURE if a number is invalid, INFEASIBLE if bounds cross,
  * else OK. */
 static status_t qp_check_bounds(const qp_t *q)
 {

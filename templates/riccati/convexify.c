@@ -1,14 +1,13 @@
 /* riccati_convexify   makes the QP convex if it is not. Called before qp_factorize, when side[] is the predicted
  *                     working set. Returns 1 if the present factors are those without fixed controls and without rows.
  *
- * The reduced Hessian in the controls [if NF > 0: and the free components of x_0] is positive definite if and only if
- * the pivots of the recursion are positive. If they are not, the predicted working set is held: held[m] a_m a_m' for
- * equations and for the rows of that set, and additions to the diagonal for its controls. A Hessian that is positive
- * definite on the null space of these rows becomes positive definite if they are held strongly enough (Finsler's
- * lemma); near a solution their values do not change, so that neither the step nor the rate of convergence does. If
- * that is not sufficient, a multiple of the units is added to the diagonal for all controls [if NF > 0: and free
- * components of x_0]. The multipliers lam are not affected: lam contains what held rows add, and the diagonal belongs
- * to variables that have no multiplier lam. */
+ * The reduced Hessian in what is free is positive definite if and only if the pivots of the recursion are positive. If
+ * they are not, the predicted working set is held: held[m] a_m a_m' for equations and for the rows of that set, and
+ * additions to the diagonal for its controls. A Hessian that is positive definite on the null space of these rows
+ * becomes positive definite if they are held strongly enough (Finsler's lemma); near a solution their values do not
+ * change, so that neither the step nor the rate of convergence does. If that is not sufficient, a multiple of the units
+ * is added to the diagonal of what is free. The multipliers lam are not affected: lam contains what held rows add, and
+ * the diagonal belongs to variables that have no multiplier lam. */
 
 /* Scale of component j of z: the maximum over the stages of |Q_jj| + sum_i S_ij^2 |Q_ii of the next stage|. Returns 0
  * if it is not finite. */
@@ -94,9 +93,9 @@ static int riccati_try(solver_t *s, real_t hold, real_t shift)
     return riccati_factorize(s, NS);
 }
 
-/* The recursion with the smallest shift, up to a factor of four, for which it succeeds, [if MIRROR: twice this shift,
- * as if the negative eigenvalue changed its sign else: plus one eighth]. A full step with a smaller one may be too
- * long. The search starts at the shift of the previous QP. Returns 0 if there is none. */
+/* The recursion with the smallest shift, up to a factor of four, for which it succeeds, and with a margin on it: a full
+ * step with a smaller one may be too long. The search starts at the shift of the previous QP. Returns 0 if there is
+ * none. */
 static int riccati_shift(solver_t *s, real_t hold)
 {
     const real_t least = regularization[0], before = s->riccati.shift;
@@ -119,7 +118,10 @@ static int riccati_shift(solver_t *s, real_t hold)
         high /= FACTOR_SHIFT_RATIO;
     }
     s->riccati.shift = high;
-    return riccati_try(s, hold, (MIRROR ? R(2) : FACTOR_SHIFT_MARGIN) * high);
+    if (MIRROR) { /* as if the negative eigenvalue changed its sign */
+        return riccati_try(s, hold, R(2) * high);
+    }
+    return riccati_try(s, hold, FACTOR_SHIFT_MARGIN * high);
 }
 
 /* Adds the shifts and holds of the last trial to the Hessian of the QP. */

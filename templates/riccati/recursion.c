@@ -15,7 +15,7 @@
  *                      stage is in `failed`), else 1.
  *   riccati_backward   p, feed, h of the stages last .. 0 from g, b, du (values of the fixed controls). Later stages
  *                      are unchanged.
- *   riccati_forward    x[1..NS] and u of the minimiser from x[0][if NF > 0:, whose free components are computed].
+ *   riccati_forward    x[1..NS] and u of the minimiser from what is given of x[0].
  * The caller sets diagonal, weight, fixed, then g, b, du. The gradient g shares its memory with the work arrays of
  * riccati_factorize and with a direction (dx, du) that riccati_forward may write, so it must be set right before
  * riccati_backward. Symmetric matrices P_k are stored in full; their rows and columns NXS .. LDX are padding. Products

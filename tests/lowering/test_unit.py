@@ -40,8 +40,8 @@ KNOWN = (
     macro("KERNEL", "kernel((s)->x)", "s"),
 )
 KERNELS = (
-    Item("kernel", "function", "static void kernel(const real_t *x)\n{\n    own_sin(x[0]);\n}", ready=True),
-    Item("spare", "function", "static void spare(void)\n{\n}", ready=True),
+    Item("kernel", "function", "static void kernel(const real_t *x)\n{\n    own_sin(x[0]);\n}", state="ready"),
+    Item("spare", "function", "static void spare(void)\n{\n}", state="ready"),
 )
 
 

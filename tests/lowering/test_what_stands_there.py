@@ -26,7 +26,6 @@ TOPICS: Mapping[str, Callable[[CModule], bool]] = {
     r"\bsolve\(\)": lambda m: m.features.solve,
     r"\bin single\b|\bsingle precision\b": lambda m: m.features.single,
     r"\bREPAIRS?\b": lambda m: has(m, "REPAIRS", "REPAIR"),
-    r"\[if ": lambda _: False,
 }
 
 
@@ -73,6 +72,8 @@ def idle_statements(unit: str) -> list[str]:
         r"(?:if|while) \((?:\d+|[A-Z]\w* [<>=]+ \d+)\) \{", re.sub(r"^#.*", "", code, flags=re.MULTILINE)
     )
     found += re.findall(r"for \(int (?:\w+) = 0; \w+ < 1; .*", code)
+    found += re.findall(r".* (?:\* 1|[-+] 0)\b(?![.x\d]).*", re.sub(r"^#.*", "", code, flags=re.MULTILINE))
+    found += re.findall(r"^( *)for .*\n(?:\1 .*\n)*\1    continue;\n\1\}", code, re.MULTILINE)
     found += re.findall(r"^ +const int \w+ = (?:\d+|[A-Z][A-Z_0-9]*);", code, re.MULTILINE)
     found += re.findall(r"\b([A-Z]\w*) < \1\b", code)
     for head, body in functions(code):
@@ -138,11 +139,12 @@ def test_a_package_has_what_stands_in_it(name: str) -> None:
         "    const int k = N;",
         "    const int n = (N < N) ? NZ : NX;",
         "    if (0) {",
+        "    s->x[NX + 0] = R(1);",
+        "    for (int i = 0; i < NX; i++) {\n        s->x[i] = R(1);\n        continue;\n    }",
         "    for (int i = 0; i < 1; i++) {",
         "/* The slack variables\n * of soft rows. */",
         "/* A coupled row. */",
         "/* In solve(). */",
-        "/* [if SOLVE: In it.] */",
         "/* See riccati_backward(). */",
     ],
 )

@@ -27,7 +27,7 @@ static real_t updated_multiplier(const solver_t *s, int m, real_t slope, real_t 
 static int sharpen_terms(solver_t *s);
 static int update_terms(solver_t *s, real_t tol, real_t *violation);
 
-/* Values and gradients of the general [if NE > 0: and coupled] rows of node k; structural zeros are not stored. */
+/* Values and gradients of the rows of node k that are no bounds; structural zeros are not stored. */
 static void evaluate_nodal_rows(const solver_t *s, int k, real_t *h, real_t *J)
 {
     if (k < N) {
@@ -40,7 +40,7 @@ static void evaluate_nodal_rows(const solver_t *s, int k, real_t *h, real_t *J)
     }
 }
 
-/* Place of the general [if NE > 0: or coupled] row m among those of its node. */
+/* Place of row m among those of its node that are no bounds. */
 static inline int place_of_row(int m)
 {
     if (row_is_coupled(m)) {
@@ -49,10 +49,10 @@ static inline int place_of_row(int m)
     return row_index(m);
 }
 
-/* Gradient of the general [if NE > 0: or coupled] row m with respect to the variables of its node. */
+/* Gradient of row m, which is no bound, with respect to the variables of its node. */
 static const real_t *gradient_of_row(int m, const real_t *J)
 {
-    const int first = place_of_row(m) * ((row_node(m) < N) ? NZ : NX);
+    const int first = place_of_row(m) * nz_at(row_node(m));
     return J + first;
 }
 
@@ -91,7 +91,7 @@ static void add_rows(const solver_t *s, int k, int what, const real_t *d, real_t
             continue;
         }
         const real_t *gradient = gradient_of_row(m, J);
-        const int n = (k < N) ? NZ : NX;
+        const int n = nz_at(k);
         real_t moved = R(0);
         for (int i = 0; i < n; i++) {
             moved += gradient[i] * d[i];

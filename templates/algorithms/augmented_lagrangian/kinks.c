@@ -13,7 +13,7 @@ static real_t row_change(const solver_t *s, int m, real_t (*d)[LDZ])
     if (GENERAL_ROWS || NE) {
         const real_t *J = row_gradient(s, m);
         real_t change = R(0);
-        for (int i = 0; i < ((k < N) ? NZ : NX); i++) {
+        for (int i = 0; i < nz_at(k); i++) {
             change += J[i] * d[k][i];
         }
         return change;

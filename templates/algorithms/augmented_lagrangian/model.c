@@ -54,7 +54,7 @@ static void add_multiple(real_t (*y)[LDZ], real_t factor, real_t (*x)[LDZ])
     riccati_add(y[0], factor, x[0], VARIABLES);
 }
 
-/* rho_i at node 0[if NF > 0:: free components of x_0 have no gap]. */
+/* rho_i at node 0: what is not measured has no gap. */
 static inline real_t start_weight(const solver_t *s, int i)
 {
     return s->auglag.penalty * initial_weight[i];
@@ -73,7 +73,7 @@ static void change_row(solver_t *s, int m, real_t slope, real_t force, real_t cu
         return;
     }
     const real_t *J = row_gradient(s, m);
-    const int n = (k < N) ? NZ : NX;
+    const int n = nz_at(k);
     for (int i = 0; i < n; i++) {
         a->g[k][i] += slope * J[i];
         a->Hd[k][i] += force * J[i];

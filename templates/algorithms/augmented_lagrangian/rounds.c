@@ -176,8 +176,7 @@ static status_t run_round(solver_t *s)
     return plan_is_finite(s) && all_finite(s->lam[0], (N + 1) * NX) ? OK : NUMERICAL_FAILURE;
 }
 
-/* Prepares the plan at its own x_0 [if REPAIR: and repairs it there: a new one, one after a sample that failed or was
- * NOT_CONVERGED]. Rounds end when steps do what their model promises and gaps are small. */
+/* Prepares the plan at its own x_0. */
 static status_t prepare_at_plan(solver_t *s)
 {
     real_t measured[NX];
@@ -185,6 +184,8 @@ static status_t prepare_at_plan(solver_t *s)
     measure_plan(s, measured);
     status = prepare_here(s);
     if (REPAIR) {
+        /* A plan that is new, has failed or was NOT_CONVERGED is repaired, until steps do what their model promises and
+         * gaps are small. */
         int wanted = s->samples == 0 || s->failing > NO_FAILURE || s->unconverged > 0;
         for (int n = 0; n < REPAIRS && status == OK && wanted; n++) {
             status = run_round(s);

@@ -3,9 +3,8 @@
  *     L = cost + sum (lam_i + rho_i/2 c_i) c_i + sum psi_m(v_m),   c_0 = xhat - x_0,   c_{k+1} = Phi_k - x_{k+1},
  *     psi_m(v) = min_y P_m(y) + mu_m (v - y) + rho_m/2 (v - y)^2,
  *
- * where P_m is 0 between the bounds of row m and, outside, [if SOFT_ROWS > 0: the penalty of a soft row or infinite
- * else: infinite]. Its derivatives are those of the Lagrangian with the multipliers lam_i + rho_i c_i and psi_m'(v_m),
- * the first-order estimates. */
+ * where P_m is 0 between the bounds of row m and, outside, its penalty or infinite. The derivatives of L are those of
+ * the Lagrangian with the multipliers lam_i + rho_i c_i and psi_m'(v_m), the first-order estimates. */
 
 /* c_{k+1} and the cost of the nodes. */
 static void evaluate_path(solver_t *s)
@@ -20,7 +19,7 @@ static void evaluate_path(solver_t *s)
     a->cost = nodal_cost(s);
 }
 
-/* Evaluates what depends on xhat: the gap c_0 = xhat - x_0[if NF > 0:, 0 for free components,] and the rows. */
+/* Evaluates what depends on xhat: the gap c_0 = xhat - x_0 of what is measured, and the rows. */
 static void evaluate_ends(solver_t *s)
 {
     auglag_t *a = &s->auglag;
@@ -97,8 +96,7 @@ static void estimate_multipliers(solver_t *s)
     }
 }
 
-/* The dual update: the estimates become the multipliers. [if NE > 0: As L reads xhat where the coupled rows read x_0,
- * its multiplier of the initial condition is lam_0 - E_0' eta.] */
+/* The dual update: the estimates become the multipliers. */
 static void update_multipliers(solver_t *s)
 {
     auglag_t *a = &s->auglag;
@@ -114,7 +112,8 @@ static void update_multipliers(solver_t *s)
     }
 }
 
-/* lam_0 += sign E_0' eta. */
+/* lam_0 += sign E_0' eta: L reads xhat where coupled rows read x_0, so that its own multiplier of the initial condition
+ * is lam_0 - E_0' eta. */
 static void couple_start(solver_t *s, real_t sign)
 {
     for (int j = 0; j < NE; j++) {

@@ -1,10 +1,9 @@
-/* Copies lam_k from the QP, which has the stages of the problem[if NE > 0:, and adds the share of coupled rows, in which
- * the QP has no x_0]. */
+/* Copies lam_k from the QP, which has the stages of the problem. */
 static void multiplier_of_qp(const solver_t *s, int k, real_t *lam)
 {
     memcpy(lam, condense_multiplier(s, k), NX * sizeof *lam);
     for (int m = 0; k == 0 && m < NG; m++) {
-        if (row_is_coupled(m)) {
+        if (row_is_coupled(m)) { /* in which the QP has no x_0 */
             for (int i = 0; i < NX; i++) {
                 lam[i] += s->coupled.J_0[row_index(m)][i] * s->step.mult[m];
             }

@@ -1,12 +1,6 @@
 /* Steps of a QP that are tried at several lengths from a base, and what becomes of the multipliers. */
 
-/* Number of components of (dx, du) at node k. */
-static inline int nz_at(int k)
-{
-    return (k < N) ? NZ : NX;
-}
-
-/* Component i of them. */
+/* Component i of (dx, du) at node k. */
 static inline real_t *step_at(step_t *d, int k, int i)
 {
     return (i < NX) ? &d->dx[k][i] : &d->du[k][i - NX];
@@ -71,19 +65,17 @@ static inline void approach(real_t *a, real_t b, real_t length)
     *a = (length < R(1) && isfinite(*a)) ? *a + length * (b - *a) : b;
 }
 
-/* Multipliers after a step. [if ELASTIC: Those of an elastic QP are those of its penalty: nothing is known.] [if
- * LAGRANGIAN || TWO_HESSIANS: Where the Hessian depends on them, they move towards those of the QP only as far as the
- * step went: after a short step, those of the QP may be as far off as the step.] [if !STAGE_MULTIPLIERS: With states
- * eliminated, lam follows from the gradient of the QP.] */
+/* Multipliers after a step. */
 static void take_multipliers(solver_t *s)
 {
     if (HARD_ROWS) {
-        if (s->trial.elastic) {
+        if (s->trial.elastic) { /* those of an elastic QP are those of its penalty: nothing is known */
             forget_multipliers(s);
             return;
         }
     }
     if (CURVED || LAGRANGIAN || STAGE_MULTIPLIERS) {
+        /* They move towards those of the QP as far as the step went: behind a short one, these may be as far off. */
         const trial_t *q = &s->trial;
         for (int k = 0; k < N; k++) {
             for (int j = 0; j < NU; j++) {

@@ -11,7 +11,7 @@ static void safe_control(const solver_t *s, real_t *u0)
 #include "algorithms/shared/pull_back.c"
 #endif
 
-/* The end of a call[if IMPLICIT:: outside of samples stages are solved to rounding errors]. */
+/* The end of a call. */
 static status_t finish(solver_t *s, status_t status)
 {
 #if IMPLICIT

@@ -1,4 +1,4 @@
-/* Gap b_k = Phi(x_k, u_k) - x_{k+1} [if GENERAL_ROWS: and general rows] of node k. */
+/* Gap b_k = Phi(x_k, u_k) - x_{k+1} of node k, and its rows. */
 static void complete_node(const solver_t *s, int k, const real_t *x_next, node_t *node)
 {
     for (int i = 0; i < NX; i++) {

@@ -34,8 +34,7 @@ static void start_at_measured(solver_t *s)
     start_at(s, all_finite(s->xhat, NX) ? s->xhat : initial_state);
 }
 
-/* Sets the controls of the plan to their references[if NF > 0:, and free components of x_0 to their declared initial
- * values]. */
+/* Sets the controls of the plan to their references, and what is free at its start to declared values. */
 static void forget_plan(solver_t *s)
 {
     refer_controls(s);

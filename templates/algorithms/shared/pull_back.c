@@ -1,5 +1,5 @@
-/* Hard rows on controls alone[if PREVIOUS:, and on those before them]: the first control can keep them whatever the state
- * is, as it keeps its bounds. A step may leave those that bend, a relaxed QP gives them up, and a sample may fail. */
+/* Hard rows that depend on no state: the first control can keep them whatever the state is, as it keeps its bounds. A
+ * step may leave those that bend, a relaxed QP gives them up, and a sample may fail. */
 
 /* Row of these that the first control violates most, relative to its scale, or -1; by how much, and that in its scale;
  * values and gradients of all rows of its node. */
@@ -57,8 +57,7 @@ static void pull_back(solver_t *s)
     }
 }
 
-/* Moves a control that is returned in place of that of the plan back onto these rows; the plan stays as it is[if PREVIOUS:,
- * with the controls before as they were when it was linearised]. */
+/* Moves a control that is returned in place of that of the plan back onto these rows; the plan stays as it is. */
 static void pull_control_back(solver_t *s, real_t *u0)
 {
     real_t kept[NU], start[NX];

@@ -4,8 +4,16 @@
  *
  *     l_k(x_k, u) + lam_{k+1}' Phi(x_k, u),
  *
- * and the plan goes as far towards them as lowers its cost. [if IDLE_STATES: Where a state that controls drive is idle, such
- * as the speed of a propeller at rest, all nodes of these controls are pushed to one side.] */
+ * and the plan goes as far towards them as lowers its cost. */
+
+/* The first component of (x, u) that may be idle. */
+static inline int first_idle(void)
+{
+    if (IDLE_STATES) {
+        return 0;
+    }
+    return NX;
+}
 
 #if HAS_QP
 /* Returns 1 if component i of (x, u) at node k moves next to nothing else, by the last linearisation. */
@@ -110,8 +118,7 @@ static void ask_states(solver_t *s, int k, const real_t *lam)
 }
 #endif
 
-/* Moves the idle controls of node k that the cost wants to be moved[if PARTNERS:, alone and together with those that they
- * are multiplied by]. */
+/* Moves the idle controls of node k that the cost wants to be moved. */
 static void probe_node(solver_t *s, int k, const real_t *lam)
 {
     int idle[NU];
@@ -126,7 +133,7 @@ static void probe_node(solver_t *s, int k, const real_t *lam)
         direction[j] = R(1);
         probe_along(s, k, lam, direction);
         if (PARTNERS) {
-            if (idle_partner[j] >= 0) {
+            if (idle_partner[j] >= 0) { /* together with the control that it is multiplied by */
                 direction[idle_partner[j]] = R(1);
                 probe_along(s, k, lam, direction);
                 direction[idle_partner[j]] = -R(1);
@@ -142,11 +149,11 @@ static void probe_node(solver_t *s, int k, const real_t *lam)
 }
 
 #if HAS_QP
-/* Returns 1 if there are idle controls [if IDLE_STATES: or states] that the cost wants to be moved. */
+/* Returns 1 if something is idle that the cost wants to be moved. */
 static int may_be_at_saddle(const solver_t *s)
 {
     for (int k = 0; k < N; k++) {
-        for (int i = (IDLE_STATES ? 0 : NX); i < NZ; i++) {
+        for (int i = first_idle(); i < NZ; i++) {
             if (is_wanted(s->lam[k + 1], i) && is_idle(s, k, i)) {
                 return 1;
             }
@@ -243,8 +250,8 @@ static real_t cost_of_plan(const solver_t *s)
     return nodal_cost(s);
 }
 
-/* Returns 1 if the plan costs less than the best one, by this much[if HARD_ROWS:, and violates no more, or violates less]:
- * it is the best one now. */
+/* Returns 1 if the plan costs less than the best one, by this much, and violates no more, or if it violates less: it is
+ * the best one now. */
 static int is_better(solver_t *s, real_t gain)
 {
     saddle_t *q = &s->saddle;
@@ -309,7 +316,8 @@ static int has_moved(const solver_t *s)
 }
 
 #if IDLE_STATES
-/* Pushes, from the plan before the probe, a control that drives idle states, or all of them (NU), at all nodes. */
+/* Where a state that controls drive is idle, such as the speed of a propeller at rest, all nodes of these controls are
+ * pushed to one side, from the plan before the probe: control `pushed`, or all of them (NU). */
 static void push_control(solver_t *s, int pushed, real_t size)
 {
     for (int k = 0; k < N; k++) {

@@ -14,8 +14,7 @@ static int take_state(solver_t *s, const real_t *xhat)
     return 1;
 }
 #else
-/* s->xhat = xhat in measured components[if ACCUMULATORS:, 0 in accumulators][if NF > 0:, x_0 of the plan in free
- * components]. Returns 0 if a measured entry is not finite. */
+/* s->xhat = xhat in what is measured, the plan or 0 elsewhere. Returns 0 if a measured entry is not finite. */
 static int take_state(solver_t *s, const real_t *xhat)
 {
     for (int i = 0; i < NXHAT; i++) {

@@ -1,12 +1,5 @@
-/* The watch on plans: what samples on end say of one, and how much of it is given up.
- * failing: failures. [if NODES: After the second one all states restart at the measured one, after the third one nothing
- * is kept else: After the third one the plan is forgotten, or what is kept of past steps]; and at once after a failure
- * among the first RESTART_SAMPLES successes after that, which a negative failing counts. [if NODES: So it is if there is no
- * finite linearisation at the plan (broken), or if the plan is not finite.] [if HAS_QP: A single failure may come from
- * its sample alone: then only the working set is discarded if the QP solver did not converge.]
- * [if REPAIR > 0 || ITERATES || !HAS_QP: unconverged: samples that were NOT_CONVERGED; after RESTART_SAMPLES of them it starts anew.] [if
- * LAGRANGIAN && HAS_QP: unsettled: samples in which lam changed by half its size, as the Hessian then belongs to no
- * problem; after RESTART_SAMPLES / 2 of them multipliers are forgotten, after RESTART_SAMPLES the plan starts anew.] */
+/* The watch on plans: what samples on end say of one, and how much of it is given up. failing: failures; the third one
+ * is lasting, and so is one among the first RESTART_SAMPLES successes after that, which a negative failing counts. */
 enum { NO_FAILURE, FIRST_FAILURE, SECOND_FAILURE, LASTING_FAILURE };
 
 static void reset_watch(solver_t *s)
@@ -40,9 +33,9 @@ static int is_stationary(const solver_t *s)
     return 1;
 }
 
-/* A Hessian that depends on multipliers which do not converge belongs to no problem, and every QP may be solved all the
- * same: counts the samples in which the lam have changed by more than half their size, node by node, although the plan
- * moves. */
+/* unsettled: a Hessian that depends on multipliers which do not converge belongs to no problem, and every QP may be
+ * solved all the same: counts the samples in which the lam have changed by more than half their size, node by node,
+ * although the plan moves. */
 static void watch_multipliers(solver_t *s)
 {
     real_t change = R(0), size = R(0);
@@ -59,7 +52,8 @@ static void watch_multipliers(solver_t *s)
 #endif
 
 #if NODES
-/* Gives up as much of the plan as failures on end say. */
+/* Gives up as much of the plan as failures on end say: after the second one all states restart at the measured one,
+ * after a lasting one nothing is kept. */
 static void give_up(solver_t *s, status_t status)
 {
     if (s->failing == LASTING_FAILURE) {
@@ -74,7 +68,7 @@ static void give_up(solver_t *s, status_t status)
             reset_search(s);
         }
     } else if (HAS_QP && (status == ITERATION_LIMIT || status == STALLED)) {
-        condense_init(s);
+        condense_init(s); /* the failure may come from its sample alone: the working set is discarded */
     }
 }
 #else
@@ -108,7 +102,7 @@ static void watch(solver_t *s, status_t status, int broken)
         return;
     }
     s->failing = (s->failing < NO_FAILURE) ? LASTING_FAILURE : s->failing + (s->failing < LASTING_FAILURE);
-    if (NODES) {
+    if (NODES) { /* there is no finite linearisation at the plan (broken), or it is not finite itself */
         if ((s->failing == SECOND_FAILURE && broken) || !plan_is_finite(s)) {
             s->failing = LASTING_FAILURE;
         }
@@ -120,7 +114,7 @@ static void watch(solver_t *s, status_t status, int broken)
 static void restart_doubtful_plan(solver_t *s)
 {
     int given_up = 0;
-    if (REPAIR > 0 || ITERATES || !HAS_QP) {
+    if (REPAIR > 0 || ITERATES || !HAS_QP) { /* samples that were NOT_CONVERGED */
         given_up |= s->unconverged >= RESTART_SAMPLES;
     }
     if (LAGRANGIAN && HAS_QP) {

@@ -14,12 +14,11 @@
 #include "algorithms/solve/linearize_with_curvature.c"
 
 #endif
-/* Linearises the present point, and writes its Hessian to s->curved[if ITERATES:, unless the Hessian of samples is
- * used]. */
+/* Linearises the present point, and writes its Hessian to s->curved. */
 static void evaluate_iterate(solver_t *s)
 {
     curved_t *c = &s->curved;
-    if (ITERATES && !c->in_solve) {
+    if (ITERATES && !c->in_solve) { /* the Hessian of samples is used */
         evaluate_for_sample(s);
         return;
     }
@@ -150,7 +149,7 @@ static void raise_units(const solver_t *s, real_t *unit)
         size[i] = size_or(s->sqp.state_scale[i], z_scale[i]);
     }
     for (int k = 0; k <= N; k++) {
-        for (int i = 0; i < ((k < N) ? NZ : NX); i++) {
+        for (int i = 0; i < nz_at(k); i++) {
             enlarge_if_finite(&most, ((k < N) ? s->node[k].g[i] : s->terminal.g[i]) * size[i]);
         }
     }
@@ -187,11 +186,11 @@ static inline real_t bound_of(real_t lower, real_t upper, real_t mult)
     return (mult > R(0)) ? upper : lower;
 }
 
-/* Whether row m is held: an equation, a row with a multiplier[if SOFT_ROWS > 0:, and a soft one at its kink]. */
+/* Whether row m is held: an equation, or a row with a multiplier. */
 static int row_is_held(const solver_t *s, int m)
 {
     const real_t mult = FABS(s->trial.step.mult[m]);
-    if (row_is_soft(s, m)) {
+    if (row_is_soft(s, m)) { /* at its kink */
         return mult > R(0) && mult < FACTOR_SHIFT_AT_KINK * row_l1(s, m);
     }
     return mult > R(0) || row_lower(s, m) >= row_upper(s, m);
@@ -215,7 +214,7 @@ static void hold_rows(solver_t *s, real_t hold)
 {
     real_t a[NZ];
     for (int m = 0; m < NG; m++) {
-        const int n = (row_node(m) < N) ? NZ : NX;
+        const int n = nz_at(row_node(m));
         const real_t weight = hold * s->curved.weight[m];
         if (!(weight > R(0))) {
             continue;
@@ -235,8 +234,11 @@ static void push_rows(solver_t *s)
     real_t a[NZ];
     for (int m = 0; m < NG; m++) {
         const real_t weight = s->curved.hold * s->curved.weight[m];
-        real_t *g = (row_node(m) < N) ? s->node[row_node(m)].g : s->terminal.g;
+        real_t *g = s->terminal.g;
         real_t value = row_constant(s, m);
+        if (row_node(m) < N) {
+            g = s->node[row_node(m)].g;
+        }
         if (!(weight > R(0))) {
             continue;
         }
@@ -246,7 +248,7 @@ static void push_rows(solver_t *s)
             }
         }
         copy_row_gradient(s, m, a);
-        for (int i = 0; i < ((row_node(m) < N) ? NZ : NX); i++) {
+        for (int i = 0; i < nz_at(row_node(m)); i++) {
             g[i] += weight * (value - s->curved.target[m]) * a[i];
         }
     }
@@ -344,13 +346,13 @@ static real_t smallest_shift(solver_t *s)
     return high;
 }
 
-/* Idle controls [if IDLE_STATES: and states], whose columns of [A B] are next to none, have the curvature of their own entry
- * alone: it is made positive. */
+/* What is idle, whose columns of [A B] are next to none, has the curvature of its own entry alone: it is made
+ * positive. */
 static void mirror_idle(solver_t *s)
 {
     curved_t *c = &s->curved;
     for (int k = 0; k < N; k++) {
-        for (int i = (IDLE_STATES ? 0 : NX); i < NZ; i++) {
+        for (int i = first_idle(); i < NZ; i++) {
             if (c->Q[k][i][i] < R(0) && idle_slope[i] >= R(0) && is_idle(s, k, i)) {
                 c->Q[k][i][i] *= -R(1);
             }
@@ -391,7 +393,7 @@ static int convexify(solver_t *s)
     }
     c->used = shift;
     for (int k = 0; k <= N && shift > R(0); k++) {
-        for (int i = 0; i < ((k < N) ? NZ : NX); i++) {
+        for (int i = 0; i < nz_at(k); i++) {
             curved_row(c, k, i)[i] += shift * c->unit[i];
         }
     }

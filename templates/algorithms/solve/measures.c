@@ -1,7 +1,7 @@
 /* Two measures of a point, and the scales that they are in:
  *
  *     violation = sum of gaps, of the residual of x_0 and of row violations, each in the scale of its state or row,
- *     cost      = cost [if SOFT_ROWS > 0: + penalties of the soft rows l1 v + l2/2 v^2]. */
+ *     cost      = cost of the nodes, and the penalties of violated rows that have one. */
 
 /* The same component of the plan. */
 static inline real_t point_at(const solver_t *s, int k, int i)

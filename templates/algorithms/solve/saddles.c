@@ -1,6 +1,4 @@
-/* A search at saddles. [if SOLVE: Where a probe of the idle controls alone leads to no better plan, as the others would have
- * to follow, solve() departs: idle controls move, states stay, and the search goes on. What it finds is compared with the
- * plan at the saddle.] */
+/* A search at saddles. */
 
 #if SOLVE
 /* Keeps the plan at the saddle, with its multipliers. */
@@ -25,7 +23,9 @@ static void return_to_saddle(solver_t *s)
     memcpy(s->mult, q->mult, sizeof q->mult);
 }
 
-/* Moves idle controls by this part of their probe. Returns 0 if it says that none is to be moved. */
+/* Where a probe of the idle controls alone leads to no better plan, as the others would have to follow, they move by
+ * this part of it, states stay, and the search goes on; its result is compared with the plan at the saddle. Returns 0
+ * if it says that none is to be moved. */
 static int depart(solver_t *s, real_t part)
 {
     saddle_t *q = &s->saddle;

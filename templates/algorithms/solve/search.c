@@ -73,8 +73,7 @@ static status_t line_search(solver_t *s)
     return STALLED;
 }
 
-/* Directional derivative g' (dx, du) of the cost along the step[if SOFT_ROWS > 0:; the penalties change as in the
- * QP]. */
+/* Directional derivative g' (dx, du) of the cost along the step. */
 static real_t slope_of(solver_t *s)
 {
     real_t slope = R(0);
@@ -83,7 +82,7 @@ static real_t slope_of(solver_t *s)
             slope += gradient_of(s, k)[i] * *step_at(&s->step, k, i);
         }
     }
-    if (SOFT_ROWS) {
+    if (SOFT_ROWS) { /* the penalties change as in the QP */
         real_t value[NG];
         evaluate_rows(s, value);
         for (int m = 0; m < NG; m++) {

@@ -1,6 +1,6 @@
 /* Second derivatives of lam' x_next + integral of the cost rate: with the multipliers mu_i of the stages,
  *
- *     Q += sum over steps and stages of Z_i' H_i Z_i,   H_i = d2 (mu_i' f + h weight_i l) / d(x[if NALG > 0:, z], u)^2,
+ *     Q += sum over steps and stages of Z_i' H_i Z_i,   H_i = d2 (mu_i' f + h weight_i l) / d(x, z, u)^2,
  *
  * where the first NXA rows of Z_i are the derivatives of the stage with respect to (x, u), the others U, the unit rows
  * of the controls. Only the variables in bent_variable[] have second derivatives. */

@@ -70,7 +70,7 @@ static void end_step(real_t *x, real_t (*D)[NX], real_t *point)
     memcpy(point, x, NX * sizeof *x);
 }
 
-/* The point where an interval starts: x[if NALG > 0:, and what is known of the algebraic variables]. */
+/* The point where an interval starts: x, and what is known of z. */
 static inline void start_point(real_t *point, const real_t *x, const real_t *z)
 {
     memcpy(point, x, NX * sizeof *x);
@@ -194,7 +194,7 @@ static inline void base_columns(const real_t *V, int b, int n, real_t (*DV)[NX *
 }
 
 /* Derivatives of the points of group b, Z, and of their increments, DV, along n <= NZ columns:
- * Z = M^-1 (base + h A f_u U[if NALG > 0:; g_u U]), DV = Z - base. */
+ * Z = M^-1 (base + h A f_u U; g_u U), DV = Z - base. */
 static inline void stage_columns(
     const stage_t *t, int b, real_t h, const real_t *V, const real_t *U, int n, real_t (*DV)[NX * NZ], real_t *Z)
 {

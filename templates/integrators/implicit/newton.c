@@ -1,15 +1,15 @@
-/* Stages of implicit Runge-Kutta schemes. GROUP stages are solved together[if NALG > 0:, with their algebraic variables
- * z]. With increments D_i,
+/* Stages of implicit Runge-Kutta schemes. GROUP stages are solved together, with their algebraic variables z if the
+ * model has equations g. With increments D_i,
  *
  *     base_i = x + sum_j increment_a[i][j] D_j over the groups before, X_i = base_i + D_i,
- *     D_i = h sum_j a_ij f(X_j, u, p) over its own group[if NALG > 0:, 0 = g(X_i, z_i, u, p)],
+ *     D_i = h sum_j a_ij f(X_j, u, p) over its own group,   0 = g(X_i, z_i, u, p),
  *     x_next = x + sum_i increment_b[i] D_i.
  *
- * No number is divided by h, and M^-1 damps the rounding errors of f; M is the derivative of X - base - h a f[if NALG > 0:,
- * and of -g][if EXPLICIT_FIRST:; an explicit first stage (a_ii = 0) has X_i = base_i and D_i = h f]. */
+ * No number is divided by h, and M^-1 damps the rounding errors of f; M is the derivative of X - base - h a f, and of
+ * -g. An explicit first stage (a_ii = 0) has X_i = base_i and D_i = h f. */
 
-/* Stages that are solved together: their points (x[if NALG > 0:, z]), the derivatives J there with respect to (x[if NALG
- * > 0:, z], u), and the factors of M with the order of their rows. */
+/* Stages that are solved together: their points (x, z), the derivatives J there with respect to (x, z, u), and the
+ * factors of M with the order of their rows. */
 typedef struct {
     real_t X[NB], J[GROUP][NXA][NXAU], M[NB][NB];
     int order[NB];

@@ -1,4 +1,5 @@
-/* The integral of a cost rate l by the quadrature of the scheme: h sum over steps and stages of weight_i l(X_i, u, p). */
+/* The integral of a cost rate l by the quadrature of the scheme: h sum over steps and stages of weight_i l(X_i, u,
+ * p). */
 
 /* l += integral over dt. */
 static void implicit_integral(const real_t *x, const real_t *z, const real_t *u, const real_t *p, const real_t *dt,
@@ -21,7 +22,7 @@ static void implicit_integral(const real_t *x, const real_t *z, const real_t *u,
     }
 }
 
-/* rho_i = h weight_i dl / d(x[if NALG > 0:, z], u) of the stages of a step. */
+/* rho_i = h weight_i dl / d(x, z, u) of the stages of a step. */
 static void rate_gradients(const stage_t *stage, const real_t *u, const real_t *p, real_t h, real_t (*rho)[NXAU])
 {
     for (int i = 0; i < STAGES; i++) {

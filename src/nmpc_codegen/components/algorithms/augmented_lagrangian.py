@@ -188,7 +188,7 @@ class AugmentedLagrangian(Defaults):
             Table("initial_radius", "real", (float(self.radius),), "of the trust region"),
             Table("variable_scale", "real", (*scale, *padding), "scales of (x, u), with padding"),
             Table("variable_weight", "real", (*weight, *padding), "1 / scale^2, with padding"),
-            Table("initial_weight", "real", tuple(initial), "the same of x_0[if NF > 0:, 0 for free components]"),
+            Table("initial_weight", "real", tuple(initial), "the same of x_0; 0 for what has no gap"),
             Table("row_weight", "real", tuple(1.0 / row_scales(problem, scale) ** 2), "1 / scale^2 of row m"),
             Table("row_size", "real", tuple(row_sizes(problem, scale)), "what a violation of row m is measured in"),
             Table("row_bends", "int", bends, "1: soft row or linear one, whose term changes along a step"),

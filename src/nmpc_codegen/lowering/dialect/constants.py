@@ -6,7 +6,6 @@ import operator
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from functools import cached_property, lru_cache
 from itertools import product
 from typing import Any
 
@@ -14,12 +13,8 @@ from nmpc_codegen.lowering.dialect.expressions import Expression, expression, wo
 
 #: Least and greatest value of an expression of integers.
 Range = tuple[int, int]
-#: What is known of a name: the kind of knowledge, the name or (struct, member), the value.
-Fact = tuple[str, Any, Any]
 
 _DECIMAL = re.compile(r"0|[1-9]\d*")
-#: Attributes of Constants that are sets of names.
-_SETS = ("absent", "kernels", "calling", "pure")
 #: Functions of the C library that give a number and do no more.
 PURE = frozenset({"isfinite"})
 #: (operator, operands) -> function; the results at the ends of ranges enclose those between them.
@@ -55,37 +50,6 @@ class Constants:
     kernels: frozenset[str] = frozenset()
     calling: frozenset[str] = frozenset()
     pure: frozenset[str] = frozenset()
-
-    @cached_property
-    def _of_statements(self) -> Mapping[str, frozenset[Fact]]:
-        """Word of a statement -> what is known of members and macros with this name."""
-        facts: list[Fact] = [("kernels", name, None) for name in self.kernels]
-        facts += [("calling", name, None) for name in self.calling]
-        facts += [("pure", name, None) for name in self.pure]
-        facts += [("absent", member, None) for member in self.absent]
-        facts += [("types", member, struct) for member, struct in self.types.items()]
-        found: dict[str, frozenset[Fact]] = {}
-        for fact in facts:
-            name = fact[1] if isinstance(fact[1], str) else fact[1][1]
-            found[name] = found.get(name, frozenset()) | {fact}
-        return found
-
-    def facts(self, decisive: frozenset[str], signs: frozenset[str], text: frozenset[str]) -> frozenset[Fact]:
-        """What is known of words of conditions, of sizes of which the sign counts, of members that a text names."""
-        found: set[Fact] = {("sizes", name, self.sizes[name]) for name in decisive & self.sizes.keys()}
-        found |= {("sizes", name, min(1, self.sizes[name])) for name in signs & self.sizes.keys()}
-        found |= {("ranges", name, self.ranges[name]) for name in decisive & self.ranges.keys()}
-        return frozenset(found.union(*(self._of_statements[word] for word in text & self._of_statements.keys())))
-
-    @staticmethod
-    @lru_cache(maxsize=4096)
-    def of(facts: frozenset[Fact]) -> Constants:
-        """The constants with these facts alone."""
-        found: dict[str, Any] = {}
-        for kind, name, value in facts:
-            found.setdefault(kind, {})[name] = value
-        sets = {kind: frozenset(names) for kind, names in found.items() if kind in _SETS}
-        return Constants(**{**found, **sets})
 
     def names(self, text: str) -> bool:
         """True if a text names a size, a table or a function of which the range is known."""

@@ -166,7 +166,7 @@ def lane_nodes(module: CModule, style: CStyle) -> str:
     width = module.features.vector_lanes
     written = [(r, p) for r in found.routines for p in r.writes]
     stored = {offsets[p.name] + e for r, p in written if p.name in offsets for e in _stored_elements(r, p)}
-    places = {p.name: f"node + {offsets[p.name]}" for _, p in written if p.name in offsets}
+    places = {p.name: lane_steps.shifted("node", offsets[p.name]) for _, p in written if p.name in offsets}
     zeros, stores = _scatter("node", stored, total, width, "&s->node[k]", "NODE_STRIDE")
     declared = [*(f"{p.name}[{p.size}]" for p in inputs.values()), f"node[{total}]"]
     for r, p in ((r, p) for r, p in written if p.name not in offsets):
@@ -343,11 +343,13 @@ def _scatter(
         block = range(first, first + width)
         if first >= 0 and sum(e in stored for e in block if e >= element) >= LEAST_IN_BLOCK:
             zeros |= {f"{name}[{e}] = zero;": None for e in block if e not in stored}
-            stores.append(f"lanes_store_block({name} + {first}, (real_t *){target} + {first}, {stride});")
+            place, row = lane_steps.shifted(name, first), lane_steps.shifted(f"(real_t *){target}", first)
+            stores.append(f"lanes_store_block({place}, {row}, {stride});")
             element = first + width
         else:
             if element in stored:
-                stores.append(f"lanes_store({name}[{element}], (real_t *){target} + {element}, {stride});")
+                row = lane_steps.shifted(f"(real_t *){target}", element)
+                stores.append(f"lanes_store({name}[{element}], {row}, {stride});")
             element += 1
     return list(zeros), stores
 

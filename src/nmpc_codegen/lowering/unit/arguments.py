@@ -31,7 +31,8 @@ Places = Mapping[str, Sequence[int]]
 _CALL = re.compile(r"(?<![.\w])(?<!->)([A-Za-z_]\w*)\(")
 #: A number, a constant, or a number in the working precision.
 _NUMBER = re.compile(r"return (\d+|[A-Z]\w*|R\([\d.]+\));")
-_FACTOR = re.compile(r" \* R\(1\)(?=[;,)])")
+#: A factor or a term that changes nothing.
+_IDLE = re.compile(r" (?:\* R\(1\)|\+ 0)(?=[;,)\]])")
 _STATEMENT = re.compile(r"^ *(?:\(void\))?(\w+)\(", re.MULTILINE)
 
 
@@ -61,10 +62,11 @@ def drop_parameters(items: Sequence[Item], known: Constants) -> tuple[Item, ...]
 def put_in_numbers(items: Sequence[Item], _: Constants) -> tuple[Item, ...]:
     """Numbers in place of the functions without parameters that give them, unless a statement is their call."""
     given = {item.name: number for item in _free(items) if (number := _number(item.text))}
-    if given:
-        for body in _bodies(items):
-            for statement in _STATEMENT.finditer(body):
-                given.pop(statement[1], None)
+    for body in _bodies(items) if given else ():
+        for statement in _STATEMENT.finditer(body):
+            given.pop(statement[1], None)
+    if not given:
+        return tuple(items)
     return _change([item for item in items if item.name not in given], partial(_with_numbers, given=given))
 
 
@@ -100,7 +102,7 @@ def functions_without_effect(items: Sequence[Item]) -> frozenset[str]:
 
 def _free(items: Sequence[Item]) -> list[Item]:
     """The functions that may change: only functions of parts call them."""
-    fixed = {name for item in items if item.ready for name in item.calls}
+    fixed = {name for item in items if item.state == "ready" for name in item.calls}
     fixed |= {name for item in items if item.kind in ("table", "directive", "type") for name in item.reads}
     functions = (item for item in items if item.is_prunable)
     return [item for item in functions if item.name not in fixed and not item.is_entry]
@@ -133,12 +135,12 @@ def _without(items: Sequence[Item], places: Places, known: Constants) -> tuple[I
 
 def _change(items: Iterable[Item], change: Callable[[str], str]) -> tuple[Item, ...]:
     """Items with changed texts."""
-    return tuple(item if item.ready else item.with_text(change(item.text)) for item in items)
+    return tuple(item if item.state == "ready" else item.with_text(change(item.text)) for item in items)
 
 
 def _with_numbers(text: str, given: Mapping[str, str]) -> str:
-    """A text with numbers in place of calls of the functions that are these numbers; 1 is no factor."""
-    return _FACTOR.sub("", replace_calls(text, given, lambda name, _: given[name]))
+    """A text with numbers in place of calls of the functions that are these numbers; 1 is no factor, 0 no term."""
+    return _IDLE.sub("", replace_calls(text, given, lambda name, _: given[name]))
 
 
 def _with_calls(text: str, given: Mapping[str, str]) -> str:

@@ -63,7 +63,7 @@ def kernel_items(routines: Sequence[Routine], style: CStyle) -> list[Item]:
     texts = {"find_interval": read_part(SEARCH).rstrip()} if lookups else {}
     alone = (r for r in routines if not (isinstance(r, LoopedRoutine) and r.calls_parts))
     texts |= lookups | {routine.name: print_routine(routine, style) for routine in alone}
-    return [Item(name, "function", text, ready=True) for name, text in texts.items()]
+    return [Item(name, "function", text, state="ready") for name, text in texts.items()]
 
 
 def table_items(tables: Iterable[Table], style: CStyle) -> list[Item]:
@@ -91,7 +91,7 @@ def _elementary(module: CModule) -> list[Item]:
         return []
     title = f"/* ==== elementary functions {'=' * 79} */"
     items = items_of(read_part(MATH, sizes=module.sizes))
-    return [heading(title), *(replace(item, raw=False, ready=True) for item in items)]
+    return [heading(title), *(replace(item, state="ready") for item in items)]
 
 
 def _of_parts(module: CModule) -> Iterator[Item]:

@@ -12,7 +12,7 @@ import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import lru_cache
 
-from nmpc_codegen.lowering.dialect.constants import Constants, Fact
+from nmpc_codegen.lowering.dialect.constants import Constants
 from nmpc_codegen.lowering.dialect.expressions import Expression, expression, words
 from nmpc_codegen.lowering.dialect.scopes import (
     DECLARATION,
@@ -24,7 +24,6 @@ from nmpc_codegen.lowering.dialect.scopes import (
     pointers,
 )
 from nmpc_codegen.lowering.dialect.tree import Edit, Node, edit, margin, whole_lines, wrap_line
-from nmpc_codegen.lowering.unit.choices import choices, decide
 from nmpc_codegen.lowering.unit.values import of_known_value
 
 #: A loop over a variable of its own; the step of one that only counts.
@@ -55,9 +54,9 @@ def constants(text: str, function: Node, known: Constants) -> Iterator[Edit]:
                 yield from _of_loop(text, node, above, known)
             elif node.kind == "leave" and body[place + 1 :]:
                 yield Edit(node.end, body[-1].end, "")
-            yield from decide(text, node, known)
             above = node
-        if holder is function and body and text[body[-1].start : body[-1].end] == "return;":
+        end = {"function": "return;", "loop": "continue;"}.get(holder.kind)
+        if body and text[body[-1].start : body[-1].end] == end:
             yield Edit(*whole_lines(text, body[-1], None), "")
 
 
@@ -259,72 +258,19 @@ def known_values(text: str, function: Node, _: Constants) -> Iterator[Edit]:
 PASSES: Mapping[str, Pass] = {"constants": constants, "absent": absent, "unread": unread, "known": known_values}
 
 
-@lru_cache(maxsize=16384)
-def heads(text: str) -> tuple[frozenset[str], frozenset[str]]:
-    """Names on which the conditions of a function depend, and sizes of which they only ask whether they are 0."""
-    found: set[str] = set()
-    signs: set[str] = set()
-    mixed: set[str] = set()
-    for node in function_of(text).walk():
-        for start, choice, _ in choices(text, node):
-            found |= words(text[start + choice.start : start + choice.operands[0].end])
-        head = in_line(text[slice(*node.head)]) if node.kind in ("if", "loop") else ""
-        loop = _LOOP.match(head)
-        for atom in _ATOM.split(loop["condition"] if loop else head):
-            bare = _without_arguments(atom)
-            undecided = _VARIABLE.search(bare) and bare.count("(") == bare.count(")") and not _NOT.search(bare[1:])
-            bare = bare.strip(" !").removeprefix("(").strip(" !")
-            if loop:  # the first value of its variable
-                bare = re.sub(rf"\b{loop['variable']}\b", _without_arguments(loop["first"]), bare)
-            if sign := _SIGN.fullmatch(bare):
-                signs.add(sign[sign.lastindex or 0])
-            elif not _VARIABLE.search(bare):
-                found |= words(atom) | words(bare)
-            elif loop or not undecided:
-                mixed |= words(atom) | words(bare)
-    exact = found | (signs & mixed)
-    return frozenset(exact), frozenset(signs - exact)
-
-
-def _without_arguments(text: str) -> str:
-    """A text with $ for the brackets behind names: what they hold says nothing of what is known of the names."""
-    while (shorter := _ARGUMENTS.sub("$", text)) != text:
-        text = shorter
-    return text
-
-
-_NOT = re.compile(r"!(?!=)")
-_ATOM = re.compile(r"&&|\|\|")
-#: Arguments and indices of a name that may be known; a name that is none of a constant.
-_ARGUMENTS = re.compile(r"(?<=\w)(?:\([^()\[\]]*\)|\[[^()\[\]]*\])")
-_VARIABLE = re.compile(r"->|\.|\b[a-z]\w*\b(?!\$)")
-#: NAME, NAME > 0, 0 < NAME, NAME - 1 >= 0: conditions on the sign of a size.
-_SIGN = re.compile(r"([A-Z]\w*)(?: (?:>|==|!=) 0)?|0 < ([A-Z]\w*)|([A-Z]\w*) - 1 >= 0")
-
-
-@lru_cache(maxsize=16384)
 def simplify(text: str, known: Constants) -> str:
     """A function, with its comment, without what the package does not need.
 
     Raises:
         ValueError: it is not of the dialect, or a pass has left a name without its declaration.
     """
-    found = _simplify(text, known.facts(*heads(text), words(text)))
-    while found != text:  # a number in place of a variable may bring in other facts
-        text, found = found, _simplify(found, known.facts(*heads(found), words(found)))
-    return found
-
-
-@lru_cache(maxsize=16384)
-def _simplify(text: str, facts: frozenset[Fact]) -> str:
-    known, before = Constants.of(facts), free_names(text)
-    changed = True
+    before, changed = free_names(text), True
     while changed:
         changed = False
         for name, step in PASSES.items():
             while edits := list(step(text, function_of(text), known)):
                 text, changed = edit(text, edits), True
-                if lost := free_names(text) - before - {"void"}:
+                if lost := free_names(text) - before - {"void"} - known.sizes.keys():
                     raise ValueError(f"the pass {name!r} has left {sorted(lost)[0]} without its declaration")
     return _EMPTY.sub(r"\1", text)
 

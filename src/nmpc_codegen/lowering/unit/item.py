@@ -17,6 +17,8 @@ from nmpc_codegen.lowering.dialect.scopes import blank, free_names, in_line, nam
 #: what the header declares; macros are written by the compiler, the definitions of parts are directives.
 Kind = Literal["section", "heading", "alias", "macro", "directive", "type", "table", "enum", "prototype", "function"]
 
+State = Literal["raw", "simple", "changed", "ready"]
+
 #: Heads of functions that only this unit calls.
 _INNER = ("static ", "LANES_INLINE ", "PACK_INLINE ")
 _CALL = re.compile(r"(?<![.\w])(?<!->)[A-Za-z_]\w*(?=\()")
@@ -36,8 +38,8 @@ class Item:
         arguments: of a macro with arguments their names.
         apart: an empty line stands in front of it.
         note: what stands behind a macro.
-        raw: a function as a part has it, before any pass.
-        ready: a printed kernel or an elementary function, which no pass changes.
+        state: of a function: "raw" as a part has it, "simple" with nothing left to simplify, "changed" since then;
+            "ready" for a printed kernel and an elementary function, which no pass changes.
     """
 
     name: str
@@ -46,12 +48,13 @@ class Item:
     arguments: str | None = None
     apart: bool = True
     note: str = ""
-    raw: bool = False
-    ready: bool = False
+    state: State = "raw"
 
     def with_text(self, text: str) -> Item:
         """The item with another text."""
-        return self if text == self.text else replace(self, text=text)
+        if text == self.text:
+            return self
+        return replace(self, text=text, state="changed" if self.state == "simple" else self.state)
 
     @property
     def defines(self) -> frozenset[str]:
@@ -78,7 +81,7 @@ class Item:
     @property
     def is_prunable(self) -> bool:
         """True for a function of a part, which passes may change."""
-        return self.kind == "function" and not self.ready
+        return self.kind == "function" and self.state != "ready"
 
     @property
     def is_entry(self) -> bool:

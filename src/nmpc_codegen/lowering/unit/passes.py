@@ -24,7 +24,7 @@ from nmpc_codegen.lowering.unit.arguments import (
     put_in_numbers,
     unread_parameters,
 )
-from nmpc_codegen.lowering.unit.comments import without_entries, word_comments
+from nmpc_codegen.lowering.unit.comments import without_entries
 from nmpc_codegen.lowering.unit.item import Item
 from nmpc_codegen.lowering.unit.reach import keep_reached, reach, roots, simplified
 
@@ -38,29 +38,20 @@ Items = Sequence[Item]
 Pass = Callable[[Items, Constants], tuple[Item, ...]]
 
 
-def word(items: Items, known: Constants) -> tuple[Item, ...]:
-    """Comments with the phrases of what the package has."""
-
-    def worded(text: str) -> str:
-        return word_comments(text, known)
-
-    return tuple(replace(item, text=worded(item.text), note=worded(f"/* {item.note} */")[3:-3]) for item in items)
-
-
 def drop_zeros(items: Items, known: Constants) -> tuple[Item, ...]:
     """Sums without sizes that are 0."""
 
     def term(found: re.Match[str]) -> str:
         return "" if known.sizes.get(found[1]) == 0 else found[0]
 
-    return tuple(item if item.ready else item.with_text(_TERM.sub(term, item.text)) for item in items)
+    return tuple(item if item.state == "ready" else item.with_text(_TERM.sub(term, item.text)) for item in items)
 
 
 def drop_idle_calls(items: Items, known: Constants) -> tuple[Item, ...]:
     """Functions without calls of those that do nothing."""
     idle = functions_without_effect(items)
     more = replace(known, kernels=known.kernels | idle)
-    return tuple(simplified(item, more) for item in items) if idle else tuple(items)
+    return tuple(item if idle.isdisjoint(item.calls) else simplified(item, more) for item in items)
 
 
 def drop_entries(items: Items, _: Constants) -> tuple[Item, ...]:
@@ -128,7 +119,7 @@ REPEATED: tuple[Pass, ...] = (
     put_in_numbers,
     put_in_calls,
 )
-PIPELINE: tuple[Pass, ...] = (word, drop_zeros, *REPEATED, drop_entries, put_last, mark_unread)
+PIPELINE: tuple[Pass, ...] = (drop_zeros, *REPEATED, drop_entries, put_last, mark_unread)
 
 
 def run(

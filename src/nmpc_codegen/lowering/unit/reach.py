@@ -37,7 +37,7 @@ def roots(items: Sequence[Item]) -> list[int]:
 
 def keep_reached(items: Sequence[Item], known: Constants) -> tuple[Item, ...]:
     """The items that the interface reaches, and the headings above them."""
-    found = reach(items, roots(items), lambda item: simplified(item, known))
+    found = reach(items, roots(items), lambda item: item if item.state == "simple" else simplified(item, known))
     idle = _idle_headings(items, found.keys())
     return tuple(
         found.get(n, item)
@@ -51,9 +51,9 @@ def simplified(item: Item, known: Constants) -> Item:
     if not item.is_prunable:
         return item
     try:
-        if item.raw:
+        if item.state == "raw":
             check_names(item.text, known.ranges.keys() | known.sizes.keys())
-        return replace(item, text=simplify(item.text, known), raw=False)
+        return replace(item, text=simplify(item.text, known), state="simple")
     except ValueError as error:
         raise ValueError(f"{item.name}(): {error}") from error
 

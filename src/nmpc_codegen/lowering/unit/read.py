@@ -71,8 +71,7 @@ def _items(piece: str) -> tuple[Item, ...]:
     found = list(_declarations(before, parse(before)))
     if brace:
         name = name_of("function", in_line(head[start:]))
-        apart = _is_apart(piece[len(before) : start])
-        found.append(Item(name, "function", piece[start:], apart=apart, raw=True))
+        found.append(Item(name, "function", piece[start:], apart=_is_apart(piece[len(before) : start])))
     return tuple(found)
 
 
