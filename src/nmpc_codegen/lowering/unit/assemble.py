@@ -1,4 +1,4 @@
-"""CModule -> the items of its unit, in their order: short names, elementary functions, tables, kernels, parts.
+"""CModule -> the items of its unit, in their order: short names, tables, elementary functions, kernels, parts.
 
 All are there that some package may need; the passes leave out what this one does not.
 """
@@ -40,8 +40,9 @@ def assemble(module: CModule) -> tuple[Item, ...]:
     return (
         heading("/* Short names inside this translation unit. */"),
         *definitions(module),
-        *_elementary(module),
         *table_items(module.tables, style),
+        *_elementary(module),
+        section("kernels"),
         *kernel_items(module.routines, style),
         *_of_parts(module),
     )
@@ -89,9 +90,8 @@ def _elementary(module: CModule) -> list[Item]:
     """The elementary functions, if the package has its own; lanes need some of them as well."""
     if not (module.features.own_math or module.sizes["LANE_NODES"]):
         return []
-    title = f"/* ==== elementary functions {'=' * 79} */"
     items = items_of(read_part(MATH, sizes=module.sizes))
-    return [heading(title), *(replace(item, state="ready") for item in items)]
+    return [section("elementary functions"), *(replace(item, state="ready") for item in items)]
 
 
 def _of_parts(module: CModule) -> Iterator[Item]:

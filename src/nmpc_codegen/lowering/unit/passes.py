@@ -76,7 +76,7 @@ def put_last(items: Items, _: Constants) -> tuple[Item, ...]:
         late = _late(items, section, early.keys())
         for target, of in ((first, False), (last, True)):
             chosen = [n for n, is_late in late.items() if is_late is of or items[n].kind == "section"]
-            if any(items[n].kind != "section" for n in chosen) or not (of or any(late.values())):
+            if any(items[n].kind != "section" for n in chosen):
                 target += (items[n] for n in chosen)
     return (*first, *([Item("", "section", LAST_HEADING), *last] if last else []))
 
@@ -123,7 +123,7 @@ PIPELINE: tuple[Pass, ...] = (drop_zeros, *REPEATED, drop_entries, put_last, mar
 
 
 def run(
-    items: Items, known: Constants, watch: Callable[[Pass, Items, Items], None] = lambda step, before, after: None
+    items: Items, known: Constants, watch: Callable[[str, Items, Items], None] = lambda step, before, after: None
 ) -> tuple[Item, ...]:
     """The unit after the pipeline; ``watch`` is called after every pass that has changed it.
 
@@ -138,7 +138,7 @@ def run(
         after = step(unit, known)
         place += 1
         if after != unit:
-            watch(step, unit, after)
+            watch(step.__name__, unit, after)
             verify(step.__name__, after, items)
             unit, place = after, again if step in REPEATED else place
     return unit
