@@ -25,10 +25,10 @@ from nmpc_codegen.components.integrators import ButcherTableau
 from nmpc_codegen.lowering.dialect.constants import Constants
 from nmpc_codegen.lowering.unit.arguments import macros_that_act
 from nmpc_codegen.lowering.unit.item import Item
-from nmpc_codegen.lowering.unit.join import join
 from nmpc_codegen.lowering.unit.macros import macro
 from nmpc_codegen.lowering.unit.passes import run
 from nmpc_codegen.lowering.unit.read import items_of
+from nmpc_codegen.lowering.unit.text import text_of_unit
 from verification import quality
 
 #: N is a size; ROW drops its second argument; OUTER passes its arguments to ROW in turn.
@@ -48,7 +48,7 @@ KERNELS = (
 def kept(text: str, constants: Constants | None = None, known: tuple[Item, ...] = KNOWN) -> str:
     """The functions of a text, and what else is no macro, after the pipeline."""
     unit = run((*known, *items_of(text)), constants or Constants())
-    return join([item for item in unit if item.kind != "macro"], "", "p", ()).strip("\n")
+    return text_of_unit([item for item in unit if item.kind != "macro"], "", "p", ()).strip("\n")
 
 
 def left(text: str, known: tuple[Item, ...]) -> list[tuple[str, str | None, str]]:

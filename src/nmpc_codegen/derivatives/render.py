@@ -16,10 +16,10 @@ from nmpc_codegen.lowering.render import GCC_12, block_comment, member, prototyp
 from nmpc_codegen.lowering.templates import context, environment
 from nmpc_codegen.lowering.unit.assemble import INTERVALS, heading, kernel_items, print_intervals, table_items
 from nmpc_codegen.lowering.unit.item import Item
-from nmpc_codegen.lowering.unit.join import join, library_headers
 from nmpc_codegen.lowering.unit.macros import REAL_CONSTANT, alias, arithmetic, kernel_call, macro, short_names
 from nmpc_codegen.lowering.unit.passes import run
 from nmpc_codegen.lowering.unit.read import items_of, read_part
+from nmpc_codegen.lowering.unit.text import library_headers, text_of_unit
 from nmpc_codegen.package.features import KERNELS
 from nmpc_codegen.package.memory import Field, struct_layout
 from nmpc_codegen.package.status import Status
@@ -64,7 +64,7 @@ def render(model: DerivativeModel, name: str) -> dict[str, str]:
     names = _names(model, name)
     header = tidy(environment().get_template(f"{FOLDER}/header.h.jinja").render(names))
     items = run(_assemble(model, name, names), _constants(model))
-    names |= {"unit": join(items, header, name, structs(model)), "system_headers": library_headers(items)}
+    names |= {"unit": text_of_unit(items, header, name, structs(model)), "system_headers": library_headers(items)}
     files = {
         f"{name}.c": f"{FOLDER}/unit.c.jinja",
         "main.c": f"{FOLDER}/main.c.jinja",

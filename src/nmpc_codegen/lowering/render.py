@@ -12,7 +12,7 @@ from nmpc_codegen.ir.cmodule import CModule, Macro
 from nmpc_codegen.lowering.dialect.directives import resolve
 from nmpc_codegen.lowering.templates import context, environment
 from nmpc_codegen.lowering.unit.item import Item
-from nmpc_codegen.lowering.unit.join import join, library_headers
+from nmpc_codegen.lowering.unit.text import library_headers, text_of_unit
 from nmpc_codegen.package.estimation import WORDS
 from nmpc_codegen.package.memory import PURPOSES, WORK, Field, Size, Struct
 from nmpc_codegen.package.seal import seal
@@ -48,7 +48,7 @@ def render(module: CModule, items: Sequence[Item]) -> Sources:
         "spelling": _spelling(module),
         "magic": module.value("MAGIC"),
         "system_headers": included,
-        "unit": join(items, header, module.name, module.structs),
+        "unit": text_of_unit(items, header, module.name, module.structs),
     }
     sources = {f"{module.name}.h": header}
     sources |= {path: tidy(environment().get_template(t).render(names)) for path, t in files.items()}

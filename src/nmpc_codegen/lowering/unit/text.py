@@ -15,7 +15,7 @@ _LIBRARY: Mapping[str, str] = {"immintrin.h": "_mm512_", "math.h": "", "stddef.h
 _BEFORE_TABLES = ("alias", "macro", "directive", "function")
 
 
-def join(items: Sequence[Item], header: str, name: str, structs: Iterable[Struct]) -> str:
+def text_of_unit(items: Sequence[Item], header: str, name: str, structs: Iterable[Struct]) -> str:
     """The text of the items, whose names differ from those that the header of the package ``name`` declares."""
     inner = frozenset().union(*(item.words for item in items))
     members = {member.name for struct in structs for member in struct.fields}
