@@ -1,12 +1,12 @@
 """The compiler on one screen.
 
-    OCP --classify--> Problem --linearize--> Model --lower--> CModule --render--> Sources --build--> Controller
-    (user, mutable)  (frozen: what)  (frozen: functions, counts)  (frozen: C names)  (path -> text)  (NumPy views)
+    OCP --classify--> Problem --linearize--> Model --lower--> CModule --assemble, run--> items --render--> Sources
+    (user, mutable)  (frozen: what)  (functions, counts)  (C names)  (the translation unit)          (path -> text)
 
-Every stage is a pure function from frozen values to a frozen value, and none looks back; only OCP and Controller, at
-the ends, are mutable. CasADi is used up to linearize, jinja2 only in render, and cffi only in build. What follows from
-the text, the worst case of a sample, is an analysis of Sources that is made on request (analysis/). What users are told
-of a package, warnings and the program for diagnose(), is added to a CModule by explain().
+Sources --build--> Controller (NumPy views). Every stage is a pure function from frozen values to a frozen value, and
+none looks back; only OCP and Controller, at the ends, are mutable. CasADi is used up to linearize, cffi only in build.
+What follows from the text, the worst case of a sample, is an analysis of Sources that is made on request (analysis/).
+What users are told of a package, warnings and the program for diagnose(), is added to a CModule by explain().
 """
 
 from __future__ import annotations
@@ -62,16 +62,21 @@ class Package:
 
 
 def compile(ocp: OCP | Estimator, options: Options | None = None, name: str | None = None) -> Sources:
-    """The files of the C package: OCP -> Problem -> Model -> CModule -> Sources. It raises the errors of generate()."""
+    """The files of the C package: OCP -> Problem -> Model -> CModule -> items -> Sources.
+
+    It raises the errors of generate().
+    """
     with COMPILING:
         model = linearize(*read(ocp, options))
-        return text_of(explain(lower(model, name), model))
+        module = explain(lower(model, name), model)
+        return text_of(module)
 
 
 def text_of(module: CModule) -> Sources:
-    """CModule -> items -> Sources; a whole package keeps all items."""
+    """The files of a CModule; a whole package keeps all items."""
     items = assemble(module)
-    return render(module, items if module.whole else run(items, constants_of(module)))
+    unit = items if module.whole else run(items, constants_of(module))
+    return render(module, unit)
 
 
 def read(ocp: OCP | Estimator, options: Options | None) -> tuple[Problem, Options | None]:

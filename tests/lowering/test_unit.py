@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -26,7 +28,7 @@ from nmpc_codegen.lowering.dialect.constants import Constants
 from nmpc_codegen.lowering.unit.arguments import macros_that_act
 from nmpc_codegen.lowering.unit.item import Item
 from nmpc_codegen.lowering.unit.macros import macro
-from nmpc_codegen.lowering.unit.passes import run
+from nmpc_codegen.lowering.unit.passes import run, verify
 from nmpc_codegen.lowering.unit.read import items_of
 from nmpc_codegen.lowering.unit.text import text_of_unit
 from verification import quality
@@ -196,6 +198,16 @@ def test_macros_that_call_through_others() -> None:
     assert macros_that_act([*(macro(name, text, "s") for name, text in texts.items()), macro("E", "f(1)")]) == set(
         "ABC"
     )
+
+
+def test_a_pass_that_loses_a_definition_is_found_out() -> None:
+    """A function, a macro and a type that something still reads; what nothing reads may go."""
+    text = "static int g(int n)\n{\n    return n + N;\n}\n\n" + function("out[0] = g(1);")
+    before = (*KNOWN, *items_of(text))
+    for name, reader in (("g", "API(f)"), ("N", "ROW")):
+        with pytest.raises(ValueError, match=rf"drop has left {name}, which {re.escape(reader)} reads, without its"):
+            verify("drop", [item for item in before if item.name != name], before)
+    verify("drop", [item for item in before if item.name != "KERNEL"], before)
 
 
 def test_layout_stays() -> None:

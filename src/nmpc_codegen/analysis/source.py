@@ -1,6 +1,6 @@
 """A translation unit as data: functions, macros, sizes and tables of its C text, and what its names mean.
 
-Functions are parsed by the reader of C parts (lowering/pruning), one by one and on demand.
+Functions are parsed by the reader of C parts (lowering/dialect), one by one and on demand.
 """
 
 from __future__ import annotations
