@@ -9,6 +9,15 @@ static inline int nz_at(int k)
     return (k < N) ? NZ : NX;
 }
 
+/* The first component of (x, u) that may be idle. */
+static inline int first_idle(void)
+{
+    if (IDLE_STATES) {
+        return 0;
+    }
+    return NX;
+}
+
 /* A size that was found in data, or the scale where that is a zero. */
 static inline real_t size_or(real_t size, real_t scale)
 {

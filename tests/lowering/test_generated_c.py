@@ -267,7 +267,7 @@ def test_functions_fit_a_screen(name: str) -> None:
     """At most about 40 lines each, without printed kernels and stage products."""
     source = problems.sources(name)[f"{quality.package_name(problems.sources(name))}.c"]
     written = source[source.index("/* Rows (constraints other than the control bounds)") :]
-    written = re.sub(r"/\* ==== (?:stage products|solve\(\)).*?(?=/\* ==== )", "", written, flags=re.DOTALL)
+    written = re.sub(r"/\* ==== (?:kernels|stage products|solve\(\)).*?(?=/\* ==== )", "", written, flags=re.DOTALL)
     found = re.findall(r"^(\w[^;{}]*\))\n\{\n(.*?)^\}$", written, flags=re.DOTALL | re.MULTILINE)
     assert len(found) > 50
     assert [(head, body.count("\n")) for head, body in found if body.count("\n") > 45] == []

@@ -8,7 +8,7 @@ from nmpc_codegen.lowering.dialect.constants import Constants
 from nmpc_codegen.lowering.dialect.expressions import expression
 from nmpc_codegen.lowering.dialect.scopes import free_names
 from nmpc_codegen.lowering.unit.item import Item
-from nmpc_codegen.lowering.unit.reach import simplified
+from nmpc_codegen.lowering.unit.reach import simplify_item
 
 CONSTANTS = Constants(
     sizes={"NG": 0, "NE": 2, "N": 5, "NU": 1, "SOFT": 0, "HARD": 1},
@@ -28,7 +28,7 @@ def function(*block: str) -> str:
 def left(*block: str) -> list[str]:
     """The lines of a function after the passes."""
     item = Item("f", "function", function(*block))
-    lines = simplified(item, CONSTANTS).text.split("\n")
+    lines = simplify_item(item, CONSTANTS).text.split("\n")
     assert lines[:2] == [HEAD, "{"]
     assert lines[-1] == "}"
     return [line.removeprefix("    ") for line in lines[2:-1]]

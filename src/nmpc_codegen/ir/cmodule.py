@@ -168,11 +168,6 @@ class CModule:
         return (*vectors.values(), *self.products.panels.values())
 
     @property
-    def core_products(self) -> tuple[str, ...]:
-        """The generated file of the stage products, if the algorithm uses them."""
-        return ("generated/products.c",) if self.features.products else ()
-
-    @property
     def stage_parts(self) -> tuple[str, ...]:
         """The title of the part that functions of an interval call, if they call one."""
         called = any(isinstance(r, LoopedRoutine) and r.calls_parts for r in self.routines)

@@ -64,9 +64,8 @@ def _names(module: CModule) -> dict[str, Any]:
         "version": __version__,
         "member": lambda field: member(field, module.name, module.public),
         "by_purpose": _by_purpose,
-        "comment": lambda text: block_comment(text),
+        "comment": block_comment,
         "prototype": lambda entry: prototype(entry, module.name, SOLVER),
-        "macros": module.public,
         "statuses": {status: status.text for status in module.statuses},
         "structs": module.structs,
         "precision": module.precision,
@@ -100,7 +99,7 @@ def _of_estimator(module: CModule, names: Mapping[str, Any]) -> dict[str, Any]:
 
 def _resolve(text: str, module: CModule) -> str:
     """The text with the branches of `#if` that the package has; a whole package leaves them to the compiler."""
-    return (text if module.decided is None else resolve(text, module.decided)).rstrip()
+    return resolve(text, module.decided).rstrip()
 
 
 def _guard(name: str, target: Target) -> str:

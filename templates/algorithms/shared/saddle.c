@@ -6,15 +6,6 @@
  *
  * and the plan goes as far towards them as lowers its cost. */
 
-/* The first component of (x, u) that may be idle. */
-static inline int first_idle(void)
-{
-    if (IDLE_STATES) {
-        return 0;
-    }
-    return NX;
-}
-
 #if HAS_QP
 /* Returns 1 if component i of (x, u) at node k moves next to nothing else, by the last linearisation. */
 static int is_idle(const solver_t *s, int k, int i)

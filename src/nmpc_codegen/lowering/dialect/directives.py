@@ -11,12 +11,14 @@ from nmpc_codegen.lowering.dialect.scopes import blank
 from nmpc_codegen.lowering.dialect.tree import Edit, Node, edit, parse
 
 
-def resolve(text: str, sizes: Mapping[str, int]) -> str:
-    """The text with the branches of `#if` that hold, as a compiler sees it.
+def resolve(text: str, sizes: Mapping[str, int] | None) -> str:
+    """The text with the branches of `#if` that hold, as a compiler sees it; None: they are left to the compiler.
 
     Raises:
         ValueError: the text is not of the dialect; a condition is no integer expression, or a name in it has no value.
     """
+    if sizes is None:
+        return text
     return _resolve(text, frozenset((name, sizes[name]) for name in _names(text) if name in sizes))
 
 

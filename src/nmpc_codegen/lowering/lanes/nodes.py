@@ -132,28 +132,28 @@ def _lane_features(module: CModule) -> Features:
     )
 
 
-def lane_functions(module: CModule, style: CStyle) -> str:
+def lane_functions(module: CModule) -> str:
     """The elementary functions that the kernels call."""
     found = lane_routines(module)
-    return "" if found is None else in_lanes(called_functions(found.printed), module.sizes, style)
+    return "" if found is None else in_lanes(called_functions(found.printed), module.sizes, module.style)
 
 
-def lane_kernels(module: CModule, style: CStyle) -> str:
+def lane_kernels(module: CModule) -> str:
     """Functions of math.h lane by lane, and the kernels in lanes."""
-    lanes, found = style.on_vectors, lane_routines(module)
+    style, found = module.style, lane_routines(module)
     if found is None:
         return ""
     arity = {o.function: 2 if "{1}" in o.c else 1 for o in OPERATIONS.values() if o.function}
     others = sorted(called_functions(found.printed) - own_names(MATH_IN_LANES) - {"sqrt"})
     texts = [_one_by_one(name, arity[name], style) for name in others]
     texts += [_one_by_one(lookup.function, 1, style) for lookup in called_lookups(found.printed)]
-    texts += [print_routine(_rename_routine(r), lanes) for r in found.printed]
+    texts += [print_routine(_rename_routine(r), style.on_vectors) for r in found.printed]
     if found.one_step is not None:
         texts.append(lane_steps.product(found.one_step))
     return "\n\n".join(texts)
 
 
-def lane_nodes(module: CModule, style: CStyle) -> str:
+def lane_nodes(module: CModule) -> str:
     """linearize_group(s, k): the nodes k .. k + VECTOR_LANES - 1.
 
     Results are collected in the order of the members of a node, so that blocks of several members are stored at once.
@@ -166,7 +166,7 @@ def lane_nodes(module: CModule, style: CStyle) -> str:
     width = module.features.vector_lanes
     written = [(r, p) for r in found.routines for p in r.writes]
     stored = {offsets[p.name] + e for r, p in written if p.name in offsets for e in _stored_elements(r, p)}
-    places = {p.name: lane_steps.shifted("node", offsets[p.name]) for _, p in written if p.name in offsets}
+    places = {p.name: lane_steps.offset("node", offsets[p.name]) for _, p in written if p.name in offsets}
     zeros, stores = _scatter("node", stored, total, width, "&s->node[k]", "NODE_STRIDE")
     declared = [*(f"{p.name}[{p.size}]" for p in inputs.values()), f"node[{total}]"]
     for r, p in ((r, p) for r, p in written if p.name not in offsets):
@@ -194,7 +194,7 @@ def lane_nodes(module: CModule, style: CStyle) -> str:
     return "\n".join([head, "static void linearize_group(solver_t *s, int k)", "{", *(f"    {n}" for n in lines), "}"])
 
 
-def lane_shift(module: CModule, style: CStyle) -> str:
+def lane_shift(module: CModule) -> str:
     """integrate_lanes(s, k, n, last): the nodes k .. k + VECTOR_LANES - 1 of the resampled plan."""
     found = lane_routines(module)
     if found is None or found.shift is None:
@@ -250,7 +250,7 @@ def lane_shift(module: CModule, style: CStyle) -> str:
     return "\n".join(lines)
 
 
-def lane_transpose(module: CModule, style: CStyle) -> str:
+def lane_transpose(module: CModule) -> str:
     """Transposition of a block."""
     return transpose(module.features.vector_lanes)
 
@@ -285,7 +285,7 @@ def transpose(width: int) -> str:
 
 
 #: Path of an include -> its text.
-GENERATED: Mapping[str, Callable[[CModule, CStyle], str]] = {
+GENERATED: Mapping[str, Callable[[CModule], str]] = {
     "generated/lane_transpose.c": lane_transpose,
     "generated/lane_functions.c": lane_functions,
     "generated/lane_kernels.c": lane_kernels,
@@ -343,12 +343,12 @@ def _scatter(
         block = range(first, first + width)
         if first >= 0 and sum(e in stored for e in block if e >= element) >= LEAST_IN_BLOCK:
             zeros |= {f"{name}[{e}] = zero;": None for e in block if e not in stored}
-            place, row = lane_steps.shifted(name, first), lane_steps.shifted(f"(real_t *){target}", first)
+            place, row = lane_steps.offset(name, first), lane_steps.offset(f"(real_t *){target}", first)
             stores.append(f"lanes_store_block({place}, {row}, {stride});")
             element = first + width
         else:
             if element in stored:
-                row = lane_steps.shifted(f"(real_t *){target}", element)
+                row = lane_steps.offset(f"(real_t *){target}", element)
                 stores.append(f"lanes_store({name}[{element}], {row}, {stride});")
             element += 1
     return list(zeros), stores

@@ -68,7 +68,7 @@ def product(kernel: Kernel) -> str:
     return "\n\n".join([*texts, "\n".join(lines)])
 
 
-def shifted(place: str, n: int) -> str:
+def offset(place: str, n: int) -> str:
     """The place that is n numbers behind another one."""
     return f"{place} + {n}" if n else place
 
@@ -155,7 +155,7 @@ def _tile(rows: int, columns: int, inner: Sequence[tuple[int, int]], nz: int) ->
     ]
     for first, last in inner:
         lines.append(f"    for (int l = {first}; l < {last}; l++) {{")
-        lines += _declare("const lanes_t", (f"b{j} = S[{shifted(f'l * {nz}', j)}]" for j in range(columns)), 2 * INDENT)
+        lines += _declare("const lanes_t", (f"b{j} = S[{offset(f'l * {nz}', j)}]" for j in range(columns)), 2 * INDENT)
         for i, row in enumerate(sums):
             lines.append(f"        const lanes_t a{i} = A[{i * nz} + l];")
             lines += [f"        {name} += a{i} * b{j};" for j, name in enumerate(row)]

@@ -28,15 +28,11 @@ if __name__ == "__main__":
     given = parser.parse_args()
     names = runpy.run_path(given.file)
     module = lower(linearize(classify(names["build_ocp"]()), names.get("options", Options)()))
-    show("as the parts have it", assemble(module), given.item)
+    items = assemble(module)
+    show("as the parts have it", items, given.item)
 
     def watch(step: str, before: Items, after: Items) -> None:
         known = {(item.text, item.arguments) for item in before}
         show(f"after {step}", [i for i in after if (i.text, i.arguments) not in known], given.item)
-        if defines(before) and not defines(after):
-            print(f"-- {step} has left it out")
 
-    def defines(items: Items) -> bool:
-        return any(given.item in item.defines or f"API({given.item})" in item.defines for item in items)
-
-    run(assemble(module), constants_of(module), watch)
+    run(items, constants_of(module), watch)

@@ -47,7 +47,7 @@ def drop_arguments_of_macros(items: Sequence[Item], known: Constants) -> tuple[I
 
 
 def drop_parameters(items: Sequence[Item], known: Constants) -> tuple[Item, ...]:
-    """Functions of this unit without the parameters that they do not read; those stay where an argument acts."""
+    """Functions of this unit without unread parameters. One stays if the argument of a call has effects."""
     found = {item.name: tuple(place for place, _ in unread_parameters(item.text)) for item in _free(items)}
     found = {name: places for name, places in found.items() if places}
     for text in _bodies(items):
@@ -60,7 +60,7 @@ def drop_parameters(items: Sequence[Item], known: Constants) -> tuple[Item, ...]
 
 
 def put_in_numbers(items: Sequence[Item], _: Constants) -> tuple[Item, ...]:
-    """Numbers in place of the functions without parameters that give them, unless a statement is their call."""
+    """Numbers in place of calls of functions that only return a number, unless the call is a statement."""
     given = {item.name: number for item in _free(items) if (number := _number(item.text))}
     for body in _bodies(items) if given else ():
         for statement in _STATEMENT.finditer(body):
@@ -80,6 +80,7 @@ def put_in_calls(items: Sequence[Item], _: Constants) -> tuple[Item, ...]:
 def macros_that_act(items: Iterable[Item]) -> frozenset[str]:
     """Macros that call functions or assign, themselves or through others."""
     texts = {item.name: item.text for item in items if item.kind == "macro" and item.arguments}
+    texts |= {name: text for i in items if i.kind == "directive" for name, text in _DEFINITION.findall(blank(i.text))}
     found = {name for name, text in texts.items() if _CALLED.search(text) or _ASSIGNS.search(text)}
     while more := {name for name, text in texts.items() if not found.isdisjoint(names_in_code(text))} - found:
         found |= more
@@ -88,6 +89,8 @@ def macros_that_act(items: Iterable[Item]) -> frozenset[str]:
 
 _ASSIGNS = re.compile(r"\+\+|--|(?<![=!<>])=(?!=)")
 _CALLED = re.compile(r"\b[a-z]\w*(?=\()")
+_DEFINITION = re.compile(r"^#define (\w+)\([^)]*\)((?:[^\\\n]|\\.)*)", re.MULTILINE | re.DOTALL)
+_POINTER = re.compile(r"[*\[]")
 
 
 def pure_functions(items: Iterable[Item]) -> frozenset[str]:
@@ -104,6 +107,7 @@ def _free(items: Sequence[Item]) -> list[Item]:
     """The functions that may change: only functions of parts call them."""
     fixed = {name for item in items if item.state == "ready" for name in item.calls}
     fixed |= {name for item in items if item.kind in ("table", "directive", "type") for name in item.reads}
+    fixed = fixed.union(*(item.reads - item.calls for item in items))  # passed as values
     functions = (item for item in items if item.is_prunable)
     return [item for item in functions if item.name not in fixed and not item.is_entry]
 
@@ -160,7 +164,7 @@ def _synonyms(items: Iterable[Item]) -> dict[str, str]:
 
 
 def calls(names: Collection[str], code: str) -> Iterator[tuple[str, int]]:
-    """Name of these macros and functions, and the place behind its bracket, of every call; inner calls come first."""
+    """(name, place behind the opening bracket) of every call of these names, the last call first."""
     for found in reversed(list(_CALL.finditer(code))):
         if found[1] in names:
             yield found[1], found.end()
@@ -225,7 +229,7 @@ def _is_pure(text: str) -> bool:
     """True for a function with a value whose pointers are to constants: it changes nothing, as there are no globals."""
     before, _, after = in_line(blank(text).partition("\n{\n")[0]).partition("(")
     parameters = split(after.rpartition(")")[0])
-    return " void " not in before and all("*" not in p or p.strip().startswith("const ") for p in parameters)
+    return " void " not in before and all(not _POINTER.search(p) or p.strip().startswith("const ") for p in parameters)
 
 
 @lru_cache(maxsize=16384)

@@ -96,10 +96,10 @@ def _elementary(module: CModule) -> list[Item]:
 
 def _of_parts(module: CModule) -> Iterator[Item]:
     """The items of the parts and of what they include, with the calls of hooks."""
-    style, extras = module.style, module.extras
+    extras = module.extras
 
     def generate(path: str) -> str:
-        return GENERATED[path](module, style)
+        return GENERATED[path](module)
 
     def part(path: str) -> Iterator[Item]:
         for item in _items(read_part(path, generate, module.decided), module):
@@ -113,7 +113,7 @@ def _of_parts(module: CModule) -> Iterator[Item]:
         yield from part(path)
     if module.features.products:
         yield section("stage products")
-        yield from _items(products(module, style), module)
+        yield from _items(products(module), module)
     for found in module.sections:
         yield section(found.title)
         yield from part(found.template)
@@ -124,7 +124,7 @@ def _of_parts(module: CModule) -> Iterator[Item]:
 
 
 def _items(text: str, module: CModule) -> tuple[Item, ...]:
-    """The items of a text; that of a whole package, whose `#if` the compiler resolves, is one."""
+    """The items of a text. In a whole package it is one item, as the compiler resolves its `#if`."""
     return (Item("", "directive", text.rstrip("\n")),) if module.whole else items_of(text)
 
 
@@ -136,7 +136,7 @@ def _interface(module: CModule) -> str:
         "copies": lambda option: _copies(layouts[option], option in ("reference", "weight")),
     }
     text = environment().get_template("package/api.c.jinja").render(names)
-    return text if module.decided is None else resolve(text, module.decided)
+    return resolve(text, module.decided)
 
 
 def _copies(layout: Layout, path_only: bool) -> str:
@@ -147,7 +147,7 @@ def _copies(layout: Layout, path_only: bool) -> str:
 
 
 def _with_states(item: Item, module: CModule) -> Item:
-    """Without states behind the measured ones, the number of both is NX."""
+    """NXHAT becomes NX if the user's states are all states."""
     if module.features.inner or "NXHAT" not in item.words:
         return item
     return replace(item, text=rename(item.text, {"NXHAT": "NX"}))
@@ -166,7 +166,7 @@ def constants_of(module: CModule) -> Constants:
 # -- parts that are generated ------------------------------------------------------------------------------------------
 
 
-def products(module: CModule, style: CStyle) -> str:
+def products(module: CModule) -> str:
     """The products with a vector that the package calls, after the tables that the loops of all products read."""
     routines = module.products.called_vectors(module.features).values()
     heading = (
@@ -174,7 +174,7 @@ def products(module: CModule, style: CStyle) -> str:
         + ("written out over the structural nonzeros." if module.products.written_out else "dense loops.")
         + " */"
     )
-    called = [print_routine(r, style) for r in routines]
+    called = [print_routine(r, module.style) for r in routines]
     read = {name: of for name, of in module.products.tables.items() if any(f"{name}[" in text for text in called)}
     tables = _tables(read)
     if tables:
@@ -182,13 +182,13 @@ def products(module: CModule, style: CStyle) -> str:
     return _paragraphs(heading, tables, *called)
 
 
-def product_columns(module: CModule, style: CStyle) -> str:
+def product_columns(module: CModule) -> str:
     """The products with a panel of columns of G_k."""
-    routines = (print_routine(r, style) for r in module.products.panels.values())
+    routines = (print_routine(r, module.style) for r in module.products.panels.values())
     return _paragraphs("/* Products with a panel of columns of G_k. */", *routines)
 
 
-def hessian_blocks(module: CModule, style: CStyle) -> str:
+def hessian_blocks(module: CModule) -> str:
     """Irreducible blocks of Q and Q_N: a table of the rows of all blocks, and of where each block begins in it."""
     blocks = {"Q": module.products.Q_blocks, "Q_N": module.products.Q_N_blocks}
     numbers = ", ".join(f"{name}_BLOCKS = {len(found)}" for name, found in blocks.items())
@@ -215,23 +215,23 @@ def _paragraphs(*texts: str) -> str:
     return "\n\n".join(text for text in texts if text) + "\n"
 
 
-def _rows(module: CModule, style: CStyle) -> str:
+def _rows(module: CModule) -> str:
     return environment().get_template("core/rows.c.jinja").render(row_functions(module))
 
 
-def _extras(module: CModule, style: CStyle) -> str:
+def _extras(module: CModule) -> str:
     """The files of the extras."""
     return "\n\n".join(read_part(part, sizes=module.decided).rstrip("\n") for part in module.extras) + "\n"
 
 
 #: Path of an include -> its text.
-GENERATED: Mapping[str, Callable[[CModule, CStyle], str]] = {
+GENERATED: Mapping[str, Callable[[CModule], str]] = {
     "generated/rows.c": _rows,
-    "generated/intervals.c": lambda module, style: print_intervals(module.routines, style),
+    "generated/intervals.c": lambda module: print_intervals(module.routines, module.style),
     "generated/products.c": products,
     "generated/product_columns.c": product_columns,
     "generated/hessian_blocks.c": hessian_blocks,
-    "generated/hooks.c": lambda module, style: hook_prototypes(module.extras),
+    "generated/hooks.c": lambda module: hook_prototypes(module.extras),
     "generated/extras.c": _extras,
     **IN_LANES,
 }

@@ -1,4 +1,4 @@
-"""Hooks of an algorithm: a call for every extra that defines the function of a hook; without one, none."""
+"""Hooks of an algorithm: each call becomes a call of every extra that defines the hook."""
 
 from __future__ import annotations
 
@@ -75,4 +75,7 @@ def _with_hooks(text: str, extras: tuple[str, ...]) -> str:
         before = margin(text, node)
         lines = [f"{before}{call['before']}{name}{call['arguments']}\n" for name in names]
         edits.append(Edit(node.start - len(before), node.end + 1, "".join(lines)))
-    return edit(text, edits)
+    done = edit(text, edits)
+    if left := sorted(calls(done) & _NAMES):
+        raise ValueError(f"{left[0]}(): expected the call of a hook as a statement, its result assigned or not used")
+    return done

@@ -11,7 +11,7 @@ from functools import lru_cache
 from typing import Literal
 
 from nmpc_codegen.lowering.dialect.expressions import words
-from nmpc_codegen.lowering.dialect.scopes import blank, free_names, in_line, names_in_code, signature
+from nmpc_codegen.lowering.dialect.scopes import blank, free_names, in_line, names_in_code, signature, split
 
 #: A section is the heading of a part of the unit, a heading a comment that stands alone. An alias is a short name of
 #: what the header declares; macros are written by the compiler, the definitions of parts are directives.
@@ -19,12 +19,14 @@ Kind = Literal["section", "heading", "alias", "macro", "directive", "type", "tab
 
 State = Literal["raw", "simple", "changed", "ready"]
 
-#: Heads of functions that only this unit calls.
-_INNER = ("static ", "LANES_INLINE ", "PACK_INLINE ")
+#: Words in heads of functions that only this unit calls.
+_INNER = frozenset(("static", "LANES_INLINE", "PACK_INLINE"))
+_ATTRIBUTE = re.compile(r" ?__attribute__\(\((?:[^()]|\((?:[^()]|\([^()]*\))*\))*\)\)")
 _CALL = re.compile(r"(?<![.\w])(?<!->)[A-Za-z_]\w*(?=\()")
 _DEFINED = re.compile(r"^#define (\w+)", re.MULTILINE)
-_TYPE = re.compile(r"(?:\} |^typedef \w+ )(\w+)")
-_TABLE = re.compile(r"(\w+)(?:\[[^\]]*\])+(?:\)\([^)]*\))? =")
+#: The name of a type, and that of a table in front of its values.
+_TYPE = re.compile(r"\(\*(\w+)\)\(|(\w+)(?:\[\w*\])*;$|^struct (\w+)")
+_TABLE = re.compile(r"(\w+)(?:\[[^\]]*\])*(?:\)\([^)]*\))?$")
 
 
 @dataclass(frozen=True)
@@ -34,12 +36,12 @@ class Item:
     Attributes:
         name: what it defines, if that is one thing; API(f) for a function f of the interface.
         kind: see Kind.
-        text: C text with the comment above it; of an alias and a macro the text in its place.
+        text: C text with the comment above it; for an alias or a macro what the name stands for.
         arguments: of a macro with arguments their names.
-        apart: an empty line stands in front of it.
-        note: what stands behind a macro.
-        state: of a function: "raw" as a part has it, "simple" with nothing left to simplify, "changed" since then;
-            "ready" for a printed kernel and an elementary function, which no pass changes.
+        apart: an empty line is printed before it.
+        note: a comment that is printed behind a macro or an alias.
+        state: of a function. raw: as the part has it; simple: simplified; changed: edited since then; ready: no pass
+            changes it, as it is a printed kernel or an elementary function.
     """
 
     name: str
@@ -86,18 +88,20 @@ class Item:
     @property
     def is_entry(self) -> bool:
         """True for a function, or its prototype, that other units call."""
-        return self.kind in ("function", "prototype") and not in_line(self.text).startswith(_INNER)
+        head = _ATTRIBUTE.sub("", in_line(self.text)).partition("(")[0]
+        return self.kind in ("function", "prototype") and _INNER.isdisjoint(head.split())
 
 
 @lru_cache(maxsize=16384)
 def _defines(kind: Kind, name: str, text: str) -> frozenset[str]:
     code = blank(text)
+    found = {name} if name else set()
     if kind == "directive":
-        return frozenset(_DEFINED.findall(code))
-    if kind == "enum":
+        found.update(_DEFINED.findall(code))
+    if kind in ("enum", "type") and "enum" in code:
         inside = code[code.index("{") + 1 : code.rindex("}")]
-        return frozenset(part.partition("=")[0].strip() for part in inside.split(","))
-    return frozenset((name,) if name else ())
+        found.update(part.partition("=")[0].strip() for part in split(inside) if part.strip())
+    return frozenset(found)
 
 
 @lru_cache(maxsize=16384)
@@ -106,15 +110,22 @@ def calls(text: str) -> frozenset[str]:
     return frozenset(_CALL.findall(blank(text)))
 
 
-@lru_cache(maxsize=16384)
 def _words(text: str) -> frozenset[str]:
     return words(blank(text))
 
 
-def name_of(kind: Kind, code: str) -> str:
-    """The name of an item with this code."""
+def name_of(kind: Kind, text: str) -> str:
+    """The name of an item with this text.
+
+    Raises:
+        ValueError: it has none.
+    """
+    code = _ATTRIBUTE.sub("", in_line(text))
     if kind in ("function", "prototype"):
         return signature(code)[0]
-    pattern = {"type": _TYPE, "table": _TABLE}.get(kind)
-    found = pattern.findall(code) if pattern else ()
-    return found[-1] if found else ""
+    if kind not in ("type", "table"):
+        return ""
+    found = _TYPE.search(code) if kind == "type" else _TABLE.search(code.partition("=")[0].rstrip(" ;"))
+    if found is None:
+        raise ValueError(f"{code[:60]!r}: expected a function with braces in lines of their own, a table or a type")
+    return str(next(filter(None, found.groups())))

@@ -22,7 +22,7 @@ STANDARD = frozenset({"int32_t"})
 def renamed_words(inner: Collection[str], header: str, name: str, members: Collection[str] = ()) -> Mapping[str, str]:
     """Inner name -> new name, for those of ``inner`` that the header of the package ``name`` declares.
 
-    ``members``: words of the header that belong to its structs alone.
+    ``members``: names of members of structs, which are not renamed.
     """
     prefixes = (f"{name}_", f"{name.upper()}_")
     declared = {w for w in words(blank(header)) if w.startswith(prefixes)} - set(members) - STANDARD

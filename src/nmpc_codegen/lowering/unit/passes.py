@@ -10,7 +10,6 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
-from functools import lru_cache
 
 from nmpc_codegen.lowering.dialect.constants import Constants
 from nmpc_codegen.lowering.dialect.scopes import function_of
@@ -24,11 +23,11 @@ from nmpc_codegen.lowering.unit.arguments import (
     put_in_numbers,
     unread_parameters,
 )
-from nmpc_codegen.lowering.unit.comments import without_entries
+from nmpc_codegen.lowering.unit.contracts import without_entries
 from nmpc_codegen.lowering.unit.item import Item
-from nmpc_codegen.lowering.unit.reach import keep_reached, reach, roots, simplified
+from nmpc_codegen.lowering.unit.reach import keep_reached, reach, roots, simplify_item
 
-#: The entry point that what only it calls stands in front of, in the last part of a unit, and the heading of that part.
+#: The last part of a unit holds what only this entry point calls, under this heading.
 LAST = "API(solve)"
 LAST_HEADING = "/* ==== solve(): what only it calls " + "=" * 68 + " */"
 #: A constant in a sum, behind its first term.
@@ -51,7 +50,7 @@ def drop_idle_calls(items: Items, known: Constants) -> tuple[Item, ...]:
     """Functions without calls of those that do nothing."""
     idle = functions_without_effect(items)
     more = replace(known, kernels=known.kernels | idle)
-    return tuple(item if idle.isdisjoint(item.calls) else simplified(item, more) for item in items)
+    return tuple(item if idle.isdisjoint(item.calls) else simplify_item(item, more) for item in items)
 
 
 def drop_entries(items: Items, _: Constants) -> tuple[Item, ...]:
@@ -63,7 +62,7 @@ def drop_entries(items: Items, _: Constants) -> tuple[Item, ...]:
 
 
 def put_last(items: Items, _: Constants) -> tuple[Item, ...]:
-    """What only the last entry point reaches behind everything else, under the headings of its sections."""
+    """What only the last entry point reaches at the end, under copies of the headings of its sections."""
     early = reach(items, [n for n in roots(items) if items[n].name != LAST])
     sections: list[list[int]] = [[]]
     for n, item in enumerate(items):
@@ -101,11 +100,10 @@ def _late(items: Items, section: Sequence[int], early: Collection[int]) -> dict[
 
 def mark_unread(items: Items, _: Constants) -> tuple[Item, ...]:
     """Functions of the interface with a statement for every parameter that they do not read."""
-    return tuple(item.with_text(_marked(item.text)) if item.is_prunable else item for item in items)
+    return tuple(item.with_text(_mark(item.text)) if item.is_prunable else item for item in items)
 
 
-@lru_cache(maxsize=8192)
-def _marked(text: str) -> str:
+def _mark(text: str) -> str:
     at, _ = function_of(text).inside
     return text[:at] + "".join(f"\n    (void){name};" for _, name in unread_parameters(text)) + text[at:]
 
@@ -146,20 +144,21 @@ def run(
 
 def verify(step: str, unit: Items, first: Items) -> None:
     """Raise ValueError if an item reads a name that was defined at first and is not any more."""
-    lost = defined_in(first) - defined_in(unit)
+    lost = all_names(first) - all_names(unit)
     for item in unit if lost else ():
         if missing := sorted(lost & item.reads):
             raise ValueError(f"{step} has left {missing[0]}, which {item.name} reads, without its definition")
 
 
-def defined_in(items: Items) -> frozenset[str]:
+def all_names(items: Items) -> frozenset[str]:
     """All names that the items define."""
     return frozenset[str]().union(*(item.defines for item in items))
 
 
 def _check_names(items: Items) -> None:
     """Raise ValueError if two functions have one name."""
-    functions: dict[str, str] = {}
+    functions = set[str]()
     for item in items:
-        if item.kind == "function" and functions.setdefault(item.name, item.text) != item.text:
+        if item.kind == "function" and item.name in functions:
             raise ValueError(f"{item.name}(): there are two functions with this name")
+        functions |= {item.name} if item.kind == "function" else set()

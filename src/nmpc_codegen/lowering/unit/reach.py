@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import replace
 
 from nmpc_codegen.lowering.dialect.constants import Constants
@@ -15,7 +15,8 @@ from nmpc_codegen.lowering.unit.item import Item
 def reach(
     items: Sequence[Item], waiting: Iterable[int], visit: Callable[[Item], Item] = lambda item: item
 ) -> dict[int, Item]:
-    """Place -> item, as ``visit`` makes it, of all that the items at these places read, and what those read in turn."""
+    """Place -> item for all items that are reached from ``waiting``. ``visit`` may change an item before its names are
+    followed."""
     places = defaultdict(list)
     for place, item in enumerate(items):
         for name in item.defines:
@@ -31,13 +32,13 @@ def reach(
 
 
 def roots(items: Sequence[Item]) -> list[int]:
-    """The places of the functions of the interface, and of what has no name to reach it by."""
+    """Places of the functions of the interface, and of directives that define no name."""
     return [n for n, item in enumerate(items) if item.is_entry or (item.kind == "directive" and not item.defines)]
 
 
 def keep_reached(items: Sequence[Item], known: Constants) -> tuple[Item, ...]:
     """The items that the interface reaches, and the headings above them."""
-    found = reach(items, roots(items), lambda item: item if item.state == "simple" else simplified(item, known))
+    found = reach(items, roots(items), lambda item: item if item.state == "simple" else simplify_item(item, known))
     idle = _idle_headings(items, found.keys())
     return tuple(
         found.get(n, item)
@@ -46,7 +47,7 @@ def keep_reached(items: Sequence[Item], known: Constants) -> tuple[Item, ...]:
     )
 
 
-def simplified(item: Item, known: Constants) -> Item:
+def simplify_item(item: Item, known: Constants) -> Item:
     """A function without what the package does not need; any other item as it is."""
     if not item.is_prunable:
         return item
@@ -58,14 +59,14 @@ def simplified(item: Item, known: Constants) -> Item:
         raise ValueError(f"{item.name}(): {error}") from error
 
 
-def _idle_headings(items: Sequence[Item], kept: Iterable[int]) -> set[int]:
-    """The places of comments that stand alone above items of which none is kept."""
-    there, idle = set(kept), set[int]()
+def _idle_headings(items: Sequence[Item], kept: Collection[int]) -> set[int]:
+    """Places of comments that stand alone above items of which none is kept."""
+    idle = set[int]()
     above, below = None, False
     for n, item in enumerate(items):
-        if item.kind == "heading":
-            above, below = n, False
-        elif item.kind not in ("prototype", "enum") and above is not None:
-            below = below or n in there or item.kind == "section"
+        if item.kind in ("heading", "section"):
+            above, below = n if item.kind == "heading" else None, False
+        elif above is not None:
+            below = below or n in kept
             (idle.discard if below else idle.add)(above)
     return idle

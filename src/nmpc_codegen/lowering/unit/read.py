@@ -8,7 +8,7 @@ parts include as ``generated/<name>.c`` is written by the caller.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cache, lru_cache
 
 from nmpc_codegen.ir.kernel import OPERATIONS
@@ -23,7 +23,7 @@ Generate = Callable[[str], str]
 
 _INCLUDE = re.compile(r'^#include "([\w/]+\.c)".*\n', re.MULTILINE)
 #: The end of a declaration or a directive.
-_BEFORE = re.compile(r";\n|^#.*\n", re.MULTILINE)
+_BEFORE = re.compile(r";[ \t]*\n|^#(?:[^\\\n]|\\.)*\n", re.MULTILINE | re.DOTALL)
 
 
 def no_generated_part(path: str) -> str:
@@ -36,9 +36,8 @@ def no_generated_part(path: str) -> str:
 
 
 def read_part(path: str, generate: Generate = no_generated_part, sizes: Mapping[str, int] | None = None) -> str:
-    """Text of a part below templates/ with the parts that it includes; ``sizes``: those for `#if`; None: it stays."""
-    whole = _file(path)
-    text, *included = _INCLUDE.split(whole if sizes is None else resolve(whole, sizes))
+    """Text of a part and of the parts that it includes; ``sizes``: values for `#if`; with None, `#if` stays."""
+    text, *included = _INCLUDE.split(resolve(_file(path), sizes))
     for include, following in zip(included[::2], included[1::2], strict=True):
         inner = generate(include) if include.startswith("generated/") else read_part(include, generate, sizes)
         text += inner.rstrip("\n") + "\n" + following
@@ -53,7 +52,11 @@ def _file(path: str) -> str:
 
 @lru_cache(maxsize=2048)
 def items_of(text: str) -> tuple[Item, ...]:
-    """The items of a text. A brace at the margin ends a function, or begins its body."""
+    """The items of a text. A line `}` ends a function, a line `{` begins its body.
+
+    Raises:
+        ValueError: the text is not of the dialect, or something in it has no name.
+    """
     *functions, rest = f"\n{text}\n".split("\n}\n")
     pieces = [*(f"{piece}\n}}" for piece in functions), rest]
     return tuple(item for piece in pieces for item in _items(f"\n{piece}"))
@@ -70,33 +73,33 @@ def _items(piece: str) -> tuple[Item, ...]:
     before = piece[:start].rstrip("\n")
     found = list(_declarations(before, parse(before)))
     if brace:
-        name = name_of("function", in_line(head[start:]))
-        found.append(Item(name, "function", piece[start:], apart=_is_apart(piece[len(before) : start])))
+        gap = piece[len(before) : start]
+        found.append(Item(name_of("function", head[start:]), "function", piece[start:], apart=_is_apart(gap)))
     return tuple(found)
 
 
 def _declarations(text: str, nodes: tuple[Node, ...]) -> Iterator[Item]:
-    """What stands in front of a function; a comment belongs to what begins in the next line."""
+    """What stands in front of a function; a comment belongs to what begins in the next line, and definitions of macros
+    in lines one below the other are one item."""
     at, place = 0, 0
     while place < len(nodes):
-        first = node = nodes[place]
-        if first.kind == "comment" and _next_line(text, nodes, place):
-            place, node = place + 1, nodes[place + 1]
-        last = node
-        while node.kind == "directive" and (following := _next_line(text, nodes, place)):
-            if following.kind != "directive":
-                break
-            place, last = place + 1, following
-        kind = _kind(text[node.start : last.end])
-        name = name_of(kind, text[node.start : last.end])
-        yield Item(name, kind, text[first.start : last.end], apart=_is_apart(text[at : first.start]))
-        at, place = last.end, place + 1
+        first = last = nodes[place]
+        place += 1
+        if first.kind == "comment" and _is_next_line(text, last, nodes[place:]):
+            last = nodes[place]
+            place += 1
+        while text.startswith("#define", last.start) and _is_next_line(text, last, nodes[place:], "#define"):
+            last = nodes[place]
+            place += 1
+        piece = text[first.start : last.end]
+        kind = _kind(in_line(piece) or piece)
+        yield Item(name_of(kind, piece), kind, piece, apart=_is_apart(text[at : first.start]))
+        at = last.end
 
 
-def _next_line(text: str, nodes: tuple[Node, ...], place: int) -> Node | None:
-    """The next node, if it begins in the line behind a node."""
-    following = nodes[place + 1] if place + 1 < len(nodes) else None
-    return following if following and text[nodes[place].end : following.start] == "\n" else None
+def _is_next_line(text: str, node: Node, following: Sequence[Node], word: str = "") -> bool:
+    """True if what follows a node begins in the next line, with this word."""
+    return bool(following) and text[node.end : following[0].start] == "\n" and text.startswith(word, following[0].start)
 
 
 def _is_apart(gap: str) -> bool:
@@ -108,10 +111,10 @@ def _kind(code: str) -> Kind:
         return "section" if code.startswith("/* ==") else "heading"
     if code.startswith("#"):
         return "directive"
-    if code.startswith("typedef "):
-        return "type"
-    if code.startswith("enum {"):
+    if code.startswith("enum ") and "=" not in code.partition("{")[0]:
         return "enum"
+    if code.startswith(("typedef ", "struct ", "union ")):
+        return "type"
     return "prototype" if "=" not in code and code.rstrip(";").endswith(")") else "table"
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from nmpc_codegen.lowering.templates import template_directory
-from nmpc_codegen.lowering.unit.comments import without_entries
+from nmpc_codegen.lowering.unit.contracts import without_entries
 
 
 def test_entries_of_functions_that_are_not_there() -> None:
