@@ -3,7 +3,8 @@ static void condense_embed_rows(solver_t *s)
 {
     for (int m = 0; m < NG; ++m) {
         real_t value = stage_row_value(s, m);
-        if (row_is_coupled(m)) { /* the known part of J_0 dx_0 */
+        if (row_is_coupled(m)) {
+            /* the known part of J_0 dx_0 */
             for (int i = 0; i < NX; ++i) {
                 value += is_free[i] ? R(0.0) : s->coupled.J_0[row_index(m)][i] * s->step.dx[0][i];
             }

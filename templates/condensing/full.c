@@ -8,8 +8,8 @@
  *   condense_shift     shifts the predicted working set of the controls by one interval
  *   condense_shift_rows  row m takes the predicted side of row source[m]
  * Here: dx_k = G_k (dx_0, du_0, ..., du_{N-1}) + c_k. All states but dx_0 are eliminated in O(N^2), COLUMNS columns at
- * a time, in memory of the QP solver: qp.work.columns, which qp_factorize overwrites. The variables of the QP begin
- * with du_0 .. du_{N-1}. */
+ * a time, in memory of the QP solver: qp.work.columns, which qp_factorize overwrites. The variables of the QP are du_0
+ * .. du_{N-1}, then entries of dx_0 that are free, then violations of rows that are variables. */
 
 #include "generated/product_columns.c"
 
@@ -286,7 +286,8 @@ static void condense_add_row(const solver_t *s, int m, int column, real_t *sum)
     const int k = row_node(m), entering = NXC + k * NU - column;
     const real_t *J = row_gradient(s, m);
     const int last = (k + 1 >= condense_first_node(column)) ? NX : 0;
-    if (row_is_coupled(m)) { /* it contains J_0 dx_0 as well */
+    if (row_is_coupled(m)) {
+        /* it contains J_0 dx_0 as well */
         for (int i = column; i < NXC && i < column + COLUMNS; ++i) {
             sum[i - column] = s->coupled.J_0[row_index(m)][i];
         }

@@ -150,7 +150,8 @@ static void condense_block_rows(solver_t *s, int node)
         memset(row, 0, sizeof s->blocks.J[m]);
         if (node == N) {
             memcpy(row, J, sizeof row[0] * NX);
-            if (row_is_coupled(m)) { /* the stages have copies of what is free at the start: z = (dx, copies, du) */
+            if (row_is_coupled(m)) {
+                /* the stages have copies of what is free at the start: z = (dx, copies, du) */
                 for (int l = NX; l < NXS; l++) {
                     row[l] = s->coupled.J_0[row_index(m)][copied_state[l - NX]];
                 }

@@ -6,7 +6,8 @@ static real_t nodal_cost(const solver_t *s)
 {
     real_t total = R(0);
     TERMINAL_COST(s, &total);
-    if (HAS_START_COST) { /* of x_0 alone */
+    if (HAS_START_COST) {
+        /* of x_0 alone */
         real_t l_0;
         START_COST(s, &l_0);
         total += l_0;

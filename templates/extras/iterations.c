@@ -107,7 +107,7 @@ static void reconsider_shift(solver_t *s)
     }
 }
 
-/* The search begins at the plan, of which samples have the Hessian if the whole step has been taken. */
+/* The search begins at the plan. It takes the Hessian of the sample if the whole step was taken. */
 static void begin_search(solver_t *s, int whole)
 {
     if (SHIFTS_BACK && !whole && s->samples > 0) {

@@ -57,7 +57,8 @@ static void follow_node(solver_t *s, int k)
         }
     }
     follow_gradient(node->g, HESSIAN(s, k)[0], dz, NZ, NZ);
-    if (PROXIMAL) { /* a limit of steps, and no part of the cost */
+    if (PROXIMAL) {
+        /* a limit of steps, and no part of the cost */
         for (int i = 0; i < NZ; i++) {
             node->g[i] -= proximal[i] * dz[i];
         }

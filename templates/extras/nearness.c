@@ -1,5 +1,5 @@
-/* How near the plan of a sample is to a solution. A step leaves gaps, and a gradient of the Lagrangian, that grow with its
- * square: one that is about as long as those of late leaves about what they did. After any other step the plan is
+/* How near the plan of a sample is to a solution. A step leaves gaps, and a gradient of the Lagrangian, that grow with
+ * its square: one that is about as long as those of late leaves about what they did. After any other step the plan is
  * linearised anew, which tells. */
 
 static void nearness_on_reset(solver_t *s)
@@ -109,7 +109,8 @@ static status_t nearness_after_feedback(solver_t *s, status_t status)
     if ((status != OK && status != RELAXED) || s->near.trusted) {
         return status;
     }
-    if (LEVELS) { /* whose derivatives are kept */
+    if (LEVELS) {
+        /* whose derivatives are kept */
         real_t size[NX];
         state_scales(s, size);
         enlarge(&s->stats.residual, largest_gap(s, size));

@@ -18,8 +18,8 @@ static real_t hard_weight(const solver_t *s)
     return penalty_of_rows(s);
 }
 
-/* psi_m(v) = l1 (max(v - upper, 0) + max(lower - v, 0)), both smooth; a penalty l2 / 2 violation^2 is smooth as it
- * is. */
+/* psi_m(v) = l1 (max(v - upper, 0) + max(lower - v, 0)), both smooth, and l2 / 2 violation^2 where the row has this
+ * penalty. */
 static real_t row_term(const solver_t *s, int m, real_t v, real_t *slope, real_t *curvature)
 {
     const real_t lower = row_lower(s, m), upper = row_upper(s, m);

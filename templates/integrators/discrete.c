@@ -1,4 +1,6 @@
-/* Component "integrator". Contract: that of explicit_runge_kutta.c.
+/* Component "integrator". Contract:
+ *   interval_value   only x_next of interval k, of which a kernel also gives the derivatives
+ *   API(integrate)   x_next = x(dt), NaN if the solver is not initialised or an argument is not finite
  * Here: a discrete map, whose sampling time is fixed; an argument dt has no effect. */
 
 static void interval_value(const solver_t *s, int k, real_t *x_next)

@@ -7,10 +7,10 @@
  *     H z + g + mult[0..NV) + A' mult[NV..NV+NG) = 0,   mult > 0 at an upper bound, < 0 at a lower one, 0 in between
  *
  * Contract
- *   qp_init       once: all data zero, all bounds infinite, empty working set.
+ *   qp_init       once: all data zero, all bounds and penalties infinite, empty working set.
  *   qp_factorize  preparation: H (lower triangle) and A are known, lower and upper hold a prediction. Overwrites H.
  *                 Returns OK, or NUMERICAL_FAILURE if H is not positive semidefinite or data are not finite.
- *   qp_solve      feedback: g, lower and upper are known.
+ *   qp_solve      feedback: g, bounds and penalties are known.
  *                 Writes z, mult, iterations, changes, dropped, relaxed.
  *                 Returns OK; ITERATION_LIMIT, STALLED (a working set repeats itself, or rounding decides whether rows
  *                 contradict one another) or INFEASIBLE with z the last iterate, or 0 if bounds cross;

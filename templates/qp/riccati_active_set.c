@@ -5,11 +5,11 @@
  *     s.t. x_{k+1} = S_k z_k + b_k,   dx_0 given,   lower <= (u, rows) <= upper
  *
  * Contract
- *   qp_init       once: all data zero, all bounds infinite, empty working set.
+ *   qp_init       once: all data zero, all bounds and penalties infinite, empty working set.
  *   qp_factorize  preparation: all data but x_0 are known; lower and upper hold a prediction. Runs the recursion
  *                 for the predicted working set.
  *   qp_gradient   called if gradients of the stages have changed, but no matrix.
- *   qp_solve      feedback: dx_0 in step.dx[0], lower and upper are known.
+ *   qp_solve      feedback: dx_0 in step.dx[0], bounds and penalties are known.
  *                 Writes x, z, mult, iterations, changes, relaxed. Returns OK; ITERATION_LIMIT;
  *                 STALLED if a working set repeats itself; INFEASIBLE; NUMERICAL_FAILURE with x = z = mult = 0.
  *   qp_shift_controls  called before qp_factorize: shifts the predicted working set by n controls

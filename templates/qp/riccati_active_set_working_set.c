@@ -1,7 +1,8 @@
 /* Contract of this part: the working set side[], its effect on the recursion, and the multipliers at its minimiser.
  *
  * A member is an equation at its bound: a control is fixed, a row has the augmented Lagrangian
- *     center (a'z - t) + weight/2 (a'z - t)^2,   mult = center + weight (a'z - t) */
+ *     center (a'z - t) + weight/2 (a'z - t)^2,   mult = center + weight (a'z - t)
+ * A row that is violated at a price has the cost +-l1 (a'z - t) + l2/2 (a'z - t)^2. */
 
 /* Values of scaled: scales of the rows unknown; those of an earlier QP, whose units may be others; of this QP. */
 enum { SCALES_NONE = 0, SCALES_EARLIER = 1, SCALES_OWN = 2 };

@@ -136,7 +136,7 @@ static void ipm_add_sides(solver_t *s, int c)
     }
 }
 
-/* Lists the sides of all inequalities, hard ones first. */
+/* Lists the sides of all inequalities, hard ones first. Rows that the controls do not move are left out. */
 static void ipm_list_sides(solver_t *s)
 {
     ipm_t *q = &s->ipm;

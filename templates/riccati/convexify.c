@@ -118,7 +118,8 @@ static int riccati_shift(solver_t *s, real_t hold)
         high /= FACTOR_SHIFT_RATIO;
     }
     s->riccati.shift = high;
-    if (MIRROR) { /* as if the negative eigenvalue changed its sign */
+    if (MIRROR) {
+        /* as if the negative eigenvalue changed its sign */
         return riccati_try(s, hold, R(2) * high);
     }
     return riccati_try(s, hold, FACTOR_SHIFT_MARGIN * high);

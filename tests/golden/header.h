@@ -54,4 +54,4 @@ const char *golden_status_string(golden_status_t status);
 #endif
 
 #endif
-/* nmpc_codegen package 1844b16a846839b6, sha256 b44dfe2ac597ea9fa0d5c4e65de8769791a23a70cb800dea22914f3968312f71 */
+/* nmpc_codegen package 53742af54083cd3c, sha256 f3b53ff0573882a3abab2b716f674e5e7b9baf6f8e11dcfc9ca0ef1bf6065e69 */

@@ -3,7 +3,8 @@ static void multiplier_of_qp(const solver_t *s, int k, real_t *lam)
 {
     memcpy(lam, condense_multiplier(s, k), NX * sizeof *lam);
     for (int m = 0; k == 0 && m < NG; m++) {
-        if (row_is_coupled(m)) { /* in which the QP has no x_0 */
+        if (row_is_coupled(m)) {
+            /* The QP has no x_0 in coupled rows: their share is added. */
             for (int i = 0; i < NX; i++) {
                 lam[i] += s->coupled.J_0[row_index(m)][i] * s->step.mult[m];
             }

@@ -17,7 +17,7 @@ static status_t finish(solver_t *s, status_t status)
 #if IMPLICIT
     name_failed_stage(s, status);
 #endif
-    s->newton = NEWTON_LIMIT;
+    s->newton = NEWTON_LIMIT; /* outside of samples, stages are solved to rounding errors */
     s->status = (int32_t)status;
     return status;
 }

@@ -347,7 +347,8 @@ static int leave_saddle(solver_t *s)
 #endif
     memcpy(q->x, s->x, sizeof q->x);
     memcpy(q->u, s->u, sizeof q->u);
-    if (!HAS_QP) { /* whose plan may have large gaps */
+    if (!HAS_QP) {
+        /* whose plan may have large gaps */
         follow_controls(s);
     }
     const real_t cost = cost_of_plan(s);

@@ -102,7 +102,8 @@ static void watch(solver_t *s, status_t status, int broken)
         return;
     }
     s->failing = (s->failing < NO_FAILURE) ? LASTING_FAILURE : s->failing + (s->failing < LASTING_FAILURE);
-    if (NODES) { /* there is no finite linearisation at the plan (broken), or it is not finite itself */
+    if (NODES) {
+        /* Lasting at once, if the linearisation (broken) or the plan is not finite. */
         if ((s->failing == SECOND_FAILURE && broken) || !plan_is_finite(s)) {
             s->failing = LASTING_FAILURE;
         }
@@ -114,10 +115,12 @@ static void watch(solver_t *s, status_t status, int broken)
 static void restart_doubtful_plan(solver_t *s)
 {
     int given_up = 0;
-    if (REPAIR > 0 || ITERATES || !HAS_QP) { /* samples that were NOT_CONVERGED */
+    if (REPAIR > 0 || ITERATES || !HAS_QP) {
+        /* unconverged: samples on end that were NOT_CONVERGED */
         given_up |= s->unconverged >= RESTART_SAMPLES;
     }
     if (LAGRANGIAN && HAS_QP) {
+        /* Multipliers are forgotten first, then the plan. */
         given_up |= s->unsettled >= RESTART_SAMPLES;
         if (s->unsettled == RESTART_SAMPLES / 2) {
             forget_multipliers(s);

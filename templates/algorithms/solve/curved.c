@@ -190,7 +190,8 @@ static inline real_t bound_of(real_t lower, real_t upper, real_t mult)
 static int row_is_held(const solver_t *s, int m)
 {
     const real_t mult = FABS(s->trial.step.mult[m]);
-    if (row_is_soft(s, m)) { /* at its kink */
+    if (row_is_soft(s, m)) {
+        /* at its kink */
         return mult > R(0) && mult < FACTOR_SHIFT_AT_KINK * row_l1(s, m);
     }
     return mult > R(0) || row_lower(s, m) >= row_upper(s, m);

@@ -24,8 +24,8 @@ static void return_to_saddle(solver_t *s)
 }
 
 /* Where a probe of the idle controls alone leads to no better plan, as the others would have to follow, they move by
- * this part of it, states stay, and the search goes on; its result is compared with the plan at the saddle. Returns 0
- * if it says that none is to be moved. */
+ * `part` of their probe, states stay, and the search goes on; its result is compared with the plan at the saddle.
+ * Returns 0 if the probe moves none. */
 static int depart(solver_t *s, real_t part)
 {
     saddle_t *q = &s->saddle;

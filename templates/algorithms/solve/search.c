@@ -82,7 +82,8 @@ static real_t slope_of(solver_t *s)
             slope += gradient_of(s, k)[i] * *step_at(&s->step, k, i);
         }
     }
-    if (SOFT_ROWS) { /* the penalties change as in the QP */
+    if (SOFT_ROWS) {
+        /* the penalties change as in the QP */
         real_t value[NG];
         evaluate_rows(s, value);
         for (int m = 0; m < NG; m++) {
