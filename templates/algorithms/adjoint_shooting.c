@@ -226,9 +226,9 @@ status_t API(step)(solver_t *s, const real_t xhat[NXHAT], real_t u0[NU])
     if (INNER) {
         keep_sample(s, u0);
     }
-#if IMPLICIT
-    status = judge_residual(status, stage_residual(s));
-#endif
+    if (IMPLICIT) {
+        status = judge_residual(status, stage_residual(s));
+    }
     return finish(s, judge_residual(status, s->stats.violation));
 }
 

@@ -90,12 +90,12 @@ status_t API(prepare)(solver_t *s)
 /* The status of a sample. */
 static status_t judge(solver_t *s, status_t status)
 {
-#if IMPLICIT
-    enlarge(&s->stats.residual, stage_residual(s));
-#endif
-#if NALG
-    require_algebraic(s);
-#endif
+    if (IMPLICIT) {
+        enlarge(&s->stats.residual, stage_residual(s));
+    }
+    if (NALG) {
+        require_algebraic(s);
+    }
     status = judge_residual(status, s->stats.residual);
     if (status == OK && !s->auglag.settled) {
         status = NOT_CONVERGED;

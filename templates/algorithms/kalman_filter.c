@@ -61,9 +61,9 @@ static status_t take_sample(solver_t *s, const real_t *y, int known, real_t *xha
     if (is_lost(s)) {
         renew_filter(s, 0, s->x[0], y, f);
     }
-#if HUBER
-    weigh_by_filter(s, 0, f);
-#endif
+    if (HUBER) {
+        weigh_by_filter(s, 0, f);
+    }
     update_filter(s, 0, f);
     clip_to_bounds(s, f->mean);
     if (!filter_is_sane(f)) {

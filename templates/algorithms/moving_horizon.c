@@ -46,9 +46,9 @@ static void algorithm_reset(solver_t *s)
 static status_t improve_estimate(solver_t *s)
 {
     status_t status;
-#if HUBER
-    weigh_by_window(s);
-#endif
+    if (HUBER) {
+        weigh_by_window(s);
+    }
     take_penalties(s);
     memcpy(s->xhat, s->x[0], sizeof s->xhat);
     linearize(s);

@@ -104,9 +104,9 @@ status_t API(prepare)(solver_t *s)
 static status_t judge(solver_t *s, status_t status)
 {
     status = after_feedback(s, status);
-#if NALG
-    require_algebraic(s);
-#endif
+    if (NALG) {
+        require_algebraic(s);
+    }
     if (EXACT_QP && !LEVELS && status == OK) { /* whose solution has no gaps */
         s->stats.residual = R(0);
     }

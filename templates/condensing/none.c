@@ -49,11 +49,11 @@ static inline real_t (*stage_Q(solver_t *s, int k))[NZS]
 /* The Hessian of the last stage, lower triangle. */
 static inline real_t (*stage_Q_N(solver_t *s))[NXS]
 {
-#if CURVED
-    if (s->curved.in_solve) {
-        return s->curved.Q_N;
+    if (CURVED) {
+        if (s->curved.in_solve) {
+            return s->curved.Q_N;
+        }
     }
-#endif
     return s->hessian.Q_N;
 }
 

@@ -255,9 +255,9 @@ status_t API(iterate)(solver_t *s, int level)
         return BAD_ARGUMENT;
     }
     s->newton = NEWTON;
-#if FIRST
-    s->first.call = 0; /* the plan is not that of a sample any more */
-#endif
+    if (FIRST) {
+        s->first.call = 0; /* the plan is not that of a sample any more */
+    }
     forget_violation(s);
     status = evaluate(s, level);
     measure_residual(s);

@@ -74,16 +74,16 @@ static void nearness_before_step(solver_t *s, status_t status)
     s->near.length = length_of_step(s);
     s->near.trusted = status == OK && !is_far(s->stats.residual) && leaves_little(&s->near, s->near.length) &&
         !s->near.doubted;
-#if ITERATES
-    if (!s->near.trusted) {
-        keep_plan(s);
-        s->near.slope = slope_of(s);
-        memset(&s->sqp, 0, sizeof s->sqp);
-        update_scales(s);
-        (void)kkt_is_within(s, residual_tolerance[0]);
-        s->near.before = s->kkt.relative;
+    if (ITERATES) {
+        if (!s->near.trusted) {
+            keep_plan(s);
+            s->near.slope = slope_of(s);
+            memset(&s->sqp, 0, sizeof s->sqp);
+            update_scales(s);
+            (void)kkt_is_within(s, residual_tolerance[0]);
+            s->near.before = s->kkt.relative;
+        }
     }
-#endif
 }
 
 /* Largest gap of the plan that has been linearised, relative to how far its state moves along the horizon: what a step

@@ -78,11 +78,11 @@ static int name_failed_node(solver_t *s, int first, int last)
 static void name_failed_stage(solver_t *s, status_t status)
 {
     s->failed_interval = s->failed_step = s->failed_stage = s->failed_state = -1;
-#if NALG
-    if ((status == NUMERICAL_FAILURE || status == NOT_CONVERGED) && name_failed_node(s, 0, N - 1)) {
-        return;
+    if (NALG) {
+        if ((status == NUMERICAL_FAILURE || status == NOT_CONVERGED) && name_failed_node(s, 0, N - 1)) {
+            return;
+        }
     }
-#endif
     for (int k = 0; status == NUMERICAL_FAILURE && k < N; k++) {
         real_t failure[3];
         INTEGRATOR_FAILURE(s, k, failure);
@@ -94,11 +94,11 @@ static void name_failed_stage(solver_t *s, status_t status)
             return;
         }
     }
-#if NALG
-    if (status == NUMERICAL_FAILURE) {
-        (void)name_failed_node(s, N, N);
+    if (NALG) {
+        if (status == NUMERICAL_FAILURE) {
+            (void)name_failed_node(s, N, N);
+        }
     }
-#endif
 }
 
 /* What Newton's method leaves of the stages along the plan, for algorithms whose samples do not linearise it. */

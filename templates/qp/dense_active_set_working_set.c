@@ -74,19 +74,19 @@ static real_t qp_row_norm(const qp_t *q, int c)
 /* Magnitude of the terms of a_c'x and of the bounds, a lower bound. */
 static real_t qp_row_size(const qp_t *q, int c)
 {
-#if NG
-    if (c >= NV) {
-        real_t sum = q->terms[c - NV];
-        for (int j = 0; j < NV - NSL; ++j) {
-            sum += FABS(q->A[c - NV][j] * q->x[j]);
-        }
-        if (NSL) {
-            return sum + (qp_slack(c) < 0 ? R(0) : FABS(q->x[qp_slack(c)]));
-        } else {
-            return sum;
+    if (NG) {
+        if (c >= NV) {
+            real_t sum = q->terms[c - NV];
+            for (int j = 0; j < NV - NSL; ++j) {
+                sum += FABS(q->A[c - NV][j] * q->x[j]);
+            }
+            if (NSL) {
+                return sum + (qp_slack(c) < 0 ? R(0) : FABS(q->x[qp_slack(c)]));
+            } else {
+                return sum;
+            }
         }
     }
-#endif
     return FABS(q->x[c]) + q->inverse[c] * FABS(q->work.basis.y[c]);
 }
 
@@ -140,17 +140,17 @@ static real_t qp_normal(qp_t *q, int c)
 {
     /* 0 <= c <= NV + NG - 1 */
     real_t *m = q->work.basis.m;
-#if NG
-    if (c >= NV) {
-        if (NSL) {
-            qp_take_row(q, c, m);
-        } else {
-            copy(m, q->A[c - NV]);
+    if (NG) {
+        if (c >= NV) {
+            if (NSL) {
+                qp_take_row(q, c, m);
+            } else {
+                copy(m, q->A[c - NV]);
+            }
+            qp_forward(q, m, 0);
+            return dot(m, m, LDV);
         }
-        qp_forward(q, m, 0);
-        return dot(m, m, LDV);
     }
-#endif
     clear(m);
     m[c] = R(1);
     qp_forward(q, m, c);

@@ -153,12 +153,12 @@ static real_t ipm_reduction(const ipm_t *q, real_t step)
         now += q->t[i] * q->lam[i];
         then += (q->t[i] + step * q->dt[i]) * (q->lam[i] + step * q->dlam[i]);
     }
-#if NG
-    for (int i = 0; i < q->sides - q->hard; i++) { /* at most 2 * NG passes */
-        now += q->e[i] * q->kappa[i];
-        then += (q->e[i] + step * q->de[i]) * (q->kappa[i] + step * q->dkappa[i]);
+    if (NG) {
+        for (int i = 0; i < q->sides - q->hard; i++) { /* at most 2 * NG passes */
+            now += q->e[i] * q->kappa[i];
+            then += (q->e[i] + step * q->de[i]) * (q->kappa[i] + step * q->dkappa[i]);
+        }
     }
-#endif
     return then / now;
 }
 

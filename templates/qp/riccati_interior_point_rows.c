@@ -220,13 +220,13 @@ static void ipm_weigh(solver_t *s)
     for (int i = 0; i < q->sides; i++) {
         q->omega[i] = q->t[i] / q->lam[i];
     }
-#if NG
-    for (int i = q->hard; i < q->sides; i++) { /* at most 2 * NG passes */
-        const int j = i - q->hard;
-        q->compliance[j] = R(1) / (s->qp.curvature[ipm_row(q, i) - NV] + q->kappa[j] / q->e[j]);
-        q->omega[i] += q->compliance[j];
+    if (NG) {
+        for (int i = q->hard; i < q->sides; i++) { /* at most 2 * NG passes */
+            const int j = i - q->hard;
+            q->compliance[j] = R(1) / (s->qp.curvature[ipm_row(q, i) - NV] + q->kappa[j] / q->e[j]);
+            q->omega[i] += q->compliance[j];
+        }
     }
-#endif
     for (int i = 0; i < q->sides; i++) {
         q->omega[i] = R(1) / q->omega[i];
         q->weight[ipm_row(q, i)] += q->omega[i];
@@ -266,12 +266,12 @@ static void ipm_forces(solver_t *s)
     for (int i = 0; i < q->sides; i++) {
         q->dlam[i] = q->dt[i] - q->t[i] - q->r[i];
     }
-#if NG
-    for (int i = q->hard; i < q->sides; i++) { /* at most 2 * NG passes */
-        const int j = i - q->hard;
-        q->dlam[i] -= (q->dkappa[j] - q->kappa[j] - q->r_e[j]) * q->compliance[j];
+    if (NG) {
+        for (int i = q->hard; i < q->sides; i++) { /* at most 2 * NG passes */
+            const int j = i - q->hard;
+            q->dlam[i] -= (q->dkappa[j] - q->kappa[j] - q->r_e[j]) * q->compliance[j];
+        }
     }
-#endif
     for (int i = 0; i < q->sides; i++) {
         q->force[ipm_row(q, i)] += ipm_sign(q, i) * q->lam[i];
     }

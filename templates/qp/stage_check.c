@@ -210,12 +210,12 @@ static int qp_is_stationary(solver_t *s, int full)
         qp_start_check(s);
     }
     for (int k = NS; k >= 0; k--) {
-#if !TILES
-        qp_cost_gradient(s, k, w[k]);
-        for (int m = stage_first[k]; m < stage_first[k + 1]; m++) {
-            qp_add_row(s, m, s->qp.mult[NV + m]);
+        if (!TILES) {
+            qp_cost_gradient(s, k, w[k]);
+            for (int m = stage_first[k]; m < stage_first[k + 1]; m++) {
+                qp_add_row(s, m, s->qp.mult[NV + m]);
+            }
         }
-#endif
         memcpy(y, w[k], sizeof y[0] * (k < NS ? NZS : NXS));
         if (k < NS) {
             qp_check_stage(s, k, full, w[k + 1], w[k], rest, terms);

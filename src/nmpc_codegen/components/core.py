@@ -135,8 +135,12 @@ SIZES_OF_OTHERS = (
     ("NEWTON_LIMIT", 0, "no stages"),
     ("COLUMNS", COLUMNS, "columns of G_k that are processed together"),
     ("MIRROR", 0, "no Hessian"),
+    ("MAX_SHIFTS", 0, "no shifts of a Hessian"),
 )
-TABLES_OF_OTHERS = (Table("regularization", "real", (), "of no Hessian"),)
+TABLES_OF_OTHERS = (
+    Table("regularization", "real", (), "of no Hessian"),
+    Table("is_measured", "int", (), "of x_0 where it is the measured state"),
+)
 
 
 #: Members of packages whose integrator solves stages.
@@ -151,7 +155,10 @@ def structs_of_others(dims: Dims) -> tuple[Struct, ...]:
         Struct("node", "", (Field("left", (dims.nx,), "", "data"),), shape=(dims.N,)),
         Struct("hessian", "", tuple(Field(name, (), "", "scratch", "int32") for name in ("changed", "new_data"))),
         Struct("condensed", "", (Field("regularized", (), "", "data", "int32"),)),
-        Struct("qp", "", (Field("inverse", (dims.nu,), "", "scratch"),)),
+        Struct("qp", "", (Field("inverse", (dims.nu,), "", "scratch"), Field("nw", (), "", "keep", "int32"))),
+        Struct("qp", "", (Field("row", (dims.nu,), "", "keep", "int32"),)),
+        Struct("near", "", (Field("trusted", (), "", "keep", "int32"),)),
+        Struct("first", "", (Field("gain", (dims.nu, dims.nx), "", "data"), Field("feed", (dims.nu,), "", "data"))),
     )
 
 

@@ -153,7 +153,7 @@ def settings(model: Model, dims: Dims, whole: bool) -> tuple[Setting, ...]:
 
     return (
         *setting("parameter", "p", "default_parameter", (dims.np,), every, "parameters"),
-        *_parameters_to_come(p, dims),
+        *_parameters_to_come(p, dims, whole),
         *setting("reference", "yref", "default_reference", (dims.ny,), path, "references of the path residual"),
         *setting(
             "reference",
@@ -172,9 +172,9 @@ def settings(model: Model, dims: Dims, whole: bool) -> tuple[Setting, ...]:
     )
 
 
-def _parameters_to_come(p: Problem, dims: Dims) -> list[Setting]:
+def _parameters_to_come(p: Problem, dims: Dims, whole: bool) -> list[Setting]:
     """Of an estimator, whose window keeps those that held before."""
-    if p.estimation is None or not p.own_parameters:
+    if p.estimation is None or not (p.own_parameters or whole):
         return []
     member = Field("next", (dims.np,), "parameters from the next sample on", "setting")
     return [Setting(member, "default_parameter", Size("1", 1), dims.np)]

@@ -193,9 +193,9 @@ static void filter_window(solver_t *s)
     filter_t f = s->arrival;
     for (int k = 0; k <= s->window; k++) {
         memcpy(s->x[k], f.mean, sizeof s->x[k]);
-#if HUBER
-        weigh_by_filter(s, k, &f);
-#endif
+        if (HUBER) {
+            weigh_by_filter(s, k, &f);
+        }
         update_filter(s, k, &f);
         memcpy(s->x[k], f.mean, sizeof s->x[k]);
         if (k < s->window) {

@@ -14,9 +14,9 @@ static void safe_control(const solver_t *s, real_t *u0)
 /* The end of a call. */
 static status_t finish(solver_t *s, status_t status)
 {
-#if IMPLICIT
-    name_failed_stage(s, status);
-#endif
+    if (IMPLICIT) {
+        name_failed_stage(s, status);
+    }
     s->newton = NEWTON_LIMIT; /* outside of samples, stages are solved to rounding errors */
     s->status = (int32_t)status;
     return status;

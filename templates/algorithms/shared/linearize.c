@@ -25,9 +25,9 @@ static void add_start_gradient(const solver_t *s, real_t *q)
 static void linearize(solver_t *s)
 {
     real_t x_next[NX];
-#if NALG
-    follow_algebraic(s);
-#endif
+    if (NALG) {
+        follow_algebraic(s);
+    }
     TERMINAL_GRADIENT(s, s->terminal.g);
     TERMINAL_ROWS(s, s->terminal.h, s->terminal.J);
     COUPLED_ROWS(s, s->coupled.r, s->coupled.J_0, s->coupled.J_N);

@@ -38,9 +38,9 @@ static void start_at_measured(solver_t *s)
 static void forget_plan(solver_t *s)
 {
     refer_controls(s);
-#if NALG
-    forget_algebraic(s);
-#endif
+    if (NALG) {
+        forget_algebraic(s);
+    }
     for (int f = 0; f < NF; f++) {
         s->xhat[free_state[f]] = initial_state[free_state[f]];
     }

@@ -134,9 +134,9 @@ static void probe_node(solver_t *s, int k, const real_t *lam)
         }
         direction[j] = R(0);
     }
-#if IDLE_STATES
-    ask_states(s, k, lam);
-#endif
+    if (IDLE_STATES) {
+        ask_states(s, k, lam);
+    }
 }
 
 #if HAS_QP
@@ -158,9 +158,9 @@ static int may_be_at_saddle(const solver_t *s)
 /* Moves the idle controls of all nodes. */
 static void probe_plan(solver_t *s)
 {
-#if IDLE_STATES
-    s->saddle.asked = 0;
-#endif
+    if (IDLE_STATES) {
+        s->saddle.asked = 0;
+    }
     for (int k = 0; k < N; k++) {
         probe_node(s, k, s->lam[k + 1]);
     }
@@ -170,9 +170,9 @@ static void probe_plan(solver_t *s)
 static void probe_plan(solver_t *s)
 {
     real_t lam[NX], next[NX], g[NZ], own[NZ];
-#if IDLE_STATES
-    s->saddle.asked = 0;
-#endif
+    if (IDLE_STATES) {
+        s->saddle.asked = 0;
+    }
     start_adjoint(s, ESTIMATE, lam);
     for (int k = N - 1; k >= 0; k--) {
         memcpy(next, lam, sizeof next);
@@ -340,11 +340,11 @@ static int leave_saddle(solver_t *s)
 {
     saddle_t *q = &s->saddle;
     q->saved = R(0);
-#if HAS_QP
-    if (!may_be_at_saddle(s)) {
-        return 0;
+    if (HAS_QP) {
+        if (!may_be_at_saddle(s)) {
+            return 0;
+        }
     }
-#endif
     memcpy(q->x, s->x, sizeof q->x);
     memcpy(q->u, s->u, sizeof q->u);
     if (!HAS_QP) {
@@ -353,14 +353,14 @@ static int leave_saddle(solver_t *s)
     }
     const real_t cost = cost_of_plan(s);
     q->cost = cost;
-#if HARD_ROWS
-    q->violation = hard_violation(s);
-#endif
+    if (HARD_ROWS) {
+        q->violation = hard_violation(s);
+    }
     probe_plan(s);
     int left = has_moved(s) && take_probe(s);
-#if IDLE_STATES
-    left = left || (q->asked && take_push(s));
-#endif
+    if (IDLE_STATES) {
+        left = left || (q->asked && take_push(s));
+    }
     if (!left) {
         memcpy(s->x, q->x, sizeof q->x);
         memcpy(s->u, q->u, sizeof q->u);

@@ -6,9 +6,9 @@ static void linearize_with_curvature(solver_t *s)
     curved_t *c = &s->curved;
     const int adjoint = !has_multipliers(s);
     real_t x_next[NX], mu[NH];
-#if NALG
-    follow_algebraic(s);
-#endif
+    if (NALG) {
+        follow_algebraic(s);
+    }
     memset(c->Q, 0, sizeof c->Q);
     memset(c->Q_N, 0, sizeof c->Q_N);
     TERMINAL_GRADIENT(s, s->terminal.g);

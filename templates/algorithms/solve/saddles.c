@@ -31,11 +31,11 @@ static int depart(solver_t *s, real_t part)
     saddle_t *q = &s->saddle;
     keep_saddle(s);
     probe_plan(s);
-#if IDLE_STATES
-    if (!has_moved(s) && q->asked) {
-        push_control(s, NU, (s->sqp.departures == 0) ? R(1) : -R(1));
+    if (IDLE_STATES) {
+        if (!has_moved(s) && q->asked) {
+            push_control(s, NU, (s->sqp.departures == 0) ? R(1) : -R(1));
+        }
     }
-#endif
     const int moved = has_moved(s);
     for (int k = 0; k < N; k++) {
         for (int j = 0; j < NU; j++) {
@@ -91,16 +91,16 @@ enum { GOES_ON, IS_SOLVED, HAS_LEFT };
 
 static int look_for_saddle(solver_t *s, int solved)
 {
-#if SOLVE
-    if (s->saddle.departed > 0) {
-        s->saddle.departed--;
-        if (!solved && s->saddle.departed > 0) {
-            return GOES_ON;
+    if (SOLVE) {
+        if (s->saddle.departed > 0) {
+            s->saddle.departed--;
+            if (!solved && s->saddle.departed > 0) {
+                return GOES_ON;
+            }
+            end_departure(s, solved);
+            solved = 1;
         }
-        end_departure(s, solved);
-        solved = 1;
     }
-#endif
     if (!solved) {
         return GOES_ON;
     }
@@ -108,10 +108,10 @@ static int look_for_saddle(solver_t *s, int solved)
         s->sqp.probes++;
         return HAS_LEFT;
     }
-#if SOLVE
-    if (departs(s)) {
-        return HAS_LEFT;
+    if (SOLVE) {
+        if (departs(s)) {
+            return HAS_LEFT;
+        }
     }
-#endif
     return IS_SOLVED;
 }
