@@ -22,6 +22,8 @@ from verification.timed import Sample
 
 #: The same operations in the same order, whatever the compiler knows of the sizes.
 FLAGS = ("-std=gnu99", "-O1", "-ffp-contract=off", "-fno-tree-vectorize", "-w")
+#: A whole unit declares the term of a row that a package without rows lacks, and never calls it.
+LINKED = ("-lm", "-no-pie", "-Wl,--defsym=row_term=0")
 #: What a name that is not declared, or a pointer to another type, has to be.
 ERRORS = (
     "-Werror=implicit-function-declaration",
@@ -77,7 +79,7 @@ _ESTIMATING = """#include <stdio.h>
 #include "{p}.h"
 
 static {p}_solver_t s;
-static {p}_real y[{P}_NM], u[{P}_NIN + 1], x[{P}_NX], P[{P}_NX * {P}_NX];
+static {p}_real y[{P}_NM], u[{inputs} + 1], x[{P}_NX], P[{P}_NX * {P}_NX];
 static unsigned long seed = 12345;
 
 static double next(void)
@@ -93,7 +95,7 @@ int main(void)
         for (int i = 0; i < {P}_NM; i++) {{
             y[i] = ({p}_real)((n % 8 == 3) ? 9 * next() : next());
         }}
-        for (int i = 0; i < {P}_NIN; i++) {{
+        for (int i = 0; i < {inputs}; i++) {{
             u[i] = ({p}_real)next();
         }}
         printf("%d %d", n, (int){p}_estimate(&s, y, {u}x));
@@ -146,7 +148,7 @@ def closed_loop(sources: Sources, *flags: str, samples: int = 20) -> str:
         foreign = sorted(str(path.relative_to(folder)) for path in folder.rglob("*/*.c"))
         include = [f"-I{path}" for path in sorted(folder.rglob("*")) if path.is_dir()]
         units = ("loop.c", f"{name}.c", *foreign)
-        built = compile_c(folder, *FLAGS, *flags, *include, *units, "-o", "loop", "-lm", program="gcc")
+        built = compile_c(folder, *FLAGS, *flags, *include, *units, "-o", "loop", *LINKED, program="gcc")
         assert built.returncode == 0, built.stderr
         done = subprocess.run(["./loop"], cwd=folder, capture_output=True, text=True, check=False, timeout=120)
     assert done.returncode == 0, done.stderr
@@ -159,7 +161,7 @@ def _driver(sources: Sources, names: Mapping[str, Any], solve: str) -> str:
     if found is None:
         return _DRIVER.format(**names, solve=solve)
     late = _LATE.format(**names) if found.kind == "mhe" else ""
-    return _ESTIMATING.format(**names, u="u, " if found.nu else "", late=late)
+    return _ESTIMATING.format(**names, inputs=found.nu, u="u, " if found.nu else "", late=late)
 
 
 def _without_guard(file: Path) -> None:
