@@ -241,16 +241,13 @@ class AdjointShooting(Defaults):
             Table("terminal_row", "int", terminal, "row m that is terminal row t of the model"),
             Table("terminal_index", "int", tuple(positions), "number t of row m, or -1"),
             Table(
-                "model_precision",
-                "real",
-                PRECISION,
-                "relative residual of conjugate gradients: in a sample, at last",
+                "model_precision", "real", PRECISION, "relative residual of conjugate gradients: in a sample, at last"
             ),
             Table(
                 "smooth_sharpness",
                 "real",
                 SHARPNESS,
-                "of the smooth max in the scale of a row: first, last of a sample, last of all",
+                "of the smooth max in the scale of a row: first, of a sample, last",
             ),
             Table("barrier_margin", "real", (MARGIN,), "distance from a bound where the barrier becomes a parabola"),
             Table(
