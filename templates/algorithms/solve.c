@@ -108,9 +108,9 @@ static int starts_at_measured(const solver_t *s)
 static status_t iterate(solver_t *s, real_t tol, int last)
 {
     for (;; s->stats.sqp_iterations++) {
-        if (ITERATES) {
-            /* at most SAMPLE_ITERATIONS passes in iterations_after_feedback */
-        }
+#if ITERATES
+        /* at most SAMPLE_ITERATIONS passes in iterations_after_feedback */
+#endif
         evaluate_iterate(s);
 #if SADDLES
         const int found = look_for_saddle(s, kkt_is_within(s, tol) && starts_at_measured(s));

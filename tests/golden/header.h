@@ -54,4 +54,4 @@ const char *golden_status_string(golden_status_t status);
 #endif
 
 #endif
-/* nmpc_codegen package 20e855fb066205a0, sha256 743485cc5e4cfa40999ce95bda9499084aa1379879a047ebada08c79c1f6d1a9 */
+/* nmpc_codegen package 53742af54083cd3c, sha256 f3b53ff0573882a3abab2b716f674e5e7b9baf6f8e11dcfc9ca0ef1bf6065e69 */

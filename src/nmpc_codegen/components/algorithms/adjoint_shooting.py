@@ -240,15 +240,8 @@ class AdjointShooting(Defaults):
             Table("row_weight", "real", tuple(weights), "1 / scale^2 of row m"),
             Table("terminal_row", "int", terminal, "row m that is terminal row t of the model"),
             Table("terminal_index", "int", tuple(positions), "number t of row m, or -1"),
-            Table(
-                "model_precision", "real", PRECISION, "relative residual of conjugate gradients: in a sample, at last"
-            ),
-            Table(
-                "smooth_sharpness",
-                "real",
-                SHARPNESS,
-                "of the smooth max in the scale of a row: first, of a sample, last",
-            ),
+            Table("model_precision", "real", PRECISION, "relative residual of conjugate gradients: in a sample, last"),
+            Table("smooth_sharpness", "real", SHARPNESS, "of the smooth max in the scale of a row: first to last"),
             Table("barrier_margin", "real", (MARGIN,), "distance from a bound where the barrier becomes a parabola"),
             Table(
                 "barrier_weight",
