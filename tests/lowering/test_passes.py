@@ -137,6 +137,8 @@ def test_a_variable_with_the_name_of_a_table_is_refused() -> None:
 def test_conditions_that_are_numbers() -> None:
     assert left("if (0) {", "    s->a = 1;", "}", "s->b = 1;") == ["s->b = 1;"]
     assert left("if (1) {", "    s->a = 1;", "}") == ["s->a = 1;"]
+    assert left("if (s->a && !1) {", "    s->a = 1;", "}", "s->b = 1;") == ["s->b = 1;"]
+    assert left("if (s->a == 2 || 0) {", "    s->a = 1;", "}") == ["if (s->a == 2) {", "    s->a = 1;", "}"]
 
 
 def test_empty_branches() -> None:

@@ -73,6 +73,7 @@ def idle_statements(unit: str) -> list[str]:
     )
     found += re.findall(r"for \(int (?:\w+) = 0; \w+ < 1; .*", code)
     found += re.findall(r".* (?:\* 1|[-+] 0)\b(?![.x\d]).*", re.sub(r"^#.*", "", code, flags=re.MULTILINE))
+    found += re.findall(r".*(?:!|&& |\|\| )\d+(?: &&| \|\||\)).*", code)
     found += re.findall(r"^( *)for .*\n(?:\1 .*\n)*\1    continue;\n\1\}", code, re.MULTILINE)
     found += re.findall(r"^ +const int \w+ = (?:\d+|[A-Z][A-Z_0-9]*);", code, re.MULTILINE)
     found += re.findall(r"\b([A-Z]\w*) < \1\b", code)
@@ -140,6 +141,7 @@ def test_a_package_has_what_stands_in_it(name: str) -> None:
         "    const int n = (N < N) ? NZ : NX;",
         "    if (0) {",
         "    s->x[NX + 0] = R(1);",
+        "    if (s->x[0] > R(1) && !1) {",
         "    for (int i = 0; i < NX; i++) {\n        s->x[i] = R(1);\n        continue;\n    }",
         "    for (int i = 0; i < 1; i++) {",
         "/* The slack variables\n * of soft rows. */",

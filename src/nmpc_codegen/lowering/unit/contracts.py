@@ -11,8 +11,6 @@ _ENTRY = re.compile(r"(?P<margin> \*   )(?P<names>\w+(?:, \w+)*)(?:\([^)]*\))? {
 
 def without_entries(comment: str, there: Collection[str]) -> str:
     """A contract without the entries of functions that are not there."""
-    if "ontract" not in comment:
-        return comment
     kept: list[str] = []
     margin = None  # of the entry that is left out
     for line in comment.split("\n"):

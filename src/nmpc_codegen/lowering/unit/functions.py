@@ -31,6 +31,8 @@ _LOOP = re.compile(r"(?:int|ptrdiff_t) (?P<variable>\w+) = (?P<first>[^,;]+); (?
 _SIZE = re.compile(r"\[([^\[\]]*)\]")
 _STRING = re.compile("[\"']")
 _NAME = re.compile(r"[A-Za-z_]")
+#: An operand of a condition that is a number.
+_NUMBER = re.compile(r"(?:^|[!(]|&& |\|\| )\d+(?=$|\)| &&| \|\|)")
 _COUNTED = re.compile(r" (?:\+\+|--)?(\w+)(?:\+\+|--| [+-]= \w+)?")
 
 Pass = Callable[[str, Node, Constants], Iterator[Edit]]
@@ -85,7 +87,7 @@ def _of_choice(text: str, node: Node, above: Node | None, around: set[str], know
 
 def _decidable(head: str, known: Constants) -> bool:
     """True if constants may decide a condition; one with a string stays as it is."""
-    return (known.names(head) or not _NAME.search(head)) and not _STRING.search(head)
+    return not _STRING.search(head) and bool(known.names(head) or _NUMBER.search(head) or not _NAME.search(head))
 
 
 def _without_branch(text: str, chain: Sequence[Node], place: int, above: Node | None, around: set[str]) -> Edit:

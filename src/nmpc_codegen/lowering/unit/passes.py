@@ -56,9 +56,7 @@ def drop_idle_calls(items: Items, known: Constants) -> tuple[Item, ...]:
 def drop_entries(items: Items, _: Constants) -> tuple[Item, ...]:
     """Contracts without the entries of functions that are not there."""
     there = {"API", *(item.name for item in items if item.kind == "function")}
-    return tuple(
-        item if item.kind == "function" else item.with_text(without_entries(item.text, there)) for item in items
-    )
+    return tuple(i.with_text(without_entries(i.text, there)) if "ontract" in i.text else i for i in items)
 
 
 def put_last(items: Items, _: Constants) -> tuple[Item, ...]:

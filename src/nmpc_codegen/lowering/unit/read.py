@@ -18,9 +18,6 @@ from nmpc_codegen.lowering.dialect.tree import Node, parse
 from nmpc_codegen.lowering.templates import template_directory
 from nmpc_codegen.lowering.unit.item import Item, Kind, name_of
 
-#: Path of a generated part -> its text.
-Generate = Callable[[str], str]
-
 _INCLUDE = re.compile(r'^#include "([\w/]+\.c)".*\n', re.MULTILINE)
 #: The end of a declaration or a directive.
 _BEFORE = re.compile(r";[ \t]*\n|^#(?:[^\\\n]|\\.)*\n", re.MULTILINE | re.DOTALL)
@@ -35,8 +32,11 @@ def no_generated_part(path: str) -> str:
     raise LookupError(f"{path}: expected a part that is a file")
 
 
-def read_part(path: str, generate: Generate = no_generated_part, sizes: Mapping[str, int] | None = None) -> str:
-    """Text of a part and of the parts that it includes; ``sizes``: values for `#if`; with None, `#if` stays."""
+def read_part(
+    path: str, generate: Callable[[str], str] = no_generated_part, sizes: Mapping[str, int] | None = None
+) -> str:
+    """Text of a part and of the parts that it includes; ``generate``: path of a generated part -> its text; ``sizes``:
+    values for `#if`; with None, `#if` stays."""
     text, *included = _INCLUDE.split(resolve(_file(path), sizes))
     for include, following in zip(included[::2], included[1::2], strict=True):
         inner = generate(include) if include.startswith("generated/") else read_part(include, generate, sizes)
