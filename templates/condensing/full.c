@@ -437,7 +437,9 @@ static void condense_embed_free(solver_t *s, const real_t *dx0)
     }
 }
 
-/* Gradient, bounds, curvatures and penalties of the slacks; the rows with a slack are hard. */
+/* A row with a quadratic penalty has a slack sigma, a variable of the QP: lower <= row - sigma <= upper, cost
+ * l2/2 sigma^2, and sigma = 0 as an elastic bound with penalty l1. The QP solver knows where slacks occur: neither the
+ * Hessian nor the rows have entries for them. Sets their gradient, bounds, curvatures and penalties. */
 static void condense_embed_slacks(solver_t *s)
 {
     for (int m = 0; m < NG; ++m) {

@@ -54,4 +54,4 @@ const char *golden_status_string(golden_status_t status);
 #endif
 
 #endif
-/* nmpc_codegen package 53742af54083cd3c, sha256 f3b53ff0573882a3abab2b716f674e5e7b9baf6f8e11dcfc9ca0ef1bf6065e69 */
+/* nmpc_codegen package 4455d85d932f374c, sha256 66956aa345ed05924163e3446f3461ad7c37b6297c3545a30a84c0739b7e399b */

@@ -41,6 +41,11 @@ def test_exactly_one_feature_evaluates_the_plan() -> None:
             with_hooks("    status = prepare_plan(s);\n", extras)
 
 
+def test_a_hook_that_is_no_statement_is_refused() -> None:
+    with pytest.raises(ValueError, match=r"before_prepare\(\): expected the call of a hook as a statement"):
+        with_hooks("    if (before_prepare(s)) {\n    }\n", EXTRAS)
+
+
 def test_hooks_that_would_not_run_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     """A name that is spelt wrong, and a hook that the algorithm does not state."""
     with pytest.raises(ValueError, match=r"barrier_rows\.c defines before_solve, follow_terms, place_terms, which the"):

@@ -210,6 +210,43 @@ def test_a_pass_that_loses_a_definition_is_found_out() -> None:
     verify("drop", [item for item in before if item.name != "KERNEL"], before)
 
 
+@pytest.mark.parametrize(
+    ("text", "kind", "defines"),
+    [
+        ("enum side { LEFT = 1, RIGHT };", "enum", {"LEFT", "RIGHT"}),
+        ("typedef enum { UP, DOWN } side_t;", "type", {"UP", "DOWN", "side_t"}),
+        ("typedef int (*compare_t)(int a);", "type", {"compare_t"}),
+        ("typedef real_t wide_t __attribute__((vector_size(4 * sizeof(real_t)), may_alias));", "type", {"wide_t"}),
+        ("static const real_t eps = 1; /* last */", "table", {"eps"}),
+        ("static const p_t gains[1] = {\n    { .gain[0] = 1 }\n};", "table", {"gains"}),
+        ("static int (*const of[1])(int) = { f };", "table", {"of"}),
+        ("static int f(int a); /* later */", "prototype", {"f"}),
+        ("/* Two. */\n#define A 1\n#define B(x) \\\n    (x)", "directive", {"A", "B"}),
+        ("__attribute__((noinline)) static int f(int a)\n{\n    return a;\n}", "function", {"f"}),
+    ],
+)
+def test_what_an_item_defines(text: str, kind: str, defines: set[str]) -> None:
+    (item,) = items_of(text)
+    assert (item.kind, item.defines, item.is_entry) == (kind, defines, False)
+
+
+def test_what_has_no_name_is_refused() -> None:
+    """It would go without a word, as nothing can read it."""
+    with pytest.raises(ValueError, match="expected a function with braces in lines of their own"):
+        items_of("int f(int a)\n{ /* why */\n    return a;\n}")
+
+
+def test_what_writes_through_an_array_acts() -> None:
+    fill = function("x[0] = 7;", "return 1;", head="static int fill(int x[2])")
+    assert "(void)fill(s->x);" in kept(f"{fill}\n\n{function('const int n = fill(s->x);', 'out[0] = s->x[0];')}")
+
+
+def test_a_function_that_is_passed_keeps_its_parameters() -> None:
+    head = "static int less(const int *a, const int *b)"
+    less = function("return *a;", head=head)
+    assert head in kept(f"{less}\n\n{function('sort(s->x, less);', 'out[0] = less(s->x, out);')}")
+
+
 def test_layout_stays() -> None:
     """Text of which nothing goes is the same to the byte."""
     items = [

@@ -14,7 +14,7 @@ from nmpc_codegen.lowering.data.tables import lookup_tables
 from nmpc_codegen.lowering.dialect.constants import Constants
 from nmpc_codegen.lowering.render import GCC_12, block_comment, member, prototype, tidy
 from nmpc_codegen.lowering.templates import context, environment
-from nmpc_codegen.lowering.unit.assemble import INTERVALS, heading, kernel_items, print_intervals, table_items
+from nmpc_codegen.lowering.unit.assemble import INTERVALS, kernel_items, print_intervals, table_items, table_ranges
 from nmpc_codegen.lowering.unit.item import Item
 from nmpc_codegen.lowering.unit.macros import REAL_CONSTANT, alias, arithmetic, kernel_call, macro, short_names
 from nmpc_codegen.lowering.unit.passes import run
@@ -124,15 +124,14 @@ def _assemble(model: DerivativeModel, name: str, names: dict[str, Any]) -> tuple
     style = unit_style(model.precision)
     body = environment().get_template(f"{FOLDER}/body.c.jinja").render(names)
     found = [*_definitions(model, name), *table_items(_tables(model), style), *kernel_items(model.routines, style)]
-    return (heading("/* Short names inside this translation unit. */"), *found, *items_of(body))
+    return (*found, *items_of(body))
 
 
 def _constants(model: DerivativeModel) -> Constants:
     sizes = {m.name: m.value for m in macros(model)} | {"NOUT": model.outputs} | scheme_sizes(model)
     present = {routine.name for routine in model.routines}
     absent = (name for name in KERNELS if name.startswith("stage_") and name not in present)
-    ranges = {t.name: (int(min(t.values)), int(max(t.values))) for t in _tables(model) if t.ctype == "int" and t.values}
-    return Constants(sizes, ranges, kernels=frozenset(name.upper() for name in absent))
+    return Constants(sizes, table_ranges(_tables(model)), kernels=frozenset(name.upper() for name in absent))
 
 
 def _numbers(field: Field) -> str:

@@ -340,10 +340,8 @@ static int leave_saddle(solver_t *s)
 {
     saddle_t *q = &s->saddle;
     q->saved = R(0);
-    if (HAS_QP) {
-        if (!may_be_at_saddle(s)) {
-            return 0;
-        }
+    if (HAS_QP && !may_be_at_saddle(s)) {
+        return 0;
     }
     memcpy(q->x, s->x, sizeof q->x);
     memcpy(q->u, s->u, sizeof q->u);

@@ -235,11 +235,8 @@ static void push_rows(solver_t *s)
     real_t a[NZ];
     for (int m = 0; m < NG; m++) {
         const real_t weight = s->curved.hold * s->curved.weight[m];
-        real_t *g = s->terminal.g;
+        real_t *g = gradient_of(s, row_node(m));
         real_t value = row_constant(s, m);
-        if (row_node(m) < N) {
-            g = s->node[row_node(m)].g;
-        }
         if (!(weight > R(0))) {
             continue;
         }

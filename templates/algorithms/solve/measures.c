@@ -51,7 +51,7 @@ static int raise_scale(real_t *scale, real_t size)
     return 1;
 }
 
-static inline const real_t *gradient_of(const solver_t *s, int k)
+static inline real_t *gradient_of(solver_t *s, int k)
 {
     return (k < N) ? s->node[k].g : s->terminal.g;
 }

@@ -31,10 +31,8 @@ static int depart(solver_t *s, real_t part)
     saddle_t *q = &s->saddle;
     keep_saddle(s);
     probe_plan(s);
-    if (IDLE_STATES) {
-        if (!has_moved(s) && q->asked) {
-            push_control(s, NU, (s->sqp.departures == 0) ? R(1) : -R(1));
-        }
+    if (IDLE_STATES && !has_moved(s) && q->asked) {
+        push_control(s, NU, (s->sqp.departures == 0) ? R(1) : -R(1));
     }
     const int moved = has_moved(s);
     for (int k = 0; k < N; k++) {
@@ -108,10 +106,8 @@ static int look_for_saddle(solver_t *s, int solved)
         s->sqp.probes++;
         return HAS_LEFT;
     }
-    if (SOLVE) {
-        if (departs(s)) {
-            return HAS_LEFT;
-        }
+    if (SOLVE && departs(s)) {
+        return HAS_LEFT;
     }
     return IS_SOLVED;
 }

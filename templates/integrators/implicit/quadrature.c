@@ -1,5 +1,4 @@
-/* The integral of a cost rate l by the quadrature of the scheme: h sum over steps and stages of weight_i l(X_i, u,
- * p). */
+/* The integral of a cost rate l by the scheme: h sum over steps and stages of weight_i l(X_i, u, p). */
 
 /* l += integral over dt. */
 static void implicit_integral(const real_t *x, const real_t *z, const real_t *u, const real_t *p, const real_t *dt,

@@ -29,6 +29,7 @@ from nmpc_codegen.lowering.unit.item import Item
 Places = Mapping[str, Sequence[int]]
 
 _CALL = re.compile(r"(?<![.\w])(?<!->)([A-Za-z_]\w*)\(")
+_VALUE = re.compile(r"(?<![.\w])(?<!->)[A-Za-z_]\w*+(?!\()")
 #: A number, a constant, or a number in the working precision.
 _NUMBER = re.compile(r"return (\d+|[A-Z]\w*|R\([\d.]+\));")
 #: A factor or a term that changes nothing.
@@ -107,9 +108,15 @@ def _free(items: Sequence[Item]) -> list[Item]:
     """The functions that may change: only functions of parts call them."""
     fixed = {name for item in items if item.state == "ready" for name in item.calls}
     fixed |= {name for item in items if item.kind in ("table", "directive", "type") for name in item.reads}
-    fixed = fixed.union(*(item.reads - item.calls for item in items))  # passed as values
+    fixed = fixed.union(*(_values(item.text) for item in items))
     functions = (item for item in items if item.is_prunable)
     return [item for item in functions if item.name not in fixed and not item.is_entry]
+
+
+@lru_cache(maxsize=16384)
+def _values(text: str) -> frozenset[str]:
+    """The names that stand in a text without a call: a function among them is passed to others."""
+    return frozenset(_VALUE.findall(blank(text)))
 
 
 def _bodies(items: Sequence[Item]) -> list[str]:

@@ -38,7 +38,6 @@ def assemble(module: CModule) -> tuple[Item, ...]:
     """The items of a package."""
     style = module.style
     return (
-        heading("/* Short names inside this translation unit. */"),
         *definitions(module),
         *table_items(module.tables, style),
         *_elementary(module),
@@ -46,11 +45,6 @@ def assemble(module: CModule) -> tuple[Item, ...]:
         *kernel_items(module.routines, style),
         *_of_parts(module),
     )
-
-
-def heading(text: str) -> Item:
-    """A comment that stands alone."""
-    return Item("", "heading", text)
 
 
 def section(title: str) -> Item:
@@ -74,10 +68,14 @@ def table_items(tables: Iterable[Table], style: CStyle) -> list[Item]:
 
 def _table(table: Table, style: CStyle) -> str:
     if table.ctype == "real":
-        ctype, values = "real_t", [_value(v, style) for v in table.values]
+        text = _definition("real_t", table.name, [_value(v, style) for v in table.values])
     else:
-        ctype, values = "int", [str(v) for v in table.values]
-    return f"/* {table.doc} */\nstatic const {ctype} {table.name}[{len(values)}] = {{ {', '.join(values)} }};"
+        text = _definition("int", table.name, list(map(str, table.values)))
+    return f"/* {table.doc} */\n{text}"
+
+
+def _definition(ctype: str, name: str, values: Sequence[str]) -> str:
+    return f"static const {ctype} {name}[{len(values)}] = {{ {', '.join(values)} }};"
 
 
 def _value(value: float, style: CStyle) -> str:
@@ -156,11 +154,16 @@ def _with_states(item: Item, module: CModule) -> Item:
 def constants_of(module: CModule) -> Constants:
     """What the package decides at export: sizes, features, ranges of tables of integers and of what is known of rows,
     what it lacks."""
-    ranges = {t.name: (int(min(t.values)), int(max(t.values))) for t in module.tables if t.ctype == "int" and t.values}
     kernels = frozenset(name.upper() for name in module.absent_kernels)
     named = {s.name for s in module.structs}
     types = {(s.name, f.name): f.ctype for s in module.structs for f in s.fields if f.ctype in named}
-    return Constants(module.sizes, ranges | row_ranges(module), module.absent_members, types, kernels)
+    ranges = table_ranges(module.tables) | row_ranges(module)
+    return Constants(module.sizes, ranges, module.absent_members, types, kernels)
+
+
+def table_ranges(tables: Iterable[Table]) -> dict[str, tuple[int, int]]:
+    """Table of integers -> its least and greatest entry."""
+    return {t.name: (int(min(t.values)), int(max(t.values))) for t in tables if t.ctype == "int" and t.values}
 
 
 # -- parts that are generated ------------------------------------------------------------------------------------------
@@ -207,8 +210,7 @@ def print_intervals(routines: Iterable[Routine], style: CStyle) -> str:
 
 
 def _tables(tables: Mapping[str, Iterable[int]]) -> str:
-    texts = {name: list(map(str, values)) for name, values in tables.items()}
-    return "\n".join(f"static const int {name}[{len(v)}] = {{ {', '.join(v)} }};" for name, v in texts.items())
+    return "\n".join(_definition("int", name, list(map(str, values))) for name, values in tables.items())
 
 
 def _paragraphs(*texts: str) -> str:

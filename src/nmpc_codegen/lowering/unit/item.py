@@ -78,7 +78,7 @@ class Item:
     @property
     def words(self) -> frozenset[str]:
         """All names in its code, those of members and variables too."""
-        return self.defines if self.kind == "alias" else _words(self.text) | self.defines
+        return self.defines if self.kind == "alias" else words(blank(self.text)) | self.defines
 
     @property
     def is_prunable(self) -> bool:
@@ -88,8 +88,7 @@ class Item:
     @property
     def is_entry(self) -> bool:
         """True for a function, or its prototype, that other units call."""
-        head = _ATTRIBUTE.sub("", in_line(self.text)).partition("(")[0]
-        return self.kind in ("function", "prototype") and _INNER.isdisjoint(head.split())
+        return self.kind in ("function", "prototype") and not _is_inner(self.text)
 
 
 @lru_cache(maxsize=16384)
@@ -110,8 +109,10 @@ def calls(text: str) -> frozenset[str]:
     return frozenset(_CALL.findall(blank(text)))
 
 
-def _words(text: str) -> frozenset[str]:
-    return words(blank(text))
+@lru_cache(maxsize=16384)
+def _is_inner(text: str) -> bool:
+    """True for a function that only its own unit calls."""
+    return not _INNER.isdisjoint(_ATTRIBUTE.sub("", in_line(text)).partition("(")[0].split())
 
 
 def name_of(kind: Kind, text: str) -> str:

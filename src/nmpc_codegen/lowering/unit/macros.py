@@ -58,9 +58,10 @@ CHOSEN: Mapping[str, str] = {
 
 
 def short_names(name: str, structs: Sequence[Struct]) -> tuple[Item, ...]:
-    """The types of the header of the package ``name`` without their prefix."""
+    """The types of the header of the package ``name`` without their prefix, under a heading."""
+    heading = Item("", "heading", "/* Short names inside this translation unit. */")
     types = [f"{struct}_t" for struct in (*(s.name for s in structs), "status")]
-    return (alias("real_t", f"{name}_real"), *(alias(short, f"{name}_{short}") for short in types))
+    return (heading, alias("real_t", f"{name}_real"), *(alias(short, f"{name}_{short}") for short in types))
 
 
 def alias(name: str, text: str, note: str = "") -> Item:
@@ -83,9 +84,8 @@ def definitions(module: CModule) -> tuple[Item, ...]:
             found.append(alias(m.name, f"{P}_NX", note))
         elif m.public and m.shown is None:
             found.append(alias(m.name, f"{P}_{m.name}", note))
-        elif m.name != "MAGIC":
-            found.append(macro(m.name, str(m.value), note=note))
-    found.append(macro("MAGIC", "NMPC_CODEGEN_UNIT", note=next(m.doc for m in module.macros if m.name == "MAGIC")))
+        else:
+            found.append(macro(m.name, "NMPC_CODEGEN_UNIT" if m.name == "MAGIC" else str(m.value), note=note))
     found += [alias(status, f"{P}_{status}") for status in ("ALL", *(status.name for status in module.statuses))]
     spelling = features if module.whole else ("VECTOR_LANES", "PACK_WIDTH")
     found += [macro(name, str(features[name])) for name in spelling]

@@ -10,6 +10,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
+from itertools import pairwise
 
 from nmpc_codegen.lowering.dialect.constants import Constants
 from nmpc_codegen.lowering.dialect.scopes import function_of
@@ -155,8 +156,6 @@ def all_names(items: Items) -> frozenset[str]:
 
 def _check_names(items: Items) -> None:
     """Raise ValueError if two functions have one name."""
-    functions = set[str]()
-    for item in items:
-        if item.kind == "function" and item.name in functions:
-            raise ValueError(f"{item.name}(): there are two functions with this name")
-        functions |= {item.name} if item.kind == "function" else set()
+    names = sorted(item.name for item in items if item.kind == "function")
+    if twice := [name for name, following in pairwise(names) if name == following]:
+        raise ValueError(f"{twice[0]}(): there are two functions with this name")

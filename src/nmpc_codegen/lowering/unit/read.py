@@ -50,7 +50,6 @@ def _file(path: str) -> str:
     return (template_directory() / path).read_text(encoding="utf-8").rstrip("\n") + "\n"
 
 
-@lru_cache(maxsize=2048)
 def items_of(text: str) -> tuple[Item, ...]:
     """The items of a text. A line `}` ends a function, a line `{` begins its body.
 

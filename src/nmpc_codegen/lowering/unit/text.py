@@ -12,7 +12,7 @@ from nmpc_codegen.package.memory import Struct
 #: Header of the C library -> names of it, or beginnings of names, that a unit may read.
 _LIBRARY: Mapping[str, str] = {"immintrin.h": "_mm512_", "math.h": "", "stddef.h": "ptrdiff_t", "string.h": ""}
 
-_BEFORE_TABLES = ("alias", "macro", "directive", "function")
+_BEFORE_TABLES = ("alias", "macro", "directive")
 
 
 def text_of_unit(items: Sequence[Item], header: str, name: str, structs: Iterable[Struct]) -> str:
