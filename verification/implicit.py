@@ -10,12 +10,14 @@ from numpy.typing import NDArray
 
 from nmpc_codegen.components.integrators.implicit.stage_kernels import StageKernels
 from nmpc_codegen.components.integrators.implicit_runge_kutta import NEWTON_LIMIT, ImplicitRungeKutta
+from nmpc_codegen.decisions.dimensions import dimensions
+from nmpc_codegen.frontend.completion.complete import complete
 from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.printing.c_style import unit_style
 from nmpc_codegen.ir.printing.routines import print_routine
-from nmpc_codegen.lowering.choose import dimensions
 from nmpc_codegen.lowering.unit.macros import REAL_CONSTANT, arithmetic, kernel_call, print_macro
 from nmpc_codegen.lowering.unit.read import read_part
+from nmpc_codegen.options import Options
 from nmpc_codegen.package.memory import Precision
 from verification.c_harness import SCALARS, shared_library
 
@@ -83,7 +85,7 @@ def _unit(problem: Problem, integrator: ImplicitRungeKutta, precision: Precision
     lines += [f"#define {kernel.upper()}(...) ((void)0)" for kernel in OPTIONAL if kernel not in there]
     lines += [print_routine(kernel, style) for kernel in kernels.all]
     lines += [print_macro(item, {}) for item in (REAL_CONSTANT, *map(kernel_call, kernels.all))]
-    for table in integrator.tables(problem):
+    for table in integrator.tables(complete(problem, Options())):
         ctype = "real_t" if table.ctype == "real" else "int"
         units = [*(1 / scales), *(1 / value for value in (problem.algebra.scale if problem.algebra else ()))]
         values = units * integrator.tableau.block if table.name == "state_unit" else table.values or (0,)

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from functools import cache
 
-from nmpc_codegen.compiler import read, text_of
+from nmpc_codegen.compiler import model_of, read, text_of
 from nmpc_codegen.ir.cmodule import CModule
-from nmpc_codegen.lowering.linearize import Model, linearize
+from nmpc_codegen.lowering.linearize import Model
 from nmpc_codegen.lowering.lower import lower
 from nmpc_codegen.package.sources import Sources
 from verification.timed import Sample
@@ -15,7 +15,7 @@ from verification.timed import Sample
 @cache
 def model(sample: Sample) -> Model:
     """The Model of a sample."""
-    return linearize(*read(sample.make(), sample.options))
+    return model_of(*read(sample.make(), sample.options))
 
 
 @cache

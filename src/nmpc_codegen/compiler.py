@@ -1,10 +1,14 @@
 """The compiler on one screen.
 
-    OCP --classify--> Problem --linearize--> Model --lower--> CModule --assemble, run--> items --render--> Sources
-    (user, mutable)  (frozen: what)  (functions, counts)  (C names)  (the translation unit)          (path -> text)
+    OCP --classify--> Problem --complete--> CompleteProblem --decide--> Choices --linearize--> Model
+    (user, mutable)  (what is stated)      (what follows from it)      (components, reasons)  (functions, counts)
 
-Sources --build--> Controller (NumPy views). Every stage is a pure function from frozen values to a frozen value, and
-none looks back; only OCP and Controller, at the ends, are mutable. CasADi is used up to linearize, cffi only in build.
+    Model --lower--> CModule --assemble, run--> items --render--> Sources --build--> Controller
+                    (C names)                  (the translation unit)  (path -> text)  (NumPy views)
+
+Every stage is a pure function from frozen values to a frozen value, and none looks back: decide() alone reads options,
+and linearize() takes the functions that it has counted. Only OCP and Controller, at the ends, are mutable. CasADi is
+used up to linearize, cffi only in build.
 What follows from the text, the worst case of a sample, is an analysis of Sources that is made on request (analysis/).
 What users are told of a package, warnings and the program for diagnose(), is added to a CModule by explain().
 """
@@ -16,9 +20,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, overload
 
+from nmpc_codegen.decisions.decide import decide
 from nmpc_codegen.errors import OptionError, warn
 from nmpc_codegen.exclusive import COMPILING
 from nmpc_codegen.frontend.classify import classify
+from nmpc_codegen.frontend.completion.complete import complete
 from nmpc_codegen.frontend.estimator.declaration import Estimator
 from nmpc_codegen.frontend.estimator.problem import estimation_problem
 from nmpc_codegen.frontend.ocp import OCP
@@ -27,7 +33,7 @@ from nmpc_codegen.ir.cmodule import CModule
 from nmpc_codegen.lowering.beside.dumps import obsolete_dumps, with_dumps
 from nmpc_codegen.lowering.beside.loop import with_estimator
 from nmpc_codegen.lowering.explain import explain
-from nmpc_codegen.lowering.linearize import linearize
+from nmpc_codegen.lowering.linearize import Model, linearize
 from nmpc_codegen.lowering.lower import lower
 from nmpc_codegen.lowering.render import render
 from nmpc_codegen.lowering.unit.assemble import assemble, constants_of
@@ -62,14 +68,30 @@ class Package:
 
 
 def compile(ocp: OCP | Estimator, options: Options | None = None, name: str | None = None) -> Sources:
-    """The files of the C package: OCP -> Problem -> Model -> CModule -> items -> Sources.
+    """The files of the C package: OCP -> Problem -> Choices -> Model -> CModule -> items -> Sources.
 
     It raises the errors of generate().
     """
     with COMPILING:
-        model = linearize(*read(ocp, options))
+        model = model_of(*read(ocp, options))
         module = explain(lower(model, name), model)
         return text_of(module)
+
+
+def read(ocp: OCP | Estimator, options: Options | None) -> tuple[Problem, Options]:
+    """The problem that is stated, and the options for it."""
+    if options is not None and not isinstance(options, Options):
+        raise OptionError(f"options: {options!r}; expected Options(...) or None")
+    asked = options or Options()
+    if isinstance(ocp, Estimator):
+        return estimation_problem(ocp), for_estimator(asked, ocp.kind)
+    return classify(ocp), asked
+
+
+def model_of(stated: Problem, options: Options) -> Model:
+    """The functions of the package of a problem: what follows from it, what is chosen for it, and the functions."""
+    problem = complete(stated, options)
+    return linearize(problem, decide(problem, options))
 
 
 def text_of(module: CModule) -> Sources:
@@ -77,13 +99,6 @@ def text_of(module: CModule) -> Sources:
     items = assemble(module)
     unit = items if module.whole else run(items, constants_of(module))
     return render(module, unit)
-
-
-def read(ocp: OCP | Estimator, options: Options | None) -> tuple[Problem, Options | None]:
-    """The problem that is stated, and the options for it."""
-    if isinstance(ocp, Estimator):
-        return estimation_problem(ocp), for_estimator(options, ocp.kind)
-    return classify(ocp), options
 
 
 def generate(ocp: OCP | Estimator, options: Options | None = None, name: str | None = None) -> Sources:

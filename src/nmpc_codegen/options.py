@@ -28,7 +28,7 @@ from nmpc_codegen.package.memory import Precision
 from nmpc_codegen.package.signals import Layout, Layouts
 from nmpc_codegen.runtime.native import native
 from nmpc_codegen.runtime.records.html import page, table
-from nmpc_codegen.targets import MATHS, NATIVE, TARGETS, Math
+from nmpc_codegen.targets import MATHS, NATIVE, TARGETS, Math, Target
 
 REGISTRIES: Mapping[str, Mapping[str, type[Component]]] = {
     "integrator": integrators.REGISTRY,
@@ -202,16 +202,24 @@ class Options:
     def with_defaults(self) -> Options:
         """These options with the algorithm's default components for seams that it needs and that are not given, the
         target of this machine in the place of "native", and ``solve`` decided."""
-        target = native().name if self.target == NATIVE else self.target
         return replace(
             self,
             integrator=_or_default(self.integrator, self.algorithm, "integrator", integrators.REGISTRY),
             hessian=_or_default(self.hessian, self.algorithm, "hessian", hessians.REGISTRY),
             condensing=_or_default(self.condensing, self.algorithm, "condensing", condensing.REGISTRY),
             qp=_or_default(self.qp, self.algorithm, "qp", qp.REGISTRY),
-            target=target,
+            target=self.machine.name,
             solve=self.solves,
         )
+
+    @property
+    def machine(self) -> Target:
+        """The target, that of this machine in the place of "native".
+
+        Raises:
+            BuildError: it is "native", and there is no compiler.
+        """
+        return native() if self.target == NATIVE else TARGETS[self.target]
 
     @property
     def solves(self) -> bool:
@@ -219,13 +227,12 @@ class Options:
         return self.solve is not False
 
 
-def for_estimator(options: Options | None, kind: EstimatorKind) -> Options:
+def for_estimator(options: Options, kind: EstimatorKind) -> Options:
     """The options of an estimator: its algorithm, unless that is given, and its own data in the places of others.
 
     Raises:
         OptionError: options that an estimator does not have.
     """
-    options = options or Options()
     if options.solve or options.online != Online():
         word = "solve" if options.solve else "online"
         raise OptionError(f"{word}: {getattr(options, word)!r}; an estimator has no solve() and its own data of nodes")

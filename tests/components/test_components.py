@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 
 from nmpc_codegen import EconomicGaussNewton, GaussNewton, KalmanFilter, MovingHorizon, OptionError, Options
-from nmpc_codegen.compiler import read, text_of
+from nmpc_codegen.compiler import model_of, read, text_of
 from nmpc_codegen.components.base import SEAMS, Component, Dims, refuse_unsupported, spell
 from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.ir.cmodule import Macro
 from nmpc_codegen.ir.sweep import Routine
-from nmpc_codegen.lowering.linearize import Model, linearize
+from nmpc_codegen.lowering.linearize import Model
 from nmpc_codegen.lowering.lower import lower
 from nmpc_codegen.lowering.templates import template_directory
 from nmpc_codegen.options import REGISTRIES, Online
@@ -57,14 +57,14 @@ def linearization(cls: type) -> Model:
     """A tiny problem with the component among the options."""
     seam = cls.seam  # type: ignore[attr-defined]
     if cls in ESTIMATORS:
-        return linearize(*read(PLANTS["reactor"].estimator(N=3, kind=ESTIMATORS[cls]), None))
+        return model_of(*read(PLANTS["reactor"].estimator(N=3, kind=ESTIMATORS[cls]), None))
     discrete = seam == "integrator" and cls.name == "discrete"  # type: ignore[attr-defined]
     constant = cls is EconomicGaussNewton
     ocp = discrete_map() if discrete else problem_of("reactor", uniform=constant)
     ocp.subject_to(-1, ocp.x[0] + ocp.u[0], 1, name="row")
     nx, nz = ocp.x.numel(), ocp.x.numel() + ocp.u.numel()
     component = EconomicGaussNewton(np.eye(nz), np.eye(nx)) if constant else cls()
-    return linearize(classify(ocp), Options(**{seam: component}))
+    return model_of(classify(ocp), Options(**{seam: component}))
 
 
 def parts(cls: type) -> tuple[Any, Model, Dims]:
@@ -191,7 +191,7 @@ def test_there_is_always_an_algorithm() -> None:
 def test_the_algorithm_has_a_hessian_by_default() -> None:
     assert Options().hessian is None
     assert Options().with_defaults.hessian == GaussNewton()
-    assert linearize(classify(problem_of("crane")), Options()).parts.hessian == GaussNewton()
+    assert model_of(classify(problem_of("crane")), Options()).parts.hessian == GaussNewton()
 
 
 def test_components_stand_under_their_own_seam_only() -> None:
@@ -217,12 +217,12 @@ def test_online(field: str) -> None:
 
 
 def test_what_is_not_given_is_chosen_and_said() -> None:
-    ode, discrete = (linearize(classify(ocp), Options()) for ocp in (problem_of("crane"), discrete_map()))
+    ode, discrete = (model_of(classify(ocp), Options()) for ocp in (problem_of("crane"), discrete_map()))
     assert ode.parts.integrator.name == "explicit_runge_kutta"
     assert discrete.parts.integrator.name == "discrete"
     for lin in (ode, discrete):
         for seam in ("integrator", "condensing", "qp"):
-            chosen = [part for choice in lin.choices for part in choice.split(";")[0].split(", ")]
+            chosen = [part for choice in lin.choices.reasons for part in choice.split(";")[0].split(", ")]
             assert f"{seam}: {getattr(lin.parts, seam).name}" in chosen
     given = Options(*(getattr(ode.parts, seam) for seam in SEAMS))
-    assert linearize(classify(problem_of("crane")), given).choices == ()
+    assert model_of(classify(problem_of("crane")), given).choices.reasons == ()

@@ -30,9 +30,8 @@ from nmpc_codegen import (
     build,
     simulate,
 )
-from nmpc_codegen.compiler import generate
+from nmpc_codegen.compiler import generate, model_of
 from nmpc_codegen.frontend.classify import classify
-from nmpc_codegen.lowering.linearize import linearize
 from nmpc_codegen.oracle.reference import solve_reference
 from nmpc_codegen.runtime.build import WARNINGS
 from verification.c_harness import shared_library
@@ -472,11 +471,11 @@ def test_warnings_of_the_interior_point_route() -> None:
 
 def test_qp_none_looks_at_stages() -> None:
     """The combinations that keep stages are candidates for an exact Hessian, too."""
-    chosen = linearize(classify(cstr.build_ocp()), Options(hessian=ExactHessian()))
+    chosen = model_of(classify(cstr.build_ocp()), Options(hessian=ExactHessian()))
     assert chosen.options.condensing == NoCondensing()
     assert chosen.options.qp == RiccatiActiveSet()
-    assert any("full + dense_active_set" in why for why in chosen.choices)
-    few = linearize(classify(quadratic(3)), Options(hessian=ExactHessian()))
+    assert any("full + dense_active_set" in why for why in chosen.choices.reasons)
+    few = model_of(classify(quadratic(3)), Options(hessian=ExactHessian()))
     assert isinstance(few.options.condensing, FullCondensing | NoCondensing)
 
 

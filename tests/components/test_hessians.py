@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 
 from nmpc_codegen import OCP, OptionError, Options
+from nmpc_codegen.compiler import model_of
 from nmpc_codegen.components.hessians import ExactHessian, GaussNewton
 from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.ir.kernel import Kernel
-from nmpc_codegen.lowering.linearize import Model, linearize
+from nmpc_codegen.lowering.linearize import Model
 from verification.c_harness import Package, Routines, module_of
 from verification.oracles.runge_kutta import complex_step
 
@@ -81,7 +82,7 @@ def stated(case: Case) -> OCP:
 @functools.cache
 def linearized(name: str) -> Model:
     case = CASES[name]
-    return linearize(classify(stated(case)), Options(hessian=GaussNewton(levenberg_marquardt=case.damping)))
+    return model_of(classify(stated(case)), Options(hessian=GaussNewton(levenberg_marquardt=case.damping)))
 
 
 @functools.cache
@@ -164,7 +165,7 @@ def linear(**more: object) -> Model:
     ocp.dynamics(ca.vertcat(x[1], u))
     last = u + 0.1 * x[0] ** 2 if more.get("nonlinear") else p * u
     ocp.least_squares(ca.vertcat(x, last), weight=[1.0, 2.0, 3.0], scale_with_dt=bool(more.get("scaled")))
-    return linearize(classify(ocp), Options())
+    return model_of(classify(ocp), Options())
 
 
 @pytest.mark.parametrize(
@@ -180,7 +181,7 @@ def linear(**more: object) -> Model:
 )
 def test_a_constant_hessian_is_recognised(more: dict, constant: bool) -> None:
     """There is a single block only if no dependence on the point, the parameters or a varying dt exists."""
-    assert linear(**more).constant_hessian is constant
+    assert linear(**more).choices.constant_hessian is constant
 
 
 def test_a_constant_hessian_is_stored_once_and_used_at_every_node() -> None:
@@ -209,5 +210,5 @@ def test_general_costs_are_refused() -> None:
     ocp = stated(CASES["diagonal"])
     ocp.stage_cost(ca.sin(ocp.u))
     with pytest.raises(OptionError, match=r"uses general cost, which hessian GaussNewton\(\)"):
-        linearize(classify(ocp), Options(hessian=GaussNewton()))
-    assert linearize(classify(ocp), Options()).parts.hessian == ExactHessian()
+        model_of(classify(ocp), Options(hessian=GaussNewton()))
+    assert model_of(classify(ocp), Options()).parts.hessian == ExactHessian()

@@ -28,12 +28,11 @@ from nmpc_codegen import (
     RealTimeIteration,
     RiccatiActiveSet,
 )
-from nmpc_codegen.compiler import text_of
+from nmpc_codegen.compiler import model_of, text_of
 from nmpc_codegen.components.integrators import TABLEAUS
 from nmpc_codegen.components.integrators.tableau import IMPLICIT
 from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.ir import stage_products as products
-from nmpc_codegen.lowering.linearize import linearize
 from nmpc_codegen.lowering.lower import lower
 from nmpc_codegen.options import REGISTRIES
 from nmpc_codegen.package.opcount import OpCount
@@ -165,5 +164,5 @@ def test_the_counting_scalar_replaces_the_type_in_both_precisions() -> None:
 
 def test_lower_states_the_same_counts_twice() -> None:
     """lower() is a pure function: a second call changes nothing."""
-    lin = linearize(classify(problem_of("crane")), Options())
+    lin = model_of(classify(problem_of("crane")), Options())
     assert lower(lin).description == lower(lin).description

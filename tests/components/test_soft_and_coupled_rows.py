@@ -22,9 +22,9 @@ from nmpc_codegen import (
     RiccatiInteriorPoint,
     build,
 )
+from nmpc_codegen.compiler import model_of
 from nmpc_codegen.errors import ControllerError
 from nmpc_codegen.frontend.classify import classify
-from nmpc_codegen.lowering.linearize import linearize
 from nmpc_codegen.oracle.reference import Reference
 from nmpc_codegen.oracle.trajectory import kkt_residuals, node_data
 from nmpc_codegen.package.status import Status
@@ -197,9 +197,9 @@ def test_stages_carry_free_components_to_coupled_rows() -> None:
         build(periodic(), Options(**FORMS[form], algorithm=PURE), profile="test")
         for form in ("active set", "condensed")
     )
-    stated = linearize(classify(periodic()), Options(condensing=NoCondensing(), qp=RiccatiActiveSet()))
+    stated = model_of(classify(periodic()), Options(condensing=NoCondensing(), qp=RiccatiActiveSet()))
     assert stated.options.condensing == PartialCondensing(1)
-    assert any("instead of none; coupled rows read free components of x_0" in why for why in stated.choices)
+    assert any("instead of none; coupled rows read free components of x_0" in why for why in stated.choices.reasons)
     for xhat in ([0.6, 0.0], [0.5, 0.1], [0.4, -0.2]):
         np.testing.assert_allclose(stages.step(xhat), condensed.step(xhat), atol=1e-9)
         np.testing.assert_allclose(stages.x, condensed.x, atol=1e-9)

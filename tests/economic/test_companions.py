@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from examples import evaporation
-from nmpc_codegen import OCP, OptionError, ProblemError
+from nmpc_codegen import OCP, OptionError, Options, ProblemError
 from nmpc_codegen.economic import Tuning, letempc_cost, letempc_terminal_cost, rotate, tracking_cost, tune
 from nmpc_codegen.frontend.classify import classify
-from nmpc_codegen.lowering.linearize import complete
+from nmpc_codegen.frontend.completion.complete import complete
 from nmpc_codegen.oracle.reference import CLASSICAL, Reference, ReferenceSolution, node_data, solve_reference
 from nmpc_codegen.oracle.trajectory import Tableau
 
@@ -105,7 +105,7 @@ def test_letempc_that_ends_on_an_active_row(N: int) -> None:
     t = tune(stated("economic"))
     assert t.active_terminal == ("x[0]",)
     assert t.nu_s == pytest.approx(t.mu_s, rel=1e-9)
-    u = [solve_reference(complete(classify(stated(cost)))).u for cost in ("economic", "letempc")]
+    u = [solve_reference(complete(classify(stated(cost)), Options())).u for cost in ("economic", "letempc")]
     np.testing.assert_allclose(u[1], u[0], rtol=0, atol=1e-6)
 
 

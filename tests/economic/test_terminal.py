@@ -13,14 +13,14 @@ from examples import driving
 from nmpc_codegen import OCP, ExplicitRungeKutta, Options, ProblemError, build, generate
 from nmpc_codegen.economic.terminal import lqr_terminal_cost
 from nmpc_codegen.frontend.classify import classify
+from nmpc_codegen.frontend.completion.complete import complete
 from nmpc_codegen.frontend.problem import Problem
-from nmpc_codegen.lowering.linearize import complete
 from nmpc_codegen.oracle.reference import CLASSICAL, solve_reference
 
 
 def completed_of(ocp: OCP, options: Options | None = None) -> Problem:
     """The problem with its terminal cost."""
-    return complete(classify(ocp), options)
+    return complete(classify(ocp), options or Options())
 
 
 def oscillator(N: int = 4, **request: object) -> OCP:

@@ -77,7 +77,7 @@ def test_neither_control_nor_free_state() -> None:
     with pytest.raises(ProblemError, match=r"use ocp\.control\(name\), or ocp\.free_initial\(state\)"):
         classify(ocp)
     ocp.free_initial(x)
-    assert classify(ocp).inner.idle
+    assert classify(ocp).augmentation.idle
 
 
 def test_only_what_is_used_becomes_a_state() -> None:

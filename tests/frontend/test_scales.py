@@ -9,7 +9,7 @@ from scipy.linalg import expm
 
 from nmpc_codegen import OCP, Options, ProblemError, build
 from nmpc_codegen.frontend.classify import classify
-from nmpc_codegen.frontend.scales import Scales, scales
+from nmpc_codegen.frontend.completion.scales import Scales, scales
 
 
 def cart(**more: float) -> OCP:

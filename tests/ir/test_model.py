@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from nmpc_codegen import ExactHessian, GaussNewton, Options
+from nmpc_codegen.compiler import model_of
 from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.ir.model import operations
 from nmpc_codegen.ir.stage_products import pattern
-from nmpc_codegen.lowering.linearize import Model, linearize
+from nmpc_codegen.lowering.linearize import Model
 from nmpc_codegen.package.opcount import OpCount
 from verification.models import problem_of
 
 
 def model(hessian: ExactHessian | GaussNewton) -> Model:
-    return linearize(classify(problem_of("reactor", uniform=False)), Options(hessian=hessian))
+    return model_of(classify(problem_of("reactor", uniform=False)), Options(hessian=hessian))
 
 
 def test_parts_are_found_by_what_they_are_for() -> None:
@@ -36,6 +37,6 @@ def test_completed_options_leave_no_choice() -> None:
     """They are the functions that the description of the package prints, and they lead to the same model."""
     m = model(GaussNewton())
     assert m.options.integrator is m.parts.integrator
-    again = linearize(m.problem, m.options)
+    again = model_of(m.problem, m.options)
     assert again.parts == m.parts
-    assert again.choices == ("probes at saddles: the slope of w vanishes somewhere",)
+    assert again.choices.reasons == ("probes at saddles: the slope of w vanishes somewhere",)

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from nmpc_codegen import OCP, ExplicitRungeKutta, GaussNewton, OptionError, Options
+from nmpc_codegen.compiler import model_of
 from nmpc_codegen.frontend.classify import classify
-from nmpc_codegen.lowering.linearize import linearize
 from nmpc_codegen.package.opcount import OpCount
 from verification.c_harness import Package, Routines, module_of
 from verification.models import GRID, LENGTH, problem_of
@@ -65,7 +65,7 @@ def rows_problem() -> OCP:
 
 def test_general_rows() -> None:
     problem = classify(rows_problem())
-    routines = {r.name: r for r in linearize(problem, Options()).routines if r.name.endswith("_rows")}
+    routines = {r.name: r for r in model_of(problem, Options()).routines if r.name.endswith("_rows")}
     call = Routines(routines)
     z, p = np.array([0.4, -0.7, 0.9]), np.array([1.5])
 
@@ -93,7 +93,7 @@ def test_general_rows() -> None:
 
 def test_no_rows() -> None:
     """Rows that are zero are also routines, without instructions and stores."""
-    lin = linearize(classify(problem_of("crane")), Options())
+    lin = model_of(classify(problem_of("crane")), Options())
     for name in ("path_rows", "terminal_rows"):
         routine = next(r for r in lin.routines if r.name == name)
         assert routine.count == OpCount()
@@ -104,4 +104,4 @@ def test_a_feature_that_no_component_takes_is_refused() -> None:
     ocp = rows_problem()
     ocp.stage_cost(ocp.x[0] * ocp.u)
     with pytest.raises(OptionError, match="general cost"):
-        linearize(classify(ocp), Options(hessian=GaussNewton()))
+        model_of(classify(ocp), Options(hessian=GaussNewton()))

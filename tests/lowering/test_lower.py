@@ -10,11 +10,10 @@ import numpy as np
 import pytest
 
 from nmpc_codegen import Options
-from nmpc_codegen.compiler import text_of
+from nmpc_codegen.compiler import model_of, text_of
 from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.cmodule import CModule
-from nmpc_codegen.lowering.linearize import linearize
 from nmpc_codegen.lowering.lower import lower
 from nmpc_codegen.package.description import PackageDescription
 from nmpc_codegen.package.memory import Field, Size, Struct, struct_layout
@@ -26,7 +25,7 @@ CASES = ("crane", "path_rows", "parameters", "dense_weight", "discrete", "tiny",
 
 def module(case: str, precision: str = "double", name: str | None = None) -> CModule:
     options = dataclasses.replace(problems.CASES[case].options, precision=precision)
-    return lower(linearize(problems.problem(case), options), name)
+    return lower(model_of(problems.problem(case), options), name)
 
 
 def sizes_in_c(m: CModule) -> dict[str, int]:
@@ -165,5 +164,5 @@ def test_description_is_json_and_agrees_with_the_structs() -> None:
 
 
 def test_lowering_is_pure() -> None:
-    lin = linearize(classify(problems.path_rows()), Options())
+    lin = model_of(classify(problems.path_rows()), Options())
     assert text_of(lower(lin)) == text_of(lower(lin))

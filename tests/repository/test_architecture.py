@@ -37,6 +37,7 @@ ORDER = (
         "frontend",
         "components",
         "options",
+        "decisions",
         "lowering",
         "analysis",
     ),
@@ -55,9 +56,11 @@ FOLDERS = {
 
 #: A stage knows its input value and its output value, not the earlier stages.
 BLIND = {
+    "frontend/completion/complete": {"frontend.ocp", "frontend.checks", "frontend.classify"},
+    "decisions/decide": {"frontend.ocp", "frontend.checks", "frontend.classify"},
     "lowering/linearize": {"frontend.ocp", "frontend.checks", "frontend.classify"},
     "lowering/lower": {"frontend.ocp", "frontend.checks", "frontend.classify", "oracle"},
-    "lowering/render": {"frontend", "options", "oracle", "lowering.linearize", "lowering.lower", "lowering.choose"},
+    "lowering/render": {"frontend", "options", "oracle", "decisions", "lowering.linearize", "lowering.lower"},
 }
 
 #: Foreign package -> rooms and modules that may import it.
@@ -72,10 +75,9 @@ ONLY_IN = {
         "components/hessians",
         "components/algorithms/scales",
         "components/stage_cost",
+        "decisions",
         "lowering/linearize",
-        "lowering/first_plan",
-        "lowering/schemes/accuracy",
-        "lowering/schemes/stability",
+        "lowering/warnings",
     },
     "jinja2": {"lowering/templates"},
     "cffi": {"runtime/build"},

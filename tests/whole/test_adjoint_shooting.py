@@ -22,12 +22,12 @@ from nmpc_codegen import (
     build,
     simulate,
 )
+from nmpc_codegen.compiler import model_of
 from nmpc_codegen.components.integrators.explicit.directional import Directional
 from nmpc_codegen.components.integrators.explicit.quadrature import Quadrature
 from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.ir.kernel import Port
 from nmpc_codegen.ir.sweep import Call, Slice, unroll
-from nmpc_codegen.lowering.linearize import linearize
 from nmpc_codegen.oracle.reference import CLASSICAL, Reference, ReferenceSolution, interval_map, node_data
 from verification import problems, samples
 from verification.routes import shooting as options
@@ -366,9 +366,9 @@ def test_the_plan_moves_by_default() -> None:
         (samples.closing, None, "periodic"),
         (cstr.build_ocp, 5.0, "resample"),
     ):
-        model = linearize(classify(make()), Options(algorithm=AdjointShooting(sampling_time=sampling_time)))
+        model = model_of(classify(make()), Options(algorithm=AdjointShooting(sampling_time=sampling_time)))
         assert model.parts.algorithm.shift == expected
-        assert any(f"shift: {expected}" in choice for choice in model.choices)
+        assert any(f"shift: {expected}" in choice for choice in model.choices.reasons)
 
 
 @pytest.mark.parametrize(("given", "simulations"), [({}, 4), ({"trials": 1}, 3), ({"products": 4}, 4)])

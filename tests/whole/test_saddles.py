@@ -21,9 +21,9 @@ from nmpc_codegen import (
     build,
 )
 from nmpc_codegen.frontend.classify import classify
-from nmpc_codegen.frontend.controls import IDLE, Saddles, find_saddles
+from nmpc_codegen.frontend.completion.saddles import IDLE, Saddles, find_saddles
+from nmpc_codegen.frontend.completion.scales import scales
 from nmpc_codegen.frontend.problem import Problem
-from nmpc_codegen.frontend.scales import scales
 from nmpc_codegen.oracle.reference import solve_reference
 from nmpc_codegen.runtime.controller import Controller
 from verification.saddles import delayed, drone, heater, lagging, motor, vehicle, warm

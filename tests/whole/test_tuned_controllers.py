@@ -50,7 +50,7 @@ def prepared(tuned: Tuned, options: Options | None) -> tuple[Controller, float]:
         options = replace(options, integrator=ExplicitRungeKutta())
     ctrl = build(ocp, options, profile="test")
     ctrl.set_previous(previous)
-    time = START if ctrl.description.inner.time else 0.0
+    time = START if ctrl.description.augmentation.time else 0.0
     if time:
         ctrl.set_time(time)
     return ctrl, time

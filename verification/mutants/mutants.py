@@ -57,7 +57,7 @@ MUTANTS = (
         "templates/algorithms/real_time_iteration/check_step.c",
         "if (!(over <= *least)) {\n            return 0;",
         "if (!(over <= *least)) {\n            return 1;",
-        ("tests/lowering/test_open_loop_growth.py",),
+        ("tests/decisions/test_open_loop_growth.py",),
     ),
     Mutant(
         "a transposed block: the factor of the free initial states",

@@ -18,7 +18,7 @@ from benchmarks.lib.speed.in_turn import in_turn
 from benchmarks.lib.speed.loops import LOOPS, for_target, module_of, package_of
 from nmpc_codegen import OCP
 from nmpc_codegen.frontend.classify import classify
-from nmpc_codegen.frontend.scales import scales
+from nmpc_codegen.frontend.completion.scales import scales
 from nmpc_codegen.targets import NATIVE
 from verification.closed_loop import compile_driver, run_driver
 from verification.robustness.work import Loop

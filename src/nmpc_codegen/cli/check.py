@@ -15,8 +15,7 @@ from nmpc_codegen.compiler import generate
 from nmpc_codegen.economic.stage import tableau
 from nmpc_codegen.errors import OptionError, ProblemWarning
 from nmpc_codegen.frontend.classify import classify
-from nmpc_codegen.frontend.inner import complete_inner
-from nmpc_codegen.lowering.linearize import complete
+from nmpc_codegen.frontend.completion.complete import complete
 from nmpc_codegen.oracle.reference import Reference, node_data
 from nmpc_codegen.runtime.build import load
 
@@ -41,7 +40,7 @@ def check(ocp: OCP, options: Options, folder: Path, name: str, printer: Printer)
     IPOPT starts from the same point as the generated code. If it ends at another point (another local optimum), it is
     started again at the solution of the generated code, which it must then return.
     """
-    problem = complete_inner(complete(classify(ocp), options), options.algorithm.sampling_time)
+    problem = complete(classify(ocp), options)
     scheme = tableau(problem, options)
     refuse_long(scheme.steps * len(problem.dt))
     files: Mapping[str, str] = {

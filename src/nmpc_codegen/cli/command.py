@@ -75,7 +75,6 @@ def _export(arguments: argparse.Namespace, printer: Printer) -> bool:
     from nmpc_codegen.options import Options, common_options
     from nmpc_codegen.runtime.compilers import find_compiler
     from nmpc_codegen.runtime.native import check_target
-    from nmpc_codegen.targets import TARGETS
 
     runs = arguments.check or arguments.simulate is not None or arguments.campaign is not None
     if runs:
@@ -88,7 +87,7 @@ def _export(arguments: argparse.Namespace, printer: Printer) -> bool:
     firmware.look_for_tools(options)
     name = ocp.name if arguments.name is None else arguments.name
     if runs:
-        check_target(name, TARGETS[options.with_defaults.target])
+        check_target(name, options.machine)
     folder = Path(arguments.output or Path("out") / name)
     beside = None if estimator is None else lambda: compile(estimator, common_options(options))
     flights = Flights(arguments, stated, name, printer)

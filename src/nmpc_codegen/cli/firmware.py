@@ -49,7 +49,7 @@ class Firmware:
             OptionError: a flag needs a microcontroller, or the target cannot be verified.
             BuildError: a program is missing; the message says what to install.
         """
-        target = TARGETS[options.with_defaults.target]
+        target = options.machine
         if target.board is not None:
             require(target, emulator=self._run)
             find_compiler()

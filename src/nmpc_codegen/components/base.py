@@ -18,10 +18,12 @@ from nmpc_codegen.package.signals import list_some
 
 if TYPE_CHECKING:
     from nmpc_codegen.components.stage_cost import StageCosts
+    from nmpc_codegen.frontend.completion.complete import CompleteProblem
     from nmpc_codegen.frontend.problem import Problem, Row
     from nmpc_codegen.ir.cmodule import Table
     from nmpc_codegen.ir.kernel import Port
     from nmpc_codegen.ir.model import HessianModel, Interval, IntervalProducts, ModelFunctions
+    from nmpc_codegen.ir.stage_products import Products
     from nmpc_codegen.ir.sweep import Call, Routine
     from nmpc_codegen.package.estimation import Estimation
     from nmpc_codegen.package.features import Features
@@ -208,7 +210,7 @@ class Component(Protocol):
         """What the user of a package with it should know; part of the report."""
         ...
 
-    def tables(self, problem: Problem) -> tuple[Table, ...]:
+    def tables(self, problem: CompleteProblem) -> tuple[Table, ...]:
         """Constant tables that its template reads."""
         ...
 
@@ -252,7 +254,7 @@ class Integrator(Component, Protocol):
         """Length (s) of the longest integration step."""
         ...
 
-    def transition(self, problem: Problem) -> Transition | None:
+    def transition(self, problem: CompleteProblem) -> Transition | None:
         """S of an interval in NumPy, where explicit steps do not give it."""
         ...
 
@@ -315,6 +317,15 @@ class Regularization(Protocol):
         ...
 
 
+class StageMatrices(Protocol):
+    """What the counts of condensing and of QP solvers follow from."""
+
+    @property
+    def products(self) -> Products:
+        """Products with the stage matrices."""
+        ...
+
+
 class Condensing(Component, Protocol):
     """Converts the stage QP to a QP of the form ``gives``."""
 
@@ -331,6 +342,10 @@ class Condensing(Component, Protocol):
         """Sizes of the QP that it forms."""
         ...
 
+    def cost(self, dims: Dims, model: StageMatrices) -> Counts:
+        """See Component; the functions that it calls are products."""
+        ...
+
     def adapt(self, problem: Problem) -> Condensing:
         """The component to use for this problem: itself, unless the problem needs an equivalent one."""
         ...
@@ -341,6 +356,10 @@ class QpSolver(Component, Protocol):
 
     takes: ClassVar[str]  # "condensed" or "stages"
     chosen_for: ClassVar[tuple[str, ...]]  # goals for which qp=None may choose it
+
+    def cost(self, dims: Dims, model: StageMatrices) -> Counts:
+        """See Component; the functions that it calls are products."""
+        ...
 
     def search(self, dims: Dims) -> OpCount:
         """Estimate of the further operations of a sample whose working set is far from the predicted one."""
@@ -438,7 +457,7 @@ class Defaults:
     def notes(self, problem: Problem) -> tuple[str, ...]:
         return ()
 
-    def tables(self, problem: Problem) -> tuple[Table, ...]:
+    def tables(self, problem: CompleteProblem) -> tuple[Table, ...]:
         return ()
 
     def sizes(self, dims: Dims) -> tuple[tuple[str, int, str], ...]:
@@ -447,7 +466,7 @@ class Defaults:
     def absent_sizes(self, dims: Dims) -> tuple[tuple[str, int, str], ...]:
         return ()
 
-    def transition(self, problem: Problem) -> Transition | None:
+    def transition(self, problem: CompleteProblem) -> Transition | None:
         return None
 
     def structs(self, dims: Dims) -> tuple[Struct, ...]:
@@ -477,7 +496,7 @@ class Defaults:
     def convex(self) -> bool:
         return True
 
-    def cost(self, dims: Dims, model: ModelFunctions) -> Counts:
+    def cost(self, dims: Dims, model: Any) -> Counts:
         return {}
 
     def search(self, dims: Dims) -> OpCount:

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+from nmpc_codegen.decisions.dimensions import dimensions
 from nmpc_codegen.derivatives.model import DerivativeModel
 from nmpc_codegen.ir.cmodule import Macro, Setting
 from nmpc_codegen.ir.sweep import LoopedRoutine
-from nmpc_codegen.lowering.choose import dimensions
 from nmpc_codegen.package.features import KERNELS
 from nmpc_codegen.package.memory import Field, Size, Struct
 from nmpc_codegen.package.signals import Argument, EntryPoint

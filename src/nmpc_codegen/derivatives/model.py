@@ -15,13 +15,14 @@ from nmpc_codegen.components.integrators import Discrete, ExplicitRungeKutta
 from nmpc_codegen.components.stage_cost import StageCost, stage_costs
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.frontend.classify import classify, outputs_of
+from nmpc_codegen.frontend.completion.complete import CompleteProblem, complete
 from nmpc_codegen.frontend.ocp import OCP
 from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.casadi_types import Expression
 from nmpc_codegen.ir.kernel import Port, lift
 from nmpc_codegen.ir.model import IntervalProducts, StageModel
 from nmpc_codegen.ir.sweep import Call, LoopedRoutine, Routine, Slice
-from nmpc_codegen.lowering.linearize import complete, stage_model
+from nmpc_codegen.lowering.linearize import stage_model
 from nmpc_codegen.options import Options
 from nmpc_codegen.package.memory import Precision
 
@@ -38,7 +39,7 @@ class DerivativeModel:
     p, dt, lam) -> x_next, S, g = 0, Q = lower triangle of d2 (lam' Phi) / d(x, u)^2; empty without second order.
     """
 
-    problem: Problem
+    problem: CompleteProblem
     integrator: Integrator
     precision: Precision
     linearize: Routine
@@ -94,7 +95,7 @@ def derivative_model(
     _refuse_options(chosen)
     problem = complete(classify(ocp), chosen)
     integrator = _integrator(problem, chosen)
-    problem.refuse_inner("derivatives")
+    problem.refuse_augmented("derivatives")
     _refuse(problem)
     names, z = outputs_of(ocp, problem, outputs, names)
     entries = problem.N**2 * problem.nu * len(names)

@@ -14,7 +14,7 @@ from nmpc_codegen.derivatives.counts import Counts
 from nmpc_codegen.derivatives.layout import settings, structs
 from nmpc_codegen.derivatives.model import DerivativeModel
 from nmpc_codegen.errors import DerivativeError
-from nmpc_codegen.lowering.tolerances import EPS
+from nmpc_codegen.package.memory import EPS
 from nmpc_codegen.package.opcount import OpCount
 from nmpc_codegen.package.status import Status
 

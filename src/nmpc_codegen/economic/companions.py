@@ -176,7 +176,7 @@ def rotate(
         ocp.start_cost(sign * storage(ocp.x))
         return
     problem = classify(ocp)
-    problem.refuse_inner("rotate")
+    problem.refuse_augmented("rotate")
     if not problem.uniform:
         raise ProblemError(f"rotate: '{problem.name}' has intervals of different length; use on='nodes'")
     scheme = tableau(problem, options)

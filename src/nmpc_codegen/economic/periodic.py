@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 
 from nmpc_codegen.components.integrators import ImplicitRungeKutta
+from nmpc_codegen.decisions.integrator import integrator_of
 from nmpc_codegen.economic.linear_quadratic import LinearQuadratic
 from nmpc_codegen.economic.orbit import Orbit, solve_orbit
 from nmpc_codegen.economic.semidefinite import Weights, convexify_period
@@ -29,7 +30,6 @@ from nmpc_codegen.errors import OptionError, ProblemError
 from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.frontend.ocp import OCP
 from nmpc_codegen.frontend.problem import Array, Problem
-from nmpc_codegen.lowering.schemes.choose import choose_integrator
 from nmpc_codegen.options import Options
 
 
@@ -147,7 +147,7 @@ def tune_periodic(
         raise ProblemError(
             f"tune_periodic: '{problem.name}' {what}; expected a uniform grid and an orbit of all states"
         )
-    chosen, _ = choose_integrator(problem, options or Options())
+    chosen = integrator_of(problem, options or Options())
     if isinstance(chosen, ImplicitRungeKutta):
         raise ProblemError(
             f"tune_periodic: the map of '{problem.name}' is that of an implicit scheme; expected an explicit one "

@@ -17,11 +17,11 @@ from functools import cached_property
 import casadi as ca
 import numpy as np
 
+from nmpc_codegen.decisions.integrator import integrator_of
 from nmpc_codegen.economic.newton_map import newton_map
 from nmpc_codegen.errors import ProblemError
 from nmpc_codegen.frontend.problem import Array, Problem, Row
 from nmpc_codegen.ir.casadi_types import Expression, Function
-from nmpc_codegen.lowering.schemes.choose import choose_integrator
 from nmpc_codegen.options import Options
 from nmpc_codegen.oracle.trajectory import CLASSICAL, Tableau, interval_map, node_cost, scaled_weight
 
@@ -143,7 +143,7 @@ def in_units(stage: SteadyStage, d: Array, money: float, rows: Array) -> SteadyS
 def tableau(problem: Problem, options: Options | None) -> Tableau:
     """The scheme of the options, else the one that the compiler chooses for the problem, as plain numbers;
     CLASSICAL for a discrete map, which reads none."""
-    chosen, _ = choose_integrator(problem, options or Options())
+    chosen = integrator_of(problem, options or Options())
     scheme = getattr(chosen, "tableau", None)
     if scheme is None:
         return CLASSICAL
@@ -158,7 +158,7 @@ def steady_stage(problem: Problem, options: Options | None = None, p: Array | No
         ProblemError: another state, the cost or all states depend on a cyclic state, or only cyclic states exist; or
             there are previous controls, time or discrete states.
     """
-    problem.refuse_inner("steady state")
+    problem.refuse_augmented("steady state")
     kept = tuple(i for i in range(problem.nx) if i not in problem.cyclic)
     if not kept:
         raise ProblemError(f"OCP '{problem.name}': all states are cyclic, so there is no steady state")

@@ -10,21 +10,10 @@ import numpy as np
 
 from nmpc_codegen.errors import ProblemError
 from nmpc_codegen.frontend.algebra.resolution import Resolved, resolve
+from nmpc_codegen.frontend.augmentation import Augmented, warn_of_integrals
 from nmpc_codegen.frontend.checks import element_names
-from nmpc_codegen.frontend.inner import (
-    control_signals,
-    data_signals,
-    data_symbols,
-    dynamics_of,
-    effective_controls,
-    inner_of,
-    inner_signals,
-    inner_symbols,
-    node_data,
-    warn_of_integrals,
-)
 from nmpc_codegen.frontend.ocp import OCP
-from nmpc_codegen.frontend.problem import Algebra, Array, Problem, Row, RowKind, Signal, Stage, symbols
+from nmpc_codegen.frontend.problem import Algebra, Array, Problem, Row, RowKind, Stage, symbols
 from nmpc_codegen.frontend.statement import At, Element, Penalty, Residual, StageName, Statement
 from nmpc_codegen.ir.casadi_types import elements, part
 
@@ -38,50 +27,50 @@ def classify(ocp: OCP) -> Problem:
     _require(ocp)
     warn_of_integrals(ocp)
     resolved = resolve(ocp)
-    ocp = ocp if resolved is None else resolved.ocp
+    augmented = Augmented(ocp if resolved is None else resolved.ocp)
+    ocp = augmented.ocp
     rows, path_h, terminal_h = _classify_rows(ocp)
-    start = _stage(ocp, [], rows, "start")
-    path = _stage(ocp, path_h, rows, "path")
-    terminal = _stage(ocp, terminal_h, rows, "terminal")
-    dt = (1.0,) * ocp.N if ocp.dt is None else ocp.dt
-    dynamics, maps, jump = dynamics_of(ocp, path, dt)
+    start = _stage(augmented, [], rows, "start")
+    path = _stage(augmented, path_h, rows, "path")
+    terminal = _stage(augmented, terminal_h, rows, "terminal")
+    dynamics, maps, jump = augmented.dynamics()
     return Problem(
         name=ocp.name,
         N=ocp.N,
-        dt=dt,
-        states=(*_signals(ocp.states), *inner_signals(ocp, path, rows, dt)),
-        controls=control_signals(ocp),
-        parameters=(*_signals(ocp.parameters), *data_signals(ocp, dt)),
+        dt=augmented.dt,
+        states=augmented.states(path, rows),
+        controls=augmented.controls(),
+        parameters=augmented.parameters(),
         dynamics=dynamics,
         discrete=bool(ocp.discrete),
         start=start,
         path=path,
         terminal=terminal,
-        coupled=_coupled_rows(ocp),
+        coupled=_coupled_rows(augmented),
         rows=rows,
         free_initial=tuple(sorted(ocp.free)),
-        uses=_uses(ocp, rows),
+        uses=_uses(augmented, rows),
         accumulators=tuple(sorted(ocp.accumulators)),
         cyclic=tuple(sorted(ocp.cyclic_states)),
         terminal_lqr=ocp.terminal_lqr,
         time_unit=ocp.time_unit,
-        inner=inner_of(ocp),
+        augmentation=augmented.added,
         maps=maps,
         jump=jump,
-        node_data=node_data(ocp, dt),
-        algebra=None if resolved is None else _algebra(resolved, path),
+        node_data=augmented.node_data(),
+        algebra=None if resolved is None else _algebra(resolved, augmented, path),
     )
 
 
-def _algebra(resolved: Resolved, path: Stage) -> Algebra:
+def _algebra(resolved: Resolved, augmented: Augmented, path: Stage) -> Algebra:
     """Values and equations of algebraic variables in the symbols of the path stage."""
-    ocp, z = resolved.ocp, ca.SX.sym("z", len(resolved.names))
+    z = ca.SX.sym("z", len(resolved.names))
     stated = [ca.substitute(e, resolved.newton, z) for e in (resolved.values, resolved.rest)]
-    found = _replace_symbols(ocp, stated, path.x, path.u, path.p)
-    p = part(path.p, 0, path.p.numel() - ocp.node_data.numel())
+    found = augmented.put_in(stated, path.x, path.u, path.p)
+    p = part(path.p, 0, path.p.numel() - augmented.ocp.node_data.numel())
     values, equations = (ca.Function("of_z", [path.x, path.u, p, z], [ca.densify(e)]) for e in found)
     of_newton = resolved.names, resolved.start, resolved.scale, resolved.found, resolved.inverse
-    return Algebra(_signals(ocp.algebraics), values, equations, *of_newton)
+    return Algebra(tuple(d.signal for d in augmented.ocp.algebraics), values, equations, *of_newton)
 
 
 def outputs_of(ocp: OCP, problem: Problem, outputs: Any, names: Any) -> tuple[tuple[str, ...], Any]:
@@ -99,7 +88,7 @@ def outputs_of(ocp: OCP, problem: Problem, outputs: Any, names: Any) -> tuple[tu
         raise ProblemError("outputs are empty; expected an expression with at least one element, or None")
     stage = problem.path
     found = [f"z[{i}]" for i in range(z.numel())] if names is None else element_names(names, z.numel(), "outputs")
-    return tuple(found), _replace_symbols(ocp, [z], stage.x, stage.u, stage.p)[0]
+    return tuple(found), Augmented(ocp).put_in([z], stage.x, stage.u, stage.p)[0]
 
 
 def _require(ocp: OCP) -> None:
@@ -111,7 +100,7 @@ def _require(ocp: OCP) -> None:
             f"OCP '{ocp.name}' has no control, so there is nothing to optimise; use ocp.control(name), or "
             "ocp.free_initial(state) for components of x_0 that are to be found"
         )
-    names = [e for s in _signals(ocp.states) for e in s.elements]
+    names = [e for d in ocp.states for e in d.signal.elements]
     known = {*ocp.derivatives, *ocp.maps, *ocp.slopes}
     missing = [name for i, name in enumerate(names) if i not in known]
     if missing:
@@ -126,19 +115,6 @@ def _require(ocp: OCP) -> None:
     both = sorted(ocp.free & ocp.accumulators)
     if both:
         raise ProblemError(f"state '{names[both[0]]}' cannot be both free_initial and accumulator (reset to 0)")
-
-
-def _signals(declared: list[Any]) -> tuple[Signal, ...]:
-    return tuple(d.signal for d in declared)
-
-
-def _replace_symbols(ocp: OCP, expressions: list[Any], x: Any, u: Any, p: Any) -> list[Any]:
-    """The expressions with the symbols of the OCP replaced by x, u, p (u empty: they contain no control)."""
-    states, (parameters, places) = ca.vertcat(ocp.x, *inner_symbols(ocp)), data_symbols(ocp, p)
-    ends = u.numel() == 0
-    old = ca.vertcat(states, *([] if ends else [ocp.u]), *parameters)
-    new = ca.vertcat(x, *([] if ends else [effective_controls(ocp, x, u, p)]), *places)
-    return [ca.densify(e) for e in ca.substitute(expressions, [old], [new])]
 
 
 # Rows ----------------------------------------------------------------------------------------------------------------
@@ -276,20 +252,17 @@ def _end_equality(ocp: OCP, s: _Scalar) -> bool:
 # Stages --------------------------------------------------------------------------------------------------------------
 
 
-def _stage(ocp: OCP, h: list[Any], rows: tuple[Row, ...], stage: StageName) -> Stage:
-    inner = inner_of(ocp)
-    nx = ocp.x.numel() + inner.count
-    count = ocp.p.numel() + inner.data + ocp.node_data.numel()
-    x, u, p, dt = symbols(nx, max(1, ocp.u.numel()) if stage == "path" else 0, count)
+def _stage(augmented: Augmented, h: list[Any], rows: tuple[Row, ...], stage: StageName) -> Stage:
+    ocp = augmented.ocp
+    x, u, p, dt = symbols(augmented.nx, augmented.nu if stage == "path" else 0, augmented.np)
     residuals = [r for r in ocp.residuals if r.stage == stage]
     costs = [c for c in ocp.costs if c.stage == stage]
     nodal = [c.expression * (dt if c.scale_with_dt else 1) for c in costs if not c.integrate]
     rates = [c.expression for c in costs if c.integrate]
     empty = ca.SX(0, 1)
     stacked = ca.vertcat(empty, *(r.y for r in residuals))
-    y, general, cost, rate = _replace_symbols(
-        ocp, [stacked, ca.vertcat(empty, *h), ca.SX(sum(nodal)), ca.SX(sum(rates))], x, u, p
-    )
+    stated = [stacked, ca.vertcat(empty, *h), ca.SX(sum(nodal)), ca.SX(sum(rates))]
+    y, general, cost, rate = augmented.put_in(stated, x, u, p)
     places = [{"start": -1, "path": row.index, "terminal": row.index_terminal}[stage] for row in rows]
     positions = [(place, row) for place, row in zip(places, rows, strict=True) if row.is_general]
     return Stage(
@@ -307,7 +280,7 @@ def _stage(ocp: OCP, h: list[Any], rows: tuple[Row, ...], stage: StageName) -> S
         y_scale=tuple(value for r in residuals for value in r.scale or (0.0,) * len(r.names)),
         h_names=tuple(row.name for position, row in positions if position >= 0),
         cost_rate=rate if rates else None,
-        bare=_bare(ocp, residuals, nx) if inner.held else None,
+        bare=_bare(ocp, residuals, augmented.nx) if augmented.added.held else None,
     )
 
 
@@ -332,22 +305,25 @@ def _block_diagonal(blocks: list[Array]) -> Array:
     return _frozen(W)
 
 
-def _coupled_rows(ocp: OCP) -> Any:
+def _coupled_rows(augmented: Augmented) -> Any:
+    ocp = augmented.ocp
     r = [s.expression for s in ocp.statements if s.at is None]
     if not r:
         return None
-    nx, own = ocp.x.numel() + inner_of(ocp).count, ocp.x.numel()
-    x0, xN = ca.SX.sym("x_0", nx), ca.SX.sym("x_N", nx)
-    old, new = ca.vertcat(ocp.x_start, ocp.x_end), ca.vertcat(*elements(x0)[:own], *elements(xN)[:own])
+    x0, xN = ca.SX.sym("x_0", augmented.nx), ca.SX.sym("x_N", augmented.nx)
+    old, new = (
+        ca.vertcat(ocp.x_start, ocp.x_end),
+        ca.vertcat(*elements(x0)[: augmented.own], *elements(xN)[: augmented.own]),
+    )
     return ca.Function("r", [x0, xN], [ca.densify(ca.substitute(ca.vertcat(*r), old, new))], ["x_0", "x_N"], ["r"])
 
 
-def _uses(ocp: OCP, rows: tuple[Row, ...]) -> frozenset[str]:
-    inner = inner_of(ocp)
+def _uses(augmented: Augmented, rows: tuple[Row, ...]) -> frozenset[str]:
+    ocp, added = augmented.ocp, augmented.added
     used = {
-        "previous controls": bool(inner.previous),
-        "time": inner.time,
-        "blocks of controls": bool(inner.held),
+        "previous controls": bool(added.previous),
+        "time": added.time,
+        "blocks of controls": bool(added.held),
         "discrete states": bool(ocp.maps),
         "soft rows": any(r.soft is not None for r in rows),
         "rows with an infinite penalty": any(r.soft is not None and r.hard for r in rows),

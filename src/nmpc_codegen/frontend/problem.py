@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import product
-from typing import ClassVar, TypeVar
+from typing import ClassVar, Self, TypeVar
 
 import casadi as ca
 import numpy as np
@@ -25,8 +25,8 @@ from nmpc_codegen.errors import ProblemError
 from nmpc_codegen.frontend.algebra import newton
 from nmpc_codegen.ir.casadi_types import Expression, Function, curved_rows, elements, part
 from nmpc_codegen.package.estimation import Estimation
-from nmpc_codegen.package.signals import NOTHING_INNER, ImposedRow, imposed_rows
-from nmpc_codegen.package.signals import Inner as Inner
+from nmpc_codegen.package.signals import NOT_AUGMENTED, ImposedRow, imposed_rows
+from nmpc_codegen.package.signals import Augmentation as Augmentation
 from nmpc_codegen.package.signals import Row as Row
 from nmpc_codegen.package.signals import RowKind as RowKind
 from nmpc_codegen.package.signals import Signal as Signal
@@ -203,8 +203,9 @@ class Problem:
     "free initial state", "general cost", "integrated cost", "accumulators", "previous controls", "blocks of controls",
     "time", "discrete states"): a component that does not support one of them refuses the problem.
 
-    ``inner``: the last states, which the compiler adds. ``jump``: SX Function (x, u, p, dt) -> values at the next node
-    of the states ``maps``, which keep their values along an interval; their derivatives in ``dynamics`` are 0.
+    ``augmentation``: the last states, which the compiler adds. ``jump``: SX Function (x, u, p, dt) -> values at the
+    next node of the states ``maps``, which keep their values along an interval; their derivatives in ``dynamics`` are
+    0. What follows from a problem by itself, its scales among it, is in a CompleteProblem.
     """
 
     name: str
@@ -224,13 +225,13 @@ class Problem:
     uses: frozenset[str]
     accumulators: tuple[int, ...] = ()  # positions in x of states that are reset to 0 at every sample
     cyclic: tuple[int, ...] = ()  # positions in x of states that grow without bound
-    terminal_lqr: LqrRequest | None = None  # a terminal cost to be computed before linearize()
+    terminal_lqr: LqrRequest | None = None  # a terminal cost that complete() computes
     time_unit: str = "s"  # of dt and of every other time
     proximal: tuple[float, ...] = ()  # curvature that samples add to (x, u); (): none
-    inner: Inner = NOTHING_INNER
+    augmentation: Augmentation = NOT_AUGMENTED
     maps: tuple[int, ...] = ()  # positions in x
     jump: Function | None = None
-    node_data: Array = field(default_factory=no_data)  # (N + 1, inner.data): values of the last parameters
+    node_data: Array = field(default_factory=no_data)  # (N + 1, augmentation.data): values of the last parameters
     algebra: Algebra | None = None
     noise: tuple[tuple[int, int], ...] = ()  # (i, j): u_j is added to x_i at the end of an interval
     estimation: Estimation | None = None  # of an estimator
@@ -240,24 +241,24 @@ class Problem:
     def own_parameters(self) -> tuple[Signal, ...]:
         """The parameters of the user."""
         more = 0 if self.estimation is None else self.estimation.signals
-        return self.parameters[: len(self.parameters) - self.inner.data - more]
+        return self.parameters[: len(self.parameters) - self.augmentation.data - more]
 
     @property
     def data_behind(self) -> int:
         """Numbers behind the parameters of the user: lengths of intervals and the like, measurements."""
-        return self.inner.data + (0 if self.estimation is None else self.estimation.data)
+        return self.augmentation.data + (0 if self.estimation is None else self.estimation.data)
 
     @property
     def measured(self) -> int:
         """Number of the states of the user."""
-        return self.nx - self.inner.count
+        return self.nx - self.augmentation.count
 
     @property
     def own_states(self) -> tuple[Signal, ...]:
         """The states of the user."""
-        return self.states[: len(self.states) - self.inner.count]
+        return self.states[: len(self.states) - self.augmentation.count]
 
-    def refuse_inner(self, what: str) -> None:
+    def refuse_augmented(self, what: str) -> None:
         """Raise ProblemError if ``what`` would meet states that it does not know."""
         unknown = {"previous controls", "time", "discrete states", "nonlinear algebraic equations"}
         found = sorted(unknown & self.uses)
@@ -302,7 +303,7 @@ class Problem:
 
     def controls_before(self, x: Sequence[T]) -> list[T | float]:
         """The controls of the node before, as far as x remembers them, else 0."""
-        places = self.inner.places
+        places = self.augmentation.places
         return [x[self.measured + places[j]] if j in places else 0.0 for j in range(self.nu)]
 
     def node_values(self, x: Array, u: Array, p: Array | None = None) -> Array:
@@ -376,7 +377,7 @@ class Problem:
         path = self.path
         if not path.nh:
             return ()
-        known = {self.measured + place for place in self.inner.places.values()}
+        known = {self.measured + place for place in self.augmentation.places.values()}
         states = ca.vertcat(*(x for i, x in enumerate(elements(path.x)) if i not in known))
         of_states, of_controls = (ca.which_depends(path.h, z, 1, True) for z in (states, path.u))
         return tuple(
@@ -476,7 +477,7 @@ class Problem:
         return np.array([v for s in self.parameters for v in s.value])
 
     @cached_property
-    def corners(self) -> tuple[tuple[str, Problem], ...]:
+    def corners(self) -> tuple[tuple[str, Self], ...]:
         """The problem as it is declared, ("", itself), and with parameters and initial states at corners of their
         ranges, each with its name: "m = 0.1, k = 3".
 
@@ -491,7 +492,7 @@ class Problem:
             moved = [[(w, value)] for w in wide for value in w[2]]
         return (("", self), *((_in_words(corner), self._at(corner)) for corner in moved))
 
-    def _at(self, corner: Corner) -> Problem:
+    def _at(self, corner: Corner) -> Self:
         """The problem with other values of some elements."""
         values = {s.name: list(s.value) for s in (*self.parameters, *self.states)}
         for (signal, i, _), value in corner:
@@ -542,3 +543,10 @@ def _in_words(corner: Corner) -> str:
 def symbols(nx: int, nu: int, np_: int) -> tuple[Expression, Expression, Expression, Expression]:
     """Fresh SX symbols x, u, p, dt of the given sizes."""
     return ca.SX.sym("x", nx), ca.SX.sym("u", nu), ca.SX.sym("p", np_), ca.SX.sym("dt")
+
+
+def model_function(name: str, inputs: Sequence[Expression], values: Sequence[Expression]) -> Function:
+    """A function of x, u, p, dt, or of the first of them, whose one result is the column of these values."""
+    return ca.Function(
+        name, list(inputs), [ca.densify(ca.vertcat(*values))], ["x", "u", "p", "dt"][: len(inputs)], [name]
+    )

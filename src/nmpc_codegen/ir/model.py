@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from functools import cached_property
 
 from nmpc_codegen.ir.kernel import Kernel
 from nmpc_codegen.ir.stage_products import Pattern, Products, bandwidth, pattern
@@ -111,6 +110,13 @@ class HessianModel:
     initial: Routine | None = None
     curved: Routine | None = None
 
+    @property
+    def Q(self) -> Pattern:
+        """Nonzeros of the path block, with those of the start if it is added to a block that is stored."""
+        if self.path.hessian is None or self.start is None:
+            return self.path.Q
+        return self.path.Q | pattern(self.start, "Q")
+
 
 @dataclass(frozen=True, eq=False)
 class ModelFunctions:
@@ -119,20 +125,20 @@ class ModelFunctions:
     ``start``: the cost of node 0 in addition to that of the path. Its Hessian block and ``initial``, that of the
     coupled rows, are added to the first block of the path. ``coupled``: r(x_0, x_N) and its Jacobians. ``exact``:
     path_exact, terminal_exact, start_exact and initial_exact, the exact Hessian of solve() where samples have another.
-    ``previous``: number of the last states that are controls of the node before. ``algebraic``: (x, u, p) -> algebraic
+    ``algebraic``: (x, u, p) -> algebraic
     variables, where x of a stage ends with those that Newton's method solves for; ``measurement``: (x, p) -> y,
     H = dy / dx of an estimator; ``control_start``: (p, yref) -> controls of the first plan; ``following``: operations
-    of a node that Newton's method takes to follow a plan, with two steps.
+    of a node that Newton's method takes to follow a plan, with two steps. ``products``: those with the stage matrices.
     """
 
     interval: Interval
+    products: Products
     start: StageModel
     path: StageModel
     terminal: StageModel
     initial: Routine | None
     coupled: Routine | None
     exact: tuple[Routine, ...] = ()
-    previous: int = 0
     algebraic: Kernel | None = None
     measurement: Kernel | None = None
     control_start: Kernel | None = None
@@ -164,12 +170,13 @@ class ModelFunctions:
             )
         )
 
-    @cached_property
-    def products(self) -> Products:
-        """Products with the stage matrices; the patterns are the elements that the routines store."""
-        S = next(port for port in self.interval.linearize.outputs if port.name == "S")
-        patterns = pattern(self.interval.linearize, "S"), self.path.Q, self.terminal.Q
-        return Products(S.rows, S.cols - S.rows, *patterns, bandwidth(self.previous, S.rows, *patterns))
+
+def products_of(interval: Interval, blocks: HessianModel, previous: int) -> Products:
+    """Products with the stage matrices; the patterns are the elements that the routines store. ``previous``: number of
+    the last states that are controls of the node before."""
+    S = next(port for port in interval.linearize.outputs if port.name == "S")
+    patterns = pattern(interval.linearize, "S"), blocks.Q, blocks.terminal.Q
+    return Products(S.rows, S.cols - S.rows, *patterns, bandwidth(previous, S.rows, *patterns))
 
 
 def _present(*routines: Routine | None) -> Iterator[Routine]:

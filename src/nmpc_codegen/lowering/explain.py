@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import replace
 
 from nmpc_codegen.components.hessians import ExactHessian
+from nmpc_codegen.decisions.decide import no_curvature_in
+from nmpc_codegen.decisions.scheme_warnings import scheme_warnings
 from nmpc_codegen.frontend.program import program
 from nmpc_codegen.ir.cmodule import CModule
-from nmpc_codegen.lowering.first_plan import first_plan_warnings
-from nmpc_codegen.lowering.linearize import Model, no_curvature_in
-from nmpc_codegen.lowering.schemes.choose import accuracy_warning, implicit_for
-from nmpc_codegen.lowering.schemes.stability import stability_warning
+from nmpc_codegen.lowering.linearize import Model
+from nmpc_codegen.lowering.warnings import first_plan_warnings
 from nmpc_codegen.package.program import Program
 
 #: What comes of controls without curvature.
@@ -26,13 +26,12 @@ def explain(module: CModule, model: Model) -> CModule:
 
 def warnings(model: Model, found: Program) -> tuple[str, ...]:
     """What is likely to give poor results, with the remedies; ``found``: the program of the problem."""
-    problem, algorithm = model.problem, model.parts.algorithm
+    problem, choices, algorithm = model.problem, model.choices, model.parts.algorithm
     second = bool(model.exact) or isinstance(model.parts.hessian, ExactHessian)
     return (
-        *((f"{no_curvature_in(model.flat)}, {JUMPS}",) if model.flat else ()),
-        *stability_warning(problem, model.parts.integrator, implicit_for),
-        *accuracy_warning(problem, model.parts.integrator, not any(r.startswith("integrator") for r in model.reasons)),
-        *(model.grown.of_simulation(type(algorithm).__name__, problem.N) if algorithm.simulates else ()),
-        *(() if problem.estimation else first_plan_warnings(problem, found, second, model.saddles)),
-        *(() if model.choice is None else model.choice.warnings),
+        *((f"{no_curvature_in(problem.flat)}, {JUMPS}",) if problem.flat else ()),
+        *scheme_warnings(choices.trials, choices.integrator),
+        *(choices.grown.of_simulation(type(algorithm).__name__, problem.N) if algorithm.simulates else ()),
+        *(() if problem.estimation else first_plan_warnings(problem, found, second)),
+        *(() if choices.qp is None else choices.qp.warnings),
     )

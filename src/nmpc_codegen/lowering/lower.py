@@ -9,8 +9,9 @@ from dataclasses import replace
 from nmpc_codegen.components.algorithms.shifts import sampling_period
 from nmpc_codegen.components.base import Component, Counts, Dims
 from nmpc_codegen.components.core import SIZES_OF_OTHERS
+from nmpc_codegen.decisions.dimensions import DOCS
 from nmpc_codegen.errors import OptionError
-from nmpc_codegen.frontend.controls import PROBE_PARTS, PROBE_SIZES, Saddles
+from nmpc_codegen.frontend.completion.saddles import PROBE_PARTS, PROBE_SIZES, Saddles
 from nmpc_codegen.frontend.problem import Problem, Stage
 from nmpc_codegen.ir.cmodule import CModule, Macro, Section, Setter, check_prefix
 from nmpc_codegen.ir.kernel import called_functions, called_lookups
@@ -82,7 +83,7 @@ def lower(model: Model, name: str | None = None, whole: bool = False) -> CModule
             ("x", problem.state_names[: problem.measured]),
             ("u", problem.control_names),
             ("z", problem.algebraic_names),
-            ("p", problem.parameter_names[: problem.np - problem.inner.data]),
+            ("p", problem.parameter_names[: problem.np - problem.augmentation.data]),
             ("y", problem.path.y_names),
             ("y_N", problem.terminal.y_names),
             ("h", problem.path.h_names),
@@ -228,17 +229,17 @@ def _of_problem(model: Model) -> Features:
         hard_rows=any(p.rows[row].hard for _, _, _, row in p.qp_rows),
         rows_move=any((k + 1, row) in imposed for k, row in imposed),
         proximal=bool(p.proximal),
-        saddles=any(slope >= 0 for slope in model.saddles.slopes),
-        idle_states=any(model.saddles.drivers),
+        saddles=any(slope >= 0 for slope in model.problem.saddles.slopes),
+        idle_states=any(model.problem.saddles.drivers),
         idle_end=p.idle_end and parts.algorithm.shift == "repeat",
         end_equations=any(k == p.N and p.rows[row].is_equation for k, _, _, row in p.qp_rows),
         pulled_rows=bool(p.pulled_rows),
         control_bounds=any(place >= 0 for place in control_rows(p)),
         accumulators=bool(p.accumulators),
         all_measured=not p.accumulators and not p.free_initial,
-        inner=bool(p.inner.count),
-        previous=bool(p.inner.previous),
-        timed=p.inner.time,
+        inner=bool(p.augmentation.count),
+        previous=bool(p.augmentation.previous),
+        timed=p.augmentation.time,
         estimator=p.estimation is not None,
         known_controls=p.estimation is not None and p.estimation.nu > 0,
         solve=model.options.solves,
@@ -284,51 +285,18 @@ def _section_count(counts: Counts) -> OpCount | None:
     return sum(counts.values(), OpCount()) if counts else None
 
 
-#: Sizes that components share -> what they are.
-_DOCS = {
-    "N": "intervals",
-    "NX": "states",
-    "NXHAT": "states of the user",
-    "NU": "controls",
-    "NZ": "NX + NU",
-    "NP": "parameters",
-    "NY": "path residuals",
-    "NY_N": "terminal residuals",
-    "NW": "entries of the path weight",
-    "NW_N": "entries of the terminal weight",
-    "NH": "general path rows",
-    "NH_N": "general terminal rows",
-    "NR": "scalar rows with bounds",
-    "NQ": "path Hessian blocks",
-    "NF": "free components of x_0",
-    "NE": "coupled rows",
-    "NS": "stages of the QP",
-    "NUS": "controls of a stage of the QP",
-    "NXS": "states of a stage: NX and copies of components of x_0",
-    "NZS": "NXS + NUS",
-    "NV": "variables of the QP",
-    "NSL": "slack variables of the QP",
-    "NG": "scalar rows of all nodes besides control bounds",
-    "NALG": "algebraic variables that Newton's method solves for",
-    "NM": "measurements",
-    "NIN": "controls of the plant",
-    "LDV": "NV rounded up to a multiple of 4",
-    "LDH": "length of a row of H and A, a multiple of 4",
-}
-
-
 def _macros(model: Model, dims: Dims, whole: bool) -> tuple[Macro, ...]:
     core = [s for s in vars(dims).values() if isinstance(s, Size) and (s.text != "NQ" or model.parts.hessian)]
     of_qp: Iterable[Size] = () if dims.condensed is None else vars(dims.condensed).values()
-    inner = model.problem.inner
+    inner = model.problem.augmentation
     others = {*(() if inner.count else ("NXHAT",)), *(() if model.problem.estimation else ("NM", "NIN"))}
     kept = [s for s in (*core, *of_qp) if s.text not in others]
-    macros = [Macro(s.text, s.value, _DOCS[s.text], shown=_in_header(s, model.problem)) for s in kept]
+    macros = [Macro(s.text, s.value, DOCS[s.text], shown=_in_header(s, model.problem)) for s in kept]
     macros += _inner_macros(model)
     if dims.condensed:
         macros.append(Macro("PANEL", PANEL, "columns processed together"))
     macros += _data_macros(model.problem)
-    macros += _probe_macros(model.saddles)
+    macros += _probe_macros(model.problem.saddles)
     macros.append(Macro("ALGEBRAIC", len(model.problem.algebraic_names), "algebraic variables"))
     macros.append(Macro("PULLS", PULLS, "moves of a control back onto rows, at most"))
     parameters = model.problem.own_parameters
@@ -379,7 +347,7 @@ def _probe_macros(saddles: Saddles) -> tuple[Macro, ...]:
 
 def _inner_macros(model: Model) -> tuple[Macro, ...]:
     """Sizes of what stands behind the states and parameters of the user."""
-    inner = model.problem.inner
+    inner = model.problem.augmentation
     return (
         Macro("NBAND", model.products.banded, "the last states, which act on no other one"),
         Macro("NMEM", len(inner.previous), "controls that a node knows of the node before"),
@@ -390,7 +358,7 @@ def _inner_macros(model: Model) -> tuple[Macro, ...]:
 
 def _in_header(size: Size, problem: Problem) -> int | None:
     """What the header says of the number of states or parameters, if others stand behind those of the user."""
-    inner = problem.inner
+    inner = problem.augmentation
     hidden = {"NX": inner.count, "NP": problem.data_behind}.get(size.text, 0)
     return size.value - hidden if hidden else None
 
@@ -421,7 +389,7 @@ ALGEBRAIC = EntryPoint(
 
 def _entries(model: Model) -> tuple[EntryPoint, ...]:
     """The functions of the algorithm, and those of the states behind the measured ones."""
-    inner = model.problem.inner
+    inner = model.problem.augmentation
     more = (*((SET_PREVIOUS,) if inner.previous else ()), *((SET_TIME,) if inner.time else ()))
     more += (ALGEBRAIC,) if model.problem.algebraic_names else ()
     return (*model.parts.algorithm.entries(_features(model)), *more)
@@ -457,7 +425,7 @@ def _description(
     ranges: Mapping[str, tuple[int, int]],
 ) -> PackageDescription:
     """The data that Controller and open_package() need besides the C text."""
-    p, sizes = model.problem, model.scales
+    p, sizes = model.problem, model.problem.scales
     return PackageDescription(
         name=name,
         precision=model.options.precision,
@@ -465,8 +433,8 @@ def _description(
         sizes={m.name: m.value for m in macros},
         structs=structs,
         states=p.own_states,
-        inner=p.inner,
-        controls=() if p.inner.idle else p.controls,
+        augmentation=p.augmentation,
+        controls=() if p.augmentation.idle else p.controls,
         parameters=p.own_parameters,
         rows=p.rows,
         residuals=_residuals(p, p.path),
@@ -485,7 +453,7 @@ def _description(
         algebraic=p.algebra.signals if p.algebra else (),
         estimation=p.estimation,
         newton=p.newton_names,
-        scales=tuple(round_scales([*sizes.z[: p.measured], *sizes.z[p.nx : p.nx + p.nu - p.inner.idle]])),
+        scales=tuple(round_scales([*sizes.z[: p.measured], *sizes.z[p.nx : p.nx + p.nu - p.augmentation.idle]])),
         row_scales=tuple(round_scales(sizes.rows)),
     )
 
@@ -519,6 +487,6 @@ def _report(
         ram_bytes_by_struct={s.name: layout[s.name][0] * s.count for s in structs},
         operations=counts,
         linearization_operations=counts.get("linearize", OpCount()).total,
-        choices=model.choices,
+        choices=model.choices.reasons,
         looped=tuple(r.name for r in _printed_routines(model) if len(r.kernels) > 1),
     )

@@ -2,7 +2,7 @@
 
 import math
 
-EPS = {"double": 2.0**-52, "single": 2.0**-23}
+from nmpc_codegen.package.memory import EPS
 
 TOLERANCES: dict[str, tuple[float, str]] = {
     "qp_pivot": (2.0**5, "rounding of the curvature of a semidefinite Hessian, relative to its diagonal"),

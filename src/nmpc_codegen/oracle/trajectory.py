@@ -137,7 +137,7 @@ def node_data(
 
 def _with_node_data(problem: Problem, p: Any) -> Array:
     """(N+1, np), with the parameters behind those of the user."""
-    N, more = problem.N, problem.inner.data
+    N, more = problem.N, problem.augmentation.data
     if not more:
         return shape_of("p", _parameters(problem, p), (N + 1, problem.np))
     given = np.asarray(_parameters(problem, p), dtype=float)
@@ -148,7 +148,7 @@ def _with_node_data(problem: Problem, p: Any) -> Array:
 def _initial(problem: Problem, x0: Any) -> Array:
     """x_0 with the states behind those of the user, which have their first values if they are not given."""
     given = np.asarray(problem.x_initial if x0 is None else x0, dtype=float)
-    if given.shape == (problem.nx,) or not problem.inner.count:
+    if given.shape == (problem.nx,) or not problem.augmentation.count:
         return shape_of("x0", given, (problem.nx,))
     return np.concatenate([shape_of("x0", given, (problem.measured,)), problem.x_initial[problem.measured :]])
 

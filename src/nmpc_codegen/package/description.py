@@ -23,9 +23,9 @@ from nmpc_codegen.package.memory import INTEGERS, REAL, Field, Precision, Size, 
 from nmpc_codegen.package.opcount import OpCount
 from nmpc_codegen.package.program import Program
 from nmpc_codegen.package.signals import (
-    NOTHING_INNER,
+    NOT_AUGMENTED,
+    Augmentation,
     EntryPoint,
-    Inner,
     Layouts,
     Names,
     Residual,
@@ -37,8 +37,8 @@ from nmpc_codegen.package.signals import (
 #: Sizes of the interface, which every header states.
 INTERFACE_SIZES = ("N", "NX", "NU", "NP", "NY", "NY_N", "NW", "NW_N", "NR")
 
-#: Version of the layout of <name>.json.
-FORMAT = 11
+#: Version of the layout of <name>.json, and the keys there of fields that have another name here.
+FORMAT, KEYS = 11, {"augmentation": "inner"}
 
 DIMENSIONS = ("N", "NX", "NU", "NP", "NY", "NY_N", "NH", "NH_N", "NR")
 
@@ -120,7 +120,7 @@ class PackageDescription:
     report: Report
     scales: tuple[float, ...]  # of states and controls, (nx + nu,)
     row_scales: tuple[float, ...]  # of the terms of the rows
-    inner: Inner = NOTHING_INNER  # states behind those of the user, in the struct alone
+    augmentation: Augmentation = NOT_AUGMENTED  # states behind those of the user, in the struct alone
     algebraic: tuple[Signal, ...] = ()
     newton: tuple[str, ...] = ()  # variables that Newton's method solves for, derivatives of states among them
     estimation: Estimation | None = None  # of an estimator
@@ -130,14 +130,14 @@ class PackageDescription:
     @cached_property
     def dims(self) -> Dimensions:
         """Sizes in the notation of the project; nx: states of the user."""
-        sizes = {n: value - (self.inner.idle if n == "NU" else 0) for n, value in self.interface.items()}
+        sizes = {n: value - (self.augmentation.idle if n == "NU" else 0) for n, value in self.interface.items()}
         return Dimensions(*(sizes[name] for name in DIMENSIONS))
 
     @cached_property
     def interface(self) -> Mapping[str, int]:
         """The sizes as the header states them: NX and NP are the states and parameters of the user."""
         measured = 0 if self.estimation is None else self.estimation.data
-        behind = {"NX": self.inner.count, "NP": self.inner.data + measured}
+        behind = {"NX": self.augmentation.count, "NP": self.augmentation.data + measured}
         return {name: value - behind.get(name, 0) for name, value in self.sizes.items()}
 
     @property
@@ -221,14 +221,16 @@ class PackageDescription:
 
     def to_json(self) -> str:
         """The text of <name>.json, from which from_json() restores an equal description."""
-        entries: dict[str, Any] = {"format": FORMAT} | {f.name: getattr(self, f.name) for f in fields(self)}
+        entries: dict[str, Any] = {"format": FORMAT} | {
+            KEYS.get(f.name, f.name): getattr(self, f.name) for f in fields(self)
+        }
         entries |= {
             "structs": [_struct_entry(s) for s in self.structs],
             "rows": [_row_entry(r) for r in self.rows],
             "entry_points": [asdict(e) for e in self.entry_points],
             "report": self.report.as_dict(),
             "program": asdict(self.program),
-            "inner": asdict(self.inner),
+            "inner": asdict(self.augmentation),
             "estimation": self.estimation and asdict(self.estimation),
         }
         for kind in ("states", "controls", "parameters", "algebraic", "residuals", "residuals_N"):
@@ -254,6 +256,7 @@ class PackageDescription:
                 row["soft"] = row["soft"] and [float(value) for value in row["soft"]]
             for signal in (*raw["states"], *raw["controls"], *raw["parameters"], *raw["algebraic"]):
                 signal |= {side: [float(value) for value in signal[side]] for side in ("low", "high")}
+            raw |= {name: raw.pop(key) for name, key in KEYS.items()}
             described = msgspec.convert(raw, cls, dec_hook=_size)
             described.dims  # noqa: B018 - all sizes are there
             solver = {struct.name: struct for struct in described.structs}["solver"]

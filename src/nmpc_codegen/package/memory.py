@@ -22,6 +22,8 @@ from nmpc_codegen.package.features import Features
 Only = Callable[[Features], object]
 
 Precision = Literal["double", "single"]
+#: Distance of 1 to the next number.
+EPS: Mapping[str, float] = {"double": 2.0**-52, "single": 2.0**-23}
 Role = Literal["setting", "data", "iterate", "result", "keep", "scratch"]
 
 REAL: dict[str, type[np.floating[Any]]] = {"double": np.float64, "single": np.float32}

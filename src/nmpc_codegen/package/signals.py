@@ -66,9 +66,9 @@ class Signal:
 
 
 @dataclass(frozen=True)
-class Inner:
-    """What the compiler adds behind the states and parameters of the user: what a node knows of the one before it, and
-    its time.
+class Augmentation:
+    """The augmented state: what the compiler adds behind the states and parameters of the user, so that a node knows
+    the controls of the node before, and its time.
 
     States, whose values at node 0 are known: ``time`` of the node; ``previous``: controls whose values at the node
     before are remembered. In this order.
@@ -103,7 +103,7 @@ class Inner:
 
 
 #: Of a problem without them.
-NOTHING_INNER = Inner()
+NOT_AUGMENTED = Augmentation()
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 import os
-from typing import IO, Any, Literal, Self
+from typing import IO, Any, Literal, NoReturn, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -77,19 +77,27 @@ class Memory(Iterate):
     @property
     def previous(self) -> Array:
         """Control applied last, (nu,), a copy: that of the last sample, or of set_previous()."""
-        self._needs_inner(bool(self.description.inner.previous), "previous control", "ocp.previous(u) or ocp.rate(u)")
+        self._needs_previous()
         return np.array(self._view("previous"))
 
     @property
     def time(self) -> float:
         """Time of the next sample."""
-        self._needs_inner(self.description.inner.time, "time", "ocp.time")
+        self._needs_time()
         return float(self._view("time"))
 
-    def _needs_inner(self, there: bool, what: str, word: str) -> None:
-        """Raise ControllerError unless the problem has this state behind those of the user."""
-        if not there:
-            raise ControllerError(f"{self._package.name} has no {what}: its problem does not contain {word}")
+    def _needs_previous(self) -> None:
+        """Raise ControllerError unless nodes know the control before."""
+        if not self.description.augmentation.previous:
+            self._refuse("previous control", "ocp.previous(u) or ocp.rate(u)")
+
+    def _needs_time(self) -> None:
+        """Raise ControllerError unless nodes know their time."""
+        if not self.description.augmentation.time:
+            self._refuse("time", "ocp.time")
+
+    def _refuse(self, what: str, word: str) -> NoReturn:
+        raise ControllerError(f"{self._package.name} has no {what}: its problem does not contain {word}")
 
     @property
     def status(self) -> Status:

@@ -67,7 +67,7 @@ def replay(ctrl: Controller, flights: Any, i: int) -> tuple[float, dict[str, flo
         scale = 0.25 if any(ctrl.description.program.scaled) else 1.0
         error = np.concatenate([x, u]) - [now, 0, 0, 0, 0]
         cost += 0.5 * scale * float(np.sum(error**2 * [1, 1, 0.1, 0.1, 0.1]))
-        if ctrl.description.inner.time:
+        if ctrl.description.augmentation.time:
             cost += 0.01 * np.sin(k * dt) * x[1] * dt
         if plant.known.size:
             plant.known[...] = ctrl.known

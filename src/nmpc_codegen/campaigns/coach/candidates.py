@@ -13,11 +13,11 @@ from nmpc_codegen.components.algorithms import RealTimeIteration
 from nmpc_codegen.components.condensing import FullCondensing, NoCondensing
 from nmpc_codegen.components.hessians import ExactHessian, GaussNewton
 from nmpc_codegen.components.integrators import ExplicitRungeKutta
+from nmpc_codegen.decisions.integrator import integrator_of
 from nmpc_codegen.errors import NmpcError, OptionError, ProblemWarning
 from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.frontend.horizon import with_horizon
 from nmpc_codegen.frontend.ocp import OCP
-from nmpc_codegen.lowering.schemes.choose import choose_integrator
 from nmpc_codegen.options import Options
 from nmpc_codegen.runtime.build import load
 from nmpc_codegen.runtime.controller import Controller
@@ -75,9 +75,9 @@ def scheme_of(ocp: OCP, options: Options) -> ExplicitRungeKutta | None:
     """The explicit scheme of the controller; None: another one, or one whose number of steps cannot be tried, as no
     plant of another package is told time and previous controls."""
     problem = classify(ocp)
-    if problem.discrete or problem.inner.count or problem.jump is not None:
+    if problem.discrete or problem.augmentation.count or problem.jump is not None:
         return None
-    chosen = choose_integrator(problem, options)[0]
+    chosen = integrator_of(problem, options)
     return chosen if isinstance(chosen, ExplicitRungeKutta) else None
 
 
@@ -116,7 +116,7 @@ def build_plant(ocp: OCP, candidates: list[Candidate]) -> Controller | None:
         OptionError: no such plant can be chosen.
     """
     problem = classify(ocp)
-    schemes = [choose_integrator(problem, c.options)[0] for c in candidates]
+    schemes = [integrator_of(problem, c.options) for c in candidates]
     precisions = {c.options.precision for c in candidates}
     if problem.discrete or all(scheme == schemes[0] for scheme in schemes):
         return None

@@ -14,8 +14,8 @@ from nmpc_codegen.campaigns.judging.replay import Replay
 from nmpc_codegen.economic.stage import tableau
 from nmpc_codegen.errors import ControllerError, OptionError
 from nmpc_codegen.frontend.classify import classify
+from nmpc_codegen.frontend.completion.complete import complete
 from nmpc_codegen.frontend.ocp import OCP
-from nmpc_codegen.lowering.linearize import complete
 from nmpc_codegen.options import Options
 from nmpc_codegen.oracle.reference import Reference, node_data
 from nmpc_codegen.runtime.controller import Controller
@@ -52,7 +52,7 @@ def check_against(controller: Controller, against: Against | None, options: Opti
     """OptionError if the package has no solve(), or the problem is none for IPOPT's loop."""
     if against == "solve" and not options.solves:
         raise OptionError("against='solve': the package has no solve(); Options(solve=True), or against='ipopt'")
-    if against == "ipopt" and (controller.description.inner.count or controller.description.discrete):
+    if against == "ipopt" and (controller.description.augmentation.count or controller.description.discrete):
         raise OptionError("against='ipopt': the problem has time, previous controls or a map; against='solve' serves")
 
 

@@ -6,8 +6,8 @@ import casadi as ca
 import numpy as np
 
 from nmpc_codegen.components.stage_cost import StageCost, stage_cost
+from nmpc_codegen.frontend.completion.scales import stated_scales
 from nmpc_codegen.frontend.problem import Array, Problem, Stage
-from nmpc_codegen.frontend.scales import stated_scales
 from nmpc_codegen.ir.casadi_types import Expression, curved_rows
 from nmpc_codegen.ir.cmodule import Table
 

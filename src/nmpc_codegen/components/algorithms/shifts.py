@@ -47,7 +47,7 @@ def _auto_shift(sampling_time: float | None, problem: Problem) -> tuple[str | No
     other_time = sampling_time is not None and not is_same_time(sampling_time, problem.dt[0])
     if problem.uniform and not problem.free_initial and not other_time and _is_periodic(problem):
         return "periodic", "rows compare x_N with x_0; a sample is one interval"
-    if problem.inner.held:
+    if problem.augmentation.held:
         timed = not problem.discrete and (problem.uniform or sampling_time is not None)
         return "resample" if timed else None, "blocks of controls do not fit a shift by one interval"
     reasons = {
@@ -90,7 +90,7 @@ def check_shift(algorithm: str, shift: str | None, sampling_time: float | None, 
             f'and clashes with sampling_time={sampling_time:g}; expected shift="resample" '
             "(--set algorithm.shift=resample)"
         )
-    if shift in ("repeat", "periodic") and problem.inner.held:
+    if shift in ("repeat", "periodic") and problem.augmentation.held:
         raise OptionError(
             f'{algorithm}(shift="{shift}") moves the plan by one interval and clashes with control(hold=...); '
             'expected shift="resample", sampling_time=... '

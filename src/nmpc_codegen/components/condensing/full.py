@@ -11,10 +11,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-from nmpc_codegen.components.base import EVERY_USE, Counts, Defaults, Dims, QpShape, Seam
+from nmpc_codegen.components.base import EVERY_USE, Counts, Defaults, Dims, QpShape, Seam, StageMatrices
 from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.cmodule import Table
-from nmpc_codegen.ir.model import ModelFunctions
 from nmpc_codegen.ir.tuning import COLUMNS
 from nmpc_codegen.package.memory import Field, Size, Struct
 from nmpc_codegen.package.opcount import OpCount
@@ -34,7 +33,7 @@ def _slacks(problem: Problem) -> tuple[int, ...]:
 
 def _variables(problem: Problem) -> list[tuple[int, int]]:
     """(node, control) of every control that is a variable of the QP: those that begin a block."""
-    starts, held = problem.node_data, problem.inner.held
+    starts, held = problem.node_data, problem.augmentation.held
     return [(k, j) for k in range(problem.N) for j in range(problem.nu) if j not in held or starts[k, held.index(j)]]
 
 
@@ -136,7 +135,7 @@ class FullCondensing(Defaults):
             ),
         )
 
-    def cost(self, dims: Dims, model: ModelFunctions) -> Counts:
+    def cost(self, dims: Dims, model: StageMatrices) -> Counts:
         """All functions but condense_rows, which skips zeros of the row gradients; columns are padded to COLUMNS."""
         N, nx, nu, nf, ng = (size.value for size in (dims.N, dims.nx, dims.nu, dims.nf, dims.ng))
         nus, nxc = dims.qp.nus.value, nx - model.products.banded

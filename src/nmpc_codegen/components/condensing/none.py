@@ -5,12 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-from nmpc_codegen.components.base import EVERY_USE, Counts, Defaults, Dims, QpShape, Seam
+from nmpc_codegen.components.base import EVERY_USE, Counts, Defaults, Dims, QpShape, Seam, StageMatrices
 from nmpc_codegen.components.condensing.partial import PartialCondensing
 from nmpc_codegen.components.condensing.stages import copied_states, embed_cost, stage_tables
 from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.cmodule import Table
-from nmpc_codegen.ir.model import ModelFunctions
 
 
 @dataclass(frozen=True)
@@ -42,6 +41,6 @@ class NoCondensing(Defaults):
         """Positions of the rows in the stages."""
         return stage_tables(problem, 1)
 
-    def cost(self, dims: Dims, model: ModelFunctions) -> Counts:
+    def cost(self, dims: Dims, model: StageMatrices) -> Counts:
         """Computing bounds relative to the iterate; all other data are copied."""
         return {"condense_embed": embed_cost(dims)}

@@ -9,11 +9,10 @@ from dataclasses import dataclass, replace
 from typing import ClassVar
 
 from nmpc_codegen.components.allowed import Whole, check_options, option
-from nmpc_codegen.components.base import EVERY_USE, Counts, Defaults, Dims, QpShape, Seam
+from nmpc_codegen.components.base import EVERY_USE, Counts, Defaults, Dims, QpShape, Seam, StageMatrices
 from nmpc_codegen.components.condensing.stages import copied_states, embed_cost, stage_tables
 from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.cmodule import Table
-from nmpc_codegen.ir.model import ModelFunctions
 from nmpc_codegen.package.features import Features
 from nmpc_codegen.package.memory import Field, Struct
 from nmpc_codegen.package.opcount import OpCount
@@ -101,7 +100,7 @@ class PartialCondensing(Defaults):
             ),
         )
 
-    def cost(self, dims: Dims, model: ModelFunctions) -> Counts:
+    def cost(self, dims: Dims, model: StageMatrices) -> Counts:
         """All operations except those on gradients and values of the rows."""
         N, nx, nxs, nu, nz = (size.value for size in (dims.N, dims.nx, dims.qp.nxs, dims.nu, dims.nz))
         block = self._block(N)

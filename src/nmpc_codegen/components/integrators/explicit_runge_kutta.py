@@ -121,6 +121,11 @@ class ExplicitRungeKutta(Defaults):
             interval, step, one_step=one_step, jump=jump_kernel(problem), jump_rows=jump_rows_kernel(problem)
         )
 
+    def operations(self, problem: Problem) -> int:
+        """Operations of a linearisation of an interval in loops, without its functions."""
+        one = Sensitivities(problem, self.tableau, 1)
+        return lift_loops(with_end(one.sweep(), problem)).count.total * self.steps
+
     def products(self, problem: Problem) -> IntervalProducts:
         """The value of an interval, and products with its Jacobians that do not form them."""
         sweeps = IntervalSweeps(problem, self.tableau, self.steps)

@@ -18,14 +18,14 @@ import numpy as np
 from nmpc_codegen.components.allowed import Named, Whole, check_options, option
 from nmpc_codegen.components.base import EVERY_USE, Defaults, Dims, Seam, Transition
 from nmpc_codegen.components.integrators.implicit.intervals import Intervals
-from nmpc_codegen.components.integrators.implicit.stage_kernels import StageKernels
+from nmpc_codegen.components.integrators.implicit.stage_kernels import stage_kernels
 from nmpc_codegen.components.integrators.implicit.trial import Trial
 from nmpc_codegen.components.integrators.jump import jump_kernel, jump_rows_kernel
 from nmpc_codegen.components.integrators.noise import noise_tables
 from nmpc_codegen.components.integrators.tableau import IMPLICIT, SDIRK3, ButcherTableau
 from nmpc_codegen.errors import OptionError
+from nmpc_codegen.frontend.completion.complete import CompleteProblem
 from nmpc_codegen.frontend.problem import Array, Problem
-from nmpc_codegen.frontend.scales import scales
 from nmpc_codegen.ir.cmodule import Table
 from nmpc_codegen.ir.kernel import Port
 from nmpc_codegen.ir.model import Interval, IntervalProducts
@@ -112,7 +112,7 @@ class ImplicitRungeKutta(Defaults):
     def _intervals(self, problem: Problem) -> Intervals:
         return Intervals(problem, self.tableau, self.steps, self.newton_steps)
 
-    def transition(self, problem: Problem) -> Transition | None:
+    def transition(self, problem: CompleteProblem) -> Transition | None:
         """S of an interval, with Newton's method to rounding errors."""
         trial = Trial(problem, self.tableau)
         return lambda x, u, p, dt: trial.interval(x, u, p, dt, self.steps, NEWTON_LIMIT).S
@@ -166,7 +166,7 @@ class ImplicitRungeKutta(Defaults):
 
     def _refuse_long(self, problem: Problem, name: str) -> None:
         """Raise OptionError if a backward sweep, which stores the stages of all steps, would need too much stack."""
-        kernels, block = StageKernels(problem), self.tableau.block
+        kernels, block = stage_kernels(problem), self.tableau.block
         n, nv = block * kernels.nv, kernels.nv + problem.nu
         kept = self.steps * (self.tableau.stages // block) * (2 * n + block * kernels.nv * nv + n * n)
         if kept > MAX_KEPT:
@@ -180,11 +180,11 @@ class ImplicitRungeKutta(Defaults):
         """Return the features with stages that are solved by Newton's method."""
         return replace(features, implicit=True)
 
-    def tables(self, problem: Problem) -> tuple[Table, ...]:
+    def tables(self, problem: CompleteProblem) -> tuple[Table, ...]:
         """The scheme in the form of increments, and the variables that have second derivatives."""
-        scheme, kernels = self.tableau, StageKernels(problem)
+        scheme, kernels = self.tableau, stage_kernels(problem)
         s, block = range(scheme.stages), scheme.block
-        sizes = [*scales(problem).z[: problem.nx], *(problem.algebra.scale if problem.algebra else ())]
+        sizes = [*problem.scales.z[: problem.nx], *(problem.algebra.scale if problem.algebra else ())]
         units = tuple(float(f"{1 / size:.3g}") for size in sizes)
         first = [i - i % block for i in s]
         together = tuple(float(scheme.a[i][first[i] + j]) for i in s for j in range(block))

@@ -20,8 +20,7 @@ from nmpc_codegen.package.memory import Field, Size, Struct
 from nmpc_codegen.package.opcount import OpCount
 
 if TYPE_CHECKING:
-    from nmpc_codegen.components.base import Counts, Dims
-    from nmpc_codegen.ir.model import ModelFunctions
+    from nmpc_codegen.components.base import Counts, Dims, StageMatrices
 
 #: What closed loops with disturbances need of a QP at most (verification/robustness and strangers): iterations per
 #: variable and row, and proximal steps for a semidefinite Hessian. The default caps are CAUTION times as many.
@@ -136,7 +135,7 @@ class DenseActiveSet(Defaults):
         """The working set has at most as many rows as the QP has variables."""
         return {"nw": (0, dims.qp.nv.value)}
 
-    def cost(self, dims: Dims, model: ModelFunctions) -> Counts:
+    def cost(self, dims: Dims, model: StageMatrices) -> Counts:
         """Operations of the functions whose count depends on sizes alone (padded columns included)."""
         n, slacks = dims.qp.ldh.value, dims.qp.ld.value - dims.qp.ldh.value
         panels = n // 4

@@ -28,8 +28,7 @@ from nmpc_codegen.package.features import Features
 from nmpc_codegen.package.memory import Field, Size, Struct, only_if
 
 if TYPE_CHECKING:
-    from nmpc_codegen.components.base import Counts, Dims
-    from nmpc_codegen.ir.model import ModelFunctions
+    from nmpc_codegen.components.base import Counts, Dims, StageMatrices
     from nmpc_codegen.package.opcount import OpCount
 
 
@@ -182,7 +181,7 @@ class RiccatiActiveSet(Defaults):
         sides: Mapping[str, tuple[int, int]] = {} if self.fallback is None else self.fallback.ranges(dims)
         return {"stale": stages, "stale_vectors": stages, "joint": (0, _joint(dims)), **sides}
 
-    def cost(self, dims: Dims, model: ModelFunctions) -> Counts:
+    def cost(self, dims: Dims, model: StageMatrices) -> Counts:
         """The recursion and its substitutions; a warm-started sample needs one of each."""
         return riccati_cost(dims)
 

@@ -18,10 +18,10 @@ import numpy as np
 from nmpc_codegen.errors import ProblemError
 from nmpc_codegen.frontend.algebra.resolution import resolve
 from nmpc_codegen.frontend.classify import classify
+from nmpc_codegen.frontend.completion.scales import scales
 from nmpc_codegen.frontend.estimator.declaration import Estimator
 from nmpc_codegen.frontend.ocp import OCP
 from nmpc_codegen.frontend.problem import Array, Problem, Signal, Stage, c_identifier
-from nmpc_codegen.frontend.scales import scales
 from nmpc_codegen.frontend.statement import NOTHING, Residual
 from nmpc_codegen.package.estimation import Estimation
 

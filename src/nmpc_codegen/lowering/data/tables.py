@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from nmpc_codegen.components.algorithms.shifts import sampling_period
 from nmpc_codegen.components.core import TABLES_OF_OTHERS
 from nmpc_codegen.errors import ProblemError
-from nmpc_codegen.frontend.controls import PROBE_SIZES, Saddles
+from nmpc_codegen.frontend.completion.saddles import PROBE_SIZES, Saddles
 from nmpc_codegen.frontend.problem import Array, Problem, Stage
 from nmpc_codegen.ir.cmodule import Table
 from nmpc_codegen.ir.kernel import called_lookups
@@ -22,7 +22,7 @@ from nmpc_codegen.package.lookup import Lookup
 
 def tables(model: Model, routines: Sequence[Routine]) -> tuple[Table, ...]:
     """The constant arrays of the unit; ``routines``: those that may read look-up tables."""
-    p, sizes = model.problem, model.scales
+    p, sizes = model.problem, model.problem.scales
     rows = p.qp_rows
 
     def real(name: str, values: ArrayLike, doc: str) -> Table:
@@ -61,16 +61,16 @@ def tables(model: Model, routines: Sequence[Routine]) -> tuple[Table, ...]:
         real("default_soft_l1", [r.soft[0] for r in p.rows if r.soft], "penalties l1 v of the soft rows"),
         real("default_soft_l2", [r.soft[1] for r in p.rows if r.soft], "penalties l2/2 v^2 of the soft rows"),
         integer("penalty_scaled", (r.scaled for r in p.rows if r.soft), "1: times the length of the interval"),
-        *_saddle_tables(model.saddles),
+        *_saddle_tables(model.problem.saddles),
         real("proximal", round_scales(p.proximal), "curvature of steps in samples"),
         integer("on_states", p.rows_on_states, "1: row on states alone"),
         integer("is_pulled", (i in p.pulled_rows for i in range(len(p.rows))), "1: hard row on controls alone"),
         real("parameter_lower", _limits(p, -math.inf), "lower bounds of the elements of p"),
         real("parameter_upper", _limits(p, math.inf), "upper bounds of the elements of p"),
         integer("parameter_offset", offsets, "first element of a parameter in p"),
-        integer("remembered", p.inner.previous, "controls that a node knows of the node before"),
-        integer("held_control", p.inner.held, "controls with blocks"),
-        integer("block_start", p.node_data[:, : len(p.inner.held)].ravel(), "1: a block begins at node k"),
+        integer("remembered", p.augmentation.previous, "controls that a node knows of the node before"),
+        integer("held_control", p.augmentation.held, "controls with blocks"),
+        integer("block_start", p.node_data[:, : len(p.augmentation.held)].ravel(), "1: a block begins at node k"),
         integer("block_node", _block_nodes(p), "first node of the block of control j at node k"),
         real("node_data", p.node_data, "parameters behind those of the user"),
         *_time_tables(model),
@@ -111,7 +111,7 @@ def lookup_tables(routines: Iterable[Routine]) -> list[Table]:
 def _block_nodes(p: Problem) -> list[int]:
     """(N nu,): the first node of the block to which a control of a node belongs."""
     first = np.tile(np.arange(p.N)[:, None], (1, p.nu))
-    for i, j in enumerate(p.inner.held):
+    for i, j in enumerate(p.augmentation.held):
         first[:, j] = np.maximum.accumulate(np.where(p.node_data[: p.N, i] > 0, np.arange(p.N), 0))
     return [int(k) for k in first.ravel()]
 

@@ -5,15 +5,15 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Sequence
 
-from nmpc_codegen.frontend.problem import Problem, Row, Stage
-from nmpc_codegen.frontend.scales import scales
+from nmpc_codegen.frontend.completion.complete import CompleteProblem
+from nmpc_codegen.frontend.problem import Row, Stage
 from nmpc_codegen.ir.cmodule import Enum
 from nmpc_codegen.package.signals import Signal, c_constants, nodes
 
 
-def enums(problem: Problem) -> tuple[Enum, ...]:
+def enums(problem: CompleteProblem) -> tuple[Enum, ...]:
     """The enums of a problem; those without a name do not exist."""
-    size, nx, parameters = scales(problem).z, problem.nx, problem.own_parameters
+    size, nx, parameters = problem.scales.z, problem.nx, problem.own_parameters
     limits = {(row.kind, row.index): row for row in problem.rows if row.nodes and min(row.nodes) < problem.N}
     states = [_z(unit, size[i], limits.get(("state", i))) for i, unit in enumerate(_units(problem.own_states))]
     controls = [_z(unit, size[nx + i], limits.get(("control", i))) for i, unit in enumerate(_units(problem.controls))]

@@ -5,7 +5,9 @@ from __future__ import annotations
 import argparse
 import runpy
 
+from nmpc_codegen.decisions.decide import decide
 from nmpc_codegen.frontend.classify import classify
+from nmpc_codegen.frontend.completion.complete import complete
 from nmpc_codegen.lowering.linearize import linearize
 from nmpc_codegen.lowering.lower import lower
 from nmpc_codegen.lowering.unit.assemble import assemble, constants_of
@@ -27,7 +29,9 @@ if __name__ == "__main__":
     parser.add_argument("--item", required=True, help="the name of a function, macro, table, type or constant")
     given = parser.parse_args()
     names = runpy.run_path(given.file)
-    module = lower(linearize(classify(names["build_ocp"]()), names.get("options", Options)()))
+    options = names.get("options", Options)()
+    problem = complete(classify(names["build_ocp"]()), options)
+    module = lower(linearize(problem, decide(problem, options)))
     items = assemble(module)
     show("as the parts have it", items, given.item)
 

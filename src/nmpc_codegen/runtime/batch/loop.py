@@ -232,7 +232,7 @@ def _check_plant(batch: Structs, plant: Structs, flights: int, interval: float) 
             )
     if other.discrete and not is_same_time(other.dt[0], interval):
         raise ControllerError(f"plant: {other.name} is a map of {other.dt[0]!r}, a sample takes {interval!r}")
-    if other.inner.count and plant._package is not batch._package:
+    if other.augmentation.count and plant._package is not batch._package:
         raise ControllerError(
             f"plant: {other.name} knows time or previous controls, which no other controller tells it"
         )

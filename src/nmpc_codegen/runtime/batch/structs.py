@@ -66,7 +66,7 @@ class Structs(Addressing):
         """Internal: bytes from the begin of a struct to the states behind those of the user; their size."""
         fields: Any = self._package.dtype.fields
         member = fields["xhat" if "xhat" in fields else "x"]
-        return member[1] + self.dims.nx * self._real.itemsize, self.description.inner.count * self._real.itemsize
+        return member[1] + self.dims.nx * self._real.itemsize, self.description.augmentation.count * self._real.itemsize
 
     def reach(self, array: Array, keep: list[Any]) -> Any:
         """Internal: the address of an array for that code."""

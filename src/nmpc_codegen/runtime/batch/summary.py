@@ -70,7 +70,7 @@ class Judge:
 
     def _inner(self, u: Array, data: Samples) -> Array:
         """States behind those of the user at every sample: time, then controls of the sample before."""
-        found = self.description.inner
+        found = self.description.augmentation
         flights, steps, _ = u.shape
         parts = []
         if found.time:

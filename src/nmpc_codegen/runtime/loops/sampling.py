@@ -48,7 +48,7 @@ def samples_ahead(described: PackageDescription, interval: float) -> NDArray[np.
 
 def integrations(described: PackageDescription, dt: float) -> int:
     """Equal integrations that a sample of length dt takes, none longer than the first interval."""
-    whole = described.inner.count or "integrator_jump" in described.report.operations  # what a sample does once
+    whole = described.augmentation.count or "integrator_jump" in described.report.operations  # what a sample does once
     return 1 if whole else max(1, math.ceil(dt / described.dt[0] * (1.0 - STEP_SLACK)))
 
 

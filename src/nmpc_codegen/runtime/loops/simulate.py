@@ -154,9 +154,9 @@ def _sample_by(law: Law, ctrl: Controller, interval: float) -> Sample:
         if k > 0 and ctrl.description.shift is not None:
             ctrl.shift()
         found = ctrl.solve(x)
-        if ctrl.description.inner.previous:
+        if ctrl.description.augmentation.previous:
             ctrl.set_previous(found.u[0])
-        if ctrl.description.inner.time:
+        if ctrl.description.augmentation.time:
             ctrl.set_time(ctrl.time + interval)
         return found.u[0], found.time_ns
 

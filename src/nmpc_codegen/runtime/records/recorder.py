@@ -47,7 +47,7 @@ class Layout:
         members, spans = ctrl.description.members("solver"), _places(ctrl)
         of_roles = {name: spans[name] for name, member in members.items() if member.role in ("setting", "result")}
         self.plan = _join([spans[name] for name, member in members.items() if member.role == "iterate"])
-        known = [spans["xhat"]] if "xhat" in spans and ctrl.description.inner.count else []
+        known = [spans["xhat"]] if "xhat" in spans and ctrl.description.augmentation.count else []
         self.rest = _join([*of_roles.values(), *known])
         if self.plan and self.rest and 0 <= self.rest[0][0] - self.plan[-1][1] <= PADDING:
             self.rest[0] = self.plan[-1][1], self.rest[0][1]  # so that both can be copied at once
@@ -193,7 +193,9 @@ class Recorder:
         self._file = None if file is None else Path(file).absolute()
         self.dt = interval_of(controller.description, dt)
         self._deadline = NANOSECONDS.get(controller.description.time_unit, 0.0) * self.dt
-        needs_plan = controller.description.inner.count and "xhat" not in controller.description.members("solver")
+        needs_plan = controller.description.augmentation.count and "xhat" not in controller.description.members(
+            "solver"
+        )
         self._every = 1 if needs_plan else int(plans)
         self._counts = Counts()
         slots = self._slots(keep)

@@ -9,7 +9,7 @@ from collections.abc import Mapping
 
 from nmpc_codegen.components.integrators.explicit.directional import ADJOINT, ADJOINT_DOC, FORWARD, FORWARD_DOC
 from nmpc_codegen.components.integrators.implicit.counts import Counts
-from nmpc_codegen.components.integrators.implicit.stage_kernels import StageKernels
+from nmpc_codegen.components.integrators.implicit.stage_kernels import stage_kernels
 from nmpc_codegen.components.integrators.jump import with_end
 from nmpc_codegen.components.integrators.tableau import ButcherTableau
 from nmpc_codegen.frontend.problem import Problem
@@ -28,7 +28,7 @@ class Intervals:
     """The routines of one problem, scheme, number of steps per interval and of Newton's method per stage."""
 
     def __init__(self, problem: Problem, tableau: ButcherTableau, steps: int, newton: int) -> None:
-        self.problem, self.kernels = problem, StageKernels(problem)
+        self.problem, self.kernels = problem, stage_kernels(problem)
         self.count = Counts(self.kernels, tableau, steps, newton)
         self.nx, self.nu, self.nz = problem.nx, problem.nu, problem.nx + problem.nu
         self.na = self.kernels.na

@@ -12,7 +12,7 @@ import casadi as ca
 
 from nmpc_codegen.components.integrators.implicit.counts import factors_of, solution_of
 from nmpc_codegen.components.integrators.implicit.intervals import START
-from nmpc_codegen.components.integrators.implicit.stage_kernels import StageKernels
+from nmpc_codegen.components.integrators.implicit.stage_kernels import stage_kernels
 from nmpc_codegen.components.integrators.jump import rename_buffer
 from nmpc_codegen.frontend.problem import Problem, symbols
 from nmpc_codegen.ir.casadi_types import Function, elements
@@ -66,7 +66,7 @@ class _Completion:
     """Completes the routines of one problem."""
 
     def __init__(self, problem: Problem) -> None:
-        self.problem, self.kernels = problem, StageKernels(problem)
+        self.problem, self.kernels = problem, stage_kernels(problem)
         self.size = problem.np + problem.solved
         assert self.kernels.equation is not None
         self.equation = self.kernels.equation

@@ -8,7 +8,7 @@ stage_curvature(x, u, p, mu, weight -> H = d2 (mu' f + weight l) / d(x, u)^2, lo
 
 from __future__ import annotations
 
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import casadi as ca
 
@@ -169,3 +169,9 @@ class StageKernels:
         pairs = {divmod(e, self.nv + self.nu) for _, e, _ in self.curvature.stores}
         both = {(i, j) for r, c in pairs for i in self._along[r] for j in self._along[c]}
         return frozenset((max(pair), min(pair)) for pair in both)
+
+
+@lru_cache(maxsize=4)
+def stage_kernels(problem: Problem) -> StageKernels:
+    """The kernels of a problem, which are made once for its trials and its functions."""
+    return StageKernels(problem)

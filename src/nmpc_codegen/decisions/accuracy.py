@@ -14,9 +14,9 @@ import casadi as ca
 import numpy as np
 
 from nmpc_codegen.components.integrators import RK4, ButcherTableau
+from nmpc_codegen.frontend.completion.complete import CompleteProblem
+from nmpc_codegen.frontend.completion.first_plan import first_plan, points
 from nmpc_codegen.frontend.problem import Array, Problem
-from nmpc_codegen.frontend.scales import scales
-from nmpc_codegen.lowering.first_plan import first_plan, points
 
 #: Error of an interval that is accurate; steps that are tried for it.
 ACCURATE, MOST_ACCURATE = 1e-3, 10
@@ -55,7 +55,7 @@ def _inner_points(problem: Problem, x: Array, u: Array) -> Array:
 class Flow:
     """The model over the longest interval from these points."""
 
-    def __init__(self, problem: Problem, fine: int = FINE) -> None:
+    def __init__(self, problem: CompleteProblem, fine: int = FINE) -> None:
         stage, found = problem.path, list(starts(problem))
         f = ca.densify(problem.dynamics(stage.x, stage.u, stage.p))
         self._f = ca.Function("f", [stage.x, stage.u, stage.p], [f])
@@ -66,7 +66,7 @@ class Flow:
         self._dt = max(problem.dt)
         self._known: dict[tuple[ButcherTableau, int], Array] = {}
         end = self._end(RK4, fine)
-        size = np.maximum(scales(problem).z[: problem.nx], np.max(np.abs(self._x), axis=1))[:, None]
+        size = np.maximum(problem.scales.z[: problem.nx], np.max(np.abs(self._x), axis=1))[:, None]
         self._ended = np.all(np.abs(end) <= ESCAPED * size, axis=0)
         self._fine = end[:, self._ended]
         self._size = np.maximum(size, np.max(np.abs(self._fine), axis=1, initial=0.0)[:, None])

@@ -6,10 +6,10 @@ import pytest
 
 from examples import chain, crane
 from nmpc_codegen import OCP, Euler, ExplicitRungeKutta, Options
+from nmpc_codegen.compiler import model_of
 from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.frontend.program import program
 from nmpc_codegen.lowering.explain import warnings
-from nmpc_codegen.lowering.linearize import linearize
 
 
 def decay(rate: float, T: float = 1.0) -> OCP:
@@ -21,7 +21,7 @@ def decay(rate: float, T: float = 1.0) -> OCP:
 
 
 def warnings_of(ocp: OCP, integrator: ExplicitRungeKutta) -> list[str]:
-    model = linearize(classify(ocp), Options(integrator))
+    model = model_of(classify(ocp), Options(integrator))
     found = [text for text in warnings(model, program(model.problem)) if text.startswith("integrator")]
     return [text for text in found if "is not accurate" not in text]
 

@@ -40,7 +40,8 @@ class Scales:
     ``offsets`` (rows,), which belongs to its bounds.
     ``cost`` C: the largest that a residual or general cost of its size costs. ``forces`` (nx + nu,): of the gradient of
     the cost, sqrt(C H), where H is the curvature that belongs to the variable itself, at least that of the least cost
-    in its scale: a part of it, t, moves the cost by t^2 C.
+    in its scale: a part of it, t, moves the cost by t^2 C. ``reach`` (nx, nu): the largest change of a state over the
+    horizon by a control that changes by 1, see responses().
     """
 
     z: Array
@@ -48,16 +49,20 @@ class Scales:
     offsets: Array
     cost: float
     forces: Array
+    reach: Array
 
 
 def scales(problem: Problem) -> Scales:
     """The sizes of a problem, from what is declared."""
-    z = _complete_scales(problem)
+    soon, reach = responses(problem)
+    z = _complete_scales(problem, soon, reach)
     rows, offsets = _row_sizes(problem, z)
     costs, own = _costs(problem, z)
     positive = costs[np.isfinite(costs) & (costs > 0.0)]
     cost = (float(positive.max()), float(positive.min())) if positive.size else (1.0, 1.0)
-    return Scales(z, rows, offsets, cost[0], np.sqrt(cost[0] * np.maximum(own, cost[1])) / z)
+    with np.errstate(over="ignore"):
+        forces = np.sqrt(cost[0] * np.maximum(own, cost[1])) / z
+    return Scales(z, rows, offsets, cost[0], forces, reach)
 
 
 def stated_scales(problem: Problem) -> Array:
@@ -86,12 +91,11 @@ def _width(lower: float, upper: float) -> float:
     return half if len(known) == 2 and half > 0.0 else max(known, default=0.0)
 
 
-def _complete_scales(problem: Problem) -> Array:
+def _complete_scales(problem: Problem, soon: Array, reach: Array) -> Array:
     """Scales of (x, u): declared ones, those of bounds, references and initial values, and what follows for the others
     from what a control does to a state."""
     nx, stated, z = problem.nx, stated_scales(problem), _declared_scales(problem)
     initial = np.abs(problem.x_initial)
-    soon, reach = responses(problem)
     z = np.where(stated > 0.0, stated, z)
     known = np.where(stated[:nx] > 0.0, stated[:nx], np.maximum(z[:nx], initial))
     for j in np.flatnonzero(z[nx:] == 0.0):
@@ -102,7 +106,7 @@ def _complete_scales(problem: Problem) -> Array:
     computed = initial <= ROUNDING * moved  # an initial value that is a rounding error
     found = np.where(computed & (z[:nx] == 0.0), moved, known)
     z[:nx] = np.where(np.isfinite(found) & (found > 0.0), found, 1.0)
-    for control, place in problem.inner.places.items():
+    for control, place in problem.augmentation.places.items():
         z[problem.measured + place] = z[nx + control]
     return z
 

@@ -30,8 +30,8 @@ from nmpc_codegen import (
 )
 from nmpc_codegen.components.base import Condensing
 from nmpc_codegen.components.integrators import Discrete, ExplicitRungeKutta
+from nmpc_codegen.decisions.growth import Growth, growth
 from nmpc_codegen.frontend.classify import classify
-from nmpc_codegen.lowering.first_plan import Growth, growth
 from verification.routes import PURE
 
 STEP, LENGTH, GRAVITY = 0.05, 0.8, 9.81
@@ -191,7 +191,7 @@ def test_closed_loop_of_what_keeps_the_digits(N: int, options: Options) -> None:
 def test_what_the_estimate_misses_is_not_called_ok(monkeypatch: pytest.MonkeyPatch) -> None:
     """Full condensing in single precision, not refused: what is called OK is right, or a failure is reported."""
     require_tool("cc")
-    monkeypatch.setattr("nmpc_codegen.lowering.first_plan.REFUSED", 1.0)
+    monkeypatch.setattr("nmpc_codegen.decisions.growth.REFUSED", 1.0)
     exact = build(cart_pole(40), Options(condensing=NoCondensing(), qp=RiccatiActiveSet(), algorithm=PURE), "test")
     found = build(cart_pole(40), replace(DENSE, algorithm=PURE), "test")
     statuses, x = set(), np.array([0.2, 0.3, 0.0, 0.0])
@@ -211,7 +211,7 @@ def test_what_the_estimate_misses_is_not_called_ok(monkeypatch: pytest.MonkeyPat
 def test_rows_that_the_eliminated_states_violate(monkeypatch: pytest.MonkeyPatch, condensing: Condensing) -> None:
     """x_N = 0 of an unstable plant, the states recomputed from the controls that are called OK."""
     require_tool("cc")
-    monkeypatch.setattr("nmpc_codegen.lowering.first_plan.REFUSED", 1.0)
+    monkeypatch.setattr("nmpc_codegen.decisions.growth.REFUSED", 1.0)
     ocp = OCP("landing", N=30)
     x, y, u = ocp.state("x"), ocp.state("y"), ocp.control("u")
     ocp.dynamics({x: 1.3 * x + 0.1 * y, y: 0.9 * y + u}, discrete=True)

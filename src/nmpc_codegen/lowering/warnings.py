@@ -1,16 +1,4 @@
-"""What is to be expected at the first plan, where all states are at their initial values, controls at their references.
-
-Growth of the open loop over the intervals that condensing eliminates costs digits:
-
-    dx_k = sum_j Phi(k, j + 1) B_j du_j + ...,   Phi(k, j) = A_{k-1} ... A_j
-
-If the open loop grows by a factor c over these intervals, the entries of the condensed Hessian grow by c^2, and that
-part of them that decides on the controls falls below their rounding errors: the relative error of the controls is about
-4 c^2 eps. A recursion over the stages has no such products.
-
-The factor must not depend on the units of the states. Let M_l hold the largest magnitude of every entry of Phi(k, j)
-over all k - j <= l. In the best diagonal units T the largest sum of a row of T^-1 M_l T is the spectral radius of M_l;
-the factor is this radius, for the states that the controls reach.
+"""What cannot work at the first plan, where all states are at their initial values, controls at their references.
 
 A derivative that is not finite there fails the first sample. What has no gradient there moves no iterate: a control
 without influence (u^3 at 0), a row whose gradient vanishes although it is not satisfied with room to spare (w^2 <= v^2
@@ -19,206 +7,20 @@ at rest), an end time of 0 that scales all derivatives.
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterator
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from nmpc_codegen.components.base import Condensing, Integrator, Transition, spell
-from nmpc_codegen.errors import OptionError
-from nmpc_codegen.frontend.controls import Saddles
+from nmpc_codegen.frontend.completion.complete import CompleteProblem
+from nmpc_codegen.frontend.completion.first_plan import first_plan
+from nmpc_codegen.frontend.completion.saddles import Saddles
 from nmpc_codegen.frontend.problem import Array, Problem, Row, Stage
 from nmpc_codegen.ir.casadi_types import Expression, Function
-from nmpc_codegen.lowering.tolerances import EPS
-from nmpc_codegen.package.memory import Precision
 from nmpc_codegen.package.program import NOT_FINITE, Program, in_words, locate
 
-#: Relative error of the controls above which the compiler does not choose the condensing that causes it, and warns of
-#: one that is given. In double precision the check before OK takes errors above it for failures now and then.
-AVOIDED: Mapping[Precision, float] = {"double": 1e-7, "single": 1e-4}
-#: Relative error above which condensing that is given is refused.
-REFUSED = 1e-3
-#: Growth over the horizon above which single shooting loses plans.
-SIMULATED = 200.0
 Marks = NDArray[np.bool_]
-
-#: Entries of products do not exceed this number.
-LARGEST = 1e100
-
-
-@dataclass(frozen=True)
-class Growth:
-    """``factors[l - 1]``: growth over l intervals; empty if no point that the problem states has finite derivatives."""
-
-    factors: tuple[float, ...]
-    precision: Precision
-
-    def factor(self, intervals: int) -> float:
-        """Growth if the states of so many intervals in a row are functions of the first one and of the controls."""
-        return self.factors[min(intervals, len(self.factors)) - 1] if self.factors else 1.0
-
-    def error(self, intervals: int, precision: Precision | None = None) -> float:
-        """Estimated relative error of the controls, at most 1."""
-        return min(1.0, 4.0 * self.factor(intervals) ** 2 * EPS[precision or self.precision])
-
-    def describe(self, intervals: int) -> str:
-        """The factor and the digits that remain."""
-        left, given = (abs(math.log10(e)) for e in (self.error(intervals), EPS[self.precision]))
-        return (
-            f"the open loop grows by a factor of {self.factor(intervals):.2g} over {intervals} intervals, whose square "
-            f"in the Hessian leaves the controls about {left:.0f} of {given:.0f} digits in {self.precision} precision"
-        )
-
-    def spares(self, problem: Problem, condensing: Condensing) -> bool:
-        """True if a condensing component costs few digits."""
-        return self.error(_intervals(problem, condensing)) <= AVOIDED[self.precision]
-
-    def warning(self, problem: Problem, condensing: Condensing) -> tuple[str, ...]:
-        """A warning of a condensing component that costs many digits.
-
-        Raises:
-            OptionError: it costs too many.
-        """
-        intervals = _intervals(problem, condensing)
-        if self.error(intervals) > REFUSED:
-            offers = ["condensing NoCondensing() (--set condensing=none) with a QP solver on stages"]
-            if self.error(intervals, "double") <= REFUSED:
-                offers.append('precision "double" (--set precision=double)')
-            raise OptionError(
-                f"condensing {spell(condensing)} cannot work: {self.describe(intervals)}; use {' or '.join(offers)}"
-            )
-        if self.spares(problem, condensing):
-            return ()
-        advice = "try Options(condensing=NoCondensing())" if intervals > 1 else "shorten the intervals"
-        return (f"condensing {condensing.label}: {self.describe(intervals)}; {advice}",)
-
-    def of_simulation(self, algorithm: str, intervals: int) -> tuple[str, ...]:
-        """A warning of an algorithm that simulates its plans, if they run away from small errors of their controls."""
-        factor = self.factor(intervals)
-        if factor <= SIMULATED:
-            return ()
-        return (
-            f"{algorithm} simulates its plans, and the open loop grows by a factor of {factor:.2g} over {intervals} "
-            "intervals: try RealTimeIteration(), or a shorter horizon",
-        )
-
-    def left_out(self, problem: Problem, candidates: Iterable[Condensing]) -> tuple[str, ...]:
-        """The reason for not choosing those candidates that cost many digits; none if there are none."""
-        lossy = {c.label: _intervals(problem, c) for c in candidates if not self.spares(problem, c)}
-        if not lossy:
-            return ()
-        return (f"condensing: {', '.join(lossy)} not considered; {self.describe(min(lossy.values()))}",)
-
-
-def _intervals(problem: Problem, condensing: Condensing) -> int:
-    """Number of intervals in a row whose states are eliminated: those of a stage of the QP."""
-    return condensing.qp_shape(problem).controls // problem.nu
-
-
-def growth(problem: Problem, integrator: Integrator, precision: Precision) -> Growth:
-    """The largest growth at the points that the problem states: the first plan, and the references of the states.
-
-    Points without finite derivatives do not count.
-    """
-    transition = integrator.transition(problem) or _by_steps(problem, integrator)
-    found = []
-    with np.errstate(all="ignore"):
-        for at, x, u in ((corner, *point) for _, corner in problem.corners for point in points(corner)):
-            lengths = {dt: transition(x, u, at.p_value, dt) for dt in set(problem.dt)}
-            if all(np.all(np.isfinite(S)) for S in lengths.values()):
-                found.append(_factors(np.array([lengths[dt] for dt in problem.dt]), problem.uniform))
-    return Growth(tuple(float(c) for c in np.max(found, axis=0)) if found else (), precision)
-
-
-def _by_steps(problem: Problem, integrator: Integrator) -> Transition:
-    """[A B] of an interval by steps of RK4, or by the discrete map."""
-    step = _step(problem)
-    longest = math.inf if problem.discrete else integrator.longest_step(problem)
-    return lambda x, u, p, dt: _interval(step, problem, x, u, p, dt, max(1, round(dt / longest)))
-
-
-def _step(problem: Problem) -> Function:
-    """((x, S), (u, p, h)) -> (x_next, S_next): one integration step, or the discrete map, with sensitivities."""
-    x, u, p, h = problem.path.x, problem.path.u, problem.path.p, ca.SX.sym("h")
-    if problem.discrete:
-        x_next = ca.densify(problem.dynamics(x, u, p))
-    else:
-        slope = ca.Function("slope", [x, ca.vertcat(u, p)], [problem.dynamics(x, u, p)])
-        x_next = ca.simpleRK(slope, 1, 4).expand()(x, ca.vertcat(u, p), h)
-    S = ca.SX.sym("S", problem.nx, problem.nx + problem.nu)
-    A, B = ca.jacobian(x_next, x), ca.jacobian(x_next, u)
-    S_next = ca.densify(A @ S + ca.horzcat(ca.SX(problem.nx, problem.nx), B))
-    state, data = ca.vertcat(x, ca.vec(S)), ca.vertcat(u, p, h)
-    return ca.Function("step", [state, data], [ca.vertcat(x_next, ca.vec(S_next))])
-
-
-def _interval(step: Function, problem: Problem, x: Array, u: Array, p: Array, dt: float, steps: int) -> Array:
-    """[A B] of an interval of length dt from x."""
-    start = np.concatenate([x, np.eye(problem.nx, problem.nx + problem.nu).ravel(order="F")])
-    end = step.fold(steps)(start, np.concatenate([u, p, [dt / steps]]))
-    S: Array = np.array(end, dtype=np.float64)[problem.nx :, 0].reshape(problem.nx, -1, order="F")
-    if problem.jump is not None:
-        S[list(problem.maps)] = problem.jump_slopes(x, u, p, dt)[1].full()
-    for i, j in problem.noise:
-        S[i, problem.nx + j] = 1.0
-    return S
-
-
-def first_plan(problem: Problem) -> tuple[Array, Array]:
-    """(x, u) at all nodes of the first plan: initial states, and controls at their references inside their bounds."""
-    u = problem.reference_controls
-    for row in problem.rows:
-        if row.kind == "control":
-            u[row.index] = np.clip(u[row.index], row.lower, row.upper)
-    return problem.x_initial, u
-
-
-def points(problem: Problem) -> list[tuple[Array, Array]]:
-    """Return points (x, u): those of the first plan, and the same with the states at the references of the cost."""
-    start, u = first_plan(problem)
-    states = [start, *(_at_reference(problem, stage, start) for stage in (problem.path, problem.terminal))]
-    return [(x, u) for x in np.unique(states, axis=0)]
-
-
-def _at_reference(problem: Problem, stage: Stage, start: Array) -> Array:
-    """``start`` with those states for which a residual tells a value."""
-    x = start.copy()
-    for place, value in stage.targets(problem.data):
-        if place < problem.nx:
-            x[place] = value
-    return x
-
-
-def _factors(S: Array, uniform: bool) -> Array:
-    """The growth over 1, 2, ..., N intervals, from [A_k B_k] of every interval, (N, nx, nx + nu)."""
-    N, nx = len(S), S.shape[1]
-    reached = _reachable_states(S)
-    A = np.clip(S[:, reached][:, :, :nx][:, :, reached], -LARGEST, LARGEST)
-    products = np.broadcast_to(np.eye(len(A[0])), A.shape)[: 1 if uniform else N]
-    largest, found = np.abs(products[0]), []
-    for lag in range(N):
-        found.append(max(1.0, float(np.max(np.abs(np.linalg.eigvals(largest)), initial=0.0))))
-        count = 1 if uniform else N - lag
-        # Phi(j + lag + 1, j) = A_{j + lag} Phi(j + lag, j)
-        products = np.clip(A[lag : lag + count] @ products[:count], -LARGEST, LARGEST)
-        largest = np.maximum(largest, np.max(np.abs(products), axis=0, initial=0.0))
-    return np.array(found)
-
-
-def _reachable_states(S: Array) -> Marks:
-    """Marks of the states that a control reaches, directly or through others."""
-    nx = S.shape[1]
-    depends = np.any(S != 0.0, axis=0)
-    reached: Marks = np.any(depends[:, nx:], axis=1)
-    for _ in range(nx):
-        reached = reached | np.any(depends[:, :nx] & reached, axis=1)
-    return reached
-
-
-# -- warnings ---------------------------------------------------------------------------------------------------------
 
 #: Points at which a property that is to hold for all states is tested.
 DRAWN = 4
@@ -226,25 +28,22 @@ DRAWN = 4
 ACTIVE = 1e-9
 
 
-def first_plan_warnings(problem: Problem, program: Program, second: bool, saddles: Saddles) -> tuple[str, ...]:
+def first_plan_warnings(problem: CompleteProblem, program: Program, second: bool) -> tuple[str, ...]:
     """One text for everything that cannot work at the first plan, or at the first corner of the ranges of parameters
-    and initial states where more does not work; ``second``: second derivatives are evaluated; ``saddles``: controls
-    that samples move where their slopes vanish."""
+    and initial states where more does not work; ``second``: second derivatives are evaluated."""
     (_, declared), *corners = problem.corners
-    found = tuple(_warnings(declared, program, second, saddles))
+    found = tuple(_warnings(declared, program, second))
     for where, corner in corners:
-        texts = _warnings(corner, program, second, saddles, given=True)
+        texts = _warnings(corner, program, second, given=True)
         more = [f"{text} (with {where})" for text in texts if text not in found]
         if more:
             return (*found, *more)
     return found
 
 
-def _warnings(
-    problem: Problem, program: Program, second: bool, saddles: Saddles, given: bool = False
-) -> tuple[str, ...]:
+def _warnings(problem: CompleteProblem, program: Program, second: bool, given: bool = False) -> tuple[str, ...]:
     x, u = first_plan(problem)
-    still = tuple(_end_time(problem, x, u)) or tuple(_without_influence(problem, x, u, saddles))
+    still = tuple(_end_time(problem, x, u)) or tuple(_without_influence(problem, x, u))
     return (*_not_finite(problem, program, second, x, u, given), *still, *_without_gradient(problem, x, u))
 
 
@@ -295,12 +94,12 @@ def _end_time(problem: Problem, x: Array, u: Array) -> Iterator[str]:
                 )
 
 
-def _without_influence(problem: Problem, x: Array, u: Array, saddles: Saddles) -> Iterator[str]:
+def _without_influence(problem: CompleteProblem, x: Array, u: Array) -> Iterator[str]:
     """Controls whose first derivatives vanish in dynamics, cost and rows at the first plan, and to which states and
     controls that move do not give any; and those without a weight that wait for others."""
-    if problem.inner.idle:
+    if problem.augmentation.idle:
         return
-    at_plan, moves = _movable(problem, x, u)
+    (at_plan, moves), saddles = _movable(problem, x, u), problem.saddles
     still = np.flatnonzero(~moves)
     probed = still.size > 0 and any(_is_probed(problem, x, u, j, saddles) for j in saddles.controls)
     for j in (j for j in still if not (probed and j in saddles.controls)):

@@ -1,0 +1,46 @@
+"""The Hessian of samples, and the exact one that solve() may have beside it."""
+
+from __future__ import annotations
+
+from nmpc_codegen.components.base import Algorithm, Hessian, Integrator
+from nmpc_codegen.components.hessians import REGISTRY, ExactHessian, GaussNewton
+from nmpc_codegen.components.stage_cost import StageCosts
+from nmpc_codegen.decisions.decision import Decision
+from nmpc_codegen.errors import OptionError
+from nmpc_codegen.frontend.problem import Problem
+from nmpc_codegen.ir.model import HessianModel
+from nmpc_codegen.options import Options
+
+
+def choose_hessian(problem: Problem, given: Hessian | None, algorithm: Algorithm) -> Decision[Hessian | None]:
+    """The Hessian of samples: the one that is given, or the default of the algorithm unless the problem needs another.
+
+    Samples of a least-squares problem take the Gauss-Newton Hessian, whatever the rows of the problem. An exact Hessian
+    has to be made convex near a nonconvex row, and its full step may then be far too long.
+    """
+    word = algorithm.default("hessian") if "hessian" in algorithm.needs else None
+    if given is not None or word is None:
+        return Decision(given, stated=given is not None)
+    beyond = problem.uses - GaussNewton.supports
+    if word != GaussNewton.name or not beyond or not beyond <= ExactHessian.supports:
+        return Decision(REGISTRY[word]())
+    exact = ExactHessian() if algorithm.convex else ExactHessian(regularization=None)
+    return Decision(exact, (f"hessian: {ExactHessian.name}; the problem has a {sorted(beyond)[0]}",))
+
+
+def choose_exact(
+    problem: Problem, options: Options, hessian: Decision[Hessian | None], costs: StageCosts, integrator: Integrator
+) -> Decision[HessianModel | None]:
+    """The blocks of the exact Hessian that solve() has beside the Gauss-Newton one of samples, if there is one.
+
+    So it is where the compiler has chosen the Hessian of samples, and the package has room for a second one.
+    """
+    approximate = isinstance(hessian.value, GaussNewton) and "qp" in options.algorithm.needs
+    roomy = options.solves and options.goal == "speed"
+    if not (approximate and roomy) or hessian.stated or problem.couples_free_start:
+        return Decision(None)
+    try:
+        blocks = ExactHessian().blocks(problem, costs, integrator)
+    except OptionError as error:
+        return Decision(None, (f"solve(): the Hessian of the samples; {error}",))
+    return Decision(blocks, ("solve(): exact Hessian; for convergence from afar",))

@@ -1,0 +1,100 @@
+"""Whether an explicit scheme is stable where the problem is stated: |R(h lambda)| <= 1 for the damped modes of f_x.
+
+    x+ = R(h lambda) x   for x' = lambda x,   R(z) = 1 + z b' (I - z A)^{-1} 1
+
+(Hairer and Wanner, Solving Ordinary Differential Equations II, section IV.2). RK4 needs |h lambda| < 2.78 on the
+negative real axis and 2.83 on the imaginary one.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from nmpc_codegen.components.integrators import ButcherTableau, ExplicitRungeKutta
+from nmpc_codegen.frontend.completion.first_plan import points
+from nmpc_codegen.frontend.problem import Array, Problem
+from nmpc_codegen.ir.casadi_types import Function
+
+Point = tuple[Array, Array]
+
+#: More steps than this are no remedy.
+MOST_STEPS = 1000
+
+#: Explicit steps per interval above which a model counts as stiff.
+MOST_EXPLICIT = 6
+
+#: A mode counts as damped if its decay rate is at least this part of |lambda|; others may grow by rounding or little.
+DAMPED, SLACK, UNDAMPED_SLACK = 1e-3, 1e-6, 0.5
+
+
+class Modes(NamedTuple):
+    """Eigenvalues of f_x that do not grow, where the problem states points, and where the fastest of them is; or, if
+    the model becomes stiff from there, at the ends of intervals."""
+
+    values: Array
+    where: str
+    at_ends: bool = False
+
+    @property
+    def verb(self) -> str:
+        """What the first plan does to them."""
+        return "leads to" if self.at_ends else "has"
+
+    @property
+    def fastest(self) -> str:
+        """The fastest one, without an imaginary part that is rounding."""
+        worst = complex(self.values[np.argmax(np.abs(self.values))])
+        return f"{worst.real:.3g}" if abs(worst.imag) <= DAMPED * abs(worst) else f"{worst:.3g}"
+
+
+def stated_modes(problem: Problem) -> Modes:
+    """The modes at the points that the problem states, at all corners of its ranges."""
+    return _of_corners(problem, points, at_ends=False)
+
+
+def modes_at_ends(problem: Problem, end: Callable[[Array, Array, Array], Array]) -> Modes:
+    """The modes at the ends of the longest interval from these points; ``end``: (x, u, p) -> its end."""
+
+    def places(corner: Problem) -> list[Point]:
+        ends = [(end(x, u, corner.p_value), u) for x, u in points(corner)]
+        return [(x, u) for x, u in ends if np.all(np.isfinite(x))]
+
+    return _of_corners(problem, places, at_ends=True)
+
+
+def steps_for(modes: Modes, integrator: ExplicitRungeKutta, dt: float) -> int | None:
+    """The steps per interval of length dt with which an explicit scheme is stable for these modes, at least those that
+    it has; None if MOST_STEPS are not sufficient."""
+    steps = range(integrator.steps, MOST_STEPS + 1)
+    return next((n for n in steps if _is_stable(integrator.tableau, modes.values * (dt / n))), None)
+
+
+def _of_corners(problem: Problem, places: Callable[[Problem], list[Point]], at_ends: bool) -> Modes:
+    """The modes at these places of all corners."""
+    x, u, p = problem.path.x, problem.path.u, problem.path.p
+    f_x = ca.Function("f_x", [x, u, p], [ca.densify(ca.jacobian(problem.dynamics(x, u, p), x))])
+    found = [(where, _modes(f_x, places(corner), corner.p_value)) for where, corner in problem.corners]
+    where, _ = max(found, key=lambda each: np.max(np.abs(each[1]), initial=0.0))
+    return Modes(np.concatenate([values for _, values in found]), where, at_ends)
+
+
+def _modes(f_x: Function, places: list[Point], p: Array) -> Array:
+    """Eigenvalues of f_x with Re <= 0 at these points (x, u); those without finite derivatives are left out."""
+    found = []
+    for x, u in places:
+        F = np.asarray(f_x(x, u, p), dtype=float)
+        if np.all(np.isfinite(F)):
+            values = np.linalg.eigvals(F)
+            found.append(values[values.real <= DAMPED * np.abs(values)])
+    return np.concatenate(found) if found else np.zeros(0, complex)
+
+
+def _is_stable(tableau: ButcherTableau, z: Array) -> bool:
+    slack = np.where(z.real < -DAMPED * np.abs(z), SLACK, UNDAMPED_SLACK)
+    found = map(tableau.stability_function, z)
+    return all(math.hypot(R.real, R.imag) <= 1 + more for R, more in zip(found, slack, strict=True))

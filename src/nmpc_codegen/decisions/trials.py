@@ -1,0 +1,134 @@
+"""What integration schemes do with one problem, each tried once: what a trial has found or made is kept.
+
+The choice of a scheme, the warning of one that does not suit, and linearize() ask the same object.
+"""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import numpy as np
+
+from nmpc_codegen.components.base import Integrator
+from nmpc_codegen.components.integrators import SDIRK3, ButcherTableau, ExplicitRungeKutta, ImplicitRungeKutta
+from nmpc_codegen.components.integrators.implicit.trial import Trial
+from nmpc_codegen.components.integrators.implicit_runge_kutta import NEWTON_LIMIT
+from nmpc_codegen.decisions.accuracy import ACCURATE, LOST, Flow, starts
+from nmpc_codegen.decisions.stability import MOST_EXPLICIT, Modes, modes_at_ends, stated_modes, steps_for
+from nmpc_codegen.frontend.completion.complete import CompleteProblem
+from nmpc_codegen.frontend.problem import Array
+from nmpc_codegen.ir.model import Interval
+
+#: Steps per interval of an implicit scheme that are tried; steps of the comparison for every step.
+STEPS, FINER = (1, 2, 3, 4, 6, 8, 12), 4
+
+#: If no number of steps is accurate, the fewest within this factor of the least error are taken; numbers of steps in a
+#: row that do not halve the error after which no more are tried, and points at which they are.
+NEAR, VAIN, MOST_STARTS = 1.25, 3, 32
+
+
+class Trials:
+    """The trials of one problem."""
+
+    def __init__(self, problem: CompleteProblem) -> None:
+        self.problem, self.dt = problem, max(problem.dt)
+        self._intervals: dict[Integrator, Interval] = {}
+        self._schemes: dict[ButcherTableau, Trial] = {}
+        self._ends: dict[tuple[ButcherTableau, int], Array] = {}
+
+    def interval(self, integrator: Integrator) -> Interval:
+        """The functions of an interval by this integrator."""
+        if integrator not in self._intervals:
+            self._intervals[integrator] = integrator.interval(self.problem)
+        return self._intervals[integrator]
+
+    # Explicit schemes ------------------------------------------------------------------------------------------------
+
+    @cached_property
+    def flow(self) -> Flow:
+        """The model over the longest interval."""
+        return Flow(self.problem)
+
+    def needed_steps(self, integrator: ExplicitRungeKutta) -> tuple[int | None, Modes]:
+        """The steps per interval with which an explicit scheme is stable, at least those that it has; None if
+        MOST_STEPS are not sufficient. The ends of intervals count if the model is stiff there and not where they
+        start."""
+        needed = steps_for(self._stated, integrator, self.dt)
+        if needed is None or needed > MOST_EXPLICIT:
+            return needed, self._stated
+        more = steps_for(self._at_ends, integrator, self.dt)
+        return (needed, self._stated) if more is not None and more <= MOST_EXPLICIT else (more, self._at_ends)
+
+    @cached_property
+    def _stated(self) -> Modes:
+        return stated_modes(self.problem)
+
+    @cached_property
+    def _at_ends(self) -> Modes:
+        scheme = ImplicitRungeKutta(SDIRK3)
+        return modes_at_ends(self.problem, lambda x, u, p: self.end(scheme, x, u, p))
+
+    # Implicit schemes ------------------------------------------------------------------------------------------------
+
+    @property
+    def is_consistent(self) -> bool:
+        """True unless Newton's method finds no algebraic variables at the first plan."""
+        algebra = self.problem.algebra
+        return algebra is None or bool(np.all(np.isfinite(algebra.found)))
+
+    @cached_property
+    def nearest_implicit(self) -> tuple[ImplicitRungeKutta | None, float]:
+        """The implicit scheme with the fewest steps that are accurate from the points of the first plan, or with those
+        that are nearly as accurate as any; None if no stage of it can be solved there. Its error."""
+        default, errors = ImplicitRungeKutta(), dict[int, float]()
+        vain, best = 0, np.inf
+        for steps in STEPS:
+            errors[steps] = self.interval_error(default.tableau, steps)
+            if errors[steps] <= ACCURATE:
+                return ImplicitRungeKutta(default.tableau, steps), errors[steps]
+            vain, best = (vain + 1 if errors[steps] > best / 2 else 0), min(best, errors[steps])
+            if vain == VAIN:
+                break
+        least = min(errors.values())
+        steps = next(steps for steps, error in errors.items() if error <= NEAR * least)
+        return (ImplicitRungeKutta(default.tableau, steps) if np.isfinite(least) else None), errors[steps]
+
+    def interval_error(self, tableau: ButcherTableau, steps: int) -> float:
+        """Largest distance of the end of the longest interval from that with more steps, relative to the scales, from
+        the points of the first plan; LOST where only more steps have an end, infinite if no interval has one."""
+        with np.errstate(all="ignore"):
+            coarse, fine = self._ends_of(tableau, steps), self._ends_of(tableau, FINER * steps)
+            kept = np.all(np.isfinite(fine), axis=1)
+            errors = np.max(np.abs(coarse - fine)[kept] / self._scheme(tableau).size, axis=1, initial=0.0)
+        ended = np.isfinite(errors)
+        return float(np.max(np.where(ended, errors, LOST))) if np.any(ended) else np.inf
+
+    def newton_left(self, tableau: ButcherTableau, steps: int, newton: int) -> float:
+        """The largest last correction of a stage over the longest interval from the points of the first plan, relative
+        to the scales; infinite if no stage can be solved."""
+        trial = self._scheme(tableau)
+        found = [trial.interval(*at, self.dt, steps, newton).left / trial.size for at in self._starts]
+        return max((float(np.max(each)) for each in found if np.all(np.isfinite(each))), default=np.inf)
+
+    def end(self, integrator: ImplicitRungeKutta, x: Array, u: Array, p: Array) -> Array:
+        """The end of the longest interval from a point."""
+        return self._scheme(integrator.tableau).interval(x, u, p, self.dt, integrator.steps, NEWTON_LIMIT).x
+
+    def _ends_of(self, tableau: ButcherTableau, steps: int) -> Array:
+        """The ends of the longest interval from the points of the first plan."""
+        if (tableau, steps) not in self._ends:
+            trial = self._scheme(tableau)
+            found = [trial.interval(*at, self.dt, steps, NEWTON_LIMIT).x for at in self._starts]
+            self._ends[tableau, steps] = np.array(found)
+        return self._ends[tableau, steps]
+
+    def _scheme(self, tableau: ButcherTableau) -> Trial:
+        if tableau not in self._schemes:
+            self._schemes[tableau] = Trial(self.problem, tableau)
+        return self._schemes[tableau]
+
+    @cached_property
+    def _starts(self) -> list[tuple[Array, Array, Array]]:
+        """The points of the first plan, at most MOST_STARTS of them, evenly."""
+        found = list(starts(self.problem))
+        return found[:: -(-len(found) // MOST_STARTS)]

@@ -1,0 +1,1 @@
+"""Problem -> CompleteProblem: what follows from a problem before anything is chosen for it."""

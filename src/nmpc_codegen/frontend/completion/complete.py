@@ -1,0 +1,103 @@
+"""Problem -> CompleteProblem: one call puts in all that follows from a problem, so that nobody asks for it again.
+
+In this order: the terminal cost of lqr_terminal_cost(), the time since the sample before, sizes of all quantities, ties
+of controls to those of the node before, what may stand at a saddle, proximal terms.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import dataclass, fields, replace
+from pkgutil import resolve_name
+from typing import Protocol
+
+import casadi as ca
+import numpy as np
+
+from nmpc_codegen.frontend.completion.interval_before import with_interval_before
+from nmpc_codegen.frontend.completion.saddles import Saddles, find_saddles
+from nmpc_codegen.frontend.completion.scales import Scales, scales
+from nmpc_codegen.frontend.completion.undetermined import flat_controls, proximal_terms
+from nmpc_codegen.frontend.problem import Problem, Stage
+
+
+class OfAlgorithm(Protocol):
+    """What completing asks of an algorithm."""
+
+    @property
+    def sampling_time(self) -> float | None: ...
+
+    @property
+    def needs(self) -> Collection[str]: ...
+
+
+class OfStorage(Protocol):
+    """What completing asks of the storage of data."""
+
+    @property
+    def dense_weight(self) -> bool: ...
+
+
+class Asked(Protocol):
+    """The options that completing reads: proximal terms are for samples that solve QPs with a Hessian that is chosen,
+    and a weight may be stored as a matrix."""
+
+    @property
+    def hessian(self) -> object | None: ...
+
+    @property
+    def algorithm(self) -> OfAlgorithm: ...
+
+    @property
+    def online(self) -> OfStorage: ...
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class CompleteProblem(Problem):
+    """A problem with what follows from it.
+
+    ``scales``: sizes of its quantities; ``saddles``: controls and states whose slope vanishes somewhere; ``flat``:
+    names of controls without curvature, for which ``proximal`` has terms.
+    """
+
+    scales: Scales
+    saddles: Saddles
+    flat: tuple[str, ...]
+
+
+def complete(problem: Problem, options: Asked) -> CompleteProblem:
+    """The problem with all that follows from it, and from these options.
+
+    Raises:
+        ProblemError: the terminal cost of lqr_terminal_cost() does not exist.
+    """
+    if problem.terminal_lqr is not None:
+        problem = resolve_name(problem.terminal_lqr.rule)(problem, options)
+    problem = with_interval_before(problem, options.algorithm.sampling_time)
+    sizes = scales(problem)
+    path, terminal = (replace(s, dense_weight=options.online.dense_weight) for s in (problem.path, problem.terminal))
+    problem = replace(problem, path=_with_ties(path, problem, sizes), terminal=terminal)
+    solves_qps = options.hessian is None and "qp" in options.algorithm.needs and problem.estimation is None
+    flat = flat_controls(problem, sizes) if solves_qps else ()
+    problem = replace(problem, proximal=proximal_terms(problem, sizes) if flat else ())
+    return CompleteProblem(
+        **{field.name: getattr(problem, field.name) for field in fields(Problem)},
+        scales=sizes,
+        saddles=find_saddles(problem, sizes.z),
+        flat=tuple(problem.control_names[j] for j in flat),
+    )
+
+
+def _with_ties(path: Stage, problem: Problem, sizes: Scales) -> Stage:
+    """The path with residuals that tie controls to those of the node before where no block begins, and the control that
+    acts on nothing to 0."""
+    added = problem.augmentation
+    if added.idle:
+        return replace(path, ties=path.u)
+    ties = []
+    for i, j in enumerate(added.held):
+        begins = path.p[problem.np - added.data + i]
+        before = path.x[problem.measured + added.places[j]]
+        weight = float(np.sqrt(sizes.cost)) / float(sizes.z[problem.nx + j])
+        ties.append(weight * (1 - begins) * (path.u[j] - before))
+    return replace(path, ties=ca.vertcat(*ties)) if ties else path

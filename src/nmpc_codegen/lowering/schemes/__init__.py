@@ -1,1 +1,0 @@
-"""The scheme of an integrator: whether it is stable, which one is chosen, and why."""
