@@ -85,7 +85,7 @@ def read(ocp: OCP | Estimator, options: Options | None) -> tuple[Problem, Option
     asked = options or Options()
     if isinstance(ocp, Estimator):
         return estimation_problem(ocp), for_estimator(asked, ocp.kind)
-    return classify(ocp), asked
+    return classify(ocp, asked.algorithm.sampling_time), asked
 
 
 def model_of(stated: Problem, options: Options) -> Model:

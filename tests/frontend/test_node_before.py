@@ -87,7 +87,8 @@ def test_only_what_is_used_becomes_a_state() -> None:
     ocp.least_squares(ocp.rate(u), 1.0, names="slew")
     problem = classify(ocp)
     assert problem.state_names == ("x", "previous(u)")
-    assert problem.parameter_names == ("interval before",)
+    assert problem.parameter_names == ()
+    assert classify(ocp, 2 * problem.dt[0]).parameter_names == ("interval before",)
     assert problem.measured == 1
     assert not problem.nonlinear_rows
 

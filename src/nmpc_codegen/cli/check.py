@@ -40,7 +40,7 @@ def check(ocp: OCP, options: Options, folder: Path, name: str, printer: Printer)
     IPOPT starts from the same point as the generated code. If it ends at another point (another local optimum), it is
     started again at the solution of the generated code, which it must then return.
     """
-    problem = complete(classify(ocp), options)
+    problem = complete(classify(ocp, options.algorithm.sampling_time), options)
     scheme = tableau(problem, options)
     refuse_long(scheme.steps * len(problem.dt))
     files: Mapping[str, str] = {

@@ -25,15 +25,21 @@ EQUAL = 1e-9
 
 
 class Augmented:
-    """An OCP without algebraic variables, with the states and data that its expressions need behind its own."""
+    """An OCP without algebraic variables, with the states and data that its expressions need behind its own.
 
-    def __init__(self, ocp: OCP) -> None:
+    ``period``: time between samples, the length of the interval before node 0; None: the first interval. Where all
+    intervals have this length, expressions read the number, else a parameter.
+    """
+
+    def __init__(self, ocp: OCP, period: float | None = None) -> None:
         found = {symbol.element_hash() for expression in _expressions(ocp) for symbol in ca.symvar(expression)}
         held = tuple(sorted(ocp.blocks))
         previous = tuple(j for j in sorted(ocp.remembered) if j in held or ocp.remembered[j].element_hash() in found)
         rates, time = (symbol.element_hash() in found for symbol in (ocp.interval_before, ocp.clock))
-        self.ocp, self.added = ocp, Augmentation(previous, rates, time, held, idle=not ocp.controls)
-        self.dt = (1.0,) * ocp.N if ocp.dt is None else ocp.dt
+        self.ocp, self.dt = ocp, (1.0,) * ocp.N if ocp.dt is None else ocp.dt
+        self.lengths = period or self.dt[0], *self.dt  # of the intervals before the nodes
+        self.length = [ca.SX(self.dt[0])] if rates and len(set(self.lengths)) == 1 else []
+        self.added = Augmentation(previous, rates and not self.length, time, held, idle=not ocp.controls)
         self.own, self.nu, self.np_own = ocp.x.numel(), max(1, ocp.u.numel()), ocp.p.numel()
         self.nx = self.own + self.added.count
         self.np = self.np_own + self.added.data + ocp.node_data.numel()
@@ -43,7 +49,9 @@ class Augmented:
     def put_in(self, expressions: list[Expression], x: Expression, u: Expression, p: Expression) -> list[Expression]:
         """The expressions in the symbols x, u, p of a stage (u empty: they contain no control)."""
         ends = u.numel() == 0
-        new = ca.vertcat(x, *([] if ends else [self.acting(x, u, p)]), *self._own_data(elements(p)))
+        own, first = elements(p), self.np_own + len(self.added.held)  # marks of blocks have no symbol
+        data = [*own[: self.np_own], *self.length, *own[first:]]
+        new = ca.vertcat(x, *([] if ends else [self.acting(x, u, p)]), *data)
         return [ca.densify(e) for e in ca.substitute(expressions, [self._symbols[ends]], [new])]
 
     @cached_property
@@ -52,12 +60,8 @@ class Augmented:
         the length of the interval before and what Newton's method finds."""
         ocp, added = self.ocp, self.added
         states = [ocp.x, *([ocp.clock] * added.time), *(ocp.remembered[j] for j in added.previous)]
-        data = [ocp.p, *([ocp.interval_before] * added.interval), ocp.node_data]
+        data = [ocp.p, *([ocp.interval_before] * (added.interval or bool(self.length))), ocp.node_data]
         return ca.vertcat(*states, ocp.u, *data), ca.vertcat(*states, *data)
-
-    def _own_data(self, p: list[Expression]) -> list[Expression]:
-        """The elements of p that have such symbols: all but the marks of blocks."""
-        return [*p[: self.np_own], *p[self.np_own + len(self.added.held) :]]
 
     def acting(self, x: Expression, u: Expression, p: Expression) -> Expression:
         """The controls that act at a node: u_j where a block begins, else that of the node before."""
@@ -138,13 +142,11 @@ class Augmented:
         )
 
     def node_data(self) -> Array:
-        """(N + 1, data): 1 where a block of a control begins; the length of the interval before, at node 0 the
-        first."""
+        """(N + 1, data): 1 where a block of a control begins; the length of the interval before."""
         blocks = np.zeros((self.ocp.N + 1, len(self.added.held)))
         for i, j in enumerate(self.added.held):
             blocks[np.cumsum((0, *self.ocp.blocks[j])), i] = 1.0
-        lengths = np.array([[self.dt[0], *self.dt]]).T
-        return np.hstack([blocks, lengths[:, : self.added.interval]])
+        return np.hstack([blocks, np.array([self.lengths]).T[:, : self.added.interval]])
 
 
 def _expressions(ocp: OCP) -> list[Expression]:

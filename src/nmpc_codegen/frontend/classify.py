@@ -18,8 +18,12 @@ from nmpc_codegen.frontend.statement import At, Element, Penalty, Residual, Stag
 from nmpc_codegen.ir.casadi_types import elements, part
 
 
-def classify(ocp: OCP) -> Problem:
+def classify(ocp: OCP, period: float | None = None) -> Problem:
     """Return the problem that ``ocp`` states at present; the OCP may be changed and classified again.
+
+    Args:
+        ocp: the problem.
+        period: time between samples, which rates at node 0 read; None: the first interval.
 
     Raises:
         ProblemError: a part is missing (state, control, derivative, cost), or a row constrains a measured x_0.
@@ -27,7 +31,7 @@ def classify(ocp: OCP) -> Problem:
     _require(ocp)
     warn_of_integrals(ocp)
     resolved = resolve(ocp)
-    augmented = Augmented(ocp if resolved is None else resolved.ocp)
+    augmented = Augmented(ocp if resolved is None else resolved.ocp, period)
     ocp = augmented.ocp
     rows, path_h, terminal_h = _classify_rows(ocp)
     start = _stage(augmented, [], rows, "start")

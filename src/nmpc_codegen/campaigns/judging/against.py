@@ -66,7 +66,7 @@ class _IpoptLaw:
     """IPOPT in every sample."""
 
     def __init__(self, controller: Controller, ocp: OCP, options: Options) -> None:
-        self._problem = complete(classify(ocp), options)
+        self._problem = complete(classify(ocp, options.algorithm.sampling_time), options)
         self._nlp = Reference(self._problem, tableau(self._problem, options), tol=TOLERANCE)
 
     def fly(self, flight: Replay) -> Paths:

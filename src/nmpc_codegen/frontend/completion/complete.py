@@ -1,7 +1,7 @@
 """Problem -> CompleteProblem: one call puts in all that follows from a problem, so that nobody asks for it again.
 
-In this order: the terminal cost of lqr_terminal_cost(), the time since the sample before, sizes of all quantities, ties
-of controls to those of the node before, what may stand at a saddle, proximal terms.
+In this order: the terminal cost of lqr_terminal_cost(), sizes of all quantities, ties of controls to those of the node
+before, what may stand at a saddle, proximal terms.
 """
 
 from __future__ import annotations
@@ -14,7 +14,6 @@ from typing import Protocol
 import casadi as ca
 import numpy as np
 
-from nmpc_codegen.frontend.completion.interval_before import with_interval_before
 from nmpc_codegen.frontend.completion.saddles import Saddles, find_saddles
 from nmpc_codegen.frontend.completion.scales import Scales, scales
 from nmpc_codegen.frontend.completion.undetermined import flat_controls, proximal_terms
@@ -23,9 +22,6 @@ from nmpc_codegen.frontend.problem import Problem, Stage
 
 class OfAlgorithm(Protocol):
     """What completing asks of an algorithm."""
-
-    @property
-    def sampling_time(self) -> float | None: ...
 
     @property
     def needs(self) -> Collection[str]: ...
@@ -73,7 +69,6 @@ def complete(problem: Problem, options: Asked) -> CompleteProblem:
     """
     if problem.terminal_lqr is not None:
         problem = resolve_name(problem.terminal_lqr.rule)(problem, options)
-    problem = with_interval_before(problem, options.algorithm.sampling_time)
     sizes = scales(problem)
     path, terminal = (replace(s, dense_weight=options.online.dense_weight) for s in (problem.path, problem.terminal))
     problem = replace(problem, path=_with_ties(path, problem, sizes), terminal=terminal)

@@ -30,7 +30,7 @@ if __name__ == "__main__":
     given = parser.parse_args()
     names = runpy.run_path(given.file)
     options = names.get("options", Options)()
-    problem = complete(classify(names["build_ocp"]()), options)
+    problem = complete(classify(names["build_ocp"](), options.algorithm.sampling_time), options)
     module = lower(linearize(problem, decide(problem, options)))
     items = assemble(module)
     show("as the parts have it", items, given.item)
