@@ -43,7 +43,7 @@ from nmpc_codegen.package.description import PackageDescription
 from nmpc_codegen.package.sources import Sources
 from nmpc_codegen.runtime.batch.choose import check_request, make
 from nmpc_codegen.runtime.batch.many import Batch
-from nmpc_codegen.runtime.build import load, load_estimator
+from nmpc_codegen.runtime.build import load_any
 from nmpc_codegen.runtime.controller import Controller
 from nmpc_codegen.runtime.estimation.observer import Observer
 from nmpc_codegen.runtime.folder import write
@@ -244,9 +244,7 @@ def build(
     """
     sources = compile(ocp, options, name)
     _warn(sources.description)
-    if isinstance(ocp, Estimator):
-        return load_estimator(sources, sources.description.name, profile)
-    return load(sources, sources.description.name, profile)
+    return load_any(sources, sources.description.name, profile)
 
 
 def batch(

@@ -23,7 +23,7 @@ from nmpc_codegen.components.base import (
     spell,
 )
 from nmpc_codegen.errors import OptionError
-from nmpc_codegen.package.estimation import EstimatorKind
+from nmpc_codegen.package.kinds import EstimatorKind
 from nmpc_codegen.package.memory import Precision
 from nmpc_codegen.package.signals import Layout, Layouts
 from nmpc_codegen.runtime.native import native

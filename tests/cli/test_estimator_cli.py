@@ -31,8 +31,8 @@ def test_both_packages_and_one_loop(tmp_path: Path) -> None:
     lines = subprocess.run([tmp_path / "loop"], capture_output=True, text=True, check=True).stdout.splitlines()
     assert len(lines) == 30
     assert all(line.count(" ok ") == 2 for line in lines)
-    assert open_package(tmp_path, "test").description.kind is None
-    assert open_estimator(tmp_path, "test").description.kind == "mhe"
+    assert open_package(tmp_path, "test").description.kind.noun == "controller"
+    assert open_estimator(tmp_path, "test").description.kind.words == "moving horizon estimator"
     require_tool("cmake")
     subprocess.run(["cmake", "-S", ".", "-B", "build"], cwd=tmp_path, check=True, capture_output=True)
     subprocess.run(["cmake", "--build", "build"], cwd=tmp_path, check=True, capture_output=True)

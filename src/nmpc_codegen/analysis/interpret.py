@@ -326,25 +326,35 @@ class _Body:
             return self._measure_call(code, scope)
         if kind in ("binary", "assign") and len(code.tree.operands) == 2:
             return self._measure_binary(code, scope)
-        operands = code.operands
         if (kind, word) == ("other", "?"):
-            (then, of), holds = self._measure(operands[1], scope), truth(self.value(operands[0], scope))
-            other = 0 if holds else self.cost(operands[2], scope)
-            return self.cost(operands[0], scope) + (other if holds is False else max(then, other)), of
+            return self._measure_choice(code.operands, scope)
         if word == "sizeof":
             return 0, INT
-        if not operands or word == "{":
-            return sum(self.cost(operand, scope) for operand in operands), INT
-        cost, of = self._measure(operands[0], scope)
-        if kind == "index":
-            return cost + self.cost(operands[1], scope), Type(of.base, of.depth - 1)
-        if kind == "member":
-            return cost, self._unit.member(word)
-        if (kind, word) == ("other", "cast"):
-            return cost, code.cast
-        if kind == "unary":
-            shift = {"*": -1, "&": 1}.get(word, 0)
-            return cost + (word == "-" and of.counts), INT if word == "!" else Type(of.base, of.depth + shift)
+        if not code.operands or word == "{":
+            return sum(self.cost(operand, scope) for operand in code.operands), INT
+        return self._measure_place(code, scope)
+
+    def _measure_choice(self, operands: Sequence[Code], scope: Scope) -> tuple[int, Type]:
+        """Operations and type of condition ? first : second."""
+        condition, first, second = operands
+        (then, of), holds = self._measure(first, scope), truth(self.value(condition, scope))
+        other = 0 if holds else self.cost(second, scope)
+        return self.cost(condition, scope) + (other if holds is False else max(then, other)), of
+
+    def _measure_place(self, code: Code, scope: Scope) -> tuple[int, Type]:
+        """Operations and type of an expression with one operand: an element, a member, a cast, a sign, a group."""
+        kind, word = code.tree.kind, code.tree.word
+        cost, of = self._measure(code.operands[0], scope)
+        match kind:
+            case "index":
+                return cost + self.cost(code.operands[1], scope), Type(of.base, of.depth - 1)
+            case "member":
+                return cost, self._unit.member(word)
+            case "other" if word == "cast":
+                return cost, code.cast
+            case "unary":
+                shift = {"*": -1, "&": 1}.get(word, 0)
+                return cost + (word == "-" and of.counts), INT if word == "!" else Type(of.base, of.depth + shift)
         return cost, of
 
     def _measure_binary(self, code: Code, scope: Scope) -> tuple[int, Type]:
@@ -410,19 +420,12 @@ class _Body:
         """Return the value of an integer expression."""
         if code is None:
             return None
-        kind, word, operands = code.tree.kind, code.tree.word, code.operands
-        match kind:
+        word, operands = code.tree.word, code.operands
+        match code.tree.kind:
             case "number":
-                found = _NUMBER.match(word)
-                return None if found is None else (int(found[1], 0),) * 2
+                return _number(word)
             case "name":
-                known = scope.get(word)
-                if known is None:
-                    return self._analysis.constant(word)
-                value = None if known.type.depth else known.value
-                return None if isinstance(value, str) else value
-            case "group":
-                return self.value(operands[0], scope)
+                return self._value_of_name(word, scope)
             case "binary":
                 return apply_operator(word, *(self.value(operand, scope) for operand in operands))
             case "unary" if word in "-!":
@@ -430,19 +433,37 @@ class _Body:
             case "member":
                 return self._unit.ranges.get(word)
             case "index":
-                table = self._table(operands[0], scope)
-                if not isinstance(table, str):
-                    return None
-                return _entries(self._unit.tables[table], self.value(operands[1], scope))
+                return self._value_of_entry(code, scope)
             case "call":
                 return self._result(code, scope)
-            case "other" if word == "cast":
-                return self.value(operands[0], scope) if code.cast == INT else None
-            case "other" if word == "?":
-                holds = truth(self.value(operands[0], scope))
-                possible = ((operands[1], True), (operands[2], False))
-                return _union([self.value(branch, scope) for branch, taken in possible if holds in (None, taken)])
+            case "group" | "other":
+                return self._value_of_branches(code, scope)
         return None
+
+    def _value_of_name(self, word: str, scope: Scope) -> Range | None:
+        """Value of a variable or a constant."""
+        known = scope.get(word)
+        if known is None:
+            return self._analysis.constant(word)
+        return None if known.type.depth or isinstance(known.value, str) else known.value
+
+    def _value_of_entry(self, code: Code, scope: Scope) -> Range | None:
+        """Value of an entry of a constant table."""
+        table = self._table(code.operands[0], scope)
+        if not isinstance(table, str):
+            return None
+        return _entries(self._unit.tables[table], self.value(code.operands[1], scope))
+
+    def _value_of_branches(self, code: Code, scope: Scope) -> Range | None:
+        """Value of a group, of a cast, or of a choice between two."""
+        operands = code.operands
+        if code.tree.kind == "group" or (code.tree.word == "cast" and code.cast == INT):
+            return self.value(operands[0], scope)
+        if code.tree.word != "?":
+            return None
+        holds = truth(self.value(operands[0], scope))
+        possible = ((operands[1], True), (operands[2], False))
+        return _union([self.value(branch, scope) for branch, taken in possible if holds in (None, taken)])
 
     def _result(self, code: Code, scope: Scope) -> Range | None:
         """Value of a call."""
@@ -452,6 +473,11 @@ class _Body:
         if callee is not None and callee.function is not None and callee.result == INT:
             return self._analysis.call(callee.function.name, self._bind(callee.function, code, scope))[1]
         return None
+
+
+def _number(word: str) -> Range | None:
+    found = _NUMBER.match(word)
+    return None if found is None else (int(found[1], 0),) * 2
 
 
 def _entries(table: Sequence[int], index: Range | None) -> Range | None:

@@ -46,7 +46,7 @@ def bound(package: Mapping[str, str]) -> dict[str, int]:
 def _bound(unit: Unit, description: PackageDescription) -> dict[str, int]:
     found = WorstCase(unit)
     if not description.has_phases:
-        return {"sample": found.operations(f"api_{description.sample_call}")}
+        return {"sample": found.operations(f"api_{description.kind.law}")}
     worst = {phase: found.operations(f"api_{phase}") for phase in ("prepare", "feedback")}
     return worst | {"sample": sum(worst.values())}
 

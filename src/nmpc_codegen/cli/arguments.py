@@ -129,30 +129,44 @@ def check_usage(made: Parser, arguments: argparse.Namespace) -> None:
 
 
 def _mistakes(arguments: argparse.Namespace) -> Iterator[str]:
-    if arguments.problem is None and not arguments.list_options:
-        yield "the file that states the problem is missing"
+    yield from _wrong_values(arguments)
+    yield from _clashes(arguments)
+    yield from _places(arguments)
+
+
+def _wrong_values(arguments: argparse.Namespace) -> Iterator[str]:
+    """Values that no arguments beside them make right."""
     for flag in ("problem", "output", "name", "plot"):
         value = getattr(arguments, flag)
         if value is not None and (not value.strip() or "\0" in value):
             yield f"{'problem.py' if flag == 'problem' else f'--{flag}'} {value!r}: expected a name that is not empty"
-    if arguments.json and arguments.list_options:
-        yield "--json belongs to an export and clashes with --list-options"
-    if arguments.simulate is not None and not 1 <= arguments.simulate <= MAX_SAMPLES:
-        yield f"--simulate {arguments.simulate}: expected at least one step and at most {MAX_SAMPLES:,}"
-    if arguments.campaign is not None and not 1 <= arguments.campaign <= MAX_FLIGHTS:
-        yield f"--campaign {arguments.campaign}: expected at least one flight and at most {MAX_FLIGHTS:,}"
-    if arguments.derivatives:
-        for flag in (*OF_CONTROLLERS, *(f"max_{name}" for name in BUDGETS)):
-            if getattr(arguments, flag) not in (None, False):
-                yield f"--{flag.replace('_', '-')} belongs to a controller and clashes with --derivatives"
+    for flag, what, most in (("simulate", "step", MAX_SAMPLES), ("campaign", "flight", MAX_FLIGHTS)):
+        number = getattr(arguments, flag)
+        if number is not None and not 1 <= number <= most:
+            yield f"--{flag} {number}: expected at least one {what} and at most {most:,}"
     for setting in arguments.settings:
         if "=" not in setting or not setting.partition("=")[0].strip():
             yield f"--set {setting}: expected KEY=VALUE, e.g. integrator.steps=3"
+    if arguments.allow_failures is not None and arguments.allow_failures < 0:
+        yield f"--allow-failures {arguments.allow_failures}: expected a number of samples or flights >= 0"
+
+
+def _clashes(arguments: argparse.Namespace) -> Iterator[str]:
+    """Arguments that need others, or exclude them."""
+    if arguments.problem is None and not arguments.list_options:
+        yield "the file that states the problem is missing"
+    if arguments.json and arguments.list_options:
+        yield "--json belongs to an export and clashes with --list-options"
+    for flag in (*OF_CONTROLLERS, *(f"max_{name}" for name in BUDGETS)) if arguments.derivatives else ():
+        if getattr(arguments, flag) not in (None, False):
+            yield f"--{flag.replace('_', '-')} belongs to a controller and clashes with --derivatives"
     for flag in ("plot", "allow_failures"):
         if getattr(arguments, flag) is not None and arguments.simulate is None and arguments.campaign is None:
             yield f"--{flag.replace('_', '-')} needs --simulate STEPS or --campaign FLIGHTS"
-    if arguments.allow_failures is not None and arguments.allow_failures < 0:
-        yield f"--allow-failures {arguments.allow_failures}: expected a number of samples or flights >= 0"
+
+
+def _places(arguments: argparse.Namespace) -> Iterator[str]:
+    """Files and folders that cannot be written."""
     for flag, look in (("output", _folder), ("plot", _picture)):
         value = getattr(arguments, flag)
         try:

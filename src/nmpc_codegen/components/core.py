@@ -7,7 +7,6 @@ from collections.abc import Iterable
 from nmpc_codegen.components.base import Core, Dims
 from nmpc_codegen.ir.cmodule import Table
 from nmpc_codegen.ir.tuning import COLUMNS
-from nmpc_codegen.package.features import Features
 from nmpc_codegen.package.memory import Field, Size, Struct, only_if
 
 
@@ -20,7 +19,6 @@ def core_structs(core: Iterable[Core], dims: Dims) -> tuple[Struct, ...]:
         *only_if("multipliers" in wanted, _multipliers(dims)),
         *only_if("kkt" in wanted, _kkt()),
         _row_members(dims),
-        _saddle(dims),
     )
 
 
@@ -98,35 +96,6 @@ def _row_members(dims: Dims) -> Struct:
         ),
         only=lambda f: f.has_qp,
     )
-
-
-def _saddle(dims: Dims) -> Struct:
-    """The plan before a probe of idle controls."""
-    nodes = Size("N + 1", dims.N.value + 1)
-    return Struct(
-        "saddle",
-        "plan at a saddle, before idle controls move",
-        (
-            Field("x", (nodes, dims.nx), "its states", "scratch"),
-            Field("u", (dims.N, dims.nu), "its controls", "scratch"),
-            Field("lam", (nodes, dims.nx), "its multipliers of the dynamics", "scratch", only=_departs),
-            Field("mu_u", (dims.N, dims.nu), "its multipliers of the control bounds", "scratch", only=_departs),
-            Field("mult", (dims.ng,), "its multipliers of the other rows", "scratch", only=_departs),
-            Field("cost", (), "of the best plan", "scratch"),
-            Field("violation", (), "of its hard rows, in their scales", "scratch", only=lambda f: f.hard_rows),
-            Field("departed", (), "iterations of a departure from it that are left", "scratch", "int32", only=_departs),
-            Field(
-                "asked", (), "1: an idle state asks for another value", "scratch", "int32", only=lambda f: f.idle_states
-            ),
-            Field("saved", (), "part of its cost by which the last probe has lowered that of the plan", "scratch"),
-        ),
-        only=lambda f: f.saddles,
-    )
-
-
-def _departs(features: Features) -> bool:
-    """True if solve() may return to this plan."""
-    return features.solve and features.search
 
 
 #: Sizes, and tables without values, that some components state and that parts of others name.

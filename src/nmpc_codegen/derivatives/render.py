@@ -10,9 +10,9 @@ from nmpc_codegen.derivatives.model import DerivativeModel
 from nmpc_codegen.ir.cmodule import Table
 from nmpc_codegen.ir.printing.c_style import unit_style
 from nmpc_codegen.ir.sweep import Routine
-from nmpc_codegen.lowering.data.tables import lookup_tables
 from nmpc_codegen.lowering.dialect.constants import Constants
 from nmpc_codegen.lowering.render import GCC_12, block_comment, member, prototype, tidy
+from nmpc_codegen.lowering.tables import lookup_tables
 from nmpc_codegen.lowering.templates import context, environment
 from nmpc_codegen.lowering.unit.assemble import INTERVALS, kernel_items, print_intervals, table_items, table_ranges
 from nmpc_codegen.lowering.unit.item import Item

@@ -134,7 +134,7 @@ def _parse(lines: Sequence[str], description: PackageDescription, samples: int, 
     table = np.array([sample[:6] for sample in words["S"]], dtype=np.int64).reshape(samples, 6)
     bits = np.array([sample[6:] for sample in words["S"]], dtype=np.uint32)
     u = np.ascontiguousarray(bits).view(description.real).reshape(samples, len(description.outputs))
-    whole = description.sample_call
+    whole = description.kind.law
     used = (("prepare", 1), ("feedback", 4)) if description.has_phases else ((whole, 4),)
     stack = {"init": words["I"][0][1], **{name: int(table[:, column].max()) for name, column in used}}
     names = (whole, *OTHERS[1:])

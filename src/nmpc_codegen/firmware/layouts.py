@@ -67,7 +67,7 @@ def _names(recording: Recording, target: Target, certificate: Certificate, ram: 
         "quoted": ", ".join(f'"{flag}"' for flag in portable),
         "ram": certificate.struct_bytes if ram is None else ram,
         "origin": "the size for which the package was certified" if ram is None else "--max-ram",
-        "stack": certificate.stack_bytes[d.sample_call],
+        "stack": certificate.stack_bytes[d.kind.law],
         "flash": certificate.flash_bytes,
         "samples": len(recording.x),
         "tolerance": f"{tolerance:g}",

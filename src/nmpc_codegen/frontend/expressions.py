@@ -149,19 +149,7 @@ class Dynamics(NodeBefore):
             >>> ocp.dynamics({T: late - 0.1 * T}, discrete={late: ocp.previous(P)})
         """
         if isinstance(discrete, Mapping):
-            if not isinstance(rhs, Mapping):
-                raise ProblemError("dynamics: with discrete={...} the derivatives must be {state: expression}, too")
-            if self.dt is None:
-                raise ProblemError(
-                    f"OCP '{self.name}' was given N only, so all its dynamics are discrete: discrete=True"
-                )
-            given = self._by_name(discrete, "next value")
-            self.dynamics(rhs)
-            if both := sorted(set(given) & set(self.derivatives)):
-                raise ProblemError(f"dynamics: the derivative of '{self._state_names()[both[0]]}' is given twice")
-            for index, expression in given.items():
-                self._warn_nonsmooth(self._state_names()[index], expression)
-            self.maps.update(given)
+            self._add_maps(rhs, discrete)
             return
         if not isinstance(discrete, (bool, np.bool_)):
             raise ProblemError(
@@ -183,6 +171,20 @@ class Dynamics(NodeBefore):
             self._warn_nonsmooth(self._state_names()[index], expression)
         self._discrete = discrete
         self.derivatives.update(given)
+
+    def _add_maps(self, rhs: Any, discrete: Mapping[Any, Any]) -> None:
+        """State the derivatives of some states, and the next values of others."""
+        if not isinstance(rhs, Mapping):
+            raise ProblemError("dynamics: with discrete={...} the derivatives must be {state: expression}, too")
+        if self.dt is None:
+            raise ProblemError(f"OCP '{self.name}' was given N only, so all its dynamics are discrete: discrete=True")
+        given = self._by_name(discrete, "next value")
+        self.dynamics(rhs)
+        if both := sorted(set(given) & set(self.derivatives)):
+            raise ProblemError(f"dynamics: the derivative of '{self._state_names()[both[0]]}' is given twice")
+        for index, expression in given.items():
+            self._warn_nonsmooth(self._state_names()[index], expression)
+        self.maps.update(given)
 
     def _state_names(self) -> list[str]:
         return [e for d in self.states for e in d.signal.elements]

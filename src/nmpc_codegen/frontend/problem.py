@@ -25,6 +25,7 @@ from nmpc_codegen.errors import ProblemError
 from nmpc_codegen.frontend.algebra import newton
 from nmpc_codegen.ir.casadi_types import Expression, Function, curved_rows, elements, part
 from nmpc_codegen.package.estimation import Estimation
+from nmpc_codegen.package.kinds import CONTROLLER, ESTIMATORS, Kind
 from nmpc_codegen.package.signals import NOT_AUGMENTED, ImposedRow, imposed_rows
 from nmpc_codegen.package.signals import Augmentation as Augmentation
 from nmpc_codegen.package.signals import Row as Row
@@ -236,6 +237,11 @@ class Problem:
     noise: tuple[tuple[int, int], ...] = ()  # (i, j): u_j is added to x_i at the end of an interval
     estimation: Estimation | None = None  # of an estimator
     observed: Function | None = None  # (x, p) -> its measurements
+
+    @property
+    def kind(self) -> Kind:
+        """What a package of it is."""
+        return CONTROLLER if self.estimation is None else ESTIMATORS[self.estimation.kind]
 
     @property
     def own_parameters(self) -> tuple[Signal, ...]:

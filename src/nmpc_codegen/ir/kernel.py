@@ -294,6 +294,25 @@ def lift(
     for number, port in enumerate(inputs):
         assert not port.cols, f"{name}: input {port.name} is a matrix"
         assert function.size_in(number) == (port.rows, 1), f"{name}: input {port.name}"
+    numbered, stores, seen = _number_values(function, name, outputs)
+    instructions, new = live(numbered, [v for _, _, v in stores])
+    for ins in instructions:
+        if not math.isfinite(ins.constant):
+            raise ProblemError(f"{name}: the expressions contain the constant {ins.constant}; expected finite numbers")
+    if any(ins.opcode in (ca.OP_DIV, ca.OP_INV) for ins in instructions):
+        multiplied, after = _reciprocals(instructions)
+        instructions, last = live(multiplied, [after[new[v]] for _, _, v in stores])
+        new = {v: last[after[n]] for v, n in new.items() if after[n] in last}
+    stored = tuple((o, e, new[v]) for o, e, v in stores)
+    values = [(what, new.get(seen[e], -1)) for e, what in enumerate(watched)]
+    return Kernel(name, doc, tuple(inputs), tuple(outputs), instructions, stored, _parts(instructions, values))
+
+
+def _number_values(
+    function: Function, name: str, outputs: Sequence[Port]
+) -> tuple[list[Instruction], list[tuple[int, int, int]], dict[int, int]]:
+    """The instructions of a function, each value once; (output, element, value) of what is stored; the values of one
+    more output."""
     numbering = _ValueNumbering()
     work: dict[int, int] = {}
     stores: list[tuple[int, int, int]] = []
@@ -321,17 +340,7 @@ def lift(
             work[o[0]] = _fold(ins, numbering) if folds else numbering.number(ins)
         else:
             raise ProblemError(f"{name}: {opcode_name(opcode)} has no C code; use elementary operations only")
-    instructions, new = live(numbering.instructions, [v for _, _, v in stores])
-    for ins in instructions:
-        if not math.isfinite(ins.constant):
-            raise ProblemError(f"{name}: the expressions contain the constant {ins.constant}; expected finite numbers")
-    if any(ins.opcode in (ca.OP_DIV, ca.OP_INV) for ins in instructions):
-        multiplied, after = _reciprocals(instructions)
-        instructions, last = live(multiplied, [after[new[v]] for _, _, v in stores])
-        new = {v: last[after[n]] for v, n in new.items() if after[n] in last}
-    stored = tuple((o, e, new[v]) for o, e, v in stores)
-    values = [(what, new.get(seen[e], -1)) for e, what in enumerate(watched)]
-    return Kernel(name, doc, tuple(inputs), tuple(outputs), instructions, stored, _parts(instructions, values))
+    return numbering.instructions, stores, seen
 
 
 def _call_of_lookup(arguments: Sequence[int], numbering: _ValueNumbering, name: str) -> int:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from functools import cached_property
 
 from nmpc_codegen.ir.kernel import Kernel
 from nmpc_codegen.ir.stage_products import Pattern, Products, bandwidth, pattern
@@ -143,6 +144,11 @@ class ModelFunctions:
     measurement: Kernel | None = None
     control_start: Kernel | None = None
     following: OpCount = field(default_factory=OpCount)
+
+    @cached_property
+    def printed(self) -> tuple[Routine, ...]:
+        """The routines that have results: a problem without terminal cost has no terminal_cost()."""
+        return tuple(routine for routine in self.routines if routine.writes)
 
     @property
     def routines(self) -> tuple[Routine, ...]:

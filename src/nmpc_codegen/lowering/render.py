@@ -13,7 +13,6 @@ from nmpc_codegen.lowering.dialect.directives import resolve
 from nmpc_codegen.lowering.templates import context, environment
 from nmpc_codegen.lowering.unit.item import Item
 from nmpc_codegen.lowering.unit.text import library_headers, text_of_unit
-from nmpc_codegen.package.estimation import WORDS
 from nmpc_codegen.package.memory import PURPOSES, WORK, Field, Size, Struct
 from nmpc_codegen.package.seal import seal
 from nmpc_codegen.package.signals import Argument, EntryPoint, Signal, horizon, nodes
@@ -36,7 +35,7 @@ def render(module: CModule, items: Sequence[Item]) -> Sources:
     included = library_headers(items)
     files = {
         f"{module.name}.c": "package/solver.c.jinja",
-        "main.c": "package/main.c.jinja" if module.description.kind is None else "package/main_estimator.c.jinja",
+        "main.c": module.description.kind.main,
         "CMakeLists.txt": "package/CMakeLists.txt.jinja",
         "README.md": "package/README.md.jinja",
     }
@@ -73,8 +72,8 @@ def _names(module: CModule) -> dict[str, Any]:
         "resolved": lambda template: _resolve(environment().get_template(template).render(names), module),
         "initial": ", ".join(names["lit"](v) for s in module.description.states for v in s.value),
         "dt": names["lit"](module.description.sampling_time or module.description.dt[0]),
-        "what": WORDS[module.description.kind],
-        "usage": f"package/usage_{'controller' if module.description.kind is None else 'estimator'}.md.jinja",
+        "what": module.description.kind.words,
+        "usage": module.description.kind.usage,
     }
     return names | _of_estimator(module, names)
 

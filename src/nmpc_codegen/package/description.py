@@ -18,7 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nmpc_codegen.errors import ControllerError
-from nmpc_codegen.package.estimation import Estimation, EstimatorKind
+from nmpc_codegen.package.estimation import Estimation
+from nmpc_codegen.package.kinds import CONTROLLER, ESTIMATORS, Kind
 from nmpc_codegen.package.memory import INTEGERS, REAL, Field, Precision, Size, Struct
 from nmpc_codegen.package.opcount import OpCount
 from nmpc_codegen.package.program import Program
@@ -141,14 +142,9 @@ class PackageDescription:
         return {name: value - behind.get(name, 0) for name, value in self.sizes.items()}
 
     @property
-    def kind(self) -> EstimatorKind | None:
-        """Kind of the estimator; None: it is a controller."""
-        return None if self.estimation is None else self.estimation.kind
-
-    @property
-    def sample_call(self) -> str:
-        """The entry point of a whole sample."""
-        return "step" if self.estimation is None else "estimate"
+    def kind(self) -> Kind:
+        """What the package is."""
+        return CONTROLLER if self.estimation is None else ESTIMATORS[self.estimation.kind]
 
     @property
     def outputs(self) -> tuple[str, ...]:

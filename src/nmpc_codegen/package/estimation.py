@@ -4,19 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
 
+from nmpc_codegen.package.kinds import EstimatorKind
 from nmpc_codegen.package.signals import Signal
-
-EstimatorKind = Literal["mhe", "ekf"]
-
-
-#: What a package is, in words; None: that of a controller.
-WORDS = {
-    None: "nonlinear model predictive controller",
-    "mhe": "moving horizon estimator",
-    "ekf": "extended Kalman filter",
-}
 
 
 @dataclass(frozen=True)

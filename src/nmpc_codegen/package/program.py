@@ -86,15 +86,7 @@ class Program:
         """
         if len(self.rows) != rows:
             raise ValueError(f"the program has {len(self.rows)} rows, expected {rows}")
-        for i, (name, first, second, constant) in enumerate(self.steps):
-            if name == "input":
-                known = 0 <= first < len(sizes) and 0 <= second < sizes[first]
-            elif name == "lookup":
-                known = 0 <= first < i and constant in range(len(self.lookups))
-            else:
-                known = name == "const" or (name in VALUES and 0 <= first < i and 0 <= second < i)
-            if not known:
-                raise ValueError(f"step {i} of the program is {name} {first} {second}")
+        self._check_steps(sizes)
         if len(self.residuals) != len(self.scaled):
             raise ValueError(f"the program has {len(self.residuals)} residuals, of which {len(self.scaled)} are scaled")
         if len(self.weight) not in (len(self.residuals), len(self.residuals) ** 2):
@@ -106,6 +98,18 @@ class Program:
         unknown = [o.name for o in self.operations if o.name not in edges]
         if unknown:
             raise ValueError(f"the program contains the operations {', '.join(unknown)}")
+
+    def _check_steps(self, sizes: Sequence[int]) -> None:
+        """ValueError unless every step reads inputs, tables and steps before it."""
+        for i, (name, first, second, constant) in enumerate(self.steps):
+            if name == "input":
+                known = 0 <= first < len(sizes) and 0 <= second < sizes[first]
+            elif name == "lookup":
+                known = 0 <= first < i and constant in range(len(self.lookups))
+            else:
+                known = name == "const" or (name in VALUES and 0 <= first < i and 0 <= second < i)
+            if not known:
+                raise ValueError(f"step {i} of the program is {name} {first} {second}")
 
     def values(self, x: Array, u: Array, p: Array, wanted: Iterable[int] | None = None) -> list[Array]:
         """Values of all steps at nodes: x (n, nx), u (n, nu), p (n, np) -> arrays (n,).

@@ -34,6 +34,7 @@ import cffi
 from nmpc_codegen.errors import BuildError, ControllerError, OptionError
 from nmpc_codegen.exclusive import COMPILING
 from nmpc_codegen.package.description import PackageDescription
+from nmpc_codegen.package.kinds import CONTROLLER
 from nmpc_codegen.runtime.cache import CACHE_VARIABLE, PRODUCT, entry, keep_failed
 from nmpc_codegen.runtime.compiled import CompiledPackage
 from nmpc_codegen.runtime.compilers import ask, environment, find_compiler
@@ -122,18 +123,26 @@ def load(
         BuildError: there is no compiler or no Python.h, the compiler rejects the code, or this machine cannot run it.
         ControllerError: <name>.json is not the description of a controller, or it does not describe this C code.
     """
-    found = compile_package(files, name, profile, warnings_as_errors)
-    if found.description.estimation is not None:
-        raise ControllerError(f"{name} is an estimator; open_estimator() opens its folder")
-    return Controller(found)
+    found = load_any(files, name, profile, warnings_as_errors=warnings_as_errors)
+    if not isinstance(found, Controller):
+        raise ControllerError(f"{name} is {found.description.kind.opened}")
+    return found
 
 
 def load_estimator(files: Mapping[str, str], name: str, profile: str | Profile = "fast") -> Observer:
     """The same for the package of an estimator."""
-    found = compile_package(files, name, profile)
-    if found.description.estimation is None:
-        raise ControllerError(f"{name} is a controller; open_package() opens its folder")
-    return Observer(found)
+    found = load_any(files, name, profile)
+    if not isinstance(found, Observer):
+        raise ControllerError(f"{name} is {found.description.kind.opened}")
+    return found
+
+
+def load_any(
+    files: Mapping[str, str], name: str, profile: str | Profile = "fast", *, warnings_as_errors: bool = False
+) -> Controller | Observer:
+    """The same for a package of any kind."""
+    found = compile_package(files, name, profile, warnings_as_errors)
+    return Controller(found) if found.description.kind is CONTROLLER else Observer(found)
 
 
 def compile_package(
@@ -156,8 +165,7 @@ def compile_package(
     flags = (*chosen.all_flags(target), *(warnings_for(target) if warnings_as_errors else ()))
     path = compile_module(sources, name, flags, chosen.wrapper)
     ffi, lib = _import(name, path) if chosen.wrapper else _open(declarations(sources[f"{name}.h"], name), name, path)
-    reload = load if description.estimation is None else load_estimator
-    return CompiledPackage(name, sources, description, chosen, ffi, lib, reload)
+    return CompiledPackage(name, sources, description, chosen, ffi, lib, load_any)
 
 
 def load_library(

@@ -274,12 +274,7 @@ class Setters(Memory, Addressing):
             if matrices and (rows < 0).any():
                 raise ControllerError(f"weight of {name!r} is {rows.min():g}; expected numbers >= 0")
             for element, column in zip(elements, rows.T, strict=True):
-                here = self.names.y.index(element) if element in self.names.y else None
-                there = self.names.y_N.index(element) if element in self.names.y_N else None
-                if len(column) > N and there is None:
-                    raise ControllerError(f"{kind} of {name!r}: N + 1 rows, but {element!r} is no terminal residual")
-                if len(column) == N > 1 and here is None:
-                    raise ControllerError(f"{kind} of {name!r}: N rows, but {element!r} is a terminal residual only")
+                here, there = self._places_of(element, f"{kind} of {name!r}", len(column))
                 every = node is None and len(column) == 1 and (kind == "reference" or here is None)
                 if here is not None and node != N:
                     nodes = slice(None) if node is None else slice(node, node + 1)
@@ -295,6 +290,17 @@ class Setters(Memory, Addressing):
             self._send(f"set_{kind}", path, None)
         if sent[1]:
             self._send(f"set_terminal_{kind}", end[None], None)
+
+    def _places_of(self, element: str, what: str, rows: int) -> tuple[int | None, int | None]:
+        """Places of a residual in those of the path and of the end, None: it is none there; ControllerError unless so
+        many rows fit."""
+        here = self.names.y.index(element) if element in self.names.y else None
+        there = self.names.y_N.index(element) if element in self.names.y_N else None
+        if rows > self.dims.N and there is None:
+            raise ControllerError(f"{what}: N + 1 rows, but {element!r} is no terminal residual")
+        if rows == self.dims.N > 1 and here is None:
+            raise ControllerError(f"{what}: N rows, but {element!r} is a terminal residual only")
+        return here, there
 
     @cached_property
     def _path_of_end(self) -> list[int] | None:

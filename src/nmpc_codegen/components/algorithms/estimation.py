@@ -6,8 +6,9 @@ from nmpc_codegen.components.base import Dims, spell
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.frontend.problem import Problem, Row
 from nmpc_codegen.ir.cmodule import Table
-from nmpc_codegen.package.estimation import Estimation, EstimatorKind
+from nmpc_codegen.package.estimation import Estimation
 from nmpc_codegen.package.features import Features
+from nmpc_codegen.package.kinds import EstimatorKind
 from nmpc_codegen.package.memory import Field, Struct
 from nmpc_codegen.package.signals import Argument, EntryPoint
 

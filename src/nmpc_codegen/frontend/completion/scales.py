@@ -17,6 +17,7 @@ from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
+from numpy.typing import ArrayLike
 
 from nmpc_codegen.frontend.problem import Array, Problem, Stage, symbols
 from nmpc_codegen.ir.casadi_types import Expression
@@ -63,6 +64,11 @@ def scales(problem: Problem) -> Scales:
     with np.errstate(over="ignore"):
         forces = np.sqrt(cost[0] * np.maximum(own, cost[1])) / z
     return Scales(z, rows, offsets, cost[0], forces, reach)
+
+
+def round_scales(values: ArrayLike) -> list[float]:
+    """Scales with the digits that they have."""
+    return [float(f"{v:.3g}") for v in np.ravel(values)]
 
 
 def stated_scales(problem: Problem) -> Array:

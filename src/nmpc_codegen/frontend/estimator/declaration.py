@@ -17,7 +17,7 @@ from nmpc_codegen.frontend.problem import Array
 from nmpc_codegen.frontend.statement import Declared
 from nmpc_codegen.frontend.symbol import Symbol
 from nmpc_codegen.ir.naming import check_package_name
-from nmpc_codegen.package.estimation import EstimatorKind
+from nmpc_codegen.package.kinds import EstimatorKind
 from nmpc_codegen.package.signals import Signal
 from nmpc_codegen.runtime.given import is_positive
 

@@ -43,18 +43,9 @@ def forecast(
     ahead = samples_ahead(ctrl.description, interval)
     found: list[Before] = []
     if parameters is not None:
-        tables = _tables("parameters", parameters)
-        sizes = {signal.name: signal.size for signal in ctrl.description.parameters}
-        for name, table in tables.items():
-            _check_columns("parameters", name, table, sizes.get(name, 1))
-        found.append(lambda k, c: c.set_parameters(_at(k, ahead, c, "parameter", tables)))
+        found.append(_of_parameters(ctrl, ahead, parameters))
     if bounds is not None:
-        both = {name: pair(value, f"bounds of {name!r}") for name, value in _mapping("bounds", bounds).items()}
-        for name, (low, high) in both.items():
-            for side in (low, high):
-                _check_columns("bounds", name, np.asarray(side), _count_rows(ctrl, name))
-        lower, upper = (_tables("bounds", {name: value[i] for name, value in both.items()}) for i in (0, 1))
-        found.append(lambda k, c: c.set_bounds(_pairs(k, ahead, c, lower, upper)))
+        found.append(_of_bounds(ctrl, ahead, bounds))
     if references is not None:
         columns = _columns(ctrl, references)
         found.append(lambda k, c: c.set_reference(_at(k, ahead, c, "reference", columns)))
@@ -70,6 +61,25 @@ def forecast(
             each(k, c)
 
     return tell
+
+
+def _of_parameters(ctrl: Controller, ahead: Array, parameters: OverSamples) -> Before:
+    """What sets the parameters of a sample."""
+    tables = _tables("parameters", parameters)
+    sizes = {signal.name: signal.size for signal in ctrl.description.parameters}
+    for name, table in tables.items():
+        _check_columns("parameters", name, table, sizes.get(name, 1))
+    return lambda k, c: c.set_parameters(_at(k, ahead, c, "parameter", tables))
+
+
+def _of_bounds(ctrl: Controller, ahead: Array, bounds: Bounds) -> Before:
+    """What sets the bounds of a sample."""
+    both = {name: pair(value, f"bounds of {name!r}") for name, value in _mapping("bounds", bounds).items()}
+    for name, (low, high) in both.items():
+        for side in (low, high):
+            _check_columns("bounds", name, np.asarray(side), _count_rows(ctrl, name))
+    lower, upper = (_tables("bounds", {name: value[i] for name, value in both.items()}) for i in (0, 1))
+    return lambda k, c: c.set_bounds(_pairs(k, ahead, c, lower, upper))
 
 
 def _columns(ctrl: Controller, references: References) -> dict[str, Array]:

@@ -8,15 +8,15 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from nmpc_codegen.components.algorithms.shifts import sampling_period
 from nmpc_codegen.components.core import TABLES_OF_OTHERS
 from nmpc_codegen.errors import ProblemError
-from nmpc_codegen.frontend.completion.saddles import PROBE_SIZES, Saddles
+from nmpc_codegen.frontend.completion.scales import round_scales
 from nmpc_codegen.frontend.problem import Array, Problem, Stage
 from nmpc_codegen.ir.cmodule import Table
 from nmpc_codegen.ir.kernel import called_lookups
 from nmpc_codegen.ir.sweep import Routine
 from nmpc_codegen.lowering.linearize import Model
+from nmpc_codegen.lowering.stated import augmentation, saddles
 from nmpc_codegen.package.lookup import Lookup
 
 
@@ -61,34 +61,19 @@ def tables(model: Model, routines: Sequence[Routine]) -> tuple[Table, ...]:
         real("default_soft_l1", [r.soft[0] for r in p.rows if r.soft], "penalties l1 v of the soft rows"),
         real("default_soft_l2", [r.soft[1] for r in p.rows if r.soft], "penalties l2/2 v^2 of the soft rows"),
         integer("penalty_scaled", (r.scaled for r in p.rows if r.soft), "1: times the length of the interval"),
-        *_saddle_tables(model.problem.saddles),
+        *saddles.tables(p.saddles),
         real("proximal", round_scales(p.proximal), "curvature of steps in samples"),
         integer("on_states", p.rows_on_states, "1: row on states alone"),
         integer("is_pulled", (i in p.pulled_rows for i in range(len(p.rows))), "1: hard row on controls alone"),
         real("parameter_lower", _limits(p, -math.inf), "lower bounds of the elements of p"),
         real("parameter_upper", _limits(p, math.inf), "upper bounds of the elements of p"),
         integer("parameter_offset", offsets, "first element of a parameter in p"),
-        integer("remembered", p.augmentation.previous, "controls that a node knows of the node before"),
-        integer("held_control", p.augmentation.held, "controls with blocks"),
-        integer("block_start", p.node_data[:, : len(p.augmentation.held)].ravel(), "1: a block begins at node k"),
-        integer("block_node", _block_nodes(p), "first node of the block of control j at node k"),
-        real("node_data", p.node_data, "parameters behind those of the user"),
-        *_time_tables(model),
+        *augmentation.tables(model),
         *lookup_tables(routines),
         *(table for component in model.parts.components for table in component.tables(p)),
         *TABLES_OF_OTHERS,
     )
     return tuple({table.name: table for table in reversed(found)}.values())[::-1]
-
-
-def _saddle_tables(saddles: Saddles) -> tuple[Table, ...]:
-    slopes, partners = tuple(round_scales(saddles.slopes)), saddles.partners
-    return (
-        Table("idle_slope", "real", slopes, "|d Phi_l / d z_i| with which z_i is idle; < 0: never"),
-        Table("drives_idle", "int", tuple(map(int, saddles.drivers)), "1: control that drives an idle state"),
-        Table("idle_partner", "int", partners, "control with which control j acts by a product, or -1"),
-        Table("probe_size", "real", PROBE_SIZES, "moves of an idle control that are tried, in its scale"),
-    )
 
 
 def lookup_tables(routines: Iterable[Routine]) -> list[Table]:
@@ -106,30 +91,6 @@ def lookup_tables(routines: Iterable[Routine]) -> list[Table]:
                 "a table needs for its axes has its name with _x, _y, _per_x, _x_splines)"
             )
     return [Table(name, "real", lookup.values, "look-up table") for name, lookup in found.items()]
-
-
-def _block_nodes(p: Problem) -> list[int]:
-    """(N nu,): the first node of the block to which a control of a node belongs."""
-    first = np.tile(np.arange(p.N)[:, None], (1, p.nu))
-    for i, j in enumerate(p.augmentation.held):
-        first[:, j] = np.maximum.accumulate(np.where(p.node_data[: p.N, i] > 0, np.arange(p.N), 0))
-    return [int(k) for k in first.ravel()]
-
-
-def _time_tables(model: Model) -> list[Table]:
-    """Times of the nodes and between samples, for states behind the measured ones."""
-    p, algorithm = model.problem, model.parts.algorithm
-    period = sampling_period(algorithm.shift, algorithm.sampling_time, p) or p.dt[0]
-    times = tuple(math.fsum(p.dt[:k]) for k in range(p.N + 1))
-    return [
-        Table("node_time", "real", times, "t_k"),
-        Table("sampling_time", "real", (float(period),), "between samples"),
-    ]
-
-
-def round_scales(values: ArrayLike) -> list[float]:
-    """Scales with the digits that they have."""
-    return [float(f"{v:.3g}") for v in np.ravel(values)]
 
 
 def _limits(p: Problem, none: float) -> list[float]:

@@ -1,1 +1,0 @@
-"""What a package knows from the start: constant arrays."""

@@ -1,0 +1,1 @@
+"""What a package has beside its components: sizes, tables, members, entry points, one file per owner."""

@@ -1,0 +1,26 @@
+"""Algebraic variables: their number, and the function that finds those of a state."""
+
+from __future__ import annotations
+
+from nmpc_codegen.frontend.problem import Problem
+from nmpc_codegen.ir.cmodule import Macro
+from nmpc_codegen.package.signals import Argument, EntryPoint
+
+#: What finds the algebraic variables of a state.
+ALGEBRAIC = EntryPoint(
+    "algebraic",
+    "Algebraic variables at the state x and the controls u, with the parameters of node k; x[k] and u[k] of the plan "
+    "have those of the plan, x[N] with u[N - 1].",
+    (Argument("k", "int"), Argument("x", "real", ("NX",)), Argument("u", "real", ("NU",))),
+    (Argument("z", "real", ("ALGEBRAIC",)),),
+)
+
+
+def entries(problem: Problem) -> tuple[EntryPoint, ...]:
+    """What finds algebraic variables, if there are any."""
+    return (ALGEBRAIC,) if problem.algebraic_names else ()
+
+
+def macros(problem: Problem) -> tuple[Macro, ...]:
+    """Their number."""
+    return (Macro("ALGEBRAIC", len(problem.algebraic_names), "algebraic variables"),)

@@ -1,0 +1,92 @@
+"""The augmented state: sizes, tables, members, entry points of what stands behind the states of the user."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from nmpc_codegen.components.algorithms.shifts import sampling_period
+from nmpc_codegen.components.base import Dims
+from nmpc_codegen.frontend.problem import Problem
+from nmpc_codegen.ir.cmodule import Macro, Table
+from nmpc_codegen.lowering.linearize import Model
+from nmpc_codegen.package.memory import Field, Size
+from nmpc_codegen.package.signals import Argument, EntryPoint
+
+SET_PREVIOUS = EntryPoint(
+    "set_previous",
+    "The control that the actuator applied last, where it is not the one that was returned; for the next sample, or "
+    "the present one between prepare and feedback.",
+    (Argument("u", "real", ("NU",)),),
+)
+SET_TIME = EntryPoint(
+    "set_time",
+    "Time of the next sample; every sample moves it on by DT.",
+    (Argument("time", "real"),),
+)
+
+
+def entries(problem: Problem) -> tuple[EntryPoint, ...]:
+    """What sets the states behind the measured ones."""
+    added = problem.augmentation
+    return (*((SET_PREVIOUS,) if added.previous else ()), *((SET_TIME,) if added.time else ()))
+
+
+def macros(model: Model) -> tuple[Macro, ...]:
+    """Sizes of what stands behind the states and parameters of the user."""
+    added = model.problem.augmentation
+    return (
+        Macro("NBAND", model.products.banded, "the last states, which act on no other one"),
+        Macro("NMEM", len(added.previous), "controls that a node knows of the node before"),
+        Macro("NHELD", len(added.held), "controls with blocks"),
+        Macro("NDATA", added.data, "parameters behind those of the user"),
+    )
+
+
+def in_header(size: Size, problem: Problem) -> int | None:
+    """What the header says of the number of states or parameters, if others stand behind those of the user."""
+    hidden = {"NX": problem.augmentation.count, "NP": problem.data_behind}.get(size.text, 0)
+    return size.value - hidden if hidden else None
+
+
+def members(dims: Dims) -> list[Field]:
+    """What is known of the sample before."""
+    return [
+        Field("previous", (dims.nu,), "controls applied last", "keep", only=lambda f: f.previous),
+        Field("time", (), "time of the next sample", "keep", only=lambda f: f.timed),
+        Field("time_rest", (), "its rounding error", "keep", only=lambda f: f.timed),
+    ]
+
+
+def problem_names(problem: Problem) -> str:
+    """What stands behind the states of the user, for a comment."""
+    names = problem.state_names[problem.measured :]
+    return f"; behind those of the user {', '.join(names)}" if names else ""
+
+
+def tables(model: Model) -> tuple[Table, ...]:
+    """Controls that nodes know of the node before, blocks of controls, the parameters behind those of the user, and the
+    times of the nodes and between samples."""
+    p, algorithm = model.problem, model.parts.algorithm
+    added, data = p.augmentation, p.node_data
+    starts = tuple(map(int, data[:, : len(added.held)].ravel()))
+    period = sampling_period(algorithm.shift, algorithm.sampling_time, p) or p.dt[0]
+    times = tuple(math.fsum(p.dt[:k]) for k in range(p.N + 1))
+    return (
+        Table("remembered", "int", added.previous, "controls that a node knows of the node before"),
+        Table("held_control", "int", added.held, "controls with blocks"),
+        Table("block_start", "int", starts, "1: a block begins at node k"),
+        Table("block_node", "int", _block_nodes(p), "first node of the block of control j at node k"),
+        Table("node_data", "real", tuple(map(float, data.ravel())), "parameters behind those of the user"),
+        Table("node_time", "real", times, "t_k"),
+        Table("sampling_time", "real", (float(period),), "between samples"),
+    )
+
+
+def _block_nodes(p: Problem) -> tuple[int, ...]:
+    """(N nu,): the first node of the block to which a control of a node belongs."""
+    first = np.tile(np.arange(p.N)[:, None], (1, p.nu))
+    for i, j in enumerate(p.augmentation.held):
+        first[:, j] = np.maximum.accumulate(np.where(p.node_data[: p.N, i] > 0, np.arange(p.N), 0))
+    return tuple(map(int, first.ravel()))
