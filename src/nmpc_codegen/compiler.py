@@ -91,7 +91,8 @@ def read(ocp: OCP | Estimator, options: Options | None) -> tuple[Problem, Option
 def model_of(stated: Problem, options: Options) -> Model:
     """The functions of the package of a problem: what follows from it, what is chosen for it, and the functions."""
     problem = complete(stated, options)
-    return linearize(problem, decide(problem, options))
+    choices = decide(problem, options)
+    return linearize(problem, choices)
 
 
 def text_of(module: CModule) -> Sources:

@@ -200,17 +200,11 @@ class Options:
 
     @property
     def with_defaults(self) -> Options:
-        """These options with the algorithm's default components for seams that it needs and that are not given, the
-        target of this machine in the place of "native", and ``solve`` decided."""
-        return replace(
-            self,
-            integrator=_or_default(self.integrator, self.algorithm, "integrator", integrators.REGISTRY),
-            hessian=_or_default(self.hessian, self.algorithm, "hessian", hessians.REGISTRY),
-            condensing=_or_default(self.condensing, self.algorithm, "condensing", condensing.REGISTRY),
-            qp=_or_default(self.qp, self.algorithm, "qp", qp.REGISTRY),
-            target=self.machine.name,
-            solve=self.solves,
-        )
+        """These options with the default Hessian of the algorithm, unless one is given, the target of this machine in
+        the place of "native", and ``solve`` decided."""
+        word = self.algorithm.default_hessian
+        hessian = self.hessian or (None if word is None else hessians.REGISTRY[word]())
+        return replace(self, hessian=hessian, target=self.machine.name, solve=self.solves)
 
     @property
     def machine(self) -> Target:
@@ -220,6 +214,16 @@ class Options:
             BuildError: it is "native", and there is no compiler.
         """
         return native() if self.target == NATIVE else TARGETS[self.target]
+
+    @property
+    def stores_matrices(self) -> bool:
+        """True if weights that are declared diagonal are stored as matrices."""
+        return self.online.dense_weight
+
+    @property
+    def limits_steps(self) -> bool:
+        """True if proximal terms may limit steps: samples solve QPs with a Hessian that the compiler chooses."""
+        return self.hessian is None and "qp" in self.algorithm.needs
 
     @property
     def solves(self) -> bool:
@@ -268,11 +272,3 @@ def _plain(value: Any) -> Any:
     if value is None or isinstance(value, (int, str)):
         return value
     return float(value) if isinstance(value, Real) and math.isfinite(value) else repr(value)
-
-
-def _or_default(given: C | None, algorithm: Algorithm, seam: Seam, registry: Mapping[str, type[C]]) -> C | None:
-    """The given component, else the default of the algorithm if it needs the seam and has one."""
-    if given is not None or seam not in algorithm.needs:
-        return given
-    word = algorithm.default(seam)
-    return None if word is None else registry[word]()

@@ -373,6 +373,7 @@ class Algorithm(Component, Protocol):
     """
 
     core: ClassVar[frozenset[Core]]  # parts of the core that it uses besides plan, data and stage costs
+    default_hessian: ClassVar[str | None]  # its name, unless the problem needs another; the compiler chooses the rest
 
     @property
     def shift(self) -> str | None:
@@ -397,10 +398,6 @@ class Algorithm(Component, Protocol):
     def decide(self, problem: Problem, small: bool) -> tuple[Algorithm, tuple[str, ...]]:
         """The algorithm with every option chosen that it leaves open for the problem, and the reasons; ``repairs``: the
         package may iterate on a plan before a sample."""
-        ...
-
-    def default(self, seam: Seam) -> str | None:
-        """The name of its default component for a seam that it needs; None: the compiler chooses for the problem."""
         ...
 
     @property
@@ -440,6 +437,8 @@ class Parts:
 
 class Defaults:
     """A component that adds nothing to a package besides its part."""
+
+    default_hessian: ClassVar[str | None] = None
 
     def check(self, problem: Problem) -> None:
         return None

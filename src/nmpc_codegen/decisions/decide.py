@@ -7,7 +7,7 @@ from functools import cached_property
 
 from nmpc_codegen.components.base import Algorithm, Component, Dims, Hessian, Integrator, Parts, refuse_unsupported
 from nmpc_codegen.decisions.decision import Decision
-from nmpc_codegen.decisions.dimensions import dimensions, multiple_of
+from nmpc_codegen.decisions.dimensions import dimensions
 from nmpc_codegen.decisions.growth import Growth, growth
 from nmpc_codegen.decisions.integrator import choose_integrator
 from nmpc_codegen.decisions.made import Made, is_constant, make
@@ -58,9 +58,8 @@ class Choices:
     @cached_property
     def dims(self) -> Dims:
         """The sizes that the components share."""
-        problem, condensing = self.trials.problem, self.parts.condensing
-        shape, multiple = None if condensing is None else condensing.qp_shape(problem), multiple_of(self.options.goal)
-        return dimensions(problem, shape, self.constant_hessian, multiple, self.made.products.banded)
+        banded, goal = self.made.products.banded, self.options.goal
+        return dimensions(self.trials.problem, self.parts.condensing, self.constant_hessian, goal, banded)
 
     @property
     def reasons(self) -> tuple[str, ...]:

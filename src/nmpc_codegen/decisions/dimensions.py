@@ -4,109 +4,77 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from nmpc_codegen.components.base import Dims, QpDims, QpShape
+from nmpc_codegen.components.base import Condensing, Dims, QpDims
 from nmpc_codegen.frontend.problem import Problem, Stage
 from nmpc_codegen.ir.tuning import PANEL
 from nmpc_codegen.options import Goal
 from nmpc_codegen.package.memory import Size
 
-#: Sizes that components share -> what they are.
-DOCS: Mapping[str, str] = {
-    "N": "intervals",
-    "NX": "states",
-    "NXHAT": "states of the user",
-    "NU": "controls",
-    "NZ": "NX + NU",
-    "NP": "parameters",
-    "NY": "path residuals",
-    "NY_N": "terminal residuals",
-    "NW": "entries of the path weight",
-    "NW_N": "entries of the terminal weight",
-    "NH": "general path rows",
-    "NH_N": "general terminal rows",
-    "NR": "scalar rows with bounds",
-    "NQ": "path Hessian blocks",
-    "NF": "free components of x_0",
-    "NE": "coupled rows",
-    "NS": "stages of the QP",
-    "NUS": "controls of a stage of the QP",
-    "NXS": "states of a stage: NX and copies of components of x_0",
-    "NZS": "NXS + NUS",
-    "NV": "variables of the QP",
-    "NSL": "slack variables of the QP",
-    "NG": "scalar rows of all nodes besides control bounds",
-    "NALG": "algebraic variables that Newton's method solves for",
-    "NM": "measurements",
-    "NIN": "controls of the plant",
-    "LDV": "NV rounded up to a multiple of 4",
-    "LDH": "length of a row of H and A, a multiple of 4",
-}
-
-
-def multiple_of(goal: Goal) -> int:
-    """To which leading dimensions of stage matrices are rounded up: small ones have no padding."""
-    return 1 if goal == "size" else PANEL
-
 
 def dimensions(
-    problem: Problem, shape: QpShape | None, constant_hessian: bool, multiple: int = PANEL, banded: int = 0
+    problem: Problem, condensing: Condensing | None, constant_hessian: bool, goal: Goal = "speed", banded: int = 0
 ) -> Dims:
-    """All shared sizes; ``shape`` is None without a QP; ``constant_hessian``: one path block serves all nodes.
+    """All shared sizes; ``condensing`` is None without a QP; ``constant_hessian``: one path block serves all nodes;
+    ``banded``: the last states, which act on no other one.
 
-    Leading dimensions of stage matrices are rounded up to a multiple of ``multiple``.
+    Leading dimensions of stage matrices are rounded up, unless the package is to be small.
     """
     p = problem
     sizes = {
-        "N": p.N,
-        "NX": p.nx,
-        "NXHAT": p.measured,
-        "NU": p.nu,
-        "NZ": p.nx + p.nu,
-        "NP": p.np,
-        "NY": p.path.ny,
-        "NY_N": p.terminal.ny,
-        "NW": _weight_entries(p.path),
-        "NW_N": _weight_entries(p.terminal),
-        "NH": p.path.nh,
-        "NH_N": p.terminal.nh,
-        "NR": len(p.rows),
-        "NQ": 1 if constant_hessian else p.N,
-        "NF": len(p.free_initial),
-        "NE": p.coupled_rows,
-        "NG": len(p.qp_rows),
-        "NALG": len(p.newton_names),
-        "NM": p.estimation.ny if p.estimation else 0,
-        "NIN": p.estimation.nu if p.estimation else 0,
+        "N": (p.N, "intervals"),
+        "NX": (p.nx, "states"),
+        "NXHAT": (p.measured, "states of the user"),
+        "NU": (p.nu, "controls"),
+        "NZ": (p.nx + p.nu, "NX + NU"),
+        "NP": (p.np, "parameters"),
+        "NY": (p.path.ny, "path residuals"),
+        "NY_N": (p.terminal.ny, "terminal residuals"),
+        "NW": (_weight_entries(p.path), "entries of the path weight"),
+        "NW_N": (_weight_entries(p.terminal), "entries of the terminal weight"),
+        "NH": (p.path.nh, "general path rows"),
+        "NH_N": (p.terminal.nh, "general terminal rows"),
+        "NR": (len(p.rows), "scalar rows with bounds"),
+        "NQ": (1 if constant_hessian else p.N, "path Hessian blocks"),
+        "NF": (len(p.free_initial), "free components of x_0"),
+        "NE": (p.coupled_rows, "coupled rows"),
+        "NG": (len(p.qp_rows), "scalar rows of all nodes besides control bounds"),
+        "NALG": (len(p.newton_names), "algebraic variables that Newton's method solves for"),
+        "NM": (p.estimation.ny if p.estimation else 0, "measurements"),
+        "NIN": (p.estimation.nu if p.estimation else 0, "controls of the plant"),
     }
     fields = {"NY_N": "ny_N", "NW_N": "nw_N", "NH_N": "nh_N", "N": "N"}
-    condensed = None if shape is None else _qp_dims(p, shape)
     return Dims(
         **_sizes(sizes, fields),
-        condensed=condensed,
+        condensed=None if condensing is None else _qp_dims(p, condensing),
         end_rows=len(p.end_rows),
         banded=banded,
         estimation=p.estimation,
-        multiple=multiple,
+        multiple=1 if goal == "size" else PANEL,
     )
 
 
-def _qp_dims(problem: Problem, shape: QpShape) -> QpDims:
+def _qp_dims(problem: Problem, condensing: Condensing) -> QpDims:
+    shape = condensing.qp_shape(problem)
+    states = problem.nx + shape.copies
     sizes = {
-        "NS": shape.stages,
-        "NUS": shape.controls,
-        "NXS": problem.nx + shape.copies,
-        "NZS": problem.nx + shape.copies + shape.controls,
-        "NV": shape.variables,
-        "NSL": shape.slacks,
-        "LDV": -(-shape.variables // PANEL) * PANEL,
-        "LDH": -(-(shape.variables - shape.slacks) // PANEL) * PANEL,
+        "NS": (shape.stages, "stages of the QP"),
+        "NUS": (shape.controls, "controls of a stage of the QP"),
+        "NXS": (states, "states of a stage: NX and copies of components of x_0"),
+        "NZS": (states + shape.controls, "NXS + NUS"),
+        "NV": (shape.variables, "variables of the QP"),
+        "NSL": (shape.slacks, "slack variables of the QP"),
+        "LDV": (-(-shape.variables // PANEL) * PANEL, "NV rounded up to a multiple of 4"),
+        "LDH": (
+            -(-(shape.variables - shape.slacks) // PANEL) * PANEL,
+            "length of a row of H and A, a multiple of 4",
+        ),
     }
     return QpDims(**_sizes(sizes, {"LDV": "ld", "LDH": "ldh"}))
 
 
-def _sizes(values: Mapping[str, int], fields: Mapping[str, str]) -> dict[str, Size]:
+def _sizes(values: Mapping[str, tuple[int, str]], fields: Mapping[str, str]) -> dict[str, Size]:
     """Field -> size, by macro; a field is its macro in lower case unless ``fields`` names it."""
-    return {fields.get(name, name.lower()): Size(name, value) for name, value in values.items()}
+    return {fields.get(name, name.lower()): Size(name, value, doc) for name, (value, doc) in values.items()}
 
 
 def _weight_entries(stage: Stage) -> int:

@@ -12,7 +12,7 @@ from nmpc_codegen.components.base import Algorithm, Condensing, Dims, Hessian, Q
 from nmpc_codegen.components.condensing import FullCondensing, NoCondensing, PartialCondensing
 from nmpc_codegen.components.hessians import GaussNewton
 from nmpc_codegen.components.qp import REGISTRY
-from nmpc_codegen.decisions.dimensions import dimensions, multiple_of
+from nmpc_codegen.decisions.dimensions import dimensions
 from nmpc_codegen.decisions.growth import Growth
 from nmpc_codegen.decisions.made import Made
 from nmpc_codegen.errors import OptionError
@@ -83,8 +83,8 @@ class OpenQp:
 
     def dims(self, condensing: Condensing) -> Dims:
         """The sizes with one condensing."""
-        shape, multiple = condensing.qp_shape(self.problem), multiple_of(self.options.goal)
-        return dimensions(self.problem, shape, self.constant_hessian, multiple, self.made.products.banded)
+        banded = self.made.products.banded
+        return dimensions(self.problem, condensing, self.constant_hessian, self.options.goal, banded)
 
 
 def choose_qp(of: OpenQp) -> QpChoice:

@@ -18,7 +18,7 @@ def choose_hessian(problem: Problem, given: Hessian | None, algorithm: Algorithm
     Samples of a least-squares problem take the Gauss-Newton Hessian, whatever the rows of the problem. An exact Hessian
     has to be made convex near a nonconvex row, and its full step may then be far too long.
     """
-    word = algorithm.default("hessian") if "hessian" in algorithm.needs else None
+    word = algorithm.default_hessian
     if given is not None or word is None:
         return Decision(given, stated=given is not None)
     beyond = problem.uses - GaussNewton.supports

@@ -5,6 +5,7 @@ The choice of a scheme, the warning of one that does not suit, and linearize() a
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
@@ -38,6 +39,8 @@ class Trials:
 
     def interval(self, integrator: Integrator) -> Interval:
         """The functions of an interval by this integrator."""
+        if isinstance(integrator, ImplicitRungeKutta):
+            integrator = replace(integrator, newton=integrator.newton_steps)
         if integrator not in self._intervals:
             self._intervals[integrator] = integrator.interval(self.problem)
         return self._intervals[integrator]

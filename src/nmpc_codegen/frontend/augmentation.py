@@ -17,7 +17,7 @@ import numpy as np
 
 from nmpc_codegen.errors import ProblemError, warn
 from nmpc_codegen.frontend.ocp import OCP
-from nmpc_codegen.frontend.problem import Array, Augmentation, Row, Signal, Stage, model_function, symbols
+from nmpc_codegen.frontend.problem import Array, Augmentation, Signal, model_function, symbols
 from nmpc_codegen.ir.casadi_types import Expression, Function, elements
 
 #: Derivatives below this are rounding errors.
@@ -99,31 +99,17 @@ class Augmented:
 
     # Signals ---------------------------------------------------------------------------------------------------------
 
-    def states(self, path: Stage, rows: tuple[Row, ...]) -> tuple[Signal, ...]:
-        """All states; those behind the user's start at the time 0 and at references of controls inside their bounds."""
+    def states(self) -> tuple[Signal, ...]:
+        """All states; those behind the user's start at 0."""
         ocp, added = self.ocp, self.added
         names = [(e, d.signal.unit) for d in ocp.controls for e in d.signal.elements]
-        found: list[tuple[str, str, float, tuple[float, ...]]] = []
-        found += [("time", ocp.time_unit, 0.0, (sum(self.dt),))] * added.time
-        for j in added.previous:
-            found += [(f"previous({names[j][0]})", names[j][1], self._first_control(path, rows, j), ())]
+        found: list[tuple[str, str, tuple[float, ...]]] = []
+        found += [("time", ocp.time_unit, (sum(self.dt),))] * added.time
+        found += [(f"previous({names[j][0]})", names[j][1], ()) for j in added.previous]
         return (
             *(d.signal for d in ocp.states),
-            *(Signal(n, 1, unit, (v,), self.own + i, True, scale) for i, (n, unit, v, scale) in enumerate(found)),
+            *(Signal(n, 1, unit, (0.0,), self.own + i, True, scale) for i, (n, unit, scale) in enumerate(found)),
         )
-
-    def _first_control(self, path: Stage, rows: tuple[Row, ...], j: int) -> float:
-        """The control of the first plan, inside its bounds."""
-        known = np.concatenate([np.zeros(0), *(np.ravel(d.signal.value) for d in self.ocp.parameters)])
-        p = np.concatenate([known, np.zeros(self.np - known.size)])
-        value, target = 0.0, path.target_of(path.nx + j)
-        if target is not None:
-            found = float(ca.Function("target", [path.p, target[1]], [target[0]])(p, path.reference))
-            value = found if np.isfinite(found) else 0.0
-        for row in rows:
-            if row.kind == "control" and row.index == j:
-                value = float(np.clip(value, row.lower, row.upper))
-        return value
 
     def controls(self) -> tuple[Signal, ...]:
         """The controls; one that acts on nothing where a problem has components of x_0 alone to choose."""

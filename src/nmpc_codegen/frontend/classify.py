@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import casadi as ca
@@ -12,6 +12,7 @@ from nmpc_codegen.errors import ProblemError
 from nmpc_codegen.frontend.algebra.resolution import Resolved, resolve
 from nmpc_codegen.frontend.augmentation import Augmented, warn_of_integrals
 from nmpc_codegen.frontend.checks import element_names
+from nmpc_codegen.frontend.completion.first_plan import first_plan
 from nmpc_codegen.frontend.ocp import OCP
 from nmpc_codegen.frontend.problem import Algebra, Array, Problem, Row, RowKind, Stage, symbols
 from nmpc_codegen.frontend.statement import At, Element, Penalty, Residual, StageName, Statement
@@ -38,11 +39,11 @@ def classify(ocp: OCP, period: float | None = None) -> Problem:
     path = _stage(augmented, path_h, rows, "path")
     terminal = _stage(augmented, terminal_h, rows, "terminal")
     dynamics, maps, jump = augmented.dynamics()
-    return Problem(
+    problem = Problem(
         name=ocp.name,
         N=ocp.N,
         dt=augmented.dt,
-        states=augmented.states(path, rows),
+        states=augmented.states(),
         controls=augmented.controls(),
         parameters=augmented.parameters(),
         dynamics=dynamics,
@@ -64,6 +65,16 @@ def classify(ocp: OCP, period: float | None = None) -> Problem:
         node_data=augmented.node_data(),
         algebra=None if resolved is None else _algebra(resolved, augmented, path),
     )
+    return _with_first_controls(problem) if augmented.added.previous else problem
+
+
+def _with_first_controls(problem: Problem) -> Problem:
+    """The problem whose remembered controls are at first those of the first plan."""
+    u, states = first_plan(problem)[1], list(problem.states)
+    for j, place in problem.augmentation.places.items():
+        at = place - problem.augmentation.count
+        states[at] = replace(states[at], value=(float(u[j]),))
+    return replace(problem, states=tuple(states))
 
 
 def _algebra(resolved: Resolved, augmented: Augmented, path: Stage) -> Algebra:

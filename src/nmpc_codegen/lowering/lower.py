@@ -11,7 +11,6 @@ from dataclasses import replace
 
 from nmpc_codegen.components.base import Component, Counts, Dims
 from nmpc_codegen.components.core import SIZES_OF_OTHERS
-from nmpc_codegen.decisions.dimensions import DOCS
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.ir.cmodule import CModule, Macro, Section, check_prefix
 from nmpc_codegen.ir.kernel import called_functions, called_lookups
@@ -195,4 +194,4 @@ def _shared_sizes(model: Model, dims: Dims) -> Iterator[Macro]:
     of_qp = {} if dims.condensed is None else vars(dims.condensed)
     for size in (*vars(dims).values(), *of_qp.values()):
         if isinstance(size, Size) and size.text not in absent:
-            yield Macro(size.text, size.value, DOCS[size.text], shown=augmentation.in_header(size, problem))
+            yield Macro(size.text, size.value, size.doc, shown=augmentation.in_header(size, problem))

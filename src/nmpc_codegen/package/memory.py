@@ -44,19 +44,21 @@ REAL_BYTES = {"double": 8, "single": 4}
 class Size(int):
     """A compile-time size: a number that is printed in C as an expression in the package's macros, e.g. ("N + 1", 11).
 
-    ``text`` names macros without prefix; ``c(prefix)`` writes them with it. Two sizes are equal if their values are.
+    ``text`` names macros without prefix; ``c(prefix)`` writes them with it; ``doc`` says what they are. Two sizes are
+    equal if their values are.
     """
 
     text: str
+    doc: str
 
-    def __new__(cls, text: str, value: int) -> Size:
+    def __new__(cls, text: str, value: int, doc: str = "") -> Size:
         """The number ``value`` with this text."""
         size = super().__new__(cls, value)
-        size.text = text
+        size.text, size.doc = text, doc
         return size
 
-    def __getnewargs__(self) -> tuple[str, int]:  # type: ignore[override]
-        return self.text, int(self)
+    def __getnewargs__(self) -> tuple[str, int, str]:  # type: ignore[override]
+        return self.text, int(self), self.doc
 
     def __str__(self) -> str:
         return self.text

@@ -162,10 +162,6 @@ class AdjointShooting(Defaults):
         """True if the method multiplies with a Hessian."""
         return self.method == "gauss_newton"
 
-    def default(self, seam: Seam) -> str | None:
-        """None: the compiler chooses the integrator for the problem."""
-        return None
-
     def decide(self, problem: Problem, small: bool) -> tuple[AdjointShooting, tuple[str, ...]]:
         """The shift that "auto" stands for; no repair in a package that cannot."""
         shift, reasons = decide_shift(self.shift, self.sampling_time, problem)

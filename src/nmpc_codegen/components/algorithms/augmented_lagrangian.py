@@ -107,6 +107,7 @@ class AugmentedLagrangian(Defaults):
     name: ClassVar[str] = "augmented_lagrangian"
     template: ClassVar[str] = "algorithms/augmented_lagrangian.c"
     needs: ClassVar[tuple[Seam, ...]] = ("integrator", "hessian")
+    default_hessian: ClassVar[str | None] = "gauss_newton"
     core: ClassVar[frozenset[Core]] = frozenset({"nodes", "multipliers", "kkt"})
     supports: ClassVar[frozenset[str]] = EVERY_USE - {
         "blocks of controls",
@@ -117,10 +118,6 @@ class AugmentedLagrangian(Defaults):
     def __post_init__(self) -> None:
         check_options(self, self.seam)
         check_sampling_time("AugmentedLagrangian", self.shift, self.sampling_time)
-
-    def default(self, seam: Seam) -> str | None:
-        """Gauss-Newton; the compiler chooses the integrator for the problem."""
-        return "gauss_newton" if seam == "hessian" else None
 
     @property
     def convex(self) -> bool:

@@ -50,9 +50,6 @@ class KalmanFilter(Defaults):
         """Raise OptionError unless the problem is that of a filter."""
         measuring.check(self, problem, "ekf")
 
-    def default(self, seam: Seam) -> str | None:
-        return None
-
     def entries(self, features: Features) -> tuple[EntryPoint, ...]:
         """A sample, the sensors, the covariance, a new start."""
         of_features = (measuring.estimate(features), measuring.measure(features))

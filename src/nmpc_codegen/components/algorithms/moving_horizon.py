@@ -62,6 +62,7 @@ class MovingHorizon(Defaults):
     name: ClassVar[str] = "moving_horizon"
     template: ClassVar[str] = "algorithms/moving_horizon.c"
     needs: ClassVar[tuple[Seam, ...]] = ("integrator", "hessian", "condensing", "qp")
+    default_hessian: ClassVar[str | None] = "gauss_newton"
     core: ClassVar[frozenset[Core]] = frozenset({"nodes", "multipliers", "products"})
     supports: ClassVar[frozenset[str]] = frozenset({MEASUREMENTS, "free initial state", "soft rows", "discrete states"})
 
@@ -88,9 +89,6 @@ class MovingHorizon(Defaults):
             raise OptionError(
                 f"hessian: an estimator minimises residuals; expected GaussNewton() instead of {parts.hessian!r}"
             )
-
-    def default(self, seam: Seam) -> str | None:
-        return _ITERATION.default(seam)
 
     def adds(self, features: Features) -> Features:
         """No law of a first control."""

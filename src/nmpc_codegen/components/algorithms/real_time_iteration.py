@@ -195,6 +195,7 @@ class RealTimeIteration(Defaults):
     name: ClassVar[str] = "real_time_iteration"
     template: ClassVar[str] = "algorithms/real_time_iteration.c"
     needs: ClassVar[tuple[Seam, ...]] = ("integrator", "hessian", "condensing", "qp")
+    default_hessian: ClassVar[str | None] = "gauss_newton"
     core: ClassVar[frozenset[Core]] = frozenset({"nodes", "multipliers", "products", "kkt"})
     supports: ClassVar[frozenset[str]] = EVERY_USE - {MEASUREMENTS}
 
@@ -232,10 +233,6 @@ class RealTimeIteration(Defaults):
                 "made convex on one; expected ExactHessian(Mirror(level='stage')) "
                 "(--set hessian.regularization.level=stage), GaussNewton() or another QP solver"
             )
-
-    def default(self, seam: Seam) -> str | None:
-        """Gauss-Newton; the compiler chooses integrator, condensing and QP solver for the problem."""
-        return "gauss_newton" if seam == "hessian" else None
 
     def entries(self, features: Features) -> tuple[EntryPoint, ...]:
         """The two phases of a sample, both in one call, the shift of the plan, and the iteration to convergence."""

@@ -6,7 +6,6 @@ before, what may stand at a saddle, proximal terms.
 
 from __future__ import annotations
 
-from collections.abc import Collection
 from dataclasses import dataclass, fields, replace
 from pkgutil import resolve_name
 from typing import Protocol
@@ -20,32 +19,14 @@ from nmpc_codegen.frontend.completion.undetermined import flat_controls, proxima
 from nmpc_codegen.frontend.problem import Problem, Stage
 
 
-class OfAlgorithm(Protocol):
-    """What completing asks of an algorithm."""
-
-    @property
-    def needs(self) -> Collection[str]: ...
-
-
-class OfStorage(Protocol):
-    """What completing asks of the storage of data."""
-
-    @property
-    def dense_weight(self) -> bool: ...
-
-
 class Asked(Protocol):
-    """The options that completing reads: proximal terms are for samples that solve QPs with a Hessian that is chosen,
-    and a weight may be stored as a matrix."""
+    """The options, as far as completing reads them."""
 
     @property
-    def hessian(self) -> object | None: ...
+    def stores_matrices(self) -> bool: ...
 
     @property
-    def algorithm(self) -> OfAlgorithm: ...
-
-    @property
-    def online(self) -> OfStorage: ...
+    def limits_steps(self) -> bool: ...
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -70,10 +51,9 @@ def complete(problem: Problem, options: Asked) -> CompleteProblem:
     if problem.terminal_lqr is not None:
         problem = resolve_name(problem.terminal_lqr.rule)(problem, options)
     sizes = scales(problem)
-    path, terminal = (replace(s, dense_weight=options.online.dense_weight) for s in (problem.path, problem.terminal))
+    path, terminal = (replace(s, dense_weight=options.stores_matrices) for s in (problem.path, problem.terminal))
     problem = replace(problem, path=_with_ties(path, problem, sizes), terminal=terminal)
-    solves_qps = options.hessian is None and "qp" in options.algorithm.needs and problem.estimation is None
-    flat = flat_controls(problem, sizes) if solves_qps else ()
+    flat = flat_controls(problem, sizes) if options.limits_steps and problem.estimation is None else ()
     problem = replace(problem, proximal=proximal_terms(problem, sizes) if flat else ())
     return CompleteProblem(
         **{field.name: getattr(problem, field.name) for field in fields(Problem)},

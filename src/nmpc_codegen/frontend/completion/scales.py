@@ -42,7 +42,7 @@ class Scales:
     ``cost`` C: the largest that a residual or general cost of its size costs. ``forces`` (nx + nu,): of the gradient of
     the cost, sqrt(C H), where H is the curvature that belongs to the variable itself, at least that of the least cost
     in its scale: a part of it, t, moves the cost by t^2 C. ``reach`` (nx, nu): the largest change of a state over the
-    horizon by a control that changes by 1, see responses().
+    horizon by a control that changes by 1, in a linear model.
     """
 
     z: Array
@@ -53,12 +53,28 @@ class Scales:
     reach: Array
 
 
+class _Start:
+    """The initial state, with the references of the controls: where expressions are evaluated, with the longest
+    interval."""
+
+    def __init__(self, problem: Problem) -> None:
+        self.problem, self.x, self.dt = problem, problem.x_initial, max(problem.dt)
+        self._u = problem.reference_controls, np.zeros(0)
+        self._p = tuple(problem.node_values(self.x, u) for u in self._u)
+
+    def of(self, stage: Stage) -> tuple[Array, Array, Array, float]:
+        """What expressions of a stage read in place of x, u, p and dt."""
+        end = not stage.nu
+        return self.x, self._u[end], self._p[end], self.dt
+
+
 def scales(problem: Problem) -> Scales:
     """The sizes of a problem, from what is declared."""
-    soon, reach = responses(problem)
+    start = _Start(problem)
+    soon, reach = _responses(start)
     z = _complete_scales(problem, soon, reach)
-    rows, offsets = _row_sizes(problem, z)
-    costs, own = _costs(problem, z)
+    rows, offsets = _row_sizes(start, z)
+    costs, own = _costs(start, z)
     positive = costs[np.isfinite(costs) & (costs > 0.0)]
     cost = (float(positive.max()), float(positive.min())) if positive.size else (1.0, 1.0)
     with np.errstate(over="ignore"):
@@ -117,17 +133,18 @@ def _complete_scales(problem: Problem, soon: Array, reach: Array) -> Array:
     return z
 
 
-def responses(problem: Problem) -> tuple[Array, Array]:
+def _responses(start: _Start) -> tuple[Array, Array]:
     """(nx, nu) each: the change of a state at the first node, and the largest one over the horizon, by a control that
     changes by 1 at its beginning, in the linear model at the initial state without its exponential growth."""
+    problem, at_start = start.problem, start.of(start.problem.path)[:3]
     nx, nu = problem.nx, problem.nu
     x, u, p, _ = symbols(nx, nu, problem.np + problem.solved)
     slopes = ca.densify(ca.jacobian(problem.dynamics(x, u, p), ca.vertcat(x, u)))
-    at = ca.Function("slopes", [x, u, p], [slopes])
-    at_start = problem.x_initial, problem.reference_controls
-    S = np.array(at(*at_start, problem.node_values(*at_start))).reshape(nx, nx + nu)
+    S = np.array(ca.Function("slopes", [x, u, p], [slopes])(*at_start)).reshape(nx, nx + nu)
     first, most, dx = np.zeros((nx, nu)), np.zeros((nx, nu)), np.zeros((nx, nu))
-    jumps = _jump_slopes(problem)
+    jumps = np.zeros((0, nx + nu))
+    if problem.jump is not None:
+        jumps = problem.jump_slopes(*at_start, problem.dt[0])[1].full()
     if not (np.all(np.isfinite(S)) and np.all(np.isfinite(jumps))):
         return first, most
     eigenvalues = np.linalg.eigvals(S[:, :nx])
@@ -150,16 +167,6 @@ def responses(problem: Problem) -> tuple[Array, Array]:
     return first, most
 
 
-def _jump_slopes(problem: Problem) -> Array:
-    """d(value at the next node) / d(x, u) of the states that are constant along an interval, at the initial state."""
-    if problem.jump is None:
-        return np.zeros((0, problem.nx + problem.nu))
-    u = problem.reference_controls
-    return np.array(
-        problem.jump_slopes(problem.x_initial, u, problem.node_values(problem.x_initial, u), problem.dt[0])[1].full()
-    )
-
-
 def _exponential(A: Array) -> Array:
     """exp(A) to a few digits: a polynomial of degree 8 of A / 2^n, squared n times."""
     halvings = max(0, math.ceil(math.log2(max(1e-300, float(np.max(np.sum(np.abs(A), axis=1)))))) + 2)
@@ -170,25 +177,14 @@ def _exponential(A: Array) -> Array:
     return np.asarray(np.linalg.matrix_power(E, 2**halvings))
 
 
-def _controls(problem: Problem, stage: Stage) -> Array:
-    """References of the controls; empty for a stage without controls."""
-    return problem.reference_controls if stage.nu else np.zeros(0)
-
-
-def _data(problem: Problem, stage: Stage) -> Array:
-    """What expressions of a stage read in place of p at the initial state and the references of the controls."""
-    return problem.node_values(problem.x_initial, _controls(problem, stage))
-
-
 # Terms ---------------------------------------------------------------------------------------------------------------
 
 
-def _row_sizes(problem: Problem, z: Array) -> tuple[Array, Array]:
+def _row_sizes(start: _Start, z: Array) -> tuple[Array, Array]:
     """Sizes of the terms of all rows and their constant parts; a row of path and end has the larger size."""
+    problem = start.problem
     size, offset = np.zeros(len(problem.rows)), np.zeros(len(problem.rows))
-    of_stage = {
-        at_end: _terms(stage.h, stage, problem, z) for at_end, stage in enumerate((problem.path, problem.terminal))
-    }
+    of_stage = [_terms(stage.h, stage, start, z) for stage in (problem.path, problem.terminal)]
     ends = _coupled_terms(problem, z)
     for r, row in enumerate(problem.rows):
         if (i := row.variable(problem.nx)) is not None:
@@ -209,54 +205,49 @@ def _coupled_terms(problem: Problem, z: Array) -> list[tuple[float, float]]:
     return _magnitudes(problem.coupled(x_0, x_N), [x_0, x_N], sizes, [problem.x_initial, problem.x_initial])
 
 
-def _terms(expression: Expression, stage: Stage, problem: Problem, z: Array) -> list[tuple[float, float]]:
+def _terms(expression: Expression, stage: Stage, start: _Start, z: Array) -> list[tuple[float, float]]:
     """(constant part, size of the other terms) of every element of an expression of a stage."""
-    u = _controls(problem, stage)
-    sizes = [z[: problem.nx], z[problem.nx :] if stage.nu else np.zeros(0)]
-    given = [_data(problem, stage), np.array([max(problem.dt)])]
-    symbols_ = [stage.x, stage.u, stage.p, stage.dt]
-    return _magnitudes(expression, symbols_, sizes, [problem.x_initial, u, *given])
+    sizes = [z[: stage.nx], z[stage.nx : stage.nx + stage.nu]]
+    x, u, p, dt = start.of(stage)
+    return _magnitudes(expression, [stage.x, stage.u, stage.p, stage.dt], sizes, [x, u, p, np.array([dt])])
 
 
-def _costs(problem: Problem, z: Array) -> tuple[Array, Array]:
+def _costs(start: _Start, z: Array) -> tuple[Array, Array]:
     """What every residual and general cost of its size costs, and what every variable of its size does by its own
     curvature."""
     found: list[float] = []
-    own = np.zeros(z.size)
-    longest = max(problem.dt)
+    own, problem = np.zeros(z.size), start.problem
     for stage in (problem.start, problem.path, problem.terminal):
-        dt = np.array([longest if scaled else 1.0 for scaled in stage.scale_with_dt])
-        size = np.array([terms for _, terms in _terms(stage.y, stage, problem, z)])
+        dt = np.array([start.dt if scaled else 1.0 for scaled in stage.scale_with_dt])
+        size = np.array([terms for _, terms in _terms(stage.y, stage, start, z)])
         stated = np.array([*stage.y_scale, *[0.0] * (stage.ny - len(stage.y_scale))])
         size = np.where(stated > 0.0, stated, size)
         found += list(np.diag(stage.weight) * dt * size**2)
-        slopes = _slopes(stage, problem)
+        slopes = _slopes(stage, start)
         curvature = np.einsum("ij,i,ij->j", slopes, np.diag(stage.weight) * dt, slopes)
-        for cost, part in ((stage.cost, 1.0), (stage.cost_rate, longest)):
+        for cost, part in ((stage.cost, 1.0), (stage.cost_rate, start.dt)):
             if cost is not None:
-                found.append(part * _terms(cost, stage, problem, z)[0][1])
-                curvature = curvature + part * _curvature(cost, stage, problem)
+                found.append(part * _terms(cost, stage, start, z)[0][1])
+                curvature = curvature + part * _curvature(cost, stage, start)
         with np.errstate(all="ignore"):
             squares = curvature * z[: curvature.size] ** 2
         own[: squares.size] = np.fmax(own[: squares.size], np.where(np.isfinite(squares), squares, 0.0))
     return np.array([*found, 0.0]), own
 
 
-def _curvature(cost: Expression, stage: Stage, problem: Problem) -> Array:
+def _curvature(cost: Expression, stage: Stage, start: _Start) -> Array:
     """Magnitudes of the second derivatives of a general cost with respect to every variable at the initial state."""
     z = ca.vertcat(stage.x, stage.u)
     at = ca.Function("bend", [stage.x, stage.u, stage.p, stage.dt], [ca.densify(ca.diag(ca.hessian(cost, z)[0]))])
-    u = _controls(problem, stage)
-    found = np.abs(np.asarray(at(problem.x_initial, u, _data(problem, stage), max(problem.dt))).ravel())
+    found = np.abs(np.asarray(at(*start.of(stage))).ravel())
     return np.where(np.isfinite(found), found, 0.0)
 
 
-def _slopes(stage: Stage, problem: Problem) -> Array:
+def _slopes(stage: Stage, start: _Start) -> Array:
     """dy/dz of the residuals of a stage at the initial state."""
     z = ca.vertcat(stage.x, stage.u)
     at = ca.Function("slopes", [stage.x, stage.u, stage.p], [ca.densify(ca.jacobian(stage.y, z))])
-    u = _controls(problem, stage)
-    found = np.asarray(at(problem.x_initial, u, _data(problem, stage))).reshape(stage.ny, z.numel())
+    found = np.asarray(at(*start.of(stage)[:3])).reshape(stage.ny, z.numel())
     return np.where(np.isfinite(found), found, 0.0)
 
 
