@@ -5,8 +5,9 @@ The choice of a scheme, the warning of one that does not suit, and linearize() a
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
-from functools import cached_property
+from functools import cache, cached_property, partial
 
 import numpy as np
 
@@ -33,9 +34,9 @@ class Trials:
 
     def __init__(self, problem: CompleteProblem) -> None:
         self.problem, self.dt = problem, max(problem.dt)
+        self._scheme: Callable[[ButcherTableau], Trial] = cache(partial(Trial, problem))
         self._intervals: dict[Integrator, Interval] = {}
-        self._schemes: dict[ButcherTableau, Trial] = {}
-        self._ends: dict[tuple[ButcherTableau, int], Array] = {}
+        self._ends_of: Callable[[ButcherTableau, int], Array] = cache(self._find_ends)
 
     def interval(self, integrator: Integrator) -> Interval:
         """The functions of an interval by this integrator."""
@@ -117,18 +118,10 @@ class Trials:
         """The end of the longest interval from a point."""
         return self._scheme(integrator.tableau).interval(x, u, p, self.dt, integrator.steps, NEWTON_LIMIT).x
 
-    def _ends_of(self, tableau: ButcherTableau, steps: int) -> Array:
+    def _find_ends(self, tableau: ButcherTableau, steps: int) -> Array:
         """The ends of the longest interval from the points of the first plan."""
-        if (tableau, steps) not in self._ends:
-            trial = self._scheme(tableau)
-            found = [trial.interval(*at, self.dt, steps, NEWTON_LIMIT).x for at in self._starts]
-            self._ends[tableau, steps] = np.array(found)
-        return self._ends[tableau, steps]
-
-    def _scheme(self, tableau: ButcherTableau) -> Trial:
-        if tableau not in self._schemes:
-            self._schemes[tableau] = Trial(self.problem, tableau)
-        return self._schemes[tableau]
+        trial = self._scheme(tableau)
+        return np.array([trial.interval(*at, self.dt, steps, NEWTON_LIMIT).x for at in self._starts])
 
     @cached_property
     def _starts(self) -> list[tuple[Array, Array, Array]]:
