@@ -21,7 +21,6 @@ from nmpc_codegen import OCP, RK4, SDIRK3, Controller, ExplicitRungeKutta, Impli
 from nmpc_codegen.components.integrators.implicit.trial import Trial
 from nmpc_codegen.components.integrators.tableau import IMPLICIT, ButcherTableau
 from nmpc_codegen.frontend.classify import classify
-from nmpc_codegen.frontend.completion.complete import complete
 from nmpc_codegen.frontend.problem import Array
 from nmpc_codegen.oracle.reference import Tableau, interval_map
 from nmpc_codegen.package.sources import Sources
@@ -116,7 +115,8 @@ def halvings(tableau: ButcherTableau) -> list[int]:
 
 def _order(tableau: ButcherTableau) -> float:
     """The slope of the error over the last of four halvings of the step."""
-    trial, errors = Trial(complete(classify(known()), Options()), tableau), []
+    problem = classify(known())
+    trial, errors = Trial(problem, np.ones(problem.nx), tableau), []
     for steps in halvings(tableau):
         end = trial.interval(np.array([0.0, 1.0]), np.zeros(1), np.zeros(0), 1.0, steps, 30).x
         errors.append(abs(end[1] - np.sin(1) - 0.5))

@@ -6,9 +6,9 @@
     Model --lower--> CModule --assemble, run--> items --render--> Sources --build--> Controller
                     (C names)                  (the translation unit)  (path -> text)  (NumPy views)
 
-Every stage is a pure function from frozen values to a frozen value, and none looks back: decide() alone reads options,
-and linearize() takes the functions that it has counted. Only OCP and Controller, at the ends, are mutable. CasADi is
-used up to linearize, cffi only in build.
+Every stage is a pure function from frozen values to a frozen value, and none looks back: no stage behind decide() reads
+the options of the user, and linearize() takes the functions that decide() has counted. Only OCP and Controller, at the
+ends, are mutable. CasADi is used up to linearize, cffi only in build.
 What follows from the text, the worst case of a sample, is an analysis of Sources that is made on request (analysis/).
 What users are told of a package, warnings and the program for diagnose(), is added to a CModule by explain().
 """

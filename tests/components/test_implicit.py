@@ -10,16 +10,15 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from nmpc_codegen import ESDIRK3, OCP, RK4, SDIRK2, SDIRK3, ExplicitRungeKutta, ImplicitRungeKutta, OptionError, Options
+from nmpc_codegen import ESDIRK3, OCP, RK4, SDIRK2, SDIRK3, ExplicitRungeKutta, ImplicitRungeKutta, OptionError
 from nmpc_codegen.components.integrators.implicit.trial import Trial
 from nmpc_codegen.components.integrators.tableau import IMPLICIT, ButcherTableau, ImplicitEuler, ImplicitMidpoint
-from nmpc_codegen.decisions.trials import Trials
 from nmpc_codegen.frontend.classify import classify
-from nmpc_codegen.frontend.completion.complete import complete
 from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.oracle.trajectory import Tableau, interval_map
 from verification.implicit import Interval
 from verification.models import discrete_map
+from verification.rendered import trials_of
 
 POINT = np.array([1.0, 0.5, 0.3]), np.array([0.4, -0.3]), np.array([5.0]), 0.2
 NAMES = pytest.mark.parametrize("name", IMPLICIT)
@@ -123,7 +122,7 @@ def test_a_mode_beyond_the_numbers_is_not_stable() -> None:
     x, u = ocp.state("x", initial=1.0), ocp.control("u")
     ocp.dynamics({x: -1e120 * x + u})
     ocp.least_squares(ca.vertcat(x, u), weight=1.0)
-    assert Trials(complete(classify(ocp), Options())).needed_steps(ExplicitRungeKutta())[0] is None
+    assert trials_of(ocp).needed_steps(ExplicitRungeKutta())[0] is None
 
 
 def test_schemes_belong_to_their_components() -> None:
@@ -218,10 +217,10 @@ def test_order_of_convergence(name: str) -> None:
     solution, slope = ca.sin(t) + 1 / (1 + t), ca.cos(t) - 1 / (1 + t) ** 2
     ocp.dynamics({t: 1 + 0 * u, y: slope + solution**2 - y**2})
     ocp.least_squares(y, weight=1.0)
-    problem = complete(classify(ocp), Options())
-    errors = []
+    problem = classify(ocp)
+    trial, errors = Trial(problem, np.ones(problem.nx), tableau), []
     for steps in (2, 4, 8, 16, 32) if tableau.order > 3 else (8, 16, 32, 64, 128):
-        end = Trial(problem, tableau).interval(np.array([0.0, 1.0]), np.zeros(1), np.zeros(0), 1.0, steps, 30).x
+        end = trial.interval(np.array([0.0, 1.0]), np.zeros(1), np.zeros(0), 1.0, steps, 30).x
         errors.append(abs(end[1] - np.sin(1) - 0.5))
     slopes = np.log2(np.array(errors[:-1]) / errors[1:])
     assert slopes[-2:] == pytest.approx(tableau.order, abs=0.1)
@@ -234,9 +233,9 @@ def test_order_of_convergence(name: str) -> None:
 @NAMES
 def test_a_sample_takes_so_many_steps(name: str, newton: int) -> None:
     """The same as in NumPy; what is left is about the error, and falls from step to step."""
-    problem = complete(classify(mixed()), Options())
+    problem = classify(mixed())
     interval = Interval(problem, ImplicitRungeKutta(IMPLICIT[name], 2, newton))
-    expected = Trial(problem, IMPLICIT[name]).interval(*POINT, 2, newton)
+    expected = Trial(problem, np.ones(problem.nx), IMPLICIT[name]).interval(*POINT, 2, newton)
     end, S, left = interval("interval", *POINT, newton=newton)
     exact = interval("interval", *POINT)
     for found, value in ((end, expected.x), (S, expected.S.ravel()), (left, expected.left)):

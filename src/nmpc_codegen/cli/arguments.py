@@ -129,8 +129,8 @@ def check_usage(made: Parser, arguments: argparse.Namespace) -> None:
 
 
 def _mistakes(arguments: argparse.Namespace) -> Iterator[str]:
-    yield from _wrong_values(arguments)
     yield from _clashes(arguments)
+    yield from _wrong_values(arguments)
     yield from _places(arguments)
 
 

@@ -254,10 +254,6 @@ class Integrator(Component, Protocol):
         """Length (s) of the longest integration step."""
         ...
 
-    def transition(self, problem: CompleteProblem) -> Transition | None:
-        """S of an interval in NumPy, where explicit steps do not give it."""
-        ...
-
     def interval(self, problem: Problem) -> Interval:
         """integrator_interval(x, u, p, dt -> x_next, S) and integrator_step(x, u, p, h -> x_next)."""
         ...
@@ -464,9 +460,6 @@ class Defaults:
 
     def absent_sizes(self, dims: Dims) -> tuple[tuple[str, int, str], ...]:
         return ()
-
-    def transition(self, problem: CompleteProblem) -> Transition | None:
-        return None
 
     def structs(self, dims: Dims) -> tuple[Struct, ...]:
         return ()

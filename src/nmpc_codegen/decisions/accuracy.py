@@ -14,7 +14,6 @@ import casadi as ca
 import numpy as np
 
 from nmpc_codegen.components.integrators import RK4, ButcherTableau
-from nmpc_codegen.frontend.completion.complete import CompleteProblem
 from nmpc_codegen.frontend.completion.first_plan import first_plan, points
 from nmpc_codegen.frontend.problem import Array, Problem
 
@@ -53,9 +52,9 @@ def _inner_points(problem: Problem, x: Array, u: Array) -> Array:
 
 
 class Flow:
-    """The model over the longest interval from these points."""
+    """The model over the longest interval from these points; ``scale`` (nx,): of the states."""
 
-    def __init__(self, problem: CompleteProblem, fine: int = FINE) -> None:
+    def __init__(self, problem: Problem, scale: Array, fine: int = FINE) -> None:
         stage, found = problem.path, list(starts(problem))
         f = ca.densify(problem.dynamics(stage.x, stage.u, stage.p))
         self._f = ca.Function("f", [stage.x, stage.u, stage.p], [f])
@@ -66,7 +65,7 @@ class Flow:
         self._dt = max(problem.dt)
         self._known: dict[tuple[ButcherTableau, int], Array] = {}
         end = self._end(RK4, fine)
-        size = np.maximum(problem.scales.z[: problem.nx], np.max(np.abs(self._x), axis=1))[:, None]
+        size = np.maximum(scale, np.max(np.abs(self._x), axis=1))[:, None]
         self._ended = np.all(np.abs(end) <= ESCAPED * size, axis=0)
         self._fine = end[:, self._ended]
         self._size = np.maximum(size, np.max(np.abs(self._fine), axis=1, initial=0.0)[:, None])

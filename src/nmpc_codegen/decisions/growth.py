@@ -22,8 +22,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nmpc_codegen.components.base import Condensing, Integrator, Transition, spell
+from nmpc_codegen.components.integrators import ImplicitRungeKutta
+from nmpc_codegen.decisions.trials import Trials
 from nmpc_codegen.errors import OptionError
-from nmpc_codegen.frontend.completion.complete import CompleteProblem
 from nmpc_codegen.frontend.completion.first_plan import points
 from nmpc_codegen.frontend.problem import Array, Problem
 from nmpc_codegen.ir.casadi_types import Function
@@ -111,13 +112,16 @@ def _intervals(problem: Problem, condensing: Condensing) -> int:
     return condensing.qp_shape(problem).controls // problem.nu
 
 
-def growth(problem: CompleteProblem, integrator: Integrator, precision: Precision) -> Growth:
+def growth(trials: Trials, integrator: Integrator, precision: Precision) -> Growth:
     """The largest growth at the points that the problem states: the first plan, and the references of the states.
 
     Points without finite derivatives do not count.
     """
-    transition = integrator.transition(problem) or _by_steps(problem, integrator)
-    found = []
+    problem, found = trials.problem, []
+    if isinstance(integrator, ImplicitRungeKutta):
+        transition = trials.slopes(integrator)
+    else:
+        transition = _by_steps(problem, integrator)
     with np.errstate(all="ignore"):
         for at, x, u in ((corner, *point) for _, corner in problem.corners for point in points(corner)):
             lengths = {dt: transition(x, u, at.p_value, dt) for dt in set(problem.dt)}

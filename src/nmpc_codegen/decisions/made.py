@@ -9,13 +9,11 @@ import casadi as ca
 from nmpc_codegen.components.base import Hessian, Integrator
 from nmpc_codegen.components.stage_cost import StageCosts, stage_costs
 from nmpc_codegen.decisions.trials import Trials
+from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.model import Block, HessianModel, Interval, products_of
 from nmpc_codegen.ir.stage_products import Products
 from nmpc_codegen.ir.sweep import LoopedRoutine, Routine
 from nmpc_codegen.options import Online
-
-#: Of an algorithm without second derivatives.
-NO_BLOCKS = HessianModel(None, Block(), Block())
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,13 +31,14 @@ def make(trials: Trials, integrator: Integrator, hessian: Hessian | None) -> Mad
     """The functions of an integrator and a Hessian."""
     problem = trials.problem
     interval, costs = trials.interval(integrator), stage_costs(problem)
-    blocks = NO_BLOCKS if hessian is None else hessian.blocks(problem, costs, integrator)
+    none = HessianModel(None, Block(), Block())
+    blocks = none if hessian is None else hessian.blocks(problem, costs, integrator)
     return Made(costs, interval, blocks, products_of(interval, blocks, len(problem.augmentation.previous)))
 
 
-def is_constant(made: Made, trials: Trials, online: Online) -> bool:
+def is_constant(made: Made, problem: Problem, online: Online) -> bool:
     """True if the path Hessian reads nothing that differs between nodes and nothing is added to its first block."""
-    problem, path, start = trials.problem, made.blocks.path, made.blocks.start
+    path, start = made.blocks.path, made.blocks.start
     if start is not None and start.writes:
         return False
     varying = {"x", "u", "found"} if problem.uniform else {"x", "u", "found", "dt"}

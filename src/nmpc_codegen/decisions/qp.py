@@ -8,16 +8,13 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
-from nmpc_codegen.components.base import Algorithm, Condensing, Dims, Hessian, QpSolver, spell
+from nmpc_codegen.components.base import Condensing, Dims, QpSolver, spell
 from nmpc_codegen.components.condensing import FullCondensing, NoCondensing, PartialCondensing
 from nmpc_codegen.components.hessians import GaussNewton
 from nmpc_codegen.components.qp import REGISTRY
-from nmpc_codegen.decisions.dimensions import dimensions
-from nmpc_codegen.decisions.growth import Growth
-from nmpc_codegen.decisions.made import Made
+from nmpc_codegen.decisions.choices import Choices, QpChoice
 from nmpc_codegen.errors import OptionError
-from nmpc_codegen.frontend.problem import Problem
-from nmpc_codegen.options import Goal, Options
+from nmpc_codegen.options import Goal
 from nmpc_codegen.package.features import Features
 from nmpc_codegen.package.memory import Precision, struct_layout
 from nmpc_codegen.package.opcount import OpCount
@@ -58,36 +55,7 @@ CODE = {"dense_active_set": 9_000, "riccati_interior_point": 12_500}
 CLOSE = 1.5
 
 
-@dataclass(frozen=True)
-class QpChoice:
-    """Condensing, QP solver, the reasons for them, and warnings of the digits that they cost."""
-
-    condensing: Condensing
-    qp: QpSolver
-    reasons: tuple[str, ...] = ()
-    warnings: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True, eq=False)
-class OpenQp:
-    """What decides on condensing and QP solver: the components that are given or have been chosen, the functions of the
-    stages, growth of the open loop, and whether the path Hessian block is the same at all nodes."""
-
-    problem: Problem
-    options: Options
-    algorithm: Algorithm
-    hessian: Hessian | None
-    made: Made
-    grown: Growth
-    constant_hessian: bool
-
-    def dims(self, condensing: Condensing) -> Dims:
-        """The sizes with one condensing."""
-        banded = self.made.products.banded
-        return dimensions(self.problem, condensing, self.constant_hessian, self.options.goal, banded)
-
-
-def choose_qp(of: OpenQp) -> QpChoice:
+def choose_qp(found: Choices) -> QpChoice:
     """Condensing and QP solver: those that are given, adapted to the problem, completed by the choice that takes the
     fewest operations of those that keep enough digits, or with goal="size" the fewest bytes. The reason for this choice
     is the table of all candidates. The QP of a problem without any curvature is a linear program, whose degenerate
@@ -96,15 +64,15 @@ def choose_qp(of: OpenQp) -> QpChoice:
     Raises:
         OptionError: the two that are given clash, or too few digits remain with every condensing that fits.
     """
-    problem, options, grown = of.problem, of.options, of.grown
+    problem, options, grown = found.problem, found.options, found.grown
     given = options.condensing
     if given is not None and options.qp is not None:
         _check_forms(given, options.qp)
         condensing = given.adapt(problem)
         return QpChoice(condensing, options.qp, _instead(given, condensing), grown.warning(problem, condensing))
-    fitting = list(_pairs(_forms(of), options.qp, options.goal))
+    fitting = list(_pairs(_forms(found), options.qp, options.goal))
     soft = "soft rows" in problem.uses
-    candidates = list(_candidates(of, fitting, soft))
+    candidates = list(_candidates(found, fitting, soft))
     if not candidates:
         return QpChoice(*fitting[0])  # the checks of this pair raise the error that says why
     spared = [c for c in candidates if grown.spares(problem, c.condensing)]
@@ -118,13 +86,13 @@ def choose_qp(of: OpenQp) -> QpChoice:
     return QpChoice(best.condensing, best.qp, reasons, warned)
 
 
-def _candidates(of: OpenQp, fitting: Iterable[tuple[Condensing, QpSolver]], soft: bool) -> Iterator[Candidate]:
+def _candidates(found: Choices, fitting: Iterable[tuple[Condensing, QpSolver]], soft: bool) -> Iterator[Candidate]:
     """Those that support the problem, with their counts."""
     for stated, qp in fitting:
-        condensing = stated.adapt(of.problem)
-        if all(of.problem.uses <= c.supports for c in (condensing, qp)):
-            dims = of.dims(condensing)
-            counts = (*condensing.cost(dims, of.made).values(), *qp.cost(dims, of.made).values())
+        condensing = stated.adapt(found.problem)
+        if all(found.problem.uses <= c.supports for c in (condensing, qp)):
+            dims = found.dims_with(condensing)
+            counts = (*condensing.cost(dims, found.made).values(), *qp.cost(dims, found.made).values())
             warm, search = sum(counts, OpCount()).total, qp.search(dims).total
             yield Candidate(condensing, qp, warm + search * soft, warm + search, dims)
 
@@ -158,13 +126,13 @@ def _best(candidates: list[Candidate], soft: bool) -> tuple[Candidate, str]:
     return best, why
 
 
-def _mirrors_few(of: OpenQp) -> bool:
+def _mirrors_few(found: Choices) -> bool:
     """True for a general cost whose Hessian may be indefinite in few controls: eigenvalues of the condensed one can be
     mirrored. The plain scheme, of one iteration without relaxed rows, takes the fewest operations."""
-    problem = of.problem
-    found = Features() if of.hessian is None else of.hessian.adds(Features())
-    safe = (algorithm := of.algorithm.adds(Features())).relax or algorithm.iterates or algorithm.repair
-    indefinite = found.regularize_reduced and not problem.uses <= GaussNewton.supports
+    problem, hessian = found.problem, found.hessian.value
+    added = Features() if hessian is None else hessian.adds(Features())
+    safe = (algorithm := found.algorithm.value.adds(Features())).relax or algorithm.iterates or algorithm.repair
+    indefinite = added.regularize_reduced and not problem.uses <= GaussNewton.supports
     return bool(safe and indefinite) and problem.N * problem.nu <= MOST_MIRRORED
 
 
@@ -175,14 +143,15 @@ def _instead(stated: Condensing | None, condensing: Condensing) -> tuple[str, ..
     return (f"condensing: {condensing} instead of {stated.name}; coupled rows read free components of x_0",)
 
 
-def _forms(of: OpenQp) -> tuple[Condensing, ...]:
+def _forms(found: Choices) -> tuple[Condensing, ...]:
     """The condensing that is given, or what is compared: all, unless a problem without curvature or one whose
     indefinite Hessian is mirrored leaves one."""
-    if of.options.condensing is not None:
-        return (of.options.condensing,)
-    if of.options.qp is None and not (of.made.blocks.Q or of.made.blocks.terminal.Q):
+    given, blocks = found.options.condensing, found.made.blocks
+    if given is not None:
+        return (given,)
+    if found.options.qp is None and not (blocks.Q or blocks.terminal.Q):
         return (NoCondensing(),)
-    if of.options.qp is None and _mirrors_few(of) and of.grown.spares(of.problem, FullCondensing()):
+    if found.options.qp is None and _mirrors_few(found) and found.grown.spares(found.problem, FullCondensing()):
         return (FullCondensing(),)
     return (FullCondensing(), NoCondensing(), *(PartialCondensing(block) for block in BLOCKS))
 

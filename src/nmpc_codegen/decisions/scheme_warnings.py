@@ -7,7 +7,7 @@ import numpy as np
 from nmpc_codegen.components.base import Integrator
 from nmpc_codegen.components.integrators import ExplicitRungeKutta, ImplicitRungeKutta
 from nmpc_codegen.decisions.accuracy import LOST, Flow
-from nmpc_codegen.decisions.decision import Decision
+from nmpc_codegen.decisions.choices import Decision
 from nmpc_codegen.decisions.stability import MOST_EXPLICIT, MOST_STEPS, Modes
 from nmpc_codegen.decisions.trials import Trials
 from nmpc_codegen.package.signals import list_some
@@ -63,7 +63,7 @@ def _of_accuracy(trials: Trials, scheme: ExplicitRungeKutta, most: float) -> tup
     error = flow.error(tableau, scheme.steps)
     if error <= most:
         return ()
-    better = Flow(problem, FINEST).accurate_steps(tableau, [n for n in OFFERED if n > scheme.steps])
+    better = Flow(problem, trials.size, FINEST).accurate_steps(tableau, [n for n in OFFERED if n > scheme.steps])
     remedy = (
         f"steps={better} are accurate (--set integrator.steps={better})"
         if better

@@ -2,29 +2,28 @@
 
 from __future__ import annotations
 
-from nmpc_codegen.components.base import Algorithm, Hessian, Integrator
-from nmpc_codegen.components.hessians import REGISTRY, ExactHessian, GaussNewton
+from nmpc_codegen.components.base import Hessian, Integrator
+from nmpc_codegen.components.hessians import ExactHessian, GaussNewton
 from nmpc_codegen.components.stage_cost import StageCosts
-from nmpc_codegen.decisions.decision import Decision
+from nmpc_codegen.decisions.choices import Decision
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.model import HessianModel
 from nmpc_codegen.options import Options
 
 
-def choose_hessian(problem: Problem, given: Hessian | None, algorithm: Algorithm) -> Decision[Hessian | None]:
+def choose_hessian(problem: Problem, options: Options) -> Decision[Hessian | None]:
     """The Hessian of samples: the one that is given, or the default of the algorithm unless the problem needs another.
 
     Samples of a least-squares problem take the Gauss-Newton Hessian, whatever the rows of the problem. An exact Hessian
     has to be made convex near a nonconvex row, and its full step may then be far too long.
     """
-    word = algorithm.default_hessian
-    if given is not None or word is None:
-        return Decision(given, stated=given is not None)
-    beyond = problem.uses - GaussNewton.supports
-    if word != GaussNewton.name or not beyond or not beyond <= ExactHessian.supports:
-        return Decision(REGISTRY[word]())
-    exact = ExactHessian() if algorithm.convex else ExactHessian(regularization=None)
+    beyond, default = problem.uses - GaussNewton.supports, options.with_defaults.hessian
+    if options.hessian is not None:
+        return Decision(options.hessian, stated=True)
+    if not isinstance(default, GaussNewton) or not beyond or not beyond <= ExactHessian.supports:
+        return Decision(default)
+    exact = ExactHessian() if options.algorithm.convex else ExactHessian(regularization=None)
     return Decision(exact, (f"hessian: {ExactHessian.name}; the problem has a {sorted(beyond)[0]}",))
 
 

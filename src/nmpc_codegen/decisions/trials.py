@@ -11,14 +11,14 @@ from functools import cache, cached_property, partial
 
 import numpy as np
 
-from nmpc_codegen.components.base import Integrator
-from nmpc_codegen.components.integrators import SDIRK3, ButcherTableau, ExplicitRungeKutta, ImplicitRungeKutta
+from nmpc_codegen.components.base import Integrator, Transition
+from nmpc_codegen.components.integrators import ButcherTableau, ExplicitRungeKutta, ImplicitRungeKutta
 from nmpc_codegen.components.integrators.implicit.trial import Trial
 from nmpc_codegen.components.integrators.implicit_runge_kutta import NEWTON_LIMIT
 from nmpc_codegen.decisions.accuracy import ACCURATE, LOST, Flow, starts
 from nmpc_codegen.decisions.stability import MOST_EXPLICIT, Modes, modes_at_ends, stated_modes, steps_for
-from nmpc_codegen.frontend.completion.complete import CompleteProblem
-from nmpc_codegen.frontend.problem import Array
+from nmpc_codegen.frontend.completion.scales import Scales
+from nmpc_codegen.frontend.problem import Array, Problem
 from nmpc_codegen.ir.model import Interval
 
 #: Steps per interval of an implicit scheme that are tried; steps of the comparison for every step.
@@ -32,9 +32,9 @@ NEAR, VAIN, MOST_STARTS = 1.25, 3, 32
 class Trials:
     """The trials of one problem."""
 
-    def __init__(self, problem: CompleteProblem) -> None:
-        self.problem, self.dt = problem, max(problem.dt)
-        self._scheme: Callable[[ButcherTableau], Trial] = cache(partial(Trial, problem))
+    def __init__(self, problem: Problem, sizes: Scales) -> None:
+        self.problem, self.dt, self.size = problem, max(problem.dt), sizes.z[: problem.nx]
+        self._scheme: Callable[[ButcherTableau], Trial] = cache(partial(Trial, problem, self.size))
         self._intervals: dict[Integrator, Interval] = {}
         self._ends_of: Callable[[ButcherTableau, int], Array] = cache(self._find_ends)
 
@@ -51,7 +51,7 @@ class Trials:
     @cached_property
     def flow(self) -> Flow:
         """The model over the longest interval."""
-        return Flow(self.problem)
+        return Flow(self.problem, self.size)
 
     def needed_steps(self, integrator: ExplicitRungeKutta) -> tuple[int | None, Modes]:
         """The steps per interval with which an explicit scheme is stable, at least those that it has; None if
@@ -69,8 +69,8 @@ class Trials:
 
     @cached_property
     def _at_ends(self) -> Modes:
-        scheme = ImplicitRungeKutta(SDIRK3)
-        return modes_at_ends(self.problem, lambda x, u, p: self.end(scheme, x, u, p))
+        one_step = ImplicitRungeKutta(steps=1)
+        return modes_at_ends(self.problem, lambda x, u, p: self.end(one_step, x, u, p))
 
     # Implicit schemes ------------------------------------------------------------------------------------------------
 
@@ -103,7 +103,7 @@ class Trials:
         with np.errstate(all="ignore"):
             coarse, fine = self._ends_of(tableau, steps), self._ends_of(tableau, FINER * steps)
             kept = np.all(np.isfinite(fine), axis=1)
-            errors = np.max(np.abs(coarse - fine)[kept] / self._scheme(tableau).size, axis=1, initial=0.0)
+            errors = np.max(np.abs(coarse - fine)[kept] / self.size, axis=1, initial=0.0)
         ended = np.isfinite(errors)
         return float(np.max(np.where(ended, errors, LOST))) if np.any(ended) else np.inf
 
@@ -111,12 +111,17 @@ class Trials:
         """The largest last correction of a stage over the longest interval from the points of the first plan, relative
         to the scales; infinite if no stage can be solved."""
         trial = self._scheme(tableau)
-        found = [trial.interval(*at, self.dt, steps, newton).left / trial.size for at in self._starts]
+        found = [trial.interval(*at, self.dt, steps, newton).left / self.size for at in self._starts]
         return max((float(np.max(each)) for each in found if np.all(np.isfinite(each))), default=np.inf)
 
     def end(self, integrator: ImplicitRungeKutta, x: Array, u: Array, p: Array) -> Array:
         """The end of the longest interval from a point."""
         return self._scheme(integrator.tableau).interval(x, u, p, self.dt, integrator.steps, NEWTON_LIMIT).x
+
+    def slopes(self, integrator: ImplicitRungeKutta) -> Transition:
+        """(x, u, p, dt) -> d x_next / d(x, u) of an interval, with Newton's method to rounding errors."""
+        trial = self._scheme(integrator.tableau)
+        return lambda x, u, p, dt: trial.interval(x, u, p, dt, integrator.steps, NEWTON_LIMIT).S
 
     def _find_ends(self, tableau: ButcherTableau, steps: int) -> Array:
         """The ends of the longest interval from the points of the first plan."""

@@ -90,6 +90,7 @@ def _algebra(resolved: Resolved, augmented: Augmented, path: Stage) -> Algebra:
 
 def outputs_of(ocp: OCP, problem: Problem, outputs: Any, names: Any) -> tuple[tuple[str, ...], Any]:
     """(names, z): the outputs z = g(x, u, p) of a node in the symbols of the path stage; without any, z is empty.
+    ``problem``: classify(ocp), without a period.
 
     Raises:
         ProblemError: the outputs contain other symbols than states, controls and parameters, or the names do not fit.

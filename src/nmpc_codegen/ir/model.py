@@ -126,10 +126,10 @@ class ModelFunctions:
     ``start``: the cost of node 0 in addition to that of the path. Its Hessian block and ``initial``, that of the
     coupled rows, are added to the first block of the path. ``coupled``: r(x_0, x_N) and its Jacobians. ``exact``:
     path_exact, terminal_exact, start_exact and initial_exact, the exact Hessian of solve() where samples have another.
-    ``algebraic``: (x, u, p) -> algebraic
-    variables, where x of a stage ends with those that Newton's method solves for; ``measurement``: (x, p) -> y,
-    H = dy / dx of an estimator; ``control_start``: (p, yref) -> controls of the first plan; ``following``: operations
-    of a node that Newton's method takes to follow a plan, with two steps. ``products``: those with the stage matrices.
+    ``algebraic``: (x, u, p) -> algebraic variables, where x of a stage ends with those that Newton's method solves for;
+    ``measurement``: (x, p) -> y, H = dy / dx of an estimator; ``control_start``: (p, yref) -> controls of the first
+    plan; ``following``: operations of a node that Newton's method takes to follow a plan, with two steps; ``products``:
+    those with the stage matrices.
     """
 
     interval: Interval

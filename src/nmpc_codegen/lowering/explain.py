@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from nmpc_codegen.components.hessians import ExactHessian
-from nmpc_codegen.decisions.decide import no_curvature_in
+from nmpc_codegen.decisions.choices import no_curvature_in
 from nmpc_codegen.decisions.scheme_warnings import scheme_warnings
 from nmpc_codegen.frontend.program import program
 from nmpc_codegen.ir.cmodule import CModule

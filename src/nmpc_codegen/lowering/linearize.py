@@ -10,7 +10,7 @@ import casadi as ca
 from nmpc_codegen.components.base import Dims, Integrator, Parts
 from nmpc_codegen.components.integrators.implicit.node_data import algebraic_kernel, with_node_data
 from nmpc_codegen.components.stage_cost import StageCost, slices
-from nmpc_codegen.decisions.decide import Choices
+from nmpc_codegen.decisions.choices import Choices
 from nmpc_codegen.frontend.completion.complete import CompleteProblem
 from nmpc_codegen.frontend.problem import Problem, Stage, symbols
 from nmpc_codegen.ir.kernel import Kernel, Port, lift
@@ -130,10 +130,7 @@ def _exact_routines(blocks: HessianModel | None, slope: Pattern) -> tuple[Routin
 
 def _with_start(blocks: HessianModel) -> Block:
     """The block of the path, with zeros stored in the entries to which the block of the start is added."""
-    path = blocks.path
-    if path.hessian is None or blocks.start is None:
-        return path
-    return replace(path, Q=blocks.Q, hessian=_with_zeros(path.hessian, "Q", blocks.Q))
+    return replace(blocks.path, Q=blocks.Q, hessian=_with_zeros(blocks.path.hessian, "Q", blocks.Q))
 
 
 def _elements(vector: Routine) -> Pattern:

@@ -226,7 +226,7 @@ class PackageDescription:
             "entry_points": [asdict(e) for e in self.entry_points],
             "report": self.report.as_dict(),
             "program": asdict(self.program),
-            "inner": asdict(self.augmentation),
+            KEYS["augmentation"]: asdict(self.augmentation),
             "estimation": self.estimation and asdict(self.estimation),
         }
         for kind in ("states", "controls", "parameters", "algebraic", "residuals", "residuals_N"):

@@ -10,8 +10,8 @@ EstimatorKind = Literal["mhe", "ekf"]
 
 @dataclass(frozen=True)
 class Kind:
-    """``noun`` and ``words``: what it is; ``law``: its function of a whole sample; ``opened``: what it
-    is, and by which function; ``main`` and ``usage``: templates of main.c and of what README.md says of use."""
+    """``noun`` and ``words``: what it is; ``law``: its function of a whole sample; ``opened``: what it is, and by which
+    function; ``main`` and ``usage``: templates of main.c and of what README.md says of use."""
 
     noun: str
     words: str

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 import os
-from typing import IO, Any, Literal, NoReturn, Self
+from typing import IO, Any, Literal, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -21,6 +21,13 @@ OnFailure = Literal["status", "raise"]
 
 #: Stats of an algorithm without counters.
 _NO_COUNTS = {**dict.fromkeys((*compiled.COUNTERS, *compiled.NEWTON), 0), "violation": 0.0}
+
+
+#: Parts of the augmented state, and what a problem without them lacks.
+_ADDED = {
+    "previous": "previous control: its problem does not contain ocp.previous(u) or ocp.rate(u)",
+    "time": "time: its problem does not contain ocp.time",
+}
 
 
 class Memory(Iterate):
@@ -77,27 +84,19 @@ class Memory(Iterate):
     @property
     def previous(self) -> Array:
         """Control applied last, (nu,), a copy: that of the last sample, or of set_previous()."""
-        self._needs_previous()
+        self._needs("previous")
         return np.array(self._view("previous"))
 
     @property
     def time(self) -> float:
         """Time of the next sample."""
-        self._needs_time()
+        self._needs("time")
         return float(self._view("time"))
 
-    def _needs_previous(self) -> None:
-        """Raise ControllerError unless nodes know the control before."""
-        if not self.description.augmentation.previous:
-            self._refuse("previous control", "ocp.previous(u) or ocp.rate(u)")
-
-    def _needs_time(self) -> None:
-        """Raise ControllerError unless nodes know their time."""
-        if not self.description.augmentation.time:
-            self._refuse("time", "ocp.time")
-
-    def _refuse(self, what: str, word: str) -> NoReturn:
-        raise ControllerError(f"{self._package.name} has no {what}: its problem does not contain {word}")
+    def _needs(self, name: Literal["previous", "time"]) -> None:
+        """Raise ControllerError unless the augmented state has this part."""
+        if not getattr(self.description.augmentation, name):
+            raise ControllerError(f"{self._package.name} has no {_ADDED[name]}")
 
     @property
     def status(self) -> Status:

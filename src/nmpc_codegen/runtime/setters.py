@@ -212,7 +212,7 @@ class Setters(Memory, Addressing):
         Raises:
             ControllerError: the problem contains neither previous() nor rate().
         """
-        self._needs_previous()
+        self._needs("previous")
         value = self._array("previous control", u, (self.dims.nu,))
         self._expect(self._call("set_previous", self._s, self._pointer(value)), "set_previous")
 
@@ -227,7 +227,7 @@ class Setters(Memory, Addressing):
         Raises:
             ControllerError: the problem does not contain ocp.time.
         """
-        self._needs_time()
+        self._needs("time")
         value = float(self._array("time", time, ()))
         self._expect(self._call("set_time", self._s, value), "set_time")
 

@@ -16,10 +16,9 @@ from typing import ClassVar
 import numpy as np
 
 from nmpc_codegen.components.allowed import Named, Whole, check_options, option
-from nmpc_codegen.components.base import EVERY_USE, Defaults, Dims, Seam, Transition
+from nmpc_codegen.components.base import EVERY_USE, Defaults, Dims, Seam
 from nmpc_codegen.components.integrators.implicit.intervals import Intervals
 from nmpc_codegen.components.integrators.implicit.stage_kernels import stage_kernels
-from nmpc_codegen.components.integrators.implicit.trial import Trial
 from nmpc_codegen.components.integrators.jump import jump_kernel, jump_rows_kernel
 from nmpc_codegen.components.integrators.noise import noise_tables
 from nmpc_codegen.components.integrators.tableau import IMPLICIT, SDIRK3, ButcherTableau
@@ -111,11 +110,6 @@ class ImplicitRungeKutta(Defaults):
 
     def _intervals(self, problem: Problem) -> Intervals:
         return Intervals(problem, self.tableau, self.steps, self.newton_steps)
-
-    def transition(self, problem: CompleteProblem) -> Transition | None:
-        """S of an interval, with Newton's method to rounding errors."""
-        trial = Trial(problem, self.tableau)
-        return lambda x, u, p, dt: trial.interval(x, u, p, dt, self.steps, NEWTON_LIMIT).S
 
     def interval(self, problem: Problem) -> Interval:
         """interval(x, u, p, dt, newton -> x_next, S, left), step(x, u, p, h, newton -> x_next), and the value alone."""

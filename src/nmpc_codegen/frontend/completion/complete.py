@@ -20,7 +20,8 @@ from nmpc_codegen.frontend.problem import Problem, Stage
 
 
 class Asked(Protocol):
-    """The options, as far as completing reads them."""
+    """The options, as far as completing reads them: whether weights that are declared diagonal are stored as matrices,
+    and whether samples solve QPs with a Hessian that is chosen, whose steps proximal terms may limit."""
 
     @property
     def stores_matrices(self) -> bool: ...

@@ -8,7 +8,8 @@ stage_curvature(x, u, p, mu, weight -> H = d2 (mu' f + weight l) / d(x, u)^2, lo
 
 from __future__ import annotations
 
-from functools import cached_property, lru_cache
+from functools import cached_property
+from weakref import WeakKeyDictionary
 
 import casadi as ca
 
@@ -171,7 +172,11 @@ class StageKernels:
         return frozenset((max(pair), min(pair)) for pair in both)
 
 
-@lru_cache(maxsize=4)
+_KERNELS: WeakKeyDictionary[Problem, StageKernels] = WeakKeyDictionary()
+
+
 def stage_kernels(problem: Problem) -> StageKernels:
     """The kernels of a problem, which are made once for its trials and its functions."""
-    return StageKernels(problem)
+    if problem not in _KERNELS:
+        _KERNELS[problem] = StageKernels(problem)
+    return _KERNELS[problem]

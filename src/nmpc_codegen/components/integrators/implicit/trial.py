@@ -12,8 +12,7 @@ import numpy as np
 
 from nmpc_codegen.components.integrators.implicit.stage_kernels import stage_kernels
 from nmpc_codegen.components.integrators.tableau import ButcherTableau
-from nmpc_codegen.frontend.completion.complete import CompleteProblem
-from nmpc_codegen.frontend.problem import Array
+from nmpc_codegen.frontend.problem import Array, Problem
 
 #: Size of a correction that is rounding.
 ROUNDING = 1e-13
@@ -28,17 +27,16 @@ class End(NamedTuple):
 
 
 class Trial:
-    """A scheme for one problem."""
+    """A scheme for one problem; ``size`` (nx,): scales of the states."""
 
-    def __init__(self, problem: CompleteProblem, tableau: ButcherTableau) -> None:
+    def __init__(self, problem: Problem, size: Array, tableau: ButcherTableau) -> None:
         kernels = stage_kernels(problem)
         given = [kernels.x, kernels.u, kernels.p]
         J = ca.densify(ca.jacobian(kernels.f, kernels.z))
         self._f, self._slopes = ca.Function("f", given, [kernels.f]), ca.Function("J", given, [kernels.f, J])
         self.problem, self.nx, self.nv = problem, problem.nx, kernels.nv
         self.start: Array = problem.algebra.first if problem.algebra else np.zeros(0)
-        sizes = problem.scales.z[: problem.nx]
-        self.size, self.sizes = sizes, np.array([*sizes, *(problem.algebra.scale if problem.algebra else ())])
+        self.sizes = np.array([*size, *(problem.algebra.scale if problem.algebra else ())])
         self.a, self.b, self.block = np.array(tableau.a, float), np.array(tableau.b, float), tableau.block
 
     def interval(self, x: Array, u: Array, p: Array, dt: float, steps: int, newton: int) -> End:
