@@ -17,8 +17,7 @@ from typing import Any
 import numpy as np
 
 from nmpc_codegen import OCP, Options
-from nmpc_codegen.compiler import model_of, text_of
-from nmpc_codegen.frontend.classify import classify
+from nmpc_codegen.compiler import model_of, read, text_of
 from nmpc_codegen.ir.cmodule import CModule
 from nmpc_codegen.ir.printing.c_style import CStyle
 from nmpc_codegen.ir.printing.routines import print_routine
@@ -103,7 +102,7 @@ def memory_layout(module: CModule) -> np.dtype[Any]:
 
 def module_of(ocp: OCP, options: Options | None = None, name: str | None = None) -> CModule:
     """The pipeline up to the CModule."""
-    return lower(model_of(classify(ocp), options or Options()), name)
+    return lower(model_of(*read(ocp, options)), name)
 
 
 class Package:

@@ -19,7 +19,7 @@ from nmpc_codegen.lowering.unit.assemble import INTERVALS, SEARCH
 from nmpc_codegen.lowering.unit.read import MATH
 
 #: Parts of every package.
-ALWAYS = ("core/sizes.c", "core/rows.c", "core/cost.c", "core/inner.c", "core/algebraic.c")
+ALWAYS = ("core/sizes.c", "core/rows.c", "core/cost.c", "core/augmented.c", "core/algebraic.c")
 _PLAIN = re.compile(r"^ +(?:\} else )?if \((.*)\) \{")
 _CONSTANT = re.compile(r"[A-Z0-9_ <>=!+&|()]*[A-Z]{2}[A-Z0-9_ <>=!+&|()]*")
 _LINE = re.compile(r'#(include|if|elif|else|endif)\b\s*"?([^"]*)"?')

@@ -13,8 +13,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from nmpc_codegen import OCP, Options
-from nmpc_codegen.compiler import model_of, text_of
-from nmpc_codegen.frontend.classify import classify
+from nmpc_codegen.compiler import model_of, read, text_of
 from nmpc_codegen.ir.cmodule import CModule
 from nmpc_codegen.ir.kernel import Port
 from nmpc_codegen.lowering.lower import lower
@@ -71,7 +70,7 @@ Mismatch = tuple[str, dict[str, int], dict[str, int]]
 
 def count_mismatches(ocp: OCP, options: Options | None = None) -> list[Mismatch]:
     """Functions of the package of ``ocp`` whose stated count differs from the measured one."""
-    module = lower(model_of(classify(ocp), options or Options()))
+    module = lower(model_of(*read(ocp, options)))
     return mismatches(module, text_of(module))
 
 

@@ -4,11 +4,7 @@ from __future__ import annotations
 
 from functools import cache
 
-from nmpc_codegen import OCP
 from nmpc_codegen.compiler import model_of, read, text_of
-from nmpc_codegen.decisions.trials import Trials
-from nmpc_codegen.frontend.classify import classify
-from nmpc_codegen.frontend.completion.scales import scales
 from nmpc_codegen.ir.cmodule import CModule
 from nmpc_codegen.lowering.linearize import Model
 from nmpc_codegen.lowering.lower import lower
@@ -26,12 +22,6 @@ def model(sample: Sample) -> Model:
 def lowered(sample: Sample) -> CModule:
     """The CModule of a sample, before rendering."""
     return lower(model(sample))
-
-
-def trials_of(ocp: OCP) -> Trials:
-    """The trials of integration schemes for a problem."""
-    problem = classify(ocp)
-    return Trials(problem, scales(problem))
 
 
 def texts(sample: Sample) -> Sources:

@@ -105,8 +105,8 @@ static void algorithm_reset(solver_t *s)
     s->samples = 0;
     s->solved = 0;
     s->status = (int32_t)OK;
-    if (INNER) {
-        reset_inner(s);
+    if (AUGMENTED) {
+        reset_augmented(s);
     }
 }
 
@@ -120,8 +120,8 @@ static int take_state(solver_t *s, const real_t *xhat)
         for (int i = 0; i < NXHAT; i++) {
             s->x[0][i] = or_zero(xhat[i], i);
         }
-        if (INNER) {
-            take_inner(s, s->x[0]);
+        if (AUGMENTED) {
+            take_augmented(s, s->x[0]);
         }
         return 1;
     }
@@ -133,8 +133,8 @@ static int take_state(solver_t *s, const real_t *xhat)
     for (int i = 0; i < NXHAT; i++) {
         s->x[0][i] = is_accumulator[i] ? R(0) : or_zero(xhat[i], i);
     }
-    if (INNER) {
-        take_inner(s, s->x[0]);
+    if (AUGMENTED) {
+        take_augmented(s, s->x[0]);
     }
     return 1;
 }
@@ -223,7 +223,7 @@ status_t API(step)(solver_t *s, const real_t xhat[NXHAT], real_t u0[NU])
     if (PULLED_ROWS) {
         pull_control_back(s, u0);
     }
-    if (INNER) {
+    if (AUGMENTED) {
         keep_sample(s, u0);
     }
     if (IMPLICIT) {

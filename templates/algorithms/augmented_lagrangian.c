@@ -30,8 +30,8 @@ static void algorithm_reset(solver_t *s)
     reset_search(s);
     forget_sizes(s);
     start_at(s, initial_state);
-    if (INNER) {
-        reset_inner(s);
+    if (AUGMENTED) {
+        reset_augmented(s);
     }
     memcpy(s->xhat, s->x[0], sizeof s->xhat);
 }
@@ -81,8 +81,8 @@ status_t API(prepare)(solver_t *s)
     }
     s->prepared = 1;
     restart_doubtful_plan(s);
-    if (INNER) {
-        follow_inner(s);
+    if (AUGMENTED) {
+        follow_augmented(s);
     }
     return finish(s, prepare_at_plan(s));
 }

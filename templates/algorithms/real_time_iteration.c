@@ -31,8 +31,8 @@ static void algorithm_reset(solver_t *s)
     forget_sizes(s);
     s->stats.violated_row = s->stats.violated_node = -1;
     start_at(s, initial_state);
-    if (INNER) {
-        reset_inner(s);
+    if (AUGMENTED) {
+        reset_augmented(s);
     }
     memcpy(s->xhat, s->x[0], sizeof s->xhat);
     on_reset(s);
@@ -89,8 +89,8 @@ status_t API(prepare)(solver_t *s)
     s->newton = NEWTON;
     before_prepare(s);
     restart_doubtful_plan(s);
-    if (INNER) {
-        follow_inner(s);
+    if (AUGMENTED) {
+        follow_augmented(s);
     }
     status = prepare_plan(s);
     status = after_prepare(s, status);

@@ -87,8 +87,8 @@ static void shift_back(solver_t *s)
     }
     memcpy(s->x[0], s->xhat, sizeof s->x[0]);
     memcpy(s->u[0], s->first_control, sizeof s->u[0]);
-    if (INNER) {
-        follow_inner(s);
+    if (AUGMENTED) {
+        follow_augmented(s);
     }
 }
 

@@ -25,7 +25,7 @@ static void integrate_plan(const solver_t *s, int k, const real_t *x, real_t dt,
 }
 
 #if ESTIMATOR
-#elif INNER || HAS_INTEGRATOR_JUMP
+#elif AUGMENTED || HAS_INTEGRATOR_JUMP
 void API(integrate)(const solver_t *s, const real_t x[NXHAT], const real_t u[NU], real_t dt, real_t x_next[NXHAT])
 {
     const int steps = steps_for(dt);
@@ -34,8 +34,8 @@ void API(integrate)(const solver_t *s, const real_t x[NXHAT], const real_t u[NU]
     for (int i = 0; i < NXHAT; i++) {
         start[i] = (s->magic == MAGIC && dt >= R(0)) ? x[i] : (real_t)NAN;
     }
-    if (INNER) {
-        recall_inner(s, start);
+    if (AUGMENTED) {
+        recall_augmented(s, start);
     }
     memcpy(end, start, sizeof end);
     for (int n = 0; n < steps; n++) {

@@ -13,12 +13,12 @@ import pytest
 from nmpc_codegen import ESDIRK3, OCP, RK4, SDIRK2, SDIRK3, ExplicitRungeKutta, ImplicitRungeKutta, OptionError
 from nmpc_codegen.components.integrators.implicit.trial import Trial
 from nmpc_codegen.components.integrators.tableau import IMPLICIT, ButcherTableau, ImplicitEuler, ImplicitMidpoint
+from nmpc_codegen.decisions.trials import trials_of
 from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.oracle.trajectory import Tableau, interval_map
 from verification.implicit import Interval
 from verification.models import discrete_map
-from verification.rendered import trials_of
 
 POINT = np.array([1.0, 0.5, 0.3]), np.array([0.4, -0.3]), np.array([5.0]), 0.2
 NAMES = pytest.mark.parametrize("name", IMPLICIT)
@@ -122,7 +122,7 @@ def test_a_mode_beyond_the_numbers_is_not_stable() -> None:
     x, u = ocp.state("x", initial=1.0), ocp.control("u")
     ocp.dynamics({x: -1e120 * x + u})
     ocp.least_squares(ca.vertcat(x, u), weight=1.0)
-    assert trials_of(ocp).needed_steps(ExplicitRungeKutta())[0] is None
+    assert trials_of(classify(ocp)).needed_steps(ExplicitRungeKutta())[0] is None
 
 
 def test_schemes_belong_to_their_components() -> None:

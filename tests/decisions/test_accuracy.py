@@ -12,7 +12,8 @@ from scipy.linalg import expm
 
 from nmpc_codegen import OCP, RK4, Controller, ExplicitRungeKutta, Options, ProblemWarning, build, generate
 from nmpc_codegen.decisions.accuracy import ACCURATE
-from verification.rendered import trials_of
+from nmpc_codegen.decisions.trials import trials_of
+from nmpc_codegen.frontend.classify import classify
 
 DT = 5e-4
 
@@ -63,7 +64,7 @@ def test_the_choice_says_why() -> None:
     (choice, *_) = generate(ocp).description.report.choices
     assert "steps end" in choice
     assert "RK4 needs" in choice
-    flow = trials_of(ocp).flow
+    flow = trials_of(classify(ocp)).flow
     steps = int(generate(ocp).description.options["integrator.steps"])
     assert flow.error(RK4, steps) <= ACCURATE < flow.error(RK4, steps - 1)
 
@@ -79,7 +80,7 @@ def test_states_inside_the_bounds_count() -> None:
         ocp.subject_to(-1, u, 1)
         ocp.subject_to(-fastest, rate, fastest)
         ocp.subject_to(-3, angle, 3)
-        found[fastest] = trials_of(ocp).flow.error(RK4, 2)
+        found[fastest] = trials_of(classify(ocp)).flow.error(RK4, 2)
     assert found[60.0] > 3 * found[1.0]
 
 
@@ -91,5 +92,5 @@ def test_states_that_escape_do_not_count() -> None:
     ocp.least_squares(ca.vertcat(x, u), weight=1.0)
     ocp.subject_to(-0.1, u, 0.1)
     ocp.subject_to(0, x, 100)
-    assert np.isfinite(trials_of(ocp).flow.error(RK4, 4))
-    assert trials_of(ocp).flow.error(RK4, 4) < 0.1
+    assert np.isfinite(trials_of(classify(ocp)).flow.error(RK4, 4))
+    assert trials_of(classify(ocp)).flow.error(RK4, 4) < 0.1

@@ -31,7 +31,8 @@ from nmpc_codegen import (
 from nmpc_codegen.components.base import Condensing
 from nmpc_codegen.components.integrators import Discrete, ExplicitRungeKutta
 from nmpc_codegen.decisions.growth import Growth, growth
-from verification.rendered import trials_of
+from nmpc_codegen.decisions.trials import trials_of
+from nmpc_codegen.frontend.classify import classify
 from verification.routes import PURE
 
 STEP, LENGTH, GRAVITY = 0.05, 0.8, 9.81
@@ -77,7 +78,7 @@ def radius(largest: NDArray[np.float64]) -> float:
 @pytest.mark.parametrize("N", [1, 7, 60])
 def test_the_growth_is_that_of_the_products(N: int) -> None:
     """Products of exact matrix exponentials, one chain from every start."""
-    found = growth(trials_of(cart_pole(N)), ExplicitRungeKutta(), "single")
+    found = growth(trials_of(classify(cart_pole(N))), ExplicitRungeKutta(), "single")
     assert len(found.factors) == N
     for length in {1, N // 2, N} - {0}:
         largest = np.max([np.abs(np.linalg.matrix_power(upright(STEP), k)) for k in range(length)], axis=0)
@@ -86,7 +87,7 @@ def test_the_growth_is_that_of_the_products(N: int) -> None:
 
 def test_intervals_of_different_lengths() -> None:
     intervals = [0.2, 0.05, 0.1, 0.25, 0.15]
-    found = growth(trials_of(cart_pole(5, intervals=intervals)), ExplicitRungeKutta(), "double")
+    found = growth(trials_of(classify(cart_pole(5, intervals=intervals))), ExplicitRungeKutta(), "double")
     for length in range(1, 6):
         starts = [(j, n) for n in range(length) for j in range(5 - n + 1)]
         products = [upright(sum(intervals[j : j + n])) for j, n in starts]
@@ -99,7 +100,7 @@ def test_units_make_no_difference() -> None:
         x, y, u = ocp.state("x"), ocp.state("y"), ocp.control("u")
         ocp.dynamics({x: 1.2 * x + 0.1 / unit * y, y: 0.9 * y + 0.2 * unit * x + unit * u}, discrete=True)
         ocp.least_squares(ca.vertcat(x, y, u), weight=[1.0, 1.0, 1.0])
-        return growth(trials_of(ocp), Discrete(), "double")
+        return growth(trials_of(classify(ocp)), Discrete(), "double")
 
     assert of(1.0).factors == pytest.approx(of(1e8).factors, rel=1e-9)
 
@@ -109,7 +110,7 @@ def test_what_the_controls_do_not_reach_does_not_count() -> None:
     x, y, u = ocp.state("x"), ocp.state("y"), ocp.control("u")
     ocp.dynamics({x: 0.5 * x + y + u, y: 3 * y}, discrete=True)
     ocp.least_squares(ca.vertcat(x, u), weight=[1.0, 1.0])
-    assert growth(trials_of(ocp), Discrete(), "single").factor(40) == 1.0
+    assert growth(trials_of(classify(ocp)), Discrete(), "single").factor(40) == 1.0
 
 
 def test_integrators_in_a_row_do_not_grow() -> None:
@@ -118,7 +119,7 @@ def test_integrators_in_a_row_do_not_grow() -> None:
     u = ocp.control("u")
     ocp.dynamics({x[0]: u, **{b: a for a, b in itertools.pairwise(x)}})
     ocp.least_squares(ca.vertcat(ocp.x, u), weight=np.ones(5))
-    assert growth(trials_of(ocp), ExplicitRungeKutta(), "single").factor(100) == pytest.approx(1.0)
+    assert growth(trials_of(classify(ocp)), ExplicitRungeKutta(), "single").factor(100) == pytest.approx(1.0)
 
 
 def test_points_without_derivatives_do_not_count() -> None:
@@ -131,9 +132,9 @@ def test_points_without_derivatives_do_not_count() -> None:
         ocp.least_squares(ca.vertcat(x if residual else x**2, u), weight=[1.0, 1.0], reference=[1.0, 0.0])
         return ocp
 
-    finite = growth(trials_of(of(True)), ExplicitRungeKutta(), "single")
+    finite = growth(trials_of(classify(of(True))), ExplicitRungeKutta(), "single")
     assert finite.factor(30) > 2.0
-    assert growth(trials_of(of(False)), ExplicitRungeKutta(), "single") == Growth((), "single")
+    assert growth(trials_of(classify(of(False))), ExplicitRungeKutta(), "single") == Growth((), "single")
     with pytest.warns(ProblemWarning, match="equation of x at nodes 0..29: sqrt"):
         assert generate(of(False), Options(precision="single"))
 
@@ -143,7 +144,7 @@ def test_products_that_overflow() -> None:
     x, u = ocp.state("x"), ocp.control("u")
     ocp.dynamics({x: 1e60 * x + u}, discrete=True)
     ocp.least_squares(ca.vertcat(x, u), weight=[1.0, 1.0])
-    assert growth(trials_of(ocp), Discrete(), "double").error(50) == 1.0
+    assert growth(trials_of(classify(ocp)), Discrete(), "double").error(50) == 1.0
     assert "condensing: none" in "".join(choices(ocp, Options()))
 
 

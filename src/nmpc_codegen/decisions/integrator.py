@@ -16,9 +16,7 @@ from nmpc_codegen.components.integrators.implicit_runge_kutta import NEWTON_STEP
 from nmpc_codegen.decisions.accuracy import ACCURATE, MOST_ACCURATE
 from nmpc_codegen.decisions.choices import Decision
 from nmpc_codegen.decisions.stability import MOST_EXPLICIT, MOST_STEPS, Modes
-from nmpc_codegen.decisions.trials import NEAR, Trials
-from nmpc_codegen.frontend.completion.complete import CompleteProblem
-from nmpc_codegen.frontend.completion.scales import scales
+from nmpc_codegen.decisions.trials import NEAR, Trials, trials_of
 from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.options import Goal, Options
 from nmpc_codegen.package.signals import list_some
@@ -33,8 +31,7 @@ Chosen = tuple[Integrator, tuple[str, ...]]
 def integrator_of(problem: Problem, options: Options) -> Integrator:
     """The integrator that a package of this problem has, for what integrates without one; a terminal cost that is still
     to be computed does not count."""
-    sizes = problem.scales if isinstance(problem, CompleteProblem) else scales(problem)
-    return choose_integrator(Trials(problem, sizes), options.integrator, options.goal).value
+    return choose_integrator(trials_of(problem), options.integrator, options.goal).value
 
 
 def choose_integrator(trials: Trials, given: Integrator | None, goal: Goal) -> Decision[Integrator]:

@@ -17,7 +17,8 @@ from nmpc_codegen.components.integrators.implicit.trial import Trial
 from nmpc_codegen.components.integrators.implicit_runge_kutta import NEWTON_LIMIT
 from nmpc_codegen.decisions.accuracy import ACCURATE, LOST, Flow, starts
 from nmpc_codegen.decisions.stability import MOST_EXPLICIT, Modes, modes_at_ends, stated_modes, steps_for
-from nmpc_codegen.frontend.completion.scales import Scales
+from nmpc_codegen.frontend.completion.complete import CompleteProblem
+from nmpc_codegen.frontend.completion.scales import Scales, scales
 from nmpc_codegen.frontend.problem import Array, Problem
 from nmpc_codegen.ir.model import Interval
 
@@ -133,3 +134,8 @@ class Trials:
         """The points of the first plan, at most MOST_STARTS of them, evenly."""
         found = list(starts(self.problem))
         return found[:: -(-len(found) // MOST_STARTS)]
+
+
+def trials_of(problem: Problem) -> Trials:
+    """The trials of a problem, which need not be complete."""
+    return Trials(problem, problem.scales if isinstance(problem, CompleteProblem) else scales(problem))

@@ -85,7 +85,7 @@ def _of_problem(model: Model) -> Features:
         control_bounds=any(place >= 0 for place in control_rows(p)),
         accumulators=bool(p.accumulators),
         all_measured=not p.accumulators and not p.free_initial,
-        inner=bool(p.augmentation.count),
+        augmented=bool(p.augmentation.count),
         previous=bool(p.augmentation.previous),
         timed=p.augmentation.time,
         estimator=p.estimation is not None,

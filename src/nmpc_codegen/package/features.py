@@ -87,7 +87,7 @@ class Features:
     control_bounds: bool = False
     accumulators: bool = False
     all_measured: bool = False  # x_0 is the measured state
-    inner: bool = False  # states behind the measured ones
+    augmented: bool = False  # states behind the measured ones
     previous: bool = False  # some are controls of the node before
     timed: bool = False  # the last one is time
     estimator: bool = False  # states follow from measurements

@@ -102,8 +102,8 @@ status_t API(solve)(solver_t *s, const real_t xhat[NXHAT], real_t tol, int max_i
     if (!take_state(s, xhat)) {
         return finish(s, NOT_FINITE);
     }
-    if (INNER) {
-        follow_inner(s);
+    if (AUGMENTED) {
+        follow_augmented(s);
     }
     memset(&s->stats, 0, sizeof s->stats);
     s->auglag.radius = initial_radius[0];

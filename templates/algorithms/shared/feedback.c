@@ -36,7 +36,7 @@ status_t API(feedback)(solver_t *s, const real_t xhat[NXHAT], real_t u0[NU])
     if (PULLED_ROWS) {
         pull_control_back(s, u0);
     }
-    if (INNER) {
+    if (AUGMENTED) {
         keep_sample(s, u0);
     }
     watch(s, status, broken);

@@ -19,8 +19,8 @@ static void start_at(solver_t *s, const real_t *x)
             s->u[k][j] = safe_value(s, k, j);
         }
     }
-    if (INNER) {
-        follow_inner(s);
+    if (AUGMENTED) {
+        follow_augmented(s);
     }
     forget_multipliers(s);
     if (HAS_QP) {

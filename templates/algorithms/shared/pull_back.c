@@ -64,8 +64,8 @@ static void pull_control_back(solver_t *s, real_t *u0)
     memcpy(kept, s->u[0], sizeof kept);
     memcpy(start, s->x[0], sizeof start);
     memcpy(s->u[0], u0, sizeof s->u[0]);
-    if (INNER) {
-        take_inner(s, s->x[0]);
+    if (AUGMENTED) {
+        take_augmented(s, s->x[0]);
     }
     pull_back(s);
     memcpy(u0, s->u[0], sizeof s->u[0]);

@@ -188,8 +188,8 @@ static void follow_controls(solver_t *s)
 {
     const saddle_t *q = &s->saddle;
     real_t x[NX], u[NU], before[NX], now[NX];
-    if (INNER) {
-        follow_inner(s);
+    if (AUGMENTED) {
+        follow_augmented(s);
     }
     for (int k = 0; k < N; k++) {
         memcpy(x, s->x[k], sizeof x);
@@ -209,8 +209,8 @@ static void follow_controls(solver_t *s)
 /* The states to which the controls lead from x_0. */
 static void follow_controls(solver_t *s)
 {
-    if (INNER) {
-        follow_inner(s);
+    if (AUGMENTED) {
+        follow_augmented(s);
     }
     for (int k = 0; k < N; k++) {
         interval_value(s, k, s->x[k + 1]);

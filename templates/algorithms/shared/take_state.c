@@ -8,8 +8,8 @@ static int take_state(solver_t *s, const real_t *xhat)
     for (int i = 0; i < NXHAT; i++) {
         s->xhat[i] = or_zero(xhat[i], i);
     }
-    if (INNER) {
-        take_inner(s, s->xhat);
+    if (AUGMENTED) {
+        take_augmented(s, s->xhat);
     }
     return 1;
 }
@@ -26,8 +26,8 @@ static int take_state(solver_t *s, const real_t *xhat)
     for (int i = 0; i < NXHAT; i++) {
         s->xhat[i] = is_measured[i] ? or_zero(xhat[i], i) : (is_accumulator[i] ? R(0) : s->x[0][i]);
     }
-    if (INNER) {
-        take_inner(s, s->xhat);
+    if (AUGMENTED) {
+        take_augmented(s, s->xhat);
     }
     return 1;
 }

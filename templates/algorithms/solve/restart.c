@@ -123,8 +123,8 @@ static int take_over(solver_t *s, const real_t xhat[NXHAT])
         s->x[0][free_state[f]] = isfinite(guess) ? guess : s->x[0][free_state[f]];
     }
     clip_controls(s);
-    if (INNER) {
-        follow_inner(s);
+    if (AUGMENTED) {
+        follow_augmented(s);
     }
     forget_violation(s);
     s->samples += (s->samples < MANY);

@@ -42,8 +42,8 @@ static int depart(solver_t *s, real_t part)
             s->u[k][j] = safe_value(s, k, j);
         }
     }
-    if (INNER) {
-        follow_inner(s);
+    if (AUGMENTED) {
+        follow_augmented(s);
     }
     q->departed = DEPARTURE;
     s->sqp.entries = 0;

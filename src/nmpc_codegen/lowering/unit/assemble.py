@@ -107,7 +107,7 @@ def _of_parts(module: CModule) -> Iterator[Item]:
     for title in module.stage_parts:
         yield section(title)
         yield from part(INTERVALS)
-    for path in ("core/rows.c", "core/cost.c", "core/inner.c"):
+    for path in ("core/rows.c", "core/cost.c", "core/augmented.c"):
         yield from part(path)
     if module.features.products:
         yield section("stage products")
@@ -146,7 +146,7 @@ def _copies(layout: Layout, path_only: bool) -> str:
 
 def _with_states(item: Item, module: CModule) -> Item:
     """NXHAT becomes NX if the user's states are all states."""
-    if module.features.inner or "NXHAT" not in item.words:
+    if module.features.augmented or "NXHAT" not in item.words:
         return item
     return replace(item, text=rename(item.text, {"NXHAT": "NX"}))
 

@@ -1,6 +1,6 @@
 /* States behind the measured ones, from NXHAT on, which a node has from the one before it and from the grid: the struct
  * names them. Their maps are exact, so that a plan has no gaps in them. Sets them in x_0. */
-static void take_inner(const solver_t *s, real_t *x)
+static void take_augmented(const solver_t *s, real_t *x)
 {
     if (TIMED) {
         x[NXHAT] = s->time;
@@ -11,7 +11,7 @@ static void take_inner(const solver_t *s, real_t *x)
 }
 
 /* Sets the states behind the measured ones to what they were in x_0 of the last sample. */
-static inline void recall_inner(const solver_t *s, real_t *x)
+static inline void recall_augmented(const solver_t *s, real_t *x)
 {
 #if NODES
     const real_t *known = s->xhat;
@@ -24,9 +24,9 @@ static inline void recall_inner(const solver_t *s, real_t *x)
 }
 
 /* Sets the states behind the measured ones at all nodes of the plan. */
-static void follow_inner(solver_t *s)
+static void follow_augmented(solver_t *s)
 {
-    take_inner(s, s->x[0]);
+    take_augmented(s, s->x[0]);
     for (int k = 1; k < N; k++) {
         for (int i = 0; i < NHELD; i++) {
             if (!block_start[k * NHELD + i]) { /* a control that begins no block has the value of the node before */
@@ -45,7 +45,7 @@ static void follow_inner(solver_t *s)
 }
 
 /* The first sample is at time 0, after the first control of the plan. */
-static void reset_inner(solver_t *s)
+static void reset_augmented(solver_t *s)
 {
     if (PREVIOUS) {
         memcpy(s->previous, s->u[0], sizeof s->previous);
@@ -58,7 +58,7 @@ static void reset_inner(solver_t *s)
             s->p[k][NP - NDATA + i] = node_data[k * NDATA + i];
         }
     }
-    follow_inner(s);
+    follow_augmented(s);
 }
 
 /* What a sample leaves to the next one: its control, and time, whose rounding errors are carried along. */
