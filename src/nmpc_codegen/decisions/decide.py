@@ -11,7 +11,7 @@ from nmpc_codegen.decisions.integrator import choose_integrator
 from nmpc_codegen.decisions.made import is_constant, make
 from nmpc_codegen.decisions.qp import choose_qp
 from nmpc_codegen.decisions.second_order import choose_exact, choose_hessian
-from nmpc_codegen.decisions.trials import trials_of
+from nmpc_codegen.decisions.trials import Trials
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.frontend.completion.complete import CompleteProblem
 from nmpc_codegen.options import REGISTRIES, Online, Options
@@ -24,7 +24,7 @@ def decide(problem: CompleteProblem, options: Options) -> Choices:
     Raises:
         OptionError: a component does not support the problem, or options clash.
     """
-    trials, online = trials_of(problem), _decide_online(problem, options.online)
+    trials, online = Trials(problem, problem.scales), _decide_online(problem, options.online)
     hessian, target = choose_hessian(problem, options), _decide_target(options)
     small = options.goal == "size" and not options.solves  # nothing in the package iterates
     algorithm = Decision(*options.algorithm.decide(problem, small))
