@@ -87,7 +87,8 @@ def test_is_a_frozen_dataclass_with_defaults(cls: type) -> None:
 @every_component
 def test_has_every_member_of_the_protocol(cls: type) -> None:
     """Class variables have their type, and methods have the parameters that lower.py passes."""
-    for name in ("seam", "name", "template"):
+    assert cls.seam in SEAMS  # type: ignore[attr-defined]
+    for name in ("name", "template"):
         assert isinstance(getattr(cls, name), str)
         assert name in vars(cls), f"{name} is a class variable of the component itself"
     assert isinstance(cls.needs, tuple)  # type: ignore[attr-defined]

@@ -26,7 +26,7 @@ from nmpc_codegen import (
     generate,
     open_package,
 )
-from nmpc_codegen.components.base import Algorithm, Core, Defaults, Dims, Seam
+from nmpc_codegen.components.base import Algorithm, Core, Dims, Seam
 from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.options import REGISTRIES
@@ -38,10 +38,9 @@ PART = Path(__file__).parents[1] / "data" / "algorithms" / "projected_gradient.c
 
 
 @dataclass(frozen=True)
-class ProjectedGradient(Defaults):
+class ProjectedGradient(Algorithm):
     """Single shooting by projected gradients: no multipliers, no QP, no second derivatives."""
 
-    seam: ClassVar[Seam] = "algorithm"
     name: ClassVar[str] = "projected_gradient"
     template: ClassVar[str] = str(PART)
     needs: ClassVar[tuple[Seam, ...]] = ("integrator",)
@@ -49,9 +48,6 @@ class ProjectedGradient(Defaults):
     supports: ClassVar[frozenset[str]] = frozenset({"general cost"})
     shift: ClassVar[None] = None
     sampling_time: ClassVar[float | None] = None
-
-    def default(self, seam: Seam) -> str | None:
-        return None
 
     def entries(self, solve: bool) -> tuple[EntryPoint, ...]:
         xhat, u0 = Argument("xhat", "real", ("NX",)), Argument("u0", "real", ("NU",))

@@ -181,69 +181,71 @@ class Extra:
 
 
 class Component(Protocol):
-    """The interface of every component, whatever its seam; `Defaults` implements it with empty results."""
+    """The interface of every component, whatever its seam; one that states nothing adds its part alone."""
 
     seam: ClassVar[Seam]
     name: ClassVar[str]  # its word on the command line
     template: ClassVar[str]  # path of its part below templates/
-    needs: ClassVar[tuple[Seam, ...]]  # other seams that a package with it must have
+    needs: ClassVar[tuple[Seam, ...]] = ()  # other seams that a package with it must have
     supports: ClassVar[frozenset[str]]  # uses of a problem that it supports
 
     def check(self, problem: Problem) -> None:
         """Raise OptionError if its options clash with the problem."""
-        ...
+        return
 
     def adds(self, features: Features) -> Features:
         """The features of a package with it; ``features``: those of the problem and of components before it."""
-        ...
+        return features
 
     def extras(self, features: Features) -> tuple[Extra, ...]:
         """What runs at the hooks of the algorithm for it in a package with these features, in this order."""
-        ...
+        return ()
 
     @property
     def places(self) -> Mapping[str, str]:
         """Further inputs and outputs of its kernels -> where a node keeps them, as in {"K": "(s)->stages.K[k]"}."""
-        ...
+        return {}
 
     def notes(self, problem: Problem) -> tuple[str, ...]:
         """What the user of a package with it should know; part of the report."""
-        ...
+        return ()
 
     def tables(self, problem: CompleteProblem) -> tuple[Table, ...]:
         """Constant tables that its template reads."""
-        ...
+        return ()
 
     def sizes(self, dims: Dims) -> tuple[tuple[str, int, str], ...]:
         """Further compile-time sizes: (macro without prefix, value, meaning)."""
-        ...
+        return ()
 
     def absent_sizes(self, dims: Dims) -> tuple[tuple[str, int, str], ...]:
         """Sizes that its parts name and this package does not need."""
-        ...
+        return ()
 
     def structs(self, dims: Dims) -> tuple[Struct, ...]:
         """The structs that it owns inside the solver struct."""
-        ...
+        return ()
 
     def ranges(self, dims: Dims) -> Mapping[str, tuple[int, int]]:
         """Integer members of its structs that limit loops -> least and largest value, for the worst case."""
-        ...
+        return {}
 
     def cost(self, dims: Dims, model: ModelFunctions) -> Counts:
         """Exact operation counts of those of its C functions whose count does not depend on data.
 
         ``model`` provides the functions that they call: the lifted functions and the stage products.
         """
-        ...
+        return {}
 
     def foreign_sources(self, prefix: str, precision: Precision, dims: Dims) -> Mapping[str, str]:
         """Code of another generator: path (in a folder that is named after the component) -> text."""
-        ...
+        return {}
 
 
 class Integrator(Component, Protocol):
     """Computes the state at the next node and its derivatives."""
+
+    seam: ClassVar[Seam] = "integrator"
 
     @property
     def small(self) -> Self:
@@ -289,6 +291,8 @@ class Integrator(Component, Protocol):
 class Hessian(Component, Protocol):
     """Provides the Hessian block of every node."""
 
+    seam: ClassVar[Seam] = "hessian"
+
     def blocks(self, problem: Problem, costs: StageCosts, integrator: Integrator) -> HessianModel:
         """The blocks of all stages; the integrator provides the second derivatives of the dynamics."""
         ...
@@ -325,6 +329,8 @@ class StageMatrices(Protocol):
 class Condensing(Component, Protocol):
     """Converts the stage QP to a QP of the form ``gives``."""
 
+    seam: ClassVar[Seam] = "condensing"
+
     gives: ClassVar[str]  # "condensed" or "stages"
     columns: ClassVar[bool]  # it uses the products with panels of columns
     eliminates: ClassVar[bool]  # it eliminates states, and so uses the products with a vector
@@ -340,7 +346,7 @@ class Condensing(Component, Protocol):
 
     def cost(self, dims: Dims, model: StageMatrices) -> Counts:
         """See Component; the functions that it calls are products."""
-        ...
+        return {}
 
     def adapt(self, problem: Problem) -> Condensing:
         """The component to use for this problem: itself, unless the problem needs an equivalent one."""
@@ -350,16 +356,18 @@ class Condensing(Component, Protocol):
 class QpSolver(Component, Protocol):
     """Solves a QP of the form ``takes``."""
 
+    seam: ClassVar[Seam] = "qp"
+
     takes: ClassVar[str]  # "condensed" or "stages"
     chosen_for: ClassVar[tuple[str, ...]]  # goals for which qp=None may choose it
 
     def cost(self, dims: Dims, model: StageMatrices) -> Counts:
         """See Component; the functions that it calls are products."""
-        ...
+        return {}
 
     def search(self, dims: Dims) -> OpCount:
         """Estimate of the further operations of a sample whose working set is far from the predicted one."""
-        ...
+        return OpCount()
 
 
 class Algorithm(Component, Protocol):
@@ -368,8 +376,11 @@ class Algorithm(Component, Protocol):
     ``needs`` lists the seams that its packages have; a component of any other seam is refused.
     """
 
+    seam: ClassVar[Seam] = "algorithm"
     core: ClassVar[frozenset[Core]]  # parts of the core that it uses besides plan, data and stage costs
-    default_hessian: ClassVar[str | None]  # its name, unless the problem needs another; the compiler chooses the rest
+    default_hessian: ClassVar[str | None] = (
+        None  # its name, unless the problem needs another; the compiler chooses the rest
+    )
 
     @property
     def shift(self) -> str | None:
@@ -384,26 +395,26 @@ class Algorithm(Component, Protocol):
     @property
     def pulls_back(self) -> bool:
         """True if it needs the adjoint of an interval besides its core."""
-        ...
+        return False
 
     @property
     def simulates(self) -> bool:
         """True if the states of its plans are those of a simulation from x_0."""
-        ...
+        return False
 
-    def decide(self, problem: Problem, small: bool) -> tuple[Algorithm, tuple[str, ...]]:
+    def decide(self, problem: Problem, small: bool) -> tuple[Self, tuple[str, ...]]:
         """The algorithm with every option chosen that it leaves open for the problem, and the reasons; ``repairs``: the
         package may iterate on a plan before a sample."""
-        ...
+        return self, ()
 
     @property
     def convex(self) -> bool:
         """True if an exact Hessian that may be indefinite has to be made convex for it."""
-        ...
+        return True
 
     def check_parts(self, parts: Parts) -> None:
         """Raise OptionError if it does not work with one of the other components."""
-        ...
+        return
 
     def entries(self, features: Features) -> tuple[EntryPoint, ...]:
         """The C functions that a sample calls; with ``solve`` also the one that iterates to convergence."""
@@ -411,7 +422,7 @@ class Algorithm(Component, Protocol):
 
     def reach(self, problem: Problem) -> float:
         """Longest time (s) over which the plan is integrated from one of its nodes, besides the intervals; 0: none."""
-        ...
+        return 0.0
 
 
 @dataclass(frozen=True)
@@ -429,73 +440,6 @@ class Parts:
         """All components that are present, in the order of their sections."""
         found = (self.integrator, self.hessian, self.condensing, self.qp, self.algorithm)
         return tuple(component for component in found if component is not None)
-
-
-class Defaults:
-    """A component that adds nothing to a package besides its part."""
-
-    default_hessian: ClassVar[str | None] = None
-
-    def check(self, problem: Problem) -> None:
-        return None
-
-    def adds(self, features: Features) -> Features:
-        return features
-
-    def extras(self, features: Features) -> tuple[Extra, ...]:
-        return ()
-
-    @property
-    def places(self) -> Mapping[str, str]:
-        return {}
-
-    def notes(self, problem: Problem) -> tuple[str, ...]:
-        return ()
-
-    def tables(self, problem: CompleteProblem) -> tuple[Table, ...]:
-        return ()
-
-    def sizes(self, dims: Dims) -> tuple[tuple[str, int, str], ...]:
-        return ()
-
-    def absent_sizes(self, dims: Dims) -> tuple[tuple[str, int, str], ...]:
-        return ()
-
-    def structs(self, dims: Dims) -> tuple[Struct, ...]:
-        return ()
-
-    def ranges(self, dims: Dims) -> Mapping[str, tuple[int, int]]:
-        return {}
-
-    def reach(self, problem: Problem) -> float:
-        return 0.0
-
-    def check_parts(self, parts: Parts) -> None:
-        return None
-
-    def decide(self, problem: Problem, small: bool) -> tuple[Self, tuple[str, ...]]:
-        return self, ()
-
-    @property
-    def pulls_back(self) -> bool:
-        return False
-
-    @property
-    def simulates(self) -> bool:
-        return False
-
-    @property
-    def convex(self) -> bool:
-        return True
-
-    def cost(self, dims: Dims, model: Any) -> Counts:
-        return {}
-
-    def search(self, dims: Dims) -> OpCount:
-        return OpCount()
-
-    def foreign_sources(self, prefix: str, precision: Precision, dims: Dims) -> Mapping[str, str]:
-        return {}
 
 
 def spell(component: Component | type[Component]) -> str:

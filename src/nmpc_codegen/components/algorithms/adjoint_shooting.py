@@ -36,7 +36,7 @@ from nmpc_codegen.components.algorithms.shifts import (
     with_shift,
 )
 from nmpc_codegen.components.allowed import Number, Whole, Words, check_options, option
-from nmpc_codegen.components.base import EVERY_USE, MEASUREMENTS, NONLINEAR, Core, Defaults, Dims, Extra, Seam
+from nmpc_codegen.components.base import EVERY_USE, MEASUREMENTS, NONLINEAR, Algorithm, Core, Dims, Extra, Seam
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.cmodule import Table
@@ -85,7 +85,7 @@ STEP = EntryPoint(
 
 
 @dataclass(frozen=True)
-class AdjointShooting(Defaults):
+class AdjointShooting(Algorithm):
     """Single shooting with adjoints: a fixed number of steps per sample, each with a bounded number of simulations.
 
     With rows="smooth_l1", "barrier" and "lumped" a continuation over the samples makes the terms sharper while steps
@@ -130,7 +130,6 @@ class AdjointShooting(Defaults):
     shift: str | None = option("auto", Words(("auto", *SHIFTS)))
     sampling_time: float | None = option(None, Number(optional=True, unit="s"))
 
-    seam: ClassVar[Seam] = "algorithm"
     name: ClassVar[str] = "adjoint_shooting"
     template: ClassVar[str] = "algorithms/adjoint_shooting.c"
     needs: ClassVar[tuple[Seam, ...]] = ("integrator",)

@@ -44,7 +44,7 @@ from nmpc_codegen.components.algorithms.shifts import (
     with_shift,
 )
 from nmpc_codegen.components.allowed import Number, Whole, Words, check_options, option
-from nmpc_codegen.components.base import EVERY_USE, MEASUREMENTS, Core, Defaults, Dims, Extra, Parts, Seam
+from nmpc_codegen.components.base import EVERY_USE, MEASUREMENTS, Algorithm, Core, Dims, Extra, Parts, Seam
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.cmodule import Table
@@ -70,7 +70,7 @@ PROXIMAL = 0.3
 
 
 @dataclass(frozen=True)
-class AugmentedLagrangian(Defaults):
+class AugmentedLagrangian(Algorithm):
     """Newton iterations on the augmented Lagrangian, without a QP.
 
     Variables are divided by their declared initial value or bounds, rows by their declared magnitude. OK is said of a
@@ -103,7 +103,6 @@ class AugmentedLagrangian(Defaults):
     shift: str | None = option("auto", Words(("auto", *SHIFTS)))
     sampling_time: float | None = option(None, Number(optional=True, unit="s"))
 
-    seam: ClassVar[Seam] = "algorithm"
     name: ClassVar[str] = "augmented_lagrangian"
     template: ClassVar[str] = "algorithms/augmented_lagrangian.c"
     needs: ClassVar[tuple[Seam, ...]] = ("integrator", "hessian")

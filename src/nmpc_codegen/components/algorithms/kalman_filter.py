@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import nmpc_codegen.components.algorithms.estimation as measuring
-from nmpc_codegen.components.base import MEASUREMENTS, Core, Defaults, Dims, Seam
+from nmpc_codegen.components.base import MEASUREMENTS, Algorithm, Core, Dims, Seam
 from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.cmodule import Table
 from nmpc_codegen.package.features import Features
@@ -26,10 +26,9 @@ from nmpc_codegen.package.signals import EntryPoint
 
 
 @dataclass(frozen=True)
-class KalmanFilter(Defaults):
+class KalmanFilter(Algorithm):
     """The extended Kalman filter, the algorithm of ``ocp.estimator(..., kind="ekf")``; it has no options."""
 
-    seam: ClassVar[Seam] = "algorithm"
     name: ClassVar[str] = "kalman_filter"
     template: ClassVar[str] = "algorithms/kalman_filter.c"
     needs: ClassVar[tuple[Seam, ...]] = ("integrator",)

@@ -21,7 +21,7 @@ from nmpc_codegen.components.algorithms.real_time_iteration import RealTimeItera
 from nmpc_codegen.components.algorithms.scales import tolerance_table
 from nmpc_codegen.components.algorithms.shifts import initial_tables
 from nmpc_codegen.components.allowed import Number, Whole, check_options, option
-from nmpc_codegen.components.base import MEASUREMENTS, Core, Counts, Defaults, Dims, Parts, Seam
+from nmpc_codegen.components.base import MEASUREMENTS, Algorithm, Core, Counts, Dims, Parts, Seam
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.cmodule import Table
@@ -45,7 +45,7 @@ def _shared_structs(dims: Dims) -> tuple[Struct, ...]:
 
 
 @dataclass(frozen=True)
-class MovingHorizon(Defaults):
+class MovingHorizon(Algorithm):
     """The algorithm of ``ocp.estimator(..., kind="mhe")``.
 
     Args:
@@ -58,7 +58,6 @@ class MovingHorizon(Defaults):
     iterations: int = option(3, Whole(most=100))
     tolerance: float = option(0.1, Number())
 
-    seam: ClassVar[Seam] = "algorithm"
     name: ClassVar[str] = "moving_horizon"
     template: ClassVar[str] = "algorithms/moving_horizon.c"
     needs: ClassVar[tuple[Seam, ...]] = ("integrator", "hessian", "condensing", "qp")

@@ -30,9 +30,9 @@ from nmpc_codegen.components.allowed import Flag, Number, Whole, Words, check_op
 from nmpc_codegen.components.base import (
     EVERY_USE,
     MEASUREMENTS,
+    Algorithm,
     Core,
     Counts,
-    Defaults,
     Dims,
     Extra,
     Parts,
@@ -143,7 +143,7 @@ def state_size(dims: Dims) -> Field:
 
 
 @dataclass(frozen=True)
-class RealTimeIteration(Defaults):
+class RealTimeIteration(Algorithm):
     """One QP per sample with a full step, and more until the plan is near a solution.
 
     Args:
@@ -191,7 +191,6 @@ class RealTimeIteration(Defaults):
     simulate: bool = option(False, Flag())
     levels: bool = option(False, Flag())
 
-    seam: ClassVar[Seam] = "algorithm"
     name: ClassVar[str] = "real_time_iteration"
     template: ClassVar[str] = "algorithms/real_time_iteration.c"
     needs: ClassVar[tuple[Seam, ...]] = ("integrator", "hessian", "condensing", "qp")

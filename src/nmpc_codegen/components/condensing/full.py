@@ -11,7 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-from nmpc_codegen.components.base import EVERY_USE, Counts, Defaults, Dims, QpShape, Seam, StageMatrices
+from nmpc_codegen.components.base import EVERY_USE, Condensing, Counts, Dims, QpShape, Seam, StageMatrices
 from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.cmodule import Table
 from nmpc_codegen.ir.tuning import COLUMNS
@@ -43,10 +43,9 @@ def _columns(dims: Dims) -> int:
 
 
 @dataclass(frozen=True)
-class FullCondensing(Defaults):
+class FullCondensing(Condensing):
     """Eliminate all states but the first; the QP has N nu variables and the free components of x_0."""
 
-    seam: ClassVar[Seam] = "condensing"
     name: ClassVar[str] = "full"
     template: ClassVar[str] = "condensing/full.c"
     needs: ClassVar[tuple[Seam, ...]] = ("hessian", "qp")

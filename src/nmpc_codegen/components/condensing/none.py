@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-from nmpc_codegen.components.base import EVERY_USE, Counts, Defaults, Dims, QpShape, Seam, StageMatrices
+from nmpc_codegen.components.base import EVERY_USE, Condensing, Counts, Dims, QpShape, Seam, StageMatrices
 from nmpc_codegen.components.condensing.partial import PartialCondensing
 from nmpc_codegen.components.condensing.stages import copied_states, embed_cost, stage_tables
 from nmpc_codegen.frontend.problem import Problem
@@ -13,10 +13,9 @@ from nmpc_codegen.ir.cmodule import Table
 
 
 @dataclass(frozen=True)
-class NoCondensing(Defaults):
+class NoCondensing(Condensing):
     """Every shooting interval is a stage of the QP; nothing is eliminated, memory and time are linear in N."""
 
-    seam: ClassVar[Seam] = "condensing"
     name: ClassVar[str] = "none"
     template: ClassVar[str] = "condensing/none.c"
     needs: ClassVar[tuple[Seam, ...]] = ("hessian", "qp")

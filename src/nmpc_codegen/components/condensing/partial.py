@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from typing import ClassVar
 
 from nmpc_codegen.components.allowed import Whole, check_options, option
-from nmpc_codegen.components.base import EVERY_USE, Counts, Defaults, Dims, QpShape, Seam, StageMatrices
+from nmpc_codegen.components.base import EVERY_USE, Condensing, Counts, Dims, QpShape, Seam, StageMatrices
 from nmpc_codegen.components.condensing.stages import copied_states, embed_cost, stage_tables
 from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.cmodule import Table
@@ -19,7 +19,7 @@ from nmpc_codegen.package.opcount import OpCount
 
 
 @dataclass(frozen=True)
-class PartialCondensing(Defaults):
+class PartialCondensing(Condensing):
     """Eliminate all states but every block-th: ceil(N / block) stages with block nu controls each.
 
     Args:
@@ -29,7 +29,6 @@ class PartialCondensing(Defaults):
 
     block: int = option(2, Whole())
 
-    seam: ClassVar[Seam] = "condensing"
     name: ClassVar[str] = "partial"
     template: ClassVar[str] = "condensing/partial.c"
     needs: ClassVar[tuple[Seam, ...]] = ("hessian", "qp")

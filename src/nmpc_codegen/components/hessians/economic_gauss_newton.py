@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from nmpc_codegen.components.allowed import Matrix, Point, check_options, option
-from nmpc_codegen.components.base import Counts, Defaults, Dims, Integrator, Seam
+from nmpc_codegen.components.base import Counts, Dims, Hessian, Integrator
 from nmpc_codegen.components.hessians.given_matrices import refuse_indefinite, refuse_shape
 from nmpc_codegen.components.hessians.steady_rows import limits, terminal_state_is_fixed, tied_parameters
 from nmpc_codegen.components.stage_cost import StageCost, StageCosts
@@ -33,7 +33,7 @@ from nmpc_codegen.package.memory import Field, Struct
 
 
 @dataclass(frozen=True)
-class EconomicGaussNewton(Defaults):
+class EconomicGaussNewton(Hessian):
     """Constant Hessian M of every stage and M_f of the terminal node, for any cost.
 
     Args:
@@ -54,10 +54,8 @@ class EconomicGaussNewton(Defaults):
     M_f: ArrayLike | None = option(None, Matrix())
     steady_state: tuple[ArrayLike, ArrayLike] | None = option(None, Point())
 
-    seam: ClassVar[Seam] = "hessian"
     name: ClassVar[str] = "economic_gauss_newton"
     template: ClassVar[str] = "hessians/economic_gauss_newton.c"
-    needs: ClassVar[tuple[Seam, ...]] = ()
     supports: ClassVar[frozenset[str]] = frozenset(
         {"soft rows", "coupled rows", "free initial state", "general cost", "integrated cost", "accumulators"}
     )

@@ -15,7 +15,7 @@ from typing import ClassVar
 import casadi as ca
 
 from nmpc_codegen.components.allowed import Named, Number, check_options, option
-from nmpc_codegen.components.base import EVERY_USE, Counts, Defaults, Dims, Integrator, Regularization, Seam
+from nmpc_codegen.components.base import EVERY_USE, Counts, Dims, Hessian, Integrator, Regularization, Seam
 from nmpc_codegen.components.hessians.regularization import Mirror, Project
 from nmpc_codegen.components.stage_cost import StageCost, StageCosts, slices
 from nmpc_codegen.frontend.problem import Problem
@@ -64,7 +64,7 @@ _SWEEPS: dict[str, Symmetric | ForwardOverAdjoint] = {cls.scheme: cls() for cls 
 
 
 @dataclass(frozen=True)
-class ExactHessian(Defaults):
+class ExactHessian(Hessian):
     """Exact second derivatives of the Lagrangian, for any cost.
 
     Args:
@@ -81,7 +81,6 @@ class ExactHessian(Defaults):
     sweep: Symmetric | ForwardOverAdjoint = option(Symmetric(), Named(_SWEEPS, (Symmetric, ForwardOverAdjoint)))
     levenberg_marquardt: float = option(0.0, Number(closed=True))
 
-    seam: ClassVar[Seam] = "hessian"
     name: ClassVar[str] = "exact"
     template: ClassVar[str] = "hessians/exact.c"
     needs: ClassVar[tuple[Seam, ...]] = ("integrator",)

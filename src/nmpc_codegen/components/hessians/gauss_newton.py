@@ -13,7 +13,7 @@ from typing import ClassVar
 import casadi as ca
 
 from nmpc_codegen.components.allowed import Flag, Number, check_options, option
-from nmpc_codegen.components.base import EVERY_USE, Counts, Defaults, Dims, Integrator, Seam
+from nmpc_codegen.components.base import EVERY_USE, Counts, Dims, Hessian, Integrator
 from nmpc_codegen.components.hessians.exact import MAX_SWEEPS
 from nmpc_codegen.components.stage_cost import StageCost, StageCosts
 from nmpc_codegen.frontend.problem import Problem
@@ -25,7 +25,7 @@ from nmpc_codegen.package.memory import Field, Struct
 
 
 @dataclass(frozen=True)
-class GaussNewton(Defaults):
+class GaussNewton(Hessian):
     """Gauss-Newton Hessian of a cost of least squares: H = sum_k J_k' W_k J_k, J_k the Jacobian of the residual.
 
     If it is given, and not chosen by the compiler, solve() has it, too.
@@ -39,10 +39,8 @@ class GaussNewton(Defaults):
     convex_rows: bool = option(True, Flag())
     levenberg_marquardt: float = option(0.0, Number(closed=True))
 
-    seam: ClassVar[Seam] = "hessian"
     name: ClassVar[str] = "gauss_newton"
     template: ClassVar[str] = "hessians/gauss_newton.c"
-    needs: ClassVar[tuple[Seam, ...]] = ()
     supports: ClassVar[frozenset[str]] = EVERY_USE - {"general cost", "integrated cost"}
 
     def __post_init__(self) -> None:

@@ -7,7 +7,7 @@ from typing import ClassVar
 
 import casadi as ca
 
-from nmpc_codegen.components.base import EVERY_USE, NONLINEAR, Defaults, Dims, Seam
+from nmpc_codegen.components.base import EVERY_USE, NONLINEAR, Dims, Integrator
 from nmpc_codegen.components.integrators.explicit.directional import ADJOINT, ADJOINT_DOC, FORWARD, FORWARD_DOC
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.frontend.problem import Problem
@@ -18,13 +18,11 @@ from nmpc_codegen.ir.sweep import Call, Routine
 
 
 @dataclass(frozen=True)
-class Discrete(Defaults):
+class Discrete(Integrator):
     """For dynamics that are already a map from node to node; it has no options."""
 
-    seam: ClassVar[Seam] = "integrator"
     name: ClassVar[str] = "discrete"
     template: ClassVar[str] = "integrators/discrete.c"
-    needs: ClassVar[tuple[Seam, ...]] = ()
     supports: ClassVar[frozenset[str]] = EVERY_USE - {"integrated cost", "discrete states", NONLINEAR}
 
     def check(self, problem: Problem) -> None:

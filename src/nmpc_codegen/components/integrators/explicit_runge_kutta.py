@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from typing import ClassVar, Literal, get_args
 
 from nmpc_codegen.components.allowed import Named, Whole, Words, check_options, option
-from nmpc_codegen.components.base import EVERY_USE, NONLINEAR, Defaults, Dims, Seam
+from nmpc_codegen.components.base import EVERY_USE, NONLINEAR, Dims, Integrator
 from nmpc_codegen.components.integrators.explicit.directional import Directional
 from nmpc_codegen.components.integrators.explicit.first_order import Sensitivities, step_sweep
 from nmpc_codegen.components.integrators.explicit.forward_over_adjoint import AdjointSweep
@@ -57,7 +57,7 @@ SCHEMES: dict[str, type[ThreeSweeps] | type[AdjointSweep]] = {
 
 
 @dataclass(frozen=True)
-class ExplicitRungeKutta(Defaults):
+class ExplicitRungeKutta(Integrator):
     """Explicit Runge-Kutta scheme with equal steps per interval.
 
     Args:
@@ -77,10 +77,8 @@ class ExplicitRungeKutta(Defaults):
     steps: int = option(2, Whole(MAX_STEPS))
     unroll: Unroll = option("auto", Words(get_args(Unroll)))
 
-    seam: ClassVar[Seam] = "integrator"
     name: ClassVar[str] = "explicit_runge_kutta"
     template: ClassVar[str] = "integrators/explicit_runge_kutta.c"
-    needs: ClassVar[tuple[Seam, ...]] = ()
     supports: ClassVar[frozenset[str]] = EVERY_USE - {NONLINEAR}
 
     def __post_init__(self) -> None:

@@ -16,7 +16,7 @@ from typing import ClassVar
 import numpy as np
 
 from nmpc_codegen.components.allowed import Named, Whole, check_options, option
-from nmpc_codegen.components.base import EVERY_USE, Defaults, Dims, Seam
+from nmpc_codegen.components.base import EVERY_USE, Dims, Integrator
 from nmpc_codegen.components.integrators.implicit.intervals import Intervals
 from nmpc_codegen.components.integrators.implicit.stage_kernels import stage_kernels
 from nmpc_codegen.components.integrators.jump import jump_kernel, jump_rows_kernel
@@ -48,7 +48,7 @@ NEWTON_STEPS = 2
 
 
 @dataclass(frozen=True)
-class ImplicitRungeKutta(Defaults):
+class ImplicitRungeKutta(Integrator):
     """Implicit Runge-Kutta scheme with equal steps per interval, for stiff models and algebraic equations.
 
     Args:
@@ -67,10 +67,8 @@ class ImplicitRungeKutta(Defaults):
     steps: int = option(1, Whole(MAX_STEPS))
     newton: int | None = option(None, Whole(NEWTON_LIMIT - 1, optional=True))
 
-    seam: ClassVar[Seam] = "integrator"
     name: ClassVar[str] = "implicit_runge_kutta"
     template: ClassVar[str] = "integrators/implicit_runge_kutta.c"
-    needs: ClassVar[tuple[Seam, ...]] = ()
     supports: ClassVar[frozenset[str]] = EVERY_USE
 
     def __post_init__(self) -> None:

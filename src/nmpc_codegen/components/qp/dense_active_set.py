@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, ClassVar
 
 from nmpc_codegen.components.allowed import Whole, check_options, option
-from nmpc_codegen.components.base import EVERY_USE, Defaults, Seam
+from nmpc_codegen.components.base import EVERY_USE, QpSolver
 from nmpc_codegen.package.features import Features
 from nmpc_codegen.package.memory import Field, Size, Struct
 from nmpc_codegen.package.opcount import OpCount
@@ -35,7 +35,7 @@ PROXIMAL_STEPS = math.ceil(CAUTION * PROXIMAL_STEPS_NEEDED)
 
 
 @dataclass(frozen=True)
-class DenseActiveSet(Defaults):
+class DenseActiveSet(QpSolver):
     """Dual active-set solver of the condensed QP, to rounding accuracy.
 
     It starts with the working set of the QP before.
@@ -44,10 +44,8 @@ class DenseActiveSet(Defaults):
         max_iterations: changes of the working set in one feedback phase at most; None: 6.8 (NV + NG), at least 50.
     """
 
-    seam: ClassVar[Seam] = "qp"
     name: ClassVar[str] = "dense_active_set"
     template: ClassVar[str] = "qp/dense_active_set.c"
-    needs: ClassVar[tuple[Seam, ...]] = ()
     takes: ClassVar[str] = "condensed"
     chosen_for: ClassVar[tuple[str, ...]] = ("speed", "size")
     supports: ClassVar[frozenset[str]] = EVERY_USE

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 
 from nmpc_codegen.components.allowed import Number, Whole, check_options, option
-from nmpc_codegen.components.base import EVERY_USE, Defaults, Seam
+from nmpc_codegen.components.base import EVERY_USE, QpSolver
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.package.features import Features
 from nmpc_codegen.package.memory import Field, Size, Struct, only_if
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Osqp(Defaults):
+class Osqp(QpSolver):
     """OSQP, as the osqp package generates it for the condensed QP: an oracle, for build() only.
 
     Args:
@@ -39,10 +39,8 @@ class Osqp(Defaults):
     max_iterations: int = option(20_000, Whole())
     eps: float = option(1e-9, Number())
 
-    seam: ClassVar[Seam] = "qp"
     name: ClassVar[str] = "osqp"
     template: ClassVar[str] = "qp/osqp.c"
-    needs: ClassVar[tuple[Seam, ...]] = ()
     takes: ClassVar[str] = "condensed"
     chosen_for: ClassVar[tuple[str, ...]] = ()
     supports: ClassVar[frozenset[str]] = EVERY_USE - {"soft rows", "rows with an infinite penalty"}

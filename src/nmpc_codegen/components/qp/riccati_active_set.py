@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, ClassVar
 
 from nmpc_codegen.components.allowed import Named, Whole, check_options, option
-from nmpc_codegen.components.base import EVERY_USE, Defaults, Seam
+from nmpc_codegen.components.base import EVERY_USE, QpSolver, Seam
 from nmpc_codegen.components.qp.riccati import (
     riccati_cost,
     riccati_search,
@@ -77,7 +77,7 @@ def _schur_struct(dims: Dims) -> Struct:
 
 
 @dataclass(frozen=True)
-class RiccatiActiveSet(Defaults):
+class RiccatiActiveSet(QpSolver):
     """Active-set solver of a QP on stages, to rounding accuracy; time and memory are linear in N.
 
     Args:
@@ -88,7 +88,6 @@ class RiccatiActiveSet(Defaults):
             ITERATION_LIMIT (crossed bounds with INFEASIBLE), and the package is smaller.
     """
 
-    seam: ClassVar[Seam] = "qp"
     name: ClassVar[str] = "riccati_active_set"
     template: ClassVar[str] = "qp/riccati_active_set.c"
     needs: ClassVar[tuple[Seam, ...]] = ("condensing",)

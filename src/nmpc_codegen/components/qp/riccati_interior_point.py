@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, ClassVar
 
 from nmpc_codegen.components.allowed import Flag, Whole, check_options, option
-from nmpc_codegen.components.base import EVERY_USE, Defaults, Seam
+from nmpc_codegen.components.base import EVERY_USE, QpSolver, Seam
 from nmpc_codegen.components.qp.riccati import riccati_sizes, riccati_structs, stage_qp_fields, units_structs
 from nmpc_codegen.package.features import Features
 from nmpc_codegen.package.memory import Field, Size, Struct, only_if
@@ -113,7 +113,7 @@ def _progress(dims: Dims, warm: bool) -> tuple[Field, ...]:
 
 
 @dataclass(frozen=True)
-class RiccatiInteriorPoint(Defaults):
+class RiccatiInteriorPoint(QpSolver):
     """Interior point solver of a QP on stages; time and memory are linear in N.
 
     Args:
@@ -124,7 +124,6 @@ class RiccatiInteriorPoint(Defaults):
     max_iterations: int = option(MAX_ITERATIONS, Whole())
     warm_start: bool = option(True, Flag())
 
-    seam: ClassVar[Seam] = "qp"
     name: ClassVar[str] = "riccati_interior_point"
     template: ClassVar[str] = "qp/riccati_interior_point.c"
     needs: ClassVar[tuple[Seam, ...]] = ("condensing",)
