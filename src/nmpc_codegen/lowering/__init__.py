@@ -1,1 +1,1 @@
-"""Problem and options -> text: linearise, choose components, determine every size and name, render."""
+"""CompleteProblem and Choices -> text: linearise, determine every size and name, render."""
