@@ -66,7 +66,7 @@ def _complete(found: griffe.Class) -> None:
     """Options with their rules, members of enumerations with their meanings."""
     cls = reduce(getattr, found.path.removeprefix(f"{found.module.path}.").split("."), import_module(found.module.path))
     _show_attributes_of_bases(found, cls)
-    if any(rules(cls).values()) or hasattr(cls, "seam"):
+    if dataclasses.is_dataclass(cls) and (any(rules(cls).values()) or hasattr(cls, "seam")):
         _show_options(found, cls)
     if issubclass(cls, enum.Enum):
         for word in cls:

@@ -51,10 +51,10 @@ def decide(problem: CompleteProblem, options: Options) -> Choices:
     found = replace(found, qp=choose_qp(found) if has_qp else None)
     _check(problem, *found.parts.components)
     found.parts.algorithm.check_parts(found.parts)
-    return replace(found, options=_closed(options, found))
+    return replace(found, options=_close(options, found))
 
 
-def _closed(options: Options, found: Choices) -> Options:
+def _close(options: Options, found: Choices) -> Options:
     """The options that leave nothing open."""
     target = found.target.value
     return replace(

@@ -57,7 +57,7 @@ class Judge:
             return np.zeros(flights), np.zeros((flights, len(self.rows)))
         n = flights * (steps + 1)
         held, z = np.append(u, u[:, -1:], axis=1), np.append(z, np.full_like(z[:, :1], np.nan), axis=1)
-        xs = np.concatenate([x, self._augmented(u, data)], axis=2).reshape(n, -1)
+        xs = np.concatenate([x, self._added_states(u, data)], axis=2).reshape(n, -1)
         with np.errstate(all="ignore"):
             read = append_solved(self.description, data.p.reshape(n, -1), z.reshape(n, z.shape[2]))
             found = self.description.program.values(xs, held.reshape(n, nu), read)
@@ -68,7 +68,7 @@ class Judge:
             cost = self._cost(values, data, flown)
         return cost, np.array(amounts).reshape(len(self.rows), flights).T
 
-    def _augmented(self, u: Array, data: Samples) -> Array:
+    def _added_states(self, u: Array, data: Samples) -> Array:
         """States behind those of the user at every sample: time, then controls of the sample before."""
         found = self.description.augmentation
         flights, steps, _ = u.shape
