@@ -378,9 +378,7 @@ class Algorithm(Component, Protocol):
 
     seam: ClassVar[Seam] = "algorithm"
     core: ClassVar[frozenset[Core]]  # parts of the core that it uses besides plan, data and stage costs
-    default_hessian: ClassVar[str | None] = (
-        None  # its name, unless the problem needs another; the compiler chooses the rest
-    )
+    default_hessian: ClassVar[str | None] = None  # its name, unless the problem needs another
 
     @property
     def shift(self) -> str | None:
@@ -403,8 +401,8 @@ class Algorithm(Component, Protocol):
         return False
 
     def decide(self, problem: Problem, small: bool) -> tuple[Self, tuple[str, ...]]:
-        """The algorithm with every option chosen that it leaves open for the problem, and the reasons; ``repairs``: the
-        package may iterate on a plan before a sample."""
+        """The algorithm with every option chosen that it leaves open for the problem, and the reasons; ``small``:
+        nothing in the package iterates, neither solve() nor samples."""
         return self, ()
 
     @property

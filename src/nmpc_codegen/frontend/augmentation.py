@@ -38,8 +38,8 @@ class Augmented:
         rates, time = (symbol.element_hash() in found for symbol in (ocp.interval_before, ocp.clock))
         self.ocp, self.dt = ocp, (1.0,) * ocp.N if ocp.dt is None else ocp.dt
         self.lengths = period or self.dt[0], *self.dt  # of the intervals before the nodes
-        self.length = [ca.SX(self.dt[0])] if rates and len(set(self.lengths)) == 1 else []
-        self.added = Augmentation(previous, rates and not self.length, time, held, idle=not ocp.controls)
+        self.same_length = [ca.SX(self.dt[0])] if rates and len(set(self.lengths)) == 1 else []
+        self.added = Augmentation(previous, rates and not self.same_length, time, held, idle=not ocp.controls)
         self.own, self.nu, self.np_own = ocp.x.numel(), max(1, ocp.u.numel()), ocp.p.numel()
         self.nx = self.own + self.added.count
         self.np = self.np_own + self.added.data + ocp.node_data.numel()
@@ -50,7 +50,7 @@ class Augmented:
         """The expressions in the symbols x, u, p of a stage (u empty: they contain no control)."""
         ends = u.numel() == 0
         own, first = elements(p), self.np_own + len(self.added.held)  # marks of blocks have no symbol
-        data = [*own[: self.np_own], *self.length, *own[first:]]
+        data = [*own[: self.np_own], *self.same_length, *own[first:]]
         new = ca.vertcat(x, *([] if ends else [self.acting(x, u, p)]), *data)
         return [ca.densify(e) for e in ca.substitute(expressions, [self._symbols[ends]], [new])]
 
@@ -60,7 +60,7 @@ class Augmented:
         the length of the interval before and what Newton's method finds."""
         ocp, added = self.ocp, self.added
         states = [ocp.x, *([ocp.clock] * added.time), *(ocp.remembered[j] for j in added.previous)]
-        data = [ocp.p, *([ocp.interval_before] * (added.interval or bool(self.length))), ocp.node_data]
+        data = [ocp.p, *([ocp.interval_before] * (added.interval or bool(self.same_length))), ocp.node_data]
         return ca.vertcat(*states, ocp.u, *data), ca.vertcat(*states, *data)
 
     def acting(self, x: Expression, u: Expression, p: Expression) -> Expression:

@@ -24,8 +24,8 @@ from numpy.typing import NDArray
 from nmpc_codegen.errors import ProblemError
 from nmpc_codegen.frontend.algebra import newton
 from nmpc_codegen.ir.casadi_types import Expression, Function, curved_rows, elements, part
-from nmpc_codegen.package.estimation import Estimation
-from nmpc_codegen.package.kinds import CONTROLLER, ESTIMATORS, Kind
+from nmpc_codegen.package.estimation import Estimation, kind_of
+from nmpc_codegen.package.kinds import Kind
 from nmpc_codegen.package.signals import NOT_AUGMENTED, ImposedRow, imposed_rows
 from nmpc_codegen.package.signals import Augmentation as Augmentation
 from nmpc_codegen.package.signals import Row as Row
@@ -241,7 +241,7 @@ class Problem:
     @property
     def kind(self) -> Kind:
         """What a package of it is."""
-        return CONTROLLER if self.estimation is None else ESTIMATORS[self.estimation.kind]
+        return kind_of(self.estimation)
 
     @property
     def own_parameters(self) -> tuple[Signal, ...]:

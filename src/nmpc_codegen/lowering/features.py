@@ -57,7 +57,7 @@ def _of_problem(model: Model) -> Features:
     p, parts, target = model.problem, model.parts, model.target
     kinds, imposed = {kind for _, kind, _, _ in p.qp_rows}, {(k, row) for k, _, _, row in p.qp_rows}
     eliminates = parts.condensing is not None and parts.condensing.eliminates
-    computing = {r.name for r in model.routines if r.writes}
+    computing = {r.name for r in model.printed}
     computing |= {"state_step", "adjoint_step"} if eliminates else set()
     core, layouts = parts.algorithm.core, model.options.online.layouts
     return Features(

@@ -158,6 +158,7 @@ def _section_count(counts: Counts) -> OpCount | None:
 def _macros(model: Model, dims: Dims, entries: Iterable[EntryPoint], whole: bool) -> tuple[Macro, ...]:
     """The sizes of all owners; those that the functions of the header name are public."""
     problem, parts = model.problem, model.parts
+    number, *sizes = data.parameter_macros(problem)
     macros = [
         *_shared_sizes(model, dims),
         *augmentation.macros(model),
@@ -166,7 +167,8 @@ def _macros(model: Model, dims: Dims, entries: Iterable[EntryPoint], whole: bool
         *saddles.macros(problem.saddles),
         *algebra.macros(problem),
         Macro("PULLS", PULLS, "moves of a control back onto rows, at most"),
-        *data.parameter_macros(problem),
+        number,
+        *sizes,
         *(Macro(*entry) for component in parts.components for entry in component.sizes(dims)),
     ]
     reach = parts.algorithm.reach(problem) / parts.integrator.longest_step(problem)
@@ -179,7 +181,7 @@ def _macros(model: Model, dims: Dims, entries: Iterable[EntryPoint], whole: bool
         absent = (entry for component in parts.components for entry in component.absent_sizes(dims))
         macros += [Macro(*entry) for entry in (*SIZES_OF_OTHERS, *absent)]
     public = {s for e in entries for a in (*e.inputs, *e.outputs) for s in a.shape}
-    public.update(INTERFACE_SIZES, (macro.name for macro in data.parameter_macros(problem)[1:]))
+    public.update(INTERFACE_SIZES, (macro.name for macro in sizes))
     found = {macro.name: replace(macro, public=macro.name in public) for macro in reversed(macros)}
     if clash := [macro.name for macro in macros if not whole and found[macro.name].value != macro.value]:
         raise ValueError(f"two components state the size {clash[0]}, with different values")

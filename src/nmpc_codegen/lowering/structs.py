@@ -18,12 +18,13 @@ from nmpc_codegen.package.memory import Field, Size, Struct
 def lowered_structs(model: Model, dims: Dims, features: Features, whole: bool) -> tuple[Struct, ...]:
     nodes = Size("N + 1", dims.N.value + 1)
     more = augmentation.problem_names(model.problem)
+    found = settings(model, dims, whole)
     common = [
         Field("x", (nodes, dims.nx), f"states of the plan{more}", "iterate"),
         Field("u", (dims.N, dims.nu), "controls of the plan", "iterate"),
         *augmentation.members(dims),
-        *(setting.field for setting in settings(model, dims, whole)),
-        *penalties_in_use(settings(model, dims, whole)),
+        *(setting.field for setting in found),
+        *penalties_in_use(found),
     ]
     results = [
         Field("status", (), "status of the last call", "result", "int32"),

@@ -18,8 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nmpc_codegen.errors import ControllerError
-from nmpc_codegen.package.estimation import Estimation
-from nmpc_codegen.package.kinds import CONTROLLER, ESTIMATORS, Kind
+from nmpc_codegen.package.estimation import Estimation, kind_of
+from nmpc_codegen.package.kinds import Kind
 from nmpc_codegen.package.memory import INTEGERS, REAL, Field, Precision, Size, Struct
 from nmpc_codegen.package.opcount import OpCount
 from nmpc_codegen.package.program import Program
@@ -144,7 +144,7 @@ class PackageDescription:
     @property
     def kind(self) -> Kind:
         """What the package is."""
-        return CONTROLLER if self.estimation is None else ESTIMATORS[self.estimation.kind]
+        return kind_of(self.estimation)
 
     @property
     def outputs(self) -> tuple[str, ...]:

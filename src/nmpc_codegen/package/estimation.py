@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from nmpc_codegen.package.kinds import EstimatorKind
+from nmpc_codegen.package.kinds import CONTROLLER, ESTIMATORS, EstimatorKind, Kind
 from nmpc_codegen.package.signals import Signal
 
 
@@ -68,6 +68,11 @@ class Estimation:
         before = self.own + self.nu
         first = before + self.nu * self.before
         return self.own, before, first, first + self.ny
+
+
+def kind_of(estimation: Estimation | None) -> Kind:
+    """What a package is that has this; None: a controller."""
+    return CONTROLLER if estimation is None else ESTIMATORS[estimation.kind]
 
 
 def _elements(signals: Sequence[Signal]) -> tuple[str, ...]:

@@ -53,11 +53,12 @@ def complete(problem: Problem, options: Asked) -> CompleteProblem:
         problem = resolve_name(problem.terminal_lqr.rule)(problem, options)
     sizes = scales(problem)
     path, terminal = (replace(s, dense_weight=options.stores_matrices) for s in (problem.path, problem.terminal))
-    problem = replace(problem, path=_with_ties(path, problem, sizes), terminal=terminal)
     flat = flat_controls(problem, sizes) if options.limits_steps and problem.estimation is None else ()
-    problem = replace(problem, proximal=proximal_terms(problem, sizes) if flat else ())
+    stated = {field.name: getattr(problem, field.name) for field in fields(Problem)}
+    stated |= {"path": _with_ties(path, problem, sizes), "terminal": terminal}
+    stated |= {"proximal": proximal_terms(problem, sizes) if flat else ()}
     return CompleteProblem(
-        **{field.name: getattr(problem, field.name) for field in fields(Problem)},
+        **stated,
         scales=sizes,
         saddles=find_saddles(problem, sizes.z),
         flat=tuple(problem.control_names[j] for j in flat),
