@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
-from typing import Any
 
 import numpy as np
 
@@ -105,17 +104,15 @@ def table_3(run: Run) -> Exhibit:
         ("paper, TSP, us", 64.0, 16.0, 15.0, 60.0, None, 155.0),
         ("paper, FOA, us", 138.0, 16.0, 15.0, 60.0, None, 229.0),
     ]
-    kinds = ((s, way) for s in SWEEPS for way in ("auto", "none"))
-    for _, (scheme, way) in run.some(tuple(kinds), 1):
+    for _, scheme in run.some(SWEEPS, 1):
         sweep = ForwardOverAdjoint() if scheme == "foa" else None
         hessian = ExactHessian(Mirror(level="stage"), *([sweep] if sweep else []))
-        options = condensed(hessian, way)
+        options = condensed(hessian)
         steps = run.share(400, 20)
         loop = Loop("bioreactor", lambda: bioreactor.build_ocp("a", periodic=False), options, BIOREACTOR_LOOP, steps)
         found = phases(loop)
         if found is not None:
-            word = {"auto": "unrolled", "none": "looped"}[way]
-            rows.append((f"ours, {scheme.upper()}, {word}, instructions", *found.values(), sum(found.values())))
+            rows.append((f"ours, {scheme.upper()}, instructions", *found.values(), sum(found.values())))
     ratios = [(name, *ratio(name)) for _, (name, _) in run.some(tuple(MODELS.items()), 1)]
     spans = [f"{min(r[i] for r in ratios):.1f} to {max(r[i] for r in ratios):.1f}" for i in range(1, 5)]
     make, steps = MODELS["bioreactor"]
@@ -159,11 +156,10 @@ def ratio(name: str) -> tuple[float, ...]:
     return (*(found["foa"] / found["tsp"] for found in every), counts["tsp"] / forward)
 
 
-def condensed(hessian: ExactHessian, way: Any) -> Options:
+def condensed(hessian: ExactHessian) -> Options:
     """The options of the example with full condensing."""
     options = bioreactor.options(hessian, "repeat")
-    integrator = replace(options.integrator, unroll=way)
-    return replace(options, integrator=integrator, condensing=FullCondensing(), qp=DenseActiveSet())
+    return replace(options, condensing=FullCondensing(), qp=DenseActiveSet())
 
 
 # Orbit and starts ----------------------------------------------------------------------------------------------------

@@ -132,7 +132,7 @@ def figure_6_10(run: Run) -> Exhibit:
     horizons = HORIZONS[: run.share(6, 4)]
     found: dict[str, list[float]] = {"forward": [], "adjoint": [], "alternative": [], "structure ignored": []}
     for N in horizons:
-        counts = measured.counts(partial(problems.reactor, unroll="step"), N)
+        counts = measured.counts(partial(problems.reactor, unroll="none"), N)
         for word, method in (("forward", "forward"), ("adjoint", "adjoint_matrices")):
             found[word].append(counts.all[f"impulse_response_{method}"].total)
         found["alternative"].append(counts.insertion.total)
@@ -158,7 +158,7 @@ def table_6_7(run: Run) -> Exhibit:
     ):
         grids = every[:: -max(1, round(len(every) / run.share(20, 3)))][::-1]
         steps = [max(1, math.ceil(length / N / step - 1e-9)) for N, length in grids]
-        cases = [problems.reactor(N, T / N, s, unroll="step") for (N, T), s in zip(grids, steps, strict=True)]
+        cases = [problems.reactor(N, T / N, s, unroll="none") for (N, T), s in zip(grids, steps, strict=True)]
         counts = np.array([measured.integration(case) for case in cases])
         varies = [float(T if title == "N = 100" else N) for N, T in grids]
         label = "t_f [h]" if title == "N = 100" else "N"

@@ -76,7 +76,7 @@ def mirrored(L: Array) -> Array:
 
 @pytest.mark.parametrize(
     ("scheme", "unroll"),
-    [*((Symmetric(), n) for n in ("all", "none", "auto")), *((ForwardOverAdjoint(), n) for n in ("all", "step"))],
+    [*((Symmetric(), n) for n in ("all", "none")), (ForwardOverAdjoint(), "all")],
     ids=str,
 )
 def test_blocks(scheme: Any, unroll: str) -> None:

@@ -24,7 +24,7 @@ from verification.oracles.runge_kutta import MODELS, ORDERS, POINTS, SCHEMES, Ar
 
 TOLERANCE = 1e-12
 STEPS = (1, 3)  # of three steps one is neither the first nor the last
-UNROLL = ("all", "step", "none")
+UNROLL = ("all", "none")
 
 
 @functools.cache
@@ -161,9 +161,7 @@ def test_unroll_decides_what_is_printed() -> None:
     problem = stated("crane", True)
     spelled = {unroll: ExplicitRungeKutta(unroll=unroll).interval(problem).linearize for unroll in UNROLL}
     assert isinstance(spelled["all"], Kernel)
-    assert isinstance(spelled["step"], LoopedRoutine)
     assert isinstance(spelled["none"], LoopedRoutine)
-    assert "step_3" in spelled["step"].leaves
     assert "slope_0" in spelled["none"].leaves
 
 
@@ -177,7 +175,6 @@ def test_auto_prefers_straight_line_code_of_a_limited_size(monkeypatch: pytest.M
     monkeypatch.setattr(limit, len(whole.instructions) - 1)
     rolled = ExplicitRungeKutta(steps=3, unroll="auto").interval(problem).linearize
     assert isinstance(rolled, LoopedRoutine)
-    assert "step" not in rolled.leaves
 
 
 def test_zero_entries_of_the_tableau_cost_nothing() -> None:
@@ -308,7 +305,7 @@ def test_a_tableau_of_the_user() -> None:
         ({"steps": 0}, "steps: 0; expected an integer >= 1"),
         ({"steps": True}, "steps"),
         ({"steps": 1.5}, "steps"),
-        ({"unroll": "half"}, "unroll: 'half'; expected one of auto, all, step, none"),
+        ({"unroll": "half"}, "unroll: 'half'; expected one of auto, all, none"),
     ],
 )
 def test_bad_options(arguments: dict, message: str) -> None:

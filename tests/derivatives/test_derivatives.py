@@ -109,10 +109,10 @@ def test_random_models(case: tuple[OCP, Model, str], seed: int) -> None:
 # Chosen models -------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("unroll", ["all", "step", "none"])
+@pytest.mark.parametrize("unroll", ["all", "none"])
 @pytest.mark.parametrize("name", ["crane", "reactor", "tanks"])
 def test_forms_of_the_code(name: str, unroll: str) -> None:
-    """Straight-line programs, a loop over steps, loops over everything."""
+    """Straight-line programs, and loops over everything."""
     ocp = problem_of(name, uniform=False)
     z = ca.vertcat(ocp.x[0] ** 2, ocp.x[1] * ocp.u[0])
     options = Options(ExplicitRungeKutta(RK4, steps=3, unroll=unroll))

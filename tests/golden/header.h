@@ -1,4 +1,4 @@
-} golden_solver_t;
+typedef struct golden_solver golden_solver_t;
 
 /* init: initialise all members to their declared values. reset: keep the settings and restore the initial iterate. */
 golden_status_t golden_init(golden_solver_t *s);
@@ -22,12 +22,12 @@ golden_status_t golden_shift(golden_solver_t *s);
 golden_status_t golden_solve(
     golden_solver_t *s, const golden_real xhat[GOLDEN_NX], golden_real tol, int max_iterations);
 
-/* Data that can be changed. k is GOLDEN_ALL or one node:
- *   reference  0 .. N - 1
- *   weight     no node
- *   parameter  0 .. N
- *   bounds     N, if the row holds there
- * Those of a range of nodes, first .. first + count - 1, take a row of numbers for each.
+/* Data that can be changed.
+ *   reference: k is 0 .. N - 1, or GOLDEN_ALL.
+ *   weight: k is GOLDEN_ALL: all nodes have the same.
+ *   parameter: k is 0 .. N, or GOLDEN_ALL.
+ *   bounds: k is N if the row holds there, or GOLDEN_ALL for all of its nodes.
+ * A function for a range of nodes, first .. first + count - 1, takes a row of numbers for each of them.
  * A call that is refused (BAD_INDEX, BAD_ARGUMENT, BAD_BOUNDS) changes nothing. References and bounds take effect in
  * the next feedback, other data in the next prepare. */
 golden_status_t golden_set_reference(golden_solver_t *s, int k, const golden_real yref[GOLDEN_NY]);
@@ -47,11 +47,4 @@ void golden_integrate(const golden_solver_t *s, const golden_real x[GOLDEN_NX], 
 golden_real golden_cost(const golden_solver_t *s);
 void golden_kkt(const golden_solver_t *s, golden_kkt_t *out);
 const char *golden_status_string(golden_status_t status);
-/* end declarations */
 
-#ifdef __cplusplus
-}
-#endif
-
-#endif
-/* nmpc_codegen package 4455d85d932f374c, sha256 66956aa345ed05924163e3446f3461ad7c37b6297c3545a30a84c0739b7e399b */

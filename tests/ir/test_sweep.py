@@ -152,20 +152,23 @@ def test_printed_loops() -> None:
 static void recursion(const real A[12], real y[3], real Y[2][3])
 {
     real s[3];
-    recursion_zero(s);
+    s[0] = 0.0;
+    s[1] = 0.0;
+    s[2] = 0.0;
     for (ptrdiff_t k = 3; k >= 0; --k) {
-        recursion_fade(s, &A[3 * k], s);
+        const real s_0 = s[0], s_1 = s[1], s_2 = s[2];
+        s[0] = 0.5 * s_0 + A[3 * k];
+        s[1] = 0.5 * s_1 + A[3 * k + 1];
+        s[2] = 0.5 * s_2 + A[3 * k + 2];
     }
     for (ptrdiff_t c = 0; c < 3; ++c) {
         y[c] = (A[c] + A[c + 3] + A[c + 6] + A[c + 9]) * s[c];
         for (ptrdiff_t r = 1; r < 3; ++r) {
-            recursion_double(&y[c], &y[c]);
+            y[c] = y[c] + y[c];
         }
-        {
-            const real y_0 = y[c];
-            Y[0][c] = y_0;
-            Y[1][c] = sin(y_0);
-        }
+        const real y_0 = y[c];
+        Y[0][c] = y_0;
+        Y[1][c] = sin(y_0);
     }
 }"""
     assert body == expected

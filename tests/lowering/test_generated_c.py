@@ -158,10 +158,11 @@ def test_exercise_finds_defects(old: str, new: str, flags: tuple[str, ...]) -> N
 
 
 def test_stack(record_property: pytest.RecordProperty) -> None:
-    """No recursion, bounded stack: less than 2.25 kB for the crane, which solve() takes for second derivatives."""
+    """No recursion, bounded stack: less than 2.625 kB for the crane, which solve() takes for second derivatives: all
+    buffers of their three sweeps are one struct."""
     stack = quality.stack_use(problems.sources("crane"), "-O2")
     record_property("stack -O2", f"{stack.total} bytes, largest frame {stack.frame}")
-    assert 0 < stack.frame < stack.total < 2304
+    assert 0 < stack.frame < stack.total < 2688
 
 
 def test_two_controllers_in_one_program() -> None:

@@ -25,7 +25,7 @@ def package(model: str, unroll: str, uniform: bool) -> Package:
     return Package(module_of(problem_of(model, uniform), options), ["linearize"])
 
 
-UNROLL = ("all", "step", "none")
+UNROLL = ("all", "none")
 #: Every model in every code style, both grids in turn.
 SPELLED = [(m, unroll, (i + j) % 2 == 0) for i, m in enumerate(MODELS) for j, unroll in enumerate(UNROLL)]
 

@@ -37,7 +37,7 @@ def small(loop: Loop) -> Options:
     if loop.name in STEPPED:
         integrator = options.integrator or ExplicitRungeKutta()
         assert isinstance(integrator, ExplicitRungeKutta)
-        options = replace(options, integrator=replace(integrator, unroll="step"))
+        options = replace(options, integrator=replace(integrator, unroll="none"))
     return _alone(loop, options)
 
 

@@ -11,7 +11,7 @@ from nmpc_codegen.ir.cmodule import Table
 from nmpc_codegen.ir.printing.c_style import unit_style
 from nmpc_codegen.ir.sweep import Routine
 from nmpc_codegen.lowering.dialect.constants import Constants
-from nmpc_codegen.lowering.render import GCC_12, block_comment, member, prototype, tidy
+from nmpc_codegen.lowering.render import GCC_12, block_comment, member, prototype, struct_words, tidy
 from nmpc_codegen.lowering.tables import lookup_tables
 from nmpc_codegen.lowering.templates import context, environment
 from nmpc_codegen.lowering.unit.assemble import INTERVALS, kernel_items, print_intervals, table_items, table_ranges
@@ -97,6 +97,7 @@ def _names(model: DerivativeModel, name: str) -> dict[str, Any]:
         "structs": every,
         "bytes": {struct: size for struct, (size, _) in struct_layout(every, model.precision).items()},
         "by_purpose": lambda struct: [("", struct.fields)],
+        **struct_words(name),
         "member": lambda field: member(field, name, macros(model)),
         "numbers": _numbers,
         "settings": settings(model),

@@ -145,4 +145,4 @@ def _operations_advice(description: PackageDescription, limit: int) -> Iterator[
 def _stack_advice(description: PackageDescription, limit: int) -> Iterator[str]:
     yield from _common_advice(description)
     if not description.discrete:
-        yield "another --set integrator.unroll=step|none|all"
+        yield "another --set integrator.unroll=none|all"

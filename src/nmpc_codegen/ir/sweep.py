@@ -1,7 +1,7 @@
 """Sweeps: programs of calls to small CasADi Functions inside counted loops, represented as data.
 
-Three interpreters run the same Sweep: unroll() on SX, which yields one straight-line Function; print_c.py, which
-writes C loops; and LoopedRoutine.count, which counts operations. Transformations of sweeps are in passes.py.
+Three interpreters run the same Sweep: unroll() on SX, which yields one straight-line Function; printing/loops.py, which
+writes C loops; and LoopedRoutine.count, which counts operations.
 """
 
 from __future__ import annotations
@@ -69,7 +69,8 @@ class Call:
 
     inline: the leaf is printed inline, whatever its slices are.
     direct: a result may be stored before the next one is computed, as none is an operand of a later one.
-    note: what it computes, for a comment. stage, step: those of the scheme that it belongs to, counted from 0.
+    keeps_zeros: structural zeros of the results are not stored, as they are in the buffers already.
+    note: what it computes, for a comment. stage: that of the scheme to which it belongs, counted from 0.
     """
 
     leaf: Function
@@ -77,9 +78,9 @@ class Call:
     outs: tuple[Slice, ...]
     inline: bool = False
     direct: bool = False
+    keeps_zeros: bool = False
     note: str = ""
     stage: int = -1
-    step: int = -1
 
     @property
     def written_out(self) -> bool:
@@ -208,6 +209,7 @@ class Sweep:
     """A named program from input ports to output ports through local buffers (name, size).
 
     columns: local buffers that are matrices -> length of their rows. steps: those of a scheme, whose loop is "step".
+    meanings: local buffers -> what they hold, for comments.
     """
 
     name: str
@@ -219,6 +221,7 @@ class Sweep:
     frame: Frame | None = None
     columns: Mapping[str, int] = field(default_factory=dict)
     steps: int = 1
+    meanings: Mapping[str, str] = field(default_factory=dict)
 
 
 def unroll(sweep: Sweep) -> Function:
@@ -274,7 +277,7 @@ def _run(
         assert isinstance(node, Call), "a function that is written in C has no expression"
         arguments = [buffers[s.buffer][s.elements(indices)] for s in node.ins]
         results = node.leaf.call(arguments)
-        watch(node, indices.get("step", node.step), results)
+        watch(node, indices.get("step", -1), results)
         for target, result in zip(node.outs, results, strict=True):
             buffers[target.buffer][target.elements(indices)] = ca.vec(ca.densify(result))
 
@@ -353,7 +356,7 @@ class LoopedRoutine:
     @property
     def kernels(self) -> tuple[Kernel, ...]:
         """The leaves, in the order of their first call."""
-        return tuple(self.leaves.values())
+        return tuple(dict.fromkeys(self.leaves.values()))
 
 
 Routine = Kernel | LoopedRoutine
@@ -421,11 +424,42 @@ def lift_loops(sweep: Sweep) -> LoopedRoutine:
         if name in leaves and [s.size for s in call.ins] != [p.size for p in leaves[name].inputs]:
             raise ValueError(f"{sweep.name}: two leaves are called {name}")
         if name not in leaves:
-            inputs = [Port(call.leaf.name_in(i), s.size, flat=True) for i, s in enumerate(call.ins)]
-            outputs = [Port(call.leaf.name_out(i), s.size, flat=True) for i, s in enumerate(call.outs)]
-            kernel = lift(_dense(call.leaf), f"{sweep.name}_{name}", f"{sweep.name}: {name}", inputs, outputs)
-            leaves[name] = kernel
+            names, whole = _port_names(call), {p.name: p for p in sweep.outputs if p.cols}
+            inputs = [Port(n, s.size, flat=True) for n, s in zip(names, call.ins, strict=False)]
+            outputs = [Port(n, s.size, flat=True) for n, s in zip(names[len(inputs) :], call.outs, strict=True)]
+            leaf = call.leaf if call.keeps_zeros else _dense(call.leaf)
+            kernel = lift(leaf, f"{sweep.name}_{name}", f"{sweep.name}: {name}", inputs, outputs)
+            matrices = (
+                replace(port, rows=whole[s.buffer].rows, cols=whole[s.buffer].cols, flat=False)
+                if s.buffer in whole and s.size == whole[s.buffer].size
+                else port
+                for port, s in zip(outputs, call.outs, strict=True)
+            )
+            leaves[name] = _first_alike(replace(kernel, outputs=tuple(matrices)), leaves.values())
     return LoopedRoutine(sweep, leaves)
+
+
+def _first_alike(kernel: Kernel, known: Iterable[Kernel]) -> Kernel:
+    """The first kernel that computes the same, or this one."""
+    of = (kernel.instructions, kernel.stores, _sizes(kernel))
+    return next((k for k in known if (k.instructions, k.stores, _sizes(k)) == of), kernel)
+
+
+def _sizes(kernel: Kernel) -> list[tuple[int, int, bool]]:
+    return [(port.size, port.cols, port.flat) for port in (*kernel.inputs, *kernel.outputs)]
+
+
+def _port_names(call: Call) -> list[str]:
+    """The names of the inputs and outputs of a leaf; those of the buffers where it gives none."""
+    given = [*call.leaf.name_in(), *call.leaf.name_out()]
+    buffers = [s.buffer for s in (*call.ins, *call.outs)]
+    names: list[str] = []
+    for n, (own, buffer) in enumerate(zip(given, buffers, strict=True)):
+        new = f"{buffer}_next" if n >= len(call.ins) and buffer in buffers[: len(call.ins)] else buffer
+        single = buffers.count(buffer) - (new != buffer) == 1
+        unnamed = own[0] in "io" and own[1:].isdigit()
+        names.append((new if single else f"{new}_{buffers[:n].count(buffer)}") if unnamed else own)
+    return names
 
 
 def _without_unread(sweep: Sweep) -> Sweep:

@@ -26,10 +26,6 @@ TERMS = 4
 #: unroll="auto": the largest straight-line program, in instructions, before loops are preferred. times
 AUTO_INSTRUCTIONS = 2500
 
-#: The same for second derivatives, whose loops over columns remain: the largest program in statements of all leaves.
-#: exact_hessian
-AUTO_STATEMENTS = 4000
-
 #: Operations of an integration step in loops up to which targets with lanes have it as straight-line code.
 #: times
 STEP_OPERATIONS = 200_000
@@ -41,8 +37,6 @@ WRITTEN_PANELS = 3
 LONGEST_TAPE = 128
 #: the number of factors of the rows of one panel that are held in registers;
 FACTORS = 12
-#: the longest tape for which the sweeps are staggered, because staggering doubles the code of their loops;
-STAGGERED_TAPE = 32
 #: the longest tape, per component of (x, u), that is stored for every stage; a longer one is evaluated again;
 TAPE_PER_COMPONENT = 8
 #: the number of components that a column of S may reach if it is written as a function of time alone.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from itertools import groupby
 from textwrap import wrap
 from typing import Any
@@ -63,10 +63,12 @@ def _names(module: CModule) -> dict[str, Any]:
         "version": __version__,
         "member": lambda field: member(field, module.name, module.public),
         "by_purpose": _by_purpose,
+        **struct_words(module.name),
         "comment": block_comment,
         "prototype": lambda entry: prototype(entry, module.name, SOLVER),
         "statuses": {status: status.text for status in module.statuses},
-        "structs": module.structs,
+        "structs": [s for s in module.structs if s.name in _public(module)],
+        "inner_structs": [s for s in module.structs if s.name not in _public(module)],
         "precision": module.precision,
         "dim": lambda macro: f"{module.macro}_{macro}",
         "resolved": lambda template: _resolve(environment().get_template(template).render(names), module),
@@ -94,6 +96,13 @@ def _of_estimator(module: CModule, names: Mapping[str, Any]) -> dict[str, Any]:
             (name, unit, f"{std:g}") for name, unit, std in zip(found.measurements, units, found.noise_std, strict=True)
         ],
     }
+
+
+def _public(module: CModule) -> set[str]:
+    """The structs that a caller reads: results of calls, and arguments."""
+    (solver,) = (struct for struct in module.structs if struct.name == "solver")
+    passed = {a.ctype for entry in module.entry_points for a in (*entry.inputs, *entry.outputs)}
+    return {field.ctype for field in solver.fields if field.role == "result"} | passed - {"solver"} | {"kkt"}
 
 
 def _resolve(text: str, module: CModule) -> str:
@@ -204,6 +213,20 @@ def member(field: Field, name: str, public: Iterable[Macro]) -> str:
     known = {macro.name for macro in public if macro.shown is None}
     texts = (s.c(name.upper()) if known.issuperset(re.findall(r"[A-Z]\w*", s.text)) else s.value for s in field.shape)
     return f"{ctype} {field.name}{''.join(f'[{text}]' for text in texts)};"
+
+
+def struct_words(name: str) -> dict[str, Callable[[Struct], str]]:
+    """How the definition of a struct begins and ends; the type of the solver is declared before."""
+
+    def opening(struct: Struct) -> str:
+        if struct.name == "solver":
+            return f"struct {name}_solver"
+        return f"typedef {'union' if struct.union else 'struct'}"
+
+    return {
+        "opening": opening,
+        "closing": lambda struct: "" if struct.name == "solver" else f" {name}_{struct.name}_t",
+    }
 
 
 def _by_purpose(struct: Struct) -> list[tuple[str, tuple[Field, ...]]]:

@@ -58,6 +58,7 @@ TOLERANCES: dict[str, tuple[float, str]] = {
     "zero": (1.0, "value that is no size, relative to the scale"),
     "rounding": (2.0**6, "residual that rounding leaves of a quantity, relative to its scale"),
     "unit": (1.0, "the machine epsilon"),
+    "root": (0.0, "its square root"),
     "merit_rounding": (2.0**6, "change of the cost or of the violation taken as rounding, relative to its size"),
     "semidefinite": (2.0**10, "pivot of the curvature of rows taken as zero, relative to its largest diagonal entry"),
     "eigen_offdiagonal": (1.0, "element off the diagonal that Jacobi rotations leave, relative to the largest entry"),
@@ -320,6 +321,7 @@ FACTORS: dict[str, tuple[float, str]] = {
 
 #: Multiples of the square root of the machine epsilon below which a tolerance does not fall.
 ROOTS: dict[str, float] = {
+    "root": 1.0,
     "zero": 2.0**-3,
     "qp_accepted": 0.25,
     "step": 0.5,
@@ -336,7 +338,23 @@ FLOORS: dict[str, float] = {
 }
 
 
+#: The tolerances of which the others are multiples: the machine epsilon and its square root.
+UNIT, ROOT = "unit", "root"
+
+
 def tolerance(name: str, precision: str) -> float:
     """Value of a named tolerance in the given precision."""
-    eps = EPS[precision]
-    return max(TOLERANCES[name][0] * eps, ROOTS.get(name, 0.0) * math.sqrt(eps), FLOORS.get(name, 0.0))
+    multiples, eps = _multiples(name), EPS[precision]
+    return max(multiples[UNIT] * eps, multiples[ROOT] * math.sqrt(eps), FLOORS.get(name, 0.0))
+
+
+def origin(name: str, precision: str) -> tuple[str, float]:
+    """What a tolerance is a multiple of in the given precision, and the factor; ("", value) of a number."""
+    value = tolerance(name, precision)
+    sizes = {UNIT: EPS[precision], ROOT: math.sqrt(EPS[precision])}
+    found = ((unit, factor) for unit, factor in _multiples(name).items() if factor and factor * sizes[unit] == value)
+    return ("", value) if name in sizes else next(found, ("", value))
+
+
+def _multiples(name: str) -> dict[str, float]:
+    return {UNIT: TOLERANCES[name][0], ROOT: ROOTS.get(name, 0.0)}

@@ -67,15 +67,15 @@ def level_structs(dims: Dims) -> tuple[Struct, ...]:
 def _left(dims: Dims) -> tuple[Struct, ...]:
     """What steps leave of the model and of optimality."""
     members = (
-        Field("length", (), "of the last step, in the scales of its variables", "keep"),
-        Field("longest", (), "step of late", "keep"),
-        Field("left", (), "largest residual that steps of late have left", "keep"),
-        Field("slope", (), "of the cost along it", "keep", only=lambda f: f.iterates),
-        Field("before", (), "relative KKT residual before it", "keep", only=lambda f: f.iterates),
-        Field("doubted", (), "1: the plan before it was not optimal", "keep", "int32"),
-        Field("trusted", (), "1: it leaves little by all that is known", "keep", "int32"),
+        Field("length", (), "length of the last step, in the scales of its variables", "keep"),
+        Field("longest", (), "longest one of the recent steps", "keep"),
+        Field("left", (), "largest residual after one of the recent steps", "keep"),
+        Field("slope", (), "slope of the cost along the last step", "keep", only=lambda f: f.iterates),
+        Field("before", (), "relative KKT residual before the last step", "keep", only=lambda f: f.iterates),
+        Field("doubted", (), "1: the plan before the last step was not optimal", "keep", "int32"),
+        Field("trusted", (), "1: the last step leaves a small residual, by all that is known", "keep", "int32"),
     )
-    return (Struct("near", "steps of late and what they have left", members),)
+    return (Struct("near", "lengths and residuals of the recent steps, to judge how near the plan is", members),)
 
 
 def _price(dims: Dims) -> tuple[Struct, ...]:

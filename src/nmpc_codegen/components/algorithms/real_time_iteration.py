@@ -407,7 +407,7 @@ def _stats() -> Struct:
             ),
             count("violated_row", "hard row that is infeasible (INFEASIBLE) or relaxed (RELAXED), or -1"),
             count("violated_node", "its node, or -1"),
-            Field("violation", (), "violation of this row by the last step of the QP", "result"),
+            Field("violation", (), "violation of violated_row by the last step of the QP", "result"),
             Field("residual", (), "of the plan: scaled gaps, hard rows, relative KKT residual", "result"),
             Field(
                 "first_deviation",

@@ -20,6 +20,7 @@ from nmpc_codegen.components.integrators.explicit.first_order import Sensitiviti
 from nmpc_codegen.components.integrators.explicit.forward_over_adjoint import AdjointSweep
 from nmpc_codegen.components.integrators.explicit.products import IntervalSweeps
 from nmpc_codegen.components.integrators.explicit.quadrature import Quadrature
+from nmpc_codegen.components.integrators.explicit.runge_kutta import MEANINGS
 from nmpc_codegen.components.integrators.explicit.symmetric import ThreeSweeps
 from nmpc_codegen.components.integrators.jump import jump_kernel, jump_rows_kernel, with_end
 from nmpc_codegen.components.integrators.noise import noise_tables
@@ -29,7 +30,7 @@ from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.cmodule import Table
 from nmpc_codegen.ir.kernel import Port
 from nmpc_codegen.ir.model import Interval, IntervalProducts
-from nmpc_codegen.ir.passes import expand_steps, fuse_steps
+from nmpc_codegen.ir.passes import with_number
 from nmpc_codegen.ir.sweep import (
     Call,
     LoopedRoutine,
@@ -38,9 +39,9 @@ from nmpc_codegen.ir.sweep import (
     lift_loops,
     lift_straight,
 )
-from nmpc_codegen.ir.tuning import AUTO_INSTRUCTIONS, AUTO_STATEMENTS, STEP_OPERATIONS
+from nmpc_codegen.ir.tuning import AUTO_INSTRUCTIONS, STEP_OPERATIONS
 
-Unroll = Literal["auto", "all", "step", "none"]
+Unroll = Literal["auto", "all", "none"]
 
 # Limits on the steps per interval and on the operations of a straight-line program: more take too long to compile.
 MAX_STEPS = 100_000
@@ -63,10 +64,9 @@ class ExplicitRungeKutta(Integrator):
     Args:
         tableau: the scheme.
         steps: steps per interval.
-        unroll: "all" (one straight-line program per interval), "step" (a loop over steps), "none" (loops over steps and
-            sensitivity columns, calls per stage), "auto" (the most unrolled one below a size limit). With second
-            derivatives "all" keeps loops over columns and over the stages of a step: with vector instructions they are
-            twice as fast as one straight-line program, in half the code.
+        unroll: "all" (one straight-line program per interval), "none" (loops over steps and sensitivity columns, calls
+            per stage), "auto" (the first one below a size limit). Second derivatives are always loops: with vector
+            instructions they are twice as fast as one straight-line program, in a quarter of the code.
 
     Examples:
         >>> from nmpc_codegen import RK4, ExplicitRungeKutta, Options
@@ -103,6 +103,14 @@ class ExplicitRungeKutta(Integrator):
         """Loops, unless ``unroll`` says otherwise."""
         return replace(self, unroll="none") if self.unroll == "auto" else self
 
+    def _complete(self, sweep: Sweep, problem: Problem) -> Sweep:
+        """The sweep of an interval with what happens at its end."""
+        return with_end(self._fix_length(sweep, problem), problem)
+
+    def _fix_length(self, sweep: Sweep, problem: Problem) -> Sweep:
+        """The sweep with a number for the length of a step if all are equal."""
+        return with_number(sweep, "h", problem.dt[0] / self.steps) if problem.uniform else sweep
+
     def longest_step(self, problem: Problem) -> float:
         """Length (s) of a step in the longest interval."""
         return max(problem.dt) / self.steps
@@ -110,11 +118,13 @@ class ExplicitRungeKutta(Integrator):
     def interval(self, problem: Problem) -> Interval:
         """interval(x, u, p, dt -> x_next, S) and step(x, u, p, h -> x_next)."""
         sensitivities = Sensitivities(problem, self.tableau, self.steps)
-        interval = self._unroll(with_end(sensitivities.sweep(), problem))
+        interval = self._unroll(self._complete(sensitivities.sweep(), problem))
         loops = isinstance(interval, LoopedRoutine) and interval.count.total <= STEP_OPERATIONS * self.steps
         loops = loops and not problem.noise  # lanes would add it to every step
-        one_step = lift_straight(sensitivities.sweep("integrator_one_step", 1)) if loops else None
-        step = lift_straight(step_sweep(problem, self.tableau))
+        one_step = (
+            lift_straight(self._fix_length(sensitivities.sweep("integrator_one_step", 1), problem)) if loops else None
+        )
+        step = self._unroll(step_sweep(problem, self.tableau))
         return Interval(
             interval, step, one_step=one_step, jump=jump_kernel(problem), jump_rows=jump_rows_kernel(problem)
         )
@@ -122,22 +132,22 @@ class ExplicitRungeKutta(Integrator):
     def operations(self, problem: Problem) -> int:
         """Operations of a linearisation of an interval in loops, without its functions."""
         one = Sensitivities(problem, self.tableau, 1)
-        return lift_loops(with_end(one.sweep(), problem)).count.total * self.steps
+        return lift_loops(self._complete(one.sweep(), problem)).count.total * self.steps
 
     def products(self, problem: Problem) -> IntervalProducts:
         """The value of an interval, and products with its Jacobians that do not form them."""
         sweeps = IntervalSweeps(problem, self.tableau, self.steps)
         return IntervalProducts(
-            self._unroll(with_end(sweeps.value(), problem)),
-            self._backward(with_end(sweeps.adjoint(), problem)),
-            self._unroll(with_end(sweeps.columns(forced=True), problem)),
-            self._unroll(with_end(sweeps.columns(forced=False), problem)),
+            self._unroll(self._complete(sweeps.value(), problem)),
+            self._backward(self._complete(sweeps.adjoint(), problem)),
+            self._unroll(self._complete(sweeps.columns(forced=True), problem)),
+            self._unroll(self._complete(sweeps.columns(forced=False), problem)),
         )
 
     def directional(self, problem: Problem) -> tuple[Routine, Routine]:
         """forward(x, u, p, dt, dx, du -> dx_next) and adjoint(x, u, p, dt, adj -> g)."""
         sweeps = Directional(problem, self.tableau, self.steps)
-        forward, adjoint = (with_end(sweep, problem) for sweep in (sweeps.forward(), sweeps.adjoint()))
+        forward, adjoint = (self._complete(sweep, problem) for sweep in (sweeps.forward(), sweeps.adjoint()))
         return self._unroll(forward), self._backward(adjoint)
 
     def lift_hessian(self, problem: Problem, scheme: str, name: str, start: Call, more: tuple[Port, ...]) -> Routine:
@@ -148,7 +158,7 @@ class ExplicitRungeKutta(Integrator):
         scheme: "symmetric" (three sweeps) or "forward_over_adjoint".
         """
         self._refuse_long(name, ())
-        b = SCHEMES[scheme](problem, self.tableau, self.steps, staggered=self.unroll != "step")
+        b = SCHEMES[scheme](problem, self.tableau, self.steps)
         nx, nz = problem.nx, problem.nx + problem.nu
         sweep = Sweep(
             name,
@@ -159,19 +169,12 @@ class ExplicitRungeKutta(Integrator):
             b.buffers(),
             (replace(start, note="cost and rows of the node"), *b.body()),
             columns=b.row_lengths(),
+            meanings=MEANINGS,
             steps=self.steps,
         )
-        sweep = with_end(sweep, problem)
+        sweep = self._complete(sweep, problem)
         self._refuse_long(name, sweep.locals)
-        if self.unroll == "step":
-            return lift_loops(fuse_steps(sweep))
-        rolled = lift_loops(sweep)
-        if self.unroll == "none" or (self.unroll == "auto" and rolled.statements * self.steps > 10 * AUTO_STATEMENTS):
-            return rolled
-        self._refuse_straight(rolled)
-        expanded = lift_loops(expand_steps(sweep))
-        small = expanded.statements <= AUTO_STATEMENTS
-        return expanded if small or self.unroll == "all" else rolled
+        return lift_loops(sweep)
 
     def _refuse_long(self, name: str, buffers: Sequence[tuple[str, int]]) -> None:
         """Raise OptionError if a backward sweep, which stores the stages of all steps, would need too much stack."""
@@ -189,24 +192,27 @@ class ExplicitRungeKutta(Integrator):
             raise OptionError(
                 f'ExplicitRungeKutta(steps={self.steps}, unroll="all"): {rolled.name} would be about '
                 f"{rolled.count.total:,} operations in a row; expected at most {MAX_STRAIGHT:,}: fewer steps "
-                "(--set integrator.steps=...) or loops (--set integrator.unroll=auto, step or none)"
+                "(--set integrator.steps=...) or loops (--set integrator.unroll=auto or none)"
             )
 
     def integrated_cost(self, problem: Problem, name: str, start: Call, more: tuple[Port, ...]) -> Routine:
         """(x, u, p, dt, more) -> l: the value that ``start`` stores in l, plus the integral of the cost rate."""
         doc = "l = cost of the node + integral of the cost rate over dt"
-        return self._backward(Quadrature(problem, self.tableau, self.steps).value(name, doc, start, more))
+        sweep = Quadrature(problem, self.tableau, self.steps).value(name, doc, start, more)
+        return self._backward(self._fix_length(sweep, problem))
 
     def integrated_gradient(self, problem: Problem, name: str, start: Call, more: tuple[Port, ...]) -> Routine:
         """(x, u, p, dt, more) -> g: the value that ``start`` stores in g, plus the adjoint gradient of the integral."""
         doc = "g = d (cost of the node + integral of the cost rate over dt) / d(x, u)"
-        return self._backward(Quadrature(problem, self.tableau, self.steps).gradient(name, doc, start, more))
+        sweep = Quadrature(problem, self.tableau, self.steps).gradient(name, doc, start, more)
+        return self._backward(self._fix_length(sweep, problem))
 
     def integrated_product(self, problem: Problem, name: str, start: Call, more: tuple[Port, ...]) -> Routine:
         """(x, u, p, dt, more, d) -> w: what ``start`` stores in w, plus the Gauss-Newton Hessian of the integral times
         d: the second derivatives of the cost rate along the linearised states."""
         doc = "w = (Hessian of the cost of the node + Gauss-Newton Hessian of the integral of the cost rate over dt) d"
-        return self._backward(Quadrature(problem, self.tableau, self.steps).product(name, doc, start, more))
+        sweep = Quadrature(problem, self.tableau, self.steps).product(name, doc, start, more)
+        return self._backward(self._fix_length(sweep, problem))
 
     def _backward(self, sweep: Sweep) -> Routine:
         self._refuse_long(sweep.name, sweep.locals)
@@ -214,8 +220,6 @@ class ExplicitRungeKutta(Integrator):
 
     def _unroll(self, sweep: Sweep) -> Routine:
         """The sweep as straight-line code or loops, according to ``unroll``."""
-        if self.unroll == "step":
-            return lift_loops(fuse_steps(sweep))
         rolled = lift_loops(sweep)
         self._refuse_straight(rolled)
         if self.unroll == "all":

@@ -67,10 +67,17 @@ class DenseActiveSet(QpSolver):
         """The iteration cap."""
         cap = self._cap(dims)
         steps = min(cap, PROXIMAL_STEPS)
+        variables = f"{CAUTION * ITERATIONS_NEEDED:g} ({dims.qp.nv.text} + {dims.ng.text}), at least {LEAST_ITERATIONS}"
+        why = "as the options say" if self.max_iterations else f"{variables}: {CAUTION} times what closed loops need"
+        proximal = f"{CAUTION} times what closed loops with a semidefinite Hessian need, and no more than iterations"
         return (
-            ("QP_MAX_ITERATIONS", cap, "cap on the active-set iterations of one QP"),
-            ("QP_MAX_PROXIMAL_STEPS", steps, "cap on the proximal steps of a QP with a semidefinite Hessian"),
-            ("QP_MAX_SEARCHES", cap + 2 * steps, "cap on the searches for violated rows"),
+            ("QP_MAX_ITERATIONS", cap, f"cap on the active-set iterations of one QP, {why}"),
+            ("QP_MAX_PROXIMAL_STEPS", steps, f"cap on the proximal steps of one QP, {proximal}"),
+            (
+                "QP_MAX_SEARCHES",
+                cap + 2 * steps,
+                "cap on the searches for violated rows: one per iteration, two per step",
+            ),
         )
 
     def structs(self, dims: Dims) -> tuple[Struct, ...]:

@@ -111,9 +111,10 @@ class RiccatiActiveSet(QpSolver):
 
     def sizes(self, dims: Dims) -> tuple[tuple[str, int, str], ...]:
         """Leading dimensions and caps."""
+        why = "as the options say" if self.max_iterations else "1.5 times what closed loops need"
         return (
             *riccati_sizes(dims),
-            ("QP_MAX_ITERATIONS", self._cap, "cap on the working sets of one feedback phase"),
+            ("QP_MAX_ITERATIONS", self._cap, f"cap on the working sets of one feedback phase, {why}"),
             ("QP_MAX_POLISH", min(self._cap, MAX_POLISH), "cap on the working sets near a solution"),
             ("QP_MAX_REFINEMENTS", 20, "cap on the corrections of one minimiser"),
             *(self._joint_sizes(dims) if dims.ng.value else ()),

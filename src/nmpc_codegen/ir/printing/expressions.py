@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from textwrap import wrap
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import casadi as ca
 
@@ -26,21 +26,42 @@ _SUMS = (ca.OP_ADD, ca.OP_SUB)
 _PRODUCTS = (ca.OP_MUL, ca.OP_SQ, ca.OP_DIV)
 
 
+class Constant(NamedTuple):
+    """A value with a name of its own; ``note``: what begins with it; ``is_fixed``: it does not change in a loop."""
+
+    name: str
+    text: str
+    note: str = ""
+    is_fixed: bool = True
+
+    def definition(self, real: str) -> str:
+        """The statement that defines it."""
+        return f"const {real} {self.name} = {self.text};"
+
+
 class Expressions:
     """The expressions of a kernel, part by part.
 
     Attributes:
-        statements: definitions of constants for the values that are used more than once, with comments above parts.
+        kernel: whose expressions they are.
+        constants: the values that are used more than once, in their order. In a loop over elements, whose loads
+            ``moving`` (port, element) change, also those that do not change.
     """
 
     def __init__(
-        self, kernel: Kernel, style: CStyle, load: Callable[[int, int], str], taken: Taken | None = None
+        self,
+        kernel: Kernel,
+        style: CStyle,
+        load: Callable[[int, int], str],
+        taken: Taken | None = None,
+        moving: Collection[tuple[int, int]] = (),
     ) -> None:
-        self._kernel, self._style, self._load = kernel, style, load
+        self.kernel, self._style, self._load = kernel, style, load
         self._taken = taken or Taken(style.names)
         self._uses = _uses(kernel)
         self._texts: dict[int, str] = {}
-        self.statements: list[str] = []
+        self._moves = _find_moving(kernel, moving)
+        self.constants: list[Constant] = []
         printed = frozenset[int]().union(*(part.values for part in kernel.parts))
         rest = Part("", frozenset(range(len(kernel.instructions))) - printed, {})
         for part in (*kernel.parts, rest):
@@ -48,28 +69,40 @@ class Expressions:
 
     def _print(self, part: Part, last: bool) -> None:
         """The values of a part; those that later parts or, before the last one, stores need are constants."""
-        inside = {a for v in part.values for a in self._kernel.operands(v)}
+        inside = {a for v in part.values for a in self.kernel.operands(v)}
         if last:
-            inside.update(v for _, _, v in self._kernel.stores)
-        begin = len(self.statements)
+            inside.update(v for _, _, v in self.kernel.stores)
+        note = part.note
         for v in sorted(part.values):
-            ins = self._kernel.instructions[v]
+            ins = self.kernel.instructions[v]
             if ins.opcode not in OPERATIONS:
                 loads = ins.opcode == ca.OP_INPUT
                 self._texts[v] = self._load(*ins.args) if loads else self._style.number(ins.constant)
                 continue
             text = self._nest(ins)
-            alone = self._uses[v] == 1 and (v in inside or not part.note)
+            alone = self._uses[v] == 1 and (v in inside or not part.note) and not self._leaves_loop(v)
             deep = depth(text)
             if not alone or deep > DEEPEST or (len(text) > LONGEST and deep > FLAT):
                 named = part.named.get(v)
                 wish = self._style.names.value(named.buffer, named.element, named.mark) if named else ""
                 name = self._taken.next(wish or self._wish(ins))
-                self.statements.append(f"const {self._style.real} {name} = {text};")
-                text = name
+                self.constants.append(Constant(name, text, note, v not in self._moves))
+                text, note = name, ""
             self._texts[v] = text
-        if part.note and len(self.statements) > begin:
-            self.statements.insert(begin, f"/* {part.note} */")
+
+    @property
+    def statements(self) -> list[str]:
+        """Definitions of the constants, with comments above parts."""
+        lines: list[str] = []
+        for constant in self.constants:
+            lines += [f"/* {constant.note} */"] if constant.note else []
+            lines.append(constant.definition(self._style.real))
+        return lines
+
+    def _leaves_loop(self, value: int) -> bool:
+        """True if a value does not change in the loop that uses it."""
+        users = (v for v in self._moves if value in self.kernel.operands(v))
+        return bool(self._moves) and value not in self._moves and any(users)
 
     def _wish(self, ins: Instruction) -> str:
         """cos_phi for cos(phi)."""
@@ -80,29 +113,29 @@ class Expressions:
 
     def text(self, value: int) -> str:
         """The text of a value that is stored."""
-        number = self._kernel.instructions[value].opcode == ca.OP_CONST
+        number = self.kernel.instructions[value].opcode == ca.OP_CONST
         return self._style.whole(self._texts[value]) if number else self._texts[value]
 
     def assignment(self, target: str, value: int) -> str:
         """``target = value``, or ``target += rest`` where the value is a sum that begins with the target."""
-        ins = self._kernel.instructions[value]
+        ins = self.kernel.instructions[value]
         if ins.opcode == ca.OP_ADD and target in (terms := [self._texts[a] for a in ins.args]):
             return f"{target} += {terms[1 - terms.index(target)]}"
         return f"{target} = {self.text(value)}"
 
     def _nest(self, ins: Instruction) -> str:
-        numbers = [a for a in ins.args if self._kernel.instructions[a].opcode == ca.OP_CONST]
+        numbers = [a for a in ins.args if self.kernel.instructions[a].opcode == ca.OP_CONST]
         operands = {a: self._texts[a] for a in ins.args}
         if self._style.needs_values(ins.opcode) or len(numbers) == len(ins.args):
             operands |= {a: self._style.whole(operands[a]) for a in numbers}
         for position, a in enumerate(ins.args):
-            if needs_parentheses(ins.opcode, position, self._kernel.instructions[a].opcode, operands[a]):
+            if needs_parentheses(ins.opcode, position, self.kernel.instructions[a].opcode, operands[a]):
                 operands[a] = f"({operands[a]})"
         return expression(self._in_order(ins), operands, self._style)
 
     def _in_order(self, ins: Instruction) -> Instruction:
         """Sort the operands of a commutative operation on loads in the order of the inputs."""
-        loads = [self._kernel.instructions[a] for a in ins.args]
+        loads = [self.kernel.instructions[a] for a in ins.args]
         if not OPERATIONS[ins.opcode].commutative or any(load.opcode != ca.OP_INPUT for load in loads):
             return ins
         return ins._replace(args=tuple(a for _, a in sorted(zip((x.args for x in loads), ins.args, strict=True))))
@@ -139,6 +172,15 @@ def depth(text: str) -> int:
         now += (character == "(") - (character == ")")
         most = max(most, now)
     return most
+
+
+def _find_moving(kernel: Kernel, loads: Collection[tuple[int, int]]) -> frozenset[int]:
+    """The values that depend on these loads (port, element)."""
+    found = set[int]()
+    for v, ins in enumerate(kernel.instructions if loads else ()):
+        if ins.args in loads if ins.opcode == ca.OP_INPUT else not found.isdisjoint(kernel.operands(v)):
+            found.add(v)
+    return frozenset(found)
 
 
 def _uses(kernel: Kernel) -> list[int]:

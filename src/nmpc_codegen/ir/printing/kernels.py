@@ -6,16 +6,19 @@ Outputs may alias inputs, so all loads are named constants in front of the first
 from __future__ import annotations
 
 import re
-from itertools import groupby
+from collections.abc import Iterable
 from textwrap import wrap
 
 import casadi as ca
 
-from nmpc_codegen.ir.kernel import Kernel, Port
+from nmpc_codegen.ir.kernel import Instruction, Kernel, Port
 from nmpc_codegen.ir.printing.c_style import CStyle
 from nmpc_codegen.ir.printing.expressions import FIRM, WIDTH, Expressions, declare, wrap_statement
 from nmpc_codegen.ir.printing.local_names import LocalNames, Taken
 from nmpc_codegen.package.opcount import OpCount
+
+#: So many zeros of an output are one call.
+CLEARED = 4
 
 
 def signature(name: str, inputs: tuple[Port, ...], outputs: tuple[Port, ...], style: CStyle) -> str:
@@ -54,12 +57,13 @@ def print_count(count: OpCount) -> str:
 def print_kernel(kernel: Kernel, style: CStyle) -> str:
     """The whole C function; its parameters are the ports that it reads or writes."""
     printed = Function(kernel, style)
-    lines = [
-        comment(kernel.doc, kernel.reads, kernel.writes, print_count(kernel.count)),
-        *wrapped_head(signature(kernel.name, kernel.reads, kernel.writes, style)),
-        "{",
-    ]
-    return "\n".join([*lines, *printed.lines("    "), "}"])
+    lines = [*wrapped_head(signature(kernel.name, kernel.reads, kernel.writes, style)), "{", *printed.lines(), "}"]
+    return "\n".join([describe(kernel), *lines])
+
+
+def describe(kernel: Kernel) -> str:
+    """The comment above the function of a kernel."""
+    return comment(kernel.doc, kernel.reads, kernel.writes, print_count(kernel.count))
 
 
 def wrapped_head(head: str) -> list[str]:
@@ -68,28 +72,45 @@ def wrapped_head(head: str) -> list[str]:
 
 
 class Function:
-    """The body of a kernel as a function of its ports: loads, then named constants, then stores."""
+    """The body of a kernel as a function of its ports: loads, then named constants, then stores.
 
-    def __init__(self, kernel: Kernel, style: CStyle) -> None:
-        self.kernel, self.style = kernel, style
-        self.taken = Taken(style.names, (p.name for p in (*kernel.reads, *kernel.writes)))
+    Attributes:
+        loads: port -> the names of its elements that are read, and their texts.
+        stores: the target of every store, its text, and what it is.
+        cleared: outputs that are set to zero before the other stores.
+    """
 
-    def lines(self, indent: str) -> list[str]:
-        kernel, names = self.kernel, self.style.names
-        loads: dict[tuple[int, int], str] = {}
-        declarations: list[str] = []
-        for port, group in groupby(sorted(find_loads(kernel)), key=lambda load: load[0]):
+    def __init__(self, kernel: Kernel, style: CStyle, others: Iterable[str] = ()) -> None:
+        self.kernel, self.style, names = kernel, style, style.names
+        taken = Taken(names, (*(p.name for p in (*kernel.reads, *kernel.writes)), *others))
+        texts: dict[tuple[int, int], str] = {}
+        self.loads: dict[Port, list[tuple[str, str]]] = {}
+        for port, e in sorted(find_loads(kernel)):
             p = kernel.inputs[port]
-            constants = []
-            for _, e in group:
-                loads[port, e] = self.taken.of(names.signal(kernel.name, p.name, e, p.size), f"{p.name}_{e}")
-                constants.append((loads[port, e], f"{p.name}[{e}]"))
-            declarations += declare(self.style.real, constants)
-        expressions = Expressions(kernel, self.style, lambda port, e: loads[port, e], self.taken)
-        lines = [part for line in (*declarations, *expressions.statements) for part in wrap_statement(indent, line)]
-        for o, e, v in kernel.stores:
-            target = f"{kernel.outputs[o].name}{at(kernel.outputs[o], e)}"
-            lines += statement(indent, f"{target} = {expressions.text(v)}", self._note(o, e))
+            texts[port, e] = taken.of(names.signal(kernel.name, p.name, e, p.size), f"{p.name}_{e}")
+            self.loads.setdefault(p, []).append((texts[port, e], f"{p.name}[{e}]"))
+        self.expressions = Expressions(kernel, style, lambda port, e: texts[port, e], taken)
+        dense = any(p.flat for p in (*kernel.inputs, *kernel.outputs))
+        zeros = [o for o, _, v in kernel.stores if kernel.instructions[v] == Instruction(ca.OP_CONST, ())]
+        outputs = enumerate(kernel.outputs)
+        self.cleared = [o for o, port in outputs if dense and zeros.count(o) >= CLEARED]
+        self.stores = [
+            (f"{kernel.outputs[o].name}{at(kernel.outputs[o], e)}", self.expressions.text(v), self._note(o, e))
+            for o, e, v in kernel.stores
+            if o not in self.cleared or kernel.instructions[v] != Instruction(ca.OP_CONST, ())
+        ]
+
+    def lines(self) -> list[str]:
+        """All statements."""
+        indent = "    "
+        declarations = [line for held in self.loads.values() for line in declare(self.style.real, held)]
+        statements = (*declarations, *self.expressions.statements)
+        lines = [part for line in statements for part in wrap_statement(indent, line)]
+        for o in self.cleared:
+            port = self.kernel.outputs[o]
+            lines.append(f"{indent}memset({port.name}, 0, {port.size} * sizeof {port.name}{at(port, 0)});")
+        for target, text, note in self.stores:
+            lines += statement(indent, f"{target} = {text}", note)
         return lines
 
     def _note(self, output: int, element: int) -> str:

@@ -1,46 +1,44 @@
-"""Sweeps as C functions with loops: calls of static leaves, or their text where it stands in a loop over columns."""
+"""Sweeps as C functions with loops.
+
+A sweep that is too long for one function is cut where the comments begin: one function per stage and direction, on
+scratch memory in a struct whose comments say what its members are.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from itertools import groupby
+import re
+from collections.abc import Iterable, Iterator, Sequence
 
-import casadi as ca
-
-from nmpc_codegen.ir.kernel import OPERATIONS, Instruction, Kernel
-from nmpc_codegen.ir.passes import bound
 from nmpc_codegen.ir.printing.c_style import CStyle
-from nmpc_codegen.ir.printing.expressions import Expressions, declare, wrap_statement
-from nmpc_codegen.ir.printing.kernels import (
-    comment,
-    find_loads,
-    print_count,
-    print_kernel,
-    result_note,
-    signature,
-    statement,
-    wrapped_head,
-)
+from nmpc_codegen.ir.printing.expressions import wrap_statement
+from nmpc_codegen.ir.printing.kernels import comment, parameter, print_count, print_kernel, wrapped_head
+from nmpc_codegen.ir.printing.leaves import Buffers, Leaf
 from nmpc_codegen.ir.printing.local_names import Taken
+from nmpc_codegen.ir.printing.stages import STAGE, Loop, Piece, cut, flat, note_of, once
 from nmpc_codegen.ir.sweep import Affine, Call, For, LoopedRoutine, Node, Slice, Written, calls, passed_slices
+from nmpc_codegen.ir.tuning import PANEL
 
-#: So many elements that receive the same number are one statement, and so many zeros one call.
-CHAIN, CLEARED = 3, 16
+#: The longest function that is not cut, in lines.
+LONGEST_FUNCTION = 60
+#: The longest piece of a sweep that has no function of its own: the first number with which the sweep is no longer
+#: than it may be. The longest leaf that is called once and has none.
+SHORT_PIECES, SHORT_LEAF = (6, 3, 0), 8
+
+#: The pointer to scratch memory, and the struct in the function that owns it.
+SCRATCH = "w"
 
 
 def print_loops(routine: LoopedRoutine, style: CStyle) -> str:
-    """The C functions of the leaves that are called, and that of the sweep."""
-    sweep = routine.sweep
-    called = {c.leaf.name() for c in calls(sweep.body) if not c.written_out}
-    texts = [print_kernel(kernel, style) for name, kernel in routine.leaves.items() if name in called]
-    lines = [
-        comment(sweep.doc, routine.reads, routine.writes, print_count(routine.count)),
-        *wrapped_head(signature(sweep.name, routine.reads, routine.writes, style)),
-        "{",
-        *_Printer(routine, style).body(),
-        "}",
-    ]
-    return "\n\n".join([*texts, "\n".join(lines)])
+    """The C functions of the leaves that are called, and those of the sweep."""
+    printer = _Printer(routine, style)
+    called = {routine.leaves[c.leaf.name()] for c in calls(routine.sweep.body) if not printer.is_inline(c)}
+    texts = [print_kernel(kernel, style) for kernel in routine.kernels if kernel in called]
+    whole, length = printer.whole()
+    if length <= LONGEST_FUNCTION:
+        return "\n\n".join([*texts, whole])
+    cuts = [Pieces(printer, longest) for longest in SHORT_PIECES]
+    chosen = next((cut for cut in cuts if cut.main()[1] <= LONGEST_FUNCTION), cuts[-1])
+    return "\n\n".join([*texts, *chosen.texts()])
 
 
 class _Printer:
@@ -49,159 +47,270 @@ class _Printer:
     def __init__(self, routine: LoopedRoutine, style: CStyle) -> None:
         sweep = routine.sweep
         self.routine, self.style = routine, style
-        ports = (*routine.reads, *routine.writes)
+        self.ports = (*routine.reads, *routine.writes)
         rows = {name: sweep.columns[name] for name, size in sweep.locals if sweep.columns.get(name, size) < size}
-        self.columns: Mapping[str, int] = rows | {p.name: p.cols for p in ports if p.cols}
-        self.locals = {name: size for name, size in sweep.locals if size and name in routine.touched}
-        self.sizes = dict(sweep.locals) | {p.name: p.size for p in (*sweep.inputs, *sweep.outputs)}
-        self.names = {*self.locals, *(p.name for p in ports), *_indices(sweep.body)}
-        self.largest: dict[str, int] = {}
+        columns = rows | {p.name: p.cols for p in self.ports if p.cols}
+        local = {name: size for name, size in sweep.locals if size and name in routine.touched}
+        sizes = dict(sweep.locals) | {p.name: p.size for p in (*sweep.inputs, *sweep.outputs)}
+        self.buffers = Buffers(sizes, columns, local, {})
+        self.names = {*local, *(p.name for p in self.ports), *_indices(sweep.body), SCRATCH, STAGE}
+        self.uses: dict[str, int] = {}
+        for c in calls(sweep.body):
+            self.uses[c.leaf.name()] = self.uses.get(c.leaf.name(), 0) + 1
 
-    def body(self) -> list[str]:
-        """Declarations of the local buffers, and all nodes."""
-        arrays = [f"{name}{self._sizes(name, size)}" for name, size in self.locals.items()]
-        lines = wrap_statement("    ", f"{self.style.real} {', '.join(arrays)};") if arrays else []
-        return lines + self.nodes(self.routine.sweep.body, "    ")
+    def whole(self) -> tuple[str, int]:
+        """The sweep as one function."""
+        body = Body(self, self.buffers).nodes(self.routine.sweep.body, "    ")
+        return self.sweep(self.declarations(self.buffers.local), body)
 
-    def _sizes(self, name: str, size: int) -> str:
-        columns = self.columns.get(name)
+    def sweep(self, *parts: Sequence[str]) -> tuple[str, int]:
+        """The function of the sweep with its comment, and its number of lines without that."""
+        r = self.routine
+        text, length = self.function(r.name, self.arguments(), *parts)
+        return f"{comment(r.doc, r.reads, r.writes, print_count(r.count))}\n{text}", length
+
+    def function(self, name: str, arguments: Sequence[str], *parts: Sequence[str]) -> tuple[str, int]:
+        """The text of a function, and its number of lines."""
+        head = wrapped_head(f"static void {name}({', '.join(arguments)})")
+        lines = [*head, "{", *(line for part in parts for line in part), "}"]
+        return "\n".join(lines), len(lines)
+
+    def arguments(self, used: Iterable[str] | None = None) -> list[str]:
+        """The parameters for the ports, or for those of them that are used."""
+        names = None if used is None else set(used)
+        written = {p.name for p in self.routine.writes}
+        return [
+            f"int {p.name}" if p.whole else f"{'' if p.name in written else 'const '}{self.style.real} {parameter(p)}"
+            for p in self.ports
+            if names is None or p.name in names
+        ]
+
+    def declarations(self, local: Iterable[str]) -> list[str]:
+        """Declarations of local buffers."""
+        names = [name for name in self.buffers.local if name in set(local)]
+        return [f"    {self.member(name)}" for name in names]
+
+    def member(self, name: str) -> str:
+        """The declaration of a local buffer, or of it as a member of scratch memory, and what it holds."""
+        meaning = self.routine.sweep.meanings.get(name, "")
+        return f"{self.style.real} {name}{self.sizes(name)};" + (f" /* {meaning} */" if meaning else "")
+
+    def sizes(self, name: str) -> str:
+        """The sizes of a local buffer in its declaration."""
+        columns, size = self.buffers.columns.get(name), self.buffers.local[name]
         return f"[{size // columns}][{columns}]" if columns else f"[{size}]" if size > 1 else ""
+
+    def is_inline(self, call: Call) -> bool:
+        """True if a leaf is printed where it is called: it must be, is a loop over elements, or short and alone."""
+        if call.written_out:
+            return True
+        leaf = Leaf(self.routine, call, self.buffers, self.style)
+        if leaf.is_loop:
+            return True
+        taken = Taken(self.style.names, self.names)
+        return self.uses[call.leaf.name()] == 1 and len(leaf.lines("", "i", taken)) <= SHORT_LEAF
+
+
+class Body:
+    """The statements of nodes in one function, which reaches buffers in its way."""
+
+    def __init__(self, printer: _Printer, buffers: Buffers) -> None:
+        self.printer, self.routine, self.buffers = printer, printer.routine, buffers
+        self.taken = Taken(printer.style.names, printer.names)
+        self.indices: tuple[str, ...] = ()
+        self.largest: dict[str, int] = {}
 
     def nodes(self, nodes: tuple[Node, ...], indent: str, note: str = "") -> list[str]:
         """The statements of a block, with a comment where a stage begins; ``note``: the last one above it."""
         lines: list[str] = []
-        nodes = tuple(_once(nodes))
-        for node in nodes:
-            notes = {c.heading(c.step, self.routine.sweep.steps) for c in calls((node,)) if c.note}
-            of = notes.pop() if len(notes) == 1 else note
-            if of and of != note:
+        for node in once(nodes):
+            of = note_of(node) or note
+            if of != note:
                 lines.append(f"{indent}/* {of} */")
             note = of
-            lines += self._node(node, indent, len(nodes) == 1, note)
+            lines += self.node(node, indent, note)
         return lines
 
-    def _node(self, node: Node, indent: str, alone: bool, note: str) -> list[str]:
+    def node(self, node: Node, indent: str, note: str) -> list[str]:
+        """The statements of a node."""
         if isinstance(node, Written):
             return wrap_statement(indent, self._print_written(node))
         if isinstance(node, Call):
-            return self._print_leaf(node, indent, alone) if node.written_out else [indent + self._print_call(node)]
+            return self._print_call(node, indent)
         assert isinstance(node, For), "other blocks are printed in a frame"
-        last = node.count if isinstance(node.count, int) else self._most(node.count)
-        self.largest[node.index] = node.start + last - 1
-        return [indent + head(node), *self.nodes(node.body, indent + "    ", note), indent + "}"]
+        return [*self.enter(node, indent), *self.nodes(node.body, indent + "    ", note), *self.leave(indent)]
+
+    def enter(self, loop: For, indent: str) -> list[str]:
+        """The head of a loop, whose index is in use from now on."""
+        last = loop.count if isinstance(loop.count, int) else self._most(loop.count)
+        self.largest[loop.index] = loop.start + last - 1
+        self.indices = (*self.indices, loop.index)
+        return [indent + head(loop)]
+
+    def leave(self, indent: str) -> list[str]:
+        """The end of the innermost loop."""
+        self.indices = self.indices[:-1]
+        return [indent + "}"]
 
     def _most(self, value: Affine) -> int:
         return value.constant + sum(c * (self.largest[i] if c > 0 else 0) for i, c in value.terms)
 
-    def _print_call(self, call: Call) -> str:
+    def _print_call(self, call: Call, indent: str) -> list[str]:
+        if self.printer.is_inline(call):
+            index = next(i for i in ("i", "j", "n", "m") if i not in self.indices)
+            return Leaf(self.routine, call, self.buffers, self.printer.style).lines(indent, index, self.taken)
         kernel = self.routine.leaves[call.leaf.name()]
-        return f"{kernel.name}({', '.join(map(self._address, passed_slices(call, kernel)))});"
+        ports = (*kernel.reads, *kernel.writes)
+        passed = zip(passed_slices(call, kernel), ports, strict=True)
+        arguments = ", ".join(self.buffers.name(s.buffer) if p.cols else self.buffers.address(s) for s, p in passed)
+        return wrap_statement(indent, f"{kernel.name}({arguments});")
 
     def _print_written(self, node: Written) -> str:
-        texts = (s if isinstance(s, str) else self._address(s) for s in (*node.ins, *node.outs))
+        texts = (s if isinstance(s, str) else self.buffers.address(s) for s in (*node.ins, *node.outs))
         return f"{node.function}({', '.join(texts)});"
 
-    def _address(self, s: Slice) -> str:
-        columns = self.columns.get(s.buffer)
-        text = self.element(s, 0)
-        if columns and s.size <= columns and text.endswith("[0]"):
-            return text.removesuffix("[0]")
-        return s.buffer if text == f"{s.buffer}[0]" else f"&{text}"
 
-    def _is_number(self, buffer: str) -> bool:
-        """True for a local buffer of one element, which is no array."""
-        return self.locals.get(buffer) == 1 and buffer not in self.columns
+class Pieces:
+    """A sweep that is cut into functions on scratch memory."""
 
-    def element(self, s: Slice, e: int) -> str:
-        """C text of an element of a slice."""
-        constant, columns = s.offset.constant + s.stride * e, self.columns.get(s.buffer)
-        if self._is_number(s.buffer):
-            return s.buffer
-        if not columns:
-            return f"{s.buffer}[{Affine(constant, s.offset.terms).c()}]"
-        row, column = Affine(constant, s.offset.terms).split(columns)
-        assert self._most(column) < columns, f"{self.routine.name}: {s} leaves a row of {columns}"
-        return f"{s.buffer}[{row.c()}][{column.c()}]"
+    def __init__(self, printer: _Printer, longest: int) -> None:
+        self.printer, self.routine, self.style = printer, printer.routine, printer.style
+        self.pieces = cut(self.routine.sweep.body, self.routine.leaves)
+        self.functions: list[Piece] = []
+        self.largest = dict(_largest(self.pieces))
+        names = {kernel.name for kernel in self.routine.leaves.values()}
+        for piece in flat(self.pieces):
+            lines = Body(printer, printer.buffers).nodes(tuple(piece.nodes), "", piece.note)
+            if len(lines) > longest or any(line.startswith("const ") for line in lines):
+                piece.name = self._name(piece.note, names)
+                names.add(piece.name)
+                self.functions.append(piece)
+        self.shared = self._find_shared()
 
-    def _print_leaf(self, call: Call, indent: str, alone: bool) -> list[str]:
-        """The statements of a leaf; in braces if they declare constants beside other nodes."""
-        kernel = self.routine.leaves[call.leaf.name()]
-        taken = Taken(self.style.names, self.names)
-        declarations, texts = self._loads(call, kernel, taken)
-        expressions = Expressions(kernel, self.style, lambda port, e: texts[port, e], taken)
-        constants = [*declarations, *expressions.statements]
-        inner = indent if alone or not constants else indent + "    "
-        lines = [part for line in constants for part in wrap_statement(inner, line)]
-        lines += self._stores(call, kernel, expressions, inner)
-        return lines if inner == indent else [indent + "{", *lines, indent + "}"]
+    def _name(self, note: str, names: set[str]) -> str:
+        name = (
+            f"{self.routine.name}_{re.sub(r'[^a-z0-9]+', '_', note.lower())}" if note else f"{self.routine.name}_part"
+        )
+        numbered = (name if n == 1 else f"{name}_{n}" for n in range(1, len(names) + 2))
+        return next(n for n in numbered if n not in names)
 
-    def _loads(self, call: Call, kernel: Kernel, taken: Taken) -> tuple[list[str], dict[tuple[int, int], str]]:
-        """Declarations of the constants that hold loads, and the text of every load.
+    def _find_shared(self) -> list[str]:
+        """The local buffers that are members of the scratch memory: all but those that one function needs alone.
 
-        A load is held if it has a name, or if a store of the call may change it.
+        Those whose size is a multiple of a panel come first, so that their rows stay aligned as in arrays of their own.
         """
-        texts = {(port, e): self.element(call.ins[port], e) for port, e in find_loads(kernel)}
-        written = {s.buffer for s in call.outs}
-        to_parameter = any(buffer not in self.locals for buffer in written)
-        computes = any(ins.opcode in OPERATIONS for ins in kernel.instructions)
-        declarations: list[str] = []
-        for port, group in groupby(sorted(texts), key=lambda load: load[0]):
-            s = call.ins[port]
-            moves = s.buffer in written or (to_parameter and s.buffer not in self.locals)
-            held: list[tuple[str, str]] = []
-            for _, e in group:
-                wish = self.style.names.signal(self.routine.name, s.buffer, e, s.size)
-                if (moves and len(kernel.stores) > 1) or (wish and computes):
-                    held.append((taken.of(wish, f"{s.buffer}_{e}"), texts[port, e]))
-                    texts[port, e] = held[-1][0]
-            declarations += declare(self.style.real, held)
-        return declarations, texts
+        places: dict[str, set[int]] = {}
+        loaded: set[str] = set()
+        for piece in flat(self.pieces):
+            first: dict[str, bool] = {}
+            for s, is_written in self._slices(piece.nodes):
+                first.setdefault(s.buffer, is_written)
+                places.setdefault(s.buffer, set()).add(id(piece) if piece.name else 0)
+            loaded |= {buffer for buffer, is_written in first.items() if piece.name and not is_written}
+        local = self.printer.buffers.local
+        found = [name for name in local if len(places.get(name, ())) > 1 or name in loaded]
+        return sorted(found, key=lambda name: local[name] % PANEL > 0)
 
-    def _stores(self, call: Call, kernel: Kernel, expressions: Expressions, indent: str) -> list[str]:
-        """The stores of a leaf; a number that several elements in a row receive is one statement."""
-        lines, rest = self._print_clearing(call, kernel, indent)
-        numbers: dict[str, list[tuple[int, int, int]]] = {}
-        for store in rest:
-            if kernel.instructions[store[2]].opcode == ca.OP_CONST:
-                numbers.setdefault(expressions.text(store[2]), []).append(store)
-        equal = {text: stores for text, stores in numbers.items() if len(stores) >= CHAIN}
-        for text, stores in equal.items():
-            targets = [self.element(call.outs[o], e) for o, e, _ in stores]
-            lines += wrap_statement(indent, f"{' = '.join(targets)} = {text};")
-        for o, e, v in rest:
-            if kernel.instructions[v].opcode != ca.OP_CONST or expressions.text(v) not in equal:
-                target = self.element(call.outs[o], e)
-                lines += statement(indent, expressions.assignment(target, v), self._note(call.outs[o], e))
+    def _slices(self, nodes: Sequence[Node]) -> Iterator[tuple[Slice, bool]]:
+        """(slice, whether it is written) of what nodes load and store, in the order of execution."""
+        for node in nodes:
+            if isinstance(node, Call):
+                kernel = self.routine.leaves[node.leaf.name()]
+                yield from ((s, False) for s, p in zip(node.ins, kernel.inputs, strict=True) if p in kernel.reads)
+                yield from ((s, True) for s, p in zip(node.outs, kernel.outputs, strict=True) if p in kernel.writes)
+            elif isinstance(node, Written):
+                yield from ((s, False) for s in node.ins if isinstance(s, Slice))
+                yield from ((s, True) for s in node.outs)
+            else:
+                yield from self._slices(node.body)
+
+    @property
+    def scratch(self) -> str:
+        """The type of the scratch memory."""
+        return f"{self.routine.name}_scratch_t"
+
+    def texts(self) -> list[str]:
+        """The struct, the functions of the pieces, and that of the sweep."""
+        functions = [self._function(piece) for piece in self.functions]
+        return [*([self._struct()] if self.shared else []), *functions, self.main()[0]]
+
+    def _struct(self) -> str:
+        lines = [f"typedef struct {{ /* scratch memory of {self.routine.name} */"]
+        lines += [f"    {self.printer.member(name)}" for name in self.shared]
+        return "\n".join([*lines, f"}} {self.scratch};"])
+
+    def _buffers(self, mark: str) -> Buffers:
+        of = self.printer.buffers
+        return Buffers(of.sizes, of.columns, of.local, dict.fromkeys(self.shared, f"{SCRATCH}{mark}"))
+
+    def _used(self, piece: Piece) -> tuple[set[str], list[str], bool, bool]:
+        """What a piece uses: ports and local buffers, indices of loops around it; whether it uses, and changes, scratch
+        memory."""
+        names, changed = set[str](), set[str]()
+        for s, is_written in self._slices(piece.nodes):
+            names.add(s.buffer)
+            changed |= {s.buffer} if is_written else set()
+        names.update(_texts(tuple(piece.nodes)))
+        own = _indices(tuple(piece.nodes))
+        terms = {i for s, _ in self._slices(piece.nodes) for i, _ in s.offset.terms}
+        shared = set(self.shared)
+        return names, sorted(terms - own), bool(names & shared), bool(changed & shared)
+
+    def _function(self, piece: Piece) -> str:
+        names, indices, uses, changes = self._used(piece)
+        arguments = [*self.printer.arguments(names), *(f"ptrdiff_t {i}" for i in indices)]
+        arguments += [f"{'' if changes else 'const '}{self.scratch} *{SCRATCH}"] if uses else []
+        body = Body(self.printer, self._buffers("->"))
+        body.largest = self.largest
+        lines = body.nodes(tuple(piece.nodes), "    ", piece.note)
+        declared = self.printer.declarations(names - set(self.shared))
+        text, _ = self.printer.function(piece.name, arguments, declared, lines)
+        return f"/* {self.routine.name}: {piece.note} */\n{text}"
+
+    def main(self) -> tuple[str, int]:
+        """The function of the sweep, which calls those of the pieces, and its number of lines."""
+        body = Body(self.printer, self._buffers("."))
+        lines = self._print(body, self.pieces, "    ")
+        own = {s.buffer for p in flat(self.pieces) if not p.name for s, _ in self._slices(p.nodes)}
+        declared = self.printer.declarations(own - set(self.shared))
+        scratch = [f"    {self.scratch} {SCRATCH};"] if self.shared else []
+        return self.printer.sweep(scratch, declared, lines)
+
+    def _print(self, body: Body, pieces: Iterable[Piece | Loop], indent: str) -> list[str]:
+        lines: list[str] = []
+        for piece in pieces:
+            if isinstance(piece, Loop):
+                inner = body.enter(piece.loop, indent)
+                lines += [*inner, *self._print(body, piece.pieces, indent + "    "), *body.leave(indent)]
+            elif piece.name:
+                lines += self._call(piece, indent)
+            else:
+                lines += body.nodes(tuple(piece.nodes), indent)
         return lines
 
-    def _print_clearing(self, call: Call, kernel: Kernel, indent: str) -> tuple[list[str], list[tuple[int, int, int]]]:
-        """Calls that clear the buffers which are zero but for some elements, and the stores that remain."""
-        zeros = [s for s in kernel.stores if kernel.instructions[s[2]] == Instruction(ca.OP_CONST, ())]
-        lines: list[str] = []
-        for o, s in enumerate(call.outs):
-            those = [store for store in zeros if store[0] == o]
-            if len(those) >= CLEARED and s.size == self.sizes[s.buffer]:
-                size = f"sizeof {s.buffer}" if s.buffer in self.locals else f"{s.size} * sizeof {self.element(s, 0)}"
-                lines.append(f"{indent}memset({s.buffer}, 0, {size});")
-            else:
-                zeros = [store for store in zeros if store[0] != o]
-        return lines, [store for store in kernel.stores if store not in zeros]
-
-    def _note(self, s: Slice, e: int) -> str:
-        """What an element of a result is, where no loop runs over it."""
-        if s.buffer in self.locals or s.offset.terms:
-            return ""
-        element = s.offset.constant + s.stride * e
-        return result_note(s.buffer, self.columns.get(s.buffer, 0), element, self.style.names)
+    def _call(self, piece: Piece, indent: str) -> list[str]:
+        names, indices, uses, _ = self._used(piece)
+        passed = [p.name for p in self.printer.ports if p.name in names]
+        arguments = [*passed, *indices, *([f"&{SCRATCH}"] if uses else [])]
+        return wrap_statement(indent, f"{piece.name}({', '.join(arguments)});")
 
 
-def _once(nodes: tuple[Node, ...]) -> Iterator[Node]:
-    """The nodes, with what a loop runs once in its place."""
+def _largest(pieces: Iterable[Piece | Loop]) -> Iterator[tuple[str, int]]:
+    """(index, its largest value) of the loops around pieces."""
+    for piece in pieces:
+        if isinstance(piece, Loop):
+            assert isinstance(piece.loop.count, int)
+            yield piece.loop.index, piece.loop.start + piece.loop.count - 1
+            yield from _largest(piece.pieces)
+
+
+def _texts(nodes: tuple[Node, ...]) -> Iterator[str]:
+    """The words of arguments that are texts."""
     for node in nodes:
-        if isinstance(node, For) and node.count == 1:
-            yield from _once(tuple(bound(inner, node.index, node.start) for inner in node.body))
-        else:
-            yield node
+        if isinstance(node, Written):
+            yield from (word for s in node.ins if isinstance(s, str) for word in re.findall(r"\w+", s))
+        elif not isinstance(node, Call):
+            yield from _texts(node.body)
 
 
 def _indices(nodes: tuple[Node, ...]) -> set[str]:

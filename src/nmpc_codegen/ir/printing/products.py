@@ -12,7 +12,7 @@ from collections.abc import Iterable
 from functools import lru_cache
 
 from nmpc_codegen.ir.printing.c_style import CStyle
-from nmpc_codegen.ir.printing.expressions import Expressions, wrap_statement
+from nmpc_codegen.ir.printing.expressions import Expressions, declare, wrap_statement
 from nmpc_codegen.ir.printing.kernels import block, find_loads, print_count, wrapped_head
 from nmpc_codegen.ir.sweep import Affine, Block, Call, Entries, For, Frame, If, LoopedRoutine, Node, Slice, calls
 
@@ -101,15 +101,15 @@ class _Printer:
 
     def _loads(self, call: Call, indent: str, names: Names, index: str | None) -> list[str]:
         """Constants that hold loads: all of them, or, given a loop ``index``, those that the loop does not change."""
-        lines: list[str] = []
+        held: list[tuple[str, str]] = []
         for port, element in sorted(find_loads(self._leaves[call.leaf.name()])):
             s = call.ins[port]
             text, name = self._element(s, element), self._name(s, element)
             fixed = s.buffer not in self._stored and all(i != index for i, _ in s.offset.terms)
             if text not in names and name not in names.values() and (fixed or index is None):
                 names[text] = name
-                lines.append(f"{indent}const {self._style.real} {name} = {text};")
-        return lines
+                held.append((name, text))
+        return [part for line in declare(self._style.real, held) for part in wrap_statement(indent, line)]
 
     def _stores(self, call: Call, indent: str, names: Names, scalars: set[str], named: bool) -> list[str]:
         """Statements that compute and store the results; ``named``: all are computed as constants before any store."""

@@ -6,8 +6,8 @@ from functools import lru_cache
 
 from nmpc_codegen.ir.kernel import Kernel
 from nmpc_codegen.ir.printing.c_style import CStyle
-from nmpc_codegen.ir.printing.kernels import print_kernel
 from nmpc_codegen.ir.printing.loops import print_loops
+from nmpc_codegen.ir.printing.pieces import print_straight
 from nmpc_codegen.ir.printing.products import print_frame
 from nmpc_codegen.ir.sweep import Routine
 
@@ -16,5 +16,5 @@ from nmpc_codegen.ir.sweep import Routine
 def print_routine(routine: Routine, style: CStyle) -> str:
     """C text of a routine."""
     if isinstance(routine, Kernel):
-        return print_kernel(routine, style)
+        return print_straight(routine, style)
     return print_frame(routine, style) if routine.sweep.frame else print_loops(routine, style)

@@ -59,9 +59,9 @@ def _residuals(stem: str, stage: Stage, doc: str) -> Enum:
 
 
 def _row(row: Row) -> list[str]:
+    where = f" at {'node' if len(row.nodes) == 1 else 'nodes'} {nodes(row.nodes)}" if row.nodes else ""
     return [
-        f"{row.lower:g} .. {row.upper:g}",
-        f"nodes {nodes(row.nodes)}" if row.nodes else "",
+        f"{row.lower:g} .. {row.upper:g}{where}",
         row.strictness if row.soft else "",
     ]
 

@@ -11,13 +11,17 @@ from nmpc_codegen.lowering.linearize import Model
 from nmpc_codegen.package.memory import Field, Size
 from nmpc_codegen.package.signals import Kind, Layout, c_constants
 
-#: Values of k that are allowed besides ALL, for every kind of data that can be changed at run time.
+#: The node k of a setter, for every kind of data that can be changed at run time.
+_NONE = "is {all}: all nodes have the same"
+_PATH = "is 0 .. N - 1, or {all}"
+_END = "is N if the row holds there, or {all} for all of its nodes"
+_ROW = "is a node of the row, or {all} for all of them"
 _NODES: Mapping[Kind, Mapping[Layout, str]] = {
-    "reference": {"shared": "no node", "node": "0 .. N - 1"},
-    "weight": {"shared": "no node", "node": "0 .. N - 1"},
-    "parameter": {"shared": "N", "node": "0 .. N"},
-    "bounds": {"shared": "N, if the row holds there", "node": "a node of the row"},
-    "soft": {"shared": "N, if the row holds there", "node": "a node of the row"},
+    "reference": {"shared": _NONE, "node": _PATH},
+    "weight": {"shared": _NONE, "node": _PATH},
+    "parameter": {"shared": "is N for the terminal node alone, or {all} for all nodes", "node": "is 0 .. N, or {all}"},
+    "bounds": {"shared": _END, "node": _ROW},
+    "soft": {"shared": _END, "node": _ROW},
 }
 
 
@@ -26,7 +30,7 @@ def setters(model: Model) -> tuple[Setter, ...]:
     layouts = model.options.online.layouts
     estimates = model.problem.estimation is not None
     return tuple(
-        Setter(n, "no node" if estimates and n == "parameter" else nodes[layouts[n]])
+        Setter(n, _NONE if estimates and n == "parameter" else nodes[layouts[n]])
         for n, nodes in _NODES.items()
         if is_set(model, n)
     )

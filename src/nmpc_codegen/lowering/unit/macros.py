@@ -14,7 +14,7 @@ from nmpc_codegen.ir.cmodule import CModule
 from nmpc_codegen.ir.printing.c_style import CStyle, unit_style
 from nmpc_codegen.ir.printing.products import call
 from nmpc_codegen.ir.sweep import LoopedRoutine, Routine
-from nmpc_codegen.lowering.tolerances import FACTORS, TOLERANCES, tolerance
+from nmpc_codegen.lowering.tolerances import FACTORS, ROOT, TOLERANCES, UNIT, origin
 from nmpc_codegen.lowering.unit.item import Item
 from nmpc_codegen.lowering.unit.names import rename
 from nmpc_codegen.package.memory import Struct
@@ -105,11 +105,17 @@ def arithmetic(precision: str, own: bool = False) -> list[Item]:
     style = unit_style(precision, own)
     found = [macro(name.upper(), style.function(name)) for name in FUNCTIONS]
     found.append(macro("INF", "((real_t)INFINITY)"))
-    for name, (_, reason) in TOLERANCES.items():
-        found.append(macro(f"TOL_{name.upper()}", style.literal(tolerance(name, precision)), note=reason))
+    for name, (_, reason) in sorted(TOLERANCES.items(), key=lambda item: item[0] not in (UNIT, ROOT)):
+        found.append(macro(f"TOL_{name.upper()}", _text_of_tolerance(name, precision, style), note=reason))
     for name, (value, reason) in FACTORS.items():
         found.append(macro(f"FACTOR_{name.upper()}", style.literal(value), note=reason))
     return found
+
+
+def _text_of_tolerance(name: str, precision: str, style: CStyle) -> str:
+    """(32.0 * TOL_UNIT): a tolerance as a multiple of the machine epsilon or of its root."""
+    unit, factor = origin(name, precision)
+    return f"({style.literal(factor)} * TOL_{unit.upper()})" if unit else style.literal(factor)
 
 
 def accessors(module: CModule) -> list[Item]:

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import casadi as ca
 
-from nmpc_codegen.components.integrators.explicit.runge_kutta import LENGTH, RungeKutta
+from nmpc_codegen.components.integrators.explicit.runge_kutta import LENGTH, MEANINGS, RungeKutta
 from nmpc_codegen.components.integrators.tableau import ButcherTableau
 from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.kernel import Port
@@ -56,6 +56,7 @@ class Directional:
             buffers,
             tuple(body),
             columns=self.rk.columns,
+            meanings=MEANINGS,
             steps=self.steps,
         )
 
@@ -91,6 +92,7 @@ class Directional:
             buffers,
             tuple(body),
             columns=self.rk.columns,
+            meanings=MEANINGS,
             steps=self.steps,
         )
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import casadi as ca
 
-from nmpc_codegen.components.integrators.explicit.runge_kutta import RungeKutta
+from nmpc_codegen.components.integrators.explicit.runge_kutta import MEANINGS, RungeKutta
 from nmpc_codegen.components.integrators.tableau import ButcherTableau, combine
 from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.casadi_types import Function, nonzeros
@@ -38,6 +38,7 @@ def step_sweep(problem: Problem, tableau: ButcherTableau) -> Sweep:
         (("X", nx), ("K", rk.stages * nx)),
         tuple(body),
         columns=rk.columns,
+        meanings=MEANINGS,
     )
 
 
@@ -98,8 +99,10 @@ class Sensitivities:
         for i in range(nx):
             start[i * ld + i] = 1
         source, target = (Slice(name, nz, Affine(0, (("i", n),))) for name, n in (("Sx", ld), ("S", nz)))
+        forcing = len(self.f.fu_rows) * ld
         body: list[Node] = [
             *rk.start(),
+            Call(ca.Function("no_forcing", [], [ca.SX.zeros(forcing)]), (), (Slice("Fu", forcing),), note="start"),
             Call(ca.Function("identity", [], [start], [], ["s"]), (), (Slice("Sx", nx * ld),)),
             For("step", 0, passes, tuple(self._step())),
             Call(copy("copy_x", nx), (rk.state,), (Slice("x_next", nx),)),
@@ -115,6 +118,7 @@ class Sensitivities:
             self._locals(),
             tuple(body),
             columns={**rk.columns, "Sx": ld, "Ks": ld, "Fu": ld},
+            meanings=MEANINGS,
             steps=passes,
         )
 
@@ -143,7 +147,8 @@ class Sensitivities:
             if any(coefficients):
                 nodes.append(rk.point(i, point, "stage"))
             jacobian, forcing = Slice("fx", f.fx.nnz()), Slice("Fu", len(f.fu_rows) * ld)
-            nodes.append(Call(f.leaf_f_and_jacobian(ld), (point, *rk.up), (rk.slope(i), jacobian, forcing)))
+            outs = (rk.slope(i), jacobian, forcing)
+            nodes.append(Call(f.leaf_f_and_jacobian(ld), (point, *rk.up), outs, keeps_zeros=True))
             slopes = [self._slope(j) for j, c in enumerate(coefficients) if c]
             ins = (jacobian, S, h, self._column("Fu", len(f.fu_rows)), *slopes)
             nodes.append(For("c", 0, ld, (Call(f.leaf_slope(i, rk.tableau), ins, (self._slope(i),)),)))

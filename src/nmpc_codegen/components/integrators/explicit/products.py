@@ -17,7 +17,7 @@ from collections.abc import Callable
 import casadi as ca
 
 from nmpc_codegen.components.integrators.explicit.first_order import Dynamics
-from nmpc_codegen.components.integrators.explicit.runge_kutta import LENGTH, RungeKutta
+from nmpc_codegen.components.integrators.explicit.runge_kutta import LENGTH, MEANINGS, RungeKutta
 from nmpc_codegen.components.integrators.tableau import ButcherTableau, combine
 from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.casadi_types import Function, nonzeros
@@ -52,6 +52,7 @@ class IntervalSweeps:
             buffers,
             tuple(body),
             columns=rk.columns,
+            meanings=MEANINGS,
             steps=self.steps,
         )
 
@@ -81,6 +82,7 @@ class IntervalSweeps:
             buffers,
             tuple(body),
             columns=rk.columns,
+            meanings=MEANINGS,
             steps=self.steps,
         )
 
@@ -115,6 +117,7 @@ class IntervalSweeps:
             buffers,
             tuple(body),
             columns={**rk.columns, "V": nu, "Ks": nu, "Fu": nu},
+            meanings=MEANINGS,
             steps=self.steps,
         )
 

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 
 import casadi as ca
 
-from nmpc_codegen.components.integrators.explicit.runge_kutta import LENGTH, RungeKutta
+from nmpc_codegen.components.integrators.explicit.runge_kutta import LENGTH, MEANINGS, RungeKutta
 from nmpc_codegen.components.integrators.tableau import ButcherTableau, combine
 from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.casadi_types import Expression
@@ -47,6 +47,7 @@ class Quadrature:
             buffers,
             tuple(body),
             columns=self.rk.columns,
+            meanings=MEANINGS,
             steps=self.steps,
         )
 
@@ -74,6 +75,7 @@ class Quadrature:
             buffers,
             tuple(body),
             columns=self.rk.columns,
+            meanings=MEANINGS,
             steps=self.steps,
         )
 
@@ -111,6 +113,7 @@ class Quadrature:
             buffers,
             tuple(body),
             columns=self.rk.columns,
+            meanings=MEANINGS,
             steps=self.steps,
         )
 

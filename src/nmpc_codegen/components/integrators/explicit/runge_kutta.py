@@ -22,6 +22,40 @@ from nmpc_codegen.ir.sweep import NEXT_STEP, Affine, Call, Slice
 #: Length of a step.
 LENGTH = Slice("h", 1)
 
+#: Buffer -> what it holds. In names of matrices, columns are those of (x, u) that do not depend on time alone.
+MEANINGS: Mapping[str, str] = {
+    "h": "length of a step",
+    "X": "state at the beginning of a step, then at its end",
+    "Xi": "stage point",
+    "Xs": "stage points",
+    "K": "slopes f at the stage points",
+    "Ks": "derivatives of the slopes, columns d / d(x, u)",
+    "Sx": "derivatives of the state, columns d / d(x, u)",
+    "fx": "nonzeros of f_x at the stage point",
+    "Fu": "what controls add to the derivatives of the slopes",
+    "E": "columns of the controls: unit rows",
+    "tape": "factors of the derivatives of f at the stage points",
+    "m": "calls of math.h at a stage point",
+    "M": "the same for all stages of a step",
+    "adj": "multipliers of the state at the end of a step",
+    "lam": "multipliers of the state at the end of a step",
+    "Xbar": "adjoints of the stage points",
+    "kappa": "adjoints of the slopes that are nonlinear",
+    "Hs": "entries of d2 (kappa' f) / d(x, u)^2 at a stage",
+    "Z": "derivatives of the stage points, rows in which f is nonlinear",
+    "Zs": "derivatives of the stage points, rows in which f is nonlinear",
+    "HZ": "second derivatives times derivatives of the stage points",
+    "H": "Hessian of the interval, lower triangle",
+    "adjS": "derivatives of the multipliers",
+    "XbarS": "derivatives of the adjoints of the stage points",
+    "ubarS": "derivatives of the adjoints of the controls",
+    "dX": "derivative of the state along a direction",
+    "dXi": "derivative of the stage point along the direction",
+    "dXs": "derivatives of the stage points along the direction",
+    "dK": "derivatives of the slopes along the direction",
+    "L": "rates of the cost at the stage points",
+}
+
 
 class RungeKutta:
     """Calls for sweeps of one problem, scheme and number of steps."""
@@ -30,7 +64,6 @@ class RungeKutta:
         self.tableau, self.steps, self.stages = tableau, steps, tableau.stages
         self.nx, self.nu, self.np = problem.nx, problem.nu, problem.np
         self.state, self.up = Slice("X", self.nx), (Slice("u", self.nu), Slice("p", self.np))
-        self._fixed_length = problem.dt[0] / steps if problem.uniform else None
 
     @property
     def steps_over_dt(self) -> str:
@@ -50,8 +83,7 @@ class RungeKutta:
     def start(self) -> list[Call]:
         """h = dt / steps, X = x."""
         dt = ca.SX.sym("dt")
-        h = dt / self.steps if self._fixed_length is None else ca.SX(self._fixed_length)
-        length = ca.Function("step_length", [dt], [h], ["dt"], ["h"])
+        length = ca.Function("step_length", [dt], [dt / self.steps], ["dt"], ["h"])
         return [
             Call(length, (Slice("dt", 1),), (LENGTH,), note="start"),
             Call(copy("copy_x", self.nx), (Slice("x", self.nx),), (self.state,), note="start"),
@@ -124,9 +156,10 @@ class RungeKutta:
         slopes = [value, *(bars[j] for j in later)][0 if coefficients[0] else 1 :]
         return combine(ca.SX.zeros(*value.shape), h, slopes, coefficients)
 
-    def update_adjoint(self, name: str, adjoint: Slice, bar: Callable[[int], Slice]) -> Call:
-        """adjoint += sum_i Xbar_i."""
+    def update_adjoint(self, name: str, adjoint: Slice, bar: Callable[[int], Slice], down: bool = False) -> Call:
+        """adjoint += sum_i Xbar_i, added from the last stage ``down`` or from the first one up."""
         value = ca.SX.sym("adj", adjoint.size)
-        bars = [ca.SX.sym(f"Xbar{i}", adjoint.size) for i in range(self.stages)]
+        stages = range(self.stages)[:: -1 if down else 1]
+        bars = [ca.SX.sym(f"Xbar{i}", adjoint.size) for i in stages]
         leaf = ca.Function(name, [value, *bars], [sum(bars, value)])
-        return Call(leaf, (adjoint, *(bar(i) for i in range(self.stages))), (adjoint,), note="adjoint of the step")
+        return Call(leaf, (adjoint, *map(bar, stages)), (adjoint,), note="adjoint of the step")

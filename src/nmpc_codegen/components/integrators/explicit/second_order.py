@@ -10,9 +10,8 @@ closed form; the others are stored packed, in rows whose length is a multiple of
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 from dataclasses import replace
-from itertools import zip_longest
 
 import casadi as ca
 
@@ -22,22 +21,20 @@ from nmpc_codegen.components.integrators.tableau import ButcherTableau, combine
 from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.casadi_types import Expression, Function
 from nmpc_codegen.ir.kernel import Port, lift
-from nmpc_codegen.ir.passes import copy, fix_step, shift_steps
+from nmpc_codegen.ir.passes import copy
 from nmpc_codegen.ir.sweep import Affine, Call, For, Node, Slice, add_notes
-from nmpc_codegen.ir.tuning import PANEL, STAGGERED_TAPE
+from nmpc_codegen.ir.tuning import PANEL
 
 Local = tuple[str, int]
-Groups = Sequence[Sequence[Node]]
 
 
 class Builder:
     """Slices and leaves that both schemes share."""
 
-    def __init__(self, problem: Problem, tableau: ButcherTableau, steps: int, staggered: bool = True) -> None:
+    def __init__(self, problem: Problem, tableau: ButcherTableau, steps: int) -> None:
         self.d = d = Derivatives(problem)
-        # Calls of math.h take longer than staggering can hide; with a long tape one step has enough independent work.
-        self.staggered = staggered and steps > 1 and not d.functions and d.tape <= STAGGERED_TAPE
         self.rk = RungeKutta(problem, tableau, steps)
+        self._h = ca.SX.sym("h")
         self.tableau, self.steps, self.stages = tableau, steps, tableau.stages
         self.nx, self.nu, self.nz, self.nF = d.nx, d.nu, d.nz, d.nF
         self.columns = [j for j in range(d.nz) if not d.depends_on_time_alone(j)]
@@ -48,7 +45,7 @@ class Builder:
         self.forced = sorted({i for i, j in d.jacobian if j >= d.nx})  # rows of F with controls
         kernel = lift(d.leaf_hessian(), "h", "", self._hessian_ports(), [Port("H", d.values)])
         reads = {i.args[0] for i in kernel.instructions if i.opcode == ca.OP_INPUT}
-        self.keeps_points = not d.keeps_tape or 0 in reads or (self.wide and self.staggered)
+        self.keeps_points = not d.keeps_tape or 0 in reads
 
     def _hessian_ports(self) -> list[Port]:
         d = self.d
@@ -103,11 +100,12 @@ class Builder:
     def locals(self) -> tuple[Local, ...]:
         """The buffers that both schemes use."""
         n, d, s = self.steps * self.stages, self.d, self.stages
-        once = s if self.wide else 1
+        once, points = s if self.wide else 1, self.nx if self.wide else 0
         return (
-            *(("h", 1), ("X", self.nx), ("K", s * self.nx), ("Xs", (n if self.keeps_points else once) * self.nx)),
-            *(("tape", (n if d.keeps_tape else 1) * d.tape), ("adj", self.nx), ("Xbar", s * self.nx)),
-            *(("M", (n if self.staggered else s) * len(d.functions)), ("Hs", once * d.values)),
+            *(("h", 1), ("X", self.nx), ("Xi", points), ("K", s * self.nx)),
+            *(("Xs", (n if self.keeps_points else once) * self.nx), ("tape", (n if d.keeps_tape else 1) * d.tape)),
+            *(("adj", self.nx), ("Xbar", s * self.nx), ("Hs", once * d.values)),
+            *(("m", len(d.functions) if self.wide else 0), ("M", s * len(d.functions))),
             *(("Sx", self.nF * self.ld), ("Ks", s * self.nF * self.ld)),
             *(("Fu", len(self.forced) * self.ld), ("E", len(self.controls) * self.ld)),
         )
@@ -198,12 +196,15 @@ class Builder:
 
     def evaluate(self, stage: int) -> list[Node]:
         """The stage point and K_i, and the tape if it is stored."""
-        point, K = self.point(stage), self.rk.slope(stage)
+        point, K = Slice("Xi", self.nx) if self.wide else self.point(stage), self.rk.slope(stage)
         start = Call(copy("copy_x", self.nx), (self.rk.state,), (point,))
         nodes: list[Node] = [self.rk.point(stage, point) if any(self.tableau.a[stage]) else start]
+        n = len(self.d.functions)
+        found, kept = Slice("m", n), self.stage_slice("M", stage, n, kept=False)
         if self.wide:
-            functions = self.stage_slice("M", stage, len(self.d.functions), self.staggered)
-            nodes.append(Call(self.d.leaf_value_and_functions(), (point, *self.rk.up), (K, functions), inline=True))
+            nodes.append(Call(self.d.leaf_value_and_functions(), (point, *self.rk.up), (K, found)))
+            nodes.append(Call(copy(f"keep_{self.nx}", self.nx), (point,), (self.point(stage),), inline=True))
+            nodes.append(Call(copy(f"keep_{n}", n), (found,), (kept,), inline=True))
         elif self.d.keeps_tape:
             nodes.append(Call(self.d.leaf_tape(self.d.tape), (point, *self.rk.up), (K, self.tape(stage))))
         else:
@@ -212,9 +213,11 @@ class Builder:
 
     def row_lengths(self) -> dict[str, int]:
         """Columns of the buffers that are matrices."""
-        stages = ("Xs", "tape", "kappa", "M", "Hs") if self.wide else ()
+        stages = dict.fromkeys(("Xs", "tape", "kappa", "M", "Hs"), self.stages)
+        if not self.wide:
+            stages = {"tape": self.d.tape, "kappa": len(self.d.curved)}
         packed = ("Sx", "Ks", "Fu", "E", "H", "Z", "HZ", "Zs", "adjS", "XbarS", "ubarS")
-        return self.rk.columns | dict.fromkeys(stages, self.stages) | dict.fromkeys(packed, self.ld)
+        return self.rk.columns | stages | dict.fromkeys(packed, self.ld)
 
     def slope(self, stage: int, rows: list[int], target: Slice) -> For:
         """Columns of K_i' = F_x Z + [0 F_u]; the given rows of Z are stored in ``target``."""
@@ -246,22 +249,12 @@ class Builder:
         ]
 
     def backward(self) -> list[Node]:
-        """One step of the adjoint: kappa_i of all stages, adj += sum_i Xbar_i; a single leaf if tapes are stored."""
-        stages = range(self.stages)
-        adj, h = ca.SX.sym("adj", self.nx), ca.SX.sym("h")
-        if not self.d.keeps_tape:
-            nodes = [n for i in reversed(stages) for n in (*self.again(i, self.d.slopes), self._backward_stage(i))]
-            nodes.append(self.rk.update_adjoint("update_adjoint", Slice("adj", self.nx), self._bar))
-            return add_notes(nodes, "adjoints")
-        tapes = [ca.SX.sym(f"t{i}", self.d.slopes) for i in stages]
-        found: dict[int, Expression] = {}
-        kappas: dict[int, Expression] = {}
-        for i in reversed(stages):
-            kappas[i], found[i] = self.leaf_backward(i)(adj, h, tapes[i], *(found[j] for j in self.rk.later(i)))
-        outputs = [*(kappas[i] for i in stages), sum(found.values(), adj)]
-        leaf = ca.Function("backward", [adj, h, *tapes], outputs)
-        ins = (Slice("adj", self.nx), Slice("h", 1), *(self.tape(i, self.d.slopes) for i in stages))
-        return [Call(leaf, ins, (*(self.kappa(i) for i in stages), Slice("adj", self.nx)), note="adjoints")]
+        """One step of the adjoint: kappa_i of all stages, adj += sum_i Xbar_i."""
+        nodes: list[Node] = []
+        for i in reversed(range(self.stages)):
+            stage = [*self.again(i, self.d.slopes), self._backward_stage(i)]
+            nodes += add_notes(stage, f"adjoint of stage {i + 1}")
+        return [*nodes, self.rk.update_adjoint("update_adjoint", Slice("adj", self.nx), self._bar, down=True)]
 
     def _backward_stage(self, stage: int) -> Call:
         """kappa_i and Xbar_i."""
@@ -283,7 +276,7 @@ class Builder:
     def tapes(self) -> For:
         """Evaluate the tapes of all stages of a step."""
         d = self.d
-        ins = (self.lane("Xs", d.nx, self.keeps_points), *self.rk.up, self.lane("M", len(d.functions), self.staggered))
+        ins = (self.lane("Xs", d.nx, self.keeps_points), *self.rk.up, self.lane("M", len(d.functions), False))
         call = Call(d.leaf_tape_of_functions(), ins, (self.lane("tape", d.tape),), note="derivatives at all stages")
         return self.stagewise(call)
 
@@ -308,23 +301,9 @@ class Builder:
         ins = (point, *self.rk.up, self.tape(stage), self.kappa(stage))
         return Call(d.leaf_hessian(), ins, (H,), note=f"curvature of stage {stage + 1}")
 
-    def loop(self, first: Groups, second: Groups = (), down: bool = False) -> list[Node]:
-        """A loop over steps of the groups of nodes ``first`` and ``second``; staggered, ``second`` is one step behind.
-
-        The operations of ``first`` wait for each other and leave execution units idle. They are interleaved group by
-        group with ``second`` of the previous step, since a processor looks only a few instructions ahead.
-        """
-        if not (self.staggered and second):
-            return [For("step", 0, self.steps, tuple(n for group in (*first, *second) for n in group), down)]
-        begin, end, behind = (self.steps - 1, 0, 1) if down else (0, self.steps - 1, -1)
-        both: list[Node] = []
-        for ours, others in zip_longest(first, second, fillvalue=()):
-            both += [*ours, *(shift_steps(node, behind) for node in others)]
-        return [
-            *(fix_step(node, begin) for group in first for node in group),
-            For("step", 0 if down else 1, self.steps - 1, tuple(both), down),
-            *(fix_step(node, end) for group in second for node in group),
-        ]
+    def loop(self, nodes: Iterable[Node], down: bool = False) -> For:
+        """A loop over steps."""
+        return For("step", 0, self.steps, tuple(nodes), down)
 
     # Results ---------------------------------------------------------------------------------------------------------
 
@@ -343,22 +322,32 @@ class Builder:
         """Store x_next and S, and add the gradient of the integrated cost to g."""
         nz, runs = self.nz, self.runs
         nodes: list[Node] = [Call(copy("copy_x", self.nx), (Slice("X", self.nx),), (Slice("x_next", self.nx),))]
+        closed = {j: self._closed_column(j) for j in range(nz) if j not in self.columns}
+        if closed:
+            S = ca.SX.zeros(self.nx, nz)
+            for j, s in closed.items():
+                S[:, j] = s[: self.nx]
+            leaf = ca.Function("closed_columns", [self._h], [ca.vec(S.T)], ["h"], ["S"])
+            note = "columns that depend on time alone"
+            nodes.append(Call(leaf, (LENGTH,), (Slice("S", self.nx * nz),), inline=True, note=note))
         rows = tuple(
             Call(copy(f"copy_{n}", n), (_row("Sx", n, c, self.ld),), (_row("S", n, j, nz),)) for c, j, n in runs
         )
         nodes.append(For("i", 0, self.nx, rows))
-        for j in range(nz):
-            if j not in self.columns:
-                nodes += self._closed_column(j)
         if self.nF > self.nx:
+            nodes += [self._add_gradient(j, s[self.nx]) for j, s in closed.items() if not s[self.nx].is_zero()]
             for c, j, n in runs:
                 here = Slice("g", n, Affine(j))
                 nodes.append(Call(addition(n), (here, Slice("Sx", n, Affine(self.nx * self.ld + c))), (here,)))
         return add_notes(nodes, "results")
 
-    def _closed_column(self, j: int) -> list[Node]:
-        """Column j of S in closed form, a function of h alone."""
-        h, h_slice = ca.SX.sym("h"), Slice("h", 1)
+    def _add_gradient(self, j: int, value: Expression) -> Call:
+        """Component j of the gradient of an integrated cost, a function of h alone."""
+        g, here = ca.SX.sym("g"), Slice("g", 1, Affine(j))
+        return Call(ca.Function(f"gradient_{j}", [g, self._h], [g + value]), (here, LENGTH), (here,))
+
+    def _closed_column(self, j: int) -> Expression:
+        """Column j of S and of the gradient, a function of h alone."""
         Fx = self.d.Fz(ca.SX.sym("t", self.d.slopes))[:, : self.nx]
         forcing = ca.SX(self.nF, 1) if j < self.nx else self.d.Fz(ca.SX.sym("t", self.d.slopes))[:, j]
         s = ca.SX.zeros(self.nF)
@@ -368,15 +357,10 @@ class Builder:
             slopes: list[Expression] = []
             for i in range(self.stages):
                 used = [k for k, a in zip(slopes, self.tableau.a[i], strict=False) if a]
-                point = combine(s, h, used, self.tableau.a[i])
+                point = combine(s, self._h, used, self.tableau.a[i])
                 slopes.append(_constants_only(Fx, point[: self.nx]) + forcing)
-            s = combine(s, h, [k for k, b in zip(slopes, self.tableau.b, strict=True) if b], self.tableau.b)
-        leaf = ca.Function(f"column_{j}", [h], [s[: self.nx]], ["h"], ["s"])
-        nodes: list[Node] = [Call(leaf, (h_slice,), (Slice("S", self.nx, Affine(j), self.nz),))]
-        if self.nF > self.nx and not s[self.nx].is_zero():
-            g, here = ca.SX.sym("g"), Slice("g", 1, Affine(j))
-            nodes.append(Call(ca.Function(f"gradient_{j}", [g, h], [g + s[self.nx]]), (here, h_slice), (here,)))
-        return nodes
+            s = combine(s, self._h, [k for k, b in zip(slopes, self.tableau.b, strict=True) if b], self.tableau.b)
+        return s
 
     def add_block(self, buffer: str, row: int, run_rows: tuple[int, int], columns: tuple[int, int, int]) -> Node:
         """Q[j + i][columns] += buffer[row + i][columns], i < n, for a run of n rows (first row j of Q)."""

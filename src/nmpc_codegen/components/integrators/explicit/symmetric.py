@@ -36,7 +36,7 @@ class ThreeSweeps(Builder):
     @property
     def keeps_kappa(self) -> bool:
         """True if the adjoints of all stages are stored for the third sweep."""
-        return not self.merged or self.staggered
+        return not self.merged
 
     def body(self) -> list[Node]:
         """All nodes, which compute x_next and S from x, u, p, dt, lam and add to g and Q."""
@@ -49,32 +49,27 @@ class ThreeSweeps(Builder):
 
     def _two(self) -> list[Node]:
         stages = range(self.stages)
-        slopes: list[list[Node]] = [[self._slope(i)] for i in stages]
-        if self.wide:
-            slopes[0].insert(0, self.tapes())
-        slopes[-1].append(self.update_columns())
-        nodes = self.loop(self._points(), slopes)
+        tapes = [self.tapes()] if self.wide else []
+        slopes = [self._slope(i) for i in stages]
+        nodes: list[Node] = [self.loop([*self._points(), *tapes, *slopes, self.update_columns()])]
         if self.rows:
-            bends = [self._bend(i) for i in stages]
-            if self.wide:
-                bends[0].insert(0, self.curvatures())
-            nodes += [*self._clear(), *self.loop([self.backward()], bends, down=True)]
+            curvatures = [self.curvatures()] if self.wide else []
+            bends = [node for i in stages for node in self._bend(i)]
+            nodes += [*self._clear(), self.loop([*self.backward(), *curvatures, *bends], down=True)]
         return nodes
 
     def _three(self) -> list[Node]:
-        nodes = self.loop(self._points(), [[self.tapes()]] if self.wide else [])
+        nodes: list[Node] = [self.loop([*self._points(), *([self.tapes()] if self.wide else [])])]
         if self.rows:
-            nodes += [*self._clear(), *self.loop([self.backward()], down=True)]
+            nodes += [*self._clear(), self.loop(self.backward(), down=True)]
         third: list[Node] = [self.curvatures()] if self.rows and self.wide else []
         for i in range(self.stages):
             third += [*self.again(i, self.d.tape), self._slope(i), *(self._bend(i) if self.rows else ())]
-        return [*nodes, *self.loop([(*third, self.update_columns())])]
+        return [*nodes, self.loop([*third, self.update_columns()])]
 
-    def _points(self) -> list[list[Node]]:
-        """Stage points and slopes, one group per stage, and the update of the state in the last group."""
-        groups = [self.evaluate(i) for i in range(self.stages)]
-        groups[-1].append(self.rk.update_state())
-        return groups
+    def _points(self) -> list[Node]:
+        """Stage points and slopes, and the update of the state."""
+        return [*(node for i in range(self.stages) for node in self.evaluate(i)), self.rk.update_state()]
 
     def _clear(self) -> list[Node]:
         """adj = lam, H = 0."""
