@@ -45,7 +45,7 @@ static int sharpen(solver_t *s)
 /* Forgets the multipliers of the rows and the pairs of past steps. */
 static void forget_past(solver_t *s)
 {
-    memset(s->row, 0, sizeof s->row);
+    (void)memset(s->row, 0, sizeof s->row);
     weigh_terminal(s, R(1));
     s->shooting.pairs = 0;
     place_terms(s, 0);
@@ -75,7 +75,7 @@ static status_t keep_finite(solver_t *s, status_t status)
 static void hold_states(solver_t *s)
 {
     for (int k = 0; k < N; k++) {
-        memcpy(s->x[k + 1], s->x[k], sizeof s->x[k]);
+        (void)memcpy(s->x[k + 1], s->x[k], sizeof s->x[k]);
     }
 }
 
@@ -101,7 +101,7 @@ static void algorithm_reset(solver_t *s)
     }
     forget_plan(s);
     reset_watch(s);
-    memset(&s->stats, 0, sizeof s->stats);
+    (void)memset(&s->stats, 0, sizeof s->stats);
     s->samples = 0;
     s->solved = 0;
     s->status = (int32_t)OK;
@@ -203,7 +203,7 @@ status_t API(step)(solver_t *s, const real_t xhat[NXHAT], real_t u0[NU])
         return NOT_INITIALIZED;
     }
     s->newton = NEWTON;
-    memset(&s->stats, 0, sizeof s->stats);
+    (void)memset(&s->stats, 0, sizeof s->stats);
     if (SOLVE && SHIFT) {
         compare_solved(s, xhat);
         if (s->samples > 0 && !s->solved) {

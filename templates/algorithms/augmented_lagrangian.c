@@ -33,7 +33,7 @@ static void algorithm_reset(solver_t *s)
     if (AUGMENTED) {
         reset_augmented(s);
     }
-    memcpy(s->xhat, s->x[0], sizeof s->xhat);
+    (void)memcpy(s->xhat, s->x[0], sizeof s->xhat);
 }
 
 #include "algorithms/shared/linearize.c"
@@ -75,7 +75,7 @@ status_t API(prepare)(solver_t *s)
     }
     s->newton = NEWTON;
     before_prepare(s);
-    memset(&s->stats, 0, sizeof s->stats);
+    (void)memset(&s->stats, 0, sizeof s->stats);
     if (s->prepared) {
         restore_multipliers(s);
     }

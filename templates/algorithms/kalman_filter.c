@@ -15,9 +15,9 @@
 static void begin_filter(solver_t *s)
 {
     s->samples = 0;
-    memcpy(s->known, s->filter.mean, sizeof s->known);
+    (void)memcpy(s->known, s->filter.mean, sizeof s->known);
     s->status = (int32_t)OK;
-    memset(s->u, 0, sizeof s->u);
+    (void)memset(s->u, 0, sizeof s->u);
     begin_watch(s);
     forget_measurements(s, 0);
     forget_controls(s, 0);
@@ -33,11 +33,11 @@ static void algorithm_reset(solver_t *s)
 /* Moves the filter to the present sample. The estimate before is known to be one from which that is possible. */
 static void follow_model(solver_t *s)
 {
-    memcpy(s->x[0], s->filter.mean, sizeof s->x[0]);
+    (void)memcpy(s->x[0], s->filter.mean, sizeof s->x[0]);
     predict_filter(s, 0, &s->filter);
     clip_to_bounds(s, s->filter.mean);
     if (filter_is_sane(&s->filter)) {
-        memcpy(s->known, s->x[0], sizeof s->known);
+        (void)memcpy(s->known, s->x[0], sizeof s->known);
     }
     forget_measurements(s, 0);
 }
@@ -55,7 +55,7 @@ static status_t take_sample(solver_t *s, const real_t *y, int known, real_t *xha
     put_parameters(s, 0);
     s->samples += (s->samples < MANY);
     put_measurements(s, 0, y);
-    memcpy(s->x[0], f->mean, sizeof s->x[0]);
+    (void)memcpy(s->x[0], f->mean, sizeof s->x[0]);
     expected = *f;
     judge_measurements(s, 0, &expected);
     if (is_lost(s)) {
@@ -68,11 +68,11 @@ static status_t take_sample(solver_t *s, const real_t *y, int known, real_t *xha
     clip_to_bounds(s, f->mean);
     if (!filter_is_sane(f)) {
         restart_filter(f);
-        memcpy(f->mean, s->known, sizeof f->mean);
+        (void)memcpy(f->mean, s->known, sizeof f->mean);
         watch_again(s);
         status = NUMERICAL_FAILURE;
     }
-    memcpy(xhat, f->mean, sizeof f->mean);
+    (void)memcpy(xhat, f->mean, sizeof f->mean);
     return finish(s, judge_innovation(s, status));
 }
 
@@ -94,7 +94,7 @@ status_t API(estimate)(solver_t *s, const real_t y[NM], real_t xhat[NX])
 status_t API(covariance)(solver_t *s, real_t P[NX * NX])
 {
     if (s->magic != MAGIC) {
-        memset(P, 0, NX * NX * sizeof *P);
+        (void)memset(P, 0, NX * NX * sizeof *P);
         return NOT_INITIALIZED;
     }
     multiply_factors(&s->filter, P);
@@ -107,7 +107,7 @@ status_t API(restart)(solver_t *s, const real_t x0[NX], const real_t P0[NX * NX]
     if (s->magic != MAGIC) {
         return NOT_INITIALIZED;
     }
-    memcpy(f.mean, x0, sizeof f.mean);
+    (void)memcpy(f.mean, x0, sizeof f.mean);
     if (!all_finite(x0, NX) || !factorize_covariance(P0, f.L)) {
         return BAD_ARGUMENT;
     }

@@ -36,7 +36,7 @@ static void algorithm_reset(solver_t *s)
     forget_plan(s);
     s->status = (int32_t)OK;
     s->relaxation = INF;
-    memset(s->row_scale, 0, sizeof s->row_scale);
+    (void)memset(s->row_scale, 0, sizeof s->row_scale);
     forget_sizes(s);
     restart_filter(&s->arrival);
     restart_window(s);
@@ -50,7 +50,7 @@ static status_t improve_estimate(solver_t *s)
         weigh_by_window(s);
     }
     take_penalties(s);
-    memcpy(s->xhat, s->x[0], sizeof s->xhat);
+    (void)memcpy(s->xhat, s->x[0], sizeof s->xhat);
     linearize(s);
     hessian(s);
     hold_future(s);
@@ -78,11 +78,11 @@ static status_t estimate_here(solver_t *s, real_t *xhat)
     status = judge_residual(status, s->stats.residual);
     learn_sizes(s, status);
     if (status == OK) {
-        memcpy(s->known, s->x[s->window], sizeof s->known);
+        (void)memcpy(s->known, s->x[s->window], sizeof s->known);
     } else {
         filter_window(s);
     }
-    memcpy(xhat, s->x[s->window], sizeof s->x[s->window]);
+    (void)memcpy(xhat, s->x[s->window], sizeof s->x[s->window]);
     return finish(s, judge_innovation(s, status));
 }
 
@@ -125,7 +125,7 @@ status_t API(correct)(solver_t *s, const real_t y[NM], int age, real_t xhat[NX])
     if (s->magic != MAGIC) {
         return refuse(xhat);
     }
-    memcpy(xhat, s->x[s->window], sizeof s->x[s->window]);
+    (void)memcpy(xhat, s->x[s->window], sizeof s->x[s->window]);
     if (age < 0 || age > s->window || s->samples == 0) {
         return BAD_INDEX;
     }
@@ -138,7 +138,7 @@ status_t API(covariance)(solver_t *s, real_t P[NX * NX])
     filter_t f;
     status_t status = OK;
     if (s->magic != MAGIC) {
-        memset(P, 0, NX * NX * sizeof *P);
+        (void)memset(P, 0, NX * NX * sizeof *P);
         return NOT_INITIALIZED;
     }
     f = s->arrival;
@@ -161,7 +161,7 @@ status_t API(restart)(solver_t *s, const real_t x0[NX], const real_t P0[NX * NX]
     if (s->magic != MAGIC) {
         return NOT_INITIALIZED;
     }
-    memcpy(f.mean, x0, sizeof f.mean);
+    (void)memcpy(f.mean, x0, sizeof f.mean);
     if (!all_finite(x0, NX) || !factorize_covariance(P0, f.L)) {
         return BAD_ARGUMENT;
     }

@@ -27,14 +27,15 @@ static void algorithm_reset(solver_t *s)
     reset_watch(s);
     s->status = (int32_t)OK;
     s->relaxation = INF;
-    memset(s->row_scale, 0, sizeof s->row_scale);
+    (void)memset(s->row_scale, 0, sizeof s->row_scale);
     forget_sizes(s);
-    s->stats.violated_row = s->stats.violated_node = -1;
+    s->stats.violated_row = -1;
+    s->stats.violated_node = -1;
     start_at(s, initial_state);
     if (AUGMENTED) {
         reset_augmented(s);
     }
-    memcpy(s->xhat, s->x[0], sizeof s->xhat);
+    (void)memcpy(s->xhat, s->x[0], sizeof s->xhat);
     on_reset(s);
 }
 

@@ -56,8 +56,8 @@ static status_t sqp_iteration(solver_t *s)
     if (!(q->most_violation < INF)) {
         q->most_violation = FACTOR_FILTER_LIMIT * ((q->base.violation > R(1)) ? q->base.violation : R(1));
     }
-    memcpy(s->trial.x, s->x, sizeof s->x);
-    memcpy(s->trial.u, s->u, sizeof s->u);
+    (void)memcpy(s->trial.x, s->x, sizeof s->x);
+    (void)memcpy(s->trial.u, s->u, sizeof s->u);
     status = search(s);
     if (adapt_shifts(s, status)) {
         return OK;

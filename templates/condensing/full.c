@@ -101,22 +101,21 @@ static void condense_propagate(solver_t *s, int column)
     }
 }
 
+/* Columns of dx_0 in a panel that has du_0, too, and those of the last panel that H has. */
+enum { BORDER = NXC % COLUMNS, LAST = (LDH + NXC < LDG) ? LDH + NXC + COLUMNS - LDG : COLUMNS };
+
 /* Stores a panel of a row of (Hx, H) or (Ax, A). Entries of H beyond its diagonal are not read. */
 static inline void condense_store(const real_t *panel, int column, real_t *dx0, real_t *du)
 {
-    enum {
-        BORDER = NXC % COLUMNS, /* columns of dx_0 in a panel that has du_0, too */
-        LAST = LDH + NXC < LDG ? LDH + NXC + COLUMNS - LDG : COLUMNS /* columns of the last panel that H has */
-    };
     if (column + COLUMNS <= NXC) {
-        memcpy(dx0 + column, panel, COLUMNS * sizeof *panel);
+        (void)memcpy(dx0 + column, panel, COLUMNS * sizeof *panel);
     } else if (column < NXC) {
-        memcpy(dx0 + column, panel, BORDER * sizeof *panel);
-        memcpy(du, panel + BORDER, (COLUMNS - BORDER < LDH ? COLUMNS - BORDER : LDH) * sizeof *panel);
+        (void)memcpy(dx0 + column, panel, BORDER * sizeof *panel);
+        (void)memcpy(du, panel + BORDER, (COLUMNS - BORDER < LDH ? COLUMNS - BORDER : LDH) * sizeof *panel);
     } else if (column + COLUMNS < LDG) {
-        memcpy(du + column - NXC, panel, COLUMNS * sizeof *panel);
+        (void)memcpy(du + column - NXC, panel, COLUMNS * sizeof *panel);
     } else {
-        memcpy(du + column - NXC, panel, LAST * sizeof *panel);
+        (void)memcpy(du + column - NXC, panel, LAST * sizeof *panel);
     }
 }
 
@@ -163,10 +162,10 @@ static void condense_add_band(solver_t *s, int k, real_t (*Q)[NZ])
 /* The same of node N. */
 static void condense_add_last_band(solver_t *s, real_t (*Q)[NX])
 {
-    enum { LAST = (N - 1) * NU };
+    const int last = (N - 1) * NU;
     for (int i = 0; i < NBAND; ++i) {
         for (int l = 0; l <= i; ++l) {
-            s->qp.H[LAST + remembered[i]][LAST + remembered[l]] += Q[NXC + i][NXC + l];
+            s->qp.H[last + remembered[i]][last + remembered[l]] += Q[NXC + i][NXC + l];
         }
     }
 }
@@ -241,7 +240,7 @@ static void condense_hessian(solver_t *s, int column)
     for (int k = N - 1; k >= 0 && k >= first - 1; --k) {
         if (NBAND > 0 && CURVED) {
             if (curved) {
-                memcpy(later, p->W[NXC], NBAND * sizeof later[0]);
+                (void)memcpy(later, p->W[NXC], NBAND * sizeof later[0]);
             }
         }
         CONDENSE_BACKWARD_PANEL(p, &s->node[k], HESSIAN(s, k), k);
@@ -445,7 +444,9 @@ static void condense_embed_slacks(solver_t *s)
     for (int m = 0; m < NG; ++m) {
         const int slack = row_slack[m];
         if (slack >= NV - NSL) {
-            s->qp.g[slack] = s->qp.lower[slack] = s->qp.upper[slack] = R(0);
+            s->qp.g[slack] = R(0);
+            s->qp.lower[slack] = R(0);
+            s->qp.upper[slack] = R(0);
             s->qp.curvature[slack - (NV - NSL)] = row_l2(s, m);
             s->qp.penalty[slack] = row_penalty(s, m);
             s->qp.penalty[NV + m] = INF;
@@ -474,7 +475,7 @@ static void condense_embed_rows(solver_t *s, const real_t *dx0)
 static void condense_embed(solver_t *s)
 {
     real_t dx0[NX];
-    memcpy(dx0, s->step.dx[0], sizeof dx0);
+    (void)memcpy(dx0, s->step.dx[0], sizeof dx0);
     for (int f = 0; f < NF; ++f) {
         dx0[free_state[f]] = R(0);
     }
@@ -537,7 +538,7 @@ static status_t condense_prepare(solver_t *s)
 {
     condense_matrices(s);
     condense_rows(s);
-    memset(s->step.dx[0], 0, sizeof s->step.dx[0]);
+    (void)memset(s->step.dx[0], 0, sizeof s->step.dx[0]);
     condense_embed(s);
     return condense_factorize(s);
 }

@@ -78,7 +78,7 @@ static inline real_t stage_row_value(const solver_t *s, int m)
 
 static status_t condense_prepare(solver_t *s)
 {
-    memset(s->step.dx[0], 0, sizeof s->step.dx[0]);
+    (void)memset(s->step.dx[0], 0, sizeof s->step.dx[0]);
     condense_embed(s);
     return qp_factorize(s);
 }
@@ -95,9 +95,9 @@ static void condense_rows(solver_t *s)
 
 static void condense_expand(solver_t *s)
 {
-    memcpy(s->step.dx, s->qp.x, sizeof s->step.dx);
-    memcpy(s->step.du, s->qp.z, sizeof s->step.du);
-    memcpy(s->step.mult_u, s->qp.mult, sizeof s->step.mult_u);
+    (void)memcpy(s->step.dx, s->qp.x, sizeof s->step.dx);
+    (void)memcpy(s->step.du, s->qp.z, sizeof s->step.du);
+    (void)memcpy(s->step.mult_u, s->qp.mult, sizeof s->step.mult_u);
     for (int m = 0; m < NG; m++) {
         s->step.mult[m] = qp_multiplier(s, m);
     }

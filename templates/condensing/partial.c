@@ -116,13 +116,13 @@ static void condense_hessian(solver_t *s, block_t *block, real_t (*Q)[NZ], int n
     real_t(*Z)[NZS] = s->blocks.Z;
     real_t T[NZS];
     int i, l, c, r;
-    memcpy(Z, s->blocks.G[node], sizeof s->blocks.G[node]);
-    memset(Z[NX], 0, sizeof Z[0] * NU);
+    (void)memcpy(Z, s->blocks.G[node], sizeof s->blocks.G[node]);
+    (void)memset(Z[NX], 0, sizeof Z[0] * NU);
     for (i = 0; i < NU; i++) {
         Z[NX + i][NXS + j * NU + i] = R(1);
     }
     for (i = 0; i < NZ; i++) {
-        memset(T, 0, sizeof T);
+        (void)memset(T, 0, sizeof T);
         for (l = 0; l < NZ; l++) {
             const real_t q = (l <= i) ? Q[i][l] : Q[l][i];
             for (c = 0; c < width; c++) {
@@ -147,9 +147,9 @@ static void condense_block_rows(solver_t *s, int node)
         real_t J[NZ];
         real_t *row = s->blocks.J[m];
         copy_row_gradient(s, m, J);
-        memset(row, 0, sizeof s->blocks.J[m]);
+        (void)memset(row, 0, sizeof s->blocks.J[m]);
         if (node == N) {
-            memcpy(row, J, sizeof row[0] * NX);
+            (void)memcpy(row, J, sizeof row[0] * NX);
             if (row_is_coupled(m)) {
                 /* the stages have copies of what is free at the start: z = (dx, copies, du) */
                 for (int l = NX; l < NXS; l++) {
@@ -195,7 +195,7 @@ static void condense_matrices(solver_t *s)
         block_t *block = &s->block[k];
         const int n = (k < NS - 1) ? BLOCK : N - k * BLOCK;
         for (r = 0; r < NXS + n * NU; r++) {
-            memset(block->Q[r], 0, sizeof block->Q[r]);
+            (void)memset(block->Q[r], 0, sizeof block->Q[r]);
         }
         for (j = 0; j < n; j++) {
             const int node = k * BLOCK + j;
@@ -209,10 +209,10 @@ static void condense_matrices(solver_t *s)
     }
     for (r = 0; r < NX; r++) {
         if (CURVED) {
-            memcpy(
+            (void)memcpy(
                 s->blocks.Q_N[r], s->curved.in_solve ? s->curved.Q_N[r] : s->hessian.Q_N[r], sizeof s->hessian.Q_N[0]);
         } else {
-            memcpy(s->blocks.Q_N[r], s->hessian.Q_N[r], sizeof s->hessian.Q_N[0]);
+            (void)memcpy(s->blocks.Q_N[r], s->hessian.Q_N[r], sizeof s->hessian.Q_N[0]);
         }
     }
 }
@@ -231,7 +231,7 @@ static void condense_vectors(solver_t *s)
             real_t *next = (j + 1 < n) ? s->blocks.c[k * BLOCK + j + 1] : block->b;
             STATE_STEP(&s->node[k * BLOCK + j], s->blocks.c[k * BLOCK + j], none, next);
         }
-        memset(w, 0, sizeof w);
+        (void)memset(w, 0, sizeof w);
         for (j = n - 1; j >= 0; j--) {
             const int node = k * BLOCK + j;
             ADJOINT_STEP(&s->node[node], HESSIAN(s, node), s->blocks.c[node], none, w);
@@ -244,9 +244,9 @@ static void condense_vectors(solver_t *s)
                 block->g[NXS + j * NU + i] = w[NX + i];
             }
         }
-        memcpy(block->g, w, sizeof w[0] * NX);
+        (void)memcpy(block->g, w, sizeof w[0] * NX);
     }
-    memcpy(s->blocks.g_N, s->terminal.g, sizeof s->terminal.g);
+    (void)memcpy(s->blocks.g_N, s->terminal.g, sizeof s->terminal.g);
     condense_row_values(s);
 }
 
@@ -257,7 +257,7 @@ static status_t condense_prepare(solver_t *s)
         condense_block_rows(s, k);
     }
     condense_vectors(s);
-    memset(s->step.dx[0], 0, sizeof s->step.dx[0]);
+    (void)memset(s->step.dx[0], 0, sizeof s->step.dx[0]);
     condense_embed(s);
     return qp_factorize(s);
 }
@@ -277,12 +277,12 @@ static void condense_rows(solver_t *s)
 static void condense_expand(solver_t *s)
 {
     int k;
-    memcpy(s->step.du, s->qp.z, sizeof s->step.du);
-    memcpy(s->step.mult_u, s->qp.mult, sizeof s->step.mult_u);
+    (void)memcpy(s->step.du, s->qp.z, sizeof s->step.du);
+    (void)memcpy(s->step.mult_u, s->qp.mult, sizeof s->step.mult_u);
     for (int m = 0; m < NG; m++) {
         s->step.mult[m] = qp_multiplier(s, m);
     }
-    memcpy(s->step.dx[0], s->qp.x[0], sizeof s->step.dx[0]);
+    (void)memcpy(s->step.dx[0], s->qp.x[0], sizeof s->step.dx[0]);
     for (k = 0; k < N; k++) {
         STATE_STEP(&s->node[k], s->step.dx[k], s->step.du[k], s->step.dx[k + 1]);
     }

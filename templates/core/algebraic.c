@@ -10,8 +10,8 @@ status_t API(algebraic)(solver_t *s, int k, const real_t x[NXHAT], const real_t 
         return BAD_INDEX;
     }
     real_t start[NX];
-    memcpy(start, s->x[k], sizeof start);
-    memcpy(start, x, NXHAT * sizeof *x);
+    (void)memcpy(start, s->x[k], sizeof start);
+    (void)memcpy(start, x, NXHAT * sizeof *x);
 #if NALG
     real_t point[NXA];
     const int reason = algebraic_of_node(s, k, start, u, point);

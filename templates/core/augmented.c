@@ -48,10 +48,11 @@ static void follow_augmented(solver_t *s)
 static void reset_augmented(solver_t *s)
 {
     if (PREVIOUS) {
-        memcpy(s->previous, s->u[0], sizeof s->previous);
+        (void)memcpy(s->previous, s->u[0], sizeof s->previous);
     }
     if (TIMED) {
-        s->time = s->time_rest = R(0);
+        s->time = R(0);
+        s->time_rest = R(0);
     }
     for (int k = 0; k <= N; k++) {
         for (int i = 0; i < NDATA; i++) {
@@ -65,7 +66,7 @@ static void reset_augmented(solver_t *s)
 static void keep_sample(solver_t *s, const real_t *u0)
 {
     if (PREVIOUS) {
-        memcpy(s->previous, u0, sizeof s->previous);
+        (void)memcpy(s->previous, u0, sizeof s->previous);
     }
     if (TIMED) {
         const real_t step = sampling_time[0] - s->time_rest, time = s->time + step;
@@ -83,7 +84,7 @@ status_t API(set_previous)(solver_t *s, const real_t u[NU])
     if (!all_finite(u, NU)) {
         return BAD_ARGUMENT;
     }
-    memcpy(s->previous, u, sizeof s->previous);
+    (void)memcpy(s->previous, u, sizeof s->previous);
     return OK;
 }
 #endif

@@ -77,18 +77,18 @@ static inline const real_t *row_gradient(const solver_t *s, int m)
 /* Gradient of any row m, in all NZ variables of a path node. */
 static void copy_row_gradient(const solver_t *s, int m, real_t *a)
 {
-    memset(a, 0, NZ * sizeof *a);
+    (void)memset(a, 0, NZ * sizeof *a);
     if (row_is_state(m)) {
         a[row_index(m)] = R(1);
         return;
     }
-    memcpy(a, row_gradient(s, m), (size_t)nz_at(row_node(m)) * sizeof *a);
+    (void)memcpy(a, row_gradient(s, m), (size_t)nz_at(row_node(m)) * sizeof *a);
 }
 
 /* mu of the general rows at path node k, 0 where one does not hold. */
 static void path_multipliers(const solver_t *s, int k, real_t *mu)
 {
-    memset(mu, 0, NH * sizeof *mu);
+    (void)memset(mu, 0, NH * sizeof *mu);
     for (int m = row_first[k]; m < row_first[k + 1]; m++) {
         if (!row_is_state(m)) {
             mu[row_index(m)] = s->mult[m];
@@ -135,8 +135,8 @@ static inline real_t row_l2(const solver_t *s, int m)
 static void take_penalties(solver_t *s)
 {
     if (TAKES_PENALTIES) {
-        memcpy(s->penalty_l1, s->soft_l1, sizeof s->soft_l1);
-        memcpy(s->penalty_l2, s->soft_l2, sizeof s->soft_l2);
+        (void)memcpy(s->penalty_l1, s->soft_l1, sizeof s->soft_l1);
+        (void)memcpy(s->penalty_l2, s->soft_l2, sizeof s->soft_l2);
     }
 }
 

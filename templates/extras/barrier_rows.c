@@ -85,7 +85,7 @@ static void barrier_rows_place_terms(solver_t *s, int closest)
 
 static void barrier_rows_before_solve(solver_t *s)
 {
-    memset(s->shooting.tilt, 0, sizeof s->shooting.tilt);
+    (void)memset(s->shooting.tilt, 0, sizeof s->shooting.tilt);
 }
 
 /* The terms come closer to the rows after an easy sample, and retreat otherwise. */

@@ -46,14 +46,14 @@ status_t API(feedback_first)(solver_t *s, const real_t xhat[NXHAT], real_t u0[NU
             if (PULLED_ROWS) {
                 pull_control_back(s, u0);
             }
-            memcpy(s->first.control, u0, sizeof s->first.control);
+            (void)memcpy(s->first.control, u0, sizeof s->first.control);
             s->first.call = FIRST_BY_LAW;
             return OK;
         }
     }
     status = API(feedback)(s, xhat, u0);
     if (status != NOT_INITIALIZED) {
-        memcpy(s->first.control, u0, sizeof s->first.control);
+        (void)memcpy(s->first.control, u0, sizeof s->first.control);
         s->first.call = FIRST_WHOLE;
         s->first.status = (int32_t)status;
         s->stats.first_deviation = R(0);
@@ -75,14 +75,14 @@ status_t API(feedback_finish)(solver_t *s)
     if (call != FIRST_BY_LAW) {
         return (call == FIRST_WHOLE) ? (status_t)s->first.status : NOT_PREPARED;
     }
-    memcpy(xhat, s->xhat, sizeof xhat);
+    (void)memcpy(xhat, s->xhat, sizeof xhat);
     status = API(feedback)(s, xhat, u0);
     s->stats.first_deviation = R(0);
     for (int j = 0; j < NU; j++) {
         enlarge(&s->stats.first_deviation, u0[j] - s->first.control[j]);
     }
     if (PREVIOUS) {
-        memcpy(s->previous, s->first.control, sizeof s->previous);
+        (void)memcpy(s->previous, s->first.control, sizeof s->previous);
     }
     return status;
 }

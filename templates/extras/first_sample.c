@@ -6,6 +6,6 @@ static void first_sample_before_sample(solver_t *s, const real_t *xhat)
         if (!HAS_QP && is_untouched(s)) {
             start_at_measured(s);
         }
-        memcpy(s->x[0], s->xhat, sizeof s->xhat);
+        (void)memcpy(s->x[0], s->xhat, sizeof s->xhat);
     }
 }

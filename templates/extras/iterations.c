@@ -78,15 +78,15 @@ static int shorten_step(solver_t *s)
 static void shift_back(solver_t *s)
 {
     for (int k = N; k > 0; k--) {
-        memcpy(s->x[k], s->x[k - 1], sizeof s->x[0]);
-        memcpy(s->lam[k], s->lam[k - 1], sizeof s->lam[0]);
+        (void)memcpy(s->x[k], s->x[k - 1], sizeof s->x[0]);
+        (void)memcpy(s->lam[k], s->lam[k - 1], sizeof s->lam[0]);
         if (k < N) {
-            memcpy(s->u[k], s->u[k - 1], sizeof s->u[0]);
-            memcpy(s->mu_u[k], s->mu_u[k - 1], sizeof s->mu_u[0]);
+            (void)memcpy(s->u[k], s->u[k - 1], sizeof s->u[0]);
+            (void)memcpy(s->mu_u[k], s->mu_u[k - 1], sizeof s->mu_u[0]);
         }
     }
-    memcpy(s->x[0], s->xhat, sizeof s->x[0]);
-    memcpy(s->u[0], s->first_control, sizeof s->u[0]);
+    (void)memcpy(s->x[0], s->xhat, sizeof s->x[0]);
+    (void)memcpy(s->u[0], s->first_control, sizeof s->u[0]);
     if (AUGMENTED) {
         follow_augmented(s);
     }
@@ -180,8 +180,8 @@ static status_t iterations_after_feedback(solver_t *s, status_t status)
     }
     const int allowed = (s->most_iterations < SAMPLE_ITERATIONS) ? s->most_iterations : SAMPLE_ITERATIONS;
     if (!stepped) {
-        memset(&s->sqp, 0, sizeof s->sqp);
-        memset(&s->step, 0, sizeof s->step);
+        (void)memset(&s->sqp, 0, sizeof s->sqp);
+        (void)memset(&s->step, 0, sizeof s->step);
         update_scales(s);
     }
     int whole = 0;
@@ -193,7 +193,7 @@ static status_t iterations_after_feedback(solver_t *s, status_t status)
     status = status_after_search(s, status, stepped);
     s->curved.in_solve = 0;
     s->trial.elastic = 0;
-    memset(&s->near, 0, sizeof s->near);
+    (void)memset(&s->near, 0, sizeof s->near);
     s->stats.iterations += s->stats.sqp_iterations;
     return status;
 }

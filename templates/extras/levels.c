@@ -116,7 +116,7 @@ static void refresh_node(solver_t *s, int k, int level)
     for (int i = 0; i < NX; i++) {
         node->b[i] = x_next[i] - s->x[k + 1][i];
     }
-    memset(node->g, 0, sizeof node->g);
+    (void)memset(node->g, 0, sizeof node->g);
     PATH_GRADIENT(s, k, node->g);
     if (level == LEVEL_C) {
         correct_gradient(s, k);
@@ -135,7 +135,7 @@ static void refresh_node(solver_t *s, int k, int level)
 static void refresh_terminal(solver_t *s, int level)
 {
     terminal_t *terminal = &s->terminal;
-    memset(terminal->g, 0, sizeof terminal->g);
+    (void)memset(terminal->g, 0, sizeof terminal->g);
     TERMINAL_GRADIENT(s, terminal->g);
     if (NH_N > 0) {
         real_t J[NH_N][NX] = {{R(0)}};
@@ -177,9 +177,9 @@ static void refresh(solver_t *s, int level)
 static status_t evaluate_everything(solver_t *s)
 {
     for (int k = 0; k < N; k++) {
-        memset(s->node[k].g, 0, sizeof s->node[k].g);
+        (void)memset(s->node[k].g, 0, sizeof s->node[k].g);
     }
-    memset(s->terminal.g, 0, sizeof s->terminal.g);
+    (void)memset(s->terminal.g, 0, sizeof s->terminal.g);
     return prepare_here(s);
 }
 
@@ -187,7 +187,7 @@ static status_t evaluate_everything(solver_t *s)
 static status_t evaluate(solver_t *s, int level)
 {
     status_t status = OK;
-    s->levels.last = (s->levels.valid && s->failing <= NO_FAILURE) ? level : LEVEL_A;
+    s->levels.last = (s->levels.valid && s->failures == NO_FAILURE) ? level : LEVEL_A;
     if (s->levels.last == LEVEL_A) {
         take_penalties(s);
         status = evaluate_everything(s);
@@ -201,8 +201,8 @@ static status_t evaluate(solver_t *s, int level)
         s->renewal = UP_TO_DATE;
         condense_rows(s);
     }
-    memcpy(s->levels.x, s->x, sizeof s->levels.x);
-    memcpy(s->levels.u, s->u, sizeof s->levels.u);
+    (void)memcpy(s->levels.x, s->x, sizeof s->levels.x);
+    (void)memcpy(s->levels.u, s->u, sizeof s->levels.u);
     return status;
 }
 
@@ -213,7 +213,7 @@ static status_t step_at_plan(solver_t *s)
     status_t status;
     measure_plan(s, measured);
     status = feedback_here(s);
-    memcpy(s->xhat, measured, sizeof s->xhat);
+    (void)memcpy(s->xhat, measured, sizeof s->xhat);
     return status;
 }
 

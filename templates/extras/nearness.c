@@ -4,7 +4,7 @@
 
 static void nearness_on_reset(solver_t *s)
 {
-    memset(&s->near, 0, sizeof s->near);
+    (void)memset(&s->near, 0, sizeof s->near);
 }
 
 /* Now and then a linearisation tells whether the plan is optimal, too, however short its steps are. */
@@ -15,7 +15,7 @@ static void doubt_plan(solver_t *s)
         real_t measured[NX];
         measure_plan(s, measured);
         s->near.doubted = !kkt_is_within(s, residual_tolerance[0]);
-        memcpy(s->xhat, measured, sizeof s->xhat);
+        (void)memcpy(s->xhat, measured, sizeof s->xhat);
     }
 }
 
@@ -78,7 +78,7 @@ static void nearness_before_step(solver_t *s, status_t status)
         if (!s->near.trusted) {
             keep_plan(s);
             s->near.slope = slope_of(s);
-            memset(&s->sqp, 0, sizeof s->sqp);
+            (void)memset(&s->sqp, 0, sizeof s->sqp);
             update_scales(s);
             (void)kkt_is_within(s, residual_tolerance[0]);
             s->near.before = s->kkt.relative;

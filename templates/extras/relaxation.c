@@ -22,7 +22,7 @@ static void scale_rows(solver_t *s, real_t *size)
 {
     state_scales(s, size);
     control_sizes(s, size + NX);
-    memset(s->row_scale, 0, sizeof s->row_scale);
+    (void)memset(s->row_scale, 0, sizeof s->row_scale);
     for (int m = 0; m < NG; m++) {
         enlarge(&s->row_scale[row_id(m)], size_or(row_terms(s, m, size), row_magnitude[row_id(m)]));
     }

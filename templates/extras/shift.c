@@ -9,10 +9,10 @@ static void shift_before_prepare(solver_t *s)
     }
     if (moves) {
         if (SHIFTS_BACK) {
-            memcpy(s->first_control, s->u[0], sizeof s->first_control);
+            (void)memcpy(s->first_control, s->u[0], sizeof s->first_control);
         }
         (void)API(shift)(s); /* it refuses only a solver that is not initialised */
-        if (s->failing >= SECOND_FAILURE) { /* states that the shift integrates may be as far off as the failed plan */
+        if (s->failures >= SECOND_FAILURE) { /* states that the shift integrates may be as far off as the failed plan */
             start_at_measured(s);
         }
     }

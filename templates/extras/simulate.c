@@ -5,12 +5,12 @@
 static real_t simulate_plan(solver_t *s)
 {
     real_t size[NX], moved[NX] = {R(0)}, most = R(0);
-    memcpy(s->step.dx, s->x, sizeof s->step.dx);
+    (void)memcpy(s->step.dx, s->x, sizeof s->step.dx);
     for (int k = 0; k < N; k++) {
         interval_value(s, k, s->x[k + 1]);
     }
     if (!all_finite(s->x[0], (N + 1) * NX)) {
-        memcpy(s->x, s->step.dx, sizeof s->x);
+        (void)memcpy(s->x, s->step.dx, sizeof s->x);
         return R(0);
     }
     for (int k = 1; k <= N; k++) {

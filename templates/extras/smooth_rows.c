@@ -28,7 +28,9 @@ static real_t row_term(const solver_t *s, int m, real_t v, real_t *slope, real_t
     if (row_is_soft(s, m)) {
         l1 = row_l1(s, m);
     }
-    *slope = *curvature = value = R(0);
+    *slope = R(0);
+    *curvature = R(0);
+    value = R(0);
     if (upper < INF) {
         value += l1 * smooth_excess(v - upper, sharpness, l1, slope, curvature);
     }

@@ -15,7 +15,7 @@ static void sample(int k)
     before_sample(&solver, k);
     const status_t prepared = PREPARE(&solver);
     const status_t fed = CONTROL(&solver, recorded_x[k], u);
-    memcpy(words, u, sizeof u);
+    (void)memcpy(words, u, sizeof u);
     printf("%x %x", (unsigned)prepared, (unsigned)fed);
     for (size_t i = 0; i < sizeof words / sizeof words[0]; i++) {
         printf(" %lx", (unsigned long)words[i]);

@@ -111,11 +111,11 @@ static void put_other(uint32_t number, cost_t cost)
 static void sample(int k)
 {
     before_sample(&solver, k);
-    memcpy(x, recorded_x[k], sizeof x);
+    (void)memcpy(x, recorded_x[k], sizeof x);
     const cost_t prepared = measured_prepare();
     const cost_t fed = measured_feedback();
     uint32_t words[sizeof u / sizeof(uint32_t)];
-    memcpy(words, u, sizeof u);
+    (void)memcpy(words, u, sizeof u);
     image_put('S');
     put_cost(prepared, 1);
     put_cost(fed, 1);

@@ -42,7 +42,7 @@ static void add_lower(real_t *Q, const real_t *M, int n)
 static void add_if_convex(real_t *Q, const real_t *M, int n)
 {
     real_t factor[NZ * NZ];
-    memcpy(factor, M, sizeof factor[0] * (size_t)(n * n));
+    (void)memcpy(factor, M, sizeof factor[0] * (size_t)(n * n));
     if (is_semidefinite(factor, n)) {
         add_lower(Q, M, n);
     }

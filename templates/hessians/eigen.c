@@ -71,7 +71,8 @@ static void tridiagonalize(real_t (*W)[LDV], real_t *d, real_t *e, int n)
             e[i] = d[i - 1];
             for (int j = 0; j < i; ++j) {
                 d[j] = W[j][i - 1];
-                W[j][i] = W[i][j] = R(0);
+                W[j][i] = R(0);
+                W[i][j] = R(0);
             }
         }
         d[i] = h;
@@ -121,7 +122,8 @@ static real_t ql_step(real_t (*W)[LDV], real_t *d, real_t *e, int l, int m, int 
     const real_t t = ratio + ((ratio < R(0)) ? -root : root), next = e[l + 1];
     real_t c = R(1), c2 = c, c3 = c, s = R(0), s2 = s, p, shift, pushed;
     d[l] = e[l] / t;
-    pushed = d[l + 1] = e[l] * t;
+    d[l + 1] = e[l] * t;
+    pushed = d[l + 1];
     shift = first - d[l];
     for (int i = l + 2; i < n; ++i) {
         d[i] -= shift;

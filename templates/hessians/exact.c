@@ -16,10 +16,10 @@ static inline void start_expansion(solver_t *s)
 {
     s->hessian.adjoint = !has_multipliers(s);
     if (s->hessian.adjoint) {
-        memcpy(s->lam[N], s->terminal.g, sizeof s->terminal.g);
+        (void)memcpy(s->lam[N], s->terminal.g, sizeof s->terminal.g);
     }
     if (s->hessian.changed) {
-        memset(s->hessian.Q, 0, sizeof s->hessian.Q);
+        (void)memset(s->hessian.Q, 0, sizeof s->hessian.Q);
         s->hessian.changed = 0;
     }
 }

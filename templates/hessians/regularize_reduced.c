@@ -4,7 +4,7 @@
 static void compose(real_t (*H)[LDV], int n, const real_t *d, real_t (*work)[LDV])
 {
     for (int i = 0; i < n; ++i) {
-        memset(H[i], 0, (size_t)(i + 1) * sizeof H[0][0]);
+        (void)memset(H[i], 0, (size_t)(i + 1) * sizeof H[0][0]);
     }
     for (int k = 0; k < n; ++k) {
         const real_t *v = work[k];
@@ -40,7 +40,8 @@ static int regularize_reduced(real_t (*H)[LDV], int n, real_t terms, real_t shar
     for (int i = 0; i < n; ++i) {
         r[i] = SQRT(r[i]);
         for (int j = 0; j <= i; ++j) {
-            work[i][j] = work[j][i] = H[i][j] / (r[i] * r[j]);
+            work[j][i] = H[i][j] / (r[i] * r[j]);
+            work[i][j] = work[j][i];
             probe += FABS(work[i][j]);
         }
     }
@@ -144,13 +145,13 @@ static void add_linear_units(solver_t *s)
 static status_t condense_factorize(solver_t *s)
 {
     int32_t predicted[NV + NG]; /* a failure clears the working set */
-    memcpy(predicted, s->qp.side, sizeof predicted);
+    (void)memcpy(predicted, s->qp.side, sizeof predicted);
     status_t status = qp_factorize(&s->qp);
     s->condensed.regularized = status == NUMERICAL_FAILURE;
-    memset(s->condensed.held, 0, sizeof s->condensed.held);
+    (void)memset(s->condensed.held, 0, sizeof s->condensed.held);
     if (status == OK && s->qp.semidefinite) {
         condense_matrices(s);
-        memcpy(s->qp.side, predicted, sizeof predicted);
+        (void)memcpy(s->qp.side, predicted, sizeof predicted);
         add_linear_units(s);
         s->condensed.regularized = 1;
         return qp_factorize(&s->qp);
@@ -161,7 +162,7 @@ static status_t condense_factorize(solver_t *s)
     const real_t terms = condensed_terms(s);
     for (int trial = 0; trial < 3 && status == NUMERICAL_FAILURE; trial++) {
         condense_matrices(s);
-        memcpy(s->qp.side, predicted, sizeof predicted);
+        (void)memcpy(s->qp.side, predicted, sizeof predicted);
         hold_working_set(s, terms, (trial == 0) ? R(1) : FACTOR_SHIFT_FIRM_HOLD);
         if (trial == 2 &&
             !regularize_reduced(s->qp.H, NV - NSL, terms, FACTOR_REDUCED_MIRRORED_SHARE, s->qp.work.basis.Q)) {

@@ -19,10 +19,10 @@ void API(integrate)(const solver_t *s, const real_t x[NXHAT], const real_t u[NU]
     }
     if (AUGMENTED) {
         real_t whole[NX], end[NX];
-        memcpy(whole, x, NXHAT * sizeof *x);
+        (void)memcpy(whole, x, NXHAT * sizeof *x);
         recall_augmented(s, whole);
         INTEGRATOR_STEP(s, 0, whole, u, &dt, NEWTON_LIMIT, end);
-        memcpy(x_next, end, NXHAT * sizeof *x);
+        (void)memcpy(x_next, end, NXHAT * sizeof *x);
     } else {
         INTEGRATOR_STEP(s, 0, x, u, &dt, NEWTON_LIMIT, x_next);
     }

@@ -24,7 +24,7 @@ static void interval_value(const solver_t *s, int k, real_t *x_next)
 static void forget_algebraic(solver_t *s)
 {
     for (int k = 0; k <= N; k++) {
-        memcpy(s->z[k], algebraic_start, sizeof s->z[k]);
+        (void)memcpy(s->z[k], algebraic_start, sizeof s->z[k]);
     }
 }
 
@@ -33,7 +33,7 @@ static int algebraic_of_node(const solver_t *s, int k, const real_t *x, const re
 {
     real_t M[NALG][NALG];
     int order[NALG];
-    memcpy(point, x, NX * sizeof *x);
+    (void)memcpy(point, x, NX * sizeof *x);
     return find_algebraic(point, s->z[k], u, (k < N) ? PARAM(s, k) : PARAM_N(s), M, order);
 }
 
@@ -43,7 +43,7 @@ static void follow_algebraic(solver_t *s)
     for (int k = 0; k <= N; k++) {
         real_t point[NXA];
         const int reason = algebraic_of_node(s, k, s->x[k], s->u[(k < N) ? k : N - 1], point);
-        memcpy(s->z[k], (reason < 0) ? point + NX : algebraic_start, sizeof s->z[k]);
+        (void)memcpy(s->z[k], (reason < 0) ? point + NX : algebraic_start, sizeof s->z[k]);
     }
 }
 
@@ -77,7 +77,10 @@ static int name_failed_node(solver_t *s, int first, int last)
  * converge; -1: none fails. */
 static void name_failed_stage(solver_t *s, status_t status)
 {
-    s->failed_interval = s->failed_step = s->failed_stage = s->failed_state = -1;
+    s->failed_interval = -1;
+    s->failed_step = -1;
+    s->failed_stage = -1;
+    s->failed_state = -1;
     if (NALG) {
         if ((status == NUMERICAL_FAILURE || status == NOT_CONVERGED) && name_failed_node(s, 0, N - 1)) {
             return;

@@ -37,14 +37,14 @@ void API(integrate)(const solver_t *s, const real_t x[NXHAT], const real_t u[NU]
     if (AUGMENTED) {
         recall_augmented(s, start);
     }
-    memcpy(end, start, sizeof end);
+    (void)memcpy(end, start, sizeof end);
     for (int n = 0; n < steps; n++) {
         INTEGRATOR_STEP(s, 0, end, u, &h, NEWTON_LIMIT, end);
     }
     if (HAS_INTEGRATOR_JUMP) {
         INTEGRATOR_JUMP(s, 0, start, u, end);
     }
-    memcpy(x_next, end, NXHAT * sizeof *end);
+    (void)memcpy(x_next, end, NXHAT * sizeof *end);
 }
 #else
 void API(integrate)(const solver_t *s, const real_t x[NX], const real_t u[NU], real_t dt, real_t x_next[NX])

@@ -53,7 +53,7 @@ static real_t large_angle(real_t x, real_t *rest, bits_t *n)
     uint64_t f, tail;
     uint32_t y[4];
     int zeros = 0, negative;
-    memcpy(&bits, &x, sizeof bits);
+    (void)memcpy(&bits, &x, sizeof bits);
     *n = 0;
     *rest = R(0);
     if (!(FABS(x) < INF)) {
@@ -80,7 +80,7 @@ static real_t large_angle(real_t x, real_t *rest, bits_t *n)
     }
     f = upper_product(f, 0xC90FDAA22168C235U);
     scale_bits = (bits_t)(BIAS - 63 - zeros) << MANTISSA;
-    memcpy(&scale, &scale_bits, sizeof scale);
+    (void)memcpy(&scale, &scale_bits, sizeof scale);
     high = (real_t)(f >> (63 - MANTISSA)) * (real_t)((uint64_t)1 << (63 - MANTISSA));
     low = (real_t)(f & (((uint64_t)1 << (63 - MANTISSA)) - 1));
     scale = negative ? -scale : scale;

@@ -4,14 +4,14 @@ typedef int truth_t;
 static inline bits_t own_bits(real_t x)
 {
     bits_t bits;
-    memcpy(&bits, &x, sizeof bits);
+    (void)memcpy(&bits, &x, sizeof bits);
     return bits;
 }
 
 static inline real_t own_number(bits_t bits)
 {
     real_t x;
-    memcpy(&x, &bits, sizeof x);
+    (void)memcpy(&x, &bits, sizeof x);
     return x;
 }
 

@@ -52,7 +52,7 @@
 
 static void qp_init(qp_t *q)
 {
-    memset(q, 0, sizeof *q);
+    (void)memset(q, 0, sizeof *q);
     for (int c = 0; c < NV + NG; ++c) {
         q->lower[c] = -INF;
         q->upper[c] = INF;
@@ -115,7 +115,10 @@ static status_t qp_solve(qp_t *q)
 {
     int proofs = 0;
     status_t status = q->factorized ? qp_take_bounds(q) : NUMERICAL_FAILURE;
-    q->iterations = q->searches = q->proximal_steps = q->changes = 0;
+    q->iterations = 0;
+    q->searches = 0;
+    q->proximal_steps = 0;
+    q->changes = 0;
     if (status != OK) {
         return qp_fail(q, status);
     }

@@ -104,7 +104,8 @@ static int qp_add_proximal_term(qp_t *q, const real_t *reference)
 static inline real_t qp_pivot(qp_t *q, int k, real_t pivot, const real_t *reference)
 {
     q->H[k][k] = pivot > qp_zero_pivot() * reference[k] && isfinite(pivot) ? pivot : (real_t)NAN;
-    return q->inverse[k] = R(1) / q->H[k][k];
+    q->inverse[k] = R(1) / q->H[k][k];
+    return q->inverse[k];
 }
 
 /* L D L' of the diagonal panel b, with X = L D; L is stored below and above the diagonal. */
@@ -118,12 +119,18 @@ static void qp_factorize_diagonal(qp_t *q, int b, const real_t *reference)
     const real_t x32 = h3[2] - l30 * x20 - l31 * x21;
     const real_t l32 = x32 * qp_pivot(q, b + 2, h2[2] - l20 * x20 - l21 * x21, reference);
     qp_pivot(q, b + 3, h3[3] - l30 * x30 - l31 * x31 - l32 * x32, reference);
-    h1[0] = h0[1] = l10;
-    h2[0] = h0[2] = l20;
-    h3[0] = h0[3] = l30;
-    h2[1] = h1[2] = l21;
-    h3[1] = h1[3] = l31;
-    h3[2] = h2[3] = l32;
+    h1[0] = l10;
+    h0[1] = l10;
+    h2[0] = l20;
+    h0[2] = l20;
+    h3[0] = l30;
+    h0[3] = l30;
+    h2[1] = l21;
+    h1[2] = l21;
+    h3[1] = l31;
+    h1[3] = l31;
+    h3[2] = l32;
+    h2[3] = l32;
 }
 
 /* Columns of panel b of X = L D and of L, then the trailing lower triangle: H_ij -= sum_k X_ik L_jk. */
@@ -133,7 +140,7 @@ static void qp_factorize_panel(qp_t *q, int b)
     for (int i = b + 4; i < LDH; ++i) {
         real_t *h = q->H[i] + b, x[4];
         solve_block(known->H + b, b, h, x);
-        memcpy(h, x, sizeof x);
+        (void)memcpy(h, x, sizeof x);
         q->H[b][i] = x[0] * q->inverse[b];
         q->H[b + 1][i] = x[1] * q->inverse[b + 1];
         q->H[b + 2][i] = x[2] * q->inverse[b + 2];
@@ -177,14 +184,14 @@ static status_t qp_factorize_hessian(qp_t *q)
             q->H[i][i] = R(1);
         }
     }
-    memcpy(q->work.basis.Q, q->H, sizeof q->H);
+    (void)memcpy(q->work.basis.Q, q->H, sizeof q->H);
     for (int i = 0; i < LDH; ++i) {
         reference[i] = q->H[i][i];
     }
     valid = qp_factorize_panels(q, reference);
     q->semidefinite = !valid;
     if (!valid) {
-        memcpy(q->H, q->work.basis.Q, sizeof q->H);
+        (void)memcpy(q->H, q->work.basis.Q, sizeof q->H);
         valid = qp_add_proximal_term(q, reference) && qp_factorize_panels(q, reference);
     }
     for (int i = 0; i < LDH; ++i) {

@@ -176,7 +176,7 @@ static real_t qp_rounding(const qp_t *q, int c, const real_t *r, int side, real_
 static void qp_certify(qp_t *q, int c, int side, const real_t *r, real_t mm)
 {
     real_t largest = R(1);
-    memset(q->certificate, 0, sizeof q->certificate);
+    (void)memset(q->certificate, 0, sizeof q->certificate);
     q->certificate[c] = R(side);
     for (int k = 0; k < q->nw; ++k) {
         if (qp_takes_part(q, r, k, mm)) {
@@ -319,8 +319,9 @@ static status_t qp_take_bounds(qp_t *q)
 static int qp_write_result(qp_t *q)
 {
     real_t total = dot(q->x, q->x, LDV);
-    q->dropped = q->relaxed = 0;
-    memset(q->mult, 0, sizeof q->mult);
+    q->dropped = 0;
+    q->relaxed = 0;
+    (void)memset(q->mult, 0, sizeof q->mult);
     for (int c = 0; c < NV + NG; ++c) {
         if (q->side[c] == INACTIVE) {
             if (NSL) {
@@ -358,18 +359,20 @@ static int qp_write_result(qp_t *q)
             q->mult[c] = lam;
         }
     }
-    memcpy(q->z, q->x, sizeof q->z);
+    (void)memcpy(q->z, q->x, sizeof q->z);
     return isfinite(total);
 }
 
 /* Clears the results and the working set after a failure. */
 static status_t qp_fail(qp_t *q, status_t status)
 {
-    q->nw = q->relaxed = q->dropped = 0;
-    memset(q->z, 0, sizeof q->z);
-    memset(q->mult, 0, sizeof q->mult);
-    memset(q->certificate, 0, sizeof q->certificate);
-    memset(q->side, 0, sizeof q->side);
+    q->nw = 0;
+    q->relaxed = 0;
+    q->dropped = 0;
+    (void)memset(q->z, 0, sizeof q->z);
+    (void)memset(q->mult, 0, sizeof q->mult);
+    (void)memset(q->certificate, 0, sizeof q->certificate);
+    (void)memset(q->side, 0, sizeof q->side);
     return status;
 }
 
@@ -381,7 +384,7 @@ static int qp_repeats(qp_t *q, int count)
         ++c;
     }
     if (!(count & (count - 1))) {
-        memcpy(q->snapshot, q->side, sizeof q->side);
+        (void)memcpy(q->snapshot, q->side, sizeof q->side);
     }
     return count > 1 && c == NV + NG;
 }
@@ -392,7 +395,7 @@ static status_t qp_iterate(qp_t *q)
 {
     int direct = 1, count = 0, side = INACTIVE;
     real_t violation = R(0);
-    memset(q->accepted, 0, sizeof q->accepted);
+    (void)memset(q->accepted, 0, sizeof q->accepted);
     qp_set_origin(q);
     status_t status = isfinite(q->scale) ? qp_restore_dual_feasibility(q) : NUMERICAL_FAILURE;
     while (status == OK) { /* at most QP_MAX_SEARCHES passes in qp_solve */

@@ -129,7 +129,7 @@ static void qp_solve_triangle(const qp_t *q, real_t *r)
 static void qp_take_row(const qp_t *q, int c, real_t *m)
 {
     clear(m);
-    memcpy(m, q->A[c - NV], sizeof q->A[0]);
+    (void)memcpy(m, q->A[c - NV], sizeof q->A[0]);
     if (qp_moving_slack(q, c) >= 0) {
         m[qp_slack(c)] = -R(1);
     }

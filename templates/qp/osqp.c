@@ -11,7 +11,7 @@ int API(osqp_solve)(const double *P, const double *A, const double *g, const dou
 
 static void qp_init(qp_t *q)
 {
-    memset(q, 0, sizeof *q);
+    (void)memset(q, 0, sizeof *q);
     for (int c = 0; c < NV + NG; ++c) {
         q->lower[c] = -INF;
         q->upper[c] = INF;
@@ -40,8 +40,8 @@ static status_t qp_factorize(qp_t *q)
 
 static status_t qp_fail(qp_t *q, status_t status)
 {
-    memset(q->z, 0, sizeof q->z);
-    memset(q->mult, 0, sizeof q->mult);
+    (void)memset(q->z, 0, sizeof q->z);
+    (void)memset(q->mult, 0, sizeof q->mult);
     return status;
 }
 
@@ -62,7 +62,7 @@ static status_t qp_solve(qp_t *q)
 {
     int iterations = 0, ordered = 1;
     q->iterations = 0;
-    memset(q->certificate, 0, sizeof q->certificate);
+    (void)memset(q->certificate, 0, sizeof q->certificate);
     for (int c = 0; c < NV + NG; ++c) {
         if (isnan(q->lower[c]) || isnan(q->upper[c])) {
             return qp_fail(q, NUMERICAL_FAILURE);

@@ -65,7 +65,7 @@ static void qp_init(solver_t *s)
     qp_clear(&s->qp);
     riccati_init(s);
     s->riccati.regularize = 1;
-    memset(&s->schur, 0, sizeof s->schur);
+    (void)memset(&s->schur, 0, sizeof s->schur);
     for (int m = 0; m < NG; m++) {
         s->qp.root[m] = R(1);
     }
@@ -207,8 +207,13 @@ static status_t qp_solve(solver_t *s)
 {
     qp_t *q = &s->qp;
     status_t status = q->factorized ? qp_check_bounds(q) : NUMERICAL_FAILURE;
-    q->iterations = q->changes = q->refinements = q->dropped = q->relaxed = q->exact = 0;
-    memset(q->certificate, 0, sizeof q->certificate);
+    q->iterations = 0;
+    q->changes = 0;
+    q->refinements = 0;
+    q->dropped = 0;
+    q->relaxed = 0;
+    q->exact = 0;
+    (void)memset(q->certificate, 0, sizeof q->certificate);
     if (status != OK) {
         return qp_fail(q, status);
     }

@@ -62,7 +62,7 @@ static inline void schur_load(const solver_t *s, int i, real_t *w)
 {
     const int m = s->schur.member[i];
     if (stage_state[m] < 0) {
-        memcpy(w, stage_row(s, m), sizeof w[0] * (stage_of_row[m] < NS ? NZS : NXS));
+        (void)memcpy(w, stage_row(s, m), sizeof w[0] * (stage_of_row[m] < NS ? NZS : NXS));
         return;
     }
     w[stage_state[m]] = R(1);
@@ -80,8 +80,8 @@ static inline void schur_sweep_stage(solver_t *s, int k, int i)
     } else {
         riccati_combine(w, c->pull[i], stage_S(s, k)[0], NZS, NXS, NZS);
     }
-    memcpy(c->push[k][i], w + NXS, sizeof c->push[0][0]);
-    memcpy(c->pull[i], w, sizeof w[0] * NXS);
+    (void)memcpy(c->push[k][i], w + NXS, sizeof c->push[0][0]);
+    (void)memcpy(c->pull[i], w, sizeof w[0] * NXS);
     riccati_combine(c->pull[i], w + NXS, r->K[k][0], LDX, NUS, LDX);
 }
 
@@ -100,7 +100,7 @@ static inline void schur_add_stage(solver_t *s, int k, int first)
     schur_t *c = &s->schur;
     for (int i = first; i < c->joint; i++) {
         real_t y[NUS];
-        memcpy(y, c->push[k][i], sizeof y);
+        (void)memcpy(y, c->push[k][i], sizeof y);
         schur_solve_controls(&s->riccati, k, y);
         for (int j = first; j <= i; j++) {
             for (int l = 0; l < NUS; l++) {
@@ -114,9 +114,9 @@ static void schur_sweep(solver_t *s)
 {
     schur_t *c = &s->schur;
     int first = c->joint; /* 0 <= first <= QP_MAX_JOINT */
-    memset(c->push, 0, sizeof c->push);
-    memset(c->pull, 0, sizeof c->pull);
-    memset(c->complement, 0, sizeof c->complement);
+    (void)memset(c->push, 0, sizeof c->push);
+    (void)memset(c->pull, 0, sizeof c->pull);
+    (void)memset(c->complement, 0, sizeof c->complement);
     for (int i = 0; i < c->joint; i++) {
         if (stage_of_row[c->member[i]] == NS) {
             schur_load(s, i, c->pull[i]);
@@ -221,7 +221,8 @@ static void schur_update(solver_t *s)
         q->stale_vectors = NS;
     }
     if (c->active && !c->swept) {
-        c->swept = c->applies = schur_renew(s);
+        c->applies = schur_renew(s);
+        c->swept = c->applies;
     }
 }
 
@@ -232,7 +233,7 @@ static void schur_set_origin(solver_t *s)
     direction_t *d = &s->riccati.work.vectors.rhs.direction;
     c->shifted = 0;
     if (c->active && c->applies && c->joint > 0) {
-        memset(d->dx[0], 0, sizeof d->dx[0]);
+        (void)memset(d->dx[0], 0, sizeof d->dx[0]);
         riccati_forward(s, d->dx, d->du);
         for (int i = 0; i < c->joint; i++) {
             c->origin[i] = qp_row_change(s, c->member[i]);
@@ -287,7 +288,7 @@ static void schur_distances(const solver_t *s, real_t *distance)
 {
     const schur_t *c = &s->schur;
     real_t x[LDX] = {0};
-    memcpy(x, s->step.dx[0], sizeof x[0] * NXS);
+    (void)memcpy(x, s->step.dx[0], sizeof x[0] * NXS);
     for (int f = 0; f < NF; f++) {
         x[free_state[f]] = R(0);
     }

@@ -6,10 +6,10 @@ static void qp_put_aside(solver_t *s)
 {
     const qp_t *q = &s->qp;
     for (int k = 0; k <= NS; k++) {
-        memcpy(s->ipm.gradient[k], q->x[k], sizeof q->x[k]);
+        (void)memcpy(s->ipm.gradient[k], q->x[k], sizeof q->x[k]);
     }
-    memcpy(s->ipm.dv, q->z, sizeof q->z);
-    memcpy(s->ipm.force, q->mult, sizeof q->mult);
+    (void)memcpy(s->ipm.dv, q->z, sizeof q->z);
+    (void)memcpy(s->ipm.force, q->mult, sizeof q->mult);
 }
 
 /* Restores this solution and sets the sides that belong to it. */
@@ -17,10 +17,10 @@ static void qp_take_back(solver_t *s)
 {
     qp_t *q = &s->qp;
     for (int k = 0; k <= NS; k++) {
-        memcpy(q->x[k], s->ipm.gradient[k], sizeof q->x[k]);
+        (void)memcpy(q->x[k], s->ipm.gradient[k], sizeof q->x[k]);
     }
-    memcpy(q->z, s->ipm.dv, sizeof q->z);
-    memcpy(q->mult, s->ipm.force, sizeof q->mult);
+    (void)memcpy(q->z, s->ipm.dv, sizeof q->z);
+    (void)memcpy(q->mult, s->ipm.force, sizeof q->mult);
     ipm_write_sides(s);
     q->exact = 0;
 }

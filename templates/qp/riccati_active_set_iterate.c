@@ -149,7 +149,7 @@ static int qp_set_repeats(qp_t *q, int tried)
 {
     uint32_t hash = 2166136261U;
     for (int c = 0; c < NV + NG; c++) {
-        hash = (hash ^ (uint32_t)(q->side[c] + 2)) * 16777619U;
+        hash = (hash ^ ((uint32_t)q->side[c] + 2U)) * 16777619U;
     }
     q->history[tried] = (int32_t)(hash >> 1);
     for (int i = 0; i < tried; i++) {
@@ -177,7 +177,8 @@ static int qp_renew(solver_t *s)
             schur_set_origin(s);
         }
     }
-    q->stale = q->stale_vectors = -1;
+    q->stale = -1;
+    q->stale_vectors = -1;
     return 1;
 }
 
@@ -210,7 +211,7 @@ static status_t qp_minimize(solver_t *s, int *changed)
     if (!qp_renew(s)) {
         return NUMERICAL_FAILURE;
     }
-    memcpy(q->x[0], s->step.dx[0], sizeof s->step.dx[0]);
+    (void)memcpy(q->x[0], s->step.dx[0], sizeof s->step.dx[0]);
     if (NG) {
         schur_impose(s);
     }

@@ -10,7 +10,7 @@ static int condense_law(solver_t *s)
     }
     for (int j = 0; j < NU; j++) {
         s->first.feed[j] = r->feed[0][j];
-        memcpy(s->first.gain[j], r->K[0][j], sizeof s->first.gain[j]);
+        (void)memcpy(s->first.gain[j], r->K[0][j], sizeof s->first.gain[j]);
     }
     return s->qp.factorized == FACTORS_READY;
 }

@@ -64,7 +64,7 @@ static void qp_take_sizes(solver_t *s, int k, real_t *size)
 static real_t qp_gradient_size(solver_t *s)
 {
     real_t *size = s->qp.size, worst = R(0);
-    memset(size, 0, sizeof s->qp.size);
+    (void)memset(size, 0, sizeof s->qp.size);
     for (int i = 0; i < NX; i++) {
         size[i] = TOL_ZERO * force_size[i];
     }
@@ -207,7 +207,7 @@ static void qp_direction(solver_t *s)
         }
     }
     riccati_backward(s, NS);
-    memset(d->dx[0], 0, sizeof d->dx[0]);
+    (void)memset(d->dx[0], 0, sizeof d->dx[0]);
     riccati_forward(s, d->dx, d->du);
 }
 

@@ -6,8 +6,8 @@ static void qp_enter(solver_t *s)
 {
     qp_t *q = &s->qp;
     riccati_t *r = &s->riccati;
-    memset(r->diagonal, 0, sizeof r->diagonal);
-    memset(r->diagonal_free, 0, sizeof r->diagonal_free);
+    (void)memset(r->diagonal, 0, sizeof r->diagonal);
+    (void)memset(r->diagonal_free, 0, sizeof r->diagonal_free);
     r->regularize = 1;
     r->regularize_zero = riccati_least_pivot(s);
     for (int c = 0; c < NV; c++) {
@@ -18,7 +18,8 @@ static void qp_enter(solver_t *s)
         q->side[NV + m] = qp_allowed_row(q, m, q->side[NV + m]);
         r->weight[m] = qp_weight(s, m, q->side[NV + m]);
     }
-    q->stale = q->stale_vectors = NS;
+    q->stale = NS;
+    q->stale_vectors = NS;
     s->schur.swept = 0;
 }
 
@@ -50,8 +51,8 @@ static void qp_scale_rows(solver_t *s)
 {
     riccati_t *r = &s->riccati;
     qp_enter(s);
-    memset(r->fixed, 0, sizeof r->fixed);
-    memset(r->weight, 0, sizeof r->weight);
+    (void)memset(r->fixed, 0, sizeof r->fixed);
+    (void)memset(r->weight, 0, sizeof r->weight);
     if (riccati_factorize(s, NS)) {
         riccati_set_reach(s);
         qp_set_units(s);
@@ -61,8 +62,8 @@ static void qp_scale_rows(solver_t *s)
 /* Starts from the empty working set with the scales of this QP. */
 static void qp_start_empty(solver_t *s)
 {
-    memset(s->qp.side, 0, sizeof s->qp.side);
-    memset(s->qp.mult, 0, sizeof s->qp.mult);
+    (void)memset(s->qp.side, 0, sizeof s->qp.side);
+    (void)memset(s->qp.mult, 0, sizeof s->qp.mult);
     if (NG) {
         s->schur.active = 0;
         qp_scale_rows(s);

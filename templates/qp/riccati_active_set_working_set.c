@@ -153,9 +153,9 @@ static void qp_load(solver_t *s)
     const qp_t *q = &s->qp;
     riccati_t *r = &s->riccati;
     for (int k = 0; k <= q->stale_vectors; k++) {
-        memcpy(r->work.vectors.rhs.g[k], stage_g(s, k), sizeof r->work.vectors.rhs.g[0][0] * (k < NS ? NZS : NXS));
+        (void)memcpy(r->work.vectors.rhs.g[k], stage_g(s, k), sizeof r->work.vectors.rhs.g[0][0] * (k < NS ? NZS : NXS));
         if (k < NS) {
-            memcpy(r->b[k], stage_b(s, k), sizeof r->b[0]);
+            (void)memcpy(r->b[k], stage_b(s, k), sizeof r->b[0]);
         }
         for (int c = k * NUS; k < NS && c < (k + 1) * NUS; c++) {
             r->du[c] = q->side[c] != INACTIVE ? qp_target(q, c) : R(0);
@@ -167,7 +167,7 @@ static void qp_load(solver_t *s)
 /* Largest magnitude of every component of x and z over the stages. Returns 0 if a number is not finite. */
 static int qp_measure(qp_t *q)
 {
-    memset(q->scale, 0, sizeof q->scale);
+    (void)memset(q->scale, 0, sizeof q->scale);
     qp_enlarge(q, q->scale);
     return all_finite(q->x[0], (NS + 1) * NXS) && all_finite(q->z, NV);
 }

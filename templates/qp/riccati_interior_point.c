@@ -26,8 +26,8 @@ static void qp_init(solver_t *s)
 {
     qp_clear(&s->qp);
     riccati_init(s);
-    memset(&s->ipm, 0, sizeof s->ipm);
-    memset(&s->units, 0, sizeof s->units);
+    (void)memset(&s->ipm, 0, sizeof s->ipm);
+    (void)memset(&s->units, 0, sizeof s->units);
 }
 
 #if REGULARIZE_REDUCED

@@ -13,7 +13,7 @@ static inline void ipm_fold(real_t *w)
 /* w = S_k'lam + g_k, where lam is the adjoint of x_{k+1}. */
 static inline void ipm_adjoint_step(solver_t *s, int k, const real_t *lam, real_t *w)
 {
-    memcpy(w, s->riccati.work.vectors.rhs.g[k], sizeof s->riccati.work.vectors.rhs.g[k]);
+    (void)memcpy(w, s->riccati.work.vectors.rhs.g[k], sizeof s->riccati.work.vectors.rhs.g[k]);
     riccati_combine(w, lam, stage_S(s, k)[0], NZS, NXS, NZS);
 }
 
@@ -74,7 +74,7 @@ static real_t ipm_stationarity(solver_t *s)
     real_t lam[NXS], w[NZS], size[NUS], next[NXS];
     ipm_load_gradient(s);
     ipm_add_forces(s, s->qp.mult);
-    memcpy(lam, g[NS], sizeof lam);
+    (void)memcpy(lam, g[NS], sizeof lam);
     for (int j = 0; j < NXS; j++) {
         next[j] = ipm_gradient_terms(s, NS, j);
     }
@@ -86,7 +86,7 @@ static real_t ipm_stationarity(solver_t *s)
             next[j] = ipm_gradient_terms(s, k, j) + FABS(w[j] - g[k][j]);
         }
         riccati_combine(w, w + NXS, s->riccati.K[k][0], LDX, NUS, NXS);
-        memcpy(lam, w, sizeof lam);
+        (void)memcpy(lam, w, sizeof lam);
     }
     ipm_fold(lam);
     ipm_fold(next);
@@ -173,9 +173,9 @@ static int ipm_balance(solver_t *s, int k, const real_t *nu, const real_t *w, re
 static int ipm_contradiction(solver_t *s)
 {
     real_t nu[NXS], w[NZS], gap = R(0), size = R(0), rest = R(0);
-    memset(s->riccati.work.vectors.rhs.g, 0, sizeof s->riccati.work.vectors.rhs.g);
+    (void)memset(s->riccati.work.vectors.rhs.g, 0, sizeof s->riccati.work.vectors.rhs.g);
     ipm_add_forces(s, s->qp.certificate);
-    memcpy(nu, s->riccati.work.vectors.rhs.g[NS], sizeof nu);
+    (void)memcpy(nu, s->riccati.work.vectors.rhs.g[NS], sizeof nu);
     for (int k = NS - 1; k >= 0; k--) {
         ipm_adjoint_step(s, k, nu, w);
         if (!ipm_balance(s, k, nu, w, &rest)) {
@@ -185,7 +185,7 @@ static int ipm_contradiction(solver_t *s)
             gap -= nu[i] * stage_b(s, k)[i];
             size += FABS(nu[i] * stage_b(s, k)[i]);
         }
-        memcpy(nu, w, sizeof nu);
+        (void)memcpy(nu, w, sizeof nu);
     }
     for (int i = 0; i < NX; i++) {
         const real_t term = (is_measured[i] || is_accumulator[i]) ? nu[i] * s->step.dx[0][i] : R(0);
@@ -211,7 +211,7 @@ static int ipm_certify(solver_t *s)
         }
         return 1;
     }
-    memset(q->certificate, 0, sizeof q->certificate);
+    (void)memset(q->certificate, 0, sizeof q->certificate);
     return 0;
 }
 
@@ -221,7 +221,7 @@ static int ipm_infeasible(solver_t *s)
 {
     qp_t *q = &s->qp;
     real_t most;
-    memset(q->certificate, 0, sizeof q->certificate);
+    (void)memset(q->certificate, 0, sizeof q->certificate);
     for (int m = 0; m < NG; m++) {
         const real_t f = qp_is_soft(q, m) ? R(0) : q->mult[NV + m];
         q->certificate[NV + m] = isfinite(ipm_support(q, NV + m, f)) ? f : R(0);
@@ -230,7 +230,7 @@ static int ipm_infeasible(solver_t *s)
     if (most > R(0) && isfinite(most)) {
         return ipm_certify(s);
     }
-    memset(q->certificate, 0, sizeof q->certificate);
+    (void)memset(q->certificate, 0, sizeof q->certificate);
     return 0;
 }
 
@@ -241,7 +241,7 @@ static int ipm_constant_rows(solver_t *s)
     for (int m = 0; m < NG; m++) {
         const int c = NV + m;
         if (!(s->units.reach[c] > R(0)) && !qp_is_soft(q, m) && ipm_violation(s, c) > R(0)) {
-            memset(q->certificate, 0, sizeof q->certificate);
+            (void)memset(q->certificate, 0, sizeof q->certificate);
             q->certificate[c] = (s->ipm.v[c] > q->upper[c]) ? R(1) : -R(1);
             if (ipm_certify(s)) {
                 return 1;

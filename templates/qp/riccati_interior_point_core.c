@@ -98,7 +98,8 @@ static int ipm_run_without_sides(solver_t *s, status_t *status)
 {
     ipm_t *q = &s->ipm;
     const int equations = ipm_any(q, EQUATION);
-    q->sides = q->hard = 0;
+    q->sides = 0;
+    q->hard = 0;
     q->unit = R(0);
     if (q->damping > R(0) || (ipm_any_violation(s) && !equations)) {
         return 0;
@@ -110,7 +111,7 @@ static int ipm_run_without_sides(solver_t *s, status_t *status)
     q->probing = 1;
     *status = ipm_iterate(s);
     q->probing = 0;
-    memcpy(q->origin, q->v, sizeof q->v);
+    (void)memcpy(q->origin, q->v, sizeof q->v);
     return *status != OK || !ipm_any_violation(s);
 }
 
@@ -210,7 +211,7 @@ static status_t ipm_solve(solver_t *s)
     if (IPM_WARM_START) {
         q->warm = q->solved;
         q->solved = 0;
-        memcpy(q->before, s->qp.mult, sizeof q->before);
+        (void)memcpy(q->before, s->qp.mult, sizeof q->before);
     }
     s->qp.iterations = 0;
     status = (status == OK) ? ipm_update(s) : status;
@@ -226,7 +227,7 @@ static status_t ipm_solve(solver_t *s)
 static status_t ipm_resume(solver_t *s)
 {
     ipm_take_kinds(s);
-    memset(s->riccati.du, 0, sizeof s->riccati.du);
+    (void)memset(s->riccati.du, 0, sizeof s->riccati.du);
     ipm_gaps(s);
     return ipm_finish(s, ipm_iterate(s));
 }

@@ -20,7 +20,7 @@ static void ipm_net_multipliers(solver_t *s)
 {
     const ipm_t *q = &s->ipm;
     real_t *mult = s->qp.mult;
-    memset(mult, 0, sizeof s->qp.mult);
+    (void)memset(mult, 0, sizeof s->qp.mult);
     for (int m = 0; m < NG; m++) {
         mult[NV + m] = (q->kind[NV + m] == EQUATION) ? q->y[m] : ipm_constant_multiplier(s, NV + m);
     }
@@ -165,8 +165,8 @@ static real_t ipm_reduction(const ipm_t *q, real_t step)
 /* Clears the correction terms, for the affine direction. */
 static void ipm_correct_nothing(ipm_t *q)
 {
-    memset(q->dt, 0, sizeof q->dt);
-    memset(q->dkappa, 0, sizeof q->dkappa);
+    (void)memset(q->dt, 0, sizeof q->dt);
+    (void)memset(q->dkappa, 0, sizeof q->dkappa);
 }
 
 /* Second-order correction and centring of the products t lam and e kappa: extra = (target - share dt dlam) / lam
@@ -436,7 +436,9 @@ static int ipm_inexact_equations(ipm_t *q)
 static void ipm_forget_progress(ipm_t *q)
 {
     q->closed_gaps = 0;
-    q->merit = q->slope = q->primal = INF;
+    q->merit = INF;
+    q->slope = INF;
+    q->primal = INF;
     q->step = R(1);
     q->stiffest = FACTOR_IPM_MOST_STIFFENING;
     q->stretched = 0;

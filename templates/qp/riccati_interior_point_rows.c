@@ -7,7 +7,7 @@ enum { INEQUALITY = 0, EQUATION = 1, GIVEN_CONTROL = 2 };
 /* Values of all rows at the iterate. */
 static void ipm_values(solver_t *s)
 {
-    memcpy(s->ipm.v, s->qp.z, sizeof s->qp.z);
+    (void)memcpy(s->ipm.v, s->qp.z, sizeof s->qp.z);
     for (int m = 0; m < NG; m++) {
         s->ipm.v[NV + m] = qp_row_value(s, m);
     }
@@ -16,7 +16,7 @@ static void ipm_values(solver_t *s)
 /* Changes of all rows along the direction. */
 static void ipm_changes(solver_t *s)
 {
-    memcpy(s->ipm.dv, s->riccati.work.vectors.rhs.direction.du, sizeof s->qp.z);
+    (void)memcpy(s->ipm.dv, s->riccati.work.vectors.rhs.direction.du, sizeof s->qp.z);
     for (int m = 0; m < NG; m++) {
         s->ipm.dv[NV + m] = qp_row_change(s, m);
     }
@@ -46,7 +46,7 @@ static void ipm_cost_gradient(solver_t *s)
 /* Copies the gradient of the cost at the iterate to the right-hand side. */
 static void ipm_load_gradient(solver_t *s)
 {
-    memcpy(s->riccati.work.vectors.rhs.g, s->ipm.gradient, sizeof s->ipm.gradient);
+    (void)memcpy(s->riccati.work.vectors.rhs.g, s->ipm.gradient, sizeof s->ipm.gradient);
 }
 
 /* Kind of row c. */
@@ -94,12 +94,12 @@ static int ipm_take_kinds(solver_t *s)
 /* Row of side i; 1 if it is the upper side; sign of the side, 1 for the upper and -1 for the lower one. */
 static inline int ipm_row(const ipm_t *q, int i)
 {
-    return q->place[i] >> 1;
+    return q->place[i] / 2;
 }
 
 static inline int ipm_is_upper(const ipm_t *q, int i)
 {
-    return q->place[i] & 1;
+    return q->place[i] % 2;
 }
 
 static inline real_t ipm_sign(const ipm_t *q, int i)
@@ -170,7 +170,7 @@ static void ipm_set_weights(solver_t *s)
     for (int f = 0; f < NF; f++) {
         r->diagonal_free[f] = q->proximal[free_state[f]];
     }
-    memcpy(r->weight, q->weight + NV, sizeof r->weight);
+    (void)memcpy(r->weight, q->weight + NV, sizeof r->weight);
 }
 
 /* Residuals of the sides, r = distance + e - t and r_e = l1 + l2 e - lam - kappa, and the mean of t lam and e kappa. */
@@ -213,7 +213,7 @@ static inline int ipm_sides_of_row(const ipm_t *q, int i)
 static void ipm_weigh(solver_t *s)
 {
     ipm_t *q = &s->ipm;
-    memset(q->weight, 0, sizeof q->weight);
+    (void)memset(q->weight, 0, sizeof q->weight);
     for (int m = 0; m < NG; m++) {
         q->weight[NV + m] = q->stiffness[m] * q->stiffening;
     }
@@ -258,7 +258,7 @@ static inline real_t ipm_mean(const ipm_t *q, int i, int n)
 static void ipm_forces(solver_t *s)
 {
     ipm_t *q = &s->ipm;
-    memset(q->force, 0, sizeof q->force);
+    (void)memset(q->force, 0, sizeof q->force);
     for (int m = 0; m < NG; m++) {
         const int c = NV + m;
         q->force[c] = (q->kind[c] == EQUATION) ? q->y[m] + q->weight[c] * (q->v[c] - s->qp.lower[c]) : R(0);
@@ -311,7 +311,7 @@ static void ipm_direction(solver_t *s)
     ipm_load_gradient(s);
     ipm_add_forces(s, q->force);
     riccati_backward(s, NS);
-    memset(d->dx[0], 0, sizeof d->dx[0]);
+    (void)memset(d->dx[0], 0, sizeof d->dx[0]);
     riccati_forward(s, d->dx, d->du);
     ipm_changes(s);
     ipm_recover_sides(s);

@@ -76,9 +76,9 @@ static real_t ipm_range(const qp_t *q, int c)
 static void ipm_first_weights(solver_t *s)
 {
     ipm_t *q = &s->ipm;
-    memset(q->weight, 0, sizeof q->weight);
+    (void)memset(q->weight, 0, sizeof q->weight);
     if (NG) {
-        memcpy(q->weight + NV, q->stiffness, sizeof q->stiffness);
+        (void)memcpy(q->weight + NV, q->stiffness, sizeof q->stiffness);
     }
     for (int c = 0; q->damping > R(0) && c < NV + NG; c++) {
         const real_t d = ipm_range(&s->qp, c);
@@ -119,7 +119,7 @@ static int ipm_add_equations(solver_t *s)
 static int ipm_damped_factorization(solver_t *s)
 {
     ipm_t *q = &s->ipm;
-    memset(q->stiffness, 0, sizeof q->stiffness);
+    (void)memset(q->stiffness, 0, sizeof q->stiffness);
     q->damping = ipm_damping_cost(s);
     q->stiffening = ipm_least_stiffening(q);
     ipm_set_proximal(s);
@@ -132,8 +132,8 @@ static int ipm_first_factorization(solver_t *s, int plain)
 {
     ipm_t *q = &s->ipm;
     int stands = plain;
-    memset(q->stiffness, 0, sizeof q->stiffness);
-    memset(q->proximal, 0, sizeof q->proximal);
+    (void)memset(q->stiffness, 0, sizeof q->stiffness);
+    (void)memset(q->proximal, 0, sizeof q->proximal);
     q->damping = R(0);
     q->stiffening = R(1);
     q->least_pivot = riccati_least_pivot(s);
@@ -171,10 +171,10 @@ static void ipm_first_backward(solver_t *s)
     riccati_t *r = &s->riccati;
     real_t(*g)[NZS] = r->work.vectors.rhs.g;
     for (int k = 0; k < NS; k++) {
-        memcpy(g[k], stage_g(s, k), sizeof g[k]);
-        memcpy(r->b[k], stage_b(s, k), sizeof r->b[k]);
+        (void)memcpy(g[k], stage_g(s, k), sizeof g[k]);
+        (void)memcpy(r->b[k], stage_b(s, k), sizeof r->b[k]);
     }
-    memcpy(g[NS], stage_g(s, NS), sizeof g[0][0] * NXS);
+    (void)memcpy(g[NS], stage_g(s, NS), sizeof g[0][0] * NXS);
     ipm_add_forces(s, s->ipm.force);
     riccati_backward(s, NS);
 }
@@ -185,17 +185,17 @@ static int ipm_first_point(solver_t *s)
 {
     ipm_t *q = &s->ipm;
     real_t probe = R(0);
-    memcpy(s->qp.x[0], s->step.dx[0], sizeof s->step.dx[0]);
+    (void)memcpy(s->qp.x[0], s->step.dx[0], sizeof s->step.dx[0]);
     riccati_forward(s, s->qp.x, s->qp.z);
-    memset(s->riccati.b, 0, sizeof s->riccati.b);
-    memset(s->riccati.du, 0, sizeof s->riccati.du);
+    (void)memset(s->riccati.b, 0, sizeof s->riccati.b);
+    (void)memset(s->riccati.du, 0, sizeof s->riccati.du);
     for (int k = 0; k <= NS; k++) {
         for (int i = 0; i < NXS; i++) {
             probe += R(0) * s->qp.x[k][i];
         }
     }
     ipm_values(s);
-    memcpy(q->origin, q->v, sizeof q->v);
+    (void)memcpy(q->origin, q->v, sizeof q->v);
     for (int c = 0; c < NV + NG; c++) {
         probe += R(0) * q->v[c];
     }

@@ -149,7 +149,7 @@ static void qp_spread_noise(solver_t *s, int k, const real_t *y, const real_t *s
             sum[i] += FABS(stage_S(s, k)[l][i]) * noise[l];
         }
     }
-    memcpy(noise, sum, sizeof sum[0] * NXS);
+    (void)memcpy(noise, sum, sizeof sum[0] * NXS);
     for (int j = 0; k < NS && j < NUS; j++) {
         most[j] = (sum[NXS + j] > most[j]) ? sum[NXS + j] : most[j];
     }
@@ -161,7 +161,7 @@ static int qp_free_is_stationary(solver_t *s, const real_t *y, const real_t *noi
     const real_t *g = stage_g(s, 0);
     int holds = 1;
     real_t lam[NXS], size[NXS];
-    memcpy(lam, s->riccati.work.vectors.rhs.g[0], sizeof lam);
+    (void)memcpy(lam, s->riccati.work.vectors.rhs.g[0], sizeof lam);
     for (int i = 0; i < NXS; i++) {
         size[i] = FABS(g[i]) + FABS(y[i] - g[i]) + FABS(lam[i] - y[i]);
     }
@@ -216,7 +216,7 @@ static int qp_is_stationary(solver_t *s, int full)
                 qp_add_row(s, m, s->qp.mult[NV + m]);
             }
         }
-        memcpy(y, w[k], sizeof y[0] * (k < NS ? NZS : NXS));
+        (void)memcpy(y, w[k], sizeof y[0] * (k < NS ? NZS : NXS));
         if (k < NS) {
             qp_check_stage(s, k, full, w[k + 1], w[k], rest, terms);
         }

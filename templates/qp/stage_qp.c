@@ -81,8 +81,8 @@ static void qp_enlarge(const qp_t *q, real_t *size)
 /* z = (x, u) of stage k. */
 static inline void qp_stage_point(const qp_t *q, int k, real_t *z)
 {
-    memcpy(z, q->x[k], sizeof q->x[0]);
-    memcpy(z + NXS, qp_stage_controls(q, k), sizeof z[0] * NUS);
+    (void)memcpy(z, q->x[k], sizeof q->x[0]);
+    (void)memcpy(z + NXS, qp_stage_controls(q, k), sizeof z[0] * NUS);
 }
 
 /* y = g_k + Q_k z_k at the present point, for the components that stage k has, with dense products. */
@@ -91,10 +91,10 @@ static void qp_dense_gradient(solver_t *s, int k, real_t *y)
     real_t z[NZS];
     if (k < NS) {
         qp_stage_point(&s->qp, k, z);
-        memcpy(y, stage_g(s, k), sizeof z);
+        (void)memcpy(y, stage_g(s, k), sizeof z);
         riccati_add_symmetric(y, stage_Q(s, k)[0], NZS, z, NZS);
     } else {
-        memcpy(y, stage_g(s, NS), sizeof y[0] * NXS);
+        (void)memcpy(y, stage_g(s, NS), sizeof y[0] * NXS);
         riccati_add_symmetric(y, stage_Q_N(s)[0], NXS, s->qp.x[NS], NXS);
     }
 }
@@ -177,7 +177,7 @@ static void qp_gap(solver_t *s, int k, real_t *b)
 /* Resets the QP: no bounds, no prediction. */
 static void qp_clear(qp_t *q)
 {
-    memset(q, 0, sizeof *q);
+    (void)memset(q, 0, sizeof *q);
     for (int c = 0; c < NV + NG; c++) {
         q->lower[c] = -INF;
         q->upper[c] = INF;
@@ -208,10 +208,10 @@ static status_t qp_check_bounds(const qp_t *q)
 /* Clears the results after a failure. */
 static void qp_clear_results(qp_t *q)
 {
-    memset(q->x, 0, sizeof q->x);
-    memset(q->z, 0, sizeof q->z);
-    memset(q->mult, 0, sizeof q->mult);
-    memset(q->side, 0, sizeof q->side);
-    memset(q->certificate, 0, sizeof q->certificate);
+    (void)memset(q->x, 0, sizeof q->x);
+    (void)memset(q->z, 0, sizeof q->z);
+    (void)memset(q->mult, 0, sizeof q->mult);
+    (void)memset(q->side, 0, sizeof q->side);
+    (void)memset(q->certificate, 0, sizeof q->certificate);
     q->relaxed = 0;
 }

@@ -1,7 +1,7 @@
 /* lam = P_k x + p_k. */
 static void riccati_adjoint(const riccati_t *r, int k, const real_t *x, real_t *lam)
 {
-    memcpy(lam, r->p[k], sizeof lam[0] * NXS);
+    (void)memcpy(lam, r->p[k], sizeof lam[0] * NXS);
     if (TILES) {
         riccati_add_symmetric(lam, r->P[k][0], LDX, x, NXS);
     } else {

@@ -14,7 +14,7 @@
 static int riccati_units(solver_t *s, real_t *unit)
 {
     real_t largest = R(0), probe = R(0);
-    memset(unit, 0, sizeof unit[0] * NZS);
+    (void)memset(unit, 0, sizeof unit[0] * NZS);
     for (int k = 0; k < NS; k++) {
         for (int j = 0; j < NZS && k * NUS + j - NXS < N * NU; j++) {
             real_t sum = FABS(stage_Q(s, k)[j][j]);
@@ -141,8 +141,8 @@ static void riccati_keep_diagonal(solver_t *s)
 
 static void riccati_clear_diagonal(riccati_t *r)
 {
-    memset(r->diagonal, 0, sizeof r->diagonal);
-    memset(r->diagonal_free, 0, sizeof r->diagonal_free);
+    (void)memset(r->diagonal, 0, sizeof r->diagonal);
+    (void)memset(r->diagonal_free, 0, sizeof r->diagonal_free);
 }
 
 static int riccati_convexify(solver_t *s)
@@ -150,9 +150,9 @@ static int riccati_convexify(solver_t *s)
     riccati_t *r = &s->riccati;
     int found;
     riccati_clear_diagonal(r);
-    memset(r->weight, 0, sizeof r->weight);
-    memset(r->held, 0, sizeof r->held);
-    memset(r->fixed, 0, sizeof r->fixed);
+    (void)memset(r->weight, 0, sizeof r->weight);
+    (void)memset(r->held, 0, sizeof r->held);
+    (void)memset(r->fixed, 0, sizeof r->fixed);
     r->regularize = 0;
     if (riccati_factorize(s, NS)) {
         return 1;

@@ -16,13 +16,13 @@ static void riccati_load_stage(solver_t *s, int k)
     real_t(*P)[LDX] = r->P[k];
     real_t(*M)[LDZ] = r->M[k];
     for (int i = 0; i < NXS; i++) {
-        memcpy(P[i], Q[i], sizeof(Q[0][0]) * NXS);
+        (void)memcpy(P[i], Q[i], sizeof(Q[0][0]) * NXS);
     }
     if (!SMALL) {
         riccati_clear_padding(P);
     }
     for (int j = 0; j < NUS; j++) {
-        memcpy(M[j], Q[NXS + j], sizeof Q[0]);
+        (void)memcpy(M[j], Q[NXS + j], sizeof Q[0]);
         M[j][NXS + j] += r->diagonal[k][j];
     }
 }
@@ -31,7 +31,7 @@ static void riccati_load_terminal(solver_t *s)
 {
     riccati_t *r = &s->riccati;
     for (int i = 0; i < NXS; i++) {
-        memcpy(r->P[NS][i], stage_Q_N(s)[i], sizeof r->P[0][0][0] * NXS);
+        (void)memcpy(r->P[NS][i], stage_Q_N(s)[i], sizeof r->P[0][0][0] * NXS);
     }
     if (!SMALL) {
         riccati_clear_padding(r->P[NS]);
@@ -127,9 +127,9 @@ static void riccati_propagate(solver_t *s, int k)
     recursion_t *work = &s->riccati.work.recursion;
     real_t(*S)[NZS] = stage_S(s, k);
     for (int i = 0; i < NXS; i++) {
-        memcpy(work->W[i], S[i], sizeof S[0]);
+        (void)memcpy(work->W[i], S[i], sizeof S[0]);
     }
-    memset(work->T, 0, sizeof work->T);
+    (void)memset(work->T, 0, sizeof work->T);
     if (SMALL) {
         riccati_product(work->T[0], LDZ, r->P[k + 1][0], LDX, work->W[0], LDW, NXS, NXS, NZS);
     } else {
@@ -214,7 +214,7 @@ static int riccati_eliminate_controls(riccati_t *r, int k)
 static inline void riccati_gain(riccati_t *r, int k)
 {
     for (int j = NUS - 1; j >= 0; j--) {
-        memcpy(r->K[k][j], r->work.recursion.W[NXS + j], sizeof r->K[0][0]);
+        (void)memcpy(r->K[k][j], r->work.recursion.W[NXS + j], sizeof r->K[0][0]);
         for (int l = j + 1; l < NUS; l++) {
             riccati_add(r->K[k][j], -r->L[k][l][j], r->K[k][l], LDX);
         }
@@ -269,7 +269,7 @@ static inline void riccati_fold(riccati_t *r)
             r->P[0][j][to] += r->P[0][j][from];
             r->P[0][j][from] = R(0);
         }
-        memset(r->P[0][from], 0, sizeof r->P[0][from]);
+        (void)memset(r->P[0][from], 0, sizeof r->P[0][from]);
     }
 }
 

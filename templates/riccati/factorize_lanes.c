@@ -159,7 +159,7 @@ PACK_INLINE void riccati_load_controls(riccati_t *r, int k, real_t (*V)[STAGE_WI
         }
         r->L[k][j][j] = fixed[j] ? R(1) : M[NXS + j];
         if (fixed[j]) {
-            memset(V[j], 0, sizeof V[0]);
+            (void)memset(V[j], 0, sizeof V[0]);
         }
     }
 }

@@ -76,7 +76,14 @@ PACK_INLINE void packs_add(packs_t *c, const real_t *A, int ld, pack_t b, int ro
 PACK_INLINE void packs_clear(packs_t *c)
 {
     const pack_t zero = {0};
-    c->r0 = c->r1 = c->r2 = c->r3 = c->r4 = c->r5 = c->r6 = c->r7 = zero;
+    c->r0 = zero;
+    c->r1 = zero;
+    c->r2 = zero;
+    c->r3 = zero;
+    c->r4 = zero;
+    c->r5 = zero;
+    c->r6 = zero;
+    c->r7 = zero;
 }
 
 /* sum_j A[i][j] x[j],  i < rows <= PACK_WIDTH,  j < n; x has whole packs. */

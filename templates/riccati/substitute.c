@@ -43,21 +43,21 @@ static void riccati_backward_stage(solver_t *s, int k)
     riccati_t *r = &s->riccati;
     real_t v[LDX], w[NZS], y[NUS];
     int gaps = 0;
-    memcpy(v, r->p[k + 1], sizeof v);
+    (void)memcpy(v, r->p[k + 1], sizeof v);
     for (int i = 0; i < NXS; i++) {
         gaps |= r->b[k][i] < R(0) || !(r->b[k][i] <= R(0));
     }
     if (gaps) {
         riccati_combine(v, r->b[k], r->P[k + 1][0], LDX, NXS, LDX);
     }
-    memcpy(w, r->work.vectors.rhs.g[k], sizeof w);
+    (void)memcpy(w, r->work.vectors.rhs.g[k], sizeof w);
     riccati_combine(w, v, stage_S(s, k)[0], NZS, NXS, NZS);
-    memcpy(r->h[k], w + NXS, sizeof r->h[k]);
+    (void)memcpy(r->h[k], w + NXS, sizeof r->h[k]);
     riccati_add_fixed(r, k, w);
     for (int j = 0; j < NUS; j++) {
         y[j] = r->fixed[k * NUS + j] ? R(0) : w[NXS + j];
     }
-    memcpy(r->p[k], w, sizeof w[0] * NXS);
+    (void)memcpy(r->p[k], w, sizeof w[0] * NXS);
     riccati_combine(r->p[k], y, r->K[k][0], LDX, NUS, LDX);
     riccati_solve_controls(r, k, y);
     for (int j = 0; j < NUS; j++) {
@@ -74,7 +74,7 @@ static void riccati_backward(solver_t *s, int last)
 {
     riccati_t *r = &s->riccati;
     if (last == NS) {
-        memcpy(r->p[NS], r->work.vectors.rhs.g[NS], sizeof r->p[0][0] * NXS);
+        (void)memcpy(r->p[NS], r->work.vectors.rhs.g[NS], sizeof r->p[0][0] * NXS);
     }
     for (int k = last < NS ? last : NS - 1; k >= 0; k--) {
         riccati_backward_stage(s, k);
@@ -124,7 +124,7 @@ static void riccati_forward(solver_t *s, real_t (*x)[NXS], real_t *u)
     const riccati_t *r = &s->riccati;
     real_t z[LDZ] = {0};
     riccati_solve_free(r, x[0]);
-    memcpy(z, x[0], sizeof x[0]);
+    (void)memcpy(z, x[0], sizeof x[0]);
     for (int k = 0; k < NS; k++) {
         real_t(*S)[NZS] = stage_S(s, k);
         for (int j = 0; j < NUS; j++) {
@@ -134,12 +134,12 @@ static void riccati_forward(solver_t *s, real_t (*x)[NXS], real_t *u)
         for (int i = 0; i < NXS; i++) {
             x[k + 1][i] = r->b[k][i] + riccati_dot(S[i], z, NZS);
         }
-        memcpy(z, x[k + 1], sizeof x[0]);
+        (void)memcpy(z, x[k + 1], sizeof x[0]);
     }
 }
 
 #endif
 static void riccati_init(solver_t *s)
 {
-    memset(&s->riccati, 0, sizeof s->riccati);
+    (void)memset(&s->riccati, 0, sizeof s->riccati);
 }

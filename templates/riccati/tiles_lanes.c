@@ -62,7 +62,13 @@ PACK_INLINE void tile_clear(tile_t *c)
 {
     const pack_t zero = {0};
     const strip_t s = {zero, zero, zero};
-    c->r0 = c->r1 = c->r2 = c->r3 = c->r4 = c->r5 = c->r6 = s;
+    c->r0 = s;
+    c->r1 = s;
+    c->r2 = s;
+    c->r3 = s;
+    c->r4 = s;
+    c->r5 = s;
+    c->r6 = s;
 }
 
 PACK_INLINE void tile_load(tile_t *c, const real_t *p, int ld, int rows, int width)

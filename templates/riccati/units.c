@@ -43,7 +43,7 @@ static void riccati_closed_loop(solver_t *s, int k)
             q->closed[l][i] = S[i][l];
         }
     }
-    memset(q->push, 0, sizeof q->push);
+    (void)memset(q->push, 0, sizeof q->push);
     for (int j = 0; j < NUS; j++) {
         for (int i = 0; i < NXS; i++) {
             column[i] = S[i][NXS + j];
@@ -60,7 +60,7 @@ static void riccati_closed_loop(solver_t *s, int k)
 /* Covariance of x_{k+1}: closed' C closed + push' push. */
 static void riccati_propagate_covariance(noise_t *q)
 {
-    memset(q->product, 0, sizeof q->product);
+    (void)memset(q->product, 0, sizeof q->product);
     if (SMALL) {
         riccati_product(q->product[0], LDX, q->covariance[0], LDX, q->closed[0], LDX, NXS, NXS, NXS);
     } else {
@@ -68,7 +68,7 @@ static void riccati_propagate_covariance(noise_t *q)
             riccati_rows(q->product[i], LDX, &q->covariance[0][i], LDX, q->closed[0], LDX, NXS, LDX);
         }
     }
-    memset(q->covariance, 0, sizeof q->covariance);
+    (void)memset(q->covariance, 0, sizeof q->covariance);
     if (SMALL) {
         riccati_lower(q->covariance[0], LDX, q->closed[0], LDX, q->product[0], LDX, NXS, NXS);
         riccati_lower(q->covariance[0], LDX, q->push[0], LDX, q->push[0], LDX, NUS, NXS);
@@ -90,7 +90,7 @@ static real_t riccati_reach(const riccati_t *r, int k, const real_t *a_x, const 
 {
     const noise_t *q = &r->work.noise;
     real_t c[LDX] = {0}, w[LDX] = {0}, sum = R(0);
-    memcpy(c, a_x, sizeof c[0] * NXS);
+    (void)memcpy(c, a_x, sizeof c[0] * NXS);
     for (int l = 0; k < NS && l < NUS; l++) {
         const real_t part = riccati_dot(q->gain[l], a_u, NUS);
         riccati_add(c, a_u[l], r->K[k][l], LDX);
@@ -134,14 +134,14 @@ static void riccati_controls_reach(solver_t *s, int k)
 static void riccati_set_reach(solver_t *s)
 {
     noise_t *q = &s->riccati.work.noise;
-    memset(q, 0, sizeof *q);
+    (void)memset(q, 0, sizeof *q);
     for (int f = 0; f < NF; f++) {
-        memset(s->riccati.p[0], 0, sizeof s->riccati.p[0]);
+        (void)memset(s->riccati.p[0], 0, sizeof s->riccati.p[0]);
         s->riccati.p[0][free_state[f]] = -R(1);
         riccati_solve_free(&s->riccati, q->covariance[free_state[f]]);
     }
     for (int f = 0; f < NXS - NX; f++) {
-        memcpy(q->covariance[NX + f], q->covariance[copied_state[f]], sizeof q->covariance[0]);
+        (void)memcpy(q->covariance[NX + f], q->covariance[copied_state[f]], sizeof q->covariance[0]);
     }
     for (int k = 0; k < NS; k++) {
         riccati_closed_loop(s, k);

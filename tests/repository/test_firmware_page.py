@@ -5,19 +5,22 @@ from __future__ import annotations
 import re
 import shlex
 import subprocess
+from collections.abc import Callable
 from pathlib import Path
 
+import casadi as ca
 import pytest
 from conftest import missing, require_tool
 
-from examples import crane
-from nmpc_codegen import generate
+from examples import crane, quadrotor
+from nmpc_codegen import OCP, Options, generate
 from nmpc_codegen.cli import main
-from nmpc_codegen.firmware.deviations import DEVIATIONS
+from nmpc_codegen.package.deviations import DEVIATIONS
 from tests.repository.misra import findings
 from tests.snippets import ROOT, blocks
 
 PAGE = "docs/firmware.md"
+PRECISIONS = ("double", "single")
 
 #: What thread.c uses of Zephyr.
 KERNEL = """
@@ -78,13 +81,43 @@ def test_names_of_the_page(folder: Path) -> None:
     assert used <= set(re.findall(r"\w+", headers))
 
 
-@pytest.mark.slow
-def test_deviations_are_documented() -> None:
-    """Every rule of which the addon reports a finding in the crane has a reason."""
+def tank() -> OCP:
+    """A tank with a parameter, a limit on the rate of its pump and a soft row on its level."""
+    ocp = OCP("tank", T=2.0, N=10)
+    level, flow, width = ocp.state("level", initial=1.0), ocp.control("flow"), ocp.parameter("width", value=0.5)
+    ocp.dynamics({level: flow - width * ca.sqrt(level + 0.1)})
+    ocp.least_squares(ca.vertcat(level - 1, flow), weight=[1.0, 0.1])
+    ocp.subject_to(0, flow, 2)
+    ocp.subject_to(-1, ocp.rate(flow), 1)
+    ocp.subject_to(0.5, level, 1.5, soft=(10.0, 1.0))
+    return ocp
+
+
+@pytest.mark.parametrize(
+    ("make", "precision"),
+    [
+        (tank, "single"),
+        *(
+            pytest.param(m, p, marks=pytest.mark.slow)
+            for m in (crane.build_ocp, quadrotor.build_ocp)
+            for p in PRECISIONS
+        ),
+        pytest.param(tank, "double", marks=pytest.mark.slow),
+    ],
+)
+def test_deviations_are_documented(make: Callable[[], OCP], precision: str) -> None:
+    """Every rule of which the addon reports a finding in a package has a reason."""
     require_tool("cppcheck")
-    found = findings(generate(crane.build_ocp()), "crane")
+    ocp = make()
+    found = findings(generate(ocp, Options(precision=precision)), ocp.name)
     if found is None:
         missing("this cppcheck has no MISRA addon", "misra")
     assert found, "the addon reports nothing: is the test blind?"
     assert not set(found) - set(DEVIATIONS)
     assert all(re.fullmatch(r"\d+\.\d+", rule) and len(reason) > 20 for rule, reason in DEVIATIONS.items())
+
+
+def test_deviations_stand_in_the_package_of_a_target() -> None:
+    text = generate(tank(), Options(target="cortex-m4f", precision="single", solve=False))["tank.c"]
+    head = text[: text.index("*/")]
+    assert all(f" {rule} " in head and reason in head for rule, reason in DEVIATIONS.items())

@@ -119,7 +119,7 @@ def test_not_converged_is_no_failure() -> None:
     assert c.status is Status.NOT_CONVERGED
     assert np.all(np.isfinite(u))
     assert not c.status.is_failure
-    assert int(c.view("failing")) == 0
+    assert int(c.view("failures")) == 0
     text = c.diagnose()
     assert "residual of the plan" in text
     assert "RealTimeIteration(iterations=10)" in text

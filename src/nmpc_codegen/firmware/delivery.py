@@ -15,7 +15,6 @@ from nmpc_codegen.analysis import worst_case
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.firmware.budgets import Budgets, check
 from nmpc_codegen.firmware.certificate import REAL_TIME, Certificate, Form, certify, forms_of
-from nmpc_codegen.firmware.deviations import DEVIATIONS
 from nmpc_codegen.firmware.image import sources
 from nmpc_codegen.firmware.layouts import layouts
 from nmpc_codegen.firmware.recording import Recording, record, record_estimates, restart_loop
@@ -24,6 +23,7 @@ from nmpc_codegen.firmware.verify import Verdict, verify
 from nmpc_codegen.lowering.templates import environment
 from nmpc_codegen.options import GOALS
 from nmpc_codegen.package.description import PackageDescription
+from nmpc_codegen.package.deviations import DEVIATIONS
 from nmpc_codegen.package.seal import without_seal
 from nmpc_codegen.runtime.build import load, load_estimator
 from nmpc_codegen.targets import PORTABLE, TARGETS, Target

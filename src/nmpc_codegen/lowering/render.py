@@ -13,6 +13,7 @@ from nmpc_codegen.lowering.dialect.directives import resolve
 from nmpc_codegen.lowering.templates import context, environment
 from nmpc_codegen.lowering.unit.item import Item
 from nmpc_codegen.lowering.unit.text import library_headers, text_of_unit
+from nmpc_codegen.package.deviations import DEVIATIONS
 from nmpc_codegen.package.memory import PURPOSES, WORK, Field, Size, Struct
 from nmpc_codegen.package.seal import seal
 from nmpc_codegen.package.signals import Argument, EntryPoint, Signal, horizon, nodes
@@ -60,6 +61,7 @@ def _names(module: CModule) -> dict[str, Any]:
     names |= {
         "m": module,
         "gcc12": GCC_12,
+        "deviations": DEVIATIONS if module.target.board else {},
         "version": __version__,
         "member": lambda field: member(field, module.name, module.public),
         "by_purpose": _by_purpose,

@@ -41,7 +41,7 @@ static void kkt_control(const solver_t *s, int k, int j, real_t pulled, real_t o
 static real_t residual_of(const solver_t *s, int what, kkt_t *kkt)
 {
     real_t lam[NX], g[NZ], own[NZ], stationarity;
-    memset(kkt, 0, sizeof *kkt);
+    (void)memset(kkt, 0, sizeof *kkt);
     start_adjoint(s, what, lam);
     for (int k = N - 1; k >= 0; k--) {
         carry_back(s, k, what, lam, g, own);
@@ -63,7 +63,7 @@ static real_t residual_of(const solver_t *s, int what, kkt_t *kkt)
 void API(kkt)(const solver_t *s, kkt_t *out)
 {
     if (s->magic != MAGIC) {
-        memset(out, 0, sizeof *out);
+        (void)memset(out, 0, sizeof *out);
         out->relative = INF;
         return;
     }

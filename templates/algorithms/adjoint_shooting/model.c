@@ -58,7 +58,7 @@ static void multiply(solver_t *s)
     add_rows(s, N, PRODUCT, a->dx[N - 1], lam);
     for (int k = N - 1; k >= 0; k--) {
         real_t own[NZ];
-        memset(own, 0, sizeof own);
+        (void)memset(own, 0, sizeof own);
         load_direction(s, k, d);
         PATH_PRODUCT(s, k, d, own);
         add_rows(s, k, PRODUCT, d, own);
@@ -112,7 +112,7 @@ static int set_target(solver_t *s, int t, real_t v)
 static void impulse_rows(solver_t *s)
 {
     shooting_t *a = &s->shooting;
-    memset(a->p, 0, sizeof a->p);
+    (void)memset(a->p, 0, sizeof a->p);
     for (int t = 0; t < NT; t++) {
         real_t lam[NX], g[NZ];
         const int held = set_target(s, t, terminal_slope(s, t, lam));
@@ -121,7 +121,7 @@ static void impulse_rows(solver_t *s)
             for (int j = 0; j < NU; j++) {
                 a->Xi[t][k][j] = control_scale[j] * g[NX + j];
             }
-            memcpy(lam, g, sizeof lam);
+            (void)memcpy(lam, g, sizeof lam);
         }
         const real_t size = inner(a->Xi[t][0], a->Xi[t][0]);
         a->omega[t] = (held && size > R(0)) ? R(1) / size : R(0);

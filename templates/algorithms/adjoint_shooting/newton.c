@@ -35,7 +35,7 @@ static real_t to_upper(const solver_t *s, int k, int j)
 static void hold_bounds(solver_t *s)
 {
     shooting_t *a = &s->shooting;
-    memset(a->d, 0, sizeof a->d);
+    (void)memset(a->d, 0, sizeof a->d);
     for (int k = 0; k < N; k++) {
         for (int j = 0; j < NU; j++) {
             const real_t u = s->u[k][j];
@@ -155,7 +155,7 @@ static int solve_face(solver_t *s, real_t *largest)
     factorize_rows(a);
     real_t size = precondition(a);
     s->stats.faces++;
-    memset(a->p, 0, sizeof a->p);
+    (void)memset(a->p, 0, sizeof a->p);
     while (a->left > 0) { /* at most most_products(s) passes in solve_model */
         if (!(size > least_part(s) * *largest)) {
             return 0;

@@ -148,7 +148,7 @@ static status_t improve(solver_t *s, int trials, int *moved)
         descend_steepest(s);
         a->pairs = 0;
     }
-    memcpy(a->w, a->r, sizeof a->w);
+    (void)memcpy(a->w, a->r, sizeof a->w);
     *moved = move(s, R(0), trials) ? MOVED : STAYED;
     a->paired = *moved == MOVED;
     return OK;

@@ -53,7 +53,7 @@ static int move(solver_t *s, real_t slope, int trials)
 {
     const real_t before = merit(s);
     real_t length = s->shooting.length;
-    memcpy(s->shooting.p, s->u, sizeof s->shooting.p);
+    (void)memcpy(s->shooting.p, s->u, sizeof s->shooting.p);
     for (int n = 0; n < MOST_TRIALS && n < trials; n++) {
         const real_t change = place_controls(s, length, slope);
         if (simulate_plan(s)) {
@@ -66,7 +66,7 @@ static int move(solver_t *s, real_t slope, int trials)
         }
         length /= FACTOR_SHOOTING_LONGER;
     }
-    memcpy(s->u, s->shooting.p, sizeof s->u);
+    (void)memcpy(s->u, s->shooting.p, sizeof s->u);
     s->shooting.length = clip(length, shortest_length[0], R(1));
     (void)simulate_plan(s);
     (void)merit(s);

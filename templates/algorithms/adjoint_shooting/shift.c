@@ -27,7 +27,7 @@ static void shift_plan(solver_t *s)
         n += node_time[k + 1] <= sampling_time[0];
     }
     integrate_plan(s, n, s->x[n], sampling_time[0] - node_time[n], first);
-    memcpy(s->x[0], first, sizeof first);
+    (void)memcpy(s->x[0], first, sizeof first);
     for (int k = 0; k < N; k++) {
         for (int j = 0; j < NU; j++) {
             s->u[k][j] = mean_control(s, k, j, node_time[k] + sampling_time[0], node_time[k + 1] + sampling_time[0]);
@@ -44,9 +44,9 @@ static void shift_plan(solver_t *s)
 static void shift_plan(solver_t *s)
 {
     real_t first[NU];
-    memcpy(first, s->u[0], sizeof first);
+    (void)memcpy(first, s->u[0], sizeof first);
     for (int k = 0; k < N; k++) {
-        memcpy(s->x[k], s->x[k + 1], sizeof s->x[k]);
+        (void)memcpy(s->x[k], s->x[k + 1], sizeof s->x[k]);
         for (int j = 0; j < NU; j++) {
             if (SHIFT_PERIODIC) {
                 s->u[k][j] = (k + 1 < N) ? s->u[k + 1][j] : first[j];

@@ -89,8 +89,8 @@ status_t API(solve)(solver_t *s, const real_t xhat[NXHAT], real_t tol, int max_i
     if (!(tol > R(0)) || !isfinite(tol) || max_iterations < 1) {
         return finish(s, BAD_ARGUMENT);
     }
-    memset(&s->stats, 0, sizeof s->stats);
-    memset(&s->kkt, 0, sizeof s->kkt);
+    (void)memset(&s->stats, 0, sizeof s->stats);
+    (void)memset(&s->kkt, 0, sizeof s->kkt);
     if (!take_state(s, xhat)) {
         return finish(s, NOT_FINITE);
     }

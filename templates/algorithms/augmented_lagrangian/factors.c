@@ -44,7 +44,7 @@ static int factorize_block(auglag_t *a, int k)
     for (int l = NZ - 1; l >= 0; l--) {
         const real_t pivot = A[l][l];
         if (open[l] <= R(0)) {
-            memset(A[l], 0, sizeof A[l]);
+            (void)memset(A[l], 0, sizeof A[l]);
             A[l][l] = R(1);
             continue;
         }
@@ -66,7 +66,7 @@ static int factorize_with(solver_t *s, real_t shift, int from)
 {
     auglag_t *a = &s->auglag;
     for (int k = from; k >= 0; k--) { /* at most N + 1 passes */
-        memcpy(a->L[k], a->H[k], sizeof a->L[k]);
+        (void)memcpy(a->L[k], a->H[k], sizeof a->L[k]);
         for (int i = 0; i < NZ; i++) {
             a->L[k][i][i] += shift * variable_weight[i];
         }

@@ -90,10 +90,10 @@ static void assemble_dynamics(solver_t *s, int k)
     auglag_t *a = &s->auglag;
     const node_t *node = &s->node[k];
     real_t force[NX];
-    memset(a->g[k], 0, sizeof a->g[k]);
-    memset(a->B[k], 0, sizeof a->B[k]);
-    memset(a->W[k], 0, sizeof a->W[k]);
-    memset(a->H[k], 0, sizeof a->H[k]);
+    (void)memset(a->g[k], 0, sizeof a->g[k]);
+    (void)memset(a->B[k], 0, sizeof a->B[k]);
+    (void)memset(a->W[k], 0, sizeof a->W[k]);
+    (void)memset(a->H[k], 0, sizeof a->H[k]);
     for (int l = 0; l < NX; l++) {
         const real_t weight = gap_weight(s, l);
         for (int j = 0; j < NZ; j++) {
@@ -127,12 +127,13 @@ static void assemble(solver_t *s)
             }
         }
     }
-    memset(a->g[N], 0, sizeof a->g[N]);
-    memset(a->H[N], 0, sizeof a->H[N]);
+    (void)memset(a->g[N], 0, sizeof a->g[N]);
+    (void)memset(a->H[N], 0, sizeof a->H[N]);
     for (int i = 0; i < NX; i++) {
         a->g[N][i] = s->terminal.g[i] - s->lam[N][i];
         for (int j = 0; j <= i; j++) {
-            a->H[N][i][j] = a->H[N][j][i] = s->hessian.Q_N[i][j];
+            a->H[N][j][i] = s->hessian.Q_N[i][j];
+            a->H[N][i][j] = a->H[N][j][i];
         }
     }
     for (int k = 0; k <= N; k++) {
@@ -153,7 +154,7 @@ static void assemble(solver_t *s)
 static void multiply(const solver_t *s, real_t (*v)[LDZ], real_t (*y)[LDZ])
 {
     const auglag_t *a = &s->auglag;
-    memset(y, 0, sizeof a->d);
+    (void)memset(y, 0, sizeof a->d);
     for (int k = 0; k < N; k++) {
         for (int l = 0; l < NX; l++) {
             y[k + 1][l] = riccati_dot(a->B[k][l], v[k], LDZ);

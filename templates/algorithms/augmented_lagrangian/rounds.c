@@ -186,7 +186,7 @@ static status_t prepare_at_plan(solver_t *s)
     if (REPAIR) {
         /* A plan that is new, has failed or was NOT_CONVERGED is repaired, until steps do what their model promises and
          * gaps are small. */
-        int wanted = s->samples == 0 || s->failing > NO_FAILURE || s->unconverged > 0;
+        int wanted = s->samples == 0 || s->failures > NO_FAILURE || s->unconverged > 0;
         for (int n = 0; n < REPAIRS && status == OK && wanted; n++) {
             status = run_round(s);
             s->stats.repairs++;
@@ -196,7 +196,7 @@ static status_t prepare_at_plan(solver_t *s)
             }
         }
     }
-    memcpy(s->xhat, measured, sizeof s->xhat);
+    (void)memcpy(s->xhat, measured, sizeof s->xhat);
     return status;
 }
 

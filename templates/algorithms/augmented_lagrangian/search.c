@@ -20,7 +20,7 @@ static int project_step(const auglag_t *a, real_t (*d)[LDZ], real_t (*from)[LDZ]
 /* Direction -scale^2 g of steepest descent in p, without components that leave the box. Returns its slope -p'g. */
 static real_t steepest_descent(auglag_t *a)
 {
-    memset(a->p, 0, sizeof a->p);
+    (void)memset(a->p, 0, sizeof a->p);
     for (int k = 0; k <= N; k++) {
         for (int i = 0; i < NZ; i++) {
             const real_t p = -variable_scale[i] * variable_scale[i] * a->g[k][i];
@@ -37,10 +37,10 @@ static real_t cauchy_point(solver_t *s)
     auglag_t *a = &s->auglag;
     const real_t slope = steepest_descent(a);
     real_t t, curvature;
-    memset(a->w, 0, sizeof a->w);
-    memset(a->d, 0, sizeof a->d);
-    memset(a->Hd, 0, sizeof a->Hd);
-    memset(a->Hp, 0, sizeof a->Hp);
+    (void)memset(a->w, 0, sizeof a->w);
+    (void)memset(a->d, 0, sizeof a->d);
+    (void)memset(a->Hd, 0, sizeof a->Hd);
+    (void)memset(a->Hp, 0, sizeof a->Hp);
     if (!(slope > R(0)) || !(slope < INF)) {
         return R(0);
     }
@@ -50,7 +50,7 @@ static real_t cauchy_point(solver_t *s)
     t = (t * SQRT(slope) < R(2) * a->radius) ? t : R(2) * a->radius * SQRT(R(VARIABLES) / slope);
     for (int trial = 0; trial < MAX_BACKTRACKS; trial++) {
         real_t linear, value;
-        memset(a->Hd, 0, sizeof a->Hd);
+        (void)memset(a->Hd, 0, sizeof a->Hd);
         if (project_step(a, a->d, a->w, t, a->p)) {
             add_multiple(a->Hd, t, a->Hp);
         } else {
@@ -63,8 +63,8 @@ static real_t cauchy_point(solver_t *s)
         }
         t *= FACTOR_AUGMENTED_SHRINK;
     }
-    memset(a->d, 0, sizeof a->d);
-    memset(a->Hd, 0, sizeof a->Hd);
+    (void)memset(a->d, 0, sizeof a->d);
+    (void)memset(a->Hd, 0, sizeof a->Hd);
     return R(0);
 }
 
@@ -137,7 +137,7 @@ static real_t longest_move(const auglag_t *a, real_t (*from)[LDZ], real_t (*p)[L
 static void follow(auglag_t *a)
 {
     real_t move;
-    memcpy(a->residual, a->d, sizeof a->residual);
+    (void)memcpy(a->residual, a->d, sizeof a->residual);
     add_multiple(a->residual, R(1), a->w);
     move = longest_move(a, a->residual, a->p, FACTOR_AUGMENTED_LONGEST);
     add_multiple(a->w, move, a->p);
@@ -152,11 +152,12 @@ static void conjugate_gradients(solver_t *s)
     auglag_t *a = &s->auglag;
     const real_t start = update_residual(a, R(0));
     real_t size, first;
-    memset(a->w, 0, sizeof a->w);
-    memset(a->Hw, 0, sizeof a->Hw);
-    memcpy(a->p, a->residual, sizeof a->p);
+    (void)memset(a->w, 0, sizeof a->w);
+    (void)memset(a->Hw, 0, sizeof a->Hw);
+    (void)memcpy(a->p, a->residual, sizeof a->p);
     precondition(a, a->p);
-    size = first = inner(a->residual, a->p);
+    first = inner(a->residual, a->p);
+    size = first;
     for (int n = 0; n < MAX_CG && size > a->precision * first && size < INF; n++) {
         multiply(s, a->p, a->Hp);
         const real_t curvature = curvature_along(a);
@@ -171,11 +172,11 @@ static void conjugate_gradients(solver_t *s)
         if (update_residual(a, -size / curvature) <= a->precision * a->precision * start) {
             return;
         }
-        memcpy(a->Hp, a->residual, sizeof a->Hp);
+        (void)memcpy(a->Hp, a->residual, sizeof a->Hp);
         precondition(a, a->Hp);
         const real_t next = inner(a->residual, a->Hp);
         add_multiple(a->Hp, next / size, a->p);
-        memcpy(a->p, a->Hp, sizeof a->p);
+        (void)memcpy(a->p, a->Hp, sizeof a->p);
         size = next;
     }
 }
@@ -188,18 +189,18 @@ static int projected_search(solver_t *s, real_t *value)
     for (int trial = 0; trial < MAX_BACKTRACKS; trial++) {
         real_t linear, found;
         if (project_step(a, a->p, a->d, t, a->w)) {
-            memcpy(a->Hp, a->Hd, sizeof a->Hp);
+            (void)memcpy(a->Hp, a->Hd, sizeof a->Hp);
             add_multiple(a->Hp, t, a->Hw);
         } else {
             multiply(s, a->p, a->Hp);
         }
         found = inner(a->g, a->p) + R(0.5) * inner(a->p, a->Hp);
-        memcpy(a->residual, a->p, sizeof a->residual);
+        (void)memcpy(a->residual, a->p, sizeof a->residual);
         add_multiple(a->residual, -R(1), a->d);
         linear = inner(a->g, a->residual) + inner(a->Hd, a->residual);
         if (linear < R(0) && found <= *value + FACTOR_AUGMENTED_SUFFICIENT * linear) {
-            memcpy(a->d, a->p, sizeof a->d);
-            memcpy(a->Hd, a->Hp, sizeof a->Hd);
+            (void)memcpy(a->d, a->p, sizeof a->d);
+            (void)memcpy(a->Hd, a->Hp, sizeof a->Hd);
             *value = found;
             return 1;
         }
@@ -211,7 +212,7 @@ static int projected_search(solver_t *s, real_t *value)
 /* residual = minus the gradient of the model at d, over the free variables. */
 static void set_residual(auglag_t *a)
 {
-    memset(a->residual, 0, sizeof a->residual);
+    (void)memset(a->residual, 0, sizeof a->residual);
     for (int k = 0; k <= N; k++) {
         for (int i = 0; i < NZ; i++) {
             a->residual[k][i] = -a->open[k][i] * (a->g[k][i] + a->Hd[k][i]);
@@ -242,8 +243,8 @@ static real_t shorten(solver_t *s, real_t most)
         value = value_at_step(s);
     }
     if (value > most) {
-        memcpy(a->d, a->kept_d, sizeof a->d);
-        memcpy(a->Hd, a->kept_Hd, sizeof a->Hd);
+        (void)memcpy(a->d, a->kept_d, sizeof a->d);
+        (void)memcpy(a->Hd, a->kept_Hd, sizeof a->Hd);
         value = value_at_step(s);
     }
     return value;
@@ -274,8 +275,8 @@ static real_t refine(solver_t *s, int faces)
         }
     }
     if (NG) {
-        memset(a->kept_d, 0, sizeof a->kept_d);
-        memset(a->kept_Hd, 0, sizeof a->kept_Hd);
+        (void)memset(a->kept_d, 0, sizeof a->kept_d);
+        (void)memset(a->kept_Hd, 0, sizeof a->kept_Hd);
         a->best = (value < R(0)) ? shorten(s, R(0)) : R(0);
         (void)take_parabolas(s);
         value = a->best - a->offset;
@@ -285,8 +286,8 @@ static real_t refine(solver_t *s, int faces)
     a->shift = R(0);
     a->shifts = 0;
     for (int face = 0; face < faces && last >= 0; face++) {
-        memcpy(a->kept_d, a->d, sizeof a->kept_d);
-        memcpy(a->kept_Hd, a->Hd, sizeof a->kept_Hd);
+        (void)memcpy(a->kept_d, a->d, sizeof a->kept_d);
+        (void)memcpy(a->kept_Hd, a->Hd, sizeof a->kept_Hd);
         a->factorized = factorize(s, last);
         set_residual(a);
         conjugate_gradients(s);
@@ -311,10 +312,10 @@ static real_t refine(solver_t *s, int faces)
 static void keep_plan(solver_t *s)
 {
     auglag_t *a = &s->auglag;
-    memcpy(a->kept_x, s->x, sizeof a->kept_x);
-    memcpy(a->kept_u, s->u, sizeof a->kept_u);
-    memcpy(a->kept_gap, a->gap, sizeof a->kept_gap);
-    memcpy(a->kept_value, a->value, sizeof a->kept_value);
+    (void)memcpy(a->kept_x, s->x, sizeof a->kept_x);
+    (void)memcpy(a->kept_u, s->u, sizeof a->kept_u);
+    (void)memcpy(a->kept_gap, a->gap, sizeof a->kept_gap);
+    (void)memcpy(a->kept_value, a->value, sizeof a->kept_value);
     a->kept_cost = a->cost;
 }
 
@@ -337,10 +338,10 @@ static void move_plan(solver_t *s)
 static void return_plan(solver_t *s)
 {
     auglag_t *a = &s->auglag;
-    memcpy(s->x, a->kept_x, sizeof s->x);
-    memcpy(s->u, a->kept_u, sizeof s->u);
-    memcpy(a->gap, a->kept_gap, sizeof a->gap);
-    memcpy(a->value, a->kept_value, sizeof a->value);
+    (void)memcpy(s->x, a->kept_x, sizeof s->x);
+    (void)memcpy(s->u, a->kept_u, sizeof s->u);
+    (void)memcpy(a->gap, a->kept_gap, sizeof a->gap);
+    (void)memcpy(a->value, a->kept_value, sizeof a->value);
     a->cost = a->kept_cost;
 }
 
@@ -398,7 +399,7 @@ static int descend(solver_t *s, int faces)
     }
     if (!(ratio > FACTOR_AUGMENTED_SUFFICIENT) || !(ratio < INF)) {
         return_plan(s);
-        memset(a->Hd, 0, sizeof a->Hd);
+        (void)memset(a->Hd, 0, sizeof a->Hd);
         if (NG) {
             estimate_multipliers(s);
             assemble(s);

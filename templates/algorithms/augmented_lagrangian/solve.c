@@ -18,7 +18,7 @@ static real_t projected_gradient(auglag_t *a)
 /* The multipliers of the plan for the KKT residuals, which are written to s->kkt; then the estimates again. */
 static real_t residual_of(solver_t *s)
 {
-    memset(s->auglag.Hd, 0, sizeof s->auglag.Hd);
+    (void)memset(s->auglag.Hd, 0, sizeof s->auglag.Hd);
     finish_multipliers(s);
     API(kkt)(s, &s->kkt);
     couple_start(s, -R(1));
@@ -105,7 +105,7 @@ status_t API(solve)(solver_t *s, const real_t xhat[NXHAT], real_t tol, int max_i
     if (AUGMENTED) {
         follow_augmented(s);
     }
-    memset(&s->stats, 0, sizeof s->stats);
+    (void)memset(&s->stats, 0, sizeof s->stats);
     s->auglag.radius = initial_radius[0];
     s->auglag.penalty = FACTOR_AUGMENTED_FIRST_PENALTY_OF_SOLVE * penalty_weight[0];
     s->auglag.precision = FACTOR_AUGMENTED_PRECISION_OF_SOLVE;
@@ -117,7 +117,8 @@ status_t API(solve)(solver_t *s, const real_t xhat[NXHAT], real_t tol, int max_i
     s->auglag.penalty = penalty_weight[0];
     s->auglag.radius = initial_radius[0];
     s->unconverged = 0;
-    s->failing = (status == OK) ? NO_FAILURE : s->failing;
+    s->failures = (status == OK) ? NO_FAILURE : s->failures;
+    s->probation = (status == OK) ? 0 : s->probation;
     couple_start(s, R(1));
     s->stats.violation = violation_of(s);
     if (PULLED_ROWS && status != OK) {

@@ -127,7 +127,7 @@ static void couple_start(solver_t *s, real_t sign)
 static void restore_multipliers(solver_t *s)
 {
     auglag_t *a = &s->auglag;
-    memcpy(s->lam, a->lam, sizeof s->lam);
+    (void)memcpy(s->lam, a->lam, sizeof s->lam);
     for (int m = 0; m < NG; m++) {
         if (row_relaxed[m]) {
             s->mult[m] = a->row[m];

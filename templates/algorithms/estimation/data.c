@@ -43,7 +43,8 @@ static void forget_controls(solver_t *s, int k)
 static void forget_measurements(solver_t *s, int k)
 {
     for (int m = 0; m < NM; m++) {
-        s->p[k][AT_Y + m] = s->p[k][AT_ACCURACY + m] = R(0);
+        s->p[k][AT_Y + m] = R(0);
+        s->p[k][AT_ACCURACY + m] = R(0);
     }
 }
 
@@ -108,7 +109,7 @@ status_t API(measure)(solver_t *s, const real_t x[NX], real_t y[NM])
 /* Without init() the estimate is the declared initial state. */
 static status_t refuse(real_t *xhat)
 {
-    memcpy(xhat, initial_state, sizeof initial_state);
+    (void)memcpy(xhat, initial_state, sizeof initial_state);
     return NOT_INITIALIZED;
 }
 

@@ -15,7 +15,7 @@ static int filter_is_sane(const filter_t *f)
 /* f = L' h', with which h P h' = f'f. */
 static void project(const filter_t *f, const real_t *h, real_t *projected)
 {
-    memset(projected, 0, NX * sizeof *projected);
+    (void)memset(projected, 0, NX * sizeof *projected);
     for (int i = 0; i < NX; i++) {
         for (int j = 0; j < NX; j++) {
             projected[j] += f->L[i][j] * h[i];
@@ -128,14 +128,14 @@ static void predict_filter(const solver_t *s, int k, filter_t *f)
     triangulate(M);
     for (int i = 0; i < NX; i++) {
         f->mean[i] = next[i];
-        memcpy(f->L[i], M[i], sizeof f->L[i]);
+        (void)memcpy(f->L[i], M[i], sizeof f->L[i]);
     }
 }
 
 /* The declared initial state and its standard deviations. */
 static void restart_filter(filter_t *f)
 {
-    memset(f, 0, sizeof *f);
+    (void)memset(f, 0, sizeof *f);
     for (int i = 0; i < NX; i++) {
         f->mean[i] = initial_state[i];
         f->L[i][i] = initial_std[i];

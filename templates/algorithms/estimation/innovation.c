@@ -13,7 +13,7 @@ static void forget_innovations(solver_t *s)
 /* The first sample is still to come. */
 static void begin_watch(solver_t *s)
 {
-    memset(&s->watch, 0, sizeof s->watch);
+    (void)memset(&s->watch, 0, sizeof s->watch);
     forget_innovations(s);
 }
 
@@ -119,7 +119,7 @@ static int is_lost(const solver_t *s)
 static void watch_again(solver_t *s)
 {
     const int32_t restarts = s->watch.restarts;
-    memset(&s->watch, 0, sizeof s->watch);
+    (void)memset(&s->watch, 0, sizeof s->watch);
     s->watch.restarts = restarts + (restarts < MOST_RESTARTS);
     s->watch.trial = TRIAL_SAMPLES;
 }
@@ -130,8 +130,8 @@ static void renew_filter(solver_t *s, int k, const real_t *x, const real_t *y, f
 {
     real_t told[NM], H[NM][NX] = {{R(0)}}, wide = R(1);
     restart_filter(f);
-    memcpy(f->mean, (s->watch.restarts & 1) ? initial_state : x, sizeof f->mean);
-    memcpy(s->x[k], f->mean, sizeof s->x[k]);
+    (void)memcpy(f->mean, (s->watch.restarts & 1) ? initial_state : x, sizeof f->mean);
+    (void)memcpy(s->x[k], f->mean, sizeof s->x[k]);
     watch_again(s);
     put_measurements(s, k, y);
     MEASUREMENT(s->x[k], PARAM(s, k), told, H);

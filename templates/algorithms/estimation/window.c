@@ -34,9 +34,9 @@ static void restart_window(solver_t *s)
 {
     s->window = 0;
     s->samples = 0;
-    memcpy(s->known, s->arrival.mean, sizeof s->known);
+    (void)memcpy(s->known, s->arrival.mean, sizeof s->known);
     start_at(s, s->arrival.mean);
-    memcpy(s->xhat, s->x[0], sizeof s->xhat);
+    (void)memcpy(s->xhat, s->x[0], sizeof s->xhat);
     for (int k = 0; k <= N; k++) {
         forget_measurements(s, k);
         forget_controls(s, k);
@@ -63,7 +63,7 @@ static void keep_arrival(solver_t *s)
     predict_filter(s, 0, f);
     if (!filter_is_sane(f)) {
         restart_filter(f);
-        memcpy(f->mean, s->x[1], sizeof f->mean);
+        (void)memcpy(f->mean, s->x[1], sizeof f->mean);
     }
     clip_to_bounds(s, f->mean);
     weigh_arrival(s);
@@ -73,15 +73,15 @@ static void keep_arrival(solver_t *s)
 static void begin_node(solver_t *s, int k)
 {
     filter_t *f = &s->expected;
-    memset(s->u[k - 1], 0, sizeof s->u[k - 1]);
-    memcpy(f->mean, s->x[k - 1], sizeof f->mean);
+    (void)memset(s->u[k - 1], 0, sizeof s->u[k - 1]);
+    (void)memcpy(f->mean, s->x[k - 1], sizeof f->mean);
     predict_filter(s, k - 1, f);
     if (!filter_is_sane(f)) {
         restart_filter(f);
-        memcpy(f->mean, s->x[k - 1], sizeof f->mean);
+        (void)memcpy(f->mean, s->x[k - 1], sizeof f->mean);
     }
-    memcpy(s->x[k], f->mean, sizeof s->x[k]);
-    memcpy(s->p[k], s->p[k - 1], sizeof s->p[k]);
+    (void)memcpy(s->x[k], f->mean, sizeof s->x[k]);
+    (void)memcpy(s->p[k], s->p[k - 1], sizeof s->p[k]);
     forget_measurements(s, k);
 }
 
@@ -92,7 +92,7 @@ static void move_window(solver_t *s)
         keep_arrival(s);
         shift_by_one(s);
         for (int k = 0; k < N; k++) {
-            memcpy(s->p[k], s->p[k + 1], sizeof s->p[k]);
+            (void)memcpy(s->p[k], s->p[k + 1], sizeof s->p[k]);
         }
     } else {
         s->window++;
@@ -104,8 +104,8 @@ static void move_window(solver_t *s)
 static void hold_future(solver_t *s)
 {
     for (int k = s->window; k < N; k++) {
-        memset(s->node[k].S, 0, sizeof s->node[k].S);
-        memset(s->node[k].b, 0, sizeof s->node[k].b);
+        (void)memset(s->node[k].S, 0, sizeof s->node[k].S);
+        (void)memset(s->node[k].b, 0, sizeof s->node[k].b);
     }
 }
 
@@ -162,7 +162,7 @@ static void begin_window(solver_t *s)
 static void keep_present_data(solver_t *s)
 {
     if (s->window > 0) {
-        memcpy(s->p[0], s->p[s->window], sizeof s->p[0]);
+        (void)memcpy(s->p[0], s->p[s->window], sizeof s->p[0]);
     }
     forget_measurements(s, 0);
 }
@@ -172,7 +172,7 @@ static void forget_window(solver_t *s)
 {
     keep_present_data(s);
     restart_filter(&s->arrival);
-    memcpy(s->arrival.mean, s->known, sizeof s->arrival.mean);
+    (void)memcpy(s->arrival.mean, s->known, sizeof s->arrival.mean);
     watch_again(s);
     begin_window(s);
 }
@@ -192,14 +192,14 @@ static void filter_window(solver_t *s)
 {
     filter_t f = s->arrival;
     for (int k = 0; k <= s->window; k++) {
-        memcpy(s->x[k], f.mean, sizeof s->x[k]);
+        (void)memcpy(s->x[k], f.mean, sizeof s->x[k]);
         if (HUBER) {
             weigh_by_filter(s, k, &f);
         }
         update_filter(s, k, &f);
-        memcpy(s->x[k], f.mean, sizeof s->x[k]);
+        (void)memcpy(s->x[k], f.mean, sizeof s->x[k]);
         if (k < s->window) {
-            memset(s->u[k], 0, sizeof s->u[k]);
+            (void)memset(s->u[k], 0, sizeof s->u[k]);
             predict_filter(s, k, &f);
             clip_to_bounds(s, f.mean);
         }

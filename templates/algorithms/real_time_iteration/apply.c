@@ -3,8 +3,8 @@
 /* The multipliers of the QP become those of the plan. */
 static void copy_multipliers(solver_t *s)
 {
-    memcpy(s->mu_u, s->step.mult_u, sizeof s->mu_u);
-    memcpy(s->mult, s->step.mult, sizeof s->mult);
+    (void)memcpy(s->mu_u, s->step.mult_u, sizeof s->mu_u);
+    (void)memcpy(s->mult, s->step.mult, sizeof s->mult);
 }
 
 /* Returns 1 if the step of the QP is finite. */

@@ -31,7 +31,7 @@ static int multipliers_of_qp(solver_t *s, real_t (*lam)[NX], int checked)
     }
     for (int k = N; k >= 0; k--) {
         add_row_forces(s, k, w);
-        memcpy(lam[k], w, sizeof lam[k]);
+        (void)memcpy(lam[k], w, sizeof lam[k]);
         if (k == 0) {
             break;
         }

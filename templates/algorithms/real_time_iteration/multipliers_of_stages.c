@@ -1,7 +1,7 @@
 /* Copies lam_k from the QP, which has the stages of the problem. */
 static void multiplier_of_qp(const solver_t *s, int k, real_t *lam)
 {
-    memcpy(lam, condense_multiplier(s, k), NX * sizeof *lam);
+    (void)memcpy(lam, condense_multiplier(s, k), NX * sizeof *lam);
     for (int m = 0; k == 0 && m < NG; m++) {
         if (row_is_coupled(m)) {
             /* The QP has no x_0 in coupled rows: their share is added. */

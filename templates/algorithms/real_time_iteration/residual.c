@@ -9,7 +9,8 @@
  * part of a row belongs to its bounds. It is at least a small part of the scale of its terms. */
 static real_t scale_of_row(solver_t *s, int m, real_t value)
 {
-    const real_t offset = row_offset[row_id(m)], magnitude = row_magnitude[row_id(m)];
+    const real_t offset = row_offset[row_id(m)];
+    const real_t magnitude = row_magnitude[row_id(m)];
     real_t scale = R(0), *most = &s->row_scale[row_id(m)];
     enlarge(most, value - offset);
     enlarge_if_finite(&scale, row_lower(s, m) - offset);

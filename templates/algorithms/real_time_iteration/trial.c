@@ -10,12 +10,12 @@ static inline real_t *step_at(step_t *d, int k, int i)
 static void keep_plan(solver_t *s)
 {
     trial_t *kept = &s->trial;
-    memcpy(kept->x, s->x, sizeof s->x);
-    memcpy(kept->u, s->u, sizeof s->u);
+    (void)memcpy(kept->x, s->x, sizeof s->x);
+    (void)memcpy(kept->u, s->u, sizeof s->u);
     if (KEEPS_MULTIPLIERS) {
-        memcpy(kept->lam, s->lam, sizeof s->lam);
-        memcpy(kept->step.mult_u, s->mu_u, sizeof s->mu_u);
-        memcpy(kept->step.mult, s->mult, sizeof s->mult);
+        (void)memcpy(kept->lam, s->lam, sizeof s->lam);
+        (void)memcpy(kept->step.mult_u, s->mu_u, sizeof s->mu_u);
+        (void)memcpy(kept->step.mult, s->mult, sizeof s->mult);
     }
 }
 
@@ -24,17 +24,17 @@ static void return_multipliers(solver_t *s)
 {
     const trial_t *kept = &s->trial;
     if (KEEPS_MULTIPLIERS) {
-        memcpy(s->lam, kept->lam, sizeof s->lam);
-        memcpy(s->mu_u, kept->step.mult_u, sizeof s->mu_u);
-        memcpy(s->mult, kept->step.mult, sizeof s->mult);
+        (void)memcpy(s->lam, kept->lam, sizeof s->lam);
+        (void)memcpy(s->mu_u, kept->step.mult_u, sizeof s->mu_u);
+        (void)memcpy(s->mult, kept->step.mult, sizeof s->mult);
     }
 }
 
 /* Returns to the base, from which the steps of this iteration start. */
 static void move_back(solver_t *s)
 {
-    memcpy(s->x, s->trial.x, sizeof s->x);
-    memcpy(s->u, s->trial.u, sizeof s->u);
+    (void)memcpy(s->x, s->trial.x, sizeof s->x);
+    (void)memcpy(s->u, s->trial.u, sizeof s->u);
 }
 
 /* (x, u) = base + length (dx, du); step becomes what has been added. */

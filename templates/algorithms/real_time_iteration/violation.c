@@ -2,7 +2,8 @@
 
 static void forget_violation(solver_t *s)
 {
-    s->stats.violated_row = s->stats.violated_node = -1;
+    s->stats.violated_row = -1;
+    s->stats.violated_node = -1;
     s->stats.violation = R(0);
 }
 

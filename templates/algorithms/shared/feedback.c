@@ -56,6 +56,6 @@ status_t API(step)(solver_t *s, const real_t xhat[NXHAT], real_t u0[NU])
         }
     }
     before_sample(s, xhat);
-    API(prepare)(s);
+    (void)API(prepare)(s);
     return API(feedback)(s, xhat, u0);
 }

@@ -115,7 +115,7 @@ static void kkt_terminal(const solver_t *s, const terminal_t *terminal, kkt_t *k
 static int kkt_is_within(solver_t *s, real_t tol)
 {
     kkt_t *kkt = &s->kkt;
-    memset(kkt, 0, sizeof *kkt);
+    (void)memset(kkt, 0, sizeof *kkt);
     for (int k = 0; k < N; k++) {
         kkt_node(s, k, &s->node[k], kkt);
     }
@@ -130,13 +130,13 @@ void API(kkt)(const solver_t *s, kkt_t *out)
     node_t node;
     terminal_t terminal;
     real_t x_next[NX];
-    memset(out, 0, sizeof *out);
+    (void)memset(out, 0, sizeof *out);
     if (s->magic != MAGIC) {
         out->relative = INF;
         return;
     }
-    memset(&node, 0, sizeof node);
-    memset(&terminal, 0, sizeof terminal);
+    (void)memset(&node, 0, sizeof node);
+    (void)memset(&terminal, 0, sizeof terminal);
     for (int k = 0; k < N; k++) {
         evaluate_node(s, k, &node, x_next);
         if (HAS_START_GRADIENT) {

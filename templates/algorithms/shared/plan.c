@@ -2,9 +2,9 @@
 
 static void forget_multipliers(solver_t *s)
 {
-    memset(s->lam, 0, sizeof s->lam);
-    memset(s->mu_u, 0, sizeof s->mu_u);
-    memset(s->mult, 0, sizeof s->mult);
+    (void)memset(s->lam, 0, sizeof s->lam);
+    (void)memset(s->mu_u, 0, sizeof s->mu_u);
+    (void)memset(s->mult, 0, sizeof s->mult);
 }
 
 /* Restarts the plan: sets every state to x, replaces controls that are not finite by their references, sets all
@@ -72,6 +72,6 @@ static int plan_is_finite(const solver_t *s)
 /* What follows is as if x_0 of the plan had been measured, until xhat takes the measured state again. */
 static void measure_plan(solver_t *s, real_t *measured)
 {
-    memcpy(measured, s->xhat, sizeof s->xhat);
-    memcpy(s->xhat, s->x[0], sizeof s->xhat);
+    (void)memcpy(measured, s->xhat, sizeof s->xhat);
+    (void)memcpy(s->xhat, s->x[0], sizeof s->xhat);
 }

@@ -29,22 +29,19 @@ static int most_broken_row(const solver_t *s, real_t *h, real_t (*J)[NZ], real_t
 static void pull_back(solver_t *s)
 {
     real_t h[NH] = {R(0)}, J[NH][NZ] = {{R(0)}}, before[NU], excess = R(0), relative = R(0), first = R(0);
-    memcpy(before, s->u[0], sizeof before);
+    (void)memcpy(before, s->u[0], sizeof before);
     for (int pass = 0; pass <= PULLS; pass++) {
         const int m = most_broken_row(s, h, J, &excess, &relative);
         if (m < 0) {
             return;
         }
         first = (pass == 0) ? relative : first;
-        if (pass == PULLS) {
-            break;
-        }
         const real_t *a = &J[row_index(m)][NX];
         real_t slope = R(0);
         for (int j = 0; j < NU; j++) {
             slope += a[j] * a[j] * z_scale[NX + j] * z_scale[NX + j];
         }
-        if (!(slope > R(0))) {
+        if (pass == PULLS || !(slope > R(0))) {
             break;
         }
         for (int j = 0; j < NU; j++) {
@@ -53,7 +50,7 @@ static void pull_back(solver_t *s)
         }
     }
     if (!(relative < first)) {
-        memcpy(s->u[0], before, sizeof before);
+        (void)memcpy(s->u[0], before, sizeof before);
     }
 }
 
@@ -61,23 +58,23 @@ static void pull_back(solver_t *s)
 static void pull_control_back(solver_t *s, real_t *u0)
 {
     real_t kept[NU], start[NX];
-    memcpy(kept, s->u[0], sizeof kept);
-    memcpy(start, s->x[0], sizeof start);
-    memcpy(s->u[0], u0, sizeof s->u[0]);
+    (void)memcpy(kept, s->u[0], sizeof kept);
+    (void)memcpy(start, s->x[0], sizeof start);
+    (void)memcpy(s->u[0], u0, sizeof s->u[0]);
     if (AUGMENTED) {
         take_augmented(s, s->x[0]);
     }
     pull_back(s);
-    memcpy(u0, s->u[0], sizeof s->u[0]);
-    memcpy(s->u[0], kept, sizeof kept);
-    memcpy(s->x[0], start, sizeof start);
+    (void)memcpy(u0, s->u[0], sizeof s->u[0]);
+    (void)memcpy(s->u[0], kept, sizeof kept);
+    (void)memcpy(s->x[0], start, sizeof start);
 }
 
 /* The same for the first control of a plan that solve() has not brought to a solution. */
 static void pull_plan_back(solver_t *s)
 {
     real_t u0[NU];
-    memcpy(u0, s->u[0], sizeof u0);
+    (void)memcpy(u0, s->u[0], sizeof u0);
     pull_control_back(s, u0);
-    memcpy(s->u[0], u0, sizeof u0);
+    (void)memcpy(s->u[0], u0, sizeof u0);
 }

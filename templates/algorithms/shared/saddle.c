@@ -69,8 +69,8 @@ static real_t hamiltonian(const solver_t *s, int k, const real_t *lam)
 static void probe_along(solver_t *s, int k, const real_t *lam, const real_t *direction)
 {
     real_t from[NU], best[NU], least = hamiltonian(s, k, lam);
-    memcpy(from, s->u[k], sizeof from);
-    memcpy(best, from, sizeof best);
+    (void)memcpy(from, s->u[k], sizeof from);
+    (void)memcpy(best, from, sizeof best);
     for (int n = 0; n < 2 * PROBES; n++) {
         const real_t size = (n % 2 == 0) ? probe_size[n / 2] : -probe_size[n / 2];
         for (int j = 0; j < NU; j++) {
@@ -80,10 +80,10 @@ static void probe_along(solver_t *s, int k, const real_t *lam, const real_t *dir
         const real_t value = hamiltonian(s, k, lam);
         if (value < least) {
             least = value;
-            memcpy(best, s->u[k], sizeof best);
+            (void)memcpy(best, s->u[k], sizeof best);
         }
     }
-    memcpy(s->u[k], best, sizeof best);
+    (void)memcpy(s->u[k], best, sizeof best);
 }
 
 #if IDLE_STATES
@@ -175,7 +175,7 @@ static void probe_plan(solver_t *s)
     }
     start_adjoint(s, ESTIMATE, lam);
     for (int k = N - 1; k >= 0; k--) {
-        memcpy(next, lam, sizeof next);
+        (void)memcpy(next, lam, sizeof next);
         carry_back(s, k, ESTIMATE, lam, g, own);
         probe_node(s, k, next);
     }
@@ -192,14 +192,14 @@ static void follow_controls(solver_t *s)
         follow_augmented(s);
     }
     for (int k = 0; k < N; k++) {
-        memcpy(x, s->x[k], sizeof x);
-        memcpy(u, s->u[k], sizeof u);
+        (void)memcpy(x, s->x[k], sizeof x);
+        (void)memcpy(u, s->u[k], sizeof u);
         interval_value(s, k, now);
-        memcpy(s->x[k], q->x[k], sizeof x);
-        memcpy(s->u[k], q->u[k], sizeof u);
+        (void)memcpy(s->x[k], q->x[k], sizeof x);
+        (void)memcpy(s->u[k], q->u[k], sizeof u);
         interval_value(s, k, before);
-        memcpy(s->x[k], x, sizeof x);
-        memcpy(s->u[k], u, sizeof u);
+        (void)memcpy(s->x[k], x, sizeof x);
+        (void)memcpy(s->u[k], u, sizeof u);
         for (int i = 0; i < NX; i++) {
             s->x[k + 1][i] = q->x[k + 1][i] + (now[i] - before[i]);
         }
@@ -343,8 +343,8 @@ static int leave_saddle(solver_t *s)
     if (HAS_QP && !may_be_at_saddle(s)) {
         return 0;
     }
-    memcpy(q->x, s->x, sizeof q->x);
-    memcpy(q->u, s->u, sizeof q->u);
+    (void)memcpy(q->x, s->x, sizeof q->x);
+    (void)memcpy(q->u, s->u, sizeof q->u);
     if (!HAS_QP) {
         /* whose plan may have large gaps */
         follow_controls(s);
@@ -360,8 +360,8 @@ static int leave_saddle(solver_t *s)
         left = left || (q->asked && take_push(s));
     }
     if (!left) {
-        memcpy(s->x, q->x, sizeof q->x);
-        memcpy(s->u, q->u, sizeof q->u);
+        (void)memcpy(s->x, q->x, sizeof q->x);
+        (void)memcpy(s->u, q->u, sizeof q->u);
         return 0;
     }
     q->saved = (q->cost < cost) ? (cost - q->cost) / FABS(cost) : R(1); /* 1: it violates less */

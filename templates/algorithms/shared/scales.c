@@ -21,7 +21,7 @@ static void enlarge_by_bounds(const solver_t *s, int k, real_t *size)
  * measured in its own size: it counts as a multiple of the last one that was OK. */
 static void state_scales(const solver_t *s, real_t *size)
 {
-    memset(size, 0, NX * sizeof *size);
+    (void)memset(size, 0, NX * sizeof *size);
     for (int k = 0; k <= N; k++) {
         enlarge_all(size, s->x[k], NX);
     }
@@ -39,7 +39,7 @@ static void state_scales(const solver_t *s, real_t *size)
 static void learn_sizes(solver_t *s, status_t status)
 {
     if (status == OK) {
-        memset(s->state_size, 0, sizeof s->state_size);
+        (void)memset(s->state_size, 0, sizeof s->state_size);
         for (int k = 0; k <= N; k++) {
             enlarge_all(s->state_size, s->x[k], NX);
         }

@@ -3,7 +3,7 @@
 static void shift_plan(solver_t *s)
 {
     real_t first[NU];
-    memcpy(first, s->u[0], sizeof first);
+    (void)memcpy(first, s->u[0], sizeof first);
     shift_by_one(s);
     for (int j = 0; j < NU; j++) {
         s->u[N - 1][j] = clip(first[j], control_lower(s, N - 1, j), control_upper(s, N - 1, j));

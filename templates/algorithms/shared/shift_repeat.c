@@ -7,11 +7,11 @@ static void shift_plan(solver_t *s)
     if (IDLE_END && N > 1) {
         interval_value(s, N - 2, tail);
         if (all_finite(tail, NX)) {
-            memcpy(s->x[N - 1], tail, sizeof tail);
+            (void)memcpy(s->x[N - 1], tail, sizeof tail);
         }
     }
     interval_value(s, N - 1, tail);
     if (all_finite(tail, NX)) {
-        memcpy(s->x[N], tail, sizeof tail);
+        (void)memcpy(s->x[N], tail, sizeof tail);
     }
 }

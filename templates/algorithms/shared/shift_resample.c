@@ -32,7 +32,7 @@ static void shift_plan(solver_t *s)
 {
     real_t last[NX];
     int n = 0;
-    memcpy(last, s->x[N - 1], sizeof last);
+    (void)memcpy(last, s->x[N - 1], sizeof last);
     resample_states(s, last);
     for (int k = 0; k <= N; k++) {
         const real_t t = node_time[k] + sampling_time[0];

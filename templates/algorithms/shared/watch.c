@@ -1,13 +1,15 @@
-/* The watch on plans: what samples on end say of one, and how much of it is given up. failing: failures; the third one
- * is lasting, and so is one among the first RESTART_SAMPLES successes after that, which a negative failing counts. */
-enum { NO_FAILURE, FIRST_FAILURE, SECOND_FAILURE, LASTING_FAILURE };
+/* The watch on plans: what samples on end say of one, and how much of it is given up. failures: failures on end; the
+ * third one is lasting, and so is one on probation. probation: successes that a plan which has failed twice on end still
+ * has to show. */
+enum { NO_FAILURE = 0, SECOND_FAILURE = 2, LASTING_FAILURE = 3 };
 
 static void reset_watch(solver_t *s)
 {
-    s->failing = NO_FAILURE;
+    s->failures = NO_FAILURE;
+    s->probation = 0;
     s->unconverged = 0;
     s->unsettled = 0;
-    memset(s->lam_before, 0, sizeof s->lam_before);
+    (void)memset(s->lam_before, 0, sizeof s->lam_before);
 }
 
 #if LAGRANGIAN && HAS_QP
@@ -46,7 +48,7 @@ static void watch_multipliers(solver_t *s)
             enlarge(&size, s->lam_before[k][i]);
         }
     }
-    memcpy(s->lam_before, s->lam, sizeof s->lam_before);
+    (void)memcpy(s->lam_before, s->lam, sizeof s->lam_before);
     s->unsettled = (change > R(0.5) * size && !is_stationary(s)) ? s->unsettled + 1 : 0;
 }
 #endif
@@ -56,13 +58,13 @@ static void watch_multipliers(solver_t *s)
  * after a lasting one nothing is kept. */
 static void give_up(solver_t *s, status_t status)
 {
-    if (s->failing == LASTING_FAILURE) {
+    if (s->failures == LASTING_FAILURE) {
         forget_plan(s);
         if (ITERATES && s->samples % 2 == 0) { /* no failure may come back with its plan for ever */
             center_controls(s);
         }
     }
-    if (s->failing >= SECOND_FAILURE) {
+    if (s->failures >= SECOND_FAILURE) {
         start_at_measured(s);
         if (!HAS_QP) {
             reset_search(s);
@@ -75,7 +77,7 @@ static void give_up(solver_t *s, status_t status)
 /* Gives up the plan if its simulation fails for good, and the past of steps if something else does. */
 static void give_up(solver_t *s, status_t status)
 {
-    if (s->failing == LASTING_FAILURE) {
+    if (s->failures == LASTING_FAILURE) {
         if (status == NUMERICAL_FAILURE) {
             forget_plan(s);
         } else {
@@ -85,6 +87,33 @@ static void give_up(solver_t *s, status_t status)
 }
 #endif
 
+/* Counts a sample that has not failed. */
+static void note_success(solver_t *s)
+{
+    if (s->failures >= SECOND_FAILURE) {
+        s->probation = RESTART_SAMPLES;
+    } else if (s->probation > 0) {
+        s->probation--;
+    }
+    s->failures = NO_FAILURE;
+}
+
+/* Counts a sample that has failed. It is lasting at once if the linearisation (broken) or the plan is not finite. */
+static void note_failure(solver_t *s, int broken)
+{
+    if (s->probation > 0) {
+        s->probation = 0;
+        s->failures = LASTING_FAILURE;
+    } else if (s->failures < LASTING_FAILURE) {
+        s->failures++;
+    }
+    if (NODES) {
+        if ((s->failures == SECOND_FAILURE && broken) || !plan_is_finite(s)) {
+            s->failures = LASTING_FAILURE;
+        }
+    }
+}
+
 /* After a sample with this status: counts it, and gives up what follows from a failure. */
 static void watch(solver_t *s, status_t status, int broken)
 {
@@ -93,21 +122,13 @@ static void watch(solver_t *s, status_t status, int broken)
     }
     s->unconverged = (status == NOT_CONVERGED) ? s->unconverged + 1 : 0;
     if (status == OK || status == RELAXED || status == NOT_CONVERGED) {
-        s->failing = (s->failing >= SECOND_FAILURE) ? -RESTART_SAMPLES
-            : (s->failing < NO_FAILURE)             ? s->failing + 1
-                                                    : NO_FAILURE;
+        note_success(s);
         if (LAGRANGIAN && HAS_QP) {
             watch_multipliers(s);
         }
         return;
     }
-    s->failing = (s->failing < NO_FAILURE) ? LASTING_FAILURE : s->failing + (s->failing < LASTING_FAILURE);
-    if (NODES) {
-        /* Lasting at once, if the linearisation (broken) or the plan is not finite. */
-        if ((s->failing == SECOND_FAILURE && broken) || !plan_is_finite(s)) {
-            s->failing = LASTING_FAILURE;
-        }
-    }
+    note_failure(s, broken);
     give_up(s, status);
 }
 

@@ -27,11 +27,11 @@ static void evaluate_iterate(solver_t *s)
         s->renewal = UP_TO_DATE;
     } else {
         evaluate_here(s);
-        memcpy(c->Q, s->hessian.Q, sizeof c->Q);
-        memcpy(c->Q_N, s->hessian.Q_N, sizeof c->Q_N);
+        (void)memcpy(c->Q, s->hessian.Q, sizeof c->Q);
+        (void)memcpy(c->Q_N, s->hessian.Q_N, sizeof c->Q_N);
     }
-    memset(s->hessian.Q, 0, sizeof s->hessian.Q);
-    memset(s->hessian.Q_N, 0, sizeof s->hessian.Q_N);
+    (void)memset(s->hessian.Q, 0, sizeof s->hessian.Q);
+    (void)memset(s->hessian.Q_N, 0, sizeof s->hessian.Q_N);
     for (int i = 0; i < NZ; i++) {
         for (int j = 0; j < i; j++) {
             for (int k = 0; k < N; k++) {
@@ -57,7 +57,7 @@ static void curved_stage(solver_t *s, int k, real_t shift)
 {
     curved_t *c = &s->curved;
     const node_t *node = &s->node[k];
-    memset(c->T, 0, sizeof c->T);
+    (void)memset(c->T, 0, sizeof c->T);
     for (int i = 0; i < NX; i++) {
         for (int l = 0; l < NX; l++) {
             for (int j = 0; j < NZ; j++) {
@@ -66,7 +66,7 @@ static void curved_stage(solver_t *s, int k, real_t shift)
         }
     }
     for (int i = 0; i < NZ; i++) {
-        memcpy(c->M[i], c->Q[k][i], sizeof c->M[0]);
+        (void)memcpy(c->M[i], c->Q[k][i], sizeof c->M[0]);
         for (int l = 0; l < NX; l++) {
             for (int j = 0; j <= i; j++) {
                 c->M[i][j] += node->S[l][i] * c->T[l][j];
@@ -115,7 +115,7 @@ static int free_pivots(curved_t *c)
 static int is_convex(solver_t *s, real_t shift)
 {
     curved_t *c = &s->curved;
-    memcpy(c->P, c->Q_N, sizeof c->P);
+    (void)memcpy(c->P, c->Q_N, sizeof c->P);
     for (int i = 0; i < NX; i++) {
         c->P[i][i] += shift * c->unit[i];
     }
@@ -128,7 +128,8 @@ static int is_convex(solver_t *s, real_t shift)
         }
         for (int i = 0; i < NX; i++) {
             for (int j = 0; j <= i; j++) {
-                c->P[i][j] = c->P[j][i] = c->M[i][j];
+                c->P[j][i] = c->M[i][j];
+                c->P[i][j] = c->P[j][i];
             }
         }
     }
@@ -164,7 +165,7 @@ static void raise_units(const solver_t *s, real_t *unit)
 static void find_units(solver_t *s)
 {
     curved_t *c = &s->curved;
-    memset(c->unit, 0, sizeof c->unit);
+    (void)memset(c->unit, 0, sizeof c->unit);
     for (int k = 0; k < N; k++) {
         for (int j = 0; j < NZ; j++) {
             real_t sum = FABS(c->Q[k][j][j]);
@@ -293,9 +294,9 @@ static void push_to_bounds(solver_t *s)
         return;
     }
     for (int k = 0; k < N; k++) {
-        memcpy(c->g[k], s->node[k].g, sizeof c->g[0]);
+        (void)memcpy(c->g[k], s->node[k].g, sizeof c->g[0]);
     }
-    memcpy(c->g[N], s->terminal.g, sizeof s->terminal.g);
+    (void)memcpy(c->g[N], s->terminal.g, sizeof s->terminal.g);
     for (int k = 0; k < N; k++) {
         for (int j = 0; j < NU; j++) {
             if (c->weight_u[k][j] > R(0)) {
@@ -312,9 +313,9 @@ static void restore_gradients(solver_t *s)
         return;
     }
     for (int k = 0; k < N; k++) {
-        memcpy(s->node[k].g, s->curved.g[k], sizeof s->curved.g[0]);
+        (void)memcpy(s->node[k].g, s->curved.g[k], sizeof s->curved.g[0]);
     }
-    memcpy(s->terminal.g, s->curved.g[N], sizeof s->terminal.g);
+    (void)memcpy(s->terminal.g, s->curved.g[N], sizeof s->terminal.g);
 }
 
 /* The smallest shift for which the QP is convex, up to a factor of 4 to the power of 2^-BISECTIONS; infinite if none is

@@ -9,13 +9,13 @@ static void linearize_with_curvature(solver_t *s)
     if (NALG) {
         follow_algebraic(s);
     }
-    memset(c->Q, 0, sizeof c->Q);
-    memset(c->Q_N, 0, sizeof c->Q_N);
+    (void)memset(c->Q, 0, sizeof c->Q);
+    (void)memset(c->Q_N, 0, sizeof c->Q_N);
     TERMINAL_GRADIENT(s, s->terminal.g);
     TERMINAL_ROWS(s, s->terminal.h, s->terminal.J);
     COUPLED_ROWS(s, s->coupled.r, s->coupled.J_0, s->coupled.J_N);
     if (adjoint) {
-        memcpy(s->lam[N], s->terminal.g, sizeof s->terminal.g);
+        (void)memcpy(s->lam[N], s->terminal.g, sizeof s->terminal.g);
     }
     for (int k = N - 1; k >= 0; k--) {
         if (NH > 0) {

@@ -6,15 +6,16 @@ static void start_search(solver_t *s, int attempts)
     if (!plan_is_finite(s)) {
         start_at(s, s->xhat);
     }
-    memset(&s->sqp, 0, sizeof s->sqp);
-    memset(&s->trial, 0, sizeof s->trial);
-    memset(&s->step, 0, sizeof s->step);
-    memset(s->row_scale, 0, sizeof s->row_scale);
+    (void)memset(&s->sqp, 0, sizeof s->sqp);
+    (void)memset(&s->trial, 0, sizeof s->trial);
+    (void)memset(&s->step, 0, sizeof s->step);
+    (void)memset(s->row_scale, 0, sizeof s->row_scale);
     s->row_residual = R(0);
     s->sqp.attempts = (int32_t)attempts;
     s->curved.proximal = FACTOR_SQP_FIRST_PROXIMAL;
     s->curved.damping = (attempts % 2 == 0) ? R(0) : FACTOR_SQP_SECOND_START;
-    s->sqp.most_violation = s->sqp.base.violation = INF;
+    s->sqp.most_violation = INF;
+    s->sqp.base.violation = INF;
     if (SADDLES && SOLVE) {
         s->saddle.departed = 0;
     }
@@ -51,7 +52,7 @@ static int is_escaping(const solver_t *s, const real_t *x)
 static int find_end(const solver_t *s, real_t *end)
 {
     int moved = 0;
-    memcpy(end, s->xhat, sizeof s->xhat);
+    (void)memcpy(end, s->xhat, sizeof s->xhat);
     for (int m = row_first[N]; m < row_first[N + 1]; m++) {
         if (row_is_state(m)) {
             end[row_index(m)] = clip(end[row_index(m)], row_lower(s, m), row_upper(s, m));
@@ -72,17 +73,17 @@ static void restart_search(solver_t *s)
     if (straight || s->sqp.attempts > 0) {
         forget_plan(s);
     }
-    memcpy(s->x[0], s->xhat, sizeof s->xhat);
+    (void)memcpy(s->x[0], s->xhat, sizeof s->xhat);
     for (int k = 0; k < N; k++) {
         if (straight) {
             for (int i = 0; i < NX; i++) {
-                s->x[k + 1][i] = s->xhat[i] + (real_t)(k + 1) / (real_t)N * (end[i] - s->xhat[i]);
+                s->x[k + 1][i] = s->xhat[i] + ((real_t)k + R(1)) / (real_t)N * (end[i] - s->xhat[i]);
             }
             continue;
         }
         interval_value(s, k, s->x[k + 1]);
         if (is_escaping(s, s->x[k + 1])) {
-            memcpy(s->x[k + 1], s->xhat, sizeof s->xhat);
+            (void)memcpy(s->x[k + 1], s->xhat, sizeof s->xhat);
         }
     }
     forget_multipliers(s);

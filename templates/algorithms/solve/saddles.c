@@ -5,22 +5,22 @@
 static void keep_saddle(solver_t *s)
 {
     saddle_t *q = &s->saddle;
-    memcpy(q->x, s->x, sizeof q->x);
-    memcpy(q->u, s->u, sizeof q->u);
-    memcpy(q->lam, s->lam, sizeof q->lam);
-    memcpy(q->mu_u, s->mu_u, sizeof q->mu_u);
-    memcpy(q->mult, s->mult, sizeof q->mult);
+    (void)memcpy(q->x, s->x, sizeof q->x);
+    (void)memcpy(q->u, s->u, sizeof q->u);
+    (void)memcpy(q->lam, s->lam, sizeof q->lam);
+    (void)memcpy(q->mu_u, s->mu_u, sizeof q->mu_u);
+    (void)memcpy(q->mult, s->mult, sizeof q->mult);
     q->cost = cost_of_plan(s);
 }
 
 static void return_to_saddle(solver_t *s)
 {
     const saddle_t *q = &s->saddle;
-    memcpy(s->x, q->x, sizeof q->x);
-    memcpy(s->u, q->u, sizeof q->u);
-    memcpy(s->lam, q->lam, sizeof q->lam);
-    memcpy(s->mu_u, q->mu_u, sizeof q->mu_u);
-    memcpy(s->mult, q->mult, sizeof q->mult);
+    (void)memcpy(s->x, q->x, sizeof q->x);
+    (void)memcpy(s->u, q->u, sizeof q->u);
+    (void)memcpy(s->lam, q->lam, sizeof q->lam);
+    (void)memcpy(s->mu_u, q->mu_u, sizeof q->mu_u);
+    (void)memcpy(s->mult, q->mult, sizeof q->mult);
 }
 
 /* Where a probe of the idle controls alone leads to no better plan, as the others would have to follow, they move by

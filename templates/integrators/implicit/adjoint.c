@@ -146,10 +146,10 @@ static void implicit_adjoint(const real_t *x, const real_t *z, const real_t *u, 
     const real_t h = *dt / (real_t)STEPS;
     real_t end[NX], left[NX] = {R(0)}, rho[STAGES][NXAU] = {{R(0)}}, mu[STAGES][NXA];
     stage_t stage[STEPS][GROUPS];
-    memcpy(end, x, sizeof end);
+    (void)memcpy(end, x, sizeof end);
     record_stages(end, z, u, p, h, newton, stage, left);
-    memcpy(lam_x, lam, NX * sizeof *lam_x);
-    memset(lam_u, 0, NU * sizeof *lam_u);
+    (void)memcpy(lam_x, lam, NX * sizeof *lam_x);
+    (void)memset(lam_u, 0, NU * sizeof *lam_u);
     for (int step = STEPS - 1; step >= 0; step--) {
         pull_step(stage[step], h, rho, lam_x, mu, lam_u);
     }

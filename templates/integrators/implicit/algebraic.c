@@ -9,7 +9,7 @@ static int solve_algebraic(real_t *point, const real_t *u, const real_t *p, real
     int halved = 0, worst = 0;
     for (int n = 0; n < NEWTON_LIMIT; n++) {
         const real_t before = size;
-        memset(J, 0, sizeof J);
+        (void)memset(J, 0, sizeof J);
         STAGE_EQUATION(point, u, p, g, J);
         if (n > 0 && halved < HALVINGS) {
             lu_solve(M[0], order, NALG, g, next, 1);
@@ -23,7 +23,7 @@ static int solve_algebraic(real_t *point, const real_t *u, const real_t *p, real
                 continue;
             }
         }
-        memcpy(M, J, sizeof J);
+        (void)memcpy(M, J, sizeof J);
         const int singular = lu_factorize(M[0], order, state_unit + NX, NALG);
         if (singular >= 0) {
             return singular;
@@ -31,7 +31,7 @@ static int solve_algebraic(real_t *point, const real_t *u, const real_t *p, real
         lu_solve(M[0], order, NALG, g, d, 1);
         size = size_of_correction(d, z, state_unit + NX, NALG, &worst);
         const int converged = size <= ((size >= R(0.5) * before) ? TOL_NEWTON_STALLED : TOL_NEWTON);
-        memcpy(from, z, sizeof from);
+        (void)memcpy(from, z, sizeof from);
         for (int i = 0; i < NALG; i++) {
             z[i] -= d[i];
         }
@@ -48,10 +48,10 @@ static int solve_algebraic(real_t *point, const real_t *u, const real_t *p, real
 static int find_algebraic(
     real_t *point, const real_t *start, const real_t *u, const real_t *p, real_t (*M)[NALG], int *order)
 {
-    memcpy(point + NX, start, NALG * sizeof *point);
+    (void)memcpy(point + NX, start, NALG * sizeof *point);
     int reason = solve_algebraic(point, u, p, M, order);
     if (reason >= 0) {
-        memcpy(point + NX, algebraic_start, NALG * sizeof *point);
+        (void)memcpy(point + NX, algebraic_start, NALG * sizeof *point);
         reason = solve_algebraic(point, u, p, M, order);
     }
     for (int i = 0; reason >= 0 && i < NALG; i++) {
@@ -65,12 +65,12 @@ static int fill_node(const real_t *x, const real_t *z, const real_t *u, const re
     real_t (*M)[NALG], int *order)
 {
     real_t point[NXA];
-    memcpy(point, x, NX * sizeof *x);
+    (void)memcpy(point, x, NX * sizeof *x);
     const int reason = find_algebraic(point, z, u, p, M, order);
     for (int i = 0; i < NP; i++) {
         data[i] = p[i];
     }
-    memcpy(data + NP, point + NX, NALG * sizeof *point);
+    (void)memcpy(data + NP, point + NX, NALG * sizeof *point);
     return reason;
 }
 
@@ -95,6 +95,6 @@ static void implicit_node_data(
     if (reason < 0) {
         lu_solve(M[0], order, NALG, minus, W, NALG);
     } else {
-        memcpy(W, minus, sizeof minus);
+        (void)memcpy(W, minus, sizeof minus);
     }
 }

@@ -52,7 +52,7 @@ static void add_curvature_of_stage(const real_t *Z, const real_t *U, const real_
 static void all_rate_gradients(
     stage_t (*stage)[GROUPS], const real_t *u, const real_t *p, real_t h, real_t (*rho)[STAGES][NXAU])
 {
-    memset(rho, 0, STEPS * sizeof *rho);
+    (void)memset(rho, 0, STEPS * sizeof *rho);
     for (int step = 0; HAS_STAGE_RATE_GRADIENT && step < STEPS; step++) {
         rate_gradients(stage[step], u, p, h, rho[step]);
     }
@@ -93,11 +93,11 @@ static void implicit_symmetric(const real_t *x, const real_t *z, const real_t *u
     real_t end[NX], adj[NX], pulled[NU] = {R(0)}, rho[STEPS][STAGES][NXAU], mu[STEPS][STAGES][NXA];
     real_t DV[STAGES][NX * NZ], U[NU * NZ], Z[NB * NZ];
     stage_t stage[STEPS][GROUPS];
-    memcpy(end, x, sizeof end);
-    memset(left, 0, NX * sizeof *left);
+    (void)memcpy(end, x, sizeof end);
+    (void)memset(left, 0, NX * sizeof *left);
     record_stages(end, z, u, p, h, newton, stage, left);
     all_rate_gradients(stage, u, p, h, rho);
-    memcpy(adj, lam, sizeof adj);
+    (void)memcpy(adj, lam, sizeof adj);
     for (int step = STEPS - 1; step >= 0; step--) {
         pull_step(stage[step], h, rho[step], adj, mu[step], pulled);
     }
@@ -110,7 +110,7 @@ static void implicit_symmetric(const real_t *x, const real_t *z, const real_t *u
         }
         end_step_of_columns(S, DV, NZ);
     }
-    memcpy(x_next, end, sizeof end);
+    (void)memcpy(x_next, end, sizeof end);
 }
 
 /* The derivatives of a step backward: adjS of lam, controlS of g_u, NZ columns. */
@@ -118,7 +118,7 @@ static void pull_columns(const stage_t *stage, const real_t *u, const real_t *p,
     real_t (*Z)[NB * NZ], const real_t *U, real_t *adjS, real_t *controlS)
 {
     real_t bar[STAGES][NX * NZ], kappa[GROUP * NX * NZ], muS[NB * NZ], W[GROUP * NXAU * NZ], H[NXAU][NXAU] = {{R(0)}};
-    memset(W, 0, sizeof W);
+    (void)memset(W, 0, sizeof W);
     for (int b = GROUPS - 1; b >= 0; b--) {
         for (int i = 0; i < GROUP; i++) {
             const real_t weight = h * stage_weight[b * GROUP + i];
@@ -141,8 +141,8 @@ static void implicit_forward_over_adjoint(const real_t *x, const real_t *z, cons
     real_t DV[STAGES][NX * NZ], U[NU * NZ], Z[STEPS][GROUPS][NB * NZ], adjS[NX * NZ] = {R(0)}, point[NXA];
     real_t controlS[NU * NZ] = {R(0)};
     stage_t stage[STEPS][GROUPS];
-    memcpy(end, x, sizeof end);
-    memset(left, 0, NX * sizeof *left);
+    (void)memcpy(end, x, sizeof end);
+    (void)memset(left, 0, NX * sizeof *left);
     unit_columns(S, U);
     start_point(point, x, z);
     for (int step = 0; step < STEPS; step++) {
@@ -154,7 +154,7 @@ static void implicit_forward_over_adjoint(const real_t *x, const real_t *z, cons
         end_step_of_columns(S, DV, NZ);
     }
     all_rate_gradients(stage, u, p, h, rho);
-    memcpy(adj, lam, sizeof adj);
+    (void)memcpy(adj, lam, sizeof adj);
     for (int step = STEPS - 1; step >= 0; step--) {
         pull_step(stage[step], h, rho[step], adj, mu, pulled);
         pull_columns(stage[step], u, p, h, mu, Z[step], U, adjS, controlS);
@@ -167,5 +167,5 @@ static void implicit_forward_over_adjoint(const real_t *x, const real_t *z, cons
             Q[i * NZ + j] += (i < NX) ? adjS[i * NZ + j] : controlS[(i - NX) * NZ + j];
         }
     }
-    memcpy(x_next, end, sizeof end);
+    (void)memcpy(x_next, end, sizeof end);
 }

@@ -34,8 +34,8 @@ static int run_stage(stage_t *t, real_t *point, real_t (*D)[NX], int b, const re
     stage_base(x, b, D, base);
     if (EXPLICIT_FIRST && b == 0) {
         real_t f[NX];
-        memcpy(t->X, base, sizeof base);
-        memset(t->J, 0, sizeof t->J);
+        (void)memcpy(t->X, base, sizeof base);
+        (void)memset(t->J, 0, sizeof t->J);
         STAGE_SLOPES(t->X, u, p, f, t->J[0]);
         for (int r = 0; r < NX; r++) {
             D[b][r] = h * f[r];
@@ -55,7 +55,7 @@ static int run_stage(stage_t *t, real_t *point, real_t (*D)[NX], int b, const re
             }
         }
     }
-    memcpy(point, &t->X[(GROUP - 1) * NXA], NXA * sizeof *point);
+    (void)memcpy(point, &t->X[(GROUP - 1) * NXA], NXA * sizeof *point);
     return failed;
 }
 
@@ -67,13 +67,13 @@ static void end_step(real_t *x, real_t (*D)[NX], real_t *point)
             x[r] += increment_b[i] * D[i][r];
         }
     }
-    memcpy(point, x, NX * sizeof *x);
+    (void)memcpy(point, x, NX * sizeof *x);
 }
 
 /* The point where an interval starts: x, and what is known of z. */
 static inline void start_point(real_t *point, const real_t *x, const real_t *z)
 {
-    memcpy(point, x, NX * sizeof *x);
+    (void)memcpy(point, x, NX * sizeof *x);
     for (int r = 0; r < NALG; r++) {
         point[NX + r] = z[r];
     }
@@ -105,10 +105,10 @@ static void implicit_step(const real_t *x, const real_t *z, const real_t *u, con
 {
     real_t end[NX], left[NX] = {R(0)}, point[NXA];
     int failing;
-    memcpy(end, x, sizeof end);
+    (void)memcpy(end, x, sizeof end);
     start_point(point, x, z);
     (void)step_in_place(end, point, u, p, *h, newton, &failing, left);
-    memcpy(x_next, end, sizeof end);
+    (void)memcpy(x_next, end, sizeof end);
 }
 
 /* x_next = STEPS steps over dt from x, and what Newton's method leaves of the stages. */
@@ -117,13 +117,13 @@ static void implicit_value(const real_t *x, const real_t *z, const real_t *u, co
 {
     real_t end[NX], point[NXA];
     int reason = -1, failing;
-    memcpy(end, x, sizeof end);
+    (void)memcpy(end, x, sizeof end);
     start_point(point, x, z);
-    memset(left, 0, NX * sizeof *left);
+    (void)memset(left, 0, NX * sizeof *left);
     for (int step = 0; step < STEPS && reason < 0; step++) {
         reason = step_in_place(end, point, u, p, *dt / (real_t)STEPS, newton, &failing, left);
     }
-    memcpy(x_next, end, sizeof end);
+    (void)memcpy(x_next, end, sizeof end);
 }
 
 /* The first stages of STEPS steps that cannot be solved: reason, step, group of stages; reason -1: there are none. */
@@ -132,7 +132,7 @@ static void implicit_failure(const real_t *x, const real_t *z, const real_t *u, 
 {
     real_t end[NX], left[NX] = {R(0)}, point[NXA];
     int reason = -1, failing = 0;
-    memcpy(end, x, sizeof end);
+    (void)memcpy(end, x, sizeof end);
     start_point(point, x, z);
     failure[1] = R(0);
     for (int step = 0; step < STEPS && reason < 0; step++) {
@@ -258,8 +258,8 @@ static inline void implicit_columns(real_t *x, const real_t *z, const real_t *u,
 /* (V, U) = I, NZ columns. */
 static void unit_columns(real_t *V, real_t *U)
 {
-    memset(V, 0, NX * NZ * sizeof *V);
-    memset(U, 0, NU * NZ * sizeof *U);
+    (void)memset(V, 0, NX * NZ * sizeof *V);
+    (void)memset(U, 0, NU * NZ * sizeof *U);
     for (int i = 0; i < NX; i++) {
         V[i * NZ + i] = R(1);
     }
@@ -273,11 +273,11 @@ static void implicit_interval(const real_t *x, const real_t *z, const real_t *u,
     real_t *x_next, real_t *S, real_t *left)
 {
     real_t end[NX], U[NU * NZ];
-    memcpy(end, x, sizeof end);
-    memset(left, 0, NX * sizeof *left);
+    (void)memcpy(end, x, sizeof end);
+    (void)memset(left, 0, NX * sizeof *left);
     unit_columns(S, U);
     implicit_columns(end, z, u, p, *dt, newton, S, U, NZ, left);
-    memcpy(x_next, end, sizeof end);
+    (void)memcpy(x_next, end, sizeof end);
 }
 
 /* x_next, S_next = d x_next / du. */
@@ -285,13 +285,13 @@ static void implicit_forced(
     const real_t *x, const real_t *z, const real_t *u, const real_t *p, const real_t *dt, int newton, real_t *x_next, real_t *S_next)
 {
     real_t end[NX], U[NU * NU] = {R(0)}, left[NX] = {R(0)};
-    memcpy(end, x, sizeof end);
+    (void)memcpy(end, x, sizeof end);
     for (int j = 0; j < NU; j++) {
         U[j * NU + j] = R(1);
     }
-    memset(S_next, 0, NX * NU * sizeof *S_next);
+    (void)memset(S_next, 0, NX * NU * sizeof *S_next);
     implicit_columns(end, z, u, p, *dt, newton, S_next, U, NU, left);
-    memcpy(x_next, end, sizeof end);
+    (void)memcpy(x_next, end, sizeof end);
 }
 
 /* x_next, S_next = (d x_next / dx) S. */
@@ -299,10 +299,10 @@ static void implicit_free(const real_t *x, const real_t *z, const real_t *u, con
     const real_t *S, real_t *x_next, real_t *S_next)
 {
     real_t end[NX], U[NU * NU] = {R(0)}, left[NX] = {R(0)};
-    memcpy(end, x, sizeof end);
-    memcpy(S_next, S, NX * NU * sizeof *S_next);
+    (void)memcpy(end, x, sizeof end);
+    (void)memcpy(S_next, S, NX * NU * sizeof *S_next);
     implicit_columns(end, z, u, p, *dt, newton, S_next, U, NU, left);
-    memcpy(x_next, end, sizeof end);
+    (void)memcpy(x_next, end, sizeof end);
 }
 
 /* dx_next = A dx + B du. */
@@ -310,8 +310,8 @@ static void implicit_forward(const real_t *x, const real_t *z, const real_t *u, 
     const real_t *dx, const real_t *du, real_t *dx_next)
 {
     real_t end[NX], V[NX], left[NX] = {R(0)};
-    memcpy(end, x, sizeof end);
-    memcpy(V, dx, sizeof V);
+    (void)memcpy(end, x, sizeof end);
+    (void)memcpy(V, dx, sizeof V);
     implicit_columns(end, z, u, p, *dt, newton, V, du, 1, left);
-    memcpy(dx_next, V, sizeof V);
+    (void)memcpy(dx_next, V, sizeof V);
 }

@@ -160,7 +160,7 @@ static int solve_stage(
     stage_t *t, const real_t *base, const real_t *u, const real_t *p, const real_t *ha, int newton, real_t *left)
 {
     real_t f[NB], d[NB];
-    memset(t->J, 0, sizeof t->J);
+    (void)memset(t->J, 0, sizeof t->J);
     int reason = (newton < NEWTON_LIMIT) ? sample_stage(t, base, u, p, ha, newton) : iterate_stage(t, base, u, p, ha);
     if (reason >= 0) {
         return fail_stage(t, reason);

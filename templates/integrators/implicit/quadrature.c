@@ -7,7 +7,7 @@ static void implicit_integral(const real_t *x, const real_t *z, const real_t *u,
     const real_t h = *dt / (real_t)STEPS;
     real_t end[NX], left[NX] = {R(0)}, D[STAGES][NX], point[NXA], rate;
     stage_t stage;
-    memcpy(end, x, sizeof end);
+    (void)memcpy(end, x, sizeof end);
     start_point(point, x, z);
     for (int step = 0; step < STEPS; step++) {
         for (int b = 0; b < GROUPS; b++) {
@@ -26,7 +26,7 @@ static void rate_gradients(const stage_t *stage, const real_t *u, const real_t *
 {
     for (int i = 0; i < STAGES; i++) {
         const real_t weight = h * stage_weight[i];
-        memset(rho[i], 0, sizeof rho[i]);
+        (void)memset(rho[i], 0, sizeof rho[i]);
         STAGE_RATE_GRADIENT(&stage[i / GROUP].X[i % GROUP * NXA], u, p, rho[i]);
         for (int r = 0; r < NXAU; r++) {
             rho[i][r] *= weight;
@@ -41,7 +41,7 @@ static void implicit_integral_gradient(const real_t *x, const real_t *z, const r
     const real_t h = *dt / (real_t)STEPS;
     real_t end[NX], left[NX] = {R(0)}, lam[NX] = {R(0)}, rho[STAGES][NXAU], mu[STAGES][NXA];
     stage_t stage[STEPS][GROUPS];
-    memcpy(end, x, sizeof end);
+    (void)memcpy(end, x, sizeof end);
     record_stages(end, z, u, p, h, newton, stage, left);
     for (int step = STEPS - 1; step >= 0; step--) {
         rate_gradients(stage[step], u, p, h, rho);
@@ -61,8 +61,8 @@ static void implicit_integral_product(const real_t *x, const real_t *z, const re
     real_t end[NX], left[NX] = {R(0)}, D[STAGES][NX], V[NX], DV[STAGES][NX * NZ], Z[NB], lam[NX] = {R(0)};
     real_t rho[STEPS][STAGES][NXAU] = {{{R(0)}}}, mu[STAGES][NXA], point[NXA];
     stage_t stage[STEPS][GROUPS];
-    memcpy(end, x, sizeof end);
-    memcpy(V, d, sizeof V);
+    (void)memcpy(end, x, sizeof end);
+    (void)memcpy(V, d, sizeof V);
     start_point(point, x, z);
     for (int step = 0; step < STEPS; step++) {
         for (int b = 0; b < GROUPS; b++) {

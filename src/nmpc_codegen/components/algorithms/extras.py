@@ -11,7 +11,8 @@ def watch_fields(dims: Dims) -> tuple[Field, ...]:
     """What the watch on plans counts, templates/algorithms/shared/watch.c."""
     nodes = Size("N + 1", dims.N.value + 1)
     return (
-        Field("failing", (), "failures in a row, at most 3; < 0: successes lacking since a restart", "keep", "int32"),
+        Field("failures", (), "failures in a row, at most 3", "keep", "int32"),
+        Field("probation", (), "successes that a plan which has failed twice still has to show", "keep", "int32"),
         Field(
             *("unconverged", (), "samples on end that were NOT_CONVERGED", "keep", "int32"),
             only=lambda f: f.repair or f.iterates or not f.has_qp,

@@ -35,7 +35,17 @@ _ITERATION = RealTimeIteration(shift=None, iterations=1, relaxation=None)
 
 #: Members of its structs that watch a plan from sample to sample.
 _OF_CONTROL = frozenset(
-    {"prepared", "failing", "unconverged", "unsettled", "lam_before", "violated_row", "violated_node", "first_control"}
+    {
+        "prepared",
+        "failures",
+        "probation",
+        "unconverged",
+        "unsettled",
+        "lam_before",
+        "violated_row",
+        "violated_node",
+        "first_control",
+    }
     | {"violation", "sqp_iterations"}
 )
 

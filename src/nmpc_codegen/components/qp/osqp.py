@@ -180,11 +180,11 @@ int %(prefix)s_osqp_solve(const double *P, const double *A, const double *g, con
     }
     *iterations = (int)solver->info->iter;
     if (solver->info->status_val == OSQP_PRIMAL_INFEASIBLE) {
-        memcpy(certificate, solver->solution->prim_inf_cert, sizeof(double) * %(rows)d);
+        (void)memcpy(certificate, solver->solution->prim_inf_cert, sizeof(double) * %(rows)d);
         return OSQP_PRIMAL_INFEASIBLE;
     }
-    memcpy(z, solver->solution->x, sizeof(double) * %(columns)d);
-    memcpy(mult, solver->solution->y, sizeof(double) * %(rows)d);
+    (void)memcpy(z, solver->solution->x, sizeof(double) * %(columns)d);
+    (void)memcpy(mult, solver->solution->y, sizeof(double) * %(rows)d);
     return (int)solver->info->status_val;
 }
 """

@@ -108,7 +108,8 @@ class Function:
         lines = [part for line in statements for part in wrap_statement(indent, line)]
         for o in self.cleared:
             port = self.kernel.outputs[o]
-            lines.append(f"{indent}memset({port.name}, 0, {port.size} * sizeof {port.name}{at(port, 0)});")
+            size = f"sizeof({self.style.real}[{port.size}])"
+            lines.append(f"{indent}(void)memset({port.name}, 0, {size});")
         for target, text, note in self.stores:
             lines += statement(indent, f"{target} = {text}", note)
         return lines

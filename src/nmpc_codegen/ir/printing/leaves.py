@@ -151,8 +151,7 @@ class Leaf:
         if copied := self._copied(roll):
             to = self.buffers.address(self._from(outs[roll.output], roll.first))
             source = self.buffers.address(self._from(ins[copied[0]], copied[1]))
-            one = self.buffers.element(outs[roll.output], roll.first)
-            return [f"{indent}memcpy({to}, {source}, {roll.count} * sizeof {one});"]
+            return [f"{indent}(void)memcpy({to}, {source}, sizeof({self.style.real}[{roll.count}]));"]
 
         def load(port: int, e: int) -> str:
             moved = (index, roll.stride) if (port, e) in roll.moving else ()
@@ -196,8 +195,8 @@ class Leaf:
         s = self.call.outs[output]
         name = self.buffers.name(s.buffer)
         local = s.buffer in self.buffers.local
-        size = f"sizeof {name}" if local else f"{s.size} * sizeof {self.buffers.element(s, 0)}"
-        return f"memset({name}, 0, {size});"
+        size = f"sizeof {name}" if local else f"sizeof({self.style.real}[{s.size}])"
+        return f"(void)memset({name}, 0, {size});"
 
     # Loads and notes -------------------------------------------------------------------------------------------------
 

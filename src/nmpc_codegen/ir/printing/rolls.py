@@ -15,7 +15,7 @@ from nmpc_codegen.ir.kernel import OPERATIONS, Instruction, Kernel, live
 
 #: Fewer elements, copies of adjacent ones, and numbers are written one by one: compilers make vectors of statements,
 #: but not of all loops.
-SHORTEST, SHORTEST_COPY, SHORTEST_OF_NUMBERS = 40, 4, 4
+SHORTEST, SHORTEST_COPY, SHORTEST_OF_NUMBERS = 30, 4, 4
 
 Store = tuple[int, int, int]
 Fits = Callable[[int, int, int], bool]

@@ -280,7 +280,7 @@ def transpose(width: int) -> str:
                 lines.append(f"    const lanes_t {name} = __builtin_shufflevector({pair}, {chosen});")
         before = after
     for lane, row in enumerate(before):
-        lines.append(f"    memcpy(to{f' + {lane} * stride' if lane else ''}, &{row}, sizeof {row});")
+        lines.append(f"    (void)memcpy(to{f' + {lane} * stride' if lane else ''}, &{row}, sizeof {row});")
     return "\n".join([*lines, "}"])
 
 

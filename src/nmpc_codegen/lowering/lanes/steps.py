@@ -185,7 +185,7 @@ def calls(kernel: Kernel, suffix: str, x_next: str, S: str) -> tuple[list[str], 
         f"    {call(x_next, 'one_step')}",
         f"    lanes_chain(one_step, before, {S});",
         "    if (n + 1 < STEPS) {",
-        f"        memcpy(before, {S}, sizeof before);",
+        f"        (void)memcpy(before, {S}, sizeof before);",
         "    }",
         "}",
     ]

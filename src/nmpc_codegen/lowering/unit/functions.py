@@ -2,6 +2,7 @@
 
 constants  branches, operands and loops that sizes and tables decide; what stands behind return
 absent     writes to members that no struct has, calls of kernels that have nothing to compute
+once       loops that run once
 unread     local variables that nothing names
 known      local variables that are a number
 """
@@ -24,6 +25,7 @@ from nmpc_codegen.lowering.dialect.scopes import (
     pointers,
 )
 from nmpc_codegen.lowering.dialect.tree import Edit, Node, edit, margin, whole_lines, wrap_line
+from nmpc_codegen.lowering.unit.single import run_once
 from nmpc_codegen.lowering.unit.values import of_known_value
 
 #: A loop over a variable of its own; the step of one that only counts.
@@ -174,6 +176,8 @@ def _is_void(code: str, structs: Mapping[str, str], known: Constants) -> bool:
     if DECLARATION.match(code) or code.startswith("enum "):
         return False
     found = expression(code.removesuffix(";"))
+    if found.word == "cast":
+        found = found.operands[0]
     if found.kind == "call":
         arguments = _arguments(found)
         if any(map(known.effects, arguments)):
@@ -257,7 +261,13 @@ def known_values(text: str, function: Node, _: Constants) -> Iterator[Edit]:
     yield from next(filter(None, edits), [])
 
 
-PASSES: Mapping[str, Pass] = {"constants": constants, "absent": absent, "unread": unread, "known": known_values}
+PASSES: Mapping[str, Pass] = {
+    "constants": constants,
+    "once": run_once,
+    "absent": absent,
+    "unread": unread,
+    "known": known_values,
+}
 
 
 def simplify(text: str, known: Constants) -> str:

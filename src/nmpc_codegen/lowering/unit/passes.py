@@ -27,6 +27,8 @@ from nmpc_codegen.lowering.unit.arguments import (
 from nmpc_codegen.lowering.unit.contracts import without_entries
 from nmpc_codegen.lowering.unit.item import Item
 from nmpc_codegen.lowering.unit.reach import keep_reached, reach, roots, simplify_item
+from nmpc_codegen.lowering.unit.spelling import cast_results, name_constants, state_conditions
+from nmpc_codegen.lowering.unit.tables import fold_tables
 
 #: The last part of a unit holds what only this entry point calls, under this heading.
 LAST = "API(solve)"
@@ -111,12 +113,22 @@ def _mark(text: str) -> str:
 REPEATED: tuple[Pass, ...] = (
     drop_arguments_of_macros,
     keep_reached,
+    fold_tables,
     drop_idle_calls,
     drop_parameters,
     put_in_numbers,
     put_in_calls,
 )
-PIPELINE: tuple[Pass, ...] = (drop_zeros, *REPEATED, drop_entries, put_last, mark_unread)
+PIPELINE: tuple[Pass, ...] = (
+    drop_zeros,
+    *REPEATED,
+    drop_entries,
+    put_last,
+    mark_unread,
+    state_conditions,
+    cast_results,
+    name_constants,
+)
 
 
 def run(

@@ -1,0 +1,90 @@
+"""Loops that run once: their statements stand without the loop, with the value of the counter in its place."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+
+from nmpc_codegen.lowering.dialect.constants import Constants
+from nmpc_codegen.lowering.dialect.expressions import expression
+from nmpc_codegen.lowering.dialect.scopes import blank, declarators, in_line, signature
+from nmpc_codegen.lowering.dialect.tree import Edit, Node, margin
+
+#: A loop over a variable of its own that only counts.
+_COUNTED = re.compile(
+    r"(?:int|ptrdiff_t) (?P<variable>\w+) = (?P<first>\w+); (?P=variable) (?P<relation><=?) (?P<last>[\w +-]+); "
+    r"(?:(?P=variable)\+\+|\+\+(?P=variable))"
+)
+_LEAVES = re.compile(r"\b(?:break|continue)\b")
+#: A zero in a sum or a product of indices, which changes nothing or is all of it.
+_IDLE = (
+    (re.compile(r"(?<=[\w)\]]) \+ 0(?=[\])}]|[ ]?[-+<>=;,]| [<>=&|?:])"), ""),
+    (re.compile(r"(?<=[\[(])0 \+ "), ""),
+    (re.compile(r"(?<=[\[(])0 \* \w+(?=[\])])"), "0"),
+    (re.compile(r"(?<=[\[(])0 \* \w+ \+ "), ""),
+    (re.compile(r"(?<=[\w)\]]) \+ 0 \* \w+(?=[\])])"), ""),
+)
+
+
+def run_once(text: str, function: Node, known: Constants) -> Iterator[Edit]:
+    """The edits for the first loop that runs once."""
+    for node in function.walk():
+        found = _value(text, node, known) if node.kind == "loop" else None
+        if found and _may_stand_alone(text, function, node, found[0]):
+            yield Edit(node.start, node.end, _without_loop(text, node, *found))
+            return
+
+
+def _value(text: str, node: Node, known: Constants) -> tuple[str, str] | None:
+    """The counter and its value in a loop that runs once."""
+    match = _COUNTED.fullmatch(in_line(text[slice(*node.head)]))
+    if match is None:
+        return None
+    first, last = (known.range(expression(match[part]), {}) for part in ("first", "last"))
+    if first is None or last is None or first[0] < first[1] or last[0] < last[1]:
+        return None
+    once = last[0] - first[0] + (match["relation"] == "<=") == 1
+    return (match["variable"], match["first"]) if once else None
+
+
+def _may_stand_alone(text: str, function: Node, node: Node, variable: str) -> bool:
+    """True if nothing leaves the loop early, its counter does not change, and no name of it is one elsewhere; and no
+    directive is meant for it."""
+    if text[: node.start].rstrip().rpartition("\n")[2].startswith("#"):
+        return False
+    inside = blank(text[slice(*node.inside)])
+    if _LEAVES.search(inside) or re.search(rf"\b{variable}(?:\+\+|--| [-+*/]?= )|(?:\+\+|--|&){variable}\b", inside):
+        return False
+    own = _declared(text, node, node)
+    others = _declared(text, function, None, node) | set(signature(text[slice(*function.head)])[1])
+    return own.isdisjoint(others)
+
+
+def _declared(text: str, root: Node, of: Node | None, without: Node | None = None) -> set[str]:
+    """The variables that are declared below a node, but for one part of it; of a loop itself only what it holds."""
+    names: set[str] = set()
+    waiting = list(root.body) + ([root.other] if root.other is not None else [])
+    while waiting:
+        node = waiting.pop()
+        if node is without:
+            continue
+        if node.kind == "statement":
+            names |= {name for name, _ in declarators(text[node.start : node.end])}
+        elif node.kind == "loop" and of is None:
+            names |= {name for name, _ in declarators(text[slice(*node.head)].partition(";")[0])}
+        waiting += [*node.body, *([node.other] if node.other is not None else [])]
+    return names
+
+
+def _without_loop(text: str, node: Node, variable: str, value: str) -> str:
+    """What the loop holds, one step to the left, with the value in place of the counter."""
+    start, end = node.inside
+    head, _, rest = text[start:end].partition("\n")
+    lines = [line.removeprefix("    ") for line in rest.rstrip().split("\n")]
+    comment = [f"{margin(text, node)}{head.strip()}"] if head.strip() and "at most" not in head else []
+    body = "\n".join([*comment, *lines])
+    body = re.sub(rf"(?<![.\w])(?<!->)\b{variable}\b", value, body)
+    if value == "0":
+        for pattern, new in _IDLE:
+            body = pattern.sub(new, body)
+    return body.removeprefix(margin(text, node))

@@ -1,0 +1,101 @@
+"""Tables whose entries are all the same: an integer stands where they are read, another number is a scalar."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from nmpc_codegen.lowering.dialect.constants import Constants
+from nmpc_codegen.lowering.dialect.scopes import blank, names_in_code
+from nmpc_codegen.lowering.unit.item import Item
+
+_TABLE = re.compile(r"static const (?P<type>real_t|int) (?P<name>\w+)\[\d+\] = \{(?P<values>[^{}]*)\};")
+#: The use of a name, and whether its address is taken.
+_USE = r"(?P<address>(?<![&\w)\]] )(?<!&)&)?(?<![.\w])(?<!->)\b{name}\b(?P<index>\[)?"
+#: Tables of numbers that kernels read by the address of one of them.
+_READ_ONE = frozenset({"interval_length"})
+_ZERO_LITERAL = re.compile(r"0\.0F?")
+#: A zero in a sum, behind its first term, and in front of a comparison or the end.
+_ZERO = re.compile(r" [-+] R\(0\)(?! *[*/])")
+
+
+@dataclass(frozen=True)
+class Same:
+    """A table whose entries are all ``value``."""
+
+    name: str
+    value: str
+    is_real: bool
+
+    @property
+    def text(self) -> str:
+        """What stands where an entry is read."""
+        if not self.is_real:
+            return self.value
+        return "R(0)" if self.is_zero else self.name
+
+    @property
+    def is_zero(self) -> bool:
+        return self.is_real and _ZERO_LITERAL.fullmatch(self.value) is not None
+
+    @property
+    def scalar(self) -> str:
+        """The definition of its entry."""
+        return f"static const real_t {self.name} = {self.value};"
+
+
+def fold_tables(items: Sequence[Item], known: Constants) -> tuple[Item, ...]:
+    """Without tables whose entries are all the same."""
+    found = {same.name: same for item in items if item.kind == "table" and (same := _same(item.text))}
+    texts = [blank(i.text) for i in items if i.kind in ("function", "macro", "directive")]
+    found = {name: same for name, same in found.items() if all(_may_fold(text, same) for text in texts)}
+    if not found:
+        return tuple(items)
+    return tuple(folded for item in items if (folded := _fold(item, found)) is not None)
+
+
+def _same(text: str) -> Same | None:
+    """The table, if its entries are all the same."""
+    match = _TABLE.search(text)
+    values = {value.strip() for value in match["values"].split(",")} if match else set()
+    if match is None or len(values) != 1:
+        return None
+    return Same(match["name"], values.pop(), match["type"] == "real_t")
+
+
+def _may_fold(text: str, same: Same) -> bool:
+    """True if a text reads entries only."""
+    if same.name not in names_in_code(text):
+        return True
+    pattern = re.compile(_USE.format(name=same.name))
+    return all(m["index"] and (not m["address"] or _may_point(same)) for m in pattern.finditer(text))
+
+
+def _may_point(same: Same) -> bool:
+    return same.name in _READ_ONE and not same.is_zero
+
+
+def _fold(item: Item, found: Mapping[str, Same]) -> Item | None:
+    """The item with the entries of these tables; None for one of them that nothing reads any more."""
+    if item.kind == "table" and item.name in found:
+        same = found[item.name]
+        return item.with_text(_TABLE.sub(same.scalar, item.text)) if same.text == same.name else None
+    if item.kind not in ("function", "macro") or names_in_code(item.text).isdisjoint(found):
+        return item
+    text = item.text
+    for name, same in found.items():
+        text = _put(text, name, same)
+    return item.with_text(text)
+
+
+def _put(text: str, name: str, same: Same) -> str:
+    """The text with the entry in place of what reads it."""
+    pattern = re.compile(rf"(?<![.\w])(?<!->)\b{name}\[")
+    while match := pattern.search(blank(text)):
+        depth, end = 1, match.end()
+        while depth:
+            depth += {"[": 1, "]": -1}.get(text[end], 0)
+            end += 1
+        text = text[: match.start()] + same.text + text[end:]
+    return _ZERO.sub("", text) if same.is_zero else text
