@@ -184,11 +184,11 @@ static status_t iterations_after_feedback(solver_t *s, status_t status)
         (void)memset(&s->step, 0, sizeof s->step);
         update_scales(s);
     }
-    int whole = 0;
-    if (SADDLES) {
-        whole = stepped && s->saddle.saved > R(0);
+    int whole = stepped;
+    if (whole && !(SADDLES && s->saddle.saved > R(0))) {
+        whole = shorten_step(s);
     }
-    begin_search(s, whole || (stepped && shorten_step(s)));
+    begin_search(s, whole);
     (void)solve_here(s, FACTOR_NEAR_ENOUGH * residual_tolerance[0], allowed - 1);
     status = status_after_search(s, status, stepped);
     s->curved.in_solve = 0;

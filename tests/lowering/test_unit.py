@@ -129,7 +129,8 @@ def test_functions_that_are_numbers() -> None:
 def test_variables_that_are_numbers() -> None:
     """A number or a size from the declaration on."""
     found = kept(function("const int k = N;", "int h = 2;", "real_t sum = R(0);", "out[k] = s->k[h] + sum;"))
-    assert found == function("out[N] = s->k[2] + R(0);")
+    assert found == function("out[N] = s->k[2];")
+    assert kept(function("real_t sum = R(0);", "out[0] = s->a * sum;")) == function("out[0] = s->a * R(0);")
     for line in ("h++;", "--h;", "h = 3;", "h += 1;", "f(&h);", "h <<= 1;"):
         text = function("int h = 2;", line, "out[0] = s->a + h;")
         assert kept(text) == text
@@ -175,12 +176,58 @@ def test_enumerations_and_headings_of_what_is_gone() -> None:
     found = kept(f"{spare}\n\n{used}")
     assert "Slacks" not in found
     assert "LEFT" not in found
-    assert found == used
+    assert found == used.replace("enum { UP, DOWN };", "#define UP 0\n#define DOWN 1")
 
 
 def test_an_enumeration_may_need_another_one() -> None:
     text = "enum { ONE = 1, TWO };\n\nenum { THREE = TWO + 1 };\n\n" + function("out[0] = s->a + THREE;")
-    assert kept(text) == text
+    ones, three = "#define ONE 1\n#define TWO 2", "#define THREE (TWO + 1)"
+    assert kept(text) == text.replace("enum { ONE = 1, TWO };", ones).replace("enum { THREE = TWO + 1 };", three)
+
+
+def test_a_loop_that_runs_once_is_its_statements() -> None:
+    loop = ("for (int j = 0; j < 1; j++) {", "    out[j] = s->k[ONE + j] + s->k[j * N];", "}")
+    assert kept(function(*loop)) == function("out[0] = s->k[ONE] + s->k[0];")
+    left = (
+        "for (int j = 0; j < 1; j++) {",
+        "    if (s->a > 1) {",
+        "        break;",
+        "    }",
+        "    out[j] = s->b;",
+        "}",
+    )
+    assert kept(function(*left)) == function(*left)
+    two = ("for (int j = 0; j < 2; j++) {", "    out[j] = s->b;", "}")
+    assert kept(function(*two)) == function(*two)
+    counted = ("for (int j = 0; j < 1; j++) {", "    out[j] = s->b;", "    j += s->a;", "}")
+    assert kept(function(*counted)) == function(*counted)
+    twice = ("for (int j = 0; j < 1; j++) {", "    const int a = s->a;", "    out[j] = a * a;", "}")
+    other = ("for (int i = 0; i < 2; i++) {", "    const int a = s->b;", "    out[i] += a * a;", "}")
+    assert kept(function(*twice, *other)) == function(*twice, *other), "one of them would hide the other"
+
+
+def test_tables_of_one_value() -> None:
+    row = "static const int row[2] = { 3, 3 };\n"
+    size = "static const real_t size[2] = { 4.0, 4.0 };\n"
+    assert kept(row + "\n" + function("out[0] = s->k[row[s->a]];")) == function("out[0] = s->k[3];")
+    flag = row + "\n" + function("out[0] = row[s->a] ? s->a : s->b;")
+    assert kept(flag) == flag.replace("\n\n", "\n", 0)
+    scalar = "static const real_t size = 4.0;\n"
+    assert kept(size + "\n" + function("out[0] = size[s->a] > 2;")) == scalar + "\n" + function(
+        "out[0] = size > 2;", unread="s"
+    )
+    pointer = size + "\n" + function("out[0] = s->a > *size;")
+    assert kept(pointer) == pointer
+
+
+def test_conditions_compare_and_results_are_used() -> None:
+    valued = function("out[0] = s->a;", "return 1;", head="static int g(solver_t *s, int *out)")
+    text = f"{valued}\n\n" + function(
+        "if (s->a) {", "    g(s, out);", "}", "while (s->a > 1) {", "    out[1] = 2;", "}"
+    )
+    found = kept(text)
+    assert "if (s->a != 0) {\n        (void)g(s, out);" in found
+    assert "while (s->a > 1) {" in found
 
 
 def test_a_comment_does_not_hide_what_belongs_to_the_interface() -> None:

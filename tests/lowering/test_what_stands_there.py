@@ -88,7 +88,7 @@ def idle_members(header: str, unit: str, structs: set[str]) -> list[str]:
     named = words(without_comments(unit))
     found = []
     for body, name in re.findall(
-        r"^typedef (?:struct|union)[^{;]*\{(.*?)^\} (\w+);", without_comments(header), re.M | re.S
+        r"^(?:typedef )?(?:struct|union)[^{;]*\{(.*?)^\} ?(\w*);", without_comments(header), re.M | re.S
     ):
         members = re.findall(r"(\w+)(?:\[[^\]]*\])*;", body)
         found += [f"{name}.{member}" for member in members if member not in named and member not in structs]

@@ -9,6 +9,7 @@ from textwrap import wrap
 from typing import Any
 
 from nmpc_codegen.ir.cmodule import CModule, Macro
+from nmpc_codegen.lowering.contents import lines_by_section, shorter
 from nmpc_codegen.lowering.dialect.directives import resolve
 from nmpc_codegen.lowering.templates import context, environment
 from nmpc_codegen.lowering.unit.item import Item
@@ -48,7 +49,9 @@ def render(module: CModule, items: Sequence[Item]) -> Sources:
         "spelling": _spelling(module),
         "magic": module.value("MAGIC"),
         "system_headers": included,
-        "unit": text_of_unit(items, header, module.name, module.structs),
+        "unit": (unit := text_of_unit(items, header, module.name, module.structs)),
+        "sections": lines_by_section(unit),
+        "shorter": list(shorter(module.features)),
     }
     sources = {f"{module.name}.h": header}
     sources |= {path: tidy(environment().get_template(t).render(names)) for path, t in files.items()}

@@ -183,6 +183,15 @@ def _find_moving(kernel: Kernel, loads: Collection[tuple[int, int]]) -> frozense
     return frozenset(found)
 
 
+def loads_inside(kernel: Kernel, loads: Collection[tuple[int, int]]) -> set[tuple[int, int]]:
+    """The loads (port, element) that a loop evaluates in which these change; what depends on no such one stands before
+    the loop."""
+    moving = _find_moving(kernel, loads)
+    operands = {a for v in moving for a in kernel.operands(v)} | moving
+    found = (kernel.instructions[a] for a in operands)
+    return {(ins.args[0], ins.args[1]) for ins in found if ins.opcode == ca.OP_INPUT}
+
+
 def _uses(kernel: Kernel) -> list[int]:
     """Number of occurrences of every value in the text of a kernel."""
     uses = [0] * len(kernel.instructions)
@@ -205,14 +214,16 @@ def declare(real: str, constants: Iterable[tuple[str, str]]) -> list[str]:
 FIRM = "\0"
 #: Such a blank: a line breaks in front of an operator and behind a comma between declarations.
 _FIRM = re.compile(r" (?![-+*/?:=] )(?<!, )")
+_INDEX = re.compile(r"\[[^\[\]]*\]")
 
 
 def wrap_statement(indent: str, line: str) -> list[str]:
     """The statement in lines of at most WIDTH columns, broken in front of operators."""
     if len(indent) + len(line) <= WIDTH:
         return [indent + line.replace(FIRM, " ")]
+    whole = _INDEX.sub(lambda found: found[0].replace(" ", FIRM), line)
     lines = wrap(
-        _FIRM.sub(FIRM, line),
+        _FIRM.sub(FIRM, whole),
         WIDTH,
         initial_indent=indent,
         subsequent_indent=indent + "    ",

@@ -10,7 +10,7 @@ import casadi as ca
 
 from nmpc_codegen.ir.kernel import OPERATIONS, Instruction, Kernel, live
 from nmpc_codegen.ir.printing.c_style import CStyle
-from nmpc_codegen.ir.printing.expressions import Expressions, declare, wrap_statement
+from nmpc_codegen.ir.printing.expressions import Expressions, declare, loads_inside, wrap_statement
 from nmpc_codegen.ir.printing.kernels import CLEARED, find_loads, result_note, statement
 from nmpc_codegen.ir.printing.local_names import Taken
 from nmpc_codegen.ir.printing.rolls import Roll, Store, find_rolls
@@ -137,7 +137,9 @@ class Leaf:
             return False
         written = {s.buffer for s in self.call.outs}
         alone = len(self.call.outs) == 1 and len(self.rolls) == 1
-        for port, e in find_loads(roll.of_first(self.kernel)):
+        first = roll.of_first(self.kernel)
+        inside = loads_inside(first, roll.moving)
+        for port, e in find_loads(first) & inside:
             s = self.call.ins[port]
             here = s.offset == target.offset and e == roll.first and (port, e) in roll.moving
             foreign = s.buffer not in self.buffers.local and target.buffer not in self.buffers.local

@@ -6,6 +6,7 @@ crane_solver_t (names.py: unless the header declares the short name).
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from textwrap import wrap
 from types import MappingProxyType
@@ -14,7 +15,7 @@ from nmpc_codegen.ir.cmodule import CModule
 from nmpc_codegen.ir.printing.c_style import CStyle, unit_style
 from nmpc_codegen.ir.printing.products import call
 from nmpc_codegen.ir.sweep import LoopedRoutine, Routine
-from nmpc_codegen.lowering.tolerances import FACTORS, ROOT, TOLERANCES, UNIT, origin
+from nmpc_codegen.lowering.tolerances import FACTORS, ROOT, TOLERANCES, UNIT, origin, tolerance
 from nmpc_codegen.lowering.unit.item import Item
 from nmpc_codegen.lowering.unit.names import rename
 from nmpc_codegen.package.memory import Struct
@@ -43,7 +44,8 @@ def print_macro(item: Item, renamed: Mapping[str, str]) -> str:
     beside = f"{text} /* {item.note} */"
     if not item.note:
         return text
-    return beside if len(beside) <= LINE else f"/* {item.note} */\n{text}"
+    above = "\n * ".join(wrap(f"/* {item.note} */", LINE - 3, break_long_words=False))
+    return beside if len(beside) <= LINE else f"{above}\n{text}"
 
 
 #: Macro of which the compiler chooses the value -> its definition.
@@ -93,7 +95,7 @@ def definitions(module: CModule) -> tuple[Item, ...]:
     found += [macro("API", f"{p}_##name", "name"), REAL_CONSTANT, *accessors(module)]
     if module.whole:
         found += [macro(name.upper(), "((void)0)", "...") for name in module.absent_kernels]
-    found.append(macro("HESSIAN", f"(s)->hessian.Q[{'0' if module.sizes.get('NQ') == 1 else 'k'}]", "s, k"))
+    found.append(macro("HESSIAN", f"((s)->hessian.Q[{'0' if module.sizes.get('NQ') == 1 else 'k'}])", "s, k"))
     places = {**PLACES, **module.places} | (MEASURED_START if module.features.start_is_measured else {})
     found += [kernel_call(routine, places, module.places) for routine in module.routines]
     found += [product_call(routine, module.style) for routine in module.called_products]
@@ -106,7 +108,9 @@ def arithmetic(precision: str, own: bool = False) -> list[Item]:
     found = [macro(name.upper(), style.function(name)) for name in FUNCTIONS]
     found.append(macro("INF", "((real_t)INFINITY)"))
     for name, (_, reason) in sorted(TOLERANCES.items(), key=lambda item: item[0] not in (UNIT, ROOT)):
-        found.append(macro(f"TOL_{name.upper()}", _text_of_tolerance(name, precision, style), note=reason))
+        text = _text_of_tolerance(name, precision, style)
+        power = "" if text.startswith("(") or name == UNIT else f"; 2^{math.log2(tolerance(name, precision)):g}"
+        found.append(macro(f"TOL_{name.upper()}", text, note=reason + power))
     for name, (value, reason) in FACTORS.items():
         found.append(macro(f"FACTOR_{name.upper()}", style.literal(value), note=reason))
     return found
@@ -146,8 +150,8 @@ def accessors(module: CModule) -> list[Item]:
         ),
         ("PARAM", "s, k", member("parameter", f"(s)->p[{at('parameter', 'k')}]", "default_parameter")),
         ("PARAM_N", "s", member("parameter", f"(s)->p[{at('parameter', 'N', '1')}]", "default_parameter")),
-        ("PATH_LOWER", "s, k, row", member("bounds", f"(s)->lower[{at('bounds', 'k')}]", "default_lower") + "[row]"),
-        ("PATH_UPPER", "s, k, row", member("bounds", f"(s)->upper[{at('bounds', 'k')}]", "default_upper") + "[row]"),
+        ("PATH_LOWER", "s, k, row", member("bounds", f"(s)->lower[{at('bounds', 'k')}][row]", "default_lower[row]")),
+        ("PATH_UPPER", "s, k, row", member("bounds", f"(s)->upper[{at('bounds', 'k')}][row]", "default_upper[row]")),
         ("SOFT_L1", "s, k", member("soft", f"(s)->{soft}_l1[{at('soft', 'k', '(k) == N')}]", "default_soft_l1")),
         ("SOFT_L2", "s, k", member("soft", f"(s)->{soft}_l2[{at('soft', 'k', '(k) == N')}]", "default_soft_l2")),
         ("END_MULTIPLIERS", "s", _last_multipliers(module, "NE", "NH_N")),

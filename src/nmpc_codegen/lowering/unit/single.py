@@ -16,8 +16,11 @@ _COUNTED = re.compile(
     r"(?:(?P=variable)\+\+|\+\+(?P=variable))"
 )
 _LEAVES = re.compile(r"\b(?:break|continue)\b")
+#: An assignment of what is there.
+_SELF = re.compile(r"^ *(\S[^=\n]*) = \1;(?:\n|\Z)", re.MULTILINE)
 #: A zero in a sum or a product of indices, which changes nothing or is all of it.
 _IDLE = (
+    (re.compile(r"\b0 % \w+"), "0"),
     (re.compile(r"(?<=[\w)\]]) \+ 0(?=[\])}]|[ ]?[-+<>=;,]| [<>=&|?:])"), ""),
     (re.compile(r"(?<=[\[(])0 \+ "), ""),
     (re.compile(r"(?<=[\[(])0 \* \w+(?=[\])])"), "0"),
@@ -87,4 +90,5 @@ def _without_loop(text: str, node: Node, variable: str, value: str) -> str:
     if value == "0":
         for pattern, new in _IDLE:
             body = pattern.sub(new, body)
+        body = _SELF.sub("", body).rstrip("\n")
     return body.removeprefix(margin(text, node))

@@ -80,7 +80,7 @@ def _macros(text: str) -> str:
         counted = f"({before} + {following})" if before and following else before or str(following)
         if re.fullmatch(r"-?\d+", before):
             counted = str(int(before) + following)
-        lines.append(f"#define {name} {counted}")
+        lines.append(f"#define {name} {f'({counted})' if counted.startswith('-') else counted}")
         following += 1
     behind = text[found.end() :].strip()
     if behind:

@@ -69,7 +69,24 @@ def _may_fold(text: str, same: Same) -> bool:
     if same.name not in names_in_code(text):
         return True
     pattern = re.compile(_USE.format(name=same.name))
-    return all(m["index"] and (not m["address"] or _may_point(same)) for m in pattern.finditer(text))
+    uses = list(pattern.finditer(text))
+    if not all(m["index"] and (not m["address"] or _may_point(same)) for m in uses):
+        return False
+    return same.is_real or all(_is_place(text[m.start() - 2 : m.start()], text[_end(text, m.end())]) for m in uses)
+
+
+def _is_place(before: str, behind: str) -> bool:
+    """True for an index or an argument: the number of a flag would stand in conditions that it decides."""
+    return (before.endswith("[") and behind == "]") or (before == ", " and behind in ",)")
+
+
+def _end(text: str, at: int) -> int:
+    """The place behind the bracket that closes what is open in front of a place."""
+    depth = 1
+    while depth:
+        depth += {"[": 1, "]": -1}.get(text[at], 0)
+        at += 1
+    return at
 
 
 def _may_point(same: Same) -> bool:
@@ -93,9 +110,5 @@ def _put(text: str, name: str, same: Same) -> str:
     """The text with the entry in place of what reads it."""
     pattern = re.compile(rf"(?<![.\w])(?<!->)\b{name}\[")
     while match := pattern.search(blank(text)):
-        depth, end = 1, match.end()
-        while depth:
-            depth += {"[": 1, "]": -1}.get(text[end], 0)
-            end += 1
-        text = text[: match.start()] + same.text + text[end:]
+        text = text[: match.start()] + same.text + text[_end(text, match.end()) :]
     return _ZERO.sub("", text) if same.is_zero else text

@@ -1,0 +1,36 @@
+"""Where the lines of a package's .c come from, and which options make it shorter: for its README.md."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+
+from nmpc_codegen.lowering.unit.passes import LAST_HEADING
+from nmpc_codegen.package.features import Features
+
+_SECTION = re.compile(r"^/\* ==== (.*?) =+ \*/$", re.MULTILINE)
+_LAST = _SECTION.findall(LAST_HEADING)[0]
+#: What stands above the first section.
+DEFINITIONS = "sizes, names, tolerances and tables"
+
+
+def lines_by_section(unit: str) -> dict[str, int]:
+    """Section -> its lines, in the order of the text."""
+    found: dict[str, int] = {}
+    texts = _SECTION.split(unit)
+    for title, text in zip((DEFINITIONS, *texts[1::2]), texts[::2], strict=True):
+        name = title if title != _LAST else "solve()"
+        found[name] = found.get(name, 0) + text.count("\n")
+    return found
+
+
+def shorter(features: Features) -> Iterator[tuple[str, str]]:
+    """(option, what a package without it leaves out) of the options that this one may still be given."""
+    if features.solve:
+        yield "solve=False", "solve(), and the Hessian of its searches: a fifth of the lines"
+    if features.has_qp and features.iterates:
+        yield "algorithm.iterations=1", "what takes more than one QP in a sample: a twentieth"
+    if features.relax and features.relaxation:
+        yield "algorithm.relaxation=None", "what relaxes hard rows where a QP is infeasible: about 100 lines"
+    if not features.small:
+        yield "goal=size", "straight-line code, and a second method for QPs: a fifth to a third; samples take longer"
