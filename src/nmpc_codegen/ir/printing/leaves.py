@@ -150,7 +150,7 @@ class Leaf:
     def _loop(self, roll: Roll, indent: str, index: str, taken: Taken) -> list[str]:
         """A loop over the elements of a roll, or the call that copies them."""
         ins, outs = self.call.ins, self.call.outs
-        if copied := self._copied(roll):
+        if copied := self._find_copy(roll):
             to = self.buffers.address(self._from(outs[roll.output], roll.first))
             source = self.buffers.address(self._from(ins[copied[0]], copied[1]))
             return [f"{indent}(void)memcpy({to}, {source}, sizeof({self.style.real}[{roll.count}]));"]
@@ -170,7 +170,7 @@ class Leaf:
         lines += [part for line in inner for part in wrap_statement(indent + "    ", line)]
         return [*lines, indent + "}"]
 
-    def _copied(self, roll: Roll) -> tuple[int, int] | None:
+    def _find_copy(self, roll: Roll) -> tuple[int, int] | None:
         """The load of the first element if a roll copies adjacent elements between buffers that do not overlap."""
         ins = self.kernel.instructions[roll.value]
         if ins.opcode != ca.OP_INPUT or (ins.args[0], ins.args[1]) not in roll.moving:

@@ -243,7 +243,7 @@ class Pieces:
         of = self.printer.buffers
         return Buffers(of.sizes, of.columns, of.local, dict.fromkeys(self.shared, f"{SCRATCH}{mark}"))
 
-    def _used(self, piece: Piece) -> tuple[set[str], list[str], bool, bool]:
+    def _find_uses(self, piece: Piece) -> tuple[set[str], list[str], bool, bool]:
         """What a piece uses: ports and local buffers, indices of loops around it; whether it uses, and changes, scratch
         memory."""
         names, changed = set[str](), set[str]()
@@ -257,7 +257,7 @@ class Pieces:
         return names, sorted(terms - own), bool(names & shared), bool(changed & shared)
 
     def _function(self, piece: Piece) -> str:
-        names, indices, uses, changes = self._used(piece)
+        names, indices, uses, changes = self._find_uses(piece)
         arguments = [*self.printer.arguments(names), *(f"ptrdiff_t {i}" for i in indices)]
         arguments += [f"{'' if changes else 'const '}{self.scratch} *{SCRATCH}"] if uses else []
         body = Body(self.printer, self._buffers("->"))
@@ -289,7 +289,7 @@ class Pieces:
         return lines
 
     def _call(self, piece: Piece, indent: str) -> list[str]:
-        names, indices, uses, _ = self._used(piece)
+        names, indices, uses, _ = self._find_uses(piece)
         passed = [p.name for p in self.printer.ports if p.name in names]
         arguments = [*passed, *indices, *([f"&{SCRATCH}"] if uses else [])]
         return wrap_statement(indent, f"{piece.name}({', '.join(arguments)});")

@@ -107,7 +107,7 @@ def _stages(first: Piece, count: int, along: Sequence[int]) -> Loop:
 def _move(node: Node, begin: int, note: str, steps: Iterator[int]) -> Node:
     """The node of stage ``begin`` at any stage; ``steps``: from a stage to the next one, for every slice."""
 
-    def moved(s: Slice) -> Slice:
+    def move(s: Slice) -> Slice:
         step = next(steps)
         terms = (*s.offset.terms, *(((STAGE, step),) if step else ()))
         return replace(s, offset=Affine(s.offset.constant - step * begin, terms))
@@ -115,7 +115,7 @@ def _move(node: Node, begin: int, note: str, steps: Iterator[int]) -> Node:
     if isinstance(node, For):
         return replace(node, body=tuple(_move(n, begin, note, steps) for n in node.body))
     assert isinstance(node, Call)
-    ins, outs = tuple(map(moved, node.ins)), tuple(map(moved, node.outs))
+    ins, outs = tuple(map(move, node.ins)), tuple(map(move, node.outs))
     return replace(node, ins=ins, outs=outs, note=note)
 
 

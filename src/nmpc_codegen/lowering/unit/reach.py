@@ -8,7 +8,7 @@ from dataclasses import replace
 
 from nmpc_codegen.lowering.dialect.constants import Constants
 from nmpc_codegen.lowering.dialect.scopes import check_names
-from nmpc_codegen.lowering.unit.functions import simplify
+from nmpc_codegen.lowering.simplify.functions import simplify
 from nmpc_codegen.lowering.unit.item import Item
 
 

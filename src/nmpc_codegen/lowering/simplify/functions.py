@@ -25,8 +25,8 @@ from nmpc_codegen.lowering.dialect.scopes import (
     pointers,
 )
 from nmpc_codegen.lowering.dialect.tree import Edit, Node, edit, margin, whole_lines, wrap_line
-from nmpc_codegen.lowering.unit.single import run_once
-from nmpc_codegen.lowering.unit.values import of_known_value
+from nmpc_codegen.lowering.simplify.single import run_once
+from nmpc_codegen.lowering.simplify.values import of_known_value
 
 #: A loop over a variable of its own; the step of one that only counts.
 _LOOP = re.compile(r"(?:int|ptrdiff_t) (?P<variable>\w+) = (?P<first>[^,;]+); (?P<condition>[^;]*);(?P<step>.*)")

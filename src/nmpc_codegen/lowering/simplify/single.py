@@ -58,12 +58,12 @@ def _may_stand_alone(text: str, function: Node, node: Node, variable: str) -> bo
     inside = blank(text[slice(*node.inside)])
     if _LEAVES.search(inside) or re.search(rf"\b{variable}(?:\+\+|--| [-+*/]?= )|(?:\+\+|--|&){variable}\b", inside):
         return False
-    own = _declared(text, node, node)
-    others = _declared(text, function, None, node) | set(signature(text[slice(*function.head)])[1])
+    own = _names_below(text, node, node)
+    others = _names_below(text, function, None, node) | set(signature(text[slice(*function.head)])[1])
     return own.isdisjoint(others)
 
 
-def _declared(text: str, root: Node, of: Node | None, without: Node | None = None) -> set[str]:
+def _names_below(text: str, root: Node, of: Node | None, without: Node | None = None) -> set[str]:
     """The variables that are declared below a node, but for one part of it; of a loop itself only what it holds."""
     names: set[str] = set()
     waiting = list(root.body) + ([root.other] if root.other is not None else [])

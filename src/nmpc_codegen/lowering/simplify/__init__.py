@@ -1,0 +1,1 @@
+"""What a package does not need of a function, as edits of its text."""
