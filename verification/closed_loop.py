@@ -100,7 +100,8 @@ def member_path(header: str, member: str) -> str:
 
     Packages of other commits may store it in a different struct.
     """
-    structs = {m[2]: m[1] for m in re.finditer(r"^typedef struct \{(.*?)^\} (\w+);$", header, re.M | re.S)}
+    pattern = r"^(?:typedef )?struct (\w*) ?\{(.*?)^\} ?(\w*);$"
+    structs = {m[3] or f"{m[1]}_t": m[2] for m in re.finditer(pattern, header, re.M | re.S)}
     solver = next(name for name in structs if name.endswith("_solver_t"))
     path, owner = member, _owner(structs, rf"\w+ {member}")
     while owner != solver:

@@ -127,7 +127,7 @@ def test_list_options_names_every_component_and_field(capsys: pytest.CaptureFixt
         "precision = double; one of double, single",
         "integrator.tableau = RK4; one of Euler, Midpoint, Heun, SSPRK3, RK4;",
         "integrator.steps = 2; an integer >= 1",
-        "integrator.unroll = auto; one of auto, all, step, none",
+        "integrator.unroll = auto; one of auto, all, none",
         "hessian.regularization = mirror; one of project, mirror, none;",
         "hessian.regularization.level = reduced; one of reduced, stage",
         "hessian.convex_rows = True; True or False",

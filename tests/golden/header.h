@@ -40,7 +40,7 @@ golden_status_t golden_set_parameter(golden_solver_t *s, int param, int k, const
 golden_status_t golden_set_parameter_range(golden_solver_t *s, int param, int first, int count, const golden_real *values);
 golden_status_t golden_set_bounds(golden_solver_t *s, int row, int k, golden_real lower, golden_real upper);
 
-/* integrate: plant model over a time dt >= 0 in s, x_next may be x; cost: cost of the present plan; kkt: its KKT residuals.
+/* integrate: plant model over a time dt >= 0 in s, x_next may be x. cost: of the present plan; kkt: its KKT residuals.
  * Before init, they give NaN and an infinite residual. */
 void golden_integrate(const golden_solver_t *s, const golden_real x[GOLDEN_NX], const golden_real u[GOLDEN_NU],
     golden_real dt, golden_real x_next[GOLDEN_NX]);

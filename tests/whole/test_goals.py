@@ -140,7 +140,7 @@ def test_loops_are_chosen_only_where_the_options_leave_it_open() -> None:
     given = replace(CASES["dense"][1], integrator=ExplicitRungeKutta(unroll="all"), goal="size")
     options = PackageDescription.from_json(generate(crane.build_ocp(), given)["crane.json"]).options
     assert options["integrator.unroll"] == "all"
-    assert ExplicitRungeKutta(unroll="step").small == ExplicitRungeKutta(unroll="step")
+    assert ExplicitRungeKutta(unroll="all").small == ExplicitRungeKutta(unroll="all")
     assert Discrete().small == Discrete()
 
 

@@ -115,7 +115,7 @@ def test_other_algorithms_find_the_optimum(name: str, algorithm: Any) -> None:
 
 
 @pytest.mark.parametrize("target", ["portable", "native"])
-@pytest.mark.parametrize("unroll", ["none", "step"])
+@pytest.mark.parametrize("unroll", ["none", "all"])
 def test_loops_and_lanes_have_the_same_derivatives(unroll: Any, target: str) -> None:
     """Samples linearise several nodes at once where there are vectors; solve() does not with the exact Hessian."""
     integrator = ExplicitRungeKutta(unroll=unroll)

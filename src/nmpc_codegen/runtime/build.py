@@ -20,6 +20,7 @@ import importlib.machinery
 import importlib.util
 import os
 import platform
+import re
 import subprocess
 import sys
 import sysconfig
@@ -43,6 +44,8 @@ from nmpc_codegen.runtime.estimation.observer import Observer
 from nmpc_codegen.runtime.native import check_target, flags_of_processor, macros_of
 from nmpc_codegen.targets import PORTABLE, TARGETS, Target
 
+#: A negative constant, whose parentheses cffi does not know.
+_IN_PARENTHESES = re.compile(r"^(#define \w+) \((-\d+)\)", re.MULTILINE)
 BEGIN, END = "/* begin declarations */", "/* end declarations */"
 WARNINGS = (
     *("-std=c99", "-pedantic", "-Wall", "-Wextra"),
@@ -360,7 +363,7 @@ def declarations(header: str, name: str) -> str:
     inside, end, _ = rest.partition(END)
     if not begin or not end:
         raise BuildError(f"{name}.h has no lines '{BEGIN}' and '{END}'")
-    return inside
+    return _IN_PARENTHESES.sub(r"\1 \2", inside)
 
 
 def _keep_refused(compiler: tuple[str, ...], what: str, output: str, folder: Path) -> str:

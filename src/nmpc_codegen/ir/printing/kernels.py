@@ -131,6 +131,12 @@ def result_note(name: str, columns: int, element: int, names: LocalNames) -> str
     return {"x_next": f"{of_row}+", "g": f"d / d {of_row}"}.get(name, "") if not columns else ""
 
 
+def pointer(ports: Iterable[Port]) -> str:
+    """The name of a pointer to values that several functions of a kernel share, which no port has."""
+    names = {port.name for port in ports}
+    return next(name for name in ("w", "work", "shared") if name not in names)
+
+
 def at(port: Port, element: int) -> str:
     """The index of an element of a port."""
     return "[{}][{}]".format(*divmod(element, port.cols)) if port.cols else f"[{element}]"

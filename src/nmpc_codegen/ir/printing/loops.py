@@ -11,7 +11,7 @@ from collections.abc import Iterable, Iterator, Sequence
 
 from nmpc_codegen.ir.printing.c_style import CStyle
 from nmpc_codegen.ir.printing.expressions import wrap_statement
-from nmpc_codegen.ir.printing.kernels import comment, parameter, print_count, print_kernel, wrapped_head
+from nmpc_codegen.ir.printing.kernels import comment, parameter, pointer, print_count, print_kernel, wrapped_head
 from nmpc_codegen.ir.printing.leaves import Buffers, Leaf
 from nmpc_codegen.ir.printing.local_names import Taken
 from nmpc_codegen.ir.printing.stages import STAGE, Loop, Piece, cut, flat, note_of, once
@@ -23,9 +23,6 @@ LONGEST_FUNCTION = 60
 #: The longest piece of a sweep that has no function of its own: the first number with which the sweep is no longer
 #: than it may be. The longest leaf that is called once and has none.
 SHORT_PIECES, SHORT_LEAF = (6, 3, 0), 8
-
-#: The pointer to scratch memory, and the struct in the function that owns it.
-SCRATCH = "w"
 
 
 def print_loops(routine: LoopedRoutine, style: CStyle) -> str:
@@ -48,12 +45,13 @@ class _Printer:
         sweep = routine.sweep
         self.routine, self.style = routine, style
         self.ports = (*routine.reads, *routine.writes)
+        self.pointer = pointer(self.ports)
         rows = {name: sweep.columns[name] for name, size in sweep.locals if sweep.columns.get(name, size) < size}
         columns = rows | {p.name: p.cols for p in self.ports if p.cols}
         local = {name: size for name, size in sweep.locals if size and name in routine.touched}
         sizes = dict(sweep.locals) | {p.name: p.size for p in (*sweep.inputs, *sweep.outputs)}
         self.buffers = Buffers(sizes, columns, local, {})
-        self.names = {*local, *(p.name for p in self.ports), *_indices(sweep.body), SCRATCH, STAGE}
+        self.names = {*local, *(p.name for p in self.ports), *_indices(sweep.body), self.pointer, STAGE}
         self.uses: dict[str, int] = {}
         for c in calls(sweep.body):
             self.uses[c.leaf.name()] = self.uses.get(c.leaf.name(), 0) + 1
@@ -241,7 +239,7 @@ class Pieces:
 
     def _buffers(self, mark: str) -> Buffers:
         of = self.printer.buffers
-        return Buffers(of.sizes, of.columns, of.local, dict.fromkeys(self.shared, f"{SCRATCH}{mark}"))
+        return Buffers(of.sizes, of.columns, of.local, dict.fromkeys(self.shared, f"{self.printer.pointer}{mark}"))
 
     def _find_uses(self, piece: Piece) -> tuple[set[str], list[str], bool, bool]:
         """What a piece uses: ports and local buffers, indices of loops around it; whether it uses, and changes, scratch
@@ -259,7 +257,7 @@ class Pieces:
     def _function(self, piece: Piece) -> str:
         names, indices, uses, changes = self._find_uses(piece)
         arguments = [*self.printer.arguments(names), *(f"ptrdiff_t {i}" for i in indices)]
-        arguments += [f"{'' if changes else 'const '}{self.scratch} *{SCRATCH}"] if uses else []
+        arguments += [f"{'' if changes else 'const '}{self.scratch} *{self.printer.pointer}"] if uses else []
         body = Body(self.printer, self._buffers("->"))
         body.largest = self.largest
         lines = body.nodes(tuple(piece.nodes), "    ", piece.note)
@@ -273,7 +271,7 @@ class Pieces:
         lines = self._print(body, self.pieces, "    ")
         own = {s.buffer for p in flat(self.pieces) if not p.name for s, _ in self._slices(p.nodes)}
         declared = self.printer.declarations(own - set(self.shared))
-        scratch = [f"    {self.scratch} {SCRATCH};"] if self.shared else []
+        scratch = [f"    {self.scratch} {self.printer.pointer};"] if self.shared else []
         return self.printer.sweep(scratch, declared, lines)
 
     def _print(self, body: Body, pieces: Iterable[Piece | Loop], indent: str) -> list[str]:
@@ -291,7 +289,7 @@ class Pieces:
     def _call(self, piece: Piece, indent: str) -> list[str]:
         names, indices, uses, _ = self._find_uses(piece)
         passed = [p.name for p in self.printer.ports if p.name in names]
-        arguments = [*passed, *indices, *([f"&{SCRATCH}"] if uses else [])]
+        arguments = [*passed, *indices, *([f"&{self.printer.pointer}"] if uses else [])]
         return wrap_statement(indent, f"{piece.name}({', '.join(arguments)});")
 
 

@@ -17,6 +17,7 @@ from nmpc_codegen.ir.printing.kernels import (
     Function,
     describe,
     parameter,
+    pointer,
     print_kernel,
     signature,
     statement,
@@ -26,9 +27,6 @@ from nmpc_codegen.ir.printing.kernels import (
 #: The longest function, and lengths of a piece between its loads and its end of which the first is taken that makes no
 #: function longer, in lines.
 LONGEST_FUNCTION, LENGTHS = 60, (50, 46, 42, 38, 32, 26, 20)
-
-#: The pointer to the values that cross pieces.
-VALUES = "w"
 
 _NAME = re.compile(r"(?<![.\w])(?<!->)[A-Za-z_]\w*")
 
@@ -67,7 +65,8 @@ class _Pieces:
 
     def __init__(self, kernel: Kernel, style: CStyle, length: int) -> None:
         self.kernel, self.style = kernel, style
-        self.function = Function(kernel, style, (VALUES,))
+        self.pointer = pointer((*kernel.reads, *kernel.writes))
+        self.function = Function(kernel, style, (self.pointer,))
         self.ports = {name: port for port, held in self.function.loads.items() for name, _ in held}
         self.texts = {name: text for held in self.function.loads.values() for name, text in held}
         self.pieces = _cut(self._steps(), length)
@@ -105,9 +104,9 @@ class _Pieces:
     def text(self) -> str:
         """The struct, the pieces, and the function that calls them."""
         pieces = [self._piece(n) for n in range(len(self.pieces))]
-        calls = [f"    {self.struct} {VALUES};"]
+        calls = [f"    {self.struct} {self.pointer};"]
         for n in range(len(self.pieces)):
-            passed = [*(p.name for p in self._ports(n)), *([f"&{VALUES}"] if self._crosses(n) else [])]
+            passed = [*(p.name for p in self._ports(n)), *([f"&{self.pointer}"] if self._crosses(n) else [])]
             calls += wrap_statement("    ", f"{self._name(n)}({', '.join(passed)});")
         head = wrapped_head(signature(self.kernel.name, self.kernel.reads, self.kernel.writes, self.style))
         main = "\n".join([describe(self.kernel), *head, "{", *calls, "}"])
@@ -174,17 +173,17 @@ class _Pieces:
             lines += [part for line in declare(self.style.real, names) for part in wrap_statement(indent, line)]
         for name in self.texts:
             if name in own:
-                lines.append(f"{indent}{VALUES}->{name} = {self.texts[name]};")
+                lines.append(f"{indent}{self.pointer}->{name} = {self.texts[name]};")
         member = {*self.crossing} - ({*self.texts} if n < self.first_store else set())
         for step in piece:
-            text = _NAME.sub(lambda found: f"{VALUES}->{found[0]}" if found[0] in member else found[0], step.text)
+            text = _NAME.sub(lambda found: f"{self.pointer}->{found[0]}" if found[0] in member else found[0], step.text)
             if step.target:
                 lines += statement(indent, f"{step.target} = {text}", step.note)
                 continue
             lines += [f"{indent}/* {step.note} */"] if step.note and step is not piece[0] else []
-            target = f"{VALUES}->{step.name}" if step.name in own else f"const {self.style.real} {step.name}"
+            target = f"{self.pointer}->{step.name}" if step.name in own else f"const {self.style.real} {step.name}"
             lines += wrap_statement(indent, f"{target} = {text};")
-        values = [f"{'' if own else 'const '}{self.struct} *{VALUES}"] if self._crosses(n) else []
+        values = [f"{'' if own else 'const '}{self.struct} *{self.pointer}"] if self._crosses(n) else []
         arguments = [*self._parameters(self._ports(n)), *values]
         head = wrapped_head(f"static void {self._name(n)}({', '.join(arguments)})")
         return "\n".join([f"/* {self.kernel.name}: {self._what(n)} */", *head, "{", *lines, "}"])
