@@ -96,14 +96,14 @@ MUTANTS = (
     ),
     Mutant(
         "a member of another struct: a write to a member of size 0",
-        "src/nmpc_codegen/lowering/unit/functions.py",
+        "src/nmpc_codegen/lowering/simplify/functions.py",
         "(inner, place.word) in known.absent:",
         "place.word in dict(known.absent).values():",
         ("tests/lowering/test_passes.py",),
     ),
     Mutant(
         "a lost call: the value of a variable that nothing reads",
-        "src/nmpc_codegen/lowering/unit/functions.py",
+        "src/nmpc_codegen/lowering/simplify/functions.py",
         "effects.append(_for_its_effects(value.strip()))",
         "effects.clear()",
         ("tests/lowering/test_passes.py",),
