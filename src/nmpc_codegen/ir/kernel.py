@@ -192,6 +192,10 @@ class Kernel:
         """The straight-line functions that it consists of."""
         return (self,)
 
+    def is_zero(self, value: int) -> bool:
+        """True if a value is the constant 0."""
+        return self.instructions[value] == Instruction(ca.OP_CONST, ())
+
     def operands(self, value: int) -> tuple[int, ...]:
         """The values that a value is computed from."""
         ins = self.instructions[value]

@@ -441,12 +441,11 @@ def lift_loops(sweep: Sweep) -> LoopedRoutine:
 
 def _first_alike(kernel: Kernel, known: Iterable[Kernel]) -> Kernel:
     """The first kernel that computes the same, or this one."""
-    of = (kernel.instructions, kernel.stores, _sizes(kernel))
-    return next((k for k in known if (k.instructions, k.stores, _sizes(k)) == of), kernel)
 
+    def of(k: Kernel) -> tuple[object, ...]:
+        return k.instructions, k.stores, *((port.size, port.cols, port.flat) for port in (*k.inputs, *k.outputs))
 
-def _sizes(kernel: Kernel) -> list[tuple[int, int, bool]]:
-    return [(port.size, port.cols, port.flat) for port in (*kernel.inputs, *kernel.outputs)]
+    return next((k for k in known if of(k) == of(kernel)), kernel)
 
 
 def _port_names(call: Call) -> list[str]:

@@ -27,11 +27,11 @@ def lines_by_section(unit: str) -> dict[str, int]:
 def shorter(features: Features) -> Iterator[tuple[str, str]]:
     """(option, what a package without it leaves out) of the options that this one may still be given."""
     if features.solve:
-        yield "solve=False", "solve() and what only it needs: up to a fifth of the lines"
+        yield "solve=False", "solve() and what only it needs: about a fifth of the lines"
     if features.has_qp and features.iterates:
         yield "algorithm.iterations=1", "what takes more than one QP in a sample: a twentieth"
     if features.relax and features.relaxation:
         yield "algorithm.relaxation=None", "what relaxes hard rows where a QP is infeasible: about 100 lines"
     if not features.small:
         second = ", and a second method for QPs" if features.has_qp else ""
-        yield "goal=size", f"straight-line code{second}: up to a third of the lines; samples take longer"
+        yield "goal=size", f"straight-line code{second}: a fifth to two fifths of the lines; samples take longer"

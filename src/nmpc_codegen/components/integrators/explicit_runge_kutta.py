@@ -66,7 +66,7 @@ class ExplicitRungeKutta(Integrator):
         steps: steps per interval.
         unroll: "all" (one straight-line program per interval), "none" (loops over steps and sensitivity columns, calls
             per stage), "auto" (the first one below a size limit). Second derivatives are always loops: with vector
-            instructions they are twice as fast as one straight-line program, in a quarter of the code.
+            instructions they are twice as fast as one straight-line program, in less code.
 
     Examples:
         >>> from nmpc_codegen import RK4, ExplicitRungeKutta, Options

@@ -101,8 +101,7 @@ class Expressions:
 
     def _leaves_loop(self, value: int) -> bool:
         """True if a value does not change in the loop that uses it."""
-        users = (v for v in self._moves if value in self.kernel.operands(v))
-        return bool(self._moves) and value not in self._moves and any(users)
+        return value not in self._moves and any(value in self.kernel.operands(v) for v in self._moves)
 
     def _wish(self, ins: Instruction) -> str:
         """cos_phi for cos(phi)."""

@@ -6,26 +6,37 @@ Outputs may alias inputs, so all loads are named constants in front of the first
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections.abc import Callable, Collection, Iterable
 from textwrap import wrap
+from typing import TypeVar
 
 import casadi as ca
 
-from nmpc_codegen.ir.kernel import Instruction, Kernel, Port
+from nmpc_codegen.ir.kernel import Kernel, Port
 from nmpc_codegen.ir.printing.c_style import CStyle
 from nmpc_codegen.ir.printing.expressions import FIRM, WIDTH, Expressions, declare, wrap_statement
 from nmpc_codegen.ir.printing.local_names import LocalNames, Taken
 from nmpc_codegen.package.opcount import OpCount
 
+#: The longest function that is not cut, in lines.
+LONGEST_FUNCTION = 60
+
 #: So many zeros of an output are one call.
 CLEARED = 4
+
+Cut = TypeVar("Cut")
 
 
 def signature(name: str, inputs: tuple[Port, ...], outputs: tuple[Port, ...], style: CStyle) -> str:
     """``static void name(const real x[4], ..., real y[4])``."""
-    arguments = [f"int {p.name}" if p.whole else f"const {style.real} {parameter(p)}" for p in inputs]
-    arguments += [f"{style.real} {parameter(p)}" for p in outputs]
-    return f"static void {name}({', '.join(arguments)})"
+    return f"static void {name}({', '.join(parameters((*inputs, *outputs), outputs, style))})"
+
+
+def parameters(ports: Iterable[Port], outputs: Collection[Port], style: CStyle) -> list[str]:
+    """``const real x[4]``, ``real y[4]``, ``int k``: ports as parameters in C, of which these are written."""
+    return [
+        f"int {p.name}" if p.whole else f"{'' if p in outputs else 'const '}{style.real} {parameter(p)}" for p in ports
+    ]
 
 
 def parameter(port: Port) -> str:
@@ -91,13 +102,13 @@ class Function:
             self.loads.setdefault(p, []).append((texts[port, e], f"{p.name}[{e}]"))
         self.expressions = Expressions(kernel, style, lambda port, e: texts[port, e], taken)
         dense = any(p.flat for p in (*kernel.inputs, *kernel.outputs))
-        zeros = [o for o, _, v in kernel.stores if kernel.instructions[v] == Instruction(ca.OP_CONST, ())]
+        zeros = [o for o, _, v in kernel.stores if kernel.is_zero(v)]
         outputs = enumerate(kernel.outputs)
         self.cleared = [o for o, port in outputs if dense and zeros.count(o) >= CLEARED]
         self.stores = [
             (f"{kernel.outputs[o].name}{at(kernel.outputs[o], e)}", self.expressions.text(v), self._note(o, e))
             for o, e, v in kernel.stores
-            if o not in self.cleared or kernel.instructions[v] != Instruction(ca.OP_CONST, ())
+            if o not in self.cleared or not kernel.is_zero(v)
         ]
 
     def lines(self) -> list[str]:
@@ -129,6 +140,14 @@ def result_note(name: str, columns: int, element: int, names: LocalNames) -> str
     if name == "S" and columns and of_column:
         return f"d {of_row}+ / d {of_column}"
     return {"x_next": f"{of_row}+", "g": f"d / d {of_row}"}.get(name, "") if not columns else ""
+
+
+def first_short(cuts: Iterable[Cut], longest: Callable[[Cut], int]) -> Cut:
+    """The first cut whose ``longest`` function has at most LONGEST_FUNCTION lines; the last one if none has."""
+    for cut in cuts:
+        if longest(cut) <= LONGEST_FUNCTION:
+            break
+    return cut
 
 
 def pointer(ports: Iterable[Port]) -> str:

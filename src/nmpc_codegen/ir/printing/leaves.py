@@ -8,7 +8,7 @@ from itertools import groupby
 
 import casadi as ca
 
-from nmpc_codegen.ir.kernel import OPERATIONS, Instruction, Kernel, live
+from nmpc_codegen.ir.kernel import OPERATIONS, Kernel, live
 from nmpc_codegen.ir.printing.c_style import CStyle
 from nmpc_codegen.ir.printing.expressions import Expressions, declare, loads_inside, wrap_statement
 from nmpc_codegen.ir.printing.kernels import CLEARED, find_loads, result_note, statement
@@ -83,7 +83,7 @@ class Leaf:
         self.routine, self.call, self.buffers, self.style = routine, call, buffers, style
         self.kernel: Kernel = routine.leaves[call.leaf.name()]
         self.cleared = self._find_cleared()
-        stores = tuple(s for s in self.kernel.stores if not (s[0] in self.cleared and self._is_zero(s[2])))
+        stores = tuple(s for s in self.kernel.stores if not (s[0] in self.cleared and self.kernel.is_zero(s[2])))
         self.rolls, self.stores = self._roll(stores)
         #: True if it is loops over elements and stores of numbers.
         self.is_loop = all(self._is_number(v) for _, _, v in self.stores) and all(map(self._may_loop, self.rolls))
@@ -112,9 +112,6 @@ class Leaf:
 
     def _is_number(self, value: int) -> bool:
         return self.kernel.instructions[value].opcode == ca.OP_CONST
-
-    def _is_zero(self, value: int) -> bool:
-        return self.kernel.instructions[value] == Instruction(ca.OP_CONST, ())
 
     # Loops over elements ---------------------------------------------------------------------------------------------
 
@@ -189,7 +186,7 @@ class Leaf:
 
     def _find_cleared(self) -> list[int]:
         """The outputs that are buffers as a whole, with many zeros."""
-        zeros = [o for o, _, v in self.kernel.stores if self._is_zero(v)]
+        zeros = [o for o, _, v in self.kernel.stores if self.kernel.is_zero(v)]
         outs = enumerate(self.call.outs)
         return [o for o, s in outs if zeros.count(o) >= CLEARED and s.size == self.buffers.sizes[s.buffer]]
 

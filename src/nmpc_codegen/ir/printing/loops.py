@@ -11,15 +11,22 @@ from collections.abc import Iterable, Iterator, Sequence
 
 from nmpc_codegen.ir.printing.c_style import CStyle
 from nmpc_codegen.ir.printing.expressions import wrap_statement
-from nmpc_codegen.ir.printing.kernels import comment, parameter, pointer, print_count, print_kernel, wrapped_head
+from nmpc_codegen.ir.printing.kernels import (
+    LONGEST_FUNCTION,
+    comment,
+    first_short,
+    parameters,
+    pointer,
+    print_count,
+    print_kernel,
+    wrapped_head,
+)
 from nmpc_codegen.ir.printing.leaves import Buffers, Leaf
 from nmpc_codegen.ir.printing.local_names import Taken
 from nmpc_codegen.ir.printing.stages import STAGE, Loop, Piece, cut, flat, note_of, once
 from nmpc_codegen.ir.sweep import Affine, Call, For, LoopedRoutine, Node, Slice, Written, calls, passed_slices
 from nmpc_codegen.ir.tuning import PANEL
 
-#: The longest function that is not cut, in lines.
-LONGEST_FUNCTION = 60
 #: The longest piece of a sweep that has no function of its own: the first number with which the sweep is no longer
 #: than it may be. The longest leaf that is called once and has none.
 SHORT_PIECES, SHORT_LEAF = (6, 3, 0), 8
@@ -33,9 +40,8 @@ def print_loops(routine: LoopedRoutine, style: CStyle) -> str:
     whole, length = printer.whole()
     if length <= LONGEST_FUNCTION:
         return "\n\n".join([*texts, whole])
-    cuts = [Pieces(printer, longest) for longest in SHORT_PIECES]
-    chosen = next((cut for cut in cuts if cut.main()[1] <= LONGEST_FUNCTION), cuts[-1])
-    return "\n\n".join([*texts, *chosen.texts()])
+    cuts = (Pieces(printer, longest) for longest in SHORT_PIECES)
+    return "\n\n".join([*texts, *first_short(cuts, lambda cut: cut.main()[1]).texts()])
 
 
 class _Printer:
@@ -52,6 +58,7 @@ class _Printer:
         sizes = dict(sweep.locals) | {p.name: p.size for p in (*sweep.inputs, *sweep.outputs)}
         self.buffers = Buffers(sizes, columns, local, {})
         self.names = {*local, *(p.name for p in self.ports), *_indices(sweep.body), self.pointer, STAGE}
+        self._inline: dict[tuple[str, tuple[Slice, ...], tuple[Slice, ...]], bool] = {}
         self.uses: dict[str, int] = {}
         for c in calls(sweep.body):
             self.uses[c.leaf.name()] = self.uses.get(c.leaf.name(), 0) + 1
@@ -76,12 +83,8 @@ class _Printer:
     def arguments(self, used: Iterable[str] | None = None) -> list[str]:
         """The parameters for the ports, or for those of them that are used."""
         names = None if used is None else set(used)
-        written = {p.name for p in self.routine.writes}
-        return [
-            f"int {p.name}" if p.whole else f"{'' if p.name in written else 'const '}{self.style.real} {parameter(p)}"
-            for p in self.ports
-            if names is None or p.name in names
-        ]
+        ports = [p for p in self.ports if names is None or p.name in names]
+        return parameters(ports, self.routine.writes, self.style)
 
     def declarations(self, local: Iterable[str]) -> list[str]:
         """Declarations of local buffers."""
@@ -102,11 +105,16 @@ class _Printer:
         """True if a leaf is printed where it is called: it must be, is a loop over elements, or short and alone."""
         if call.written_out:
             return True
+        key = (call.leaf.name(), call.ins, call.outs)
+        if key not in self._inline:
+            self._inline[key] = self._is_short(call)
+        return self._inline[key]
+
+    def _is_short(self, call: Call) -> bool:
         leaf = Leaf(self.routine, call, self.buffers, self.style)
-        if leaf.is_loop:
-            return True
-        taken = Taken(self.style.names, self.names)
-        return self.uses[call.leaf.name()] == 1 and len(leaf.lines("", "i", taken)) <= SHORT_LEAF
+        if leaf.is_loop or self.uses[call.leaf.name()] > 1:
+            return leaf.is_loop
+        return len(leaf.lines("", "i", Taken(self.style.names, self.names))) <= SHORT_LEAF
 
 
 class Body:
@@ -186,9 +194,7 @@ class Pieces:
         self.shared = self._find_shared()
 
     def _name(self, note: str, names: set[str]) -> str:
-        name = (
-            f"{self.routine.name}_{re.sub(r'[^a-z0-9]+', '_', note.lower())}" if note else f"{self.routine.name}_part"
-        )
+        name = f"{self.routine.name}_{re.sub(r'[^a-z0-9]+', '_', note.lower()) or 'part'}"
         numbered = (name if n == 1 else f"{name}_{n}" for n in range(1, len(names) + 2))
         return next(n for n in numbered if n not in names)
 
@@ -244,15 +250,11 @@ class Pieces:
     def _find_uses(self, piece: Piece) -> tuple[set[str], list[str], bool, bool]:
         """What a piece uses: ports and local buffers, indices of loops around it; whether it uses, and changes, scratch
         memory."""
-        names, changed = set[str](), set[str]()
-        for s, is_written in self._slices(piece.nodes):
-            names.add(s.buffer)
-            changed |= {s.buffer} if is_written else set()
-        names.update(_texts(tuple(piece.nodes)))
-        own = _indices(tuple(piece.nodes))
-        terms = {i for s, _ in self._slices(piece.nodes) for i, _ in s.offset.terms}
-        shared = set(self.shared)
-        return names, sorted(terms - own), bool(names & shared), bool(changed & shared)
+        found, nodes, shared = list(self._slices(piece.nodes)), tuple(piece.nodes), set(self.shared)
+        names = {s.buffer for s, _ in found} | set(_texts(nodes))
+        changed = {s.buffer for s, is_written in found if is_written}
+        around = {i for s, _ in found for i, _ in s.offset.terms} - _indices(nodes)
+        return names, sorted(around), bool(names & shared), bool(changed & shared)
 
     def _function(self, piece: Piece) -> str:
         names, indices, uses, changes = self._find_uses(piece)

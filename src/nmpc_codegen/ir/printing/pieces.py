@@ -14,9 +14,11 @@ from nmpc_codegen.ir.kernel import Kernel, Port
 from nmpc_codegen.ir.printing.c_style import CStyle
 from nmpc_codegen.ir.printing.expressions import declare, wrap_statement
 from nmpc_codegen.ir.printing.kernels import (
+    LONGEST_FUNCTION,
     Function,
     describe,
-    parameter,
+    first_short,
+    parameters,
     pointer,
     print_kernel,
     signature,
@@ -24,9 +26,8 @@ from nmpc_codegen.ir.printing.kernels import (
     wrapped_head,
 )
 
-#: The longest function, and lengths of a piece between its loads and its end of which the first is taken that makes no
-#: function longer, in lines.
-LONGEST_FUNCTION, LENGTHS = 60, (50, 46, 42, 38, 32, 26, 20)
+#: Lengths of a piece between its loads and its end, in lines; the first is taken that makes no function too long.
+LENGTHS = (50, 46, 42, 38, 32, 26, 20)
 
 _NAME = re.compile(r"(?<![.\w])(?<!->)[A-Za-z_]\w*")
 
@@ -56,8 +57,7 @@ def print_straight(kernel: Kernel, style: CStyle) -> str:
     text = print_kernel(kernel, style)
     if not kernel.parts or text[text.index("*/") :].count("\n") <= LONGEST_FUNCTION:
         return text
-    cuts = [_Pieces(kernel, style, length) for length in LENGTHS]
-    return next((cut for cut in cuts if cut.longest <= LONGEST_FUNCTION), cuts[-1]).text()
+    return first_short((_Pieces(kernel, style, n) for n in LENGTHS), lambda cut: cut.longest).text()
 
 
 class _Pieces:
@@ -154,14 +154,6 @@ class _Pieces:
         read = {name for name in _read(self.pieces[n]) if self.crossing.get(name, n) < n}
         return bool(read) or n in self.crossing.values()
 
-    def _parameters(self, ports: Iterable[Port]) -> list[str]:
-        outputs = {p.name for p in self.kernel.writes}
-        real = self.style.real
-        return [
-            f"int {p.name}" if p.whole else f"{'' if p.name in outputs else 'const '}{real} {parameter(p)}"
-            for p in ports
-        ]
-
     def _piece(self, n: int) -> str:
         """The function of a piece."""
         piece, indent = self.pieces[n], "    "
@@ -184,7 +176,7 @@ class _Pieces:
             target = f"{self.pointer}->{step.name}" if step.name in own else f"const {self.style.real} {step.name}"
             lines += wrap_statement(indent, f"{target} = {text};")
         values = [f"{'' if own else 'const '}{self.struct} *{self.pointer}"] if self._crosses(n) else []
-        arguments = [*self._parameters(self._ports(n)), *values]
+        arguments = [*parameters(self._ports(n), self.kernel.writes, self.style), *values]
         head = wrapped_head(f"static void {self._name(n)}({', '.join(arguments)})")
         return "\n".join([f"/* {self.kernel.name}: {self._what(n)} */", *head, "{", *lines, "}"])
 

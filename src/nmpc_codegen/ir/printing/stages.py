@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 
 from nmpc_codegen.ir.kernel import Kernel
 from nmpc_codegen.ir.passes import bound
-from nmpc_codegen.ir.sweep import Affine, Call, For, Node, Slice, Written, calls
+from nmpc_codegen.ir.sweep import Affine, Call, For, Node, Slice, calls
 
 #: The index of a loop over stages, and the longest leaf in a loop over columns that stands in one, in instructions: an
 #: index that is no number costs more than a tenth of the time of long ones.
@@ -131,15 +131,10 @@ def _step(one: Piece | Loop, two: Piece | Loop, leaves: Leaves) -> tuple[int, ..
 
 
 def _apart(one: Sequence[Node], two: Sequence[Node], leaves: Leaves) -> tuple[int, ...] | None:
-    if len(one) != len(two):
+    each = [_apart_of_nodes(a, b, leaves) for a, b in zip(one, two, strict=False)]
+    if len(one) != len(two) or None in each:
         return None
-    found: list[int] = []
-    for a, b in zip(one, two, strict=True):
-        more = _apart_of_nodes(a, b, leaves)
-        if more is None:
-            return None
-        found += more
-    return tuple(found)
+    return tuple(n for found in each if found for n in found)
 
 
 def _apart_of_nodes(a: Node, b: Node, leaves: Leaves) -> tuple[int, ...] | None:
@@ -148,7 +143,7 @@ def _apart_of_nodes(a: Node, b: Node, leaves: Leaves) -> tuple[int, ...] | None:
             return None
         same = (a.index, a.start, a.count, a.down) == (b.index, b.start, b.count, b.down)
         return _apart(a.body, b.body, leaves) if same else None
-    if not (isinstance(a, Call) and isinstance(b, Call)) or isinstance(a, Written):
+    if not (isinstance(a, Call) and isinstance(b, Call)):
         return None
     x, y = leaves[a.leaf.name()], leaves[b.leaf.name()]
     if (x.instructions, x.stores, a.inline) != (y.instructions, y.stores, b.inline):

@@ -25,6 +25,7 @@ from nmpc_codegen.lowering.dialect.scopes import (
     pointers,
 )
 from nmpc_codegen.lowering.dialect.tree import Edit, Node, edit, margin, whole_lines, wrap_line
+from nmpc_codegen.lowering.simplify.idle import without_idle
 from nmpc_codegen.lowering.simplify.single import run_once
 from nmpc_codegen.lowering.simplify.values import of_known_value
 
@@ -276,12 +277,12 @@ def simplify(text: str, known: Constants) -> str:
     Raises:
         ValueError: it is not of the dialect, or a pass has left a name without its declaration.
     """
-    before, changed = free_names(text), True
+    before, changed, text = free_names(text), True, without_idle(text)
     while changed:
         changed = False
         for name, step in PASSES.items():
             while edits := list(step(text, function_of(text), known)):
-                text, changed = edit(text, edits), True
+                text, changed = without_idle(edit(text, edits)), True
                 if lost := free_names(text) - before - {"void"} - known.sizes.keys():
                     raise ValueError(f"the pass {name!r} has left {sorted(lost)[0]} without its declaration")
     return _EMPTY.sub(r"\1", text)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 from nmpc_codegen.lowering.dialect.constants import Constants
 from nmpc_codegen.lowering.dialect.expressions import expression
@@ -16,17 +16,6 @@ _COUNTED = re.compile(
     r"(?:(?P=variable)\+\+|\+\+(?P=variable))"
 )
 _LEAVES = re.compile(r"\b(?:break|continue)\b")
-#: An assignment of what is there.
-_SELF = re.compile(r"^ *(\S[^=\n]*) = \1;(?:\n|\Z)", re.MULTILINE)
-#: A zero in a sum or a product of indices, which changes nothing or is all of it.
-_IDLE = (
-    (re.compile(r"\b0 % \w+"), "0"),
-    (re.compile(r"(?<=[\w)\]]) \+ 0(?=[\])}]|[ ]?[-+<>=;,]| [<>=&|?:])"), ""),
-    (re.compile(r"(?<=[\[(])0 \+ "), ""),
-    (re.compile(r"(?<=[\[(])0 \* \w+(?=[\])])"), "0"),
-    (re.compile(r"(?<=[\[(])0 \* \w+ \+ "), ""),
-    (re.compile(r"(?<=[\w)\]]) \+ 0 \* \w+(?=[\])])"), ""),
-)
 
 
 def run_once(text: str, function: Node, known: Constants) -> Iterator[Edit]:
@@ -58,24 +47,23 @@ def _may_stand_alone(text: str, function: Node, node: Node, variable: str) -> bo
     inside = blank(text[slice(*node.inside)])
     if _LEAVES.search(inside) or re.search(rf"\b{variable}(?:\+\+|--| [-+*/]?= )|(?:\+\+|--|&){variable}\b", inside):
         return False
-    own = _names_below(text, node, node)
-    others = _names_below(text, function, None, node) | set(signature(text[slice(*function.head)])[1])
-    return own.isdisjoint(others)
+    own = _names_below(text, node.body)
+    others = _names_below(text, function.body, but=node, counters=True)
+    return own.isdisjoint(others | set(signature(text[slice(*function.head)])[1]))
 
 
-def _names_below(text: str, root: Node, of: Node | None, without: Node | None = None) -> set[str]:
-    """The variables that are declared below a node, but for one part of it; of a loop itself only what it holds."""
+def _names_below(text: str, nodes: Sequence[Node], but: Node | None = None, counters: bool = False) -> set[str]:
+    """The variables that are declared in nodes and below them, but for one node; with those that loops count."""
     names: set[str] = set()
-    waiting = list(root.body) + ([root.other] if root.other is not None else [])
-    while waiting:
-        node = waiting.pop()
-        if node is without:
+    for node in nodes:
+        if node is but:
             continue
         if node.kind == "statement":
             names |= {name for name, _ in declarators(text[node.start : node.end])}
-        elif node.kind == "loop" and of is None:
+        elif node.kind == "loop" and counters:
             names |= {name for name, _ in declarators(text[slice(*node.head)].partition(";")[0])}
-        waiting += [*node.body, *([node.other] if node.other is not None else [])]
+        below = (*node.body, *(() if node.other is None else (node.other,)))
+        names |= _names_below(text, below, but, counters)
     return names
 
 
@@ -87,8 +75,4 @@ def _without_loop(text: str, node: Node, variable: str, value: str) -> str:
     comment = [f"{margin(text, node)}{head.strip()}"] if head.strip() and "at most" not in head else []
     body = "\n".join([*comment, *lines])
     body = re.sub(rf"(?<![.\w])(?<!->)\b{variable}\b", value, body)
-    if value == "0":
-        for pattern, new in _IDLE:
-            body = pattern.sub(new, body)
-        body = _SELF.sub("", body).rstrip("\n")
     return body.removeprefix(margin(text, node))

@@ -12,11 +12,6 @@ from nmpc_codegen.lowering.dialect.tree import Edit, Node, whole_lines
 _NUMBER = re.compile(r"(?:const )?(?:(?:int|real_t) \w+ = (R\(\d[\w.]*\)|\d+)|int \w+ = ([A-Z]\w*));")
 
 
-#: The zero that changes no sum behind its first term, unless it is a factor.
-ZERO = "R(0)"
-_FACTOR = re.compile(r" *[*/]")
-
-
 def of_known_value(text: str, body: tuple[Node, ...], end: int) -> Iterator[Edit]:
     """The edits for the first such variable of a block, which ends at ``end``."""
     for place, node in enumerate(body):
@@ -27,11 +22,8 @@ def of_known_value(text: str, body: tuple[Node, ...], end: int) -> Iterator[Edit
         scope = readable(text[node.end : end])
         if not _changes(name).search(scope):
             yield Edit(*whole_lines(text, node, body[place - 1] if place else None), "")
-            value = found[1] or found[2]
-            for use in re.finditer(rf"(?P<term>(?<=[\w)\]]) [-+] )?(?<![.\w])(?<!->){name}\b", scope):
-                is_idle = value == ZERO and use["term"] and not _FACTOR.match(scope, use.end())
-                start = use.start() if is_idle else use.end() - len(name)
-                yield Edit(node.end + start, node.end + use.end(), "" if is_idle else value)
+            for use in re.finditer(rf"(?<![.\w])(?<!->){name}\b", scope):
+                yield Edit(node.end + use.start(), node.end + use.end(), found[1] or found[2])
             return
 
 

@@ -23,6 +23,7 @@ from nmpc_codegen.lowering.dialect.scopes import (
     split,
 )
 from nmpc_codegen.lowering.dialect.tree import WIDTH, wrap_line
+from nmpc_codegen.lowering.simplify.idle import without_idle
 from nmpc_codegen.lowering.unit.item import Item
 
 #: Macro or function -> the places of arguments.
@@ -32,8 +33,6 @@ _CALL = re.compile(r"(?<![.\w])(?<!->)([A-Za-z_]\w*)\(")
 _VALUE = re.compile(r"(?<![.\w])(?<!->)[A-Za-z_]\w*+(?!\()")
 #: A number, a constant, or a number in the working precision.
 _NUMBER = re.compile(r"return (\d+|[A-Z]\w*|R\([\d.]+\));")
-#: A factor or a term that changes nothing.
-_IDLE = re.compile(r" (?:\* R\(1\)|\+ 0)(?=[;,)\]])")
 _STATEMENT = re.compile(r"^ *(?:\(void\))?(\w+)\(", re.MULTILINE)
 
 
@@ -151,7 +150,7 @@ def _change(items: Iterable[Item], change: Callable[[str], str]) -> tuple[Item, 
 
 def _with_numbers(text: str, given: Mapping[str, str]) -> str:
     """A text with numbers in place of calls of the functions that are these numbers; 1 is no factor, 0 no term."""
-    return _IDLE.sub("", replace_calls(text, given, lambda name, _: given[name]))
+    return without_idle(replace_calls(text, given, lambda name, _: given[name]))
 
 
 def _with_calls(text: str, given: Mapping[str, str]) -> str:

@@ -16,8 +16,6 @@ _USE = r"(?P<address>(?<![&\w)\]] )(?<!&)&)?(?<![.\w])(?<!->)\b{name}\b(?P<index
 #: Tables of numbers that kernels read by the address of one of them.
 _READ_ONE = frozenset({"interval_length"})
 _ZERO_LITERAL = re.compile(r"0\.0F?")
-#: A zero in a sum, behind its first term, and in front of a comparison or the end.
-_ZERO = re.compile(r" [-+] R\(0\)(?! *[*/])")
 
 
 @dataclass(frozen=True)
@@ -111,4 +109,4 @@ def _put(text: str, name: str, same: Same) -> str:
     pattern = re.compile(rf"(?<![.\w])(?<!->)\b{name}\[")
     while match := pattern.search(blank(text)):
         text = text[: match.start()] + same.text + text[_end(text, match.end()) :]
-    return _ZERO.sub("", text) if same.is_zero else text
+    return text
