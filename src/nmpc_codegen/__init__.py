@@ -23,12 +23,12 @@ from nmpc_codegen.exclusive import COMPILING
 from nmpc_codegen.package.signals import Soft
 from nmpc_codegen.package.status import Status
 from nmpc_codegen.package.version import __version__ as __version__
-from nmpc_codegen.runtime.batch.flights import Flights
 from nmpc_codegen.runtime.batch.many import Batch
 from nmpc_codegen.runtime.batch.random import Normal, Uniform
 from nmpc_codegen.runtime.controller import Controller
 from nmpc_codegen.runtime.estimation.observer import Observer
 from nmpc_codegen.runtime.extras import DISTRIBUTION, HAS_COMPILER
+from nmpc_codegen.runtime.loops.flights import Flights
 from nmpc_codegen.runtime.loops.simulate import simulate
 from nmpc_codegen.runtime.package import open_estimator, open_package
 from nmpc_codegen.runtime.records.log import Log

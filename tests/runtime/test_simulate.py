@@ -34,6 +34,10 @@ def exact(x: Array, u: Array, dt: float) -> Array:
     return np.array([x[0] + dt * x[1] + dt**2 / 2 * u[0], x[1] + dt * u[0]])
 
 
+def in_python(k: int, ctrl: Controller) -> None:
+    """What makes simulate() take its samples in Python."""
+
+
 def test_the_log_is_the_loop(toy: Controller) -> None:
     twin = toy.copy()
     log = simulate(toy, X0, 12)
@@ -76,14 +80,14 @@ def test_long_samples_are_cut_into_the_controllers_intervals(monkeypatch: pytest
 
     monkeypatch.setattr(Controller, "diagnose", lambda self: "")
     monkeypatch.setattr(Controller, "integrate", recorded)
-    log = simulate(toy, X0, 1, dt=0.25)
+    log = simulate(toy, X0, 1, dt=0.25, before=in_python)
     np.testing.assert_allclose(steps, [0.25 / 3] * 3)
     np.testing.assert_allclose(log.x[1], exact(X0, log.u[0], 0.25), rtol=1e-13)
     steps.clear()
-    simulate(toy, X0, 1, dt=0.1 + 0.1 + 0.1)
+    simulate(toy, X0, 1, dt=0.1 + 0.1 + 0.1, before=in_python)
     assert len(steps) == 3
     steps.clear()
-    simulate(toy, X0, 1, dt=0.02)
+    simulate(toy, X0, 1, dt=0.02, before=in_python)
     assert steps == [0.02]
 
 
@@ -269,13 +273,13 @@ def controller_of_slow_grid() -> Controller:
 @pytest.mark.parametrize(
     ("data", "message"),
     [
-        ({"parameters": [1.0]}, r"parameters is list; expected \{name: array over the samples\}"),
-        ({"parameters": {"m": []}}, "parameters: 'm' is no array with a row for each sample"),
+        ({"parameters": [1.0]}, r"parameters is list; expected \{name: table over the samples\}"),
+        ({"parameters": {"m": []}}, r"parameters: 'm' has shape \(0,\); expected a number or \(n,\)"),
         ({"parameters": {"mass": 1.0}}, "no parameter 'mass'"),
         ({"parameters": {"d": np.zeros((4, 3))}}, r"parameters: 'd' has shape \(4, 3\); expected a number or \(n, 2\)"),
         ({"parameters": {"d": [1.0, 2.0]}}, r"parameters: 'd' has shape \(2,\); expected a number or \(n, 2\)"),
         ({"bounds": {"box": ([-1.0, -2.0], 1.0)}}, r"bounds: 'box' has shape \(2,\); expected a number or \(n, 2\)"),
-        ({"references": np.zeros((3, 2))}, r"references has shape \(3, 2\); expected \(n, 3\)"),
+        ({"references": np.zeros((3, 2))}, r"references has shape \(3, 2\); expected a number or \(n, 3\)"),
         ({"parameters": {"m": 2.0}, "bounds": {"zz": (0, 1)}}, "no row 'zz'"),
         ({"before": 3}, "before is 3; expected a function"),
         ({"bounds": {"a": 1.0}}, r"bounds of 'a' is 1.0; expected \(lower, upper\)"),

@@ -13,7 +13,7 @@ from nmpc_codegen.campaigns.judging.against import Against
 from nmpc_codegen.campaigns.judging.result import Campaign
 from nmpc_codegen.campaigns.judging.verdict import Asked
 from nmpc_codegen.campaigns.request import Conduct, fly_campaign
-from nmpc_codegen.campaigns.stated.statement import Stated, Wish
+from nmpc_codegen.campaigns.stated.statement import SILENT, Stated, Wish
 from nmpc_codegen.compiler import build
 from nmpc_codegen.errors import ControllerError, OptionError
 from nmpc_codegen.frontend.ocp import OCP
@@ -26,12 +26,12 @@ def split_words(words: Mapping[str, Any]) -> tuple[Wish, Conduct]:
     Raises:
         ControllerError: there is no such argument.
     """
-    of_wish, of_conduct = ({field.name for field in fields(kind)} for kind in (Wish, Conduct))
+    of_wish, of_conduct = set(Wish.__annotations__), {field.name for field in fields(Conduct)}
     unknown = sorted(set(words) - of_wish - of_conduct)
     if unknown:
         known = ", ".join(sorted(of_wish | of_conduct))
         raise ControllerError(f"campaign: no argument {unknown[0]!r}; those that exist: {known}")
-    wish = Wish(**{name: value for name, value in words.items() if name in of_wish})
+    wish: Any = {**SILENT, **{name: value for name, value in words.items() if name in of_wish}}
     return wish, Conduct(**{name: value for name, value in words.items() if name in of_conduct})
 
 

@@ -20,7 +20,7 @@ from nmpc_codegen.campaigns.judging.against import Against, check_against, refer
 from nmpc_codegen.campaigns.judging.result import Campaign
 from nmpc_codegen.campaigns.judging.verdict import Asked, Reason, Rules, rules_of
 from nmpc_codegen.campaigns.stated.defaults import facts_of
-from nmpc_codegen.campaigns.stated.statement import Wish, state_flights
+from nmpc_codegen.campaigns.stated.statement import Wish, plant_of, state_flights
 from nmpc_codegen.errors import ControllerError
 from nmpc_codegen.frontend.ocp import OCP
 from nmpc_codegen.options import Options
@@ -63,7 +63,7 @@ def fly_campaign(controller: Controller, ocp: OCP, options: Options, wish: Wish,
     conduct.check()
     check_against(controller, conduct.against, options)
     statement = state_flights(controller, facts_of(ocp), wish)
-    job = Job(controller, wish.check_plant(), statement, conduct.device)
+    job = Job(controller, plant_of(wish), statement, conduct.device)
     rules = rules_of(controller.description, statement.dt, conduct.success, conduct.tolerance)
     flown, reasons, complete = _fly(job, rules, conduct)
     best = None

@@ -235,6 +235,11 @@ class Controller(Setters):
 
     # -- inner ------------------------------------------------------------------------------------------------------
 
+    def note_sample(self, u: Array, time_ns: int) -> None:
+        """Internal: compiled code has taken a sample of this struct."""
+        self._solved, self._prepare_ns, self._feedback_ns = False, 0, time_ns
+        self._u0[:] = u
+
     @contextmanager
     def _limit(self, iterations: int) -> Iterator[None]:
         """QPs that a sample may take; a package without this member takes one."""

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from nmpc_codegen import Batch, ControllerError, Online, OptionError, Options, batch, build
 from nmpc_codegen.package.status import Status
-from nmpc_codegen.runtime.batch.driver import EXACT, declarations_of, driver_text, sizes_of
+from nmpc_codegen.runtime.batch.driver import EXACT, declarations_of, driver_text
 from nmpc_codegen.runtime.build import load_library
 from nmpc_codegen.runtime.controller import Controller
 from tests.runtime.batch.problems import N, car, reactor
@@ -229,10 +229,11 @@ def test_options_belong_to_problems(controller: Controller) -> None:
         batch(controller, 2)[2]
 
 
-def test_the_driver_compiles_without_a_warning(controller: Controller) -> None:
+@pytest.mark.parametrize("precision", ["double", "single"])
+def test_the_driver_compiles_without_a_warning(precision: str) -> None:
     header = declarations_of("driver.h", "device.h")
     load_library(
-        {"batch.h": header, "batch.c": driver_text(sizes_of(controller._package))},
+        {"batch.h": header, "batch.c": driver_text(precision)},
         "batch",
         EXACT,
         warnings_as_errors=True,

@@ -8,8 +8,7 @@ from scipy import special, stats
 
 from nmpc_codegen import ControllerError, Normal, Uniform
 from nmpc_codegen.runtime.batch.driver import EXACT, part
-from nmpc_codegen.runtime.batch.flights import draw
-from nmpc_codegen.runtime.batch.random import NOISE, Signal, signal
+from nmpc_codegen.runtime.batch.random import NOISE, Signal, draw, signal
 from nmpc_codegen.runtime.build import load_library
 
 PROBE = """

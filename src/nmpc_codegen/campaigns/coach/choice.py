@@ -115,13 +115,13 @@ def choose(ocp: OCP, given: Sequence[Options] | None, base: Options, wish: Wish,
     _check_folder(conduct)
     candidates = build_candidates(ocp, stated, given is not None)
     whole = state_flights(candidates[0].controller, facts_of(ocp), wish)
-    wish = replace(wish, steps=whole.steps, flights=whole.flights)
-    if wish.plant is None:
-        wish = replace(wish, plant=build_plant(ocp, candidates))
+    wish = {**wish, "steps": whole.steps, "flights": whole.flights}
+    if wish["plant"] is None:
+        wish = {**wish, "plant": build_plant(ocp, candidates)}
     fly = _Course(ocp, wish, conduct)
     entries: dict[str, Entry] = {}
     alive, flights = candidates, max(LEAST, whole.flights // SHARE)
-    if wish.sets or whole.given.starts or whole.given.tables or whole.given.added is not None:
+    if wish["sets"] or whole.given.starts or whole.given.tables or whole.given.added is not None:
         flights = whole.flights  # which cannot be cut: all fly all of them
     while len(alive) > 2 and flights < whole.flights:
         found = {c.change: fly.round(c, flights) for c in alive}
@@ -162,11 +162,11 @@ class _Course:
 
     def round(self, candidate: Candidate, flights: int) -> Campaign:
         """The first flights, the same for all candidates."""
-        return self._fly(candidate, replace(self._wish, flights=flights), "round")
+        return self._fly(candidate, {**self._wish, "flights": flights}, "round")
 
     def verdict(self, candidate: Candidate) -> Campaign:
         """Fresh flights."""
-        return self._fly(candidate, replace(self._wish, seed=(self._wish.seed + 1) % 2**64), "verdict")
+        return self._fly(candidate, {**self._wish, "seed": (self._wish["seed"] + 1) % 2**64}, "verdict")
 
     def _fly(self, candidate: Candidate, wish: Wish, what: str) -> Campaign:
         ocp = self._ocp if candidate.intervals == self._ocp.N else with_horizon(self._ocp, candidate.intervals)

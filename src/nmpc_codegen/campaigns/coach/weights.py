@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any, Unpack
 
 import numpy as np
@@ -12,15 +12,15 @@ from numpy.typing import ArrayLike
 
 from nmpc_codegen.campaigns.flying.fly import Flyer, Job
 from nmpc_codegen.campaigns.stated.defaults import facts_of
-from nmpc_codegen.campaigns.stated.statement import Stated, Statement, Wish, state_flights
+from nmpc_codegen.campaigns.stated.statement import SILENT, Stated, Statement, Wish, plant_of, state_flights
 from nmpc_codegen.compiler import build
 from nmpc_codegen.errors import ControllerError
 from nmpc_codegen.frontend.ocp import OCP
 from nmpc_codegen.options import Options
-from nmpc_codegen.runtime.batch.flights import Flights
 from nmpc_codegen.runtime.controller import Controller
 from nmpc_codegen.runtime.extras import extra
 from nmpc_codegen.runtime.given import is_integer
+from nmpc_codegen.runtime.loops.flights import Flights
 
 Cost = Callable[[Flights], ArrayLike]
 Ranges = Mapping[str, tuple[float, float]]
@@ -91,14 +91,14 @@ def tune_weights(
         ExtraError: Optuna is not installed.
     """
     optuna = extra("optuna", "tune_weights()")
-    allowed = {field.name for field in fields(Wish)} - {"flights"}
+    allowed = set(Stated.__annotations__)
     _check(weights, terminal_weights or {}, trials)
     if not set(stated) <= allowed:
         raise ControllerError(f"tune_weights: {sorted(set(stated) - allowed)}; expected {', '.join(sorted(allowed))}")
     ranges = {("", name): pair for name, pair in weights.items()}
     ranges |= {("terminal ", name): pair for name, pair in (terminal_weights or {}).items()}
     declared = _declared_weights(ocp, ranges)
-    course = _Course(build(ocp, options), ocp, Wish(flights=flights, **stated), cost)
+    course = _Course(build(ocp, options), ocp, {**SILENT, **stated, "flights": flights}, cost)
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     sampler = optuna.samplers.TPESampler(seed=int(stated.get("seed", 0)) % 2**32)
     study = optuna.create_study(sampler=sampler)
@@ -151,10 +151,10 @@ class _Course:
     """Flies sets of weights."""
 
     def __init__(self, controller: Controller, ocp: OCP, wish: Wish, cost: Cost) -> None:
-        self._controller, self._cost, self._plant = controller, cost, wish.check_plant()
+        self._controller, self._cost, self._plant = controller, cost, plant_of(wish)
         facts = facts_of(ocp)
         self._statements: dict[bool, Statement] = {
-            fresh: state_flights(controller, facts, Wish(**{**vars(wish), "seed": (wish.seed + fresh) % 2**64}))
+            fresh: state_flights(controller, facts, {**wish, "seed": (wish["seed"] + fresh) % 2**64})
             for fresh in (False, True)
         }
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from nmpc_codegen.errors import ControllerError
 from nmpc_codegen.package.status import Status
-from nmpc_codegen.runtime.batch.flights import Flights
+from nmpc_codegen.runtime.loops.flights import Flights
 
 Array = NDArray[Any]
 

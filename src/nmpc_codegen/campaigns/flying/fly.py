@@ -7,7 +7,7 @@ import threading
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,12 +15,16 @@ from numpy.typing import NDArray
 from nmpc_codegen.campaigns.flying.flown import Flown, Labels
 from nmpc_codegen.campaigns.stated.statement import Data, Given, Statement
 from nmpc_codegen.runtime.batch.choose import make
-from nmpc_codegen.runtime.batch.flights import Flights
-from nmpc_codegen.runtime.batch.loop import Task, judge_paths
 from nmpc_codegen.runtime.batch.many import Batch
-from nmpc_codegen.runtime.batch.structs import single
-from nmpc_codegen.runtime.batch.summary import judge_of
+from nmpc_codegen.runtime.batch.structs import Structs, single
 from nmpc_codegen.runtime.controller import Controller
+from nmpc_codegen.runtime.loops.flights import Flights
+from nmpc_codegen.runtime.loops.flying import fly, judge_paths
+from nmpc_codegen.runtime.loops.judge import judge_of
+from nmpc_codegen.runtime.loops.loop_data import Loop, state_loop
+from nmpc_codegen.runtime.loops.one_loop import Conduct, run
+from nmpc_codegen.runtime.records.log import Log
+from nmpc_codegen.runtime.records.notes import spacing
 
 Array = NDArray[np.float64]
 Device = Literal["cpu", "cuda"]
@@ -40,6 +44,33 @@ class Job:
         """Names of what is kept."""
         described = self.controller.description
         return Labels(described.names.states, judge_of(described, self.statement.dt).names, self.statement.drawn)
+
+    def loop(self, batch: Structs, plant: Structs | None, data: Data, first: int, steps: int) -> Loop:
+        """The first samples of the flights of these data, whose numbers begin with ``first``."""
+        s, unknown = self.statement, dict(data.tables["plant"])
+        if self.plant is not None:
+            unknown = {**known_to(self.plant, data.tables["known"]), **unknown}
+        return state_loop(
+            batch,
+            data.starts,
+            plant,
+            steps=steps,
+            dt=s.dt,
+            parameters=data.tables["known"] or None,
+            references=data.references,
+            disturbance=s.disturbance,
+            noise=s.noise,
+            added=None if data.added is None else data.added[..., :steps, :],
+            plant_parameters=unknown or None,
+            seed=s.seed,
+            first=first,
+        )
+
+    def fly_again(self, ctrl: Controller, number: int, conduct: Conduct, steps: int | None = None) -> Log:
+        """The log of a flight, or of its first samples, by ``ctrl``, a copy of the controller."""
+        data, count = self.statement.whole_data(number), self.statement.steps if steps is None else steps
+        plant = None if self.plant is None else single(self.plant.copy())
+        return run(self.loop(single(ctrl), plant, data, number, count), ctrl, conduct, spacing(ctrl, count))
 
 
 def known_to(plant: Controller, tables: Mapping[str, Array]) -> dict[str, Array]:
@@ -62,32 +93,16 @@ class Flyer:
 
     def simulate(self, data: Data, first: int, record: bool = False) -> Flights:
         """The flights of these data."""
-        return self._batch.simulate(data.starts, plant=self._job.plant, **self._words(data, first), record=record)
+        return fly(self._loop(data, first), record)
 
     def judge(self, data: Data, first: int, paths: tuple[Array, Array, Array]) -> Array:
         """Costs (F,) of paths of other loops with these data: states, controls, algebraic variables."""
-        task = Task(**self._words(data, first), record=False)
-        plant = None if self._job.plant is None else single(self._job.plant)
-        return judge_paths(self._batch, data.starts, task, plant, paths)[0]
+        return judge_paths(self._loop(data, first), paths)[0]
 
-    def _words(self, data: Data, first: int) -> dict[str, Any]:
-        """Arguments of Batch.simulate()."""
-        job, s = self._job, self._job.statement
-        unknown = dict(data.tables["plant"])
-        if job.plant is not None:
-            unknown = {**known_to(job.plant, data.tables["known"]), **unknown}
-        return {
-            "steps": s.steps,
-            "dt": s.dt,
-            "parameters": data.tables["known"] or None,
-            "references": data.references,
-            "disturbance": s.disturbance,
-            "noise": s.noise,
-            "added": data.added,
-            "plant_parameters": unknown or None,
-            "seed": s.seed,
-            "first": first,
-        }
+    def _loop(self, data: Data, first: int) -> Loop:
+        job = self._job
+        plant = None if job.plant is None else self._batch.structs_of(job.plant)
+        return job.loop(self._batch, plant, data, first, job.statement.steps)
 
 
 @lru_cache(maxsize=64)

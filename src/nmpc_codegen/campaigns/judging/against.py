@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from nmpc_codegen.campaigns.flying.flown import Flown
 from nmpc_codegen.campaigns.flying.fly import Flyer, Job
-from nmpc_codegen.campaigns.judging.replay import Replay
 from nmpc_codegen.economic.stage import tableau
 from nmpc_codegen.errors import ControllerError, OptionError
 from nmpc_codegen.frontend.classify import classify
@@ -20,11 +19,10 @@ from nmpc_codegen.options import Options
 from nmpc_codegen.oracle.reference import Reference, node_data
 from nmpc_codegen.runtime.controller import Controller
 from nmpc_codegen.runtime.diagnosis.rows import parameters
-from nmpc_codegen.runtime.loops.forecast import forecast
+from nmpc_codegen.runtime.loops.one_loop import Conduct, Sample
 
 Array = NDArray[np.float64]
 Against = Literal["solve", "ipopt"]
-Paths = tuple[Array, Array, Array]
 
 TOLERANCE = 1e-8  # of IPOPT
 
@@ -43,8 +41,9 @@ def reference_costs(job: Job, flown: Flown, against: Against, count: int, ocp: O
             if flown.broken[i] < 0:
                 data = s.whole_data(number)
                 with suppress(ControllerError):  # the state of the plant is not finite
-                    paths = _by_solve(job, number) if law is None else law.fly(Replay(job, number))
-                    found[i] = flyer.judge(data, number, paths)[0]
+                    ctrl = job.controller.copy()
+                    log = job.fly_again(ctrl, number, Conduct(law="solve" if law is None else law.begin(ctrl)))
+                    found[i] = flyer.judge(data, number, (log.x[None], log.u[None], log.z[None]))[0]
     return found
 
 
@@ -56,12 +55,6 @@ def check_against(controller: Controller, against: Against | None, options: Opti
         raise OptionError("against='ipopt': the problem has time, previous controls or a map; against='solve' serves")
 
 
-def _by_solve(job: Job, number: int) -> Paths:
-    """Paths with a first axis of one flight."""
-    log = Replay(job, number).simulate("solve", job.statement.steps)
-    return log.x[None], log.u[None], np.asarray(log.z)[None]
-
-
 class _IpoptLaw:
     """IPOPT in every sample."""
 
@@ -69,21 +62,17 @@ class _IpoptLaw:
         self._problem = complete(classify(ocp, options.algorithm.sampling_time), options)
         self._nlp = Reference(self._problem, tableau(self._problem, options), tol=TOLERANCE)
 
-    def fly(self, flight: Replay) -> Paths:
-        """The loop of a flight."""
-        controller, steps = flight.controller, flight.steps
-        tell = forecast(controller, flight.dt, flight.known or None, None, flight.references, None)
-        x, u, z = [flight.start], [], []
-        plan: tuple[Array | None, Array | None] = None, None
-        for k in range(steps):
-            tell(k, controller)
-            data = node_data(self._problem, x0=flight.measure(k, x[-1]), **_data_of(controller))
+    def begin(self, controller: Controller) -> Sample:
+        """What computes the samples of a flight, with the data that its controller is told."""
+        plan: list[Array | None] = [None, None]
+
+        def sample(x: Array, k: int) -> tuple[Array, int]:
+            data = node_data(self._problem, x0=x, **_data_of(controller))
             found = self._nlp.solve(data, x=plan[0], u=plan[1])
-            u.append(found.u[0])
-            z.append(np.asarray(controller.algebraic(x[-1], found.u[0])))
-            x.append(flight.plant(x[-1], found.u[0], flight.dt))
-            plan = np.vstack([found.x[1:], found.x[-1:]]), np.vstack([found.u[1:], found.u[-1:]])
-        return np.array(x)[None], np.array(u)[None], np.array(z).reshape(1, steps, -1)
+            plan[:] = np.vstack([found.x[1:], found.x[-1:]]), np.vstack([found.u[1:], found.u[-1:]])
+            return found.u[0], 0
+
+        return sample
 
 
 def _data_of(controller: Controller) -> dict[str, Any]:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nmpc_codegen.campaigns.flying.flown import Flown
-from nmpc_codegen.runtime.batch.flights import Flights
+from nmpc_codegen.runtime.loops.flights import Flights
 from nmpc_codegen.runtime.pictures.paths import draw_paths
 from nmpc_codegen.runtime.pictures.style import (
     FAILURE_COLOR,

@@ -14,14 +14,13 @@ from numpy.typing import NDArray
 from nmpc_codegen.campaigns.flying.flown import Flown
 from nmpc_codegen.campaigns.flying.fly import Flyer, Job
 from nmpc_codegen.campaigns.judging import pictures
-from nmpc_codegen.campaigns.judging.replay import replay
 from nmpc_codegen.campaigns.judging.verdict import LEVEL, Reason, Rules, interval_of_share
-from nmpc_codegen.errors import ControllerError
+from nmpc_codegen.errors import ControllerError, warn
 from nmpc_codegen.package.signals import units
 from nmpc_codegen.package.status import Status
 from nmpc_codegen.runtime import given
-from nmpc_codegen.runtime.batch.flights import Flights
-from nmpc_codegen.runtime.loops.forecast import Before
+from nmpc_codegen.runtime.loops.flights import Flights
+from nmpc_codegen.runtime.loops.one_loop import Before, Conduct
 from nmpc_codegen.runtime.records.log import Log
 
 Array = NDArray[Any]
@@ -148,7 +147,7 @@ class Campaign:
         return [bool(np.ptp(column) > 0) for column in every.T]
 
     def replay(self, number: int, before: Before | None = None) -> Log:
-        """Fly a flight again with simulate(), sample by sample: the log has the same states to the bit.
+        """Fly a flight again as simulate() does, sample by sample: the log has the same states to the bit.
 
         A flight whose state was not finite ends before that.
 
@@ -160,7 +159,15 @@ class Campaign:
             ControllerError: there is no such flight.
         """
         i = self._place(number)
-        return replay(self.job, number, int(self.flown.broken[i]), self.flown.last[i], before)
+        broken = int(self.flown.broken[i])
+        steps = None if broken < 0 else broken
+        log = self.job.fly_again(self.job.controller.copy(), number, Conduct(before=before), steps)
+        if broken < 0 and not np.array_equal(log.x[-1], self.flown.last[i]):
+            warn(
+                f"flight {number} does not end where it ended in the campaign: it was flown by other machine code; "
+                "build() for a processor has its instructions, the profile 'verify' has the same bits everywhere"
+            )
+        return log
 
     def fly_again(self, number: int) -> Flights:
         """Internal: the same with its samples as Flights of one, in compiled code."""

@@ -20,7 +20,7 @@ from nmpc_codegen.package.description import PackageDescription
 from nmpc_codegen.package.signals import members
 from nmpc_codegen.package.status import Status
 from nmpc_codegen.runtime import given
-from nmpc_codegen.runtime.batch.summary import judge_of
+from nmpc_codegen.runtime.loops.judge import judge_of
 
 Array = NDArray[Any]
 Success = Callable[[Flown], ArrayLike]

@@ -15,8 +15,7 @@ from scipy.stats import qmc
 
 from nmpc_codegen.errors import ControllerError
 from nmpc_codegen.runtime import given
-from nmpc_codegen.runtime.batch.flights import draw
-from nmpc_codegen.runtime.batch.random import START, Normal, Signal
+from nmpc_codegen.runtime.batch.random import START, Normal, Signal, draw
 
 Array = NDArray[np.float64]
 

@@ -16,8 +16,9 @@ from nmpc_codegen.errors import ControllerError
 from nmpc_codegen.package.description import PackageDescription
 from nmpc_codegen.package.signals import members
 from nmpc_codegen.runtime import given
-from nmpc_codegen.runtime.batch.random import Normal, Random
+from nmpc_codegen.runtime.batch.random import Normal
 from nmpc_codegen.runtime.controller import Controller
+from nmpc_codegen.runtime.loops.loop_data import Drawn
 from nmpc_codegen.runtime.loops.sampling import interval_of
 
 Array = NDArray[Any]
@@ -54,8 +55,8 @@ class Stated(TypedDict, total=False):
     parameters: Values | None
     known: Values | None
     references: ArrayLike | Values | None
-    disturbance: Random | ArrayLike | Mapping[str, ArrayLike] | None
-    noise: Random | ArrayLike | Mapping[str, ArrayLike] | None
+    disturbance: Drawn | None
+    noise: Drawn | None
     added: ArrayLike | None
     steps: int | None
     dt: float | None
@@ -64,29 +65,22 @@ class Stated(TypedDict, total=False):
     seed: int
 
 
-@dataclass(frozen=True, eq=False)
-class Wish:
-    """What is asked for; see Stated."""
+class Wish(Stated, total=False):
+    """The same with the number of flights."""
 
-    flights: int | None = None
-    steps: int | None = None
-    dt: float | None = None
-    starts: Distribution | ArrayLike | Values | None = None
-    parameters: Values | None = None
-    known: Values | None = None
-    references: ArrayLike | Values | None = None
-    disturbance: Random | ArrayLike | Mapping[str, ArrayLike] | None = None
-    noise: Random | ArrayLike | Mapping[str, ArrayLike] | None = None
-    added: ArrayLike | None = None
-    plant: Controller | None = None
-    sets: int = 0
-    seed: int = 0
+    flights: int | None
 
-    def check_plant(self) -> Controller | None:
-        """The plant; ControllerError if it is none."""
-        if self.plant is not None and not isinstance(self.plant, Controller):
-            raise ControllerError(f"plant is {self.plant!r:.60}; expected a Controller, as build() returns it")
-        return self.plant
+
+#: What is asked for by somebody who says nothing.
+SILENT = cast("Wish", {**dict.fromkeys(Wish.__annotations__), "sets": 0, "seed": 0})
+
+
+def plant_of(wish: Wish) -> Controller | None:
+    """The plant; ControllerError if it is none."""
+    plant = wish["plant"]
+    if plant is not None and not isinstance(plant, Controller):
+        raise ControllerError(f"plant is {plant!r:.60}; expected a Controller, as build() returns it")
+    return plant
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,8 +130,8 @@ class Statement:
     tables: Mapping[Kind, Mapping[str, Array]]
     given: Given
     added: Array | None
-    disturbance: Random | ArrayLike | Mapping[str, ArrayLike] | None
-    noise: Random | ArrayLike | Mapping[str, ArrayLike] | None
+    disturbance: Drawn | None
+    noise: Drawn | None
     states: tuple[str, ...]
 
     @property
@@ -187,32 +181,32 @@ def state_flights(controller: Controller, facts: Facts, wish: Wish) -> Statement
         ControllerError: a shape or a number is wrong, or there is no such state, parameter or residual.
     """
     described = controller.description
-    dt = interval_of(described, wish.dt)
-    flights = _count("flights", _flights_of(wish.starts) if wish.flights is None else wish.flights, 1, MOST)
-    steps = _count("steps", default_steps(described, dt) if wish.steps is None else wish.steps, 1, MOST)
-    seed = _count("seed", wish.seed, 0, 2**64 - 1)
-    length = _length_of_set(flights, wish.sets)
-    plant = wish.check_plant()
+    dt = interval_of(described, wish["dt"])
+    flights = _count("flights", _flights_of(wish["starts"]) if wish["flights"] is None else wish["flights"], 1, MOST)
+    steps = _count("steps", default_steps(described, dt) if wish["steps"] is None else wish["steps"], 1, MOST)
+    seed = _count("seed", wish["seed"], 0, 2**64 - 1)
+    length = _length_of_set(flights, wish["sets"])
+    plant = plant_of(wish)
     reader = _Reader(controller, plant, flights, steps)
-    starts = default_starts(described, facts) if wish.starts is None else wish.starts
+    starts = default_starts(described, facts) if wish["starts"] is None else wish["starts"]
     reader.read_starts(starts)
     of_plant = described.names.parameters if plant is None else plant.names.parameters
     unknown, told = _parameters_of(described, of_plant, facts, wish)
     reader.read("plant", unknown, "parameters", of_plant)
     reader.read("known", told, "known", described.names.parameters)
-    if wish.references is not None:
+    if wish["references"] is not None:
         known = list(dict.fromkeys((*described.names.y, *described.names.y_N)))
-        named = wish.references if isinstance(wish.references, Mapping) else {"": wish.references}
+        named = wish["references"] if isinstance(wish["references"], Mapping) else {"": wish["references"]}
         reader.read("reference", named, "references", known)
-    every, own = reader.split_added(wish.added, steps)
+    every, own = reader.split_added(wish["added"], steps)
     return Statement(
         *(flights, steps, dt, seed, reader.x0, tuple(reader.variables)),
-        Points(seed, len(reader.variables), wish.sets, length),
+        Points(seed, len(reader.variables), wish["sets"], length),
         reader.tables,
         Given(reader.starts, reader.each, own),
         every,
-        wish.disturbance,
-        wish.noise,
+        wish["disturbance"],
+        wish["noise"],
         described.names.states,
     )
 
@@ -223,7 +217,7 @@ def _parameters_of(
     """Parameters of the plants, and those that controllers know, too. Plants that are given a parameter by both have
     that of the first."""
     for what in ("parameters", "known"):
-        value = getattr(wish, what)
+        value = dict(wish)[what]
         if value is not None and not isinstance(value, Mapping):
             raise ControllerError(f"{what} is {value!r:.60}; expected {{name of a parameter: Box, Normal or table}}")
     names = described.names.parameters
@@ -232,10 +226,11 @@ def _parameters_of(
         taken = {i for name in (other or {}) for i in members(name, names)}
         return {name: value for name, value in default.items() if names.index(name) not in taken}
 
-    unknown = free(default_unknown(described, facts), wish.known) if wish.parameters is None else wish.parameters
-    if wish.parameters is None:
+    unknown = wish["parameters"]
+    if unknown is None:
+        unknown = free(default_unknown(described, facts), wish["known"])
         unknown = {name: value for name, value in unknown.items() if name in of_plant}
-    told = free(default_known(described, facts), wish.parameters) if wish.known is None else wish.known
+    told = free(default_known(described, facts), wish["parameters"]) if wish["known"] is None else wish["known"]
     return unknown, told
 
 

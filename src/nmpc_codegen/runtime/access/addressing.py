@@ -136,7 +136,12 @@ class Addressing(Iterate):
             self._read(value, f"{which} bound of {name!r}", len(groups), lengths, finite=False)
             for which, value in (("lower", lower), ("upper", upper))
         )
-        low, high = given.alike(low, high, f"bounds of {name!r}")
+        yield from self._bounds_of_rows(name, groups, *given.alike(low, high, f"bounds of {name!r}"))
+
+    def _bounds_of_rows(
+        self, name: str, groups: Sequence[Sequence[int]], low: Array, high: Array
+    ) -> Iterator[tuple[int, Array, Array]]:
+        """(row, lower, upper) of groups of rows, (..., n, groups) each; ControllerError if they are crossed or NaN."""
         for i, group in enumerate(groups):
             row = self.description.rows[group[0]]
             one_low, one_high = low[..., i], high[..., i]

@@ -72,13 +72,20 @@ TARGET static int32_t batch_hand_over(const batch_data_t *d, void *data, const r
     case BATCH_REFERENCE:
         return (int32_t)PACKAGE(set_reference)(s, ALL, rows);
 #endif
+#if HAS_SET_BOUNDS_RANGE
+    case BATCH_BOUNDS:
+        return (int32_t)PACKAGE(set_bounds_range)(s, d->number, 0, d->nodes, rows, rows + d->nodes);
+#elif HAS_SET_BOUNDS
+    case BATCH_BOUNDS:
+        return (int32_t)PACKAGE(set_bounds)(s, d->number, ALL, rows[0], rows[d->nodes]);
+#endif
 #if HAS_SET_PARAMETER_RANGE
     case BATCH_PARAMETER:
         return (int32_t)PACKAGE(set_parameter_range)(s, d->number, 0, d->nodes, rows);
 #elif HAS_SET_PARAMETER
     case BATCH_PARAMETER: /* of the path, then of the end */
         for (int32_t n = 0; n < d->nodes && !refused; n++) {
-            refused = (int32_t)PACKAGE(set_parameter)(s, d->number, (n == 0) ? ALL : N, rows + n * d->width);
+            refused = (int32_t)PACKAGE(set_parameter)(s, d->number, (n == 0) ? ALL : d->end, rows + n * d->width);
         }
         return refused;
 #endif

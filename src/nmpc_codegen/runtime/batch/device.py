@@ -14,10 +14,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from nmpc_codegen.errors import ControllerError, warn
 from nmpc_codegen.runtime import given
-from nmpc_codegen.runtime.batch.data import Told
-from nmpc_codegen.runtime.batch.driver import Driver, declarations_of, part, sizes_of
+from nmpc_codegen.runtime.batch.driver import REAL, Driver, declarations_of, part
 from nmpc_codegen.runtime.batch.many import Batch, check
 from nmpc_codegen.runtime.batch.structs import Into, Statuses, Structs, reserve, stride_of
+from nmpc_codegen.runtime.batch.told import Told
 from nmpc_codegen.runtime.compiled import CompiledPackage
 from nmpc_codegen.runtime.controller import Controller
 from nmpc_codegen.targets import TARGETS
@@ -39,11 +39,12 @@ SLOW = ("RiccatiInteriorPoint",)
 OPTIONAL = (
     *("algebraic", "prepare", "shift", "solve"),
     *("set_parameter", "set_parameter_range", "set_reference", "set_reference_range", "set_terminal_reference"),
+    *("set_bounds", "set_bounds_range"),
 )
 
 _SIZES = """
 typedef {real} real_t;
-enum {{ N = {N}, NX = {NX}, NU = {NU}, NALG = {NALG}, ALL = -1, ROWS = {rows} }};
+enum {{ NX = {NX}, NU = {NU}, NALG = {NALG}, ALL = -1, ROWS = {ROWS} }};
 #define PACKAGE(name) {name}_##name
 """
 
@@ -73,12 +74,18 @@ class Engine(Protocol):
 def kernel_text(package: CompiledPackage, begin: str) -> str:
     """The kernel of a package for a compiler of a device, in one text without #include."""
     name, files = package.name, package.files
-    sizes = sizes_of(package)
-    widest = max((signal.size for signal in package.description.parameters), default=1)
-    rows = (package.description.dims.N + 2) * max(widest, package.description.dims.ny, package.description.dims.ny_N)
+    described, d = package.description, package.description.dims
+    widest = max(2, d.ny, d.ny_N, *(signal.size for signal in described.parameters))
+    sizes = {name: described.interface[name] for name in ("NX", "NU")}
+    sizes |= {"NALG": max(1, len(described.names.algebraic)), "ROWS": (d.N + 2) * widest}
     has = "".join(f"#define HAS_{f.upper()} {int(f in package._functions)}\n" for f in OPTIONAL)
     text = [begin, files[f"{name}.h"], declarations_of("driver.h", "device.h")]
-    text += [_SIZES.format(**sizes, rows=max(1, rows), name=name), has, part("device.c"), files[f"{name}.c"]]
+    text += [
+        _SIZES.format(**sizes, real=REAL[described.precision], name=name),
+        has,
+        part("device.c"),
+        files[f"{name}.c"],
+    ]
     lines = [line for line in "\n".join(text).split("\n") if not line.startswith("#include")]
     return "\n".join(keep_calls(lines)) + "\n"
 
@@ -286,8 +293,8 @@ class DeviceBatch(Batch):
 
     # -- closed loops -------------------------------------------------------------------------------------------------
 
-    def _plant(self, plant: Controller | Batch) -> Structs:
-        structs = plant.host() if isinstance(plant, DeviceBatch) else super()._plant(plant)
+    def structs_of(self, plant: Controller | Batch) -> Structs:
+        structs = plant.host() if isinstance(plant, DeviceBatch) else super().structs_of(plant)
         if structs._package.fingerprint != self._package.fingerprint:
             raise ControllerError("plant: on a device it is a controller of the same package")
         return structs

@@ -64,8 +64,9 @@ typedef struct { /* data that are set before every sample, by one call of a sett
     int32_t setter; /* batch_setter_t */
     batch_function_t set; /* its function, of one row for all nodes or for the end */
     batch_function_t set_range; /* its function, of a row for each node; NULL: all nodes share one */
-    int32_t number; /* of the parameter */
+    int32_t number; /* of the parameter, or of the row */
     int32_t nodes; /* rows of stored data */
+    int32_t end; /* number of the last node */
     int32_t width; /* columns of the setter */
     int64_t offset; /* bytes from the struct to the first row */
     int64_t row_step; /* bytes from a stored row to the next one */
@@ -74,7 +75,7 @@ typedef struct { /* data that are set before every sample, by one call of a sett
     const batch_column_t *columns;
 } batch_data_t;
 
-typedef enum { BATCH_PARAMETER, BATCH_REFERENCE, BATCH_TERMINAL_REFERENCE } batch_setter_t;
+typedef enum { BATCH_PARAMETER, BATCH_REFERENCE, BATCH_TERMINAL_REFERENCE, BATCH_BOUNDS } batch_setter_t;
 
 typedef struct { /* structs of flights: one for each, or one for all */
     char *memory;
@@ -86,11 +87,14 @@ typedef struct { /* structs of flights: one for each, or one for all */
 } batch_place_t;
 
 typedef struct { /* closed loops: x_{k+1} = plant(x_k, u_k) + disturbance_k, u_k = step(x_k + noise_k) */
+    int32_t nx;
+    int32_t nu;
     batch_function_t step;
     batch_function_t integrate; /* of the plant */
     batch_function_t algebraic; /* NULL: there are no algebraic variables */
     batch_place_t controller; /* a flight changes its own, or a copy of the one for all */
     batch_place_t plant; /* a flight changes a copy; memory NULL: the controller is its own plant */
+    int32_t tells_all; /* 1: data that hold in all samples are set before each of them */
     int32_t plant_is_true; /* 1: algebraic variables are those of the plant, else those of the controller */
     const volatile int32_t *stop; /* not 0: flights end before their next sample; NULL: never */
     int64_t known; /* bytes from a struct to what a sample knows of the one before: plants of their own are told it */
@@ -120,6 +124,13 @@ typedef struct { /* closed loops: x_{k+1} = plant(x_k, u_k) + disturbance_k, u_k
 
 /* Fly the flights from .. until - 1. Returns 0, the status of a setter that has refused data, or -1 if stopped. */
 int32_t batch_fly(const batch_flights_t *f, int64_t from, int64_t until);
+
+/* Sample k of a flight alone, by the structs themselves; arrays have one flight. xhat (nx): what the controller is told.
+ * Returns what batch_fly does. */
+int32_t batch_fly_sample(const batch_flights_t *f, int64_t k, void *xhat);
+
+/* Set the data of sample k of that flight. */
+int32_t batch_tell_sample(const batch_flights_t *f, int64_t k);
 
 /* The random numbers of a signal (count, n) of samples from .. from + count - 1 of a flight. */
 void batch_draw(

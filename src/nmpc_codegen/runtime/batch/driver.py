@@ -8,7 +8,7 @@ from __future__ import annotations
 import os
 import time
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from contextlib import suppress
 from functools import cache, partial
@@ -47,19 +47,18 @@ _PROLOGUE = """\
 #include <time.h>
 
 typedef {real} real_t;
-enum {{ N = {N}, NX = {NX}, NU = {NU}, NALG = {NALG}, ALL = -1 }};
+enum {{ ALL = -1 }};
+#define NX (f->nx)
+#define NU (f->nu)
+#define NALG (f->algebraic_count)
 #define TARGET
 #define PRODUCT(a, b) ((a) * (b))
 
 """
 
 
-def sizes_of(package: CompiledPackage) -> dict[str, object]:
-    """The words of a prologue."""
-    found = package.description.interface
-    real = {"double": "double", "single": "float"}[package.description.precision]
-    algebraic = max(1, len(package.description.names.algebraic))
-    return {"real": real, "NALG": algebraic, **{name: found[name] for name in ("N", "NX", "NU")}}
+#: Precision of a package -> its type in C.
+REAL = {"double": "double", "single": "float"}
 
 
 def declarations_of(*names: str) -> str:
@@ -76,21 +75,16 @@ def part(name: str) -> str:
     return text
 
 
-def driver_text(sizes: Mapping[str, object]) -> str:
-    """The C that calls a package of these sizes for many of its structs."""
-    return _PROLOGUE.format(**sizes) + declarations_of("driver.h", "device.h") + part("processor.c")
-
-
-def load_driver(sizes: Mapping[str, object]) -> tuple[Any, Any]:
-    """ffi and lib of this C."""
-    files = {"batch.h": declarations_of("driver.h", "device.h"), "batch.c": driver_text(sizes)}
-    return load_library(files, "batch", EXACT)
+def driver_text(precision: str) -> str:
+    """The C that calls packages of a precision for many of their structs."""
+    return _PROLOGUE.format(real=REAL[precision]) + declarations_of("driver.h", "device.h") + part("processor.c")
 
 
 @cache
-def generator() -> tuple[Any, Any]:
-    """ffi and lib of the random numbers, which are the same for all packages."""
-    return load_driver({"real": "double", "N": 1, "NX": 1, "NU": 1, "NALG": 1})
+def load_driver(precision: str) -> tuple[Any, Any]:
+    """ffi and lib of this C."""
+    files = {"batch.h": declarations_of("driver.h", "device.h"), "batch.c": driver_text(precision)}
+    return load_library(files, "batch", EXACT)
 
 
 class Driver:
@@ -100,7 +94,7 @@ class Driver:
         check_threads(threads)
         self.package = package
         self.threads = _cores() if threads is None else int(threads)
-        self.ffi, self.lib = load_driver(sizes_of(package))
+        self.ffi, self.lib = load_driver(package.description.precision)
         self._took: dict[str | None, float] = {}  # seconds of one controller in the last call of a function
         self.stop = np.zeros(1, np.int32)  # 1: flights end before their next sample
         self._pool: tuple[int, ThreadPoolExecutor] | None = None

@@ -16,14 +16,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from nmpc_codegen.errors import ControllerError
 from nmpc_codegen.runtime import given
-from nmpc_codegen.runtime.batch.data import Named, Told, numbers
 from nmpc_codegen.runtime.batch.driver import Driver
-from nmpc_codegen.runtime.batch.flights import Flights
-from nmpc_codegen.runtime.batch.loop import Task, simulate_all
-from nmpc_codegen.runtime.batch.random import Random
 from nmpc_codegen.runtime.batch.structs import Statuses, Structs, reserve, single, stride_of
-from nmpc_codegen.runtime.batch.tables import Tables
+from nmpc_codegen.runtime.batch.told import Named, Told, numbers
 from nmpc_codegen.runtime.controller import Controller
+from nmpc_codegen.runtime.loops.flights import Flights
+from nmpc_codegen.runtime.loops.flying import fly
+from nmpc_codegen.runtime.loops.forecasts import Bounds, Tables
+from nmpc_codegen.runtime.loops.loop_data import Drawn, state_loop
 from nmpc_codegen.runtime.solving import limits
 
 Array = NDArray[Any]
@@ -134,9 +134,10 @@ class Batch(Structs):
         dt: float | None = None,
         *,
         parameters: Tables | None = None,
+        bounds: Bounds | None = None,
         references: ArrayLike | Tables | None = None,
-        disturbance: Random | ArrayLike | Mapping[str, ArrayLike] | None = None,
-        noise: Random | ArrayLike | Mapping[str, ArrayLike] | None = None,
+        disturbance: Drawn | None = None,
+        noise: Drawn | None = None,
         added: ArrayLike | None = None,
         plant: Controller | Batch | None = None,
         plant_parameters: Tables | None = None,
@@ -156,6 +157,7 @@ class Batch(Structs):
             parameters: {name: table over the samples} of controllers and their own plant: a number; (n,) or (F, n); for
                 a vector (n, size) or (F, n, size); 1 in the place of F: the same for all. A node has the row of the
                 sample at its time; the last row holds from there on. (F, 1) is one value for each flight.
+            bounds: {name of a row: (lower, upper)}, each a table, of a vector of rows as of a vector.
             references: {name of a residual: table}, or (n, ny), (F, n, ny) for the path residual.
             disturbance: random numbers that are added to the state after every sample: Normal(std) or Uniform(half
                 width); standard deviations alone are those of normal numbers.
@@ -178,8 +180,23 @@ class Batch(Structs):
             >>> len(flights), flights.last.shape
             (1000, (1000, 1))
         """
-        task = Task(steps, dt, parameters, references, disturbance, noise, added, plant_parameters, seed, first, record)
-        return simulate_all(self, X0, task, None if plant is None else self._plant(plant))
+        loop = state_loop(
+            self,
+            X0,
+            None if plant is None else self.structs_of(plant),
+            steps=steps,
+            dt=dt,
+            parameters=parameters,
+            bounds=bounds,
+            references=references,
+            disturbance=disturbance,
+            noise=noise,
+            added=added,
+            plant_parameters=plant_parameters,
+            seed=seed,
+            first=first,
+        )
+        return fly(loop, record)
 
     # -- data ---------------------------------------------------------------------------------------------------------
 
@@ -331,8 +348,8 @@ class Batch(Structs):
             raise IndexError(f"controller {i} of {self._count}")
         return int(i) % self._count
 
-    def _plant(self, plant: Controller | Batch) -> Structs:
-        """The structs of a plant."""
+    def structs_of(self, plant: Controller | Batch) -> Structs:
+        """Internal: the structs of a plant."""
         if not isinstance(plant, Controller | Batch):
             raise ControllerError(f"plant is {plant!r:.60}; expected a Controller or a Batch")
         return single(plant) if isinstance(plant, Controller) else plant

@@ -2,6 +2,14 @@
 
 #define ALIGNED(bytes) (((bytes) + 63) / 64 * 64)
 
+#ifdef __TINYC__ /* has no atomic operations: every thread keeps to its own share */
+#define SHARES(threads) 1
+#define CLAIM(next, chunk) ((*(next) += (chunk)) - (chunk))
+#else
+#define SHARES(threads) (threads)
+#define CLAIM(next, chunk) __atomic_fetch_add(next, chunk, __ATOMIC_RELAXED)
+#endif
+
 typedef int (*plain_t)(void *s);
 typedef int (*sample_t)(void *s, const real_t *x, real_t *u);
 typedef int (*solve_t)(void *s, const real_t *x, real_t tol, int max_iterations);
@@ -46,6 +54,11 @@ static int32_t batch_hand_over(const batch_data_t *d, void *s, const real_t *row
     if (d->setter == BATCH_TERMINAL_REFERENCE) {
         return ((set_t)d->set)(s, rows);
     }
+    if (d->setter == BATCH_BOUNDS) {
+        return (d->set_range != NULL)
+            ? ((set_pairs_t)d->set_range)(s, d->number, 0, d->nodes, rows, rows + d->nodes)
+            : ((set_pair_t)d->set)(s, d->number, ALL, rows[0], rows[d->nodes]);
+    }
     if (d->setter == BATCH_REFERENCE) {
         return (d->set_range != NULL) ? ((set_two_t)d->set_range)(s, 0, d->nodes, rows)
                                       : ((set_node_t)d->set)(s, ALL, rows);
@@ -54,7 +67,7 @@ static int32_t batch_hand_over(const batch_data_t *d, void *s, const real_t *row
         return ((set_three_t)d->set_range)(s, d->number, 0, d->nodes, rows);
     }
     for (int32_t n = 0; n < d->nodes && !refused; n++) { /* of the path, then of the end */
-        refused = ((set_two_t)d->set)(s, d->number, (n == 0) ? ALL : N, rows + n * d->width);
+        refused = ((set_two_t)d->set)(s, d->number, (n == 0) ? ALL : d->end, rows + n * d->width);
     }
     return refused;
 }
@@ -79,6 +92,18 @@ int32_t batch_fly(const batch_flights_t *f, int64_t from, int64_t until)
         refused = batch_fly_one(f, i, i - from, s, plant, (real_t *)f->rows);
     }
     return refused;
+}
+
+int32_t batch_fly_sample(const batch_flights_t *f, int64_t k, void *xhat)
+{
+    void *s = f->controller.memory, *plant = (f->plant.memory == NULL) ? s : f->plant.memory;
+    return batch_fly_one_sample(f, 0, 0, k, s, plant, (real_t *)f->rows, (real_t *)xhat);
+}
+
+int32_t batch_tell_sample(const batch_flights_t *f, int64_t k)
+{
+    void *s = f->controller.memory, *plant = (f->plant.memory == NULL) ? s : f->plant.memory;
+    return batch_tell_both(f, 0, k, s, plant, (real_t *)f->rows);
 }
 
 void batch_draw(
@@ -131,12 +156,11 @@ static int batch_call_one(const batch_call_t *c, int64_t i)
 void batch_run(const batch_call_t *c, int32_t t)
 {
     const batch_work_t *w = &c->work;
-    for (int32_t v = 0; v < w->threads; v++) { /* its own share, then those of others */
+    for (int32_t v = 0; v < SHARES(w->threads); v++) { /* its own share, then those of others */
         const int32_t share = (t + v) % w->threads;
         const int64_t end = w->count * (share + 1) / w->threads;
         int64_t *next = &w->next[8 * share];
-        for (int64_t from = __atomic_fetch_add(next, w->chunk, __ATOMIC_RELAXED); from < end;
-             from = __atomic_fetch_add(next, w->chunk, __ATOMIC_RELAXED)) {
+        for (int64_t from = CLAIM(next, w->chunk); from < end; from = CLAIM(next, w->chunk)) {
             const int64_t until = (from + w->chunk < end) ? from + w->chunk : end;
             for (int64_t i = from; i < until; i++) {
                 c->status[i] = batch_call_one(c, i);

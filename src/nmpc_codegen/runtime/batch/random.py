@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from nmpc_codegen.errors import ControllerError
 from nmpc_codegen.runtime import given
+from nmpc_codegen.runtime.batch.driver import load_driver
 
 Array = NDArray[np.float64]
 
@@ -73,3 +74,30 @@ def signal(
     if (found < 0).any():
         raise ControllerError(f"{what} is {found.tolist()}; expected sizes >= 0")
     return Signal(found, uniform, stream)
+
+
+@dataclass(frozen=True, eq=False)
+class Draws:
+    """The generator of the flights, which draws the numbers of any of them again."""
+
+    seed: int
+    first: int
+    nx: int
+    disturbance: Signal | None
+    noise: Signal | None
+
+    def of(self, signal: Signal | None, i: int, steps: int) -> Array:
+        """Numbers (steps, nx) of a signal in flight i."""
+        out = np.zeros((steps, self.nx))
+        if signal is not None:
+            draw(signal, self.seed, self.first + i, out)
+        return out
+
+
+def draw(signal: Signal, seed: int, flight: int, out: Array, begin: int = 0) -> None:
+    """Fill out (samples, nx) with the random numbers of a signal in a flight, from sample ``begin``."""
+    ffi, lib = load_driver("double")
+    random = ffi.new("batch_random_t *")
+    random.size = ffi.cast("double *", signal.size.ctypes.data)
+    random.uniform, random.stream = signal.uniform, signal.stream
+    lib.batch_draw(random, seed, flight, begin, len(out), out.shape[1], ffi.cast("double *", out.ctypes.data))

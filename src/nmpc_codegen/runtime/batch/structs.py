@@ -88,6 +88,11 @@ class Structs(Addressing):
 
         ``shared``: batch_flights_t without what is written to; ``rows``: numbers that a setter is given at most.
         """
+        c, _keep = self.aim(shared, into, rows)
+        return int(self.driver.lib.batch_fly(c, block.start, block.stop))
+
+    def aim(self, shared: Any, into: Into, rows: int) -> tuple[Any, list[Array]]:
+        """Internal: batch_flights_t with what is written to, and scratch memory, which has to live as long."""
         cast = self.driver.ffi.cast
         c = self.driver.ffi.new("batch_flights_t *", shared[0])
         for name, array in vars(into).items():
@@ -95,7 +100,7 @@ class Structs(Addressing):
         copies = reserve(2 * stride_of(max(int(c.controller.size), int(c.plant.size))))
         scratch = np.zeros(max(1, rows), self._real)
         c.copies, c.rows = cast("char *", self.driver.pointer(copies)), self.driver.pointer(scratch)
-        return int(self.driver.lib.batch_fly(c, block.start, block.stop))
+        return c, [copies, scratch]
 
 
 @dataclass(frozen=True, eq=False)

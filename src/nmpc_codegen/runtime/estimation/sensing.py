@@ -15,7 +15,6 @@ from nmpc_codegen.runtime.controller import Controller
 from nmpc_codegen.runtime.diagnosis.rows import start_parameters
 from nmpc_codegen.runtime.estimation.observer import Observer
 from nmpc_codegen.runtime.given import is_integer, is_same_time
-from nmpc_codegen.runtime.loops.forecast import Before
 from nmpc_codegen.runtime.records.trace import Estimates, Trace
 
 Array = NDArray[np.float64]
@@ -24,17 +23,15 @@ Array = NDArray[np.float64]
 class Sensing:
     """What a controller is told of the plant, sample by sample, and its record.
 
-    ``truth``: a controller with the parameters of the plant, which ``tell`` sets; in ``ctrl`` the estimator overwrites
-    those that it finds.
+    ``truth``: a controller with the parameters of the plant; in ``ctrl`` the estimator overwrites those that it finds.
     """
 
     def __init__(
-        self, ctrl: Controller, observer: Observer, seed: int | None, steps: int, interval: float, tell: Before
+        self, ctrl: Controller, observer: Observer, seed: int | None, steps: int, interval: float, truth: Controller
     ) -> None:
         if not isinstance(observer, Observer):
             raise ControllerError(f"estimator is {observer!r}; expected an Observer, build(ocp.estimator(...))")
-        self._ctrl, self._observer, self.truth = ctrl, observer, ctrl.copy()
-        self._tell = tell
+        self._ctrl, self._observer, self._truth = ctrl, observer, truth
         self._check(interval)
         if observer.nodes:  # samples of another loop
             observer.reset()
@@ -69,8 +66,7 @@ class Sensing:
 
     def look(self, k: int, x: Array, before: Array) -> Array:
         """The estimate (nx,) of the state x of the plant at sample k, where the controls ``before`` act."""
-        self._tell(k, self.truth)
-        observer, p = self._observer, start_parameters(self.truth)
+        observer, p = self._observer, start_parameters(self._truth)
         names = self._ctrl.names.parameters
         if self._known:
             observer.set_parameters({names[i]: p[i] for i in self._known})
@@ -100,8 +96,3 @@ class Sensing:
 def _limits(signal: Signal) -> list[tuple[float, float]]:
     """Between which the elements of a parameter may be set."""
     return list(zip(signal.low, signal.high, strict=True)) or [(-np.inf, np.inf)] * signal.size
-
-
-def see(k: int, x: Array, before: Array) -> Array:
-    """The state itself."""
-    return x

@@ -105,7 +105,8 @@ class Judge:
             value = values[step][:, :-1] if of_controls else values[step][:, 1:]
         else:
             value = u[:, :, place - nx] if of_controls else x[:, 1:, place]
-        low, high = (side[:, i, None] for side in (data.lower, data.upper))
+        after = slice(None, -1) if of_controls else slice(1, None)
+        low, high = (side[:, after if side.shape[1] > 1 else slice(None), i] for side in (data.lower, data.upper))
         counted = flown if of_controls else flown & np.isfinite(x[:, 1:]).all(axis=2)
         with np.errstate(invalid="ignore"):
             amount = np.where(counted, np.maximum(value - high, low - value), 0.0)
@@ -115,8 +116,8 @@ class Judge:
 @dataclass(frozen=True, eq=False)
 class Samples:
     """Data of flights: parameters (flights, steps + 1, np and those behind them), references (flights, steps, ny),
-    weights (flights, ny) or (flights, ny, ny), bounds (flights, rows); time (flights, 1) of the first sample and
-    controls (flights, nu) before it."""
+    weights (flights, ny) or (flights, ny, ny), bounds (flights, 1 or steps + 1, rows); time (flights, 1) of the first
+    sample and controls (flights, nu) before it."""
 
     p: Array
     yref: Array

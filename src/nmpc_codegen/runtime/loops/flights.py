@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 
 from nmpc_codegen.errors import ControllerError
 from nmpc_codegen.package.status import Status
-from nmpc_codegen.runtime.batch.driver import generator
-from nmpc_codegen.runtime.batch.random import Signal
+from nmpc_codegen.runtime.batch.random import Draws
 from nmpc_codegen.runtime.given import is_integer
 from nmpc_codegen.runtime.pictures.paths import draw_paths
 from nmpc_codegen.runtime.records.trace import with_unit
@@ -154,30 +153,3 @@ class Flights:
         if not is_integer(i) or not 0 <= i < len(self):
             raise ControllerError(f"flight {i!r}; expected an integer between 0 and {len(self) - 1}")
         return int(i)
-
-
-@dataclass(frozen=True, eq=False)
-class Draws:
-    """The generator of the flights, which draws the numbers of any of them again."""
-
-    seed: int
-    first: int
-    nx: int
-    disturbance: Signal | None
-    noise: Signal | None
-
-    def of(self, signal: Signal | None, i: int, steps: int) -> Array:
-        """Numbers (steps, nx) of a signal in flight i."""
-        out = np.zeros((steps, self.nx))
-        if signal is not None:
-            draw(signal, self.seed, self.first + i, out)
-        return out
-
-
-def draw(signal: Signal, seed: int, flight: int, out: NDArray[np.float64], begin: int = 0) -> None:
-    """Fill out (samples, nx) with the random numbers of a signal in a flight, from sample ``begin``."""
-    ffi, lib = generator()
-    random = ffi.new("batch_random_t *")
-    random.size = ffi.cast("double *", signal.size.ctypes.data)
-    random.uniform, random.stream = signal.uniform, signal.stream
-    lib.batch_draw(random, seed, flight, begin, len(out), out.shape[1], ffi.cast("double *", out.ctypes.data))

@@ -1,11 +1,11 @@
-"""Data over the samples of many flights: parameters and references, as the compiled loop sets them before a sample.
+"""Data of closed loops that are known over their samples: forecasts, tariffs, trajectories, limits.
 
 A table has a row for each sample, and before that an axis of flights if they differ:
 
     a number; (n,), (flights, n) for a number; (n, size), (flights, n, size) for a vector
 
-1 in the place of flights: the same for all. A node takes the row of the sample at its time, and the last row holds from
-there on, as in simulate().
+1 in the place of flights: the same for all. At sample k a node of time t_j after it takes the row of the sample that is
+the last one at or before that time, so that a forecast moves along by itself; the last row holds from there on.
 """
 
 from __future__ import annotations
@@ -25,6 +25,16 @@ from nmpc_codegen.runtime.batch.structs import Structs
 
 Array = NDArray[Any]
 Tables = Mapping[str, ArrayLike]
+Bounds = Mapping[str, tuple[ArrayLike, ArrayLike]]
+
+
+#: Setter -> the kind of its data.
+_KINDS: dict[str, Kind] = {
+    "PARAMETER": "parameter",
+    "REFERENCE": "reference",
+    "TERMINAL_REFERENCE": "reference",
+    "BOUNDS": "bounds",
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,7 +47,8 @@ class Column:
 
 @dataclass(frozen=True, eq=False)
 class Data:
-    """Columns of one setter: of parameter ``number``, or of references; ``offset``: column where its own begin."""
+    """Columns of one setter: of parameter or row ``number``, or of references; ``offset``: column where its own begin;
+    of bounds: the lower one, then the upper one."""
 
     setter: str
     number: int
@@ -89,6 +100,32 @@ def reference_data(where: Addressing, references: ArrayLike | Tables | None, fli
     return [data for data in (path, end) if data.columns]
 
 
+def bounds_data(where: Addressing, bounds: Bounds | None, flights: int) -> list[Data]:
+    """Tables of bounds by the names of rows, each (lower, upper); see above."""
+    found: list[Data] = []
+    for name, value in mapping("bounds", {} if bounds is None else bounds).items():
+        groups = where._rows_of(name)
+        where._lengths("bounds", f"the bounds of {name!r}", None)
+        sides = given.pair(value, f"bounds of {name!r}")
+        what = f"bounds: {name!r}"
+        tables = [_table(what, side, len(groups), flights, where._real, finite=False) for side in sides]
+        low, high = (np.stack(np.broadcast_arrays(*columns), axis=-1)[..., None, :] for columns in tables)
+        for row, lower, upper in where._bounds_of_rows(name, groups, *np.broadcast_arrays(*_as_long(low, high))):
+            data = Data("BOUNDS", row, "lower", row, 2)
+            data.columns.extend(Column(i, side[..., 0]) for i, side in enumerate((lower, upper)))
+            if any(other.number == row for other in found):
+                raise ControllerError(f"{what} is given twice")
+            found.append(data)
+    return found
+
+
+def _as_long(one: Array, other: Array) -> tuple[Array, Array]:
+    """Tables (flights, n, ...) of which the last row of the shorter one is repeated."""
+    n = max(one.shape[1], other.shape[1])
+    longer = (np.concatenate([a, np.repeat(a[:, -1:], n - a.shape[1], axis=1)], axis=1) for a in (one, other))
+    return tuple(longer)  # type: ignore[return-value]
+
+
 def replace_in(base: list[Data], new: list[Data]) -> list[Data]:
     """Parameters with those of ``new`` in the place of theirs."""
     found = {data.number: data for data in new}
@@ -113,7 +150,7 @@ def in_c(batch: Structs, where: Addressing, data: list[Data], ahead: NDArray[np.
     found = driver.ffi.new("batch_data_t[]", max(1, len(data)))
     itemsize = where._real.itemsize
     for c, one in zip(found, data, strict=False):
-        kind: Kind = "parameter" if one.setter == "PARAMETER" else "reference"
+        kind = _KINDS[one.setter]
         by_node = where.description.online[kind] == "node"
         name = f"set_{one.setter.lower()}"
         fields: Any = where._package.dtype.fields
@@ -127,7 +164,7 @@ def in_c(batch: Structs, where: Addressing, data: list[Data], ahead: NDArray[np.
             column.column, column.rows, column.values = of.place, values.shape[1], batch.reach(values, keep)
             column.flight_step = 0 if len(values) == 1 else values.strides[0]
         c.setter, c.number, c.nodes, c.width = getattr(driver.lib, f"BATCH_{one.setter}"), one.number, nodes, one.width
-        c.set = driver.address(name, where._package)
+        c.end, c.set = where.dims.N, driver.address(name, where._package)
         if by_node and not end:
             c.set_range = driver.address(f"{name}_range", where._package)
         c.offset, c.row_step = layout[1] + one.offset * itemsize, stored[-1] * itemsize
@@ -141,23 +178,46 @@ def at_samples(data: list[Data], flights: slice, steps: int, stored: Array) -> A
     found = np.repeat(stored[:, None, :], steps, axis=1).astype(np.float64)
     for one in data:
         for column in one.columns:
-            rows = column.values if len(column.values) == 1 else column.values[flights]
-            found[:, :, one.offset + column.place] = rows[:, np.minimum(np.arange(steps), rows.shape[1] - 1)]
+            found[:, :, one.offset + column.place] = _over_samples(column, flights, steps)
     return found
 
 
+def bounds_at(data: list[Data], side: int, flights: slice, steps: int, stored: Array) -> Array:
+    """Bounds of rows at every sample: (flights, steps, rows) from stored (flights, 1, rows), with those of tables;
+    ``side``: 0, the lower ones, or 1."""
+    found = np.repeat(stored, steps, axis=1)
+    for one in data:
+        found[:, :, one.number] = _over_samples(one.columns[side], flights, steps)
+    return found
+
+
+def _over_samples(column: Column, flights: slice, steps: int) -> Array:
+    """The values of a column at every sample, (1 or flights, steps)."""
+    rows = column.values if len(column.values) == 1 else column.values[flights]
+    return np.asarray(rows[:, np.minimum(np.arange(steps), rows.shape[1] - 1)])
+
+
 def _table(
-    what: str, value: ArrayLike, size: int, flights: int, real: np.dtype[Any], vector: bool = False
+    what: str,
+    value: ArrayLike,
+    size: int,
+    flights: int,
+    real: np.dtype[Any],
+    vector: bool = False,
+    finite: bool = True,
 ) -> list[Array]:
     """Columns (1 or flights, n) of the elements; ``vector``: even one element has an axis of elements."""
     shape = np.shape(value) if given.ndim(value) >= 0 else ()
     vector = vector or size > 1
+    if not vector and flights == 1 and len(shape) == 2 and shape[1] == 1:  # a column
+        value, shape = np.reshape(value, -1), shape[:1]
     axes = shape[:-1] if vector and shape else shape
     known = len(axes) in (1, 2) and (not vector or shape[-1] == size) and (len(axes) < 2 or axes[0] in (1, flights))
     if (shape and not known) or 0 in shape:
-        expected = f"(n, {size}), ({flights}, n, {size})" if vector else f"(n,), ({flights}, n)"
-        raise ControllerError(f"{what} has shape {shape}; expected a number, {expected}, or 1 for {flights}")
-    array = given.checked_array(value, what, real, shape)
+        row = f", {size}" if vector else ","
+        many = f", or ({flights}, n{row.rstrip(',')}), a table for each of the {flights} flights" if flights > 1 else ""
+        raise ControllerError(f"{what} has shape {shape}; expected a number or (n{row}), a row for each sample{many}")
+    array = given.checked_array(value, what, real, shape, finite)
     if not shape:
         return [array.reshape(1, 1)] * size
     whole = array.reshape(*((1,) if len(axes) < 2 else ()), *axes, size)
