@@ -91,6 +91,8 @@ def simulate(
     start = checked_state(_stack(x0, ctrl) if isinstance(x0, Mapping) else x0, ctrl.dims.nx, "x0")
     if before is not None and not callable(before):
         raise ControllerError(f"before is {before!r}; expected a function (k, ctrl)")
+    if plant is not None and not callable(plant) and not isinstance(plant, Controller):
+        raise ControllerError(f"plant is {plant!r:.60}; expected a function (x, u, dt), or a Controller")
     if estimator is not None and noise is not None:
         raise ControllerError("noise is given beside an estimator, whose measurements have their own")
     random: dict[str, Any] = {
