@@ -47,7 +47,7 @@ def test_the_same_bits_in_compiled_code_in_python_and_in_a_batch(name: str) -> N
     module = importlib.import_module(f"examples.{name}")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ProblemWarning)
-        ctrl = build(module.build_ocp(), getattr(module, "options", Options)(), VERIFY)
+        ctrl = build(module.build_ocp(), getattr(module, "options", Options)(), VERIFY)  # type: ignore[call-overload]
     described, scales = ctrl.description, np.array(ctrl.description.scales[: ctrl.dims.nx])
     stated: dict[str, Any] = {"noise": Normal(1e-3 * scales), "disturbance": Uniform(1e-4 * scales), "seed": 7}
     stated["added"] = 1e-4 * scales * np.sin(np.arange(STEPS))[:, None]

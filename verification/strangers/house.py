@@ -7,11 +7,12 @@ convergence.
 from __future__ import annotations
 
 from collections import Counter
+from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from nmpc_codegen import OCP, Controller, Online, Options, Status
+from nmpc_codegen import OCP, Controller, Online, Options, Status, simulate
 from verification.strangers.statement import Array
 
 N, DT, SAMPLES = 96, 0.25, 288
@@ -48,27 +49,23 @@ def _tariff(hour: Array) -> Array:
     return np.where(evening, 0.45, np.where(night, 0.18, 0.3))
 
 
-def _forecast(k: int, controller: Controller) -> None:
-    """Prices, weather and comfort of the nodes of sample k."""
-    t = (k + np.arange(N + 1)) * DT
+def forecast() -> dict[str, Any]:
+    """Prices, weather and comfort over the samples and the horizon of the last one, as simulate() takes them."""
+    t = np.arange(SAMPLES + N + 1) * DT
     hour = t % 24
-    day = (hour > 7) & (hour < 17)
-    controller.set_parameter("price", _tariff(t))
-    controller.set_parameter("outside", 2 + 5 * np.sin((t - 9) / 24 * 2 * np.pi))
-    controller.set_parameter("sun", np.clip(np.sin((hour - 7) / 10 * np.pi), 0, None) * 0.5 * day)
-    for j in range(1, N + 1):
-        asleep = hour[j] < 6 or hour[j] > 22
-        controller.set_bounds("comfort", 18.0 if asleep else 20.5, 23.0, node=j)
+    day, asleep = (hour > 7) & (hour < 17), (hour < 6) | (hour > 22)
+    sun = np.clip(np.sin((hour - 7) / 10 * np.pi), 0, None) * 0.5 * day
+    outside = 2 + 5 * np.sin((t - 9) / 24 * 2 * np.pi)
+    lower = np.where(asleep, 18.0, 20.5)
+    return {
+        "parameters": {"price": _tariff(t), "outside": outside, "sun": sun},
+        "bounds": {"comfort": (np.column_stack([lower, lower]), 23.0)},
+    }
 
 
 def run(controller: Controller) -> tuple[Counter[str], float]:
     """Statuses of the loop, and what it costs in EUR."""
-    x, statuses, cost = np.array(START), Counter[str](), 0.0
     controller.reset()
-    for k in range(SAMPLES):
-        _forecast(k, controller)
-        u = controller.step(x)
-        statuses[Status(controller.status).name] += 1
-        cost += float(_tariff(np.array(k * DT))) * float(u[0]) * DT
-        x = np.asarray(controller.integrate(x, u, DT))
-    return statuses, cost
+    log = simulate(controller, START, SAMPLES, plans=0, **forecast())
+    cost = float(np.sum(_tariff(log.t[:-1]) * log.u[:, 0])) * DT
+    return Counter(Status(status).name for status in log.status), cost

@@ -62,9 +62,7 @@ def _stranger(name: str, failure: str, solved: bool = False, **options: Any) -> 
         found, words = 0, s.flights(range(LOOPS))
         gusts = words["added"]
         for start in words["starts"]:
-            log = simulate(
-                flown.job.controller.copy(), start, s.samples, disturbance=lambda k, _: gusts[k], warm_start=True
-            )
+            log = simulate(flown.job.controller.copy(), start, s.samples, added=gusts, warm_start=True)
             found += int(np.sum(log.status == Status[failure]))
         return found, LOOPS * s.samples
 
@@ -131,12 +129,8 @@ def _pushed(N: int, soft: tuple[float, float] | None = None) -> Flight:
 
     def fly() -> tuple[int, int]:
         ocp, A, B = cart_in_a_box(N, soft)
-        controller, state, found = build(ocp, profile="fast"), np.array([1.0, 0, 0, 0]), 0
-        for _ in range(500):
-            u_0 = controller.step(state)
-            found += controller.status.name == "RELAXED"
-            state = A @ state + B @ u_0
-        return found, 500
+        log = simulate(build(ocp, profile="fast"), [1.0, 0, 0, 0], 500, plant=lambda x, u, _: A @ x + B @ u, plans=0)
+        return int(np.sum(log.status == Status.RELAXED)), 500
 
     return fly
 
@@ -152,14 +146,16 @@ def _culture(steps: int) -> Flight:
         ocp.subject_to(-0.1, rate, 0.1)
         ocp.subject_to(0.01, m, 1.2)
         ocp.subject_to(0, p, 2)
-        controller = build(ocp, Options(ExplicitRungeKutta(RK4, steps=steps)), "fast")
-        x, found = np.array([0.1, 0.02]), 0
-        for _ in range(40):
-            u = controller.step(x)
-            found += controller.status.name in ("NOT_CONVERGED", "ITERATION_LIMIT", "NUMERICAL_FAILURE")
+
+        def plant(x: Array, u: Array, _: float) -> Array:
             for _ in range(200):
                 x = x + 0.005 * np.array([20 * x[1] * (0.6 - x[0]) - 0.4 * x[0], u[0]])
-        return found, 40
+            return x
+
+        controller = build(ocp, Options(ExplicitRungeKutta(RK4, steps=steps)), "fast")
+        log = simulate(controller, [0.1, 0.02], 40, plant=plant, plans=0)
+        bad = (Status.NOT_CONVERGED, Status.ITERATION_LIMIT, Status.NUMERICAL_FAILURE)
+        return int(np.isin(log.status, bad).sum()), 40
 
     return fly
 
