@@ -166,7 +166,7 @@ def test_comparison_sees_status_and_nan() -> None:
 
     inputs = recording("single")
     short = Recording(
-        inputs.description, inputs.x[:2], (), np.zeros((2, 1)), np.zeros(2, dtype=np.int64), inputs.plant, np.ones(1)
+        inputs.description, inputs.x[:2], (), np.zeros((2, 1)), np.zeros(2, dtype=np.int64), np.ones(1)
     )
     run: Any = Run()
     assert compare(short, run).mismatches == (1,)

@@ -11,17 +11,19 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import count
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from nmpc_codegen.errors import ControllerError
 from nmpc_codegen.lowering.templates import environment
 from nmpc_codegen.package.description import PackageDescription
 from nmpc_codegen.package.memory import Precision
 from nmpc_codegen.runtime.controller import Controller
 from nmpc_codegen.runtime.estimation.observer import Observer
+from nmpc_codegen.runtime.loops.sampling import own_plant
+from nmpc_codegen.runtime.loops.simulate import simulate
 
 Array = NDArray[np.float64]
 Disturbed = Callable[[int, Array], Array]
@@ -29,7 +31,6 @@ Disturbed = Callable[[int, Array], Array]
 #: Largest |u - u_host| of a sample that agrees, relative to the range of the control.
 TOLERANCE = {"double": 1e-9, "single": 1e-3}
 
-STEP_SLACK = 1e-9  # relative tolerance of the number of intervals in a sampling time
 PERIOD = 50  # samples after which the loop of restart_loop() starts anew
 SPREAD = 0.05  # of the declared initial state
 
@@ -71,7 +72,6 @@ class Recording:
     events: tuple[Event, ...]
     u: Array  # (samples, nu)
     status: NDArray[np.int64]  # (samples,), of feedback, or of prepare if that failed
-    plant: Array  # (samples + 1, nx), states of the plant
     u_range: Array
 
     @property
@@ -133,35 +133,39 @@ def record(
         controller: a controller that was just built, in the profile "verify".
         x0: initial state of the plant, shape (nx,).
         samples: number of samples.
-        dt: sampling time; None: the first interval.
+        dt: sampling time, as in simulate().
         events: changes of data.
         disturbed: disturbed(k, x) -> state that is measured at sample k, from where the plant goes on.
 
     Raises:
         ControllerError: the state of the plant is not finite.
     """
-    description = controller.description
-    real, x = description.real, np.array(x0, dtype=np.float64)
-    states, measured, controls, statuses = [x], [], [], []
-    for k in range(samples):
+    description, real, numbers = controller.description, controller.description.real, count(1)
+    move = own_plant(controller)
+    restart: Disturbed = (lambda k, x: x) if disturbed is None else disturbed
+
+    def plant(x: Array, u: Array, interval: float) -> Array:
+        return np.asarray(restart(next(numbers), np.asarray(move(x, u, interval), dtype=np.float64)))
+
+    def apply(k: int, ctrl: Controller) -> None:
         for event in (e for e in events if e.sample == k):
-            event.apply(controller)
-        x = x if disturbed is None else np.asarray(disturbed(k, x))
-        x = x.astype(real).astype(np.float64)
-        if not np.all(np.isfinite(x)):
-            raise ControllerError(f"{description.name}: the state of the plant is not finite at sample {k}: {x}")
-        measured.append(x)
-        prepared = controller.prepare() if description.has_phases else 0
-        u = (controller.feedback(x) if description.has_phases else controller.step(x)).astype(np.float64)
-        controls.append(u)
-        statuses.append(int(prepared) or int(controller.status))
-        x = _next(controller, x, u, dt)
-        states.append(x)
+            event.apply(ctrl)
+
+    def sample(x: Array, k: int) -> tuple[Array, int]:
+        if not description.has_phases:
+            return controller.step(x), controller.time_ns
+        prepared = controller.prepare()
+        u = controller.feedback(x)
+        if prepared:  # what the target says, too
+            controller._struct["status"] = prepared
+        return u, controller.time_ns
+
+    start = restart(0, np.array(x0, dtype=np.float64))
+    log = simulate(controller, start, samples, dt, plant=plant, before=apply, law=sample, plans=0)
+    x, u = log.x.astype(real).astype(np.float64), log.u
     exact = tuple(Event(e.sample, e.call, np.asarray(e.values).astype(real).astype(np.float64)) for e in events)
-    u = np.array(controls).reshape(samples, description.dims.nu)
-    size = float(max(np.abs(u).max(initial=0.0), np.abs(measured).max(initial=0.0)))
-    found = ranges(description, u, size)
-    return Recording(description, np.array(measured), exact, u, np.array(statuses), np.array(states), found)
+    size = float(max(np.abs(u).max(initial=0.0), np.abs(x[:-1]).max(initial=0.0)))
+    return Recording(description, x[:-1], exact, u, log.status, ranges(description, u, size))
 
 
 def record_estimates(observer: Observer, samples: int, seed: int = 1) -> Recording:
@@ -179,17 +183,7 @@ def record_estimates(observer: Observer, samples: int, seed: int = 1) -> Recordi
         statuses.append(int(observer.status))
     x = np.array(estimates)
     spread = np.maximum(np.ptp(x, axis=0), np.abs(np.array(description.scales[: x.shape[1]])))
-    return Recording(description, np.array(inputs), (), x, np.array(statuses), x, spread)
-
-
-def _next(controller: Controller, x: Array, u: Array, dt: float | None) -> Array:
-    """The state after ``dt``, in equal steps no longer than the first interval."""
-    longest = controller.description.dt[0]
-    interval = longest if dt is None else dt
-    count = max(1, math.ceil(interval / longest * (1.0 - STEP_SLACK)))
-    for _ in range(count):
-        x = np.asarray(controller.integrate(x, u, interval / count), dtype=np.float64)
-    return x
+    return Recording(description, np.array(inputs), (), x, np.array(statuses), spread)
 
 
 def ranges(description: PackageDescription, u: Array, size: float = 0.0) -> Array:
