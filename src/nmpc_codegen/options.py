@@ -27,7 +27,6 @@ from nmpc_codegen.package.kinds import EstimatorKind
 from nmpc_codegen.package.memory import Precision
 from nmpc_codegen.package.signals import Layout, Layouts
 from nmpc_codegen.runtime.native import native
-from nmpc_codegen.runtime.records.html import page, table
 from nmpc_codegen.targets import MATHS, NATIVE, TARGETS, Math, Target
 
 REGISTRIES: Mapping[str, Mapping[str, type[Component]]] = {
@@ -189,6 +188,8 @@ class Options:
 
     def _repr_html_(self) -> str:
         """A table of all options with their values, and which of them are given."""
+        from nmpc_codegen.pictures.html import page, table
+
         mine, complete, default = as_data(self), as_data(self.with_defaults), as_data(Options())
         rows: list[tuple[object, ...]] = []
         for name, value in complete.items():

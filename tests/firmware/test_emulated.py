@@ -165,9 +165,7 @@ def test_comparison_sees_status_and_nan() -> None:
         status = np.array([0, 1])
 
     inputs = recording("single")
-    short = Recording(
-        inputs.description, inputs.x[:2], (), np.zeros((2, 1)), np.zeros(2, dtype=np.int64), np.ones(1)
-    )
+    short = Recording(inputs.description, inputs.x[:2], (), np.zeros((2, 1)), np.zeros(2, dtype=np.int64), np.ones(1))
     run: Any = Run()
     assert compare(short, run).mismatches == (1,)
     run.u = np.array([[np.nan], [0.0]], dtype=np.float32)

@@ -41,7 +41,7 @@ ORDER = (
         "lowering",
         "analysis",
     ),
-    *("oracle", "economic", "compiler", "derivatives", "firmware", "campaigns", "cli"),
+    *("oracle", "economic", "compiler", "derivatives", "firmware", "campaigns", "pictures", "cli"),
 )
 RANK = {room: rank for rank, room in enumerate(ORDER)}
 
@@ -82,7 +82,7 @@ ONLY_IN = {
     "jinja2": {"lowering/templates"},
     "cffi": {"runtime/build"},
     "cvxpy": {"economic/semidefinite"},
-    "matplotlib": {"runtime/pictures", "campaigns/judging/pictures", "cli/arguments"},
+    "matplotlib": {"pictures", "cli/arguments"},
     "optuna": {"campaigns/coach/weights"},
     "pyarrow": {"campaigns/flying/archive"},
     "pandas": {"runtime/records/tables"},
@@ -134,9 +134,14 @@ def imports(text: str) -> Iterator[str]:
                 yield node.module
 
 
+def without_pictures(text: str) -> str:
+    """A text without the imports of pictures inside functions, which only draw when they are called."""
+    return re.sub(r"^ +from nmpc_codegen\.pictures[. ].*\n", "", text, flags=re.MULTILINE)
+
+
 def own_imports(path: Path) -> set[str]:
-    """Dotted names below nmpc_codegen that a source file imports."""
-    names = imports(path.read_text(encoding="utf-8"))
+    """Dotted names below nmpc_codegen that a source file imports, of pictures only those at its top."""
+    names = imports(without_pictures(path.read_text(encoding="utf-8")))
     return {name.removeprefix("nmpc_codegen.") for name in names if name.startswith("nmpc_codegen.")}
 
 

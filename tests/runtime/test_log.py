@@ -26,7 +26,7 @@ from nmpc_codegen import (
     generate,
     simulate,
 )
-from nmpc_codegen.runtime.pictures.style import BOUND_COLOR, DOUBT_COLOR, FAILURE_COLOR, HARD, REFERENCE_COLOR, SOFT
+from nmpc_codegen.pictures.style import BOUND_COLOR, DOUBT_COLOR, FAILURE_COLOR, HARD, REFERENCE_COLOR, SOFT
 
 mpl.use("Agg")
 

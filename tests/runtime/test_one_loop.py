@@ -136,6 +136,7 @@ def test_a_plant_that_is_a_controller(controller: Controller) -> None:
         ({"plant": lambda x, u, dt: x, "plant_parameters": {"loss": 1.0}}, "plant_parameters belong to a plant"),
         ({"plant": "car"}, "plant is 'car'; expected a function"),
         ({"noise": Normal(-1.0)}, "noise is .* expected sizes >= 0"),
+        ({"noise": [0.1, 0.2], "seed": None}, "seed is None"),
         ({"noise": Normal(1.0), "seed": None}, "seed is None; expected an integer"),
         ({"added": np.zeros((2, 1))}, r"added has shape \(2, 1\)"),
         ({"bounds": {"inflow": (1.0, [0.0, 2.0])}}, "lower .* above upper"),

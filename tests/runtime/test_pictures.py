@@ -25,7 +25,7 @@ from nmpc_codegen import (
     simulate,
 )
 from nmpc_codegen.components.qp import RiccatiInteriorPoint
-from nmpc_codegen.runtime.pictures.style import HARD, break_label, columns_of
+from nmpc_codegen.pictures.style import HARD, break_label, columns_of
 
 mpl.use("Agg")
 

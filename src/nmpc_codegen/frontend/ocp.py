@@ -29,7 +29,7 @@ from nmpc_codegen.frontend.expressions import NODE
 from nmpc_codegen.frontend.grid import grid
 from nmpc_codegen.frontend.problem import LqrRequest, Signal, c_identifier
 from nmpc_codegen.frontend.rows.constraints import Constraints
-from nmpc_codegen.frontend.show import in_html, in_one_line
+from nmpc_codegen.frontend.show import in_one_line
 from nmpc_codegen.frontend.statement import (
     Declared,
     Element,
@@ -119,6 +119,8 @@ class OCP(Constraints):
         return in_one_line(self)
 
     def _repr_html_(self) -> str:
+        from nmpc_codegen.pictures.ocp_in_html import in_html
+
         return in_html(self)
 
     # Signals ---------------------------------------------------------------------------------------------------------

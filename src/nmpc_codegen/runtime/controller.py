@@ -23,7 +23,6 @@ from nmpc_codegen.runtime.compiled import CompiledPackage
 from nmpc_codegen.runtime.diagnosis.diagnose import diagnosis
 from nmpc_codegen.runtime.diagnosis.foreign_names import OF_CONTROLLER, missing
 from nmpc_codegen.runtime.memory import OnFailure
-from nmpc_codegen.runtime.records.show import in_html, in_one_line
 from nmpc_codegen.runtime.setters import Setters
 from nmpc_codegen.runtime.solving import Globalization, Solution, solve
 
@@ -219,10 +218,15 @@ class Controller(Setters):
         return diagnosis(self, self._xhat, self._solved)
 
     def __repr__(self) -> str:
-        return in_one_line(self)
+        d, described = self.dims, self.description
+        sizes = f"N={d.N}, nx={d.nx}, nu={d.nu}, np={d.np}, {d.nr} rows"
+        code = f"{described.precision}, {described.target}, profile {self.profile}, {self.nbytes} bytes"
+        return f"<Controller {described.name}: {sizes}; {code}; {self.status.name}>"
 
     def _repr_html_(self) -> str:
-        return in_html(self)
+        from nmpc_codegen.pictures.notebook import of_controller
+
+        return of_controller(self)
 
     if not TYPE_CHECKING:  # a type checker must find names that do not exist
 

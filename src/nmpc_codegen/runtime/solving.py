@@ -16,12 +16,9 @@ from nmpc_codegen.errors import ControllerError
 from nmpc_codegen.package.status import Kkt, Status
 from nmpc_codegen.runtime.given import is_integer, is_positive
 from nmpc_codegen.runtime.memory import Memory
-from nmpc_codegen.runtime.pictures.convergence import draw as draw_convergence
-from nmpc_codegen.runtime.pictures.plans import draw_plan
-from nmpc_codegen.runtime.records import convergence
-from nmpc_codegen.runtime.records.convergence import Iteration
-from nmpc_codegen.runtime.records.html import page, ranges, table
-from nmpc_codegen.runtime.records.plan import Plan, take_plan
+from nmpc_codegen.runtime.records import iterations
+from nmpc_codegen.runtime.records.iterations import Iteration
+from nmpc_codegen.runtime.records.one_plan import Plan, take_plan
 
 Array = NDArray[Any]
 Globalization = Literal["filter", "full_step"]
@@ -76,8 +73,8 @@ class Solution:
         """The iterations in aligned columns: cost, KKT residuals by parts and relative, length of the step, shift of
         the Hessian, iterations of the QP, active bounds and rows. ``file``: also written there, comma-separated."""
         if file is not None:
-            Path(file).write_text(convergence.write_csv(self.log), encoding="utf-8")
-        return convergence.table(self.log)
+            Path(file).write_text(iterations.write_csv(self.log), encoding="utf-8")
+        return iterations.table(self.log)
 
     def plot(self, file: str | os.PathLike[str] | None = None) -> Any:
         """Figure of the plan over its nodes: states, controls, algebraic variables and rows, with bounds and references
@@ -88,18 +85,15 @@ class Solution:
         """
         if self.plan is None:
             raise ControllerError("plot(): this solution was not made by solve()")
+        from nmpc_codegen.pictures.plans import draw_plan
+
         title = f"{self.plan.name}: {self.status.name} after {self.iterations} iterations, cost {self.cost:.6g}"
         return draw_plan(self.plan, title, self.status != Status.OK, file)
 
     def _repr_html_(self) -> str:
-        plan = self.plan
-        text = "\n".join(str(self).splitlines()[:-2])
-        if plan is None:
-            return page("Solution", text, [])
-        groups = [("state", plan.states, self.x), ("control", plan.controls, self.u)]
-        residuals = [(part, f"{value:.1e}") for part, value in self.kkt.parts.items()]
-        tables = [ranges([*groups, ("algebraic", plan.algebraic, self.z)]), table(("KKT residual", ""), residuals)]
-        return page(f"Solution {plan.name}", text, tables)
+        from nmpc_codegen.pictures.notebook import of_solution
+
+        return of_solution(self.plan, self.kkt, "\n".join(str(self).splitlines()[:-2]))
 
     def plot_convergence(self, file: str | os.PathLike[str] | None = None) -> Any:
         """Figure of the residuals, step lengths and shifts of all iterations; written to ``file`` if one is given.
@@ -110,8 +104,10 @@ class Solution:
         """
         if not self.log:
             raise ControllerError("plot_convergence(): solve() took no iteration; expected at least one")
+        from nmpc_codegen.pictures import convergence
+
         title = f"{self.status.name} after {self.iterations} iterations, cost {self.cost:.6g}"
-        return draw_convergence(self.log, title, self.status != Status.OK, file)
+        return convergence.draw(self.log, title, self.status != Status.OK, file)
 
     def __str__(self) -> str:
         names = self.controls or tuple(f"u[{j}]" for j in range(self.u.shape[1]))

@@ -47,23 +47,25 @@ class Job:
 
     def loop(self, batch: Structs, plant: Structs | None, data: Data, first: int, steps: int) -> Loop:
         """The first samples of the flights of these data, whose numbers begin with ``first``."""
-        s, unknown = self.statement, dict(data.tables["plant"])
+        s, unknown = self.statement, data.tables["plant"] or None
         if self.plant is not None:
-            unknown = {**known_to(self.plant, data.tables["known"]), **unknown}
+            unknown = {**known_to(self.plant, data.tables["known"]), **(unknown or {})}
+        drawn, added = (s.disturbance, s.noise), None if data.added is None else data.added[..., :steps, :]
+        known = data.tables["known"] or None
         return state_loop(
             batch,
             data.starts,
             plant,
-            steps=steps,
-            dt=s.dt,
-            parameters=data.tables["known"] or None,
-            references=data.references,
-            disturbance=s.disturbance,
-            noise=s.noise,
-            added=None if data.added is None else data.added[..., :steps, :],
-            plant_parameters=unknown or None,
-            seed=s.seed,
-            first=first,
+            steps,
+            s.dt,
+            known,
+            None,
+            data.references,
+            drawn,
+            added,
+            unknown or None,
+            s.seed,
+            first,
         )
 
     def fly_again(self, ctrl: Controller, number: int, conduct: Conduct, steps: int | None = None) -> Log:

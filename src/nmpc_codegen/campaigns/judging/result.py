@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from nmpc_codegen.campaigns.flying.flown import Flown
 from nmpc_codegen.campaigns.flying.fly import Flyer, Job
-from nmpc_codegen.campaigns.judging import pictures
 from nmpc_codegen.campaigns.judging.verdict import LEVEL, Reason, Rules, interval_of_share
 from nmpc_codegen.errors import ControllerError, warn
 from nmpc_codegen.package.signals import units
@@ -198,11 +197,14 @@ class Campaign:
             ControllerError: nothing was flown.
             ExtraError: matplotlib is not installed.
         """
+        from nmpc_codegen.pictures import paths
+
         self._check_some()
         lost = self.worst(min(DRAWN_LOST, int(self.lost.sum())))
         others = [int(n) for n in self.flown.number[~self.lost][: DRAWN - len(lost)]]
         again = [self.fly_again(n) for n in (*others, *lost)]
-        return pictures.draw_flights(again, len(lost), self._title, self._unit, file)
+        title = f"{self._outcome}; drawn are {len(lost)} of them and {len(others)} others"
+        return paths.draw(again, np.arange(len(again)) >= len(others), title, file, "lost")
 
     def plot_distributions(self, file: str | os.PathLike[str] | None = None) -> Any:
         """Figure of the distributions of costs, violations of rows, and times of samples.
@@ -214,8 +216,10 @@ class Campaign:
             ControllerError: nothing was flown.
             ExtraError: matplotlib is not installed.
         """
+        from nmpc_codegen.pictures import campaign
+
         self._check_some()
-        return pictures.draw_distributions(self.flown, self.rules.allowed, self.lost, self._title, self._unit, file)
+        return campaign.draw_distributions(self.flown, self.rules.allowed, self.lost, self._title, self._unit, file)
 
     def plot_lost(self, file: str | os.PathLike[str] | None = None) -> Any:
         """Figure of lost flights over pairs of what was drawn, those in which lost and other flights differ most.
@@ -227,8 +231,10 @@ class Campaign:
             ControllerError: nothing was flown.
             ExtraError: matplotlib is not installed.
         """
+        from nmpc_codegen.pictures import campaign
+
         self._check_some()
-        return pictures.draw_pairs(self.flown, self.lost, self._title, self._unit, file)
+        return campaign.draw_pairs(self.flown, self.lost, self._title, self._unit, file)
 
     def _check_some(self) -> None:
         if not len(self):
@@ -236,11 +242,13 @@ class Campaign:
 
     @property
     def _title(self) -> str:
+        return f"{self.job.controller.description.name}: {self._outcome}"
+
+    @property
+    def _outcome(self) -> str:
         low, high = self.interval
-        return (
-            f"{self.job.controller.description.name}: {int(self.lost.sum()):,} of {len(self):,} flights lost "
-            f"({100 * low:.3g} to {100 * high:.3g} %)"
-        )
+        share = f"({100 * low:.3g} to {100 * high:.3g} %)"
+        return f"{int(self.lost.sum()):,} of {len(self):,} flights lost {share}"
 
     @property
     def _unit(self) -> Mapping[str, str]:

@@ -180,21 +180,10 @@ class Batch(Structs):
             >>> len(flights), flights.last.shape
             (1000, (1000, 1))
         """
+        own = None if plant is None else self.structs_of(plant)
+        drawn = disturbance, noise
         loop = state_loop(
-            self,
-            X0,
-            None if plant is None else self.structs_of(plant),
-            steps=steps,
-            dt=dt,
-            parameters=parameters,
-            bounds=bounds,
-            references=references,
-            disturbance=disturbance,
-            noise=noise,
-            added=added,
-            plant_parameters=plant_parameters,
-            seed=seed,
-            first=first,
+            self, X0, own, steps, dt, parameters, bounds, references, drawn, added, plant_parameters, seed, first
         )
         return fly(loop, record)
 

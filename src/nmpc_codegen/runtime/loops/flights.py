@@ -17,8 +17,6 @@ from nmpc_codegen.errors import ControllerError
 from nmpc_codegen.package.status import Status
 from nmpc_codegen.runtime.batch.random import Draws
 from nmpc_codegen.runtime.given import is_integer
-from nmpc_codegen.runtime.pictures.paths import draw_paths
-from nmpc_codegen.runtime.records.trace import with_unit
 
 Array = NDArray[Any]
 
@@ -105,15 +103,9 @@ class Flights:
             ControllerError: the samples were not recorded, or there is none.
             ExtraError: matplotlib is not installed.
         """
-        if self.x is None or self.u is None or not self.u.size:
-            raise ControllerError("plot() needs the samples of at least one flight: simulate(..., record=True)")
-        names = (*self.states, *self.controls)
-        labels = [with_unit(name, self.units.get(name, "")) for name in names]
-        paths = [*np.moveaxis(self.x, 2, 0), *np.moveaxis(self.u, 2, 0)]
-        panels = list(zip(labels, paths, strict=True))
-        title = f"{self.name}: {len(self)} flights, {int(self.wrong.sum())} of them wrong"
-        unit = with_unit("time", self.time_unit)
-        return draw_paths(panels, len(self.states), self.wrong, self.lost >= 0, self.dt, title, unit, file)
+        from nmpc_codegen.pictures import paths
+
+        return paths.draw([self], self.wrong, f"{len(self)} flights, {int(self.wrong.sum())} of them wrong", file)
 
     def summary(self) -> str:
         """A few lines: flights, samples by status, failed and lost flights, cost, rows that were violated."""

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -151,26 +151,30 @@ class Loop:
 def state_loop(
     batch: Structs,
     X0: ArrayLike,
-    plant: Structs | None = None,
-    *,
+    plant: Structs | None,
     steps: int,
-    dt: float | None = None,
-    parameters: Tables | None = None,
-    bounds: Bounds | None = None,
-    references: ArrayLike | Tables | None = None,
-    disturbance: Drawn | None = None,
-    noise: Drawn | None = None,
-    added: ArrayLike | None = None,
-    plant_parameters: Tables | None = None,
-    seed: int = 0,
+    dt: float | None,
+    parameters: Tables | None,
+    bounds: Bounds | None,
+    references: ArrayLike | Tables | None,
+    drawn: tuple[Drawn | None, Drawn | None],
+    added: ArrayLike | None,
+    plant_parameters: Tables | None,
+    seed: int | None,
     first: int = 0,
 ) -> Loop:
-    """Check the arguments of Batch.simulate().
+    """Check the arguments of Batch.simulate(); ``drawn``: disturbance and noise.
 
     Raises:
         ControllerError: a shape or a number is wrong, or the plant is none for these controllers.
     """
-    for name, value, most in (("steps", steps, 2**31 - 1), ("seed", seed, 2**64 - 1), ("first", first, 2**62)):
+    seed = 0 if seed is None and all(of is None for of in drawn) else seed
+    numbers: dict[str, tuple[Any, int]] = {
+        "steps": (steps, 2**31 - 1),
+        "seed": (seed, 2**64 - 1),
+        "first": (first, 2**62),
+    }
+    for name, (value, most) in numbers.items():
         if not given.is_integer(value) or not 0 <= value <= most:
             raise ControllerError(f"{name} is {value!r}; expected an integer between 0 and {most}")
     starts, names, interval = (
@@ -189,7 +193,7 @@ def state_loop(
     if plant is not None and batch.shares(plant):
         plant = plant.twin()
     limits = bounds_data(batch, bounds, flights)
-    signals = signal(disturbance, "disturbance", names, DISTURBANCE), signal(noise, "noise", names, NOISE)
+    signals = signal(drawn[0], "disturbance", names, DISTURBANCE), signal(drawn[1], "noise", names, NOISE)
     return Loop(
         batch,
         plant,
@@ -199,7 +203,7 @@ def state_loop(
         interval,
         data=[*of_controller, *limits, *reference_data(batch, references, flights)],
         plant_data=of_plant,
-        draws=Draws(int(seed), int(first), len(names), *signals),
+        draws=Draws(int(cast("int", seed)), int(first), len(names), *signals),
         added=None if added is None else _disturbances(added, flights, int(steps), len(names)),
         judge=judge_of(batch.description, interval),
         keep=[],

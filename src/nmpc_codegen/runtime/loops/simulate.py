@@ -6,13 +6,13 @@ u_k = step(x_k),   x_{k+1} = plant(x_k, u_k, dt) + disturbance(k, x_k)
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from nmpc_codegen.errors import ControllerError
-from nmpc_codegen.runtime.batch.structs import single
+from nmpc_codegen.runtime.batch.structs import Structs, single
 from nmpc_codegen.runtime.controller import Controller
 from nmpc_codegen.runtime.estimation.observer import Observer
 from nmpc_codegen.runtime.given import fill_by_name, is_integer
@@ -60,73 +60,66 @@ def simulate(
         ctrl: the controller.
         x0: initial state of the plant, (nx,), or {name of a state or vector: value}; others as declared.
         steps: number of samples, >= 0.
-        dt: sampling time (s, or the OCP's unit); by default that of the controller, or its first interval if any will
-            do, as with shift=None. Leave it out for a discrete map.
-        plant: plant(x, u, dt) -> next x, or a controller, whose integrator moves the state; by default the integrator
-            of the package, in steps of at most one interval.
-        disturbance: disturbance(k, x) -> value added to the state after sample k; x is the state before this sample. Or
-            random numbers: Normal(std) or Uniform(half width), or standard deviations, of all states or by name.
+        dt: sampling time (s, or the OCP's unit); None: that of the controller or, with shift=None, its first interval.
+        plant: plant(x, u, dt) -> next x, or a controller, whose integrator moves it; None: the controller's own.
+        disturbance: disturbance(k, x) -> value added to the state after sample k, x: before it; or random numbers:
+            Normal(std), Uniform(half width), or standard deviations, of all states or by name.
         before: before(k, ctrl), called before sample k, and before solve() of ``warm_start``, to set further data.
         warm_start: call solve(x0) before the first sample: a cold start with hard rows may need more iterations.
         law: "step": step(x) at every sample; "solve": solve(x), from the plan of the sample before, moved as in step().
-        noise: noise(k, x) -> value added to the state x of sample k that the controller is told; or random numbers.
-        parameters: {name: array over the samples}, (n,), or (n, size) for a vector. A node of sample k has the row of
-            the sample at its time, k + j if intervals are as long as samples, so that a forecast moves along; the last
-            row holds from there on. Where all nodes share one value, it is that of sample k.
-        bounds: {name of a row: (lower, upper)}, each a number or an array over the samples, (n,), or (n, rows) for the
-            name of a vector of rows; nodes as for parameters.
-        references: {name of a residual: array over the samples}, or (n, ny) for the path residual.
-        reference: the same; a function that is given here belongs to ``before``.
+        noise: noise(k, x) -> value added to the state that the controller is told; or random numbers.
+        parameters: {name: table over the samples}: a number, (n,), or (n, size) for a vector. A node has the row of the
+            sample at its time, or of the present one where all nodes share it; the last row holds from there on.
+        bounds: {name of a row: (lower, upper)}, each a table; of a vector of rows (n, rows).
+        references: {name of a residual: table}, or (n, ny) for the path residual.
+        reference: the same.
         added: (steps, nx), added to the state after every sample, too.
-        plant_parameters: as ``parameters``, of a plant alone that is a controller: ``plant``, or a copy of this one.
+        plant_parameters: tables of a plant alone that is a controller: ``plant``, or a copy of this one.
         estimator: build(ocp.estimator(...)), which tells the controller the state. Parameters it finds are the plant's.
         seed: of the random numbers, and of the noise of measurements; None: measurements have no noise.
         plans: the plan of every so many samples is logged; 0: none; None: all plans, but at most 1000 and 64 MiB.
 
     Raises:
-        ControllerError: shapes or numbers are wrong, there are more steps than a log can hold, or the plant returns
-            something other than a finite state.
+        ControllerError: shapes or numbers are wrong, a log cannot hold the steps, or the plant's state is not finite.
     """
-    _check_steps(steps, _controller(ctrl))
-    start = checked_state(_stack(x0, ctrl) if isinstance(x0, Mapping) else x0, ctrl.dims.nx, "x0")
-    if before is not None and not callable(before):
-        raise ControllerError(f"before is {before!r}; expected a function (k, ctrl)")
-    if plant is not None and not callable(plant) and not isinstance(plant, Controller):
-        raise ControllerError(f"plant is {plant!r:.60}; expected a function (x, u, dt), or a Controller")
-    if estimator is not None and noise is not None:
-        raise ControllerError("noise is given beside an estimator, whose measurements have their own")
-    random: dict[str, Any] = {
-        name: None if callable(value) else value for name, value in (("disturbance", disturbance), ("noise", noise))
-    }
-    of_plant = plant_parameters
-    if callable(plant) and plant_parameters is not None:
-        raise ControllerError("plant_parameters belong to a plant that is a controller, and plant is a function")
-    if estimator is not None and not isinstance(plant, Controller) and of_plant is None:
-        of_plant = {}  # the estimator changes parameters of the controller, and not those of its plant
-    loop = state_loop(
-        single(ctrl),
-        start[None],
-        single(plant.copy()) if isinstance(plant, Controller) else None,
-        steps=steps,
-        dt=dt,
-        parameters=parameters,
-        bounds=bounds,
-        references=_references(references, reference),
-        added=added,
-        plant_parameters=of_plant,
-        seed=0 if seed is None and not any(v is not None for v in random.values()) else seed,  # type: ignore[arg-type]
-        **random,
-    )
-    conduct = Conduct(
-        plant=plant if callable(plant) else None,
-        disturbance=disturbance if callable(disturbance) else None,
-        noise=noise if callable(noise) else None,
-        before=before,
-        law=law,
-        estimator=estimator,
-        seed=seed,
-    )
+    conduct = Conduct(*map(_function, (plant, disturbance, noise)), before, law, estimator, seed)  # type: ignore[call-arg]
+    own, drawn = _check(conduct, plant, disturbance, noise, plant_parameters)
+    start, data = _start(x0, steps, _controller(ctrl)), (parameters, bounds, _references(references, reference))
+    of_plant = plant_parameters  # with an estimator of a copy of the controller, in which it changes nothing
+    of_plant = {} if estimator is not None and own is None and of_plant is None else of_plant
+    loop = state_loop(single(ctrl), start, own, steps, dt, *data, drawn, added, of_plant, seed)
     return run(loop, ctrl, conduct, _every(plans, ctrl, steps), warm_start)
+
+
+def _function(value: Any) -> Any:
+    """A function; None in the place of anything else."""
+    return value if callable(value) else None
+
+
+def _check(
+    conduct: Conduct, plant: Any, disturbance: Any, noise: Any, plant_parameters: Tables | None
+) -> tuple[Structs | None, tuple[Drawn | None, Drawn | None]]:
+    """A plant that is a controller, copied, and random numbers; ControllerError where what is stated contradicts."""
+    if conduct.before is not None and not callable(conduct.before):
+        raise ControllerError(f"before is {conduct.before!r}; expected a function (k, ctrl)")
+    if plant is not None and conduct.plant is None and not isinstance(plant, Controller):
+        raise ControllerError(f"plant is {plant!r:.60}; expected a function (x, u, dt), or a Controller")
+    if conduct.estimator is not None and noise is not None:
+        raise ControllerError("noise is given beside an estimator, whose measurements have their own")
+    if conduct.plant is not None and plant_parameters is not None:
+        raise ControllerError("plant_parameters belong to a plant that is a controller, and plant is a function")
+    own = single(plant.copy()) if isinstance(plant, Controller) else None
+    return own, (None if conduct.disturbance else disturbance, None if conduct.noise else noise)
+
+
+def _start(x0: ArrayLike | Mapping[str, ArrayLike], steps: object, ctrl: Controller) -> Array:
+    """The initial state (1, nx), which may be given by name; ControllerError also for a wrong number of steps."""
+    _check_steps(steps, ctrl)
+    given = x0
+    if isinstance(x0, Mapping):
+        given = np.array(ctrl.description.x_initial, dtype=np.float64)
+        fill_by_name(given, x0, ctrl.names.states, "x0", finite=False)
+    return checked_state(cast("ArrayLike", given), ctrl.dims.nx, "x0")[None]
 
 
 def _controller(ctrl: Controller) -> Controller:
@@ -143,14 +136,6 @@ def _references(references: References | None, reference: References | None) -> 
     if references is not None and reference is not None:
         raise ControllerError("references and reference are both given; expected one of them")
     return reference if references is None else references
-
-
-def _stack(x0: Mapping[str, ArrayLike], ctrl: Controller) -> Array:
-    """The declared initial state with the values that are given by name."""
-    states = ctrl.description.states
-    x = np.array([v for s in states for v in s.value], dtype=np.float64)
-    fill_by_name(x, x0, ctrl.names.states, "x0", finite=False)
-    return x
 
 
 def _check_steps(steps: object, ctrl: Controller) -> None:

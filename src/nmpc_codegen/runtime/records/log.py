@@ -14,12 +14,8 @@ from nmpc_codegen.errors import ControllerError
 from nmpc_codegen.package.signals import list_some
 from nmpc_codegen.package.status import Status
 from nmpc_codegen.runtime.diagnosis.diagnose import WARNED
-from nmpc_codegen.runtime.pictures import compare, film, loop, plane, plans, times
-from nmpc_codegen.runtime.pictures import rows as rows_over_time
-from nmpc_codegen.runtime.pictures.style import File
-from nmpc_codegen.runtime.records import archive, tables
-from nmpc_codegen.runtime.records.html import page, ranges
-from nmpc_codegen.runtime.records.trace import Record
+from nmpc_codegen.runtime.records import archive, tables, timing
+from nmpc_codegen.runtime.records.trace import File, Record
 
 Array = NDArray[np.float64]
 
@@ -52,12 +48,9 @@ class Log(Record):
         return f"<Log {self.name}: {self._length()}, {self._outcome()}; x {self.x.shape}, u {self.u.shape}>"
 
     def _repr_html_(self) -> str:
-        groups = [
-            *(("state", self.states, self.x), ("control", self.controls, self.u)),
-            *(("algebraic", self.algebraic, self.z), ("row", self.rows, self.h)),
-            ("parameter", self.parameters, self.p),
-        ]
-        return page(f"Log {self.name}", self.summary().partition(": ")[2], [ranges(groups)])
+        from nmpc_codegen.pictures.notebook import of_log
+
+        return of_log(self, self.summary().partition(": ")[2])
 
     @property
     def ok(self) -> bool:
@@ -110,13 +103,13 @@ class Log(Record):
         reasons = "\n".join(self._first(status) for status in self._in_order() if status != Status.OK).splitlines()
         lines += [line for i, line in enumerate(reasons) if WARNED not in line or line not in reasons[:i]]
         if len(self.time_ns):
-            lines.append(f"time per sample: {times.in_words(self)[0]}")
+            lines.append(f"time per sample: {timing.in_words(self)[0]}")
         if (found := self.estimates) is not None and len(found.status):
             bad = int(np.sum(found.status != Status.OK))
-            median, worst = times.short_time(np.median(found.time_ns)), times.short_time(np.max(found.time_ns))
+            median, worst = timing.short_time(np.median(found.time_ns)), timing.short_time(np.max(found.time_ns))
             lines.append(f"estimator: {bad} samples not OK; median {median}, worst {worst}")
         if len(self.began_ns):
-            lines += times.in_words(self)[1:]
+            lines += timing.in_words(self)[1:]
             left_out = round((self.t[-1] - self.t[0]) / self.dt) - len(self.u)
             lines += [f"{left_out} samples are missing in the recording"] if left_out else []
             lines += self.remarks
@@ -165,7 +158,9 @@ class Log(Record):
         Raises:
             ExtraError: matplotlib is not installed.
         """
-        return loop.draw(self, file)
+        from nmpc_codegen.pictures import over_time
+
+        return over_time.draw(self, file)
 
     def plot_plans(self, every: int = 5, file: File = None) -> Any:
         """Plot states and controls with the plan of some samples: what was predicted, and what happened.
@@ -177,6 +172,8 @@ class Log(Record):
         Raises:
             ControllerError: the log has no plans.
         """
+        from nmpc_codegen.pictures import plans
+
         return plans.draw(self, every, file)
 
     def plot_rows(self, rows: Sequence[str] | str | None = None, file: File = None) -> Any:
@@ -190,7 +187,9 @@ class Log(Record):
         Raises:
             ControllerError: the log has no plans, or there is no such row.
         """
-        return rows_over_time.draw(self, rows, file)
+        from nmpc_codegen.pictures import row_distances
+
+        return row_distances.draw(self, rows, file)
 
     def plot_times(self, dt: float | None = None, file: File = None) -> Any:
         """Plot how many samples took how long, with median, worst case and deadline; of a recording also the periods.
@@ -199,6 +198,8 @@ class Log(Record):
             dt: deadline, in the unit of time of the problem; None: the sampling time.
             file: as in plot().
         """
+        from nmpc_codegen.pictures import times
+
         return times.draw(self, dt, file)
 
     def plot_xy(self, x: str, y: str, rows: bool = True, every: int = 0, file: File = None) -> Any:
@@ -215,6 +216,8 @@ class Log(Record):
         Raises:
             ControllerError: there is no such state, or the log has no plans.
         """
+        from nmpc_codegen.pictures import plane
+
         return plane.draw(self, x, y, rows, every, file)
 
     def compare(self, other: Record, names: tuple[str, str] = ("this", "other"), file: File = None) -> Any:
@@ -228,6 +231,8 @@ class Log(Record):
         Raises:
             ControllerError: the logs have other units of time.
         """
+        from nmpc_codegen.pictures import compare
+
         return compare.draw(self, other, names, file)
 
     def animate(
@@ -248,6 +253,8 @@ class Log(Record):
         Raises:
             ControllerError: the log has no plans, a name or number is wrong, or the file cannot be written.
         """
+        from nmpc_codegen.pictures import film
+
         return film.draw(self, file, xy, every, fps)
 
     def to_dataframe(self) -> Any:

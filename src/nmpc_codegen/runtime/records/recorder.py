@@ -23,10 +23,10 @@ from nmpc_codegen.runtime.given import is_integer
 from nmpc_codegen.runtime.loops.sampling import interval_of
 from nmpc_codegen.runtime.memory import OnFailure
 from nmpc_codegen.runtime.package import open_package
-from nmpc_codegen.runtime.pictures.times import LATE, NANOSECONDS
 from nmpc_codegen.runtime.records import stream
 from nmpc_codegen.runtime.records.log import Log
 from nmpc_codegen.runtime.records.notes import Notes, spacing
+from nmpc_codegen.runtime.records.timing import LATE, NANOSECONDS
 
 Array = NDArray[Any]
 

@@ -16,8 +16,7 @@ from nmpc_codegen.package.seal import package_of
 from nmpc_codegen.package.status import Status
 from nmpc_codegen.runtime.controller import Controller
 from nmpc_codegen.runtime.package import open_package
-from nmpc_codegen.runtime.pictures.plans import draw_plan
-from nmpc_codegen.runtime.records.plan import take_plan
+from nmpc_codegen.runtime.records.one_plan import take_plan
 
 Array = NDArray[Any]
 
@@ -165,6 +164,8 @@ class Replay:
         if chosen is None:
             known = ", ".join(str(s.number) for s in self.samples)
             raise ControllerError(f"plot(): there is no sample {number!r}; expected one of {known}")
+        from nmpc_codegen.pictures.plans import draw_plan
+
         title = f"{self.name}: plan of sample {chosen.number}, {chosen.name}"
         return draw_plan(take_plan(chosen.controller), title, chosen.wrong, file)
 

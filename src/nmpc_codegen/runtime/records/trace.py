@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -16,6 +17,8 @@ from nmpc_codegen.package.signals import units
 from nmpc_codegen.package.status import Status
 
 Array = NDArray[np.float64]
+#: Where a picture is written; None: nowhere.
+File = str | os.PathLike[str] | None
 
 SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 

@@ -1,27 +1,24 @@
-"""Pictures of campaigns: paths, distributions, lost flights over what was drawn."""
+"""Pictures of campaigns: distributions, and lost flights over what was drawn."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from nmpc_codegen.campaigns.flying.flown import Flown
-from nmpc_codegen.runtime.loops.flights import Flights
-from nmpc_codegen.runtime.pictures.paths import draw_paths
-from nmpc_codegen.runtime.pictures.style import (
+from nmpc_codegen.pictures.style import (
     FAILURE_COLOR,
     ROW_HEIGHT,
     STATE_COLOR,
     WIDTH,
-    File,
     finish,
     new_figure,
     use_style,
 )
-from nmpc_codegen.runtime.records.trace import with_unit
+from nmpc_codegen.runtime.records.trace import File, with_unit
 
 Array = NDArray[Any]
 
@@ -31,21 +28,6 @@ VARIABLES, POINTS = 3, 600
 LOST = ("lost", {"color": FAILURE_COLOR, "marker": "o", "markersize": 3, "linestyle": ""})
 KEPT = ("not lost", {"color": STATE_COLOR, "marker": "o", "markersize": 3, "linestyle": ""})
 LIMIT = ("allowed", {"color": "0.2", "linewidth": 1.0, "linestyle": (0, (5, 3))})
-
-
-def draw_flights(again: Sequence[Flights], lost: int, title: str, unit: Mapping[str, str], file: File) -> Any:
-    """Paths of flights, each flown again with its samples; the last ``lost`` of them are lost."""
-    first = again[0]
-    names = (*first.states, *first.controls)
-    every = [np.concatenate([getattr(f, part) for f in again]) for part in ("x", "u")]
-    paths = [*np.moveaxis(every[0], 2, 0), *np.moveaxis(every[1], 2, 0)]
-    panels = [(label(name, unit), path) for name, path in zip(names, paths, strict=True)]
-    wrong = np.arange(len(again)) >= len(again) - lost
-    broken = np.concatenate([f.lost for f in again]) >= 0
-    title += f"; drawn are {lost} of them and {len(again) - lost} others"
-    return draw_paths(
-        panels, len(first.states), wrong, broken, first.dt, title, with_unit("time", unit[""]), file, "lost"
-    )
 
 
 def label(name: str, unit: Mapping[str, str]) -> str:

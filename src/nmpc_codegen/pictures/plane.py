@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from nmpc_codegen.errors import ControllerError
 from nmpc_codegen.package.signals import list_some
-from nmpc_codegen.runtime.pictures.loop import references_of, title_of
-from nmpc_codegen.runtime.pictures.plans import choose, kept_plans
-from nmpc_codegen.runtime.pictures.style import (
+from nmpc_codegen.pictures.over_time import references_of, title_of
+from nmpc_codegen.pictures.plans import choose, kept_plans
+from nmpc_codegen.pictures.style import (
     DOUBT_COLOR,
     FAILURE_COLOR,
     HARD,
@@ -21,14 +21,13 @@ from nmpc_codegen.runtime.pictures.style import (
     SOFT,
     STATE_COLOR,
     WIDTH,
-    File,
     Legend,
     finish,
     new_figure,
     spread,
     use_style,
 )
-from nmpc_codegen.runtime.records.trace import Record
+from nmpc_codegen.runtime.records.trace import File, Record
 
 Array = NDArray[np.float64]
 

@@ -11,17 +11,14 @@ from typing import Any
 import numpy as np
 
 from nmpc_codegen.errors import ControllerError
-from nmpc_codegen.runtime.extras import extra
-from nmpc_codegen.runtime.given import is_positive
-from nmpc_codegen.runtime.pictures.loop import draw_bounds, hold, signals_of, time_label, title_of
-from nmpc_codegen.runtime.pictures.plane import PATH, draw_surroundings, places
-from nmpc_codegen.runtime.pictures.plans import choose, kept_plans
-from nmpc_codegen.runtime.pictures.style import (
+from nmpc_codegen.pictures.over_time import draw_bounds, hold, signals_of, time_label, title_of
+from nmpc_codegen.pictures.plane import PATH, draw_surroundings, places
+from nmpc_codegen.pictures.plans import choose, kept_plans
+from nmpc_codegen.pictures.style import (
     CONTROL_COLOR,
     PLAN,
     STATE_COLOR,
     WIDTH,
-    File,
     finish,
     fit,
     is_inline,
@@ -30,8 +27,10 @@ from nmpc_codegen.runtime.pictures.style import (
     stack_axes,
     use_style,
 )
-from nmpc_codegen.runtime.pictures.times import nanoseconds
-from nmpc_codegen.runtime.records.trace import Plans, Record
+from nmpc_codegen.runtime.extras import extra
+from nmpc_codegen.runtime.given import is_positive
+from nmpc_codegen.runtime.records.timing import nanoseconds
+from nmpc_codegen.runtime.records.trace import File, Plans, Record
 
 WRITERS = {".gif": "pillow", ".mp4": "ffmpeg"}
 SLOWEST, FASTEST = 5.0, 30.0  # pictures per second

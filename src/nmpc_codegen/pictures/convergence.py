@@ -6,19 +6,19 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-from nmpc_codegen.runtime.extras import extra
-from nmpc_codegen.runtime.pictures.style import (
+from nmpc_codegen.pictures.style import (
     BOUND_COLOR,
     CONTROL_COLOR,
     FAILURE_COLOR,
     ROW_COLOR,
     STATE_COLOR,
-    File,
     finish,
     new_figure,
     use_style,
 )
-from nmpc_codegen.runtime.records.convergence import Iteration
+from nmpc_codegen.runtime.extras import extra
+from nmpc_codegen.runtime.records.iterations import Iteration
+from nmpc_codegen.runtime.records.trace import File
 
 PARTS = {"stationarity": STATE_COLOR, "equality": CONTROL_COLOR, "inequality": ROW_COLOR, "complementarity": "#7a4fa3"}
 

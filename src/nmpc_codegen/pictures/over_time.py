@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nmpc_codegen.package.status import Status
-from nmpc_codegen.runtime.extras import extra
-from nmpc_codegen.runtime.pictures.style import (
+from nmpc_codegen.pictures.style import (
     ALGEBRAIC_COLOR,
     CONTROL_COLOR,
     DOUBT_COLOR,
@@ -29,7 +28,6 @@ from nmpc_codegen.runtime.pictures.style import (
     SOFT,
     STATE_COLOR,
     TIME_COLOR,
-    File,
     Legend,
     finish,
     fit,
@@ -38,9 +36,10 @@ from nmpc_codegen.runtime.pictures.style import (
     stack_axes,
     use_style,
 )
-from nmpc_codegen.runtime.pictures.times import late_starts
-from nmpc_codegen.runtime.records.plan import Plan
-from nmpc_codegen.runtime.records.trace import Record, Trace, with_unit
+from nmpc_codegen.runtime.extras import extra
+from nmpc_codegen.runtime.records.one_plan import Plan
+from nmpc_codegen.runtime.records.timing import late_starts
+from nmpc_codegen.runtime.records.trace import File, Record, Trace, with_unit
 
 Array = NDArray[np.float64]
 

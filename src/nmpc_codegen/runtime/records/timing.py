@@ -1,4 +1,4 @@
-"""Computing times, deadlines and periods."""
+"""Computing times, deadlines and periods of a log, in numbers and words."""
 
 from __future__ import annotations
 
@@ -9,24 +9,8 @@ from numpy.typing import NDArray
 
 from nmpc_codegen.errors import ControllerError
 from nmpc_codegen.runtime.given import is_positive
-from nmpc_codegen.runtime.pictures.style import (
-    CONTROL_COLOR,
-    FAILURE_COLOR,
-    ROW_HEIGHT,
-    STATE_COLOR,
-    WIDTH,
-    File,
-    Legend,
-    finish,
-    new_figure,
-    use_style,
-)
 from nmpc_codegen.runtime.records.trace import Record
 
-Array = NDArray[Any]
-
-BINS = 60
-WIDE = 100.0  # times are drawn on a logarithmic axis if the largest is so many times the least
 #: Nanoseconds of the units of time that are times.
 NANOSECONDS = {
     **dict.fromkeys(("s", "sec", "seconds"), 1e9),
@@ -41,10 +25,6 @@ NANOSECONDS = {
 #: Units in which times are shown, in nanoseconds.
 SHOWN = {"h": 3600e9, "min": 60e9, "s": 1e9, "ms": 1e6, "µs": 1e3, "ns": 1.0}
 LATE = 1.5  # periods after which a sample counts as one that began late
-FAR = 100.0  # a deadline that is so many times the worst case is not drawn
-MEDIAN: Legend = ("median", {"color": "0.2", "linewidth": 1.0})
-WORST: Legend = ("worst", {"color": CONTROL_COLOR, "linewidth": 1.2})
-DEADLINE: Legend = ("deadline", {"color": FAILURE_COLOR, "linewidth": 1.2, "linestyle": (0, (5, 3))})
 
 
 def nanoseconds(log: Record, dt: float | None) -> float | None:
@@ -55,45 +35,6 @@ def nanoseconds(log: Record, dt: float | None) -> float | None:
     if unit is None and dt is not None:
         raise ControllerError(f"plot_times(): dt is {dt!r} {log.time_unit}, which is no unit of time: leave it out")
     return None if unit is None else unit * (log.dt if dt is None else dt)
-
-
-def draw(log: Record, dt: float | None, file: File) -> Any:
-    """Histogram of the computing times, and of the periods of a recording."""
-    if not len(log.time_ns):
-        raise ControllerError("plot_times(): the log has no sample")
-    deadline = nanoseconds(log, dt)
-    panels = [("computing time of a sample", log.time_ns)]
-    if len(log.began_ns) > 1:
-        panels.append(("period from sample to sample", np.diff(log.began_ns)))
-    figure = new_figure((WIDTH, 1.2 + 1.6 * ROW_HEIGHT * len(panels)), file)
-    shown = [MEDIAN, WORST]
-    with use_style():
-        axes = figure.subplots(len(panels), 1, squeeze=False)[:, 0]
-        for axis, (label, values) in zip(axes, panels, strict=True):
-            unit = _unit(np.median(values))
-            near = deadline is not None and deadline <= FAR * values.max()
-            _draw_histogram(axis, values / SHOWN[unit], deadline / SHOWN[unit] if deadline and near else None)
-            shown += [DEADLINE] if near else []
-            axis.set_xlabel(f"{label} [{unit}]")
-            axis.set_ylabel("samples")
-        return finish(figure, "\n".join([log.name, *in_words(log, dt)]), shown, file)
-
-
-def _draw_histogram(axis: Any, values: Array, limit: float | None) -> None:
-    """Counts on a logarithmic scale, so that a single late sample is seen."""
-    ends = [values.min(), values.max(), *([] if limit is None else [limit])]
-    low, high = float(min(ends)), float(max(ends))
-    wide = low > 0 and high > WIDE * low
-    if wide:
-        axis.set_xscale("log")
-    margin = 0.02 * (high - low) or 0.05 * abs(high) or 1.0
-    bins = np.geomspace(low, high, BINS + 1) if wide else np.linspace(low - margin, high + margin, BINS + 1)
-    axis.hist(values, bins=bins, color=STATE_COLOR, log=True)
-    axis.set_ylim(bottom=0.6)
-    axis.axvline(float(np.median(values)), **MEDIAN[1])
-    axis.axvline(float(values.max()), **WORST[1])
-    if limit is not None:
-        axis.axvline(limit, **DEADLINE[1])
 
 
 def in_words(log: Record, dt: float | None = None) -> list[str]:
@@ -116,7 +57,7 @@ def in_words(log: Record, dt: float | None = None) -> list[str]:
     ]
 
 
-def late_starts(log: Record) -> Array:
+def late_starts(log: Record) -> NDArray[np.int64]:
     """Samples of a recording, by their places in the log, that began more than half of a period late."""
     period = nanoseconds(log, None)
     if period is None or len(log.began_ns) < 2:
@@ -124,12 +65,12 @@ def late_starts(log: Record) -> Array:
     return np.flatnonzero(np.diff(log.began_ns) > LATE * period * np.diff(np.round(log.t[:-1] / log.dt))) + 1
 
 
-def _unit(nanoseconds: Any) -> str:
-    """The largest unit in which a time is at least 1."""
+def unit_of(nanoseconds: Any) -> str:
+    """The largest unit of SHOWN in which a time is at least 1."""
     return next((unit for unit in SHOWN if nanoseconds >= SHOWN[unit]), "ns")
 
 
 def short_time(nanoseconds: Any) -> str:
     """A time in that unit."""
-    unit = _unit(nanoseconds)
+    unit = unit_of(nanoseconds)
     return f"{nanoseconds / SHOWN[unit]:.4g} {unit}"

@@ -8,19 +8,21 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nmpc_codegen.runtime.extras import extra
-from nmpc_codegen.runtime.pictures.style import (
+from nmpc_codegen.errors import ControllerError
+from nmpc_codegen.pictures.style import (
     CONTROL_COLOR,
     FAILURE_COLOR,
     ROW_HEIGHT,
     STATE_COLOR,
     WIDTH,
-    File,
     Legend,
     finish,
     new_figure,
     use_style,
 )
+from nmpc_codegen.runtime.extras import extra
+from nmpc_codegen.runtime.loops.flights import Flights
+from nmpc_codegen.runtime.records.trace import File, with_unit
 
 Array = NDArray[np.float64]
 
@@ -32,37 +34,38 @@ FEW = 200  # paths that are drawn as lines; of more, their density is drawn
 COLUMNS, ROWS = 240, 90  # of the picture of a density
 
 
-def draw_paths(
-    panels: Sequence[tuple[str, Array]],
-    states: int,
-    wrong: NDArray[np.bool_],
-    lost: NDArray[np.bool_],
-    dt: float,
-    title: str,
-    time_label: str,
-    file: File,
-    words: str = WRONG,
-) -> Any:
-    """Figure with an axis for each of ``panels``: label, paths (flights, samples); ``states`` of them are states, the
-    rest controls, which are held until the next sample. ``wrong``: flights that are drawn last, in red, as ``words``
-    in the legend. The limits of an axis are those of flights that are not ``lost``, if there is one."""
+def draw(flights: Sequence[Flights], wrong: NDArray[np.bool_], title: str, file: File, words: str = WRONG) -> Any:
+    """Figure with an axis for each state and control, which is held until the next sample.
+
+    ``wrong``: flights that are drawn last, in red, as ``words`` in the legend. The limits of an axis are those of
+    flights whose state was finite, if there is one.
+
+    Raises:
+        ControllerError: the samples were not recorded, or there is none.
+    """
+    first, recorded = flights[0], [(f.x, f.u) for f in flights if f.x is not None and f.u is not None and f.u.size]
+    if len(recorded) < len(flights):
+        raise ControllerError("plot() needs the samples of at least one flight: simulate(..., record=True)")
+    x, u = (np.concatenate(of_all) for of_all in zip(*recorded, strict=True))
+    lost = np.concatenate([f.lost for f in flights]) >= 0
+    panels = [(STATE_COLOR, paths) for paths in np.moveaxis(x, 2, 0)]
+    panels += [(CONTROL_COLOR, paths) for paths in np.moveaxis(u, 2, 0)]
     figure = new_figure((WIDTH, 0.8 + ROW_HEIGHT * len(panels)), file)
     with use_style():
         axes = figure.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0]
-        for i, (axis, (label, values)) in enumerate(zip(axes, panels, strict=True)):
-            paths = np.append(values, values[:, -1:], axis=1) if i >= states else values
-            t = dt * np.arange(paths.shape[1])
-            if i >= states:
-                t, paths = np.repeat(t, 2)[1:], np.repeat(paths, 2, axis=1)[:, :-1]
-            _draw_panel(axis, t, paths, wrong, STATE_COLOR if i < states else CONTROL_COLOR)
+        for axis, name, (color, paths) in zip(axes, (*first.states, *first.controls), panels, strict=True):
+            t = np.asarray(first.dt * np.arange(first.steps + 1), dtype=np.float64)
+            if color is CONTROL_COLOR:
+                t, paths = np.repeat(t, 2)[1:], np.repeat(np.append(paths, paths[:, -1:], axis=1), 2, axis=1)[:, :-1]
+            _draw_panel(axis, t, paths, wrong, color)
             _set_limits(axis, paths[~lost] if (~lost).any() else paths)
-            axis.set_ylabel(label)
+            axis.set_ylabel(with_unit(name, first.units.get(name, "")))
             axis.locator_params(axis="y", nbins=4)
-        axes[-1].set_xlabel(time_label)
+        axes[-1].set_xlabel(with_unit("time", first.time_unit))
         axes[0].set_xlim(0.0, t[-1])
         figure.align_ylabels(axes)
         red: Legend = (words, {"color": FAILURE_COLOR})
-        return finish(figure, title, (MEDIAN, red) if wrong.any() else (MEDIAN,), file)
+        return finish(figure, f"{first.name}: {title}", (MEDIAN, red) if wrong.any() else (MEDIAN,), file)
 
 
 def _draw_panel(axis: Any, t: Array, paths: Array, wrong: NDArray[np.bool_], color: str) -> None:

@@ -9,16 +9,15 @@ import numpy as np
 
 from nmpc_codegen.errors import ControllerError
 from nmpc_codegen.package.signals import list_some
-from nmpc_codegen.runtime.pictures.loop import draw_marks, marks_of, time_label, title_of
-from nmpc_codegen.runtime.pictures.plans import kept_plans
-from nmpc_codegen.runtime.pictures.style import (
+from nmpc_codegen.pictures.over_time import draw_marks, marks_of, time_label, title_of
+from nmpc_codegen.pictures.plans import kept_plans
+from nmpc_codegen.pictures.style import (
     CONTROL_COLOR,
     FAILURE_COLOR,
     HARD,
     ROW_COLOR,
     ROW_HEIGHT,
     WIDTH,
-    File,
     Legend,
     finish,
     fit,
@@ -26,7 +25,7 @@ from nmpc_codegen.runtime.pictures.style import (
     new_figure,
     use_style,
 )
-from nmpc_codegen.runtime.records.trace import Plans, Record
+from nmpc_codegen.runtime.records.trace import File, Plans, Record
 
 MOST = 12  # rows that are drawn if none are named
 BOUND: Legend = ("bound", HARD[1])

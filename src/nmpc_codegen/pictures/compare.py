@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 
 from nmpc_codegen.errors import ControllerError
-from nmpc_codegen.runtime.pictures.loop import changed_parameters, curves_of, draw_bounds, draw_curve, time_label
-from nmpc_codegen.runtime.pictures.style import File, Legend, finish, fit, stack_axes, use_style
-from nmpc_codegen.runtime.records.trace import Record
+from nmpc_codegen.pictures.over_time import changed_parameters, curves_of, draw_bounds, draw_curve, time_label
+from nmpc_codegen.pictures.style import Legend, finish, fit, stack_axes, use_style
+from nmpc_codegen.runtime.records.trace import File, Record
 
 OTHER_COLOR = "#b0307a"
 

@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nmpc_codegen.errors import ControllerError
-from nmpc_codegen.runtime.given import is_integer
-from nmpc_codegen.runtime.pictures.loop import (
+from nmpc_codegen.pictures.over_time import (
     Curve,
     bounds_of,
     draw_curve,
@@ -22,21 +21,21 @@ from nmpc_codegen.runtime.pictures.loop import (
     time_label,
     title_of,
 )
-from nmpc_codegen.runtime.pictures.style import (
+from nmpc_codegen.pictures.style import (
     ALGEBRAIC_COLOR,
     CONTROL_COLOR,
     PLAN,
     ROW_COLOR,
     STATE_COLOR,
-    File,
     Legend,
     finish,
     fit,
     stack_axes,
     use_style,
 )
-from nmpc_codegen.runtime.records.plan import Plan
-from nmpc_codegen.runtime.records.trace import Plans, Record
+from nmpc_codegen.runtime.given import is_integer
+from nmpc_codegen.runtime.records.one_plan import Plan
+from nmpc_codegen.runtime.records.trace import File, Plans, Record
 
 Array = NDArray[np.float64]
 

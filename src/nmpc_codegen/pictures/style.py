@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import math
-import os
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from functools import cache
@@ -12,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from nmpc_codegen.runtime.extras import extra
-from nmpc_codegen.runtime.records.trace import Trace
+from nmpc_codegen.runtime.records.trace import File, Trace
 
 WIDTH, ROW_HEIGHT = 7.2, 1.35  # inches
 LEAST_SPREAD = 0.1  # of an axis, relative to its values
@@ -50,7 +49,6 @@ ESTIMATE_COLOR = "#d1495b"
 ESTIMATE = ("estimate ± 2 standard deviations", {"color": ESTIMATE_COLOR, "linewidth": 1.0})
 PLAN = ("plans", {"color": "#6fa3c9", "linewidth": 0.8, "alpha": 0.75})
 Legend = tuple[str, dict[str, Any]]
-File = str | os.PathLike[str] | None
 
 
 def new_figure(size: tuple[float, float], file: object) -> Any:

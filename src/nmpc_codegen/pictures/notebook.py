@@ -1,24 +1,17 @@
-"""What a controller says of itself: in one line, and as tables in a notebook."""
+"""What notebooks show of a controller, a log and a solution: a title, a text and tables."""
 
 from __future__ import annotations
 
 from nmpc_codegen.package.signals import horizon, nodes, units
+from nmpc_codegen.package.status import Kkt
+from nmpc_codegen.pictures.html import ROWS, page, ranges, shorten, table
 from nmpc_codegen.runtime.diagnosis.rows import path_bounds, path_reference, start_parameters
 from nmpc_codegen.runtime.memory import Memory
-from nmpc_codegen.runtime.records.html import ROWS, page, shorten, table
+from nmpc_codegen.runtime.records.one_plan import Plan
+from nmpc_codegen.runtime.records.trace import Record
 
 
-def in_one_line(ctrl: Memory) -> str:
-    """Name, sizes, precision, target, profile, bytes and status."""
-    d = ctrl.dims
-    sizes = f"N={d.N}, nx={d.nx}, nu={d.nu}, np={d.np}, {d.nr} rows"
-    return (
-        f"<Controller {ctrl.description.name}: {sizes}; {ctrl.description.precision}, {ctrl.description.target}, "
-        f"profile {ctrl.profile}, {ctrl.nbytes} bytes; {ctrl.status.name}>"
-    )
-
-
-def in_html(ctrl: Memory) -> str:
+def of_controller(ctrl: Memory) -> str:
     """Signals at node 0 of the plan, rows with their present bounds, references, and what the compiler has chosen."""
     described = ctrl.description
     values = {"state": ctrl.x[0], "control": ctrl.u[0], "parameter": start_parameters(ctrl)}
@@ -52,3 +45,23 @@ def in_html(ctrl: Memory) -> str:
             table(("chosen by the compiler",), [(choice,) for choice in described.report.choices]),
         ],
     )
+
+
+def of_log(log: Record, text: str) -> str:
+    """What print(log) says, and the range of every quantity."""
+    groups = [
+        *(("state", log.states, log.x), ("control", log.controls, log.u)),
+        *(("algebraic", log.algebraic, log.z), ("row", log.rows, log.h)),
+        ("parameter", log.parameters, log.p),
+    ]
+    return page(f"Log {log.name}", text, [ranges(groups)])
+
+
+def of_solution(plan: Plan | None, kkt: Kkt, text: str) -> str:
+    """What print(solution) says, the range of every quantity of its plan, and its residuals."""
+    if plan is None:
+        return page("Solution", text, [])
+    groups = [("state", plan.states, plan.x), ("control", plan.controls, plan.u)]
+    residuals = [(part, f"{value:.1e}") for part, value in kkt.parts.items()]
+    tables = [ranges([*groups, ("algebraic", plan.algebraic, plan.z)]), table(("KKT residual", ""), residuals)]
+    return page(f"Solution {plan.name}", text, tables)

@@ -1,1 +1,0 @@
-"""Pictures: of closed loops, plans, rows, times and iterations, with matplotlib."""
