@@ -12,9 +12,9 @@ from scipy.stats import binom
 
 from nmpc_codegen import ControllerError, Options, RealTimeIteration, build, simulate
 from nmpc_codegen.campaigns import Box, Campaign, Reason, campaign
-from nmpc_codegen.campaigns.flying.flown import Flown
 from nmpc_codegen.campaigns.flying.fly import Flyer
 from nmpc_codegen.campaigns.judging.verdict import interval_of_share
+from nmpc_codegen.runtime.loops.flown import Flown
 from tests.campaigns.problems import cart, point
 
 ROUGH = {"added": np.where(np.arange(40)[:, None] == 20, [0.0, 0.8], 0.0), "steps": 40}

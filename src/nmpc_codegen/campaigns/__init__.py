@@ -9,12 +9,12 @@ log = result.replay(result.worst(1)[0])
 from nmpc_codegen.campaigns.coach.choice import Choice
 from nmpc_codegen.campaigns.coach.weights import Tuned, tune_weights
 from nmpc_codegen.campaigns.entry import campaign
-from nmpc_codegen.campaigns.flying.flown import Flown
 from nmpc_codegen.campaigns.judging.result import Campaign
 from nmpc_codegen.campaigns.judging.verdict import Reason
 from nmpc_codegen.campaigns.stated.distributions import Box
 from nmpc_codegen.campaigns.stated.statement import Stated
 from nmpc_codegen.runtime.batch.random import Normal, Uniform
+from nmpc_codegen.runtime.loops.flown import Flown
 
 __all__ = [
     "Box",

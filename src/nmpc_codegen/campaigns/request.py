@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 
 from nmpc_codegen.campaigns.flying.archive import Archive
-from nmpc_codegen.campaigns.flying.flown import Flown
 from nmpc_codegen.campaigns.flying.fly import Device, Job
 from nmpc_codegen.campaigns.flying.identity import identity
 from nmpc_codegen.campaigns.flying.work import fly_all
@@ -26,6 +25,7 @@ from nmpc_codegen.frontend.ocp import OCP
 from nmpc_codegen.options import Options
 from nmpc_codegen.runtime.controller import Controller
 from nmpc_codegen.runtime.given import is_integer
+from nmpc_codegen.runtime.loops.flown import Flown
 from nmpc_codegen.runtime.loops.progress import Progress
 
 #: Flights that are compared with reference loops.

@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nmpc_codegen.campaigns.flying.flown import Flown
 from nmpc_codegen.pictures.style import (
     FAILURE_COLOR,
     ROW_HEIGHT,
@@ -18,6 +17,7 @@ from nmpc_codegen.pictures.style import (
     new_figure,
     use_style,
 )
+from nmpc_codegen.runtime.loops.flown import Flown
 from nmpc_codegen.runtime.records.trace import File, with_unit
 
 Array = NDArray[Any]

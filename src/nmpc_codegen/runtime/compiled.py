@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from nmpc_codegen.errors import ControllerError
 from nmpc_codegen.package.description import INTERFACE_SIZES, PackageDescription
 from nmpc_codegen.package.program import EDGES
-from nmpc_codegen.runtime.records.archive import BROKEN, write_arrays
+from nmpc_codegen.runtime.records.log_file import BROKEN, write_arrays
 
 ALIGNMENT = 64  # bytes: a cache line, and the widest vector register
 COUNTERS = (

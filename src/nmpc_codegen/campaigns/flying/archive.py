@@ -18,9 +18,10 @@ import numpy as np
 from filelock import FileLock, Timeout
 from numpy.typing import NDArray
 
-from nmpc_codegen.campaigns.flying.flown import Flown, Labels, heads, layout
 from nmpc_codegen.errors import ControllerError
 from nmpc_codegen.runtime.extras import extra
+from nmpc_codegen.runtime.loops.flown import Flown, Labels, heads, layout
+from nmpc_codegen.runtime.records import frames
 
 FORMAT = 1
 HEAD = "campaign.json"
@@ -80,15 +81,8 @@ class Archive:
 
     def add(self, part: Flown) -> None:
         """Write a part, whose flights have consecutive numbers."""
-        columns: dict[str, Any] = {}
-        named = heads(self._labels)
-        for name, column in part.columns.items():
-            if name in named:
-                columns |= dict(zip(named[name], column.T, strict=True))
-            else:
-                columns[name] = column
         sink = self._arrow.BufferOutputStream()
-        self._parquet.write_table(self._arrow.table({n: np.ascontiguousarray(c) for n, c in columns.items()}), sink)
+        frames.to_parquet(part.table, sink, "campaign(folder=)")
         name = f"flights-{part.number[0]:010d}-{part.number[-1]:010d}.parquet"
         self._write(self.folder / name, sink.getvalue().to_pybytes())
 

@@ -12,13 +12,13 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from nmpc_codegen.campaigns.flying.flown import Flown, Labels
 from nmpc_codegen.campaigns.stated.statement import Data, Given, Statement
 from nmpc_codegen.runtime.batch.choose import make
 from nmpc_codegen.runtime.batch.many import Batch
 from nmpc_codegen.runtime.batch.structs import Structs, single
 from nmpc_codegen.runtime.controller import Controller
 from nmpc_codegen.runtime.loops.flights import Flights
+from nmpc_codegen.runtime.loops.flown import Flown, Labels
 from nmpc_codegen.runtime.loops.flying import fly, judge_paths
 from nmpc_codegen.runtime.loops.judge import judge_of
 from nmpc_codegen.runtime.loops.loop_data import Loop, state_loop
@@ -91,7 +91,7 @@ class Flyer:
     def fly(self, first: int, count: int, own: Given) -> Flown:
         """The flights from ``first`` on; ``own``: what is given for them."""
         data = self._job.statement.data(first, count, own)
-        return Flown.of(self.simulate(data, first), first, data.drawn, data.starts, self._labels)
+        return Flown(self._labels, **{**self.simulate(data, first).columns, "drawn": data.drawn})
 
     def simulate(self, data: Data, first: int, record: bool = False) -> Flights:
         """The flights of these data."""

@@ -16,9 +16,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nmpc_codegen.campaigns.flying.flown import Flown
 from nmpc_codegen.campaigns.flying.fly import Flyer, Job, fly_elsewhere
 from nmpc_codegen.errors import ControllerError, NmpcError
+from nmpc_codegen.runtime.loops.flown import Flown
 
 #: Flights of the first part, and of any at most; seconds that a part is to take.
 FIRST, MOST, SECONDS = 32, 8192, 1.0

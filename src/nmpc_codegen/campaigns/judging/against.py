@@ -8,7 +8,6 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from nmpc_codegen.campaigns.flying.flown import Flown
 from nmpc_codegen.campaigns.flying.fly import Flyer, Job
 from nmpc_codegen.economic.stage import tableau
 from nmpc_codegen.errors import ControllerError, OptionError
@@ -19,6 +18,7 @@ from nmpc_codegen.options import Options
 from nmpc_codegen.oracle.reference import Reference, node_data
 from nmpc_codegen.runtime.controller import Controller
 from nmpc_codegen.runtime.diagnosis.rows import parameters
+from nmpc_codegen.runtime.loops.flown import Flown
 from nmpc_codegen.runtime.loops.one_loop import Conduct, Sample
 
 Array = NDArray[np.float64]

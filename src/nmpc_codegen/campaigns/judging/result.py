@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nmpc_codegen.campaigns.flying.flown import Flown
 from nmpc_codegen.campaigns.flying.fly import Flyer, Job
 from nmpc_codegen.campaigns.judging.verdict import LEVEL, Reason, Rules, interval_of_share
 from nmpc_codegen.errors import ControllerError, warn
@@ -19,7 +18,10 @@ from nmpc_codegen.package.signals import units
 from nmpc_codegen.package.status import Status
 from nmpc_codegen.runtime import given
 from nmpc_codegen.runtime.loops.flights import Flights
+from nmpc_codegen.runtime.loops.flown import Flown
 from nmpc_codegen.runtime.loops.one_loop import Before, Conduct
+from nmpc_codegen.runtime.records import frames
+from nmpc_codegen.runtime.records.frames import Column
 from nmpc_codegen.runtime.records.log import Log
 
 Array = NDArray[Any]
@@ -184,6 +186,33 @@ class Campaign:
         if i == len(self) or self.flown.number[i] != number:
             raise ControllerError(f"flight {number!r}; expected the number of a flight that was flown")
         return i
+
+    # -- tables -------------------------------------------------------------------------------------------------------
+
+    @property
+    def _table(self) -> list[Column]:
+        """What is kept of every flight, and its verdict."""
+        reasons = np.array([Reason(r).name for r in self.reasons], dtype=object)
+        return [*self.flown.table, Column("reason", values=reasons)]
+
+    def to_dataframe(self) -> Any:
+        """A pandas DataFrame with a row for each flight: Flown.to_dataframe(), and ("reason", ""), why it is lost.
+
+        Raises:
+            ExtraError: pandas is not installed.
+        """
+        return frames.to_dataframe(self._table[1:], self.flown.number, "flight", "Campaign.to_dataframe()")
+
+    def to_parquet(self, file: str | os.PathLike[str]) -> None:
+        """Write the same as a Parquet file.
+
+        Args:
+            file: its path.
+
+        Raises:
+            ExtraError: pyarrow is not installed.
+        """
+        frames.to_parquet(self._table, file, "Campaign.to_parquet()")
 
     # -- pictures -----------------------------------------------------------------------------------------------------
 

@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.stats import beta, t
 
-from nmpc_codegen.campaigns.flying.flown import Flown
 from nmpc_codegen.campaigns.stated.distributions import Box
 from nmpc_codegen.campaigns.stated.statement import Data
 from nmpc_codegen.errors import ControllerError
@@ -20,6 +19,7 @@ from nmpc_codegen.package.description import PackageDescription
 from nmpc_codegen.package.signals import members
 from nmpc_codegen.package.status import Status
 from nmpc_codegen.runtime import given
+from nmpc_codegen.runtime.loops.flown import Flown
 from nmpc_codegen.runtime.loops.judge import judge_of
 
 Array = NDArray[Any]

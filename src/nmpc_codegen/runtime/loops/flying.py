@@ -13,6 +13,7 @@ from nmpc_codegen.package.signals import units
 from nmpc_codegen.package.status import Status
 from nmpc_codegen.runtime.batch.structs import Into
 from nmpc_codegen.runtime.loops.flights import Flights
+from nmpc_codegen.runtime.loops.flown import Flown, Labels
 from nmpc_codegen.runtime.loops.judge import Samples
 from nmpc_codegen.runtime.loops.loop_data import Loop
 
@@ -47,15 +48,14 @@ class _Result:
 
     def __init__(self, loop: Loop, record: bool) -> None:
         self._loop = loop
-        flights, steps = len(loop.starts), loop.steps
-        nx, nu = loop.batch.dims.nx, loop.batch.description.interface["NU"]
+        flights, steps, described = len(loop.starts), loop.steps, loop.batch.description
+        nx, nu = loop.batch.dims.nx, described.interface["NU"]
         self._shapes = (steps + 1, nx), (steps, nu), (steps,)
         self._record = [_unflown((flights, *s), i == 2) for i, s in enumerate(self._shapes)] if record else None
-        self._counts = np.zeros((flights, len(Status)), np.int64)
-        self._failed, self._lost = np.full(flights, -1, np.int64), np.full(flights, -1, np.int64)
-        self._ended, self._seconds = np.full(flights, -1, np.int8), np.zeros((flights, 2))
-        self._cost, self._last = np.zeros(flights), np.zeros((flights, nx))
-        self._violation = np.zeros((flights, len(loop.judge.rows)))
+        labels = Labels(described.names.states, loop.judge.names, ())
+        self._flown = Flown.empty(labels, flights)
+        self._flown.number[:] = loop.draws.first + np.arange(flights)
+        self._flown.start[...] = loop.starts
 
     def fly(self, shared: Any, block: slice) -> None:
         """Fly a block and keep what is asked for."""
@@ -67,42 +67,45 @@ class _Result:
             else [a[block] for a in self._record]
         )
         z = np.full((count, loop.steps, len(loop.batch.names.algebraic)), np.nan)
-        into = Into(x, u, z, status, self._failed[block], self._lost[block], self._seconds[block])
+        failed, lost = np.full(count, -1, np.int64), np.full(count, -1, np.int64)
+        into = Into(x, u, z, status, failed, lost, self._flown.seconds[block])
         refused = loop.batch.fly(shared, block, into, loop.rows)
         if refused < 0:  # stopped, because of an error or interrupt that is raised
             return
         if refused:
             raise ControllerError(f"{loop.batch.description.name}: data of the samples: {Status(refused)}")
+        self._flown.failed[block], self._flown.broken[block] = failed, lost
         self._keep(block, x, u[..., : loop.batch.dims.nu], z, status, samples)
 
     def _keep(self, block: slice, x: Array, u: Array, z: Array, status: Array, samples: Samples) -> None:
+        found, every = self._flown, np.arange(len(x))
         for value in Status:
-            self._counts[block, value] = np.sum(status == value, axis=1)
-        flown = self._counts[block].sum(axis=1)
-        self._last[block] = x[np.arange(len(x)), flown]
-        if status.size:
-            self._ended[block] = status[np.arange(len(x)), flown - 1]
-        self._seconds[block, 0] /= np.maximum(1, flown)
-        self._cost[block], self._violation[block] = self._loop.judge.judge(x, u, z, samples)
+            found.samples[block, value] = np.sum(status == value, axis=1)
+        flown = found.samples[block].sum(axis=1)
+        found.last[block] = x[every, flown]
+        found.ended[block] = status[every, flown - 1] if status.size else -1
+        found.seconds[block, 0] /= np.maximum(1, flown)
+        found.cost[block], found.violation[block] = self._loop.judge.judge(x, u, z, samples)
 
     def flights(self) -> Flights:
         """The result."""
         loop, described = self._loop, self._loop.batch.description
         x, u, status = self._record or (None, None, None)
         return Flights(
-            described.name,
-            loop.steps,
-            loop.interval,
-            described.time_unit,
-            loop.batch.names.states,
-            loop.batch.names.controls,
-            loop.judge.names,
-            np.array([described.rows[i].hard for i in loop.judge.rows], dtype=np.bool_),
-            units(described.states, described.controls),
-            *(self._counts, self._failed, self._lost, self._ended, self._cost, self._violation),
-            *(loop.judge.rounding, self._last, self._seconds),
-            *(x, None if u is None else u[..., : loop.batch.dims.nu], status),
-            loop.draws,
+            self._flown.labels,
+            **self._flown.columns,
+            name=described.name,
+            steps=loop.steps,
+            dt=loop.interval,
+            time_unit=described.time_unit,
+            controls=loop.batch.names.controls,
+            hard=np.array([described.rows[i].hard for i in loop.judge.rows], dtype=np.bool_),
+            units=units(described.states, described.controls),
+            rounding=loop.judge.rounding,
+            x=x,
+            u=None if u is None else u[..., : loop.batch.dims.nu],
+            status=status,
+            draws=loop.draws,
         )
 
 

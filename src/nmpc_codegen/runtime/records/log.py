@@ -14,7 +14,8 @@ from nmpc_codegen.errors import ControllerError
 from nmpc_codegen.package.signals import list_some
 from nmpc_codegen.package.status import Status
 from nmpc_codegen.runtime.diagnosis.diagnose import WARNED
-from nmpc_codegen.runtime.records import archive, tables, timing
+from nmpc_codegen.runtime.records import frames, log_file, timing
+from nmpc_codegen.runtime.records.frames import Column
 from nmpc_codegen.runtime.records.trace import File, Record
 
 Array = NDArray[np.float64]
@@ -266,7 +267,7 @@ class Log(Record):
         Raises:
             ExtraError: pandas is not installed.
         """
-        return tables.to_dataframe(self)
+        return frames.to_dataframe(frames.of_log(self), self.t, f"time [{self.time_unit}]", "Log.to_dataframe()")
 
     def to_xarray(self) -> Any:
         """An xarray Dataset over time with x (time, state), u (time, control), z, h, p, y, as far as they have columns,
@@ -277,7 +278,20 @@ class Log(Record):
         Raises:
             ExtraError: xarray is not installed.
         """
-        return tables.to_xarray(self)
+        return frames.to_xarray(self)
+
+    def to_parquet(self, file: str | os.PathLike[str]) -> None:
+        """Write the table of to_dataframe() as a Parquet file, with the columns time, x.p, u.a, status, ...
+
+        Args:
+            file: its path.
+
+        Raises:
+            ExtraError: pyarrow is not installed.
+        """
+        frames.to_parquet(
+            [Column("time", unit=self.time_unit, values=self.t), *frames.of_log(self)], file, "Log.to_parquet()"
+        )
 
     def save(self, file: str | os.PathLike[str] | IO[bytes]) -> None:
         """Write everything, with names, units, bounds and reasons, to an .npz archive that numpy.load() reads, too.
@@ -285,7 +299,7 @@ class Log(Record):
         Args:
             file: path, or a file that is open for writing bytes.
         """
-        archive.write(self, file)
+        log_file.write(self, file)
 
     @classmethod
     def load(cls, file: str | os.PathLike[str] | IO[bytes]) -> Self:
@@ -294,7 +308,7 @@ class Log(Record):
         Raises:
             ControllerError: the file is no log.
         """
-        return cls(**archive.read(file))
+        return cls(**log_file.read(file))
 
 
 def _ranges(samples: Sequence[int]) -> str:

@@ -6,7 +6,7 @@ import os
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,10 +27,6 @@ def with_unit(name: str, unit: str) -> str:
     """Name and unit for an axis, with powers as superscripts: ``a [m/s²]``."""
     text = re.sub(r"\^(-?\d+)", lambda power: power[1].translate(SUPERSCRIPTS), unit)
     return f"{name} [{text}]" if text else name
-
-
-#: Array of a log -> its field with the traces of the columns.
-COLUMNS = {"x": "states", "u": "controls", "z": "algebraic", "h": "rows", "p": "parameters", "y": "references"}
 
 
 @dataclass(frozen=True)
@@ -99,6 +95,15 @@ class Plans:
         rows: names of these columns.
     """
 
+    AXES: ClassVar[Mapping[str, tuple[str, ...]]] = {
+        "sample": ("plans",),
+        "t": ("nodes",),
+        "x": ("plans", "nodes", "states"),
+        "u": ("plans", "intervals", "controls"),
+        **dict.fromkeys(("distance", "multiplier", "active"), ("plans", "planned")),
+        "rounding": ("planned",),
+    }
+
     sample: NDArray[np.int64]
     t: Array
     x: Array
@@ -128,6 +133,13 @@ class Estimates:
         states: names and units of the columns of x.
         sensors: of the columns of y; ``signal``: the state that it shows.
     """
+
+    AXES: ClassVar[Mapping[str, tuple[str, ...]]] = {
+        **dict.fromkeys(("x", "std"), ("samples", "states")),
+        "y": ("samples", "sensors"),
+        "p": ("samples", "unknown"),
+        **dict.fromkeys(("status", "time_ns"), ("samples",)),
+    }
 
     x: Array
     std: Array
@@ -177,6 +189,18 @@ class Record:
         remarks: on the file of a recording.
     """
 
+    AXES: ClassVar[Mapping[str, tuple[str, ...]]] = {
+        "t": ("ends",),
+        "x": ("ends", "states"),
+        **{
+            name: ("samples", kind)
+            for name, kind in zip("uzhpy", ("controls", "algebraic", "rows", "parameters", "references"), strict=True)
+        },
+        **dict.fromkeys(("status", "cost", "time_ns", "residual"), ("samples",)),
+        **dict.fromkeys(("lower", "upper"), ("samples", "limits")),
+        "began_ns": ("recorded",),
+    }
+
     name: str
     time_unit: str
     t: Array
@@ -210,3 +234,7 @@ class Record:
     def number(self, k: int) -> int:
         """Number of the k-th sample of the log: of a recording that of the recorder, from 0 on."""
         return round(self.t[k] / self.dt) if len(self.began_ns) else k
+
+
+#: Array of a log -> its field with the traces of the columns.
+COLUMNS = {name: axes[1] for name, axes in Record.AXES.items() if len(axes) > 1 and axes[1] != "limits"}

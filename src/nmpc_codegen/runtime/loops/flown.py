@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from typing import Any
@@ -11,7 +12,8 @@ from numpy.typing import NDArray
 
 from nmpc_codegen.errors import ControllerError
 from nmpc_codegen.package.status import Status
-from nmpc_codegen.runtime.loops.flights import Flights
+from nmpc_codegen.runtime.records import frames
+from nmpc_codegen.runtime.records.frames import Column
 
 Array = NDArray[Any]
 
@@ -38,10 +40,12 @@ class Flown:
         ended: (F,), the status of the last one.
         failed: (F,), the first failure, or -1.
         broken: (F,), the sample after which the state was not finite, or -1.
-        cost: (F,), as in Flights.
-        violation: (F, rows), the largest, in the unit of the row, NaN where it is not known.
+        cost: (F,), sum over the samples of the cost of a node at the state of the plant and its control, with the
+            references and weights of the sample; what is integrated or scaled with dt counts the length of a sample.
+        violation: (F, rows), largest violation of each row in its unit, 0 where it is kept, NaN where it is not known:
+            of a row with controls at every sample, of another one at every state but the first.
         last: (F, nx), the last state.
-        seconds: (F, 2), mean and longest time of a sample.
+        seconds: (F, 2), mean and longest time of a sample, NaN on a device.
     """
 
     labels: Labels
@@ -65,21 +69,39 @@ class Flown:
         """Internal: room for so many flights."""
         return Flown(labels, *(np.zeros((flights, *shape), kind) for kind, shape in layout(labels).values()))
 
-    @staticmethod
-    def of(flights: Flights, first: int, drawn: Array, start: Array, labels: Labels) -> Flown:
-        """Internal: a part of a campaign, from its summaries."""
-        f = flights
-        columns = (
-            *(first + np.arange(len(f)), start, drawn, f.status_counts, f.ended, f.failed, f.lost, f.cost),
-            *(f.violation, f.last, f.seconds),
-        )
-        kinds = (kind for kind, _ in layout(labels).values())
-        return Flown(labels, *(np.asarray(c, kind) for c, kind in zip(columns, kinds, strict=True)))
-
     @property
     def columns(self) -> dict[str, Array]:
-        """Name -> array."""
+        """Internal: name -> array."""
         return {name: getattr(self, name) for name in layout(self.labels)}
+
+    @property
+    def table(self) -> list[Column]:
+        """Internal: every element of the columns, a row for each flight."""
+        named, found = heads(self.labels), list[Column]()
+        for name, column in self.columns.items():
+            every = zip(named[name], column.T, strict=True) if name in named else [(name, column)]
+            found += [Column(head.partition(".")[0], head.partition(".")[2], "", values) for head, values in every]
+        return found
+
+    def to_dataframe(self) -> Any:
+        """A pandas DataFrame with a row for each flight and two levels of columns: ("start", "h"), ("samples", "OK"),
+        ("cost", ""), ... It needs the extra ``notebook``.
+
+        Raises:
+            ExtraError: pandas is not installed.
+        """
+        return frames.to_dataframe(self.table[1:], self.number, "flight", f"{type(self).__name__}.to_dataframe()")
+
+    def to_parquet(self, file: str | os.PathLike[str]) -> None:
+        """Write the same as a Parquet file, with the columns number, start.h, samples.OK, cost, ...
+
+        Args:
+            file: its path.
+
+        Raises:
+            ExtraError: pyarrow is not installed.
+        """
+        frames.to_parquet(self.table, file, f"{type(self).__name__}.to_parquet()")
 
     def put(self, other: Flown, at: Array | slice) -> None:
         """Internal: write the flights of another one to these places."""
