@@ -31,7 +31,8 @@ from nmpc_codegen.frontend.ocp import OCP
 from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.cmodule import CModule
 from nmpc_codegen.lowering.beside.dumps import obsolete_dumps, with_dumps
-from nmpc_codegen.lowering.beside.loop import with_estimator
+from nmpc_codegen.lowering.beside.folder import write
+from nmpc_codegen.lowering.beside.main_with_estimator import with_estimator
 from nmpc_codegen.lowering.explain import explain
 from nmpc_codegen.lowering.linearize import Model, linearize
 from nmpc_codegen.lowering.lower import lower
@@ -46,7 +47,6 @@ from nmpc_codegen.runtime.batch.many import Batch
 from nmpc_codegen.runtime.build import load_any
 from nmpc_codegen.runtime.controller import Controller
 from nmpc_codegen.runtime.estimation.observer import Observer
-from nmpc_codegen.runtime.folder import write
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from nmpc_codegen.runtime.folder import write
+from nmpc_codegen.lowering.beside.folder import write
 from verification.problems import toy_sources
 
 ROOT = Path(__file__).parents[2]

@@ -12,8 +12,8 @@ import pytest
 
 from nmpc_codegen import open_package
 from nmpc_codegen.errors import BuildError
+from nmpc_codegen.lowering.beside.folder import write
 from nmpc_codegen.runtime import cache
-from nmpc_codegen.runtime.folder import write
 from tests.runtime import cache_faults
 from verification.problems import toy_sources
 

@@ -108,12 +108,7 @@ def _fly(job: Job, rules: Rules, conduct: Conduct) -> tuple[Flown, np.ndarray[An
 
 def _judge(job: Job, rules: Rules, part: Flown) -> np.ndarray[Any, np.dtype[np.int8]]:
     """Reasons (F,); set points follow from the numbers of the flights."""
-    s = job.statement
     if not len(part):
         return np.zeros(0, np.int8)
-    goals = np.zeros((len(part), len(rules.targets)))
-    if rules.targets:
-        begin, end = int(part.number[0]), int(part.number[-1]) + 1
-        every = rules.goals(job.controller.description, s.whole_data(begin, end - begin), s.steps)
-        goals = every[part.number - begin]
-    return rules.judge(part, goals)
+    begin, end = int(part.number[0]), int(part.number[-1]) + 1
+    return rules.judge(part, rules.goals(job, begin, end - begin)[part.number - begin])

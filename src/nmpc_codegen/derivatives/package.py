@@ -14,12 +14,12 @@ from nmpc_codegen.derivatives.render import render
 from nmpc_codegen.derivatives.toolbox import Derivatives
 from nmpc_codegen.frontend.ocp import OCP
 from nmpc_codegen.ir.naming import check_package_name
+from nmpc_codegen.lowering.beside.folder import write
 from nmpc_codegen.options import Options
 from nmpc_codegen.package.memory import struct_layout
 from nmpc_codegen.package.opcount import OpCount
 from nmpc_codegen.package.seal import seal
 from nmpc_codegen.runtime.build import load_library
-from nmpc_codegen.runtime.folder import write
 
 
 @dataclass(frozen=True)

@@ -27,6 +27,7 @@ from nmpc_codegen.frontend.checks import (
 )
 from nmpc_codegen.frontend.expressions import NODE
 from nmpc_codegen.frontend.grid import grid
+from nmpc_codegen.frontend.other_tools import OF_PROBLEM
 from nmpc_codegen.frontend.problem import LqrRequest, Signal, c_identifier
 from nmpc_codegen.frontend.rows.constraints import Constraints
 from nmpc_codegen.frontend.show import in_one_line
@@ -40,7 +41,7 @@ from nmpc_codegen.frontend.statement import (
 )
 from nmpc_codegen.frontend.symbol import Symbol, require_three
 from nmpc_codegen.ir.naming import check_package_name
-from nmpc_codegen.runtime.diagnosis.foreign_names import OF_PROBLEM, missing
+from nmpc_codegen.runtime.diagnosis.foreign_names import missing
 
 __all__ = ["OCP"]
 

@@ -23,7 +23,7 @@ from nmpc_codegen.runtime.extras import extra
 from nmpc_codegen.runtime.loops.flown import Flown, Labels, heads, layout
 from nmpc_codegen.runtime.records import frames
 
-FORMAT = 1
+FORMAT = 2
 HEAD = "campaign.json"
 
 

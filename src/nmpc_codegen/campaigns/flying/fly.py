@@ -20,6 +20,7 @@ from nmpc_codegen.runtime.controller import Controller
 from nmpc_codegen.runtime.loops.flights import Flights
 from nmpc_codegen.runtime.loops.flown import Flown, Labels
 from nmpc_codegen.runtime.loops.flying import fly, judge_paths
+from nmpc_codegen.runtime.loops.forecasts import at_samples, reference_data
 from nmpc_codegen.runtime.loops.judge import judge_of
 from nmpc_codegen.runtime.loops.loop_data import Loop, state_loop
 from nmpc_codegen.runtime.loops.one_loop import Conduct, run
@@ -67,6 +68,13 @@ class Job:
             s.seed,
             first,
         )
+
+    def last_references(self, first: int, count: int) -> Array:
+        """References (F, ny) of the path residual after the last sample of the flights from ``first`` on."""
+        s, described = self.statement, self.controller.description
+        data = reference_data(self.controller, s.whole_data(first, count).references, count)
+        path, declared = [d for d in data if d.member == "yref"], [r.reference for r in described.residuals]
+        return at_samples(path, slice(0, count), s.steps + 1, np.tile(declared, (count, 1)))[:, -1]
 
     def fly_again(self, ctrl: Controller, number: int, conduct: Conduct, steps: int | None = None) -> Log:
         """The log of a flight, or of its first samples, by ``ctrl``, a copy of the controller."""

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator, Mapping
-from dataclasses import fields, is_dataclass
 from typing import Any
 
+import msgspec
 import numpy as np
 
 from nmpc_codegen.campaigns.flying.fly import Job
@@ -15,31 +14,14 @@ from nmpc_codegen.runtime.batch.random import DISTURBANCE, NOISE, signal
 
 def digest(value: Any) -> str:
     """SHA-256 of numbers, words, arrays, mappings and dataclasses of them."""
-    found = hashlib.sha256()
-    for piece in _pieces(value):
-        found.update(piece)
-    return found.hexdigest()
+    return hashlib.sha256(msgspec.msgpack.encode(value, enc_hook=_plain, order="deterministic")).hexdigest()
 
 
-def _pieces(value: Any) -> Iterator[bytes]:
-    if is_dataclass(value):
-        yield type(value).__name__.encode()
-        for field in fields(value):
-            yield f"\0{field.name}=".encode()
-            yield from _pieces(getattr(value, field.name))
-    elif isinstance(value, Mapping):
-        for key in sorted(value, key=str):
-            yield f"\0{key}:".encode()
-            yield from _pieces(value[key])
-    elif isinstance(value, np.ndarray):
-        yield f"\0{value.dtype.str}{value.shape}".encode() + np.ascontiguousarray(value).tobytes()
-    elif isinstance(value, list | tuple):
-        yield b"\0("
-        for each in value:
-            yield from _pieces(each)
-        yield b")"
-    else:
-        yield f"\0{value!r}".encode()
+def _plain(value: Any) -> Any:
+    """Arrays as type, shape and bytes; numbers of NumPy as those of Python; anything else as its words."""
+    if isinstance(value, np.ndarray):
+        return value.dtype.str, value.shape, value.tobytes()
+    return value.item() if isinstance(value, np.generic) else repr(value)
 
 
 def identity(job: Job) -> dict[str, Any]:

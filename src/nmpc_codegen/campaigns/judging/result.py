@@ -127,8 +127,7 @@ class Campaign:
         reason = Reason(self.reasons[i])
         why = reason.words
         if reason is Reason.NOT_ARRIVED and self.rules.targets:
-            s = self.job.statement
-            goals = self.rules.goals(self.job.controller.description, s.whole_data(number), s.steps)[0]
+            goals = self.rules.goals(self.job, number, 1)[0]
             why = self.rules.distance(f.last[i], goals, f.labels.states) or why
         elif reason is Reason.ROW:
             j = np.flatnonzero(np.isfinite(self.rules.allowed))[int(self._excess[i].argmax())]

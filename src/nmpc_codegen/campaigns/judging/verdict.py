@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.stats import beta, t
 
+from nmpc_codegen.campaigns.flying.fly import Job
 from nmpc_codegen.campaigns.stated.distributions import Box
-from nmpc_codegen.campaigns.stated.statement import Data
 from nmpc_codegen.errors import ControllerError
 from nmpc_codegen.package.description import PackageDescription
 from nmpc_codegen.package.signals import members
@@ -122,29 +122,14 @@ class Rules:
                 found.append((math.inf, f"{x:.4g}, not within {target.lower:.4g} .. {target.upper:.4g}", target.state))
         return "" if not found else f"{states[max(found)[2]]} is {max(found)[1]}"
 
-    def goals(self, described: PackageDescription, data: Data, steps: int) -> Array:
-        """The set points (F, targets) at the last sample: references that are given, else the declared ones."""
-        count = len(data.starts)
+    def goals(self, job: Job, first: int, count: int) -> Array:
+        """The set points (F, targets) of the flights from ``first`` on, at their last samples."""
         out = np.zeros((count, len(self.targets)))
-        for j, target in enumerate(self.targets):
-            if target.residual >= 0:
-                out[:, j] = _reference(described, data, target.residual, steps)
+        followed = [(j, target.residual) for j, target in enumerate(self.targets) if target.residual >= 0]
+        references = job.last_references(first, count) if followed else out
+        for j, residual in followed:
+            out[:, j] = references[:, residual]
         return out
-
-
-def _reference(described: PackageDescription, data: Data, residual: int, steps: int) -> Array:
-    """The reference (F,) of a path residual after the last sample."""
-    tables = data.tables["reference"]
-    for key, table in tables.items():
-        places = members(key, [r.name for r in described.residuals]) if key else list(range(described.dims.ny))
-        if residual not in places:
-            continue
-        values = np.asarray(table, float)
-        if len(places) > 1 or not key:
-            values = values[..., places.index(residual)] if values.ndim else values
-        rows = values.reshape(1, 1) if values.ndim == 0 else values if values.ndim == 2 else values[None]
-        return np.asarray(np.broadcast_to(rows[:, min(steps, rows.shape[1] - 1)], (len(data.starts),)))
-    return np.full(len(data.starts), described.residuals[residual].reference)
 
 
 def rules_of(

@@ -26,8 +26,8 @@ from nmpc_codegen import (
 from nmpc_codegen.cli import main
 from nmpc_codegen.ir.cmodule import check_prefix
 from nmpc_codegen.ir.naming import check_package_name
+from nmpc_codegen.lowering.beside.folder import TEMPORARY, write
 from nmpc_codegen.package.seal import has_seal, intact, package_of, seal
-from nmpc_codegen.runtime.folder import TEMPORARY, write
 
 
 def tiny(name: str = "tiny", rate: float = 1.0) -> OCP:
