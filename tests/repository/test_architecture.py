@@ -84,9 +84,9 @@ ONLY_IN = {
     "cvxpy": {"economic/semidefinite"},
     "matplotlib": {"pictures", "cli/arguments"},
     "optuna": {"campaigns/coach/weights"},
-    "pyarrow": {"campaigns/flying/archive"},
-    "pandas": {"runtime/records/tables"},
-    "xarray": {"runtime/records/tables"},
+    "pyarrow": {"runtime/records/frames", "campaigns/flying/archive"},
+    "pandas": {"runtime/records/frames"},
+    "xarray": {"runtime/records/frames"},
     "scipy": {
         *("economic", "components/qp/osqp", "frontend/functions/lookup_table"),
         *("campaigns/stated/distributions", "campaigns/judging/verdict", "campaigns/coach/choice"),

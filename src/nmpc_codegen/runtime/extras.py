@@ -21,7 +21,7 @@ EXTRAS = {
     "clarabel": "economic",
     "cupy": "cuda",
     "nvidia": "cuda",
-    "pyarrow": "campaign",
+    "pyarrow": "campaign" if HAS_COMPILER else "notebook",
     "optuna": "campaign",
 }
 

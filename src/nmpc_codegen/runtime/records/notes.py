@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +21,7 @@ from nmpc_codegen.runtime.diagnosis.rows import (
     whole_parameters,
 )
 from nmpc_codegen.runtime.records.log import Log
-from nmpc_codegen.runtime.records.trace import Estimates, Limit, Plans, Trace, traces_of
+from nmpc_codegen.runtime.records.trace import Estimates, Limit, Plans, Record, Trace, traces_of
 
 Array = NDArray[np.float64]
 
@@ -28,6 +29,8 @@ LOG_COLUMNS = 5  # status, cost, time, residual and t
 #: Plans that a log keeps where nobody says how many, and the bytes that they may take.
 MOST_PLANS, PLAN_BYTES = 1000, 2**26
 REAL: int = np.dtype(np.float64).itemsize
+#: Arrays of integers.
+INTEGERS: dict[str, Any] = dict.fromkeys(("status", "time_ns", "began_ns"), np.int64)
 
 
 @dataclass(frozen=True)
@@ -71,13 +74,17 @@ class Notes:
     def __init__(self, ctrl: Controller, steps: int, interval: float, every: int) -> None:
         d, described = ctrl.dims, ctrl.description
         self._ctrl, self._interval, self._every, self._logged = ctrl, interval, every, Logged.of(ctrl)
-        self.x, self.u = np.zeros((steps + 1, d.nx)), np.zeros((steps, d.nu))
+        counts = {"ends": steps + 1, "samples": steps, "states": d.nx, "controls": d.nu, "parameters": d.np}
+        counts |= {"algebraic": len(ctrl.names.algebraic), "rows": 0, "references": d.ny, "recorded": 0}
+        counts["limits"] = len(self._logged.limits)
+        self._arrays: dict[str, Any] = {
+            name: np.zeros([counts[axis] for axis in axes], INTEGERS.get(name, np.float64))
+            for name, axes in Record.AXES.items()
+        }
+        self._arrays["residual"][:] = np.nan
+        self._arrays["t"] += interval * np.arange(steps + 1)
+        self.x, self.u = self._arrays["x"], self._arrays["u"]
         self._known = np.zeros((steps, ctrl.known.size))
-        self.status, self.time_ns = np.zeros(steps, np.int64), np.zeros(steps, np.int64)
-        self._cost, self._residual = np.zeros(steps), np.full(steps, np.nan)
-        self._z = np.zeros((steps, len(ctrl.names.algebraic)))
-        self._p, self._y = np.zeros((steps, d.np)), np.zeros((steps, d.ny))
-        self._lower, self._upper = (np.zeros((steps, len(self._logged.limits))) for _ in range(2))
         self._reasons: dict[Status, str] = {}
         self._plans: list[PlanData] = []
         self._planned: list[int] = []
@@ -89,17 +96,16 @@ class Notes:
     def take(self, k: int, u: Array, time_ns: int, planned: bool = True, keep: bool | None = None) -> None:
         """Note sample k, whose state is in ``x``, from the controller as the sample has left it; unless ``planned`` it
         has another plan than that of the sample. ``keep``: whether its plan is kept; None: that of every so many."""
-        ctrl = self._ctrl
-        self.u[k], self.time_ns[k] = u, time_ns
-        self.status[k], self._cost[k], self._known[k] = ctrl.status, ctrl.cost if planned else np.nan, ctrl.known
-        if self.status[k] not in self._reasons:
-            self._reasons[Status(self.status[k])] = ctrl.diagnose() if self.status[k] else ""
-        self._p[k], self._y[k] = start_parameters(ctrl), path_reference(ctrl)
-        self._z[k] = ctrl.algebraic(self.x[k], u)
-        if self._has_residual:
-            self._residual[k] = ctrl.view("stats.residual")
-        bounds = self._reader.bounds(ctrl)
-        self._lower[k], self._upper[k] = (side[self._first, self._logged.limits] for side in bounds)
+        ctrl, bounds, status = self._ctrl, self._reader.bounds(self._ctrl), self._ctrl.status
+        if status not in self._reasons:
+            self._reasons[status] = ctrl.diagnose() if status else ""
+        lower, upper = (side[self._first, self._logged.limits] for side in bounds)
+        found = {"u": u, "time_ns": time_ns, "status": status, "cost": ctrl.cost if planned else np.nan}
+        found |= {"p": start_parameters(ctrl), "y": path_reference(ctrl), "z": ctrl.algebraic(self.x[k], u)}
+        found |= {"residual": ctrl.view("stats.residual")} if self._has_residual else {}
+        for name, value in (*found.items(), ("lower", lower), ("upper", upper)):
+            self._arrays[name][k] = value
+        self._known[k] = ctrl.known
         if (self._every and k % self._every == 0) if keep is None else keep:
             self._plans.append(self._reader.copy(ctrl, bounds))
             self._planned.append(k)
@@ -108,36 +114,24 @@ class Notes:
         self, estimates: Estimates | None = None, t: Array | None = None, began_ns: NDArray[np.int64] | None = None
     ) -> Log:
         """The log; ``t``: times of the samples and of the end, by default from 0 on."""
-        ctrl, steps = self._ctrl, len(self.u)
-        behind = np.tile(whole_parameters(ctrl)[:1, ctrl.dims.np :], (steps, 1))
-        x, p = np.hstack([self.x[:-1], self._known]), np.hstack([self._p, behind])
-        h = row_values(ctrl, x, self.u, p, self._z)[:, self._logged.general]
+        ctrl, arrays, described = self._ctrl, self._arrays, self._ctrl.description
+        behind = np.tile(whole_parameters(ctrl)[:1, ctrl.dims.np :], (len(self.u), 1))
+        x, p = np.hstack([self.x[:-1], self._known]), np.hstack([arrays["p"], behind])
         own, rows, limits = self._find_axes()
+        arrays["h"] = row_values(ctrl, x, self.u, p, arrays["z"])[:, self._logged.general][:, own]
+        arrays |= {name: value for name, value in (("t", t), ("began_ns", began_ns)) if value is not None}
         return Log(
-            name=ctrl.description.name,
-            time_unit=ctrl.description.time_unit,
-            t=self._interval * np.arange(steps + 1, dtype=np.float64) if t is None else t,
-            x=self.x,
-            u=self.u,
-            z=self._z,
-            h=h[:, own],
-            p=self._p,
-            y=self._y,
-            status=self.status,
-            cost=self._cost,
-            time_ns=self.time_ns,
-            residual=self._residual,
-            lower=self._lower,
-            upper=self._upper,
-            **traces_of(ctrl.description),
+            name=described.name,
+            time_unit=described.time_unit,
+            **arrays,
+            **traces_of(described),
             rows=rows,
             reasons=self._reasons,
             limits=limits,
-            program=ctrl.description.program,
+            program=described.program,
             dt=self._interval,
             plans=self._keep_plans(),
             estimates=estimates,
-            began_ns=np.zeros(0, np.int64) if began_ns is None else began_ns,
         )
 
     def _find_axes(self) -> tuple[list[int], tuple[Trace, ...], tuple[Limit, ...]]:
