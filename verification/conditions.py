@@ -12,8 +12,8 @@ from contextlib import suppress
 
 from nmpc_codegen.ir.cmodule import CModule
 from nmpc_codegen.ir.kernel import called_lookups
+from nmpc_codegen.lowering.dialect.c_expressions import Expression, expression
 from nmpc_codegen.lowering.dialect.directives import evaluate
-from nmpc_codegen.lowering.dialect.expressions import Expression, expression
 from nmpc_codegen.lowering.templates import template_directory
 from nmpc_codegen.lowering.unit.assemble import INTERVALS, SEARCH
 from nmpc_codegen.lowering.unit.read import MATH

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nmpc_codegen import OCP, Controller, Estimator, Log, simulate
-from nmpc_codegen.frontend.estimator.problem import estimation_problem
+from nmpc_codegen.frontend.estimator.window import estimation_problem
 from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.oracle.reference import Reference
 from nmpc_codegen.oracle.trajectory import node_data

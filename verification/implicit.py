@@ -18,7 +18,7 @@ from nmpc_codegen.ir.printing.routines import print_routine
 from nmpc_codegen.lowering.unit.macros import REAL_CONSTANT, arithmetic, kernel_call, print_macro
 from nmpc_codegen.lowering.unit.read import read_part
 from nmpc_codegen.options import Options
-from nmpc_codegen.package.memory import Precision
+from nmpc_codegen.package.struct_layout import Precision
 from verification.c_harness import SCALARS, shared_library
 
 Array = NDArray[Any]

@@ -36,8 +36,8 @@ from nmpc_codegen.oracle.trajectory import (
     node_rows,
     row_nodes,
 )
-from nmpc_codegen.package.memory import Precision
 from nmpc_codegen.package.sources import Sources
+from nmpc_codegen.package.struct_layout import Precision
 from verification.routes import PURE
 
 

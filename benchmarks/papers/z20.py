@@ -11,7 +11,7 @@ from benchmarks.lib.run import Run
 from benchmarks.papers import losses
 from benchmarks.papers.exhibit import Check, Exhibit, Table, curves, save, sheet
 from examples import driving
-from nmpc_codegen.economic.riccati import cost_to_go
+from nmpc_codegen.economic.cost_to_go import cost_to_go
 from nmpc_codegen.economic.semidefinite import Certificate, Weights, convexify
 from verification.economic import evaporation, store
 from verification.economic.evaporation import ipopt_iterations, rotation_errors, span_error, tuning

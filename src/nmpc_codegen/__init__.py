@@ -30,7 +30,7 @@ from nmpc_codegen.runtime.estimation.observer import Observer
 from nmpc_codegen.runtime.extras import DISTRIBUTION, HAS_COMPILER
 from nmpc_codegen.runtime.loops.flights import Flights
 from nmpc_codegen.runtime.loops.simulate import simulate
-from nmpc_codegen.runtime.package import open_estimator, open_package
+from nmpc_codegen.runtime.open_folder import open_estimator, open_package
 from nmpc_codegen.runtime.records.log import Log
 from nmpc_codegen.runtime.records.recorder import Recorder, open_recording
 from nmpc_codegen.runtime.records.replay import Replay, replay

@@ -26,7 +26,7 @@ from nmpc_codegen.exclusive import COMPILING
 from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.frontend.completion.complete import complete
 from nmpc_codegen.frontend.estimator.declaration import Estimator
-from nmpc_codegen.frontend.estimator.problem import estimation_problem
+from nmpc_codegen.frontend.estimator.window import estimation_problem
 from nmpc_codegen.frontend.ocp import OCP
 from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.cmodule import CModule
@@ -38,7 +38,7 @@ from nmpc_codegen.lowering.linearize import Model, linearize
 from nmpc_codegen.lowering.lower import lower
 from nmpc_codegen.lowering.render import render
 from nmpc_codegen.lowering.unit.assemble import assemble, constants_of
-from nmpc_codegen.lowering.unit.passes import run
+from nmpc_codegen.lowering.unit.pipeline import run
 from nmpc_codegen.options import Options, common_options, for_estimator
 from nmpc_codegen.package.description import PackageDescription
 from nmpc_codegen.package.sources import Sources

@@ -24,8 +24,8 @@ from nmpc_codegen.components.base import (
 )
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.package.kinds import EstimatorKind
-from nmpc_codegen.package.memory import Precision
 from nmpc_codegen.package.signals import Layout, Layouts
+from nmpc_codegen.package.struct_layout import Precision
 from nmpc_codegen.runtime.native import native
 from nmpc_codegen.targets import MATHS, NATIVE, TARGETS, Math, Target
 

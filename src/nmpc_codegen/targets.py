@@ -14,7 +14,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal, get_args
 
-from nmpc_codegen.package.memory import Precision
+from nmpc_codegen.package.struct_layout import Precision
 
 #: GCC 12 and 13 may align the stack of a leaf function less than its vector stores require, which then fault (observed
 #: with 12.2 on processors with AVX-512). With this option the GNU assembler encodes the same moves for any alignment,

@@ -19,7 +19,7 @@ import numpy as np
 from nmpc_codegen.components.qp.riccati import riccati_sizes, riccati_structs
 from nmpc_codegen.ir.tuning import PANEL
 from nmpc_codegen.package.description import union_dtype
-from nmpc_codegen.package.memory import Field, Size, Struct
+from nmpc_codegen.package.struct_layout import Field, Size, Struct
 from nmpc_codegen.runtime.compilers import find_compiler, with_required_options
 from verification.qp.harness import (
     FAST,

@@ -20,8 +20,8 @@ from nmpc_codegen.lowering.linearize import Model
 from nmpc_codegen.lowering.lower import lower
 from nmpc_codegen.lowering.templates import template_directory
 from nmpc_codegen.options import REGISTRIES, Online
-from nmpc_codegen.package.memory import Field, Size, Struct, struct_layout
 from nmpc_codegen.package.opcount import OpCount
+from nmpc_codegen.package.struct_layout import Field, Size, Struct, struct_layout
 from verification.estimation import PLANTS
 from verification.models import discrete_map, problem_of
 

@@ -31,8 +31,8 @@ from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.options import REGISTRIES
 from nmpc_codegen.oracle.reference import Reference, node_data
-from nmpc_codegen.package.memory import Field, Struct
 from nmpc_codegen.package.signals import Argument, EntryPoint
+from nmpc_codegen.package.struct_layout import Field, Struct
 
 PART = Path(__file__).parents[1] / "data" / "algorithms" / "projected_gradient.c"
 

@@ -8,7 +8,7 @@ from examples import chain, crane
 from nmpc_codegen import OCP, Euler, ExplicitRungeKutta, Options
 from nmpc_codegen.compiler import model_of
 from nmpc_codegen.frontend.classify import classify
-from nmpc_codegen.frontend.program import program
+from nmpc_codegen.frontend.row_program import program
 from nmpc_codegen.lowering.explain import warnings
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from nmpc_codegen import OCP, ExplicitRungeKutta, Options, derivatives
 from nmpc_codegen.derivatives.counts import Counts
-from nmpc_codegen.derivatives.model import derivative_model
+from nmpc_codegen.derivatives.derivative_model import derivative_model
 from tests.derivatives.counted import counted
 from verification.counting import CLASSES
 from verification.models import discrete_map, pendulum_of_everything, problem_of

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from nmpc_codegen.derivatives.counts import Counts
-from nmpc_codegen.derivatives.model import derivative_model
+from nmpc_codegen.derivatives.derivative_model import derivative_model
 from verification.adjoint import measured, problems
 
 COUNTED = (10, 25, 50, 100, 200, 400, 800)

@@ -12,7 +12,7 @@ import pytest
 from conftest import require_tool
 
 from nmpc_codegen import OCP, Discrete, ExplicitRungeKutta, GaussNewton, Online, Options, RealTimeIteration, derivatives
-from nmpc_codegen.derivatives.render import OF_OUTPUTS, PARTS, SECOND_ORDER
+from nmpc_codegen.derivatives.derivative_text import OF_OUTPUTS, PARTS, SECOND_ORDER
 from nmpc_codegen.errors import BuildError, DerivativeError, ExportError, OptionError, ProblemError
 from nmpc_codegen.lowering.templates import template_directory
 from nmpc_codegen.runtime.build import WARNINGS

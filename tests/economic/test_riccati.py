@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from nmpc_codegen import ProblemError
+from nmpc_codegen.economic.cost_to_go import cost_to_go, eliminate
 from nmpc_codegen.economic.linear_quadratic import LinearQuadratic, frequency_function
-from nmpc_codegen.economic.riccati import cost_to_go, eliminate
 from nmpc_codegen.economic.semidefinite import Certificate, Weights, convexify
 from verification.economic.rotated import random_problem
 

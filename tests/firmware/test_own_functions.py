@@ -15,7 +15,7 @@ from nmpc_codegen.firmware.image import sources, write
 from nmpc_codegen.firmware.recording import record
 from nmpc_codegen.firmware.toolchain import compile_flags, cross
 from nmpc_codegen.firmware.verify import verify
-from nmpc_codegen.package.memory import Precision
+from nmpc_codegen.package.struct_layout import Precision
 from nmpc_codegen.runtime.build import load
 from nmpc_codegen.targets import TARGETS
 

@@ -12,7 +12,7 @@ import pytest
 
 from nmpc_codegen import OCP
 from nmpc_codegen.frontend.classify import classify
-from nmpc_codegen.frontend.program import program
+from nmpc_codegen.frontend.row_program import program
 from nmpc_codegen.ir.kernel import OPERATIONS, opcode_name
 from nmpc_codegen.package.program import EDGES, VALUES, Finding, Program, Quantity, locate
 

@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 
 from nmpc_codegen.ir.kernel import Instruction, Kernel, Port, lift
 from nmpc_codegen.ir.printing.c_style import CStyle
-from nmpc_codegen.ir.printing.expressions import Expressions
 from nmpc_codegen.ir.printing.kernels import comment, print_kernel, signature
+from nmpc_codegen.ir.printing.nested_expressions import Expressions
 from verification.c_harness import shared_library
 
 DOUBLE, SINGLE = CStyle("real", False), CStyle("real", True)

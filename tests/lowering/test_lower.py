@@ -16,7 +16,7 @@ from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.cmodule import CModule
 from nmpc_codegen.lowering.lower import lower
 from nmpc_codegen.package.description import PackageDescription
-from nmpc_codegen.package.memory import Field, Size, Struct, struct_layout
+from nmpc_codegen.package.struct_layout import Field, Size, Struct, struct_layout
 from verification import problems
 from verification.c_harness import memory_layout, shared_library
 

@@ -12,7 +12,7 @@ import pytest
 from examples import crane, quadrotor
 from nmpc_codegen import OCP, Options, generate
 from nmpc_codegen.ir.printing.c_style import CStyle
-from nmpc_codegen.lowering.unit.passes import LAST_HEADING
+from nmpc_codegen.lowering.unit.pipeline import LAST_HEADING
 from verification import quality
 from verification.whole import closed_loop
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
+from nmpc_codegen.lowering.dialect.c_expressions import expression
 from nmpc_codegen.lowering.dialect.constants import Constants
-from nmpc_codegen.lowering.dialect.expressions import expression
 from nmpc_codegen.lowering.dialect.scopes import free_names
 from nmpc_codegen.lowering.unit.item import Item
 from nmpc_codegen.lowering.unit.reach import simplify_item

@@ -25,12 +25,12 @@ from nmpc_codegen import (
 )
 from nmpc_codegen.components.integrators import ButcherTableau
 from nmpc_codegen.lowering.dialect.constants import Constants
-from nmpc_codegen.lowering.unit.arguments import macros_that_act
 from nmpc_codegen.lowering.unit.item import Item
 from nmpc_codegen.lowering.unit.macros import macro
-from nmpc_codegen.lowering.unit.passes import run, verify
+from nmpc_codegen.lowering.unit.pipeline import run, verify
 from nmpc_codegen.lowering.unit.read import items_of
 from nmpc_codegen.lowering.unit.text import text_of_unit
+from nmpc_codegen.lowering.unit.unread_arguments import macros_that_act
 from verification import quality
 
 #: N is a size; ROW drops its second argument; OUTER passes its arguments to ROW in turn.

@@ -14,7 +14,7 @@ from conftest import require_tool
 
 from nmpc_codegen import OCP, ProblemError, build, generate, worst_case
 from nmpc_codegen.ir.naming import check_package_name
-from nmpc_codegen.lowering.dialect.expressions import words
+from nmpc_codegen.lowering.dialect.c_expressions import words
 from nmpc_codegen.lowering.dialect.scopes import blank
 from nmpc_codegen.lowering.unit.names import rename, renamed_words
 from nmpc_codegen.package.signals import c_constants

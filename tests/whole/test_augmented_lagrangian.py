@@ -31,7 +31,7 @@ from nmpc_codegen import (
     generate,
     simulate,
 )
-from nmpc_codegen.components.algorithms.scales import cost_magnitude
+from nmpc_codegen.components.algorithms.row_scales import cost_magnitude
 from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.oracle.reference import CLASSICAL, Reference, node_data
 from verification import problems, samples

@@ -33,7 +33,7 @@ from nmpc_codegen import (
     open_package,
     simulate,
 )
-from nmpc_codegen.frontend.estimator.problem import estimation_problem
+from nmpc_codegen.frontend.estimator.window import estimation_problem
 from nmpc_codegen.oracle.reference import Reference
 from nmpc_codegen.oracle.trajectory import node_data
 from verification.estimation import PLANTS, Linear, Plant, believing, estimate, run, window_data

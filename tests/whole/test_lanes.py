@@ -32,10 +32,10 @@ from nmpc_codegen import (
     generate,
     open_package,
 )
-from nmpc_codegen.lowering.dialect.expressions import words
+from nmpc_codegen.lowering.dialect.c_expressions import words
 from nmpc_codegen.lowering.lanes.nodes import ANGLES, REDUCTION, ROOTS, in_lanes
 from nmpc_codegen.lowering.unit.read import MATH_IN_LANES, own_names
-from nmpc_codegen.package.memory import Precision
+from nmpc_codegen.package.struct_layout import Precision
 from nmpc_codegen.runtime.build import warnings_for
 from nmpc_codegen.runtime.native import native, runs
 from nmpc_codegen.targets import TARGETS

@@ -21,8 +21,8 @@ from examples import crane, cstr, quadrotor
 from nmpc_codegen import OCP, Controller, OptionError, Options, Osqp, ProblemWarning, build, derivatives, generate
 from nmpc_codegen.cli.command import main
 from nmpc_codegen.lowering.unit.read import own_names
-from nmpc_codegen.package.memory import Precision
 from nmpc_codegen.package.program import OF_TWO
+from nmpc_codegen.package.struct_layout import Precision
 from nmpc_codegen.runtime.build import PROFILES
 from verification import quality
 from verification.own_functions import (

@@ -22,7 +22,7 @@ from nmpc_codegen import (
     generate,
 )
 from nmpc_codegen.frontend.classify import classify
-from nmpc_codegen.runtime.package import open_package
+from nmpc_codegen.runtime.open_folder import open_package
 
 
 def mass(bounds: Any = (0.1, 10.0), of_k: Any = None) -> OCP:

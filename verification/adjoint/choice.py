@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from nmpc_codegen.derivatives.counts import Counts
-from nmpc_codegen.derivatives.model import derivative_model
+from nmpc_codegen.derivatives.derivative_model import derivative_model
 from verification.adjoint import problems
 from verification.adjoint.problems import Case
 

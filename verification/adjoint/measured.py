@@ -9,7 +9,7 @@ from functools import cache
 import numpy as np
 
 from nmpc_codegen.derivatives.counts import Counts
-from nmpc_codegen.derivatives.model import DerivativeModel, derivative_model
+from nmpc_codegen.derivatives.derivative_model import DerivativeModel, derivative_model
 from verification.adjoint.problems import Case
 
 #: Exponents are fitted to horizons of at least this length.

@@ -124,7 +124,7 @@ MUTANTS = (
     ),
     Mutant(
         "a name without its definition: the verifier behind every pass",
-        "src/nmpc_codegen/lowering/unit/passes.py",
+        "src/nmpc_codegen/lowering/unit/pipeline.py",
         "if missing := sorted(lost & item.reads):",
         "if missing := sorted(lost & item.defines):",
         ("tests/lowering/test_unit.py",),

@@ -21,12 +21,12 @@ from nmpc_codegen.components.qp import DenseActiveSet
 from nmpc_codegen.lowering.dialect.constants import Constants
 from nmpc_codegen.lowering.tolerances import TOLERANCES
 from nmpc_codegen.lowering.unit.macros import CHOSEN, REAL_CONSTANT, arithmetic, print_macro
-from nmpc_codegen.lowering.unit.passes import run
+from nmpc_codegen.lowering.unit.pipeline import run
 from nmpc_codegen.lowering.unit.read import items_of, read_part
 from nmpc_codegen.package.description import union_dtype
 from nmpc_codegen.package.features import Features
-from nmpc_codegen.package.memory import Size, Struct
 from nmpc_codegen.package.status import Status
+from nmpc_codegen.package.struct_layout import Size, Struct
 from nmpc_codegen.runtime.compilers import find_compiler, with_required_options
 
 STATUSES: tuple[str, ...] = tuple(Status.__members__)

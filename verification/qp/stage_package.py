@@ -22,7 +22,7 @@ from nmpc_codegen import (
     Options,
     Status,
 )
-from nmpc_codegen.package.memory import Precision
+from nmpc_codegen.package.struct_layout import Precision
 from verification.oracles.stage_qp import Array, Point, Shape, StageQP, rows_of
 from verification.routes import PURE, ROUTES
 

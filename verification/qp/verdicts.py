@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from nmpc_codegen import Controller, Status, build
-from nmpc_codegen.package.memory import Precision
+from nmpc_codegen.package.struct_layout import Precision
 from verification.built import build_all
 from verification.oracles.stage_qp import Shape, StageQP
 from verification.qp.draw import SHAPES, draw, multipliers_of_dynamics, shapes_of

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from nmpc_codegen import Controller, Status
-from nmpc_codegen.runtime.diagnosis.rows import path_bounds
+from nmpc_codegen.runtime.diagnosis.plan_rows import path_bounds
 
 Array = np.ndarray
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from nmpc_codegen import Controller, Status
-from nmpc_codegen.runtime.diagnosis.rows import path_bounds
+from nmpc_codegen.runtime.diagnosis.plan_rows import path_bounds
 from verification.robustness.hostile import Data, spoiled
 
 Array = np.ndarray

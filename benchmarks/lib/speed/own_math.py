@@ -18,8 +18,8 @@ from examples import crane, cstr, quadrotor
 from nmpc_codegen import Options, generate
 from nmpc_codegen.firmware.delivery import record_loop
 from nmpc_codegen.firmware.verify import verify
-from nmpc_codegen.package.memory import Precision
 from nmpc_codegen.package.program import OF_TWO
+from nmpc_codegen.package.struct_layout import Precision
 from nmpc_codegen.runtime.build import PROFILES
 from nmpc_codegen.runtime.native import native
 from nmpc_codegen.targets import TARGETS

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import NamedTuple
 
-from nmpc_codegen.lowering.dialect.expressions import Expression, expression
+from nmpc_codegen.lowering.dialect.c_expressions import Expression, expression
 from nmpc_codegen.lowering.dialect.scopes import DECLARATION, blank, declarators, split
 from nmpc_codegen.lowering.dialect.tree import Node, parse
 

@@ -12,7 +12,7 @@ from nmpc_codegen.campaigns.entry import campaign
 from nmpc_codegen.campaigns.judging.result import Campaign
 from nmpc_codegen.campaigns.judging.verdict import Reason
 from nmpc_codegen.campaigns.stated.distributions import Box
-from nmpc_codegen.campaigns.stated.statement import Stated
+from nmpc_codegen.campaigns.stated.flight_statement import Stated
 from nmpc_codegen.runtime.batch.random import Normal, Uniform
 from nmpc_codegen.runtime.loops.flown import Flown
 

@@ -13,7 +13,7 @@ from nmpc_codegen.campaigns.judging.against import Against
 from nmpc_codegen.campaigns.judging.result import Campaign
 from nmpc_codegen.campaigns.judging.verdict import Asked
 from nmpc_codegen.campaigns.request import Conduct, fly_campaign
-from nmpc_codegen.campaigns.stated.statement import SILENT, Stated, Wish
+from nmpc_codegen.campaigns.stated.flight_statement import SILENT, Stated, Wish
 from nmpc_codegen.compiler import build
 from nmpc_codegen.errors import ControllerError, OptionError
 from nmpc_codegen.frontend.ocp import OCP

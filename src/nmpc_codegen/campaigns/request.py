@@ -19,7 +19,7 @@ from nmpc_codegen.campaigns.judging.against import Against, check_against, refer
 from nmpc_codegen.campaigns.judging.result import Campaign
 from nmpc_codegen.campaigns.judging.verdict import Asked, Reason, Rules, rules_of
 from nmpc_codegen.campaigns.stated.defaults import facts_of
-from nmpc_codegen.campaigns.stated.statement import Wish, plant_of, state_flights
+from nmpc_codegen.campaigns.stated.flight_statement import Wish, plant_of, state_flights
 from nmpc_codegen.errors import ControllerError
 from nmpc_codegen.frontend.ocp import OCP
 from nmpc_codegen.options import Options

@@ -154,7 +154,7 @@ def _problem(arguments: argparse.Namespace, printer: Printer) -> Stated:
 def _simulate(arguments: argparse.Namespace, folder: Path, name: str, printer: Printer) -> bool:
     """Print the summary of a closed loop; False if more samples failed than are allowed."""
     from nmpc_codegen.runtime.loops.simulate import simulate
-    from nmpc_codegen.runtime.package import open_package
+    from nmpc_codegen.runtime.open_folder import open_package
 
     samples, allowed = arguments.simulate, arguments.allow_failures or 0
     printer.stage(f"compiling, and simulating {samples:,} samples")

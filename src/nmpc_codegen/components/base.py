@@ -27,8 +27,8 @@ if TYPE_CHECKING:
     from nmpc_codegen.ir.sweep import Call, Routine
     from nmpc_codegen.package.estimation import Estimation
     from nmpc_codegen.package.features import Features
-    from nmpc_codegen.package.memory import Precision, Size, Struct
     from nmpc_codegen.package.signals import EntryPoint
+    from nmpc_codegen.package.struct_layout import Precision, Size, Struct
 
 # C function -> operations of one run
 Counts = Mapping[str, OpCount]

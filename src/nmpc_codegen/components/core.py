@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from nmpc_codegen.components.base import Core, Dims
 from nmpc_codegen.ir.cmodule import Table
 from nmpc_codegen.ir.tuning import COLUMNS
-from nmpc_codegen.package.memory import Field, Size, Struct, only_if
+from nmpc_codegen.package.struct_layout import Field, Size, Struct, only_if
 
 
 def core_structs(core: Iterable[Core], dims: Dims) -> tuple[Struct, ...]:

@@ -8,7 +8,7 @@ from nmpc_codegen.components.base import Condensing, Dims, QpDims
 from nmpc_codegen.frontend.problem import Problem, Stage
 from nmpc_codegen.ir.tuning import PANEL
 from nmpc_codegen.options import Goal
-from nmpc_codegen.package.memory import Size
+from nmpc_codegen.package.struct_layout import Size
 
 
 def dimensions(

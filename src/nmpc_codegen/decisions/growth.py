@@ -28,7 +28,7 @@ from nmpc_codegen.errors import OptionError
 from nmpc_codegen.frontend.completion.first_plan import points
 from nmpc_codegen.frontend.problem import Array, Problem
 from nmpc_codegen.ir.casadi_types import Function
-from nmpc_codegen.package.memory import EPS, Precision
+from nmpc_codegen.package.struct_layout import EPS, Precision
 
 #: Relative error of the controls above which the compiler does not choose the condensing that causes it, and warns of
 #: one that is given. In double precision the check before OK takes errors above it for failures now and then.

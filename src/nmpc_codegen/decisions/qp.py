@@ -16,8 +16,8 @@ from nmpc_codegen.decisions.choices import Choices, QpChoice
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.options import Goal
 from nmpc_codegen.package.features import Features
-from nmpc_codegen.package.memory import Precision, struct_layout
 from nmpc_codegen.package.opcount import OpCount
+from nmpc_codegen.package.struct_layout import Precision, struct_layout
 
 #: Block lengths of partial condensing that are considered.
 BLOCKS = (2, 3, 4, 5, 8, 10)

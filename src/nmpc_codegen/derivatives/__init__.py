@@ -7,7 +7,7 @@ of J, the impulse response matrix dz/du and the sensitivities of the states, eac
 algorithms are those of the NTNU thesis of 2009 on adjoint derivatives in NMPC, called [T09].
 """
 
-from nmpc_codegen.derivatives.package import Folder, build, export, generate, operations
+from nmpc_codegen.derivatives.derivative_package import Folder, build, export, generate, operations
 from nmpc_codegen.derivatives.toolbox import GRADIENTS, IMPULSE_RESPONSES, Derivatives, Trajectory
 
 __all__ = [

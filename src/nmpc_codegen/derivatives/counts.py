@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from nmpc_codegen.derivatives.model import DerivativeModel
+from nmpc_codegen.derivatives.derivative_model import DerivativeModel
 from nmpc_codegen.ir.model import operations
 from nmpc_codegen.package.opcount import OpCount
 

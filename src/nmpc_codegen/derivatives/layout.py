@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from nmpc_codegen.decisions.dimensions import dimensions
-from nmpc_codegen.derivatives.model import DerivativeModel
+from nmpc_codegen.derivatives.derivative_model import DerivativeModel
 from nmpc_codegen.ir.cmodule import Macro, Setting
 from nmpc_codegen.ir.sweep import LoopedRoutine
 from nmpc_codegen.package.features import KERNELS
-from nmpc_codegen.package.memory import Field, Size, Struct
 from nmpc_codegen.package.signals import Argument, EntryPoint
+from nmpc_codegen.package.struct_layout import Field, Size, Struct
 
 
 def macros(model: DerivativeModel) -> tuple[Macro, ...]:

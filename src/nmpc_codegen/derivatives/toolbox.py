@@ -11,12 +11,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from nmpc_codegen.derivatives.counts import Counts
+from nmpc_codegen.derivatives.derivative_model import DerivativeModel
 from nmpc_codegen.derivatives.layout import settings, structs
-from nmpc_codegen.derivatives.model import DerivativeModel
 from nmpc_codegen.errors import DerivativeError
-from nmpc_codegen.package.memory import EPS
 from nmpc_codegen.package.opcount import OpCount
 from nmpc_codegen.package.status import Status
+from nmpc_codegen.package.struct_layout import EPS
 
 Array = NDArray[Any]
 

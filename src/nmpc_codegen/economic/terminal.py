@@ -25,8 +25,8 @@ import casadi as ca
 import numpy as np
 import scipy.linalg
 
+from nmpc_codegen.economic.cost_to_go import CostToGo, cost_to_go
 from nmpc_codegen.economic.linear_quadratic import LinearQuadratic, curvature_scaling, linear_quadratic
-from nmpc_codegen.economic.riccati import CostToGo, cost_to_go
 from nmpc_codegen.economic.stage import SteadyStage, magnitudes, steady_stage
 from nmpc_codegen.economic.stationary import SteadyState, solve_steady_state
 from nmpc_codegen.errors import ProblemError

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from nmpc_codegen.lowering.templates import environment
 from nmpc_codegen.package.description import PackageDescription
-from nmpc_codegen.package.memory import Precision
+from nmpc_codegen.package.struct_layout import Precision
 from nmpc_codegen.runtime.controller import Controller
 from nmpc_codegen.runtime.estimation.observer import Observer
 from nmpc_codegen.runtime.loops.sampling import own_plant

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Literal
 
 from nmpc_codegen.errors import BuildError
-from nmpc_codegen.package.memory import Precision
+from nmpc_codegen.package.struct_layout import Precision
 from nmpc_codegen.targets import Target
 
 Level = Literal["O2", "Os"]

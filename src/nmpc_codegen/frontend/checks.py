@@ -12,7 +12,7 @@ import numpy as np
 from nmpc_codegen.errors import ProblemError
 from nmpc_codegen.frontend.problem import Array
 from nmpc_codegen.ir.kernel import OPERATIONS
-from nmpc_codegen.ir.lookup import called_lookup
+from nmpc_codegen.ir.lookup_calls import called_lookup
 from nmpc_codegen.ir.naming import C_KEYWORDS
 from nmpc_codegen.package.signals import Soft
 from nmpc_codegen.runtime.given import checked_weight

@@ -12,16 +12,16 @@ from nmpc_codegen.errors import ProblemError
 from nmpc_codegen.ir.kernel import Kernel
 from nmpc_codegen.ir.naming import check_package_name
 from nmpc_codegen.ir.printing.c_style import CStyle, unit_style
-from nmpc_codegen.ir.printing.local_names import LocalNames
+from nmpc_codegen.ir.printing.constant_names import LocalNames
 from nmpc_codegen.ir.stage_products import Products
 from nmpc_codegen.ir.sweep import LoopedRoutine, Routine
 from nmpc_codegen.package.description import PackageDescription
 from nmpc_codegen.package.features import Features
-from nmpc_codegen.package.memory import Field, Precision, Size, Struct
 from nmpc_codegen.package.opcount import OpCount
 from nmpc_codegen.package.signals import EntryPoint, Kind, Layouts
 from nmpc_codegen.package.sources import folders_of
 from nmpc_codegen.package.status import Status
+from nmpc_codegen.package.struct_layout import Field, Precision, Size, Struct
 from nmpc_codegen.targets import Target
 
 

@@ -16,7 +16,7 @@ import casadi as ca
 
 from nmpc_codegen.errors import ProblemError
 from nmpc_codegen.ir.casadi_types import Function, Sparsity
-from nmpc_codegen.ir.lookup import called_lookup, known_lookup
+from nmpc_codegen.ir.lookup_calls import called_lookup, known_lookup
 from nmpc_codegen.package.lookup import Lookup
 from nmpc_codegen.package.opcount import OpCount as OpCount
 

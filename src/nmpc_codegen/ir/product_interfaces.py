@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from nmpc_codegen.ir.kernel import Port
 from nmpc_codegen.ir.sweep import Frame, LoopedRoutine, Node, Place, Sweep, lift_loops
 from nmpc_codegen.ir.tuning import COLUMNS
-from nmpc_codegen.package.memory import Size
+from nmpc_codegen.package.struct_layout import Size
 
 
 @dataclass(frozen=True, eq=False)

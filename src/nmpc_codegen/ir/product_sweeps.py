@@ -12,7 +12,7 @@ from nmpc_codegen.ir.casadi_types import Expression
 from nmpc_codegen.ir.product_interfaces import Interface, Interfaces
 from nmpc_codegen.ir.sweep import Affine, Call, Entries, For, If, LoopedRoutine, Node, Place, Slice
 from nmpc_codegen.ir.tuning import COLUMNS, TERMS
-from nmpc_codegen.package.memory import Size
+from nmpc_codegen.package.struct_layout import Size
 
 Pattern = frozenset[tuple[int, int]]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 
-from nmpc_codegen.lowering.unit.passes import LAST_HEADING
+from nmpc_codegen.lowering.unit.pipeline import LAST_HEADING
 from nmpc_codegen.package.features import Features
 
 _SECTION = re.compile(r"^/\* ==== (.*?) =+ \*/$", re.MULTILINE)

@@ -7,7 +7,7 @@ from dataclasses import replace
 from nmpc_codegen.components.hessians import ExactHessian
 from nmpc_codegen.decisions.choices import no_curvature_in
 from nmpc_codegen.decisions.scheme_warnings import scheme_warnings
-from nmpc_codegen.frontend.program import program
+from nmpc_codegen.frontend.row_program import program
 from nmpc_codegen.ir.cmodule import CModule
 from nmpc_codegen.lowering.linearize import Model
 from nmpc_codegen.lowering.warnings import first_plan_warnings

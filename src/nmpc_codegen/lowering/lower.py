@@ -16,21 +16,21 @@ from nmpc_codegen.ir.cmodule import CModule, Macro, Section, check_prefix
 from nmpc_codegen.ir.kernel import called_functions, called_lookups
 from nmpc_codegen.ir.printing.c_style import CStyle
 from nmpc_codegen.ir.tuning import PANEL
-from nmpc_codegen.lowering.description import describe, report_of
-from nmpc_codegen.lowering.features import features_of
+from nmpc_codegen.lowering.describe import describe, report_of
+from nmpc_codegen.lowering.find_features import features_of
 from nmpc_codegen.lowering.lanes.nodes import with_lanes
 from nmpc_codegen.lowering.linearize import Model
 from nmpc_codegen.lowering.naming.enums import enums
 from nmpc_codegen.lowering.naming.local_names import local_names
-from nmpc_codegen.lowering.stated import algebra, augmentation, data, saddles
+from nmpc_codegen.lowering.stated import algebra, augmented_state, data, probes
 from nmpc_codegen.lowering.structs import absent_members, extras, lowered_structs
 from nmpc_codegen.lowering.tables import tables
 from nmpc_codegen.lowering.unit.read import own_names
 from nmpc_codegen.package.description import INTERFACE_SIZES
 from nmpc_codegen.package.features import KERNELS
-from nmpc_codegen.package.memory import Size, Struct, place
 from nmpc_codegen.package.opcount import OpCount
 from nmpc_codegen.package.signals import EntryPoint
+from nmpc_codegen.package.struct_layout import Size, Struct, place
 
 # Maximum value of counters, and maximum number of steps of integrate().
 MANY = 1_000_000
@@ -57,7 +57,7 @@ def lower(model: Model, name: str | None = None, whole: bool = False) -> CModule
     if model.options.math == "own":
         _check_math(model, [component for component, files in foreign if files])
     features = features_of(model)
-    entries = (*algorithm.entries(features), *augmentation.entries(problem), *algebra.entries(problem))
+    entries = (*algorithm.entries(features), *augmented_state.entries(problem), *algebra.entries(problem))
     structs, layout = place(lowered_structs(model, dims, features, whole), model.options.precision)
     macros = _macros(model, dims, entries, whole)
     stored = tables(model, printed)
@@ -161,10 +161,10 @@ def _macros(model: Model, dims: Dims, entries: Iterable[EntryPoint], whole: bool
     number, *sizes = data.parameter_macros(problem)
     macros = [
         *_shared_sizes(model, dims),
-        *augmentation.macros(model),
+        *augmented_state.macros(model),
         *((Macro("PANEL", PANEL, "columns processed together"),) if dims.condensed else ()),
         *data.macros(problem),
-        *saddles.macros(problem.saddles),
+        *probes.macros(problem.saddles),
         *algebra.macros(problem),
         Macro("PULLS", PULLS, "moves of a control back onto rows, at most"),
         number,
@@ -196,4 +196,4 @@ def _shared_sizes(model: Model, dims: Dims) -> Iterator[Macro]:
     of_qp = {} if dims.condensed is None else vars(dims.condensed)
     for size in (*vars(dims).values(), *of_qp.values()):
         if isinstance(size, Size) and size.text not in absent:
-            yield Macro(size.text, size.value, size.doc, shown=augmentation.in_header(size, problem))
+            yield Macro(size.text, size.value, size.doc, shown=augmented_state.in_header(size, problem))

@@ -15,10 +15,10 @@ from nmpc_codegen.lowering.templates import context, environment
 from nmpc_codegen.lowering.unit.item import Item
 from nmpc_codegen.lowering.unit.text import library_headers, text_of_unit
 from nmpc_codegen.package.deviations import DEVIATIONS
-from nmpc_codegen.package.memory import PURPOSES, WORK, Field, Size, Struct
 from nmpc_codegen.package.seal import seal
 from nmpc_codegen.package.signals import Argument, EntryPoint, Signal, horizon, nodes
 from nmpc_codegen.package.sources import Sources
+from nmpc_codegen.package.struct_layout import PURPOSES, WORK, Field, Size, Struct
 from nmpc_codegen.package.version import __version__
 from nmpc_codegen.targets import PORTABLE, UNALIGNED_MOVES, Target
 

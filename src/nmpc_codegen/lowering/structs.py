@@ -8,21 +8,21 @@ from dataclasses import replace
 from nmpc_codegen.components.base import Dims, Extra
 from nmpc_codegen.components.core import core_structs, structs_of_others
 from nmpc_codegen.lowering.linearize import Model
-from nmpc_codegen.lowering.stated import augmentation
+from nmpc_codegen.lowering.stated import augmented_state
 from nmpc_codegen.lowering.stated.data import penalties_in_use, settings
-from nmpc_codegen.lowering.stated.saddles import plan_at_saddle
+from nmpc_codegen.lowering.stated.probes import plan_at_saddle
 from nmpc_codegen.package.features import Features
-from nmpc_codegen.package.memory import Field, Size, Struct
+from nmpc_codegen.package.struct_layout import Field, Size, Struct
 
 
 def lowered_structs(model: Model, dims: Dims, features: Features, whole: bool) -> tuple[Struct, ...]:
     nodes = Size("N + 1", dims.N.value + 1)
-    more = augmentation.problem_names(model.problem)
+    more = augmented_state.problem_names(model.problem)
     found = settings(model, dims, whole)
     common = [
         Field("x", (nodes, dims.nx), f"states of the plan{more}", "iterate"),
         Field("u", (dims.N, dims.nu), "controls of the plan", "iterate"),
-        *augmentation.members(dims),
+        *augmented_state.members(dims),
         *(setting.field for setting in found),
         *penalties_in_use(found),
     ]

@@ -16,7 +16,7 @@ from nmpc_codegen.ir.cmodule import Table
 from nmpc_codegen.ir.kernel import called_lookups
 from nmpc_codegen.ir.sweep import Routine
 from nmpc_codegen.lowering.linearize import Model
-from nmpc_codegen.lowering.stated import augmentation, saddles
+from nmpc_codegen.lowering.stated import augmented_state, probes
 from nmpc_codegen.package.lookup import Lookup
 
 
@@ -61,14 +61,14 @@ def tables(model: Model, routines: Sequence[Routine]) -> tuple[Table, ...]:
         real("default_soft_l1", [r.soft[0] for r in p.rows if r.soft], "penalties l1 v of the soft rows"),
         real("default_soft_l2", [r.soft[1] for r in p.rows if r.soft], "penalties l2/2 v^2 of the soft rows"),
         integer("penalty_scaled", (r.scaled for r in p.rows if r.soft), "1: times the length of the interval"),
-        *saddles.tables(p.saddles),
+        *probes.tables(p.saddles),
         real("proximal", round_scales(p.proximal), "curvature of steps in samples"),
         integer("on_states", p.rows_on_states, "1: row on states alone"),
         integer("is_pulled", (i in p.pulled_rows for i in range(len(p.rows))), "1: hard row on controls alone"),
         real("parameter_lower", _limits(p, -math.inf), "lower bounds of the elements of p"),
         real("parameter_upper", _limits(p, math.inf), "upper bounds of the elements of p"),
         integer("parameter_offset", offsets, "first element of a parameter in p"),
-        *augmentation.tables(model),
+        *augmented_state.tables(model),
         *lookup_tables(routines),
         *(table for component in model.parts.components for table in component.tables(p)),
         *TABLES_OF_OTHERS,

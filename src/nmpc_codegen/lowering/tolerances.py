@@ -2,7 +2,7 @@
 
 import math
 
-from nmpc_codegen.package.memory import EPS
+from nmpc_codegen.package.struct_layout import EPS
 
 TOLERANCES: dict[str, tuple[float, str]] = {
     "qp_pivot": (2.0**5, "rounding of the curvature of a semidefinite Hessian, relative to its diagonal"),

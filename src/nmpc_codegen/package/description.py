@@ -20,7 +20,6 @@ from numpy.typing import NDArray
 from nmpc_codegen.errors import ControllerError
 from nmpc_codegen.package.estimation import Estimation, kind_of
 from nmpc_codegen.package.kinds import Kind
-from nmpc_codegen.package.memory import INTEGERS, REAL, Field, Precision, Size, Struct
 from nmpc_codegen.package.opcount import OpCount
 from nmpc_codegen.package.program import Program
 from nmpc_codegen.package.signals import (
@@ -34,6 +33,7 @@ from nmpc_codegen.package.signals import (
     Signal,
     c_constants,
 )
+from nmpc_codegen.package.struct_layout import INTEGERS, REAL, Field, Precision, Size, Struct
 
 #: Sizes of the interface, which every header states.
 INTERFACE_SIZES = ("N", "NX", "NU", "NP", "NY", "NY_N", "NW", "NW_N", "NR")

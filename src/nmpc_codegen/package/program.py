@@ -1,6 +1,6 @@
 """The rows of a problem, and operations whose value or derivatives need not be finite, as a program that runs in NumPy.
 
-frontend/program.py takes it from the problem; it is part of <name>.json, so that a package can be diagnosed where
+frontend/row_program.py takes it from the problem; it is part of <name>.json, so that a package can be diagnosed where
 CasADi is not installed.
 
 EDGES says where the value or the derivatives of an operation need not be finite; locate() finds the operations that are

@@ -5,7 +5,7 @@ from __future__ import annotations
 from nmpc_codegen.package.signals import horizon, nodes, units
 from nmpc_codegen.package.status import Kkt
 from nmpc_codegen.pictures.html import ROWS, page, ranges, shorten, table
-from nmpc_codegen.runtime.diagnosis.rows import path_bounds, path_reference, start_parameters
+from nmpc_codegen.runtime.diagnosis.plan_rows import path_bounds, path_reference, start_parameters
 from nmpc_codegen.runtime.memory import Memory
 from nmpc_codegen.runtime.records.one_plan import Plan
 from nmpc_codegen.runtime.records.trace import Record

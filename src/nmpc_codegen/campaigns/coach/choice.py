@@ -17,7 +17,7 @@ from nmpc_codegen.campaigns.flying.archive import HEAD
 from nmpc_codegen.campaigns.judging.result import Campaign
 from nmpc_codegen.campaigns.request import Conduct, fly_campaign
 from nmpc_codegen.campaigns.stated.defaults import facts_of
-from nmpc_codegen.campaigns.stated.statement import Wish, state_flights
+from nmpc_codegen.campaigns.stated.flight_statement import Wish, state_flights
 from nmpc_codegen.errors import ControllerError
 from nmpc_codegen.frontend.horizon import with_horizon
 from nmpc_codegen.frontend.ocp import OCP

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from nmpc_codegen.campaigns.flying.fly import Flyer, Job
 from nmpc_codegen.campaigns.stated.defaults import facts_of
-from nmpc_codegen.campaigns.stated.statement import SILENT, Stated, Statement, Wish, plant_of, state_flights
+from nmpc_codegen.campaigns.stated.flight_statement import SILENT, Stated, Statement, Wish, plant_of, state_flights
 from nmpc_codegen.compiler import build
 from nmpc_codegen.errors import ControllerError
 from nmpc_codegen.frontend.ocp import OCP

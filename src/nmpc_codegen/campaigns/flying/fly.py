@@ -12,10 +12,10 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from nmpc_codegen.campaigns.stated.statement import Data, Given, Statement
+from nmpc_codegen.campaigns.stated.flight_statement import Data, Given, Statement
 from nmpc_codegen.runtime.batch.choose import make
 from nmpc_codegen.runtime.batch.many import Batch
-from nmpc_codegen.runtime.batch.structs import Structs, single
+from nmpc_codegen.runtime.batch.struct_block import Structs, single
 from nmpc_codegen.runtime.controller import Controller
 from nmpc_codegen.runtime.loops.flights import Flights
 from nmpc_codegen.runtime.loops.flown import Flown, Labels

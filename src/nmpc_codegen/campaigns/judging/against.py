@@ -17,7 +17,7 @@ from nmpc_codegen.frontend.ocp import OCP
 from nmpc_codegen.options import Options
 from nmpc_codegen.oracle.reference import Reference, node_data
 from nmpc_codegen.runtime.controller import Controller
-from nmpc_codegen.runtime.diagnosis.rows import parameters
+from nmpc_codegen.runtime.diagnosis.plan_rows import parameters
 from nmpc_codegen.runtime.loops.flown import Flown
 from nmpc_codegen.runtime.loops.one_loop import Conduct, Sample
 

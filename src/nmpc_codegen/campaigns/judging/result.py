@@ -244,10 +244,10 @@ class Campaign:
             ControllerError: nothing was flown.
             ExtraError: matplotlib is not installed.
         """
-        from nmpc_codegen.pictures import campaign
+        from nmpc_codegen.pictures import of_campaigns
 
         self._check_some()
-        return campaign.draw_distributions(self.flown, self.rules.allowed, self.lost, self._title, self._unit, file)
+        return of_campaigns.draw_distributions(self.flown, self.rules.allowed, self.lost, self._title, self._unit, file)
 
     def plot_lost(self, file: str | os.PathLike[str] | None = None) -> Any:
         """Figure of lost flights over pairs of what was drawn, those in which lost and other flights differ most.
@@ -259,10 +259,10 @@ class Campaign:
             ControllerError: nothing was flown.
             ExtraError: matplotlib is not installed.
         """
-        from nmpc_codegen.pictures import campaign
+        from nmpc_codegen.pictures import of_campaigns
 
         self._check_some()
-        return campaign.draw_pairs(self.flown, self.lost, self._title, self._unit, file)
+        return of_campaigns.draw_pairs(self.flown, self.lost, self._title, self._unit, file)
 
     def _check_some(self) -> None:
         if not len(self):

@@ -21,10 +21,10 @@ from typing import ClassVar
 
 import numpy as np
 
-from nmpc_codegen.components.algorithms.extras import RESTART_SAMPLES, watch_fields
-from nmpc_codegen.components.algorithms.extras import ROWS as TERMS
+from nmpc_codegen.components.algorithms.hooked_parts import RESTART_SAMPLES, watch_fields
+from nmpc_codegen.components.algorithms.hooked_parts import ROWS as TERMS
 from nmpc_codegen.components.algorithms.real_time_iteration import SAMPLE, SOLVE, SOLVED, shift_entry
-from nmpc_codegen.components.algorithms.scales import cost_magnitude, row_sizes, tolerance_table, variable_scales
+from nmpc_codegen.components.algorithms.row_scales import cost_magnitude, row_sizes, tolerance_table, variable_scales
 from nmpc_codegen.components.algorithms.shifts import (
     SHIFTS,
     check_sampling_time,
@@ -41,8 +41,8 @@ from nmpc_codegen.errors import OptionError
 from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.cmodule import Table
 from nmpc_codegen.package.features import Features, KernelName
-from nmpc_codegen.package.memory import Field, Size, Struct, only_if
 from nmpc_codegen.package.signals import EntryPoint
+from nmpc_codegen.package.struct_layout import Field, Size, Struct, only_if
 
 METHODS = ("gauss_newton", "quasi_newton")
 ROWS = ("augmented_lagrangian", "smooth_l1", "barrier", "lumped")

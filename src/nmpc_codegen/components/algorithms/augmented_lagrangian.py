@@ -15,7 +15,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
-from nmpc_codegen.components.algorithms.extras import FIRST_SAMPLE, RESTART_SAMPLES, SHIFT, watch_fields
+from nmpc_codegen.components.algorithms.hooked_parts import FIRST_SAMPLE, RESTART_SAMPLES, SHIFT, watch_fields
 from nmpc_codegen.components.algorithms.real_time_iteration import (
     SAMPLE,
     SAMPLES,
@@ -24,7 +24,7 @@ from nmpc_codegen.components.algorithms.real_time_iteration import (
     shift_entry,
     state_size,
 )
-from nmpc_codegen.components.algorithms.scales import (
+from nmpc_codegen.components.algorithms.row_scales import (
     cost_magnitude,
     linear_rows,
     row_scales,
@@ -50,8 +50,8 @@ from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.cmodule import Table
 from nmpc_codegen.ir.tuning import PANEL
 from nmpc_codegen.package.features import Features
-from nmpc_codegen.package.memory import Field, Size, Struct, only_if
 from nmpc_codegen.package.signals import EntryPoint
+from nmpc_codegen.package.struct_layout import Field, Size, Struct, only_if
 
 PREPARE = EntryPoint(
     "prepare",

@@ -16,13 +16,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
-import nmpc_codegen.components.algorithms.estimation as measuring
+import nmpc_codegen.components.algorithms.estimators as measuring
 from nmpc_codegen.components.base import MEASUREMENTS, Algorithm, Core, Dims, Seam
 from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.cmodule import Table
 from nmpc_codegen.package.features import Features
-from nmpc_codegen.package.memory import Field, Struct
 from nmpc_codegen.package.signals import EntryPoint
+from nmpc_codegen.package.struct_layout import Field, Struct
 
 
 @dataclass(frozen=True)

@@ -16,9 +16,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
-import nmpc_codegen.components.algorithms.estimation as measuring
+import nmpc_codegen.components.algorithms.estimators as measuring
 from nmpc_codegen.components.algorithms.real_time_iteration import RealTimeIteration
-from nmpc_codegen.components.algorithms.scales import tolerance_table
+from nmpc_codegen.components.algorithms.row_scales import tolerance_table
 from nmpc_codegen.components.algorithms.shifts import initial_tables
 from nmpc_codegen.components.allowed import Number, Whole, check_options, option
 from nmpc_codegen.components.base import MEASUREMENTS, Algorithm, Core, Counts, Dims, Parts, Seam
@@ -27,8 +27,8 @@ from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.cmodule import Table
 from nmpc_codegen.ir.model import ModelFunctions
 from nmpc_codegen.package.features import Features
-from nmpc_codegen.package.memory import Field, Struct
 from nmpc_codegen.package.signals import EntryPoint
+from nmpc_codegen.package.struct_layout import Field, Struct
 
 #: What an estimator takes over of the iteration: its QP and its structs.
 _ITERATION = RealTimeIteration(shift=None, iterations=1, relaxation=None)

@@ -13,8 +13,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
-import nmpc_codegen.components.algorithms.extras as at_hooks
-from nmpc_codegen.components.algorithms.scales import tolerance_table
+import nmpc_codegen.components.algorithms.hooked_parts as at_hooks
+from nmpc_codegen.components.algorithms.row_scales import tolerance_table
 from nmpc_codegen.components.algorithms.shifts import (
     SHIFTS,
     check_sampling_time,
@@ -44,9 +44,9 @@ from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.cmodule import Table
 from nmpc_codegen.ir.model import ModelFunctions, operations
 from nmpc_codegen.package.features import Features
-from nmpc_codegen.package.memory import Field, Size, Struct, only_if
 from nmpc_codegen.package.opcount import OpCount
 from nmpc_codegen.package.signals import Argument, EntryPoint
+from nmpc_codegen.package.struct_layout import Field, Size, Struct, only_if
 
 _XHAT = Argument("xhat", "real", ("NX",))
 _U0 = Argument("u0", "real", ("NU",))

@@ -15,8 +15,8 @@ from nmpc_codegen.components.base import EVERY_USE, Condensing, Counts, Dims, Qp
 from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.cmodule import Table
 from nmpc_codegen.ir.tuning import COLUMNS
-from nmpc_codegen.package.memory import Field, Size, Struct
 from nmpc_codegen.package.opcount import OpCount
+from nmpc_codegen.package.struct_layout import Field, Size, Struct
 
 
 def _panels(width: int) -> int:

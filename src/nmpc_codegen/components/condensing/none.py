@@ -7,7 +7,7 @@ from typing import ClassVar
 
 from nmpc_codegen.components.base import EVERY_USE, Condensing, Counts, Dims, QpShape, Seam, StageMatrices
 from nmpc_codegen.components.condensing.partial import PartialCondensing
-from nmpc_codegen.components.condensing.stages import copied_states, embed_cost, stage_tables
+from nmpc_codegen.components.condensing.stage_rows import copied_states, embed_cost, stage_tables
 from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.cmodule import Table
 

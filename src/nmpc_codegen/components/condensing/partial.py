@@ -10,12 +10,12 @@ from typing import ClassVar
 
 from nmpc_codegen.components.allowed import Whole, check_options, option
 from nmpc_codegen.components.base import EVERY_USE, Condensing, Counts, Dims, QpShape, Seam, StageMatrices
-from nmpc_codegen.components.condensing.stages import copied_states, embed_cost, stage_tables
+from nmpc_codegen.components.condensing.stage_rows import copied_states, embed_cost, stage_tables
 from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.cmodule import Table
 from nmpc_codegen.package.features import Features
-from nmpc_codegen.package.memory import Field, Struct
 from nmpc_codegen.package.opcount import OpCount
+from nmpc_codegen.package.struct_layout import Field, Struct
 
 
 @dataclass(frozen=True)

@@ -26,7 +26,7 @@ from nmpc_codegen.ir.model import Block, HessianModel, ModelFunctions, operation
 from nmpc_codegen.ir.stage_products import Pattern, irreducible_blocks, pattern
 from nmpc_codegen.ir.sweep import Call, Routine, Slice
 from nmpc_codegen.package.features import Features
-from nmpc_codegen.package.memory import Field, Size, Struct
+from nmpc_codegen.package.struct_layout import Field, Size, Struct
 
 #: Switch of the parts, and the level of a regularisation that sets it.
 LEVELS = (("STAGES", "stage"), ("REDUCED", "reduced"))

@@ -21,7 +21,7 @@ from nmpc_codegen.ir.kernel import Kernel, Port
 from nmpc_codegen.ir.model import Block, HessianModel, ModelFunctions, operations
 from nmpc_codegen.ir.stage_products import pattern
 from nmpc_codegen.package.features import Features
-from nmpc_codegen.package.memory import Field, Struct
+from nmpc_codegen.package.struct_layout import Field, Struct
 
 
 @dataclass(frozen=True)

@@ -30,8 +30,8 @@ from nmpc_codegen.ir.kernel import Port
 from nmpc_codegen.ir.model import Interval, IntervalProducts
 from nmpc_codegen.ir.sweep import Call, Routine
 from nmpc_codegen.package.features import Features
-from nmpc_codegen.package.memory import Field, Size, Struct
 from nmpc_codegen.package.signals import list_some
+from nmpc_codegen.package.struct_layout import Field, Size, Struct
 
 #: Limits on the steps per interval, on stages that a backward sweep stores and on the numbers that it stores, which are
 #: on the stack.

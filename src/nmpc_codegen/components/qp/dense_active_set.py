@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING, ClassVar
 from nmpc_codegen.components.allowed import Whole, check_options, option
 from nmpc_codegen.components.base import EVERY_USE, QpSolver
 from nmpc_codegen.package.features import Features
-from nmpc_codegen.package.memory import Field, Size, Struct
 from nmpc_codegen.package.opcount import OpCount
+from nmpc_codegen.package.struct_layout import Field, Size, Struct
 
 if TYPE_CHECKING:
     from nmpc_codegen.components.base import Counts, Dims, StageMatrices

@@ -20,11 +20,11 @@ from nmpc_codegen.components.allowed import Number, Whole, check_options, option
 from nmpc_codegen.components.base import EVERY_USE, QpSolver
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.package.features import Features
-from nmpc_codegen.package.memory import Field, Size, Struct, only_if
+from nmpc_codegen.package.struct_layout import Field, Size, Struct, only_if
 
 if TYPE_CHECKING:
     from nmpc_codegen.components.base import Dims
-    from nmpc_codegen.package.memory import Precision
+    from nmpc_codegen.package.struct_layout import Precision
 
 
 @dataclass(frozen=True)

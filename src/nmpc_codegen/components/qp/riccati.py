@@ -7,8 +7,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from nmpc_codegen.package.memory import Field, Size, Struct, only_if
 from nmpc_codegen.package.opcount import OpCount
+from nmpc_codegen.package.struct_layout import Field, Size, Struct, only_if
 
 if TYPE_CHECKING:
     from nmpc_codegen.components.base import Dims

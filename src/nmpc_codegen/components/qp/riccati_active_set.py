@@ -25,7 +25,7 @@ from nmpc_codegen.components.qp.riccati import (
 )
 from nmpc_codegen.components.qp.riccati_interior_point import RiccatiInteriorPoint, interior_point_struct
 from nmpc_codegen.package.features import Features
-from nmpc_codegen.package.memory import Field, Size, Struct, only_if
+from nmpc_codegen.package.struct_layout import Field, Size, Struct, only_if
 
 if TYPE_CHECKING:
     from nmpc_codegen.components.base import Counts, Dims, StageMatrices

@@ -16,7 +16,7 @@ from nmpc_codegen.components.allowed import Flag, Whole, check_options, option
 from nmpc_codegen.components.base import EVERY_USE, QpSolver, Seam
 from nmpc_codegen.components.qp.riccati import riccati_sizes, riccati_structs, stage_qp_fields, units_structs
 from nmpc_codegen.package.features import Features
-from nmpc_codegen.package.memory import Field, Size, Struct, only_if
+from nmpc_codegen.package.struct_layout import Field, Size, Struct, only_if
 
 if TYPE_CHECKING:
     from nmpc_codegen.components.base import Dims

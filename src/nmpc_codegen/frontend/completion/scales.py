@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike
 from nmpc_codegen.frontend.problem import Array, Problem, Stage, symbols
 from nmpc_codegen.ir.casadi_types import Expression
 from nmpc_codegen.ir.kernel import Instruction, Kernel, Port, lift, opcode_name
-from nmpc_codegen.ir.lookup import known_lookup
+from nmpc_codegen.ir.lookup_calls import known_lookup
 from nmpc_codegen.package.program import VALUES
 
 #: Size of a state of which nothing is known, at least, relative to what a control of its size does over the horizon.

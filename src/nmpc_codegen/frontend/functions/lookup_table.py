@@ -13,7 +13,7 @@ from scipy.interpolate import BSpline, make_interp_spline
 from nmpc_codegen.errors import ProblemError
 from nmpc_codegen.frontend.checks import identifier, numbers, quote
 from nmpc_codegen.frontend.problem import Array
-from nmpc_codegen.ir.lookup import look_up
+from nmpc_codegen.ir.lookup_calls import look_up
 from nmpc_codegen.package.lookup import Lookup
 
 #: Kinds of interpolation -> the least number of points of an axis.

@@ -12,7 +12,7 @@ import casadi as ca
 import numpy as np
 
 from nmpc_codegen.ir.kernel import OPERATIONS
-from nmpc_codegen.ir.printing.local_names import NO_NAMES, LocalNames
+from nmpc_codegen.ir.printing.constant_names import NO_NAMES, LocalNames
 
 #: A number with a longer literal is written as a quotient if its denominator is at most that.
 LONGEST_LITERAL, LARGEST_DENOMINATOR = 14, 1000

@@ -14,8 +14,8 @@ import casadi as ca
 
 from nmpc_codegen.ir.kernel import Kernel, Port
 from nmpc_codegen.ir.printing.c_style import CStyle
-from nmpc_codegen.ir.printing.expressions import FIRM, WIDTH, Expressions, declare, wrap_statement
-from nmpc_codegen.ir.printing.local_names import LocalNames, Taken
+from nmpc_codegen.ir.printing.constant_names import LocalNames, Taken
+from nmpc_codegen.ir.printing.nested_expressions import FIRM, WIDTH, Expressions, declare, wrap_statement
 from nmpc_codegen.package.opcount import OpCount
 
 #: The longest function that is not cut, in lines.

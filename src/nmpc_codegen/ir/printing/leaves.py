@@ -10,9 +10,9 @@ import casadi as ca
 
 from nmpc_codegen.ir.kernel import OPERATIONS, Kernel, live
 from nmpc_codegen.ir.printing.c_style import CStyle
-from nmpc_codegen.ir.printing.expressions import Expressions, declare, loads_inside, wrap_statement
+from nmpc_codegen.ir.printing.constant_names import Taken
 from nmpc_codegen.ir.printing.kernels import CLEARED, find_loads, result_note, statement
-from nmpc_codegen.ir.printing.local_names import Taken
+from nmpc_codegen.ir.printing.nested_expressions import Expressions, declare, loads_inside, wrap_statement
 from nmpc_codegen.ir.printing.rolls import Roll, Store, find_rolls
 from nmpc_codegen.ir.sweep import Affine, Call, LoopedRoutine, Slice
 

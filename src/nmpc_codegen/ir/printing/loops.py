@@ -10,7 +10,7 @@ import re
 from collections.abc import Iterable, Iterator, Sequence
 
 from nmpc_codegen.ir.printing.c_style import CStyle
-from nmpc_codegen.ir.printing.expressions import wrap_statement
+from nmpc_codegen.ir.printing.constant_names import Taken
 from nmpc_codegen.ir.printing.kernels import (
     LONGEST_FUNCTION,
     comment,
@@ -22,7 +22,7 @@ from nmpc_codegen.ir.printing.kernels import (
     wrapped_head,
 )
 from nmpc_codegen.ir.printing.leaves import Buffers, Leaf
-from nmpc_codegen.ir.printing.local_names import Taken
+from nmpc_codegen.ir.printing.nested_expressions import wrap_statement
 from nmpc_codegen.ir.printing.stages import STAGE, Loop, Piece, cut, flat, note_of, once
 from nmpc_codegen.ir.sweep import Affine, Call, For, LoopedRoutine, Node, Slice, Written, calls, passed_slices
 from nmpc_codegen.ir.tuning import PANEL

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 
 from nmpc_codegen.ir.kernel import Kernel, Port
 from nmpc_codegen.ir.printing.c_style import CStyle
-from nmpc_codegen.ir.printing.expressions import declare, wrap_statement
 from nmpc_codegen.ir.printing.kernels import (
     LONGEST_FUNCTION,
     Function,
@@ -25,6 +24,7 @@ from nmpc_codegen.ir.printing.kernels import (
     statement,
     wrapped_head,
 )
+from nmpc_codegen.ir.printing.nested_expressions import declare, wrap_statement
 
 #: Lengths of a piece between its loads and its end, in lines; the first is taken that makes no function too long.
 LENGTHS = (50, 46, 42, 38, 32, 26, 20)

@@ -8,7 +8,7 @@ from nmpc_codegen.ir.kernel import Kernel
 from nmpc_codegen.ir.printing.c_style import CStyle
 from nmpc_codegen.ir.printing.loops import print_loops
 from nmpc_codegen.ir.printing.pieces import print_straight
-from nmpc_codegen.ir.printing.products import print_frame
+from nmpc_codegen.ir.printing.struct_sweeps import print_frame
 from nmpc_codegen.ir.sweep import Routine
 
 

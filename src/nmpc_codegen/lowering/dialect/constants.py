@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from itertools import product
 from typing import Any
 
-from nmpc_codegen.lowering.dialect.expressions import Expression, expression, words
+from nmpc_codegen.lowering.dialect.c_expressions import Expression, expression, words
 
 #: Least and greatest value of an expression of integers.
 Range = tuple[int, int]

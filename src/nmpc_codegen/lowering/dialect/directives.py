@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from functools import lru_cache
 
+from nmpc_codegen.lowering.dialect.c_expressions import Expression, expression, words
 from nmpc_codegen.lowering.dialect.constants import Constants
-from nmpc_codegen.lowering.dialect.expressions import Expression, expression, words
 from nmpc_codegen.lowering.dialect.scopes import blank
 from nmpc_codegen.lowering.dialect.tree import Edit, Node, edit, parse
 

@@ -15,7 +15,7 @@ from nmpc_codegen.ir.kernel import OPERATIONS, Kernel, Port, called_functions, c
 from nmpc_codegen.ir.printing.c_style import CStyle, spell
 from nmpc_codegen.ir.printing.routines import print_routine
 from nmpc_codegen.ir.sweep import LoopedRoutine, Routine
-from nmpc_codegen.lowering.lanes import steps as lane_steps
+from nmpc_codegen.lowering.lanes import lane_steps
 from nmpc_codegen.lowering.unit.macros import PLACES
 from nmpc_codegen.lowering.unit.reach import reach
 from nmpc_codegen.lowering.unit.read import MATH_IN_LANES, items_of, own_names, read_part

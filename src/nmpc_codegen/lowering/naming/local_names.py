@@ -9,7 +9,7 @@ from functools import cache
 from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.kernel import OPERATIONS
 from nmpc_codegen.ir.naming import C_KEYWORDS
-from nmpc_codegen.ir.printing.local_names import LocalNames
+from nmpc_codegen.ir.printing.constant_names import LocalNames
 from nmpc_codegen.lowering.templates import template_directory
 from nmpc_codegen.lowering.unit.macros import arithmetic
 from nmpc_codegen.lowering.unit.read import defined_names

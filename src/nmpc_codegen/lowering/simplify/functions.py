@@ -13,8 +13,8 @@ import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import lru_cache
 
+from nmpc_codegen.lowering.dialect.c_expressions import Expression, expression, words
 from nmpc_codegen.lowering.dialect.constants import Constants
-from nmpc_codegen.lowering.dialect.expressions import Expression, expression, words
 from nmpc_codegen.lowering.dialect.scopes import (
     DECLARATION,
     declarators,

@@ -5,8 +5,8 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Sequence
 
+from nmpc_codegen.lowering.dialect.c_expressions import expression
 from nmpc_codegen.lowering.dialect.constants import Constants
-from nmpc_codegen.lowering.dialect.expressions import expression
 from nmpc_codegen.lowering.dialect.scopes import blank, declarators, in_line, signature
 from nmpc_codegen.lowering.dialect.tree import Edit, Node, margin
 

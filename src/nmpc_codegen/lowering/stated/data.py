@@ -8,8 +8,8 @@ from nmpc_codegen.components.base import Dims
 from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.cmodule import Macro, Setter, Setting
 from nmpc_codegen.lowering.linearize import Model
-from nmpc_codegen.package.memory import Field, Size
 from nmpc_codegen.package.signals import Kind, Layout, c_constants
+from nmpc_codegen.package.struct_layout import Field, Size
 
 #: The node k of a setter, for every kind of data that can be changed at run time.
 _NONE = "is {all}: all nodes have the same"

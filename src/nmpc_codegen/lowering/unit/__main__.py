@@ -11,7 +11,7 @@ from nmpc_codegen.frontend.completion.complete import complete
 from nmpc_codegen.lowering.linearize import linearize
 from nmpc_codegen.lowering.lower import lower
 from nmpc_codegen.lowering.unit.assemble import assemble, constants_of
-from nmpc_codegen.lowering.unit.passes import Items, run
+from nmpc_codegen.lowering.unit.pipeline import Items, run
 from nmpc_codegen.options import Options
 
 

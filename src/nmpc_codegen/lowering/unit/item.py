@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Literal
 
-from nmpc_codegen.lowering.dialect.expressions import words
+from nmpc_codegen.lowering.dialect.c_expressions import words
 from nmpc_codegen.lowering.dialect.scopes import blank, free_names, in_line, names_in_code, signature, split
 
 #: A section is the heading of a part of the unit, a heading a comment that stands alone. An alias is a short name of

@@ -13,13 +13,13 @@ from types import MappingProxyType
 
 from nmpc_codegen.ir.cmodule import CModule
 from nmpc_codegen.ir.printing.c_style import CStyle, unit_style
-from nmpc_codegen.ir.printing.products import call
+from nmpc_codegen.ir.printing.struct_sweeps import call
 from nmpc_codegen.ir.sweep import LoopedRoutine, Routine
 from nmpc_codegen.lowering.tolerances import FACTORS, ROOT, TOLERANCES, UNIT, origin, tolerance
 from nmpc_codegen.lowering.unit.item import Item
 from nmpc_codegen.lowering.unit.names import rename
-from nmpc_codegen.package.memory import Struct
 from nmpc_codegen.package.signals import Kind
+from nmpc_codegen.package.struct_layout import Struct
 
 #: Functions of math.h that the parts call in the working precision: upper case in the parts.
 FUNCTIONS = ("sqrt", "fabs", "ceil", "sin", "cos", "exp", "log", "log1p")

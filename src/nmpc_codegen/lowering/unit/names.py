@@ -10,7 +10,7 @@ from __future__ import annotations
 import re
 from collections.abc import Collection, Mapping
 
-from nmpc_codegen.lowering.dialect.expressions import words
+from nmpc_codegen.lowering.dialect.c_expressions import words
 from nmpc_codegen.lowering.dialect.scopes import blank
 
 _INNER = re.compile(r"\bAPI\(\w+\)|[A-Za-z_]\w*")

@@ -7,7 +7,7 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from nmpc_codegen.lowering.unit.item import Item
 from nmpc_codegen.lowering.unit.macros import print_macro
 from nmpc_codegen.lowering.unit.names import rename, renamed_words
-from nmpc_codegen.package.memory import Struct
+from nmpc_codegen.package.struct_layout import Struct
 
 #: Header of the C library -> names of it, or beginnings of names, that a unit may read.
 _LIBRARY: Mapping[str, str] = {"immintrin.h": "_mm512_", "math.h": "", "stddef.h": "ptrdiff_t", "string.h": ""}

@@ -16,7 +16,7 @@ from nmpc_codegen.errors import ControllerError, warn
 from nmpc_codegen.runtime import given
 from nmpc_codegen.runtime.batch.driver import REAL, Driver, declarations_of, part
 from nmpc_codegen.runtime.batch.many import Batch, check
-from nmpc_codegen.runtime.batch.structs import Into, Statuses, Structs, reserve, stride_of
+from nmpc_codegen.runtime.batch.struct_block import Into, Statuses, Structs, reserve, stride_of
 from nmpc_codegen.runtime.batch.told import Told
 from nmpc_codegen.runtime.compiled import CompiledPackage
 from nmpc_codegen.runtime.controller import Controller

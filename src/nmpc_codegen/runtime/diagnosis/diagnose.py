@@ -9,8 +9,8 @@ import numpy as np
 from nmpc_codegen.package.program import NOT_FINITE, Array, in_words, locate
 from nmpc_codegen.package.status import STALE, Status
 from nmpc_codegen.runtime.diagnosis.advice import advice, has_qp, row_advice
+from nmpc_codegen.runtime.diagnosis.plan_rows import parameters, plan_data, violations
 from nmpc_codegen.runtime.diagnosis.poles import unstable_poles
-from nmpc_codegen.runtime.diagnosis.rows import parameters, plan_data, violations
 from nmpc_codegen.runtime.memory import Memory
 
 #: Relative KKT residual of a sample above which steps with another Hessian than that of solve() may be the cause.

@@ -9,7 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nmpc_codegen.package.signals import imposed_rows
-from nmpc_codegen.runtime.diagnosis.rows import NEGLIGIBLE, by_node, imposed_nodes, values_at_nodes, whole_parameters
+from nmpc_codegen.runtime.diagnosis.plan_rows import (
+    NEGLIGIBLE,
+    by_node,
+    imposed_nodes,
+    values_at_nodes,
+    whole_parameters,
+)
 from nmpc_codegen.runtime.memory import Memory
 
 Array = NDArray[np.float64]

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from nmpc_codegen.errors import ControllerError
 from nmpc_codegen.package.signals import Signal, members, units
 from nmpc_codegen.runtime.controller import Controller
-from nmpc_codegen.runtime.diagnosis.rows import start_parameters
+from nmpc_codegen.runtime.diagnosis.plan_rows import start_parameters
 from nmpc_codegen.runtime.estimation.observer import Observer
 from nmpc_codegen.runtime.given import is_integer, is_same_time
 from nmpc_codegen.runtime.records.trace import Estimates, Trace

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from nmpc_codegen.errors import ControllerError
 from nmpc_codegen.package.signals import units
 from nmpc_codegen.package.status import Status
-from nmpc_codegen.runtime.batch.structs import Into
+from nmpc_codegen.runtime.batch.struct_block import Into
 from nmpc_codegen.runtime.loops.flights import Flights
 from nmpc_codegen.runtime.loops.flown import Flown, Labels
 from nmpc_codegen.runtime.loops.judge import Samples

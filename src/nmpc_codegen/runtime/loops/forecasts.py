@@ -21,7 +21,7 @@ from nmpc_codegen.errors import ControllerError
 from nmpc_codegen.package.signals import Kind, members
 from nmpc_codegen.runtime import given
 from nmpc_codegen.runtime.access.addressing import Addressing
-from nmpc_codegen.runtime.batch.structs import Structs
+from nmpc_codegen.runtime.batch.struct_block import Structs
 
 Array = NDArray[Any]
 Tables = Mapping[str, ArrayLike]

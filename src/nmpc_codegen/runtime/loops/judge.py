@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from nmpc_codegen.package.description import PackageDescription
 from nmpc_codegen.package.signals import Row
-from nmpc_codegen.runtime.batch.structs import Structs
-from nmpc_codegen.runtime.diagnosis.rows import NEGLIGIBLE, append_solved
+from nmpc_codegen.runtime.batch.struct_block import Structs
+from nmpc_codegen.runtime.diagnosis.plan_rows import NEGLIGIBLE, append_solved
 
 Array = NDArray[np.float64]
 

@@ -19,7 +19,7 @@ from nmpc_codegen.errors import ControllerError
 from nmpc_codegen.package.status import Status
 from nmpc_codegen.runtime import given
 from nmpc_codegen.runtime.batch.random import DISTURBANCE, NOISE, Draws, Random, signal
-from nmpc_codegen.runtime.batch.structs import Structs
+from nmpc_codegen.runtime.batch.struct_block import Structs
 from nmpc_codegen.runtime.given import is_same_time
 from nmpc_codegen.runtime.loops.forecasts import (
     Bounds,

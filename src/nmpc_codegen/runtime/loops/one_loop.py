@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from nmpc_codegen.errors import ControllerError
 from nmpc_codegen.package.status import Status
-from nmpc_codegen.runtime.batch.structs import Into
+from nmpc_codegen.runtime.batch.struct_block import Into
 from nmpc_codegen.runtime.controller import Controller
 from nmpc_codegen.runtime.estimation.observer import Observer
 from nmpc_codegen.runtime.estimation.sensing import Sensing

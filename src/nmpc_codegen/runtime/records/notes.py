@@ -13,7 +13,7 @@ from nmpc_codegen.package.signals import units
 from nmpc_codegen.package.status import Status
 from nmpc_codegen.runtime.controller import Controller
 from nmpc_codegen.runtime.diagnosis.plan import PlanData, PlanReader
-from nmpc_codegen.runtime.diagnosis.rows import (
+from nmpc_codegen.runtime.diagnosis.plan_rows import (
     imposed_nodes,
     path_reference,
     row_values,

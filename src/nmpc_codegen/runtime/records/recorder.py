@@ -22,7 +22,7 @@ from nmpc_codegen.runtime.controller import Controller
 from nmpc_codegen.runtime.given import is_integer
 from nmpc_codegen.runtime.loops.sampling import interval_of
 from nmpc_codegen.runtime.memory import OnFailure
-from nmpc_codegen.runtime.package import open_package
+from nmpc_codegen.runtime.open_folder import open_package
 from nmpc_codegen.runtime.records import stream
 from nmpc_codegen.runtime.records.log import Log
 from nmpc_codegen.runtime.records.notes import Notes, spacing

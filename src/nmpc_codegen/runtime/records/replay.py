@@ -15,7 +15,7 @@ from nmpc_codegen.errors import ControllerError
 from nmpc_codegen.package.seal import package_of
 from nmpc_codegen.package.status import Status
 from nmpc_codegen.runtime.controller import Controller
-from nmpc_codegen.runtime.package import open_package
+from nmpc_codegen.runtime.open_folder import open_package
 from nmpc_codegen.runtime.records.one_plan import take_plan
 
 Array = NDArray[Any]

@@ -17,7 +17,7 @@ import casadi as ca
 from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.casadi_types import Expression, Function, nonzeros
 from nmpc_codegen.ir.kernel import OPERATIONS, Kernel, Port, lift
-from nmpc_codegen.ir.lookup import known_lookup, look_up
+from nmpc_codegen.ir.lookup_calls import known_lookup, look_up
 from nmpc_codegen.ir.tuning import CLOSED_STATES, TAPE_PER_COMPONENT
 
 Entry = tuple[int, int]

@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import casadi as ca
 
-from nmpc_codegen.components.integrators.explicit.second_order import Builder, Local, constant
+from nmpc_codegen.components.integrators.explicit.second_derivatives import Builder, Local, constant
 from nmpc_codegen.ir.casadi_types import Function
 from nmpc_codegen.ir.passes import copy
 from nmpc_codegen.ir.sweep import Affine, Call, For, Node, Slice, add_notes

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import casadi as ca
 
-from nmpc_codegen.components.integrators.explicit.second_order import Builder, Local, constant
+from nmpc_codegen.components.integrators.explicit.second_derivatives import Builder, Local, constant
 from nmpc_codegen.ir.passes import copy
 from nmpc_codegen.ir.sweep import Affine, Call, For, Node, Slice, add_notes
 from nmpc_codegen.ir.tuning import FACTORS, LONGEST_TAPE, PANEL, TAPE_PER_COMPONENT, WRITTEN_PANELS

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from nmpc_codegen.components.integrators.explicit.directional import ADJOINT, ADJOINT_DOC, FORWARD, FORWARD_DOC
-from nmpc_codegen.components.integrators.implicit.counts import Counts
+from nmpc_codegen.components.integrators.implicit.operation_counts import Counts
 from nmpc_codegen.components.integrators.implicit.stage_kernels import stage_kernels
 from nmpc_codegen.components.integrators.jump import with_end
 from nmpc_codegen.components.integrators.tableau import ButcherTableau

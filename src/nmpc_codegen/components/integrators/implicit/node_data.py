@@ -10,8 +10,8 @@ from typing import TypeVar
 
 import casadi as ca
 
-from nmpc_codegen.components.integrators.implicit.counts import factors_of, solution_of
 from nmpc_codegen.components.integrators.implicit.intervals import START
+from nmpc_codegen.components.integrators.implicit.operation_counts import factors_of, solution_of
 from nmpc_codegen.components.integrators.implicit.stage_kernels import stage_kernels
 from nmpc_codegen.components.integrators.jump import rename_buffer
 from nmpc_codegen.frontend.problem import Problem, symbols

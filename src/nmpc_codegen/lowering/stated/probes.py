@@ -7,7 +7,7 @@ from nmpc_codegen.frontend.completion.saddles import PROBE_PARTS, PROBE_SIZES, S
 from nmpc_codegen.frontend.completion.scales import round_scales
 from nmpc_codegen.ir.cmodule import Macro, Table
 from nmpc_codegen.package.features import Features
-from nmpc_codegen.package.memory import Field, Size, Struct
+from nmpc_codegen.package.struct_layout import Field, Size, Struct
 
 
 def macros(saddles: Saddles) -> tuple[Macro, ...]:

@@ -15,8 +15,8 @@ import numpy as np
 from nmpc_codegen.frontend.problem import Problem, Stage, symbols
 from nmpc_codegen.ir.casadi_types import Expression, elements
 from nmpc_codegen.ir.kernel import OPERATIONS, Instruction, Kernel, Port, function_of, lift, live, opcode_name
-from nmpc_codegen.ir.lookup import known_lookup
-from nmpc_codegen.ir.printing.expressions import needs_parentheses
+from nmpc_codegen.ir.lookup_calls import known_lookup
+from nmpc_codegen.ir.printing.nested_expressions import needs_parentheses
 from nmpc_codegen.package.lookup import Lookup
 from nmpc_codegen.package.program import EDGES, Operation, Program, Quantity, Step
 

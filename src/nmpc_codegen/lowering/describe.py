@@ -12,10 +12,10 @@ from nmpc_codegen.lowering.linearize import Model
 from nmpc_codegen.options import as_data
 from nmpc_codegen.package.description import PackageDescription, Report
 from nmpc_codegen.package.features import Features
-from nmpc_codegen.package.memory import Struct
 from nmpc_codegen.package.opcount import OpCount
 from nmpc_codegen.package.signals import EntryPoint, Residual
 from nmpc_codegen.package.status import Status
+from nmpc_codegen.package.struct_layout import Struct
 
 
 def describe(

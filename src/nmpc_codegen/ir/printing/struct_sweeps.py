@@ -12,8 +12,8 @@ from collections.abc import Iterable
 from functools import lru_cache
 
 from nmpc_codegen.ir.printing.c_style import CStyle
-from nmpc_codegen.ir.printing.expressions import Expressions, declare, wrap_statement
 from nmpc_codegen.ir.printing.kernels import block, find_loads, print_count, wrapped_head
+from nmpc_codegen.ir.printing.nested_expressions import Expressions, declare, wrap_statement
 from nmpc_codegen.ir.sweep import Affine, Block, Call, Entries, For, Frame, If, LoopedRoutine, Node, Slice, calls
 
 #: Text of a load -> name of the constant that holds it.

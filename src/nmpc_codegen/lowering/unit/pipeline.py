@@ -14,7 +14,12 @@ from itertools import pairwise
 
 from nmpc_codegen.lowering.dialect.constants import Constants
 from nmpc_codegen.lowering.dialect.scopes import function_of
-from nmpc_codegen.lowering.unit.arguments import (
+from nmpc_codegen.lowering.unit.contracts import without_entries
+from nmpc_codegen.lowering.unit.item import Item
+from nmpc_codegen.lowering.unit.misra_spelling import cast_results, name_constants, state_conditions
+from nmpc_codegen.lowering.unit.reach import keep_reached, reach, roots, simplify_item
+from nmpc_codegen.lowering.unit.uniform_tables import fold_tables
+from nmpc_codegen.lowering.unit.unread_arguments import (
     drop_arguments_of_macros,
     drop_parameters,
     functions_without_effect,
@@ -24,11 +29,6 @@ from nmpc_codegen.lowering.unit.arguments import (
     put_in_numbers,
     unread_parameters,
 )
-from nmpc_codegen.lowering.unit.contracts import without_entries
-from nmpc_codegen.lowering.unit.item import Item
-from nmpc_codegen.lowering.unit.reach import keep_reached, reach, roots, simplify_item
-from nmpc_codegen.lowering.unit.spelling import cast_results, name_constants, state_conditions
-from nmpc_codegen.lowering.unit.tables import fold_tables
 
 #: The last part of a unit holds what only this entry point calls, under this heading.
 LAST = "API(solve)"

@@ -11,8 +11,8 @@ from dataclasses import replace
 from functools import lru_cache, partial
 from itertools import accumulate
 
+from nmpc_codegen.lowering.dialect.c_expressions import expression, words
 from nmpc_codegen.lowering.dialect.constants import Constants
-from nmpc_codegen.lowering.dialect.expressions import expression, words
 from nmpc_codegen.lowering.dialect.scopes import (
     blank,
     function_of,

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import casadi as ca
 
 from nmpc_codegen.ir.kernel import OPERATIONS, Kernel, Part, function_of
-from nmpc_codegen.ir.printing.local_names import Taken
+from nmpc_codegen.ir.printing.constant_names import Taken
 
 if TYPE_CHECKING:
     from nmpc_codegen.ir.kernel import Instruction

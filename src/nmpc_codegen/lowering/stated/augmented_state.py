@@ -11,8 +11,8 @@ from nmpc_codegen.components.base import Dims
 from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.cmodule import Macro, Table
 from nmpc_codegen.lowering.linearize import Model
-from nmpc_codegen.package.memory import Field, Size
 from nmpc_codegen.package.signals import Argument, EntryPoint
+from nmpc_codegen.package.struct_layout import Field, Size
 
 SET_PREVIOUS = EntryPoint(
     "set_previous",

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 from nmpc_codegen.derivatives.counts import Counts
+from nmpc_codegen.derivatives.derivative_model import DerivativeModel
 from nmpc_codegen.derivatives.layout import calls_parts, functions, macros, scheme_sizes, settings, structs
-from nmpc_codegen.derivatives.model import DerivativeModel
 from nmpc_codegen.ir.cmodule import Table
 from nmpc_codegen.ir.printing.c_style import unit_style
 from nmpc_codegen.ir.sweep import Routine
@@ -17,12 +17,12 @@ from nmpc_codegen.lowering.templates import context, environment
 from nmpc_codegen.lowering.unit.assemble import INTERVALS, kernel_items, print_intervals, table_items, table_ranges
 from nmpc_codegen.lowering.unit.item import Item
 from nmpc_codegen.lowering.unit.macros import REAL_CONSTANT, alias, arithmetic, kernel_call, macro, short_names
-from nmpc_codegen.lowering.unit.passes import run
+from nmpc_codegen.lowering.unit.pipeline import run
 from nmpc_codegen.lowering.unit.read import items_of, read_part
 from nmpc_codegen.lowering.unit.text import library_headers, text_of_unit
 from nmpc_codegen.package.features import KERNELS
-from nmpc_codegen.package.memory import Field, struct_layout
 from nmpc_codegen.package.status import Status
+from nmpc_codegen.package.struct_layout import Field, struct_layout
 
 FOLDER = "derivatives"
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from nmpc_codegen.components.base import Dims, Extra
 from nmpc_codegen.package.features import Features
-from nmpc_codegen.package.memory import Field, Size, Struct
+from nmpc_codegen.package.struct_layout import Field, Size, Struct
 
 
 def watch_fields(dims: Dims) -> tuple[Field, ...]:

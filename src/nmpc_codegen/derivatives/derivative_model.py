@@ -24,7 +24,7 @@ from nmpc_codegen.ir.model import IntervalProducts, StageModel
 from nmpc_codegen.ir.sweep import Call, LoopedRoutine, Routine, Slice
 from nmpc_codegen.lowering.linearize import stage_model
 from nmpc_codegen.options import Options
-from nmpc_codegen.package.memory import Precision
+from nmpc_codegen.package.struct_layout import Precision
 
 #: Entries of a matrix that C can count by its type int.
 MOST_ENTRIES = 2**31 - 1

@@ -8,17 +8,17 @@ from pathlib import Path
 from typing import Any
 
 from nmpc_codegen.derivatives.counts import Counts
+from nmpc_codegen.derivatives.derivative_model import DerivativeModel, derivative_model
+from nmpc_codegen.derivatives.derivative_text import render
 from nmpc_codegen.derivatives.layout import structs
-from nmpc_codegen.derivatives.model import DerivativeModel, derivative_model
-from nmpc_codegen.derivatives.render import render
 from nmpc_codegen.derivatives.toolbox import Derivatives
 from nmpc_codegen.frontend.ocp import OCP
 from nmpc_codegen.ir.naming import check_package_name
 from nmpc_codegen.lowering.beside.folder import write
 from nmpc_codegen.options import Options
-from nmpc_codegen.package.memory import struct_layout
 from nmpc_codegen.package.opcount import OpCount
 from nmpc_codegen.package.seal import seal
+from nmpc_codegen.package.struct_layout import struct_layout
 from nmpc_codegen.runtime.build import load_library
 
 

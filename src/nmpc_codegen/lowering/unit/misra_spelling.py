@@ -11,8 +11,8 @@ import re
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import replace
 
+from nmpc_codegen.lowering.dialect.c_expressions import expression
 from nmpc_codegen.lowering.dialect.constants import Constants
-from nmpc_codegen.lowering.dialect.expressions import expression
 from nmpc_codegen.lowering.dialect.scopes import function_of, head_of, in_line, split
 from nmpc_codegen.lowering.dialect.tree import Edit, Node, edit, margin, wrap_line
 from nmpc_codegen.lowering.unit.item import Item

@@ -9,8 +9,8 @@ from nmpc_codegen.ir.cmodule import Table
 from nmpc_codegen.package.estimation import Estimation
 from nmpc_codegen.package.features import Features
 from nmpc_codegen.package.kinds import EstimatorKind
-from nmpc_codegen.package.memory import Field, Struct
 from nmpc_codegen.package.signals import Argument, EntryPoint
+from nmpc_codegen.package.struct_layout import Field, Struct
 
 _Y, _U, _XHAT = (Argument("y", "real", ("NM",)), Argument("u", "real", ("NIN",)), Argument("xhat", "real", ("NX",)))
 _Y_OUT = Argument("y", "real", ("NM",))
