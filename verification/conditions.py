@@ -74,7 +74,7 @@ def reached(modules: Iterable[CModule]) -> tuple[set[str], Values]:
         search = (SEARCH,) if called_lookups(module.routines) else ()
         stages = (INTERVALS,) if module.stage_parts else ()
         sections = (section.template for section in module.sections)
-        for root in (*ALWAYS, *math, *search, *stages, *sections, *module.extras):
+        for root in (*ALWAYS, *math, *search, *stages, *sections, *module.hooked_parts):
             for part, number, value in _walk(root, module.sizes):
                 parts.add(part)
                 if number:

@@ -238,4 +238,4 @@ status_t API(step)(solver_t *s, const real_t xhat[NXHAT], real_t u0[NU])
 #include "algorithms/adjoint_shooting/solve.c"
 #endif
 
-#include "generated/extras.c"
+#include "generated/hooked.c"

@@ -138,4 +138,4 @@ static status_t feedback_here(solver_t *s)
 #include "algorithms/augmented_lagrangian/solve.c"
 #endif
 
-#include "generated/extras.c"
+#include "generated/hooked.c"

@@ -171,4 +171,4 @@ status_t API(restart)(solver_t *s, const real_t x0[NX], const real_t P0[NX * NX]
     return OK;
 }
 
-#include "generated/extras.c"
+#include "generated/hooked.c"

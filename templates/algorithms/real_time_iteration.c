@@ -131,4 +131,4 @@ static status_t judge(solver_t *s, status_t status)
 #include "algorithms/solve.c"
 #endif
 
-#include "generated/extras.c"
+#include "generated/hooked.c"

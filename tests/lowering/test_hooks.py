@@ -15,14 +15,14 @@ from nmpc_codegen.lowering.unit.item import Item
 from verification.rendered import lowered, texts
 from verification.samples import SAMPLES
 
-EXTRAS = ("extras/shift.c", "extras/nearness.c", "extras/iterations.c")
+HOOKED = ("hooked/shift.c", "hooked/nearness.c", "hooked/iterations.c")
 PARTS = {path: path.read_text(encoding="utf-8") for path in template_directory().rglob("*.c")}
-NAMED = sorted(path for path in PARTS if path.parent.name == "extras")
+NAMED = sorted(path for path in PARTS if path.parent.name == "hooked")
 
 
-def with_hooks(text: str, extras: tuple[str, ...]) -> str:
+def with_hooks(text: str, hooked_parts: tuple[str, ...]) -> str:
     """The text with the calls of hooks written out."""
-    return call_hooks(Item("", "directive", text), extras).text
+    return call_hooks(Item("", "directive", text), hooked_parts).text
 
 
 def test_a_call_of_a_hook_is_one_for_every_feature_that_defines_it() -> None:
@@ -30,30 +30,30 @@ def test_a_call_of_a_hook_is_one_for_every_feature_that_defines_it() -> None:
     expected = ["    shift_before_prepare(s);"]
     expected += [f"    status = {name}_after_feedback(s, status);" for name in ("nearness", "iterations")]
     expected += ["    on_failure(s);"]
-    assert with_hooks(text, EXTRAS).splitlines() == expected
-    assert with_hooks(text, EXTRAS[::-1]).splitlines()[:3] == [expected[0], *expected[2:0:-1]]
+    assert with_hooks(text, HOOKED).splitlines() == expected
+    assert with_hooks(text, HOOKED[::-1]).splitlines()[:3] == [expected[0], *expected[2:0:-1]]
     assert with_hooks(text, ()) == "    on_failure(s);\n"
 
 
 def test_exactly_one_feature_evaluates_the_plan() -> None:
-    for extras in ((), ("extras/plain.c", "extras/levels.c")):
-        with pytest.raises(ValueError, match="prepare_plan: expected one extra"):
-            with_hooks("    status = prepare_plan(s);\n", extras)
+    for hooked_parts in ((), ("hooked/plain.c", "hooked/levels.c")):
+        with pytest.raises(ValueError, match="prepare_plan: expected one hooked part"):
+            with_hooks("    status = prepare_plan(s);\n", hooked_parts)
 
 
 def test_a_hook_that_is_no_statement_is_refused() -> None:
     with pytest.raises(ValueError, match=r"before_prepare\(\): expected the call of a hook as a statement"):
-        with_hooks("    if (before_prepare(s)) {\n    }\n", EXTRAS)
+        with_hooks("    if (before_prepare(s)) {\n    }\n", HOOKED)
 
 
 def test_hooks_that_would_not_run_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     """A name that is spelt wrong, and a hook that the algorithm does not state."""
     with pytest.raises(ValueError, match=r"barrier_rows\.c defines before_solve, follow_terms, place_terms, which the"):
-        check_hooks("    before_steps(s);", ["extras/barrier_rows.c"])
-    check_hooks("    before_prepare(s);", ["extras/shift.c"])
+        check_hooks("    before_steps(s);", ["hooked/barrier_rows.c"])
+    check_hooks("    before_prepare(s);", ["hooked/shift.c"])
     monkeypatch.setattr(hooks, "read_part", lambda part: "static void late_on_rest(solver_t *s)\n{\n}\n")
     with pytest.raises(ValueError, match=r"late_on_rest\(\): expected a hook, on_reset"):
-        check_hooks("", ["extras/late.c"])
+        check_hooks("", ["hooked/late.c"])
 
 
 @pytest.mark.parametrize("hook", HOOKS)
@@ -84,7 +84,7 @@ def test_features_that_a_package_lacks_leave_no_trace() -> None:
         hook for hook in HOOKS if re.search(rf"\b(?!plain_|gaps_|relaxation_|violation_|references_)\w*{hook}\(", unit)
     ]
     module = lowered(next(s for s in SAMPLES if s.name == "everything dense"))
-    assert [part.rpartition("/")[2] for part in module.extras][:4] == [
+    assert [part.rpartition("/")[2] for part in module.hooked_parts][:4] == [
         "shift.c",
         "levels.c",
         "references.c",

@@ -200,7 +200,7 @@ def follow(page: str, tmp_path: Path) -> tuple[Path, Path]:
 def test_feature_page(tmp_path: Path, compiler: tuple[str, ...]) -> None:
     """A feature of the real-time iteration and an integrator with memory per node, as the page adds them."""
     assert compiler
-    follow("docs/add-an-extra.md", tmp_path)
+    follow("docs/add-a-hooked-part.md", tmp_path)
 
 
 @pytest.mark.slow
@@ -248,7 +248,16 @@ APART, TOGETHER = ("algebraic", "estimation", "formulations", "samples"), ("camp
 #: program of that page writes.
 APART_FROM_HERE = ("README", "derivatives", "firmware", "papers")
 BY_NAME = (
-    *("add-a-component", "add-an-extra", "economic", "how-it-works", "integrators", "start", "statuses", "tutorial"),
+    *(
+        "add-a-component",
+        "add-a-hooked-part",
+        "economic",
+        "how-it-works",
+        "integrators",
+        "start",
+        "statuses",
+        "tutorial",
+    ),
     *("coming-from-acado", "coming-from-acados", "coming-from-casadi-opti", "coming-from-do-mpc", "which-options"),
 )
 

@@ -143,12 +143,12 @@ class QpShape:
 
 
 #: Names of the hooks of algorithms, with what calls them. A part in C states a hook as a call: ``before_prepare(s);``,
-#: ``status = after_prepare(s, status);``. The generator writes one call for every extra that defines the hook, in the
-#: order of extras(); a hook that none defines leaves no trace.
+#: ``status = after_prepare(s, status);``. The generator writes one call for every hooked part that defines the hook, in
+#: the order of hooked_parts(); a hook that none defines leaves no trace.
 HOOKS = {
     "on_reset": "init() and reset(), after the plan has been set",
     "before_prepare": "prepare(), before anything is evaluated",
-    "prepare_plan": "prepare(): evaluates, condenses and factorises; exactly one extra defines it",
+    "prepare_plan": "prepare(): evaluates, condenses and factorises; exactly one hooked part defines it",
     "after_prepare": "prepare(), with its status; returns the status",
     "before_sample": "step(), with the measured state",
     "before_qp": "feedback(), before the QP is solved",
@@ -168,8 +168,8 @@ def _nothing(dims: Dims) -> tuple[Struct, ...]:
 
 
 @dataclass(frozen=True)
-class Extra:
-    """A file of C below templates/extras/, named after it, and the structs that it needs."""
+class HookedPart:
+    """A file of C below templates/hooked/, named after it, and the structs that it needs."""
 
     name: str
     structs: Callable[[Dims], tuple[Struct, ...]] = _nothing
@@ -177,7 +177,7 @@ class Extra:
     @property
     def part(self) -> str:
         """Path of its file below templates/."""
-        return f"extras/{self.name}.c"
+        return f"hooked/{self.name}.c"
 
 
 class Component(Protocol):
@@ -197,7 +197,7 @@ class Component(Protocol):
         """The features of a package with it; ``features``: those of the problem and of components before it."""
         return features
 
-    def extras(self, features: Features) -> tuple[Extra, ...]:
+    def hooked_parts(self, features: Features) -> tuple[HookedPart, ...]:
         """What runs at the hooks of the algorithm for it in a package with these features, in this order."""
         return ()
 

@@ -130,7 +130,7 @@ class CModule:
     diagonal_weight: bool
     scaled_weight: bool
     diagonal_weight_N: bool
-    extras: tuple[str, ...] = ()  # parts of the features of the algorithm
+    hooked_parts: tuple[str, ...] = ()  # parts of the features of the algorithm
     places: Mapping[str, str] = field(default_factory=dict)  # of inputs and outputs that a node keeps: name -> C text
     absent_members: frozenset[tuple[str, str]] = frozenset()  # (struct, member) of size 0, which its structs lack
     absent_kernels: tuple[str, ...] = ()  # kernels and products that have nothing to compute here

@@ -23,7 +23,7 @@ from nmpc_codegen.lowering.linearize import Model
 from nmpc_codegen.lowering.naming.enums import enums
 from nmpc_codegen.lowering.naming.local_names import local_names
 from nmpc_codegen.lowering.stated import algebra, augmented_state, data, probes
-from nmpc_codegen.lowering.structs import absent_members, extras, lowered_structs
+from nmpc_codegen.lowering.structs import absent_members, hooked_parts, lowered_structs
 from nmpc_codegen.lowering.tables import tables
 from nmpc_codegen.lowering.unit.read import own_names
 from nmpc_codegen.package.description import INTERFACE_SIZES
@@ -92,7 +92,7 @@ def lower(model: Model, name: str | None = None, whole: bool = False) -> CModule
         diagonal_weight=problem.path.diagonal_weight,
         scaled_weight=any(problem.path.scale_with_dt),
         diagonal_weight_N=problem.terminal.diagonal_weight,
-        extras=tuple(extra.part for extra in extras(model, features)),
+        hooked_parts=tuple(hooked.part for hooked in hooked_parts(model, features)),
         places={name: place for c in model.parts.components for name, place in c.places.items()},
         absent_members=absent_members(model, dims, features, structs),
         absent_kernels=tuple(name for name in KERNELS if not features.has(name)),

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 
-from nmpc_codegen.components.base import Dims, Extra
+from nmpc_codegen.components.base import Dims, HookedPart
 from nmpc_codegen.components.core import core_structs, structs_of_others
 from nmpc_codegen.lowering.linearize import Model
 from nmpc_codegen.lowering.stated import augmented_state
@@ -79,14 +79,14 @@ def _after_members(stated: Mapping[str, Struct]) -> list[Struct]:
 def _stated_structs(model: Model, dims: Dims, features: Features) -> list[Struct]:
     """The structs of the core and of the components, with members that this package may lack."""
     core = core_structs(model.parts.algorithm.core, dims)
-    more = [s for extra in extras(model, features) for s in extra.structs(dims)]
+    more = [s for hooked in hooked_parts(model, features) for s in hooked.structs(dims)]
     owned = (s for c in model.parts.components for s in c.structs(dims))
     return [*core, plan_at_saddle(dims), *owned, *more, *structs_of_others(dims)]
 
 
-def extras(model: Model, features: Features) -> tuple[Extra, ...]:
+def hooked_parts(model: Model, features: Features) -> tuple[HookedPart, ...]:
     """What runs at hooks: for the other components, and then for the algorithm."""
-    return tuple(extra for component in model.parts.components for extra in component.extras(features))
+    return tuple(part for component in model.parts.components for part in component.hooked_parts(features))
 
 
 def absent_members(

@@ -36,7 +36,7 @@ from nmpc_codegen.components.algorithms.shifts import (
     with_shift,
 )
 from nmpc_codegen.components.allowed import Number, Whole, Words, check_options, option
-from nmpc_codegen.components.base import EVERY_USE, MEASUREMENTS, NONLINEAR, Algorithm, Core, Dims, Extra, Seam
+from nmpc_codegen.components.base import EVERY_USE, MEASUREMENTS, NONLINEAR, Algorithm, Core, Dims, HookedPart, Seam
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.cmodule import Table
@@ -185,7 +185,7 @@ class AdjointShooting(Algorithm):
             barrier_rows=self.rows == "barrier",
         )
 
-    def extras(self, features: Features) -> tuple[Extra, ...]:
+    def hooked_parts(self, features: Features) -> tuple[HookedPart, ...]:
         """The terms of the rows."""
         has_rows = features.state_rows or features.general_rows or features.has("coupled_rows")
         return (TERMS[self.rows],) if has_rows else ()

@@ -44,7 +44,7 @@ from nmpc_codegen.components.algorithms.shifts import (
     with_shift,
 )
 from nmpc_codegen.components.allowed import Number, Whole, Words, check_options, option
-from nmpc_codegen.components.base import EVERY_USE, MEASUREMENTS, Algorithm, Core, Dims, Extra, Parts, Seam
+from nmpc_codegen.components.base import EVERY_USE, MEASUREMENTS, Algorithm, Core, Dims, HookedPart, Parts, Seam
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.cmodule import Table
@@ -148,10 +148,10 @@ class AugmentedLagrangian(Algorithm):
             with_shift(features.without("initial_hessian"), self.shift), start_is_measured=True, repair=self.repair
         )
 
-    def extras(self, features: Features) -> tuple[Extra, ...]:
+    def hooked_parts(self, features: Features) -> tuple[HookedPart, ...]:
         """A shift before every preparation; the first sample begins at the measured state where plans are repaired."""
         wanted = ((SHIFT, self.shift is not None), (FIRST_SAMPLE, self.repair > 0))
-        return tuple(extra for extra, present in wanted if present)
+        return tuple(part for part, present in wanted if present)
 
     def check(self, problem: Problem) -> None:
         """Raise OptionError for shifts that clash with the grid, and for coupled rows with a free x_0."""

@@ -1,8 +1,8 @@
-"""The extras of the algorithms: what runs at their hooks in templates/extras/."""
+"""The hooked parts of the algorithms: what runs at their hooks in templates/hooked/."""
 
 from __future__ import annotations
 
-from nmpc_codegen.components.base import Dims, Extra
+from nmpc_codegen.components.base import Dims, HookedPart
 from nmpc_codegen.package.features import Features
 from nmpc_codegen.package.struct_layout import Field, Size, Struct
 
@@ -90,18 +90,18 @@ def _price(dims: Dims) -> tuple[Struct, ...]:
     return (Struct("solver", "", members),)
 
 
-SHIFT = Extra("shift")
-PLAIN = Extra("plain")
-SIMULATE = Extra("simulate")
-LEVELS = Extra("levels")
-NEARNESS = Extra("nearness", _left)
-ITERATIONS = Extra("iterations")
-REFERENCES = Extra("references")
-RELAXATION = Extra("relaxation", _price)
-VIOLATION = Extra("violation")
-BENT_ROWS = Extra("bent_rows")
-FIRST_SAMPLE = Extra("first_sample")
-FIRST_CONTROL = Extra("first")
+SHIFT = HookedPart("shift")
+PLAIN = HookedPart("plain")
+SIMULATE = HookedPart("simulate")
+LEVELS = HookedPart("levels")
+NEARNESS = HookedPart("nearness", _left)
+ITERATIONS = HookedPart("iterations")
+REFERENCES = HookedPart("references")
+RELAXATION = HookedPart("relaxation", _price)
+VIOLATION = HookedPart("violation")
+BENT_ROWS = HookedPart("bent_rows")
+FIRST_SAMPLE = HookedPart("first_sample")
+FIRST_CONTROL = HookedPart("first")
 
 #: Samples of which one checks the optimality of its plan, however short its steps are.
 CHECKED = 5
@@ -111,8 +111,8 @@ RESTART_SAMPLES = 10
 
 #: Rows as terms of single shooting, by the option ``rows``.
 ROWS = {
-    "augmented_lagrangian": Extra("dual_rows"),
-    "smooth_l1": Extra("smooth_rows"),
-    "lumped": Extra("smooth_rows"),
-    "barrier": Extra("barrier_rows"),
+    "augmented_lagrangian": HookedPart("dual_rows"),
+    "smooth_l1": HookedPart("smooth_rows"),
+    "lumped": HookedPart("smooth_rows"),
+    "barrier": HookedPart("barrier_rows"),
 }

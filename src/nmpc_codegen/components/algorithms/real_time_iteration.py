@@ -34,7 +34,7 @@ from nmpc_codegen.components.base import (
     Core,
     Counts,
     Dims,
-    Extra,
+    HookedPart,
     Parts,
     Seam,
     spell,
@@ -260,7 +260,7 @@ class RealTimeIteration(Algorithm):
             judges=self.tolerance < UNJUDGED,
         )
 
-    def extras(self, features: Features) -> tuple[Extra, ...]:
+    def hooked_parts(self, features: Features) -> tuple[HookedPart, ...]:
         """What the options, and the Hessian and the rows, make of a sample."""
         evaluation = at_hooks.LEVELS if self.levels else at_hooks.SIMULATE if self.simulate else at_hooks.PLAIN
         failure = at_hooks.RELAXATION if self.relaxation is not None else at_hooks.VIOLATION
@@ -276,7 +276,7 @@ class RealTimeIteration(Algorithm):
             (at_hooks.FIRST_SAMPLE, goes_on),
             (at_hooks.FIRST_CONTROL, features.first),
         )
-        return tuple(extra for extra, present in wanted if present)
+        return tuple(part for part, present in wanted if present)
 
     def check(self, problem: Problem) -> None:
         """Raise OptionError for a shift that clashes with the grid."""

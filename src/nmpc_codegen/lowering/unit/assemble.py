@@ -94,14 +94,14 @@ def _elementary(module: CModule) -> list[Item]:
 
 def _of_parts(module: CModule) -> Iterator[Item]:
     """The items of the parts and of what they include, with the calls of hooks."""
-    extras = module.extras
+    hooked_parts = module.hooked_parts
 
     def generate(path: str) -> str:
         return GENERATED[path](module)
 
     def part(path: str) -> Iterator[Item]:
         for item in _items(read_part(path, generate, module.decided), module):
-            yield _with_states(call_hooks(item, extras), module)
+            yield _with_states(call_hooks(item, hooked_parts), module)
 
     yield from part("core/sizes.c")
     for title in module.stage_parts:
@@ -115,7 +115,7 @@ def _of_parts(module: CModule) -> Iterator[Item]:
     for found in module.sections:
         yield section(found.title)
         yield from part(found.template)
-    check_hooks(read_part(module.sections[-1].template, lambda include: ""), extras)
+    check_hooks(read_part(module.sections[-1].template, lambda include: ""), hooked_parts)
     yield from part("core/algebraic.c")
     yield section("settings and results")
     yield from _items(_interface(module), module)
@@ -221,9 +221,9 @@ def _rows(module: CModule) -> str:
     return environment().get_template("core/rows.c.jinja").render(row_functions(module))
 
 
-def _extras(module: CModule) -> str:
-    """The files of the extras."""
-    return "\n\n".join(read_part(part, sizes=module.decided).rstrip("\n") for part in module.extras) + "\n"
+def _hooked_text(module: CModule) -> str:
+    """The files of the hooked parts."""
+    return "\n\n".join(read_part(part, sizes=module.decided).rstrip("\n") for part in module.hooked_parts) + "\n"
 
 
 #: Path of an include -> its text.
@@ -233,7 +233,7 @@ GENERATED: Mapping[str, Callable[[CModule], str]] = {
     "generated/products.c": products,
     "generated/product_columns.c": product_columns,
     "generated/hessian_blocks.c": hessian_blocks,
-    "generated/hooks.c": lambda module: hook_prototypes(module.extras),
-    "generated/extras.c": _extras,
+    "generated/hooks.c": lambda module: hook_prototypes(module.hooked_parts),
+    "generated/hooked.c": _hooked_text,
     **IN_LANES,
 }

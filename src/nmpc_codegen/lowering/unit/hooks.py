@@ -1,4 +1,4 @@
-"""Hooks of an algorithm: each call becomes a call of every extra that defines the hook."""
+"""Hooks of an algorithm: each call becomes a call of every hooked part that defines the hook."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ from nmpc_codegen.lowering.unit.read import items_of, read_part
 _CALL = re.compile(rf"(?P<before>(?:\w+ = )?)(?P<hook>{'|'.join(HOOKS)})(?P<arguments>\(.*\);)", re.DOTALL)
 _NAMES = frozenset(HOOKS)
 
-#: Hooks that exactly one extra defines.
+#: Hooks that exactly one hooked part defines.
 ALONE = ("prepare_plan",)
 
 
 @cache
 def _hooks(part: str) -> Mapping[str, Item]:
-    """Hook -> its function, for those that an extra defines."""
-    extra = part.rpartition("/")[2].removesuffix(".c")
+    """Hook -> its function, for those that a hooked part defines."""
+    name = part.rpartition("/")[2].removesuffix(".c")
     functions = [item for item in items_of(read_part(part)) if item.kind == "function"]
     found = {}
     for item in functions:
-        word = item.name.removeprefix(f"{extra}_")
+        word = item.name.removeprefix(f"{name}_")
         if word in HOOKS and word != item.name:
             found[word] = item
         elif word != item.name and not any(item.name in other.calls for other in functions if other is not item):
@@ -35,35 +35,35 @@ def _hooks(part: str) -> Mapping[str, Item]:
     return found
 
 
-def check_hooks(algorithm: str, extras: Sequence[str]) -> None:
-    """Raise ValueError if an extra defines a hook that the text of the algorithm does not call."""
+def check_hooks(algorithm: str, hooked_parts: Sequence[str]) -> None:
+    """Raise ValueError if a hooked part defines a hook that the text of the algorithm does not call."""
     stated = calls(algorithm) & _NAMES
-    for part in extras:
+    for part in hooked_parts:
         if missing := sorted(_hooks(part).keys() - stated):
             has = f"it has {', '.join(sorted(stated))}"
             raise ValueError(f"{part} defines {', '.join(missing)}, which the algorithm does not state; {has}")
 
 
-def hook_prototypes(extras: Iterable[str]) -> str:
-    """Declarations of the functions that extras define for hooks."""
-    heads = [f"{head_of(hook.text)};" for part in extras for hook in _hooks(part).values()]
+def hook_prototypes(hooked_parts: Iterable[str]) -> str:
+    """Declarations of the functions that hooked parts define for hooks."""
+    heads = [f"{head_of(hook.text)};" for part in hooked_parts for hook in _hooks(part).values()]
     return "\n".join(["/* What else happens in a sample, at the hooks of the algorithm. */", *heads]) if heads else ""
 
 
-def call_hooks(item: Item, extras: tuple[str, ...]) -> Item:
+def call_hooks(item: Item, hooked_parts: tuple[str, ...]) -> Item:
     """The item with the calls of hooks written out.
 
     Raises:
-        ValueError: no extra defines a hook that needs a definition, or several extras define it.
+        ValueError: no part defines a hook that needs a definition, or several parts define it.
     """
     if _NAMES.isdisjoint(item.calls):
         return item
-    return replace(item, text=_with_hooks(item.text, extras))
+    return replace(item, text=_with_hooks(item.text, hooked_parts))
 
 
 @lru_cache(maxsize=1024)
-def _with_hooks(text: str, extras: tuple[str, ...]) -> str:
-    named = {part.rpartition("/")[2].removesuffix(".c"): _hooks(part) for part in extras}
+def _with_hooks(text: str, hooked_parts: tuple[str, ...]) -> str:
+    named = {part.rpartition("/")[2].removesuffix(".c"): _hooks(part) for part in hooked_parts}
     edits = []
     for node in (n for top in parse(text) for n in top.walk() if n.kind == "statement"):
         call = _CALL.fullmatch(text, node.start, node.end)
@@ -71,7 +71,7 @@ def _with_hooks(text: str, extras: tuple[str, ...]) -> str:
             continue
         names = [f"{name}_{call['hook']}" for name, hooks in named.items() if call["hook"] in hooks]
         if call["hook"] in ALONE and len(names) != 1:
-            raise ValueError(f"{call['hook']}: expected one extra that defines it, found {names}")
+            raise ValueError(f"{call['hook']}: expected one hooked part that defines it, found {names}")
         before = margin(text, node)
         lines = [f"{before}{call['before']}{name}{call['arguments']}\n" for name in names]
         edits.append(Edit(node.start - len(before), node.end + 1, "".join(lines)))

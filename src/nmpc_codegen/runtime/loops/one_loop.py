@@ -104,7 +104,7 @@ class _Flight:
         if refused:
             raise ControllerError(f"{self._ctrl.description.name}: data of the samples: {Status(refused)}")
 
-    def _moved(self, value: ArrayLike, k: int) -> Array:
+    def _check_move(self, value: ArrayLike, k: int) -> Array:
         """The checked state after sample k; an error says from where the plant has moved, and why."""
         notes, names = self._notes, self._ctrl.names
 
@@ -130,7 +130,7 @@ class _Compiled(_Flight):
         self._ctrl.note_sample(u, round(1e9 * self._seconds[0]))
         self._notes.take(k, u, self._ctrl.time_ns)
         if self._lost[0] >= 0:
-            self._moved(self._notes.x[k + 1], k)
+            self._check_move(self._notes.x[k + 1], k)
 
 
 class _InPython(_Flight):
@@ -156,7 +156,7 @@ class _InPython(_Flight):
         notes.take(k, *self._sample(self._look(k), k))
         if self._loop.tells_known:
             self._plant.known[...] = self._ctrl.known
-        x[k + 1] = self._moved(self._move(x[k].copy(), notes.u[k].copy(), self._loop.interval), k)
+        x[k + 1] = self._check_move(self._move(x[k].copy(), notes.u[k].copy(), self._loop.interval), k)
         for push in self._pushes:
             x[k + 1] += push[k]
         if conduct.disturbance is not None:
