@@ -12,7 +12,7 @@ from benchmarks.papers import losses
 from benchmarks.papers.exhibit import Check, Exhibit, Table, curves, save, sheet
 from examples import driving
 from nmpc_codegen.economic.cost_to_go import cost_to_go
-from nmpc_codegen.economic.semidefinite import Certificate, Weights, convexify
+from nmpc_codegen.economic.semidefinite import ConvexityProof, Weights, convexify
 from verification.economic import evaporation, store
 from verification.economic.evaporation import ipopt_iterations, rotation_errors, span_error, tuning
 from verification.economic.rotated import random_problem
@@ -98,7 +98,7 @@ def lemma_7(run: Run) -> Exhibit:
         lq, _ = random_problem(seed)
         ended = replace(lq, H_f=cost_to_go(lq).P, D=np.zeros((0, lq.n)))
         found = convexify(ended, Weights(), np.ones(lq.n + lq.m))
-        solved += isinstance(found, Certificate) and bool(np.linalg.eigvalsh(found.M_f)[0] > 0)
+        solved += isinstance(found, ConvexityProof) and bool(np.linalg.eigvalsh(found.M_f)[0] > 0)
         indefinite += bool(np.linalg.eigvalsh(lq.H)[0] < 0)
     return Exhibit(
         "Lemma 7",

@@ -5,14 +5,18 @@ from __future__ import annotations
 import pytest
 
 from nmpc_codegen.analysis.interpret import UnboundedError, WorstCase
-from nmpc_codegen.analysis.source import Macro, Type, Unit, functions
+from nmpc_codegen.analysis.source import TextMacro, Type, Unit, functions
 from tests.c_lines import in_lines
 
 
 def unit(text: str) -> WorstCase:
     known = Unit(
         functions=functions(in_lines(text)),
-        macros={"R": Macro(("x",), "((real_t)(x))"), "SQRT": Macro((), "sqrtf"), "TWICE": Macro(("x",), "(x + x)")},
+        macros={
+            "R": TextMacro(("x",), "((real_t)(x))"),
+            "SQRT": TextMacro((), "sqrtf"),
+            "TWICE": TextMacro(("x",), "(x + x)"),
+        },
         counts={"kernel": 100},
         sizes={"N": 5, "M": 3},
         tables={"first": (0, 2, 2, 7)},

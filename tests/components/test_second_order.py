@@ -15,7 +15,7 @@ from examples import bioreactor, cart_pole, chain, crane
 from nmpc_codegen import OCP
 from nmpc_codegen.components.integrators import TABLEAUS, Discrete, ExplicitRungeKutta
 from nmpc_codegen.components.integrators.explicit import derivatives, symmetric
-from nmpc_codegen.components.integrators.explicit.derivatives import Derivatives
+from nmpc_codegen.components.integrators.explicit.derivatives import IntervalDerivatives
 from nmpc_codegen.components.stage_cost import stage_cost
 from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.frontend.problem import Problem
@@ -301,7 +301,7 @@ def test_lower_triangle_and_structural_zeros(scheme: str) -> None:
 
 def test_columns_that_depend_on_time_alone() -> None:
     """States of the crane: position and velocity of the cart; they are not propagated."""
-    d = Derivatives(stated("crane", True))
+    d = IntervalDerivatives(stated("crane", True))
     assert [d.depends_on_time_alone(j) for j in range(5)] == [True, True, False, False, False]
     assert d.curved == [3]
     assert (d.curved_states, d.curved_controls) == ([2], [0])

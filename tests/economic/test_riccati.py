@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from nmpc_codegen import ProblemError
 from nmpc_codegen.economic.cost_to_go import cost_to_go, eliminate
 from nmpc_codegen.economic.linear_quadratic import LinearQuadratic, frequency_function
-from nmpc_codegen.economic.semidefinite import Certificate, Weights, convexify
+from nmpc_codegen.economic.semidefinite import ConvexityProof, Weights, convexify
 from verification.economic.rotated import random_problem
 
 
@@ -91,7 +91,7 @@ def test_frequency_function_decides(seed: int, rows: int) -> None:
     if 0 < abs(found.least) < 1e-3:
         return  # too close for a numerical solver
     solved = convexify(shifted, Weights(), np.ones(3))
-    assert isinstance(solved, Certificate) == found.positive
+    assert isinstance(solved, ConvexityProof) == found.positive
 
 
 def test_frequency_function_without_freedom() -> None:

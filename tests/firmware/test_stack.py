@@ -6,7 +6,7 @@ import pytest
 
 from nmpc_codegen.errors import BuildError
 from nmpc_codegen.firmware.machine_code import Arm, RiscV
-from nmpc_codegen.firmware.stack import Function, depths, of_package, of_program, with_aliases, with_folded_names
+from nmpc_codegen.firmware.stack import StackFunction, depths, of_package, of_program, with_aliases, with_folded_names
 
 GRAPH = """graph: { title: "a.c"
 node: { title: "a.c:inner" label: "inner\\na.c:1:1\\n24 bytes (static)" }
@@ -129,9 +129,9 @@ def test_machine_code_of_risc_v() -> None:
 
 def test_what_is_not_bounded() -> None:
     with pytest.raises(BuildError, match="recursion: a -> b -> a"):
-        depths({"a": Function(8, {"b"}), "b": Function(8, {"a"})}, {"a": "a"})
+        depths({"a": StackFunction(8, {"b"}), "b": StackFunction(8, {"a"})}, {"a": "a"})
     with pytest.raises(BuildError, match="unknown"):
-        depths({"a": Function(8, {"b"})}, {"a": "a"})
+        depths({"a": StackFunction(8, {"b"})}, {"a": "a"})
     with pytest.raises(BuildError, match="by a register"):
         Arm().decrement("sub.w", "sp, sp, r3", "f")
     with pytest.raises(BuildError, match="through r4"):

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from nmpc_codegen.ir.kernel import Instruction, Kernel, Port, lift
 from nmpc_codegen.ir.printing.c_style import CStyle
 from nmpc_codegen.ir.printing.kernels import comment, print_kernel, signature
-from nmpc_codegen.ir.printing.nested_expressions import Expressions
+from nmpc_codegen.ir.printing.nested_expressions import NestedExpressions
 from verification.c_harness import shared_library
 
 DOUBLE, SINGLE = CStyle("real", False), CStyle("real", True)
@@ -117,7 +117,7 @@ def test_nested_expressions_have_the_value_of_the_kernel(seed: int) -> None:
     outputs = ca.vertcat(*known[-3:])
     function = ca.Function("f", [x], [outputs])
     kernel = lift(function, "f", "", [Port("x", 4)], [Port("y", 3)])
-    expressions = Expressions(kernel, CStyle("real", False), lambda _, element: f"x[{element}]")
+    expressions = NestedExpressions(kernel, CStyle("real", False), lambda _, element: f"x[{element}]")
     point = random.uniform(-1, 1, 4)
     names: dict[str, object] = {"x": point}
     for statement in expressions.statements:
@@ -133,7 +133,7 @@ def test_what_is_used_once_is_nested_without_needless_parentheses() -> None:
     a, b, c = (ca.SX.sym(name) for name in "abc")
     function = ca.Function("f", [a, b, c], [a + b * c, (a + b) * c, a - (b - c), c + a * b])
     kernel = lift(function, "f", "", [Port(n, 1) for n in "abc"], [Port(n, 1) for n in "wxyz"])
-    expressions = Expressions(kernel, CStyle("real", False), lambda port, _: "abc"[port])
+    expressions = NestedExpressions(kernel, CStyle("real", False), lambda port, _: "abc"[port])
     texts = ["w = a + b * c", "x = c * (a + b)", "y = a - (b - c)", "c += a * b"]
     assert expressions.statements == []
     assert [expressions.assignment(t.split()[0], v) for t, (_, _, v) in zip(texts, kernel.stores, strict=True)] == texts

@@ -24,7 +24,7 @@ from nmpc_codegen.analysis.source import (
     INT,
     Code,
     Function,
-    Macro,
+    TextMacro,
     Type,
     Unit,
     code_of,
@@ -386,7 +386,7 @@ class _Body:
             return arguments + self._analysis.call(function.name, self._bind(function, code, scope))[0], callee.result
         return arguments + (callee.operations or 0), callee.result
 
-    def _measure_macro(self, macro: Macro, scope: Scope) -> tuple[int, Type]:
+    def _measure_macro(self, macro: TextMacro, scope: Scope) -> tuple[int, Type]:
         found = code_of(macro.text)
         return (0, INT) if found is None else self._measure(found, scope)
 
@@ -408,7 +408,7 @@ class _Body:
             return scope[name].value if scope[name].type == POINTER else None
         return name if name in self._unit.tables else None
 
-    def _expand(self, macro: Macro, passed: Sequence[Code], scope: Scope) -> Scope:
+    def _expand(self, macro: TextMacro, passed: Sequence[Code], scope: Scope) -> Scope:
         """The scope in which the parameters of a macro are its arguments."""
 
         def bound(argument: Code) -> Variable:

@@ -88,7 +88,7 @@ def code_of(text: str) -> Code | None:
     return Code(text, expression(text)) if text.strip() else None
 
 
-class Macro(NamedTuple):
+class TextMacro(NamedTuple):
     """A macro with its parameters (none: an object-like macro) and its text."""
 
     parameters: tuple[str, ...]
@@ -188,7 +188,7 @@ class Callee:
     """What a call stands for: the type of its value, and a macro, a function of the unit, or known operations."""
 
     result: Type = INT
-    macro: Macro | None = None
+    macro: TextMacro | None = None
     function: Function | None = None
     operations: int | None = None
 
@@ -202,7 +202,7 @@ class Unit:
     """
 
     functions: Mapping[str, Function]
-    macros: Mapping[str, Macro]
+    macros: Mapping[str, TextMacro]
     counts: Mapping[str, int]
     sizes: Mapping[str, int]
     tables: Mapping[str, Sequence[int]]
@@ -252,11 +252,11 @@ def _function(name: str, head: str, text: str) -> Function:
     return Function(name, head, text)
 
 
-def defined_macros(text: str) -> dict[str, Macro]:
+def defined_macros(text: str) -> dict[str, TextMacro]:
     """Return the macros that a text defines, by name."""
     found = _DEFINE.findall(_COMMENT.sub("", text).replace("\\\n", " "))
     return {
-        name: Macro(tuple(a.strip() for a in arguments.split(",")) if arguments else (), body.strip())
+        name: TextMacro(tuple(a.strip() for a in arguments.split(",")) if arguments else (), body.strip())
         for name, arguments, body in found
     }
 

@@ -12,7 +12,7 @@ from nmpc_codegen.campaigns.flying.fly import Device
 from nmpc_codegen.campaigns.judging.against import Against
 from nmpc_codegen.campaigns.judging.result import Campaign
 from nmpc_codegen.campaigns.judging.verdict import Asked
-from nmpc_codegen.campaigns.request import Conduct, fly_campaign
+from nmpc_codegen.campaigns.request import Terms, fly_campaign
 from nmpc_codegen.campaigns.stated.flight_statement import SILENT, Stated, Wish
 from nmpc_codegen.compiler import build
 from nmpc_codegen.errors import ControllerError, OptionError
@@ -20,19 +20,19 @@ from nmpc_codegen.frontend.ocp import OCP
 from nmpc_codegen.options import Options
 
 
-def split_words(words: Mapping[str, Any]) -> tuple[Wish, Conduct]:
+def split_words(words: Mapping[str, Any]) -> tuple[Wish, Terms]:
     """What is flown and how, from arguments of campaign().
 
     Raises:
         ControllerError: there is no such argument.
     """
-    of_wish, of_conduct = set(Wish.__annotations__), {field.name for field in fields(Conduct)}
+    of_wish, of_conduct = set(Wish.__annotations__), {field.name for field in fields(Terms)}
     unknown = sorted(set(words) - of_wish - of_conduct)
     if unknown:
         known = ", ".join(sorted(of_wish | of_conduct))
         raise ControllerError(f"campaign: no argument {unknown[0]!r}; those that exist: {known}")
     wish: Any = {**SILENT, **{name: value for name, value in words.items() if name in of_wish}}
-    return wish, Conduct(**{name: value for name, value in words.items() if name in of_conduct})
+    return wish, Terms(**{name: value for name, value in words.items() if name in of_conduct})
 
 
 def campaign(
@@ -93,7 +93,7 @@ def campaign(
     return _fly(ocp, options, *split_words({**stated, **judged, **flown, "flights": flights}))
 
 
-def _fly(ocp: OCP, options: Any, wish: Wish, conduct: Conduct) -> Campaign | Choice:
+def _fly(ocp: OCP, options: Any, wish: Wish, conduct: Terms) -> Campaign | Choice:
     """With one set of options, or the best of several."""
     if not isinstance(ocp, OCP):
         raise ControllerError(f"campaign: {ocp!r:.60} is no OCP; expected the problem, as build() takes it")

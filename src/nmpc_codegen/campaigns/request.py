@@ -33,7 +33,7 @@ COMPARED = 20
 
 
 @dataclass(frozen=True, eq=False)
-class Conduct:
+class Terms:
     """The arguments of campaign() that say how flights are judged, flown and kept."""
 
     success: Asked | None = None
@@ -58,7 +58,7 @@ class Conduct:
             raise ControllerError(f"against is {self.against!r}; allowed: None, 'solve', 'ipopt'")
 
 
-def fly_campaign(controller: Controller, ocp: OCP, options: Options, wish: Wish, conduct: Conduct) -> Campaign:
+def fly_campaign(controller: Controller, ocp: OCP, options: Options, wish: Wish, conduct: Terms) -> Campaign:
     """Fly and judge; ``controller`` is that of the problem and the options."""
     conduct.check()
     check_against(controller, conduct.against, options)
@@ -81,7 +81,7 @@ def fly_campaign(controller: Controller, ocp: OCP, options: Options, wish: Wish,
     )
 
 
-def _fly(job: Job, rules: Rules, conduct: Conduct) -> tuple[Flown, np.ndarray[Any, np.dtype[np.int8]], bool]:
+def _fly(job: Job, rules: Rules, conduct: Terms) -> tuple[Flown, np.ndarray[Any, np.dtype[np.int8]], bool]:
     """What was flown, and its reasons; False after an interrupt."""
     s, name = job.statement, job.controller.description.name
     flown, done = Flown.empty(job.labels, s.flights), np.zeros(s.flights, np.bool_)

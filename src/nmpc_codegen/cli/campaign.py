@@ -7,8 +7,8 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 from nmpc_codegen.cli.printing import Printer
-from nmpc_codegen.cli.problem_file import Stated
-from nmpc_codegen.firmware.delivery import Flown
+from nmpc_codegen.cli.problem_file import FoundProblem
+from nmpc_codegen.firmware.delivery import CampaignWords
 from nmpc_codegen.package.description import PackageDescription
 from nmpc_codegen.runtime.build import load
 from nmpc_codegen.targets import TARGETS
@@ -17,17 +17,17 @@ if TYPE_CHECKING:
     from nmpc_codegen.campaigns.judging.result import Campaign
 
 
-class Flights:
+class CampaignRun:
     """The flag, and what was flown."""
 
-    def __init__(self, arguments: argparse.Namespace, stated: Stated, name: str, printer: Printer) -> None:
+    def __init__(self, arguments: argparse.Namespace, stated: FoundProblem, name: str, printer: Printer) -> None:
         self._printer = printer
         self._count, self._stated, self._name = arguments.campaign, stated, name
         self._allowed = arguments.allow_failures or 0
         self._plot = None if arguments.simulate is not None else arguments.plot
         self._result: Campaign | None = None
 
-    def fly(self, sources: Mapping[str, str]) -> Flown | None:
+    def fly(self, sources: Mapping[str, str]) -> CampaignWords | None:
         """Fly the package; None without the flag.
 
         Raises:
@@ -45,7 +45,7 @@ class Flights:
         self._result = fly_campaign(controller, self._stated.ocp, self._stated.options, wish, conduct)
         if not self._result.complete:  # nothing is written of a campaign that was not flown
             raise KeyboardInterrupt
-        return Flown(self._result.as_dict(), self._result.sentences())
+        return CampaignWords(self._result.as_dict(), self._result.sentences())
 
     def report(self, printer: Printer) -> bool:
         """Print the result; False if more flights are lost than are allowed."""

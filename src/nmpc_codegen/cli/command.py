@@ -15,7 +15,7 @@ from nmpc_codegen.cli.printing import Printer, ReaderLeftError, drop_output, iso
 from nmpc_codegen.cli.report import report_files, report_operations, report_package
 
 if TYPE_CHECKING:
-    from nmpc_codegen.cli.problem_file import Stated
+    from nmpc_codegen.cli.problem_file import FoundProblem
     from nmpc_codegen.firmware.delivery import Variant
 
 
@@ -68,7 +68,7 @@ def _run(arguments: argparse.Namespace, printer: Printer) -> int:
 
 def _export(arguments: argparse.Namespace, printer: Printer) -> bool:
     """Write a package and do what else was asked for; False if a check failed."""
-    from nmpc_codegen.cli.campaign import Flights
+    from nmpc_codegen.cli.campaign import CampaignRun
     from nmpc_codegen.cli.check import check
     from nmpc_codegen.cli.firmware import Firmware
     from nmpc_codegen.compiler import compile, export
@@ -90,7 +90,7 @@ def _export(arguments: argparse.Namespace, printer: Printer) -> bool:
         check_target(name, options.machine)
     folder = Path(arguments.output or Path("out") / name)
     beside = None if estimator is None else lambda: compile(estimator, common_options(options))
-    flights = Flights(arguments, stated, name, printer)
+    flights = CampaignRun(arguments, stated, name, printer)
     variant: Variant = lambda **changes: compile(ocp, replace(options, **changes), name)  # noqa: E731
     more = firmware.hook(name, variant, beside, flights.fly)
     given: dict[str, Any] = {"allow_foreign": arguments.allow_foreign, "force": arguments.force, "more": more}
@@ -128,7 +128,7 @@ def _derivatives(arguments: argparse.Namespace, printer: Printer) -> bool:
     return True
 
 
-def _problem(arguments: argparse.Namespace, printer: Printer) -> Stated:
+def _problem(arguments: argparse.Namespace, printer: Printer) -> FoundProblem:
     """What the file states, with the changes of the command line.
 
     Derivatives have the integrator and the precision of the file, and no other option of a controller.

@@ -12,7 +12,7 @@ from nmpc_codegen.cli.printing import Printer
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.firmware.budgets import BYTES, OPERATIONS, Budgets, parse_size
 from nmpc_codegen.firmware.certificate import Certificate, Form
-from nmpc_codegen.firmware.delivery import Delivery, Flown, Variant, deliver, deliver_estimator, sentences
+from nmpc_codegen.firmware.delivery import CampaignWords, Delivery, Variant, deliver, deliver_estimator, sentences
 from nmpc_codegen.firmware.process import compiler_for, emulator_command
 from nmpc_codegen.firmware.toolchain import LEVELS, require
 from nmpc_codegen.lowering.beside.dumps import ring_bytes
@@ -65,7 +65,7 @@ class Firmware:
         name: str,
         variant: Variant,
         beside: Callable[[], Sources] | None = None,
-        fly: Callable[[Mapping[str, str]], Flown | None] = lambda _: None,
+        fly: Callable[[Mapping[str, str]], CampaignWords | None] = lambda _: None,
     ) -> Callable[[Mapping[str, str]], dict[str, str]]:
         """What export() calls before it writes anything; ``variant`` makes the package with other options, ``beside``
         that of an estimator, and ``fly`` flies a campaign with the package, if one is asked for."""

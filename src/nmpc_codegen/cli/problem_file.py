@@ -18,7 +18,7 @@ from nmpc_codegen.options import Options
 MODULE = "nmpc_problem"
 
 
-class Stated(NamedTuple):
+class FoundProblem(NamedTuple):
     """What a file states: the problem, its options, the outputs of --derivatives, an estimator or None, and arguments
     of campaign()."""
 
@@ -29,7 +29,7 @@ class Stated(NamedTuple):
     campaign: Mapping[str, Any]
 
 
-def load_problem(path: Path) -> Stated:
+def load_problem(path: Path) -> FoundProblem:
     """Run a problem file and return what it states.
 
     The problem is that of ``problem()``, else ``ocp``, else that of ``build_ocp()``, else the only OCP in the file. The
@@ -55,7 +55,7 @@ def load_problem(path: Path) -> Stated:
         ocp, options = _find_statement(module.__dict__, path)
         names = module.__dict__
         estimator, campaign = _find_estimator(names, ocp, path), _find_campaign(names, path)
-        return Stated(ocp, options, names.get("outputs"), estimator, campaign)
+        return FoundProblem(ocp, options, names.get("outputs"), estimator, campaign)
     finally:
         sys.modules.pop(MODULE, None)
         sys.path = search

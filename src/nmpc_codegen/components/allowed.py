@@ -161,7 +161,7 @@ class Matrix:
 
 
 @dataclass(frozen=True)
-class Point:
+class AllowedPoint:
     """A pair of vectors (x, u) of finite numbers, or None."""
 
     def convert(self, value: Any) -> Any:

@@ -24,7 +24,7 @@ BLOCKS = (2, 3, 4, 5, 8, 10)
 
 
 @dataclass(frozen=True)
-class Candidate:
+class QpCandidate:
     """A condensing, a solver for its QP, and their operations.
 
     ``operations``: of a warm-started sample with an empty working set; if there are soft rows, which are active in
@@ -86,7 +86,7 @@ def choose_qp(found: Choices) -> QpChoice:
     return QpChoice(best.condensing, best.qp, reasons, warned)
 
 
-def _candidates(found: Choices, fitting: Iterable[tuple[Condensing, QpSolver]], soft: bool) -> Iterator[Candidate]:
+def _candidates(found: Choices, fitting: Iterable[tuple[Condensing, QpSolver]], soft: bool) -> Iterator[QpCandidate]:
     """Those that support the problem, with their counts."""
     for stated, qp in fitting:
         condensing = stated.adapt(found.problem)
@@ -94,10 +94,10 @@ def _candidates(found: Choices, fitting: Iterable[tuple[Condensing, QpSolver]], 
             dims = found.dims_with(condensing)
             counts = (*condensing.cost(dims, found.made).values(), *qp.cost(dims, found.made).values())
             warm, search = sum(counts, OpCount()).total, qp.search(dims).total
-            yield Candidate(condensing, qp, warm + search * soft, warm + search, dims)
+            yield QpCandidate(condensing, qp, warm + search * soft, warm + search, dims)
 
 
-def _bytes(c: Candidate, precision: Precision) -> int:
+def _bytes(c: QpCandidate, precision: Precision) -> int:
     """Bytes of the structs of both, as if no feature left any member out, and of the code of the solver."""
     structs = (*c.condensing.structs(c.dims), *c.qp.structs(c.dims))
     layout = struct_layout([s for s in structs if s.name != "solver"], precision)
@@ -105,14 +105,14 @@ def _bytes(c: Candidate, precision: Precision) -> int:
     return CODE.get(c.qp.name, 0) + sum(size for name, (size, _) in layout.items() if name not in held)
 
 
-def _smallest(candidates: list[Candidate], precision: Precision) -> tuple[Candidate, str]:
+def _smallest(candidates: list[QpCandidate], precision: Precision) -> tuple[QpCandidate, str]:
     """The candidate with the fewest bytes, and why."""
     ranked = sorted(((_bytes(c, precision), c) for c in candidates), key=lambda pair: pair[0])
     table = "; ".join(f"{c.condensing.label} + {c.qp.name}: {size:,}" for size, c in ranked)
     return ranked[0][1], f"fewest bytes of code and data, about ({table})"
 
 
-def _best(candidates: list[Candidate], soft: bool) -> tuple[Candidate, str]:
+def _best(candidates: list[QpCandidate], soft: bool) -> tuple[QpCandidate, str]:
     """The candidate to choose, and why: the fewest operations, or the fewest with a search among those close to it."""
     ranked = sorted(candidates, key=lambda c: c.operations)
     sample = "warm-started sample and a search for its working set" if soft else "warm-started sample"

@@ -17,11 +17,11 @@ from nmpc_codegen.economic.companions import (
     rotate,
     tracking_cost,
 )
+from nmpc_codegen.economic.convex_hessian import Tuning, steady_state, tune
 from nmpc_codegen.economic.periodic import PeriodicTuning, tune_periodic
 from nmpc_codegen.economic.stationary import SteadyState
 from nmpc_codegen.economic.steps import StageQp, Step, corrected_multipliers, kkt_step
 from nmpc_codegen.economic.terminal import TerminalCost, lqr_terminal_cost, with_terminal_cost
-from nmpc_codegen.economic.tune import Tuning, steady_state, tune
 
 __all__ = [
     "PeriodicTuning",

@@ -23,9 +23,9 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from nmpc_codegen.economic.convex_hessian import Tuning
 from nmpc_codegen.economic.periodic import PeriodicTuning
 from nmpc_codegen.economic.stage import tableau
-from nmpc_codegen.economic.tune import Tuning
 from nmpc_codegen.errors import OptionError, ProblemError
 from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.frontend.ocp import OCP

@@ -51,7 +51,7 @@ class Weights:
 
 
 @dataclass(frozen=True, eq=False)
-class Certificate:
+class ConvexityProof:
     """A solution in the units of the problem; ``beta`` bounds the condition number in the scaling in which it was
     found."""
 
@@ -66,13 +66,13 @@ class Certificate:
     status: str
 
 
-def convexify(lq: LinearQuadratic, weights: Weights, scaling: Array) -> Certificate | str:
+def convexify(lq: LinearQuadratic, weights: Weights, scaling: Array) -> ConvexityProof | str:
     """Solve the program of a steady state in w / scaling; the status of the solver if that fails."""
     found = convexify_period([lq], weights, scaling)
     return found if isinstance(found, str) else found[0]
 
 
-def convexify_period(period: Sequence[LinearQuadratic], weights: Weights, scaling: Array) -> list[Certificate] | str:
+def convexify_period(period: Sequence[LinearQuadratic], weights: Weights, scaling: Array) -> list[ConvexityProof] | str:
     """Solve the program of a period in w / scaling: a certificate of every interval, with one alpha and beta."""
     extra("clarabel", "tune()")
     cp = extra("cvxpy", "tune()")
@@ -135,7 +135,7 @@ class _Solved:
         found: Array = np.asarray(value) / np.outer(self.d[:n], self.d[:n])
         return found
 
-    def certificate(self, lq: LinearQuadratic, dP: Array, after: Array, F: Any, G: Any) -> Certificate:
+    def certificate(self, lq: LinearQuadratic, dP: Array, after: Array, F: Any, G: Any) -> ConvexityProof:
         """That of an interval with the storage dP at its start and ``after`` at its end."""
         F_value, G_value = _multiples(F, lq.C, self.d), _multiples(G, lq.D, self.d[: lq.n])
         M = lq.H + self.unit * (lq.rotate(dP, after) + lq.C.T @ F_value @ lq.C)
@@ -144,7 +144,7 @@ class _Solved:
             M_f = lq.H_f - self.unit * (dP + lq.D.T @ G_value @ lq.D)
             M_f = clear((M_f + M_f.T) / 2)
         M = clear((M + M.T) / 2)
-        return Certificate(dP, F_value, G_value, 1.0 / self.unit, self.beta, M, M_f, self.d, self.status)
+        return ConvexityProof(dP, F_value, G_value, 1.0 / self.unit, self.beta, M, M_f, self.d, self.status)
 
 
 def _multiples(value: Any, C: Array | None, scale: Array) -> Array:

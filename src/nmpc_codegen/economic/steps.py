@@ -17,7 +17,7 @@ import numpy as np
 import scipy.sparse
 import scipy.sparse.linalg
 
-from nmpc_codegen.economic.tune import Tuning
+from nmpc_codegen.economic.convex_hessian import Tuning
 from nmpc_codegen.errors import ProblemError
 from nmpc_codegen.frontend.problem import Array
 

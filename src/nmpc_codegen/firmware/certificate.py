@@ -104,7 +104,7 @@ def _certify(
     frames = stack.with_folded_names(stack.of_package(graph), symbols, f"{name}.c")
     roots = {f.removeprefix(f"{name}_"): f for f in functions}
     depths = stack.depths(_library(target, folder, symbols) | frames, roots)
-    alone = stack.depths({f: stack.Function() for f in undefined} | frames, roots)
+    alone = stack.depths({f: stack.StackFunction() for f in undefined} | frames, roots)
     deepest = max(depths.values(), key=lambda d: d.bytes)
     flash, library = flash_bytes(target, folder, functions), _sizes(cross(target, "size", folder, "all.elf"))
     return Certificate(
@@ -171,7 +171,7 @@ def _link(target: Target, functions: Iterable[str], output: str, folder: Path) -
     cross(target, "gcc", folder, *target.flags, *options, *roots, "package.o", "-lm", "-o", output)
 
 
-def _library(target: Target, folder: Path, symbols: str) -> dict[str, stack.Function]:
+def _library(target: Target, folder: Path, symbols: str) -> dict[str, stack.StackFunction]:
     """Functions of the libraries with their frames, from the linked program."""
     listing = cross(target, "objdump", folder, "-d", "--no-show-raw-insn", "all.elf")
     return stack.with_aliases(stack.of_program(listing, machine_code(target)), symbols)

@@ -35,7 +35,7 @@ NOT_FLOWN = "Not flown: export with --campaign."
 
 
 @dataclass(frozen=True)
-class Flown:
+class CampaignWords:
     """A campaign that the package has flown: for programs and for people."""
 
     entries: Mapping[str, object]
@@ -66,7 +66,7 @@ def deliver(
     budgets: Budgets,
     run: bool,
     variant: Variant,
-    flown: Flown | None = None,
+    flown: CampaignWords | None = None,
     dumps: int = 0,
 ) -> Delivery:
     """Check the budgets; replay a closed loop on the target of the package on request; for a microcontroller also
@@ -144,7 +144,7 @@ def record_loop(package: Mapping[str, str], name: str) -> Recording:
 
 
 def certificate_json(
-    certificate: Certificate, verdict: Verdict | None, forms: tuple[Form, ...] = (), flown: Flown | None = None
+    certificate: Certificate, verdict: Verdict | None, forms: tuple[Form, ...] = (), flown: CampaignWords | None = None
 ) -> str:
     """The certificate, the sizes for every goal, and the outcomes of the run and of the campaign if there were some."""
     entries = certificate.as_dict() | {"forms": [form.as_dict() for form in forms]}
@@ -160,7 +160,7 @@ def page(
     verdict: Verdict | None,
     forms: tuple[Form, ...] = (),
     files: Sequence[str] = (),
-    flown: Flown | None = None,
+    flown: CampaignWords | None = None,
 ) -> str:
     """The certificate for people; ``files``: those that came with it."""
     goals = environment().get_template("firmware/certificate_goals.md.jinja")

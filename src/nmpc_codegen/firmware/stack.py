@@ -25,7 +25,7 @@ _INSTRUCTION = re.compile(r"^\s*([0-9a-f]+):\t([\w.]+)(?:\t(.*))?$")
 
 
 @dataclass
-class Function:
+class StackFunction:
     """A function: its frame in bytes, and the names of what it calls."""
 
     frame: int = 0
@@ -40,13 +40,13 @@ class Depth:
     chain: tuple[str, ...]
 
 
-def of_package(graph: str) -> dict[str, Function]:
+def of_package(graph: str) -> dict[str, StackFunction]:
     """Functions of gcc's call graph; those of other units have no frame and are not among them.
 
     Raises:
         BuildError: a frame has a variable size, or a function is called through a pointer.
     """
-    functions: dict[str, Function] = {}
+    functions: dict[str, StackFunction] = {}
     for title, size, kind in _NODE.findall(graph):
         if title == "__indirect_call":
             raise BuildError("a function is called through a pointer: its stack is unknown")
@@ -54,22 +54,22 @@ def of_package(graph: str) -> dict[str, Function]:
             continue
         if kind not in ("static", "dynamic,bounded"):
             raise BuildError(f"the frame of {title} has a variable size: its stack is unknown")
-        functions[title] = Function(int(size))
+        functions[title] = StackFunction(int(size))
     for source, callee in _EDGE.findall(graph):
         functions[source].calls.add(callee)
     return functions
 
 
-def of_program(disassembly: str, read: MachineCode) -> dict[str, Function]:
+def of_program(disassembly: str, read: MachineCode) -> dict[str, StackFunction]:
     """Functions of a linked program, from ``objdump -d --no-show-raw-insn``."""
-    functions: dict[str, Function] = {}
+    functions: dict[str, StackFunction] = {}
     name, last = "", ("", "")
     for line in disassembly.splitlines():
         if begin := _FUNCTION.match(line):
             if last[0] and name and not read.ends(*last):
                 functions[name].calls.add(begin[2])
             name, last = begin[2], ("", "")
-            functions[name] = Function()
+            functions[name] = StackFunction()
         elif name and (found := _INSTRUCTION.match(line)):
             operation, operands = found[2], read.operands(found[3] or "")
             if operation.startswith((".", "nop")):  # constants, and what fills the space before them
@@ -82,7 +82,7 @@ def of_program(disassembly: str, read: MachineCode) -> dict[str, Function]:
     return functions
 
 
-def with_aliases(functions: Mapping[str, Function], symbols: str) -> dict[str, Function]:
+def with_aliases(functions: Mapping[str, StackFunction], symbols: str) -> dict[str, StackFunction]:
     """The functions also under their other names, from ``nm``: the disassembly shows one name per address."""
     found = dict(functions)
     for group in _names_of_addresses(symbols):
@@ -91,7 +91,7 @@ def with_aliases(functions: Mapping[str, Function], symbols: str) -> dict[str, F
     return found
 
 
-def with_folded_names(functions: Mapping[str, Function], symbols: str, unit: str) -> dict[str, Function]:
+def with_folded_names(functions: Mapping[str, StackFunction], symbols: str, unit: str) -> dict[str, StackFunction]:
     """The functions of a package also under the names of those that the compiler found equal to them and folded.
 
     gcc's graph has calls of such a function, but no node; in the linked program both names have one address.
@@ -114,7 +114,7 @@ def _names_of_addresses(symbols: str) -> list[list[str]]:
     return list(names.values())
 
 
-def depths(functions: Mapping[str, Function], roots: Mapping[str, str]) -> dict[str, Depth]:
+def depths(functions: Mapping[str, StackFunction], roots: Mapping[str, str]) -> dict[str, Depth]:
     """Depth of every root: label -> name of a function.
 
     Raises:

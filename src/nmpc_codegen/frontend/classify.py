@@ -15,7 +15,7 @@ from nmpc_codegen.frontend.checks import element_names
 from nmpc_codegen.frontend.completion.first_plan import first_plan
 from nmpc_codegen.frontend.ocp import OCP
 from nmpc_codegen.frontend.problem import Algebra, Array, Problem, Row, RowKind, Stage, symbols
-from nmpc_codegen.frontend.statement import At, Element, Penalty, Residual, StageName, Statement
+from nmpc_codegen.frontend.statement import At, Element, Penalty, ResidualTerm, StageName, Statement
 from nmpc_codegen.ir.casadi_types import elements, part
 
 
@@ -300,7 +300,7 @@ def _stage(augmented: Augmented, h: list[Any], rows: tuple[Row, ...], stage: Sta
     )
 
 
-def _bare(ocp: OCP, residuals: list[Residual], nx: int) -> tuple[int, ...]:
+def _bare(ocp: OCP, residuals: list[ResidualTerm], nx: int) -> tuple[int, ...]:
     """For every residual the position in (x, u) of the state or control as which it was stated, else -1."""
     found = [ocp.element(r.y[i]) for r in residuals for i in range(r.y.numel())]
     first = {"state": 0, "control": nx}

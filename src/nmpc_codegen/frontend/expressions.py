@@ -10,13 +10,13 @@ import numpy as np
 
 from nmpc_codegen.errors import ProblemError, warn
 from nmpc_codegen.frontend.checks import NONSMOOTH, check_operations, column, list_names, quote
-from nmpc_codegen.frontend.statement import Declared, Element, Kind, Stated, explain_misplacement
+from nmpc_codegen.frontend.statement import Declared, Element, Kind, StatedProblem, explain_misplacement
 
 #: What expressions of a node may contain.
 NODE: tuple[Kind, ...] = ("state", "control", "parameter", "algebraic", "previous", "interval", "time")
 
 
-class Expressions(Stated):
+class Expressions(StatedProblem):
     """An OCP as far as it reads expressions."""
 
     @property

@@ -36,7 +36,7 @@ from nmpc_codegen.frontend.statement import (
     Element,
     GeneralCost,
     Kind,
-    Residual,
+    ResidualTerm,
     StageName,
 )
 from nmpc_codegen.frontend.symbol import Symbol, require_three
@@ -387,7 +387,7 @@ class OCP(Constraints):
         W = weight_matrix(weight, ny, f"{what}: weight")
         yref = np.zeros(ny) if reference is None else vector(reference, ny, f"{what}: reference")
         sizes = declared_scale(scale, ny, f"{what}: scale")
-        self.residuals.append(Residual(y, found, yref, W, flag(with_dt, f"{what}: scale_with_dt"), stage, sizes))
+        self.residuals.append(ResidualTerm(y, found, yref, W, flag(with_dt, f"{what}: scale_with_dt"), stage, sizes))
 
     def _residual_names(self, what: str, y: Any, names: Any, earlier: list[str]) -> tuple[str, ...]:
         if names is None:

@@ -18,7 +18,7 @@ from nmpc_codegen.ir.kernel import OPERATIONS, Instruction, Kernel, Port, functi
 from nmpc_codegen.ir.lookup_calls import known_lookup
 from nmpc_codegen.ir.printing.nested_expressions import needs_parentheses
 from nmpc_codegen.package.lookup import Lookup
-from nmpc_codegen.package.program import EDGES, Operation, Program, Quantity, Step
+from nmpc_codegen.package.program import EDGES, EdgeOperation, Program, Quantity, Step
 
 #: Longer texts of operations are cut.
 LONGEST = 100
@@ -80,13 +80,13 @@ def _of_name(name: str, values: Sequence[tuple[str, int]], new: Mapping[int, int
 
 def _operations(
     kernel: Kernel, problem: Problem, quantities: Sequence[Quantity], suspects: Sequence[int], new: Mapping[int, int]
-) -> Iterator[Operation]:
+) -> Iterator[EdgeOperation]:
     texts, moved = _texts(kernel, problem), _find_moving(kernel)
     occurs = _occurrences(kernel, quantities, suspects)
     for i in suspects:
         a, b = kernel.instructions[i].args[0], kernel.instructions[i].args[-1]
         name = _name(kernel.instructions[i])
-        yield Operation(name, texts[i], (texts[a], texts[b]), (new[a], new[b]), (moved[a], moved[b]), occurs[i])
+        yield EdgeOperation(name, texts[i], (texts[a], texts[b]), (new[a], new[b]), (moved[a], moved[b]), occurs[i])
 
 
 def _parts(

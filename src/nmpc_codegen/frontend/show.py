@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from nmpc_codegen.frontend.statement import Declared, Stated
+from nmpc_codegen.frontend.statement import Declared, StatedProblem
 from nmpc_codegen.package.signals import horizon, list_some
 
 
-def in_one_line(ocp: Stated) -> str:
+def in_one_line(ocp: StatedProblem) -> str:
     """Name, grid, signals by name, number of rows."""
     kinds = {"states": ocp.states, "controls": ocp.controls, "algebraic variables": ocp.algebraics}
     kinds["parameters"] = ocp.parameters
@@ -20,6 +20,6 @@ def elements_of(declared: list[Declared]) -> list[str]:
     return [element for d in declared for element in d.signal.elements]
 
 
-def grid_of(ocp: Stated) -> str:
+def grid_of(ocp: StatedProblem) -> str:
     """Intervals and horizon."""
     return f"N={horizon(ocp.dt or (1.0,) * ocp.N, ocp.time_unit, ocp.dt is None or bool(ocp.discrete))}"

@@ -40,7 +40,7 @@ class Element:
 
 
 @dataclass(frozen=True, eq=False)
-class Residual:
+class ResidualTerm:
     """The cost 1/2 (y - reference)' weight (y - reference) at node 0, at every path node, or at the terminal node."""
 
     y: Any
@@ -95,7 +95,7 @@ class Equation:
     expression: Any
 
 
-class Stated:
+class StatedProblem:
     """What an OCP has been told so far: its name, its grid, and every statement in the order of the calls.
 
     Attributes:
@@ -133,7 +133,7 @@ class Stated:
         self.node_data = NOTHING
         self.interval_before, self.clock = ca.SX.sym("interval"), ca.SX.sym("time")
         self._discrete: bool | None = None
-        self.residuals: list[Residual] = []
+        self.residuals: list[ResidualTerm] = []
         self.costs: list[GeneralCost] = []
         self.statements: list[Statement] = []
         self._terminal_lqr: LqrRequest | None = None

@@ -39,7 +39,7 @@ class Quantity:
 
 
 @dataclass(frozen=True)
-class Operation:
+class EdgeOperation:
     """An operation and its text; ``operands``: two steps of the program, twice the same one if there is one operand.
 
     ``texts``: those of the operands; ``moved``: which of them depend on states and controls; ``quantities``: the parts
@@ -68,7 +68,7 @@ class Program:
 
     steps: tuple[Step, ...] = ()
     rows: tuple[tuple[int, int], ...] = ()
-    operations: tuple[Operation, ...] = ()
+    operations: tuple[EdgeOperation, ...] = ()
     lookups: tuple[Lookup, ...] = ()
     residuals: tuple[int, ...] = ()
     scaled: tuple[bool, ...] = ()
@@ -235,7 +235,7 @@ class Finding:
 
     where: str
     nodes: tuple[int, ...]
-    operation: Operation
+    operation: EdgeOperation
     operands: tuple[float, float]
     order: int
     squares: bool = False
@@ -319,7 +319,7 @@ def in_words(found: Sequence[Finding]) -> Iterator[str]:
         yield f"{first}{', also in ' if names else ''}{listed}; {first.remedy}"
 
 
-def _of_operation(operation: Operation, values: Sequence[Array], second: bool) -> list[Finding]:
+def _of_operation(operation: EdgeOperation, values: Sequence[Array], second: bool) -> list[Finding]:
     a, b = (values[i] for i in operation.operands)
     edge = EDGES[operation.name]
     value = np.asarray(VALUES[operation.name](a, b), dtype=np.float64)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from nmpc_codegen.frontend.show import elements_of, grid_of
-from nmpc_codegen.frontend.statement import Residual, Stated, Statement
+from nmpc_codegen.frontend.statement import ResidualTerm, StatedProblem, Statement
 from nmpc_codegen.package.signals import list_some, nodes, units
 from nmpc_codegen.pictures.html import ROWS, page, shorten, table
 
@@ -13,7 +13,7 @@ LONGEST = 80  # characters of an expression
 STAGES = {"start": "node 0", "path": "nodes 0..N-1", "terminal": "node N"}
 
 
-def in_html(ocp: Stated) -> str:
+def in_html(ocp: StatedProblem) -> str:
     """Signals with units and values, rows with bounds, terms of the cost."""
     return page(
         f"OCP {ocp.name}",
@@ -33,7 +33,7 @@ def in_html(ocp: Stated) -> str:
     )
 
 
-def _incomplete(ocp: Stated) -> list[str]:
+def _incomplete(ocp: StatedProblem) -> list[str]:
     """What is still to be stated before a controller can be built."""
     names = elements_of(ocp.states)
     known = {*ocp.derivatives, *ocp.maps, *ocp.slopes}
@@ -47,7 +47,7 @@ def _incomplete(ocp: Stated) -> list[str]:
     return [f"still missing: {', '.join(missing)}"] if missing else []
 
 
-def _signals(ocp: Stated) -> list[tuple[object, ...]]:
+def _signals(ocp: StatedProblem) -> list[tuple[object, ...]]:
     marks = {"free at node 0": ocp.free, "accumulator": ocp.accumulators, "cyclic": ocp.cyclic_states}
     found: list[tuple[object, ...]] = []
     for kind, declared in (
@@ -65,7 +65,7 @@ def _signals(ocp: Stated) -> list[tuple[object, ...]]:
     return found
 
 
-def _row_lines(ocp: Stated, statement: Statement) -> list[tuple[object, ...]]:
+def _row_lines(ocp: StatedProblem, statement: Statement) -> list[tuple[object, ...]]:
     known = units(*([d.signal for d in of] for of in (ocp.states, ocp.controls, ocp.algebraics)))
     at = statement.at if isinstance(statement.at, str) else "x_0, x_N" if statement.at is None else nodes(statement.at)
     l1, l2 = statement.soft or (0.0, 0.0)
@@ -86,7 +86,7 @@ def _short(expression: object) -> str:
     return text if len(text) <= LONGEST else f"{text[:LONGEST]} ..."
 
 
-def _terms(residual: Residual) -> list[tuple[object, ...]]:
+def _terms(residual: ResidualTerm) -> list[tuple[object, ...]]:
     """One row per element, with its weight; entries off the diagonal are counted."""
     diagonal = np.diag(residual.weight)
     coupled = np.count_nonzero(residual.weight - np.diag(diagonal), axis=1)

@@ -8,7 +8,7 @@ from scipy import special, stats
 
 from nmpc_codegen import ControllerError, Normal, Uniform
 from nmpc_codegen.runtime.batch.driver import EXACT, part
-from nmpc_codegen.runtime.batch.random import NOISE, Signal, draw, signal
+from nmpc_codegen.runtime.batch.random import NOISE, DrawnSignal, draw, signal
 from nmpc_codegen.runtime.build import load_library
 
 PROBE = """
@@ -72,7 +72,7 @@ def test_numbers_are_those_of_flight_sample_and_state() -> None:
         out = np.zeros((200, 3))
         drawn = []
         for flight in range(60):
-            draw(Signal(np.array([1.0, 2.0, 0.5]), uniform, NOISE), 7, flight, out)
+            draw(DrawnSignal(np.array([1.0, 2.0, 0.5]), uniform, NOISE), 7, flight, out)
             drawn.append(out / [1.0, 2.0, 0.5])
         values = np.array(drawn)
         assert stats.kstest(values.ravel(), law.cdf).pvalue > 1e-3
@@ -80,9 +80,9 @@ def test_numbers_are_those_of_flight_sample_and_state() -> None:
         flat = values.reshape(60, -1)
         assert abs(np.corrcoef(flat[:-1].ravel(), flat[1:].ravel())[0, 1]) < 0.01
         again = np.zeros((200, 3))
-        draw(Signal(np.array([1.0, 2.0, 0.5]), uniform, NOISE), 7, 59, again)
+        draw(DrawnSignal(np.array([1.0, 2.0, 0.5]), uniform, NOISE), 7, 59, again)
         np.testing.assert_array_equal(again, out)
-        draw(Signal(np.array([1.0, 2.0, 0.5]), uniform, NOISE), 8, 59, again)
+        draw(DrawnSignal(np.array([1.0, 2.0, 0.5]), uniform, NOISE), 8, 59, again)
         assert not np.any(again == out)
 
 

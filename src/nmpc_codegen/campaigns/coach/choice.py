@@ -15,7 +15,7 @@ from scipy.stats import binom
 from nmpc_codegen.campaigns.coach.candidates import Candidate, build_candidates, build_plant, propose
 from nmpc_codegen.campaigns.flying.archive import HEAD
 from nmpc_codegen.campaigns.judging.result import Campaign
-from nmpc_codegen.campaigns.request import Conduct, fly_campaign
+from nmpc_codegen.campaigns.request import Terms, fly_campaign
 from nmpc_codegen.campaigns.stated.defaults import facts_of
 from nmpc_codegen.campaigns.stated.flight_statement import Wish, state_flights
 from nmpc_codegen.errors import ControllerError
@@ -108,7 +108,7 @@ class Choice:
         return "\n".join([*lines, f"chosen: {self.line}", f"reason: {self.reason}"])
 
 
-def choose(ocp: OCP, given: Sequence[Options] | None, base: Options, wish: Wish, conduct: Conduct) -> Choice:
+def choose(ocp: OCP, given: Sequence[Options] | None, base: Options, wish: Wish, conduct: Terms) -> Choice:
     """The choice among given options, the first of which is what others are compared with; None: among candidates that
     the coach proposes beside ``base``."""
     stated = propose(ocp, base) if given is None else iter([(f"options[{i}]", o, ocp.N) for i, o in enumerate(given)])
@@ -148,7 +148,7 @@ def _grid(ocp: OCP, intervals: int) -> str:
     return f"OCP(..., N={intervals})" if ocp.dt is None else f"OCP(..., T={intervals * ocp.dt[0]:.12g}, N={intervals})"
 
 
-def _check_folder(conduct: Conduct) -> None:
+def _check_folder(conduct: Terms) -> None:
     """ControllerError if the folder is that of a single campaign."""
     if conduct.folder is not None and (Path(conduct.folder) / HEAD).exists():
         raise ControllerError(f"folder: {conduct.folder} holds a campaign; expected a folder for several of them")
@@ -157,7 +157,7 @@ def _check_folder(conduct: Conduct) -> None:
 class _Course:
     """Flies candidates: rounds on the seed of the wish, the verdict on the next one."""
 
-    def __init__(self, ocp: OCP, wish: Wish, conduct: Conduct) -> None:
+    def __init__(self, ocp: OCP, wish: Wish, conduct: Terms) -> None:
         self._ocp, self._wish, self._conduct = ocp, wish, conduct
 
     def round(self, candidate: Candidate, flights: int) -> Campaign:

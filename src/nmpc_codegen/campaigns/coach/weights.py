@@ -12,7 +12,14 @@ from numpy.typing import ArrayLike
 
 from nmpc_codegen.campaigns.flying.fly import Flyer, Job
 from nmpc_codegen.campaigns.stated.defaults import facts_of
-from nmpc_codegen.campaigns.stated.flight_statement import SILENT, Stated, Statement, Wish, plant_of, state_flights
+from nmpc_codegen.campaigns.stated.flight_statement import (
+    SILENT,
+    FlightStatement,
+    Stated,
+    Wish,
+    plant_of,
+    state_flights,
+)
 from nmpc_codegen.compiler import build
 from nmpc_codegen.errors import ControllerError
 from nmpc_codegen.frontend.ocp import OCP
@@ -153,7 +160,7 @@ class _Course:
     def __init__(self, controller: Controller, ocp: OCP, wish: Wish, cost: Cost) -> None:
         self._controller, self._cost, self._plant = controller, cost, plant_of(wish)
         facts = facts_of(ocp)
-        self._statements: dict[bool, Statement] = {
+        self._statements: dict[bool, FlightStatement] = {
             fresh: state_flights(controller, facts, {**wish, "seed": (wish["seed"] + fresh) % 2**64})
             for fresh in (False, True)
         }

@@ -12,7 +12,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from nmpc_codegen.campaigns.stated.flight_statement import Data, Given, Statement
+from nmpc_codegen.campaigns.stated.flight_statement import FlightData, FlightStatement, Given
 from nmpc_codegen.runtime.batch.choose import make
 from nmpc_codegen.runtime.batch.many import Batch
 from nmpc_codegen.runtime.batch.struct_block import Structs, single
@@ -37,7 +37,7 @@ class Job:
 
     controller: Controller
     plant: Controller | None
-    statement: Statement
+    statement: FlightStatement
     device: Device = "cpu"
 
     @property
@@ -46,7 +46,7 @@ class Job:
         described = self.controller.description
         return Labels(described.names.states, judge_of(described, self.statement.dt).names, self.statement.drawn)
 
-    def loop(self, batch: Structs, plant: Structs | None, data: Data, first: int, steps: int) -> Loop:
+    def loop(self, batch: Structs, plant: Structs | None, data: FlightData, first: int, steps: int) -> Loop:
         """The first samples of the flights of these data, whose numbers begin with ``first``."""
         s, unknown = self.statement, data.tables["plant"] or None
         if self.plant is not None:
@@ -101,15 +101,15 @@ class Flyer:
         data = self._job.statement.data(first, count, own)
         return Flown(self._labels, **{**self.simulate(data, first).columns, "drawn": data.drawn})
 
-    def simulate(self, data: Data, first: int, record: bool = False) -> Flights:
+    def simulate(self, data: FlightData, first: int, record: bool = False) -> Flights:
         """The flights of these data."""
         return fly(self._loop(data, first), record)
 
-    def judge(self, data: Data, first: int, paths: tuple[Array, Array, Array]) -> Array:
+    def judge(self, data: FlightData, first: int, paths: tuple[Array, Array, Array]) -> Array:
         """Costs (F,) of paths of other loops with these data: states, controls, algebraic variables."""
         return judge_paths(self._loop(data, first), paths)[0]
 
-    def _loop(self, data: Data, first: int) -> Loop:
+    def _loop(self, data: FlightData, first: int) -> Loop:
         job = self._job
         plant = None if job.plant is None else self._batch.structs_of(job.plant)
         return job.loop(self._batch, plant, data, first, job.statement.steps)

@@ -31,7 +31,7 @@ LOOK = 0.2
 
 
 @dataclass(frozen=True)
-class Part:
+class FlightPart:
     """The flights first .. first + count - 1."""
 
     first: int
@@ -59,7 +59,7 @@ class _Parts:
         self._gaps = deque((int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True))
         self._size = FIRST
 
-    def take(self) -> Part | None:
+    def take(self) -> FlightPart | None:
         """The next part; None if there is no more."""
         if not self._gaps:
             return None
@@ -67,7 +67,7 @@ class _Parts:
         count = min(self._size, end - begin)
         if begin + count < end:
             self._gaps.appendleft((begin + count, end))
-        return Part(begin, count)
+        return FlightPart(begin, count)
 
     def learn(self, flights: int, seconds: float) -> None:
         """What a part has taken."""
@@ -98,8 +98,8 @@ class _Elsewhere:
         self._job, self._parts, self._executor = job, parts, executor
         self._blob = pickle.dumps(replace(job, statement=job.statement.common))
         self._ready: SimpleQueue[Any] = SimpleQueue()
-        self._pending: dict[Any, Part] = {}
-        self._again: deque[Part] = deque()
+        self._pending: dict[Any, FlightPart] = {}
+        self._again: deque[FlightPart] = deque()
         self._own: ProcessPoolExecutor | None = None
         self._fruitless = 0  # losses since a part has come back
 
@@ -119,10 +119,10 @@ class _Elsewhere:
             if self._own is not None:
                 self._own.shutdown(wait=False, cancel_futures=True)
 
-    def _next(self) -> Part | None:
+    def _next(self) -> FlightPart | None:
         return self._again.popleft() if self._again else self._parts.take()
 
-    def _submit(self, part: Part) -> None:
+    def _submit(self, part: FlightPart) -> None:
         own = self._job.statement.given_for(part.first, part.count)
         arguments = (fly_elsewhere, self._blob, part.first, part.count, own, part.attempt)
         try:
@@ -156,7 +156,7 @@ class _Elsewhere:
         self._parts.learn(part.count, spent if np.isfinite(spent) else SECONDS)
         yield flown
 
-    def _lose(self, part: Part, error: Exception) -> None:
+    def _lose(self, part: FlightPart, error: Exception) -> None:
         """A part whose worker is lost is flown again."""
         self._again.append(replace(part, attempt=part.attempt + 1))
         self._fruitless += 1

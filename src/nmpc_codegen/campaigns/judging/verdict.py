@@ -54,7 +54,7 @@ class Reason(IntEnum):
 
 
 @dataclass(frozen=True, eq=False)
-class Target:
+class Goal:
     """The last value of a state has to be within ``near`` of its set point, or between two limits."""
 
     state: int
@@ -72,7 +72,7 @@ class Rules:
 
     allowed: Array
     rounding: Array
-    targets: tuple[Target, ...]
+    targets: tuple[Goal, ...]
     success: Success | None
     asked: str = ""
 
@@ -178,14 +178,14 @@ def _size_of(described: PackageDescription, i: int) -> float:
     return min(described.row_scales[i], max(bounds, default=math.inf))
 
 
-def _targets(described: PackageDescription, success: Any) -> list[Target]:
+def _targets(described: PackageDescription, success: Any) -> list[Goal]:
     """What states have to be near at the end."""
     states, scales = described.names.states, described.scales
     followed = {r.signal: i for i, r in reversed(list(enumerate(described.residuals))) if r.signal in states}
     if success == "set point":
         if not followed:
             raise ControllerError("success: no residual of the path is a state; name states: success={'p': Box(-1, 1)}")
-        return [Target(states.index(s), i, NEAR * scales[states.index(s)]) for s, i in followed.items()]
+        return [Goal(states.index(s), i, NEAR * scales[states.index(s)]) for s, i in followed.items()]
     if not isinstance(success, Mapping):
         raise ControllerError(
             f"success is {success!r:.60}; expected 'set point', {{state: distance from its set point, or Box}}, or a "
@@ -208,7 +208,7 @@ def _element(value: Any, j: int, size: int) -> Any:
     return np.asarray(value)[j] if size > 1 and np.shape(value) == (size,) else value
 
 
-def _target(place: int, states: Sequence[str], followed: Mapping[str, int], value: Any, name: str) -> Target:
+def _target(place: int, states: Sequence[str], followed: Mapping[str, int], value: Any, name: str) -> Goal:
     """One target."""
     real = np.dtype(np.float64)
     if isinstance(value, Box):
@@ -216,14 +216,14 @@ def _target(place: int, states: Sequence[str], followed: Mapping[str, int], valu
             float(given.checked_array(side, f"success: {name!r}", real, (), finite=False))
             for side in (value.lower, value.upper)
         )
-        return Target(place, -1, 0.0, low, high)
+        return Goal(place, -1, 0.0, low, high)
     near = float(given.checked_array(value, f"success: {name!r}", real, ()))
     if near < 0 or states[place] not in followed:
         raise ControllerError(
             f"success: {states[place]!r}: {value!r}; expected a distance >= 0 from the reference of a residual that is "
             "this state, or Box(lower, upper)"
         )
-    return Target(place, followed[states[place]], near)
+    return Goal(place, followed[states[place]], near)
 
 
 def interval_of_share(

@@ -15,7 +15,7 @@ from scipy.stats import qmc
 
 from nmpc_codegen.errors import ControllerError
 from nmpc_codegen.runtime import given
-from nmpc_codegen.runtime.batch.random import START, Normal, Signal, draw
+from nmpc_codegen.runtime.batch.random import START, DrawnSignal, Normal, draw
 
 Array = NDArray[np.float64]
 
@@ -40,7 +40,7 @@ Distribution = Box | Normal
 
 
 @dataclass(frozen=True)
-class Variable:
+class DrawnVariable:
     """A number that is drawn for every flight: uniform from ``begin`` to begin + size, or normal with mean ``begin``
     and standard deviation ``size``, within ``low`` and ``high``."""
 
@@ -69,7 +69,7 @@ class Variable:
         )
 
 
-def variables(kind: Kind, names: list[str], found: Distribution, middle: ArrayLike, what: str) -> list[Variable]:
+def variables(kind: Kind, names: list[str], found: Distribution, middle: ArrayLike, what: str) -> list[DrawnVariable]:
     """Independent variables of these elements; a normal one has its mean in the middle.
 
     Raises:
@@ -93,7 +93,7 @@ def variables(kind: Kind, names: list[str], found: Distribution, middle: ArrayLi
             raise ControllerError(f"{what}: Box({begin[i]:g}, {end[i]:g}) of {names[i]!r}; expected lower <= upper")
         sizes = end - begin
     return [
-        Variable(kind, name, float(b), float(s), isinstance(found, Normal))
+        DrawnVariable(kind, name, float(b), float(s), isinstance(found, Normal))
         for name, b, s in zip(names, begin, sizes, strict=True)
     ]
 
@@ -116,7 +116,7 @@ class Points:
         if not self.dimensions or not count:
             return out
         if not self.sets:
-            draw(Signal(np.full(self.dimensions, 0.5), True, START), self.seed, 0, out, first)
+            draw(DrawnSignal(np.full(self.dimensions, 0.5), True, START), self.seed, 0, out, first)
             return np.asarray(out + 0.5)
         done = 0
         while done < count:

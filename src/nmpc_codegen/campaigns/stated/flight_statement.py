@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from nmpc_codegen.campaigns.stated.defaults import Facts, default_known, default_starts, default_steps, default_unknown
-from nmpc_codegen.campaigns.stated.distributions import Box, Distribution, Kind, Points, Variable, variables
+from nmpc_codegen.campaigns.stated.distributions import Box, Distribution, DrawnVariable, Kind, Points, variables
 from nmpc_codegen.errors import ControllerError
 from nmpc_codegen.package.description import PackageDescription
 from nmpc_codegen.package.signals import members
@@ -101,7 +101,7 @@ class Given:
 
 
 @dataclass(frozen=True, eq=False)
-class Data:
+class FlightData:
     """Arguments of Batch.simulate() for a part of the flights, and the values that were drawn for them (F, n)."""
 
     starts: Array
@@ -117,7 +117,7 @@ class Data:
 
 
 @dataclass(frozen=True, eq=False)
-class Statement:
+class FlightStatement:
     """Flight i is a function of this and of i. ``tables``: the same for all flights."""
 
     flights: int
@@ -125,7 +125,7 @@ class Statement:
     dt: float
     seed: int
     x0: Array
-    variables: tuple[Variable, ...]
+    variables: tuple[DrawnVariable, ...]
     points: Points
     tables: Mapping[Kind, Mapping[str, Array]]
     given: Given
@@ -140,7 +140,7 @@ class Statement:
         return tuple(v.label for v in self.variables if v.kind != "start")
 
     @property
-    def common(self) -> Statement:
+    def common(self) -> FlightStatement:
         """Without what is given for each flight by itself."""
         return replace(self, given=Given({}, {}, None))
 
@@ -148,11 +148,11 @@ class Statement:
         """What is given for the flights from ``first`` on."""
         return self.given.part(slice(first, first + count))
 
-    def whole_data(self, first: int, count: int = 1) -> Data:
+    def whole_data(self, first: int, count: int = 1) -> FlightData:
         """Data of the flights from ``first`` on."""
         return self.data(first, count, self.given_for(first, count))
 
-    def data(self, first: int, count: int, own: Given) -> Data:
+    def data(self, first: int, count: int, own: Given) -> FlightData:
         """Data of the flights from ``first`` on; ``own``: what is given for them."""
         unit = self.points.at(first, count)
         starts = np.tile(self.x0, (count, 1))
@@ -171,10 +171,10 @@ class Statement:
                 drawn.append(value)
         added = self.added if own.added is None else own.added
         whole = np.array(drawn).reshape(len(drawn), count).T
-        return Data(starts, cast("Mapping[Kind, Mapping[str, Array]]", found), added, whole)
+        return FlightData(starts, cast("Mapping[Kind, Mapping[str, Array]]", found), added, whole)
 
 
-def state_flights(controller: Controller, facts: Facts, wish: Wish) -> Statement:
+def state_flights(controller: Controller, facts: Facts, wish: Wish) -> FlightStatement:
     """Check the arguments of campaign() and complete them.
 
     Raises:
@@ -199,7 +199,7 @@ def state_flights(controller: Controller, facts: Facts, wish: Wish) -> Statement
         named = wish["references"] if isinstance(wish["references"], Mapping) else {"": wish["references"]}
         reader.read("reference", named, "references", known)
     every, own = reader.split_added(wish["added"], steps)
-    return Statement(
+    return FlightStatement(
         *(flights, steps, dt, seed, reader.x0, tuple(reader.variables)),
         Points(seed, len(reader.variables), wish["sets"], length),
         reader.tables,
@@ -261,7 +261,7 @@ class _Reader:
     def __init__(self, controller: Controller, plant: Controller | None, flights: int, steps: int) -> None:
         self._controller, self._plant, self._flights, self._steps = controller, plant, flights, steps
         self.x0 = np.array(controller.description.x_initial, dtype=float)
-        self.variables: list[Variable] = []
+        self.variables: list[DrawnVariable] = []
         self.tables: dict[Kind, dict[str, Array]] = {}
         self.each: dict[Kind, dict[str, Array]] = {}
         self.starts: dict[int, Array] = {}

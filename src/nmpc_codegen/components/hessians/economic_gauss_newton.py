@@ -17,7 +17,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from nmpc_codegen.components.allowed import Matrix, Point, check_options, option
+from nmpc_codegen.components.allowed import AllowedPoint, Matrix, check_options, option
 from nmpc_codegen.components.base import Counts, Dims, Hessian, Integrator
 from nmpc_codegen.components.hessians.given_matrices import refuse_indefinite, refuse_shape
 from nmpc_codegen.components.hessians.steady_rows import limits, terminal_state_is_fixed, tied_parameters
@@ -52,7 +52,7 @@ class EconomicGaussNewton(Hessian):
 
     M: ArrayLike | None = option(None, Matrix())
     M_f: ArrayLike | None = option(None, Matrix())
-    steady_state: tuple[ArrayLike, ArrayLike] | None = option(None, Point())
+    steady_state: tuple[ArrayLike, ArrayLike] | None = option(None, AllowedPoint())
 
     name: ClassVar[str] = "economic_gauss_newton"
     template: ClassVar[str] = "hessians/economic_gauss_newton.c"

@@ -22,7 +22,7 @@ from nmpc_codegen.frontend.completion.scales import scales
 from nmpc_codegen.frontend.estimator.declaration import Estimator
 from nmpc_codegen.frontend.ocp import OCP
 from nmpc_codegen.frontend.problem import Array, Problem, Signal, Stage, c_identifier
-from nmpc_codegen.frontend.statement import NOTHING, Residual
+from nmpc_codegen.frontend.statement import NOTHING, ResidualTerm
 from nmpc_codegen.package.estimation import Estimation
 
 #: Violation of a row, relative to its scale, that costs as much as an error of one standard deviation.
@@ -70,7 +70,7 @@ def _eliminate(estimator: Estimator) -> tuple[OCP, Any]:
         return ocp, h
     n = h.numel()
     twin = object.__new__(type(ocp))
-    measured = Residual(h, ("",) * n, np.zeros(n), np.eye(n), False, "path")
+    measured = ResidualTerm(h, ("",) * n, np.zeros(n), np.eye(n), False, "path")
     twin.__dict__ |= {**ocp.__dict__, "residuals": [measured], "costs": []}
     found = resolve(twin)
     assert found is not None

@@ -15,7 +15,7 @@ import casadi as ca
 from nmpc_codegen.ir.kernel import Kernel, Port
 from nmpc_codegen.ir.printing.c_style import CStyle
 from nmpc_codegen.ir.printing.constant_names import LocalNames, Taken
-from nmpc_codegen.ir.printing.nested_expressions import FIRM, WIDTH, Expressions, declare, wrap_statement
+from nmpc_codegen.ir.printing.nested_expressions import FIRM, WIDTH, NestedExpressions, declare, wrap_statement
 from nmpc_codegen.package.opcount import OpCount
 
 #: The longest function that is not cut, in lines.
@@ -67,7 +67,7 @@ def print_count(count: OpCount) -> str:
 
 def print_kernel(kernel: Kernel, style: CStyle) -> str:
     """The whole C function; its parameters are the ports that it reads or writes."""
-    printed = Function(kernel, style)
+    printed = PrintedFunction(kernel, style)
     lines = [*wrapped_head(signature(kernel.name, kernel.reads, kernel.writes, style)), "{", *printed.lines(), "}"]
     return "\n".join([describe(kernel), *lines])
 
@@ -82,7 +82,7 @@ def wrapped_head(head: str) -> list[str]:
     return wrap_statement("", re.sub(r"(?<!,) ", FIRM, head))
 
 
-class Function:
+class PrintedFunction:
     """The body of a kernel as a function of its ports: loads, then named constants, then stores.
 
     Attributes:
@@ -100,7 +100,7 @@ class Function:
             p = kernel.inputs[port]
             texts[port, e] = taken.of(names.signal(kernel.name, p.name, e, p.size), f"{p.name}_{e}")
             self.loads.setdefault(p, []).append((texts[port, e], f"{p.name}[{e}]"))
-        self.expressions = Expressions(kernel, style, lambda port, e: texts[port, e], taken)
+        self.expressions = NestedExpressions(kernel, style, lambda port, e: texts[port, e], taken)
         dense = any(p.flat for p in (*kernel.inputs, *kernel.outputs))
         zeros = [o for o, _, v in kernel.stores if kernel.is_zero(v)]
         outputs = enumerate(kernel.outputs)

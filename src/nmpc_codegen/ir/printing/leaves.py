@@ -12,7 +12,7 @@ from nmpc_codegen.ir.kernel import OPERATIONS, Kernel, live
 from nmpc_codegen.ir.printing.c_style import CStyle
 from nmpc_codegen.ir.printing.constant_names import Taken
 from nmpc_codegen.ir.printing.kernels import CLEARED, find_loads, result_note, statement
-from nmpc_codegen.ir.printing.nested_expressions import Expressions, declare, loads_inside, wrap_statement
+from nmpc_codegen.ir.printing.nested_expressions import NestedExpressions, declare, loads_inside, wrap_statement
 from nmpc_codegen.ir.printing.rolls import Roll, Store, find_rolls
 from nmpc_codegen.ir.sweep import Affine, Call, LoopedRoutine, Slice
 
@@ -100,7 +100,7 @@ class Leaf:
             instructions, new = live(kernel.instructions, [v for _, _, v in self.stores])
             stores = tuple((o, e, new[v]) for o, e, v in self.stores)
             kernel = replace(kernel, instructions=instructions, stores=stores, parts=())
-        expressions = Expressions(kernel, self.style, lambda port, e: texts[port, e], taken)
+        expressions = NestedExpressions(kernel, self.style, lambda port, e: texts[port, e], taken)
         lines = [part for line in (*held, *expressions.statements) for part in wrap_statement(indent, line)]
         lines += [f"{indent}{self._clear(o)}" for o in self.cleared]
         for roll in self.rolls:
@@ -156,7 +156,7 @@ class Leaf:
             moved = (index, roll.stride) if (port, e) in roll.moving else ()
             return self.buffers.element(ins[port], e, *moved)
 
-        expressions = Expressions(roll.of_first(self.kernel), self.style, load, taken, roll.moving)
+        expressions = NestedExpressions(roll.of_first(self.kernel), self.style, load, taken, roll.moving)
         ((o, e, v),) = expressions.kernel.stores
         target = self.buffers.element(outs[o], e, index, roll.stride)
         before = [c for c in expressions.constants if c.is_fixed]

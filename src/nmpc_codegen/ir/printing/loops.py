@@ -23,7 +23,7 @@ from nmpc_codegen.ir.printing.kernels import (
 )
 from nmpc_codegen.ir.printing.leaves import Buffers, Leaf
 from nmpc_codegen.ir.printing.nested_expressions import wrap_statement
-from nmpc_codegen.ir.printing.stages import STAGE, Loop, Piece, cut, flat, note_of, once
+from nmpc_codegen.ir.printing.stages import STAGE, Piece, StageLoop, cut, flat, note_of, once
 from nmpc_codegen.ir.sweep import Affine, Call, For, LoopedRoutine, Node, Slice, Written, calls, passed_slices
 from nmpc_codegen.ir.tuning import PANEL
 
@@ -276,10 +276,10 @@ class Pieces:
         scratch = [f"    {self.scratch} {self.printer.pointer};"] if self.shared else []
         return self.printer.sweep(scratch, declared, lines)
 
-    def _print(self, body: Body, pieces: Iterable[Piece | Loop], indent: str) -> list[str]:
+    def _print(self, body: Body, pieces: Iterable[Piece | StageLoop], indent: str) -> list[str]:
         lines: list[str] = []
         for piece in pieces:
-            if isinstance(piece, Loop):
+            if isinstance(piece, StageLoop):
                 inner = body.enter(piece.loop, indent)
                 lines += [*inner, *self._print(body, piece.pieces, indent + "    "), *body.leave(indent)]
             elif piece.name:
@@ -295,10 +295,10 @@ class Pieces:
         return wrap_statement(indent, f"{piece.name}({', '.join(arguments)});")
 
 
-def _largest(pieces: Iterable[Piece | Loop]) -> Iterator[tuple[str, int]]:
+def _largest(pieces: Iterable[Piece | StageLoop]) -> Iterator[tuple[str, int]]:
     """(index, its largest value) of the loops around pieces."""
     for piece in pieces:
-        if isinstance(piece, Loop):
+        if isinstance(piece, StageLoop):
             assert isinstance(piece.loop.count, int)
             yield piece.loop.index, piece.loop.start + piece.loop.count - 1
             yield from _largest(piece.pieces)

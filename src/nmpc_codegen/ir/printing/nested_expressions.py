@@ -39,7 +39,7 @@ class Constant(NamedTuple):
         return f"const {real} {self.name} = {self.text};"
 
 
-class Expressions:
+class NestedExpressions:
     """The expressions of a kernel, part by part.
 
     Attributes:

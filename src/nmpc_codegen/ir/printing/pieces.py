@@ -14,7 +14,7 @@ from nmpc_codegen.ir.kernel import Kernel, Port
 from nmpc_codegen.ir.printing.c_style import CStyle
 from nmpc_codegen.ir.printing.kernels import (
     LONGEST_FUNCTION,
-    Function,
+    PrintedFunction,
     describe,
     first_short,
     parameters,
@@ -33,7 +33,7 @@ _NAME = re.compile(r"(?<![.\w])(?<!->)[A-Za-z_]\w*")
 
 
 @dataclass(frozen=True)
-class Step:
+class PieceStep:
     """A constant of this name, or a store to a target with what it is, and its text."""
 
     name: str
@@ -66,7 +66,7 @@ class _Pieces:
     def __init__(self, kernel: Kernel, style: CStyle, length: int) -> None:
         self.kernel, self.style = kernel, style
         self.pointer = pointer((*kernel.reads, *kernel.writes))
-        self.function = Function(kernel, style, (self.pointer,))
+        self.function = PrintedFunction(kernel, style, (self.pointer,))
         self.ports = {name: port for port, held in self.function.loads.items() for name, _ in held}
         self.texts = {name: text for held in self.function.loads.values() for name, text in held}
         self.pieces = _cut(self._steps(), length)
@@ -74,14 +74,14 @@ class _Pieces:
         self.crossing = self._find_crossing()
         self.struct = f"{kernel.name}_values_t"
 
-    def _steps(self) -> list[list[Step]]:
+    def _steps(self) -> list[list[PieceStep]]:
         """The steps of every stage, and the stores."""
-        stages: list[list[Step]] = []
+        stages: list[list[PieceStep]] = []
         for constant in self.function.expressions.constants:
             if constant.note or not stages:
                 stages.append([])
-            stages[-1].append(Step(constant.name, "", constant.text, constant.note))
-        return [*stages, [Step("", target, text, note) for target, text, note in self.function.stores]]
+            stages[-1].append(PieceStep(constant.name, "", constant.text, constant.note))
+        return [*stages, [PieceStep("", target, text, note) for target, text, note in self.function.stores]]
 
     def _find_crossing(self) -> dict[str, int]:
         """The names that a later piece reads -> the piece that defines them. An input counts as defined by the piece
@@ -181,14 +181,14 @@ class _Pieces:
         return "\n".join([f"/* {self.kernel.name}: {self._what(n)} */", *head, "{", *lines, "}"])
 
 
-def _read(piece: Iterable[Step]) -> Collection[str]:
+def _read(piece: Iterable[PieceStep]) -> Collection[str]:
     """The names that a piece reads."""
     return set[str]().union(*(step.names for step in piece))
 
 
-def _cut(stages: Sequence[Sequence[Step]], longest: int) -> list[list[Step]]:
+def _cut(stages: Sequence[Sequence[PieceStep]], longest: int) -> list[list[PieceStep]]:
     """Pieces of whole stages, as long as they may be; a longer stage is several pieces of about the same length."""
-    pieces: list[list[Step]] = []
+    pieces: list[list[PieceStep]] = []
     length = 0
     for stage in stages:
         own = sum(step.length for step in stage)

@@ -29,21 +29,21 @@ class Piece:
 
 
 @dataclass(frozen=True, eq=False)
-class Loop:
+class StageLoop:
     """A loop over pieces."""
 
     loop: For
-    pieces: tuple[Piece | Loop, ...]
+    pieces: tuple[Piece | StageLoop, ...]
 
 
-def cut(nodes: tuple[Node, ...], leaves: Leaves) -> tuple[Piece | Loop, ...]:
+def cut(nodes: tuple[Node, ...], leaves: Leaves) -> tuple[Piece | StageLoop, ...]:
     """The pieces of nodes: those under one note are together; a loop over several notes is a loop over pieces."""
-    found: list[Piece | Loop] = []
+    found: list[Piece | StageLoop] = []
     for node in once(nodes):
         notes = {c.note for c in calls((node,)) if c.note}
         last = found[-1] if found else None
         if isinstance(node, For) and len(notes) > 1:
-            found.append(Loop(node, cut(node.body, leaves)))
+            found.append(StageLoop(node, cut(node.body, leaves)))
         elif isinstance(last, Piece) and (not notes or last.note in notes):
             last.nodes.append(node)
         else:
@@ -51,10 +51,10 @@ def cut(nodes: tuple[Node, ...], leaves: Leaves) -> tuple[Piece | Loop, ...]:
     return tuple(_loop_over_stages(found, leaves))
 
 
-def flat(pieces: Iterable[Piece | Loop]) -> Iterator[Piece]:
+def flat(pieces: Iterable[Piece | StageLoop]) -> Iterator[Piece]:
     """All pieces, those of loops too."""
     for piece in pieces:
-        if isinstance(piece, Loop):
+        if isinstance(piece, StageLoop):
             yield from flat(piece.pieces)
         else:
             yield piece
@@ -75,7 +75,7 @@ def once(nodes: tuple[Node, ...]) -> Iterator[Node]:
             yield node
 
 
-def _loop_over_stages(pieces: Sequence[Piece | Loop], leaves: Leaves) -> Iterator[Piece | Loop]:
+def _loop_over_stages(pieces: Sequence[Piece | StageLoop], leaves: Leaves) -> Iterator[Piece | StageLoop]:
     """The pieces, with loops over those of adjacent stages that are alike."""
     place = 0
     while place < len(pieces):
@@ -93,7 +93,7 @@ def _loop_over_stages(pieces: Sequence[Piece | Loop], leaves: Leaves) -> Iterato
         place += count
 
 
-def _stages(first: Piece, count: int, along: Sequence[int]) -> Loop:
+def _stages(first: Piece, count: int, along: Sequence[int]) -> StageLoop:
     """A loop over stages from that of the first piece."""
     found = _OF_STAGE.match(first.note)
     assert found is not None
@@ -101,7 +101,7 @@ def _stages(first: Piece, count: int, along: Sequence[int]) -> Loop:
     note = f"{found[1]}stages {begin + 1} {'and' if count == 2 else 'to'} {begin + count}"
     steps = iter(along)
     nodes = [_move(node, begin, note, steps) for node in first.nodes]
-    return Loop(For(STAGE, begin, count, tuple(nodes)), (Piece(note, nodes),))
+    return StageLoop(For(STAGE, begin, count, tuple(nodes)), (Piece(note, nodes),))
 
 
 def _move(node: Node, begin: int, note: str, steps: Iterator[int]) -> Node:
@@ -119,9 +119,9 @@ def _move(node: Node, begin: int, note: str, steps: Iterator[int]) -> Node:
     return replace(node, ins=ins, outs=outs, note=note)
 
 
-def _step(one: Piece | Loop, two: Piece | Loop, leaves: Leaves) -> tuple[int, ...] | None:
+def _step(one: Piece | StageLoop, two: Piece | StageLoop, leaves: Leaves) -> tuple[int, ...] | None:
     """How far the slices of two pieces are apart, if these are alike and of adjacent stages."""
-    if isinstance(one, Loop) or isinstance(two, Loop):
+    if isinstance(one, StageLoop) or isinstance(two, StageLoop):
         return None
     a, b = _OF_STAGE.match(one.note), _OF_STAGE.match(two.note)
     if not (a and b and a[1] == b[1] and int(b[2]) == int(a[2]) + 1):

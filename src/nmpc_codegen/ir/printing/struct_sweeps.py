@@ -13,7 +13,7 @@ from functools import lru_cache
 
 from nmpc_codegen.ir.printing.c_style import CStyle
 from nmpc_codegen.ir.printing.kernels import block, find_loads, print_count, wrapped_head
-from nmpc_codegen.ir.printing.nested_expressions import Expressions, declare, wrap_statement
+from nmpc_codegen.ir.printing.nested_expressions import NestedExpressions, declare, wrap_statement
 from nmpc_codegen.ir.sweep import Affine, Block, Call, Entries, For, Frame, If, LoopedRoutine, Node, Slice, calls
 
 #: Text of a load -> name of the constant that holds it.
@@ -119,7 +119,7 @@ class _Printer:
             text = self._element(call.ins[port], element)
             return names.get(text, text)
 
-        expressions = Expressions(kernel, self._style, load)
+        expressions = NestedExpressions(kernel, self._style, load)
         lines, last = list(expressions.statements), []
         for port, element, value in kernel.stores:
             target = self._element(call.outs[port], element)

@@ -32,7 +32,7 @@ EXAMPLE = "main.c"  # a file to start from: it is not needed, so that an edited 
 
 
 @dataclass(frozen=True)
-class Change:
+class FileChange:
     """A file to write: its path and bytes, the bytes and the mode of the old file, and whether that is the user's."""
 
     target: Path
@@ -146,14 +146,14 @@ def _alone(folder: Path) -> Iterator[None]:
 # -- files that may be replaced ---------------------------------------------------------------------------------------
 
 
-def _changes(folder: Path, files: Mapping[str, str], force: bool) -> tuple[list[Change], list[str]]:
+def _changes(folder: Path, files: Mapping[str, str], force: bool) -> tuple[list[FileChange], list[str]]:
     """The files to write, whose content differs, and what is kept. Raises ExportError if one must not be replaced."""
     changes, kept, refused = [], [], []
     for path, text in files.items():
         target, data = _target(folder, path), text.encode()
         mode = _mode(target)
         if mode is None:
-            changes.append(Change(target, data, None, None, False))
+            changes.append(FileChange(target, data, None, None, False))
             continue
         if not stat.S_ISREG(mode):
             raise ExportError(f"{target}: is {_kind(mode)}; export() writes only plain files: remove it")
@@ -162,7 +162,7 @@ def _changes(folder: Path, files: Mapping[str, str], force: bool) -> tuple[list[
         if old == data:
             continue
         if reason is None or force:
-            changes.append(Change(target, data, old, mode, reason is not None))
+            changes.append(FileChange(target, data, old, mode, reason is not None))
         elif path == EXAMPLE:
             kept.append(f"{target}: {reason}")
         else:
@@ -175,7 +175,7 @@ def _changes(folder: Path, files: Mapping[str, str], force: bool) -> tuple[list[
     return changes, kept
 
 
-def _stale(folder: Path, files: Mapping[str, str], changes: list[Change]) -> list[Path]:
+def _stale(folder: Path, files: Mapping[str, str], changes: list[FileChange]) -> list[Path]:
     """What lies beside packages whose C is replaced, is sealed as theirs, and is not written now."""
     headers = [change for change in changes if change.target.suffix == ".h" and change.target.parent == folder]
     replaced = {package_of((change.old or b"").decode(errors="replace")) for change in headers}
@@ -234,7 +234,7 @@ def _objection(old: bytes | None, mode: int) -> str | None:
 # -- writing ----------------------------------------------------------------------------------------------------------
 
 
-def _stage(change: Change) -> None:
+def _stage(change: FileChange) -> None:
     """Write the new file under its temporary name, flushed to the disk, and copy a file of the user."""
     change.target.parent.mkdir(parents=True, exist_ok=True)
     change.new.unlink(missing_ok=True)
@@ -249,7 +249,7 @@ def _stage(change: Change) -> None:
         shutil.copy2(change.target, next(copy for copy in copies if not os.path.lexists(copy)), follow_symlinks=False)
 
 
-def _replace(change: Change) -> None:
+def _replace(change: FileChange) -> None:
     """Rename the new file to its final name, unless somebody has just edited the old one."""
     mode = _mode(change.target)
     if (None if mode is None else _read(change.target)) != change.old:

@@ -45,7 +45,7 @@ Random = Normal | Uniform
 
 
 @dataclass(frozen=True, eq=False)
-class Signal:
+class DrawnSignal:
     """Random numbers of the states: sizes (nx,), kind, number in the generator."""
 
     size: Array
@@ -55,7 +55,7 @@ class Signal:
 
 def signal(
     random: Random | ArrayLike | Mapping[str, Any] | None, what: str, names: Sequence[str], stream: int
-) -> Signal | None:
+) -> DrawnSignal | None:
     """What is drawn, if anything; sizes alone are standard deviations.
 
     Raises:
@@ -73,7 +73,7 @@ def signal(
         found[:] = given.rows(size, what, found.dtype, len(names))[0]
     if (found < 0).any():
         raise ControllerError(f"{what} is {found.tolist()}; expected sizes >= 0")
-    return Signal(found, uniform, stream)
+    return DrawnSignal(found, uniform, stream)
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,10 +83,10 @@ class Draws:
     seed: int
     first: int
     nx: int
-    disturbance: Signal | None
-    noise: Signal | None
+    disturbance: DrawnSignal | None
+    noise: DrawnSignal | None
 
-    def of(self, signal: Signal | None, i: int, steps: int) -> Array:
+    def of(self, signal: DrawnSignal | None, i: int, steps: int) -> Array:
         """Numbers (steps, nx) of a signal in flight i."""
         out = np.zeros((steps, self.nx))
         if signal is not None:
@@ -94,7 +94,7 @@ class Draws:
         return out
 
 
-def draw(signal: Signal, seed: int, flight: int, out: Array, begin: int = 0) -> None:
+def draw(signal: DrawnSignal, seed: int, flight: int, out: Array, begin: int = 0) -> None:
     """Fill out (samples, nx) with the random numbers of a signal in a flight, from sample ``begin``."""
     ffi, lib = load_driver("double")
     random = ffi.new("batch_random_t *")

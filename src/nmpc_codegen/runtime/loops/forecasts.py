@@ -38,7 +38,7 @@ _KINDS: dict[str, Kind] = {
 
 
 @dataclass(frozen=True, eq=False)
-class Column:
+class TableColumn:
     """Values of one element: (1 or flights, n)."""
 
     place: int
@@ -46,7 +46,7 @@ class Column:
 
 
 @dataclass(frozen=True, eq=False)
-class Data:
+class SetterData:
     """Columns of one setter: of parameter or row ``number``, or of references; ``offset``: column where its own begin;
     of bounds: the lower one, then the upper one."""
 
@@ -55,14 +55,14 @@ class Data:
     member: str
     offset: int
     width: int
-    columns: list[Column] = field(default_factory=list)
+    columns: list[TableColumn] = field(default_factory=list)
 
 
-def parameter_data(where: Addressing, tables: Tables | None, flights: int, what: str) -> list[Data]:
+def parameter_data(where: Addressing, tables: Tables | None, flights: int, what: str) -> list[SetterData]:
     """Tables of parameters by name, as data; see above."""
     if tables is None:
         return []
-    found: dict[int, Data] = {}
+    found: dict[int, SetterData] = {}
     for name, value in mapping(what, tables).items():
         where._lengths("parameter", f"parameter {name!r}", None)
         signals = where.description.parameters
@@ -75,19 +75,22 @@ def parameter_data(where: Addressing, tables: Tables | None, flights: int, what:
             signal = signals[i]
             if signal.low:
                 given.check_range(values[..., None], signal.low[j : j + 1], signal.high[j : j + 1], f"{what}: {name!r}")
-            data = found.setdefault(i, Data("PARAMETER", i, "p", signal.offset, signal.size))
-            _append(data, Column(j, values), f"{what}: {name!r}")
+            data = found.setdefault(i, SetterData("PARAMETER", i, "p", signal.offset, signal.size))
+            _append(data, TableColumn(j, values), f"{what}: {name!r}")
     return list(found.values())
 
 
-def reference_data(where: Addressing, references: ArrayLike | Tables | None, flights: int) -> list[Data]:
+def reference_data(where: Addressing, references: ArrayLike | Tables | None, flights: int) -> list[SetterData]:
     """Tables of references: by the names of residuals, or of the whole path residual; see above."""
     if references is None:
         return []
     where._lengths("reference", "references", None)
     y, y_N = where.names.y, where.names.y_N
     known = list(dict.fromkeys((*y, *y_N)))
-    path, end = Data("REFERENCE", 0, "yref", 0, len(y)), Data("TERMINAL_REFERENCE", 0, "yref_N", 0, len(y_N))
+    path, end = (
+        SetterData("REFERENCE", 0, "yref", 0, len(y)),
+        SetterData("TERMINAL_REFERENCE", 0, "yref_N", 0, len(y_N)),
+    )
     named = references if isinstance(references, Mapping) else {"": references}
     for name, value in named.items():
         elements = [known[i] for i in (members(name, known) or [where._lookup(name, known, "residual")])] if name else y
@@ -96,13 +99,13 @@ def reference_data(where: Addressing, references: ArrayLike | Tables | None, fli
         for element, values in zip(elements, table, strict=True):
             for data, names in ((path, y), (end, y_N)):
                 if element in names:
-                    _append(data, Column(names.index(element), values), f"references: {element!r}")
+                    _append(data, TableColumn(names.index(element), values), f"references: {element!r}")
     return [data for data in (path, end) if data.columns]
 
 
-def bounds_data(where: Addressing, bounds: Bounds | None, flights: int) -> list[Data]:
+def bounds_data(where: Addressing, bounds: Bounds | None, flights: int) -> list[SetterData]:
     """Tables of bounds by the names of rows, each (lower, upper); see above."""
-    found: list[Data] = []
+    found: list[SetterData] = []
     for name, value in mapping("bounds", {} if bounds is None else bounds).items():
         groups = where._rows_of(name)
         where._lengths("bounds", f"the bounds of {name!r}", None)
@@ -111,8 +114,8 @@ def bounds_data(where: Addressing, bounds: Bounds | None, flights: int) -> list[
         tables = [_table(what, side, len(groups), flights, where._real, finite=False) for side in sides]
         low, high = (np.stack(np.broadcast_arrays(*columns), axis=-1)[..., None, :] for columns in tables)
         for row, lower, upper in where._bounds_of_rows(name, groups, *np.broadcast_arrays(*_as_long(low, high))):
-            data = Data("BOUNDS", row, "lower", row, 2)
-            data.columns.extend(Column(i, side[..., 0]) for i, side in enumerate((lower, upper)))
+            data = SetterData("BOUNDS", row, "lower", row, 2)
+            data.columns.extend(TableColumn(i, side[..., 0]) for i, side in enumerate((lower, upper)))
             if any(other.number == row for other in found):
                 raise ControllerError(f"{what} is given twice")
             found.append(data)
@@ -126,7 +129,7 @@ def _as_long(one: Array, other: Array) -> tuple[Array, Array]:
     return tuple(longer)  # type: ignore[return-value]
 
 
-def replace_in(base: list[Data], new: list[Data]) -> list[Data]:
+def replace_in(base: list[SetterData], new: list[SetterData]) -> list[SetterData]:
     """Parameters with those of ``new`` in the place of theirs."""
     found = {data.number: data for data in new}
     for data in base:
@@ -137,14 +140,14 @@ def replace_in(base: list[Data], new: list[Data]) -> list[Data]:
     return list(found.values())
 
 
-def _append(data: Data, column: Column, what: str) -> None:
+def _append(data: SetterData, column: TableColumn, what: str) -> None:
     """Add a column; ControllerError if its element has one."""
     if any(column.place == other.place for other in data.columns):
         raise ControllerError(f"{what} is given twice")
     data.columns.append(column)
 
 
-def in_c(batch: Structs, where: Addressing, data: list[Data], ahead: NDArray[np.int64], keep: list[Any]) -> Any:
+def in_c(batch: Structs, where: Addressing, data: list[SetterData], ahead: NDArray[np.int64], keep: list[Any]) -> Any:
     """The data as batch_data_t[]; ``keep`` holds what they point to."""
     driver = batch.driver
     found = driver.ffi.new("batch_data_t[]", max(1, len(data)))
@@ -173,7 +176,7 @@ def in_c(batch: Structs, where: Addressing, data: list[Data], ahead: NDArray[np.
     return batch.reach_structs(found, keep)
 
 
-def at_samples(data: list[Data], flights: slice, steps: int, stored: Array) -> Array:
+def at_samples(data: list[SetterData], flights: slice, steps: int, stored: Array) -> Array:
     """Data of node 0 at every sample: (flights, steps, width) from stored (flights, width), with those of tables."""
     found = np.repeat(stored[:, None, :], steps, axis=1).astype(np.float64)
     for one in data:
@@ -182,7 +185,7 @@ def at_samples(data: list[Data], flights: slice, steps: int, stored: Array) -> A
     return found
 
 
-def bounds_at(data: list[Data], side: int, flights: slice, steps: int, stored: Array) -> Array:
+def bounds_at(data: list[SetterData], side: int, flights: slice, steps: int, stored: Array) -> Array:
     """Bounds of rows at every sample: (flights, steps, rows) from stored (flights, 1, rows), with those of tables;
     ``side``: 0, the lower ones, or 1."""
     found = np.repeat(stored, steps, axis=1)
@@ -191,7 +194,7 @@ def bounds_at(data: list[Data], side: int, flights: slice, steps: int, stored: A
     return found
 
 
-def _over_samples(column: Column, flights: slice, steps: int) -> Array:
+def _over_samples(column: TableColumn, flights: slice, steps: int) -> Array:
     """The values of a column at every sample, (1 or flights, steps)."""
     rows = column.values if len(column.values) == 1 else column.values[flights]
     return np.asarray(rows[:, np.minimum(np.arange(steps), rows.shape[1] - 1)])

@@ -23,7 +23,7 @@ from nmpc_codegen.runtime.batch.struct_block import Structs
 from nmpc_codegen.runtime.given import is_same_time
 from nmpc_codegen.runtime.loops.forecasts import (
     Bounds,
-    Data,
+    SetterData,
     Tables,
     at_samples,
     bounds_at,
@@ -56,8 +56,8 @@ class Loop:
     starts: Array
     steps: int
     interval: float
-    data: list[Data]  # of the controllers, and of plants that are theirs
-    plant_data: list[Data]
+    data: list[SetterData]  # of the controllers, and of plants that are theirs
+    plant_data: list[SetterData]
     draws: Draws
     added: Array | None  # (1 or F, steps, nx)
     judge: Judge
@@ -104,7 +104,7 @@ class Loop:
         most = max(structs.dims.N for structs in (self.batch, self.plant or self.batch))
         return (most + 2) * max((d.width for d in (*self.data, *self.plant_data)), default=0)
 
-    def _place(self, c: Any, structs: Structs, data: list[Data], ahead: NDArray[np.int64]) -> None:
+    def _place(self, c: Any, structs: Structs, data: list[SetterData], ahead: NDArray[np.int64]) -> None:
         driver = self.batch.driver
         c.memory, c.structs = driver.ffi.cast("char *", self.batch.address_of(structs, self.keep)), len(structs)
         c.stride, c.size = structs.stride if len(structs) > 1 else 0, structs._package.dtype.itemsize
@@ -118,7 +118,7 @@ class Loop:
         def every(values: Array) -> Array:
             return np.broadcast_to(values, (count, *values.shape[1:]))
 
-        def over(member: str, steps: int, known: Before, data: list[Data], declared: list[float]) -> Array:
+        def over(member: str, steps: int, known: Before, data: list[SetterData], declared: list[float]) -> Array:
             found = every(known.of(member, block, np.array(declared)))
             return at_samples([d for d in data if d.member == member], block, steps, found)
 

@@ -79,7 +79,7 @@ def _join(spans: list[tuple[int, int]]) -> list[tuple[int, int]]:
 
 
 @dataclass
-class Counts:
+class SampleCounts:
     """Samples that took too long, that began late, and that were left out; when the last one began."""
 
     missed: int = 0
@@ -92,7 +92,7 @@ def prepare_copy(
     ctrl: Controller,
     layout: Layout,
     ring: stream.Ring,
-    counts: Counts,
+    counts: SampleCounts,
     writer: stream.Writer | None,
     limits: tuple[float, int],
 ) -> Callable[[int], None]:
@@ -197,7 +197,7 @@ class Recorder:
             "solver"
         )
         self._every = 1 if needs_plan else int(plans)
-        self._counts = Counts()
+        self._counts = SampleCounts()
         slots = self._slots(keep)
         try:
             self._ring = stream.Ring(slots, self._layout.size)

@@ -26,7 +26,7 @@ Entry = tuple[int, int]
 Values = Callable[[int], Expression]
 
 
-class Derivatives:
+class IntervalDerivatives:
     """F, F_z and H of one problem with their sparsity patterns.
 
     Attributes:

@@ -21,7 +21,7 @@ def step_sweep(problem: Problem, tableau: ButcherTableau) -> Sweep:
     """x_next = one Runge-Kutta step of length h."""
     rk = RungeKutta(problem, tableau)
     nx, x = rk.nx, Slice("x", rk.nx)
-    f = Dynamics(problem).leaf_f()
+    f = SchemeDynamics(problem).leaf_f()
     body: list[Node] = []
     for i, coefficients in enumerate(tableau.a):
         point = Slice("X", nx) if any(coefficients) else x
@@ -42,7 +42,7 @@ def step_sweep(problem: Problem, tableau: ButcherTableau) -> Sweep:
     )
 
 
-class Dynamics:
+class SchemeDynamics:
     """f and its derivatives as leaves of sweeps."""
 
     def __init__(self, problem: Problem) -> None:
@@ -87,7 +87,7 @@ class Sensitivities:
     """
 
     def __init__(self, problem: Problem, tableau: ButcherTableau, steps: int) -> None:
-        self.rk, self.f = RungeKutta(problem, tableau, steps), Dynamics(problem)
+        self.rk, self.f = RungeKutta(problem, tableau, steps), SchemeDynamics(problem)
         self.nz = problem.nx + problem.nu
         self.ld = -(-self.nz // PANEL) * PANEL
 

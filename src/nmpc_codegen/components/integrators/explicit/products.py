@@ -16,7 +16,7 @@ from collections.abc import Callable
 
 import casadi as ca
 
-from nmpc_codegen.components.integrators.explicit.first_order import Dynamics
+from nmpc_codegen.components.integrators.explicit.first_order import SchemeDynamics
 from nmpc_codegen.components.integrators.explicit.runge_kutta import LENGTH, MEANINGS, RungeKutta
 from nmpc_codegen.components.integrators.tableau import ButcherTableau, combine
 from nmpc_codegen.frontend.problem import Problem
@@ -30,7 +30,7 @@ class IntervalSweeps:
     """The four products of one problem, scheme and number of steps as sweeps."""
 
     def __init__(self, problem: Problem, tableau: ButcherTableau, steps: int) -> None:
-        self.rk, self.f = RungeKutta(problem, tableau, steps), Dynamics(problem)
+        self.rk, self.f = RungeKutta(problem, tableau, steps), SchemeDynamics(problem)
         self.nx, self.nu = problem.nx, problem.nu
         self.steps, self.stages = steps, tableau.stages
 

@@ -15,7 +15,7 @@ from dataclasses import replace
 
 import casadi as ca
 
-from nmpc_codegen.components.integrators.explicit.derivatives import Derivatives
+from nmpc_codegen.components.integrators.explicit.derivatives import IntervalDerivatives
 from nmpc_codegen.components.integrators.explicit.runge_kutta import LENGTH, RungeKutta
 from nmpc_codegen.components.integrators.tableau import ButcherTableau, combine
 from nmpc_codegen.frontend.problem import Problem
@@ -32,7 +32,7 @@ class Builder:
     """Slices and leaves that both schemes share."""
 
     def __init__(self, problem: Problem, tableau: ButcherTableau, steps: int) -> None:
-        self.d = d = Derivatives(problem)
+        self.d = d = IntervalDerivatives(problem)
         self.rk = RungeKutta(problem, tableau, steps)
         self._h = ca.SX.sym("h")
         self.tableau, self.steps, self.stages = tableau, steps, tableau.stages

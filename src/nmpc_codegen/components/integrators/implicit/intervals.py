@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from nmpc_codegen.components.integrators.explicit.directional import ADJOINT, ADJOINT_DOC, FORWARD, FORWARD_DOC
-from nmpc_codegen.components.integrators.implicit.operation_counts import Counts
+from nmpc_codegen.components.integrators.implicit.operation_counts import ImplicitCounts
 from nmpc_codegen.components.integrators.implicit.stage_kernels import stage_kernels
 from nmpc_codegen.components.integrators.jump import with_end
 from nmpc_codegen.components.integrators.tableau import ButcherTableau
@@ -29,7 +29,7 @@ class Intervals:
 
     def __init__(self, problem: Problem, tableau: ButcherTableau, steps: int, newton: int) -> None:
         self.problem, self.kernels = problem, stage_kernels(problem)
-        self.count = Counts(self.kernels, tableau, steps, newton)
+        self.count = ImplicitCounts(self.kernels, tableau, steps, newton)
         self.nx, self.nu, self.nz = problem.nx, problem.nu, problem.nx + problem.nu
         self.na = self.kernels.na
         self.phi = f"x_next = Phi(x, u, p): {steps} {tableau.name} step{'s' if steps > 1 else ''} over dt"

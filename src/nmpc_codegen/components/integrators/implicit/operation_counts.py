@@ -21,7 +21,7 @@ def _sums(n: int) -> OpCount:
 
 
 @dataclass(frozen=True, eq=False)
-class Counts:
+class ImplicitCounts:
     """The counts for one problem, scheme, number of steps per interval and of Newton's method per stage."""
 
     kernels: StageKernels

@@ -19,7 +19,7 @@ import casadi as ca
 import numpy as np
 
 from nmpc_codegen.economic.linear_quadratic import Frequency, LinearQuadratic, frequency_function, linear_quadratic
-from nmpc_codegen.economic.semidefinite import Certificate, Weights, convexify, scalings
+from nmpc_codegen.economic.semidefinite import ConvexityProof, Weights, convexify, scalings
 from nmpc_codegen.economic.stage import SteadyStage, steady_stage
 from nmpc_codegen.economic.stationary import SteadyState, solve_steady_state
 from nmpc_codegen.economic.terminal import with_terminal_cost
@@ -242,13 +242,13 @@ def _candidates(stage: SteadyStage, lq: LinearQuadratic, steady: SteadyState, sc
 
 def _solve(
     lq: LinearQuadratic, weights: Weights, candidates: dict[str, Array], frequency: tuple[Frequency, Frequency]
-) -> tuple[Certificate, str]:
+) -> tuple[ConvexityProof, str]:
     """Return the certificate of the first scaling for which the program is solved, and the name of that scaling."""
     decisive = frequency[weights.eta]
     statuses = {}
     for name, d in candidates.items():
         found = convexify(lq, weights, d)
-        if isinstance(found, Certificate):
+        if isinstance(found, ConvexityProof):
             return found, name
         statuses[name] = found
         if not decisive.positive:
@@ -264,7 +264,9 @@ def _solve(
         )
     failed = "; ".join(f"{name}: {status}" for name, status in statuses.items())
     alone = LinearQuadratic(lq.A, lq.B, lq.H, lq.C, size=lq.size)
-    if lq.H_f is not None and any(isinstance(convexify(alone, weights, d), Certificate) for d in candidates.values()):
+    if lq.H_f is not None and any(
+        isinstance(convexify(alone, weights, d), ConvexityProof) for d in candidates.values()
+    ):
         raise ProblemError(
             "tune: M exists, but no positive definite M_f with it was found: the terminal cost bends too little or is "
             f"missing; state ocp.lqr_terminal_cost(economic=True) or fix x_N (solver: {failed})"
@@ -279,7 +281,7 @@ def _tuning(
     stage: SteadyStage,
     steady: SteadyState,
     lq: LinearQuadratic,
-    found: Certificate,
+    found: ConvexityProof,
     scaling: str,
     eta: int,
     frequency: tuple[Frequency, Frequency],
