@@ -324,6 +324,15 @@ def test_parts_are_composed_and_not_interrupted() -> None:
     assert len(condition.findall(texts[TEMPLATES / "algorithms" / "real_time_iteration.c"])) <= 8
 
 
+def test_no_name_of_a_file_or_class_occurs_twice() -> None:
+    """A name leads to one place; __init__ and __main__ are Python's."""
+    files = Counter(path.name for path in MODULES)
+    assert {name for name, count in files.items() if count > 1} <= {"__init__.py", "__main__.py"}
+    trees = (ast.parse(path.read_text(encoding="utf-8")) for path in MODULES)
+    classes = Counter(node.name for tree in trees for node in tree.body if isinstance(node, ast.ClassDef))
+    assert not [name for name, count in classes.items() if count > 1 and not name.startswith("_")]
+
+
 def test_no_drawers() -> None:
     parts = {part.split(".")[0] for path in (*PYTHON, *TEMPLATES.rglob("*")) for part in path.relative_to(ROOT).parts}
     assert not parts & DRAWERS

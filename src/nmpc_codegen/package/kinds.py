@@ -17,7 +17,7 @@ class Kind:
     words: str
     law: str = "estimate"
     opened: str = "an estimator; open_estimator() opens its folder"
-    main: str = "package/main_estimator.c.jinja"
+    main: str = "package/main_of_estimator.c.jinja"
     usage: str = "package/usage_estimator.md.jinja"
 
 

@@ -64,7 +64,7 @@ def _main(ours: PackageDescription, theirs: PackageDescription) -> str:
         "noise": ", ".join(style.literal(v) for v in theirs.estimation.noise_std),
         "initial": ", ".join(style.literal(v) for s in theirs.states for v in s.value),
     }
-    return tidy(environment().get_template("package/loop.c.jinja").render(names))
+    return tidy(environment().get_template("package/main_with_estimator.c.jinja").render(names))
 
 
 def _lists(controller: Mapping[str, str], estimator: Sources) -> str:
