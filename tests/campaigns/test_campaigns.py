@@ -134,6 +134,20 @@ def test_statuses_and_costs_are_those_of_the_batch() -> None:
     assert (result.flown.seconds > 0).all()
 
 
+def test_a_table_has_the_verdicts(tmp_path: Any) -> None:
+    pandas = pytest.importorskip("pandas")
+    pytest.importorskip("pyarrow")
+    result = campaign(cart(), 25, noise=0.01, progress=False)
+    frame = result.to_dataframe()
+    np.testing.assert_array_equal(frame["cost"], result.flown.cost)
+    assert (frame["reason"] != "NONE").tolist() == result.lost.tolist()
+    assert set(result.flown.labels.drawn) <= {f"{kind}.{name}" for kind, name in frame.columns}
+    result.to_parquet(tmp_path / "cart.parquet")
+    flat = pandas.read_parquet(tmp_path / "cart.parquet")
+    assert flat["number"].tolist() == list(range(25))
+    assert flat["reason"].tolist() == frame["reason"].tolist()
+
+
 WRONG: tuple[tuple[dict[str, Any], str], ...] = (
     ({"flights": 0}, "flights is 0"),
     ({"steps": 0}, "steps is 0"),

@@ -154,3 +154,27 @@ def test_what_is_refused(controller: Controller, stated: dict[str, Any], message
 def test_a_state_that_is_not_finite_ends_a_compiled_loop(controller: Controller) -> None:
     with pytest.raises(ControllerError, match=r"after sample 1 is not finite: .*it moved from h = "):
         simulate(controller.copy(), [0.3], 6, plant_parameters={"loss": [0.1, 1e200]})
+
+
+def test_tables_of_flights_and_logs(controller: Controller, tmp_path: Path) -> None:
+    """pandas and Parquet have the same columns; a row is a flight, or a sample."""
+    pandas = pytest.importorskip("pandas")
+    pytest.importorskip("pyarrow")
+    flights = Batch(controller, 1).simulate(np.linspace(0.1, 0.5, 5)[:, None], 6, first=10)
+    frame = flights.to_dataframe()
+    assert frame.index.tolist() == [10, 11, 12, 13, 14]
+    np.testing.assert_array_equal(frame["start"]["h"], np.linspace(0.1, 0.5, 5))
+    np.testing.assert_array_equal(frame["last"]["h"], flights.last[:, 0])
+    np.testing.assert_array_equal(frame["samples"]["OK"], flights.status_counts[:, 0])
+    np.testing.assert_array_equal(frame["violation"]["level"], flights.violation[:, flights.rows.index("level")])
+    flights.to_parquet(tmp_path / "flights.parquet")
+    flat = pandas.read_parquet(tmp_path / "flights.parquet")
+    assert list(flat) == ["number", *(f"{a}.{b}" if b else a for a, b in frame.columns)]
+    np.testing.assert_array_equal(flat["cost"], flights.cost)
+    log = simulate(controller, [0.3], 6)
+    log.to_parquet(tmp_path / "log.parquet")
+    flat = pandas.read_parquet(tmp_path / "log.parquet")
+    np.testing.assert_array_equal(flat["x.h"], log.x[:, 0])
+    np.testing.assert_array_equal(flat["u.q"][:-1], log.u[:, 0])
+    assert flat["u.q"].isna().tolist() == [False] * 6 + [True]
+    assert flat["status"].dropna().tolist() == ["OK"] * 6
