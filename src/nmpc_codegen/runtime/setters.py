@@ -7,26 +7,25 @@ that of an element or of a vector. Arrays are one call of the C package; what is
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from functools import cached_property
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from nmpc_codegen.errors import ControllerError
-from nmpc_codegen.package.signals import Kind, Soft
+from nmpc_codegen.package.signals import Soft
 from nmpc_codegen.runtime import given
-from nmpc_codegen.runtime.access.addressing import EVERY_NODE, Addressing, Checked
+from nmpc_codegen.runtime.access.addressing import EVERY_NODE
+from nmpc_codegen.runtime.access.telling import Named, Telling
 from nmpc_codegen.runtime.memory import Memory
 
 __all__ = ["EVERY_NODE", "Setters"]
 
 Array = NDArray[Any]
-Named = Mapping[str, ArrayLike]
 Penalty = float | tuple[ArrayLike, ArrayLike]
 
 
-class Setters(Memory, Addressing):
+class Setters(Memory, Telling):
     """The data of a controller that can be changed at run time."""
 
     # -- references and weights ---------------------------------------------------------------------------------------
@@ -51,7 +50,7 @@ class Setters(Memory, Addressing):
             >>> controller.set_reference({"h": 0.8})
             >>> controller.set_reference(np.linspace(0.5, 0.8, 10)[:, None])
         """
-        self._set_residuals("reference", y, node)
+        self._tell_residuals("reference", y, node)
 
     def set_terminal_reference(self, y: ArrayLike | Named) -> None:
         """Set the reference of the terminal residual.
@@ -62,7 +61,7 @@ class Setters(Memory, Addressing):
         Raises:
             ControllerError: a name, a node, a shape or a number is wrong, or these data cannot be set; nothing changes.
         """
-        self._set_residuals("reference", y, self.dims.N)
+        self._tell_residuals("reference", y, self.dims.N)
 
     def set_weight(self, W: ArrayLike | Named, node: int | None = None) -> None:
         """Set weights of residuals, symmetric positive semidefinite up to rounding; (W + W') / 2 is stored.
@@ -82,7 +81,7 @@ class Setters(Memory, Addressing):
         Raises:
             ControllerError: a name, a node, a shape or a number is wrong, or these data cannot be set; nothing changes.
         """
-        self._set_residuals("weight", W, node)
+        self._tell_residuals("weight", W, node)
 
     def set_terminal_weight(self, W: ArrayLike | Named) -> None:
         """Set the weight of the terminal residual.
@@ -93,7 +92,7 @@ class Setters(Memory, Addressing):
         Raises:
             ControllerError: a name, a node, a shape or a number is wrong, or these data cannot be set; nothing changes.
         """
-        self._set_residuals("weight", W, self.dims.N)
+        self._tell_residuals("weight", W, self.dims.N)
 
     # -- parameters and bounds ----------------------------------------------------------------------------------------
 
@@ -116,11 +115,7 @@ class Setters(Memory, Addressing):
             >>> controller.set_parameter("drain", 0.12)
             >>> controller.set_parameter("drain", np.linspace(0.1, 0.2, 11))
         """
-        one = self._checked_parameter(name, value, node)
-        if one.column is None:
-            self._send("set_parameter", one.rows, node, one.number)
-        else:
-            self._send_elements([one], node)
+        self._tell_parameters([self._checked_parameter(name, value, node)], node)
 
     def set_parameters(self, values: Named | None = None, /, *, node: int | None = None, **more: ArrayLike) -> None:
         """Set several parameters, set_parameters(m=0.8, k=[1.0, 2.0]): all of them, or none if one is wrong.
@@ -136,7 +131,7 @@ class Setters(Memory, Addressing):
         if values is not None and not isinstance(values, Mapping):
             raise ControllerError(f"set_parameters: {values!r} is no {{name: value}}")
         named = {**(values or {}), **more}
-        self._send_elements([self._checked_parameter(n, v, node) for n, v in named.items()], node)
+        self._tell_parameters([self._checked_parameter(n, v, node) for n, v in named.items()], node)
 
     def set_bounds(
         self,
@@ -231,110 +226,12 @@ class Setters(Memory, Addressing):
         value = float(self._array("time", time, ()))
         self._expect(self._call("set_time", self._s, value), "set_time")
 
-    # -- inner: residuals ---------------------------------------------------------------------------------------------
-
-    def _set_residuals(self, kind: Literal["reference", "weight"], value: ArrayLike | Named, node: int | None) -> None:
-        lengths = self._lengths(kind, f"the {kind}", node)
-        if isinstance(value, Mapping):
-            self._set_by_name(kind, value, node, lengths)
-            return
-        d, end = self.dims, node is not None and node == self.dims.N
-        size = self._size_of_residual(end)
-        what = f"terminal {kind}" if end else kind
-        if self._path_of_end is None:
-            lengths = tuple(n for n in lengths if n == d.N)
-        if kind == "reference":
-            rows = given.rows(value, what, self._real, size, lengths, spread=False)
-        else:
-            rows = given.weights(value, what, self._real, size, self._is_matrix(end), lengths)
-        if end:
-            self._send(f"set_terminal_{kind}", rows, None)
-            return
-        at_end = self._row_at_end(kind, rows[-1]) if len(rows) > d.N else None
-        self._send(f"set_{kind}", rows[: d.N], node)
-        if at_end is not None:
-            self._send(f"set_terminal_{kind}", at_end, None)
-
-    def _row_at_end(self, kind: str, row: Array) -> Array:
-        """The part of a row of the path that is the terminal residual's, as it is stored."""
-        places = self._path_of_end or []
-        if kind == "reference":
-            return row[None, places]
-        part = np.diag(row[places]) if row.ndim == 1 else row[np.ix_(places, places)]
-        return given.weights(part, "terminal weight", self._real, len(part), self._is_matrix(end=True))
-
-    def _set_by_name(self, kind: Kind, values: Named, node: int | None, lengths: tuple[int, ...]) -> None:
-        """Replace entries of references, or of the diagonals of weights."""
-        N, matrices, path_name = self.dims.N, kind == "weight", "yref" if kind == "reference" else "W"
-        path, end = (np.array(self._view(name)) for name in (path_name, f"{path_name}_N"))
-        sent = [False, False]
-        for name, value in values.items():
-            elements = self._elements_of(name, node)
-            rows = given.rows(value, f"{kind} of {name!r}", self._real, len(elements), lengths)
-            if matrices and (rows < 0).any():
-                raise ControllerError(f"weight of {name!r} is {rows.min():g}; expected numbers >= 0")
-            for element, column in zip(elements, rows.T, strict=True):
-                here, there = self._places_of(element, f"{kind} of {name!r}", len(column))
-                every = node is None and len(column) == 1 and (kind == "reference" or here is None)
-                if here is not None and node != N:
-                    nodes = slice(None) if node is None else slice(node, node + 1)
-                    _diagonal(path, matrices and path.ndim == 3)[nodes, here] = column[:N]
-                    sent[0] = True
-                if there is not None and (node == N or len(column) > N or every):
-                    _diagonal(end[None], matrices and end.ndim == 2)[0, there] = column[-1]
-                    sent[1] = True
-        if matrices:
-            for W, word in ((path, "weight"), (end[None], "terminal weight")):
-                W[...] = given.check_weights(W, word, self._real)
-        if sent[0]:
-            self._send(f"set_{kind}", path, None)
-        if sent[1]:
-            self._send(f"set_terminal_{kind}", end[None], None)
-
-    def _places_of(self, element: str, what: str, rows: int) -> tuple[int | None, int | None]:
-        """Places of a residual in those of the path and of the end, None: it is none there; ControllerError unless so
-        many rows fit."""
-        here = self.names.y.index(element) if element in self.names.y else None
-        there = self.names.y_N.index(element) if element in self.names.y_N else None
-        if rows > self.dims.N and there is None:
-            raise ControllerError(f"{what}: N + 1 rows, but {element!r} is no terminal residual")
-        if rows == self.dims.N > 1 and here is None:
-            raise ControllerError(f"{what}: N rows, but {element!r} is a terminal residual only")
-        return here, there
-
-    @cached_property
-    def _path_of_end(self) -> list[int] | None:
-        """For every terminal residual its place in that of the path; None if one is missing there, or there is none."""
-        places = [self.names.y.index(name) for name in self.names.y_N if name in self.names.y]
-        return places if places and len(places) == self.dims.ny_N else None
-
-    # -- inner: parameters and bounds ---------------------------------------------------------------------------------
-
-    def _send_elements(self, checked: Sequence[Checked], node: int | None) -> None:
-        """Send parameters of which some are elements of vectors, whose others stay as they are."""
-        signals, stored = self.description.parameters, np.array(self._view("p"))
-        shared = self.description.online["parameter"] == "shared"
-        for index, column, rows in checked:
-            first = signals[index].offset + (column or 0)
-            columns = slice(first, first + rows.shape[1])
-            count = len(rows) if len(rows) > 1 else len(stored)
-            nodes = slice(count) if node is None else slice(-1, None) if shared else slice(node, node + 1)
-            stored[nodes, columns] = rows
-        for index in dict.fromkeys(one.number for one in checked):
-            signal = signals[index]
-            rows = stored[:, signal.offset : signal.offset + signal.size]
-            if shared and node is None:
-                self._send("set_parameter", rows[:1], None, index)
-                self._send("set_parameter", rows[1:], self.dims.N, index)
-            elif node is None:
-                self._send("set_parameter", rows, None, index)
-            else:
-                self._send("set_parameter", rows[[-1 if shared else node]], node, index)
+    # -- inner --------------------------------------------------------------------------------------------------------
 
     def _checked_soft(
         self, name: str, soft: Penalty | Soft | None, node: int | None
     ) -> Iterator[tuple[int, Array, Array]]:
-        """(row, l1, l2) for every row of that name: one number, or one per node."""
+        """(row, l1, l2) for every row of that name, (1, nodes) each."""
         groups = self._rows_of(name)
         lengths = self._lengths_of_rows("soft", name, groups, node)
         for number in (number for group in groups for number in group):
@@ -347,18 +244,18 @@ class Setters(Memory, Addressing):
                 raise ControllerError(f"{what}: it has the {row.side} side alone")
             if pair is None:
                 continue
-            l1, l2 = (given.rows(value, what, self._real, 1, lengths, finite=False)[:, 0] for value in pair)
+            l1, l2 = (given.rows(value, what, self._real, 1, lengths, finite=False).T for value in pair)
             l1, l2 = given.alike(l1, l2, what)
             given.check_penalties(l1, l2, row.soft, what)
             yield number, l1, l2
 
     def _send_pair(self, call: str, row: int, first: Array, second: Array, node: int | None) -> None:
-        """Send two numbers of a row, for a node or for all, or two for each node from node 0 on."""
-        if len(first) == 1:
-            status = self._call(call, self._s, row, self._node(node), float(first[0]), float(second[0]))
+        """Send two numbers of a row (1, nodes), for a node or for all, or for each node from node 0 on."""
+        if first.shape[1] == 1:
+            status = self._call(call, self._s, row, self._node(node), float(first[0, 0]), float(second[0, 0]))
         else:
             both = self._pointer(first), self._pointer(second)
-            status = self._call(f"{call}_range", self._s, row, 0, len(first), *both)
+            status = self._call(f"{call}_range", self._s, row, 0, first.shape[1], *both)
         self._expect(status, call, f"row {self.names.rows[row]!r}, node {node}")
 
     def _expect_alone(self, call: str, *others: object) -> None:
@@ -366,23 +263,34 @@ class Setters(Memory, Addressing):
         if any(other is not None for other in others):
             raise ControllerError(f"{call}: {{name: values}} takes no further values")
 
-    # -- inner: all kinds ---------------------------------------------------------------------------------------------
+    def _read(
+        self,
+        value: ArrayLike,
+        what: str,
+        size: int,
+        lengths: Sequence[int],
+        finite: bool = True,
+        spread: bool = True,
+    ) -> Array:
+        return given.rows(value, what, self._real, size, lengths, finite, spread)[None]
 
-    def _read(self, value: ArrayLike, what: str, size: int, lengths: Sequence[int], finite: bool = True) -> Array:
-        return given.rows(value, what, self._real, size, lengths, finite)
+    def _read_weights(self, W: ArrayLike, what: str, size: int, end: bool, lengths: Sequence[int]) -> Array:
+        return given.weights(W, what, self._real, size, self._is_matrix(end), lengths)[None]
 
-    def _send(self, call: str, rows: Array, node: int | None, *leading: int) -> None:
-        """Send one row for a node or for all, or one row per node from node 0 on."""
-        if call.startswith("set_terminal"):
+    def _copy_of(self, member: str) -> Array:
+        stored = np.array(self._view(member))
+        return stored[None, None] if member.endswith("_N") else stored[None]
+
+    def _name_row(self, i: int, nodes: int) -> str:
+        return f"node {i}"
+
+    def _send(self, what: str, rows: Array, node: int | None, *leading: int) -> None:
+        call = f"set_{what}"
+        if what.startswith("terminal"):
             status = self._call(call, self._s, self._pointer(rows))
-        elif len(rows) == 1:
+        elif rows.shape[1] == 1:
             status = self._call(call, self._s, *leading, self._node(node), self._pointer(rows))
         else:
-            status = self._call(f"{call}_range", self._s, *leading, 0, len(rows), self._pointer(rows))
+            status = self._call(f"{call}_range", self._s, *leading, 0, rows.shape[1], self._pointer(rows))
         if status:
             self._expect(status, call, "every node" if node is None else f"node {node}")
-
-
-def _diagonal(values: Array, matrices: bool) -> Array:
-    """A view on rows (n, size), or on the diagonals of matrices (n, size, size), that can be written to."""
-    return np.einsum("kii->ki", values) if matrices else values

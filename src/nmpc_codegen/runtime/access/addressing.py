@@ -162,6 +162,17 @@ class Addressing(Iterate):
                     np.full_like(one_high, np.inf) if side == "lower" else one_high,
                 )
 
-    def _read(self, value: ArrayLike, what: str, size: int, lengths: Sequence[int], finite: bool = True) -> Array:
-        """Values that a user gives for nodes, (..., n, size): n = 1, or one of ``lengths``."""
+    def _read(
+        self,
+        value: ArrayLike,
+        what: str,
+        size: int,
+        lengths: Sequence[int],
+        finite: bool = True,
+        spread: bool = True,
+    ) -> Array:
+        """Values that a user gives for nodes, (structs or 1, n, size): n = 1, or one of ``lengths``.
+
+        ``spread``: a number stands for all elements.
+        """
         raise NotImplementedError

@@ -16,9 +16,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from nmpc_codegen.errors import ControllerError
 from nmpc_codegen.runtime import given
+from nmpc_codegen.runtime.access.telling import Named
 from nmpc_codegen.runtime.batch.driver import Driver
 from nmpc_codegen.runtime.batch.struct_block import Statuses, Structs, reserve, single, stride_of
-from nmpc_codegen.runtime.batch.told import Named, Told, numbers
+from nmpc_codegen.runtime.batch.told import Told, numbers
 from nmpc_codegen.runtime.controller import Controller
 from nmpc_codegen.runtime.loops.flights import Flights
 from nmpc_codegen.runtime.loops.flying import fly

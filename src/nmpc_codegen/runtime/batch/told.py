@@ -10,8 +10,7 @@ no axis of nodes behind it:
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -20,14 +19,13 @@ from numpy.typing import ArrayLike, NDArray
 from nmpc_codegen.errors import ControllerError
 from nmpc_codegen.package.status import Status
 from nmpc_codegen.runtime import given
-from nmpc_codegen.runtime.access.addressing import Addressing
+from nmpc_codegen.runtime.access.telling import Named, Telling
 from nmpc_codegen.runtime.batch.struct_block import Structs
 
 Array = NDArray[Any]
-Named = Mapping[str, ArrayLike]
 
 
-class Told(Addressing):
+class Told(Telling):
     """Those controllers of a batch that are told something: ``index``, their numbers; None: all."""
 
     def __init__(self, batch: Structs, index: ArrayLike | None) -> None:
@@ -38,77 +36,15 @@ class Told(Addressing):
 
     def set_reference(self, y: ArrayLike | Named, node: int | None) -> None:
         """References of the path residual, of the end with node N, or of residuals by their names."""
-        lengths = self._lengths("reference", "the reference", node)
-        if isinstance(y, Mapping):
-            self._set_by_name(y, node, lengths)
-            return
-        end = node is not None and node == self.dims.N
-        size = self._size_of_residual(end)
-        rows = self._read(y, "reference", size, [] if end else [self.dims.N][: len(lengths)])
-        self._send("terminal_reference" if end else "reference", rows, node)
+        self._tell_residuals("reference", y, node)
 
-    def _set_by_name(self, values: Named, node: int | None, lengths: Sequence[int]) -> None:
-        """References of some residuals; the others stay as they are."""
-        N = self.dims.N
-        stored = {end: self._copy_of("yref_N" if end else "yref") for end in (False, True)}
-        sent: set[bool] = set()
-        for name, value in values.items():
-            elements = self._elements_of(name, node)
-            rows = self._read(value, f"reference of {name!r}", len(elements), lengths)
-            for element, column in zip(elements, np.moveaxis(rows, -1, 0), strict=True):
-                if element in self.names.y and node != N:
-                    nodes = slice(None) if node is None else slice(node, node + 1)
-                    stored[False][:, nodes, self.names.y.index(element)] = column[:, :N]
-                    sent.add(False)
-                if element in self.names.y_N and node in (None, N) and (node == N or rows.shape[1] in (1, N + 1)):
-                    stored[True][:, 0, self.names.y_N.index(element)] = column[:, -1]
-                    sent.add(True)
-        for end in sorted(sent):
-            self._send("terminal_reference" if end else "reference", stored[end], None)
-
-    def set_weight(self, W: ArrayLike, node: int | None) -> None:
-        """Weights of the path residual, or with node N of the end."""
-        self._lengths("weight", "the weight", node)
-        end = node is not None and node == self.dims.N
-        size = self._size_of_residual(end)
-        shape = np.shape(W) if given.ndim(W) >= 0 else ()
-        if shape == (size, size) and size > 1 and self._count == size:
-            raise ControllerError(
-                f"weight has shape {shape}; expected W[None] for a matrix, W[:, None] for diagonals of the controllers"
-            )
-        diagonal = len(shape) < 3 or (shape[1] == 1 and size > 1)
-        if diagonal and len(shape) == 3:
-            W = np.asarray(W)[:, 0]
-        flat = self._read(W, "weight", size if diagonal else size * size, [], matrix=None if diagonal else size)
-        rows = flat[:, 0] if diagonal else flat.reshape(-1, size, size)
-        rows = given.check_weights(rows, "weight", self._real, lambda i: f"controller {self._number(i)}")
-        if self._is_matrix(end) and diagonal:
-            rows = np.einsum("ki,ij->kij", rows, np.eye(size, dtype=self._real))
-        elif not self._is_matrix(end) and not diagonal:
-            rows = given.weights(rows, "weight", self._real, size, False, [len(rows)])
-        self._send("terminal_weight" if end else "weight", rows.reshape(len(rows), 1, -1), node)
-
-    def _number(self, i: int) -> int:
-        """The number of one of those that are told."""
-        return i if self._index is None else int(self._index[i])
+    def set_weight(self, W: ArrayLike | Named, node: int | None) -> None:
+        """Weights of the path residual, of the end with node N, or entries of the diagonals by their names."""
+        self._tell_residuals("weight", W, node)
 
     def set_parameters(self, values: Named, node: int | None) -> None:
         """Parameters or elements of them: all, or none if one is wrong."""
-        for one in [self._checked_parameter(name, value, node) for name, value in values.items()]:
-            signal, shared = self.description.parameters[one.number], self.description.online["parameter"] == "shared"
-            rows = one.rows
-            if one.column is not None:
-                stored = self._copy_of("p")[..., signal.offset : signal.offset + signal.size]
-                end = len(stored[0]) - 1
-                nodes = slice(None) if node is None else slice(end, None) if shared else slice(node, node + 1)
-                if rows.shape[1] == self.dims.N > 1 and node is None:
-                    nodes = slice(self.dims.N)
-                stored[:, nodes, one.column] = rows[..., 0]
-                rows = stored if node is None else stored[:, nodes]
-                if shared and node is None:
-                    self._send("parameter", rows[:, 1:], self.dims.N, one.number)
-                    rows = rows[:, :1]
-            self._send("parameter", rows, node, one.number)
+        self._tell_parameters([self._checked_parameter(name, value, node) for name, value in values.items()], node)
 
     def set_bounds(self, name: str, lower: ArrayLike, upper: ArrayLike, node: int | None) -> None:
         """Bounds of a row, or of all rows of a vector."""
@@ -119,10 +55,34 @@ class Told(Addressing):
 
     # -- inner --------------------------------------------------------------------------------------------------------
 
+    def _number(self, i: int) -> int:
+        """The number of one of those that are told."""
+        return i if self._index is None else int(self._index[i])
+
+    def _name_row(self, i: int, nodes: int) -> str:
+        return f"controller {self._number(i // nodes)}"
+
     def _copy_of(self, member: str) -> Array:
-        """A copy of stored rows of the controllers that are told, (count, nodes, size)."""
-        found = np.array(self._view(member) if self._index is None else self._view(member)[self._index])
-        return found.reshape(self._count, math.prod(found.shape[1:-1]), found.shape[-1])
+        view = self._view(member)
+        found = np.array(view if self._index is None else view[self._index])
+        return found[:, None] if member.endswith("_N") else found
+
+    def _read_weights(self, W: ArrayLike, what: str, size: int, end: bool, lengths: Sequence[int]) -> Array:
+        shape = np.shape(W) if given.ndim(W) >= 0 else ()
+        if shape == (size, size) and size > 1 and self._count == size:
+            raise ControllerError(
+                f"weight has shape {shape}; expected W[None] for a matrix, W[:, None] for diagonals of the controllers"
+            )
+        diagonal = len(shape) < 3 or (shape[1] == 1 and size > 1)
+        if diagonal and len(shape) == 3:
+            W = np.asarray(W)[:, 0]
+        flat = self._read(W, "weight", size if diagonal else size * size, [], matrix=None if diagonal else size)
+        rows = self._check_weights(flat if diagonal else flat.reshape(-1, 1, size, size), "weight")
+        if self._is_matrix(end) and diagonal:
+            return np.asarray(np.einsum("ski,ij->skij", rows, np.eye(size, dtype=self._real)))
+        if not self._is_matrix(end) and not diagonal:
+            return given.weights(rows[:, 0], "weight", self._real, size, False, [len(rows)])[:, None]
+        return rows
 
     def _read(
         self,
@@ -131,6 +91,7 @@ class Told(Addressing):
         size: int,
         lengths: Sequence[int],
         finite: bool = True,
+        spread: bool = True,
         matrix: int | None = None,
     ) -> Array:
         """Values as (count or 1, 1 or one of ``lengths``, size); ``matrix``: they are square ones of this length."""
@@ -148,7 +109,7 @@ class Told(Addressing):
 
     def _send(self, what: str, rows: Array, node: int | None, *leading: int) -> None:
         """Hand rows (count or 1, nodes, size) to a setter."""
-        function, nodes = f"set_{what}", rows.shape[1]
+        function, nodes, rows = f"set_{what}", rows.shape[1], rows.reshape(*rows.shape[:2], -1)
         if what.startswith("terminal"):
             operation, places = "SET", leading
         elif nodes == 1:
@@ -168,9 +129,8 @@ class Told(Addressing):
         )
         if status.any():
             i = int(np.flatnonzero(status)[0])
-            number = i if self._index is None else int(self._index[i])
             raise ControllerError(
-                f"{self._package.name}.{function} of controller {number} ({what}): {Status(status[i])}"
+                f"{self._package.name}.{function} of controller {self._number(i)} ({what}): {Status(status[i])}"
             )
 
 

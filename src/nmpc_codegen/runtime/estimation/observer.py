@@ -165,7 +165,7 @@ class Observer(Setters):
         checked = [self._checked_parameter(n, v, self.dims.N) for n, v in named.items()]
         for number, column, rows in checked:
             first = signals[number].offset + (column or 0)
-            stored[first : first + rows.shape[1]] = rows[0]
+            stored[first : first + rows.shape[-1]] = rows[0, 0]
         for number in dict.fromkeys(one.number for one in checked):
             own = stored[signals[number].offset :][: signals[number].size]
             self._expect(self._call("set_parameter", self._s, number, EVERY_NODE, self._pointer(own)), "set_parameter")

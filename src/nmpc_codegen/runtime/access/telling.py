@@ -1,0 +1,149 @@
+"""How data reach the structs of one controller or of many: references, weights, parameters, bounds.
+
+Arrays have the axes (structs or 1, nodes, elements); 1 in the place of structs: the same for all. Those who own the
+structs say how values are read and handed to C.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import cached_property
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from nmpc_codegen.errors import ControllerError
+from nmpc_codegen.package.signals import Kind
+from nmpc_codegen.runtime import given
+from nmpc_codegen.runtime.access.addressing import Addressing, Checked
+
+Array = NDArray[Any]
+Named = Mapping[str, ArrayLike]
+
+
+class Telling(Addressing):
+    """Checks data, completes them by what is stored, and sends them; what is refused changes nothing."""
+
+    def _tell_residuals(self, kind: Literal["reference", "weight"], value: ArrayLike | Named, node: int | None) -> None:
+        """References or weights of the path, of the end with node N, or by the names of residuals."""
+        N, lengths = self.dims.N, self._lengths(kind, f"the {kind}", node)
+        if isinstance(value, Mapping):
+            self._tell_by_name(kind, value, node, lengths)
+            return
+        end = node is not None and node == N
+        size, what = self._size_of_residual(end), f"terminal {kind}" if end else kind
+        if self._path_of_end is None:
+            lengths = tuple(n for n in lengths if n == N)
+        if kind == "reference":
+            rows = self._read(value, what, size, lengths, spread=False)
+        else:
+            rows = self._read_weights(value, what, size, end, lengths)
+        if end:
+            self._send(f"terminal_{kind}", rows, None)
+            return
+        at_end = self._at_end(kind, rows) if rows.shape[1] > N else None
+        self._send(kind, rows[:, :N], node)
+        if at_end is not None:
+            self._send(f"terminal_{kind}", at_end, None)
+
+    def _at_end(self, kind: str, rows: Array) -> Array:
+        """The part of the last rows of the path that is the terminal residual's, as it is stored."""
+        places = self._path_of_end or []
+        if kind == "reference":
+            return rows[:, -1:, places]
+        row = rows[0, -1]  # weights of nodes are the same for all
+        part = np.diag(row[places]) if row.ndim == 1 else row[np.ix_(places, places)]
+        return given.weights(part, "terminal weight", self._real, len(part), self._is_matrix(end=True))[None]
+
+    def _tell_by_name(self, kind: Kind, values: Named, node: int | None, lengths: tuple[int, ...]) -> None:
+        """Replace entries of references, or of the diagonals of weights."""
+        N, matrices, path_name = self.dims.N, kind == "weight", "yref" if kind == "reference" else "W"
+        path, end = self._copy_of(path_name), self._copy_of(f"{path_name}_N")
+        sent = [False, False]
+        for name, value in values.items():
+            what, elements = f"{kind} of {name!r}", self._elements_of(name, node)
+            rows = self._read(value, what, len(elements), lengths)
+            if matrices and (rows < 0).any():
+                raise ControllerError(f"weight of {name!r} is {rows.min():g}; expected numbers >= 0")
+            for element, column in zip(elements, np.moveaxis(rows, -1, 0), strict=True):
+                count = column.shape[1]
+                here, there = self._places_of(element, what, count)
+                every = node is None and count == 1 and (kind == "reference" or here is None)
+                if here is not None and node != N:
+                    nodes = slice(None) if node is None else slice(node, node + 1)
+                    _diagonal(path)[:, nodes, here] = column[:, :N]
+                    sent[0] = True
+                if there is not None and (node == N or count > N or every):
+                    _diagonal(end)[:, 0, there] = column[:, -1]
+                    sent[1] = True
+        if matrices:
+            path, end = self._check_weights(path, "weight"), self._check_weights(end, "terminal weight")
+        if sent[0]:
+            self._send(kind, path, None)
+        if sent[1]:
+            self._send(f"terminal_{kind}", end, None)
+
+    def _places_of(self, element: str, what: str, rows: int) -> tuple[int | None, int | None]:
+        """Places of a residual in those of the path and of the end, None: it is none there; ControllerError unless so
+        many rows fit."""
+        here = self.names.y.index(element) if element in self.names.y else None
+        there = self.names.y_N.index(element) if element in self.names.y_N else None
+        if rows > self.dims.N and there is None:
+            raise ControllerError(f"{what}: N + 1 rows, but {element!r} is no terminal residual")
+        if rows == self.dims.N > 1 and here is None:
+            raise ControllerError(f"{what}: N rows, but {element!r} is a terminal residual only")
+        return here, there
+
+    @cached_property
+    def _path_of_end(self) -> list[int] | None:
+        """For every terminal residual its place in that of the path; None if one is missing there, or there is none."""
+        places = [self.names.y.index(name) for name in self.names.y_N if name in self.names.y]
+        return places if places and len(places) == self.dims.ny_N else None
+
+    def _check_weights(self, W: Array, what: str) -> Array:
+        """The checked weights (structs, nodes, size) or (structs, nodes, size, size)."""
+        rows = W.reshape(-1, *W.shape[2:])
+        return given.check_weights(rows, what, self._real, lambda i: self._name_row(i, W.shape[1])).reshape(W.shape)
+
+    def _tell_parameters(self, checked: Sequence[Checked], node: int | None) -> None:
+        """Send parameters; of some elements of a vector, with the others as they are stored."""
+        shared = self.description.online["parameter"] == "shared"
+        for number in dict.fromkeys(one.number for one in checked):
+            signal, mine = self.description.parameters[number], [one for one in checked if one.number == number]
+            rows = mine[0].rows
+            if len(mine) > 1 or mine[0].column is not None:
+                stored = self._copy_of("p")[..., signal.offset : signal.offset + signal.size]
+                for _, column, rows in mine:
+                    count = rows.shape[1] if rows.shape[1] > 1 else stored.shape[1]
+                    nodes = slice(count) if node is None else slice(-1, None) if shared else slice(node, node + 1)
+                    stored[:, nodes, slice(None) if column is None else slice(column, column + 1)] = rows
+                rows = stored if node is None else stored[:, nodes]
+            if shared and node is None and rows.shape[1] > 1:
+                self._send("parameter", rows[:, :1], None, number)
+                self._send("parameter", rows[:, 1:], self.dims.N, number)
+            else:
+                self._send("parameter", rows, node, number)
+
+    # -- of those who own the structs ---------------------------------------------------------------------------------
+
+    def _read_weights(self, W: ArrayLike, what: str, size: int, end: bool, lengths: Sequence[int]) -> Array:
+        """Checked weights as they are stored, (structs or 1, nodes, size) or (structs or 1, nodes, size, size)."""
+        raise NotImplementedError
+
+    def _send(self, what: str, rows: Array, node: int | None, *leading: int) -> None:
+        """Hand one row for a node or for all, or a row for each node from node 0 on, to the setter of ``what``."""
+        raise NotImplementedError
+
+    def _copy_of(self, member: str) -> Array:
+        """A copy of what is stored, (structs, nodes, ...)."""
+        raise NotImplementedError
+
+    def _name_row(self, i: int, nodes: int) -> str:
+        """What row i of so many for each struct belongs to."""
+        raise NotImplementedError
+
+
+def _diagonal(values: Array) -> Array:
+    """A view on (structs, nodes, size), or on the diagonals of (structs, nodes, size, size), that can be written to."""
+    return np.einsum("skii->ski", values) if values.ndim == 4 else values
