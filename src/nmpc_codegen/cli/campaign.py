@@ -45,7 +45,7 @@ class CampaignRun:
         self._result = fly_campaign(controller, self._stated.ocp, self._stated.options, wish, conduct)
         if not self._result.complete:  # nothing is written of a campaign that was not flown
             raise KeyboardInterrupt
-        return CampaignWords(self._result.as_dict(), self._result.sentences())
+        return CampaignWords(self._result.as_dict(), _sentences(self._result))
 
     def report(self, printer: Printer) -> bool:
         """Print the result; False if more flights are lost than are allowed."""
@@ -62,3 +62,25 @@ class CampaignRun:
             limit = f", --allow-failures {self._allowed}" if self._allowed else ""
             printer.error(f"campaign FAILED: {lost:,} of {len(result):,} flights are lost{limit}")
         return lost <= self._allowed
+
+
+def _sentences(result: Campaign) -> str:
+    """What a page says of it, in Markdown."""
+    s, words, rules = result.job.statement, result.as_dict(), result.rules
+    drawn = [", ".join(f"`{name}`" for name in words["drawn"]) or "nothing"]
+    drawn += [f"{what} {getattr(s, what)}" for what in ("disturbance", "noise") if getattr(s, what) is not None]
+    varied = ", ".join(drawn)
+    reasons = [f"{reason.words}: {count:,}" for reason, count in result.lost_by_reason.items()]
+    why = f" ({'; '.join(reasons)})" if reasons else ""
+    limits = [f"`{name}` {allowed:.3g}" for name, allowed in words["allowed"].items() if allowed is not None]
+    loops = f"{len(result):,} closed loops of {s.steps} samples, {s.dt:g} {result.job.controller.description.time_unit}"
+    low, high = result.interval
+    return "\n".join(
+        (
+            f"{loops} each, seed {s.seed}, on",
+            f"the computer that wrote this: {words['lost']:,} lost{why}. With a confidence of 95 %,",
+            f"{100 * low:.3g} to {100 * high:.3g} % of all such loops are lost. Drawn for each: {varied}.",
+            f"Violations of rows that are allowed: {', '.join(limits) or 'none'}.",
+            f"They had to arrive: {rules.asked}." if rules.judges_arrival else "Arrival is not judged.",
+        )
+    )

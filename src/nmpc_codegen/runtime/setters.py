@@ -115,7 +115,7 @@ class Setters(Memory, Telling):
             >>> controller.set_parameter("drain", 0.12)
             >>> controller.set_parameter("drain", np.linspace(0.1, 0.2, 11))
         """
-        self._tell_parameters([self._checked_parameter(name, value, node)], node)
+        self._tell_parameters({name: value}, node)
 
     def set_parameters(self, values: Named | None = None, /, *, node: int | None = None, **more: ArrayLike) -> None:
         """Set several parameters, set_parameters(m=0.8, k=[1.0, 2.0]): all of them, or none if one is wrong.
@@ -130,8 +130,7 @@ class Setters(Memory, Telling):
         """
         if values is not None and not isinstance(values, Mapping):
             raise ControllerError(f"set_parameters: {values!r} is no {{name: value}}")
-        named = {**(values or {}), **more}
-        self._tell_parameters([self._checked_parameter(n, v, node) for n, v in named.items()], node)
+        self._tell_parameters({**(values or {}), **more}, node)
 
     def set_bounds(
         self,
@@ -161,14 +160,12 @@ class Setters(Memory, Telling):
         """
         if isinstance(name, Mapping):
             self._expect_alone("set_bounds", lower, upper)
-            pairs = [(n, given.pair(both, f"bounds of {n!r}")) for n, both in name.items()]
+            stated = [(n, *given.pair(both, f"bounds of {n!r}")) for n, both in name.items()]
         elif lower is None or upper is None:
             raise ControllerError(f"bounds of {name!r}: expected a lower and an upper one; -inf and inf: no bound")
         else:
-            pairs = [(name, (lower, upper))]
-        checked = [one for n, both in pairs for one in self._checked_bounds(n, *both, node)]
-        for row, low, high in checked:
-            self._send_pair("set_bounds", row, low, high, node)
+            stated = [(name, lower, upper)]
+        self._tell_bounds(stated, node)
 
     def set_soft(
         self, name: str | Mapping[str, Penalty | Soft], soft: Penalty | Soft | None = None, node: int | None = None
@@ -250,7 +247,6 @@ class Setters(Memory, Telling):
             yield number, l1, l2
 
     def _send_pair(self, call: str, row: int, first: Array, second: Array, node: int | None) -> None:
-        """Send two numbers of a row (1, nodes), for a node or for all, or for each node from node 0 on."""
         if first.shape[1] == 1:
             status = self._call(call, self._s, row, self._node(node), float(first[0, 0]), float(second[0, 0]))
         else:

@@ -61,6 +61,11 @@ class Campaign:
         return np.asarray(self.reasons != Reason.NONE)
 
     @property
+    def lost_by_reason(self) -> dict[Reason, int]:
+        """Lost flights by their reasons, as far as there are any."""
+        return {r: int(np.sum(self.reasons == r)) for r in Reason if r and np.any(self.reasons == r)}
+
+    @property
     def share(self) -> float:
         """Share of the flights that are lost."""
         return float(np.mean(self.lost)) if len(self) else 0.0
@@ -307,7 +312,7 @@ class Campaign:
             "lost": int(self.lost.sum()),
             "interval": [round(v, 9) for v in low_high],
             "confidence": LEVEL,
-            "reasons": {r.name: int(np.sum(self.reasons == r)) for r in Reason if r},
+            "reasons": {r.name: self.lost_by_reason.get(r, 0) for r in Reason if r},
             "statuses": {status.name: int(total[status]) for status in Status if total[status]},
             "arrival": self.rules.asked if self.rules.judges_arrival else None,
             "allowed": {
@@ -320,28 +325,6 @@ class Campaign:
                 for name, amounts in zip(self.flown.labels.rows, self.flown.violation.T, strict=True)
             },
         }
-
-    def sentences(self) -> str:
-        """What a page says of it, in Markdown."""
-        s, described, (low, high) = self.job.statement, self.job.controller.description, self.interval
-        varied = ", ".join(f"`{v.label}`" for v in s.variables) or "nothing"
-        arrival = f"They had to arrive: {self.rules.asked}." if self.rules.judges_arrival else "Arrival is not judged."
-        reasons = [f"{r.words}: {np.sum(self.reasons == r):,}" for r in Reason if r and np.any(self.reasons == r)]
-        why = f" ({'; '.join(reasons)})" if reasons else ""
-        more = [f"{what} {getattr(s, what)}" for what in ("disturbance", "noise") if getattr(s, what) is not None]
-        varied = ", ".join([varied, *more])
-        rows = zip(self.flown.labels.rows, self.rules.allowed, strict=True)
-        limits = ", ".join(f"`{name}` {allowed:.3g}" for name, allowed in rows if np.isfinite(allowed)) or "none"
-        loops = f"{len(self):,} closed loops of {s.steps} samples, {s.dt:g} {described.time_unit} each"
-        return "\n".join(
-            (
-                f"{loops}, seed {s.seed}, on",
-                f"the computer that wrote this: {int(self.lost.sum()):,} lost{why}. With a confidence of 95 %,",
-                f"{100 * low:.3g} to {100 * high:.3g} % of all such loops are lost. Drawn for each: {varied}.",
-                f"Violations of rows that are allowed: {limits}.",
-                arrival,
-            )
-        )
 
     def summary(self) -> str:
         """Some lines: flights, lost ones by reason with the interval, statuses, costs, rows, times, the worst ones."""
@@ -356,7 +339,7 @@ class Campaign:
             f"lost: {int(self.lost.sum()):,}, {100 * self.share:.3g} %; of all such flights {100 * low:.3g} to "
             f"{100 * high:.3g} % (95 % confidence)"
         )
-        lines += [f"  {np.sum(self.reasons == r):,}: {r.words}" for r in Reason if r and np.any(self.reasons == r)]
+        lines += [f"  {count:,}: {reason.words}" for reason, count in self.lost_by_reason.items()]
         if not self.rules.judges_arrival:
             lines.append("where flights arrive is not judged: success= says where they have to")
         drawn = [v.label for v in s.variables]

@@ -6,7 +6,7 @@ structs say how values are read and handed to C.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from functools import cached_property
 from typing import Any, Literal
 
@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from nmpc_codegen.errors import ControllerError
 from nmpc_codegen.package.signals import Kind
 from nmpc_codegen.runtime import given
-from nmpc_codegen.runtime.access.addressing import Addressing, Checked
+from nmpc_codegen.runtime.access.addressing import Addressing
 
 Array = NDArray[Any]
 Named = Mapping[str, ArrayLike]
@@ -106,8 +106,9 @@ class Telling(Addressing):
         rows = W.reshape(-1, *W.shape[2:])
         return given.check_weights(rows, what, self._real, lambda i: self._name_row(i, W.shape[1])).reshape(W.shape)
 
-    def _tell_parameters(self, checked: Sequence[Checked], node: int | None) -> None:
-        """Send parameters; of some elements of a vector, with the others as they are stored."""
+    def _tell_parameters(self, values: Named, node: int | None) -> None:
+        """Parameters, or elements of vectors, whose others stay as they are stored."""
+        checked = [self._checked_parameter(name, value, node) for name, value in values.items()]
         shared = self.description.online["parameter"] == "shared"
         for number in dict.fromkeys(one.number for one in checked):
             signal, mine = self.description.parameters[number], [one for one in checked if one.number == number]
@@ -125,6 +126,13 @@ class Telling(Addressing):
             else:
                 self._send("parameter", rows, node, number)
 
+    def _tell_bounds(self, bounds: Iterable[tuple[str, ArrayLike, ArrayLike]], node: int | None) -> None:
+        """Bounds of rows, or of all rows of a vector."""
+        for row, low, high in [
+            one for name, *both in bounds for one in self._checked_bounds(name, both[0], both[1], node)
+        ]:
+            self._send_pair("set_bounds", row, low, high, node)
+
     # -- of those who own the structs ---------------------------------------------------------------------------------
 
     def _read_weights(self, W: ArrayLike, what: str, size: int, end: bool, lengths: Sequence[int]) -> Array:
@@ -133,6 +141,10 @@ class Telling(Addressing):
 
     def _send(self, what: str, rows: Array, node: int | None, *leading: int) -> None:
         """Hand one row for a node or for all, or a row for each node from node 0 on, to the setter of ``what``."""
+        raise NotImplementedError
+
+    def _send_pair(self, call: str, row: int, first: Array, second: Array, node: int | None) -> None:
+        """Hand two numbers of a row (structs or 1, nodes) to a setter, for a node or for all, or for each from 0 on."""
         raise NotImplementedError
 
     def _copy_of(self, member: str) -> Array:

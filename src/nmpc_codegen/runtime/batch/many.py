@@ -199,7 +199,7 @@ class Batch(Structs):
             node: as in Controller.set_reference().
             index: a mask (M,), or numbers of the controllers that are meant; M is then their number.
         """
-        self._tell(index, lambda told: told.set_reference(y, node))
+        self._tell(index, lambda told: told._tell_residuals("reference", y, node))
 
     def set_terminal_reference(self, y: ArrayLike | Named, index: ArrayLike | None = None) -> None:
         """Set the reference of the terminal residual.
@@ -208,7 +208,7 @@ class Batch(Structs):
             y: (ny_N,), (M, ny_N), or {name: value}.
             index: as in set_reference().
         """
-        self._tell(index, lambda told: told.set_reference(y, self.dims.N))
+        self._tell(index, lambda told: told._tell_residuals("reference", y, self.dims.N))
 
     def set_weight(self, W: ArrayLike, node: int | None = None, index: ArrayLike | None = None) -> None:
         """Set weights of residuals.
@@ -218,7 +218,7 @@ class Batch(Structs):
             node: as in Controller.set_weight().
             index: as in set_reference().
         """
-        self._tell(index, lambda told: told.set_weight(W, node))
+        self._tell(index, lambda told: told._tell_residuals("weight", W, node))
 
     def set_terminal_weight(self, W: ArrayLike, index: ArrayLike | None = None) -> None:
         """Set the weight of the terminal residual.
@@ -227,7 +227,7 @@ class Batch(Structs):
             W: in the forms of set_weight().
             index: as in set_reference().
         """
-        self._tell(index, lambda told: told.set_weight(W, self.dims.N))
+        self._tell(index, lambda told: told._tell_residuals("weight", W, self.dims.N))
 
     def set_parameter(
         self, name: str, value: ArrayLike, node: int | None = None, index: ArrayLike | None = None
@@ -241,7 +241,7 @@ class Batch(Structs):
             node: as in Controller.set_parameter().
             index: a mask (M,), or numbers of the controllers that are meant; M is then their number.
         """
-        self._tell(index, lambda told: told.set_parameters({name: value}, node))
+        self._tell(index, lambda told: told._tell_parameters({name: value}, node))
 
     def set_parameters(self, values: Named, node: int | None = None, index: ArrayLike | None = None) -> None:
         """Set several parameters: all of them, or none if one is wrong.
@@ -253,7 +253,7 @@ class Batch(Structs):
         """
         if not isinstance(values, Mapping):
             raise ControllerError(f"set_parameters: {values!r} is no {{name: value}}")
-        self._tell(index, lambda told: told.set_parameters(values, node))
+        self._tell(index, lambda told: told._tell_parameters(values, node))
 
     def set_bounds(
         self,
@@ -273,7 +273,7 @@ class Batch(Structs):
             node: as in Controller.set_bounds().
             index: as in set_reference().
         """
-        self._tell(index, lambda told: told.set_bounds(name, lower, upper, node))
+        self._tell(index, lambda told: told._tell_bounds([(name, lower, upper)], node))
 
     def copy(self) -> Batch:
         """An independent batch in the same state."""

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from nmpc_codegen.errors import ControllerError
 from nmpc_codegen.package.status import Status
 from nmpc_codegen.runtime import given
-from nmpc_codegen.runtime.access.telling import Named, Telling
+from nmpc_codegen.runtime.access.telling import Telling
 from nmpc_codegen.runtime.batch.struct_block import Structs
 
 Array = NDArray[Any]
@@ -33,27 +33,6 @@ class Told(Telling):
         self._batch = batch
         self._index = None if index is None else numbers(index, len(batch))
         self._count = len(batch) if self._index is None else len(self._index)
-
-    def set_reference(self, y: ArrayLike | Named, node: int | None) -> None:
-        """References of the path residual, of the end with node N, or of residuals by their names."""
-        self._tell_residuals("reference", y, node)
-
-    def set_weight(self, W: ArrayLike | Named, node: int | None) -> None:
-        """Weights of the path residual, of the end with node N, or entries of the diagonals by their names."""
-        self._tell_residuals("weight", W, node)
-
-    def set_parameters(self, values: Named, node: int | None) -> None:
-        """Parameters or elements of them: all, or none if one is wrong."""
-        self._tell_parameters([self._checked_parameter(name, value, node) for name, value in values.items()], node)
-
-    def set_bounds(self, name: str, lower: ArrayLike, upper: ArrayLike, node: int | None) -> None:
-        """Bounds of a row, or of all rows of a vector."""
-        for row, low, high in list(self._checked_bounds(name, lower, upper, node)):
-            operation, function = ("SET_PAIR", "set_bounds") if low.shape[1] == 1 else ("SET_PAIRS", "set_bounds_range")
-            places = (row, self._node(node)) if low.shape[1] == 1 else (row, 0, low.shape[1])
-            self._call(operation, function, f"row {self.names.rows[row]!r}", low, high, places)
-
-    # -- inner --------------------------------------------------------------------------------------------------------
 
     def _number(self, i: int) -> int:
         """The number of one of those that are told."""
@@ -118,6 +97,13 @@ class Told(Telling):
             operation, places = "SET_THREE" if leading else "SET_TWO", (*leading, 0, nodes)
             function = f"{function}_range"
         self._call(operation, function, what.replace("_", " "), rows, None, places)
+
+    def _send_pair(self, call: str, row: int, first: Array, second: Array, node: int | None) -> None:
+        what, count = f"row {self.names.rows[row]!r}", first.shape[1]
+        if count == 1:
+            self._call("SET_PAIR", call, what, first, second, (row, self._node(node)))
+        else:
+            self._call("SET_PAIRS", f"{call}_range", what, first, second, (row, 0, count))
 
     def _call(
         self, operation: str, function: str, what: str, first: Array, second: Array | None, places: Sequence[int]
