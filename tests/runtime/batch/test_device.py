@@ -108,6 +108,7 @@ def test_flights(name: str) -> None:
     task: dict[str, Any] = {
         "parameters": {"m": MASSES, "k": GAINS},
         "references": {"p": TRACKS},
+        "bounds": {"a": (-1.5, np.linspace(1.0, 2.0, STEPS))},
         "disturbance": 0.01,
         "noise": Uniform({"v": 0.02}),
         "added": 0.01 * RNG.normal(size=(F, STEPS, 4)),

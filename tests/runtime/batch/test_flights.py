@@ -41,7 +41,7 @@ TRACKS = 0.3 * RNG.normal(size=(F, 12))
 GAINS = RNG.uniform(0.1, 0.5, (F, 9, 2))
 
 VARIANTS: dict[str, tuple[OCP, Options]] = {
-    "by node": (car(), Options(online=Online(parameter="node", reference="node"))),
+    "by node": (car(), Options(online=Online(parameter="node", reference="node", bounds="node"))),
     "shared": (car(scaled=True), Options(online=Online(parameter="shared", reference="shared"))),
     "single": (car(), Options(precision="single")),
     "time and rate": (car(rate=True, time=True), Options()),
