@@ -56,7 +56,7 @@ def test_replays_are_the_flights(name: str) -> None:
     """simulate(), which shares no loop with the compiled one, has the same states and statuses to the bit."""
     result = campaign(cart(), 40, **VARIANTS[name])
     for number in (0, 17, 39):
-        log, again = result.replay(number), result.fly_again(number)
+        log, again = result.replay(number), result._with_samples(number)
         np.testing.assert_array_equal(log.x, again.x[0])
         np.testing.assert_array_equal(log.u, again.u[0])
         np.testing.assert_array_equal(log.x[-1], result.flown.last[number])

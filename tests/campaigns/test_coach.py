@@ -189,7 +189,7 @@ def test_weights_are_tuned() -> None:
     other.least_squares(ca.vertcat(x, u), [1.0, found.weights["u"]], names=["x", "u"])
     other.subject_to(-1, u, 1)
     result = campaign(other, 20, steps=40, seed=3)
-    costs = [float(settle(result.fly_again(i))[0]) for i in range(20)]
+    costs = [float(settle(result._with_samples(i))[0]) for i in range(20)]
     assert np.mean(costs) == pytest.approx(found.value[0], rel=1e-6)
     assert "weights {'u': " in str(found)
 

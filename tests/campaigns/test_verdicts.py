@@ -99,7 +99,7 @@ def test_a_flight_that_is_not_finite_replays_up_to_there() -> None:
         warnings.simplefilter("ignore")
         compared = campaign(ocp, 5, starts={"x": Box(0.9, 2.0)}, steps=20, against="solve")
     assert np.isnan(compared.losses).all()
-    np.testing.assert_array_equal(log.x, result.fly_again(number).x[0, : broken + 1])  # type: ignore[index]
+    np.testing.assert_array_equal(log.x, result._with_samples(number).x[0, : broken + 1])  # type: ignore[index]
 
 
 @pytest.mark.parametrize(("lost", "flights"), [(0, 10), (3, 100), (50, 60), (10, 10)])

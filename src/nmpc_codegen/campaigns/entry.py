@@ -1,4 +1,4 @@
-"""campaign(): the word of the product."""
+"""campaign(): reads its arguments, and flies one controller or chooses among several."""
 
 from __future__ import annotations
 

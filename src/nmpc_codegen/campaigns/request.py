@@ -1,4 +1,4 @@
-"""campaign(): many closed loops of one controller, and a verdict on each."""
+"""How a campaign is flown, judged and kept (Terms), and what does it: fly_campaign()."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What notebooks show of a problem, a controller and a log: a title and tables, as HTML without scripts."""
+"""Pages and tables of HTML without scripts, of which what notebooks show is made."""
 
 from __future__ import annotations
 

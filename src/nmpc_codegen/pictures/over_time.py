@@ -54,8 +54,8 @@ UNEVEN = 20
 
 
 @dataclass(frozen=True, eq=False)
-class Bounds:
-    """Bounds of a curve as they were, from each of the times ``t`` to the next."""
+class CurveBounds:
+    """CurveBounds of a curve as they were, from each of the times ``t`` to the next."""
 
     t: Array
     lower: Array
@@ -80,7 +80,7 @@ class Curve:
     logarithmic: bool = False
     estimate: tuple[Array, Array] | None = None
     measured: Array | None = None
-    bounds: tuple[Bounds, ...] = ()
+    bounds: tuple[CurveBounds, ...] = ()
 
 
 def draw(log: Record, file: File) -> Any:
@@ -163,7 +163,7 @@ def _scale(axis: Any) -> None:
 
 
 def draw_bounds(
-    axis: Any, bounds: Iterable[Bounds], low: float, high: float, more: Mapping[str, Any] | None = None
+    axis: Any, bounds: Iterable[CurveBounds], low: float, high: float, more: Mapping[str, Any] | None = None
 ) -> tuple[list[Legend], list[float]]:
     """Draw the parts of bounds that values between ``low`` and ``high`` come near or violate; the legend, and the
     values that the axis has to show. ``more``: of their style."""
@@ -250,10 +250,10 @@ def _times(log: Record) -> Curve:
     return Curve(Trace("computing time", "µs"), log.t[:-1], times, TIME_COLOR, dots=True, logarithmic=uneven)
 
 
-def bounds_of(shown: Record | Plan, t: Array, array: str, column: int) -> tuple[Bounds, ...]:
+def bounds_of(shown: Record | Plan, t: Array, array: str, column: int) -> tuple[CurveBounds, ...]:
     """The bounds of a column at the times ``t``, in a log each at the node where it holds first."""
     return tuple(
-        Bounds(t + limit.delay, shown.lower[:, i], shown.upper[:, i], limit.soft)
+        CurveBounds(t + limit.delay, shown.lower[:, i], shown.upper[:, i], limit.soft)
         for i, limit in enumerate(shown.limits)
         if len(t) and (limit.array, limit.column) == (array, column)
     )

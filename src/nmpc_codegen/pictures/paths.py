@@ -1,4 +1,4 @@
-"""The picture of many closed loops: all paths of every state and control, those that went wrong on top."""
+"""The picture of many flights: all paths of every state and control, those that went wrong on top."""
 
 from __future__ import annotations
 

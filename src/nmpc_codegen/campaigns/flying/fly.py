@@ -1,4 +1,4 @@
-"""A part of a campaign: what a worker flies, here or elsewhere."""
+"""Job: everything that the flights of a campaign share, who flies parts of it, and one flight again as a log."""
 
 from __future__ import annotations
 

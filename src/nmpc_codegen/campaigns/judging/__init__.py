@@ -1,1 +1,1 @@
-"""Verdicts, replays, reference loops, pictures."""
+"""Verdicts on flights, what a campaign has found, and loops with converged plans to compare it with."""

@@ -174,8 +174,8 @@ class Campaign:
             )
         return log
 
-    def fly_again(self, number: int) -> Flights:
-        """Internal: the same with its samples as Flights of one, in compiled code."""
+    def _with_samples(self, number: int) -> Flights:
+        """The flight with its samples, as Flights of one."""
         self._place(number)
         return self._flyer.simulate(self.job.statement.whole_data(number), number, record=True)
 
@@ -235,7 +235,7 @@ class Campaign:
         self._check_some()
         lost = self.worst(min(DRAWN_LOST, int(self.lost.sum())))
         others = [int(n) for n in self.flown.number[~self.lost][: DRAWN - len(lost)]]
-        again = [self.fly_again(n) for n in (*others, *lost)]
+        again = [self._with_samples(n) for n in (*others, *lost)]
         title = f"{self._outcome}; drawn are {len(lost)} of them and {len(others)} others"
         return paths.draw(again, np.arange(len(again)) >= len(others), title, file, "lost")
 

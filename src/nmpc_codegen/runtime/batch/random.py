@@ -1,4 +1,4 @@
-"""Random disturbances and measurement noise, whose bits are a function of seed, flight, sample and state alone."""
+"""Random numbers of closed loops, whose bits are a function of seed, flight, sample, signal and element alone."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""Closed loops of many controllers in compiled code.
-
-u_k = step(x_k + noise_k),   x_{k+1} = plant(x_k, u_k, dt) + disturbance_k
-"""
+"""What has become of many closed loops, with their samples if they were recorded, and their summary."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""Data of closed loops that are known over their samples: forecasts, tariffs, trajectories, limits.
+"""Tables over the samples of closed loops: parameters, bounds and references that are known beforehand, as forecasts,
+tariffs, trajectories and limits are. They are checked here, and built as the compiled loop reads them.
 
 A table has a row for each sample, and before that an axis of flights if they differ:
 

@@ -1,4 +1,4 @@
-"""What is left of a flight when its samples are forgotten: costs, and the largest violation of every row."""
+"""Costs of closed loops, and the largest violation of every row, from states, controls and data of the samples."""
 
 from __future__ import annotations
 
@@ -144,7 +144,7 @@ def _is_of_path(row: Row, N: int) -> bool:
 
 
 @dataclass(frozen=True, eq=False)
-class Before:
+class HeldData:
     """What structs hold before the flights, member by member: views, of which a flight changes those of its own."""
 
     members: Mapping[str, Array]
@@ -177,7 +177,7 @@ class Before:
         return found[0], found[1]
 
 
-def before(structs: Structs) -> Before:
+def held_data(structs: Structs) -> HeldData:
     """The members of structs that a summary needs."""
     names = ("p", "yref", "W", "lower", "upper", "time", "previous")
-    return Before({name: structs.fetch(name) for name in names})
+    return HeldData({name: structs.fetch(name) for name in names})

@@ -33,7 +33,7 @@ from nmpc_codegen.runtime.loops.forecasts import (
     reference_data,
     replace_in,
 )
-from nmpc_codegen.runtime.loops.judge import Before, Judge, Samples, before, judge_of
+from nmpc_codegen.runtime.loops.judge import HeldData, Judge, Samples, held_data, judge_of
 from nmpc_codegen.runtime.loops.sampling import integrations, interval_of, samples_ahead
 
 Array = NDArray[Any]
@@ -118,7 +118,7 @@ class Loop:
         def every(values: Array) -> Array:
             return np.broadcast_to(values, (count, *values.shape[1:]))
 
-        def over(member: str, steps: int, known: Before, data: list[SetterData], declared: list[float]) -> Array:
+        def over(member: str, steps: int, known: HeldData, data: list[SetterData], declared: list[float]) -> Array:
             found = every(known.of(member, block, np.array(declared)))
             return at_samples([d for d in data if d.member == member], block, steps, found)
 
@@ -138,14 +138,14 @@ class Loop:
         )
 
     @cached_property
-    def before(self) -> Before:
+    def before(self) -> HeldData:
         """What the controllers hold."""
-        return before(self.batch)
+        return held_data(self.batch)
 
     @cached_property
-    def of_plant(self) -> Before:
+    def of_plant(self) -> HeldData:
         """What the plants hold."""
-        return before(self.batch if self.plant is None else self.plant)
+        return held_data(self.batch if self.plant is None else self.plant)
 
 
 def state_loop(

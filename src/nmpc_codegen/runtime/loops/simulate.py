@@ -1,7 +1,4 @@
-"""Closed loops of a controller and a plant, and their log.
-
-u_k = step(x_k),   x_{k+1} = plant(x_k, u_k, dt) + disturbance(k, x_k)
-"""
+"""simulate(): reads the arguments of a single closed loop and flies it, see one_loop.py."""
 
 from __future__ import annotations
 

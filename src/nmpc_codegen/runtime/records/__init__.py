@@ -1,1 +1,1 @@
-"""Records of closed loops and of solve(), and what notebooks show: tables, pictures, files."""
+"""Records of closed loops and of solve(): logs, recordings, replays of dumps, their tables and files."""

@@ -1,4 +1,4 @@
-"""The record of a closed loop: as a summary, tables, a picture and a file."""
+"""Log: the record of a closed loop, which says, draws, tabulates and saves what happened."""
 
 from __future__ import annotations
 

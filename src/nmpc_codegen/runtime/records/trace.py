@@ -1,4 +1,4 @@
-"""The fields of a log, and its quantities: their names, units and bounds."""
+"""Record: the arrays of a log with their axes, and its quantities with names, units and bounds."""
 
 from __future__ import annotations
 
