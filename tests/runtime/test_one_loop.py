@@ -141,7 +141,8 @@ def test_a_plant_that_is_a_controller(controller: Controller) -> None:
         ({"added": np.zeros((2, 1))}, r"added has shape \(2, 1\)"),
         ({"bounds": {"inflow": (1.0, [0.0, 2.0])}}, "lower .* above upper"),
         ({"bounds": {"inflow": (0.0, 1.0), "inflow[0]": (0.0, 1.0)}}, "no row 'inflow\\[0\\]'"),
-        ({"law": "guess"}, "law is 'guess'"),
+        ({"law": "guess"}, "law is .guess."),
+        ({"law": ["step"]}, "law is"),
     ],
 )
 def test_what_is_refused(controller: Controller, stated: dict[str, Any], message: str) -> None:

@@ -6,7 +6,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from nmpc_codegen import OCP, Online, Options, build
+from nmpc_codegen import OCP, Batch, Online, Options, build
 from nmpc_codegen.errors import ControllerError
 from nmpc_codegen.runtime.controller import Controller
 
@@ -198,3 +198,32 @@ def test_one_clear_error_per_mistake_and_nothing_written(
     with pytest.raises(ControllerError, match=message):
         getattr(toy, call)(*arguments)
     np.testing.assert_array_equal(toy._memory, before)
+
+
+def test_weights_by_name_without_an_end_or_a_path() -> None:
+    ocp = OCP("tank", T=5.0, N=5)
+    h, q = ocp.state("h"), ocp.control("q")
+    ocp.dynamics({h: q - h})
+    ocp.subject_to(0, q, 1)
+    ocp.least_squares(h, weight=1)
+    ctrl = build(ocp, profile="test")
+    ctrl.set_weight({"h": 2.0})
+    np.testing.assert_array_equal(ctrl.view("W"), 2.0)
+
+
+def test_nobody_may_be_told() -> None:
+    """An index that names no controller: nothing changes, in every form."""
+    ocp = OCP("tank", T=5.0, N=5)
+    h, q, loss = ocp.state("h"), ocp.control("q"), ocp.parameter("loss", value=0.1)
+    ocp.dynamics({h: q - loss * h})
+    ocp.subject_to(0, q, 1)
+    ocp.least_squares(h, weight=1)
+    many = Batch(build(ocp, profile="test"), 3)
+    before, none = many.memory.copy(), np.zeros(3, bool)
+    many.set_reference(np.zeros((0, 1)), index=none)
+    many.set_reference({"h": 0.3}, index=none)
+    many.set_parameter("loss", np.zeros(0), index=none)
+    many.set_weight(np.zeros((0, 1)), index=none)
+    many.set_weight({"h": 2.0}, index=none)
+    many.set_bounds("q", 0.0, 0.5, index=none)
+    np.testing.assert_array_equal(many.memory, before)

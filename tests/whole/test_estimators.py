@@ -506,3 +506,27 @@ def test_plant_is_a_plant() -> None:
     first, again, other = (run(plant, np.random.default_rng(seed)) for seed in (0, 0, 1))
     np.testing.assert_array_equal(first.y, again.y)
     assert np.max(np.abs(first.x - other.x)) > 1e-3
+
+
+def test_parameters_of_another_plant_go_by_name() -> None:
+    """The plant has its parameters in another order, and more of them; one that lacks the unknown one is refused."""
+
+    def tank(name: str, *parameters: str) -> tuple[OCP, ca.SX]:
+        ocp = OCP(name, T=5.0, N=5)
+        h, q = ocp.state("h", initial=0.3), ocp.control("q")
+        p = {n: ocp.parameter(n, value={"gain": 3.0, "loss": 0.1}[n]) for n in parameters}
+        ocp.dynamics({h: p.get("gain", 3.0) * q - p.get("loss", 0.1) * h})
+        ocp.least_squares(ca.vertcat(h, q), weight=1, reference=[0.5, 0.0])
+        ocp.subject_to(0, q, 0.2)
+        return ocp, h
+
+    ocp, h = tank("tank", "loss")
+    observer = build(
+        ocp.estimator(N=3, measure={"h": h}, noise_std={"h": 0.01}, process_std={"h": 0.01, "loss": 0.01}), None, "test"
+    )
+    ctrl = build(ocp, profile="test")
+    log = simulate(ctrl, [0.3], 4, plant=build(tank("rich", "gain", "loss")[0], profile="test"), estimator=observer)
+    assert log.estimates is not None
+    np.testing.assert_array_equal(log.estimates.p, np.full((4, 1), 0.1))
+    with pytest.raises(ControllerError, match="bare lacks loss, which the estimator finds"):
+        simulate(ctrl, [0.3], 4, plant=build(tank("bare")[0], profile="test"), estimator=observer)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pickle
 import threading
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Literal
 
@@ -20,7 +20,7 @@ from nmpc_codegen.runtime.controller import Controller
 from nmpc_codegen.runtime.loops.flights import Flights
 from nmpc_codegen.runtime.loops.flown import Flown, Labels
 from nmpc_codegen.runtime.loops.flying import fly, judge_paths
-from nmpc_codegen.runtime.loops.forecasts import at_samples, reference_data
+from nmpc_codegen.runtime.loops.forecasts import at_samples, parameter_data, reference_data, replace_in
 from nmpc_codegen.runtime.loops.judge import judge_of
 from nmpc_codegen.runtime.loops.loop_data import Loop, state_loop
 from nmpc_codegen.runtime.loops.one_loop import Conduct, run
@@ -48,26 +48,14 @@ class Job:
 
     def loop(self, batch: Structs, plant: Structs | None, data: FlightData, first: int, steps: int) -> Loop:
         """The first samples of the flights of these data, whose numbers begin with ``first``."""
-        s, unknown = self.statement, data.tables["plant"] or None
-        if self.plant is not None:
-            unknown = {**known_to(self.plant, data.tables["known"]), **(unknown or {})}
+        s, known, unknown = self.statement, data.tables["known"], data.tables["plant"]
         drawn, added = (s.disturbance, s.noise), None if data.added is None else data.added[..., :steps, :]
-        known = data.tables["known"] or None
-        return state_loop(
-            batch,
-            data.starts,
-            plant,
-            steps,
-            s.dt,
-            known,
-            None,
-            data.references,
-            drawn,
-            added,
-            unknown or None,
-            s.seed,
-            first,
-        )
+        of = batch, data.starts, plant, steps, s.dt, known or None, None, data.references
+        found = state_loop(*of, drawn, added, unknown or None, s.seed, first)
+        if self.plant is None or plant is None:
+            return found
+        shared = parameter_data(plant, known_to(self.plant, known), len(data.starts), "known")
+        return replace(found, plant_data=replace_in(shared, found.plant_data))
 
     def last_references(self, first: int, count: int) -> Array:
         """References (F, ny) of the path residual after the last sample of the flights from ``first`` on."""

@@ -77,12 +77,12 @@ class Telling(Addressing):
                 if there is not None and (node == N or count > N or every):
                     _diagonal(end)[:, 0, there] = column[:, -1]
                     sent[1] = True
+        ready = {kind: path} if sent[0] else {}
+        ready |= {f"terminal_{kind}": end} if sent[1] else {}
         if matrices:
-            path, end = self._check_weights(path, "weight"), self._check_weights(end, "terminal weight")
-        if sent[0]:
-            self._send(kind, path, None)
-        if sent[1]:
-            self._send(f"terminal_{kind}", end, None)
+            ready = {what: self._check_weights(W, what.replace("_", " ")) for what, W in ready.items()}
+        for what, rows in ready.items():
+            self._send(what, rows, None)
 
     def _places_of(self, element: str, what: str, rows: int) -> tuple[int | None, int | None]:
         """Places of a residual in those of the path and of the end, None: it is none there; ControllerError unless so
@@ -103,7 +103,7 @@ class Telling(Addressing):
 
     def _check_weights(self, W: Array, what: str) -> Array:
         """The checked weights (structs, nodes, size) or (structs, nodes, size, size)."""
-        rows = W.reshape(-1, *W.shape[2:])
+        rows = W.reshape(W.shape[0] * W.shape[1], *W.shape[2:])
         return given.check_weights(rows, what, self._real, lambda i: self._name_row(i, W.shape[1])).reshape(W.shape)
 
     def _tell_parameters(self, values: Named, node: int | None) -> None:

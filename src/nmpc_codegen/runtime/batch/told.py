@@ -10,6 +10,7 @@ no axis of nodes behind it:
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -56,7 +57,7 @@ class Told(Telling):
         if diagonal and len(shape) == 3:
             W = np.asarray(W)[:, 0]
         flat = self._read(W, "weight", size if diagonal else size * size, [], matrix=None if diagonal else size)
-        rows = self._check_weights(flat if diagonal else flat.reshape(-1, 1, size, size), "weight")
+        rows = self._check_weights(flat if diagonal else flat.reshape(len(flat), 1, size, size), "weight")
         if self._is_matrix(end) and diagonal:
             return np.asarray(np.einsum("ski,ij->skij", rows, np.eye(size, dtype=self._real)))
         if not self._is_matrix(end) and not diagonal:
@@ -88,7 +89,7 @@ class Told(Telling):
 
     def _send(self, what: str, rows: Array, node: int | None, *leading: int) -> None:
         """Hand rows (count or 1, nodes, size) to a setter."""
-        function, nodes, rows = f"set_{what}", rows.shape[1], rows.reshape(*rows.shape[:2], -1)
+        function, nodes, rows = f"set_{what}", rows.shape[1], rows.reshape(*rows.shape[:2], math.prod(rows.shape[2:]))
         if what.startswith("terminal"):
             operation, places = "SET", leading
         elif nodes == 1:

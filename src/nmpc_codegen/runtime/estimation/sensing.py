@@ -33,6 +33,8 @@ class Sensing:
             raise ControllerError(f"estimator is {observer!r}; expected an Observer, build(ocp.estimator(...))")
         self._ctrl, self._observer, self._truth = ctrl, observer, truth
         self._check(interval)
+        theirs = truth.names.parameters
+        self._places = [theirs.index(name) if name in theirs else -1 for name in ctrl.names.parameters]
         if observer.nodes:  # samples of another loop
             observer.reset()
         found = observer.estimation
@@ -43,6 +45,10 @@ class Sensing:
         self._unknown = [i for name in found.unknown for i in members(name, ctrl.names.parameters)]
         ends = [(low, high) for s in ctrl.description.parameters for low, high in _limits(s)]
         self._limits = np.array([ends[i] for i in self._unknown]).T if self._unknown else np.zeros((2, 0))
+        if lacking := [ctrl.names.parameters[i] for i in self._unknown if self._places[i] < 0]:
+            raise ControllerError(
+                f"plant: {truth.description.name} lacks {', '.join(lacking)}, which the estimator finds"
+            )
         self._known = [i for i in range(ctrl.dims.np) if i not in self._unknown]
         nx, ny = observer.dims.nx, found.ny
         self._x, self._std_x = np.zeros((steps, nx)), np.zeros((steps, nx))
@@ -66,7 +72,10 @@ class Sensing:
 
     def look(self, k: int, x: Array, before: Array) -> Array:
         """The estimate (nx,) of the state x of the plant at sample k, where the controls ``before`` act."""
-        observer, p = self._observer, start_parameters(self._truth)
+        observer, true = self._observer, start_parameters(self._truth)
+        p = np.array(
+            [true[i] if i >= 0 else own for i, own in zip(self._places, start_parameters(self._ctrl), strict=True)]
+        )
         names = self._ctrl.names.parameters
         if self._known:
             observer.set_parameters({names[i]: p[i] for i in self._known})

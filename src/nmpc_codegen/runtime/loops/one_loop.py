@@ -129,8 +129,9 @@ class _Compiled(_Flight):
         u = self._u[k, : self._ctrl.dims.nu]
         self._ctrl.note_sample(u, round(1e9 * self._seconds[0]))
         self._notes.take(k, u, self._ctrl.time_ns)
-        if self._lost[0] >= 0:
-            self._check_move(self._notes.x[k + 1], k)
+        if self._lost[0] >= 0:  # maybe in an integration before the last one of the sample
+            end = self._notes.x[k + 1]
+            self._check_move(np.full_like(end, np.nan) if np.isfinite(end).all() else end, k)
 
 
 class _InPython(_Flight):
@@ -188,10 +189,11 @@ class _InPython(_Flight):
                 ctrl.set_time(ctrl.time + self._loop.interval)
             return found.u[0], found.time_ns
 
-        laws: dict[Any, Sample] = {"step": step, "solve": solve}
-        if not callable(law) and law not in laws:
+        if callable(law):
+            return law
+        if not isinstance(law, str) or law not in ("step", "solve"):
             raise ControllerError(f"law is {law!r}; allowed: 'step', 'solve'")
-        return law if callable(law) else laws[law]
+        return step if law == "step" else solve
 
 
 def checked_state(value: ArrayLike, nx: int, what: str, say: Callable[[], str] = str) -> Array:

@@ -81,8 +81,8 @@ def read(file: str | os.PathLike[str] | IO[bytes]) -> dict[str, Any]:
         _check(read)
         return read
     except (ValueError, KeyError, TypeError, AttributeError, *BROKEN) as error:
-        is_missing = isinstance(error, KeyError)
-        what = f"{error} is missing" if is_missing else (str(error) or type(error).__name__).splitlines()[0]
+        said = str(error.args[0]) if isinstance(error, KeyError) else str(error) or type(error).__name__
+        what = said.splitlines()[0] if " " in said or not isinstance(error, KeyError) else f"{said!r} is missing"
         raise ControllerError(f"{file} is not a log that Log.save() wrote: {what}") from error
 
 
