@@ -77,7 +77,7 @@ class Telling(Addressing):
                 if there is not None and (node == N or count > N or every):
                     _diagonal(end)[:, 0, there] = column[:, -1]
                     sent[1] = True
-        ready = {kind: path} if sent[0] else {}
+        ready: dict[str, Array] = {kind: path} if sent[0] else {}
         ready |= {f"terminal_{kind}": end} if sent[1] else {}
         if matrices:
             ready = {what: self._check_weights(W, what.replace("_", " ")) for what, W in ready.items()}
