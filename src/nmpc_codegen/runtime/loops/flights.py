@@ -23,8 +23,8 @@ Array = NDArray[Any]
 class Flights(Flown):
     """What has become of F flights, closed loops of the same number of samples.
 
-    It has what is kept of each, the attributes of Flown: number, start, samples, ended, failed, broken, cost, violation,
-    last, seconds.
+    It has what is kept of each, the attributes of Flown: number, start, samples, ended, failed, broken, cost,
+    violation, last, seconds.
 
     Attributes:
         name: of the package.
