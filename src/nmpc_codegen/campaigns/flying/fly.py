@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import pickle
 import threading
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Literal
@@ -52,10 +51,13 @@ class Job:
         drawn, added = (s.disturbance, s.noise), None if data.added is None else data.added[..., :steps, :]
         of = batch, data.starts, plant, steps, s.dt, known or None, None, data.references
         found = state_loop(*of, drawn, added, unknown or None, s.seed, first)
-        if self.plant is None or plant is None:
+        if plant is None:
             return found
-        shared = parameter_data(plant, known_to(self.plant, known), len(data.starts), "known")
-        return replace(found, plant_data=replace_in(shared, found.plant_data))
+        theirs = {*plant.names.parameters, *(signal.name for signal in plant.description.parameters)}
+        shared = {name: table for name, table in known.items() if name in theirs}
+        return replace(
+            found, plant_data=replace_in(parameter_data(plant, shared, len(data.starts), "known"), found.plant_data)
+        )
 
     def last_references(self, first: int, count: int) -> Array:
         """References (F, ny) of the path residual after the last sample of the flights from ``first`` on."""
@@ -69,12 +71,6 @@ class Job:
         data, count = self.statement.whole_data(number), self.statement.steps if steps is None else steps
         plant = None if self.plant is None else single(self.plant.copy())
         return run(self.loop(single(ctrl), plant, data, number, count), ctrl, conduct, spacing(ctrl, count))
-
-
-def known_to(plant: Controller, tables: Mapping[str, Array]) -> dict[str, Array]:
-    """Those tables of parameters that a plant has, too."""
-    theirs = {*plant.names.parameters, *(signal.name for signal in plant.description.parameters)}
-    return {name: table for name, table in tables.items() if name in theirs}
 
 
 class Flyer:

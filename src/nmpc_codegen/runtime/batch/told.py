@@ -74,7 +74,10 @@ class Told(Telling):
         spread: bool = True,
         matrix: int | None = None,
     ) -> Array:
-        """Values as (count or 1, 1 or one of ``lengths``, size); ``matrix``: they are square ones of this length."""
+        """Values as (count or 1, 1 or one of ``lengths``, size), where a number always stands for all elements.
+
+        ``matrix``: they are square ones of this length.
+        """
         one: tuple[int, ...] = (size,) if matrix is None else (matrix, matrix)
         axes = [(), *((n,) for n in (self._count, 1)), *((n, k) for n in (self._count, 1) for k in lengths)]
         bare = axes if size == 1 else [()]  # numbers, without an axis of elements

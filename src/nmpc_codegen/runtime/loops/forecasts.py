@@ -88,10 +88,8 @@ def reference_data(where: Addressing, references: ArrayLike | Tables | None, fli
     where._lengths("reference", "references", None)
     y, y_N = where.names.y, where.names.y_N
     known = list(dict.fromkeys((*y, *y_N)))
-    path, end = (
-        SetterData("REFERENCE", 0, "yref", 0, len(y)),
-        SetterData("TERMINAL_REFERENCE", 0, "yref_N", 0, len(y_N)),
-    )
+    path = SetterData("REFERENCE", 0, "yref", 0, len(y))
+    end = SetterData("TERMINAL_REFERENCE", 0, "yref_N", 0, len(y_N))
     named = references if isinstance(references, Mapping) else {"": references}
     for name, value in named.items():
         elements = [known[i] for i in (members(name, known) or [where._lookup(name, known, "residual")])] if name else y
@@ -114,20 +112,15 @@ def bounds_data(where: Addressing, bounds: Bounds | None, flights: int) -> list[
         what = f"bounds: {name!r}"
         tables = [_table(what, side, len(groups), flights, where._real, finite=False) for side in sides]
         low, high = (np.stack(np.broadcast_arrays(*columns), axis=-1)[..., None, :] for columns in tables)
-        for row, lower, upper in where._bounds_of_rows(name, groups, *np.broadcast_arrays(*_as_long(low, high))):
+        n = max(low.shape[1], high.shape[1])
+        both = np.broadcast_arrays(_first_rows(low, n), _first_rows(high, n))
+        for row, lower, upper in where._bounds_of_rows(name, groups, *both):
             data = SetterData("BOUNDS", row, "lower", row, 2)
             data.columns.extend(TableColumn(i, side[..., 0]) for i, side in enumerate((lower, upper)))
             if any(other.number == row for other in found):
                 raise ControllerError(f"{what} is given twice")
             found.append(data)
     return found
-
-
-def _as_long(one: Array, other: Array) -> tuple[Array, Array]:
-    """Tables (flights, n, ...) of which the last row of the shorter one is repeated."""
-    n = max(one.shape[1], other.shape[1])
-    longer = (np.concatenate([a, np.repeat(a[:, -1:], n - a.shape[1], axis=1)], axis=1) for a in (one, other))
-    return tuple(longer)  # type: ignore[return-value]
 
 
 def replace_in(base: list[SetterData], new: list[SetterData]) -> list[SetterData]:
@@ -197,8 +190,12 @@ def bounds_at(data: list[SetterData], side: int, flights: slice, steps: int, sto
 
 def _over_samples(column: TableColumn, flights: slice, steps: int) -> Array:
     """The values of a column at every sample, (1 or flights, steps)."""
-    rows = column.values if len(column.values) == 1 else column.values[flights]
-    return np.asarray(rows[:, np.minimum(np.arange(steps), rows.shape[1] - 1)])
+    return _first_rows(column.values if len(column.values) == 1 else column.values[flights], steps)
+
+
+def _first_rows(table: Array, n: int) -> Array:
+    """The rows of the first n samples of a table (flights, rows, ...), whose last one holds from there on."""
+    return np.asarray(table[:, np.minimum(np.arange(n), table.shape[1] - 1)])
 
 
 def _table(

@@ -177,12 +177,8 @@ def state_loop(
     for name, (value, most) in numbers.items():
         if not given.is_integer(value) or not 0 <= value <= most:
             raise ControllerError(f"{name} is {value!r}; expected an integer between 0 and {most}")
-    starts, names, interval = (
-        _starts(X0, batch.dims.nx, len(batch)),
-        batch.names.states,
-        interval_of(batch.description, dt),
-    )
-    flights = len(starts)
+    starts, names = _starts(X0, batch.dims.nx, len(batch)), batch.names.states
+    interval, flights = interval_of(batch.description, dt), len(starts)
     of_controller = parameter_data(batch, parameters, flights, "parameters")
     if plant is not None:
         _check_plant(batch, plant, flights, interval)

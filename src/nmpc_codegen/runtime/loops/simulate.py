@@ -79,7 +79,7 @@ def simulate(
     Raises:
         ControllerError: shapes or numbers are wrong, a log cannot hold the steps, or the plant's state is not finite.
     """
-    conduct = Conduct(*map(_function, (plant, disturbance, noise)), before, law, estimator, seed)  # type: ignore[call-arg]
+    conduct = Conduct(_function(plant), _function(disturbance), _function(noise), before, law, estimator, seed)
     own, drawn = _check(conduct, plant, disturbance, noise, plant_parameters)
     start, data = _start(x0, steps, _controller(ctrl)), (parameters, bounds, _references(references, reference))
     of_plant = plant_parameters  # with an estimator of a copy of the controller, in which it changes nothing
@@ -136,11 +136,10 @@ def _references(references: References | None, reference: References | None) -> 
 
 
 def _check_steps(steps: object, ctrl: Controller) -> None:
-    if not isinstance(steps, int | np.integer) or isinstance(steps, bool) or steps < 0:
+    if not is_integer(steps) or cast("int", steps) < 0:
         raise ControllerError(f"steps is {steps!r}; expected an integer >= 0")
-    columns = columns_of_log(ctrl)
-    most = LOG_BYTES // (columns * REAL)
-    if steps > most:
+    most = LOG_BYTES // (columns_of_log(ctrl) * REAL)
+    if cast("int", steps) > most:
         raise ControllerError(f"steps is {steps}; expected at most {most}, whose log takes {LOG_BYTES >> 30} GiB")
 
 
