@@ -45,7 +45,7 @@ if TYPE_CHECKING:
         MovingHorizon,
         RealTimeIteration,
     )
-    from nmpc_codegen.components.condensing import FullCondensing, NoCondensing, PartialCondensing
+    from nmpc_codegen.components.condensing import FullCondensing, NoCondensing
     from nmpc_codegen.components.hessians import (
         EconomicGaussNewton,
         ExactHessian,
@@ -88,7 +88,7 @@ _HOMES = {
         *("AdjointShooting", "AugmentedLagrangian", "KalmanFilter", "MovingHorizon", "RealTimeIteration"),
     ),
     "compiler": ("Package", "batch", "build", "export", "generate"),
-    "components.condensing": ("FullCondensing", "NoCondensing", "PartialCondensing"),
+    "components.condensing": ("FullCondensing", "NoCondensing"),
     "components.hessians": (
         *("EconomicGaussNewton", "ExactHessian", "ForwardOverAdjoint", "GaussNewton", "Mirror"),
         *("Project", "Symmetric"),
@@ -154,7 +154,6 @@ __all__ = [
     "Options",
     "Osqp",
     "Package",
-    "PartialCondensing",
     "ProblemError",
     "ProblemWarning",
     "Project",

@@ -44,7 +44,7 @@ static inline int condense_variable(int k, int j)
 static inline int condense_first_node(int column)
 {
     if (NHELD > 0) {
-        return (column < NXC) ? 0 : (column < NXC + NUS) ? variable_node[column - NXC] + 1 : N + 1;
+        return (column < NXC) ? 0 : (column < NXC + NVU) ? variable_node[column - NXC] + 1 : N + 1;
     }
     return (column < NXC) ? 0 : (column - NXC) / NU + 1;
 }
@@ -260,7 +260,7 @@ static void condense_hessian(solver_t *s, int column)
     }
     for (int f = 0; f < NF; ++f) {
         for (int i = column; i < NXC && i < column + COLUMNS; ++i) {
-            s->condensed.Hx[NUS + f][i] = p->W[free_state[f]][i - column];
+            s->condensed.Hx[NVU + f][i] = p->W[free_state[f]][i - column];
         }
     }
 }
@@ -269,12 +269,12 @@ static void condense_hessian(solver_t *s, int column)
 static void condense_store_free(solver_t *s)
 {
     for (int f = 0; f < NF; ++f) {
-        const int row = NUS + f;
-        for (int i = 0; i < NUS; ++i) {
+        const int row = NVU + f;
+        for (int i = 0; i < NVU; ++i) {
             s->qp.H[row][i] = s->condensed.Hx[i][free_state[f]];
         }
         for (int e = 0; e <= f; ++e) {
-            s->qp.H[row][NUS + e] = s->condensed.Hx[row][free_state[e]];
+            s->qp.H[row][NVU + e] = s->condensed.Hx[row][free_state[e]];
         }
     }
 }
@@ -343,7 +343,7 @@ static void condense_store_others(solver_t *s)
 {
     for (int m = 0; m < NG; ++m) {
         for (int f = 0; f < NF; ++f) {
-            s->qp.A[m][NUS + f] = s->condensed.Ax[m][free_state[f]];
+            s->qp.A[m][NVU + f] = s->condensed.Ax[m][free_state[f]];
         }
     }
 }
@@ -422,14 +422,14 @@ static void condense_gradient(solver_t *s)
         }
     }
     for (int f = 0; f < NF; ++f) {
-        d->g[NUS + f] = w[free_state[f]];
+        d->g[NVU + f] = w[free_state[f]];
     }
 }
 
 /* Gradient and bounds of the free components of dx_0, which are zero in dx0. */
 static void condense_embed_free(solver_t *s, const real_t *dx0)
 {
-    for (int row = NUS; row < NUS + NF; ++row) {
+    for (int row = NVU; row < NVU + NF; ++row) {
         s->qp.g[row] = condense_sum(s->condensed.g[row], s->condensed.Hx[row], dx0);
         s->qp.lower[row] = -INF;
         s->qp.upper[row] = INF;
@@ -558,7 +558,7 @@ static void condense_expand(solver_t *s)
 {
     step_t *d = &s->step;
     for (int f = 0; f < NF; ++f) {
-        d->dx[0][free_state[f]] = s->qp.z[NUS + f];
+        d->dx[0][free_state[f]] = s->qp.z[NVU + f];
     }
     for (int k = 0; k < N; ++k) {
         for (int j = 0; j < NU; ++j) {

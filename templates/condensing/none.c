@@ -9,8 +9,7 @@
  *   condense_shift     shifts the predicted working set of the controls by one interval
  *   condense_shift_rows  row m takes the predicted side of row source[m]
  * Here: nothing is eliminated; the stages of the QP are those of the problem. Data that a QP solver on stages reads:
- * stage_S = [A B], stage_b, stage_g, stage_Q, stage_Q_N (lower triangles), gradients and constants of rows, and the
- * tables stage_first, stage_of_row, stage_state. */
+ * stage_S = [A B], stage_b, stage_g, stage_Q, stage_Q_N (lower triangles), gradients and constants of rows. */
 
 static void qp_init(solver_t *s);
 static status_t qp_factorize(solver_t *s);
@@ -18,7 +17,7 @@ static void qp_gradient(solver_t *s);
 static status_t qp_solve(solver_t *s);
 static real_t qp_multiplier(const solver_t *s, int m);
 
-static inline real_t (*stage_S(solver_t *s, int k))[NZS]
+static inline real_t (*stage_S(solver_t *s, int k))[NZ]
 {
     return s->node[k].S;
 }
@@ -30,10 +29,10 @@ static inline real_t *stage_b(solver_t *s, int k)
 
 static inline real_t *stage_g(solver_t *s, int k)
 {
-    return (k < NS) ? s->node[k].g : s->terminal.g;
+    return (k < N) ? s->node[k].g : s->terminal.g;
 }
 
-static inline real_t (*stage_Q(solver_t *s, int k))[NZS]
+static inline real_t (*stage_Q(solver_t *s, int k))[NZ]
 {
     if (CURVED) {
         if (s->curved.in_solve) {
@@ -47,7 +46,7 @@ static inline real_t (*stage_Q(solver_t *s, int k))[NZS]
 }
 
 /* The Hessian of the last stage, lower triangle. */
-static inline real_t (*stage_Q_N(solver_t *s))[NXS]
+static inline real_t (*stage_Q_N(solver_t *s))[NX]
 {
     if (CURVED) {
         if (s->curved.in_solve) {
@@ -74,7 +73,34 @@ static inline real_t stage_row_value(const solver_t *s, int m)
     return row_constant(s, m);
 }
 
-#include "condensing/embed_stages.c"
+/* Bounds of the rows relative to the present iterate, and the costs of their violation. */
+static void condense_embed_rows(solver_t *s)
+{
+    for (int m = 0; m < NG; ++m) {
+        real_t value = stage_row_value(s, m);
+        if (row_is_coupled(m)) {
+            for (int i = 0; i < NX; ++i) {
+                value += s->coupled.J_0[row_index(m)][i] * s->step.dx[0][i];
+            }
+        }
+        s->qp.lower[NV + m] = row_lower(s, m) - value;
+        s->qp.upper[NV + m] = row_upper(s, m) - value;
+        s->qp.penalty[m] = row_penalty(s, m);
+        s->qp.curvature[m] = row_l2(s, m);
+    }
+}
+
+/* Bounds of the controls and rows relative to the present iterate. */
+static void condense_embed(solver_t *s)
+{
+    for (int k = 0; k < N; ++k) {
+        for (int j = 0; j < NU; ++j) {
+            s->qp.lower[k * NU + j] = control_lower(s, k, j) - s->u[k][j];
+            s->qp.upper[k * NU + j] = control_upper(s, k, j) - s->u[k][j];
+        }
+    }
+    condense_embed_rows(s);
+}
 
 static status_t condense_prepare(solver_t *s)
 {
@@ -109,9 +135,24 @@ static inline const real_t *condense_multiplier(const solver_t *s, int k)
     return s->riccati.work.vectors.rhs.g[k];
 }
 
-#include "condensing/solve_stages.c"
+static status_t condense_solve(solver_t *s)
+{
+    status_t status;
+    condense_embed(s);
+    status = qp_solve(s);
+    condense_expand(s);
+    return status;
+}
 
 static void qp_shift_controls(solver_t *s, int n);
 static void qp_shift_rows(solver_t *s, const int *source);
 
-#include "condensing/shift_stages.c"
+static void condense_shift(solver_t *s)
+{
+    qp_shift_controls(s, NU);
+}
+
+static void condense_shift_rows(solver_t *s, const int *source)
+{
+    qp_shift_rows(s, source);
+}

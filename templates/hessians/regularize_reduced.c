@@ -134,7 +134,7 @@ static void hold_working_set(solver_t *s, real_t terms, real_t hold)
 /* Adds to the diagonal a small curvature in place of that which linear costs lack. */
 static void add_linear_units(solver_t *s)
 {
-    for (int c = 0; c < NUS; c++) {
+    for (int c = 0; c < NVU; c++) {
         s->qp.H[c][c] +=
             FACTOR_REDUCED_LINEAR_SHARE * linear_curvature(s->condensed.g[c], s->qp.lower[c], s->qp.upper[c]);
     }

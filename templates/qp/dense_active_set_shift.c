@@ -2,7 +2,7 @@
  * theirs. */
 static void qp_shift_controls(qp_t *q, int n)
 {
-    for (int i = 0; i + n < NS * NUS; ++i) {
+    for (int i = 0; i + n < NVU; ++i) {
         q->side[i] = q->side[i + n];
     }
 }

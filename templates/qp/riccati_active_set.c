@@ -1,7 +1,7 @@
 /* ---------------------------------------------------------------------------------------------------------------------
  * qp: active-set method on the Riccati recursion
  *
- *     min  sum_{k<NS} 1/2 z_k'Q_k z_k + g_k'z_k  +  1/2 x_NS'Q_NS x_NS + g_NS'x_NS,   z = (x, u)
+ *     min  sum_{k<N} 1/2 z_k'Q_k z_k + g_k'z_k  +  1/2 x_NS'Q_NS x_NS + g_NS'x_NS,   z = (x, u)
  *     s.t. x_{k+1} = S_k z_k + b_k,   dx_0 given,   lower <= (u, rows) <= upper
  *
  * Contract
@@ -75,9 +75,9 @@ static void qp_init(solver_t *s)
 static int qp_last_member(const qp_t *q)
 {
     int last = -1;
-    for (int k = 0; k < NS; k++) {
-        for (int j = 0; j < NUS; j++) {
-            last = (q->side[k * NUS + j] != INACTIVE) ? k : last;
+    for (int k = 0; k < N; k++) {
+        for (int j = 0; j < NU; j++) {
+            last = (q->side[k * NU + j] != INACTIVE) ? k : last;
         }
     }
     return last;
@@ -86,9 +86,9 @@ static int qp_last_member(const qp_t *q)
 /* The last stage with a row that has a weight, or `last` if that is later. */
 static int qp_last_weight(const solver_t *s, int last)
 {
-    int found = last; /* -1 <= found <= NS */
+    int found = last; /* -1 <= found <= N */
     for (int m = 0; m < NG; m++) {
-        const int k = stage_of_row[m];
+        const int k = row_node(m);
         found = (s->riccati.weight[m] > R(0) && k > found) ? k : found;
     }
     return found;
@@ -111,7 +111,7 @@ static status_t qp_factorize(solver_t *s)
     }
     qp_enter(s);
     if (REGULARIZE_REDUCED) {
-        q->stale = plain ? qp_last_member(q) : NS;
+        q->stale = plain ? qp_last_member(q) : N;
         if (NG) {
             q->stale = qp_last_weight(s, q->stale);
         }
@@ -139,7 +139,7 @@ static status_t qp_factorize(solver_t *s)
 
 static void qp_gradient(solver_t *s)
 {
-    s->qp.stale_vectors = NS;
+    s->qp.stale_vectors = N;
 }
 
 /* Returns 1 if all multipliers are finite. Invalid data of a fixed control appear only in its multiplier. */

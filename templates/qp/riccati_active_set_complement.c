@@ -22,7 +22,7 @@ enum { WEIGHTED_QPS = 8 };
 static int qp_is_raised(const solver_t *s)
 {
     int raised = 0;
-    for (int k = 0; k <= NS; k++) {
+    for (int k = 0; k <= N; k++) {
         raised |= s->riccati.raised[k];
     }
     return raised;
@@ -61,11 +61,11 @@ static int schur_list(solver_t *s)
 static inline void schur_load(const solver_t *s, int i, real_t *w)
 {
     const int m = s->schur.member[i];
-    if (stage_state[m] < 0) {
-        (void)memcpy(w, stage_row(s, m), sizeof w[0] * (stage_of_row[m] < NS ? NZS : NXS));
+    if (!row_is_state(m)) {
+        (void)memcpy(w, stage_row(s, m), sizeof w[0] * (row_node(m) < N ? NZ : NX));
         return;
     }
-    w[stage_state[m]] = R(1);
+    w[row_index(m)] = R(1);
 }
 
 /* push and pull of member i from stage k + 1 to stage k. */
@@ -74,22 +74,22 @@ static inline void schur_sweep_stage(solver_t *s, int k, int i)
     const riccati_t *r = &s->riccati;
     schur_t *c = &s->schur;
     const int m = c->member[i];
-    real_t w[NZS] = {0};
-    if (stage_of_row[m] == k) {
+    real_t w[NZ] = {0};
+    if (row_node(m) == k) {
         schur_load(s, i, w);
     } else {
-        riccati_combine(w, c->pull[i], stage_S(s, k)[0], NZS, NXS, NZS);
+        riccati_combine(w, c->pull[i], stage_S(s, k)[0], NZ, NX, NZ);
     }
-    (void)memcpy(c->push[k][i], w + NXS, sizeof c->push[0][0]);
-    (void)memcpy(c->pull[i], w, sizeof w[0] * NXS);
-    riccati_combine(c->pull[i], w + NXS, r->K[k][0], LDX, NUS, LDX);
+    (void)memcpy(c->push[k][i], w + NX, sizeof c->push[0][0]);
+    (void)memcpy(c->pull[i], w, sizeof w[0] * NX);
+    riccati_combine(c->pull[i], w + NX, r->K[k][0], LDX, NU, LDX);
 }
 
 /* y = M_uu^{-1} y for the free controls of stage k; fixed controls get 0. */
 static inline void schur_solve_controls(const riccati_t *r, int k, real_t *y)
 {
-    for (int j = 0; j < NUS; j++) {
-        y[j] = r->fixed[k * NUS + j] ? R(0) : y[j];
+    for (int j = 0; j < NU; j++) {
+        y[j] = r->fixed[k * NU + j] ? R(0) : y[j];
     }
     riccati_solve_controls(r, k, y);
 }
@@ -99,11 +99,11 @@ static inline void schur_add_stage(solver_t *s, int k, int first)
 {
     schur_t *c = &s->schur;
     for (int i = first; i < c->joint; i++) {
-        real_t y[NUS];
+        real_t y[NU];
         (void)memcpy(y, c->push[k][i], sizeof y);
         schur_solve_controls(&s->riccati, k, y);
         for (int j = first; j <= i; j++) {
-            for (int l = 0; l < NUS; l++) {
+            for (int l = 0; l < NU; l++) {
                 c->complement[i][j] += c->push[k][j][l] * y[l];
             }
         }
@@ -118,29 +118,18 @@ static void schur_sweep(solver_t *s)
     (void)memset(c->pull, 0, sizeof c->pull);
     (void)memset(c->complement, 0, sizeof c->complement);
     for (int i = 0; i < c->joint; i++) {
-        if (stage_of_row[c->member[i]] == NS) {
+        if (row_node(c->member[i]) == N) {
             schur_load(s, i, c->pull[i]);
         }
     }
-    for (int k = NS - 1; k >= 0; k--) {
+    for (int k = N - 1; k >= 0; k--) {
         for (int i = c->joint - 1; i >= 0; i--) {
-            if (stage_of_row[c->member[i]] >= k) {
+            if (row_node(c->member[i]) >= k) {
                 schur_sweep_stage(s, k, i);
                 first = i < first ? i : first;
             }
         }
         schur_add_stage(s, k, first);
-    }
-}
-
-/* Adds the entries of pull that belong to copies of components of x_0 to those of the original components. */
-static inline void schur_fold(schur_t *c)
-{
-    for (int i = 0; i < c->joint; i++) {
-        for (int l = 0; l < NXS - NX; l++) {
-            c->pull[i][copied_state[l]] += c->pull[i][NX + l];
-            c->pull[i][NX + l] = R(0);
-        }
     }
 }
 
@@ -151,8 +140,8 @@ static void schur_add_free(solver_t *s)
     riccati_t *r = &s->riccati;
     schur_t *c = &s->schur;
     for (int i = 0; i < c->joint; i++) {
-        real_t v[NXS] = {0};
-        for (int l = 0; l < NXS; l++) {
+        real_t v[NX] = {0};
+        for (int l = 0; l < NX; l++) {
             r->p[0][l] = -c->pull[i][l];
         }
         riccati_solve_free(r, v);
@@ -161,8 +150,8 @@ static void schur_add_free(solver_t *s)
                 c->complement[i][j] += c->pull[j][free_state[f]] * v[free_state[f]];
             }
         }
-        for (int l = 0; l < NXS; l++) {
-            c->pull[i][l] -= riccati_dot(r->P[0][l], v, NXS);
+        for (int l = 0; l < NX; l++) {
+            c->pull[i][l] -= riccati_dot(r->P[0][l], v, NX);
         }
         for (int f = 0; f < NF; f++) {
             c->pull[i][free_state[f]] = -r->p[0][free_state[f]];
@@ -202,7 +191,6 @@ static int schur_renew(solver_t *s)
             return 0;
         }
         schur_sweep(s);
-        schur_fold(c);
         if (NF) {
             schur_add_free(s);
         }
@@ -218,7 +206,7 @@ static void schur_update(solver_t *s)
     schur_t *c = &s->schur;
     c->swept &= q->stale < 0;
     if (c->active && (!c->swept || c->shifted)) {
-        q->stale_vectors = NS;
+        q->stale_vectors = N;
     }
     if (c->active && !c->swept) {
         c->applies = schur_renew(s);
@@ -269,14 +257,14 @@ static void schur_correct(solver_t *s, real_t *distance)
             riccati_add(r->p[0], distance[i], c->pull[i], LDX);
         }
     }
-    for (int k = 0; k < NS; k++) {
-        real_t y[NUS] = {0};
-        riccati_combine(y, distance, c->push[k][0], NUS, c->joint, NUS);
-        for (int j = 0; j < NUS; j++) {
+    for (int k = 0; k < N; k++) {
+        real_t y[NU] = {0};
+        riccati_combine(y, distance, c->push[k][0], NU, c->joint, NU);
+        for (int j = 0; j < NU; j++) {
             r->h[k][j] += y[j];
         }
         schur_solve_controls(r, k, y);
-        for (int j = 0; j < NUS; j++) {
+        for (int j = 0; j < NU; j++) {
             r->feed[k][j] -= y[j];
         }
     }
@@ -288,11 +276,11 @@ static void schur_distances(const solver_t *s, real_t *distance)
 {
     const schur_t *c = &s->schur;
     real_t x[LDX] = {0};
-    (void)memcpy(x, s->step.dx[0], sizeof x[0] * NXS);
+    (void)memcpy(x, s->step.dx[0], sizeof x[0] * NX);
     for (int f = 0; f < NF; f++) {
         x[free_state[f]] = R(0);
     }
-    for (int i = NX; i < NXS; i++) {
+    for (int i = NX; i < NX; i++) {
         x[i] = R(0);
     }
     for (int i = 0; i < c->joint; i++) {

@@ -5,7 +5,7 @@
 static void qp_put_aside(solver_t *s)
 {
     const qp_t *q = &s->qp;
-    for (int k = 0; k <= NS; k++) {
+    for (int k = 0; k <= N; k++) {
         (void)memcpy(s->ipm.gradient[k], q->x[k], sizeof q->x[k]);
     }
     (void)memcpy(s->ipm.dv, q->z, sizeof q->z);
@@ -16,7 +16,7 @@ static void qp_put_aside(solver_t *s)
 static void qp_take_back(solver_t *s)
 {
     qp_t *q = &s->qp;
-    for (int k = 0; k <= NS; k++) {
+    for (int k = 0; k <= N; k++) {
         (void)memcpy(q->x[k], s->ipm.gradient[k], sizeof q->x[k]);
     }
     (void)memcpy(q->z, s->ipm.dv, sizeof q->z);

@@ -23,20 +23,20 @@ static int qp_side_of_control(const solver_t *s, int k, int j)
 {
     const qp_t *q = &s->qp;
     const riccati_t *r = &s->riccati;
-    const int c = k * NUS + j, side = q->side[c];
+    const int c = k * NU + j, side = q->side[c];
     real_t mult, size;
     if (side == INACTIVE) {
-        return qp_side_of_value(q, c, q->z[c], q->scale[NXS + j] + z_scale[NX + j % NU]);
+        return qp_side_of_value(q, c, q->z[c], q->scale[NX + j] + z_scale[NX + j]);
     }
     if (q->lower[c] >= q->upper[c]) {
         return side;
     }
     mult = side > 0 ? q->mult[c] : -q->mult[c];
-    size = q->size[NXS + j];
+    size = q->size[NX + j];
     if (!q->refined) {
-        size = r->M[k][j][NXS + j] * q->scale[NXS + j] + FABS(r->h[k][j]);
+        size = r->M[k][j][NX + j] * q->scale[NX + j] + FABS(r->h[k][j]);
     }
-    return mult >= -TOL_RICCATI_SIGN * size - TOL_ROUNDING * force_size[NX + j % NU] ? side : INACTIVE;
+    return mult >= -TOL_RICCATI_SIGN * size - TOL_ROUNDING * force_size[NX + j] ? side : INACTIVE;
 }
 
 #if NG
@@ -135,8 +135,8 @@ static int qp_revise(solver_t *s)
     if (NG) {
         qp_revise_rows(s);
     }
-    for (int k = 0; k < NS; k++) {
-        for (int j = 0; j < NUS; j++) {
+    for (int k = 0; k < N; k++) {
+        for (int j = 0; j < NU; j++) {
             qp_set_control(s, k, j, qp_side_of_control(s, k, j));
         }
     }
@@ -194,7 +194,7 @@ static int qp_raise_weights(solver_t *s)
             q->raised[m]++;
             q->weight[m] *= FACTOR_RICCATI_WEIGHT_RATIO;
             s->riccati.weight[m] = q->weight[m];
-            qp_outdate(q, stage_of_row[m]);
+            qp_outdate(q, row_node(m));
             raised = 1;
         }
     }

@@ -7,7 +7,7 @@
 static int qp_is_approximate(const solver_t *s)
 {
     int approximate = 0;
-    for (int k = 0; k <= NS; k++) {
+    for (int k = 0; k <= N; k++) {
         approximate |= s->riccati.raised[k];
     }
     for (int m = 0; m < NG; m++) {
@@ -23,40 +23,40 @@ static void qp_residual(solver_t *s, int k)
     riccati_t *r = &s->riccati;
     real_t *y = r->work.vectors.rhs.g[k];
     qp_cost_gradient(s, k, y);
-    if (k < NS) {
-        riccati_combine(y, r->work.vectors.lam[k + 1], stage_S(s, k)[0], NZS, NXS, NZS);
+    if (k < N) {
+        riccati_combine(y, r->work.vectors.lam[k + 1], stage_S(s, k)[0], NZ, NX, NZ);
         qp_gap(s, k, r->b[k]);
-        for (int i = 0; i < NUS; i++) {
-            y[NXS + i] += q->mult[k * NUS + i];
-            r->du[k * NUS + i] = R(0);
+        for (int i = 0; i < NU; i++) {
+            y[NX + i] += q->mult[k * NU + i];
+            r->du[k * NU + i] = R(0);
         }
     }
-    for (int i = 0; k > 0 && i < NXS; i++) {
+    for (int i = 0; k > 0 && i < NX; i++) {
         y[i] -= r->work.vectors.lam[k][i];
     }
-    for (int m = stage_first[k]; m < stage_first[k + 1]; m++) {
+    for (int m = row_first[k]; m < row_first[k + 1]; m++) {
         if (q->side[NV + m] != INACTIVE) {
             qp_add_row(s, m, q->mult[NV + m]);
         }
     }
 }
 
-/* Increases size[] to at least the terms of the gradient at stage k < NS: for states the multipliers of the dynamics,
+/* Increases size[] to at least the terms of the gradient at stage k < N: for states the multipliers of the dynamics,
  * for controls their products with B. */
 static void qp_take_sizes(solver_t *s, int k, real_t *size)
 {
     const real_t *g = stage_g(s, k), *lam = s->riccati.work.vectors.lam[k + 1];
-    real_t(*S)[NZS] = stage_S(s, k);
-    for (int i = 0; i < NXS; i++) {
+    real_t(*S)[NZ] = stage_S(s, k);
+    for (int i = 0; i < NX; i++) {
         const real_t term = FABS(lam[i]) + FABS(g[i]);
         size[i] = term > size[i] ? term : size[i];
     }
-    for (int j = 0; j < NUS; j++) {
-        real_t terms = FABS(s->qp.mult[k * NUS + j]) + FABS(g[NXS + j]);
-        for (int i = 0; i < NXS; i++) {
-            terms += FABS(lam[i]) * FABS(S[i][NXS + j]);
+    for (int j = 0; j < NU; j++) {
+        real_t terms = FABS(s->qp.mult[k * NU + j]) + FABS(g[NX + j]);
+        for (int i = 0; i < NX; i++) {
+            terms += FABS(lam[i]) * FABS(S[i][NX + j]);
         }
-        size[NXS + j] = terms > size[NXS + j] ? terms : size[NXS + j];
+        size[NX + j] = terms > size[NX + j] ? terms : size[NX + j];
     }
 }
 
@@ -68,15 +68,15 @@ static real_t qp_gradient_size(solver_t *s)
     for (int i = 0; i < NX; i++) {
         size[i] = TOL_ZERO * force_size[i];
     }
-    for (int j = 0; j < NUS; j++) {
-        size[NXS + j] = TOL_ZERO * force_size[NX + j % NU];
+    for (int j = 0; j < NU; j++) {
+        size[NX + j] = TOL_ZERO * force_size[NX + j];
     }
-    for (int k = 0; k < NS; k++) {
+    for (int k = 0; k < N; k++) {
         qp_take_sizes(s, k, size);
     }
-    for (int k = 0; k <= NS; k++) {
+    for (int k = 0; k <= N; k++) {
         const real_t *g = s->riccati.work.vectors.rhs.g[k];
-        for (int i = k == 0 ? NXS : 0; i < (k < NS ? NZS : NXS); i++) {
+        for (int i = k == 0 ? NX : 0; i < (k < N ? NZ : NX); i++) {
             const real_t y = FABS(g[i]);
             worst = y > worst * size[i] ? y / size[i] : worst;
         }
@@ -176,17 +176,17 @@ static void qp_add_correction(solver_t *s, real_t times)
     const riccati_t *r = &s->riccati;
     vectors_t *v = &s->riccati.work.vectors;
     const direction_t *d = &v->rhs.direction;
-    for (int k = 0; k <= NS; k++) {
-        real_t lam[NXS];
+    for (int k = 0; k <= N; k++) {
+        real_t lam[NX];
         riccati_adjoint(r, k, d->dx[k], lam);
-        for (int i = 0; i < NXS; i++) {
+        for (int i = 0; i < NX; i++) {
             v->lam[k][i] += times * lam[i];
             q->x[k][i] += times * d->dx[k][i];
         }
     }
-    for (int k = 0; k < NS; k++) {
-        const int first = k * NUS;
-        for (int j = 0; j < NUS; j++) {
+    for (int k = 0; k < N; k++) {
+        const int first = k * NU;
+        for (int j = 0; j < NU; j++) {
             if (q->side[first + j] != INACTIVE) {
                 q->mult[first + j] -= times * riccati_control_gradient(r, k, j, d->dx[k], d->du + first);
             }
@@ -206,7 +206,7 @@ static void qp_direction(solver_t *s)
             qp_add_row(s, m, s->riccati.weight[m] * qp_offset(&s->qp, m));
         }
     }
-    riccati_backward(s, NS);
+    riccati_backward(s, N);
     (void)memset(d->dx[0], 0, sizeof d->dx[0]);
     riccati_forward(s, d->dx, d->du);
 }
@@ -216,7 +216,7 @@ static void qp_direction(solver_t *s)
 static int qp_take_residuals(solver_t *s, int *at_members)
 {
     qp_t *q = &s->qp;
-    for (int k = 0; k <= NS; k++) {
+    for (int k = 0; k <= N; k++) {
         qp_residual(s, k);
     }
     q->residual = qp_gradient_size(s);
@@ -237,10 +237,10 @@ static status_t qp_refine(solver_t *s)
     qp_t *q = &s->qp;
     real_t slow = INF;
     int stretched = 0;
-    for (int k = 0; k <= NS; k++) {
+    for (int k = 0; k <= N; k++) {
         riccati_adjoint(&s->riccati, k, q->x[k], s->riccati.work.vectors.lam[k]);
     }
-    q->stale_vectors = NS;
+    q->stale_vectors = N;
     q->refined = 1;
     q->residual = INF;
     for (int i = 0; i <= QP_MAX_REFINEMENTS; i++) {

@@ -18,8 +18,8 @@ static void qp_enter(solver_t *s)
         q->side[NV + m] = qp_allowed_row(q, m, q->side[NV + m]);
         r->weight[m] = qp_weight(s, m, q->side[NV + m]);
     }
-    q->stale = NS;
-    q->stale_vectors = NS;
+    q->stale = N;
+    q->stale_vectors = N;
     s->schur.swept = 0;
 }
 
@@ -53,7 +53,7 @@ static void qp_scale_rows(solver_t *s)
     qp_enter(s);
     (void)memset(r->fixed, 0, sizeof r->fixed);
     (void)memset(r->weight, 0, sizeof r->weight);
-    if (riccati_factorize(s, NS)) {
+    if (riccati_factorize(s, N)) {
         riccati_set_reach(s);
         qp_set_units(s);
     }

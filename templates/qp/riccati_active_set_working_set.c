@@ -22,8 +22,8 @@ static inline int qp_is_member(int side)
 static real_t qp_row_size(const solver_t *s, int m)
 {
     const real_t *scale = s->qp.scale;
-    if (stage_state[m] < 0) {
-        const int n = stage_of_row[m] < NS ? NZS : NXS;
+    if (!row_is_state(m)) {
+        const int n = row_node(m) < N ? NZ : NX;
         const real_t *a = stage_row(s, m);
         real_t sum = TOL_ZERO * row_magnitude[row_id(m)];
         for (int i = 0; i < n; i++) {
@@ -31,7 +31,7 @@ static real_t qp_row_size(const solver_t *s, int m)
         }
         return sum;
     }
-    return scale[stage_state[m]] + TOL_ZERO * row_magnitude[row_id(m)];
+    return scale[row_index(m)] + TOL_ZERO * row_magnitude[row_id(m)];
 }
 
 /* Marks the factors and vectors of the stages 0 .. k as stale after a change of the working set. */
@@ -53,7 +53,7 @@ static inline void qp_outdate_vectors(qp_t *q, int c, int k, real_t target)
 static void qp_set_control(solver_t *s, int k, int j, int side)
 {
     qp_t *q = &s->qp;
-    const int c = k * NUS + j;
+    const int c = k * NU + j;
     if (side != q->side[c]) {
         q->side[c] = side;
         q->changes++;
@@ -82,7 +82,7 @@ static void qp_set_row(solver_t *s, int m, int side)
         q->changes++;
         q->mult[c] = R(0);
         if (!s->schur.active || weight > s->riccati.weight[m] || weight < s->riccati.weight[m]) {
-            qp_outdate(q, stage_of_row[m]);
+            qp_outdate(q, row_node(m));
         }
         s->riccati.weight[m] = weight;
         s->schur.swept = 0;
@@ -116,9 +116,9 @@ static inline int qp_allowed_row(const qp_t *q, int m, int side)
 static void qp_take_bounds(solver_t *s)
 {
     qp_t *q = &s->qp;
-    for (int k = 0; k < NS; k++) {
-        for (int j = 0; j < NUS; j++) {
-            const int c = k * NUS + j;
+    for (int k = 0; k < N; k++) {
+        for (int j = 0; j < NU; j++) {
+            const int c = k * NU + j;
             qp_set_control(s, k, j, qp_admissible_side(q, c, q->side[c]));
             qp_outdate_vectors(q, c, k, s->riccati.du[c]);
         }
@@ -128,7 +128,7 @@ static void qp_take_bounds(solver_t *s)
         if (s->schur.active && qp_is_member(q->side[NV + m])) { /* the gradient does not contain the bound */
             q->target[m] = qp_target(q, NV + m);
         }
-        qp_outdate_vectors(q, NV + m, stage_of_row[m], q->target[m]);
+        qp_outdate_vectors(q, NV + m, row_node(m), q->target[m]);
     }
 }
 
@@ -136,7 +136,7 @@ static void qp_take_bounds(solver_t *s)
 static void qp_load_rows(solver_t *s, int k)
 {
     qp_t *q = &s->qp;
-    for (int m = stage_first[k]; m < stage_first[k + 1]; m++) {
+    for (int m = row_first[k]; m < row_first[k + 1]; m++) {
         const int side = q->side[NV + m];
         if (side != INACTIVE) {
             const real_t l1 = side > 0 ? q->penalty[m] : -q->penalty[m];
@@ -153,11 +153,11 @@ static void qp_load(solver_t *s)
     const qp_t *q = &s->qp;
     riccati_t *r = &s->riccati;
     for (int k = 0; k <= q->stale_vectors; k++) {
-        (void)memcpy(r->work.vectors.rhs.g[k], stage_g(s, k), sizeof r->work.vectors.rhs.g[0][0] * (k < NS ? NZS : NXS));
-        if (k < NS) {
+        (void)memcpy(r->work.vectors.rhs.g[k], stage_g(s, k), sizeof r->work.vectors.rhs.g[0][0] * (k < N ? NZ : NX));
+        if (k < N) {
             (void)memcpy(r->b[k], stage_b(s, k), sizeof r->b[0]);
         }
-        for (int c = k * NUS; k < NS && c < (k + 1) * NUS; c++) {
+        for (int c = k * NU; k < N && c < (k + 1) * NU; c++) {
             r->du[c] = q->side[c] != INACTIVE ? qp_target(q, c) : R(0);
         }
         qp_load_rows(s, k);
@@ -169,7 +169,7 @@ static int qp_measure(qp_t *q)
 {
     (void)memset(q->scale, 0, sizeof q->scale);
     qp_enlarge(q, q->scale);
-    return all_finite(q->x[0], (NS + 1) * NXS) && all_finite(q->z, NV);
+    return all_finite(q->x[0], (N + 1) * NX) && all_finite(q->z, NV);
 }
 
 /* Multipliers at the minimiser on the working set. Returns 0 if a multiplier or the value of a row is not finite. */
@@ -178,9 +178,9 @@ static int qp_take_multipliers(solver_t *s)
     qp_t *q = &s->qp;
     const riccati_t *r = &s->riccati;
     real_t sum = R(0);
-    for (int k = 0; k < NS; k++) {
-        const int first = k * NUS;
-        for (int j = 0; j < NUS; j++) {
+    for (int k = 0; k < N; k++) {
+        const int first = k * NU;
+        for (int j = 0; j < NU; j++) {
             const int c = first + j;
             q->mult[c] = R(0);
             if (q->side[c] != INACTIVE) {

@@ -1,20 +1,11 @@
 /* Contract of this part: tests of the multipliers by the adjoint equation, for stationarity or as a proof of
  * infeasibility. */
 
-/* Adds the entries of a state vector that belong to copies of components of x_0 to those of the original components. */
-static inline void ipm_fold(real_t *w)
-{
-    for (int c = 0; c < NXS - NX; c++) {
-        w[copied_state[c]] += w[NX + c];
-        w[NX + c] = R(0);
-    }
-}
-
 /* w = S_k'lam + g_k, where lam is the adjoint of x_{k+1}. */
 static inline void ipm_adjoint_step(solver_t *s, int k, const real_t *lam, real_t *w)
 {
     (void)memcpy(w, s->riccati.work.vectors.rhs.g[k], sizeof s->riccati.work.vectors.rhs.g[k]);
-    riccati_combine(w, lam, stage_S(s, k)[0], NZS, NXS, NZS);
+    riccati_combine(w, lam, stage_S(s, k)[0], NZ, NX, NZ);
 }
 
 /* Sum of the absolute values of the terms of entry i of the gradient at stage k, from cost and rows but without the
@@ -30,10 +21,10 @@ static inline real_t ipm_gradient_terms(solver_t *s, int k, int i)
  * its rounding error. */
 static void ipm_term_sizes(solver_t *s, int k, const real_t *next, real_t *size)
 {
-    for (int j = 0; j < NUS; j++) {
-        size[j] = ipm_gradient_terms(s, k, NXS + j);
-        for (int i = 0; i < NXS; i++) {
-            size[j] += FABS(stage_S(s, k)[i][NXS + j]) * next[i];
+    for (int j = 0; j < NU; j++) {
+        size[j] = ipm_gradient_terms(s, k, NX + j);
+        for (int i = 0; i < NX; i++) {
+            size[j] += FABS(stage_S(s, k)[i][NX + j]) * next[i];
         }
     }
 }
@@ -54,8 +45,8 @@ static inline void ipm_take_gradient(real_t rest, real_t terms, real_t unit, slo
  * multipliers. */
 static void ipm_take_controls(solver_t *s, int k, const real_t *w, const real_t *size, slope_t *largest)
 {
-    for (int j = 0; j < NUS; j++) {
-        const int c = k * NUS + j;
+    for (int j = 0; j < NU; j++) {
+        const int c = k * NU + j;
         if (s->ipm.kind[c] == GIVEN_CONTROL) {
             s->qp.mult[c] -= w[j];
         } else {
@@ -69,27 +60,25 @@ static void ipm_take_controls(solver_t *s, int k, const real_t *w, const real_t 
  * grow along an unstable horizon. Fixed controls get their multipliers. */
 static real_t ipm_stationarity(solver_t *s)
 {
-    real_t(*g)[NZS] = s->riccati.work.vectors.rhs.g;
+    real_t(*g)[NZ] = s->riccati.work.vectors.rhs.g;
     slope_t largest = {R(0), R(0)};
-    real_t lam[NXS], w[NZS], size[NUS], next[NXS];
+    real_t lam[NX], w[NZ], size[NU], next[NX];
     ipm_load_gradient(s);
     ipm_add_forces(s, s->qp.mult);
-    (void)memcpy(lam, g[NS], sizeof lam);
-    for (int j = 0; j < NXS; j++) {
-        next[j] = ipm_gradient_terms(s, NS, j);
+    (void)memcpy(lam, g[N], sizeof lam);
+    for (int j = 0; j < NX; j++) {
+        next[j] = ipm_gradient_terms(s, N, j);
     }
-    for (int k = NS - 1; k >= 0; k--) {
+    for (int k = N - 1; k >= 0; k--) {
         ipm_adjoint_step(s, k, lam, w);
         ipm_term_sizes(s, k, next, size);
-        ipm_take_controls(s, k, w + NXS, size, &largest);
-        for (int j = 0; j < NXS; j++) {
+        ipm_take_controls(s, k, w + NX, size, &largest);
+        for (int j = 0; j < NX; j++) {
             next[j] = ipm_gradient_terms(s, k, j) + FABS(w[j] - g[k][j]);
         }
-        riccati_combine(w, w + NXS, s->riccati.K[k][0], LDX, NUS, NXS);
+        riccati_combine(w, w + NX, s->riccati.K[k][0], LDX, NU, NX);
         (void)memcpy(lam, w, sizeof lam);
     }
-    ipm_fold(lam);
-    ipm_fold(next);
     for (int f = 0; f < NF; f++) {
         const real_t unit = R(1) / SQRT(s->riccati.F[f][f]);
         ipm_take_gradient(lam[free_state[f]], next[free_state[f]], unit, &largest);
@@ -120,7 +109,7 @@ static real_t ipm_largest_weight(const qp_t *q)
 static real_t ipm_ray_terms(solver_t *s, int k, int j, const real_t *nu)
 {
     real_t size = FABS(s->riccati.work.vectors.rhs.g[k][j]);
-    for (int i = 0; i < NXS; i++) {
+    for (int i = 0; i < NX; i++) {
         size += FABS(stage_S(s, k)[i][j] * nu[i]);
     }
     return size;
@@ -132,35 +121,22 @@ static inline int ipm_vanishes(solver_t *s, int k, int j, const real_t *nu, real
     return FABS(w) <= TOL_IPM_RAY * ipm_ray_terms(s, k, j, nu);
 }
 
-/* The same for component j of x_0 with its copies. */
-static int ipm_free_vanishes(solver_t *s, int j, const real_t *nu, const real_t *w)
-{
-    real_t sum = w[j], size = ipm_ray_terms(s, 0, j, nu);
-    for (int c = 0; c < NXS - NX; c++) {
-        if (copied_state[c] == j) {
-            sum += w[NX + c];
-            size += ipm_ray_terms(s, 0, NX + c, nu);
-        }
-    }
-    return FABS(sum) <= TOL_IPM_RAY * size;
-}
-
 /* The weights f of the rows leave sum_c f_c a_c = w for the controls and free states of stage k. The bound of control j
  * takes the weight -w_j if it is finite on that side; otherwise w_j must be zero up to rounding, and |w_j u_j| at the
  * iterate is added to `rest`. Returns 0 if it is not. */
 static int ipm_balance(solver_t *s, int k, const real_t *nu, const real_t *w, real_t *rest)
 {
-    for (int j = 0; j < NUS; j++) {
-        const real_t f = -w[NXS + j];
-        const int finite = isfinite(ipm_support(&s->qp, k * NUS + j, f)) != 0;
-        s->qp.certificate[k * NUS + j] = finite ? f : R(0);
-        if (!finite && !ipm_vanishes(s, k, NXS + j, nu, -f)) {
+    for (int j = 0; j < NU; j++) {
+        const real_t f = -w[NX + j];
+        const int finite = isfinite(ipm_support(&s->qp, k * NU + j, f)) != 0;
+        s->qp.certificate[k * NU + j] = finite ? f : R(0);
+        if (!finite && !ipm_vanishes(s, k, NX + j, nu, -f)) {
             return 0;
         }
-        *rest += finite ? R(0) : FABS(f * s->qp.z[k * NUS + j]);
+        *rest += finite ? R(0) : FABS(f * s->qp.z[k * NU + j]);
     }
     for (int f = 0; k == 0 && f < NF; f++) {
-        if (!ipm_free_vanishes(s, free_state[f], nu, w)) {
+        if (!ipm_vanishes(s, 0, free_state[f], nu, w[free_state[f]])) {
             return 0;
         }
     }
@@ -172,16 +148,16 @@ static int ipm_balance(solver_t *s, int k, const real_t *nu, const real_t *w, re
  * at all points that satisfy the dynamics, while f_c v_c <= f_c B_c implies a smaller sum. */
 static int ipm_contradiction(solver_t *s)
 {
-    real_t nu[NXS], w[NZS], gap = R(0), size = R(0), rest = R(0);
+    real_t nu[NX], w[NZ], gap = R(0), size = R(0), rest = R(0);
     (void)memset(s->riccati.work.vectors.rhs.g, 0, sizeof s->riccati.work.vectors.rhs.g);
     ipm_add_forces(s, s->qp.certificate);
-    (void)memcpy(nu, s->riccati.work.vectors.rhs.g[NS], sizeof nu);
-    for (int k = NS - 1; k >= 0; k--) {
+    (void)memcpy(nu, s->riccati.work.vectors.rhs.g[N], sizeof nu);
+    for (int k = N - 1; k >= 0; k--) {
         ipm_adjoint_step(s, k, nu, w);
         if (!ipm_balance(s, k, nu, w, &rest)) {
             return 0;
         }
-        for (int i = 0; i < NXS; i++) {
+        for (int i = 0; i < NX; i++) {
             gap -= nu[i] * stage_b(s, k)[i];
             size += FABS(nu[i] * stage_b(s, k)[i]);
         }

@@ -54,16 +54,16 @@ static real_t ipm_cost_unit(const solver_t *s)
 /* sum |a_i| |z_i| of row c, the scale of the rounding error of its value. */
 static real_t ipm_terms(const solver_t *s, int c)
 {
-    if (NG && (GENERAL_ROWS || NE || BLOCK_ROWS)) {
-        if (c >= NV && stage_state[c - NV] < 0) {
-            const int k = stage_of_row[c - NV];
+    if (NG && (GENERAL_ROWS || NE)) {
+        if (c >= NV && !row_is_state(c - NV)) {
+            const int k = row_node(c - NV);
             const real_t *a = stage_row(s, c - NV);
             real_t sum = R(0);
-            for (int i = 0; i < NXS; i++) {
+            for (int i = 0; i < NX; i++) {
                 sum += FABS(a[i] * s->qp.x[k][i]);
             }
-            for (int i = 0; k < NS && i < NUS; i++) {
-                sum += FABS(a[NXS + i] * s->qp.z[k * NUS + i]);
+            for (int i = 0; k < N && i < NU; i++) {
+                sum += FABS(a[NX + i] * s->qp.z[k * NU + i]);
             }
             return sum;
         }
@@ -187,11 +187,11 @@ static void ipm_move_point(solver_t *s, real_t step)
 {
     riccati_t *r = &s->riccati;
     const direction_t *d = &r->work.vectors.rhs.direction;
-    for (int k = 0; k <= NS; k++) {
-        for (int i = 0; i < NXS; i++) {
+    for (int k = 0; k <= N; k++) {
+        for (int i = 0; i < NX; i++) {
             s->qp.x[k][i] += step * d->dx[k][i];
         }
-        for (int i = 0; k < NS && i < NXS; i++) {
+        for (int i = 0; k < N && i < NX; i++) {
             r->b[k][i] *= R(1) - step;
         }
     }
@@ -291,17 +291,17 @@ static void ipm_step(solver_t *s)
  * largest gap relative to the largest value of that state. */
 static real_t ipm_gaps(solver_t *s)
 {
-    real_t most = R(0), size[NXS] = {0};
-    for (int k = 0; k <= NS; k++) {
-        for (int i = 0; i < NXS; i++) {
+    real_t most = R(0), size[NX] = {0};
+    for (int k = 0; k <= N; k++) {
+        for (int i = 0; i < NX; i++) {
             const real_t x = FABS(s->qp.x[k][i]);
             size[i] = (x > size[i]) ? x : size[i];
         }
     }
-    for (int k = 0; k < NS; k++) {
+    for (int k = 0; k < N; k++) {
         real_t *b = s->riccati.b[k];
         qp_gap(s, k, b);
-        for (int i = 0; i < NXS; i++) {
+        for (int i = 0; i < NX; i++) {
             most = (FABS(b[i]) > most * size[i]) ? FABS(b[i]) / size[i] : most;
         }
     }
@@ -387,7 +387,7 @@ static int ipm_reduce_proximal(ipm_t *q, real_t gradient_before)
     if (q->damping > R(0) && q->slope < INF && q->slope > R(1) && q->slope > R(0.5) * gradient_before &&
         q->proximity > FACTOR_IPM_LEAST_PROXIMAL * SQRT(TOL_UNIT)) {
         q->proximity *= FACTOR_IPM_PROXIMAL_RATIO;
-        for (int i = 0; i < NZS; i++) {
+        for (int i = 0; i < NZ; i++) {
             q->proximal[i] *= FACTOR_IPM_PROXIMAL_RATIO;
         }
         return 1;

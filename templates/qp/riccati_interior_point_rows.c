@@ -25,9 +25,9 @@ static void ipm_changes(solver_t *s)
 /* g += sum_c force_c a_c, where g is the right-hand side. */
 static void ipm_add_forces(solver_t *s, const real_t *force)
 {
-    for (int k = 0; k < NS; k++) {
-        for (int j = 0; j < NUS; j++) {
-            s->riccati.work.vectors.rhs.g[k][NXS + j] += force[k * NUS + j];
+    for (int k = 0; k < N; k++) {
+        for (int j = 0; j < NU; j++) {
+            s->riccati.work.vectors.rhs.g[k][NX + j] += force[k * NU + j];
         }
     }
     for (int m = 0; m < NG; m++) {
@@ -38,7 +38,7 @@ static void ipm_add_forces(solver_t *s, const real_t *force)
 /* gradient_k = g_k + Q_k z_k at the iterate. */
 static void ipm_cost_gradient(solver_t *s)
 {
-    for (int k = 0; k <= NS; k++) {
+    for (int k = 0; k <= N; k++) {
         qp_cost_gradient(s, k, s->ipm.gradient[k]);
     }
 }
@@ -162,9 +162,9 @@ static void ipm_set_weights(solver_t *s)
 {
     const ipm_t *q = &s->ipm;
     riccati_t *r = &s->riccati;
-    for (int k = 0; k < NS; k++) {
-        for (int j = 0; j < NUS; j++) {
-            r->diagonal[k][j] = q->weight[k * NUS + j] + q->proximal[NXS + j];
+    for (int k = 0; k < N; k++) {
+        for (int j = 0; j < NU; j++) {
+            r->diagonal[k][j] = q->weight[k * NU + j] + q->proximal[NX + j];
         }
     }
     for (int f = 0; f < NF; f++) {
@@ -310,7 +310,7 @@ static void ipm_direction(solver_t *s)
     ipm_forces(s);
     ipm_load_gradient(s);
     ipm_add_forces(s, q->force);
-    riccati_backward(s, NS);
+    riccati_backward(s, N);
     (void)memset(d->dx[0], 0, sizeof d->dx[0]);
     riccati_forward(s, d->dx, d->du);
     ipm_changes(s);

@@ -8,13 +8,13 @@ static int ipm_factorize(solver_t *s)
     riccati_t *r = &s->riccati;
     r->regularize = 0;
     r->regularize_zero = R(0);
-    if (riccati_factorize(s, NS)) {
+    if (riccati_factorize(s, N)) {
         return 1;
     }
     r->regularize = 1;
     r->regularize_zero = s->ipm.least_pivot;
     for (int attempt = 0; attempt < 5; attempt++) {
-        if (riccati_factorize(s, NS)) {
+        if (riccati_factorize(s, N)) {
             return 1;
         }
         r->regularize_zero *= FACTOR_IPM_REGULARIZE;
@@ -27,11 +27,11 @@ static int ipm_factorize(solver_t *s)
 static real_t ipm_damping_cost(solver_t *s)
 {
     real_t most = R(0);
-    for (int k = 0; k < NS; k++) {
-        for (int j = 0; j < NUS; j++) {
-            const real_t d = s->qp.upper[k * NUS + j] - s->qp.lower[k * NUS + j];
-            const real_t square = stage_Q(s, k)[NXS + j][NXS + j] * d * d;
-            const real_t linear = FABS(stage_g(s, k)[NXS + j]) * d;
+    for (int k = 0; k < N; k++) {
+        for (int j = 0; j < NU; j++) {
+            const real_t d = s->qp.upper[k * NU + j] - s->qp.lower[k * NU + j];
+            const real_t square = stage_Q(s, k)[NX + j][NX + j] * d * d;
+            const real_t linear = FABS(stage_g(s, k)[NX + j]) * d;
             most = (isfinite(square) && square > most) ? square : most;
             most = (isfinite(linear) && linear > most) ? linear : most;
         }
@@ -45,9 +45,9 @@ static void ipm_set_proximal(solver_t *s)
 {
     ipm_t *q = &s->ipm;
     q->proximity = R(1);
-    for (int i = 0; i < NZS; i++) {
+    for (int i = 0; i < NZ; i++) {
         real_t most = R(0);
-        for (int k = 0; k < NS; k++) {
+        for (int k = 0; k < N; k++) {
             most = (stage_Q(s, k)[i][i] > most) ? stage_Q(s, k)[i][i] : most;
         }
         q->proximal[i] = (most > R(0)) ? FACTOR_IPM_PROXIMAL * most : FACTOR_IPM_PROXIMAL_ZERO * q->least_pivot;
@@ -142,7 +142,7 @@ static int ipm_first_factorization(solver_t *s, int plain)
     for (int c = 0; c < NV; c++) {
         stands &= !s->riccati.fixed[c];
     }
-    return (stands || riccati_factorize(s, NS)) ? ipm_add_equations(s) : ipm_damped_factorization(s);
+    return (stands || riccati_factorize(s, N)) ? ipm_add_equations(s) : ipm_damped_factorization(s);
 }
 
 /* Multipliers of the weighted rows at v = 0, from which the first point is computed, and the values of the fixed
@@ -169,14 +169,14 @@ static int ipm_first_forces(solver_t *s)
 static void ipm_first_backward(solver_t *s)
 {
     riccati_t *r = &s->riccati;
-    real_t(*g)[NZS] = r->work.vectors.rhs.g;
-    for (int k = 0; k < NS; k++) {
+    real_t(*g)[NZ] = r->work.vectors.rhs.g;
+    for (int k = 0; k < N; k++) {
         (void)memcpy(g[k], stage_g(s, k), sizeof g[k]);
         (void)memcpy(r->b[k], stage_b(s, k), sizeof r->b[k]);
     }
-    (void)memcpy(g[NS], stage_g(s, NS), sizeof g[0][0] * NXS);
+    (void)memcpy(g[N], stage_g(s, N), sizeof g[0][0] * NX);
     ipm_add_forces(s, s->ipm.force);
-    riccati_backward(s, NS);
+    riccati_backward(s, N);
 }
 
 /* (x, u) = minimiser subject to the equations only. Returns 0 if it is not finite. The recursion computes steps from
@@ -189,8 +189,8 @@ static int ipm_first_point(solver_t *s)
     riccati_forward(s, s->qp.x, s->qp.z);
     (void)memset(s->riccati.b, 0, sizeof s->riccati.b);
     (void)memset(s->riccati.du, 0, sizeof s->riccati.du);
-    for (int k = 0; k <= NS; k++) {
-        for (int i = 0; i < NXS; i++) {
+    for (int k = 0; k <= N; k++) {
+        for (int i = 0; i < NX; i++) {
             probe += R(0) * s->qp.x[k][i];
         }
     }

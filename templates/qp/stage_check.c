@@ -7,12 +7,12 @@ static void qp_component_sizes(solver_t *s, int full, real_t *size)
 {
     const qp_t *q = &s->qp;
     qp_enlarge(q, size);
-    for (int k = 0; full && k < NS; k++) {
-        real_t z[NZS];
+    for (int k = 0; full && k < N; k++) {
+        real_t z[NZ];
         qp_stage_point(q, k, z);
-        for (int i = 0; i < NXS; i++) {
+        for (int i = 0; i < NX; i++) {
             real_t sum = FABS(stage_b(s, k)[i]);
-            for (int j = 0; j < NZS; j++) {
+            for (int j = 0; j < NZ; j++) {
                 sum += FABS(stage_S(s, k)[i][j] * z[j]);
             }
             size[i] = (sum > size[i]) ? sum : size[i];
@@ -41,14 +41,14 @@ static int qp_row_holds(qp_t *q, int c, int hard, real_t v, real_t size, real_t 
 static real_t qp_row_terms(const solver_t *s, int m, const real_t *size)
 {
     real_t sum = FABS(stage_row_value(s, m));
-    if (stage_state[m] < 0) {
+    if (!row_is_state(m)) {
         const real_t *a = stage_row(s, m);
-        for (int i = 0; i < (stage_of_row[m] < NS ? NZS : NXS); i++) {
+        for (int i = 0; i < (row_node(m) < N ? NZ : NX); i++) {
             sum += FABS(a[i]) * size[i];
         }
         return sum;
     }
-    sum += size[stage_state[m]];
+    sum += size[row_index(m)];
     return sum;
 }
 
@@ -61,17 +61,17 @@ static inline real_t qp_least_size(const solver_t *s, int c, int full)
 /* Returns 1 if all hard rows hold. */
 static int qp_rows_hold(solver_t *s, int full)
 {
-    real_t size[NZS] = {0};
+    real_t size[NZ] = {0};
     int holds = 1;
     qp_component_sizes(s, full, size);
-    for (int k = 0; k < NS; k++) {
-        for (int j = 0; j < NUS; j++) {
-            const int c = k * NUS + j;
-            real_t terms = size[NXS + j];
+    for (int k = 0; k < N; k++) {
+        for (int j = 0; j < NU; j++) {
+            const int c = k * NU + j;
+            real_t terms = size[NX + j];
             if (INTERIOR_POINT) {
                 terms += qp_least_size(s, c, full);
             }
-            holds &= qp_row_holds(&s->qp, c, 1, s->qp.z[c], terms, z_scale[NX + j % NU], full);
+            holds &= qp_row_holds(&s->qp, c, 1, s->qp.z[c], terms, z_scale[NX + j], full);
         }
     }
     for (int m = 0; m < NG; m++) {
@@ -89,20 +89,20 @@ static int qp_rows_hold(solver_t *s, int full)
  * and terms[] become the largest magnitude of w and of the sum of its terms, those of the dynamics only if `full`. */
 static void qp_check_stage(solver_t *s, int k, int full, const real_t *lam, real_t *w, real_t *rest, real_t *terms)
 {
-    const int first = k * NUS;
+    const int first = k * NU;
     const real_t *g = stage_g(s, k);
-    real_t(*S)[NZS] = stage_S(s, k);
-    for (int j = 0; j < NUS; j++) {
-        const int i = NXS + j;
+    real_t(*S)[NZ] = stage_S(s, k);
+    for (int j = 0; j < NU; j++) {
+        const int i = NX + j;
         real_t sum = FABS(g[i]) + FABS(w[i] - g[i]) + FABS(s->qp.mult[first + j]);
-        for (int l = 0; full && l < NXS; l++) {
+        for (int l = 0; full && l < NX; l++) {
             sum += FABS(S[l][i] * lam[l]);
         }
         terms[j] = (sum > terms[j]) ? sum : terms[j];
     }
-    riccati_combine(w, lam, S[0], NZS, NXS, NZS);
-    for (int j = 0; j < NUS; j++) {
-        const real_t amount = FABS(w[NXS + j] + s->qp.mult[first + j]);
+    riccati_combine(w, lam, S[0], NZ, NX, NZ);
+    for (int j = 0; j < NU; j++) {
+        const real_t amount = FABS(w[NX + j] + s->qp.mult[first + j]);
         rest[j] = (amount <= rest[j] || !isfinite(rest[j])) ? rest[j] : amount;
     }
 }
@@ -111,8 +111,8 @@ static void qp_check_stage(solver_t *s, int k, int full, const real_t *lam, real
 static real_t qp_cost_terms(solver_t *s, int k, const real_t *y)
 {
     real_t sum = R(0);
-    for (int i = 0; i < ((k < NS) ? NZS : NXS); i++) {
-        const real_t z = (i < NXS) ? s->qp.x[k][i] : s->qp.z[k * NUS + i - NXS];
+    for (int i = 0; i < ((k < N) ? NZ : NX); i++) {
+        const real_t z = (i < NX) ? s->qp.x[k][i] : s->qp.z[k * NU + i - NX];
         sum += (FABS(stage_g(s, k)[i]) + FABS(y[i])) * FABS(z);
     }
     return sum;
@@ -123,8 +123,8 @@ static real_t qp_cost_terms(solver_t *s, int k, const real_t *y)
 static int qp_is_negligible(solver_t *s, int j, real_t gradient, real_t noise, real_t cost)
 {
     real_t curvature = R(0);
-    for (int k = 0; k < NS; k++) {
-        const real_t d = stage_Q(s, k)[NXS + j][NXS + j];
+    for (int k = 0; k < N; k++) {
+        const real_t d = stage_Q(s, k)[NX + j][NX + j];
         curvature = (d > curvature) ? d : curvature;
     }
     const real_t reach = SQRT(cost * curvature);
@@ -140,18 +140,18 @@ static int qp_is_negligible(solver_t *s, int j, real_t gradient, real_t noise, r
  * into parts may be rounding errors of another part, and lam may be the rest of a sum that vanishes. */
 static void qp_spread_noise(solver_t *s, int k, const real_t *y, const real_t *size, real_t *noise, real_t *most)
 {
-    const int n = (k < NS) ? NZS : NXS;
-    real_t sum[NZS] = {0};
+    const int n = (k < N) ? NZ : NX;
+    real_t sum[NZ] = {0};
     for (int i = 0; i < n; i++) {
         sum[i] = FABS(stage_g(s, k)[i]) + FABS(y[i]);
-        sum[i] += FABS((k < NS) ? stage_Q(s, k)[i][i] : stage_Q_N(s)[i][i]) * size[i];
-        for (int l = 0; k < NS && l < NXS; l++) {
+        sum[i] += FABS((k < N) ? stage_Q(s, k)[i][i] : stage_Q_N(s)[i][i]) * size[i];
+        for (int l = 0; k < N && l < NX; l++) {
             sum[i] += FABS(stage_S(s, k)[l][i]) * noise[l];
         }
     }
-    (void)memcpy(noise, sum, sizeof sum[0] * NXS);
-    for (int j = 0; k < NS && j < NUS; j++) {
-        most[j] = (sum[NXS + j] > most[j]) ? sum[NXS + j] : most[j];
+    (void)memcpy(noise, sum, sizeof sum[0] * NX);
+    for (int j = 0; k < N && j < NU; j++) {
+        most[j] = (sum[NX + j] > most[j]) ? sum[NX + j] : most[j];
     }
 }
 
@@ -160,23 +160,15 @@ static int qp_free_is_stationary(solver_t *s, const real_t *y, const real_t *noi
 {
     const real_t *g = stage_g(s, 0);
     int holds = 1;
-    real_t lam[NXS], size[NXS];
+    real_t lam[NX], size[NX];
     (void)memcpy(lam, s->riccati.work.vectors.rhs.g[0], sizeof lam);
-    for (int i = 0; i < NXS; i++) {
+    for (int i = 0; i < NX; i++) {
         size[i] = FABS(g[i]) + FABS(y[i] - g[i]) + FABS(lam[i] - y[i]);
-    }
-    for (int c = 0; c < NXS - NX; c++) {
-        lam[copied_state[c]] += lam[NX + c];
-        size[copied_state[c]] += size[NX + c];
     }
     for (int f = 0; f < NF; f++) {
         const int i = free_state[f];
-        real_t error = noise[i];
-        for (int c = 0; c < NXS - NX; c++) {
-            error += (copied_state[c] == i) ? noise[NX + c] : R(0);
-        }
         const real_t rest = FABS(lam[i]) - TOL_ROUNDING * force_size[i];
-        holds &= rest <= TOL_QP_ACCEPTED * size[i] || rest <= TOL_QP_NOISE * error;
+        holds &= rest <= TOL_QP_ACCEPTED * size[i] || rest <= TOL_QP_NOISE * noise[i];
     }
     return holds;
 }
@@ -185,9 +177,9 @@ static int qp_free_is_stationary(solver_t *s, const real_t *y, const real_t *noi
  * have just stored would wait. */
 static void qp_start_check(solver_t *s)
 {
-    for (int k = 0; k <= NS; k++) {
+    for (int k = 0; k <= N; k++) {
         qp_cost_gradient(s, k, s->riccati.work.vectors.rhs.g[k]);
-        for (int m = stage_first[k]; m < stage_first[k + 1]; m++) {
+        for (int m = row_first[k]; m < row_first[k + 1]; m++) {
             qp_add_row(s, m, s->qp.mult[NV + m]);
         }
     }
@@ -198,9 +190,9 @@ static void qp_start_check(solver_t *s)
  * the components of what is free are to be checked. */
 static int qp_is_stationary(solver_t *s, int full)
 {
-    real_t(*w)[NZS] = s->riccati.work.vectors.rhs.g;
-    real_t y[NZS], rest[NUS] = {0}, terms[NUS] = {0};
-    real_t size[NZS] = {0}, noise[NXS] = {0}, most[NUS] = {0};
+    real_t(*w)[NZ] = s->riccati.work.vectors.rhs.g;
+    real_t y[NZ], rest[NU] = {0}, terms[NU] = {0};
+    real_t size[NZ] = {0}, noise[NX] = {0}, most[NU] = {0};
     real_t cost = least_cost();
     int holds = 1;
     if (full) {
@@ -209,15 +201,15 @@ static int qp_is_stationary(solver_t *s, int full)
     if (TILES) {
         qp_start_check(s);
     }
-    for (int k = NS; k >= 0; k--) {
+    for (int k = N; k >= 0; k--) {
         if (!TILES) {
             qp_cost_gradient(s, k, w[k]);
-            for (int m = stage_first[k]; m < stage_first[k + 1]; m++) {
+            for (int m = row_first[k]; m < row_first[k + 1]; m++) {
                 qp_add_row(s, m, s->qp.mult[NV + m]);
             }
         }
-        (void)memcpy(y, w[k], sizeof y[0] * (k < NS ? NZS : NXS));
-        if (k < NS) {
+        (void)memcpy(y, w[k], sizeof y[0] * (k < N ? NZ : NX));
+        if (k < N) {
             qp_check_stage(s, k, full, w[k + 1], w[k], rest, terms);
         }
         if (full) {
@@ -225,8 +217,8 @@ static int qp_is_stationary(solver_t *s, int full)
             cost += qp_cost_terms(s, k, y);
         }
     }
-    for (int j = 0; j < NUS; j++) {
-        const real_t rounding = (full ? TOL_ZERO : TOL_ROUNDING) * force_size[NX + j % NU];
+    for (int j = 0; j < NU; j++) {
+        const real_t rounding = (full ? TOL_ZERO : TOL_ROUNDING) * force_size[NX + j];
         holds &= isfinite(terms[j]);
         holds &= rest[j] <= TOL_QP_ACCEPTED * terms[j] + rounding ||
             (full && qp_is_negligible(s, j, rest[j], most[j], cost));

@@ -19,9 +19,9 @@ static inline int qp_is_soft(const qp_t *q, int m)
 static real_t qp_product(const solver_t *s, int m, const real_t *x, const real_t *u)
 {
     const real_t *a = stage_row(s, m);
-    real_t sum = riccati_dot(a, x, NXS);
-    for (int j = 0; stage_of_row[m] < NS && j < NUS; j++) {
-        sum += a[NXS + j] * u[j];
+    real_t sum = riccati_dot(a, x, NX);
+    for (int j = 0; row_node(m) < N && j < NU; j++) {
+        sum += a[NX + j] * u[j];
     }
     return sum;
 }
@@ -29,73 +29,73 @@ static real_t qp_product(const solver_t *s, int m, const real_t *x, const real_t
 /* Value of row m at the present point (x, z). */
 static inline real_t qp_row_value(const solver_t *s, int m)
 {
-    const int k = stage_of_row[m];
-    if (stage_state[m] < 0) {
-        const int first = k * NUS;
+    const int k = row_node(m);
+    if (!row_is_state(m)) {
+        const int first = k * NU;
         return qp_product(s, m, s->qp.x[k], s->qp.z + first);
     }
-    return s->qp.x[k][stage_state[m]];
+    return s->qp.x[k][row_index(m)];
 }
 
 /* Change of the value of row m along the direction. */
 static inline real_t qp_row_change(const solver_t *s, int m)
 {
     const direction_t *d = &s->riccati.work.vectors.rhs.direction;
-    const int k = stage_of_row[m];
-    if (stage_state[m] < 0) {
-        const int first = k * NUS;
+    const int k = row_node(m);
+    if (!row_is_state(m)) {
+        const int first = k * NU;
         return qp_product(s, m, d->dx[k], d->du + first);
     }
-    return d->dx[k][stage_state[m]];
+    return d->dx[k][row_index(m)];
 }
 
 /* g += f a for row m, where g is the gradient of its stage. */
 static inline void qp_add_row(solver_t *s, int m, real_t f)
 {
-    real_t *g = s->riccati.work.vectors.rhs.g[stage_of_row[m]];
-    if (stage_state[m] < 0) {
+    real_t *g = s->riccati.work.vectors.rhs.g[row_node(m)];
+    if (!row_is_state(m)) {
         const real_t factor[1] = {f};
-        riccati_combine(g, factor, stage_row(s, m), NZS, 1, stage_of_row[m] < NS ? NZS : NXS);
+        riccati_combine(g, factor, stage_row(s, m), NZ, 1, row_node(m) < N ? NZ : NX);
         return;
     }
-    g[stage_state[m]] += f;
+    g[row_index(m)] += f;
 }
 
 /* u of stage k. */
 static inline const real_t *qp_stage_controls(const qp_t *q, int k)
 {
-    const int first = k * NUS;
+    const int first = k * NU;
     return q->z + first;
 }
 
 /* size[] = its maximum with the magnitudes of every component of x and z over the stages. */
 static void qp_enlarge(const qp_t *q, real_t *size)
 {
-    for (int k = 0; k < NS; k++) {
-        enlarge_all(size, q->x[k], NXS);
-        enlarge_all(size + NXS, qp_stage_controls(q, k), NUS);
+    for (int k = 0; k < N; k++) {
+        enlarge_all(size, q->x[k], NX);
+        enlarge_all(size + NX, qp_stage_controls(q, k), NU);
     }
-    enlarge_all(size, q->x[NS], NXS);
+    enlarge_all(size, q->x[N], NX);
 }
 
 /* z = (x, u) of stage k. */
 static inline void qp_stage_point(const qp_t *q, int k, real_t *z)
 {
     (void)memcpy(z, q->x[k], sizeof q->x[0]);
-    (void)memcpy(z + NXS, qp_stage_controls(q, k), sizeof z[0] * NUS);
+    (void)memcpy(z + NX, qp_stage_controls(q, k), sizeof z[0] * NU);
 }
 
 /* y = g_k + Q_k z_k at the present point, for the components that stage k has, with dense products. */
 static void qp_dense_gradient(solver_t *s, int k, real_t *y)
 {
-    real_t z[NZS];
-    if (k < NS) {
+    real_t z[NZ];
+    if (k < N) {
         qp_stage_point(&s->qp, k, z);
         (void)memcpy(y, stage_g(s, k), sizeof z);
-        riccati_add_symmetric(y, stage_Q(s, k)[0], NZS, z, NZS);
+        riccati_add_symmetric(y, stage_Q(s, k)[0], NZ, z, NZ);
     } else {
-        (void)memcpy(y, stage_g(s, NS), sizeof y[0] * NXS);
-        riccati_add_symmetric(y, stage_Q_N(s)[0], NXS, s->qp.x[NS], NXS);
+        (void)memcpy(y, stage_g(s, N), sizeof y[0] * NX);
+        riccati_add_symmetric(y, stage_Q_N(s)[0], NX, s->qp.x[N], NX);
     }
 }
 
@@ -108,7 +108,7 @@ static void qp_quadratic_gradient(solver_t *s, int k, real_t *y)
             return;
         }
     }
-    if (k < NS) {
+    if (k < N) {
         if (HAS_COST_GRADIENT) {
             COST_GRADIENT(&s->node[k], stage_Q(s, k), s->qp.x[k], qp_stage_controls(&s->qp, k), y);
         } else {
@@ -116,8 +116,8 @@ static void qp_quadratic_gradient(solver_t *s, int k, real_t *y)
         }
         return;
     }
-    if (HAS_TERMINAL_ADJOINT && !BLOCK_ROWS) {
-        TERMINAL_ADJOINT(&s->terminal, stage_Q_N(s), s->qp.x[NS], y);
+    if (HAS_TERMINAL_ADJOINT) {
+        TERMINAL_ADJOINT(&s->terminal, stage_Q_N(s), s->qp.x[N], y);
     } else {
         qp_dense_gradient(s, k, y);
     }
@@ -128,17 +128,17 @@ static void qp_quadratic_gradient(solver_t *s, int k, real_t *y)
 static void qp_cost_gradient(solver_t *s, int k, real_t *y)
 {
     qp_quadratic_gradient(s, k, y);
-    for (int m = stage_first[k]; m < stage_first[k + 1]; m++) {
+    for (int m = row_first[k]; m < row_first[k + 1]; m++) {
         if (!(s->riccati.held[m] > R(0))) {
             continue;
         }
         const real_t f = s->riccati.held[m] * qp_row_value(s, m);
-        if (stage_state[m] < 0) {
+        if (!row_is_state(m)) {
             const real_t factor[1] = {f};
-            riccati_combine(y, factor, stage_row(s, m), NZS, 1, k < NS ? NZS : NXS);
+            riccati_combine(y, factor, stage_row(s, m), NZ, 1, k < N ? NZ : NX);
             continue;
         }
-        y[stage_state[m]] += f;
+        y[row_index(m)] += f;
     }
 }
 #else
@@ -166,11 +166,11 @@ static real_t qp_multiplier(const solver_t *s, int m)
 /* b = S_k z_k + b_k - x_{k+1} at the present point. */
 static void qp_gap(solver_t *s, int k, real_t *b)
 {
-    real_t(*S)[NZS] = stage_S(s, k);
-    real_t z[NZS];
+    real_t(*S)[NZ] = stage_S(s, k);
+    real_t z[NZ];
     qp_stage_point(&s->qp, k, z);
-    for (int i = 0; i < NXS; i++) {
-        b[i] = stage_b(s, k)[i] - s->qp.x[k + 1][i] + riccati_dot(S[i], z, NZS);
+    for (int i = 0; i < NX; i++) {
+        b[i] = stage_b(s, k)[i] - s->qp.x[k + 1][i] + riccati_dot(S[i], z, NZ);
     }
 }
 

@@ -14,13 +14,13 @@
 static int riccati_units(solver_t *s, real_t *unit)
 {
     real_t largest = R(0), probe = R(0);
-    (void)memset(unit, 0, sizeof unit[0] * NZS);
-    for (int k = 0; k < NS; k++) {
-        for (int j = 0; j < NZS && k * NUS + j - NXS < N * NU; j++) {
+    (void)memset(unit, 0, sizeof unit[0] * NZ);
+    for (int k = 0; k < N; k++) {
+        for (int j = 0; j < NZ; j++) {
             real_t sum = FABS(stage_Q(s, k)[j][j]);
-            for (int i = 0; i < NXS; i++) {
+            for (int i = 0; i < NX; i++) {
                 const real_t a = stage_S(s, k)[i][j];
-                const real_t next = (k + 1 < NS) ? stage_Q(s, k + 1)[i][i] : stage_Q_N(s)[i][i];
+                const real_t next = (k + 1 < N) ? stage_Q(s, k + 1)[i][i] : stage_Q_N(s)[i][i];
                 sum += a * a * FABS(next);
             }
             unit[j] = (sum > unit[j]) ? sum : unit[j];
@@ -28,7 +28,7 @@ static int riccati_units(solver_t *s, real_t *unit)
             probe += R(0) * sum;
         }
     }
-    for (int j = 0; j < NZS; j++) {
+    for (int j = 0; j < NZ; j++) {
         if (!(unit[j] > R(0))) {
             unit[j] = (largest > R(0)) ? largest : R(1);
         }
@@ -42,10 +42,10 @@ static int riccati_units(solver_t *s, real_t *unit)
 static void riccati_raise_units(solver_t *s, real_t *unit)
 {
     for (int c = 0; c < N * NU; c++) {
-        const real_t slope = stage_g(s, c / NUS)[NXS + c % NUS];
+        const real_t slope = stage_g(s, c / NU)[NX + c % NU];
         const real_t least = linear_curvature(slope, s->qp.lower[c], s->qp.upper[c]);
-        if (least > unit[NXS + c % NUS]) {
-            unit[NXS + c % NUS] = least;
+        if (least > unit[NX + c % NU]) {
+            unit[NX + c % NU] = least;
         }
     }
 }
@@ -55,14 +55,14 @@ static real_t riccati_row_hold(const solver_t *s, int m, real_t hold)
 {
     const real_t *unit = s->riccati.unit;
     real_t sum = R(0);
-    if (stage_state[m] < 0) {
+    if (!row_is_state(m)) {
         const real_t *a = stage_row(s, m);
-        for (int i = 0; i < (stage_of_row[m] < NS ? NZS : NXS); i++) {
+        for (int i = 0; i < (row_node(m) < N ? NZ : NX); i++) {
             sum += a[i] * a[i] / unit[i];
         }
         return (sum > R(0)) ? hold / sum : R(0);
     }
-    sum = unit[stage_state[m]];
+    sum = unit[row_index(m)];
     return hold * sum;
 }
 
@@ -78,10 +78,10 @@ static int riccati_is_held(const qp_t *q, int m)
 static int riccati_try(solver_t *s, real_t hold, real_t shift)
 {
     riccati_t *r = &s->riccati;
-    for (int k = 0; k < NS; k++) {
-        for (int j = 0; j < NUS && k * NUS + j < N * NU; j++) {
-            const real_t held = (s->qp.side[k * NUS + j] != 0) ? hold : R(0);
-            r->diagonal[k][j] = (shift + held) * r->unit[NXS + j];
+    for (int k = 0; k < N; k++) {
+        for (int j = 0; j < NU; j++) {
+            const real_t held = (s->qp.side[k * NU + j] != 0) ? hold : R(0);
+            r->diagonal[k][j] = (shift + held) * r->unit[NX + j];
         }
     }
     for (int f = 0; f < NF; f++) {
@@ -90,7 +90,7 @@ static int riccati_try(solver_t *s, real_t hold, real_t shift)
     for (int m = 0; m < NG; m++) {
         r->held[m] = riccati_is_held(&s->qp, m) ? riccati_row_hold(s, m, hold) : R(0);
     }
-    return riccati_factorize(s, NS);
+    return riccati_factorize(s, N);
 }
 
 /* The recursion with the smallest shift, up to a factor of four, for which it succeeds, and with a margin on it: a full
@@ -128,9 +128,9 @@ static int riccati_shift(solver_t *s, real_t hold)
 /* Adds the shifts and holds of the last trial to the Hessian of the QP. */
 static void riccati_keep_diagonal(solver_t *s)
 {
-    for (int k = 0; k < NS; k++) {
-        for (int j = 0; j < NUS; j++) {
-            stage_Q(s, k)[NXS + j][NXS + j] += s->riccati.diagonal[k][j];
+    for (int k = 0; k < N; k++) {
+        for (int j = 0; j < NU; j++) {
+            stage_Q(s, k)[NX + j][NX + j] += s->riccati.diagonal[k][j];
         }
     }
     for (int f = 0; f < NF; f++) {
@@ -154,15 +154,15 @@ static int riccati_convexify(solver_t *s)
     (void)memset(r->held, 0, sizeof r->held);
     (void)memset(r->fixed, 0, sizeof r->fixed);
     r->regularize = 0;
-    if (riccati_factorize(s, NS)) {
+    if (riccati_factorize(s, N)) {
         return 1;
     }
     if (!riccati_units(s, r->unit)) {
         return 0;
     }
     riccati_raise_units(s, r->unit);
-    for (int k = 0; k < NS; k++) {
-        extend_units(stage_Q(s, k)[0], NZS, NZS, r->unit);
+    for (int k = 0; k < N; k++) {
+        extend_units(stage_Q(s, k)[0], NZ, NZ, r->unit);
     }
     found = riccati_try(s, R(0), FACTOR_SHIFT_SMALL) || riccati_try(s, R(1), R(0)) ||
         riccati_try(s, FACTOR_SHIFT_FIRM_HOLD, R(0)) || riccati_shift(s, FACTOR_SHIFT_FIRM_HOLD);

@@ -2,7 +2,7 @@
 static inline void riccati_clear_padding(real_t (*P)[LDX])
 {
     for (int i = 0; i < LDX; i++) {
-        for (int j = (i < NXS) ? NXS : 0; j < LDX; j++) {
+        for (int j = (i < NX) ? NX : 0; j < LDX; j++) {
             P[i][j] = R(0);
         }
     }
@@ -12,29 +12,29 @@ static inline void riccati_clear_padding(real_t (*P)[LDX])
 static void riccati_load_stage(solver_t *s, int k)
 {
     riccati_t *r = &s->riccati;
-    real_t(*Q)[NZS] = stage_Q(s, k);
+    real_t(*Q)[NZ] = stage_Q(s, k);
     real_t(*P)[LDX] = r->P[k];
     real_t(*M)[LDZ] = r->M[k];
-    for (int i = 0; i < NXS; i++) {
-        (void)memcpy(P[i], Q[i], sizeof(Q[0][0]) * NXS);
+    for (int i = 0; i < NX; i++) {
+        (void)memcpy(P[i], Q[i], sizeof(Q[0][0]) * NX);
     }
     if (!SMALL) {
         riccati_clear_padding(P);
     }
-    for (int j = 0; j < NUS; j++) {
-        (void)memcpy(M[j], Q[NXS + j], sizeof Q[0]);
-        M[j][NXS + j] += r->diagonal[k][j];
+    for (int j = 0; j < NU; j++) {
+        (void)memcpy(M[j], Q[NX + j], sizeof Q[0]);
+        M[j][NX + j] += r->diagonal[k][j];
     }
 }
 
 static void riccati_load_terminal(solver_t *s)
 {
     riccati_t *r = &s->riccati;
-    for (int i = 0; i < NXS; i++) {
-        (void)memcpy(r->P[NS][i], stage_Q_N(s)[i], sizeof r->P[0][0][0] * NXS);
+    for (int i = 0; i < NX; i++) {
+        (void)memcpy(r->P[N][i], stage_Q_N(s)[i], sizeof r->P[0][0][0] * NX);
     }
     if (!SMALL) {
-        riccati_clear_padding(r->P[NS]);
+        riccati_clear_padding(r->P[N]);
     }
 }
 
@@ -42,7 +42,7 @@ static void riccati_load_terminal(solver_t *s)
 static inline void riccati_update_states(riccati_t *r, int k, const real_t *A, const real_t *B, int n)
 {
     if (SMALL) {
-        riccati_lower(r->P[k][0], LDX, A, LDW, B, LDZ, n, NXS);
+        riccati_lower(r->P[k][0], LDX, A, LDW, B, LDZ, n, NX);
     } else {
         for (int i = 0; i < LDX; i += 4) {
             riccati_rows(r->P[k][i], LDX, A + i, LDW, B, LDZ, n, i + 4);
@@ -53,10 +53,10 @@ static inline void riccati_update_states(riccati_t *r, int k, const real_t *A, c
 static inline void riccati_update_controls(riccati_t *r, int k, const real_t *A, const real_t *B, int n)
 {
     if (SMALL) {
-        riccati_product(r->M[k][0], LDZ, A + NXS, LDW, B, LDZ, n, NUS, NZS);
+        riccati_product(r->M[k][0], LDZ, A + NX, LDW, B, LDZ, n, NU, NZ);
     } else {
-        for (int j = 0; j < NUS; j += 4) {
-            riccati_rows(r->M[k][j], LDZ, A + NXS + j, LDW, B, LDZ, n, LDZ);
+        for (int j = 0; j < NU; j += 4) {
+            riccati_rows(r->M[k][j], LDZ, A + NX + j, LDW, B, LDZ, n, LDZ);
         }
     }
 }
@@ -75,7 +75,7 @@ static inline real_t riccati_weight(const riccati_t *r, int m)
 static inline void riccati_collect_row(solver_t *s, int m, int n)
 {
     recursion_t *work = &s->riccati.work.recursion;
-    const int width = stage_of_row[m] < NS ? NZS : NXS;
+    const int width = row_node(m) < N ? NZ : NX;
     const real_t *a = stage_row(s, m), w = riccati_weight(&s->riccati, m);
     for (int i = 0; i < width; i++) {
         work->W[n][i] = w * a[i];
@@ -89,7 +89,7 @@ static inline void riccati_add_group(riccati_t *r, int k, int n)
     /* 1 <= n <= 4 */
     const recursion_t *work = &r->work.recursion;
     riccati_update_states(r, k, work->W[0], work->T[0], n);
-    if (k < NS) {
+    if (k < N) {
         riccati_update_controls(r, k, work->W[0], work->T[0], n);
     }
 }
@@ -99,19 +99,19 @@ static void riccati_add_weights(solver_t *s, int k)
 {
     riccati_t *r = &s->riccati;
     int n = 0;
-    for (int m = stage_first[k]; m < stage_first[k + 1]; m++) {
-        const int state = stage_state[m];
+    for (int m = row_first[k]; m < row_first[k + 1]; m++) {
+        const int state = row_index(m);
         const real_t weight = riccati_weight(r, m);
         const int counts = weight != R(0); /* rows without weight are skipped */
         if (counts && state >= 0) {
             r->P[k][state][state] += weight;
         }
-        if (GENERAL_ROWS || NE || BLOCK_ROWS) {
+        if (GENERAL_ROWS || NE) {
             if (counts && state < 0) {
                 riccati_collect_row(s, m, n);
                 n++;
             }
-            if (n == 4 || (n > 0 && m + 1 == stage_first[k + 1])) {
+            if (n == 4 || (n > 0 && m + 1 == row_first[k + 1])) {
                 riccati_add_group(r, k, n);
                 n = 0;
             }
@@ -125,16 +125,16 @@ static void riccati_propagate(solver_t *s, int k)
 {
     const riccati_t *r = &s->riccati;
     recursion_t *work = &s->riccati.work.recursion;
-    real_t(*S)[NZS] = stage_S(s, k);
-    for (int i = 0; i < NXS; i++) {
+    real_t(*S)[NZ] = stage_S(s, k);
+    for (int i = 0; i < NX; i++) {
         (void)memcpy(work->W[i], S[i], sizeof S[0]);
     }
     (void)memset(work->T, 0, sizeof work->T);
     if (SMALL) {
-        riccati_product(work->T[0], LDZ, r->P[k + 1][0], LDX, work->W[0], LDW, NXS, NXS, NZS);
+        riccati_product(work->T[0], LDZ, r->P[k + 1][0], LDX, work->W[0], LDW, NX, NX, NZ);
     } else {
         for (int i = 0; i < LDX; i += 4) {
-            riccati_rows(work->T[i], LDZ, &r->P[k + 1][0][i], LDX, work->W[0], LDW, NXS, LDZ);
+            riccati_rows(work->T[i], LDZ, &r->P[k + 1][0][i], LDX, work->W[0], LDW, NX, LDZ);
         }
     }
 }
@@ -143,17 +143,17 @@ static void riccati_propagate(solver_t *s, int k)
  * rows of the identity in L and zero rows in V. */
 static inline void riccati_load_controls(riccati_t *r, int k)
 {
-    const int first = k * NUS;
+    const int first = k * NU;
     const int32_t *fixed = &r->fixed[first];
-    for (int j = 0; j < NUS; j++) {
+    for (int j = 0; j < NU; j++) {
         const real_t *M = r->M[k][j];
-        real_t *V = r->work.recursion.T[NXS + j];
+        real_t *V = r->work.recursion.T[NX + j];
         for (int l = 0; l < j; l++) {
-            r->L[k][j][l] = (fixed[j] || fixed[l]) ? R(0) : M[NXS + l];
+            r->L[k][j][l] = (fixed[j] || fixed[l]) ? R(0) : M[NX + l];
         }
-        r->L[k][j][j] = fixed[j] ? R(1) : M[NXS + j];
+        r->L[k][j][j] = fixed[j] ? R(1) : M[NX + j];
         for (int i = 0; i < LDX; i++) {
-            V[i] = (fixed[j] || i >= NXS) ? R(0) : M[i];
+            V[i] = (fixed[j] || i >= NX) ? R(0) : M[i];
         }
     }
 }
@@ -182,20 +182,20 @@ static inline real_t riccati_pivot(const riccati_t *r, real_t d, real_t referenc
  * a pivot is not positive. */
 static int riccati_eliminate_controls(riccati_t *r, int k)
 {
-    real_t(*L)[NUS] = r->L[k];
-    real_t(*V)[LDZ] = r->work.recursion.T + NXS;
+    real_t(*L)[NU] = r->L[k];
+    real_t(*V)[LDZ] = r->work.recursion.T + NX;
     riccati_load_controls(r, k);
     r->raised[k] = 0;
-    for (int l = 0; l < NUS; l++) {
-        real_t *reference = &r->M[k][l][NXS + l], *scaled = r->work.recursion.W[NXS + l], added;
-        const real_t pivot = riccati_pivot(r, L[l][l], r->fixed[k * NUS + l] ? R(0) : *reference, &added);
+    for (int l = 0; l < NU; l++) {
+        real_t *reference = &r->M[k][l][NX + l], *scaled = r->work.recursion.W[NX + l], added;
+        const real_t pivot = riccati_pivot(r, L[l][l], r->fixed[k * NU + l] ? R(0) : *reference, &added);
         if (!(pivot > R(0))) {
             return 0;
         }
         r->raised[k] |= added > R(0);
         *reference += added;
         L[l][l] = R(1) / pivot;
-        for (int j = l + 1; j < NUS; j++) {
+        for (int j = l + 1; j < NU; j++) {
             const real_t y = L[j][l];
             L[j][l] = y * L[l][l];
             for (int i = l + 1; i <= j; i++) {
@@ -213,9 +213,9 @@ static int riccati_eliminate_controls(riccati_t *r, int k)
 /* L'K = -D^{-1} V. */
 static inline void riccati_gain(riccati_t *r, int k)
 {
-    for (int j = NUS - 1; j >= 0; j--) {
-        (void)memcpy(r->K[k][j], r->work.recursion.W[NXS + j], sizeof r->K[0][0]);
-        for (int l = j + 1; l < NUS; l++) {
+    for (int j = NU - 1; j >= 0; j--) {
+        (void)memcpy(r->K[k][j], r->work.recursion.W[NX + j], sizeof r->K[0][0]);
+        for (int l = j + 1; l < NU; l++) {
             riccati_add(r->K[k][j], -r->L[k][l][j], r->K[k][l], LDX);
         }
     }
@@ -226,7 +226,7 @@ static inline void riccati_gain(riccati_t *r, int k)
 /* Copies the lower triangle of P_k to the upper one. */
 static inline void riccati_mirror(real_t (*P)[LDX])
 {
-    for (int i = 1; i < NXS; i++) {
+    for (int i = 1; i < NX; i++) {
         for (int j = 0; j < i; j++) {
             P[j][i] = P[i][j];
         }
@@ -246,37 +246,22 @@ static int riccati_stage(solver_t *s, int k)
     }
     riccati_add_weights(s, k);
     riccati_propagate(s, k);
-    riccati_update_controls(r, k, work->W[0], work->T[0], NXS);
+    riccati_update_controls(r, k, work->W[0], work->T[0], NX);
     if (!riccati_eliminate_controls(r, k)) {
         r->failed = k;
         return 0;
     }
     riccati_gain(r, k);
-    riccati_update_states(r, k, work->W[0], work->T[0], NZS);
+    riccati_update_states(r, k, work->W[0], work->T[0], NZ);
     riccati_mirror(r->P[k]);
     return 1;
 }
 
 #endif
-/* Adds the rows and columns of P_0 that belong to copies of components of x_0 to those of the original components,
- * because the copies are not independent variables. */
-static inline void riccati_fold(riccati_t *r)
-{
-    for (int c = 0; c < NXS - NX; c++) {
-        const int from = NX + c, to = copied_state[c];
-        riccati_add(r->P[0][to], R(1), r->P[0][from], LDX);
-        for (int j = 0; j < NXS; j++) {
-            r->P[0][j][to] += r->P[0][j][from];
-            r->P[0][j][from] = R(0);
-        }
-        (void)memset(r->P[0][from], 0, sizeof r->P[0][from]);
-    }
-}
-
 /* L D L' of the block of P_0 that belongs to the free components of x_0; small pivots are treated as above. */
 static int riccati_factorize_free(riccati_t *r)
 {
-    r->raised[NS] = 0;
+    r->raised[N] = 0;
     for (int l = 0; l < NF; l++) {
         const real_t reference = r->P[0][free_state[l]][free_state[l]];
         real_t d = reference, added;
@@ -288,7 +273,7 @@ static int riccati_factorize_free(riccati_t *r)
             r->failed = -1;
             return 0;
         }
-        r->raised[NS] |= added > R(0);
+        r->raised[N] |= added > R(0);
         r->F[l][l] = d;
         for (int i = l + 1; i < NF; i++) {
             real_t y = r->P[0][free_state[i]][free_state[l]];
@@ -301,26 +286,23 @@ static int riccati_factorize_free(riccati_t *r)
     return 1;
 }
 
-/* The recursion from stage `last` down to stage 0; last = NS: all stages and P_NS. */
+/* The recursion from stage `last` down to stage 0; last = N: all stages and P_NS. */
 static int riccati_factorize(solver_t *s, int last)
 {
-    if (last == NS) {
+    if (last == N) {
         riccati_load_terminal(s);
-        riccati_add_weights(s, NS);
+        riccati_add_weights(s, N);
         if (!TILES) {
-            riccati_mirror(s->riccati.P[NS]);
+            riccati_mirror(s->riccati.P[N]);
         }
     }
-    for (int k = last < NS ? last : NS - 1; k >= 0; k--) {
+    for (int k = last < N ? last : N - 1; k >= 0; k--) {
         if (!riccati_stage(s, k)) {
             return 0;
         }
     }
     if (TILES && NF) {
         riccati_mirror(s->riccati.P[0]);
-    }
-    if (NXS > NX) {
-        riccati_fold(&s->riccati);
     }
     if (NF) {
         return riccati_factorize_free(&s->riccati);

@@ -274,7 +274,7 @@ PACK_INLINE void riccati_add_symmetric_rows(pack_t *y, const real_t *A, int ld, 
 PACK_INLINE void riccati_add_symmetric(real_t *y, const real_t *A, int ld, const real_t *x, int n)
 {
     const int done = n / PACK_WIDTH * PACK_WIDTH;
-    pack_t sum[PACKED(NZS) / PACK_WIDTH]; /* n <= NZS */
+    pack_t sum[PACKED(NZ) / PACK_WIDTH]; /* n <= NZ */
     for (int j = 0; j < n; j += PACK_WIDTH) {
         sum[j / PACK_WIDTH] = pack_load(y + j, n - j);
     }

@@ -32,33 +32,33 @@ static void riccati_backward_stage(solver_t *s, int k)
 {
     riccati_t *r = &s->riccati;
     real_t v[STATE_WIDTH] PACK_ALIGNED, w[STAGE_WIDTH] PACK_ALIGNED;
-    real_t y[NUS];
+    real_t y[NU];
     int any = 0;
-    packs_fill(v, r->p[k + 1], NXS);
-    riccati_add_symmetric(v, r->P[k + 1][0], LDX, r->b[k], NXS);
-    packs_fill(w, r->work.vectors.rhs.g[k], NZS);
-    riccati_combine(w, v, stage_S(s, k)[0], NZS, NXS, NZS);
-    for (int j = 0; j < NUS; j++) {
-        r->h[k][j] = w[NXS + j];
-        any |= r->fixed[k * NUS + j];
+    packs_fill(v, r->p[k + 1], NX);
+    riccati_add_symmetric(v, r->P[k + 1][0], LDX, r->b[k], NX);
+    packs_fill(w, r->work.vectors.rhs.g[k], NZ);
+    riccati_combine(w, v, stage_S(s, k)[0], NZ, NX, NZ);
+    for (int j = 0; j < NU; j++) {
+        r->h[k][j] = w[NX + j];
+        any |= r->fixed[k * NU + j];
     }
     if (any) {
         riccati_add_fixed(r, k, w);
     }
-    for (int j = 0; j < NUS; j++) {
-        y[j] = r->fixed[k * NUS + j] ? R(0) : w[NXS + j];
+    for (int j = 0; j < NU; j++) {
+        y[j] = r->fixed[k * NU + j] ? R(0) : w[NX + j];
     }
-    riccati_combine(w, y, r->K[k][0], LDX, NUS, NXS);
-    packs_take(r->p[k], w, NXS);
+    riccati_combine(w, y, r->K[k][0], LDX, NU, NX);
+    packs_take(r->p[k], w, NX);
     riccati_solve_controls(r, k, y);
-    for (int j = 0; j < NUS; j++) {
-        r->feed[k][j] = r->fixed[k * NUS + j] ? r->du[k * NUS + j] : -y[j];
+    for (int j = 0; j < NU; j++) {
+        r->feed[k][j] = r->fixed[k * NU + j] ? r->du[k * NU + j] : -y[j];
     }
 }
 
-#if NUS <= PACK_WIDTH
+#if NU <= PACK_WIDTH
 /* Lanes of zeros and of the controls u for the pack of z that holds u_0, and for the next one. */
-#define CONTROL_START (NXS % PACK_WIDTH)
+#define CONTROL_START (NX % PACK_WIDTH)
 #define CONTROL_LANE(i) (((i) < CONTROL_START) ? (i) : PACK_WIDTH + (i)-CONTROL_START)
 #define CONTROL_REST(i) (((i) < CONTROL_START) ? 2 * PACK_WIDTH + (i)-CONTROL_START : 0)
 
@@ -66,7 +66,7 @@ static void riccati_backward_stage(solver_t *s, int k)
 PACK_INLINE void riccati_append_controls(real_t *z, pack_t u)
 {
     const pack_t zero = {0};
-    pack_t *first = (pack_t *)(z + NXS / PACK_WIDTH * PACK_WIDTH);
+    pack_t *first = (pack_t *)(z + NX / PACK_WIDTH * PACK_WIDTH);
 #if PACK_WIDTH == 8
     const pack_t start = __builtin_shufflevector(zero, u, CONTROL_LANE(0), CONTROL_LANE(1), CONTROL_LANE(2),
         CONTROL_LANE(3), CONTROL_LANE(4), CONTROL_LANE(5), CONTROL_LANE(6), CONTROL_LANE(7));
@@ -79,7 +79,7 @@ PACK_INLINE void riccati_append_controls(real_t *z, pack_t u)
         __builtin_shufflevector(zero, u, CONTROL_REST(0), CONTROL_REST(1), CONTROL_REST(2), CONTROL_REST(3));
 #endif
     first[0] = (CONTROL_START == 0) ? start : first[0] + start;
-    if (CONTROL_START + NUS > PACK_WIDTH) {
+    if (CONTROL_START + NU > PACK_WIDTH) {
         first[1] = rest;
     }
 }
@@ -88,42 +88,42 @@ PACK_INLINE void riccati_append_controls(real_t *z, pack_t u)
 /* z = (x, u),  u = feed_k + K_k x,  where z holds x and zeros. */
 PACK_INLINE void riccati_choose_controls(const riccati_t *r, int k, real_t *z, real_t *u)
 {
-    if (NUS <= PACK_WIDTH) {
-        const pack_t sums = pack_load(r->feed[k], NUS) + riccati_row_products(r->K[k][0], LDX, z, NUS, NXS);
-        pack_store(u, sums, NUS);
+    if (NU <= PACK_WIDTH) {
+        const pack_t sums = pack_load(r->feed[k], NU) + riccati_row_products(r->K[k][0], LDX, z, NU, NX);
+        pack_store(u, sums, NU);
         riccati_append_controls(z, sums);
     } else {
-        for (int j = 0; j < NUS; j++) {
-            u[j] = r->feed[k][j] + riccati_dot(r->K[k][j], z, NXS);
+        for (int j = 0; j < NU; j++) {
+            u[j] = r->feed[k][j] + riccati_dot(r->K[k][j], z, NX);
         }
-        for (int j = 0; j < NUS; j++) {
-            z[NXS + j] = u[j];
+        for (int j = 0; j < NU; j++) {
+            z[NX + j] = u[j];
         }
     }
 }
 
 /* u_k = feed_k + K_k x_k,  x_{k+1} = S_k (x_k, u_k) + b_k. */
-static void riccati_forward(solver_t *s, real_t (*x)[NXS], real_t *u)
+static void riccati_forward(solver_t *s, real_t (*x)[NX], real_t *u)
 {
-    const int done = NXS / PACK_WIDTH * PACK_WIDTH;
+    const int done = NX / PACK_WIDTH * PACK_WIDTH;
     const riccati_t *r = &s->riccati;
     real_t z[2][STAGE_WIDTH] PACK_ALIGNED = {{0}};
     if (NF > 0) {
         riccati_solve_free(r, x[0]);
     }
-    packs_fill(z[0], x[0], NXS);
-    for (int k = 0; k < NS; k++) {
+    packs_fill(z[0], x[0], NX);
+    for (int k = 0; k < N; k++) {
         const real_t *S = stage_S(s, k)[0];
         real_t *from = z[k % 2], *to = z[1 - k % 2];
-        riccati_choose_controls(r, k, from, u + k * NUS);
+        riccati_choose_controls(r, k, from, u + k * NU);
         for (int i = 0; i < done; i += PACK_WIDTH) {
             const pack_t next = pack_load(r->b[k] + i, PACK_WIDTH);
-            *(pack_t *)(to + i) = next + riccati_row_products(S + i * NZS, NZS, from, PACK_WIDTH, NZS);
+            *(pack_t *)(to + i) = next + riccati_row_products(S + i * NZ, NZ, from, PACK_WIDTH, NZ);
         }
-        if (NXS > done) {
-            const pack_t next = pack_load(r->b[k] + done, NXS - done);
-            *(pack_t *)(to + done) = next + riccati_row_products(S + done * NZS, NZS, from, NXS - done, NZS);
+        if (NX > done) {
+            const pack_t next = pack_load(r->b[k] + done, NX - done);
+            *(pack_t *)(to + done) = next + riccati_row_products(S + done * NZ, NZ, from, NX - done, NZ);
         }
-        packs_take(x[k + 1], to, NXS);
+        packs_take(x[k + 1], to, NX);
     }
 }

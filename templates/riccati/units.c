@@ -4,18 +4,18 @@
 /* Term added to a zero pivot that has no scale of its own. */
 static real_t riccati_least_pivot(solver_t *s)
 {
-    real_t diagonal[NZS] = {0}, most = R(0);
-    for (int k = 0; k < NS; k++) {
-        real_t(*Q)[NZS] = stage_Q(s, k);
-        for (int i = 0; i < NZS; i++) {
+    real_t diagonal[NZ] = {0}, most = R(0);
+    for (int k = 0; k < N; k++) {
+        real_t(*Q)[NZ] = stage_Q(s, k);
+        for (int i = 0; i < NZ; i++) {
             diagonal[i] = (Q[i][i] > diagonal[i]) ? Q[i][i] : diagonal[i];
         }
     }
-    for (int i = 0; i < NXS; i++) {
+    for (int i = 0; i < NX; i++) {
         const real_t d = stage_Q_N(s)[i][i];
         diagonal[i] = (d > diagonal[i]) ? d : diagonal[i];
     }
-    for (int i = 0; i < NZS; i++) {
+    for (int i = 0; i < NZ; i++) {
         most = (diagonal[i] > most) ? diagonal[i] : most;
     }
     return SQRT(TOL_UNIT) * ((most > R(0) && isfinite(most)) ? most : R(1));
@@ -27,31 +27,31 @@ static void riccati_closed_loop(solver_t *s, int k)
 {
     const riccati_t *r = &s->riccati;
     noise_t *q = &s->riccati.work.noise;
-    real_t(*S)[NZS] = stage_S(s, k);
+    real_t(*S)[NZ] = stage_S(s, k);
     real_t column[LDX] = {0};
-    for (int l = 0; l < NUS; l++) {
-        const int fixed = r->fixed[k * NUS + l];
-        for (int j = NUS - 1; j >= 0; j--) {
+    for (int l = 0; l < NU; l++) {
+        const int fixed = r->fixed[k * NU + l];
+        for (int j = NU - 1; j >= 0; j--) {
             q->gain[l][j] = (j == l && !fixed) ? SQRT(r->L[k][l][l]) : R(0);
             for (int i = j + 1; i <= l; i++) {
                 q->gain[l][j] -= r->L[k][i][j] * q->gain[l][i];
             }
         }
     }
-    for (int l = 0; l < NXS; l++) {
-        for (int i = 0; i < NXS; i++) {
+    for (int l = 0; l < NX; l++) {
+        for (int i = 0; i < NX; i++) {
             q->closed[l][i] = S[i][l];
         }
     }
     (void)memset(q->push, 0, sizeof q->push);
-    for (int j = 0; j < NUS; j++) {
-        for (int i = 0; i < NXS; i++) {
-            column[i] = S[i][NXS + j];
+    for (int j = 0; j < NU; j++) {
+        for (int i = 0; i < NX; i++) {
+            column[i] = S[i][NX + j];
         }
-        for (int l = 0; l < NXS; l++) {
+        for (int l = 0; l < NX; l++) {
             riccati_add(q->closed[l], r->K[k][j][l], column, LDX);
         }
-        for (int l = 0; l < NUS; l++) {
+        for (int l = 0; l < NU; l++) {
             riccati_add(q->push[l], q->gain[l][j], column, LDX);
         }
     }
@@ -62,20 +62,20 @@ static void riccati_propagate_covariance(noise_t *q)
 {
     (void)memset(q->product, 0, sizeof q->product);
     if (SMALL) {
-        riccati_product(q->product[0], LDX, q->covariance[0], LDX, q->closed[0], LDX, NXS, NXS, NXS);
+        riccati_product(q->product[0], LDX, q->covariance[0], LDX, q->closed[0], LDX, NX, NX, NX);
     } else {
         for (int i = 0; i < LDX; i += 4) {
-            riccati_rows(q->product[i], LDX, &q->covariance[0][i], LDX, q->closed[0], LDX, NXS, LDX);
+            riccati_rows(q->product[i], LDX, &q->covariance[0][i], LDX, q->closed[0], LDX, NX, LDX);
         }
     }
     (void)memset(q->covariance, 0, sizeof q->covariance);
     if (SMALL) {
-        riccati_lower(q->covariance[0], LDX, q->closed[0], LDX, q->product[0], LDX, NXS, NXS);
-        riccati_lower(q->covariance[0], LDX, q->push[0], LDX, q->push[0], LDX, NUS, NXS);
+        riccati_lower(q->covariance[0], LDX, q->closed[0], LDX, q->product[0], LDX, NX, NX);
+        riccati_lower(q->covariance[0], LDX, q->push[0], LDX, q->push[0], LDX, NU, NX);
     } else {
         for (int i = 0; i < LDX; i += 4) {
-            riccati_rows(q->covariance[i], LDX, &q->closed[0][i], LDX, q->product[0], LDX, NXS, i + 4);
-            riccati_rows(q->covariance[i], LDX, &q->push[0][i], LDX, q->push[0], LDX, NUS, i + 4);
+            riccati_rows(q->covariance[i], LDX, &q->closed[0][i], LDX, q->product[0], LDX, NX, i + 4);
+            riccati_rows(q->covariance[i], LDX, &q->push[0][i], LDX, q->push[0], LDX, NU, i + 4);
         }
     }
     for (int i = 0; i < LDX; i++) {
@@ -90,13 +90,13 @@ static real_t riccati_reach(const riccati_t *r, int k, const real_t *a_x, const 
 {
     const noise_t *q = &r->work.noise;
     real_t c[LDX] = {0}, w[LDX] = {0}, sum = R(0);
-    (void)memcpy(c, a_x, sizeof c[0] * NXS);
-    for (int l = 0; k < NS && l < NUS; l++) {
-        const real_t part = riccati_dot(q->gain[l], a_u, NUS);
+    (void)memcpy(c, a_x, sizeof c[0] * NX);
+    for (int l = 0; k < N && l < NU; l++) {
+        const real_t part = riccati_dot(q->gain[l], a_u, NU);
         riccati_add(c, a_u[l], r->K[k][l], LDX);
         sum += part * part;
     }
-    riccati_combine(w, c, q->covariance[0], LDX, NXS, LDX);
+    riccati_combine(w, c, q->covariance[0], LDX, NX, LDX);
     sum += riccati_dot(w, c, LDX);
     return (sum > R(0)) ? SQRT(sum) : R(0);
 }
@@ -105,12 +105,12 @@ static real_t riccati_reach(const riccati_t *r, int k, const real_t *a_x, const 
 static void riccati_rows_reach(solver_t *s, int k)
 {
     const noise_t *q = &s->riccati.work.noise;
-    for (int m = stage_first[k]; m < stage_first[k + 1]; m++) {
-        const int i = stage_state[m];
-        if (GENERAL_ROWS || NE || BLOCK_ROWS) {
-            if (i < 0) {
+    for (int m = row_first[k]; m < row_first[k + 1]; m++) {
+        const int i = row_index(m);
+        if (GENERAL_ROWS || NE) {
+            if (!row_is_state(m)) {
                 const real_t *a = stage_row(s, m);
-                s->units.reach[NV + m] = riccati_reach(&s->riccati, k, a, (k < NS) ? a + NXS : a);
+                s->units.reach[NV + m] = riccati_reach(&s->riccati, k, a, (k < N) ? a + NX : a);
                 continue;
             }
         }
@@ -121,10 +121,10 @@ static void riccati_rows_reach(solver_t *s, int k)
 /* Reach of the controls of stage k. */
 static void riccati_controls_reach(solver_t *s, int k)
 {
-    for (int j = 0; j < NUS; j++) {
-        real_t a[NZS] = {0};
-        a[NXS + j] = R(1);
-        s->units.reach[k * NUS + j] = riccati_reach(&s->riccati, k, a, a + NXS);
+    for (int j = 0; j < NU; j++) {
+        real_t a[NZ] = {0};
+        a[NX + j] = R(1);
+        s->units.reach[k * NU + j] = riccati_reach(&s->riccati, k, a, a + NX);
     }
 }
 
@@ -140,14 +140,11 @@ static void riccati_set_reach(solver_t *s)
         s->riccati.p[0][free_state[f]] = -R(1);
         riccati_solve_free(&s->riccati, q->covariance[free_state[f]]);
     }
-    for (int f = 0; f < NXS - NX; f++) {
-        (void)memcpy(q->covariance[NX + f], q->covariance[copied_state[f]], sizeof q->covariance[0]);
-    }
-    for (int k = 0; k < NS; k++) {
+    for (int k = 0; k < N; k++) {
         riccati_closed_loop(s, k);
         riccati_controls_reach(s, k);
         riccati_rows_reach(s, k);
         riccati_propagate_covariance(q);
     }
-    riccati_rows_reach(s, NS);
+    riccati_rows_reach(s, N);
 }

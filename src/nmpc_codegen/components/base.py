@@ -43,6 +43,9 @@ SEAMS: tuple[Seam, ...] = get_args(Seam)
 #: Of variables that Newton's method solves for.
 NONLINEAR = "nonlinear algebraic equations"
 
+#: Of a recursion over the stages, which cannot hold such equations.
+COUPLED_START = "rows that couple x_N with free components of x_0"
+
 #: Of estimators.
 MEASUREMENTS = "measurements"
 
@@ -61,6 +64,7 @@ EVERY_USE = frozenset(
         "blocks of controls",
         "time",
         "discrete states",
+        COUPLED_START,
         NONLINEAR,
         MEASUREMENTS,
     }
@@ -117,10 +121,7 @@ class Dims:
 class QpDims:
     """The sizes of the QP that condensing forms."""
 
-    ns: Size  # stages of the QP after condensing
-    nus: Size  # controls of such a stage
-    nxs: Size  # states of such a stage: nx, and copies of components of x_0
-    nzs: Size  # nxs + nus
+    nvu: Size  # controls that are variables of the QP
     nv: Size  # variables of the QP
     nsl: Size  # slacks among them
     ld: Size  # nv rounded up to PANEL
@@ -129,17 +130,12 @@ class QpDims:
 
 @dataclass(frozen=True)
 class QpShape:
-    """Sizes of the QP that a condensing component forms from N stages with nu controls each.
+    """Sizes of the QP that a condensing component forms: its ``variables`` are ``controls`` and those that the
+    component adds, ``slacks`` of them slack variables."""
 
-    The QP has ``stages`` with ``controls`` each. Its ``variables`` are the controls of all stages and those that the
-    component adds, ``slacks`` of them slack variables. The states of a stage include ``copies`` of components of x_0.
-    """
-
-    stages: int
     controls: int
     variables: int
     slacks: int = 0
-    copies: int = 0
 
 
 #: Names of the hooks of algorithms, with what calls them. A part in C states a hook as a call: ``before_prepare(s);``,
@@ -332,13 +328,7 @@ class Condensing(Component, Protocol):
     seam: ClassVar[Seam] = "condensing"
 
     gives: ClassVar[str]  # "condensed" or "stages"
-    columns: ClassVar[bool]  # it uses the products with panels of columns
-    eliminates: ClassVar[bool]  # it eliminates states, and so uses the products with a vector
-
-    @property
-    def label(self) -> str:
-        """Its name, with the option that distinguishes it from other candidates for the same problem."""
-        ...
+    eliminates: ClassVar[bool]  # it eliminates states, and so uses the products of the stage matrices
 
     def qp_shape(self, problem: Problem) -> QpShape:
         """Sizes of the QP that it forms."""
@@ -347,10 +337,6 @@ class Condensing(Component, Protocol):
     def cost(self, dims: Dims, model: StageMatrices) -> Counts:
         """See Component; the functions that it calls are products."""
         return {}
-
-    def adapt(self, problem: Problem) -> Condensing:
-        """The component to use for this problem: itself, unless the problem needs an equivalent one."""
-        ...
 
 
 class QpSolver(Component, Protocol):
@@ -464,6 +450,5 @@ def refuse_unsupported(
 
 def _uses(row: Row, use: str) -> bool:
     soft = row.soft is not None
-    return {"soft rows": soft, "rows with an infinite penalty": soft and row.hard, "coupled rows": row.is_coupled}.get(
-        use, False
-    )
+    coupled = dict.fromkeys(("coupled rows", COUPLED_START), row.is_coupled)
+    return ({"soft rows": soft, "rows with an infinite penalty": soft and row.hard} | coupled).get(use, False)

@@ -55,12 +55,8 @@ def dimensions(
 
 def _qp_dims(problem: Problem, condensing: Condensing) -> QpDims:
     shape = condensing.qp_shape(problem)
-    states = problem.nx + shape.copies
     sizes = {
-        "NS": (shape.stages, "stages of the QP"),
-        "NUS": (shape.controls, "controls of a stage of the QP"),
-        "NXS": (states, "states of a stage: NX and copies of components of x_0"),
-        "NZS": (states + shape.controls, "NXS + NUS"),
+        "NVU": (shape.controls, "controls that are variables of the QP"),
         "NV": (shape.variables, "variables of the QP"),
         "NSL": (shape.slacks, "slack variables of the QP"),
         "LDV": (-(-shape.variables // PANEL) * PANEL, "NV rounded up to a multiple of 4"),

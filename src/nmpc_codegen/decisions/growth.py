@@ -87,7 +87,7 @@ class Growth:
         if self.spares(problem, condensing):
             return ()
         advice = "try Options(condensing=NoCondensing())" if intervals > 1 else "shorten the intervals"
-        return (f"condensing {condensing.label}: {self.describe(intervals)}; {advice}",)
+        return (f"condensing {condensing.name}: {self.describe(intervals)}; {advice}",)
 
     def of_simulation(self, algorithm: str, intervals: int) -> tuple[str, ...]:
         """A warning of an algorithm that simulates its plans, if they run away from small errors of their controls."""
@@ -101,15 +101,15 @@ class Growth:
 
     def left_out(self, problem: Problem, candidates: Iterable[Condensing]) -> tuple[str, ...]:
         """The reason for not choosing those candidates that cost many digits; none if there are none."""
-        lossy = {c.label: _intervals(problem, c) for c in candidates if not self.spares(problem, c)}
+        lossy = {c.name: _intervals(problem, c) for c in candidates if not self.spares(problem, c)}
         if not lossy:
             return ()
         return (f"condensing: {', '.join(lossy)} not considered; {self.describe(min(lossy.values()))}",)
 
 
 def _intervals(problem: Problem, condensing: Condensing) -> int:
-    """Number of intervals in a row whose states are eliminated: those of a stage of the QP."""
-    return condensing.qp_shape(problem).controls // problem.nu
+    """Number of intervals in a row whose states are functions of those before: all, or one."""
+    return problem.N if condensing.eliminates else 1
 
 
 def growth(trials: Trials, integrator: Integrator, precision: Precision) -> Growth:

@@ -9,7 +9,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 from nmpc_codegen.components.base import Condensing, Dims, QpSolver, spell
-from nmpc_codegen.components.condensing import FullCondensing, NoCondensing, PartialCondensing
+from nmpc_codegen.components.condensing import FullCondensing, NoCondensing
 from nmpc_codegen.components.hessians import GaussNewton
 from nmpc_codegen.components.qp import REGISTRY
 from nmpc_codegen.decisions.choices import Choices, QpChoice
@@ -18,9 +18,6 @@ from nmpc_codegen.options import Goal
 from nmpc_codegen.package.features import Features
 from nmpc_codegen.package.opcount import OpCount
 from nmpc_codegen.package.struct_layout import Precision, struct_layout
-
-#: Block lengths of partial condensing that are considered.
-BLOCKS = (2, 3, 4, 5, 8, 10)
 
 
 @dataclass(frozen=True)
@@ -39,7 +36,7 @@ class QpCandidate:
     dims: Dims
 
     def __str__(self) -> str:
-        return f"{self.condensing.label} + {self.qp.name}: {self.operations:,}"
+        return f"{self.condensing.name} + {self.qp.name}: {self.operations:,}"
 
 
 #: Controls of the horizon up to which an indefinite reduced Hessian is condensed. Its eigenvalues are mirrored one by
@@ -56,7 +53,7 @@ CLOSE = 1.5
 
 
 def choose_qp(found: Choices) -> QpChoice:
-    """Condensing and QP solver: those that are given, adapted to the problem, completed by the choice that takes the
+    """Condensing and QP solver: those that are given, completed by the choice that takes the
     fewest operations of those that keep enough digits, or with goal="size" the fewest bytes. The reason for this choice
     is the table of all candidates. The QP of a problem without any curvature is a linear program, whose degenerate
     vertices the recursion takes best.
@@ -68,8 +65,7 @@ def choose_qp(found: Choices) -> QpChoice:
     given = options.condensing
     if given is not None and options.qp is not None:
         _check_forms(given, options.qp)
-        condensing = given.adapt(problem)
-        return QpChoice(condensing, options.qp, _instead(given, condensing), grown.warning(problem, condensing))
+        return QpChoice(given, options.qp, (), grown.warning(problem, given))
     fitting = list(_pairs(_forms(found), options.qp, options.goal))
     soft = "soft rows" in problem.uses
     candidates = list(_candidates(found, fitting, soft))
@@ -82,14 +78,13 @@ def choose_qp(found: Choices) -> QpChoice:
     words += [f"qp: {best.qp.name}"] if options.qp is None else []
     warned = grown.warning(problem, best.condensing)
     lossy = () if warned else grown.left_out(problem, [pair[0] for pair in fitting])
-    reasons = (*_instead(given, best.condensing), f"{', '.join(words)}; {reason}", *lossy)
+    reasons = (f"{', '.join(words)}; {reason}", *lossy)
     return QpChoice(best.condensing, best.qp, reasons, warned)
 
 
 def _candidates(found: Choices, fitting: Iterable[tuple[Condensing, QpSolver]], soft: bool) -> Iterator[QpCandidate]:
     """Those that support the problem, with their counts."""
-    for stated, qp in fitting:
-        condensing = stated.adapt(found.problem)
+    for condensing, qp in fitting:
         if all(found.problem.uses <= c.supports for c in (condensing, qp)):
             dims = found.dims_with(condensing)
             counts = (*condensing.cost(dims, found.made).values(), *qp.cost(dims, found.made).values())
@@ -108,7 +103,7 @@ def _bytes(c: QpCandidate, precision: Precision) -> int:
 def _smallest(candidates: list[QpCandidate], precision: Precision) -> tuple[QpCandidate, str]:
     """The candidate with the fewest bytes, and why."""
     ranked = sorted(((_bytes(c, precision), c) for c in candidates), key=lambda pair: pair[0])
-    table = "; ".join(f"{c.condensing.label} + {c.qp.name}: {size:,}" for size, c in ranked)
+    table = "; ".join(f"{c.condensing.name} + {c.qp.name}: {size:,}" for size, c in ranked)
     return ranked[0][1], f"fewest bytes of code and data, about ({table})"
 
 
@@ -121,7 +116,7 @@ def _best(candidates: list[QpCandidate], soft: bool) -> tuple[QpCandidate, str]:
     close = [c for c in of_solvers if c.operations <= CLOSE * ranked[0].operations]
     best = min(close, key=lambda c: c.searching)
     if best is not ranked[0]:
-        table = "; ".join(f"{c.condensing.label} + {c.qp.name}: {c.searching:,}" for c in close)
+        table = "; ".join(f"{c.condensing.name} + {c.qp.name}: {c.searching:,}" for c in close)
         why = f"fewest operations with a search for the working set ({table}) among those within {CLOSE} of the {why}"
     return best, why
 
@@ -136,24 +131,17 @@ def _mirrors_few(found: Choices) -> bool:
     return bool(safe and indefinite) and problem.N * problem.nu <= MOST_MIRRORED
 
 
-def _instead(stated: Condensing | None, condensing: Condensing) -> tuple[str, ...]:
-    """The reason if a component other than the stated one is used."""
-    if stated is None or condensing is stated:
-        return ()
-    return (f"condensing: {condensing} instead of {stated.name}; coupled rows read free components of x_0",)
-
-
 def _forms(found: Choices) -> tuple[Condensing, ...]:
     """The condensing that is given, or what is compared: all, unless a problem without curvature or one whose
     indefinite Hessian is mirrored leaves one."""
     given, blocks = found.options.condensing, found.made.blocks
     if given is not None:
         return (given,)
-    if found.options.qp is None and not (blocks.Q or blocks.terminal.Q):
+    if found.options.qp is None and not (blocks.Q or blocks.terminal.Q) and not found.problem.couples_free_start:
         return (NoCondensing(),)
     if found.options.qp is None and _mirrors_few(found) and found.grown.spares(found.problem, FullCondensing()):
         return (FullCondensing(),)
-    return (FullCondensing(), NoCondensing(), *(PartialCondensing(block) for block in BLOCKS))
+    return (FullCondensing(), NoCondensing())
 
 
 def _pairs(forms: Iterable[Condensing], qp: QpSolver | None, goal: Goal) -> Iterator[tuple[Condensing, QpSolver]]:

@@ -344,6 +344,7 @@ def _uses(augmented: Augmented, rows: tuple[Row, ...]) -> frozenset[str]:
         "soft rows": any(r.soft is not None for r in rows),
         "rows with an infinite penalty": any(r.soft is not None and r.hard for r in rows),
         "coupled rows": any(r.is_coupled for r in rows),
+        "rows that couple x_N with free components of x_0": any(r.is_coupled for r in rows) and bool(ocp.free),
         "free initial state": bool(ocp.free),
         "general cost": bool(ocp.costs),
         "integrated cost": any(c.integrate for c in ocp.costs),

@@ -115,7 +115,6 @@ class Features:
 
     # condensing and QP solver
     has_qp: bool = False
-    block_rows: bool = False
     stage_multipliers: bool = False  # the QP has the multipliers of the dynamics
     elastic: bool = False  # rows may have a finite penalty
     interior_point: bool = False

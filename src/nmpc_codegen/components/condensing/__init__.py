@@ -9,8 +9,7 @@ from collections.abc import Mapping
 from nmpc_codegen.components.base import Condensing
 from nmpc_codegen.components.condensing.full import FullCondensing
 from nmpc_codegen.components.condensing.none import NoCondensing
-from nmpc_codegen.components.condensing.partial import PartialCondensing
 
-REGISTRY: Mapping[str, type[Condensing]] = {cls.name: cls for cls in (FullCondensing, NoCondensing, PartialCondensing)}
+REGISTRY: Mapping[str, type[Condensing]] = {cls.name: cls for cls in (FullCondensing, NoCondensing)}
 
-__all__ = ["REGISTRY", "FullCondensing", "NoCondensing", "PartialCondensing"]
+__all__ = ["REGISTRY", "FullCondensing", "NoCondensing"]

@@ -39,7 +39,7 @@ def _variables(problem: Problem) -> list[tuple[int, int]]:
 
 def _columns(dims: Dims) -> int:
     """Columns of G_k: dx_0 and all controls."""
-    return dims.nx.value - dims.banded + dims.qp.nus.value
+    return dims.nx.value - dims.banded + dims.qp.nvu.value
 
 
 @dataclass(frozen=True)
@@ -50,22 +50,13 @@ class FullCondensing(Condensing):
     template: ClassVar[str] = "condensing/full.c"
     needs: ClassVar[tuple[Seam, ...]] = ("hessian", "qp")
     gives: ClassVar[str] = "condensed"
-    columns: ClassVar[bool] = True
     eliminates: ClassVar[bool] = True
     supports: ClassVar[frozenset[str]] = EVERY_USE
 
-    @property
-    def label(self) -> str:
-        return self.name
-
     def qp_shape(self, problem: Problem) -> QpShape:
-        """One stage with all controls; variables are the controls, the free components of x_0 and the slacks."""
+        """The variables are the controls, the free components of x_0 and the slacks."""
         controls, slacks = len(_variables(problem)), sum(s >= 0 for s in _slacks(problem))
-        return QpShape(1, controls, controls + len(problem.free_initial) + slacks, slacks)
-
-    def adapt(self, problem: Problem) -> FullCondensing:
-        """Itself: it handles every problem with features that it supports."""
-        return self
+        return QpShape(controls, controls + len(problem.free_initial) + slacks, slacks)
 
     def tables(self, problem: Problem) -> tuple[Table, ...]:
         """The slack variable of every row."""
@@ -137,7 +128,7 @@ class FullCondensing(Condensing):
     def cost(self, dims: Dims, model: StageMatrices) -> Counts:
         """All functions but condense_rows, which skips zeros of the row gradients; columns are padded to COLUMNS."""
         N, nx, nu, nf, ng = (size.value for size in (dims.N, dims.nx, dims.nu, dims.nf, dims.ng))
-        nus, nxc = dims.qp.nus.value, nx - model.products.banded
+        nus, nxc = dims.qp.nvu.value, nx - model.products.banded
 
         def panels(first: int, step: int, nodes: int) -> int:
             return sum(_panels(first + k * step) // COLUMNS for k in range(nodes))

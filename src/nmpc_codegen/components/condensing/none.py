@@ -5,11 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-from nmpc_codegen.components.base import EVERY_USE, Condensing, Counts, Dims, QpShape, Seam, StageMatrices
-from nmpc_codegen.components.condensing.partial import PartialCondensing
-from nmpc_codegen.components.condensing.stage_rows import copied_states, embed_cost, stage_tables
+from nmpc_codegen.components.base import COUPLED_START, EVERY_USE, Condensing, Counts, Dims, QpShape, Seam, StageMatrices
 from nmpc_codegen.frontend.problem import Problem
-from nmpc_codegen.ir.cmodule import Table
+from nmpc_codegen.package.opcount import OpCount
 
 
 @dataclass(frozen=True)
@@ -20,26 +18,14 @@ class NoCondensing(Condensing):
     template: ClassVar[str] = "condensing/none.c"
     needs: ClassVar[tuple[Seam, ...]] = ("hessian", "qp")
     gives: ClassVar[str] = "stages"
-    columns: ClassVar[bool] = False
     eliminates: ClassVar[bool] = False
-    supports: ClassVar[frozenset[str]] = EVERY_USE
-
-    @property
-    def label(self) -> str:
-        return self.name
+    supports: ClassVar[frozenset[str]] = EVERY_USE - {COUPLED_START}
 
     def qp_shape(self, problem: Problem) -> QpShape:
-        """N stages, each with the controls of one interval."""
-        return QpShape(problem.N, problem.nu, problem.N * problem.nu)
-
-    def adapt(self, problem: Problem) -> NoCondensing | PartialCondensing:
-        """Itself, or PartialCondensing(1) if the stages need copies of components of x_0, which it can hold."""
-        return PartialCondensing(1) if copied_states(problem) else self
-
-    def tables(self, problem: Problem) -> tuple[Table, ...]:
-        """Positions of the rows in the stages."""
-        return stage_tables(problem, 1)
+        """The variables are the controls of all intervals."""
+        return QpShape(problem.N * problem.nu, problem.N * problem.nu)
 
     def cost(self, dims: Dims, model: StageMatrices) -> Counts:
-        """Computing bounds relative to the iterate; all other data are copied."""
-        return {"condense_embed": embed_cost(dims)}
+        """Two bounds per control and row relative to the iterate, and J_0 dx_0 of the coupled rows."""
+        rows, coupled = dims.N.value * dims.nu.value + dims.ng.value, dims.ne.value * dims.nx.value
+        return {"condense_embed": OpCount(add=2 * rows + coupled, mul=coupled)}

@@ -100,5 +100,4 @@ class GaussNewton(Hessian):
 
 def _has_terminal_block(features: Features) -> bool:
     """False where the terminal block is zero and the QP, which is condensed in full, does not copy it."""
-    copied = features.stage_multipliers or features.block_rows
-    return features.terminal_block or copied or features.has("terminal_exact")
+    return features.terminal_block or features.stage_multipliers or features.has("terminal_exact")

@@ -23,15 +23,15 @@ def _pad(n: int, dims: Dims) -> int:
 
 def riccati_sizes(dims: Dims) -> tuple[tuple[str, int, str], ...]:
     """Leading dimensions: (macro without prefix, value, meaning)."""
-    nx, nus = dims.qp.nxs.value, dims.qp.nus.value
+    nx, nus = dims.nx.value, dims.nu.value
     ldx, ldu = _pad(nx, dims), _pad(nus, dims)
     rounded = "" if dims.multiple == 1 else f" rounded up to {dims.multiple}"
     return (
-        ("LDX", ldx, f"NXS{rounded}"),
-        ("LDU", ldu, f"NUS{rounded}"),
-        ("LDZ", _pad(nx + nus, dims), f"NZS{rounded}"),
-        ("LDW", _pad(nx + ldu, dims), f"NXS + LDU{rounded}"),
-        ("LDT", max(ldx, nx + nus), "rows of the stage product: LDX or NZS"),
+        ("LDX", ldx, f"NX{rounded}"),
+        ("LDU", ldu, f"NU{rounded}"),
+        ("LDZ", _pad(nx + nus, dims), f"NZ{rounded}"),
+        ("LDW", _pad(nx + ldu, dims), f"NX + LDU{rounded}"),
+        ("LDT", max(ldx, nx + nus), "rows of the stage product: LDX or NZ"),
     )
 
 
@@ -44,26 +44,26 @@ def riccati_structs(
     which neither of them reads. ``corrected``: fields beside the vectors that correcting a minimiser needs.
     """
     ldx, ldu, ldz, _, _ = (Size(name, value) for name, value, _ in riccati_sizes(dims))
-    stages, nodes = dims.qp.ns, Size(f"{dims.qp.ns.text} + 1", dims.qp.ns.value + 1)
+    stages, nodes = dims.N, Size(f"{dims.N.text} + 1", dims.N.value + 1)
     return (
         *_work(dims, scratch, corrected),
         Struct(
             "riccati",
             "Riccati recursion on the stage QP",
             (
-                Field("diagonal", (stages, dims.qp.nus), "added to the diagonal of M_uu", "scratch"),
+                Field("diagonal", (stages, dims.nu), "added to the diagonal of M_uu", "scratch"),
                 Field("diagonal_free", (dims.nf,), "added to the diagonal of P_0", "scratch"),
                 Field("weight", (dims.ng,), "weights of a a' for the rows of the QP", "scratch"),
-                Field("b", (stages, dims.qp.nxs), "gaps of the dynamics", "scratch"),
+                Field("b", (stages, dims.nx), "gaps of the dynamics", "scratch"),
                 Field("du", (dims.qp.nv,), "values of the fixed controls", "scratch"),
                 Field("P", (nodes, ldx, ldx), "cost to go, symmetric", "scratch"),
                 Field("M", (stages, ldu, ldz), "rows of the controls of M_k", "scratch"),
-                Field("L", (stages, dims.qp.nus, dims.qp.nus), "M_uu = L D L', 1 / D on the diagonal", "scratch"),
-                Field("K", (stages, dims.qp.nus, ldx), "feedback", "scratch"),
+                Field("L", (stages, dims.nu, dims.nu), "M_uu = L D L', 1 / D on the diagonal", "scratch"),
+                Field("K", (stages, dims.nu, ldx), "feedback", "scratch"),
                 Field("F", (dims.nf, dims.nf), "L, D of P_0 for the free components of x_0", "scratch"),
                 Field("p", (nodes, ldx), "linear part of the cost to go", "scratch"),
-                Field("h", (stages, dims.qp.nus), "gradient of the controls at z = 0", "scratch"),
-                Field("feed", (stages, dims.qp.nus), "controls at x = 0", "scratch"),
+                Field("h", (stages, dims.nu), "gradient of the controls at z = 0", "scratch"),
+                Field("feed", (stages, dims.nu), "controls at x = 0", "scratch"),
                 Field("work", (), "memory of one phase", "scratch", "riccati_work"),
                 Field("regularize_zero", (), "least value added to a pivot that may be zero", "scratch"),
                 Field(
@@ -76,7 +76,7 @@ def riccati_structs(
                     only=lambda f: f.regularize_reduced,
                 ),
                 Field(
-                    *("unit", (dims.qp.nzs,), "curvature that is typical of each variable", "scratch"),
+                    *("unit", (dims.nz,), "curvature that is typical of each variable", "scratch"),
                     only=lambda f: f.regularize_reduced,
                 ),
                 Field(
@@ -94,7 +94,7 @@ def riccati_structs(
 def _work(dims: Dims, scratch: tuple[Field, ...], corrected: tuple[Field, ...]) -> tuple[Struct, ...]:
     """The union ``riccati_work``, after the structs that are its members."""
     ldz, ldw, ldt = (Size(name, value) for name, value, _ in riccati_sizes(dims)[2:])
-    nodes = Size(f"{dims.qp.ns.text} + 1", dims.qp.ns.value + 1)
+    nodes = Size(f"{dims.N.text} + 1", dims.N.value + 1)
     return (
         Struct(
             "recursion",
@@ -108,7 +108,7 @@ def _work(dims: Dims, scratch: tuple[Field, ...], corrected: tuple[Field, ...]) 
             "direction",
             "minimiser that the recursion yields for residuals as its right-hand side",
             (
-                Field("dx", (nodes, dims.qp.nxs), "states", "scratch"),
+                Field("dx", (nodes, dims.nx), "states", "scratch"),
                 Field("du", (dims.qp.nv,), "controls", "scratch"),
             ),
         ),
@@ -116,7 +116,7 @@ def _work(dims: Dims, scratch: tuple[Field, ...], corrected: tuple[Field, ...]) 
             "rhs",
             "gradient, which is read before the direction is written",
             (
-                Field("g", (nodes, dims.qp.nzs), "gradient", "scratch"),
+                Field("g", (nodes, dims.nz), "gradient", "scratch"),
                 Field("direction", (), "direction for this gradient", "scratch", "direction"),
             ),
             union=True,
@@ -156,7 +156,7 @@ def units_structs(dims: Dims) -> tuple[tuple[Struct, ...], Field]:
                 Field("product", (ldx, ldx), "covariance times (A + B K)'", "scratch"),
                 Field("closed", (ldx, ldx), "(A + B K)'", "scratch"),
                 Field("push", (ldu, ldx), "(B G)'", "scratch"),
-                Field("gain", (ldu, dims.qp.nus), "G', G G' = M_uu^{-1}", "scratch"),
+                Field("gain", (ldu, dims.nu), "G', G G' = M_uu^{-1}", "scratch"),
             ),
         ),
         Struct(
@@ -172,7 +172,7 @@ def stage_qp_fields(dims: Dims) -> tuple[Field, ...]:
     """Bounds, penalties and results, which every solver of the stage QP has in its struct ``qp``."""
     nv, ng = dims.qp.nv, dims.ng
     rows = Size(f"{nv.text} + {ng.text}", nv.value + ng.value)
-    nodes = Size(f"{dims.qp.ns.text} + 1", dims.qp.ns.value + 1)
+    nodes = Size(f"{dims.N.text} + 1", dims.N.value + 1)
     doc = "if INFEASIBLE: weights of a contradiction"
     certificate = (Field("certificate", (rows,), doc, "result", only=lambda f: f.interior_point),)
     return (
@@ -180,7 +180,7 @@ def stage_qp_fields(dims: Dims) -> tuple[Field, ...]:
         Field("upper", (rows,), "upper bounds", "scratch"),
         Field("penalty", (ng,), "l1 penalty of violating a row; infinite: hard", "keep"),
         Field("curvature", (ng,), "l2 penalty", "keep"),
-        Field("x", (nodes, dims.qp.nxs), "minimiser: states", "result"),
+        Field("x", (nodes, dims.nx), "minimiser: states", "result"),
         Field("z", (nv,), "minimiser: controls", "result"),
         Field("mult", (rows,), "multipliers, > 0 at the upper bound, < 0 at the lower", "result"),
         *only_if(ng.value, *certificate),
@@ -200,17 +200,16 @@ def riccati_cost(dims: Dims) -> dict[str, OpCount]:
 
     The counts are for dynamics with gaps, when no row has a weight, no control is fixed and no pivot is regularised.
     """
-    ns, nx, nus, nf = (size.value for size in (dims.qp.ns, dims.qp.nxs, dims.qp.nus, dims.nf))
-    ldx, nz, copies = _pad(nx, dims), nx + nus, nx - dims.nx.value
-    fold = OpCount(add=copies * (ldx + nx), mul=copies * ldx)
+    ns, nx, nus, nf = (size.value for size in (dims.N, dims.nx, dims.nu, dims.nf))
+    ldx, nz = _pad(nx, dims), nx + nus
     backward = _combination(ldx, nx) + _combination(nz, nx) + _combination(ldx, nus)
     backward += OpCount(add=1, mul=1) * (nus * (nus - 1)) + OpCount(mul=nus)
     forward = (_dot(ldx) + OpCount(add=1)) * nus + (_dot(nz) + OpCount(add=1)) * nx
     pairs = nf * (nf - 1) // 2
     free = OpCount(add=nf, div=nf) + _dot(nx) * nf + OpCount(add=1, mul=1) * (2 * pairs)
     return {
-        "riccati_factorize": _stage_recursion(dims) * ns + fold + _free_factor(nf),
-        "riccati_backward": backward * ns + OpCount(add=copies),
+        "riccati_factorize": _stage_recursion(dims) * ns + _free_factor(nf),
+        "riccati_backward": backward * ns,
         "riccati_forward": forward * ns + free,
     }
 
@@ -220,7 +219,7 @@ def riccati_search(dims: Dims) -> OpCount:
 
     A row takes about 40 of a kind, its products with a point, and those with itself.
     """
-    counts, nz = riccati_cost(dims), dims.qp.nzs.value
+    counts, nz = riccati_cost(dims), dims.nz.value
     iteration = counts["riccati_factorize"] + (counts["riccati_backward"] + counts["riccati_forward"]) * 2
     iteration += OpCount(add=40, mul=40) * dims.qp.nv.value
     iteration += OpCount(add=1, mul=1) * (40 + 4 * nz + nz * nz) * dims.ng.value
@@ -228,7 +227,7 @@ def riccati_search(dims: Dims) -> OpCount:
 
 
 def _stage_recursion(dims: Dims) -> OpCount:
-    nx, nus = dims.qp.nxs.value, dims.qp.nus.value
+    nx, nus = dims.nx.value, dims.nu.value
     ldx, ldu, ldz = (value for _, value, _ in riccati_sizes(dims)[:3])
     total = OpCount(add=nus)
     total += _entries((ldx + ldu) * ldz, nx)

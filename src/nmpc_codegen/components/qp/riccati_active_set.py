@@ -50,18 +50,18 @@ def _joint(dims: Dims) -> int:
 
     At least 2: in loops over pairs of rows GCC 11 and 12 warn of the second element of arrays with one.
     """
-    return max(2, min(dims.ng.value, dims.qp.nxs.value)) if dims.ng.value else 0
+    return max(2, min(dims.ng.value, dims.nx.value)) if dims.ng.value else 0
 
 
 def _schur_struct(dims: Dims) -> Struct:
     """Rows of the working set as equations."""
-    joint, stages = Size("QP_MAX_JOINT", _joint(dims)), dims.qp.ns
+    joint, stages = Size("QP_MAX_JOINT", _joint(dims)), dims.N
     ldx = Size("LDX", riccati_sizes(dims)[0][1])
     return Struct(
         "schur",
         "rows of the working set as equations",
         (
-            Field("push", (stages, joint, dims.qp.nus), "gradient of the controls for a unit multiplier", "scratch"),
+            Field("push", (stages, joint, dims.nu), "gradient of the controls for a unit multiplier", "scratch"),
             Field("pull", (joint, ldx), "gradient of x_0 for a unit multiplier", "scratch"),
             Field("complement", (joint, joint), "L D L' of the Schur complement, 1 / D on the diagonal", "scratch"),
             Field("origin", (joint,), "values of the rows for dx_0 = 0", "scratch"),
@@ -137,8 +137,8 @@ class RiccatiActiveSet(QpSolver):
 
     def structs(self, dims: Dims) -> tuple[Struct, ...]:
         """The recursion; the QP and its working set."""
-        ng, nx = dims.ng, dims.qp.nxs
-        nodes = Size(f"{dims.qp.ns.text} + 1", dims.qp.ns.value + 1)
+        ng, nx = dims.ng, dims.nx
+        nodes = Size(f"{dims.N.text} + 1", dims.N.value + 1)
         history = Size("QP_MAX_ITERATIONS + 1", self._cap + 1)
         units, noise = units_structs(dims)
         measured = self.fallback is not None or ng.value > 0
@@ -158,8 +158,8 @@ class RiccatiActiveSet(QpSolver):
                     Field("value", (ng,), "values of the rows", "scratch"),
                     Field("root", (ng,), "root of the curvature of the cost along a row", "scratch"),
                     Field("weight", (ng,), "weight of a row while it is in the set", "scratch"),
-                    Field("scale", (dims.qp.nzs,), "largest entry of every component of (x, u)", "scratch"),
-                    Field("size", (dims.qp.nzs,), "largest terms of the components of the gradient", "scratch"),
+                    Field("scale", (dims.nz,), "largest entry of every component of (x, u)", "scratch"),
+                    Field("size", (dims.nz,), "largest terms of the components of the gradient", "scratch"),
                     Field("residual", (), "relative residual on the working set", "scratch"),
                     Field("raised", (ng,), "number of times that the weight was raised", "keep", "int32"),
                     Field("history", (history,), "hashes of the working sets of this solve", "scratch", "int32"),
@@ -177,7 +177,7 @@ class RiccatiActiveSet(QpSolver):
 
     def ranges(self, dims: Dims) -> Mapping[str, tuple[int, int]]:
         """Stages, and sides of the interior point method."""
-        stages = (-1, dims.qp.ns.value)
+        stages = (-1, dims.N.value)
         sides: Mapping[str, tuple[int, int]] = {} if self.fallback is None else self.fallback.ranges(dims)
         return {"stale": stages, "stale_vectors": stages, "joint": (0, _joint(dims)), **sides}
 

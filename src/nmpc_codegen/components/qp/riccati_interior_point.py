@@ -33,13 +33,13 @@ def interior_point_struct(dims: Dims, options: RiccatiInteriorPoint, crossover: 
     ng = dims.ng
     rows, sides = _rows_and_sides(dims)
     soft = Size(f"2 * {ng.text}", 2 * ng.value)
-    nodes = Size(f"{dims.qp.ns.text} + 1", dims.qp.ns.value + 1)
+    nodes = Size(f"{dims.N.text} + 1", dims.N.value + 1)
     before = Field("before", (rows,), "multipliers of the previous QP", "scratch")
     return Struct(
         "ipm",
         "interior point iterate of the stage QP",
         (
-            Field("gradient", (nodes, dims.qp.nzs), "g + Q z of the stages", "scratch"),
+            Field("gradient", (nodes, dims.nz), "g + Q z of the stages", "scratch"),
             Field("v", (rows,), "values of the rows", "scratch"),
             Field("origin", (rows,), "values of the rows at the first point", "scratch"),
             Field("dv", (rows,), "their direction", "scratch"),
@@ -48,7 +48,7 @@ def interior_point_struct(dims: Dims, options: RiccatiInteriorPoint, crossover: 
             Field("stiffness", (ng,), "weights of equations", "scratch"),
             Field("weight", (rows,), "weights of the rows", "scratch"),
             Field(
-                "proximal", (dims.qp.nzs,), "share of the diagonal of a singular Hessian that is added to it", "scratch"
+                "proximal", (dims.nz,), "share of the diagonal of a singular Hessian that is added to it", "scratch"
             ),
             Field("force", (rows,), "multipliers after a step that leaves v unchanged", "scratch"),
             Field("t", (sides,), "distance to the bound", "scratch"),
