@@ -12,7 +12,7 @@ from benchmarks.lib.firmware import sizes as forms
 from benchmarks.lib.report import Report
 from benchmarks.lib.robustness import at_rest, cold, draws, episodes, qps, returns, violations, work, worst
 from benchmarks.lib.run import RefusedError, Run
-from benchmarks.lib.speed import choice, data, instructions, levels, own_math, rates, recording, sizes, times
+from benchmarks.lib.speed import choice, data, instructions, own_math, rates, recording, sizes, times
 
 Topic = Callable[[Report, Run], None]
 
@@ -36,7 +36,7 @@ PAGE: dict[str, Topic] = {
 MATRICES = frozenset(
     {
         *PAGE,
-        *("batch", "campaigns", "estimation", "speed/levels", "speed/recording", "speed/setters", "speed/tables"),
+        *("batch", "campaigns", "estimation", "speed/recording", "speed/setters", "speed/tables"),
         "convergence/routes",
     }
 )
@@ -47,8 +47,6 @@ TOPICS: dict[str, Topic] = {
     "campaigns": campaigns.measure,
     "estimation": estimation.measure,
     "strangers/solve": strangers.measure_solve,
-    "speed/first_control": levels.first_control,
-    "speed/levels": levels.levels,
     "speed/choice": choice.measure,
     "speed/own_math": own_math.measure,
     "speed/rates": rates.measure,

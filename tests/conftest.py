@@ -49,7 +49,7 @@ OTHER_COMPILERS = {
         {
             *("components", "derivatives", "economic", "oracle"),
             *("test_adjoint_shooting.py", "test_augmented_lagrangian.py", "test_decoupled_parts.py"),
-            *("test_first_control.py", "test_globalization.py", "test_initial_values.py", "test_levels.py"),
+            *("test_globalization.py", "test_initial_values.py"),
             *("test_online.py", "test_solve.py", "test_start_cost.py"),
             *("test_linearize.py", "test_unit_names.py"),
             *("test_controller.py", "test_diagnosis.py", "test_given.py", "test_pathrows.py", "test_simulate.py"),

@@ -22,7 +22,6 @@ from nmpc_codegen import (
     GaussNewton,
     NoCondensing,
     Options,
-    PartialCondensing,
     RiccatiActiveSet,
     RiccatiInteriorPoint,
 )
@@ -153,7 +152,7 @@ ROUTES = {
     "default": Options(),
     "exact, full": Options(hessian=ExactHessian(), condensing=FullCondensing(), qp=DenseActiveSet()),
     "Gauss-Newton, none": Options(hessian=GaussNewton(), condensing=NoCondensing(), qp=RiccatiInteriorPoint()),
-    "Gauss-Newton, partial": Options(hessian=GaussNewton(), condensing=PartialCondensing(5), qp=RiccatiActiveSet()),
+    "Gauss-Newton, riccati": Options(hessian=GaussNewton(), condensing=NoCondensing(), qp=RiccatiActiveSet()),
 }
 
 

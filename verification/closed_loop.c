@@ -6,8 +6,7 @@
  * to all states, the next set point becomes the reference of path and end (cyclically), and the plant runs for `pushes`
  * samples under u. Prints per run: median us of prepare + feedback and of feedback, failed steps, mean and maximum of
  * the QP iterations per step; then the total of the worst step, where the time of a step is its minimum over the runs,
- * which are all equal. With -DFIRST only the first part of the feedback phase, feedback_first(), is timed; with -DLEVEL=n
- * the preparation is that of level n. */
+ * which are all equal. */
 #define _POSIX_C_SOURCE 199309L
 #include <stdio.h>
 #include <stdlib.h>
@@ -100,21 +99,12 @@ static void event(const scenario_t *c, int n, API(_real) *x)
 /* The phases are functions of their own, so that callgrind can count between their entry and their return. */
 __attribute__((noinline)) static void preparation(void)
 {
-#ifdef LEVEL
-    API(_prepare_level)(&solver, LEVEL);
-#else
     API(_prepare)(&solver);
-#endif
 }
 
 __attribute__((noinline)) static int feedback_phase(const API(_real) *x, API(_real) *u)
 {
-#ifdef FIRST
-    API(_feedback_first)(&solver, x, u);
-    return 0;
-#else
     return API(_feedback)(&solver, x, u) != 0;
-#endif
 }
 
 static void run(const scenario_t *c, double *total, double *feedback, double *least)
@@ -135,9 +125,6 @@ static void run(const scenario_t *c, double *total, double *feedback, double *le
         middle = microseconds();
         failed += feedback_phase(x, u);
         end = microseconds();
-#ifdef FIRST
-        failed += API(_feedback_finish)(&solver) != 0;
-#endif
         total[n] = end - start;
         feedback[n] = end - middle;
         least[n] = least[n] < total[n] ? least[n] : total[n];

@@ -36,7 +36,7 @@ ARGUMENTS = {
     "Q": "s.hessian.Q[0]",
     "k": "0",
     "first": "0",
-    "last": "NS",
+    "last": "N",
     **dict.fromkeys(("dx", "du", "y", "w", "z"), "w"),
 }
 #: The same of functions in which a parameter is something else.
@@ -56,9 +56,9 @@ STATEMENTS = {
 #: definite matrix.
 BEFORE = {
     "qp_factorize_hessian": "condense_matrices(&s); for (int i = 0; i < LDV; i++) { s.qp.H[i][i] += 1.0; }",
-    "riccati_factorize": "riccati_init(&s); for (int k = 0; k < NS; k++) for (int j = 0; j < NUS; j++) "
+    "riccati_factorize": "riccati_init(&s); for (int k = 0; k < N; k++) for (int j = 0; j < NU; j++) "
     "{ s.riccati.diagonal[k][j] = 1.0; }",
-    "riccati_backward": "for (int k = 0; k < NS; k++) { s.riccati.b[k][0] = 1.0; }",
+    "riccati_backward": "for (int k = 0; k < N; k++) { s.riccati.b[k][0] = 1.0; }",
 }
 
 #: Ports of a routine at most.

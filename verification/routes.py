@@ -12,7 +12,6 @@ from nmpc_codegen import (
     Online,
     Options,
     Osqp,
-    PartialCondensing,
     RealTimeIteration,
     RiccatiActiveSet,
     RiccatiInteriorPoint,
@@ -26,7 +25,6 @@ ROUTES: dict[str, tuple[Condensing, QpSolver]] = {
     "dense": (FullCondensing(), DenseActiveSet()),
     "riccati": (NoCondensing(), RiccatiActiveSet()),
     "interior": (NoCondensing(), RiccatiInteriorPoint()),
-    "partial": (PartialCondensing(2), RiccatiActiveSet()),
     "OSQP": (FullCondensing(), Osqp()),
 }
 #: Those that write code of ours alone.

@@ -7,7 +7,6 @@ For every part or condition that no sample reaches, a sample has to be added her
 from __future__ import annotations
 
 import warnings
-from dataclasses import replace
 from typing import Any
 
 import casadi as ca
@@ -37,7 +36,6 @@ from nmpc_codegen import (
     Online,
     Options,
     Osqp,
-    PartialCondensing,
     ProblemWarning,
     Project,
     RadauIIA2,
@@ -345,9 +343,7 @@ SHARED = Online("shared", "shared", "shared", "shared")
 NODE = Online("node", "node", "node", "node", dense_weight=True)
 EVERY_NODE = Online("node", "node", "node", "node", soft="node")
 RESAMPLE = RealTimeIteration(shift="resample", sampling_time=0.05)
-RELAXED = RealTimeIteration(relaxation=100.0)
-LEVELS, PURE_LEVELS = RealTimeIteration(levels=True), replace(PURE, levels=True)
-RESAMPLED = RealTimeIteration(shift="resample", sampling_time=0.05, levels=True)
+RELAXED = RealTimeIteration()
 REPEAT, PERIODIC = RealTimeIteration(shift="repeat"), RealTimeIteration(shift="periodic")
 STAGES = NoCondensing()
 QUASI_NEWTON: dict[str, Any] = {"method": "quasi_newton"}
@@ -377,10 +373,6 @@ def _riccati(**more: Any) -> Options:
 
 def _interior(**more: Any) -> Options:
     return Options(qp=RiccatiInteriorPoint(), condensing=STAGES, **more)
-
-
-def _partial(block: int = 2, **more: Any) -> Options:
-    return Options(qp=RiccatiActiveSet(), condensing=PartialCondensing(block), **more)
 
 
 def _alone(qp: Any, condensing: Any = STAGES, **more: Any) -> Options:
@@ -458,8 +450,7 @@ SAMPLES = (
     Sample("data dense", data, _dense(hessian=ExactHessian(), online=EVERY_NODE)),
     Sample("data riccati", data, _riccati(hessian=ExactHessian(), precision="single")),
     Sample("bare dense", bare, _dense(online=FIXED)),
-    Sample("bare exact", bare, _partial(hessian=ExactHessian(), online=REFERENCES)),
-    Sample("states simulated", states, Options(algorithm=RealTimeIteration(simulate=True))),
+    Sample("bare exact", bare, _riccati(hessian=ExactHessian(), online=REFERENCES)),
     Sample("battery window", lambda: PLANTS["battery"].estimator(N=5, loss="huber"), _dense()),
     Sample("reactor window", lambda: PLANTS["reactor"].estimator(N=5), _riccati(precision="single")),
     Sample("vehicle window", lambda: PLANTS["vehicle"].estimator(N=4), Options(integrator=ImplicitRungeKutta(SDIRK2))),
@@ -468,21 +459,19 @@ SAMPLES = (
     Sample("reactor filter", lambda: PLANTS["reactor"].estimator(kind="ekf", loss="huber"), SINGLE),
     Sample("single dense", tiny, _dense(hessian=ExactHessian(), algorithm=PURE)),
     Sample("controls dense", controls, _dense(algorithm=RESAMPLE, precision="single", target="cortex-m3")),
-    Sample("controls partial", controls, _partial(algorithm=RESAMPLE)),
+    Sample("controls riccati", controls, _riccati(algorithm=RESAMPLE)),
     Sample("controls interior", controls, _interior(algorithm=RESAMPLE)),
     Sample("controls OSQP", controls, Options(qp=Osqp(), algorithm=RESAMPLE)),
     Sample("controls riccati alone", controls, _alone(RiccatiActiveSet(fallback=None))),
-    Sample("controls partial alone", controls, _alone(RiccatiActiveSet(), PartialCondensing(2))),
     Sample("controls interior alone", controls, _alone(RiccatiInteriorPoint())),
-    Sample("states riccati alone", states, _alone(RiccatiActiveSet(fallback=None), algorithm=PURE_LEVELS)),
-    Sample("states partial", states, _partial()),
+    Sample("states riccati alone", states, _alone(RiccatiActiveSet(fallback=None), algorithm=PURE)),
     Sample(
         "states riccati",
         states,
         _riccati(algorithm=RESAMPLE, target="riscv32"),
     ),
-    Sample("path dense", path, _dense(hessian=GaussNewton(convex_rows=True), integrator=LOOPED)),
-    Sample("path riccati", path, _riccati(hessian=GaussNewton(convex_rows=True), online=NODE)),
+    Sample("path dense", path, _dense(hessian=GaussNewton(), integrator=LOOPED)),
+    Sample("path riccati", path, _riccati(hessian=GaussNewton(), online=NODE)),
     Sample("heater", rated_heater),
     Sample("heater without solve", rated_heater, Options(solve=False)),
     Sample("heater augmented", rated_heater_in_steps, _augmented()),
@@ -490,35 +479,34 @@ SAMPLES = (
     Sample("delayed", delayed),
     Sample("delayed shooting", delayed, _shooting()),
     Sample("flat", flat),
-    Sample("flat in levels", flat, Options(algorithm=RealTimeIteration(levels=True))),
-    Sample("circle dense", circle, _dense(algorithm=LEVELS)),
+    Sample("flat alone", flat, Options(algorithm=RealTimeIteration(iterations=1))),
+    Sample("circle dense", circle, _dense()),
     Sample("path OSQP", path, Options(qp=Osqp(), hessian=ExactHessian(regularization=Mirror(level="stage")))),
-    Sample("final dense", final, _dense(hessian=GaussNewton(convex_rows=True), algorithm=REPEAT)),
+    Sample("final dense", final, _dense(hessian=GaussNewton(), algorithm=REPEAT)),
     Sample("soft states dense", soft_states, _dense()),
-    Sample("soft rows dense", soft_rows, _dense(hessian=ExactHessian(), online=NODE, algorithm=LEVELS)),
-    Sample("soft rows interior", soft_rows, _interior(hessian=GaussNewton(levenberg_marquardt=0.1))),
+    Sample("soft rows dense", soft_rows, _dense(hessian=ExactHessian(), online=NODE)),
+    Sample("soft rows interior", soft_rows, _interior(hessian=GaussNewton())),
     Sample("free riccati", free, _riccati(hessian=ExactHessian(Project()))),
-    Sample("everything dense", everything, _dense(hessian=ExactHessian(), algorithm=RESAMPLED, online=NODE)),
-    Sample("everything interior", everything, _interior(hessian=ExactHessian(regularization=Mirror(level="stage")))),
-    Sample("everything looped", everything, _interior(integrator=LOOPED, online=FIXED, precision="single")),
-    Sample("arrival dense", arrival, _dense(hessian=ExactHessian(), solve=False, algorithm=LEVELS)),
+    Sample("everything dense", everything, _dense(hessian=ExactHessian(), algorithm=RESAMPLE, online=NODE)),
+    Sample("everything at stages", everything, _dense(hessian=ExactHessian(regularization=Mirror(level="stage")))),
+    Sample("everything looped", everything, _dense(integrator=LOOPED, online=FIXED, precision="single")),
+    Sample("arrival dense", arrival, _dense(hessian=ExactHessian(), solve=False)),
     Sample("arrival riccati", arrival, _riccati(hessian=ExactHessian(), integrator=LOOPED, solve=False)),
     Sample("arrival on path dense", arrival_on_path, _dense()),
     Sample("arrival on path interior", arrival_on_path, _interior()),
     Sample("ring dense twice", ring, _dense()),
     Sample("ring dense", ring, _dense(hessian=ExactHessian(), algorithm=RELAXED)),
-    Sample("cycle riccati", cycle, _riccati(algorithm=PERIODIC)),
+    Sample("cycle dense", cycle, _dense(algorithm=PERIODIC)),
     Sample("ring interior", ring, _interior(hessian=ExactHessian())),
-    Sample("target dense", target, _dense(solve=False, algorithm=PURE_LEVELS)),
+    Sample("target dense", target, _dense(solve=False, algorithm=PURE)),
     Sample("counted dense", counted, _dense(algorithm=PERIODIC, integrator=ExplicitRungeKutta(RK4, steps=1))),
     Sample("tuned riccati", tuned, _riccati(hessian=EconomicGaussNewton(np.eye(3), np.eye(2)))),
     Sample("tuned dense", tuned, _dense(hessian=EconomicGaussNewton(np.eye(3), np.eye(2)), online=FIXED)),
     Sample("tuned weights", tuned, _riccati(hessian=EconomicGaussNewton(np.eye(3), np.eye(2)), online=WEIGHTS)),
     Sample("tuned end", tuned_end, _riccati(hessian=EconomicGaussNewton(np.eye(3)))),
     Sample("mixed dense", mixed, _dense(hessian=ExactHessian(regularization=Mirror()))),
-    Sample("discrete rows partial", discrete_rows, _partial(hessian=ExactHessian())),
+    Sample("discrete rows riccati", discrete_rows, _riccati(hessian=ExactHessian())),
     Sample("quadrotor riccati alone", quadrotor.build_ocp, _alone(RiccatiActiveSet())),
-    Sample("quadrotor partial", quadrotor.build_ocp, _partial(algorithm=LEVELS)),
     Sample("functions dense", functions, _dense(online=SHARED)),
     Sample("functions riccati", functions, _riccati(precision="single")),
     Sample("bare augmented", bare, _augmented(repair=0, online=FIXED, solve=False)),
@@ -547,16 +535,16 @@ SAMPLES = (
     Sample("blocked dense", lambda: blocked_crane()[0], _dense(online=NODE)),
     Sample("blocked dense alone", lambda: blocked_crane()[0], Options(qp=DenseActiveSet(), solve=False)),
     Sample("rated dense alone", rated, _alone(DenseActiveSet(), FullCondensing())),
-    Sample("slewed dense", lambda: slewed_crane()[0], _dense(algorithm=LEVELS)),
+    Sample("slewed dense", lambda: slewed_crane()[0], _dense()),
     Sample("graded riccati", lambda: graded_tank()[0], _riccati(precision="single")),
     Sample("dead time shooting", lambda: dead_time()[0], _shooting({"shift": "repeat"})),
     Sample("vessel interior", lambda: timed_vessel()[0], _interior(integrator=LOOPED)),
     Sample("vessel augmented", lambda: timed_vessel()[0], _augmented()),
-    Sample("blocked partial", lambda: blocked_crane()[0], _partial(target="cortex-m4f", precision="single")),
+    Sample("blocked riccati", lambda: blocked_crane()[0], _riccati(target="cortex-m4f", precision="single")),
     Sample("path barrier", path, _shooting({**BARRIER, "shift": "repeat"})),
-    Sample("stiff dense", data, _dense(integrator=IMPLICIT, hessian=ExactHessian(), algorithm=LEVELS)),
+    Sample("stiff dense", data, _dense(integrator=IMPLICIT, hessian=ExactHessian())),
     Sample("stiff riccati", sampled, _riccati(integrator=ImplicitRungeKutta(ESDIRK3, newton=3), precision="single")),
-    Sample("stiff everything", everything, _dense(integrator=IMPLICIT, hessian=FORWARD, algorithm=RESAMPLED)),
+    Sample("stiff everything", everything, _dense(integrator=IMPLICIT, hessian=FORWARD, algorithm=RESAMPLE)),
     Sample("stiff augmented", economic, _augmented(integrator=ImplicitRungeKutta(ESDIRK3, steps=2))),
     Sample("stiff economic", economic, _interior(integrator=ImplicitRungeKutta(ESDIRK3), hessian=FORWARD)),
     Sample("stiff shooting", economic, _shooting(integrator=IMPLICIT, target="cortex-m4f", precision="single")),
@@ -575,6 +563,6 @@ IN_LANES = (
     Sample("functions v4", functions, _riccati(precision="single", target="x86-64-v4")),
     Sample("functions aarch64", functions, _dense(math="own", target="aarch64")),
     Sample("free v3", free, _riccati(hessian=ExactHessian(), target="x86-64-v3")),
-    Sample("quadrotor v3", quadrotor.build_ocp, _partial(algorithm=LEVELS, target="x86-64-v3")),
+    Sample("quadrotor v3", quadrotor.build_ocp, _riccati(target="x86-64-v3")),
     Sample("chain5 v4", lambda: chain.build_ocp(5), Options(target="x86-64-v4")),
 )

@@ -46,7 +46,7 @@ def _functions() -> str:
     ocp.terminal_least_squares(x, weight=1.0)
     ocp.subject_to(-1, x, 1, soft=Soft(lower=1e3, upper=1e3))
     options = Options(
-        algorithm=RealTimeIteration(levels=True), online=Online("node", "node", "node", "node", soft="node")
+        online=Online("node", "node", "node", "node", soft="node")
     )
     (text,) = _FUNCTIONS.findall(generate(ocp, options)["plant.h"])
     return f"```c\n{text.rstrip()}\n```"

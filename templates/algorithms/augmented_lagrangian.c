@@ -13,7 +13,7 @@
 static void reset_search(solver_t *s)
 {
     s->auglag.penalty = FACTOR_AUGMENTED_FIRST_PENALTY * penalty_weight[0];
-    s->auglag.radius = initial_radius[0];
+    s->auglag.radius = FACTOR_AUGMENTED_FIRST_RADIUS;
 }
 
 #include "algorithms/shared/watch.c"

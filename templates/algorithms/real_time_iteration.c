@@ -84,16 +84,15 @@ status_t API(prepare)(solver_t *s)
     if (s->magic != MAGIC) {
         return NOT_INITIALIZED;
     }
-    if (!LEVELS) {
-        take_penalties(s);
-    }
+    take_penalties(s);
     s->newton = NEWTON;
     before_prepare(s);
     restart_doubtful_plan(s);
     if (AUGMENTED) {
         follow_augmented(s);
     }
-    status = prepare_plan(s);
+    status = prepare_here(s);
+    measure_residual(s);
     status = after_prepare(s, status);
     s->prepared = 1;
     return finish(s, status);
@@ -108,7 +107,7 @@ static status_t judge(solver_t *s, status_t status)
     if (NALG) {
         require_algebraic(s);
     }
-    if (EXACT_QP && !LEVELS && status == OK) { /* whose solution has no gaps */
+    if (EXACT_QP && status == OK) { /* whose solution has no gaps */
         s->stats.residual = R(0);
     }
     if (SADDLES && !ITERATES && (status == OK || status == RELAXED)) { /* nothing else is known of a plan after a probe */

@@ -598,5 +598,3 @@ static void qp_shift_controls(qp_t *q, int n);
 static void qp_shift_rows(qp_t *q, const int *source);
 
 #include "condensing/shift_condensed.c"
-
-#include "condensing/law_condensed.c"

@@ -21,7 +21,7 @@ static void compose(real_t (*H)[LDV], int n, const real_t *d, real_t (*work)[LDV
  * it. */
 static void condensed_units(real_t (*H)[LDV], int n, real_t terms, real_t *unit)
 {
-    const real_t least = regularization[0] * terms;
+    const real_t least = FACTOR_HESSIAN_FLOOR * terms;
     for (int i = 0; i < n; i++) {
         unit[i] = (FABS(H[i][i]) > least) ? FABS(H[i][i]) : least;
         unit[i] = (unit[i] > R(0)) ? unit[i] : R(1);
@@ -53,7 +53,7 @@ static int regularize_reduced(real_t (*H)[LDV], int n, real_t terms, real_t shar
         smallest = (FABS(d[k]) > smallest) ? FABS(d[k]) : smallest;
         least = (d[k] < least) ? d[k] : least;
     }
-    smallest *= regularization[0];
+    smallest *= FACTOR_HESSIAN_FLOOR;
     for (int k = 0; k < n; ++k) {
         const real_t a = (MIRROR && d[k] < R(0)) ? -d[k] - share * least : d[k];
         d[k] = (a < smallest) ? smallest : a;

@@ -1,6 +1,6 @@
-/* Replaces every block by V f(Lambda) V' + lm I, f = max(|Lambda|, floor) if MIRROR, else max(Lambda, floor); the floor
- * is relative to the largest |Lambda| of the node. Nodes whose blocks are safely positive definite keep them (plus lm
- * I). Irreducible diagonal blocks are decomposed one after the other, each for LANES nodes at once. */
+/* Replaces every block by V f(Lambda) V', f = max(|Lambda|, floor) if MIRROR, else max(Lambda, floor); the floor
+ * is relative to the largest |Lambda| of the node. Nodes whose blocks are safely positive definite keep them.
+ * Irreducible diagonal blocks are decomposed one after the other, each for LANES nodes at once. */
 
 #include "generated/hessian_blocks.c"
 
@@ -104,7 +104,7 @@ static void rebuild_block(real_t (*A)[LANES], real_t (*V)[LANES], int n, const r
     }
 }
 
-/* Writes the regularised blocks back to the nodes that do not keep theirs, and adds lm to the diagonal of all. */
+/* Writes the regularised blocks back to the nodes that do not keep theirs. */
 static void scatter_block(real_t (*A)[LANES], real_t *Q, int stride, int ld, int nodes, const int *row, int n,
     const real_t *norm, const int *keep)
 {
@@ -112,11 +112,10 @@ static void scatter_block(real_t (*A)[LANES], real_t *Q, int stride, int ld, int
     for (l = 0; l < nodes; l++) {
         const int at = l * stride;
         real_t *q = Q + at;
-        for (i = 0; i < n; i++) {
-            for (j = 0; j <= i && !keep[l]; j++) {
+        for (i = 0; i < n && !keep[l]; i++) {
+            for (j = 0; j <= i; j++) {
                 q[row[i] * ld + row[j]] = A[i * n + j][l] * norm[l];
             }
-            q[row[i] * ld + row[i]] += regularization[1];
         }
     }
 }
@@ -137,7 +136,7 @@ static void block_floors(real_t (*A)[LANES], const int *first, int blocks, real_
         at += n * n;
     }
     for (l = 0; l < LANES; l++) {
-        floor_value[l] = regularization[0] * largest[l];
+        floor_value[l] = FACTOR_HESSIAN_FLOOR * largest[l];
     }
 }
 
@@ -150,7 +149,7 @@ static void regularize_batch(
     block_norms(Q, stride, ld, nodes, norm, factor);
     for (l = 0; l < LANES; l++) {
         keep[l] = 1;
-        shift[l] = regularization[0] * (real_t)ld;
+        shift[l] = FACTOR_HESSIAN_FLOOR * (real_t)ld;
     }
     for (b = 0, at = 0; b < blocks; b++) {
         const int n = first[b + 1] - first[b];
@@ -159,7 +158,7 @@ static void regularize_batch(
         at += n * n;
     }
     for (l = 0; l < LANES; l++) {
-        factor[l] = regularization[0];
+        factor[l] = FACTOR_HESSIAN_FLOOR;
         kept &= keep[l];
     }
     for (b = 0, at = 0; b < blocks && !kept; b++) {
@@ -188,7 +187,7 @@ static void regularize_zero(real_t *Q, int ld, real_t scale, real_t largest)
 {
     int i;
     for (i = 0; i < ld && scale <= R(0); i++) {
-        Q[i * ld + i] += regularization[0] * ((largest > R(0)) ? largest : R(1));
+        Q[i * ld + i] += FACTOR_HESSIAN_FLOOR * ((largest > R(0)) ? largest : R(1));
     }
 }
 

@@ -27,10 +27,10 @@ static status_t nearness_after_prepare(solver_t *s, status_t status)
     near->longest *= R(0.5);
     enlarge(&near->left, is_far(s->stats.residual) ? residual_tolerance[0] : s->stats.residual);
     enlarge(&near->longest, near->length);
-    if (HARD_ROWS && !LEVELS) {
+    if (HARD_ROWS) {
         enlarge(&near->left, rows_left(s) / FACTOR_NEAR_ROWS);
     }
-    if (status == OK && !LEVELS) {
+    if (status == OK) {
         doubt_plan(s);
     }
     return status;
@@ -107,13 +107,6 @@ static real_t gaps_in_motion(const solver_t *s)
 static status_t nearness_after_feedback(solver_t *s, status_t status)
 {
     if ((status != OK && status != RELAXED) || s->near.trusted) {
-        return status;
-    }
-    if (LEVELS) {
-        /* whose derivatives are kept */
-        real_t size[NX];
-        state_scales(s, size);
-        enlarge(&s->stats.residual, largest_gap(s, size));
         return status;
     }
     linearize(s);

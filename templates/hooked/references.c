@@ -3,10 +3,6 @@
 /* Recomputes the gradients after references have changed since prepare; the rest of the linearisation remains valid. */
 static void renew_gradients(solver_t *s)
 {
-    if (LEVELS && s->levels.last != LEVEL_A) { /* what level C adds to a gradient is not stored on its own */
-        (void)evaluate(s, (s->levels.last == LEVEL_C) ? LEVEL_C : LEVEL_B);
-        return;
-    }
     for (int k = 0; k < N; k++) {
         PATH_GRADIENT(s, k, s->node[k].g);
     }

@@ -47,7 +47,7 @@ static void price_rows(solver_t *s)
 {
     real_t size[NZ];
     scale_rows(s, size);
-    s->relaxation = relaxation_weight[0] * cost_scale(s, size);
+    s->relaxation = FACTOR_RELAXATION_WEIGHT * cost_scale(s, size);
 }
 
 /* Solves a QP that is infeasible or has been given up again with its hard rows relaxed, at the weight set in the

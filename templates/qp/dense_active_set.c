@@ -137,4 +137,3 @@ static status_t qp_solve(qp_t *q)
 
 #include "qp/dense_active_set_shift.c"
 
-#include "qp/dense_active_set_response.c"

@@ -229,4 +229,3 @@ static status_t qp_solve(solver_t *s)
 
 #include "qp/shift_on_stages.c"
 
-#include "qp/riccati_active_set_law.c"

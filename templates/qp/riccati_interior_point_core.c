@@ -129,7 +129,7 @@ static status_t ipm_run(solver_t *s)
     mu = R(2) * ipm_violation_cost(s, &count);
     mu /= (real_t)((count > 0) ? count : 1);
     mu = (q->damping > mu) ? q->damping : mu;
-    if (IPM_WARM_START) {
+    if (!IPM_CROSSOVER) {
         mu = q->warm ? FACTOR_IPM_WARM * mu : mu;
     }
     ipm_list_sides(s);
@@ -150,7 +150,7 @@ static status_t ipm_attempt(solver_t *s)
     return ipm_run(s);
 }
 
-#if IPM_WARM_START
+#if !IPM_CROSSOVER
 /* An attempt from the multipliers of the previous QP. If it has not converged after a quarter of the iterations, a cold
  * start replaces it. */
 static status_t ipm_attempts(solver_t *s)
@@ -208,7 +208,7 @@ static status_t ipm_solve(solver_t *s)
 {
     ipm_t *q = &s->ipm;
     status_t status = qp_check_bounds(&s->qp);
-    if (IPM_WARM_START) {
+    if (!IPM_CROSSOVER) {
         q->warm = q->solved;
         q->solved = 0;
         (void)memcpy(q->before, s->qp.mult, sizeof q->before);

@@ -507,7 +507,7 @@ static status_t ipm_iterate(solver_t *s)
 {
     ipm_t *q = &s->ipm;
     int cap = IPM_MAX_ITERATIONS;
-    if (IPM_WARM_START && q->warm) {
+    if (!IPM_CROSSOVER && q->warm) {
         cap = IPM_MAX_ITERATIONS / 4;
     }
     ipm_forget_progress(q);

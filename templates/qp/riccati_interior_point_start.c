@@ -298,7 +298,7 @@ static void ipm_start_soft_side(solver_t *s, int i, real_t mu)
         q->e[j] = q->lam[i] / s->qp.curvature[m];
         return;
     }
-    if (IPM_WARM_START) {
+    if (!IPM_CROSSOVER) {
         if (ipm_was_violated(s, i)) {
             ipm_start_violated_side(s, i, mu);
             return;
@@ -357,13 +357,13 @@ static void ipm_start_sides(solver_t *s, real_t mu)
     ipm_t *q = &s->ipm;
     const real_t root_mu = SQRT(mu);
     real_t most = R(0);
-    if (IPM_WARM_START) {
+    if (!IPM_CROSSOVER) {
         int count;
         most = FACTOR_IPM_MOST_MULTIPLIER * SQRT(ipm_violation_cost(s, &count));
     }
     for (int i = 0; i < q->sides; i++) {
         q->t[i] = ipm_cold_distance(s, i, root_mu);
-        if (IPM_WARM_START) {
+        if (!IPM_CROSSOVER) {
             const real_t warm = ipm_warm_distance(s, i, mu, most);
             q->t[i] = (warm > R(0)) ? warm : q->t[i];
         }

@@ -98,7 +98,7 @@ static int riccati_try(solver_t *s, real_t hold, real_t shift)
  * none. */
 static int riccati_shift(solver_t *s, real_t hold)
 {
-    const real_t least = regularization[0], before = s->riccati.shift;
+    const real_t least = FACTOR_HESSIAN_FLOOR, before = s->riccati.shift;
     real_t high = (before > least) ? before : FACTOR_SHIFT_FIRST;
     int trial;
     if (riccati_try(s, hold, least)) {

@@ -20,8 +20,8 @@ MUTANTS = (
     Mutant(
         "a sign: the controls of a Riccati step",
         "templates/riccati/substitute.c",
-        "? r->du[k * NUS + j] : -y[j];",
-        "? r->du[k * NUS + j] : y[j];",
+        "? r->du[k * NU + j] : -y[j];",
+        "? r->du[k * NU + j] : y[j];",
         ("tests/components/test_riccati_kernel.py",),
     ),
     Mutant(
@@ -30,13 +30,6 @@ MUTANTS = (
         "s->qp.upper[row] = control_upper(s, k, j) - s->u[k][j];",
         "s->qp.upper[row] = control_upper(s, k, j);",
         ("tests/components/test_condensing.py",),
-    ),
-    Mutant(
-        "an index: rows in a block do not see the earlier controls of the block",
-        "templates/condensing/partial.c",
-        "for (c = 0; c < NXS + j * NU; c++) {\n                row[c] += J[i]",
-        "for (c = 0; c < NXS; c++) {\n                row[c] += J[i]",
-        ("tests/components/test_stage_qps.py",),
     ),
     Mutant(
         "a dropped term: terminal rows in the KKT residual",

@@ -41,7 +41,6 @@ FEATURES = Features(
     state_rows=True,
     end_equations=True,
     general_rows=True,
-    block_rows=True,
     interior_point=True,
     set_reference=True,
 )
@@ -52,8 +51,7 @@ def qp_dims(nv: int, ng: int) -> Dims:
     zero = Size("0", 0)
     named = dict.fromkeys((*Dims.__dataclass_fields__, *QpDims.__dataclass_fields__), zero)
     named |= {
-        "ns": Size("NS", 1),
-        "nus": Size("NUS", nv),
+        "nvu": Size("NVU", nv),
         "nv": Size("NV", nv),
         "ng": Size("NG", ng),
         "ld": Size("LDV", -(-nv // 4) * 4),
@@ -70,8 +68,7 @@ def source(nv: int, ng: int, precision: str = "double", component: DenseActiveSe
     component = component or DenseActiveSet()
     dims = qp_dims(nv, ng)
     sizes = {
-        "NS": 1,
-        "NUS": nv,
+        "NVU": nv,
         "NV": nv,
         "NG": ng,
         "LDV": dims.qp.ld.value,

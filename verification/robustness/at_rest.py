@@ -267,7 +267,7 @@ WITH_ROWS = ("stick", "on_row", "standstill", "two_at_once", "closed_valve", "fa
 @functools.cache
 def packages() -> tuple[Package, ...]:
     """The default of every plant in both precisions, and one other route each, in turn."""
-    turns = ("dense", "interior", "partial")
+    turns = ("dense", "interior")
     found = []
     for number, plant in enumerate(PLANTS.values()):
         more: dict[str, Any] = {"hessian": ExactHessian()} if plant.name == "economic" else {}

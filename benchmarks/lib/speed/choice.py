@@ -18,7 +18,6 @@ from nmpc_codegen import (
     FullCondensing,
     NoCondensing,
     Options,
-    PartialCondensing,
     RiccatiActiveSet,
     RiccatiInteriorPoint,
 )
@@ -32,8 +31,6 @@ ROUTES: dict[str, tuple[Condensing, QpSolver]] = {
     "dense": (FullCondensing(), DenseActiveSet()),
     "stages": (NoCondensing(), RiccatiActiveSet()),
     "interior point": (NoCondensing(), RiccatiInteriorPoint()),
-    "blocks of 2": (PartialCondensing(block=2), RiccatiActiveSet()),
-    "blocks of 5": (PartialCondensing(block=5), RiccatiActiveSet()),
 }
 #: A condensed QP with more controls takes minutes to compile and is no candidate.
 MOST_CONTROLS = 200

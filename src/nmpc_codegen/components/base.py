@@ -144,7 +144,6 @@ class QpShape:
 HOOKS = {
     "on_reset": "init() and reset(), after the plan has been set",
     "before_prepare": "prepare(), before anything is evaluated",
-    "prepare_plan": "prepare(): evaluates, condenses and factorises; exactly one hooked part defines it",
     "after_prepare": "prepare(), with its status; returns the status",
     "before_sample": "step(), with the measured state",
     "before_qp": "feedback(), before the QP is solved",
@@ -298,11 +297,6 @@ class Regularization(Protocol):
     """Treatment of an indefinite Hessian."""
 
     @property
-    def floor(self) -> float:
-        """Smallest eigenvalue, relative to the largest absolute one."""
-        ...
-
-    @property
     def level(self) -> str:
         """Its level: "stage", the block of every node, or "reduced", the Hessian after elimination of the states."""
         ...
@@ -375,11 +369,6 @@ class Algorithm(Component, Protocol):
     def sampling_time(self) -> float | None:
         """Time between samples (s) if it is given."""
         ...
-
-    @property
-    def pulls_back(self) -> bool:
-        """True if it needs the adjoint of an interval besides its core."""
-        return False
 
     @property
     def simulates(self) -> bool:

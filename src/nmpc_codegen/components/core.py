@@ -106,10 +106,7 @@ SIZES_OF_OTHERS = (
     ("MIRROR", 0, "no Hessian"),
     ("MAX_SHIFTS", 0, "no shifts of a Hessian"),
 )
-TABLES_OF_OTHERS = (
-    Table("regularization", "real", (), "of no Hessian"),
-    Table("is_measured", "int", (), "of x_0 where it is the measured state"),
-)
+TABLES_OF_OTHERS = (Table("is_measured", "int", (), "of x_0 where it is the measured state"),)
 
 
 #: Members of packages whose integrator solves stages.
@@ -127,7 +124,6 @@ def structs_of_others(dims: Dims) -> tuple[Struct, ...]:
         Struct("qp", "", (Field("inverse", (dims.nu,), "", "scratch"), Field("nw", (), "", "keep", "int32"))),
         Struct("qp", "", (Field("row", (dims.nu,), "", "keep", "int32"),)),
         Struct("near", "", (Field("trusted", (), "", "keep", "int32"),)),
-        Struct("first", "", (Field("gain", (dims.nu, dims.nx), "", "data"), Field("feed", (dims.nu,), "", "data"))),
     )
 
 

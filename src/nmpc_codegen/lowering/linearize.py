@@ -69,8 +69,6 @@ def _functions(problem: CompleteProblem, choices: Choices) -> ModelFunctions:
             replace(stage, product=stage_product(problem, integrator, cost))
             for stage, cost in ((path, costs.path), (terminal, costs.terminal))
         )
-    elif algorithm.pulls_back:
-        interval = replace(interval, adjoint=integrator.directional(problem)[1])
     slope = _elements(start.gradient)
     return ModelFunctions(
         replace(interval, curved=_with_zeros(blocks.curved, "g", slope)),

@@ -316,6 +316,12 @@ FACTORS: dict[str, tuple[float, str]] = {
         0.9,
         "violation of hard rows with which a probe of idle controls is taken, relative to that before",
     ),
+    "relaxation_weight": (
+        1e4,
+        "l1 weight of hard rows where a QP is infeasible, in their scales",
+    ),
+    "hessian_floor": (1e-8, "least eigenvalue of a Hessian that is made convex, relative to the largest one"),
+    "augmented_first_radius": (10.0, "radius of the trust region of a new plan, in the scales"),
     "relaxation_falls": (0.999, "violation, relative to that of the sample before, below which it falls"),
 }
 

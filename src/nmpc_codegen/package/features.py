@@ -136,8 +136,6 @@ class Features:
     shift_resample: bool = False
     shift_periodic: bool = False
     start_is_measured: bool = False  # coupled rows read the measured state for x_0
-    first: bool = False  # the QP solver predicts a working set, which yields the first control
-    levels: bool = False
     quasi_newton: bool = False
     lumped_rows: bool = False
     barrier_rows: bool = False

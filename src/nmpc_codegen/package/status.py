@@ -159,7 +159,6 @@ class Stats:
         prepare_ns: time of the preparation phase.
         feedback_ns: time of the feedback phase.
         stale_hessian: parameters, weights or bounds are not those for which a constant Hessian was computed.
-        first_deviation: largest difference between the control of feedback_finish() and that of feedback_first().
         newton_iterations: steps of the augmented Lagrangian or of single shooting.
         accepted: those that were accepted.
         cg_iterations: iterations of conjugate gradients.
@@ -190,7 +189,6 @@ class Stats:
     prepare_ns: int
     feedback_ns: int
     stale_hessian: bool = False
-    first_deviation: float = 0.0
     newton_iterations: int = 0
     accepted: int = 0
     cg_iterations: int = 0

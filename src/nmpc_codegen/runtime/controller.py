@@ -94,31 +94,16 @@ class Controller(Setters):
             self._judge(status, "step", on_failure)
         return self._u0.copy()
 
-    def prepare(self, on_failure: OnFailure = "status", level: str = "A") -> Status:
+    def prepare(self, on_failure: OnFailure = "status") -> Status:
         """Perform all operations that do not depend on the measured state: linearise, condense, factorise.
 
         Args:
             on_failure: as in step().
-            level: "A", all of them; "B", "C" and "D" need RealTimeIteration(levels=True) and keep the derivatives and
-                factors of the last level A. "B": dynamics, rows and the gradient of the cost are evaluated; "C": also
-                the gradient of the Lagrangian; "D": nothing. After a failure and after solve() the level is A.
         """
         start = perf_counter_ns()
-        number = given.level_number(level)
-        status = self._call("prepare_level", self._s, number) if number else self._call("prepare", self._s)
+        status = self._call("prepare", self._s)
         self._prepare_ns = perf_counter_ns() - start
         return self._judge(status, "prepare", on_failure)
-
-    def iterate(self, level: str = "A", on_failure: OnFailure = "status") -> Status:
-        """One iteration at the state x_0 of the plan: a preparation at that level, the QP and its full step.
-
-        It needs RealTimeIteration(levels=True). The plan changes only if the status is OK or RELAXED.
-
-        Args:
-            level: as in prepare().
-            on_failure: as in step().
-        """
-        return self._judge(self._call("iterate", self._s, given.level_number(level)), "iterate", on_failure)
 
     def feedback(self, xhat: ArrayLike, on_failure: OnFailure = "status", iterations: int | None = None) -> Array:
         """The feedback phase: solve the prepared problem for the measured state.
@@ -140,35 +125,6 @@ class Controller(Setters):
         self._feedback_ns = perf_counter_ns() - start
         self._judge(status, "feedback", on_failure)
         return self._u0.copy()
-
-    def feedback_first(self, xhat: ArrayLike, on_failure: OnFailure = "status") -> Array:
-        """The first part of the feedback phase: the control on the predicted working set, before the QP is solved.
-
-        It needs RealTimeIteration(levels=True), an active-set method and a measured x_0. Apply the control, then call
-        feedback_finish().
-
-        Args:
-            xhat: measured state (nx,).
-            on_failure: as in step().
-
-        Returns:
-            Control to apply (nu,).
-        """
-        self._measure(xhat)
-        self._judge(self._call("feedback_first", self._s, self._xhat_c, self._u0_c), "feedback_first", on_failure)
-        return self._u0.copy()
-
-    def feedback_finish(self, on_failure: OnFailure = "status") -> Status:
-        """The second part: solve the QP for the state of feedback_first() and update the plan; see
-        stats.first_deviation.
-
-        Args:
-            on_failure: as in step().
-        """
-        start = perf_counter_ns()
-        status = self._call("feedback_finish", self._s)
-        self._feedback_ns = perf_counter_ns() - start
-        return self._judge(status, "feedback_finish", on_failure)
 
     def solve(
         self,

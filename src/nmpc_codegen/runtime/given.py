@@ -230,17 +230,6 @@ def check_penalties(l1: NDArray[Any], l2: NDArray[Any], declared: tuple[float, f
         raise ControllerError(f"{what} is 0; expected a positive l1")
 
 
-#: Levels of an iteration in the order of their numbers in C.
-LEVELS = "ABCD"
-
-
-def level_number(level: object) -> int:
-    """Number of a level of an iteration; ControllerError if there is no such level."""
-    if not isinstance(level, str) or len(level) != 1 or level not in LEVELS:
-        raise ControllerError(f"level is {level!r}; allowed: {', '.join(map(repr, LEVELS))}")
-    return LEVELS.index(level)
-
-
 def require_time(dt: object) -> None:
     """Raise ControllerError unless it is a finite number >= 0."""
     if not is_positive(dt) and not (isinstance(dt, int | float | np.integer | np.floating) and dt == 0):

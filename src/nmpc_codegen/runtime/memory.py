@@ -117,7 +117,6 @@ class Memory(Iterate):
             prepare_ns=self._prepare_ns,
             feedback_ns=self._feedback_ns,
             stale_hessian=bool(counts.get("stale_hessian", 0)),
-            first_deviation=float(counts.get("first_deviation", 0)),
             residual=float(counts["residual"] if "residual" in counts else counts["violation"]),
             iterations=int(counts.get("iterations", 1 + counts.get("repairs", 0))),
             innovation=float(counts.get("innovation", 0)),

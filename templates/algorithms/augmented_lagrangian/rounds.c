@@ -148,7 +148,7 @@ static void close_round(solver_t *s, real_t before, int accepted)
 static status_t run_round(solver_t *s)
 {
     auglag_t *a = &s->auglag;
-    const real_t before = violation_of(s), least = FACTOR_AUGMENTED_LEAST_RADIUS * initial_radius[0];
+    const real_t before = violation_of(s), least = FACTOR_AUGMENTED_LEAST_RADIUS * FACTOR_AUGMENTED_FIRST_RADIUS;
     int moved = 0, accepted = 0;
     if (!isfinite(merit(s))) {
         return NUMERICAL_FAILURE;

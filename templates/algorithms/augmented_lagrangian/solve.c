@@ -36,7 +36,7 @@ static void advance_multipliers(solver_t *s, real_t tol, real_t *violation)
     }
     *violation = now;
     estimate_multipliers(s);
-    a->radius = (a->radius > initial_radius[0]) ? a->radius : initial_radius[0];
+    a->radius = (a->radius > FACTOR_AUGMENTED_FIRST_RADIUS) ? a->radius : FACTOR_AUGMENTED_FIRST_RADIUS;
 }
 
 /* Iterates from the evaluated and linearised plan. A plan with small residuals has one more dual update and one more
@@ -106,7 +106,7 @@ status_t API(solve)(solver_t *s, const real_t xhat[NXHAT], real_t tol, int max_i
         follow_augmented(s);
     }
     (void)memset(&s->stats, 0, sizeof s->stats);
-    s->auglag.radius = initial_radius[0];
+    s->auglag.radius = FACTOR_AUGMENTED_FIRST_RADIUS;
     s->auglag.penalty = FACTOR_AUGMENTED_FIRST_PENALTY_OF_SOLVE * penalty_weight[0];
     s->auglag.precision = FACTOR_AUGMENTED_PRECISION_OF_SOLVE;
     s->auglag.predicted = INF;
@@ -115,7 +115,7 @@ status_t API(solve)(solver_t *s, const real_t xhat[NXHAT], real_t tol, int max_i
         status = iterate(s, tol, max_iterations);
     }
     s->auglag.penalty = penalty_weight[0];
-    s->auglag.radius = initial_radius[0];
+    s->auglag.radius = FACTOR_AUGMENTED_FIRST_RADIUS;
     s->unconverged = 0;
     s->failures = (status == OK) ? NO_FAILURE : s->failures;
     s->probation = (status == OK) ? 0 : s->probation;

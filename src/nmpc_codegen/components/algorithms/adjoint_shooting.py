@@ -65,7 +65,8 @@ MAX_TRIALS = 30
 #: Steps of the method of multipliers for the terminal rows of the model.
 MAX_ROUNDS = 3
 
-#: Defaults of options that only one method has; products are as many as controls, between two numbers.
+#: Products with the Hessian of a Gauss-Newton step are as many as controls, between two numbers; pairs of vectors that
+#: the quasi-Newton method stores.
 PRODUCTS, MEMORY = (12, 100), 5
 ITERATIONS = {"gauss_newton": 1, "quasi_newton": 10}
 
@@ -95,11 +96,6 @@ class AdjointShooting(Algorithm):
         method: "gauss_newton", by conjugate gradients inside the bounds, or "quasi_newton", a projected method that
             needs gradients alone.
         iterations: steps of a sample; None: 1, or 10 with "quasi_newton".
-        products: products with the Hessian of a Gauss-Newton step at most; None: one for each control of the plan,
-            between 12 and 100.
-        memory: pairs of vectors that "quasi_newton" stores; None: 5.
-        trials: simulations of a step at most, besides one at the start of a sample and one after a step that is given
-            up; None: 2.
         rows: the terms of rows other than bounds of controls. "augmented_lagrangian": exact, with one update of the
             multipliers per sample. "smooth_l1": an l1 penalty with a smooth max, exact in the limit of solve() if no
             multiplier exceeds the weight. "barrier": logarithmic barriers, which keep a distance from the bounds,
@@ -120,9 +116,6 @@ class AdjointShooting(Algorithm):
 
     method: str = option("gauss_newton", Words(METHODS))
     iterations: int | None = option(None, Whole(most=1000, optional=True))
-    products: int | None = option(None, Whole(most=10_000, optional=True))
-    memory: int | None = option(None, Whole(most=100, optional=True))
-    trials: int | None = option(None, Whole(most=MAX_TRIALS, optional=True))
     rows: str = option("augmented_lagrangian", Words(ROWS))
     penalty: float | None = option(None, Number(optional=True))
     tolerance: float = option(0.1, Number())
@@ -144,12 +137,6 @@ class AdjointShooting(Algorithm):
     def __post_init__(self) -> None:
         check_options(self, self.seam)
         check_sampling_time("AdjointShooting", self.shift, self.sampling_time)
-        for name, owner in (("products", "gauss_newton"), ("memory", "quasi_newton")):
-            if getattr(self, name) is not None and self.method != owner:
-                raise OptionError(
-                    f'AdjointShooting.{name}: {getattr(self, name)} clashes with method="{self.method}"; it belongs to '
-                    f'method="{owner}" (--set algorithm.method={owner})'
-                )
 
     @property
     def simulates(self) -> bool:
@@ -274,7 +261,7 @@ class AdjointShooting(Algorithm):
         return self.iterations or (FOLLOWED_STEPS if followed else ITERATIONS[self.method])
 
     def _products(self, dims: Dims) -> int:
-        return self.products or min(max(PRODUCTS[0], dims.N.value * dims.nu.value), PRODUCTS[1])
+        return min(max(PRODUCTS[0], dims.N.value * dims.nu.value), PRODUCTS[1])
 
     def sizes(self, dims: Dims) -> tuple[tuple[str, int, str], ...]:
         followed = self.rows in FOLLOWED
@@ -283,7 +270,7 @@ class AdjointShooting(Algorithm):
             ("NT", self._terminal_rows(dims.end_rows), "terminal rows in the model"),
             ("ITERATIONS", self._steps(), "steps of a sample"),
             ("REPAIRS", self.repair, "further steps of a sample whose last one is long and was not taken as a whole"),
-            ("TRIALS", self.trials or (FOLLOWED_TRIALS if followed else TRIALS), "simulations of a step at most"),
+            ("TRIALS", FOLLOWED_TRIALS if followed else TRIALS, "simulations of a step at most"),
             ("MOST_TRIALS", MAX_TRIALS, "steps that any search tries, at most"),
             *(newton if self.second_order else memory),
             ("RESTART_SAMPLES", RESTART_SAMPLES, "failed samples in a row after which a plan starts anew"),
@@ -304,7 +291,7 @@ class AdjointShooting(Algorithm):
             ("MAX_FACES", 2 * controls + 10, "faces of the box that a step visits at most"),
             ("MAX_ROUNDS", MAX_ROUNDS, "steps of the method of multipliers for terminal rows in a step"),
         )
-        return newton, (("MEMORY", self.memory or MEMORY, "pairs of the quasi-Newton method"),)
+        return newton, (("MEMORY", MEMORY, "pairs of the quasi-Newton method"),)
 
     def ranges(self, dims: Dims) -> Mapping[str, tuple[int, int]]:
         """A sample does not run inside solve()."""
@@ -342,7 +329,7 @@ class AdjointShooting(Algorithm):
 
     def _shooting(self, dims: Dims) -> Struct:
         terminal = Size("NT", self._terminal_rows(dims.end_rows))
-        pairs = Size("MEMORY", self.memory or MEMORY)
+        pairs = Size("MEMORY", MEMORY)
         controls = (dims.N, dims.nu)
 
         def real(name: str, shape: tuple[Size, ...], doc: str) -> Field:

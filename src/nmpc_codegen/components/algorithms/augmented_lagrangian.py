@@ -86,7 +86,6 @@ class AugmentedLagrangian(Algorithm):
             steps do not reduce a large violation, up to 100 times its usual value.
         proximal: weight r of the term r/2 |z - z_c|^2 that keeps the refinement near the Cauchy point z_c; None: 0.3
             times the largest curvature of a stage with a Hessian that depends on multipliers, else 0.
-        radius: of the trust region of a new plan, in the scales; later samples begin with that of the sample before.
         repair: rounds, each as much work as a sample, that prepare() may add at the predicted x_0 of a new plan, or
             after a sample that failed or was NOT_CONVERGED; 0: none.
         tolerance: stats.residual above which a sample is NOT_CONVERGED.
@@ -97,7 +96,6 @@ class AugmentedLagrangian(Algorithm):
     iterations: int = option(3, Whole(most=1000))
     penalty: float | None = option(None, Number(optional=True))
     proximal: float | None = option(None, Number(closed=True, optional=True))
-    radius: float = option(10.0, Number())
     repair: int = option(3, Whole(most=100, least=0))
     tolerance: float = option(0.1, Number())
     shift: str | None = option("auto", Words(("auto", *SHIFTS)))
@@ -181,7 +179,6 @@ class AugmentedLagrangian(Algorithm):
                 (0.0, PROXIMAL) if self.proximal is None else (float(self.proximal), 0.0),
                 "weight of the proximal term, and the same relative to the curvature of the stages",
             ),
-            Table("initial_radius", "real", (float(self.radius),), "of the trust region"),
             Table("variable_scale", "real", (*scale, *padding), "scales of (x, u), with padding"),
             Table("variable_weight", "real", (*weight, *padding), "1 / scale^2, with padding"),
             Table("initial_weight", "real", tuple(initial), "the same of x_0; 0 for what has no gap"),

@@ -30,41 +30,6 @@ def _has_settling_multipliers(features: Features) -> bool:
     return features.lagrangian and features.has_qp
 
 
-def law_structs(dims: Dims) -> tuple[Struct, ...]:
-    """The law of the first control."""
-    struct = Struct(
-        "first",
-        "law of the first control on the predicted working set",
-        (
-            Field("gain", (dims.nu, dims.nx), "du_0 / dx_0", "scratch"),
-            Field("feed", (dims.nu,), "du_0 at dx_0 = 0", "scratch"),
-            Field("control", (dims.nu,), "control that feedback_first() has returned", "scratch"),
-            Field("valid", (), "1: the law belongs to the last preparation", "scratch", "int32"),
-            Field("status", (), "of the whole feedback, where feedback_first() has run it", "scratch", "int32"),
-            Field("call", (), "what the last feedback_first() has done", "scratch", "int32"),
-        ),
-        only=lambda f: f.first,
-    )
-    return (struct,)
-
-
-def level_structs(dims: Dims) -> tuple[Struct, ...]:
-    """What the levels of an iteration keep besides the linearisation."""
-    nodes = Size("N + 1", dims.N.value + 1)
-    struct = Struct(
-        "levels",
-        "levels of an iteration",
-        (
-            Field("x", (nodes, dims.nx), "states of the plan at the last evaluation", "scratch"),
-            Field("u", (dims.N, dims.nu), "its controls", "scratch"),
-            Field("valid", (), "1: there are derivatives and factors to keep", "keep", "int32"),
-            Field("last", (), "level of the last evaluation", "keep", "int32"),
-            Field("asked", (), "level of the next one", "keep", "int32"),
-        ),
-    )
-    return (struct,)
-
-
 def _left(dims: Dims) -> tuple[Struct, ...]:
     """What steps leave of the model and of optimality."""
     members = (
@@ -91,9 +56,6 @@ def _price(dims: Dims) -> tuple[Struct, ...]:
 
 
 SHIFT = HookedPart("shift")
-PLAIN = HookedPart("plain")
-SIMULATE = HookedPart("simulate")
-LEVELS = HookedPart("levels")
 NEARNESS = HookedPart("nearness", _left)
 ITERATIONS = HookedPart("iterations")
 REFERENCES = HookedPart("references")
@@ -101,7 +63,6 @@ RELAXATION = HookedPart("relaxation", _price)
 VIOLATION = HookedPart("violation")
 BENT_ROWS = HookedPart("bent_rows")
 FIRST_SAMPLE = HookedPart("first_sample")
-FIRST_CONTROL = HookedPart("first")
 
 #: Samples of which one checks the optimality of its plan, however short its steps are.
 CHECKED = 5

@@ -51,7 +51,7 @@ _OF_CONTROL = frozenset(
 
 
 def _shared_structs(dims: Dims) -> tuple[Struct, ...]:
-    return tuple(s for s in _ITERATION.structs(dims) if s.name not in ("levels", "first"))
+    return _ITERATION.structs(dims)
 
 
 @dataclass(frozen=True)
@@ -98,10 +98,6 @@ class MovingHorizon(Algorithm):
             raise OptionError(
                 f"hessian: an estimator minimises residuals; expected GaussNewton() instead of {parts.hessian!r}"
             )
-
-    def adds(self, features: Features) -> Features:
-        """No law of a first control."""
-        return replace(features, first=False)
 
     def entries(self, features: Features) -> tuple[EntryPoint, ...]:
         """A sample, the sensors, late measurements, the covariance, a new start."""

@@ -8,7 +8,6 @@ Houska, Ferreau and Diehl, Automatica 47 (2011), section 2.2; Quirynen et al., C
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import ClassVar
@@ -26,7 +25,7 @@ from nmpc_codegen.components.algorithms.shifts import (
     resample_time,
     with_shift,
 )
-from nmpc_codegen.components.allowed import Flag, Number, Whole, Words, check_options, option
+from nmpc_codegen.components.allowed import Number, Whole, Words, check_options, option
 from nmpc_codegen.components.base import (
     EVERY_USE,
     MEASUREMENTS,
@@ -46,7 +45,7 @@ from nmpc_codegen.ir.model import ModelFunctions, operations
 from nmpc_codegen.package.features import Features
 from nmpc_codegen.package.opcount import OpCount
 from nmpc_codegen.package.signals import Argument, EntryPoint
-from nmpc_codegen.package.struct_layout import Field, Size, Struct, only_if
+from nmpc_codegen.package.struct_layout import Field, Size, Struct
 
 _XHAT = Argument("xhat", "real", ("NX",))
 _U0 = Argument("u0", "real", ("NU",))
@@ -79,43 +78,6 @@ def shift_entry(shift: str | None) -> EntryPoint:
     return EntryPoint("shift", f"Move the plan by one interval.{again}")
 
 
-FIRST = (
-    EntryPoint(
-        "feedback_first",
-        "First part of the feedback phase: u0 on the predicted working set, finite and inside its bounds on every "
-        "return; the whole feedback phase where no law is known.",
-        (_XHAT,),
-        (_U0,),
-    ),
-    EntryPoint(
-        "feedback_finish",
-        "Second part: solve the QP for the same xhat and update the plan; stats.first_deviation is the largest "
-        "difference between its control and that of the first part.",
-    ),
-)
-_LEVEL = Argument("level", "int")
-LEVELS = (
-    EntryPoint(
-        "prepare_level",
-        "Preparation phase at a level: A evaluates everything, as prepare does; B, C and D keep the derivatives and "
-        "factors of the last level A. B: dynamics, rows and gradient of the cost; C: also the gradient of the "
-        "Lagrangian; D: nothing, the data follow the model of the QP. A after a failure, a reset and solve.",
-        (_LEVEL,),
-    ),
-    EntryPoint(
-        "iterate",
-        "One iteration at the state x_0 of the plan: prepare_level without a shift, the QP and its full step. A call "
-        "that fails leaves the plan unchanged. Prepare before the next feedback.",
-        (_LEVEL,),
-    ),
-)
-_LEVEL_SIZES = (
-    ("LEVEL_A", 0, "level of an iteration: everything is evaluated"),
-    ("LEVEL_B", 1, "derivatives of dynamics and rows are kept"),
-    ("LEVEL_C", 2, "matrices and factors are kept; the gradient of the Lagrangian is exact"),
-    ("LEVEL_D", 3, "nothing is evaluated"),
-)
-
 MAX_TRIALS = 30
 FILTER = 16
 MAX_ATTEMPTS = 3
@@ -126,8 +88,6 @@ BISECTIONS = 3
 DEPARTURES, DEPARTURE = 2, 20
 #: Tolerance from which on no plan is judged.
 UNJUDGED = 1e30
-#: Weight that relaxation="auto" stands for.
-RELAXATION = 1e4
 #: Price of a relaxed row at the first node, relative to that at the last one, after this many relaxed samples on end.
 LEAST_PRICE, RELAXED_SAMPLES = 1e-6, 10
 #: How much slower the price recovers in samples that are OK.
@@ -161,22 +121,9 @@ class RealTimeIteration(Algorithm):
         tolerance: stats.residual of the plan after a sample above which it is far from a solution, and the status is
             NOT_CONVERGED: the largest of its gaps, of its violations of hard rows, and of its relative KKT residual.
             1e30: no plan is judged.
-        relaxation: l1 weight with which hard rows on states are relaxed at a sample whose QP is infeasible; the status
-            is then RELAXED. It is that of a violation in the scale of its row, in units of the cost; "auto": 1e4. At
-            early nodes it falls while samples stay RELAXED. None: the status is INFEASIBLE, and the plan does not
-            change.
-        simulate: single shooting. prepare() simulates the plan from its x_0 with its controls before it linearises it,
-            so that the QP has no gaps (Houska, Ferreau and Diehl, Automatica 47, 2011, section 2.2). What the states
-            change by counts in stats.residual. A simulation that is not finite leaves the plan as it is. A sample is
-            one iteration, and solve() is that of multiple shooting.
-        levels: add prepare(level=), in C prepare_level(), and iterate(), which keep derivatives and factors and
-            evaluate part of the rest. Where the QP solver has a working set, DenseActiveSet() and RiccatiActiveSet(),
-            and x_0 is the measured state, the feedback phase is split as well: feedback_first() returns the control of
-            the minimiser on the predicted working set, clipped to its bounds, by one product with a matrix;
-            feedback_finish() solves the QP.
-
-    Levels: Bock et al., in Assessment and Future Directions of NMPC (2007), multi-level iterations; Nurkanovic et al.,
-    CDC 2019, advanced step real-time iteration. There, D is the level that evaluates everything; here it is A.
+        relaxation: "auto": hard rows on states are relaxed at a sample whose QP is infeasible; the status is then
+            RELAXED. A violation of the size of its row costs 1e4 units of the cost, less at early nodes while samples
+            stay RELAXED. None: the status is INFEASIBLE, and the plan does not change.
 
     Examples:
         >>> from nmpc_codegen import Options, RealTimeIteration
@@ -187,9 +134,7 @@ class RealTimeIteration(Algorithm):
     sampling_time: float | None = option(None, Number(optional=True, unit="s"))
     iterations: int = option(10, Whole(most=100))
     tolerance: float = option(0.1, Number())
-    relaxation: float | str | None = option("auto", Number(optional=True, word="auto"))
-    simulate: bool = option(False, Flag())
-    levels: bool = option(False, Flag())
+    relaxation: str | None = option("auto", Words(("auto", None)))
 
     name: ClassVar[str] = "real_time_iteration"
     template: ClassVar[str] = "algorithms/real_time_iteration.c"
@@ -201,26 +146,14 @@ class RealTimeIteration(Algorithm):
     def __post_init__(self) -> None:
         check_options(self, self.seam)
         check_sampling_time("RealTimeIteration", self.shift, self.sampling_time)
-        if self.simulate and self.levels:
-            raise OptionError(
-                "RealTimeIteration.simulate: True clashes with levels, which keep the derivatives of a plan that a "
-                "simulation leaves; expected levels=False (--set algorithm.simulate=False)"
-            )
 
     def decide(self, problem: Problem, small: bool) -> tuple[RealTimeIteration, tuple[str, ...]]:
-        """The shift and the relaxation that "auto" stands for; one iteration in a package that cannot do more."""
+        """The shift that "auto" stands for; one iteration in a package that cannot do more."""
         shift, reasons = decide_shift(self.shift, self.sampling_time, problem)
         found = replace(self, shift=shift, sampling_time=resample_time(shift, self.sampling_time, problem))
-        if self.relaxation == "auto":
-            found = replace(found, relaxation=RELAXATION)
-        alone = {
-            "solve() of a simulated plan is that of multiple shooting": self.simulate,
-            "levels keep the derivatives of the plan": self.levels,
-            'goal="size" without solve()': small,
-        }
-        if self.iterations > 1 and any(alone.values()):
+        if self.iterations > 1 and small:
             found = replace(found, iterations=1)
-            reasons.append(f"iterations: 1; {next(why for why, holds in alone.items() if holds)}")
+            reasons.append('iterations: 1; goal="size" without solve()')
         return found, tuple(reasons)
 
     def check_parts(self, parts: Parts) -> None:
@@ -235,46 +168,30 @@ class RealTimeIteration(Algorithm):
 
     def entries(self, features: Features) -> tuple[EntryPoint, ...]:
         """The two phases of a sample, both in one call, the shift of the plan, and the iteration to convergence."""
-        optional = (*(FIRST if features.first else ()), *(LEVELS if features.levels else ()))
         prepare = _prepare(self.shift is not None)
-        return (prepare, *SAMPLE, shift_entry(self.shift), *optional, *((SOLVE,) if features.solve else ()))
-
-    @property
-    def simulates(self) -> bool:
-        """True if the plan is simulated before it is linearised."""
-        return self.simulate
-
-    @property
-    def pulls_back(self) -> bool:
-        """Level C needs the adjoint of an interval."""
-        return self.levels
+        return (prepare, *SAMPLE, shift_entry(self.shift), *((SOLVE,) if features.solve else ()))
 
     def adds(self, features: Features) -> Features:
         """How shift() moves the plan (all 0: by one interval); whether hard rows are relaxed."""
         return replace(
             with_shift(features, self.shift),
             relax=self.relaxation is not None,
-            first=features.first and self.levels and features.all_measured,
-            levels=self.levels,
             iterates=self.iterations > 1,
             judges=self.tolerance < UNJUDGED,
         )
 
     def hooked_parts(self, features: Features) -> tuple[HookedPart, ...]:
         """What the options, and the Hessian and the rows, make of a sample."""
-        evaluation = at_hooks.LEVELS if self.levels else at_hooks.SIMULATE if self.simulate else at_hooks.PLAIN
         failure = at_hooks.RELAXATION if self.relaxation is not None else at_hooks.VIOLATION
         goes_on = features.iterates and features.judges
         wanted = (
             (at_hooks.SHIFT, self.shift is not None),
-            (evaluation, True),
             (at_hooks.REFERENCES, features.set_reference),
             (failure, features.hard_rows),
             (at_hooks.BENT_ROWS, features.nonlinear_rows),
             (at_hooks.NEARNESS, features.judges),
             (at_hooks.ITERATIONS, goes_on),
             (at_hooks.FIRST_SAMPLE, goes_on),
-            (at_hooks.FIRST_CONTROL, features.first),
         )
         return tuple(part for part, present in wanted if present)
 
@@ -283,13 +200,7 @@ class RealTimeIteration(Algorithm):
         check_shift("RealTimeIteration", self.shift, self.sampling_time, problem)
 
     def tables(self, problem: Problem) -> tuple[Table, ...]:
-        """Flags of accumulators and measured components of x_0, the relaxation, node times for shift="resample"."""
-        relaxation = Table(
-            "relaxation_weight",
-            "real",
-            (math.inf if self.relaxation is None else float(self.relaxation),),
-            "l1 weight of hard rows, in their scales, if the QP is infeasible; infinite: they stay hard",
-        )
+        """Flags of accumulators and measured components of x_0, prices of relaxed rows, node times."""
         least = LEAST_PRICE ** (1 / problem.N)
         prices = (
             Table("least_price", "real", (least,), "least price of a relaxed row, relative to that at the next node"),
@@ -303,7 +214,6 @@ class RealTimeIteration(Algorithm):
         tolerance = tolerance_table(self.tolerance)
         return (
             *initial_tables(problem),
-            relaxation,
             *prices,
             tolerance,
             *resample_tables(self.shift, self.sampling_time, problem),
@@ -315,7 +225,6 @@ class RealTimeIteration(Algorithm):
 
     def sizes(self, dims: Dims) -> tuple[tuple[str, int, str], ...]:
         return (
-            *(_LEVEL_SIZES if self.levels else ()),
             ("SAMPLE_ITERATIONS", self.iterations, "QPs of a sample, at most"),
             ("RESTART_SAMPLES", at_hooks.RESTART_SAMPLES, "failed samples in a row after which a plan starts anew"),
             ("CHECKED", at_hooks.CHECKED, "samples of which one checks the optimality of its plan"),
@@ -330,7 +239,7 @@ class RealTimeIteration(Algorithm):
         )
 
     def absent_sizes(self, dims: Dims) -> tuple[tuple[str, int, str], ...]:
-        return (*_LEVEL_SIZES, ("LANES", 1, "blocks that are decomposed at once"))
+        return (("LANES", 1, "blocks that are decomposed at once"),)
 
     def structs(self, dims: Dims) -> tuple[Struct, ...]:
         """Solution of the QP, counters, and data that are kept between samples."""
@@ -365,8 +274,6 @@ class RealTimeIteration(Algorithm):
             _hessian_struct(dims),
             _trial(dims),
             _search(dims),
-            *only_if(self.levels, *at_hooks.level_structs(dims)),
-            *at_hooks.law_structs(dims),
             Struct("solver", "", (*keep, *results)),
         )
 
@@ -409,13 +316,6 @@ def _stats() -> Struct:
             count("violated_node", "its node, or -1"),
             Field("violation", (), "violation of violated_row by the last step of the QP", "result"),
             Field("residual", (), "of the plan: scaled gaps, hard rows, relative KKT residual", "result"),
-            Field(
-                "first_deviation",
-                (),
-                "control of the QP less that of feedback_first()",
-                "result",
-                only=lambda f: f.first,
-            ),
         ),
     )
 

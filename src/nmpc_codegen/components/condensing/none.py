@@ -5,7 +5,16 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-from nmpc_codegen.components.base import COUPLED_START, EVERY_USE, Condensing, Counts, Dims, QpShape, Seam, StageMatrices
+from nmpc_codegen.components.base import (
+    COUPLED_START,
+    EVERY_USE,
+    Condensing,
+    Counts,
+    Dims,
+    QpShape,
+    Seam,
+    StageMatrices,
+)
 from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.package.opcount import OpCount
 

@@ -14,13 +14,11 @@ from typing import ClassVar
 
 import casadi as ca
 
-from nmpc_codegen.components.allowed import Named, Number, check_options, option
+from nmpc_codegen.components.allowed import Named, check_options, option
 from nmpc_codegen.components.base import EVERY_USE, Counts, Dims, Hessian, Integrator, Regularization, Seam
 from nmpc_codegen.components.hessians.regularization import Mirror, Project
 from nmpc_codegen.components.stage_cost import StageCost, StageCosts, slices
 from nmpc_codegen.frontend.problem import Problem
-from nmpc_codegen.ir.casadi_types import Expression
-from nmpc_codegen.ir.cmodule import Table
 from nmpc_codegen.ir.kernel import Kernel, Port, lift
 from nmpc_codegen.ir.model import Block, HessianModel, ModelFunctions, operations
 from nmpc_codegen.ir.stage_products import Pattern, irreducible_blocks, pattern
@@ -70,16 +68,14 @@ class ExactHessian(Hessian):
     Args:
         regularization: what is done where the QP would not be convex; None: nothing.
         sweep: the propagation of second derivatives of the dynamics.
-        levenberg_marquardt: added to the diagonal of every block.
 
     Examples:
         >>> from nmpc_codegen import ExactHessian, Mirror, Options
-        >>> options = Options(hessian=ExactHessian(Mirror(1e-4, level="stage")))
+        >>> options = Options(hessian=ExactHessian(Mirror(level="stage")))
     """
 
     regularization: Regularization | None = option(Mirror(), Named(_REGULARIZATIONS, (Project, Mirror)))
     sweep: Symmetric | ForwardOverAdjoint = option(Symmetric(), Named(_SWEEPS, (Symmetric, ForwardOverAdjoint)))
-    levenberg_marquardt: float = option(0.0, Number(closed=True))
 
     name: ClassVar[str] = "exact"
     template: ClassVar[str] = "hessians/exact.c"
@@ -120,7 +116,7 @@ class ExactHessian(Hessian):
         x_N = cost.inputs[0]
         r = ca.SX(0) if problem.coupled is None else ca.dot(eta, problem.coupled(x_0, x_N))
         first, last = (ca.sparsify(ca.tril(ca.hessian(r, x)[0])) for x in (x_0, x_N))
-        Q = ca.sparsify(cost.hessian + last + self._damping(nx))
+        Q = ca.sparsify(cost.hessian + last)
         ports = [Port("first", nx, doc="x_0"), Port("eta", ne, doc="multipliers of the coupled rows")]
         terminal = lift(
             ca.Function("hessian", [*cost.inputs, cost.yref, cost.W, cost.mu, x_0, eta], [Q]),
@@ -143,17 +139,11 @@ class ExactHessian(Hessian):
 
     def _start(self, cost: StageCost) -> Call:
         """g and Q of the node's own cost and rows."""
-        Q = ca.densify(cost.hessian + self._damping(cost.nz))
+        Q = ca.densify(cost.hessian)
         symbols = [*cost.inputs, cost.yref, cost.W, cost.mu]
         leaf = ca.Function("node", symbols, [ca.densify(cost.gradient), ca.vec(Q.T)])
         outs = (Slice("g", cost.nz), Slice("Q", cost.nz**2))
         return Call(leaf, slices(*cost.ports, *cost.data_ports, cost.mu_port), outs)
-
-    def _damping(self, n: int) -> Expression:
-        """The Levenberg-Marquardt term; zero if it is added after a regularisation of the block."""
-        if self.level == "stage" or not self.levenberg_marquardt:
-            return ca.SX(n, n)
-        return self.levenberg_marquardt * ca.SX.eye(n)
 
     def _store_zeros(self, routine: Routine, more: Pattern = frozenset()) -> Routine:
         """Return the routine with zeros in the entries ``more`` and in those that a regularisation may fill."""
@@ -174,13 +164,6 @@ class ExactHessian(Hessian):
             regularize_stages=self.level == "stage",
             regularize_reduced=self.level == "reduced",
         )
-
-    def tables(self, problem: Problem) -> tuple[Table, ...]:
-        """Relative floor of the eigenvalues, Levenberg-Marquardt term of regularised blocks."""
-        if self.regularization is None:
-            return ()
-        values = (float(self.regularization.floor), float(self.levenberg_marquardt))
-        return (Table("regularization", "real", values, "relative floor of the eigenvalues; Levenberg-Marquardt term"),)
 
     def sizes(self, dims: Dims) -> tuple[tuple[str, int, str], ...]:
         if self.regularization is None:

@@ -12,7 +12,6 @@ from typing import ClassVar
 
 import casadi as ca
 
-from nmpc_codegen.components.allowed import Flag, Number, check_options, option
 from nmpc_codegen.components.base import EVERY_USE, Counts, Dims, Hessian, Integrator
 from nmpc_codegen.components.hessians.exact import MAX_SWEEPS
 from nmpc_codegen.components.stage_cost import StageCost, StageCosts
@@ -28,23 +27,14 @@ from nmpc_codegen.package.struct_layout import Field, Struct
 class GaussNewton(Hessian):
     """Gauss-Newton Hessian of a cost of least squares: H = sum_k J_k' W_k J_k, J_k the Jacobian of the residual.
 
-    If it is given, and not chosen by the compiler, solve() has it, too.
-
-    Args:
-        convex_rows: add mu_i d2 h_i of every general row for which it is positive semidefinite, with the multipliers of
-            the last QP; with discs and other convex rows steps need this to converge. Linear rows have none.
-        levenberg_marquardt: added to the diagonal.
+    mu_i d2 h_i of every general row for which it is positive semidefinite is added, with the multipliers of the last
+    QP: with discs and other convex rows steps need this to converge. If it is given, and not chosen by the compiler,
+    solve() has it, too.
     """
-
-    convex_rows: bool = option(True, Flag())
-    levenberg_marquardt: float = option(0.0, Number(closed=True))
 
     name: ClassVar[str] = "gauss_newton"
     template: ClassVar[str] = "hessians/gauss_newton.c"
     supports: ClassVar[frozenset[str]] = EVERY_USE - {"general cost", "integrated cost"}
-
-    def __post_init__(self) -> None:
-        check_options(self, self.seam)
 
     def blocks(self, problem: Problem, costs: StageCosts, integrator: Integrator) -> HessianModel:
         """J' W J of every stage, and the curvature of its rows as a routine of its own."""
@@ -53,14 +43,13 @@ class GaussNewton(Hessian):
         return HessianModel(start.hessian, path, self._block(costs.terminal))
 
     def _block(self, cost: StageCost, diagonal: bool = False) -> Block:
-        damping = 0.0 if cost.name == "start" else self.levenberg_marquardt
-        Q = ca.sparsify(cost.gauss_newton + damping * ca.DM.eye(cost.nz))
+        Q = ca.sparsify(cost.gauss_newton)
         if diagonal:  # stored as zeros, to which the proximal terms of samples are added
             Q = ca.project(Q, Q.sparsity().unite(ca.Sparsity.diag(cost.nz)))
-        if self.convex_rows:  # nonzeros of the rows alone are stored as zeros, to which add_rows() adds
-            Q = ca.project(Q, Q.sparsity().unite(cost.curvature.sparsity()))
+        # nonzeros of the rows alone are stored as zeros, to which add_rows() adds
+        Q = ca.project(Q, Q.sparsity().unite(cost.curvature.sparsity()))
         kernel = cost.kernel("hessian", "Q = J' W J, lower triangle", Q, Port("Q", cost.nz, cost.nz))
-        curvature = self._curvature(cost) if self.convex_rows and cost.curvature.nnz() else None
+        curvature = self._curvature(cost) if cost.curvature.nnz() else None
         return Block(pattern(kernel, "Q"), kernel, curvature)
 
     def _curvature(self, cost: StageCost) -> Kernel:

@@ -2,7 +2,7 @@
 
     V max(|Lambda|, floor) V'   (mirror; Quirynen et al., CDC 2014, eq. 4)      V max(Lambda, floor) V'   (project)
 
-floor = ``floor`` times the largest |Lambda| of the block; for a zero block, the largest entry of all blocks replaces
+floor = 1e-8 times the largest |Lambda| of the block; for a zero block, the largest entry of all blocks replaces
 |Lambda|. At level "reduced" the predicted working set is held first (templates/riccati/convexify.c,
 templates/hessians/regularize_reduced.c); a mirrored eigenvalue is raised by a tenth of the most negative one. On stages
 the reduced Hessian is not formed: its diagonal is shifted, in units D of the variables,
@@ -18,7 +18,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-from nmpc_codegen.components.allowed import Number, Words, check_options, option
+from nmpc_codegen.components.allowed import Words, check_options, option
 
 LEVELS = ("reduced", "stage")
 
@@ -27,7 +27,6 @@ LEVELS = ("reduced", "stage")
 class EigenvalueFloor:
     """Which eigenvalues of a Hessian are changed."""
 
-    floor: float = option(1e-8, Number(upper=1.0))
     level: str = option("reduced", Words(LEVELS))
 
     mirrors: ClassVar[bool]
@@ -41,7 +40,6 @@ class Project(EigenvalueFloor):
     """Raises eigenvalues below the floor to the floor.
 
     Args:
-        floor: as in Mirror.
         level: as in Mirror.
     """
 
@@ -53,7 +51,6 @@ class Mirror(EigenvalueFloor):
     """Changes the sign of negative eigenvalues, and raises small ones to the floor. The default.
 
     Args:
-        floor: smallest eigenvalue, relative to the largest absolute one.
         level: "reduced" changes the Hessian on the predicted working set, and only if it is not positive definite;
             "stage" treats the block of every node.
     """

@@ -10,12 +10,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
 from nmpc_codegen.components.allowed import Whole, check_options, option
 from nmpc_codegen.components.base import EVERY_USE, QpSolver
-from nmpc_codegen.package.features import Features
 from nmpc_codegen.package.opcount import OpCount
 from nmpc_codegen.package.struct_layout import Field, Size, Struct
 
@@ -54,10 +53,6 @@ class DenseActiveSet(QpSolver):
 
     def __post_init__(self) -> None:
         check_options(self, self.seam)
-
-    def adds(self, features: Features) -> Features:
-        """It predicts a working set."""
-        return replace(features, first=True)
 
     def _cap(self, dims: Dims) -> int:
         needed = math.ceil(CAUTION * ITERATIONS_NEEDED * (dims.qp.nv.value + dims.ng.value))

@@ -23,7 +23,7 @@ from nmpc_codegen.components.qp.riccati import (
     stage_qp_fields,
     units_structs,
 )
-from nmpc_codegen.components.qp.riccati_interior_point import RiccatiInteriorPoint, interior_point_struct
+from nmpc_codegen.components.qp.riccati_interior_point import CROSSOVER, RiccatiInteriorPoint, interior_point_struct
 from nmpc_codegen.package.features import Features
 from nmpc_codegen.package.struct_layout import Field, Size, Struct, only_if
 
@@ -40,9 +40,8 @@ MAX_ITERATIONS = 30
 MAX_POLISH = 5
 
 
-# The fall-back runs after other working sets have failed, so no good starting point is known.
-_COLD = RiccatiInteriorPoint(warm_start=False)
-_FALLBACKS: dict[str, RiccatiInteriorPoint | None] = {"riccati_interior_point": _COLD, "None": None}
+_FALLBACK = RiccatiInteriorPoint()
+_FALLBACKS: dict[str, RiccatiInteriorPoint | None] = {"riccati_interior_point": _FALLBACK, "None": None}
 
 
 def _joint(dims: Dims) -> int:
@@ -96,14 +95,14 @@ class RiccatiActiveSet(QpSolver):
     supports: ClassVar[frozenset[str]] = EVERY_USE
 
     max_iterations: int | None = option(None, Whole(optional=True))
-    fallback: RiccatiInteriorPoint | None = option(_COLD, Named(_FALLBACKS, (RiccatiInteriorPoint,)))
+    fallback: RiccatiInteriorPoint | None = option(_FALLBACK, Named(_FALLBACKS, (RiccatiInteriorPoint,)))
 
     def __post_init__(self) -> None:
         check_options(self, self.seam)
 
     def adds(self, features: Features) -> Features:
         """It predicts a working set; whether the fall-back is in the package."""
-        return replace(features, first=True, interior_point=self.fallback is not None)
+        return replace(features, interior_point=self.fallback is not None)
 
     @property
     def _cap(self) -> int:
@@ -122,7 +121,7 @@ class RiccatiActiveSet(QpSolver):
         )
 
     def absent_sizes(self, dims: Dims) -> tuple[tuple[str, int, str], ...]:
-        return (*self._joint_sizes(dims), *self._fallback_sizes(_COLD))
+        return (*self._joint_sizes(dims), *self._fallback_sizes(_FALLBACK))
 
     def _joint_sizes(self, dims: Dims) -> tuple[tuple[str, int, str], ...]:
         return (("QP_MAX_JOINT", _joint(dims), "cap on the rows of the Schur complement"),)
@@ -130,9 +129,8 @@ class RiccatiActiveSet(QpSolver):
     def _fallback_sizes(self, fallback: RiccatiInteriorPoint) -> tuple[tuple[str, int, str], ...]:
         return (
             ("QP_MAX_RISES", 3, "number of times that the changes may fail to become fewer"),
-            ("IPM_CROSSOVER", 1, "1: the interior point method may end once it indicates a working set"),
+            ("IPM_CROSSOVER", 1, CROSSOVER),
             ("IPM_MAX_ITERATIONS", fallback.max_iterations, "cap on the interior point iterations of one QP"),
-            ("IPM_WARM_START", int(fallback.warm_start), "1: start near the multipliers of the previous QP"),
         )
 
     def structs(self, dims: Dims) -> tuple[Struct, ...]:
@@ -147,7 +145,7 @@ class RiccatiActiveSet(QpSolver):
             *only_if(measured, *units),
             *riccati_structs(dims, only_if(measured, noise), corrected),
             *only_if(ng.value, _schur_struct(dims)),
-            *only_if(self.fallback, interior_point_struct(dims, self.fallback or _COLD, crossover=True)),
+            *only_if(self.fallback, interior_point_struct(dims, True)),
             Struct(
                 "qp",
                 "working set of the stage QP",

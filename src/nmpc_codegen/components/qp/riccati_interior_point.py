@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, ClassVar
 
-from nmpc_codegen.components.allowed import Flag, Whole, check_options, option
+from nmpc_codegen.components.allowed import Whole, check_options, option
 from nmpc_codegen.components.base import EVERY_USE, QpSolver, Seam
 from nmpc_codegen.components.qp.riccati import riccati_sizes, riccati_structs, stage_qp_fields, units_structs
 from nmpc_codegen.package.features import Features
@@ -25,7 +25,11 @@ if TYPE_CHECKING:
 MAX_ITERATIONS = 80
 
 
-def interior_point_struct(dims: Dims, options: RiccatiInteriorPoint, crossover: bool = False) -> Struct:
+#: Of the size IPM_CROSSOVER.
+CROSSOVER = "1: the iterations may end once they indicate a working set; 0: they start near the multipliers before"
+
+
+def interior_point_struct(dims: Dims, crossover: bool) -> Struct:
     """The struct ``ipm`` of the solver: iterate and directions of the method.
 
     ``crossover``: another method may take over.
@@ -43,13 +47,11 @@ def interior_point_struct(dims: Dims, options: RiccatiInteriorPoint, crossover: 
             Field("v", (rows,), "values of the rows", "scratch"),
             Field("origin", (rows,), "values of the rows at the first point", "scratch"),
             Field("dv", (rows,), "their direction", "scratch"),
-            *only_if(options.warm_start, before),
+            *only_if(not crossover, before),
             Field("y", (ng,), "multipliers of equations", "scratch"),
             Field("stiffness", (ng,), "weights of equations", "scratch"),
             Field("weight", (rows,), "weights of the rows", "scratch"),
-            Field(
-                "proximal", (dims.nz,), "share of the diagonal of a singular Hessian that is added to it", "scratch"
-            ),
+            Field("proximal", (dims.nz,), "share of the diagonal of a singular Hessian that is added to it", "scratch"),
             Field("force", (rows,), "multipliers after a step that leaves v unchanged", "scratch"),
             Field("t", (sides,), "distance to the bound", "scratch"),
             Field("lam", (sides,), "multiplier", "scratch"),
@@ -63,7 +65,7 @@ def interior_point_struct(dims: Dims, options: RiccatiInteriorPoint, crossover: 
             Field("compliance", (soft,), "1 / (l2 + kappa / e)", "scratch"),
             Field("de", (soft,), "direction of e", "scratch"),
             Field("dkappa", (soft,), "correction of the products e kappa, later the direction of kappa", "scratch"),
-            *_progress(dims, options.warm_start),
+            *_progress(dims, not crossover),
             *only_if(
                 crossover, Field("crossing", (), "whether and when another method takes over", "scratch", "int32")
             ),
@@ -114,15 +116,14 @@ def _progress(dims: Dims, warm: bool) -> tuple[Field, ...]:
 
 @dataclass(frozen=True)
 class RiccatiInteriorPoint(QpSolver):
-    """Interior point solver of a QP on stages; time and memory are linear in N.
+    """Interior point solver of a QP on stages; time and memory are linear in N. It starts near the multipliers of the
+    previous QP.
 
     Args:
         max_iterations: factorisations in one feedback phase at most.
-        warm_start: start near the multipliers of the previous QP.
     """
 
     max_iterations: int = option(MAX_ITERATIONS, Whole())
-    warm_start: bool = option(True, Flag())
 
     name: ClassVar[str] = "riccati_interior_point"
     template: ClassVar[str] = "qp/riccati_interior_point.c"
@@ -143,8 +144,7 @@ class RiccatiInteriorPoint(QpSolver):
         return (
             *riccati_sizes(dims),
             ("IPM_MAX_ITERATIONS", self.max_iterations, "cap on the interior point iterations of one QP"),
-            ("IPM_WARM_START", int(self.warm_start), "1: start near the multipliers of the previous QP"),
-            ("IPM_CROSSOVER", 0, "1: the iterations may end once they indicate a working set"),
+            ("IPM_CROSSOVER", 0, CROSSOVER),
         )
 
     def ranges(self, dims: Dims) -> Mapping[str, tuple[int, int]]:
@@ -156,4 +156,4 @@ class RiccatiInteriorPoint(QpSolver):
         """The recursion, the method, the QP."""
         units, noise = units_structs(dims)
         qp = Struct("qp", "bounds and results of the stage QP", stage_qp_fields(dims))
-        return (*units, *riccati_structs(dims, (noise,)), interior_point_struct(dims, self), qp)
+        return (*units, *riccati_structs(dims, (noise,)), interior_point_struct(dims, False), qp)

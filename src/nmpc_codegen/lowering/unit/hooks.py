@@ -16,9 +16,6 @@ from nmpc_codegen.lowering.unit.read import items_of, read_part
 _CALL = re.compile(rf"(?P<before>(?:\w+ = )?)(?P<hook>{'|'.join(HOOKS)})(?P<arguments>\(.*\);)", re.DOTALL)
 _NAMES = frozenset(HOOKS)
 
-#: Hooks that exactly one hooked part defines.
-ALONE = ("prepare_plan",)
-
 
 @cache
 def _hooks(part: str) -> Mapping[str, Item]:
@@ -51,11 +48,7 @@ def hook_prototypes(hooked_parts: Iterable[str]) -> str:
 
 
 def call_hooks(item: Item, hooked_parts: tuple[str, ...]) -> Item:
-    """The item with the calls of hooks written out.
-
-    Raises:
-        ValueError: no part defines a hook that needs a definition, or several parts define it.
-    """
+    """The item with the calls of hooks written out."""
     if _NAMES.isdisjoint(item.calls):
         return item
     return replace(item, text=_with_hooks(item.text, hooked_parts))
@@ -70,8 +63,6 @@ def _with_hooks(text: str, hooked_parts: tuple[str, ...]) -> str:
         if call is None:
             continue
         names = [f"{name}_{call['hook']}" for name, hooks in named.items() if call["hook"] in hooks]
-        if call["hook"] in ALONE and len(names) != 1:
-            raise ValueError(f"{call['hook']}: expected one hooked part that defines it, found {names}")
         before = margin(text, node)
         lines = [f"{before}{call['before']}{name}{call['arguments']}\n" for name in names]
         edits.append(Edit(node.start - len(before), node.end + 1, "".join(lines)))

@@ -121,9 +121,8 @@ def _of_qp(ctrl: Memory) -> Iterator[str]:
         return
     if options.get("qp.fallback", "") is None:
         yield "let the interior point method take over: leave fallback=None out"
-    given = options["hessian"] == "ExactHessian" and not any(c.startswith("hessian:") for c in choices)
-    if given and options["hessian.levenberg_marquardt"] == 0:
-        yield "leave the Hessian to the compiler, or damp it: ExactHessian(levenberg_marquardt=1e-4)"
+    if options["hessian"] == "ExactHessian" and not any(c.startswith("hessian:") for c in choices):
+        yield "leave the Hessian to the compiler"
     if not any("qp: " in c for c in choices):
         yield "leave condensing and qp to the compiler"
     if options["precision"] == "single" and ctrl.status != Status.NUMERICAL_FAILURE:
