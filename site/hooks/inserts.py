@@ -17,7 +17,7 @@ from typing import Any
 import casadi as ca
 from markdown.extensions.toc import slugify
 
-from nmpc_codegen import OCP, ButcherTableau, Online, Options, RealTimeIteration, Soft, Status, generate
+from nmpc_codegen import OCP, ButcherTableau, Online, Options, Soft, Status, generate
 from nmpc_codegen.cli import main
 
 ROOT = Path(__file__).parents[2]
@@ -45,9 +45,7 @@ def _functions() -> str:
     ocp.least_squares(ca.vertcat(x, u), weight=1.0)
     ocp.terminal_least_squares(x, weight=1.0)
     ocp.subject_to(-1, x, 1, soft=Soft(lower=1e3, upper=1e3))
-    options = Options(
-        online=Online("node", "node", "node", "node", soft="node")
-    )
+    options = Options(online=Online("node", "node", "node", "node", soft="node"))
     (text,) = _FUNCTIONS.findall(generate(ocp, options)["plant.h"])
     return f"```c\n{text.rstrip()}\n```"
 

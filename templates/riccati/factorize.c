@@ -100,14 +100,14 @@ static void riccati_add_weights(solver_t *s, int k)
     riccati_t *r = &s->riccati;
     int n = 0;
     for (int m = row_first[k]; m < row_first[k + 1]; m++) {
-        const int state = row_index(m);
+        const int i = row_index(m), bounds = row_is_state(m);
         const real_t weight = riccati_weight(r, m);
         const int counts = weight != R(0); /* rows without weight are skipped */
-        if (counts && state >= 0) {
-            r->P[k][state][state] += weight;
+        if (counts && bounds) {
+            r->P[k][i][i] += weight;
         }
         if (GENERAL_ROWS || NE) {
-            if (counts && state < 0) {
+            if (counts && !bounds) {
                 riccati_collect_row(s, m, n);
                 n++;
             }

@@ -20,7 +20,6 @@ from nmpc_codegen import (
     OptionError,
     Options,
     Osqp,
-    PartialCondensing,
     Project,
     RealTimeIteration,
     RiccatiActiveSet,
@@ -65,7 +64,7 @@ def loop_of(problem: str, solver: str, **more: object) -> Loop:
 )
 def test_no_sample_exceeds_the_worst_case(problem: str, solver: str) -> None:
     require_tool("cxx")
-    loop = loop_of(problem, solver, algorithm=RealTimeIteration(relaxation=100.0))
+    loop = loop_of(problem, solver, algorithm=RealTimeIteration())
     worst = worst_case(package_of(loop))
     assert worst["prepare"] + worst["feedback"] == worst["sample"]
     (found,) = count(loop, hostile(loop, 80), optimise=False)
@@ -99,7 +98,6 @@ def test_the_cap_on_iterations_counts(solver: str) -> None:
 OTHERS = {
     "exact, reduced": Options(hessian=ExactHessian(Project(level="reduced"))),
     "exact, stage": Options(hessian=ExactHessian(Project(level="stage"))),
-    "partial": Options(condensing=PartialCondensing(2)),
     "single": Options(precision="single"),
 }
 

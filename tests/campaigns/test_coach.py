@@ -42,8 +42,8 @@ SPELLED: tuple[tuple[Options, str], ...] = (
     (Options(), "Options()"),
     (Options(ExplicitRungeKutta(RK4, steps=4)), "Options(integrator=ExplicitRungeKutta(steps=4))"),
     (
-        Options(hessian=ExactHessian(regularization=Project(1e-6))),
-        "Options(hessian=ExactHessian(regularization=Project(floor=1e-06)))",
+        Options(hessian=ExactHessian(regularization=Project(level="stage"))),
+        "Options(hessian=ExactHessian(regularization=Project(level='stage')))",
     ),
     (
         Options(

@@ -14,12 +14,12 @@ from nmpc_codegen.components.integrators import RK4, SDIRK2, ExplicitRungeKutta,
 def test_settings() -> None:
     options = apply_settings(Options(), [("integrator.steps", "4")])
     options = apply_settings(options, [("integrator.tableau", "Heun")])
-    options = apply_settings(options, [("hessian.levenberg_marquardt", "1e-3")])
+    options = apply_settings(options, [("algorithm.tolerance", "1e-3")])
     options = apply_settings(options, [("qp", "dense-active-set")])
     options = apply_settings(options, [("qp.max_iterations", "50")])
     options = apply_settings(options, [("precision", "single")])
     assert options.integrator == ExplicitRungeKutta(Heun, steps=4)
-    assert options.hessian.levenberg_marquardt == 1e-3
+    assert options.algorithm.tolerance == 1e-3
     assert (options.qp.name, options.qp.max_iterations) == ("dense_active_set", 50)
     assert options.precision == "single"
     assert apply_settings(options, [("qp", "None")]).qp is None
@@ -27,9 +27,9 @@ def test_settings() -> None:
     assert apply_settings(Options(), shift) == apply_settings(Options(), shift[::-1])
     mirror = apply_settings(
         Options(),
-        [("hessian", "exact"), ("hessian.regularization", "mirror"), ("hessian.regularization.floor", "1e-3")],
+        [("hessian", "exact"), ("hessian.regularization", "mirror"), ("hessian.regularization.level", "stage")],
     )
-    assert mirror.hessian.regularization == Mirror(floor=1e-3)
+    assert mirror.hessian.regularization == Mirror(level="stage")
     assert Options().integrator is None
     assert ExplicitRungeKutta().tableau is RK4
 
@@ -40,7 +40,7 @@ def test_settings() -> None:
         ("speed", "1", "no option 'speed'; there is integrator, hessian"),
         ("integrator", "leapfrog", "there is explicit_runge_kutta, implicit_runge_kutta, discrete"),
         ("integrator.steps.more", "1", "integrator.steps has no option 'more'; it has none"),
-        ("hessian.scale", "1", "hessian has no option 'scale'; there is convex_rows"),
+        ("hessian.scale", "1", "hessian has no option 'scale'; it has none"),
         ("online.speed", "1", "online has no option 'speed'; there is reference"),
         ("precision", "half", "half"),
         ("integrator.tableau", "RK77", "RK77"),

@@ -57,12 +57,10 @@ class Shape:
     def dims(self) -> Any:
         """The members of Dims that the Riccati components use."""
         named = {
-            "ns": self.ns,
+            "N": self.ns,
             "nx": self.nx,
             "nu": self.nus,
-            "nus": self.nus,
-            "nxs": self.nx,
-            "nzs": self.nx + self.nus,
+            "nz": self.nx + self.nus,
             "nf": len(self.free),
         }
         named |= {"nv": self.ns * self.nus, "ng": len(self.rows)}
@@ -72,27 +70,27 @@ class Shape:
 
     @property
     def first(self) -> list[int]:
-        """First row of the stages 0 .. NS + 1."""
+        """First row of the stages 0 .. N + 1."""
         return [sum(1 for k, _ in self.rows if k < stage) for stage in range(self.ns + 2)]
 
 
 def _data(dims: Any) -> tuple[Struct, ...]:
     """The members that condensing, Hessian and algorithm own in a real package."""
-    nodes = Size("NS + 1", dims.qp.ns.value + 1)
+    nodes = Size("N + 1", dims.N.value + 1)
 
     def field(name: str, *shape: Size) -> Field:
         return Field(name, shape, "", "data")
 
     return (
-        Struct("hessian", "", (field("Q", dims.qp.ns, dims.qp.nzs, dims.qp.nzs), field("Q_N", dims.nx, dims.nx))),
+        Struct("hessian", "", (field("Q", dims.N, dims.nz, dims.nz), field("Q_N", dims.nx, dims.nx))),
         Struct(
             "stage",
             "",
             (
-                field("S", dims.qp.ns, dims.nx, dims.qp.nzs),
-                field("b", dims.qp.ns, dims.nx),
-                field("g", nodes, dims.qp.nzs),
-                field("J", dims.ng, dims.qp.nzs),
+                field("S", dims.N, dims.nx, dims.nz),
+                field("b", dims.N, dims.nx),
+                field("g", nodes, dims.nz),
+                field("J", dims.ng, dims.nz),
             ),
         ),
         Struct("step", "", (field("dx", nodes, dims.nx),)),
@@ -100,15 +98,20 @@ def _data(dims: Any) -> tuple[Struct, ...]:
 
 
 ACCESSORS = """
-static inline real_t (*stage_S(solver_t *s, int k))[NZS] { return s->stage.S[k]; }
+static inline real_t (*stage_S(solver_t *s, int k))[NZ] { return s->stage.S[k]; }
 static inline real_t *stage_b(solver_t *s, int k) { return s->stage.b[k]; }
 static inline real_t *stage_g(solver_t *s, int k) { return s->stage.g[k]; }
-static inline real_t (*stage_Q(solver_t *s, int k))[NZS] { return s->hessian.Q[k]; }
-static inline real_t (*stage_Q_N(solver_t *s))[NXS] { return s->hessian.Q_N; }
+static inline real_t (*stage_Q(solver_t *s, int k))[NZ] { return s->hessian.Q[k]; }
+static inline real_t (*stage_Q_N(solver_t *s))[NX] { return s->hessian.Q_N; }
 static inline real_t stage_row_value(const solver_t *s, int m) { (void)s; (void)m; return R(0); }
 static inline int row_id(int m) { return m; }
 """
-ROW_ACCESSOR = "static inline const real_t *stage_row(const solver_t *s, int m) { return s->stage.J[m]; }\n"
+ROW_ACCESSORS = """
+static inline const real_t *stage_row(const solver_t *s, int m) { return s->stage.J[m]; }
+static inline int row_node(int m) { return node_of_row[m]; }
+static inline int row_index(int m) { return state_of_row[m]; }
+static inline int row_is_state(int m) { return state_of_row[m] >= 0; }
+"""
 
 KERNEL = """
 int test_factorize(solver_t *s, int last) { return riccati_factorize(s, last); }
@@ -144,17 +147,16 @@ def source(shape: Shape, precision: str = "double", lanes: int = 1) -> str:
     values |= {name: value for name, value, _ in riccati_sizes(shape.dims)}
     measured = [int(i not in shape.free) for i in range(shape.nx)]
     tables = {
-        "stage_first": shape.first,
-        "stage_of_row": [k for k, _ in shape.rows],
-        "stage_state": [i for _, i in shape.rows],
+        "row_first": shape.first,
+        "node_of_row": [k for k, _ in shape.rows],
+        "state_of_row": [i for _, i in shape.rows],
         "free_state": shape.free,
-        "copied_state": (),
         "is_measured": measured,
         "is_accumulator": [0] * shape.nx,
     }
     lines = [unit_head(values, precision)]
     for name, numbers in tables.items():
-        if name.startswith("stage_") and not shape.rows:
+        if "row" in name and not shape.rows:
             continue
         text = ", ".join(map(str, numbers)) or "0"
         lines.append(f"static const int {name}[{max(1, len(numbers))}] = {{ {text} }};")
@@ -164,7 +166,7 @@ def source(shape: Shape, precision: str = "double", lanes: int = 1) -> str:
     lines += [f"static const real_t {name}[{size}] = {{ R(0) }};" for name, size in scales.items()]
     lines.append("static const real_t cost_size[1] = { R(1e-27) };")
     lines += [struct_text(struct) for struct in structs(shape)]
-    accessors = part_text("core/sizes.c", values | shape.switches) + ACCESSORS + (ROW_ACCESSOR if shape.rows else "")
+    accessors = part_text("core/sizes.c", values | shape.switches) + ACCESSORS + (ROW_ACCESSORS if shape.rows else "")
     text = _in_lines(accessors) + part_text("riccati/kernel.c", values | shape.switches) + _in_lines(KERNEL)
     stated = {(s.name, f.name) for s in (*_data(shape.dims), *riccati_structs(shape.dims)) for f in s.fields}
     absent = stated - {(s.name, f.name) for s in structs(shape) for f in s.fields}

@@ -34,7 +34,9 @@ from verification.models import couple, pendulum_of_everything
 from verification.routes import PURE
 
 Array = np.ndarray
-MIRROR, PROJECT = Mirror(1e-8, "stage"), Project(1e-8, "stage")
+#: Least eigenvalue of a regularised Hessian, relative to the largest one.
+FLOOR = 1e-8
+MIRROR, PROJECT = Mirror("stage"), Project("stage")
 
 
 def everything(free: bool = True) -> OCP:
@@ -112,7 +114,7 @@ def test_adjoint_pass_after_reset() -> None:
     np.testing.assert_array_equal(given.lam, kept)
 
 
-@pytest.mark.parametrize("regularization", [PROJECT, Mirror(0.05, "stage"), Project(0.3, "stage")], ids=repr)
+@pytest.mark.parametrize("regularization", [PROJECT, MIRROR], ids=repr)
 def test_stage_level(regularization: Any) -> None:
     """Blocks of random plans; positive definite blocks keep their values."""
     problem = classify(everything())
@@ -123,7 +125,7 @@ def test_stage_level(regularization: Any) -> None:
         path, last = blocks(problem, point(c), node_data(problem))
         c.prepare()
         for got, H in zip((*c.view("hessian.Q"), c.view("hessian.Q_N")), (*path, last), strict=True):
-            expected = regularized(H, regularization.mirrors, regularization.floor)
+            expected = regularized(H, regularization.mirrors, FLOOR)
             scale = np.abs(H).max()
             np.testing.assert_allclose(mirrored(np.array(got)), expected, atol=1e-13 * scale, rtol=0)
             changed += np.abs(expected - H).max() > 1e-9 * scale
@@ -145,8 +147,8 @@ def quadratic(n: int, N: int = 1) -> OCP:
 
 
 @functools.cache
-def _quadratic(n: int, N: int, regularization: Any, damping: float = 0.0) -> Controller:
-    hessian = ExactHessian(regularization, levenberg_marquardt=damping)
+def _quadratic(n: int, N: int, regularization: Any) -> Controller:
+    hessian = ExactHessian(regularization)
     return build(quadratic(n, N), Options(hessian=hessian, condensing=FullCondensing(), algorithm=PURE), "test")
 
 
@@ -171,8 +173,8 @@ def spectrum(random: np.random.Generator, n: int, kind: int) -> Array:
 @pytest.mark.parametrize(("n", "mirror"), [(n, i % 2 == 0) for i, n in enumerate((1, 2, 3, 4, 5, 8, 13))])
 def test_given_blocks(n: int, mirror: bool) -> None:
     """Eleven nodes, more than the number of lanes; the blocks of x and of node N are zero."""
-    floor, N = 1e-6, 11
-    c = _quadratic(n, N, (Mirror if mirror else Project)(floor, "stage")).copy()
+    floor, N = FLOOR, 11
+    c = _quadratic(n, N, (Mirror if mirror else Project)("stage")).copy()
     random = np.random.default_rng(n)
     for _ in range(5):
         H = [spectrum(random, n, kind) for kind in random.permutation([0, 1, 2, 3, 4, 5, 6, 0, 3, 5, 1])]
@@ -190,22 +192,11 @@ def test_given_blocks(n: int, mirror: bool) -> None:
             assert Q[k, 0, 0] > 0
 
 
-def test_levenberg_marquardt_comes_after_the_regularisation() -> None:
-    H = np.array([[1.0, 2.0], [2.0, -3.0]])
-    for regularization in (MIRROR, PROJECT, None):
-        c = _quadratic(2, 1, regularization, 0.25).copy()
-        c.set_parameter("H", H.ravel())
-        c.prepare()
-        base = H if regularization is None else regularized(H, regularization.mirrors, 1e-8)
-        got = mirrored(np.array(c.view("hessian.Q"))[0])[1:, 1:]
-        np.testing.assert_allclose(got, base + 0.25 * np.eye(2), rtol=1e-14)
-
-
 @pytest.mark.parametrize(("n", "mirror"), [(n, i % 2 == 1) for i, n in enumerate((1, 2, 3, 7, 16, 25))])
 def test_reduced_level(n: int, mirror: bool) -> None:
     """The condensed Hessian is H: the step is -f(H)^{-1} c, where f is the identity if H is positive definite."""
-    floor = 1e-3
-    c = _quadratic(n, 1, (Mirror if mirror else Project)(floor)).copy()
+    floor = FLOOR
+    c = _quadratic(n, 1, (Mirror if mirror else Project)()).copy()
     random = np.random.default_rng(n)
     for kind in (0, 2, 3, 4, 5, 0, 5):
         H, g = spectrum(random, n, kind), random.standard_normal(n)
@@ -218,8 +209,8 @@ def test_reduced_level(n: int, mirror: bool) -> None:
         c.step([0.0])
         assert c.status == Status.OK
         M = regularized_reduced(H, mirror, floor) if values[0] < 0 else H
-        expected = -np.linalg.solve(M, g)
-        np.testing.assert_allclose(c.u[0], expected, rtol=1e-9, atol=1e-9 * np.abs(expected).max())
+        expected, rough = -np.linalg.solve(M, g), 1e-9 if mirror else 1e-6
+        np.testing.assert_allclose(c.u[0], expected, rtol=rough, atol=rough * np.abs(expected).max())
 
 
 def test_without_regularisation_an_indefinite_qp_is_refused() -> None:
@@ -279,9 +270,6 @@ def test_quadratic_convergence() -> None:
     [
         (lambda: ExactHessian("flip"), "regularization: 'flip'; expected one of project, mirror, none"),
         (lambda: ExactHessian(sweep="two"), "sweep: 'two'; expected one of symmetric, forward_over_adjoint"),
-        (lambda: ExactHessian(levenberg_marquardt=-1.0), "levenberg_marquardt: -1.0"),
-        (lambda: Project(0.0), r"Project.floor: 0.0; expected a finite number > 0 and < 1"),
-        (lambda: Mirror(floor=True), "Mirror.floor: True"),
         (lambda: Mirror(level="node"), "Mirror.level: 'node'; expected one of reduced, stage"),
     ],
 )

@@ -22,7 +22,6 @@ from nmpc_codegen import (
     Mirror,
     NoCondensing,
     Options,
-    PartialCondensing,
     Project,
     RiccatiActiveSet,
     RiccatiInteriorPoint,
@@ -50,9 +49,8 @@ from verification.routes import PURE, ROUTES
 
 Array = np.ndarray
 
-ON_STAGES = ("riccati", "interior", "partial")
+ON_STAGES = ("riccati", "interior")
 DENSE = (FullCondensing(), DenseActiveSet())
-#: Odd N, so that the last of the blocks of two intervals is padded.
 SHAPES = {
     Shape(1, 1, 1): Project(),
     Shape(3, 2, 5, states=1, coupled=1): Mirror(),
@@ -278,7 +276,6 @@ def test_size_of_the_shift(regularization: Any) -> None:
 PAIRS = (
     ("riccati", Project()),
     ("interior", Mirror()),
-    ("partial", Mirror()),
 )
 
 
@@ -324,10 +321,9 @@ def test_controls_at_their_bounds_keep_the_step(route: str, regularization: Any)
     c.u[0, free] += 0.3 * (u[free] < 0.5)  # one step brings it back
     c.step([0.0])
     np.testing.assert_allclose(c.u[0], u, atol=1e-12)
-    if route != "partial":
-        change = np.diag(symmetric(np.array(c.view("hessian.Q"))[0])[1:, 1:] - H)
-        assert np.all(change[free] == 0.0)
-        assert np.any(change[~free] > 0.0)
+    change = np.diag(symmetric(np.array(c.view("hessian.Q"))[0])[1:, 1:] - H)
+    assert np.all(change[free] == 0.0)
+    assert np.any(change[~free] > 0.0)
 
 
 @pytest.mark.parametrize(("route", "regularization"), PAIRS[1:], ids=str)
@@ -385,10 +381,9 @@ def curved(free: bool, coupled: bool) -> OCP:
     ("route", "regularization", "free", "coupled"),
     [
         ("riccati", Project(), True, False),
-        ("partial", Project(), False, True),
+        ("riccati", Project(), False, True),
         ("interior", Project(), True, False),
-        ("partial", Mirror(), True, True),
-        ("interior", Mirror(level="stage"), True, True),
+        ("interior", Mirror(level="stage"), False, True),
     ],
     ids=str,
 )
@@ -465,8 +460,8 @@ def test_single_precision() -> None:
 
 
 def test_warnings_of_the_interior_point_route() -> None:
-    options = Options(hessian=ExactHessian(), condensing=PartialCondensing(2), qp=RiccatiInteriorPoint())
-    shared_library(generate(curved(True, True), options), "curved.c", WARNINGS)
+    options = Options(hessian=ExactHessian(), condensing=NoCondensing(), qp=RiccatiInteriorPoint())
+    shared_library(generate(curved(True, False), options), "curved.c", WARNINGS)
 
 
 def test_qp_none_looks_at_stages() -> None:

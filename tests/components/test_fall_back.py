@@ -40,7 +40,7 @@ def test_attempts_after_the_interior_point_method_fit_the_record_of_working_sets
 
 def test_without_fall_back_closed_loops_are_the_same_where_it_is_not_needed() -> None:
     loops = []
-    for fallback in (RiccatiInteriorPoint(warm_start=False), None):
+    for fallback in (RiccatiInteriorPoint(), None):
         controller = build(
             quadrotor.build_ocp(),
             Options(condensing=NoCondensing(), qp=RiccatiActiveSet(fallback=fallback)),
@@ -65,7 +65,7 @@ def test_without_fall_back_an_infeasible_qp_ends_with_a_status_and_a_safe_contro
     ocp.subject_to(-1, u, 1)
     ocp.subject_to(5, x, np.inf, at="end")
     statuses = {}
-    for fallback in (RiccatiInteriorPoint(warm_start=False), None):
+    for fallback in (RiccatiInteriorPoint(), None):
         options = Options(condensing=NoCondensing(), qp=RiccatiActiveSet(fallback=fallback), algorithm=PURE)
         controller = build(ocp, options, profile="test")
         before = controller.x.copy()

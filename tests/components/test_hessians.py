@@ -28,7 +28,6 @@ class Case:
 
     diagonal: bool
     scaled: tuple[int, ...] = ()
-    damping: float = 0.0
 
 
 CASES = {
@@ -36,8 +35,6 @@ CASES = {
     "dense": Case(False),
     "diagonal, scaled": Case(True, (0, 2)),
     "dense, scaled": Case(False, (0, 1, 2)),
-    "damped": Case(True, (), 0.25),
-    "dense, damped": Case(False, (), 0.5),
 }
 
 GRID = [0.1, 0.3, 0.2]
@@ -82,7 +79,7 @@ def stated(case: Case) -> OCP:
 @functools.cache
 def linearized(name: str) -> Model:
     case = CASES[name]
-    return model_of(classify(stated(case)), Options(hessian=GaussNewton(levenberg_marquardt=case.damping)))
+    return model_of(classify(stated(case)), Options(hessian=GaussNewton()))
 
 
 @functools.cache
@@ -112,7 +109,7 @@ def test_path(name: str, dt: float) -> None:
     gradient = call("path_gradient", *arguments, REFERENCE, stored(W, case))[0]
     np.testing.assert_allclose(gradient, J.T @ weight @ y, rtol=TOLERANCE, atol=TOLERANCE)
     Q = call("path_hessian", *arguments, REFERENCE, stored(W, case))[0]
-    expected = np.tril(J.T @ weight @ J + case.damping * np.eye(3))
+    expected = np.tril(J.T @ weight @ J)
     np.testing.assert_allclose(Q, expected, rtol=TOLERANCE, atol=TOLERANCE)
 
 
@@ -129,7 +126,7 @@ def test_terminal(name: str) -> None:
     )
     np.testing.assert_allclose(cost, [y @ W @ y / 2], rtol=TOLERANCE)
     np.testing.assert_allclose(gradient, J.T @ W @ y, rtol=TOLERANCE)
-    np.testing.assert_allclose(Q, np.tril(J.T @ W @ J + case.damping * np.eye(2)), rtol=TOLERANCE)
+    np.testing.assert_allclose(Q, np.tril(J.T @ W @ J), rtol=TOLERANCE)
 
 
 @pytest.mark.parametrize("name", CASES)
@@ -198,12 +195,6 @@ def test_a_constant_hessian_is_stored_once_and_used_at_every_node() -> None:
         assert Q.shape == ((3, 2, 2) if scaled else (1, 2, 2))
         for block, dt in zip(Q, [0.1, 0.2, 0.4] if scaled else [1.0], strict=True):
             np.testing.assert_allclose(block, dt * expected, rtol=1e-15)
-
-
-@pytest.mark.parametrize("bad", [-1.0, np.inf, np.nan, "much", True, None])
-def test_bad_damping(bad: object) -> None:
-    with pytest.raises(OptionError, match=r"levenberg_marquardt: .*finite number >= 0"):
-        GaussNewton(levenberg_marquardt=bad)  # type: ignore[arg-type]
 
 
 def test_general_costs_are_refused() -> None:

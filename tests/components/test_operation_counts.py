@@ -67,7 +67,7 @@ CASES: dict[str, tuple[Callable[[], OCP], Options]] = {
         Options(ImplicitRungeKutta(SDIRK2, 2), ExactHessian(sweep=ForwardOverAdjoint()), qp=RiccatiActiveSet()),
     ),
     "discrete": (discrete_map, Options()),
-    "dense weight": (problems.dense_weight, Options(hessian=GaussNewton(levenberg_marquardt=0.1))),
+    "dense weight": (problems.dense_weight, Options(hessian=GaussNewton())),
     "scaled": (problems.scaled, Options(algorithm=RealTimeIteration())),
     "constant": (samples.tuned, Options(hessian=EconomicGaussNewton(np.eye(3), np.eye(2)))),
     "constant, end fixed": (samples.tuned_end, Options(hessian=EconomicGaussNewton(np.eye(3)), qp=RiccatiActiveSet())),

@@ -29,7 +29,7 @@ from verification.oracles.stage_qp import (
 from verification.oracles.stage_qp_random import INFEASIBLE, KINDS, SEMIDEFINITE, condensed_rows, kinds_of, random_qp
 from verification.peers import available, silent
 from verification.qp.certificate import certificate
-from verification.qp.stage_solvers import StageSolver, build_all, solvers
+from verification.qp.stage_solvers import StageSolver, build_all, holds, solvers
 
 #: One of every structure, small enough for foreign solvers.
 SMALL = (
@@ -201,7 +201,8 @@ SOLVERS = solvers()
 
 def chosen(shape: Shape) -> dict[str, Options]:
     """Solvers of a shape: all for SMALL, else one in turn."""
-    name = list(SOLVERS)[SHAPES.index(shape) % len(SOLVERS)]
+    able = [name for name, options in SOLVERS.items() if holds(options, shape)]
+    name = able[SHAPES.index(shape) % len(able)]
     return SOLVERS if shape in SMALL else {name: SOLVERS[name]}
 
 

@@ -223,7 +223,7 @@ ocp.subject_to(-4, q + g[1] * r[0], np.inf, at="end", name="gate")
 ocp.subject_to(0, u * r[1], 5, at=(0, 2), name="power")
 options = Options(
     integrator=ExplicitRungeKutta(Heun, steps=2),
-    hessian=GaussNewton(levenberg_marquardt=0.0),
+    hessian=GaussNewton(),
     algorithm=RealTimeIteration(shift=None),
     online=Online(reference="node", weight="shared", bounds="node", parameter="fixed", dense_weight=False),
     precision="double",

@@ -34,7 +34,6 @@ from nmpc_codegen import (
     Online,
     OptionError,
     Options,
-    PartialCondensing,
     ProblemError,
     ProblemWarning,
     Project,
@@ -289,23 +288,19 @@ def _algorithm(rng: Rng) -> Any:
     return RealTimeIteration(
         shift=shift,
         sampling_time=time,
-        relaxation=pick(rng, (None, 100.0)),
-        levels=chance(rng, 0.3),
+        relaxation=pick(rng, (None, "auto")),
     )
 
 
 def _hessian(rng: Rng) -> Any:
     regularization = pick(rng, (Mirror(), Project(), Mirror(level="stage"), Project(level="stage"), None))
     sweep = ForwardOverAdjoint() if chance(rng, 0.3) else ExactHessian().sweep
-    damping = pick(rng, (0.0, 0.1))
-    exact = ExactHessian(regularization, sweep, levenberg_marquardt=damping)
-    plain = GaussNewton(convex_rows=chance(rng, 0.5), levenberg_marquardt=damping)
-    return pick(rng, (exact, plain))
+    return pick(rng, (ExactHessian(regularization, sweep), GaussNewton()))
 
 
 def _route(rng: Rng) -> Any:
     active, interior = RiccatiActiveSet, RiccatiInteriorPoint
-    solvers = (active(), active(fallback=None), interior(), interior(warm_start=False))
-    condensing = pick(rng, (FullCondensing(), FullCondensing(), NoCondensing(), PartialCondensing(block=2)))
+    solvers = (active(), active(fallback=None), interior())
+    condensing = pick(rng, (FullCondensing(), NoCondensing()))
     dense = condensing == FullCondensing() and chance(rng, 0.7)
     return condensing, DenseActiveSet() if dense else pick(rng, solvers)

@@ -35,12 +35,6 @@ def test_a_call_of_a_hook_is_one_for_every_feature_that_defines_it() -> None:
     assert with_hooks(text, ()) == "    on_failure(s);\n"
 
 
-def test_exactly_one_feature_evaluates_the_plan() -> None:
-    for hooked_parts in ((), ("hooked/plain.c", "hooked/levels.c")):
-        with pytest.raises(ValueError, match="prepare_plan: expected one hooked part"):
-            with_hooks("    status = prepare_plan(s);\n", hooked_parts)
-
-
 def test_a_hook_that_is_no_statement_is_refused() -> None:
     with pytest.raises(ValueError, match=r"before_prepare\(\): expected the call of a hook as a statement"):
         with_hooks("    if (before_prepare(s)) {\n    }\n", HOOKED)
@@ -81,12 +75,7 @@ def test_features_that_a_package_lacks_leave_no_trace() -> None:
     sample = next(s for s in SAMPLES if s.name == "crane without solve")
     unit = texts(sample)["crane.c"]
     assert not [
-        hook for hook in HOOKS if re.search(rf"\b(?!plain_|gaps_|relaxation_|violation_|references_)\w*{hook}\(", unit)
+        hook for hook in HOOKS if re.search(rf"\b(?!relaxation_|violation_|references_)\w*{hook}\(", unit)
     ]
     module = lowered(next(s for s in SAMPLES if s.name == "everything dense"))
-    assert [part.rpartition("/")[2] for part in module.hooked_parts][:4] == [
-        "shift.c",
-        "levels.c",
-        "references.c",
-        "relaxation.c",
-    ]
+    assert [part.rpartition("/")[2] for part in module.hooked_parts][:3] == ["shift.c", "references.c", "relaxation.c"]

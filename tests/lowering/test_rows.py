@@ -14,7 +14,7 @@ from verification.samples import SAMPLES
 NAMED = {sample.name: sample for sample in SAMPLES}
 
 
-@pytest.mark.parametrize("name", ["path dense", "final dense", "ring dense", "everything dense", "states partial"])
+@pytest.mark.parametrize("name", ["path dense", "final dense", "ring dense", "everything dense", "states riccati"])
 def test_the_table_holds_the_rows(name: str) -> None:
     module = lowered(NAMED[name])
     found = row_functions(module)
@@ -36,7 +36,7 @@ def test_the_table_holds_the_rows(name: str) -> None:
 
 def test_a_kind_that_all_rows_have_is_no_column() -> None:
     """Branches for other kinds are not in the package."""
-    unit = texts(NAMED["states partial"])["states.c"]
+    unit = texts(NAMED["states riccati"])["states.c"]
     assert "row_is_state" not in unit
     assert "row_is_coupled" not in unit
     assert re.search(r"row_constant\(const solver_t \*s, int m\)\n\{\n    return s->x\[row_node\(m\)\]", unit)
@@ -51,7 +51,7 @@ def test_rows_of_one_node_have_no_node_in_the_table() -> None:
 
 def test_what_is_known_of_rows() -> None:
     """Least and greatest value of every function, against the rows."""
-    for name in ("path dense", "everything dense", "states partial", "final dense", "bare dense"):
+    for name in ("path dense", "everything dense", "states riccati", "final dense", "bare dense"):
         module = lowered(NAMED[name])
         found = row_ranges(module)
         for i, column in enumerate(COLUMNS):

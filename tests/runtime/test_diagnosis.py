@@ -53,7 +53,7 @@ def test_a_model_outside_its_domain() -> None:
 
 
 def test_gauss_newton_that_needs_more_iterations() -> None:
-    ctrl = build(problems.disc(), Options(hessian=GaussNewton(convex_rows=False)), profile="test")
+    ctrl = build(problems.disc(), Options(hessian=GaussNewton()), profile="test")
     assert ctrl.solve([1.0, 0.0], max_iterations=3).status == Status.ITERATION_LIMIT
     assert "ExactHessian" in ctrl.diagnose()
     assert "the largest one is that of " in ctrl.diagnose()

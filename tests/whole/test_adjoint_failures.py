@@ -23,6 +23,7 @@ from nmpc_codegen import (
     build,
     generate,
 )
+from nmpc_codegen.components.algorithms import adjoint_shooting
 from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.oracle.reference import CLASSICAL, Reference, node_data
 from verification import problems, samples
@@ -123,11 +124,12 @@ def test_a_failed_solve_leaves_no_multipliers(method: str) -> None:
     np.testing.assert_allclose(controller.u, fresh.u, atol=1e-3)
 
 
-def test_a_sample_whose_step_is_refused_is_not_converged() -> None:
+def test_a_sample_whose_step_is_refused_is_not_converged(monkeypatch: pytest.MonkeyPatch) -> None:
     """One trial: the map runs away along the step, which would move the first control by more than a tenth."""
+    monkeypatch.setattr(adjoint_shooting, "TRIALS", 1)
     found = {}
     for repair in (0, 10):
-        controller = build(adjoint_gradient.build_ocp(), options(trials=1, repair=repair), "test")
+        controller = build(adjoint_gradient.build_ocp(), options(repair=repair), "test")
         controller.set_parameter("k", np.arange(1.0, 12))
         controller.u = adjoint_gradient.stabilised(10)[1]
         controller.step([1.0, 1.0])
@@ -140,16 +142,17 @@ def test_a_sample_whose_step_is_refused_is_not_converged() -> None:
     assert found[10] > found[0] == 1
 
 
-def test_products_that_run_out_are_no_solution_and_no_contradiction() -> None:
+def test_products_that_run_out_are_no_solution_and_no_contradiction(monkeypatch: pytest.MonkeyPatch) -> None:
     """Two products minimise the model roughly: more steps follow, and terminal rows that are not met may well be."""
+    monkeypatch.setattr(adjoint_shooting, "PRODUCTS", (2, 2))
     found = {}
     for repair in (0, 5):
-        controller = build(cstr.build_ocp(1, state_bounds=False), options(products=2, repair=repair), "test")
+        controller = build(cstr.build_ocp(1, state_bounds=False), options(repair=repair), "test")
         controller.step(cstr.START)
         found[repair] = controller.stats.newton_iterations
         assert controller.status is (Status.OK if repair else Status.NOT_CONVERGED)
     assert found[5] > found[0] == 1
-    short = build(crane.build_ocp(), options(products=2, repair=0), "test")
+    short = build(crane.build_ocp(), options(repair=0), "test")
     short.step(X0)
     assert short.status is Status.ITERATION_LIMIT
 
@@ -191,10 +194,6 @@ def test_what_makes_no_sense_is_refused() -> None:
         generate(samples.soft_rows(), options(rows="barrier"))
     with pytest.raises(OptionError, match="sampling_time"):
         AdjointShooting(shift="resample")
-    with pytest.raises(OptionError, match=r"memory: 3 clashes .*quasi_newton"):
-        AdjointShooting(memory=3)
-    with pytest.raises(OptionError, match=r"products: 3 clashes .*gauss_newton"):
-        AdjointShooting(products=3, method="quasi_newton")
-    for wrong in ({"method": "newton"}, {"rows": "elastic"}, {"penalty": 0.0}, {"trials": 0}, {"iterations": 0}):
+    for wrong in ({"method": "newton"}, {"rows": "elastic"}, {"penalty": 0.0}, {"iterations": 0}):
         with pytest.raises(OptionError, match="expected"):
             AdjointShooting(**wrong)  # type: ignore[arg-type]

@@ -48,7 +48,7 @@ def test_what_users_found_unsolved(name: str) -> None:
 
 
 @pytest.mark.few(3)
-@pytest.mark.parametrize("route", ["dense", "riccati", "interior", "partial"])
+@pytest.mark.parametrize("route", ["dense", "riccati", "interior"])
 @pytest.mark.parametrize("name", ["steering", "gate", "free_time"])
 def test_the_route_does_not_decide(name: str, route: str) -> None:
     assert solves.solves(known(name), built(name, route).copy(), range(1))[0].solved
@@ -66,7 +66,7 @@ def test_a_free_end_time_from_short_and_long_guesses(guess: float) -> None:
 
 
 @pytest.mark.few(3)
-@pytest.mark.parametrize("route", [None, "riccati", "interior", "partial"])
+@pytest.mark.parametrize("route", [None, "riccati", "interior"])
 @pytest.mark.parametrize("case", linear.CASES, ids=lambda case: case.name)
 def test_linear_programs_as_linprog_solves_them(case: linear.LinearCase, route: str | None) -> None:
     """Every sample and every solve() of a day is OK and has the cost of linprog."""

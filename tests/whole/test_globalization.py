@@ -172,7 +172,7 @@ def test_the_summary_names_the_first_failure() -> None:
 
 def test_gauss_newton_without_curvature_still_ends() -> None:
     """The plan is finite and the status true."""
-    c = build(cases.disc(), Options(hessian=GaussNewton(convex_rows=False)), profile="test")
+    c = build(cases.disc(), Options(hessian=GaussNewton()), profile="test")
     solution = c.solve((1.0, 0.0))
     assert np.isfinite(solution.x).all()
     assert (solution.status == Status.OK) == (solution.kkt.relative <= 1e-8)

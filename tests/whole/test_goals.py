@@ -20,7 +20,6 @@ from nmpc_codegen import (
     ExplicitRungeKutta,
     FullCondensing,
     Options,
-    PartialCondensing,
     RiccatiActiveSet,
     RiccatiInteriorPoint,
     Status,
@@ -37,7 +36,6 @@ DENSE = Options(qp=DenseActiveSet(), condensing=FullCondensing(), algorithm=PURE
 CASES: dict[str, tuple[Callable[[], OCP], Options]] = {
     "dense": (crane.build_ocp, DENSE),
     "stages": (cart_pole.build_ocp, Options(qp=RiccatiActiveSet())),
-    "blocks": (crane.build_ocp, Options(qp=RiccatiActiveSet(), condensing=PartialCondensing(3))),
     "interior point": (cart_pole.build_ocp, Options(qp=RiccatiInteriorPoint())),
     "odd sizes": (lambda: chain.build_ocp(3), Options(solve=False)),
     "even sizes": (quadrotor.build_ocp, Options(solve=False)),

@@ -159,23 +159,6 @@ def test_a_rate_of_the_plan_of_a_solve_that_fails() -> None:
     assert abs(solution.u[0, 0] - u) <= 0.3 * (1 + 1e-9)
 
 
-def test_a_control_before_that_is_set_between_preparation_and_feedback() -> None:
-    """The first part of a feedback pulls its control back without touching what was linearised."""
-    levels = Options(condensing=FullCondensing(), qp=DenseActiveSet(), algorithm=RealTimeIteration(levels=True))
-    c = build(cart(), levels, "test")
-    c.step([1.0, 0.0])
-    c.prepare()
-    whole = c.copy()
-    for each in (c, whole):
-        each.set_previous([1.0])
-    u = whole.feedback([0.9, -0.1])
-    first = c.feedback_first([0.9, -0.1])
-    assert abs(float(first[0]) - 1.0) <= 0.3 * (1 + 1e-9)
-    assert c.feedback_finish() is whole.status
-    np.testing.assert_allclose(c.u, whole.u, atol=1e-12)
-    assert abs(float(u[0]) - 1.0) <= 0.3 * (1 + 1e-9)
-
-
 def test_several_rows_of_the_first_control_hold_together() -> None:
     """Rates of two controls and a sum that a parameter limits, met by moves onto one row after the other."""
     ocp = OCP("pair", T=1.0, N=10)

@@ -19,9 +19,7 @@ from nmpc_codegen import (
     Online,
     OptionError,
     Options,
-    PartialCondensing,
     ProblemError,
-    RealTimeIteration,
     RiccatiActiveSet,
     RiccatiInteriorPoint,
     Soft,
@@ -39,7 +37,6 @@ ROUTES = {
     "dense": Options(qp=DenseActiveSet()),
     "stages": Options(qp=RiccatiActiveSet()),
     "interior": Options(qp=RiccatiInteriorPoint()),
-    "blocks": Options(condensing=PartialCondensing(block=3), qp=RiccatiActiveSet()),
 }
 
 
@@ -293,22 +290,3 @@ def test_what_is_set_between_the_phases_waits_for_the_next_prepare(route: str, k
     assert (changed.status, changed.cost) == (plain.status, plain.cost)
     plain.set_soft("speed", (late, l2))
     np.testing.assert_array_equal(changed.step(x), plain.step(x))
-
-
-@pytest.mark.usefixtures("compiler")
-def test_levels_take_penalties_with_their_factors() -> None:
-    """Levels B, C, D keep the QP of level A and its penalties; the next level A has the new ones."""
-    options = Options(qp=RiccatiActiveSet(), algorithm=RealTimeIteration(levels=True, shift=None))
-    ctrl = build(switched(2.0), options, "test")
-    ctrl.set_soft("speed", (0.2, 2.0))
-    for _ in range(3):
-        ctrl.step(X0)
-    same = ctrl.copy()
-    ctrl.set_soft("speed", (50.0, 20.0))
-    for level in "BCD":
-        one, other = ctrl.copy(), same.copy()
-        for each in (one, other):
-            each.prepare(level=level)
-        np.testing.assert_array_equal(one.feedback(X0), other.feedback(X0))
-    ctrl.prepare()
-    assert np.abs(ctrl.feedback(X0) - same.step(X0)).max() > 1e-3

@@ -162,7 +162,6 @@ def test_a_warm_started_loop_begins_with_the_solution() -> None:
 ALGORITHMS = {
     "repeat": RealTimeIteration(shift="repeat"),
     "resample": RealTimeIteration(sampling_time=0.04),
-    "levels": RealTimeIteration(levels=True),
     "augmented Lagrangian": AugmentedLagrangian(),
     "adjoint shooting": AdjointShooting(),
 }
@@ -275,7 +274,7 @@ def test_state_not_finite(bad: float) -> None:
 def test_never_ok_without_being_solved() -> None:
     """At the iteration limit the status states it, and the residuals are the true ones."""
     ocp: OCP = problems.disc()
-    without = Options(hessian=GaussNewton(convex_rows=False))
+    without = Options(hessian=GaussNewton())
     solution = build(ocp, without, profile="test").solve((1.0, 0.0), tol=1e-8, max_iterations=3)
     assert solution.status == Status.ITERATION_LIMIT
     assert max(vars(solution.kkt).values()) > 1e-3
@@ -299,7 +298,7 @@ def test_single_interval_by_hand() -> None:
 def test_convex_rows_make_the_disc_converge() -> None:
     """The curvature of an active convex row, which plain Gauss-Newton lacks: equal to IPOPT in a few iterations."""
     ocp = problems.disc()
-    solution = build(ocp, Options(hessian=GaussNewton(convex_rows=True)), "test").solve((1.0, 0.0), tol=1e-8)
+    solution = build(ocp, Options(hessian=GaussNewton()), "test").solve((1.0, 0.0), tol=1e-8)
     reference = solve_reference(classify(ocp), x0=[1.0, 0.0])
     assert solution.status == Status.OK
     assert solution.iterations <= 15
@@ -308,22 +307,20 @@ def test_convex_rows_make_the_disc_converge() -> None:
 
 
 def test_concave_rows_are_left_out() -> None:
-    """Outside a disc: the curvature is negative definite, and the iterates are those of plain Gauss-Newton."""
-    solutions = []
-    for convex_rows in (False, True):
-        ocp = OCP("outside", T=1.0, N=4)
-        x, y = ocp.state("x", initial=1.0), ocp.state("y", initial=0.4)
-        u, w = ocp.control("u"), ocp.control("w")
-        ocp.dynamics({x: u, y: w})
-        ocp.least_squares(ca.vertcat(x, y, u, w), weight=[1.0, 1.0, 0.1, 0.1], reference=[-1.0, 0.2, 0.0, 0.0])
-        ocp.subject_to(0.25, x**2 + y**2, np.inf)
-        options = Options(hessian=GaussNewton(convex_rows=convex_rows))
-        solutions.append(build(ocp, options, "test").solve((1.0, 0.4)))
-    plain, convex = solutions
-    assert plain.status == convex.status == Status.OK
-    assert np.abs(plain.mu).max() > 1e-3
-    assert plain.iterations == convex.iterations
-    np.testing.assert_array_equal(plain.u, convex.u)
+    """Outside a disc: the curvature is negative definite, and the blocks are those without the row."""
+    ocp = OCP("outside", T=1.0, N=4)
+    x, y = ocp.state("x", initial=1.0), ocp.state("y", initial=0.4)
+    u, w = ocp.control("u"), ocp.control("w")
+    ocp.dynamics({x: u, y: w})
+    ocp.least_squares(ca.vertcat(x, y, u, w), weight=[1.0, 1.0, 0.1, 0.1], reference=[-1.0, 0.2, 0.0, 0.0])
+    ocp.subject_to(0.25, x**2 + y**2, np.inf)
+    c = build(ocp, Options(hessian=GaussNewton()), "test")
+    solution = c.solve((1.0, 0.4))
+    assert solution.status == Status.OK
+    assert np.abs(solution.mu).max() > 1e-3
+    c.prepare()
+    for block in np.array(c.view("hessian.Q")):
+        np.testing.assert_array_equal(np.tril(block), np.diag([1.0, 1.0, 0.1, 0.1]))
 
 
 def free_start(rows: bool, N: int = 6) -> OCP:

@@ -32,7 +32,6 @@ from nmpc_codegen import (
     NoCondensing,
     Online,
     Options,
-    PartialCondensing,
     ProblemError,
     ProblemWarning,
     RealTimeIteration,
@@ -199,11 +198,10 @@ def test_solve_finds_the_optimum_of_ipopt(need: Any) -> None:
 
 ROUTES: dict[str, Options] = {
     "dense": Options(condensing=FullCondensing(), qp=DenseActiveSet()),
-    "partial": Options(condensing=PartialCondensing(5), qp=RiccatiActiveSet()),
+    "riccati": Options(condensing=NoCondensing(), qp=RiccatiActiveSet()),
     "interior": Options(condensing=NoCondensing(), qp=RiccatiInteriorPoint()),
     "exact": Options(hessian=ExactHessian()),
     "forward over adjoint": Options(hessian=ExactHessian(sweep=ForwardOverAdjoint())),
-    "levels": Options(algorithm=RealTimeIteration(levels=True)),
     "augmented": Options(algorithm=AugmentedLagrangian()),
     "shooting": Options(algorithm=AdjointShooting()),
     "size": Options(goal="size"),

@@ -88,7 +88,7 @@ def test_single_precision_finds_the_optimum(name: str, route: str) -> None:
 
 
 @pytest.mark.few(5)
-@pytest.mark.parametrize("route", ["dense", "partial"])
+@pytest.mark.parametrize("route", ["dense", "riccati"])
 @pytest.mark.parametrize("name", PROBLEMS)
 def test_samples_that_stay_find_the_optimum(name: str, route: str) -> None:
     """solve() works on stages; the condensed QP is that of samples."""
@@ -257,32 +257,6 @@ def test_the_rate_of_a_sample_is_over_the_sampling_time() -> None:
         now = ctrl.step(state)
         assert -2 - 1e-9 <= (now[0] - applied) / 0.1 <= 2.5 + 1e-9
         applied, state = now[0], ctrl.integrate(state, now, 0.1)
-
-
-@pytest.mark.parametrize("level", ["B", "C"])
-def test_levels_keep_derivatives_of_previous_controls_and_maps(level: str) -> None:
-    tuned = timed_vessel()
-    _, by_hand, x0, previous = tuned
-    ctrl, time = prepared(tuned, Options(algorithm=RealTimeIteration(levels=True, shift=None, iterations=1)))
-    _, u, _ = by_hand.solve(x0, previous, time)
-    ctrl.prepare()
-    ctrl.feedback(x0)
-    ctrl.set_previous(previous)
-    ctrl.set_time(time)
-    for n in range(20):
-        ctrl.prepare(level="A" if n == 0 else level)
-        ctrl.feedback(x0)
-        ctrl.set_previous(previous)
-        ctrl.set_time(time)
-    np.testing.assert_allclose(ctrl.u, u, atol=1e-6 if level == "C" else 2e-2)
-
-
-def test_the_control_of_feedback_first_is_the_one_before_the_next_sample() -> None:
-    ctrl, _ = prepared(slewed_crane(), Options(algorithm=RealTimeIteration(levels=True)))
-    ctrl.prepare()
-    u = ctrl.feedback_first([0.0, 0, 0.1, 0])
-    ctrl.feedback_finish()
-    np.testing.assert_array_equal(ctrl.previous, u)
 
 
 def test_diagnose_knows_the_states_behind_those_of_the_user() -> None:

@@ -67,6 +67,11 @@ def solvers() -> dict[str, Options]:
     return {f"{c.name}+{q.name}": solver_options(c(), q()) for c, q in pairs if c.gives == q.takes}
 
 
+def holds(options: Options, shape: Shape) -> bool:
+    """False for stages and rows that couple x_N with free components of x_0, which the compiler refuses."""
+    return not (shape.coupled and shape.free) or options.condensing == condensing.FullCondensing()
+
+
 def solver_options(condense: Any, solver: Any) -> Options:
     """Every node has its own bounds and weight."""
     return Options(condensing=condense, qp=solver, online=Online(weight="node", bounds="node"))

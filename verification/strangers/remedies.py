@@ -164,16 +164,11 @@ _NONE = RealTimeIteration(relaxation=None)
 _ACTIVE: dict[str, Any] = {"condensing": NoCondensing(), "qp": RiccatiActiveSet()}
 _ALONE: dict[str, Any] = {"condensing": NoCondensing(), "qp": RiccatiActiveSet(fallback=None)}
 _EXACT: dict[str, Any] = {"hessian": ExactHessian()}
-_DAMPED: dict[str, Any] = {"hessian": ExactHessian(levenberg_marquardt=1e-4)}
 
 _LIMIT, _FAR = "ITERATION_LIMIT", "NOT_CONVERGED"
 
 TRIALS: tuple[Trial, ...] = (
     Trial(_LIMIT, "house, `ExactHessian()`", "no Hessian given", _house(_LIMIT, **_EXACT), _house(_LIMIT)),
-    Trial(
-        *(_LIMIT, "house, `ExactHessian()`", "`ExactHessian(levenberg_marquardt=1e-4)`"),
-        *(_house(_LIMIT, **_EXACT), _house(_LIMIT, **_DAMPED)),
-    ),
     Trial(
         *(_LIMIT, "house, `RiccatiActiveSet(fallback=None)`", "no `fallback` given"),
         *(_house(_LIMIT, **_ALONE), _house(_LIMIT, **_ACTIVE)),
