@@ -471,7 +471,20 @@ def _without_unread(sweep: Sweep) -> Sweep:
             body.append(kept)
             read |= {s.buffer for call in calls((kept,)) for s in _operands(call)}
             read |= {s.buffer for node in part_calls((kept,)) for s in node.slices}
-    return replace(sweep, body=tuple(reversed(body)))
+    return replace(sweep, body=_without_empty(_only_read(tuple(reversed(body)), read)))
+
+
+def _only_read(nodes: tuple[Node, ...], read: Collection[str]) -> tuple[Node, ...]:
+    """The nodes whose calls in blocks store only what some node reads."""
+    found = (
+        replace(n, body=_only_read(n.body, read))
+        if isinstance(n, Block)
+        else _read_results(n, read)
+        if isinstance(n, Call)
+        else n
+        for n in nodes
+    )
+    return tuple(node for node in found if node is not None)
 
 
 def _without_empty(nodes: tuple[Node, ...]) -> tuple[Node, ...]:

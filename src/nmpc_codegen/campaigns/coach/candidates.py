@@ -10,8 +10,6 @@ from typing import Any
 from nmpc_codegen.campaigns.coach.spelling import spell_options
 from nmpc_codegen.compiler import compile
 from nmpc_codegen.components.algorithms import RealTimeIteration
-from nmpc_codegen.components.condensing import FullCondensing, NoCondensing
-from nmpc_codegen.components.hessians import ExactHessian, GaussNewton
 from nmpc_codegen.components.integrators import ExplicitRungeKutta
 from nmpc_codegen.decisions.integrator import integrator_of
 from nmpc_codegen.errors import NmpcError, OptionError, ProblemWarning
@@ -22,8 +20,8 @@ from nmpc_codegen.options import Options
 from nmpc_codegen.runtime.build import load
 from nmpc_codegen.runtime.controller import Controller
 
-#: Factors of the horizon and of the integration steps, tolerances and numbers of iterations that are tried.
-HORIZONS, STEPS, TOLERANCES, ITERATIONS = (0.5, 2.0), (0.5, 2.0), (0.01,), (1, 30)
+#: Factors of the horizon and of the integration steps, and number of iterations that are tried.
+HORIZONS, STEPS, ITERATIONS = (0.5, 2.0), (0.5, 2.0), 30
 #: Intervals of a horizon at least; integration steps of the plant for one of the finest candidate.
 LEAST, FINER = 2, 2
 
@@ -47,17 +45,11 @@ def propose(ocp: OCP, base: Options) -> Iterator[tuple[str, Options, int]]:
     """What is tried beside the base: what it changes, options, intervals."""
     algorithm = base.algorithm
     yield "default" if base == Options() else "as given", base, ocp.N
-    if base.hessian is None:
-        yield "hessian=ExactHessian()", replace(base, hessian=ExactHessian()), ocp.N
-        yield "hessian=GaussNewton()", replace(base, hessian=GaussNewton()), ocp.N
     if isinstance(algorithm, RealTimeIteration):
-        changes: list[tuple[str, Any]] = [("shift", None), *(("iterations", n) for n in ITERATIONS)]
-        for name, value in (*changes, *(("tolerance", t) for t in TOLERANCES)):
+        changes: dict[str, Any] = {"shift": None, "iterations": ITERATIONS}
+        for name, value in changes.items():
             if getattr(algorithm, name) != value:
                 yield f"{name}={value}", replace(base, algorithm=replace(algorithm, **{name: value})), ocp.N
-    if base.condensing is None and "condensing" in algorithm.needs:
-        for component in (FullCondensing(), NoCondensing()):
-            yield f"condensing={spell_options(component)}", replace(base, condensing=component), ocp.N
     scheme = scheme_of(ocp, base)
     if scheme is not None:
         for steps in _multiples(scheme.steps, STEPS, 1):
