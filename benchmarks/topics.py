@@ -6,13 +6,13 @@ import shutil
 from collections.abc import Callable
 
 from benchmarks.lib import algebraic, batch, campaigns, estimation, export, stiff, strangers
-from benchmarks.lib.convergence import accuracy, loops, starts
-from benchmarks.lib.firmware import emulated, riscv, single
+from benchmarks.lib.convergence import starts
+from benchmarks.lib.firmware import emulated, riscv
 from benchmarks.lib.firmware import sizes as forms
 from benchmarks.lib.report import Report
-from benchmarks.lib.robustness import at_rest, cold, draws, episodes, qps, returns, violations, work, worst
+from benchmarks.lib.robustness import at_rest, cold, draws, episodes, qps, returns, work
 from benchmarks.lib.run import RefusedError, Run
-from benchmarks.lib.speed import choice, data, instructions, own_math, rates, recording, sizes, times
+from benchmarks.lib.speed import instructions, recording, sizes, times
 
 Topic = Callable[[Report, Run], None]
 
@@ -36,7 +36,7 @@ PAGE: dict[str, Topic] = {
 MATRICES = frozenset(
     {
         *PAGE,
-        *("batch", "campaigns", "estimation", "speed/recording", "speed/setters", "speed/tables"),
+        *("batch", "campaigns", "estimation", "speed/recording"),
         "convergence/routes",
     }
 )
@@ -47,26 +47,16 @@ TOPICS: dict[str, Topic] = {
     "campaigns": campaigns.measure,
     "estimation": estimation.measure,
     "strangers/solve": strangers.measure_solve,
-    "speed/choice": choice.measure,
-    "speed/own_math": own_math.measure,
-    "speed/rates": rates.measure,
     "speed/recording": recording.measure,
-    "speed/setters": data.setters,
-    "speed/tables": data.tables,
     "robustness/at_rest": at_rest.measure,
     "robustness/draws": draws.measure,
     "robustness/work": work.measure,
-    "robustness/worst": worst.measure,
-    "robustness/violations": violations.measure,
     "robustness/cold": cold.measure,
-    "convergence/accuracy": accuracy.measure,
     "convergence/routes": starts.routes,
-    "convergence/loops": loops.measure,
     "firmware/boards": emulated.boards,
     "firmware/bits": emulated.bits,
     "firmware/forms": forms.sizes,
     "firmware/counts": emulated.counts,
-    "firmware/single": single.single,
     "firmware/riscv": riscv.cores,
 }
 

@@ -1,5 +1,5 @@
-"""Algebraic equations: orders, derivatives, optima against IPOPT, closed loops, what is left of the equations, and what
-they cost beside a model from which they are eliminated by hand."""
+"""Algebraic equations: optima against IPOPT, closed loops, what is left of the equations, and what they cost beside a
+model from which they are eliminated by hand."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 
 from benchmarks.lib.report import Report
 from benchmarks.lib.run import Run
-from benchmarks.lib.stiff import DERIVATIVES, LOOPS, ORDER, code_bytes, halvings, loops, optimum
+from benchmarks.lib.stiff import LOOPS, code_bytes, loops, optimum
 from examples import rope_crane
 from examples.rope_crane import CART, DAMPING, GRAVITY, LENGTH, STRONGEST
 from nmpc_codegen import (
@@ -20,79 +20,24 @@ from nmpc_codegen import (
     generate,
     simulate,
 )
-from nmpc_codegen.components.integrators.implicit.trial import Trial
-from nmpc_codegen.components.integrators.tableau import IMPLICIT, ButcherTableau
 from nmpc_codegen.frontend.classify import classify
 from verification import algebraic
-from verification.implicit import Interval
-from verification.stiff import Stiff
 
 #: Residual of an equation, relative to the terms in it that contain z; samples of the long loops.
 RESIDUAL, SAMPLES = 1e-12, 10_000
 
 
 def measure(report: Report, asked: Run) -> None:
-    """All figures; a line per scheme and per problem."""
-    for name, tableau in IMPLICIT.items():
-        if tableau.a[0][0]:
-            order = _order(tableau)
-            report.add("order", order, case=name)
-            report.add("order, distance", abs(order - tableau.order), case=name, limit=ORDER)
+    """All figures; a line per problem."""
     for name in asked.cases(algebraic.PROBLEMS):
         case = algebraic.PROBLEMS[name]
         for route, options in algebraic.ROUTES.items():
             optimum(report, name, case, options, f"optimum, {route}")
         loops(report, name, case, algebraic.Plant(case.make()), asked.share(LOOPS, 3))
-        if classify(case.make()).solved:
-            report.add("dz / d(x, u)", _derivatives(case), case=name, limit=DERIVATIVES)
     _long_loop(report, asked.share(SAMPLES, 200))
     _drift(report, asked.share(SAMPLES, 200))
     _beside(report, "battery", {"stated": algebraic.battery(), "by hand": battery_by_hand()})
     _beside(report, "crane", {"stated": rope_crane.build_ocp(), "by hand": crane_by_hand()})
-
-
-# -- schemes and derivatives ------------------------------------------------------------------------------------------
-
-
-def known() -> OCP:
-    """y' = cos t + z - s, 0 = z + z^3 + y - s - s^3 - sin t with the solution y = sin t, z = s(t) = 1 / (1 + t)."""
-    ocp = OCP("known", T=1.0, N=1)
-    t, y, u = ocp.state("t"), ocp.state("y"), ocp.control("u")
-    z, s = ocp.algebraic("z", initial=1.0), 1 / (1 + t)
-    ocp.dynamics({t: 1 + 0 * u, y: ca.cos(t) + z - s})
-    ocp.algebraic_equation(z + z**3 + y - s - s**3 - ca.sin(t))
-    ocp.least_squares(y, weight=1.0)
-    return ocp
-
-
-def _order(tableau: ButcherTableau) -> float:
-    """The slope of the error over the last of four halvings of the step."""
-    problem = classify(known())
-    trial, errors = Trial(problem, np.ones(problem.nx), tableau), []
-    for steps in halvings(tableau):
-        end = trial.interval(np.zeros(2), np.zeros(1), np.zeros(0), 1.0, steps, 30).x
-        errors.append(abs(end[1] - np.sin(1)))
-    return float(np.log2(errors[-2] / errors[-1]))
-
-
-def _derivatives(case: Stiff) -> float:
-    """Relative error of dz / d(x, u) with W = -(dg/dz)^-1 in C, against CasADi's rootfinder."""
-    problem = classify(case.make())
-    algebra, rng = problem.algebra, np.random.default_rng(3)
-    assert algebra is not None
-    x = problem.x_initial * (1 + 0.01 * rng.uniform(-1, 1, problem.nx))
-    u, p, m = np.array([0.5] * problem.nu), problem.p_value, algebra.size
-    data = Interval(problem, ImplicitRungeKutta())("node_data", [*x, *algebra.start], u, p, 1.0)[0]
-    z, W = data[problem.np : problem.np + m], data[problem.np + m :].reshape(m, m)
-    v, of_z = ca.SX.sym("v", problem.nx + problem.nu), ca.SX.sym("z", m)
-    r = algebra.equations(v[: problem.nx], v[problem.nx :], p, of_z)
-    at = np.concatenate([x, u])
-    ours = W @ np.asarray(ca.Function("r", [v, of_z], [ca.densify(ca.jacobian(r, v))])(at, z), dtype=float)
-    solver = ca.rootfinder("z", "newton", {"x": of_z, "p": v, "g": r}, {"abstol": 1e-14})
-    free = ca.MX.sym("v", v.numel())
-    slopes = ca.Function("dz", [free], [ca.jacobian(solver(x0=z, p=free)["x"], free)])
-    theirs = np.asarray(slopes(at), dtype=float)
-    return float(np.max(np.abs(ours - theirs)) / np.max(np.abs(theirs)))
 
 
 # -- long loops -------------------------------------------------------------------------------------------------------

@@ -15,8 +15,6 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from benchmarks.lib.base import head
-from benchmarks.lib.run import Run
 from nmpc_codegen.runtime.build import PROFILES
 from nmpc_codegen.runtime.compilers import find_compiler
 from nmpc_codegen.targets import PORTABLE
@@ -167,16 +165,6 @@ class Report:
         lines = ",\n  ".join(json.dumps(asdict(record)) for record in self.records)
         Path(path).parent.mkdir(parents=True, exist_ok=True)
         Path(path).write_text(f'{head},\n "records": [\n  {lines}\n ]\n}}\n', encoding="utf-8")
-
-
-def finish(report: Report, run: Run, path: str | None) -> int:
-    """Print the figures of the topic and what is beyond its limit, write all records if asked; the exit status."""
-    report.print_matrix(report.topic)
-    if path:
-        report.write(path, commit=head(), scale=run.scale, seed=run.seed)
-    if report.missed():
-        print(f"beyond their limits:\n{listed(report.missed())}")
-    return int(bool(report.missed()))
 
 
 def _show(table: Table) -> None:
