@@ -363,12 +363,12 @@ class Algorithm(Component, Protocol):
     @property
     def shift(self) -> str | None:
         """How the plan is shifted before every prepare; None: it is not."""
-        ...
+        return None
 
     @property
     def sampling_time(self) -> float | None:
         """Time between samples (s) if it is given."""
-        ...
+        return None
 
     @property
     def simulates(self) -> bool:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from nmpc_codegen.components.base import Dims, spell
+from nmpc_codegen.components.base import MEASUREMENTS, Dims, spell
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.frontend.problem import Problem, Row
 from nmpc_codegen.ir.cmodule import Table
@@ -11,6 +11,9 @@ from nmpc_codegen.package.features import Features
 from nmpc_codegen.package.kinds import EstimatorKind
 from nmpc_codegen.package.signals import Argument, EntryPoint
 from nmpc_codegen.package.struct_layout import Field, Struct
+
+#: What a problem of an estimator may use.
+SUPPORTS = frozenset({MEASUREMENTS, "free initial state", "soft rows", "discrete states"})
 
 _Y, _U, _XHAT = (Argument("y", "real", ("NM",)), Argument("u", "real", ("NIN",)), Argument("xhat", "real", ("NX",)))
 _Y_OUT = Argument("y", "real", ("NM",))

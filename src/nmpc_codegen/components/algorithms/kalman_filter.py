@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import nmpc_codegen.components.algorithms.estimators as measuring
-from nmpc_codegen.components.base import MEASUREMENTS, Algorithm, Core, Dims, Seam
+from nmpc_codegen.components.base import Algorithm, Core, Dims, Seam
 from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.cmodule import Table
 from nmpc_codegen.package.features import Features
@@ -33,17 +33,7 @@ class KalmanFilter(Algorithm):
     template: ClassVar[str] = "algorithms/kalman_filter.c"
     needs: ClassVar[tuple[Seam, ...]] = ("integrator",)
     core: ClassVar[frozenset[Core]] = frozenset()
-    supports: ClassVar[frozenset[str]] = frozenset({MEASUREMENTS, "free initial state", "soft rows", "discrete states"})
-
-    @property
-    def shift(self) -> None:
-        """The estimator moves its data itself."""
-        return
-
-    @property
-    def sampling_time(self) -> None:
-        """It is the interval of the problem."""
-        return
+    supports: ClassVar[frozenset[str]] = measuring.SUPPORTS
 
     def check(self, problem: Problem) -> None:
         """Raise OptionError unless the problem is that of a filter."""

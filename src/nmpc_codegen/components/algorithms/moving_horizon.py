@@ -21,7 +21,7 @@ from nmpc_codegen.components.algorithms.real_time_iteration import RealTimeItera
 from nmpc_codegen.components.algorithms.row_scales import tolerance_table
 from nmpc_codegen.components.algorithms.shifts import initial_tables
 from nmpc_codegen.components.allowed import Number, Whole, check_options, option
-from nmpc_codegen.components.base import MEASUREMENTS, Algorithm, Core, Counts, Dims, Parts, Seam
+from nmpc_codegen.components.base import Algorithm, Core, Counts, Dims, Parts, Seam
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.cmodule import Table
@@ -73,20 +73,10 @@ class MovingHorizon(Algorithm):
     needs: ClassVar[tuple[Seam, ...]] = ("integrator", "hessian", "condensing", "qp")
     default_hessian: ClassVar[str | None] = "gauss_newton"
     core: ClassVar[frozenset[Core]] = frozenset({"nodes", "multipliers", "products"})
-    supports: ClassVar[frozenset[str]] = frozenset({MEASUREMENTS, "free initial state", "soft rows", "discrete states"})
+    supports: ClassVar[frozenset[str]] = measuring.SUPPORTS
 
     def __post_init__(self) -> None:
         check_options(self, self.seam)
-
-    @property
-    def shift(self) -> None:
-        """The estimator moves its data itself."""
-        return
-
-    @property
-    def sampling_time(self) -> None:
-        """It is the interval of the problem."""
-        return
 
     def check(self, problem: Problem) -> None:
         """Raise OptionError unless the problem is that of a window."""

@@ -41,7 +41,6 @@ def simulate(
     parameters: Tables | None = None,
     bounds: Bounds | None = None,
     references: References | None = None,
-    reference: References | None = None,
     added: ArrayLike | None = None,
     plant_parameters: Tables | None = None,
     estimator: Observer | None = None,
@@ -69,7 +68,6 @@ def simulate(
             sample at its time, or of the present one where all nodes share it; the last row holds from there on.
         bounds: {name of a row: (lower, upper)}, each a table; of a vector of rows (n, rows).
         references: {name of a residual: table}, or (n, ny) for the path residual.
-        reference: the same.
         added: (steps, nx), added to the state after every sample, too.
         plant_parameters: tables of a plant alone that is a controller: ``plant``, or a copy of this one.
         estimator: build(ocp.estimator(...)), which tells the controller the state. Parameters it finds are the plant's.
@@ -81,7 +79,7 @@ def simulate(
     """
     conduct = Conduct(_function(plant), _function(disturbance), _function(noise), before, law, estimator, seed)
     own, drawn = _check(conduct, plant, disturbance, noise, plant_parameters)
-    start, data = _start(x0, steps, _controller(ctrl)), (parameters, bounds, _references(references, reference))
+    start, data = _start(x0, steps, _controller(ctrl)), (parameters, bounds, references)
     of_plant = plant_parameters  # with an estimator of a copy of the controller, in which it changes nothing
     of_plant = {} if estimator is not None and own is None and of_plant is None else of_plant
     loop = state_loop(single(ctrl), start, own, steps, dt, *data, drawn, added, of_plant, seed)
@@ -124,15 +122,6 @@ def _controller(ctrl: Controller) -> Controller:
     if isinstance(ctrl, Observer):
         raise ControllerError(f"{ctrl.description.name} is an estimator; expected a controller, and estimator=")
     return ctrl
-
-
-def _references(references: References | None, reference: References | None) -> References | None:
-    """Which of both is given."""
-    if callable(reference):
-        raise ControllerError("reference is a function; expected before=f, and arrays over the samples in references=")
-    if references is not None and reference is not None:
-        raise ControllerError("references and reference are both given; expected one of them")
-    return reference if references is None else references
 
 
 def _check_steps(steps: object, ctrl: Controller) -> None:
