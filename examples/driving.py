@@ -119,7 +119,7 @@ def options(hessian: Any = None) -> Options:
     """
     return Options(
         integrator=ExplicitRungeKutta(RK4, steps=STEPS),
-        hessian=hessian or ExactHessian(Project(1e-8, level="reduced")),
+        hessian=hessian or ExactHessian(Project()),
         algorithm=RealTimeIteration(sampling_time=SAMPLING),
         online=Online(bounds="node"),
     )

@@ -72,9 +72,7 @@ def process(N: int, *, economic: bool = True) -> OCP:
 
 def options(hessian: Any = None) -> Options:
     """One RK4 step per minute; without a Hessian the exact one, so that an export needs no semidefinite program."""
-    return Options(
-        integrator=ExplicitRungeKutta(RK4, steps=1), hessian=hessian or ExactHessian(Project(1e-8, level="reduced"))
-    )
+    return Options(integrator=ExplicitRungeKutta(RK4, steps=1), hessian=hessian or ExactHessian(Project()))
 
 
 def tuned(N: int = 200, eta: int = 1) -> Tuning:

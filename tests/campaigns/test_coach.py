@@ -77,7 +77,7 @@ def test_candidates_are_few_and_differ() -> None:
     found = build_candidates(cart(), propose(cart(), Options()))
     changes = [c.change for c in found]
     assert changes[0] == "default"
-    assert {"shift=None", "iterations=30", "steps=4", "N = 16"} <= set(changes)
+    assert {"hessian=ExactHessian()", "shift=None", "iterations=30", "steps=4", "N = 16"} <= set(changes)
     assert 6 <= len(changes) <= 14
     assert len({c.controller._package.fingerprint for c in found}) == len(found)
     assert [c.intervals for c in found if c.change == "N = 16"] == [16]

@@ -33,6 +33,7 @@ FEATURES = {
     "soft rows",
     "rows with an infinite penalty",
     "coupled rows",
+    "rows that couple x_N with free components of x_0",
     "free initial state",
     "general cost",
     "integrated cost",

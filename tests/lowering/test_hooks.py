@@ -74,8 +74,6 @@ def test_a_function_of_a_part_is_a_hook_or_called() -> None:
 def test_features_that_a_package_lacks_leave_no_trace() -> None:
     sample = next(s for s in SAMPLES if s.name == "crane without solve")
     unit = texts(sample)["crane.c"]
-    assert not [
-        hook for hook in HOOKS if re.search(rf"\b(?!relaxation_|violation_|references_)\w*{hook}\(", unit)
-    ]
+    assert not [hook for hook in HOOKS if re.search(rf"\b(?!relaxation_|violation_|references_)\w*{hook}\(", unit)]
     module = lowered(next(s for s in SAMPLES if s.name == "everything dense"))
     assert [part.rpartition("/")[2] for part in module.hooked_parts][:3] == ["shift.c", "references.c", "relaxation.c"]

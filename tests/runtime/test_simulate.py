@@ -284,7 +284,6 @@ def controller_of_slow_grid() -> Controller:
         ({"before": 3}, "before is 3; expected a function"),
         ({"bounds": {"a": 1.0}}, r"bounds of 'a' is 1.0; expected \(lower, upper\)"),
         ({"references": {"q": 1.0}}, "no residual 'q'"),
-        ({"reference": np.zeros((3, 3)), "references": np.zeros((3, 3))}, "both given"),
         ({"x0": {"q": 1.0}}, "x0: no state 'q'; those that exist: 'p', 'v'"),
         ({"x0": {"p": [1.0, 2.0]}}, "x0: 'p' has shape"),
     ],

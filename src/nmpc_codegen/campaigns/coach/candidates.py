@@ -10,6 +10,7 @@ from typing import Any
 from nmpc_codegen.campaigns.coach.spelling import spell_options
 from nmpc_codegen.compiler import compile
 from nmpc_codegen.components.algorithms import RealTimeIteration
+from nmpc_codegen.components.hessians import ExactHessian
 from nmpc_codegen.components.integrators import ExplicitRungeKutta
 from nmpc_codegen.decisions.integrator import integrator_of
 from nmpc_codegen.errors import NmpcError, OptionError, ProblemWarning
@@ -45,6 +46,8 @@ def propose(ocp: OCP, base: Options) -> Iterator[tuple[str, Options, int]]:
     """What is tried beside the base: what it changes, options, intervals."""
     algorithm = base.algorithm
     yield "default" if base == Options() else "as given", base, ocp.N
+    if base.hessian is None:
+        yield "hessian=ExactHessian()", replace(base, hessian=ExactHessian()), ocp.N
     if isinstance(algorithm, RealTimeIteration):
         changes: dict[str, Any] = {"shift": None, "iterations": ITERATIONS}
         for name, value in changes.items():

@@ -44,7 +44,17 @@ from nmpc_codegen.components.algorithms.shifts import (
     with_shift,
 )
 from nmpc_codegen.components.allowed import Number, Whole, Words, check_options, option
-from nmpc_codegen.components.base import EVERY_USE, MEASUREMENTS, Algorithm, Core, Dims, HookedPart, Parts, Seam
+from nmpc_codegen.components.base import (
+    COUPLED_START,
+    EVERY_USE,
+    MEASUREMENTS,
+    Algorithm,
+    Core,
+    Dims,
+    HookedPart,
+    Parts,
+    Seam,
+)
 from nmpc_codegen.errors import OptionError
 from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.cmodule import Table
@@ -109,6 +119,7 @@ class AugmentedLagrangian(Algorithm):
     supports: ClassVar[frozenset[str]] = EVERY_USE - {
         "blocks of controls",
         "rows with an infinite penalty",
+        COUPLED_START,
         MEASUREMENTS,
     }
 
@@ -152,14 +163,8 @@ class AugmentedLagrangian(Algorithm):
         return tuple(part for part, present in wanted if present)
 
     def check(self, problem: Problem) -> None:
-        """Raise OptionError for shifts that clash with the grid, and for coupled rows with a free x_0."""
+        """Raise OptionError for shifts that clash with the grid."""
         check_shift("AugmentedLagrangian", self.shift, self.sampling_time, problem)
-        if problem.coupled_rows and problem.free_initial:
-            raise OptionError(
-                "AugmentedLagrangian() reads the measured state where a coupled row reads x_0, and clashes with "
-                f"free_initial() together with the row {next(r.name for r in problem.rows if r.is_coupled)!r}; "
-                "choose RealTimeIteration() (--set algorithm=real_time_iteration), or measure x_0"
-            )
 
     def tables(self, problem: Problem) -> tuple[Table, ...]:
         scale = variable_scales(problem)

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from nmpc_codegen.components.allowed import AllowedPoint, Matrix, check_options, option
-from nmpc_codegen.components.base import Counts, Dims, Hessian, Integrator
+from nmpc_codegen.components.base import COUPLED_START, Counts, Dims, Hessian, Integrator
 from nmpc_codegen.components.hessians.given_matrices import refuse_indefinite, refuse_shape
 from nmpc_codegen.components.hessians.steady_rows import limits, terminal_state_is_fixed, tied_parameters
 from nmpc_codegen.components.stage_cost import StageCost, StageCosts
@@ -57,7 +57,10 @@ class EconomicGaussNewton(Hessian):
     name: ClassVar[str] = "economic_gauss_newton"
     template: ClassVar[str] = "hessians/economic_gauss_newton.c"
     supports: ClassVar[frozenset[str]] = frozenset(
-        {"soft rows", "coupled rows", "free initial state", "general cost", "integrated cost", "accumulators"}
+        {
+            *("soft rows", "coupled rows", "free initial state", COUPLED_START),
+            *("general cost", "integrated cost", "accumulators"),
+        }
     )
 
     def __post_init__(self) -> None:
