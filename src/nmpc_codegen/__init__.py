@@ -26,6 +26,7 @@ from nmpc_codegen.package.version import __version__ as __version__
 from nmpc_codegen.runtime.batch.many import Batch
 from nmpc_codegen.runtime.batch.random import Normal, Uniform
 from nmpc_codegen.runtime.controller import Controller
+from nmpc_codegen.runtime.diagnosis.foreign_names import OF_PACKAGE, missing
 from nmpc_codegen.runtime.estimation.observer import Observer
 from nmpc_codegen.runtime.extras import DISTRIBUTION, HAS_COMPILER
 from nmpc_codegen.runtime.loops.flights import Flights
@@ -194,7 +195,7 @@ if not TYPE_CHECKING:  # a type checker must find names that do not exist
 
     def __getattr__(name: str) -> Any:
         if name not in _HOME:
-            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+            raise missing(f"module {__name__!r}", name, OF_PACKAGE, __all__)
         if not HAS_COMPILER:
             raise ImportError(
                 f"{name} needs the compiler, which {DISTRIBUTION} lacks: pip uninstall {DISTRIBUTION}, then "

@@ -25,7 +25,13 @@ OF_CONTROLLER: Mapping[str, str] = {
     "options_set": "Options(...), given to build()",
     "x0": "step(xhat)",
     "simulate": "nmpc_codegen.simulate(ctrl, x0, steps)",
+    "feedback_first": "feedback(xhat), after prepare()",
+    "feedback_finish": "feedback(xhat), after prepare()",
+    "iterate": "step(xhat), or solve(xhat)",
 }
+
+#: Name in other tools, or of an earlier version -> what the package has instead.
+OF_PACKAGE: Mapping[str, str] = {"PartialCondensing": "NoCondensing(), or no condensing, which the compiler chooses"}
 
 
 def missing(owner: str, attribute: str, foreign: Mapping[str, str], known: list[str]) -> AttributeError:
