@@ -111,6 +111,16 @@ def circle() -> OCP:
     return ocp
 
 
+def wide() -> OCP:
+    """More controls than lanes."""
+    ocp = OCP("wide", T=1.0, N=5)
+    x, u = ocp.state("x", size=2, initial=[1.0, -0.5]), ocp.control("u", size=5)
+    ocp.dynamics({x: ca.vertcat(u[0] + u[1] * x[1], u[2] - u[3] * x[0] + u[4])})
+    ocp.least_squares(ca.vertcat(x, u), weight=[2.0, 1.0, 0.1, 0.2, 0.3, 0.4, 0.5])
+    ocp.subject_to(-0.5, u, 0.5)
+    return ocp
+
+
 def flat() -> OCP:
     """A heated tank whose pump efficiency falls with its temperature: the cost is linear in the power."""
     ocp = OCP("flat", T=6.0, N=6, time_unit="h")
@@ -479,7 +489,7 @@ SAMPLES = (
     Sample("delayed", delayed),
     Sample("delayed shooting", delayed, _shooting()),
     Sample("flat", flat),
-    Sample("flat alone", flat, Options(algorithm=RealTimeIteration(iterations=1))),
+    Sample("heater alone", rated_heater, Options(algorithm=RealTimeIteration(iterations=1))),
     Sample("circle dense", circle, _dense()),
     Sample("path OSQP", path, Options(qp=Osqp(), hessian=ExactHessian(regularization=Mirror(level="stage")))),
     Sample("final dense", final, _dense(hessian=GaussNewton(), algorithm=REPEAT)),
@@ -563,6 +573,6 @@ IN_LANES = (
     Sample("functions v4", functions, _riccati(precision="single", target="x86-64-v4")),
     Sample("functions aarch64", functions, _dense(math="own", target="aarch64")),
     Sample("free v3", free, _riccati(hessian=ExactHessian(), target="x86-64-v3")),
-    Sample("quadrotor v3", quadrotor.build_ocp, _riccati(target="x86-64-v3")),
+    Sample("wide v3", wide, _riccati(target="x86-64-v3")),
     Sample("chain5 v4", lambda: chain.build_ocp(5), Options(target="x86-64-v4")),
 )

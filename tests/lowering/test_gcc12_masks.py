@@ -19,7 +19,7 @@ from verification.timed import TIMED, Sample
 
 FLAGS = ("-std=c99", "-O2", "-fno-math-errno", "-fno-trapping-math", "-march=x86-64-v3", "-ffp-contract=fast", "-w")
 #: Every family of solvers and algorithms once.
-NAMES = ("timed crane", "timed cstr", "timed bioreactor", "soft rows dense", "everything interior")
+NAMES = ("timed crane", "timed cstr", "timed bioreactor", "soft rows dense", "everything at stages")
 LOOP = """
 #include <stdint.h>
 typedef struct {

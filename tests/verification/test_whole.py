@@ -14,9 +14,9 @@ from verification.timed import Sample
 FEW = (
     "crane",
     "crane riccati single",
-    "flat in levels",
+    "heater alone",
     "everything dense",
-    "everything interior",
+    "everything at stages",
     "tuned weights",
     "loop augmented",
     "soft rows lumped",

@@ -32,6 +32,13 @@ MUTANTS = (
         ("tests/components/test_condensing.py",),
     ),
     Mutant(
+        "a sign: what x_0 adds to a coupled row",
+        "templates/condensing/none.c",
+        "value += s->coupled.J_0[row_index(m)][i] * s->step.dx[0][i];",
+        "value -= s->coupled.J_0[row_index(m)][i] * s->step.dx[0][i];",
+        ("tests/components/test_stage_qps.py",),
+    ),
+    Mutant(
         "a dropped term: terminal rows in the KKT residual",
         "templates/algorithms/shared/kkt.c",
         "terminal->J[j][i] * END_MULTIPLIERS(s)[j]);",
