@@ -371,29 +371,6 @@ def toy_sources(precision: Precision = "double", T: float = 0.4) -> Sources:
     return generate(toy(T), Options(qp=RiccatiActiveSet(fallback=None), online=online, precision=precision))
 
 
-def actuated_pendulum(rows: str = "") -> OCP:
-    """A pendulum with two actuators, curved everywhere. ``rows``: "", soft, hard, closed, end; an integrated cost."""
-    ocp = OCP("pendulum", T=1.2, N=6)
-    angle, rate = ocp.state("angle"), ocp.state("rate")
-    torque, brake = ocp.control("torque"), ocp.control("brake")
-    weight = ocp.parameter("weight", value=1.0)
-    ocp.dynamics({angle: rate, rate: ca.sin(angle) - 0.3 * rate * (1 + brake) + torque})
-    ocp.least_squares(ca.vertcat(angle, weight * rate, torque, brake), weight=[10, 1, 0.1, 0.2])
-    ocp.terminal_least_squares(ca.vertcat(angle, rate), weight=[20, 2])
-    ocp.subject_to(-2, torque, 2)
-    ocp.subject_to(-0.5, brake, 0.5)
-    if rows in ("soft", "hard"):
-        speed = rate + 0.1 * angle**2
-        ocp.subject_to(-0.7, speed, 0.7, name="speed", soft=(1.0, 5.0) if rows == "soft" else None)
-    if rows == "closed":
-        ocp.boundary(-0.05, ca.sin(ocp.at_end(angle)) - 0.5 * ocp.at_start(angle) ** 2, 0.05, name="closed")
-    if rows == "end":
-        ocp.subject_to(-0.45, ca.sin(angle) + rate**2, 0.45, at="end", name="end")
-    if rows == "integrated":
-        ocp.stage_cost(0.1 * rate**4, integrate=True)
-    return ocp
-
-
 def explosive() -> OCP:
     """x' = x^2 + u, which leaves the numbers in finite time from x = 1 with u = 5, not with the reference u = -2."""
     ocp = OCP("explosive", T=4.0, N=8)

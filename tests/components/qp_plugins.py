@@ -1,12 +1,10 @@
-"""CasADi's conic plugins on stage QPs: the same QP in the form that suits each plugin.
-
-Stage form, variables [x_0 u_0 x_1 ... x_N], rows [gap_0 rows_0 gap_1 ...], is what HPIPM, FATROP and OSQP take; daqp
-and qpOASES, dense solvers, also accept the condensed QP, which the caller then has to condense.
-"""
+"""CasADi's conic plugins on stage QPs: variables [x_0 u_0 x_1 ... x_N], rows [gap_0 rows_0 gap_1 ...]."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import contextlib
+import os
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,17 +14,11 @@ import scipy.sparse as sp
 
 from verification.oracles.stage_qp import Array, Point, StageQP, dynamics_matrix, row_values
 
-#: No output, and accurate enough for all solvers to give the same answer.
+#: No output, and accurate enough for both solvers to give the same answer.
 OPTIONS: dict[str, dict[str, Any]] = {
-    "hpipm": {"hpipm": {"mode": "speed_abs", "iter_max": 50}, "inf": 1e4},
-    "fatrop": {"structure_detection": "manual", "fatrop": {"print_level": 0, "tol": 1e-8}},
-    "osqp": {"osqp": {"verbose": False, "eps_abs": 1e-9, "eps_rel": 1e-9, "max_iter": 20000, "polish": True}},
-    "daqp": {"daqp": {}},
     "qpoases": {"printLevel": "none", "sparse": False},
-    "highs": {"highs": {"output_flag": False}},
     "proxqp": {"proxqp": {"eps_abs": 1e-9, "verbose": False}},
 }
-STAGE_STRUCTURED = ("hpipm", "fatrop")
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,9 +32,6 @@ class Formulation:
     uba: Array
     lbx: Array
     ubx: Array
-    nx: tuple[int, ...] = ()
-    nu: tuple[int, ...] = ()
-    ng: tuple[int, ...] = ()
 
 
 def stage_form(qp: StageQP) -> Formulation:
@@ -72,10 +61,7 @@ def stage_form(qp: StageQP) -> Formulation:
     lba = np.append(-qp.b.ravel(), (qp.lower - qp.c)[general])[order]
     uba = np.append(-qp.b.ravel(), (qp.upper - qp.c)[general])[order]
     H = sp.block_diag([*qp.Q, qp.Q_N], format="csc")
-    counts = tuple(int(np.sum(rows.node[general] == k)) for k in range(s.N + 1))
-    form = Formulation(
-        H, np.append(qp.g.ravel(), qp.g_N), A.tocsc(), lba, uba, lbx, ubx, (s.nx,) * (s.N + 1), (s.nu,) * s.N, counts
-    )
+    form = Formulation(H, np.append(qp.g.ravel(), qp.g_N), A.tocsc(), lba, uba, lbx, ubx)
     place = np.argsort(order)[s.N * s.nx :][soft[general]]  # rows of A that are soft
     return _with_slacks(form, place, rows.l1[general][soft[general]], rows.l2[general][soft[general]])
 
@@ -97,49 +83,27 @@ def _with_slacks(f: Formulation, place: Array, l1: Array, l2: Array) -> Formulat
     )
 
 
-def _states(qp: StageQP) -> tuple[Array, Array]:
-    """dx_k = G_k du + x_k: G (N+1, nx, N nu), x (N+1, nx)."""
-    s = qp.shape
-    G, x = np.zeros((s.N + 1, s.nx, s.N * s.nu)), np.zeros((s.N + 1, s.nx))
-    x[0] = qp.dx0
-    for k in range(s.N):
-        G[k + 1] = qp.S[k, :, : s.nx] @ G[k]
-        G[k + 1, :, k * s.nu : (k + 1) * s.nu] += qp.S[k, :, s.nx :]
-        x[k + 1] = qp.S[k, :, : s.nx] @ x[k] + qp.b[k]
-    return G, x
+def solve(name: str, f: Formulation) -> tuple[bool, Array]:
+    """(success, w) of a plugin."""
+    H, A = _sparsity(f.H), _sparsity(f.A)
+    options = {"error_on_fail": False, "print_time": False} | OPTIONS[name]
+    solver = ca.conic(f"{name}_solver", name, {"h": H, "a": A}, options)
+    h, a = _values(H, f.H), _values(A, f.A)
+    found = solver(h=h, g=f.g, a=a, lba=f.lba, uba=f.uba, lbx=f.lbx, ubx=f.ubx)
+    return bool(solver.stats()["success"]), np.array(found["x"]).ravel()
 
 
-class Plugin:
-    """One conic solver for QPs that fit into the union of the patterns of ``forms``; it stores its last solution."""
-
-    def __init__(self, name: str, forms: Sequence[Formulation], dense: bool = False, **more: Any) -> None:
-        form, n = forms[0], len(forms[0].g)
-        if dense:
-            self.H, self.A = ca.Sparsity.dense(n, n), ca.Sparsity.dense(*form.A.shape)
-        else:
-            self.H, self.A = (_sparsity(sum(abs(getattr(f, m)) for f in forms)) for m in ("H", "A"))
-        self.name = name
-        options: dict[str, Any] = {"error_on_fail": False, "print_time": False, "record_time": True}
-        options |= OPTIONS.get(name, {}) | more
-        if name in STAGE_STRUCTURED and form.nx:
-            options |= {"N": len(form.nu), "nx": form.nx, "nu": (*form.nu, 0), "ng": form.ng}
-        self.solver = ca.conic(f"{name}_solver", name, {"h": self.H, "a": self.A}, options)
-        self.last: dict[str, Any] = {}
-
-    def solve(self, f: Formulation, *, warm: bool = False) -> tuple[bool, Array]:
-        """(success, w); started from the last solution if ``warm``, else without one."""
-        h, a = (_values(self.H, f.H), _values(self.A, f.A))
-        start = {}
-        if warm and self.last:
-            start = {"x0": self.last["x"], "lam_x0": self.last["lam_x"], "lam_a0": self.last["lam_a"]}
-        self.last = self.solver(h=h, g=f.g, a=a, lba=f.lba, uba=f.uba, lbx=f.lbx, ubx=f.ubx, **start)
-        self.stats = self.solver.stats()
-        return bool(self.stats["success"]), np.array(self.last["x"]).ravel()
-
-    @property
-    def time(self) -> float:
-        """Time (us) of the last solve by CasADi's clock; only that of the solver if the plugin states it separately."""
-        return 1e6 * float(self.stats.get("t_wall_solver") or self.stats["t_wall_total"])
+@contextlib.contextmanager
+def silent() -> Iterator[None]:
+    """Discard banners that the library of a solver writes to the file descriptor of stdout."""
+    saved, sink = os.dup(1), os.open(os.devnull, os.O_WRONLY)
+    os.dup2(sink, 1)
+    try:
+        yield
+    finally:
+        os.dup2(saved, 1)
+        os.close(saved)
+        os.close(sink)
 
 
 def _sparsity(m: sp.spmatrix) -> Any:

@@ -10,13 +10,14 @@ from __future__ import annotations
 import dataclasses
 from typing import Any
 
+import casadi as ca
 import numpy as np
 import pytest
 from hypothesis import example, given, note, settings
 from hypothesis import strategies as st
 
 from nmpc_codegen import Options
-from tests.components.qp_plugins import Plugin, point_of, stage_form, violation
+from tests.components.qp_plugins import point_of, silent, solve, stage_form, violation
 from verification.oracles.stage_qp import (
     Point,
     Shape,
@@ -27,7 +28,6 @@ from verification.oracles.stage_qp import (
     residuals,
 )
 from verification.oracles.stage_qp_random import INFEASIBLE, KINDS, SEMIDEFINITE, condensed_rows, kinds_of, random_qp
-from verification.peers import available, silent
 from verification.qp.certificate import certificate
 from verification.qp.stage_solvers import StageSolver, build_all, holds, solvers
 
@@ -92,7 +92,7 @@ def test_constructed_points_are_optimal(shape: Shape, kind: str) -> None:
 @pytest.mark.parametrize("shape", SMALL, ids=str)
 def test_foreign_solvers_find_the_constructed_optimum(shape: Shape, plugin: str) -> None:
     """qpOASES to rounding accuracy also for indefinite blocks; ProxQP, which needs convex blocks, to its tolerance."""
-    if not available(plugin):
+    if not ca.has_conic(plugin):
         pytest.skip(f"this CasADi has no {plugin}")
     tolerance = {"qpoases": 1e-9, "proxqp": 1e-5}[plugin]
     for kind in (*(KINDS if plugin == "qpoases" else CONVEX), SEMIDEFINITE):
@@ -101,7 +101,7 @@ def test_foreign_solvers_find_the_constructed_optimum(shape: Shape, plugin: str)
         if kind == "scaled":
             continue  # in units that are unsuitable for absolute tolerances
         with silent():
-            found, w = Plugin(plugin, [form]).solve(form)
+            found, w = solve(plugin, form)
         p = point_of(qp, w)
         assert found, kind
         assert violation(qp, p) <= tolerance, kind

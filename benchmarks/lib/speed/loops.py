@@ -6,7 +6,7 @@ from dataclasses import replace
 from functools import cache
 
 from examples import chain
-from nmpc_codegen import Options, RealTimeIteration
+from nmpc_codegen import Options
 from nmpc_codegen.compiler import text_of
 from nmpc_codegen.ir.cmodule import CModule
 from nmpc_codegen.package.sources import Sources
@@ -36,13 +36,6 @@ def _loops() -> tuple[Loop, ...]:
 
 
 LOOPS = _loops()
-
-
-def with_algorithm(loop: Loop, **changes: object) -> Loop:
-    """The loop with other options of the real-time iteration."""
-    algorithm = loop.options.algorithm
-    assert isinstance(algorithm, RealTimeIteration)
-    return replace(loop, options=replace(loop.options, algorithm=replace(algorithm, **changes)))
 
 
 def for_target(loop: Loop, target: str) -> Loop:
