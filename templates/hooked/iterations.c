@@ -48,17 +48,11 @@ static measures_t measure_kept(solver_t *s)
     return at;
 }
 
-/* Takes the step of the sample back if it has led away from a plan that was near a solution; otherwise shortens it
- * until the filter accepts it. Returns 1 if all of it is left. */
+/* Shortens the step of the sample until the filter accepts it. Returns 1 if all of it is left. */
 static int shorten_step(solver_t *s)
 {
     sqp_t *q = &s->sqp;
     trial_t *kept = &s->trial;
-    if (!is_far(s->near.before)) {
-        exchange_plans(s);
-        return_multipliers(s);
-        return 0;
-    }
     q->base = measure_kept(s);
     q->slope = s->near.slope;
     enlarge(&q->cost_scale, q->slope);

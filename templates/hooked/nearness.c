@@ -80,8 +80,6 @@ static void nearness_before_step(solver_t *s, status_t status)
             s->near.slope = slope_of(s);
             (void)memset(&s->sqp, 0, sizeof s->sqp);
             update_scales(s);
-            (void)kkt_is_within(s, residual_tolerance[0]);
-            s->near.before = s->kkt.relative;
         }
     }
 }

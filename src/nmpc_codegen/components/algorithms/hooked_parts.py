@@ -37,7 +37,6 @@ def _left(dims: Dims) -> tuple[Struct, ...]:
         Field("longest", (), "longest one of the recent steps", "keep"),
         Field("left", (), "largest residual after one of the recent steps", "keep"),
         Field("slope", (), "slope of the cost along the last step", "keep", only=lambda f: f.iterates),
-        Field("before", (), "relative KKT residual before the last step", "keep", only=lambda f: f.iterates),
         Field("doubted", (), "1: the plan before the last step was not optimal", "keep", "int32"),
         Field("trusted", (), "1: the last step leaves a small residual, by all that is known", "keep", "int32"),
     )
