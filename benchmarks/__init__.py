@@ -1,1 +1,1 @@
-"""Figures of the project: python -m benchmarks.<topic> [--json FILE]."""
+"""Figures of the project: python -m benchmarks [--only TOPIC] [--json FILE]."""

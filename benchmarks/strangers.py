@@ -2,7 +2,7 @@
 
 ``--table`` writes the loops with and without iterations and relaxation, and ``--remedies`` what advice changes, in the
 place of tables of a Markdown file (docs/strangers.md); ``--choices`` writes what the coach chooses for every stranger
-(docs/which-options.md). Their figures are topics of python -m benchmarks.
+(docs/strangers.md). Their figures are topics of python -m benchmarks.
 """
 
 from __future__ import annotations

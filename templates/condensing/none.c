@@ -9,7 +9,7 @@
  *   condense_shift     shifts the predicted working set of the controls by one interval
  *   condense_shift_rows  row m takes the predicted side of row source[m]
  * Here: nothing is eliminated; the stages of the QP are those of the problem. Data that a QP solver on stages reads:
- * stage_S = [A B], stage_b, stage_g, stage_Q, stage_Q_N (lower triangles), gradients and constants of rows. */
+ * stage_S = [A B], stage_b, stage_g, stage_Q, stage_Q_N (lower triangles), and the rows. */
 
 static void qp_init(solver_t *s);
 static status_t qp_factorize(solver_t *s);
@@ -56,28 +56,16 @@ static inline real_t (*stage_Q_N(solver_t *s))[NX]
     return s->hessian.Q_N;
 }
 
-/* Gradient of row m, which is no bound of a control, in the variables of its stage. */
-static inline const real_t *stage_row(const solver_t *s, int m)
-{
-    return row_gradient(s, m);
-}
-
 static void condense_init(solver_t *s)
 {
     qp_init(s);
-}
-
-/* Constant part of row m in the variables of its stage. */
-static inline real_t stage_row_value(const solver_t *s, int m)
-{
-    return row_constant(s, m);
 }
 
 /* Bounds of the rows relative to the present iterate, and the costs of their violation. */
 static void condense_embed_rows(solver_t *s)
 {
     for (int m = 0; m < NG; ++m) {
-        real_t value = stage_row_value(s, m);
+        real_t value = row_constant(s, m);
         if (row_is_coupled(m)) {
             for (int i = 0; i < NX; ++i) {
                 value += s->coupled.J_0[row_index(m)][i] * s->step.dx[0][i];

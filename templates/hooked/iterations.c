@@ -61,11 +61,16 @@ static int shorten_step(solver_t *s)
         return 1;
     }
     kept->length = R(1);
-    for (int trial = 0; trial < MAX_TRIALS && !accepts(s); trial++) {
+    for (int trial = 0; trial < MAX_TRIALS; trial++) {
+        if (accepts(s)) {
+            return kept->length >= R(1);
+        }
         halve_step(s);
         kept->length *= R(0.5);
     }
-    return kept->length >= R(1);
+    move_back(s);
+    return_multipliers(s);
+    return 0;
 }
 
 /* Moves the plan back by one interval: it is again that of the sample before, but for x_0. */

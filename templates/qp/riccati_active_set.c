@@ -1,7 +1,7 @@
 /* ---------------------------------------------------------------------------------------------------------------------
  * qp: active-set method on the Riccati recursion
  *
- *     min  sum_{k<N} 1/2 z_k'Q_k z_k + g_k'z_k  +  1/2 x_NS'Q_NS x_NS + g_NS'x_NS,   z = (x, u)
+ *     min  sum_{k<N} 1/2 z_k'Q_k z_k + g_k'z_k  +  1/2 x_N'Q_N x_N + g_N'x_N,   z = (x, u)
  *     s.t. x_{k+1} = S_k z_k + b_k,   dx_0 given,   lower <= (u, rows) <= upper
  *
  * Contract

@@ -62,7 +62,7 @@ static inline void schur_load(const solver_t *s, int i, real_t *w)
 {
     const int m = s->schur.member[i];
     if (!row_is_state(m)) {
-        (void)memcpy(w, stage_row(s, m), sizeof w[0] * (row_node(m) < N ? NZ : NX));
+        (void)memcpy(w, row_gradient(s, m), sizeof w[0] * (row_node(m) < N ? NZ : NX));
         return;
     }
     w[row_index(m)] = R(1);
@@ -279,9 +279,6 @@ static void schur_distances(const solver_t *s, real_t *distance)
     (void)memcpy(x, s->step.dx[0], sizeof x[0] * NX);
     for (int f = 0; f < NF; f++) {
         x[free_state[f]] = R(0);
-    }
-    for (int i = NX; i < NX; i++) {
-        x[i] = R(0);
     }
     for (int i = 0; i < c->joint; i++) {
         distance[i] = c->origin[i] + riccati_dot(c->pull[i], x, LDX) - s->qp.target[c->member[i]];

@@ -129,7 +129,7 @@ static void qp_correct_rows(solver_t *s, real_t times)
 /* Magnitude of the terms of member m, and of the value of the row in the plan, of which the bound is a difference. */
 static real_t qp_member_size(const solver_t *s, int m)
 {
-    return qp_row_size(s, m) + FABS(s->qp.target[m]) + FABS(stage_row_value(s, m));
+    return qp_row_size(s, m) + FABS(s->qp.target[m]) + FABS(row_constant(s, m));
 }
 
 /* Returns the largest distance of a member from its bound, relative to qp_member_size(). Terminal equations are members

@@ -24,7 +24,7 @@ static real_t qp_row_size(const solver_t *s, int m)
     const real_t *scale = s->qp.scale;
     if (!row_is_state(m)) {
         const int n = row_node(m) < N ? NZ : NX;
-        const real_t *a = stage_row(s, m);
+        const real_t *a = row_gradient(s, m);
         real_t sum = TOL_ZERO * row_magnitude[row_id(m)];
         for (int i = 0; i < n; i++) {
             sum += FABS(a[i]) * scale[i];

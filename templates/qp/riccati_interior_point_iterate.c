@@ -57,7 +57,7 @@ static real_t ipm_terms(const solver_t *s, int c)
     if (NG && (GENERAL_ROWS || NE)) {
         if (c >= NV && !row_is_state(c - NV)) {
             const int k = row_node(c - NV);
-            const real_t *a = stage_row(s, c - NV);
+            const real_t *a = row_gradient(s, c - NV);
             real_t sum = R(0);
             for (int i = 0; i < NX; i++) {
                 sum += FABS(a[i] * s->qp.x[k][i]);

@@ -37,21 +37,6 @@ static int qp_row_holds(qp_t *q, int c, int hard, real_t v, real_t size, real_t 
     return holds;
 }
 
-/* Sum of |a_i| size_i over the terms of row m, and its constant, which has been subtracted from the bounds. */
-static real_t qp_row_terms(const solver_t *s, int m, const real_t *size)
-{
-    real_t sum = FABS(stage_row_value(s, m));
-    if (!row_is_state(m)) {
-        const real_t *a = stage_row(s, m);
-        for (int i = 0; i < (row_node(m) < N ? NZ : NX); i++) {
-            sum += FABS(a[i]) * size[i];
-        }
-        return sum;
-    }
-    sum += size[row_index(m)];
-    return sum;
-}
-
 /* Magnitude that row c has in any case: near a plan that is a solution, everything else may vanish. */
 static inline real_t qp_least_size(const solver_t *s, int c, int full)
 {
@@ -75,7 +60,7 @@ static int qp_rows_hold(solver_t *s, int full)
         }
     }
     for (int m = 0; m < NG; m++) {
-        real_t terms = qp_row_terms(s, m, size);
+        real_t terms = row_terms(s, m, size);
         if (INTERIOR_POINT) {
             terms += qp_least_size(s, NV + m, full);
         }

@@ -18,7 +18,7 @@ static inline int qp_is_soft(const qp_t *q, int m)
 /* a'z of the general row m, z = (x, u) at its stage; the last stage has no controls. */
 static real_t qp_product(const solver_t *s, int m, const real_t *x, const real_t *u)
 {
-    const real_t *a = stage_row(s, m);
+    const real_t *a = row_gradient(s, m);
     real_t sum = riccati_dot(a, x, NX);
     for (int j = 0; row_node(m) < N && j < NU; j++) {
         sum += a[NX + j] * u[j];
@@ -26,15 +26,20 @@ static real_t qp_product(const solver_t *s, int m, const real_t *x, const real_t
     return sum;
 }
 
+/* u of stage k. */
+static inline const real_t *qp_stage_controls(const qp_t *q, int k)
+{
+    return q->z + k * NU;
+}
+
 /* Value of row m at the present point (x, z). */
 static inline real_t qp_row_value(const solver_t *s, int m)
 {
     const int k = row_node(m);
-    if (!row_is_state(m)) {
-        const int first = k * NU;
-        return qp_product(s, m, s->qp.x[k], s->qp.z + first);
+    if (row_is_state(m)) {
+        return s->qp.x[k][row_index(m)];
     }
-    return s->qp.x[k][row_index(m)];
+    return qp_product(s, m, s->qp.x[k], qp_stage_controls(&s->qp, k));
 }
 
 /* Change of the value of row m along the direction. */
@@ -42,30 +47,27 @@ static inline real_t qp_row_change(const solver_t *s, int m)
 {
     const direction_t *d = &s->riccati.work.vectors.rhs.direction;
     const int k = row_node(m);
-    if (!row_is_state(m)) {
-        const int first = k * NU;
-        return qp_product(s, m, d->dx[k], d->du + first);
+    if (row_is_state(m)) {
+        return d->dx[k][row_index(m)];
     }
-    return d->dx[k][row_index(m)];
+    return qp_product(s, m, d->dx[k], d->du + k * NU);
+}
+
+/* y += f a for row m, in the variables of its stage. */
+static inline void qp_add_gradient(const solver_t *s, int m, real_t f, real_t *y)
+{
+    if (row_is_state(m)) {
+        y[row_index(m)] += f;
+        return;
+    }
+    const real_t factor[1] = {f};
+    riccati_combine(y, factor, row_gradient(s, m), NZ, 1, row_node(m) < N ? NZ : NX);
 }
 
 /* g += f a for row m, where g is the gradient of its stage. */
 static inline void qp_add_row(solver_t *s, int m, real_t f)
 {
-    real_t *g = s->riccati.work.vectors.rhs.g[row_node(m)];
-    if (!row_is_state(m)) {
-        const real_t factor[1] = {f};
-        riccati_combine(g, factor, stage_row(s, m), NZ, 1, row_node(m) < N ? NZ : NX);
-        return;
-    }
-    g[row_index(m)] += f;
-}
-
-/* u of stage k. */
-static inline const real_t *qp_stage_controls(const qp_t *q, int k)
-{
-    const int first = k * NU;
-    return q->z + first;
+    qp_add_gradient(s, m, f, s->riccati.work.vectors.rhs.g[row_node(m)]);
 }
 
 /* size[] = its maximum with the magnitudes of every component of x and z over the stages. */
@@ -129,16 +131,9 @@ static void qp_cost_gradient(solver_t *s, int k, real_t *y)
 {
     qp_quadratic_gradient(s, k, y);
     for (int m = row_first[k]; m < row_first[k + 1]; m++) {
-        if (!(s->riccati.held[m] > R(0))) {
-            continue;
+        if (s->riccati.held[m] > R(0)) {
+            qp_add_gradient(s, m, s->riccati.held[m] * qp_row_value(s, m), y);
         }
-        const real_t f = s->riccati.held[m] * qp_row_value(s, m);
-        if (!row_is_state(m)) {
-            const real_t factor[1] = {f};
-            riccati_combine(y, factor, stage_row(s, m), NZ, 1, k < N ? NZ : NX);
-            continue;
-        }
-        y[row_index(m)] += f;
     }
 }
 #else

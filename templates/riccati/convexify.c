@@ -56,7 +56,7 @@ static real_t riccati_row_hold(const solver_t *s, int m, real_t hold)
     const real_t *unit = s->riccati.unit;
     real_t sum = R(0);
     if (!row_is_state(m)) {
-        const real_t *a = stage_row(s, m);
+        const real_t *a = row_gradient(s, m);
         for (int i = 0; i < (row_node(m) < N ? NZ : NX); i++) {
             sum += a[i] * a[i] / unit[i];
         }

@@ -76,7 +76,7 @@ static inline void riccati_collect_row(solver_t *s, int m, int n)
 {
     recursion_t *work = &s->riccati.work.recursion;
     const int width = row_node(m) < N ? NZ : NX;
-    const real_t *a = stage_row(s, m), w = riccati_weight(&s->riccati, m);
+    const real_t *a = row_gradient(s, m), w = riccati_weight(&s->riccati, m);
     for (int i = 0; i < width; i++) {
         work->W[n][i] = w * a[i];
         work->T[n][i] = a[i];
@@ -286,7 +286,7 @@ static int riccati_factorize_free(riccati_t *r)
     return 1;
 }
 
-/* The recursion from stage `last` down to stage 0; last = N: all stages and P_NS. */
+/* The recursion from stage `last` down to stage 0; last = N: all stages and P_N. */
 static int riccati_factorize(solver_t *s, int last)
 {
     if (last == N) {

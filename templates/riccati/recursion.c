@@ -1,6 +1,6 @@
 /* Riccati recursion on the stage QP, shared by the Riccati solvers.
  *
- *     min  sum_{k<N} 1/2 z_k'M_k z_k + g_k'z_k  +  1/2 x_NS'M_NS x_NS + g_NS'x_NS,   z = (x, u),
+ *     min  sum_{k<N} 1/2 z_k'M_k z_k + g_k'z_k  +  1/2 x_N'M_N x_N + g_N'x_N,   z = (x, u),
  *     x_{k+1} = S_k z_k + b_k,   u_j given if fixed[j] != 0,
  *
  *     M_k = Q_k + diag(0, diagonal[k]) + sum of weight[m] a_m a_m' over the rows m of stage k.
@@ -11,7 +11,7 @@
  * Contract
  *   riccati_init       once: sets everything to zero.
  *   riccati_factorize  M, L, K of the stages last .. 0 and P_last .. P_0 from Q, S, diagonal, weight, fixed; last = N:
- *                      all stages and P_NS. Later stages are unchanged. Returns 0 if a pivot is not positive (its
+ *                      all stages and P_N. Later stages are unchanged. Returns 0 if a pivot is not positive (its
  *                      stage is in `failed`), else 1.
  *   riccati_backward   p, feed, h of the stages last .. 0 from g, b, du (values of the fixed controls). Later stages
  *                      are unchanged.

@@ -69,7 +69,7 @@ static void riccati_backward_stage(solver_t *s, int k)
 static void riccati_backward_stage(solver_t *s, int k);
 
 #endif
-/* p, feed and h of the stages last .. 0; last = N: all stages and p_NS. */
+/* p, feed and h of the stages last .. 0; last = N: all stages and p_N. */
 static void riccati_backward(solver_t *s, int last)
 {
     riccati_t *r = &s->riccati;

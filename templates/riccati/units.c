@@ -109,7 +109,7 @@ static void riccati_rows_reach(solver_t *s, int k)
         const int i = row_index(m);
         if (GENERAL_ROWS || NE) {
             if (!row_is_state(m)) {
-                const real_t *a = stage_row(s, m);
+                const real_t *a = row_gradient(s, m);
                 s->units.reach[NV + m] = riccati_reach(&s->riccati, k, a, (k < N) ? a + NX : a);
                 continue;
             }

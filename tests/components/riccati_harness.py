@@ -9,13 +9,13 @@ import ctypes
 import functools
 import re
 import subprocess
-import types
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from nmpc_codegen.components.base import Dims
 from nmpc_codegen.components.qp.riccati import riccati_sizes, riccati_structs
 from nmpc_codegen.ir.tuning import PANEL
 from nmpc_codegen.package.description import union_dtype
@@ -27,6 +27,7 @@ from verification.qp.harness import (
     SCALARS,
     WARNINGS,
     build_directory,
+    dims_with,
     part_text,
     pruned,
     struct_text,
@@ -54,19 +55,18 @@ class Shape:
         return {"SCALAR": int(self.form != "vector"), "SMALL": int(self.form == "small")}
 
     @property
-    def dims(self) -> Any:
+    def dims(self) -> Dims:
         """The members of Dims that the Riccati components use."""
-        named = {
-            "N": self.ns,
-            "nx": self.nx,
-            "nu": self.nus,
-            "nz": self.nx + self.nus,
-            "nf": len(self.free),
-        }
-        named |= {"nv": self.ns * self.nus, "ng": len(self.rows)}
-        found = types.SimpleNamespace(**{name: Size(name.upper(), value) for name, value in named.items()})
-        found.qp, found.multiple = found, 1 if self.form == "small" else PANEL
-        return found
+        return dims_with(
+            1 if self.form == "small" else PANEL,
+            N=self.ns,
+            nx=self.nx,
+            nu=self.nus,
+            nz=self.nx + self.nus,
+            nf=len(self.free),
+            nv=self.ns * self.nus,
+            ng=len(self.rows),
+        )
 
     @property
     def first(self) -> list[int]:
@@ -74,9 +74,9 @@ class Shape:
         return [sum(1 for k, _ in self.rows if k < stage) for stage in range(self.ns + 2)]
 
 
-def _data(dims: Any) -> tuple[Struct, ...]:
+def _data(dims: Dims) -> tuple[Struct, ...]:
     """The members that condensing, Hessian and algorithm own in a real package."""
-    nodes = Size("N + 1", dims.N.value + 1)
+    nodes = dims.nodes
 
     def field(name: str, *shape: Size) -> Field:
         return Field(name, shape, "", "data")
@@ -103,11 +103,11 @@ static inline real_t *stage_b(solver_t *s, int k) { return s->stage.b[k]; }
 static inline real_t *stage_g(solver_t *s, int k) { return s->stage.g[k]; }
 static inline real_t (*stage_Q(solver_t *s, int k))[NZ] { return s->hessian.Q[k]; }
 static inline real_t (*stage_Q_N(solver_t *s))[NX] { return s->hessian.Q_N; }
-static inline real_t stage_row_value(const solver_t *s, int m) { (void)s; (void)m; return R(0); }
+static inline real_t row_constant(const solver_t *s, int m) { (void)s; (void)m; return R(0); }
 static inline int row_id(int m) { return m; }
 """
 ROW_ACCESSORS = """
-static inline const real_t *stage_row(const solver_t *s, int m) { return s->stage.J[m]; }
+static inline const real_t *row_gradient(const solver_t *s, int m) { return s->stage.J[m]; }
 static inline int row_node(int m) { return node_of_row[m]; }
 static inline int row_index(int m) { return state_of_row[m]; }
 static inline int row_is_state(int m) { return state_of_row[m] >= 0; }
@@ -141,8 +141,8 @@ def _existing(struct: Struct) -> Struct:
 
 def source(shape: Shape, precision: str = "double", lanes: int = 1) -> str:
     """Self-contained C text of the recursion, with entry points; ``lanes`` > 1: in register tiles."""
-    dims = vars(shape.dims)
-    values = {size.text: size.value for size in dims.values() if isinstance(size, Size)}
+    sizes = vars(shape.dims) | vars(shape.dims.qp)
+    values = {size.text: int(size) for size in sizes.values() if isinstance(size, Size)}
     values |= {"PACK_WIDTH": lanes, "TILES": int(lanes > 1)}
     values |= {name: value for name, value, _ in riccati_sizes(shape.dims)}
     measured = [int(i not in shape.free) for i in range(shape.nx)]

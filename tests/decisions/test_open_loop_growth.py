@@ -159,13 +159,31 @@ def test_condensing_that_cannot_work_is_refused() -> None:
         assert generate(cart_pole(60), Options(condensing=FullCondensing(), qp=DenseActiveSet()))
 
 
+def test_rows_of_a_free_start_cannot_be_kept_on_stages() -> None:
+    """A shorter horizon or a measured x_0 helps, as the error says."""
+
+    def periodic(N: int, free: bool) -> OCP:
+        ocp = cart_pole(N)
+        ocp.boundary(0, ocp.at_start(ocp.x[1]) - ocp.at_end(ocp.x[1]), 0)
+        if free:
+            ocp.free_initial(ocp.x[1])
+        return ocp
+
+    options = Options(precision="single")
+    with pytest.raises(OptionError, match=r"grows by.*; use a shorter horizon, or a measured x_0.*double"):
+        generate(periodic(60, True), options)
+    assert generate(periodic(60, False), options)
+    with pytest.warns(ProblemWarning, match=r"condensing full: the open loop grows.*try a shorter horizon"):
+        assert generate(periodic(20, True), options)
+
+
 def test_the_compiler_leaves_out_what_loses_digits_and_says_so() -> None:
     found = choices(cart_pole(60), Options(precision="single"))
     table = next(choice for choice in found if "fewest operations" in choice)
     assert "full" not in table
     assert any("condensing: full not considered; the open loop grows" in choice for choice in found)
     assert not any("grows" in choice for choice in choices(cart_pole(30), Options()))
-    with pytest.warns(ProblemWarning, match=r"condensing full: .*grows.*; try Options\(condensing=NoCondensing\(\)\)"):
+    with pytest.warns(ProblemWarning, match=r"condensing full: .*grows.*; try condensing NoCondensing\(\)"):
         assert not any("grows" in choice for choice in choices(cart_pole(20), DENSE))
 
 

@@ -14,7 +14,7 @@ import pytest
 
 ROOT = Path(__file__).parents[2]
 #: Topics that compile GNU C or count the instructions of gcc's; the others run what tcc compiles, if it is there.
-OF_GCC = ("instructions", "speed/own_math", "stiff", "algebraic", "batch", "campaigns", "strangers")
+OF_GCC = ("instructions", "stiff", "algebraic", "batch", "campaigns", "strangers")
 
 
 def names(page: bool) -> list[str]:

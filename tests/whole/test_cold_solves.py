@@ -110,10 +110,13 @@ def test_samples_may_leave_the_plan_of_solve() -> None:
     assert solution.status == Status.OK
     assert np.abs(solution.u).max() < 1e-6
     c.u[:] = 1e-6
+    found, moved = [], 0.0
     for _ in range(40):
         c.step([0.0])
-    assert np.abs(c.u).max() > 0.01
-    assert "Options(hessian=ExactHessian())" in c.diagnose()
+        found.append(c.diagnose())
+        moved = max(moved, np.abs(c.u).max())
+    assert moved > 0.1
+    assert any("Options(hessian=ExactHessian())" in words for words in found[20:])
     exact = build(_fletcher(), Options(hessian=ExactHessian(), algorithm=RealTimeIteration(shift=None)), profile="test")
     exact.u[:] = 1e-6
     for _ in range(40):

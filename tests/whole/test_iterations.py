@@ -327,6 +327,18 @@ def test_multipliers_of_a_penalty_do_not_enter_an_exact_hessian() -> None:
     assert not np.any(c.lam)
 
 
+def test_a_step_of_which_no_part_helps_is_not_taken() -> None:
+    """A residual that jumps up where the step begins: the plan stays where it was, exactly."""
+    ocp = OCP("jump", T=1.0, N=5)
+    x, u = ocp.state("x"), ocp.control("u")
+    ocp.dynamics({x: u})
+    ocp.least_squares(ca.vertcat(0.1 * x, u + 0.02 * u**2 - 1 + 5 * (u > 0)), weight=[1, 1])
+    c = build(ocp, profile="test")
+    c.step([0.0])
+    assert c.status is Status.NOT_CONVERGED
+    assert not c.u.any()
+
+
 def test_a_drone_commanded_by_a_quaternion_arrives() -> None:
     stranger = known("quaternion")
     c = build(stranger.ocp(), stranger.options(), "test")

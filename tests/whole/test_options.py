@@ -233,6 +233,11 @@ def _free(ocp: OCP) -> None:
     ocp.free_initial("x")
 
 
+def _coupled_and_free(ocp: OCP) -> None:
+    _coupled(ocp)
+    _free(ocp)
+
+
 def _general(ocp: OCP) -> None:
     ocp.stage_cost(ocp.x**4)
 
@@ -255,6 +260,7 @@ def _accumulated(ocp: OCP) -> None:
         (_soft, "soft rows"),
         (_coupled, "coupled rows"),
         (_free, "free initial state"),
+        (_coupled_and_free, "rows that couple x_N with free components of x_0"),
         (_general, "general cost"),
         (_terminal, "general cost"),
         (_integrated, "integrated cost"),

@@ -10,6 +10,7 @@ import functools
 import subprocess
 import tempfile
 from collections.abc import Collection, Mapping
+from dataclasses import fields
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -18,6 +19,7 @@ import numpy as np
 
 from nmpc_codegen.components.base import Dims, QpDims
 from nmpc_codegen.components.qp import DenseActiveSet
+from nmpc_codegen.ir.tuning import PANEL
 from nmpc_codegen.lowering.dialect.constants import Constants
 from nmpc_codegen.lowering.tolerances import TOLERANCES
 from nmpc_codegen.lowering.unit.macros import CHOSEN, REAL_CONSTANT, arithmetic, print_macro
@@ -46,21 +48,20 @@ FEATURES = Features(
 )
 
 
+def dims_with(multiple: int = PANEL, **sizes: int) -> Dims:
+    """Dims with these sizes, for a component that uses no other ones."""
+
+    def found(cls: type) -> dict[str, Any]:
+        names = (f.name for f in fields(cls) if f.type == "Size")
+        return {name: Size({"ld": "LDV"}.get(name, name.upper()), sizes.get(name, 0)) for name in names}
+
+    return Dims(**found(Dims), condensed=QpDims(**found(QpDims)), multiple=multiple)
+
+
 def qp_dims(nv: int, ng: int) -> Dims:
-    """Dims of a QP with nv variables and ng general rows; the other sizes are not used."""
-    zero = Size("0", 0)
-    named = dict.fromkeys((*Dims.__dataclass_fields__, *QpDims.__dataclass_fields__), zero)
-    named |= {
-        "nvu": Size("NVU", nv),
-        "nv": Size("NV", nv),
-        "ng": Size("NG", ng),
-        "ld": Size("LDV", -(-nv // 4) * 4),
-        "ldh": Size("LDH", -(-nv // 4) * 4),
-        "nsl": Size("NSL", 0),
-    }
-    condensed = QpDims(**{name: named[name] for name in QpDims.__dataclass_fields__})
-    core = {name: named[name] for name in Dims.__dataclass_fields__ if name not in ("condensed", "estimation")}
-    return Dims(**core, condensed=condensed, estimation=None)
+    """Dims of a QP with nv variables and ng general rows."""
+    padded = -(-nv // 4) * 4
+    return dims_with(nvu=nv, nv=nv, ng=ng, ld=padded, ldh=padded)
 
 
 def source(nv: int, ng: int, precision: str = "double", component: DenseActiveSet | None = None) -> str:
@@ -71,8 +72,8 @@ def source(nv: int, ng: int, precision: str = "double", component: DenseActiveSe
         "NVU": nv,
         "NV": nv,
         "NG": ng,
-        "LDV": dims.qp.ld.value,
-        "LDH": dims.qp.ldh.value,
+        "LDV": int(dims.qp.ld),
+        "LDH": int(dims.qp.ldh),
         "NSL": 0,
         "ELASTIC": int(ng > 0),
     }

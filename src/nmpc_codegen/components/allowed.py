@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 import reprlib
+import sys
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Protocol
@@ -89,14 +89,11 @@ class Whole:
 
 @dataclass(frozen=True)
 class Number:
-    """A finite number > ``lower`` (>= ``lower`` if ``closed``) and < ``upper``, or ``word`` if there is one."""
+    """A finite number > 0 (>= 0 if ``closed``)."""
 
-    lower: float = 0.0
-    upper: float = math.inf
     closed: bool = False
     optional: bool = False
     unit: str = ""
-    word: str = ""
 
     def convert(self, value: Any) -> Any:
         return value
@@ -104,22 +101,13 @@ class Number:
     def takes(self, value: Any) -> bool:
         if value is None:
             return self.optional
-        if isinstance(value, str):
-            return bool(self.word) and value == self.word
         if isinstance(value, bool) or not isinstance(value, int | float):
             return False
-        try:
-            number = float(value)
-        except OverflowError:
-            return False
-        above = number >= self.lower if self.closed else number > self.lower
-        return math.isfinite(number) and above and number < self.upper
+        return 0 < value <= sys.float_info.max or (self.closed and value == 0)
 
     def __str__(self) -> str:
-        text = f"a finite number {'>=' if self.closed else '>'} {self.lower:g}"
-        text += f" and < {self.upper:g}" if math.isfinite(self.upper) else ""
+        text = f"a finite number {'>=' if self.closed else '>'} 0"
         text += f" ({self.unit})" if self.unit else ""
-        text += f', "{self.word}"' if self.word else ""
         return text + (" or None" if self.optional else "")
 
 

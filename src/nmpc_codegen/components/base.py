@@ -15,6 +15,7 @@ from nmpc_codegen.errors import OptionError
 from nmpc_codegen.ir.tuning import PANEL
 from nmpc_codegen.package.opcount import OpCount
 from nmpc_codegen.package.signals import list_some
+from nmpc_codegen.package.struct_layout import Size
 
 if TYPE_CHECKING:
     from nmpc_codegen.components.stage_cost import StageCosts
@@ -28,7 +29,7 @@ if TYPE_CHECKING:
     from nmpc_codegen.package.estimation import Estimation
     from nmpc_codegen.package.features import Features
     from nmpc_codegen.package.signals import EntryPoint
-    from nmpc_codegen.package.struct_layout import Precision, Size, Struct
+    from nmpc_codegen.package.struct_layout import Precision, Struct
 
 # C function -> operations of one run
 Counts = Mapping[str, OpCount]
@@ -104,6 +105,16 @@ class Dims:
     banded: int = 0  # controls of the node before, which act on no state: the last states
     estimation: Estimation | None = None
     multiple: int = PANEL  # to which leading dimensions of stage matrices are rounded up; 1: no padding
+
+    @property
+    def nodes(self) -> Size:
+        """Shooting nodes with the terminal one."""
+        return Size("N + 1", self.N + 1)
+
+    @property
+    def constraints(self) -> Size:
+        """Bounds of the controls of the QP, and its rows."""
+        return Size(f"{self.qp.nv.text} + {self.ng.text}", self.qp.nv + self.ng)
 
     @property
     def qp(self) -> QpDims:
@@ -293,20 +304,6 @@ class Hessian(Component, Protocol):
         ...
 
 
-class Regularization(Protocol):
-    """Treatment of an indefinite Hessian."""
-
-    @property
-    def level(self) -> str:
-        """Its level: "stage", the block of every node, or "reduced", the Hessian after elimination of the states."""
-        ...
-
-    @property
-    def mirrors(self) -> bool:
-        """True: negative eigenvalues change their sign; False: they are raised to the floor."""
-        ...
-
-
 class StageMatrices(Protocol):
     """What the counts of condensing and of QP solvers follow from."""
 
@@ -321,8 +318,7 @@ class Condensing(Component, Protocol):
 
     seam: ClassVar[Seam] = "condensing"
 
-    gives: ClassVar[str]  # "condensed" or "stages"
-    eliminates: ClassVar[bool]  # it eliminates states, and so uses the products of the stage matrices
+    gives: ClassVar[str]  # "condensed": without states, by products of the stage matrices; or "stages"
 
     def qp_shape(self, problem: Problem) -> QpShape:
         """Sizes of the QP that it forms."""
@@ -431,7 +427,7 @@ def refuse_unsupported(
             of_rows = [r.name for r in problem.rows if any(_uses(r, use) for use in missing)]
             named = list_some([*of_rows, *(problem.newton_names if NONLINEAR in missing else ())])
             where = f" ({named})" if named else ""
-            able = [spell(c) for c in registries[component.seam].values() if c.supports.issuperset(missing)]
+            able = [spell(c) for c in registries[component.seam].values() if c.supports >= problem.uses]
             offer = f"choose {' or '.join(able)}" if able else f"no {component.seam} of this version does"
             refused = f"which {component.seam} {spell(component)} does not support"
             raise OptionError(f"{problem.name} uses {' and '.join(missing)}{where}, {refused}; {offer}")

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from nmpc_codegen.components.base import Core, Dims
 from nmpc_codegen.ir.cmodule import Table
 from nmpc_codegen.ir.tuning import COLUMNS
-from nmpc_codegen.package.struct_layout import Field, Size, Struct, only_if
+from nmpc_codegen.package.struct_layout import Field, Struct, only_if
 
 
 def core_structs(core: Iterable[Core], dims: Dims) -> tuple[Struct, ...]:
@@ -67,7 +67,7 @@ def _renewal() -> Struct:
 
 
 def _multipliers(dims: Dims) -> Struct:
-    nodes = Size("N + 1", dims.N.value + 1)
+    nodes = dims.nodes
     return Struct(
         "solver",
         "",
@@ -81,7 +81,7 @@ def _multipliers(dims: Dims) -> Struct:
 
 def _row_members(dims: Dims) -> Struct:
     """What parts of the core know of rows."""
-    nodes = Size("N + 1", dims.N.value + 1)
+    nodes = dims.nodes
     penalty = "l1 penalty of hard rows while a QP is relaxed, else infinite"
     left = "of the hard rows, left by the last step"
     price = "of relaxed rows on states, relative to that at the last node"

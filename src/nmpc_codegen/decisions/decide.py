@@ -29,7 +29,7 @@ def decide(problem: CompleteProblem, options: Options) -> Choices:
     small = options.goal == "size" and not options.solves  # nothing in the package iterates
     algorithm = Decision(*options.algorithm.decide(problem, small))
     integrator = choose_integrator(trials, options.integrator, options.goal)
-    _check(problem, integrator.value, hessian.value)
+    _check(problem, options, integrator.value, hessian.value)
     made = make(trials, integrator.value, hessian.value)
     exact = choose_exact(problem, options, hessian, made.costs, integrator.value)
     has_qp = "qp" in options.algorithm.needs
@@ -49,7 +49,7 @@ def decide(problem: CompleteProblem, options: Options) -> Choices:
         grown=growth(trials, integrator.value, options.precision) if asked else Growth((), options.precision),
     )
     found = replace(found, qp=choose_qp(found) if has_qp else None)
-    _check(problem, *found.parts.components)
+    _check(problem, options, *found.parts.components)
     found.parts.algorithm.check_parts(found.parts)
     return replace(found, options=_close(options, found))
 
@@ -67,9 +67,11 @@ def _close(options: Options, found: Choices) -> Options:
     )
 
 
-def _check(problem: CompleteProblem, *components: Component | None) -> None:
-    """Raise OptionError if a component does not support the problem or its options clash with it."""
+def _check(problem: CompleteProblem, options: Options, *components: Component | None) -> None:
+    """Raise OptionError if a component does not support the problem or its options clash with it; of several that
+    fail, of one that the user has given."""
     present = [component for component in components if component is not None]
+    present.sort(key=lambda component: getattr(options, component.seam) is None)
     refuse_unsupported(problem, present, REGISTRIES)
     for component in present:
         component.check(problem)

@@ -1,4 +1,4 @@
-"""Growth of the open loop over the intervals that condensing eliminates, which costs digits.
+"""Growth of the open loop over the horizon, which costs digits where condensing eliminates the states.
 
     dx_k = sum_j Phi(k, j + 1) B_j du_j + ...,   Phi(k, j) = A_{k-1} ... A_j
 
@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nmpc_codegen.components.base import Condensing, Integrator, Transition, spell
+from nmpc_codegen.components.condensing import NoCondensing
 from nmpc_codegen.components.integrators import ImplicitRungeKutta
 from nmpc_codegen.decisions.trials import Trials
 from nmpc_codegen.errors import OptionError
@@ -78,7 +79,7 @@ class Growth:
         """
         intervals = _intervals(problem, condensing)
         if self.error(intervals) > REFUSED:
-            offers = ["condensing NoCondensing() (--set condensing=none) with a QP solver on stages"]
+            offers = [_remedy(problem)]
             if self.error(intervals, "double") <= REFUSED:
                 offers.append('precision "double" (--set precision=double)')
             raise OptionError(
@@ -86,8 +87,8 @@ class Growth:
             )
         if self.spares(problem, condensing):
             return ()
-        advice = "try Options(condensing=NoCondensing())" if intervals > 1 else "shorten the intervals"
-        return (f"condensing {condensing.name}: {self.describe(intervals)}; {advice}",)
+        advice = _remedy(problem) if intervals > 1 else "shorter intervals"
+        return (f"condensing {condensing.name}: {self.describe(intervals)}; try {advice}",)
 
     def of_simulation(self, algorithm: str, intervals: int) -> tuple[str, ...]:
         """A warning of an algorithm that simulates its plans, if they run away from small errors of their controls."""
@@ -109,7 +110,14 @@ class Growth:
 
 def _intervals(problem: Problem, condensing: Condensing) -> int:
     """Number of intervals in a row whose states are functions of those before: all, or one."""
-    return problem.N if condensing.eliminates else 1
+    return problem.N if condensing.gives == "condensed" else 1
+
+
+def _remedy(problem: Problem) -> str:
+    """What to use in the place of a condensing that costs digits."""
+    if problem.uses <= NoCondensing.supports:
+        return "condensing NoCondensing() (--set condensing=none) with a QP solver on stages"
+    return "a shorter horizon, or a measured x_0 (without free_initial())"
 
 
 def growth(trials: Trials, integrator: Integrator, precision: Precision) -> Growth:

@@ -76,7 +76,7 @@ def report_of(
     if features.products:
         called = model.products.called_vectors(features)
         counts |= {name: routine.count for name, routine in called.items()}
-    if model.parts.condensing and model.parts.condensing.eliminates:
+    if model.parts.condensing and model.parts.condensing.gives == "condensed":
         counts |= model.products.column_counts
     for component in model.parts.components:
         counts |= component.cost(model.dims, model)

@@ -24,9 +24,7 @@ def features_of(model: Model) -> Features:
     curved = search and exact and not p.couples_free_start
     relaxable = found.hard_rows and (search or found.solve or found.relax)
     nonlinear = found.has_qp and p.nonlinear_rows
-    eliminates = parts.condensing is not None and parts.condensing.eliminates
-    checked = eliminates and not found.approximate
-    condensed = parts.condensing is not None and parts.condensing.gives == "condensed"
+    eliminates = parts.condensing is not None and parts.condensing.gives == "condensed"
     return replace(
         found,
         kernels=found.kernels | _gradients_of_cost(model, found, eliminates),
@@ -47,8 +45,7 @@ def features_of(model: Model) -> Features:
         exact_qp=found.has_qp and not bends,
         shifts_back=goes_on and parts.algorithm.shift == "repeat" and not found.idle_end,
         row_scales=relaxable or nonlinear or search,
-        check_step=checked,
-        check_gradient=checked and condensed,
+        check_step=eliminates and not found.approximate,
     )
 
 
@@ -56,7 +53,7 @@ def _of_problem(model: Model) -> Features:
     """The features of the problem, the options and the target."""
     p, parts, target = model.problem, model.parts, model.target
     kinds, imposed = {kind for _, kind, _, _ in p.qp_rows}, {(k, row) for k, _, _, row in p.qp_rows}
-    eliminates = parts.condensing is not None and parts.condensing.eliminates
+    eliminates = parts.condensing is not None and parts.condensing.gives == "condensed"
     computing = {r.name for r in model.printed}
     computing |= {"state_step", "adjoint_step"} if eliminates else set()
     core, layouts = parts.algorithm.core, model.options.online.layouts

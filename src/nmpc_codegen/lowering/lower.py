@@ -169,7 +169,7 @@ def _macros(model: Model, dims: Dims, entries: Iterable[EntryPoint], whole: bool
         Macro("PULLS", PULLS, "moves of a control back onto rows, at most"),
         number,
         *sizes,
-        *(Macro(*entry) for component in parts.components for entry in component.sizes(dims)),
+        *(Macro(name, int(n), doc) for part in parts.components for name, n, doc in part.sizes(dims)),
     ]
     reach = parts.algorithm.reach(problem) / parts.integrator.longest_step(problem)
     if reach or whole:
@@ -196,4 +196,4 @@ def _shared_sizes(model: Model, dims: Dims) -> Iterator[Macro]:
     of_qp = {} if dims.condensed is None else vars(dims.condensed)
     for size in (*vars(dims).values(), *of_qp.values()):
         if isinstance(size, Size) and size.text not in absent:
-            yield Macro(size.text, size.value, size.doc, shown=augmented_state.in_header(size, problem))
+            yield Macro(size.text, int(size), size.doc, shown=augmented_state.in_header(size, problem))

@@ -216,7 +216,7 @@ def member(field: Field, name: str, public: Iterable[Macro]) -> str:
     """Declaration of a struct member; sizes that are not ``public`` are numbers."""
     ctype = {"real": f"{name}_real", "int32": "int32_t"}.get(field.ctype, f"{name}_{field.ctype}_t")
     known = {macro.name for macro in public if macro.shown is None}
-    texts = (s.c(name.upper()) if known.issuperset(re.findall(r"[A-Z]\w*", s.text)) else s.value for s in field.shape)
+    texts = (s.c(name.upper()) if known.issuperset(re.findall(r"[A-Z]\w*", s.text)) else int(s) for s in field.shape)
     return f"{ctype} {field.name}{''.join(f'[{text}]' for text in texts)};"
 
 

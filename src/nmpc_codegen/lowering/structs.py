@@ -12,11 +12,11 @@ from nmpc_codegen.lowering.stated import augmented_state
 from nmpc_codegen.lowering.stated.data import penalties_in_use, settings
 from nmpc_codegen.lowering.stated.probes import plan_at_saddle
 from nmpc_codegen.package.features import Features
-from nmpc_codegen.package.struct_layout import Field, Size, Struct
+from nmpc_codegen.package.struct_layout import Field, Struct
 
 
 def lowered_structs(model: Model, dims: Dims, features: Features, whole: bool) -> tuple[Struct, ...]:
-    nodes = Size("N + 1", dims.N.value + 1)
+    nodes = dims.nodes
     more = augmented_state.problem_names(model.problem)
     found = settings(model, dims, whole)
     common = [

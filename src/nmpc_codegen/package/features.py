@@ -120,7 +120,6 @@ class Features:
     interior_point: bool = False
     approximate: bool = False
     check_step: bool = False
-    check_gradient: bool = False
     keeps_multipliers: bool = False
 
     # algorithm

@@ -63,10 +63,6 @@ class Size(int):
     def __str__(self) -> str:
         return self.text
 
-    @property
-    def value(self) -> int:
-        return int(self)
-
     def c(self, macro: str) -> str:
         """C text with every identifier prefixed, e.g. ``CRANE_N + 1``."""
         words = (f"{macro}_{w}" if w[0].isalpha() else w for w in self.text.split())
@@ -91,7 +87,7 @@ class Field:
     @property
     def values(self) -> tuple[int, ...]:
         """True shape in numbers."""
-        return tuple(s.value for s in self.shape)
+        return tuple(map(int, self.shape))
 
     @property
     def first(self) -> str:
@@ -101,7 +97,7 @@ class Field:
     @property
     def padded(self) -> tuple[int, ...]:
         """Shape of the C array: every size at least 1."""
-        return tuple(max(1, s.value) for s in self.shape)
+        return tuple(max(1, int(s)) for s in self.shape)
 
 
 @dataclass(frozen=True)
@@ -124,7 +120,7 @@ class Struct:
     @property
     def count(self) -> int:
         """Number of these structs in the solver."""
-        return math.prod(size.value for size in self.shape)
+        return math.prod(self.shape)
 
 
 Stated = TypeVar("Stated", Field, Struct)

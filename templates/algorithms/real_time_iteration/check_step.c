@@ -1,6 +1,5 @@
 /* Contract of this part: the check before OK of a QP whose states were eliminated. Its solution must satisfy the hard
- * rows of the QP with all states and, if no QP solver on stages has checked it, the stationarity. Rounding errors of
- * the elimination show there. */
+ * rows of the QP with all states, and stationarity. Rounding errors of the elimination show there. */
 
 /* size[], which is 0: largest magnitude of every component of (dx, du) over the horizon, and of the gaps of the states.
  * Returns 1 if the step is finite. */

@@ -39,11 +39,11 @@ static int multipliers_of_qp(solver_t *s, real_t (*lam)[NX], int checked)
         if (CURVED && s->curved.in_solve) {
             add_curvature(s, k - 1, s->step.dx[k - 1], s->step.du[k - 1], w);
         }
-        if (CHECK_GRADIENT && checked) {
+        if (CHECK_STEP && checked) {
             held &= controls_hold(s, k - 1, w, &least);
         }
     }
-    if (CHECK_GRADIENT && REGULARIZE_REDUCED) {
+    if (CHECK_STEP && REGULARIZE_REDUCED) {
         held |= s->condensed.regularized;
     }
     for (int f = 0; f < NF; f++) {

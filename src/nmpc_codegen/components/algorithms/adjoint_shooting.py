@@ -261,7 +261,7 @@ class AdjointShooting(Algorithm):
         return self.iterations or (FOLLOWED_STEPS if followed else ITERATIONS[self.method])
 
     def _products(self, dims: Dims) -> int:
-        return min(max(PRODUCTS[0], dims.N.value * dims.nu.value), PRODUCTS[1])
+        return min(max(PRODUCTS[0], dims.N * dims.nu), PRODUCTS[1])
 
     def sizes(self, dims: Dims) -> tuple[tuple[str, int, str], ...]:
         followed = self.rows in FOLLOWED
@@ -284,7 +284,7 @@ class AdjointShooting(Algorithm):
 
     def _of_methods(self, dims: Dims) -> tuple[tuple[tuple[str, int, str], ...], ...]:
         """Sizes of Newton steps, and of the quasi-Newton method."""
-        controls = dims.N.value * dims.nu.value
+        controls = dims.N * dims.nu
         newton = (
             ("MAX_PRODUCTS", self._products(dims), "products with the Hessian of a step at most"),
             ("PRODUCTS_OF_SOLVE", 4 * controls + 20, "the same in solve()"),
@@ -310,7 +310,7 @@ class AdjointShooting(Algorithm):
 
     def _growing(self, dims: Dims) -> tuple[Field, ...]:
         """Weights that solve() changes, and that of a lumped row."""
-        has, lumped = dims.ng.value > 0, self.rows == "lumped"
+        has, lumped = dims.ng > 0, self.rows == "lumped"
 
         def growing(name: str, doc: str, present: bool) -> Field:
             return Field(name, (), doc, "scratch", only=lambda f: f.solve and present)
@@ -348,7 +348,7 @@ class AdjointShooting(Algorithm):
                 *only_if(self.second_order, change),
             ),
         }
-        chosen = terms.get(self.rows, ()) if dims.ng.value else ()
+        chosen = terms.get(self.rows, ()) if dims.ng else ()
         names = {member.name for member in chosen}
         newton = (
             real("dx", (dims.N, dims.nx), "states of a direction at nodes 1 .. N"),

@@ -218,8 +218,8 @@ class AugmentedLagrangian(Algorithm):
 
     def sizes(self, dims: Dims) -> tuple[tuple[str, int, str], ...]:
         return (
-            ("LDZ", _pad(dims).value, "NZ rounded up to a multiple of 4"),
-            ("VARIABLES", (dims.N.value + 1) * _pad(dims).value, "(N + 1) LDZ"),
+            ("LDZ", _pad(dims), "NZ rounded up to a multiple of 4"),
+            ("VARIABLES", (dims.N + 1) * _pad(dims), "(N + 1) LDZ"),
             ("ITERATIONS", self.iterations, "Newton iterations of a sample"),
             ("RESTART_SAMPLES", RESTART_SAMPLES, "failed samples in a row after which a plan starts anew"),
             *(self.absent_sizes(dims) if self.repair else ()),
@@ -252,7 +252,7 @@ class AugmentedLagrangian(Algorithm):
 
 
 def _pad(dims: Dims) -> Size:
-    return Size("LDZ", -(-dims.nz.value // PANEL) * PANEL)
+    return Size("LDZ", -(-dims.nz // PANEL) * PANEL)
 
 
 def _stats(repair: int) -> Struct:
@@ -278,7 +278,7 @@ def _stats(repair: int) -> Struct:
 
 
 def _auglag(dims: Dims) -> Struct:
-    nodes = Size("N + 1", dims.N.value + 1)
+    nodes = dims.nodes
     padded = _pad(dims)
     step, states, controls = (nodes, padded), (nodes, dims.nx), (dims.N, dims.nu)
 
@@ -297,7 +297,7 @@ def _auglag(dims: Dims) -> Struct:
             real("slope", (dims.ng,), "slope of the parabolas there"),
             real("curvature", (dims.ng,), "curvature of the parabolas"),
             *only_if(
-                dims.ng.value > 0,
+                dims.ng > 0,
                 real("offset", (), "change of the values since the model was assembled"),
                 real("best", (), "least value of the model"),
                 real("kept_d", step, "step before that on the present face"),

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from nmpc_codegen.components.base import Dims, HookedPart
 from nmpc_codegen.package.features import Features
-from nmpc_codegen.package.struct_layout import Field, Size, Struct
+from nmpc_codegen.package.struct_layout import Field, Struct
 
 
 def watch_fields(dims: Dims) -> tuple[Field, ...]:
     """What the watch on plans counts, templates/algorithms/shared/watch.c."""
-    nodes = Size("N + 1", dims.N.value + 1)
+    nodes = dims.nodes
     return (
         Field("failures", (), "failures in a row, at most 3", "keep", "int32"),
         Field("probation", (), "successes that a plan which has failed twice still has to show", "keep", "int32"),

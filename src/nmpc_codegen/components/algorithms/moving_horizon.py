@@ -50,10 +50,6 @@ _OF_CONTROL = frozenset(
 )
 
 
-def _shared_structs(dims: Dims) -> tuple[Struct, ...]:
-    return _ITERATION.structs(dims)
-
-
 @dataclass(frozen=True)
 class MovingHorizon(Algorithm):
     """The algorithm of ``ocp.estimator(..., kind="mhe")``.
@@ -120,13 +116,13 @@ class MovingHorizon(Algorithm):
             *measuring.own_fields(dims),
         )
         shared = (
-            replace(s, fields=tuple(f for f in s.fields if f.name not in _OF_CONTROL)) for s in _shared_structs(dims)
+            replace(s, fields=tuple(f for f in s.fields if f.name not in _OF_CONTROL)) for s in _ITERATION.structs(dims)
         )
         told = Struct("stats", "", measuring.INNOVATION)
         return (*measuring.structs(dims), *shared, told, Struct("solver", "", members))
 
     def ranges(self, dims: Dims) -> Mapping[str, tuple[int, int]]:
-        return {"window": (0, dims.N.value)}
+        return {"window": (0, dims.N)}
 
     def cost(self, dims: Dims, model: ModelFunctions) -> Counts:
         return _ITERATION.cost(dims, model)

@@ -286,10 +286,10 @@ class RealTimeIteration(Algorithm):
         """The linearisation of all nodes; a gap is one subtraction per state."""
         interval, path, terminal = model.interval, model.path, model.terminal
         derivatives = (interval.linearize, path.gradient) if interval.curved is None else (interval.curved,)
-        node = operations(*derivatives, path.rows) + OpCount(add=dims.nx.value)
+        node = operations(*derivatives, path.rows) + OpCount(add=dims.nx)
         at_ends = operations(model.start.gradient, terminal.gradient, terminal.rows, model.coupled)
-        added = OpCount(add=dims.nx.value if model.start.gradient.writes else 0)
-        return {"linearize": node * dims.N.value + at_ends + added + model.following * (dims.N.value + 1)}
+        added = OpCount(add=dims.nx if model.start.gradient.writes else 0)
+        return {"linearize": node * dims.N + at_ends + added + model.following * (dims.N + 1)}
 
 
 def _stats() -> Struct:
@@ -322,7 +322,7 @@ def _stats() -> Struct:
 
 def _step(dims: Dims) -> Struct:
     """Solution of the QP."""
-    nodes = Size("N + 1", dims.N.value + 1)
+    nodes = dims.nodes
     return Struct(
         "step",
         "solution of the QP",
@@ -350,7 +350,7 @@ def _measures() -> Struct:
 
 def _hessian_struct(dims: Dims) -> Struct:
     """The exact Hessian of solve(), and what makes it convex."""
-    nodes = Size("N + 1", dims.N.value + 1)
+    nodes = dims.nodes
     return Struct(
         "curved",
         "exact Hessian of a search, symmetric blocks, z = (x, u)",
@@ -379,7 +379,7 @@ def _hessian_struct(dims: Dims) -> Struct:
 
 def _trial(dims: Dims) -> Struct:
     """A step of a QP that is tried at several lengths."""
-    nodes = Size("N + 1", dims.N.value + 1)
+    nodes = dims.nodes
     return Struct(
         "trial",
         "a step that is tried at several lengths",

@@ -39,7 +39,7 @@ def _variables(problem: Problem) -> list[tuple[int, int]]:
 
 def _columns(dims: Dims) -> int:
     """Columns of G_k: dx_0 and all controls."""
-    return dims.nx.value - dims.banded + dims.qp.nvu.value
+    return dims.nx - dims.banded + dims.qp.nvu
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,6 @@ class FullCondensing(Condensing):
     template: ClassVar[str] = "condensing/full.c"
     needs: ClassVar[tuple[Seam, ...]] = ("hessian", "qp")
     gives: ClassVar[str] = "condensed"
-    eliminates: ClassVar[bool] = True
     supports: ClassVar[frozenset[str]] = EVERY_USE
 
     def qp_shape(self, problem: Problem) -> QpShape:
@@ -73,13 +72,13 @@ class FullCondensing(Condensing):
         zero = ": all but those of the last states, which are 0"
         return (
             ("COLUMNS", COLUMNS, "columns of G_k that are processed together"),
-            ("NXC", dims.nx.value - dims.banded, f"columns of dx_0{zero if dims.banded else ''}"),
-            ("LDG", _panels(_columns(dims)), "columns of G_k: NXC + NUS, rounded up to COLUMNS"),
+            ("NXC", dims.nx - dims.banded, f"columns of dx_0{zero if dims.banded else ''}"),
+            ("LDG", _panels(_columns(dims)), "columns of G_k: NXC + NVU, rounded up to COLUMNS"),
         )
 
     def structs(self, dims: Dims) -> tuple[Struct, ...]:
         """Sensitivities of the condensed states, and the data that the feedback phase needs."""
-        panel, nodes = Size("COLUMNS", COLUMNS), Size("N + 1", dims.N.value + 1)
+        panel, nodes = Size("COLUMNS", COLUMNS), dims.nodes
         return (
             Struct(
                 "columns",
@@ -127,8 +126,8 @@ class FullCondensing(Condensing):
 
     def cost(self, dims: Dims, model: StageMatrices) -> Counts:
         """All functions but condense_rows, which skips zeros of the row gradients; columns are padded to COLUMNS."""
-        N, nx, nu, nf, ng = (size.value for size in (dims.N, dims.nx, dims.nu, dims.nf, dims.ng))
-        nus, nxc = dims.qp.nvu.value, nx - model.products.banded
+        N, nx, nu, nf, ng = dims.N, dims.nx, dims.nu, dims.nf, dims.ng
+        nus, nxc = dims.qp.nvu, nx - model.products.banded
 
         def panels(first: int, step: int, nodes: int) -> int:
             return sum(_panels(first + k * step) // COLUMNS for k in range(nodes))

@@ -27,7 +27,6 @@ class NoCondensing(Condensing):
     template: ClassVar[str] = "condensing/none.c"
     needs: ClassVar[tuple[Seam, ...]] = ("hessian", "qp")
     gives: ClassVar[str] = "stages"
-    eliminates: ClassVar[bool] = False
     supports: ClassVar[frozenset[str]] = EVERY_USE - {COUPLED_START}
 
     def qp_shape(self, problem: Problem) -> QpShape:
@@ -36,5 +35,5 @@ class NoCondensing(Condensing):
 
     def cost(self, dims: Dims, model: StageMatrices) -> Counts:
         """Two bounds per control and row relative to the iterate, and J_0 dx_0 of the coupled rows."""
-        rows, coupled = dims.N.value * dims.nu.value + dims.ng.value, dims.ne.value * dims.nx.value
+        rows, coupled = dims.N * dims.nu + dims.ng, dims.ne * dims.nx
         return {"condense_embed": OpCount(add=2 * rows + coupled, mul=coupled)}

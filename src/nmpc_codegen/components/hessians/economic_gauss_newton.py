@@ -168,7 +168,7 @@ class EconomicGaussNewton(Hessian):
         """No operations, since the blocks are constant; that of the start cost has its own."""
         if model.start.hessian is not None and model.start.hessian.writes:
             return {}
-        return {"hessian": operations(model.path.hessian) * dims.nq.value + operations(model.terminal.hessian)}
+        return {"hessian": operations(model.path.hessian) * dims.nq + operations(model.terminal.hessian)}
 
 
 def _constant(stage: str, symbol: str, value: Array) -> Kernel:

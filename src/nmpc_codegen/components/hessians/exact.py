@@ -15,8 +15,8 @@ from typing import ClassVar
 import casadi as ca
 
 from nmpc_codegen.components.allowed import Named, check_options, option
-from nmpc_codegen.components.base import EVERY_USE, Counts, Dims, Hessian, Integrator, Regularization, Seam
-from nmpc_codegen.components.hessians.regularization import Mirror, Project
+from nmpc_codegen.components.base import EVERY_USE, Counts, Dims, Hessian, Integrator, Seam
+from nmpc_codegen.components.hessians.regularization import EigenvalueFloor, Mirror, Project
 from nmpc_codegen.components.stage_cost import StageCost, StageCosts, slices
 from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.kernel import Kernel, Port, lift
@@ -57,7 +57,7 @@ class ForwardOverAdjoint:
     scheme: ClassVar[str] = "forward_over_adjoint"
 
 
-_REGULARIZATIONS: dict[str, Regularization | None] = {"project": Project(), "mirror": Mirror(), "none": None}
+_REGULARIZATIONS: dict[str, EigenvalueFloor | None] = {"project": Project(), "mirror": Mirror(), "none": None}
 _SWEEPS: dict[str, Symmetric | ForwardOverAdjoint] = {cls.scheme: cls() for cls in (Symmetric, ForwardOverAdjoint)}
 
 
@@ -74,7 +74,7 @@ class ExactHessian(Hessian):
         >>> options = Options(hessian=ExactHessian(Mirror(level="stage")))
     """
 
-    regularization: Regularization | None = option(Mirror(), Named(_REGULARIZATIONS, (Project, Mirror)))
+    regularization: EigenvalueFloor | None = option(Mirror(), Named(_REGULARIZATIONS, (Project, Mirror)))
     sweep: Symmetric | ForwardOverAdjoint = option(Symmetric(), Named(_SWEEPS, (Symmetric, ForwardOverAdjoint)))
 
     name: ClassVar[str] = "exact"
@@ -176,7 +176,7 @@ class ExactHessian(Hessian):
         if self.level == "stage":
             return (
                 mirror,
-                ("LANES", _lanes(dims.nz.value), "blocks that are decomposed at once"),
+                ("LANES", _lanes(dims.nz), "blocks that are decomposed at once"),
                 ("MAX_SWEEPS", MAX_SWEEPS, "sweeps of Jacobi rotations"),
             )
         return (
@@ -195,8 +195,8 @@ class ExactHessian(Hessian):
             Field("changed", (), "1: entries of Q beyond its pattern are nonzero", "scratch", "int32"),
         )
         if self.level == "stage":
-            nodes, lanes = Size("N + 1", dims.N.value + 1), Size("LANES", _lanes(dims.nz.value))
-            square = Size("NZ * NZ", dims.nz.value**2)
+            nodes, lanes = dims.nodes, Size("LANES", _lanes(dims.nz))
+            square = Size("NZ * NZ", dims.nz**2)
             scratch += (
                 Field("scale", (nodes,), "largest absolute entry of the block", "scratch"),
                 Field("A", (square, lanes), "blocks of one size, one per lane; then diagonal", "scratch"),

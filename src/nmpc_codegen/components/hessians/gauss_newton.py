@@ -84,7 +84,7 @@ class GaussNewton(Hessian):
         """All blocks that hessian() forms; with the curvature of rows the count depends on the data."""
         if model.path.curvature or model.terminal.curvature:
             return {}
-        return {"hessian": operations(model.path.hessian) * dims.nq.value + operations(model.terminal.hessian)}
+        return {"hessian": operations(model.path.hessian) * dims.nq + operations(model.terminal.hessian)}
 
 
 def _has_terminal_block(features: Features) -> bool:

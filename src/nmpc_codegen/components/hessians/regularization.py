@@ -10,7 +10,7 @@ the reduced Hessian is not formed: its diagonal is shifted, in units D of the va
     H + 9/8 s D   (project)      H + 2 s D   (mirror)      s: the smallest of 1e-3 4^n with H + s D positive definite
 
 The condensed Hessian is treated in units of its variables, too. solve() has a way of its own
-(templates/algorithms/convexify.c).
+(templates/algorithms/solve/curved.c).
 """
 
 from __future__ import annotations
@@ -25,11 +25,12 @@ LEVELS = ("reduced", "stage")
 
 @dataclass(frozen=True)
 class EigenvalueFloor:
-    """Which eigenvalues of a Hessian are changed."""
+    """Which eigenvalues of a Hessian are changed: those of the Hessian after elimination of the states, or of the block
+    of every node."""
 
     level: str = option("reduced", Words(LEVELS))
 
-    mirrors: ClassVar[bool]
+    mirrors: ClassVar[bool]  # negative eigenvalues change their sign; False: they are raised to the floor
 
     def __post_init__(self) -> None:
         check_options(self, "hessian.regularization")

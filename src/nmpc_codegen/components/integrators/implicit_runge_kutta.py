@@ -195,14 +195,14 @@ class ImplicitRungeKutta(Integrator):
         )
 
     def sizes(self, dims: Dims) -> tuple[tuple[str, int, str], ...]:
-        block, nv = self.tableau.block, dims.nx.value + dims.nalg.value
+        block, nv = self.tableau.block, dims.nx + dims.nalg
         return (
             ("STEPS", self.steps, "Runge-Kutta steps per interval"),
             ("STAGES", self.tableau.stages, "stages of a step"),
             ("GROUP", block, "stages that are solved together"),
             ("GROUPS", self.tableau.stages // block, "such groups of a step"),
             ("NXA", nv, "variables of a stage: NX + NALG"),
-            ("NXAU", nv + dims.nu.value, "NXA + NU"),
+            ("NXAU", nv + dims.nu, "NXA + NU"),
             ("NB", nv * block, "variables of a group: GROUP * NXA"),
             ("EXPLICIT_FIRST", int(not self.tableau.a[0][0]), "1: the first stage is explicit"),
             ("HALVINGS", HALVINGS, "halvings of a Newton step of algebraic variables at most"),
@@ -216,7 +216,7 @@ class ImplicitRungeKutta(Integrator):
 
     def structs(self, dims: Dims) -> tuple[Struct, ...]:
         """How far Newton's method goes, where it starts, and what it leaves."""
-        nodes = Size("N + 1", dims.N.value + 1)
+        nodes = dims.nodes
         return (
             Struct("solver", "", (Field("newton", (), "Newton steps of a stage", "keep", "int32"), *_failure_fields())),
             Struct("solver", "", (Field("z", (nodes, dims.nalg), "algebraic variables of the plan", "keep"),)),
@@ -224,7 +224,7 @@ class ImplicitRungeKutta(Integrator):
                 "node",
                 "linearisation of a path node",
                 (Field("left", (dims.nx,), "last corrections of the stages", "data"),),
-                shape=(Size("N", dims.N.value),),
+                shape=(Size("N", dims.N),),
                 only=lambda f: f.nodes,
             ),
         )

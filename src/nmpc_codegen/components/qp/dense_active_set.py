@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, ClassVar
 from nmpc_codegen.components.allowed import Whole, check_options, option
 from nmpc_codegen.components.base import EVERY_USE, QpSolver
 from nmpc_codegen.package.opcount import OpCount
-from nmpc_codegen.package.struct_layout import Field, Size, Struct
+from nmpc_codegen.package.struct_layout import Field, Struct
 
 if TYPE_CHECKING:
     from nmpc_codegen.components.base import Counts, Dims, StageMatrices
@@ -55,7 +55,7 @@ class DenseActiveSet(QpSolver):
         check_options(self, self.seam)
 
     def _cap(self, dims: Dims) -> int:
-        needed = math.ceil(CAUTION * ITERATIONS_NEEDED * (dims.qp.nv.value + dims.ng.value))
+        needed = math.ceil(CAUTION * ITERATIONS_NEEDED * (dims.qp.nv + dims.ng))
         return self.max_iterations or max(LEAST_ITERATIONS, needed)
 
     def sizes(self, dims: Dims) -> tuple[tuple[str, int, str], ...]:
@@ -78,7 +78,7 @@ class DenseActiveSet(QpSolver):
     def structs(self, dims: Dims) -> tuple[Struct, ...]:
         """The QP: data, result, factors and working set."""
         nv, ng, ld, ldh = dims.qp.nv, dims.ng, dims.qp.ld, dims.qp.ldh
-        rows = Size(f"{nv.text} + {ng.text}", nv.value + ng.value)
+        rows = dims.constraints
         contradiction = "if INFEASIBLE: weights of a contradiction"
         return (
             *_working_memory(dims),
@@ -133,11 +133,11 @@ class DenseActiveSet(QpSolver):
 
     def ranges(self, dims: Dims) -> Mapping[str, tuple[int, int]]:
         """The working set has at most as many rows as the QP has variables."""
-        return {"nw": (0, dims.qp.nv.value)}
+        return {"nw": (0, dims.qp.nv)}
 
     def cost(self, dims: Dims, model: StageMatrices) -> Counts:
         """Operations of the functions whose count depends on sizes alone (padded columns included)."""
-        n, slacks = dims.qp.ldh.value, dims.qp.ld.value - dims.qp.ldh.value
+        n, slacks = dims.qp.ldh, dims.qp.ld - dims.qp.ldh
         panels = n // 4
         # Per panel b: entries to the right of it, and to the left.
         right = sum(n - 4 * k - 4 for k in range(panels))
@@ -152,8 +152,8 @@ class DenseActiveSet(QpSolver):
 
     def search(self, dims: Dims) -> OpCount:
         """A quarter of the variables enter or leave the working set, at about 2 n (n + ng) operations of a kind."""
-        n = dims.qp.nv.value
-        return OpCount(add=2, mul=2) * (n * (n + dims.ng.value)) * max(1, n // 4)
+        n = dims.qp.nv
+        return OpCount(add=2, mul=2) * (n * (n + dims.ng)) * max(1, n // 4)
 
 
 def _working_memory(dims: Dims) -> tuple[Struct, ...]:
@@ -175,8 +175,8 @@ def _working_memory(dims: Dims) -> tuple[Struct, ...]:
 
 def _factorization(dims: Dims) -> OpCount:
     """Operations of L D L' of a positive definite H, panel by panel."""
-    n, ld = dims.qp.nv.value - dims.qp.nsl.value, dims.qp.ldh.value
-    slacks = dims.qp.ld.value - ld
+    n, ld = dims.qp.nv - dims.qp.nsl, dims.qp.ldh
+    slacks = dims.qp.ld - ld
     total = OpCount(sqrt=ld + slacks, div=slacks)
     for b in range(0, ld, 4):
         total += OpCount(add=10, mul=20, div=4)

@@ -54,16 +54,16 @@ class Osqp(QpSolver):
 
     def sizes(self, dims: Dims) -> tuple[tuple[str, int, str], ...]:
         """Numbers of entries of the two matrices, which OSQP stores as compressed columns."""
-        n = dims.qp.nv.value
+        n = dims.qp.nv
         return (
             ("OSQP_P", n * (n + 1) // 2, "upper triangle of H by columns"),
-            ("OSQP_A", n * (1 + dims.ng.value), "(I; A) by columns"),
+            ("OSQP_A", n * (1 + dims.ng), "(I; A) by columns"),
         )
 
     def structs(self, dims: Dims) -> tuple[Struct, ...]:
         """The QP as condensing writes it, and as OSQP reads it."""
         nv, ng, ld = dims.qp.nv, dims.ng, dims.qp.ld
-        rows = Size(f"{nv.text} + {ng.text}", nv.value + ng.value)
+        rows = dims.constraints
         entries = {name: Size(name, value) for name, value, _ in self.sizes(dims)}
         return (
             Struct("basis", "memory lent to the caller", (Field("Q", (ld, ld), "as large as H", "scratch"),)),
@@ -94,7 +94,7 @@ class Osqp(QpSolver):
                     Field("P_x", (entries["OSQP_P"],), "upper triangle of H by columns", "scratch"),
                     Field("A_x", (entries["OSQP_A"],), "(I; A) by columns", "scratch"),
                     *only_if(
-                        dims.ng.value > 0,
+                        dims.ng > 0,
                         Field("side", (rows,), "not used: OSQP has no working set", "scratch", "int32"),
                     ),
                     Field("iterations", (), "iterations of the last qp_solve", "result", "int32"),
@@ -116,7 +116,7 @@ class Osqp(QpSolver):
                 "Osqp() (--set qp=osqp) clashes with precision='single' (--set precision=single): its embedded "
                 "code is in double precision"
             )
-        nv, ng = dims.qp.nv.value, dims.ng.value
+        nv, ng = dims.qp.nv, dims.ng
         with tempfile.TemporaryDirectory(prefix="osqp-") as temporary:
             self._generate(Path(temporary), prefix, nv, ng)
             files = {

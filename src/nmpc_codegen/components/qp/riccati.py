@@ -23,7 +23,7 @@ def _pad(n: int, dims: Dims) -> int:
 
 def riccati_sizes(dims: Dims) -> tuple[tuple[str, int, str], ...]:
     """Leading dimensions: (macro without prefix, value, meaning)."""
-    nx, nus = dims.nx.value, dims.nu.value
+    nx, nus = dims.nx, dims.nu
     ldx, ldu = _pad(nx, dims), _pad(nus, dims)
     rounded = "" if dims.multiple == 1 else f" rounded up to {dims.multiple}"
     return (
@@ -44,7 +44,7 @@ def riccati_structs(
     which neither of them reads. ``corrected``: fields beside the vectors that correcting a minimiser needs.
     """
     ldx, ldu, ldz, _, _ = (Size(name, value) for name, value, _ in riccati_sizes(dims))
-    stages, nodes = dims.N, Size(f"{dims.N.text} + 1", dims.N.value + 1)
+    stages, nodes = dims.N, dims.nodes
     return (
         *_work(dims, scratch, corrected),
         Struct(
@@ -94,7 +94,7 @@ def riccati_structs(
 def _work(dims: Dims, scratch: tuple[Field, ...], corrected: tuple[Field, ...]) -> tuple[Struct, ...]:
     """The union ``riccati_work``, after the structs that are its members."""
     ldz, ldw, ldt = (Size(name, value) for name, value, _ in riccati_sizes(dims)[2:])
-    nodes = Size(f"{dims.N.text} + 1", dims.N.value + 1)
+    nodes = dims.nodes
     return (
         Struct(
             "recursion",
@@ -146,7 +146,7 @@ def units_structs(dims: Dims) -> tuple[tuple[Struct, ...], Field]:
     """
     sizes = {name: Size(name, value) for name, value, _ in riccati_sizes(dims)}
     ldx, ldu = sizes["LDX"], sizes["LDU"]
-    rows = Size(f"{dims.qp.nv.text} + {dims.ng.text}", dims.qp.nv.value + dims.ng.value)
+    rows = dims.constraints
     structs = (
         Struct(
             "noise",
@@ -171,8 +171,8 @@ def units_structs(dims: Dims) -> tuple[tuple[Struct, ...], Field]:
 def stage_qp_fields(dims: Dims) -> tuple[Field, ...]:
     """Bounds, penalties and results, which every solver of the stage QP has in its struct ``qp``."""
     nv, ng = dims.qp.nv, dims.ng
-    rows = Size(f"{nv.text} + {ng.text}", nv.value + ng.value)
-    nodes = Size(f"{dims.N.text} + 1", dims.N.value + 1)
+    rows = dims.constraints
+    nodes = dims.nodes
     doc = "if INFEASIBLE: weights of a contradiction"
     certificate = (Field("certificate", (rows,), doc, "result", only=lambda f: f.interior_point),)
     return (
@@ -183,7 +183,7 @@ def stage_qp_fields(dims: Dims) -> tuple[Field, ...]:
         Field("x", (nodes, dims.nx), "minimiser: states", "result"),
         Field("z", (nv,), "minimiser: controls", "result"),
         Field("mult", (rows,), "multipliers, > 0 at the upper bound, < 0 at the lower", "result"),
-        *only_if(ng.value, *certificate),
+        *only_if(ng, *certificate),
         Field(
             "least", (), "least magnitude of a row in units of its reach", "scratch", only=lambda f: f.interior_point
         ),
@@ -200,7 +200,7 @@ def riccati_cost(dims: Dims) -> dict[str, OpCount]:
 
     The counts are for dynamics with gaps, when no row has a weight, no control is fixed and no pivot is regularised.
     """
-    ns, nx, nus, nf = (size.value for size in (dims.N, dims.nx, dims.nu, dims.nf))
+    ns, nx, nus, nf = dims.N, dims.nx, dims.nu, dims.nf
     ldx, nz = _pad(nx, dims), nx + nus
     backward = _combination(ldx, nx) + _combination(nz, nx) + _combination(ldx, nus)
     backward += OpCount(add=1, mul=1) * (nus * (nus - 1)) + OpCount(mul=nus)
@@ -219,15 +219,15 @@ def riccati_search(dims: Dims) -> OpCount:
 
     A row takes about 40 of a kind, its products with a point, and those with itself.
     """
-    counts, nz = riccati_cost(dims), dims.nz.value
+    counts, nz = riccati_cost(dims), dims.nz
     iteration = counts["riccati_factorize"] + (counts["riccati_backward"] + counts["riccati_forward"]) * 2
-    iteration += OpCount(add=40, mul=40) * dims.qp.nv.value
-    iteration += OpCount(add=1, mul=1) * (40 + 4 * nz + nz * nz) * dims.ng.value
+    iteration += OpCount(add=40, mul=40) * dims.qp.nv
+    iteration += OpCount(add=1, mul=1) * (40 + 4 * nz + nz * nz) * dims.ng
     return iteration * 10
 
 
 def _stage_recursion(dims: Dims) -> OpCount:
-    nx, nus = dims.nx.value, dims.nu.value
+    nx, nus = dims.nx, dims.nu
     ldx, ldu, ldz = (value for _, value, _ in riccati_sizes(dims)[:3])
     total = OpCount(add=nus)
     total += _entries((ldx + ldu) * ldz, nx)

@@ -1,6 +1,6 @@
 """Warm-started active-set solver based on the Riccati recursion; its time is linear in the length of the horizon.
 
-    min  sum_k 1/2 z_k'Q_k z_k + g_k'z_k + 1/2 x_NS'Q_NS x_NS + g_NS'x_NS   s.t.  x_{k+1} = S_k z_k + b_k,
+    min  sum_k 1/2 z_k'Q_k z_k + g_k'z_k + 1/2 x_N'Q_N x_N + g_N'x_N   s.t.  x_{k+1} = S_k z_k + b_k,
     lower <= (u, rows) <= upper
 
 The preparation phase runs the recursion at the predicted working set, and sweeps through the stages once for every row
@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, ClassVar
 
 from nmpc_codegen.components.allowed import Named, Whole, check_options, option
-from nmpc_codegen.components.base import EVERY_USE, QpSolver, Seam
+from nmpc_codegen.components.base import COUPLED_START, EVERY_USE, QpSolver, Seam
 from nmpc_codegen.components.qp.riccati import (
     riccati_cost,
     riccati_search,
@@ -49,7 +49,7 @@ def _joint(dims: Dims) -> int:
 
     At least 2: in loops over pairs of rows GCC 11 and 12 warn of the second element of arrays with one.
     """
-    return max(2, min(dims.ng.value, dims.nx.value)) if dims.ng.value else 0
+    return max(2, min(dims.ng, dims.nx)) if dims.ng else 0
 
 
 def _schur_struct(dims: Dims) -> Struct:
@@ -92,7 +92,7 @@ class RiccatiActiveSet(QpSolver):
     needs: ClassVar[tuple[Seam, ...]] = ("condensing",)
     takes: ClassVar[str] = "stages"
     chosen_for: ClassVar[tuple[str, ...]] = ("speed",)
-    supports: ClassVar[frozenset[str]] = EVERY_USE
+    supports: ClassVar[frozenset[str]] = EVERY_USE - {COUPLED_START}
 
     max_iterations: int | None = option(None, Whole(optional=True))
     fallback: RiccatiInteriorPoint | None = option(_FALLBACK, Named(_FALLBACKS, (RiccatiInteriorPoint,)))
@@ -101,7 +101,7 @@ class RiccatiActiveSet(QpSolver):
         check_options(self, self.seam)
 
     def adds(self, features: Features) -> Features:
-        """It predicts a working set; whether the fall-back is in the package."""
+        """The interior point method, if it is the fall-back."""
         return replace(features, interior_point=self.fallback is not None)
 
     @property
@@ -116,7 +116,7 @@ class RiccatiActiveSet(QpSolver):
             ("QP_MAX_ITERATIONS", self._cap, f"cap on the working sets of one feedback phase, {why}"),
             ("QP_MAX_POLISH", min(self._cap, MAX_POLISH), "cap on the working sets near a solution"),
             ("QP_MAX_REFINEMENTS", 20, "cap on the corrections of one minimiser"),
-            *(self._joint_sizes(dims) if dims.ng.value else ()),
+            *(self._joint_sizes(dims) if dims.ng else ()),
             *(self._fallback_sizes(self.fallback) if self.fallback is not None else ()),
         )
 
@@ -136,15 +136,15 @@ class RiccatiActiveSet(QpSolver):
     def structs(self, dims: Dims) -> tuple[Struct, ...]:
         """The recursion; the QP and its working set."""
         ng, nx = dims.ng, dims.nx
-        nodes = Size(f"{dims.N.text} + 1", dims.N.value + 1)
+        nodes = dims.nodes
         history = Size("QP_MAX_ITERATIONS + 1", self._cap + 1)
         units, noise = units_structs(dims)
-        measured = self.fallback is not None or ng.value > 0
+        measured = self.fallback is not None or ng > 0
         corrected = (Field("lam", (nodes, nx), "multipliers of the dynamics while refining", "scratch"),)
         return (
             *only_if(measured, *units),
             *riccati_structs(dims, only_if(measured, noise), corrected),
-            *only_if(ng.value, _schur_struct(dims)),
+            *only_if(ng, _schur_struct(dims)),
             *only_if(self.fallback, interior_point_struct(dims, True)),
             Struct(
                 "qp",
@@ -161,7 +161,7 @@ class RiccatiActiveSet(QpSolver):
                     Field("residual", (), "relative residual on the working set", "scratch"),
                     Field("raised", (ng,), "number of times that the weight was raised", "keep", "int32"),
                     Field("history", (history,), "hashes of the working sets of this solve", "scratch", "int32"),
-                    *only_if(ng.value, Field("scaled", (), "root: 0 none, 1 earlier, 2 own", "keep", "int32")),
+                    *only_if(ng, Field("scaled", (), "root: 0 none, 1 earlier, 2 own", "keep", "int32")),
                     Field("rough", (), "1: the minimiser has errors beyond rounding", "scratch", "int32"),
                     Field("refined", (), "1: the minimiser on the working set is exact", "scratch", "int32"),
                     Field("stale", (), "last stage whose factors are out of date, or -1", "scratch", "int32"),
@@ -175,7 +175,7 @@ class RiccatiActiveSet(QpSolver):
 
     def ranges(self, dims: Dims) -> Mapping[str, tuple[int, int]]:
         """Stages, and sides of the interior point method."""
-        stages = (-1, dims.N.value)
+        stages = (-1, dims.N)
         sides: Mapping[str, tuple[int, int]] = {} if self.fallback is None else self.fallback.ranges(dims)
         return {"stale": stages, "stale_vectors": stages, "joint": (0, _joint(dims)), **sides}
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, ClassVar
 
 from nmpc_codegen.components.allowed import Whole, check_options, option
-from nmpc_codegen.components.base import EVERY_USE, QpSolver, Seam
+from nmpc_codegen.components.base import COUPLED_START, EVERY_USE, QpSolver, Seam
 from nmpc_codegen.components.qp.riccati import riccati_sizes, riccati_structs, stage_qp_fields, units_structs
 from nmpc_codegen.package.features import Features
 from nmpc_codegen.package.struct_layout import Field, Size, Struct, only_if
@@ -36,8 +36,8 @@ def interior_point_struct(dims: Dims, crossover: bool) -> Struct:
     """
     ng = dims.ng
     rows, sides = _rows_and_sides(dims)
-    soft = Size(f"2 * {ng.text}", 2 * ng.value)
-    nodes = Size(f"{dims.N.text} + 1", dims.N.value + 1)
+    soft = Size(f"2 * {ng.text}", 2 * ng)
+    nodes = dims.nodes
     before = Field("before", (rows,), "multipliers of the previous QP", "scratch")
     return Struct(
         "ipm",
@@ -74,9 +74,7 @@ def interior_point_struct(dims: Dims, crossover: bool) -> Struct:
 
 
 def _rows_and_sides(dims: Dims) -> tuple[Size, Size]:
-    nv, ng = dims.qp.nv, dims.ng
-    rows = Size(f"{nv.text} + {ng.text}", nv.value + ng.value)
-    return rows, Size(f"2 * ( {nv.text} + {ng.text} )", 2 * rows.value)
+    return dims.constraints, Size(f"2 * ( {dims.constraints.text} )", 2 * dims.constraints)
 
 
 def _progress(dims: Dims, warm: bool) -> tuple[Field, ...]:
@@ -90,7 +88,7 @@ def _progress(dims: Dims, warm: bool) -> tuple[Field, ...]:
         Field("merit", (), "residuals of the rows and products, relative to their tolerance", "scratch"),
         Field("slope", (), "gradient of the Lagrangian, relative to its tolerance", "scratch"),
         Field("step", (), "length of the last step", "scratch"),
-        *only_if(dims.ng.value, Field("slow", (), "primal when the last step was stretched", "scratch")),
+        *only_if(dims.ng, Field("slow", (), "primal when the last step was stretched", "scratch")),
         Field("stiffening", (), "divisor of the regularisation of the rows", "scratch"),
         Field("stiffest", (), "upper limit of stiffening", "scratch"),
         Field("damping", (), "cost of moving a row across its range in the first factorisation", "scratch"),
@@ -108,7 +106,7 @@ def _progress(dims: Dims, warm: bool) -> tuple[Field, ...]:
         Field("begun", (), "iterations before the present attempt", "scratch", "int32"),
         Field("deferred", (), "1: the point may suffice, but the residuals still decrease", "scratch", "int32"),
         Field("closed_gaps", (), "number of times that the gaps of the dynamics were closed", "scratch", "int32"),
-        *only_if(dims.ng.value, stretched),
+        *only_if(dims.ng, stretched),
         Field("probing", (), "1: violated inequalities end the iterations", "scratch", "int32"),
         Field("ready", (), "1: the first factorisation is done", "scratch", "int32"),
     )
@@ -130,7 +128,7 @@ class RiccatiInteriorPoint(QpSolver):
     needs: ClassVar[tuple[Seam, ...]] = ("condensing",)
     takes: ClassVar[str] = "stages"
     chosen_for: ClassVar[tuple[str, ...]] = ("size",)
-    supports: ClassVar[frozenset[str]] = EVERY_USE
+    supports: ClassVar[frozenset[str]] = EVERY_USE - {COUPLED_START}
 
     def __post_init__(self) -> None:
         check_options(self, self.seam)
@@ -140,7 +138,7 @@ class RiccatiInteriorPoint(QpSolver):
         return replace(features, interior_point=True)
 
     def sizes(self, dims: Dims) -> tuple[tuple[str, int, str], ...]:
-        """Leading dimensions of the recursion, the iteration cap, the warm start."""
+        """Leading dimensions of the recursion, the cap on the iterations, and how they end."""
         return (
             *riccati_sizes(dims),
             ("IPM_MAX_ITERATIONS", self.max_iterations, "cap on the interior point iterations of one QP"),
@@ -149,7 +147,7 @@ class RiccatiInteriorPoint(QpSolver):
 
     def ranges(self, dims: Dims) -> Mapping[str, tuple[int, int]]:
         """Every row has two sides at most."""
-        sides = (0, 2 * (dims.qp.nv.value + dims.ng.value))
+        sides = (0, 2 * (dims.qp.nv + dims.ng))
         return {"sides": sides, "hard": sides}
 
     def structs(self, dims: Dims) -> tuple[Struct, ...]:

@@ -47,7 +47,7 @@ def macros(model: Model) -> tuple[Macro, ...]:
 def in_header(size: Size, problem: Problem) -> int | None:
     """What the header says of the number of states or parameters, if others stand behind those of the user."""
     hidden = {"NX": problem.augmentation.count, "NP": problem.data_behind}.get(size.text, 0)
-    return size.value - hidden if hidden else None
+    return size - hidden if hidden else None
 
 
 def members(dims: Dims) -> list[Field]:

@@ -77,7 +77,7 @@ def settings(model: Model, dims: Dims, whole: bool) -> tuple[Setting, ...]:
     weight_N = (dims.ny_N,) if p.terminal.diagonal_weight else (dims.ny_N, dims.ny_N)
     one, soft = Size("1", 1), Size("SOFT_ROWS", sum(row.soft is not None for row in p.rows))
     path: Mapping[Layout, Size] = {"shared": one, "node": dims.N}
-    every: Mapping[Layout, Size] = {"shared": Size("2", 2), "node": Size("N + 1", dims.N.value + 1)}
+    every: Mapping[Layout, Size] = {"shared": Size("2", 2), "node": dims.nodes}
     which = {"shared": "path, terminal", "node": "every node"}
 
     def setting(
@@ -85,7 +85,7 @@ def settings(model: Model, dims: Dims, whole: bool) -> tuple[Setting, ...]:
     ) -> list[Setting]:
         entries = {"W": dims.nw, "W_N": dims.nw_N}.get(name, shape[0])
         layout = "shared" if whole and layouts[option] == "fixed" else layouts[option]
-        if layout == "fixed" or not (entries.value or whole):
+        if layout == "fixed" or not (entries or whole):
             return []
         count = copies[layout] if copies else one
         leading = (count,) if copies else ()

@@ -7,7 +7,7 @@ from nmpc_codegen.frontend.completion.saddles import PROBE_PARTS, PROBE_SIZES, S
 from nmpc_codegen.frontend.completion.scales import round_scales
 from nmpc_codegen.ir.cmodule import Macro, Table
 from nmpc_codegen.package.features import Features
-from nmpc_codegen.package.struct_layout import Field, Size, Struct
+from nmpc_codegen.package.struct_layout import Field, Struct
 
 
 def macros(saddles: Saddles) -> tuple[Macro, ...]:
@@ -33,7 +33,7 @@ def tables(saddles: Saddles) -> tuple[Table, ...]:
 
 def plan_at_saddle(dims: Dims) -> Struct:
     """The plan before a probe of idle controls."""
-    nodes = Size("N + 1", dims.N.value + 1)
+    nodes = dims.nodes
     return Struct(
         "saddle",
         "plan at a saddle, before idle controls move",

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from difflib import get_close_matches
 
-#: Name in acados, ACADO, CasADi's Opti, do-mpc, rockit -> what a built controller has instead.
+#: Name in acados, ACADO, CasADi's Opti, do-mpc, rockit, or of an earlier version -> what a controller has instead.
 OF_CONTROLLER: Mapping[str, str] = {
     "make_step": "step(xhat)",
     "solve_for_x0": "step(xhat), or solve(xhat)",
