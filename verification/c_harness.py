@@ -28,6 +28,7 @@ from nmpc_codegen.package.sources import Sources
 from nmpc_codegen.runtime.build import PROFILES, WARNINGS
 from nmpc_codegen.runtime.compilers import find_compiler
 
+UNPRUNED = (*WARNINGS, "-Wno-unused-function")
 SCALARS = {"double": np.float64, "single": np.float32}
 
 
@@ -42,9 +43,8 @@ def shared_library(files: Mapping[str, str], main: str, warnings: Sequence[str] 
     folder = Path(tempfile.mkdtemp(dir=build_directory().name))
     for path, text in files.items():
         (folder / path).write_text(text, encoding="utf-8")
-    flags = [*PROFILES["test"].flags, *warnings]
-    command = [*find_compiler(), *flags, "-shared", "-fPIC", main, "-o", "library.so", "-lm"]
-    run = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+    words = [*find_compiler(), *PROFILES["test"].flags, *warnings, "-shared", "-fPIC", main, "-o", "library.so", "-lm"]
+    run = subprocess.run(words, cwd=folder, capture_output=True, text=True, check=False)
     assert run.returncode == 0, run.stderr
     return ctypes.CDLL(str(folder / "library.so"))
 
@@ -68,7 +68,8 @@ class Routines:
             unused = "".join(f"(void){p.name}; " for p in (*routine.inputs, *routine.outputs) if p not in passed)
             texts.append(f"void call_{key}({', '.join(ports)});")
             texts.append(f"void call_{key}({', '.join(ports)}) {{ {unused}{key}({names}); }}")
-        self.library = shared_library({"routines.c": "\n".join(texts) + "\n"}, "routines.c")
+        # Only a package drops functions whose calls are all expanded.
+        self.library = shared_library({"routines.c": "\n".join(texts) + "\n"}, "routines.c", UNPRUNED)
 
     def __call__(self, key: str, *inputs: object) -> list[np.ndarray]:
         """Outputs in their shapes; entries that the routine does not write are zero."""

@@ -1,4 +1,4 @@
-"""A process that is forked while another thread builds a controller can build one itself."""
+"""A process that is forked while another thread builds a controller, stated before the fork, can build one itself."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def ocp(N):
     ocp.least_squares(ca.vertcat(x, u), weight=1)
     return ocp
 
-thread = threading.Thread(target=lambda: build(ocp(30), profile="test"))
+thread = threading.Thread(target=build, args=(ocp(30),), kwargs={"profile": "test"})
 thread.start()
 time.sleep(float(sys.argv[1]))
 child = os.fork()
