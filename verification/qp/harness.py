@@ -60,7 +60,7 @@ def dims_with(multiple: int = PANEL, **sizes: int) -> Dims:
 
 def qp_dims(nv: int, ng: int) -> Dims:
     """Dims of a QP with nv variables and ng general rows."""
-    padded = -(-nv // 4) * 4
+    padded = -(-nv // PANEL) * PANEL
     return dims_with(nvu=nv, nv=nv, ng=ng, ld=padded, ldh=padded)
 
 

@@ -71,6 +71,9 @@ EVERY_USE = frozenset(
     }
 )
 
+#: What components support whose QP keeps the states.
+USES_OF_STAGES = EVERY_USE - {COUPLED_START}
+
 #: Parts of the core that an algorithm can use: the linearisation of every node, the multipliers, products with the
 #: stage matrices, the KKT residuals, products of the derivatives of an interval and of the cost with vectors.
 Core = Literal["nodes", "multipliers", "products", "kkt", "directions"]

@@ -5,16 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-from nmpc_codegen.components.base import (
-    COUPLED_START,
-    EVERY_USE,
-    Condensing,
-    Counts,
-    Dims,
-    QpShape,
-    Seam,
-    StageMatrices,
-)
+from nmpc_codegen.components.base import USES_OF_STAGES, Condensing, Counts, Dims, QpShape, Seam, StageMatrices
 from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.package.opcount import OpCount
 
@@ -27,7 +18,7 @@ class NoCondensing(Condensing):
     template: ClassVar[str] = "condensing/none.c"
     needs: ClassVar[tuple[Seam, ...]] = ("hessian", "qp")
     gives: ClassVar[str] = "stages"
-    supports: ClassVar[frozenset[str]] = EVERY_USE - {COUPLED_START}
+    supports: ClassVar[frozenset[str]] = USES_OF_STAGES
 
     def qp_shape(self, problem: Problem) -> QpShape:
         """The variables are the controls of all intervals."""

@@ -31,7 +31,7 @@ from nmpc_codegen.ir.model import Interval, IntervalProducts
 from nmpc_codegen.ir.sweep import Call, Routine
 from nmpc_codegen.package.features import Features
 from nmpc_codegen.package.signals import list_some
-from nmpc_codegen.package.struct_layout import Field, Size, Struct
+from nmpc_codegen.package.struct_layout import Field, Struct
 
 #: Limits on the steps per interval, on stages that a backward sweep stores and on the numbers that it stores, which are
 #: on the stack.
@@ -224,7 +224,7 @@ class ImplicitRungeKutta(Integrator):
                 "node",
                 "linearisation of a path node",
                 (Field("left", (dims.nx,), "last corrections of the stages", "data"),),
-                shape=(Size("N", dims.N),),
+                shape=(dims.N,),
                 only=lambda f: f.nodes,
             ),
         )

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, ClassVar
 
 from nmpc_codegen.components.allowed import Named, Whole, check_options, option
-from nmpc_codegen.components.base import COUPLED_START, EVERY_USE, QpSolver, Seam
+from nmpc_codegen.components.base import USES_OF_STAGES, QpSolver, Seam
 from nmpc_codegen.components.qp.riccati import (
     riccati_cost,
     riccati_search,
@@ -92,7 +92,7 @@ class RiccatiActiveSet(QpSolver):
     needs: ClassVar[tuple[Seam, ...]] = ("condensing",)
     takes: ClassVar[str] = "stages"
     chosen_for: ClassVar[tuple[str, ...]] = ("speed",)
-    supports: ClassVar[frozenset[str]] = EVERY_USE - {COUPLED_START}
+    supports: ClassVar[frozenset[str]] = USES_OF_STAGES
 
     max_iterations: int | None = option(None, Whole(optional=True))
     fallback: RiccatiInteriorPoint | None = option(_FALLBACK, Named(_FALLBACKS, (RiccatiInteriorPoint,)))

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, ClassVar
 
 from nmpc_codegen.components.allowed import Whole, check_options, option
-from nmpc_codegen.components.base import COUPLED_START, EVERY_USE, QpSolver, Seam
+from nmpc_codegen.components.base import USES_OF_STAGES, QpSolver, Seam
 from nmpc_codegen.components.qp.riccati import riccati_sizes, riccati_structs, stage_qp_fields, units_structs
 from nmpc_codegen.package.features import Features
 from nmpc_codegen.package.struct_layout import Field, Size, Struct, only_if
@@ -128,7 +128,7 @@ class RiccatiInteriorPoint(QpSolver):
     needs: ClassVar[tuple[Seam, ...]] = ("condensing",)
     takes: ClassVar[str] = "stages"
     chosen_for: ClassVar[tuple[str, ...]] = ("size",)
-    supports: ClassVar[frozenset[str]] = EVERY_USE - {COUPLED_START}
+    supports: ClassVar[frozenset[str]] = USES_OF_STAGES
 
     def __post_init__(self) -> None:
         check_options(self, self.seam)

@@ -44,7 +44,8 @@ def print_macro(item: Item, renamed: Mapping[str, str]) -> str:
     beside = f"{text} /* {item.note} */"
     if not item.note:
         return text
-    above = "\n * ".join(wrap(f"/* {item.note} */", LINE - 3, break_long_words=False))
+    # A space that does not break keeps the end of the comment with its last word.
+    above = "\n * ".join(wrap(f"/* {item.note}\xa0*/", LINE - 3, break_long_words=False)).replace("\xa0", " ")
     return beside if len(beside) <= LINE else f"{above}\n{text}"
 
 
