@@ -9,12 +9,13 @@ BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo docs test test-all lint format bench mutants clean distclean
+.PHONY: help setup demo docs test test-all coverage lint format bench mutants clean distclean
 
 help:
 	@echo "make demo      crane: OCP -> C -> check against IPOPT -> closed loop -> picture, all in $(OUT)/"
 	@echo "make test      formatter, linter, type checker, tests"
 	@echo "make test-all  the same, and what is exhaustive"
+	@echo "make coverage  lines and branches of src/ that the tests of make test do not reach"
 	@echo "make lint      formatter, linter, type checker"
 	@echo "make format    apply the formatters: ruff, and clang-format to the C parts if it is there"
 	@echo "make bench     times, bytes, instructions and draws beside their baseline, on one page"
@@ -59,6 +60,12 @@ test: lint
 test-all: lint
 	$(BIN)/python -m pytest -n auto -q -ra -m "slow or not slow"
 
+coverage: $(READY)
+	$(BIN)/coverage erase
+	$(BIN)/coverage run -m pytest -n auto -q
+	$(BIN)/coverage combine -q
+	$(BIN)/coverage report --sort=cover --skip-covered
+
 mutants: $(READY)
 	$(BIN)/python -m verification.mutants
 
@@ -66,7 +73,7 @@ bench: $(READY)
 	$(BIN)/python -m benchmarks --json $(OUT)/benchmarks.json
 
 clean:
-	rm -rf $(OUT) .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	rm -rf $(OUT) .pytest_cache .mypy_cache .ruff_cache .hypothesis .coverage*
 	find . -name __pycache__ -not -path './$(VENV)/*' -prune -exec rm -rf {} +
 
 distclean: clean

@@ -67,6 +67,8 @@ def test_states_that_are_not_finite_and_failures_at_the_end() -> None:
     reasons = result.rules.judge(made, np.zeros((6, 0)))
     R = Reason
     assert reasons.tolist() == [R.ENDS_FAILING, R.NOT_FINITE, R.NOT_ARRIVED, R.ROW, R.ROW, R.NONE]
+    at_once = replace(made, broken=np.where(broken == 7, 0, broken))
+    assert result.rules.judge(at_once, np.zeros((6, 0)))[1] == R.NOT_FINITE
     other = replace(result, flown=made, reasons=reasons)
     assert other.worst(6) == [1, 3, 4, 2, 0, 5]
     assert "after sample 7" in other.verdict(1)

@@ -8,7 +8,7 @@ from scipy import special, stats
 
 from nmpc_codegen import ControllerError, Normal, Uniform
 from nmpc_codegen.runtime.batch.driver import EXACT, part
-from nmpc_codegen.runtime.batch.random import NOISE, DrawnSignal, draw, signal
+from nmpc_codegen.runtime.batch.random import NOISE, DrawnSignal, Draws, draw, signal
 from nmpc_codegen.runtime.build import load_library
 
 PROBE = """
@@ -84,6 +84,13 @@ def test_numbers_are_those_of_flight_sample_and_state() -> None:
         np.testing.assert_array_equal(again, out)
         draw(DrawnSignal(np.array([1.0, 2.0, 0.5]), uniform, NOISE), 8, 59, again)
         assert not np.any(again == out)
+
+
+def test_flights_are_drawn_by_their_number_wherever_a_batch_begins() -> None:
+    sent = signal(Normal([1.0, 2.0]), "noise", ("x", "v"), NOISE)
+    whole, rest = Draws(3, 0, 2, None, sent), Draws(3, 4, 2, None, sent)
+    np.testing.assert_array_equal(rest.of(sent, 1, 6), whole.of(sent, 5, 6))
+    assert not np.array_equal(rest.of(sent, 0, 6), whole.of(sent, 0, 6))
 
 
 def test_signals() -> None:
