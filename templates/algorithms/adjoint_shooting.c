@@ -59,6 +59,22 @@ static void forget_plan(solver_t *s)
     forget_past(s);
 }
 
+/* A plan that does not converge: its controls are forgotten if less is paid for their references, and its past unless
+ * that is what brings a plan which violates rows back to them. */
+static void start_anew(solver_t *s)
+{
+    const real_t before = merit(s), violation = s->stats.violation;
+    (void)memcpy(s->shooting.p, s->u, sizeof s->shooting.p);
+    refer_controls(s);
+    const int better = simulate_plan(s) && !(merit(s) >= before);
+    if (!better) {
+        (void)memcpy(s->u, s->shooting.p, sizeof s->u);
+    }
+    if (better || judge_residual(OK, violation) == OK) {
+        forget_past(s);
+    }
+}
+
 /* Multipliers that are not finite are forgotten at once. */
 static status_t keep_finite(solver_t *s, status_t status)
 {
@@ -218,6 +234,10 @@ status_t API(step)(solver_t *s, const real_t xhat[NXHAT], real_t u0[NU])
     if (take_state(s, xhat)) {
         status = keep_finite(s, run_sample(s));
     }
+    if (IMPLICIT) {
+        status = judge_residual(status, stage_residual(s));
+    }
+    status = judge_residual(status, s->stats.violation);
     watch(s, status, 0);
     safe_control(s, u0);
     if (PULLED_ROWS) {
@@ -226,10 +246,7 @@ status_t API(step)(solver_t *s, const real_t xhat[NXHAT], real_t u0[NU])
     if (AUGMENTED) {
         keep_sample(s, u0);
     }
-    if (IMPLICIT) {
-        status = judge_residual(status, stage_residual(s));
-    }
-    return finish(s, judge_residual(status, s->stats.violation));
+    return finish(s, status);
 }
 
 #include "algorithms/adjoint_shooting/kkt.c"

@@ -148,13 +148,9 @@ static void restart_doubtful_plan(solver_t *s)
         }
     }
     if (given_up) {
-        if (NODES) {
-            start_anew(s);
-            if (!HAS_QP) {
-                reset_search(s);
-            }
-        } else {
-            forget_past(s);
+        start_anew(s);
+        if (NODES && !HAS_QP) {
+            reset_search(s);
         }
         s->unconverged = 0;
         s->unsettled = 0;

@@ -23,6 +23,7 @@ _SIGNATURE = re.compile(r"(?P<name>API\(\w+\)|\b\w+)\((?P<parameters>.*)\)(?:\)\
 _ATTRIBUTE = re.compile(r"__attribute__\(\(.*?\)\)")
 
 
+@lru_cache(maxsize=16384)
 def blank(text: str) -> str:
     """The text with blanks for its comments, strings and characters: every place stays where it is."""
     if "/" not in text and '"' not in text and "'" not in text:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import Literal
 
 from nmpc_codegen.lowering.dialect.c_expressions import words
@@ -58,24 +58,24 @@ class Item:
             return self
         return replace(self, text=text, state="changed" if self.state == "simple" else self.state)
 
-    @property
+    @cached_property
     def defines(self) -> frozenset[str]:
         """The names that others may read."""
         return frozenset((self.name,)) if self.kind in ("alias", "macro") else _defines(self.kind, self.name, self.text)
 
-    @property
+    @cached_property
     def calls(self) -> frozenset[str]:
         """The functions and macros that it calls."""
         return calls(self.text)
 
-    @property
+    @cached_property
     def reads(self) -> frozenset[str]:
         """The names that it uses and does not declare."""
         if self.kind in ("section", "heading", "alias"):
             return frozenset()
         return free_names(self.text) if self.is_prunable else names_in_code(self.text)
 
-    @property
+    @cached_property
     def words(self) -> frozenset[str]:
         """All names in its code, those of members and variables too."""
         return self.defines if self.kind == "alias" else words(blank(self.text)) | self.defines
@@ -85,7 +85,7 @@ class Item:
         """True for a function of a part, which passes may change."""
         return self.kind == "function" and self.state != "ready"
 
-    @property
+    @cached_property
     def is_entry(self) -> bool:
         """True for a function, or its prototype, that other units call."""
         return self.kind in ("function", "prototype") and not _is_inner(self.text)

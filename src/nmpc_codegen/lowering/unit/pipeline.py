@@ -1,7 +1,7 @@
 """The pipeline: passes that leave out of a unit what its package does not need, from items to items.
 
-A part is written for every problem, with all its rows, bounds and components. While a pass changes the unit, the passes
-before it run again; the last ones put in order what is left. After every pass a verifier looks whether all names that
+A part is written for every problem, with all its rows, bounds and components. While a round of passes changes the unit,
+another one follows; the last passes put in order what is left. After every pass a verifier looks whether all names that
 are read are still defined.
 """
 
@@ -10,6 +10,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
+from functools import reduce
 from itertools import pairwise
 
 from nmpc_codegen.lowering.dialect.constants import Constants
@@ -109,7 +110,7 @@ def _mark(text: str) -> str:
     return text[:at] + "".join(f"\n    (void){name};" for _, name in unread_parameters(text)) + text[at:]
 
 
-#: After a change all of these run again.
+#: After a round with a change all of these run again.
 REPEATED: tuple[Pass, ...] = (
     drop_arguments_of_macros,
     keep_reached,
@@ -119,16 +120,8 @@ REPEATED: tuple[Pass, ...] = (
     put_in_numbers,
     put_in_calls,
 )
-PIPELINE: tuple[Pass, ...] = (
-    drop_zeros,
-    *REPEATED,
-    drop_entries,
-    put_last,
-    mark_unread,
-    state_conditions,
-    cast_results,
-    name_constants,
-)
+#: What is left is put in order.
+LAST_PASSES: tuple[Pass, ...] = (drop_entries, put_last, mark_unread, state_conditions, cast_results, name_constants)
 
 
 def run(
@@ -141,16 +134,18 @@ def run(
     """
     _check_names(items)
     known = replace(known, calling=macros_that_act(items), pure=pure_functions(items))
-    unit, place, again = tuple(items), 0, PIPELINE.index(REPEATED[0])
-    while place < len(PIPELINE):
-        step = PIPELINE[place]
+
+    def take(unit: tuple[Item, ...], step: Pass) -> tuple[Item, ...]:
         after = step(unit, known)
-        place += 1
         if after != unit:
             watch(step.__name__, unit, after)
             verify(step.__name__, after, items)
-            unit, place = after, again if step in REPEATED else place
-    return unit
+        return after
+
+    unit = take(tuple(items), drop_zeros)
+    while (after := reduce(take, REPEATED, unit)) != unit:
+        unit = after
+    return reduce(take, LAST_PASSES, unit)
 
 
 def verify(step: str, unit: Items, first: Items) -> None:
