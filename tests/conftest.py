@@ -19,6 +19,7 @@ import pytest
 from hypothesis import settings
 from sampling import thin
 
+from nmpc_codegen import compiler as stages
 from nmpc_codegen.errors import BuildError, ExtraError
 from nmpc_codegen.runtime.batch.cuda import Cuda
 from nmpc_codegen.runtime.build import load
@@ -27,6 +28,7 @@ from nmpc_codegen.runtime.controller import Controller
 from nmpc_codegen.runtime.native import runs
 from nmpc_codegen.targets import TARGETS
 from tests.cli.cart import write_problem
+from tests.units import kept_run, sweep
 from verification.problems import toy_sources
 
 # Expressions and texts live as long as the session: a search for garbage after every 700 new objects finds nothing.
@@ -57,6 +59,8 @@ OTHER_COMPILERS = {
         }
     ),
 }
+#: Files with tests of half a minute.
+LONG = frozenset({"test_topics.py", "test_docs.py", "test_papers.py", "test_workers.py", "test_coach.py"})
 #: Header files for tcc, by C_INCLUDE_PATH.
 TCC_HEADERS = Path(__file__).with_name("tcc")
 
@@ -182,7 +186,11 @@ def toy(_toy: Controller) -> Controller:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """A warning about a problem fails the test. In pyproject.toml it would load NumPy before this file is read."""
+    """Units are pruned once for the same items. A warning about a problem fails the test; in pyproject.toml it would
+    load NumPy before this file is read."""
+    stages.run = kept_run
+    if not hasattr(config, "workerinput"):
+        sweep()
     config.addinivalue_line("filterwarnings", "error::nmpc_codegen.errors.ProblemWarning")
 
 
@@ -190,18 +198,24 @@ def pytest_configure(config: pytest.Config) -> None:
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Before "slow" is deselected: the combinations that `make test` leaves out get that marker.
 
-    The folder with the longest files comes first, so that no worker waits for another at the end.
+    Long files come first, so that no worker waits for another at the end.
     """
     thin(items)
-    items.sort(key=lambda item: "whole" not in item.path.parts)
+    items.sort(key=lambda item: (item.path.name not in LONG, "whole" not in item.path.parts))
 
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config: pytest.Config, log: object) -> object:
-    """Assign a file to one worker, so that the builds of a test module happen once, not once per worker."""
+    """Assign a file to one worker, so that the builds of a test module happen once, not once per worker; of contracts a
+    sample."""
     from xdist.scheduler import LoadFileScheduling
 
-    return LoadFileScheduling(config, log)
+    class Scheduling(LoadFileScheduling):
+        def _split_scope(self, nodeid: str) -> str:
+            return nodeid.partition("-" if "under_contract" in nodeid else "::")[0]
+
+    config.option.loadscopereorder = False  # files come in the order of the items
+    return Scheduling(config, log)
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

@@ -6,10 +6,11 @@ one run of that function: additions, multiplications, divisions, square roots an
 
 from __future__ import annotations
 
+import re
 import shutil
 import subprocess
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 
 from nmpc_codegen import OCP, Options
@@ -74,10 +75,16 @@ def count_mismatches(ocp: OCP, options: Options | None = None) -> list[Mismatch]
     return mismatches(module, text_of(module))
 
 
-def mismatches(module: CModule, sources: Sources) -> list[Mismatch]:
-    """The same for a lowered package and its text."""
-    stated = {name: _compared(count) for name, count in module.description.report.operations.items()}
-    calls = {name: _call(module, name, sources[f"{module.name}.c"]) for name in stated}
+def mismatches(module: CModule, sources: Sources, names: Collection[str] | None = None) -> list[Mismatch]:
+    """The same for a lowered package and its text; ``names``: of these functions alone."""
+    stated = {
+        name: _compared(count)
+        for name, count in module.description.report.operations.items()
+        if names is None or name in names
+    }
+    unit = sources[f"{module.name}.c"]
+    stated = {name: count for name, count in stated.items() if re.search(rf"\b{name}\(", unit)}
+    calls = {name: _call(module, name, unit) for name in stated}
     counted = run_counting(sources, module.name, calls, _room(module) * MOST_PORTS)
     return [(name, stated[name], counted[name]) for name in stated if stated[name] != counted[name]]
 
@@ -108,7 +115,7 @@ def _argument(port: Port, first: int) -> str:
 def _room(module: CModule) -> int:
     """Length of the longest vector that a call reads or writes."""
     ports = [port.size for r in module.routines for port in (*r.inputs, *r.outputs)]
-    return max(*ports, module.value("NZ"), module.value("LDV"), 1)
+    return max(*ports, module.sizes["NZ"], module.sizes.get("LDV", 1))
 
 
 def counting_header(header: str, name: str) -> str:

@@ -30,11 +30,7 @@ from nmpc_codegen.oracle.trajectory import (
     Data,
     Point,
     Tableau,
-    interval_map,
-    multiplier_of,
     node_data,
-    node_rows,
-    row_nodes,
 )
 from nmpc_codegen.package.sources import Sources
 from nmpc_codegen.package.struct_layout import Precision
@@ -46,14 +42,12 @@ class Case:
     """A problem, its options, the measured state, and run-time data that differ from the declared ones.
 
     ``data``: arguments of node_data(); yref (N, ny), yref_N, W, W_N, p (N+1, np), bounds {row: (lower, upper)}.
-    ``active``: kinds of rows that are active at the solution, as required by the purpose of the case.
     """
 
     make: Callable[[], OCP]
     x0: tuple[float, ...]
     options: Options = field(default_factory=Options)
     data: Mapping[str, Any] = field(default_factory=dict)
-    active: frozenset[str] = frozenset()
     tableau: Tableau = CLASSICAL
 
 
@@ -192,26 +186,24 @@ def _looped_crane() -> OCP:
 
 
 CASES: dict[str, Case] = {
-    "crane": Case(crane.build_ocp, (2.0, 0, 0, 0), active=frozenset({"control", "state"})),
-    "crane_weight": Case(lambda: crane.build_ocp(False), (2.0, 0, 0, 0), active=frozenset({"control"})),
+    "crane": Case(crane.build_ocp, (2.0, 0, 0, 0)),
+    "crane_weight": Case(lambda: crane.build_ocp(False), (2.0, 0, 0, 0)),
     "crane_looped": Case(
         _looped_crane,
         (2.0, 0, 0, 0),
         Options(integrator=ExplicitRungeKutta(unroll="none")),
-        active=frozenset({"control"}),
     ),
-    "state_bounds": Case(state_bounds, (1.0, 0.0), active=frozenset({"state"})),
-    "one_sided": Case(one_sided, (1.0, 0.0), active=frozenset({"state"})),
-    "path_rows": Case(path_rows, (1.0, 0.0), active=frozenset({"general"})),
-    "terminal_rows": Case(terminal_rows, (1.0, 0.0), active=frozenset({"general"})),
-    "single_nodes": Case(single_nodes, (1.0, 0.0), active=frozenset({"state", "general"})),
+    "state_bounds": Case(state_bounds, (1.0, 0.0)),
+    "one_sided": Case(one_sided, (1.0, 0.0)),
+    "path_rows": Case(path_rows, (1.0, 0.0)),
+    "terminal_rows": Case(terminal_rows, (1.0, 0.0)),
+    "single_nodes": Case(single_nodes, (1.0, 0.0)),
     "parameters": Case(
         parameters,
         (1.0, -0.5, 0.0, 0.0),
         data={"p": np.column_stack([np.linspace(0.5, 1.5, 9), np.linspace(0, 0.4, 9), np.linspace(-0.3, 0.1, 9)])},
-        active=frozenset({"control"}),
     ),
-    "dense_weight": Case(dense_weight, (1.0, 0.0), active=frozenset({"control"})),
+    "dense_weight": Case(dense_weight, (1.0, 0.0)),
     "dense_changed": Case(
         dense_weight,
         (1.0, 0.0),
@@ -221,9 +213,9 @@ CASES: dict[str, Case] = {
             "yref": np.linspace([0.3, 0.1, 0.0], [0.1, 0.0, 0.2], 8),
         },
     ),
-    "scaled": Case(scaled, (1.0, 0.5), active=frozenset({"control"})),
-    "nonuniform": Case(nonuniform, (1.0, 0.0), active=frozenset({"control"})),
-    "discrete": Case(discrete, (0.6, 0.5), active=frozenset({"control"})),
+    "scaled": Case(scaled, (1.0, 0.5)),
+    "nonuniform": Case(nonuniform, (1.0, 0.0)),
+    "discrete": Case(discrete, (0.6, 0.5)),
     "tiny": Case(tiny, (1.0,)),
     "references": Case(
         references,
@@ -234,7 +226,6 @@ CASES: dict[str, Case] = {
             "bounds": {"u": (-0.4, 0.6)},
             "W": np.array([2.0, 0.2, 0.15]),
         },
-        active=frozenset({"control"}),
     ),
 }
 
@@ -304,53 +295,6 @@ def point(solution: Any) -> Point:
     return Point(**{name: np.array(getattr(solution, name), dtype=float) for name in Point.__dataclass_fields__})
 
 
-def is_regular(name: str, solution: Any) -> bool:
-    """LICQ and strict complementarity, numerically; only then are multipliers unique and comparable.
-
-    The gradients of all equalities and active rows have full rank; no active inequality has multiplier 0.
-    """
-    p, data = problem(name), case_data(name)
-    N, nx, nu = p.N, p.nx, p.nu
-    z = ca.SX.sym("z", (N + 1) * nx + N * nu)
-    x = [z[k * nx : (k + 1) * nx] for k in range(N + 1)]
-    u = [z[(N + 1) * nx + k * nu : (N + 1) * nx + (k + 1) * nu] for k in range(N)]
-    Phi, h, h_N = interval_map(p, CASES[name].tableau), node_rows(p.path), node_rows(p.terminal)
-    active = [x[0]] + [Phi(x[k], u[k], data.p[k], p.dt[k])[0] - x[k + 1] for k in range(N)]
-    multipliers = []
-    values = ca.vertcat(*(ca.DM(v) for v in (*solution.x, *solution.u)))
-    where = point(solution)
-    for i, row in enumerate(p.rows):
-        for k in row_nodes(row):
-            if row.kind == "general":
-                e = (
-                    h_N(x[k], ca.SX(0, 1), data.p[k])[row.index_terminal]
-                    if k == N
-                    else h(x[k], u[k], data.p[k])[row.index]
-                )
-            else:
-                e = (u if row.kind == "control" else x)[k][row.index]
-            value = float(ca.Function("e", [z], [e])(values))
-            low, high = data.lower[k, i], data.upper[k, i]
-            if min(value - low, high - value) < 1e-6:
-                array, index = multiplier_of(p, where, row, k)
-                active.append(e)
-                multipliers += [abs(float(array[index]))] if low < high else []
-    J = ca.Function("J", [z], [ca.jacobian(ca.vertcat(*active), z)])(values).full()
-    return bool(np.linalg.svd(J, compute_uv=False)[-1] > 1e-6 and min(multipliers, default=1.0) > 1e-6)
-
-
-def active_kinds(name: str, solution: Any) -> frozenset[str]:
-    """Kinds of rows that carry a multiplier."""
-    p, where = problem(name), point(solution)
-    found = set()
-    for row in p.rows:
-        for k in row_nodes(row):
-            array, index = multiplier_of(p, where, row, k)
-            if abs(float(array[index])) > 1e-4:
-                found.add(row.kind)
-    return frozenset(found)
-
-
 def toy(T: float = 0.4) -> OCP:
     """A cart with mass m, a disturbance d, and bounds on its force and its state: x+ = A x + B a / m + d for 0.1 s."""
     ocp = OCP("toy", T=T, N=4)
@@ -378,4 +322,14 @@ def explosive() -> OCP:
     ocp.dynamics({x: x**2 + u})
     ocp.least_squares(ca.vertcat(x, u), weight=[1.0, 0.1], reference=[0.0, -2.0])
     ocp.subject_to(-8, u, 5)
+    return ocp
+
+
+def saddle() -> OCP:
+    """A cost that is concave in x where the plan begins, and all first derivatives are small there."""
+    ocp = OCP("saddle", T=1.0, N=6)
+    x, u = ocp.state("x", initial=0.1), ocp.control("u")
+    ocp.dynamics({x: u})
+    ocp.stage_cost(x**4 / 4 - 2 * x**2 + 0.05 * u**2)
+    ocp.subject_to(-3, u, 3)
     return ocp

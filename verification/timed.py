@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 from examples import bioreactor, chain, crane, cstr, quadrotor
 from nmpc_codegen import (
@@ -22,11 +23,14 @@ from nmpc_codegen import (
 
 @dataclass(frozen=True, eq=False)
 class Sample:
-    """One package: the function that states its problem, and its options."""
+    """One package: the function that states its problem, and its options; ``x0``: a measured state, ``data``: arguments
+    of node_data() other than those that are declared."""
 
     name: str
     make: Callable[[], OCP | Estimator]
     options: Options = field(default_factory=Options)
+    x0: tuple[float, ...] = ()
+    data: Mapping[str, Any] = field(default_factory=dict)
 
 
 #: The timed problems, in the settings of the benchmarks that compare their times with those of peers.

@@ -57,7 +57,7 @@ def loop_of(problem: str, solver: str, **more: object) -> Loop:
     return Loop("crane", PROBLEMS[problem], options, Scenario((0.0,) * 4, 0.3, 20))
 
 
-@pytest.mark.few(3)
+@pytest.mark.few(2)
 @pytest.mark.parametrize(
     ("problem", "solver"),
     [("boxes", "dense"), ("boxes", "riccati alone"), *itertools.product(("terminal equality", "soft rows"), SOLVERS)],
@@ -82,7 +82,7 @@ def test_no_sample_without_a_qp_exceeds_it(problem: str, algorithm: Algorithm) -
     assert 0 < np.min(found.every) <= np.max(found.every) <= worst_case(package_of(loop))["sample"]
 
 
-@pytest.mark.few(2)
+@pytest.mark.few(1)
 @pytest.mark.parametrize("solver", SOLVERS)
 def test_the_cap_on_iterations_counts(solver: str) -> None:
     """With few iterations the worst case comes near what is provoked."""

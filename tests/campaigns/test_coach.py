@@ -30,10 +30,12 @@ from nmpc_codegen import (
     RealTimeIteration,
 )
 from nmpc_codegen.campaigns import Box, campaign, tune_weights
+from nmpc_codegen.campaigns.coach import candidates
 from nmpc_codegen.campaigns.coach.candidates import build_candidates, build_plant, propose
 from nmpc_codegen.campaigns.coach.spelling import spell_options
 from nmpc_codegen.errors import ProblemError
 from nmpc_codegen.frontend.horizon import with_horizon
+from nmpc_codegen.runtime.build import load
 from tests.campaigns.problems import cart, point
 from verification.routes import PURE
 from verification.strangers.problems import known
@@ -72,8 +74,9 @@ def test_matrices_are_spelled() -> None:
     assert eval(spell_options(stated), vars(nmpc_codegen) | {"EconomicGaussNewton": EconomicGaussNewton}) == stated
 
 
-def test_candidates_are_few_and_differ() -> None:
+def test_candidates_are_few_and_differ(monkeypatch: pytest.MonkeyPatch) -> None:
     """None is proposed that the problem refuses, or that is the same code."""
+    monkeypatch.setattr(candidates, "load", lambda files, name, profile: load(files, name, "test"))
     found = build_candidates(cart(), propose(cart(), Options()))
     changes = [c.change for c in found]
     assert changes[0] == "default"

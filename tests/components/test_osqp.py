@@ -15,22 +15,6 @@ from verification.routes import PURE
 OPTIONS = Options(qp=Osqp(), algorithm=PURE)
 
 
-@pytest.mark.parametrize("name", ["crane", "path_rows", "state_bounds"])
-def test_the_same_steps_as_the_active_set(name: str) -> None:
-    """Two samples of real-time iteration: equality constraints, bounds and rows, active ones among them."""
-    case = problems.CASES[name]
-    ours, theirs = problems.controller(name), build(case.make(), OPTIONS, profile="test", name=f"{name}_osqp")
-    problems.apply(theirs, case.data)
-    theirs.reset()
-    for _ in range(2):
-        expected, u0 = ours.step(case.x0), theirs.step(case.x0)
-        assert theirs.status == ours.status == Status.OK
-        np.testing.assert_allclose(u0, expected, atol=1e-5)
-        np.testing.assert_allclose(theirs.u, ours.u, atol=1e-5)
-        np.testing.assert_allclose(theirs.lam, ours.lam, atol=1e-4 * max(1.0, np.max(np.abs(ours.lam))))
-        assert theirs.stats.qp_iterations > 0
-
-
 def test_copies_share_the_workspace_and_answer_alike() -> None:
     """Interleaved calls of two copies at different states: each gives the same result as alone."""
     case = problems.CASES["crane"]

@@ -17,7 +17,6 @@ from nmpc_codegen.frontend.problem import Problem, Row
 
 N = 4
 PATH, LATER, ALL, END = (0, 1, 2, 3), (1, 2, 3, 4), (0, 1, 2, 3, 4), (4,)
-INF = np.inf
 
 
 class Model:

@@ -84,6 +84,7 @@ def test_a_norm_at_zero_is_named_before_and_after_it_fails(where: str, compiler:
     assert "GaussNewton" not in ctrl.diagnose()
 
 
+@pytest.mark.few(3)
 @pytest.mark.usefixtures("compiler")
 @pytest.mark.parametrize("where", PARTS)
 def test_the_remedies_for_a_norm_work(where: str) -> None:

@@ -16,43 +16,10 @@ from nmpc_codegen.runtime.build import load
 from nmpc_codegen.runtime.cache import CACHE_VARIABLE
 from verification import problems, quality
 
-#: Cases whose C differs in structure; dense_changed differs from dense_weight only in its data.
-STRUCTURES = tuple(name for name in problems.CASES if name != "dense_changed")
-#: Terminal equalities, a constraint of every kind, loops: levels at which test_warnings.py does not compile them.
-OPTIMISED = {"crane": "-O2", "path_rows": "-O3", "crane_looped": "-Os"}
-#: Every kind of row and bound, of weight, of grid, of dynamics and of data once.
-DIFFERENT = ("crane", "path_rows", "terminal_rows", "single_nodes", "parameters", "scaled", "discrete", "tiny")
-
 
 @pytest.fixture(scope="session", autouse=True)
 def _compilers() -> None:
     require_tool("cc")
-
-
-def precision_in_turn(name: str) -> str:
-    return ("single", "double")[STRUCTURES.index(name) % 2]
-
-
-@pytest.mark.few(4)
-@pytest.mark.parametrize("name", STRUCTURES)
-def test_no_warning_as_c99(name: str) -> None:
-    """The findings of the front end, and of the optimiser for some cases: values that may be uninitialised.
-
-    In single precision, which takes turns with C++17, the data flow is the same.
-    """
-    if name in OPTIMISED:
-        assert quality.warnings_of(problems.sources(name), (OPTIMISED[name],), ("C99",)) == ""
-    assert quality.warnings_of(problems.sources(name, precision_in_turn(name)), ("-fsyntax-only",), ("C99",)) == ""
-
-
-@pytest.mark.few(3)
-@pytest.mark.parametrize("name", STRUCTURES)
-def test_no_warning_as_cpp17(name: str) -> None:
-    """The findings of the front end, and of the optimiser for one case."""
-    require_tool("cxx")
-    precision = {"single": "double", "double": "single"}[precision_in_turn(name)]
-    level = "-O1" if name == "path_rows" else "-fsyntax-only"
-    assert quality.warnings_of(problems.sources(name, precision), (level,), ("C++17",)) == ""
 
 
 @pytest.mark.parametrize("kind", ["mhe", "ekf"])
@@ -90,14 +57,6 @@ def test_fast_math_is_refused(flag: str) -> None:
     assert "-ffast-math" in done.stderr
 
 
-@pytest.mark.few(2)
-@pytest.mark.parametrize("name", DIFFERENT)
-def test_symbols(name: str) -> None:
-    """Only the API is external; the C calls only <math.h>, memcpy and similar functions; there are no writable data."""
-    level = () if name == "path_rows" else ("-O0",)
-    assert quality.foreign_symbols(problems.sources(name), *level) == []
-
-
 def test_api_symbols_are_those_of_the_header() -> None:
     sources = problems.sources("crane")
     with quality.written(sources) as folder:
@@ -115,17 +74,6 @@ def test_foreign_symbols_are_seen() -> None:
         "int *tiny_more(void);\nint *tiny_more(void) { leak(); hidden++; return malloc(4); }\n"
     )
     assert {s.split()[1] for s in quality.foreign_symbols(sources)} == {"counter", "hidden", "leak", "malloc"}
-
-
-@pytest.mark.few(6)
-@pytest.mark.parametrize("name", sorted(problems.CASES))
-def test_package_includes_nothing_but_math(name: str) -> None:
-    sources = problems.sources(name)
-    prefix = quality.package_name(sources)
-    included = set(re.findall(r'#include [<"](.*)[>"]', sources[f"{prefix}.c"] + sources[f"{prefix}.h"]))
-    assert included - {"stddef.h"} == {f"{prefix}.h", "math.h", "stdint.h", "string.h"}
-    code = re.sub(r"/\*.*?\*/", "", sources[f"{prefix}.c"], flags=re.DOTALL)
-    assert not re.search(r"\b(malloc|calloc|free|printf|goto|setjmp|restrict)\b", code)
 
 
 @pytest.mark.few(2)
@@ -261,17 +209,6 @@ def test_no_machine_or_date_in_the_sources() -> None:
     text = "".join(problems.sources("parameters").values())
     assert str(Path.home()) not in text
     assert not re.search(r"/(tmp|usr|work|home)/|20[2-9]\d-\d\d", text)
-
-
-@pytest.mark.parametrize("name", ["crane", "parameters", "path_rows"])
-def test_functions_fit_a_screen(name: str) -> None:
-    """At most about 40 lines each, without printed kernels and stage products."""
-    source = problems.sources(name)[f"{quality.package_name(problems.sources(name))}.c"]
-    written = source[source.index("/* Rows (constraints other than the control bounds)") :]
-    written = re.sub(r"/\* ==== (?:kernels|stage products|solve\(\)).*?(?=/\* ==== )", "", written, flags=re.DOTALL)
-    found = re.findall(r"^(\w[^;{}]*\))\n\{\n(.*?)^\}$", written, flags=re.DOTALL | re.MULTILINE)
-    assert len(found) > 50
-    assert [(head, body.count("\n")) for head, body in found if body.count("\n") > 45] == []
 
 
 def test_sizes_in_the_header_are_those_of_the_compiler() -> None:

@@ -268,6 +268,7 @@ def test_every_block_is_run() -> None:
 
 
 @pytest.mark.usefixtures("compiler")
+@pytest.mark.few(4)
 @pytest.mark.parametrize("page", [*APART, *TOGETHER])
 def test_programs_of_the_reference_run(page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)

@@ -26,8 +26,9 @@ def names(page: bool) -> list[str]:
     return found
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("page", [True, pytest.param(False, marks=pytest.mark.slow)])
-@pytest.mark.parametrize("of_gcc", [True, False])
+@pytest.mark.parametrize("of_gcc", [False, True])
 def test_every_topic_runs(page: bool, of_gcc: bool, tmp_path: Path, need: Callable[[str], str]) -> None:
     need("cc")
     need("cxx")

@@ -12,7 +12,7 @@ def test_the_table_is_long() -> None:
     assert len({f.name for f in FAULTS}) == len(FAULTS)
 
 
-@pytest.mark.few(40)
+@pytest.mark.few(24)
 @pytest.mark.usefixtures("compiler")
 @pytest.mark.parametrize("fault", FAULTS, ids=lambda f: f.name)
 def test_fault(fault: Fault) -> None:

@@ -41,6 +41,7 @@ def assert_same_bits(one: Log, other: Log) -> None:
         assert getattr(one.plans, name).tobytes() == getattr(other.plans, name).tobytes(), name
 
 
+@pytest.mark.few(6)
 @pytest.mark.parametrize("name", [pytest.param(n, marks=[pytest.mark.slow] * (n == "heat_rod")) for n in EXAMPLES])
 def test_the_same_bits_in_compiled_code_in_python_and_in_a_batch(name: str) -> None:
     """Every example, with noise, random and given disturbances, and tables of a parameter and of a reference."""

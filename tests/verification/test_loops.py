@@ -20,6 +20,7 @@ def test_samples_fly_as_well_as_solve_in_every_sample(draw: str) -> None:
     assert faulty <= 1
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize(
     ("draw", "number"), [("lost slope", 1), ("lost slope", 28), ("dead points", 0), ("unstable", 4)]
 )

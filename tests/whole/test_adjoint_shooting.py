@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -99,45 +98,6 @@ def test_the_stationarity_is_the_gradient_of_casadi(method: str) -> None:
 
 # solve() against IPOPT ------------------------------------------------------------------------------------------------
 
-SMALL: dict[str, Callable[[], OCP]] = {
-    make.__name__: make
-    for make in (
-        *(samples.bare, problems.tiny, samples.controls, samples.states, samples.path, samples.final),
-        *(samples.soft_states, samples.soft_rows, samples.ends, samples.closing, samples.ring, samples.target),
-        *(samples.counted, samples.mixed, samples.discrete, samples.discrete_rows),
-    )
-}
-
-
-@pytest.mark.few(12)
-@pytest.mark.parametrize("method", METHODS)
-@pytest.mark.parametrize("name", SMALL)
-def test_solve_finds_the_solution_of_ipopt(name: str, method: str) -> None:
-    ocp = SMALL[name]()
-    x0 = disturbed(ocp)
-    controller = build(ocp, options(method=method), "test")
-    solution = controller.solve(x0, tol=1e-9, max_iterations=1000)
-    found = ipopt(ocp, x0)
-    assert solution.status is Status.OK
-    assert solution.kkt.relative <= 1e-9
-    np.testing.assert_allclose(solution.u, found.u, atol=2e-6)
-    np.testing.assert_allclose(solution.x, found.x, atol=2e-6)
-    assert solution.cost == pytest.approx(found.cost, rel=1e-6, abs=1e-9)
-    assert 0 < controller.stats.accepted <= controller.stats.newton_iterations
-
-
-@pytest.mark.parametrize("set_point", [0, 1, 2])
-def test_reactor_with_bounds_of_states(set_point: int) -> None:
-    """Set point 1 is out of reach of th >= 98 and thK >= 92; the controls differ by three orders of magnitude."""
-    ocp = cstr.build_ocp(set_point)
-    solution = build(ocp, replace(options(penalty=1e4), integrator=TWO_STEPS), "test").solve(
-        cstr.START, tol=1e-9, max_iterations=300
-    )
-    found = ipopt(ocp, cstr.START)
-    assert solution.status is Status.OK
-    np.testing.assert_allclose(solution.u, found.u, rtol=1e-6, atol=1e-6)
-    assert solution.cost == pytest.approx(found.cost, rel=1e-8)
-
 
 def test_crane_with_terminal_equalities() -> None:
     """Six of ten controls are at their bounds; the multipliers are those of IPOPT."""
@@ -149,32 +109,6 @@ def test_crane_with_terminal_equalities() -> None:
     np.testing.assert_allclose(solution.u, found.u, atol=1e-8)
     np.testing.assert_allclose(controller.view("row"), found.mu_x[-1], rtol=1e-5)
     assert controller.stats.cg_iterations <= 40
-
-
-@pytest.mark.few(8)
-@pytest.mark.parametrize("rows", ["smooth_l1", "lumped"])
-@pytest.mark.parametrize("name", ["path", "final", "soft_rows", "closing", "mixed"])
-def test_other_terms_of_rows_converge_to_the_solution(name: str, rows: str) -> None:
-    ocp = SMALL[name]()
-    x0 = disturbed(ocp)
-    controller = build(ocp, options(rows=rows, penalty=100.0), "test")
-    solution, found = controller.solve(x0, tol=1e-7, max_iterations=1000), ipopt(ocp, x0)
-    assert solution.status is Status.OK
-    np.testing.assert_allclose(solution.u, found.u, atol=3e-6)
-
-
-@pytest.mark.few(5)
-@pytest.mark.parametrize("method", METHODS)
-@pytest.mark.parametrize("name", ["states", "path", "final", "mixed", "ring"])
-def test_barriers_converge_from_inside(name: str, method: str) -> None:
-    """solve() decreases the weight of the barriers to 0; no hard row is violated on the way out."""
-    ocp = SMALL[name]()
-    x0 = disturbed(ocp)
-    controller = build(ocp, options(rows="barrier", method=method), "test")
-    solution, found = controller.solve(x0, tol=1e-7, max_iterations=1000), ipopt(ocp, x0)
-    assert solution.status is Status.OK
-    assert controller.stats.violation <= 1e-7
-    np.testing.assert_allclose(solution.u, found.u, atol=1e-4)
 
 
 def test_the_multiplier_of_the_lumped_row_grows() -> None:
@@ -260,15 +194,6 @@ def test_soft_rows_that_are_violated(penalty: tuple[float, float], rows: str) ->
         assert largest == pytest.approx(penalty[0], rel=1e-6)
 
 
-@pytest.mark.parametrize("method", METHODS)
-def test_integrated_cost(method: str) -> None:
-    ocp = samples.economic()
-    x0 = disturbed(ocp)
-    solution = build(ocp, options(method=method), "test").solve(x0, tol=1e-8, max_iterations=300)
-    assert solution.status is Status.OK
-    np.testing.assert_allclose(solution.u, ipopt(ocp, x0).u, atol=3e-6)
-
-
 @pytest.mark.parametrize("tableau", [RK4, samples.LOOPED.tableau], ids=["rk4", "looped"])
 @pytest.mark.parametrize("steps", [1, 3])
 def test_the_product_of_an_integrated_cost_is_that_of_gauss_newton(steps: int, tableau: Any) -> None:
@@ -300,24 +225,11 @@ def test_the_product_of_an_integrated_cost_is_that_of_gauss_newton(steps: int, t
 
 def test_negative_curvature_is_met_and_survived() -> None:
     """The cost is concave in x, and at the start all first derivatives are small."""
-    ocp = OCP("saddle", T=1.0, N=6)
-    x, u = ocp.state("x", initial=0.1), ocp.control("u")
-    ocp.dynamics({x: u})
-    ocp.stage_cost(x**4 / 4 - 2 * x**2 + 0.05 * u**2)
-    ocp.subject_to(-3, u, 3)
-    controller = build(ocp, options(), "test")
+    controller = build(problems.saddle(), options(), "test")
     solution = controller.solve([0.1], tol=1e-8, max_iterations=300)
     assert solution.status is Status.OK
     assert controller.stats.negative_curvature > 0
     assert controller.x[-1, 0] > 1  # a minimum, not the saddle x = 0
-
-
-def test_loops_and_straight_line_code_agree() -> None:
-    plans = []
-    for unroll_as in ("all", "none"):
-        given = replace(options(), integrator=ExplicitRungeKutta(RK4, steps=2, unroll=unroll_as))
-        plans.append(build(crane.build_ocp(), given, "test").solve(X0, tol=1e-9).u)
-    np.testing.assert_allclose(plans[1], plans[0], atol=1e-9)
 
 
 # Samples --------------------------------------------------------------------------------------------------------------
@@ -402,18 +314,6 @@ def test_memory_grows_with_N_times_nx_plus_nu() -> None:
     per_interval = (size(40) - size(20)) / 20
     assert per_interval == (size(20) - size(10)) / 10
     assert per_interval <= 8 * (2 * 6 + 6 * 2)
-
-
-def test_the_first_sample_after_solve_keeps_its_plan() -> None:
-    controller = build(crane.build_ocp(), options(shift="repeat"), "test")
-    log = simulate(controller, X0, steps=1, dt=0.3, warm_start=True)
-    np.testing.assert_allclose(log.u[0], ipopt(crane.build_ocp(), X0).u[0], atol=1e-6)
-    planned = controller.u.copy()
-    controller.shift()
-    np.testing.assert_array_equal(controller.u[:-1], planned[1:])
-    np.testing.assert_array_equal(controller.u[-1], planned[-1])
-    rest = controller.integrate(controller.x[-2], controller.u[-1], 0.3)
-    np.testing.assert_allclose(controller.x[-1], rest, atol=1e-14)
 
 
 def test_periodic_and_resampled_shifts() -> None:

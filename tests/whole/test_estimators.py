@@ -101,6 +101,7 @@ CASES = [
 ]
 
 
+@pytest.mark.few(5)
 @pytest.mark.parametrize(("kind", "N", "discrete", "route"), CASES)
 def test_a_linear_problem_has_the_estimate_of_the_kalman_filter(kind: Any, N: int, discrete: bool, route: str) -> None:
     """For every length of the window, with measurements missing; the covariance as well."""
@@ -142,6 +143,7 @@ def test_single_precision() -> None:
 # -- IPOPT on the same window -----------------------------------------------------------------------------------------
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("name", PLANTS)
 def test_a_window_that_has_converged_is_the_solution_of_ipopt(name: str) -> None:
     """With the arrival cost, the rows and the data that the estimator has at that sample."""
@@ -166,6 +168,7 @@ def test_a_window_that_has_converged_is_the_solution_of_ipopt(name: str) -> None
     np.testing.assert_allclose((observer.window - reference.x) / plant.scale, 0, atol=1e-6)
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("name", PLANTS)
 def test_a_window_knows_more_than_a_filter(name: str) -> None:
     plant = PLANTS[name]

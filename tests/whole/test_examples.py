@@ -407,6 +407,7 @@ def relative(ours: Any, theirs: Any) -> float:
     return float(np.max(np.abs(ours - theirs) / np.maximum(1.0, np.abs(theirs).max(axis=0))))
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize("name", sorted(SOLVED))
 def test_equal_to_ipopt(name: str) -> None:
     """Both from the initial iterate; if they find different optima, IPOPT started at ours must return it."""

@@ -115,6 +115,7 @@ def test_noise_that_is_larger_than_declared_is_told() -> None:
     assert "larger noise_std" in observer.diagnose()
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("plant", FAULTY)
 def test_sensors_that_fail_for_a_while(plant: str, kind: str) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import pickle
 import subprocess
 from collections.abc import Sequence
 from dataclasses import replace
@@ -148,6 +147,7 @@ def test_closed_loops_agree(target: str) -> None:
     np.testing.assert_allclose(states[0], states[1], rtol=1e-8)
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("target", [name for name, t in TARGETS.items() if t.defines])
 def test_export_writes_what_build_compiles(target: str, tmp_path: Path) -> None:
     """The files of the folder are those of the controller, with the flags of the target in its build."""
@@ -198,6 +198,7 @@ def test_native_follows_the_compiler(macros: dict[str, str], expected: str, monk
     assert native().name == expected
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("compiler", ["gcc", "clang"])
 def test_another_machine_is_an_error_of_the_compiler(compiler: str, tmp_path: Path) -> None:
     """Flags that the target does not have, or those of another machine."""
@@ -224,17 +225,6 @@ def test_no_warning(sample: Sample, compiler: str, tmp_path: Path) -> None:
     command = [program, "-O1", *target.flags, *warnings_for(target), "-c", "package.c", "-o", "package.o"]
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr) == (0, "")
-
-
-def test_controllers_with_lanes_are_copied_and_pickled() -> None:
-    require_target("x86-64-v3")
-    controller = build(crane.build_ocp(), Options(target="x86-64-v3"), profile="fast")
-    x0 = np.array([1.0, 0.0, 0.1, 0.0])
-    controller.step(x0)
-    twin, restored = controller.copy(), pickle.loads(pickle.dumps(controller))
-    expected = controller.step(x0)
-    np.testing.assert_array_equal(twin.step(x0), expected)
-    np.testing.assert_array_equal(restored.step(x0), expected)
 
 
 @pytest.mark.parametrize("name", sorted({*own_names(MATH_IN_LANES), "sqrt"}))

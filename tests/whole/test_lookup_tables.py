@@ -147,6 +147,7 @@ ROUTES = {
 }
 
 
+@pytest.mark.few(4)
 @pytest.mark.usefixtures("compiler")
 @pytest.mark.parametrize("two", [False, True])
 @pytest.mark.parametrize("kind", ["linear", "cubic"])

@@ -15,7 +15,6 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
-from conftest import require_tool
 
 from nmpc_codegen import (
     OCP,
@@ -33,7 +32,6 @@ from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.oracle.reference import Reference, ReferenceSolution, node_data
 from nmpc_codegen.package.status import Status
 from nmpc_codegen.runtime.controller import Controller
-from verification.quality import warnings_of
 from verification.routes import PURE
 
 LAYOUTS = ("fixed", "shared", "node")
@@ -187,35 +185,6 @@ def test_equal_to_ipopt_after_changes(pick: tuple[int, ...]) -> None:
     assert_equal(c, changed)
     if data:
         assert np.abs(changed.u - declared.u).max() > 1e-2
-
-
-@pytest.mark.parametrize(("kind", "layout"), list(zip(KINDS, ("node", "shared", "node", "shared"), strict=True)))
-def test_every_kind_by_itself(kind: str, layout: str) -> None:
-    """All others fixed: the change of this one alone moves the solution to that of IPOPT."""
-    online = Online(**{**dict.fromkeys(KINDS, "fixed"), kind: layout})
-    c = fresh(online)
-    data = change_all(c, online)
-    changed = solved(**data)
-    assert np.abs(changed.u - solved().u).max() > 1e-2
-    assert_equal(c, changed)
-
-
-FRONT_ENDS = (("gcc", "C99"), ("clang", "C99"), ("gcc", "C++17"))
-
-
-@pytest.mark.few(3)
-@pytest.mark.parametrize(("number", "pick"), list(enumerate(PAIRS)))
-def test_no_combination_warns(number: int, pick: tuple[int, ...]) -> None:
-    """Every pair of layouts, dense weights in turn: all that a front end finds, in turn clang's unused functions too.
-
-    test_warnings.py has the layouts with the optimiser.
-    """
-    compiler, language = FRONT_ENDS[number % len(FRONT_ENDS)]
-    require_tool(compiler)
-    first, second, bounds, parameter = (LAYOUTS[i] for i in pick)
-    online = Online(first, second, bounds, parameter, dense_weight=second != "fixed" and first != "shared")
-    text = generate(stated(), Options(online=online, algorithm=PURE))
-    assert warnings_of(text, ("-fsyntax-only",), (language,), compiler) == ""
 
 
 def ram(online: Online) -> int:

@@ -63,6 +63,7 @@ def fly(c: Controller, x: np.ndarray, samples: int, law: str = "step") -> tuple[
     return x, ok
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize("options", OPTIONS)
 def test_a_heater_heats_whatever_came_before(options: str) -> None:
     """After a set point below the ambient temperature the voltage is 0, where its slope vanishes."""
@@ -74,6 +75,7 @@ def test_a_heater_heats_whatever_came_before(options: str) -> None:
         assert ok >= 10 or options == "augmented Lagrangian"
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize("options", OPTIONS)
 def test_a_vehicle_that_has_arrived_leaves_again(options: str) -> None:
     c, x = made(vehicle, options), np.zeros(2)
@@ -83,6 +85,7 @@ def test_a_vehicle_that_has_arrived_leaves_again(options: str) -> None:
         assert abs(x[0] - target) < 0.05
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize("options", OPTIONS)
 def test_a_lag_or_a_delay_before_the_square_is_no_way_to_stand_still(options: str) -> None:
     """The control moves its state, and the state at rest moves nothing."""
@@ -99,6 +102,7 @@ def test_a_lag_or_a_delay_before_the_square_is_no_way_to_stand_still(options: st
         assert abs(x[0] - max(target, 20.0)) < 1
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize("options", OPTIONS)
 def test_a_product_of_controls_starts_from_rest(options: str) -> None:
     c, x = made(motor, options), np.zeros(1)
@@ -139,6 +143,7 @@ def problem_range(problem: Problem) -> float:
     return max(row.upper for row in problem.rows if row.kind == "control")
 
 
+@pytest.mark.few(6)
 @pytest.mark.parametrize("options", OPTIONS)
 @pytest.mark.parametrize("make", [heater, vehicle, motor])
 def test_a_plant_at_its_reference_stays_at_rest(make: Callable[[], OCP], options: str) -> None:

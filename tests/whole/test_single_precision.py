@@ -10,6 +10,7 @@ from examples import crane
 from nmpc_codegen import OCP, Options, Status, build
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize("solve", [True, False])
 @pytest.mark.parametrize("start", [2.00400734, 2.00399852, 2.00400829, 2.00399804])
 def test_a_start_at_the_edge(start: float, solve: bool) -> None:

@@ -95,6 +95,7 @@ def fresh(route: str, kind: str, precision: str = "double") -> Controller:
     return ctrl
 
 
+@pytest.mark.few(3)
 @pytest.mark.usefixtures("compiler")
 @pytest.mark.parametrize("route", ROUTES)
 @pytest.mark.parametrize("kind", ["sides", "one", "scaled"])
@@ -119,6 +120,7 @@ def sides_of_speed(lower: Any, upper: Any, effort: Any) -> OCP:
     return ocp
 
 
+@pytest.mark.few(3)
 @pytest.mark.usefixtures("compiler")
 @pytest.mark.parametrize("route", ROUTES)
 @pytest.mark.parametrize("kind", ["linear", "quadratic"])

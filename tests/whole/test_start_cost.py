@@ -1,36 +1,17 @@
-"""A cost on x_0, which is free or measured: against IPOPT, with every QP solver."""
+"""A cost on x_0, which is free or measured, and what moves it: against IPOPT."""
 
 from __future__ import annotations
-
-from collections.abc import Callable
 
 import casadi as ca
 import numpy as np
 import pytest
 
-from nmpc_codegen import (
-    OCP,
-    Controller,
-    ExactHessian,
-    GaussNewton,
-    Options,
-    ProblemError,
-    Status,
-    build,
-)
+from nmpc_codegen import OCP, Controller, ProblemError, build
 from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.oracle.reference import ReferenceSolution, node_data, solve_reference
-from nmpc_codegen.oracle.trajectory import evaluate_cost, kkt_residuals
+from nmpc_codegen.oracle.trajectory import kkt_residuals
 from nmpc_codegen.runtime.solving import Solution
-from verification.routes import OURS, on
-from verification.samples import arrival, arrival_on_path
-
-ROUTES = {route: on(route) for route in OURS}
-CASES: dict[str, tuple[Callable[[], OCP], GaussNewton | ExactHessian]] = {
-    "least squares": (arrival_on_path, GaussNewton()),
-    "least squares, exact": (arrival_on_path, ExactHessian()),
-    "general cost, exact": (arrival, ExactHessian()),
-}
+from verification.routes import on
 
 
 def moving_prior() -> OCP:
@@ -56,40 +37,10 @@ def assert_same(found: Solution, reference: ReferenceSolution) -> None:
     assert found.cost == pytest.approx(reference.cost, abs=1e-12, rel=1e-10)
 
 
-#: Every route; those whose Hessian is exact have two for each cost.
-PICKS = (
-    *(("least squares", route) for route in ROUTES),
-    ("least squares, exact", "riccati"),
-    *(("general cost, exact", route) for route in ("dense", "interior")),
-)
-
-
-@pytest.mark.parametrize(("case", "route"), PICKS)
-def test_solution_is_that_of_ipopt(case: str, route: str) -> None:
-    make, hessian = CASES[case]
-    ocp, given = make(), ROUTES[route]
-    ctrl = build(ocp, Options(hessian=hessian, condensing=given.condensing, qp=given.qp), "test")
-    found, problem = solved(ctrl, ocp), classify(ocp)
-    assert found.status is Status.OK
-    assert_same(found, solve_reference(problem))
-    data = node_data(problem)
-    assert kkt_residuals(problem, found, data).worst <= 1e-8  # type: ignore[arg-type]
-    assert found.cost == pytest.approx(evaluate_cost(problem, found.x, found.u, data), rel=1e-12)
-    assert max(vars(ctrl.kkt()).values()) <= 1e-8
-
-
-def test_the_cost_of_the_start_matters() -> None:
-    """Without it IPOPT finds another start, so that the comparison above can fail."""
-    problem = classify(arrival_on_path())
-    other = arrival_on_path()
-    other.residuals[:] = [r for r in other.residuals if r.stage != "start"]
-    assert abs(solve_reference(problem).x[0, 1] - solve_reference(classify(other)).x[0, 1]) > 1e-2
-
-
 @pytest.mark.parametrize("route", ["dense", "riccati"])
 def test_its_parameter_moves_the_start(route: str) -> None:
-    ocp, given = moving_prior(), ROUTES[route]
-    ctrl = build(ocp, Options(condensing=given.condensing, qp=given.qp), "test")
+    ocp = moving_prior()
+    ctrl = build(ocp, on(route), "test")
     for prior in (0.3, -1.2):
         ctrl.set_parameter("prior", prior)
         assert_same(solved(ctrl, ocp), solve_reference(classify(ocp), p=[prior]))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -39,14 +40,20 @@ class Data:
 
     def __init__(self, controller: Controller) -> None:
         self.c = controller
+        when: Mapping[Any, str] = controller.description.online
+
+        def told(kind: str) -> bool:
+            return when[kind] != "fixed"
+
         views = {"reference": "yref", "terminal_reference": "yref_N", "weight": "W", "terminal_weight": "W_N"}
         self.good: dict[str, Array] = {}
         for kind, view in views.items():
-            values = controller.view(view) if self._size(kind) else np.zeros(0)
+            values = controller.view(view) if self._size(kind) and told(kind.split("_")[-1]) else np.zeros(0)
             per_node = kind in ("reference", "weight")
             self.good[kind] = np.array(values[0] if per_node and values.size else values, copy=True)
-        self.parameters = [np.array(self._parameter(i)) for i in range(len(controller.description.parameters))]
-        rows = range(len(controller.names.rows))
+        parameters = range(len(controller.description.parameters) if told("parameter") else 0)
+        self.parameters = [np.array(self._parameter(i)) for i in parameters]
+        rows = range(len(controller.names.rows) if told("bounds") else 0)
         self.bounds = [path_bounds(controller, i) for i in rows]
 
     def _size(self, kind: str) -> int:

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from nmpc_codegen import Batch, ControllerError, Online, OptionError, Options, batch, build
 from nmpc_codegen.package.status import Status
@@ -16,7 +15,6 @@ from nmpc_codegen.runtime.build import load_library
 from nmpc_codegen.runtime.controller import Controller
 from tests.runtime.batch.problems import N, car, reactor
 
-Array = NDArray[np.float64]
 M = 23
 RNG = np.random.default_rng(1)
 X = np.array([1.0, 0.0, 0.0, 0.0]) + 0.3 * RNG.normal(size=(M, 4))
@@ -38,6 +36,7 @@ def same(many: Batch, singles: list[Controller]) -> None:
         np.testing.assert_array_equal(one._memory, single._memory)
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("threads", [1, 2, 5, None])
 def test_calls_have_the_bits_of_single_controllers(controller: Controller, threads: int | None) -> None:
     many, singles, x = Batch(controller, M, threads), [controller.copy() for _ in range(M)], X.copy()
@@ -68,19 +67,6 @@ def test_calls_have_the_bits_of_single_controllers(controller: Controller, threa
     np.testing.assert_array_equal(u, [one.feedback(xi) for one, xi in zip(singles, X, strict=True)])
 
 
-def test_solutions_are_those_of_single_controllers(controller: Controller) -> None:
-    many, singles = Batch(controller, M, 2), [controller.copy() for _ in range(M)]
-    status = many.solve(X, tol=1e-9)
-    solutions = [one.solve(xi, tol=1e-9) for one, xi in zip(singles, X, strict=True)]
-    np.testing.assert_array_equal(status, [s.status for s in solutions])
-    assert (status == Status.OK).sum() > M // 2
-    for part in ("x", "u", "lam", "mu_x", "mu_u", "mu", "mu_N", "eta"):
-        found = getattr(many, part)
-        assert found.shape[0] == M
-        np.testing.assert_array_equal(found, [getattr(s, part) for s in solutions])
-    np.testing.assert_allclose(many.step(X)[0][status == Status.OK], many.u[status == Status.OK, 0], atol=1e-6)
-
-
 def test_views_write_to_the_controllers(controller: Controller) -> None:
     many = batch(controller, 3)
     many.x[1] = 7.0
@@ -109,6 +95,7 @@ VALUES: dict[str, tuple[Any, Any]] = {
 }
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("form", VALUES)
 def test_parameters(controller: Controller, shared: Controller, form: str) -> None:
     value, of = VALUES[form]

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from examples.crane import build_ocp
 from nmpc_codegen import (
@@ -33,7 +32,6 @@ from tests.runtime.batch.emulated import Emulated
 from tests.runtime.batch.problems import N, car, reactor
 from tests.runtime.batch.test_flights import GAINS, MASSES, STEPS, TRACKS, VARIANTS, X0
 
-Array = NDArray[np.float64]
 F = len(X0)
 RNG = np.random.default_rng(4)
 
@@ -50,6 +48,7 @@ def same(host: Batch, device: DeviceBatch) -> None:
         np.testing.assert_array_equal(one._memory, device[i]._memory)
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize("name", VARIANTS)
 def test_calls(name: str) -> None:
     host, device = both(*VARIANTS[name])

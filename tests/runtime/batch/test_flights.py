@@ -12,7 +12,6 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from nmpc_codegen import (
     OCP,
@@ -32,7 +31,6 @@ from nmpc_codegen import (
 from nmpc_codegen.frontend.horizon import with_horizon
 from tests.runtime.batch.problems import N, car, reactor
 
-Array = NDArray[np.float64]
 F, STEPS = 20, 14
 RNG = np.random.default_rng(3)
 X0 = np.array([1.0, 0.0, 0.0, 0.0]) + 0.2 * RNG.normal(size=(F, 4))
