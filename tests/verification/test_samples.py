@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import subprocess
 from pathlib import Path
 
@@ -12,6 +13,7 @@ from nmpc_codegen.ir.cmodule import CModule
 from nmpc_codegen.lowering.dialect.directives import resolve
 from nmpc_codegen.lowering.unit.read import read_part
 from verification.conditions import all_parts, covering, gaps, reached
+from verification.contracts.contract import FILE, chosen_by_the_compiler
 from verification.rendered import lowered
 from verification.samples import IN_LANES, SAMPLES
 
@@ -23,6 +25,13 @@ def modules() -> tuple[CModule, ...]:
 
 def test_every_part_is_used_and_every_condition_true_once_and_false_once(modules: tuple[CModule, ...]) -> None:
     assert gaps(modules) == []
+
+
+@pytest.mark.usefixtures("modules")
+def test_the_file_of_components_is_what_the_compiler_chooses() -> None:
+    """After a change of samples or defaults: python -m verification --write."""
+    known = json.loads(FILE.read_text(encoding="utf-8"))
+    assert [s.name for s in SAMPLES if known[s.name] != chosen_by_the_compiler(s)] == []
 
 
 def test_names_are_unique() -> None:

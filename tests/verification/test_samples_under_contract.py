@@ -12,7 +12,6 @@ from verification.contracts.contract import (
     CONTRACTS,
     HELD,
     Contract,
-    chosen_by_the_compiler,
     components,
     in_make_test,
     reason,
@@ -73,11 +72,6 @@ def test_a_broken_promise_is_seen() -> None:
         next(c for c in CONTRACTS if c.name == "solve equals ipopt").hold(subject)
 
 
-def test_the_file_of_components_is_what_the_compiler_chooses() -> None:
-    """After a change of samples or defaults: python -m verification --write."""
-    known = components()
-    assert list(known) == [sample.name for sample in HELD]
-    for sample in HELD[:: max(1, len(HELD) // 12)]:
-        found = chosen_by_the_compiler(sample)
-        assert known[sample.name].seams == found["seams"], sample.name
-        assert list(known[sample.name].uses) == found["uses"], sample.name
+def test_the_file_of_components_has_every_sample() -> None:
+    """test_samples.py compares the entries with what is lowered."""
+    assert list(components()) == [sample.name for sample in HELD]

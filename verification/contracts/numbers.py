@@ -21,7 +21,7 @@ NEARLY = {"double": 1e-5, "single": 1e-2}
 
 
 def linearisation_equals_casadi(subject: Subject) -> None:
-    """[A B] and the gap of every interval, after prepare() at a plan that is no solution, by CasADi's Jacobians."""
+    """[A B] of every interval, after prepare() at a plan that is no solution, is CasADi's Jacobian."""
     controller, problem, random = subject.controller(), subject.model.problem, np.random.default_rng(5)
     data, z = subject.data(subject.measured()), ca.MX.sym("z", problem.nx + problem.nu)
     p, dt = ca.MX.sym("p", problem.np), ca.MX.sym("dt")
