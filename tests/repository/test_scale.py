@@ -38,9 +38,9 @@ LIMITS: dict[str, tuple[int, str]] = {
     "src/runtime": (6740, "bounds over the samples of many loops, tables of flights"),
     "site": (265, "pages that are files elsewhere, parts that programs print, options with their rules, dead links"),
     "templates": (19403, "a plan of single shooting that leads nowhere is forgotten"),
-    "tests": (28654, "the passes of a unit run once for the same items, whatever test states it"),
+    "tests": (28650, "the passes of a unit run once for the same items, whatever test states it"),
     "verification": (
-        9982,
+        9978,
         "contracts of all packages, which stood in tests for one component each; faults in rooms that were new",
     ),
     "benchmarks": (3942, "these draws"),

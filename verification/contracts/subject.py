@@ -14,11 +14,12 @@ from numpy.typing import NDArray
 
 from nmpc_codegen import Controller, Options, ProblemWarning
 from nmpc_codegen.compiler import model_of, read, text_of
+from nmpc_codegen.economic.stage import tableau
 from nmpc_codegen.lowering.explain import explain
 from nmpc_codegen.lowering.linearize import Model
 from nmpc_codegen.lowering.lower import lower
 from nmpc_codegen.oracle.reference import Reference
-from nmpc_codegen.oracle.trajectory import CLASSICAL, Data, Tableau, node_data
+from nmpc_codegen.oracle.trajectory import Data, Tableau, node_data
 from nmpc_codegen.package.sources import Sources
 from nmpc_codegen.runtime.build import load_any
 from nmpc_codegen.runtime.estimation.observer import Observer
@@ -87,12 +88,7 @@ class Subject:
     @cached_property
     def scheme(self) -> Tableau:
         """The integrator of the package as plain numbers."""
-        found = self.model.parts.integrator
-        scheme = getattr(found, "tableau", None)
-        if scheme is None:
-            return CLASSICAL
-        rows = tuple(tuple(map(float, row)) for row in scheme.a)
-        return Tableau(rows, tuple(map(float, scheme.b)), int(getattr(found, "steps", 1)))
+        return tableau(self.model.problem, self.options)
 
     @cached_property
     def oracle(self) -> Reference:
