@@ -86,7 +86,7 @@ def _show_attributes_of_bases(found: griffe.Class, cls: type) -> None:
 
 def _is_internal(member: Any) -> bool:
     """True for what is public to other modules of the package only, as its docstring says."""
-    return member.docstring is not None and member.docstring.value.startswith("Internal:")
+    return member.docstring is not None and "(internal)." in member.docstring.value.partition("\n")[0]
 
 
 def _show_options(found: griffe.Class, cls: Any) -> None:

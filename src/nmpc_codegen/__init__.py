@@ -187,7 +187,7 @@ if not HAS_COMPILER:
 
 
 def __dir__() -> list[str]:
-    """The public names, those that are not loaded yet too."""
+    """Return the public names, including those that are not loaded yet."""
     return sorted({*__all__, *(name for name in globals() if name.startswith("__"))})
 
 

@@ -1,4 +1,4 @@
-"""The compiler on one screen.
+"""The compiler fits on one screen.
 
     OCP --classify--> Problem --complete--> CompleteProblem --decide--> Choices --linearize--> Model
     (user, mutable)  (what is stated)      (what follows from it)      (components, reasons)  (functions, counts)
@@ -6,11 +6,10 @@
     Model --lower--> CModule --assemble, run--> items --render--> Sources --build--> Controller
                     (C names)                  (the translation unit)  (path -> text)  (NumPy views)
 
-Every stage is a pure function from frozen values to a frozen value, and none looks back: no stage behind decide() reads
-the options of the user, and linearize() takes the functions that decide() has counted. Only OCP and Controller, at the
-ends, are mutable. CasADi is used up to linearize, cffi only in build.
-What follows from the text, the worst case of a sample, is an analysis of Sources that is made on request (analysis/).
-What users are told of a package, warnings and the program for diagnose(), is added to a CModule by explain().
+Every stage is a pure function from frozen values to a frozen value. No stage after decide() reads the options of the
+user, and linearize() reuses the functions that decide() has counted. Only OCP and Controller, at the ends, are mutable.
+CasADi is used up to linearize, cffi only in build. The worst case of a sample follows from the text of Sources and is
+computed on request (analysis/). explain() adds warnings and the program for diagnose() to a CModule.
 """
 
 from __future__ import annotations
@@ -51,12 +50,12 @@ from nmpc_codegen.runtime.estimation.observer import Observer
 
 @dataclass(frozen=True)
 class Package:
-    """What export() has written.
+    """The folder that export() has written.
 
     Attributes:
-        directory: the folder, an absolute path.
-        name: of the package, prefix of every C name.
-        files: absolute paths of its files.
+        directory: absolute path of the folder.
+        name: name of the package, which is the prefix of every C name.
+        files: absolute paths of the files.
         report: ram_bytes, ram_bytes_by_struct, operations per function, choices (with reasons), warnings, looped
             routines.
     """
@@ -68,9 +67,9 @@ class Package:
 
 
 def compile(ocp: OCP | Estimator, options: Options | None = None, name: str | None = None) -> Sources:
-    """The files of the C package: OCP -> Problem -> Choices -> Model -> CModule -> items -> Sources.
+    """Return the files of the C package: OCP -> Problem -> Choices -> Model -> CModule -> items -> Sources.
 
-    It raises the errors of generate().
+    It raises the same errors as generate().
     """
     with COMPILING:
         model = model_of(*read(ocp, options))
@@ -79,7 +78,7 @@ def compile(ocp: OCP | Estimator, options: Options | None = None, name: str | No
 
 
 def read(ocp: OCP | Estimator, options: Options | None) -> tuple[Problem, Options]:
-    """The problem that is stated, and the options for it."""
+    """Return the stated problem, and the options for it."""
     if options is not None and not isinstance(options, Options):
         raise OptionError(f"options: {options!r}; expected Options(...) or None")
     asked = options or Options()
@@ -89,21 +88,21 @@ def read(ocp: OCP | Estimator, options: Options | None) -> tuple[Problem, Option
 
 
 def model_of(stated: Problem, options: Options) -> Model:
-    """The functions of the package of a problem: what follows from it, what is chosen for it, and the functions."""
+    """Complete the problem, choose components, and return the functions of its package."""
     problem = complete(stated, options)
     choices = decide(problem, options)
     return linearize(problem, choices)
 
 
 def text_of(module: CModule) -> Sources:
-    """The files of a CModule; a whole package keeps all items."""
+    """Return the files of a CModule; a whole package keeps all items."""
     items = assemble(module)
     unit = items if module.whole else run(items, constants_of(module))
     return render(module, unit)
 
 
 def generate(ocp: OCP | Estimator, options: Options | None = None, name: str | None = None) -> Sources:
-    """Run the pipeline up to text.
+    """Generate the text of the C package.
 
     Args:
         ocp: the problem, or an estimator.
@@ -111,10 +110,11 @@ def generate(ocp: OCP | Estimator, options: Options | None = None, name: str | N
         name: prefix of the C names; by default that of the problem.
 
     Returns:
-        Path -> contents of every file of the package, as a mapping that cannot be changed.
+        {path: text} of every file of the package, an immutable mapping.
 
-    A ProblemWarning says what is likely to give poor results, here and in export() and build(): an unstable integrator,
-    lost digits, derivatives that are not finite at the first plan, a control without influence there.
+    generate(), export() and build() issue a ProblemWarning for anything that is likely to give poor results: an
+    unstable integrator, lost digits, derivatives that are not finite at the first plan, a control without influence
+    there.
 
     Raises:
         ProblemError: the problem is stated wrongly.
@@ -130,7 +130,7 @@ def generate(ocp: OCP | Estimator, options: Options | None = None, name: str | N
 
 
 def _warn(description: PackageDescription) -> None:
-    """Issue what the compiler warns of as Python warnings."""
+    """Issue the warnings of the compiler as Python warnings."""
     for text in description.report.warnings:
         warn(f"{description.name}: {text}")
 
@@ -150,24 +150,24 @@ def export(
     """Write the C package of the problem into a folder, which is created if needed.
 
     Files that export() wrote and that have not been edited since are replaced; the seal at their end identifies them.
-    So exporting again is safe, and several packages can share a folder: its main.c, CMakeLists.txt and README.md are
-    those of the last export. A main.c that you have edited stays, and a warning says so. Any other file that is edited,
-    read-only or of other origin is refused. Links, folders and devices in the place of a file are never replaced or
-    followed; ``directory`` itself may be a link to a folder. A full disk leaves the folder unchanged.
+    Exporting again is therefore safe, and several packages can share a folder; its main.c, CMakeLists.txt and README.md
+    then belong to the last export. An edited main.c is kept, with a warning. Any other file that is edited, read-only
+    or of other origin is refused. Links, folders and devices in the place of a file are never replaced or followed;
+    ``directory`` itself may be a link to a folder. If the disk is full, the folder stays unchanged.
 
     Args:
         ocp: the problem, or an estimator.
         options: as in build().
         directory: the folder.
         name: prefix of the C names, and name of the files; by default that of the problem.
-        estimator: of the same plant; its package is written beside the controller's, for the same machine and
-            precision, and main.c runs the loop of both.
-        allow_foreign: code of another generator (OSQP) may be written, to a folder of its own beside the files.
-        force: replace refused files, too, and keep copies (.bak).
-        dumps: of a controller, a further header, <name>_dumps.h, keeps so many samples in memory, which replay() takes
-            again; None: none, and one of an earlier export is removed.
-        more: called with the files before any is written; it returns further ones with their seals (package.seal), or
-            raises an error to refuse all.
+        estimator: an estimator of the same plant; its package is written beside the controller's, for the same machine
+            and precision, and main.c runs both.
+        allow_foreign: True: code of another generator (OSQP) may be written, to a subfolder.
+        force: True: also replace refused files, and keep copies (.bak).
+        dumps: number of samples that a further header of a controller, <name>_dumps.h, keeps in memory for replay();
+            None: no such header; that of an earlier export is removed.
+        more: function that is called with the files before any is written; it returns further files with their seals
+            (package.seal), or raises an error to refuse all.
 
     Raises:
         ProblemError, OptionError: see generate(); OptionError also for foreign code that is not allowed.
@@ -200,7 +200,7 @@ def export(
 def _files_beside(
     files: Mapping[str, str], description: PackageDescription, estimator: Estimator, options: Options | None
 ) -> Mapping[str, str]:
-    """The files of an estimator, with what they change of the controller's."""
+    """Return the files of an estimator, and the files of the controller that it changes."""
     found = compile(estimator, common_options(options))
     _warn(found.description)
     return with_estimator(files, description, found)
@@ -223,15 +223,15 @@ def build(
 
     Args:
         ocp: the problem, or an estimator; it may be changed and built again.
-        options: Options(...); what is not given is chosen, and ``controller.description.report.choices`` says why.
-            Options(target="native") writes the code itself for the vector registers of this machine.
-        profile: flags of the compiler besides those of the target: "fast" with all instructions of this processor
-            (-march=native, unless CC names others), "verify" without them and without contraction of a * b + c, so
-            that with math="own" every machine has the same bits, "test" to compile quickly.
+        options: Options(...); options that are not given are chosen, and ``controller.description.report.choices`` has
+            the reasons. Options(target="native") also writes the C text for the vector registers of this machine.
+        profile: flags of the compiler besides those of the target: "fast" uses all instructions of this processor
+            (-march=native, unless CC names others); "verify" uses neither these nor contraction of a * b + c, so that
+            with math="own" every machine computes the same bits; "test" compiles quickly.
         name: prefix of the C names; by default that of the problem.
 
     Returns:
-        The controller, or of an estimator the Observer, ready to step(); see help(Controller), help(Observer).
+        The controller, or for an estimator the Observer, ready to step(); see help(Controller), help(Observer).
 
     Raises:
         ProblemError, OptionError: see generate().
@@ -255,17 +255,18 @@ def batch(
     device: Literal["cpu", "cuda"] = "cpu",
     threads: int | None = None,
 ) -> Batch:
-    """Many controllers of one package, in one block of memory, whose calls all cores share; see help(Batch).
+    """Create many controllers of one package in one block of memory, whose calls all cores share; see help(Batch).
 
     Args:
-        ocp_or_controller: a problem, which is built with ``options``; or a controller, of which all are copies.
-        number: of controllers, M >= 1.
-        options: for a problem.
-        device: "cuda": on the present GPU of CuPy (extra [cuda]); its calls take and return arrays there.
-        threads: 1 or more; None: one for every core that this process may use. Results do not depend on it.
+        ocp_or_controller: a problem, which is built with ``options``; or a controller, which is copied.
+        number: number of controllers, M >= 1.
+        options: options for a problem.
+        device: "cpu", or "cuda" for the current GPU of CuPy (extra [cuda]), whose calls take and return arrays on the
+            GPU.
+        threads: 1 or more; None: one for each core that this process may use. Results do not depend on it.
 
     Raises:
-        OptionError: a controller has been built with its options.
+        OptionError: options are given for a controller, which is already built.
         ControllerError: a number is wrong. Further errors are those of build().
         ExtraError: CuPy is not installed.
 

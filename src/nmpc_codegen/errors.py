@@ -1,4 +1,4 @@
-"""All errors and warnings that the package raises on purpose."""
+"""The package raises these errors and warnings on purpose."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ __all__ = [
 
 
 class NmpcError(Exception):
-    """Base class of all errors of this package; the message names what is wrong and what was expected."""
+    """The base class of all errors of this package; the message names what is wrong and what was expected."""
 
 
 class ProblemError(NmpcError, ValueError):
@@ -45,7 +45,7 @@ class ControllerError(NmpcError, RuntimeError):
 
 
 class ExtraError(NmpcError, ImportError):
-    """A package that only some functions need is not installed; the message names the extra that brings it."""
+    """A package that only some functions need is not installed; the message names the extra that installs it."""
 
 
 class DerivativeError(NmpcError, ValueError):

@@ -1,7 +1,7 @@
-"""The lock of the compiler: one call at a time, since CasADi counts references to its objects without locks.
+"""The compiler is locked to one call at a time, because CasADi counts references to its objects without locks.
 
 A process that is forked while another thread compiles would inherit a lock that nobody releases, and half-loaded
-modules. So a fork waits for the end of the call, and so it does while a package's description is read.
+modules. Therefore a fork waits for the end of the call, and also while a package's description is read.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Options, which determine how a problem is solved: typed frozen objects that validate themselves."""
+"""Options determine how a problem is solved; they are typed frozen objects that validate themselves."""
 
 from __future__ import annotations
 
@@ -49,11 +49,10 @@ GOALS: tuple[Goal, ...] = get_args(Goal)
 
 @dataclass(frozen=True)
 class Online:
-    """Storage of the data that can be changed at run time.
+    """The storage of the data that can be changed at run time.
 
     "fixed": the declared values, in a constant table without a setter; "shared": one value for all path nodes and one
-    for the terminal node; "node": one value for every node. Less is smaller: setters and memory that nobody needs are
-    not in the package.
+    for the terminal node; "node": one value for every node. Unneeded setters and memory are left out of the package.
 
     Args:
         reference: references of the residuals.
@@ -86,7 +85,7 @@ class Online:
 
     @property
     def layouts(self) -> Layouts:
-        """Kind of data -> how it is stored."""
+        """Return {kind of data: its storage}."""
         return {
             "reference": self.reference,
             "weight": self.weight,
@@ -98,7 +97,7 @@ class Online:
 
 @dataclass(frozen=True)
 class Chosen:
-    """Rule of a seam: one of its components or, if ``optional``, None, which lets the compiler choose."""
+    """The rule of a seam allows one of its components or, if ``optional``, None, which lets the compiler choose."""
 
     seam: Seam
     optional: bool = False
@@ -117,7 +116,7 @@ class Chosen:
 
 @dataclass(frozen=True)
 class Group:
-    """Rule of a group of options: an object of its class; the command line sets its options one by one."""
+    """The rule of a group of options allows an object of its class; the command line sets its options one by one."""
 
     cls: type
 
@@ -133,27 +132,27 @@ class Group:
 
 @dataclass(frozen=True)
 class Options:
-    """One component for every part of the algorithm, and how data are stored and C is written.
+    """The choice of one component for every part of the algorithm, of the storage of data, and of the form of the C.
 
     A component that is None is the default of the algorithm, or the compiler chooses it for the problem; the report
-    gives the reason. Targets obey the same options: their results differ by rounding.
+    gives the reason. All targets follow the same options; their results differ only by rounding.
 
     Args:
         integrator: the scheme of the dynamics.
         hessian: second derivatives of the QP.
         condensing: which states the QP keeps as variables.
         qp: the QP solver.
-        algorithm: what a sample does.
-        online: which data can be changed at run time.
-        precision: of all numbers of the package.
-        solve: generate <name>_solve(), which iterates to convergence, and an exact Hessian for it and for samples that
-            iterate. A controller for real-time use alone is smaller without them. None: yes.
-        math: "own" puts exp, sin, pow and their like into the package, so that every machine computes the same bits and
-            no libm is needed; "libm" calls those of math.h. None: "own" for a microcontroller.
-        goal: "size" chooses loops instead of straight-line code, matrices without padding and the smallest QP method,
-            "speed" what takes the least time.
-        target: the machine for which the C is written, obeyed by export() and build() alike; "portable" is ISO C99 for
-            any machine, "native" the target of this machine.
+        algorithm: the method of a sample.
+        online: storage of the data that can be changed at run time.
+        precision: precision of all numbers of the package.
+        solve: True or None: generate <name>_solve(), which iterates to convergence, and an exact Hessian for it and for
+            samples that iterate. False: a smaller controller for real-time use only.
+        math: "own": the package contains exp, sin, pow and similar functions, so that every machine computes the same
+            bits and no libm is needed; "libm": it calls math.h. None: "own" for a microcontroller, else "libm".
+        goal: "size": loops instead of straight-line code, matrices without padding and the smallest QP method; "speed":
+            the fastest form.
+        target: the machine for which export() and build() write the C; "portable" is ISO C99 for any machine, "native"
+            the target of this machine.
 
     Raises:
         OptionError: a value is not allowed, or a component is given for a part that the algorithm does not have.
@@ -187,7 +186,7 @@ class Options:
                 )
 
     def _repr_html_(self) -> str:
-        """A table of all options with their values, and which of them are given."""
+        """Return a table of all options with their values, and marks of those that are given."""
         from nmpc_codegen.pictures.html import page, table
 
         mine, complete, default = as_data(self), as_data(self.with_defaults), as_data(Options())
@@ -201,42 +200,45 @@ class Options:
 
     @property
     def with_defaults(self) -> Options:
-        """These options with the default Hessian of the algorithm, unless one is given, the target of this machine in
-        the place of "native", and ``solve`` decided."""
+        """Return these options with the open ones filled in.
+
+        The algorithm's default Hessian is taken unless one is given, "native" becomes the target of this machine, and
+        ``solve`` is decided.
+        """
         word = self.algorithm.default_hessian
         hessian = self.hessian or (None if word is None else hessians.REGISTRY[word]())
         return replace(self, hessian=hessian, target=self.machine.name, solve=self.solves)
 
     @property
     def machine(self) -> Target:
-        """The target, that of this machine in the place of "native".
+        """Return the target; "native" becomes that of this machine.
 
         Raises:
-            BuildError: it is "native", and there is no compiler.
+            BuildError: the target is "native", and there is no compiler.
         """
         return native() if self.target == NATIVE else TARGETS[self.target]
 
     @property
     def stores_matrices(self) -> bool:
-        """True if weights that are declared diagonal are stored as matrices."""
+        """Return True if weights that are declared diagonal are stored as matrices."""
         return self.online.dense_weight
 
     @property
     def limits_steps(self) -> bool:
-        """True if proximal terms may limit steps: samples solve QPs with a Hessian that the compiler chooses."""
+        """Return True if proximal terms may limit steps: samples solve QPs with a Hessian that the compiler chooses."""
         return self.hessian is None and "qp" in self.algorithm.needs
 
     @property
     def solves(self) -> bool:
-        """True if the package has a solve()."""
+        """Return True if the package has a solve()."""
         return self.solve is not False
 
 
 def for_estimator(options: Options, kind: EstimatorKind) -> Options:
-    """The options of an estimator: its algorithm, unless that is given, and its own data in the places of others.
+    """Return the options of an estimator: its algorithm unless one is given, and its storage of data.
 
     Raises:
-        OptionError: options that an estimator does not have.
+        OptionError: an option is given that estimators do not have.
     """
     if options.solve or options.online != Online():
         word = "solve" if options.solve else "online"
@@ -249,15 +251,18 @@ def for_estimator(options: Options, kind: EstimatorKind) -> Options:
 
 
 def common_options(options: Options | None) -> Options:
-    """The options that an estimator beside a controller has in common with it."""
+    """Return the options that an estimator beside a controller shares with it."""
     given = options or Options()
     names = ("integrator", "precision", "math", "goal", "target")
     return Options(**{name: getattr(given, name) for name in names})
 
 
 def as_data(value: Any, path: str = "") -> dict[str, Any]:
-    """Options as (dotted name -> value), as for --set: a component, or another object, has the name of its class, and
-    its own options behind that; matrices are lists."""
+    """Return options as {dotted name: value}, as for --set.
+
+    A component, or another object, has the name of its class as its value, and its own options follow; matrices are
+    lists.
+    """
     if not is_dataclass(value):
         return {path: _plain(value)}
     found: dict[str, Any] = {path: type(value).__name__} if path else {}
@@ -267,7 +272,7 @@ def as_data(value: Any, path: str = "") -> dict[str, Any]:
 
 
 def _plain(value: Any) -> Any:
-    """A value of an option as JSON has it: the text of what is no number, word, or list of them, or not finite."""
+    """Convert a value of an option for JSON: a number, a string, a list of them, else its repr()."""
     if isinstance(value, (list, tuple)):
         return [_plain(v) for v in value]
     if value is None or isinstance(value, (int, str)):

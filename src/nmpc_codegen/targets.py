@@ -1,4 +1,4 @@
-"""Targets: for which machine the C of a package is written, and how it is spelled there.
+"""A target is the machine for which the C of a package is written, and its spelling there.
 
     portable                            ISO C99, one shooting node at a time; runs everywhere
     x86-64-v3, x86-64-v4, aarch64       GNU C (gcc 12, clang): several shooting nodes in the lanes of vector
@@ -17,14 +17,14 @@ from typing import Literal, get_args
 from nmpc_codegen.package.struct_layout import Precision
 
 #: GCC 12 and 13 may align the stack of a leaf function less than its vector stores require, which then fault (observed
-#: with 12.2 on processors with AVX-512). With this option the GNU assembler encodes the same moves for any alignment,
-#: which costs no time on addresses that are aligned.
+#: with 12.2 on processors with AVX-512). With this option the GNU assembler encodes these moves for any alignment,
+#: which costs no time on aligned addresses.
 UNALIGNED_MOVES = "-Wa,-muse-unaligned-vector-move"
 
-#: How a sum of products is written: in small arrays, which compilers hold in vector registers, or in variables.
+#: Form of a sum of products: in small arrays, which compilers keep in vector registers, or in variables.
 Sums = Literal["arrays", "variables"]
 
-#: Whose elementary functions a package calls: those of the C library, or those that it contains.
+#: Elementary functions of a package: those of the C library, or those that it contains.
 Math = Literal["libm", "own"]
 MATHS: tuple[Math, ...] = get_args(Math)
 
@@ -34,8 +34,11 @@ NATIVE = "native"
 
 @dataclass(frozen=True)
 class Board:
-    """An emulated board: the precision of the floating-point unit of its core (None: none), start-up code below
-    templates/firmware, emulated instructions per tick of its clock, and its memory."""
+    """An emulated board.
+
+    unit: precision of the floating-point unit of its core (None: none); start: start-up code in templates/firmware;
+    instructions_per_tick: emulated instructions per tick of its clock; the others describe its memory.
+    """
 
     unit: Precision | None
     start: str
@@ -48,13 +51,13 @@ class Board:
 
 @dataclass(frozen=True)
 class Target:
-    """A machine, and how C is written for it.
+    """A machine, and the form of the C for it.
 
-    ``sums``: spelling of sums; ``lanes``: shooting nodes that are evaluated at once; ``tiles``: numbers in a vector of
-    the register tiles of products with stage matrices, whose sums have another order, 0 without tiles; ``avx512``: with
-    instructions of AVX-512; ``math``: the default of Options(math); ``flags``: of the compiler; ``defines``: macros
-    that its compilers define; ``compiler``: prefix of the cross compiler; ``libraries``: flags for linking;
-    ``emulator``: a command that runs its programs, empty if there is none; ``board``: of a microcontroller.
+    sums: form of sums; lanes: number of shooting nodes that are evaluated at once; tiles: numbers in a vector of the
+    register tiles of products with stage matrices, whose sums have another order, 0 without tiles; avx512: uses
+    AVX-512; math: default of Options(math); flags: compiler flags; defines: macros that its compilers define; compiler:
+    prefix of the cross compiler; libraries: flags for linking; emulator: command that runs its programs, or empty;
+    board: for a microcontroller.
     """
 
     name: str
@@ -73,23 +76,26 @@ class Target:
 
     @property
     def standard(self) -> str:
-        """The language: vectors are an extension of GNU C."""
+        """Return the language standard; vectors are an extension of GNU C."""
         return "gnu99" if self.lanes > 1 else "c99"
 
     @property
     def of_machine(self) -> tuple[str, ...]:
-        """Flags for a compiler of the machine that runs the package; code for boards is compiled like portable code."""
+        """Return flags for a compiler of the machine that runs the package.
+
+        Code for boards is compiled as portable code.
+        """
         return self.flags if self.defines else ()
 
 
-#: Emulated time of an instruction, and of a tick of the timer of the Cortex-M boards, 25 MHz; in ns.
+#: Emulated time of an instruction, and of a tick of the 25 MHz timer of the Cortex-M boards, in ns.
 ICOUNT_SHIFT = 6  # QEMU's option
 INSTRUCTION = 2**ICOUNT_SHIFT
 TICK = 40
 
 
 def _microcontroller(name: str, core: str, machine: str, unit: Precision | None, *flags: str) -> Target:
-    """A Cortex-M on a board of QEMU."""
+    """Return a Cortex-M target on a board of QEMU."""
     return Target(
         name,
         core,

@@ -148,7 +148,7 @@ def members(cls: Any) -> Iterator[tuple[str, Any]]:
     """Public members that are meant for users."""
     for name, found in cls.all_members.items():
         member = found.final_target if found.is_alias else found
-        internal = member.docstring is not None and member.docstring.value.startswith("Internal:")
+        internal = member.docstring is not None and "(internal)." in member.docstring.value.partition("\n")[0]
         constant = member.labels & {"class-attribute", "instance-attribute", "property"} == {"class-attribute"}
         if not (name.startswith("_") or internal or constant or is_of_components(cls, member)):
             yield name, member

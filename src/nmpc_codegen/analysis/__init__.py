@@ -1,4 +1,4 @@
-"""Analyses of Sources, made on request: how long can a sample take?"""
+"""Analyses of Sources are made on request; they bound the work of a sample."""
 
 from __future__ import annotations
 
@@ -8,22 +8,22 @@ from nmpc_codegen.errors import OptionError
 
 
 def worst_case(package: Mapping[str, str]) -> dict[str, int]:
-    """Floating-point operations of a sample at most, whatever is measured, from the C text of the package.
+    """Return an upper bound on the floating-point operations of a sample, for any measurement, from the C text.
 
-    Comparisons and signs are included. All iterations that the caps allow are run, and the dearer branch is taken; see
-    interpret.py. Caps are seldom reached: what is usual is far less.
+    Comparisons and signs are included. All iterations that the caps allow are counted, and the more expensive branch is
+    taken; see interpret.py. Caps are seldom reached: a usual sample takes far fewer operations.
 
     Args:
-        package: path -> text of a package: what generate() returns, or the files of an exported folder.
+        package: {path: text}, as generate() returns it, or the files of an exported folder.
 
     Returns:
-        Operations of "prepare", of "feedback" and of the "sample" that calls both; of an algorithm without these phases
-        those of a "sample" alone. Where a sample may take several QPs, those of "one iteration" are what remains of it
-        with ``step(iterations=1)``.
+        Operations of "prepare", of "feedback" and of the "sample" that calls both; for an algorithm without these
+            phases only those of a "sample". If a sample may take several QPs, "one iteration" has those of
+            ``step(iterations=1)``.
 
     Raises:
-        OptionError: the text does not bound them, as foreign code (OSQP) does not; or these are not the files of one
-            package.
+        OptionError: the text does not bound the operations, as foreign code (OSQP) does not; or these are not the files
+            of one package.
         ControllerError: <name>.json is not a package description.
 
     Examples:

@@ -1,16 +1,16 @@
-"""Upper bounds on the floating-point operations of C functions, from the structure of their loops and branches.
+"""Upper bounds on the floating-point operations of C functions follow from the structure of loops and branches.
 
     cost(a; b) = cost(a) + cost(b)            cost(if c a else b) = cost(c) + max(cost(a), cost(b))
     cost(for i) = sum_i cost(body at i)       cost(f(...)) = cost of its body for the values of its integer arguments
 
-Integers are intervals. Sizes, entries of constant tables and counters of loops are known; members that hold a number of
-members or an index have declared ranges; all else is unknown. A branch whose condition is known is taken, a loop that
-may end early runs to its end, and a loop of unknown length is an error, unless a comment in its first line bounds its
-passes: ``at most <expression> passes``, in one run or ``in <function>``. A comment ``<least> <= <variable> <= <most>``
-states the values of a variable.
+Integers are intervals. Sizes, entries of constant tables and counters of loops are known. Members that hold a count or
+an index have declared ranges; everything else is unknown. A branch with a known condition is taken, and a loop that may
+end early runs to its end. A loop of unknown length is an error, unless a comment in its first line bounds its passes:
+``at most <expression> passes``, in one run or ``in <function>``. A comment ``<least> <= <variable> <= <most>`` states
+the values of a variable.
 
-A variable that is set once has the value of its initialiser, which is evaluated where somebody asks for it. A loop
-whose body asks for nothing that depends on its counter is evaluated once.
+A variable that is set once has the value of its initialiser, which is evaluated when it is first needed. A loop whose
+body needs no value that depends on its counter is evaluated once.
 """
 
 from __future__ import annotations
@@ -36,10 +36,10 @@ from nmpc_codegen.lowering.dialect.constants import Range, apply_operator, truth
 from nmpc_codegen.lowering.dialect.scopes import DECLARATION, declarators, split
 from nmpc_codegen.lowering.dialect.tree import Node
 
-#: Type of a pointer to integers, which may be a constant table.
+#: The type of a pointer to integers, which may be a constant table.
 POINTER = Type("int", 1)
 
-#: Values of an integer, or the name of a constant table.
+#: The values of an integer, or the name of a constant table.
 Value = Range | None | str
 
 _COMPARING = ("<", ">", "<=", ">=", "==", "!=")
@@ -49,11 +49,11 @@ _NUMBER = re.compile(r"(0[xX][\da-fA-F]+|0|[1-9]\d*)[uUlL]*$")
 
 
 class UnboundedError(ValueError):
-    """The passes of a loop, or the operations of a function of another library, do not follow from the text."""
+    """The text does not bound the passes of a loop, or the operations of a function of another library."""
 
 
 class Variable:
-    """A variable in scope: its type, and its value, which is computed when it is asked for the first time."""
+    """A variable in scope with its type, and its value, which is computed when it is first needed."""
 
     def __init__(self, type_: Type, value: Value = None, later: Callable[[], Value] | None = None) -> None:
         self.type, self.asked = type_, False
@@ -61,7 +61,7 @@ class Variable:
 
     @property
     def value(self) -> Value:
-        """Its values; for a pointer to integers the name of the table."""
+        """Return its values; for a pointer to integers the name of the table."""
         if self._later is not None:
             self._value, self._later = self._later(), None
         self.asked = True
@@ -75,13 +75,13 @@ Result = tuple[int, Range | None]
 
 
 class WorstCase:
-    """Bounds of the functions of one unit."""
+    """The bounds of the functions of one unit."""
 
     def __init__(self, unit: Unit) -> None:
         self.unit = unit
-        self.running: frozenset[str] = frozenset()  # functions that count passes and are being evaluated
-        self.shared: dict[str, dict[str, int]] = {}  # function -> stated number of passes -> operations of all of them
-        # Function, functions that count passes -> arguments that were asked -> their values -> operations, result.
+        self.running: frozenset[str] = frozenset()  # functions that bound passes and are being evaluated
+        self.shared: dict[str, dict[str, int]] = {}  # function -> stated number of passes -> operations of all passes
+        # (function, functions that bound passes) -> needed arguments -> their values -> (operations, result).
         self._results: dict[tuple[str, frozenset[str]], dict[tuple[int, ...], dict[tuple[Value, ...], Result]]] = {}
         self._constants: dict[str, Range | None] = {name: (size, size) for name, size in unit.sizes.items()}
 
@@ -94,8 +94,10 @@ class WorstCase:
         return self.call(function, [Variable(type_) for _, type_ in self.unit.functions[function].parameters])[0]
 
     def call(self, name: str, arguments: Sequence[Variable]) -> Result:
-        """Return operations and value of a function for these arguments; a result holds for all whose values agree
-        where it asked for them."""
+        """Return operations and value of a function for these arguments.
+
+        A result also holds for all arguments that agree in the values which the function needed.
+        """
         outer = self.running
         if name in self.unit.counting:
             self.running = outer | {name}
@@ -122,7 +124,7 @@ class WorstCase:
 
 
 class _Body:
-    """A function while it is evaluated; None: an expression outside of functions."""
+    """A function during its evaluation; None stands for an expression outside of functions."""
 
     def __init__(self, analysis: WorstCase, function: Function | None) -> None:
         self._analysis, self._unit, self._function = analysis, analysis.unit, function
@@ -132,7 +134,7 @@ class _Body:
         self._returned: list[Range | None] = []
 
     def run(self, arguments: Sequence[Variable]) -> Result:
-        """Return the operations, and the values that are returned."""
+        """Return the operations, and the returned values."""
         assert self._function is not None
         scope: Scope = {}
         for (name, type_), argument in zip(self._function.parameters, arguments, strict=True):
@@ -143,7 +145,7 @@ class _Body:
     # -- statements ---------------------------------------------------------------------------------------------------
 
     def _block(self, nodes: Sequence[Node], scope: Scope) -> int:
-        """Statements in sequence, up to one that leaves the block."""
+        """Return the operations of statements in sequence, up to one that leaves the block."""
         total = 0
         for i, node in enumerate(nodes):
             if node.kind == "if":
@@ -154,7 +156,7 @@ class _Body:
         return total
 
     def _branch(self, node: Node, rest: Sequence[Node], scope: Scope) -> int:
-        """An `if` and the statements after it, which a branch that leaves the block does not reach."""
+        """Return the operations of an `if` and of the statements after it, unless a branch leaves the block."""
         condition = code_of(self._code[slice(*node.head)])
         test, holds = self.cost(condition, scope), truth(self.value(condition, scope))
         other = node.other
@@ -186,7 +188,7 @@ class _Body:
         raise UnboundedError(f"{self._name}: {text.split(chr(10))[0]} is not understood")
 
     def _execute(self, text: str, scope: Scope) -> int:
-        """A declaration or an expression."""
+        """Return the operations of a declaration or an expression."""
         if found := ENUM.match(text):
             for entry in split(found[1]):
                 name, _, value = entry.partition("=")
@@ -205,7 +207,7 @@ class _Body:
         return total
 
     def _take_values(self, comment: str, scope: Scope) -> int:
-        """Values of a variable as a comment states them."""
+        """Take the values of a variable from a comment."""
         if found := _STATED.search(comment):
             least, most = self.value(code_of(found[1]), scope), self.value(code_of(found[3]), scope)
             if least is None or most is None:
@@ -229,7 +231,7 @@ class _Body:
         return cost + self._bound_loop(node, tested + self._pass(node, move, scope), scope) + tested
 
     def _values(self, node: Node, start: str, condition: str, step: str, scope: Scope) -> tuple[str, range] | None:
-        """The counter of a loop and its values; None where they do not follow from the text."""
+        """Return the counter of a loop and its values; None if the text does not determine them."""
         counters = _counters(step)
         name = next(iter(counters), "")
         move = code_of(step)
@@ -248,7 +250,7 @@ class _Body:
         return name, range(first[1], max(low for low, _ in limits), -by[0])
 
     def _first(self, name: str, start: str, scope: Scope) -> Range | None:
-        """The value with which a loop starts a counter."""
+        """Return the value with which a loop starts a counter."""
         stated = dict(declarators(start))
         if name in stated:
             return self.value(code_of(stated[name].partition("=")[2]), scope)
@@ -259,13 +261,13 @@ class _Body:
         return None
 
     def _pass(self, node: Node, move: Code | None, scope: Scope) -> int:
-        """The body, and the step to the next pass."""
+        """Return the operations of the body, and of the step to the next pass."""
         return self._block(node.body, dict(scope)) + self.cost(move, scope)
 
     def _sum_passes(
         self, node: Node, name: str, values: range, test: Code | None, move: Code | None, scope: Scope
     ) -> int:
-        """Sum over the passes for these values of a counter, and the last test."""
+        """Return the sum over the passes for these values of a counter, and the last test."""
         total, type_ = 0, scope[name].type
         for value in values:
             scope[name] = Variable(type_, (value, value))
@@ -278,7 +280,7 @@ class _Body:
         return total + self.cost(test, scope)
 
     def _limits(self, condition: Code | None, counter: str, up: bool, scope: Scope) -> list[Range | None]:
-        """Values that the counter does not reach, from comparisons of ``counter + constant`` with other values."""
+        """Return values that the counter does not reach, from comparisons of ``counter + constant`` with others."""
         found = []
         start = scope | {counter: Variable(INT, (0, 0))}
         for part in _conjuncts(condition):
@@ -292,13 +294,13 @@ class _Body:
         return found
 
     def _stated_passes(self, node: Node) -> re.Match[str] | None:
-        """What the first line of a loop says about its passes."""
+        """Return the statement on passes in the first line of a loop."""
         first = node.body[0] if node.body else None
         is_comment = first is not None and first.kind == "comment"
         return _PASSES.match(self._text, first.start) if first is not None and is_comment else None
 
     def _bound_loop(self, node: Node, one_pass: int, scope: Scope) -> int:
-        """Bound of a loop whose first line states the number of its passes, in one run or in a function."""
+        """Return the bound of a loop whose first line states the number of its passes, in one run or in a function."""
         if one_pass == 0:
             return 0
         comment = self._stated_passes(node)
@@ -318,7 +320,7 @@ class _Body:
         return 0 if code is None else self._measure(code, scope)[0]
 
     def _measure(self, code: Code, scope: Scope) -> tuple[int, Type]:
-        """Operations and type of an expression. Macros are expanded; their arguments count once."""
+        """Return operations and type of an expression; macros are expanded, and their arguments count once."""
         kind, word = code.tree.kind, code.tree.word
         if kind == "name":
             return 0, scope[word].type if word in scope else self._unit.constant(word)
@@ -335,14 +337,14 @@ class _Body:
         return self._measure_place(code, scope)
 
     def _measure_choice(self, operands: Sequence[Code], scope: Scope) -> tuple[int, Type]:
-        """Operations and type of condition ? first : second."""
+        """Return operations and type of condition ? first : second."""
         condition, first, second = operands
         (then, of), holds = self._measure(first, scope), truth(self.value(condition, scope))
         other = 0 if holds else self.cost(second, scope)
         return self.cost(condition, scope) + (other if holds is False else max(then, other)), of
 
     def _measure_place(self, code: Code, scope: Scope) -> tuple[int, Type]:
-        """Operations and type of an expression with one operand: an element, a member, a cast, a sign, a group."""
+        """Return operations and type of an expression with one operand: element, member, cast, sign, group."""
         kind, word = code.tree.kind, code.tree.word
         cost, of = self._measure(code.operands[0], scope)
         match kind:
@@ -358,7 +360,7 @@ class _Body:
         return cost, of
 
     def _measure_binary(self, code: Code, scope: Scope) -> tuple[int, Type]:
-        """Operations and type of an expression with an operator between two others."""
+        """Return operations and type of an expression with a binary operator."""
         word = code.tree.word
         if word == ",":
             return sum(self.cost(part, scope) for part in code.operands), INT
@@ -391,7 +393,7 @@ class _Body:
         return (0, INT) if found is None else self._measure(found, scope)
 
     def _bind(self, function: Function, code: Code, scope: Scope) -> list[Variable]:
-        """Arguments with values of integer types; for pointers to integers the tables."""
+        """Return arguments with values for integer types, and with tables for pointers to integers."""
         rules: dict[Type, Callable[[Code, Scope], Value]] = {INT: self.value, POINTER: self._table}
         types = (of for _, of in function.parameters)
         return [
@@ -400,7 +402,7 @@ class _Body:
         ]
 
     def _table(self, code: Code, scope: Scope) -> Value:
-        """The constant table that an expression names; the start of another one is unknown."""
+        """Return the constant table that an expression names; None if it is unknown."""
         name = code.tree.word
         if code.tree.kind != "name":
             return None
@@ -409,7 +411,7 @@ class _Body:
         return name if name in self._unit.tables else None
 
     def _expand(self, macro: TextMacro, passed: Sequence[Code], scope: Scope) -> Scope:
-        """The scope in which the parameters of a macro are its arguments."""
+        """Return the scope in which the parameters of a macro are its arguments."""
 
         def bound(argument: Code) -> Variable:
             return Variable(self._measure(argument, scope)[1], later=partial(self.value, argument, scope))
@@ -441,21 +443,21 @@ class _Body:
         return None
 
     def _value_of_name(self, word: str, scope: Scope) -> Range | None:
-        """Value of a variable or a constant."""
+        """Return the value of a variable or a constant."""
         known = scope.get(word)
         if known is None:
             return self._analysis.constant(word)
         return None if known.type.depth or isinstance(known.value, str) else known.value
 
     def _value_of_entry(self, code: Code, scope: Scope) -> Range | None:
-        """Value of an entry of a constant table."""
+        """Return the value of an entry of a constant table."""
         table = self._table(code.operands[0], scope)
         if not isinstance(table, str):
             return None
         return _entries(self._unit.tables[table], self.value(code.operands[1], scope))
 
     def _value_of_branches(self, code: Code, scope: Scope) -> Range | None:
-        """Value of a group, of a cast, or of a choice between two."""
+        """Return the value of a group, of a cast, or of a choice between two expressions."""
         operands = code.operands
         if code.tree.kind == "group" or (code.tree.word == "cast" and code.cast == INT):
             return self.value(operands[0], scope)
@@ -466,7 +468,7 @@ class _Body:
         return _union([self.value(branch, scope) for branch, taken in possible if holds in (None, taken)])
 
     def _result(self, code: Code, scope: Scope) -> Range | None:
-        """Value of a call."""
+        """Return the value of a call."""
         callee = self._unit.callee(code.tree.word)
         if callee is not None and callee.macro is not None:
             return self.value(code_of(callee.macro.text), self._expand(callee.macro, code.operands, scope))
@@ -481,14 +483,14 @@ def _number(word: str) -> Range | None:
 
 
 def _entries(table: Sequence[int], index: Range | None) -> Range | None:
-    """Entries of a table at these indices."""
+    """Return the range of the entries of a table at these indices."""
     known = index is not None and 0 <= index[0] <= index[1] < len(table)
     among = table[index[0] : index[1] + 1] if known and index is not None else table
     return (min(among), max(among)) if among else None
 
 
 def _union(ranges: Sequence[Range | None]) -> Range | None:
-    """An interval that contains all of them."""
+    """Return an interval that contains all of them."""
     known = [r for r in ranges if r is not None]
     if not known or len(known) < len(ranges):
         return None
@@ -497,7 +499,7 @@ def _union(ranges: Sequence[Range | None]) -> Range | None:
 
 @lru_cache(maxsize=4096)
 def _counters(step: str) -> tuple[str, ...]:
-    """Variables that the third part of a for loop changes."""
+    """Return the variables that the third part of a for loop changes."""
     found = code_of(step)
     if found is None:
         return ()
@@ -506,7 +508,7 @@ def _counters(step: str) -> tuple[str, ...]:
 
 
 def _conjuncts(code: Code | None) -> Iterator[Code]:
-    """The conditions of which ``a && b && ...`` consists."""
+    """Yield the conditions in ``a && b && ...``."""
     if code is not None and code.tree.word == "&&":
         for operand in code.operands:
             yield from _conjuncts(operand)
@@ -528,6 +530,6 @@ def _is_sum_with(code: Code, counter: str) -> bool:
 
 
 def _names(code: Code) -> frozenset[str]:
-    """The names in an expression."""
+    """Return the names in an expression."""
     own = frozenset({code.tree.word} if code.tree.kind == "name" else ())
     return own.union(*(_names(operand) for operand in code.operands))

@@ -1,4 +1,4 @@
-"""Worst case of a sample: Sources -> bounds on the operations of its phases, from the C text alone."""
+"""The worst case of a sample bounds the operations of its phases from the C text only."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ _COUNT = r"\d+ (?:add|mul|div|sqrt|call|other)"
 _KERNEL = re.compile(rf"[ :]((?:{_COUNT}, )*{_COUNT}|no operations) \*/\nstatic \w+ (\w+)\(")
 #: Folder of the code of another generator.
 FOREIGN = "osqp/"
-#: What declares a vector of GNU C.
+#: Text that declares a vector of GNU C.
 VECTORS = "vector_size("
 
 _NUMBER = re.compile(r"\d+")
 
 
 def bound(package: Mapping[str, str]) -> dict[str, int]:
-    """See analysis.worst_case()."""
+    """Compute the bounds; see analysis.worst_case()."""
     description = _description(package)
     if any(path.startswith(FOREIGN) for path in package):
         raise OptionError(f"{description.name} contains foreign code, whose worst case is unknown; choose another qp")
@@ -52,7 +52,7 @@ def _bound(unit: Unit, description: PackageDescription) -> dict[str, int]:
 
 
 def _description(package: Mapping[str, str]) -> PackageDescription:
-    """That of the only package among these files."""
+    """Return the description of the only package among these files."""
     stems = (path[:-2] for path in package if path.endswith(".h"))
     names = [stem for stem in stems if {f"{stem}.c", f"{stem}.json"} <= set(package)]
     if len(names) != 1:
@@ -62,7 +62,7 @@ def _description(package: Mapping[str, str]) -> PackageDescription:
 
 
 def unit_of(package: Mapping[str, str], description: PackageDescription) -> Unit:
-    """What the text of a package says of its names."""
+    """Return the facts on names in the text of a package."""
     header, source = (package[f"{description.name}.{ext}"] for ext in ("h", "c"))
     members: dict[str, list[Type]] = {}
     for text in (header, source):

@@ -1,4 +1,4 @@
-"""A translation unit as data: functions, macros, sizes and tables of its C text, and what its names mean.
+"""A translation unit is read as data: functions, macros, sizes and tables of its C text, and the types of its names.
 
 Functions are parsed by the reader of C parts (lowering/dialect), one by one and on demand.
 """
@@ -28,19 +28,19 @@ _DEFINE = re.compile(r"^#define (\w+)(?:\(([^()]*)\))?[ \t]+(.+)$", re.MULTILINE
 _MEMBER = re.compile(r"(\w+) (\w+)((?:\[[^\]]+\])*);")
 _BASE = re.compile(r"(?:static |inline |const |extern )*(\w+)")
 
-#: Functions of the C library that the parts call, with their operations.
+#: Functions of the C library that the parts call -> their operations.
 MATH: Mapping[str, int] = {"sqrt": 1, "exp": 1, "log": 1, "fabs": 1, "ceil": 1, "isfinite": 0, "memcpy": 0, "memset": 0}
 
 
 class Type(NamedTuple):
-    """Type of an expression: "real", "int" or the name of another type, below ``depth`` pointers or arrays."""
+    """The type of an expression: "real", "int" or the name of another type, below ``depth`` pointers or arrays."""
 
     base: str
     depth: int = 0
 
     @property
     def counts(self) -> bool:
-        """Whether arithmetic with such a value is a floating-point operation."""
+        """Return True if arithmetic with such a value is a floating-point operation."""
         return self.base == "real" and self.depth == 0
 
 
@@ -58,25 +58,25 @@ def type_of(text: str) -> Type:
 
 
 class Code(NamedTuple):
-    """An expression and the text in which it stands."""
+    """An expression and the text that contains it."""
 
     text: str
     tree: Expression
 
     @property
     def operands(self) -> tuple[Code, ...]:
-        """Its operands; of a call the arguments, of a list the items."""
+        """Return its operands; for a call the arguments, for a list the items."""
         inner = self.tree.operands[1:] if self.tree.kind == "call" else self.tree.operands
         return tuple(part for each in inner for part in _parts(Code(self.text, each)))
 
     @property
     def cast(self) -> Type:
-        """The type of a cast."""
+        """Return the type of a cast."""
         return type_of(self.text[self.tree.start + 1 : self.tree.operands[0].start].rstrip(" )("))
 
 
 def _parts(code: Code) -> tuple[Code, ...]:
-    """The expressions between commas."""
+    """Return the expressions between commas."""
     if (code.tree.kind, code.tree.word) != ("binary", ","):
         return (code,)
     return tuple(part for each in code.tree.operands for part in _parts(Code(code.text, each)))
@@ -97,7 +97,7 @@ class TextMacro(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Function:
-    """A function of a unit by its text."""
+    """A function of a unit with its text."""
 
     name: str
     head: str
@@ -105,30 +105,30 @@ class Function:
 
     @cached_property
     def result(self) -> Type:
-        """Type of its value."""
+        """Return the type of its value."""
         before, _, after = self.head.partition(self.name)
         return type_of(before + after[after.rindex(")") :])
 
     @cached_property
     def parameters(self) -> tuple[tuple[str, Type], ...]:
-        """Name and type of its parameters."""
+        """Return name and type of its parameters."""
         found = _HEAD.search(self.head)
         given = [p.strip() for p in split(found[2] if found else "") if p.strip() not in ("", "void")]
         return tuple((_parameter_name(p), type_of(p)) for p in given)
 
     @cached_property
     def body(self) -> tuple[Node, ...]:
-        """Its statements."""
+        """Return its statements."""
         return parse(self.text)[-1].body
 
     @cached_property
     def code(self) -> str:
-        """Its text with blanks for comments."""
+        """Return its text with blanks for comments."""
         return blank(self.text)
 
     @cached_property
     def changed(self) -> frozenset[str]:
-        """Variables that it changes, or whose address it takes; counters that loops declare excepted."""
+        """Return the variables that it changes, or whose address it takes, except counters that loops declare."""
         return find_changes(self.code, self.body)
 
 
@@ -138,8 +138,10 @@ def _parameter_name(text: str) -> str:
 
 
 def find_changes(code: str, nodes: Sequence[Node]) -> frozenset[str]:
-    """Return the variables that statements change, or whose address they take; of counters that a loop declares those
-    that its body changes."""
+    """Return the variables that statements change, or whose address they take.
+
+    A counter that a loop declares is included only if the body changes it.
+    """
     found: set[str] = set()
     for node in nodes:
         if node.kind == "loop":
@@ -157,7 +159,7 @@ def find_changes(code: str, nodes: Sequence[Node]) -> frozenset[str]:
 
 
 def _values(statement: str) -> list[str]:
-    """The initialisers of a declaration; another statement itself."""
+    """Return the initialisers of a declaration, or any other statement itself."""
     text = statement.strip().removesuffix(";").removeprefix("return")
     if text in ("break", "continue") or ENUM.match(text):
         return []
@@ -178,14 +180,14 @@ def _find_changes(text: str) -> frozenset[str]:
 
 
 def split_head(code: str, node: Node) -> list[str]:
-    """Return the three parts in the parentheses of a for loop; of a while loop its condition between empty parts."""
+    """Return the three parts in the parentheses of a for loop; for a while loop its condition between empty parts."""
     head = code[slice(*node.head)]
     return head.split(";") if code.startswith("for", node.start) else ["", head, ""]
 
 
 @dataclass(frozen=True)
 class Callee:
-    """What a call stands for: the type of its value, and a macro, a function of the unit, or known operations."""
+    """The target of a call: the type of its value, and a macro, a function of the unit, or known operations."""
 
     result: Type = INT
     macro: TextMacro | None = None
@@ -195,10 +197,10 @@ class Callee:
 
 @dataclass(frozen=True, eq=False)
 class Unit:
-    """What is known about a translation unit.
+    """The known facts of a translation unit.
 
-    ``counts``: functions whose operations are known; ``sizes``: integer constants; ``tables``: entries of constant
-    integer tables; ``ranges``: values that integer members can have; ``members``: types of the members of all structs.
+    counts: functions with known operations; sizes: integer constants; tables: entries of constant integer tables;
+    ranges: values that integer members can have; members: types of the members of all structs.
     """
 
     functions: Mapping[str, Function]
@@ -211,7 +213,7 @@ class Unit:
 
     @cached_property
     def counting(self) -> frozenset[str]:
-        """Functions whose calls limit the passes of loops."""
+        """Return the functions whose calls limit the passes of loops."""
         return frozenset(name for f in self.functions.values() for name in _SHARED.findall(f.text))
 
     def member(self, name: str) -> Type:
@@ -225,7 +227,7 @@ class Unit:
         return REAL if macro is not None and ("real_t" in macro.text or name.startswith("TOL_")) else INT
 
     def callee(self, name: str) -> Callee | None:
-        """Return what a call of this name stands for, None if it is unknown; SQRT is another name of sqrt or sqrtf."""
+        """Return the target of a call of this name, None if it is unknown; SQRT stands for sqrt or sqrtf."""
         macro = self.macros.get(name)
         name = name if macro is None or macro.parameters else macro.text
         if name in self.counts:

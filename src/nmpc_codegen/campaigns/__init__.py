@@ -1,4 +1,4 @@
-"""Campaigns: thousands of closed loops before the first real one, and options and weights that are chosen by them.
+"""Campaigns run thousands of closed loops before the first real one, and choose options and weights by their results.
 
 from nmpc_codegen.campaigns import Box, Normal, campaign
 result = campaign(ocp, flights=1000)

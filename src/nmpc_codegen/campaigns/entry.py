@@ -1,4 +1,4 @@
-"""campaign(): reads its arguments, and flies one controller or chooses among several."""
+"""campaign() reads its arguments, and flies one controller or chooses among several."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ from nmpc_codegen.options import Options
 
 
 def split_words(words: Mapping[str, Any]) -> tuple[Wish, Terms]:
-    """What is flown and how, from arguments of campaign().
+    """Split the arguments of campaign() into the statement of the flights and the terms of the campaign.
 
     Raises:
-        ControllerError: there is no such argument.
+        ControllerError: campaign() has no such argument.
     """
     of_wish, of_conduct = set(Wish.__annotations__), {field.name for field in fields(Terms)}
     unknown = sorted(set(words) - of_wish - of_conduct)
@@ -52,31 +52,33 @@ def campaign(
 ) -> Any:
     """Fly a controller in many closed loops, from many starts, against plants that differ from its model.
 
-    Flight i is a function of (seed, i) and of the problem alone, whoever flies it, and in whatever parts.
+    A flight is one closed loop. Flight i depends only on (seed, i) and on the problem, not on the worker or the parts
+    into which the campaign is divided.
 
     Args:
         ocp: the problem.
-        flights: how many, by default 1000, or those of an array of starts.
-        options: of the controller; a list of several, or "candidates", which the compiler proposes: they fly on the
-            same seeds, and the best ones are chosen.
-        success: where flights have to arrive: "set point", states that are residuals within a tenth of their size of
-            their references; {state: largest distance from its reference, or Box}; or a function of what was flown
-            (Flown) that returns True or False for each flight. None: anywhere.
-        tolerance: {row along the path: violation that is allowed, in its unit}. By default a hundredth of the size of
-            hard rows; soft ones that are not named are not judged.
+        flights: number of flights, by default 1000, or the length of an array of starts.
+        options: options of the controller; or a list of options, or "candidates", which the compiler proposes. Several
+            ones fly on the same seeds, and the best is chosen.
+        success: where flights must end. "set point": states that are residuals end within a tenth of their scale of
+            their references; {state: largest distance from its reference, or Box}; or a function of the results (Flown)
+            that returns True or False for each flight. None: anywhere.
+        tolerance: {row along the path: allowed violation, in its unit}. By default a hundredth of the scale of hard
+            rows; soft rows that are not named are not judged.
         against: "solve" or "ipopt": compare costs with loops that have a converged plan in every sample.
-        compared: how many flights, the first ones, are flown so, by default 20.
-        executor: what has submit(), as the executors of concurrent.futures and Dask's Client; parts whose worker is
-            lost are flown again. None: all cores of this process.
-        folder: where flights are kept as they come, in Parquet files (extra [campaign]); a campaign that was stopped
-            goes on there, and one with more flights begins with those.
+        compared: number of flights that are compared, from the first on, by default 20.
+        executor: an object with submit(), as the executors of concurrent.futures and Dask's Client; parts whose worker
+            is lost are flown again. None: all cores of this process.
+        folder: folder to which results are written during the campaign, in Parquet files (extra [campaign]). A stopped
+            campaign continues from there; one with more flights reuses the existing ones.
         device: "cuda": on the GPU of each worker.
-        progress: None: on a terminal, in a notebook, now and then in the log of a long campaign; False: none.
-        stated: what is flown: starts=, parameters=, known=, references=, disturbance=, noise=, added=, steps=, dt=,
-            plant=, sets=, seed=; see help(Stated).
+        progress: None: show progress on a terminal or in a notebook, and by lines now and then in a long campaign;
+            False: none.
+        stated: statement of the flights: starts=, parameters=, known=, references=, disturbance=, noise=, added=,
+            steps=, dt=, plant=, sets=, seed=; see help(Stated).
 
     Returns:
-        Campaign, or with several options Choice. An interrupt ends a campaign, which has the flights so far.
+        Campaign, or Choice for several options. After an interrupt, the Campaign holds the flights so far.
 
     Raises:
         ControllerError: a shape, a name or a number is wrong. Further errors are those of build().
@@ -94,7 +96,7 @@ def campaign(
 
 
 def _fly(ocp: OCP, options: Any, wish: Wish, conduct: Terms) -> Campaign | Choice:
-    """With one set of options, or the best of several."""
+    """Fly one set of options, or choose the best of several."""
     if not isinstance(ocp, OCP):
         raise ControllerError(f"campaign: {ocp!r:.60} is no OCP; expected the problem, as build() takes it")
     if options is None or isinstance(options, Options):

@@ -1,4 +1,4 @@
-"""How a campaign is flown, judged and kept (Terms), and what does it: fly_campaign()."""
+"""Terms say how a campaign is flown, judged and stored; fly_campaign() runs it."""
 
 from __future__ import annotations
 
@@ -28,13 +28,13 @@ from nmpc_codegen.runtime.given import is_integer
 from nmpc_codegen.runtime.loops.flown import Flown
 from nmpc_codegen.runtime.loops.progress import Progress
 
-#: Flights that are compared with reference loops.
+#: Default number of flights that are compared with reference loops.
 COMPARED = 20
 
 
 @dataclass(frozen=True, eq=False)
 class Terms:
-    """The arguments of campaign() that say how flights are judged, flown and kept."""
+    """The arguments of campaign() that say how flights are judged, flown and stored."""
 
     success: Asked | None = None
     tolerance: Mapping[str, float] | None = None
@@ -46,7 +46,7 @@ class Terms:
     progress: bool | None = None
 
     def check(self) -> None:
-        """ControllerError if a word is wrong."""
+        """Raise ControllerError if an argument is wrong."""
         if self.device not in ("cpu", "cuda"):
             raise ControllerError(f"device is {self.device!r}; allowed: 'cpu', 'cuda'")
         if self.compared is not None and (not is_integer(self.compared) or self.compared < 1 or self.against is None):
@@ -59,7 +59,7 @@ class Terms:
 
 
 def fly_campaign(controller: Controller, ocp: OCP, options: Options, wish: Wish, conduct: Terms) -> Campaign:
-    """Fly and judge; ``controller`` is that of the problem and the options."""
+    """Fly and judge a campaign with ``controller``, which was built from the problem and the options."""
     conduct.check()
     check_against(controller, conduct.against, options)
     statement = state_flights(controller, facts_of(ocp), wish)
@@ -82,7 +82,7 @@ def fly_campaign(controller: Controller, ocp: OCP, options: Options, wish: Wish,
 
 
 def _fly(job: Job, rules: Rules, conduct: Terms) -> tuple[Flown, np.ndarray[Any, np.dtype[np.int8]], bool]:
-    """What was flown, and its reasons; False after an interrupt."""
+    """Return the results and reasons of all flights, and False after an interrupt."""
     s, name = job.statement, job.controller.description.name
     flown, done = Flown.empty(job.labels, s.flights), np.zeros(s.flights, np.bool_)
     archive = nullcontext() if conduct.folder is None else Archive(conduct.folder, job.labels, identity(job))
@@ -107,7 +107,7 @@ def _fly(job: Job, rules: Rules, conduct: Terms) -> tuple[Flown, np.ndarray[Any,
 
 
 def _judge(job: Job, rules: Rules, part: Flown) -> np.ndarray[Any, np.dtype[np.int8]]:
-    """Reasons (F,); set points follow from the numbers of the flights."""
+    """Return the reasons of a part; set points follow from the numbers of the flights."""
     if not len(part):
         return np.zeros(0, np.int8)
     begin, end = int(part.number[0]), int(part.number[-1]) + 1

@@ -1,4 +1,4 @@
-"""nmpc-export: from a Python file that states a problem to a folder of C99.
+"""nmpc-export leads from a Python file that states a problem to a folder of C99.
 
     arguments -> problem_file -> settings -> export -> printing -> check, simulate
 

@@ -1,4 +1,4 @@
-"""python -m nmpc_codegen.cli"""
+"""The command can be started by python -m nmpc_codegen.cli."""
 
 import sys
 

@@ -1,4 +1,4 @@
-"""The flags, and the usage errors that can be detected before the problem file is run."""
+"""The flags are defined here, with the usage errors that can be detected before the problem file is run."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ MAX_SAMPLES = 1_000_000
 #: Maximum number of flights of --campaign.
 MAX_FLIGHTS = 10_000_000
 
-#: Names of the flags --max-NAME, and what they limit.
+#: NAME of a flag --max-NAME -> what it limits.
 BUDGETS = {
     "ram": "bytes of solver struct",
     "flash": "bytes of code and constants on a microcontroller",
@@ -58,14 +58,14 @@ EPILOG = (
 
 
 class Parser(argparse.ArgumentParser):
-    """A parser that prints a usage error on one line, whatever characters the arguments contain."""
+    """The parser prints a usage error on one line, whatever characters the arguments contain."""
 
     def error(self, message: str) -> NoReturn:
         super().error(one_line(message))
 
 
 def parser() -> Parser:
-    """All flags of nmpc-export."""
+    """Return the parser with all flags of nmpc-export."""
     made = Parser(
         prog="nmpc-export",
         description="Write a self-contained C99 package that solves the optimal control problem of a Python file.",
@@ -135,7 +135,7 @@ def _mistakes(arguments: argparse.Namespace) -> Iterator[str]:
 
 
 def _wrong_values(arguments: argparse.Namespace) -> Iterator[str]:
-    """Values that no arguments beside them make right."""
+    """Yield errors on values that are wrong whatever the other arguments are."""
     for flag in ("problem", "output", "name", "plot"):
         value = getattr(arguments, flag)
         if value is not None and (not value.strip() or "\0" in value):
@@ -152,7 +152,7 @@ def _wrong_values(arguments: argparse.Namespace) -> Iterator[str]:
 
 
 def _clashes(arguments: argparse.Namespace) -> Iterator[str]:
-    """Arguments that need others, or exclude them."""
+    """Yield errors on arguments that need others, or exclude them."""
     if arguments.problem is None and not arguments.list_options:
         yield "the file that states the problem is missing"
     if arguments.json and arguments.list_options:
@@ -166,7 +166,7 @@ def _clashes(arguments: argparse.Namespace) -> Iterator[str]:
 
 
 def _places(arguments: argparse.Namespace) -> Iterator[str]:
-    """Files and folders that cannot be written."""
+    """Yield errors on files and folders that cannot be written."""
     for flag, look in (("output", _folder), ("plot", _picture)):
         value = getattr(arguments, flag)
         try:
@@ -177,7 +177,7 @@ def _places(arguments: argparse.Namespace) -> Iterator[str]:
 
 
 def _folder(path: Path) -> Iterator[str]:
-    """The reason why the package cannot be written: it, or the path to it, is not a folder or is not writable."""
+    """Yield the reason why the package cannot be written: a part of the path is not a folder, or is not writable."""
     there = next(p for p in (path.absolute(), *path.absolute().parents) if os.path.lexists(p))
     _name_fits(path)
     if not there.is_dir():
@@ -195,7 +195,7 @@ def _name_fits(path: Path) -> None:
 
 
 def _picture(path: Path) -> Iterator[str]:
-    """The reason why the picture cannot be written."""
+    """Yield the reason why the picture cannot be written."""
     try:
         formats = extra("matplotlib.backend_bases", "--plot").FigureCanvasBase.get_supported_filetypes()
     except ExtraError as error:

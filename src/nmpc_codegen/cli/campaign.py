@@ -1,4 +1,4 @@
-"""--campaign: closed loops of the package before it is written, and what is said of them."""
+"""--campaign runs closed loops with the package before it is written, and reports on them."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 class CampaignRun:
-    """The flag, and what was flown."""
+    """The flag, and the campaign that was run."""
 
     def __init__(self, arguments: argparse.Namespace, stated: FoundProblem, name: str, printer: Printer) -> None:
         self._printer = printer
@@ -28,7 +28,7 @@ class CampaignRun:
         self._result: Campaign | None = None
 
     def fly(self, sources: Mapping[str, str]) -> CampaignWords | None:
-        """Fly the package; None without the flag.
+        """Run the campaign with the package; return None without the flag.
 
         Raises:
             ControllerError: an argument that the file defines is wrong.
@@ -43,12 +43,12 @@ class CampaignRun:
         controller = load(sources, self._name, "fast" if target.board is None else "verify")
         self._printer.stage(f"flying {self._count:,} closed loops")
         self._result = fly_campaign(controller, self._stated.ocp, self._stated.options, wish, conduct)
-        if not self._result.complete:  # nothing is written of a campaign that was not flown
+        if not self._result.complete:  # nothing is written after an incomplete campaign
             raise KeyboardInterrupt
         return CampaignWords(self._result.as_dict(), _sentences(self._result))
 
     def report(self, printer: Printer) -> bool:
-        """Print the result; False if more flights are lost than are allowed."""
+        """Print the result; return False if more flights are lost than allowed."""
         result = self._result
         if result is None:
             return True
@@ -65,7 +65,7 @@ class CampaignRun:
 
 
 def _sentences(result: Campaign) -> str:
-    """What a page says of it, in Markdown."""
+    """Return sentences on the campaign for a page, in Markdown."""
     s, words, rules = result.job.statement, result.as_dict(), result.rules
     drawn = [", ".join(f"`{name}`" for name in words["drawn"]) or "nothing"]
     drawn += [f"{what} {getattr(s, what)}" for what in ("disturbance", "noise") if getattr(s, what) is not None]

@@ -1,4 +1,4 @@
-"""--check: compare the generated code with IPOPT, from the declared initial state."""
+"""--check compares the generated code with IPOPT, from the declared initial state."""
 
 from __future__ import annotations
 
@@ -24,21 +24,22 @@ if TYPE_CHECKING:
     from nmpc_codegen.options import Options
     from nmpc_codegen.runtime.controller import Solution
 
-#: Limits on |a - b| / max(1, max|b|) per component of controls and states, and on the relative error of the cost.
+#: Limits on |a - b| / max(1, max|b|) of controls and states, and on the relative error of the cost.
 LIMITS = {"double": {"u": 1e-6, "x": 1e-6, "cost": 1e-8}, "single": {"u": 1e-3, "x": 1e-3, "cost": 1e-4}}
 CHECK_TOLERANCE = {"double": 1e-9, "single": 1e-3}
 CHECK_ITERATIONS = 1000
-CHECK_STEPS = 5000  # of the integrator over the horizon
-COST_FLOOR = 1e-6  # least cost that a relative error refers to, so that a problem that starts at its goal can pass
-#: What a row may add to IPOPT's cost at a node: its tolerance at both sides, and at both excesses of a soft row.
+CHECK_STEPS = 5000  # largest number of integrator steps over the horizon
+COST_FLOOR = 1e-6  # least cost to which a relative error refers, so that a problem that starts at its goal can pass
+#: Largest amount that IPOPT's barrier adds to the cost for a row at a node: for both sides, and for both slacks of a
+#: soft row.
 BARRIER = 4e-12
 
 
 def check(ocp: OCP, options: Options, folder: Path, name: str, printer: Printer) -> bool:
-    """Compile with warnings as errors, solve from the declared initial state, compare with IPOPT.
+    """Compile with warnings as errors, solve from the declared initial state, and compare with IPOPT.
 
-    IPOPT starts from the same point as the generated code. If it ends at another point (another local optimum), it is
-    started again at the solution of the generated code, which it must then return.
+    IPOPT starts from the same point as the generated code. If it ends at another local optimum, it is restarted at the
+    solution of the generated code, which it must then return.
     """
     problem = complete(classify(ocp, options.algorithm.sampling_time), options)
     scheme = tableau(problem, options)
@@ -50,7 +51,7 @@ def check(ocp: OCP, options: Options, folder: Path, name: str, printer: Printer)
     if not options.solves:
         printer.line("--check: the package has no solve(); the same package with solve() is checked instead")
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", ProblemWarning)  # export() has said them
+            warnings.simplefilter("ignore", ProblemWarning)  # export() has issued them
             files = generate(ocp, replace(options, solve=True), name)
         controller = load(files, name, "verify", warnings_as_errors=True)
     solution = controller.solve(
@@ -88,11 +89,13 @@ def refuse_long(steps: int) -> None:
 
 
 def compare(solution: Solution, reference: Any, gap: float = 0.0) -> dict[str, float]:
-    """Largest |a - b| / max(1, max|b|) of all components of u and of x, b the reference; relative error of the cost
-    beyond the gap that a barrier leaves."""
+    """Return the largest |a - b| / max(1, max|b|) of all components of u and of x, and the relative error of the cost.
+
+    b is the reference; the cost may differ by the ``gap`` that a barrier causes.
+    """
     difference = max(abs(solution.cost - reference.cost) - gap, 0.0)
     errors = {"cost": difference / max(abs(reference.cost), COST_FLOOR)}
-    own = reference.x[:, : solution.x.shape[1]]  # without states behind those of the user
+    own = reference.x[:, : solution.x.shape[1]]  # without added states
     for key, ours, theirs in (("u", solution.u, reference.u), ("x", solution.x, own)):
         size = np.maximum(1.0, np.abs(theirs).max(axis=0, initial=0.0))
         errors[key] = float((np.abs(ours - theirs) / size).max(initial=0.0))

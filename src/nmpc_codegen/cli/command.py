@@ -1,4 +1,4 @@
-"""The command itself: from arguments to an exit status."""
+"""The command leads from arguments to an exit status."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command line; return the exit status."""
+    """Run the command line and return the exit status."""
     try:
         with own_streams(whole_process=argv is None) as printer:
             return _main(argv, printer)
@@ -67,7 +67,7 @@ def _run(arguments: argparse.Namespace, printer: Printer) -> int:
 
 
 def _export(arguments: argparse.Namespace, printer: Printer) -> bool:
-    """Write a package and do what else was asked for; False if a check failed."""
+    """Write a package and do everything else that was requested; return False if a check failed."""
     from nmpc_codegen.cli.campaign import CampaignRun
     from nmpc_codegen.cli.check import check
     from nmpc_codegen.cli.firmware import Firmware
@@ -129,9 +129,9 @@ def _derivatives(arguments: argparse.Namespace, printer: Printer) -> bool:
 
 
 def _problem(arguments: argparse.Namespace, printer: Printer) -> FoundProblem:
-    """What the file states, with the changes of the command line.
+    """Return the statement of the file with the changes of the command line.
 
-    Derivatives have the integrator and the precision of the file, and no other option of a controller.
+    Derivatives use the integrator and the precision of the file, and no other option of a controller.
     """
     import numpy as np
 
@@ -152,7 +152,7 @@ def _problem(arguments: argparse.Namespace, printer: Printer) -> FoundProblem:
 
 
 def _simulate(arguments: argparse.Namespace, folder: Path, name: str, printer: Printer) -> bool:
-    """Print the summary of a closed loop; False if more samples failed than are allowed."""
+    """Print the summary of a closed loop; return False if more samples failed than allowed."""
     from nmpc_codegen.runtime.loops.simulate import simulate
     from nmpc_codegen.runtime.open_folder import open_package
 

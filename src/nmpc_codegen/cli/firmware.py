@@ -1,4 +1,4 @@
-"""--target, --verify and the budgets: what they add to an export, and what is printed about it."""
+"""--target, --verify and the budgets add files to an export, and print a report."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ from nmpc_codegen.targets import TARGETS, Target
 
 
 class Firmware:
-    """The flags of an export for a target; with ``hook`` as a part of the export there is a delivery."""
+    """The flags of an export for a target; ``hook`` as a part of the export makes a delivery."""
 
     def __init__(self, arguments: argparse.Namespace, printer: Printer) -> None:
         self._printer, self._dumps = printer, arguments.dumps
-        self.ring = 0  # bytes of the dumps that are asked for
+        self.ring = 0  # bytes of the requested dumps
         given = {flag: getattr(arguments, f"max_{flag}") for flag in BUDGETS}
         limits = {
             flag: parse_size(f"--max-{flag}", text, OPERATIONS if flag == "operations" else BYTES)
@@ -43,7 +43,7 @@ class Firmware:
         self._of_boards = [f"--{flag}" for flag, value in stated.items() if value is not None]
 
     def look_for_tools(self, options: Options) -> None:
-        """Look, before any work, for what the flags need on the target of the options.
+        """Check, before any work, for the programs that the flags need on the target of the options.
 
         Raises:
             OptionError: a flag needs a microcontroller, or the target cannot be verified.
@@ -67,11 +67,14 @@ class Firmware:
         beside: Callable[[], Sources] | None = None,
         fly: Callable[[Mapping[str, str]], CampaignWords | None] = lambda _: None,
     ) -> Callable[[Mapping[str, str]], dict[str, str]]:
-        """What export() calls before it writes anything; ``variant`` makes the package with other options, ``beside``
-        that of an estimator, and ``fly`` flies a campaign with the package, if one is asked for."""
+        """Return the function that export() calls before it writes anything.
+
+        ``variant`` generates the package with other options, ``beside`` that of an estimator; ``fly`` runs a campaign
+        with the package, if one was requested.
+        """
 
         def more(sources: Mapping[str, str]) -> dict[str, str]:
-            """Further files, sealed; an error if a budget is exceeded or a tool fails."""
+            """Return further files, sealed; raise an error if a budget is exceeded or a tool fails."""
             flown = fly(sources)
             description = PackageDescription.from_json(sources[f"{name}.json"])
             self._announce(TARGETS[description.target])
@@ -91,7 +94,7 @@ class Firmware:
         return more
 
     def _announce(self, target: Target) -> None:
-        """Say what takes long: the certificate of a microcontroller, the emulation."""
+        """Announce long work: the certificate of a microcontroller, the emulation."""
         if target.board is not None or self._run:
             work = (["certifying"] if target.board else []) + (["replaying a loop"] if self._run else [])
             self._printer.stage(f"{' and '.join(work)} for {target.name}")
@@ -103,7 +106,7 @@ class Firmware:
 
 
 def _report(printer: Printer, found: Delivery) -> bool:
-    """Print what was found of one package; False if host and target disagree."""
+    """Print the results for one package; return False if host and target disagree."""
     certificate, verdict = found.certificate, found.verdict
     if certificate is not None:
         printer.note(f"certificate of {certificate.name}", certificate.as_dict())

@@ -1,4 +1,4 @@
-"""--list-options: every component, its options, their defaults and allowed values."""
+"""--list-options prints every component, its options, their defaults and allowed values."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def list_options(printer: Printer) -> None:
 
 
 def _list(printer: Printer, part: Any, key: str) -> None:
-    """Print the options of a part, and those inside them."""
+    """Print the options of a part, and the options inside them."""
     for name, rule in rules(part).items():
         value = getattr(part, name)
         printer.line(f"      {key}.{name} = {_short(value, rule)}" + (f"; {rule}" if rule is not None else ""))
@@ -43,7 +43,7 @@ def _list(printer: Printer, part: Any, key: str) -> None:
 
 
 def _short(value: Any, rule: Any) -> str:
-    """The word for a value that has one, else the value."""
+    """Return the word for a value that has one, else the value."""
     words = getattr(rule, "words", ())
     named = [word for word in words if words[word] == value] if isinstance(words, dict) else []
     return named[0] if named else str(value)

@@ -1,4 +1,4 @@
-"""A message in one line for any exception: where it was raised, its type and its text."""
+"""Any exception becomes a message in one line: where it was raised, its type and its text."""
 
 from __future__ import annotations
 
@@ -19,18 +19,21 @@ PACKAGE = Path(__file__).resolve().parents[1]
 
 
 def printable(text: str) -> str:
-    """The text with control characters and other unprintable characters escaped."""
+    """Return the text with control characters and other unprintable characters escaped."""
     return "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
 
 
 def one_line(text: str) -> str:
-    """The text without line breaks and unprintable characters; very long texts are cut."""
+    """Return the text without line breaks and unprintable characters; very long texts are cut."""
     joined = " ".join(text.split())
     return printable(joined if len(joined) <= LONGEST else joined[:LONGEST] + " ...")
 
 
 def message(error: BaseException, file: str | None) -> str:
-    """The line to print for an exception that ended the run; ``file``: the problem file as the user named it."""
+    """Return the line to print for an exception that ended the run.
+
+    ``file`` is the problem file as the user named it.
+    """
     try:
         return one_line(_message(error, file))
     except Exception:  # even reading an exception may fail
@@ -59,7 +62,7 @@ def _message(error: BaseException, file: str | None) -> str:
 
 
 def _keywords(error: BaseException) -> str:
-    """The keywords that a function of this package takes, where it was given another one."""
+    """Return the keywords of a function of this package that was called with an unknown one."""
     found = _UNKNOWN.match(_text(error)) if isinstance(error, TypeError) else None
     if found is None:
         return ""
@@ -72,7 +75,7 @@ def _keywords(error: BaseException) -> str:
 
 
 def _text(error: BaseException) -> str:
-    """The text of an exception, or a note that it is empty or cannot be read."""
+    """Return the text of an exception, or a note that it is empty or cannot be read."""
     try:
         text = str(error)
     except Exception:
@@ -81,6 +84,6 @@ def _text(error: BaseException) -> str:
 
 
 def _stage(frames: list[tuple[str, int]]) -> str:
-    """The module of this package in which the exception was raised."""
+    """Return the module of this package in which the exception was raised."""
     ours = [Path(name) for name, _ in frames if PACKAGE in Path(name).parents]
     return f", in {ours[-1].relative_to(PACKAGE.parent)}" if ours else ""

@@ -1,4 +1,4 @@
-"""Output of the command line: plain text, on streams that the problem file cannot disturb."""
+"""The command line prints plain text, on streams that the problem file cannot disturb."""
 
 from __future__ import annotations
 
@@ -20,17 +20,17 @@ from nmpc_codegen.cli.messages import message, one_line, printable
 
 
 class ReaderLeftError(Exception):
-    """Nobody takes the output: its reader is gone, as in ``nmpc-export ... | head -1``, or, with a text, it fails."""
+    """The output cannot be written: its reader is gone, as in ``nmpc-export ... | head -1``, or it fails."""
 
     @classmethod
     def of(cls, error: OSError) -> ReaderLeftError:
-        """The error for one of the operating system while output was written."""
+        """Return the error for an OSError while output was written."""
         gone = isinstance(error, BrokenPipeError)
         return cls() if gone else cls(f"the output cannot be written: {error.strerror or error}")
 
 
 class Printer:
-    """Output and errors. Characters that the stream cannot encode are escaped; markup in names is not interpreted."""
+    """Prints output and errors; unencodable characters are escaped, and markup in names is not interpreted."""
 
     def __init__(self, output: TextIO, errors: TextIO) -> None:
         self._begin = time.monotonic()
@@ -40,15 +40,15 @@ class Printer:
         self._errors = Console(file=errors, markup=False, emoji=False, highlight=False)
 
     def settle(self, verbose: bool, quiet: bool) -> None:
-        """How much is printed from now on; ``quiet``: nothing but errors and the document."""
+        """Set how much is printed from now on; ``quiet``: only errors and the document."""
         self.verbose, self._quiet = verbose, quiet
 
     def stage(self, text: str) -> None:
-        """Say what begins, after the seconds since the start."""
+        """Announce a stage, after the seconds since the start."""
         self.line(f"[{time.monotonic() - self._begin:5.1f} s] {text}")
 
     def note(self, key: str, value: Any) -> None:
-        """An entry of the document of --json."""
+        """Add an entry to the document of --json."""
         self._facts[key] = value
 
     def document(self, passed: bool) -> None:
@@ -92,12 +92,12 @@ class Printer:
 
 
 def _plain(value: Any) -> Any:
-    """A value of which JSON has a word; numbers that are not finite are null."""
+    """Convert a value for JSON; numbers that are not finite become null."""
     if isinstance(value, Mapping):
         return {str(key): _plain(entry) for key, entry in value.items()}
     if isinstance(value, list | tuple):
         return [_plain(entry) for entry in value]
-    if hasattr(value, "tolist"):  # of NumPy
+    if hasattr(value, "tolist"):  # arrays and numbers of NumPy
         return _plain(value.tolist())
     if isinstance(value, float) and not math.isfinite(value):
         return None
@@ -108,7 +108,8 @@ def _plain(value: Any) -> Any:
 def own_streams(whole_process: bool) -> Iterator[Printer]:
     """Replace sys.stdout and sys.stderr by duplicates, which escape characters that they cannot encode.
 
-    If ``whole_process``, they remain until its end, when the interpreter flushes what the problem file left in them.
+    If ``whole_process``, they remain until the process ends, when the interpreter flushes the rest of the problem
+    file's output.
     """
     before = sys.stdout, sys.stderr, sys.unraisablehook, threading.excepthook
     output, errors = _duplicate(sys.stdout), _duplicate(sys.stderr)
@@ -124,7 +125,7 @@ def own_streams(whole_process: bool) -> Iterator[Printer]:
 
 
 def _duplicate(stream: TextIO | None) -> TextIO:
-    """A separate stream to the same file as the given one; the given one if it has no file."""
+    """Return a separate stream to the same file as the given one; the given one if it has no file."""
     if stream is None:  # the caller has closed it
         return open(os.devnull, "w", encoding="utf-8")
     try:
@@ -135,7 +136,7 @@ def _duplicate(stream: TextIO | None) -> TextIO:
 
 
 def drop_output() -> None:
-    """Discard what is still buffered for a reader that is gone, also when the interpreter exits."""
+    """Discard buffered output whose reader is gone, also when the interpreter exits."""
     nowhere = os.open(os.devnull, os.O_WRONLY)
     for stream in (sys.stdout, sys.__stdout__):
         with contextlib.suppress(AttributeError, OSError, ValueError):
@@ -145,10 +146,10 @@ def drop_output() -> None:
 
 @contextlib.contextmanager
 def isolate(printer: Printer, file: str, verbose: bool, aside: bool = False) -> Iterator[None]:
-    """Give the problem file streams of its own, and undo its changes to the interpreter; ``aside``: both are those of
-    errors.
+    """Give the problem file separate streams, and undo its changes to the interpreter.
 
-    Its warnings, and exceptions in its threads and finalisers, are printed on one line each.
+    With ``aside``, both streams are that of errors. Its warnings, and exceptions in its threads and finalisers, are
+    printed on one line each.
     """
     ours = sys.stdout, sys.stderr
     saved = sys.stdin, sys.excepthook, sys.displayhook, sys.argv, sys.path

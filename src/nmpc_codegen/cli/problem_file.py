@@ -1,4 +1,4 @@
-"""The problem and the options that a Python file states."""
+"""A Python file states the problem and the options."""
 
 from __future__ import annotations
 
@@ -19,8 +19,10 @@ MODULE = "nmpc_problem"
 
 
 class FoundProblem(NamedTuple):
-    """What a file states: the problem, its options, the outputs of --derivatives, an estimator or None, and arguments
-    of campaign()."""
+    """The statement of a file: the problem, its options, and further objects.
+
+    These are the outputs of --derivatives, an estimator or None, and arguments of campaign().
+    """
 
     ocp: OCP
     options: Options
@@ -32,14 +34,15 @@ class FoundProblem(NamedTuple):
 def load_problem(path: Path) -> FoundProblem:
     """Run a problem file and return what it states.
 
-    The problem is that of ``problem()``, else ``ocp``, else that of ``build_ocp()``, else the only OCP in the file. The
-    options are those that ``problem()`` returns, else ``options`` or the result of ``options()``, else the defaults.
-    The outputs, of which --derivatives takes the impulse response, are ``outputs`` or None. The estimator is
-    ``estimator``, else that of ``build_estimator()``, or of ``build_estimator(ocp)``, else None. The arguments of
-    campaign() are the dictionary ``campaign``, or what the function of that name returns.
+    The problem is the result of ``problem()``, else ``ocp``, else the result of ``build_ocp()``, else the only OCP in
+    the file. The options are those that ``problem()`` returns, else ``options`` or the result of ``options()``, else
+    the defaults. The outputs of the impulse response for --derivatives are ``outputs`` or None. The estimator is
+    ``estimator``, else the result of ``build_estimator()`` or ``build_estimator(ocp)``, else None. The arguments of
+    campaign() are the dictionary ``campaign``, or the result of a function with that name.
 
     Raises:
-        ProblemError: there is no such file, or no problem in it, or several of which none is called ``ocp``.
+        ProblemError: the file does not exist, or contains no problem, or several problems of which none is called
+            ``ocp``.
         BaseException: any exception that the file raises.
     """
     if not path.is_file():
@@ -63,7 +66,7 @@ def load_problem(path: Path) -> FoundProblem:
 
 
 def _find_statement(names: Mapping[str, Any], path: Path) -> tuple[OCP, Options]:
-    """The problem and the options that the file states."""
+    """Return the problem and the options that the file states."""
     found = _problem(names, path)
     ocp, given = found if isinstance(found, tuple) else (found, names.get("options"))
     if callable(given):
@@ -78,7 +81,7 @@ def _find_statement(names: Mapping[str, Any], path: Path) -> tuple[OCP, Options]
 
 
 def _problem(names: Mapping[str, Any], path: Path) -> Any:
-    """An OCP, or the pair (OCP, Options) that problem() returns."""
+    """Return an OCP, or the pair (OCP, Options) that problem() returns."""
     if callable(names.get("problem")):
         return _check_ocp("problem", _call("problem", names["problem"], path), path)
     if "ocp" in names:
@@ -99,7 +102,7 @@ def _problem(names: Mapping[str, Any], path: Path) -> Any:
 
 
 def _find_estimator(names: Mapping[str, Any], ocp: OCP, path: Path) -> Estimator | None:
-    """The estimator of the problem, if the file states one."""
+    """Return the estimator of the problem, if the file states one."""
     found = names.get("estimator", names.get("build_estimator"))
     if found is None:
         return None
@@ -112,7 +115,7 @@ def _find_estimator(names: Mapping[str, Any], ocp: OCP, path: Path) -> Estimator
 
 
 def _find_campaign(names: Mapping[str, Any], path: Path) -> Mapping[str, Any]:
-    """The arguments of campaign(), if the file states some."""
+    """Return the arguments of campaign(), if the file states some."""
     found = names.get("campaign", {})
     if found is getattr(sys.modules.get("nmpc_codegen.campaigns"), "campaign", None):  # it was imported
         return {}

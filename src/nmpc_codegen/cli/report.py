@@ -1,4 +1,4 @@
-"""What is said of a package: in a few lines, with -v in full, and as entries of --json."""
+"""A package is reported in a few lines, with -v in full, and as entries of --json."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ WIDTH = 100  # columns of a short line
 
 
 def report_files(printer: Printer, name: str, directory: Path, paths: Sequence[Path], folder: Path) -> None:
-    """Folder, number and size of the files; with -v each of them."""
+    """Print folder, number and size of the files; with -v every file."""
     from rich.table import Table
 
     sizes = {os.path.relpath(path, directory): path.stat().st_size for path in sorted(paths)}
@@ -35,8 +35,10 @@ def report_files(printer: Printer, name: str, directory: Path, paths: Sequence[P
 
 
 def report_package(printer: Printer, package: Package, folder: Path, ring: int) -> None:
-    """Files, choices and memory; with -v also all reasons, the operations of every function and the worst case.
-    ``ring``: bytes of dumps."""
+    """Print files, choices and memory; with -v all reasons, operations of every function and the worst case.
+
+    ``ring`` is the size of the dumps in bytes.
+    """
     report_files(printer, package.name, package.directory, package.files, folder)
     for key in ("choices", "warnings", "ram_bytes", "operations"):
         if key in package.report and (key != "operations" or printer.verbose):
@@ -58,7 +60,7 @@ def report_package(printer: Printer, package: Package, folder: Path, ring: int) 
 
 
 def shorten(text: str) -> str:
-    """A text of at most WIDTH columns: whole words, no open parenthesis, and an ellipsis for the rest."""
+    """Return a text of at most WIDTH columns: whole words, no open parenthesis, and an ellipsis for the rest."""
     if len(text) <= WIDTH:
         return text
     cut = text[: WIDTH - 3].rpartition(" ")[0]
@@ -68,7 +70,7 @@ def shorten(text: str) -> str:
 
 
 def _worst(package: Package) -> str:
-    """The worst case of a sample in words."""
+    """Return the worst case of a sample in words."""
     from nmpc_codegen.analysis import worst_case
 
     paths = [f"{package.name}.{ending}" for ending in ("h", "c", "json")]
@@ -80,7 +82,7 @@ def _worst(package: Package) -> str:
 
 
 def report_operations(printer: Printer, operations: Mapping[str, Mapping[str, Any]]) -> None:
-    """A table of the operations of every function, the largest first."""
+    """Print a table of the operations of every function, the largest first."""
     from rich.table import Table
 
     counts = {function: sum(count.values()) for function, count in operations.items()}

@@ -1,4 +1,4 @@
-"""--set KEY=VALUE: any option by its dotted name."""
+"""--set KEY=VALUE sets any option by its dotted name."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class Change:
 
 
 def registry(seam: str) -> Mapping[str, Any]:
-    """Components of a seam: word -> class."""
+    """Return the components of a seam: {word: class}."""
     return REGISTRIES[seam]
 
 
@@ -34,7 +34,7 @@ _TRUTH = {"true": True, "false": False}
 
 
 def parse_value(text: str) -> Any:
-    """A Python literal, true or false, else the text itself."""
+    """Return a Python literal, true or false, else the text itself."""
     if text in _TRUTH:
         return _TRUTH[text]
     try:
@@ -46,10 +46,10 @@ def parse_value(text: str) -> Any:
 
 
 def apply_settings(options: Options, settings: Sequence[tuple[str, str]]) -> Options:
-    """``options`` with the fields of all settings replaced at once; a later setting overrides an earlier one.
+    """Return ``options`` with the fields of all settings replaced at once; a later setting overrides an earlier one.
 
     Raises:
-        OptionError: there is no such field (the message lists those that exist), or a value is not allowed.
+        OptionError: a field does not exist (the message lists the existing ones), or a value is not allowed.
     """
     root = Change()
     for key, text in settings:
@@ -62,10 +62,10 @@ def apply_settings(options: Options, settings: Sequence[tuple[str, str]]) -> Opt
 
 
 def _change(part: Any, change: Change, where: str) -> Any:
-    """A dataclass of options with the values inside a change."""
+    """Return a dataclass of options with the values of a change."""
     fields = rules(part)
     if where not in ("", *SEAMS) and not any(fields.values()):
-        fields = {}  # a value such as a tableau, which is chosen as a whole
+        fields = {}  # a value such as a tableau is chosen as a whole
     new: dict[str, Any] = {}
     for name, inner in change.inside.items():
         key = f"{where}.{name}" if where else name
@@ -84,13 +84,13 @@ def _change(part: Any, change: Change, where: str) -> Any:
 
 
 def _takes(cls: Any, name: str, change: Change) -> bool:
-    """True if an option of a class takes the value that it is given."""
+    """Return True if the new value of an option is allowed."""
     rule = rules(cls)[name]
     return rule is None or not change.given or rule.takes(rule.convert(change.value))
 
 
 def _component(seam: str, word: Any) -> Any:
-    """The component with the given word and default options; None leaves the choice to the compiler."""
+    """Return the component with the given word and default options; None leaves the choice to the compiler."""
     if word is None:
         return None
     words = registry(seam)
@@ -100,19 +100,21 @@ def _component(seam: str, word: Any) -> Any:
     return words[known]()
 
 
-#: The component that options mean which several have.
+#: Seam -> component to which an option belongs that several components have.
 MEANT = {"integrator": "explicit_runge_kutta"}
 
 
 def _default(options: Options, seam: str, names: Mapping[str, Change]) -> Any:
-    """The algorithm's default component, else the one that has all these options with these values."""
+    """Return the algorithm's default component, else the one that has all these options with these values."""
     default = getattr(options.with_defaults, seam)
     return default if default is not None else _first_with(seam, names)
 
 
 def _first_with(seam: str, names: Mapping[str, Change]) -> Any:
-    """The component of a seam that has all these options: the only one, the only one that takes their values, or the
-    one that is meant."""
+    """Return the component of a seam that has all these options.
+
+    It is the only one, or the only one that allows their values, or the default of MEANT.
+    """
     able = {word: cls for word, cls in registry(seam).items() if set(names) <= set(rules(cls))}
     taking = {word: cls for word, cls in able.items() if all(_takes(cls, n, change) for n, change in names.items())}
     for known in (able, taking):

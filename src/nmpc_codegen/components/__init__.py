@@ -1,1 +1,1 @@
-"""ADD A VARIANT HERE: one folder per seam, one file per variant; base.py defines the contracts."""
+"""ADD A VARIANT HERE: each seam has a folder, each variant a file; base.py defines the contracts."""

@@ -1,4 +1,4 @@
-"""Allowed values of options: one rule per field validates the value, words the error message and lists the choices."""
+"""Each option has one rule for its values, which validates them, words the error message and lists the choices."""
 
 from __future__ import annotations
 
@@ -24,20 +24,20 @@ _KEY = "allowed"
 
 
 class Rule(Protocol):
-    """Allowed values of an option; its text completes "expected ..."."""
+    """A rule for the values of an option; its text completes "expected ..."."""
 
     def convert(self, value: Any) -> Any:
-        """Return the object that a word stands for, and any other value unchanged."""
+        """Return the object for a word, and any other value unchanged."""
         ...
 
     def takes(self, value: Any) -> bool:
-        """True if the converted value is allowed."""
+        """Return True if the converted value is allowed."""
         ...
 
 
 @dataclass(frozen=True)
 class Words:
-    """One of the given words; None may be among them."""
+    """The value is one of the given words; None may be among them."""
 
     words: tuple[str | None, ...]
 
@@ -53,7 +53,7 @@ class Words:
 
 @dataclass(frozen=True)
 class Flag:
-    """True or False."""
+    """The value is True or False."""
 
     optional: bool = False
 
@@ -69,7 +69,7 @@ class Flag:
 
 @dataclass(frozen=True)
 class Whole:
-    """An integer from ``least`` to ``most``."""
+    """The value is an integer from ``least`` to ``most``."""
 
     most: int = INT_MAX
     optional: bool = False
@@ -89,7 +89,7 @@ class Whole:
 
 @dataclass(frozen=True)
 class Number:
-    """A finite number > 0 (>= 0 if ``closed``)."""
+    """The value is a finite number > 0 (>= 0 if ``closed``)."""
 
     closed: bool = False
     optional: bool = False
@@ -113,7 +113,7 @@ class Number:
 
 @dataclass(frozen=True)
 class Named:
-    """An object of one of the given classes, or a word that stands for such an object."""
+    """The value is an object of one of the given classes, or a word for such an object."""
 
     words: Mapping[str, Any]
     classes: tuple[type, ...]
@@ -131,10 +131,13 @@ class Named:
 
 @dataclass(frozen=True)
 class Matrix:
-    """A symmetric matrix of finite numbers, or None."""
+    """The value is a symmetric matrix of finite numbers, or None."""
 
     def convert(self, value: Any) -> Any:
-        """Tuples of numbers, so that options are equal by value; (value + value') / 2 if that differs by rounding."""
+        """Return the matrix as tuples of numbers, so that options are equal by value.
+
+        An asymmetry that is rounding is removed: (value + value') / 2.
+        """
         array = _numbers(value)
         if array is None or array.ndim != 2 or array.shape[0] != array.shape[1] or not _symmetric(array):
             return value
@@ -150,10 +153,10 @@ class Matrix:
 
 @dataclass(frozen=True)
 class AllowedPoint:
-    """A pair of vectors (x, u) of finite numbers, or None."""
+    """The value is a pair of vectors (x, u) of finite numbers, or None."""
 
     def convert(self, value: Any) -> Any:
-        """Tuples of numbers."""
+        """Return the vectors as tuples of numbers."""
         if not isinstance(value, tuple | list) or len(value) != 2:
             return value
         vectors = [_numbers(part) for part in value]
@@ -173,21 +176,23 @@ class AllowedPoint:
 
 
 def option(default: Any, rule: Rule) -> Any:
-    """Dataclass field of an option, with its default value and the rule for its values."""
+    """Return the dataclass field of an option, with its default value and the rule for its values."""
     return field(default=default, metadata={_KEY: rule})
 
 
 def rules(part: Any) -> dict[str, Rule | None]:
-    """Name of every option of a dataclass or instance -> its rule, or None for a field without one."""
+    """Return {name of an option: rule} of a dataclass or instance; None for a field without a rule."""
     fields = dataclasses.fields(part) if dataclasses.is_dataclass(part) else ()
     return {f.name: f.metadata.get(_KEY) for f in fields}
 
 
 def check_options(part: Any, key: str) -> None:
-    """Convert words and refuse values that are not allowed; ``key``: prefix on the command line, "" at the top level.
+    """Convert words and refuse values that are not allowed.
+
+    ``key`` is the prefix on the command line, "" at the top level.
 
     Raises:
-        OptionError: names the class, the option, its value, what is allowed, and the flag of the command line.
+        OptionError: a value is not allowed; the message names class, option, value, allowed values, and the flag.
     """
     for name, rule in _has_rules(part):
         given = getattr(part, name)
@@ -204,7 +209,7 @@ def _has_rules(part: Any) -> Iterator[tuple[str, Rule]]:
 
 
 def show(value: Any) -> str:
-    """A short repr of any value, even if its own repr fails or is very long."""
+    """Return a short repr of any value, even if its own repr fails or is very long."""
     short = reprlib.Repr()
     short.maxstring = short.maxother = 120
     try:
@@ -214,7 +219,7 @@ def show(value: Any) -> str:
 
 
 def _numbers(value: Any) -> NDArray[np.float64] | None:
-    """The value as an array of finite numbers; None if it is something else."""
+    """Return the value as an array of finite numbers, None for anything else."""
     if isinstance(value, str | bytes) or value is None:
         return None
     try:

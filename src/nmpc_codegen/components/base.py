@@ -1,4 +1,4 @@
-"""The seams of the compiler and the contract that every component fulfils.
+"""The seams of the compiler are the interfaces of its components; each has a contract that every component fulfils.
 
 A component is a frozen dataclass of its own options. Every seam has one protocol; the compiler uses nothing else and
 never tests which component it has. The seams, in the order of their sections in the generated C, are integrator,
@@ -41,17 +41,17 @@ Seam = Literal["integrator", "hessian", "condensing", "qp", "algorithm"]
 
 SEAMS: tuple[Seam, ...] = get_args(Seam)
 
-#: Of variables that Newton's method solves for.
+#: The use of variables that Newton's method solves for.
 NONLINEAR = "nonlinear algebraic equations"
 
-#: Of a recursion over the stages, which cannot hold such equations.
+#: The use that a recursion over the stages cannot support.
 COUPLED_START = "rows that couple x_N with free components of x_0"
 
-#: Of estimators.
+#: The use of estimators.
 MEASUREMENTS = "measurements"
 
-#: What a problem may use beyond the core (``Problem.uses``). A component supports all of it but what it takes away: who
-#: adds a use takes it away where it is not supported.
+#: Everything that a problem may use beyond the core (``Problem.uses``). A component states its supported uses by
+#: subtraction: a new use must be subtracted where it is not supported.
 EVERY_USE = frozenset(
     {
         "general cost",
@@ -71,11 +71,11 @@ EVERY_USE = frozenset(
     }
 )
 
-#: What components support whose QP keeps the states.
+#: Uses that components support whose QP keeps the states.
 USES_OF_STAGES = EVERY_USE - {COUPLED_START}
 
 #: Parts of the core that an algorithm can use: the linearisation of every node, the multipliers, products with the
-#: stage matrices, the KKT residuals, products of the derivatives of an interval and of the cost with vectors.
+#: stage matrices, the KKT residuals, and products of the derivatives of an interval and of the cost with vectors.
 Core = Literal["nodes", "multipliers", "products", "kkt", "directions"]
 
 
@@ -104,24 +104,24 @@ class Dims:
     nm: Size  # measurements of an estimator
     nin: Size  # controls of its plant
     condensed: QpDims | None  # sizes of the QP, None without condensing
-    end_rows: int = 0  # hard rows that hold at node N alone
-    banded: int = 0  # controls of the node before, which act on no state: the last states
+    end_rows: int = 0  # hard rows that hold only at node N
+    banded: int = 0  # number of last states that store previous controls and act on no state
     estimation: Estimation | None = None
-    multiple: int = PANEL  # to which leading dimensions of stage matrices are rounded up; 1: no padding
+    multiple: int = PANEL  # leading dimensions of stage matrices are rounded up to it; 1: no padding
 
     @property
     def nodes(self) -> Size:
-        """Shooting nodes with the terminal one."""
+        """Return the number of shooting nodes with the terminal one."""
         return Size("N + 1", self.N + 1)
 
     @property
     def constraints(self) -> Size:
-        """Bounds of the controls of the QP, and its rows."""
+        """Return the number of bounds of the controls of the QP and of its rows."""
         return Size(f"{self.qp.nv.text} + {self.ng.text}", self.qp.nv + self.ng)
 
     @property
     def qp(self) -> QpDims:
-        """Sizes of the QP.
+        """Return the sizes of the QP.
 
         Raises:
             ValueError: the package has no QP.
@@ -144,17 +144,19 @@ class QpDims:
 
 @dataclass(frozen=True)
 class QpShape:
-    """Sizes of the QP that a condensing component forms: its ``variables`` are ``controls`` and those that the
-    component adds, ``slacks`` of them slack variables."""
+    """The sizes of the QP that a condensing component forms.
+
+    Its ``variables`` are ``controls`` and those that the component adds, of which ``slacks`` are slack variables.
+    """
 
     controls: int
     variables: int
     slacks: int = 0
 
 
-#: Names of the hooks of algorithms, with what calls them. A part in C states a hook as a call: ``before_prepare(s);``,
-#: ``status = after_prepare(s, status);``. The generator writes one call for every hooked part that defines the hook, in
-#: the order of hooked_parts(); a hook that none defines leaves no trace.
+#: Names of the hooks of algorithms, and where they are called. A part in C states a hook as a call:
+#: ``before_prepare(s);``, ``status = after_prepare(s, status);``. The generator writes one call for every hooked part
+#: that defines the hook, in the order of hooked_parts(); a hook without a definition is removed.
 HOOKS = {
     "on_reset": "init() and reset(), after the plan has been set",
     "before_prepare": "prepare(), before anything is evaluated",
@@ -178,19 +180,19 @@ def _nothing(dims: Dims) -> tuple[Struct, ...]:
 
 @dataclass(frozen=True)
 class HookedPart:
-    """A file of C below templates/hooked/, named after it, and the structs that it needs."""
+    """A C file in templates/hooked/ with this name, and the structs that it needs."""
 
     name: str
     structs: Callable[[Dims], tuple[Struct, ...]] = _nothing
 
     @property
     def part(self) -> str:
-        """Path of its file below templates/."""
+        """Return the path of its file in templates/."""
         return f"hooked/{self.name}.c"
 
 
 class Component(Protocol):
-    """The interface of every component, whatever its seam; one that states nothing adds its part alone."""
+    """The interface of every component, for any seam; the defaults add only its part."""
 
     seam: ClassVar[Seam]
     name: ClassVar[str]  # its word on the command line
@@ -203,51 +205,54 @@ class Component(Protocol):
         return
 
     def adds(self, features: Features) -> Features:
-        """The features of a package with it; ``features``: those of the problem and of components before it."""
+        """Return the features of a package with it.
+
+        The argument holds the features of the problem and of the components before it.
+        """
         return features
 
     def hooked_parts(self, features: Features) -> tuple[HookedPart, ...]:
-        """What runs at the hooks of the algorithm for it in a package with these features, in this order."""
+        """Return the parts that run for it at the hooks of the algorithm, in this order."""
         return ()
 
     @property
     def places(self) -> Mapping[str, str]:
-        """Further inputs and outputs of its kernels -> where a node keeps them, as in {"K": "(s)->stages.K[k]"}."""
+        """Return {further input or output of its kernels: place in a node}, as in {"K": "(s)->stages.K[k]"}."""
         return {}
 
     def notes(self, problem: Problem) -> tuple[str, ...]:
-        """What the user of a package with it should know; part of the report."""
+        """Return notes for the user of a package with it, which become part of the report."""
         return ()
 
     def tables(self, problem: CompleteProblem) -> tuple[Table, ...]:
-        """Constant tables that its template reads."""
+        """Return the constant tables that its template reads."""
         return ()
 
     def sizes(self, dims: Dims) -> tuple[tuple[str, int, str], ...]:
-        """Further compile-time sizes: (macro without prefix, value, meaning)."""
+        """Return further compile-time sizes: (macro without prefix, value, meaning)."""
         return ()
 
     def absent_sizes(self, dims: Dims) -> tuple[tuple[str, int, str], ...]:
-        """Sizes that its parts name and this package does not need."""
+        """Return sizes that its parts name and this package does not need."""
         return ()
 
     def structs(self, dims: Dims) -> tuple[Struct, ...]:
-        """The structs that it owns inside the solver struct."""
+        """Return the structs that it owns inside the solver struct."""
         return ()
 
     def ranges(self, dims: Dims) -> Mapping[str, tuple[int, int]]:
-        """Integer members of its structs that limit loops -> least and largest value, for the worst case."""
+        """Return {integer member of its structs that limits loops: (least, largest value)}, for the worst case."""
         return {}
 
     def cost(self, dims: Dims, model: ModelFunctions) -> Counts:
-        """Exact operation counts of those of its C functions whose count does not depend on data.
+        """Return exact operation counts of its C functions, except those whose count depends on data.
 
         ``model`` provides the functions that they call: the lifted functions and the stage products.
         """
         return {}
 
     def foreign_sources(self, prefix: str, precision: Precision, dims: Dims) -> Mapping[str, str]:
-        """Code of another generator: path (in a folder that is named after the component) -> text."""
+        """Return code of another generator: {path in a folder named after the component: text}."""
         return {}
 
 
@@ -258,42 +263,46 @@ class Integrator(Component, Protocol):
 
     @property
     def small(self) -> Self:
-        """This integrator with the least code, where its options leave that open."""
+        """Return this integrator with the least code that its options allow."""
         ...
 
     def longest_step(self, problem: Problem) -> float:
-        """Length (s) of the longest integration step."""
+        """Return the length (s) of the longest integration step."""
         ...
 
     def interval(self, problem: Problem) -> Interval:
-        """integrator_interval(x, u, p, dt -> x_next, S) and integrator_step(x, u, p, h -> x_next)."""
+        """Return integrator_interval(x, u, p, dt -> x_next, S) and integrator_step(x, u, p, h -> x_next)."""
         ...
 
     def products(self, problem: Problem) -> IntervalProducts:
-        """integrator_value, integrator_adjoint, integrator_forced and integrator_free."""
+        """Return integrator_value, integrator_adjoint, integrator_forced and integrator_free."""
         ...
 
     def directional(self, problem: Problem) -> tuple[Routine, Routine]:
-        """integrator_forward(x, u, p, dt, dx, du -> dx_next) and integrator_adjoint(x, u, p, dt, adj -> g)."""
+        """Return integrator_forward(x, u, p, dt, dx, du -> dx_next) and integrator_adjoint(x, u, p, dt, adj -> g)."""
         ...
 
     def lift_hessian(self, problem: Problem, scheme: str, name: str, start: Call, more: tuple[Port, ...]) -> Routine:
-        """(x, u, p, dt, more, lam) -> (x_next, S, g, Q): ``start`` initialises g and Q from all inputs but lam, and the
-        interval adds d(integrated cost) / dz and the lower triangle of d2 (lam' Phi + integrated cost) / dz^2, where
-        z = (x, u)."""
+        """Return the routine (x, u, p, dt, more, lam) -> (x_next, S, g, Q) with second derivatives of an interval.
+
+        ``start`` initialises g and Q from all inputs except lam. The interval adds d(integrated cost) / dz and the
+        lower triangle of d2 (lam' Phi + integrated cost) / dz^2, where z = (x, u).
+        """
         ...
 
     def integrated_cost(self, problem: Problem, name: str, start: Call, more: tuple[Port, ...]) -> Routine:
-        """(x, u, p, dt, more) -> l: the value that ``start`` stores in l, plus the integral of the cost rate."""
+        """Return the routine (x, u, p, dt, more) -> l: the value from ``start`` plus the integral of the cost rate."""
         ...
 
     def integrated_gradient(self, problem: Problem, name: str, start: Call, more: tuple[Port, ...]) -> Routine:
-        """(x, u, p, dt, more) -> g: the value that ``start`` stores in g, plus the gradient of that integral."""
+        """Return the routine (x, u, p, dt, more) -> g: the value from ``start`` plus the gradient of that integral."""
         ...
 
     def integrated_product(self, problem: Problem, name: str, start: Call, more: tuple[Port, ...]) -> Routine:
-        """Return the routine (x, u, p, dt, more) -> w. It adds H d to the w of ``start``: H is the Gauss-Newton Hessian
-        of the integrated cost, and ``more`` contains d."""
+        """Return the routine (x, u, p, dt, more) -> w: H d, added to the value from ``start``.
+
+        H is the Gauss-Newton Hessian of the integrated cost; ``more`` contains d.
+        """
         ...
 
 
@@ -303,16 +312,16 @@ class Hessian(Component, Protocol):
     seam: ClassVar[Seam] = "hessian"
 
     def blocks(self, problem: Problem, costs: StageCosts, integrator: Integrator) -> HessianModel:
-        """The blocks of all stages; the integrator provides the second derivatives of the dynamics."""
+        """Return the blocks of all stages; the integrator provides the second derivatives of the dynamics."""
         ...
 
 
 class StageMatrices(Protocol):
-    """What the counts of condensing and of QP solvers follow from."""
+    """The stage matrices, from which the counts of condensing and of QP solvers follow."""
 
     @property
     def products(self) -> Products:
-        """Products with the stage matrices."""
+        """Return the products with the stage matrices."""
         ...
 
 
@@ -324,11 +333,11 @@ class Condensing(Component, Protocol):
     gives: ClassVar[str]  # "condensed": without states, by products of the stage matrices; or "stages"
 
     def qp_shape(self, problem: Problem) -> QpShape:
-        """Sizes of the QP that it forms."""
+        """Return the sizes of the QP that it forms."""
         ...
 
     def cost(self, dims: Dims, model: StageMatrices) -> Counts:
-        """See Component; the functions that it calls are products."""
+        """Return operation counts, see Component; the functions that it calls are products."""
         return {}
 
 
@@ -341,11 +350,11 @@ class QpSolver(Component, Protocol):
     chosen_for: ClassVar[tuple[str, ...]]  # goals for which qp=None may choose it
 
     def cost(self, dims: Dims, model: StageMatrices) -> Counts:
-        """See Component; the functions that it calls are products."""
+        """Return operation counts, see Component; the functions that it calls are products."""
         return {}
 
     def search(self, dims: Dims) -> OpCount:
-        """Estimate of the further operations of a sample whose working set is far from the predicted one."""
+        """Estimate the further operations of a sample whose working set is far from the predicted one."""
         return OpCount()
 
 
@@ -361,27 +370,29 @@ class Algorithm(Component, Protocol):
 
     @property
     def shift(self) -> str | None:
-        """How the plan is shifted before every prepare; None: it is not."""
+        """Return the shift of the plan before every prepare(); None: no shift."""
         return None
 
     @property
     def sampling_time(self) -> float | None:
-        """Time between samples (s) if it is given."""
+        """Return the time between samples (s), or None."""
         return None
 
     @property
     def simulates(self) -> bool:
-        """True if the states of its plans are those of a simulation from x_0."""
+        """Return True if the states of its plans are simulated from x_0."""
         return False
 
     def decide(self, problem: Problem, small: bool) -> tuple[Self, tuple[str, ...]]:
-        """The algorithm with every option chosen that it leaves open for the problem, and the reasons; ``small``:
-        nothing in the package iterates, neither solve() nor samples."""
+        """Return the algorithm with every open option chosen for the problem, and the reasons.
+
+        If ``small``, nothing in the package iterates, neither solve() nor samples.
+        """
         return self, ()
 
     @property
     def convex(self) -> bool:
-        """True if an exact Hessian that may be indefinite has to be made convex for it."""
+        """Return True if an exact Hessian that may be indefinite must be made convex for it."""
         return True
 
     def check_parts(self, parts: Parts) -> None:
@@ -389,17 +400,17 @@ class Algorithm(Component, Protocol):
         return
 
     def entries(self, features: Features) -> tuple[EntryPoint, ...]:
-        """The C functions that a sample calls; with ``solve`` also the one that iterates to convergence."""
+        """Return the C functions that a sample calls; with ``solve`` also the one that iterates to convergence."""
         ...
 
     def reach(self, problem: Problem) -> float:
-        """Longest time (s) over which the plan is integrated from one of its nodes, besides the intervals; 0: none."""
+        """Return the longest time (s) over which the plan is integrated from a node, besides the intervals; 0: none."""
         return 0.0
 
 
 @dataclass(frozen=True)
 class Parts:
-    """The components of a package: one for every interface (seam) that the algorithm needs. No choice is open."""
+    """The components of a package, one for every seam that the algorithm needs; no choice is open."""
 
     integrator: Integrator
     algorithm: Algorithm
@@ -409,13 +420,13 @@ class Parts:
 
     @property
     def components(self) -> tuple[Component, ...]:
-        """All components that are present, in the order of their sections."""
+        """Return all components that are present, in the order of their sections."""
         found = (self.integrator, self.hessian, self.condensing, self.qp, self.algorithm)
         return tuple(component for component in found if component is not None)
 
 
 def spell(component: Component | type[Component]) -> str:
-    """A component as the user writes it, in Python and on the command line."""
+    """Return a component as the user writes it, in Python and on the command line."""
     cls = component if isinstance(component, type) else type(component)
     return f"{cls.__name__}() (--set {cls.seam}={cls.name})"
 
@@ -423,7 +434,7 @@ def spell(component: Component | type[Component]) -> str:
 def refuse_unsupported(
     problem: Problem, components: Iterable[Component], registries: Mapping[str, Mapping[str, type[Component]]]
 ) -> None:
-    """Raise OptionError if the problem uses what a component does not support; name those that do."""
+    """Raise OptionError if the problem uses what a component does not support; name the components that do."""
     for component in components:
         missing = sorted(problem.uses - component.supports)
         if missing:

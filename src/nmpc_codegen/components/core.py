@@ -1,4 +1,4 @@
-"""Structs of the core for algorithms that use them: linearised nodes, multipliers, KKT residuals."""
+"""The core has structs for algorithms that use them: linearised nodes, multipliers, KKT residuals."""
 
 from __future__ import annotations
 
@@ -11,8 +11,10 @@ from nmpc_codegen.package.struct_layout import Field, Struct, only_if
 
 
 def core_structs(core: Iterable[Core], dims: Dims) -> tuple[Struct, ...]:
-    """The structs for the words in ``core``; a struct named "solver" lists further members of the solver struct.
-    Those of other words are stated too, for parts that name them."""
+    """Return the structs for the words in ``core``; a struct named "solver" lists further members of the solver struct.
+
+    Structs of other words are stated as absent, for parts that name them.
+    """
     wanted = set(core)
     return (
         *only_if("nodes" in wanted, _node(dims), _terminal(dims), _coupled_struct(dims), _renewal()),
@@ -80,7 +82,7 @@ def _multipliers(dims: Dims) -> Struct:
 
 
 def _row_members(dims: Dims) -> Struct:
-    """What parts of the core know of rows."""
+    """Return the members that parts of the core keep about rows."""
     nodes = dims.nodes
     penalty = "l1 penalty of hard rows while a QP is relaxed, else infinite"
     left = "of the hard rows, left by the last step"
@@ -98,7 +100,7 @@ def _row_members(dims: Dims) -> Struct:
     )
 
 
-#: Sizes, and tables without values, that some components state and that parts of others name.
+#: Sizes, and tables without values, that some components state and parts of other components name.
 SIZES_OF_OTHERS = (
     ("NEWTON", 0, "no stages"),
     ("NEWTON_LIMIT", 0, "no stages"),
@@ -114,7 +116,7 @@ _OF_STAGES = ("newton", "failed_interval", "failed_step", "failed_stage", "faile
 
 
 def structs_of_others(dims: Dims) -> tuple[Struct, ...]:
-    """Members that some components state and that parts of the core name."""
+    """Return members that some components state and parts of the core name."""
     return only_if(
         False,
         Struct("solver", "", tuple(Field(name, (), "", "keep", "int32") for name in _OF_STAGES)),

@@ -1,4 +1,4 @@
-"""The cost of a stage as expressions, and the kernels of its value and gradient, which every algorithm uses.
+"""The cost of a stage is written as expressions; every algorithm uses the kernels of its value and gradient.
 
     l = 1/2 (y - yref)' W (y - yref) + general cost,   dl / dz = J' W (y - yref) + gradient of the general cost,
 
@@ -23,8 +23,8 @@ from nmpc_codegen.ir.sweep import Slice
 class StageCost:
     """Symbols and expressions of one stage; z = (x, u).
 
-    ``inputs`` and ``ports``: x, u, p, dt, and only x, p at the start and terminal stages; ``data_ports``: yref, W.
-    ``weight`` is the matrix with the entries W; rows and columns of residuals with scale_with_dt are scaled by dt.
+    ``inputs`` and ``ports`` are x, u, p, dt, and only x, p at the start and terminal stages; ``data_ports`` are yref,
+    W. ``weight`` is the matrix with the entries W; rows and columns of residuals with scale_with_dt are scaled by dt.
     """
 
     name: str
@@ -40,7 +40,7 @@ class StageCost:
     general: Expression | None  # the general cost
     rows: Expression  # mu' h
     ties: Expression  # further residuals of weight 1
-    reduce: Reduce  # (expression, order) -> the same with derivatives up to this order, where fewer operations give it
+    reduce: Reduce  # (expression, order) -> equal expression with derivatives up to this order, by fewer operations
 
     @property
     def nz(self) -> int:
@@ -51,7 +51,7 @@ class StageCost:
         return int(self.residual.numel())
 
     def _of_order(self, order: int) -> tuple[Expression, Expression, Expression]:
-        """Residual, ties and general cost with derivatives up to this order."""
+        """Return residual, ties and general cost with derivatives up to this order."""
         parts = self.residual, self.ties, ca.SX(0) if self.general is None else self.general
         residual, ties, general = (self.reduce(part, order) for part in parts)
         return residual, ties, general
@@ -65,17 +65,17 @@ class StageCost:
 
     @property
     def value(self) -> Expression:
-        """The cost l."""
+        """Return the cost l."""
         return self._value(0)
 
     @property
     def jacobian(self) -> Expression:
-        """J = dy / dz."""
+        """Return J = dy / dz."""
         return ca.jacobian(self._of_order(1)[0], self.z) if self.ny else ca.SX(0, self.nz)
 
     @property
     def gradient(self) -> Expression:
-        """d l / dz."""
+        """Return d l / dz."""
         residual, ties, general = self._of_order(1)
         least_squares = self.jacobian.T @ (self.weight @ residual) if self.ny else ca.SX(self.nz, 1)
         least_squares += ca.jacobian(ties, self.z).T @ ties
@@ -85,20 +85,20 @@ class StageCost:
 
     @property
     def gauss_newton(self) -> Expression:
-        """Lower triangle of J' W J."""
+        """Return the lower triangle of J' W J."""
         of_ties = ca.jacobian(self._of_order(1)[1], self.z)
         return ca.sparsify(ca.tril(self.jacobian.T @ self.weight @ self.jacobian + of_ties.T @ of_ties))
 
     @property
     def curvature(self) -> Expression:
-        """Lower triangle of d2 (mu' h) / dz^2."""
+        """Return the lower triangle of d2 (mu' h) / dz^2."""
         if not self.mu.numel():
             return ca.SX(self.nz, self.nz)
         return ca.sparsify(ca.tril(ca.hessian(self.rows, self.z)[0]))
 
     @property
     def hessian(self) -> Expression:
-        """Lower triangle of d2 (l + mu' h) / dz^2."""
+        """Return the lower triangle of d2 (l + mu' h) / dz^2."""
         return ca.sparsify(ca.tril(ca.hessian(self._value(2) + self.rows, self.z)[0]))
 
     @property
@@ -106,29 +106,29 @@ class StageCost:
         return Port("mu", int(self.mu.numel()), doc="multipliers of the general rows")
 
     def kernel(self, suffix: str, doc: str, value: Expression, out: Port, *, mu: bool = False) -> Kernel:
-        """value(inputs, yref, W[, mu]) as the routine <stage>_<suffix>."""
+        """Return value(inputs, yref, W[, mu]) as the routine <stage>_<suffix>."""
         symbols = [*self.inputs, self.yref, self.W, *([self.mu] if mu else [])]
         ports = [*self.ports, *self.data_ports, *([self.mu_port] if mu else [])]
         return lift(ca.Function(suffix, symbols, [value]), f"{self.name}_{suffix}", doc, ports, [out])
 
     def cost_kernel(self) -> Kernel:
-        """<stage>_cost -> l, which is not stored if the stage has no cost."""
+        """Return <stage>_cost -> l, which is not stored if the stage has no cost."""
         doc = "l = 1/2 (y - yref)' W (y - yref)" + ("" if self.general is None else " + general cost")
         return self.kernel("cost", doc, ca.sparsify(self.value), Port("l", 1))
 
     def gradient_kernel(self) -> Kernel:
-        """<stage>_gradient -> g."""
+        """Return <stage>_gradient -> g."""
         doc = "g = J' W (y - yref)" + ("" if self.general is None else " + gradient of the general cost")
         return self.kernel("gradient", doc, self.gradient, Port("g", self.nz))
 
     @cached_property
     def direction(self) -> Expression:
-        """The vector d that ``product`` multiplies."""
+        """Return the vector d that ``product`` multiplies."""
         return ca.SX.sym("d", self.nz)
 
     @property
     def product(self) -> Expression:
-        """J' W J d plus the Hessian of the general cost times d."""
+        """Return J' W J d plus the Hessian of the general cost times d."""
         d = self.direction
         residual, ties, _ = self._of_order(1)
         moved = ca.jtimes(residual, self.z, d) if self.ny else ca.SX(0, 1)
@@ -140,7 +140,7 @@ class StageCost:
         return ca.sparsify(least_squares + ca.jtimes(ca.gradient(self.general, self.z), self.z, d))
 
     def product_kernel(self) -> Kernel:
-        """<stage>_product: (inputs, yref, W, d) -> w."""
+        """Return <stage>_product: (inputs, yref, W, d) -> w."""
         doc = "w = J' W J d" + ("" if self.general is None else " + Hessian of the general cost times d")
         symbols = [*self.inputs, self.yref, self.W, self.direction]
         ports = [*self.ports, *self.data_ports, Port("d", self.nz)]
@@ -149,7 +149,7 @@ class StageCost:
 
 
 def stage_cost(stage: Stage, name: str, reduce: Reduce = lambda expression, order: expression) -> StageCost:
-    """The cost of a stage of the problem; ``name`` is "start", "path" or "terminal"."""
+    """Return the cost of a stage of the problem; ``name`` is "start", "path" or "terminal"."""
     yref, (W, weight, nw) = ca.SX.sym("yref", stage.ny), weight_matrix(stage)
     mu = ca.SX.sym("mu", stage.nh)
     terminal = not stage.nu
@@ -187,19 +187,22 @@ class StageCosts:
 
 
 def stage_costs(problem: Problem) -> StageCosts:
-    """The expressions that algorithms and Hessians share."""
+    """Return the expressions that algorithms and Hessians share."""
     stages = {name: getattr(problem, name) for name in ("start", "path", "terminal")}
     return StageCosts(*(stage_cost(stage, name, problem.reduction(stage)) for name, stage in stages.items()))
 
 
 def slices(*ports: Port) -> tuple[Slice, ...]:
-    """One slice per port, which covers the whole port."""
+    """Return one slice per port, which covers the whole port."""
     return tuple(Slice(p.name, p.size) for p in ports)
 
 
 def weight_matrix(stage: Stage) -> tuple[Expression, Expression, int]:
-    """(symbol, matrix, length) of the weight: the symbol holds its diagonal if it is diagonal, else all entries row by
-    row; the matrix includes the scaling with dt."""
+    """Return (symbol, matrix, length) of the weight.
+
+    The symbol holds the diagonal of a diagonal weight, else all entries row by row; the matrix includes the scaling
+    with dt.
+    """
     ny = stage.ny
     if stage.diagonal_weight:
         symbol = ca.SX.sym("W", ny)

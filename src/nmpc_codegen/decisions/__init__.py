@@ -1,1 +1,1 @@
-"""CompleteProblem and Options -> Choices: what options leave open, from trials and counts, each with its reason."""
+"""Choices that options leave open are made here from trials and counts, each with its reason."""

@@ -1,9 +1,10 @@
-"""How far the end of an interval by an explicit scheme is from the model, where the loop may be.
+"""The error of an explicit scheme at the end of an interval is measured at points where the loop may be.
 
-    max_i |x_n(dt) - x(dt)|_i / max(scale_i, |x_i|)   over points (x, u): those of the first plan, with controls there
-    and at their bounds, for all corners of ranges, and points drawn inside of the bounds of states and controls
+    max_i |x_n(dt) - x(dt)|_i / max(scale_i, |x_i|)
 
-x(dt) is that of RK4 with many steps. A state without two finite bounds is drawn between its values at the first plan.
+The points (x, u) are those of the first plan, with its controls and with controls at their bounds, for all corners of
+ranges, and random points inside the bounds of states and controls. x(dt) comes from RK4 with many steps. A state
+without two finite bounds is drawn between its values in the first plan.
 """
 
 from __future__ import annotations
@@ -17,17 +18,20 @@ from nmpc_codegen.components.integrators import RK4, ButcherTableau
 from nmpc_codegen.frontend.completion.first_plan import first_plan, points
 from nmpc_codegen.frontend.problem import Array, Problem
 
-#: Error of an interval that is accurate; steps that are tried for it.
+#: Largest error of an accurate interval; largest number of steps that is tried for it.
 ACCURATE, MOST_ACCURATE = 1e-3, 10
 
-#: Steps of the comparison, points that are drawn, the error of an interval that only the comparison ends, and the
-#: growth of the largest value of a state over an interval that has left where the loop may be.
+#: FINE: steps of the comparison. DRAWN: number of random points. LOST: error of an interval for which only the
+#: comparison has a finite end. ESCAPED: growth of the largest state over an interval that leaves the region of the
+#: loop.
 FINE, DRAWN, LOST, ESCAPED = 64, 64, 1e3, 10.0
 
 
 def starts(problem: Problem) -> Iterator[tuple[Array, Array, Array]]:
-    """The points (x, u, p) of the first plan, with the controls there and at their bounds, at all corners; those of an
-    estimator are at its initial state, for its references are measurements."""
+    """Yield the points (x, u, p) of the first plan at all corners, with its controls and with those at bounds.
+
+    Those of an estimator are at its initial state, because its references are measurements.
+    """
     for _, corner in problem.corners:
         rows = [row for row in corner.rows if row.kind == "control"]
         for x, u in [first_plan(corner)] if problem.estimation else points(corner):
@@ -39,7 +43,7 @@ def starts(problem: Problem) -> Iterator[tuple[Array, Array, Array]]:
 
 
 def _inner_points(problem: Problem, x: Array, u: Array) -> Array:
-    """Points (nx + nu, DRAWN) inside of the bounds, or between the points that are given."""
+    """Return random points (nx + nu, DRAWN) inside the bounds, or between the given points."""
     z, nx = np.vstack([x, u]), problem.nx
     low, high = np.min(z, axis=1), np.max(z, axis=1)
     for row in problem.rows:
@@ -52,7 +56,7 @@ def _inner_points(problem: Problem, x: Array, u: Array) -> Array:
 
 
 class Flow:
-    """The model over the longest interval from these points; ``scale`` (nx,): of the states."""
+    """The model over the longest interval from these points; ``scale`` (nx,) holds scales of the states."""
 
     def __init__(self, problem: Problem, scale: Array, fine: int = FINE) -> None:
         stage, found = problem.path, list(starts(problem))
@@ -71,22 +75,22 @@ class Flow:
         self._size = np.maximum(size, np.max(np.abs(self._fine), axis=1, initial=0.0)[:, None])
 
     def error(self, tableau: ButcherTableau, steps: int) -> float:
-        """The largest error of an interval with these steps; LOST where it has no end; 0 if no interval has one."""
+        """Return the largest error of an interval with this number of steps; LOST if it has no finite end."""
         return float(np.max(self._of_steps(tableau, steps), initial=0.0))
 
     def worst(self, tableau: ButcherTableau, steps: int) -> Array:
-        """The state (nx,) from which the error of an interval is largest."""
+        """Return the state (nx,) from which the error of an interval is largest."""
         found: Array = self._x[:, np.flatnonzero(self._ended)[np.argmax(self._of_steps(tableau, steps))]]
         return found
 
     def _of_steps(self, tableau: ButcherTableau, steps: int) -> Array:
-        """The error of every interval with these steps."""
+        """Return the error of every interval with this number of steps."""
         if (tableau, steps) not in self._known:
             self._known[tableau, steps] = self._errors(self._end(tableau, steps)[:, self._ended], self._fine)
         return self._known[tableau, steps]
 
     def _errors(self, end: Array, fine: Array) -> Array:
-        """The error of every interval."""
+        """Return the error of every interval."""
         with np.errstate(all="ignore"):
             errors = np.max(np.abs(end - fine) / self._size, axis=0)
             found: Array = np.where(errors < LOST, errors, LOST)
@@ -95,15 +99,17 @@ class Flow:
     def error_where_worst(
         self, tableau: ButcherTableau, steps: int, end: Callable[[Array, Array, Array], Array], count: int = 12
     ) -> float:
-        """The largest error of another scheme, by its end of an interval from (x, u, p), at the points where these
-        steps are worst."""
+        """Return the largest error of another scheme at the points where these steps are worst.
+
+        ``end`` maps (x, u, p) to the scheme's end of an interval.
+        """
         worst = np.argsort(-self._of_steps(tableau, steps))[:count]
         at = np.flatnonzero(self._ended)[worst]
         found = [end(self._x[:, i], self._u[:, i], self._p[:, i]) for i in at]
         return float(np.max(self._errors(np.array(found).T, self._fine[:, worst]), initial=0.0)) if found else 0.0
 
     def accurate_steps(self, tableau: ButcherTableau, tried: Iterable[int]) -> int | None:
-        """The first of these numbers of steps that is accurate; None if none is."""
+        """Return the first of these numbers of steps that is accurate; None if none is."""
         return next((n for n in tried if self.error(tableau, n) <= ACCURATE), None)
 
     def _end(self, tableau: ButcherTableau, steps: int) -> Array:

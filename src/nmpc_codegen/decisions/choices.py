@@ -1,4 +1,4 @@
-"""Choices: what a package consists of, each part with the reason for it."""
+"""Choices lists the components of a package, each with the reason for it."""
 
 from __future__ import annotations
 
@@ -21,8 +21,10 @@ T_co = TypeVar("T_co", covariant=True)
 
 @dataclass(frozen=True)
 class Decision(Generic[T_co]):
-    """``value``: what has been chosen; ``reasons``: sentences of the report; ``stated``, of an integrator or a Hessian:
-    the options gave the value."""
+    """A chosen value with the sentences of the report that explain it.
+
+    ``stated`` is True if the options gave the value of an integrator or a Hessian.
+    """
 
     value: T_co
     reasons: tuple[str, ...] = ()
@@ -31,7 +33,7 @@ class Decision(Generic[T_co]):
 
 @dataclass(frozen=True)
 class QpChoice:
-    """Condensing, QP solver, the reasons for them, and warnings of the digits that they cost."""
+    """The chosen condensing and QP solver, the reasons, and warnings of the digits that they cost."""
 
     condensing: Condensing
     qp: QpSolver
@@ -41,13 +43,13 @@ class QpChoice:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Choices:
-    """What a package consists of.
+    """Everything that a package consists of.
 
-    ``exact``: the blocks of the exact Hessian of solve(), where samples have another; ``qp``: condensing and QP solver,
-    None while they are open and if the algorithm has no QP; ``online``: what can be changed at run time; ``options``:
-    all of it as options, or those of the user while something is open. ``constant_hessian``: the path Hessian block is
-    the same at all nodes. ``trials``: integration schemes that were tried; ``made``: functions of the stages that were
-    counted; ``grown``: growth of the open loop.
+    exact: blocks of the exact Hessian of solve(), if samples have another one; qp: condensing and QP solver, None while
+    they are open and if the algorithm has no QP; online: data that can be changed at run time; options: all choices as
+    options, or the user's while something is open; constant_hessian: True if the path Hessian block is the same at all
+    nodes; trials: integration schemes that were tried; made: functions of the stages that were counted; grown: growth
+    of the open loop.
     """
 
     problem: CompleteProblem
@@ -66,23 +68,23 @@ class Choices:
 
     @cached_property
     def parts(self) -> Parts:
-        """The components."""
+        """Return the components."""
         of_qp = (None, None) if self.qp is None else (self.qp.condensing, self.qp.qp)
         return Parts(self.integrator.value, self.algorithm.value, self.hessian.value, *of_qp)
 
     @cached_property
     def dims(self) -> Dims:
-        """The sizes that the components share."""
+        """Return the sizes that the components share."""
         return self.dims_with(self.parts.condensing)
 
     def dims_with(self, condensing: Condensing | None) -> Dims:
-        """These sizes with another condensing."""
+        """Return these sizes with another condensing."""
         banded, goal = self.made.products.banded, self.options.goal
         return dimensions(self.problem, condensing, self.constant_hessian, goal, banded)
 
     @property
     def reasons(self) -> tuple[str, ...]:
-        """All choices with their reasons, for the report."""
+        """Return all choices with their reasons, for the report."""
         problem = self.problem
         notes = (note for component in self.parts.components for note in component.notes(problem))
         idle = [problem.control_names[j] for j in problem.saddles.controls]
@@ -102,5 +104,5 @@ class Choices:
 
 
 def no_curvature_in(flat: tuple[str, ...]) -> str:
-    """What the report and a warning say of controls without curvature."""
+    """Return the words of the report and of a warning on controls without curvature."""
     return f"the cost has no curvature in {', '.join(flat)}"

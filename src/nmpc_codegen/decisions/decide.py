@@ -1,4 +1,4 @@
-"""CompleteProblem, Options -> Choices: every choice that the options leave open, once, with its reason."""
+"""decide() makes every choice that the options leave open, once, with its reason."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def decide(problem: CompleteProblem, options: Options) -> Choices:
 
 
 def _close(options: Options, found: Choices) -> Options:
-    """The options that leave nothing open."""
+    """Return the options with every choice filled in."""
     target = found.target.value
     return replace(
         options,
@@ -68,8 +68,10 @@ def _close(options: Options, found: Choices) -> Options:
 
 
 def _check(problem: CompleteProblem, options: Options, *components: Component | None) -> None:
-    """Raise OptionError if a component does not support the problem or its options clash with it; of several that
-    fail, of one that the user has given."""
+    """Raise OptionError if a component does not support the problem or its options clash with it.
+
+    If several fail, the error names one that the user has given.
+    """
     present = [component for component in components if component is not None]
     present.sort(key=lambda component: getattr(options, component.seam) is None)
     refuse_unsupported(problem, present, REGISTRIES)
@@ -78,10 +80,10 @@ def _check(problem: CompleteProblem, options: Options, *components: Component | 
 
 
 def _decide_online(problem: CompleteProblem, online: Online) -> Decision[Online]:
-    """Parameters by node, where blocks of controls or rates need some.
+    """Store parameters by node if blocks of controls or rates need that.
 
     Raises:
-        OptionError: parameters of the user have another layout.
+        OptionError: the user's parameters have another layout.
     """
     if not problem.augmentation.data or online.parameter == "node":
         return Decision(online)
@@ -95,7 +97,7 @@ def _decide_online(problem: CompleteProblem, online: Online) -> Decision[Online]
 
 
 def _decide_target(options: Options) -> Decision[Target]:
-    """The target, of which the report says what its packages lack, and what "native" has become."""
+    """Return the target with the reasons: its machine, or what the compiler of this machine lacks."""
     target = options.machine
     if target != PORTABLE:
         return Decision(target, (f"target: {target.name}; {target.machine}",))

@@ -1,4 +1,4 @@
-"""The sizes that follow from a problem and the form of its QP, which the components share."""
+"""The components share sizes that follow from a problem and the form of its QP."""
 
 from __future__ import annotations
 
@@ -14,10 +14,11 @@ from nmpc_codegen.package.struct_layout import Size
 def dimensions(
     problem: Problem, condensing: Condensing | None, constant_hessian: bool, goal: Goal = "speed", banded: int = 0
 ) -> Dims:
-    """All shared sizes; ``condensing`` is None without a QP; ``constant_hessian``: one path block serves all nodes;
-    ``banded``: the last states, which act on no other one.
+    """Return all shared sizes.
 
-    Leading dimensions of stage matrices are rounded up, unless the package is to be small.
+    ``condensing`` is None without a QP; with ``constant_hessian`` one path block serves all nodes; ``banded`` is the
+    number of last states that act on no other state. Leading dimensions of stage matrices are rounded up, unless the
+    package is to be small.
     """
     p = problem
     sizes = {
@@ -69,7 +70,7 @@ def _qp_dims(problem: Problem, condensing: Condensing) -> QpDims:
 
 
 def _sizes(values: Mapping[str, tuple[int, str]], fields: Mapping[str, str]) -> dict[str, Size]:
-    """Field -> size, by macro; a field is its macro in lower case unless ``fields`` names it."""
+    """Return {field: size} by macro; a field is its macro in lower case unless ``fields`` names it."""
     return {fields.get(name, name.lower()): Size(name, value, doc) for name, (value, doc) in values.items()}
 
 

@@ -1,4 +1,4 @@
-"""Growth of the open loop over the horizon, which costs digits where condensing eliminates the states.
+"""The growth of the open loop over the horizon costs digits if condensing eliminates the states.
 
     dx_k = sum_j Phi(k, j + 1) B_j du_j + ...,   Phi(k, j) = A_{k-1} ... A_j
 
@@ -31,36 +31,36 @@ from nmpc_codegen.frontend.problem import Array, Problem
 from nmpc_codegen.ir.casadi_types import Function
 from nmpc_codegen.package.struct_layout import EPS, Precision
 
-#: Relative error of the controls above which the compiler does not choose the condensing that causes it, and warns of
-#: one that is given. In double precision the check before OK takes errors above it for failures now and then.
+#: Relative error of the controls above which the compiler does not choose the condensing that causes it, and warns of a
+#: stated one. In double precision, the check before OK sometimes takes larger errors for failures.
 AVOIDED: Mapping[Precision, float] = {"double": 1e-7, "single": 1e-4}
-#: Relative error above which condensing that is given is refused.
+#: Relative error above which a stated condensing is refused.
 REFUSED = 1e-3
 #: Growth over the horizon above which single shooting loses plans.
 SIMULATED = 200.0
 Marks = NDArray[np.bool_]
 
-#: Entries of products do not exceed this number.
+#: Entries of products are limited to this number.
 LARGEST = 1e100
 
 
 @dataclass(frozen=True)
 class Growth:
-    """``factors[l - 1]``: growth over l intervals; empty if no point that the problem states has finite derivatives."""
+    """``factors[l - 1]`` is the growth over l intervals; it is empty if no stated point has finite derivatives."""
 
     factors: tuple[float, ...]
     precision: Precision
 
     def factor(self, intervals: int) -> float:
-        """Growth if the states of so many intervals in a row are functions of the first one and of the controls."""
+        """Return the growth if the states of this number of intervals depend on the first state and the controls."""
         return self.factors[min(intervals, len(self.factors)) - 1] if self.factors else 1.0
 
     def error(self, intervals: int, precision: Precision | None = None) -> float:
-        """Estimated relative error of the controls, at most 1."""
+        """Return the estimated relative error of the controls, at most 1."""
         return min(1.0, 4.0 * self.factor(intervals) ** 2 * EPS[precision or self.precision])
 
     def describe(self, intervals: int) -> str:
-        """The factor and the digits that remain."""
+        """Describe the factor and the digits that remain."""
         left, given = (abs(math.log10(e)) for e in (self.error(intervals), EPS[self.precision]))
         return (
             f"the open loop grows by a factor of {self.factor(intervals):.2g} over {intervals} intervals, whose square "
@@ -68,14 +68,14 @@ class Growth:
         )
 
     def spares(self, problem: Problem, condensing: Condensing) -> bool:
-        """True if a condensing component costs few digits."""
+        """Return True if a condensing component costs few digits."""
         return self.error(_intervals(problem, condensing)) <= AVOIDED[self.precision]
 
     def warning(self, problem: Problem, condensing: Condensing) -> tuple[str, ...]:
-        """A warning of a condensing component that costs many digits.
+        """Return a warning if a condensing component costs many digits.
 
         Raises:
-            OptionError: it costs too many.
+            OptionError: the component costs too many digits.
         """
         intervals = _intervals(problem, condensing)
         if self.error(intervals) > REFUSED:
@@ -91,7 +91,7 @@ class Growth:
         return (f"condensing {condensing.name}: {self.describe(intervals)}; try {advice}",)
 
     def of_simulation(self, algorithm: str, intervals: int) -> tuple[str, ...]:
-        """A warning of an algorithm that simulates its plans, if they run away from small errors of their controls."""
+        """Return a warning if an algorithm simulates its plans and small errors of their controls make them diverge."""
         factor = self.factor(intervals)
         if factor <= SIMULATED:
             return ()
@@ -101,7 +101,7 @@ class Growth:
         )
 
     def left_out(self, problem: Problem, candidates: Iterable[Condensing]) -> tuple[str, ...]:
-        """The reason for not choosing those candidates that cost many digits; none if there are none."""
+        """Return the reason for not choosing candidates that cost many digits; empty if there are none."""
         lossy = {c.name: _intervals(problem, c) for c in candidates if not self.spares(problem, c)}
         if not lossy:
             return ()
@@ -109,19 +109,19 @@ class Growth:
 
 
 def _intervals(problem: Problem, condensing: Condensing) -> int:
-    """Number of intervals in a row whose states are functions of those before: all, or one."""
+    """Return how many intervals in a row have states that are functions of earlier ones: all, or one."""
     return problem.N if condensing.gives == "condensed" else 1
 
 
 def _remedy(problem: Problem) -> str:
-    """What to use in the place of a condensing that costs digits."""
+    """Return the replacement for a condensing that costs digits."""
     if problem.uses <= NoCondensing.supports:
         return "condensing NoCondensing() (--set condensing=none) with a QP solver on stages"
     return "a shorter horizon, or a measured x_0 (without free_initial())"
 
 
 def growth(trials: Trials, integrator: Integrator, precision: Precision) -> Growth:
-    """The largest growth at the points that the problem states: the first plan, and the references of the states.
+    """Return the largest growth at the stated points: the first plan, and the references of the states.
 
     Points without finite derivatives do not count.
     """
@@ -139,14 +139,14 @@ def growth(trials: Trials, integrator: Integrator, precision: Precision) -> Grow
 
 
 def _by_steps(problem: Problem, integrator: Integrator) -> Transition:
-    """[A B] of an interval by steps of RK4, or by the discrete map."""
+    """Return [A B] of an interval as a function, by steps of RK4, or by the discrete map."""
     step = _step(problem)
     longest = math.inf if problem.discrete else integrator.longest_step(problem)
     return lambda x, u, p, dt: _interval(step, problem, x, u, p, dt, max(1, round(dt / longest)))
 
 
 def _step(problem: Problem) -> Function:
-    """((x, S), (u, p, h)) -> (x_next, S_next): one integration step, or the discrete map, with sensitivities."""
+    """Return ((x, S), (u, p, h)) -> (x_next, S_next): one integration step, or the discrete map, with sensitivities."""
     x, u, p, h = problem.path.x, problem.path.u, problem.path.p, ca.SX.sym("h")
     if problem.discrete:
         x_next = ca.densify(problem.dynamics(x, u, p))
@@ -161,7 +161,7 @@ def _step(problem: Problem) -> Function:
 
 
 def _interval(step: Function, problem: Problem, x: Array, u: Array, p: Array, dt: float, steps: int) -> Array:
-    """[A B] of an interval of length dt from x."""
+    """Return [A B] of an interval of length dt from x."""
     start = np.concatenate([x, np.eye(problem.nx, problem.nx + problem.nu).ravel(order="F")])
     end = step.fold(steps)(start, np.concatenate([u, p, [dt / steps]]))
     S: Array = np.array(end, dtype=np.float64)[problem.nx :, 0].reshape(problem.nx, -1, order="F")
@@ -173,7 +173,7 @@ def _interval(step: Function, problem: Problem, x: Array, u: Array, p: Array, dt
 
 
 def _factors(S: Array, uniform: bool) -> Array:
-    """The growth over 1, 2, ..., N intervals, from [A_k B_k] of every interval, (N, nx, nx + nu)."""
+    """Return the growth over 1, 2, ..., N intervals, from [A_k B_k] of every interval, (N, nx, nx + nu)."""
     N, nx = len(S), S.shape[1]
     reached = _reachable_states(S)
     A = np.clip(S[:, reached][:, :, :nx][:, :, reached], -LARGEST, LARGEST)
@@ -189,7 +189,7 @@ def _factors(S: Array, uniform: bool) -> Array:
 
 
 def _reachable_states(S: Array) -> Marks:
-    """Marks of the states that a control reaches, directly or through others."""
+    """Return marks of the states that a control reaches, directly or through other states."""
     nx = S.shape[1]
     depends = np.any(S != 0.0, axis=0)
     reached: Marks = np.any(depends[:, nx:], axis=1)

@@ -1,7 +1,8 @@
-"""Which integrator a problem has where the options leave it open, and with which steps, tried at its first plan.
+"""If the options leave the integrator open, it is chosen by trials at the first plan, with its number of steps.
 
-RK4 needs |h lambda| < 2.78 of the fastest mode, and as many steps as are accurate. A model for which it would need many
-is stiff: an implicit scheme takes a few, each of which solves linear systems. The one with fewer operations is chosen.
+RK4 needs |h lambda| < 2.78 of the fastest mode, and enough steps to be accurate. A model for which it would need many
+steps is stiff: an implicit scheme takes a few steps, each of which solves linear systems. The scheme with fewer
+operations is chosen.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.options import Goal, Options
 from nmpc_codegen.package.signals import list_some
 
-#: The last correction of a stage that samples may leave, relative to the scale of a state; Newton steps at most.
+#: Largest last correction of a stage in a sample, relative to the scale of a state; largest number of Newton steps.
 LEFT, MOST_NEWTON = 1e-3, 12
 
 #: An integrator and the reasons for it.
@@ -29,13 +30,15 @@ Chosen = tuple[Integrator, tuple[str, ...]]
 
 
 def integrator_of(problem: Problem, options: Options) -> Integrator:
-    """The integrator that a package of this problem has, for what integrates without one; a terminal cost that is still
-    to be computed does not count."""
+    """Return the integrator of a package of this problem, for callers that integrate without a package.
+
+    A terminal cost that is still to be computed does not count.
+    """
     return choose_integrator(trials_of(problem), options.integrator, options.goal).value
 
 
 def choose_integrator(trials: Trials, given: Integrator | None, goal: Goal) -> Decision[Integrator]:
-    """The integrator that is given, or else that of the problem, with as many Newton steps as it needs."""
+    """Return the given integrator, or else the chosen one, with enough Newton steps."""
     chosen, reasons = _choose(trials) if given is None else (given, ())
     if isinstance(chosen, ImplicitRungeKutta) and chosen.newton is None and trials.is_consistent:
         chosen.check(trials.problem)
@@ -76,7 +79,10 @@ def _of_modes(trials: Trials, modes: Modes) -> str:
 
 
 def _cheapest(trials: Trials, needed: int | None, why: str) -> Chosen:
-    """RK4 with the steps that it needs, None: more than MOST_STEPS, or an implicit scheme with fewer operations."""
+    """Return RK4 with ``needed`` steps, or an implicit scheme if that takes fewer operations.
+
+    ``needed`` is None for more than MOST_STEPS.
+    """
     default = ExplicitRungeKutta()
     explicit = replace(default, steps=MOST_STEPS if needed is None else needed)
     few = needed is not None and needed <= MOST_EXPLICIT
@@ -102,7 +108,10 @@ def _cheapest(trials: Trials, needed: int | None, why: str) -> Chosen:
 
 
 def _nearest(trials: Trials, stable: int) -> Chosen:
-    """An implicit scheme if it is accurate where RK4 is not, else the fewest steps nearly as accurate as any."""
+    """Return an accurate implicit scheme if RK4 is not accurate, else RK4 with the fewest good steps.
+
+    Steps are good if their error is within a factor NEAR of the least one.
+    """
     default, flow = ExplicitRungeKutta(), trials.flow
     errors = {n: flow.error(default.tableau, n) for n in range(stable, MOST_ACCURATE + 1)}
     steps = next(n for n, error in errors.items() if error <= NEAR * min(errors.values()))
@@ -118,7 +127,7 @@ def _nearest(trials: Trials, stable: int) -> Chosen:
 
 
 def _for_algebra(trials: Trials) -> Chosen:
-    """The implicit scheme for equations that Newton's method solves."""
+    """Return the implicit scheme for equations that Newton's method solves."""
     found = trials.nearest_implicit[0] if trials.is_consistent else None
     chosen = found or ImplicitRungeKutta()
     return chosen, (
@@ -128,7 +137,7 @@ def _for_algebra(trials: Trials) -> Chosen:
 
 
 def _with_newton(trials: Trials, given: ImplicitRungeKutta) -> Chosen:
-    """The scheme with as many Newton steps as the first plan needs in a sample."""
+    """Return the scheme with the number of Newton steps that the first plan needs in a sample."""
     left = np.inf
     for newton in range(NEWTON_STEPS, MOST_NEWTON + 1):
         left = trials.newton_left(given.tableau, given.steps, newton)

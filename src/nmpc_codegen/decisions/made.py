@@ -1,4 +1,7 @@
-"""The functions on which counts depend, made by the integrator and the Hessian of samples; linearize() takes them."""
+"""The functions on which counts depend are made by the integrator and the Hessian of samples.
+
+Linearize() reuses them.
+"""
 
 from __future__ import annotations
 
@@ -18,8 +21,11 @@ from nmpc_codegen.options import Online
 
 @dataclass(frozen=True, eq=False)
 class Made:
-    """``costs``: expressions of the stages; ``interval``: the dynamics; ``blocks``: the Hessian of samples;
-    ``products``: those with the stage matrices."""
+    """The functions of the stages.
+
+    costs: expressions of the stages; interval: the dynamics; blocks: the Hessian of samples; products: products with
+    the stage matrices.
+    """
 
     costs: StageCosts
     interval: Interval
@@ -28,7 +34,7 @@ class Made:
 
 
 def make(trials: Trials, integrator: Integrator, hessian: Hessian | None) -> Made:
-    """The functions of an integrator and a Hessian."""
+    """Make the functions of an integrator and a Hessian."""
     problem = trials.problem
     interval, costs = trials.interval(integrator), stage_costs(problem)
     none = HessianModel(None, Block(), Block())
@@ -37,7 +43,7 @@ def make(trials: Trials, integrator: Integrator, hessian: Hessian | None) -> Mad
 
 
 def is_constant(made: Made, problem: Problem, online: Online) -> bool:
-    """True if the path Hessian reads nothing that differs between nodes and nothing is added to its first block."""
+    """Return True if the path Hessian is the same at all nodes, and nothing is added to its first block."""
     path, start = made.blocks.path, made.blocks.start
     if start is not None and start.writes:
         return False
@@ -47,7 +53,7 @@ def is_constant(made: Made, problem: Problem, online: Online) -> bool:
 
 
 def _reads(routine: Routine, parameters: int) -> set[str]:
-    """Names of the input ports that a routine reads; "found": what Newton's method finds, behind the parameters."""
+    """Return the names of the input ports that a routine reads; "found" stands for results of Newton's method."""
     if isinstance(routine, LoopedRoutine):
         return {port.name for port in routine.inputs}
     loads = [i.args for i in routine.instructions if i.opcode == ca.OP_INPUT]

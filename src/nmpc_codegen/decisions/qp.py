@@ -1,6 +1,6 @@
-"""Condensing and QP solver where options leave them open.
+"""Condensing and QP solver are chosen if the options leave them open.
 
-Those are chosen that take the fewest operations, counted exactly, or with goal="size" the fewest bytes.
+The choice takes the fewest operations, counted exactly, or with goal="size" the fewest bytes.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ from nmpc_codegen.package.struct_layout import Precision, struct_layout
 class QpCandidate:
     """A condensing, a solver for its QP, and their operations.
 
-    ``operations``: of a warm-started sample with an empty working set; if there are soft rows, which are active in
-    blocks that come and go, also those of finding another working set. ``searching``: with those in any case.
-    ``dims``: the sizes of their structs.
+    operations: of a warm-started sample with an empty working set; soft rows become active and inactive in blocks, so
+    with them the search for another working set is included. searching: with that search in any case. dims: sizes of
+    the structs.
     """
 
     condensing: Condensing
@@ -39,27 +39,28 @@ class QpCandidate:
         return f"{self.condensing.name} + {self.qp.name}: {self.operations:,}"
 
 
-#: Controls of the horizon up to which an indefinite reduced Hessian is condensed. Its eigenvalues are mirrored one by
-#: one; the recursion on stages can only shift all controls, and a shift that is large in one direction is too small or
-#: too large in the others: samples of economic problems run away or stand still.
+#: Largest number of controls of the horizon for which an indefinite reduced Hessian is condensed. Condensing mirrors
+#: its eigenvalues one by one. The recursion on stages can only shift all controls by one amount, which is too large in
+#: some directions and too small in others, so that samples of economic problems diverge or do not move.
 MOST_MIRRORED = 120
 
-#: Bytes of the code of QP solvers that are chosen for goal="size", with what they need, at -Os for a Cortex-M4F.
+#: Bytes of the code of QP solvers for goal="size", with everything that they call, at -Os for a Cortex-M4F.
 CODE = {"dense_active_set": 9_000, "riccati_interior_point": 12_500}
 
-#: A solver that takes at most this many times the fewest operations is close: the search for another working set, which
-#: most of the longest samples consist of, decides between them.
+#: Solvers whose operations are within this factor of the fewest are close. Between them, the search for another working
+#: set decides, which takes most of the time of the longest samples.
 CLOSE = 1.5
 
 
 def choose_qp(found: Choices) -> QpChoice:
-    """Condensing and QP solver: those that are given, completed by the choice that takes the
-    fewest operations of those that keep enough digits, or with goal="size" the fewest bytes. The reason for this choice
-    is the table of all candidates. The QP of a problem without any curvature is a linear program, whose degenerate
-    vertices the recursion takes best.
+    """Choose condensing and QP solver: those that are given, completed by the pair with the fewest operations.
+
+    Pairs that lose too many digits are excluded; with goal="size" the fewest bytes decide. The reason is the table of
+    all candidates. The QP of a problem without any curvature is a linear program, for which the recursion on stages is
+    chosen, because it handles degenerate vertices best.
 
     Raises:
-        OptionError: the two that are given clash, or too few digits remain with every condensing that fits.
+        OptionError: the given components clash, or every condensing that fits loses too many digits.
     """
     problem, options, grown = found.problem, found.options, found.grown
     given = options.condensing
@@ -83,7 +84,7 @@ def choose_qp(found: Choices) -> QpChoice:
 
 
 def _candidates(found: Choices, fitting: Iterable[tuple[Condensing, QpSolver]], soft: bool) -> Iterator[QpCandidate]:
-    """Those that support the problem, with their counts."""
+    """Yield the pairs that support the problem, with their counts."""
     for condensing, qp in fitting:
         if all(found.problem.uses <= c.supports for c in (condensing, qp)):
             dims = found.dims_with(condensing)
@@ -93,7 +94,7 @@ def _candidates(found: Choices, fitting: Iterable[tuple[Condensing, QpSolver]], 
 
 
 def _bytes(c: QpCandidate, precision: Precision) -> int:
-    """Bytes of the structs of both, as if no feature left any member out, and of the code of the solver."""
+    """Return the bytes of the structs of both, with all members, and of the code of the solver."""
     structs = (*c.condensing.structs(c.dims), *c.qp.structs(c.dims))
     layout = struct_layout([s for s in structs if s.name != "solver"], precision)
     held = {member.ctype for struct in structs for member in struct.fields}
@@ -101,14 +102,14 @@ def _bytes(c: QpCandidate, precision: Precision) -> int:
 
 
 def _smallest(candidates: list[QpCandidate], precision: Precision) -> tuple[QpCandidate, str]:
-    """The candidate with the fewest bytes, and why."""
+    """Return the candidate with the fewest bytes, and the reason."""
     ranked = sorted(((_bytes(c, precision), c) for c in candidates), key=lambda pair: pair[0])
     table = "; ".join(f"{c.condensing.name} + {c.qp.name}: {size:,}" for size, c in ranked)
     return ranked[0][1], f"fewest bytes of code and data, about ({table})"
 
 
 def _best(candidates: list[QpCandidate], soft: bool) -> tuple[QpCandidate, str]:
-    """The candidate to choose, and why: the fewest operations, or the fewest with a search among those close to it."""
+    """Return the candidate with the fewest operations, or with the cheapest search among close ones, and the reason."""
     ranked = sorted(candidates, key=lambda c: c.operations)
     sample = "warm-started sample and a search for its working set" if soft else "warm-started sample"
     why = f"fewest operations of a {sample} ({'; '.join(map(str, ranked))})"
@@ -122,8 +123,11 @@ def _best(candidates: list[QpCandidate], soft: bool) -> tuple[QpCandidate, str]:
 
 
 def _mirrors_few(found: Choices) -> bool:
-    """True for a general cost whose Hessian may be indefinite in few controls: eigenvalues of the condensed one can be
-    mirrored. The plain scheme, of one iteration without relaxed rows, takes the fewest operations."""
+    """Return True for a general cost whose Hessian may be indefinite in few controls.
+
+    Eigenvalues of the condensed Hessian can then be mirrored. The plain scheme, with one iteration and without relaxed
+    rows, takes the fewest operations instead.
+    """
     problem, hessian = found.problem, found.hessian.value
     added = Features() if hessian is None else hessian.adds(Features())
     safe = (algorithm := found.algorithm.value.adds(Features())).relax or algorithm.iterates or algorithm.repair
@@ -132,8 +136,10 @@ def _mirrors_few(found: Choices) -> bool:
 
 
 def _forms(found: Choices) -> tuple[Condensing, ...]:
-    """The condensing that is given, or what is compared: all, unless a problem without curvature or one whose
-    indefinite Hessian is mirrored leaves one."""
+    """Return the given condensing, or those that are compared.
+
+    All are compared, unless a problem without curvature, or one whose indefinite Hessian is mirrored, leaves only one.
+    """
     given, blocks = found.options.condensing, found.made.blocks
     if given is not None:
         return (given,)
@@ -145,7 +151,7 @@ def _forms(found: Choices) -> tuple[Condensing, ...]:
 
 
 def _pairs(forms: Iterable[Condensing], qp: QpSolver | None, goal: Goal) -> Iterator[tuple[Condensing, QpSolver]]:
-    """All consistent pairs with these, and with the solver that is given."""
+    """Yield all consistent pairs with these condensings, and with the given solver."""
     for c in forms:
         for q in _solvers(c.gives, goal) if qp is None else (qp,):
             if c.gives == q.takes:
@@ -153,8 +159,10 @@ def _pairs(forms: Iterable[Condensing], qp: QpSolver | None, goal: Goal) -> Iter
 
 
 def _solvers(form: str, goal: Goal) -> list[QpSolver]:
-    """Solvers for QPs of a form that the compiler may choose: for goal="size" those that need no other one behind them,
-    as the active-set method on stages does."""
+    """Return the solvers for QPs of a form that the compiler may choose.
+
+    For goal="size" these are solvers without a fall-back, which the active-set method on stages has.
+    """
     return [cls() for cls in REGISTRY.values() if cls.takes == form and goal in cls.chosen_for]
 
 

@@ -1,4 +1,4 @@
-"""Warnings of a scheme that is not stable, or far from the model, where the problem is stated, with what would do."""
+"""Warnings tell where a scheme is unstable or inaccurate at the stated points, and which scheme would do."""
 
 from __future__ import annotations
 
@@ -12,19 +12,22 @@ from nmpc_codegen.decisions.stability import MOST_EXPLICIT, MOST_STEPS, Modes
 from nmpc_codegen.decisions.trials import Trials
 from nmpc_codegen.package.signals import list_some
 
-#: Error of an implicit scheme that is warned of, of an explicit one that is chosen, and of one that is stated.
+#: Errors above which there is a warning: of an implicit scheme, of a chosen explicit scheme, of a stated one.
 ROUGH, ROUGH_EXPLICIT, ROUGH_STATED = 5e-2, 1e-2, 2e-1
 
-#: Explicit steps among which a warning names some that are accurate, and those of its comparison.
+#: Numbers of explicit steps among which a warning names accurate ones; number of steps of the comparison.
 OFFERED, FINEST = (*range(2, 31), 40, 60, 80, 120, 160), 512
 
-#: The last correction of a stage, relative to the scale of a state, that is warned of.
+#: Last correction of a stage, relative to the scale of a state, above which there is a warning.
 FAR = 1e-1
 
 
 def scheme_warnings(trials: Trials, integrator: Decision[Integrator]) -> tuple[str, ...]:
-    """What is wrong with a scheme at the points that its problem states: an explicit one may be unstable, or far from
-    the model also inside of the bounds; an implicit one far from it, or its stages not solved."""
+    """Return warnings of a scheme at the points that its problem states.
+
+    An explicit scheme may be unstable, or inaccurate inside the bounds; an implicit one inaccurate, or its stages
+    unsolved.
+    """
     scheme = integrator.value
     if isinstance(scheme, ExplicitRungeKutta):
         needed, modes = trials.needed_steps(scheme)
@@ -35,7 +38,7 @@ def scheme_warnings(trials: Trials, integrator: Decision[Integrator]) -> tuple[s
 
 
 def _of_stability(trials: Trials, scheme: ExplicitRungeKutta, needed: int | None, modes: Modes) -> str:
-    """That an explicit scheme is not stable for the longest interval, with the steps that are needed."""
+    """Return the warning that an explicit scheme is unstable for the longest interval, with the steps that it needs."""
     offers = []
     found = trials.nearest_implicit[0] if needed is None or needed > MOST_EXPLICIT else None
     if found is not None:
@@ -58,7 +61,7 @@ def _of_stability(trials: Trials, scheme: ExplicitRungeKutta, needed: int | None
 
 
 def _of_accuracy(trials: Trials, scheme: ExplicitRungeKutta, most: float) -> tuple[str, ...]:
-    """A warning if a stable explicit scheme has a larger error than this, with what would be accurate."""
+    """Return a warning if a stable explicit scheme has a larger error than this, with an accurate alternative."""
     flow, tableau, problem = trials.flow, scheme.tableau, trials.problem
     error = flow.error(tableau, scheme.steps)
     if error <= most:
@@ -78,7 +81,7 @@ def _of_accuracy(trials: Trials, scheme: ExplicitRungeKutta, most: float) -> tup
 
 
 def _of_stages(trials: Trials, scheme: ImplicitRungeKutta) -> tuple[str, ...]:
-    """A warning if an implicit scheme is far from the model at the first plan, or does not solve its stages there."""
+    """Return a warning if an implicit scheme is inaccurate at the first plan, or does not solve its stages there."""
     algebra = trials.problem.algebra
     if algebra and not trials.is_consistent:
         unknown = zip(algebra.names, algebra.found, algebra.start, strict=True)

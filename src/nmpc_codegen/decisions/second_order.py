@@ -1,4 +1,4 @@
-"""The Hessian of samples, and the exact one that solve() may have beside it."""
+"""The Hessian of samples is chosen here, and the exact one that solve() may use in addition."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from nmpc_codegen.options import Options
 
 
 def choose_hessian(problem: Problem, options: Options) -> Decision[Hessian | None]:
-    """The Hessian of samples: the one that is given, or the default of the algorithm unless the problem needs another.
+    """Return the Hessian of samples: the given one, or the algorithm's default unless the problem needs another.
 
-    Samples of a least-squares problem take the Gauss-Newton Hessian, whatever the rows of the problem. An exact Hessian
+    Samples of a least-squares problem use the Gauss-Newton Hessian, whatever the rows of the problem. An exact Hessian
     has to be made convex near a nonconvex row, and its full step may then be far too long.
     """
     beyond, default = problem.uses - GaussNewton.supports, options.with_defaults.hessian
@@ -30,9 +30,9 @@ def choose_hessian(problem: Problem, options: Options) -> Decision[Hessian | Non
 def choose_exact(
     problem: Problem, options: Options, hessian: Decision[Hessian | None], costs: StageCosts, integrator: Integrator
 ) -> Decision[HessianModel | None]:
-    """The blocks of the exact Hessian that solve() has beside the Gauss-Newton one of samples, if there is one.
+    """Return the blocks of the exact Hessian that solve() uses beside the Gauss-Newton one of samples, if there is one.
 
-    So it is where the compiler has chosen the Hessian of samples, and the package has room for a second one.
+    It exists if the compiler has chosen the Hessian of samples, and the package has room for a second one.
     """
     approximate = isinstance(hessian.value, GaussNewton) and "qp" in options.algorithm.needs
     roomy = options.solves and options.goal == "speed"

@@ -1,4 +1,4 @@
-"""Whether an explicit scheme is stable where the problem is stated: |R(h lambda)| <= 1 for the damped modes of f_x.
+"""An explicit scheme is stable at the stated points if |R(h lambda)| <= 1 for the damped modes of f_x.
 
     x+ = R(h lambda) x   for x' = lambda x,   R(z) = 1 + z b' (I - z A)^{-1} 1
 
@@ -22,19 +22,21 @@ from nmpc_codegen.ir.casadi_types import Function
 
 Point = tuple[Array, Array]
 
-#: More steps than this are no remedy.
+#: Largest number of steps that a warning proposes.
 MOST_STEPS = 1000
 
-#: Explicit steps per interval above which a model counts as stiff.
+#: Number of explicit steps per interval above which a model counts as stiff.
 MOST_EXPLICIT = 6
 
-#: A mode counts as damped if its decay rate is at least this part of |lambda|; others may grow by rounding or little.
+#: A mode counts as damped if its decay rate is at least DAMPED |lambda|; others may grow slightly.
 DAMPED, SLACK, UNDAMPED_SLACK = 1e-3, 1e-6, 0.5
 
 
 class Modes(NamedTuple):
-    """Eigenvalues of f_x that do not grow, where the problem states points, and where the fastest of them is; or, if
-    the model becomes stiff from there, at the ends of intervals."""
+    """Eigenvalues of f_x that do not grow, at points that the problem states, and where the fastest one is.
+
+    They are taken at the ends of intervals if the model is stiff there and not at the stated points.
+    """
 
     values: Array
     where: str
@@ -42,23 +44,23 @@ class Modes(NamedTuple):
 
     @property
     def verb(self) -> str:
-        """What the first plan does to them."""
+        """Return the verb for a message: the first plan has, or leads to, these modes."""
         return "leads to" if self.at_ends else "has"
 
     @property
     def fastest(self) -> str:
-        """The fastest one, without an imaginary part that is rounding."""
+        """Return the fastest mode as text; an imaginary part that is rounding is left out."""
         worst = complex(self.values[np.argmax(np.abs(self.values))])
         return f"{worst.real:.3g}" if abs(worst.imag) <= DAMPED * abs(worst) else f"{worst:.3g}"
 
 
 def stated_modes(problem: Problem) -> Modes:
-    """The modes at the points that the problem states, at all corners of its ranges."""
+    """Return the modes at the points that the problem states, at all corners of its ranges."""
     return _of_corners(problem, points, at_ends=False)
 
 
 def modes_at_ends(problem: Problem, end: Callable[[Array, Array, Array], Array]) -> Modes:
-    """The modes at the ends of the longest interval from these points; ``end``: (x, u, p) -> its end."""
+    """Return the modes at the ends of the longest interval from these points; ``end`` maps (x, u, p) to that end."""
 
     def places(corner: Problem) -> list[Point]:
         ends = [(end(x, u, corner.p_value), u) for x, u in points(corner)]
@@ -68,14 +70,16 @@ def modes_at_ends(problem: Problem, end: Callable[[Array, Array, Array], Array])
 
 
 def steps_for(modes: Modes, integrator: ExplicitRungeKutta, dt: float) -> int | None:
-    """The steps per interval of length dt with which an explicit scheme is stable for these modes, at least those that
-    it has; None if MOST_STEPS are not sufficient."""
+    """Return the steps per interval of length dt with which an explicit scheme is stable for these modes.
+
+    They are at least those of the scheme; None if MOST_STEPS are not sufficient.
+    """
     steps = range(integrator.steps, MOST_STEPS + 1)
     return next((n for n in steps if _is_stable(integrator.tableau, modes.values * (dt / n))), None)
 
 
 def _of_corners(problem: Problem, places: Callable[[Problem], list[Point]], at_ends: bool) -> Modes:
-    """The modes at these places of all corners."""
+    """Return the modes at these places of all corners."""
     x, u, p = problem.path.x, problem.path.u, problem.path.p
     f_x = ca.Function("f_x", [x, u, p], [ca.densify(ca.jacobian(problem.dynamics(x, u, p), x))])
     found = [(where, _modes(f_x, places(corner), corner.p_value)) for where, corner in problem.corners]
@@ -84,7 +88,7 @@ def _of_corners(problem: Problem, places: Callable[[Problem], list[Point]], at_e
 
 
 def _modes(f_x: Function, places: list[Point], p: Array) -> Array:
-    """Eigenvalues of f_x with Re <= 0 at these points (x, u); those without finite derivatives are left out."""
+    """Return the eigenvalues of f_x with Re <= 0 at points (x, u) with finite derivatives."""
     found = []
     for x, u in places:
         F = np.asarray(f_x(x, u, p), dtype=float)

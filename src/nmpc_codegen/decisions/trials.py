@@ -1,6 +1,6 @@
-"""What integration schemes do with one problem, each tried once: what a trial has found or made is kept.
+"""Integration schemes are tried on one problem; the results of a trial are kept.
 
-The choice of a scheme, the warning of one that does not suit, and linearize() ask the same object.
+The choice of a scheme, warnings and linearize() share these results.
 """
 
 from __future__ import annotations
@@ -22,11 +22,12 @@ from nmpc_codegen.frontend.completion.scales import Scales, scales
 from nmpc_codegen.frontend.problem import Array, Problem
 from nmpc_codegen.ir.model import Interval
 
-#: Steps per interval of an implicit scheme that are tried; steps of the comparison for every step.
+#: Numbers of steps per interval that are tried for an implicit scheme; steps of the comparison for each of them.
 STEPS, FINER = (1, 2, 3, 4, 6, 8, 12), 4
 
-#: If no number of steps is accurate, the fewest within this factor of the least error are taken; numbers of steps in a
-#: row that do not halve the error after which no more are tried, and points at which they are.
+#: NEAR: if no number of steps is accurate, the least number with an error within this factor of the least error is
+#: taken. VAIN: trials stop after this number of trials in a row that do not halve the error. MOST_STARTS: largest
+#: number of points of a trial.
 NEAR, VAIN, MOST_STARTS = 1.25, 3, 32
 
 
@@ -40,7 +41,7 @@ class Trials:
         self._ends_of: Callable[[ButcherTableau, int], Array] = cache(self._find_ends)
 
     def interval(self, integrator: Integrator) -> Interval:
-        """The functions of an interval by this integrator."""
+        """Return the functions of an interval by this integrator."""
         if isinstance(integrator, ImplicitRungeKutta):
             integrator = replace(integrator, newton=integrator.newton_steps)
         if integrator not in self._intervals:
@@ -51,13 +52,15 @@ class Trials:
 
     @cached_property
     def flow(self) -> Flow:
-        """The model over the longest interval."""
+        """Return the model over the longest interval."""
         return Flow(self.problem, self.size)
 
     def needed_steps(self, integrator: ExplicitRungeKutta) -> tuple[int | None, Modes]:
-        """The steps per interval with which an explicit scheme is stable, at least those that it has; None if
-        MOST_STEPS are not sufficient. The ends of intervals count if the model is stiff there and not where they
-        start."""
+        """Return the steps per interval with which an explicit scheme is stable, and the modes that decide.
+
+        The steps are at least those of the scheme; None if MOST_STEPS are not sufficient. The ends of intervals count
+        if the model is stiff there and not at the starts.
+        """
         needed = steps_for(self._stated, integrator, self.dt)
         if needed is None or needed > MOST_EXPLICIT:
             return needed, self._stated
@@ -77,14 +80,16 @@ class Trials:
 
     @property
     def is_consistent(self) -> bool:
-        """True unless Newton's method finds no algebraic variables at the first plan."""
+        """Return True unless Newton's method finds no algebraic variables at the first plan."""
         algebra = self.problem.algebra
         return algebra is None or bool(np.all(np.isfinite(algebra.found)))
 
     @cached_property
     def nearest_implicit(self) -> tuple[ImplicitRungeKutta | None, float]:
-        """The implicit scheme with the fewest steps that are accurate from the points of the first plan, or with those
-        that are nearly as accurate as any; None if no stage of it can be solved there. Its error."""
+        """Return the implicit scheme with the least number of accurate steps from the first plan, and its error.
+
+        If no number is accurate, one with nearly the least error is returned; None if no stage can be solved.
+        """
         default, errors = ImplicitRungeKutta(), dict[int, float]()
         vain, best = 0, np.inf
         for steps in STEPS:
@@ -99,8 +104,11 @@ class Trials:
         return (ImplicitRungeKutta(default.tableau, steps) if np.isfinite(least) else None), errors[steps]
 
     def interval_error(self, tableau: ButcherTableau, steps: int) -> float:
-        """Largest distance of the end of the longest interval from that with more steps, relative to the scales, from
-        the points of the first plan; LOST where only more steps have an end, infinite if no interval has one."""
+        """Return the largest error of the longest interval from the first plan, relative to the scales.
+
+        The comparison takes more steps. The error is LOST if only the comparison has a finite end, infinite if no
+        interval has.
+        """
         with np.errstate(all="ignore"):
             coarse, fine = self._ends_of(tableau, steps), self._ends_of(tableau, FINER * steps)
             kept = np.all(np.isfinite(fine), axis=1)
@@ -109,33 +117,35 @@ class Trials:
         return float(np.max(np.where(ended, errors, LOST))) if np.any(ended) else np.inf
 
     def newton_left(self, tableau: ButcherTableau, steps: int, newton: int) -> float:
-        """The largest last correction of a stage over the longest interval from the points of the first plan, relative
-        to the scales; infinite if no stage can be solved."""
+        """Return the largest last correction of a stage over the longest interval from the first plan.
+
+        It is relative to the scales; infinite if no stage can be solved.
+        """
         trial = self._scheme(tableau)
         found = [trial.interval(*at, self.dt, steps, newton).left / self.size for at in self._starts]
         return max((float(np.max(each)) for each in found if np.all(np.isfinite(each))), default=np.inf)
 
     def end(self, integrator: ImplicitRungeKutta, x: Array, u: Array, p: Array) -> Array:
-        """The end of the longest interval from a point."""
+        """Return the end of the longest interval from a point."""
         return self._scheme(integrator.tableau).interval(x, u, p, self.dt, integrator.steps, NEWTON_LIMIT).x
 
     def slopes(self, integrator: ImplicitRungeKutta) -> Transition:
-        """(x, u, p, dt) -> d x_next / d(x, u) of an interval, with Newton's method to rounding errors."""
+        """Return (x, u, p, dt) -> d x_next / d(x, u) of an interval, with Newton's method to rounding errors."""
         trial = self._scheme(integrator.tableau)
         return lambda x, u, p, dt: trial.interval(x, u, p, dt, integrator.steps, NEWTON_LIMIT).S
 
     def _find_ends(self, tableau: ButcherTableau, steps: int) -> Array:
-        """The ends of the longest interval from the points of the first plan."""
+        """Return the ends of the longest interval from the points of the first plan."""
         trial = self._scheme(tableau)
         return np.array([trial.interval(*at, self.dt, steps, NEWTON_LIMIT).x for at in self._starts])
 
     @cached_property
     def _starts(self) -> list[tuple[Array, Array, Array]]:
-        """The points of the first plan, at most MOST_STARTS of them, evenly."""
+        """Return the points of the first plan, at most MOST_STARTS of them, evenly selected."""
         found = list(starts(self.problem))
         return found[:: -(-len(found) // MOST_STARTS)]
 
 
 def trials_of(problem: Problem) -> Trials:
-    """The trials of a problem, which need not be complete."""
+    """Return the trials of a problem, which need not be complete."""
     return Trials(problem, problem.scales if isinstance(problem, CompleteProblem) else scales(problem))

@@ -1,4 +1,4 @@
-"""Derivatives of single-shooting problems as generated C functions, callable from Python.
+"""Derivatives of single-shooting problems are generated as C functions that Python can call.
 
     x_{k+1} = Phi(x_k, u_k, p_k),   J(u) = sum_k l_k(x_k, u_k, p_k) + l_N(x_N, p_N),   z_k = g(x_k, u_k, p_k)
 

@@ -1,4 +1,4 @@
-"""Exact operation counts of the C functions, from those of the lifted functions and the loops of the parts."""
+"""Operation counts of the C functions follow exactly from those of the lifted functions and the loops of the parts."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ _PRODUCT = OpCount(add=1, mul=1)  # y += a b
 
 
 class Counts:
-    """Operations of the functions of the package of one model, with the numbers of algorithms of [T09].
+    """The operation counts of the functions of one model, with the numbers of algorithms of [T09].
 
-    Symbols: P = N (N - 1) / 2 pairs n > k, T = P + N.
+    P = N (N - 1) / 2 is the number of pairs n > k, and T = P + N.
     """
 
     def __init__(self, model: DerivativeModel) -> None:
@@ -36,8 +36,11 @@ class Counts:
 
     @property
     def all(self) -> dict[str, OpCount]:
-        """Function -> operations of one run; of all rows where rows are chosen, of k = 0 where k is chosen. Methods
-        with matrices do not include 6.7, which computes them."""
+        """Return {function: operations of one run}.
+
+        Functions in which rows are chosen count all rows; those in which k is chosen count k = 0. Methods with matrices
+        exclude algorithm 6.7, which computes the matrices.
+        """
         N, nu, P, T = self.N, self.nu, self.P, self.T
         perturbed = self.node * T + (self.end + _PERTURBED + _QUOTIENT) * N
         found = {
@@ -64,36 +67,36 @@ class Counts:
 
     @property
     def simulate(self) -> OpCount:
-        """x, z, J."""
+        """Count the computation of x, z and J."""
         return (self.node + self.output) * self.N + self.end
 
     @property
     def sensitivities(self) -> OpCount:
-        """Algorithm 6.7."""
+        """Count algorithm 6.7."""
         return self.model.linearize.count * self.N
 
     def sensitivities_alternative(self, k: int) -> OpCount:
-        """Algorithm 6.8 for one k."""
+        """Count algorithm 6.8 for one k."""
         return self.value * k + self.forced + self.free * (self.N - 1 - k)
 
     @property
     def responses(self) -> OpCount:
-        """Algorithm 6.8 for all k, without the repeated simulations up to node k."""
+        """Count algorithm 6.8 for all k, without the repeated simulations up to node k."""
         return self.forced * self.N + self.free * self.P
 
     @property
     def insertion(self) -> OpCount:
-        """Algorithm 6.10 without 6.8."""
+        """Count algorithm 6.10 without algorithm 6.8, whose results it inserts."""
         return self.jacobians + self.add_columns * (self.P * self.nout)
 
     def impulse_response_adjoint_matrices(self, rows: Iterable[int]) -> OpCount:
-        """Algorithm 6.6 for the rows, without 6.7."""
+        """Count algorithm 6.6 for the rows, without algorithm 6.7."""
         return self.jacobians + self.adjoint_product * self._steps_back(rows)
 
     def impulse_response_adjoint(self, rows: Iterable[int]) -> OpCount:
-        """Algorithm 6.6 for the rows with products."""
+        """Count algorithm 6.6 for the rows, with products instead of matrices."""
         return self.value * (self.N - 1) + self.jacobians + self.adjoint * self._steps_back(rows)
 
     def _steps_back(self, rows: Iterable[int]) -> int:
-        """Row n * nout + i goes back over n intervals."""
+        """Return the number of intervals of all backward sweeps: row n * nout + i goes back over n intervals."""
         return sum(row // self.nout for row in rows)

@@ -1,4 +1,4 @@
-"""Problem + outputs -> the functions that the derivative toolbox evaluates, lifted from CasADi."""
+"""A derivative model holds the functions that the derivative toolbox evaluates, lifted from CasADi."""
 
 from __future__ import annotations
 
@@ -26,17 +26,17 @@ from nmpc_codegen.lowering.linearize import stage_model
 from nmpc_codegen.options import Options
 from nmpc_codegen.package.struct_layout import Precision
 
-#: Entries of a matrix that C can count by its type int.
+#: Largest number of entries of a matrix that C's type int can count.
 MOST_ENTRIES = 2**31 - 1
 
 
 @dataclass(frozen=True, eq=False)
 class DerivativeModel:
-    """The functions of one problem.
+    """The functions of one problem and its outputs.
 
     linearize: (x, u, p, dt) -> x_next, S = [A B]; products: see IntervalProducts; path, terminal: cost and gradient.
-    output: (x, u, p) -> z, and its Jacobian G = [C D], row by row; both None without outputs. hessians: sweep -> (x, u,
-    p, dt, lam) -> x_next, S, g = 0, Q = lower triangle of d2 (lam' Phi) / d(x, u)^2; empty without second order.
+    output: (x, u, p) -> z, and output_jacobian G = [C D], row by row; both None without outputs. hessians: {sweep: (x,
+    u, p, dt, lam) -> x_next, S, g = 0, Q = lower triangle of d2 (lam' Phi) / d(x, u)^2}, empty without second order.
     """
 
     problem: CompleteProblem
@@ -53,17 +53,17 @@ class DerivativeModel:
 
     @property
     def second_order(self) -> bool:
-        """Whether there are second derivatives."""
+        """Return True if there are second derivatives."""
         return bool(self.hessians)
 
     @property
     def outputs(self) -> int:
-        """Number of outputs."""
+        """Return the number of outputs."""
         return len(self.output_names)
 
     @property
     def routines(self) -> tuple[Routine, ...]:
-        """All functions in the order of the C text: first what functions of parts evaluate."""
+        """Return all functions in the order of the C text: those that other functions call come first."""
         own = self._own_routines
         called = (k for r in own if isinstance(r, LoopedRoutine) for k in r.kernels_of_parts)
         return (*{kernel.name: kernel for kernel in called}.values(), *own)
@@ -121,7 +121,7 @@ def derivative_model(
 
 
 def _integrator(problem: Problem, options: Options) -> Integrator:
-    """The integrator of the options; by default the map itself, or one RK4 step per interval."""
+    """Return the integrator of the options; by default the map itself, or one RK4 step per interval."""
     default: Integrator = Discrete() if problem.discrete else ExplicitRungeKutta(steps=1)
     integrator = options.integrator or default
     integrator.check(problem)
@@ -129,7 +129,7 @@ def _integrator(problem: Problem, options: Options) -> Integrator:
 
 
 def _refuse_options(options: Options) -> None:
-    """Raise OptionError if an option is set that derivatives do not have: those of the optimiser and of storage."""
+    """Raise OptionError if an option of the optimiser or of storage is set, which derivatives do not have."""
     default = Options()
     for field in dataclasses.fields(Options):
         if field.name not in ("integrator", "precision") and getattr(options, field.name) != getattr(
@@ -141,7 +141,7 @@ def _refuse_options(options: Options) -> None:
 
 
 def _refuse(problem: Problem) -> None:
-    """Raise OptionError if J would not be a function of the controls alone."""
+    """Raise OptionError if J would not depend on the controls only."""
     if problem.free_initial:
         free = ", ".join(problem.state_names[i] for i in problem.free_initial)
         raise OptionError(f"{problem.name}: {free} is free_initial; derivatives are taken for a given x_0")
@@ -150,7 +150,7 @@ def _refuse(problem: Problem) -> None:
 
 
 def _hessians(problem: Problem, integrator: Integrator) -> dict[str, Routine]:
-    """The second derivatives of an interval by both sweeps; a cost rate takes no part."""
+    """Return the second derivatives of an interval by both sweeps, without the cost rate."""
     nz = problem.nx + problem.nu
     dynamics = replace(problem, path=replace(problem.path, cost_rate=None))
     zeros = ca.Function("zeros", [], [ca.SX.zeros(nz), ca.SX.zeros(nz * nz)])
@@ -160,7 +160,7 @@ def _hessians(problem: Problem, integrator: Integrator) -> dict[str, Routine]:
 
 
 def _cost(problem: Problem, integrator: Integrator, cost: StageCost) -> StageModel:
-    """Cost and gradient of a stage; every entry of the gradient is written, structural zeros too."""
+    """Return cost and gradient of a stage; every entry of the gradient is written, even structural zeros."""
     if cost.name == "path" and problem.path.cost_rate is not None:
         return stage_model(problem, integrator, cost)
     return StageModel(
@@ -170,7 +170,7 @@ def _cost(problem: Problem, integrator: Integrator, cost: StageCost) -> StageMod
 
 
 def _output(problem: Problem, z: Expression) -> tuple[Routine, Routine]:
-    """z and G = dz / d(x, u)."""
+    """Return z and G = dz / d(x, u)."""
     x, u, p, n = problem.path.x, problem.path.u, problem.path.p, int(z.numel())
     nx, nu = problem.nx, problem.nu
     ports = (Port("x", nx), Port("u", nu), Port("p", problem.np))

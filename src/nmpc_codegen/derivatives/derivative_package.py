@@ -1,4 +1,4 @@
-"""OCP + outputs -> text, a folder, or Python functions."""
+"""An OCP and outputs become C text, a folder, or Python functions."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ from nmpc_codegen.runtime.build import load_library
 
 @dataclass(frozen=True)
 class Folder:
-    """What export() has written.
+    """The files that export() has written.
 
     Attributes:
-        directory: the folder, an absolute path.
+        directory: absolute path of the folder.
         name: prefix of every C name.
-        files: absolute paths of its files.
-        operations: per function.
-        bytes: per struct.
+        files: absolute paths of the files.
+        operations: operation counts by function.
+        bytes: sizes by struct.
     """
 
     directory: Path
@@ -50,17 +50,17 @@ def generate(
     output_names: Sequence[str] | None = None,
     second_order: bool = False,
 ) -> dict[str, str]:
-    """Path -> text of every file of the package.
+    """Return {path: text} of every file of the package.
 
     Args:
-        ocp: its dynamics and costs; its rows are not part of J, and their penalties neither.
+        ocp: the problem with its dynamics and costs; neither its rows nor their penalties are part of J.
         outputs: z_k = g(x_k, u_k, p_k), an expression of (NOUT,) elements in symbols of the OCP; None: no impulse
             response functions.
-        options: integrator (default: Discrete(), or RK4 with one step per interval) and precision; nothing else of
-            them applies.
+        options: integrator (default: Discrete(), or RK4 with one step per interval) and precision; other options are
+            refused.
         name: C prefix, by default the name of the OCP and "_derivatives".
         output_names: one name per output, by default z[0], z[1], ...
-        second_order: whether the package has lam' d2 Phi of every interval, by both sweeps.
+        second_order: True: the package also computes lam' d2 Phi of every interval, by both sweeps.
 
     Raises:
         ProblemError: the problem, an output or a name is stated wrongly.
@@ -91,7 +91,7 @@ def export(
     second_order: bool = False,
     force: bool = False,
 ) -> Folder:
-    """Write the C files into a folder, under the rules of nmpc_codegen.export().
+    """Write the C files into a folder, under the same rules as nmpc_codegen.export().
 
     Args:
         ocp: as in generate().
@@ -118,7 +118,7 @@ def export(
 def operations(
     ocp: OCP, outputs: Any = None, options: Options | None = None, *, second_order: bool = False
 ) -> dict[str, OpCount]:
-    """Exact operations of every function of the package, without writing or compiling it.
+    """Return the exact operation counts of every function of the package, without writing or compiling it.
 
     Args:
         ocp: as in generate().
@@ -142,7 +142,7 @@ def build(
     output_names: Sequence[str] | None = None,
     second_order: bool = False,
 ) -> Derivatives:
-    """Generate, compile and load the functions. Builds are cached by content.
+    """Generate, compile and load the functions; builds are cached by content.
 
     Args:
         ocp: as in generate().

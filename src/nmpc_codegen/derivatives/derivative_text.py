@@ -1,4 +1,4 @@
-"""DerivativeModel -> path -> text of the folder of C that export() writes, by the printer of the compiler."""
+"""A derivative model becomes {path: text} of the C folder that export() writes, by the printer of the compiler."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ FOLDER = "derivatives"
 PARTS = ("simulate.c", "linearize.c", "gradient.c", "alternative.c")
 OF_OUTPUTS, SECOND_ORDER = "impulse_response.c", "hessians.c"
 
-#: Values that the functions return; they have the same meaning as in controllers.
+#: Values that the functions return, with the same meaning as in controllers.
 STATUSES = {
     Status.OK: "ok",
     Status.NOT_FINITE: "the data or the results are not finite; the results are undefined",
@@ -47,7 +47,7 @@ LEADING: dict[str, tuple[str, ...]] = {
     "terminal_cost": ("d", "x"),
     "terminal_gradient": ("d", "x"),
 }
-#: Functions whose last result is what Newton's method leaves of the stages.
+#: Functions whose last result is the residual of the stages after Newton's method.
 LEAVING = ("integrator_interval", "interval_symmetric", "interval_forward_over_adjoint")
 PLACES = {
     "newton": "NEWTON_LIMIT",
@@ -60,7 +60,7 @@ TERMINAL_PLACES = {"p": "(d)->p[N]", "yref": "(d)->yref_N", "W": "(d)->W_N"}
 
 
 def render(model: DerivativeModel, name: str) -> dict[str, str]:
-    """All files of the package ``name``."""
+    """Return all files of the package ``name``."""
     names = _names(model, name)
     header = tidy(environment().get_template(f"{FOLDER}/header.h.jinja").render(names))
     items = run(_assemble(model, name, names), _constants(model))
@@ -114,14 +114,14 @@ def _names(model: DerivativeModel, name: str) -> dict[str, Any]:
 
 
 def _intervals(model: DerivativeModel) -> str:
-    """The part of implicit schemes, and the functions of an interval that call it."""
+    """Return the part of implicit schemes, and the functions of an interval that call it."""
     style = unit_style(model.precision)
     routines, sizes = model.routines, scheme_sizes(model)
     return read_part(INTERVALS, lambda path: print_intervals(routines, style), sizes).rstrip("\n")
 
 
 def _assemble(model: DerivativeModel, name: str, names: dict[str, Any]) -> tuple[Item, ...]:
-    """The items of the unit."""
+    """Return the items of the translation unit."""
     style = unit_style(model.precision)
     body = environment().get_template(f"{FOLDER}/body.c.jinja").render(names)
     found = [*_definitions(model, name), *table_items(_tables(model), style), *kernel_items(model.routines, style)]
@@ -136,12 +136,12 @@ def _constants(model: DerivativeModel) -> Constants:
 
 
 def _numbers(field: Field) -> str:
-    """C text of how many numbers a member has."""
+    """Return the C text of the number of entries of a member."""
     return " * ".join(f"({size.text})" if " " in size.text else size.text for size in field.shape)
 
 
 def _definitions(model: DerivativeModel, name: str) -> list[Item]:
-    """Every type and macro that the unit may use."""
+    """Return every type and macro that the unit may use."""
     found = [*short_names(name, structs(model)), macro("N", "NMPC_CODEGEN_UNIT")]
     found += [alias(size.name, f"{name.upper()}_{size.name}") for size in macros(model)[1:]]
     found += [alias(status.name, f"{name.upper()}_{status.name}") for status in STATUSES]
@@ -151,7 +151,7 @@ def _definitions(model: DerivativeModel, name: str) -> list[Item]:
 
 
 def _kernel_call(routine: Routine) -> Item:
-    """The call of a lifted function with what it reads or writes."""
+    """Return the call of a lifted function with its inputs and outputs."""
     if routine.name.startswith("stage_"):
         return kernel_call(routine)
     terminal = routine.name.startswith("terminal_")
@@ -164,7 +164,7 @@ def _kernel_call(routine: Routine) -> Item:
 
 
 def _tables(model: DerivativeModel) -> tuple[Table, ...]:
-    """Interval lengths and declared values."""
+    """Return the tables of interval lengths and declared values."""
     problem = model.problem
     path, terminal = problem.path, problem.terminal
 

@@ -1,4 +1,4 @@
-"""Sizes, structs and functions of a package of derivatives: what its header declares and Python reads."""
+"""The header of a package of derivatives declares sizes, structs and functions, which Python reads from here."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from nmpc_codegen.package.struct_layout import Field, Size, Struct
 
 
 def macros(model: DerivativeModel) -> tuple[Macro, ...]:
-    """The sizes that are not zero."""
+    """Return the sizes that are not zero."""
     problem = model.problem
     path, terminal = problem.path, problem.terminal
     found = (
@@ -30,7 +30,10 @@ def macros(model: DerivativeModel) -> tuple[Macro, ...]:
 
 
 def scheme_sizes(model: DerivativeModel) -> dict[str, int]:
-    """Sizes that only the functions of an interval read: those of the scheme, and which kernels of stages there are."""
+    """Return the sizes that only the functions of an interval read.
+
+    They are those of the scheme, and marks of the kernels of stages that exist.
+    """
     if not calls_parts(model):
         return {}
     known = {routine.name for routine in model.routines}
@@ -40,19 +43,19 @@ def scheme_sizes(model: DerivativeModel) -> dict[str, int]:
 
 
 def calls_parts(model: DerivativeModel) -> bool:
-    """True if functions of an interval call a part."""
+    """Return True if functions of an interval call a part."""
     return any(isinstance(r, LoopedRoutine) and r.calls_parts for r in model.routines)
 
 
 def _sizes(model: DerivativeModel) -> dict[str, Size]:
-    """Every size by its text; of absent ones 0."""
+    """Return every size by its text; absent sizes are 0."""
     values = dict.fromkeys(("NP", "NY", "NW", "NY_N", "NW_N", "NOUT"), 0) | {m.name: m.value for m in macros(model)}
     values |= {"1": 1, "N + 1": values["N"] + 1, "NX + NU": values["NX"] + values["NU"]}
     return {text: Size(text, value) for text, value in values.items()}
 
 
 def settings(model: DerivativeModel) -> tuple[Setting, ...]:
-    """The data with declared values: member, its table, number of copies, entries of a copy."""
+    """Return the data with declared values: member, its table, number of copies, entries of a copy."""
     sizes = _sizes(model)
     found = (
         ("x0", "1", "NX", "initial state"),
@@ -73,7 +76,7 @@ def settings(model: DerivativeModel) -> tuple[Setting, ...]:
 
 
 def structs(model: DerivativeModel) -> tuple[Struct, ...]:
-    """The structs in the order of their declarations."""
+    """Return the structs in the order of their declarations."""
     size = _sizes(model)
     N, nx, nu, nodes, nz = (size[text] for text in ("N", "NX", "NU", "N + 1", "NX + NU"))
 
@@ -225,6 +228,6 @@ _HESSIANS = (
 
 
 def functions(model: DerivativeModel) -> tuple[EntryPoint, ...]:
-    """All entry points besides init."""
+    """Return all entry points except init."""
     outputs = _IMPULSE_RESPONSE if model.outputs else ()
     return (*_GRADIENT, *outputs, *(_HESSIANS if model.second_order else ()))

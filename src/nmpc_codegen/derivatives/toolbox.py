@@ -1,4 +1,4 @@
-"""The generated functions as a Python object: NumPy in, NumPy out."""
+"""The generated functions are called through a Python object that takes and returns NumPy arrays."""
 
 from __future__ import annotations
 
@@ -22,20 +22,20 @@ Array = NDArray[Any]
 
 Method = Literal["finite_differences", "forward", "adjoint", "adjoint_matrices", "alternative"]
 
-#: Methods of gradient() and impulse_response(), which are the same.
+#: Methods of gradient() and of impulse_response().
 GRADIENTS: tuple[Method, ...] = get_args(Method)
 IMPULSE_RESPONSES: tuple[Method, ...] = GRADIENTS
 
 Sweep = Literal["symmetric", "forward_over_adjoint"]
 SWEEPS: tuple[Sweep, ...] = get_args(Sweep)
 
-#: Methods that compute only the rows that are asked for.
+#: Methods that compute only the requested rows.
 BY_ROWS = ("adjoint", "adjoint_matrices")
 
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """A simulation.
+    """The result of a simulation.
 
     Attributes:
         x: (N + 1, nx), states.
@@ -51,22 +51,22 @@ class Trajectory:
 class Derivatives:
     """Derivatives of J and z with respect to the controls u_0, ..., u_{N-1} of a single-shooting problem.
 
-    The arrays are views that may be changed; those that the problem lacks do not exist. One object belongs to one
-    thread at a time.
+    The arrays are views that may be changed; arrays that the problem lacks do not exist. Only one thread at a time may
+    use an object.
 
     Attributes:
         p: parameters (N + 1, np).
         yref: references (N, ny).
         yref_N: reference of the end (ny_N,).
-        W: weight of the path, its diagonal, or all entries row by row.
-        W_N: weight of the end; the same.
+        W: weight of the path: its diagonal, or all entries row by row.
+        W_N: weight of the end, in the same form.
         operations: exact operations per C function.
         name: prefix of the C names.
         N: number of intervals.
         nx: number of states.
         nu: number of controls.
         nout: number of outputs.
-        output_names: their names.
+        output_names: names of the outputs.
         precision: "double" or "single".
     """
 
@@ -100,7 +100,7 @@ class Derivatives:
     # Evaluation ------------------------------------------------------------------------------------------------------
 
     def simulate(self, x0: ArrayLike, u: ArrayLike) -> Trajectory:
-        """x_{k+1} = Phi(x_k, u_k, p_k), z_k = g(x_k, u_k, p_k) and J from x0 (nx,) and u (N, nu).
+        """Compute x_{k+1} = Phi(x_k, u_k, p_k), z_k = g(x_k, u_k, p_k) and J from x0 (nx,) and u (N, nu).
 
         Raises:
             DerivativeError: an argument has a wrong shape, or an argument or a result is not finite.
@@ -111,14 +111,14 @@ class Derivatives:
         return Trajectory(self._view("trajectory", "x").copy(), z, float(self._structs["trajectory"].J))
 
     def gradient(self, x0: ArrayLike, u: ArrayLike, method: Method = "adjoint", *, step: float | None = None) -> Array:
-        """dJ/du, (N, nu).
+        """Return dJ/du, (N, nu).
 
         Args:
             x0: initial state, (nx,).
             u: controls, (N, nu).
             method: "adjoint" (Algorithm 6.3 with products, O(N)), "adjoint_matrices" (6.7 and 6.3), "forward" (6.7 and
                 6.2), "alternative" (6.8 and 6.9), "finite_differences" (6.1).
-            step: of finite differences, relative to max(1, |u|); default: the square root of the machine epsilon.
+            step: step of finite differences, relative to max(1, |u|); default: the square root of the machine epsilon.
 
         Raises:
             DerivativeError: an argument is wrong, or a result is not finite.
@@ -138,15 +138,15 @@ class Derivatives:
         rows: Iterable[tuple[int, int | str]] | None = None,
         step: float | None = None,
     ) -> Array:
-        """Xi = dz/du, (N nout, N nu): element (n nout + i, k nu + j) is dz_n[i] / du_k[j].
+        """Return Xi = dz/du, (N nout, N nu): element (n nout + i, k nu + j) is dz_n[i] / du_k[j].
 
         Args:
             x0: initial state, (nx,).
             u: controls, (N, nu).
             method: "forward" (Algorithms 6.7 and 6.5), "adjoint" (6.6 with products), "adjoint_matrices" (6.7 and 6.6),
                 "alternative" (6.8 and 6.10), "finite_differences" (6.4).
-            rows: for the adjoint methods, (node, output) of the rows to compute, where an output is a position or a
-                name; the result then has these rows only, in this order. None: all rows.
+            rows: (node, output) of the rows to compute by the adjoint methods, where an output is an index or a name;
+                the result has only these rows, in this order. None: all rows.
             step: see gradient().
 
         Raises:
@@ -168,7 +168,7 @@ class Derivatives:
         return Xi
 
     def sensitivities(self, x0: ArrayLike, u: ArrayLike) -> tuple[Array, Array]:
-        """A (N, nx, nx) and B (N, nx, nu) of every interval: Algorithm 6.7.
+        """Return A (N, nx, nx) and B (N, nx, nu) of every interval, by Algorithm 6.7.
 
         Args:
             x0: (nx,), initial state.
@@ -183,12 +183,12 @@ class Derivatives:
         return S[:, :, : self.nx].copy(), S[:, :, self.nx :].copy()
 
     def responses(self, x0: ArrayLike, u: ArrayLike, k: int | None = None) -> Array:
-        """dx_n / du_k for n = 0, ..., N: Algorithm 6.8.
+        """Return dx_n / du_k for n = 0, ..., N, by Algorithm 6.8.
 
         Args:
             x0: (nx,), initial state.
             u: (N, nu), controls.
-            k: interval; None: all.
+            k: interval; None: all intervals.
 
         Returns:
             (N + 1, nx, nu) for one k, or (N, N + 1, nx, nu) for all.
@@ -205,16 +205,15 @@ class Derivatives:
         return np.array(found) if k is None else found[0]
 
     def hessians(self, x0: ArrayLike, u: ArrayLike, lam: ArrayLike, sweep: Sweep = "symmetric") -> Array:
-        """H_k = d2 (lam_k' Phi(x_k, u_k, p_k)) / d(x, u)^2 of every interval along the simulation, (N, nz, nz), where
-        nz = nx + nu.
+        """Return H_k = d2 (lam_k' Phi(x_k, u_k, p_k)) / d(x, u)^2 of every interval, (N, nx + nu, nx + nu).
+
+        The Hessians are taken along the simulation. Source: Quirynen et al., CDC 2014, algorithms 2 and 1.
 
         Args:
             x0: initial state, (nx,).
             u: controls, (N, nu).
             lam: multipliers of the intervals, (N, nx).
             sweep: "symmetric" (three sweeps), or "forward_over_adjoint".
-
-        Source: Quirynen et al., CDC 2014, algorithms 2 and 1.
 
         Raises:
             DerivativeError: the package was made without second_order=True, an argument is wrong, or an argument or a
@@ -284,7 +283,7 @@ class Derivatives:
         return (float(np.sqrt(EPS[self.precision])) if step is None else float(step),)
 
     def _work(self, method: Method) -> Any:
-        """The struct that a method works on; with matrices, they are computed first."""
+        """Return the struct that a method uses; its matrices are computed first if the method needs them."""
         struct = {"finite_differences": "trajectory", "adjoint": "nodes", "alternative": "response"}
         work = self._structs[struct.get(method, "linearization")]
         if method in ("forward", "adjoint_matrices"):
@@ -305,7 +304,7 @@ class Derivatives:
             raise DerivativeError(f"{self.name}_{function}: {what}")
 
     def _view(self, struct: str, member: str) -> Array:
-        """NumPy view of an array of a struct."""
+        """Return a NumPy view on an array of a struct."""
         array = getattr(self._structs[struct], member)
         flat = np.frombuffer(self._ffi.buffer(array), self._scalar)
         shape, kind = [], self._ffi.typeof(array)

@@ -1,4 +1,4 @@
-"""Economic NMPC, off line: steady state, terminal cost, and a Hessian as cheap as that of tracking.
+"""Economic NMPC is prepared off line: steady state, terminal cost, and a Hessian as cheap as that of tracking.
 
     steady_state(ocp)       the best steady state and its multipliers
     tune(ocp)               M of EconomicGaussNewton, by a semidefinite program

@@ -1,4 +1,4 @@
-"""Costs that accompany an economic one: locally equivalent tracking, plain tracking, rotation by a storage function.
+"""Companions of an economic cost are locally equivalent tracking, plain tracking, and rotation by a storage function.
 
     LETEMPC   1/2 (w - w_s)' M (w - w_s) - mu_s' C (w - w_s)
     tracking  1/2 (w - w_s)' W (w - w_s)
@@ -36,9 +36,9 @@ from nmpc_codegen.oracle.trajectory import interval_map
 
 
 def letempc_cost(tuning: Tuning, x: Any, u: Any) -> Expression:
-    """The stage cost of LETEMPC, for ocp.stage_cost(..., scale_with_dt=False).
+    """Return the stage cost of LETEMPC, for ocp.stage_cost(..., scale_with_dt=False).
 
-    Without its linear term, the pull of the economic cost against the strictly active rows, it is not equivalent.
+    Its linear term balances the economic cost against the strictly active rows; without it the cost is not equivalent.
 
     Args:
         tuning: M and what belongs to it.
@@ -54,7 +54,7 @@ def letempc_cost(tuning: Tuning, x: Any, u: Any) -> Expression:
 
 
 def letempc_terminal_cost(tuning: Tuning, x: Any) -> Expression:
-    """1/2 (x - x_s)' M_f (x - x_s) - nu_s' D (x - x_s), for ocp.terminal_cost().
+    """Return 1/2 (x - x_s)' M_f (x - x_s) - nu_s' D (x - x_s), for ocp.terminal_cost().
 
     Args:
         tuning: M and what belongs to it.
@@ -120,7 +120,7 @@ def periodic_letempc(tuning: PeriodicTuning, ocp: OCP) -> Callable[[int], dict[s
 
 
 def _check_fit(tuning: PeriodicTuning, here: Problem) -> None:
-    """Raise ProblemError if the problem is another one than that of the orbit, or had a cost already."""
+    """Raise ProblemError if the problem differs from that of the orbit, or already has a cost."""
     there = tuning.problem
     signals = [(*p.state_names, *p.control_names) for p in (here, there)]
     if signals[0] != signals[1]:
@@ -133,15 +133,15 @@ def _check_fit(tuning: PeriodicTuning, here: Problem) -> None:
 
 
 def _columns(matrices: NDArray[Any]) -> Array:
-    """Matrices (P, n, n) as rows (P, n n), column by column, as CasADi reads them."""
+    """Return matrices (P, n, n) as rows (P, n n), column by column, as CasADi reads them."""
     return np.asarray(matrices.transpose(0, 2, 1).reshape(len(matrices), -1))
 
 
 def tracking_cost(tuning: Tuning, x: Any, u: Any, weight: Any) -> Expression:
-    """1/2 (w - w_s)' W (w - w_s) at the economic steady state.
+    """Return 1/2 (w - w_s)' W (w - w_s) at the economic steady state.
 
     Args:
-        tuning: what belongs to it.
+        tuning: the result of tune().
         x: symbols (nx,).
         u: symbols (nu,).
         weight: W (nx+nu, nx+nu) or its diagonal.

@@ -1,4 +1,4 @@
-"""tune(): a constant positive definite Hessian for economic NMPC, computed once and off line.
+"""tune() computes a constant positive definite Hessian for economic NMPC, once and off line.
 
     M = H + (Hcal(dP) + eta C'F C) / alpha,   M_f = H_f - (dP + eta D'G D) / alpha
 
@@ -35,39 +35,39 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Tuning:
-    """The result of tune(), in the units and the order of the problem; cyclic states have zero rows and columns.
+    """The result of tune(), in the units and the order of the problem; rows and columns of cyclic states are zero.
 
     Attributes:
         problem: the problem.
         M: (nx+nu, nx+nu), the Hessian of a stage.
-        M_f: (nx, nx), that of the end; None if x_N is fixed.
+        M_f: (nx, nx), Hessian of the end; None if x_N is fixed.
         dP: (nx, nx), of the solution of the program; -dP / alpha is the storage.
         F: multiples of strictly active rows.
-        G: the same at node N.
+        G: multiples of strictly active rows at node N.
         alpha: factor of H in the program, by which its other terms are divided.
         beta: bound of the condition number of M in the scaling of the program.
         eta: 1 if strictly active rows could be used.
         H: (nx+nu, nx+nu), Hessian of the Lagrangian at the steady state.
-        H_f: (nx, nx), that of the end; None if x_N is fixed.
+        H_f: (nx, nx), Hessian of the Lagrangian of the end; None if x_N is fixed.
         A: (nx, nx), of the discrete map.
         B: (nx, nu), of the discrete map.
         C: (rows, nx+nu), slopes of the strictly active rows.
-        D: (rows, nx), slopes of those that are active at node N.
+        D: (rows, nx), slopes of the rows that are strictly active at node N.
         x_s: (nx,), steady state.
-        u_s: (nu,), its control.
+        u_s: (nu,), control at the steady state.
         lam_s: (nx,), multipliers of the dynamics.
-        mu_s: (rows,), of the strictly active rows, > 0 at the upper bound.
-        nu_s: (rows,), those of D.
-        cost: of an interval at the steady state.
+        mu_s: (rows,), multipliers of the strictly active rows, > 0 at the upper bound.
+        nu_s: (rows,), multipliers of the rows of D.
+        cost: cost of an interval at the steady state.
         active: names of the rows of C.
         active_terminal: names of the rows of D.
-        names: of states and controls.
+        names: names of states and controls.
         kept: states that are not cyclic.
-        scaling: which scaling of the variables succeeded.
+        scaling: name of the scaling of the variables that succeeded.
         conditioning: condition number of M.
         dissipativity: the least value of the frequency function without rows, positive if a quadratic storage function
             exists without them.
-        with_rows: the same on the strictly active rows.
+        with_rows: the same for the frequency function on the strictly active rows.
     """
 
     problem: Problem
@@ -102,25 +102,25 @@ class Tuning:
 
     @property
     def dissipative(self) -> bool:
-        """True if the cost is strictly dissipative at the steady state without help of strictly active rows."""
+        """Return True if the cost is strictly dissipative at the steady state even without strictly active rows."""
         return self.dissipativity.positive
 
     @property
     def storage(self) -> Array:
-        """S = -dP / alpha of the storage function Lambda(x) = -lam_s'(x - x_s) + 1/2 (x - x_s)' S (x - x_s).
+        """Return S = -dP / alpha of the storage function Lambda(x) = -lam_s'(x - x_s) + 1/2 (x - x_s)' S (x - x_s).
 
         The rotated cost l + Lambda(x) - Lambda(Phi) has the Hessian M on the null space of the strictly active rows.
         """
         return -self.dP / self.alpha
 
     def hessian(self) -> Hessian:
-        """The component EconomicGaussNewton with this M, M_f and steady state."""
+        """Return the component EconomicGaussNewton with this M, M_f and steady state."""
         module = import_module("nmpc_codegen.components.hessians.economic_gauss_newton")
         found: Hessian = module.EconomicGaussNewton(M=self.M, M_f=self.M_f, steady_state=(self.x_s, self.u_s))
         return found
 
     def __str__(self) -> str:
-        """A table for readers."""
+        """Return a table for readers."""
         w = np.concatenate([self.x_s, self.u_s])
         w[np.abs(w) < 1e-15 * np.abs(w).max()] = 0.0
         states = [f"  {name} = {value:.6g}" for name, value in zip(self.names, w, strict=True)]
@@ -147,7 +147,7 @@ class Tuning:
 
     @property
     def verdict(self) -> str:
-        """Dissipativity in a sentence."""
+        """Return a sentence on dissipativity."""
         if self.dissipative:
             return f"strictly dissipative at the steady state (frequency function >= {self.dissipativity.least:.3g})"
         return (
@@ -172,7 +172,7 @@ def tune(
         ocp: the problem, on a uniform grid; states that grow for ever are named by ocp.cyclic().
         options: its integrator defines the discrete map.
         rho1: penalty of |F|, the multiples of strictly active rows.
-        rho2: penalty of |G|, the same at node N.
+        rho2: penalty of |G|, the multiples of strictly active rows at node N.
         eta: 1: strictly active rows may be used; 0: the cost must be dissipative without them.
         scaling: "none", "curvature", "magnitude", or d (nx+nu,) for w / d; "auto": the first of them that succeeds.
         guess: (x, u) near the steady state; by default the initial state, and references or mid-ranges of controls.
@@ -196,9 +196,9 @@ def tune(
 
 
 def steady_state(ocp: OCP, options: Options | None = None, guess: Any = None) -> SteadyState:
-    """The best steady state and its multipliers, without M: min l  s.t.  x = Phi(x, u) and the rows of the path.
+    """Return the best steady state and its multipliers: min l  s.t.  x = Phi(x, u) and the rows of the path.
 
-    Cyclic states are left out.
+    Cyclic states are left out; M is not computed.
 
     Args:
         ocp: the problem.

@@ -1,4 +1,4 @@
-"""Cost-to-go of the linear-quadratic problem at a steady state, whose Hessian may be indefinite.
+"""The cost-to-go of the linear-quadratic problem at a steady state is computed for a Hessian that may be indefinite.
 
     P = Q + A'PA - (S' + A'PB)(R + B'PB)^{-1}(S + B'PA),   H = [Q S'; S R],   u = -K x
 
@@ -27,7 +27,7 @@ RESIDUAL, STABLE, RANK = 1e-7, 1.0 - 1e-9, 1e-9
 
 @dataclass(frozen=True, eq=False)
 class CostToGo:
-    """P (n, n), the feedback u = -K x with K (m, n), a basis of the subspace on which both hold, and the residual."""
+    """P (n, n) and the feedback u = -K x, K (m, n), hold on a subspace with the given basis."""
 
     P: Array
     K: Array
@@ -38,7 +38,7 @@ class CostToGo:
 
 @dataclass(frozen=True, eq=False)
 class Reduced:
-    """x = T xi, u = Kc xi + N v;  xi+ = A xi + B v with the cost 1/2 (xi, v)' H (xi, v)."""
+    """The problem in reduced coordinates: x = T xi, u = Kc xi + N v, xi+ = A xi + B v, cost 1/2 (xi, v)' H (xi, v)."""
 
     T: Array
     Kc: Array
@@ -49,7 +49,7 @@ class Reduced:
 
 
 def eliminate(lq: LinearQuadratic) -> Reduced:
-    """The problem on the subspace of the strictly active rows."""
+    """Return the problem on the subspace of the strictly active rows."""
     n = lq.n
     T = np.eye(n)
     while True:
@@ -68,7 +68,7 @@ def eliminate(lq: LinearQuadratic) -> Reduced:
 
 
 def cost_to_go(lq: LinearQuadratic, names: tuple[str, ...] = ()) -> CostToGo:
-    """P and K of the infinite horizon, in the units of the problem; ``names`` of the states are for errors.
+    """Return P and K of the infinite horizon, in the units of the problem; ``names`` of the states are for errors.
 
     Raises:
         ProblemError: the Riccati equation has no stabilising solution.
@@ -90,7 +90,7 @@ def cost_to_go(lq: LinearQuadratic, names: tuple[str, ...] = ()) -> CostToGo:
 
 
 def _refuse_uncontrolled(r: Reduced, names: tuple[str, ...], active: tuple[str, ...]) -> None:
-    """Raise ProblemError if a mode that does not decay is moved by no control (Hautus test)."""
+    """Raise ProblemError if a mode that does not decay is influenced by no control (Hautus test)."""
     values, left = np.linalg.eig(r.A.T) if len(r.A) else (np.zeros(0), np.zeros((0, 0)))
     size = max(1.0, float(np.abs(r.B).max(initial=0.0)))
     for value, v in zip(values, left.T, strict=True):
@@ -110,7 +110,7 @@ def _refuse_uncontrolled(r: Reduced, names: tuple[str, ...], active: tuple[str, 
 
 
 def _riccati(r: Reduced) -> tuple[Array, Array, float]:
-    """P, K and the relative residual in the reduced coordinates."""
+    """Return P, K and the relative residual in the reduced coordinates."""
     n = len(r.A)
     Q, S, R = r.H[:n, :n], r.H[n:, :n], r.H[n:, n:]
     if not n:
@@ -132,7 +132,7 @@ def _riccati(r: Reduced) -> tuple[Array, Array, float]:
 
 
 def _refine(r: Reduced, P: Array) -> tuple[Array, Array, float]:
-    """One Newton step, a Lyapunov equation, if it reduces the residual."""
+    """Take one Newton step, a Lyapunov equation, if it reduces the residual."""
     K, rest = _residual(r, P)
     size = max(float(np.abs(P).max()), 1.0)
     closed = r.A - r.B @ K
@@ -145,7 +145,7 @@ def _refine(r: Reduced, P: Array) -> tuple[Array, Array, float]:
 
 
 def _residual(r: Reduced, P: Array) -> tuple[Array, Array]:
-    """K and Q + A'PA - (S' + A'PB) K - P."""
+    """Return K and Q + A'PA - (S' + A'PB) K - P."""
     n = len(r.A)
     Q, S, R = r.H[:n, :n], r.H[n:, :n], r.H[n:, n:]
     G = S + r.B.T @ P @ r.A

@@ -1,4 +1,4 @@
-"""The linear-quadratic problem at a steady state, and the frequency function that decides about its dissipativity.
+"""The linear-quadratic problem at a steady state has a frequency function, which decides on its dissipativity.
 
     x+ = A x + B u,   1/2 w' H w,   C w = 0 (strictly active rows),   w = (x, u)
     N(z) spans { w : A x + B u = z x, C w = 0 },   pi(theta) = min eig N* H N,  z = exp(i theta)
@@ -22,13 +22,16 @@ from nmpc_codegen.economic.stationary import SteadyState
 from nmpc_codegen.frontend.problem import Array
 
 FREQUENCIES = 721
-#: A value of the frequency function up to this one, relative to H, counts as 0.
+#: Values of the frequency function up to this one, relative to H, count as 0.
 POSITIVE = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
 class LinearQuadratic:
-    """A (n, n), B (n, m), H (n + m, n + m), C (a, n + m); H_f (n, n) and D (b, n) at node N, None for a fixed end."""
+    """A (n, n), B (n, m), H (n + m, n + m), C (a, n + m).
+
+    H_f (n, n) and D (b, n) at node N, None if the end is fixed.
+    """
 
     A: Array
     B: Array
@@ -49,14 +52,17 @@ class LinearQuadratic:
         return int(self.B.shape[1])
 
     def rotate(self, P: Array, after: Array | None = None) -> Array:
-        """Hcal(P) = [A'QA - P, A'QB; B'QA, B'QB], Q = P or that ``after`` the interval."""
+        """Return Hcal(P) = [A'QA - P, A'QB.
+
+        B'QA, B'QB], where Q is ``after``, the matrix at the end of the interval, or P.
+        """
         AB = np.hstack([self.A, self.B])
         found: Array = AB.T @ (P if after is None else after) @ AB
         found[: self.n, : self.n] -= P
         return found
 
     def scale(self, d: Array) -> LinearQuadratic:
-        """The same problem in w / d; rows of C and D have norm 1."""
+        """Return the problem in w / d; rows of C and D have norm 1."""
         dx, du = d[: self.n], d[self.n :]
         return LinearQuadratic(
             A=self.A * dx / dx[:, None],
@@ -68,7 +74,7 @@ class LinearQuadratic:
         )
 
     def without_rows(self) -> LinearQuadratic:
-        """The same problem without strictly active rows."""
+        """Return the problem without strictly active rows."""
         D = None if self.D is None else self.D[:0]
         return LinearQuadratic(self.A, self.B, self.H, self.C[:0], self.H_f, D, size=self.size)
 
@@ -78,7 +84,10 @@ def _unit_rows(C: Array) -> Array:
 
 
 def linear_quadratic(stage: SteadyStage, steady: SteadyState, *, gauss_newton: bool = False) -> LinearQuadratic:
-    """The expansion at a steady state; with ``gauss_newton``, H = J' W J instead of the Hessian of the Lagrangian."""
+    """Expand the problem at a steady state.
+
+    With ``gauss_newton``, H = J' W J instead of the Hessian of the Lagrangian.
+    """
     w, n = steady.w, stage.nx
     AB, _, J = (np.asarray(v, dtype=float) for v in stage.jacobians(w))
     if gauss_newton and stage.gauss_newton is not None:
@@ -101,10 +110,10 @@ def linear_quadratic(stage: SteadyStage, steady: SteadyState, *, gauss_newton: b
 
 
 def _strict_terminal(g: Array, G: Array, rows: Rows, force: Array, on_path: set[str]) -> list[int]:
-    """Rows at their bound whose multiplier nu, G' nu = lam_s - dV_f / dx, has the sign of the bound.
+    """Return the rows at their bound whose multiplier nu, G' nu = lam_s - dV_f / dx, has the sign of the bound.
 
-    Equations belong to them, and rows that are strictly active on the path ([Z20], equation (15)), although a terminal
-    cost with the slope lam_s gives these no multiplier.
+    Equations belong to them, and so do rows that are strictly active on the path ([Z20], equation (15)), although a
+    terminal cost with the slope lam_s gives these no multiplier.
     """
     size = 1e-8 * np.maximum(1.0, np.abs(g))
     near = [i for i in range(len(g)) if min(abs(g[i] - rows.lower[i]), abs(g[i] - rows.upper[i])) <= size[i]]
@@ -121,7 +130,7 @@ def _strict_terminal(g: Array, G: Array, rows: Rows, force: Array, on_path: set[
 
 @dataclass(frozen=True)
 class Frequency:
-    """The least value of the frequency function, and where it is (rad per interval)."""
+    """The least value of the frequency function, and its angle theta (rad per interval)."""
 
     least: float
     theta: float
@@ -132,7 +141,7 @@ class Frequency:
 
 
 def frequency_function(lq: LinearQuadratic) -> Frequency:
-    """The minimum of pi over 0 <= theta <= pi, in a scaling of w that makes the diagonal of H of size 1.
+    """Return the minimum of pi over 0 <= theta <= pi; a scaling of w gives the diagonal of H the size 1.
 
     Positivity does not depend on the scaling. A grid is refined around its least values; +inf if C leaves no freedom.
     """
@@ -160,9 +169,9 @@ def frequency_function(lq: LinearQuadratic) -> Frequency:
 
 
 def curvature_scaling(lq: LinearQuadratic) -> Array:
-    """d_i = 1 / sqrt |H_ii|; a variable without curvature gets the largest of the others.
+    """Return d_i = 1 / sqrt |H_ii|; a variable without curvature gets the largest of the others.
 
-    Where typical magnitudes are known, d stays within a factor of 1000 of them, up to a common factor.
+    If typical magnitudes are known, d stays within a factor of 1000 of them, up to a common factor.
     """
     if lq.size is not None:
         curvature = np.abs(np.diag(lq.H)) * lq.size**2

@@ -1,4 +1,4 @@
-"""The map of an interval by an implicit scheme as an expression, for derivatives at a steady state.
+"""The map of an interval by an implicit scheme is written as an expression, for derivatives at a steady state.
 
 Every stage takes two Newton steps from the point of the stage before. At a steady state they start at the solution: the
 error of a step is quadratic in f, that of two has four factors of f, so that value, first, second and third derivatives
@@ -20,7 +20,7 @@ NEWTON_STEPS = 2
 
 
 def newton_map(problem: Problem, scheme: Tableau) -> Function:
-    """Function (x, u, p, dt) -> (Phi, q): state at the end of an interval, integral of the cost rate."""
+    """Return the function (x, u, p, dt) -> (Phi, q): state at the end of an interval, integral of the cost rate."""
     s = problem.path
     f = problem.dynamics(s.x, s.u, s.p)
     slopes = ca.Function("slopes", [s.x, s.u, s.p], [f, ca.jacobian(f, s.x)])
@@ -45,7 +45,7 @@ def newton_map(problem: Problem, scheme: Tableau) -> Function:
 
 
 def _solve_stage(slopes: Function, X: Expression, base: Expression, ha: Expression, u: Any, p: Any) -> Expression:
-    """X = base + ha f(X) by Newton steps from X."""
+    """Solve X = base + ha f(X) by Newton steps from X."""
     for _ in range(NEWTON_STEPS):
         f, f_x = slopes(X, u, p)
         X = X - _eliminate(ca.SX.eye(X.numel()) - ha * f_x, X - base - ha * f)
@@ -53,7 +53,7 @@ def _solve_stage(slopes: Function, X: Expression, base: Expression, ha: Expressi
 
 
 def _eliminate(M: Expression, r: Expression) -> Expression:
-    """M^-1 r by elimination without row exchanges, which leaves out structural zeros."""
+    """Return M^-1 r by elimination without row exchanges, which skips structural zeros."""
     n = M.shape[0]
     rows = [{j: M[i, j] for j in range(n) if M[i, j].nnz()} for i in range(n)]
     right = ca.vertsplit(ca.densify(r))

@@ -1,4 +1,4 @@
-"""The best periodic operation and its multipliers.
+"""The best periodic operation and its multipliers are found by IPOPT and Newton's method.
 
     min sum_k l(x_k, u_k, p_k)  s.t.  x_{k+1} = Phi(x_k, u_k, p_k),  x_P = x_0,  lower <= h(x_k, u_k, p_k) <= upper
 
@@ -32,15 +32,15 @@ from nmpc_codegen.economic.stationary import (
 from nmpc_codegen.errors import ProblemError
 from nmpc_codegen.frontend.problem import Array
 
-#: Violation of a row and gap up to which a point is admissible; size of w of a flight to infinity; both in units.
+#: Largest violation and gap of an admissible point; size of w that shows divergence; both in units.
 ADMISSIBLE, INFINITE = 1e-8, 1e8
 
 
 @dataclass(frozen=True, eq=False)
 class Orbit:
-    """w (P, nx + nu); lam (P, nx) of the state at the start of an interval; mu of its rows; strictly active rows.
+    """A periodic solution: w (P, nx + nu), lam (P, nx) at the start of each interval, mu of its rows, active rows.
 
-    ``size`` (nx + nu,): typical magnitudes of w.
+    ``size`` (nx + nu,) holds typical magnitudes of w.
     """
 
     w: Array
@@ -51,10 +51,10 @@ class Orbit:
 
 
 def solve_orbit(stages: Sequence[SteadyStage], guess: Array) -> Orbit:
-    """The orbit near the guess (P, nx + nu).
+    """Return the orbit near the guess (P, nx + nu).
 
     Raises:
-        ProblemError: there is none, its cost has no lower bound, it is no minimum, or a soft row does not hold on it.
+        ProblemError: there is no orbit, its cost has no lower bound, it is no minimum, or a soft row is violated on it.
     """
     name, n = stages[0].problem.name, stages[0].nx
     size = magnitudes(stages[0], *guess)
@@ -74,7 +74,7 @@ def solve_orbit(stages: Sequence[SteadyStage], guess: Array) -> Orbit:
 
 
 def _least(program: _Program, w: Array) -> Orbit:
-    """A minimum from the start w."""
+    """Find a minimum from the start w."""
     for _ in range(ATTEMPTS):
         found = program.polish(*program.optimum(w))
         direction = program.downhill(found)
@@ -88,13 +88,13 @@ def _least(program: _Program, w: Array) -> Orbit:
 
 
 class _Program:
-    """The program of the orbit in the variables w_0, ..., w_{P-1}, in units."""
+    """The nonlinear program of the orbit in the variables w_0, ..., w_{P-1}, in units."""
 
     def __init__(self, stages: Sequence[SteadyStage], name: str) -> None:
         self.stages, self.name, self.n, self.nz = stages, name, stages[0].nx, int(stages[0].w.numel())
 
     def optimum(self, start: Array) -> tuple[Array, Array, list[Array]]:
-        """IPOPT's point: w, lam, mu."""
+        """Return IPOPT's point: w, lam, mu."""
         P, n = len(self.stages), self.n
         V = ca.SX.sym("V", self.nz, P)
         outs = [stage.values(V[:, k]) for k, stage in enumerate(self.stages)]
@@ -128,7 +128,7 @@ class _Program:
             )
 
     def polish(self, w: Array, lam: Array, mu: list[Array]) -> Orbit:
-        """Newton's method on the optimality conditions with the active rows as equations."""
+        """Apply Newton's method to the optimality conditions with the active rows as equations."""
         triples = zip(self.stages, w, mu, strict=True)
         held = [active_bounds(s.rows, np.asarray(s.values(p)[2], dtype=float).ravel(), m) for s, p, m in triples]
         mu = [np.where(np.isin(np.arange(len(m)), rows), m, 0.0) for m, (rows, _) in zip(mu, held, strict=True)]
@@ -160,12 +160,12 @@ class _Program:
         return Orbit(best[0], best[1], tuple(best[2]), tuple(strict), np.ones(self.nz))
 
     def _excess(self, point: Array, k: int) -> float:
-        """By how much the rows of an interval are violated."""
+        """Return the largest violation of the rows of an interval."""
         h, rows = np.asarray(self.stages[k].values(point)[2], dtype=float).ravel(), self.stages[k].rows
         return float(np.max(np.concatenate([h - rows.upper, rows.lower - h]), initial=0.0))
 
     def downhill(self, found: Orbit) -> Array:
-        """A direction (P, nx + nu) of norm 1 with negative curvature of the Lagrangian on the orbits, else zero.
+        """Return a direction (P, nx + nu) of norm 1 with negative curvature of the Lagrangian on the orbits, else zero.
 
         Rows at their bounds are held, also those without a multiplier.
         """
@@ -186,7 +186,7 @@ class _Program:
         return np.asarray((basis @ vectors[:, 0]).reshape(found.w.shape))
 
     def _system(self, w: Array, lam: Array, mu: list[Array], held: list[Any]) -> tuple[Array, Array, float]:
-        """Matrix and right-hand side of the conditions, and the largest of the forces that they add up."""
+        """Return matrix and right-hand side of the conditions, and the largest of the forces in their sums."""
         P, n, nz = len(self.stages), self.n, self.nz
         G, H, C, forces = np.zeros((P * n, P * nz)), [], [], 1.0
         slopes, gaps, excess = np.zeros((P, nz)), np.zeros((P, n)), []

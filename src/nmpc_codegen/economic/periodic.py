@@ -1,4 +1,4 @@
-"""tune_periodic(): positive definite Hessians along the best periodic operation, computed once and off line.
+"""tune_periodic() computes positive definite Hessians along the best periodic operation, once and off line.
 
     min sum_k l(x_k, u_k, p_k)  s.t.  x_{k+1} = Phi(x_k, u_k, p_k),  x_P = x_0,  lower <= h(x_k, u_k, p_k) <= upper
     M_k = H_k + (Hcal(dP_k, dP_k+1) + eta C_k'F_k C_k) / alpha,   dP_P = dP_0
@@ -35,7 +35,7 @@ from nmpc_codegen.options import Options
 
 @dataclass(frozen=True, eq=False, repr=False)
 class PeriodicTuning:
-    """The orbit and its Hessians, in the units of the problem, P intervals.
+    """An orbit of P intervals and its Hessians, in the units of the problem.
 
     Attributes:
         problem: the problem.
@@ -43,16 +43,16 @@ class PeriodicTuning:
         u: (P, nu), controls.
         lam: (P, nx), multipliers of the dynamics.
         mu: P arrays, multipliers of the strictly active rows.
-        active: their names.
+        active: names of the strictly active rows.
         M: (P, nx+nu, nx+nu), Hessians of LETEMPC.
         H: (P, nx+nu, nx+nu), Hessians of the Lagrangian.
         A: (P, nx, nx), of the discrete map.
         B: (P, nx, nu), of the discrete map.
         C: P arrays, slopes of the strictly active rows.
-        dP: (P, nx, nx), of the storage.
+        dP: (P, nx, nx), solution of the program, which defines the storage function.
         alpha: factor of H in the program, by which its other terms are divided.
         beta: bound of the condition number of M in the scaling of the program.
-        cost: mean of an interval.
+        cost: mean cost of an interval.
     """
 
     problem: Problem
@@ -73,11 +73,11 @@ class PeriodicTuning:
 
     @property
     def period(self) -> int:
-        """P, intervals."""
+        """Return the number of intervals P."""
         return len(self.M)
 
     def __str__(self) -> str:
-        """A table for readers."""
+        """Return a table for readers."""
         names = (*self.problem.state_names, *self.problem.control_names)
         w = np.hstack([self.x, self.u])
         spans = [f"  {name}: {v.min():.6g} .. {v.max():.6g}" for name, v in zip(names, w.T, strict=True)]
@@ -97,7 +97,10 @@ class PeriodicTuning:
         )
 
     def cost_to_go(self, periods: int = 50) -> Array:
-        """S (P, nx, nx): the Riccati recursion of A, B, M around the orbit, without rows, after so many periods."""
+        """Return S (P, nx, nx): the Riccati recursion of A, B, M around the orbit, without rows.
+
+        It runs over the given number of periods.
+        """
         n, S = self.x.shape[1], self.M[0, : self.x.shape[1], : self.x.shape[1]]
         found = np.zeros((self.period, n, n))
         for k in reversed(range(self.period * periods)):
@@ -160,7 +163,7 @@ def tune_periodic(
 
 
 def _tune(problem: Problem, stages: Sequence[SteadyStage], orbit: Orbit, weights: Weights) -> PeriodicTuning:
-    """The Hessians along an orbit."""
+    """Return the Hessians along an orbit."""
     w, n = orbit.w, problem.nx
     period = [_expansion(stage, orbit, k) for k, stage in enumerate(stages)]
     found = convexify_period(period, weights, orbit.size)
@@ -191,7 +194,7 @@ def _tune(problem: Problem, stages: Sequence[SteadyStage], orbit: Orbit, weights
 
 
 def _expansion(stage: SteadyStage, orbit: Orbit, k: int) -> LinearQuadratic:
-    """A, B, H and C of an interval."""
+    """Return A, B, H and C of an interval."""
     n, point, active = stage.nx, orbit.w[k], list(orbit.active[k])
     AB, _, J = (np.asarray(v, dtype=float) for v in stage.jacobians(point))
     H = np.asarray(stage.hessian(point, orbit.lam[(k + 1) % len(orbit.w)], orbit.mu[k]), dtype=float)
@@ -200,7 +203,7 @@ def _expansion(stage: SteadyStage, orbit: Orbit, k: int) -> LinearQuadratic:
 
 
 def _parameters(problem: Problem, given: Any, period: int | None) -> Array:
-    """Values (P, np)."""
+    """Return the values (P, np)."""
     count = len(problem.p_value)
     if (given is None) == (period is None):
         raise OptionError("tune_periodic: expected either parameters=, one row per interval, or period=, a number")
@@ -226,7 +229,7 @@ def _parameters(problem: Problem, given: Any, period: int | None) -> Array:
 
 
 def _guess(stages: Sequence[SteadyStage], guess: tuple[Any, Any] | None) -> Array:
-    """w (P, nx + nu)."""
+    """Return w (P, nx + nu)."""
     problem, period, sizes = stages[0].problem, len(stages), (stages[0].nx, stages[0].problem.nu)
     if guess is None:
         return np.tile(start_point(stages[0]), (period, 1))

@@ -1,4 +1,4 @@
-"""The semidefinite program that makes the Hessians of an economic cost positive definite ([Z20], equation (8)).
+"""A semidefinite program makes the Hessians of an economic cost positive definite ([Z20], equation (8)).
 
     min beta + rho1 |F| + rho2 |G|
     s.t. I <= alpha H_k + Hcal(dP_k, dP_k+1) + eta C_k'F_k C_k <= beta I,    I <= alpha H_f - dP - eta D'G D <= beta I
@@ -29,13 +29,16 @@ from nmpc_codegen.runtime.extras import extra
 #: Least alpha, with which the least eigenvalue of M is ten times the largest of H. As a solution may be multiplied by
 #: any factor > 1, this excludes no M, but where rows leave no freedom alpha would go to 0, and M would forget H.
 LEAST_ALPHA = 0.1
-#: How far below I the matrices of an accepted solution may be; entries, relative to the diagonal, that count as 0.
+#: Amount by which matrices of an accepted solution may be below I; entries up to ROUNDING of the diagonal count as 0.
 SLACK, ROUNDING = 1e-3, 1e-12
 
 
 @dataclass(frozen=True)
 class Weights:
-    """eta is 0 or 1: whether strictly active rows may be used; rho1, rho2 >= 0 penalise F and G."""
+    """The weights of the program: eta is 1 if strictly active rows may be used, else 0.
+
+    Rho1, rho2 >= 0 penalise F and G.
+    """
 
     rho1: float = 1e-3
     rho2: float = 1e-3
@@ -52,8 +55,10 @@ class Weights:
 
 @dataclass(frozen=True, eq=False)
 class ConvexityProof:
-    """A solution in the units of the problem; ``beta`` bounds the condition number in the scaling in which it was
-    found."""
+    """A solution in the units of the problem.
+
+    ``beta`` bounds the condition number in the scaling in which the solution was found.
+    """
 
     dP: Array  # (n, n)
     F: Array  # (a, a)
@@ -67,13 +72,13 @@ class ConvexityProof:
 
 
 def convexify(lq: LinearQuadratic, weights: Weights, scaling: Array) -> ConvexityProof | str:
-    """Solve the program of a steady state in w / scaling; the status of the solver if that fails."""
+    """Solve the program of a steady state in w / scaling; return the status of the solver if that fails."""
     found = convexify_period([lq], weights, scaling)
     return found if isinstance(found, str) else found[0]
 
 
 def convexify_period(period: Sequence[LinearQuadratic], weights: Weights, scaling: Array) -> list[ConvexityProof] | str:
-    """Solve the program of a period in w / scaling: a certificate of every interval, with one alpha and beta."""
+    """Solve the program of a period in w / scaling; return a certificate of every interval, with one alpha and beta."""
     extra("clarabel", "tune()")
     cp = extra("cvxpy", "tune()")
     stages = [lq.scale(scaling) for lq in period]
@@ -122,7 +127,7 @@ def convexify_period(period: Sequence[LinearQuadratic], weights: Weights, scalin
 
 @dataclass(frozen=True, eq=False)
 class _Solved:
-    """What a solution means in the units of the problem; ``unit`` = 1 / alpha."""
+    """A conversion of solutions to the units of the problem; ``unit`` = 1 / alpha."""
 
     d: Array
     unit: float
@@ -130,13 +135,13 @@ class _Solved:
     status: str
 
     def storage(self, value: Any) -> Array:
-        """dP."""
+        """Return dP in the units of the problem."""
         n = len(value)
         found: Array = np.asarray(value) / np.outer(self.d[:n], self.d[:n])
         return found
 
     def certificate(self, lq: LinearQuadratic, dP: Array, after: Array, F: Any, G: Any) -> ConvexityProof:
-        """That of an interval with the storage dP at its start and ``after`` at its end."""
+        """Return the certificate of an interval with the storage dP at its start and ``after`` at its end."""
         F_value, G_value = _multiples(F, lq.C, self.d), _multiples(G, lq.D, self.d[: lq.n])
         M = lq.H + self.unit * (lq.rotate(dP, after) + lq.C.T @ F_value @ lq.C)
         M_f = None
@@ -148,7 +153,7 @@ class _Solved:
 
 
 def _multiples(value: Any, C: Array | None, scale: Array) -> Array:
-    """F or G for rows that are not of norm 1; zero where the program has none."""
+    """Return F or G for rows whose norm is not 1; zero where the program has none."""
     if C is None or value is None:
         return np.zeros((0, 0) if C is None else (len(C), len(C)))
     norms = np.linalg.norm(C * scale, axis=1)
@@ -156,7 +161,7 @@ def _multiples(value: Any, C: Array | None, scale: Array) -> Array:
 
 
 def clear(M: Array) -> Array:
-    """M without entries |M_ij| <= 1e-12 sqrt |M_ii M_jj|, so that the generated code has no products with them.
+    """Return M without entries |M_ij| <= 1e-12 sqrt |M_ii M_jj|, so that the generated code has no products with them.
 
     They are rounding errors of variables that the problem does not couple.
     """
@@ -165,10 +170,10 @@ def clear(M: Array) -> Array:
 
 
 def scalings(lq: LinearQuadratic, w: Array) -> dict[str, Array]:
-    """Scalings of w by name, in the order in which they are tried.
+    """Return scalings of w by name, in the order in which they are tried.
 
-    "none": least condition number in the units of the problem; "curvature": the diagonal of H becomes 1; "magnitude":
-    w at the steady state becomes 1.
+    "none" gives the least condition number in the units of the problem; "curvature" makes the diagonal of H equal to 1;
+    "magnitude" makes w at the steady state equal to 1.
     """
     size = np.abs(w)
     size = np.where(size > 1e-6 * max(float(size.max()), 1.0), size, 1.0) if lq.size is None else lq.size

@@ -1,4 +1,4 @@
-"""One stage of a problem at steady operation, as CasADi functions of the states that stand still.
+"""One stage of a problem at steady operation is given by CasADi functions of the states that stand still.
 
     x+ = Phi(x, u),   l(x, u),   lower <= h(x, u) <= upper        V_f(x),   lower <= g(x) <= upper at node N
 
@@ -25,24 +25,24 @@ from nmpc_codegen.ir.casadi_types import Expression, Function
 from nmpc_codegen.options import Options
 from nmpc_codegen.oracle.trajectory import CLASSICAL, Tableau, interval_map, node_cost, scaled_weight
 
-#: Values of w below this part of the largest one are rounding errors.
+#: Values of w below this fraction of the largest one are rounding errors.
 ROUNDING = float(np.finfo(float).eps)
 
 
 @dataclass(frozen=True, eq=False)
 class Rows:
-    """lower <= h(w) <= upper, one name per row."""
+    """The rows lower <= h(w) <= upper, with one name per row."""
 
     names: tuple[str, ...]
     h: Expression
     lower: Array
     upper: Array
-    penalty: Array  # largest multiplier: l1 of soft rows, inf for hard ones
+    penalty: Array  # largest multiplier: l1 of soft rows, inf of hard rows
 
 
 @dataclass(frozen=True, eq=False)
 class SteadyStage:
-    """Expressions in x (kept states) and u; ``kept``: their positions in the state of the problem."""
+    """Expressions in x (kept states) and u; ``kept`` holds the indices of the kept states in the problem."""
 
     problem: Problem
     kept: tuple[int, ...]
@@ -59,7 +59,7 @@ class SteadyStage:
 
     @property
     def w(self) -> Expression:
-        """(x, u)."""
+        """Return (x, u)."""
         return ca.vertcat(self.x, self.u)
 
     @property
@@ -68,17 +68,17 @@ class SteadyStage:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the kept states and of the controls."""
+        """Return the names of the kept states and of the controls."""
         return (*(self.problem.state_names[i] for i in self.kept), *self.problem.control_names)
 
     @cached_property
     def values(self) -> Function:
-        """w -> (Phi, l, h)."""
+        """Return the function w -> (Phi, l, h)."""
         return ca.Function("values", [self.w], [self.Phi, self.cost, self.rows.h])
 
     @cached_property
     def jacobians(self) -> Function:
-        """w -> ([A B], dl / dw, dh / dw)."""
+        """Return the function w -> ([A B], dl / dw, dh / dw)."""
         gradient = ca.jacobian(self.cost, self.w)
         return ca.Function(
             "jacobians", [self.w], [ca.jacobian(self.Phi, self.w), gradient, ca.jacobian(self.rows.h, self.w)]
@@ -86,23 +86,23 @@ class SteadyStage:
 
     @cached_property
     def hessian(self) -> Function:
-        """(w, lam, mu) -> d2 (l + lam' Phi + mu' h) / dw^2."""
+        """Return the function (w, lam, mu) -> d2 (l + lam' Phi + mu' h) / dw^2."""
         lam, mu = ca.SX.sym("lam", self.nx), ca.SX.sym("mu", len(self.rows.names))
         L = self.cost + ca.dot(lam, self.Phi) + ca.dot(mu, self.rows.h)
         return ca.Function("hessian", [self.w, lam, mu], [ca.hessian(L, self.w)[0]])
 
     def full(self, x: Array) -> Array:
-        """(nx,) of the problem from the kept states; cyclic ones have their initial value."""
+        """Return the state (nx,) of the problem from the kept states; cyclic states have their initial values."""
         found = self.problem.x_initial
         found[list(self.kept)] = x
         return found
 
 
 def magnitudes(stage: SteadyStage, *points: Array) -> Array:
-    """Typical sizes of w (n + nu,): the largest of given values and of its finite simple bounds; 1 if all are zero.
+    """Return typical sizes of w (n + nu,): the largest of given values and of finite simple bounds; 1 if all are zero.
 
-    A row lower == upper says where a variable is, not how far it moves, so it counts as little as a given value that is
-    a rounding error: x_N = x_s would measure a state in units of 1e-33.
+    A row lower == upper tells where a variable is, not how far it moves, so it is ignored, and so is a given value that
+    is a rounding error: x_N = x_s would measure a state in units of 1e-33.
     """
     size = np.max(np.abs(points), axis=0)
     size = np.where(size > ROUNDING * float(size.max()), size, 0.0)
@@ -118,7 +118,10 @@ def magnitudes(stage: SteadyStage, *points: Array) -> Array:
 
 
 def units(stage: SteadyStage, w: Array, d: Array) -> tuple[float, Array]:
-    """Units of the cost, the larger one of its slope and its curvature in w / d, and of the rows, their slopes or 1."""
+    """Return the units of the cost and of the rows in w / d.
+
+    The unit of the cost is the larger one of its slope and its curvature; that of a row is its slope, or 1.
+    """
     gradient, J = (np.asarray(part, dtype=float) * d for part in stage.jacobians(w)[1:])
     H = np.asarray(stage.hessian(w, np.zeros(stage.nx), np.zeros(len(stage.rows.names))), dtype=float) * np.outer(d, d)
     norms = np.linalg.norm(J, axis=1)
@@ -126,7 +129,7 @@ def units(stage: SteadyStage, w: Array, d: Array) -> tuple[float, Array]:
 
 
 def in_units(stage: SteadyStage, d: Array, money: float, rows: Array) -> SteadyStage:
-    """The same stage in w / d, cost / money, h / rows; multipliers are then lam d / money and mu rows / money."""
+    """Return the stage in w / d, cost / money, h / rows; multipliers are then lam d / money and mu rows / money."""
     w = ca.SX.sym("w", len(d))
     n, r = stage.nx, stage.rows
     Phi, cost, h = stage.values(w * d)
@@ -141,8 +144,10 @@ def in_units(stage: SteadyStage, d: Array, money: float, rows: Array) -> SteadyS
 
 
 def tableau(problem: Problem, options: Options | None) -> Tableau:
-    """The scheme of the options, else the one that the compiler chooses for the problem, as plain numbers;
-    CLASSICAL for a discrete map, which reads none."""
+    """Return the scheme of the options, or the one that the compiler chooses, as plain numbers.
+
+    A discrete map has no scheme; it gets CLASSICAL, which is not used.
+    """
     chosen = integrator_of(problem, options or Options())
     scheme = getattr(chosen, "tableau", None)
     if scheme is None:
@@ -152,11 +157,11 @@ def tableau(problem: Problem, options: Options | None) -> Tableau:
 
 
 def steady_stage(problem: Problem, options: Options | None = None, p: Array | None = None) -> SteadyStage:
-    """The stage of the last interval, which the steady operation repeats, with the declared parameters or with ``p``.
+    """Return the stage of the last interval, as steady operation repeats it, with declared parameters or with ``p``.
 
     Raises:
-        ProblemError: another state, the cost or all states depend on a cyclic state, or only cyclic states exist; or
-            there are previous controls, time or discrete states.
+        ProblemError: another state or the cost depends on a cyclic state, or only cyclic states exist; or there are
+            previous controls, time or discrete states.
     """
     problem.refuse_augmented("steady state")
     kept = tuple(i for i in range(problem.nx) if i not in problem.cyclic)
@@ -201,10 +206,10 @@ def steady_stage(problem: Problem, options: Options | None = None, p: Array | No
 def _steady_rows(
     problem: Problem, at: tuple[Expression, Expression, Array], cyclic: Expression, *, terminal: bool
 ) -> Rows:
-    """The rows of all inner nodes, or those of node N, at (x, u, p); rows that depend on a cyclic state are left out.
+    """Return the rows of all inner nodes, or those of node N, at (x, u, p), without rows on cyclic states.
 
-    If N = 1 there is no inner node, and the rows of the only interval hold at every sample, also those of its end.
-    Equations at the end are left out: they are no part of the steady operation, but must agree with it.
+    If N = 1 there is no inner node; then the rows of the only interval, and those at its end, hold at every sample.
+    Equations at the end are left out: they do not belong to the steady operation, but must agree with it.
     """
     path, end, (x, u, p) = problem.path, problem.terminal, at
     h = ca.Function("h", [path.x, path.u, path.p], [path.h])(x, u, p)
@@ -227,13 +232,13 @@ def _steady_rows(
 
 
 def _least_penalty(row: Row, dt: Sequence[float]) -> float:
-    """The least linear penalty of a row over its nodes, infinite if it is hard."""
+    """Return the least linear penalty of a row over its nodes, infinite if the row is hard."""
     penalties = [row.penalty(k, dt) for k in row.nodes]
     return min((math.inf if penalty is None else penalty[0] for penalty in penalties), default=math.inf)
 
 
 def _holds(row: Row, N: int, terminal: bool) -> bool:
-    """True if the row is imposed at node N, else at all inner nodes."""
+    """Return True if the row is imposed at node N (``terminal``), or at all inner nodes."""
     if terminal:
         return N in row.nodes
     if N == 1:

@@ -1,4 +1,4 @@
-"""The best steady state and its multipliers.
+"""The best steady state and its multipliers are found by IPOPT and Newton's method.
 
     min l(x, u)  s.t.  x = Phi(x, u),  lower <= h(x, u) <= upper
     L_s = l + lam_s' (Phi - x) + mu_s' h,    mu_s > 0 at the upper bound and < 0 at the lower one
@@ -26,28 +26,29 @@ from nmpc_codegen.frontend.problem import Array
 
 #: Tolerance of IPOPT; residual of the polished point, relative to the largest multiplier or variable.
 IPOPT_TOLERANCE, RESIDUAL = 1e-12, 1e-10
-#: A multiplier below this part of the largest one does not make its row strictly active.
+#: A multiplier below this fraction of the largest one does not make its row strictly active.
 STRICT = 1e-9
 NEWTON_STEPS = 20
-#: Curvature below this part of the largest one, in units of the curvature, is negative; how often a point that is no
-#: minimum is left, and by which part of its size.
+#: Curvature below CURVED, relative to the largest one, counts as negative. A point that is no minimum is left at most
+#: ATTEMPTS times, by the fraction LEAVE of its size.
 CURVED, ATTEMPTS, LEAVE = -1e-9, 3, 0.1
-#: Distance, in the size of a state, that the model may still move at a steady state of an implicit scheme.
+#: Largest distance, relative to the size of a state, by which the model may move at a steady state of an implicit
+# scheme.
 MOVING = 1e-4
 
 
 @dataclass(frozen=True, eq=False)
 class SteadyState:
-    """A steady state without the cyclic states, n of them kept.
+    """A steady state without the cyclic states; n states are kept.
 
     Attributes:
         x: (n,), states.
         u: (nu,), controls.
         lam: (n,), multipliers of the dynamics.
-        mu: one per row.
-        cost: of one interval.
-        active: positions of the rows that are strictly active.
-        residual: of the optimality conditions.
+        mu: one multiplier per row.
+        cost: cost of one interval.
+        active: indices of the rows that are strictly active.
+        residual: residual of the optimality conditions.
         size: (n + nu,), typical magnitudes of w.
     """
 
@@ -62,7 +63,7 @@ class SteadyState:
 
     @property
     def w(self) -> Array:
-        """(x, u)."""
+        """Return (x, u)."""
         return np.concatenate([self.x, self.u])
 
 
@@ -93,7 +94,7 @@ def solve_steady_state(stage: SteadyStage, guess: tuple[Array, Array] | None = N
 
 
 def _least(stage: SteadyStage, w: Array) -> SteadyState:
-    """A minimum from the start w, in the units of the stage."""
+    """Find a minimum from the start w, in the units of the stage."""
     direction = np.zeros(0)
     for _ in range(ATTEMPTS):
         found = _optimum(stage, w)
@@ -109,7 +110,7 @@ def _least(stage: SteadyStage, w: Array) -> SteadyState:
 
 
 def _downhill(stage: SteadyStage, found: SteadyState) -> Array:
-    """A direction (n + nu,) of norm 1 among the steady states with negative curvature of the Lagrangian, else zero.
+    """Return a direction (n + nu,) of norm 1 at constant state with negative curvature of the Lagrangian, else zero.
 
     Rows at their bounds are held, also those without a multiplier.
     """
@@ -133,7 +134,7 @@ def _downhill(stage: SteadyStage, found: SteadyState) -> Array:
 
 
 def _optimum(stage: SteadyStage, start: Array) -> SteadyState:
-    """A point that satisfies the optimality conditions."""
+    """Return a point that satisfies the optimality conditions."""
     rows, w, n = stage.rows, stage.w, stage.nx
     g = ca.vertcat(stage.Phi - stage.x, rows.h)
     quiet: dict[str, Any] = {
@@ -165,8 +166,10 @@ def _refuse_infinite(stage: SteadyStage, w: Array) -> None:
 
 
 def _refuse_moving(stage: SteadyStage, w: Array, size: Array) -> None:
-    """Raise ProblemError if Newton's method of an implicit scheme returns to a point where the model is not at rest:
-    (I - dt f_x)^{-1} dt f is not 0."""
+    """Raise ProblemError if the point is a fixed point of an implicit scheme at which the model is not at rest.
+
+    There (I - dt f_x)^{-1} dt f is not 0.
+    """
     if stage.move is None:
         return
     evaluate = ca.Function("move", [stage.w], [stage.move, ca.densify(ca.jacobian(stage.move, stage.x))])
@@ -201,7 +204,7 @@ def _refuse_failure(stage: SteadyStage, status: str, w: Array, over: Array) -> N
 
 
 def start_point(stage: SteadyStage, guess: tuple[Array, Array] | None = None) -> Array:
-    """w where the search starts: the guess, else the initial state, and references or mid-ranges of controls."""
+    """Return the start w of the search: the guess, else the initial state with references or mid-ranges of controls."""
     problem = stage.problem
     if guess is not None:
         if not isinstance(guess, (tuple, list)) or len(guess) != 2:
@@ -219,14 +222,14 @@ def start_point(stage: SteadyStage, guess: tuple[Array, Array] | None = None) ->
 
 
 def active_bounds(rows: Rows, h: Array, mu: Array) -> tuple[tuple[int, ...], Array]:
-    """Rows whose multiplier exceeds their distance to the bound of its sign, and those bounds."""
+    """Return the rows whose multiplier exceeds their distance to the bound of its sign, and those bounds."""
     bound = np.where(mu > 0, rows.upper, rows.lower)
     near = [i for i in range(len(mu)) if rows.lower[i] == rows.upper[i] or abs(mu[i]) > abs(h[i] - bound[i])]
     return tuple(near), bound
 
 
 def _polish(stage: SteadyStage, w: Array, lam: Array, mu: Array) -> SteadyState:
-    """Newton's method on L_w = 0, Phi = x, h = bound for the active rows."""
+    """Apply Newton's method to L_w = 0, Phi = x, h = bound for the active rows."""
     n, rows = stage.nx, stage.rows
     active, bound = active_bounds(rows, stage.values(w)[2].full().ravel(), mu)
     E = np.eye(n, len(w))
@@ -259,7 +262,7 @@ def _polish(stage: SteadyStage, w: Array, lam: Array, mu: Array) -> SteadyState:
 
 
 def _relative(r: Array, w: Array, forces: Array) -> float:
-    """The residual: its slopes relative to the terms of the Lagrangian, its gaps relative to w."""
+    """Return the residual: its slopes relative to the terms of the Lagrangian, its gaps relative to w."""
     slopes, gaps = np.abs(r[: len(w)]), np.abs(r[len(w) :])
     largest = max(float(np.abs(forces).max()), np.finfo(float).tiny)
     return max(float(slopes.max()) / largest, float(gaps.max()) / max(1.0, float(np.abs(w).max())))

@@ -1,4 +1,4 @@
-"""One SQP step of an optimal control problem with any Hessian, as an equality-constrained quadratic program.
+"""One SQP step with any Hessian is solved as an equality-constrained quadratic program.
 
     min  sum_k 1/2 dw_k' H_k dw_k + g_k' dw_k + 1/2 dx_N' H_N dx_N + g_N' dx_N
     s.t. dx_0 given,  dx_{k+1} = A_k dx_k + B_k du_k + b_k,  C_k dw_k = c_k,  D dx_N = d
@@ -24,19 +24,19 @@ from nmpc_codegen.frontend.problem import Array
 
 @dataclass(frozen=True, eq=False)
 class StageQp:
-    """Data of a step, of N intervals, n states, m controls.
+    """The data of a step with N intervals, n states, m controls.
 
     Attributes:
-        A: (N, n, n), of the dynamics.
-        B: (N, n, m), of the dynamics.
+        A: (N, n, n), state matrices of the dynamics.
+        B: (N, n, m), control matrices of the dynamics.
         b: (N, n), gaps.
         H: (N, n+m, n+m), Hessians.
         g: (N, n+m), gradients.
-        C: N arrays (rows, n+m), slopes of rows that are held.
+        C: N arrays (rows, n+m), slopes of the rows in the working set.
         c: N arrays (rows,), their right-hand sides.
         H_N: (n, n), Hessian of the end.
-        g_N: (n,), its gradient.
-        D: (rows, n), slopes of rows that are held at the end.
+        g_N: (n,), gradient of the end.
+        D: (rows, n), slopes of the rows in the working set at the end.
         d: (rows,), their right-hand sides.
     """
 
@@ -58,11 +58,11 @@ class Step:
     """A step and its multipliers.
 
     Attributes:
-        dx: (N+1, n), of the states.
-        du: (N, m), of the controls.
+        dx: (N+1, n), step of the states.
+        du: (N, m), step of the controls.
         lam: (N+1, n), multipliers of the dynamics.
-        mu: N arrays, those of C.
-        nu: those of D.
+        mu: N arrays, multipliers of the rows C.
+        nu: multipliers of the rows D.
     """
 
     dx: Array
@@ -73,12 +73,15 @@ class Step:
 
     @property
     def dw(self) -> Array:
-        """(dx_k, du_k) of all intervals, (N, n+m)."""
+        """Return (dx_k, du_k) of all intervals, (N, n+m)."""
         return np.hstack([self.dx[:-1], self.du])
 
 
 def constraint_matrix(qp: StageQp) -> scipy.sparse.csc_matrix:
-    """Rows of x_0 (-1), of the dynamics ([A B] - 1), of the C_k and of D; columns (w_0, ..., w_{N-1}, x_N)."""
+    """Return the Jacobian of all equations as a sparse matrix.
+
+    Its rows are x_0 (-1), the dynamics ([A B] - 1), the C_k and D; its columns (w_0, ..., w_{N-1}, x_N).
+    """
     N, n, m = len(qp.A), qp.A.shape[1], qp.B.shape[2]
     AB = np.concatenate([qp.A, qp.B], axis=2)
     first = np.arange(N) * (n + m)
@@ -96,7 +99,7 @@ Triplets = tuple[Array, Array, Array]
 
 
 def _blocks(blocks: Sequence[Array], rows: Sequence[int], columns: Sequence[int]) -> Triplets:
-    """Values, rows and columns of dense blocks whose first entries are at (rows, columns)."""
+    """Return values, rows and columns of dense blocks whose first entries are at (rows, columns)."""
     values = [np.ravel(block) for block in blocks]
     i = [row + np.repeat(np.arange(len(b)), b.shape[1]) for b, row in zip(blocks, rows, strict=True)]
     j = [column + np.tile(np.arange(b.shape[1]), len(b)) for b, column in zip(blocks, columns, strict=True)]
@@ -104,7 +107,7 @@ def _blocks(blocks: Sequence[Array], rows: Sequence[int], columns: Sequence[int]
 
 
 def _matrix(parts: Sequence[tuple[Triplets, int, int]], shape: tuple[int, int]) -> scipy.sparse.csc_matrix:
-    """Sum of triplets that are moved by a number of rows and columns."""
+    """Return the sum of triplets, each shifted by a number of rows and columns."""
     values = np.concatenate([v for (v, _, _), _, _ in parts])
     i = np.concatenate([i + down for (_, i, _), down, _ in parts])
     j = np.concatenate([j + right for (_, _, j), _, right in parts])
@@ -154,7 +157,7 @@ def kkt_step(qp: StageQp, dx0: Array) -> Step:
 
 
 def corrected_multipliers(tuning: Tuning, step: Step) -> Step:
-    """Multipliers of the step with H from those of the same step with M.
+    """Return the multipliers of the step with H, computed from those of the same step with M.
 
         lam_k += dP dx_k / alpha,   mu_k += eta F C dw_k / alpha,   nu -= eta G D dx_N / alpha
 
@@ -164,7 +167,7 @@ def corrected_multipliers(tuning: Tuning, step: Step) -> Step:
     their term C'F C dw_0 / alpha is then subtracted from lam_0.
 
     Args:
-        tuning: M and what belongs to it.
+        tuning: the result of tune().
         step: the step with M.
 
     Source: Zanon, "A Gauss-Newton-like Hessian approximation for economic NMPC" (2020), section V.A, dashed in Fig. 1.

@@ -1,4 +1,4 @@
-"""ocp.lqr_terminal_cost(): the cost-to-go of the linear-quadratic regulator at the steady state as terminal cost.
+"""ocp.lqr_terminal_cost() uses the cost-to-go of the linear-quadratic regulator at the steady state as terminal cost.
 
     tracking:  V_f = 1/2 (x - x_s)' P (x - x_s)
     economic:  V_f = (lam_s - D' mu_s)' (x - x_s) + 1/2 (x - x_s)' P (x - x_s)
@@ -38,9 +38,9 @@ from nmpc_codegen.options import Options
 
 #: Largest gap Phi(x, u) - x of a given steady state, and slope of the cost at the references, relative to their size.
 GAP, SLOPE = 1e-6, 1e-7
-#: Entries below this part of the largest one, in typical units of w, are rounding errors.
+#: Entries below this fraction of the largest one, in typical units of w, are rounding errors.
 NOISE = 1e-14
-#: Largest part of a direction, in units of the curvature, that counts as inside a subspace.
+#: A direction counts as inside a subspace if the part outside, in units of the curvature, is at most this value.
 OUTSIDE = 1e-6
 SEMIDEFINITE = -1e-12  # least eigenvalue of a weight, relative to the largest
 
@@ -52,12 +52,12 @@ class TerminalCost:
     Attributes:
         P: (nx, nx), with zero rows for cyclic states.
         lam: (nx,), multipliers of the dynamics at the steady state.
-        slope: (nx,), gradient of the cost-to-go at x_s: lam - D' mu_s, and zero for tracking.
+        slope: (nx,), gradient of the cost-to-go at x_s: lam - D' mu_s, or zero for tracking.
         K: (nu, nx), the feedback.
         x_s: (nx,), steady state.
-        u_s: (nu,), its control.
-        economic: whether it belongs to an economic cost.
-        residual: of the Riccati equation.
+        u_s: (nu,), control at the steady state.
+        economic: True for an economic cost.
+        residual: residual of the Riccati equation.
         active: names of the strictly active rows.
     """
 
@@ -73,7 +73,7 @@ class TerminalCost:
 
     @property
     def semidefinite(self) -> bool:
-        """True if P is positive semidefinite up to rounding."""
+        """Return True if P is positive semidefinite up to rounding."""
         values = np.linalg.eigvalsh(self.P)
         return bool(values[0] >= SEMIDEFINITE * max(abs(values[-1]), np.finfo(float).tiny))
 
@@ -81,14 +81,14 @@ class TerminalCost:
 def lqr_terminal_cost(
     ocp: OCP, options: Options | None = None, *, economic: bool = False, x: Any = None, u: Any = None
 ) -> TerminalCost:
-    """The numbers of ocp.lqr_terminal_cost().
+    """Compute the numbers behind ocp.lqr_terminal_cost().
 
     Args:
         ocp: the problem.
         options: its integrator defines the discrete map.
         economic: as in ocp.lqr_terminal_cost().
-        x: as there.
-        u: as there.
+        x: as in ocp.lqr_terminal_cost().
+        u: as in ocp.lqr_terminal_cost().
     """
     problem = replace(classify(ocp), terminal_lqr=None)
     given = [
@@ -99,10 +99,10 @@ def lqr_terminal_cost(
 
 
 def with_terminal_cost(problem: Problem, options: Options | None = None) -> Problem:
-    """The problem with the terminal cost that it requests; the same problem if it requests none.
+    """Return the problem with the terminal cost that it requests, or unchanged if it requests none.
 
     Args:
-        problem: what classify() makes of an OCP.
+        problem: the result of classify().
         options: their integrator defines the discrete map.
 
     Raises:
@@ -156,7 +156,7 @@ def _economic_point(stage: SteadyStage, request: LqrRequest) -> SteadyState:
 
 
 def _tracking_point(stage: SteadyStage, request: LqrRequest) -> SteadyState:
-    """The given steady state, else that of the references; its multipliers are zero."""
+    """Return the given steady state, else that of the references; its multipliers are zero."""
     if stage.gauss_newton is None:
         raise ProblemError("lqr_terminal_cost: the stage cost is no least squares; use economic=True")
     if request.x is None or request.u is None:
@@ -193,7 +193,7 @@ def _tracking_point(stage: SteadyStage, request: LqrRequest) -> SteadyState:
 def _spread(
     stage: SteadyStage, steady: SteadyState, found: CostToGo, economic: bool, active: tuple[str, ...]
 ) -> TerminalCost:
-    """The matrices for all states of the problem."""
+    """Return the matrices for all states of the problem."""
     problem, kept = stage.problem, list(stage.kept)
     P, K, lam = np.zeros((problem.nx, problem.nx)), np.zeros((problem.nu, problem.nx)), np.zeros(problem.nx)
     P[np.ix_(kept, kept)], K[:, kept], lam[kept] = found.P, found.K, steady.lam
@@ -216,7 +216,7 @@ def _spread(
 
 
 def _with_residual(problem: Problem, found: TerminalCost) -> Stage:
-    """The terminal stage with 1/2 |x - x_s|^2_P added to its least squares; cyclic states are left out."""
+    """Return the terminal stage with 1/2 |x - x_s|^2_P added to its least squares; cyclic states are left out."""
     stage = problem.terminal
     kept = [i for i in range(problem.nx) if i not in problem.cyclic]
     names = [problem.state_names[i] for i in kept]

@@ -1,4 +1,4 @@
-"""Limits on memory, stack and operations that a package must keep, or it is not exported."""
+"""Budgets limit memory, stack and operations; a package that exceeds one is not exported."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from nmpc_codegen.errors import OptionError
 from nmpc_codegen.firmware.certificate import Certificate
 from nmpc_codegen.package.description import PackageDescription
 
-#: No limit is as large as this.
+#: Every limit is below this number.
 LARGEST = 1e18
 
 _NUMBER = re.compile(r"(\d+(?:\.\d*)?(?:e\d+)?)([km]?)$", re.IGNORECASE)
-#: What k and m stand for: in bytes, and in numbers of operations.
+#: Factors of the suffixes k and m: for bytes, and for numbers of operations.
 BYTES = {"": 1, "k": 1 << 10, "m": 1 << 20}
 OPERATIONS = {"": 1, "k": 10**3, "m": 10**6}
 
@@ -23,8 +23,8 @@ OPERATIONS = {"": 1, "k": 10**3, "m": 10**6}
 class Budgets:
     """Largest sizes in bytes, and the largest worst case of a sample in operations; None: no limit.
 
-    ``ram``: the solver struct; ``flash``: code and constants of the package; ``stack``: of the entry point that needs
-    most, libraries included.
+    ``ram`` limits the solver struct, ``flash`` code and constants of the package, ``stack`` the stack of every entry
+    point with its library functions.
     """
 
     ram: int | None = None
@@ -34,10 +34,10 @@ class Budgets:
 
 
 def parse_size(flag: str, text: str, units: Mapping[str, int] = BYTES) -> int:
-    """A positive number, e.g. "64k" (64 * 1024 bytes, or 64 * 1000 operations), "1.5M", "2e6".
+    """Parse a positive number, e.g. "64k" (64 * 1024 bytes, or 64 * 1000 operations), "1.5M", "2e6".
 
     Raises:
-        OptionError: the text is none.
+        OptionError: the text is no such number.
     """
     found = _NUMBER.match(text.strip())
     value = float(found[1]) * units[found[2].lower()] if found else 0.0
@@ -56,12 +56,14 @@ def check(
     worst: Callable[[], int],
     dumps: int = 0,
 ) -> None:
-    """Compare the package with the budgets; ``worst`` gives the operations of a sample at most, ``dumps``:
-    bytes of a ring of samples beside the struct.
+    """Compare the package with the budgets.
+
+    ``worst`` returns the worst-case number of operations of a sample; ``dumps`` is the size of a ring of samples beside
+    the struct.
 
     Raises:
-        OptionError: it exceeds one of them; the message says by how much, and what to change. Or flash or stack are
-            limited, but there is no certificate, which needs a target.
+        OptionError: the package exceeds a budget; the message says by how much, and what to change. Or flash or stack
+            are limited without a target, so that there is no certificate.
     """
     exceeded = list(_find_excesses(budgets, description, certificate, dumps))
     if budgets.operations is not None:

@@ -1,8 +1,8 @@
-"""The certificate of a package on a target: memory, stack, operations, what it was compiled with.
+"""A certificate states memory, stack and operations of a package on a target, and how it was compiled.
 
 It holds what a firmware engineer must know before the code runs: bytes of the solver struct; bytes of flash memory with
-and without solve(); the worst-case stack of every entry point; the worst case of operations; functions of the C library
-that are used; a digest of the C to which all this belongs.
+and without solve(); the worst-case stack of every entry point; the worst case of operations; the functions of the C
+library that are used; a digest of the C code that was measured.
 """
 
 from __future__ import annotations
@@ -27,15 +27,18 @@ from nmpc_codegen.targets import Target
 REAL_TIME = ("init", "prepare", "feedback", "step", "estimate", "shift", "reset")
 SOLVE = "solve"
 
-#: Functions of libgcc that compute in double precision: a package in single precision must not call them.
+#: Functions of libgcc in double precision, which a package in single precision must not call.
 _DOUBLE = re.compile(r"__aeabi_(?:d\w+|f2d|i2d|ui2d|l2d|ul2d|cd\w+)$|__(?!aeabi)\w*df\w*$")
-#: Functions that the compiler itself calls: copying, and arithmetic that the core does not have.
+#: Functions that the compiler calls by itself: copying, and arithmetic that the core lacks.
 _COMPILER = re.compile(r"__aeabi_\w+$|mem(?:cpy|set|move|cmp)$|__\w+[sdt][if]\d*$")
 
 
 @dataclass(frozen=True)
 class Certificate:
-    """Properties of a package on a target. Sizes in bytes; ``stack``: entry point -> worst case, libraries included."""
+    """Properties of a package on a target; sizes are in bytes.
+
+    ``stack_bytes`` holds the worst case of every entry point, libraries included.
+    """
 
     name: str
     target: str
@@ -63,11 +66,11 @@ class Certificate:
 
     @property
     def stack_worst(self) -> int:
-        """The largest stack of an entry point."""
+        """Return the largest stack of an entry point."""
         return max(self.stack_bytes.values())
 
     def as_dict(self) -> dict[str, object]:
-        """As JSON."""
+        """Return the certificate as a JSON object."""
         return asdict(self) | {"stack_bytes_worst": self.stack_worst}
 
     def to_json(self) -> str:
@@ -75,7 +78,7 @@ class Certificate:
 
 
 def certify(package: Mapping[str, str], name: str, target: Target, level: Level = "O2") -> Certificate:
-    """Compile the package for the target and measure it; bound the operations of a sample.
+    """Compile the package for the target, measure it, and bound the operations of a sample.
 
     Raises:
         BuildError: a tool is missing, the compiler refuses the code, or the stack is not bounded.
@@ -84,7 +87,7 @@ def certify(package: Mapping[str, str], name: str, target: Target, level: Level 
 
 
 def measure(package: Mapping[str, str], name: str, target: Target, level: Level) -> Certificate:
-    """The certificate without operations: what the compiler makes of the package."""
+    """Return the certificate without operations, from the compiled package."""
     description = PackageDescription.from_json(package[f"{name}.json"])
     with TemporaryDirectory() as folder:
         return _certify(package, description, target, level, Path(folder))
@@ -141,15 +144,17 @@ def _digest(text: str) -> str:
 
 
 def external_functions(target: Target, folder: Path, name: str) -> list[str]:
-    """The external functions of package.o."""
+    """Return the external functions of package.o."""
     lines = (line.split() for line in cross(target, "nm", folder, "--defined-only", "-g", "package.o").splitlines())
     return sorted(symbol for _, kind, symbol in lines if kind == "T" and symbol.startswith(f"{name}_"))
 
 
 def flash_bytes(target: Target, folder: Path, functions: Iterable[str]) -> int:
-    """Bytes of code and constants of package.o that these functions reach, without libraries."""
+    """Return the bytes of code and constants of package.o that these functions reach, without libraries."""
     roots = [f"-Wl,--undefined={f}" for f in functions]
-    core = (flag for flag in target.flags if not flag.startswith("--specs"))  # whose linker scripts are for programs
+    core = (
+        flag for flag in target.flags if not flag.startswith("--specs")
+    )  # specs name linker scripts of whole programs
     options = (*core, "-nostdlib", "-r", "-Wl,--gc-sections")
     cross(target, "gcc", folder, *options, *roots, "package.o", "-o", "part.o")
     flash, ram = _sizes(cross(target, "size", folder, "part.o"))
@@ -159,26 +164,29 @@ def flash_bytes(target: Target, folder: Path, functions: Iterable[str]) -> int:
 
 
 def _sizes(listing: str) -> tuple[int, int]:
-    """Bytes of flash memory (code, constants, initial values) and of variables, from the table that ``size`` prints."""
+    """Return the bytes of flash (code, constants, initial values) and of variables from the output of ``size``."""
     text, data, bss = map(int, listing.splitlines()[1].split()[:3])
     return text + data, data + bss
 
 
 def _link(target: Target, functions: Iterable[str], output: str, folder: Path) -> None:
-    """A program that consists of these functions and what they need from the libraries."""
+    """Link a program of these functions and the library functions that they need."""
     roots = [f"-Wl,--undefined={f}" for f in functions]
     options = ("-nostartfiles", "-Wl,--gc-sections", "-Wl,--entry=0", *target.libraries)
     cross(target, "gcc", folder, *target.flags, *options, *roots, "package.o", "-lm", "-o", output)
 
 
 def _library(target: Target, folder: Path, symbols: str) -> dict[str, stack.StackFunction]:
-    """Functions of the libraries with their frames, from the linked program."""
+    """Return the functions of the libraries with their frames, from the linked program."""
     listing = cross(target, "objdump", folder, "-d", "--no-show-raw-insn", "all.elf")
     return stack.with_aliases(stack.of_program(listing, machine_code(target)), symbols)
 
 
 def _struct_bytes(name: str, target: Target, folder: Path) -> int:
-    """sizeof(<name>_solver_t) on the target: the size of an array of so many characters."""
+    """Return sizeof(<name>_solver_t) on the target.
+
+    It is read as the size of a char array of this length.
+    """
     text = f'#include "{name}.h"\nchar struct_bytes[sizeof({name}_solver_t)] = {{1}};\n'
     (folder / "size.c").write_text(text, encoding="utf-8")
     cross(target, "gcc", folder, *target.flags, "-c", "size.c", "-o", "size.o")
@@ -189,7 +197,7 @@ def _struct_bytes(name: str, target: Target, folder: Path) -> int:
 
 
 def _object_digest(target: Target, folder: Path) -> str:
-    """SHA-256 of the contents of all sections of package.o that are loaded."""
+    """Return the SHA-256 of the contents of all sections of package.o that are loaded."""
     return _digest(cross(target, "objdump", folder, "-s", "package.o"))
 
 
@@ -198,7 +206,10 @@ def _object_digest(target: Target, folder: Path) -> str:
 
 @dataclass(frozen=True)
 class Form:
-    """Bytes of the solver struct, of code and constants, and of the stack of the entry point that needs most."""
+    """Sizes of a package for one goal and optimisation level, in bytes: solver struct, code and constants, stack.
+
+    The stack is that of the entry point with the largest one.
+    """
 
     goal: str
     level: Level
@@ -207,12 +218,12 @@ class Form:
     stack_bytes: int
 
     def as_dict(self) -> dict[str, object]:
-        """As JSON."""
+        """Return the sizes as a JSON object."""
         return asdict(self)
 
 
 def forms_of(packages: Mapping[str, Mapping[str, str]], name: str, target: Target) -> tuple[Form, ...]:
-    """The forms of a package: ``packages`` holds its files for every goal.
+    """Measure a package for every goal and optimisation level; ``packages`` holds its files for every goal.
 
     Raises:
         BuildError: a tool is missing or refuses the code.

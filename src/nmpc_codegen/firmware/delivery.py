@@ -1,4 +1,4 @@
-"""What nmpc-export checks for a target and adds for a microcontroller, before anything is written.
+"""nmpc-export checks a package for its target, and adds files for a microcontroller, before anything is written.
 
 certificate.json, certificate.md    properties of the package on the target, for programs and for people
 certificate_<name>.json, .md        the same of an estimator beside it
@@ -36,21 +36,21 @@ NOT_FLOWN = "Not flown: export with --campaign."
 
 @dataclass(frozen=True)
 class CampaignWords:
-    """A campaign that the package has flown: for programs and for people."""
+    """A campaign that the package has flown, described for programs and for people."""
 
     entries: Mapping[str, object]
     sentences: str
 
 
-#: Makes the package with other options.
+#: A function that generates the package with other options.
 Variant = Callable[..., Mapping[str, str]]
 
 
 @dataclass(frozen=True)
 class Delivery:
-    """The files that are added, and what was found: certificate, of a microcontroller, and verdict, of --verify.
+    """The added files and their findings: certificate, sizes and verdict of --verify.
 
-    ``forms``: sizes for every goal, of a microcontroller.
+    Certificate and ``forms``, the sizes for every goal, exist for microcontrollers.
     """
 
     files: Mapping[str, str]
@@ -69,11 +69,11 @@ def deliver(
     flown: CampaignWords | None = None,
     dumps: int = 0,
 ) -> Delivery:
-    """Check the budgets; replay a closed loop on the target of the package on request; for a microcontroller also
-    certify the package, and add what its firmware is built from.
+    """Check the budgets, replay a closed loop on the target on request, and complete a package for a microcontroller.
 
-    ``variant``: makes the package with other options: for every goal, whose sizes are compared, and in portable C.
-    ``flown``: a campaign of the package, which the certificate tells of. ``dumps``: bytes of a ring of samples.
+    A package for a microcontroller is certified and gets the files from which its firmware is built. ``variant``
+    generates the package with other options: for every goal, to compare sizes, and in portable C. ``flown`` is a
+    campaign of the package for the certificate; ``dumps`` is the size in bytes of a ring of samples.
 
     Raises:
         OptionError: a budget is exceeded, or the package cannot be verified.
@@ -87,7 +87,7 @@ def deliver(
         raise OptionError("--target: the package contains foreign code, which is not certified; choose another qp")
 
     def worst() -> int:
-        """Of a sample, in portable C if the target computes several nodes at once."""
+        """Return the worst case of a sample, in portable C if the target computes several nodes at once."""
         return worst_case(package if target.lanes == 1 else variant(target=PORTABLE.name))["sample"]
 
     if target.board is None:
@@ -109,7 +109,7 @@ def deliver(
 
 
 def deliver_estimator(package: Mapping[str, str], name: str, level: Level, run: bool) -> Delivery:
-    """The certificate of the estimator beside a controller for a microcontroller, and its replay on request.
+    """Certify the estimator beside a controller for a microcontroller, and replay it on request.
 
     Raises:
         BuildError: a tool is missing or refuses the code.
@@ -126,18 +126,18 @@ def deliver_estimator(package: Mapping[str, str], name: str, level: Level, run: 
 
 
 def _at_level(package: Mapping[str, str], level: Level) -> dict[str, str]:
-    """The files of the package that name an optimisation level, without their seals, with that of the certificate."""
+    """Return the files that name an optimisation level, with the level of the certificate and without seals."""
     paths = () if level == "O2" else ("CMakeLists.txt", "README.md")
     return {path: without_seal(package[path]).replace(" -O2 ", f" -{level} ") for path in paths}
 
 
 def _verify(package: Mapping[str, str], name: str, target: Target, variant: Variant) -> Verdict:
-    """The target against portable C on this machine."""
+    """Compare the target with portable C on this machine."""
     return verify(package, name, record_loop(variant(target=PORTABLE.name), name), target)
 
 
 def record_loop(package: Mapping[str, str], name: str) -> Recording:
-    """The closed loop that is replayed: from the declared initial state, and again from near it."""
+    """Record the closed loop for the replay: from the declared initial state, then repeatedly from near it."""
     controller = load(package, name, "verify")
     x0 = controller.description.x_initial
     return record(controller, x0, SAMPLES, disturbed=restart_loop(x0))
@@ -146,7 +146,10 @@ def record_loop(package: Mapping[str, str], name: str) -> Recording:
 def certificate_json(
     certificate: Certificate, verdict: Verdict | None, forms: tuple[Form, ...] = (), flown: CampaignWords | None = None
 ) -> str:
-    """The certificate, the sizes for every goal, and the outcomes of the run and of the campaign if there were some."""
+    """Return the certificate as JSON, with the sizes for every goal.
+
+    It includes the results of the emulated run and of the campaign if there are any.
+    """
     entries = certificate.as_dict() | {"forms": [form.as_dict() for form in forms]}
     if verdict is not None:
         entries["emulated"] = verdict.as_dict()
@@ -162,7 +165,7 @@ def page(
     files: Sequence[str] = (),
     flown: CampaignWords | None = None,
 ) -> str:
-    """The certificate for people; ``files``: those that came with it."""
+    """Return the certificate as a page for people; ``files`` lists the files delivered with it."""
     goals = environment().get_template("firmware/certificate_goals.md.jinja")
     names = {
         "c": certificate,
@@ -180,7 +183,7 @@ def page(
 
 
 def sentences(verdict: Verdict) -> str:
-    """What the emulated run showed."""
+    """Return sentences on the emulated run."""
     against, criterion = verdict.run.against, f"equal status, controls within {verdict.tolerance:g} of their range"
     largest = f"the largest difference is {verdict.error:.1e} of a range"
     if verdict.passed:

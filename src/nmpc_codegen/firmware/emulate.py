@@ -1,7 +1,7 @@
-"""Run an image on an emulated board, and read what it reports.
+"""An image runs on an emulated board, and its output is read.
 
-With -icount every instruction takes the same emulated time, so that the board's timer counts instructions: not the
-cycles of a chip, but exact and repeatable.
+With -icount every instruction takes the same emulated time. The board's timer therefore counts instructions, exactly
+and repeatably, but not the cycles of a chip.
 """
 
 from __future__ import annotations
@@ -20,15 +20,15 @@ from nmpc_codegen.package.description import PackageDescription
 from nmpc_codegen.targets import ICOUNT_SHIFT
 
 OUTPUT = "uart.txt"
-SECONDS = 600.0  # that an emulation may take
+SECONDS = 600.0  # longest time of an emulation
 
-#: Entry points that replay.c calls once at the end, by the number on their line.
+#: Entry points that replay.c calls once at the end, in the order of their numbers.
 OTHERS = ("step", "cost", "integrate", "shift", "kkt", "reset", "solve", "covariance")
 
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """What the target did, as a process: controls and statuses, compared with those of portable C on the host."""
+    """Controls and statuses of the target as a process, to be compared with portable C on the host."""
 
     against: ClassVar[str] = "portable C on the host"
 
@@ -37,19 +37,18 @@ class Outcome:
 
     @property
     def measured(self) -> Mapping[str, object]:
-        """What else is known of the run, as JSON."""
+        """Return further results of the run as a JSON object."""
         return {}
 
     @property
     def sentence(self) -> str:
-        """The same in words."""
+        """Return further results of the run in words."""
         return ""
 
 
 @dataclass(frozen=True, eq=False)
 class Run(Outcome):
-    """The same on a board, with instructions per call, and the stack of every entry point, bytes; compared with the
-    same C on the host."""
+    """Controls and statuses of a board, compared with the same C on the host, with instructions and stack of calls."""
 
     against: ClassVar[str] = "the host"
 
@@ -60,22 +59,22 @@ class Run(Outcome):
 
     @property
     def sample(self) -> NDArray[np.int64]:
-        """Instructions of prepare() and feedback() together."""
+        """Return the instructions of prepare() and feedback() together."""
         return self.prepare + self.feedback
 
     @property
     def median(self) -> int:
-        """Median instructions of a sample."""
+        """Return the median of the instructions of a sample."""
         return int(np.median(self.sample))
 
     @property
     def worst(self) -> int:
-        """Instructions of the sample that took most."""
+        """Return the largest number of instructions of a sample."""
         return int(self.sample.max())
 
     @property
     def measured(self) -> Mapping[str, object]:
-        """Instructions of a sample, and the stack."""
+        """Return instructions of a sample, and the stack."""
         return {
             "instructions_median": self.median,
             "instructions_worst": self.worst,
@@ -84,7 +83,7 @@ class Run(Outcome):
 
     @property
     def sentence(self) -> str:
-        """The same in words."""
+        """Return instructions and stack in words."""
         return (
             f"Emulated instructions per sample (not cycles; -icount shift={ICOUNT_SHIFT}): median {self.median:,}, "
             f"worst {self.worst:,}. Painted stack of the run: "
@@ -94,10 +93,10 @@ class Run(Outcome):
 
 
 def emulate(image: Image, description: PackageDescription, samples: int) -> Run:
-    """Run the image.
+    """Run the image on its emulated board.
 
     Raises:
-        BuildError: there is no emulator, the program does not end, or its output is not complete.
+        BuildError: there is no emulator, the program does not end, or its output is incomplete.
     """
     command = [*image.target.emulator, "-kernel", ELF, "-display", "none", "-monitor", "none"]
     command += ["-serial", f"file:{OUTPUT}", "-icount", f"shift={ICOUNT_SHIFT}"]
@@ -117,7 +116,7 @@ def _tail(image: Image) -> str:
 
 
 def _parse(lines: Sequence[str], description: PackageDescription, samples: int, per_tick: float) -> Run:
-    """The lines of replay.c, whose formats it states."""
+    """Parse the lines of replay.c, which documents their formats."""
     words: dict[str, list[list[int]]] = {letter: [] for letter in "EISO"}
     for line in lines:
         letter, *numbers = line.split() or [""]

@@ -1,4 +1,4 @@
-"""A bare-metal program that replays a recording: sources, compiled and linked for a target."""
+"""An image is a bare-metal program that replays a recording: sources, compiled and linked for a target."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from nmpc_codegen.firmware.toolchain import Level, compile_flags, cross
 from nmpc_codegen.lowering.templates import environment, template_directory
 from nmpc_codegen.targets import Board, Target
 
-#: Stack of the program: that of the call that needs most, half as much again, so that an excess shows, and its own.
+#: Expected stack of a call. The program reserves half as much again, so that an excess is seen, and its own stack.
 MOST_STACK = 32 << 10
 OWN_STACK = 512
 PROGRAM = ("start.c", "replay.c")
@@ -31,10 +31,10 @@ class Image:
 
 
 def board_of(target: Target) -> Board:
-    """The emulated board of a microcontroller.
+    """Return the emulated board of a microcontroller.
 
     Raises:
-        OptionError: the target is none.
+        OptionError: the target is no microcontroller.
     """
     if target.board is None:
         raise OptionError(f"the target {target.name} is no microcontroller, which a bare-metal program needs")
@@ -42,7 +42,7 @@ def board_of(target: Target) -> Board:
 
 
 def sources(target: Target, recording: str, stack_bytes: int = MOST_STACK) -> dict[str, str]:
-    """The files of the program besides the package: start-up code, replay, linker script, recording."""
+    """Return the files of the program besides the package: start-up code, replay, linker script, recording."""
     stack = (stack_bytes * 3 // 2 + OWN_STACK) & ~7
     folder = template_directory() / "firmware"
     board = board_of(target)
@@ -67,7 +67,7 @@ def build(
     folder: Path,
     stack_bytes: int = MOST_STACK,
 ) -> Image:
-    """Compile and link the program in a folder; ``stack_bytes``: what a call of the package is expected to need.
+    """Compile and link the program in a folder; ``stack_bytes`` is the expected stack of a call of the package.
 
     Raises:
         BuildError: there is no cross compiler, or it refuses the code.

@@ -1,7 +1,7 @@
-"""Builds of a package for a target: Makefile and CMake for the cross compiler, Zephyr, PlatformIO, Arduino; self-test.
+"""A package for a target gets builds by Makefile and CMake, Zephyr, PlatformIO and Arduino, and a self-test.
 
-All of them compile <name>.c with the flags of the certificate, or its flags of arithmetic where the framework chooses
-the core. Only the Arduino library needs a copy of the C, since its tools look into no other folder.
+All builds compile <name>.c with the flags of the certificate; if the framework chooses the core, only with its flags of
+arithmetic. Only the Arduino library needs a copy of the C, because its tools search no other folder.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from nmpc_codegen.lowering.templates import environment
 from nmpc_codegen.package.seal import has_seal
 from nmpc_codegen.targets import ICOUNT_SHIFT, Target
 
-#: File -> template below templates/firmware.
+#: File -> its template in templates/firmware.
 CROSS = {
     "firmware/Makefile": "Makefile",
     "firmware/CMakeLists.txt": "CMakeLists.txt",
@@ -35,7 +35,10 @@ CROSS = {
 def layouts(
     package: Mapping[str, str], recording: Recording, target: Target, certificate: Certificate, ram: int | None
 ) -> dict[str, str]:
-    """Files of all builds; ``ram``: the budget that budget.c checks, else the size of the struct."""
+    """Return the files of all builds.
+
+    ``ram`` is the budget that budget.c checks; None: the size of the struct.
+    """
     name = certificate.name
     names = _names(recording, target, certificate, ram)
 
@@ -54,7 +57,7 @@ def layouts(
 
 
 def _names(recording: Recording, target: Target, certificate: Certificate, ram: int | None) -> dict[str, Any]:
-    """What the templates may use."""
+    """Return the names that the templates may use."""
     d, portable = recording.description, (*ARITHMETIC[1:], *SECTIONS)
     tolerance = TOLERANCE[d.precision]
     return {
@@ -81,6 +84,6 @@ def _names(recording: Recording, target: Target, certificate: Certificate, ram: 
 
 
 def without_seal(text: str) -> str:
-    """The text of a file without the line of its seal, which the copy gets anew."""
+    """Return the text of a file without the line of its seal; the copy gets a new seal."""
     lines = text.splitlines(keepends=True)
     return "".join(lines[:-1]) if lines and has_seal(lines[-1].encode()) else text

@@ -1,6 +1,6 @@
-"""What an instruction does to the stack, and which function it may call, in the spelling of ``objdump -d``.
+"""Instructions in the spelling of ``objdump -d`` are read for their effect on the stack, and for calls.
 
-stack.py reads functions of libraries with it, which come without frames.
+stack.py needs this for functions of libraries, whose frames are not listed elsewhere.
 """
 
 from __future__ import annotations
@@ -16,27 +16,30 @@ _PLACE = re.compile(r"\b([0-9a-f]+) <([^>+]+)")
 
 
 class MachineCode(Protocol):
-    """The instructions of a family of processors."""
+    """The instruction set of a family of processors."""
 
     def operands(self, text: str) -> str:
-        """The operands without the comment of the disassembler."""
+        """Return the operands without the comment of the disassembler."""
         ...
 
     def ends(self, operation: str, operands: str) -> bool:
-        """True if a function does not continue after the instruction."""
+        """Return True if a function does not continue after the instruction."""
         ...
 
     def decrement(self, operation: str, operands: str, name: str) -> int:
-        """Bytes by which the instruction lowers the stack pointer; BuildError if it subtracts a register."""
+        """Return the bytes by which the instruction lowers the stack pointer.
+
+        Raise BuildError if it subtracts a register.
+        """
         ...
 
     def callee(self, operation: str, operands: str, name: str) -> str | None:
-        """Function to which the instruction may go; BuildError if it is called through a register."""
+        """Return the function to which the instruction may jump; raise BuildError if it calls through a register."""
         ...
 
 
 class Arm:
-    """ARM and Thumb."""
+    """The instruction sets ARM and Thumb."""
 
     _PUSHES = re.compile(r"\{([^}]*)\}")
     _IMMEDIATE = re.compile(r"#(\d+)")
@@ -69,7 +72,7 @@ class Arm:
         return 0
 
     def _registers(self, part: str) -> int:
-        """Bytes of a register, or of a range such as d8-d15."""
+        """Return the bytes of a register, or of a range such as d8-d15."""
         first, _, last = part.strip().partition("-")
         size = self._BYTES.get(first[0], 4)
         return size * (int(last[1:]) - int(first[1:]) + 1 if last else 1)
@@ -89,9 +92,12 @@ class Arm:
 
 
 class RiscV:
-    """RISC-V. Functions __riscv_save_<n> of libgcc return with a lower stack pointer: their calls are decrements."""
+    """The instruction set RISC-V.
 
-    #: Bytes that __riscv_save_<n> reserves at most: 13 registers, rounded up to 16 bytes.
+    Functions __riscv_save_<n> of libgcc return with a lower stack pointer, so that calls of them count as decrements.
+    """
+
+    #: Largest number of bytes that __riscv_save_<n> reserves: 13 registers, rounded up to 16 bytes.
     _SAVED = 64
     _SAVE = "__riscv_save_"
     _JUMPS = frozenset({"jal", "j", "jalr", "jr", "tail", "call"})
@@ -120,17 +126,17 @@ class RiscV:
         found = _PLACE.search(operands)
         if found is not None:
             return None if found[2].startswith(self._SAVE) else found[2]
-        if operation == "jr" or operation not in self._JUMPS:  # a return, or a jump by the table of a switch
+        if operation == "jr" or operation not in self._JUMPS:  # a return, or a jump through the table of a switch
             return None
         raise _call_register(name, operands)
 
 
-#: Prefix of a cross compiler -> the instructions that it writes.
+#: Prefix of a cross compiler -> its instruction set.
 _FAMILIES: Mapping[str, MachineCode] = {"arm-none-eabi-": Arm(), "riscv64-unknown-elf-": RiscV()}
 
 
 def machine_code(target: Target) -> MachineCode:
-    """The instructions of a microcontroller."""
+    """Return the instruction set of a microcontroller."""
     return _FAMILIES[target.compiler]
 
 

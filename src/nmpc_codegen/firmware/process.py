@@ -1,4 +1,4 @@
-"""Replay a recording as a process of an operating system: on this machine if it is the target's, or in its emulator."""
+"""A recording is replayed by a process of an operating system, on this machine or in the emulator of the target."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ PROGRAM = "process.c"
 
 
 def emulator_command(target: Target) -> tuple[str, ...]:
-    """The command before a program for the target; empty if this machine runs it without its emulator.
+    """Return the command that runs a program for the target; empty if this machine runs it without an emulator.
 
     Raises:
-        OptionError: the target is any machine, where the host is what it would be compared with.
-        BuildError: the emulator is missing, or there is none and this machine is another one.
+        OptionError: the target is portable C, which would be compared with itself.
+        BuildError: the emulator is missing, or the target has none and differs from this machine.
     """
     if not target.defines:
         raise OptionError(f"--verify: the target {target.name} is every machine, so there is none to compare with")
@@ -41,12 +41,12 @@ def emulator_command(target: Target) -> tuple[str, ...]:
 
 
 def compiler_for(target: Target) -> tuple[str, ...]:
-    """The compiler of this machine if it runs the target, else the cross compiler, which links statically."""
+    """Return the compiler of this machine if it runs the target, else the cross compiler with static linking."""
     return find_compiler() if runs(target) else (find(f"{target.compiler}gcc"), "-static")
 
 
 def run_process(package: Mapping[str, str], name: str, recording: Recording, target: Target, folder: Path) -> Outcome:
-    """Compile the package with the program that replays the recording, in a folder, and run it.
+    """Compile the package in a folder with the program that replays the recording, and run it.
 
     Raises:
         BuildError: a tool is missing or fails.
@@ -60,7 +60,7 @@ def run_process(package: Mapping[str, str], name: str, recording: Recording, tar
 
 
 def _parse(text: str, recording: Recording) -> Outcome:
-    """The lines of process.c, whose format it states."""
+    """Parse the lines of process.c, which documents their format."""
     description, samples = recording.description, len(recording.x)
     table = [[int(word, 16) for word in line.split()] for line in text.splitlines()]
     if len(table) != samples:

@@ -1,4 +1,4 @@
-"""Inputs of a closed loop and the controls that the host computes for them, for the same samples on a target.
+"""A recording holds the inputs of a closed loop and the controls of the host, for the same samples on a target.
 
     u_k, status_k = feedback(x_k) after prepare(), or step(x_k),   x_{k+1} = plant(x_k, u_k)
 
@@ -28,11 +28,11 @@ from nmpc_codegen.runtime.loops.simulate import simulate
 Array = NDArray[np.float64]
 Disturbed = Callable[[int, Array], Array]
 
-#: Largest |u - u_host| of a sample that agrees, relative to the range of the control.
+#: Tolerance of |u - u_host| relative to the range of the control.
 TOLERANCE = {"double": 1e-9, "single": 1e-3}
 
-PERIOD = 50  # samples after which the loop of restart_loop() starts anew
-SPREAD = 0.05  # of the declared initial state
+PERIOD = 50  # number of samples after which restart_loop() restarts
+SPREAD = 0.05  # relative to the declared initial state
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,7 +44,7 @@ class Event:
     values: Array
 
     def apply(self, controller: Controller) -> None:
-        """Do it on the host."""
+        """Apply the change on the host."""
         if self.call == "plan":
             states = controller.x.size
             controller.x[:] = self.values[:states].reshape(controller.x.shape)
@@ -53,7 +53,7 @@ class Event:
             getattr(controller, self.call)(self.values)
 
     def c(self, prefix: str, nodes: str) -> list[str]:
-        """C statements that do it on the target, with the numbers in ``values``."""
+        """Return the C statements that apply the change on the target, with the numbers in ``values``."""
         if self.call == "plan":
             return [
                 "memcpy(s->x, values, sizeof s->x);",
@@ -65,18 +65,18 @@ class Event:
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """Samples of a closed loop: inputs, and the host's outputs. ``u_range`` (nu,): the range of every control."""
+    """Samples of a closed loop with inputs and the host's outputs; ``u_range`` (nu,) is the range of every control."""
 
     description: PackageDescription
     x: Array  # (samples, nx)
     events: tuple[Event, ...]
     u: Array  # (samples, nu)
-    status: NDArray[np.int64]  # (samples,), of feedback, or of prepare if that failed
+    status: NDArray[np.int64]  # (samples,), status of feedback(), or of prepare() if that failed
     u_range: Array
 
     @property
     def header(self) -> str:
-        """The text of recording.h."""
+        """Return the text of recording.h."""
         d = self.description
         events = [
             {
@@ -103,7 +103,7 @@ class Recording:
 
 
 def _call(d: PackageDescription) -> dict[str, object]:
-    """How a sample is called: its inputs in one vector, and its outputs."""
+    """Return how a sample is called: its inputs in one vector, and its outputs."""
     P, found = d.name.upper(), d.estimation
     if found is None:
         return {"P": P, "inputs": f"{P}_NX", "outputs": f"{P}_NU", "call": "step)(s, x, u)", "has_model": 1}
@@ -113,7 +113,7 @@ def _call(d: PackageDescription) -> dict[str, object]:
 
 
 def literals(values: ArrayLike, precision: Precision) -> str:
-    """The numbers as exact C literals, separated by commas; NaN by its name in math.h."""
+    """Return the numbers as exact C literals, separated by commas; NaN is written as the macro of math.h."""
     suffix = "F" if precision == "single" else ""
     numbers = np.asarray(values, dtype=np.float64).ravel()
     return ", ".join("NAN" if math.isnan(v) else f"{float(v).hex()}{suffix}" for v in numbers)
@@ -135,7 +135,7 @@ def record(
         samples: number of samples.
         dt: sampling time, as in simulate().
         events: changes of data.
-        disturbed: disturbed(k, x) -> state that is measured at sample k, from where the plant goes on.
+        disturbed: disturbed(k, x) -> state that is measured at sample k and from which the plant continues.
 
     Raises:
         ControllerError: the state of the plant is not finite.
@@ -156,7 +156,7 @@ def record(
             return controller.step(x), controller.time_ns
         prepared = controller.prepare()
         u = controller.feedback(x)
-        if prepared:  # what the target says, too
+        if prepared:  # the target also reports this status
             controller._struct["status"] = prepared
         return u, controller.time_ns
 
@@ -169,8 +169,10 @@ def record(
 
 
 def record_estimates(observer: Observer, samples: int, seed: int = 1) -> Recording:
-    """Run an estimator that was just built, in the profile "verify", on measurements of the declared initial state with
-    noise, of which every fifth is missing on average, and controls that are noise of the size 0.1."""
+    """Run a new estimator on measurements of the declared initial state with noise, and record the samples.
+
+    The profile is "verify". A fifth of the measurements is missing on average; the controls are noise of the size 0.1.
+    """
     description, found = observer.description, observer.estimation
     rng, real = np.random.default_rng(seed), description.real
     inputs, estimates, statuses = [], [], []
@@ -187,10 +189,9 @@ def record_estimates(observer: Observer, samples: int, seed: int = 1) -> Recordi
 
 
 def ranges(description: PackageDescription, u: Array, size: float = 0.0) -> Array:
-    """Range of every control: between its declared bounds, else between the largest and smallest recorded value.
+    """Return the range of every control: between its declared bounds, else between the extremes of the recorded values.
 
-    A control that only rounding moves has the range that results of this ``size`` have by it: their rounding over the
-    tolerance.
+    If a control changes only by rounding, its range is the rounding of results of this ``size`` over the tolerance.
     """
     spread = np.ptp(u, axis=0) if len(u) else np.zeros(description.dims.nu)
     least = float(np.finfo(description.real).eps) / TOLERANCE[description.precision] * size
@@ -202,7 +203,7 @@ def ranges(description: PackageDescription, u: Array, size: float = 0.0) -> Arra
 
 
 def restart_loop(x0: Array, seed: int = 1) -> Disturbed:
-    """A loop that starts anew every PERIOD samples, near the declared initial state."""
+    """Return a disturbance that restarts the loop near the declared initial state every PERIOD samples."""
     random: Any = np.random.default_rng(seed)
 
     def disturb(k: int, x: Array) -> Array:

@@ -1,11 +1,11 @@
-"""Worst-case stack of every entry point: the deepest chain of calls.
+"""The worst-case stack of every entry point follows from the deepest chain of calls.
 
     depth(f) = frame(f) + max over callees g of depth(g)
 
-Frames and calls of the package are those that gcc states (-fcallgraph-info=su). Functions of the C library and of
-libgcc come without; their frames are read from the linked program: all decrements of the stack pointer in a function
-together, an upper bound, since none of them is inside a loop. A frame of variable size, a call through a pointer, and
-recursion are errors.
+Frames and calls of the package are those that gcc states (-fcallgraph-info=su). It states none for functions of the C
+library and of libgcc; their frames are read from the linked program. Such a frame is the sum of all decrements of the
+stack pointer in the function, an upper bound, since no decrement is inside a loop. A frame of variable size, a call
+through a pointer, and recursion are errors.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _INSTRUCTION = re.compile(r"^\s*([0-9a-f]+):\t([\w.]+)(?:\t(.*))?$")
 
 @dataclass
 class StackFunction:
-    """A function: its frame in bytes, and the names of what it calls."""
+    """A function with its frame in bytes, and the names of the functions that it calls."""
 
     frame: int = 0
     calls: set[str] = field(default_factory=set)
@@ -34,14 +34,14 @@ class StackFunction:
 
 @dataclass(frozen=True)
 class Depth:
-    """Stack of an entry point, bytes, and the chain of calls that needs it."""
+    """The stack of an entry point in bytes, and the chain of calls that needs it."""
 
     bytes: int
     chain: tuple[str, ...]
 
 
 def of_package(graph: str) -> dict[str, StackFunction]:
-    """Functions of gcc's call graph; those of other units have no frame and are not among them.
+    """Return the functions of gcc's call graph; functions of other units have no frame and are left out.
 
     Raises:
         BuildError: a frame has a variable size, or a function is called through a pointer.
@@ -61,7 +61,7 @@ def of_package(graph: str) -> dict[str, StackFunction]:
 
 
 def of_program(disassembly: str, read: MachineCode) -> dict[str, StackFunction]:
-    """Functions of a linked program, from ``objdump -d --no-show-raw-insn``."""
+    """Return the functions of a linked program, from ``objdump -d --no-show-raw-insn``."""
     functions: dict[str, StackFunction] = {}
     name, last = "", ("", "")
     for line in disassembly.splitlines():
@@ -72,7 +72,7 @@ def of_program(disassembly: str, read: MachineCode) -> dict[str, StackFunction]:
             functions[name] = StackFunction()
         elif name and (found := _INSTRUCTION.match(line)):
             operation, operands = found[2], read.operands(found[3] or "")
-            if operation.startswith((".", "nop")):  # constants, and what fills the space before them
+            if operation.startswith((".", "nop")):  # constants, and padding before them
                 continue
             last = operation, operands
             functions[name].frame += read.decrement(operation, operands, name)
@@ -83,7 +83,7 @@ def of_program(disassembly: str, read: MachineCode) -> dict[str, StackFunction]:
 
 
 def with_aliases(functions: Mapping[str, StackFunction], symbols: str) -> dict[str, StackFunction]:
-    """The functions also under their other names, from ``nm``: the disassembly shows one name per address."""
+    """Return the functions under all their names, from ``nm``; the disassembly shows one name per address."""
     found = dict(functions)
     for group in _names_of_addresses(symbols):
         shown = next((name for name in group if name in functions), None)
@@ -92,9 +92,10 @@ def with_aliases(functions: Mapping[str, StackFunction], symbols: str) -> dict[s
 
 
 def with_folded_names(functions: Mapping[str, StackFunction], symbols: str, unit: str) -> dict[str, StackFunction]:
-    """The functions of a package also under the names of those that the compiler found equal to them and folded.
+    """Return the functions of a package with the names of equal functions that the compiler has merged.
 
-    gcc's graph has calls of such a function, but no node; in the linked program both names have one address.
+    gcc's graph contains calls of a merged function, but no node for it; in the linked program both names have one
+    address.
     """
     found = dict(functions)
     for group in _names_of_addresses(symbols):
@@ -105,7 +106,7 @@ def with_folded_names(functions: Mapping[str, StackFunction], symbols: str, unit
 
 
 def _names_of_addresses(symbols: str) -> list[list[str]]:
-    """Names of functions that have the same address, from ``nm``."""
+    """Return lists of the functions that have the same address, from ``nm``."""
     names: dict[int, list[str]] = {}
     for line in symbols.splitlines():
         address, kind, name = line.split()[-3:] if len(line.split()) == 3 else ("", "", "")
@@ -115,10 +116,10 @@ def _names_of_addresses(symbols: str) -> list[list[str]]:
 
 
 def depths(functions: Mapping[str, StackFunction], roots: Mapping[str, str]) -> dict[str, Depth]:
-    """Depth of every root: label -> name of a function.
+    """Return the depth of every root; ``roots`` maps a label to the name of a function.
 
     Raises:
-        BuildError: a function calls itself, or its frame is not known.
+        BuildError: a function calls itself, or its frame is unknown.
     """
     known: dict[str, Depth] = {}
 

@@ -1,4 +1,4 @@
-"""The cross compiler of a target and its emulator: found on the path, run in a folder, with errors that help."""
+"""The cross compiler of a target and its emulator are found on the path and run in a folder, with helpful errors."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from nmpc_codegen.targets import Target
 Level = Literal["O2", "Os"]
 LEVELS: tuple[Level, ...] = ("O2", "Os")
 
-#: Flags of floating-point arithmetic. Contraction is off, so that host and target round alike.
+#: Flags of floating-point arithmetic; contraction is off, so that host and target round alike.
 ROUNDING = ("-fno-math-errno", "-fno-trapping-math", "-ffp-contract=off")
-#: Those and the language of microcontrollers.
+#: Flags of arithmetic and language for microcontrollers.
 ARITHMETIC = ("-std=c99", *ROUNDING)
 SECTIONS = ("-ffunction-sections", "-fdata-sections")
 
@@ -27,7 +27,7 @@ SHOWN_LINES = 20
 #: Programs of a cross compiler that a certificate needs.
 TOOLS = ("gcc", "nm", "size", "objdump")
 
-#: Beginning of the names of programs -> Debian packages that contain them and what they need.
+#: Prefix of a program -> Debian packages that contain it and its dependencies.
 _PACKAGES = {
     "arm-none-eabi-": "gcc-arm-none-eabi libnewlib-arm-none-eabi",
     "riscv64-unknown-elf-": "gcc-riscv64-unknown-elf picolibc-riscv64-unknown-elf",
@@ -40,21 +40,21 @@ _PACKAGES = {
 
 
 def compile_flags(target: Target, level: Level) -> tuple[str, ...]:
-    """All flags with which a package is compiled for a microcontroller."""
+    """Return all flags with which a package is compiled for a microcontroller."""
     return (*target.flags, f"-{level}", *ARITHMETIC, *SECTIONS)
 
 
 def in_hardware(target: Target, precision: Precision) -> bool:
-    """True if the floating-point unit of the target computes in this precision."""
+    """Return True if the floating-point unit of the target computes in this precision."""
     unit = "double" if target.board is None else target.board.unit
     return unit in ("double", precision)
 
 
 def find(program: str) -> str:
-    """Path of a program.
+    """Return the path of a program.
 
     Raises:
-        BuildError: it is not on the path; the message says what to install.
+        BuildError: the program is not on the path; the message says what to install.
     """
     path = shutil.which(program)
     if path is None:
@@ -68,10 +68,10 @@ def find(program: str) -> str:
 
 
 def require(target: Target, emulator: bool) -> None:
-    """Look for every program that a microcontroller needs, before any work; with ``emulator`` for that, too.
+    """Check that every program for a microcontroller is installed, and its emulator if ``emulator`` is true.
 
     Raises:
-        BuildError: one is missing; the message says what to install.
+        BuildError: a program is missing; the message says what to install.
     """
     for tool in TOOLS:
         find(f"{target.compiler}{tool}")
@@ -80,12 +80,12 @@ def require(target: Target, emulator: bool) -> None:
 
 
 def version(program: str) -> str:
-    """First line of what the program says about its version."""
+    """Return the first line of a program's version."""
     return run([program, "--version"], Path.cwd()).splitlines()[0]
 
 
 def run(command: Sequence[str], folder: Path, seconds: float | None = None) -> str:
-    """Run a program in a folder; return what it prints.
+    """Run a program in a folder and return its output.
 
     Raises:
         BuildError: there is no such program, it fails, or it takes longer than ``seconds``.

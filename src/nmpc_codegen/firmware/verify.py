@@ -1,4 +1,4 @@
-"""Compare the controls of a target with those of the host.
+"""The controls of a target are compared with those of the host.
 
 A sample agrees if the statuses are equal and |u - u_host| <= tolerance * range for every control.
 """
@@ -22,8 +22,11 @@ from nmpc_codegen.targets import Target
 
 @dataclass(frozen=True, eq=False)
 class Verdict:
-    """Outcome of the comparison. ``mismatches``: samples that do not agree, ``example``: what the first of them has;
-    ``bits``: samples with another bit in u."""
+    """The outcome of the comparison.
+
+    ``mismatches`` are the samples that do not agree, ``example`` describes the first one; ``bits`` is the number of
+    samples in which u differs in some bit.
+    """
 
     run: Outcome
     samples: int
@@ -39,7 +42,7 @@ class Verdict:
         return not self.mismatches
 
     def as_dict(self) -> dict[str, object]:
-        """As JSON."""
+        """Return the outcome as a JSON object."""
         return {
             "samples": self.samples,
             "mismatches": len(self.mismatches),
@@ -59,8 +62,9 @@ def verify(
     level: Level = "O2",
     stack_bytes: int = MOST_STACK,
 ) -> Verdict:
-    """Replay the recording on the emulated target and compare; ``stack_bytes``: what a call is expected to need on a
-    board, with the optimisation ``level``.
+    """Replay the recording on the emulated target and compare.
+
+    ``stack_bytes`` is the expected stack of a call on a board, with the optimisation ``level``.
 
     Raises:
         BuildError: a tool is missing or fails.
@@ -74,7 +78,7 @@ def verify(
 
 
 def compare(recording: Recording, run: Outcome) -> Verdict:
-    """The verdict on a run."""
+    """Compare a run with the recording."""
     tolerance = TOLERANCE[recording.description.precision]
     with np.errstate(invalid="ignore"):
         errors = np.abs(run.u.astype(np.float64) - recording.u) / recording.u_range
@@ -94,7 +98,7 @@ def compare(recording: Recording, run: Outcome) -> Verdict:
 
 
 def _example(recording: Recording, run: Outcome, k: int, errors: Array) -> str:
-    """What sample k has: its status if that differs, else the control that differs most."""
+    """Describe sample k: its status if that differs, else the control that differs most."""
     if run.status[k] != recording.status[k]:
         return f"sample {k}: status {int(run.status[k])} instead of {int(recording.status[k])}"
     j = int(np.argmax(np.nan_to_num(errors[k], nan=np.inf)))

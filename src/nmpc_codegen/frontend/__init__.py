@@ -1,1 +1,1 @@
-"""Front end: check what the user states, classify it, freeze it into a Problem, and add what follows from it."""
+"""The front end checks the user's statements, classifies and freezes them into a Problem, and completes it."""

@@ -1,10 +1,10 @@
-"""The augmented state: states behind those of the user, by which a node knows the one before it, and its time.
+"""The augmented state contains states added to the user's, through which a node knows its time and the node before it.
 
     t_{k+1} = t_k + dt_k     (t' = 1 along an interval),   v_{k+1} = u_k
 
-Their maps are constant, so that kernels, integrators and second derivatives stay as they are; at node 0 they are known.
-Where blocks of controls begin, and the lengths of the intervals before the nodes, are parameters behind those of the
-user. All expressions of a node pass Augmented.put_in(), which writes them in the symbols of a stage.
+The maps of the added states are constant, so that kernels, integrators and second derivatives need no change; at node 0
+the added states are known. Marks of blocks of controls, and the lengths of the intervals before the nodes, are
+parameters added to the user's. Augmented.put_in() writes all expressions of a node in the symbols of a stage.
 """
 
 from __future__ import annotations
@@ -20,15 +20,15 @@ from nmpc_codegen.frontend.ocp import OCP
 from nmpc_codegen.frontend.problem import Array, Augmentation, Signal, model_function, symbols
 from nmpc_codegen.ir.casadi_types import Expression, Function, elements
 
-#: Derivatives below this are rounding errors.
+#: Derivatives below this value are rounding errors.
 EQUAL = 1e-9
 
 
 class Augmented:
-    """An OCP without algebraic variables, with the states and data that its expressions need behind its own.
+    """An OCP without algebraic variables, with the states and data that its expressions need in addition.
 
-    ``period``: time between samples, the length of the interval before node 0; None: the first interval. Where all
-    intervals have this length, expressions read the number, else a parameter.
+    ``period`` is the time between samples, which is the length of the interval before node 0; None: the first interval.
+    If all intervals have this length, expressions contain the number, else a parameter.
     """
 
     def __init__(self, ocp: OCP, period: float | None = None) -> None:
@@ -37,7 +37,7 @@ class Augmented:
         previous = tuple(j for j in sorted(ocp.remembered) if j in held or ocp.remembered[j].element_hash() in found)
         rates, time = (symbol.element_hash() in found for symbol in (ocp.interval_before, ocp.clock))
         self.ocp, self.dt = ocp, (1.0,) * ocp.N if ocp.dt is None else ocp.dt
-        self.lengths = period or self.dt[0], *self.dt  # of the intervals before the nodes
+        self.lengths = period or self.dt[0], *self.dt  # lengths of the intervals before the nodes
         self.same_length = [ca.SX(self.dt[0])] if rates and len(set(self.lengths)) == 1 else []
         self.added = Augmentation(previous, rates and not self.same_length, time, held, idle=not ocp.controls)
         self.own, self.nu, self.np_own = ocp.x.numel(), max(1, ocp.u.numel()), ocp.p.numel()
@@ -47,7 +47,7 @@ class Augmented:
     # Expressions -----------------------------------------------------------------------------------------------------
 
     def put_in(self, expressions: list[Expression], x: Expression, u: Expression, p: Expression) -> list[Expression]:
-        """The expressions in the symbols x, u, p of a stage (u empty: they contain no control)."""
+        """Write the expressions in the symbols x, u, p of a stage; u is empty if they contain no control."""
         ends = u.numel() == 0
         own, first = elements(p), self.np_own + len(self.added.held)  # marks of blocks have no symbol
         data = [*own[: self.np_own], *self.same_length, *own[first:]]
@@ -56,15 +56,17 @@ class Augmented:
 
     @cached_property
     def _symbols(self) -> tuple[Expression, Expression]:
-        """The symbols of the OCP for (x, u, p), and for (x, p) of a node without controls. Behind the parameters stand
-        the length of the interval before and what Newton's method finds."""
+        """Return the symbols of the OCP for (x, u, p), and for (x, p) of a node without controls.
+
+        The length of the interval before and the results of Newton's method follow the parameters.
+        """
         ocp, added = self.ocp, self.added
         states = [ocp.x, *([ocp.clock] * added.time), *(ocp.remembered[j] for j in added.previous)]
         data = [ocp.p, *([ocp.interval_before] * (added.interval or bool(self.same_length))), ocp.node_data]
         return ca.vertcat(*states, ocp.u, *data), ca.vertcat(*states, *data)
 
     def acting(self, x: Expression, u: Expression, p: Expression) -> Expression:
-        """The controls that act at a node: u_j where a block begins, else that of the node before."""
+        """Return the controls that act at a node: u_j where a block begins, else the control of the node before."""
         added = self.added
         found = [] if added.idle else elements(u)
         for i, j in enumerate(added.held):
@@ -73,11 +75,13 @@ class Augmented:
         return ca.vertcat(ca.SX(0, 1), *found)
 
     def dynamics(self) -> tuple[Function, tuple[int, ...], Function | None]:
-        """The dynamics f(x, u, p), with the derivative 0 of states that are maps; their positions and their values at
-        the next node (x, u, p, dt). A discrete map has these states in itself.
+        """Return the dynamics f(x, u, p), the indices of discrete states, and the function of their next values.
+
+        The latter is (x, u, p, dt) -> values; the derivatives of discrete states in f are 0. A discrete map contains
+        these states itself.
 
         Raises:
-            ProblemError: a discrete map on a grid of different intervals asks for their lengths.
+            ProblemError: a discrete map uses time on a grid of different intervals.
         """
         ocp, added, own = self.ocp, self.added, self.own
         if ocp.discrete and added.time and len(set(self.dt)) > 1:
@@ -100,7 +104,7 @@ class Augmented:
     # Signals ---------------------------------------------------------------------------------------------------------
 
     def states(self) -> tuple[Signal, ...]:
-        """All states; those behind the user's start at 0."""
+        """Return all states; the added ones start at 0."""
         ocp, added = self.ocp, self.added
         names = [(e, d.signal.unit) for d in ocp.controls for e in d.signal.elements]
         found: list[tuple[str, str, tuple[float, ...]]] = []
@@ -112,12 +116,15 @@ class Augmented:
         )
 
     def controls(self) -> tuple[Signal, ...]:
-        """The controls; one that acts on nothing where a problem has components of x_0 alone to choose."""
+        """Return the controls.
+
+        A problem without controls, which only chooses components of x_0, gets one without effect.
+        """
         found = tuple(d.signal for d in self.ocp.controls)
         return found or (Signal("none", 1, "", (0.0,), 0, True, (1.0,)),)
 
     def parameters(self) -> tuple[Signal, ...]:
-        """All parameters; behind those of the user stand the data of the nodes."""
+        """Return all parameters: the user's, then the data of the nodes."""
         ocp = self.ocp
         names = [e for d in ocp.controls for e in d.signal.elements]
         found = [(f"block start({names[j]})", "", 1.0) for j in self.added.held]
@@ -128,7 +135,7 @@ class Augmented:
         )
 
     def node_data(self) -> Array:
-        """(N + 1, data): 1 where a block of a control begins; the length of the interval before."""
+        """Return (N + 1, data): 1 where a block of a control begins; the length of the interval before."""
         blocks = np.zeros((self.ocp.N + 1, len(self.added.held)))
         for i, j in enumerate(self.added.held):
             blocks[np.cumsum((0, *self.ocp.blocks[j])), i] = 1.0
@@ -148,12 +155,12 @@ def _expressions(ocp: OCP) -> list[Expression]:
 
 # Mistakes ------------------------------------------------------------------------------------------------------------
 
-#: Names of states that are meant to be controls of the node before.
+#: Names that suggest a state which stores the control of the node before.
 _MEANT = re.compile(r"(^|_)(last|prev|previous|old|before|delayed)(_|$|\d)", re.IGNORECASE)
 
 
 def warn_of_integrals(ocp: OCP) -> None:
-    """Warn of a state that is meant to remember a control and integrates it: last' = u, and u - last in the problem."""
+    """Warn of a state that should store a control but integrates it: last' = u, with u - last in the problem."""
     names = [e for d in ocp.states for e in d.signal.elements]
     for i, derivative in sorted(ocp.derivatives.items()):
         control = ocp.element(derivative)
@@ -169,7 +176,7 @@ def warn_of_integrals(ocp: OCP) -> None:
 
 
 def _is_difference(expression: Expression, u: Expression, x: Expression) -> bool:
-    """True if the expression depends on u and x through u - x alone."""
+    """Return True if the expression depends on u and x only through u - x."""
     found = {s.element_hash() for s in ca.symvar(expression)}
     if not {u.element_hash(), x.element_hash()} <= found:
         return False

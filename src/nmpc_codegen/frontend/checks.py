@@ -1,4 +1,4 @@
-"""Convert user input to checked values: names, numbers, CasADi columns. Every failure raises ProblemError."""
+"""User input is converted to checked values: names, numbers, CasADi columns; every failure raises ProblemError."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from nmpc_codegen.ir.naming import C_KEYWORDS
 from nmpc_codegen.package.signals import Soft
 from nmpc_codegen.runtime.given import checked_weight
 
-#: Mark of a table that is interpolated linearly among the operations of an expression, which never has this one.
+#: Mark of a linearly interpolated table in a set of operations; no expression contains this operation itself.
 KINKS = ca.OP_HORZREPMAT
 
-#: Operations of a CasADi SX Function that have a C spelling, and marks of tables, which are calls.
+#: Operations of a CasADi SX Function that have a C spelling, and the mark of linearly interpolated tables.
 C_OPERATIONS = (frozenset(OPERATIONS) | {ca.OP_CONST, ca.OP_INPUT, ca.OP_OUTPUT, KINKS}) - {ca.OP_CALL}
 
 #: Operations whose derivative vanishes or is discontinuous somewhere.
@@ -40,7 +40,7 @@ _IDENTIFIER = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 
 
 def quote(value: Any) -> str:
-    """Short text of a value for an error message."""
+    """Return a short text of a value for an error message."""
     try:
         text = " ".join(str(value).split())
     except Exception:  # a foreign object may fail in any way when it is printed
@@ -62,7 +62,7 @@ def identifier(name: Any, what: str) -> str:
 
 
 def unit_text(unit: Any, what: str) -> str:
-    """A unit: a printable text in one line, which is shown as it is, in comments of C and in tables too."""
+    """Return a unit, a printable text in one line, which may stand in comments of C and in tables."""
     if not isinstance(unit, str):
         raise ProblemError(f"{what} must be a string, got {type(unit).__name__} {quote(unit)}")
     if not unit.isprintable() or "*/" in unit or "|" in unit:
@@ -71,7 +71,7 @@ def unit_text(unit: Any, what: str) -> str:
 
 
 def duplicate(names: Iterable[str]) -> tuple[str, str] | None:
-    """The first two equal names, or None."""
+    """Return the first two equal names, or None."""
     seen: dict[str, str] = {}
     for name in names:
         if name in seen:
@@ -92,7 +92,7 @@ def integer(value: Any, what: str, minimum: int, maximum: int | None = None) -> 
 
 
 def block_lengths(value: Any, intervals: int, what: str) -> tuple[int, ...]:
-    """Positive integers whose sum is the number of intervals, else ProblemError."""
+    """Return positive integers whose sum is the number of intervals, else raise ProblemError."""
     if not isinstance(value, (list, tuple, np.ndarray)) or not len(value):
         raise ProblemError(f"{what} must be a list of lengths of blocks, got {quote(value)}")
     found = tuple(integer(v, f"{what}: length", 1) for v in value)
@@ -109,7 +109,7 @@ def flag(value: Any, what: str) -> bool:
 
 
 def numbers(value: Any, what: str) -> Array:
-    """A float array of any shape; a CasADi DM becomes dense. Infinities are allowed, NaN raises ProblemError."""
+    """Return a float array of any shape; a CasADi DM becomes dense, infinities are allowed, NaN raises ProblemError."""
     if isinstance(value, (ca.SX, ca.MX)):
         if isinstance(value, ca.MX) or not value.is_constant():
             raise ProblemError(f"{what} must be numbers, got the expression {quote(value)}")
@@ -128,7 +128,7 @@ def numbers(value: Any, what: str) -> Array:
 
 
 def vector(value: Any, size: int, what: str, *, finite: bool = True) -> Array:
-    """An array of shape (size,); a scalar is repeated."""
+    """Return an array of shape (size,); a scalar is repeated."""
     array = numbers(value, what)
     if array.ndim == 0 or array.shape == (1, 1):
         array = np.full(size, array.item())
@@ -143,7 +143,7 @@ def vector(value: Any, size: int, what: str, *, finite: bool = True) -> Array:
 
 
 def declared_scale(value: Any, size: int, what: str) -> tuple[float, ...]:
-    """The sizes of the elements of a signal or residual, finite and positive; () for None."""
+    """Return the scales of the elements of a signal or residual, finite and positive; () for None."""
     if value is None:
         return ()
     found = tuple(float(v) for v in vector(value, size, what))
@@ -153,7 +153,10 @@ def declared_scale(value: Any, size: int, what: str) -> tuple[float, ...]:
 
 
 def declared_range(value: Any, within: tuple[float, ...], what: str) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """(lower, upper) of every element of a signal, which contain its values ``within``; two empty ones for None."""
+    """Return (lower, upper) of every element of a signal, which contain its values ``within``.
+
+    Two empty ones for None.
+    """
     if value is None:
         return (), ()
     if not isinstance(value, (tuple, list)) or len(value) != 2:
@@ -166,7 +169,7 @@ def declared_range(value: Any, within: tuple[float, ...], what: str) -> tuple[tu
 
 
 def weight_matrix(value: Any, size: int, what: str) -> Array:
-    """A symmetric positive semidefinite matrix (size, size), up to rounding; a scalar or vector gives its diagonal."""
+    """Return a matrix (size, size), symmetric positive semidefinite up to rounding; a vector is its diagonal."""
     array = numbers(value, what)
     if array.shape != (size, size):
         try:
@@ -183,7 +186,7 @@ def weight_matrix(value: Any, size: int, what: str) -> Array:
 
 
 def column(value: Any, what: str, symbols: dict[str, Any]) -> Any:
-    """A dense SX column from an SX, DM, number, array, list of these, or MX expression.
+    """Return a dense SX column from an SX, DM, number, array, list of these, or MX expression.
 
     The symbols of an MX expression are replaced by the declared signals of the same name and size (``symbols``).
     """
@@ -207,7 +210,7 @@ def column(value: Any, what: str, symbols: dict[str, Any]) -> Any:
 
 
 def _expand(value: Any, what: str, symbols: dict[str, Any]) -> Any:
-    """SX form of an MX expression."""
+    """Return the SX form of an MX expression."""
     free = ca.symvar(value)
     for s in free:
         if s.name() not in symbols:
@@ -226,14 +229,17 @@ def _expand(value: Any, what: str, symbols: dict[str, Any]) -> Any:
 
 
 def list_names(names: Iterable[str]) -> str:
-    """The end of an error message: a list of the declared names."""
+    """Return the end of an error message: a list of the declared names."""
     listed = ", ".join(names)
     return f"; declared are: {listed}" if listed else "; nothing is declared yet"
 
 
 def operations(expression: Any) -> set[int]:
-    """CasADi opcodes of an SX expression; OP_LOW among them marks a constant that is not finite, OP_CALL a function
-    that is no look-up table, KINKS a table with linear interpolation."""
+    """Return the CasADi opcodes of an SX expression.
+
+    OP_LOW marks a constant that is not finite, OP_CALL a function that is no look-up table, KINKS a table with linear
+    interpolation.
+    """
     f = ca.Function("expression", ca.symvar(expression), [expression])
     found: set[int] = set()
     constants: dict[int, float] = {}
@@ -251,7 +257,7 @@ def operations(expression: Any) -> set[int]:
 
 
 def _mark_call(inputs: list[int], constants: dict[int, float]) -> set[int]:
-    """The marks of a call with these inputs: none if it reads a look-up table that is smooth."""
+    """Return the marks of a call with these inputs: none if it reads a smooth look-up table."""
     try:
         table = called_lookup(constants.get(inputs[0]) if inputs else None, len(inputs))
     except KeyError:
@@ -275,7 +281,7 @@ def check_operations(expression: Any, what: str) -> set[int]:
 
 
 def checked_soft(soft: Any, what: str) -> Soft:
-    """Penalties (l1, l2) of both sides of a row, None for a hard side."""
+    """Return the penalties (l1, l2) of both sides of a row, None for a hard side."""
     if not isinstance(soft, Soft):
         both = None if soft is None else _penalty(soft, f"{what}: soft")
         return Soft(both, both)
@@ -289,7 +295,7 @@ def checked_soft(soft: Any, what: str) -> Soft:
 
 
 def _penalty(value: Any, what: str) -> tuple[float, float]:
-    """(l1, l2); l1 may be infinite."""
+    """Return (l1, l2); l1 may be infinite."""
     pair = (value, 0.0) if isinstance(value, (int, float)) and not isinstance(value, bool) else value
     if not isinstance(pair, (tuple, list, np.ndarray)) or len(pair) != 2:
         raise ProblemError(f"{what} must be None, (l1, l2) or Soft(lower=(l1, l2), upper=(l1, l2)), got {quote(value)}")
@@ -305,7 +311,7 @@ _ELEMENT = re.compile(r"([^\[\]]*)(\[[0-9]+\])?")
 
 
 def element_names(names: Any, size: int, what: str) -> list[str]:
-    """One name per element; a single string names several elements name[i]."""
+    """Return one name per element; a single string names several elements name[i]."""
     if isinstance(names, str):
         names = [names] if size == 1 else [f"{names}[{i}]" for i in range(size)]
     if not isinstance(names, (list, tuple)) or len(names) != size:

@@ -1,4 +1,4 @@
-"""OCP -> Problem: classify and freeze what the user stated."""
+"""classify() turns an OCP into a Problem: the user's statements are classified and frozen."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def classify(ocp: OCP, period: float | None = None) -> Problem:
 
     Args:
         ocp: the problem.
-        period: time between samples, which rates at node 0 read; None: the first interval.
+        period: time between samples, which rates at node 0 use; None: the first interval.
 
     Raises:
         ProblemError: a part is missing (state, control, derivative, cost), or a row constrains a measured x_0.
@@ -69,7 +69,7 @@ def classify(ocp: OCP, period: float | None = None) -> Problem:
 
 
 def _with_first_controls(problem: Problem) -> Problem:
-    """The problem whose remembered controls are at first those of the first plan."""
+    """Return the problem whose remembered controls start at those of the first plan."""
     u, states = first_plan(problem)[1], list(problem.states)
     for j, place in problem.augmentation.places.items():
         at = place - problem.augmentation.count
@@ -78,7 +78,7 @@ def _with_first_controls(problem: Problem) -> Problem:
 
 
 def _algebra(resolved: Resolved, augmented: Augmented, path: Stage) -> Algebra:
-    """Values and equations of algebraic variables in the symbols of the path stage."""
+    """Return values and equations of algebraic variables in the symbols of the path stage."""
     z = ca.SX.sym("z", len(resolved.names))
     stated = [ca.substitute(e, resolved.newton, z) for e in (resolved.values, resolved.rest)]
     found = augmented.put_in(stated, path.x, path.u, path.p)
@@ -89,8 +89,9 @@ def _algebra(resolved: Resolved, augmented: Augmented, path: Stage) -> Algebra:
 
 
 def outputs_of(ocp: OCP, problem: Problem, outputs: Any, names: Any) -> tuple[tuple[str, ...], Any]:
-    """(names, z): the outputs z = g(x, u, p) of a node in the symbols of the path stage; without any, z is empty.
-    ``problem``: classify(ocp), without a period.
+    """Return (names, z): the outputs z = g(x, u, p) of a node in the symbols of the path stage; z may be empty.
+
+    ``problem`` is classify(ocp), without a period.
 
     Raises:
         ProblemError: the outputs contain other symbols than states, controls and parameters, or the names do not fit.
@@ -142,8 +143,8 @@ class _Scalar:
 
     name: str
     expression: Any
-    end: Any  # the same at node N
-    element: Element | None  # the state or control, if the expression is a bare symbol
+    end: Any  # the expression at node N
+    element: Element | None  # the state or control, if the expression is a single symbol
     coupled: bool
     nodes: tuple[int, ...]
     lower: float
@@ -157,13 +158,13 @@ class _Scalar:
 
     @property
     def stated(self) -> str:
-        """The name that the user gave, if this is one side of a row."""
+        """Return the name that the user gave, if this is one side of a row."""
         side = self.statement.side
         return self.name if self.statement.alone and side else self.name.removesuffix(f"_{side}") if side else ""
 
 
 def _classify_rows(ocp: OCP) -> tuple[tuple[Row, ...], list[Any], list[Any]]:
-    """All rows in the order in which they were stated, and the general rows of the path and of the terminal stage."""
+    """Return all rows in the order of their statements, and the general rows of path and terminal stage."""
     scalars = [_take_apart(ocp, s, i) for s in ocp.statements for i in range(len(s.names))]
     bound_nodes = _simple_bounds(ocp, scalars)
     rows: list[Row] = []
@@ -212,7 +213,7 @@ def _take_apart(ocp: OCP, statement: Any, i: int) -> _Scalar:
 
 
 def _path_nodes(ocp: OCP, on_states: bool, free: bool) -> tuple[int, ...]:
-    """Nodes of a path row: 0..N-1 if it contains a control, else 1..N, and 0 too if one of its states is free there."""
+    """Return the nodes of a path row: 0..N-1 with a control, else 1..N, and 0 if one of its states is free there."""
     if not on_states:
         return tuple(range(ocp.N))
     return tuple(range(0 if free else 1, ocp.N + 1))
@@ -230,10 +231,10 @@ def _nodes(ocp: OCP, at: At, path: tuple[int, ...]) -> tuple[int, ...]:
 
 
 def _simple_bounds(ocp: OCP, scalars: list[_Scalar]) -> dict[int, tuple[int, ...]]:
-    """Position in ``scalars`` of every row that becomes a simple bound -> the nodes of the bound.
+    """Return {index in ``scalars`` of a row that becomes a simple bound: nodes of the bound}.
 
     For a control, the bound is the first hard row over the whole path. For a state, path rows are considered first,
-    then the others in the order of statement; a row becomes a bound if none of its nodes has one for this state yet.
+    then the others in the order of statement; a row becomes a bound if none of its nodes has a bound on this state yet.
     A hard equality at the end replaces the path row of its state at node N.
     """
     bounds: dict[int, tuple[int, ...]] = {}
@@ -301,7 +302,7 @@ def _stage(augmented: Augmented, h: list[Any], rows: tuple[Row, ...], stage: Sta
 
 
 def _bare(ocp: OCP, residuals: list[ResidualTerm], nx: int) -> tuple[int, ...]:
-    """For every residual the position in (x, u) of the state or control as which it was stated, else -1."""
+    """Return for every residual the index in (x, u) of the state or control that it is, -1 for other expressions."""
     found = [ocp.element(r.y[i]) for r in residuals for i in range(r.y.numel())]
     first = {"state": 0, "control": nx}
     return tuple(-1 if e is None or e.kind not in first else first[e.kind] + e.index for e in found)

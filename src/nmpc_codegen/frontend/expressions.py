@@ -1,4 +1,4 @@
-"""Expressions that an OCP reads: their symbols, those of the node before and of time, and the dynamics."""
+"""An OCP reads expressions: their symbols, those of the node before and of time, and the dynamics."""
 
 from __future__ import annotations
 
@@ -12,35 +12,35 @@ from nmpc_codegen.errors import ProblemError, warn
 from nmpc_codegen.frontend.checks import NONSMOOTH, check_operations, column, list_names, quote
 from nmpc_codegen.frontend.statement import Declared, Element, Kind, StatedProblem, explain_misplacement
 
-#: What expressions of a node may contain.
+#: Kinds of symbols that expressions of a node may contain.
 NODE: tuple[Kind, ...] = ("state", "control", "parameter", "algebraic", "previous", "interval", "time")
 
 
 class Expressions(StatedProblem):
-    """An OCP as far as it reads expressions."""
+    """The part of an OCP that reads expressions."""
 
     @property
     def x(self) -> Any:
-        """All states declared so far, SX (nx,)."""
+        """Return all states declared so far, SX (nx,)."""
         return ca.vertcat(ca.SX(0, 1), *(d.symbol for d in self.states))
 
     @property
     def u(self) -> Any:
-        """All controls declared so far, SX (nu,)."""
+        """Return all controls declared so far, SX (nu,)."""
         return ca.vertcat(ca.SX(0, 1), *(d.symbol for d in self.controls))
 
     @property
     def p(self) -> Any:
-        """All parameters declared so far, SX (np,)."""
+        """Return all parameters declared so far, SX (np,)."""
         return ca.vertcat(ca.SX(0, 1), *(d.symbol for d in self.parameters))
 
     @property
     def z(self) -> Any:
-        """All algebraic variables declared so far, SX (nz,)."""
+        """Return all algebraic variables declared so far, SX (nz,)."""
         return ca.vertcat(ca.SX(0, 1), *(d.symbol for d in self.algebraics))
 
     def _expression(self, value: Any, what: str, kinds: tuple[Kind, ...]) -> Any:
-        """A dense SX column; raise ProblemError unless it contains only symbols of the given kinds."""
+        """Return a dense SX column; raise ProblemError unless it contains only symbols of the given kinds."""
         expression = column(value, what, self._symbols)
         for symbol in ca.symvar(expression):
             element = self.element(symbol)
@@ -60,14 +60,14 @@ class Expressions(StatedProblem):
 
 
 class NodeBefore(Expressions):
-    """The symbols of an OCP for the controls of the node before, their rates, and time."""
+    """The part of an OCP with symbols for the controls of the node before, their rates, and time."""
 
     def previous(self, u: Any) -> Any:
-        """The control of the node before, u_{k-1} at node k and u_{N-1} at node N; SX of the shape of u.
+        """Return the control of the node before, u_{k-1} at node k and u_{N-1} at node N; SX of the shape of u.
 
-        At node 0 it is the control that was applied last: the one that step() or feedback() has returned, unless
-        set_previous() says what the actuator did. init() and reset() set it to the first control of their plan, the
-        reference of u. Expressions of all nodes may contain it; in dynamics it is dead time of one sample.
+        At node 0 it is the control that was applied last: the one that step() or feedback() returned, unless
+        set_previous() states what the actuator did. init() and reset() set it to the first control of their plan, the
+        reference of u. It may occur in expressions of all nodes; in dynamics it is a dead time of one sample.
 
         Args:
             u: symbol, name, or a column of symbols of controls.
@@ -82,7 +82,7 @@ class NodeBefore(Expressions):
         return ca.vertcat(*(self.remembered[j] for j in where))
 
     def rate(self, u: Any) -> Any:
-        """(u - previous(u)) / dt, the slope of a control, in its unit per unit of time; SX of the shape of u.
+        """Return (u - previous(u)) / dt, the slope of a control in its unit per unit of time; SX of the shape of u.
 
         dt is the sampling time at node 0, and the length of the interval k - 1 at node k = 1 .. N - 1.
 
@@ -100,21 +100,26 @@ class NodeBefore(Expressions):
 
     @property
     def time(self) -> Any:
-        """The time of the node, SX scalar: that of the sample, 0 after init() and reset(), plus the lengths of the
-        intervals before the node. step() moves it on by the sampling time, set_time() sets it. In derivatives it is the
-        time of the stage of the integrator."""
+        """Return the symbol of the time of the node, SX scalar.
+
+        It is the time of the sample, 0 after init() and reset(), plus the lengths of the intervals before the node.
+        step() advances it by the sampling time, set_time() sets it. In derivatives it is the time of the integrator's
+        stage.
+        """
         return self.clock
 
     def control_places(self, which: Any, what: str) -> list[int]:
-        """Internal: positions in u of a control, given by its symbol, a column of symbols, or its name."""
+        """Return the indices in u of a control, given by its symbol, a column of symbols, or its name (internal)."""
         found = self._places(which, "control", self.controls)
         if not found:
             raise ProblemError(f"{what} {quote(which)} is no control{list_names(self._control_names())}")
         return found
 
     def _places(self, which: Any, kind: str, declared: list[Declared]) -> list[int]:
-        """Positions of a signal of this kind that is given by its symbol, a column of symbols, or its name; none if it
-        is something else."""
+        """Return the indices of a signal of this kind, given by its symbol, a column of symbols, or its name.
+
+        The result is empty for anything else.
+        """
         if isinstance(which, ca.SX):
             found = [self.element(which[i]) for i in range(which.numel())]
             places = [e.index for e in found if e is not None and e.kind == kind]
@@ -132,15 +137,15 @@ class NodeBefore(Expressions):
 
 
 class Dynamics(NodeBefore):
-    """An OCP as far as it has states that move."""
+    """The part of an OCP that states the dynamics of states."""
 
     def dynamics(self, rhs: Any, *, discrete: Any = False) -> None:
         """State the derivatives x' = f(x, u, p), or the next states x_{k+1} = f(x_k, u_k, p_k) if ``discrete``.
 
         Args:
             rhs: {state symbol or name: expression}, in one call or several, or a column in declaration order.
-            discrete: True: the expressions are the states at the next node. {state symbol or name: expression}: these
-                are, of states that keep their value along an interval, beside those that ``rhs`` integrates.
+            discrete: True: the expressions are the states at the next node. {state symbol or name: expression}: next
+                values of states that are constant along an interval, beside the states that ``rhs`` integrates.
 
         Examples:
             >>> from nmpc_codegen import OCP
@@ -215,7 +220,7 @@ class Dynamics(NodeBefore):
         return given
 
     def _components(self, which: Any, what: str) -> list[int]:
-        """Positions in x of a state that is given by its symbol, a column of state symbols, or its name."""
+        """Return the indices in x of a state, given by its symbol, a column of symbols, or its name."""
         names = list_names(self._state_names())
         if not isinstance(which, (str, ca.SX)):
             raise ProblemError(f"{what} {quote(which)} must be the symbol or the name of a state{names}")

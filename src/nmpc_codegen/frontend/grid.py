@@ -1,4 +1,4 @@
-"""The grid of the horizon: N intervals and their lengths."""
+"""The grid of the horizon consists of N intervals with their lengths."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ import numpy as np
 from nmpc_codegen.errors import ProblemError
 from nmpc_codegen.frontend.checks import integer, numbers, quote
 
-#: Maximum number of intervals: the tables of one row at every node then take a megabyte of C source, and a solution
-#: takes milliseconds.
+#: Maximum number of intervals, for which the tables of one row at every node take a megabyte of C source, and a
+#: solution takes milliseconds.
 MAX_INTERVALS = 10_000
 #: Allowed lengths of an interval: dt^2 and 1 / dt^2 are normal numbers even in single precision.
 SHORTEST, LONGEST = 1e-15, 1e15
@@ -20,7 +20,7 @@ MAX_RATIO = 1e6
 
 
 def grid(name: str, T: Any, N: Any, intervals: Any, unit: str) -> tuple[int, tuple[float, ...] | None]:
-    """Number of intervals and their lengths in ``unit``; the lengths are None if only N was given."""
+    """Return the number of intervals and their lengths in ``unit``; the lengths are None if only N was given."""
     what = f"OCP '{name}'"
     if intervals is not None:
         return _grid_of_intervals(what, T, N, intervals, unit)
@@ -38,7 +38,7 @@ def grid(name: str, T: Any, N: Any, intervals: Any, unit: str) -> tuple[int, tup
 
 
 def _grid_of_intervals(what: str, T: Any, N: Any, intervals: Any, unit: str) -> tuple[int, tuple[float, ...]]:
-    """The grid that is given by intervals=."""
+    """Return the grid that intervals= states."""
     if T is not None:
         raise ProblemError(f"{what}: give T or intervals, not both")
     dt = numbers(intervals, f"{what}: intervals")

@@ -1,4 +1,4 @@
-"""The same problem over another number of intervals of the same length."""
+"""A problem can be stated over another number of intervals of the same length."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from nmpc_codegen.frontend.ocp import OCP
 
 
 def with_horizon(ocp: OCP, N: int) -> OCP:
-    """A copy of the problem with N intervals, for compiling: both share their statements.
+    """Return a copy of the problem with N intervals, for compiling; both share their statements.
 
     Raises:
         ProblemError: the intervals differ, or a statement names nodes or blocks of intervals.

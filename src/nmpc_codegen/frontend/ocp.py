@@ -1,4 +1,4 @@
-"""The user's description of an optimal control problem: named CasADi expressions, independent of any algorithm."""
+"""An OCP is the user's statement of an optimal control problem in CasADi expressions, independent of any algorithm."""
 
 from __future__ import annotations
 
@@ -45,17 +45,17 @@ from nmpc_codegen.runtime.diagnosis.foreign_names import missing
 
 __all__ = ["OCP"]
 
-#: What expressions of node N and of node 0 may contain.
+#: Kinds of symbols that expressions of node N and of node 0 may contain.
 _END: tuple[Kind, ...] = ("state", "parameter", "algebraic", "previous", "time")
 _START: tuple[Kind, ...] = ("state", "parameter")
-#: The class of estimators, which is above this module.
+#: The class of estimators, named here because its module imports this one.
 _ESTIMATOR = "nmpc_codegen.frontend.estimator.declaration:Estimator"
-#: Symbols after which a residual is named.
+#: Kinds of symbols that give a residual its name.
 _NAMED: tuple[Kind, ...] = ("state", "control", "parameter", "algebraic")
 
 
 class OCP(Constraints):
-    """An optimal control problem over N intervals:
+    """An optimal control problem over N intervals.
 
         min   sum_{k<N} l_k(x_k, u_k, p_k) + l_N(x_N, p_N)
         s.t.  x_0 = xhat
@@ -63,17 +63,17 @@ class OCP(Constraints):
               lower <= h(x_k, u_k, p_k) <= upper,   lower <= r(x_0, x_N) <= upper
 
     Args:
-        name: C identifier of at most 60 characters; prefix of the generated C, and name of its files. Refused, in
-            upper or lower case: standard headers (math, string), files next to it (main, README), targets of CMake
-            (clean), devices (con), prefixes of macros of the system (x).
+        name: C identifier of at most 60 characters, which is the prefix of the generated C and the name of its files.
+            Refused, in upper or lower case, are names of standard headers (math, string), of other files of the folder
+            (main, README), of CMake targets (clean), of devices (con), and prefixes of system macros (x).
         T: length of the horizon (s, or ``time_unit``), divided into N equal intervals.
         N: number of intervals. If neither T nor intervals is given, the dynamics are a discrete map with dt = 1.
         intervals: lengths of the intervals, instead of T.
-        time_unit: unit of T, of the derivatives and of every time that is given later; it is only printed.
+        time_unit: unit of T, of the derivatives and of every later time; it is only printed.
 
     Raises:
-        ProblemError: the problem is stated wrongly; the message names the wrong input and what was expected. So do all
-            methods.
+        ProblemError: the problem is stated wrongly; the message names the wrong input and what was expected. All
+            methods raise it.
 
     Examples:
         >>> import casadi as ca
@@ -86,7 +86,7 @@ class OCP(Constraints):
         >>> ocp.subject_to(-1, F, 1)
 
     Attributes:
-        name: the name.
+        name: name of the problem.
         N: number of intervals.
         dt: lengths of the intervals (N,); None for a discrete map.
         time_unit: unit of time.
@@ -102,7 +102,7 @@ class OCP(Constraints):
         self._end: list[Any] = []
 
     def __setattr__(self, attribute: str, value: Any) -> None:
-        """Refuse to assign public attributes, which the constructor and the methods set and later calls rely on."""
+        """Refuse to assign public attributes, which only the constructor and the methods set."""
         if not attribute.startswith("_") and (attribute in self.__dict__ or hasattr(type(self), attribute)):
             raise ProblemError(
                 f"OCP '{self.name}': the attribute {attribute} cannot be assigned; "
@@ -113,7 +113,10 @@ class OCP(Constraints):
     if not TYPE_CHECKING:  # a type checker must find names that do not exist
 
         def __getattr__(self, attribute: str) -> Any:
-            """Explain attributes that do not exist, those of other tools among them."""
+            """Raise an error for an attribute that does not exist.
+
+            For attributes of other tools it names the right one.
+            """
             raise missing("OCP", attribute, OF_PROBLEM, dir(self))
 
     def __repr__(self) -> str:
@@ -142,12 +145,12 @@ class OCP(Constraints):
             name: its name; elements of a vector are name[0], name[1], ...
             size: number of elements; None: a scalar.
             unit: it is printed and written into the C.
-            initial: the x_0 that --check, --simulate, main.c and the test vectors use, a number or (size,).
-            scale: positive, a value of it that is neither small nor large, in its unit. Tolerances are relative to it,
-                and what is far below it counts as 0. None: the largest of half the width of its bounds, its initial
-                value and its references; where all are 0, what the controls make of it.
-            initial_range: (lower, upper), between which measured states are to be expected at the start of a loop;
-                warnings look at its corners, campaigns start there.
+            initial: x_0 for --check, --simulate, main.c and the test vectors, a number or (size,).
+            scale: positive number or (size,): a value that is neither small nor large, in the unit of the state.
+                Tolerances are relative to it, and values far below it count as 0. None: the largest of half the width
+                of the bounds, the initial value and the references; if all are 0, the change that the controls cause.
+            initial_range: (lower, upper), the range of measured states at the start of a loop; the compiler checks its
+                corners for warnings, and campaigns start inside.
 
         Returns:
             Its SX symbol, a scalar or a column, which can be the key of a dictionary.
@@ -197,11 +200,11 @@ class OCP(Constraints):
 
         Args:
             name: its name; elements of a vector are name[0], name[1], ...
-            value: a number or (size,), until set_parameter() says otherwise.
+            value: a number or (size,), used until set_parameter() changes it.
             size: number of elements; None: a scalar.
             unit: it is printed and written into the C.
-            bounds: (lower, upper), numbers or one per element; set_parameter() refuses values outside, warnings look at
-                the corners, and campaigns draw from between them.
+            bounds: (lower, upper), numbers or one per element; set_parameter() refuses values outside, the compiler
+                checks the corners for warnings, and campaigns draw values between them.
 
         Returns:
             Its SX symbol, a scalar or a column.
@@ -217,7 +220,7 @@ class OCP(Constraints):
             name: its name; elements of a vector are name[0], name[1], ...
             size: number of elements; None: a scalar.
             unit: it is printed and written into the C.
-            initial: where Newton's method starts at first, and after values that lead nowhere.
+            initial: start of Newton's method in the first sample, and after it has failed.
             scale: as for state().
 
         Returns:
@@ -233,16 +236,16 @@ class OCP(Constraints):
 
     @property
     def x_start(self) -> Any:
-        """The symbols of x_0 that at_start() substitutes for the states, SX (nx,)."""
+        """Return the symbols of x_0 that at_start() substitutes for the states, SX (nx,)."""
         return ca.vertcat(ca.SX(0, 1), *self._start)
 
     @property
     def x_end(self) -> Any:
-        """The symbols of x_N that at_end() substitutes for the states, SX (nx,)."""
+        """Return the symbols of x_N that at_end() substitutes for the states, SX (nx,)."""
         return ca.vertcat(ca.SX(0, 1), *self._end)
 
     def at_start(self, expr: Any) -> Any:
-        """An expression at node 0, for boundary().
+        """Return an expression at node 0, for boundary().
 
         Args:
             expr: of states.
@@ -250,7 +253,7 @@ class OCP(Constraints):
         return ca.substitute(self._expression(expr, "at_start", ("state",)), self.x, self.x_start)
 
     def at_end(self, expr: Any) -> Any:
-        """An expression at node N, for boundary().
+        """Return an expression at node N, for boundary().
 
         Args:
             expr: of states.
@@ -291,10 +294,12 @@ class OCP(Constraints):
         return symbol
 
     def estimator(self, **statement: Any) -> Any:
-        """An Estimator of the states of this model from measurements, which build() and export() take like an OCP.
+        """Return an Estimator of the states of this model from measurements.
+
+        Build() and export() accept it like an OCP.
 
         Args:
-            statement: the arguments of Estimator behind the OCP.
+            statement: the arguments of Estimator after the OCP.
 
         Examples:
             >>> from nmpc_codegen import OCP
@@ -323,10 +328,10 @@ class OCP(Constraints):
             expr: y(x, u, p), column (ny,).
             weight: W, symmetric positive semidefinite (ny, ny); a vector or scalar gives its diagonal.
             reference: (ny,) or scalar, zero by default; it can be changed at run time.
-            names: one name per element; by default the name of a bare symbol, else y_i.
+            names: one name per element; by default that of a single symbol, else y_i.
             scale_with_dt: multiply the weight by the length of the interval.
-            scale: (ny,) or scalar > 0, a deviation that is neither small nor large; None: what the scales of states
-                and controls make of y. With the weight, it says what cost counts as 0.
+            scale: (ny,) or scalar > 0, a deviation that is neither small nor large; None: the size of y that follows
+                from the scales of states and controls. Together with the weight it defines which costs count as 0.
 
         Examples:
             >>> import casadi as ca
@@ -340,22 +345,22 @@ class OCP(Constraints):
     def terminal_least_squares(
         self, expr: Any, weight: Any, *, reference: Any = None, names: Any = None, scale: Any = None
     ) -> None:
-        """Add 1/2 (y - reference)' W (y - reference) at node N; never scaled.
+        """Add 1/2 (y - reference)' W (y - reference) at node N; it is never scaled.
 
         Args:
             expr: y(x, p), column (ny_N,).
             weight: as in least_squares().
             reference: as in least_squares(); set_terminal_reference() changes it.
-            names: as in least_squares(). A name that a residual of the path has, too, shares references by name with
-                it.
+            names: as in least_squares(). If a residual of the path has the same name, a reference set by name holds for
+                both.
             scale: as in least_squares().
         """
         self._residual("terminal_least_squares", expr, weight, reference, names, False, "terminal", scale)
 
     def start_least_squares(self, expr: Any, weight: Any, *, reference: Any = None, names: Any = None) -> None:
-        """Add 1/2 (y - reference)' W (y - reference) at node 0; never scaled.
+        """Add 1/2 (y - reference)' W (y - reference) at node 0; it is never scaled.
 
-        A cost of x_0, e.g. an arrival cost, affects the solution only if components of x_0 are free (free_initial).
+        A cost of x_0, e.g. an arrival cost, changes the solution only if components of x_0 are free (free_initial).
         Its weight and reference are fixed; use parameters for data that change at run time.
 
         Args:
@@ -409,8 +414,8 @@ class OCP(Constraints):
 
         Args:
             expr: l, a scalar.
-            integrate: integrate it over every interval by the scheme of the dynamics; it is not scaled again. False: it
-                is evaluated at the nodes 0..N-1.
+            integrate: True: integrate it over every interval by the scheme of the dynamics, without further scaling.
+                False: evaluate it at the nodes 0..N-1.
             scale_with_dt: multiply the value at node k by the length of its interval.
         """
         l = self._scalar(expr, "stage_cost", NODE)  # noqa: E741
@@ -418,7 +423,7 @@ class OCP(Constraints):
         self.costs.append(GeneralCost(l, integrate, scale and not integrate, "path"))
 
     def terminal_cost(self, expr: Any) -> None:
-        """Add a general cost at node N; never scaled.
+        """Add a general cost at node N; it is never scaled.
 
         Args:
             expr: l_N(x, p), a scalar.
@@ -427,19 +432,19 @@ class OCP(Constraints):
         self.costs.append(GeneralCost(l, False, False, "terminal"))
 
     def lqr_terminal_cost(self, *, economic: bool = False, x: Any = None, u: Any = None) -> None:
-        """Add the cost-to-go of the linear-quadratic regulator at a steady state (x_s, u_s), at node N:
+        """Add the cost-to-go of the linear-quadratic regulator at a steady state (x_s, u_s) as terminal cost at node N.
 
             1/2 (x - x_s)' P (x - x_s),   with ``economic``: (lam_s - D' mu_s)' (x - x_s) + 1/2 (x - x_s)' P (x - x_s)
 
         P solves the Riccati equation of the discrete map, so it is computed when the options are known: by build(),
-        export() and tune(). States named by cyclic() are left out; rows that are strictly active at the steady state
-        are eliminated first; D and mu_s are the slopes and multipliers of those that hold at node N. P of an economic
-        cost may be indefinite.
+        export() and tune(). States named by cyclic() are left out, and rows that are strictly active at the steady
+        state are eliminated first. D and mu_s are the slopes and multipliers of those rows that hold at node N. P of an
+        economic cost may be indefinite.
 
         Args:
-            economic: take the steady state with the least cost and the Hessian of its Lagrangian, whose multipliers
-                lam_s are the linear term; else the least-squares cost, with J' W J.
-            x: (nx,) steady state; by default that of the references. With ``economic`` only a guess.
+            economic: True: take the steady state with the least cost, the Hessian of its Lagrangian, and its
+                multipliers lam_s for the linear term. False: the least-squares cost, with J' W J.
+            x: (nx,) steady state; by default that of the references. With ``economic`` it is only a guess.
             u: (nu,) control of the steady state.
         """
         if self._terminal_lqr is not None:
@@ -451,7 +456,9 @@ class OCP(Constraints):
         self._terminal_lqr = LqrRequest(flag(economic, "lqr_terminal_cost: economic"), *given)
 
     def start_cost(self, expr: Any) -> None:
-        """Add a general cost at node 0; never scaled. It acts on free components of x_0, as start_least_squares() does.
+        """Add a general cost at node 0, which acts on free components of x_0, as in start_least_squares().
+
+        It is never scaled.
 
         Args:
             expr: l_0(x, p), a scalar.
@@ -477,22 +484,23 @@ class OCP(Constraints):
         soft: Any = None,
         name: str | None = None,
     ) -> None:
-        """Add the rows lower <= expr <= upper. All three are required.
+        """Add the rows lower <= expr <= upper; all three arguments are required.
 
         Args:
             lower: number, or one per row; -inf is allowed; lower = upper states an equality.
             upper: number, or one per row; +inf is allowed.
-            expr: h(x, u, p), column. Elements that are a bare state or control become simple bounds.
+            expr: h(x, u, p), column. Elements that are a single state or control become simple bounds.
             at: "path": nodes 0..N-1 for a row with a control, else 1..N (and 0 if one of its states is free there);
                 "start": node 0; "end": node N; or an iterable of nodes.
-            soft: (l1, l2), or l1: the row may be violated on either side by s >= 0, at the cost l1 s + 1/2 l2 s^2;
-                Soft(lower=(l1, l2), upper=(l1, l2)): by side, where the sides are rows name_lower and name_upper if
-                they differ. set_soft() changes the penalties at run time; l1 = inf is hard until then.
-            name: by default the name of a bare symbol, else row_i; several rows are called name[i]; at="start" and
+            soft: (l1, l2), or l1: the row may be violated on either side by s >= 0, at the cost l1 s + 1/2 l2 s^2.
+                Soft(lower=(l1, l2), upper=(l1, l2)): penalties by side; if they differ, the sides become the rows
+                name_lower and name_upper. set_soft() changes the penalties at run time; with l1 = inf the row is hard
+                until then.
+            name: by default that of a single symbol, else row_i; several rows are called name[i]; at="start" and
                 at="end" append _start and _end.
 
-        If a bare state or control already has a row of this name with the same ``at`` and ``soft``, no second row is
-        added: its bounds become the intersection of both.
+        If a single state or control already has a row of this name with the same ``at`` and ``soft``, no second row is
+        added; the bounds of that row become the intersection.
 
         Examples:
             >>> from nmpc_codegen import OCP
@@ -524,7 +532,7 @@ class OCP(Constraints):
     def boundary(
         self, lower: Any, expr: Any = None, upper: Any = None, *, soft: Any = None, name: str | None = None
     ) -> None:
-        """Add the rows lower <= r(x_0, x_N) <= upper, which couple both ends, e.g. periodicity.
+        """Add the rows lower <= r(x_0, x_N) <= upper, which couple both ends, e.g. for periodicity.
 
         Args:
             lower: as in subject_to().
@@ -561,7 +569,7 @@ class OCP(Constraints):
         self.free.update(self._list_states(states, "free_initial"))
 
     def accumulator(self, *states: Any) -> None:
-        """Reset states to 0 at every sample, e.g. running averages; their entries of xhat are ignored.
+        """Mark states that are reset to 0 at every sample, e.g. running averages; their entries of xhat are ignored.
 
         Args:
             states: symbols or names.

@@ -1,4 +1,4 @@
-"""What other tools call the parts of a problem, and what an OCP has instead."""
+"""Names that other tools give the parts of a problem are translated to those of an OCP."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ _BLOCKS = "control(name, hold=[1, 1, 2, 4]), the lengths of blocks of intervals 
 _ALGEBRAIC = "z = algebraic(name, initial=...) and algebraic_equation(g), for 0 = g(x, z, u, p)"
 _IMPLICIT = "implicit_dynamics(f) with der(x), for 0 = f(x', x, z, u, p)"
 
-#: Name in acados, ACADO, CasADi's Opti, do-mpc, rockit -> what OCP has instead.
+#: Name in acados, ACADO, CasADi's Opti, do-mpc, rockit -> its counterpart in OCP.
 OF_PROBLEM: Mapping[str, str] = {
     "algebraic_state": _ALGEBRAIC,
     "add_alg": _ALGEBRAIC,

@@ -1,11 +1,12 @@
-"""IR 1: the optimal control problem, frozen, validated and classified. It knows no algorithm and no C.
+"""A Problem, the first intermediate representation, is the optimal control problem, frozen, validated and classified.
 
     min   l_0(x_0)  +  sum_{k<N} 1/2 |y_k - yref_k|^2_W  +  1/2 |y_N - yref_N|^2_{W_N}
     s.t.  x_0 = xhat,   x_{k+1} = Phi_k(x_k, u_k, p_k),
           lower <= h_k(x_k, u_k, p_k) <= upper   at the nodes of each row
 
-The start and terminal stages are Stages with nu = 0, so that start, path and terminal share one type. The start stage
-has only a cost, with fixed weights and references; the rows at node 0 belong to the path.
+It contains no algorithm and no C. The start and terminal stages are Stages with nu = 0, so that start, path and
+terminal share one type. The start stage has only a cost, with fixed weights and references; the rows at node 0 belong
+to the path.
 """
 
 from __future__ import annotations
@@ -35,17 +36,17 @@ from nmpc_codegen.package.signals import c_identifier as c_identifier
 
 Array = NDArray[np.float64]
 
-#: Elements with a range up to which all corners are looked at.
+#: Largest number of elements with a range for which all corners are examined.
 MOST_RANGES = 4
 #: (expression, order) -> expression with derivatives up to this order.
 Reduce = Callable[[Expression, int], Expression]
 T = TypeVar("T")
-#: Elements, (signal, position, ends of the range), with a value each.
+#: Elements, (signal, index, ends of the range), with a value each.
 Corner = Sequence[tuple[tuple[Signal, int, tuple[float, float]], float]]
 
 
 def no_data() -> Array:
-    """Of a problem without parameters behind those of the user."""
+    """Return the node data of a problem without added parameters."""
     return np.zeros((0, 0))
 
 
@@ -53,8 +54,8 @@ def no_data() -> Array:
 class Stage:
     """The functions of a node: least-squares residual, general cost, general rows.
 
-    ``x`` (nx,), ``u`` (nu,), empty at the start and terminal stages, ``p`` (np,) and the interval's length ``dt`` are
-    SX symbols; all expressions are written in them. ``scale_with_dt`` marks the residuals whose weight is
+    ``x`` (nx,), ``u`` (nu,), which is empty at the start and terminal stages, ``p`` (np,) and the interval's length
+    ``dt`` are SX symbols; all expressions are written in them. ``scale_with_dt`` marks the residuals whose weight is
     multiplied by dt_k; ``cost`` includes its factor dt; ``cost_rate`` is integrated over the interval and never scaled.
     """
 
@@ -71,14 +72,14 @@ class Stage:
     h: Expression  # SX (nh,): general rows
     h_names: tuple[str, ...]
     cost_rate: Expression | None = None  # SX scalar: general cost per unit of time, integrated with the dynamics
-    y_scale: tuple[float, ...] = ()  # declared sizes of residuals, 0 where none is; shorter: none from there on
+    y_scale: tuple[float, ...] = ()  # declared scales of residuals; 0, or a missing entry: none
     ties: Expression | None = None  # SX: further residuals of weight 1, which vanish at every solution
     bare: tuple[int, ...] | None = None  # y_elements of the residuals as they were stated
     dense_weight: bool = False  # the weight is stored as a matrix even if it has no entry off its diagonal
 
     @property
     def y_elements(self) -> tuple[int, ...]:
-        """For every residual the position in (x, u) of the state or control that it is, -1 for another expression."""
+        """Return for every residual the index in (x, u) of the state or control that it is, -1 for another one."""
         if self.bare is not None:
             return self.bare
         symbols = (*elements(self.x), *elements(self.u))
@@ -87,7 +88,7 @@ class Stage:
 
     @cached_property
     def _targets(self) -> tuple[tuple[int, ...], Expression, Expression]:
-        """Places, values in (p, yref), yref: see targets()."""
+        """Return places, values in (p, yref), and yref; see targets()."""
         places, yref = list(self.y_elements), ca.SX.sym("yref", self.ny)
         values = [yref[i] if place >= 0 else ca.SX(0) for i, place in enumerate(places)]
         z = ca.vertcat(self.x, self.u)
@@ -101,8 +102,11 @@ class Stage:
         return tuple(places), ca.vertcat(ca.SX(0, 1), *values), yref
 
     def target_of(self, place: int) -> tuple[Expression, Expression] | None:
-        """(value in (p, yref), yref) of the first residual that is element ``place`` of (x, u), else of the first one
-        that is an affine function of it alone: the value at which that is yref. None: there is none."""
+        """Return (value in (p, yref), yref) of the residual that defines a target for element ``place`` of (x, u).
+
+        It is the first residual that is this element, else the first one that is an affine function of this element
+        only. The value makes the residual equal to yref. Return None if there is no such residual.
+        """
         places, values, yref = self._targets
         for known in (self.y_elements, places):
             if place in known:
@@ -110,8 +114,10 @@ class Stage:
         return None
 
     def targets(self, p: Array) -> Iterator[tuple[int, float]]:
-        """(position in (x, u), value at which the residual is its reference) of every residual that is an affine
-        function of one element alone, with the parameters p."""
+        """Yield (index in (x, u), target) for every residual that is an affine function of one element only.
+
+        The target is the value at which the residual has its reference, with the parameters p.
+        """
         places, values, yref = self._targets
         found = np.asarray(ca.Function("targets", [self.p, yref], [ca.densify(values)])(p, self.reference)).ravel()
         return ((i, float(v)) for i, v in zip(places, found, strict=True) if i >= 0 and np.isfinite(v))
@@ -134,12 +140,12 @@ class Stage:
 
     @property
     def diagonal_weight(self) -> bool:
-        """True if only the diagonal of the weight is stored: all other entries are zero and cannot be set."""
+        """Return True if only the diagonal of the weight is stored: all other entries are zero and cannot be set."""
         return not self.dense_weight and bool(np.count_nonzero(self.weight - np.diag(np.diag(self.weight))) == 0)
 
 
 def _is_curved(stage: Stage) -> bool:
-    """True if a residual, or the gradient of a general cost, is no affine function of (x, u)."""
+    """Return True if a residual, or the gradient of a general cost, is no affine function of (x, u)."""
     z = ca.vertcat(stage.x, stage.u)
     slopes = [ca.gradient(cost, z) for cost in (stage.cost, stage.cost_rate) if cost is not None]
     return bool(curved_rows(ca.vertcat(stage.y, *slopes), z))
@@ -149,10 +155,10 @@ def _is_curved(stage: Stage) -> bool:
 class Algebra:
     """Algebraic variables, which equations r(x, z, u, p) = 0 determine at every node and stage.
 
-    ``signals``: those of the user; ``values``: Function (x, u, p, z) -> all of them, where z are those that Newton's
-    method solves for: ``names``, of which derivatives of states may be some too, with their ``start`` and ``scale``;
-    ``equations``: Function (x, u, p, z) -> r. Without any, all are expressions. ``found``: z at the first plan, NaN if
-    Newton's method finds none there; ``inverse``: 1 where W may be other than 0.
+    signals: the user's variables; values: Function (x, u, p, z) -> all of them; names, start, scale: of z, the
+    variables that Newton's method solves for, which may include derivatives of states; equations: Function (x, u, p, z)
+    -> r. Without z, all variables are expressions. found: z at the first plan, NaN if Newton's method finds none;
+    inverse: 1 where W may be nonzero.
     """
 
     signals: tuple[Signal, ...]
@@ -166,17 +172,17 @@ class Algebra:
 
     @property
     def size(self) -> int:
-        """Number of the variables that Newton's method solves for."""
+        """Return the number of variables that Newton's method solves for."""
         return len(self.names)
 
     @property
     def first(self) -> Array:
-        """z at the first plan, or where Newton's method starts if it finds none."""
+        """Return z at the first plan, or the start of Newton's method if it finds none."""
         return np.where(np.isfinite(self.found), self.found, self.start)
 
     @property
     def data(self) -> int:
-        """Numbers of a node behind its parameters: z, and W = -(dr/dz)^-1 row by row."""
+        """Return how many numbers a node stores behind its parameters: z, and W = -(dr/dz)^-1 row by row."""
         return self.size * (1 + self.size)
 
 
@@ -184,8 +190,8 @@ class Algebra:
 class LqrRequest:
     """A terminal cost that is computed when the integrator is known: the cost-to-go of the regulator at (x, u).
 
-    ``rule``: the function (problem, options) -> problem that computes it. Its room stands above the compiler's stages
-    and loads SciPy, so that it is named here and imported where a problem asks for it.
+    ``rule`` names the function (problem, options) -> problem that computes it. Its module belongs to a later stage and
+    loads SciPy, so it is imported only if a problem needs it.
     """
 
     rule: ClassVar[str] = "nmpc_codegen.economic.terminal:with_terminal_cost"
@@ -200,13 +206,13 @@ class Problem:
     """The whole optimal control problem, validated.
 
     ``dynamics`` is the CasADi SX Function f(x, u, p) -> xdot, or -> x_next if ``discrete``. ``dt`` holds the N interval
-    lengths. ``uses`` names what it needs beyond the core ("soft rows", "coupled rows",
-    "free initial state", "general cost", "integrated cost", "accumulators", "previous controls", "blocks of controls",
-    "time", "discrete states"): a component that does not support one of them refuses the problem.
+    lengths. ``uses`` names the features beyond the core ("soft rows", "coupled rows", "free initial state", "general
+    cost", "integrated cost", "accumulators", "previous controls", "blocks of controls", "time", "discrete states"); a
+    component that does not support one of them refuses the problem.
 
-    ``augmentation``: the last states, which the compiler adds. ``jump``: SX Function (x, u, p, dt) -> values at the
-    next node of the states ``maps``, which keep their values along an interval; their derivatives in ``dynamics`` are
-    0. What follows from a problem by itself, its scales among it, is in a CompleteProblem.
+    ``augmentation`` describes the last states, which the compiler adds. ``jump`` is the SX Function (x, u, p, dt) ->
+    values at the next node of the states ``maps``, which are constant along an interval and have the derivative 0 in
+    ``dynamics``. A CompleteProblem holds what follows from a problem, such as its scales.
     """
 
     name: str
@@ -224,48 +230,48 @@ class Problem:
     rows: tuple[Row, ...]
     free_initial: tuple[int, ...]
     uses: frozenset[str]
-    accumulators: tuple[int, ...] = ()  # positions in x of states that are reset to 0 at every sample
-    cyclic: tuple[int, ...] = ()  # positions in x of states that grow without bound
+    accumulators: tuple[int, ...] = ()  # indices in x of states that are reset to 0 at every sample
+    cyclic: tuple[int, ...] = ()  # indices in x of states that grow without bound
     terminal_lqr: LqrRequest | None = None  # a terminal cost that complete() computes
-    time_unit: str = "s"  # of dt and of every other time
+    time_unit: str = "s"  # unit of dt and of every other time
     proximal: tuple[float, ...] = ()  # curvature that samples add to (x, u); (): none
     augmentation: Augmentation = NOT_AUGMENTED
     maps: tuple[int, ...] = ()  # positions in x
     jump: Function | None = None
-    node_data: Array = field(default_factory=no_data)  # (N + 1, augmentation.data): values of the last parameters
+    node_data: Array = field(default_factory=no_data)  # (N + 1, augmentation.data): values of the added parameters
     algebra: Algebra | None = None
     noise: tuple[tuple[int, int], ...] = ()  # (i, j): u_j is added to x_i at the end of an interval
-    estimation: Estimation | None = None  # of an estimator
-    observed: Function | None = None  # (x, p) -> its measurements
+    estimation: Estimation | None = None  # for an estimator
+    observed: Function | None = None  # (x, p) -> measurements of an estimator
 
     @property
     def kind(self) -> Kind:
-        """What a package of it is."""
+        """Return the kind of a package of this problem."""
         return kind_of(self.estimation)
 
     @property
     def own_parameters(self) -> tuple[Signal, ...]:
-        """The parameters of the user."""
+        """Return the parameters of the user."""
         more = 0 if self.estimation is None else self.estimation.signals
         return self.parameters[: len(self.parameters) - self.augmentation.data - more]
 
     @property
     def data_behind(self) -> int:
-        """Numbers behind the parameters of the user: lengths of intervals and the like, measurements."""
+        """Return how many numbers follow the user's parameters: lengths of intervals and the like, measurements."""
         return self.augmentation.data + (0 if self.estimation is None else self.estimation.data)
 
     @property
     def measured(self) -> int:
-        """Number of the states of the user."""
+        """Return the number of states of the user."""
         return self.nx - self.augmentation.count
 
     @property
     def own_states(self) -> tuple[Signal, ...]:
-        """The states of the user."""
+        """Return the states of the user."""
         return self.states[: len(self.states) - self.augmentation.count]
 
     def refuse_augmented(self, what: str) -> None:
-        """Raise ProblemError if ``what`` would meet states that it does not know."""
+        """Raise ProblemError if ``what`` does not support the added states of this problem."""
         unknown = {"previous controls", "time", "discrete states", "nonlinear algebraic equations"}
         found = sorted(unknown & self.uses)
         if found:
@@ -276,12 +282,12 @@ class Problem:
 
     @property
     def algebraic_names(self) -> tuple[str, ...]:
-        """The algebraic variables of the user."""
+        """Return the names of the user's algebraic variables."""
         return tuple(e for s in self.algebra.signals for e in s.elements) if self.algebra else ()
 
     @cached_property
     def _solution(self) -> Function:
-        """(x, u, p, z) -> r, dr/dz of the algebraic equations."""
+        """Return the function (x, u, p, z) -> r, dr/dz of the algebraic equations."""
         assert self.algebra is not None
         x, u, p, _ = symbols(self.nx, self.nu, self.np)
         z = ca.SX.sym("z", self.algebra.size)
@@ -289,8 +295,11 @@ class Problem:
         return ca.Function("solution", [x, u, p, z], [r, ca.densify(ca.jacobian(r, z))])
 
     def reduction(self, stage: Stage) -> Reduce:
-        """(expression, order) -> the expression of a stage, whose derivatives with respect to (x, u) are exact up to
-        this order: with as many steps with W from z, see resolution.py."""
+        """Return a function (expression, order) -> the expression of a stage without algebraic variables.
+
+        Its derivatives with respect to (x, u) are exact up to this order, by as many steps with W from z, see
+        resolution.py.
+        """
         algebra = self.algebra
         if algebra is None or not self.solved:
             return lambda expression, order: expression
@@ -308,14 +317,16 @@ class Problem:
         return reduce
 
     def controls_before(self, x: Sequence[T]) -> list[T | float]:
-        """The controls of the node before, as far as x remembers them, else 0."""
+        """Return the controls of the node before that x contains, 0 for the others."""
         places = self.augmentation.places
         return [x[self.measured + places[j]] if j in places else 0.0 for j in range(self.nu)]
 
     def node_values(self, x: Array, u: Array, p: Array | None = None) -> Array:
-        """What expressions of a node read in place of p: parameters, by default the declared ones, and behind them z
-        and W at (x, u), where Newton's method starts from z at the first plan; NaN where it finds none. Without
-        controls, as at node N, they are those of the node before."""
+        """Return the numbers that expressions of a node read in place of p: parameters, and then z and W at (x, u).
+
+        Parameters are by default the declared ones. Newton's method starts from z at the first plan; NaN if it fails.
+        At node N, which has no controls, those of the node before are used.
+        """
         p = self.p_value if p is None else p
         if self.algebra is None or not self.solved:
             return p
@@ -333,12 +344,12 @@ class Problem:
 
     @property
     def newton_names(self) -> tuple[str, ...]:
-        """The variables that Newton's method solves for."""
+        """Return the names of the variables that Newton's method solves for."""
         return self.algebra.names if self.algebra else ()
 
     @cached_property
     def jump_slopes(self) -> Function:
-        """(x, u, p, dt) -> the values of ``jump`` and their derivatives with respect to (x, u)."""
+        """Return the function (x, u, p, dt) -> values of ``jump`` and their derivatives with respect to (x, u)."""
         assert self.jump is not None
         x, u, p, dt = symbols(self.nx, self.nu, self.np + self.solved)
         value = ca.densify(self.jump(x, u, p, dt))
@@ -346,7 +357,7 @@ class Problem:
 
     @cached_property
     def nonlinear_rows(self) -> bool:
-        """True if a hard general or coupled row is no affine function of states and controls."""
+        """Return True if a hard general or coupled row is no affine function of states and controls."""
         path, terminal = (curved_rows(s.h, ca.vertcat(s.x, s.u)) for s in (self.path, self.terminal))
         coupled: set[int] = set()
         if self.coupled is not None:
@@ -360,7 +371,7 @@ class Problem:
 
     @property
     def rows_on_states(self) -> tuple[int, ...]:
-        """1 for every row that depends on states, and on no control, else 0."""
+        """Return 1 for every row that depends on states, and on no control, else 0."""
         path = self.path
         mixed = ca.which_depends(path.h, path.u, 1, True) if path.nh else ()
         return tuple(
@@ -370,8 +381,10 @@ class Problem:
 
     @property
     def idle_end(self) -> bool:
-        """True if no cost and no equation depends on x_N: the last control serves its own node, and at most bounds of
-        x_N."""
+        """Return True if no cost and no equation depends on x_N.
+
+        The last control then affects only its own node, and bounds of x_N if there are any.
+        """
         end = self.terminal
         priced = bool(end.ny) or end.cost is not None or self.terminal_lqr is not None or self.coupled_rows
         limited = any(k == self.N and self.rows[row].is_equation for k, _, _, row in self.qp_rows)
@@ -379,7 +392,7 @@ class Problem:
 
     @property
     def pulled_rows(self) -> tuple[int, ...]:
-        """Hard general rows at node 0 on its controls, those before them and data alone."""
+        """Return the hard general rows at node 0 that depend only on controls, previous controls and data."""
         path = self.path
         if not path.nh:
             return ()
@@ -395,19 +408,19 @@ class Problem:
 
     @cached_property
     def nonlinear_model(self) -> bool:
-        """True if the dynamics are no affine function of states and controls."""
+        """Return True if the dynamics are no affine function of states and controls."""
         x, u, p = (self.path.x, self.path.u, self.path.p)
         f = self.dynamics(x, u, p) if self.jump is None else ca.vertcat(self.dynamics(x, u, p), self.jump(x, u, p, 1))
         return bool(curved_rows(f, ca.vertcat(x, u)))
 
     @property
     def nonlinear_cost(self) -> bool:
-        """True if the cost is no quadratic function of states and controls."""
+        """Return True if the cost is no quadratic function of states and controls."""
         return any(_is_curved(stage) for stage in (self.path, self.terminal))
 
     @property
     def model_parameters(self) -> frozenset[str]:
-        """Elements of parameters that the model depends on: dynamics, jumps, algebraic equations."""
+        """Return the elements of parameters on which the model depends: dynamics, jumps, algebraic equations."""
         x, u, p = self.path.x, self.path.u, self.path.p
         parts = [self.dynamics(x, u, p), *([] if self.jump is None else [self.jump(x, u, p, 1)])]
         if self.algebra is not None:
@@ -419,8 +432,11 @@ class Problem:
 
     @property
     def couples_free_start(self) -> bool:
-        """True if rows couple x_N with components of x_0 that the solver chooses: a recursion over the stages alone
-        cannot hold such equations. solve() then leaves an indefinite Hessian to the route of the QP."""
+        """Return True if rows couple x_N with components of x_0 that the solver chooses.
+
+        A recursion over the stages cannot satisfy such equations; solve() then leaves an indefinite Hessian to the QP
+        solver.
+        """
         return bool(self.coupled_rows and self.free_initial)
 
     @property
@@ -433,23 +449,23 @@ class Problem:
 
     @property
     def np(self) -> int:
-        """Number of parameters, those behind the parameters of the user included."""
+        """Return the number of parameters, including those that the compiler adds."""
         return int(self.path.p.numel()) - self.solved
 
     @property
     def solved(self) -> int:
-        """Numbers of a node that Newton's method finds; in expressions they stand behind the parameters."""
+        """Return how many numbers of a node Newton's method finds; in expressions they follow the parameters."""
         return self.algebra.data if self.algebra else 0
 
     @property
     def control_reference(self) -> tuple[int, ...]:
-        """For every control, the position in y of the first path residual that is the bare control, or -1."""
+        """Return for every control the index in y of the first path residual that is this control, or -1."""
         places = self.path.y_elements
         return tuple(places.index(self.nx + j) if self.nx + j in places else -1 for j in range(self.nu))
 
     @cached_property
     def control_start(self) -> Function:
-        """(p, yref) -> u (nu,): controls of the first plan, where their residuals have their references; 0 without."""
+        """Return the function (p, yref) -> u (nu,), controls at which residuals equal their references, else 0."""
         yref, values = ca.SX.sym("yref", self.path.ny), []
         for j in range(self.nu):
             found = self.path.target_of(self.nx + j)
@@ -458,36 +474,36 @@ class Problem:
 
     @property
     def data(self) -> Array:
-        """Declared values of all that expressions read in place of p; NaN where Newton's method finds them."""
+        """Return the declared values of all that expressions read in place of p; results of Newton's method are NaN."""
         return np.concatenate([self.p_value, np.full(self.solved, np.nan)])
 
     @property
     def reference_controls(self) -> Array:
-        """Controls of the first plan with the declared data, before they are clipped to their bounds, shape (nu,)."""
+        """Return the controls of the first plan with the declared data, before clipping to their bounds, (nu,)."""
         found = np.asarray(self.control_start(self.data, self.path.reference)).ravel()
         return np.where(np.isfinite(found), found, 0.0)
 
     @property
     def uniform(self) -> bool:
-        """True if all intervals have the same length."""
+        """Return True if all intervals have the same length."""
         return len(set(self.dt)) == 1
 
     @property
     def x_initial(self) -> Array:
-        """x_0 used for --check, --simulate, main.c and test vectors, shape (nx,)."""
+        """Return x_0 for --check, --simulate, main.c and test vectors, (nx,)."""
         return np.array([v for s in self.states for v in s.value])
 
     @property
     def p_value(self) -> Array:
-        """Declared parameter values, shape (np,)."""
+        """Return the declared parameter values, (np,)."""
         return np.array([v for s in self.parameters for v in s.value])
 
     @cached_property
     def corners(self) -> tuple[tuple[str, Self], ...]:
-        """The problem as it is declared, ("", itself), and with parameters and initial states at corners of their
-        ranges, each with its name: "m = 0.1, k = 3".
+        """Return the problem with parameters and initial states at corners of their ranges, named "m = 0.1, k = 3".
 
-        All corners if at most MOST_RANGES elements have a range, else one element at an end of its range each.
+        The declared problem comes first, with the name "". All corners are returned if at most MOST_RANGES elements
+        have a range, else one problem for each end of the range of each element.
         """
         signals = (*self.parameters, *self.states)
         ends = [(s, i, low, high) for s in signals for i, (low, high) in enumerate(zip(s.low, s.high, strict=True))]
@@ -499,7 +515,7 @@ class Problem:
         return (("", self), *((_in_words(corner), self._at(corner)) for corner in moved))
 
     def _at(self, corner: Corner) -> Self:
-        """The problem with other values of some elements."""
+        """Return the problem with other values of some elements."""
         values = {s.name: list(s.value) for s in (*self.parameters, *self.states)}
         for (signal, i, _), value in corner:
             values[signal.name][i] = value
@@ -511,12 +527,12 @@ class Problem:
 
     @cached_property
     def qp_rows(self) -> tuple[ImposedRow, ...]:
-        """Every row of the QP besides the control bounds, sorted by node."""
+        """Return every row of the QP besides the control bounds, sorted by node."""
         return imposed_rows(self.rows, self.N)
 
     @property
     def end_rows(self) -> tuple[int, ...]:
-        """Positions in qp_rows of hard rows that hold at node N alone, coupled rows among them."""
+        """Return the indices in qp_rows of hard rows that hold only at node N, including coupled rows."""
         found = []
         for m, (k, _, _, row) in enumerate(self.qp_rows):
             stated = self.rows[row]
@@ -526,7 +542,7 @@ class Problem:
 
     @property
     def coupled_rows(self) -> int:
-        """Number of scalar rows r(x_0, x_N)."""
+        """Return the number of scalar rows r(x_0, x_N)."""
         return sum(row.is_coupled for row in self.rows)
 
     @property
@@ -547,12 +563,12 @@ def _in_words(corner: Corner) -> str:
 
 
 def symbols(nx: int, nu: int, np_: int) -> tuple[Expression, Expression, Expression, Expression]:
-    """Fresh SX symbols x, u, p, dt of the given sizes."""
+    """Return new SX symbols x, u, p, dt of the given sizes."""
     return ca.SX.sym("x", nx), ca.SX.sym("u", nu), ca.SX.sym("p", np_), ca.SX.sym("dt")
 
 
 def model_function(name: str, inputs: Sequence[Expression], values: Sequence[Expression]) -> Function:
-    """A function of x, u, p, dt, or of the first of them, whose one result is the column of these values."""
+    """Return a function of x, u, p, dt, or of the first of them, whose only result is the column of these values."""
     return ca.Function(
         name, list(inputs), [ca.densify(ca.vertcat(*values))], ["x", "u", "p", "dt"][: len(inputs)], [name]
     )

@@ -1,8 +1,8 @@
-"""A problem as a program that needs no CasADi: values of its rows, and operations whose values or derivatives need not
-be finite: sqrt, hypot, atan2, pow, log, / and more.
+"""A problem is written as a program that needs no CasADi: values of its rows, and operations with restricted domains.
 
-The operations are found in all parts of the problem at once, after equal expressions have been merged, and written in
-the user's names. package/program.py tests them at the nodes of a plan.
+Values or derivatives of such operations need not be finite: sqrt, hypot, atan2, pow, log, / and more. They are
+collected from all parts of the problem at once, after equal expressions have been merged, and written in the user's
+names. package/program.py evaluates them at the nodes of a plan.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ from nmpc_codegen.package.program import EDGES, EdgeOperation, Program, Quantity
 #: Longer texts of operations are cut.
 LONGEST = 100
 
-#: Names of the costs that are no least squares.
+#: Names of the general costs.
 GENERAL = "general cost", "integrated cost"
 
 
 def program(problem: Problem) -> Program:
-    """Rows, operations with an edge, their operands and the parts of the problem that they occur in."""
+    """Return rows, operations with restricted domains, their operands and the parts of the problem with them."""
     x, u, p, dt = symbols(problem.nx, problem.nu, problem.np + problem.solved)
     rows = list(_general_rows(problem, x, u, p))
     parts = [*_parts(problem, x, u, p, dt), *((quantity, value) for quantity, value, _ in rows)]
@@ -58,13 +58,13 @@ def program(problem: Problem) -> Program:
 
 
 def _costs(problem: Problem, value_of: Mapping[int, int]) -> list[tuple[str, int]]:
-    """Names and values of the residuals and general costs of the path."""
+    """Return names and values of the residuals and general costs of the path."""
     first = problem.nx + len(problem.maps) + len(list(_of_stage(problem.start)))
     return [(name, value_of[first + i]) for i, (name, _) in enumerate(_of_stage(problem.path))]
 
 
 def _resets(problem: Problem) -> Iterator[int]:
-    """Numbers of the rows that contain accumulators."""
+    """Yield the numbers of the rows that contain accumulators."""
     known = ca.vertcat(*(problem.path.x[i] for i in problem.accumulators))
     for number, row in enumerate(problem.rows):
         if row.kind == "state" and row.index in problem.accumulators:
@@ -74,7 +74,7 @@ def _resets(problem: Problem) -> Iterator[int]:
 
 
 def _of_name(name: str, values: Sequence[tuple[str, int]], new: Mapping[int, int]) -> int:
-    """The step of the value of this name; -1: there is none."""
+    """Return the step of the value with this name, -1 if there is none."""
     return next((new[value] for found, value in values if found == name), -1)
 
 
@@ -92,7 +92,7 @@ def _operations(
 def _parts(
     problem: Problem, x: Expression, u: Expression, p: Expression, dt: Expression
 ) -> Iterator[tuple[Quantity, Expression]]:
-    """Dynamics, residuals and general costs, with their names and nodes."""
+    """Yield dynamics, residuals and general costs, with their names and nodes."""
     last, kind = problem.N - 1, "map" if problem.discrete else "equation"
     for name, value in zip(problem.state_names, elements(ca.densify(problem.dynamics(x, u, p))), strict=True):
         yield Quantity(f"the {kind} of {name}", 0, last), value
@@ -111,7 +111,7 @@ def _parts(
 def _substitute(
     expression: Expression, stage: Stage, x: Expression, u: Expression, p: Expression, dt: Expression
 ) -> Expression:
-    """An expression of a stage in these symbols."""
+    """Write an expression of a stage in these symbols."""
     given = ca.vertcat(x, u if stage.nu else ca.SX(0, 1), p, dt)
     return ca.substitute(expression, ca.vertcat(stage.x, stage.u, stage.p, stage.dt), given)
 
@@ -119,7 +119,7 @@ def _substitute(
 def _general_rows(
     problem: Problem, x: Expression, u: Expression, p: Expression
 ) -> Iterator[tuple[Quantity, Expression, tuple[int, int]]]:
-    """General rows, with their names, nodes and places: (position in rows, 1 at the end of the horizon)."""
+    """Yield general rows, with their names, nodes and places: (index in rows, 1 at the end of the horizon)."""
     for number, row in enumerate(problem.rows):
         if not row.is_general:
             continue
@@ -149,7 +149,7 @@ def _name(ins: Instruction) -> str:
 
 
 def _find_moving(kernel: Kernel) -> list[bool]:
-    """For every value, True if it depends on states or controls."""
+    """Return for every value True if it depends on states or controls."""
     marks: list[bool] = []
     for ins in kernel.instructions:
         marks.append(ins.args[0] < 2 if ins.opcode == ca.OP_INPUT else any(marks[a] for a in ins.args))
@@ -159,7 +159,7 @@ def _find_moving(kernel: Kernel) -> list[bool]:
 def _occurrences(
     kernel: Kernel, quantities: Sequence[Quantity], suspects: Sequence[int]
 ) -> dict[int, tuple[Quantity, ...]]:
-    """For every operation, the parts whose value depends on it."""
+    """Return for every operation the parts whose value depends on it."""
     users: list[int] = [0] * len(kernel.instructions)  # bit j: part j
     for _, element, value in kernel.stores:
         users[value] |= 1 << element
@@ -170,12 +170,12 @@ def _occurrences(
     return {i: tuple(q for j, q in enumerate(quantities) if users[i] >> j & 1) for i in suspects}
 
 
-#: Operations that a user writes otherwise than C.
+#: Operations that a user spells differently from C.
 _WRITTEN = {ca.OP_SQ: "{0}**2", ca.OP_TWICE: "2 * {0}"}
 
 
 def _texts(kernel: Kernel, problem: Problem) -> list[str]:
-    """Every value as a text in the user's names; long ones are cut."""
+    """Return every value as a text in the user's names; long texts are cut."""
     slopes = tuple(f"d({name})" for name in problem.newton_names for _ in problem.newton_names)
     data = (*problem.parameter_names, *problem.newton_names, *slopes)
     names = (problem.state_names, problem.control_names, data, ("dt",))
@@ -199,7 +199,7 @@ def _texts(kernel: Kernel, problem: Problem) -> list[str]:
 
 
 def _step(ins: Instruction, dt: float, lookups: Sequence[Lookup]) -> Step:
-    """Return the step that an instruction is in an interval of length ``dt``."""
+    """Return an instruction as a step, in an interval of length ``dt``."""
     if ins.opcode == ca.OP_CALL:
         return ("lookup", ins.args[0], ins.args[0], float(lookups.index(known_lookup(ins.constant))))
     if ins.opcode == ca.OP_CONST:

@@ -1,4 +1,4 @@
-"""What an OCP says of itself in one line."""
+"""An OCP is described in one line."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from nmpc_codegen.package.signals import horizon, list_some
 
 
 def in_one_line(ocp: StatedProblem) -> str:
-    """Name, grid, signals by name, number of rows."""
+    """Return name, grid, signals by name, and number of rows."""
     kinds = {"states": ocp.states, "controls": ocp.controls, "algebraic variables": ocp.algebraics}
     kinds["parameters"] = ocp.parameters
     parts = [f"{kind} {list_some(elements_of(declared))}" for kind, declared in kinds.items() if declared]
@@ -16,10 +16,10 @@ def in_one_line(ocp: StatedProblem) -> str:
 
 
 def elements_of(declared: list[Declared]) -> list[str]:
-    """Names of all elements."""
+    """Return the names of all elements."""
     return [element for d in declared for element in d.signal.elements]
 
 
 def grid_of(ocp: StatedProblem) -> str:
-    """Intervals and horizon."""
+    """Return intervals and horizon as text."""
     return f"N={horizon(ocp.dt or (1.0,) * ocp.N, ocp.time_unit, ocp.dt is None or bool(ocp.discrete))}"

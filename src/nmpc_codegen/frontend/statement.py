@@ -1,4 +1,4 @@
-"""Records of the calls of an OCP: declared signals, cost terms and rows, as stated."""
+"""The calls of an OCP are recorded as declared signals, cost terms and rows."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ At = Literal["path", "start", "end"] | tuple[int, ...]
 Penalty = tuple[float, float] | None
 Side = Literal["", "lower", "upper"]
 
-#: Made here, where modules are loaded: CasADi's first SX takes a lock, which a fork must not copy.
+#: This is created at import, because CasADi's first SX takes a lock, which a fork must not copy.
 NOTHING = ca.SX(0, 1)
 
 
@@ -32,7 +32,7 @@ class Declared:
 
 @dataclass(frozen=True)
 class Element:
-    """One scalar symbol: its kind, its position in the stacked vector of that kind, its name."""
+    """One scalar symbol: its kind, its index in the stacked vector of that kind, its name."""
 
     kind: Kind
     index: int
@@ -49,7 +49,7 @@ class ResidualTerm:
     weight: Array
     scale_with_dt: bool
     stage: StageName
-    scale: tuple[float, ...] = ()  # declared sizes of y; empty: none
+    scale: tuple[float, ...] = ()  # declared scales of y; empty: none
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,8 +66,8 @@ class GeneralCost:
 class Statement:
     """Scalar rows lower <= expression <= upper as stated; ``at`` is None for a coupled condition.
 
-    ``stated``: the names that the user gave; rows with different penalties on their sides are two statements, one
-    ``side`` each, and their names say so, unless there is only one: it is ``alone``.
+    ``stated`` holds the names that the user gave. Rows with different penalties on their sides become two statements,
+    one for each ``side``, and their names say so, unless only one side exists: it is ``alone``.
     """
 
     lower: Array
@@ -79,43 +79,43 @@ class Statement:
     scaled: bool = False
     side: Side = ""
     alone: bool = True
-    end: Any = None  # the same at node N, where the expression is another one there
+    end: Any = None  # the expression at node N, if it differs
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the rows."""
+        """Return the names of the rows."""
         return self.stated if self.alone else tuple(f"{name}_{self.side}" for name in self.stated)
 
 
 @dataclass(frozen=True, eq=False)
 class Equation:
-    """The scalar equation expression = 0 among derivatives, algebraic variables and all else of a node."""
+    """The scalar equation expression = 0 in derivatives, algebraic variables and other symbols of a node."""
 
     name: str
     expression: Any
 
 
 class StatedProblem:
-    """What an OCP has been told so far: its name, its grid, and every statement in the order of the calls.
+    """The name and grid of an OCP, and all its statements in the order of the calls.
 
     Attributes:
         states: declarations of the states.
-        controls: of the controls.
-        parameters: of the parameters.
-        algebraics: of the algebraic variables.
-        equations: of algebraic_equation() and implicit_dynamics().
-        slopes: position in x -> SX: der(x), of a state in implicit equations.
-        derivatives: position in x -> SX.
-        maps: position in x -> SX: the value at the next node of a discrete state.
-        remembered: position in u -> SX: its value at the node before.
-        blocks: position in u -> lengths of the blocks of intervals.
-        node_data: symbols behind all parameters: what Newton's method finds at a node.
-        residuals: terms of least squares.
-        costs: general terms.
+        controls: declarations of the controls.
+        parameters: declarations of the parameters.
+        algebraics: declarations of the algebraic variables.
+        equations: equations of algebraic_equation() and implicit_dynamics().
+        slopes: {index in x: SX}, der(x) of a state in implicit equations.
+        derivatives: {index in x: SX}, the derivative of a state.
+        maps: {index in x: SX}, the value of a discrete state at the next node.
+        remembered: {index in u: SX}, the control at the node before.
+        blocks: {index in u: lengths of the blocks of intervals}.
+        node_data: symbols after all parameters, for results of Newton's method at a node.
+        residuals: least-squares terms.
+        costs: general costs.
         statements: rows.
-        free: positions in x that the solver chooses at node 0.
-        accumulators: positions that start at 0.
-        cyclic_states: positions that grow without bound.
+        free: indices in x that the solver chooses at node 0.
+        accumulators: indices in x that are reset to 0 at every sample.
+        cyclic_states: indices in x that grow without bound.
     """
 
     def __init__(self, name: str, N: int, dt: tuple[float, ...] | None, time_unit: str) -> None:
@@ -148,22 +148,22 @@ class StatedProblem:
 
     @property
     def discrete(self) -> bool | None:
-        """True if the dynamics are a discrete map, None before the first call of dynamics()."""
+        """Return True if the dynamics are a discrete map, None before the first call of dynamics()."""
         return self._discrete
 
     @property
     def terminal_lqr(self) -> LqrRequest | None:
-        """Internal: the request of lqr_terminal_cost(), None without one."""
+        """Return the request of lqr_terminal_cost(), None without one (internal)."""
         return self._terminal_lqr
 
     def element(self, scalar: Any) -> Element | None:
-        """Internal: kind, position and name of a bare declared symbol; None for any other expression."""
+        """Return kind, index and name of a declared symbol; None for any other expression (internal)."""
         is_bare = scalar.is_scalar() and scalar.is_symbolic()
         return self._elements.get(scalar.element_hash()) if is_bare else None
 
 
 def intersection(new: Statement, i: int, old: Statement, j: int, what: str) -> tuple[float, float]:
-    """The intersection of the bounds of row i of ``new`` and row j of ``old``, two rows of the same name.
+    """Return the intersection of the bounds of row i of ``new`` and row j of ``old``, which have the same name.
 
     Raises:
         ProblemError: the intersection is empty.

@@ -1,6 +1,7 @@
-"""The symbols that an OCP returns: SX that can be keys of a dictionary, with comparisons that raise a clear error.
+"""An OCP returns symbols that can be keys of a dictionary, and whose comparisons raise a clear error.
 
-Python evaluates a chained comparison before the OCP sees it: ``-1 <= p <= 1`` asks for the truth value of ``-1 <= p``.
+Python evaluates a chained comparison before the OCP sees it: for ``-1 <= p <= 1`` it needs the truth value of ``-1 <=
+p``.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ COMPARISONS = {ca.OP_LE: "<=", ca.OP_LT: "<", ca.OP_EQ: "==", ca.OP_NE: "!="}
 
 
 class Comparison(ca.SX):
-    """The SX of ``p <= 1``; asking for its truth value raises a ProblemError that says how to state a row."""
+    """The SX of ``p <= 1``; taking its truth value raises a ProblemError that explains how to state a row."""
 
     __hash__ = ca.SX.__hash__
 
@@ -59,13 +60,13 @@ def _compare(result: Any) -> Any:
 
 
 def is_comparison(expression: Any) -> bool:
-    """True if an element of the SX is a comparison of two expressions."""
+    """Return True if an element of the SX is a comparison of two expressions."""
     elements = (expression[i] for i in range(expression.numel()))
     return any(not e.is_leaf() and e.op() in COMPARISONS for e in elements if e.is_scalar())
 
 
 def row_call(expression: Any, method: str) -> str | None:
-    """The text of the call that states a comparison as a row; None if the expression is not a comparison."""
+    """Return the call that states a comparison as a row; None if the expression is not a comparison."""
     if not isinstance(expression, ca.SX) or expression.numel() == 0 or not is_comparison(expression):
         return None
     first = ca.densify(expression)[0]

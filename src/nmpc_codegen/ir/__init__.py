@@ -1,1 +1,1 @@
-"""The intermediate representations of the compiler: kernels, sweeps, stage products, C modules."""
+"""The compiler has intermediate representations: kernels, sweeps, stage products, C modules."""

@@ -1,4 +1,4 @@
-"""IR 3: the C module. It holds every size and every C name of a package, once.
+"""A CModule, the third intermediate representation, holds every size and every C name of a package, once.
 
 Header, struct, initialisation, cffi declarations, README table and NumPy views are all derived from the same Field.
 """
@@ -27,9 +27,9 @@ from nmpc_codegen.targets import Target
 
 @dataclass(frozen=True)
 class Macro:
-    """``#define <PREFIX>_<name> value`` in the header if it is ``public``, else ``#define <name> value`` in the .c.
+    """A size: ``#define <PREFIX>_<name> value`` in the header if ``public``, else ``#define <name> value`` in the .c.
 
-    ``shown``: the number in the header where the unit has another one: states behind the measured ones are its own.
+    ``shown`` is the number in the header if it differs from that of the unit, which also counts added states.
     """
 
     name: str
@@ -40,13 +40,13 @@ class Macro:
 
     @property
     def stated(self) -> int:
-        """The number in the header."""
+        """Return the number in the header."""
         return self.value if self.shown is None else self.shown
 
 
 @dataclass(frozen=True)
 class Enum:
-    """An anonymous enum of user names: constants <PREFIX>_<stem>_<NAME>, with what is said of each."""
+    """An anonymous enum of user names: constants <PREFIX>_<stem>_<NAME>, each with a note."""
 
     stem: str
     names: tuple[str, ...]
@@ -66,10 +66,10 @@ class Table:
 
 @dataclass(frozen=True)
 class Setting:
-    """Data that init() copies from the table of declared values into a member of the solver.
+    """A member of the solver that init() fills from the table of declared values.
 
     The member holds ``copies`` blocks of ``entries`` numbers: 1 or N blocks for data of the path; 2 or N + 1 for data
-    of all nodes, where the last one is terminal; 1 for data of the terminal node alone.
+    of all nodes, where the last one is terminal; 1 for data of the terminal node only.
     """
 
     field: Field
@@ -80,9 +80,9 @@ class Setting:
 
 @dataclass(frozen=True)
 class Setter:
-    """Functions that change one kind of data (a field of Online) at run time.
+    """The functions that change one kind of data (a field of Online) at run time.
 
-    ``nodes``: the values of the node k that are allowed besides ALL.
+    ``nodes`` describes the allowed values of the node k besides ALL.
     """
 
     option: Kind
@@ -90,12 +90,12 @@ class Setter:
 
     @property
     def template(self) -> str:
-        """Template of their definitions."""
+        """Return the template of their definitions."""
         return f"settings/{self.option}.c.jinja"
 
     @property
     def declarations(self) -> str:
-        """Template of their prototypes."""
+        """Return the template of their prototypes."""
         return f"settings/{self.option}.h.jinja"
 
 
@@ -111,7 +111,7 @@ class Section:
 
 @dataclass(frozen=True, eq=False)
 class CModule:
-    """Everything that the templates print; they take no decisions."""
+    """The content of the templates, which take no decisions."""
 
     description: PackageDescription
     target: Target
@@ -123,45 +123,45 @@ class CModule:
     setters: tuple[Setter, ...]
     routines: tuple[Routine, ...]
     products: Products
-    features: Features  # what `#if` in the parts may test besides the sizes
+    features: Features  # features that `#if` in the parts may test besides the sizes
     sections: tuple[Section, ...]
     signals: tuple[tuple[str, tuple[str, ...]], ...]  # kind -> element names, for comments
-    names: LocalNames  # of constants in kernels
+    names: LocalNames  # names of constants in kernels
     diagonal_weight: bool
     scaled_weight: bool
     diagonal_weight_N: bool
-    hooked_parts: tuple[str, ...] = ()  # parts of the features of the algorithm
-    places: Mapping[str, str] = field(default_factory=dict)  # of inputs and outputs that a node keeps: name -> C text
+    hooked_parts: tuple[str, ...] = ()  # parts that run at hooks of the algorithm
+    places: Mapping[str, str] = field(default_factory=dict)  # inputs and outputs that a node stores: name -> C text
     absent_members: frozenset[tuple[str, str]] = frozenset()  # (struct, member) of size 0, which its structs lack
-    absent_kernels: tuple[str, ...] = ()  # kernels and products that have nothing to compute here
-    whole: bool = False  # nothing of its structs and parts is left out
+    absent_kernels: tuple[str, ...] = ()  # kernels and products without anything to compute
+    whole: bool = False  # True: no member and no part is left out
     one_step: Kernel | None = None  # an integration step with its Jacobian, for lanes
-    jump_rows: Kernel | None = None  # behind the last one: states that are constant along an interval
+    jump_rows: Kernel | None = None  # the jump of discrete states after the last step
     foreign: Mapping[str, str] = field(default_factory=dict)  # path -> text, for code of other generators
 
     @property
     def name(self) -> str:
-        """Prefix of functions and types, and stem of the files."""
+        """Return the prefix of functions and types, which is the stem of the files."""
         return self.description.name
 
     @property
     def precision(self) -> Precision:
-        """Working precision."""
+        """Return the working precision."""
         return self.description.precision
 
     @property
     def style(self) -> CStyle:
-        """The spelling of its unit."""
+        """Return the spelling of its unit."""
         return unit_style(self.precision, self.features.own_math, self.names)
 
     @property
     def structs(self) -> tuple[Struct, ...]:
-        """All structs; each one follows the structs that it contains, and "solver" is last."""
+        """Return all structs; each one follows the structs that it contains, and "solver" is last."""
         return self.description.structs
 
     @property
     def called_products(self) -> tuple[LoopedRoutine, ...]:
-        """The products with the stage matrices that the package may call."""
+        """Return the products with the stage matrices that the package may call."""
         if not self.features.products:
             return ()
         vectors = self.products.called_vectors(self.features)
@@ -169,23 +169,23 @@ class CModule:
 
     @property
     def stage_parts(self) -> tuple[str, ...]:
-        """The title of the part that functions of an interval call, if they call one."""
+        """Return the title of the part that functions of an interval call, if there is one."""
         called = any(isinstance(r, LoopedRoutine) and r.calls_parts for r in self.routines)
         return ("intervals",) if called else ()
 
     @property
     def entry_points(self) -> tuple[EntryPoint, ...]:
-        """The C functions of the algorithm."""
+        """Return the C functions of the algorithm."""
         return self.description.entry_points
 
     @property
     def layouts(self) -> Layouts:
-        """How the data that can be changed at run time are stored."""
+        """Return how the data that can be changed at run time are stored."""
         return self.description.online
 
     @property
     def ranges(self) -> tuple[Kind, ...]:
-        """Kinds of data that can be set for a range of nodes at once."""
+        """Return the kinds of data that can be set for a range of nodes at once."""
         ny = self.value("NY")
         return tuple(
             setter.option
@@ -196,50 +196,50 @@ class CModule:
 
     @property
     def statuses(self) -> tuple[Status, ...]:
-        """The status codes that its functions return, in the order of their values."""
+        """Return the status codes that its functions return, in the order of their values."""
         return tuple(Status)
 
     @property
     def macro(self) -> str:
-        """Prefix of macros and enum constants."""
+        """Return the prefix of macros and enum constants."""
         return self.name.upper()
 
     @property
     def folders(self) -> tuple[str, ...]:
-        """Folders of foreign code."""
+        """Return the folders of foreign code."""
         return folders_of(self.foreign)
 
     @property
     def libraries(self) -> tuple[str, ...]:
-        """Libraries that a program with the package is linked with."""
+        """Return the libraries with which a program with the package is linked."""
         return () if self.features.own_math else ("m",)
 
     @property
     def public(self) -> tuple[Macro, ...]:
-        """The macros of the header."""
+        """Return the macros of the header."""
         return tuple(macro for macro in self.macros if macro.public)
 
     def value(self, macro: str) -> int:
-        """Value of a size macro."""
+        """Return the value of a size macro."""
         return self.description.sizes[macro]
 
     def table(self, name: str) -> Table:
-        """The table with the given name."""
+        """Return the table with the given name."""
         return next(t for t in self.tables if t.name == name)
 
     @property
     def sizes(self) -> Mapping[str, int]:
-        """Names that `#if` in the parts may test, the size macros and the features, with their values."""
+        """Return {name: value} for all names that `#if` in the parts may test: size macros and features."""
         return {**{m.name: m.value for m in self.macros}, **self.features.macros}
 
     @property
     def decided(self) -> Mapping[str, int] | None:
-        """``sizes``, unless the package leaves `#if` to the compiler."""
+        """Return ``sizes``, or None if the package leaves `#if` to the compiler."""
         return None if self.whole else self.sizes
 
     @property
     def bytes(self) -> int:
-        """sizeof the solver struct."""
+        """Return sizeof the solver struct."""
         return self.description.report.ram_bytes
 
 

@@ -1,4 +1,4 @@
-"""Kernels: straight-line programs lifted from CasADi SX Functions, with exact operation counts.
+"""Kernels are straight-line programs lifted from CasADi SX Functions, with exact operation counts.
 
 lift() is the only way from CasADi to C. One table gives the C spelling and the count class of every CasADi opcode; an
 opcode that is not in the table raises an error that names it.
@@ -23,7 +23,7 @@ from nmpc_codegen.package.opcount import OpCount as OpCount
 
 @dataclass(frozen=True)
 class Operation:
-    """C spelling ``c`` of a CasADi opcode, with operands {0} and {1}, and its count class.
+    """The C spelling ``c`` of a CasADi opcode, with operands {0} and {1}, and its count class.
 
     ``function`` names the function of math.h that it calls, if any.
     """
@@ -87,7 +87,7 @@ OPERATIONS: dict[int, Operation] = {
     ca.OP_AND: Operation("(({0} != {zero}) && ({1} != {zero})) ? {one} : {zero}", "other"),
     ca.OP_OR: Operation("(({0} != {zero}) || ({1} != {zero})) ? {one} : {zero}", "other"),
     ca.OP_IF_ELSE_ZERO: Operation("({0} != {zero}) ? {1} : {zero}", "other"),
-    ca.OP_CALL: Operation("{fn}({0})", "other", "lookup"),  # of a look-up table, by the key that is its constant
+    ca.OP_CALL: Operation("{fn}({0})", "other", "lookup"),  # of the look-up table whose key is the constant
 }
 
 # Operations of one argument that are zero at zero.
@@ -98,7 +98,7 @@ _ZERO_AT_ZERO = (
 
 
 def function_of(instruction: Instruction) -> str:
-    """The C function that an instruction calls, of math.h or of a look-up table; "" if it calls none."""
+    """Return the C function that an instruction calls, of math.h or of a look-up table; "" if it calls none."""
     if instruction.opcode == ca.OP_CALL:
         return known_lookup(instruction.constant).function
     return OPERATIONS[instruction.opcode].function
@@ -109,7 +109,7 @@ _OPCODE_NAMES = {v: k for k, v in vars(ca).items() if k.startswith("OP_")}
 
 
 def opcode_name(opcode: int) -> str:
-    """Name of a CasADi opcode, e.g. ``OP_CALL``."""
+    """Return the name of a CasADi opcode, e.g. ``OP_CALL``."""
     return _OPCODE_NAMES.get(opcode, f"opcode {opcode}")
 
 
@@ -117,8 +117,8 @@ def opcode_name(opcode: int) -> str:
 class Port:
     """A named vector or row-major matrix that a routine reads or writes; ``cols`` is 0 for a vector.
 
-    flat: in C, calls pass a pointer to the first of its numbers, which may lie in a matrix. whole: an int by its value,
-    which no expression reads.
+    If ``flat``, C calls pass a pointer to its first number, which may lie in a matrix. If ``whole``, it is an int
+    passed by value, which no expression reads.
     """
 
     name: str
@@ -134,7 +134,10 @@ class Port:
 
 
 class Instruction(NamedTuple):
-    """value[i] = op(value[args]); for OP_CONST it is ``constant``, for OP_INPUT ``args`` is (port, element)."""
+    """The instruction value[i] = op(value[args]).
+
+    OP_CONST has ``constant``, OP_INPUT has ``args`` = (port, element).
+    """
 
     opcode: int
     args: tuple[int, ...]
@@ -142,7 +145,7 @@ class Instruction(NamedTuple):
 
 
 class Watched(NamedTuple):
-    """An element of a buffer that a sweep computes: the comment on its stage, and what tells stages apart in names."""
+    """An element of a buffer that a sweep computes, with the comment on its stage and a mark of the stage for names."""
 
     note: str
     buffer: str
@@ -164,8 +167,8 @@ class Kernel:
     """A straight-line C function: all inputs are loaded before the first store, so outputs may alias inputs.
 
     ``stores`` lists (output port, row-major element, value index) of the structural nonzeros. Structurally zero
-    elements are never written, so the memory of an output must hold zeros there. ``parts``: the values in the order in
-    which they are printed; those of a part depend on no later one.
+    elements are never written, so the memory of an output must hold zeros there. ``parts`` holds the values in printing
+    order; values of a part do not depend on later parts.
     """
 
     name: str
@@ -178,7 +181,7 @@ class Kernel:
 
     @cached_property
     def count(self) -> OpCount:
-        """Operations of one evaluation."""
+        """Return the operations of one evaluation."""
         tally: dict[str, int] = {}
         for ins in self.instructions:
             if ins.opcode in OPERATIONS:
@@ -189,32 +192,35 @@ class Kernel:
 
     @property
     def kernels(self) -> tuple[Kernel, ...]:
-        """The straight-line functions that it consists of."""
+        """Return the straight-line functions of which it consists."""
         return (self,)
 
     def is_zero(self, value: int) -> bool:
-        """True if a value is the constant 0."""
+        """Return True if a value is the constant 0."""
         return self.instructions[value] == Instruction(ca.OP_CONST, ())
 
     def operands(self, value: int) -> tuple[int, ...]:
-        """The values that a value is computed from."""
+        """Return the values from which a value is computed."""
         ins = self.instructions[value]
         return ins.args if ins.opcode in OPERATIONS else ()
 
     @property
     def reads(self) -> tuple[Port, ...]:
-        """The inputs that it loads from; only these are parameters of its C function."""
+        """Return the inputs that it loads; only these are parameters of its C function."""
         used = {ins.args[0] for ins in self.instructions if ins.opcode == ca.OP_INPUT}
         return tuple(p for i, p in enumerate(self.inputs) if i in used)
 
     @property
     def writes(self) -> tuple[Port, ...]:
-        """The outputs that it stores to; a kernel without any computes nothing and is not printed."""
+        """Return the outputs that it stores; a kernel without outputs computes nothing and is not printed."""
         stored = {o for o, _, _ in self.stores}
         return tuple(p for o, p in enumerate(self.outputs) if o in stored)
 
     def nonzero_values(self, inputs: Sequence[Sequence[bool]]) -> list[bool]:
-        """For every value, False if it is structurally zero; ``inputs`` holds these marks for all input elements."""
+        """Return for every value False if it is structurally zero.
+
+        ``inputs`` holds these marks for all input elements.
+        """
         marks: list[bool] = []
         for ins in self.instructions:
             if ins.opcode == ca.OP_INPUT:
@@ -230,7 +236,7 @@ class Kernel:
         return marks
 
     def with_zeros(self, port: str, entries: Sequence[tuple[int, int]]) -> Kernel:
-        """This kernel with stores of zero to those (row, column) ``entries`` of an output that it does not write."""
+        """Return this kernel with stores of zero to (row, column) ``entries`` of an output that it does not write."""
         output = next(i for i, p in enumerate(self.outputs) if p.name == port)
         written = {e for o, e, _ in self.stores if o == output}
         missing = [r * self.outputs[output].cols + c for r, c in entries]
@@ -244,20 +250,20 @@ class Kernel:
 
 
 class _HasKernels(Protocol):
-    """A routine: straight-line or looped."""
+    """A routine, straight-line or with loops."""
 
     @property
     def kernels(self) -> tuple[Kernel, ...]: ...
 
 
 def called_functions(routines: Iterable[_HasKernels]) -> set[str]:
-    """Functions of math.h that routines call."""
+    """Return the functions of math.h that routines call."""
     opcodes = {i.opcode for r in routines for kernel in r.kernels for i in kernel.instructions}
     return {OPERATIONS[o].function for o in opcodes if o in OPERATIONS and o != ca.OP_CALL} - {""}
 
 
 def called_lookups(routines: Iterable[_HasKernels]) -> list[Lookup]:
-    """Parts of look-up tables that routines read, sorted by their names."""
+    """Return the parts of look-up tables that routines read, sorted by name."""
     called = (i for r in routines for kernel in r.kernels for i in kernel.instructions if i.opcode == ca.OP_CALL)
     return sorted({known_lookup(i.constant) for i in called}, key=lambda lookup: lookup.function)
 
@@ -289,8 +295,8 @@ def lift(
     """Lift a CasADi SX Function into a Kernel.
 
     The function takes one dense vector per input port and returns one vector or matrix per output port, of the port's
-    rows x cols (cols = 0: a column). ``watched``: what the elements of one more output are, in the order in which they
-    are computed; it is not stored.
+    rows x cols (cols = 0: a column). ``watched`` describes the elements of an additional output in the order of
+    computation; that output is not stored.
 
     Raises:
         ProblemError: an operation has no C spelling, or a constant is not finite.
@@ -315,13 +321,15 @@ def lift(
 def _number_values(
     function: Function, name: str, outputs: Sequence[Port]
 ) -> tuple[list[Instruction], list[tuple[int, int, int]], dict[int, int]]:
-    """The instructions of a function, each value once; (output, element, value) of what is stored; the values of one
-    more output."""
+    """Return the instructions of a function, each value once, its stores (output, element, value), and watched values.
+
+    The latter belong to the additional output.
+    """
     numbering = _ValueNumbering()
     work: dict[int, int] = {}
     stores: list[tuple[int, int, int]] = []
     seen: dict[int, int] = {}
-    folds = False  # derivatives of look-up tables are zeros
+    folds = False  # derivatives of look-up tables are 0
     patterns = [_row_major(function.sparsity_out(number), port) for number, port in enumerate(outputs)]
     for k in range(function.n_instructions()):
         opcode, o, i = function.instruction_id(k), function.instruction_output(k), function.instruction_input(k)
@@ -348,7 +356,7 @@ def _number_values(
 
 
 def _call_of_lookup(arguments: Sequence[int], numbering: _ValueNumbering, name: str) -> int:
-    """The value of a look-up table, or the 0 of a derivative of one."""
+    """Return the value of a look-up table, or 0 for a derivative of one."""
     first = numbering.instructions[arguments[0]]
     try:
         lookup = called_lookup(first.constant if first.opcode == ca.OP_CONST else None, len(arguments))
@@ -363,7 +371,7 @@ def _call_of_lookup(arguments: Sequence[int], numbering: _ValueNumbering, name: 
 
 
 def _fold(ins: Instruction, numbering: _ValueNumbering) -> int:
-    """The value of an instruction, which needs no operation where operands are 0."""
+    """Return the value of an instruction, which needs no operation if an operand is 0."""
     zero = [numbering.instructions[a] == Instruction(ca.OP_CONST, ()) for a in ins.args]
     first, last = ins.args[0], ins.args[-1]
     if ins.opcode == ca.OP_MUL and any(zero):
@@ -380,7 +388,7 @@ def _fold(ins: Instruction, numbering: _ValueNumbering) -> int:
 
 
 def _parts(instructions: Sequence[Instruction], watched: Iterable[tuple[Watched, int]]) -> tuple[Part, ...]:
-    """The parts of a program: a value belongs to the first watched one that needs it; a note begins a part."""
+    """Return the parts of a program: a value belongs to the first watched value that needs it; a note begins a part."""
     parts: list[tuple[str, set[int], dict[int, Watched]]] = [("", set(), {})]
     known: set[int] = set()
     for what, value in watched:
@@ -400,7 +408,7 @@ def _parts(instructions: Sequence[Instruction], watched: Iterable[tuple[Watched,
 
 
 def _row_major(sparsity: Sparsity, port: Port) -> list[int]:
-    """Row-major element of every (column-major) nonzero of an output."""
+    """Return the row-major element of every (column-major) nonzero of an output."""
     shape = (port.rows, port.cols or 1)
     assert sparsity.shape == shape or sparsity.nnz() == 0, f"output {port.name}: {sparsity.shape}, expected {shape}"
     rows, cols = sparsity.get_triplet()
@@ -408,10 +416,10 @@ def _row_major(sparsity: Sparsity, port: Port) -> list[int]:
 
 
 def _reciprocals(instructions: Sequence[Instruction]) -> tuple[list[Instruction], list[int]]:
-    """Replace divisions by constants, and by values that are divisors more than once, by products with reciprocals;
-    also returns the new number of every value.
+    """Replace divisions by constants, and by repeated divisors, by products with reciprocals.
 
-    A division takes as long as ten products; derivatives of a quotient contain several by the same denominator.
+    A division takes as long as ten products; derivatives of a quotient contain several divisions by the same
+    denominator. The second result is the new number of every value.
     """
     divisors: dict[int, int] = {}
     for ins in instructions:
@@ -436,7 +444,7 @@ def _reciprocals(instructions: Sequence[Instruction]) -> tuple[list[Instruction]
 
 
 def live(instructions: Sequence[Instruction], results: Iterable[int]) -> tuple[tuple[Instruction, ...], dict[int, int]]:
-    """The values that the results need; also returns the new number of each of them."""
+    """Return the values that the results need, and the new number of each of them."""
     live = set(results)
     for index in range(len(instructions) - 1, -1, -1):
         if index in live and instructions[index].opcode in OPERATIONS:

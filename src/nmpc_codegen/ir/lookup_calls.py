@@ -1,9 +1,8 @@
-"""Look-up tables inside CasADi expressions, as calls that nothing expands and whose derivatives are 0.
+"""Look-up tables inside CasADi expressions are calls that nothing expands and whose derivatives are 0.
 
-A piecewise polynomial is a sum of products of entries and powers of the distance from a point of its grid. Interval
-and entries are constant between jumps, so the rules of sums and products give all its derivatives. Every call passes
-the key of its table in front of its operand; that tells it from the calls of derivatives that CasADi adds, which have
-more arguments and the value 0.
+A piecewise polynomial is a sum of products of entries and powers of the distance from a point of its grid. Interval and
+entries are constant between jumps, so the rules of sums and products give all its derivatives. The first argument of
+every call is the key of its table. CasADi adds calls for derivatives, which have more arguments and the value 0.
 """
 
 from __future__ import annotations
@@ -21,22 +20,22 @@ _KNOWN: dict[float, Lookup] = {}
 
 
 def look_up(table: Lookup, operand: Any) -> Any:
-    """The value of a table as an expression, SX or MX."""
+    """Return the value of a table as an expression, SX or MX."""
     if table.key not in _KNOWN:
         _KNOWN[table.key] = table
     return _function(table.key)(table.key, operand)
 
 
 def known_lookup(key: float) -> Lookup:
-    """The table with a key that an expression contains."""
+    """Return the table with a key that an expression contains."""
     return _KNOWN[key]
 
 
 def called_lookup(key: float | None, arguments: int) -> Lookup | None:
-    """The table that a call with this first argument reads; None if it is the derivative of one, which is 0.
+    """Return the table that a call with this first argument reads; None for a derivative, which is 0.
 
     Raises:
-        KeyError: it is a call of something else.
+        KeyError: the call reads no table.
     """
     if key is None or key not in _KNOWN:
         raise KeyError(key)
@@ -45,7 +44,7 @@ def called_lookup(key: float | None, arguments: int) -> Lookup | None:
 
 @lru_cache(maxsize=256)
 def _function(of: float) -> Function:
-    """(key, operand) -> value of the table with that key; its derivatives are 0."""
+    """Return (key, operand) -> value of the table with that key; its derivatives are 0."""
     table = _KNOWN[of]
     key, x, value = ca.MX.sym("key"), ca.MX.sym("x"), ca.MX.sym("value")
     data = ca.MX(ca.DM(list(table.values)))

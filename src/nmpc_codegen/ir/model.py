@@ -1,4 +1,4 @@
-"""The functions that a package evaluates, lifted from CasADi and grouped by purpose; they have operation counts."""
+"""The functions that a package evaluates are lifted from CasADi and grouped by purpose; they have operation counts."""
 
 from __future__ import annotations
 
@@ -18,13 +18,11 @@ class Interval:
 
     linearize: (x, u, p, dt) -> x_next, S = d x_next / d(x, u); step: (x, u, p, h) -> x_next, one integration step;
     curved: (x, u, p, dt, yref, W, mu, lam) -> x_next, S, g, Q, for Hessians with second derivatives of the dynamics.
-    jump: (x, u, p, dt) -> x_next of the states that step leaves constant, at the end of an interval; jump_rows: also
-    their rows of S.
-    one_step: linearize for the first of its steps as straight-line code, where linearize has loops that expand.
-    value: (x, u, p, dt) -> x_next, left, without jump, where steps in a row do not give it; failure: (x, u, p, dt) ->
-    reason, step and stage at which it fails.
-    forward: (x, u, p, dt, dx, du) -> dx_next = A dx + B du; adjoint: (x, u, p, dt, adj) -> g = [A B]' adj; both for
-    algorithms that multiply with S = [A B] and do not store it.
+    jump: (x, u, p, dt) -> x_next of discrete states at the end of an interval; jump_rows: also their rows of S.
+    one_step: linearize for the first of its steps as straight-line code, where linearize has loops that expand. value:
+    (x, u, p, dt) -> x_next, left, without jump, if repeated steps do not give it; failure: (x, u, p, dt) -> reason,
+    step and stage of a failure. forward: (x, u, p, dt, dx, du) -> dx_next = A dx + B du; adjoint: (x, u, p, dt, adj) ->
+    g = [A B]' adj; both for algorithms that multiply with S = [A B] without storing it.
     """
 
     linearize: Routine
@@ -41,7 +39,7 @@ class Interval:
 
 @dataclass(frozen=True, eq=False)
 class IntervalProducts:
-    """The dynamics between two nodes and products with their Jacobians A = d Phi / dx and B = d Phi / du.
+    """The dynamics between two nodes, and products with their Jacobians A = d Phi / dx and B = d Phi / du.
 
     value: (x, u, p, dt) -> x_next; adjoint: (x, u, p, dt, lam) -> lam_x = A' lam, lam_u = B' lam;
     forced: (x, u, p, dt) -> x_next, S_next = B; free: (x, u, p, dt, S) -> x_next, S_next = A S. S and S_next are
@@ -58,7 +56,8 @@ class IntervalProducts:
 class Block:
     """The Hessian block Q of a stage: its nonzeros (lower triangle), and the routine that fills it.
 
-    ``hessian`` is None if Interval.curved computes the block; ``curvature``: sum_i mu_i d2 h_i if added separately.
+    ``hessian`` is None if Interval.curved computes the block; ``curvature`` is sum_i mu_i d2 h_i if it is added
+    separately.
     """
 
     Q: Pattern = frozenset()
@@ -70,8 +69,8 @@ class Block:
 class StageModel:
     """Cost and rows of a stage: l, g = dl / dz, h and dh / dz, and the Hessian block if there is a Hessian.
 
-    ``integrated``: the cost contains an integral over the interval. ``product``: w = H d with the Hessian H of a
-    general cost and the Gauss-Newton one of least squares.
+    ``integrated`` is True if the cost contains an integral over the interval. ``product`` computes w = H d, with the
+    Hessian H of a general cost and the Gauss-Newton Hessian of least squares.
     """
 
     cost: Routine
@@ -83,17 +82,17 @@ class StageModel:
 
     @property
     def Q(self) -> Pattern:
-        """Nonzeros of the Hessian block."""
+        """Return the nonzeros of the Hessian block."""
         return self.block.Q
 
     @property
     def hessian(self) -> Routine | None:
-        """The routine of the Hessian block, if it is evaluated separately from the dynamics."""
+        """Return the routine of the Hessian block, if it is evaluated separately from the dynamics."""
         return self.block.hessian
 
     @property
     def curvature(self) -> Routine | None:
-        """The routine of the curvature of the rows, if it is added separately."""
+        """Return the routine of the curvature of the rows, if it is added separately."""
         return self.block.curvature
 
 
@@ -113,7 +112,7 @@ class HessianModel:
 
     @property
     def Q(self) -> Pattern:
-        """Nonzeros of the path block, with those of the start if it is added to a block that is stored."""
+        """Return the nonzeros of the path block, with those of the start if it is added to a stored block."""
         if self.path.hessian is None or self.start is None:
             return self.path.Q
         return self.path.Q | pattern(self.start, "Q")
@@ -123,13 +122,12 @@ class HessianModel:
 class ModelFunctions:
     """All functions of a package that are lifted from CasADi.
 
-    ``start``: the cost of node 0 in addition to that of the path. Its Hessian block and ``initial``, that of the
-    coupled rows, are added to the first block of the path. ``coupled``: r(x_0, x_N) and its Jacobians. ``exact``:
-    path_exact, terminal_exact, start_exact and initial_exact, the exact Hessian of solve() where samples have another.
-    ``algebraic``: (x, u, p) -> algebraic variables, where x of a stage ends with those that Newton's method solves for;
-    ``measurement``: (x, p) -> y, H = dy / dx of an estimator; ``control_start``: (p, yref) -> controls of the first
-    plan; ``following``: operations of a node that Newton's method takes to follow a plan, with two steps; ``products``:
-    those with the stage matrices.
+    start: cost of node 0 in addition to that of the path; its Hessian block and ``initial``, the block of the coupled
+    rows, are added to the first block of the path. coupled: r(x_0, x_N) and its Jacobians. exact: path_exact,
+    terminal_exact, start_exact and initial_exact, the exact Hessian of solve() if samples have another one. algebraic:
+    (x, u, p) -> algebraic variables, where x of a stage ends with those that Newton's method solves for. measurement:
+    (x, p) -> y, H = dy / dx of an estimator. control_start: (p, yref) -> controls of the first plan. following:
+    operations of two Newton steps at a node. products: products with the stage matrices.
     """
 
     interval: Interval
@@ -147,13 +145,15 @@ class ModelFunctions:
 
     @cached_property
     def printed(self) -> tuple[Routine, ...]:
-        """The routines that have results: a problem without terminal cost has no terminal_cost()."""
+        """Return the routines that have results: a problem without terminal cost has no terminal_cost()."""
         return tuple(routine for routine in self.routines if routine.writes)
 
     @property
     def routines(self) -> tuple[Routine, ...]:
-        """All routines in the order of the C text: what parts evaluate, functions of nodes before those that integrate,
-        rows last."""
+        """Return all routines in the order of the C text.
+
+        Kernels that parts call come first, functions of nodes precede those that integrate, and rows are last.
+        """
         found = self._own_routines
         called = (k for r in found if isinstance(r, LoopedRoutine) for k in r.kernels_of_parts)
         return (*{kernel.name: kernel for kernel in called}.values(), *found)
@@ -178,8 +178,10 @@ class ModelFunctions:
 
 
 def products_of(interval: Interval, blocks: HessianModel, previous: int) -> Products:
-    """Products with the stage matrices; the patterns are the elements that the routines store. ``previous``: number of
-    the last states that are controls of the node before."""
+    """Return the products with the stage matrices, whose patterns are the elements that the routines store.
+
+    ``previous`` is the number of last states that store controls of the node before.
+    """
     S = next(port for port in interval.linearize.outputs if port.name == "S")
     patterns = pattern(interval.linearize, "S"), blocks.Q, blocks.terminal.Q
     return Products(S.rows, S.cols - S.rows, *patterns, bandwidth(previous, S.rows, *patterns))
@@ -190,5 +192,5 @@ def _present(*routines: Routine | None) -> Iterator[Routine]:
 
 
 def operations(*routines: Routine | None) -> OpCount:
-    """Operations of one run of each routine; None is skipped."""
+    """Return the operations of one run of each routine; None is skipped."""
     return sum((routine.count for routine in _present(*routines)), OpCount())

@@ -1,4 +1,4 @@
-"""Allowed names of a package: the name is the stem of its files and the prefix of its C names."""
+"""The name of a package is the stem of its files and the prefix of its C names, so that not every name is allowed."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Passes on sweeps and nodes: a number in the place of a buffer, and a value in that of an index; a copy as a leaf."""
+"""Passes on sweeps and nodes replace a buffer or an index by a number, or copy a buffer."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from nmpc_codegen.ir.sweep import Affine, Call, Node, Slice, Sweep, Written
 
 
 def copy(name: str, n: int) -> Function:
-    """y = x."""
+    """Return the leaf y = x."""
     x = ca.SX.sym("x", n)
     return ca.Function(name, [x], [x], ["x"], ["y"])
 
 
 def bound(node: Node, index: str, value: int) -> Node:
-    """The node with a value in the place of an index."""
+    """Return the node with a value instead of an index."""
 
     def at(s: Slice) -> Slice:
         terms = tuple(t for t in s.offset.terms if t[0] != index)
@@ -37,7 +37,7 @@ def _map(node: Node, change: Callable[[Slice], Slice]) -> Node:
 
 
 def with_number(sweep: Sweep, buffer: str, value: float) -> Sweep:
-    """The sweep with a number in the place of a local buffer of one element: its leaves compute with the number."""
+    """Return the sweep with a number instead of a local buffer of one element; its leaves compute with the number."""
     return replace(
         sweep,
         locals=tuple(local for local in sweep.locals if local[0] != buffer),

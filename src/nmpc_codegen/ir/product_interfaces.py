@@ -1,4 +1,4 @@
-"""The products with the stage matrices as C functions: names, formulas, parameters, and places of their operands.
+"""The products with the stage matrices are C functions with names, formulas, parameters, and places of their operands.
 
 z = (dx, du), S = [A B]; Q and Q_N are lower triangles; G, W, T are panels of columns of sensitivities and adjoints.
 """
@@ -29,7 +29,7 @@ class Interface:
     locals: Mapping[str, Place] = field(default_factory=dict)
 
     def routine(self, *body: Node) -> LoopedRoutine:
-        """The product with ``body`` as its statements."""
+        """Return the product with ``body`` as its statements."""
         frame = Frame(self.parameters, {**self.places, **self.locals}, self.inline)
         ports = {name: Port(name, math.prod(place.shape)) for name, place in self.places.items()}
         inputs, outputs = (tuple(ports[name] for name in names) for names in (self.inputs, self.outputs))

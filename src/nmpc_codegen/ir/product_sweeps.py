@@ -1,4 +1,4 @@
-"""The products with the stage matrices as sweeps: straight-line code over structural nonzeros, or loops."""
+"""The products with the stage matrices are sweeps: straight-line code over structural nonzeros, or loops."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class StageSweeps(Protocol):
 
 
 def entries(lower: Pattern, i: int) -> list[Entry]:
-    """The nonzeros in row i of a symmetric matrix that is stored as its lower triangle, sorted by column."""
+    """Return the nonzeros in row i of a symmetric matrix that is stored as its lower triangle, sorted by column."""
     found = [(r, c, c) for r, c in lower if r == i] + [(r, c, r) for r, c in lower if c == i and r != i]
     return sorted(found, key=lambda e: e[2])
 
@@ -41,7 +41,8 @@ def entries(lower: Pattern, i: int) -> list[Entry]:
 class WrittenOut:
     """The products over structural nonzeros, row by row.
 
-    Node follows node, so the terms in the result of the node before come last in every sum: the others do not wait.
+    Nodes are processed one after the other. Terms with the result of the node before come last in every sum, so that
+    the other terms need not wait for it.
     """
 
     def __init__(self, nx: int, nu: int, S: Pattern, Q: Pattern, Q_N: Pattern, banded: int = 0) -> None:
@@ -111,12 +112,12 @@ class _Operands:
         return ca.reshape(symbol, int(shape[1]), int(shape[0])).T
 
     def vectors(self, rows: list[Expression], direct: bool = False) -> LoopedRoutine:
-        """The product with these rows as its result, as an inline function."""
+        """Return the product with these rows as its result, as an inline function."""
         (name,) = self._interface.outputs
         return replace(self._interface, inline=True).routine(self._call({name: rows}, direct))
 
     def columns(self, rows: dict[str, list[Expression]], direct: bool = False) -> LoopedRoutine:
-        """The product with these rows as its result for every column of a panel."""
+        """Return the product with these rows as its result for every column of a panel."""
         return self._interface.routine(For("l", 0, Size("COLUMNS", COLUMNS), (self._call(rows, direct),)))
 
     def _call(self, rows: dict[str, list[Expression]], direct: bool) -> Call:
@@ -152,7 +153,7 @@ class Loops:
 
     @property
     def tables(self) -> dict[str, list[int]]:
-        """Rows and columns of the structural nonzeros of Q and Q_N, if they have any: C name -> values."""
+        """Return rows and columns of the structural nonzeros of Q and Q_N, if they have any: {C name: values}."""
         named = {"Q": self.Q, "Q_N": self.Q_N}
         of = {name: entries for name, entries in named.items() if entries}
         return {f"{n}_{part}": [e[i] for e in of[n]] for n in of for i, part in enumerate(("row", "column"))}
@@ -188,7 +189,7 @@ class Loops:
         )
 
     def _point(self) -> tuple[Node, ...]:
-        """z = (dx, du)."""
+        """Return the loops of z = (dx, du)."""
         return (
             For("i", 0, self.nx, (_copy(_at("dx", i=1), _at("z", i=1)),)),
             For("i", 0, self.nu, (_copy(_at("du", i=1), _at("z", self.nx, i=1)),)),
@@ -228,7 +229,7 @@ class Loops:
         return replace(self.of.backward_panel, locals=buffers).routine(*nodes)
 
     def _combine(self, a: Slice, stride: int, rows: str, out: Slice) -> tuple[Node, ...]:
-        """out[l] = sum_j a[j] rows[j][l] over the kept rows, TERMS at a time."""
+        """Return the loops of out[l] = sum_j a[j] rows[j][l] over the kept rows, TERMS at a time."""
         blocks, rest = divmod(int(self.kept), TERMS)
         many = _dot(
             _at("sum", l=1), _along(a, TERMS, stride), Slice(rows, TERMS, _affine(0, j=TERMS * COLUMNS, l=1), COLUMNS)
@@ -249,7 +250,7 @@ class Loops:
     def _symmetric(
         self, matrix: str, ld: int, first: int, last: int, out: str, factor: str, panel: bool = False
     ) -> list[Node]:
-        """out += Q factor for a symmetric Q, over the nonzeros (a, b) first .. last - 1 of its lower triangle."""
+        """Return out += Q factor for a symmetric Q, over the nonzeros first .. last - 1 of its lower triangle."""
         value = _at("Q", a=ld, b=1)
 
         def product(row: str, column: str) -> Node:
@@ -262,7 +263,7 @@ class Loops:
         return self._entries(matrix, first, last, body)
 
     def _add_mixed_block(self, first: int) -> list[Node]:
-        """T += Q_ux G, the block of Q with the rows of the controls and the columns of the states."""
+        """Return T += Q_ux G, with the block of Q that has the rows of the controls and the columns of the states."""
         target = _at("T", -self.nx * COLUMNS, a=COLUMNS, l=1)
         product = For("l", 0, self.panel, (_add(target, _at("Q", a=self.nz, b=1), _at("G", b=COLUMNS, l=1)),))
         some = any(c < self.kept for _, c in self.Q[first:])
@@ -282,34 +283,34 @@ def _affine(constant: int, **terms: int) -> Affine:
 
 
 def _at(buffer: str, constant: int = 0, **terms: int) -> Slice:
-    """One element of a buffer."""
+    """Return one element of a buffer."""
     return Slice(buffer, 1, _affine(constant, **terms))
 
 
 def _along(start: Slice, size: int, stride: int) -> Slice:
-    """The j-th block of ``size`` elements of a row or column."""
+    """Return the j-th block of ``size`` elements of a row or column."""
     return Slice(start.buffer, size, Affine(start.offset.constant, (*start.offset.terms, ("j", size * stride))), stride)
 
 
 def _copy(source: Slice, target: Slice) -> Call:
-    """target = source."""
+    """Return the call target = source."""
     x = ca.SX.sym("x")
     return Call(ca.Function("copy", [x], [x]), (source,), (target,), inline=True, direct=True)
 
 
 def _zero(target: Slice) -> Call:
-    """target = 0."""
+    """Return the call target = 0."""
     return Call(ca.Function("zero", [], [ca.SX.zeros(1)]), (), (target,), inline=True, direct=True)
 
 
 def _add(target: Slice, a: Slice, b: Slice) -> Call:
-    """target += a b."""
+    """Return the call target += a b."""
     s, x, y = ca.SX.sym("s"), ca.SX.sym("x"), ca.SX.sym("y")
     return Call(ca.Function("add", [s, x, y], [s + x * y]), (target, a, b), (target,), inline=True, direct=True)
 
 
 def _dot(target: Slice, a: Slice, b: Slice) -> Call:
-    """target += a' b, summed pairwise."""
+    """Return the call target += a' b, summed pairwise."""
     s, x, y = ca.SX.sym("s"), ca.SX.sym("x", a.size), ca.SX.sym("y", a.size)
     sums = [x[i] * y[i] for i in range(a.size)]
     while len(sums) > 1:

@@ -1,4 +1,4 @@
-"""Products with the stage matrices: straight-line code over structural nonzeros for small models, loops otherwise.
+"""Products with the stage matrices are straight-line code over structural nonzeros for small models, else loops.
 
 The patterns come from the stores of the lifted kernels, so they are structural and exact.
 """
@@ -21,7 +21,7 @@ from nmpc_codegen.package.opcount import OpCount
 class Products:
     """The products for given structural nonzeros (row, column) of S = [A B] and of the lower triangles Q and Q_N.
 
-    ``banded``: so many of the last states are controls of the node before, of which the panels leave out the products.
+    ``banded`` is the number of last states that store controls of the node before; panels leave out their products.
     """
 
     nx: int
@@ -33,73 +33,73 @@ class Products:
 
     @property
     def written_out(self) -> bool:
-        """True: straight-line code over the structural nonzeros; False: loops."""
+        """Return True for straight-line code over the structural nonzeros, False for loops."""
         return len(self.S) + len(self.Q) + len(self.Q_N) <= WRITTEN_OUT
 
     @property
     def spelling(self) -> str:
-        """The word for their form: "nonzeros" or "loops"."""
+        """Return the word for their form: "nonzeros" or "loops"."""
         return "nonzeros" if self.written_out else "loops"
 
     @cached_property
     def vectors(self) -> Mapping[str, LoopedRoutine]:
-        """The products with a vector, by C function."""
+        """Return the products with a vector, by C function."""
         s = self._sweeps
         return _by_name(s.state_step(), s.adjoint_step(), s.cost_gradient(), s.terminal_adjoint())
 
     @cached_property
     def panels(self) -> Mapping[str, LoopedRoutine]:
-        """The products with a panel of columns; if node N has no Hessian, there is no product with it."""
+        """Return the products with a panel of columns; there is none with Q_N if node N has no Hessian."""
         s = self._sweeps
         return _by_name(s.forward_panel(), *((s.terminal_panel(),) if self.Q_N else ()), s.backward_panel())
 
     def called_vectors(self, features: Features) -> Mapping[str, LoopedRoutine]:
-        """The products with a vector that a package contains."""
+        """Return the products with a vector that a package contains."""
         return {name: routine for name, routine in self.vectors.items() if name in features.kernels}
 
     @cached_property
     def counts(self) -> Mapping[str, OpCount]:
-        """Operations of one run of every product with a vector, by C function."""
+        """Return the operations of one run of every product with a vector, by C function."""
         return {name: routine.count for name, routine in self.vectors.items()}
 
     @cached_property
     def column_counts(self) -> Mapping[str, OpCount]:
-        """Operations on one panel of columns, by C function."""
+        """Return the operations on one panel of columns, by C function."""
         return {name: routine.count for name, routine in self.panels.items()}
 
     @property
     def state_step(self) -> OpCount:
-        """A dx + B du."""
+        """Count A dx + B du."""
         return self.counts["state_step"]
 
     @property
     def adjoint_step(self) -> OpCount:
-        """S' w + Q z."""
+        """Count S' w + Q z."""
         return self.counts["adjoint_step"]
 
     @property
     def terminal_adjoint(self) -> OpCount:
-        """Q_N dx."""
+        """Count Q_N dx."""
         return self.counts["terminal_adjoint"]
 
     @property
     def forward_panel(self) -> OpCount:
-        """A G, one panel of columns."""
+        """Count A G for one panel of columns."""
         return self.column_counts["condense_forward_panel"]
 
     @property
     def terminal_panel(self) -> OpCount:
-        """Q_N G, one panel of columns."""
+        """Count Q_N G for one panel of columns."""
         return self.column_counts.get("condense_terminal_panel", OpCount())
 
     @property
     def backward_panel(self) -> OpCount:
-        """S' W + Q (G, 0), one panel of columns."""
+        """Count S' W + Q (G, 0) for one panel of columns."""
         return self.column_counts["condense_backward_panel"]
 
     @property
     def sparse(self) -> tuple[bool, bool]:
-        """Whether Q and Q_N have so few nonzeros that a product over them is faster than dense blocks."""
+        """Return whether Q and Q_N have so few nonzeros that a product over them is faster than dense blocks."""
 
         def few(nonzeros: Pattern, n: int) -> bool:
             return SPARSE * len(nonzeros) <= n * (n + 1) // 2
@@ -108,7 +108,7 @@ class Products:
 
     @property
     def tables(self) -> Mapping[str, Sequence[int]]:
-        """Tables that the loops read: C name -> values."""
+        """Return the tables that the loops read: {C name: values}."""
         return {} if self.written_out else Loops(self.nx, self.nu, self.Q, self.Q_N).tables
 
     @property
@@ -119,18 +119,21 @@ class Products:
 
     @property
     def Q_blocks(self) -> list[list[int]]:
-        """Rows of the irreducible diagonal blocks of Q."""
+        """Return the rows of the irreducible diagonal blocks of Q."""
         return irreducible_blocks(self.Q, self.nx + self.nu)
 
     @property
     def Q_N_blocks(self) -> list[list[int]]:
-        """Rows of the irreducible diagonal blocks of Q_N."""
+        """Return the rows of the irreducible diagonal blocks of Q_N."""
         return irreducible_blocks(self.Q_N, self.nx)
 
 
 def bandwidth(previous: int, nx: int, S: Pattern, Q: Pattern, Q_N: Pattern) -> int:
-    """``previous`` of the last states, controls of the node before, if they act on no state, neither by the dynamics
-    nor by products in the cost: what they add to a condensed Hessian is a band beside its diagonal. Else 0."""
+    """Return ``previous``, the number of last states that store controls of the node before, if they act on no state.
+
+    They must act on none by the dynamics or by products in the cost; their part of a condensed Hessian is then a band
+    beside the diagonal. Otherwise return 0.
+    """
     first = nx - previous
     acts = any(first <= j < nx for _, j in S)
     mixes = any(first <= r < nx and c < first for r, c in (*Q, *Q_N))
@@ -138,7 +141,7 @@ def bandwidth(previous: int, nx: int, S: Pattern, Q: Pattern, Q_N: Pattern) -> i
 
 
 def irreducible_blocks(lower: Pattern, n: int) -> list[list[int]]:
-    """Rows of the irreducible diagonal blocks of a symmetric matrix, each sorted."""
+    """Return the rows of the irreducible diagonal blocks of a symmetric matrix, each sorted."""
     found: list[set[int]] = [{i} for i in range(n)]
     for r, c in lower:
         first, second = (next(s for s in found if i in s) for i in (r, c))
@@ -153,7 +156,7 @@ def _by_name(*routines: LoopedRoutine) -> Mapping[str, LoopedRoutine]:
 
 
 def pattern(routine: Routine, port: str) -> Pattern:
-    """Structural nonzeros of an output matrix; all entries if the matrix of a looped routine is large."""
+    """Return the structural nonzeros of an output matrix; all entries if the matrix of a looped routine is large."""
     index = next(i for i, p in enumerate(routine.outputs) if p.name == port)
     rows, cols = routine.outputs[index].rows, routine.outputs[index].cols
     if isinstance(routine, LoopedRoutine):

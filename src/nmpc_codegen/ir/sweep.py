@@ -1,4 +1,4 @@
-"""Sweeps: programs of calls to small CasADi Functions inside counted loops, represented as data.
+"""Sweeps are programs of calls to small CasADi Functions inside counted loops, represented as data.
 
 Three interpreters run the same Sweep: unroll() on SX, which yields one straight-line Function; printing/loops.py, which
 writes C loops; and LoopedRoutine.count, which counts operations.
@@ -20,28 +20,28 @@ from nmpc_codegen.package.opcount import OpCount
 
 @dataclass(frozen=True)
 class Affine:
-    """constant + sum of coefficient * loop index."""
+    """The value constant + sum of coefficient * loop index."""
 
     constant: int = 0
     terms: tuple[tuple[str, int], ...] = ()
 
     def at(self, indices: Mapping[str, int]) -> int:
-        """Value for given loop indices."""
+        """Return the value for given loop indices."""
         return self.constant + sum(c * indices[i] for i, c in self.terms)
 
     def split(self, columns: int) -> tuple[Affine, Affine]:
-        """Row and column of an element of a matrix whose rows have so many elements."""
+        """Return row and column of an element of a matrix with ``columns`` columns."""
         row, column = divmod(self.constant, columns)
         column = column if row else self.constant  # a Size keeps its text
         along = tuple((i, c // columns) for i, c in self.terms if c % columns == 0)
         return Affine(row, along), Affine(column, tuple((i, c) for i, c in self.terms if c % columns))
 
     def at_one(self, index: str, value: int) -> int:
-        """The constant with the term of one index at a value of it."""
+        """Return the constant with the term of one index at a value of it."""
         return self.constant + sum(c * value for i, c in self.terms if i == index)
 
     def c(self) -> str:
-        """C text, e.g. ``4 * c + 8``."""
+        """Return the C text, e.g. ``4 * c + 8``."""
         parts = [i if c == 1 else f"{c} * {i}" for i, c in self.terms]
         if self.constant or not parts:
             parts.append(str(self.constant))
@@ -58,19 +58,21 @@ class Slice:
     stride: int = 1
 
     def elements(self, indices: Mapping[str, int]) -> list[int]:
-        """Positions in the buffer."""
+        """Return the positions in the buffer."""
         start = self.offset.at(indices)
         return [start + self.stride * i for i in range(self.size)]
 
 
 @dataclass(frozen=True, eq=False)
 class Call:
-    """outs = leaf(ins). The leaf is an SX Function of dense vectors; leaves of equal names are one C function.
+    """The call outs = leaf(ins).
 
-    inline: the leaf is printed inline, whatever its slices are.
-    direct: a result may be stored before the next one is computed, as none is an operand of a later one.
-    keeps_zeros: structural zeros of the results are not stored, as they are in the buffers already.
-    note: what it computes, for a comment. stage: that of the scheme to which it belongs, counted from 0.
+    The leaf is an SX Function of dense vectors, and leaves of equal names are one C function.
+
+    inline: the leaf is printed inline, whatever its slices are. direct: a result may be stored before the next one is
+    computed, as no later result reads it. keeps_zeros: structural zeros of the results are not stored, because the
+    buffers already hold them. note: comment on the computation. stage: number of the stage of the scheme, counted from
+    0.
     """
 
     leaf: Function
@@ -84,19 +86,21 @@ class Call:
 
     @property
     def written_out(self) -> bool:
-        """True if the leaf is printed inline instead of being called: ``inline`` is set, or its slices are columns."""
+        """Return True if the leaf is printed inline: ``inline`` is set, or its slices are columns."""
         return self.inline or any(s.stride != 1 and s.size > 1 for s in (*self.ins, *self.outs))
 
     def heading(self, step: int, steps: int) -> str:
-        """The note, with the step if there are several."""
+        """Return the note, with the step if there are several."""
         return f"step {step + 1}, {self.note}" if self.note and steps > 1 and step >= 0 else self.note
 
 
 @dataclass(frozen=True, eq=False)
 class Written:
-    """outs = function(ins): a C function of a part, whose text a person has written. ``ins``: slices, or the text of an
-    argument. ``count``: operations of one run. ``kernels``: what it evaluates. ``nonzeros``: elements of outs in these
-    buffers that may be nonzero; in other buffers all."""
+    """The call outs = function(ins) of a C function in a part, whose text is handwritten.
+
+    ins: slices, or texts of arguments; count: operations of one run; kernels: kernels that it evaluates; nonzeros:
+    elements of outs in these buffers that may be nonzero; in other buffers all.
+    """
 
     function: str
     ins: tuple[Slice | str, ...]
@@ -107,13 +111,13 @@ class Written:
 
     @property
     def slices(self) -> tuple[Slice, ...]:
-        """The slices among its arguments."""
+        """Return the slices among its arguments."""
         return (*(s for s in self.ins if isinstance(s, Slice)), *self.outs)
 
 
 @dataclass(frozen=True, eq=False)
 class For:
-    """``for index = start .. start + count - 1`` (backwards if ``down``): body; count may depend on outer indices."""
+    """A loop ``for index = start .. start + count - 1`` (backwards if ``down``); count may depend on outer indices."""
 
     index: str
     start: int
@@ -122,21 +126,21 @@ class For:
     down: bool = False
 
     def values(self, indices: Mapping[str, int]) -> range:
-        """Index values in the order of execution."""
+        """Return the values of the index in the order of execution."""
         count = self.count if isinstance(self.count, int) else self.count.at(indices)
         values = range(self.start, self.start + count)
         return values[::-1] if self.down else values
 
     def passes(self, indices: Mapping[str, int]) -> Iterator[Mapping[str, int]]:
-        """The index that each iteration of the body sets, by name."""
+        """Yield the index that each iteration of the body sets, by name."""
         return ({self.index: value} for value in self.values(indices))
 
 
 @dataclass(frozen=True, eq=False)
 class Entries:
-    """Run the body for every entry n = first .. last - 1 of the tables, with the names bound to its values.
+    """A loop over the entries n = first .. last - 1 of tables, whose values are bound to names.
 
-    tables: (name, C name of the table, its values), all of one length.
+    ``tables`` holds (name, C name of the table, its values), all of one length.
     """
 
     index: str
@@ -146,14 +150,14 @@ class Entries:
     body: tuple[Node, ...]
 
     def passes(self, indices: Mapping[str, int]) -> Iterator[Mapping[str, int]]:
-        """The indices that each iteration of the body sets, by name."""
+        """Yield the indices that each iteration of the body sets, by name."""
         for n in range(self.first, self.last):
             yield {self.index: n, **{name: values[n] for name, _, values in self.tables}}
 
 
 @dataclass(frozen=True, eq=False)
 class If:
-    """Run the body if ``left relation right``: ``left`` is an index, ``right`` an index or a number."""
+    """A condition ``left relation right`` for its body: ``left`` is an index, ``right`` an index or a number."""
 
     left: str
     relation: Literal["<", "!="]
@@ -161,7 +165,7 @@ class If:
     body: tuple[Node, ...]
 
     def passes(self, indices: Mapping[str, int]) -> Iterator[Mapping[str, int]]:
-        """One run of the body, which sets no index, or none."""
+        """Yield one run of the body, which sets no index, if the condition holds."""
         left, right = indices[self.left], indices[self.right] if isinstance(self.right, str) else self.right
         if left < right if self.relation == "<" else left != right:
             yield {}
@@ -170,12 +174,12 @@ class If:
 Block = For | Entries | If
 Node = Call | Written | Block
 
-#: The stage of calls that compute the first stage point of the next step.
+#: Stage number of calls that compute the first stage point of the next step.
 NEXT_STEP = -2
 
 
 def add_notes(nodes: Iterable[Node], note: str, stage: int = -1) -> list[Node]:
-    """The nodes with a note and a stage at those calls that have none."""
+    """Return the nodes, with a note and a stage added to those calls that have none."""
     marked: list[Node] = []
     for node in nodes:
         if isinstance(node, Call):
@@ -208,8 +212,8 @@ class Frame:
 class Sweep:
     """A named program from input ports to output ports through local buffers (name, size).
 
-    columns: local buffers that are matrices -> length of their rows. steps: those of a scheme, whose loop is "step".
-    meanings: local buffers -> what they hold, for comments.
+    columns: {local buffer that is a matrix: length of its rows}. steps: number of steps of a scheme, whose loop is
+    "step". meanings: {local buffer: its content}, for comments.
     """
 
     name: str
@@ -225,7 +229,7 @@ class Sweep:
 
 
 def unroll(sweep: Sweep) -> Function:
-    """Run the sweep on SX: one CasADi Function with the sweep's ports; matrices lose their structural zeros.
+    """Run the sweep on SX and return one CasADi Function with the sweep's ports; matrices lose structural zeros.
 
     A port that is changed in place becomes the input <name> and the output <name>_out.
     """
@@ -233,7 +237,7 @@ def unroll(sweep: Sweep) -> Function:
 
 
 def _unroll(sweep: Sweep, watched: list[Watched] | None) -> Function:
-    """The same; ``watched``: the results of all calls are a last output, and this list says what they are."""
+    """Unroll a sweep; with ``watched``, the results of all calls are a last output, which the list describes."""
     symbols = [ca.SX.sym(p.name, p.size) for p in sweep.inputs]
     buffers: dict[str, Expression] = {p.name: ca.SX.zeros(p.size) for p in sweep.outputs}
     buffers |= {p.name: ca.SX(s) for p, s in zip(sweep.inputs, symbols, strict=True)}
@@ -255,7 +259,7 @@ def _unroll(sweep: Sweep, watched: list[Watched] | None) -> Function:
 
 
 def _watch(call: Call, step: int, steps: int) -> Iterator[Watched]:
-    """What the results of a call in a step are, element by element."""
+    """Yield descriptions of the results of a call in a step, element by element."""
     note = call.heading(step, steps)
     step, stage = (step + 1, 0) if call.stage == NEXT_STEP else (step, call.stage)
     mark = "" if stage < 0 or step >= steps else f"{step + 1}{stage + 1}" if steps > 1 else f"{stage + 1}"
@@ -283,12 +287,12 @@ def _run(
 
 
 def _shape(flat: Expression, port: Port) -> Expression:
-    """A dense SX vector, or an SX matrix of the port's shape without structural zeros."""
+    """Return a dense SX vector, or an SX matrix of the port's shape without structural zeros."""
     return ca.sparsify(ca.reshape(flat, port.cols, port.rows).T) if port.cols else ca.densify(flat)
 
 
 def lift_straight(sweep: Sweep) -> Kernel:
-    """The sweep as one straight-line Kernel, in the order of its calls."""
+    """Return the sweep as one straight-line Kernel, in the order of its calls."""
     watched: list[Watched] = []
     function = _unroll(sweep, watched)
     return lift(function, sweep.name, sweep.doc, sweep.inputs, sweep.outputs, watched)
@@ -319,43 +323,46 @@ class LoopedRoutine:
 
     @cached_property
     def count(self) -> OpCount:
-        """Operations of one run, over all iterations of the loops."""
+        """Return the operations of one run, over all iterations of the loops."""
         return _count(self.sweep.body, self.leaves, {})
 
     @property
     def reads(self) -> tuple[Port, ...]:
-        """The inputs that a call loads from; only these are parameters of its C function."""
+        """Return the inputs that a call loads; only these are parameters of its C function."""
         return tuple(p for p in self.inputs if p.name in self.touched)
 
     @property
     def writes(self) -> tuple[Port, ...]:
-        """The outputs that a call loads from or stores to."""
+        """Return the outputs that a call loads or stores."""
         return tuple(p for p in self.outputs if p.name in self.touched)
 
     @cached_property
     def touched(self) -> frozenset[str]:
-        """Buffers that occur in its C text."""
+        """Return the buffers that occur in its C text."""
         called = (b for c in calls(self.sweep.body) for b in _touched_buffers(c, self.leaves[c.leaf.name()]))
         return frozenset(called) | {s.buffer for node in part_calls(self.sweep.body) for s in node.slices}
 
     @property
     def calls_parts(self) -> bool:
-        """True if it calls functions that are written in C."""
+        """Return True if it calls functions that are written in C."""
         return any(True for _ in part_calls(self.sweep.body))
 
     @property
     def kernels_of_parts(self) -> tuple[Kernel, ...]:
-        """What these functions evaluate."""
+        """Return the kernels that these functions evaluate."""
         return tuple(kernel for node in part_calls(self.sweep.body) for kernel in node.kernels)
 
     @property
     def statements(self) -> int:
-        """Number of instructions of all calls, each loop counted once: the code size if all leaves are inlined."""
+        """Return the number of instructions of all calls, with each loop counted once.
+
+        It is the code size if all leaves are inlined.
+        """
         return sum(len(self.leaves[c.leaf.name()].instructions) for c in calls(self.sweep.body))
 
     @property
     def kernels(self) -> tuple[Kernel, ...]:
-        """The leaves, in the order of their first call."""
+        """Return the leaves, in the order of their first call."""
         return tuple(dict.fromkeys(self.leaves.values()))
 
 
@@ -363,7 +370,7 @@ Routine = Kernel | LoopedRoutine
 
 
 def nonzeros(routine: LoopedRoutine) -> dict[str, list[int]]:
-    """Elements of every output that are not structurally zero, found by running the loops on zero-or-not marks."""
+    """Return the elements of every output that are not structurally zero, found by running the loops on marks."""
     sweep = routine.sweep
     buffers = {p.name: [False] * p.size for p in sweep.outputs}
     buffers |= {p.name: [True] * p.size for p in sweep.inputs}
@@ -382,7 +389,7 @@ def _mark(
                 before = {name: list(marks) for name, marks in buffers.items()} if alike else None
                 _mark(node.body, leaves, buffers, {**indices, **more})
                 if buffers == before:
-                    break  # further iterations would change nothing either
+                    break  # further iterations would change nothing
             continue
         if isinstance(node, Written):
             for s in node.outs:
@@ -398,7 +405,7 @@ def _mark(
 
 
 def _reads(nodes: tuple[Node, ...], index: str) -> bool:
-    """True if the effect of the nodes depends on a loop index."""
+    """Return True if the effect of the nodes depends on a loop index."""
     for node in nodes:
         if isinstance(node, Block):
             offsets = [node.count] if isinstance(node, For) and isinstance(node.count, Affine) else []
@@ -414,8 +421,8 @@ def _reads(nodes: tuple[Node, ...], index: str) -> bool:
 def lift_loops(sweep: Sweep) -> LoopedRoutine:
     """Lift the leaves of a sweep that will be printed as loops.
 
-    Leaves store into buffers that are reused, so every output element is stored, structural zeros too. Results that no
-    later node reads are not computed.
+    Leaves store into buffers that are reused, so every output element is stored, including structural zeros. Results
+    that no later node reads are not computed.
     """
     sweep = sweep if sweep.frame else _without_unread(sweep)
     leaves: dict[str, Kernel] = {}
@@ -440,7 +447,7 @@ def lift_loops(sweep: Sweep) -> LoopedRoutine:
 
 
 def _first_alike(kernel: Kernel, known: Iterable[Kernel]) -> Kernel:
-    """The first kernel that computes the same, or this one."""
+    """Return the first kernel that computes the same, or this one."""
 
     def of(k: Kernel) -> tuple[object, ...]:
         return k.instructions, k.stores, *((port.size, port.cols, port.flat) for port in (*k.inputs, *k.outputs))
@@ -449,7 +456,7 @@ def _first_alike(kernel: Kernel, known: Iterable[Kernel]) -> Kernel:
 
 
 def _port_names(call: Call) -> list[str]:
-    """The names of the inputs and outputs of a leaf; those of the buffers where it gives none."""
+    """Return the names of the inputs and outputs of a leaf; those of the buffers if it has none."""
     given = [*call.leaf.name_in(), *call.leaf.name_out()]
     buffers = [s.buffer for s in (*call.ins, *call.outs)]
     names: list[str] = []
@@ -462,7 +469,7 @@ def _port_names(call: Call) -> list[str]:
 
 
 def _without_unread(sweep: Sweep) -> Sweep:
-    """The sweep without empty loops, and without results in local buffers that no later node reads."""
+    """Return the sweep without empty loops, and without results in local buffers that no later node reads."""
     read = {p.name for p in sweep.outputs}
     body: list[Node] = []
     for node in reversed(_without_empty(sweep.body)):
@@ -475,7 +482,7 @@ def _without_unread(sweep: Sweep) -> Sweep:
 
 
 def _only_read(nodes: tuple[Node, ...], read: Collection[str]) -> tuple[Node, ...]:
-    """The nodes whose calls in blocks store only what some node reads."""
+    """Return the nodes whose calls in blocks store only results that some node reads."""
     found = (
         replace(n, body=_only_read(n.body, read))
         if isinstance(n, Block)
@@ -488,7 +495,7 @@ def _only_read(nodes: tuple[Node, ...], read: Collection[str]) -> tuple[Node, ..
 
 
 def _without_empty(nodes: tuple[Node, ...]) -> tuple[Node, ...]:
-    """The nodes without blocks that run no call."""
+    """Return the nodes without blocks that run no call."""
     kept: list[Node] = []
     for node in nodes:
         if not isinstance(node, Block):
@@ -499,7 +506,7 @@ def _without_empty(nodes: tuple[Node, ...]) -> tuple[Node, ...]:
 
 
 def _operands(call: Call) -> Iterator[Slice]:
-    """The slices on whose elements the results of a call depend."""
+    """Yield the slices on whose elements the results of a call depend."""
     symbols = call.leaf.sx_in()
     used = {e.element_hash() for e in ca.symvar(ca.veccat(ca.SX(0, 1), *call.leaf.call(symbols)))}
     for s, symbol in zip(call.ins, symbols, strict=True):
@@ -508,7 +515,7 @@ def _operands(call: Call) -> Iterator[Slice]:
 
 
 def _read_results(call: Call, read: Collection[str]) -> Call | None:
-    """The call with only its results in the buffers ``read``; None if there are none."""
+    """Return the call with only its results in the buffers ``read``; None if there are none."""
     kept = [o for o, s in enumerate(call.outs) if s.size and s.buffer in read]
     if len(kept) == len(call.outs):
         return call
@@ -534,7 +541,7 @@ def _dense(leaf: Function) -> Function:
 
 
 def calls(nodes: tuple[Node, ...]) -> Iterator[Call]:
-    """All calls of leaves, in the order of the C text."""
+    """Yield all calls of leaves, in the order of the C text."""
     for node in nodes:
         if isinstance(node, Block):
             yield from calls(node.body)
@@ -543,7 +550,7 @@ def calls(nodes: tuple[Node, ...]) -> Iterator[Call]:
 
 
 def part_calls(nodes: tuple[Node, ...]) -> Iterator[Written]:
-    """All calls of functions that are written in C."""
+    """Yield all calls of functions that are written in C."""
     for node in nodes:
         if isinstance(node, Block):
             yield from part_calls(node.body)
@@ -570,11 +577,11 @@ def _count(nodes: tuple[Node, ...], leaves: Mapping[str, Kernel], indices: Mappi
 
 
 def _touched_buffers(call: Call, leaf: Kernel) -> Iterator[str]:
-    """Buffers that occur in the text of a call: those that its leaf loads or stores."""
+    """Yield the buffers in the text of a call: those that its leaf loads or stores."""
     yield from (s.buffer for s in passed_slices(call, leaf))
 
 
 def passed_slices(call: Call, leaf: Kernel) -> Iterator[Slice]:
-    """The slices of a call that its leaf loads or stores: the arguments of its C function."""
+    """Yield the slices of a call that its leaf loads or stores: the arguments of its C function."""
     yield from (s for s, port in zip(call.ins, leaf.inputs, strict=True) if port in leaf.reads)
     yield from (s for s, port in zip(call.outs, leaf.outputs, strict=True) if port in leaf.writes)

@@ -1,7 +1,7 @@
-"""All constants that were chosen for speed: they change the form of the generated code, never its results.
+"""These constants were chosen for speed: they change the form of the generated code, never its results.
 
-Each names the topic of the benchmarks that decides it, of `python -m benchmarks --only TOPIC`: a different value is
-measured there before it is changed here.
+Each one names the topic of the benchmarks that decides it, for `python -m benchmarks --only TOPIC`; measure a new value
+there before changing it here.
 """
 
 from __future__ import annotations
@@ -30,8 +30,8 @@ AUTO_INSTRUCTIONS = 2500
 #: times
 STEP_OPERATIONS = 200_000
 
-#: Second derivatives, exact_hessian:
-#: up to this number of panels of rows, each panel has a loop of its own with constant bounds;
+#: Second derivatives, exact_hessian: up to this number of panels of rows, each panel has a separate loop with constant
+#: bounds;
 WRITTEN_PANELS = 3
 #: the longest tape that is evaluated for all stages of a step at once; f is then printed inline at every stage;
 LONGEST_TAPE = 128
@@ -39,5 +39,5 @@ LONGEST_TAPE = 128
 FACTORS = 12
 #: the longest tape, per component of (x, u), that is stored for every stage; a longer one is evaluated again;
 TAPE_PER_COMPONENT = 8
-#: the number of components that a column of S may reach if it is written as a function of time alone.
+#: the number of components that a column of S may reach if it is written as a function of time only.
 CLOSED_STATES = 3

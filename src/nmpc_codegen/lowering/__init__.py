@@ -1,1 +1,1 @@
-"""CompleteProblem and Choices -> text: linearise, determine every size and name, render."""
+"""Lowering turns a CompleteProblem and Choices into text: linearise, determine every size and name, render."""

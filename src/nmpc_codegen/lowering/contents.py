@@ -1,4 +1,4 @@
-"""Where the lines of a package's .c come from, and which options make it shorter: for its README.md."""
+"""The README.md of a package tells where the lines of its .c come from, and which options shorten it."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from nmpc_codegen.package.features import Features
 
 _SECTION = re.compile(r"^/\* ==== (.*?) =+ \*/$", re.MULTILINE)
 _LAST = _SECTION.findall(LAST_HEADING)[0]
-#: What stands above the first section.
+#: Name of the text above the first section.
 DEFINITIONS = "sizes, names, tolerances and tables"
 
 
 def lines_by_section(unit: str) -> dict[str, int]:
-    """Section -> its lines, in the order of the text."""
+    """Return {section: number of lines}, in the order of the text."""
     found: dict[str, int] = {}
     texts = _SECTION.split(unit)
     for title, text in zip((DEFINITIONS, *texts[1::2]), texts[::2], strict=True):
@@ -25,7 +25,7 @@ def lines_by_section(unit: str) -> dict[str, int]:
 
 
 def shorter(features: Features) -> Iterator[tuple[str, str]]:
-    """(option, what a package without it leaves out) of the options that this one may still be given."""
+    """Yield (option, what it removes) for the options that would shorten this package."""
     if features.solve:
         yield "solve=False", "solve() and what only it needs: about a fifth of the lines"
     if features.has_qp and features.iterates:

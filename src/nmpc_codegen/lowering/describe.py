@@ -1,4 +1,4 @@
-"""What Controller and open_package() need besides the C text: signals, structs, options, and the report."""
+"""The description of a package holds what Controller and open_package() need besides the C text."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def describe(
     entries: tuple[EntryPoint, ...],
     report: Report,
 ) -> PackageDescription:
-    """The data that Controller and open_package() need besides the C text."""
+    """Return the data that Controller and open_package() need besides the C text."""
     p, sizes = model.problem, model.problem.scales
     return PackageDescription(
         name=name,
@@ -61,7 +61,7 @@ def describe(
 
 
 def _residuals(problem: Problem, stage: Stage) -> tuple[Residual, ...]:
-    """The residuals of a stage, with the states and controls that they are."""
+    """Return the residuals of a stage, with the states and controls that they are."""
     names = (*problem.state_names, *problem.control_names, "")  # the last one for -1
     signals = [names[place] for place in stage.y_elements]
     values = [float(value) for value in stage.reference]
@@ -71,7 +71,7 @@ def _residuals(problem: Problem, stage: Stage) -> tuple[Residual, ...]:
 def report_of(
     model: Model, features: Features, structs: tuple[Struct, ...], layout: Mapping[str, tuple[int, int]]
 ) -> Report:
-    """Memory, exact operation counts, and the choices with their reasons."""
+    """Return memory, exact operation counts, and the choices with their reasons."""
     counts = {r.name: r.count for r in model.printed}
     if features.products:
         called = model.products.called_vectors(features)

@@ -1,4 +1,4 @@
-"""What users are told of a package beside its files: the program of its expressions, and what gives poor results."""
+"""Users get explanations of a package besides its files: the program of its expressions, and warnings."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from nmpc_codegen.lowering.linearize import Model
 from nmpc_codegen.lowering.warnings import first_plan_warnings
 from nmpc_codegen.package.program import Program
 
-#: What comes of controls without curvature.
+#: Words on the consequence of controls without curvature.
 JUMPS = "so that plans may jump between bounds; a small weight makes the plan unique"
 
 
 def explain(module: CModule, model: Model) -> CModule:
-    """The package with the program, by which diagnose() finds a number that is not finite, and with warnings."""
+    """Return the package with warnings, and with the program in which diagnose() finds numbers that are not finite."""
     found, description = program(model.problem), module.description
     report = replace(description.report, warnings=warnings(model, found))
     return replace(module, description=replace(description, program=found, report=report))
 
 
 def warnings(model: Model, found: Program) -> tuple[str, ...]:
-    """What is likely to give poor results, with the remedies; ``found``: the program of the problem."""
+    """Return warnings of likely poor results, with remedies; ``found`` is the program of the problem."""
     problem, choices, algorithm = model.problem, model.choices, model.parts.algorithm
     second = bool(model.exact) or isinstance(model.parts.hessian, ExactHessian)
     return (

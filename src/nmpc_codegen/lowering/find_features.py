@@ -1,4 +1,4 @@
-"""The features of a package: those of the problem, the options and the target, of the components, and what follows."""
+"""The features of a package come from the problem, the options, the target and the components."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from nmpc_codegen.package.features import KERNELS, Features, KernelName
 
 
 def features_of(model: Model) -> Features:
-    """The features of the problem, the options and the target, those that the components add, and what follows."""
+    """Return the features of the problem, options and target, those that components add, and derived ones."""
     p, parts = model.problem, model.parts
     found = _of_problem(model)
     for component in parts.components:
@@ -50,7 +50,7 @@ def features_of(model: Model) -> Features:
 
 
 def _of_problem(model: Model) -> Features:
-    """The features of the problem, the options and the target."""
+    """Return the features of the problem, the options and the target."""
     p, parts, target = model.problem, model.parts, model.target
     kinds, imposed = {kind for _, kind, _, _ in p.qp_rows}, {(k, row) for k, _, _, row in p.qp_rows}
     eliminates = parts.condensing is not None and parts.condensing.gives == "condensed"
@@ -103,7 +103,10 @@ def _of_problem(model: Model) -> Features:
 
 
 def _gradients_of_cost(model: Model, found: Features, eliminates: bool) -> set[KernelName]:
-    """Whether g + Q z is a product over the nonzeros: for elimination, and on stages if the Hessian keeps them few."""
+    """Return the names of products g + Q z over the nonzeros.
+
+    They are used for elimination, and on stages if the Hessian keeps few nonzeros.
+    """
     changes = found.regularize_stages or found.regularize_reduced
     changes |= found.has("start_hessian") or found.has("initial_hessian")
     keeps = model.parts.condensing is not None and not changes

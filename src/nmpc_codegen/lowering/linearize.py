@@ -1,4 +1,4 @@
-"""CompleteProblem, Choices -> Model: every function of the package, lifted. CasADi ends here."""
+"""linearize() lifts every function of a package; CasADi is not used after it."""
 
 from __future__ import annotations
 
@@ -23,34 +23,34 @@ from nmpc_codegen.targets import Target
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Model(ModelFunctions):
-    """The problem, what has been chosen for it, and every function of the package."""
+    """The problem, the choices for it, and every function of the package."""
 
     problem: CompleteProblem
     choices: Choices
 
     @property
     def parts(self) -> Parts:
-        """The components that solve the problem."""
+        """Return the components that solve the problem."""
         return self.choices.parts
 
     @property
     def options(self) -> Options:
-        """All choices as options."""
+        """Return all choices as options."""
         return self.choices.options
 
     @property
     def target(self) -> Target:
-        """The machine for which the C is written."""
+        """Return the machine for which the C is written."""
         return self.choices.target.value
 
     @property
     def dims(self) -> Dims:
-        """The sizes that components share."""
+        """Return the sizes that components share."""
         return self.choices.dims
 
 
 def linearize(problem: CompleteProblem, choices: Choices) -> Model:
-    """The functions of the package of a problem; those that have been counted are not made again."""
+    """Return the functions of the package of a problem; those that have been counted are not made again."""
     found = _functions(problem, choices)
     functions = with_node_data(found, problem) if problem.solved else found
     of_node = {field.name: getattr(functions, field.name) for field in fields(ModelFunctions)}
@@ -58,7 +58,7 @@ def linearize(problem: CompleteProblem, choices: Choices) -> Model:
 
 
 def _functions(problem: CompleteProblem, choices: Choices) -> ModelFunctions:
-    """All functions that are lifted from CasADi."""
+    """Return all functions that are lifted from CasADi."""
     integrator, made, algorithm = choices.parts.integrator, choices.made, choices.parts.algorithm
     costs, blocks, interval = made.costs, made.blocks, made.interval
     start, path, terminal = (stage_model(problem, integrator, c) for c in (costs.start, costs.path, costs.terminal))
@@ -91,7 +91,7 @@ def _functions(problem: CompleteProblem, choices: Choices) -> ModelFunctions:
 
 
 def stage_model(problem: Problem, integrator: Integrator, cost: StageCost) -> StageModel:
-    """Cost and gradient of a stage; the integrator provides them if the cost contains an integral."""
+    """Return cost and gradient of a stage; the integrator provides them if the cost contains an integral."""
     if cost.name != "path" or problem.path.cost_rate is None:
         return StageModel(cost.cost_kernel(), cost.gradient_kernel())
     arguments, symbols = slices(*cost.ports, *cost.data_ports), [*cost.inputs, cost.yref, cost.W]
@@ -106,7 +106,10 @@ def stage_model(problem: Problem, integrator: Integrator, cost: StageCost) -> St
 
 
 def stage_product(problem: Problem, integrator: Integrator, cost: StageCost) -> Routine:
-    """Hessian of the cost of a stage times a vector d; of an integral the part that is that of its rate, along d."""
+    """Return the Hessian of the cost of a stage times a vector d.
+
+    For an integral, only the second derivatives of its rate, along d, are included.
+    """
     if cost.name != "path" or problem.path.cost_rate is None:
         return cost.product_kernel()
     more = (*cost.data_ports, Port("d", cost.nz))
@@ -117,7 +120,7 @@ def stage_product(problem: Problem, integrator: Integrator, cost: StageCost) -> 
 
 
 def _exact_routines(blocks: HessianModel | None, slope: Pattern) -> tuple[Routine, ...]:
-    """The exact Hessian of solve(), in routines of its own."""
+    """Return the exact Hessian of solve(), in separate routines."""
     if blocks is None:
         return ()
     curved = _with_zeros(blocks.curved, "g", slope)
@@ -127,12 +130,12 @@ def _exact_routines(blocks: HessianModel | None, slope: Pattern) -> tuple[Routin
 
 
 def _with_start(blocks: HessianModel) -> Block:
-    """The block of the path, with zeros stored in the entries to which the block of the start is added."""
+    """Return the block of the path, with zeros stored in the entries to which the block of the start is added."""
     return replace(blocks.path, Q=blocks.Q, hessian=_with_zeros(blocks.path.hessian, "Q", blocks.Q))
 
 
 def _elements(vector: Routine) -> Pattern:
-    """(0, element) of every element that a routine with one output vector stores."""
+    """Return (0, element) of every element that a routine with one output vector stores."""
     return frozenset((0, e) for _, e, _ in vector.stores) if isinstance(vector, Kernel) else frozenset()
 
 
@@ -140,12 +143,12 @@ R = TypeVar("R", Routine, Routine | None)
 
 
 def _with_zeros(routine: R, port: str, entries: Pattern) -> R:
-    """The routine with zeros stored in ``entries``, to which terms are added; a looped one stores all entries."""
+    """Return the routine with zeros stored in ``entries``, to which terms are added; looped ones store all entries."""
     return routine.with_zeros(port, sorted(entries)) if isinstance(routine, Kernel) else routine
 
 
 def _rows_kernel(problem: Problem, stage: Stage, name: str) -> Kernel:
-    """h and J = dh / d(x, u) of the general rows of a stage."""
+    """Return the kernel of h and J = dh / d(x, u) of the general rows of a stage."""
     z = ca.vertcat(stage.x, stage.u)
     terminal = not stage.nu
     reduce = problem.reduction(stage)
@@ -161,7 +164,7 @@ def _rows_kernel(problem: Problem, stage: Stage, name: str) -> Kernel:
 
 
 def _control_start_kernel(problem: Problem) -> Kernel | None:
-    """Controls of the first plan, where a residual that is no bare control tells one."""
+    """Return the kernel of the controls of the first plan, if a residual other than a single control defines one."""
     bare = set(problem.path.y_elements)
     if not any(problem.nx + j not in bare and problem.path.target_of(problem.nx + j) for j in range(problem.nu)):
         return None
@@ -171,7 +174,7 @@ def _control_start_kernel(problem: Problem) -> Kernel | None:
 
 
 def _measurement_kernel(problem: Problem) -> Kernel | None:
-    """y = h(x, p) and H = dh / dx of an estimator."""
+    """Return the kernel of y = h(x, p) and H = dh / dx of an estimator."""
     if problem.observed is None:
         return None
     x, _, p, _ = symbols(problem.nx, 0, problem.np)
@@ -182,7 +185,7 @@ def _measurement_kernel(problem: Problem) -> Kernel | None:
 
 
 def _lift_coupled_rows(problem: Problem) -> Kernel:
-    """r(x_0, x_N) and its Jacobians."""
+    """Return the kernel of r(x_0, x_N) and its Jacobians."""
     x_0, x_N = (ca.SX.sym(name, problem.nx) for name in ("x_0", "x_N"))
     r = ca.SX(0, 1) if problem.coupled is None else problem.coupled(x_0, x_N)
     n = problem.coupled_rows

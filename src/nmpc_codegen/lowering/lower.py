@@ -1,6 +1,6 @@
-"""Model -> CModule: all sizes and all C names, gathered from their owners.
+"""lower() turns a Model into a CModule: all sizes and all C names, gathered from their owners.
 
-Owners are the components, whose classes it never tests, and the files of stated/.
+The owners are the components, whose classes it never tests, and the files of stated/.
 """
 
 from __future__ import annotations
@@ -34,9 +34,10 @@ from nmpc_codegen.package.struct_layout import Size, Struct, place
 
 # Maximum value of counters, and maximum number of steps of integrate().
 MANY = 1_000_000
-# Moves of a control back onto hard rows on controls alone; each halves at least a large excess of a circle.
+# Largest number of corrections of a control towards hard rows that depend only on controls; each one at least halves a
+# large violation of a circle.
 PULLS = 16
-# Part of an integration step by which rounding errors of times may exceed a number of steps.
+# Fraction of an integration step by which rounding errors of times may exceed a number of steps.
 ROUNDING_OF_STEPS = 1e-3
 
 # Marks a solver struct that init() has initialised.
@@ -46,8 +47,8 @@ MAGIC = 0x4E4D5043
 def lower(model: Model, name: str | None = None, whole: bool = False) -> CModule:
     """Determine every size and name of the package ``name`` (default: the name of the problem).
 
-    ``whole``: the package keeps what it does not need, members of size 0, structs of features that it lacks, all text
-    of the parts (GNU C). It does the same to the bit; tests compare the two.
+    A ``whole`` package (GNU C) keeps what it does not need: members of size 0, structs of features that it lacks, all
+    text of the parts. It computes the same bits; tests compare the two.
     """
     problem = model.problem
     name = problem.name if name is None else name
@@ -107,7 +108,7 @@ def lower(model: Model, name: str | None = None, whole: bool = False) -> CModule
 def _sections(
     model: Model, dims: Dims, structs: tuple[Struct, ...], layout: Mapping[str, tuple[int, int]]
 ) -> tuple[Section, ...]:
-    """What the components contribute to the unit, with the bytes of the structs that they own."""
+    """Return the sections of the components in the unit, with the bytes of the structs that they own."""
     held = {f.ctype for s in structs if s.name != "solver" for f in s.fields} | {"solver"}
 
     def size(component: Component) -> int:
@@ -121,7 +122,7 @@ def _sections(
 
 
 def _with_members_apart(module: CModule) -> CModule:
-    """The package with an underscore after every member of a struct that would have the name of a size macro."""
+    """Return the package with an underscore after every struct member that would have the name of a size macro."""
     macros = {f"{module.macro}_{macro.name}" for macro in module.macros}
     if not any(member.name in macros for struct in module.structs for member in struct.fields):
         return module
@@ -156,7 +157,7 @@ def _section_count(counts: Counts) -> OpCount | None:
 
 
 def _macros(model: Model, dims: Dims, entries: Iterable[EntryPoint], whole: bool) -> tuple[Macro, ...]:
-    """The sizes of all owners; those that the functions of the header name are public."""
+    """Return the sizes of all owners; those that the functions of the header name are public."""
     problem, parts = model.problem, model.parts
     number, *sizes = data.parameter_macros(problem)
     macros = [
@@ -189,7 +190,7 @@ def _macros(model: Model, dims: Dims, entries: Iterable[EntryPoint], whole: bool
 
 
 def _shared_sizes(model: Model, dims: Dims) -> Iterator[Macro]:
-    """The sizes that components share, as far as the package has them."""
+    """Yield the sizes that components share, as far as the package has them."""
     problem = model.problem
     absent = {*(() if problem.augmentation.count else ("NXHAT",)), *(() if problem.estimation else ("NM", "NIN"))}
     absent |= set() if model.parts.hessian else {"NQ"}

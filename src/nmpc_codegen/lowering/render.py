@@ -1,4 +1,4 @@
-"""CModule and its unit -> Sources. The text is the same in every run: no dates, no paths, numbers by repr."""
+"""render() prints a CModule and its unit as Sources; every run gives the same text, without dates or paths."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ from nmpc_codegen.targets import PORTABLE, UNALIGNED_MOVES, Target
 #: Maximum length of a comment line in the header without its margin.
 WIDTH = 116
 
-#: -f options that GCC 12 needs: with these optimisations it drops calls, assumes an aligned stack in leaf functions,
-#: and inlines loops into functions in which it does not vectorise them.
+#: -f options that GCC 12 needs: otherwise it drops calls, assumes an aligned stack in leaf functions, and inlines loops
+#: into functions in which it does not vectorise them.
 GCC_12 = ("no-delete-null-pointer-checks", "no-tree-loop-distribute-patterns", "no-inline-functions")
 
 
 def render(module: CModule, items: Sequence[Item]) -> Sources:
-    """All files of the package, sealed; ``items``: its translation unit."""
+    """Return all files of the package, sealed; ``items`` is its translation unit."""
     names = _names(module)
     header = tidy(environment().get_template("package/solver.h.jinja").render(names))
     included = library_headers(items)
@@ -86,7 +86,7 @@ def _names(module: CModule) -> dict[str, Any]:
 
 
 def _of_estimator(module: CModule, names: Mapping[str, Any]) -> dict[str, Any]:
-    """What the example and README.md of an estimator say of measurements and controls."""
+    """Return names for the example and README.md of an estimator on measurements and controls."""
     found = module.description.estimation
     if found is None:
         return {}
@@ -104,19 +104,19 @@ def _of_estimator(module: CModule, names: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _public(module: CModule) -> set[str]:
-    """The structs that a caller reads: results of calls, and arguments."""
+    """Return the structs that a caller reads: results of calls, and arguments."""
     (solver,) = (struct for struct in module.structs if struct.name == "solver")
     passed = {a.ctype for entry in module.entry_points for a in (*entry.inputs, *entry.outputs)}
     return {field.ctype for field in solver.fields if field.role == "result"} | passed - {"solver"} | {"kkt"}
 
 
 def _resolve(text: str, module: CModule) -> str:
-    """The text with the branches of `#if` that the package has; a whole package leaves them to the compiler."""
+    """Return the text with the branches of `#if` that the package has; a whole package leaves them to the compiler."""
     return resolve(text, module.decided).rstrip()
 
 
 def _guard(name: str, target: Target) -> str:
-    """A message of the compiler where it compiles for another machine than that of the package."""
+    """Return an #error for compilers of another machine than that of the package."""
     if not target.defines:
         return ""
     missing = " || ".join(f"!defined({macro})" for macro in target.defines)
@@ -126,7 +126,7 @@ def _guard(name: str, target: Target) -> str:
 
 
 def _spelling(module: CModule) -> str:
-    """How the first line of the .c goes on: the target, unless it is any machine, and nodes at once."""
+    """Return the end of the first line of the .c: the target, unless it is portable, and nodes computed at once."""
     target, lanes = module.target, module.features.vector_lanes
     several = f", {lanes} shooting nodes at once" if lanes > 1 else ""
     return "" if target == PORTABLE else f", for {target.machine} ({target.name}){several}"
@@ -139,7 +139,7 @@ for the machine that compiles): vector registers halve the time of large problem
 
 
 def _target_files(module: CModule, headers: Collection[str]) -> dict[str, str]:
-    """What README.md and CMakeLists.txt say of the target."""
+    """Return names for README.md and CMakeLists.txt on the target."""
     target, x86 = module.target, "-march=x86" in " ".join(module.target.flags)
     vectors = module.features.vector_lanes > 1 or module.features.tiles
     gnu = f"GNU C (gcc 12 or newer, clang) for {target.machine}"
@@ -158,7 +158,7 @@ def _target_files(module: CModule, headers: Collection[str]) -> dict[str, str]:
 
 
 def _page(module: CModule) -> dict[str, Any]:
-    """What README.md says of the problem: the grid, the files, signals and rows with their constants."""
+    """Return names for README.md on the problem: grid, files, signals and rows with their constants."""
     d, name, macro = module.description, module.name, module.macro
     period = "every sample" if d.discrete else f"every {d.sampling_time or d.dt[0]:g} {d.time_unit}"
     files = {
@@ -204,7 +204,7 @@ def _page(module: CModule) -> dict[str, Any]:
 
 
 def _elements(signals: Sequence[Signal]) -> list[tuple[int, str, Signal, float]]:
-    """(position in the vector, name, signal, value) of every element."""
+    """Return (position in the vector, name, signal, value) of every element."""
     return [
         (s.offset + i, element, s, value)
         for s in signals
@@ -213,7 +213,7 @@ def _elements(signals: Sequence[Signal]) -> list[tuple[int, str, Signal, float]]
 
 
 def member(field: Field, name: str, public: Iterable[Macro]) -> str:
-    """Declaration of a struct member; sizes that are not ``public`` are numbers."""
+    """Return the declaration of a struct member; sizes that are not ``public`` are numbers."""
     ctype = {"real": f"{name}_real", "int32": "int32_t"}.get(field.ctype, f"{name}_{field.ctype}_t")
     known = {macro.name for macro in public if macro.shown is None}
     texts = (s.c(name.upper()) if known.issuperset(re.findall(r"[A-Z]\w*", s.text)) else int(s) for s in field.shape)
@@ -221,7 +221,7 @@ def member(field: Field, name: str, public: Iterable[Macro]) -> str:
 
 
 def struct_words(name: str) -> dict[str, Callable[[Struct], str]]:
-    """How the definition of a struct begins and ends; the type of the solver is declared before."""
+    """Return functions for the beginning and end of a struct's definition; the solver's type is declared before."""
 
     def opening(struct: Struct) -> str:
         if struct.name == "solver":
@@ -235,7 +235,7 @@ def struct_words(name: str) -> dict[str, Callable[[Struct], str]]:
 
 
 def _by_purpose(struct: Struct) -> list[tuple[str, tuple[Field, ...]]]:
-    """(heading, members) of a struct; those of the solver are grouped by purpose."""
+    """Return (heading, members) of a struct; those of the solver are grouped by purpose."""
     if struct.name != "solver":
         return [("", struct.fields)]
     groups = groupby(struct.fields, key=lambda member: PURPOSES.get(member.role, WORK))
@@ -243,7 +243,7 @@ def _by_purpose(struct: Struct) -> list[tuple[str, tuple[Field, ...]]]:
 
 
 def block_comment(text: str) -> str:
-    """The text as a block comment in filled lines."""
+    """Return the text as a block comment in filled lines."""
     lines = wrap(text, WIDTH, break_long_words=False)
     return "/* " + "\n * ".join(lines) + " */"
 
@@ -253,7 +253,7 @@ SOLVER = (Argument("s", "solver"),)
 
 
 def prototype(entry: EntryPoint, name: str, owner: tuple[Argument, ...] = ()) -> str:
-    """Declaration of an entry point, whose first arguments ``owner`` may be changed."""
+    """Return the declaration of an entry point, whose first arguments ``owner`` may be changed."""
 
     def declare(argument: Argument, constant: bool) -> str:
         sizes = "".join(f"[{Size(text, 0).c(name.upper()) if text else ''}]" for text in argument.shape)
@@ -272,7 +272,7 @@ def prototype(entry: EntryPoint, name: str, owner: tuple[Argument, ...] = ()) ->
 
 
 def tidy(text: str) -> str:
-    """No trailing blanks, no runs of empty lines, one newline at the end."""
+    """Return the text without trailing blanks and runs of empty lines, with one newline at the end."""
     lines: list[str] = []
     for line in (raw.rstrip() for raw in text.splitlines()):
         if line or (lines and lines[-1]):

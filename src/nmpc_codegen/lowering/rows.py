@@ -1,8 +1,8 @@
-"""Rows of the QP as a table, and what the functions of core/rows.c.jinja return: a column, or the value of all.
+"""The rows of the QP form a table, which the functions of core/rows.c.jinja read.
 
 A row has a node, a kind (bound of a state, general row, coupled row), its component of x, h or r, and the row of the
-user to which it belongs. The functions row_node(m), row_index(m), ... of a package read the table; where all rows have
-the same entry, the function returns that, and the exporter leaves out what depends on other ones.
+user to which it belongs. The functions row_node(m), row_index(m), ... of a package read the table. If all rows have the
+same entry in a column, the function returns that entry, and the exporter removes code for other entries.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import Any
 from nmpc_codegen.ir.cmodule import CModule
 from nmpc_codegen.package.signals import IMPOSED_KINDS
 
-#: Columns of the table, and what they are.
+#: Column of the table -> its meaning.
 COLUMNS = {
     "node": "its node",
     "kind": "its kind",
@@ -26,7 +26,7 @@ WIDTH = 112
 
 @dataclass(frozen=True)
 class RowTable:
-    """The columns that differ between rows, with a line of C text for some rows each."""
+    """The columns in which rows differ, with lines of C text for some rows each."""
 
     columns: tuple[str, ...]
     meaning: str
@@ -35,7 +35,7 @@ class RowTable:
 
 
 def row_functions(module: CModule) -> dict[str, Any]:
-    """The names of core/rows.c.jinja."""
+    """Return the names for core/rows.c.jinja."""
     entries = {name: [row[i] for row in module.rows] for i, name in enumerate(COLUMNS)}
     kinds = sorted(set(entries["kind"]))
     stored = tuple(name for name, values in entries.items() if len(set(values)) > 1)
@@ -59,7 +59,7 @@ def row_functions(module: CModule) -> dict[str, Any]:
 
 
 def row_ranges(module: CModule) -> dict[str, tuple[int, int]]:
-    """Function of rows -> least and greatest value that it returns."""
+    """Return {function of rows: (least, greatest value that it returns)}."""
     entries = {name: [row[i] for row in module.rows] or [0] for i, name in enumerate(COLUMNS)}
     found = {f"row_{name}": (min(values), max(values)) for name, values in entries.items() if name != "kind"}
     for number, word in enumerate(IMPOSED_KINDS):
@@ -71,7 +71,7 @@ def row_ranges(module: CModule) -> dict[str, tuple[int, int]]:
 
 
 def _entry(name: str, values: list[int], module: CModule) -> str:
-    """What the function of a column returns."""
+    """Return the result of the function of a column."""
     if len(set(values)) > 1:
         return f"row_data[m].{name}"
     if not values:
@@ -80,7 +80,7 @@ def _entry(name: str, values: list[int], module: CModule) -> str:
 
 
 def _is_kind(number: int, kinds: list[int]) -> str:
-    """Whether row m is of a kind."""
+    """Return the C condition that row m is of a kind."""
     if number not in kinds:
         return "0"
     return "1" if len(kinds) == 1 else f"row_data[m].kind == ROW_{IMPOSED_KINDS[number].upper()}"
@@ -89,6 +89,6 @@ def _is_kind(number: int, kinds: list[int]) -> str:
 def _table(stored: tuple[str, ...], entries: dict[str, list[int]]) -> RowTable:
     columns = [entries[name] for name in stored]
     rows = ["{" + ", ".join(map(str, row)) + "}" for row in zip(*columns, strict=True)]
-    text = ", ".join(row.replace(" ", "_") for row in rows)  # a row stays in one line
+    text = ", ".join(row.replace(" ", "_") for row in rows)  # a row stays on one line
     lines = tuple(line.replace("_", " ") for line in wrap(text, WIDTH, break_long_words=False, break_on_hyphens=False))
     return RowTable(stored, ", ".join(COLUMNS[name] for name in stored), len(rows), lines)

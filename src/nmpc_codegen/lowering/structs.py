@@ -1,4 +1,4 @@
-"""The structs of a package: members that components state, as far as the package has them, and data set at run time."""
+"""The structs of a package have the members that components state and this package needs, and data set at run time."""
 
 from __future__ import annotations
 
@@ -46,13 +46,13 @@ def lowered_structs(model: Model, dims: Dims, features: Features, whole: bool) -
 
 
 def _existing(struct: Struct, features: Features) -> Struct:
-    """The struct without members that the package lacks: those of size 0, and of features that it does not have."""
+    """Return the struct without members of size 0 and of features that the package lacks."""
     fields = (replace(f, only=None) for f in struct.fields if all(f.values) and (f.only is None or f.only(features)))
     return replace(struct, fields=tuple(fields), only=None)
 
 
 def _merge(owned: Iterable[Struct]) -> dict[str, Struct]:
-    """Name -> struct with the members that all components give it."""
+    """Return {name: struct} with the members from all components."""
     found: dict[str, Struct] = {}
     for struct in owned:
         first = found.setdefault(struct.name, struct)
@@ -62,7 +62,7 @@ def _merge(owned: Iterable[Struct]) -> dict[str, Struct]:
 
 
 def _after_members(stated: Mapping[str, Struct]) -> list[Struct]:
-    """The structs that the solver contains, each one after its members."""
+    """Return the structs that the solver contains, each one after its members."""
     order: dict[str, Struct] = {}
 
     def place(struct: Struct) -> None:
@@ -77,7 +77,7 @@ def _after_members(stated: Mapping[str, Struct]) -> list[Struct]:
 
 
 def _stated_structs(model: Model, dims: Dims, features: Features) -> list[Struct]:
-    """The structs of the core and of the components, with members that this package may lack."""
+    """Return the structs of the core and of the components, with members that this package may lack."""
     core = core_structs(model.parts.algorithm.core, dims)
     more = [s for hooked in hooked_parts(model, features) for s in hooked.structs(dims)]
     owned = (s for c in model.parts.components for s in c.structs(dims))
@@ -85,14 +85,14 @@ def _stated_structs(model: Model, dims: Dims, features: Features) -> list[Struct
 
 
 def hooked_parts(model: Model, features: Features) -> tuple[HookedPart, ...]:
-    """What runs at hooks: for the other components, and then for the algorithm."""
+    """Return the parts that run at hooks: those of the other components, then those of the algorithm."""
     return tuple(part for component in model.parts.components for part in component.hooked_parts(features))
 
 
 def absent_members(
     model: Model, dims: Dims, features: Features, structs: tuple[Struct, ...]
 ) -> frozenset[tuple[str, str]]:
-    """(struct, member) of what components state and no struct of the package has."""
+    """Return (struct, member) of everything that components state and no struct of the package has."""
     stated = _stated_structs(model, dims, features)
     members = {(s.name, f.name) for s in stated for f in s.fields} | {("solver", s.name) for s in stated}
     return frozenset(members - {(s.name, f.name) for s in structs for f in s.fields})

@@ -1,4 +1,4 @@
-"""The constant arrays of a package: declared data, scales, places, look-up tables."""
+"""The constant arrays of a package hold declared data, scales, places and look-up tables."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from nmpc_codegen.package.lookup import Lookup
 
 
 def tables(model: Model, routines: Sequence[Routine]) -> tuple[Table, ...]:
-    """The constant arrays of the unit; ``routines``: those that may read look-up tables."""
+    """Return the constant arrays of the unit; ``routines`` may read look-up tables."""
     p, sizes = model.problem, model.problem.scales
     rows = p.qp_rows
 
@@ -77,7 +77,7 @@ def tables(model: Model, routines: Sequence[Routine]) -> tuple[Table, ...]:
 
 
 def lookup_tables(routines: Iterable[Routine]) -> list[Table]:
-    """The arrays of the look-up tables in routines.
+    """Return the arrays of the look-up tables in routines.
 
     Raises:
         ProblemError: two tables have one name.
@@ -94,13 +94,13 @@ def lookup_tables(routines: Iterable[Routine]) -> list[Table]:
 
 
 def _limits(p: Problem, none: float) -> list[float]:
-    """The lower or upper bounds of the parameters of the user; those that have none have ``none``."""
+    """Return the lower or upper bounds of the user's parameters; ``none`` stands for a missing bound."""
     sides = [(s.low if none < 0 else s.high) or (none,) * s.size for s in p.own_parameters]
     return [value for side in sides for value in side]
 
 
 def _soft_places(p: Problem) -> list[int]:
-    """For every row its place among the soft ones, or -1."""
+    """Return for every row its index among the soft ones, or -1."""
     soft = [i for i, row in enumerate(p.rows) if row.soft is not None]
     return [soft.index(i) if i in soft else -1 for i in range(len(p.rows))]
 

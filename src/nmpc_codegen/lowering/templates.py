@@ -1,4 +1,4 @@
-"""The folder of templates, and jinja2, which no other module imports."""
+"""The folder of templates is read here by jinja2, which no other module imports."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from nmpc_codegen.ir.printing.c_style import CStyle
 
 @cache
 def template_directory() -> Path:
-    """Templates inside the installed package, or at the top of a source checkout."""
+    """Return the folder of templates: inside the installed package, or at the top of a source checkout."""
     here = Path(__file__).resolve()
     packaged = here.parents[1] / "templates"
     return packaged if packaged.is_dir() else here.parents[3] / "templates"
@@ -21,7 +21,7 @@ def template_directory() -> Path:
 
 @cache
 def environment() -> jinja2.Environment:
-    """The jinja2 environment; with StrictUndefined a misspelt name in a template raises an error."""
+    """Return the jinja2 environment; with StrictUndefined a misspelt name in a template raises an error."""
     return jinja2.Environment(
         loader=jinja2.FileSystemLoader(template_directory()),
         undefined=jinja2.StrictUndefined,
@@ -33,5 +33,5 @@ def environment() -> jinja2.Environment:
 
 
 def context(prefix: str, style: CStyle) -> dict[str, Any]:
-    """Names that every template may use: prefixes, type of the header, and spelling of literals in the unit."""
+    """Return names for every template: prefixes, type of the header, and spelling of literals in the unit."""
     return {"p": prefix, "P": prefix.upper(), "real": f"{prefix}_real", "lit": style.literal}

@@ -1,4 +1,4 @@
-"""All tolerances of the generated code, as named multiples of the machine epsilon of the working precision."""
+"""All tolerances of the generated code are named multiples of the machine epsilon of the working precision."""
 
 import math
 
@@ -325,7 +325,7 @@ FACTORS: dict[str, tuple[float, str]] = {
     "relaxation_falls": (0.999, "violation, relative to that of the sample before, below which it falls"),
 }
 
-#: Multiples of the square root of the machine epsilon below which a tolerance does not fall.
+#: Tolerance -> multiple of the square root of the machine epsilon that it is at least.
 ROOTS: dict[str, float] = {
     "root": 1.0,
     "zero": 2.0**-3,
@@ -335,7 +335,7 @@ ROOTS: dict[str, float] = {
     "ipm_contradiction": 2.0**-10,
 }
 
-#: Values below which a tolerance does not fall in any precision.
+#: Tolerance -> number that it is at least in any precision.
 FLOORS: dict[str, float] = {
     "step_gradient": 2.0**-20,
     "qp_residual": 2.0**-35,
@@ -349,13 +349,16 @@ UNIT, ROOT = "unit", "root"
 
 
 def tolerance(name: str, precision: str) -> float:
-    """Value of a named tolerance in the given precision."""
+    """Return the value of a named tolerance in the given precision."""
     multiples, eps = _multiples(name), EPS[precision]
     return max(multiples[UNIT] * eps, multiples[ROOT] * math.sqrt(eps), FLOORS.get(name, 0.0))
 
 
 def origin(name: str, precision: str) -> tuple[str, float]:
-    """What a tolerance is a multiple of in the given precision, and the factor; ("", value) of a number."""
+    """Return the unit of which a tolerance is a multiple in the given precision, and the factor.
+
+    ("", value) for a number.
+    """
     value = tolerance(name, precision)
     sizes = {UNIT: EPS[precision], ROOT: math.sqrt(EPS[precision])}
     found = ((unit, factor) for unit, factor in _multiples(name).items() if factor and factor * sizes[unit] == value)

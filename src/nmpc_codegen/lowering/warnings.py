@@ -1,8 +1,8 @@
-"""What cannot work at the first plan, where all states are at their initial values, controls at their references.
+"""Warnings name problems at the first plan, which has the initial states and the references of controls.
 
-A derivative that is not finite there fails the first sample. What has no gradient there moves no iterate: a control
-without influence (u^3 at 0), a row whose gradient vanishes although it is not satisfied with room to spare (w^2 <= v^2
-at rest), an end time of 0 that scales all derivatives.
+A derivative that is not finite there makes the first sample fail. A variable without a gradient does not move: a
+control without influence (u^3 at 0), a row whose gradient vanishes although it is violated or active (w^2 <= v^2 at
+rest), an end time of 0 that scales all derivatives.
 """
 
 from __future__ import annotations
@@ -22,15 +22,17 @@ from nmpc_codegen.package.program import NOT_FINITE, Program, in_words, locate
 
 Marks = NDArray[np.bool_]
 
-#: Points at which a property that is to hold for all states is tested.
+#: Number of points at which a property for all states is tested.
 DRAWN = 4
 #: Distance from a bound, relative to it, up to which a row counts as active.
 ACTIVE = 1e-9
 
 
 def first_plan_warnings(problem: CompleteProblem, program: Program, second: bool) -> tuple[str, ...]:
-    """One text for everything that cannot work at the first plan, or at the first corner of the ranges of parameters
-    and initial states where more does not work; ``second``: second derivatives are evaluated."""
+    """Return one text for all problems at the first plan, and one for the first corner with further problems.
+
+    Corners are those of the ranges of parameters and initial states; with ``second``, second derivatives are evaluated.
+    """
     (_, declared), *corners = problem.corners
     found = tuple(_warnings(declared, program, second))
     for where, corner in corners:
@@ -48,7 +50,10 @@ def _warnings(problem: CompleteProblem, program: Program, second: bool, given: b
 
 
 def _not_finite(problem: Problem, program: Program, second: bool, x: Array, u: Array, given: bool) -> Iterator[str]:
-    """``given``: operations count of which parameters alone decide whether they are inside their domain."""
+    """Yield operations that are not finite at the first plan.
+
+    With ``given``, operations count whose domain depends only on parameters.
+    """
     nodes = problem.N + 1
     plan = (np.tile(x, (nodes, 1)), np.tile(u, (problem.N, 1)), np.tile(problem.node_values(x, u), (nodes, 1)))
     found = [finding for finding in locate(program, *plan, second) if given or not finding.given]
@@ -57,7 +62,7 @@ def _not_finite(problem: Problem, program: Program, second: bool, x: Array, u: A
 
 
 def _end_time(problem: Problem, x: Array, u: Array) -> Iterator[str]:
-    """Constant states at 0 without which no control moves anything, and parameters at 0 that scale all derivatives."""
+    """Yield constant states at 0 without which no control acts, and parameters at 0 that scale all derivatives."""
     path = problem.path
     f = problem.dynamics(path.x, path.u, path.p)
     slopes = _function(path, [ca.densify(f), ca.densify(ca.jacobian(f, path.u))])
@@ -66,8 +71,10 @@ def _end_time(problem: Problem, x: Array, u: Array) -> Iterator[str]:
     ]
 
     def at(kind: str, i: int, value: float) -> tuple[Array, Array]:
-        """Return the derivatives, or the steps of a map, at all draws with element i set to a value, and the influence
-        of the controls there."""
+        """Return the derivatives, or the steps of a map, at all draws with element i set to a value.
+
+        The second result is the influence of the controls there.
+        """
         found = []
         for states, controls, parameters in draws:
             z, p = states.copy(), parameters.copy()
@@ -95,8 +102,11 @@ def _end_time(problem: Problem, x: Array, u: Array) -> Iterator[str]:
 
 
 def _without_influence(problem: CompleteProblem, x: Array, u: Array) -> Iterator[str]:
-    """Controls whose first derivatives vanish in dynamics, cost and rows at the first plan, and to which states and
-    controls that move do not give any; and those without a weight that wait for others."""
+    """Yield controls whose first derivatives vanish at the first plan, in dynamics, cost and rows.
+
+    They are reported if no state or control that moves gives them an influence. Controls without a weight that depend
+    on others in this way are reported as well.
+    """
     if problem.augmentation.idle:
         return
     (at_plan, moves), saddles = _movable(problem, x, u), problem.saddles
@@ -124,8 +134,10 @@ def _without_influence(problem: CompleteProblem, x: Array, u: Array) -> Iterator
 
 
 def _is_probed(problem: Problem, x: Array, u: Array, j: int, saddles: Saddles) -> bool:
-    """True if a finite move of an idle control, alone or with its partner, changes a state for which the cost or rows
-    ask, as far as they see it at this point: then a probe of the sample moves it."""
+    """Return True if a finite move of an idle control, alone or with its partner, changes a state that matters.
+
+    A state matters if cost or rows depend on it at this point; then a probe of the sample moves the control.
+    """
     path = problem.path
     f = problem.dynamics(path.x, path.u, path.p)
     at = _function(path, [ca.densify(f), ca.densify(ca.jacobian(f, path.x))])
@@ -146,8 +158,7 @@ def _is_probed(problem: Problem, x: Array, u: Array, j: int, saddles: Saddles) -
 
 
 def _asked_for(problem: Problem, x: Array, u: Array) -> Marks:
-    """States along which the cost changes; where it changes along none, all on which residuals, costs and rows
-    depend."""
+    """Return the states along which the cost changes; if there are none, those in residuals, costs and rows."""
     slopes, depends = np.zeros(problem.nx, dtype=bool), np.zeros(problem.nx, dtype=bool)
     for stage, control in ((problem.path, u), (problem.terminal, np.zeros(0))):
         cost = sum(_costs(stage), ca.SX(0))
@@ -162,8 +173,10 @@ def _asked_for(problem: Problem, x: Array, u: Array) -> Marks:
 
 
 def _movable(problem: Problem, x: Array, u: Array) -> tuple[Marks, Marks]:
-    """Controls with an influence at the first plan, and those that get one by states and controls that move; parameters
-    are drawn. Controls that are not in the dynamics count as both."""
+    """Return the controls with an influence at the first plan, and those that get one from variables that move.
+
+    Parameters are drawn at random. Controls outside the dynamics count as both.
+    """
     path = problem.path
     f = problem.dynamics(path.x, path.u, path.p)
     jacobians = [ca.jacobian(f, path.u), ca.jacobian(path.h, path.u)]
@@ -189,14 +202,14 @@ def _movable(problem: Problem, x: Array, u: Array) -> tuple[Marks, Marks]:
 
 
 def _costs(stage: Stage) -> list[Expression]:
-    """The scalar terms of the cost of a stage, with the declared weights and references."""
+    """Return the scalar terms of the cost of a stage, with the declared weights and references."""
     y = stage.y - ca.DM(stage.reference)
     squares = [ca.bilin(ca.SX(ca.DM(stage.weight)), y, y) / 2] if stage.ny else []
     return [*squares, *(c for c in (stage.cost, stage.cost_rate) if c is not None)]
 
 
 def _without_gradient(problem: Problem, x: Array, u: Array) -> Iterator[str]:
-    """General rows that are violated, or active and may become so, but whose gradient is 0; once per row."""
+    """Yield general rows with gradient 0 that are violated, or active and may become violated; once per row."""
     said: set[str] = set()
     for stage, control in ((problem.path, u), (problem.terminal, np.zeros(0))):
         if not stage.nh:
@@ -225,7 +238,7 @@ def _without_gradient(problem: Problem, x: Array, u: Array) -> Iterator[str]:
 
 
 def _is_lost(value: float, row: Row, curvature: Array) -> bool:
-    """Whether a row without a gradient is violated, or active with a curvature that leads out of its bounds."""
+    """Return True if a row without a gradient is violated, or active with a curvature that leads out of its bounds."""
     below, above = _room(value - row.lower, row.lower), _room(row.upper - value, row.upper)
     if min(below, above) < -ACTIVE:
         return True
@@ -234,7 +247,7 @@ def _is_lost(value: float, row: Row, curvature: Array) -> bool:
 
 
 def _room(distance: float, bound: float) -> float:
-    """Distance from a bound, relative to it."""
+    """Return the distance from a bound, relative to it."""
     return distance / (1 + abs(bound)) if np.isfinite(bound) else np.inf
 
 
@@ -243,7 +256,7 @@ def _function(stage: Stage, outputs: list[Expression]) -> Function:
 
 
 def _draw(x: Array) -> list[Array]:
-    """States around x, the same at every call."""
+    """Return states around x, the same at every call."""
     return [x + (1 + np.abs(x)) * _noise(len(x), k) for k in range(DRAWN)]
 
 

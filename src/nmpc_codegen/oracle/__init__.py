@@ -1,1 +1,1 @@
-"""Independent verification: cost, rows and KKT residuals of any trajectory, and IPOPT's solution of the same NLP."""
+"""The oracle verifies independently: cost, rows and KKT residuals of any trajectory, and IPOPT's solution."""

@@ -1,7 +1,7 @@
-"""The optimal control problem as a nonlinear program, solved by IPOPT: the oracle of --check, tests and benchmarks.
+"""IPOPT solves the optimal control problem as a nonlinear program: the oracle of --check, tests and benchmarks.
 
-Direct multiple shooting in CasADi, implemented independently of the code generator. trajectory.py defines the signs of
-multipliers and the data of the nodes, and computes the KKT residuals of a solution without IPOPT.
+It is direct multiple shooting in CasADi, implemented independently of the code generator. trajectory.py defines the
+signs of multipliers and the data of the nodes, and computes the KKT residuals of a solution without IPOPT.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ __all__ = [
 
 @dataclass(frozen=True, eq=False)
 class ReferenceSolution(Point):
-    """A solution returned by IPOPT."""
+    """A solution from IPOPT."""
 
     cost: float
     success: bool
@@ -68,7 +68,7 @@ class ReferenceSolution(Point):
 
 # The nonlinear program ------------------------------------------------------------------------------------------------
 
-#: Statuses of IPOPT at a solution where round-off prevents it from reaching its own tolerance.
+#: Statuses of IPOPT at a solution if round-off prevents it from reaching its tolerance.
 _AT_ROUND_OFF = frozenset({"Search_Direction_Becomes_Too_Small", "Solved_To_Acceptable_Level", "Restoration_Failed"})
 
 
@@ -77,8 +77,8 @@ class Reference:
 
     Args:
         problem: the problem.
-        integrator: Runge-Kutta tableau as plain arrays; ignored by discrete maps, which have no integrator. The stages
-            of an implicit scheme are variables, and their equations rows of the program.
+        integrator: Runge-Kutta tableau as plain arrays; discrete maps ignore it. The stages of an implicit scheme are
+            variables, and their equations are rows of the program.
         tol: tolerance of IPOPT.
     """
 
@@ -121,7 +121,7 @@ class Reference:
         self._solver = ca.nlpsol("reference", "ipopt", nlp, options)
 
     def _values(self, k: int) -> Any:
-        """What expressions of node k read in place of p; algebraic variables that occur there become variables."""
+        """Return the numbers that expressions of node k read in place of p; algebraic variables become variables."""
         problem, algebra, p = self.problem, self.problem.algebra, self._data.p[k]
         stage = problem.path if k < problem.N else problem.terminal
         if algebra is None or not problem.solved:
@@ -136,13 +136,13 @@ class Reference:
         return node_values(p, z)
 
     def _add(self, variables: Any, rest: Any, start: Array) -> None:
-        """Further variables with their equations, and where they start."""
+        """Add variables with their equations and initial values."""
         self._increments.append(variables)
         self._rest.append(rest)
         self._starts.append(start)
 
     def _implicit_interval(self) -> Any:
-        """(x, u, p, dt) -> (x_next, q) in the increments of the stages, which become variables."""
+        """Return (x, u, p, dt) -> (x_next, q) in the increments of the stages, which become variables."""
         problem, steps = self.problem, self.integrator.steps
         equations = stage_equations(problem, self.integrator)
 
@@ -171,7 +171,7 @@ class Reference:
         return cost
 
     def _add_rows(self) -> Any:
-        """Append general and soft rows to g; return the penalty of the slacks."""
+        """Append general and soft rows to g and return the penalty of the slacks."""
         problem = self.problem
         h, h_N, N = node_rows(problem.path), node_rows(problem.terminal), problem.N
         path = [h(self._x[k], self._u[k], self._p[k]) for k in range(N)]
@@ -296,7 +296,10 @@ class _Symbols:
 
     @staticmethod
     def values(problem: Problem, data: Data) -> Array:
-        """The numbers in the order of ``stacked``; as W is symmetric, row-major and column-major order are the same."""
+        """Return the numbers in the order of ``stacked``.
+
+        As W is symmetric, row-major and column-major order are equal.
+        """
         W = [scaled_weight(problem, data.W[k], k).ravel() for k in range(problem.N)]
         return np.concatenate(
             [data.x0, data.p.ravel(), data.yref.ravel(), data.yref_N, *W, data.W_N.ravel()], dtype=float
@@ -317,7 +320,7 @@ def _symbolic_data(problem: Problem) -> _Symbols:
 
 
 def control_start(problem: Problem, data: Data) -> Array:
-    """Controls of the initial plan, shape (N, nu): where their residuals have their references, or 0."""
+    """Return the controls of the initial plan, (N, nu): where their residuals have their references, or 0."""
     hidden = np.full(problem.solved, np.nan)
     nodes = zip(data.p, data.yref, strict=False)
     u = np.array([np.asarray(problem.control_start(np.concatenate([p, hidden]), y)).ravel() for p, y in nodes])

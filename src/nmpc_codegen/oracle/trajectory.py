@@ -1,7 +1,7 @@
-"""Data of every node, and evaluation of a trajectory: cost, rows, KKT residuals.
+"""A trajectory is evaluated with the data of every node: cost, rows, KKT residuals.
 
-A Problem is evaluated with CasADi Functions of single nodes and NumPy sums, independently of the code generator and of
-IPOPT: the Runge-Kutta method is written here, for a tableau of plain arrays, and residuals come from stage Jacobians.
+CasADi Functions of single nodes and NumPy sums are used, independently of the code generator and of IPOPT. The
+Runge-Kutta method is implemented here, for a tableau of plain arrays, and residuals come from stage Jacobians.
 
     L = sum l_k + lam_0'(xhat - x_0) + lam_{k+1}'(Phi_k - x_{k+1}) + mu_k'h_k + mu_N'h_N + mu_x'x + mu_u'u + eta'r
 
@@ -24,8 +24,10 @@ from nmpc_codegen.frontend.problem import Array, Problem, Row, Stage
 
 @dataclass(frozen=True, eq=False)
 class Tableau:
-    """Runge-Kutta scheme: A (s, s), b (s,), ``steps`` equal steps per interval; it is explicit if A is strictly lower
-    triangular."""
+    """A Runge-Kutta scheme: A (s, s), b (s,), ``steps`` equal steps per interval.
+
+    It is explicit if A is strictly lower triangular.
+    """
 
     A: tuple[tuple[float, ...], ...]
     b: tuple[float, ...]
@@ -33,11 +35,11 @@ class Tableau:
 
     @property
     def implicit(self) -> bool:
-        """True if some stage depends on itself or a later one."""
+        """Return True if some stage depends on itself or a later one."""
         return bool(np.any(np.triu(np.asarray(self.A, dtype=float))))
 
 
-#: Controls of node N.
+#: The controls of node N.
 NONE: Array = np.zeros(0)
 
 CLASSICAL = Tableau(((0, 0, 0, 0), (0.5, 0, 0, 0), (0, 0.5, 0, 0), (0, 0, 1, 0)), (1 / 6, 1 / 3, 1 / 3, 1 / 6), 2)
@@ -73,7 +75,7 @@ class Point:
 
 @dataclass(frozen=True)
 class Residuals:
-    """KKT residuals in the maximum norm."""
+    """The KKT residuals in the maximum norm."""
 
     stationarity: float
     equality: float
@@ -82,7 +84,7 @@ class Residuals:
 
     @property
     def worst(self) -> float:
-        """The largest of the four; NaN if one of them is NaN."""
+        """Return the largest of the four; NaN if one of them is NaN."""
         return float(np.max([self.stationarity, self.equality, self.inequality, self.complementarity]))
 
 
@@ -97,11 +99,11 @@ def node_data(
     W_N: Any = None,
     bounds: Mapping[str, tuple[Any, Any]] | None = None,
 ) -> Data:
-    """Data of every node; data that are not given have the values that the problem declares.
+    """Return the data of every node; data that are not given have the values that the problem declares.
 
     Args:
         problem: the problem.
-        x0: (nx,), states of the user, or with those behind them; entries of accumulators are ignored.
+        x0: (nx,), states of the user, or including the added ones; entries of accumulators are ignored.
         p: (np,) or (N+1, np), or {name: value}.
         yref: (ny,) or (N, ny).
         yref_N: (ny_N,).
@@ -136,7 +138,7 @@ def node_data(
 
 
 def _with_node_data(problem: Problem, p: Any) -> Array:
-    """(N+1, np), with the parameters behind those of the user."""
+    """Return p (N+1, np) with the added parameters."""
     N, more = problem.N, problem.augmentation.data
     if not more:
         return shape_of("p", _parameters(problem, p), (N + 1, problem.np))
@@ -146,7 +148,7 @@ def _with_node_data(problem: Problem, p: Any) -> Array:
 
 
 def _initial(problem: Problem, x0: Any) -> Array:
-    """x_0 with the states behind those of the user, which have their first values if they are not given."""
+    """Return x_0 with the added states, which have their initial values if they are not given."""
     given = np.asarray(problem.x_initial if x0 is None else x0, dtype=float)
     if given.shape == (problem.nx,) or not problem.augmentation.count:
         return shape_of("x0", given, (problem.nx,))
@@ -181,7 +183,7 @@ def _parameters(problem: Problem, p: Any) -> Any:
 
 
 def interval_map(problem: Problem, integrator: Tableau = CLASSICAL) -> Any:
-    """CasADi Function (x, u, p, dt) -> (Phi, q): state at the end of an interval, integral of the cost rate.
+    """Return the function (x, u, p, dt) -> (Phi, q): state at the end of an interval, integral of the cost rate.
 
     X_i = x + h sum_j a_ij K_j, K_i = f(X_i, u, p), x+ = x + h sum_i b_i K_i, h = dt / steps.
     """
@@ -211,7 +213,7 @@ def interval_map(problem: Problem, integrator: Tableau = CLASSICAL) -> Any:
 
 
 def with_maps(problem: Problem, end: Any, x: Any, u: Any, p: Any, dt: Any) -> Any:
-    """The end of an interval with the values of states that are maps, and with noise."""
+    """Return the end of an interval with the next values of discrete states, and with noise."""
     added = {i: u[j] for i, j in problem.noise}
     end = ca.vertcat(*(end[i] + added.get(i, 0) for i in range(problem.nx)))
     if problem.jump is None:
@@ -223,11 +225,11 @@ def with_maps(problem: Problem, end: Any, x: Any, u: Any, p: Any, dt: Any) -> An
 
 
 def stage_equations(problem: Problem, integrator: Tableau) -> Any:
-    """Function (v, x, u, p, h) -> (rest, x_next, q) of one step of an implicit scheme, where v are the increments
-    D_i = h K_i of all stages, and behind them their algebraic variables z_i.
+    """Return the function (v, x, u, p, h) -> (rest, x_next, q) of one step of an implicit scheme.
 
-    rest: D_i - h f(X_i, z_i, u, p) = 0 and g(X_i, z_i, u, p) = 0 with X_i = x + sum_j a_ij D_j,
-    x_next = x + sum_i b_i D_i, q = h sum_i b_i rate(X_i, z_i, u, p).
+    v contains the increments D_i = h K_i of all stages, and then their algebraic variables z_i. rest is D_i - h f(X_i,
+    z_i, u, p) = 0 and g(X_i, z_i, u, p) = 0 with X_i = x + sum_j a_ij D_j; x_next = x + sum_i b_i D_i, q = h sum_i b_i
+    rate(X_i, z_i, u, p).
     """
     s, n, m = problem.path, problem.nx, len(problem.newton_names)
     A, b = np.asarray(integrator.A, dtype=float), np.asarray(integrator.b, dtype=float)
@@ -248,17 +250,19 @@ def stage_equations(problem: Problem, integrator: Tableau) -> Any:
 
 
 def node_values(p: Any, z: Any) -> Any:
-    """What expressions read in place of p where z is a variable of its own: z, and no derivative of it."""
+    """Return the values that expressions read in place of p if z is a separate variable: z, and no derivative of it."""
     return ca.vertcat(p, z, ca.DM.zeros(z.numel() ** 2)) if z.numel() else p
 
 
-#: Newton's method of CasADi until its steps are rounding errors.
+#: Options of CasADi's Newton method, which iterates until its steps are rounding errors.
 _ROOTFINDER = {"abstol": 0.0, "abstolStep": 1e-14, "max_iter": 30, "error_on_fail": False}
 
 
 def _implicit_map(problem: Problem, integrator: Tableau) -> Any:
-    """The map of an interval, whose stages a rootfinder of CasADi solves; derivatives by the implicit function theorem
-    as CasADi applies it."""
+    """Return the map of an interval whose stages a rootfinder of CasADi solves.
+
+    CasADi computes its derivatives by the implicit function theorem.
+    """
     equations = stage_equations(problem, integrator)
     solver = ca.rootfinder("increments", "newton", equations, _ROOTFINDER)
     x, u = ca.MX.sym("x", problem.nx), ca.MX.sym("u", problem.nu)
@@ -273,14 +277,14 @@ def _implicit_map(problem: Problem, integrator: Tableau) -> Any:
 
 
 def stage_start(problem: Problem, integrator: Tableau) -> Array:
-    """Where the equations of a step are solved from: no increments, algebraic variables of the first plan."""
+    """Return the start for the equations of a step: no increments, algebraic variables of the first plan."""
     stages = len(integrator.b)
     known = problem.algebra.first if problem.algebra else np.zeros(0)
     return np.concatenate([np.zeros(problem.nx * stages), np.tile(known, stages)])
 
 
 def node_cost(stage: Stage) -> Any:
-    """Function (x, u, p, dt, yref, W) -> 1/2 |y - yref|^2_W + general cost at the node."""
+    """Return the function (x, u, p, dt, yref, W) -> 1/2 |y - yref|^2_W + general cost at the node."""
     yref, W = ca.SX.sym("yref", stage.ny), ca.SX.sym("W", stage.ny, stage.ny)
     r = stage.y - yref
     cost = ca.SX(0) if stage.cost is None else stage.cost
@@ -292,7 +296,7 @@ def node_cost(stage: Stage) -> Any:
 
 
 def start_cost(problem: Problem) -> Any:
-    """Function (x, p) -> cost at node 0 in addition to that of the path, with its declared weight and reference."""
+    """Return the function (x, p) -> cost at node 0 beside that of the path, with declared weight and reference."""
     stage = problem.start
     p = ca.SX.sym("p", problem.np)
     values = node_values(p, ca.SX.zeros(len(problem.newton_names)))
@@ -305,13 +309,13 @@ def node_rows(stage: Stage) -> Any:
 
 
 def scaled_weight(problem: Problem, W: Array, k: int) -> Array:
-    """W with the rows of scale_with_dt multiplied by dt_k; a mixed entry gets the geometric mean."""
+    """Return W with the rows of scale_with_dt multiplied by dt_k; a mixed entry gets the geometric mean."""
     s = np.where(np.array(problem.path.scale_with_dt, dtype=bool), problem.dt[k], 1.0)
     return np.asarray(W * np.where(s[:, None] == s[None, :], s[:, None], np.sqrt(s[:, None] * s[None, :])))
 
 
 def evaluate_cost(problem: Problem, x: Any, u: Any, data: Data, integrator: Tableau = CLASSICAL) -> float:
-    """Cost of a trajectory x (N+1, nx), u (N, nu): all terms of the problem and the penalties of violated soft rows."""
+    """Return the cost of a trajectory x (N+1, nx), u (N, nu), with the penalties of violated soft rows."""
     Phi, cost, cost_N = interval_map(problem, integrator), node_cost(problem.path), node_cost(problem.terminal)
     x, u = np.asarray(x, dtype=float), np.asarray(u, dtype=float)
     at_end = problem.node_values(x[-1], NONE, data.p[-1])
@@ -334,12 +338,12 @@ def evaluate_cost(problem: Problem, x: Any, u: Any, data: Data, integrator: Tabl
 
 
 def row_nodes(row: Row) -> tuple[int, ...]:
-    """Nodes at which a row occurs in the nonlinear program; a coupled row occurs once, as node 0."""
+    """Return the nodes at which a row occurs in the nonlinear program; a coupled row occurs once, as node 0."""
     return (0,) if row.is_coupled else row.nodes
 
 
 def _row_values(problem: Problem, data: Data) -> Callable[[Row, int, Array, Array], float]:
-    """A function (row, k, x, u) -> value of the row."""
+    """Return a function (row, k, x, u) -> value of the row."""
     h, h_N, N = node_rows(problem.path), node_rows(problem.terminal), problem.N
 
     def at_end(x: Array, k: int) -> Any:
@@ -356,7 +360,7 @@ def _row_values(problem: Problem, data: Data) -> Callable[[Row, int, Array, Arra
 
 
 def multiplier_of(problem: Problem, point: Point, row: Row, k: int) -> tuple[Array, tuple[int, ...]]:
-    """The array that holds the multiplier of a row at node k, and its index there."""
+    """Return the array that holds the multiplier of a row at node k, and its index there."""
     at_end = k == problem.N
     array = row.of_kind(point.mu_x, point.mu_u, point.mu_N if at_end else point.mu, point.eta)
     return array, (row.place(at_end),) if array.ndim == 1 else (k, row.place(at_end))
@@ -366,7 +370,7 @@ def multiplier_of(problem: Problem, point: Point, row: Row, k: int) -> tuple[Arr
 
 
 def kkt_residuals(problem: Problem, point: Point, data: Data, integrator: Tableau = CLASSICAL) -> Residuals:
-    """KKT residuals of a point, computed stage by stage without IPOPT.
+    """Return the KKT residuals of a point, computed stage by stage without IPOPT.
 
     stationarity: gradients of L in x_k, u_k (and lam_0 of free components of x_0, which must vanish);
     equality: gaps, x_0 - xhat included; inequality: violation of hard rows, equalities included;
@@ -412,13 +416,13 @@ def kkt_residuals(problem: Problem, point: Point, data: Data, integrator: Tablea
 
 
 def _norm(values: Array) -> float:
-    """Maximum norm; NaN stays NaN."""
+    """Return the maximum norm; NaN stays NaN."""
     return float(np.abs(values).max(initial=0.0))
 
 
 @lru_cache(maxsize=8)
 def _jacobians(problem: Problem, integrator: Tableau) -> tuple[tuple[Any, Any], ...]:
-    """(value, Jacobian) of interval map, cost and rows of path and terminal stage, start cost, coupled rows."""
+    """Return (value, Jacobian) of interval map, cost and rows of path and terminal stage, start cost, coupled rows."""
     nodes = [f(stage) for stage in (problem.path, problem.terminal) for f in (node_cost, node_rows)]
     nodes.append(node_cost(problem.start))
     coupled = (None, None) if problem.coupled is None else _with_jacobian(problem.coupled)
@@ -426,7 +430,7 @@ def _jacobians(problem: Problem, integrator: Tableau) -> tuple[tuple[Any, Any], 
 
 
 def _with_jacobian(f: Any) -> tuple[Any, Any]:
-    """A Function, and the Function of the Jacobians of its outputs with respect to its first two inputs."""
+    """Return a function, and the function of the Jacobians of its outputs in its first two inputs."""
     kind = ca.SX if f.is_a("SXFunction") else ca.MX
     inputs: list[Any] = [kind.sym(f.name_in(i), f.sparsity_in(i)) for i in range(f.n_in())]
     outputs: Any = f.call(inputs)
@@ -435,7 +439,7 @@ def _with_jacobian(f: Any) -> tuple[Any, Any]:
 
 
 def _row_residuals(problem: Problem, point: Point, data: Data) -> tuple[float, float]:
-    """Violation of hard rows, and complementarity of all rows."""
+    """Return the violation of hard rows, and the complementarity of all rows."""
     value = _row_values(problem, data)
     violation, slackness = [0.0], [0.0]
     for i, row in enumerate(problem.rows):
@@ -455,16 +459,16 @@ def _row_residuals(problem: Problem, point: Point, data: Data) -> tuple[float, f
 
 
 def _product(m: float, distance: float) -> float:
-    """|m distance|; for an infinite bound, the multiplier itself."""
+    """Return |m distance|; for an infinite bound, the multiplier itself."""
     if m == 0.0:
         return 0.0
     return m if np.isinf(distance) else abs(m * distance)
 
 
 def _soft_product(m: float, excess: float, l1: float, l2: float) -> float:
-    """Conditions of min_s l1 s + l2/2 s^2, s >= max(0, excess), at s = max(0, excess) with multiplier m of excess <= s.
+    """Return the residual of min_s l1 s + l2/2 s^2, s >= max(0, excess), at s = max(0, excess).
 
-    nu = l1 + l2 s - m >= 0 is the multiplier of s >= 0: nu s = 0 and m (excess - s) = 0.
+    m is the multiplier of excess <= s, and nu = l1 + l2 s - m >= 0 that of s >= 0: nu s = 0 and m (excess - s) = 0.
     """
     s = max(0.0, excess)
     nu = l1 + l2 * s - m

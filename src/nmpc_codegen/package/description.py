@@ -1,7 +1,7 @@
-"""Description of a C package: sizes, names, rows, the layout of the solver struct, the report.
+"""A PackageDescription holds sizes, names, rows, the layout of the solver struct, and the report of a C package.
 
-Lowering creates a PackageDescription, and to_json() yields the text of <name>.json; from_json() reads it wherever a
-package is run. Nothing here needs CasADi or a compiler.
+Lowering creates it, to_json() writes it to <name>.json, and from_json() reads it wherever a package is run. Nothing
+here needs CasADi or a compiler.
 """
 
 from __future__ import annotations
@@ -35,10 +35,10 @@ from nmpc_codegen.package.signals import (
 )
 from nmpc_codegen.package.struct_layout import INTEGERS, REAL, Field, Precision, Size, Struct
 
-#: Sizes of the interface, which every header states.
+#: Sizes of the interface, which every header defines.
 INTERFACE_SIZES = ("N", "NX", "NU", "NP", "NY", "NY_N", "NW", "NW_N", "NR")
 
-#: Version of the layout of <name>.json, and the keys there of fields that have another name here.
+#: Version of the layout of <name>.json; keys in it that differ from the names of the fields.
 FORMAT, KEYS = 11, {"augmentation": "inner"}
 
 DIMENSIONS = ("N", "NX", "NU", "NP", "NY", "NY_N", "NH", "NH_N", "NR")
@@ -46,7 +46,7 @@ DIMENSIONS = ("N", "NX", "NU", "NP", "NY", "NY_N", "NH", "NH_N", "NR")
 
 @dataclass(frozen=True)
 class Dimensions:
-    """Sizes of a controller, in the notation of the project."""
+    """The sizes of a controller, in the notation of the project."""
 
     N: int
     nx: int
@@ -63,10 +63,10 @@ class Dimensions:
 class Report:
     """The compiler's report on a package.
 
-    ``ram_bytes``: size of the solver struct; ``ram_bytes_by_struct``: sizes of the structs in it; ``operations``: of
-    one call of every C function for which they do not depend on data; ``linearization_operations``: of all nodes
-    together; ``choices``: the chosen components and the reasons; ``warnings``: what is likely to give poor results;
-    ``looped``: functions with loops instead of straight-line code.
+    ram_bytes: size of the solver struct; ram_bytes_by_struct: sizes of the structs in it; operations: of one call of
+    every C function, unless they depend on data; linearization_operations: of all nodes together; choices: the chosen
+    components with reasons; warnings: likely causes of poor results; looped: functions with loops instead of
+    straight-line code.
     """
 
     ram_bytes: int = 0
@@ -78,7 +78,7 @@ class Report:
     looped: tuple[str, ...] = ()
 
     def as_dict(self) -> dict[str, Any]:
-        """The report as dictionaries, lists and numbers, as in <name>.json."""
+        """Return the report as dictionaries, lists and numbers, as in <name>.json."""
         return {
             "ram_bytes": self.ram_bytes,
             "ram_bytes_by_struct": dict(self.ram_bytes_by_struct),
@@ -92,15 +92,15 @@ class Report:
 
 @dataclass(frozen=True)
 class PackageDescription:
-    """Description of a whole package. A struct follows the structs that it contains, so that "solver" is last.
+    """The description of a whole package.
 
-    ``ranges`` gives the least and the largest value of every integer member that limits a loop; the worst case of a
-    sample follows from them.
+    Each struct follows the structs that it contains, so that "solver" is last. ``ranges`` holds the least and the
+    largest value of every integer member that limits a loop; the worst case of a sample follows from them.
     """
 
     name: str
     precision: Precision
-    target: str  # of targets.TARGETS
+    target: str  # name in targets.TARGETS
     sizes: Mapping[str, int]  # macro without prefix -> value
     structs: tuple[Struct, ...]
     states: tuple[Signal, ...]
@@ -111,69 +111,69 @@ class PackageDescription:
     residuals_N: tuple[Residual, ...]
     dt: tuple[float, ...]
     discrete: bool
-    time_unit: str  # of dt and sampling_time; of a discrete map "samples"
+    time_unit: str  # unit of dt and sampling_time; "samples" for a discrete map
     statuses: tuple[str, ...]
     shift: str | None
-    sampling_time: float | None  # for which the package is made; None: any
+    sampling_time: float | None  # sampling time for which the package is made; None: any
     entry_points: tuple[EntryPoint, ...]
     online: Layouts
-    options: Mapping[str, Any]  # dotted name -> value, of a component its class
+    options: Mapping[str, Any]  # dotted name -> value; for a component its class
     report: Report
-    scales: tuple[float, ...]  # of states and controls, (nx + nu,)
-    row_scales: tuple[float, ...]  # of the terms of the rows
-    augmentation: Augmentation = NOT_AUGMENTED  # states behind those of the user, in the struct alone
+    scales: tuple[float, ...]  # scales of states and controls, (nx + nu,)
+    row_scales: tuple[float, ...]  # sizes of the terms of the rows
+    augmentation: Augmentation = NOT_AUGMENTED  # states added to the user's, only in the struct
     algebraic: tuple[Signal, ...] = ()
-    newton: tuple[str, ...] = ()  # variables that Newton's method solves for, derivatives of states among them
+    newton: tuple[str, ...] = ()  # variables that Newton's method solves for, which may be derivatives of states
     estimation: Estimation | None = None  # of an estimator
     ranges: Mapping[str, tuple[int, int]] = field(default_factory=dict)
     program: Program = field(default_factory=Program)
 
     @cached_property
     def dims(self) -> Dimensions:
-        """Sizes in the notation of the project; nx: states of the user."""
+        """Return the sizes in the notation of the project; nx counts the states of the user."""
         sizes = {n: value - (self.augmentation.idle if n == "NU" else 0) for n, value in self.interface.items()}
         return Dimensions(*(sizes[name] for name in DIMENSIONS))
 
     @cached_property
     def interface(self) -> Mapping[str, int]:
-        """The sizes as the header states them: NX and NP are the states and parameters of the user."""
+        """Return the sizes in the header: NX and NP count the states and parameters of the user."""
         measured = 0 if self.estimation is None else self.estimation.data
         behind = {"NX": self.augmentation.count, "NP": self.augmentation.data + measured}
         return {name: value - behind.get(name, 0) for name, value in self.sizes.items()}
 
     @property
     def kind(self) -> Kind:
-        """What the package is."""
+        """Return the kind of the package."""
         return kind_of(self.estimation)
 
     @property
     def outputs(self) -> tuple[str, ...]:
-        """What a sample yields, by name: controls, or estimates."""
+        """Return the names of the outputs of a sample: controls, or estimates."""
         return self.names.controls if self.estimation is None else self.names.states
 
     @property
     def real(self) -> np.dtype[Any]:
-        """NumPy type of <name>_real."""
+        """Return the NumPy type of <name>_real."""
         return np.dtype(REAL[self.precision])
 
     @property
     def row_constants(self) -> tuple[str, ...]:
-        """Last words of the C constants of the rows, which <NAME>_ROW_ precedes."""
+        """Return the endings of the C constants of the rows, after <NAME>_ROW_."""
         return c_constants([row.name for row in self.rows])
 
     @property
     def parameter_constants(self) -> tuple[str, ...]:
-        """Last words of the C constants of the parameters, which <NAME>_PARAM_ precedes."""
+        """Return the endings of the C constants of the parameters, after <NAME>_PARAM_."""
         return c_constants([signal.name for signal in self.parameters])
 
     @property
     def x_initial(self) -> NDArray[np.float64]:
-        """Declared initial state, shape (nx,)."""
+        """Return the declared initial state, (nx,)."""
         return np.array([v for s in self.states for v in s.value], dtype=np.float64)
 
     @property
     def names(self) -> Names:
-        """Element names of every vector."""
+        """Return the element names of every vector."""
         return Names(
             states=_elements(self.states),
             controls=_elements(self.controls),
@@ -186,24 +186,24 @@ class PackageDescription:
 
     @property
     def has_phases(self) -> bool:
-        """True if a sample consists of prepare() and feedback(); else it is one call of step()."""
+        """Return True if a sample consists of prepare() and feedback(), False if it is one call of step()."""
         return self.offers("prepare") and self.offers("feedback")
 
     def offers(self, name: str) -> bool:
-        """True if the algorithm has an entry point of that name."""
+        """Return True if the algorithm has an entry point with that name."""
         return any(entry.name == name for entry in self.entry_points)
 
     def members(self, struct: str) -> Mapping[str, Field]:
-        """Members of a struct by name; none if there is no such struct."""
+        """Return the members of a struct by name; empty if there is no such struct."""
         return self._members.get(struct, {})
 
     @cached_property
     def _members(self) -> Mapping[str, Mapping[str, Field]]:
-        """Name of a struct -> its members by name."""
+        """Return {struct: its members by name}."""
         return {s.name: {f.name: f for f in s.fields} for s in self.structs}
 
     def dtype(self, struct: str = "solver") -> np.dtype[Any]:
-        """Structured NumPy type of a C struct: members in order and aligned as in C; those of a union overlap."""
+        """Return the NumPy type of a C struct: members in order and aligned as in C; those of a union overlap."""
         members = [(f.name, self._member_type(f), f.values) for f in self.members(struct).values()]
         overlap = any(s.union for s in self.structs if s.name == struct)
         return union_dtype(members) if overlap else np.dtype(members, align=True)
@@ -216,7 +216,7 @@ class PackageDescription:
         return self.dtype(member.ctype)
 
     def to_json(self) -> str:
-        """The text of <name>.json, from which from_json() restores an equal description."""
+        """Return the text of <name>.json, from which from_json() restores an equal description."""
         entries: dict[str, Any] = {"format": FORMAT} | {
             KEYS.get(f.name, f.name): getattr(self, f.name) for f in fields(self)
         }
@@ -264,7 +264,7 @@ class PackageDescription:
 
 
 def union_dtype(members: Sequence[tuple[str, np.dtype[Any], tuple[int, ...]]]) -> np.dtype[Any]:
-    """Structured NumPy type of a C union: (name, type, shape) of every member, all at offset 0."""
+    """Return the NumPy type of a C union from (name, type, shape) of every member, all at offset 0."""
     names, formats, shapes = zip(*members, strict=True)
     of_members = [np.dtype((f, shape)) for f, shape in zip(formats, shapes, strict=True)]
     layout = {"names": list(names), "formats": of_members, "offsets": [0] * len(names)}
@@ -312,12 +312,12 @@ def _number(value: float) -> float | str:
 
 
 def _field_of(member: Mapping[str, Any]) -> dict[str, Any]:
-    """The members of a Field from those of its entry."""
+    """Return the arguments of a Field from its entry."""
     return {**member, "ctype": member["type"]}
 
 
 def _size(wanted: type, value: Any) -> Size:
-    """The size of a member from its number."""
+    """Return the size of a member from its number."""
     if wanted is not Size or type(value) is not int:
         raise ValueError(f"{value!r}; expected an integer")
     return Size(str(value), value)

@@ -1,4 +1,4 @@
-"""Deviations of generated packages from MISRA C:2012: rule -> what is done instead, and why.
+"""Generated packages deviate from MISRA C:2012 in these rules; each has a replacement and a reason.
 
 The rules are those that cppcheck's addon reports on the packages of crane, quadrotor and a tank with a parameter, a
 rate and a soft row. None of them is a mandatory rule.

@@ -1,4 +1,4 @@
-"""What the package of an estimator knows of measurements, besides what every package has."""
+"""The package of an estimator has data on measurements, besides the data of every package."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from nmpc_codegen.package.signals import Signal
 class Estimation:
     """The estimator of x from y_k = h(x_k, u_{k-1}, p_k) + noise, x_{k+1} = Phi(x_k, u_k, p_k, w_k).
 
-    ``measured``: the measurements y; ``inputs``: the controls u of the plant; ``noise_std`` (ny,), ``process_std``
-    (nw,), ``initial_std`` (nx,): standard deviations of the noise, of w, and of x_0; ``thresholds`` (ny,): of Huber's
-    loss in standard deviations, 0: squares; ``states`` (ny,): the state that a measurement is, "" for another
-    expression. ``unknown``: parameters of the OCP that are states here, behind its own.
+    measured: the measurements y; inputs: the controls u of the plant; noise_std (ny,), process_std (nw,), initial_std
+    (nx,): standard deviations of the noise, of w, and of x_0; thresholds (ny,): of Huber's loss in standard deviations,
+    0 for least squares; states (ny,): the state that a measurement is, "" for another expression; unknown: parameters
+    of the OCP that are states here, after its own.
 
-    Behind the parameters of the user, of which there are ``own``, a node has the controls u_k, u_{k-1} if ``before``,
-    y_k, and the inverse standard deviations of y_k, 0 for what is missing.
+    After the user's parameters, of which there are ``own``, a node stores the controls u_k, u_{k-1} if ``before``, y_k,
+    and the inverse standard deviations of y_k, 0 for missing ones.
     """
 
     kind: EstimatorKind
@@ -36,12 +36,12 @@ class Estimation:
 
     @property
     def measurements(self) -> tuple[str, ...]:
-        """Names of the elements of y."""
+        """Return the names of the elements of y."""
         return _elements(self.measured)
 
     @property
     def controls(self) -> tuple[str, ...]:
-        """Names of the elements of u."""
+        """Return the names of the elements of u."""
         return _elements(self.inputs)
 
     @property
@@ -54,24 +54,24 @@ class Estimation:
 
     @property
     def signals(self) -> int:
-        """Number of the signals behind the parameters of the user."""
+        """Return the number of signals after the user's parameters."""
         return len(self.inputs) * (1 + self.before) + 2 * len(self.measured)
 
     @property
     def data(self) -> int:
-        """Number of their elements."""
+        """Return the number of their elements."""
         return self.nu * (1 + self.before) + 2 * self.ny
 
     @property
     def places(self) -> tuple[int, int, int, int]:
-        """Positions among the parameters of a node: u_k, u_{k-1}, y_k, their accuracy."""
+        """Return the indices of u_k, u_{k-1}, y_k and inverse standard deviations among the parameters of a node."""
         before = self.own + self.nu
         first = before + self.nu * self.before
         return self.own, before, first, first + self.ny
 
 
 def kind_of(estimation: Estimation | None) -> Kind:
-    """What a package is that has this; None: a controller."""
+    """Return the kind of a package with this estimation; None: a controller."""
     return CONTROLLER if estimation is None else ESTIMATORS[estimation.kind]
 
 

@@ -1,8 +1,8 @@
-"""What a package has, besides its sizes: features of the problem, of the options, of the target.
+"""Features of a package, besides its sizes, come from the problem, the options and the target.
 
 `#if` in a part and plain conditions of C test them by their names in upper case: ``repair`` is REPAIR. A component sets
-its own with ``dataclasses.replace``, a member of a struct names the one to which it belongs by its attribute, so that a
-type checker finds a typing error.
+its features with ``dataclasses.replace``, and a member of a struct names its feature as an attribute, so that a type
+checker finds a misspelling.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass, fields, replace
 from typing import Literal, get_args
 
-#: Kernels that a package may lack; in C, HAS_<NAME> is 1 if it has them.
+#: Kernels that a package may lack; in C, HAS_<NAME> is 1 if the package has it.
 KernelName = Literal[
     "path_cost",
     "path_gradient",
@@ -53,7 +53,7 @@ KERNELS: tuple[KernelName, ...] = get_args(KernelName)
 
 @dataclass(frozen=True)
 class Features:
-    """The features of a package; 0 or False: it lacks them."""
+    """The features of a package; 0 or False: the package lacks the feature."""
 
     kernels: frozenset[KernelName] = frozenset()
 
@@ -63,8 +63,8 @@ class Features:
     set_parameter: bool = False
     set_bounds: bool = False
     set_soft: bool = False
-    takes_penalties: bool = False  # a preparation takes over the penalties that have been set
-    reference_by_node: bool = False  # every node has data of its own
+    takes_penalties: bool = False  # a preparation copies the penalties that have been set
+    reference_by_node: bool = False  # every node has separate data
     weight_by_node: bool = False
     parameter_by_node: bool = False
     bounds_by_node: bool = False
@@ -76,22 +76,22 @@ class Features:
     hard_rows: bool = False
     rows_move: bool = False  # some row holds at two consecutive nodes
     priced_rows: bool = False  # hard rows on states before the last node, which samples may relax
-    nonlinear_rows: bool = False  # a QP does not see how rows bend
-    pulled_rows: bool = False  # hard rows on controls, and on those before them, alone
-    nonlinear_model: bool = False  # a step leaves gaps
+    nonlinear_rows: bool = False  # the curvature of rows is missing in a QP
+    pulled_rows: bool = False  # hard rows only on controls and previous controls
+    nonlinear_model: bool = False  # gaps remain after a step
     proximal: bool = False  # samples limit steps of controls without curvature
     saddles: bool = False  # the slope of a control vanishes somewhere
-    idle_states: bool = False  # so does that of a state that controls drive
-    idle_end: bool = False  # the last control influences nothing but its own terms
+    idle_states: bool = False  # the same for a state that only controls drive
+    idle_end: bool = False  # the last control influences only its own terms
     end_equations: bool = False  # hard equations at the last node
     control_bounds: bool = False
     accumulators: bool = False
     all_measured: bool = False  # x_0 is the measured state
-    augmented: bool = False  # states behind the measured ones
-    previous: bool = False  # some are controls of the node before
-    timed: bool = False  # the last one is time
-    estimator: bool = False  # states follow from measurements
-    known_controls: bool = False  # of its plant
+    augmented: bool = False  # states are added to the measured ones
+    previous: bool = False  # some added states are controls of the node before
+    timed: bool = False  # one added state is time
+    estimator: bool = False  # states are estimated from measurements
+    known_controls: bool = False  # the plant of the estimator has controls
 
     # integrator
     implicit: bool = False  # stages are solved by Newton's method
@@ -104,14 +104,14 @@ class Features:
 
     # Hessian
     node_kernels: bool = False  # the linearisation of a node needs no neighbour
-    node_memory: bool = False  # it needs what the node keeps of the last one
-    lagrangian: bool = False  # it depends on multipliers
-    tuned: bool = False  # it was computed for data that have changed
+    node_memory: bool = False  # it needs data that the node keeps from the last linearisation
+    lagrangian: bool = False  # the Hessian depends on multipliers
+    tuned: bool = False  # the Hessian was computed for data that may change
     regularize_stages: bool = False
     regularize_reduced: bool = False
-    two_hessians: bool = False  # solve() has one of its own
-    curved: bool = False  # solve() makes an exact one convex by itself
-    terminal_block: bool = False  # the terminal one is not zero
+    two_hessians: bool = False  # solve() has another Hessian than samples
+    curved: bool = False  # solve() makes an exact Hessian convex itself
+    terminal_block: bool = False  # the terminal block is not zero
 
     # condensing and QP solver
     has_qp: bool = False
@@ -123,12 +123,12 @@ class Features:
     keeps_multipliers: bool = False
 
     # algorithm
-    repair: int = 0  # repairs of a plan, at most
+    repair: int = 0  # largest number of repairs of a plan
     iterates: bool = False  # a sample may take several QPs
     search: bool = False  # steps of QPs may be shortened: solve(), samples that iterate
     exact_qp: bool = False  # the QP of a sample is the problem itself
-    shifts_back: bool = False  # a sample may take the plan as it was before its shift
-    judges: bool = False  # a sample tells whether its plan is near a solution
+    shifts_back: bool = False  # a sample may return to the plan before its shift
+    judges: bool = False  # a sample checks whether its plan is near a solution
     relax: bool = False
     relaxation: bool = False  # hard rows of a QP may be relaxed
     row_scales: bool = False
@@ -155,15 +155,15 @@ class Features:
     lane_sqrt: bool = False
 
     def has(self, kernel: KernelName) -> bool:
-        """True if the package has a kernel."""
+        """Return True if the package has a kernel."""
         return kernel in self.kernels
 
     def without(self, *kernels: KernelName) -> Features:
-        """The same features without these kernels."""
+        """Return the same features without these kernels."""
         return replace(self, kernels=self.kernels.difference(kernels))
 
     @property
     def macros(self) -> dict[str, int]:
-        """Names in C -> values."""
+        """Return {name in C: value}."""
         values = {f.name.upper(): int(getattr(self, f.name)) for f in fields(self) if f.name != "kernels"}
         return values | {f"HAS_{name.upper()}": int(name in self.kernels) for name in KERNELS}

@@ -1,4 +1,4 @@
-"""What a package is, a controller or an estimator, and all that differs between them by a word or a file."""
+"""A package is a controller or an estimator; words and files that differ between them are listed here."""
 
 from __future__ import annotations
 
@@ -10,8 +10,11 @@ EstimatorKind = Literal["mhe", "ekf"]
 
 @dataclass(frozen=True)
 class Kind:
-    """``noun`` and ``words``: what it is; ``law``: its function of a whole sample; ``opened``: what it is, and by which
-    function; ``main`` and ``usage``: templates of main.c and of what README.md says of use."""
+    """The words and templates of a kind of package.
+
+    noun, words: name of the kind; law: its function of a whole sample; opened: the kind, and the function that opens
+    it; main, usage: templates of main.c and of the section on usage in README.md.
+    """
 
     noun: str
     words: str

@@ -1,4 +1,4 @@
-"""Exact counts of floating-point operations."""
+"""Floating-point operations are counted exactly."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class OpCount:
 
     @property
     def total(self) -> int:
-        """All operations, every class counted once."""
+        """Return the number of all operations."""
         return sum(vars(self).values())
 
     def as_dict(self) -> dict[str, int]:

@@ -1,10 +1,8 @@
-"""The rows of a problem, and operations whose value or derivatives need not be finite, as a program that runs in NumPy.
+"""The rows of a problem, and operations with restricted domains, form a program that runs in NumPy.
 
-frontend/row_program.py takes it from the problem; it is part of <name>.json, so that a package can be diagnosed where
-CasADi is not installed.
-
-EDGES says where the value or the derivatives of an operation need not be finite; locate() finds the operations that are
-there, and in_words() says which they are, in the user's names, with the remedy.
+frontend/row_program.py extracts it from the problem; it is part of <name>.json, so that a package can be diagnosed
+without CasADi. EDGES says where the value or the derivatives of an operation need not be finite; locate() finds the
+operations that are there, and in_words() describes them, in the user's names, with the remedy.
 """
 
 from __future__ import annotations
@@ -21,15 +19,15 @@ from nmpc_codegen.package.lookup import Lookup
 
 Array = NDArray[Any]
 
-#: Name, first and second operand (those of an input: port and element), value of a constant.
+#: Name, first and second operand (for an input: port and element), value of a constant.
 Step = tuple[str, int, int, float]
 
 
 @dataclass(frozen=True)
 class Quantity:
-    """A part of the problem by its name, e.g. "row 'leash'", that is evaluated at the nodes first..last.
+    """A named part of the problem, e.g. "row 'leash'", which is evaluated at the nodes first..last.
 
-    ``squares``: the bound may be stated on the square instead: a hard row without a lower bound above 0.
+    ``squares`` marks a hard row without a lower bound above 0, whose bound may be stated on the square instead.
     """
 
     name: str
@@ -40,10 +38,10 @@ class Quantity:
 
 @dataclass(frozen=True)
 class EdgeOperation:
-    """An operation and its text; ``operands``: two steps of the program, twice the same one if there is one operand.
+    """An operation with a restricted domain, and its text.
 
-    ``texts``: those of the operands; ``moved``: which of them depend on states and controls; ``quantities``: the parts
-    that it occurs in.
+    operands: two steps of the program, twice the same one for a single operand; texts: those of the operands; moved:
+    marks of operands that depend on states and controls; quantities: the parts of the problem that contain it.
     """
 
     name: str
@@ -56,13 +54,13 @@ class EdgeOperation:
 
 @dataclass(frozen=True)
 class Program:
-    """Steps, each of which refers to steps before it or to an input: x, u or p.
+    """Steps, each of which refers to earlier steps or to an input: x, u or p.
 
-    ``rows``: for every row of the problem the steps of its value at the nodes before the end and at the end; -1: none,
-    or the row is no general one. ``operations``: those with an edge. ``lookups``: tables, which a step "lookup" reads
-    by the number that is its constant. ``residuals``: steps of the path residual; ``scaled``: those whose weight is
-    multiplied by the length of the interval; ``costs``: steps of the general cost of a node and of the integrated one;
-    -1: there is none. ``weight``: the declared one of the path residual, its diagonal, or row by row. ``resets``: rows
+    rows: for every row of the problem the steps of its value at the nodes before the end and at the end; -1 if there is
+    none, or the row is not general. operations: those with restricted domains. lookups: tables, which a step "lookup"
+    reads by the number that is its constant. residuals: steps of the path residual; scaled: marks of those whose weight
+    is multiplied by the length of the interval; costs: steps of the general cost of a node and of the integrated one,
+    -1 for none. weight: the declared weight of the path residual, its diagonal, or all entries row by row. resets: rows
     that contain states which every sample resets.
     """
 
@@ -77,10 +75,10 @@ class Program:
     resets: tuple[int, ...] = ()
 
     def check(self, sizes: Sequence[int], rows: int, edges: Container[str]) -> None:
-        """ValueError unless all that it refers to exists.
+        """Raise ValueError unless everything to which it refers exists.
 
         Args:
-            sizes: of x, u and p.
+            sizes: sizes of x, u and p.
             rows: number of rows of the problem.
             edges: names of the operations that may occur in ``operations``.
         """
@@ -100,7 +98,7 @@ class Program:
             raise ValueError(f"the program contains the operations {', '.join(unknown)}")
 
     def _check_steps(self, sizes: Sequence[int]) -> None:
-        """ValueError unless every step reads inputs, tables and steps before it."""
+        """Raise ValueError unless every step reads only inputs, tables and earlier steps."""
         for i, (name, first, second, constant) in enumerate(self.steps):
             if name == "input":
                 known = 0 <= first < len(sizes) and 0 <= second < sizes[first]
@@ -112,9 +110,9 @@ class Program:
                 raise ValueError(f"step {i} of the program is {name} {first} {second}")
 
     def values(self, x: Array, u: Array, p: Array, wanted: Iterable[int] | None = None) -> list[Array]:
-        """Values of all steps at nodes: x (n, nx), u (n, nu), p (n, np) -> arrays (n,).
+        """Return the values of all steps at nodes: x (n, nx), u (n, nu), p (n, np) -> arrays (n,).
 
-        ``wanted``: only these steps and what they are computed from have values, the other arrays are empty.
+        With ``wanted``, only these steps and their operands have values, and the other arrays are empty.
         """
         inputs, found = (x, u, p), []
         needed = range(len(self.steps)) if wanted is None else self._behind(*wanted)
@@ -132,11 +130,11 @@ class Program:
         return found
 
     def inputs(self, step: int) -> frozenset[tuple[int, int]]:
-        """Port and element of every input that a step is computed from."""
+        """Return port and element of every input on which a step depends."""
         return frozenset(self.steps[i][1:3] for i in self._behind(step) if self.steps[i][0] == "input")
 
     def _behind(self, *steps: int) -> set[int]:
-        """The steps and all that they are computed from."""
+        """Return the steps and everything from which they are computed."""
         found, waiting = set(steps), list(steps)
         while waiting:
             name, first, second, _ = self.steps[waiting.pop()]
@@ -149,7 +147,7 @@ class Program:
 _remainder = np.vectorize(lambda a, b: math.remainder(a, b) if b and math.isfinite(a) else math.nan, otypes=[float])
 _erf = np.vectorize(math.erf, otypes=[float])
 
-#: Functions of math.h by their names: of one operand, and of two.
+#: Functions of math.h by name: those of one operand, and those of two.
 OF_ONE: Mapping[str, Callable[..., Any]] = {
     "sqrt": np.sqrt,
     "exp": np.exp,
@@ -184,11 +182,11 @@ OF_TWO: Mapping[str, Callable[..., Any]] = {
 
 
 def _of_first(function: Callable[[Array], Any]) -> Callable[[Array, Array], Any]:
-    """A function of the first operand as one of both."""
+    """Return a function of the first operand as a function of both."""
     return lambda a, b: function(a)
 
 
-#: Values of the operations of a program; those of one operand ignore the second.
+#: Operation -> its value; operations of one operand ignore the second.
 VALUES: Mapping[str, Callable[[Array, Array], Any]] = {
     "add": np.add,
     "sub": np.subtract,
@@ -217,10 +215,10 @@ VALUES: Mapping[str, Callable[[Array, Array], Any]] = {
 
 # -- where operations have an edge ------------------------------------------------------------------------------------
 
-#: How a warning of the compiler begins that repeats what locate() finds at the first plan.
+#: Beginning of the warning with the results of locate() at the first plan.
 NOT_FINITE = "the first plan has no finite derivatives"
 
-#: Most parts of a problem that a text names besides the first.
+#: Largest number of parts of a problem that a text names besides the first.
 MOST = 3
 
 Test = Callable[[Array, Array], Array]
@@ -228,9 +226,10 @@ Test = Callable[[Array, Array], Array]
 
 @dataclass(frozen=True)
 class Finding:
-    """An operation that leaves its domain at ``nodes``, in the part ``where``; ``operands`` at the first of them.
+    """An operation that leaves its domain at ``nodes``, in the part ``where`` of the problem.
 
-    order: 0 if the value is not finite there, 1 for a first derivative, 2 for a second one.
+    ``operands`` are those at the first node; ``order`` is 0 if the value is not finite there, 1 for a first derivative,
+    2 for a second one.
     """
 
     where: str
@@ -242,7 +241,7 @@ class Finding:
 
     @property
     def arguments(self) -> str:
-        """The operands in words: "its argument is 0"."""
+        """Return the operands in words: "its argument is 0"."""
         first, second = (f"{value + 0.0:.3g}" for value in self.operands)
         if self.operation.name in ("div", "inv"):
             return f"the denominator is {second if self.operation.name == 'div' else first}"
@@ -256,13 +255,13 @@ class Finding:
 
     @property
     def given(self) -> bool:
-        """True if only parameters decide whether the operand is inside the domain."""
+        """Return True if only parameters decide whether the operand is inside the domain."""
         first, second = self.operation.moved
         return not second if self.operation.name == "div" else not (first or second)
 
     @property
     def remedy(self) -> str:
-        """What to write instead, and where the plan has to stay."""
+        """Return what to write instead, and where the plan has to stay."""
         if self.given:
             return "set the parameters in it: parameter(name, value=..., bounds=...), set_parameter()"
         edge = EDGES[self.operation.name]
@@ -285,14 +284,14 @@ def _nodes(nodes: tuple[int, ...]) -> str:
 
 
 def locate(program: Program, x: Array, u: Array, p: Array, second: bool) -> list[Finding]:
-    """Operations that leave their domain at a plan, those of the first such node.
+    """Return the operations that leave their domain at a plan, those of the first such node.
 
     Args:
-        program: with the operations.
+        program: the program with the operations.
         x: (N+1, nx) states of the plan.
         u: (N, nu) controls.
         p: (N+1, np) parameters.
-        second: second derivatives count.
+        second: True if second derivatives count.
     """
     if not program.operations:
         return []
@@ -305,9 +304,9 @@ def locate(program: Program, x: Array, u: Array, p: Array, second: bool) -> list
 
 
 def in_words(found: Sequence[Finding]) -> Iterator[str]:
-    """One text per operation: where it leaves its domain first, in which other parts, and what to do.
+    """Yield one text per operation: where it leaves its domain first, in which other parts, and what to do.
 
-    Operations that contain another one of them are left out.
+    An operation that contains another one of them is left out.
     """
     groups: dict[str, list[Finding]] = {}
     for finding in found:
@@ -349,11 +348,11 @@ def _never(a: Array, b: Array) -> Array:
 
 @dataclass(frozen=True)
 class Edge:
-    """Where derivatives of an operation are not finite although its value is: of first, and only of second order.
+    """The points at which derivatives of an operation are not finite although its value is.
 
-    ``instead``: what is finite there, with the operands {a} and {b}, {sum} for the first one in a sum, {eps} for a
-    small number, which makes equations less stiff if it is larger; "" if there is nothing of the kind. ``root``: it is
-    a norm.
+    ``first`` tests for the first order, ``second`` for only the second order. ``instead`` is a finite replacement, with
+    the operands {a} and {b}, {sum} for the first one in a sum, {eps} for a small number, which makes equations less
+    stiff if it is larger; "" if there is none. ``root`` marks a norm.
     """
 
     first: Test
@@ -370,7 +369,7 @@ def _power_second(a: Array, b: Array) -> Array:
     return np.asarray((a == 0) & (b < 2) & (b != 1))
 
 
-#: Parts of an expression that are finite everywhere.
+#: An expression that is finite everywhere.
 _POWER = "pow(sqrt({a}**2 + 1e-6), {b}) if {a} >= 0"
 _LOG = "log(fmax({a}, 1e-3))"
 _QUOTIENT = "{a} * {b} / ({b}**2 + 1e-6)"

@@ -1,11 +1,11 @@
-"""The seal: a comment in every generated file that shows whether the file has been edited.
+"""The seal is a comment in every generated file that shows whether the file has been edited.
 
 It contains a digest of the file, and a digest of the package's C, which all files of one export share:
 
     nmpc_codegen package <16 hex digits>, sha256 <64 hex digits>
 
-The digest of the file is computed with zeros in its own place. Sealing a text needs no key: the seal protects against
-mistakes, not against malice.
+The digest of the file is computed with zeros in its place. Sealing needs no key: the seal protects against mistakes,
+not against malice.
 """
 
 from __future__ import annotations
@@ -27,14 +27,14 @@ _COMMENTS = {
 
 
 def seal(sources: Mapping[str, str], name: str) -> dict[str, str]:
-    """The files of the package ``name``, each with its seal: the last line, or the first entry of a JSON object."""
+    """Return the files of the package ``name`` with seals: the last line, or the first entry of a JSON object."""
     code = "\0".join(sources[f"{name}.{ext}"] for ext in ("h", "c"))
     package = hashlib.sha256(code.encode()).hexdigest()[:16]
     return {path: _seal(path, text, package) for path, text in sources.items()}
 
 
 def seal_beside(files: Mapping[str, str], package_files: Mapping[str, str]) -> dict[str, str]:
-    """More files of a package, each with its seal; ``package_files``: those that have theirs."""
+    """Return further files of a package with seals; ``package_files`` are already sealed."""
     package = next(filter(None, map(package_of, package_files.values())))
     return {path: _seal(path, text, package) for path, text in files.items()}
 
@@ -50,17 +50,17 @@ def _seal(path: str, text: str, package: str) -> str:
 
 
 def without_seal(text: str) -> str:
-    """A text without its last line, which is the seal."""
+    """Return a text without its last line, which is the seal."""
     return text[: text.rindex("\n", 0, -1) + 1]
 
 
 def has_seal(data: bytes) -> bool:
-    """True if the bytes contain a seal, intact or not."""
+    """Return True if the bytes contain a seal, intact or not."""
     return _SEAL.search(data) is not None
 
 
 def intact(data: bytes) -> bool:
-    """True if the bytes are an unchanged generated file, of any package and version."""
+    """Return True if the bytes are an unchanged generated file, of any package and version."""
     found = list(_SEAL.finditer(data))
     if len(found) != 1:
         return False
@@ -70,6 +70,9 @@ def intact(data: bytes) -> bool:
 
 
 def package_of(text: str) -> str | None:
-    """The digest of the package's C in the seal of a file, which an edit of the file preserves; None without a seal."""
+    """Return the digest of the package's C in the seal of a file.
+
+    None without a seal. Edits of the file preserve it.
+    """
     found = _SEAL.search(text.encode(errors="replace"))
     return found.group(1).decode() if found else None

@@ -1,4 +1,4 @@
-"""The text of a package."""
+"""Sources is the text of a package."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from nmpc_codegen.package.description import PackageDescription
 
 @dataclass(frozen=True, eq=False)
 class Sources(Mapping[str, str]):
-    """Path -> text of every file of a package, which ``description`` describes."""
+    """An immutable mapping from the path to the text of every file of a package, which ``description`` describes."""
 
     files: Mapping[str, str] = field(repr=False)
     description: PackageDescription
@@ -26,10 +26,10 @@ class Sources(Mapping[str, str]):
 
     @property
     def foreign(self) -> tuple[str, ...]:
-        """Folders of the code of other generators."""
+        """Return the folders of the code of other generators."""
         return folders_of(self.files)
 
 
 def folders_of(paths: Iterable[str]) -> tuple[str, ...]:
-    """The folders in which files of a package lie."""
+    """Return the folders that contain files of a package."""
     return tuple(sorted({path.split("/")[0] for path in paths if "/" in path}))

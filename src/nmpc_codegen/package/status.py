@@ -1,4 +1,4 @@
-"""Results of the calls of a controller: status, residuals, counters, solution, diagnosis."""
+"""Calls of a controller return status, residuals and counters."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Array = NDArray[Any]
 class Status(IntEnum):
     """The status that a call of the C package returns; the values are those of <name>_status_t.
 
-    It prints as ``OK: solved``, and it compares, converts and formats with ``d`` as an integer.
+    A status prints as ``OK: solved``; it compares, converts and formats with ``d`` as an integer.
 
     Attributes:
         text: the result of <name>_status_string() in C.
@@ -80,7 +80,7 @@ class Status(IntEnum):
 
     @property
     def is_failure(self) -> bool:
-        """True unless the control is that of a QP with all its rows: OK, or NOT_CONVERGED, where more samples help."""
+        """Return True unless the status is OK or NOT_CONVERGED; then the control is that of a QP with all its rows."""
         return self not in (Status.OK, Status.NOT_CONVERGED)
 
     def __str__(self) -> str:
@@ -92,7 +92,7 @@ class Status(IntEnum):
         return format(str(self), spec)
 
 
-#: Last letters of a format specification that ask for a number.
+#: Last letters of format specifications for numbers.
 _INTEGER_TYPES = tuple("bcdeEfFgGnoxX%")
 
 
@@ -102,38 +102,38 @@ KKT_PARTS = ("stationarity", "equality", "inequality", "complementarity")
 
 @dataclass(frozen=True)
 class Kkt:
-    """Largest violation of each part of the optimality conditions.
+    """The largest violation of each part of the optimality conditions.
 
     Attributes:
-        stationarity: of the gradient of the Lagrangian.
-        equality: of the gaps of the dynamics and x_0 - xhat.
-        inequality: of bounds and rows.
-        complementarity: multiplier times distance to its bound.
-        relative: the largest of all, divided by its scale + the magnitudes of the terms that it sums; solve() stops
-            when it is at most ``tol``, which therefore means the same in all units. NaN of an algorithm without it.
+        stationarity: largest component of the gradient of the Lagrangian.
+        equality: largest gap of the dynamics, or of x_0 - xhat.
+        inequality: largest violation of bounds and rows.
+        complementarity: largest product of a multiplier and the distance to its bound.
+        relative: the largest of all residuals, each divided by its scale plus the magnitudes of its terms; solve()
+            stops when it is at most ``tol``, which therefore does not depend on units. NaN for an algorithm without it.
     """
 
     stationarity: float
     equality: float
     inequality: float
     complementarity: float
-    relative: float = math.nan  # of an algorithm without it
+    relative: float = math.nan  # NaN for an algorithm without it
 
     def __str__(self) -> str:
         return ", ".join(f"{part} {value:.1e}" for part, value in self.parts.items())
 
     @classmethod
     def read(cls, value: Callable[[str], Any], members: Container[str] = KKT_PARTS) -> Kkt:
-        """From ``value`` of the parts that a C struct with these members has."""
+        """Create it from ``value(part)`` for the parts that a C struct with these members has."""
         return cls(**{part: float(value(part)) for part in cls.__dataclass_fields__ if part in members})
 
     @property
     def parts(self) -> dict[str, float]:
-        """The residuals as they are, by their names."""
+        """Return the absolute residuals by name."""
         return {part: getattr(self, part) for part in KKT_PARTS}
 
 
-#: What is said of a constant Hessian to which the present data do not belong.
+#: Words on a constant Hessian that is not valid for the present data.
 STALE = (
     "the constant Hessian M belongs to other parameters, weights or bounds than the present ones: convergence may be "
     "slow or fail; compute M again for these, or return to the declared ones"
@@ -142,39 +142,42 @@ STALE = (
 
 @dataclass(frozen=True)
 class Stats:
-    """Statistics of the last call. Times (ns) are those of the C calls alone; counters that an algorithm lacks are 0.
+    """Statistics of the last call.
+
+    Times (ns) are those of the C calls only; counters that an algorithm lacks are 0.
 
     Attributes:
         qp_iterations: iterations of the last QP.
-        active_set_changes: changes of its working set.
-        dropped_rows: redundant rows that were left out.
-        relaxed_rows: soft or relaxed rows that are violated.
+        active_set_changes: changes of the working set of the last QP.
+        dropped_rows: number of redundant rows that were left out.
+        relaxed_rows: number of soft or relaxed rows that are violated.
         sqp_iterations: iterations of the last solve().
         violated_row: after INFEASIBLE or RELAXED the hard row (by the user's name) that the last step of the QP
             violates most; else None.
-        violated_node: its node; else None.
-        violation: how much it is violated; of the augmented Lagrangian and of single shooting the largest gap or
-            violation of a hard row in its scale. Else 0.
+        violated_node: node of that row; else None.
+        violation: violation of that row, else 0; for the augmented Lagrangian and for single shooting the largest gap
+            or violation of a hard row in its scale.
         kkt: residuals of the present plan.
         prepare_ns: time of the preparation phase.
         feedback_ns: time of the feedback phase.
-        stale_hessian: parameters, weights or bounds are not those for which a constant Hessian was computed.
+        stale_hessian: True if parameters, weights or bounds differ from those for which a constant Hessian was
+            computed.
         newton_iterations: steps of the augmented Lagrangian or of single shooting.
-        accepted: those that were accepted.
+        accepted: number of these steps that were accepted.
         cg_iterations: iterations of conjugate gradients.
-        faces: sets of active bounds on which they ran.
+        faces: number of sets of active bounds on which conjugate gradients ran.
         shifts: shifts of a preconditioner.
-        negative_curvature: directions of negative curvature that were met.
-        simulations: of the plan, by single shooting.
-        residual: of the plan at which the QP of the last sample was linearised: its largest gap in the scale of the
-            state, and the largest difference of a hard row from what the step before predicted for it, in the scale of
-            the row; above ``RealTimeIteration(tolerance=...)`` the status is NOT_CONVERGED. Of the augmented Lagrangian
-            and of single shooting it is that of the plan itself.
-        iterations: QPs of the last sample, or rounds of the augmented Lagrangian; 1: none but the first.
-        innovation: of an estimator, the largest |y - what was expected of it| of the last sample, in deviations
-            of that difference, 1e9 at most; 0 without measurements.
-        error: this difference, y less what was expected, in the unit of the measurement.
-        measurement: the measurement that has it; None: nothing was measured.
+        negative_curvature: number of directions of negative curvature that were found.
+        simulations: number of simulations of the plan, by single shooting.
+        residual: residual of the plan at which the QP of the last sample was linearised: its largest gap in the scale
+            of the state, and the largest difference of a hard row from its prediction in the step before, in the scale
+            of the row; above ``RealTimeIteration(tolerance=...)`` the status is NOT_CONVERGED. For the augmented
+            Lagrangian and for single shooting it is that of the plan itself.
+        iterations: number of QPs of the last sample, or of rounds of the augmented Lagrangian.
+        innovation: for an estimator, the largest |y - expected y| of the last sample, in standard deviations of that
+            difference, at most 1e9; 0 without measurements.
+        error: this difference, y - expected y, in the unit of the measurement.
+        measurement: the measurement with this difference; None: nothing was measured.
     """
 
     qp_iterations: int

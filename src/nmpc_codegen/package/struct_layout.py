@@ -1,10 +1,10 @@
-"""Memory of a package: sizes, members and structs of the C code, their layout by the rules of C, their order.
+"""The memory of a package consists of sizes, members and structs of the C code, laid out by the rules of C.
 
 The members of a struct are ordered: those whose size is a multiple of a cache line come first, then the largest other.
 A member of such a size preserves the alignment of the next one, so that vector registers are not loaded or stored
-across cache lines (this saves 8 % of a step of the crane, 10 % of the quadrotor). The largest of the other members,
-in the solver the QP, has the most arrays to lose. The caller provides the memory of the whole struct; static objects
-and the memory of Controller are aligned.
+across cache lines (this saves 8 % of a step of the crane, 10 % of the quadrotor). The largest other member, in the
+solver the QP, has the most arrays and comes next, while the alignment still holds. The caller provides the memory of
+the whole struct; static objects and the memory of Controller are aligned.
 """
 
 from __future__ import annotations
@@ -18,18 +18,18 @@ import numpy as np
 
 from nmpc_codegen.package.features import Features
 
-#: Whether a package with these features has a member or a struct.
+#: A function that tells if a package with these features has a member or a struct.
 Only = Callable[[Features], object]
 
 Precision = Literal["double", "single"]
-#: Distance of 1 to the next number.
+#: Precision -> distance of 1 to the next number.
 EPS: Mapping[str, float] = {"double": 2.0**-52, "single": 2.0**-23}
 Role = Literal["setting", "data", "iterate", "result", "keep", "scratch"]
 
 REAL: dict[str, type[np.floating[Any]]] = {"double": np.float64, "single": np.float32}
 INTEGERS: dict[str, type[np.integer[Any]]] = {"int32": np.int32, "int64": np.int64}
 
-#: Purpose of the members of the solver struct, by role.
+#: Role -> purpose of the members of the solver struct.
 WORK = "work"
 PURPOSES: Mapping[Role, str] = {
     "iterate": "plan",
@@ -42,17 +42,17 @@ REAL_BYTES = {"double": 8, "single": 4}
 
 
 class Size(int):
-    """A compile-time size: a number that is printed in C as an expression in the package's macros, e.g. ("N + 1", 11).
+    """A compile-time size: a number that C prints as an expression in the package's macros, e.g. ("N + 1", 11).
 
-    ``text`` names macros without prefix; ``c(prefix)`` writes them with it; ``doc`` says what they are. Two sizes are
-    equal if their values are.
+    ``text`` names macros without prefix, ``c(prefix)`` writes them with it, and ``doc`` is their meaning. Two sizes are
+    equal if their values are equal.
     """
 
     text: str
     doc: str
 
     def __new__(cls, text: str, value: int, doc: str = "") -> Size:
-        """The number ``value`` with this text."""
+        """Create the number ``value`` with this text."""
         size = super().__new__(cls, value)
         size.text, size.doc = text, doc
         return size
@@ -64,17 +64,17 @@ class Size(int):
         return self.text
 
     def c(self, macro: str) -> str:
-        """C text with every identifier prefixed, e.g. ``CRANE_N + 1``."""
+        """Return the C text with every identifier prefixed, e.g. ``CRANE_N + 1``."""
         words = (f"{macro}_{w}" if w[0].isalpha() else w for w in self.text.split())
         return " ".join(words)
 
 
 @dataclass(frozen=True)
 class Field:
-    """A member of a C struct; only a whole package has some of size 0 (GNU C).
+    """A member of a C struct; only whole packages have members of size 0 (GNU C).
 
-    ``only``: tells whether a package has it, as with ``only=lambda f: f.solve``; lowering drops the others, as it does
-    with members of size 0.
+    ``only`` tells if a package has it, as in ``only=lambda f: f.solve``; lowering removes other members, and members of
+    size 0.
     """
 
     name: str
@@ -86,17 +86,17 @@ class Field:
 
     @property
     def values(self) -> tuple[int, ...]:
-        """True shape in numbers."""
+        """Return the true shape in numbers."""
         return tuple(map(int, self.shape))
 
     @property
     def first(self) -> str:
-        """C text of its first number."""
+        """Return the C text of its first number."""
         return self.name + "[0]" * len(self.shape)
 
     @property
     def padded(self) -> tuple[int, ...]:
-        """Shape of the C array: every size at least 1."""
+        """Return the shape of the C array: every size is at least 1."""
         return tuple(max(1, int(s)) for s in self.shape)
 
 
@@ -105,9 +105,9 @@ class Struct:
     """A C struct <prefix>_<name>_t, and the member ``name`` of the solver with this type and the given shape.
 
     The solver itself is the struct "solver"; a component adds members to it with a Struct of that name. A struct that
-    is a member of another one is not a member of the solver. ``only``: tells whether a package has it. ``union``: its
-    members share memory, for phases that do not overlap; all components that define a union of the same name add their
-    members to it.
+    is a member of another one is not a member of the solver. ``only`` tells if a package has it. The members of a
+    ``union`` share memory, for phases that do not overlap; all components that define a union of the same name add
+    their members to it.
     """
 
     name: str
@@ -119,7 +119,7 @@ class Struct:
 
     @property
     def count(self) -> int:
-        """Number of these structs in the solver."""
+        """Return the number of these structs in the solver."""
         return math.prod(self.shape)
 
 
@@ -127,12 +127,12 @@ Stated = TypeVar("Stated", Field, Struct)
 
 
 def only_if(present: object, *entries: Stated) -> tuple[Stated, ...]:
-    """Members or structs that a package lacks unless ``present``; its parts may name them all the same."""
+    """Return members or structs that a package lacks unless ``present``; its parts may name them in any case."""
     return entries if present else tuple(replace(entry, only=lambda _: False) for entry in entries)
 
 
 def struct_layout(structs: Iterable[Struct], precision: str) -> dict[str, tuple[int, int]]:
-    """(size, alignment) in bytes of every struct by the usual C rules, members in order."""
+    """Return (size, alignment) in bytes of every struct by the usual C rules, members in order."""
     types = {"real": (REAL_BYTES[precision],) * 2, "int32": (4, 4)}
     layout: dict[str, tuple[int, int]] = {}
     for struct in structs:
@@ -154,7 +154,7 @@ ORDER = (WORK, PURPOSES["iterate"], PURPOSES["setting"], PURPOSES["result"])
 
 
 def place(structs: Iterable[Struct], precision: str) -> tuple[tuple[Struct, ...], dict[str, tuple[int, int]]]:
-    """The structs with their members reordered, and their layout; each struct follows those that it contains."""
+    """Return the structs with their members reordered, and their layout; each struct follows those that it contains."""
     known: list[Struct] = []
     for struct in structs:
         layout = struct_layout(known, precision)

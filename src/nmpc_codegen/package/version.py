@@ -1,3 +1,3 @@
-"""The version of the generator, which its packages state."""
+"""The version of the generator is stated in its packages."""
 
 __version__ = "0.1.0"

@@ -1,4 +1,4 @@
-"""Pictures with matplotlib, films, and what notebooks show: of logs, flights, campaigns, plans and solutions.
+"""Pictures of logs, flights, campaigns, plans and solutions are drawn with matplotlib; notebooks show tables.
 
-No room below imports this one but inside the functions that draw: matplotlib is needed when something is drawn.
+Lower rooms import this one only inside functions that draw, because matplotlib is an extra.
 """

@@ -1,4 +1,4 @@
-"""Two logs on the same axes."""
+"""Two logs are compared on the same axes."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ OTHER_COLOR = "#b0307a"
 
 
 def draw(log: Record, other: Record, names: tuple[str, str], file: File) -> Any:
-    """The curves of one log, and over them those of the other with the same label."""
+    """Draw the curves of one log, and over them the curves of the other log with the same label."""
     if not isinstance(other, Record):
         raise ControllerError(f"compare(): {other!r} is no log")
     if log.time_unit != other.time_unit:

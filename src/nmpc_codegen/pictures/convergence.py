@@ -1,4 +1,4 @@
-"""The iterations of solve() as a picture."""
+"""The iterations of solve() are drawn."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ PARTS = {"stationarity": STATE_COLOR, "equality": CONTROL_COLOR, "inequality": R
 
 
 def _drawable(value: float) -> float:
-    """A value on a logarithmic axis; 0 leaves a gap."""
+    """Return a value for a logarithmic axis; 0 leaves a gap."""
     return value if value > 0 else math.nan
 
 
 def draw(log: Sequence[Iteration], title: str, failed: bool, file: File) -> Any:
-    """Figure: residuals above, length of the step and shift of the Hessian below, over the iterations."""
+    """Draw residuals above, length of the step and shift of the Hessian below, over the iterations."""
     numbers = range(1, len(log) + 1)
     figure = new_figure((7.2, 4.6), file)
     with use_style():

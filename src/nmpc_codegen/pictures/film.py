@@ -1,4 +1,4 @@
-"""A closed loop as a film: what has happened, and the plan of the moment."""
+"""A closed loop is animated with the current plan."""
 
 from __future__ import annotations
 
@@ -36,12 +36,12 @@ WRITERS = {".gif": "pillow", ".mp4": "ffmpeg"}
 SLOWEST, FASTEST = 5.0, 30.0  # pictures per second
 NOW = {"color": PLAN[1]["color"], "linewidth": 1.6}
 
-#: Draws the sample of the n-th plan.
+#: A function that draws the sample of the n-th plan.
 Frame = Callable[[int], None]
 
 
 def draw(log: Record, file: File, xy: tuple[str, str] | None, every: int, fps: float | None) -> Any:
-    """The film, written if a file is given."""
+    """Draw the animation; write it if a file is given."""
     plans = kept_plans(log, "animate()")
     chosen = sorted({*choose(plans, every, "animate()"), len(plans.sample) - 1})
     if fps is not None and not is_positive(fps):
@@ -57,14 +57,14 @@ def draw(log: Record, file: File, xy: tuple[str, str] | None, every: int, fps: f
         film = _class_of(animation)(figure, show, frames=chosen, interval=1e3 / fps, blit=False, repeat=True)
         if file is not None:
             film.save(Path(file), writer=writer, fps=fps, dpi=100)
-        elif is_inline():  # the film is the value of the cell, not its first picture
+        elif is_inline():  # the animation is the value of the cell, not its first picture
             extra("matplotlib.pyplot", "animate()").close(figure)
     return film
 
 
 @cache
 def _class_of(animation: Any) -> Any:
-    """An animation that a notebook plays."""
+    """Return the class of an animation that a notebook plays."""
 
     class Film(animation.FuncAnimation):  # type: ignore[misc]
         """An animation of matplotlib."""
@@ -76,7 +76,7 @@ def _class_of(animation: Any) -> Any:
 
 
 def _writer(file: Any, animation: Any) -> str:
-    """What writes a file of this ending; ControllerError if nothing does."""
+    """Return the writer for a file with this ending, or raise ControllerError."""
     ending = Path(file).suffix.lower()
     if ending not in WRITERS:
         raise ControllerError(f"animate(): {file} ends in {ending!r}; expected {' or '.join(WRITERS)}")
@@ -86,7 +86,7 @@ def _writer(file: Any, animation: Any) -> str:
 
 
 def _title(log: Record, k: int) -> str:
-    """Name, and the time of a sample in as many digits for all."""
+    """Return name and time of a sample, with the same number of digits for all samples."""
     if log.time_unit == "samples":
         return f"{log.name}: sample {k}"
     digits = max(0, 1 - math.floor(math.log10(log.dt)))
@@ -94,7 +94,7 @@ def _title(log: Record, k: int) -> str:
 
 
 def _over_time(log: Record, plans: Plans, file: File) -> tuple[Any, Frame]:
-    """States and controls over time."""
+    """Draw states and controls over time."""
     nx, curves, lines = len(log.states), signals_of(log), []
     figure, axes = stack_axes(len(curves), time_label(log.time_unit), file)
     for i, (axis, curve) in enumerate(zip(axes, curves, strict=True)):
@@ -123,7 +123,7 @@ def _over_time(log: Record, plans: Plans, file: File) -> tuple[Any, Frame]:
 
 
 def _in_plane(log: Record, plans: Plans, xy: tuple[str, str], file: File) -> tuple[Any, Frame]:
-    """One state over another; obstacles are where they are at the moment."""
+    """Draw one state over another; obstacles are at their current places."""
     i, j = places(log, *xy, "animate()")
     figure = new_figure((WIDTH, 0.75 * WIDTH), file)
     axis = figure.subplots()
@@ -133,7 +133,7 @@ def _in_plane(log: Record, plans: Plans, xy: tuple[str, str], file: File) -> tup
 
     def show(n: int) -> None:
         k = int(plans.sample[n])
-        with use_style():  # what is cleared is made again
+        with use_style():  # cleared axes are drawn again
             axis.clear()
             draw_surroundings(axis, log, i, j, True, [k])
             axis.set_xlim(*limits[0])

@@ -1,4 +1,4 @@
-"""Pages and tables of HTML without scripts, of which what notebooks show is made."""
+"""Pages and tables for notebooks are HTML without scripts."""
 
 from __future__ import annotations
 
@@ -16,30 +16,30 @@ Array = NDArray[np.float64]
 #: Head of the table of rows of a problem.
 ROWS = ("lower", "row", "upper", "unit", "nodes", "")
 
-#: Rows of a table; of more, the first ones are shown and their number.
+#: Largest number of rows of a table; of more, the first ones and the number of others are shown.
 SHOWN = 40
 
 
 def page(title: str, text: str, tables: Iterable[str]) -> str:
-    """A title in bold with a text behind it, and tables below."""
+    """Return a title in bold followed by a text, with tables below."""
     lines = "<br>".join(map(escape, text.splitlines()))
     return f"<div><p><b>{escape(title)}</b>: {lines}</p>{''.join(tables)}</div>"
 
 
 def table(head: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
-    """A table with numbers to six digits; "" without rows."""
+    """Return a table with numbers to six digits; "" without rows."""
     lines = [_line("th", head), *(_line("td", row) for row in rows)]
     return f"<table>{''.join(lines)}</table>" if rows else ""
 
 
 def shorten(rows: Sequence[tuple[object, ...]]) -> list[tuple[object, ...]]:
-    """The first SHOWN rows of one kind, and how many there are besides."""
+    """Return the first SHOWN rows of one kind, and the number of further rows."""
     more = [("", f"and {len(rows) - SHOWN} more")] if len(rows) > SHOWN else []
     return [*rows[:SHOWN], *more]
 
 
 def ranges(groups: Iterable[tuple[str, Sequence[Trace], Array]]) -> str:
-    """A table of quantities with their first, last, least and largest values: kind, traces, values (n, traces)."""
+    """Return a table of quantities with first, last, least and largest values: kind, traces, values (n, traces)."""
     found: list[tuple[object, ...]] = []
     for kind, traces, values in groups:
         lines: list[tuple[object, ...]] = []

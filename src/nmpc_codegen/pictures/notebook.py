@@ -1,4 +1,4 @@
-"""What notebooks show of a controller, a log and a solution: a title, a text and tables."""
+"""Notebooks show a controller, a log and a solution as a title, a text and tables."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from nmpc_codegen.runtime.records.trace import Record
 
 
 def of_controller(ctrl: Memory) -> str:
-    """Signals at node 0 of the plan, rows with their present bounds, references, and what the compiler has chosen."""
+    """Return signals at node 0 of the plan, rows with present bounds, references, and choices of the compiler."""
     described = ctrl.description
     values = {"state": ctrl.x[0], "control": ctrl.u[0], "parameter": start_parameters(ctrl)}
     names = {"state": ctrl.names.states, "control": ctrl.names.controls, "parameter": ctrl.names.parameters}
@@ -48,7 +48,7 @@ def of_controller(ctrl: Memory) -> str:
 
 
 def of_log(log: Record, text: str) -> str:
-    """What print(log) says, and the range of every quantity."""
+    """Return the summary of a log, and the range of every quantity."""
     groups = [
         *(("state", log.states, log.x), ("control", log.controls, log.u)),
         *(("algebraic", log.algebraic, log.z), ("row", log.rows, log.h)),
@@ -58,7 +58,7 @@ def of_log(log: Record, text: str) -> str:
 
 
 def of_solution(plan: Plan | None, kkt: Kkt, text: str) -> str:
-    """What print(solution) says, the range of every quantity of its plan, and its residuals."""
+    """Return the text of a solution, the range of every quantity of its plan, and its residuals."""
     if plan is None:
         return page("Solution", text, [])
     groups = [("state", plan.states, plan.x), ("control", plan.controls, plan.u)]

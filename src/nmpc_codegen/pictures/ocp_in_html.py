@@ -1,4 +1,4 @@
-"""An OCP as tables in a notebook."""
+"""A notebook shows an OCP as tables."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from nmpc_codegen.frontend.statement import ResidualTerm, StatedProblem, Stateme
 from nmpc_codegen.package.signals import list_some, nodes, units
 from nmpc_codegen.pictures.html import ROWS, page, shorten, table
 
-LONGEST = 80  # characters of an expression
+LONGEST = 80  # largest number of characters of an expression
 STAGES = {"start": "node 0", "path": "nodes 0..N-1", "terminal": "node N"}
 
 
 def in_html(ocp: StatedProblem) -> str:
-    """Signals with units and values, rows with bounds, terms of the cost."""
+    """Return signals with units and values, rows with bounds, and terms of the cost."""
     return page(
         f"OCP {ocp.name}",
         "\n".join([grid_of(ocp), *_incomplete(ocp)]),
@@ -34,7 +34,7 @@ def in_html(ocp: StatedProblem) -> str:
 
 
 def _incomplete(ocp: StatedProblem) -> list[str]:
-    """What is still to be stated before a controller can be built."""
+    """Return lines on what must still be stated before a controller can be built."""
     names = elements_of(ocp.states)
     known = {*ocp.derivatives, *ocp.maps, *ocp.slopes}
     open_states = [name for i, name in enumerate(names) if i not in known]
@@ -87,7 +87,7 @@ def _short(expression: object) -> str:
 
 
 def _terms(residual: ResidualTerm) -> list[tuple[object, ...]]:
-    """One row per element, with its weight; entries off the diagonal are counted."""
+    """Return one row per element, with its weight and the number of entries off the diagonal."""
     diagonal = np.diag(residual.weight)
     coupled = np.count_nonzero(residual.weight - np.diag(diagonal), axis=1)
     scaled = " dt" if residual.scale_with_dt else ""

@@ -1,4 +1,4 @@
-"""Pictures of campaigns: distributions, and lost flights over what was drawn."""
+"""Campaigns are drawn as distributions, and as lost flights over random variables."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from nmpc_codegen.runtime.records.trace import File, with_unit
 Array = NDArray[Any]
 
 BINS = 60
-#: Variables of plot_lost(), and points of every kind in a panel.
+#: Number of variables in plot_lost(); largest number of points of each kind in a panel.
 VARIABLES, POINTS = 3, 600
 LOST = ("lost", {"color": FAILURE_COLOR, "marker": "o", "markersize": 3, "linestyle": ""})
 KEPT = ("not lost", {"color": STATE_COLOR, "marker": "o", "markersize": 3, "linestyle": ""})
@@ -31,14 +31,14 @@ LIMIT = ("allowed", {"color": "0.2", "linewidth": 1.0, "linestyle": (0, (5, 3))}
 
 
 def label(name: str, unit: Mapping[str, str]) -> str:
-    """A name with its unit."""
+    """Return a name with its unit."""
     return with_unit(name, unit.get(name, ""))
 
 
 def draw_distributions(
     flown: Flown, allowed: Array, lost: NDArray[np.bool_], title: str, unit: Mapping[str, str], file: File
 ) -> Any:
-    """Histograms of costs, of violations of rows that were violated, of times."""
+    """Draw histograms of costs, of violations of rows that were violated, and of times."""
     panels: list[tuple[str, Array, float]] = [("cost", flown.cost, np.inf)]
     for name, limit, amounts in zip(flown.labels.rows, allowed, flown.violation.T, strict=True):
         if np.nanmax(amounts, initial=0.0) > 0:
@@ -60,8 +60,10 @@ def draw_distributions(
 
 
 def _draw_histogram(axis: Any, values: Array, lost: NDArray[np.bool_], whole: NDArray[np.bool_]) -> None:
-    """Counts on a logarithmic scale, those of lost flights on top; what is far out or not finite is in the last bin,
-    and flights that are not ``whole`` do not widen the axis."""
+    """Draw counts on a logarithmic scale, with those of lost flights on top.
+
+    The last bin holds values that are far out or not finite; flights that are not ``whole`` do not widen the axis.
+    """
     finite = values[np.isfinite(values) & (whole if whole.any() else True)]
     if not finite.size:
         return
@@ -77,7 +79,7 @@ def _draw_histogram(axis: Any, values: Array, lost: NDArray[np.bool_], whole: ND
 
 
 def draw_pairs(flown: Flown, lost: NDArray[np.bool_], title: str, unit: Mapping[str, str], file: File) -> Any:
-    """Lost and other flights over pairs of the variables in which they differ most."""
+    """Draw lost and other flights over pairs of the variables in which they differ most."""
     heads = [*(f"start.{name}" for name in flown.labels.states), *flown.labels.drawn]
     every = np.hstack([flown.start, flown.drawn])
     spread = [i for i in range(len(heads)) if np.ptp(every[:, i]) > 0] or [0]
@@ -101,7 +103,7 @@ def draw_pairs(flown: Flown, lost: NDArray[np.bool_], title: str, unit: Mapping[
 
 
 def _difference(values: Array, lost: NDArray[np.bool_]) -> float:
-    """Largest distance between the distributions of lost and of other flights (Kolmogorov and Smirnov)."""
+    """Return the largest distance between the distributions of lost and other flights (Kolmogorov and Smirnov)."""
     if not lost.any() or lost.all():
         return 0.0
     order = np.argsort(values)
@@ -110,7 +112,7 @@ def _difference(values: Array, lost: NDArray[np.bool_]) -> float:
 
 
 def _draw_points(axis: Any, x: Array, y: Array, lost: NDArray[np.bool_]) -> None:
-    """The rarer kind on top."""
+    """Draw points of both kinds, the rarer kind on top."""
     kinds = [(~lost, KEPT), (lost, LOST)]
     for (some, (_, style)), alpha in zip(sorted(kinds, key=lambda k: -int(k[0].sum())), (0.4, 0.8), strict=True):
         places = np.flatnonzero(some)[:POINTS]

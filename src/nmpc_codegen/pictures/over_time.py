@@ -1,4 +1,4 @@
-"""The picture of a closed loop: one axis per quantity, with bounds, references and marks."""
+"""A closed loop is drawn with one axis per quantity, with bounds, references and marks."""
 
 from __future__ import annotations
 
@@ -43,19 +43,19 @@ from nmpc_codegen.runtime.records.trace import File, Record, Trace, with_unit
 
 Array = NDArray[np.float64]
 
-#: Statuses whose control is that of a QP, while its rows or its plan are doubtful.
+#: Statuses whose control comes from a QP although its rows or its plan are doubtful.
 DOUBTFUL = (Status.RELAXED, Status.NOT_CONVERGED)
 
-#: Times of samples, and what the legend says of them.
+#: Times of samples with their entry in the legend.
 Mark = tuple[Array, Legend]
 
-#: Times per sample are drawn on a logarithmic axis if the longest one is so many times the median.
+#: Computing times are drawn on a logarithmic axis if the longest one exceeds this multiple of the median.
 UNEVEN = 20
 
 
 @dataclass(frozen=True, eq=False)
 class CurveBounds:
-    """CurveBounds of a curve as they were, from each of the times ``t`` to the next."""
+    """The bounds of a curve, each valid from one of the times ``t`` to the next."""
 
     t: Array
     lower: Array
@@ -65,10 +65,12 @@ class CurveBounds:
 
 @dataclass(frozen=True, eq=False)
 class Curve:
-    """Values of a trace over time, and their reference, one value per sample; ``held``: constant until the next sample;
-    ``dots``: known at the samples only; ``logarithmic``: positive values of different magnitude. ``estimate``: what an
-    estimator makes of them at the samples, and two standard deviations; ``measured``: what is measured of them;
-    ``bounds``: of all rows that limit them."""
+    """The values of a trace over time, and their reference, one value per sample.
+
+    held: constant until the next sample; dots: known only at the samples; logarithmic: positive values of different
+    magnitude; estimate: estimates at the samples, and two standard deviations; measured: measurements; bounds: those of
+    all rows on the trace.
+    """
 
     trace: Trace
     t: Array
@@ -84,7 +86,7 @@ class Curve:
 
 
 def draw(log: Record, file: File) -> Any:
-    """See Log.plot()."""
+    """Draw a log; see Log.plot()."""
     failed = bool(np.any((log.status != Status.OK) & ~np.isin(log.status, DOUBTFUL)))
     return draw_curves(curves_of(log), title_of(log), time_label(log.time_unit), marks_of(log), file, failed)
 
@@ -92,7 +94,7 @@ def draw(log: Record, file: File) -> Any:
 def draw_curves(
     curves: Sequence[Curve], title: str, label: str, marks: Sequence[Mark], file: File, failed: bool
 ) -> Any:
-    """Figure with one axis per curve, with marks at the times of doubtful and of failed samples."""
+    """Draw a figure with one axis per curve, with marks at the times of doubtful and of failed samples."""
     figure, axes = stack_axes(len(curves), label, file)
     shown: list[Legend] = []
     with use_style():
@@ -105,8 +107,10 @@ def draw_curves(
 
 
 def draw_curve(axis: Any, curve: Curve) -> list[Legend]:
-    """The curve, its reference, bounds that it comes near or violates, the limits of the axis; what a legend has to
-    explain."""
+    """Draw the curve, its reference, and bounds that it comes near or violates; set the limits of the axis.
+
+    Return the entries for a legend.
+    """
     style = "steps-post" if curve.held else "default"
     dots: dict[str, Any] = {"marker": ".", "markersize": 4.0} if curve.dots else {}
     axis.plot(curve.t, curve.values, color=curve.color, linewidth=1.6, drawstyle=style, **dots)
@@ -139,14 +143,14 @@ def draw_curve(axis: Any, curve: Curve) -> list[Legend]:
 
 
 def draw_marks(axis: Any, marks: Sequence[Mark]) -> list[Legend]:
-    """Marks at the lower edge."""
+    """Draw marks at the lower edge."""
     for times, (_, style) in marks:
         axis.plot(times, np.zeros(len(times)), transform=axis.get_xaxis_transform(), zorder=4, **style)
     return [legend for _, legend in marks]
 
 
 def _mark_single(axis: Any, curve: Curve) -> None:
-    """Dots at values between unknown ones, through which no line goes."""
+    """Draw dots at values between unknown ones, which no line connects."""
     known = np.concatenate([[False], np.isfinite(curve.values), [False]])
     single = known[1:-1] & ~known[:-2] & ~known[2:]
     if single.any():
@@ -154,7 +158,7 @@ def _mark_single(axis: Any, curve: Curve) -> None:
 
 
 def _scale(axis: Any) -> None:
-    """A logarithmic axis with plain numbers."""
+    """Set a logarithmic axis with plain numbers."""
     ticker = extra("matplotlib.ticker", "plot()")
     axis.set_yscale("log")
     axis.yaxis.set_major_locator(ticker.LogLocator(subs=(1.0, 2.0, 5.0)))
@@ -165,8 +169,10 @@ def _scale(axis: Any) -> None:
 def draw_bounds(
     axis: Any, bounds: Iterable[CurveBounds], low: float, high: float, more: Mapping[str, Any] | None = None
 ) -> tuple[list[Legend], list[float]]:
-    """Draw the parts of bounds that values between ``low`` and ``high`` come near or violate; the legend, and the
-    values that the axis has to show. ``more``: of their style."""
+    """Draw the parts of bounds that values between ``low`` and ``high`` come near or violate.
+
+    Return the entries for the legend, and the values that the axis must show; ``more`` changes the line style.
+    """
     reach = spread(low, high)
     shown: list[Legend] = []
     seen: list[float] = []
@@ -192,8 +198,11 @@ def draw_bounds(
 
 
 def curves_of(log: Record, parameters: Collection[str] = ()) -> list[Curve]:
-    """Every quantity of a log that changes, or may: states, what is estimated, controls, algebraic variables, rows,
-    parameters that have changed and those of these names, computing times."""
+    """Return a curve for every quantity of a log that changes, or may change.
+
+    These are states, estimates, controls, algebraic variables, rows, parameters that have changed or are named, and
+    computing times.
+    """
     start, wanted, ended = log.t[:-1], {*changed_parameters(log), *parameters}, hold(log.p)
     curves = [*_state_curves(log), *_unknown_curves(log), *_control_curves(log)]
     curves += [Curve(trace, start, log.z[:, i], ALGEBRAIC_COLOR) for i, trace in enumerate(log.algebraic)]
@@ -210,12 +219,12 @@ def curves_of(log: Record, parameters: Collection[str] = ()) -> list[Curve]:
 
 
 def signals_of(log: Record) -> list[Curve]:
-    """States and controls."""
+    """Return curves of states and controls."""
     return [*_state_curves(log), *_control_curves(log)]
 
 
 def _state_curves(log: Record) -> list[Curve]:
-    """States with their bounds, references and estimates."""
+    """Return curves of states with their bounds, references and estimates."""
     followed, found = references_of(log), []
     for i, trace in enumerate(log.states):
         reference, bounds = followed.get(trace.name), bounds_of(log, log.t[:-1], "x", i)
@@ -225,7 +234,7 @@ def _state_curves(log: Record) -> list[Curve]:
 
 
 def _control_curves(log: Record) -> list[Curve]:
-    """Controls with their bounds and references."""
+    """Return curves of controls with their bounds and references."""
     followed, held, found = references_of(log), hold(log.u), []
     for j, trace in enumerate(log.controls):
         reference, bounds = followed.get(trace.name), bounds_of(log, log.t[:-1], "u", j)
@@ -234,24 +243,24 @@ def _control_curves(log: Record) -> list[Curve]:
 
 
 def hold(values: Array) -> Array:
-    """Values of samples, or of intervals, (n, ...), with the last one once more, for the end of its interval."""
+    """Return values of samples, or of intervals, (n, ...), with the last one repeated for the end of its interval."""
     return np.append(values, values[-1:], axis=0)
 
 
 def changed_parameters(log: Record) -> list[str]:
-    """Names of the parameters that are not the same at all samples."""
+    """Return the names of the parameters that are not equal at all samples."""
     return [trace.name for i, trace in enumerate(log.parameters) if (log.p[:, i] != log.p[:1, i]).any()]
 
 
 def _times(log: Record) -> Curve:
-    """The computing time of every sample."""
+    """Return the curve of the computing time of every sample."""
     times = log.time_ns / 1e3
     uneven = bool(times.size and times.max() > UNEVEN * np.median(times) > 0)
     return Curve(Trace("computing time", "µs"), log.t[:-1], times, TIME_COLOR, dots=True, logarithmic=uneven)
 
 
 def bounds_of(shown: Record | Plan, t: Array, array: str, column: int) -> tuple[CurveBounds, ...]:
-    """The bounds of a column at the times ``t``, in a log each at the node where it holds first."""
+    """Return the bounds of a column at the times ``t``; in a log, each at the first node where it holds."""
     return tuple(
         CurveBounds(t + limit.delay, shown.lower[:, i], shown.upper[:, i], limit.soft)
         for i, limit in enumerate(shown.limits)
@@ -260,12 +269,12 @@ def bounds_of(shown: Record | Plan, t: Array, array: str, column: int) -> tuple[
 
 
 def references_of(shown: Record | Plan) -> dict[str, Array]:
-    """Name of a state or control -> the references of the first residual that it is."""
+    """Return {state or control: references of the first residual that is this signal}."""
     return {trace.signal: shown.y[:, i] for i, trace in reversed([*enumerate(shown.references)])}
 
 
 def _with_estimate(log: Record, curve: Curve, i: int) -> Curve:
-    """The curve of state i with what is measured of it and what the estimator makes of it."""
+    """Return the curve of state i with its measurements and estimates."""
     if (found := log.estimates) is None:
         return curve
     shown = [found.y[:, m] for m, sensor in enumerate(found.sensors) if sensor.signal == curve.trace.name]
@@ -274,7 +283,7 @@ def _with_estimate(log: Record, curve: Curve, i: int) -> Curve:
 
 
 def _unknown_curves(log: Record) -> list[Curve]:
-    """The unknown parameters, and measurements that are no states."""
+    """Return curves of unknown parameters, and of measurements that are no states."""
     if (found := log.estimates) is None:
         return []
     start, nx = log.t[:-1], len(log.states)
@@ -291,18 +300,18 @@ def _unknown_curves(log: Record) -> list[Curve]:
 
 
 def time_label(unit: str) -> str:
-    """Label of an axis of time."""
+    """Return the label of an axis of time."""
     return "sample" if unit == "samples" else with_unit("time", unit)
 
 
 def title_of(log: Record) -> str:
-    """Name, length, and how many samples were not OK."""
+    """Return name, length, and number of samples that were not OK."""
     bad = int(np.sum(log.status != Status.OK))
     return f"{log.name}  ({len(log.u)} samples{f', {bad} not OK' if bad else ''})"
 
 
 def marks_of(log: Record) -> list[Mark]:
-    """Times of doubtful and of failed samples, with their statuses and style."""
+    """Return times of doubtful and of failed samples, with their statuses and style."""
     doubtful, bad = np.isin(log.status, DOUBTFUL), log.status != Status.OK
     found = []
     for some, color in ((doubtful, DOUBT_COLOR), (bad & ~doubtful, FAILURE_COLOR)):

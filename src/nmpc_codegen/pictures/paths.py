@@ -1,4 +1,4 @@
-"""The picture of many flights: all paths of every state and control, those that went wrong on top."""
+"""Many flights are drawn as paths of every state and control, with wrong flights on top."""
 
 from __future__ import annotations
 
@@ -26,22 +26,22 @@ from nmpc_codegen.runtime.records.trace import File, with_unit
 
 Array = NDArray[np.float64]
 
-#: What the legend says, and the style of the line.
+#: Text of the legend, and style of the line.
 MEDIAN: Legend = ("median", {"color": "0.1", "linewidth": 1.0})
 WRONG = "failed, lost or a hard row violated"
-MOST = 1000  # wrong paths that are drawn
-FEW = 200  # paths that are drawn as lines; of more, their density is drawn
-COLUMNS, ROWS = 240, 90  # of the picture of a density
+MOST = 1000  # largest number of wrong paths that are drawn
+FEW = 200  # largest number of paths that are drawn as lines; of more, the density is drawn
+COLUMNS, ROWS = 240, 90  # pixels of the picture of a density
 
 
 def draw(flights: Sequence[Flights], wrong: NDArray[np.bool_], title: str, file: File, words: str = WRONG) -> Any:
-    """Figure with an axis for each state and control, which is held until the next sample.
+    """Draw an axis for each state and control, which is held until the next sample.
 
-    ``wrong``: flights that are drawn last, in red, as ``words`` in the legend. The limits of an axis are those of
+    Flights marked by ``wrong`` are drawn last, in red, with ``words`` in the legend. The limits of an axis are those of
     flights whose state was finite, if there is one.
 
     Raises:
-        ControllerError: the samples were not recorded, or there is none.
+        ControllerError: the samples were not recorded, or there is no flight.
     """
     first, recorded = flights[0], [(f.x, f.u) for f in flights if f.x is not None and f.u is not None and f.u.size]
     if len(recorded) < len(flights):
@@ -69,7 +69,7 @@ def draw(flights: Sequence[Flights], wrong: NDArray[np.bool_], title: str, file:
 
 
 def _draw_panel(axis: Any, t: Array, paths: Array, wrong: NDArray[np.bool_], color: str) -> None:
-    """Good paths as a density, or as lines if they are few; wrong ones on top; the median of all."""
+    """Draw good paths as a density, or as lines if they are few; wrong ones on top; the median of all."""
     collections = extra("matplotlib.collections", "plot()")
     few = np.sum(~wrong) <= FEW
     if not few:
@@ -82,7 +82,7 @@ def _draw_panel(axis: Any, t: Array, paths: Array, wrong: NDArray[np.bool_], col
 
 
 def _set_limits(axis: Any, paths: Array) -> None:
-    """The range of the finite values, with a margin."""
+    """Set the limits to the range of the finite values, with a margin."""
     finite = paths[np.isfinite(paths)]
     low, high = (float(finite.min()), float(finite.max())) if finite.size else (0.0, 1.0)
     margin = 0.05 * (high - low or abs(high) or 1.0)
@@ -90,7 +90,7 @@ def _set_limits(axis: Any, paths: Array) -> None:
 
 
 def _draw_density(axis: Any, t: Array, paths: Array, color: str) -> None:
-    """How many paths pass a place, on a logarithmic scale, from white to the color."""
+    """Draw how many paths pass a place, on a logarithmic scale, from white to the color."""
     low, high = float(np.nanmin(paths)), float(np.nanmax(paths))
     edges = np.linspace(low, high if high > low else low + 1.0, ROWS + 1)
     counts = np.zeros((ROWS, COLUMNS))

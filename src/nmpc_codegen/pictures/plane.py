@@ -1,4 +1,4 @@
-"""One state over another: the path, plans, and what rows forbid there."""
+"""One state is drawn over another: the path, plans, and the region that rows forbid."""
 
 from __future__ import annotations
 
@@ -31,9 +31,9 @@ from nmpc_codegen.runtime.records.trace import File, Record
 
 Array = NDArray[np.float64]
 
-SET_POINTS = 10  # references up to this number are drawn as points
-LONGEST = 4.0  # ratio of the axes up to which both have one scale
-POINTS = 240  # of the grid on which rows are evaluated, in each direction
+SET_POINTS = 10  # largest number of references that are drawn as points
+LONGEST = 4.0  # largest ratio of the axes for which both have one scale
+POINTS = 240  # points in each direction of the grid on which rows are evaluated
 FORBIDDEN: Legend = ("forbidden", {"color": FAILURE_COLOR, "alpha": 0.18, "marker": "s", "linestyle": ""})
 COSTLY: Legend = ("soft row violated", {"color": DOUBT_COLOR, "alpha": 0.18, "marker": "s", "linestyle": ""})
 PATH: Legend = ("path", {"color": STATE_COLOR, "linewidth": 1.8})
@@ -42,7 +42,7 @@ TARGET: Legend = ("reference", {"color": REFERENCE_COLOR, "linewidth": 0.8, "mar
 
 
 def places(log: Record, x: str, y: str, user: str) -> tuple[int, int]:
-    """Columns of two states; ControllerError if there is no such state."""
+    """Return the columns of two states; raise ControllerError if one does not exist."""
     names = [trace.name for trace in log.states]
     if x == y:
         raise ControllerError(f"{user}: {x!r} over itself; expected two states")
@@ -53,7 +53,7 @@ def places(log: Record, x: str, y: str, user: str) -> tuple[int, int]:
 
 
 def draw(log: Record, x: str, y: str, rows: bool, every: int, file: File) -> Any:
-    """The path with its start, what is forbidden, the reference, and plans."""
+    """Draw the path with its start, the forbidden region, the reference, and plans."""
     i, j = places(log, x, y, "plot_xy()")
     chosen = choose(kept_plans(log, "plot_xy()"), every, "plot_xy()") if every else []
     figure = new_figure((WIDTH, 0.75 * WIDTH), file)
@@ -70,12 +70,12 @@ def draw(log: Record, x: str, y: str, rows: bool, every: int, file: File) -> Any
 
 
 def _moments(log: Record) -> list[int]:
-    """Samples at which obstacles are drawn: first, middle and last one."""
+    """Return the samples at which obstacles are drawn: first, middle and last one."""
     return sorted({0, len(log.u) // 2, len(log.u) - 1}) if len(log.u) else []
 
 
 def draw_surroundings(axis: Any, log: Record, i: int, j: int, rows: bool, samples: list[int]) -> list[Legend]:
-    """Axes whose scales fit, bounds of both states, their references, and what rows forbid at these samples."""
+    """Draw axes with fitting scales, bounds of both states, references, and forbidden regions at these samples."""
     ends = []
     for place in (i, j):
         values = np.concatenate([log.x[:, place], *_also_seen(log, place)])
@@ -97,15 +97,17 @@ def draw_surroundings(axis: Any, log: Record, i: int, j: int, rows: bool, sample
 
 
 def _also_seen(log: Record, place: int) -> list[Array]:
-    """Values of a state in plans and its references."""
+    """Return the values of a state in plans and its references."""
     planned = [] if log.plans is None else [log.plans.x[:, :, place].ravel()]
     followed = references_of(log).get(log.states[place].name)
     return planned if followed is None else [*planned, followed]
 
 
 def _draw_lines(axis: Any, log: Record, i: int, j: int, samples: list[int]) -> list[Legend]:
-    """Bounds of the two states that are in the picture, and their references if both have one: all, or that of a single
-    sample."""
+    """Draw the visible bounds of the two states, and their references if both have one.
+
+    All references are drawn, or that of a single sample.
+    """
     shown: list[Legend] = []
     (left, right), (bottom, top) = axis.get_xlim(), axis.get_ylim()
     for k, limit in enumerate(log.limits):
@@ -130,7 +132,7 @@ def _draw_lines(axis: Any, log: Record, i: int, j: int, samples: list[int]) -> l
 
 
 def _draw_forbidden(axis: Any, log: Record, number: int, columns: tuple[int, int], samples: list[int]) -> list[Legend]:
-    """Shade where a row is violated that depends on the two states and on parameters alone."""
+    """Shade the region where a row is violated that depends only on the two states and on parameters."""
     limit = log.limits[number]
     place = max(log.program.rows[limit.row])
     needed = log.program.inputs(place) if place >= 0 else frozenset()

@@ -1,4 +1,4 @@
-"""Plans over what happened: a fan of predictions, and the plan of one moment."""
+"""Plans are drawn over a closed loop as a fan of predictions, and one plan alone."""
 
 from __future__ import annotations
 
@@ -41,14 +41,14 @@ Array = NDArray[np.float64]
 
 
 def kept_plans(log: Record, user: str) -> Plans:
-    """The plans of a log; ControllerError if there are none."""
+    """Return the plans of a log; raise ControllerError if there are none."""
     if log.plans is None:
         raise ControllerError(f"{user}: the log has no plans; expected one of simulate(..., plans=1) or of a recording")
     return log.plans
 
 
 def choose(plans: Plans, every: int, user: str) -> list[int]:
-    """Places of the plans of every ``every``-th sample, or of the next one of which it is kept."""
+    """Return the indices of the plans of every ``every``-th sample, or of the next sample with a plan."""
     if not is_integer(every) or every < 1:
         raise ControllerError(f"{user}: every is {every!r}; expected an integer >= 1")
     wanted = np.arange(0, plans.sample[-1] + 1, every)
@@ -56,7 +56,7 @@ def choose(plans: Plans, every: int, user: str) -> list[int]:
 
 
 def draw(log: Record, every: int, file: File) -> Any:
-    """States and controls as they were, and plans from where they began."""
+    """Draw states and controls of the loop, and plans from their beginnings on."""
     plans = kept_plans(log, "plot_plans()")
     chosen, nx, curves = choose(plans, every, "plot_plans()"), len(log.states), signals_of(log)
     figure, axes = stack_axes(len(curves), time_label(log.time_unit), file)
@@ -73,7 +73,7 @@ def draw(log: Record, every: int, file: File) -> Any:
 
 
 def draw_fan(axis: Any, begin: Array, t: Array, values: Array, held: bool) -> tuple[float, float]:
-    """Thin lines of plans, (n, N+1), each with a dot where it begins; the range of their values."""
+    """Draw thin lines of plans (n, N+1), each with a dot at its beginning; return the range of their values."""
     style = {**PLAN[1], "drawstyle": "steps-post" if held else "default"}
     for start, line in zip(begin, values, strict=True):
         axis.plot(start + t, line, zorder=1.2, **style)
@@ -83,7 +83,7 @@ def draw_fan(axis: Any, begin: Array, t: Array, values: Array, held: bool) -> tu
 
 
 def draw_plan(plan: Plan, title: str, failed: bool, file: File) -> Any:
-    """States, controls, algebraic variables and rows of one plan over its nodes, with bounds and references."""
+    """Draw states, controls, algebraic variables and rows of one plan over its nodes, with bounds and references."""
     followed = references_of(plan)
     colors = {"states": STATE_COLOR, "controls": CONTROL_COLOR, "algebraic": ALGEBRAIC_COLOR, "rows": ROW_COLOR}
     curves = []

@@ -1,4 +1,4 @@
-"""Rows over time: how near plans come to their bounds, where they are active, and their multipliers."""
+"""Rows are drawn over time: how near plans come to their bounds, where they are active, and their multipliers."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ from nmpc_codegen.pictures.style import (
 )
 from nmpc_codegen.runtime.records.trace import File, Plans, Record
 
-MOST = 12  # rows that are drawn if none are named
+MOST = 12  # largest number of rows that are drawn if none are named
 BOUND: Legend = ("bound", HARD[1])
 ACTIVE: Legend = ("active", {"color": ROW_COLOR, "marker": "o", "markersize": 3.5, "linestyle": ""})
 VIOLATED: Legend = ("violated", {"color": FAILURE_COLOR, "marker": "o", "markersize": 3.5, "linestyle": ""})
 
 
 def draw(log: Record, rows: Sequence[str] | str | None, file: File) -> Any:
-    """Two axes for every row: its distance from the bound on the left, its multiplier on the right."""
+    """Draw two axes for every row: its distance from the bound on the left, its multiplier on the right."""
     plans = kept_plans(log, "plot_rows()")
     chosen = _choose(plans, rows)
     t = log.t[plans.sample]
@@ -68,13 +68,13 @@ def draw(log: Record, rows: Sequence[str] | str | None, file: File) -> Any:
 
 
 def _range(values: Any, least: float = 0.0) -> tuple[float, float]:
-    """Least and largest finite value, and 0; ``least``: half of the distance of the ends, at least."""
+    """Return least and largest finite value and 0; ``least`` is the least half distance of the ends."""
     finite = values[np.isfinite(values)]
     return min(-least, float(finite.min(initial=0.0))), max(least, float(finite.max(initial=0.0)))
 
 
 def _choose(plans: Plans, rows: Sequence[str] | str | None) -> list[int]:
-    """Numbers of the rows: named ones, whole vectors too, or those that are active or come nearest in their range."""
+    """Return the numbers of named rows, also of whole vectors, or of those active or nearest to their bounds."""
     names, rows = [trace.name for trace in plans.rows], (rows,) if isinstance(rows, str) else rows
     bounded = np.array(np.isfinite(plans.distance).any(axis=0))
     if rows is None:

@@ -1,4 +1,4 @@
-"""The style of all pictures, figures for files and for displays, legends."""
+"""All pictures share a style, figures for files and for displays, and legends."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from nmpc_codegen.runtime.extras import extra
 from nmpc_codegen.runtime.records.trace import File, Trace
 
 WIDTH, ROW_HEIGHT = 7.2, 1.35  # inches
-LEAST_SPREAD = 0.1  # of an axis, relative to its values
-COLUMN_LIMIT = 9  # traces in one column
-DPI = 130  # of files
+LEAST_SPREAD = 0.1  # least range of an axis, relative to its values
+COLUMN_LIMIT = 9  # largest number of traces in one column
+DPI = 130  # resolution of files
 LABEL = 15  # characters of a line beside an axis
-CHARACTER = 0.062  # width of one in a legend, inches
+CHARACTER = 0.062  # width of a character in a legend, inches
 STYLE = {
     "axes.spines.top": False,
     "axes.spines.right": False,
@@ -39,7 +39,7 @@ STATE_COLOR, CONTROL_COLOR, ALGEBRAIC_COLOR = "#1f5fa8", "#c2571a", "#7b4a91"
 PARAMETER_COLOR, SENSOR_COLOR = "#5b6b7a", "0.55"
 ROW_COLOR, TIME_COLOR = "#3f7d4e", "0.5"
 BOUND_COLOR, REFERENCE_COLOR, DOUBT_COLOR, FAILURE_COLOR = "0.45", "0.15", "#d98c00", "#b3202c"
-#: What the legend says, and the style of the line or mark.
+#: Text of the legend, and style of the line or mark.
 HARD = ("hard bound", {"color": BOUND_COLOR, "linewidth": 1.0, "linestyle": (0, (5, 3))})
 SOFT = ("soft bound", {"color": BOUND_COLOR, "linewidth": 1.2, "linestyle": (0, (1, 2))})
 REFERENCE = ("reference", {"color": REFERENCE_COLOR, "linewidth": 0.8})
@@ -52,8 +52,11 @@ Legend = tuple[str, dict[str, Any]]
 
 
 def new_figure(size: tuple[float, float], file: object) -> Any:
-    """A figure; if it is for a file, neither a display nor pyplot is needed. Not inside rc_context(): the first figure
-    chooses the display and whether it is interactive, and the end of the context would take that back."""
+    """Return a figure; if it is for a file, neither a display nor pyplot is needed.
+
+    Do not call it inside rc_context(): the first figure chooses the display and whether it is interactive, and the end
+    of the context would revert that.
+    """
     if file is None:
         pyplot = extra("matplotlib.pyplot", "plot()")
         return pyplot.figure(figsize=size, layout="constrained", FigureClass=_figure_class())
@@ -62,7 +65,7 @@ def new_figure(size: tuple[float, float], file: object) -> Any:
 
 @cache
 def _figure_class() -> Any:
-    """A figure that a notebook shows once in a cell: as its value or, as pyplot does, at its end."""
+    """Return a figure that a notebook shows once in a cell: as its value or, as pyplot does, at its end."""
 
     class Figure(extra("matplotlib.figure", "plot()").Figure):  # type: ignore[misc]
         """A figure of pyplot."""
@@ -81,12 +84,12 @@ def _figure_class() -> Any:
 
 
 def is_inline() -> bool:
-    """True if a notebook shows figures as pictures at the end of their cell."""
+    """Return True if a notebook shows figures as pictures at the end of their cell."""
     return "inline" in extra("matplotlib.pyplot", "plot()").get_backend()
 
 
 def _png(figure: Any) -> bytes:
-    """The figure as the bytes of a file."""
+    """Return the figure as the bytes of a file."""
     stream = io.BytesIO()
     figure.savefig(stream, format="png", dpi=100)
     return stream.getvalue()
@@ -94,13 +97,13 @@ def _png(figure: Any) -> bytes:
 
 @contextmanager
 def use_style() -> Iterator[None]:
-    """The style of the project for all that is drawn inside."""
+    """Apply the style of the project to everything that is drawn inside."""
     with extra("matplotlib", "plot()").rc_context(STYLE):
         yield
 
 
 def finish(figure: Any, title: str, shown: Iterable[Legend], file: File, color: str = "0.2") -> Any:
-    """Add legend and title, write the file if one is given, return the figure."""
+    """Add legend and title, write the file if one is given, and return the figure."""
     explain(figure, shown)
     figure.suptitle(title, fontsize=10, color=color)
     if file is not None:
@@ -109,7 +112,7 @@ def finish(figure: Any, title: str, shown: Iterable[Legend], file: File, color: 
 
 
 def explain(figure: Any, shown: Iterable[Legend]) -> None:
-    """A legend of the lines and marks that occur, in as many columns as fit into the figure."""
+    """Add a legend of the lines and marks that occur, in as many columns as fit into the figure."""
     styles = dict(shown)
     if styles:
         lines = extra("matplotlib.lines", "plot()")
@@ -120,14 +123,16 @@ def explain(figure: Any, shown: Iterable[Legend]) -> None:
 
 
 def columns_of(count: int) -> list[int]:
-    """Numbers of axes in columns of at most COLUMN_LIMIT, as equal as can be: 11 are 6 and 5."""
+    """Return numbers of axes in columns of at most COLUMN_LIMIT, as equal as possible: 11 become 6 and 5."""
     columns = math.ceil(count / COLUMN_LIMIT)
     return [count // columns + (i < count % columns) for i in range(columns)]
 
 
 def stack_axes(count: int, time: str, file: File) -> tuple[Any, list[Any]]:
-    """A figure with ``count`` axes over one time, in columns that are filled to the bottom, and the axes. The lowest
-    one of each column names the time; names of the others are aligned."""
+    """Return a figure with ``count`` axes over one time, in columns that are filled to the bottom, and the axes.
+
+    The lowest axis of each column names the time; names of the others are aligned.
+    """
     columns = columns_of(count)
     width = WIDTH * (1.0 if len(columns) == 1 else 0.62 * len(columns))
     figure = new_figure((width, 0.8 + ROW_HEIGHT * columns[0]), file)
@@ -145,12 +150,12 @@ def stack_axes(count: int, time: str, file: File) -> tuple[Any, list[Any]]:
 
 
 def name_axis(axis: Any, trace: Trace) -> None:
-    """The label of a quantity, in lines that fit beside the axis."""
+    """Set the label of a quantity, in lines that fit beside the axis."""
     axis.set_ylabel("\n".join(break_label(trace.label)), fontsize=9 if len(trace.label) <= LABEL else 8)
 
 
 def break_label(label: str) -> list[str]:
-    """Lines of about LABEL characters, which end at a blank or an underscore if they can."""
+    """Return lines of about LABEL characters, which end at a blank or an underscore if possible."""
     lines = []
     while len(label) > LABEL:
         cut = max((label.rfind(mark, 0, LABEL) for mark in " _["), default=-1)
@@ -161,7 +166,7 @@ def break_label(label: str) -> list[str]:
 
 
 def fit(axis: Any, low: float, high: float) -> None:
-    """Limits and few plain ticks for values between these."""
+    """Set limits and few plain ticks for values between these."""
     margin = 0.08 * spread(low, high)
     axis.set_ylim(low - margin, high + margin)
     axis.locator_params(axis="y", nbins=4)
@@ -169,5 +174,5 @@ def fit(axis: Any, low: float, high: float) -> None:
 
 
 def spread(low: float, high: float) -> float:
-    """Distance of two values, at least a part of their size, and of 1 if both are 0."""
+    """Return the distance of two values, at least a fraction of their size, and of 1 if both are 0."""
     return max(high - low, LEAST_SPREAD * max(abs(low), abs(high))) or LEAST_SPREAD

@@ -1,4 +1,4 @@
-"""Histograms of computing times, with deadlines, and of periods."""
+"""Computing times with deadlines, and periods, are drawn as histograms."""
 
 from __future__ import annotations
 
@@ -25,15 +25,15 @@ from nmpc_codegen.runtime.records.trace import File, Record
 Array = NDArray[Any]
 
 BINS = 60
-WIDE = 100.0  # times are drawn on a logarithmic axis if the largest is so many times the least
-FAR = 100.0  # a deadline that is so many times the worst case is not drawn
+WIDE = 100.0  # times are drawn on a logarithmic axis if the largest exceeds this multiple of the least
+FAR = 100.0  # a deadline beyond this multiple of the worst case is not drawn
 MEDIAN: Legend = ("median", {"color": "0.2", "linewidth": 1.0})
 WORST: Legend = ("worst", {"color": CONTROL_COLOR, "linewidth": 1.2})
 DEADLINE: Legend = ("deadline", {"color": FAILURE_COLOR, "linewidth": 1.2, "linestyle": (0, (5, 3))})
 
 
 def draw(log: Record, dt: float | None, file: File) -> Any:
-    """Histogram of the computing times, and of the periods of a recording."""
+    """Draw a histogram of the computing times, and of the periods of a recording."""
     if not len(log.time_ns):
         raise ControllerError("plot_times(): the log has no sample")
     deadline = nanoseconds(log, dt)
@@ -55,7 +55,7 @@ def draw(log: Record, dt: float | None, file: File) -> Any:
 
 
 def _draw_histogram(axis: Any, values: Array, limit: float | None) -> None:
-    """Counts on a logarithmic scale, so that a single late sample is seen."""
+    """Draw counts on a logarithmic scale, so that a single late sample is visible."""
     ends = [values.min(), values.max(), *([] if limit is None else [limit])]
     low, high = float(min(ends)), float(max(ends))
     wide = low > 0 and high > WIDE * low

@@ -1,1 +1,1 @@
-"""Compile, load and run C packages, without CasADi and jinja2."""
+"""The runtime compiles, loads and runs C packages; it needs neither CasADi nor jinja2."""

@@ -1,13 +1,14 @@
-"""Compile a C package and load it: compiler profiles and cffi. No other module imports cffi.
+"""A C package is compiled and loaded here, with compiler profiles and cffi; no other module imports cffi.
 
     texts of <name>.h, <name>.c, <name>.json  --cffi, two compilations side by side-->  module  -->  Controller
 
-A profile without a wrapper compiles the package alone, as a library whose functions cffi calls by their declarations:
-half the time to build, more for every call, and no need for Python.h.
+A profile without a wrapper compiles only the package, as a shared library, and cffi calls its functions by their
+declarations. That takes half the time to build and does not need Python.h, but every call takes longer.
 
-The module, or the library, is kept in the cache (cache.py) under a key that is computed from everything it depends on:
-the texts, the flags of the profile and of the package's target, the compiler with its version, the processor that
--march=native stands for, cffi and Python. So a cache that several machines share holds one library for each of them.
+The module or library is kept in the cache (cache.py) under a key that is computed from everything it depends on: the
+texts, the flags of the profile and of the package's target, the compiler with its version, the processor that
+-march=native stands for, cffi and Python. A cache that several machines share therefore holds one library for each kind
+of machine.
 
 The compiled code runs in this process with the rights of the user, so open only packages whose C you trust. The
 description, <name>.json, need not be trusted: it is refused if it disagrees with the compiled code.
@@ -44,7 +45,7 @@ from nmpc_codegen.runtime.estimation.observer import Observer
 from nmpc_codegen.runtime.native import check_target, flags_of_processor, macros_of
 from nmpc_codegen.targets import PORTABLE, TARGETS, Target
 
-#: A negative constant, whose parentheses cffi does not know.
+#: A negative constant; cffi does not parse its parentheses.
 _IN_PARENTHESES = re.compile(r"^(#define \w+) \((-\d+)\)", re.MULTILINE)
 BEGIN, END = "/* begin declarations */", "/* end declarations */"
 WARNINGS = (
@@ -55,16 +56,19 @@ SHOWN_LINES = 20
 
 
 def warnings_for(target: Target) -> tuple[str, ...]:
-    """All warnings of the project, as errors, in the language of a target; -pedantic is for ISO C."""
+    """Return the flags of all warnings of the project, as errors, in the language of a target.
+
+    -pedantic is for ISO C.
+    """
     return WARNINGS if target.lanes == 1 else (f"-std={target.standard}", *WARNINGS[2:])
 
 
 @dataclass(frozen=True)
 class Profile:
-    """Compiler flags of the package's .c; every reported number names its profile.
+    """A profile names the compiler flags of the package's .c; every reported number names its profile.
 
-    ``wrapper``: the package becomes a Python module, with a wrapper that is compiled; False: a library. ``native``: the
-    code is compiled for the processor at hand; a target that is a machine names another one behind it.
+    If ``wrapper`` is true, the package becomes a Python module with a compiled wrapper, else a shared library. If
+    ``native`` is true, the code is compiled for the processor at hand, except for a target that names a machine.
     """
 
     name: str
@@ -73,7 +77,7 @@ class Profile:
     native: bool = False
 
     def all_flags(self, target: Target = PORTABLE) -> tuple[str, ...]:
-        """Flags for a package of this target.
+        """Return the flags for a package of this target.
 
         Raises:
             BuildError: there is no compiler.
@@ -94,7 +98,7 @@ PROFILES: dict[str, Profile] = {
 
 
 def get_profile(profile: str | Profile) -> Profile:
-    """The profile with the given name; a Profile is returned unchanged.
+    """Return the profile with the given name; a Profile is returned unchanged.
 
     Raises:
         OptionError: there is no such profile.
@@ -133,7 +137,7 @@ def load(
 
 
 def load_estimator(files: Mapping[str, str], name: str, profile: str | Profile = "fast") -> Observer:
-    """The same for the package of an estimator."""
+    """Compile and load the package of an estimator; see load()."""
     found = load_any(files, name, profile)
     if not isinstance(found, Observer):
         raise ControllerError(f"{name} is {found.description.kind.opened}")
@@ -143,7 +147,7 @@ def load_estimator(files: Mapping[str, str], name: str, profile: str | Profile =
 def load_any(
     files: Mapping[str, str], name: str, profile: str | Profile = "fast", *, warnings_as_errors: bool = False
 ) -> Controller | Observer:
-    """The same for a package of any kind."""
+    """Compile and load a package of any kind; see load()."""
     found = compile_package(files, name, profile, warnings_as_errors)
     return Controller(found) if found.description.kind is CONTROLLER else Observer(found)
 
@@ -151,7 +155,7 @@ def load_any(
 def compile_package(
     files: Mapping[str, str], name: str, profile: str | Profile, warnings_as_errors: bool = False
 ) -> CompiledPackage:
-    """The compiled package; see load()."""
+    """Return the compiled package; see load()."""
     chosen = get_profile(profile)
     missing = [f"{name}.{ext}" for ext in ("h", "c", "json") if f"{name}.{ext}" not in files]
     if missing:
@@ -198,7 +202,7 @@ def _check_names(name: str, files: Mapping[str, str]) -> None:
 
 
 def compile_module(files: Mapping[str, str], name: str, flags: Sequence[str], wrapper: bool = True) -> Path:
-    """Path of the extension module, or the library, for these texts and flags; compiled unless it is in the cache."""
+    """Return the path of the extension module, or of the library; compile it unless it is in the cache."""
     compiler = find_compiler()
     module = f"_nmpc_{name}_{_key(files, name, flags, compiler, wrapper)}"
     wrapped = module if wrapper else None
@@ -208,7 +212,7 @@ def compile_module(files: Mapping[str, str], name: str, flags: Sequence[str], wr
 def _key(
     files: Mapping[str, str], name: str, flags: Sequence[str], compiler: tuple[str, ...], wrapper: bool = True
 ) -> str:
-    """First 32 hex digits of the SHA-256 of everything that the module depends on."""
+    """Return the first 32 hex digits of the SHA-256 of everything that the module depends on."""
     digest = hashlib.sha256()
     parts = [name, *(text for path in sorted(files) if not path.endswith(".json") for text in (path, files[path]))]
     parts += [*compiler, *flags, _identity(compiler, tuple(flags), os.environ.get("PATH", ""))]
@@ -221,11 +225,10 @@ def _key(
 
 @lru_cache
 def _identity(compiler: tuple[str, ...], flags: tuple[str, ...], path: str) -> str:
-    """Version of the compiler, and its flags with those that it adds itself.
+    """Return the version of the compiler, and its flags with those that it adds itself.
 
-    ``-###`` prints the command that the driver would run: cc1 with all its flags, of gcc and of clang. Any other
-    compiler that compiles an empty file tells its version and its predefined macros. ``path`` is only a key of
-    lru_cache.
+    ``-###`` makes gcc and clang print the command that they would run: cc1 with all its flags. Any other compiler that
+    compiles an empty file is asked for its version and its predefined macros. ``path`` is only a key of lru_cache.
     """
     command = [*compiler, *flags, "-###", "-E", "-x", "c", os.devnull]
     result = ask(command)
@@ -250,7 +253,7 @@ def _compile(
     module: str | None,
     folder: Path,
 ) -> None:
-    """Write the files to an empty folder and make PRODUCT there: the Python module with this name, or a library."""
+    """Write the files to an empty folder and make PRODUCT there: the Python module called ``module``, or a library."""
     for path, text in files.items():
         (folder / path).parent.mkdir(parents=True, exist_ok=True)
         (folder / path).write_text(text, encoding="utf-8")
@@ -263,7 +266,7 @@ def _compile(
 def _compile_library(
     files: Mapping[str, str], name: str, flags: Sequence[str], compiler: tuple[str, ...], folder: Path
 ) -> None:
-    """One call of the compiler for the package."""
+    """Compile the package to a shared library, with one call of the compiler."""
     foreign = _compile_foreign(files, flags, compiler, folder)
     command = [*compiler, *_link_flags(), "-fPIC", *flags, f"{name}.c", *foreign, "-o", PRODUCT, "-lm"]
     made = _run(command, folder)
@@ -332,7 +335,7 @@ def _compile_foreign(
 
 
 def _python_includes() -> list[str]:
-    """-I flags for Python.h."""
+    """Return the -I flags for Python.h."""
     folders = {sysconfig.get_path("include"), sysconfig.get_path("platinclude")}
     if not any((Path(folder) / "Python.h").exists() for folder in folders):
         raise BuildError(
@@ -358,7 +361,7 @@ def _write_wrapper(header: str, name: str, module: str, path: Path) -> None:
 
 
 def declarations(header: str, name: str) -> str:
-    """The part of a header that cffi parses, between its two marker comments."""
+    """Return the part of a header that cffi parses, which is between two marker comments."""
     _, begin, rest = header.partition(BEGIN)
     inside, end, _ = rest.partition(END)
     if not begin or not end:
@@ -378,14 +381,17 @@ def _head(output: str) -> str:
 
 
 class _Declared(cffi.FFI):  # type: ignore[misc]
-    """The ffi of a library with its declarations; ``error``: the exception that the ffi of a module has, too."""
+    """The ffi of a library with its declarations.
+
+    ``error`` is the exception class that the ffi of a module also has.
+    """
 
     error = (cffi.FFIError, cffi.CDefError)
 
 
 @cache
 def _open(declared: str, name: str, path: Path) -> tuple[Any, Any]:
-    """ffi and lib of a library, which stays loaded: functions may be held longer than their package."""
+    """Load a library and return its ffi and lib; it stays loaded, as functions may outlive their package."""
     ffi = _Declared()
     try:
         ffi.cdef(declared)
@@ -400,7 +406,7 @@ def _open(declared: str, name: str, path: Path) -> tuple[Any, Any]:
 
 
 def _loading_error(name: str, path: Path, error: Exception) -> BuildError:
-    """The error for a module or library that the system does not load."""
+    """Return the error for a module or library that the system does not load."""
     flag = getattr(os, "ST_NOEXEC", 0)
     if flag and os.statvfs(path).f_flag & flag:
         return BuildError(
@@ -412,7 +418,7 @@ def _loading_error(name: str, path: Path, error: Exception) -> BuildError:
 
 @cache
 def _import(name: str, path: Path) -> tuple[Any, Any]:
-    """ffi and lib of an extension module, loaded under its unique name, once per process."""
+    """Import an extension module under its unique name, once per process, and return its ffi and lib."""
     module_name = path.name.split(".")[0]
     loader = importlib.machinery.ExtensionFileLoader(module_name, str(path))
     spec = importlib.util.spec_from_file_location(module_name, path, loader=loader)

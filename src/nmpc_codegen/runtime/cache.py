@@ -1,4 +1,4 @@
-"""The folder of compiled controllers: private to its owner, verified before use, cleaned of remains of killed builds.
+"""The folder of compiled controllers is private to its owner, verified before use, and cleaned after killed builds.
 
     <cache>/_nmpc_<name>_<key>.so        a module; loaded only if its checksum is right
     <cache>/_nmpc_<name>_<key>.sha256    its checksum, as sha256sum writes it
@@ -33,19 +33,19 @@ from nmpc_codegen.errors import BuildError, warn
 
 CACHE_VARIABLE = "NMPC_CODEGEN_CACHE"
 BUILDING, FAILED, LOCKS, PRODUCT = ".building-", "failed", "locks", "module"
-HOMELESS = Path(os.devnull, "no-home-directory")  # it cannot be made
-TEMPORARY, ALIVE = "nmpc_codegen-cache-", "alive.lock"  # prefix of temporary folders, and the lock that is held in each
+HOMELESS = Path(os.devnull, "no-home-directory")  # a path that cannot be created
+TEMPORARY, ALIVE = "nmpc_codegen-cache-", "alive.lock"  # prefix of temporary folders; name of the lock in each
 KEPT_FAILURES = 8
 OTHERS_WRITE = stat.S_IWGRP | stat.S_IWOTH
 
-#: A cache that cannot be written to -> the folder that takes its place.
+#: Cache that cannot be written to -> folder that is used instead.
 _SUBSTITUTES: dict[Path, Path] = {}
 #: The lock of the temporary folder, held as long as the process lives.
 _HELD: list[FileLock] = []
 
 
 def cache_directory() -> Path:
-    """The folder of compiled controllers: $NMPC_CODEGEN_CACHE, else the user's cache directory."""
+    """Return the folder of compiled controllers: $NMPC_CODEGEN_CACHE, else the user's cache directory."""
     override = os.environ.get(CACHE_VARIABLE)
     if override:
         return Path(override).absolute()
@@ -56,7 +56,7 @@ def cache_directory() -> Path:
 
 
 def entry(filename: str, make: Callable[[Path], None]) -> Path:
-    """Path of an entry of the cache; ``make(folder)`` is called if it is missing or damaged.
+    """Return the path of an entry of the cache; ``make(folder)`` is called if it is missing or damaged.
 
     Args:
         filename: name of the entry; the part before the first dot names its lock and folders.
@@ -71,7 +71,7 @@ def entry(filename: str, make: Callable[[Path], None]) -> Path:
         if folder not in _SUBSTITUTES:
             try:
                 return _entry(_private(folder), filename, make)
-            except (OSError, NotImplementedError) as error:  # the latter: a file system without locks
+            except (OSError, NotImplementedError) as error:  # NotImplementedError: a file system without locks
                 _substitute(folder, error)
         return _entry(_SUBSTITUTES[folder], filename, make)
     except OSError as error:
@@ -82,7 +82,7 @@ def entry(filename: str, make: Callable[[Path], None]) -> Path:
 
 
 def _entry(folder: Path, filename: str, make: Callable[[Path], None]) -> Path:
-    """Path of an intact entry in a folder, made there if necessary."""
+    """Return the path of an intact entry in a folder; make the entry there if necessary."""
     target = folder / filename
     if _is_intact(target):
         return target
@@ -96,7 +96,7 @@ def _entry(folder: Path, filename: str, make: Callable[[Path], None]) -> Path:
 
 
 def _substitute(folder: Path, error: BaseException) -> None:
-    """Let a temporary folder of this process take the place of a cache, with a warning."""
+    """Use a temporary folder of this process instead of the cache, and warn."""
     place = _SUBSTITUTES[folder] = temporary_directory()
     warn(
         f"cannot write to the cache {folder}: {error}; controllers are kept in {place} until this process ends and "
@@ -107,8 +107,11 @@ def _substitute(folder: Path, error: BaseException) -> None:
 
 @cache
 def temporary_directory() -> Path:
-    """A private folder that is removed when the process that asked for it first ends, or after it was killed by the
-    next one that asks: the process and its children hold a lock in it."""
+    """Return a private folder that lives as long as the process that first asked for it.
+
+    The process and its children hold a lock in the folder. If they are killed, the next process that calls this
+    function removes it.
+    """
     for left in Path(tempfile.gettempdir()).glob(f"{TEMPORARY}*"):
         with suppress(OSError, Timeout):
             info = left.lstat()
@@ -124,7 +127,7 @@ def temporary_directory() -> Path:
 
 
 def keep_failed(workplace: Path) -> Path:
-    """Move the folder of a failed build to FAILED, where it can be inspected; only the last few are kept."""
+    """Move the folder of a failed build to FAILED for inspection; only the last few are kept."""
     failed = workplace.parent / FAILED
     kept = failed / _module(workplace.name)
     failed.mkdir(exist_ok=True)
@@ -141,7 +144,7 @@ def keep_failed(workplace: Path) -> Path:
 
 
 def _private(folder: Path) -> Path:
-    """The folder, created if needed; it is refused if another user could put code into it."""
+    """Return the folder, created if needed; refuse it if another user could put code into it."""
     folder.mkdir(mode=0o700, parents=True, exist_ok=True)
     reason = _distrust(folder.stat())
     if reason:
@@ -158,7 +161,7 @@ def _user() -> int:
 
 
 def _distrust(info: os.stat_result) -> str:
-    """The reason why a file or folder may contain code of another user, or "". Root can do anything and is trusted."""
+    """Return the reason why a file or folder may contain code of another user, or ""; root is trusted."""
     if not hasattr(os, "geteuid"):
         return ""
     if info.st_uid not in (0, os.geteuid()):
@@ -169,13 +172,13 @@ def _distrust(info: os.stat_result) -> str:
 
 
 def _is_intact(target: Path) -> bool:
-    """True for a trusted module with the recorded checksum. Loading a truncated module may kill the process."""
+    """Return True for a trusted module with the recorded checksum; loading a truncated one may kill the process."""
     recorded, content = _read_own(_checksum_file(target)), _read_own(target)
     return content is not None and recorded == _checksum(content, target)
 
 
 def _read_own(path: Path) -> bytes | None:
-    """Contents of a regular file that no other user can have written; None for anything else."""
+    """Return the content of a regular file that no other user can have written; None for anything else."""
     try:
         # Do not wait for a named pipe, and do not follow a link.
         descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0))
@@ -223,7 +226,7 @@ def _lock(folder: Path, module: str) -> Iterator[None]:
 
 @contextmanager
 def _workplace(target: Path) -> Iterator[Path]:
-    """A folder for one build, used only by the holder of the module's lock and removed afterwards."""
+    """Create a folder for one build, which only the holder of the module's lock uses; remove it afterwards."""
     workplace = Path(tempfile.mkdtemp(prefix=f"{_module(target.name)}{BUILDING}", dir=target.parent))
     try:
         yield workplace

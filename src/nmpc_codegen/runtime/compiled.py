@@ -1,4 +1,4 @@
-"""A compiled C package: its functions, and its solver struct as a NumPy type.
+"""A compiled C package has functions, and a solver struct that is described as a NumPy type.
 
 The description is compared with the compiled code before it determines the layout of any memory.
 """
@@ -25,13 +25,13 @@ COUNTERS = (
     *("qp_iterations", "active_set_changes", "dropped_rows", "relaxed_rows", "sqp_iterations"),
     *("violated_row", "violated_node"),
 )
-#: Counters of an algorithm without a QP; one that has the first has the second, too, and no counters of a QP.
+#: Counters of an algorithm without a QP. A package that has the first one has all of them, and no counters of a QP.
 NEWTON = ("newton_iterations", "accepted", "cg_iterations", "faces", "shifts", "negative_curvature", "simulations")
 
 
 @dataclass(frozen=True, eq=False)
 class CompiledPackage:
-    """A compiled package: its texts, their description, its cffi module, and a function to load it again (pickle)."""
+    """A compiled package: its texts, their description, its cffi module, and a function that loads it for pickle."""
 
     name: str
     files: Mapping[str, str]
@@ -43,17 +43,20 @@ class CompiledPackage:
 
     @cached_property
     def dtype(self) -> np.dtype[Any]:
-        """NumPy type of the solver struct; ControllerError unless its layout is that of the compiled code."""
+        """Return the NumPy type of the solver struct.
+
+        Raise ControllerError unless its layout matches the compiled code.
+        """
         self._same("the name", self.description.name, self.name)
         for size, value in self.description.interface.items():
             stated = getattr(self.lib, f"{self.name.upper()}_{size}", None)
-            if stated is not None or size in INTERFACE_SIZES:  # other sizes show in the layout of the structs
+            if stated is not None or size in INTERFACE_SIZES:  # other sizes are checked with the layout of the structs
                 self._same(f"the size {size}", value, stated)
         unknown = self.ffi.error if isinstance(self.ffi.error, tuple) else (self.ffi.error,)
         try:
             dims = self.description.dims
             sizes = self.description.sizes
-            solved = sizes["NALG"] * (1 + sizes["NALG"])  # what Newton's method finds, behind the parameters
+            solved = sizes["NALG"] * (1 + sizes["NALG"])  # results of Newton's method, stored behind the parameters
             self.description.program.check([sizes["NX"], sizes["NU"], sizes["NP"] + solved], dims.nr, EDGES)
             layouts = {struct.name: self.description.dtype(struct.name) for struct in self.description.structs}
             for name, layout in layouts.items():
@@ -66,12 +69,12 @@ class CompiledPackage:
 
     @cached_property
     def fingerprint(self) -> str:
-        """SHA-256 of the C texts: two controllers with the same one can exchange their state."""
+        """Return the SHA-256 of the C texts; controllers with the same one can exchange their states."""
         texts = (self.files[f"{self.name}.{ext}"] for ext in ("h", "c"))
         return hashlib.sha256("\0".join(texts).encode()).hexdigest()
 
     def function(self, name: str) -> Any:
-        """The C function <prefix>_<name>."""
+        """Return the C function <prefix>_<name>."""
         try:
             return self._functions[name]
         except KeyError:
@@ -79,19 +82,24 @@ class CompiledPackage:
 
     @cached_property
     def _functions(self) -> dict[str, Any]:
-        """The C functions by their names without the prefix: looked up once, as they are called at every sample."""
+        """Return all C functions by name, without the prefix.
+
+        The lookup is done once, as samples need it every time.
+        """
         prefix = f"{self.name}_"
         return {n.removeprefix(prefix): getattr(self.lib, n) for n in dir(self.lib) if n.startswith(prefix)}
 
     def _type(self, word: str) -> Any:
-        """cffi's type <prefix>_<word>_t."""
+        """Return cffi's type <prefix>_<word>_t."""
         name = f"{self.name}_{word}_t"
         return self._types.get(name) or self.ffi.typeof(name)
 
     @cached_property
     def _types(self) -> dict[str, Any]:
-        """Types that the arguments and results of functions contain, by name: cffi parses C for a name, but not for a
-        member."""
+        """Return the types in arguments and results of functions, by name.
+
+        cffi parses C to find a type by its name, but not to find the type of a member.
+        """
         found: dict[str, Any] = {}
         waiting = [self.ffi.typeof(function) for function in self._functions.values() if callable(function)]
         while waiting:
@@ -108,7 +116,7 @@ class CompiledPackage:
 
     @cached_property
     def empty(self) -> dict[str, tuple[int, ...]]:
-        """Members of the solver that the package lacks because their size is 0 -> their shape."""
+        """Return the shapes of the solver members that the package lacks because their size is 0."""
         d = self.description.dims
         shapes: dict[str, tuple[int, ...]] = {"p": (d.N + 1, d.np)}
         shapes |= {"yref": (d.N, d.ny), "yref_N": (d.ny_N,), "W": (d.N, d.ny), "W_N": (d.ny_N,)}
@@ -133,14 +141,14 @@ class CompiledPackage:
 
 
 def restore(reload: Callable[..., Any], files: Mapping[str, str], name: str, profile: Any, state: bytes) -> Any:
-    """Unpickle: load the package again, from the cache if possible, and restore the state."""
+    """Load a pickled package again, from the cache if possible, and restore its state."""
     controller = reload(files, name, profile)
     controller._memory[:] = np.frombuffer(state, dtype=np.uint8)
     return controller
 
 
 def allocate(size: int) -> NDArray[np.uint8]:
-    """A zeroed byte array whose first byte is aligned."""
+    """Return a zeroed byte array whose first byte is aligned."""
     raw = np.zeros(size + ALIGNMENT, dtype=np.uint8)
     start = -raw.ctypes.data % ALIGNMENT
     return raw[start : start + size]
@@ -155,7 +163,7 @@ def write_state(file: str | os.PathLike[str] | IO[bytes], fingerprint: str, memo
 def read_state(
     file: str | os.PathLike[str] | IO[bytes], package: CompiledPackage, shape: tuple[int, ...]
 ) -> NDArray[np.uint8]:
-    """The bytes that write_state() has written for this package; ControllerError if they are of another one."""
+    """Return the bytes that write_state() has written; raise ControllerError if they belong to another package."""
     try:
         with np.load(file, allow_pickle=False) as archive:
             fingerprint, state = str(archive["package"]), np.asarray(archive["state"])

@@ -1,4 +1,4 @@
-"""The C compiler: $CC, else one on the path, else that of the extra ``compiler``, and what it is run with."""
+"""The C compiler is $CC, else one on the path, else that of the extra ``compiler``."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from nmpc_codegen.targets import UNALIGNED_MOVES
 
 #: The compiler of the package ziglang, which is clang with a C library. Without the option it inserts traps at -O0.
 ZIG = (sys.executable, "-m", "ziglang", "cc", "-fno-sanitize=undefined")
-#: Names the folder in which zig keeps the parts of its C library.
+#: The environment variable that names zig's folder for parts of its C library.
 ZIG_CACHE = "ZIG_GLOBAL_CACHE_DIR"
 
 _PROBE = """#if !defined(__GNUC__) || defined(__clang__) || defined(__TINYC__)
@@ -34,7 +34,7 @@ typedef int probe;
 
 
 def find_compiler() -> tuple[str, ...]:
-    """The C compiler as a command: $CC, else gcc, cc or clang on the path, with options that all its code requires.
+    """Return the command of the C compiler with required options: $CC, else gcc, cc or clang on the path, else zig.
 
     Raises:
         BuildError: there is none; the message says what to install.
@@ -44,9 +44,10 @@ def find_compiler() -> tuple[str, ...]:
 
 
 def with_required_options(command: tuple[str, ...]) -> tuple[str, ...]:
-    """The compiler with UNALIGNED_MOVES, if it is gcc and its assembler knows this option.
+    """Return the command with UNALIGNED_MOVES, if it is a gcc whose assembler knows this option.
 
-    Under the lock: the first temporary folder of a process takes a lock of Python's, which a fork would copy.
+    This runs under the lock COMPILING: the first temporary folder of a process takes a lock of Python, which a fork
+    would copy in its locked state.
     """
     with COMPILING:
         return _with_required_options(command, os.environ.get("PATH", ""))
@@ -54,7 +55,7 @@ def with_required_options(command: tuple[str, ...]) -> tuple[str, ...]:
 
 @lru_cache
 def _with_required_options(command: tuple[str, ...], path: str) -> tuple[str, ...]:
-    """``path`` is only a key of lru_cache."""
+    """Test with a small file whether the compiler accepts UNALIGNED_MOVES; ``path`` is only a key of lru_cache."""
     with tempfile.TemporaryDirectory() as folder:
         Path(folder, "probe.c").write_text(_PROBE)
         asked = [*command, UNALIGNED_MOVES, "-c", "probe.c", "-o", "probe.o"]
@@ -85,8 +86,11 @@ def _compiler_on_path() -> tuple[str, ...]:
 
 
 def environment(command: Sequence[str], folder: Path | None = None) -> dict[str, str]:
-    """Environment of a command of the compiler: its temporary files go to the build folder, which is removed after
-    killed builds; what zig keeps goes to a temporary folder if it could not write anywhere else."""
+    """Return the environment of a compiler command.
+
+    Temporary files go to the build folder, which is removed after killed builds. zig's cache goes to a temporary folder
+    if zig could not write it anywhere else.
+    """
     found = dict(os.environ)
     if folder is not None:
         found["TMPDIR"] = str(folder)
@@ -96,15 +100,15 @@ def environment(command: Sequence[str], folder: Path | None = None) -> dict[str,
 
 
 def ask(command: Sequence[str]) -> subprocess.CompletedProcess[str]:
-    """What a compiler says of itself."""
+    """Run a compiler with an option that makes it print facts about itself."""
     return subprocess.run(command, env=environment(command), capture_output=True, text=True, check=False)
 
 
 def _zig_can_write() -> bool:
-    """True if the folder of zig in the user's cache exists or can be made, and can be written to."""
+    """Return True if zig's folder in the user's cache can be created and written to."""
     try:
         folder = Path(user_cache_dir("zig"))
         folder.mkdir(parents=True, exist_ok=True)
-    except (OSError, RuntimeError):  # the latter: there is no home directory
+    except (OSError, RuntimeError):  # RuntimeError: there is no home directory
         return False
     return os.access(folder, os.W_OK | os.X_OK)

@@ -1,8 +1,8 @@
-"""A compiled controller: NumPy views on the C struct, and the calls of the C package.
+"""A Controller is a compiled controller: NumPy views on its C struct, and the calls of its C package.
 
     u0 = step(xhat) = prepare(); feedback(xhat)
 
-The whole state of a controller is in the struct, a 64-byte aligned byte array that the Controller owns: copying,
+The struct holds the whole state of a controller. It is a 64-byte aligned byte array that the Controller owns: copying,
 pickling and saving copy these bytes. Use one controller per thread; C calls release the GIL.
 """
 
@@ -32,13 +32,13 @@ Array = NDArray[Any]
 
 
 class Controller(Setters):
-    """A controller with its memory, which build() or open_package() creates initialised and ready to step.
+    """A controller with its memory; build() or open_package() creates it initialised and ready to step.
 
-    The whole state is one struct: copies, pickles and files are its bytes. One controller belongs to one thread at a
-    time.
+    One struct holds the whole state: copies, pickles and saved files contain its bytes. Only one thread at a time may
+    use a controller.
 
     Attributes:
-        description: what <name>.json says: sizes, signals, rows, options, the report of the compiler.
+        description: the content of <name>.json: sizes, signals, rows, options, the report of the compiler.
         dims: sizes N, nx, nu, np, ny, ny_N, nh, nh_N (general rows of the path and of the end), nr (scalar rows).
         names: names of the elements of every vector: states, controls, parameters, rows, residuals.
 
@@ -61,17 +61,18 @@ class Controller(Setters):
         """Call prepare() and feedback(xhat); an algorithm without these phases computes the sample in one call.
 
         Args:
-            xhat: measured state, shape (nx,). NaN is not an error here: the status is NOT_FINITE, the control is safe.
+            xhat: measured state, shape (nx,). NaN raises no error: the status is NOT_FINITE and the control is safe.
             on_failure: "status" stores the outcome in ``status``; "raise" raises ControllerError after a failure.
-            iterations: QPs that this sample may take, for a caller with a deadline; None: as many as the options say.
-                The control is that of the best plan so far, and the status tells whether it is near a solution.
+            iterations: largest number of QPs in this sample, for a caller with a deadline; None: the number in the
+                options. The control is that of the best plan so far, and the status tells whether this plan is near a
+                solution.
 
         Returns:
             Control to apply, shape (nu,): a new array, finite and inside its bounds whatever the status.
 
         Raises:
-            ControllerError: xhat has another shape, or no numbers; iterations is no number from 1 on; or
-                on_failure="raise".
+            ControllerError: xhat has another shape or is no array of numbers; iterations is no integer >= 1; or the
+                sample failed and on_failure is "raise".
         """
         if iterations is not None:
             with self._limit(iterations):
@@ -106,7 +107,7 @@ class Controller(Setters):
         return self._judge(status, "prepare", on_failure)
 
     def feedback(self, xhat: ArrayLike, on_failure: OnFailure = "status", iterations: int | None = None) -> Array:
-        """The feedback phase: solve the prepared problem for the measured state.
+        """Run the feedback phase: solve the prepared problem for the measured state.
 
         Args:
             xhat: measured state (nx,), as in step().
@@ -114,7 +115,7 @@ class Controller(Setters):
             iterations: as in step().
 
         Returns:
-            Control to apply (nu,), as step() does.
+            Control to apply (nu,), as step() returns it.
         """
         if iterations is not None:
             with self._limit(iterations):
@@ -139,11 +140,10 @@ class Controller(Setters):
 
         Args:
             xhat: initial state, shape (nx,).
-            tol: KKT residual, relative to the terms that it sums, up to which the problem counts as solved, > 0;
-                None: 1e-8, in single precision 1e-4.
+            tol: tolerance of the KKT residual, relative to its terms, > 0; None: 1e-8, in single precision 1e-4.
             max_iterations: maximum number of SQP iterations, >= 1.
-            globalization: "filter", a line search that accepts what reduces cost or violation, with restoration of
-                feasibility; or "full_step", the real-time iteration repeated.
+            globalization: "filter", a line search that accepts a step if it reduces cost or violation, with restoration
+                of feasibility; or "full_step", repeated real-time iterations.
 
         Examples:
             >>> from nmpc_codegen import build
@@ -166,10 +166,10 @@ class Controller(Setters):
     # -- what is known about it ----------------------------------------------------------------------------------------
 
     def diagnose(self) -> str:
-        """Why the last call was not OK, in the user's names, and what to try; a few lines.
+        """Explain why the last call was not OK, in the user's names, and advise what to try, in a few lines.
 
-        It names what is not finite with its node and operation, violated rows, the largest gap of the plan, repeats the
-        warnings of the compiler and gives advice for the options in force.
+        The text names numbers that are not finite with their node and operation, violated rows and the largest gap of
+        the plan. It repeats the warnings of the compiler and gives advice for the options in force.
         """
         return diagnosis(self, self._xhat, self._solved)
 
@@ -187,7 +187,12 @@ class Controller(Setters):
     if not TYPE_CHECKING:  # a type checker must find names that do not exist
 
         def __getattr__(self, attribute: str) -> Any:
-            """Explain attributes that do not exist, those of other tools too; of a property, repeat its own error."""
+            """Raise an error for an attribute that does not exist.
+
+            For attributes of other tools it names the right one.
+
+            An error inside a property is passed on unchanged.
+            """
             of_class = getattr(type(self), attribute, None)
             if isinstance(of_class, property):
                 return of_class.__get__(self)
@@ -196,13 +201,13 @@ class Controller(Setters):
     # -- inner ------------------------------------------------------------------------------------------------------
 
     def note_sample(self, u: Array, time_ns: int) -> None:
-        """Internal: compiled code has taken a sample of this struct."""
+        """Record that compiled code has taken a sample of this struct (internal)."""
         self._solved, self._prepare_ns, self._feedback_ns = False, 0, time_ns
         self._u0[:] = u
 
     @contextmanager
     def _limit(self, iterations: int) -> Iterator[None]:
-        """QPs that a sample may take; a package without this member takes one."""
+        """Limit the QPs of the calls in this context; a package without this member takes one QP in a sample."""
         if not given.is_integer(iterations) or iterations < 1:
             raise ControllerError(f"iterations is {iterations!r}; expected an integer from 1 on")
         if self.description.options["algorithm"] != "RealTimeIteration":
@@ -218,7 +223,7 @@ class Controller(Setters):
                 member[...] = usual
 
     def _measure(self, xhat: ArrayLike) -> None:
-        """Copy the measured state to the buffer that C reads. NaN is passed on, as the C code handles it."""
+        """Copy the measured state to the buffer that C reads; NaN is passed on, because the C code handles it."""
         self._solved = False
         if type(xhat) is np.ndarray and xhat.dtype == self._real and xhat.shape == self._xhat.shape:
             self._xhat[:] = xhat

@@ -1,4 +1,7 @@
-"""Packages that only some functions need: imported at their first use, with an error that names the extra."""
+"""Packages that only some functions need are imported at their first use.
+
+The error names the extra that brings them.
+"""
 
 from __future__ import annotations
 
@@ -8,11 +11,11 @@ from typing import Any
 
 from nmpc_codegen.errors import ExtraError
 
-#: The distribution that is installed: the whole, or the part of it that runs exported packages.
+#: True if the whole distribution is installed, false if only the part that runs exported packages.
 HAS_COMPILER = find_spec("nmpc_codegen.compiler") is not None
 DISTRIBUTION = "nmpc-codegen" if HAS_COMPILER else "nmpc-codegen-runtime"
 
-#: Package -> the extra of it that brings it.
+#: Package -> extra of this distribution that installs it.
 EXTRAS = {
     "matplotlib": "plot",
     "pandas": "notebook",
@@ -27,7 +30,7 @@ EXTRAS = {
 
 
 def extra(module: str, user: str) -> Any:
-    """The module, or a submodule of a package of EXTRAS.
+    """Import a module, or a submodule of a package of EXTRAS.
 
     Raises:
         ExtraError: the package is not installed; ``user`` is the function that needs it.

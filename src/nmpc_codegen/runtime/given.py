@@ -1,4 +1,4 @@
-"""Checks of values that a caller gives: numbers, arrays of an expected shape, weights."""
+"""Values that a caller gives are checked here: numbers, arrays of an expected shape, weights."""
 
 from __future__ import annotations
 
@@ -13,23 +13,23 @@ from numpy.typing import ArrayLike, NDArray
 from nmpc_codegen.errors import ControllerError, NmpcError
 from nmpc_codegen.package.signals import Row, Soft, members
 
-#: Asymmetry |W - W'| and negative eigenvalues up to this multiple of eps max|W| are rounding of products like A' Q A.
+#: Asymmetry |W - W'| and negative eigenvalues up to this multiple of eps max|W| come from rounding in products A' Q A.
 ROUNDING = 2.0**12
 
 
-#: Relative difference of two times that is rounding.
+#: Times with a relative difference up to this value are equal.
 SAME_TIME = 1e-9
 
 
 def is_same_time(one: float, other: float) -> bool:
-    """True if two times are equal up to rounding."""
+    """Return True if two times are equal up to rounding."""
     return math.isclose(one, other, rel_tol=SAME_TIME, abs_tol=0.0)
 
 
 def checked_weight(
     W: NDArray[Any], what: str, error: type[NmpcError], eps: float = float(np.finfo(np.float64).eps)
 ) -> NDArray[np.float64]:
-    """(W + W') / 2 of a finite square W that is symmetric positive semidefinite up to rounding.
+    """Return (W + W') / 2 of a finite square W that is symmetric positive semidefinite up to rounding.
 
     Args:
         W: (n, n).
@@ -65,10 +65,10 @@ def checked_array(
     finite: bool = True,
     also: Callable[[], str] = str,
 ) -> NDArray[Any]:
-    """``value`` as an array of the given type and shape; ``also`` says which other shapes the caller takes.
+    """Return ``value`` as an array of the given type and shape; ``also`` names other allowed shapes in the message.
 
     Raises:
-        ControllerError: it is not such an array, or, with ``finite``, it contains a NaN or an infinity.
+        ControllerError: ``value`` is no such array, or, with ``finite``, it contains a NaN or an infinity.
     """
     try:
         given = np.asarray(value)
@@ -90,10 +90,10 @@ def checked_array(
 def weights(
     W: ArrayLike, what: str, real: np.dtype[Any], size: int, matrix: bool, lengths: Sequence[int] = ()
 ) -> NDArray[Any]:
-    """Checked weights in the form that a struct stores: diagonals (rows, size) or matrices (rows, size, size).
+    """Return checked weights in the form that a struct stores: diagonals (rows, size) or matrices (rows, size, size).
 
     Args:
-        W: (size,) or (size, size); or one of these for each of as many nodes as ``lengths`` names.
+        W: (size,) or (size, size), or one of these for each node; ``lengths`` holds the allowed numbers of nodes.
         what: name of the weight, for the message.
         real: type of the numbers.
         size: number of residuals.
@@ -101,7 +101,7 @@ def weights(
         lengths: numbers of nodes.
 
     Raises:
-        ControllerError: other shapes, or a weight that is not symmetric positive semidefinite.
+        ControllerError: the shape is wrong, or a weight is not symmetric positive semidefinite.
     """
     matrices = [(size, size), *((n, size, size) for n in lengths)]
     diagonals = [(size,), *((n, size) for n in lengths)]
@@ -128,9 +128,9 @@ def weights(
 def check_weights(
     W: NDArray[Any], what: str, real: np.dtype[Any], row: Callable[[int], str] = "node {}".format
 ) -> NDArray[Any]:
-    """The checked weights (rows, size, size), or diagonals (rows, size); ControllerError names the wrong one.
+    """Return checked weights (rows, size, size), or diagonals (rows, size); a ControllerError names the wrong row.
 
-    ``row``: what a row of several belongs to.
+    ``row`` returns the name of a row for the message.
     """
     names = (what if len(W) == 1 else f"{what} of {row(k)}" for k in range(len(W)))
     if W.ndim == 2 and (W < 0).any():
@@ -143,14 +143,14 @@ def check_weights(
 
 
 def pair(value: Any, what: str) -> tuple[Any, Any]:
-    """Two values, or ControllerError."""
+    """Return both values of a pair, or raise ControllerError."""
     if not isinstance(value, (tuple, list, np.ndarray)) or len(value) != 2 or any(side is None for side in value):
         raise ControllerError(f"{what} is {value!r}; expected (lower, upper), where -inf and inf are no bound")
     return value[0], value[1]
 
 
 def check_range(values: NDArray[Any], low: Sequence[float], high: Sequence[float], what: str) -> None:
-    """ControllerError if one of the rows is outside of the bounds of its elements."""
+    """Raise ControllerError if one of the rows is outside the limits of its elements."""
     outside = (values < np.array(low, values.dtype)) | (values > np.array(high, values.dtype))
     if outside.any():
         place = np.unravel_index(outside.argmax(), outside.shape)
@@ -161,7 +161,7 @@ def check_range(values: NDArray[Any], low: Sequence[float], high: Sequence[float
 
 
 def alike(one: NDArray[Any], other: NDArray[Any], what: str) -> tuple[NDArray[Any], NDArray[Any]]:
-    """Both with as many rows; ControllerError if they have different numbers of rows."""
+    """Return both arrays with the same number of rows, or raise ControllerError."""
     if one.shape == other.shape:
         return one, other
     try:
@@ -172,7 +172,10 @@ def alike(one: NDArray[Any], other: NDArray[Any], what: str) -> tuple[NDArray[An
 
 
 def check_bounds(low: NDArray[Any], high: NDArray[Any], row: Row) -> None:
-    """ControllerError if bounds are NaN or crossed, at a node where the row holds if there is a pair for each node."""
+    """Raise ControllerError if bounds are NaN or crossed.
+
+    If there is a pair for each node, only nodes where the row holds are checked.
+    """
     imposed = [k for k in row.nodes if k < len(low)] if len(low) > 1 else [0]
     for which, bound in (("lower", low), ("upper", high)):
         if np.any(np.isnan(bound[imposed])):
@@ -184,10 +187,10 @@ def check_bounds(low: NDArray[Any], high: NDArray[Any], row: Row) -> None:
 
 
 def penalty_of_row(soft: Any, row: Row, what: str) -> tuple[Any, Any] | None:
-    """(l1, l2) of a row, or of the side of a row that it is; None: it stays.
+    """Return the penalty (l1, l2) of a row, or of one side of it; None leaves it unchanged.
 
     Raises:
-        ControllerError: it is none, or the sides of a row that has one penalty would differ.
+        ControllerError: ``soft`` is no penalty, or the sides of a row with a single penalty would differ.
     """
     if isinstance(soft, Soft):
         if soft.scale_with_dt:
@@ -209,7 +212,7 @@ def penalty_of_row(soft: Any, row: Row, what: str) -> tuple[Any, Any] | None:
 
 
 def _same(one: Any, other: Any) -> bool:
-    """True if two penalties are given, and equal."""
+    """Return True if two penalties are given and equal."""
     if one is None or other is None:
         return False
     first, second = (value if isinstance(value, tuple | list) else (value, 0.0) for value in (one, other))
@@ -217,7 +220,10 @@ def _same(one: Any, other: Any) -> bool:
 
 
 def check_penalties(l1: NDArray[Any], l2: NDArray[Any], declared: tuple[float, float], what: str) -> None:
-    """ControllerError unless penalties are nonnegative, and infinite or positive only where they were declared so."""
+    """Raise ControllerError unless penalties are nonnegative.
+
+    A penalty may be infinite, or positive, only if it was declared so.
+    """
     least, infinite = min(l1.min(), l2.min()), bool(np.isinf(l1).any())
     if not least >= 0.0 or np.isnan(l1).any() or not np.isfinite(l2).all():
         raise ControllerError(f"{what} is {l1.tolist()}, {l2.tolist()}; expected numbers >= 0, l2 finite")
@@ -231,13 +237,13 @@ def check_penalties(l1: NDArray[Any], l2: NDArray[Any], declared: tuple[float, f
 
 
 def require_time(dt: object) -> None:
-    """Raise ControllerError unless it is a finite number >= 0."""
+    """Raise ControllerError unless ``dt`` is a finite number >= 0."""
     if not is_positive(dt) and not (isinstance(dt, int | float | np.integer | np.floating) and dt == 0):
         raise ControllerError(f"dt is {dt!r}; expected a finite number >= 0")
 
 
 def is_positive(value: object) -> bool:
-    """True for a finite positive number."""
+    """Return True for a finite positive number."""
     if isinstance(value, bool) or not isinstance(value, int | float | np.integer | np.floating):
         return False
     return math.isfinite(value) and bool(value > 0)
@@ -252,12 +258,12 @@ def rows(
     finite: bool = True,
     spread: bool = True,
 ) -> NDArray[Any]:
-    """An array (1, size) for all nodes, or (n, size), one row per node, for one of the numbers of nodes ``lengths``.
+    """Return an array (1, size) for all nodes, or (n, size) with one row per node; ``lengths`` holds the allowed n.
 
-    (n,) are rows if ``size`` is 1. ``spread``: one number stands for all elements of a row.
+    If ``size`` is 1, (n,) are rows. With ``spread``, a single number is used for all elements of a row.
 
     Raises:
-        ControllerError: other shapes; the message lists all that are taken.
+        ControllerError: the shape is wrong; the message lists the allowed ones.
     """
     shape = np.shape(value) if ndim(value) >= 0 else None
     flat = shape is not None and size == 1 and len(shape) == 1 and shape[0] in lengths
@@ -271,10 +277,10 @@ def rows(
 def fill_by_name(
     into: NDArray[Any], values: Mapping[str, ArrayLike], names: Sequence[str], what: str, finite: bool = True
 ) -> None:
-    """Write {name of a state or of a vector of them: value} to ``into`` (states,), whose elements have these names.
+    """Write {name of a state or of a vector of them: value} to ``into``, whose elements are called ``names``.
 
     Raises:
-        ControllerError: there is no such state; or see rows().
+        ControllerError: there is no such state; see also rows().
     """
     for name, value in values.items():
         places = members(name, names)
@@ -284,7 +290,7 @@ def fill_by_name(
 
 
 def _other_shapes(size: int, lengths: Sequence[int], spread: bool) -> Callable[[], str]:
-    """Says which shapes rows() takes besides (size,)."""
+    """Return a function that lists the shapes which rows() accepts besides (size,)."""
 
     def say() -> str:
         shapes = [f"({n},)" if size == 1 else f"({n}, {size})" for n in lengths]
@@ -295,7 +301,7 @@ def _other_shapes(size: int, lengths: Sequence[int], spread: bool) -> Callable[[
 
 
 def ndim(value: ArrayLike) -> int:
-    """Number of dimensions; -1 if ``value`` is not an array, which the check of its shape then refuses."""
+    """Return the number of dimensions, or -1 if ``value`` is no array; the check of its shape then refuses it."""
     try:
         return np.ndim(value)
     except ValueError:
@@ -303,5 +309,5 @@ def ndim(value: ArrayLike) -> int:
 
 
 def is_integer(value: object) -> bool:
-    """True for an integer of Python or NumPy."""
+    """Return True for an integer of Python or NumPy."""
     return isinstance(value, int | np.integer) and not isinstance(value, bool)

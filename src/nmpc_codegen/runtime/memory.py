@@ -1,5 +1,4 @@
-"""The memory of a controller or estimator: NumPy views on the C struct, what is read from it, its copies and files, and
-the functions of its package."""
+"""The memory of a controller or estimator is its C struct, which is viewed, copied, saved and passed to C functions."""
 
 from __future__ import annotations
 
@@ -19,11 +18,11 @@ from nmpc_codegen.runtime.compiled import CompiledPackage
 Array = NDArray[Any]
 OnFailure = Literal["status", "raise"]
 
-#: Stats of an algorithm without counters.
+#: The counters of an algorithm that has none.
 _NO_COUNTS = {**dict.fromkeys((*compiled.COUNTERS, *compiled.NEWTON), 0), "violation": 0.0}
 
 
-#: Parts of the augmented state, and what a problem without them lacks.
+#: Part of the augmented state -> the expression that brings it.
 _ADDED = {
     "previous": "previous control: its problem does not contain ocp.previous(u) or ocp.rate(u)",
     "time": "time: its problem does not contain ocp.time",
@@ -31,9 +30,9 @@ _ADDED = {
 
 
 class Memory(Iterate):
-    """A struct of a package, initialised, with views on its iterate and what the last call has left in it.
+    """An initialised struct of a package, with views on its iterate and on the results of the last call.
 
-    ``memory``: the bytes of an initialised struct, which someone else owns, too.
+    ``memory`` holds the bytes of an initialised struct that another object also owns.
     """
 
     def __init__(self, package: CompiledPackage, memory: NDArray[np.uint8] | None = None) -> None:
@@ -49,7 +48,7 @@ class Memory(Iterate):
         self._may_be_solved = "solved" in self.description.members("solver")
         self._prepare_ns = 0
         self._feedback_ns = 0
-        self._solved = False  # the last call was solve()
+        self._solved = False  # True if the last call was solve()
         if memory is None:
             self._expect(self._call("init", self._s), "init")
 
@@ -57,18 +56,25 @@ class Memory(Iterate):
 
     @property
     def z(self) -> Array:
-        """Algebraic variables of the plan, (N+1, number), a copy: at x and u of a node, at node N with u_{N-1}; NaN
-        where the equations have no solution."""
+        """Return the algebraic variables of the plan, (N+1, number), a copy; NaN where the equations have no solution.
+
+        They belong to x and u of each node, and at node N to u_{N-1}.
+        """
         if not self.names.algebraic:
             return np.zeros((self.dims.N + 1, 0))
         last = np.append(self.u, self.u[-1:], axis=0)
         return np.array([self.algebraic(x, u, k) for k, (x, u) in enumerate(zip(self.x, last, strict=True))])
 
     def algebraic(self, x: ArrayLike, u: ArrayLike, node: int = 0) -> Array:
-        """Algebraic variables (number,) at the state x (nx,) and the control u (nu,), with the parameters of a node.
+        """Return the algebraic variables (number,) at a state and control; NaN if the equations have no solution.
 
-        Newton's method starts where it was at this node last. NaN where the equations have no solution. Where equations
-        contain previous controls, time or a control inside a block of hold=, they are those of the plan at the node.
+        Newton's method starts from its last result at this node. Previous controls, time and controls held by hold=
+        have their values in the plan at the node.
+
+        Args:
+            x: state (nx,).
+            u: control (nu,).
+            node: node whose parameters are used.
         """
         names, N = self.names.algebraic, self.dims.N
         if not names:
@@ -83,13 +89,13 @@ class Memory(Iterate):
 
     @property
     def previous(self) -> Array:
-        """Control applied last, (nu,), a copy: that of the last sample, or of set_previous()."""
+        """Return a copy of the control applied last, (nu,), by the last sample or set_previous()."""
         self._needs("previous")
         return np.array(self._view("previous"))
 
     @property
     def time(self) -> float:
-        """Time of the next sample."""
+        """Return the time of the next sample."""
         self._needs("time")
         return float(self._view("time"))
 
@@ -100,12 +106,15 @@ class Memory(Iterate):
 
     @property
     def status(self) -> Status:
-        """Outcome of the last prepare(), feedback(), step() or solve(); of an estimator of step() or correct()."""
+        """Return the status of the last prepare(), feedback(), step() or solve().
+
+        For an estimator, step() or correct().
+        """
         return Status(int(self._struct["status"]))
 
     @property
     def stats(self) -> Stats:
-        """Counters, residuals and times of the last call; counters that the algorithm does not have are 0."""
+        """Return counters, residuals and times of the last call; counters that the algorithm lacks are 0."""
         found: Any = self._struct["stats"] if "stats" in self.description.members("solver") else {}
         counts = _NO_COUNTS | {name: found[name] for name in self.description.members("stats")}
         return Stats(
@@ -125,32 +134,32 @@ class Memory(Iterate):
         )
 
     def _farthest(self, index: int) -> str | None:
-        """Name of a measurement; None of -1."""
+        """Return the name of measurement number ``index``, None for -1."""
         found = self.description.estimation
         return None if found is None or index < 0 else found.measurements[index]
 
     @property
     def time_ns(self) -> int:
-        """Time (ns) of the last prepare() and feedback() together, or of step()."""
+        """Return the time (ns) of the last step(), or of the last prepare() and feedback() together."""
         return self._prepare_ns + self._feedback_ns
 
     @property
     def cost(self) -> float:
-        """Cost of the current plan, with the present references and weights."""
+        """Return the cost of the current plan, with the present references and weights."""
         return float(self._call("cost", self._s))
 
     def kkt(self) -> Kkt:
-        """KKT residuals of the current iterate."""
+        """Return the KKT residuals of the current iterate."""
         evaluate = self._package.function("kkt")
         out = self._package.ffi.new(f"{self._package.name}_kkt_t *")
         evaluate(self._s, out)
         return Kkt.read(lambda part: getattr(out, part), self.description.members("kkt"))
 
     def integrate(self, x: ArrayLike, u: ArrayLike, dt: float) -> Array:
-        """State (nx,) after a time under a constant control, by the integrator of the package.
+        """Return the state (nx,) after a time under a constant control, by the integrator of the package.
 
-        Where the dynamics contain previous controls or time, they are those of the last sample. Discrete states beside
-        continuous ones take their next value, whatever dt is.
+        Previous controls and time in the dynamics have their values in the last sample. Discrete states beside
+        continuous ones take their next value, for any dt.
 
         Args:
             x: state (nx,).
@@ -166,26 +175,28 @@ class Memory(Iterate):
 
     @property
     def profile(self) -> str:
-        """Name of the compiler profile."""
+        """Return the name of the compiler profile."""
         return str(self._package.profile.name)
 
     def _depends_on_measured(self) -> bool:
-        """True if the preparation of the next sample depends on the measured state: the first one, or one that may be
-        at the state of solve()."""
+        """Return True if the preparation of the next sample depends on the measured state.
+
+        That is so in the first sample, and in one that may begin at the state of solve().
+        """
         first = self._starts_at_measured and self._struct["samples"] == 0
         return bool(first or (self._may_be_solved and self._struct["solved"]))
 
     @property
     def nbytes(self) -> int:
-        """Size of the solver struct in bytes: all memory that the C package uses except the stack."""
+        """Return the size of the solver struct in bytes: all memory that the C package uses except the stack."""
         return self._package.dtype.itemsize
 
     def call_solve(self, tol: float, last: int) -> Status:
-        """Internal: C function solve() for the state last given, up to iteration ``last``."""
+        """Call C's solve() for the state last measured, up to iteration ``last`` (internal)."""
         return Status(self._call("solve", self._s, self._xhat_c, tol, last))
 
     def call_iteration(self) -> Status:
-        """Internal: C functions prepare() and feedback() for the state last given, or what replaces them."""
+        """Call C's prepare() and feedback(), or step(), for the state last measured (internal)."""
         if self._phases is None:
             return Status(self._call("step", self._s, self._xhat_c, self._u0_c))
         return Status(self._call("prepare", self._s) or self._call("feedback", self._s, self._xhat_c, self._u0_c))
@@ -193,7 +204,7 @@ class Memory(Iterate):
     # -- copies -----------------------------------------------------------------------------------------------------
 
     def copy(self) -> Self:
-        """An independent one in the same state."""
+        """Return an independent copy in the same state."""
         twin = type(self)(self._package)
         twin._memory[:] = self._memory
         return twin
@@ -201,7 +212,7 @@ class Memory(Iterate):
     __copy__ = copy
 
     def __bytes__(self) -> bytes:
-        """The bytes of the solver struct, as memcpy() gives them on a target; replay() reads them."""
+        """Return the bytes of the solver struct, as memcpy() copies them on a target; replay() reads them."""
         return self._memory.tobytes()
 
     def __deepcopy__(self, memo: object) -> Self:
@@ -213,7 +224,7 @@ class Memory(Iterate):
         return compiled.restore, (package.reload, dict(package.files), package.name, package.profile, state)
 
     def save(self, file: str | os.PathLike[str] | IO[bytes]) -> None:
-        """Write the state, the bytes of the struct and the fingerprint of its package, as an .npz archive.
+        """Write the bytes of the struct and the fingerprint of its package as an .npz archive.
 
         Args:
             file: path, or a file that is open for writing bytes.
@@ -227,15 +238,15 @@ class Memory(Iterate):
             file: path, or a file that is open for reading bytes.
 
         Raises:
-            ControllerError: it is no such file, or one of another package.
-            OSError: it cannot be read.
+            ControllerError: the file was not written by save(), or it belongs to another package.
+            OSError: the file cannot be read.
         """
         self._memory[:] = compiled.read_state(file, self._package, self._memory.shape)
 
     # -- calls and their arguments -------------------------------------------------------------------------------------
 
     def diagnose(self) -> str:
-        """Why the last call was not OK."""
+        """Explain why the last call was not OK."""
         raise NotImplementedError
 
     def _judge(self, status: int, call: str, on_failure: OnFailure) -> Status:
@@ -248,7 +259,7 @@ class Memory(Iterate):
         return judged
 
     def _functions(self, *names: str) -> tuple[Any, ...] | None:
-        """The entry points of these names, looked up once; None if one of them does not exist."""
+        """Return the C functions with these names, looked up once; None if one of them does not exist."""
         if not all(map(self.description.offers, names)):
             return None
         return tuple(map(self._package.function, names))
@@ -269,7 +280,7 @@ class Memory(Iterate):
         return self.description.rows[index].name if index >= 0 else None
 
     def _buffer(self, size: int) -> tuple[Array, Any]:
-        """An array of max(1, size) numbers for C, cut to size, and its pointer."""
+        """Return an array of ``size`` numbers, backed by at least one number for C, and its pointer."""
         whole = np.zeros(max(1, size), dtype=self._real)
         return whole[:size], self._pointer(whole)
 

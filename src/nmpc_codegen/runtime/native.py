@@ -1,4 +1,4 @@
-"""The machine at hand: which targets it runs, and the widest of them, by the macros that its compiler predefines."""
+"""The macros that the compiler predefines tell which targets this machine runs, and which of them is the widest."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ from nmpc_codegen.errors import BuildError
 from nmpc_codegen.runtime.compilers import ask, find_compiler
 from nmpc_codegen.targets import NATIVE, PORTABLE, TARGETS, Target
 
-#: What the system calls ARM64.
+#: Names of ARM64 in the operating system.
 ARM64 = ("aarch64", "arm64")
 
-#: What compilers call the processor at hand; for some architectures the first one is unknown.
+#: Flags for the processor at hand; for some architectures compilers do not know the first one.
 _PROCESSOR = (("-march=native",), ("-mcpu=native",))
 
-#: The first version of gcc with __builtin_shufflevector; clang has had it for long.
+#: The first version of gcc with __builtin_shufflevector; all supported versions of clang have it.
 _SHUFFLES = 12
 
 
 def native() -> Target:
-    """The target of this machine with most lanes, as the compiler describes it; "portable" if there is none.
+    """Return the target with most lanes that this machine runs by its compiler's macros; else "portable".
 
     Raises:
         BuildError: there is no compiler.
@@ -35,9 +35,9 @@ def native() -> Target:
 
 
 def flags_of_processor() -> tuple[str, ...]:
-    """Flags with which the compiler uses all instructions of the processor at hand.
+    """Return the flags with which the compiler uses all instructions of the processor at hand.
 
-    None if it has no such flags, or if CC names a processor.
+    The result is empty if the compiler has no such flags, or if CC names a processor.
 
     Raises:
         BuildError: there is no compiler.
@@ -49,7 +49,7 @@ def flags_of_processor() -> tuple[str, ...]:
 
 
 def runs(target: Target) -> bool:
-    """True if this machine runs what is compiled for the target.
+    """Return True if this machine runs code compiled for the target.
 
     Raises:
         BuildError: there is no compiler.
@@ -58,7 +58,7 @@ def runs(target: Target) -> bool:
 
 
 def check_target(name: str, target: Target) -> None:
-    """Refuse a package that this machine, or its compiler, does not run.
+    """Raise BuildError if this machine, or its compiler, cannot run the package.
 
     Raises:
         BuildError: there is no compiler, or the package is for another machine.
@@ -81,13 +81,13 @@ def _knows_vectors(macros: Mapping[str, str]) -> bool:
 
 
 def macros_of(compiler: tuple[str, ...], flags: tuple[str, ...] = ()) -> Mapping[str, str]:
-    """Predefined macros of the compiler with these flags; empty if it refuses them."""
+    """Return the compiler's predefined macros with these flags; empty if it refuses the flags."""
     return _macros(compiler, flags, os.environ.get("PATH", ""))
 
 
 @lru_cache
 def _macros(compiler: tuple[str, ...], flags: tuple[str, ...], path: str) -> Mapping[str, str]:
-    """``path`` is only a key of lru_cache."""
+    """Ask the compiler for its predefined macros; ``path`` is only a key of lru_cache."""
     command = [*compiler, *flags, "-dM", "-E", "-x", "c", os.devnull]
     found = (line.split(None, 2) for line in ask(command).stdout.splitlines() if line.startswith("#define "))
     return {words[1]: words[2] if len(words) == 3 else "" for words in found}

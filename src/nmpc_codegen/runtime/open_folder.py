@@ -1,4 +1,4 @@
-"""Open exported folders, without CasADi.
+"""Exported folders are opened here, without CasADi.
 
 The C code of a folder is compiled and runs with the rights of the user, so open only folders that you trust.
 """
@@ -19,18 +19,17 @@ from nmpc_codegen.runtime.estimation.observer import Observer
 def open_package(directory: str | Path, profile: str = "fast", name: str | None = None) -> Controller:
     """Compile and load an exported folder, without CasADi.
 
-    The C code of the folder runs in this process, so open only folders that you trust. A description that does not
-    match the C code raises an error.
+    The C code of the folder runs in this process, so open only folders that you trust.
 
     Args:
         directory: the folder.
         profile: as in build().
-        name: selects one of several packages in the folder.
+        name: name of the package, if the folder contains several.
 
     Raises:
         BuildError: the folder does not contain that package, or not exactly one <name>.json with <name>.h and <name>.c;
-            the three come from different exports; a file cannot be read; the package is for another machine than this
-            one; or the compiler rejects the code.
+            the three files come from different exports; a file cannot be read; the package is made for another machine;
+            or the compiler rejects the code.
         ControllerError: <name>.json is not the description of a controller, or it does not describe this C code.
 
     Examples:
@@ -43,20 +42,22 @@ def open_package(directory: str | Path, profile: str = "fast", name: str | None 
 
 
 def open_estimator(directory: str | Path, profile: str = "fast", name: str | None = None) -> Observer:
-    """Compile and load the estimator of an exported folder, under the rules of open_package().
+    """Compile and load the estimator of an exported folder, under the same rules as open_package().
 
     Args:
         directory: the folder.
         profile: as in build().
-        name: selects one of several estimators in the folder.
+        name: name of the estimator, if the folder contains several.
     """
     files, prefix = _files(directory, name, estimator=True)
     return load_estimator(files, prefix, profile)
 
 
 def _files(directory: str | Path, name: str | None, estimator: bool) -> tuple[dict[str, str], str]:
-    """The files of the package in a folder, and its name; of several packages of which one is an estimator, that of the
-    wanted kind."""
+    """Return the files of the package in a folder, and its name.
+
+    If one of several packages is an estimator, the package of the wanted kind is chosen.
+    """
     folder = Path(directory)
     try:
         found = [j for j in sorted(folder.glob("*.json")) if j.with_suffix(".h").exists() and name in (None, j.stem)]
@@ -86,7 +87,7 @@ def _files(directory: str | Path, name: str | None, estimator: bool) -> tuple[di
 
 
 def _is_estimator(path: Path) -> bool:
-    """Whether a package description, if it is one, has measurements."""
+    """Return True if a file is a package description with measurements."""
     try:
         return msgspec.json.decode(_read(path)).get("estimation") is not None
     except (msgspec.MsgspecError, AttributeError):
@@ -94,7 +95,7 @@ def _is_estimator(path: Path) -> bool:
 
 
 def _read(path: Path) -> str:
-    """Text of a file of a package."""
+    """Return the text of a file of a package."""
     try:
         if not path.is_file():
             raise BuildError(f"{path} is not a file")

@@ -1,7 +1,7 @@
-"""What a controller is told while it runs: references, weights, parameters, bounds, the control and time of the plant.
+"""Setters change the data of a controller while it runs: references, weights, parameters, bounds, penalties, time.
 
-Every setter takes one value for all nodes, an array with a row for each node, or {name: one of these}, where a name is
-that of an element or of a vector. Arrays are one call of the C package; what is refused changes nothing.
+A setter takes one value for all nodes, an array with a row for each node, or {name: one of these}, with the name of an
+element or of a vector. An array takes one call of the C package. Refused data change nothing.
 """
 
 from __future__ import annotations
@@ -26,20 +26,21 @@ Penalty = float | tuple[ArrayLike, ArrayLike]
 
 
 class Setters(Memory, Telling):
-    """The data of a controller that can be changed at run time."""
+    """The setters of the data of a controller that can be changed at run time."""
 
     # -- references and weights ---------------------------------------------------------------------------------------
 
     def set_reference(self, y: ArrayLike | Named, node: int | None = None) -> None:
-        """Set references of residuals.
+        """Set the references of residuals.
 
         Args:
-            y: (ny,), the path residual; (N, ny), one row per node, or (N+1, ny) if the terminal residual consists of
-                residuals of the path; (N,) and (N+1,) if ny = 1. Or {name: value}, where a name is that of a residual
-                or of a vector of them: a number, or one per element, sets it at every node, at the end too if the
-                terminal residual has that name; an array with a row per node as above. Others stay.
-            node: 0..N-1, N for the terminal residual, None for every node. Online(reference="shared") allows None and
-                N, and no rows per node.
+            y: (ny,) for the path residual at all nodes; (N, ny), one row per node; (N+1, ny) if the terminal residual
+                consists of residuals of the path; (N,) and (N+1,) if ny = 1. Or {name of a residual or of a vector of
+                them: value}: a number, or one per element, sets it at every node, and at the end if the terminal
+                residual has that name; an array has a row per node as above. Residuals that are not named keep their
+                references.
+            node: 0..N-1, N for the terminal residual, None for every node. With Online(reference="shared") only None
+                and N are allowed, and no rows per node.
 
         Raises:
             ControllerError: a name, a node, a shape or a number is wrong, or these data cannot be set; nothing changes.
@@ -64,19 +65,18 @@ class Setters(Memory, Telling):
         self._tell_residuals("reference", y, self.dims.N)
 
     def set_weight(self, W: ArrayLike | Named, node: int | None = None) -> None:
-        """Set weights of residuals, symmetric positive semidefinite up to rounding; (W + W') / 2 is stored.
+        """Set the weights of residuals, symmetric positive semidefinite up to rounding; (W + W') / 2 is stored.
 
-        Rows and columns of residuals that were stated with scale_with_dt are multiplied by dt_k wherever W is used, so
-        give them as in least_squares().
+        If residuals were stated with scale_with_dt, their rows and columns are multiplied by dt_k wherever W is used,
+        so give the same weights as in least_squares().
 
         Args:
-            W: the diagonal (ny,) or the matrix (ny, ny) of the path residual; or (N, ny) and (N, ny, ny), one per node,
-                and with N+1 rows as for set_reference(); (ny, ny) is a matrix if N = ny, too. Or {name: value}:
-                entries of the diagonal. A number sets those of the path, as weights of the end are other ones; N+1
-                rows and node=N set the end.
-                Off-diagonal entries require a weight that was declared with some, or Online(dense_weight=True).
-            node: 0..N-1, N for the terminal residual, None for every node. Online(weight="shared") allows None and N,
-                and no rows per node.
+            W: the diagonal (ny,) or the matrix (ny, ny) of the path residual; (N, ny) or (N, ny, ny), one per node; N+1
+                rows as for set_reference(). If N = ny, (ny, ny) is a matrix. Or {name: entries of the diagonal}: a
+                number sets the path only; N+1 rows, or node=N, set the end. Off-diagonal entries require a weight that
+                    was declared with such entries, or Online(dense_weight=True).
+            node: 0..N-1, N for the terminal residual, None for every node. With Online(weight="shared") only None and N
+                are allowed, and no rows per node.
 
         Raises:
             ControllerError: a name, a node, a shape or a number is wrong, or these data cannot be set; nothing changes.
@@ -100,11 +100,11 @@ class Setters(Memory, Telling):
         """Set the value of a parameter.
 
         Args:
-            name: the declared name of a number or vector, or of an element of a vector, r[1].
-            value: a number, or (size,); or one row per node, (N+1, size), or (N, size) for the nodes before the end;
-                (N+1,) and (N,) if size = 1. A value outside of the bounds that the parameter was declared with is an
-                error.
-            node: 0..N, or None for every node. Online(parameter="shared") allows None and N, and no rows per node.
+            name: name of a declared number or vector, or of an element of a vector, "r[1]".
+            value: a number or (size,); one row per node, (N+1, size), or (N, size) for the nodes before the end; (N+1,)
+                and (N,) if size = 1. A value outside the declared bounds of the parameter is an error.
+            node: 0..N, or None for every node. With Online(parameter="shared") only None and N are allowed, and no rows
+                per node.
 
         Raises:
             ControllerError: a name, a node, a shape or a number is wrong, or these data cannot be set; nothing changes.
@@ -121,7 +121,7 @@ class Setters(Memory, Telling):
         """Set several parameters, set_parameters(m=0.8, k=[1.0, 2.0]): all of them, or none if one is wrong.
 
         Args:
-            values: {name: value}, for names that are no keywords: elements of vectors, a parameter named node.
+            values: {name: value}, for names that cannot be keywords: elements of vectors, a parameter called node.
             node: as in set_parameter().
             more: name=value.
 
@@ -143,11 +143,12 @@ class Setters(Memory, Telling):
 
         Args:
             name: name of the row, e.g. "swing" or "r[1]"; or "r" for r[0], r[1], ...; or {name: (lower, upper)}.
-            lower: a number or one per row; -inf: no bound. Or one row per node, (N+1, rows), (N+1,) for one row, where
-                nodes at which the row does not hold count nothing; with N rows if it does not hold at the end.
-            upper: the same; +inf: no bound.
-            node: a node of the row, or None for all of them. Online(bounds="shared") allows None and N, and no rows
-                per node.
+            lower: a number or one per row; -inf: no bound. Or one entry per node, (N+1, rows), or (N+1,) for one row;
+                entries of nodes where the row does not hold are ignored; (N, rows) or (N,) if it does not hold at the
+                end.
+            upper: in the same forms; +inf: no bound.
+            node: a node of the row, or None for all its nodes. With Online(bounds="shared") only None and N are
+                allowed, and no rows per node.
 
         Raises:
             ControllerError: a name, a node, a shape or a number is wrong, or these data cannot be set; nothing changes.
@@ -170,16 +171,18 @@ class Setters(Memory, Telling):
     def set_soft(
         self, name: str | Mapping[str, Penalty | Soft], soft: Penalty | Soft | None = None, node: int | None = None
     ) -> None:
-        """Set the penalties l1 v + l2/2 v^2 of violations of a soft row: all that are named, or none if one is wrong.
+        """Set the penalties l1 v + l2/2 v^2 of violations v of a soft row, or of several rows by name.
+
+        All penalties are set, or none if one is wrong.
 
         Args:
             name: name of the row, or of a vector of rows; or {name: penalties}.
-            soft: (l1, l2) or l1 for both sides; Soft(lower=(l1, l2), upper=(l1, l2)) by side, where a side that is
-                None stays as it is. l1 and l2 are numbers, or one per node, (N+1,), or (N,) if the row does not hold at
-                the end. An infinite l1, for a hard row, is for rows that were declared with one; a declared l2 = 0
-                stays 0, a positive one positive.
-            node: a node of the row, or None for all of them. Online(soft="shared") allows None and N, and no rows per
-                node.
+            soft: (l1, l2) or l1 for both sides; Soft(lower=(l1, l2), upper=(l1, l2)) by side, where a side that is None
+                keeps its penalties. l1 and l2 are numbers, or one per node, (N+1,), or (N,) if the row does not hold at
+                the end. An infinite l1, which makes the row hard, requires a row that was declared with one; a declared
+                l2 = 0 must stay 0, a positive l2 positive.
+            node: a node of the row, or None for all its nodes. With Online(soft="shared") only None and N are allowed,
+                and no rows per node.
 
         Raises:
             ControllerError: a name, a node, a shape or a number is wrong, or these data cannot be set; nothing changes.
@@ -194,9 +197,9 @@ class Setters(Memory, Telling):
     # -- the plant ----------------------------------------------------------------------------------------------------
 
     def set_previous(self, u: ArrayLike) -> None:
-        """Set the control that was applied last: what the actuator did, where it is not what step() returned.
+        """Set the control that the actuator has applied, if it differs from the control that step() returned.
 
-        Call it after step() or feedback(), which set it to the control that they return.
+        Call it after step() or feedback(), which store the control that they return.
 
         Args:
             u: (nu,).
@@ -209,12 +212,12 @@ class Setters(Memory, Telling):
         self._expect(self._call("set_previous", self._s, self._pointer(value)), "set_previous")
 
     def set_time(self, time: float) -> None:
-        """Set the time of the next sample, which step() and feedback() move on by the sampling time.
+        """Set the time of the next sample, which step() and feedback() advance by the sampling time.
 
-        A sample that has been prepared sees the change to first order.
+        If the sample is already prepared, it takes the change into account to first order.
 
         Args:
-            time: in the unit of the problem.
+            time: the time in the unit of the problem.
 
         Raises:
             ControllerError: the problem does not contain ocp.time.
@@ -228,7 +231,7 @@ class Setters(Memory, Telling):
     def _checked_soft(
         self, name: str, soft: Penalty | Soft | None, node: int | None
     ) -> Iterator[tuple[int, Array, Array]]:
-        """(row, l1, l2) for every row of that name, (1, nodes) each."""
+        """Yield (row, l1, l2) for every row of that name, (1, nodes) each."""
         groups = self._rows_of(name)
         lengths = self._lengths_of_rows("soft", name, groups, node)
         for number in (number for group in groups for number in group):
@@ -255,7 +258,7 @@ class Setters(Memory, Telling):
         self._expect(status, call, f"row {self.names.rows[row]!r}, node {node}")
 
     def _expect_alone(self, call: str, *others: object) -> None:
-        """Raise ControllerError if more is given beside a mapping."""
+        """Raise ControllerError if further values are given beside a mapping."""
         if any(other is not None for other in others):
             raise ControllerError(f"{call}: {{name: values}} takes no further values")
 

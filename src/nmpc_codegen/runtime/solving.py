@@ -1,4 +1,4 @@
-"""solve() of a controller: to convergence, with a log of the iterations."""
+"""solve() of a controller iterates to convergence and logs its iterations."""
 
 from __future__ import annotations
 
@@ -27,25 +27,25 @@ MULTIPLIERS = ("lam", "mu_x", "mu_u", "mu", "mu_N", "eta")
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Solution:
-    """Result of solve(); arrays are copies. Multipliers are positive at upper and negative at lower bounds.
+    """The result of solve(); arrays are copies, and multipliers are positive at upper, negative at lower bounds.
 
-    It prints in a few lines: status, cost, iterations, time, KKT residuals, first control, shapes.
+    print(solution) shows status, cost, iterations, time, KKT residuals, first control, shapes.
 
     Attributes:
         status: OK if the KKT residual is at most ``tol``.
         x: (N+1, nx), states.
         u: (N, nu), controls.
         z: (N+1, number), algebraic variables, at node N with u_{N-1}.
-        lam: (N+1, nx): lam[0] of x_0 = xhat, lam[k+1] of x_{k+1} = Phi_k.
-        mu_x: (N+1, nx), of bounds of states.
-        mu_u: (N, nu), of bounds of controls.
-        mu: (N, nh), of the general rows of the path.
-        mu_N: (nh_N,), of those of the end.
-        eta: (number,), of coupled rows.
-        cost: of the plan.
-        kkt: its residuals.
-        iterations: of the SQP method.
-        time_ns: time of computing (ns).
+        lam: (N+1, nx), multipliers: lam[0] belongs to x_0 = xhat, lam[k+1] to x_{k+1} = Phi_k.
+        mu_x: (N+1, nx), multipliers of bounds of states.
+        mu_u: (N, nu), multipliers of bounds of controls.
+        mu: (N, nh), multipliers of the general rows of the path.
+        mu_N: (nh_N,), multipliers of the general rows of the end.
+        eta: (number,), multipliers of coupled rows.
+        cost: cost of the plan.
+        kkt: KKT residuals of the plan.
+        iterations: number of iterations of the SQP method.
+        time_ns: computing time (ns).
         controls: names of the controls.
         log: one entry per iteration; convergence_table() prints it.
         plan: the plan with its rows, bounds and references, for plot().
@@ -70,15 +70,19 @@ class Solution:
     plan: Plan | None = None
 
     def convergence_table(self, file: str | os.PathLike[str] | None = None) -> str:
-        """The iterations in aligned columns: cost, KKT residuals by parts and relative, length of the step, shift of
-        the Hessian, iterations of the QP, active bounds and rows. ``file``: also written there, comma-separated."""
+        """Return the iterations as text in aligned columns; write them to ``file``, comma-separated, if it is given.
+
+        The columns are cost, KKT residuals by parts and relative, length of the step, shift of the Hessian, iterations
+        of the QP, active bounds and rows.
+        """
         if file is not None:
             Path(file).write_text(iterations.write_csv(self.log), encoding="utf-8")
         return iterations.table(self.log)
 
     def plot(self, file: str | os.PathLike[str] | None = None) -> Any:
-        """Figure of the plan over its nodes: states, controls, algebraic variables and rows, with bounds and references
-        as in Log.plot(); written to ``file`` if one is given.
+        """Plot the plan over its nodes, as Log.plot() does; write the figure to ``file`` if it is given.
+
+        The figure shows states, controls, algebraic variables and rows, with bounds and references.
 
         Raises:
             ExtraError: matplotlib is not installed.
@@ -96,7 +100,7 @@ class Solution:
         return of_solution(self.plan, self.kkt, "\n".join(str(self).splitlines()[:-2]))
 
     def plot_convergence(self, file: str | os.PathLike[str] | None = None) -> Any:
-        """Figure of the residuals, step lengths and shifts of all iterations; written to ``file`` if one is given.
+        """Plot residuals, step lengths and shifts of all iterations; write the figure to ``file`` if it is given.
 
         Raises:
             ControllerError: there is no iteration.
@@ -129,18 +133,18 @@ class Solution:
 
 @dataclass
 class _Run:
-    """What has happened so far."""
+    """The log of the iterations so far, and their time."""
 
     log: list[Iteration]
     time_ns: int = 0
 
 
-#: KKT residual up to which a problem counts as solved where none is given, by precision.
+#: Precision -> default tolerance of the KKT residual.
 TOLERANCE = {"double": 1e-8, "single": 1e-4}
 
 
 def limits(precision: str, tol: float | None, max_iterations: int) -> tuple[float, int]:
-    """Tolerance and largest number of iterations of solve(); ControllerError if they are none."""
+    """Return tolerance and largest number of iterations of solve(); raise ControllerError if one is wrong."""
     tol = TOLERANCE[precision] if tol is None else tol
     if not is_positive(tol):
         raise ControllerError(f"tol is {tol!r}; expected a positive number")
@@ -150,7 +154,7 @@ def limits(precision: str, tol: float | None, max_iterations: int) -> tuple[floa
 
 
 def solve(ctrl: Memory, tol: float | None, max_iterations: int, globalization: Globalization) -> Solution:
-    """Iterate from the present plan and the state that the controller has been given; see Controller.solve()."""
+    """Iterate from the present plan for the state last measured; see Controller.solve()."""
     tol, max_iterations = limits(ctrl.description.precision, tol, max_iterations)
     methods = {"filter": (_search, "solve"), "full_step": (_full_steps, "feedback")}
     if globalization not in methods:
@@ -179,7 +183,7 @@ def solve(ctrl: Memory, tol: float | None, max_iterations: int, globalization: G
 
 
 def _search(ctrl: Memory, run: _Run, tol: float, most: int) -> Status:
-    """The iterations of the C code, one by one if it can be resumed."""
+    """Run the iterations in C, one by one if the package can resume them."""
     status = Status.ITERATION_LIMIT
     steps = "resumes" in ctrl.description.members("sqp")
     for last in range(1 if steps else most, most + 1):
@@ -200,7 +204,7 @@ def _search(ctrl: Memory, run: _Run, tol: float, most: int) -> Status:
 
 
 def _full_steps(ctrl: Memory, run: _Run, tol: float, most: int) -> Status:
-    """The real-time iteration, repeated for the same state without a shift of the plan."""
+    """Repeat the real-time iteration for the same state, without shifting the plan."""
     members = ctrl.description.members("solver")
     left = {name: ctrl.view(name).copy() for name in ("previous", "time", "time_rest") if name in members}
     usual = ctrl.member("most_iterations").copy()
@@ -241,5 +245,5 @@ def _entry(ctrl: Memory, kkt: Kkt, length: float, restoring: bool) -> Iteration:
 
 
 def _count(ctrl: Memory, name: str) -> int:
-    """A counter of the last call, without the residuals that all stats contain; 0 if the algorithm has none."""
+    """Return a counter of the last call, 0 if the algorithm has none; residuals are not included."""
     return int(ctrl.view(f"stats.{name}")) if name in ctrl.description.members("stats") else 0

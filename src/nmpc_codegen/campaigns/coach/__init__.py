@@ -1,1 +1,1 @@
-"""Options and weights that are chosen by campaigns."""
+"""The coach chooses options and weights by campaigns."""

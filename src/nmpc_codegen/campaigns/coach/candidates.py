@@ -1,4 +1,4 @@
-"""Few sets of options that differ in what most often decides a closed loop, as far as the problem allows them."""
+"""Candidates are a few sets of options that differ in what most often decides a closed loop."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ from nmpc_codegen.options import Options
 from nmpc_codegen.runtime.build import load
 from nmpc_codegen.runtime.controller import Controller
 
-#: Factors of the horizon and of the integration steps, and number of iterations that are tried.
+#: Factors of the horizon and of the integration steps, and the number of iterations, that are tried.
 HORIZONS, STEPS, ITERATIONS = (0.5, 2.0), (0.5, 2.0), 30
-#: Intervals of a horizon at least; integration steps of the plant for one of the finest candidate.
+#: Least number of intervals of a horizon; integration steps of the plant for each step of the finest candidate.
 LEAST, FINER = 2, 2
 
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """Options, a horizon, what distinguishes them, and the controller."""
+    """A candidate consists of options, a horizon, the change against the base, and the controller."""
 
     change: str
     options: Options
@@ -38,12 +38,12 @@ class Candidate:
 
     @property
     def line(self) -> str:
-        """The options as a line of Python."""
+        """Return the options as a line of Python."""
         return spell_options(self.options)
 
 
 def propose(ocp: OCP, base: Options) -> Iterator[tuple[str, Options, int]]:
-    """What is tried beside the base: what it changes, options, intervals."""
+    """Yield the base and its variants: (change, options, intervals)."""
     algorithm = base.algorithm
     yield "default" if base == Options() else "as given", base, ocp.N
     if base.hessian is None:
@@ -67,8 +67,10 @@ def _multiples(value: int, factors: tuple[float, ...], least: int) -> list[int]:
 
 
 def scheme_of(ocp: OCP, options: Options) -> ExplicitRungeKutta | None:
-    """The explicit scheme of the controller; None: another one, or one whose number of steps cannot be tried, as no
-    plant of another package is told time and previous controls."""
+    """Return the explicit scheme of the controller, or None if its number of steps cannot be varied.
+
+    It cannot be varied if time or previous controls occur, because a plant from another package does not receive them.
+    """
     problem = classify(ocp)
     if problem.discrete or problem.augmentation.count or problem.jump is not None:
         return None
@@ -77,11 +79,12 @@ def scheme_of(ocp: OCP, options: Options) -> ExplicitRungeKutta | None:
 
 
 def build_candidates(ocp: OCP, stated: Iterator[tuple[str, Options, int]], given: bool = False) -> list[Candidate]:
-    """The candidates that the problem allows and whose code differs from those before. The first one has to build, and
-    those that the user has ``given``, of which none is left out.
+    """Build the candidates that the problem allows and whose code differs from that of earlier ones.
+
+    The first candidate must build. If the user has ``given`` the options, all of them must build.
 
     Raises:
-        NmpcError: one that has to be built cannot be.
+        NmpcError: a candidate that must build cannot be built.
     """
     found: list[Candidate] = []
     known: set[str] = set()
@@ -105,10 +108,10 @@ def build_candidates(ocp: OCP, stated: Iterator[tuple[str, Options, int]], given
 
 
 def build_plant(ocp: OCP, candidates: list[Candidate]) -> Controller | None:
-    """One plant for all candidates, finer than each of them, if they integrate differently; else None.
+    """Build one plant for all candidates, finer than each of them, if their integrators differ; else return None.
 
     Raises:
-        OptionError: no such plant can be chosen.
+        OptionError: no plant that is fine enough can be chosen.
     """
     problem = classify(ocp)
     schemes = [integrator_of(problem, c.options) for c in candidates]

@@ -1,5 +1,8 @@
-"""Options that are chosen by campaigns: all candidates fly from the same starts, with the same parameters and
-disturbances; the better half goes on with twice as many flights; the verdict is on fresh ones."""
+"""Options are chosen by campaigns in rounds.
+
+All candidates fly from the same starts, with the same parameters and disturbances. The better half continues with twice
+as many flights. The verdict is based on fresh flights.
+"""
 
 from __future__ import annotations
 
@@ -23,20 +26,23 @@ from nmpc_codegen.frontend.horizon import with_horizon
 from nmpc_codegen.frontend.ocp import OCP
 from nmpc_codegen.options import Options
 
-#: Flights of the first round, relative to those of the verdict, and at least.
+#: The first round has a SHAREth of the flights of the verdict, but at least LEAST.
 SHARE, LEAST = 8, 20
-#: A candidate is better if it loses fewer flights with this confidence; else if it costs less by this part in the
-#: median; else, if nothing is worse, if a sample takes less than this part of the time.
+#: A candidate is better if it loses fewer flights with the confidence CONFIDENCE; else if its median cost is lower by
+#: the fraction CHEAPER; else, if nothing is worse, if its samples take less than the fraction FASTER of the time.
 CONFIDENCE, CHEAPER, FASTER = 0.95, 0.01, 0.8
-#: Share of flights that neither loses from which costs are compared by them alone.
+#: Costs are compared on the flights that neither candidate loses if these are at least this share.
 FEW = 0.1
 
 
 @dataclass(frozen=True)
 class Entry:
-    """A row of the table: what distinguishes the candidate, its last flights, how many are lost and their interval, the
-    largest violation relative to what is allowed, its cost relative to the default (median of pairs), the mean time of
-    a sample (s) and the solver struct (bytes)."""
+    """A row of the table of candidates.
+
+    change: difference from the base; flights: its last flights; lost: number of lost ones, with their interval;
+    violation: largest one relative to the allowed one; cost: relative to the default, median of pairs; seconds: mean
+    time of a sample; ram_bytes: size of the solver struct.
+    """
 
     change: str
     flights: int
@@ -46,22 +52,22 @@ class Entry:
     cost: float
     seconds: float
     ram_bytes: int
-    verdict: bool  # on fresh flights
+    verdict: bool  # True if the row is based on fresh flights
 
 
 @dataclass(frozen=True, eq=False)
 class Choice:
-    """Options that were chosen by flights; print(choice) is the table.
+    """Options that were chosen by flights; print(choice) prints the table.
 
     Attributes:
-        options: the chosen ones.
-        intervals: N that was chosen.
-        line: the options as Python, to paste.
-        reason: why.
-        entries: the table, one for each candidate.
-        chosen: the row of the choice.
-        result: its campaign, on fresh flights.
-        default: the campaign of what others are compared with, on the same flights.
+        options: the chosen options.
+        intervals: the chosen N.
+        line: the options as a line of Python to paste.
+        reason: reason of the choice.
+        entries: rows of the table, one for each candidate.
+        chosen: row of the chosen candidate.
+        result: campaign of the chosen candidate, on fresh flights.
+        default: campaign of the first candidate, with which the others are compared, on the same flights.
     """
 
     options: Options
@@ -75,7 +81,7 @@ class Choice:
 
     @property
     def first(self) -> Entry:
-        """The first row of the table."""
+        """Return the first row of the table."""
         return self.entries[0]
 
     def __repr__(self) -> str:
@@ -85,7 +91,7 @@ class Choice:
         return self.summary()
 
     def summary(self) -> str:
-        """The table and the choice."""
+        """Return the table and the choice as text."""
         head = ("candidate", "flights", "lost", "95 % interval", "violation", "cost", "us", "bytes")
         rows = [
             (
@@ -109,8 +115,10 @@ class Choice:
 
 
 def choose(ocp: OCP, given: Sequence[Options] | None, base: Options, wish: Wish, conduct: Terms) -> Choice:
-    """The choice among given options, the first of which is what others are compared with; None: among candidates that
-    the coach proposes beside ``base``."""
+    """Choose among the given options, or, if None, among candidates that the coach proposes beside ``base``.
+
+    The first of the given options is the one with which the others are compared.
+    """
     stated = propose(ocp, base) if given is None else iter([(f"options[{i}]", o, ocp.N) for i, o in enumerate(given)])
     _check_folder(conduct)
     candidates = build_candidates(ocp, stated, given is not None)
@@ -122,7 +130,7 @@ def choose(ocp: OCP, given: Sequence[Options] | None, base: Options, wish: Wish,
     entries: dict[str, Entry] = {}
     alive, flights = candidates, max(LEAST, whole.flights // SHARE)
     if wish["sets"] or whole.given.starts or whole.given.tables or whole.given.added is not None:
-        flights = whole.flights  # which cannot be cut: all fly all of them
+        flights = whole.flights  # their number cannot be reduced: every candidate flies all of them
     while len(alive) > 2 and flights < whole.flights:
         found = {c.change: fly.round(c, flights) for c in alive}
         first = found[candidates[0].change]
@@ -144,28 +152,28 @@ def choose(ocp: OCP, given: Sequence[Options] | None, base: Options, wish: Wish,
 
 
 def _grid(ocp: OCP, intervals: int) -> str:
-    """The horizon in the words of the statement."""
+    """Return the horizon as the user states it."""
     return f"OCP(..., N={intervals})" if ocp.dt is None else f"OCP(..., T={intervals * ocp.dt[0]:.12g}, N={intervals})"
 
 
 def _check_folder(conduct: Terms) -> None:
-    """ControllerError if the folder is that of a single campaign."""
+    """Raise ControllerError if the folder belongs to a single campaign."""
     if conduct.folder is not None and (Path(conduct.folder) / HEAD).exists():
         raise ControllerError(f"folder: {conduct.folder} holds a campaign; expected a folder for several of them")
 
 
 class _Course:
-    """Flies candidates: rounds on the seed of the wish, the verdict on the next one."""
+    """The flights of the candidates: rounds use the seed of the user, the verdict the next seed."""
 
     def __init__(self, ocp: OCP, wish: Wish, conduct: Terms) -> None:
         self._ocp, self._wish, self._conduct = ocp, wish, conduct
 
     def round(self, candidate: Candidate, flights: int) -> Campaign:
-        """The first flights, the same for all candidates."""
+        """Fly the first flights, which are the same for all candidates."""
         return self._fly(candidate, {**self._wish, "flights": flights}, "round")
 
     def verdict(self, candidate: Candidate) -> Campaign:
-        """Fresh flights."""
+        """Fly fresh flights."""
         return self._fly(candidate, {**self._wish, "seed": (self._wish["seed"] + 1) % 2**64}, "verdict")
 
     def _fly(self, candidate: Candidate, wish: Wish, what: str) -> Campaign:
@@ -181,19 +189,19 @@ class _Course:
 
 
 def _both(mine: Campaign, other: Campaign) -> NDArray[np.bool_]:
-    """Flights with known costs that neither loses; if they are few, those that both lose, too."""
+    """Select flights with known costs that neither candidate loses; if there are few, also those that both lose."""
     known = np.isfinite(mine.flown.cost) & np.isfinite(other.flown.cost)
     good = ~mine.lost & ~other.lost & known
     return np.asarray(good if good.sum() >= FEW * len(good) else known & (mine.lost == other.lost))
 
 
 def _excess(mine: Campaign) -> float:
-    """Mean over the flights of the largest violation, relative to what is allowed, as far as it is beyond that."""
+    """Return the mean over the flights of the largest violation beyond the allowed one, relative to it."""
     return float(np.mean(np.maximum(mine.excess - 1.0, 0.0)))
 
 
 def _relative_cost(mine: Campaign, other: Campaign) -> float:
-    """Median over the flights of how much more one costs."""
+    """Return the median over the flights of the relative difference in cost."""
     both = _both(mine, other)
     if not both.any():
         return 0.0
@@ -202,13 +210,13 @@ def _relative_cost(mine: Campaign, other: Campaign) -> float:
 
 
 def _rank(mine: Campaign, first: Campaign) -> tuple[float, ...]:
-    """By losses, then by cost in steps of what counts, then by time."""
+    """Return a sort key: losses, then cost in steps of CHEAPER, then time."""
     seconds = float(np.nan_to_num(np.mean(mine.flown.seconds[:, 0])))
     return float(mine.lost.sum()), round(_relative_cost(mine, first) / CHEAPER), seconds
 
 
 def _better(mine: Campaign, best: Campaign, first: Campaign) -> str:
-    """Why one is better than the best so far; "" if it is not, or if it loses more flights than the first one."""
+    """Return why ``mine`` is better than the best so far; "" if it is not, or if it loses more than the first one."""
     if mine.lost.sum() > first.lost.sum():
         return ""
     saved, broken = int(np.sum(best.lost & ~mine.lost)), int(np.sum(mine.lost & ~best.lost))

@@ -1,4 +1,4 @@
-"""Options as a line of Python to paste."""
+"""Options are spelled as a line of Python to paste."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from nmpc_codegen.components.integrators import ButcherTableau
 
 
 def spell_options(value: Any) -> str:
-    """Options, or a part of them, as Python, without what has its default value."""
+    """Return options, or a part of them, as Python; fields with default values are left out."""
     if isinstance(value, ButcherTableau):
         return value.name
     if not is_dataclass(value) or isinstance(value, type):

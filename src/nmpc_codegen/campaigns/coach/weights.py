@@ -1,4 +1,4 @@
-"""Weights that are chosen by closed loops: a search by Optuna for the least cost of the user's own."""
+"""Weights are chosen by closed loops: Optuna searches for the least value of the user's own cost."""
 
 from __future__ import annotations
 
@@ -32,20 +32,20 @@ from nmpc_codegen.runtime.loops.flights import Flights
 Cost = Callable[[Flights], ArrayLike]
 Ranges = Mapping[str, tuple[float, float]]
 
-#: Value of a set of weights whose flights have no finite cost.
+#: Cost of a set of weights whose flights have no finite cost.
 WORST = 1e300
 
 
 @dataclass(frozen=True, eq=False)
 class Tuned:
-    """Weights that were found.
+    """The weights that a search has found.
 
     Attributes:
         weights: {residual: weight}, for set_weight() and the statement.
-        terminal_weights: the same of the terminal residual.
-        value: mean cost with them on fresh flights, and its standard error.
-        declared: the same with the declared weights.
-        study: Optuna's, with all trials.
+        terminal_weights: the same for the terminal residual.
+        value: mean cost with these weights on fresh flights, and its standard error.
+        declared: mean cost with the declared weights on the same flights, and its standard error.
+        study: Optuna's study with all trials.
     """
 
     weights: Mapping[str, float]
@@ -76,22 +76,23 @@ def tune_weights(
     progress: bool = False,
     **stated: Unpack[Stated],
 ) -> Tuned:
-    """Look for the weights with which closed loops cost least, by another cost than that of the controller.
+    """Search for the weights with which closed loops have the least cost, where the cost is the user's own.
 
-    All trials fly from the same starts, with the same parameters and disturbances; the result is judged on fresh ones.
+    All trials fly from the same starts, with the same parameters and disturbances; the result is judged on fresh
+    flights.
 
     Args:
         ocp: the problem; its weights have to be changeable at run time, which they are by default.
         weights: {residual of the path: (lower, upper)}, 0 < lower < upper, searched on a logarithmic scale.
-        cost: function of recorded flights (Flights: x (F, steps + 1, nx), u (F, steps, nu), violation (F, rows), ...)
-            that returns a cost for each, (F,); their mean is made least. What is not finite is the worst. Flights.cost
-            has the weights of the trial, and compares nothing.
-        terminal_weights: the same of terminal residuals.
-        options: of the controller.
-        flights: of a trial.
-        trials: sets of weights that are tried, the declared ones first.
+        cost: function that returns a cost for each recorded flight, (F,), from Flights: x (F, steps + 1, nx), u (F,
+            steps, nu), violation (F, rows), ... The mean cost is minimised; a cost that is not finite is the worst.
+            Flights.cost depends on the weights of the trial and must not be used.
+        terminal_weights: the same for terminal residuals.
+        options: options of the controller.
+        flights: number of flights of a trial.
+        trials: number of sets of weights, the declared ones first.
         progress: show Optuna's bar.
-        stated: what is flown, as in campaign(); see help(Stated).
+        stated: statement of the flights, as in campaign(); see help(Stated).
 
     Raises:
         ControllerError: a name, a range or a cost is wrong.
@@ -109,7 +110,7 @@ def tune_weights(
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     sampler = optuna.samplers.TPESampler(seed=int(stated.get("seed", 0)) % 2**32)
     study = optuna.create_study(sampler=sampler)
-    course.mean({}, fresh=False)  # a cost that is wrong says so before the search
+    course.mean({}, fresh=False)  # a wrong cost function fails here, before the search
     study.enqueue_trial({f"{end}{name}": value for (end, name), value in declared.items()})
 
     def objective(trial: Any) -> float:
@@ -123,7 +124,7 @@ def tune_weights(
 
 
 def _check(weights: object, terminal_weights: object, trials: Any) -> None:
-    """ControllerError if there is nothing to search."""
+    """Raise ControllerError if there is nothing to search for."""
     for what, value in (("weights", weights), ("terminal_weights", terminal_weights)):
         if not isinstance(value, Mapping):
             raise ControllerError(f"{what} is {value!r:.60}; expected {{residual: (lower, upper)}}")
@@ -134,7 +135,7 @@ def _check(weights: object, terminal_weights: object, trials: Any) -> None:
 
 
 def _declared_weights(ocp: OCP, ranges: Mapping[tuple[str, str], tuple[float, float]]) -> dict[tuple[str, str], float]:
-    """The declared weights, moved into their ranges."""
+    """Return the declared weights, clipped to their ranges."""
     known = {
         ("terminal " if residual.stage == "terminal" else "", name): float(residual.weight[i, i])
         for residual in ocp.residuals
@@ -155,7 +156,7 @@ def _declared_weights(ocp: OCP, ranges: Mapping[tuple[str, str], tuple[float, fl
 
 
 class _Course:
-    """Flies sets of weights."""
+    """The flights for sets of weights."""
 
     def __init__(self, controller: Controller, ocp: OCP, wish: Wish, cost: Cost) -> None:
         self._controller, self._cost, self._plant = controller, cost, plant_of(wish)
@@ -166,7 +167,7 @@ class _Course:
         }
 
     def mean(self, chosen: Mapping[tuple[str, str], float], fresh: bool) -> tuple[float, float]:
-        """Mean cost and its standard error."""
+        """Return the mean cost of a set of weights and its standard error."""
         controller, s = self._controller.copy(), self._statements[fresh]
         for is_end, tell in ((False, controller.set_weight), (True, controller.set_terminal_weight)):
             of_kind: dict[str, ArrayLike] = {

@@ -1,1 +1,1 @@
-"""Flights in parts, by workers, kept on disk as they come."""
+"""Flights are divided into parts, which workers fly and whose results are written to disk."""

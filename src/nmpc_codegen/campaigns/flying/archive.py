@@ -1,9 +1,9 @@
-"""Results on disk, which are written as they come: a folder of Parquet files, each with the flights of one part.
+"""Results are written during the campaign to a folder of Parquet files, each with the flights of one part.
 
-campaign.json    what flights are a function of
-flights-<first>-<last>.parquet
+    campaign.json    the data that determine the flights
+    flights-<first>-<last>.parquet
 
-A file appears as a whole or not at all, so that a campaign that was killed goes on where it was.
+A file is either complete or absent, so that a killed campaign can continue.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ HEAD = "campaign.json"
 
 
 class Archive:
-    """The folder of a campaign; open() it for one process alone."""
+    """The folder of a campaign; only one process at a time can open it."""
 
     def __init__(self, folder: str | os.PathLike[str], labels: Labels, identity: Mapping[str, Any]) -> None:
         self.folder, self._labels = Path(folder), labels
@@ -72,7 +72,7 @@ class Archive:
                 )
         else:
             self._write(head, json.dumps(self._identity, indent=1).encode())
-        for rest in self.folder.glob(".*.part"):  # of a process that was killed while it wrote
+        for rest in self.folder.glob(".*.part"):  # left by a process that was killed while writing
             rest.unlink()
 
     def __exit__(self, *_: object) -> None:
@@ -87,7 +87,7 @@ class Archive:
         self._write(self.folder / name, sink.getvalue().to_pybytes())
 
     def _write(self, path: Path, data: bytes) -> None:
-        """Put a whole file into its place."""
+        """Write a file so that it appears complete or not at all."""
         part = path.with_name(f".{path.name}.part")
         with open(part, "wb") as file:
             file.write(data)
@@ -96,7 +96,7 @@ class Archive:
         os.replace(part, path)
 
     def read(self, into: Flown, done: NDArray[np.bool_]) -> None:
-        """Read all flights whose number is among those of ``into``, and mark them as ``done``."""
+        """Read all flights whose numbers occur in ``into``, and mark them as ``done``."""
         for path in sorted(self.folder.glob("flights-*.parquet")):
             try:
                 part = self._part(path)

@@ -1,4 +1,4 @@
-"""Job: everything that the flights of a campaign share, who flies parts of it, and one flight again as a log."""
+"""A Job holds everything that the flights of a campaign share; a Flyer flies parts of it."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ Device = Literal["cpu", "cuda"]
 
 @dataclass(frozen=True, eq=False)
 class Job:
-    """Everything that parts of a campaign share. ``plant``: None, the controller's own integrator."""
+    """Everything that the parts of a campaign share; ``plant=None`` stands for the controller's own integrator."""
 
     controller: Controller
     plant: Controller | None
@@ -41,12 +41,12 @@ class Job:
 
     @property
     def labels(self) -> Labels:
-        """Names of what is kept."""
+        """Return the names of the columns of the results."""
         described = self.controller.description
         return Labels(described.names.states, judge_of(described, self.statement.dt).names, self.statement.drawn)
 
     def loop(self, batch: Structs, plant: Structs | None, data: FlightData, first: int, steps: int) -> Loop:
-        """The first samples of the flights of these data, whose numbers begin with ``first``."""
+        """Return the loop over the first ``steps`` samples of flights with these data, numbered from ``first`` on."""
         s, known, unknown = self.statement, data.tables["known"], data.tables["plant"]
         drawn, added = (s.disturbance, s.noise), None if data.added is None else data.added[..., :steps, :]
         of = batch, data.starts, plant, steps, s.dt, known or None, None, data.references
@@ -60,37 +60,37 @@ class Job:
         )
 
     def last_references(self, first: int, count: int) -> Array:
-        """References (F, ny) of the path residual after the last sample of the flights from ``first`` on."""
+        """Return the references (F, ny) of the path residual after the last sample, for flights from ``first`` on."""
         s, described = self.statement, self.controller.description
         data = reference_data(self.controller, s.whole_data(first, count).references, count)
         path, declared = [d for d in data if d.member == "yref"], [r.reference for r in described.residuals]
         return at_samples(path, slice(0, count), s.steps + 1, np.tile(declared, (count, 1)))[:, -1]
 
     def fly_again(self, ctrl: Controller, number: int, conduct: Conduct, steps: int | None = None) -> Log:
-        """The log of a flight, or of its first samples, by ``ctrl``, a copy of the controller."""
+        """Fly a flight, or its first samples, with ``ctrl``, a copy of the controller, and return the log."""
         data, count = self.statement.whole_data(number), self.statement.steps if steps is None else steps
         plant = None if self.plant is None else single(self.plant.copy())
         return run(self.loop(single(ctrl), plant, data, number, count), ctrl, conduct, spacing(ctrl, count))
 
 
 class Flyer:
-    """Flies parts of a job with ``threads`` threads; None: all cores."""
+    """Flies parts of a job with ``threads`` threads; None: with one for each core."""
 
     def __init__(self, job: Job, threads: int | None) -> None:
         self._job, self._labels = job, job.labels
         self._batch: Batch = make(job.controller, 1, job.device, threads)
 
     def fly(self, first: int, count: int, own: Given) -> Flown:
-        """The flights from ``first`` on; ``own``: what is given for them."""
+        """Fly the flights from ``first`` on; ``own`` holds the data given for each of them."""
         data = self._job.statement.data(first, count, own)
         return Flown(self._labels, **{**self.simulate(data, first).columns, "drawn": data.drawn})
 
     def simulate(self, data: FlightData, first: int, record: bool = False) -> Flights:
-        """The flights of these data."""
+        """Fly the flights with these data."""
         return fly(self._loop(data, first), record)
 
     def judge(self, data: FlightData, first: int, paths: tuple[Array, Array, Array]) -> Array:
-        """Costs (F,) of paths of other loops with these data: states, controls, algebraic variables."""
+        """Return the costs (F,) of other paths with these data: states, controls, algebraic variables."""
         return judge_paths(self._loop(data, first), paths)[0]
 
     def _loop(self, data: FlightData, first: int) -> Loop:
@@ -101,10 +101,10 @@ class Flyer:
 
 @lru_cache(maxsize=64)
 def _flyer(job: bytes, thread: int) -> Flyer:
-    """What a thread of a worker keeps of a job: its package is compiled once."""
+    """Return the Flyer of a job for a thread of a worker; its package is compiled once."""
     return Flyer(pickle.loads(job), 1)
 
 
 def fly_elsewhere(job: bytes, first: int, count: int, own: Given, attempt: int) -> Flown:
-    """A part of a pickled job, by one thread of a worker. ``attempt``: a part that was lost is another call."""
+    """Fly a part of a pickled job with one thread of a worker; ``attempt`` makes a repeated call differ."""
     return _flyer(job, threading.get_ident()).fly(first, count, own)

@@ -1,4 +1,4 @@
-"""What makes two campaigns the same: digests of everything that flights are a function of."""
+"""Two campaigns are the same if the digests of all data that determine their flights are equal."""
 
 from __future__ import annotations
 
@@ -13,20 +13,22 @@ from nmpc_codegen.runtime.batch.random import DISTURBANCE, NOISE, signal
 
 
 def digest(value: Any) -> str:
-    """SHA-256 of numbers, words, arrays, mappings and dataclasses of them."""
+    """Return the SHA-256 of numbers, strings, arrays, and mappings and dataclasses of them."""
     return hashlib.sha256(msgspec.msgpack.encode(value, enc_hook=_plain, order="deterministic")).hexdigest()
 
 
 def _plain(value: Any) -> Any:
-    """Arrays as type, shape and bytes; numbers of NumPy as those of Python; anything else as its words."""
+    """Convert a value for the digest: arrays to type, shape and bytes, NumPy scalars to Python's, others to repr()."""
     if isinstance(value, np.ndarray):
         return value.dtype.str, value.shape, value.tobytes()
     return value.item() if isinstance(value, np.generic) else repr(value)
 
 
 def identity(job: Job) -> dict[str, Any]:
-    """What flights of a job are a function of, in words and digests. Independent flights do not depend on how many
-    there are."""
+    """Return the data that determine the flights of a job, as words and digests.
+
+    The number of flights is included only if the flights depend on it.
+    """
     s, controller = job.statement, job.controller
     independent = not s.points.sets and not s.given.starts and not s.given.tables and s.given.added is None
     packages = [

@@ -1,4 +1,4 @@
-"""The work of a campaign in parts: here, or by the workers of an executor. What a worker loses is flown again."""
+"""A campaign is flown in parts, by this process or by the workers of an executor; lost parts are flown again."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ from nmpc_codegen.campaigns.flying.fly import Flyer, Job, fly_elsewhere
 from nmpc_codegen.errors import ControllerError, NmpcError
 from nmpc_codegen.runtime.loops.flown import Flown
 
-#: Flights of the first part, and of any at most; seconds that a part is to take.
+#: Number of flights of the first part; largest number of flights of a part; intended time (s) of a part.
 FIRST, MOST, SECONDS = 32, 8192, 1.0
-#: Losses of every part that waits, without one that comes back, after which there is no use in flying on.
+#: The campaign stops if, without any result in between, each waiting part has been lost this many times on average.
 ATTEMPTS = 3
-#: Parts in flight for every worker.
+#: Number of submitted parts for each worker.
 AHEAD = 3
-#: Seconds after which a waiting process looks whether it was interrupted.
+#: Seconds after which a waiting process checks for an interrupt.
 LOOK = 0.2
 
 
@@ -40,10 +40,10 @@ class FlightPart:
 
 
 def fly_all(job: Job, done: NDArray[np.bool_], executor: Any) -> Iterator[Flown]:
-    """The flights that are not done, in parts, in the order in which they are ready.
+    """Yield the results of the flights that are not done, in parts, in the order in which they finish.
 
     Raises:
-        ControllerError: data are refused, or a part has lost its worker again and again.
+        ControllerError: data are refused, or workers are lost again and again.
     """
     if executor is None:
         yield from _fly_here(job, _Parts(done))
@@ -52,7 +52,7 @@ def fly_all(job: Job, done: NDArray[np.bool_], executor: Any) -> Iterator[Flown]
 
 
 class _Parts:
-    """Cuts the flights that are not done into parts that take about a second."""
+    """Divides the flights that are not done into parts that take about a second."""
 
     def __init__(self, done: NDArray[np.bool_]) -> None:
         edges = np.flatnonzero(np.diff(np.concatenate([[True], done, [True]]).astype(np.int8)))
@@ -60,7 +60,7 @@ class _Parts:
         self._size = FIRST
 
     def take(self) -> FlightPart | None:
-        """The next part; None if there is no more."""
+        """Return the next part; None if there is no more."""
         if not self._gaps:
             return None
         begin, end = self._gaps.popleft()
@@ -70,13 +70,13 @@ class _Parts:
         return FlightPart(begin, count)
 
     def learn(self, flights: int, seconds: float) -> None:
-        """What a part has taken."""
+        """Adapt the size of the next parts to the time that a part has taken."""
         wanted = flights * SECONDS / max(seconds, 1e-6)
         self._size = int(max(1, min(MOST, wanted, 4 * self._size)))
 
 
 def _fly_here(job: Job, parts: _Parts) -> Iterator[Flown]:
-    """On all cores of this process."""
+    """Fly the parts on all cores of this process."""
     flyer = Flyer(job, None)
     while (part := parts.take()) is not None:
         begin = time.monotonic()
@@ -87,7 +87,7 @@ def _fly_here(job: Job, parts: _Parts) -> Iterator[Flown]:
 
 
 class _Elsewhere:
-    """By the workers of an executor, each with one thread at a time."""
+    """Flies the parts by the workers of an executor, each with one thread at a time."""
 
     def __init__(self, job: Job, parts: _Parts, executor: Any) -> None:
         if not callable(getattr(executor, "submit", None)):
@@ -101,10 +101,10 @@ class _Elsewhere:
         self._pending: dict[Any, FlightPart] = {}
         self._again: deque[FlightPart] = deque()
         self._own: ProcessPoolExecutor | None = None
-        self._fruitless = 0  # losses since a part has come back
+        self._fruitless = 0  # number of losses since the last result
 
     def fly(self) -> Iterator[Flown]:
-        """The parts in the order in which they are ready."""
+        """Yield the results of the parts in the order in which they finish."""
         most = AHEAD * _count_workers(self._executor)
         try:
             while True:
@@ -130,13 +130,13 @@ class _Elsewhere:
         except BrokenExecutor as error:
             self._replace_pool(error)
             future = self._executor.submit(*arguments)
-        except RuntimeError as error:  # it is shut down
+        except RuntimeError as error:  # the executor is shut down
             raise ControllerError(f"executor: {error}") from error
         self._pending[future] = part
         future.add_done_callback(self._ready.put)
 
     def _collect(self) -> Iterable[Flown]:
-        """What is ready; nothing after a while."""
+        """Collect the flights of finished parts; return none after ``LOOK`` seconds."""
         try:
             future = self._ready.get(timeout=LOOK)
         except Empty:
@@ -157,7 +157,7 @@ class _Elsewhere:
         yield flown
 
     def _lose(self, part: FlightPart, error: Exception) -> None:
-        """A part whose worker is lost is flown again."""
+        """Queue a part again whose worker is lost."""
         self._again.append(replace(part, attempt=part.attempt + 1))
         self._fruitless += 1
         if self._fruitless >= ATTEMPTS * (len(self._pending) + len(self._again)):
@@ -167,7 +167,7 @@ class _Elsewhere:
             ) from error
 
     def _replace_pool(self, error: BrokenExecutor) -> None:
-        """A pool of processes, one of which has died, takes no more work: a new one of the same size does."""
+        """Replace a pool of processes, one of which has died, by a new pool of the same size."""
         if not isinstance(error, BrokenProcessPool):
             raise ControllerError(f"executor: {error}") from error
         if self._own is not None:
@@ -178,8 +178,8 @@ class _Elsewhere:
 
 
 def _count_workers(executor: Any) -> int:
-    """Workers of an executor, as far as it says so."""
-    threads = getattr(executor, "nthreads", None)  # of Dask: {worker: threads}
+    """Return the number of workers of an executor, as far as it tells."""
+    threads = getattr(executor, "nthreads", None)  # Dask returns {worker: threads}
     if callable(threads):
         return max(1, int(sum(threads().values())))
     return int(getattr(executor, "_max_workers", None) or os.cpu_count() or 1)

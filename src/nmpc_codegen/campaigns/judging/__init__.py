@@ -1,1 +1,1 @@
-"""Verdicts on flights, what a campaign has found, and loops with converged plans to compare it with."""
+"""Flights get verdicts, a campaign gets a result, and both can be compared with loops with converged plans."""

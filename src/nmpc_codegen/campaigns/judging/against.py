@@ -1,4 +1,4 @@
-"""Reference loops: what flights would have cost with a converged plan in every sample."""
+"""Reference loops show what flights would have cost with a converged plan in every sample."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ from nmpc_codegen.runtime.loops.one_loop import Conduct, Sample
 Array = NDArray[np.float64]
 Against = Literal["solve", "ipopt"]
 
-TOLERANCE = 1e-8  # of IPOPT
+TOLERANCE = 1e-8  # tolerance of IPOPT
 
 
 def reference_costs(job: Job, flown: Flown, against: Against, count: int, ocp: OCP, options: Options) -> Array:
-    """Costs (F,) of the loops of the first ``count`` flights with converged plans, NaN for the others, for those whose
-    state was not finite, and after an interrupt.
+    """Return the costs (F,) of loops with converged plans for the first ``count`` flights.
 
-    "solve": solve() in every sample; "ipopt": IPOPT, from the plan of the sample before.
+    Other flights, flights whose state was not finite, and those after an interrupt have NaN. ``against`` is "solve",
+    with solve() in every sample, or "ipopt", which starts from the plan of the sample before.
     """
     found = np.full(len(flown), np.nan)
     flyer, s = Flyer(job, None), job.statement
@@ -48,7 +48,7 @@ def reference_costs(job: Job, flown: Flown, against: Against, count: int, ocp: O
 
 
 def check_against(controller: Controller, against: Against | None, options: Options) -> None:
-    """OptionError if the package has no solve(), or the problem is none for IPOPT's loop."""
+    """Raise OptionError if the package has no solve(), or IPOPT's loop cannot handle the problem."""
     if against == "solve" and not options.solves:
         raise OptionError("against='solve': the package has no solve(); Options(solve=True), or against='ipopt'")
     if against == "ipopt" and (controller.description.augmentation.count or controller.description.discrete):
@@ -56,14 +56,14 @@ def check_against(controller: Controller, against: Against | None, options: Opti
 
 
 class _IpoptLaw:
-    """IPOPT in every sample."""
+    """A control law that solves every sample by IPOPT."""
 
     def __init__(self, controller: Controller, ocp: OCP, options: Options) -> None:
         self._problem = complete(classify(ocp, options.algorithm.sampling_time), options)
         self._nlp = Reference(self._problem, tableau(self._problem, options), tol=TOLERANCE)
 
     def begin(self, controller: Controller) -> Sample:
-        """What computes the samples of a flight, with the data that its controller is told."""
+        """Return the function that takes the samples of a flight, with the data of its controller."""
         plan: list[Array | None] = [None, None]
 
         def sample(x: Array, k: int) -> tuple[Array, int]:
@@ -76,7 +76,7 @@ class _IpoptLaw:
 
 
 def _data_of(controller: Controller) -> dict[str, Any]:
-    """Parameters and references that a controller holds, as node_data() takes them."""
+    """Return the parameters and references of a controller, as node_data() takes them."""
     d, found = controller.dims, dict[str, Any]({"p": parameters(controller)} if controller.dims.np else {})
     if controller.description.online["reference"] != "fixed":
         found |= {"yref": np.broadcast_to(np.asarray(controller.view("yref"), float), (d.N, d.ny))} if d.ny else {}

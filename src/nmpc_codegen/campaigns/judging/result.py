@@ -1,4 +1,4 @@
-"""What a campaign has found: a verdict on every flight, the share lost with its interval, replays, pictures."""
+"""A Campaign has a verdict on every flight, the share lost with its confidence interval, replays and pictures."""
 
 from __future__ import annotations
 
@@ -26,22 +26,22 @@ from nmpc_codegen.runtime.records.log import Log
 
 Array = NDArray[Any]
 
-#: Flights of plot() that are drawn at most, lost ones among them.
+#: Largest numbers of flights, and of lost flights, in plot().
 DRAWN, DRAWN_LOST = 300, 100
 
 
 @dataclass(frozen=True, eq=False)
 class Campaign:
-    """The flights of a campaign and their verdicts; print(result) is their summary.
+    """The flights of a campaign and their verdicts; print(result) prints a summary.
 
     Attributes:
-        job: what was flown, by whom.
-        rules: by which a flight is lost.
-        flown: what is kept of every flight.
-        reasons: (F,), why each is lost, numbers of Reason.
+        job: controller, plant and statement of the flights.
+        rules: rules by which a flight is lost.
+        flown: results of every flight.
+        reasons: (F,), reason for the loss of each flight, numbers of Reason.
         complete: False after an interrupt.
-        best: (F,), costs of reference loops (see campaign(against=)), NaN where none was flown; None: none.
-        against: what flew them.
+        best: (F,), costs of reference loops (see campaign(against=)), NaN where no loop was run; None: there are none.
+        against: kind of the reference loops.
     """
 
     job: Job
@@ -57,33 +57,35 @@ class Campaign:
 
     @property
     def lost(self) -> NDArray[np.bool_]:
-        """(F,): True for flights that are lost."""
+        """Return True for each flight that is lost, (F,)."""
         return np.asarray(self.reasons != Reason.NONE)
 
     @property
     def lost_by_reason(self) -> dict[Reason, int]:
-        """Lost flights by their reasons, as far as there are any."""
+        """Return the number of lost flights for each reason that occurs."""
         return {r: int(np.sum(self.reasons == r)) for r in Reason if r and np.any(self.reasons == r)}
 
     @property
     def share(self) -> float:
-        """Share of the flights that are lost."""
+        """Return the share of the flights that are lost."""
         return float(np.mean(self.lost)) if len(self) else 0.0
 
     @property
     def interval(self) -> tuple[float, float]:
-        """Between which limits the share lost of all flights lies with a confidence of 95 %: by Clopper and Pearson, of
-        quasi-random points by Student."""
+        """Return the 95 % confidence interval of the share lost of all possible flights.
+
+        It is that of Clopper and Pearson, and for quasi-random points that of Student.
+        """
         return self.interval_at(LEVEL)
 
     def interval_at(self, level: float) -> tuple[float, float]:
-        """The same with another confidence, 0 < level < 1."""
+        """Return the interval of the share lost with another confidence, 0 < level < 1."""
         points = self.job.statement.points
         return interval_of_share(self.lost, self.flown.number // points.length if points.sets else None, level)
 
     @cached_property
     def losses(self) -> Array:
-        """(F,), how much more than its reference loop a flight costs, relative to that; NaN where there is none."""
+        """Return the relative excess cost of each flight over its reference loop, (F,); NaN without such a loop."""
         if self.best is None:
             return np.full(len(self), np.nan)
         return np.asarray((self.flown.cost - self.best) / np.abs(self.best))
@@ -91,11 +93,13 @@ class Campaign:
     # -- flights ------------------------------------------------------------------------------------------------------
 
     def worst(self, count: int = 5) -> list[int]:
-        """Numbers of the worst flights: whose state was not finite, then by violation, then those that did not arrive
-        or ended with a failure, then by cost.
+        """Return the numbers of the worst flights.
+
+        First come flights whose state was not finite, then those with the largest violations, then those that did not
+        arrive or ended with a failure, then those with the highest cost.
 
         Raises:
-            ControllerError: ``count`` is no number >= 0.
+            ControllerError: ``count`` is no integer >= 0.
         """
         if not given.is_integer(count) or count < 0:
             raise ControllerError(f"worst: {count!r}; expected a number of flights >= 0")
@@ -109,12 +113,12 @@ class Campaign:
 
     @property
     def excess(self) -> Array:
-        """(F,), the largest violation of a judged row relative to what is allowed, inf where it is not known."""
+        """Return the largest violation of a judged row relative to the allowed one, (F,), inf if it is unknown."""
         return np.asarray(self._excess.max(axis=1, initial=0.0))
 
     @property
     def _excess(self) -> Array:
-        """Violations (F, judged rows) relative to what is allowed, inf where they are not known."""
+        """Return the violations (F, judged rows) relative to the allowed ones, inf if unknown."""
         judged = np.isfinite(self.rules.allowed)
         with np.errstate(divide="ignore", invalid="ignore"):
             found = self.flown.violation[:, judged] / self.rules.allowed[judged]
@@ -123,7 +127,7 @@ class Campaign:
         )
 
     def verdict(self, number: int) -> str:
-        """One line on a flight: why it is lost, its cost, from where it started, what was drawn for it.
+        """Describe a flight in one line: why it is lost, its cost, its start, its random variables.
 
         Args:
             number: of the flight.
@@ -147,14 +151,14 @@ class Campaign:
 
     @cached_property
     def _varies(self) -> list[bool]:
-        """Which initial states, and what else was drawn, differ between flights."""
+        """Return which initial states and other random variables differ between flights."""
         every = np.hstack([self.flown.start, self.flown.drawn])
         return [bool(np.ptp(column) > 0) for column in every.T]
 
     def replay(self, number: int, before: Before | None = None) -> Log:
-        """Fly a flight again as simulate() does, sample by sample: the log has the same states to the bit.
+        """Fly a flight again sample by sample, as simulate() does; the states in the log have the same bits.
 
-        A flight whose state was not finite ends before that.
+        The log of a flight whose state was not finite ends before that sample.
 
         Args:
             number: of the flight.
@@ -175,7 +179,7 @@ class Campaign:
         return log
 
     def _with_samples(self, number: int) -> Flights:
-        """The flight with its samples, as Flights of one."""
+        """Return the flight with its samples, as Flights of one."""
         self._place(number)
         return self._flyer.simulate(self.job.statement.whole_data(number), number, record=True)
 
@@ -195,12 +199,12 @@ class Campaign:
 
     @property
     def _table(self) -> list[Column]:
-        """What is kept of every flight, and its verdict."""
+        """Return the results and the verdicts of all flights as columns."""
         reasons = np.array([Reason(r).name for r in self.reasons], dtype=object)
         return [*self.flown.table, Column("reason", values=reasons)]
 
     def to_dataframe(self) -> Any:
-        """A pandas DataFrame with a row for each flight: Flown.to_dataframe(), and ("reason", ""), why it is lost.
+        """Return the DataFrame of Flown.to_dataframe() with the column ("reason", ""), why a flight is lost.
 
         Raises:
             ExtraError: pandas is not installed.
@@ -208,10 +212,10 @@ class Campaign:
         return frames.to_dataframe(self._table[1:], self.flown.number, "flight", "Campaign.to_dataframe()")
 
     def to_parquet(self, file: str | os.PathLike[str]) -> None:
-        """Write the same as a Parquet file.
+        """Write the table of to_dataframe() as a Parquet file.
 
         Args:
-            file: its path.
+            file: path of the file.
 
         Raises:
             ExtraError: pyarrow is not installed.
@@ -221,7 +225,7 @@ class Campaign:
     # -- pictures -----------------------------------------------------------------------------------------------------
 
     def plot(self, file: str | os.PathLike[str] | None = None) -> Any:
-        """Figure of the paths of some flights, 300 at most, lost ones in red on top; the worst ones are among them.
+        """Plot the paths of at most 300 flights, lost ones in red on top, including the worst ones.
 
         Args:
             file: where it is written; None: nowhere.
@@ -240,7 +244,7 @@ class Campaign:
         return paths.draw(again, np.arange(len(again)) >= len(others), title, file, "lost")
 
     def plot_distributions(self, file: str | os.PathLike[str] | None = None) -> Any:
-        """Figure of the distributions of costs, violations of rows, and times of samples.
+        """Plot the distributions of costs, violations of rows, and times of samples.
 
         Args:
             file: where it is written; None: nowhere.
@@ -255,7 +259,7 @@ class Campaign:
         return of_campaigns.draw_distributions(self.flown, self.rules.allowed, self.lost, self._title, self._unit, file)
 
     def plot_lost(self, file: str | os.PathLike[str] | None = None) -> Any:
-        """Figure of lost flights over pairs of what was drawn, those in which lost and other flights differ most.
+        """Plot lost flights over the pairs of random variables in which lost and other flights differ most.
 
         Args:
             file: where it is written; None: nowhere.
@@ -285,7 +289,7 @@ class Campaign:
 
     @property
     def _unit(self) -> Mapping[str, str]:
-        """Names of states, controls and what is drawn -> units; "" -> that of time."""
+        """Return {name of a state, control or random variable: unit}; "" stands for time."""
         described = self.job.controller.description
         found = units(described.states, described.controls, described.parameters)
         drawn = {v.label: found.get(v.name, "") for v in self.job.statement.variables}
@@ -300,7 +304,7 @@ class Campaign:
         return self.summary()
 
     def as_dict(self) -> dict[str, Any]:
-        """The result as JSON has it."""
+        """Return the result as a JSON object."""
         s, low_high = self.job.statement, self.interval
         total = self.flown.samples.sum(axis=0)
         return {
@@ -327,7 +331,7 @@ class Campaign:
         }
 
     def summary(self) -> str:
-        """Some lines: flights, lost ones by reason with the interval, statuses, costs, rows, times, the worst ones."""
+        """Return some lines: flights, losses by reason with the interval, statuses, costs, rows, times, worst ones."""
         f, s, described = self.flown, self.job.statement, self.job.controller.description
         lines = [f"{described.name}: {len(self):,} flights of {s.steps} samples, {s.dt:g} {described.time_unit} each"]
         if not self.complete:
@@ -368,7 +372,7 @@ class Campaign:
         return [f"{text}: {100 * np.median(known):+.3g} % (median), {100 * known.max():+.3g} % at most"]
 
     def _lines_of_rows(self) -> list[str]:
-        """What was violated by more than rounding."""
+        """Return lines on the rows that were violated by more than rounding."""
         lines = []
         rules = zip(self.flown.labels.rows, self.rules.allowed, self.rules.rounding, strict=True)
         for (name, allowed, rounding), amounts in zip(rules, self.flown.violation.T, strict=True):

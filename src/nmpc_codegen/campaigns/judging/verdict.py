@@ -1,4 +1,4 @@
-"""The verdict on a flight: whether it is lost, and why; how sure the share of lost ones is."""
+"""The verdict on a flight says whether it is lost, and why; an interval says how certain the share lost is."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ Array = NDArray[Any]
 Success = Callable[[Flown], ArrayLike]
 Asked = Literal["set point"] | Mapping[str, Any] | Success
 
-#: Violation of a hard row, and distance from a set point, relative to the size of the row or state, that are allowed.
+#: Allowed violation of a hard row, and allowed distance from a set point, relative to the scale of the row or state.
 ALLOWED, NEAR = 1e-2, 0.1
-#: Level of an interval.
+#: Confidence level of an interval.
 LEVEL = 0.95
 
 
 class Reason(IntEnum):
-    """Why a flight is lost; the first one that holds."""
+    """The reason why a flight is lost; the first one that applies counts."""
 
     NONE = 0
     NOT_FINITE = 1
@@ -43,7 +43,7 @@ class Reason(IntEnum):
 
     @property
     def words(self) -> str:
-        """In a table."""
+        """Return the reason as text for a table."""
         return {
             Reason.NONE: "not lost",
             Reason.NOT_FINITE: "the state was not finite",
@@ -55,10 +55,10 @@ class Reason(IntEnum):
 
 @dataclass(frozen=True, eq=False)
 class Goal:
-    """The last value of a state has to be within ``near`` of its set point, or between two limits."""
+    """The last value of a state must be within ``near`` of its set point, or between two limits."""
 
     state: int
-    residual: int  # whose reference is the set point; -1: limits
+    residual: int  # its reference is the set point; -1: limits
     near: float
     lower: float = -math.inf
     upper: float = math.inf
@@ -66,9 +66,11 @@ class Goal:
 
 @dataclass(frozen=True, eq=False)
 class Rules:
-    """What a flight is judged by: ``allowed`` (rows,), the largest violation of each row, inf of one that is not
-    judged; ``rounding`` (rows,), what is none; ``targets`` and ``success``: what it has to arrive at,
-    in the words ``asked``."""
+    """The rules by which a flight is judged.
+
+    allowed: (rows,), largest allowed violation of each row, inf if it is not judged; rounding: (rows,), violations up
+    to this value are rounding; targets, success: where a flight must end; asked: the same in the user's words.
+    """
 
     allowed: Array
     rounding: Array
@@ -78,11 +80,11 @@ class Rules:
 
     @property
     def judges_arrival(self) -> bool:
-        """True if flights have to arrive somewhere."""
+        """Return True if flights must end at a given place."""
         return bool(self.targets) or self.success is not None
 
     def judge(self, flown: Flown, goals: Array) -> NDArray[np.int8]:
-        """The reasons (F,); ``goals`` (F, targets): the set points."""
+        """Return the reasons (F,); ``goals`` (F, targets) are the set points."""
         failures = np.array([status.is_failure for status in Status])
         found = np.zeros(len(flown), np.int8)
         found[failures[np.maximum(flown.ended, 0)] & (flown.ended >= 0)] = Reason.ENDS_FAILING
@@ -110,7 +112,7 @@ class Rules:
         return arrived
 
     def distance(self, last: Array, goals: Array, states: Sequence[str]) -> str:
-        """Which state of a flight (nx,) is farthest from where it has to be, relative to what is allowed."""
+        """Return which state of a flight (nx,) is farthest from its goal, relative to the allowed distance."""
         found = []
         for target, goal in zip(self.targets, goals, strict=True):
             x = last[target.state]
@@ -123,7 +125,7 @@ class Rules:
         return "" if not found else f"{states[max(found)[2]]} is {max(found)[1]}"
 
     def goals(self, job: Job, first: int, count: int) -> Array:
-        """The set points (F, targets) of the flights from ``first`` on, at their last samples."""
+        """Return the set points (F, targets) at the last samples of the flights from ``first`` on."""
         out = np.zeros((count, len(self.targets)))
         followed = [(j, target.residual) for j, target in enumerate(self.targets) if target.residual >= 0]
         references = job.last_references(first, count) if followed else out
@@ -135,7 +137,7 @@ class Rules:
 def rules_of(
     described: PackageDescription, dt: float, success: Asked | None, tolerance: Mapping[str, float] | None
 ) -> Rules:
-    """What flights of a package are judged by.
+    """Return the rules by which flights of a package are judged.
 
     Raises:
         ControllerError: there is no such row or state, or a number is wrong.
@@ -163,7 +165,7 @@ def rules_of(
 
 
 def _spell(success: Any) -> str:
-    """The goal in words."""
+    """Return the goal in words."""
     if not isinstance(success, Mapping):
         return str(success)
     goals = ((f"`{name}`", goal) for name, goal in success.items())
@@ -173,13 +175,13 @@ def _spell(success: Any) -> str:
 
 
 def _size_of(described: PackageDescription, i: int) -> float:
-    """What counts as far for a row: its size, or its largest finite bound if that is less and not 0."""
+    """Return the size of a row: its scale, or its largest finite nonzero bound if that is smaller."""
     bounds = [abs(side) for side in (described.rows[i].lower, described.rows[i].upper) if 0 < abs(side) < math.inf]
     return min(described.row_scales[i], max(bounds, default=math.inf))
 
 
 def _targets(described: PackageDescription, success: Any) -> list[Goal]:
-    """What states have to be near at the end."""
+    """Return the goals of the states at the end."""
     states, scales = described.names.states, described.scales
     followed = {r.signal: i for i, r in reversed(list(enumerate(described.residuals))) if r.signal in states}
     if success == "set point":
@@ -202,14 +204,14 @@ def _targets(described: PackageDescription, success: Any) -> list[Goal]:
 
 
 def _element(value: Any, j: int, size: int) -> Any:
-    """Element j of a vector; a number holds for all."""
+    """Return element j of a vector; a number holds for all elements."""
     if isinstance(value, Box):
         return Box(_element(value.lower, j, size), _element(value.upper, j, size))
     return np.asarray(value)[j] if size > 1 and np.shape(value) == (size,) else value
 
 
 def _target(place: int, states: Sequence[str], followed: Mapping[str, int], value: Any, name: str) -> Goal:
-    """One target."""
+    """Return the goal of one state."""
     real = np.dtype(np.float64)
     if isinstance(value, Box):
         low, high = (
@@ -229,10 +231,10 @@ def _target(place: int, states: Sequence[str], followed: Mapping[str, int], valu
 def interval_of_share(
     lost: NDArray[np.bool_], set_of: Array | None = None, level: float = LEVEL
 ) -> tuple[float, float]:
-    """Between which limits the share lost of all flights lies with this confidence.
+    """Return the confidence interval of the share lost of all possible flights.
 
-    Independent flights: Clopper and Pearson, Biometrika 26 (1934). ``set_of`` (F,): numbers of independent sets of
-    quasi-random points; the interval is Student's, of the shares of the sets.
+    For independent flights it is that of Clopper and Pearson, Biometrika 26 (1934). ``set_of`` (F,) holds the numbers
+    of independent sets of quasi-random points; then the interval is Student's, from the shares of the sets.
     """
     if not 0 < level < 1:
         raise ControllerError(f"level is {level!r}; expected a confidence between 0 and 1")

@@ -1,1 +1,1 @@
-"""What is flown: distributions, defaults, data of every flight."""
+"""The flights of a campaign are stated by distributions, defaults and data of every flight."""

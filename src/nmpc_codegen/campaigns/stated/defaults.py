@@ -1,4 +1,4 @@
-"""What a campaign flies without a word: starts, parameters, the number of samples."""
+"""Defaults of a campaign follow from the problem: starts, parameters, the number of samples."""
 
 from __future__ import annotations
 
@@ -13,35 +13,42 @@ from nmpc_codegen.frontend.classify import classify
 from nmpc_codegen.frontend.ocp import OCP
 from nmpc_codegen.package.description import PackageDescription
 
-#: Width of the box of starts, relative to that of the bounds of a state; half of it relative to its size, without.
+#: Width of the box of starts relative to the distance of a state's bounds; without bounds, half the width relative to
+# its scale.
 PART = 0.1
-#: Samples: so many horizons, within these limits.
+#: Number of horizons in a flight; limits of its number of samples.
 HORIZONS, FEWEST, LARGEST = 3, 50, 1000
 
 
 @dataclass(frozen=True)
 class Facts:
-    """What a description does not say: elements of parameters that the model depends on, and places in x of states that
-    no measurement sets, free components of x_0 and accumulators."""
+    """Facts of the problem that a description does not contain.
+
+    of_model: elements of parameters on which the model depends; unmeasured: indices of states that no measurement sets,
+    which are free components of x_0 and accumulators.
+    """
 
     of_model: frozenset[str]
     unmeasured: frozenset[int]
 
 
 def facts_of(ocp: OCP) -> Facts:
-    """The facts of a problem."""
+    """Return the facts of a problem."""
     problem = classify(ocp)
     return Facts(problem.model_parameters, frozenset((*problem.free_initial, *problem.accumulators)))
 
 
 def default_steps(described: PackageDescription, dt: float) -> int:
-    """Samples of a flight: three horizons, at least 50 and at most 1000."""
+    """Return the number of samples of a flight: three horizons, at least 50 and at most 1000."""
     return int(min(LARGEST, max(FEWEST, math.ceil(HORIZONS * sum(described.dt) / dt - 1e-9))))
 
 
 def default_starts(described: PackageDescription, facts: Facts) -> Mapping[str, Box]:
-    """Boxes of the states: ``initial_range``, else around the initial value, within the bounds, with a tenth of the
-    width of the bounds, or of twice the size of the state."""
+    """Return the boxes from which states start: ``initial_range``, else a box around the initial value.
+
+    The box is a tenth as wide as the distance of the bounds, or as twice the scale of the state, and lies within the
+    bounds.
+    """
     bounds = _bounds(described)
     found = {}
     for signal in described.states:
@@ -60,7 +67,7 @@ def default_starts(described: PackageDescription, facts: Facts) -> Mapping[str, 
 
 
 def _bounds(described: PackageDescription) -> dict[int, tuple[float, float]]:
-    """Place of a state -> its bounds along the path."""
+    """Return {index of a state: its bounds along the path}."""
     found: dict[int, tuple[float, float]] = {}
     for row in described.rows:
         place = row.variable(described.dims.nx)
@@ -71,12 +78,12 @@ def _bounds(described: PackageDescription) -> dict[int, tuple[float, float]]:
 
 
 def default_unknown(described: PackageDescription, facts: Facts) -> Mapping[str, Box]:
-    """Parameters of the model with a range: those of the plant differ from those that the controller knows."""
+    """Return the parameters of the model with a range: the plant's values differ from those of the controller."""
     return {name: box for name, box in _ranges(described).items() if name in facts.of_model}
 
 
 def default_known(described: PackageDescription, facts: Facts) -> Mapping[str, Box]:
-    """Parameters with a range of which costs and rows alone depend, which the controller has to know."""
+    """Return the parameters with a range on which only costs and rows depend; the controller must know them."""
     return {name: box for name, box in _ranges(described).items() if name not in facts.of_model}
 
 

@@ -1,4 +1,4 @@
-"""What varies from flight to flight: distributions, and the points of the unit cube at which they are evaluated."""
+"""Distributions state what varies from flight to flight; they are evaluated at points of the unit cube."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ from nmpc_codegen.runtime.batch.random import START, DrawnSignal, Normal, draw
 
 Array = NDArray[np.float64]
 
-#: What a number belongs to: the initial state, the plant alone, plant and controller, references.
+#: A random variable belongs to the initial state, to the plant only, to plant and controller, or to references.
 Kind = Literal["start", "plant", "known", "reference"]
 
 
 @dataclass(frozen=True, eq=False)
 class Box:
-    """A number that is uniform between two limits, or a vector of independent ones.
+    """A number that is uniform between two limits, or a vector of independent numbers.
 
     Args:
         lower: finite; a number, or one for each element of the vector.
-        upper: the same, not below ``lower``.
+        upper: as ``lower``, and not below it.
     """
 
     lower: ArrayLike
@@ -41,8 +41,11 @@ Distribution = Box | Normal
 
 @dataclass(frozen=True)
 class DrawnVariable:
-    """A number that is drawn for every flight: uniform from ``begin`` to begin + size, or normal with mean ``begin``
-    and standard deviation ``size``, within ``low`` and ``high``."""
+    """A random variable with one value for every flight.
+
+    It is uniform from ``begin`` to begin + size, or normal with mean ``begin`` and standard deviation ``size``,
+    truncated to ``low`` and ``high``.
+    """
 
     kind: Kind
     name: str
@@ -54,11 +57,11 @@ class DrawnVariable:
 
     @property
     def label(self) -> str:
-        """Its name in tables and pictures."""
+        """Return its name in tables and pictures."""
         return f"{self.kind}.{self.name}"
 
     def quantile(self, p: Array) -> Array:
-        """Its value where its distribution reaches p, 0 < p < 1."""
+        """Return the quantile of its distribution at p, 0 < p < 1."""
         if not self.normal:
             return np.asarray(np.clip(self.begin + self.size * p, self.begin, self.begin + self.size))
         if self.size == 0:
@@ -70,7 +73,7 @@ class DrawnVariable:
 
 
 def variables(kind: Kind, names: list[str], found: Distribution, middle: ArrayLike, what: str) -> list[DrawnVariable]:
-    """Independent variables of these elements; a normal one has its mean in the middle.
+    """Return independent variables for these elements; a normal one has its mean at ``middle``.
 
     Raises:
         ControllerError: limits or sizes are wrong.
@@ -100,18 +103,18 @@ def variables(kind: Kind, names: list[str], found: Distribution, middle: ArrayLi
 
 @dataclass(frozen=True)
 class Points:
-    """Points of the open unit cube, one for each flight: independent ones, or ``sets`` of scrambled Sobol sequences.
+    """Points of the open unit cube, one for each flight: independent ones, or ``sets`` scrambled Sobol sequences.
 
-    A point is a function of (seed, number of the flight) alone; of Sobol sequences of the length of a set, too.
+    A point depends only on (seed, number of the flight); a point of a Sobol sequence also on the length of a set.
     """
 
     seed: int
     dimensions: int
     sets: int = 0
-    length: int = 0  # of a set
+    length: int = 0  # number of flights of a set
 
     def at(self, first: int, count: int) -> Array:
-        """The points (count, dimensions) of the flights from ``first`` on."""
+        """Return the points (count, dimensions) of the flights from ``first`` on."""
         out = np.zeros((count, self.dimensions))
         if not self.dimensions or not count:
             return out
@@ -130,6 +133,6 @@ class Points:
         sequence = qmc.Sobol(self.dimensions, scramble=True, rng=np.random.default_rng([self.seed, number]))
         if begin:
             sequence.fast_forward(begin)
-        with warnings.catch_warnings():  # of a set that is no power of 2
+        with warnings.catch_warnings():  # the length of the set is no power of 2
             warnings.simplefilter("ignore", UserWarning)
             return np.asarray(sequence.random(count))

@@ -1,4 +1,4 @@
-"""What is flown: starts, parameters, references, disturbances of every flight, as functions of its number."""
+"""A statement defines starts, parameters, references and disturbances of every flight as functions of its number."""
 
 from __future__ import annotations
 
@@ -29,26 +29,28 @@ REAL = np.dtype(np.float64)
 
 
 class Stated(TypedDict, total=False):
-    """The arguments of campaign() that say what is flown; None, or left out: what follows from the problem.
+    """The arguments of campaign() that state the flights; by default, or with None, they follow from the problem.
 
     Attributes:
-        starts: Box or Normal for all states, an array (flights, nx), or {state: Box, Normal, number or (flights,)},
-            where others start at their initial value. By default every state is in its ``initial_range``, else around
-            its initial value in a box of a tenth of the width of its bounds, or of twice its size.
-        parameters: {name: Box, Normal, or a table as in Batch.simulate()} of the plants, which the controllers do not
-            know. By default those with bounds on which the model depends, uniform between them.
-        known: the same of parameters that controllers and plants have. By default those with bounds on which costs and
-            rows alone depend.
+        starts: Box or Normal for all states, an array (flights, nx), or {state: Box, Normal, number or (flights,)};
+            states that are not named start at their initial values. By default every state starts in its
+            ``initial_range``, else in a box around its initial value, which is a tenth as wide as the distance of its
+            bounds, or as twice its scale.
+        parameters: {name: Box, Normal, or a table as in Batch.simulate()} for the plants only; the controllers keep
+            their values. By default the parameters of the model that have bounds, uniform between them.
+        known: the same for controllers and plants. By default the parameters with bounds on which only costs and rows
+            depend.
         references: {residual: Box, Normal or table}, or a table of the path residual, as in Batch.simulate().
-        disturbance: Normal(std) or Uniform(half width), added to the state after every sample; std alone is normal.
-        noise: the same, added to the state that the controllers are told.
-        added: (steps, nx) or (flights, steps, nx), added to the state after every sample, too.
-        steps: samples of a flight; by default three horizons, at least 50 and at most 1000.
+        disturbance: Normal(std) or Uniform(half_width), added to the state after every sample; a bare number is a
+            standard deviation.
+        noise: the same, added to the state that the controllers receive.
+        added: (steps, nx) or (flights, steps, nx), added to the state after every sample, besides ``disturbance``.
+        steps: number of samples of a flight; by default three horizons, at least 50 and at most 1000.
         dt: sampling time, as in simulate().
-        plant: a controller whose integrator moves the state; by default each controller's own, of the same text.
-        sets: 0: independent draws; else scrambled Sobol points in so many independent sets, from which the interval
-            follows.
-        seed: of all random numbers.
+        plant: a controller whose integrator advances the state; by default each controller's own.
+        sets: 0: independent random points; else the number of independent sets of scrambled Sobol points, from which
+            the interval is computed.
+        seed: seed of all random numbers.
     """
 
     starts: Distribution | ArrayLike | Values | None
@@ -66,17 +68,17 @@ class Stated(TypedDict, total=False):
 
 
 class Wish(Stated, total=False):
-    """The same with the number of flights."""
+    """The statement of the flights with their number."""
 
     flights: int | None
 
 
-#: What is asked for by somebody who says nothing.
+#: The statement with all default values.
 SILENT = cast("Wish", {**dict.fromkeys(Wish.__annotations__), "sets": 0, "seed": 0})
 
 
 def plant_of(wish: Wish) -> Controller | None:
-    """The plant; ControllerError if it is none."""
+    """Return the plant; raise ControllerError if it is no Controller."""
     plant = wish["plant"]
     if plant is not None and not isinstance(plant, Controller):
         raise ControllerError(f"plant is {plant!r:.60}; expected a Controller, as build() returns it")
@@ -85,14 +87,14 @@ def plant_of(wish: Wish) -> Controller | None:
 
 @dataclass(frozen=True, eq=False)
 class Given:
-    """What is given for each flight by itself: a first axis of flights in every array."""
+    """The data that are given for each flight; every array has a first axis of flights."""
 
-    starts: Mapping[int, Array]  # place in x -> (F,)
+    starts: Mapping[int, Array]  # index of a state -> (F,)
     tables: Mapping[Kind, Mapping[str, Array]]  # (F, n) or (F, n, size)
     added: Array | None  # (F, steps, nx)
 
     def part(self, some: slice) -> Given:
-        """That of a part of the flights."""
+        """Return the data of a part of the flights."""
         tables: dict[Kind, Mapping[str, Array]] = {
             kind: {name: table[some] for name, table in of_kind.items()} for kind, of_kind in self.tables.items()
         }
@@ -102,7 +104,7 @@ class Given:
 
 @dataclass(frozen=True, eq=False)
 class FlightData:
-    """Arguments of Batch.simulate() for a part of the flights, and the values that were drawn for them (F, n)."""
+    """The arguments of Batch.simulate() for a part of the flights, and the values of their random variables (F, n)."""
 
     starts: Array
     tables: Mapping[Kind, Mapping[str, Array]]
@@ -111,14 +113,14 @@ class FlightData:
 
     @property
     def references(self) -> Any:
-        """By name, or the whole path residual."""
+        """Return the references by name, or those of the whole path residual."""
         found = self.tables["reference"]
         return found.get("", found) if found else None
 
 
 @dataclass(frozen=True, eq=False)
 class FlightStatement:
-    """Flight i is a function of this and of i. ``tables``: the same for all flights."""
+    """Flight i depends only on this statement and on i; ``tables`` holds the tables that all flights share."""
 
     flights: int
     steps: int
@@ -136,24 +138,24 @@ class FlightStatement:
 
     @property
     def drawn(self) -> tuple[str, ...]:
-        """Names of the variables that are no initial states."""
+        """Return the names of the random variables that are no initial states."""
         return tuple(v.label for v in self.variables if v.kind != "start")
 
     @property
     def common(self) -> FlightStatement:
-        """Without what is given for each flight by itself."""
+        """Return the statement without the data that are given for each flight."""
         return replace(self, given=Given({}, {}, None))
 
     def given_for(self, first: int, count: int = 1) -> Given:
-        """What is given for the flights from ``first`` on."""
+        """Return the data that are given for the flights from ``first`` on."""
         return self.given.part(slice(first, first + count))
 
     def whole_data(self, first: int, count: int = 1) -> FlightData:
-        """Data of the flights from ``first`` on."""
+        """Return the data of the flights from ``first`` on."""
         return self.data(first, count, self.given_for(first, count))
 
     def data(self, first: int, count: int, own: Given) -> FlightData:
-        """Data of the flights from ``first`` on; ``own``: what is given for them."""
+        """Return the data of the flights from ``first`` on; ``own`` holds the data given for each of them."""
         unit = self.points.at(first, count)
         starts = np.tile(self.x0, (count, 1))
         for place, values in own.starts.items():
@@ -214,8 +216,10 @@ def state_flights(controller: Controller, facts: Facts, wish: Wish) -> FlightSta
 def _parameters_of(
     described: PackageDescription, of_plant: Sequence[str], facts: Facts, wish: Wish
 ) -> tuple[Values, Values]:
-    """Parameters of the plants, and those that controllers know, too. Plants that are given a parameter by both have
-    that of the first."""
+    """Return the parameters of the plants, and those that controllers know as well.
+
+    A parameter that occurs in both has the first value in the plants.
+    """
     for what in ("parameters", "known"):
         value = dict(wish)[what]
         if value is not None and not isinstance(value, Mapping):
@@ -241,12 +245,12 @@ def _count(what: str, value: object, least: int, most: int) -> int:
 
 
 def _flights_of(starts: Any) -> int:
-    """Flights where their number is not given: those of an array of starts, else a thousand."""
+    """Return the default number of flights: the length of an array of starts, else 1000."""
     return len(starts) if not isinstance(starts, Box | Normal) and given.ndim(starts) == 2 else 1000
 
 
 def _length_of_set(flights: int, sets: int) -> int:
-    """Flights of a set of quasi-random points."""
+    """Return the number of flights in a set of quasi-random points."""
     if not given.is_integer(sets) or sets < 0 or sets == 1 or (sets and flights % sets):
         raise ControllerError(
             f"sets is {sets!r}; expected 0, independent draws, or a number of sets of equal length of Sobol sequences, "
@@ -256,7 +260,7 @@ def _length_of_set(flights: int, sets: int) -> int:
 
 
 class _Reader:
-    """Sorts what is given by name into variables, tables for all flights, and tables for each."""
+    """Sorts the named values into random variables, tables for all flights, and tables for each flight."""
 
     def __init__(self, controller: Controller, plant: Controller | None, flights: int, steps: int) -> None:
         self._controller, self._plant, self._flights, self._steps = controller, plant, flights, steps
@@ -268,7 +272,7 @@ class _Reader:
         self._taken: set[tuple[str, str]] = set()
 
     def read_starts(self, starts: Any) -> None:
-        """Initial states: a distribution of all, an array (F, nx), or by name."""
+        """Read initial states: a distribution for all, an array (F, nx), or values by name."""
         names = list(self._controller.names.states)
         described = self._controller.description
         if isinstance(starts, Box | Normal):
@@ -297,7 +301,7 @@ class _Reader:
                 self.x0[place] = rows[j] if rows.ndim else rows
 
     def read(self, kind: Kind, values: Values, what: str, known: Sequence[str]) -> None:
-        """Parameters or references by name."""
+        """Read parameters or references by name."""
         for name, value in values.items():
             elements = [known[i] for i in self._places(what, name, known)] if name else list(self._controller.names.y)
             for element in elements:
@@ -315,7 +319,7 @@ class _Reader:
         array = given.checked_array(value, f"{what}: {name!r}", REAL, np.shape(value) if given.ndim(value) >= 0 else ())
         vector = size > 1 or not name
         axes: tuple[int, ...] = array.shape[:-1] if vector and array.ndim else array.shape
-        if len(axes) == 2 and axes[0] == 1:  # the same for all
+        if len(axes) == 2 and axes[0] == 1:  # one table for all flights
             array, axes = array[0], axes[1:]
         if vector and not array.ndim:
             array = np.full((1, size), array)
@@ -336,11 +340,11 @@ class _Reader:
         return found
 
     def _of(self, kind: Kind) -> PackageDescription:
-        """The package whose parameters these are."""
+        """Return the description of the package to which these parameters belong."""
         return (self._plant if kind == "plant" and self._plant is not None else self._controller).description
 
     def _declared_values(self, kind: Kind, elements: list[str]) -> Array:
-        """Declared values of parameters or references."""
+        """Return the declared values of parameters or references."""
         described = self._of(kind)
         if kind == "reference":
             values = {r.name: r.reference for r in (*described.residuals_N, *described.residuals)}
@@ -349,7 +353,7 @@ class _Reader:
         return np.array([values[element] for element in elements])
 
     def _check_range(self, kind: Kind, elements: list[str], what: str) -> None:
-        """ControllerError if a box leaves the bounds of a parameter; normal numbers are those within them."""
+        """Raise ControllerError if a box exceeds the bounds of a parameter; normal variables are truncated to them."""
         ends = {
             e: (low, high)
             for s in self._of(kind).parameters
@@ -365,7 +369,7 @@ class _Reader:
                 )
 
     def split_added(self, added: ArrayLike | None, steps: int) -> tuple[Array | None, Array | None]:
-        """What is added to the states: the same for all flights, or for each."""
+        """Split the added states into those shared by all flights, and those of each flight."""
         if added is None:
             return None, None
         nx = self._controller.dims.nx

@@ -1,4 +1,4 @@
-"""ADD AN ALGORITHM HERE: a component that fulfils `Algorithm`: prepare, feedback, step, shift, solve, kkt."""
+"""ADD AN ALGORITHM HERE: a component that implements `Algorithm`: prepare, feedback, step, shift, solve, kkt."""
 
 from collections.abc import Mapping
 

@@ -1,14 +1,15 @@
-"""Single shooting with adjoints: the controls are the only variables, and no derivative of the dynamics is stored.
+"""Single shooting with adjoints has only the controls as variables and stores no derivative of the dynamics.
 
     min_u  sum_k l_k(x_k, u_k) + l_N(x_N) + sum_m psi_m(v_m),   lower <= u <= upper,   x_{k+1} = Phi_k(x_k, u_k)
 
-Bounds of controls hold exactly, the dynamics because the states are simulated, and all other rows v_m are terms psi_m.
-Gradients are those of the exact discrete adjoint, lam_k = A_k' lam_{k+1} + dl_k/dx. The memory is that of some vectors
-of N (nx + nu) numbers, as A_k and B_k are evaluated again wherever a sweep multiplies with them.
+Bounds of controls hold exactly. The dynamics hold because the states are simulated. Every other row v_m becomes a term
+psi_m of the cost. Gradients come from the exact discrete adjoint, lam_k = A_k' lam_{k+1} + dl_k/dx. The memory is that
+of some vectors of N (nx + nu) numbers, because A_k and B_k are evaluated again whenever a sweep multiplies with them.
 
 A Gauss-Newton step minimises the quadratic model inside the bounds by conjugate gradients, each of which takes a
-forward and an adjoint sweep. Rows that hold at the end alone are part of the model by their slopes Xi = dv / du, one
-adjoint sweep each, with weights that make it satisfy them; a Schur complement of their number is the preconditioner.
+forward and an adjoint sweep. Rows that hold only at the end enter the model by their slopes Xi = dv / du, with one
+adjoint sweep each and weights that make the model satisfy them; a Schur complement of their number is the
+preconditioner.
 
 "Adjoint-based derivative evaluation methods for nonlinear model predictive control", thesis, 2009, chapters 6 and 7.
 """
@@ -47,35 +48,37 @@ from nmpc_codegen.package.struct_layout import Field, Size, Struct, only_if
 METHODS = ("gauss_newton", "quasi_newton")
 ROWS = ("augmented_lagrangian", "smooth_l1", "barrier", "lumped")
 
-#: Relative residuals of conjugate gradients in a sample and in solve(), the sharpness of the smooth max in the scale of
-#: a row at first and at last, the part of the promised decrease that a step must keep, and the shortest part of a step
-#: with which a later search begins.
+#: PRECISION: relative residuals of conjugate gradients in a sample and in solve(). SHARPNESS: of the smooth max in the
+#: scale of a row, first and last value. ARMIJO: fraction of the predicted decrease that a step must reach. SHORTEST:
+#: least fraction of a step with which a later search begins.
 PRECISION, SHARPNESS, ARMIJO, SHORTEST = (1e-3, 1e-6), (100.0, 1e4, 1e9), 1e-4, 1 / 64
 
 #: The default penalty, relative to the curvature of the cost, and the default weight of barriers.
 FACTOR, BARRIER = 3.0, 1e-2
 
-#: Distance from a bound in the scale of a row at which the barrier becomes a parabola, with its first weight; parts of
-#: that weight: in the first sample, the least one in a sample and in solve(). The distance changes with the weight.
+#: MARGIN: distance from a bound, in the scale of a row, at which the barrier becomes a parabola, for the first weight;
+#: it changes with the weight. WEIGHTS: fractions of that weight in the first sample, least one in a sample, least one
+#: in solve().
 MARGIN, WEIGHTS = 1e-2, (1.0, 1e-2, 1e-10)
 
-#: Simulations of a step of solve().
+#: Largest number of simulations of a step of solve().
 MAX_TRIALS = 30
 
-#: Steps of the method of multipliers for the terminal rows of the model.
+#: Largest number of steps of the method of multipliers for the terminal rows of the model.
 MAX_ROUNDS = 3
 
-#: Products with the Hessian of a Gauss-Newton step are as many as controls, between two numbers; pairs of vectors that
-#: the quasi-Newton method stores.
+#: PRODUCTS: limits of the number of products with the Hessian in a Gauss-Newton step, which is else the number of
+#: controls. MEMORY: pairs of vectors that the quasi-Newton method stores.
 PRODUCTS, MEMORY = (12, 100), 5
 ITERATIONS = {"gauss_newton": 1, "quasi_newton": 10}
 
-#: Terms of rows that a continuation over the samples brings closer to the rows: a Gauss-Newton step of their model is
-#: short, and a sample has more of them, with more simulations each.
+#: Terms of rows that a continuation over the samples makes sharper. Gauss-Newton steps of their model are short, so
+#: that a sample takes more of them, with more simulations each.
 FOLLOWED = ("smooth_l1", "barrier", "lumped")
 FOLLOWED_STEPS, TRIALS, FOLLOWED_TRIALS = 3, 2, 4
 
-#: Largest number of terminal rows that are part of the model by their slopes; more are terms like other rows.
+#: Largest number of terminal rows that enter the model by their slopes; if there are more, they are terms like other
+#: rows.
 MAX_TERMINAL = 16
 
 STEP = EntryPoint(
@@ -89,27 +92,27 @@ STEP = EntryPoint(
 class AdjointShooting(Algorithm):
     """Single shooting with adjoints: a fixed number of steps per sample, each with a bounded number of simulations.
 
-    With rows="smooth_l1", "barrier" and "lumped" a continuation over the samples makes the terms sharper while steps
-    are accepted at once. A sample then has 3 Gauss-Newton steps of 4 trials by default.
+    With rows="smooth_l1", "barrier" and "lumped", a continuation over the samples makes the terms sharper as long as
+    steps are accepted at once. A sample then has 3 Gauss-Newton steps with 4 trials by default.
 
     Args:
         method: "gauss_newton", by conjugate gradients inside the bounds, or "quasi_newton", a projected method that
-            needs gradients alone.
-        iterations: steps of a sample; None: 1, or 10 with "quasi_newton".
-        rows: the terms of rows other than bounds of controls. "augmented_lagrangian": exact, with one update of the
-            multipliers per sample. "smooth_l1": an l1 penalty with a smooth max, exact in the limit of solve() if no
-            multiplier exceeds the weight. "barrier": logarithmic barriers, which keep a distance from the bounds,
-            recentred in every sample at the end of the plan; solve() decreases their weight to 0. "lumped": the sum C
-            of the smooth l1 terms as one scalar row C <= 0, whose multiplier solve() increases. Soft rows keep their
-            penalties, and have no barriers.
+            needs only gradients.
+        iterations: number of steps of a sample; None: 1, or 10 with "quasi_newton".
+        rows: the terms that replace rows other than bounds of controls. "augmented_lagrangian": exact, with one update
+            of the multipliers per sample. "smooth_l1": an l1 penalty with a smooth max, exact in the limit of solve()
+            if no multiplier exceeds the weight. "barrier": logarithmic barriers, which keep a distance from the bounds
+            and are recentred in every sample at the end of the plan; solve() decreases their weight to 0. "lumped": the
+            sum C of the smooth l1 terms as one scalar row C <= 0, whose multiplier solve() increases. Soft rows keep
+            their penalties and have no barriers.
         penalty: weight of the rows in their scales. The scale of a row is the magnitude of its slopes or that of its
             bounds, whichever is smaller. None: three times the largest curvature of the cost of a node along a state in
-            its scale. A general cost counts with N of its slopes, a cost of controls alone with its curvature along
-            them, and barriers have a hundredth of that weight.
-        tolerance: violation of a hard row in its scale above which a sample is NOT_CONVERGED, as it is if the last step
-            was cut and is longer than that in the first control.
-        repair: steps that a sample may add while the last one is longer than ``tolerance`` in the scale of a control
-            and was not taken as a whole; 0 in packages without solve() and for microcontrollers.
+            its scale; for a general cost N times its slope is used, for a cost of controls only its curvature along
+            them; barriers have a hundredth of that weight.
+        tolerance: violation of a hard row, in its scale, above which a sample is NOT_CONVERGED. It is also
+            NOT_CONVERGED if the last step was shortened and changes the first control by more than this in its scale.
+        repair: number of steps that a sample may add while the last step was shortened and is longer than ``tolerance``
+            in the scale of a control; 0 in packages without solve() and for microcontrollers.
         shift: how the plan moves before every step but the first, as in RealTimeIteration.
         sampling_time: time between samples, as in RealTimeIteration.
     """
@@ -140,16 +143,16 @@ class AdjointShooting(Algorithm):
 
     @property
     def simulates(self) -> bool:
-        """The states are never variables."""
+        """Return True, because the states are never variables."""
         return True
 
     @property
     def second_order(self) -> bool:
-        """True if the method multiplies with a Hessian."""
+        """Return True if the method multiplies with a Hessian."""
         return self.method == "gauss_newton"
 
     def decide(self, problem: Problem, small: bool) -> tuple[AdjointShooting, tuple[str, ...]]:
-        """The shift that "auto" stands for; no repair in a package that cannot."""
+        """Choose the shift for "auto"; switch repair off in a package that cannot iterate."""
         shift, reasons = decide_shift(self.shift, self.sampling_time, problem)
         if self.repair and small:
             reasons.append('repair: 0; goal="size" without solve()')
@@ -158,11 +161,14 @@ class AdjointShooting(Algorithm):
         return found, tuple(reasons)
 
     def entries(self, features: Features) -> tuple[EntryPoint, ...]:
-        """A sample in one call, the shift of the plan, and the iteration to convergence."""
+        """Return the entry points: a sample in one call, the shift of the plan, and the iteration to convergence."""
         return (STEP, shift_entry(self.shift), *((SOLVE,) if features.solve else ()))
 
     def adds(self, features: Features) -> Features:
-        """Kernels of the linearisation and of x_0 are not used; without a Hessian, those of its products neither."""
+        """Return the features without kernels of the linearisation and of x_0, which are not used.
+
+        Without a Hessian, the kernels of its products are removed as well.
+        """
         products: tuple[KernelName, ...] = ("integrator_forward", "path_product", "terminal_product")
         unused = () if self.second_order else products
         return replace(
@@ -173,7 +179,7 @@ class AdjointShooting(Algorithm):
         )
 
     def hooked_parts(self, features: Features) -> tuple[HookedPart, ...]:
-        """The terms of the rows."""
+        """Return the part with the terms of the rows."""
         has_rows = features.state_rows or features.general_rows or features.has("coupled_rows")
         return (TERMS[self.rows],) if has_rows else ()
 
@@ -200,11 +206,11 @@ class AdjointShooting(Algorithm):
             )
 
     def terminal(self, problem: Problem) -> tuple[int, ...]:
-        """Positions in qp_rows of the rows that are part of the model: hard ones that hold at the end alone."""
+        """Return the indices in qp_rows of the rows in the model: hard ones that hold only at the end."""
         return problem.end_rows[: self._terminal_rows(len(problem.end_rows))]
 
     def _terminal_rows(self, found: int) -> int:
-        """All of them, or none if they are many or terms of another kind."""
+        """Return the number of terminal rows in the model: all, or 0 if they are many or terms of another kind."""
         exact = self.second_order and self.rows == "augmented_lagrangian"
         return found if exact and found <= MAX_TERMINAL else 0
 
@@ -245,7 +251,7 @@ class AdjointShooting(Algorithm):
         return factor * (cost_magnitude(problem, states, otherwise=0.0) or cost_magnitude(problem, scale))
 
     def notes(self, problem: Problem) -> tuple[str, ...]:
-        """How many terminal rows are part of the model, and the penalty of the others."""
+        """Describe how many terminal rows are in the model, and the penalty of the other rows."""
         count, others = len(self.terminal(problem)), len(problem.qp_rows) > len(self.terminal(problem))
         chosen = f"penalty {self._penalty(problem):.4g}, from the cost in the scales of its variables"
         return (
@@ -283,7 +289,7 @@ class AdjointShooting(Algorithm):
         return (*newton, *memory)
 
     def _of_methods(self, dims: Dims) -> tuple[tuple[tuple[str, int, str], ...], ...]:
-        """Sizes of Newton steps, and of the quasi-Newton method."""
+        """Return the sizes of Newton steps, and of the quasi-Newton method."""
         controls = dims.N * dims.nu
         newton = (
             ("MAX_PRODUCTS", self._products(dims), "products with the Hessian of a step at most"),
@@ -294,7 +300,7 @@ class AdjointShooting(Algorithm):
         return newton, (("MEMORY", MEMORY, "pairs of the quasi-Newton method"),)
 
     def ranges(self, dims: Dims) -> Mapping[str, tuple[int, int]]:
-        """A sample does not run inside solve()."""
+        """Return the range of ``solving``: a sample does not run inside solve()."""
         return {"solving": (0, 0)} if self.second_order else {}
 
     def structs(self, dims: Dims) -> tuple[Struct, ...]:
@@ -309,7 +315,7 @@ class AdjointShooting(Algorithm):
         return (_stats(self.second_order), self._shooting(dims), Struct("solver", "", members))
 
     def _growing(self, dims: Dims) -> tuple[Field, ...]:
-        """Weights that solve() changes, and that of a lumped row."""
+        """Return the weights that solve() changes, and the weight of a lumped row."""
         has, lumped = dims.ng > 0, self.rows == "lumped"
 
         def growing(name: str, doc: str, present: bool) -> Field:

@@ -1,11 +1,11 @@
-"""Real-time augmented Lagrangian: Newton iterations of fixed number on a bound-constrained problem, one dual update.
+"""The real-time augmented Lagrangian takes a fixed number of Newton steps and one dual update in a sample.
 
     min_z  cost + sum_i (lam_i + rho_i/2 c_i) c_i + sum_m psi_m(v_m)   subject to bounds of controls and states,
     z = (x_0, u_0, .., x_N),   c_0 = xhat - x_0,   c_{k+1} = Phi_k(x_k, u_k) - x_{k+1},   rho_i = rho / scale_i^2
 
-with the terms psi_m of all other rows, whose multipliers are at least 0 for an inequality and at most the weight of a
-soft row. Every sample takes ``iterations`` steps of a trust-region method and then sets lam_i += rho_i c_i, unless no
-step was accepted or a large violation has not fallen; then rho grows instead. It needs no QP and no convex Hessian.
+The terms psi_m stand for all other rows; their multipliers are at least 0 for an inequality and at most the weight of a
+soft row. Every sample takes ``iterations`` steps of a trust-region method and then sets lam_i += rho_i c_i. If no step
+was accepted, or a large violation has not decreased, rho grows instead. The method needs no QP and no convex Hessian.
 
 Hours, Shukla and Jones, "A parametric augmented Lagrangian algorithm for real-time economic NMPC", ECC 2016.
 """
@@ -69,7 +69,8 @@ PREPARE = EntryPoint(
     "call that fails feedback returns the control of the plan, and restarts a plan that fails repeatedly.",
 )
 
-#: Faces per iteration, shifts of a factorisation, trials of a projected search, iterations of conjugate gradients.
+#: Largest numbers of faces per iteration, of shifts of a factorisation, of trials of a projected search, and of
+#: iterations of conjugate gradients.
 MAX_FACES, MAX_SHIFTS, MAX_BACKTRACKS, MAX_CG = 8, 3, 8, 20
 
 #: The default penalty, relative to the curvature of the cost.
@@ -83,21 +84,21 @@ PROXIMAL = 0.3
 class AugmentedLagrangian(Algorithm):
     """Newton iterations on the augmented Lagrangian, without a QP.
 
-    Variables are divided by their declared initial value or bounds, rows by their declared magnitude. OK is said of a
-    plan near the model, which need not be optimal yet. A sample is NOT_CONVERGED if stats.residual, its largest gap or
-    violation in these scales, exceeds ``tolerance``, or if the last step did not do what its model promised. A plan
-    that is then farther from the model than a fresh one starts anew, and so does every plan after 10 such samples on
-    end.
+    Variables are scaled by their declared initial values or bounds, rows by their declared magnitudes. The status is OK
+    if the plan is near the model; it need not be optimal yet. A sample is NOT_CONVERGED if stats.residual, its largest
+    gap or violation in these scales, exceeds ``tolerance``, or if the last step did not reach the decrease that its
+    model predicted. A plan that is then farther from the model than the initial plan is replaced by the initial plan,
+    and so is every plan after 10 such samples in a row.
 
     Args:
-        iterations: Newton iterations per sample.
-        penalty: rho in the scales of states and rows; None: 3,000 times what the cost changes by in the scale of a
-            variable, its curvature or, for general costs, N of its slopes. It grows by factors of 10 while accepted
-            steps do not reduce a large violation, up to 100 times its usual value.
+        iterations: number of Newton iterations per sample.
+        penalty: rho in the scales of states and rows; None: 3,000 times the change of the cost in the scale of a
+            variable, by its curvature or, for general costs, by N times its slope. It grows by factors of 10 while
+            accepted steps do not reduce a large violation, up to 100 times its usual value.
         proximal: weight r of the term r/2 |z - z_c|^2 that keeps the refinement near the Cauchy point z_c; None: 0.3
             times the largest curvature of a stage with a Hessian that depends on multipliers, else 0.
-        repair: rounds, each as much work as a sample, that prepare() may add at the predicted x_0 of a new plan, or
-            after a sample that failed or was NOT_CONVERGED; 0: none.
+        repair: number of rounds, each with the work of a sample, that prepare() may add at the predicted x_0 of a new
+            plan, or after a sample that failed or was NOT_CONVERGED; 0: none.
         tolerance: stats.residual above which a sample is NOT_CONVERGED.
         shift: how the plan moves before every prepare but the first, as in RealTimeIteration.
         sampling_time: time between samples, as in RealTimeIteration.
@@ -129,7 +130,7 @@ class AugmentedLagrangian(Algorithm):
 
     @property
     def convex(self) -> bool:
-        """False: the trust region follows negative curvature."""
+        """Return False, because the trust region follows negative curvature."""
         return False
 
     def check_parts(self, parts: Parts) -> None:
@@ -149,7 +150,7 @@ class AugmentedLagrangian(Algorithm):
             )
 
     def entries(self, features: Features) -> tuple[EntryPoint, ...]:
-        """The two phases of a sample, both in one call, the shift of the plan, and the iteration to convergence."""
+        """Return the entry points: both phases of a sample, a sample in one call, the shift, and solve()."""
         return (PREPARE, *SAMPLE, shift_entry(self.shift), *((SOLVE,) if features.solve else ()))
 
     def adds(self, features: Features) -> Features:
@@ -158,7 +159,10 @@ class AugmentedLagrangian(Algorithm):
         )
 
     def hooked_parts(self, features: Features) -> tuple[HookedPart, ...]:
-        """A shift before every preparation; the first sample begins at the measured state where plans are repaired."""
+        """Return the parts for a shift before every preparation, and for a first sample at the measured state.
+
+        The latter is used if plans are repaired.
+        """
         wanted = ((SHIFT, self.shift is not None), (FIRST_SAMPLE, self.repair > 0))
         return tuple(part for part, present in wanted if present)
 
@@ -200,13 +204,13 @@ class AugmentedLagrangian(Algorithm):
         return PENALTY * cost_magnitude(problem, variable_scales(problem))
 
     def decide(self, problem: Problem, small: bool) -> tuple[AugmentedLagrangian, tuple[str, ...]]:
-        """The shift that "auto" stands for."""
+        """Choose the shift for "auto"."""
         shift, reasons = decide_shift(self.shift, self.sampling_time, problem)
         time = resample_time(shift, self.sampling_time, problem)
         return replace(self, shift=shift, sampling_time=time), tuple(reasons)
 
     def notes(self, problem: Problem) -> tuple[str, ...]:
-        """The penalty that is chosen."""
+        """Describe the chosen penalty."""
         if self.penalty is not None:
             return ()
         chosen = self._penalty(problem)

@@ -1,4 +1,4 @@
-"""What both estimators have in common: entry points, tables and members of the square-root filter."""
+"""Both estimators share entry points, tables and members of the square-root filter."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from nmpc_codegen.package.kinds import EstimatorKind
 from nmpc_codegen.package.signals import Argument, EntryPoint
 from nmpc_codegen.package.struct_layout import Field, Struct
 
-#: What a problem of an estimator may use.
+#: Features of a problem that estimators support.
 SUPPORTS = frozenset({MEASUREMENTS, "free initial state", "soft rows", "discrete states"})
 
 _Y, _U, _XHAT = (Argument("y", "real", ("NM",)), Argument("u", "real", ("NIN",)), Argument("xhat", "real", ("NX",)))
@@ -42,14 +42,14 @@ RESTART = EntryPoint(
 
 
 def estimate(features: Features) -> EntryPoint:
-    """The function of a sample; a plant without controls has no argument u."""
+    """Return the function of a sample; for a plant without controls it has no argument u."""
     known = features.known_controls
     inputs = (_Y, *((_U,) if known else ()))
     return EntryPoint("estimate", _ESTIMATE.format(of_u=_OF_U if known else ""), inputs, (_XHAT,))
 
 
 def measure(features: Features) -> EntryPoint:
-    """The function of the sensors; a plant without controls has no argument u."""
+    """Return the function of the sensors; for a plant without controls it has no argument u."""
     known = features.known_controls
     inputs = (Argument("x", "real", ("NX",)), *((_U,) if known else ()))
     return EntryPoint("measure", f"{_MEASURE}{' and the controls u that act' if known else ''}.", inputs, (_Y_OUT,))
@@ -71,7 +71,7 @@ def check(algorithm: object, problem: Problem, kind: EstimatorKind) -> None:
 
 
 def tables(problem: Problem) -> tuple[Table, ...]:
-    """Standard deviations, thresholds of outliers, and the bounds to which states are clipped."""
+    """Return standard deviations, thresholds of outliers, and the bounds to which states are clipped."""
     e = problem.estimation
     assert e is not None
     return (
@@ -86,13 +86,16 @@ def tables(problem: Problem) -> tuple[Table, ...]:
 
 
 def _clip_of(e: Estimation, row: Row) -> int:
-    """The state that never leaves a row: an unknown parameter; in a filter, every one that is bounded."""
+    """Return the state that is clipped to a row: an unknown parameter, or in a filter every bounded state.
+
+    -1 for none.
+    """
     never = row.kind == "state" and (e.kind == "ekf" or row.name.split("[")[0] in e.unknown)
     return row.index if never else -1
 
 
 def sizes(dims: Dims) -> tuple[tuple[str, int, str], ...]:
-    """Where the data of measurements stand among the parameters of a node."""
+    """Return where the data of measurements are stored among the parameters of a node."""
     e = dims.estimation
     huber = e is not None and any(e.thresholds)
     u, before, y, accuracy = (0, 0, 0, 0) if e is None else e.places
@@ -113,7 +116,7 @@ def sizes(dims: Dims) -> tuple[tuple[str, int, str], ...]:
 
 
 def own_fields(dims: Dims) -> tuple[Field, ...]:
-    """Where an estimator begins anew, and how its measurements compare with what it expects."""
+    """Return the members for a restart of the estimator, and for the watch on its innovations."""
     return (
         Field("known", (dims.nx,), "an estimate that was OK", "keep"),
         Field("samples", (), "samples since init, reset or restart", "keep", "int32"),
@@ -121,7 +124,7 @@ def own_fields(dims: Dims) -> tuple[Field, ...]:
     )
 
 
-#: What is told of the measurements of a sample.
+#: Statistics on the measurements of a sample.
 INNOVATION = (
     Field("innovation", (), "largest error of a measurement, in standard deviations of what is expected", "result"),
     Field("error", (), "this error, in the unit of the measurement", "result"),
@@ -130,7 +133,7 @@ INNOVATION = (
 
 
 def structs(dims: Dims) -> tuple[Struct, ...]:
-    """A mean and a factor of its covariance, and what is known of the innovations."""
+    """Return the structs for a mean with a factor of its covariance, and for the watch on innovations."""
 
     def count(name: str, doc: str) -> Field:
         return Field(name, (), doc, "keep", "int32")

@@ -1,4 +1,4 @@
-"""The hooked parts of the algorithms: what runs at their hooks in templates/hooked/."""
+"""Hooked parts of the algorithms run at their hooks; their C text is in templates/hooked/."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from nmpc_codegen.package.struct_layout import Field, Struct
 
 
 def watch_fields(dims: Dims) -> tuple[Field, ...]:
-    """What the watch on plans counts, templates/algorithms/shared/watch.c."""
+    """Return the counters of the watch on plans, templates/algorithms/shared/watch.c."""
     nodes = dims.nodes
     return (
         Field("failures", (), "failures in a row, at most 3", "keep", "int32"),
@@ -31,7 +31,7 @@ def _has_settling_multipliers(features: Features) -> bool:
 
 
 def _left(dims: Dims) -> tuple[Struct, ...]:
-    """What steps leave of the model and of optimality."""
+    """Return the struct for the remaining gaps and the remaining KKT residual after steps."""
     members = (
         Field("length", (), "length of the last step, in the scales of its variables", "keep"),
         Field("longest", (), "longest one of the recent steps", "keep"),
@@ -44,7 +44,7 @@ def _left(dims: Dims) -> tuple[Struct, ...]:
 
 
 def _price(dims: Dims) -> tuple[Struct, ...]:
-    """What the time outside of hard rows makes of their price."""
+    """Return the struct for the price of hard rows, which depends on how long they have been violated."""
     outside = "violation at node 1 of the sample before, in its scale, if that was RELAXED"
     rises = "1: the price rises again while the violation does not fall"
     members = (
@@ -63,13 +63,13 @@ VIOLATION = HookedPart("violation")
 BENT_ROWS = HookedPart("bent_rows")
 FIRST_SAMPLE = HookedPart("first_sample")
 
-#: Samples of which one checks the optimality of its plan, however short its steps are.
+#: One of this many samples checks the optimality of its plan even if its steps are short.
 CHECKED = 5
 
-#: Failed, unconverged or unsettled samples in a row after which a plan starts anew.
+#: Number of failed, unconverged or unsettled samples in a row after which the initial plan is used again.
 RESTART_SAMPLES = 10
 
-#: Rows as terms of single shooting, by the option ``rows``.
+#: Option ``rows`` of single shooting -> part with its terms.
 ROWS = {
     "augmented_lagrangian": HookedPart("dual_rows"),
     "smooth_l1": HookedPart("smooth_rows"),

@@ -1,11 +1,11 @@
-"""The extended Kalman filter in square-root form: no plan, no QP.
+"""The extended Kalman filter in square-root form needs no plan and no QP.
 
     xhat, L with P = L L', for every measurement y_i with the standard deviation sigma_i:
         e = y_i - h_i(xhat),  f = L' (dh_i/dx)',  s = sigma_i^2 + f'f:   xhat += L f e / s,
         L -= L f f' / (s + sqrt(s) sigma_i)
     to the next sample:  xhat = Phi(xhat, u),   [L 0] Q = [A L, B diag(std)] by reflections
 
-States are clipped to the bounds of rows that are bare states.
+States are clipped to the bounds of rows on single states.
 
 Kaminski, Bryson and Schmidt, Discrete square root filtering, IEEE TAC 16 (1971); the first two lines are Potter's.
 """
@@ -27,7 +27,7 @@ from nmpc_codegen.package.struct_layout import Field, Struct
 
 @dataclass(frozen=True)
 class KalmanFilter(Algorithm):
-    """The extended Kalman filter, the algorithm of ``ocp.estimator(..., kind="ekf")``; it has no options."""
+    """The extended Kalman filter is the algorithm of ``ocp.estimator(..., kind="ekf")``; it has no options."""
 
     name: ClassVar[str] = "kalman_filter"
     template: ClassVar[str] = "algorithms/kalman_filter.c"
@@ -40,12 +40,12 @@ class KalmanFilter(Algorithm):
         measuring.check(self, problem, "ekf")
 
     def entries(self, features: Features) -> tuple[EntryPoint, ...]:
-        """A sample, the sensors, the covariance, a new start."""
+        """Return the entry points: a sample, the sensors, the covariance, a restart."""
         of_features = (measuring.estimate(features), measuring.measure(features))
         return (*of_features, measuring.COVARIANCE, measuring.RESTART)
 
     def tables(self, problem: Problem) -> tuple[Table, ...]:
-        """Standard deviations, thresholds, and the bounds to which states are clipped."""
+        """Return standard deviations, thresholds, and the bounds to which states are clipped."""
         return measuring.tables(problem)
 
     def sizes(self, dims: Dims) -> tuple[tuple[str, int, str], ...]:
@@ -55,7 +55,7 @@ class KalmanFilter(Algorithm):
         return {}
 
     def structs(self, dims: Dims) -> tuple[Struct, ...]:
-        """The filter."""
+        """Return the structs of the filter."""
         stats = Struct("stats", "of the last sample", measuring.INNOVATION)
         own = (*measuring.own_fields(dims), Field("stats", (), "of the last sample", "result", "stats"))
         return (*measuring.structs(dims), stats, Struct("solver", "", own))

@@ -1,9 +1,9 @@
-"""Moving horizon estimation by real-time iterations: the states of the last N intervals that fit all measurements best.
+"""Moving horizon estimation by real-time iterations finds the states of the last N intervals that fit the measurements.
 
-A sample moves the window by one node, linearises it at its last estimate and solves one QP, or a few. What the interval
-that leaves the window tells of the state at its end is kept as arrival cost 1/2 |x_0 - xbar|^2_P^-1: one step of the
-square-root Kalman filter, linearised at the estimate of the window, with the measurements that have left it and no
-other. So the estimate of a linear problem without rows is that of the Kalman filter for every N.
+A sample moves the window by one node, linearises it at its last estimate and solves one QP, or a few. The information
+of the interval that leaves the window is kept as arrival cost 1/2 |x_0 - xbar|^2_P^-1. It is updated by one step of the
+square-root Kalman filter, linearised at the estimate of the window, with exactly the measurements that have left it.
+Without rows, the estimate of a linear problem therefore equals that of the Kalman filter for every N.
 
 Huber's loss is minimised by weights of the residuals, min(1, c / |r|), which follow the estimate.
 
@@ -30,10 +30,10 @@ from nmpc_codegen.package.features import Features
 from nmpc_codegen.package.signals import EntryPoint
 from nmpc_codegen.package.struct_layout import Field, Struct
 
-#: What an estimator takes over of the iteration: its QP and its structs.
+#: The real-time iteration whose QP and structs the estimator uses.
 _ITERATION = RealTimeIteration(shift=None, iterations=1, relaxation=None)
 
-#: Members of its structs that watch a plan from sample to sample.
+#: Members of its structs that only controllers use.
 _OF_CONTROL = frozenset(
     {
         "prepared",
@@ -52,13 +52,13 @@ _OF_CONTROL = frozenset(
 
 @dataclass(frozen=True)
 class MovingHorizon(Algorithm):
-    """The algorithm of ``ocp.estimator(..., kind="mhe")``.
+    """Moving horizon estimation is the algorithm of ``ocp.estimator(..., kind="mhe")``.
 
     Args:
-        iterations: QPs of a sample at most; there is another one while the estimate moves by more than ``tolerance``,
-            or a gap of the window is larger.
-        tolerance: in the scale of a state. With a larger gap after the last iteration the sample is NOT_CONVERGED, and
-            the estimate is that of the filter.
+        iterations: largest number of QPs in a sample; another QP follows while the estimate moves, or a gap of the
+            window is larger, than ``tolerance``.
+        tolerance: limit of these in the scale of a state. If a gap is larger after the last iteration, the sample is
+            NOT_CONVERGED, and the estimate is that of the filter.
     """
 
     iterations: int = option(3, Whole(most=100))
@@ -79,14 +79,14 @@ class MovingHorizon(Algorithm):
         measuring.check(self, problem, "mhe")
 
     def check_parts(self, parts: Parts) -> None:
-        """Raise OptionError for another Hessian than that of residuals."""
+        """Raise OptionError for a Hessian other than that of residuals."""
         if parts.hessian is None or parts.hessian.name != "gauss_newton":
             raise OptionError(
                 f"hessian: an estimator minimises residuals; expected GaussNewton() instead of {parts.hessian!r}"
             )
 
     def entries(self, features: Features) -> tuple[EntryPoint, ...]:
-        """A sample, the sensors, late measurements, the covariance, a new start."""
+        """Return the entry points: a sample, the sensors, late measurements, the covariance, a restart."""
         return (
             *(measuring.estimate(features), measuring.measure(features)),
             *(measuring.CORRECT, measuring.COVARIANCE, measuring.RESTART),
@@ -94,7 +94,7 @@ class MovingHorizon(Algorithm):
 
     @property
     def places(self) -> Mapping[str, str]:
-        """Reference and weight of the cost of x_0 are those of the arrival cost."""
+        """Return where reference and weight of the cost of x_0 are stored: in the arrival cost."""
         return {"start_yref": "(s)->arrival.mean", "start_W": "&(s)->information[0][0]"}
 
     def tables(self, problem: Problem) -> tuple[Table, ...]:
@@ -107,7 +107,7 @@ class MovingHorizon(Algorithm):
         return _ITERATION.absent_sizes(dims)
 
     def structs(self, dims: Dims) -> tuple[Struct, ...]:
-        """Those of an iteration, the window and its arrival cost."""
+        """Return the structs of an iteration, and those of the window and its arrival cost."""
         members = (
             Field("arrival", (), "what is known of x_0 before the window", "keep", "filter"),
             Field("information", (dims.nx, dims.nx), "the inverse of its covariance", "keep"),

@@ -1,4 +1,4 @@
-"""Gauss-Newton / SQP real-time iteration: one QP per sample, split into preparation and feedback phase.
+"""The Gauss-Newton / SQP real-time iteration solves one QP per sample, split into preparation and feedback phase.
 
 prepare(): (shift,) linearise, Hessian, condense, factorise. feedback(xhat): embed, solve, expand, full step, u_0.
 solve() iterates these operations to convergence.
@@ -73,7 +73,7 @@ def _prepare(moves: bool) -> EntryPoint:
 
 
 def shift_entry(shift: str | None) -> EntryPoint:
-    """The shift of the plan, beside that of the samples if ``shift`` names one."""
+    """Return the entry point that shifts the plan; if ``shift`` is not None, samples shift the plan as well."""
     again = " Every sample but the first does so by itself: a call moves the plan once more." if shift else ""
     return EntryPoint("shift", f"Move the plan by one interval.{again}")
 
@@ -84,46 +84,47 @@ MAX_ATTEMPTS = 3
 # Shifts of an indefinite Hessian in solve(), each four times the one before, and bisections of the last interval.
 MAX_SHIFTS = 24
 BISECTIONS = 3
-#: Departures of solve() from saddles without a better plan, and iterations of one, at most.
+#: Largest number of departures of solve() from saddles without a better plan, and of iterations of one departure.
 DEPARTURES, DEPARTURE = 2, 20
-#: Tolerance from which on no plan is judged.
+#: With at least this tolerance no plan is judged.
 UNJUDGED = 1e30
-#: Price of a relaxed row at the first node, relative to that at the last one, after this many relaxed samples on end.
+#: Price of a relaxed row at the first node, relative to that at the last one, after RELAXED_SAMPLES relaxed samples in
+#: a row.
 LEAST_PRICE, RELAXED_SAMPLES = 1e-6, 10
-#: How much slower the price recovers in samples that are OK.
+#: Factor by which the price recovers more slowly in samples that are OK.
 SLOWER = 4
-#: What says that no time has passed since solve().
+#: A mark that no time has passed since solve().
 SOLVED = Field("solved", (), "1: the plan is that of solve(), at the time of its state", "keep", "int32")
 SAMPLES = Field("samples", (), "feedbacks since init or reset", "keep", "int32")
 
 
 def state_size(dims: Dims) -> Field:
-    """What the last plan that was OK tells of the sizes of the states."""
+    """Return the member with the largest states of the last plan that was OK."""
     return Field("state_size", (dims.nx,), "largest states in the last plan that was OK", "keep")
 
 
 @dataclass(frozen=True)
 class RealTimeIteration(Algorithm):
-    """One QP per sample with a full step, and more until the plan is near a solution.
+    """One QP per sample with a full step, and further iterations until the plan is near a solution.
 
     Args:
-        shift: how the plan moves before every prepare but the first. None: not at all. "repeat": by one interval; the
+        shift: shift of the plan before every prepare() except the first. None: no shift. "repeat": by one interval; the
             last control is repeated and the last state integrated. "periodic": by one interval; the first control
             becomes the last one, the states are integrated again, and accumulators start at 0. "resample": the old plan
-            is evaluated ``sampling_time`` later, on any grid. "auto": "periodic" where coupled rows compare x_N with a
-            measured x_0; None where x_0 is more than a measured state, or the grid is not uniform; else "resample" if a
-            ``sampling_time`` is given that differs from the interval, "repeat" if not.
-        sampling_time: time between samples (the OCP's unit of time), with every shift; "repeat" and "periodic" are for
-            that of one interval. None: one interval.
-        iterations: QPs of a sample, at most. The first one is that of the real-time iteration; where it fails, or its
-            step leaves a plan that is far from a solution, iterations of solve() follow until the plan is near. 1: none
-            follow, the scheme of the literature, with shift=None and relaxation=None in its plain form.
-        tolerance: stats.residual of the plan after a sample above which it is far from a solution, and the status is
-            NOT_CONVERGED: the largest of its gaps, of its violations of hard rows, and of its relative KKT residual.
+            is evaluated ``sampling_time`` later, on any grid. "auto": "periodic" if coupled rows compare x_N with a
+            measured x_0; None if parts of x_0 are not measured, or the grid is not uniform; else "resample" if a
+            ``sampling_time`` is given that differs from the interval, otherwise "repeat".
+        sampling_time: time between samples (the OCP's unit of time); with "repeat" and "periodic" it must be one
+            interval. None: one interval.
+        iterations: largest number of QPs in a sample. The first one is that of the real-time iteration. If it fails, or
+            its step leads to a plan far from a solution, iterations of solve() follow until the plan is near one. 1:
+            none follow; with shift=None and relaxation=None this is the scheme of the literature.
+        tolerance: stats.residual above which the plan after a sample is far from a solution, so that the status is
+            NOT_CONVERGED. It is the largest of the gaps, the violations of hard rows and the relative KKT residual.
             1e30: no plan is judged.
-        relaxation: "auto": hard rows on states are relaxed at a sample whose QP is infeasible; the status is then
-            RELAXED. A violation of the size of its row costs 1e4 units of the cost, less at early nodes while samples
-            stay RELAXED. None: the status is INFEASIBLE, and the plan does not change.
+        relaxation: "auto": hard rows on states are relaxed in a sample whose QP is infeasible; the status is then
+            RELAXED. A violation of the size of its row costs 1e4 units of the cost, and less at early nodes while
+            samples stay RELAXED. None: the status is INFEASIBLE, and the plan does not change.
 
     Examples:
         >>> from nmpc_codegen import Options, RealTimeIteration
@@ -148,7 +149,7 @@ class RealTimeIteration(Algorithm):
         check_sampling_time("RealTimeIteration", self.shift, self.sampling_time)
 
     def decide(self, problem: Problem, small: bool) -> tuple[RealTimeIteration, tuple[str, ...]]:
-        """The shift that "auto" stands for; one iteration in a package that cannot do more."""
+        """Choose the shift for "auto", and one iteration in a package that has no solve()."""
         shift, reasons = decide_shift(self.shift, self.sampling_time, problem)
         found = replace(self, shift=shift, sampling_time=resample_time(shift, self.sampling_time, problem))
         if self.iterations > 1 and small:
@@ -157,7 +158,7 @@ class RealTimeIteration(Algorithm):
         return found, tuple(reasons)
 
     def check_parts(self, parts: Parts) -> None:
-        """Raise OptionError for a QP solver without a working set where the Hessian becomes convex on one."""
+        """Raise OptionError for a QP solver without a working set if the Hessian is made convex on the working set."""
         hessian = Features() if parts.hessian is None else parts.hessian.adds(Features())
         if hessian.regularize_reduced and parts.qp is not None and parts.qp.adds(Features()).approximate:
             raise OptionError(
@@ -167,12 +168,12 @@ class RealTimeIteration(Algorithm):
             )
 
     def entries(self, features: Features) -> tuple[EntryPoint, ...]:
-        """The two phases of a sample, both in one call, the shift of the plan, and the iteration to convergence."""
+        """Return the entry points: both phases of a sample, a sample in one call, the shift, and solve()."""
         prepare = _prepare(self.shift is not None)
         return (prepare, *SAMPLE, shift_entry(self.shift), *((SOLVE,) if features.solve else ()))
 
     def adds(self, features: Features) -> Features:
-        """How shift() moves the plan (all 0: by one interval); whether hard rows are relaxed."""
+        """Return the features with the kind of shift(), relaxation of hard rows, and further iterations."""
         return replace(
             with_shift(features, self.shift),
             relax=self.relaxation is not None,
@@ -181,7 +182,7 @@ class RealTimeIteration(Algorithm):
         )
 
     def hooked_parts(self, features: Features) -> tuple[HookedPart, ...]:
-        """What the options, and the Hessian and the rows, make of a sample."""
+        """Return the parts that options, Hessian and rows add to a sample."""
         failure = at_hooks.RELAXATION if self.relaxation is not None else at_hooks.VIOLATION
         goes_on = features.iterates and features.judges
         wanted = (
@@ -200,7 +201,7 @@ class RealTimeIteration(Algorithm):
         check_shift("RealTimeIteration", self.shift, self.sampling_time, problem)
 
     def tables(self, problem: Problem) -> tuple[Table, ...]:
-        """Flags of accumulators and measured components of x_0, prices of relaxed rows, node times."""
+        """Return flags of accumulators and measured components of x_0, prices of relaxed rows, node times."""
         least = LEAST_PRICE ** (1 / problem.N)
         prices = (
             Table("least_price", "real", (least,), "least price of a relaxed row, relative to that at the next node"),
@@ -220,7 +221,10 @@ class RealTimeIteration(Algorithm):
         )
 
     def reach(self, problem: Problem) -> float:
-        """With shift="resample": from the last node of the plan before a new node; rounding may pass over a node."""
+        """Return for shift="resample" the longest time from a node of the old plan to a new node.
+
+        Rounding may place a new node behind the next old one.
+        """
         return resample_reach(self.shift, self.sampling_time, problem)
 
     def sizes(self, dims: Dims) -> tuple[tuple[str, int, str], ...]:
@@ -242,7 +246,7 @@ class RealTimeIteration(Algorithm):
         return (("LANES", 1, "blocks that are decomposed at once"),)
 
     def structs(self, dims: Dims) -> tuple[Struct, ...]:
-        """Solution of the QP, counters, and data that are kept between samples."""
+        """Return the structs for the solution of the QP, counters, and data kept between samples."""
         keep = (
             Field("xhat", (dims.nx,), "state measured at the last feedback", "keep"),
             Field("prepared", (), "1 between prepare and feedback", "keep", "int32"),
@@ -278,12 +282,12 @@ class RealTimeIteration(Algorithm):
         )
 
     def ranges(self, dims: Dims) -> Mapping[str, tuple[int, int]]:
-        """A sample of one iteration has no part of solve()."""
+        """Return the ranges of members: a sample of one iteration runs no part of solve()."""
         several = int(self.iterations > 1)
         return {"in_solve": (0, several), "most_iterations": (1, self.iterations), "entries": (0, FILTER)}
 
     def cost(self, dims: Dims, model: ModelFunctions) -> Counts:
-        """The linearisation of all nodes; a gap is one subtraction per state."""
+        """Count the linearisation of all nodes; a gap is one subtraction per state."""
         interval, path, terminal = model.interval, model.path, model.terminal
         derivatives = (interval.linearize, path.gradient) if interval.curved is None else (interval.curved,)
         node = operations(*derivatives, path.rows) + OpCount(add=dims.nx)
@@ -293,7 +297,7 @@ class RealTimeIteration(Algorithm):
 
 
 def _stats() -> Struct:
-    """Counters of the last sample, and the row that it could not satisfy."""
+    """Return the counters of the last sample, and the row that it could not satisfy."""
 
     def count(name: str, doc: str) -> Field:
         return Field(name, (), doc, "result", "int32")
@@ -321,7 +325,7 @@ def _stats() -> Struct:
 
 
 def _step(dims: Dims) -> Struct:
-    """Solution of the QP."""
+    """Return the struct for the solution of the QP."""
     nodes = dims.nodes
     return Struct(
         "step",
@@ -336,7 +340,7 @@ def _step(dims: Dims) -> Struct:
 
 
 def _measures() -> Struct:
-    """What solve() compares of two points."""
+    """Return the struct for the measures by which solve() compares two points."""
     return Struct(
         "measures",
         "measures of a point",
@@ -349,7 +353,7 @@ def _measures() -> Struct:
 
 
 def _hessian_struct(dims: Dims) -> Struct:
-    """The exact Hessian of solve(), and what makes it convex."""
+    """Return the struct for the exact Hessian of solve(), and for making it convex."""
     nodes = dims.nodes
     return Struct(
         "curved",
@@ -378,7 +382,7 @@ def _hessian_struct(dims: Dims) -> Struct:
 
 
 def _trial(dims: Dims) -> Struct:
-    """A step of a QP that is tried at several lengths."""
+    """Return the struct for a step of a QP that is tried at several lengths."""
     nodes = dims.nodes
     return Struct(
         "trial",
@@ -400,7 +404,7 @@ def _departs(features: Features) -> bool:
 
 
 def _search(dims: Dims) -> Struct:
-    """What solve() knows of its search."""
+    """Return the struct for the search of solve()."""
     weight, infeasible = "penalty of the rows in the elastic QP", "1: one of them ended where rows contradict"
     return Struct(
         "sqp",

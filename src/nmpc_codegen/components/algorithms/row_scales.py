@@ -1,4 +1,4 @@
-"""Scales of variables and rows, from declared values and bounds, for an algorithm that measures them together."""
+"""Scales of variables and rows follow from declared values and bounds, for algorithms that measure them together."""
 
 from __future__ import annotations
 
@@ -13,13 +13,16 @@ from nmpc_codegen.ir.cmodule import Table
 
 
 def tolerance_table(tolerance: float) -> Table:
-    """What a sample may leave of gaps and rows, in their scales, before it is NOT_CONVERGED."""
+    """Return the table with the residual of gaps and rows, in their scales, above which a sample is NOT_CONVERGED."""
     return Table("residual_tolerance", "real", (float(tolerance),), "residual of a plan that is converged")
 
 
 def variable_scales(problem: Problem) -> Array:
-    """Scales of (x, u), (nx + nu,): declared, or the largest magnitude of the initial value and finite bounds, or 1 if
-    all are 0; a control with two finite bounds has half the distance between them."""
+    """Return the scales of (x, u), (nx + nu,).
+
+    They are declared, or the largest magnitude of the initial value and finite bounds, or 1 if all are 0. A control
+    with two finite bounds has half the distance between them.
+    """
     nx = problem.nx
     largest = np.concatenate([np.abs(problem.x_initial), np.zeros(problem.nu)])
     for row in problem.rows:
@@ -34,8 +37,10 @@ def variable_scales(problem: Problem) -> Array:
 
 
 def row_scales(problem: Problem, scale: Array) -> Array:
-    """Scales of the rows of the QP: sqrt(sum_i (J_i scale_i)^2) at the initial state and u = 0; 1 where that is 0 or
-    not finite. A coupled row is a function of x_N."""
+    """Return the scales of the rows of the QP: sqrt(sum_i (J_i scale_i)^2) at the initial state and u = 0.
+
+    The scale is 1 where that is 0 or not finite. A coupled row counts as a function of x_N.
+    """
     nx, x = problem.nx, problem.x_initial
     stages = ((False, problem.path), (True, problem.terminal))
     slopes = {at_end: _slopes(stage.h, stage, problem) for at_end, stage in stages if stage.nh}
@@ -54,9 +59,11 @@ def row_scales(problem: Problem, scale: Array) -> Array:
 
 
 def row_sizes(problem: Problem, scale: Array) -> Array:
-    """What violations of the rows of the QP are measured in: the smaller of the scale of a row and its largest finite
-    bound, as the slope of a row at the initial state says little of an obstacle that is far away; at least a hundredth
-    of the scale, as a bound near 0 says nothing."""
+    """Return the sizes by which violations of the rows of the QP are measured.
+
+    The size is the smaller of the scale of a row and its largest finite bound, because the slope at the initial state
+    says little about a distant obstacle. It is at least a hundredth of the scale, because a bound near 0 says nothing.
+    """
     found = row_scales(problem, scale)
     for m, (_, kind, _, row) in enumerate(problem.qp_rows):
         bounds = [abs(b) for b in (problem.rows[row].lower, problem.rows[row].upper) if np.isfinite(b) and b]
@@ -66,7 +73,7 @@ def row_sizes(problem: Problem, scale: Array) -> Array:
 
 
 def linear_rows(problem: Problem) -> tuple[int, ...]:
-    """1 for every row of the QP that is linear in the variables of its node, else 0; a coupled row in x_N."""
+    """Return 1 for every row of the QP that is linear in the variables of its node (a coupled row in x_N), else 0."""
     stages = ((False, problem.path), (True, problem.terminal))
     bent = {(1, at_end): curved_rows(stage.h, ca.vertcat(stage.x, stage.u)) for at_end, stage in stages}
     if problem.coupled is not None:
@@ -77,17 +84,19 @@ def linear_rows(problem: Problem) -> tuple[int, ...]:
 
 
 def cost_magnitude(problem: Problem, scale: Array, otherwise: float = 1.0) -> float:
-    """How much the cost of a plan depends on a variable in its scale, at the initial state and the references of the
-    controls: the largest curvature of a path node and the largest slope of the general costs, that of a path node N
-    times, as states keep what they are given. The curvature of the terminal node where all these are 0, else
-    ``otherwise``."""
+    """Return how much the cost of a plan changes with a variable in its scale, at the initial state.
+
+    It is the largest curvature of a path node or slope of a general cost; the slope of a path node counts N times,
+    because a change of a state persists. If all these are 0, it is the curvature of the terminal node, else
+    ``otherwise``.
+    """
     path, terminal = (_sizes(stage, problem, scale) for stage in (problem.path, problem.terminal))
     most = max(path[0], problem.N * path[1], terminal[1]) or terminal[0]
     return most if most > 0 else otherwise
 
 
 def _sizes(stage: Stage, problem: Problem, scale: Array) -> tuple[float, float]:
-    """Largest curvature of the cost of a stage and largest slope of its general cost, in scales; 0 if not finite."""
+    """Return the largest curvature of the cost of a stage and slope of its general cost, in scales; 0 if not finite."""
     cost = stage_cost(stage, "path" if stage.nu else "terminal")
     general = ca.SX(0) if cost.general is None else cost.general
     if stage.cost_rate is not None:
@@ -100,7 +109,7 @@ def _sizes(stage: Stage, problem: Problem, scale: Array) -> tuple[float, float]:
 
 
 def _at_start(cost: StageCost, stage: Stage, problem: Problem, *expressions: Expression) -> list[Array]:
-    """Magnitudes of expressions of a stage at the initial state, the references of the controls and declared data."""
+    """Return magnitudes of expressions of a stage at the initial state, control references and declared data."""
     x, u = problem.x_initial, problem.reference_controls if stage.nu else np.zeros(0)
     values = problem.node_values(x, u)
     at = (x, u, values, problem.dt[0]) if stage.nu else (x, values)
@@ -110,7 +119,7 @@ def _at_start(cost: StageCost, stage: Stage, problem: Problem, *expressions: Exp
 
 
 def _slopes(h: Expression, stage: Stage, problem: Problem) -> Array:
-    """Jacobian of the rows of a stage at the initial state."""
+    """Return the Jacobian of the rows of a stage at the initial state."""
     z = ca.vertcat(stage.x, stage.u)
     J = ca.Function("slopes", [stage.x, stage.u, stage.p], [ca.densify(ca.jacobian(h, z))])
     x, u = problem.x_initial, np.zeros(stage.nu)

@@ -1,4 +1,4 @@
-"""How the plan moves before a sample, and where it starts: what several algorithms share."""
+"""Several algorithms share the shift of the plan before a sample, and its initial values."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def check_sampling_time(algorithm: str, shift: str | None, sampling_time: float 
 
 
 def decide_shift(shift: str | None, sampling_time: float | None, problem: Problem) -> tuple[str | None, list[str]]:
-    """The shift that "auto" stands for, with the reason; every other one as it is."""
+    """Return the shift for "auto" with the reason, and any other shift unchanged."""
     if shift != "auto":
         return shift, []
     found, why = _auto_shift(sampling_time, problem)
@@ -34,15 +34,15 @@ def decide_shift(shift: str | None, sampling_time: float | None, problem: Proble
 
 
 def resample_time(shift: str | None, sampling_time: float | None, problem: Problem) -> float | None:
-    """The sampling time, which a plan that is resampled without one has of the first interval."""
+    """Return the sampling time; if a plan is resampled without one, it is the first interval."""
     return problem.dt[0] if shift == "resample" and sampling_time is None else sampling_time
 
 
 def _auto_shift(sampling_time: float | None, problem: Problem) -> tuple[str | None, str]:
-    """Return the shift that "auto" stands for in a problem, and the reason.
+    """Return the shift for "auto" in a problem, and the reason.
 
-    A plan on a periodic orbit has to move. One that stays begins another period at every sample. Where a row limits a
-    mean over the period, such a loop leaves the orbit, and rounding errors decide where it goes.
+    A plan on a periodic orbit has to move. If it does not move, another period begins at every sample. Where a row
+    limits a mean over the period, such a loop leaves the orbit in a direction that rounding errors decide.
     """
     other_time = sampling_time is not None and not is_same_time(sampling_time, problem.dt[0])
     if problem.uniform and not problem.free_initial and not other_time and _is_periodic(problem):
@@ -67,7 +67,7 @@ def _auto_shift(sampling_time: float | None, problem: Problem) -> tuple[str | No
 
 
 def _is_periodic(problem: Problem) -> bool:
-    """True if there are coupled rows and all depend on x_N - x_0 alone: a common move of both changes nothing."""
+    """Return True if there are coupled rows that depend only on x_N - x_0, so that a common shift changes nothing."""
     if problem.coupled is None:
         return False
     random = np.random.default_rng(0)
@@ -77,13 +77,16 @@ def _is_periodic(problem: Problem) -> bool:
 
 
 def sampling_period(shift: str | None, sampling_time: float | None, problem: Problem) -> float | None:
-    """Time between samples for which a package is made; None: any."""
+    """Return the time between samples for which a package is made; None: any."""
     return sampling_time if sampling_time is not None or shift is None else problem.dt[0]
 
 
 def check_shift(algorithm: str, shift: str | None, sampling_time: float | None, problem: Problem) -> None:
-    """Raise OptionError for a shift by one interval on a non-uniform grid or with another sampling time, or for
-    resampling a discrete map."""
+    """Raise OptionError for a shift that does not fit the problem.
+
+    A shift by one interval needs a uniform grid and a sampling time of one interval; a discrete map cannot be
+    resampled.
+    """
     if shift in ("repeat", "periodic") and sampling_time is not None and not is_same_time(sampling_time, problem.dt[0]):
         raise OptionError(
             f'{algorithm}(shift="{shift}") moves the plan by one interval, {problem.dt[0]:g} {problem.time_unit}, '
@@ -110,12 +113,12 @@ def check_shift(algorithm: str, shift: str | None, sampling_time: float | None, 
 
 
 def with_shift(features: Features, shift: str | None) -> Features:
-    """How shift() moves the plan; neither: by one interval."""
+    """Return the features with the kind of shift(); without a mark, shift() moves the plan by one interval."""
     return replace(features, shift_resample=shift == "resample", shift_periodic=shift == "periodic")
 
 
 def initial_tables(problem: Problem) -> tuple[Table, ...]:
-    """Which components of x_0 are accumulators, and which the measured state determines."""
+    """Return which components of x_0 are accumulators, and which ones the measured state determines."""
     accumulators = tuple(int(i in problem.accumulators) for i in range(problem.nx))
     measured = tuple(int(i not in (*problem.accumulators, *problem.free_initial)) for i in range(problem.nx))
     return (
@@ -125,7 +128,7 @@ def initial_tables(problem: Problem) -> tuple[Table, ...]:
 
 
 def resample_tables(shift: str | None, sampling_time: float | None, problem: Problem) -> tuple[Table, ...]:
-    """Node times and the sampling time for shift="resample"."""
+    """Return node times and the sampling time for shift="resample"."""
     if shift != "resample":
         return ()
     return (
@@ -135,7 +138,10 @@ def resample_tables(shift: str | None, sampling_time: float | None, problem: Pro
 
 
 def resample_reach(shift: str | None, sampling_time: float | None, problem: Problem) -> float:
-    """With shift="resample": from the last node of the plan before a new node; rounding may pass over a node."""
+    """Return for shift="resample" the longest time from a node of the old plan to a new node.
+
+    Rounding may place a new node behind the next old one.
+    """
     if shift != "resample" or sampling_time is None:
         return 0.0
     times, rounding = _node_times(problem), 1e-6 * (sampling_time + math.fsum(problem.dt))

@@ -1,4 +1,4 @@
-"""ADD A CONDENSING HERE: a component that fulfils `Condensing` of base.py: it converts the stage QP for the QP solver.
+"""ADD A CONDENSING HERE: a component that implements `Condensing` of base.py: it converts the stage QP for a solver.
 
 C contract: condense_init, condense_prepare, condense_gradient, condense_rows, condense_solve, condense_shift.
 ``gives`` is the form of the resulting QP, "condensed" or "stages"; the QP solver must have the same ``takes``.

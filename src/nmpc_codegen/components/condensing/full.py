@@ -1,4 +1,4 @@
-"""Full condensing in O(N^2): eliminates dx_1 .. dx_N and keeps the dependence on dx_0 separate.
+"""Full condensing in O(N^2) eliminates dx_1 .. dx_N and keeps the dependence on dx_0 separate.
 
     dx_k = G_k (dx_0, du_0, ..., du_{N-1}) + c_k
 
@@ -24,7 +24,7 @@ def _panels(width: int) -> int:
 
 
 def _slacks(problem: Problem) -> tuple[int, ...]:
-    """For every QP row the variable that is its slack, or -1; rows with a quadratic penalty have one."""
+    """Return for every QP row the variable that is its slack, or -1; rows with a quadratic penalty have one."""
     first = len(_variables(problem)) + len(problem.free_initial)
     soft = [problem.rows[row].soft for _, _, _, row in problem.qp_rows]
     needs = [penalty is not None and penalty[1] > 0 for penalty in soft]
@@ -32,19 +32,19 @@ def _slacks(problem: Problem) -> tuple[int, ...]:
 
 
 def _variables(problem: Problem) -> list[tuple[int, int]]:
-    """(node, control) of every control that is a variable of the QP: those that begin a block."""
+    """Return (node, control) of every control that is a variable of the QP, which begins a block."""
     starts, held = problem.node_data, problem.augmentation.held
     return [(k, j) for k in range(problem.N) for j in range(problem.nu) if j not in held or starts[k, held.index(j)]]
 
 
 def _columns(dims: Dims) -> int:
-    """Columns of G_k: dx_0 and all controls."""
+    """Return the number of columns of G_k: dx_0 and all controls."""
     return dims.nx - dims.banded + dims.qp.nvu
 
 
 @dataclass(frozen=True)
 class FullCondensing(Condensing):
-    """Eliminate all states but the first; the QP has N nu variables and the free components of x_0."""
+    """All states except the first are eliminated; the QP has N nu variables and the free components of x_0."""
 
     name: ClassVar[str] = "full"
     template: ClassVar[str] = "condensing/full.c"
@@ -53,12 +53,12 @@ class FullCondensing(Condensing):
     supports: ClassVar[frozenset[str]] = EVERY_USE
 
     def qp_shape(self, problem: Problem) -> QpShape:
-        """The variables are the controls, the free components of x_0 and the slacks."""
+        """Return the shape of the QP, with the controls, the free components of x_0 and the slacks as variables."""
         controls, slacks = len(_variables(problem)), sum(s >= 0 for s in _slacks(problem))
         return QpShape(controls, controls + len(problem.free_initial) + slacks, slacks)
 
     def tables(self, problem: Problem) -> tuple[Table, ...]:
-        """The slack variable of every row."""
+        """Return the slack variable of every row."""
         slacks, variables = _slacks(problem), _variables(problem)
         controls = [(k, j) for k in range(problem.N) for j in range(problem.nu)]
         places = tuple(variables.index(at) if at in variables else -1 for at in controls)
@@ -77,7 +77,7 @@ class FullCondensing(Condensing):
         )
 
     def structs(self, dims: Dims) -> tuple[Struct, ...]:
-        """Sensitivities of the condensed states, and the data that the feedback phase needs."""
+        """Return the structs for sensitivities of the condensed states, and for data of the feedback phase."""
         panel, nodes = Size("COLUMNS", COLUMNS), dims.nodes
         return (
             Struct(
@@ -125,7 +125,10 @@ class FullCondensing(Condensing):
         )
 
     def cost(self, dims: Dims, model: StageMatrices) -> Counts:
-        """All functions but condense_rows, which skips zeros of the row gradients; columns are padded to COLUMNS."""
+        """Count all functions except condense_rows, which skips zeros of row gradients.
+
+        Columns are padded to COLUMNS.
+        """
         N, nx, nu, nf, ng = dims.N, dims.nx, dims.nu, dims.nf, dims.ng
         nus, nxc = dims.qp.nvu, nx - model.products.banded
 

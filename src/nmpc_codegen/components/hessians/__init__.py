@@ -1,4 +1,4 @@
-"""ADD A HESSIAN HERE: a component that fulfils `Hessian` of base.py.
+"""ADD A HESSIAN HERE: a component that implements `Hessian` of base.py.
 
 blocks() returns the routines of all stages. The C functions of a Hessian are ``expand_node(solver, k, x_next)``, which
 linearises a node, and ``hessian(solver)``; after both have run, the blocks Q[k] and Q_N are filled (lower triangles,

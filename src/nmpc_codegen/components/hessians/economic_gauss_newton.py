@@ -1,4 +1,4 @@
-"""Constant Hessian for economic costs, computed off line; the gradient is that of the cost.
+"""A constant Hessian for economic costs is computed off line; the gradient is that of the cost.
 
     Q_k = M,   k = 0 .. N - 1,   Q_N = M_f
 
@@ -37,17 +37,17 @@ class EconomicGaussNewton(Hessian):
     """Constant Hessian M of every stage and M_f of the terminal node, for any cost.
 
     Args:
-        M: (nx + nu, nx + nu), order z = (x, u), symmetric positive semidefinite, its block of the controls positive
-            definite; the rows of cyclic states may be zero. It contains the factor of the interval length, if the cost
-            has it: M approximates the second derivatives of the cost of one interval.
+        M: (nx + nu, nx + nu), order z = (x, u), symmetric positive semidefinite, with a positive definite block of the
+            controls; the rows of cyclic states may be zero. M approximates the second derivatives of the cost of one
+            interval, so it contains the factor of the interval length if the cost has it.
         M_f: (nx, nx), symmetric positive semidefinite; None if the terminal state is fixed by equations.
         steady_state: (x_s, u_s), the point at which M was computed. Bounds that are inactive there may then be changed
             at run time as long as they admit it; without it, M belongs to all declared bounds.
 
-    M belongs to the declared parameters and weights, and to the bounds of rows that are active at the steady state. If
-    one of them is changed at run time, the iteration goes on with M, and ``stats.stale_hessian`` is set. References may
-    be changed, and so may parameters on which only the gradient of the cost depends. The block of a least-squares cost
-    of x_0 is added to the first one; other costs of x_0 have no block.
+    M is valid for the declared parameters and weights, and for the bounds of rows that are active at the steady state.
+    If one of them is changed at run time, the iteration continues with M, and ``stats.stale_hessian`` is set.
+    References may be changed, and so may parameters on which only the gradient of the cost depends. The block of a
+    least-squares cost of x_0 is added to the first one; other costs of x_0 have no block.
     """
 
     M: ArrayLike | None = option(None, Matrix())
@@ -109,7 +109,7 @@ class EconomicGaussNewton(Hessian):
         return HessianModel(start, Block(pattern(path, "Q"), path), Block(pattern(terminal, "Q"), terminal))
 
     def notes(self, problem: Problem) -> tuple[str, ...]:
-        """What M belongs to."""
+        """Describe the data for which M is valid."""
         active = sorted({problem.rows[i].name for i in self._decisive_rows(problem)})
         rows = f"bounds of {', '.join(active)}" if self.steady_state is not None else "bounds of all rows"
         tied = [name for name, on in zip(problem.parameter_names, tied_parameters(problem), strict=True) if on]
@@ -123,15 +123,15 @@ class EconomicGaussNewton(Hessian):
         )
 
     def _decisive_rows(self, problem: Problem) -> list[int]:
-        """Rows whose declared bounds determine M."""
+        """Return the rows whose declared bounds determine M."""
         return [i for i, row in enumerate(limits(problem, self.steady_state).T) if row[0] == row[1] or row[2] == row[3]]
 
     def adds(self, features: Features) -> Features:
-        """M is never indefinite, so nothing is regularised; it belongs to data that can be changed."""
+        """Return the features of a constant Hessian, which is never indefinite and depends on data that may change."""
         return replace(features, tuned=True, node_kernels=True)
 
     def tables(self, problem: Problem) -> tuple[Table, ...]:
-        """Between which values the bounds of every row leave M valid."""
+        """Return the range of the bounds of every row for which M is valid."""
         values = limits(problem, self.steady_state)
         names = ("least_lower", "most_lower", "least_upper", "most_upper")
         tied = tuple(map(int, tied_parameters(problem)))
@@ -149,7 +149,7 @@ class EconomicGaussNewton(Hessian):
         )
 
     def structs(self, dims: Dims) -> tuple[Struct, ...]:
-        """Hessian blocks, lower triangles in the order z = (x, u)."""
+        """Return the struct of the Hessian blocks, lower triangles in the order z = (x, u)."""
         fields = (
             Field("Q", (dims.nq, dims.nz, dims.nz), "path block, the same for all nodes but the first", "data"),
             Field("Q_N", (dims.nx, dims.nx), "terminal block", "data"),
@@ -165,7 +165,7 @@ class EconomicGaussNewton(Hessian):
         return (Struct("hessian", "Hessian blocks, lower triangles, z = (x, u)", fields),)
 
     def cost(self, dims: Dims, model: ModelFunctions) -> Counts:
-        """No operations, since the blocks are constant; that of the start cost has its own."""
+        """Count no operations for constant blocks, except for the block of a start cost."""
         if model.start.hessian is not None and model.start.hessian.writes:
             return {}
         return {"hessian": operations(model.path.hessian) * dims.nq + operations(model.terminal.hessian)}
@@ -178,7 +178,7 @@ def _constant(stage: str, symbol: str, value: Array) -> Kernel:
 
 
 def _start(cost: StageCost) -> Kernel | None:
-    """J' W J of the cost of x_0."""
+    """Return the kernel of J' W J of the cost of x_0."""
     if not cost.ny:
         return None
     return cost.kernel("hessian", "Q = J' W J, lower triangle", cost.gauss_newton, Port("Q", cost.nz, cost.nz))

@@ -1,4 +1,4 @@
-"""Exact Hessian of the Lagrangian, stage by stage, with the multipliers of the last QP.
+"""The exact Hessian of the Lagrangian is computed stage by stage, with the multipliers of the last QP.
 
     Q_k = d2 (l_k + lam_{k+1}' Phi_k + mu_k' h_k) / d(x_k, u_k)^2,   Q_N = d2 (l_N + mu_N' h_N + eta' r) / dx_N^2
 
@@ -49,7 +49,7 @@ class Symmetric:
 
 @dataclass(frozen=True)
 class ForwardOverAdjoint:
-    """Forward mode over the adjoint; the sensitivities of all stages are stored.
+    """Forward mode over the adjoint, which stores the sensitivities of all stages.
 
     Source: Quirynen et al., CDC 2014, algorithm 1.
     """
@@ -66,8 +66,8 @@ class ExactHessian(Hessian):
     """Exact second derivatives of the Lagrangian, for any cost.
 
     Args:
-        regularization: what is done where the QP would not be convex; None: nothing.
-        sweep: the propagation of second derivatives of the dynamics.
+        regularization: change of the Hessian where the QP would not be convex; None: no change.
+        sweep: method that propagates second derivatives of the dynamics.
 
     Examples:
         >>> from nmpc_codegen import ExactHessian, Mirror, Options
@@ -87,12 +87,14 @@ class ExactHessian(Hessian):
 
     @property
     def level(self) -> str:
-        """Level of the regularisation: "stage", "reduced" or "nowhere"."""
+        """Return the level of the regularisation: "stage", "reduced" or "nowhere"."""
         return "nowhere" if self.regularization is None else self.regularization.level
 
     def blocks(self, problem: Problem, costs: StageCosts, integrator: Integrator) -> HessianModel:
-        """The terminal block, the contributions of start cost and coupled rows to the first block, and
-        path_exact(x, u, p, dt, yref, W, mu, lam -> x_next, S, g, Q), which computes the blocks of the path."""
+        """Return the terminal block, the part of start cost and coupled rows in the first block, and the path blocks.
+
+        path_exact(x, u, p, dt, yref, W, mu, lam -> x_next, S, g, Q) computes the path blocks.
+        """
         cost = costs.path
         more = (*cost.data_ports, cost.mu_port)
         last, first = self._ends(problem, costs.terminal)
@@ -105,12 +107,12 @@ class ExactHessian(Hessian):
         return HessianModel(start, Block(Q), Block(Q_N, last), first, curved)
 
     def _start_block(self, cost: StageCost) -> Kernel:
-        """Second derivatives of the start cost."""
+        """Return the kernel of the second derivatives of the start cost."""
         doc = "Q = d2 l_0 / dx_0^2, lower triangle"
         return cost.kernel("hessian", doc, cost.hessian, Port("Q", cost.nz, cost.nz))
 
     def _ends(self, problem: Problem, cost: StageCost) -> tuple[Routine, Routine]:
-        """The terminal block, and the contribution of the coupled rows to the first one."""
+        """Return the terminal block, and the part of the coupled rows in the first block."""
         nx, nz, ne = problem.nx, problem.nx + problem.nu, problem.coupled_rows
         x_0, eta, Q_0 = ca.SX.sym("x_0", nx), ca.SX.sym("eta", ne), ca.SX.sym("Q_0", nz * nz)
         x_N = cost.inputs[0]
@@ -138,7 +140,7 @@ class ExactHessian(Hessian):
         return self._store_zeros(terminal), initial
 
     def _start(self, cost: StageCost) -> Call:
-        """g and Q of the node's own cost and rows."""
+        """Return the call for g and Q of the node's own cost and rows."""
         Q = ca.densify(cost.hessian)
         symbols = [*cost.inputs, cost.yref, cost.W, cost.mu]
         leaf = ca.Function("node", symbols, [ca.densify(cost.gradient), ca.vec(Q.T)])
@@ -152,7 +154,7 @@ class ExactHessian(Hessian):
         return routine.with_zeros("Q", sorted(self._block(pattern(routine, "Q") | more, routine.outputs[-1].rows)))
 
     def _block(self, lower: Pattern, n: int) -> Pattern:
-        """Nonzeros of a block after its regularisation."""
+        """Return the nonzeros of a block after its regularisation."""
         return fill_blocks(lower, n) if self.level == "stage" else lower
 
     def adds(self, features: Features) -> Features:
@@ -185,7 +187,7 @@ class ExactHessian(Hessian):
         )
 
     def structs(self, dims: Dims) -> tuple[Struct, ...]:
-        """Hessian blocks, lower triangles in the order z = (x, u), and the scratch of their decomposition."""
+        """Return the structs of the Hessian blocks (lower triangles, z = (x, u)) and of their decomposition."""
         blocks = (
             Field("Q", (dims.nq, dims.nz, dims.nz), "path blocks", "data"),
             Field("Q_N", (dims.nx, dims.nx), "terminal block", "data"),
@@ -205,12 +207,12 @@ class ExactHessian(Hessian):
         return (Struct("hessian", "Hessian blocks, lower triangles, z = (x, u)", (*blocks, *scratch)),)
 
     def cost(self, dims: Dims, model: ModelFunctions) -> Counts:
-        """The terminal block; the work of a regularisation depends on the data."""
+        """Count the terminal block; the work of a regularisation depends on the data."""
         return {} if self.level == "stage" else {"hessian": operations(model.terminal.hessian)}
 
 
 def _lower(routine: Routine) -> Pattern:
-    """Nonzeros of its output Q in the lower triangle."""
+    """Return the nonzeros of its output Q in the lower triangle."""
     return frozenset((r, c) for r, c in pattern(routine, "Q") if r >= c)
 
 
@@ -219,5 +221,5 @@ def _lanes(nz: int) -> int:
 
 
 def fill_blocks(lower: Pattern, n: int) -> Pattern:
-    """The full lower triangles of all irreducible blocks, with the whole diagonal."""
+    """Return the full lower triangles of all irreducible blocks, with the whole diagonal."""
     return frozenset((r, c) for block in irreducible_blocks(lower, n) for r in block for c in block if r >= c)

@@ -1,4 +1,4 @@
-"""Gauss-Newton Hessian of least-squares costs.
+"""The Gauss-Newton Hessian approximates that of least-squares costs.
 
     l = 1/2 (y - yref)' W (y - yref),   gradient J' W (y - yref),   Hessian J' W J,   J = dy / d(x, u)
 
@@ -25,11 +25,11 @@ from nmpc_codegen.package.struct_layout import Field, Struct
 
 @dataclass(frozen=True)
 class GaussNewton(Hessian):
-    """Gauss-Newton Hessian of a cost of least squares: H = sum_k J_k' W_k J_k, J_k the Jacobian of the residual.
+    """The Gauss-Newton Hessian of a least-squares cost is H = sum_k J_k' W_k J_k, J_k the Jacobian of the residual.
 
-    mu_i d2 h_i of every general row for which it is positive semidefinite is added, with the multipliers of the last
-    QP: with discs and other convex rows steps need this to converge. If it is given, and not chosen by the compiler,
-    solve() has it, too.
+    For every general row, mu_i d2 h_i is added if it is positive semidefinite, with the multipliers of the last QP;
+    steps need it to converge with discs and other convex rows. If the user states this Hessian, solve() uses it, too;
+    if the compiler chooses it, solve() may have the exact one.
     """
 
     name: ClassVar[str] = "gauss_newton"
@@ -37,16 +37,16 @@ class GaussNewton(Hessian):
     supports: ClassVar[frozenset[str]] = EVERY_USE - {"general cost", "integrated cost"}
 
     def blocks(self, problem: Problem, costs: StageCosts, integrator: Integrator) -> HessianModel:
-        """J' W J of every stage, and the curvature of its rows as a routine of its own."""
+        """Return J' W J of every stage, and the curvature of its rows as a separate routine."""
         start = self._block(costs.start)
         path = self._block(costs.path, bool(problem.proximal))
         return HessianModel(start.hessian, path, self._block(costs.terminal))
 
     def _block(self, cost: StageCost, diagonal: bool = False) -> Block:
         Q = ca.sparsify(cost.gauss_newton)
-        if diagonal:  # stored as zeros, to which the proximal terms of samples are added
+        if diagonal:  # stored as zeros, to which samples add proximal terms
             Q = ca.project(Q, Q.sparsity().unite(ca.Sparsity.diag(cost.nz)))
-        # nonzeros of the rows alone are stored as zeros, to which add_rows() adds
+        # nonzeros of the rows only are stored as zeros, to which add_rows() adds
         Q = ca.project(Q, Q.sparsity().unite(cost.curvature.sparsity()))
         kernel = cost.kernel("hessian", "Q = J' W J, lower triangle", Q, Port("Q", cost.nz, cost.nz))
         curvature = self._curvature(cost) if cost.curvature.nnz() else None
@@ -57,18 +57,18 @@ class GaussNewton(Hessian):
         return cost.kernel("curvature", doc, cost.curvature, Port("M", cost.nz, cost.nz), mu=True)
 
     def adds(self, features: Features) -> Features:
-        """The Hessian is never indefinite, so nothing is regularised."""
+        """Return the features of a Hessian that is never indefinite, so that nothing is regularised."""
         return replace(features, node_kernels=True)
 
     def sizes(self, dims: Dims) -> tuple[tuple[str, int, str], ...]:
-        """Of the decomposition of blocks where samples add the curvature of active rows."""
+        """Return the sizes of the decomposition of blocks, used if samples add the curvature of active rows."""
         return (
             ("LANES", 1, "blocks that are decomposed at once"),
             ("MAX_SWEEPS", MAX_SWEEPS, "sweeps of Jacobi rotations"),
         )
 
     def structs(self, dims: Dims) -> tuple[Struct, ...]:
-        """Hessian blocks, lower triangles in the order z = (x, u)."""
+        """Return the struct of the Hessian blocks, lower triangles in the order z = (x, u)."""
         return (
             Struct(
                 "hessian",
@@ -81,12 +81,12 @@ class GaussNewton(Hessian):
         )
 
     def cost(self, dims: Dims, model: ModelFunctions) -> Counts:
-        """All blocks that hessian() forms; with the curvature of rows the count depends on the data."""
+        """Count all blocks that hessian() forms; with the curvature of rows, the count depends on the data."""
         if model.path.curvature or model.terminal.curvature:
             return {}
         return {"hessian": operations(model.path.hessian) * dims.nq + operations(model.terminal.hessian)}
 
 
 def _has_terminal_block(features: Features) -> bool:
-    """False where the terminal block is zero and the QP, which is condensed in full, does not copy it."""
+    """Return False if the terminal block is zero and the fully condensed QP does not copy it."""
     return features.terminal_block or features.stage_multipliers or features.has("terminal_exact")

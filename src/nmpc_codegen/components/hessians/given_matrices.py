@@ -1,4 +1,4 @@
-"""Checks of matrices that an option holds: shape and definiteness."""
+"""Matrices in options are checked for shape and definiteness."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike
 
 from nmpc_codegen.errors import OptionError
 
-#: Smallest eigenvalue of a positive definite matrix with unit diagonal; less, and not below its negative, counts as 0.
+#: Smallest eigenvalue of a positive definite matrix with unit diagonal; eigenvalues of smaller magnitude count as 0.
 DEFINITE = 1e-12
 
 
@@ -21,7 +21,7 @@ def refuse_shape(value: ArrayLike, shape: tuple[int, ...], name: str, meaning: s
 def refuse_indefinite(value: ArrayLike | None, name: str, *, strictly: bool = False) -> None:
     """Raise OptionError unless the matrix is positive semidefinite, or definite if ``strictly``; None is skipped.
 
-    It is judged in units of its variables, that is, with unit diagonal.
+    The test is made in units of the variables, that is, with unit diagonal.
     """
     if value is None:
         return

@@ -1,4 +1,4 @@
-"""Regularisation of an indefinite Hessian: eigenvalues of every stage block or of the reduced Hessian are changed.
+"""An indefinite Hessian is regularised by changing eigenvalues of every stage block or of the reduced Hessian.
 
     V max(|Lambda|, floor) V'   (mirror; Quirynen et al., CDC 2014, eq. 4)      V max(Lambda, floor) V'   (project)
 
@@ -9,7 +9,7 @@ the reduced Hessian is not formed: its diagonal is shifted, in units D of the va
 
     H + 9/8 s D   (project)      H + 2 s D   (mirror)      s: the smallest of 1e-3 4^n with H + s D positive definite
 
-The condensed Hessian is treated in units of its variables, too. solve() has a way of its own
+The condensed Hessian is also treated in units of its variables. solve() has its own method
 (templates/algorithms/solve/curved.c).
 """
 
@@ -25,12 +25,11 @@ LEVELS = ("reduced", "stage")
 
 @dataclass(frozen=True)
 class EigenvalueFloor:
-    """Which eigenvalues of a Hessian are changed: those of the Hessian after elimination of the states, or of the block
-    of every node."""
+    """A regularisation changes eigenvalues of the block of every node, or of the Hessian without the states."""
 
     level: str = option("reduced", Words(LEVELS))
 
-    mirrors: ClassVar[bool]  # negative eigenvalues change their sign; False: they are raised to the floor
+    mirrors: ClassVar[bool]  # True: negative eigenvalues change their sign; False: they are raised to the floor
 
     def __post_init__(self) -> None:
         check_options(self, "hessian.regularization")
@@ -49,7 +48,7 @@ class Project(EigenvalueFloor):
 
 @dataclass(frozen=True)
 class Mirror(EigenvalueFloor):
-    """Changes the sign of negative eigenvalues, and raises small ones to the floor. The default.
+    """Changes the sign of negative eigenvalues, and raises small ones to the floor; it is the default.
 
     Args:
         level: "reduced" changes the Hessian on the predicted working set, and only if it is not positive definite;

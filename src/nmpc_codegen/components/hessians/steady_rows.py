@@ -1,6 +1,6 @@
-"""What a Hessian that was computed at a steady state depends on: bounds that are active there, and parameters.
+"""A Hessian that was computed at a steady state depends on the bounds that are active there, and on parameters.
 
-Also: whether equations fix the terminal state.
+This module also decides whether equations fix the terminal state.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ ACTIVE = 1e-6
 
 
 def limits(problem: Problem, steady_state: tuple[ArrayLike, ArrayLike] | None) -> Array:
-    """Least and most lower bound, least and most upper bound of every row that leave the steady state, (4, nr).
+    """Return the least and largest lower and upper bound of every row for which the steady state remains, (4, nr).
 
-    A bound that is active at the steady state must keep its declared value, any other one must admit the steady state.
-    Without a steady state all bounds must keep their values. Bounds of cyclic states are free: these have no steady
-    value.
+    A bound that is active at the steady state must keep its declared value; any other bound must admit the steady
+    state. Without a steady state, all bounds must keep their values. Bounds of cyclic states are free, because these
+    have no steady value.
 
     Raises:
         OptionError: the steady state violates a row.
@@ -55,7 +55,7 @@ def _margin(bound: float) -> float:
 
 
 def _row_values(problem: Problem, x_s: ArrayLike, u_s: ArrayLike) -> Array:
-    """The value of every row if all nodes are at the steady state."""
+    """Return the value of every row if all nodes are at the steady state."""
     x, u = np.asarray(x_s, dtype=float), np.asarray(u_s, dtype=float)
     path, terminal = problem.path, problem.terminal
     p = problem.p_value
@@ -71,7 +71,7 @@ def _evaluate(symbols: list[ca.SX], expression: ca.SX, values: list[Array]) -> A
 
 
 def _grows(problem: Problem, row: Row) -> bool:
-    """True if the value of the row depends on a cyclic state."""
+    """Return True if the value of the row depends on a cyclic state."""
     cyclic = list(problem.cyclic)
     if not row.is_general:
         return row.variable(problem.nx) in cyclic
@@ -80,9 +80,9 @@ def _grows(problem: Problem, row: Row) -> bool:
 
 
 def tied_parameters(problem: Problem) -> tuple[bool, ...]:
-    """For every element of p: whether dynamics, rows or second derivatives of the cost depend on it, (np,).
+    """Return for every element of p True if dynamics, rows or second derivatives of the cost depend on it, (np,).
 
-    Other parameters act like references: they are part of the gradient only.
+    Other parameters only enter the gradient, as references do.
     """
     path, terminal = problem.path, problem.terminal
     z = ca.vertcat(path.x, path.u)
@@ -97,7 +97,7 @@ def tied_parameters(problem: Problem) -> tuple[bool, ...]:
 
 
 def _costs(stage: Stage) -> list[ca.SX]:
-    """Terms of the cost whose second derivatives matter; the reference of least squares is 0."""
+    """Return the terms of the cost with second derivatives; the reference of least squares is 0."""
     least_squares = [ca.bilin(ca.SX(stage.weight), stage.y, stage.y) / 2] if stage.ny else []
     return [*least_squares, *(term for term in (stage.cost, stage.cost_rate) if term is not None)]
 
@@ -107,7 +107,10 @@ def _curvature(cost: ca.SX, z: ca.SX) -> ca.SX:
 
 
 def terminal_state_is_fixed(problem: Problem) -> bool:
-    """True if the hard equations at the end, linearised at the initial state, determine all states but cyclic ones."""
+    """Return True if hard equations at the end fix all states except cyclic ones.
+
+    The equations are linearised at the initial state.
+    """
     stage = problem.terminal
     J = ca.Function("J", [stage.x, stage.p], [ca.densify(ca.jacobian(stage.h, stage.x))]) if stage.nh else None
     slopes = np.zeros((0, problem.nx)) if J is None else np.asarray(J(problem.x_initial, problem.p_value), dtype=float)

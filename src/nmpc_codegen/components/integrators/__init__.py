@@ -1,4 +1,4 @@
-"""ADD AN INTEGRATOR HERE: a component that fulfils `Integrator` of base.py.
+"""ADD AN INTEGRATOR HERE: a component that implements `Integrator` of base.py.
 
 interval() returns the routines integrator_interval(x, u, p, dt -> x_next, S) and integrator_step(x, u, p, h -> x_next).
 """

@@ -1,4 +1,4 @@
-"""Discrete maps x+ = Phi(x, u, p), which need no integration: map and Jacobian are one straight-line kernel."""
+"""Discrete maps x+ = Phi(x, u, p) need no integration: map and Jacobian are one straight-line kernel."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from nmpc_codegen.ir.sweep import Call, Routine
 
 @dataclass(frozen=True)
 class Discrete(Integrator):
-    """For dynamics that are already a map from node to node; it has no options."""
+    """The integrator for dynamics that are already a map from node to node; it has no options."""
 
     name: ClassVar[str] = "discrete"
     template: ClassVar[str] = "integrators/discrete.c"
@@ -35,15 +35,15 @@ class Discrete(Integrator):
 
     @property
     def small(self) -> Discrete:
-        """The map itself."""
+        """Return the map itself."""
         return self
 
     def longest_step(self, problem: Problem) -> float:
-        """Length (s) of the longest interval; the map is evaluated once per interval."""
+        """Return the length (s) of the longest interval; the map is evaluated once per interval."""
         return max(problem.dt)
 
     def interval(self, problem: Problem) -> Interval:
-        """interval(x, u, p, dt -> x_next, S) and step(x, u, p, h -> x_next)."""
+        """Return interval(x, u, p, dt -> x_next, S) and step(x, u, p, h -> x_next)."""
         x, u, p = problem.path.x, problem.path.u, problem.path.p
         dt = ca.SX.sym("dt")
         phi = ca.densify(problem.dynamics(x, u, p))
@@ -64,7 +64,7 @@ class Discrete(Integrator):
         )
 
     def products(self, problem: Problem) -> IntervalProducts:
-        """The map, and products with its Jacobians, each one straight-line kernel."""
+        """Return the map, and products with its Jacobians, each as one straight-line kernel."""
         x, u, p, nx, nu = problem.path.x, problem.path.u, problem.path.p, problem.nx, problem.nu
         dt, lam, S = ca.SX.sym("dt"), ca.SX.sym("lam", nx), ca.SX.sym("S", nx * nu)
         phi = ca.densify(problem.dynamics(x, u, p))
@@ -90,7 +90,7 @@ class Discrete(Integrator):
         )
 
     def directional(self, problem: Problem) -> tuple[Routine, Routine]:
-        """forward(x, u, p, dt, dx, du -> dx_next) and adjoint(x, u, p, dt, adj -> g)."""
+        """Return forward(x, u, p, dt, dx, du -> dx_next) and adjoint(x, u, p, dt, adj -> g)."""
         x, u, p, dt = problem.path.x, problem.path.u, problem.path.p, ca.SX.sym("dt")
         dx, du, adj = (ca.SX.sym(name, n) for name, n in (("dx", problem.nx), ("du", problem.nu), ("adj", problem.nx)))
         phi = ca.densify(problem.dynamics(x, u, p))
@@ -108,8 +108,10 @@ class Discrete(Integrator):
         )
 
     def lift_hessian(self, problem: Problem, scheme: str, name: str, start: Call, more: tuple[Port, ...]) -> Routine:
-        """(x, u, p, dt, more, lam) -> (x_next, S, g, Q): ``start`` initialises g and Q from all inputs but lam, and the
-        lower triangle of d2 (lam' Phi) / d(x, u)^2 is added. A map has no steps, so ``scheme`` makes no difference.
+        """Return the routine (x, u, p, dt, more, lam) -> (x_next, S, g, Q) with second derivatives of the map.
+
+        ``start`` initialises g and Q from all inputs except lam; the lower triangle of d2 (lam' Phi) / d(x, u)^2 is
+        added. A map has no steps, so ``scheme`` makes no difference.
         """
         x, u, p, lam, dt = problem.path.x, problem.path.u, problem.path.p, ca.SX.sym("lam", problem.nx), ca.SX.sym("dt")
         z, nz = ca.vertcat(x, u), problem.nx + problem.nu

@@ -1,4 +1,4 @@
-"""Explicit Runge-Kutta integration with forward sensitivities, fixed step.
+"""Explicit Runge-Kutta integration with fixed step also computes forward sensitivities.
 
     X_i = x + h sum_j a_ij K_j,   K_i = f(X_i, u, p),   x+ = x + h sum_i b_i K_i
     S = d x / d(x_k, u_k):        K_i' = f_x(X_i) S_i + [0 f_u(X_i)],  same tableau, S = [I 0] at the start
@@ -59,14 +59,14 @@ SCHEMES: dict[str, type[ThreeSweeps] | type[AdjointSweep]] = {
 
 @dataclass(frozen=True)
 class ExplicitRungeKutta(Integrator):
-    """Explicit Runge-Kutta scheme with equal steps per interval.
+    """An explicit Runge-Kutta scheme with equal steps in every interval.
 
     Args:
         tableau: the scheme.
-        steps: steps per interval.
-        unroll: "all" (one straight-line program per interval), "none" (loops over steps and sensitivity columns, calls
-            per stage), "auto" (the first one below a size limit). Second derivatives are always loops: with vector
-            instructions they are twice as fast as one straight-line program, in less code.
+        steps: number of steps per interval.
+        unroll: "all" (one straight-line program per interval), "none" (loops over steps and sensitivity columns, with a
+            call per stage), "auto" ("all" below a size limit). Second derivatives are always loops: with vector
+            instructions these are twice as fast as one straight-line program, in less code.
 
     Examples:
         >>> from nmpc_codegen import RK4, ExplicitRungeKutta, Options
@@ -100,27 +100,27 @@ class ExplicitRungeKutta(Integrator):
 
     @property
     def small(self) -> ExplicitRungeKutta:
-        """Loops, unless ``unroll`` says otherwise."""
+        """Return the integrator with loops, unless ``unroll`` is stated."""
         return replace(self, unroll="none") if self.unroll == "auto" else self
 
     def _complete(self, sweep: Sweep, problem: Problem) -> Sweep:
-        """The sweep of an interval with what happens at its end."""
+        """Return the sweep of an interval with the maps and noise at its end."""
         return with_end(self._fix_length(sweep, problem), problem)
 
     def _fix_length(self, sweep: Sweep, problem: Problem) -> Sweep:
-        """The sweep with a number for the length of a step if all are equal."""
+        """Return the sweep with a number for the length of a step if all intervals are equal."""
         return with_number(sweep, "h", problem.dt[0] / self.steps) if problem.uniform else sweep
 
     def longest_step(self, problem: Problem) -> float:
-        """Length (s) of a step in the longest interval."""
+        """Return the length (s) of a step in the longest interval."""
         return max(problem.dt) / self.steps
 
     def interval(self, problem: Problem) -> Interval:
-        """interval(x, u, p, dt -> x_next, S) and step(x, u, p, h -> x_next)."""
+        """Return interval(x, u, p, dt -> x_next, S) and step(x, u, p, h -> x_next)."""
         sensitivities = Sensitivities(problem, self.tableau, self.steps)
         interval = self._unroll(self._complete(sensitivities.sweep(), problem))
         loops = isinstance(interval, LoopedRoutine) and interval.count.total <= STEP_OPERATIONS * self.steps
-        loops = loops and not problem.noise  # lanes would add it to every step
+        loops = loops and not problem.noise  # lanes would add noise to every step
         one_step = (
             lift_straight(self._fix_length(sensitivities.sweep("integrator_one_step", 1), problem)) if loops else None
         )
@@ -130,12 +130,12 @@ class ExplicitRungeKutta(Integrator):
         )
 
     def operations(self, problem: Problem) -> int:
-        """Operations of a linearisation of an interval in loops, without its functions."""
+        """Count the operations of a linearisation of an interval in loops, without its functions."""
         one = Sensitivities(problem, self.tableau, 1)
         return lift_loops(self._complete(one.sweep(), problem)).count.total * self.steps
 
     def products(self, problem: Problem) -> IntervalProducts:
-        """The value of an interval, and products with its Jacobians that do not form them."""
+        """Return the value of an interval, and products with its Jacobians that do not form them."""
         sweeps = IntervalSweeps(problem, self.tableau, self.steps)
         return IntervalProducts(
             self._unroll(self._complete(sweeps.value(), problem)),
@@ -145,17 +145,17 @@ class ExplicitRungeKutta(Integrator):
         )
 
     def directional(self, problem: Problem) -> tuple[Routine, Routine]:
-        """forward(x, u, p, dt, dx, du -> dx_next) and adjoint(x, u, p, dt, adj -> g)."""
+        """Return forward(x, u, p, dt, dx, du -> dx_next) and adjoint(x, u, p, dt, adj -> g)."""
         sweeps = Directional(problem, self.tableau, self.steps)
         forward, adjoint = (self._complete(sweep, problem) for sweep in (sweeps.forward(), sweeps.adjoint()))
         return self._unroll(forward), self._backward(adjoint)
 
     def lift_hessian(self, problem: Problem, scheme: str, name: str, start: Call, more: tuple[Port, ...]) -> Routine:
-        """(x, u, p, dt, more, lam) -> (x_next, S, g, Q): ``start`` initialises g and Q from all inputs but lam, and the
-        interval adds d(integrated cost) / dz and the lower triangle of d2 (lam' Phi + integrated cost) / dz^2, where
-        z = (x, u).
+        """Return the routine (x, u, p, dt, more, lam) -> (x_next, S, g, Q) with second derivatives of an interval.
 
-        scheme: "symmetric" (three sweeps) or "forward_over_adjoint".
+        ``start`` initialises g and Q from all inputs except lam. The interval adds d(integrated cost) / dz and the
+        lower triangle of d2 (lam' Phi + integrated cost) / dz^2, where z = (x, u). ``scheme`` is "symmetric" (three
+        sweeps) or "forward_over_adjoint".
         """
         self._refuse_long(name, ())
         b = SCHEMES[scheme](problem, self.tableau, self.steps)
@@ -196,20 +196,23 @@ class ExplicitRungeKutta(Integrator):
             )
 
     def integrated_cost(self, problem: Problem, name: str, start: Call, more: tuple[Port, ...]) -> Routine:
-        """(x, u, p, dt, more) -> l: the value that ``start`` stores in l, plus the integral of the cost rate."""
+        """Return the routine (x, u, p, dt, more) -> l: the value from ``start`` plus the integral of the cost rate."""
         doc = "l = cost of the node + integral of the cost rate over dt"
         sweep = Quadrature(problem, self.tableau, self.steps).value(name, doc, start, more)
         return self._backward(self._fix_length(sweep, problem))
 
     def integrated_gradient(self, problem: Problem, name: str, start: Call, more: tuple[Port, ...]) -> Routine:
-        """(x, u, p, dt, more) -> g: the value that ``start`` stores in g, plus the adjoint gradient of the integral."""
+        """Return the routine (x, u, p, dt, more) -> g: the value from ``start`` plus the gradient of the integral."""
         doc = "g = d (cost of the node + integral of the cost rate over dt) / d(x, u)"
         sweep = Quadrature(problem, self.tableau, self.steps).gradient(name, doc, start, more)
         return self._backward(self._fix_length(sweep, problem))
 
     def integrated_product(self, problem: Problem, name: str, start: Call, more: tuple[Port, ...]) -> Routine:
-        """(x, u, p, dt, more, d) -> w: what ``start`` stores in w, plus the Gauss-Newton Hessian of the integral times
-        d: the second derivatives of the cost rate along the linearised states."""
+        """Return the routine (x, u, p, dt, more, d) -> w: H d, added to the value from ``start``.
+
+        H is the Gauss-Newton Hessian of the integral: the second derivatives of the cost rate along the linearised
+        states.
+        """
         doc = "w = (Hessian of the cost of the node + Gauss-Newton Hessian of the integral of the cost rate over dt) d"
         sweep = Quadrature(problem, self.tableau, self.steps).product(name, doc, start, more)
         return self._backward(self._fix_length(sweep, problem))
@@ -219,7 +222,7 @@ class ExplicitRungeKutta(Integrator):
         return self._unroll(sweep)
 
     def _unroll(self, sweep: Sweep) -> Routine:
-        """The sweep as straight-line code or loops, according to ``unroll``."""
+        """Return the sweep as straight-line code or loops, according to ``unroll``."""
         rolled = lift_loops(sweep)
         self._refuse_straight(rolled)
         if self.unroll == "all":
@@ -232,7 +235,7 @@ class ExplicitRungeKutta(Integrator):
         return rolled
 
     def tables(self, problem: Problem) -> tuple[Table, ...]:
-        """Where noise acts."""
+        """Return the tables of the states and controls with noise."""
         return noise_tables(problem)
 
     def sizes(self, dims: Dims) -> tuple[tuple[str, int, str], ...]:

@@ -1,4 +1,4 @@
-"""Implicit Runge-Kutta integration for stiff models and algebraic equations, fixed step.
+"""Implicit Runge-Kutta integration with fixed step serves stiff models and algebraic equations.
 
     X_i = x + h sum_j a_ij K_j,   K_i = f(X_i, z_i, u, p),   0 = g(X_i, z_i, u, p),   x+ = x + h sum_i b_i K_i
 
@@ -33,29 +33,28 @@ from nmpc_codegen.package.features import Features
 from nmpc_codegen.package.signals import list_some
 from nmpc_codegen.package.struct_layout import Field, Struct
 
-#: Limits on the steps per interval, on stages that a backward sweep stores and on the numbers that it stores, which are
-#: on the stack.
+#: Limits of the steps per interval, and of the numbers that a backward sweep stores on the stack.
 MAX_STEPS, MAX_KEPT = 1000, 1 << 16
 
-#: Newton steps of a stage at most: with so many it iterates to rounding errors.
+#: Largest number of Newton steps of a stage, which reaches rounding errors.
 NEWTON_LIMIT = 30
 
-#: Halvings of a Newton step of the algebraic variables of a node, at most.
+#: Largest number of halvings of a Newton step for the algebraic variables of a node.
 HALVINGS = 10
 
-#: Newton steps of a stage in a sample by default.
+#: Default number of Newton steps of a stage in a sample.
 NEWTON_STEPS = 2
 
 
 @dataclass(frozen=True)
 class ImplicitRungeKutta(Integrator):
-    """Implicit Runge-Kutta scheme with equal steps per interval, for stiff models and algebraic equations.
+    """An implicit Runge-Kutta scheme with equal steps per interval, for stiff models and algebraic equations.
 
     Args:
         tableau: the scheme.
-        steps: steps per interval.
-        newton: steps of Newton's method per stage in a sample; None: 2, or up to 12 if the first plan needs them. The
-            last correction of the stages counts in stats.residual. solve(), kkt(), integrate() and derivatives iterate
+        steps: number of steps per interval.
+        newton: number of Newton steps per stage in a sample; None: 2, or up to 12 if the first plan needs them. The
+            last correction of the stages is part of stats.residual. solve(), kkt(), integrate() and derivatives iterate
             to rounding errors.
 
     Examples:
@@ -94,23 +93,26 @@ class ImplicitRungeKutta(Integrator):
 
     @property
     def small(self) -> ImplicitRungeKutta:
-        """Its code consists of loops."""
+        """Return the integrator itself, whose code consists of loops."""
         return self
 
     @property
     def newton_steps(self) -> int:
-        """Newton steps of a stage in a sample."""
+        """Return the number of Newton steps of a stage in a sample."""
         return NEWTON_STEPS if self.newton is None else self.newton
 
     def longest_step(self, problem: Problem) -> float:
-        """Length (s) of a step in the longest interval."""
+        """Return the length (s) of a step in the longest interval."""
         return max(problem.dt) / self.steps
 
     def _intervals(self, problem: Problem) -> Intervals:
         return Intervals(problem, self.tableau, self.steps, self.newton_steps)
 
     def interval(self, problem: Problem) -> Interval:
-        """interval(x, u, p, dt, newton -> x_next, S, left), step(x, u, p, h, newton -> x_next), and the value alone."""
+        """Return the routines of an interval, of a step, and of the value of an interval.
+
+        interval(x, u, p, dt, newton -> x_next, S, left), step(x, u, p, h, newton -> x_next).
+        """
         found = self._intervals(problem)
         return Interval(
             found.interval(),
@@ -122,37 +124,39 @@ class ImplicitRungeKutta(Integrator):
         )
 
     def products(self, problem: Problem) -> IntervalProducts:
-        """The value of an interval, and products with its Jacobians that do not form them."""
+        """Return the value of an interval, and products with its Jacobians that do not form them."""
         self._refuse_long(problem, "derivatives")
         found = self._intervals(problem)
         return IntervalProducts(found.value(), found.adjoint(), found.columns(True), found.columns(False))
 
     def directional(self, problem: Problem) -> tuple[Routine, Routine]:
-        """forward(x, u, p, dt, newton, dx, du -> dx_next) and adjoint(x, u, p, dt, newton, adj -> g)."""
+        """Return forward(x, u, p, dt, newton, dx, du -> dx_next) and adjoint(x, u, p, dt, newton, adj -> g)."""
         self._refuse_long(problem, "the adjoint")
         return self._intervals(problem).directional()
 
     def lift_hessian(self, problem: Problem, scheme: str, name: str, start: Call, more: tuple[Port, ...]) -> Routine:
-        """(x, u, p, dt, newton, more, lam) -> (x_next, S, g, Q, left): ``start`` initialises g and Q, and the interval
-        adds d(integrated cost) / dz and the lower triangle of d2 (lam' Phi + integrated cost) / dz^2, where z = (x, u).
+        """Return the routine (x, u, p, dt, newton, more, lam) -> (x_next, S, g, Q, left) with second derivatives.
 
-        scheme: "symmetric" (three sweeps) or "forward_over_adjoint".
+        ``start`` initialises g and Q. The interval adds d(integrated cost) / dz and the lower triangle of d2 (lam' Phi
+        + integrated cost) / dz^2, where z = (x, u). ``scheme`` is "symmetric" (three sweeps) or "forward_over_adjoint".
         """
         self._refuse_long(problem, name)
         return self._intervals(problem).hessian(scheme, name, start, more)
 
     def integrated_cost(self, problem: Problem, name: str, start: Call, more: tuple[Port, ...]) -> Routine:
-        """(x, u, p, dt, newton, more) -> l: what ``start`` stores in l, plus the integral of the cost rate."""
+        """Return the routine (x, u, p, dt, newton, more) -> l: the value from ``start`` plus the integral."""
         return self._intervals(problem).integral(name, start, more)
 
     def integrated_gradient(self, problem: Problem, name: str, start: Call, more: tuple[Port, ...]) -> Routine:
-        """(x, u, p, dt, newton, more) -> g: what ``start`` stores in g, plus the adjoint gradient of the integral."""
+        """Return the routine (x, u, p, dt, newton, more) -> g: the value from ``start`` plus its gradient."""
         self._refuse_long(problem, name)
         return self._intervals(problem).gradient(name, start, more)
 
     def integrated_product(self, problem: Problem, name: str, start: Call, more: tuple[Port, ...]) -> Routine:
-        """(x, u, p, dt, newton, more, d) -> w: what ``start`` stores in w, plus the Gauss-Newton Hessian of the
-        integral times d."""
+        """Return the routine (x, u, p, dt, newton, more, d) -> w: H d, added to the value from ``start``.
+
+        H is the Gauss-Newton Hessian of the integral.
+        """
         self._refuse_long(problem, name)
         return self._intervals(problem).product(name, start, more)
 
@@ -173,7 +177,7 @@ class ImplicitRungeKutta(Integrator):
         return replace(features, implicit=True)
 
     def tables(self, problem: CompleteProblem) -> tuple[Table, ...]:
-        """The scheme in the form of increments, and the variables that have second derivatives."""
+        """Return the scheme in the form of increments, and the variables that have second derivatives."""
         scheme, kernels = self.tableau, stage_kernels(problem)
         s, block = range(scheme.stages), scheme.block
         sizes = [*problem.scales.z[: problem.nx], *(problem.algebra.scale if problem.algebra else ())]
@@ -211,11 +215,11 @@ class ImplicitRungeKutta(Integrator):
         )
 
     def ranges(self, dims: Dims) -> Mapping[str, tuple[int, int]]:
-        """Samples take a stated number of Newton steps."""
+        """Return the range of ``newton``: samples take a fixed number of Newton steps."""
         return {"newton": (self.newton_steps, self.newton_steps)}
 
     def structs(self, dims: Dims) -> tuple[Struct, ...]:
-        """How far Newton's method goes, where it starts, and what it leaves."""
+        """Return the members for the number of Newton steps, their start, and their last corrections."""
         nodes = dims.nodes
         return (
             Struct("solver", "", (Field("newton", (), "Newton steps of a stage", "keep", "int32"), *_failure_fields())),
@@ -231,8 +235,11 @@ class ImplicitRungeKutta(Integrator):
 
 
 def increments(scheme: ButcherTableau) -> tuple[Array, Array]:
-    """(a, b): base_i = x + sum_j a_ij D_j over earlier blocks, x_next = x + sum_i b_i D_i, where D = h A K with the
-    coefficients A of the block, of an explicit stage h K."""
+    """Return (a, b) of the scheme in increments D.
+
+    base_i = x + sum_j a_ij D_j over earlier blocks, x_next = x + sum_i b_i D_i, where D = h A K with the coefficients A
+    of the block, and D = h K for an explicit stage.
+    """
     A, b, s = np.array(scheme.a, dtype=float), np.array(scheme.b, dtype=float), scheme.block
     of_blocks = np.zeros_like(A)
     for first in range(0, scheme.stages, s):
@@ -253,7 +260,7 @@ def _start_table(problem: Problem) -> tuple[Table, ...]:
 
 
 def _failure_fields() -> tuple[Field, ...]:
-    """What name_failed_stage() writes."""
+    """Return the members that name_failed_stage() writes."""
     docs = {
         "interval": "interval with a stage that cannot be solved, or -1",
         "step": "its step",

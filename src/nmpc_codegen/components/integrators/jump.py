@@ -1,8 +1,7 @@
-"""States that are maps of a node beside those that are integrated: constant along an interval, x_i+ = g_i(x, u, p) at
-its end.
+"""Discrete states are constant along an interval and jump at its end: x_i+ = g_i(x, u, p).
 
-The sweeps of an integrator treat them as states with the derivative 0. What a sweep computes of the end of the interval
-is completed behind it:
+The sweeps of an integrator treat them as states with the derivative 0. Calls after a sweep complete its results at the
+end of the interval:
 
     x_next, S: the rows of g and dg / d(x, u);   dx_next = g_z (dx, du);   A S: g_x S
     adjoints: those of the maps are 0 in the sweep, then g_z' lam is added;   Q: d2 (lam' g) is added
@@ -25,12 +24,12 @@ from nmpc_codegen.ir.sweep import Affine, Block, Call, Node, Slice, Sweep
 #: An argument of a call.
 A = TypeVar("A", Slice, Slice | str)
 
-#: Input ports with multipliers of the end of an interval.
+#: Names of input ports with multipliers of the end of an interval.
 ADJOINTS = ("lam", "adj")
 
 
 def jump_kernel(problem: Problem) -> Kernel | None:
-    """integrator_jump(x, u, p, dt -> x_next): the values of the maps; None if there are none."""
+    """Return integrator_jump(x, u, p, dt -> x_next), the values of the maps; None if there are none."""
     if problem.jump is None:
         return None
     x, u, p, dt = symbols(problem.nx, problem.nu, problem.np)
@@ -49,7 +48,7 @@ def jump_kernel(problem: Problem) -> Kernel | None:
 
 
 def jump_rows_kernel(problem: Problem) -> Kernel | None:
-    """integrator_jump_rows(x, u, p, dt -> x_next, S): the values of the maps and their rows of S, zeros included."""
+    """Return integrator_jump_rows(x, u, p, dt -> x_next, S): values of the maps, and their rows of S with zeros."""
     if problem.jump is None:
         return None
     x, u, p, dt = symbols(problem.nx, problem.nu, problem.np)
@@ -70,17 +69,17 @@ def jump_rows_kernel(problem: Problem) -> Kernel | None:
 
 
 def without_solution(problem: Problem, p: Expression) -> Expression:
-    """Parameters with zeros for what Newton's method finds, of which maps do not depend."""
+    """Return the parameters with zeros for results of Newton's method, on which maps do not depend."""
     return ca.vertcat(p, ca.SX.zeros(problem.solved))
 
 
 def with_end(sweep: Sweep, problem: Problem) -> Sweep:
-    """The sweep of an interval with what happens at its end: maps of a node, and noise."""
+    """Return the sweep of an interval with the calls at its end: maps of discrete states, and noise."""
     return with_noise(_with_jump(sweep, problem), problem)
 
 
 def _with_jump(sweep: Sweep, problem: Problem) -> Sweep:
-    """The sweep of an interval with what the maps add to it."""
+    """Return the sweep of an interval with the calls for the maps."""
     if problem.jump is None:
         return sweep
     jump = _Jump(problem)
@@ -98,7 +97,7 @@ def _with_jump(sweep: Sweep, problem: Problem) -> Sweep:
 
 
 def rename_buffer(nodes: Iterable[Node], old: str, new: str) -> tuple[Node, ...]:
-    """The nodes with another name of a buffer."""
+    """Return the nodes with a buffer renamed."""
 
     def slices(of: Iterable[A]) -> tuple[A, ...]:
         return tuple(replace(s, buffer=new) if isinstance(s, Slice) and s.buffer == old else s for s in of)
@@ -115,7 +114,7 @@ def rename_buffer(nodes: Iterable[Node], old: str, new: str) -> tuple[Node, ...]
 
 
 class _Jump:
-    """g, its derivatives, and the calls that write them."""
+    """The maps g, their derivatives, and the calls that write them."""
 
     def __init__(self, problem: Problem) -> None:
         assert problem.jump is not None
@@ -127,14 +126,14 @@ class _Jump:
         self.given = (Slice("x", self.nx), Slice("u", self.nu), Slice("p", problem.np), Slice("dt", 1))
 
     def mask(self, port: Port, target: str) -> Call:
-        """The multipliers of the states that are integrated, 0 for the maps."""
+        """Return the multipliers of the integrated states, with 0 for the maps."""
         lam = ca.SX.sym(port.name, port.size)
         kept = ca.vertcat(*(ca.SX(0) if i in self.maps else lam[i] for i in range(self.nx)))
         leaf = ca.Function("hold", [lam], [kept])
         return Call(leaf, (Slice(port.name, port.size),), (Slice(target, port.size),), note="start")
 
     def results(self, outputs: set[str], held: Port | None, free: bool) -> Iterable[Call]:
-        """The calls for these outputs of a sweep; ``free``: S_next is A S, else B."""
+        """Yield the calls for these outputs of a sweep; S_next is A S if ``free``, else B."""
         rows = [self.slopes[n, :].T for n in range(len(self.maps))]
         if "x_next" in outputs:
             values = [self.value[n] for n in range(len(self.maps))]
@@ -163,7 +162,7 @@ class _Jump:
             yield from self._curvature(lam, source, weighted)
 
     def _curvature(self, lam: Expression, source: Slice, weighted: Expression) -> Iterable[Call]:
-        """Q += d2 (lam' g), lower triangle, if g bends."""
+        """Yield Q += d2 (lam' g), lower triangle, if g is nonlinear."""
         H = ca.sparsify(ca.tril(ca.hessian(ca.dot(weighted, self.value), self.z)[0]))
         entries = list(zip(*H.sparsity().get_triplet(), strict=True))
         if not entries:
@@ -174,7 +173,7 @@ class _Jump:
         yield self._call("jump_Q", [(lam, source), *zip(sums, places, strict=True)], values, places)
 
     def _product(self, free: bool) -> Call:
-        """Rows of S_next = B, or of A S."""
+        """Return the rows of S_next = B, or of A S."""
         n = self.nx * self.nu
         targets = [Slice("S_next", self.nu, Affine(i * self.nu)) for i in self.maps]
         S, source = ca.SX.sym("S", n), Slice("S", n)

@@ -1,6 +1,6 @@
-"""Noise that is added at the end of an interval: x_i+ = Phi_i(x, u, p) + u_j for pairs (i, j) of the problem.
+"""Noise is added at the end of an interval: x_i+ = Phi_i(x, u, p) + u_j for pairs (i, j) of the problem.
 
-The sweeps of an integrator do not know it. What a sweep computes of the end of the interval is completed behind it:
+The sweeps of an integrator ignore it. Calls after a sweep complete its results at the end of the interval:
 
     x_next_i += u_j;   S_ij = 1;   dx_next_i += du_j;   B_ij = 1;   (B' lam)_j += lam_i;   second derivatives are 0
 """
@@ -17,12 +17,12 @@ from nmpc_codegen.ir.casadi_types import Function
 from nmpc_codegen.ir.cmodule import Table
 from nmpc_codegen.ir.sweep import Affine, Call, Slice, Sweep
 
-#: Name of what is added.
+#: Note on the calls that add noise.
 NOTE = "noise at the end of the interval"
 
 
 def with_noise(sweep: Sweep, problem: Problem) -> Sweep:
-    """The sweep of an interval with what the noise adds to its results."""
+    """Return the sweep of an interval with the calls that add noise to its results."""
     if not problem.noise:
         return sweep
     inputs, outputs = ({port.name for port in ports} for ports in (sweep.inputs, sweep.outputs))
@@ -31,7 +31,7 @@ def with_noise(sweep: Sweep, problem: Problem) -> Sweep:
 
 
 def noise_tables(problem: Problem) -> tuple[Table, ...]:
-    """The pairs (i, j)."""
+    """Return the tables of the pairs (i, j)."""
     states, controls = zip(*problem.noise, strict=True) if problem.noise else ((), ())
     return (
         Table("noise_state", "int", states, "states with noise at the end of an interval"),
@@ -40,7 +40,7 @@ def noise_tables(problem: Problem) -> tuple[Table, ...]:
 
 
 def _results(problem: Problem, i: int, j: int, inputs: set[str], outputs: set[str]) -> Iterable[Call]:
-    """The calls for state i and control j."""
+    """Yield the calls for state i and control j."""
     nu, nz, column = problem.nu, problem.nx + problem.nu, problem.nx + j
     if "x_next" in outputs:
         yield _add("x_next", i, "u", j)

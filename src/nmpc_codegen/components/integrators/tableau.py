@@ -1,4 +1,4 @@
-"""Butcher tableaus of explicit and implicit Runge-Kutta schemes, which validate themselves."""
+"""Butcher tableaus of explicit and implicit Runge-Kutta schemes validate themselves."""
 
 from __future__ import annotations
 
@@ -16,38 +16,38 @@ from nmpc_codegen.ir.casadi_types import Expression
 F = Fraction
 
 
-#: A coefficient: exact, or a floating-point number where it is irrational.
+#: A coefficient is exact, or a floating-point number if it is irrational.
 Coefficient = Fraction | float
 
-#: Residual of an order condition that rounding of irrational coefficients leaves.
+#: Residuals of order conditions up to this value come from rounding of irrational coefficients.
 ROUNDING = 1e-13
 
-#: Excess of |R| over 1 that is rounding, and the inverse of a number that stands for infinity.
+#: Excess of |R| over 1 that counts as rounding; inverse of the number that stands for infinity.
 UNSTABLE, FAR = 1e-9, 1e-6
 
 
-#: Determinant of the coefficients of stages that depend on each other, at least.
+#: Least determinant of the coefficients of stages that depend on each other.
 REGULAR = 1e-9
 
-#: What a tableau may state of its stability.
+#: Stability that a tableau may claim.
 STABILITY = ("", "A", "L")
 
 
 @dataclass(frozen=True)
 class ButcherTableau:
-    """Scheme X_i = x + h sum_j a_ij K_j, K_i = f(X_i), x+ = x + h sum_i b_i K_i.
+    """A Runge-Kutta scheme X_i = x + h sum_j a_ij K_j, K_i = f(X_i), x+ = x + h sum_i b_i K_i.
 
-    Checked on creation: a is lower triangular with a diagonal that is not negative, or regular; the order conditions
-    hold up to min(order, 4), beyond that those of quadrature, exactly or, with floating-point coefficients, up to
-    rounding, and so does the stability that is claimed.
+    It is checked on creation: a is lower triangular with a nonnegative diagonal, or regular. The order conditions up to
+    min(order, 4), and the quadrature conditions beyond, hold exactly, or up to rounding with floating-point
+    coefficients. The claimed stability holds for
 
         R(z) = 1 + z b' (I - z A)^{-1} 1 = det(I - z (A - 1 b')) / det(I - z A)
 
     Args:
-        name: its name in reports.
+        name: name in reports.
         a: (s, s), rows of fractions or numbers.
         b: (s,).
-        order: the order that it has.
+        order: order of convergence.
         stability: "A": |R(z)| <= 1 for Re z <= 0; "L": also R = 0 at infinity; "": nothing is claimed.
 
     Raises:
@@ -84,8 +84,10 @@ class ButcherTableau:
             self._check_stability()
 
     def _check_stability(self) -> None:
-        """Raise OptionError unless |R(iy)| <= 1 for all y, R has no pole with Re z <= 0, and for "L" R vanishes at
-        infinity."""
+        """Raise OptionError unless the claimed stability holds.
+
+        |R(iy)| <= 1 for all y, R has no pole with Re z <= 0, and for "L" R vanishes at infinity.
+        """
         limit = abs(self.stability_function(-1 / FAR))
         along = np.tan(np.linspace(0, math.pi / 2, 2000, endpoint=False))
         most = max(abs(self.stability_function(complex(0, y))) for y in along)
@@ -95,16 +97,19 @@ class ButcherTableau:
             raise OptionError(f"tableau {self.name}: it is not L-stable; |R| at infinity is {limit:.3g}")
 
     def stability_function(self, z: complex) -> complex:
-        """R(z): x+ = R(h lambda) x for x' = lambda x."""
+        """Return R(z): x+ = R(h lambda) x for x' = lambda x."""
         a, b = np.array(self.a, dtype=float), np.array(self.b, dtype=float)
         one = np.eye(len(b))
-        with np.errstate(all="ignore"):  # NaN where a product exceeds the numbers
+        with np.errstate(all="ignore"):  # NaN where a product overflows
             return complex(np.linalg.det(one - z * (a - b)) / np.linalg.det(one - z * a))
 
     @property
     def kind(self) -> str:
-        """Whether the diagonal of a is zero, at most in its first entry, or elsewhere; "fully implicit" if stages
-        depend on later ones."""
+        """Return the kind of the scheme by the zeros of its matrix a.
+
+        Explicit schemes have a zero diagonal; diagonally implicit ones may have a zero in its first entry; stages of
+        fully implicit ones depend on later stages.
+        """
         if any(self.a[i][j] for i in range(self.stages) for j in range(i + 1, self.stages)):
             return "fully implicit"
         zeros = [not self.a[i][i] for i in range(self.stages)]
@@ -114,22 +119,25 @@ class ButcherTableau:
 
     @property
     def stages(self) -> int:
-        """Number of stages."""
+        """Return the number of stages."""
         return len(self.b)
 
     @property
     def block(self) -> int:
-        """Stages that are solved together."""
+        """Return the number of stages that are solved together."""
         return self.stages if self.kind == "fully implicit" else 1
 
     @property
     def c(self) -> tuple[Coefficient, ...]:
-        """c_i = sum_j a_ij."""
+        """Return c_i = sum_j a_ij."""
         return tuple(sum(row, F(0)) for row in self.a)
 
     def order_residuals(self) -> list[tuple[int, Coefficient]]:
-        """(order, residual) of the eight order conditions up to order 4 (Hairer, Norsett, Wanner, table II.2.2), and of
-        the quadrature b'c^(k-1) = 1 / k beyond, one more than the order that is claimed."""
+        """Return (order, residual) of the eight order conditions up to order 4, and of quadrature conditions.
+
+        The order conditions are those of Hairer, Norsett, Wanner, table II.2.2; the quadrature conditions are b'c^(k-1)
+        = 1 / k beyond, up to one more than the claimed order.
+        """
         a, b, c = self.a, self.b, self.c
         s = range(len(b))
 
@@ -157,7 +165,7 @@ class ButcherTableau:
 def combine(
     x: Expression, h: Expression, slopes: Sequence[Expression], coefficients: Sequence[Coefficient]
 ) -> Expression:
-    """x + h sum_j c_j K_j; ``slopes`` are the K_j with nonzero c_j, and equal coefficients share a product."""
+    """Return x + h sum_j c_j K_j; ``slopes`` are the K_j with nonzero c_j, and equal coefficients share a product."""
     values = [c for c in coefficients if c]
     for c in dict.fromkeys(values):
         same = [k for k, v in zip(slopes, values, strict=True) if v == c]
@@ -198,15 +206,17 @@ TABLEAUS: dict[str, ButcherTableau] = {t.name: t for t in (Euler, Midpoint, Heun
 
 
 def _sdirk3() -> ButcherTableau:
-    """Alexander (1977): three stages; g is the root of g^3 - 3 g^2 + 3/2 g - 1/6 between 1/6 and 1/2."""
+    """Return the scheme of Alexander (1977): three stages, with g the root of g^3 - 3 g^2 + 3/2 g - 1/6."""
     g = _ROOT
     b1, b2 = -(6 * g**2 - 16 * g + 1) / 4, (6 * g**2 - 20 * g + 5) / 4
     return ButcherTableau("SDIRK3", ((g, 0.0, 0.0), ((1 - g) / 2, g, 0.0), (b1, b2, g)), (b1, b2, g), 3, "L")
 
 
 def _esdirk3() -> ButcherTableau:
-    """Four stages of order 2, the first one explicit, c = (0, 2 g, 3/5, 1) (Kennedy and Carpenter, NASA/TM-2016-219173,
-    ESDIRK3(2)4L[2]SA)."""
+    """Return a scheme of four stages of order 2 with an explicit first stage, c = (0, 2 g, 3/5, 1).
+
+    Source: Kennedy and Carpenter, NASA/TM-2016-219173, ESDIRK3(2)4L[2]SA.
+    """
     g, c3 = _ROOT, 0.6
     c2 = 2 * g
     a32 = c3 * (c3 - c2) / (2 * c2)
@@ -234,8 +244,10 @@ ESDIRK3 = _esdirk3()
 
 
 def _collocation(name: str, c: Sequence[float], order: int, stability: Literal["A", "L"]) -> ButcherTableau:
-    """Scheme whose stages are the points c of a polynomial: sum_j a_ij c_j^(k-1) = c_i^k / k (Hairer and Wanner,
-    Solving Ordinary Differential Equations II, section IV.5)."""
+    """Return the scheme whose stages are the points c of a polynomial: sum_j a_ij c_j^(k-1) = c_i^k / k.
+
+    Source: Hairer and Wanner, Solving Ordinary Differential Equations II, section IV.5.
+    """
     s = np.arange(len(c))
     powers = np.array(c)[:, None] ** s  # c_j^(k-1)
     ends = np.array([*c, 1.0])[:, None] ** (s + 1) / (s + 1)

@@ -1,4 +1,4 @@
-"""ADD A QP SOLVER HERE: a component that fulfils `QpSolver` of base.py; the registry maps its name to its class."""
+"""ADD A QP SOLVER HERE: a component that implements `QpSolver` of base.py; the registry maps its name to its class."""
 
 from collections.abc import Mapping
 

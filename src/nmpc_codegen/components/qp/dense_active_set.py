@@ -1,4 +1,4 @@
-"""Dense dual active-set solver for the condensed QP.
+"""The dense dual active-set solver solves the condensed QP.
 
     min 1/2 z'Hz + g'z   s.t.  lower <= (z, A z) <= upper
 
@@ -21,8 +21,8 @@ from nmpc_codegen.package.struct_layout import Field, Struct
 if TYPE_CHECKING:
     from nmpc_codegen.components.base import Counts, Dims, StageMatrices
 
-#: What closed loops with disturbances need of a QP at most (verification/robustness and strangers): iterations per
-#: variable and row, and proximal steps for a semidefinite Hessian. The default caps are CAUTION times as many.
+#: Largest numbers in closed loops with disturbances (verification/robustness and strangers): iterations of a QP per
+#: variable and row, and proximal steps for a semidefinite Hessian. The default caps are CAUTION times as large.
 ITERATIONS_NEEDED, PROXIMAL_STEPS_NEEDED = 3.4, 17
 CAUTION = 2
 
@@ -35,12 +35,13 @@ PROXIMAL_STEPS = math.ceil(CAUTION * PROXIMAL_STEPS_NEEDED)
 
 @dataclass(frozen=True)
 class DenseActiveSet(QpSolver):
-    """Dual active-set solver of the condensed QP, to rounding accuracy.
+    """A dual active-set solver of the condensed QP, accurate to rounding.
 
-    It starts with the working set of the QP before.
+    It starts with the working set of the previous QP.
 
     Args:
-        max_iterations: changes of the working set in one feedback phase at most; None: 6.8 (NV + NG), at least 50.
+        max_iterations: largest number of changes of the working set in one feedback phase; None: 6.8 (NV + NG), at
+            least 50.
     """
 
     name: ClassVar[str] = "dense_active_set"
@@ -59,7 +60,7 @@ class DenseActiveSet(QpSolver):
         return self.max_iterations or max(LEAST_ITERATIONS, needed)
 
     def sizes(self, dims: Dims) -> tuple[tuple[str, int, str], ...]:
-        """The iteration cap."""
+        """Return the iteration cap."""
         cap = self._cap(dims)
         steps = min(cap, PROXIMAL_STEPS)
         variables = f"{CAUTION * ITERATIONS_NEEDED:g} ({dims.qp.nv.text} + {dims.ng.text}), at least {LEAST_ITERATIONS}"
@@ -76,7 +77,7 @@ class DenseActiveSet(QpSolver):
         )
 
     def structs(self, dims: Dims) -> tuple[Struct, ...]:
-        """The QP: data, result, factors and working set."""
+        """Return the structs of the QP: data, result, factors and working set."""
         nv, ng, ld, ldh = dims.qp.nv, dims.ng, dims.qp.ld, dims.qp.ldh
         rows = dims.constraints
         contradiction = "if INFEASIBLE: weights of a contradiction"
@@ -132,11 +133,11 @@ class DenseActiveSet(QpSolver):
         )
 
     def ranges(self, dims: Dims) -> Mapping[str, tuple[int, int]]:
-        """The working set has at most as many rows as the QP has variables."""
+        """Return the range of ``nw``: the working set has at most as many rows as the QP has variables."""
         return {"nw": (0, dims.qp.nv)}
 
     def cost(self, dims: Dims, model: StageMatrices) -> Counts:
-        """Operations of the functions whose count depends on sizes alone (padded columns included)."""
+        """Count the functions whose operations depend only on sizes (padded columns included)."""
         n, slacks = dims.qp.ldh, dims.qp.ld - dims.qp.ldh
         panels = n // 4
         # Per panel b: entries to the right of it, and to the left.
@@ -151,13 +152,16 @@ class DenseActiveSet(QpSolver):
         }
 
     def search(self, dims: Dims) -> OpCount:
-        """A quarter of the variables enter or leave the working set, at about 2 n (n + ng) operations of a kind."""
+        """Estimate a search: a quarter of the variables change, at about 2 n (n + ng) operations of each kind."""
         n = dims.qp.nv
         return OpCount(add=2, mul=2) * (n * (n + dims.ng)) * max(1, n // 4)
 
 
 def _working_memory(dims: Dims) -> tuple[Struct, ...]:
-    """Factors of the working set, and the union through which the caller may use their memory before they exist."""
+    """Return the factors of the working set, and a union.
+
+    Through the union, the caller may use their memory before they exist.
+    """
     basis = (
         Field("Q", (dims.qp.ld, dims.qp.ld), "rows: orthonormal basis of the normals in the working set", "scratch"),
         Field("R", (dims.qp.ld, dims.qp.ld), "row j: coefficients of normal j in that basis (R transposed)", "scratch"),
@@ -174,7 +178,7 @@ def _working_memory(dims: Dims) -> tuple[Struct, ...]:
 
 
 def _factorization(dims: Dims) -> OpCount:
-    """Operations of L D L' of a positive definite H, panel by panel."""
+    """Count L D L' of a positive definite H, panel by panel."""
     n, ld = dims.qp.nv - dims.qp.nsl, dims.qp.ldh
     slacks = dims.qp.ld - ld
     total = OpCount(sqrt=ld + slacks, div=slacks)

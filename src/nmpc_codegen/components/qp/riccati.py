@@ -1,4 +1,4 @@
-"""Structs, sizes and operation counts of the Riccati recursion (templates/riccati) that the Riccati QP solvers share.
+"""The Riccati QP solvers share structs, sizes and operation counts of the Riccati recursion (templates/riccati).
 
 M_k = Q_k + diag(0, diagonal) + sum_m weight_m a_m a_m' + S_k'P_{k+1}S_k,   K = -M_uu^{-1} M_ux,   P_k = M_xx + M_ux'K
 """
@@ -22,7 +22,7 @@ def _pad(n: int, dims: Dims) -> int:
 
 
 def riccati_sizes(dims: Dims) -> tuple[tuple[str, int, str], ...]:
-    """Leading dimensions: (macro without prefix, value, meaning)."""
+    """Return the leading dimensions: (macro without prefix, value, meaning)."""
     nx, nus = dims.nx, dims.nu
     ldx, ldu = _pad(nx, dims), _pad(nus, dims)
     rounded = "" if dims.multiple == 1 else f" rounded up to {dims.multiple}"
@@ -38,10 +38,10 @@ def riccati_sizes(dims: Dims) -> tuple[tuple[str, int, str], ...]:
 def riccati_structs(
     dims: Dims, scratch: tuple[Field, ...] = (), corrected: tuple[Field, ...] = ()
 ) -> tuple[Struct, ...]:
-    """The struct ``riccati`` of the solver, data and factors of the recursion, and the structs that it contains.
+    """Return the struct ``riccati`` of the solver, data and factors of the recursion, and the structs that it contains.
 
     Its member ``work`` is a union of a stage of the factorisation, the vectors of a substitution, and ``scratch``,
-    which neither of them reads. ``corrected``: fields beside the vectors that correcting a minimiser needs.
+    which neither of them reads. ``corrected`` holds fields for the correction of a minimiser beside the vectors.
     """
     ldx, ldu, ldz, _, _ = (Size(name, value) for name, value, _ in riccati_sizes(dims))
     stages, nodes = dims.N, dims.nodes
@@ -92,7 +92,7 @@ def riccati_structs(
 
 
 def _work(dims: Dims, scratch: tuple[Field, ...], corrected: tuple[Field, ...]) -> tuple[Struct, ...]:
-    """The union ``riccati_work``, after the structs that are its members."""
+    """Return the union ``riccati_work``, after the structs that are its members."""
     ldz, ldw, ldt = (Size(name, value) for name, value, _ in riccati_sizes(dims)[2:])
     nodes = dims.nodes
     return (
@@ -140,9 +140,9 @@ def _work(dims: Dims, scratch: tuple[Field, ...], corrected: tuple[Field, ...]) 
 
 
 def units_structs(dims: Dims) -> tuple[tuple[Struct, ...], Field]:
-    """The struct ``units`` of the solver, which holds (a_c'H^{-1}a_c)^{1/2} of every row, and the struct ``noise``.
+    """Return the struct ``units`` of the solver, which holds (a_c'H^{-1}a_c)^{1/2} of every row, and a field.
 
-    The latter is memory to compute it with; the second value is the field that places it in the recursion's scratch.
+    The struct ``noise`` is memory for this computation; the field places it in the recursion's scratch.
     """
     sizes = {name: Size(name, value) for name, value, _ in riccati_sizes(dims)}
     ldx, ldu = sizes["LDX"], sizes["LDU"]
@@ -169,7 +169,7 @@ def units_structs(dims: Dims) -> tuple[tuple[Struct, ...], Field]:
 
 
 def stage_qp_fields(dims: Dims) -> tuple[Field, ...]:
-    """Bounds, penalties and results, which every solver of the stage QP has in its struct ``qp``."""
+    """Return bounds, penalties and results, which every solver of the stage QP has in its struct ``qp``."""
     nv, ng = dims.qp.nv, dims.ng
     rows = dims.constraints
     nodes = dims.nodes
@@ -196,9 +196,9 @@ def stage_qp_fields(dims: Dims) -> tuple[Field, ...]:
 
 
 def riccati_cost(dims: Dims) -> dict[str, OpCount]:
-    """Operations of one recursion, one backward and one forward substitution over all stages.
+    """Count one recursion, one backward and one forward substitution over all stages.
 
-    The counts are for dynamics with gaps, when no row has a weight, no control is fixed and no pivot is regularised.
+    The counts are for dynamics with gaps, if no row has a weight, no control is fixed and no pivot is regularised.
     """
     ns, nx, nus, nf = dims.N, dims.nx, dims.nu, dims.nf
     ldx, nz = _pad(nx, dims), nx + nus
@@ -215,9 +215,9 @@ def riccati_cost(dims: Dims) -> dict[str, OpCount]:
 
 
 def riccati_search(dims: Dims) -> OpCount:
-    """Operations of ten interior point iterations, which are typical where a working set is far from the predicted one.
+    """Estimate a search by ten interior point iterations, typical if a working set is far from the predicted one.
 
-    A row takes about 40 of a kind, its products with a point, and those with itself.
+    A row takes about 40 operations of each kind, its products with a point, and those with itself.
     """
     counts, nz = riccati_cost(dims), dims.nz
     iteration = counts["riccati_factorize"] + (counts["riccati_backward"] + counts["riccati_forward"]) * 2
@@ -249,15 +249,15 @@ def _free_factor(nf: int) -> OpCount:
 
 
 def _entries(number: int, n: int) -> OpCount:
-    """Operations of entries of a product, with n terms each."""
+    """Count entries of a product with n terms each."""
     return OpCount(add=number * (n + 1), mul=number * n)
 
 
 def _combination(width: int, n: int) -> OpCount:
-    """Operations of a row plus a linear combination of n rows."""
+    """Count a row plus a linear combination of n rows."""
     return OpCount(add=width * (n + 1), mul=width * n)
 
 
 def _dot(n: int) -> OpCount:
-    """Operations of a scalar product that is computed in partial sums."""
+    """Count a scalar product that is computed in partial sums."""
     return OpCount(add=n + 8, mul=n)

@@ -1,4 +1,4 @@
-"""Warm-started active-set solver based on the Riccati recursion; its time is linear in the length of the horizon.
+"""A warm-started active-set solver uses the Riccati recursion, so that its time is linear in the horizon length.
 
     min  sum_k 1/2 z_k'Q_k z_k + g_k'z_k + 1/2 x_N'Q_N x_N + g_N'x_N   s.t.  x_{k+1} = S_k z_k + b_k,
     lower <= (u, rows) <= upper
@@ -32,11 +32,11 @@ if TYPE_CHECKING:
     from nmpc_codegen.package.opcount import OpCount
 
 
-#: Default cap on the number of working sets that are tried: one and a half times what closed loops with disturbances
-#: need of a QP at most (verification/robustness and strangers).
+#: Default cap on the number of working sets that are tried: one and a half times the largest number in closed loops
+#: with disturbances (verification/robustness and strangers).
 MAX_ITERATIONS = 30
 
-#: Cap on the working sets that are tried from one that is expected to be nearly that of the solution.
+#: Cap on the working sets that are tried from one that is expected to be close to that of the solution.
 MAX_POLISH = 5
 
 
@@ -45,15 +45,15 @@ _FALLBACKS: dict[str, RiccatiInteriorPoint | None] = {"riccati_interior_point": 
 
 
 def _joint(dims: Dims) -> int:
-    """Cap on the rows in the Schur complement: more of them than states are rarely independent, and cost memory.
+    """Return the cap on the rows in the Schur complement: more rows than states are rarely independent.
 
-    At least 2: in loops over pairs of rows GCC 11 and 12 warn of the second element of arrays with one.
+    It is at least 2: in loops over pairs of rows, GCC 11 and 12 warn of the second element of arrays with one element.
     """
     return max(2, min(dims.ng, dims.nx)) if dims.ng else 0
 
 
 def _schur_struct(dims: Dims) -> Struct:
-    """Rows of the working set as equations."""
+    """Return the struct for rows of the working set as equations."""
     joint, stages = Size("QP_MAX_JOINT", _joint(dims)), dims.N
     ldx = Size("LDX", riccati_sizes(dims)[0][1])
     return Struct(
@@ -77,14 +77,14 @@ def _schur_struct(dims: Dims) -> Struct:
 
 @dataclass(frozen=True)
 class RiccatiActiveSet(QpSolver):
-    """Active-set solver of a QP on stages, to rounding accuracy; time and memory are linear in N.
+    """An active-set solver of a QP on stages, accurate to rounding; time and memory are linear in N.
 
     Args:
-        max_iterations: working sets that are tried in one feedback phase at most; None: 30.
-        fallback: the method, with its options, that takes over earlier, once the number of changes has failed to fall
-            three times. It continues until its iterate indicates a working set, from which the active-set method
-            finishes. With None a QP for which no working set is found, even an infeasible one, ends with
-            ITERATION_LIMIT (crossed bounds with INFEASIBLE), and the package is smaller.
+        max_iterations: largest number of working sets that are tried in one feedback phase; None: 30.
+        fallback: the method that takes over, with its options, once the number of changes has failed to decrease three
+            times. It continues until its iterate indicates a working set, from which the active-set method finishes.
+            With None, a QP for which no working set is found ends with ITERATION_LIMIT even if it is infeasible (with
+            INFEASIBLE only for crossed bounds), and the package is smaller.
     """
 
     name: ClassVar[str] = "riccati_active_set"
@@ -101,7 +101,7 @@ class RiccatiActiveSet(QpSolver):
         check_options(self, self.seam)
 
     def adds(self, features: Features) -> Features:
-        """The interior point method, if it is the fall-back."""
+        """Return the features with the interior point method if it is the fall-back."""
         return replace(features, interior_point=self.fallback is not None)
 
     @property
@@ -109,7 +109,7 @@ class RiccatiActiveSet(QpSolver):
         return self.max_iterations or MAX_ITERATIONS
 
     def sizes(self, dims: Dims) -> tuple[tuple[str, int, str], ...]:
-        """Leading dimensions and caps."""
+        """Return leading dimensions and caps."""
         why = "as the options say" if self.max_iterations else "1.5 times what closed loops need"
         return (
             *riccati_sizes(dims),
@@ -134,7 +134,7 @@ class RiccatiActiveSet(QpSolver):
         )
 
     def structs(self, dims: Dims) -> tuple[Struct, ...]:
-        """The recursion; the QP and its working set."""
+        """Return the structs of the recursion, of the QP and of its working set."""
         ng, nx = dims.ng, dims.nx
         nodes = dims.nodes
         history = Size("QP_MAX_ITERATIONS + 1", self._cap + 1)
@@ -174,15 +174,15 @@ class RiccatiActiveSet(QpSolver):
         )
 
     def ranges(self, dims: Dims) -> Mapping[str, tuple[int, int]]:
-        """Stages, and sides of the interior point method."""
+        """Return the ranges of stages, and of sides of the interior point method."""
         stages = (-1, dims.N)
         sides: Mapping[str, tuple[int, int]] = {} if self.fallback is None else self.fallback.ranges(dims)
         return {"stale": stages, "stale_vectors": stages, "joint": (0, _joint(dims)), **sides}
 
     def cost(self, dims: Dims, model: StageMatrices) -> Counts:
-        """The recursion and its substitutions; a warm-started sample needs one of each."""
+        """Count the recursion and its substitutions; a warm-started sample needs one of each."""
         return riccati_cost(dims)
 
     def search(self, dims: Dims) -> OpCount:
-        """The fall-back finds the working set."""
+        """Estimate a search, in which the fall-back finds the working set."""
         return riccati_search(dims)

@@ -1,4 +1,4 @@
-"""Riccati interior point solver for the stage QP.
+"""The Riccati interior point solver solves the stage QP.
 
     min sum_k 1/2 z_k'Q_k z_k + g_k'z_k   s.t.  x_{k+1} = S_k z_k + b_k,   lower <= (u, J z) <= upper,   z = (x, u)
 
@@ -25,14 +25,14 @@ if TYPE_CHECKING:
 MAX_ITERATIONS = 80
 
 
-#: Of the size IPM_CROSSOVER.
+#: Meaning of the size IPM_CROSSOVER.
 CROSSOVER = "1: the iterations may end once they indicate a working set; 0: they start near the multipliers before"
 
 
 def interior_point_struct(dims: Dims, crossover: bool) -> Struct:
-    """The struct ``ipm`` of the solver: iterate and directions of the method.
+    """Return the struct ``ipm`` of the solver: iterate and directions of the method.
 
-    ``crossover``: another method may take over.
+    With ``crossover``, another method may take over.
     """
     ng = dims.ng
     rows, sides = _rows_and_sides(dims)
@@ -78,7 +78,7 @@ def _rows_and_sides(dims: Dims) -> tuple[Size, Size]:
 
 
 def _progress(dims: Dims, warm: bool) -> tuple[Field, ...]:
-    """The fields of the struct ``ipm`` that are not vectors of real numbers."""
+    """Return the fields of the struct ``ipm`` that are not vectors of real numbers."""
     rows, sides = _rows_and_sides(dims)
     stretched = Field("stretched", (), "1: the next step is stretched towards the equations", "scratch", "int32")
     return (
@@ -114,11 +114,12 @@ def _progress(dims: Dims, warm: bool) -> tuple[Field, ...]:
 
 @dataclass(frozen=True)
 class RiccatiInteriorPoint(QpSolver):
-    """Interior point solver of a QP on stages; time and memory are linear in N. It starts near the multipliers of the
-    previous QP.
+    """An interior point solver of a QP on stages; time and memory are linear in N.
+
+    It starts near the multipliers of the previous QP.
 
     Args:
-        max_iterations: factorisations in one feedback phase at most.
+        max_iterations: largest number of factorisations in one feedback phase.
     """
 
     max_iterations: int = option(MAX_ITERATIONS, Whole())
@@ -134,11 +135,11 @@ class RiccatiInteriorPoint(QpSolver):
         check_options(self, self.seam)
 
     def adds(self, features: Features) -> Features:
-        """INTERIOR_POINT: the method is in the package."""
+        """Return the features with the interior point method."""
         return replace(features, interior_point=True)
 
     def sizes(self, dims: Dims) -> tuple[tuple[str, int, str], ...]:
-        """Leading dimensions of the recursion, the cap on the iterations, and how they end."""
+        """Return the leading dimensions of the recursion, the cap on the iterations, and the mark of their end."""
         return (
             *riccati_sizes(dims),
             ("IPM_MAX_ITERATIONS", self.max_iterations, "cap on the interior point iterations of one QP"),
@@ -146,12 +147,12 @@ class RiccatiInteriorPoint(QpSolver):
         )
 
     def ranges(self, dims: Dims) -> Mapping[str, tuple[int, int]]:
-        """Every row has two sides at most."""
+        """Return the range of sides: every row has at most two."""
         sides = (0, 2 * (dims.qp.nv + dims.ng))
         return {"sides": sides, "hard": sides}
 
     def structs(self, dims: Dims) -> tuple[Struct, ...]:
-        """The recursion, the method, the QP."""
+        """Return the structs of the recursion, the method and the QP."""
         units, noise = units_structs(dims)
         qp = Struct("qp", "bounds and results of the stage QP", stage_qp_fields(dims))
         return (*units, *riccati_structs(dims, (noise,)), interior_point_struct(dims, False), qp)

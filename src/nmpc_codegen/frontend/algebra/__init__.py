@@ -1,1 +1,1 @@
-"""Algebraic equations: their statement, what expressions solve of them, and what is left to Newton's method."""
+"""Algebraic equations are stated, solved by expressions as far as possible, and left to Newton's method otherwise."""

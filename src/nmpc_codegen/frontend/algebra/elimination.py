@@ -1,10 +1,10 @@
-"""Algebraic equations and implicit dynamics solved as far as expressions can: what remains is left to Newton's method.
+"""Algebraic equations and implicit dynamics are solved by expressions as far as possible.
 
-    0 = r(v; x, u, p),   v: algebraic variables and derivatives of states that are not stated
+    0 = r(v; x, u, p),   v: algebraic variables, and derivatives of states that dynamics() does not give
 
 A permutation brings dr/dv to block triangular form (Duff and Reid, ACM Trans. Math. Softw. 4, 1978). A block that is
-linear in its own variables is eliminated; the variables of the others are those of Newton's method, and all of their
-equations are solved together.
+linear in its own variables is eliminated. The variables of all other blocks are left to Newton's method, which solves
+their equations together.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ from nmpc_codegen.frontend.statement import Equation
 from nmpc_codegen.ir.casadi_types import Expression
 from nmpc_codegen.package.signals import list_some
 
-#: A pivot below this, relative to the largest entry of its row, is a rounding error.
+#: A pivot below this value, relative to the largest entry of its row, is a rounding error.
 SINGULAR = 1e-12
-#: Size of a variable that starts at 0, and of a pivot relative to its row; unknowns of which determinants are formed.
+#: Size of a variable that starts at 0; least pivot relative to its row; most unknowns that are solved by determinants.
 SMALL, DETERMINANTS = 1e-3, 3
 
 
@@ -41,9 +41,12 @@ class Unknown:
 
 @dataclass(frozen=True, eq=False)
 class Solved:
-    """``values``: every unknown in the given symbols and those of ``newton``, positions among the unknowns of what
-    Newton's method solves for; ``rest``: their equations, and ``inverse``: 1 where the inverse of their Jacobian may be
-    other than 0. ``at``: values of all unknowns at the first plan; NaN where Newton's method finds none there."""
+    """The result of the elimination.
+
+    values: every unknown, in the given symbols and those of ``newton``; newton: indices of the unknowns that Newton's
+    method solves for; rest: their equations; inverse: 1 where the inverse of their Jacobian may be nonzero; at: values
+    of all unknowns at the first plan, NaN where Newton's method finds none.
+    """
 
     values: tuple[Any, ...]
     newton: tuple[int, ...]
@@ -55,11 +58,14 @@ class Solved:
 def solve_equations(
     unknowns: Sequence[Unknown], equations: Sequence[Equation], given: Sequence[tuple[Any, Array]], moving: Any
 ) -> Solved:
-    """Eliminate what is linear; ``given``: the other symbols with their values at the first plan, ``moving``: those of
-    them that are no parameters.
+    """Eliminate the linear blocks of equations.
+
+    ``given`` holds the other symbols with their values at the first plan; ``moving`` those of them that are no
+    parameters.
 
     Raises:
-        ProblemError: there are more or fewer equations than unknowns, or they do not determine them (index 2).
+        ProblemError: there are more or fewer equations than unknowns, or the equations do not determine the unknowns
+            (index 2).
     """
     _check_count(unknowns, equations)
     v, r = ca.vertcat(*(each.symbol for each in unknowns)), ca.vertcat(*(e.expression for e in equations))
@@ -106,7 +112,7 @@ def _check_count(unknowns: Sequence[Unknown], equations: Sequence[Equation]) -> 
 
 
 def _match(pattern: Any) -> dict[int, int]:
-    """column -> row of a largest matching, by augmenting paths."""
+    """Return a maximum matching {column: row}, found by augmenting paths."""
     n = pattern.size2()
     rows: list[list[int]] = [[] for _ in range(n)]
     for i, j in zip(*pattern.get_triplet(), strict=True):
@@ -128,7 +134,10 @@ def _match(pattern: Any) -> dict[int, int]:
 
 
 def _inverse_pattern(pattern: Any) -> Array:
-    """1 in (j, i) where unknown j may depend on the residual i: where it reaches i over equations and unknowns."""
+    """Return 1 in (j, i) where unknown j may depend on residual i.
+
+    Unknown j depends on it if a path over equations and unknowns leads from one to the other.
+    """
     matched, size = _match(pattern), pattern.size2()
     if len(matched) < size:
         return np.ones((size, size))
@@ -142,7 +151,7 @@ def _inverse_pattern(pattern: Any) -> Array:
 def _of_structure(
     pattern: Any, matched: dict[int, int], unknowns: Sequence[Unknown], equations: Sequence[Equation]
 ) -> str:
-    """Which variable has no equation of its own, and which equation is left over."""
+    """Describe which variable has no equation of its own, and which equation is left over."""
     j = next(j for j in range(len(unknowns)) if j not in matched)
     extra = next(e.name for i, e in enumerate(equations) if i not in matched.values())
     entries = list(zip(*pattern.get_triplet(), strict=True))
@@ -155,7 +164,7 @@ def _of_structure(
 
 
 def _blocks(pattern: Any) -> Iterator[tuple[list[int], list[int]]]:
-    """(rows, columns) of the diagonal blocks, in an order in which each depends on earlier ones alone."""
+    """Yield (rows, columns) of the diagonal blocks, in an order in which each depends only on earlier ones."""
     count, row, column, first, first_column, *_ = pattern.btf()
     blocks = [
         (sorted(row[first[b] : first[b + 1]]), sorted(column[first_column[b] : first_column[b + 1]]))
@@ -195,8 +204,11 @@ def _check_pivots(J: Array, unknowns: Sequence[Unknown], equations: Sequence[Equ
 
 
 def _solve_linear(J: Expression, right: Expression, at: Array, moving: Expression) -> Expression:
-    """J^-1 right without pivots that may vanish along a plan: by entries that do not move as pivots, and determinants
-    of up to three unknowns that are left, or Householder's reflections of more. ``at``: J at the first plan."""
+    """Return J^-1 right without pivots that may vanish along a plan.
+
+    Pivots are entries that do not change along a plan. What remains is solved by determinants for up to three unknowns,
+    else by Householder reflections. ``at`` is J at the first plan.
+    """
     n = J.shape[0]
     rows = [{j: J[i, j] for j in range(n) if J[i, j].nnz()} for i in range(n)]
     values = [right[i] for i in range(n)]
@@ -227,8 +239,10 @@ def _solve_linear(J: Expression, right: Expression, at: Array, moving: Expressio
 def _fixed_pivot(
     rows: Sequence[dict[int, Any]], pivots: Sequence[tuple[int, int]], at: Array, moving: Expression
 ) -> tuple[int, int] | None:
-    """(row, column) of an entry that does not move and is not small at the first plan, in the row and column with the
-    fewest others."""
+    """Return (row, column) of an entry that is constant along a plan and not small at the first plan.
+
+    The entry lies in the row and column with the fewest other entries.
+    """
     used = [{row for row, _ in pivots}, {column for _, column in pivots}]
     active = {(i, j) for i, row in enumerate(rows) if i not in used[0] for j in row if j not in used[1]}
     counts = [Counter(pair[n] for pair in active) for n in (0, 1)]
@@ -240,7 +254,7 @@ def _fixed_pivot(
 
 
 def _solve_moving(A: Expression, b: list[Any]) -> list[Any]:
-    """A^-1 b by determinants, or by reflections."""
+    """Return A^-1 b by determinants, or by reflections."""
     n = A.shape[0]
     if n > DETERMINANTS:
         return _reflect(A, b)
@@ -254,8 +268,10 @@ def _solve_moving(A: Expression, b: list[Any]) -> list[Any]:
 
 
 def _reflect(A: Expression, b: list[Any]) -> list[Any]:
-    """A^-1 b by the QR factorisation with Householder's reflections (Golub and Van Loan, Matrix Computations, section
-    5.2): no pivot vanishes where A is regular."""
+    """Return A^-1 b by the QR factorisation with Householder reflections; no pivot vanishes where A is regular.
+
+    Source: Golub and Van Loan, Matrix Computations, section 5.2.
+    """
     n = A.shape[0]
     R = [[A[i, j] for j in range(n)] + [b[i]] for i in range(n)]
     for j in range(n):
@@ -281,7 +297,7 @@ def _reflect(A: Expression, b: list[Any]) -> list[Any]:
 
 
 def _evaluate(block: Any, own: Any, v: Any, given: Sequence[tuple[Any, Array]], at: Array) -> tuple[Array, Array]:
-    """Residuals and Jacobian of a block at the first plan."""
+    """Return residuals and Jacobian of a block at the first plan."""
     symbols = [v, *(symbol for symbol, _ in given)]
     f = ca.Function("block", symbols, [ca.densify(block), ca.densify(ca.jacobian(block, own))])
     value, J = f(at, *(value for _, value in given))
@@ -295,7 +311,7 @@ def _slopes(block: Any, own: Any, v: Any, given: Sequence[tuple[Any, Array]], at
 def _solve_here(
     block: Any, own: Any, v: Any, given: Sequence[tuple[Any, Array]], at: Array, columns: Sequence[int]
 ) -> Array:
-    """The variables of a block at the first plan; NaN if they are not found."""
+    """Return the variables of a block at the first plan; NaN if they are not found."""
 
     def evaluate(found: Array) -> tuple[Array, Array]:
         point = at.copy()

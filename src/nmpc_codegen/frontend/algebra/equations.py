@@ -1,4 +1,4 @@
-"""Algebraic equations and implicit dynamics of an OCP, as stated: g(x, z, u, p) = 0, f(x', x, z, u, p) = 0."""
+"""Algebraic equations and implicit dynamics of an OCP are stated as g(x, z, u, p) = 0 and f(x', x, z, u, p) = 0."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from nmpc_codegen.frontend.symbol import is_comparison
 
 
 class Algebraic(Dynamics):
-    """An OCP as far as equations determine variables of it."""
+    """The part of an OCP that states equations for variables."""
 
     def algebraic_equation(self, g: Any, *, name: str | None = None) -> None:
         """State 0 = g(x, z, u, p), one scalar equation per algebraic variable, in one call or several.
@@ -24,18 +24,18 @@ class Algebraic(Dynamics):
 
         Args:
             g: column of expressions.
-            name: of the equations in messages; by default equation_i, several ones of a name are name[i].
+            name: name of the equations in messages, by default equation_i; several ones are called name[i].
 
         Raises:
-            ProblemError: an expression contains a symbol that it may not, or a name is used twice.
+            ProblemError: an expression contains a symbol that is not allowed there, or a name is used twice.
         """
         self._add_equations(g, name, "algebraic_equation", "equation", NODE)
 
     def implicit_dynamics(self, f: Any, *, name: str | None = None) -> None:
         """State 0 = f(x', x, z, u, p) with x' = der(x), for states whose derivatives are not given by dynamics().
 
-        With the algebraic equations there are as many as such states and algebraic variables. A mass matrix M(x) is
-        implicit_dynamics(M @ ocp.der(v) - forces).
+        Together with the algebraic equations, there must be as many equations as such states and algebraic variables. A
+        mass matrix M(x) is stated as implicit_dynamics(M @ ocp.der(v) - forces).
 
         Args:
             f: column of expressions, which may contain der() of states.
@@ -50,7 +50,7 @@ class Algebraic(Dynamics):
         self._discrete = False
 
     def der(self, x: Any) -> Any:
-        """The derivative of a state, SX of the shape of x, for implicit_dynamics().
+        """Return the derivative of a state, SX of the shape of x, for implicit_dynamics().
 
         Args:
             x: symbol, name, or a column of symbols of states.

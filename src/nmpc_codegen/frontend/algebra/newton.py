@@ -1,4 +1,4 @@
-"""Newton's method for equations at a point, as templates/integrators/implicit/algebraic.c has it; expressions of z."""
+"""Newton's method solves equations at a point, as templates/integrators/implicit/algebraic.c, and as expressions."""
 
 from __future__ import annotations
 
@@ -11,16 +11,20 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-#: Steps at most, the length of the shortest one, and a step that is rounding, relative to the size of a variable.
+#: Largest number of steps; length of the shortest step; steps up to ROUNDING, relative to the size of a variable, are
+#: rounding.
 STEPS, SHORTEST, ROUNDING = 50, 1e-4, 1e-13
 
-#: Orders of derivatives that are needed, and steps with the same W that make them exact.
+#: Highest order of derivatives that is needed, and number of steps with the same W that make them exact.
 ORDERS = 2
 
 
 def solve(evaluate: Callable[[Array], tuple[Array, Array]], start: Array, size: Array) -> Array:
-    """v where r(v) = 0, by steps that are halved until the next one with the same Jacobian is shorter; NaN if they lead
-    nowhere. ``evaluate``: v -> r, dr/dv; ``size``: of the variables."""
+    """Return v with r(v) = 0, or NaN if the steps do not converge.
+
+    A step is halved until the next step with the same Jacobian is shorter. ``evaluate`` maps v to r and dr/dv; ``size``
+    holds the sizes of the variables.
+    """
     v = start
     with np.errstate(all="ignore"):
         for _ in range(STEPS):
@@ -42,8 +46,11 @@ def solve(evaluate: Callable[[Array], tuple[Array, Array]], start: Array, size: 
 
 
 def chord_steps(residual: Callable[[Any], Any], z: Any, W: Any, inverse: Array) -> list[Any]:
-    """z, z_1 = z + W r(z), z_2 = z_1 + W r(z_1) as expressions: derivatives of z_i up to order i are those of the
-    solution of r = 0, where z is the solution and W = -(dr/dz)^-1. ``inverse``: 1 where W may be other than 0."""
+    """Return the expressions z, z_1 = z + W r(z), z_2 = z_1 + W r(z_1).
+
+    If z is the solution of r = 0 and W = -(dr/dz)^-1, the derivatives of z_i up to order i are those of the solution.
+    ``inverse`` is 1 where W may be nonzero.
+    """
     known, points = W * ca.sparsify(ca.DM(inverse)), [z]
     for _ in range(ORDERS):
         points.append(points[-1] + known @ residual(points[-1]))

@@ -1,7 +1,7 @@
-"""The statement of an OCP without algebraic variables: z(x, u, p) in their place, as expressions.
+"""The algebraic variables of an OCP are replaced by expressions z(x, u, p).
 
-Those that Newton's method solves for have symbols z and W = -(dr/dz)^-1 at a node, which is the data of the node like
-parameters. Two steps with the same W start there:
+Variables that Newton's method solves for have symbols z and W = -(dr/dz)^-1 at a node, which are data of the node like
+parameters. Two steps with the same W start from z:
 
     z_1 = z + W r(x, z, u, p),   z_2 = z_1 + W r(x, z_1, u, p)
 
@@ -29,11 +29,11 @@ from nmpc_codegen.package.signals import list_some
 
 @dataclass(frozen=True, eq=False)
 class Resolved:
-    """``ocp`` without algebraic variables.
+    """The OCP ``ocp`` without algebraic variables.
 
-    ``values``: all of them, in its symbols and those of ``newton``, which Newton's method solves ``rest`` = 0 for, with
-    their names, start and scales; ``found``: their values at the first plan, NaN if it finds none; ``inverse``: 1 where
-    W may be other than 0.
+    values: all of them, in its symbols and those of ``newton``, for which Newton's method solves ``rest`` = 0; names,
+    start, scale: of the latter; found: their values at the first plan, NaN if Newton's method finds none; inverse: 1
+    where W may be nonzero.
     """
 
     ocp: OCP
@@ -48,7 +48,7 @@ class Resolved:
 
 
 def resolve(ocp: OCP) -> Resolved | None:
-    """None if the OCP has neither algebraic variables nor implicit equations.
+    """Replace the algebraic variables of an OCP; return None if it has neither these nor implicit equations.
 
     Raises:
         ProblemError: the equations do not determine the variables.
@@ -78,7 +78,7 @@ def _scalars(declared: Sequence[Declared]) -> list[tuple[Any, str, float]]:
 
 
 def _known_values(ocp: OCP) -> list[tuple[Any, Array]]:
-    """States, controls, parameters and what else equations may contain, at the first plan."""
+    """Return states, controls, parameters and all other symbols of equations, with their values at the first plan."""
     u = _first_controls(ocp)
     before = sorted(ocp.remembered)
     first = 1.0 if ocp.dt is None else ocp.dt[0]
@@ -95,7 +95,7 @@ def _known_values(ocp: OCP) -> list[tuple[Any, Array]]:
 
 
 def _first_controls(ocp: OCP) -> Array:
-    """Controls at their references, 0 without one, inside their bounds."""
+    """Return the controls at their references, 0 without a reference, clipped to their bounds."""
     u = np.zeros(ocp.u.numel())
     for r in (r for r in ocp.residuals if r.stage == "path"):
         for i in range(r.y.numel()):
@@ -111,7 +111,7 @@ def _first_controls(ocp: OCP) -> Array:
 
 
 def _without(ocp: OCP, unknowns: Sequence[Unknown], implied: Sequence[int], solved: Solved) -> Resolved:
-    """The OCP with expressions in the places of the unknowns."""
+    """Return the OCP with the unknowns replaced by expressions."""
     twin = object.__new__(type(ocp))
     twin.__dict__ |= ocp.__dict__
     twin.__dict__ |= {"_elements": dict(ocp._elements), "remembered": dict(ocp.remembered)}
@@ -157,7 +157,7 @@ def _without(ocp: OCP, unknowns: Sequence[Unknown], implied: Sequence[int], solv
 
 
 def _refuse_maps(ocp: OCP, values: Any, z: Any) -> None:
-    """Raise ProblemError if the next value of a discrete state contains what Newton's method solves for."""
+    """Raise ProblemError if the next value of a discrete state depends on variables of Newton's method."""
     names = [name for d in ocp.states for name in d.signal.elements]
     for i, value in zip(ocp.maps, ca.vertsplit(values), strict=True):
         if z.numel() and ca.depends_on(value, z):
@@ -169,7 +169,7 @@ def _refuse_maps(ocp: OCP, values: Any, z: Any) -> None:
 
 
 def _at_the_end(twin: OCP, values: Any) -> Any:
-    """The values at node N: with the controls of the node before."""
+    """Return the values at node N, with the controls of the node before."""
     places = [e.index for e in map(twin.element, ca.symvar(values)) if e is not None and e.kind == "control"]
     if not places:
         return values
@@ -177,7 +177,7 @@ def _at_the_end(twin: OCP, values: Any) -> Any:
 
 
 def _statement(ocp: OCP, s: Statement, with_path: Any, with_end: Any) -> Statement:
-    """A row of all nodes that holds at node N contains no control."""
+    """Return a row in which variables are replaced; at node N it contains no control."""
     if s.at is None:
         return s
     if s.at == "end":
@@ -187,8 +187,10 @@ def _statement(ocp: OCP, s: Statement, with_path: Any, with_end: Any) -> Stateme
 
 
 def _sizes(ocp: OCP, implied: int, solved: Solved) -> list[float]:
-    """Sizes of the unknowns: declared, else their magnitude at the first plan, unless it is rounding, or where they
-    start, else 1."""
+    """Return the sizes of the unknowns: declared, else their magnitude at the first plan, else their start, else 1.
+
+    A magnitude that is a rounding error does not count.
+    """
     declared = [v for d in ocp.algebraics for v in d.signal.scale or (0.0,) * d.signal.size]
     initial = [v for d in ocp.algebraics for v in d.signal.value]
     return [
@@ -198,7 +200,7 @@ def _sizes(ocp: OCP, implied: int, solved: Solved) -> list[float]:
 
 
 def _factors(rest: Any, z: tuple[Any, Array], given: Sequence[tuple[Any, Array]], sizes: Array) -> Array:
-    """Powers of 2 by which equations are multiplied, so that their terms at the first plan have the sizes of z."""
+    """Return powers of 2 that scale the equations so that their terms at the first plan have the sizes of z."""
     symbols, values = zip(z, *given, strict=True)
     at = ca.Function("slopes", list(symbols), [ca.densify(ca.jacobian(rest, z[0]))])
     with np.errstate(all="ignore"):

@@ -1,1 +1,1 @@
-"""Problem -> CompleteProblem: what follows from a problem before anything is chosen for it."""
+"""A Problem is completed by everything that follows from it before any component is chosen."""

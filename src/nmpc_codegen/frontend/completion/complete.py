@@ -1,7 +1,7 @@
-"""Problem -> CompleteProblem: one call puts in all that follows from a problem, so that nobody asks for it again.
+"""complete() turns a Problem into a CompleteProblem: it adds everything that follows from the problem, once.
 
-In this order: the terminal cost of lqr_terminal_cost(), sizes of all quantities, ties of controls to those of the node
-before, what may stand at a saddle, proximal terms.
+It adds, in this order: the terminal cost of lqr_terminal_cost(), sizes of all quantities, ties of controls to those of
+the node before, marks of variables at saddles, proximal terms.
 """
 
 from __future__ import annotations
@@ -20,8 +20,11 @@ from nmpc_codegen.frontend.problem import Problem, Stage
 
 
 class Asked(Protocol):
-    """The options, as far as completing reads them: whether weights that are declared diagonal are stored as matrices,
-    and whether samples solve QPs with a Hessian that is chosen, whose steps proximal terms may limit."""
+    """The options on which completion depends.
+
+    They say whether declared diagonal weights are stored as matrices, and whether samples solve QPs with a chosen
+    Hessian, whose steps proximal terms may limit.
+    """
 
     @property
     def stores_matrices(self) -> bool: ...
@@ -32,10 +35,10 @@ class Asked(Protocol):
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class CompleteProblem(Problem):
-    """A problem with what follows from it.
+    """A problem with everything that follows from it.
 
-    ``scales``: sizes of its quantities; ``saddles``: controls and states whose slope vanishes somewhere; ``flat``:
-    names of controls without curvature, for which ``proximal`` has terms.
+    ``scales`` are the sizes of its quantities; ``saddles`` marks controls and states whose slope vanishes somewhere;
+    ``flat`` names the controls without curvature, which get proximal terms.
     """
 
     scales: Scales
@@ -44,7 +47,7 @@ class CompleteProblem(Problem):
 
 
 def complete(problem: Problem, options: Asked) -> CompleteProblem:
-    """The problem with all that follows from it, and from these options.
+    """Return the problem with everything that follows from it and from the options.
 
     Raises:
         ProblemError: the terminal cost of lqr_terminal_cost() does not exist.
@@ -66,8 +69,10 @@ def complete(problem: Problem, options: Asked) -> CompleteProblem:
 
 
 def _with_ties(path: Stage, problem: Problem, sizes: Scales) -> Stage:
-    """The path with residuals that tie controls to those of the node before where no block begins, and the control that
-    acts on nothing to 0."""
+    """Return the path with residuals that tie controls to those of the node before, where no block begins.
+
+    A control without effect is tied to 0.
+    """
     added = problem.augmentation
     if added.idle:
         return replace(path, ties=path.u)

@@ -1,4 +1,4 @@
-"""The first plan: all states at their initial values, controls at their references inside their bounds."""
+"""In the first plan all states have their initial values, and controls their references, clipped to their bounds."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from nmpc_codegen.frontend.problem import Array, Problem, Stage
 
 
 def first_plan(problem: Problem) -> tuple[Array, Array]:
-    """(x, u) at all nodes of the first plan: initial states, and controls at their references inside their bounds."""
+    """Return (x, u) at all nodes of the first plan: initial states, and references of controls inside their bounds."""
     u = problem.reference_controls
     for row in problem.rows:
         if row.kind == "control":
@@ -17,14 +17,14 @@ def first_plan(problem: Problem) -> tuple[Array, Array]:
 
 
 def points(problem: Problem) -> list[tuple[Array, Array]]:
-    """Return points (x, u): those of the first plan, and the same with the states at the references of the cost."""
+    """Return the point (x, u) of the first plan, and the same points with the states at the references of the cost."""
     start, u = first_plan(problem)
     states = [start, *(_at_reference(problem, stage, start) for stage in (problem.path, problem.terminal))]
     return [(x, u) for x in np.unique(states, axis=0)]
 
 
 def _at_reference(problem: Problem, stage: Stage, start: Array) -> Array:
-    """``start`` with those states for which a residual tells a value."""
+    """Return ``start`` with the states replaced for which a residual defines a value."""
     x = start.copy()
     for place, value in stage.targets(problem.data):
         if place < problem.nx:

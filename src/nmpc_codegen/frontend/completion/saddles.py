@@ -1,9 +1,9 @@
-"""Controls and states that may stand at a saddle, for their slope vanishes somewhere.
+"""Controls and states may stand at a saddle, a stationary point that is no minimum, if their slope vanishes somewhere.
 
-Where the slope of the dynamics with respect to a control is 0 (u^2 at 0, a product of two at 0), no step of an
-iteration moves it, and the conditions of optimality may hold at a point from which the cost falls to both sides: a
-saddle. Samples and solve() leave it by a probe, algorithms/shared/saddle.c; here is which controls need one, and which
-slopes are next to none.
+If the slope of the dynamics with respect to a control is 0 (u^2 at 0, a product of two at 0), no step of an iteration
+moves the control. The optimality conditions may then hold at a point from which the cost decreases to both sides: a
+saddle. Samples and solve() leave it by a probe, see algorithms/shared/saddle.c. This module decides which controls need
+a probe, and which slopes count as almost zero.
 """
 
 from __future__ import annotations
@@ -17,22 +17,22 @@ import numpy as np
 from nmpc_codegen.frontend.problem import Array, Problem
 from nmpc_codegen.ir.casadi_types import Expression, curved_rows
 
-#: Slope, relative to the largest of the same variable, that is next to none.
+#: Slopes up to this value, relative to the largest slope of the same variable, count as almost zero.
 IDLE = 1e-2
-#: Moves of a control from a saddle that are tried, in its scale, and halvings of what they lead to.
+#: Steps of a control from a saddle that are tried, in its scale; number of halvings of the resulting step.
 PROBE_SIZES, PROBE_PARTS = (1.0, 0.25, 0.0625), 12
-#: States at which slopes are compared, and values of a variable in its range.
+#: Number of states at which slopes are compared; number of values of a variable in its range.
 STATES, VALUES = 5, 41
 
 
 @dataclass(frozen=True)
 class Saddles:
-    """What may stand at a saddle: ``controls`` and ``states`` by their numbers, states that controls drive alone.
+    """The variables that may stand at a saddle: ``controls`` and ``states``, where only controls drive the states.
 
-    ``slopes`` (nx, nx + nu): |d Phi_l / dz_i| of an interval with which z_i does next to nothing to state l; infinite
-    where it does not act directly, and on itself; -1 for variables that are never idle. ``partners`` (nu,): another
-    control whose value decides on the slope of control j, or -1. ``drivers`` (nu,): marks of controls that drive one of
-    the states.
+    slopes: (nx, nx + nu), the value of |d Phi_l / dz_i| of an interval up to which z_i has almost no effect on state l;
+    infinite if it does not act directly, and on itself; -1 for variables that always have an effect. partners: (nu,),
+    another control whose value decides on the slope of control j, or -1. drivers: (nu,), marks of controls that drive
+    one of the states.
     """
 
     controls: tuple[int, ...]
@@ -43,7 +43,7 @@ class Saddles:
 
 
 def find_saddles(problem: Problem, z: Array) -> Saddles:
-    """The controls and states that may stand at a saddle; ``z`` (nx + nu,): scales."""
+    """Return the controls and states that may stand at a saddle; ``z`` (nx + nu,) holds scales."""
     nx, nu = problem.nx, problem.nu
     none = Saddles((), (), (-1.0,) * nx * (nx + nu), (-1,) * nu, (False,) * nu)
     if problem.estimation is not None:
@@ -63,14 +63,14 @@ def find_saddles(problem: Problem, z: Array) -> Saddles:
 
 
 def _slopes(problem: Problem, f: Expression) -> Expression:
-    """df/d(x, u), without what a state does to itself."""
+    """Return df/d(x, u), without the effect of a state on itself."""
     path = problem.path
     J = ca.jacobian(f, ca.vertcat(path.x, path.u))
     return ca.sparsify(J * (1 - ca.horzcat(ca.DM.eye(problem.nx), ca.DM.zeros(problem.nx, problem.nu))))
 
 
 def _bends(problem: Problem) -> Array:
-    """(nx + nu, nx + nu): True where the slope of the dynamics with respect to variable j depends on variable i."""
+    """Return (nx + nu, nx + nu): True where the slope of the dynamics in variable j depends on variable i."""
     path = problem.path
     z = ca.vertcat(path.x, path.u)
     J = _slopes(problem, problem.dynamics(path.x, path.u, path.p))
@@ -81,8 +81,11 @@ def _bends(problem: Problem) -> Array:
 
 
 def _driven(problem: Problem) -> Array:
-    """(nx, nu): True where control j drives state i alone, as that of an actuator with a lag: its derivative is an
-    affine function of the control and itself; or where it is what the state remembers."""
+    """Return (nx, nu): True where only control j drives state i, as in an actuator with a lag.
+
+    The derivative of the state is then an affine function of the control and of itself; or the state stores the
+    control.
+    """
     path = problem.path
     z, f = ca.vertcat(path.x, path.u), problem.dynamics(path.x, path.u, path.p)
     found = np.array(ca.DM(ca.jacobian(f, path.u).sparsity(), 1), dtype=bool).reshape(problem.nx, problem.nu)
@@ -95,8 +98,10 @@ def _driven(problem: Problem) -> Array:
 
 
 def _compare(problem: Problem, z: Array, bent: Array) -> tuple[Array, Array]:
-    """(nx, nx + nu) the largest slopes of an interval at a typical state, and marks of variables of which all vanish
-    somewhere."""
+    """Return (nx, nx + nu) the largest slopes of an interval at a typical state, and marks of variables.
+
+    A variable is marked if all its slopes vanish somewhere.
+    """
     path, columns = problem.path, np.flatnonzero(bent)
     f = problem.reduction(path)(problem.dynamics(path.x, path.u, path.p), 1)
     at = ca.Function("slopes", [path.x, path.u, path.p], [ca.densify(_slopes(problem, f)[:, columns.tolist()])])
@@ -114,7 +119,7 @@ def _compare(problem: Problem, z: Array, bent: Array) -> tuple[Array, Array]:
 
 
 def _states(problem: Problem, z: Array) -> Iterator[Array]:
-    """The initial state, and others around it."""
+    """Yield the initial state, and other states around it."""
     yield problem.x_initial
     random = np.random.default_rng(0)
     for _ in range(STATES - 1):
@@ -122,7 +127,10 @@ def _states(problem: Problem, z: Array) -> Iterator[Array]:
 
 
 def _values(problem: Problem, x: Array, z: Array, bent: Array) -> Iterator[tuple[Array, Array]]:
-    """(x, u): one variable through its range, while the other controls are at their references, at 0, or anywhere."""
+    """Yield (x, u) in which one variable runs through its range.
+
+    The other controls are at their references, at 0, or random.
+    """
     nx, (lower, upper) = problem.nx, _control_range(problem, z)
     reference = np.clip(problem.reference_controls, lower, upper)
     random = np.random.default_rng(1)
@@ -138,7 +146,7 @@ def _values(problem: Problem, x: Array, z: Array, bent: Array) -> Iterator[tuple
 
 
 def _control_range(problem: Problem, z: Array) -> tuple[Array, Array]:
-    """Bounds of the controls; where there are none, their scale about their reference."""
+    """Return the bounds of the controls; without bounds, the reference plus or minus the scale."""
     size, at = z[problem.nx :], problem.reference_controls
     lower, upper = at - size, at + size
     for row in problem.rows:

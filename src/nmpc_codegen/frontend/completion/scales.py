@@ -1,12 +1,12 @@
-"""Sizes of the quantities of a problem: what a control engineer calls much or little of each of them.
+"""Scales say which values of the quantities of a problem are neither small nor large.
 
-The scale of a state or control is ``scale=`` if declared, else the largest of half the width of its finite bounds (the
-magnitude of a single one; those beyond NO_BOUND do not count), its initial value, and references of residuals that it
-is. A state of which nothing is known has the size of what a control of its size does to it in one interval, at least a
-small part of what it does over the horizon, where exponential growth does not count; a control that with which a state
-changes by its size over the horizon; 1 if that tells nothing, either: rather too small than too large. Terms of rows,
-residuals and costs have the sizes to which those of their variables lead. None of them depends on data of a sample, so
-that rounding errors are no size.
+The scale of a state or control is ``scale=`` if declared. Otherwise it is the largest of half the width of its finite
+bounds (the magnitude of a single one; those beyond NO_BOUND do not count), its initial value, and references of
+residuals that it is. If a state has none of these, its scale is the change that a control of its own scale causes in
+one interval, but at least a small fraction of the change over the horizon without exponential growth. If a control has
+none, its scale is the change with which a state changes by its scale over the horizon; else 1. Scales are rather too
+small than too large. Terms of rows, residuals and costs get the sizes that follow from their variables. No scale
+depends on data of a sample, so that rounding errors never become scales.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ from nmpc_codegen.ir.kernel import Instruction, Kernel, Port, lift, opcode_name
 from nmpc_codegen.ir.lookup_calls import known_lookup
 from nmpc_codegen.package.program import VALUES
 
-#: Size of a state of which nothing is known, at least, relative to what a control of its size does over the horizon.
+#: Least scale of a state without declared data, relative to the change that a control causes over the horizon.
 LITTLE = 1e-3
-#: A declared value is a rounding error, relative to the same, as that of an initial state that was computed.
+#: Declared values up to this one, relative to that change, are rounding errors, as in a computed initial state.
 ROUNDING = 1e-9
-#: Bounds of this magnitude stand for none, and are no size.
+#: Bounds of at least this magnitude stand for no bound and do not count.
 NO_BOUND = 1e10
 
 
@@ -37,12 +37,11 @@ NO_BOUND = 1e10
 class Scales:
     """Sizes of a problem.
 
-    ``z`` (nx + nu,): of states and controls. ``rows`` (rows,): of the terms of a row besides its constant part
-    ``offsets`` (rows,), which belongs to its bounds.
-    ``cost`` C: the largest that a residual or general cost of its size costs. ``forces`` (nx + nu,): of the gradient of
-    the cost, sqrt(C H), where H is the curvature that belongs to the variable itself, at least that of the least cost
-    in its scale: a part of it, t, moves the cost by t^2 C. ``reach`` (nx, nu): the largest change of a state over the
-    horizon by a control that changes by 1, in a linear model.
+    z: (nx + nu,), scales of states and controls. rows: (rows,), sizes of the terms of a row without its constant part,
+    which is in offsets (rows,) and belongs to its bounds. cost: C, the largest cost of a residual or general cost of
+    its own size. forces: (nx + nu,), sizes of the gradient of the cost, sqrt(C H), where H is the curvature of the
+    variable itself, at least that of the least cost in its scale: a change by the fraction t changes the cost by t^2 C.
+    reach: (nx, nu), the largest change of a state over the horizon if a control changes by 1, in a linear model.
     """
 
     z: Array
@@ -54,8 +53,7 @@ class Scales:
 
 
 class _Start:
-    """The initial state, with the references of the controls: where expressions are evaluated, with the longest
-    interval."""
+    """The point at which expressions are evaluated: initial state, references of the controls, longest interval."""
 
     def __init__(self, problem: Problem) -> None:
         self.problem, self.x, self.dt = problem, problem.x_initial, max(problem.dt)
@@ -63,13 +61,13 @@ class _Start:
         self._p = tuple(problem.node_values(self.x, u) for u in self._u)
 
     def of(self, stage: Stage) -> tuple[Array, Array, Array, float]:
-        """What expressions of a stage read in place of x, u, p and dt."""
+        """Return the values of x, u, p and dt for expressions of a stage."""
         end = not stage.nu
         return self.x, self._u[end], self._p[end], self.dt
 
 
 def scales(problem: Problem) -> Scales:
-    """The sizes of a problem, from what is declared."""
+    """Compute the sizes of a problem from its declarations."""
     start = _Start(problem)
     soon, reach = _responses(start)
     z = _complete_scales(problem, soon, reach)
@@ -83,17 +81,17 @@ def scales(problem: Problem) -> Scales:
 
 
 def round_scales(values: ArrayLike) -> list[float]:
-    """Scales with the digits that they have."""
+    """Return scales rounded to three significant digits."""
     return [float(f"{v:.3g}") for v in np.ravel(values)]
 
 
 def stated_scales(problem: Problem) -> Array:
-    """Scales of (x, u) that are declared, 0 where none is."""
+    """Return the declared scales of (x, u), 0 where none is declared."""
     return np.array([v for s in (*problem.states, *problem.controls) for v in s.scale or (0.0,) * s.size])
 
 
 def _declared_scales(problem: Problem) -> Array:
-    """Scales of (x, u) that bounds and references state, 0 where they do not."""
+    """Return scales of (x, u) that bounds and references define, 0 where they do not."""
     nx = problem.nx
     found = np.zeros(nx + problem.nu)
     for row in problem.rows:
@@ -106,16 +104,20 @@ def _declared_scales(problem: Problem) -> Array:
 
 
 def _width(lower: float, upper: float) -> float:
-    """Return half the distance of two bounds. A single bound, or two equal ones, give their magnitude, and bounds that
-    stand for none give 0."""
+    """Return half the distance of two bounds.
+
+    A single bound, or two equal ones, give their magnitude; bounds that stand for no bound give 0.
+    """
     known = [abs(b) for b in (lower, upper) if abs(b) < NO_BOUND]
     half = (upper - lower) / 2
     return half if len(known) == 2 and half > 0.0 else max(known, default=0.0)
 
 
 def _complete_scales(problem: Problem, soon: Array, reach: Array) -> Array:
-    """Scales of (x, u): declared ones, those of bounds, references and initial values, and what follows for the others
-    from what a control does to a state."""
+    """Return the scales of (x, u): declared ones, those of bounds, references and initial values, and derived ones.
+
+    Derived scales follow from the effect of a control on a state.
+    """
     nx, stated, z = problem.nx, stated_scales(problem), _declared_scales(problem)
     initial = np.abs(problem.x_initial)
     z = np.where(stated > 0.0, stated, z)
@@ -134,8 +136,10 @@ def _complete_scales(problem: Problem, soon: Array, reach: Array) -> Array:
 
 
 def _responses(start: _Start) -> tuple[Array, Array]:
-    """(nx, nu) each: the change of a state at the first node, and the largest one over the horizon, by a control that
-    changes by 1 at its beginning, in the linear model at the initial state without its exponential growth."""
+    """Return (nx, nu) twice: the change of a state at the first node, and the largest one over the horizon.
+
+    A control changes by 1 at the beginning, in the linear model at the initial state without its exponential growth.
+    """
     problem, at_start = start.problem, start.of(start.problem.path)[:3]
     nx, nu = problem.nx, problem.nu
     x, u, p, _ = symbols(nx, nu, problem.np + problem.solved)
@@ -168,7 +172,7 @@ def _responses(start: _Start) -> tuple[Array, Array]:
 
 
 def _exponential(A: Array) -> Array:
-    """exp(A) to a few digits: a polynomial of degree 8 of A / 2^n, squared n times."""
+    """Compute exp(A) to a few digits: a polynomial of degree 8 of A / 2^n, squared n times."""
     halvings = max(0, math.ceil(math.log2(max(1e-300, float(np.max(np.sum(np.abs(A), axis=1)))))) + 2)
     E = term = np.eye(len(A))
     for n in range(1, 9):
@@ -181,7 +185,7 @@ def _exponential(A: Array) -> Array:
 
 
 def _row_sizes(start: _Start, z: Array) -> tuple[Array, Array]:
-    """Sizes of the terms of all rows and their constant parts; a row of path and end has the larger size."""
+    """Return the sizes of the terms of all rows and their constant parts; a row of path and end has the larger size."""
     problem = start.problem
     size, offset = np.zeros(len(problem.rows)), np.zeros(len(problem.rows))
     of_stage = [_terms(stage.h, stage, start, z) for stage in (problem.path, problem.terminal)]
@@ -206,15 +210,14 @@ def _coupled_terms(problem: Problem, z: Array) -> list[tuple[float, float]]:
 
 
 def _terms(expression: Expression, stage: Stage, start: _Start, z: Array) -> list[tuple[float, float]]:
-    """(constant part, size of the other terms) of every element of an expression of a stage."""
+    """Return (constant part, size of the other terms) of every element of an expression of a stage."""
     sizes = [z[: stage.nx], z[stage.nx : stage.nx + stage.nu]]
     x, u, p, dt = start.of(stage)
     return _magnitudes(expression, [stage.x, stage.u, stage.p, stage.dt], sizes, [x, u, p, np.array([dt])])
 
 
 def _costs(start: _Start, z: Array) -> tuple[Array, Array]:
-    """What every residual and general cost of its size costs, and what every variable of its size does by its own
-    curvature."""
+    """Return the cost of every residual and general cost of its own size, and the curvature cost of every variable."""
     found: list[float] = []
     own, problem = np.zeros(z.size), start.problem
     for stage in (problem.start, problem.path, problem.terminal):
@@ -236,7 +239,7 @@ def _costs(start: _Start, z: Array) -> tuple[Array, Array]:
 
 
 def _curvature(cost: Expression, stage: Stage, start: _Start) -> Array:
-    """Magnitudes of the second derivatives of a general cost with respect to every variable at the initial state."""
+    """Return the magnitudes of the second derivatives of a general cost at the initial state, one for each variable."""
     z = ca.vertcat(stage.x, stage.u)
     at = ca.Function("bend", [stage.x, stage.u, stage.p, stage.dt], [ca.densify(ca.diag(ca.hessian(cost, z)[0]))])
     found = np.abs(np.asarray(at(*start.of(stage))).ravel())
@@ -244,7 +247,7 @@ def _curvature(cost: Expression, stage: Stage, start: _Start) -> Array:
 
 
 def _slopes(stage: Stage, start: _Start) -> Array:
-    """dy/dz of the residuals of a stage at the initial state."""
+    """Return dy/dz of the residuals of a stage at the initial state."""
     z = ca.vertcat(stage.x, stage.u)
     at = ca.Function("slopes", [stage.x, stage.u, stage.p], [ca.densify(ca.jacobian(stage.y, z))])
     found = np.asarray(at(*start.of(stage)[:3])).reshape(stage.ny, z.numel())
@@ -253,15 +256,18 @@ def _slopes(stage: Stage, start: _Start) -> Array:
 
 # Sizes of expressions ------------------------------------------------------------------------------------------------
 
-#: Constant part c, size m of the terms beside it, value v at the initial state.
+#: Constant part c, size m of the other terms, value v at the initial state.
 _Part = tuple[float, float, float]
 
 
 def _magnitudes(
     expression: Expression, variables: Sequence[Expression], sizes: Sequence[Array], values: Sequence[Array]
 ) -> list[tuple[float, float]]:
-    """(constant part, size of the other terms) of every element; ``sizes``: of the first variables, the others are
-    constants, whose values count. Terms do not cancel: p (p - a) has a size at p = a."""
+    """Return (constant part, size of the other terms) of every element.
+
+    ``sizes`` belong to the first variables; the others are constants with their values. Terms do not cancel: p (p - a)
+    has a size at p = a.
+    """
     n = int(expression.numel())
     if n == 0:
         return []
@@ -283,7 +289,7 @@ def _magnitudes(
 
 
 def _parts(kernel: Kernel, sizes: Sequence[Array], values: Sequence[Array]) -> list[_Part]:
-    """The parts of all values of a kernel."""
+    """Return the parts of all values of a kernel."""
     parts: list[_Part] = []
     with np.errstate(all="ignore"):
         for ins in kernel.instructions:
@@ -323,7 +329,7 @@ def _operation(ins: Instruction, operands: list[_Part]) -> _Part:
 
 
 def _size(name: str, a: float, b: float, value: float) -> float:
-    """Size of an operation on operands of these sizes that has this value at the initial state."""
+    """Return the size of an operation on operands of sizes a and b, with this value at the initial state."""
     if name in _GROWING:
         return float(_GROWING[name](a, b))
     return abs(value) if value and math.isfinite(value) else min(a, 1.0)

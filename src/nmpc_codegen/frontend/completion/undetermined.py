@@ -1,8 +1,8 @@
-"""Controls that QPs do not determine, because neither the cost nor the states that they move bend them.
+"""Some controls are not determined by a QP, because neither the cost nor the states that they move give them curvature.
 
-The minimum of a QP in such a control lies where bounds and rows cross; from sample to sample it jumps, and plans of a
-nonlinear problem jump beyond what their linearisation is good for. Samples add P_i dz_i^2 / 2 to their QP, z = (x, u),
-which vanishes at the solution: it limits how far a step goes, and changes nothing of where the plan comes to rest
+The minimum of a QP in such a control lies where bounds and rows cross. It jumps from sample to sample, and plans of a
+nonlinear problem jump beyond the range in which their linearisation is valid. Samples therefore add P_i dz_i^2 / 2 to
+their QP, z = (x, u). This term limits the step and vanishes at the solution, so that it does not change the solution
 (proximal point method: Rockafellar, SIAM J. Control Optim. 14, 1976).
 """
 
@@ -15,18 +15,21 @@ from nmpc_codegen.frontend.completion.scales import Scales
 from nmpc_codegen.frontend.problem import Array, Problem, Stage
 from nmpc_codegen.ir.casadi_types import curved_rows
 
-#: Curvature of a control, relative to the scale of the cost, below which it has none.
+#: Curvature of a control below this value, relative to the scale of the cost, counts as none.
 NONE = 1e-6
-#: Curvature that samples add, in the scale of the cost and half the width of bounds, or the scale of a variable.
+#: Curvature that samples add, for the scale of the cost, and half the width of bounds or the scale of a variable.
 PROXIMAL = 0.03
 #: Least width of bounds, relative to the scale of their variable.
 LITTLE = 0.05
-#: Points at which curvature is looked for: the initial state, and random ones within the scales.
+#: Number of points at which curvature is evaluated: the initial state, and random ones within the scales.
 POINTS = 4
 
 
 def flat_controls(problem: Problem, sizes: Scales) -> tuple[int, ...]:
-    """Numbers of the controls without curvature. A linear program has none: its vertices are found exactly."""
+    """Return the numbers of the controls without curvature.
+
+    None for a linear program, whose vertices are found exactly.
+    """
     if problem.augmentation.idle or not (problem.nonlinear_model or problem.nonlinear_rows):
         return ()
     bent, curvature = _bends_model(problem), _curvature(problem, sizes)
@@ -34,19 +37,21 @@ def flat_controls(problem: Problem, sizes: Scales) -> tuple[int, ...]:
 
 
 def proximal_terms(problem: Problem, sizes: Scales) -> tuple[float, ...]:
-    """P (nx + nu,)."""
+    """Return P (nx + nu,)."""
     width = sizes.z.copy()
     for row in problem.rows:
         half = (row.upper - row.lower) / 2
         place = row.variable(problem.nx)
         if place is not None and 0.0 < half < np.inf and tuple(row.nodes) != (problem.N,):
-            width[place] = max(half, LITTLE * sizes.z[place])  # a narrow band says little of how far a state moves
+            width[place] = max(half, LITTLE * sizes.z[place])  # a narrow band says little about how far a state moves
     return tuple(float(p) for p in PROXIMAL * sizes.cost / np.square(width))
 
 
 def _bends_model(problem: Problem) -> list[bool]:
-    """For every control: the dynamics or a row has a second derivative with respect to it, of which multipliers make
-    one of the Lagrangian."""
+    """Return for every control True if the dynamics or a row has a second derivative with respect to it.
+
+    Multipliers then give the Lagrangian curvature in this control.
+    """
     path = problem.path
     z = path.x, path.u, path.p
     maps = ca.SX(0, 1) if problem.jump is None else problem.jump(*z, path.dt)
@@ -55,7 +60,7 @@ def _bends_model(problem: Problem) -> list[bool]:
 
 
 def _curvature(problem: Problem, sizes: Scales) -> Array:
-    """(nu,): of the cost in every control, and through the states that it moves, in the scale of the control."""
+    """Return (nu,) the curvature of the cost in every control, also through the states that it moves, in its scale."""
     nx = problem.nx
     path, end = _diagonal(problem.path, problem, sizes.z), _diagonal(problem.terminal, problem, sizes.z)
     of_states = np.maximum(path[:nx], end[:nx])
@@ -66,7 +71,7 @@ def _curvature(problem: Problem, sizes: Scales) -> Array:
 
 
 def _diagonal(stage: Stage, problem: Problem, z: Array) -> Array:
-    """Largest magnitudes of the second derivatives of the cost of a stage with respect to its variables."""
+    """Return the largest magnitudes of the second derivatives of the cost of a stage, one for each variable."""
     v = ca.vertcat(stage.x, stage.u)
     J = ca.jacobian(stage.y, v)
     bend = ca.diag(J.T @ ca.DM(stage.weight) @ J) if stage.ny else ca.SX(v.numel(), 1)

@@ -1,1 +1,1 @@
-"""Estimators: their statement, and the problem that they solve."""
+"""Estimators are stated here and turned into the problem that they solve."""

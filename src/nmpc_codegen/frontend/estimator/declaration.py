@@ -1,4 +1,4 @@
-"""The statement of an estimator beside an OCP, whose model, parameters and rows it shares."""
+"""An estimator is stated beside an OCP, whose model, parameters and rows it shares."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ from nmpc_codegen.runtime.given import is_positive
 
 __all__ = ["Estimator"]
 
-#: Threshold of loss="huber" in standard deviations: 95 % of the efficiency of squares where the noise is normal.
+#: Threshold of loss="huber" in standard deviations: 95 % of the efficiency of least squares if the noise is normal.
 HUBER = 1.345
 
-#: Largest standard deviation, and the inverse of the least one.
+#: Largest standard deviation; its inverse is the least one.
 LARGEST = 1e30
 
 LOSSES = ("squares", "huber")
@@ -35,43 +35,43 @@ KINDS: tuple[EstimatorKind, ...] = get_args(EstimatorKind)
 
 @dataclass(frozen=True, eq=False)
 class Measurement:
-    """Measured elements of one name."""
+    """The measured elements of one name."""
 
     signal: Signal
     expression: Any
     std: Array
-    threshold: float  # 0: squares
+    threshold: float  # 0: least squares
 
 
 class Estimator:
-    """An estimator of the states of a model from measurements, at every sample:
+    """An estimator of the states of a model from measurements, at every sample.
 
         y_k = h(x_k, u_{k-1}, p_k) + v_k,   x_{k+1} = Phi(x_k, u_k, p_k) + w_k,   v and w independent, normal
 
-    kind="mhe", moving horizon estimation: the states of the last N intervals that minimise
+    kind="mhe" is moving horizon estimation. It finds the states of the last N intervals that minimise
 
         |x_0 - xbar|^2_P^-1 + sum_k |v_k|^2 + |w_k|^2,   in standard deviations, and the rows of the OCP as soft rows,
 
-    where (xbar, P) is what a Kalman filter knows before the window. kind="ekf": the extended Kalman filter alone.
-    ocp.estimator(...) is the usual way to make one.
+    where (xbar, P) is the estimate of a Kalman filter before the window. kind="ekf" is only the extended Kalman filter.
+    ocp.estimator(...) is the usual way to create an Estimator.
 
     Args:
-        ocp: the model; its controls are known, its costs and its rows on controls have no part. An OCP without controls
-            and costs states a plant that nobody controls.
-        N: intervals of the window, >= 1; without meaning for kind="ekf".
+        ocp: the model; its controls are known; its costs and its rows on controls are ignored. An OCP without controls
+            and costs states an uncontrolled plant.
+        N: number of intervals of the window, >= 1; unused for kind="ekf".
         measure: {name: h}, expressions of states, controls, parameters; a control is that of the interval before.
         noise_std: {name: standard deviation > 0} of every measurement, a number or one per element.
-        process_std: {state: standard deviation of what is added to it from sample to sample}; {parameter: the same of
-            a parameter that is not known}: it is estimated, as a state behind those of the OCP. 0: a constant.
-        input_std: {control or parameter: standard deviation of what is added to it, drawn anew for every interval}.
-        initial_std: {state or unknown parameter: standard deviation of its initial value}; default: its size, the
-            declared scale, half the width of its bounds, or its initial value.
-        loss: "squares", "huber", or {measurement: one of both}; with "huber" errors beyond 1.345 standard deviations
-            cost in proportion to their size, so that outliers do little.
+        process_std: {state: standard deviation of the noise added from sample to sample}; {parameter: the same for an
+            unknown parameter}, which is then estimated, as a state after those of the OCP. 0: a constant.
+        input_std: {control or parameter: standard deviation of the noise added to it, independent in every interval}.
+        initial_std: {state or unknown parameter: standard deviation of its initial value}; default: its size, which is
+            the declared scale, half the width of its bounds, or its initial value.
+        loss: "squares", "huber", or {measurement: one of both}; with "huber" the cost of errors beyond 1.345 standard
+            deviations grows linearly, so that outliers have little influence.
         rows: True: the hard rows of the OCP that contain states and hold along its path; False: none; or their names.
         dt: time between samples; default: the first interval of the OCP.
         kind: "mhe" or "ekf".
-        name: prefix of the C package, default the name of the OCP and "_estimator".
+        name: prefix of the C package, by default the name of the OCP and "_estimator".
 
     Raises:
         ProblemError: a name, an expression or a number is wrong; the message names it.
@@ -123,7 +123,7 @@ class Estimator:
     if not TYPE_CHECKING:
 
         def __getattr__(self, attribute: str) -> Any:
-            """An estimator is stated here and runs after build()."""
+            """Raise AttributeError; for methods of a running estimator, the message names build()."""
             hint = f"; build(estimator).{attribute} runs it" if attribute in ("step", "correct", "covariance") else ""
             raise AttributeError(f"Estimator has no attribute {attribute!r}{hint}")
 
@@ -172,19 +172,19 @@ class Estimator:
         return tuple(found)
 
     def _varies(self, h: Any) -> bool:
-        """Whether a measurement depends on anything that is estimated; an algebraic variable may."""
+        """Return True if a measurement depends on anything that is estimated; an algebraic variable counts."""
         symbols = ca.vertcat(self.ocp.x, self.ocp.p, self.ocp.z)
         return bool(ca.depends_on(h, symbols))
 
     def _unit(self, h: Any) -> str:
-        """The unit of a measured symbol."""
+        """Return the unit of a measured symbol."""
         element = self.ocp.element(h[0])
         every = (*self.ocp.states, *self.ocp.controls, *self.ocp.parameters, *self.ocp.algebraics)
         names = {e: d.signal.unit for d in every for e in d.signal.elements}
         return "" if element is None else names.get(element.name, "")
 
     def _deviations(self, what: str, given: Any, *kinds: list[Declared]) -> dict[str, Array]:
-        """Name of a signal -> standard deviations of its elements."""
+        """Return {name of a signal: standard deviations of its elements}."""
         if given is None:
             return {}
         if not isinstance(given, Mapping):
@@ -207,7 +207,7 @@ class Estimator:
         return found
 
     def _signal(self, key: Any, known: Mapping[str, Declared]) -> Declared | None:
-        """The declared signal that a name, or its symbol, stands for."""
+        """Return the declared signal for a name or for its symbol."""
         if isinstance(key, str):
             return known.get(key)
         for declared in known.values():
@@ -229,6 +229,6 @@ class Estimator:
 
 
 def _require_moderate(std: Array, what: str) -> None:
-    """Raise ProblemError for a standard deviation whose square or its inverse is no number."""
+    """Raise ProblemError for a standard deviation whose square, or its inverse, overflows."""
     if np.any((std != 0.0) & ((std < 1 / LARGEST) | (std > LARGEST))):
         raise ProblemError(f"{what} is {quote(std.tolist())}; expected numbers between {1 / LARGEST:g} and {LARGEST:g}")

@@ -1,9 +1,9 @@
-"""Estimator -> Problem: the window as an optimal control problem whose x_0 is free.
+"""The window of an estimator is an optimal control problem with free x_0.
 
     min  1/2 |x_0 - xbar|^2_P^-1 + sum_{k<=N} 1/2 |a_k (h(x_k, u_{k-1}, p_k) - y_k)|^2 + sum_{k<N} 1/2 |w_k / std|^2
 
-States are those of the OCP and its unknown parameters; the problem's controls are the noise w. The controls u of the
-plant, the measurements y and their accuracy a, 0 for a missing one, are parameters of the nodes.
+The states are those of the OCP and its unknown parameters; the controls of this problem are the noise w. The controls u
+of the plant, the measurements y and their accuracy a, which is 0 for a missing one, are parameters of the nodes.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ SOFTNESS = 0.01
 
 
 def estimation_problem(estimator: Estimator) -> Problem:
-    """Return the problem of an estimator; the OCP may be changed and the estimator be built again.
+    """Return the problem of an estimator; the OCP may be changed and the estimator built again.
 
     Raises:
         ProblemError: a part of the model is missing, or the estimator does not support it.
@@ -64,7 +64,7 @@ def _moves(ocp: OCP, signal: Signal) -> bool:
 
 
 def _eliminate(estimator: Estimator) -> tuple[OCP, Any]:
-    """The model and the measurements without algebraic variables."""
+    """Return the model and the measurements without algebraic variables."""
     ocp, h = estimator.ocp, ca.vertcat(*(m.expression for m in estimator.measurements))
     if not (ocp.algebraics or ocp.equations):
         return ocp, h
@@ -84,14 +84,14 @@ def _eliminate(estimator: Estimator) -> tuple[OCP, Any]:
 
 @dataclass(frozen=True, eq=False)
 class _Noise:
-    """A control of the window: its symbol, and the standard deviation that it has."""
+    """A control of the window that stands for noise: its symbol and its standard deviation."""
 
     symbol: Any
     std: float
 
 
 class _Window:
-    """The OCP of a window, while it is put together."""
+    """The OCP of a window, while it is assembled."""
 
     def __init__(self, estimator: Estimator, model: OCP, h: Any) -> None:
         self.estimator, self.model, self.ocp = estimator, model, _grid(estimator)
@@ -127,8 +127,10 @@ class _Window:
     # Declarations ----------------------------------------------------------------------------------------------------
 
     def _size(self, signal: Signal) -> Array:
-        """What is neither small nor large: the declared scale, else half the width of bounds, the initial value or the
-        standard deviation of that, whichever there is."""
+        """Return the sizes of a signal: the declared scale, else one that follows from other declarations.
+
+        These are half the width of bounds, the initial value and its standard deviation, in this order.
+        """
         bounds = {n: (s.lower[i], s.upper[i]) for s in self.model.statements for i, n in enumerate(s.names)}
         given = self.estimator.initial_std.get(signal.name, np.zeros(signal.size))
         found = []
@@ -149,7 +151,7 @@ class _Window:
         return self.ocp.parameter(name or s.name, value=list(s.value), size=size, unit=s.unit, bounds=bounds)
 
     def _noise(self, element: str, std: float) -> Any:
-        """A new control; 0 where there is no noise."""
+        """Add a control for noise and return its symbol; return 0 if there is no noise."""
         if not std:
             return ca.SX(0)
         symbol = self.ocp.control(f"noise_{c_identifier(element)}", scale=std)
@@ -157,7 +159,7 @@ class _Window:
         return symbol
 
     def _channel(self, name: str, std: Array) -> Any:
-        """Noise of the elements of a control or parameter."""
+        """Return the noise of the elements of a control or parameter."""
         signals = (d.signal for d in (*self.model.controls, *self.model.parameters))
         signal = next(s for s in signals if s.name == name)
         return _stack(self._noise(e, value) for e, value in zip(signal.elements, std, strict=True))
@@ -165,7 +167,10 @@ class _Window:
     # Expressions -----------------------------------------------------------------------------------------------------
 
     def _here(self, expression: Any, u: Any, disturbed: bool = False) -> Any:
-        """An expression of the model in symbols of the window, where the controls are u; ``disturbed``: with noise."""
+        """Write an expression of the model in symbols of the window with the controls u.
+
+        With noise if ``disturbed``.
+        """
         old: list[Any] = [self.model.interval_before]
         new: list[Any] = [ca.SX(self.estimator.dt or 1.0)]
         for d in (*self.model.states, *self.model.parameters):
@@ -182,7 +187,10 @@ class _Window:
         return ca.densify(ca.substitute(expression, ca.vertcat(*old), ca.vertcat(*new)))
 
     def state_dynamics(self) -> None:
-        """The maps or derivatives of the states, with noise; unknown parameters are constant but for theirs."""
+        """State the maps or derivatives of the states, with noise.
+
+        Unknown parameters are constant except for their noise.
+        """
         discrete = bool(self.model.discrete)
         stated = {**self.model.derivatives, **self.model.maps}
         for s, std in ((s, self.estimator.process_std.get(s.name, np.zeros(s.size))) for s in self.states):
@@ -200,18 +208,18 @@ class _Window:
 
     @property
     def _own(self) -> Sequence[Signal]:
-        """The states of the model."""
+        """Return the states of the model."""
         return self.states[: len(self.model.states)]
 
     def _place(self, s: Signal) -> int:
-        """Position of the first element of a state or unknown parameter among all states of the window."""
+        """Return the index of the first element of a state or unknown parameter among all states of the window."""
         return sum(t.size for t in self.states[: self.states.index(s)])
 
     def state_rows(self) -> None:
-        """The rows of the OCP that the estimator shares; their penalties follow from scales.
+        """State the rows of the OCP that the estimator shares, with penalties from their scales.
 
         Raises:
-            ProblemError: a row that is named contains what is not known at the present sample.
+            ProblemError: a named row contains a quantity that is unknown at the present sample.
         """
         wanted = self.estimator.rows
         known = ca.vertcat(*(d.symbol for d in (*self.model.states, *self.model.parameters)))
@@ -231,7 +239,7 @@ class _Window:
                     self.ocp.subject_to(s.lower[i], h, s.upper[i], soft=(0.0, 1.0), name=identifier)
 
     def state_ranges(self) -> None:
-        """Bounds with which unknown parameters were declared are rows, which the estimates never leave."""
+        """State the declared bounds of unknown parameters as rows, which the estimates never violate."""
         for s in (d.signal for d in self.estimator.unknown if d.signal.low):
             for i, name in enumerate(s.elements):
                 identifier = c_identifier(name)
@@ -240,7 +248,7 @@ class _Window:
                 self.ocp.subject_to(s.low[i], x, s.high[i], soft=(0.0, 1.0), name=identifier)
 
     def state_costs(self) -> None:
-        """Measurements at all nodes, noise on the intervals, and what is known before the window."""
+        """State the costs: measurements at all nodes, noise on the intervals, and the arrival cost."""
         for m in self.estimator.measurements:
             at = range(m.signal.offset, m.signal.offset + m.signal.size)
             y = ca.vertcat(*(self.accuracy[i] * (self.h[i] - self.y[i]) for i in at))
@@ -256,14 +264,14 @@ class _Window:
 
     @property
     def initial_std(self) -> Array:
-        """Standard deviations of the initial values; without one, a state may be anything of its size."""
+        """Return the standard deviations of the initial values; if none is given, that of a state is its size."""
         given = self.estimator.initial_std
         return np.concatenate([given.get(s.name, size) for s, size in zip(self.states, self.sizes, strict=True)])
 
     # The problem -----------------------------------------------------------------------------------------------------
 
     def problem(self) -> Problem:
-        """The problem of the window, or of the filter, which has one interval and no cost."""
+        """Return the problem of the window, or of the filter, which has one interval and no cost."""
         found = classify(self.ocp)
         found = replace(found, noise=tuple(self.at_end), start=replace(found.start, dense_weight=True))
         found = _with_penalties(found, self.row_names)
@@ -291,13 +299,13 @@ class _Window:
         )
 
     def _state_of(self, expression: Any) -> str:
-        """Name of the state that an expression is, "" if it is another one."""
+        """Return the name of the state that an expression is, "" for other expressions."""
         element = self.estimator.ocp.element(expression)
         return element.name if element is not None and element.kind == "state" else ""
 
 
 def _grid(e: Estimator) -> OCP:
-    """An OCP with the intervals of the window."""
+    """Return an OCP with the intervals of the window."""
     if e.dt is None:
         return OCP(e.name, N=e.N)
     return OCP(e.name, intervals=[e.dt] * e.N, time_unit=e.ocp.time_unit)
@@ -308,8 +316,10 @@ def _stack(columns: Iterable[Any]) -> Any:
 
 
 def _with_penalties(problem: Problem, names: dict[str, str]) -> Problem:
-    """The problem with quadratic penalties of its rows, SOFTNESS of the scale of a row is one standard deviation, and
-    with the names that they have in the OCP."""
+    """Return the problem with quadratic penalties of its rows, under the names that they have in the OCP.
+
+    A violation of SOFTNESS, relative to the scale of a row, counts as one standard deviation.
+    """
     penalties = (SOFTNESS * scales(problem).rows) ** -2
     rows = (
         replace(row, soft=(0.0, float(l2)), name=names[row.name])
@@ -319,7 +329,7 @@ def _with_penalties(problem: Problem, names: dict[str, str]) -> Problem:
 
 
 def _without_costs(problem: Problem) -> Problem:
-    """The problem of a filter: bounds of states, and no cost."""
+    """Return the problem of a filter, with bounds of states and without cost."""
 
     def bare(stage: Stage) -> Stage:
         stage = replace(stage, y=NOTHING, y_names=(), reference=np.zeros(0), weight=np.zeros((0, 0)), y_scale=())

@@ -1,1 +1,1 @@
-"""Functions that expressions of a problem may contain, besides those of CasADi."""
+"""Expressions of a problem may contain these functions besides those of CasADi."""

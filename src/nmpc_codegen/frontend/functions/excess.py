@@ -1,4 +1,4 @@
-"""A smooth distance from an interval, for costs that penalise rows along the intervals of the grid."""
+"""A smooth distance from an interval serves for costs that penalise rows along the intervals of the grid."""
 
 from __future__ import annotations
 
@@ -13,22 +13,22 @@ from nmpc_codegen.ir.casadi_types import Expression
 
 
 def smooth_excess(lower: Any, expr: Any, upper: Any, width: Any) -> Expression:
-    """max(0, lower - h, h - upper) for every element h of a column, rounded off over ``width``.
+    """Return max(0, lower - h, h - upper) for every element h of a column, rounded off over ``width``.
 
         s(lower - h) + s(h - upper),   s(e) = (e + sqrt(e^2 + width^2)) / 2
 
     s(0) = width / 2, s(e) = e + width^2 / (4 e) far outside and width^2 / (4 |e|) far inside; all derivatives exist.
-    With ``ocp.stage_cost(weight * smooth_excess(-inf, h, 100, 0.01), integrate=True)`` a row costs its integral over
-    time, at all points of the integrator and not only at the nodes, as an l1 penalty: it holds if ``weight`` exceeds
-    its multiplier per unit of time, up to about ``width``.
+    With ``ocp.stage_cost(weight * smooth_excess(-inf, h, 100, 0.01), integrate=True)`` the violation of a row is
+    integrated over time, at all points of the integrator and not only at the nodes, as an l1 penalty. The row holds up
+    to about ``width`` if ``weight`` exceeds its multiplier per unit of time.
 
     Args:
         lower: number, or one per element; -inf is allowed.
         expr: scalar or column of states, controls and parameters.
-        upper: the same, inf is allowed.
-        width: positive number in the unit of h, or an expression, such as a parameter that solve() after solve()
-            decreases. A step that moves h by more than the width does not see the penalty: with one QP per sample a
-            width of a tenth of what a disturbance moves h by is too small.
+        upper: as ``lower``; inf is allowed.
+        width: positive number in the unit of h, or an expression, such as a parameter that is decreased from one
+            solve() to the next. A step that changes h by more than the width ignores the penalty: with one QP per
+            sample, a tenth of the change that a disturbance causes is too small.
 
     Raises:
         ProblemError: sizes do not match, lower exceeds upper, or the width is not positive.
@@ -53,5 +53,5 @@ def smooth_excess(lower: Any, expr: Any, upper: Any, width: Any) -> Expression:
 
 
 def _smooth(e: Expression, bound: float, width: Any) -> Expression | float:
-    """s(e), 0 without a bound."""
+    """Return s(e), 0 without a bound."""
     return (e + ca.sqrt(e**2 + width**2)) / 2 if np.isfinite(bound) else 0.0

@@ -1,4 +1,4 @@
-"""Look-up tables of one and two variables as expressions: data with a search, whatever their size."""
+"""Look-up tables of one and two variables are expressions: data with a search, whatever their size."""
 
 from __future__ import annotations
 
@@ -16,21 +16,21 @@ from nmpc_codegen.frontend.problem import Array
 from nmpc_codegen.ir.lookup_calls import look_up
 from nmpc_codegen.package.lookup import Lookup
 
-#: Kinds of interpolation -> the least number of points of an axis.
+#: Kind of interpolation -> least number of points of an axis.
 KINDS = {"linear": 2, "cubic": 4}
 OUTSIDE = ("extrapolate", "clamp")
 
-#: Entries whose numbers are whole numbers in single precision, too.
+#: Largest number of entries whose indices are exact in single precision.
 MOST_ENTRIES = 2**24
 
-#: Coefficients of a cubic polynomial, and splines that are not zero in an interval.
+#: Number of coefficients of a cubic polynomial, and of splines that are not zero in an interval.
 CUBIC = 4
 
 
 def lookup_table(
     x: Any, grid: Any, values: Any, kind: str = "linear", *, outside: str = "extrapolate", name: str = ""
 ) -> Any:
-    """The interpolation of a table, an expression with exact first and second derivatives, SX or MX.
+    """Return the interpolation of a table, an SX or MX expression with exact first and second derivatives.
 
     In C the table is a constant array with a search of fixed length, so that time and text of an export depend little
     on the number of points.
@@ -42,12 +42,13 @@ def lookup_table(
         kind: "linear", whose slope jumps at the points, or "cubic", the spline with continuous second derivatives (the
             second and the last but one point are no knots, as in casadi.interpolant(..., "bspline", ...)). Newton-type
             iterations converge best with "cubic".
-        outside: what holds outside of the grid: "extrapolate", the line that continues the function with its slope at
-            the end, or "clamp", the value at the end.
-        name: name of the table in C; by default one that follows from its content.
+        outside: value outside of the grid: "extrapolate", the line with the slope at the end, or "clamp", the value at
+            the end.
+        name: name of the table in C; by default it is derived from the content.
 
     Raises:
-        ProblemError: a part has another shape, a grid does not increase, a number is not finite, it is too large.
+        ProblemError: a part has a wrong shape, a grid does not increase, a number is not finite, or the table is too
+            large.
 
     Examples:
         >>> speed, torque = [0, 100, 200, 300], [2.0, 1.9, 1.5, 0.8]
@@ -116,7 +117,7 @@ def _scalar(x: Any) -> Any:
 
 
 class _Axis:
-    """A sorted grid: the interval that contains x, and the distance of x from its left end."""
+    """A sorted grid with the interval that contains x, and the distance of x from its left end."""
 
     def __init__(self, x: Any, grid: Array, name: str) -> None:
         points = tuple(map(float, grid))
@@ -125,7 +126,7 @@ class _Axis:
 
 
 def _entries(name: str, values: Array, kinks: bool = False) -> Any:
-    """i -> entry i of the flattened values, as an expression."""
+    """Return a function i -> entry i of the flattened values, as an expression."""
     if values.size > MOST_ENTRIES:
         raise ProblemError(f"lookup_table: {values.size:,} entries; expected at most {MOST_ENTRIES:,}")
     table = Lookup(name, "entry", tuple(map(float, values.ravel())), kinks)
@@ -133,14 +134,14 @@ def _entries(name: str, values: Array, kinks: bool = False) -> Any:
 
 
 def _line(x: Any, grid: Array, values: Array, name: str) -> Any:
-    """y_i + s_i (x - x_i)."""
+    """Return y_i + s_i (x - x_i)."""
     axis, slopes = _Axis(x, grid, f"{name}_x"), np.diff(values) / np.diff(grid)
     entry = _entries(name, np.column_stack([values[:-1], slopes]), kinks=True)
     return entry(2 * axis.interval) + axis.distance * entry(2 * axis.interval + 1)
 
 
 def _bilinear(x: Sequence[Any], grids: Sequence[Array], values: Array, name: str) -> Any:
-    """Linear in each variable between four points."""
+    """Interpolate linearly in each variable between four points."""
     axes = [_Axis(v, g, f"{name}_{letter}") for v, g, letter in zip(x, grids, "xy", strict=True)]
     u, v = (
         axis.distance * _entries(f"{name}_per_{letter}", 1.0 / np.diff(grid))(axis.interval)
@@ -154,13 +155,13 @@ def _bilinear(x: Sequence[Any], grids: Sequence[Array], values: Array, name: str
 
 
 def _power_sum(t: Any, entry: Any, first: Any, offset: int = 0) -> Any:
-    """The cubic polynomial in t whose coefficients begin at entry first + offset."""
+    """Return the cubic polynomial in t whose coefficients begin at entry first + offset."""
     c = [entry(first + (offset + i)) for i in range(CUBIC)]
     return c[0] + t * (c[1] + t * (c[2] + t * c[3]))
 
 
 def _cubic(x: Any, grid: Array, values: Array, name: str, clamp: bool) -> Any:
-    """The spline, one polynomial per interval."""
+    """Return the spline, one polynomial per interval."""
     spline = make_interp_spline(grid, values, k=CUBIC - 1)
     ends, pieces = _pieces(lambda order: spline(grid, nu=order), grid, clamp)
     axis = _Axis(x, ends, f"{name}_x")
@@ -168,7 +169,7 @@ def _cubic(x: Any, grid: Array, values: Array, name: str, clamp: bool) -> Any:
 
 
 def _bicubic(x: Sequence[Any], grids: Sequence[Array], values: Array, name: str, clamp: bool) -> Any:
-    """sum_ab B_a(x) B_b(y) C_ab over the four splines of each variable that are not zero there."""
+    """Return sum_ab B_a(x) B_b(y) C_ab over the four splines of each variable that are not zero there."""
     by_x = make_interp_spline(grids[0], values, k=CUBIC - 1, axis=0)
     by_y = make_interp_spline(grids[1], by_x.c.T, k=CUBIC - 1, axis=0)
     coefficient, count = _entries(name, by_y.c.T), len(grids[1])
@@ -184,7 +185,7 @@ def _bicubic(x: Sequence[Any], grids: Sequence[Array], values: Array, name: str,
 
 
 def _basis(x: Any, grid: Array, knots: Array, name: str, clamp: bool) -> tuple[Any, list[Any]]:
-    """The number of the first spline that is not zero at x, and the values of four."""
+    """Return the number of the first spline that is not zero at x, and the values of four splines."""
     every = BSpline(knots, np.eye(len(grid)), CUBIC - 1)
     ends, pieces = _pieces(lambda order: every(grid, nu=order), grid, clamp)
     first = np.clip(np.searchsorted(knots, 0.5 * (ends[:-1] + ends[1:]), side="right") - CUBIC, 0, len(grid) - CUBIC)
@@ -195,10 +196,10 @@ def _basis(x: Any, grid: Array, knots: Array, name: str, clamp: bool) -> tuple[A
 
 
 def _pieces(derivative: Any, grid: Array, clamp: bool) -> tuple[Array, Array]:
-    """(ends, coefficients): polynomials in the distance from the left end of every interval, (intervals, ..., 4).
+    """Return (ends, coefficients) of polynomials in the distance from the left end of an interval, (intervals, ..., 4).
 
-    ``derivative``: order -> values at the grid of a derivative of piecewise cubic functions. An interval in front of
-    the grid and one behind it continue the functions by their tangents, or with ``clamp`` by their values.
+    ``derivative`` maps an order to the values of a derivative of piecewise cubic functions at the grid. An additional
+    interval on either side continues the functions by their tangents, or with ``clamp`` by their values.
     """
     factorials = (1.0, 1.0, 2.0, 6.0)
     at_points = np.stack([np.asarray(derivative(k)) / factorials[k] for k in range(CUBIC)], axis=-1)
@@ -210,5 +211,5 @@ def _pieces(derivative: Any, grid: Array, clamp: bool) -> tuple[Array, Array]:
 
 
 def _extend(grid: Array) -> Array:
-    """The grid with a point in front of it and one behind it."""
+    """Return the grid with an additional point on either side."""
     return np.concatenate([[2 * grid[0] - grid[1]], grid, [2 * grid[-1] - grid[-2]]])

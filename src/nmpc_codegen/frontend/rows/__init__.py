@@ -1,1 +1,1 @@
-"""Rows of a problem: how they are stated."""
+"""The rows of a problem are stated here."""

@@ -1,4 +1,4 @@
-"""Rows of an OCP, as stated: lower <= h(x, z, u, p) <= upper, lower <= r(x_0, x_N) <= upper."""
+"""Rows of an OCP are stated as lower <= h(x, z, u, p) <= upper and lower <= r(x_0, x_N) <= upper."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from nmpc_codegen.package.signals import Soft
 
 
 class Constraints(Algebraic):
-    """An OCP as far as rows bound expressions of it."""
+    """The part of an OCP that states rows."""
 
-    _unnamed = 0  # rows with default names
+    _unnamed = 0  # number of rows with default names
 
     def _add_rows(
         self, lower: Any, h: Any, upper: Any, at: At | None, soft: Any, name: str | None, suffix: str, what: str
@@ -48,7 +48,10 @@ class Constraints(Algebraic):
         self._unnamed += unnamed
 
     def _find_place(self, new: Statement, what: str) -> _Place:
-        """Where the rows go: into rows that exist, whose bounds become the intersection, or into a new statement."""
+        """Return where new rows are stored: in existing rows or in a new statement.
+
+        The bounds of an existing row become the intersection of both.
+        """
         earlier = {i: self._earlier(new, i) for i in range(new.expression.numel())}
         taken = tuple(
             (*there, *intersection(new, i, *there, what)) for i, there in earlier.items() if there is not None
@@ -59,7 +62,7 @@ class Constraints(Algebraic):
         return _Place(taken, (rest,) if left else ())
 
     def _earlier(self, new: Statement, i: int) -> tuple[Statement, int] | None:
-        """The earlier row of the same name, bare state or control, nodes and penalty; None if there is none."""
+        """Return the earlier row with the same name, state or control, nodes and penalty; None if there is none."""
         element = self.element(new.expression[i])
         for s in self.statements:
             if element is None or (s.at, s.soft, s.scaled) != (new.at, new.soft, new.scaled):
@@ -70,7 +73,7 @@ class Constraints(Algebraic):
         return None
 
     def _row_names(self, h: Any, name: str | None, suffix: str, what: str) -> tuple[tuple[str, ...], int]:
-        """Names of the rows, and how many of them are default names row_i."""
+        """Return the names of the rows, and how many of them are default names row_i."""
         n, unnamed = h.numel(), 0
         if name is not None:
             identifier(name, what)
@@ -87,7 +90,10 @@ class Constraints(Algebraic):
         return tuple(f"{row}{suffix}" for row in names), unnamed
 
     def _refuse_clashes(self, places: Sequence[_Place], what: str) -> None:
-        """Raise ProblemError if the name of a new row, or that of the row of which it is a side, is already in use."""
+        """Raise ProblemError if the name of a new row is already in use.
+
+        The name of the row of which it is a side counts as well.
+        """
         taken = {c_identifier(name): name for s in self.statements for name in (*s.names, *s.stated)}
         new = dict.fromkeys(name for place in places for s in place.left for name in (*s.names, *s.stated))
         known = {name for place in places for s, j, *_ in place.taken for name in (s.stated[j],)}
@@ -121,8 +127,7 @@ class Constraints(Algebraic):
 
 @dataclass(frozen=True, eq=False)
 class _Place:
-    """Rows that exist, with their new bounds, (statement, position, lower, upper), and a statement of those that do
-    not."""
+    """Existing rows with their new bounds, (statement, index, lower, upper), and statements of new rows."""
 
     taken: tuple[tuple[Statement, int, float, float], ...]
     left: tuple[Statement, ...]
@@ -133,7 +138,7 @@ class _Place:
 
 
 def _refuse_crossed(places: Sequence[_Place], what: str) -> None:
-    """Raise ProblemError if the two sides of a row would contradict each other."""
+    """Raise ProblemError if the two sides of a row contradict each other."""
     lowest: dict[str, float] = {}
     for place in places:
         rows = [(s.stated[j], lower, upper) for s, j, lower, upper in place.taken]
@@ -148,8 +153,10 @@ def _refuse_crossed(places: Sequence[_Place], what: str) -> None:
 def _sides(
     lower: Array, upper: Array, soft: Soft
 ) -> Iterator[tuple[tuple[Side, bool], list[int], Array, Array, Penalty]]:
-    """((side, alone), rows, lower, upper, penalty): statements of rows, one for each side of a row whose penalties
-    differ; a side without a bound and without a penalty is none."""
+    """Yield ((side, alone), rows, lower, upper, penalty): statements of rows, by side if penalties differ.
+
+    A side without a bound and without a penalty is left out.
+    """
     below: Any = soft.lower
     above: Any = soft.upper
     both, none = np.full(len(lower), below == above), np.full(len(lower), np.inf)

@@ -1,4 +1,4 @@
-"""Names of constants in printed kernels: after the user's signals, their stages, and the functions of them.
+"""Constants in printed kernels are named after the user's signals, their stages, and functions of them.
 
 x[2] -> phi,   yref[2] -> phi_ref,   stage 3 of step 1 -> phi_13, its slope -> phi_dot_13,   cos(phi) -> cos_phi
 """
@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 
-#: Buffer -> text in front of the name of a signal, the signals, text behind it.
+#: Buffer -> text before the name of a signal, kind of the signals, text after it.
 _OF_SIGNALS = {
     **dict.fromkeys(("x", "X", "Xi", "Xs"), ("", "states", "")),
     "x_next": ("", "states", "_next"),
@@ -23,15 +23,15 @@ _OF_SIGNALS = {
     **dict.fromkeys(("x_0", "first"), ("", "states", "_0")),
     **dict.fromkeys(("x_N", "last"), ("", "states", "_N")),
 }
-#: Slopes of all stages, one after the other.
+#: The buffer with the slopes of all stages, one after the other.
 _SLOPES = "K"
-#: Longest name that is made of another one.
+#: Largest length of a name that is derived from another one.
 _LONGEST = 24
 
 
 @dataclass(frozen=True)
 class LocalNames:
-    """The user's signals, element by element, as identifiers of C; ``reserved``: names that no constant may have."""
+    """The user's signals, element by element, as identifiers of C; constants must not have names in ``reserved``."""
 
     states: tuple[str, ...] = ()
     controls: tuple[str, ...] = ()
@@ -39,10 +39,10 @@ class LocalNames:
     residuals: tuple[str, ...] = ()
     residuals_N: tuple[str, ...] = ()
     reserved: frozenset[str] = frozenset()
-    algebraic: tuple[str, ...] = ()  # behind states of a stage, and behind parameters with slopes of theirs
+    algebraic: tuple[str, ...] = ()  # after the states of a stage, and after the parameters with their slopes
 
     def signal(self, kernel: str, buffer: str, element: int, size: int) -> str:
-        """Name for an element of a buffer of ``size`` elements in a kernel; "" if it is no signal."""
+        """Return the name for an element of a buffer of ``size`` elements in a kernel; "" if it is no signal."""
         before, kind, behind = _OF_SIGNALS.get(buffer, ("", "", ""))
         if kind == "residuals" and not kernel.startswith("path"):
             kind = "residuals_N" if kernel.startswith("terminal") else ""
@@ -54,12 +54,12 @@ class LocalNames:
         return f"{before}{names[element]}{behind}" if len(names) == size else ""
 
     def variable(self, element: int) -> str:
-        """Name of a component of (x, u)."""
+        """Return the name of a component of (x, u)."""
         names = (*self.states, *self.controls)
         return names[element] if element < len(names) else ""
 
     def value(self, buffer: str, element: int, mark: str) -> str:
-        """Name for a value of a stage; "" if it has none."""
+        """Return the name for a value of a stage; "" if it has none."""
         n = len(self.states)
         if not (mark and n):
             return ""
@@ -73,7 +73,7 @@ NO_NAMES = LocalNames()
 
 
 class Taken:
-    """The names that a function has given away."""
+    """The names that are in use in a function."""
 
     def __init__(self, names: LocalNames, others: Iterable[str] = ()) -> None:
         self._reserved: Collection[str] = names.reserved
@@ -81,7 +81,7 @@ class Taken:
         self._number = 0
 
     def of(self, wish: str, otherwise: str) -> str:
-        """The wish, the same with _, or the other name."""
+        """Return the wanted name, with _ appended if it is in use, or else the other name."""
         for name in (wish, f"{wish}_") if wish else ():
             if name not in self._reserved and name not in self._taken:
                 self._taken.add(name)
@@ -92,7 +92,7 @@ class Taken:
         return otherwise
 
     def next(self, wish: str = "") -> str:
-        """The wish if it is short and free, or t1, t2, ..."""
+        """Return the wanted name if it is short and free, else t1, t2, ..."""
         if wish and len(wish) <= _LONGEST and wish not in self._taken and wish not in self._reserved:
             self._taken.add(wish)
             return wish

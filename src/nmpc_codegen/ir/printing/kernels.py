@@ -1,4 +1,4 @@
-"""Straight-line kernels as C functions: loads, then named constants, then stores.
+"""Straight-line kernels are printed as C functions: loads, then named constants, then stores.
 
 Outputs may alias inputs, so all loads are named constants in front of the first store.
 """
@@ -18,42 +18,42 @@ from nmpc_codegen.ir.printing.constant_names import LocalNames, Taken
 from nmpc_codegen.ir.printing.nested_expressions import FIRM, WIDTH, NestedExpressions, declare, wrap_statement
 from nmpc_codegen.package.opcount import OpCount
 
-#: The longest function that is not cut, in lines.
+#: Largest number of lines of a function that is not cut.
 LONGEST_FUNCTION = 60
 
-#: So many zeros of an output are one call.
+#: Number of zeros of an output from which one call writes them.
 CLEARED = 4
 
 Cut = TypeVar("Cut")
 
 
 def signature(name: str, inputs: tuple[Port, ...], outputs: tuple[Port, ...], style: CStyle) -> str:
-    """``static void name(const real x[4], ..., real y[4])``."""
+    """Return ``static void name(const real x[4], ..., real y[4])``."""
     return f"static void {name}({', '.join(parameters((*inputs, *outputs), outputs, style))})"
 
 
 def parameters(ports: Iterable[Port], outputs: Collection[Port], style: CStyle) -> list[str]:
-    """``const real x[4]``, ``real y[4]``, ``int k``: ports as parameters in C, of which these are written."""
+    """Return ports as parameters in C: ``const real x[4]``, ``real y[4]`` for ``outputs``, ``int k``."""
     return [
         f"int {p.name}" if p.whole else f"{'' if p in outputs else 'const '}{style.real} {parameter(p)}" for p in ports
     ]
 
 
 def parameter(port: Port) -> str:
-    """``x[4]``, ``S[4][5]``, ``*W``: a port as a parameter in C."""
+    """Return a port as a parameter in C: ``x[4]``, ``S[4][5]``, ``*W``."""
     if port.flat:
         return f"*{port.name}"
     return f"{port.name}[{port.rows}][{port.cols}]" if port.cols else f"{port.name}[{port.rows}]"
 
 
 def comment(doc: str, inputs: tuple[Port, ...], outputs: tuple[Port, ...], extra: str) -> str:
-    """Block comment with the formula, what is said of the ports, and the operation count."""
+    """Return the block comment with the formula, the notes on ports, and the operation count."""
     ports = "".join(f"; {p.name}: {p.doc}" for p in (*inputs, *outputs) if p.doc)
     return block(f"{doc}{ports}", extra)
 
 
 def block(doc: str, count: str) -> str:
-    """A block comment in filled lines; the operation count is in the same line as the text, or in one of its own."""
+    """Return a block comment in filled lines; the operation count is on the line of the text if it fits."""
     width = WIDTH - len(" * ") - len(" */")
     together = f"{doc}: {count}"
     lines = [together] if len(together) <= width else [*wrap(doc, width, break_on_hyphens=False), count]
@@ -61,24 +61,24 @@ def block(doc: str, count: str) -> str:
 
 
 def print_count(count: OpCount) -> str:
-    """``3 add, 4 mul``."""
+    """Return ``3 add, 4 mul``."""
     return ", ".join(f"{v} {k}" for k, v in count.as_dict().items() if v) or "no operations"
 
 
 def print_kernel(kernel: Kernel, style: CStyle) -> str:
-    """The whole C function; its parameters are the ports that it reads or writes."""
+    """Return the whole C function; its parameters are the ports that it reads or writes."""
     printed = PrintedFunction(kernel, style)
     lines = [*wrapped_head(signature(kernel.name, kernel.reads, kernel.writes, style)), "{", *printed.lines(), "}"]
     return "\n".join([describe(kernel), *lines])
 
 
 def describe(kernel: Kernel) -> str:
-    """The comment above the function of a kernel."""
+    """Return the comment above the function of a kernel."""
     return comment(kernel.doc, kernel.reads, kernel.writes, print_count(kernel.count))
 
 
 def wrapped_head(head: str) -> list[str]:
-    """The head of a function in lines of at most WIDTH columns."""
+    """Return the head of a function in lines of at most WIDTH columns."""
     return wrap_statement("", re.sub(r"(?<!,) ", FIRM, head))
 
 
@@ -86,8 +86,8 @@ class PrintedFunction:
     """The body of a kernel as a function of its ports: loads, then named constants, then stores.
 
     Attributes:
-        loads: port -> the names of its elements that are read, and their texts.
-        stores: the target of every store, its text, and what it is.
+        loads: {port: names and texts of the elements that are read}.
+        stores: target of every store, its text, and a note.
         cleared: outputs that are set to zero before the other stores.
     """
 
@@ -112,7 +112,7 @@ class PrintedFunction:
         ]
 
     def lines(self) -> list[str]:
-        """All statements."""
+        """Return all statements."""
         indent = "    "
         declarations = [line for held in self.loads.values() for line in declare(self.style.real, held)]
         statements = (*declarations, *self.expressions.statements)
@@ -126,13 +126,13 @@ class PrintedFunction:
         return lines
 
     def _note(self, output: int, element: int) -> str:
-        """What the element of an output is."""
+        """Return the note on the element of an output."""
         port = self.kernel.outputs[output]
         return result_note(port.name, port.cols, element, self.style.names)
 
 
 def result_note(name: str, columns: int, element: int, names: LocalNames) -> str:
-    """``phi+`` for an element of x_next, ``d omega+ / d phi`` for one of S."""
+    """Return ``phi+`` for an element of x_next, ``d omega+ / d phi`` for one of S."""
     row, column = divmod(element, columns) if columns else (element, 0)
     of_row, of_column = names.variable(row), names.variable(column)
     if not of_row:
@@ -143,7 +143,7 @@ def result_note(name: str, columns: int, element: int, names: LocalNames) -> str
 
 
 def first_short(cuts: Iterable[Cut], longest: Callable[[Cut], int]) -> Cut:
-    """The first cut whose ``longest`` function has at most LONGEST_FUNCTION lines; the last one if none has."""
+    """Return the first cut whose ``longest`` function has at most LONGEST_FUNCTION lines; the last one if none has."""
     for cut in cuts:
         if longest(cut) <= LONGEST_FUNCTION:
             break
@@ -151,18 +151,18 @@ def first_short(cuts: Iterable[Cut], longest: Callable[[Cut], int]) -> Cut:
 
 
 def pointer(ports: Iterable[Port]) -> str:
-    """The name of a pointer to values that several functions of a kernel share, which no port has."""
+    """Return a name for a pointer to values that several functions of a kernel share; no port has this name."""
     names = {port.name for port in ports}
     return next(name for name in ("w", "work", "shared") if name not in names)
 
 
 def at(port: Port, element: int) -> str:
-    """The index of an element of a port."""
+    """Return the index of an element of a port."""
     return "[{}][{}]".format(*divmod(element, port.cols)) if port.cols else f"[{element}]"
 
 
 def statement(indent: str, text: str, note: str) -> list[str]:
-    """The lines of a statement, with a note behind it, or above it where it does not fit."""
+    """Return the lines of a statement, with a note after it, or above it if it does not fit."""
     lines = wrap_statement(indent, f"{text};")
     if not note:
         return lines
@@ -171,5 +171,5 @@ def statement(indent: str, text: str, note: str) -> list[str]:
 
 
 def find_loads(kernel: Kernel) -> set[tuple[int, int]]:
-    """(port, element) of all loads."""
+    """Return (port, element) of all loads."""
     return {(ins.args[0], ins.args[1]) for ins in kernel.instructions if ins.opcode == ca.OP_INPUT}

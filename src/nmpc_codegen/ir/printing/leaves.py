@@ -1,4 +1,4 @@
-"""The statements of a leaf where a sweep calls it: loads, constants, loops over elements, stores."""
+"""The statements of a leaf are printed where a sweep calls it: loads, constants, loops over elements, stores."""
 
 from __future__ import annotations
 
@@ -19,9 +19,10 @@ from nmpc_codegen.ir.sweep import Affine, Call, LoopedRoutine, Slice
 
 @dataclass(frozen=True)
 class Buffers:
-    """The buffers of a sweep in C: their sizes, rows, and how a function reaches them.
+    """The buffers of a sweep in C: their sizes, rows, and access.
 
-    local: buffers of the sweep, which alias nothing. reached: buffer -> text in front of its name, if it is a member.
+    ``local`` buffers belong to the sweep and alias nothing; ``reached`` maps a buffer that is a member to the text
+    before its name.
     """
 
     sizes: Mapping[str, int]
@@ -30,15 +31,15 @@ class Buffers:
     reached: Mapping[str, str]
 
     def is_number(self, buffer: str) -> bool:
-        """True for a local buffer of one element, which is no array."""
+        """Return True for a local buffer of one element, which is no array."""
         return self.local.get(buffer) == 1 and buffer not in self.columns
 
     def name(self, buffer: str) -> str:
-        """The buffer as an operand."""
+        """Return the buffer as an operand."""
         return self.reached.get(buffer, "") + buffer
 
     def element(self, s: Slice, e: int, index: str = "", stride: int = 0) -> str:
-        """C text of an element of a slice, or of those that are ``stride`` elements apart for an index."""
+        """Return the C text of an element of a slice, or of elements ``stride`` apart for an index."""
         constant, columns = s.offset.constant + s.stride * e, self.columns.get(s.buffer)
         name, moved = self.name(s.buffer), s.stride * stride
         if self.is_number(s.buffer):
@@ -53,7 +54,7 @@ class Buffers:
         return f"{name}[{row.c()}][{column.c()}]"
 
     def address(self, s: Slice) -> str:
-        """The slice as an argument: a pointer to its first number."""
+        """Return the slice as an argument: a pointer to its first number."""
         columns = self.columns.get(s.buffer)
         text = self.element(s, 0)
         if columns and s.size <= columns and text.endswith("[0]"):
@@ -62,7 +63,7 @@ class Buffers:
         return name if text == f"{name}[0]" else f"&{text}"
 
     def fits(self, s: Slice, e: int, stride: int, count: int) -> bool:
-        """True if so many elements of a slice are in one row, or go down a diagonal."""
+        """Return True if ``count`` elements of a slice are in one row, or on a diagonal."""
         columns = self.columns.get(s.buffer)
         if not columns:
             return True
@@ -75,8 +76,8 @@ class Buffers:
 class Leaf:
     """A call of a leaf in a function whose names are ``taken``.
 
-    If every result is a number or one expression of the elements of vectors, the leaf is loops over elements. Otherwise
-    only numbers are, and the rest is nested expressions.
+    If every result is a number, or one expression of the elements of vectors, the leaf is printed as loops over
+    elements. Otherwise only numbers are, and the rest is nested expressions.
     """
 
     def __init__(self, routine: LoopedRoutine, call: Call, buffers: Buffers, style: CStyle) -> None:
@@ -85,7 +86,7 @@ class Leaf:
         self.cleared = self._find_cleared()
         stores = tuple(s for s in self.kernel.stores if not (s[0] in self.cleared and self.kernel.is_zero(s[2])))
         self.rolls, self.stores = self._roll(stores)
-        #: True if it is loops over elements and stores of numbers.
+        #: True if it consists of loops over elements and stores of numbers.
         self.is_loop = all(self._is_number(v) for _, _, v in self.stores) and all(map(self._may_loop, self.rolls))
         if not self.is_loop:
             self.rolls = [roll for roll in self.rolls if self._is_number(roll.value)]
@@ -93,7 +94,7 @@ class Leaf:
             self.stores = [s for s in stores if s[:2] not in rolled]
 
     def lines(self, indent: str, index: str, taken: Taken) -> list[str]:
-        """Its statements; ``index``: of loops over elements."""
+        """Return its statements; ``index`` is that of loops over elements."""
         kernel = replace(self.kernel, stores=tuple(self.stores))
         held, texts = ([], {}) if self.is_loop else self._loads(taken)
         if self.is_loop:
@@ -125,7 +126,7 @@ class Leaf:
         return find_rolls(replace(self.kernel, stores=stores), strides, fits)
 
     def _may_loop(self, roll: Roll) -> bool:
-        """True if a loop reads nothing that it, or another loop of the leaf, has changed."""
+        """Return True if a loop reads nothing that it, or another loop of the leaf, has changed."""
         if self._is_number(roll.value):
             return True
         target = self.call.outs[roll.output]
@@ -145,7 +146,7 @@ class Leaf:
         return True
 
     def _loop(self, roll: Roll, indent: str, index: str, taken: Taken) -> list[str]:
-        """A loop over the elements of a roll, or the call that copies them."""
+        """Return a loop over the elements of a roll, or the call that copies them."""
         ins, outs = self.call.ins, self.call.outs
         if copied := self._find_copy(roll):
             to = self.buffers.address(self._from(outs[roll.output], roll.first))
@@ -168,7 +169,7 @@ class Leaf:
         return [*lines, indent + "}"]
 
     def _find_copy(self, roll: Roll) -> tuple[int, int] | None:
-        """The load of the first element if a roll copies adjacent elements between buffers that do not overlap."""
+        """Return the load of the first element if a roll copies adjacent elements between buffers without overlap."""
         ins = self.kernel.instructions[roll.value]
         if ins.opcode != ca.OP_INPUT or (ins.args[0], ins.args[1]) not in roll.moving:
             return None
@@ -178,14 +179,14 @@ class Leaf:
         return (ins.args[0], ins.args[1]) if apart and adjacent else None
 
     def _from(self, s: Slice, e: int) -> Slice:
-        """The slice from an element on."""
+        """Return the slice from an element on."""
         offset = Affine(s.offset.constant + e, s.offset.terms)
         return replace(s, offset=offset, size=s.size - e)
 
     # Zeros -----------------------------------------------------------------------------------------------------------
 
     def _find_cleared(self) -> list[int]:
-        """The outputs that are buffers as a whole, with many zeros."""
+        """Return the outputs that are whole buffers and have many zeros."""
         zeros = [o for o, _, v in self.kernel.stores if self.kernel.is_zero(v)]
         outs = enumerate(self.call.outs)
         return [o for o, s in outs if zeros.count(o) >= CLEARED and s.size == self.buffers.sizes[s.buffer]]
@@ -200,9 +201,9 @@ class Leaf:
     # Loads and notes -------------------------------------------------------------------------------------------------
 
     def _loads(self, taken: Taken) -> tuple[list[str], dict[tuple[int, int], str]]:
-        """Declarations of the constants that hold loads, and the text of every load.
+        """Return declarations of the constants that hold loads, and the text of every load.
 
-        A load is held if it has a name, or if a store of the call may change it.
+        A load is held in a constant if it has a name, or if a store of the call may change it.
         """
         kernel, call, local = self.kernel, self.call, self.buffers.local
         texts = {(port, e): self.buffers.element(call.ins[port], e) for port, e in find_loads(kernel)}
@@ -223,7 +224,7 @@ class Leaf:
         return declarations, texts
 
     def _note(self, s: Slice, e: int) -> str:
-        """What an element of a result is, where no loop runs over it."""
+        """Return the note on an element of a result that is outside loops."""
         if s.buffer in self.buffers.local or s.offset.terms:
             return ""
         element = s.offset.constant + s.stride * e

@@ -1,4 +1,4 @@
-"""The C functions of look-up tables: the search in a grid, and an entry."""
+"""Look-up tables become C functions: the search in a grid, and an entry."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from nmpc_codegen.package.lookup import Lookup
 
 
 def print_lookups(lookups: Sequence[Lookup]) -> dict[str, str]:
-    """Name -> text of the functions; those of grids call find_interval()."""
+    """Return {name: text} of the functions; those of grids call find_interval()."""
     return {lookup.function: _function(lookup) for lookup in lookups}
 
 

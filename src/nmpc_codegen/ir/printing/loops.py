@@ -1,7 +1,7 @@
-"""Sweeps as C functions with loops.
+"""Sweeps are printed as C functions with loops.
 
-A sweep that is too long for one function is cut where the comments begin: one function per stage and direction, on
-scratch memory in a struct whose comments say what its members are.
+A sweep that is too long for one function is cut where comments begin: one function per stage and direction, on scratch
+memory in a struct with a comment on each member.
 """
 
 from __future__ import annotations
@@ -27,13 +27,13 @@ from nmpc_codegen.ir.printing.stages import STAGE, Piece, StageLoop, cut, flat, 
 from nmpc_codegen.ir.sweep import Affine, Call, For, LoopedRoutine, Node, Slice, Written, calls, passed_slices
 from nmpc_codegen.ir.tuning import PANEL
 
-#: The longest piece of a sweep that has no function of its own: the first number with which the sweep is no longer
-#: than it may be. The longest leaf that is called once and has none.
+#: SHORT_PIECES: largest lengths of pieces of a sweep without their own functions; the first one is used with which the
+#: sweep is short enough. SHORT_LEAF: largest length of a leaf that is called once and has no function.
 SHORT_PIECES, SHORT_LEAF = (6, 3, 0), 8
 
 
 def print_loops(routine: LoopedRoutine, style: CStyle) -> str:
-    """The C functions of the leaves that are called, and those of the sweep."""
+    """Return the C functions of the leaves that are called, and those of the sweep."""
     printer = _Printer(routine, style)
     called = {routine.leaves[c.leaf.name()] for c in calls(routine.sweep.body) if not printer.is_inline(c)}
     texts = [print_kernel(kernel, style) for kernel in routine.kernels if kernel in called]
@@ -45,7 +45,7 @@ def print_loops(routine: LoopedRoutine, style: CStyle) -> str:
 
 
 class _Printer:
-    """Text of the nodes of one sweep."""
+    """A printer of the nodes of one sweep."""
 
     def __init__(self, routine: LoopedRoutine, style: CStyle) -> None:
         sweep = routine.sweep
@@ -64,45 +64,45 @@ class _Printer:
             self.uses[c.leaf.name()] = self.uses.get(c.leaf.name(), 0) + 1
 
     def whole(self) -> tuple[str, int]:
-        """The sweep as one function."""
+        """Return the sweep as one function."""
         body = Body(self, self.buffers).nodes(self.routine.sweep.body, "    ")
         return self.sweep(self.declarations(self.buffers.local), body)
 
     def sweep(self, *parts: Sequence[str]) -> tuple[str, int]:
-        """The function of the sweep with its comment, and its number of lines without that."""
+        """Return the function of the sweep with its comment, and its number of lines without the comment."""
         r = self.routine
         text, length = self.function(r.name, self.arguments(), *parts)
         return f"{comment(r.doc, r.reads, r.writes, print_count(r.count))}\n{text}", length
 
     def function(self, name: str, arguments: Sequence[str], *parts: Sequence[str]) -> tuple[str, int]:
-        """The text of a function, and its number of lines."""
+        """Return the text of a function, and its number of lines."""
         head = wrapped_head(f"static void {name}({', '.join(arguments)})")
         lines = [*head, "{", *(line for part in parts for line in part), "}"]
         return "\n".join(lines), len(lines)
 
     def arguments(self, used: Iterable[str] | None = None) -> list[str]:
-        """The parameters for the ports, or for those of them that are used."""
+        """Return the parameters for the ports, or for the used ones."""
         names = None if used is None else set(used)
         ports = [p for p in self.ports if names is None or p.name in names]
         return parameters(ports, self.routine.writes, self.style)
 
     def declarations(self, local: Iterable[str]) -> list[str]:
-        """Declarations of local buffers."""
+        """Return declarations of local buffers."""
         names = [name for name in self.buffers.local if name in set(local)]
         return [f"    {self.member(name)}" for name in names]
 
     def member(self, name: str) -> str:
-        """The declaration of a local buffer, or of it as a member of scratch memory, and what it holds."""
+        """Return the declaration of a local buffer, or of a member of scratch memory, with a comment on its content."""
         meaning = self.routine.sweep.meanings.get(name, "")
         return f"{self.style.real} {name}{self.sizes(name)};" + (f" /* {meaning} */" if meaning else "")
 
     def sizes(self, name: str) -> str:
-        """The sizes of a local buffer in its declaration."""
+        """Return the sizes of a local buffer in its declaration."""
         columns, size = self.buffers.columns.get(name), self.buffers.local[name]
         return f"[{size // columns}][{columns}]" if columns else f"[{size}]" if size > 1 else ""
 
     def is_inline(self, call: Call) -> bool:
-        """True if a leaf is printed where it is called: it must be, is a loop over elements, or short and alone."""
+        """Return True if a leaf is printed where it is called: it must be, is a loop over elements, or is short."""
         if call.written_out:
             return True
         key = (call.leaf.name(), call.ins, call.outs)
@@ -118,7 +118,7 @@ class _Printer:
 
 
 class Body:
-    """The statements of nodes in one function, which reaches buffers in its way."""
+    """The statements of nodes in one function, with its own access to buffers."""
 
     def __init__(self, printer: _Printer, buffers: Buffers) -> None:
         self.printer, self.routine, self.buffers = printer, printer.routine, buffers
@@ -127,7 +127,7 @@ class Body:
         self.largest: dict[str, int] = {}
 
     def nodes(self, nodes: tuple[Node, ...], indent: str, note: str = "") -> list[str]:
-        """The statements of a block, with a comment where a stage begins; ``note``: the last one above it."""
+        """Return the statements of a block, with a comment where a stage begins; ``note`` is the last one above it."""
         lines: list[str] = []
         for node in once(nodes):
             of = note_of(node) or note
@@ -138,7 +138,7 @@ class Body:
         return lines
 
     def node(self, node: Node, indent: str, note: str) -> list[str]:
-        """The statements of a node."""
+        """Return the statements of a node."""
         if isinstance(node, Written):
             return wrap_statement(indent, self._print_written(node))
         if isinstance(node, Call):
@@ -147,14 +147,14 @@ class Body:
         return [*self.enter(node, indent), *self.nodes(node.body, indent + "    ", note), *self.leave(indent)]
 
     def enter(self, loop: For, indent: str) -> list[str]:
-        """The head of a loop, whose index is in use from now on."""
+        """Return the head of a loop and open its scope."""
         last = loop.count if isinstance(loop.count, int) else self._most(loop.count)
         self.largest[loop.index] = loop.start + last - 1
         self.indices = (*self.indices, loop.index)
         return [indent + head(loop)]
 
     def leave(self, indent: str) -> list[str]:
-        """The end of the innermost loop."""
+        """Return the end of the innermost loop and close its scope."""
         self.indices = self.indices[:-1]
         return [indent + "}"]
 
@@ -199,9 +199,9 @@ class Pieces:
         return next(n for n in numbered if n not in names)
 
     def _find_shared(self) -> list[str]:
-        """The local buffers that are members of the scratch memory: all but those that one function needs alone.
+        """Return the local buffers that are members of the scratch memory: those that several functions need.
 
-        Those whose size is a multiple of a panel come first, so that their rows stay aligned as in arrays of their own.
+        Buffers whose size is a multiple of a panel come first, so that their rows stay aligned as in separate arrays.
         """
         places: dict[str, set[int]] = {}
         loaded: set[str] = set()
@@ -216,7 +216,7 @@ class Pieces:
         return sorted(found, key=lambda name: local[name] % PANEL > 0)
 
     def _slices(self, nodes: Sequence[Node]) -> Iterator[tuple[Slice, bool]]:
-        """(slice, whether it is written) of what nodes load and store, in the order of execution."""
+        """Yield (slice, True if it is written) for all loads and stores of nodes, in the order of execution."""
         for node in nodes:
             if isinstance(node, Call):
                 kernel = self.routine.leaves[node.leaf.name()]
@@ -230,11 +230,11 @@ class Pieces:
 
     @property
     def scratch(self) -> str:
-        """The type of the scratch memory."""
+        """Return the type of the scratch memory."""
         return f"{self.routine.name}_scratch_t"
 
     def texts(self) -> list[str]:
-        """The struct, the functions of the pieces, and that of the sweep."""
+        """Return the struct, the functions of the pieces, and that of the sweep."""
         functions = [self._function(piece) for piece in self.functions]
         return [*([self._struct()] if self.shared else []), *functions, self.main()[0]]
 
@@ -248,8 +248,10 @@ class Pieces:
         return Buffers(of.sizes, of.columns, of.local, dict.fromkeys(self.shared, f"{self.printer.pointer}{mark}"))
 
     def _find_uses(self, piece: Piece) -> tuple[set[str], list[str], bool, bool]:
-        """What a piece uses: ports and local buffers, indices of loops around it; whether it uses, and changes, scratch
-        memory."""
+        """Return what a piece uses: ports and local buffers, indices of loops around it, and two marks.
+
+        The marks tell whether it uses, and changes, scratch memory.
+        """
         found, nodes, shared = list(self._slices(piece.nodes)), tuple(piece.nodes), set(self.shared)
         names = {s.buffer for s, _ in found} | set(_texts(nodes))
         changed = {s.buffer for s, is_written in found if is_written}
@@ -268,7 +270,7 @@ class Pieces:
         return f"/* {self.routine.name}: {piece.note} */\n{text}"
 
     def main(self) -> tuple[str, int]:
-        """The function of the sweep, which calls those of the pieces, and its number of lines."""
+        """Return the function of the sweep, which calls those of the pieces, and its number of lines."""
         body = Body(self.printer, self._buffers("."))
         lines = self._print(body, self.pieces, "    ")
         own = {s.buffer for p in flat(self.pieces) if not p.name for s, _ in self._slices(p.nodes)}
@@ -296,7 +298,7 @@ class Pieces:
 
 
 def _largest(pieces: Iterable[Piece | StageLoop]) -> Iterator[tuple[str, int]]:
-    """(index, its largest value) of the loops around pieces."""
+    """Yield (index, its largest value) of the loops around pieces."""
     for piece in pieces:
         if isinstance(piece, StageLoop):
             assert isinstance(piece.loop.count, int)
@@ -305,7 +307,7 @@ def _largest(pieces: Iterable[Piece | StageLoop]) -> Iterator[tuple[str, int]]:
 
 
 def _texts(nodes: tuple[Node, ...]) -> Iterator[str]:
-    """The words of arguments that are texts."""
+    """Yield the words of arguments that are texts."""
     for node in nodes:
         if isinstance(node, Written):
             yield from (word for s in node.ins if isinstance(s, str) for word in re.findall(r"\w+", s))
@@ -319,7 +321,7 @@ def _indices(nodes: tuple[Node, ...]) -> set[str]:
 
 
 def head(loop: For) -> str:
-    """``for (ptrdiff_t i = 0; i < 4; ++i) {``."""
+    """Return ``for (ptrdiff_t i = 0; i < 4; ++i) {``."""
     i, first = loop.index, loop.start
     count = Affine(loop.count) if isinstance(loop.count, int) else loop.count
     last = Affine(count.constant + first, count.terms)

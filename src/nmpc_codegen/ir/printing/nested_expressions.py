@@ -1,4 +1,4 @@
-"""Kernels as nested expressions: a value that is used once is printed where it is used, others are named constants."""
+"""Kernels are printed as nested expressions: a value that is used once stands where it is used, others have names."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 #: Maximum length of a line.
 WIDTH = 100
-#: A longer expression gets a name unless it is flat, that is no deeper than that; so does a very deep one.
+#: Expressions longer than LONGEST get a name unless they are at most FLAT deep; so do those deeper than DEEPEST.
 LONGEST, FLAT, DEEPEST = 240, 2, 6
 
 _IDENTIFIER = re.compile(r"[A-Za-z_]\w*")
@@ -27,7 +27,7 @@ _PRODUCTS = (ca.OP_MUL, ca.OP_SQ, ca.OP_DIV)
 
 
 class Constant(NamedTuple):
-    """A value with a name of its own; ``note``: what begins with it; ``is_fixed``: it does not change in a loop."""
+    """A value with a name; ``note`` is the heading that begins with it; ``is_fixed``: it does not change in a loop."""
 
     name: str
     text: str
@@ -35,7 +35,7 @@ class Constant(NamedTuple):
     is_fixed: bool = True
 
     def definition(self, real: str) -> str:
-        """The statement that defines it."""
+        """Return the statement that defines it."""
         return f"const {real} {self.name} = {self.text};"
 
 
@@ -43,9 +43,9 @@ class NestedExpressions:
     """The expressions of a kernel, part by part.
 
     Attributes:
-        kernel: whose expressions they are.
-        constants: the values that are used more than once, in their order. In a loop over elements, whose loads
-            ``moving`` (port, element) change, also those that do not change.
+        kernel: the kernel.
+        constants: values that are used more than once, in their order; in a loop over elements, in which the loads
+            ``moving`` (port, element) change, also values that do not change.
     """
 
     def __init__(
@@ -68,7 +68,10 @@ class NestedExpressions:
             self._print(part, not kernel.parts or part is kernel.parts[-1])
 
     def _print(self, part: Part, last: bool) -> None:
-        """The values of a part; those that later parts or, before the last one, stores need are constants."""
+        """Print the values of a part.
+
+        Values that later parts need, or stores before the last part, become constants.
+        """
         inside = {a for v in part.values for a in self.kernel.operands(v)}
         if last:
             inside.update(v for _, _, v in self.kernel.stores)
@@ -92,7 +95,7 @@ class NestedExpressions:
 
     @property
     def statements(self) -> list[str]:
-        """Definitions of the constants, with comments above parts."""
+        """Return definitions of the constants, with comments above parts."""
         lines: list[str] = []
         for constant in self.constants:
             lines += [f"/* {constant.note} */"] if constant.note else []
@@ -100,23 +103,23 @@ class NestedExpressions:
         return lines
 
     def _leaves_loop(self, value: int) -> bool:
-        """True if a value does not change in the loop that uses it."""
+        """Return True if a value does not change in the loop that uses it."""
         return value not in self._moves and any(value in self.kernel.operands(v) for v in self._moves)
 
     def _wish(self, ins: Instruction) -> str:
-        """cos_phi for cos(phi)."""
+        """Return cos_phi for cos(phi)."""
         operation = OPERATIONS[ins.opcode]
         operand = self._texts[ins.args[0]] if len(ins.args) == 1 else ""
         plain = _IDENTIFIER.fullmatch(operand) and not re.fullmatch(r"t\d+_*", operand)
         return f"{operation.function}_{operand}" if operation.function and plain else ""
 
     def text(self, value: int) -> str:
-        """The text of a value that is stored."""
+        """Return the text of a value that is stored."""
         number = self.kernel.instructions[value].opcode == ca.OP_CONST
         return self._style.whole(self._texts[value]) if number else self._texts[value]
 
     def assignment(self, target: str, value: int) -> str:
-        """``target = value``, or ``target += rest`` where the value is a sum that begins with the target."""
+        """Return ``target = value``, or ``target += rest`` if the value is a sum that begins with the target."""
         ins = self.kernel.instructions[value]
         if ins.opcode == ca.OP_ADD and target in (terms := [self._texts[a] for a in ins.args]):
             return f"{target} += {terms[1 - terms.index(target)]}"
@@ -141,7 +144,7 @@ class NestedExpressions:
 
 
 def expression(ins: Instruction, operands: Mapping[int, str], style: CStyle) -> str:
-    """An operation on the texts of its operands."""
+    """Return an operation on the texts of its operands."""
     operation = OPERATIONS[ins.opcode]
     if style.lanes and ins.opcode in style.CONDITIONS:
         return f"lanes_{style.CONDITIONS[ins.opcode]}({', '.join(operands[a] for a in ins.args)})"
@@ -154,7 +157,7 @@ def expression(ins: Instruction, operands: Mapping[int, str], style: CStyle) -> 
 
 
 def needs_parentheses(outer: int, position: int, inner: int, text: str) -> bool:
-    """True if the text of an inner operation is no operand of an outer one, at a position, as it is."""
+    """Return True if the text of an inner operation needs parentheses as an operand of an outer one at a position."""
     if OPERATIONS[outer].function:
         return False
     if text.startswith("-") and (position > 0 or outer not in (*_SUMS, ca.OP_MUL, ca.OP_DIV)):
@@ -165,7 +168,7 @@ def needs_parentheses(outer: int, position: int, inner: int, text: str) -> bool:
 
 
 def depth(text: str) -> int:
-    """The largest number of parentheses that are open at once."""
+    """Return the largest number of parentheses that are open at once."""
     most = now = 0
     for character in text:
         now += (character == "(") - (character == ")")
@@ -174,7 +177,7 @@ def depth(text: str) -> int:
 
 
 def _find_moving(kernel: Kernel, loads: Collection[tuple[int, int]]) -> frozenset[int]:
-    """The values that depend on these loads (port, element)."""
+    """Return the values that depend on these loads (port, element)."""
     found = set[int]()
     for v, ins in enumerate(kernel.instructions if loads else ()):
         if ins.args in loads if ins.opcode == ca.OP_INPUT else not found.isdisjoint(kernel.operands(v)):
@@ -183,8 +186,10 @@ def _find_moving(kernel: Kernel, loads: Collection[tuple[int, int]]) -> frozense
 
 
 def loads_inside(kernel: Kernel, loads: Collection[tuple[int, int]]) -> set[tuple[int, int]]:
-    """The loads (port, element) that a loop evaluates in which these change; what depends on no such one stands before
-    the loop."""
+    """Return the loads (port, element) that are evaluated inside a loop in which ``loads`` change.
+
+    Values that depend on none of these stand before the loop.
+    """
     moving = _find_moving(kernel, loads)
     operands = {a for v in moving for a in kernel.operands(v)} | moving
     found = (kernel.instructions[a] for a in operands)
@@ -192,7 +197,7 @@ def loads_inside(kernel: Kernel, loads: Collection[tuple[int, int]]) -> set[tupl
 
 
 def _uses(kernel: Kernel) -> list[int]:
-    """Number of occurrences of every value in the text of a kernel."""
+    """Return the number of occurrences of every value in the text of a kernel."""
     uses = [0] * len(kernel.instructions)
     for ins in kernel.instructions:
         if ins.opcode in OPERATIONS:
@@ -204,20 +209,20 @@ def _uses(kernel: Kernel) -> list[int]:
 
 
 def declare(real: str, constants: Iterable[tuple[str, str]]) -> list[str]:
-    """One declaration of all constants (name, text)."""
+    """Return one declaration of all constants (name, text)."""
     texts = [f"{name}{FIRM}={FIRM}{text}" for name, text in constants]
     return [f"const {real} {', '.join(texts)};"] if texts else []
 
 
-#: A blank where no line may break, while lines are filled.
+#: A blank at which no line may break while lines are filled.
 FIRM = "\0"
-#: Such a blank: a line breaks in front of an operator and behind a comma between declarations.
+#: Blanks at which no line breaks: lines break before operators, and after commas between declarations.
 _FIRM = re.compile(r" (?![-+*/?:=] )(?<!, )")
 _INDEX = re.compile(r"\[[^\[\]]*\]")
 
 
 def wrap_statement(indent: str, line: str) -> list[str]:
-    """The statement in lines of at most WIDTH columns, broken in front of operators."""
+    """Return the statement in lines of at most WIDTH columns, broken before operators."""
     if len(indent) + len(line) <= WIDTH:
         return [indent + line.replace(FIRM, " ")]
     whole = _INDEX.sub(lambda found: found[0].replace(" ", FIRM), line)

@@ -1,7 +1,7 @@
-"""Long straight-line kernels as several C functions: the values that a later one reads are members of a struct.
+"""Long straight-line kernels are printed as several C functions; a struct holds the values that later ones read.
 
-The pieces begin where the stages of a scheme begin. Compilers put them into the function that calls them, and the
-members into registers, so that the program is the same as one function.
+The pieces begin where the stages of a scheme begin. Compilers inline them and keep the members in registers, so that
+the program is the same as one function.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from nmpc_codegen.ir.printing.kernels import (
 )
 from nmpc_codegen.ir.printing.nested_expressions import declare, wrap_statement
 
-#: Lengths of a piece between its loads and its end, in lines; the first is taken that makes no function too long.
+#: Lengths of a piece between its loads and its end, in lines; the first one is used that makes no function too long.
 LENGTHS = (50, 46, 42, 38, 32, 26, 20)
 
 _NAME = re.compile(r"(?<![.\w])(?<!->)[A-Za-z_]\w*")
@@ -34,7 +34,7 @@ _NAME = re.compile(r"(?<![.\w])(?<!->)[A-Za-z_]\w*")
 
 @dataclass(frozen=True)
 class PieceStep:
-    """A constant of this name, or a store to a target with what it is, and its text."""
+    """A constant with this name, or a store to a target with a note, and its text."""
 
     name: str
     target: str
@@ -43,17 +43,17 @@ class PieceStep:
 
     @property
     def names(self) -> set[str]:
-        """The names that it reads."""
+        """Return the names that it reads."""
         return set(_NAME.findall(self.text))
 
     @property
     def length(self) -> int:
-        """Lines, about."""
+        """Return its approximate number of lines."""
         return len(wrap_statement("    ", f"{self.target or f'const real_t {self.name}'} = {self.text};"))
 
 
 def print_straight(kernel: Kernel, style: CStyle) -> str:
-    """The C function of a kernel; several of them if it is a long program of stages."""
+    """Return the C function of a kernel; several functions if it is a long program of stages."""
     text = print_kernel(kernel, style)
     if not kernel.parts or text[text.index("*/") :].count("\n") <= LONGEST_FUNCTION:
         return text
@@ -75,7 +75,7 @@ class _Pieces:
         self.struct = f"{kernel.name}_values_t"
 
     def _steps(self) -> list[list[PieceStep]]:
-        """The steps of every stage, and the stores."""
+        """Return the steps of every stage, and the stores."""
         stages: list[list[PieceStep]] = []
         for constant in self.function.expressions.constants:
             if constant.note or not stages:
@@ -84,8 +84,10 @@ class _Pieces:
         return [*stages, [PieceStep("", target, text, note) for target, text, note in self.function.stores]]
 
     def _find_crossing(self) -> dict[str, int]:
-        """The names that a later piece reads -> the piece that defines them. An input counts as defined by the piece
-        with the first store, which may change it."""
+        """Return {name that a later piece reads: piece that defines it}.
+
+        An input counts as defined by the piece with the first store, which may change it.
+        """
         defined = {step.name: n for n, piece in enumerate(self.pieces) for step in piece if step.name}
         found: dict[str, int] = {}
         for n, piece in enumerate(self.pieces):
@@ -98,11 +100,11 @@ class _Pieces:
 
     @property
     def longest(self) -> int:
-        """Lines of the longest function of a piece."""
+        """Return the number of lines of the longest function of a piece."""
         return max(self._piece(n).count("\n") for n in range(len(self.pieces)))
 
     def text(self) -> str:
-        """The struct, the pieces, and the function that calls them."""
+        """Return the struct, the pieces, and the function that calls them."""
         pieces = [self._piece(n) for n in range(len(self.pieces))]
         calls = [f"    {self.struct} {self.pointer};"]
         for n in range(len(self.pieces)):
@@ -126,7 +128,7 @@ class _Pieces:
         return "\n".join([*lines, f"}} {self.struct};"])
 
     def _what(self, n: int) -> str:
-        """The stages of a piece."""
+        """Return the stages of a piece in words."""
         notes = [step.note for piece in self.pieces[: n + 1] for step in piece if step.note and not step.target]
         own = [step.note for step in self.pieces[n] if step.note and not step.target]
         if all(step.target for step in self.pieces[n]):
@@ -137,7 +139,7 @@ class _Pieces:
         return first if first == last else f"{first} - {last}"
 
     def _ports(self, n: int) -> list[Port]:
-        """The ports that a piece reads or writes."""
+        """Return the ports that a piece reads or writes."""
         piece = self.pieces[n]
         read = {self.ports[name].name for name in _read(piece) if name in self.ports and n <= self.first_store}
         if n == self.first_store:
@@ -150,12 +152,12 @@ class _Pieces:
         ]
 
     def _crosses(self, n: int) -> bool:
-        """True if a piece defines or reads values that cross pieces."""
+        """Return True if a piece defines or reads values that other pieces share."""
         read = {name for name in _read(self.pieces[n]) if self.crossing.get(name, n) < n}
         return bool(read) or n in self.crossing.values()
 
     def _piece(self, n: int) -> str:
-        """The function of a piece."""
+        """Return the function of a piece."""
         piece, indent = self.pieces[n], "    "
         own = {name for name, place in self.crossing.items() if place == n}
         read = [name for name in self.texts if name in _read(piece) and n <= self.first_store]
@@ -182,12 +184,12 @@ class _Pieces:
 
 
 def _read(piece: Iterable[PieceStep]) -> Collection[str]:
-    """The names that a piece reads."""
+    """Return the names that a piece reads."""
     return set[str]().union(*(step.names for step in piece))
 
 
 def _cut(stages: Sequence[Sequence[PieceStep]], longest: int) -> list[list[PieceStep]]:
-    """Pieces of whole stages, as long as they may be; a longer stage is several pieces of about the same length."""
+    """Return pieces of whole stages, as long as allowed; a longer stage becomes several pieces of similar length."""
     pieces: list[list[PieceStep]] = []
     length = 0
     for stage in stages:

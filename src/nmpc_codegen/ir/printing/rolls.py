@@ -1,4 +1,4 @@
-"""Rolls: elements of an output that receive one expression of the elements of inputs, which a loop computes.
+"""Rolls are elements of an output that receive one expression of the elements of inputs, which a loop computes.
 
 y[0] = x[0] + t K[0], y[1] = x[1] + t K[1], ...   is   for i: y[i] = x[i] + t K[i]
 """
@@ -13,8 +13,8 @@ import casadi as ca
 
 from nmpc_codegen.ir.kernel import OPERATIONS, Instruction, Kernel, live
 
-#: Fewer elements, copies of adjacent ones, and numbers are written one by one: compilers make vectors of statements,
-#: but not of all loops.
+#: Rolls with fewer elements, copies of adjacent elements, or numbers are written one by one, because compilers
+#: vectorise statements, but not all loops.
 SHORTEST, SHORTEST_COPY, SHORTEST_OF_NUMBERS = 30, 4, 4
 
 Store = tuple[int, int, int]
@@ -23,8 +23,10 @@ Fits = Callable[[int, int, int], bool]
 
 @dataclass(frozen=True)
 class Roll:
-    """``count`` elements of an output from ``first``, ``stride`` apart, which receive the same expression as the first
-    one, whose value is ``value``; ``moving``: the loads (port, element) of the first one that move along."""
+    """``count`` elements of an output from ``first``, ``stride`` apart, that receive the same expression.
+
+    ``value`` is the value of the first one; ``moving`` holds its loads (port, element) whose element moves along.
+    """
 
     output: int
     first: int
@@ -34,14 +36,14 @@ class Roll:
     moving: frozenset[tuple[int, int]]
 
     def of_first(self, kernel: Kernel) -> Kernel:
-        """The kernel of the first element alone."""
+        """Return the kernel of only the first element."""
         instructions, new = live(kernel.instructions, [self.value])
         stores = ((self.output, self.first, new[self.value]),)
         return replace(kernel, instructions=instructions, stores=stores, parts=())
 
 
 class _Rolls:
-    """Search for the rolls of one output; ``fits``: whether (element, stride, count) stay in a row of its buffer."""
+    """A search for the rolls of one output; ``fits`` tells if (element, stride, count) stay in a row of its buffer."""
 
     def __init__(self, kernel: Kernel, output: int, strides: Sequence[int], fits: Fits) -> None:
         self.instructions, self.output, self.fits = kernel.instructions, output, fits
@@ -49,7 +51,7 @@ class _Rolls:
         self.values = {e: v for o, e, v in kernel.stores if o == output}
 
     def find(self) -> tuple[list[Roll], list[Store]]:
-        """The rolls, and the stores that are in none."""
+        """Return the rolls, and the stores that are in none."""
         rolls: list[Roll] = []
         rest: list[Store] = []
         left = sorted(self.values)
@@ -65,7 +67,7 @@ class _Rolls:
         return rolls, rest
 
     def _longest(self, first: int, left: Collection[int]) -> Roll | None:
-        """The longest roll from an element; None if it is short."""
+        """Return the longest roll from an element; None if it is too short."""
         found: Roll | None = None
         number = self.instructions[self.values[first]].opcode == ca.OP_CONST
         for stride in dict.fromkeys(self.strides if number else (1,)):
@@ -81,12 +83,12 @@ class _Rolls:
         return found
 
     def _shortest(self, first: int) -> int:
-        """The shortest roll from an element."""
+        """Return the least length of a roll from an element."""
         opcode = self.instructions[self.values[first]].opcode
         return {ca.OP_CONST: SHORTEST_OF_NUMBERS, ca.OP_INPUT: SHORTEST_COPY}.get(opcode, SHORTEST)
 
     def _compare(self, first: int, other: int, distance: int, loads: _Loads) -> _Loads | None:
-        """The loads, if the other value is the first one with some loads moved by the distance."""
+        """Return the loads, if the other value is the first one with some loads moved by the distance."""
         more = _Loads(set(loads.moving), set(loads.fixed))
         same = self._same(first, other, distance, {}, more)
         return more if same and more.moving.isdisjoint(more.fixed) else None
@@ -112,14 +114,14 @@ class _Rolls:
 
 @dataclass
 class _Loads:
-    """Loads (port, element) of a first element: those that move with the elements of a roll, and those that do not."""
+    """The loads (port, element) of a first element that move with the elements of a roll, and those that do not."""
 
     moving: set[tuple[int, int]] = field(default_factory=set)
     fixed: set[tuple[int, int]] = field(default_factory=set)
 
 
 def find_loads(instructions: Sequence[Instruction], value: int) -> Iterator[tuple[int, int]]:
-    """(port, element) of the loads of a value."""
+    """Yield (port, element) of the loads of a value."""
     waiting, seen = [value], set[int]()
     while waiting:
         ins = instructions[waiting.pop()]
@@ -133,12 +135,12 @@ def find_loads(instructions: Sequence[Instruction], value: int) -> Iterator[tupl
 def find_rolls(
     kernel: Kernel, strides: Sequence[Sequence[int]], fits: Callable[[int, int, int, int], bool]
 ) -> tuple[list[Roll], list[Store]]:
-    """The rolls of a kernel, and the stores that are in none.
+    """Return the rolls of a kernel, and the stores that are in none.
 
     Args:
-        kernel: whose stores they are.
-        strides: for every output, how far elements with one number may be apart; others are adjacent.
-        fits: whether ``count`` elements of an ``output`` from ``first``, ``stride`` apart, are in one row of a buffer.
+        kernel: the kernel with these stores.
+        strides: for every output, allowed distances of elements that receive one number; other elements are adjacent.
+        fits: True if ``count`` elements of an ``output`` from ``first``, ``stride`` apart, are in one row of a buffer.
     """
     rolls: list[Roll] = []
     rest: list[Store] = []

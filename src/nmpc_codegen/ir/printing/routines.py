@@ -1,4 +1,4 @@
-"""Print routines as C, in the working precision."""
+"""Routines are printed as C, in the working precision."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from nmpc_codegen.ir.sweep import Routine
 
 @lru_cache(maxsize=256)
 def print_routine(routine: Routine, style: CStyle) -> str:
-    """C text of a routine."""
+    """Return the C text of a routine."""
     if isinstance(routine, Kernel):
         return print_straight(routine, style)
     return print_frame(routine, style) if routine.sweep.frame else print_loops(routine, style)

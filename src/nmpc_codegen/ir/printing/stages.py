@@ -1,4 +1,4 @@
-"""Pieces of a sweep, under one note each; those of stages that differ in their place alone are a loop over stages."""
+"""A sweep is cut into pieces under one note each; pieces of stages that differ only in their place become a loop."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from nmpc_codegen.ir.kernel import Kernel
 from nmpc_codegen.ir.passes import bound
 from nmpc_codegen.ir.sweep import Affine, Call, For, Node, Slice, calls
 
-#: The index of a loop over stages, and the longest leaf in a loop over columns that stands in one, in instructions: an
-#: index that is no number costs more than a tenth of the time of long ones.
+#: STAGE: index of a loop over stages. SHORT_COLUMN: largest number of instructions of a leaf in a loop over columns
+#: inside such a loop; for longer leaves a variable index costs more than a tenth of the time.
 STAGE, SHORT_COLUMN = "stage", 12
 
 _OF_STAGE = re.compile(r"(.*\b)stage (\d+)$")
@@ -21,7 +21,7 @@ Leaves = Mapping[str, Kernel]
 
 @dataclass(eq=False)
 class Piece:
-    """Nodes under one note; ``name`` of their function, "" if they stand in that of the sweep."""
+    """Nodes under one note; ``name`` is that of their function, "" if they stand in that of the sweep."""
 
     note: str
     nodes: list[Node] = field(default_factory=list)
@@ -37,7 +37,10 @@ class StageLoop:
 
 
 def cut(nodes: tuple[Node, ...], leaves: Leaves) -> tuple[Piece | StageLoop, ...]:
-    """The pieces of nodes: those under one note are together; a loop over several notes is a loop over pieces."""
+    """Return the pieces of nodes: those under one note are together.
+
+    A loop over several notes is a loop over pieces.
+    """
     found: list[Piece | StageLoop] = []
     for node in once(nodes):
         notes = {c.note for c in calls((node,)) if c.note}
@@ -52,7 +55,7 @@ def cut(nodes: tuple[Node, ...], leaves: Leaves) -> tuple[Piece | StageLoop, ...
 
 
 def flat(pieces: Iterable[Piece | StageLoop]) -> Iterator[Piece]:
-    """All pieces, those of loops too."""
+    """Yield all pieces, including those of loops."""
     for piece in pieces:
         if isinstance(piece, StageLoop):
             yield from flat(piece.pieces)
@@ -61,13 +64,13 @@ def flat(pieces: Iterable[Piece | StageLoop]) -> Iterator[Piece]:
 
 
 def note_of(node: Node) -> str:
-    """The note of a node, if it has one."""
+    """Return the note of a node, "" if it has none or several."""
     notes = {c.note for c in calls((node,)) if c.note}
     return notes.pop() if len(notes) == 1 else ""
 
 
 def once(nodes: tuple[Node, ...]) -> Iterator[Node]:
-    """The nodes, with what a loop runs once in its place."""
+    """Yield the nodes; a loop that runs once is replaced by its body."""
     for node in nodes:
         if isinstance(node, For) and node.count == 1:
             yield from once(tuple(bound(inner, node.index, node.start) for inner in node.body))
@@ -76,7 +79,7 @@ def once(nodes: tuple[Node, ...]) -> Iterator[Node]:
 
 
 def _loop_over_stages(pieces: Sequence[Piece | StageLoop], leaves: Leaves) -> Iterator[Piece | StageLoop]:
-    """The pieces, with loops over those of adjacent stages that are alike."""
+    """Yield the pieces, with loops over those of adjacent equal stages."""
     place = 0
     while place < len(pieces):
         first, count, along = pieces[place], 1, None
@@ -94,7 +97,7 @@ def _loop_over_stages(pieces: Sequence[Piece | StageLoop], leaves: Leaves) -> It
 
 
 def _stages(first: Piece, count: int, along: Sequence[int]) -> StageLoop:
-    """A loop over stages from that of the first piece."""
+    """Return a loop over stages from that of the first piece."""
     found = _OF_STAGE.match(first.note)
     assert found is not None
     begin = int(found[2]) - 1
@@ -105,7 +108,7 @@ def _stages(first: Piece, count: int, along: Sequence[int]) -> StageLoop:
 
 
 def _move(node: Node, begin: int, note: str, steps: Iterator[int]) -> Node:
-    """The node of stage ``begin`` at any stage; ``steps``: from a stage to the next one, for every slice."""
+    """Return the node of stage ``begin`` for any stage; ``steps`` yields the offset between stages for every slice."""
 
     def move(s: Slice) -> Slice:
         step = next(steps)
@@ -120,7 +123,7 @@ def _move(node: Node, begin: int, note: str, steps: Iterator[int]) -> Node:
 
 
 def _step(one: Piece | StageLoop, two: Piece | StageLoop, leaves: Leaves) -> tuple[int, ...] | None:
-    """How far the slices of two pieces are apart, if these are alike and of adjacent stages."""
+    """Return the distances of the slices of two pieces if these are equal and belong to adjacent stages."""
     if isinstance(one, StageLoop) or isinstance(two, StageLoop):
         return None
     a, b = _OF_STAGE.match(one.note), _OF_STAGE.match(two.note)

@@ -1,7 +1,7 @@
-"""Sweeps whose buffers are members of structs (a frame) as C functions.
+"""Sweeps whose buffers are members of structs (a frame) are printed as C functions.
 
 Every leaf is printed inline, as nested expressions on the members. Outputs may alias inputs, so either all loads or all
-results are first held in named constants: in a loop the loads, with loop-invariant ones in front of it; elsewhere the
+results are first stored in named constants: inside a loop the loads, with loop-invariant loads before it; elsewhere the
 results. A direct call needs neither.
 """
 
@@ -21,7 +21,7 @@ Names = dict[str, str]
 
 
 def print_frame(routine: LoopedRoutine, style: CStyle) -> str:
-    """The C function of a sweep with a frame, with its formula and operation count above it."""
+    """Return the C function of a sweep with a frame, with its formula and operation count above it."""
     sweep, frame = routine.sweep, routine.sweep.frame
     assert frame is not None
     lines = _body(routine, style)
@@ -31,7 +31,7 @@ def print_frame(routine: LoopedRoutine, style: CStyle) -> str:
 
 
 def call(routine: LoopedRoutine, style: CStyle) -> tuple[tuple[str, ...], str]:
-    """Names of all parameters of a product, and the text of its call, which passes those that it reads or writes."""
+    """Return the names of all parameters of a product, and its call, which passes those that it reads or writes."""
     frame = routine.sweep.frame
     assert frame is not None
     names = tuple(name_parameters(frame))
@@ -40,14 +40,14 @@ def call(routine: LoopedRoutine, style: CStyle) -> tuple[tuple[str, ...], str]:
 
 
 def name_parameters(frame: Frame) -> dict[str, str]:
-    """Name -> declaration of every parameter."""
+    """Return {name: declaration} of every parameter."""
     stripped = (re.sub(r"\W*(?:\[\w+\])*$", "", p) for p in frame.parameters)
     return {s.split("*")[-1].split(" ")[-1]: p for s, p in zip(stripped, frame.parameters, strict=True)}
 
 
 @lru_cache(maxsize=256)
 def _body(routine: LoopedRoutine, style: CStyle) -> tuple[str, ...]:
-    """The statements of the function; its definition and its calls name those parameters that they use."""
+    """Return the statements of the function; definition and calls name only the parameters that these use."""
     frame = routine.sweep.frame
     assert frame is not None
     printer = _Printer(routine, frame, style)
@@ -59,20 +59,20 @@ def _names(lines: Iterable[str]) -> set[str]:
 
 
 def _declarations(routine: LoopedRoutine, frame: Frame, style: CStyle) -> list[str]:
-    """Declarations of the local arrays; scalars are declared at their first assignment."""
+    """Return declarations of the local arrays; scalars are declared at their first assignment."""
     arrays = [frame.places[name] for name, _ in routine.sweep.locals if name in routine.touched]
     return [f"    {style.real} {a.text}{''.join(f'[{n}]' for n in a.shape)};" for a in arrays if a.shape]
 
 
 class _Printer:
-    """Text of the nodes of one sweep."""
+    """A printer of the nodes of one sweep."""
 
     def __init__(self, routine: LoopedRoutine, frame: Frame, style: CStyle) -> None:
         self._leaves, self._places, self._style = routine.leaves, frame.places, style
         self._stored = {s.buffer for call in calls(routine.sweep.body) for s in call.outs}
 
     def block(self, nodes: tuple[Node, ...], indent: str, names: Names, scalars: set[str]) -> list[str]:
-        """The statements of a block; its declarations are in scope until its end."""
+        """Return the statements of a block; its declarations are in scope until its end."""
         names, scalars = dict(names), set(scalars)
         lines: list[str] = []
         for node in nodes:
@@ -84,7 +84,7 @@ class _Printer:
         return lines
 
     def _print_nest(self, node: Block, indent: str, names: Names, scalars: set[str]) -> list[str]:
-        """Print a loop or a condition. The loads that do not depend on an innermost loop stand in front of it."""
+        """Print a loop or a condition; loads that do not depend on an innermost loop stand before it."""
         inner, lines = indent + "    ", []
         if isinstance(node, For) and len(node.body) == 1 and isinstance(node.body[0], Call):
             call = node.body[0]
@@ -100,7 +100,7 @@ class _Printer:
         return self._stores(call, indent, names, scalars, not call.direct)
 
     def _loads(self, call: Call, indent: str, names: Names, index: str | None) -> list[str]:
-        """Constants that hold loads: all of them, or, given a loop ``index``, those that the loop does not change."""
+        """Return constants that hold loads: all, or for a loop ``index`` those that the loop does not change."""
         held: list[tuple[str, str]] = []
         for port, element in sorted(find_loads(self._leaves[call.leaf.name()])):
             s = call.ins[port]
@@ -112,7 +112,7 @@ class _Printer:
         return [part for line in declare(self._style.real, held) for part in wrap_statement(indent, line)]
 
     def _stores(self, call: Call, indent: str, names: Names, scalars: set[str], named: bool) -> list[str]:
-        """Statements that compute and store the results; ``named``: all are computed as constants before any store."""
+        """Return statements that store the results; if ``named``, all are computed as constants before any store."""
         kernel = self._leaves[call.leaf.name()]
 
         def load(port: int, element: int) -> str:
@@ -134,7 +134,7 @@ class _Printer:
         return [part for line in lines + last for part in wrap_statement(indent, line)]
 
     def _element(self, s: Slice, element: int) -> str:
-        """C text of an element of a slice."""
+        """Return the C text of an element of a slice."""
         place = self._places[s.buffer]
         constant = s.offset.constant + s.stride * element if element else s.offset.constant
         if not place.shape:
@@ -145,7 +145,7 @@ class _Printer:
         return f"{place.text}[{row.c()}][{column.c()}]"
 
     def _name(self, s: Slice, element: int) -> str:
-        """Name of the constant that holds the element."""
+        """Return the name of the constant that holds the element."""
         place = self._places[s.buffer]
         if len(place.shape) == 2 and not s.offset.terms:
             return "_".join(map(str, (s.buffer, *divmod(s.offset.constant + s.stride * element, int(place.shape[1])))))

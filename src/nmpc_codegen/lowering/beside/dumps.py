@@ -1,4 +1,4 @@
-"""A ring buffer of samples beside a controller, for replays on a computer."""
+"""A ring buffer beside a controller stores samples for replays on a computer."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ HEAD = 40  # bytes of a ring before its slots
 
 
 def with_dumps(package: Mapping[str, str], description: PackageDescription, slots: int) -> dict[str, str]:
-    """<name>_dumps.h, with its number of slots, and the README that speaks of it.
+    """Return <name>_dumps.h with its number of slots, and the README that describes it.
 
     Raises:
         OptionError: the number is wrong, or the package is no controller.
@@ -39,12 +39,12 @@ def with_dumps(package: Mapping[str, str], description: PackageDescription, slot
 
 
 def obsolete_dumps(name: str) -> dict[str, str]:
-    """The header that an earlier export may have left, and how it begins."""
+    """Return the header that an earlier export may have left, and how it begins."""
     return {f"{name}_dumps.h": f"/* {name}_dumps: the last "}
 
 
 def ring_bytes(description: PackageDescription, slots: int) -> int:
-    """Size of a ring of so many samples."""
+    """Return the size of a ring with this number of samples."""
     real, d = description.real.itemsize, description.dims
     used = description.report.ram_bytes + real * (d.nx + d.nu) + 8
     return HEAD + slots * -(-used // real) * real

@@ -1,8 +1,8 @@
-"""The folder of a package: which files in it may be replaced, and how new ones are written.
+"""The folder of a package is written so that files of the user are not lost.
 
-All new files are first written beside their places, under names with TEMPORARY at the end; a full disk or a folder that
-cannot be written to ends the export here, and nothing has changed. Then each of them is renamed to its final name,
-which is atomic: at any time every file is complete, old or new. open_package() refuses a mixture of both.
+All new files are first written under temporary names; if the disk is full or the folder cannot be written to, the
+export ends here and nothing has changed. Then each file is renamed to its final name, which is atomic: at any time
+every file is complete, old or new. open_package() refuses a mixture of both.
 """
 
 from __future__ import annotations
@@ -25,15 +25,15 @@ from nmpc_codegen.errors import ExportError, OptionError
 from nmpc_codegen.package.seal import LARGEST, has_seal, intact, package_of
 
 TEMPORARY = ".nmpc_codegen-new"
-LOCK_TIMEOUT = 10.0  # seconds that an export waits for another one into the same folder
-#: What an export for a microcontroller adds to a package; it belongs to this package and to no other.
+LOCK_TIMEOUT = 10.0  # longest time that an export waits for another one into the same folder
+#: Files that an export for a microcontroller adds to a package; they belong to this package only.
 BESIDE = ("certificate*.json", "certificate*.md", "library.json", "firmware/**/*", "zephyr/**/*", "arduino/**/*")
-EXAMPLE = "main.c"  # a file to start from: it is not needed, so that an edited one stays
+EXAMPLE = "main.c"  # an example, which is not needed, so that an edited one is kept
 
 
 @dataclass(frozen=True)
 class FileChange:
-    """A file to write: its path and bytes, the bytes and the mode of the old file, and whether that is the user's."""
+    """A file to write: its path and bytes, bytes and mode of the old file, and whether the old one is the user's."""
 
     target: Path
     data: bytes
@@ -43,7 +43,7 @@ class FileChange:
 
     @property
     def new(self) -> Path:
-        """Its temporary name."""
+        """Return its temporary name."""
         return self.target.with_name(self.target.name + TEMPORARY)
 
 
@@ -54,13 +54,14 @@ def write(
     force: bool = False,
     obsolete: Mapping[str, str] | None = None,
 ) -> Path:
-    """Write ``files`` (relative path -> text) into the folder, which is created if needed; return its absolute path.
+    """Write ``files`` (relative path -> text) into the folder and return its absolute path.
 
-    Files that already have the right content are not touched. An edited main.c, or one of other origin, stays as it is,
-    and a warning says so. Any other file that is not generated, edited or read-only is an error. With ``force`` such
-    files are replaced, and copies of them are kept beside. Links, folders and devices in the place of a file are never
-    replaced. Files of ``obsolete`` (relative path -> how they begin) are removed, if an export has written
-    them and nobody has edited them since. So are certificate and firmware of a package whose C is replaced by another.
+    The folder is created if needed. Files with the right content are not touched. An edited main.c, or one of other
+    origin, is kept, with a warning. Any other file that was not generated, was edited or is read-only is an error; with
+    ``force`` such files are replaced, and copies of them are kept. Links, folders and devices in the place of a file
+    are never replaced. Files of ``obsolete`` (relative path -> beginning) are removed if an export has written them and
+    nobody has edited them since. Certificate and firmware of a package whose C is replaced by another package are
+    removed as well.
 
     Raises:
         OptionError: ``directory`` or ``force`` has a wrong type.
@@ -112,7 +113,7 @@ def _naming(path: Path, what: str) -> Iterator[None]:
 
 
 def _resolve(directory: str | os.PathLike[str]) -> Path:
-    """The absolute path of the folder. Links in the path are followed only here, because the caller named them."""
+    """Return the absolute path of the folder; links are followed only here, because the caller named the path."""
     try:
         text = os.fspath(directory)
     except TypeError:
@@ -127,8 +128,10 @@ def _resolve(directory: str | os.PathLike[str]) -> Path:
 
 @contextmanager
 def _alone(folder: Path) -> Iterator[None]:
-    """Keep other exports of this user out of the folder. There are at most 256 lock files, which are never deleted: a
-    deleted one could be locked twice."""
+    """Lock the folder against other exports of this user.
+
+    There are at most 256 lock files, which are never deleted, because a deleted one could be locked twice.
+    """
     name = hashlib.sha256(os.fsencode(folder)).hexdigest()[:2]
     user = os.getuid() if hasattr(os, "getuid") else 0
     with _naming(folder, "the folder cannot be locked"):
@@ -147,7 +150,11 @@ def _alone(folder: Path) -> Iterator[None]:
 
 
 def _changes(folder: Path, files: Mapping[str, str], force: bool) -> tuple[list[FileChange], list[str]]:
-    """The files to write, whose content differs, and what is kept. Raises ExportError if one must not be replaced."""
+    """Return the files to write, whose content differs, and the files that are kept.
+
+    Raises:
+        ExportError: a file must not be replaced.
+    """
     changes, kept, refused = [], [], []
     for path, text in files.items():
         target, data = _target(folder, path), text.encode()
@@ -176,7 +183,7 @@ def _changes(folder: Path, files: Mapping[str, str], force: bool) -> tuple[list[
 
 
 def _stale(folder: Path, files: Mapping[str, str], changes: list[FileChange]) -> list[Path]:
-    """What lies beside packages whose C is replaced, is sealed as theirs, and is not written now."""
+    """Return sealed files beside packages whose C is replaced, if they are not written now."""
     headers = [change for change in changes if change.target.suffix == ".h" and change.target.parent == folder]
     replaced = {package_of((change.old or b"").decode(errors="replace")) for change in headers}
     gone = replaced - {None, *(package_of(text) for text in files.values())}
@@ -188,7 +195,7 @@ def _stale(folder: Path, files: Mapping[str, str], changes: list[FileChange]) ->
 
 
 def _target(folder: Path, path: str) -> Path:
-    """The place of a file; a link or anything else that is not a folder on the way to it is refused."""
+    """Return the place of a file; refuse anything on the path that is no folder, such as a link."""
     parts = PurePosixPath(path).parts
     if not parts or path.startswith("/") or ".." in parts or "\0" in path:
         raise ExportError(f"{path!r}: a component of the package wants to write outside of the folder")
@@ -202,7 +209,7 @@ def _target(folder: Path, path: str) -> Path:
 
 
 def _mode(path: Path) -> int | None:
-    """Type and permissions of the file, folder or link at a path, without following links; None if there is none."""
+    """Return type and permissions of a file, folder or link, without following links; None if it does not exist."""
     try:
         return path.lstat().st_mode
     except FileNotFoundError:
@@ -217,13 +224,13 @@ def _kind(mode: int) -> str:
 
 
 def _read(target: Path) -> bytes | None:
-    """The bytes of a plain file; None if they are too many for a generated one."""
+    """Return the bytes of a plain file; None if it is too large for a generated one."""
     with _naming(target, "cannot be read"):
         return target.read_bytes() if target.stat().st_size <= LARGEST else None
 
 
 def _objection(old: bytes | None, mode: int) -> str | None:
-    """The reason why a file must not be replaced, or None."""
+    """Return the reason why a file must not be replaced, or None."""
     if old is None or not has_seal(old):
         return "not written by export()"
     if not intact(old):
@@ -258,7 +265,7 @@ def _replace(change: FileChange) -> None:
 
 
 def _remove(target: Path, beginning: bytes = b"") -> None:
-    """Remove a generated file that begins so and is as it was written."""
+    """Remove a generated file that has this beginning and was not edited."""
     mode = _mode(target)
     if mode is not None and stat.S_ISREG(mode):
         old = _read(target)

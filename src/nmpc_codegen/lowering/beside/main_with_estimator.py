@@ -1,4 +1,4 @@
-"""A controller and its estimator in one folder, with one main.c that runs both."""
+"""A controller and its estimator share a folder with one main.c that runs both."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from nmpc_codegen.package.seal import seal_beside, without_seal
 from nmpc_codegen.package.signals import c_constants
 from nmpc_codegen.package.sources import Sources
 
-#: The level of optimisation, that of the certificate.
+#: The optimisation level, which is that of the certificate.
 _LEVEL = re.compile(r" -O\w ")
-#: What stands before the example in CMakeLists.txt, and before the library.
+#: The text before the example in CMakeLists.txt, and before the library.
 _EXAMPLE, _LIBRARY = "\n# The example", "option("
 
 
 def with_estimator(controller: Mapping[str, str], ours: PackageDescription, estimator: Sources) -> dict[str, str]:
-    """The files of the estimator, and those of the controller that are other ones beside it: main.c, CMakeLists.txt.
+    """Return the files of the estimator, and those of the controller that change: main.c, CMakeLists.txt.
 
     Raises:
-        OptionError: the two are of different machines or precisions, or of different plants.
+        OptionError: machines, precisions or plants of the two differ.
     """
     theirs = estimator.description
     _check(ours, theirs)
@@ -44,7 +44,7 @@ def _check(ours: PackageDescription, theirs: PackageDescription) -> None:
 
 
 def _main(ours: PackageDescription, theirs: PackageDescription) -> str:
-    """The loop of both."""
+    """Return the main.c that runs both."""
     assert theirs.estimation is not None
     p, q = ours.name, theirs.name
     style, found = unit_style(ours.precision), []
@@ -68,7 +68,7 @@ def _main(ours: PackageDescription, theirs: PackageDescription) -> str:
 
 
 def _lists(controller: Mapping[str, str], estimator: Sources) -> str:
-    """Both libraries, and the example that is linked with both."""
+    """Return the CMakeLists.txt with both libraries, and the example that is linked with both."""
     ours, theirs = (without_seal(files["CMakeLists.txt"]) for files in (controller, estimator))
     level = _LEVEL.findall(ours)
     theirs = _LEVEL.sub(level[0] if level else " -O2 ", theirs)

@@ -1,1 +1,1 @@
-"""The C of the parts: its tree, its expressions, its names, what is known of them."""
+"""The C of the parts is parsed: its tree, its expressions, its names, and known values."""

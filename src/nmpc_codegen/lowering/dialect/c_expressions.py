@@ -1,4 +1,4 @@
-"""Expressions of C as trees."""
+"""Expressions of C are parsed to trees."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ _LEVELS = [",", "= += -= *= /= |= &= ^= %= <<= >>=", "?", "||", "&&", "|", "^", 
 _LEVELS += ["<< >>", "+ -", "* / %"]
 _BINDING = {operator: level for level, operators in enumerate(_LEVELS, 1) for operator in operators.split()}
 _ASSIGNING, _UNARY = 2, len(_LEVELS) + 1
-#: A type in parentheses, which is that of a cast.
+#: A type in parentheses, which makes a cast.
 _TYPE = re.compile(
     r"\(\s*(?:const )?(?:unsigned |signed )?(?:\w+_t|int|long|double|float|char|void)\b[^()]*(?:\(\*\)[^()]*)?\)"
 )
 
 
 class Expression(NamedTuple):
-    """An expression: what it is, its place in the text, its operator or name, its operands.
+    """A C expression: its kind, its place in the text, its operator or name, its operands.
 
-    ``kind``: name, number, call (of a name), index, member, unary, binary, assign, group (in parentheses) or other.
+    ``kind`` is name, number, call (of a name), index, member, unary, binary, assign, group (in parentheses) or other.
     """
 
     kind: str
@@ -36,16 +36,16 @@ class Expression(NamedTuple):
 
 @lru_cache(maxsize=16384)
 def words(text: str) -> frozenset[str]:
-    """All identifiers and numbers of a text."""
+    """Return all identifiers and numbers of a text."""
     return frozenset(_WORD.findall(text))
 
 
 @lru_cache(maxsize=16384)
 def expression(text: str) -> Expression:
-    """The tree of a text without comments.
+    """Return the tree of a text without comments.
 
     Raises:
-        ValueError: it is no expression.
+        ValueError: the text is no expression.
     """
     parser = _Parser(text)
     found = parser.binary(1)
@@ -55,14 +55,14 @@ def expression(text: str) -> Expression:
 
 
 class _Parser:
-    """Precedence climbing; ``word`` is the token at hand, "" at the end."""
+    """A parser by precedence climbing; ``word`` is the current token, "" at the end."""
 
     def __init__(self, text: str) -> None:
         self.text, self.end = text, 0
         self.step()
 
     def step(self) -> int:
-        """Go to the next token; returns the end of the present one."""
+        """Go to the next token and return the end of the current one."""
         before = self.end
         found = _TOKEN.match(self.text, self.end)
         if found is None:
@@ -75,7 +75,7 @@ class _Parser:
         return before
 
     def take(self, word: str) -> int:
-        """Go behind this token; returns its end."""
+        """Consume this token and return its end."""
         if self.word != word:
             raise ValueError(f"{self.text.strip()!r}: expected {word!r} in place of {self.word!r}")
         return self.step()
@@ -142,5 +142,5 @@ class _Parser:
 
     @property
     def before(self) -> int:
-        """The end of the token before the present one."""
+        """Return the end of the token before the current one."""
         return len(self.text[: self.start].rstrip())

@@ -1,4 +1,4 @@
-"""What a package decides, and what it makes of an expression: its range, its truth, whether it has effects."""
+"""Constants of a package decide expressions: their range, their truth, whether they have effects."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from typing import Any
 
 from nmpc_codegen.lowering.dialect.c_expressions import Expression, expression, words
 
-#: Least and greatest value of an expression of integers.
+#: Least and greatest value of an integer expression.
 Range = tuple[int, int]
 
 _DECIMAL = re.compile(r"0|[1-9]\d*")
-#: Functions of the C library that give a number and do no more.
+#: Functions of the C library without side effects.
 PURE = frozenset({"isfinite"})
-#: (operator, operands) -> function; the results at the ends of ranges enclose those between them.
+#: (operator, operands) -> function; results at the ends of ranges enclose those in between.
 _MONOTONE: Mapping[tuple[str, int], Callable[..., Any]] = {
     ("+", 2): operator.add,
     ("-", 2): operator.sub,
@@ -35,12 +35,11 @@ _MONOTONE: Mapping[tuple[str, int], Callable[..., Any]] = {
 
 @dataclass(frozen=True, eq=False)
 class Constants:
-    """What a package decides.
+    """The facts that a package knows at export.
 
-    ``sizes``: values of sizes and features. ``ranges``: least and greatest value of the entries of tables and of what
-    functions return. ``absent``: (struct, member) that no struct has. ``types``: (struct, member) -> its struct.
-    ``kernels``: macros and functions that have nothing to do. ``calling``: macros that call functions. ``pure``:
-    functions that give a number and do no more.
+    sizes: values of sizes and features; ranges: least and greatest value of entries of tables and of results of
+    functions; absent: (struct, member) that no struct has; types: (struct, member) -> its struct; kernels: macros and
+    functions that have nothing to do; calling: macros that call functions; pure: functions without side effects.
     """
 
     sizes: Mapping[str, int] = field(default_factory=dict)
@@ -52,11 +51,11 @@ class Constants:
     pure: frozenset[str] = frozenset()
 
     def names(self, text: str) -> bool:
-        """True if a text names a size, a table or a function of which the range is known."""
+        """Return True if a text names a size, a table or a function with a known range."""
         return any(word in self.sizes or word in self.ranges for word in words(text))
 
     def effects(self, found: Expression) -> bool:
-        """True if it assigns, counts or calls a function, unless that only gives a number."""
+        """Return True if it assigns, counts or calls a function with side effects."""
         if found.kind == "call" and not any(found.word in known for known in (self.ranges, self.pure, PURE)):
             calls = not found.word.isupper() or found.word in self.calling
         else:
@@ -64,7 +63,10 @@ class Constants:
         return calls or any(map(self.effects, found.operands))
 
     def range(self, found: Expression, variables: Mapping[str, Range]) -> Range | None:
-        """Least and greatest value of an expression; None: it depends on data. ``variables``: their ranges."""
+        """Return least and greatest value of an expression; None if it depends on data.
+
+        ``variables`` holds the ranges of its variables.
+        """
         match found.kind:
             case "number":
                 return (int(found.word),) * 2 if _DECIMAL.fullmatch(found.word) else None
@@ -80,12 +82,12 @@ class Constants:
         return None
 
     def truth(self, found: Expression, variables: Mapping[str, Range] | None = None) -> bool | None:
-        """True or False where constants decide an expression without effects."""
+        """Return True or False if constants decide an expression without effects, else None."""
         values = None if self.effects(found) else _truths(self.range(found, variables or {}))
         return None if values is None or values[0] < values[1] else bool(values[0])
 
     def reduce(self, text: str) -> bool | str:
-        """A condition without the operands that constants decide; True or False if they decide it."""
+        """Return a condition without the operands that constants decide; True or False if they decide it."""
         found = expression(text)
         left = self._reduce(text, found)
         if isinstance(left, bool) or found.kind == "group" or (bare := expression(left)).kind != "group":
@@ -124,25 +126,25 @@ class Constants:
 
 
 def _is_operand(text: str) -> bool:
-    """True if a text needs no parentheses as an operand."""
+    """Return True if a text needs no parentheses as an operand."""
     return expression(text).kind not in ("binary", "assign", "other")
 
 
 def truth(values: Range | None) -> bool | None:
-    """Return whether an expression with these values holds; None: unknown."""
+    """Return whether an expression with these values is true; None: unknown."""
     least, most = _truths(values)
     return None if least < most else bool(least)
 
 
 def _truths(values: Range | None) -> Range:
-    """Least and greatest truth of an expression."""
+    """Return least and greatest truth value of an expression."""
     if values is None or values[0] <= 0 <= values[1]:
         return (0, int(values != (0, 0)))
     return (1, 1)
 
 
 def apply_operator(word: str, *values: Range | None) -> Range | None:
-    """Return the range of what an operator makes of ranges; None: unknown."""
+    """Return the range of an operator applied to ranges; None: unknown."""
     if word in ("==", "!=") and None not in values:
         equal = _truths(apply_operator("-", *values))
         return equal if word == "!=" else apply_operator("!", equal)
@@ -159,7 +161,10 @@ def apply_operator(word: str, *values: Range | None) -> Range | None:
 
 
 def _of_counts(word: str, a: Range, b: Range) -> Range | None:
-    """A number that is not negative divided by a positive constant, the rest, and the last bit of a number."""
+    """Return the range of a quotient or remainder, or of the last bit of a number.
+
+    The dividend must be nonnegative, the divisor a positive constant.
+    """
     if b[0] != b[1] or (word != "&" and not (a[0] >= 0 and b[0] > 0)) or (word == "&" and b[0] != 1):
         return None
     if word == "/":

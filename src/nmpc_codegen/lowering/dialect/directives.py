@@ -1,4 +1,4 @@
-"""`#if` over sizes and features: the branch that a package has."""
+"""`#if` over sizes and features is resolved to the branch that a package has."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from nmpc_codegen.lowering.dialect.tree import Edit, Node, edit, parse
 
 
 def resolve(text: str, sizes: Mapping[str, int] | None) -> str:
-    """The text with the branches of `#if` that hold, as a compiler sees it; None: they are left to the compiler.
+    """Return the text with the branches of `#if` that hold; with None, they are left to the compiler.
 
     Raises:
         ValueError: the text is not of the dialect; a condition is no integer expression, or a name in it has no value.
@@ -24,7 +24,7 @@ def resolve(text: str, sizes: Mapping[str, int] | None) -> str:
 
 @lru_cache(maxsize=2048)
 def _names(text: str) -> frozenset[str]:
-    """Names in conditions."""
+    """Return the names in conditions."""
     nodes = (node for top in parse(text) for node in top.walk() if node.kind == "branch")
     return frozenset().union(*(words(text[slice(*node.head)]) for node in nodes))
 
@@ -38,7 +38,7 @@ def _resolve(text: str, known: frozenset[tuple[str, int]]) -> str:
 
 
 def _outermost(nodes: Iterable[Node]) -> Iterable[Node]:
-    """Conditionals that stand in no other one."""
+    """Yield the conditionals that are inside no other one."""
     for node in nodes:
         if node.kind == "conditional":
             yield node
@@ -47,7 +47,7 @@ def _outermost(nodes: Iterable[Node]) -> Iterable[Node]:
 
 
 def _take(text: str, conditional: Node, sizes: Mapping[str, int]) -> str:
-    """The text of the first branch that holds, "" if none does."""
+    """Return the text of the first branch that holds, "" if none does."""
     for branch in conditional.body:
         start, end = branch.head
         try:
@@ -59,10 +59,10 @@ def _take(text: str, conditional: Node, sizes: Mapping[str, int]) -> str:
 
 
 def evaluate(condition: str, sizes: Mapping[str, int]) -> bool:
-    """Value of an integer expression of C with the operators + - * == != < <= > >= ! && || and parentheses.
+    """Evaluate an integer expression of C with the operators + - * == != < <= > >= ! && || and parentheses.
 
     Raises:
-        ValueError: it is none, or a name has no value.
+        ValueError: the text is no such expression, or a name has no value.
     """
     try:
         found = expression(blank(condition))

@@ -1,4 +1,4 @@
-"""What a function declares and what it names: variables and their scopes, pointers to structs, free names."""
+"""The declarations and names of a function are found: variables and their scopes, pointers to structs, free names."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ _NO_CODE = re.compile(r"/\*.*?\*/|\"(?:\\.|[^\"\\\n])*\"|'(?:\\.|[^'\\\n])*'", r
 _PASSES = re.compile(r"/\* at most ([^*]+?) passes")
 _NOT_NEWLINE = re.compile(r"[^\n]")
 _IDENTIFIER = re.compile(r"(?<![.\w])(?<!->)[A-Za-z_]\w*")
-#: The type of a declaration of variables, which ends before the first name.
+#: The type in a declaration of variables, up to the first name.
 DECLARATION = re.compile(
     r"\s*(?:static )?(?:const )?(?:unsigned )?(?:int|double|char|\w+_t)(?: (?:const )?(?=[\w*(])|(?=\(\*))"
 )
@@ -25,14 +25,14 @@ _ATTRIBUTE = re.compile(r"__attribute__\(\(.*?\)\)")
 
 @lru_cache(maxsize=16384)
 def blank(text: str) -> str:
-    """The text with blanks for its comments, strings and characters: every place stays where it is."""
+    """Return the text with blanks for its comments, strings and characters; all positions stay the same."""
     if "/" not in text and '"' not in text and "'" not in text:
         return text
     return _NO_CODE.sub(lambda found: _NOT_NEWLINE.sub(" ", found[0]), text)
 
 
 def readable(text: str) -> str:
-    """The same, with the comments that bound the passes of loops, which name what the code names."""
+    """Return the code without comments except those that bound the passes of loops, which contain code names."""
     code = blank(text)
     for found in _PASSES.finditer(text):
         code = code[: found.start(1)] + found[1] + code[found.end(1) :]
@@ -41,18 +41,18 @@ def readable(text: str) -> str:
 
 @lru_cache(maxsize=32768)
 def in_line(text: str) -> str:
-    """The code of a text in one line, with its strings."""
+    """Return the code of a text on one line, with its strings."""
     return " ".join(_NO_CODE.sub(lambda found: " " if found[0].startswith("/*") else found[0], text).split())
 
 
 @lru_cache(maxsize=32768)
 def names_in_code(text: str) -> frozenset[str]:
-    """Identifiers of a text that are no members of a struct."""
+    """Return the identifiers of a text that are no members of a struct."""
     return frozenset(_IDENTIFIER.findall(blank(text)))
 
 
 def split(code: str) -> list[str]:
-    """The parts of a text between commas that stand in no brackets."""
+    """Return the parts of a text between commas outside of brackets."""
     depth, first, found = 0, 0, []
     for mark in _MARK.finditer(code):
         if mark[0] == ",":
@@ -69,7 +69,7 @@ _MARK = re.compile(r"[,()\[\]{}]")
 
 @lru_cache(maxsize=32768)
 def declarators(text: str) -> tuple[tuple[str, str], ...]:
-    """(name, declarator) of every variable of a declaration; none for a text that declares nothing."""
+    """Return (name, declarator) of every variable of a declaration; empty if a text declares nothing."""
     found = DECLARATION.match(text)
     if found is None:
         return ()
@@ -79,7 +79,7 @@ def declarators(text: str) -> tuple[tuple[str, str], ...]:
 
 @lru_cache(maxsize=8192)
 def signature(text: str) -> tuple[str, tuple[str, ...]]:
-    """Name and parameters of a function or a prototype."""
+    """Return name and parameters of a function or a prototype."""
     found = _SIGNATURE.search(_ATTRIBUTE.sub("", " ".join(blank(text).split())))
     if found is None:
         raise ValueError(f"no signature of a function: {text.strip()!r}")
@@ -90,17 +90,17 @@ def signature(text: str) -> tuple[str, tuple[str, ...]]:
 
 
 def function_of(text: str) -> Node:
-    """The function that a text with its comment is."""
+    """Return the function in a text with its comment."""
     return parse(text)[-1]
 
 
 def head_of(text: str) -> str:
-    """The head of a function: its type, name and parameters."""
+    """Return the head of a function: its type, name and parameters."""
     return text[slice(*function_of(text).head)].strip()
 
 
 def pointers(text: str) -> Mapping[str, str]:
-    """Pointer of a function -> the struct to which it points.
+    """Return {pointer in a function: struct to which it points}.
 
     Raises:
         ValueError: pointers to different structs have the same name, so that a member does not tell its struct.
@@ -113,7 +113,7 @@ def pointers(text: str) -> Mapping[str, str]:
 
 
 def free_names(text: str) -> frozenset[str]:
-    """What a function names and does not declare: types, functions, macros, tables.
+    """Return the names that a function uses without declaring them: types, functions, macros, tables.
 
     Raises:
         ValueError: a block declares a variable twice, or a variable is used outside of the block that declares it.
@@ -122,8 +122,10 @@ def free_names(text: str) -> frozenset[str]:
 
 
 def check_names(text: str, known: Set[str]) -> None:
-    """Raise ValueError if a variable hides another one, which it would do to what follows a block without braces, or a
-    table or a function of which the package knows the values."""
+    """Raise ValueError if a variable hides another one, or a table or function with known values.
+
+    If the braces of a block are removed, a hiding variable would capture names in the code after it.
+    """
     _, hidden, declared = _names(text)
     if hidden:
         raise ValueError(f"{sorted(hidden)[0]} is declared where there is a variable with this name")
@@ -133,7 +135,7 @@ def check_names(text: str, known: Set[str]) -> None:
 
 @lru_cache(maxsize=16384)
 def _names(text: str) -> tuple[frozenset[str], frozenset[str], frozenset[str]]:
-    """Free names, names of variables that hide another one, names of all variables and parameters."""
+    """Return free names, names of variables that hide another one, and names of all variables and parameters."""
     function = function_of(text)
     head = text[slice(*function.head)]
     name, parameters = signature(head)
@@ -147,13 +149,13 @@ def _names(text: str) -> tuple[frozenset[str], frozenset[str], frozenset[str]]:
 
 
 class _Scopes:
-    """Names that are free, all that are declared, and those that hide others, while blocks are visited."""
+    """Free names, declared names, and names that hide others, collected while blocks are visited."""
 
     def __init__(self, text: str) -> None:
         self.text, self.free, self.declared, self.hidden = text, set[str](), set[str](), set[str]()
 
     def visit(self, body: Sequence[Node], outer: frozenset[str]) -> None:
-        """A block whose statements see these names."""
+        """Visit a block whose statements see the names ``outer``."""
         own: set[str] = set()
         for node in body:
             visible = outer | own

@@ -1,8 +1,8 @@
-"""The tree of a C part: functions, blocks, statements and `#if`, each with its place in the text.
+"""A C part is parsed to a tree of functions, blocks, statements and `#if`, each with its place in the text.
 
 The dialect: blocks stand in braces, a line holds one statement, there is no do, switch or goto, `#if` is the only
 conditional directive and each of its branches holds whole statements. Everything else is refused. A node knows where it
-begins and ends, so that a pass changes the text between two places and leaves layout and comments as they are.
+begins and ends, so that a pass changes the text between two places and keeps layout and comments.
 """
 
 from __future__ import annotations
@@ -38,9 +38,8 @@ _DIRECTIVES = "expected #if, #elif, #else or #endif at the start of a line"
 class Node:
     """A piece of text[start:end].
 
-    ``head``: the place of the condition of an "if", of what stands in the parentheses of a "loop", of the signature of
-    a "function", of the condition of a "branch" of `#if`. ``inside``: the place of what it holds. ``other``: the "if"
-    or the "block" behind else.
+    head: place of the condition of an "if", of the parentheses of a "loop", of the signature of a "function", of the
+    condition of a "branch" of `#if`. inside: place of its content. other: the "if" or the "block" after else.
     """
 
     kind: Kind
@@ -52,7 +51,7 @@ class Node:
     other: Node | None = None
 
     def walk(self) -> Iterator[Node]:
-        """The node and all below it, in the order of the text."""
+        """Yield the node and all nodes below it, in the order of the text."""
         yield self
         for node in self.body:
             yield from node.walk()
@@ -68,16 +67,16 @@ class _Token(NamedTuple):
 
 @lru_cache(maxsize=4096)
 def parse(text: str) -> tuple[Node, ...]:
-    """The nodes of a text.
+    """Return the nodes of a text.
 
     Raises:
-        ValueError: the text is not of the dialect; the line and what was expected.
+        ValueError: the text does not belong to the dialect; the message holds the line and what was expected.
     """
     return _Parser(text).whole()
 
 
 class _Parser:
-    """Reads tokens, that is brackets, semicolons, comments, directives and words that begin a statement."""
+    """A parser of tokens: brackets, semicolons, comments, directives and words that begin a statement."""
 
     def __init__(self, text: str) -> None:
         self.text, self.place = text, 0
@@ -94,18 +93,18 @@ class _Parser:
         return nodes
 
     def error(self, at: int, expected: str) -> ValueError:
-        """An error in the line of a place."""
+        """Return an error that shows the line of a place."""
         begin = self.text.rfind("\n", 0, at) + 1
         line = self.text[begin:].split("\n", 1)[0].strip()
         return ValueError(f"line {self.text.count(chr(10), 0, begin) + 1}, {line!r}: {expected}")
 
     def next(self, at: int) -> tuple[int, _Token]:
-        """The place behind blanks, and the first token from there on."""
+        """Return the place after blanks, and the first token from there on."""
         blank = _BLANK.match(self.text, at)
         return (blank.end() if blank else at), self.tokens[self.place]
 
     def sequence(self, at: int) -> tuple[tuple[Node, ...], int]:
-        """Nodes from a place on to what closes them, and the place there."""
+        """Return the nodes from a place up to the token that closes them, and its place."""
         nodes: list[Node] = []
         while True:
             at, token = self.next(at)
@@ -115,7 +114,7 @@ class _Parser:
             at = nodes[-1].end
 
     def node(self, at: int, token: _Token) -> Node:
-        """The node that begins at a place; ``token``: the first one from there on."""
+        """Return the node that begins at a place; ``token`` is the first token from there on."""
         word = token.text if at == token.start else ""
         if word.startswith("/*"):
             self.place += 1
@@ -134,7 +133,7 @@ class _Parser:
         return self.statement(at, word)
 
     def directive(self, token: _Token) -> Node:
-        """A directive; `#if` with its branches, to `#endif`."""
+        """Return a directive, or an `#if` with its branches up to `#endif`."""
         start = token.start
         if not token.text.startswith("#if"):
             if token.text[1:2].isspace():
@@ -164,7 +163,7 @@ class _Parser:
             token = following
 
     def read_head(self, at: int, kind: Kind) -> Node:
-        """A loop, or an if with what stands behind its else."""
+        """Return a loop, or an if with its else."""
         self.place += 1
         if self.tokens[self.place].text != "(":
             raise self.error(at, "expected a parenthesis")
@@ -183,7 +182,7 @@ class _Parser:
         return Node("if", at, other.end, head, inside, body, other)
 
     def skip(self) -> int:
-        """Skip the next bracket and all inside it; return the place of the bracket that closes it."""
+        """Skip the next bracket and its content; return the place of the closing bracket."""
         depth = 0
         while self.tokens[self.place].text:
             token = self.tokens[self.place]
@@ -196,7 +195,7 @@ class _Parser:
         raise self.error(self.tokens[-2].start, "a bracket is open at the end")
 
     def braces(self, after: int) -> tuple[tuple[Node, ...], tuple[int, int], int]:
-        """The nodes of the block that begins behind a place, the place inside, and its end."""
+        """Return the nodes of the block that begins after a place, the place inside, and its end."""
         at, token = self.next(after)
         if token.text != "{" or token.start != at:
             raise self.error(after - 1, _DIALECT)
@@ -209,7 +208,7 @@ class _Parser:
         return nodes, (token.end, end), closing.end
 
     def statement(self, at: int, word: str) -> Node:
-        """A statement or a declaration with the comment behind it; a function, whose brace begins a line."""
+        """Return a statement or declaration with the comment after it, or a function, whose brace begins a line."""
         while True:
             token = self.tokens[self.place]
             if token.text == "{" and self.text[token.start - 1] == "\n":
@@ -234,7 +233,7 @@ _COMMENT_BEHIND = re.compile(rf"[ \t]*{_COMMENT}", re.DOTALL)
 
 
 class Edit(NamedTuple):
-    """text[start:end] becomes ``new``."""
+    """A replacement of text[start:end] by ``new``."""
 
     start: int
     end: int
@@ -242,7 +241,7 @@ class Edit(NamedTuple):
 
 
 def edit(text: str, edits: Sequence[Edit]) -> str:
-    """The text with edits; one inside another one is left for the next pass."""
+    """Return the text with edits applied; an edit inside another one is left for the next pass."""
     kept: list[str] = []
     at = 0
     for edit in sorted(edits, key=lambda e: (e.start, -e.end)):
@@ -253,12 +252,12 @@ def edit(text: str, edits: Sequence[Edit]) -> str:
 
 
 def margin(text: str, node: Node) -> str:
-    """The blanks before a node in its line."""
+    """Return the blanks before a node on its line."""
     return text[text.rfind("\n", 0, node.start) + 1 : node.start]
 
 
 def whole_lines(text: str, node: Node, above: Node | None) -> tuple[int, int]:
-    """The place of a node with its lines, and with the comment just above it."""
+    """Return the place of a node with its lines, and with the comment directly above it."""
     behind = _COMMENT_BEHIND.match(text, node.end)
     start, end = node.start, text.find("\n", behind.end() if behind else node.end)
     if above is not None and above.kind == "comment" and "\n\n" not in text[above.end : start]:
@@ -267,6 +266,6 @@ def whole_lines(text: str, node: Node, above: Node | None) -> tuple[int, int]:
 
 
 def wrap_line(line: str) -> list[str]:
-    """A statement in lines that are not too long."""
+    """Return a statement in lines that are not too long."""
     inner = line[: len(line) - len(line.lstrip())] + "    "
     return wrap(line, WIDTH, subsequent_indent=inner, break_long_words=False, break_on_hyphens=False) or [line]

@@ -69,33 +69,33 @@ def product(kernel: Kernel) -> str:
 
 
 def offset(place: str, n: int) -> str:
-    """The place that is n numbers behind another one."""
+    """Return the place n numbers after another one."""
     return f"{place} + {n}" if n else place
 
 
 def _declare(kind: str, items: Iterable[str], indent: str = INDENT) -> list[str]:
-    """A declaration in lines that end between its items."""
+    """Return a declaration in lines that end between its items."""
     joined = ", ".join(item.replace(" ", "\0") for item in items)
     lines = wrap(f"{kind} {joined};", WIDTH, initial_indent=indent, subsequent_indent=indent + INDENT)
     return [line.replace("\0", " ") for line in lines]
 
 
 def _pattern(kernel: Kernel, nx: int, nz: int) -> Pattern:
-    """The elements of [A B] that the kernel stores."""
+    """Return the elements of [A B] that the kernel stores."""
     last = len(kernel.outputs) - 1
     stored = {element for output, element, _ in kernel.stores if output == last}
     return [frozenset(j for j in range(nz) if i * nz + j in stored) for i in range(nx)]
 
 
 def _zeros(kernel: Kernel) -> list[int]:
-    """The elements of [A B] that it does not store."""
+    """Return the elements of [A B] that the kernel does not store."""
     size, cols = kernel.outputs[-1].size, kernel.outputs[-1].cols
     stored = _pattern(kernel, size // cols, cols)
     return [e for e in range(size) if e % cols not in stored[e // cols]]
 
 
 def _of_all_steps(step: Pattern, nx: int) -> Pattern:
-    """The elements of [A B] of any number of steps."""
+    """Return the elements of [A B] of any number of steps."""
     found = list(step)
     while True:
         longer = [row.union(*(found[n] for n in step[i] if n < nx)) for i, row in enumerate(found)]
@@ -146,7 +146,7 @@ def _tile_rows(tiles: Sequence[tuple[int, int]], nz: int) -> Iterator[str]:
 
 
 def _tile(rows: int, columns: int, inner: Sequence[tuple[int, int]], nz: int) -> str:
-    """A tile of A S: sums over these rows of S."""
+    """Return the function of a tile of A S: sums over these rows of S."""
     sums = [[f"s{i}{j}" for j in range(columns)] for i in range(rows)]
     lines = [
         f"LANES_INLINE void lanes_tile_{rows}_{columns}(const lanes_t *A, const lanes_t *S, lanes_t *T)",
@@ -165,7 +165,7 @@ def _tile(rows: int, columns: int, inner: Sequence[tuple[int, int]], nz: int) ->
 
 
 def calls(kernel: Kernel, suffix: str, x_next: str, S: str) -> tuple[list[str], list[str]]:
-    """Declarations, and the statements that compute x_next and S of an interval in lanes from those of its steps."""
+    """Return declarations, and statements that compute x_next and S of an interval in lanes from those of its steps."""
     size = kernel.outputs[-1].size
     places = {"x_next": x_next, "S": "one_step"}
 

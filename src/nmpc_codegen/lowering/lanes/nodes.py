@@ -94,7 +94,7 @@ def has_conditions(routines: Iterable[Routine]) -> bool:
 
 
 def in_lanes(names: Iterable[str], sizes: Mapping[str, int], style: CStyle) -> str:
-    """The elementary functions of these names in math.h, and what they need, on vectors."""
+    """Return the functions of math.h with these names, and everything that they call, on vectors."""
     items = items_of(spell(read_part(MATH_IN_LANES, sizes=sizes), style.on_vectors))
     roots = [n for n, item in enumerate(items) if item.name.removeprefix("lanes_") in names]
     found = reach(items, roots)
@@ -133,7 +133,7 @@ def _lane_features(module: CModule) -> Features:
 
 
 def lane_functions(module: CModule) -> str:
-    """The elementary functions that the kernels call."""
+    """Return the elementary functions that the kernels call."""
     found = lane_routines(module)
     return "" if found is None else in_lanes(called_functions(found.printed), module.sizes, module.style)
 
@@ -295,7 +295,7 @@ GENERATED: Mapping[str, Callable[[CModule], str]] = {
 
 
 def passed_lanes(port: Port, place: str) -> str:
-    """The argument for a port whose elements lie in a row."""
+    """Return the argument for a port whose elements are contiguous."""
     return f"(lanes_t(*)[{port.cols}])({place})" if port.cols else place
 
 
@@ -363,7 +363,7 @@ def _stored_elements(routine: Routine, port: Port) -> set[int]:
 
 
 def _rename_routine(routine: Routine) -> Routine:
-    """The routine, and the leaves of its loops, under names of their own."""
+    """Return the routine, and the leaves of its loops, with a suffix to their names."""
     if isinstance(routine, Kernel):
         return replace(routine, name=routine.name + SUFFIX)
     leaves = {name: replace(kernel, name=kernel.name + SUFFIX) for name, kernel in routine.leaves.items()}
@@ -371,7 +371,7 @@ def _rename_routine(routine: Routine) -> Routine:
 
 
 def _one_by_one(name: str, arity: int, style: CStyle) -> str:
-    """A function of math.h, called for every lane."""
+    """Return a function that calls one of math.h for every lane."""
     operands = ("x", "y")[:arity]
     declared = ", ".join(f"lanes_t {o}" for o in operands)
     passed = ", ".join(f"{o}[l]" for o in operands)

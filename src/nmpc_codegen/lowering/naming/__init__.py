@@ -1,1 +1,1 @@
-"""The names of the user in C: constants of the header, and constants in kernels."""
+"""The user's names appear in C as constants of the header and as constants in kernels."""

@@ -1,4 +1,4 @@
-"""The user's names in the header: places in the vectors of the interface, with units, bounds and scales; rows."""
+"""The header has the user's names: indices in the vectors of the interface, with units, bounds and scales; rows."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from nmpc_codegen.package.signals import Signal, c_constants, nodes
 
 
 def enums(problem: CompleteProblem) -> tuple[Enum, ...]:
-    """The enums of a problem; those without a name do not exist."""
+    """Return the enums of a problem; enums without a name are left out."""
     size, nx, parameters = problem.scales.z, problem.nx, problem.own_parameters
     limits = {(row.kind, row.index): row for row in problem.rows if row.nodes and min(row.nodes) < problem.N}
     states = [_z(unit, size[i], limits.get(("state", i))) for i, unit in enumerate(_units(problem.own_states))]
@@ -43,12 +43,12 @@ def _enum(stem: str, names: Sequence[str], doc: str, notes: Iterable[Sequence[st
 
 
 def _units(signals: Iterable[Signal]) -> list[str]:
-    """The unit of every element."""
+    """Return the unit of every element."""
     return [signal.unit for signal in signals for _ in signal.elements]
 
 
 def _z(unit: str, scale: float, row: Row | None) -> list[str]:
-    """Unit, bounds and scale of a state or control."""
+    """Return unit, bounds and scale of a state or control."""
     return [unit, f"{row.lower:g} .. {row.upper:g}" if row else "", f"scale {scale:.2g}"]
 
 

@@ -1,4 +1,4 @@
-"""The names that constants in the kernels of a package may have: the user's, without those that its unit uses."""
+"""Constants in the kernels of a package may have the user's names, except those that its unit uses."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from nmpc_codegen.lowering.unit.read import defined_names
 from nmpc_codegen.package.signals import c_identifier
 from nmpc_codegen.package.status import Status
 
-#: Macros of the compilers, the C library and the preamble that have the form of a name of a signal.
+#: Macros of the compilers, the C library and the preamble that could be names of signals.
 _MACROS = """
     NAN INFINITY HUGE HUGE_VAL HUGE_VALF MATH_ERRNO MATH_ERREXCEPT FP_NAN FP_INFINITE FP_ZERO FP_SUBNORMAL FP_NORMAL
     DOMAIN SING OVERFLOW UNDERFLOW PLOSS TLOSS EOF NULL offsetof isnan isinf isfinite isnormal signbit fpclassify
@@ -26,7 +26,7 @@ _MATH_CONSTANT = re.compile(r"M_[A-Z0-9_]+|FP_\w+|\w*_t")
 
 
 def local_names(problem: Problem, others: Iterable[str]) -> LocalNames:
-    """The names of a problem; ``others``: macros, kernels and tables of its package."""
+    """Return the names of a problem; ``others`` holds macros, kernels and tables of its package."""
     taken = _of_every_unit().union(others)
 
     def free(names: Iterable[str]) -> tuple[str, ...]:
@@ -49,12 +49,12 @@ def local_names(problem: Problem, others: Iterable[str]) -> LocalNames:
 
 
 def _of_data(name: str) -> str:
-    """Names of the parameters behind those of the user: begins_F, interval_before."""
+    """Return names of added parameters: begins_F, interval_before."""
     return name.replace("block start(", "begins_").removesuffix(")").replace(" ", "_")
 
 
 def _inner_names(problem: Problem, known: Collection[str]) -> Iterator[str]:
-    """Names of the states behind those of the user: F_before, time."""
+    """Yield names of added states: F_before, time."""
     for name in problem.state_names[problem.measured :]:
         inner = name.removeprefix("previous(").removesuffix(")")
         spelled = c_identifier(name if inner == name else f"{inner}_before")
@@ -65,7 +65,7 @@ def _inner_names(problem: Problem, known: Collection[str]) -> Iterator[str]:
 
 @cache
 def _of_every_unit() -> frozenset[str]:
-    """Keywords, names of the C library, and what the parts define."""
+    """Return keywords, names of the C library, and names that the parts define."""
     functions = {operation.function for operation in OPERATIONS.values()} - {""}
     macros = {macro.name for macro in arithmetic("double")} | {status.name for status in Status}
     parts = {name for path in template_directory().rglob("*.c*") for name in defined_names(path.read_text("utf-8"))}

@@ -1,1 +1,1 @@
-"""What a package does not need of a function, as edits of its text."""
+"""Code of a function that a package does not need is removed by edits of its text."""

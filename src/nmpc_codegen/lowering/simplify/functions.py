@@ -1,6 +1,6 @@
-"""What a package does not need of a function, one pass per reason; every pass lists edits of the text.
+"""Code of a function that a package does not need is removed by one pass per reason; every pass lists edits.
 
-constants  branches, operands and loops that sizes and tables decide; what stands behind return
+constants  branches, operands and loops that sizes and tables decide; code after return
 absent     writes to members that no struct has, calls of kernels that have nothing to compute
 once       loops that run once
 unread     local variables that nothing names
@@ -29,7 +29,7 @@ from nmpc_codegen.lowering.simplify.idle import without_idle
 from nmpc_codegen.lowering.simplify.single import run_once
 from nmpc_codegen.lowering.simplify.values import of_known_value
 
-#: A loop over a variable of its own; the step of one that only counts.
+#: A loop that declares its variable; the step of a loop that only counts.
 _LOOP = re.compile(r"(?:int|ptrdiff_t) (?P<variable>\w+) = (?P<first>[^,;]+); (?P<condition>[^;]*);(?P<step>.*)")
 _SIZE = re.compile(r"\[([^\[\]]*)\]")
 _STRING = re.compile("[\"']")
@@ -43,7 +43,7 @@ Pass = Callable[[str, Node, Constants], Iterator[Edit]]
 
 @lru_cache(maxsize=4096)
 def blocks(function: Node) -> tuple[Node, ...]:
-    """The nodes that hold others."""
+    """Return the nodes that contain other nodes."""
     return tuple(node for node in function.walk() if node.kind in ("function", "if", "loop", "block"))
 
 
@@ -66,7 +66,7 @@ def constants(text: str, function: Node, known: Constants) -> Iterator[Edit]:
 
 
 def _of_choice(text: str, node: Node, above: Node | None, around: set[str], known: Constants) -> Iterator[Edit]:
-    """An if whose branches are decided, or hold nothing."""
+    """Yield edits of an if whose branches are decided, or empty."""
     chain = [node]
     while chain[-1].other is not None:
         chain.append(chain[-1].other)
@@ -89,12 +89,12 @@ def _of_choice(text: str, node: Node, above: Node | None, around: set[str], know
 
 
 def _decidable(head: str, known: Constants) -> bool:
-    """True if constants may decide a condition; one with a string stays as it is."""
+    """Return True if constants may decide a condition; a condition with a string is kept."""
     return not _STRING.search(head) and bool(known.names(head) or _NUMBER.search(head) or not _NAME.search(head))
 
 
 def _without_branch(text: str, chain: Sequence[Node], place: int, above: Node | None, around: set[str]) -> Edit:
-    """A chain of branches without one of them."""
+    """Return the edit that removes one branch of a chain."""
     branch = chain[place]
     if branch.other is None:
         if place == 0:
@@ -106,26 +106,29 @@ def _without_branch(text: str, chain: Sequence[Node], place: int, above: Node | 
 
 
 def _take(text: str, branch: Node, place: int, above: Node | None, around: set[str]) -> Edit:
-    """A chain of branches that ends with one that is taken."""
+    """Return the edit that ends a chain of branches with a branch that is taken."""
     if place == 0:
         return _left(text, branch, branch, above, around)
     return Edit(branch.start, branch.end, "{" + text[slice(*branch.inside)] + "}")
 
 
 def _left(text: str, chain: Node, block: Node, above: Node | None, around: set[str]) -> Edit:
-    """A chain of branches of which one block is left."""
+    """Return the edit that replaces a chain of branches by its only remaining block."""
     lifted = _unindent(text, block, around)
     return Edit(chain.start, chain.end, lifted) if lifted else Edit(*whole_lines(text, chain, above), "")
 
 
 def _variables(text: str, body: Sequence[Node]) -> set[str]:
-    """What the statements of a block declare."""
+    """Return the variables that the statements of a block declare."""
     return {n for node in body if node.kind == "statement" for n, _ in declarators(text[node.start : node.end])}
 
 
 def _unindent(text: str, block: Node, around: set[str]) -> str:
-    """What a block holds, one step to the left; the comment behind its brace goes. It keeps its braces if one of
-    its variables has the name of one in the block around it, ``around``, to which they then belong."""
+    """Return the content of a block, one step to the left, without the comment after its brace.
+
+    The block keeps its braces if one of its variables has the name of one in ``around``, the variables around it. Its
+    own variables are added to ``around``.
+    """
     own = _variables(text, block.body)
     if own & around:
         return "{" + text[slice(*block.inside)] + "}"
@@ -138,7 +141,7 @@ def _unindent(text: str, block: Node, around: set[str]) -> str:
 
 
 def _of_loop(text: str, node: Node, above: Node | None, known: Constants) -> Iterator[Edit]:
-    """A loop that never runs, or has nothing to do; its condition without what constants decide."""
+    """Yield edits of a loop that never runs or is empty, and of its condition if constants decide operands."""
     head = in_line(text[slice(*node.head)])
     loop = _LOOP.match(head)
     condition = loop["condition"] if loop else head if ";" not in head else ""
@@ -159,7 +162,7 @@ def _of_loop(text: str, node: Node, above: Node | None, known: Constants) -> Ite
 
 
 def absent(text: str, function: Node, known: Constants) -> Iterator[Edit]:
-    """Statements whose only effect is on what the package lacks."""
+    """Yield edits that remove statements whose only effect is on something that the package lacks."""
     named = {member for _, member in known.absent} | known.kernels
     if not named:
         return
@@ -191,19 +194,19 @@ def _is_void(code: str, structs: Mapping[str, str], known: Constants) -> bool:
 
 
 def _arguments(call: Expression) -> list[Expression]:
-    """The arguments of a call."""
+    """Return the arguments of a call."""
     found = list(call.operands[1:])
     while found and found[0].kind == "binary" and found[0].word == ",":
         found[:1] = found[0].operands
     return found
 
 
-#: Stands for the struct of what no struct has.
+#: Mark for the struct of a member that no struct has.
 ABSENT = "absent"
 
 
 def _struct(place: Expression, structs: Mapping[str, str], known: Constants) -> str:
-    """The struct that a place is, "" for a number, ABSENT for what is, or is a part of, a member that no struct has."""
+    """Return the struct at a place: "" for a number, ABSENT for a member that no struct has, or a part of it."""
     if place.kind == "name":
         return structs.get(place.word, "")
     if place.kind != "member":
@@ -243,12 +246,12 @@ def unread(text: str, function: Node, known: Constants) -> Iterator[Edit]:
 
 
 def _for_its_effects(value: str) -> str:
-    """A statement that evaluates an expression."""
+    """Return a statement that evaluates an expression."""
     return f"(void){value};" if expression(value).kind in ("call", "group") else f"(void)({value});"
 
 
 def _without_variables(text: str, node: Node, above: Node | None, left: list[str], effects: list[str]) -> Edit:
-    """A declaration with the variables that are left, and what the values of the others did."""
+    """Return the edit of a declaration: the remaining variables, and the effects of the removed values."""
     found = DECLARATION.match(text, node.start)
     assert found is not None
     kept = [f"{found[0]}{', '.join(left)};"] if left else []
@@ -272,10 +275,10 @@ PASSES: Mapping[str, Pass] = {
 
 
 def simplify(text: str, known: Constants) -> str:
-    """A function, with its comment, without what the package does not need.
+    """Return a function, with its comment, without the code that the package does not need.
 
     Raises:
-        ValueError: it is not of the dialect, or a pass has left a name without its declaration.
+        ValueError: the text does not belong to the dialect, or a pass has removed the declaration of a name in use.
     """
     before, changed, text = free_names(text), True, without_idle(text)
     while changed:
@@ -288,5 +291,5 @@ def simplify(text: str, known: Constants) -> str:
     return _EMPTY.sub(r"\1", text)
 
 
-#: Empty lines at the ends of blocks, and two where one is enough.
+#: Empty lines at the ends of blocks, and double empty lines.
 _EMPTY = re.compile(r"(\{\n)\n+|\n(?=\n *\}|\n\n)")

@@ -1,12 +1,12 @@
-"""Zeros and ones that change nothing, where a number has taken the place of a name."""
+"""Zeros and ones that have no effect are removed where a number has replaced a name."""
 
 from __future__ import annotations
 
 import re
 
-#: Without one of these only an assignment may be idle.
+#: Numbers without which only an assignment can have no effect.
 _NUMBER = re.compile(r"\b0\b|R\(1\)")
-#: What goes, and what takes its place. A zero in a sum stands behind its first term and is no factor.
+#: Pattern to remove -> replacement. A zero in a sum follows its first term and is no factor.
 _RULES = (
     (re.compile(r"\b0 % \w+"), "0"),
     (re.compile(r" \* R\(1\)(?=[;,)\]])"), ""),
@@ -17,12 +17,12 @@ _RULES = (
     (re.compile(r"(?<=[\[(])0 \* \w+ \+ "), ""),
     (re.compile(r"(?<=[\w)\]]) \+ 0 \* \w+(?=[\])])"), ""),
 )
-#: What is there is assigned.
+#: An assignment of a variable to itself.
 _ASSIGNED = re.compile(r"^ *(\S[^=\n]*) = \1;\n", re.MULTILINE)
 
 
 def without_idle(text: str) -> str:
-    """The text without them."""
+    """Return the text without zeros, ones and assignments that have no effect."""
     for pattern, new in _RULES if _NUMBER.search(text) else ():
         text = pattern.sub(new, text)
     return _ASSIGNED.sub("", text)

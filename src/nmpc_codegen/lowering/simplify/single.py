@@ -1,4 +1,4 @@
-"""Loops that run once: their statements stand without the loop, with the value of the counter in its place."""
+"""Loops that run once are replaced by their statements, with the value of the counter."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from nmpc_codegen.lowering.dialect.constants import Constants
 from nmpc_codegen.lowering.dialect.scopes import blank, declarators, in_line, signature
 from nmpc_codegen.lowering.dialect.tree import Edit, Node, margin
 
-#: A loop over a variable of its own that only counts.
+#: A loop that declares its variable and only counts.
 _COUNTED = re.compile(
     r"(?:int|ptrdiff_t) (?P<variable>\w+) = (?P<first>\w+); (?P=variable) (?P<relation><=?) (?P<last>[\w +-]+); "
     r"(?:(?P=variable)\+\+|\+\+(?P=variable))"
@@ -19,7 +19,7 @@ _LEAVES = re.compile(r"\b(?:break|continue)\b")
 
 
 def run_once(text: str, function: Node, known: Constants) -> Iterator[Edit]:
-    """The edits for the first loop that runs once."""
+    """Yield the edits for the first loop that runs once."""
     for node in function.walk():
         found = _value(text, node, known) if node.kind == "loop" else None
         if found and _may_stand_alone(text, function, node, found[0]):
@@ -28,7 +28,7 @@ def run_once(text: str, function: Node, known: Constants) -> Iterator[Edit]:
 
 
 def _value(text: str, node: Node, known: Constants) -> tuple[str, str] | None:
-    """The counter and its value in a loop that runs once."""
+    """Return the counter and its value in a loop that runs once."""
     match = _COUNTED.fullmatch(in_line(text[slice(*node.head)]))
     if match is None:
         return None
@@ -40,8 +40,11 @@ def _value(text: str, node: Node, known: Constants) -> tuple[str, str] | None:
 
 
 def _may_stand_alone(text: str, function: Node, node: Node, variable: str) -> bool:
-    """True if nothing leaves the loop early, its counter does not change, and no name of it is one elsewhere; and no
-    directive is meant for it."""
+    """Return True if the statements of a loop may replace it.
+
+    Nothing leaves the loop early, its counter does not change, no directive refers to it, and none of its names occurs
+    outside.
+    """
     if text[: node.start].rstrip().rpartition("\n")[2].startswith("#"):
         return False
     inside = blank(text[slice(*node.inside)])
@@ -53,7 +56,7 @@ def _may_stand_alone(text: str, function: Node, node: Node, variable: str) -> bo
 
 
 def _names_below(text: str, nodes: Sequence[Node], but: Node | None = None, counters: bool = False) -> set[str]:
-    """The variables that are declared in nodes and below them, but for one node; with those that loops count."""
+    """Return the variables declared in nodes and below them, except in one node; optionally with loop counters."""
     names: set[str] = set()
     for node in nodes:
         if node is but:
@@ -68,7 +71,7 @@ def _names_below(text: str, nodes: Sequence[Node], but: Node | None = None, coun
 
 
 def _without_loop(text: str, node: Node, variable: str, value: str) -> str:
-    """What the loop holds, one step to the left, with the value in place of the counter."""
+    """Return the content of the loop, one step to the left, with the value instead of the counter."""
     start, end = node.inside
     head, _, rest = text[start:end].partition("\n")
     lines = [line.removeprefix("    ") for line in rest.rstrip().split("\n")]

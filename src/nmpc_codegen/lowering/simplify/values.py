@@ -1,4 +1,4 @@
-"""Local variables that are a number from their declaration on: the number stands where they are read."""
+"""Local variables that have one number as their value are replaced by that number."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _NUMBER = re.compile(r"(?:const )?(?:(?:int|real_t) \w+ = (R\(\d[\w.]*\)|\d+)|in
 
 
 def of_known_value(text: str, body: tuple[Node, ...], end: int) -> Iterator[Edit]:
-    """The edits for the first such variable of a block, which ends at ``end``."""
+    """Yield the edits for the first such variable of a block, which ends at ``end``."""
     for place, node in enumerate(body):
         found = _NUMBER.fullmatch(text[node.start : node.end]) if node.kind == "statement" else None
         if found is None:
@@ -28,5 +28,5 @@ def of_known_value(text: str, body: tuple[Node, ...], end: int) -> Iterator[Edit
 
 
 def _changes(name: str) -> re.Pattern[str]:
-    """What may give a variable another value: an assignment, a count, its address."""
+    """Return the pattern of code that may change a variable: an assignment, a count, its address."""
     return re.compile(rf"(?<![.\w])(?<!->){name}(?:\s*(?:[-+*/%&|^]|<<|>>)?=(?!=)|\+\+|--)|(?:\+\+|--|(?<!&)&){name}\b")

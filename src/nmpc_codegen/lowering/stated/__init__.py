@@ -1,1 +1,1 @@
-"""What a package has beside its components: sizes, tables, members, entry points, one file per owner."""
+"""A package has sizes, tables, members and entry points besides those of components; each file has one owner."""

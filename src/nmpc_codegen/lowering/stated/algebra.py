@@ -1,4 +1,4 @@
-"""Algebraic variables: their number, and the function that finds those of a state."""
+"""Algebraic variables have a number, and a function that computes them for a state."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from nmpc_codegen.frontend.problem import Problem
 from nmpc_codegen.ir.cmodule import Macro
 from nmpc_codegen.package.signals import Argument, EntryPoint
 
-#: What finds the algebraic variables of a state.
+#: The function that computes the algebraic variables of a state.
 ALGEBRAIC = EntryPoint(
     "algebraic",
     "Algebraic variables at the state x and the controls u, with the parameters of node k; x[k] and u[k] of the plan "
@@ -17,10 +17,10 @@ ALGEBRAIC = EntryPoint(
 
 
 def entries(problem: Problem) -> tuple[EntryPoint, ...]:
-    """What finds algebraic variables, if there are any."""
+    """Return the function that computes algebraic variables, if there are any."""
     return (ALGEBRAIC,) if problem.algebraic_names else ()
 
 
 def macros(problem: Problem) -> tuple[Macro, ...]:
-    """Their number."""
+    """Return the number of algebraic variables."""
     return (Macro("ALGEBRAIC", len(problem.algebraic_names), "algebraic variables"),)

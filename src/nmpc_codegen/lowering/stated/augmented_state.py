@@ -1,4 +1,4 @@
-"""The augmented state: sizes, tables, members, entry points of what stands behind the states of the user."""
+"""The augmented state has sizes, tables, members and entry points for the states added to the user's."""
 
 from __future__ import annotations
 
@@ -28,13 +28,13 @@ SET_TIME = EntryPoint(
 
 
 def entries(problem: Problem) -> tuple[EntryPoint, ...]:
-    """What sets the states behind the measured ones."""
+    """Return the functions that set added states."""
     added = problem.augmentation
     return (*((SET_PREVIOUS,) if added.previous else ()), *((SET_TIME,) if added.time else ()))
 
 
 def macros(model: Model) -> tuple[Macro, ...]:
-    """Sizes of what stands behind the states and parameters of the user."""
+    """Return the sizes of added states and parameters."""
     added = model.problem.augmentation
     return (
         Macro("NBAND", model.products.banded, "the last states, which act on no other one"),
@@ -45,13 +45,13 @@ def macros(model: Model) -> tuple[Macro, ...]:
 
 
 def in_header(size: Size, problem: Problem) -> int | None:
-    """What the header says of the number of states or parameters, if others stand behind those of the user."""
+    """Return the number of states or parameters in the header if states or parameters are added to the user's."""
     hidden = {"NX": problem.augmentation.count, "NP": problem.data_behind}.get(size.text, 0)
     return size - hidden if hidden else None
 
 
 def members(dims: Dims) -> list[Field]:
-    """What is known of the sample before."""
+    """Return the members that keep data of the sample before."""
     return [
         Field("previous", (dims.nu,), "controls applied last", "keep", only=lambda f: f.previous),
         Field("time", (), "time of the next sample", "keep", only=lambda f: f.timed),
@@ -60,14 +60,13 @@ def members(dims: Dims) -> list[Field]:
 
 
 def problem_names(problem: Problem) -> str:
-    """What stands behind the states of the user, for a comment."""
+    """Return a comment on the added states."""
     names = problem.state_names[problem.measured :]
     return f"; behind those of the user {', '.join(names)}" if names else ""
 
 
 def tables(model: Model) -> tuple[Table, ...]:
-    """Controls that nodes know of the node before, blocks of controls, the parameters behind those of the user, and the
-    times of the nodes and between samples."""
+    """Return tables of previous controls, blocks of controls, added parameters, and times of nodes and samples."""
     p, algorithm = model.problem, model.parts.algorithm
     added, data = p.augmentation, p.node_data
     starts = tuple(map(int, data[:, : len(added.held)].ravel()))
@@ -85,7 +84,7 @@ def tables(model: Model) -> tuple[Table, ...]:
 
 
 def _block_nodes(p: Problem) -> tuple[int, ...]:
-    """(N nu,): the first node of the block to which a control of a node belongs."""
+    """Return (N nu,) the first node of the block to which a control of a node belongs."""
     first = np.tile(np.arange(p.N)[:, None], (1, p.nu))
     for i, j in enumerate(p.augmentation.held):
         first[:, j] = np.maximum.accumulate(np.where(p.node_data[: p.N, i] > 0, np.arange(p.N), 0))

@@ -1,4 +1,4 @@
-"""Data that can be changed at run time: which there are, members that hold them, setters, sizes of parameters."""
+"""Data that can be changed at run time have members that hold them, setters, and sizes of parameters."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from nmpc_codegen.lowering.linearize import Model
 from nmpc_codegen.package.signals import Kind, Layout, c_constants
 from nmpc_codegen.package.struct_layout import Field, Size
 
-#: The node k of a setter, for every kind of data that can be changed at run time.
+#: Description of the node k of a setter, for every kind of data.
 _NONE = "is {all}: all nodes have the same"
 _PATH = "is 0 .. N - 1, or {all}"
 _END = "is N if the row holds there, or {all} for all of its nodes"
@@ -26,7 +26,7 @@ _NODES: Mapping[Kind, Mapping[Layout, str]] = {
 
 
 def setters(model: Model) -> tuple[Setter, ...]:
-    """The setters of all data that exist in the problem and can be changed."""
+    """Return the setters of all data that exist in the problem and can be changed."""
     layouts = model.options.online.layouts
     estimates = model.problem.estimation is not None
     return tuple(
@@ -37,7 +37,7 @@ def setters(model: Model) -> tuple[Setter, ...]:
 
 
 def is_set(model: Model, kind: Kind) -> bool:
-    """True if data of this kind exist and can be changed at run time."""
+    """Return True if data of this kind exist and can be changed at run time."""
     p = model.problem
     residuals = p.path.ny + p.terminal.ny
     sizes: dict[Kind, int] = {
@@ -51,7 +51,7 @@ def is_set(model: Model, kind: Kind) -> bool:
 
 
 def macros(problem: Problem) -> tuple[Macro, ...]:
-    """What penalties, noise and bounds of parameters there are."""
+    """Return the sizes of penalties, noise and bounds of parameters."""
     soft = [row for row in problem.rows if row.soft is not None]
     scaled, bounded = any(row.scaled for row in soft), any(s.low for s in problem.own_parameters)
     return (
@@ -63,7 +63,7 @@ def macros(problem: Problem) -> tuple[Macro, ...]:
 
 
 def parameter_macros(problem: Problem) -> tuple[Macro, ...]:
-    """How many parameters there are by name, and their sizes."""
+    """Return the number of named parameters, and their sizes."""
     parameters = problem.own_parameters
     names = c_constants([s.name for s in parameters])
     sizes = (Macro(f"SIZE_{c}", s.size, f"elements of {s.name}") for c, s in zip(names, parameters, strict=True))
@@ -71,7 +71,7 @@ def parameter_macros(problem: Problem) -> tuple[Macro, ...]:
 
 
 def settings(model: Model, dims: Dims, whole: bool) -> tuple[Setting, ...]:
-    """Members for the data that can be changed at run time; fixed data have none."""
+    """Return members for the data that can be changed at run time; fixed data have none."""
     p, layouts = model.problem, model.options.online.layouts
     weight = (dims.ny,) if p.path.diagonal_weight else (dims.ny, dims.ny)
     weight_N = (dims.ny_N,) if p.terminal.diagonal_weight else (dims.ny_N, dims.ny_N)
@@ -114,7 +114,7 @@ def settings(model: Model, dims: Dims, whole: bool) -> tuple[Setting, ...]:
 
 
 def _parameters_to_come(p: Problem, dims: Dims, whole: bool) -> list[Setting]:
-    """Of an estimator, whose window keeps those that held before."""
+    """Return the member for the next parameters of an estimator, whose window keeps earlier ones."""
     if p.estimation is None or not (p.own_parameters or whole):
         return []
     member = Field("next", (dims.np,), "parameters from the next sample on", "setting")
@@ -122,7 +122,7 @@ def _parameters_to_come(p: Problem, dims: Dims, whole: bool) -> list[Setting]:
 
 
 def _scaling_note(p: Problem) -> str:
-    """Which weights are multiplied by the length of the interval where they are used, for a comment."""
+    """Return a comment on the weights that are multiplied by the length of the interval."""
     names = [name for name, scaled in zip(p.path.y_names, p.path.scale_with_dt, strict=True) if scaled]
     if not names:
         return ""
@@ -131,7 +131,7 @@ def _scaling_note(p: Problem) -> str:
 
 
 def penalties_in_use(found: Iterable[Setting]) -> list[Field]:
-    """Penalties that the last preparation has taken over from those that were set."""
+    """Return the members for penalties that the last preparation has copied from the set ones."""
     return [
         Field(
             f"penalty_{name}",

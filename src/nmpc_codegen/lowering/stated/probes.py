@@ -1,4 +1,4 @@
-"""Saddles: how idle controls are probed, with which slope a variable is idle, and the plan that a probe starts from."""
+"""At saddles, idle controls are probed; this needs slopes at which a variable is idle, and a copy of the plan."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from nmpc_codegen.package.struct_layout import Field, Struct
 
 
 def macros(saddles: Saddles) -> tuple[Macro, ...]:
-    """How idle controls are probed."""
+    """Return the sizes of probes of idle controls."""
     partners = any(partner >= 0 for partner in saddles.partners)
     return (
         Macro("PROBES", len(PROBE_SIZES), "sizes of a move of an idle control that are tried"),
@@ -21,7 +21,7 @@ def macros(saddles: Saddles) -> tuple[Macro, ...]:
 
 
 def tables(saddles: Saddles) -> tuple[Table, ...]:
-    """Idle variables, and the moves of a probe."""
+    """Return tables of idle variables, and of the moves of a probe."""
     slopes, partners = tuple(round_scales(saddles.slopes)), saddles.partners
     return (
         Table("idle_slope", "real", slopes, "|d Phi_l / d z_i| with which z_i is idle; < 0: never"),
@@ -32,7 +32,7 @@ def tables(saddles: Saddles) -> tuple[Table, ...]:
 
 
 def plan_at_saddle(dims: Dims) -> Struct:
-    """The plan before a probe of idle controls."""
+    """Return the struct for the plan before a probe of idle controls."""
     nodes = dims.nodes
     return Struct(
         "saddle",
@@ -56,5 +56,5 @@ def plan_at_saddle(dims: Dims) -> Struct:
 
 
 def _departs(features: Features) -> bool:
-    """True if solve() may return to this plan."""
+    """Return True if solve() may return to this plan."""
     return features.solve and features.search

@@ -1,1 +1,1 @@
-"""The translation unit as a tuple of items: read, assembled, passed through the pipeline, printed."""
+"""The translation unit is a tuple of items, which are read, assembled, passed through the pipeline, and printed."""

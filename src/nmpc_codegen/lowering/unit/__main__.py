@@ -1,4 +1,4 @@
-"""One item on its way through the pipeline: python -m nmpc_codegen.lowering.unit crane.py --item feedback."""
+"""One item is shown on its way through the pipeline: python -m nmpc_codegen.lowering.unit crane.py --item feedback."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from nmpc_codegen.options import Options
 
 
 def show(title: str, items: Items, name: str) -> None:
-    """Print the items that define a name, as macros and functions of the interface are called as well."""
+    """Print the items that define a name, also as macro and as function of the interface."""
     for item in items:
         if not item.defines.isdisjoint((name, f"API({name})", name.upper())):
             head = item.name + (f"({item.arguments})" if item.arguments is not None else "")

@@ -1,6 +1,6 @@
-"""CModule -> the items of its unit, in their order: short names, tables, elementary functions, kernels, parts.
+"""assemble() returns the items of a unit in order: short names, tables, elementary functions, kernels, parts.
 
-All are there that some package may need; the passes leave out what this one does not.
+It includes everything that some package may need; the passes remove what this package does not need.
 """
 
 from __future__ import annotations
@@ -28,14 +28,14 @@ from nmpc_codegen.lowering.unit.names import rename
 from nmpc_codegen.lowering.unit.read import MATH, items_of, read_part
 from nmpc_codegen.package.signals import Layout
 
-#: The stages of implicit schemes, with the functions of an interval that call them.
+#: The part with the stages of implicit schemes, and with the functions of an interval that call them.
 INTERVALS = "integrators/implicit/intervals.c"
-#: The search of look-up tables.
+#: The part with the search of look-up tables.
 SEARCH = "core/lookup.c"
 
 
 def assemble(module: CModule) -> tuple[Item, ...]:
-    """The items of a package."""
+    """Return the items of a package."""
     style = module.style
     return (
         *definitions(module),
@@ -48,12 +48,12 @@ def assemble(module: CModule) -> tuple[Item, ...]:
 
 
 def section(title: str) -> Item:
-    """The heading of a part of the unit."""
+    """Return the heading of a part of the unit."""
     return Item("", "section", f"/* ==== {title} {'=' * (100 - len(title))} */")
 
 
 def kernel_items(routines: Sequence[Routine], style: CStyle) -> list[Item]:
-    """The functions of look-up tables that routines call, and the routines that call no part."""
+    """Return the functions of look-up tables that routines call, and the routines that call no part."""
     lookups = print_lookups(called_lookups(routines))
     texts = {"find_interval": read_part(SEARCH).rstrip()} if lookups else {}
     alone = (r for r in routines if not (isinstance(r, LoopedRoutine) and r.calls_parts))
@@ -62,7 +62,7 @@ def kernel_items(routines: Sequence[Routine], style: CStyle) -> list[Item]:
 
 
 def table_items(tables: Iterable[Table], style: CStyle) -> list[Item]:
-    """Tables of numbers."""
+    """Return tables of numbers."""
     return [Item(t.name, "table", _table(t, style), apart=False) for t in tables]
 
 
@@ -85,7 +85,7 @@ def _value(value: float, style: CStyle) -> str:
 
 
 def _elementary(module: CModule) -> list[Item]:
-    """The elementary functions, if the package has its own; lanes need some of them as well."""
+    """Return the elementary functions, if the package has its own; lanes need some of them as well."""
     if not (module.features.own_math or module.sizes["LANE_NODES"]):
         return []
     items = items_of(read_part(MATH, sizes=module.sizes))
@@ -93,7 +93,7 @@ def _elementary(module: CModule) -> list[Item]:
 
 
 def _of_parts(module: CModule) -> Iterator[Item]:
-    """The items of the parts and of what they include, with the calls of hooks."""
+    """Yield the items of the parts and of their includes, with the calls of hooks."""
     hooked_parts = module.hooked_parts
 
     def generate(path: str) -> str:
@@ -122,12 +122,12 @@ def _of_parts(module: CModule) -> Iterator[Item]:
 
 
 def _items(text: str, module: CModule) -> tuple[Item, ...]:
-    """The items of a text. In a whole package it is one item, as the compiler resolves its `#if`."""
+    """Return the items of a text; a whole package is one item, because the compiler resolves its `#if`."""
     return (Item("", "directive", text.rstrip("\n")),) if module.whole else items_of(text)
 
 
 def _interface(module: CModule) -> str:
-    """The functions that the application calls besides those of the algorithm."""
+    """Return the functions that the application calls besides those of the algorithm."""
     layouts = module.layouts
     names = context(module.name, module.style) | {
         "m": module,
@@ -138,22 +138,24 @@ def _interface(module: CModule) -> str:
 
 
 def _copies(layout: Layout, path_only: bool) -> str:
-    """Lowest and highest node that has a copy of its own, and how many copies there are."""
+    """Return lowest and highest node with its own copy, and the number of copies, as C text."""
     if layout == "node":
         return "0, N - 1, N" if path_only else "0, N, N + 1"
     return "0, -1, 1" if path_only else "N, N, 2"
 
 
 def _with_states(item: Item, module: CModule) -> Item:
-    """NXHAT becomes NX if the user's states are all states."""
+    """Replace NXHAT by NX if the user's states are all states."""
     if module.features.augmented or "NXHAT" not in item.words:
         return item
     return replace(item, text=rename(item.text, {"NXHAT": "NX"}))
 
 
 def constants_of(module: CModule) -> Constants:
-    """What the package decides at export: sizes, features, ranges of tables of integers and of what is known of rows,
-    what it lacks."""
+    """Return everything that the package decides at export.
+
+    These are sizes, features, ranges of integer tables and of row data, and missing members and kernels.
+    """
     kernels = frozenset(name.upper() for name in module.absent_kernels)
     named = {s.name for s in module.structs}
     types = {(s.name, f.name): f.ctype for s in module.structs for f in s.fields if f.ctype in named}
@@ -162,7 +164,7 @@ def constants_of(module: CModule) -> Constants:
 
 
 def table_ranges(tables: Iterable[Table]) -> dict[str, tuple[int, int]]:
-    """Table of integers -> its least and greatest entry."""
+    """Return {table of integers: (least, greatest entry)}."""
     return {t.name: (int(min(t.values)), int(max(t.values))) for t in tables if t.ctype == "int" and t.values}
 
 
@@ -170,7 +172,7 @@ def table_ranges(tables: Iterable[Table]) -> dict[str, tuple[int, int]]:
 
 
 def products(module: CModule) -> str:
-    """The products with a vector that the package calls, after the tables that the loops of all products read."""
+    """Return the products with a vector that the package calls, after the tables that loops of all products read."""
     routines = module.products.called_vectors(module.features).values()
     heading = (
         "/* Products with the stage matrices S = [A B] and Q (lower triangle): "
@@ -186,13 +188,13 @@ def products(module: CModule) -> str:
 
 
 def product_columns(module: CModule) -> str:
-    """The products with a panel of columns of G_k."""
+    """Return the products with a panel of columns of G_k."""
     routines = (print_routine(r, module.style) for r in module.products.panels.values())
     return _paragraphs("/* Products with a panel of columns of G_k. */", *routines)
 
 
 def hessian_blocks(module: CModule) -> str:
-    """Irreducible blocks of Q and Q_N: a table of the rows of all blocks, and of where each block begins in it."""
+    """Return tables of the irreducible blocks of Q and Q_N: rows of all blocks, and the beginning of each block."""
     blocks = {"Q": module.products.Q_blocks, "Q_N": module.products.Q_N_blocks}
     numbers = ", ".join(f"{name}_BLOCKS = {len(found)}" for name, found in blocks.items())
     tables: dict[str, Iterable[int]] = {}
@@ -204,7 +206,7 @@ def hessian_blocks(module: CModule) -> str:
 
 
 def print_intervals(routines: Iterable[Routine], style: CStyle) -> str:
-    """Those of the routines that call functions of parts, and therefore follow them."""
+    """Return those of the routines that call functions of parts and therefore follow them."""
     called = (r for r in routines if isinstance(r, LoopedRoutine) and r.calls_parts)
     return _paragraphs(*(print_routine(r, style) for r in called))
 
@@ -222,11 +224,11 @@ def _rows(module: CModule) -> str:
 
 
 def _hooked_text(module: CModule) -> str:
-    """The files of the hooked parts."""
+    """Return the files of the hooked parts."""
     return "\n\n".join(read_part(part, sizes=module.decided).rstrip("\n") for part in module.hooked_parts) + "\n"
 
 
-#: Path of an include -> its text.
+#: Path of an include -> function that returns its text.
 GENERATED: Mapping[str, Callable[[CModule], str]] = {
     "generated/rows.c": _rows,
     "generated/intervals.c": lambda module: print_intervals(module.routines, module.style),

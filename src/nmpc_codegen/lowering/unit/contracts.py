@@ -1,4 +1,4 @@
-"""Contracts at the top of parts without the entries of functions that the package does not have."""
+"""Contracts at the top of parts lose the entries of functions that the package does not have."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ _ENTRY = re.compile(r"(?P<margin> \*   )(?P<names>\w+(?:, \w+)*)(?:\([^)]*\))? {
 
 
 def without_entries(comment: str, there: Collection[str]) -> str:
-    """A contract without the entries of functions that are not there."""
+    """Return a contract without the entries of functions that do not exist."""
     kept: list[str] = []
-    margin = None  # of the entry that is left out
+    margin = None  # margin of the removed entry
     for line in comment.split("\n"):
         entry = _ENTRY.match(line)
         if entry is not None:

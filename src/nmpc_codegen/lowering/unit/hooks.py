@@ -1,4 +1,4 @@
-"""Hooks of an algorithm: each call becomes a call of every hooked part that defines the hook."""
+"""A hook call of an algorithm becomes one call for every hooked part that defines the hook."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _NAMES = frozenset(HOOKS)
 
 @cache
 def _hooks(part: str) -> Mapping[str, Item]:
-    """Hook -> its function, for those that a hooked part defines."""
+    """Return {hook: its function} for the hooks that a hooked part defines."""
     name = part.rpartition("/")[2].removesuffix(".c")
     functions = [item for item in items_of(read_part(part)) if item.kind == "function"]
     found = {}
@@ -42,13 +42,13 @@ def check_hooks(algorithm: str, hooked_parts: Sequence[str]) -> None:
 
 
 def hook_prototypes(hooked_parts: Iterable[str]) -> str:
-    """Declarations of the functions that hooked parts define for hooks."""
+    """Return declarations of the functions that hooked parts define for hooks."""
     heads = [f"{head_of(hook.text)};" for part in hooked_parts for hook in _hooks(part).values()]
     return "\n".join(["/* What else happens in a sample, at the hooks of the algorithm. */", *heads]) if heads else ""
 
 
 def call_hooks(item: Item, hooked_parts: tuple[str, ...]) -> Item:
-    """The item with the calls of hooks written out."""
+    """Return the item with the calls of hooks written out."""
     if _NAMES.isdisjoint(item.calls):
         return item
     return replace(item, text=_with_hooks(item.text, hooked_parts))

@@ -1,6 +1,6 @@
-"""What a translation unit consists of: an item is a function, a macro, a table, ..., and the comment above it.
+"""A translation unit consists of items: a function, a macro, a table, ..., each with the comment above it.
 
-What an item defines, calls and reads is found once for its text and remembered.
+The names that an item defines, calls and reads are computed once for its text.
 """
 
 from __future__ import annotations
@@ -13,8 +13,8 @@ from typing import Literal
 from nmpc_codegen.lowering.dialect.c_expressions import words
 from nmpc_codegen.lowering.dialect.scopes import blank, free_names, in_line, names_in_code, signature, split
 
-#: A section is the heading of a part of the unit, a heading a comment that stands alone. An alias is a short name of
-#: what the header declares; macros are written by the compiler, the definitions of parts are directives.
+#: A section is the heading of a part of the unit, a heading is a separate comment. An alias is a short name of a
+#: declaration in the header; macros are written by the compiler; definitions in parts are directives.
 Kind = Literal["section", "heading", "alias", "macro", "directive", "type", "table", "enum", "prototype", "function"]
 
 State = Literal["raw", "simple", "changed", "ready"]
@@ -24,7 +24,7 @@ _INNER = frozenset(("static", "LANES_INLINE", "PACK_INLINE"))
 _ATTRIBUTE = re.compile(r" ?__attribute__\(\((?:[^()]|\((?:[^()]|\([^()]*\))*\))*\)\)")
 _CALL = re.compile(r"(?<![.\w])(?<!->)[A-Za-z_]\w*(?=\()")
 _DEFINED = re.compile(r"^#define (\w+)", re.MULTILINE)
-#: The name of a type, and that of a table in front of its values.
+#: The name of a type, or of a table before its values.
 _TYPE = re.compile(r"\(\*(\w+)\)\(|(\w+)(?:\[\w*\])*;$|^struct (\w+)")
 _TABLE = re.compile(r"(\w+)(?:\[[^\]]*\])*(?:\)\([^)]*\))?$")
 
@@ -34,14 +34,14 @@ class Item:
     """A piece of a unit.
 
     Attributes:
-        name: what it defines, if that is one thing; API(f) for a function f of the interface.
+        name: the name that it defines, if it is a single one; API(f) for a function f of the interface.
         kind: see Kind.
-        text: C text with the comment above it; for an alias or a macro what the name stands for.
-        arguments: of a macro with arguments their names.
-        apart: an empty line is printed before it.
-        note: a comment that is printed behind a macro or an alias.
-        state: of a function. raw: as the part has it; simple: simplified; changed: edited since then; ready: no pass
-            changes it, as it is a printed kernel or an elementary function.
+        text: C text with the comment above it; for an alias or a macro the text that the name stands for.
+        arguments: names of the arguments of a macro.
+        apart: True if an empty line is printed before it.
+        note: a comment that is printed after a macro or an alias.
+        state: state of a function. raw: as in the part; simple: simplified; changed: edited since then; ready: a
+            printed kernel or elementary function, which no pass changes.
     """
 
     name: str
@@ -53,41 +53,41 @@ class Item:
     state: State = "raw"
 
     def with_text(self, text: str) -> Item:
-        """The item with another text."""
+        """Return the item with another text."""
         if text == self.text:
             return self
         return replace(self, text=text, state="changed" if self.state == "simple" else self.state)
 
     @cached_property
     def defines(self) -> frozenset[str]:
-        """The names that others may read."""
+        """Return the names that other items may read."""
         return frozenset((self.name,)) if self.kind in ("alias", "macro") else _defines(self.kind, self.name, self.text)
 
     @cached_property
     def calls(self) -> frozenset[str]:
-        """The functions and macros that it calls."""
+        """Return the functions and macros that it calls."""
         return calls(self.text)
 
     @cached_property
     def reads(self) -> frozenset[str]:
-        """The names that it uses and does not declare."""
+        """Return the names that it uses and does not declare."""
         if self.kind in ("section", "heading", "alias"):
             return frozenset()
         return free_names(self.text) if self.is_prunable else names_in_code(self.text)
 
     @cached_property
     def words(self) -> frozenset[str]:
-        """All names in its code, those of members and variables too."""
+        """Return all names in its code, including members and variables."""
         return self.defines if self.kind == "alias" else words(blank(self.text)) | self.defines
 
     @property
     def is_prunable(self) -> bool:
-        """True for a function of a part, which passes may change."""
+        """Return True for a function of a part, which passes may change."""
         return self.kind == "function" and self.state != "ready"
 
     @cached_property
     def is_entry(self) -> bool:
-        """True for a function, or its prototype, that other units call."""
+        """Return True for a function that other units call, or its prototype."""
         return self.kind in ("function", "prototype") and not _is_inner(self.text)
 
 
@@ -105,21 +105,21 @@ def _defines(kind: Kind, name: str, text: str) -> frozenset[str]:
 
 @lru_cache(maxsize=16384)
 def calls(text: str) -> frozenset[str]:
-    """The functions and macros that a text calls."""
+    """Return the functions and macros that a text calls."""
     return frozenset(_CALL.findall(blank(text)))
 
 
 @lru_cache(maxsize=16384)
 def _is_inner(text: str) -> bool:
-    """True for a function that only its own unit calls."""
+    """Return True for a function that only its own unit calls."""
     return not _INNER.isdisjoint(_ATTRIBUTE.sub("", in_line(text)).partition("(")[0].split())
 
 
 def name_of(kind: Kind, text: str) -> str:
-    """The name of an item with this text.
+    """Return the name of an item with this text.
 
     Raises:
-        ValueError: it has none.
+        ValueError: the item has no name.
     """
     code = _ATTRIBUTE.sub("", in_line(text))
     if kind in ("function", "prototype"):

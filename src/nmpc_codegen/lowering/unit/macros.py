@@ -1,7 +1,7 @@
-"""The preamble of a package's .c: short names for declarations of the header, access to run-time data, kernel calls.
+"""The preamble of a package's .c has short names for the header, access to run-time data, and kernel calls.
 
-Inside the one translation unit everything is static, so names need no prefix: NX is CRANE_NX, solver_t is
-crane_solver_t (names.py: unless the header declares the short name).
+Inside the single translation unit everything is static, so names need no prefix: NX is CRANE_NX, solver_t is
+crane_solver_t (unless the header declares the short name, see names.py).
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ from nmpc_codegen.lowering.unit.names import rename
 from nmpc_codegen.package.signals import Kind
 from nmpc_codegen.package.struct_layout import Struct
 
-#: Functions of math.h that the parts call in the working precision: upper case in the parts.
+#: Functions of math.h that the parts call in the working precision; the parts write them in upper case.
 FUNCTIONS = ("sqrt", "fabs", "ceil", "sin", "cos", "exp", "log", "log1p")
 
 
-#: Maximum length of a line without its continuation mark, and with it.
+#: Maximum length of a line without and with its continuation mark.
 WIDTH, LINE = 114, 120
 
 #: A number in the working precision: R(0.5).
@@ -33,7 +33,7 @@ REAL_CONSTANT = Item("R", "macro", "((real_t)(x))", "x", apart=False)
 
 
 def print_macro(item: Item, renamed: Mapping[str, str]) -> str:
-    """The definition of a macro, or of a short name; ``renamed``: inner name -> new name."""
+    """Return the definition of a macro, or of a short name; ``renamed`` maps inner names to new names."""
     name = renamed.get(item.name, item.name)
     if item.kind == "alias":
         text = f"typedef {item.text} {name};" if name.endswith("_t") else f"#define {name} {item.text}"
@@ -49,7 +49,7 @@ def print_macro(item: Item, renamed: Mapping[str, str]) -> str:
     return beside if len(beside) <= LINE else f"{above}\n{text}"
 
 
-#: Macro of which the compiler chooses the value -> its definition.
+#: Macro whose value the compiler chooses -> its definition.
 CHOSEN: Mapping[str, str] = {
     "BLOCK_WIDTH": """/* Columns of a block of a matrix product: its rows stay in vector registers. */
 #if defined(__AVX__)
@@ -61,24 +61,24 @@ CHOSEN: Mapping[str, str] = {
 
 
 def short_names(name: str, structs: Sequence[Struct]) -> tuple[Item, ...]:
-    """The types of the header of the package ``name`` without their prefix, under a heading."""
+    """Return the types of the header of the package ``name`` without their prefix, under a heading."""
     heading = Item("", "heading", "/* Short names inside this translation unit. */")
     types = [f"{struct}_t" for struct in (*(s.name for s in structs), "status")]
     return (heading, alias("real_t", f"{name}_real"), *(alias(short, f"{name}_{short}") for short in types))
 
 
 def alias(name: str, text: str, note: str = "") -> Item:
-    """A short name of what the header declares."""
+    """Return a short name of a declaration in the header."""
     return Item(name, "alias", text, apart=False, note=note)
 
 
 def macro(name: str, text: str, arguments: str | None = None, note: str = "") -> Item:
-    """A macro; ``arguments``: its names between commas."""
+    """Return a macro; ``arguments`` holds their names, separated by commas."""
     return Item(name, "macro", text, arguments, apart=False, note=note)
 
 
 def definitions(module: CModule) -> tuple[Item, ...]:
-    """Every type and macro that a unit may use."""
+    """Return every type and macro that a unit may use."""
     p, P, features = module.name, module.macro, module.features.macros
     found = list(short_names(p, module.structs))
     for m in module.macros:
@@ -104,7 +104,7 @@ def definitions(module: CModule) -> tuple[Item, ...]:
 
 
 def arithmetic(precision: str, own: bool = False) -> list[Item]:
-    """Functions of math.h or their own text, infinity, tolerances and factors in the working precision."""
+    """Return functions of math.h or their replacements, infinity, tolerances and factors in the working precision."""
     style = unit_style(precision, own)
     found = [macro(name.upper(), style.function(name)) for name in FUNCTIONS]
     found.append(macro("INF", "((real_t)INFINITY)"))
@@ -118,13 +118,13 @@ def arithmetic(precision: str, own: bool = False) -> list[Item]:
 
 
 def _text_of_tolerance(name: str, precision: str, style: CStyle) -> str:
-    """(32.0 * TOL_UNIT): a tolerance as a multiple of the machine epsilon or of its root."""
+    """Return a tolerance as a multiple of the machine epsilon or of its root: (32.0 * TOL_UNIT)."""
     unit, factor = origin(name, precision)
     return f"({style.literal(factor)} * TOL_{unit.upper()})" if unit else style.literal(factor)
 
 
 def accessors(module: CModule) -> list[Item]:
-    """Access to references, weights, parameters and bounds of a node.
+    """Return macros for references, weights, parameters and bounds of a node.
 
     Data that can be changed are members of the solver ``s``: one copy, one per node, or one for the path and one for
     the terminal node. Fixed data are tables.
@@ -162,19 +162,21 @@ def accessors(module: CModule) -> list[Item]:
 
 
 def _last_multipliers(module: CModule, *sizes: str) -> str:
-    """The multipliers of the last rows, as many as these sizes say: the vector ends with those of the coupled rows,
-    after the general ones of node N."""
+    """Return the multipliers of the last rows, as many as these sizes say.
+
+    The vector ends with those of the coupled rows, after the general ones of node N.
+    """
     return f"((s)->mult + ({' - '.join(['NG', *(size for size in sizes if module.value(size))])}))"
 
 
 def product_call(routine: LoopedRoutine, style: CStyle) -> Item:
-    """The call of a product with the stage matrices; it passes what is read or written."""
+    """Return the call of a product with the stage matrices, with the operands that it reads or writes."""
     names, text = call(routine, style)
     return macro(routine.name.upper(), text, ", ".join(names))
 
 
-#: C text of the kernel inputs at node k of the solver s; two tables with those that differ at the terminal node and at
-#: the start.
+#: C text of the kernel inputs at node k of the solver s; two further tables have those that differ at the terminal node
+#: and at the start.
 PLACES = {
     "x": "(s)->x[k]",
     "u": "(s)->u[k]",
@@ -204,7 +206,7 @@ TERMINAL_PLACES = {
     "yref": "YREF_N(s)",
     "W": "WEIGHT_N(s)",
 }
-#: Where coupled rows read x_0 if the algorithm writes the measured state for it.
+#: Place of x_0 for coupled rows if the algorithm stores the measured state for it.
 MEASURED_START = {"x_0": "(s)->xhat", "first": "(s)->xhat"}
 START_PLACES = {
     "x": "(s)->x[0]",
@@ -215,24 +217,22 @@ START_PLACES = {
 }
 
 
-#: Routines whose last result is what Newton's method leaves of the stages, which explicit schemes have not.
+#: Routines whose last result is the remaining correction of Newton's method, which explicit schemes lack.
 LEAVING = ("integrator_interval", "path_exact")
 
-#: Inputs that are arguments of the macro of every kernel that has them.
+#: Inputs that are macro arguments of every kernel that has them.
 VECTORS = ("mu", "dx", "du", "adj", "d")
 
 
 def kernel_call(
     routine: Routine, everywhere: dict[str, str] = PLACES, kept: Mapping[str, str] = MappingProxyType({})
 ) -> Item:
-    """The call of a printed kernel; it passes what is read or written, nothing else.
+    """Return the call of a printed kernel, with exactly the operands that it reads or writes.
 
-    ``kept``: places of outputs that a node keeps, which are no arguments.
-
-    The arguments of the macro are always the same: the solver, the node of a path kernel, the vectors that it
-    multiplies, the outputs; INTEGRATOR_STEP also takes the state, the control, the step length and the steps of
-    Newton's method, INTEGRATOR_JUMP the state and the control, MEASUREMENT the state and the parameters. Kernels of
-    stages have arguments for all of their ports.
+    ``kept`` maps outputs that a node stores to their places; they are no arguments. The arguments of the macro are
+    always the same: the solver, the node of a path kernel, the vectors that it multiplies, the outputs. INTEGRATOR_STEP
+    also takes the state, the control, the step length and the number of Newton steps, INTEGRATOR_JUMP the state and the
+    control, MEASUREMENT the state and the parameters. Kernels of stages have arguments for all of their ports.
     """
     if routine.name.startswith("stage_"):
         names = [p.name for p in (*routine.inputs, *routine.outputs)]

@@ -1,8 +1,8 @@
-"""The last passes: spellings that MISRA C:2012 asks for and that parts need not have.
+"""The last passes write spellings that MISRA C:2012 requires and that parts need not have.
 
-conditions  a condition compares: `if (flag)` is `if (flag != 0)` (rule 14.4)
-results     a result that nothing reads is cast to void (17.7)
-constants   constants without a type are macros: an enumeration without a name declares a type that nothing uses (2.4)
+conditions  a condition compares: `if (flag)` becomes `if (flag != 0)` (rule 14.4) results     an unused result is cast
+to void (17.7) constants   constants without a type are macros: an enumeration without a name declares an unused type
+(2.4)
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ _SIMPLE = re.compile(r"-?\w+")
 
 
 def state_conditions(items: Sequence[Item], _: Constants) -> tuple[Item, ...]:
-    """Functions whose conditions are comparisons."""
+    """Return functions whose conditions are comparisons."""
     return tuple(item.with_text(_compare(item.text)) if item.is_prunable else item for item in items)
 
 
@@ -35,7 +35,7 @@ def _compare(text: str) -> str:
 
 
 def _condition(text: str, node: Node) -> Iterator[Edit]:
-    """The edit of the head of an if or a while."""
+    """Yield the edit of the head of an if or a while."""
     head = in_line(text[slice(*node.head)])
     if ";" in head or '"' in head or expression(head).kind not in _NUMBERS:
         return
@@ -45,7 +45,7 @@ def _condition(text: str, node: Node) -> Iterator[Edit]:
 
 
 def cast_results(items: Sequence[Item], _: Constants) -> tuple[Item, ...]:
-    """Functions with casts in front of calls whose results nothing reads."""
+    """Return functions with casts before calls whose results are unused."""
     heads = {item.name: head_of(item.text).split("(")[0].split() for item in items if item.kind == "function"}
     valued = {name for name, words in heads.items() if "void" not in words}
     return tuple(item.with_text(_cast(item.text, valued)) if item.is_prunable else item for item in items)
@@ -63,7 +63,7 @@ def _is_call(statement: str) -> bool:
 
 
 def name_constants(items: Sequence[Item], _: Constants) -> tuple[Item, ...]:
-    """Macros in place of enumerations without a name."""
+    """Return macros instead of enumerations without a name."""
     return tuple(replace(i, kind="directive", text=_macros(i.text)) if i.kind == "enum" else i for i in items)
 
 

@@ -1,4 +1,4 @@
-"""Names inside a unit, which differ from all names of its header.
+"""Names inside a unit differ from all names of its header.
 
 The header declares <name>_..., where <name> is the user's; names inside the unit are short and the same in every
 package. Both can be one word: the package "ny" declares NY_N, the number of its intervals, and NY_N is also the short
@@ -15,14 +15,14 @@ from nmpc_codegen.lowering.dialect.scopes import blank
 
 _INNER = re.compile(r"\bAPI\(\w+\)|[A-Za-z_]\w*")
 
-#: Types of <stdint.h> in the header, which are not the package's even if it is called "int32".
+#: Types of <stdint.h> in the header, which do not belong to a package called "int32".
 STANDARD = frozenset({"int32_t"})
 
 
 def renamed_words(inner: Collection[str], header: str, name: str, members: Collection[str] = ()) -> Mapping[str, str]:
-    """Inner name -> new name, for those of ``inner`` that the header of the package ``name`` declares.
+    """Return {inner name: new name} for names in ``inner`` that the header of the package ``name`` declares.
 
-    ``members``: names of members of structs, which are not renamed.
+    Names of struct members, ``members``, are not renamed.
     """
     prefixes = (f"{name}_", f"{name.upper()}_")
     declared = {w for w in words(blank(header)) if w.startswith(prefixes)} - set(members) - STANDARD
@@ -36,5 +36,5 @@ def renamed_words(inner: Collection[str], header: str, name: str, members: Colle
 
 
 def rename(text: str, renamed: Mapping[str, str]) -> str:
-    """The text with new inner names; API(f), the name of a function of the header, stays."""
+    """Return the text with new inner names; API(f), the name of a function of the header, is kept."""
     return _INNER.sub(lambda found: renamed.get(found[0], found[0]), text) if renamed else text

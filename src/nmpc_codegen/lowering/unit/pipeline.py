@@ -1,8 +1,8 @@
-"""The pipeline: passes that leave out of a unit what its package does not need, from items to items.
+"""The passes of the pipeline remove from a unit everything that its package does not need.
 
-A part is written for every problem, with all its rows, bounds and components. While a round of passes changes the unit,
-another one follows; the last passes put in order what is left. After every pass a verifier looks whether all names that
-are read are still defined.
+A part is written for every problem, with all its rows, bounds and components. Rounds of passes follow each other while
+they change the unit; the last passes bring the result into order. After every pass, a verifier checks that all names
+that are read are still defined.
 """
 
 from __future__ import annotations
@@ -31,10 +31,10 @@ from nmpc_codegen.lowering.unit.unread_arguments import (
     unread_parameters,
 )
 
-#: The last part of a unit holds what only this entry point calls, under this heading.
+#: The last part of a unit holds the functions that only this entry point calls, under this heading.
 LAST = "API(solve)"
 LAST_HEADING = "/* ==== solve(): what only it calls " + "=" * 68 + " */"
-#: A constant in a sum, behind its first term.
+#: A constant in a sum, after its first term.
 _TERM = re.compile(r"(?<=[\w)]) [-+] ([A-Z]\w*)\b(?! *[*/%\[(.])")
 
 Items = Sequence[Item]
@@ -42,7 +42,7 @@ Pass = Callable[[Items, Constants], tuple[Item, ...]]
 
 
 def drop_zeros(items: Items, known: Constants) -> tuple[Item, ...]:
-    """Sums without sizes that are 0."""
+    """Remove sizes that are 0 from sums."""
 
     def term(found: re.Match[str]) -> str:
         return "" if known.sizes.get(found[1]) == 0 else found[0]
@@ -51,20 +51,20 @@ def drop_zeros(items: Items, known: Constants) -> tuple[Item, ...]:
 
 
 def drop_idle_calls(items: Items, known: Constants) -> tuple[Item, ...]:
-    """Functions without calls of those that do nothing."""
+    """Remove calls of functions that do nothing."""
     idle = functions_without_effect(items)
     more = replace(known, kernels=known.kernels | idle)
     return tuple(item if idle.isdisjoint(item.calls) else simplify_item(item, more) for item in items)
 
 
 def drop_entries(items: Items, _: Constants) -> tuple[Item, ...]:
-    """Contracts without the entries of functions that are not there."""
+    """Remove the entries of functions that do not exist from contracts."""
     there = {"API", *(item.name for item in items if item.kind == "function")}
     return tuple(i.with_text(without_entries(i.text, there)) if "ontract" in i.text else i for i in items)
 
 
 def put_last(items: Items, _: Constants) -> tuple[Item, ...]:
-    """What only the last entry point reaches at the end, under copies of the headings of its sections."""
+    """Move items that only the last entry point reaches to the end, under copies of their section headings."""
     early = reach(items, [n for n in roots(items) if items[n].name != LAST])
     sections: list[list[int]] = [[]]
     for n, item in enumerate(items):
@@ -83,8 +83,10 @@ def put_last(items: Items, _: Constants) -> tuple[Item, ...]:
 
 
 def _late(items: Items, section: Sequence[int], early: Collection[int]) -> dict[int, bool]:
-    """Which items of a section only the last entry point reaches; a comment that stands alone goes with the functions
-    below it."""
+    """Return which items of a section only the last entry point reaches.
+
+    A separate comment goes with the functions below it.
+    """
     late: dict[int, bool] = {}
     below, some = True, False  # all functions below, up to the next comment, are late
     for n in reversed(section):
@@ -101,7 +103,7 @@ def _late(items: Items, section: Sequence[int], early: Collection[int]) -> dict[
 
 
 def mark_unread(items: Items, _: Constants) -> tuple[Item, ...]:
-    """Functions of the interface with a statement for every parameter that they do not read."""
+    """Add a statement to functions of the interface for every parameter that they do not read."""
     return tuple(item.with_text(_mark(item.text)) if item.is_prunable else item for item in items)
 
 
@@ -110,7 +112,7 @@ def _mark(text: str) -> str:
     return text[:at] + "".join(f"\n    (void){name};" for _, name in unread_parameters(text)) + text[at:]
 
 
-#: After a round with a change all of these run again.
+#: Passes that run in rounds, until a round changes nothing.
 REPEATED: tuple[Pass, ...] = (
     drop_arguments_of_macros,
     keep_reached,
@@ -120,17 +122,18 @@ REPEATED: tuple[Pass, ...] = (
     put_in_numbers,
     put_in_calls,
 )
-#: What is left is put in order.
+#: Passes that run once, after the rounds.
 LAST_PASSES: tuple[Pass, ...] = (drop_entries, put_last, mark_unread, state_conditions, cast_results, name_constants)
 
 
 def run(
     items: Items, known: Constants, watch: Callable[[str, Items, Items], None] = lambda step, before, after: None
 ) -> tuple[Item, ...]:
-    """The unit after the pipeline; ``watch`` is called after every pass that has changed it.
+    """Return the unit after the pipeline; ``watch`` is called after every pass that has changed it.
 
     Raises:
-        ValueError: a function is not of the dialect, two have one name, or a pass has left a name without definition.
+        ValueError: a function does not belong to the dialect, two functions have one name, or a pass has removed the
+            definition of a name in use.
     """
     _check_names(items)
     known = replace(known, calling=macros_that_act(items), pure=pure_functions(items))
@@ -149,7 +152,7 @@ def run(
 
 
 def verify(step: str, unit: Items, first: Items) -> None:
-    """Raise ValueError if an item reads a name that was defined at first and is not any more."""
+    """Raise ValueError if an item reads a name that was defined at first and is no longer defined."""
     lost = all_names(first) - all_names(unit)
     for item in unit if lost else ():
         if missing := sorted(lost & item.reads):
@@ -157,12 +160,12 @@ def verify(step: str, unit: Items, first: Items) -> None:
 
 
 def all_names(items: Items) -> frozenset[str]:
-    """All names that the items define."""
+    """Return all names that the items define."""
     return frozenset[str]().union(*(item.defines for item in items))
 
 
 def _check_names(items: Items) -> None:
-    """Raise ValueError if two functions have one name."""
+    """Raise ValueError if two functions have the same name."""
     names = sorted(item.name for item in items if item.kind == "function")
     if twice := [name for name, following in pairwise(names) if name == following]:
         raise ValueError(f"{twice[0]}(): there are two functions with this name")

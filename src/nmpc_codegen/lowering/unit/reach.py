@@ -1,4 +1,4 @@
-"""What the interface of a unit reaches, each function simplified when it is reached; the rest goes."""
+"""Only items that the interface of a unit reaches are kept; each function is simplified when it is reached."""
 
 from __future__ import annotations
 
@@ -15,8 +15,10 @@ from nmpc_codegen.lowering.unit.item import Item
 def reach(
     items: Sequence[Item], waiting: Iterable[int], visit: Callable[[Item], Item] = lambda item: item
 ) -> dict[int, Item]:
-    """Place -> item for all items that are reached from ``waiting``. ``visit`` may change an item before its names are
-    followed."""
+    """Return {place: item} for all items that are reached from ``waiting``.
+
+    ``visit`` may change an item before its names are followed.
+    """
     places = defaultdict(list)
     for place, item in enumerate(items):
         for name in item.defines:
@@ -32,12 +34,12 @@ def reach(
 
 
 def roots(items: Sequence[Item]) -> list[int]:
-    """Places of the functions of the interface, and of directives that define no name."""
+    """Return the places of the functions of the interface, and of directives that define no name."""
     return [n for n, item in enumerate(items) if item.is_entry or (item.kind == "directive" and not item.defines)]
 
 
 def keep_reached(items: Sequence[Item], known: Constants) -> tuple[Item, ...]:
-    """The items that the interface reaches, and the headings above them."""
+    """Return the items that the interface reaches, and the headings above them."""
     found = reach(items, roots(items), lambda item: item if item.state == "simple" else simplify_item(item, known))
     idle = _idle_headings(items, found.keys())
     return tuple(
@@ -48,7 +50,7 @@ def keep_reached(items: Sequence[Item], known: Constants) -> tuple[Item, ...]:
 
 
 def simplify_item(item: Item, known: Constants) -> Item:
-    """A function without what the package does not need; any other item as it is."""
+    """Return a function without the code that the package does not need; any other item unchanged."""
     if not item.is_prunable:
         return item
     try:
@@ -60,7 +62,7 @@ def simplify_item(item: Item, known: Constants) -> Item:
 
 
 def _idle_headings(items: Sequence[Item], kept: Collection[int]) -> set[int]:
-    """Places of comments that stand alone above items of which none is kept."""
+    """Return the places of separate comments above items of which none is kept."""
     idle = set[int]()
     above, below = None, False
     for n, item in enumerate(items):

@@ -1,8 +1,8 @@
-"""Parts of templates/ as items: `#if` over sizes is resolved, `#include "part.c"` stands for the items of the part.
+"""Parts of templates/ are read as items: `#if` over sizes is resolved, `#include "part.c"` becomes the part's items.
 
-A part compiles as it stands after the preamble of a whole package (lower(whole=True)), so that linters check the code
-that is shipped. A condition is an integer expression of C in the sizes and features of the package (0: absent). What
-parts include as ``generated/<name>.c`` is written by the caller.
+A part compiles unchanged after the preamble of a whole package (lower(whole=True)), so that linters check the shipped
+code. A condition is an integer expression of C in the sizes and features of the package (0: absent). The caller writes
+the files that parts include as ``generated/<name>.c``.
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ _BEFORE = re.compile(r";[ \t]*\n|^#(?:[^\\\n]|\\.)*\n", re.MULTILINE | re.DOTALL
 
 
 def no_generated_part(path: str) -> str:
-    """For parts that include none.
+    """Raise LookupError; it serves parts without generated includes.
 
     Raises:
-        LookupError: the part includes one.
+        LookupError: always.
     """
     raise LookupError(f"{path}: expected a part that is a file")
 
@@ -35,8 +35,11 @@ def no_generated_part(path: str) -> str:
 def read_part(
     path: str, generate: Callable[[str], str] = no_generated_part, sizes: Mapping[str, int] | None = None
 ) -> str:
-    """Text of a part and of the parts that it includes; ``generate``: path of a generated part -> its text; ``sizes``:
-    values for `#if`; with None, `#if` stays."""
+    """Return the text of a part and of the parts that it includes.
+
+    ``generate`` maps the path of a generated part to its text; ``sizes`` holds values for `#if`; with None, `#if` is
+    kept.
+    """
     text, *included = _INCLUDE.split(resolve(_file(path), sizes))
     for include, following in zip(included[::2], included[1::2], strict=True):
         inner = generate(include) if include.startswith("generated/") else read_part(include, generate, sizes)
@@ -46,15 +49,15 @@ def read_part(
 
 @cache
 def _file(path: str) -> str:
-    """Text of a file below templates/."""
+    """Return the text of a file in templates/."""
     return (template_directory() / path).read_text(encoding="utf-8").rstrip("\n") + "\n"
 
 
 def items_of(text: str) -> tuple[Item, ...]:
-    """The items of a text. A line `}` ends a function, a line `{` begins its body.
+    """Return the items of a text; a line `}` ends a function, a line `{` begins its body.
 
     Raises:
-        ValueError: the text is not of the dialect, or something in it has no name.
+        ValueError: the text does not belong to the dialect, or an item has no name.
     """
     *functions, rest = f"\n{text}\n".split("\n}\n")
     pieces = [*(f"{piece}\n}}" for piece in functions), rest]
@@ -63,7 +66,7 @@ def items_of(text: str) -> tuple[Item, ...]:
 
 @lru_cache(maxsize=8192)
 def _items(piece: str) -> tuple[Item, ...]:
-    """The items of a text that ends with a function, or has none."""
+    """Return the items of a text that ends with a function, or has none."""
     head, brace, _ = piece.partition("\n{\n")
     start = len(piece)
     if brace:
@@ -78,8 +81,10 @@ def _items(piece: str) -> tuple[Item, ...]:
 
 
 def _declarations(text: str, nodes: tuple[Node, ...]) -> Iterator[Item]:
-    """What stands in front of a function; a comment belongs to what begins in the next line, and definitions of macros
-    in lines one below the other are one item."""
+    """Yield the items before a function.
+
+    A comment belongs to the item on the next line; definitions of macros on consecutive lines are one item.
+    """
     at, place = 0, 0
     while place < len(nodes):
         first = last = nodes[place]
@@ -97,7 +102,7 @@ def _declarations(text: str, nodes: tuple[Node, ...]) -> Iterator[Item]:
 
 
 def _is_next_line(text: str, node: Node, following: Sequence[Node], word: str = "") -> bool:
-    """True if what follows a node begins in the next line, with this word."""
+    """Return True if the text after a node begins on the next line, with this word."""
     return bool(following) and text[node.end : following[0].start] == "\n" and text.startswith(word, following[0].start)
 
 
@@ -124,7 +129,7 @@ _ENUMERATION = re.compile(r"\benum \{([^}]*)\}")
 
 
 def defined_names(text: str) -> set[str]:
-    """Names of the macros, types, tables, functions and constants that a text defines, whatever `#if` it stands in."""
+    """Return the names of macros, types, tables, functions and constants in a text, inside any `#if`."""
     code = blank(text)
     constants = {part.partition("=")[0].strip() for inside in _ENUMERATION.findall(code) for part in inside.split(",")}
     return {next(filter(None, found)) for found in _DEFINITION.findall(code)} | constants
@@ -132,7 +137,7 @@ def defined_names(text: str) -> set[str]:
 
 # -- the elementary functions ------------------------------------------------------------------------------------------
 
-#: The elementary functions of a package, and those of them that lanes have too.
+#: Parts with the elementary functions of a package, and with those that lanes also have.
 MATH, MATH_IN_LANES = "math/own.c", "math/functions.c"
 
 _FUNCTION = re.compile(r"^static (?:inline )?real_t own_(\w+)\(", re.MULTILINE)
@@ -140,6 +145,6 @@ _FUNCTION = re.compile(r"^static (?:inline )?real_t own_(\w+)\(", re.MULTILINE)
 
 @cache
 def own_names(part: str = MATH) -> frozenset[str]:
-    """Functions of math.h that have a text of their own."""
+    """Return the functions of math.h that have a replacement in the package."""
     in_math_h = {operation.function for operation in OPERATIONS.values()}
     return frozenset(_FUNCTION.findall(read_part(part))) & in_math_h

@@ -1,4 +1,4 @@
-"""Tables whose entries are all the same: an integer stands where they are read, another number is a scalar."""
+"""Tables whose entries are all equal are removed: an integer replaces its reads, any other number becomes a scalar."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from nmpc_codegen.lowering.unit.item import Item
 _TABLE = re.compile(r"static const (?P<type>real_t|int) (?P<name>\w+)\[\d+\] = \{(?P<values>[^{}]*)\};")
 #: The use of a name, and whether its address is taken.
 _USE = r"(?P<address>(?<![&\w)\]] )(?<!&)&)?(?<![.\w])(?<!->)\b{name}\b(?P<index>\[)?"
-#: Tables of numbers that kernels read by the address of one of them.
+#: Tables of numbers that kernels read through the address of an entry.
 _READ_ONE = frozenset({"interval_length"})
 _ZERO_LITERAL = re.compile(r"0\.0F?")
 
@@ -28,7 +28,7 @@ class Same:
 
     @property
     def text(self) -> str:
-        """What stands where an entry is read."""
+        """Return the text that replaces an entry."""
         if not self.is_real:
             return self.value
         return "R(0)" if self.is_zero else self.name
@@ -39,12 +39,12 @@ class Same:
 
     @property
     def scalar(self) -> str:
-        """The definition of its entry."""
+        """Return the definition of its entry."""
         return f"static const real_t {self.name} = {self.value};"
 
 
 def fold_tables(items: Sequence[Item], known: Constants) -> tuple[Item, ...]:
-    """Without tables whose entries are all the same."""
+    """Remove tables whose entries are all equal."""
     found = {same.name: same for item in items if item.kind == "table" and (same := _same(item.text))}
     texts = [blank(i.text) for i in items if i.kind in ("function", "macro", "directive")]
     found = {name: same for name, same in found.items() if all(_may_fold(text, same) for text in texts)}
@@ -54,7 +54,7 @@ def fold_tables(items: Sequence[Item], known: Constants) -> tuple[Item, ...]:
 
 
 def _same(text: str) -> Same | None:
-    """The table, if its entries are all the same."""
+    """Return the table if its entries are all equal, else None."""
     match = _TABLE.search(text)
     values = {value.strip() for value in match["values"].split(",")} if match else set()
     if match is None or len(values) != 1:
@@ -63,7 +63,7 @@ def _same(text: str) -> Same | None:
 
 
 def _may_fold(text: str, same: Same) -> bool:
-    """True if a text reads entries only."""
+    """Return True if a text only reads entries."""
     if same.name not in names_in_code(text):
         return True
     pattern = re.compile(_USE.format(name=same.name))
@@ -74,12 +74,12 @@ def _may_fold(text: str, same: Same) -> bool:
 
 
 def _is_place(before: str, behind: str) -> bool:
-    """True for an index or an argument: the number of a flag would stand in conditions that it decides."""
+    """Return True for an index or an argument; in conditions, the number of a flag would decide them."""
     return (before.endswith("[") and behind == "]") or (before == ", " and behind in ",)")
 
 
 def _end(text: str, at: int) -> int:
-    """The place behind the bracket that closes what is open in front of a place."""
+    """Return the place after the bracket that closes the one open before a place."""
     depth = 1
     while depth:
         depth += {"[": 1, "]": -1}.get(text[at], 0)
@@ -92,7 +92,7 @@ def _may_point(same: Same) -> bool:
 
 
 def _fold(item: Item, found: Mapping[str, Same]) -> Item | None:
-    """The item with the entries of these tables; None for one of them that nothing reads any more."""
+    """Return the item with the entries of these tables replaced; None for a table that is no longer read."""
     if item.kind == "table" and item.name in found:
         same = found[item.name]
         return item.with_text(_TABLE.sub(same.scalar, item.text)) if same.text == same.name else None
@@ -105,7 +105,7 @@ def _fold(item: Item, found: Mapping[str, Same]) -> Item | None:
 
 
 def _put(text: str, name: str, same: Same) -> str:
-    """The text with the entry in place of what reads it."""
+    """Return the text with the entry in place of its reads."""
     pattern = re.compile(rf"(?<![.\w])(?<!->)\b{name}\[")
     while match := pattern.search(blank(text)):
         text = text[: match.start()] + same.text + text[_end(text, match.end()) :]

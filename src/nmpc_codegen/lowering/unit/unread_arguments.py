@@ -1,6 +1,6 @@
-"""Arguments that nothing reads leave: the macro or the function, and every call of it, stands without them.
+"""Unused arguments are removed from a macro or a function, and from every call of it.
 
-A function that only gives a number is that number where it is called.
+A function that only returns a number is replaced by that number.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from nmpc_codegen.lowering.dialect.tree import WIDTH, wrap_line
 from nmpc_codegen.lowering.simplify.idle import without_idle
 from nmpc_codegen.lowering.unit.item import Item
 
-#: Macro or function -> the places of arguments.
+#: Macro or function -> places of arguments.
 Places = Mapping[str, Sequence[int]]
 
 _CALL = re.compile(r"(?<![.\w])(?<!->)([A-Za-z_]\w*)\(")
@@ -37,7 +37,7 @@ _STATEMENT = re.compile(r"^ *(?:\(void\))?(\w+)\(", re.MULTILINE)
 
 
 def drop_arguments_of_macros(items: Sequence[Item], known: Constants) -> tuple[Item, ...]:
-    """Macros without the arguments that their texts do not name."""
+    """Remove the arguments of macros that their texts do not name."""
     found: dict[str, tuple[int, ...]] = {}
     for item in items:
         each = item.arguments.split(", ") if item.kind == "macro" and item.arguments else []
@@ -47,7 +47,7 @@ def drop_arguments_of_macros(items: Sequence[Item], known: Constants) -> tuple[I
 
 
 def drop_parameters(items: Sequence[Item], known: Constants) -> tuple[Item, ...]:
-    """Functions of this unit without unread parameters. One stays if the argument of a call has effects."""
+    """Remove unused parameters from functions of this unit, unless the argument of a call has effects."""
     found = {item.name: tuple(place for place, _ in unread_parameters(item.text)) for item in _free(items)}
     found = {name: places for name, places in found.items() if places}
     for text in _bodies(items):
@@ -60,7 +60,7 @@ def drop_parameters(items: Sequence[Item], known: Constants) -> tuple[Item, ...]
 
 
 def put_in_numbers(items: Sequence[Item], _: Constants) -> tuple[Item, ...]:
-    """Numbers in place of calls of functions that only return a number, unless the call is a statement."""
+    """Replace calls of functions that only return a number by that number, unless the call is a statement."""
     given = {item.name: number for item in _free(items) if (number := _number(item.text))}
     for body in _bodies(items) if given else ():
         for statement in _STATEMENT.finditer(body):
@@ -71,14 +71,14 @@ def put_in_numbers(items: Sequence[Item], _: Constants) -> tuple[Item, ...]:
 
 
 def put_in_calls(items: Sequence[Item], _: Constants) -> tuple[Item, ...]:
-    """Functions in place of the macros that are no more than their calls."""
+    """Replace macros that are only the call of a function by that call."""
     given = _synonyms(items)
     longer = [item for item in items if item.kind != "macro" or item.name not in given]
     return _change(longer, partial(_with_calls, given=given))
 
 
 def macros_that_act(items: Iterable[Item]) -> frozenset[str]:
-    """Macros that call functions or assign, themselves or through others."""
+    """Return the macros that call functions or assign, directly or through others."""
     texts = {item.name: item.text for item in items if item.kind == "macro" and item.arguments}
     texts |= {name: text for i in items if i.kind == "directive" for name, text in _DEFINITION.findall(blank(i.text))}
     found = {name for name, text in texts.items() if _CALLED.search(text) or _ASSIGNS.search(text)}
@@ -94,17 +94,17 @@ _POINTER = re.compile(r"[*\[]")
 
 
 def pure_functions(items: Iterable[Item]) -> frozenset[str]:
-    """Functions with a value whose pointers are to constants: they change nothing, as there are no globals."""
+    """Return the functions with a value whose pointers are to constants: without globals they change nothing."""
     return frozenset(item.name for item in items if item.is_prunable and _is_pure(item.text))
 
 
 def functions_without_effect(items: Sequence[Item]) -> frozenset[str]:
-    """Functions of this unit that do nothing."""
+    """Return the functions of this unit that do nothing."""
     return frozenset(item.name for item in _free(items) if _is_empty(item.text))
 
 
 def _free(items: Sequence[Item]) -> list[Item]:
-    """The functions that may change: only functions of parts call them."""
+    """Return the functions that may change, because only functions of parts call them."""
     fixed = {name for item in items if item.state == "ready" for name in item.calls}
     fixed |= {name for item in items if item.kind in ("table", "directive", "type") for name in item.reads}
     fixed = fixed.union(*(_values(item.text) for item in items))
@@ -114,18 +114,18 @@ def _free(items: Sequence[Item]) -> list[Item]:
 
 @lru_cache(maxsize=16384)
 def _values(text: str) -> frozenset[str]:
-    """The names that stand in a text without a call: a function among them is passed to others."""
+    """Return the names in a text that are not called; a function among them is passed to others."""
     return frozenset(_VALUE.findall(blank(text)))
 
 
 def _bodies(items: Sequence[Item]) -> list[str]:
-    """The code in functions of parts and in macros."""
+    """Return the code in functions of parts and in macros."""
     found = [_body(item.text) for item in items if item.is_prunable]
     return found + [item.text for item in items if item.kind == "macro"]
 
 
 def _without(items: Sequence[Item], places: Places, known: Constants) -> tuple[Item, ...]:
-    """Items without these arguments of macros and functions."""
+    """Return items without these arguments of macros and functions."""
     heads: dict[str, str | None] = {}
     for item in items:
         if item.kind == "macro" and item.name in places and item.arguments:
@@ -144,22 +144,25 @@ def _without(items: Sequence[Item], places: Places, known: Constants) -> tuple[I
 
 
 def _change(items: Iterable[Item], change: Callable[[str], str]) -> tuple[Item, ...]:
-    """Items with changed texts."""
+    """Return items with changed texts."""
     return tuple(item if item.state == "ready" else item.with_text(change(item.text)) for item in items)
 
 
 def _with_numbers(text: str, given: Mapping[str, str]) -> str:
-    """A text with numbers in place of calls of the functions that are these numbers; 1 is no factor, 0 no term."""
+    """Return a text with numbers instead of calls of the functions that return them.
+
+    Factors 1 and terms 0 are removed.
+    """
     return without_idle(replace_calls(text, given, lambda name, _: given[name]))
 
 
 def _with_calls(text: str, given: Mapping[str, str]) -> str:
-    """A text with these functions in place of the macros that are their names."""
+    """Return a text with these functions instead of the macros that stand for them."""
     return replace_calls(text, given, lambda name, arguments: given[name].format(", ".join(arguments)))
 
 
 def _synonyms(items: Iterable[Item]) -> dict[str, str]:
-    """Macro -> the call that it is, with {} for its own arguments, if it is no more than the call of a function."""
+    """Return {macro: the call that it stands for}, with {} for its arguments, for macros that are only a call."""
     macros = [item for item in items if item.kind == "macro"]
     found = {item.name: item.text for item in macros if item.arguments == ""}
     for item in macros:
@@ -170,20 +173,20 @@ def _synonyms(items: Iterable[Item]) -> dict[str, str]:
 
 
 def calls(names: Collection[str], code: str) -> Iterator[tuple[str, int]]:
-    """(name, place behind the opening bracket) of every call of these names, the last call first."""
+    """Yield (name, place after the opening bracket) of every call of these names, the last call first."""
     for found in reversed(list(_CALL.finditer(code))):
         if found[1] in names:
             yield found[1], found.end()
 
 
 def closing(code: str, start: int) -> int:
-    """The place of the bracket that closes one which was opened just before ``start``."""
+    """Return the place of the bracket that closes the one opened just before ``start``."""
     depths = accumulate(((c == "(") - (c == ")") for c in code[start:]), initial=1)
     return start + next(place for place, depth in enumerate(depths) if depth == 0) - 1
 
 
 def replace_calls(text: str, names: Collection[str], call: Callable[[str, list[str]], str]) -> str:
-    """A text with another text for every call of these names: that which ``call`` gives for name and arguments."""
+    """Replace every call of these names by the text that ``call`` returns for name and arguments."""
     if words(text).isdisjoint(names):
         return text
     before = set(text.split("\n"))
@@ -196,8 +199,7 @@ def replace_calls(text: str, names: Collection[str], call: Callable[[str, list[s
 
 
 def without(text: str, places: Places, bare: Collection[str] = ()) -> str:
-    """A text whose calls of these macros and functions lack the arguments at these places; ``bare``: macros without
-    arguments, which are names."""
+    """Remove the arguments at these places from calls; macros in ``bare`` become names without arguments."""
 
     def call(name: str, given: list[str]) -> str:
         kept = ", ".join(argument for i, argument in enumerate(given) if i not in places[name])
@@ -207,14 +209,14 @@ def without(text: str, places: Places, bare: Collection[str] = ()) -> str:
 
 
 def with_void(text: str, name: str) -> str:
-    """A function, or its prototype, that has no parameters."""
+    """Return a function, or its prototype, without parameters as name(void)."""
     at = blank(text).find(f"{name}()")
     return text if at < 0 else f"{text[: at + len(name)]}(void){text[at + len(name) + 2 :]}"
 
 
 @lru_cache(maxsize=16384)
 def unread_parameters(text: str) -> tuple[tuple[int, str], ...]:
-    """Place and name of the parameters that the body of a function does not read."""
+    """Return place and name of the parameters that the body of a function does not read."""
     function = function_of(text)
     _, parameters = signature(text[slice(*function.head)])
     read = names_in_code(text[slice(*function.inside)])
@@ -232,7 +234,7 @@ def _number(text: str) -> str:
 
 @lru_cache(maxsize=16384)
 def _is_pure(text: str) -> bool:
-    """True for a function with a value whose pointers are to constants: it changes nothing, as there are no globals."""
+    """Return True for a function with a value whose pointers are to constants: without globals it changes nothing."""
     before, _, after = in_line(blank(text).partition("\n{\n")[0]).partition("(")
     parameters = split(after.rpartition(")")[0])
     return " void " not in before and all(not _POINTER.search(p) or p.strip().startswith("const ") for p in parameters)
@@ -245,5 +247,5 @@ def _is_empty(text: str) -> bool:
 
 @lru_cache(maxsize=16384)
 def _body(text: str) -> str:
-    """The code in the braces of a function."""
+    """Return the code in the braces of a function."""
     return blank(text[slice(*function_of(text).inside)])

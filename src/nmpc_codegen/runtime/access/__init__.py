@@ -1,1 +1,1 @@
-"""Views on the structs of a package, and the data that names mean."""
+"""The structs of a package are read and written here, by NumPy views and by the names of the problem."""

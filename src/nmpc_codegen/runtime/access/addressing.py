@@ -1,4 +1,4 @@
-"""Which stored data a name, a node and a kind of data mean."""
+"""A name and a node are resolved to the stored data (references, weights, parameters, bounds) that they denote."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ EVERY_NODE = -1  # <NAME>_ALL of the C package
 
 
 class Checked(NamedTuple):
-    """Rows for a parameter: its number, the element of a vector, or None for all of it."""
+    """A checked value of a parameter: its number, the element of the vector (None: all), and rows of values."""
 
     number: int
     column: int | None
@@ -27,10 +27,10 @@ class Checked(NamedTuple):
 
 
 class Addressing(Iterate):
-    """Looks up the data of a package that can be changed at run time."""
+    """An object that resolves names and nodes to the data of a package that can be changed at run time."""
 
     def _elements_of(self, name: str, node: int | None) -> list[str]:
-        """Names of the residuals that a name means, at a node or at all of them."""
+        """Return the names of the residuals that ``name`` denotes, at one node or (None) at all nodes."""
         N = self.dims.N
         known = list(
             dict.fromkeys((*(self.names.y if node != N else ()), *(self.names.y_N if node in (None, N) else ())))
@@ -38,20 +38,23 @@ class Addressing(Iterate):
         return [known[i] for i in self._members(name, known, "residual")]
 
     def _size_of_residual(self, end: bool) -> int:
-        """Number of path or terminal residuals; ControllerError if there is none."""
+        """Return the number of terminal (``end``) or path residuals; raise ControllerError if it is 0."""
         size = self.dims.ny_N if end else self.dims.ny
         if not size:
             raise ControllerError(f"{self._package.name} has no {'terminal' if end else 'path'} residual")
         return size
 
     def _is_matrix(self, end: bool) -> bool:
-        """True if the weight is stored in full."""
+        """Return True if the weight is stored as a full matrix, not as a diagonal."""
         members = self.description.members("solver")
         found = members["W_N" if end else "W"]
         return len(found.values) == (2 if end else 3)
 
     def _rows_of(self, name: str) -> list[list[int]]:
-        """The rows of that name, a list for each row of the user: both sides where their penalties differ."""
+        """Return the scalar rows called ``name``, one list for each row that the user stated.
+
+        A row whose two sides have different penalties is stored as two rows.
+        """
         if name in self.names.rows:
             return [[self.names.rows.index(name)]]
         of_rows = [row.user_name for row in self.description.rows]
@@ -63,7 +66,10 @@ class Addressing(Iterate):
     def _lengths_of_rows(
         self, kind: Kind, name: str, groups: Sequence[Sequence[int]], node: int | None
     ) -> tuple[int, ...]:
-        """_lengths() for rows: without node N only if none holds there; ``node`` must be one of all of them."""
+        """Return _lengths() for rows: without node N only if none of them holds there.
+
+        All rows must hold at ``node``.
+        """
         lengths = self._lengths(
             kind, f"the {kind} of {name!r}" if kind == "bounds" else f"the penalty of {name!r}", node
         )
@@ -76,7 +82,9 @@ class Addressing(Iterate):
         return tuple(n for n in lengths if n > self.dims.N) if at_end else lengths
 
     def _lengths(self, kind: Kind, what: str, node: int | None) -> tuple[int, ...]:
-        """Numbers of rows that an array with rows for nodes may have; none for one node, or for data that all share.
+        """Return how many rows a value with one row for each node may have; () if only one row is allowed.
+
+        One row is allowed for a single node, and for data that all nodes share.
 
         Raises:
             ControllerError: this kind of data cannot be set, or not at this node.
@@ -95,7 +103,10 @@ class Addressing(Iterate):
         return tuple(n for n in (N, N + 1) if n > 1) if layout == "node" and node is None else ()
 
     def _node(self, node: int | None) -> int:
-        """Node number for C; None: every node. The C code checks whether data of this node can be set."""
+        """Return the number of a node in C, where EVERY_NODE stands for None.
+
+        The C code checks whether the data of this node can be set.
+        """
         if node is None:
             return EVERY_NODE
         if not given.is_integer(node) or not 0 <= node <= self.dims.N:
@@ -109,7 +120,7 @@ class Addressing(Iterate):
         return known.index(name)
 
     def _members(self, name: str, known: Sequence[str], kind: str) -> list[int]:
-        """The element of that name, or all elements name[i]."""
+        """Return the indices of the element ``name``, or of all elements ``name[i]`` of a vector."""
         return members(name, known) or [self._lookup(name, known, kind)]
 
     def _checked_parameter(self, name: str, value: ArrayLike, node: int | None) -> Checked:
@@ -129,7 +140,7 @@ class Addressing(Iterate):
     def _checked_bounds(
         self, name: str, lower: ArrayLike, upper: ArrayLike, node: int | None
     ) -> Iterator[tuple[int, Array, Array]]:
-        """(row, lower, upper) for every row of that name: one number, or one per node on the last axis."""
+        """Yield (row, lower, upper) for every row called ``name``; the last axis has one number, or one per node."""
         groups = self._rows_of(name)
         lengths = self._lengths_of_rows("bounds", name, groups, node)
         low, high = (
@@ -141,7 +152,7 @@ class Addressing(Iterate):
     def _bounds_of_rows(
         self, name: str, groups: Sequence[Sequence[int]], low: Array, high: Array
     ) -> Iterator[tuple[int, Array, Array]]:
-        """(row, lower, upper) of groups of rows, (..., n, groups) each; ControllerError if they are crossed or NaN."""
+        """Yield (row, lower, upper) from bounds (..., n, groups); raise ControllerError if they are crossed or NaN."""
         for i, group in enumerate(groups):
             row = self.description.rows[group[0]]
             one_low, one_high = low[..., i], high[..., i]
@@ -171,8 +182,8 @@ class Addressing(Iterate):
         finite: bool = True,
         spread: bool = True,
     ) -> Array:
-        """Values that a user gives for nodes, (structs or 1, n, size): n = 1, or one of ``lengths``.
+        """Return values that a user gives for nodes, (structs or 1, n, size), where n is 1 or one of ``lengths``.
 
-        ``spread``: a number stands for all elements.
+        With ``spread``, a single number is used for all elements.
         """
         raise NotImplementedError

@@ -1,6 +1,6 @@
-"""Views on the plan of a controller, or of many at once: NumPy arrays on the members of their C structs.
+"""The plan of one controller, or of many, is viewed as NumPy arrays on the members of the C structs.
 
-Every array has the axes of the structs before its own: none for one controller, one for a batch.
+The axes of the structs come first in every array: no axis for one controller, one axis for a batch.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ Array = NDArray[Any]
 
 
 class Iterate:
-    """Structs of a package and views on their iterate. Shapes below are those of one struct."""
+    """An object that holds structs of a package and views their iterate; shapes are given for one struct."""
 
     def __init__(self, package: CompiledPackage, struct: NDArray[np.void]) -> None:
         self._package = package
@@ -33,7 +33,7 @@ class Iterate:
 
     @property
     def x(self) -> Array:
-        """States of the plan, (N+1, nx)."""
+        """Return a view on the states of the plan, (N+1, nx)."""
         return self._view("x")[..., : self.dims.nx]
 
     @x.setter
@@ -42,7 +42,7 @@ class Iterate:
 
     @property
     def u(self) -> Array:
-        """Controls of the plan, (N, nu)."""
+        """Return a view on the controls of the plan, (N, nu)."""
         return self._view("u")[..., : self.dims.nu]
 
     @u.setter
@@ -51,7 +51,7 @@ class Iterate:
 
     @property
     def lam(self) -> Array:
-        """Multipliers of initial condition and dynamics, (N+1, nx)."""
+        """Return a view on the multipliers of initial condition and dynamics, (N+1, nx)."""
         return self._view("lam")[..., : self.dims.nx]
 
     @lam.setter
@@ -60,7 +60,7 @@ class Iterate:
 
     @property
     def mu_x(self) -> Array:
-        """Multipliers of state bounds, (N+1, nx), a copy; ``ctrl.mu_x = values`` sets them."""
+        """Return a copy of the multipliers of state bounds, (N+1, nx); ``ctrl.mu_x = values`` sets them."""
         return self._multipliers("mu_x")
 
     @mu_x.setter
@@ -69,7 +69,7 @@ class Iterate:
 
     @property
     def mu_u(self) -> Array:
-        """Multipliers of control bounds, (N, nu)."""
+        """Return a view on the multipliers of control bounds, (N, nu)."""
         return self._view("mu_u")[..., : self.dims.nu]
 
     @mu_u.setter
@@ -78,7 +78,7 @@ class Iterate:
 
     @property
     def mu(self) -> Array:
-        """Multipliers of general path rows, (N, nh), a copy; ``ctrl.mu = values`` sets them."""
+        """Return a copy of the multipliers of general path rows, (N, nh); ``ctrl.mu = values`` sets them."""
         return self._multipliers("mu")
 
     @mu.setter
@@ -87,7 +87,7 @@ class Iterate:
 
     @property
     def mu_N(self) -> Array:
-        """Multipliers of general terminal rows, (nh_N,), a copy; ``ctrl.mu_N = values`` sets them."""
+        """Return a copy of the multipliers of general terminal rows, (nh_N,); ``ctrl.mu_N = values`` sets them."""
         return self._multipliers("mu_N")
 
     @mu_N.setter
@@ -96,7 +96,7 @@ class Iterate:
 
     @property
     def eta(self) -> Array:
-        """Multipliers of coupled rows, a read-only copy: assign to it; empty without such rows."""
+        """Return a copy of the multipliers of coupled rows, which may be empty; ``ctrl.eta = values`` sets them."""
         return self._multipliers("eta")
 
     @eta.setter
@@ -105,19 +105,17 @@ class Iterate:
 
     @property
     def whole_x(self) -> Array:
-        """Internal: states of the plan with those behind the states of the user, (N+1, nx + their number)."""
+        """Return a view on all states of the plan, the user's and then the added ones, (N+1, nx + added) (internal)."""
         return self._view("x")
 
     @property
     def known(self) -> Array:
-        """Internal: view on the states behind those of the user in x_0 of the last sample, from which integrate()
-        starts.
-        """
+        """Return a view on the added states of x_0 in the last sample, from which integrate() starts (internal)."""
         last = self._view("xhat") if "xhat" in self.description.members("solver") else self._view("x")[..., 0, :]
         return last[..., self.dims.nx :]
 
     def view(self, path: str) -> Array:
-        """View on any member of the solver struct, in its true shape.
+        """Return a view on any member of the solver struct, in its true shape.
 
         Args:
             path: its name in the header; dots access inner structs: "qp.g".
@@ -128,7 +126,7 @@ class Iterate:
         return self._view(path)
 
     def _array(self, what: str, value: ArrayLike, shape: tuple[int, ...], finite: bool = True) -> Array:
-        """``value`` as an array of the given shape in the working precision."""
+        """Return ``value`` as an array of the given shape in the working precision."""
         return given.checked_array(value, what, self._real, shape, finite)
 
     def _view(self, path: str) -> Array:
@@ -154,7 +152,7 @@ class Iterate:
         )
 
     def _every_multiplier(self, name: str) -> Array:
-        """The multipliers of all rows.
+        """Return the multipliers of all rows in one vector.
 
         Raises:
             AttributeError: the algorithm keeps none.
@@ -168,7 +166,7 @@ class Iterate:
         return RowMultipliers(self.description)
 
     def member(self, name: str) -> Array:
-        """Internal: a member that only some algorithms and problems have; empty if it does not exist."""
+        """Return a member of the struct, or an empty array if this package has no such member (internal)."""
         try:
             return self._view(name)
         except AttributeError:

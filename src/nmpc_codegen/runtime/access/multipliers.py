@@ -1,7 +1,8 @@
-"""Multipliers of rows under the names of what they belong to; the C code keeps them in one vector, sorted by node.
+"""Multipliers of rows are read and written by name; the C code keeps all of them in one vector, sorted by node.
 
-mu_x (N+1, nx): bounds of states; mu (N, nh): general path rows; mu_N (nh_N,): general terminal rows; eta: coupled rows.
-They are 0 where no row is imposed. Arrays are read-only, as they are copies: assign to the name to write multipliers.
+mu_x (N+1, nx) belongs to bounds of states, mu (N, nh) to general path rows, mu_N (nh_N,) to general terminal rows, eta
+to coupled rows. Multipliers are 0 where no row is imposed. Reading returns a read-only copy: assign to the name to
+write.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ Places = tuple[list[int], Any]
 
 
 class RowMultipliers:
-    """Where the vector of a package keeps the multipliers of every name."""
+    """A map from the name of a multiplier to its places in the vector of a package."""
 
     def __init__(self, description: PackageDescription) -> None:
         d, rows = description.dims, description.rows
@@ -33,7 +34,7 @@ class RowMultipliers:
         self._places: dict[str, Places] = {name: _columns(of, len(self.shapes[name])) for name, of in found.items()}
 
     def read(self, name: str, mult: Array) -> Array:
-        """The multipliers of this name, a read-only copy."""
+        """Return a read-only copy of the multipliers called ``name``."""
         rows, places = self._places[name]
         values = np.zeros((*mult.shape[:-1], *self.shapes[name]), dtype=mult.dtype)
         values[places] = mult[..., rows]
@@ -41,10 +42,10 @@ class RowMultipliers:
         return values
 
     def write(self, name: str, values: Array, mult: Array) -> None:
-        """Store multipliers of this name.
+        """Store the multipliers called ``name`` in the vector.
 
         Raises:
-            ControllerError: one is not 0 where no row is imposed.
+            ControllerError: a multiplier is not 0 although no row is imposed there.
         """
         rows, places = self._places[name]
         rest = values.copy()
@@ -57,5 +58,5 @@ class RowMultipliers:
 
 
 def _columns(entries: list[tuple[int, ...]], dimensions: int) -> Places:
-    """Positions in the vector, and indices of the array behind the axes of the structs, dimension by dimension."""
+    """Return the positions in the vector and the indices of the array, one list for each of its last dimensions."""
     return [e[0] for e in entries], (..., *([e[i + 1] for e in entries] for i in range(dimensions)))

@@ -1,7 +1,7 @@
-"""How data reach the structs of one controller or of many: references, weights, parameters, bounds.
+"""References, weights, parameters and bounds are checked here and written to the structs of one controller or of many.
 
-Arrays have the axes (structs or 1, nodes, elements); 1 in the place of structs: the same for all. Those who own the
-structs say how values are read and handed to C.
+Arrays have the axes (structs, nodes, elements); a first axis of length 1 holds the same values for all structs.
+Subclasses own the structs: they define how values are read and how they are passed to C.
 """
 
 from __future__ import annotations
@@ -23,10 +23,13 @@ Named = Mapping[str, ArrayLike]
 
 
 class Telling(Addressing):
-    """Checks data, completes them by what is stored, and sends them; what is refused changes nothing."""
+    """A base class that checks data, completes them from stored data and passes them to C.
+
+    Refused data change nothing.
+    """
 
     def _tell_residuals(self, kind: Literal["reference", "weight"], value: ArrayLike | Named, node: int | None) -> None:
-        """References or weights of the path, of the end with node N, or by the names of residuals."""
+        """Set references or weights: of the path, of the end (node N), or by the names of residuals."""
         N, lengths = self.dims.N, self._lengths(kind, f"the {kind}", node)
         if isinstance(value, Mapping):
             self._tell_by_name(kind, value, node, lengths)
@@ -48,7 +51,7 @@ class Telling(Addressing):
             self._send(f"terminal_{kind}", at_end, None)
 
     def _at_end(self, kind: str, rows: Array) -> Array:
-        """The part of the last rows of the path that is the terminal residual's, as it is stored."""
+        """Return the terminal residual's part of the last row of the path, in the form in which it is stored."""
         places = self._path_of_end or []
         if kind == "reference":
             return rows[:, -1:, places]
@@ -57,7 +60,7 @@ class Telling(Addressing):
         return given.weights(part, "terminal weight", self._real, len(part), self._is_matrix(end=True))[None]
 
     def _tell_by_name(self, kind: Kind, values: Named, node: int | None, lengths: tuple[int, ...]) -> None:
-        """Replace entries of references, or of the diagonals of weights."""
+        """Replace the named entries of references, or of the diagonals of weights."""
         N, matrices, path_name = self.dims.N, kind == "weight", "yref" if kind == "reference" else "W"
         path, end = self._copy_of(path_name), self._copy_of(f"{path_name}_N")
         sent = [False, False]
@@ -85,8 +88,11 @@ class Telling(Addressing):
             self._send(what, rows, None)
 
     def _places_of(self, element: str, what: str, rows: int) -> tuple[int | None, int | None]:
-        """Places of a residual in those of the path and of the end, None: it is none there; ControllerError unless so
-        many rows fit."""
+        """Return the index of a residual in the path and in the end; None where it does not occur.
+
+        Raises:
+            ControllerError: it occurs in neither, or N + 1 rows are given for one that is no terminal residual.
+        """
         here = self.names.y.index(element) if element in self.names.y else None
         there = self.names.y_N.index(element) if element in self.names.y_N else None
         if rows > self.dims.N and there is None:
@@ -97,17 +103,17 @@ class Telling(Addressing):
 
     @cached_property
     def _path_of_end(self) -> list[int] | None:
-        """For every terminal residual its place in that of the path; None if one is missing there, or there is none."""
+        """Return the index in the path residual of every terminal residual; None unless all of them occur there."""
         places = [self.names.y.index(name) for name in self.names.y_N if name in self.names.y]
         return places if places and len(places) == self.dims.ny_N else None
 
     def _check_weights(self, W: Array, what: str) -> Array:
-        """The checked weights (structs, nodes, size) or (structs, nodes, size, size)."""
+        """Return checked weights, (structs, nodes, size) or (structs, nodes, size, size)."""
         rows = W.reshape(W.shape[0] * W.shape[1], *W.shape[2:])
         return given.check_weights(rows, what, self._real, lambda i: self._name_row(i, W.shape[1])).reshape(W.shape)
 
     def _tell_parameters(self, values: Named, node: int | None) -> None:
-        """Parameters, or elements of vectors, whose others stay as they are stored."""
+        """Set parameters, or elements of vectors, whose other elements keep their values."""
         checked = [self._checked_parameter(name, value, node) for name, value in values.items()]
         shared = self.description.online["parameter"] == "shared"
         for number in dict.fromkeys(one.number for one in checked):
@@ -127,7 +133,7 @@ class Telling(Addressing):
                 self._send("parameter", rows, node, number)
 
     def _tell_bounds(self, bounds: Iterable[tuple[str, ArrayLike, ArrayLike]], node: int | None) -> None:
-        """Bounds of rows, or of all rows of a vector."""
+        """Set the bounds of rows, or of all rows of a vector."""
         for row, low, high in [
             one for name, *both in bounds for one in self._checked_bounds(name, both[0], both[1], node)
         ]:
@@ -136,26 +142,26 @@ class Telling(Addressing):
     # -- of those who own the structs ---------------------------------------------------------------------------------
 
     def _read_weights(self, W: ArrayLike, what: str, size: int, end: bool, lengths: Sequence[int]) -> Array:
-        """Checked weights as they are stored, (structs or 1, nodes, size) or (structs or 1, nodes, size, size)."""
+        """Return checked weights, (structs or 1, nodes, size) or (structs or 1, nodes, size, size), for storage."""
         raise NotImplementedError
 
     def _send(self, what: str, rows: Array, node: int | None, *leading: int) -> None:
-        """Hand one row for a node or for all, or a row for each node from node 0 on, to the setter of ``what``."""
+        """Pass rows to the setter of ``what``: one for a node, one for all nodes, or one for each node from 0 on."""
         raise NotImplementedError
 
     def _send_pair(self, call: str, row: int, first: Array, second: Array, node: int | None) -> None:
-        """Hand two numbers of a row (structs or 1, nodes) to a setter, for a node or for all, or for each from 0 on."""
+        """Pass two numbers of a row, (structs or 1, nodes) each, to a setter: for one node, for all, or for each."""
         raise NotImplementedError
 
     def _copy_of(self, member: str) -> Array:
-        """A copy of what is stored, (structs, nodes, ...)."""
+        """Return a copy of the stored values, (structs, nodes, ...)."""
         raise NotImplementedError
 
     def _name_row(self, i: int, nodes: int) -> str:
-        """What row i of so many for each struct belongs to."""
+        """Return the name of the node or struct to which row ``i`` belongs, with ``nodes`` rows for each struct."""
         raise NotImplementedError
 
 
 def _diagonal(values: Array) -> Array:
-    """A view on (structs, nodes, size), or on the diagonals of (structs, nodes, size, size), that can be written to."""
+    """Return a writable view on (structs, nodes, size), or on the diagonals of (structs, nodes, size, size)."""
     return np.einsum("skii->ski", values) if values.ndim == 4 else values

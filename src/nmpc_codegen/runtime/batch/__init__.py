@@ -1,1 +1,1 @@
-"""Many controllers at once: their memory, their calls on all cores, closed loops in compiled code."""
+"""A batch keeps many controllers in one block of memory, calls them on all cores and simulates closed loops in C."""

@@ -1,4 +1,4 @@
-"""The batch for a device."""
+"""batch() chooses between the processor and a GPU."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from nmpc_codegen.runtime.controller import Controller
 
 
 def check_request(number: int, device: str, threads: int | None) -> None:
-    """ControllerError if an argument of batch() is wrong."""
+    """Raise ControllerError if an argument of batch() is wrong."""
     check_number(number)
     check_threads(threads)
     if device not in ("cpu", "cuda"):
@@ -21,5 +21,5 @@ def check_request(number: int, device: str, threads: int | None) -> None:
 
 
 def make(controller: Controller, number: int, device: str, threads: int | None) -> Batch:
-    """Many copies of a controller on the processor or on a GPU; see nmpc_codegen.batch()."""
+    """Create many copies of a controller on the processor or on a GPU; see nmpc_codegen.batch()."""
     return Batch(controller, number, threads) if device == "cpu" else DeviceBatch(controller, number, Cuda())

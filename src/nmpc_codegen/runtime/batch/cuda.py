@@ -1,4 +1,4 @@
-"""A GPU by CuPy: its arrays, and the kernel that NVRTC has compiled for it."""
+"""CuPy gives access to a GPU: its arrays, and the kernel that NVRTC has compiled for it."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from nmpc_codegen.errors import BuildError
 from nmpc_codegen.runtime.batch.nvrtc import compile_kernel
 from nmpc_codegen.runtime.extras import extra
 
-#: What begins the text of a kernel, with the types of <stdint.h>, which its compiler does not have.
+#: The first lines of a kernel; NVRTC lacks <stdint.h>, so that its types are declared here.
 BEGIN = """\
 typedef signed char int8_t;
 typedef int int32_t;
@@ -26,12 +26,12 @@ typedef unsigned long long uint64_t;
 #define THREAD ((int64_t)blockIdx.x * blockDim.x + threadIdx.x)
 """
 
-#: Threads of a block.
+#: Number of threads of a block.
 BLOCK = 128
 
 
 class Cuda:
-    """The present GPU of CuPy, as an Engine.
+    """An Engine that uses the current GPU of CuPy.
 
     Raises:
         ExtraError: CuPy is not installed.

@@ -1,7 +1,7 @@
-"""Many controllers on a device: the text of its kernel, and calls that launch it.
+"""A batch on a device runs one thread for each controller: this module writes its kernel and launches it.
 
-The text of the package is compiled as it is; every function becomes one of the device. The structs stay there between
-calls, their words interleaved over the controllers.
+The text of the package is compiled unchanged, with every function as a device function. The structs stay on the device
+between calls; their 32-bit words are interleaved over the controllers.
 """
 
 from __future__ import annotations
@@ -26,16 +26,16 @@ Array = Any  # of the device
 
 WORD = 4  # bytes
 
-#: Bytes of the samples of a launch at most.
+#: Largest number of bytes that the samples of one launch may take.
 BYTES = 2**31
 
-#: Functions of at least so many lines are not inlined: the compiler takes a tenth of the time.
+#: Functions with at least this number of lines are not inlined: the compiler then takes a tenth of the time.
 LARGE = 8
 
 #: QP solvers whose threads diverge.
 SLOW = ("RiccatiInteriorPoint",)
 
-#: Functions of a package that not every package has.
+#: Functions that only some packages have.
 OPTIONAL = (
     *("algebraic", "prepare", "shift", "solve"),
     *("set_parameter", "set_parameter_range", "set_reference", "set_reference_range", "set_terminal_reference"),
@@ -50,29 +50,29 @@ enum {{ NX = {NX}, NU = {NU}, NALG = {NALG}, ALL = -1, ROWS = {ROWS} }};
 
 
 class Engine(Protocol):
-    """A device: arrays as NumPy has them, and kernels."""
+    """A device has arrays with the interface of NumPy, and kernels."""
 
-    xp: Any  # a module with the functions of NumPy
-    begin: str  # what the text of its kernel begins with
+    xp: Any  # a module with NumPy's functions
+    begin: str  # the first lines of a kernel
 
     def load(self, text: str, exact: bool) -> None:
-        """Compile the kernel; ``exact``: a * b + c is not contracted."""
+        """Compile the kernel; with ``exact``, a * b + c is not contracted."""
 
     def launch(self, argument: Array, threads: int) -> None:
-        """Run the kernel for so many threads; ``argument``: the bytes of batch_launch_t on the device."""
+        """Run the kernel with ``threads`` threads; ``argument`` holds the bytes of batch_launch_t on the device."""
 
     def address(self, array: Array) -> int:
-        """Where an array is."""
+        """Return the address of an array on the device."""
 
     def fetch(self, array: Array) -> NDArray[Any]:
-        """An array for NumPy."""
+        """Copy an array from the device to a NumPy array."""
 
     def largest(self, bytes_of_flight: int) -> int:
-        """Flights that a launch may have, by the memory that is free."""
+        """Return the number of flights that fit into the free memory in one launch."""
 
 
 def kernel_text(package: CompiledPackage, begin: str) -> str:
-    """The kernel of a package for a compiler of a device, in one text without #include."""
+    """Return the kernel of a package for the compiler of a device, in one text without #include."""
     name, files = package.name, package.files
     described, d = package.description, package.description.dims
     widest = max(2, d.ny, d.ny_N, *(signal.size for signal in described.parameters))
@@ -91,7 +91,7 @@ def kernel_text(package: CompiledPackage, begin: str) -> str:
 
 
 def keep_calls(lines: list[str]) -> list[str]:
-    """The lines of a text, whose functions begin and end in the first column, with calls of large ones kept."""
+    """Mark the large functions of a text, which begin and end in the first column, as not to be inlined."""
     found = list(lines)
     begin = 0
     for i, line in enumerate(lines):
@@ -108,7 +108,7 @@ def keep_calls(lines: list[str]) -> list[str]:
 
 
 def check_package(package: CompiledPackage) -> None:
-    """ControllerError unless a device can run it; a RuntimeWarning says what it runs slowly."""
+    """Raise ControllerError if a device cannot run the package; warn (RuntimeWarning) of what runs slowly there."""
     described = package.description
     if TARGETS[described.target].lanes > 1:
         raise ControllerError(f"{package.name} has the target {described.target!r}; a device runs 'portable' ones")
@@ -124,9 +124,9 @@ def check_package(package: CompiledPackage) -> None:
 class DeviceBatch(Batch):
     """A Batch whose structs stay on a device.
 
-    Calls take arrays of NumPy, or of the device by DLPack, and return arrays of the device. x, u, ... are copies there:
-    assign to them. Setters copy the structs through the host; simulate() sets its tables on the device. many[i] is a
-    copy. Flights are flown on the device and judged on the host.
+    Calls take NumPy arrays, or device arrays by DLPack, and return device arrays. x, u, ... are copies on the device:
+    assign to the attribute to change them. Setters copy the structs to the host and back; simulate() writes its tables
+    on the device. many[i] is a copy. Closed loops run on the device; their results are judged on the host.
     """
 
     def __init__(self, controller: Controller, number: int, engine: Engine) -> None:
@@ -145,7 +145,7 @@ class DeviceBatch(Batch):
     # -- calls --------------------------------------------------------------------------------------------------------
 
     def call(self, operation: str, function: str | None, **arguments: Any) -> Statuses:
-        """A launch for all controllers, or for those of ``index``."""
+        """Launch the kernel for all controllers, or for those in ``index``; return their statuses."""
         if function is not None:
             self._package.function(function)
         index, places = arguments.get("index"), arguments.get("places", ())
@@ -181,7 +181,7 @@ class DeviceBatch(Batch):
         return self._on_device(U, "U", self.dims.nu) if self.dims.nu else self._zeros(1)
 
     def _on_device(self, value: Any, what: str, width: int) -> Array:
-        """States or controls (M, width) on the device, without a copy if they are there."""
+        """Return states or controls (M, width) on the device, without a copy if they are there already."""
         if isinstance(value, np.ndarray | list | tuple):
             value = given.checked_array(value, what, self._real, (self._count, width), finite=False)
         elif hasattr(value, "__dlpack__"):
@@ -196,7 +196,7 @@ class DeviceBatch(Batch):
     # -- structs ------------------------------------------------------------------------------------------------------
 
     def host(self) -> Structs:
-        """The structs in memory of the host."""
+        """Copy the structs to memory of the host."""
         memory = reserve(self._count * self.stride)
         bytes_of = self._package.dtype.itemsize
         rows = memory.reshape(self._count, self.stride)
@@ -226,13 +226,13 @@ class DeviceBatch(Batch):
         self.words[...] = self._xp.asarray(self._interleave(host))
 
     def _interleave(self, structs: Structs) -> NDArray[np.uint32]:
-        """Words (words of a struct, structs)."""
+        """Return the words of the structs as an array (words of a struct, structs)."""
         bytes_of = self._package.dtype.itemsize
         rows = structs.memory.reshape(len(structs), structs.stride)[:, :bytes_of]
         return np.ascontiguousarray(np.ascontiguousarray(rows).view(np.uint32).T)
 
     def __getitem__(self, i: int) -> Controller:
-        """A copy of controller number i."""
+        """Return a copy of controller number ``i``."""
         memory = reserve(self._package.dtype.itemsize)
         memory[:] = np.ascontiguousarray(self._engine.fetch(self.words[:, self._number(i)])).view(np.uint8)
         return Controller(self._package, memory)
@@ -270,7 +270,11 @@ class DeviceBatch(Batch):
         self._put("mult", self._xp.asarray(every))
 
     def _find(self, path: str) -> tuple[int, Any]:
-        """First byte and type of a member; None: it is empty, and the package lacks it; < 0: in an array of structs."""
+        """Return the first byte and the type of a member.
+
+        The type is None if the package lacks the member because its size is 0. The first byte is < 0 if the member is
+        inside an array of structs.
+        """
         begin, layout = 0, self._package.dtype
         for name in path.split("."):
             fields: Any = layout.base.fields or {}

@@ -1,4 +1,4 @@
-"""The compiled code that calls a package for many of its structs, and the threads that share it.
+"""The compiled driver calls a package for many of its structs, on several threads.
 
 Functions of the package are called by their addresses, so that a batch runs the same machine code as one controller.
 """
@@ -27,16 +27,16 @@ Array = NDArray[Any]
 
 PARTS = Path(__file__).parent
 
-#: Arithmetic as it is written: random numbers and sums have the same bits everywhere.
+#: Floating-point operations are not contracted, so that random numbers and sums have the same bits on all machines.
 EXACT = Profile("exact", ("-std=c99", "-O2", "-ffp-contract=off"), wrapper=False)
 
-#: Time (s) that it takes to wake a thread, and of a controller in a call before it is known.
+#: Times (s): to wake a thread; of one controller in a call, as long as no such call has been timed.
 WAKING, UNKNOWN = 5e-5, 1e-6
 
-#: Controllers that a thread claims at once: of so many claims by every thread, at most so many controllers.
+#: A call is divided into CLAIMS pieces for each thread, of at most MOST controllers each.
 CLAIMS, MOST = 8, 64
 
-#: What the parts of the driver begin with, for a processor.
+#: The first lines of the driver for a processor.
 _PROLOGUE = """\
 #define _POSIX_C_SOURCE 199309L
 
@@ -57,17 +57,17 @@ enum {{ ALL = -1 }};
 """
 
 
-#: Precision of a package -> its type in C.
+#: Precision of a package -> name of the C type.
 REAL = {"double": "double", "single": "float"}
 
 
 def declarations_of(*names: str) -> str:
-    """The declarations of header files of this folder, between one pair of markers."""
+    """Return the declarations of header files of this folder, between the two marker comments that cffi needs."""
     return f"{BEGIN}\n" + "\n".join(declarations(part(name), name) for name in names) + f"{END}\n"
 
 
 def part(name: str) -> str:
-    """The text of a C file of this folder, with those that it includes."""
+    """Return the text of a C file of this folder, with the files that it includes inserted."""
     text = (PARTS / name).read_text(encoding="utf-8")
     for other in ("random.c", "flight.c"):
         if f'#include "{other}"' in text:
@@ -76,36 +76,39 @@ def part(name: str) -> str:
 
 
 def driver_text(precision: str) -> str:
-    """The C that calls packages of a precision for many of their structs."""
+    """Return the C text of the driver for packages of this precision."""
     return _PROLOGUE.format(real=REAL[precision]) + declarations_of("driver.h", "device.h") + part("processor.c")
 
 
 @cache
 def load_driver(precision: str) -> tuple[Any, Any]:
-    """ffi and lib of this C."""
+    """Compile the driver for a precision and return cffi's ffi and lib."""
     files = {"batch.h": declarations_of("driver.h", "device.h"), "batch.c": driver_text(precision)}
     return load_library(files, "batch", EXACT)
 
 
 class Driver:
-    """Calls of one package, by ``threads`` threads; None: as many as this process may use."""
+    """A driver calls the functions of one package with ``threads`` threads; None: with one for every available core."""
 
     def __init__(self, package: CompiledPackage, threads: int | None = None) -> None:
         check_threads(threads)
         self.package = package
         self.threads = _cores() if threads is None else int(threads)
         self.ffi, self.lib = load_driver(package.description.precision)
-        self._took: dict[str | None, float] = {}  # seconds of one controller in the last call of a function
-        self.stop = np.zeros(1, np.int32)  # 1: flights end before their next sample
+        self._took: dict[str | None, float] = {}  # function -> seconds for one controller in the last call
+        self.stop = np.zeros(1, np.int32)  # 1: stop all flights before their next sample
         self._pool: tuple[int, ThreadPoolExecutor] | None = None
 
     def address(self, name: str, package: CompiledPackage | None = None) -> Any:
-        """The address of a function of the package, or of another one; ControllerError if it has none of that name."""
+        """Return the address of a function of this package, or of another one.
+
+        Raise ControllerError if it is missing.
+        """
         found = self.package if package is None else package
         return self.ffi.cast("batch_function_t", int(found.ffi.cast("uintptr_t", found.function(name))))
 
     def pointer(self, array: Array | None) -> Any:
-        """The address of an array of consecutive bytes."""
+        """Return the address of a contiguous array, NULL for None."""
         return self.ffi.NULL if array is None else self.ffi.cast("void *", array.ctypes.data)
 
     def call(
@@ -122,9 +125,10 @@ class Driver:
         places: Sequence[int] = (),
         number: float = 0.0,
     ) -> NDArray[np.int32]:
-        """The statuses of one call of a function for structs in memory, which threads share.
+        """Call a function for structs in memory, on several threads, and return the statuses.
 
-        ``index``: their numbers; None: all. Arrays have a first axis of the length of the call, or 1: the same for all.
+        ``index`` holds the numbers of the structs; None: all. The first axis of an array has the length of the call, or
+        1 if all structs share its values.
         """
         count = len(memory) // stride if index is None else len(index)
         status = np.zeros(count, np.int32)
@@ -154,13 +158,13 @@ class Driver:
         return status
 
     def _worth(self, function: str | None, count: int) -> int:
-        """Threads for a call: so many that each has more to do than it takes to wake it, by the last such call."""
+        """Return the number of threads for a call: by the last call, each works longer than it takes to wake it."""
         return max(1, min(self.threads, count, round(count * self._took.get(function, UNKNOWN) / WAKING)))
 
     def share(self, function: Callable[[Any], Any], work: Sequence[Any], interruptible: bool = False) -> None:
-        """Call a function that releases the interpreter for each piece of work: threads take one after the other.
+        """Call a function, which releases the interpreter lock, for each piece of work; free threads take the next one.
 
-        ``interruptible``: this thread waits, so that an interrupt stops the flights; else it takes its part.
+        If ``interruptible``, the calling thread only waits, so that an interrupt stops the flights; else it works, too.
         """
         pending = iter(work)
 
@@ -169,7 +173,7 @@ class Driver:
                 for one in pending:
                     function(one)
             finally:
-                deque(pending, maxlen=0)  # after an error, nobody begins another piece
+                deque(pending, maxlen=0)  # after an error, no thread begins another piece
 
         helpers: list[Future[None]] = []
         try:
@@ -180,7 +184,7 @@ class Driver:
             wait(helpers)
         finally:
             self.stop[0] = 1
-            while not all(helper.done() for helper in helpers):  # what they write to must live as long
+            while not all(helper.done() for helper in helpers):  # the arrays that they write to must outlive them
                 with suppress(KeyboardInterrupt):
                     wait(helpers)
             self.stop[0] = 0
@@ -188,23 +192,23 @@ class Driver:
             helper.result()
 
     def _threads(self) -> ThreadPoolExecutor:
-        """The threads of this process: a fork does not have those of its parent."""
+        """Return the thread pool of this process; a forked process makes its own."""
         if self._pool is None or self._pool[0] != os.getpid():
             self._pool = os.getpid(), ThreadPoolExecutor(self.threads, "nmpc_codegen")
         return self._pool[1]
 
 
 def check_threads(threads: int | None) -> None:
-    """ControllerError unless it is a number of threads, or None."""
+    """Raise ControllerError unless ``threads`` is an integer >= 1 or None."""
     if threads is not None and (not is_integer(threads) or threads < 1):
         raise ControllerError(f"threads is {threads!r}; expected an integer >= 1, or None for all cores")
 
 
 def _cores() -> int:
-    """Cores that this process may use."""
+    """Return the number of cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _step(array: Array | None) -> int:
-    """Bytes from what belongs to one controller to that of the next one."""
+    """Return the number of bytes between the data of one controller and of the next one; 0 if all share them."""
     return 0 if array is None or len(array) == 1 else array.strides[0]

@@ -1,9 +1,9 @@
-"""Many controllers of one package in one block of memory, which threads share.
+"""A batch keeps many controllers of one package in one block of memory, and several threads call them.
 
     many = batch(ocp, 4096)
     u, status = many.step(X)       # X (M, nx) -> u (M, nu), status (M,)
 
-Every controller has the bits that it would have alone, for every number of threads.
+Each controller computes the same bits as alone, whatever the number of threads.
 """
 
 from __future__ import annotations
@@ -31,26 +31,26 @@ Array = NDArray[Any]
 
 
 class Batch(Structs):
-    """Many controllers of one package: M copies of one, which go on by themselves.
+    """M independent controllers of one package, which begin as copies of one controller.
 
-    x, u, lam, mu_u are views, with a first axis of M before the shapes of a Controller: x (M, N+1, nx). So are the
-    copies mu_x, mu, mu_N, eta, which cannot be written to. many[i] is a Controller on the same memory. Calls are made
-    by ``threads`` threads; the results do not depend on their number.
+    x, u, lam, mu_u are views whose first axis has length M, before the axes of a Controller: x (M, N+1, nx). mu_x, mu,
+    mu_N, eta are read-only copies of the same form. many[i] is a Controller on the same memory. ``threads`` threads
+    share every call; the results do not depend on their number.
 
-    batch() makes one; where the compiler of problems is not installed, so does Batch(controller, number).
+    batch() creates a Batch; so does Batch(controller, number) if only the runtime is installed.
 
     Args:
-        controller: from build() or open_package(); it is copied in its present state.
+        controller: from build() or open_package(); its present state is copied.
         number: M >= 1.
-        threads: 1 or more; None: one for every core that this process may use.
+        threads: 1 or more; None: one for each core that this process may use.
 
     Raises:
-        ControllerError: the numbers are wrong, or it is no controller.
+        ControllerError: a number is wrong, or ``controller`` is no Controller.
         BuildError: there is no compiler.
 
     Attributes:
-        description: what <name>.json says.
-        dims: sizes, as those of a Controller.
+        description: the content of <name>.json.
+        dims: sizes, as in a Controller.
         names: names of the elements of every vector.
     """
 
@@ -66,7 +66,7 @@ class Batch(Structs):
     # -- calls --------------------------------------------------------------------------------------------------------
 
     def step(self, X: ArrayLike) -> tuple[Array, Statuses]:
-        """A sample of every controller: Controller.step().
+        """Take one sample with every controller, as Controller.step() does.
 
         Args:
             X: measured states (M, nx). NaN gives the status NOT_FINITE and a safe control.
@@ -77,27 +77,27 @@ class Batch(Structs):
         return self._sample("step", X)
 
     def prepare(self) -> Statuses:
-        """The preparation phase of every controller; statuses (M,)."""
+        """Run the preparation phase of every controller and return the statuses (M,)."""
         return self.call("PLAIN", "prepare")
 
     def feedback(self, X: ArrayLike) -> tuple[Array, Statuses]:
-        """The feedback phase of every controller.
+        """Run the feedback phase of every controller.
 
         Args:
             X: measured states (M, nx).
 
         Returns:
-            What step() returns.
+            Controls and statuses, as step() returns them.
         """
         return self._sample("feedback", X)
 
     def solve(self, X: ArrayLike, tol: float | None = None, max_iterations: int = 100) -> Statuses:
-        """Iterate every controller to convergence from its plan, for the states (M, nx); x, u, ... are the solutions.
+        """Iterate every controller from its plan to convergence for the states (M, nx); x, u, ... are the solutions.
 
         Args:
             X: initial states (M, nx).
-            tol: KKT residual, relative to the terms that it sums; None: 1e-8, in single precision 1e-4.
-            max_iterations: maximum number of SQP iterations of each.
+            tol: tolerance of the KKT residual, relative to its terms; None: 1e-8, in single precision 1e-4.
+            max_iterations: maximum number of SQP iterations of each controller.
 
         Returns:
             Statuses (M,).
@@ -110,7 +110,7 @@ class Batch(Structs):
         self._expect(self.call("PLAIN", "shift"), "shift")
 
     def reset(self, index: ArrayLike | None = None) -> None:
-        """Return to the initial plan; data are kept.
+        """Return to the initial plan; references, weights, parameters and bounds are kept.
 
         Args:
             index: a mask (M,), or numbers of the controllers that are meant; None: all.
@@ -119,7 +119,7 @@ class Batch(Structs):
         self._expect(self.call("PLAIN", "reset", index=chosen), "reset")
 
     def integrate(self, X: ArrayLike, U: ArrayLike, dt: float) -> Array:
-        """States (M, nx) after the time dt from X (M, nx) under constant U (M, nu): Controller.integrate()."""
+        """Return the states (M, nx) that follow X (M, nx) after the time ``dt`` under constant controls U (M, nu)."""
         states, controls = self._states(X, "X"), self._controls(U)
         out = self._zeros(max(1, self.dims.nx))
         given.require_time(dt)
@@ -146,30 +146,31 @@ class Batch(Structs):
         first: int = 0,
         record: bool = False,
     ) -> Flights:
-        """Fly F closed loops in compiled code: u_k = step(x_k + noise_k), x_{k+1} = plant(x_k, u_k) + disturbance_k.
+        """Simulate F closed loops in C: u_k = step(x_k + noise_k), x_{k+1} = plant(x_k, u_k) + disturbance_k.
 
-        F = M: flight i is flown by controller i, which is left in its last state. A batch of one controller flies any
-        number: each flight begins with a copy of it, and a million of them need no more memory than their summaries.
+        Each closed loop is a flight. If F = M, controller i flies flight i and is left in its last state. A batch of
+        one controller flies any number of flights: each begins with a copy, and no more than summaries are kept.
 
         Args:
             X0: initial states of the plant (F, nx).
             steps: number of samples, >= 0.
             dt: sampling time, as in simulate().
-            parameters: {name: table over the samples} of controllers and their own plant: a number; (n,) or (F, n); for
-                a vector (n, size) or (F, n, size); 1 in the place of F: the same for all. A node has the row of the
-                sample at its time; the last row holds from there on. (F, 1) is one value for each flight.
-            bounds: {name of a row: (lower, upper)}, each a table, of a vector of rows as of a vector.
+            parameters: {name: table over the samples}, for the controllers and their own plant. A table is a number,
+                (n,) or (F, n); for a vector it is (n, size) or (F, n, size). A first axis of 1 holds the same values
+                for all flights; (F, 1) is one constant for each flight. A node reads the row of the sample at its time;
+                the last row holds for all later samples.
+            bounds: {name of a row or of a vector of rows: (lower, upper)}, each a table as for parameters.
             references: {name of a residual: table}, or (n, ny), (F, n, ny) for the path residual.
-            disturbance: random numbers that are added to the state after every sample: Normal(std) or Uniform(half
-                width); standard deviations alone are those of normal numbers.
-            noise: the same, added to the state that the controller is told.
-            added: (steps, nx) or (F, steps, nx): added to the state after every sample, too.
-            plant: a controller of the same or another package, whose integrator moves the state with its parameters; or
-                a batch of F of them. They are copied. None: the controller's own.
-            plant_parameters: tables of the plant alone. Without ``plant`` it is another copy of the controller, which
-                has ``parameters``, too, and rows and costs are those of its parameters.
-            seed: of the random numbers, 0 .. 2^64 - 1. Numbers are those of (seed, first + i, sample, state) alone.
-            first: number of flight 0 in the generator.
+            disturbance: Normal(std) or Uniform(half_width), added to the state after every sample; numbers mean Normal.
+            noise: random numbers added to the state that the controller receives.
+            added: (steps, nx) or (F, steps, nx), added to the state after every sample, besides ``disturbance``.
+            plant: a controller, of the same or another package, whose integrator and parameters advance the state; or a
+                batch of F of them. They are copied. None: each controller is its own plant.
+            plant_parameters: tables of the plant only. Without ``plant``, the plant is another copy of the controller,
+                with ``parameters`` as well; its parameters are used to evaluate rows and costs.
+            seed: seed of the random numbers, 0 .. 2^64 - 1. A random number is a function of (seed, first + i, sample,
+                state) only.
+            first: number of flight 0 in the random generator.
             record: keep x, u and status of every sample.
 
         Raises:
@@ -191,11 +192,11 @@ class Batch(Structs):
     # -- data ---------------------------------------------------------------------------------------------------------
 
     def set_reference(self, y: ArrayLike | Named, node: int | None = None, index: ArrayLike | None = None) -> None:
-        """Set references of residuals.
+        """Set the references of residuals.
 
         Args:
-            y: (ny,), the same for all; (M, ny), one for each; (M, N, ny), one for each node; 1 in the place of M: the
-                same for all. Or {name of a residual or of a vector of them: values of the same forms}.
+            y: (ny,) for all controllers; (M, ny), one row for each; (M, N, ny), one for each node; a first axis of 1
+                holds the same values for all. Or {name of a residual or of a vector of them: values of the same forms}.
             node: as in Controller.set_reference().
             index: a mask (M,), or numbers of the controllers that are meant; M is then their number.
         """
@@ -211,7 +212,7 @@ class Batch(Structs):
         self._tell(index, lambda told: told._tell_residuals("reference", y, self.dims.N))
 
     def set_weight(self, W: ArrayLike, node: int | None = None, index: ArrayLike | None = None) -> None:
-        """Set weights of residuals.
+        """Set the weights of residuals.
 
         Args:
             W: the diagonal (ny,), or (M, ny), one for each; matrices (M, ny, ny), (1, ny, ny).
@@ -235,9 +236,9 @@ class Batch(Structs):
         """Set a parameter.
 
         Args:
-            name: that of a parameter, or of an element of a vector.
-            value: a number or (size,), the same for all; (M,) or (M, size), one for each; (M, N+1) or (M, N+1, size), a
-                row for each node; 1 in the place of M: the same for all.
+            name: name of a parameter, or of an element of a vector.
+            value: a number or (size,) for all controllers; (M,) or (M, size), one value for each; (M, N+1) or (M, N+1,
+                size), one for each node; a first axis of 1 holds the same values for all.
             node: as in Controller.set_parameter().
             index: a mask (M,), or numbers of the controllers that are meant; M is then their number.
         """
@@ -267,8 +268,8 @@ class Batch(Structs):
 
         Args:
             name: of the row, or of the vector.
-            lower: a number or (rows,), (M,) or (M, rows), and (M, N+1) or (M, N+1, rows) with a row for each node;
-                -inf: no bound.
+            lower: a number or (rows,); (M,) or (M, rows); (M, N+1) or (M, N+1, rows), one value for each node; -inf: no
+                bound.
             upper: the same; inf: no bound.
             node: as in Controller.set_bounds().
             index: as in set_reference().
@@ -276,7 +277,7 @@ class Batch(Structs):
         self._tell(index, lambda told: told._tell_bounds([(name, lower, upper)], node))
 
     def copy(self) -> Batch:
-        """An independent batch in the same state."""
+        """Return an independent batch in the same state."""
         return _restore(self[0], len(self), self.threads, self.memory)
 
     __copy__ = copy
@@ -290,7 +291,7 @@ class Batch(Structs):
     # -- what is known of them ----------------------------------------------------------------------------------------
 
     def __getitem__(self, i: int) -> Controller:
-        """Controller number i, on the memory of the batch."""
+        """Return controller number ``i``, which works on the memory of the batch."""
         begin = self._number(i) * self.stride
         return Controller(self._package, self.memory[begin : begin + self._package.dtype.itemsize])
 
@@ -299,29 +300,29 @@ class Batch(Structs):
 
     @property
     def threads(self) -> int:
-        """Number of threads that share the work."""
+        """Return the number of threads that share a call."""
         return self.driver.threads
 
     @property
     def status(self) -> Statuses:
-        """View on the statuses of the last call, (M,)."""
+        """Return a view on the statuses of the last call, (M,)."""
         return self._view("status")
 
     @property
     def stats(self) -> NDArray[np.void]:
-        """View on the counters of the last call: stats["qp_iterations"] (M,), and what else the package counts."""
+        """Return a view on the counters of the last call: stats["qp_iterations"] (M,) and others of the package."""
         return self._view("stats")
 
     @property
     def cost(self) -> Array:
-        """Costs of the plans with their present data, (M,)."""
+        """Return the costs of the plans with their present data, (M,)."""
         out = self._zeros(1)
         self.call("COST", "cost", out=out)
         return out[:, 0]
 
     @property
     def nbytes(self) -> int:
-        """Bytes of all structs."""
+        """Return the number of bytes of all structs."""
         return self.memory.nbytes
 
     def __repr__(self) -> str:
@@ -331,7 +332,7 @@ class Batch(Structs):
     # -- inner --------------------------------------------------------------------------------------------------------
 
     def _number(self, i: int) -> int:
-        """The number of a controller, that of the last one for -1."""
+        """Return the number of a controller; negative numbers count from the end."""
         if not given.is_integer(i):
             raise TypeError(f"a batch has controllers with numbers, not {i!r}")
         if not -self._count <= i < self._count:
@@ -339,17 +340,17 @@ class Batch(Structs):
         return int(i) % self._count
 
     def structs_of(self, plant: Controller | Batch) -> Structs:
-        """Internal: the structs of a plant."""
+        """Return the structs of a plant (internal)."""
         if not isinstance(plant, Controller | Batch):
             raise ControllerError(f"plant is {plant!r:.60}; expected a Controller or a Batch")
         return single(plant) if isinstance(plant, Controller) else plant
 
     def _tell(self, index: ArrayLike | None, tell: Callable[[Told], None]) -> None:
-        """Tell data to the controllers that are meant."""
+        """Call ``tell`` with the setters of the controllers in ``index``."""
         tell(Told(self, index))
 
     def _zeros(self, width: int) -> Array:
-        """Room for results."""
+        """Return an array of zeros (M, width) for results."""
         return np.zeros((self._count, width), self._real)
 
     def _sample(self, function: str, X: ArrayLike) -> tuple[Array, Statuses]:
@@ -358,7 +359,7 @@ class Batch(Structs):
         return out[:, : self.dims.nu], status
 
     def _states(self, X: ArrayLike, what: str) -> Array:
-        """States (M, nx) as C reads them; NaN is passed on, as the C code handles it."""
+        """Return states (M, nx) in the type that C reads; NaN is passed on, because the C code handles it."""
         return np.ascontiguousarray(self._array(what, X, (self._count, self.dims.nx), finite=False))
 
     def _controls(self, U: ArrayLike) -> Array:
@@ -372,20 +373,20 @@ class Batch(Structs):
 
 
 def check(controller: Controller, number: int) -> None:
-    """ControllerError unless this many copies of it can be made."""
+    """Raise ControllerError unless ``number`` copies of ``controller`` can be made."""
     if not isinstance(controller, Controller):
         raise ControllerError(f"batch() was given {controller!r:.80}; expected an OCP or a Controller")
     check_number(number)
 
 
 def check_number(number: int) -> None:
-    """ControllerError unless it is a number of controllers."""
+    """Raise ControllerError unless ``number`` is an integer >= 1."""
     if not given.is_integer(number) or number < 1:
         raise ControllerError(f"number is {number!r}; expected an integer >= 1")
 
 
 def _restore(controller: Controller, number: int, threads: int, state: bytes | NDArray[np.uint8]) -> Batch:
-    """A batch with these bytes as memory."""
+    """Create a batch whose memory has these bytes."""
     found = Batch(controller, number, threads)
     found.memory[:] = np.frombuffer(state, np.uint8)
     return found

@@ -1,4 +1,4 @@
-"""NVRTC, the run-time compiler of CUDA: text of a kernel to machine code of an architecture. It needs no GPU."""
+"""NVRTC, the run-time compiler of CUDA, compiles a kernel to machine code of an architecture; it needs no GPU."""
 
 from __future__ import annotations
 
@@ -13,21 +13,21 @@ from nmpc_codegen.runtime.build import SHOWN_LINES
 from nmpc_codegen.runtime.cache import PRODUCT, entry
 from nmpc_codegen.runtime.extras import extra
 
-#: The package of PyPI that has the library.
+#: The package that contains the library.
 HOME = "nvidia.cuda_nvrtc"
 
 
 def compile_kernel(text: str, architecture: str, exact: bool) -> Path:
-    """Path of the machine code (cubin), compiled unless it is in the cache.
+    """Compile a kernel, unless it is in the cache, and return the path of the machine code (cubin).
 
     Args:
-        text: without #include.
+        text: the kernel in CUDA C, without #include.
         architecture: e.g. "sm_90".
         exact: a * b + c is not contracted, as in the profiles "verify" and "test" of processors.
 
     Raises:
         ExtraError: NVRTC is not installed.
-        BuildError: it rejects the text.
+        BuildError: NVRTC rejects the text.
     """
     library = _library()
     options = [f"--gpu-architecture={architecture}", "-default-device", "--std=c++17"]
@@ -37,7 +37,7 @@ def compile_kernel(text: str, architecture: str, exact: bool) -> Path:
 
 
 def _library() -> Any:
-    """The library that is installed."""
+    """Load the installed library."""
     folders = list(extra(HOME, 'batch(device="cuda")').__path__)
     found = [path for folder in folders for path in sorted(Path(folder).glob("lib/libnvrtc.so.*"))]
     if not found:
@@ -52,7 +52,7 @@ def _version(library: Any) -> str:
 
 
 def _store(library: Any, text: str, options: Sequence[str], path: Path) -> None:
-    """Compile a text and write the machine code."""
+    """Compile a text and write the machine code to ``path``."""
     program = ctypes.c_void_p()
     _expect(library.nvrtcCreateProgram(ctypes.byref(program), text.encode(), b"kernel.cu", 0, None, None), "create")
     try:

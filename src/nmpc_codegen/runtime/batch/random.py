@@ -1,4 +1,4 @@
-"""Random numbers of closed loops, whose bits are a function of seed, flight, sample, signal and element alone."""
+"""Random numbers of closed loops depend only on seed, flight, sample, signal and element, to the last bit."""
 
 from __future__ import annotations
 
@@ -15,16 +15,17 @@ from nmpc_codegen.runtime.batch.driver import load_driver
 
 Array = NDArray[np.float64]
 
-#: Numbers of the signals in the generator; START: what a campaign draws for a flight as a whole.
+#: Numbers of the signals in the generator; a campaign draws the constants of a flight from START.
 DISTURBANCE, NOISE, START = 0, 1, 2
 
 
 @dataclass(frozen=True, eq=False)
 class Normal:
-    """Independent normal numbers of mean 0 in every sample.
+    """A signal of independent normal numbers with mean 0, drawn anew in every sample.
 
     Args:
-        std: standard deviations of the states, (nx,), a number for all, or {name of a state: number}; others have none.
+        std: standard deviations of the states, (nx,), one number for all, or {name of a state: number}; 0 for states
+            not named.
     """
 
     std: ArrayLike | Mapping[str, ArrayLike]
@@ -32,10 +33,11 @@ class Normal:
 
 @dataclass(frozen=True, eq=False)
 class Uniform:
-    """Independent uniform numbers between -half_width and half_width in every sample.
+    """A signal of independent uniform numbers between -half_width and half_width, drawn anew in every sample.
 
     Args:
-        half_width: of the states, (nx,), a number for all, or {name of a state: number}; others have none.
+        half_width: half widths of the states, (nx,), one number for all, or {name of a state: number}; 0 for states not
+            named.
     """
 
     half_width: ArrayLike | Mapping[str, ArrayLike]
@@ -46,7 +48,7 @@ Random = Normal | Uniform
 
 @dataclass(frozen=True, eq=False)
 class DrawnSignal:
-    """Random numbers of the states: sizes (nx,), kind, number in the generator."""
+    """A random signal is stated by the sizes of the states (nx,), its distribution and its number in the generator."""
 
     size: Array
     uniform: bool
@@ -56,7 +58,7 @@ class DrawnSignal:
 def signal(
     random: Random | ArrayLike | Mapping[str, Any] | None, what: str, names: Sequence[str], stream: int
 ) -> DrawnSignal | None:
-    """What is drawn, if anything; sizes alone are standard deviations.
+    """Return the random signal that ``random`` states, None for none; bare sizes are standard deviations.
 
     Raises:
         ControllerError: a size is negative or not finite, or there is no such state.
@@ -78,7 +80,7 @@ def signal(
 
 @dataclass(frozen=True, eq=False)
 class Draws:
-    """The generator of the flights, which draws the numbers of any of them again."""
+    """The generator of all flights can draw the numbers of any flight again."""
 
     seed: int
     first: int
@@ -87,7 +89,7 @@ class Draws:
     noise: DrawnSignal | None
 
     def of(self, signal: DrawnSignal | None, i: int, steps: int) -> Array:
-        """Numbers (steps, nx) of a signal in flight i."""
+        """Return the numbers (steps, nx) of a signal in flight ``i``."""
         out = np.zeros((steps, self.nx))
         if signal is not None:
             draw(signal, self.seed, self.first + i, out)
@@ -95,7 +97,7 @@ class Draws:
 
 
 def draw(signal: DrawnSignal, seed: int, flight: int, out: Array, begin: int = 0) -> None:
-    """Fill out (samples, nx) with the random numbers of a signal in a flight, from sample ``begin``."""
+    """Fill ``out`` (samples, nx) with the random numbers of a signal in a flight, from sample ``begin`` on."""
     ffi, lib = load_driver("double")
     random = ffi.new("batch_random_t *")
     random.size = ffi.cast("double *", signal.size.ctypes.data)

@@ -1,11 +1,11 @@
-"""What the controllers of a batch are told: references, weights, parameters, bounds, for all of them or some.
+"""References, weights, parameters and bounds are set for all controllers of a batch, or for some of them.
 
-Every array has a first axis of the controllers, one row for each or one row for all. It may be left out where there is
-no axis of nodes behind it:
+The first axis of an array is that of the controllers: one row for each, or one row for all. It may be left out if no
+axis of nodes follows:
 
     a number, (size,)     one value for all controllers and nodes
     (M, size), (1, size)  a value for each controller, for all of its nodes; (M,), (1,) if the value is a number
-    (M, nodes, size)      a value for each node, (1, nodes, size): the same for all controllers
+    (M, nodes, size)      a value for each node; (1, nodes, size) if it is the same for all controllers
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ Array = NDArray[Any]
 
 
 class Told(Telling):
-    """Those controllers of a batch that are told something: ``index``, their numbers; None: all."""
+    """A setter of data for the controllers of a batch with the numbers ``index``; None: for all."""
 
     def __init__(self, batch: Structs, index: ArrayLike | None) -> None:
         super().__init__(batch._package, batch._struct)
@@ -36,7 +36,7 @@ class Told(Telling):
         self._count = len(batch) if self._index is None else len(self._index)
 
     def _number(self, i: int) -> int:
-        """The number of one of those that are told."""
+        """Return the number of a controller in the batch from its place in ``index``."""
         return i if self._index is None else int(self._index[i])
 
     def _name_row(self, i: int, nodes: int) -> str:
@@ -74,9 +74,9 @@ class Told(Telling):
         spread: bool = True,
         matrix: int | None = None,
     ) -> Array:
-        """Values as (count or 1, 1 or one of ``lengths``, size), where a number always stands for all elements.
+        """Return values as (count or 1, 1 or one of ``lengths``, size); a single number is used for all elements.
 
-        ``matrix``: they are square ones of this length.
+        With ``matrix``, the elements are square matrices with ``matrix`` rows.
         """
         one: tuple[int, ...] = (size,) if matrix is None else (matrix, matrix)
         axes = [(), *((n,) for n in (self._count, 1)), *((n, k) for n in (self._count, 1) for k in lengths)]
@@ -91,7 +91,7 @@ class Told(Telling):
         return array.reshape(*(before + (1, 1)[len(before) :] if before else (1, 1)), size)
 
     def _send(self, what: str, rows: Array, node: int | None, *leading: int) -> None:
-        """Hand rows (count or 1, nodes, size) to a setter."""
+        """Pass rows (count or 1, nodes, size) to a setter."""
         function, nodes, rows = f"set_{what}", rows.shape[1], rows.reshape(*rows.shape[:2], math.prod(rows.shape[2:]))
         if what.startswith("terminal"):
             operation, places = "SET", leading
@@ -112,7 +112,7 @@ class Told(Telling):
     def _call(
         self, operation: str, function: str, what: str, first: Array, second: Array | None, places: Sequence[int]
     ) -> None:
-        """Call a setter for every controller that is told; what Python has checked is not refused."""
+        """Call a setter for each controller in ``index``; the data have been checked, so C does not refuse them."""
         ready = [None if a is None else np.ascontiguousarray(a, dtype=self._real) for a in (first, second)]
         status = self._batch.call(
             operation, function, index=self._index, first=ready[0], second=ready[1], places=places
@@ -125,10 +125,10 @@ class Told(Telling):
 
 
 def numbers(index: ArrayLike, count: int) -> NDArray[np.int64]:
-    """Numbers of controllers, from integers or a mask (count,).
+    """Return the numbers of controllers from integers or from a mask (count,).
 
     Raises:
-        ControllerError: there is no such controller, or one is named twice.
+        ControllerError: there is no such controller, or a number occurs twice.
     """
     found = np.atleast_1d(np.asarray(index))
     if found.dtype == np.bool_ and found.shape == (count,):

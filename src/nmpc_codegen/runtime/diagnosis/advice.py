@@ -1,4 +1,4 @@
-"""What to try after a status, with the options that the package has."""
+"""Advice follows from a status and the options of the package."""
 
 from __future__ import annotations
 
@@ -9,19 +9,19 @@ import numpy as np
 from nmpc_codegen.package.status import Status
 from nmpc_codegen.runtime.memory import Memory
 
-#: Relative KKT residual that is as small as rounding lets solve() come on badly scaled problems.
+#: Relative KKT residual that solve() reaches on badly scaled problems in spite of rounding.
 NEARLY_SOLVED = 1e-5
-#: Iterations of solve() after which more of them are not all that may help.
+#: Number of iterations of solve() above which the advice is not only to allow more of them.
 MANY = 50
 
 
 def advice(ctrl: Memory, solved: bool, warned: bool) -> Iterator[str]:
-    """What to try, the most likely remedy first.
+    """Yield what to try, the most likely remedy first.
 
     Args:
         ctrl: the controller.
         solved: the last call was solve().
-        warned: the compiler has warned of something, which comes before advice that fits every failure.
+        warned: the compiler has issued warnings, which come before advice that fits every failure.
     """
     status = ctrl.status
     if status == Status.NOT_PREPARED:
@@ -39,12 +39,12 @@ def advice(ctrl: Memory, solved: bool, warned: bool) -> Iterator[str]:
 
 
 def has_qp(ctrl: Memory) -> bool:
-    """Whether the algorithm solves QPs."""
+    """Return True if the algorithm solves QPs."""
     return ctrl.description.options["qp"] is not None
 
 
 def row_advice(ctrl: Memory, node: int | None) -> str:
-    """What to do about a row that cannot hold at a node."""
+    """Return what to do about a row that cannot hold at a node."""
     longer = "lengthen the horizon, " if node == ctrl.dims.N else ""
     hard = ctrl.description.options.get("algorithm.relaxation", "auto") is None
     choose = ', or choose RealTimeIteration(relaxation="auto")' if hard else ""
@@ -111,7 +111,7 @@ def _of_solve(ctrl: Memory, warned: bool) -> Iterator[str]:
 
 
 def _of_qp(ctrl: Memory) -> Iterator[str]:
-    """What ends failures of QPs; verification/strangers/remedies.py has flown it."""
+    """Yield what ends failures of QPs; verification/strangers/remedies.py has tested this advice in closed loops."""
     options, choices = ctrl.description.options, ctrl.description.report.choices
     if not has_qp(ctrl):
         return
@@ -130,7 +130,7 @@ def _of_qp(ctrl: Memory) -> Iterator[str]:
 
 
 def _more_qp_iterations(ctrl: Memory) -> Iterator[str]:
-    """That the QP solver has a limit that was stated, and a higher one."""
+    """Yield the advice to raise the limit of QP iterations, if a limit was stated."""
     options = ctrl.description.options
     limit = options.get("qp.max_iterations")
     if limit is not None:

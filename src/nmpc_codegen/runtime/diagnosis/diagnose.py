@@ -1,4 +1,4 @@
-"""The text of Controller.diagnose(): what happened, where, and what to try with the options in force."""
+"""Controller.diagnose() says what happened, where, and what to try with the options in force."""
 
 from __future__ import annotations
 
@@ -13,19 +13,20 @@ from nmpc_codegen.runtime.diagnosis.plan_rows import parameters, plan_data, viol
 from nmpc_codegen.runtime.diagnosis.poles import unstable_poles
 from nmpc_codegen.runtime.memory import Memory
 
-#: Relative KKT residual of a sample above which steps with another Hessian than that of solve() may be the cause.
+#: Relative KKT residual of a sample above which the Hessian of the samples, if solve() has another one, may be the
+# cause.
 FAR_FROM_OPTIMAL = 0.01
-#: Gap of a state, relative to its scale and its largest value, below which it explains nothing.
+#: Gaps of a state below this value, relative to its scale and its largest value, explain no failure.
 SMALL_GAP = 1e-6
-#: Size of a variable, relative to its scale, from which the cost falls without limit.
+#: Variables above this value, relative to their scale, show that the cost is unbounded below.
 ENDLESS = 1e6
-#: Most lines of one kind, and most states of a list.
+#: Largest number of lines of one kind, and of states in a list.
 MOST, LISTED = 3, 12
 
-#: What precedes a warning of the compiler.
+#: Words before a warning of the compiler.
 WARNED = "warning at build: "
 
-#: Words of those that concern the first plan, and the number of samples up to which they matter.
+#: Words in warnings that concern the first plan, and the number of samples after which they no longer matter.
 FIRST_PLAN, EARLY = "first plan", 3
 
 #: Statuses that a number that is not finite can cause.
@@ -35,11 +36,11 @@ _BEFORE = (Status.OK, Status.NOT_FINITE, Status.NOT_PREPARED)
 
 
 def diagnosis(ctrl: Memory, measured: Array, solved: bool) -> str:
-    """Why the last call of a Controller was not OK: node, state or row by its name, and what to try.
+    """Explain why the last call of a Controller was not OK, with node, state or row by name, and what to try.
 
     Args:
         ctrl: the controller.
-        measured: the state (nx,) that it was given.
+        measured: the measured state (nx,) of that call.
         solved: the last call was solve().
     """
     status = ctrl.status
@@ -57,7 +58,7 @@ def diagnosis(ctrl: Memory, measured: Array, solved: bool) -> str:
 
 
 def _warnings(ctrl: Memory, solved: bool) -> tuple[str, ...]:
-    """What the compiler has warned of, as far as it matters by now."""
+    """Return the warnings of the compiler that still matter."""
     if ctrl.status in _BEFORE:
         return ()
     late = not solved and ctrl.member("samples").size and int(ctrl.member("samples")) > EARLY
@@ -65,7 +66,7 @@ def _warnings(ctrl: Memory, solved: bool) -> tuple[str, ...]:
 
 
 def _headline(ctrl: Memory, solved: bool, broken: bool) -> str:
-    """The status and its meaning, as far as it is known."""
+    """Return the status and its meaning, as far as it is known."""
     status = ctrl.status
     if broken and status == Status.NUMERICAL_FAILURE:
         return f"{status.name}: a number is not finite; the control is safe but not optimal"
@@ -81,7 +82,7 @@ def solves_exactly(ctrl: Memory) -> bool:
 
 
 def _left_by_samples(ctrl: Memory) -> list[str]:
-    """That the plan is not optimal, which may be due to the steps of the samples."""
+    """Explain a plan that is not optimal, which may be due to the steps of the samples."""
     if not np.any(ctrl.member("samples")) or not has_qp(ctrl) or not ctrl.kkt().relative > FAR_FROM_OPTIMAL:
         return []
     remedy = ""
@@ -94,7 +95,7 @@ def _left_by_samples(ctrl: Memory) -> list[str]:
 
 
 def _stale(ctrl: Memory) -> str:
-    """STALE, and which parameters, bounds and penalties have other values than the declared ones."""
+    """Explain STALE, and list the parameters, bounds and penalties that differ from the declared ones."""
     description, changed = ctrl.description, []
     p, declared = ctrl.member("p"), [v for s in description.parameters for v in s.value]
     if p.size:
@@ -116,7 +117,7 @@ def _stale(ctrl: Memory) -> str:
 
 
 def _broken(ctrl: Memory, measured: Array) -> Iterator[Iterator[str]]:
-    """Searches for numbers that are not finite; the first one that finds some explains the failure."""
+    """Yield searches for numbers that are not finite; the first search that finds one explains the failure."""
     if ctrl.status == Status.NOT_FINITE:
         yield _find_measured(ctrl, measured)
     yield _plan(ctrl)
@@ -136,7 +137,7 @@ def _find_measured(ctrl: Memory, measured: Array) -> Iterator[str]:
 
 
 def _stages(ctrl: Memory) -> Iterator[str]:
-    """The stage of an implicit scheme that could not be solved."""
+    """Yield the stage of an implicit scheme whose equations could not be solved."""
     found = ctrl.member("failed_interval")
     if not found.size or int(found) < 0:
         return
@@ -162,7 +163,7 @@ def _stages(ctrl: Memory) -> Iterator[str]:
 
 
 def _plan(ctrl: Memory) -> Iterator[str]:
-    """The first number of the plan or of the parameters that is not finite."""
+    """Yield the first number of the plan or of the parameters that is not finite."""
     names = ctrl.names
     for what, array, columns, remedy in (
         ("state", ctrl.x, names.states, "of the plan is not finite: call reset(), or write the plan"),
@@ -177,7 +178,7 @@ def _plan(ctrl: Memory) -> Iterator[str]:
 
 
 def _domains(ctrl: Memory) -> Iterator[str]:
-    """Operations that have no finite value or derivative at the plan, and what to write instead."""
+    """Yield operations without a finite value or derivative at the plan, and what to write instead."""
     second = ctrl.description.options["hessian"] == "ExactHessian" or solves_exactly(ctrl)
     x, u = (np.asarray(v, dtype=np.float64) for v in (ctrl.whole_x, ctrl.u))
     found = locate(ctrl.description.program, x, u, plan_data(ctrl), second)
@@ -185,7 +186,7 @@ def _domains(ctrl: Memory) -> Iterator[str]:
 
 
 def _model(ctrl: Memory) -> Iterator[str]:
-    """The first interval over which the model yields no finite state."""
+    """Yield the first interval over which the model yields no finite state."""
     for k, end in enumerate(_ends(ctrl)):
         bad = [name for name, value in zip(ctrl.names.states, end, strict=True) if not np.isfinite(value)]
         if bad:
@@ -199,12 +200,12 @@ def _model(ctrl: Memory) -> Iterator[str]:
             return
 
 
-#: Members of a linearised node.
+#: Members of the struct of a linearised node.
 _PARTS = ("b", "S", "h", "J", "g")
 
 
 def _linearisation(ctrl: Memory) -> Iterator[str]:
-    """The first interval whose linearisation is not finite; the plan to which it belongs may have been given up."""
+    """Yield the first interval whose linearisation is not finite; it may belong to a plan that was given up since."""
     first: dict[str, int] = {}
     for part in _PARTS:
         if part in ctrl.description.members("node"):
@@ -225,7 +226,7 @@ def _linearisation(ctrl: Memory) -> Iterator[str]:
 
 
 def _part(ctrl: Memory, part: str, k: int) -> tuple[str, list[str]]:
-    """What is not finite in a member of linearised node ``k``, and the names of the quantities that it belongs to."""
+    """Return which numbers are not finite in a member of linearised node ``k``, and the quantities they belong to."""
     if part == "g":
         found = {q.name for o in ctrl.description.program.operations for q in o.quantities}
         return f"gradient of the cost at node {k}", [name for name in found if "residual" in name or "cost" in name]
@@ -245,7 +246,7 @@ def _part(ctrl: Memory, part: str, k: int) -> tuple[str, list[str]]:
 
 
 def _runaway(ctrl: Memory) -> Iterator[str]:
-    """The variables without bounds along which the cost falls without limit."""
+    """Yield the variables without bounds along which the cost decreases without limit."""
     if ctrl.status not in _OF_NUMBERS or not ctrl.cost < 0:
         return
     names = (*ctrl.names.states, *ctrl.names.controls)
@@ -261,13 +262,13 @@ def _runaway(ctrl: Memory) -> Iterator[str]:
 
 
 def _poles(ctrl: Memory) -> Iterator[str]:
-    """A pole of the model that its scheme does not damp; after a plan that could not be followed."""
+    """Yield a pole of the model that its scheme does not damp, after a plan that could not be followed."""
     if ctrl.status == Status.NOT_CONVERGED or ctrl.status in _OF_NUMBERS:
         yield from unstable_poles(ctrl)
 
 
 def _violated_rows(ctrl: Memory, solved: bool) -> Iterator[str]:
-    """The hard rows that the last QP, or the plan, violates most."""
+    """Yield the hard rows that the last QP, or the plan, violates most."""
     status, stats = ctrl.status, ctrl.stats
     if status in (Status.INFEASIBLE, Status.RELAXED) and stats.violated_row is not None:
         worst = f"row {stats.violated_row!r} at node {stats.violated_node} is violated by {stats.violation:.3g}"
@@ -283,7 +284,10 @@ def _violated_rows(ctrl: Memory, solved: bool) -> Iterator[str]:
 
 
 def _ends(ctrl: Memory) -> list[Array]:
-    """Ends of the intervals, each one with the parameters of its node: integrate() takes those of node 0."""
+    """Return the ends of all intervals, integrated with the parameters of their nodes.
+
+    integrate() takes the parameters of node 0, so they are replaced for each interval.
+    """
     stored = ctrl.member("p")
     own = len(stored) == ctrl.dims.N + 1
     first, known, found = stored[:1].copy(), ctrl.known.copy(), []
@@ -299,7 +303,7 @@ def _ends(ctrl: Memory) -> list[Array]:
 
 
 def _largest_gap(ctrl: Memory, solved: bool) -> Iterator[str]:
-    """Where the plan is farthest from the model, relative to the state's scale and largest value."""
+    """Yield where the plan is farthest from the model, relative to the state's scale and largest value."""
     if ctrl.status in (Status.INFEASIBLE, Status.RELAXED) or not (solved or ctrl.status == Status.NOT_CONVERGED):
         return
     gaps = np.abs(np.asarray(_ends(ctrl), dtype=np.float64) - ctrl.x[1:])

@@ -1,11 +1,11 @@
-"""Attributes that other tools have, and what replaces them here; close spellings of those that exist."""
+"""Attributes of other tools are translated to those of this package; misspelt ones are corrected."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from difflib import get_close_matches
 
-#: Name in acados, ACADO, CasADi's Opti, do-mpc, rockit, or of an earlier version -> what a controller has instead.
+#: Name in acados, ACADO, CasADi's Opti, do-mpc, rockit, or in an earlier version -> its counterpart in a controller.
 OF_CONTROLLER: Mapping[str, str] = {
     "make_step": "step(xhat)",
     "solve_for_x0": "step(xhat), or solve(xhat)",
@@ -30,12 +30,12 @@ OF_CONTROLLER: Mapping[str, str] = {
     "iterate": "step(xhat), or solve(xhat)",
 }
 
-#: Name in other tools, or of an earlier version -> what the package has instead.
+#: Name in other tools, or in an earlier version -> its counterpart in this package.
 OF_PACKAGE: Mapping[str, str] = {"PartialCondensing": "NoCondensing(), or no condensing, which the compiler chooses"}
 
 
 def missing(owner: str, attribute: str, foreign: Mapping[str, str], known: list[str]) -> AttributeError:
-    """The error for an attribute that ``owner`` lacks, with what to write instead, if that is known."""
+    """Return the error for an attribute that ``owner`` lacks, with the right attribute if it is known."""
     text = f"{owner} has no attribute {attribute!r}"
     close = get_close_matches(attribute, [name for name in known if not name.startswith("_")], n=1, cutoff=0.75)
     if attribute in foreign:

@@ -1,4 +1,4 @@
-"""The plan of a controller with the values, bounds and multipliers of its rows."""
+"""The plan of a controller is read with the values, bounds and multipliers of its rows."""
 
 from __future__ import annotations
 
@@ -20,14 +20,17 @@ from nmpc_codegen.runtime.memory import Memory
 
 Array = NDArray[np.float64]
 
-#: Near its bound is a row within this part of its size: of the bound, or of the scale of the row.
+#: A row is near its bound within this fraction of its size, which is that of the bound or the scale of the row.
 NEAR = 1e-2
 
 
 @dataclass(frozen=True, eq=False)
 class PlanData:
-    """What a plan is evaluated from: states with those behind the user's, controls, parameters with those behind the
-    user's, algebraic variables, bounds and multipliers of all rows at all nodes."""
+    """The data from which the rows of a plan are evaluated.
+
+    States and parameters include those that the compiler has added behind the user's. Bounds and multipliers are those
+    of all rows at all nodes.
+    """
 
     x: Array
     u: Array
@@ -40,8 +43,11 @@ class PlanData:
 
 @dataclass(frozen=True, eq=False)
 class RowsOfPlans:
-    """Rows of n plans, (n, N+1, number of rows): values, NaN where a row does not hold, distances to the nearer bound,
-    multipliers, and where they are active; ``rounding`` (number of rows,): violations that are none."""
+    """Values, distances to the nearer bound, and multipliers of the rows of n plans, (n, N+1, number of rows) each.
+
+    Values are NaN where a row does not hold. ``active`` marks active rows; violations up to ``rounding`` (number of
+    rows,) are rounding errors.
+    """
 
     values: Array
     distance: Array
@@ -51,7 +57,7 @@ class RowsOfPlans:
 
 
 class PlanReader:
-    """Copies plans of the controllers of one package, and evaluates their rows, many plans at once."""
+    """A reader copies plans of the controllers of one package, and evaluates the rows of many plans at once."""
 
     def __init__(self, ctrl: Memory) -> None:
         self._described = described = ctrl.description
@@ -65,19 +71,19 @@ class PlanReader:
         self._declared = [np.tile([getattr(r, side) for r in rows], (self._N + 1, 1)) for side in ("lower", "upper")]
 
     def bounds(self, ctrl: Memory) -> tuple[Array, Array]:
-        """Present lower and upper bounds of all rows at all nodes, (N+1, number of rows)."""
+        """Return the present lower and upper bounds of all rows at all nodes, (N+1, number of rows)."""
         if self._described.online["bounds"] == "fixed":
             return self._declared[0], self._declared[1]
         return by_node(ctrl.view("lower"), self._N), by_node(ctrl.view("upper"), self._N)
 
     def copy(self, ctrl: Memory, bounds: tuple[Array, Array]) -> PlanData:
-        """The present plan; ``bounds``: the present ones."""
+        """Copy the present plan; ``bounds`` are its present bounds."""
         parts = ctrl.whole_x, ctrl.u, whole_parameters(ctrl), ctrl.z
         x, u, p, z = (np.array(part, dtype=np.float64) for part in parts)
         return PlanData(x, u, p, z, *bounds, self._multipliers(ctrl))
 
     def _multipliers(self, ctrl: Memory) -> Array:
-        """Multipliers of all rows, (N+1, number of rows), NaN if the algorithm keeps none."""
+        """Return the multipliers of all rows, (N+1, number of rows), NaN if the algorithm keeps none."""
         members = self._described.members("solver")
         found = np.full(self._holds.shape, 0.0 if "mu_u" in members else np.nan)
         if "mu_u" in members:
@@ -87,7 +93,7 @@ class PlanReader:
         return found
 
     def evaluate(self, ctrl: Memory, plans: Sequence[PlanData]) -> RowsOfPlans:
-        """The rows of all plans."""
+        """Evaluate the rows of all plans."""
         x, u, p, z, lower, upper, multiplier = (
             np.stack([getattr(plan, part.name) for plan in plans]) for part in fields(PlanData)
         )
@@ -104,9 +110,12 @@ class PlanReader:
 def _find_active(
     distance: Array, size: Array, rounding: Array, equal: NDArray[np.bool_], multiplier: Array
 ) -> NDArray[np.bool_]:
-    """Where rows are active: near their bound, and equations; or with a multiplier, if a method leaves others at 0; or,
-    where it leaves small ones everywhere, as interior points do, relatively nearer to their bound than their multiplier
-    is to 0. Without multipliers, at their bound."""
+    """Return where rows are active: near their bound, or with a multiplier; equations always.
+
+    Active-set methods leave the multipliers of inactive rows at 0, so a multiplier shows activity. Interior points
+    leave small ones everywhere: a row is active if it is relatively nearer to its bound than its multiplier is to 0.
+    Without multipliers, only rows at their bound are active.
+    """
     near, weight = np.isfinite(distance) & (distance <= NEAR * size), np.abs(multiplier)
     largest = np.max(np.nan_to_num(weight), axis=(1, 2), keepdims=True, initial=0.0)
     exact = np.any(np.isfinite(distance) & (weight == 0.0), axis=(1, 2), keepdims=True)

@@ -1,4 +1,4 @@
-"""Values of the rows at a plan, and what they violate."""
+"""The rows of a problem are evaluated at a plan, and their violations are found."""
 
 from __future__ import annotations
 
@@ -11,16 +11,19 @@ from nmpc_codegen.package.program import Array
 from nmpc_codegen.package.signals import Row
 from nmpc_codegen.runtime.memory import Memory
 
-#: Violations up to this part of the size of a row are rounding, or what a QP solver leaves.
+#: Violations up to this fraction of the size of a row are rounding, or the tolerance of a QP solver.
 NEGLIGIBLE = 1e-6
 
-#: Values of steps of a program that are in memory at once.
+#: Largest number of intermediate values of a program in memory at once.
 MOST_VALUES = 2**21
 
 
 @dataclass(frozen=True)
 class Violation:
-    """A row outside its bounds by ``amount``; ``size``: its scale, or its largest finite bound or value in the plan."""
+    """A row that is outside its bounds by ``amount``.
+
+    ``size`` is its scale, or its largest finite bound or value in the plan.
+    """
 
     row: Row
     node: int
@@ -32,7 +35,7 @@ class Violation:
 
 
 def start_parameters(ctrl: Memory) -> Array:
-    """Parameters of node 0, (np,); the declared ones if they are fixed."""
+    """Return the parameters of node 0, (np,); the declared ones if they are fixed."""
     if ctrl.description.online["parameter"] == "fixed":
         return np.array([v for s in ctrl.description.parameters for v in s.value])
     stored = ctrl.member("p")
@@ -41,12 +44,12 @@ def start_parameters(ctrl: Memory) -> Array:
 
 
 def parameters(ctrl: Memory) -> Array:
-    """Parameters of all nodes, (N+1, np); the declared ones if they are fixed."""
+    """Return the parameters of all nodes, (N+1, np); the declared ones if they are fixed."""
     return whole_parameters(ctrl)[:, : ctrl.dims.np]
 
 
 def whole_parameters(ctrl: Memory) -> Array:
-    """The same with those behind the parameters of the user."""
+    """Return the parameters of all nodes with those that the compiler has added, (N+1, np + added)."""
     d = ctrl.dims
     if ctrl.description.online["parameter"] == "fixed":
         return np.tile(start_parameters(ctrl), (d.N + 1, 1))
@@ -55,26 +58,32 @@ def whole_parameters(ctrl: Memory) -> Array:
 
 
 def by_node(stored: Array, N: int) -> Array:
-    """Data of all nodes 0..N, a copy, from their own, or from those that the path and the end share."""
+    """Return a copy of the data of all nodes 0..N.
+
+    ``stored`` has a row for each node, or one for the path and one for the end.
+    """
     nodes = slice(None) if len(stored) == N + 1 else [*[0] * N, -1]
     return np.array(stored[nodes], dtype=np.float64)
 
 
 def append_solved(described: PackageDescription, p: Array, z: Array) -> Array:
-    """Parameters, and behind them what expressions read: of the algebraic variables z those that Newton's method finds,
-    NaN for derivatives of states, which are no outputs, and slopes, which no value depends on."""
+    """Append the results of Newton's method to the parameters p (n, np), as expressions read them.
+
+    These are algebraic variables from z, NaN for derivatives of states, which are no outputs, and 0 for slopes, on
+    which no value depends.
+    """
     known, names = dict(zip(described.names.algebraic, z.T, strict=True)), described.newton
     solved = [known.get(name, np.full(len(p), np.nan)) for name in names]
     return np.column_stack([p, *solved, np.zeros((len(p), len(names) ** 2))])
 
 
 def plan_data(ctrl: Memory) -> Array:
-    """What expressions of all nodes read in place of p."""
+    """Return the numbers that expressions at all nodes read in place of p."""
     return append_solved(ctrl.description, whole_parameters(ctrl), ctrl.z)
 
 
 def path_reference(ctrl: Memory) -> Array:
-    """Reference of the path residual at node 0, (ny,); the declared one if it is fixed."""
+    """Return the reference of the path residual at node 0, (ny,); the declared one if it is fixed."""
     if ctrl.description.online["reference"] == "fixed":
         return np.array([residual.reference for residual in ctrl.description.residuals])
     stored = np.asarray(ctrl.member("yref"), dtype=np.float64)
@@ -82,10 +91,15 @@ def path_reference(ctrl: Memory) -> Array:
 
 
 def row_values(ctrl: Memory, x: Array, u: Array, p: Array, z: Array, end: bool = False) -> Array:
-    """Values of all general rows, (n, number of rows), NaN for other rows.
+    """Return the values of all general rows, (n, number of rows), NaN for other rows.
 
-    x (n, nx and the states behind those of the user), u (n, nu), p (n, np and what is behind the parameters of the
-    user), z (n, number of algebraic variables); end: those of the end of the horizon.
+    Args:
+        ctrl: the controller.
+        x: states with those that the compiler has added, (n, nx + added).
+        u: controls (n, nu).
+        p: parameters with those that the compiler has added, (n, np + added).
+        z: algebraic variables (n, number of them).
+        end: evaluate the rows of the end of the horizon.
     """
     program, solved = ctrl.description.program, len(ctrl.description.newton)
     out = np.full((len(x), len(program.rows)), np.nan)
@@ -102,8 +116,11 @@ def row_values(ctrl: Memory, x: Array, u: Array, p: Array, z: Array, end: bool =
 
 
 def values_at_nodes(ctrl: Memory, x: Array, u: Array, p: Array, z: Array) -> Array:
-    """Values of all rows at the nodes of n plans, (n, N+1, number of rows), those of bare states and controls too; NaN
-    for coupled rows. The arguments are those of row_values() for n plans: (n, N+1, ...), u (n, N, nu)."""
+    """Return the values of all rows at the nodes of n plans, (n, N+1, number of rows).
+
+    Rows on single states and controls are included; coupled rows are NaN. The arguments are those of row_values() for n
+    plans: (n, N+1, ...), u (n, N, nu).
+    """
     n, N, nx = len(x), ctrl.dims.N, ctrl.dims.nx
     held, rows = np.append(u, u[:, -1:], axis=1), ctrl.description.rows
     found = np.empty((n, N + 1, len(rows)))
@@ -118,12 +135,12 @@ def values_at_nodes(ctrl: Memory, x: Array, u: Array, p: Array, z: Array) -> Arr
 
 
 def imposed_nodes(row: Row) -> list[int]:
-    """Nodes at which a row is imposed on a plan: x_0 is given."""
+    """Return the nodes at which a row constrains a plan; rows on states do not constrain x_0, which is given."""
     return [k for k in row.nodes if k or row.kind != "state"]
 
 
 def bounds_at(ctrl: Memory, row: int, node: int) -> tuple[float, float]:
-    """Present bounds of scalar row number ``row`` at a node."""
+    """Return the present bounds of scalar row number ``row`` at a node."""
     info = ctrl.description.rows[row]
     if ctrl.description.online["bounds"] == "fixed":
         return info.lower, info.upper
@@ -132,7 +149,7 @@ def bounds_at(ctrl: Memory, row: int, node: int) -> tuple[float, float]:
 
 
 def is_hard(ctrl: Memory, row: int, node: int) -> bool:
-    """True if scalar row number ``row`` is hard at a node at present."""
+    """Return True if scalar row number ``row`` is hard at a node at present."""
     info = ctrl.description.rows[row]
     if info.soft is None or ctrl.description.online["soft"] == "fixed":
         return info.hard
@@ -141,21 +158,24 @@ def is_hard(ctrl: Memory, row: int, node: int) -> bool:
 
 
 def _copy_at(ctrl: Memory, member: str, node: int) -> Array:
-    """Data of a node: its own, or those that the path, or the end, shares."""
+    """Return the data of a node: its own, or those that the path, or the end, shares."""
     stored: Array = ctrl.view(member)
     own: Array = stored[node if len(stored) == ctrl.dims.N + 1 else 0 if node < ctrl.dims.N else -1]
     return own
 
 
 def path_bounds(ctrl: Memory, row: int) -> tuple[float, float]:
-    """Smallest lower and largest upper bound of a scalar row at present over its nodes before the end, else at it."""
+    """Return the smallest lower and largest upper present bound of a scalar row over its nodes.
+
+    Node N counts only if the row holds nowhere else.
+    """
     nodes = [k for k in ctrl.description.rows[row].nodes if k < ctrl.dims.N] or [ctrl.dims.N]
     found = [bounds_at(ctrl, row, k) for k in nodes]
     return min(lower for lower, _ in found), max(upper for _, upper in found)
 
 
 def violations(ctrl: Memory) -> list[Violation]:
-    """Hard rows that the plan violates, at their worst nodes; those that are worst in their size come first."""
+    """Return the hard rows that the plan violates, at their worst nodes, largest relative violation first."""
     parts = ctrl.whole_x, ctrl.u, whole_parameters(ctrl), ctrl.z
     x, u, p, z = (np.asarray(part, dtype=np.float64)[None] for part in parts)
     found = values_at_nodes(ctrl, x, u, p, z)[0]

@@ -1,4 +1,4 @@
-"""Poles of the model along a plan that its explicit scheme does not damp, by differences of simulated steps.
+"""Poles of the model that the explicit scheme does not damp are found by differences of simulated steps.
 
 A step of length t from node k has the Jacobian J(t) = dPhi_t / dx. For a t far below all time constants, ln(mu) / t are
 the poles of the model, for the eigenvalues mu of J(t); over a step of the scheme, an eigenvalue beyond the unit circle
@@ -14,18 +14,18 @@ import numpy as np
 from nmpc_codegen.package.program import Array
 from nmpc_codegen.runtime.memory import Memory
 
-#: Length of a short step, relative to a step of the scheme; size of a difference, relative to the scale of a state.
+#: Length of a short step, relative to a step of the scheme; finite difference, relative to the scale of a state.
 SHORT, DIFFERENCE = 1e-3, 1e-5
-#: Poles with a decay rate above this part of their magnitude count as damped; growth above SLACK is no rounding.
+#: Poles with a decay rate above DAMPED times their magnitude count as damped; growth below SLACK counts as rounding.
 DAMPED, SLACK = 1e-3, 1e-3
-#: |lambda| h up to which every scheme in use is stable; most steps that are proposed.
+#: Bound on |lambda| h up to which every scheme in use is stable; largest number of steps that is proposed.
 SAFE, MOST_STEPS = 1.5, 1000
-#: Steps above which an implicit scheme costs less.
+#: Number of steps above which an implicit scheme costs less.
 STIFF = 6
 
 
 def unstable_poles(ctrl: Memory) -> Iterator[str]:
-    """The node of the plan whose fastest damped pole the scheme does not damp, and how many steps would."""
+    """Yield the node of the plan whose fastest damped pole the scheme does not damp, and the steps it would take."""
     options = ctrl.description.options
     if options["integrator"] != "ExplicitRungeKutta" or not np.all(np.isfinite(ctrl.x)):
         return
@@ -53,7 +53,7 @@ def unstable_poles(ctrl: Memory) -> Iterator[str]:
 
 
 def _jacobian(ctrl: Memory, k: int, t: float) -> Array:
-    """dPhi_t / dx at node k, (nx, nx)."""
+    """Return dPhi_t / dx at node k, (nx, nx)."""
     x, u = np.asarray(ctrl.x[k], dtype=np.float64), ctrl.u[k]
     columns = []
     for i, scale in enumerate(ctrl.description.scales[: x.size]):
@@ -74,7 +74,7 @@ def _damp(poles: Array) -> Array:
 
 
 def _grows(ctrl: Memory, k: int, h: float) -> bool:
-    """True if a step of this length makes more modes grow than the model does."""
+    """Return True if a step of length h makes more modes grow than the model does."""
     J = _jacobian(ctrl, k, h)
     if not np.all(np.isfinite(J)):
         return True

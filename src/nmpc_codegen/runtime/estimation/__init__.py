@@ -1,1 +1,1 @@
-"""Estimators in Python, and their loops."""
+"""Estimators run in Python, alone or in a closed loop."""

@@ -1,4 +1,4 @@
-"""Why an estimate is in doubt: what its measurements were expected to be, in words."""
+"""An estimate is in doubt if measurements differ from their expected values; this module explains that in words."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ import numpy as np
 from nmpc_codegen.package.estimation import Estimation
 from nmpc_codegen.package.status import Stats
 
-#: Unit of an angle -> a full turn; without a unit, a measurement may be one.
+#: Unit of an angle -> a full turn; a measurement without a unit may be an angle.
 TURNS = {"rad": 2 * np.pi, "": 2 * np.pi, "deg": 360.0}
 
 
 def describe_doubts(found: Estimation, stats: Stats, watch: Any) -> str:
-    """What was expected, what became of it, and what would help; a line."""
+    """Return one line that says what was expected, how the estimator reacted, and what would help."""
     said = []
     name = stats.measurement
     if name is not None and int(watch["doubted"]):
@@ -36,7 +36,7 @@ def describe_doubts(found: Estimation, stats: Stats, watch: Any) -> str:
 
 
 def _turns(stats: Stats, unit: str) -> int:
-    """By how many full turns a measurement is off, 0 if it is by none."""
+    """Return by how many full turns a measurement is off, 0 for none."""
     turn = TURNS.get(unit)
     if turn is None or not stats.innovation:
         return 0

@@ -1,4 +1,4 @@
-"""A compiled estimator: NumPy views on the C struct, and the calls of the C package.
+"""An Observer is a compiled estimator: NumPy views on its C struct, and the calls of its C package.
 
 xhat = step(y, u)
 """
@@ -27,13 +27,13 @@ Named = ArrayLike | Mapping[str, ArrayLike]
 
 
 class Observer(Setters):
-    """An estimator with its memory, which build() or open_estimator() creates ready to step.
+    """An estimator with its memory; build() or open_estimator() creates it ready to step.
 
     Attributes:
-        description: what <name>.json says.
-        dims: sizes; nx counts the unknown parameters behind the states.
-        names: names of the elements; ``states`` those of the estimate.
-        estimation: measurements with their noise, and what is unknown.
+        description: the content of <name>.json.
+        dims: sizes; nx includes the unknown parameters, which follow the states.
+        names: names of the elements; ``states`` holds those of the estimate.
+        estimation: measurements with their noise, and the unknown parameters.
 
     Examples:
         >>> from nmpc_codegen import OCP, build
@@ -56,9 +56,9 @@ class Observer(Setters):
         """Take a sample: move to the present measurements and estimate the state there.
 
         Args:
-            y: measurements (ny,), of which NaN is a missing one, or {name: value}, where what is not named is missing.
-            u: controls (nu,) that have acted since the last sample, or {name: value} of all of them. In the first
-                sample they matter only where measurements contain controls; a plant without controls has none.
+            y: measurements (ny,), where NaN is a missing one, or {name: value}, where names left out are missing.
+            u: controls (nu,) that have acted since the last sample, or {name: value} for all of them. In the first
+                sample they matter only if measurements depend on controls. A plant without controls takes None.
             on_failure: "status" stores the outcome in ``status``; "raise" raises ControllerError after a failure.
 
         Returns:
@@ -84,12 +84,12 @@ class Observer(Setters):
         return self._xhat.copy()
 
     def correct(self, y: Named, node: int = 0, on_failure: OnFailure = "status") -> Array:
-        """Take measurements that come late, and estimate the present state again.
+        """Replace measurements of an earlier sample by late ones, and estimate the present state again.
 
         Args:
-            y: as in step(); what is not missing takes the place of what was measured then.
-            node: the sample that they belong to, counted from the present one: 0, -1 for the last one, ...; the window
-                must reach back so far.
+            y: as in step(); entries that are not missing replace the measurements of that sample.
+            node: sample of the measurements, counted from the present one: 0, -1 for the one before, ...; it must be
+                inside the window.
             on_failure: as in step().
 
         Returns:
@@ -112,8 +112,12 @@ class Observer(Setters):
         return self._xhat.copy()
 
     def measure(self, x: ArrayLike, u: ArrayLike | None = None) -> Array:
-        """What sensors without noise tell: h(x, u, p), shape (ny,), of a state (nx,) with the controls u (nu,) that act
-        there, by default 0, and the parameters of the present sample."""
+        """Return what sensors without noise measure: h(x, u, p), shape (ny,).
+
+        Args:
+            x: state (nx,).
+            u: controls (nu,) that act there; None: 0. Parameters are those of the present sample.
+        """
         state = self._array("x", x, (self.dims.nx,), finite=False)
         control = (
             np.zeros(self.estimation.nu) if u is None else self._array("u", u, (self.estimation.nu,), finite=False)
@@ -139,12 +143,12 @@ class Observer(Setters):
         self._expect(status, "reset")
 
     def set_parameter(self, name: str, value: ArrayLike, node: int | None = None) -> None:
-        """Set the value of a parameter from the next sample on; the window keeps what held before.
+        """Set a parameter from the next sample on; the window keeps the values of earlier samples.
 
         Args:
             name: the declared name of a number or vector, or of an element of a vector, r[1].
             value: a number, or (size,).
-            node: None; an estimator has no other.
+            node: None, the only allowed value.
         """
         self.set_parameters({name: value}, node=node)
 
@@ -153,7 +157,7 @@ class Observer(Setters):
 
         Args:
             values: {name: value}, for names that are no keywords.
-            node: None; parameters hold from the next sample on.
+            node: None, the only allowed value: parameters hold from the next sample on.
             more: name=value.
         """
         if node is not None:
@@ -174,30 +178,30 @@ class Observer(Setters):
 
     @property
     def covariance(self) -> Array:
-        """Covariance (nx, nx) of the error of the last estimate, where model and noise are what is declared."""
+        """Return the covariance (nx, nx) of the error of the last estimate, if model and noise are as declared."""
         P, P_c = self._buffer(self.dims.nx**2)
         self._call("covariance", self._s, P_c)
         return P.reshape(self.dims.nx, self.dims.nx)
 
     @property
     def std(self) -> Array:
-        """Standard deviations (nx,) of the last estimate: the roots of the diagonal of its covariance."""
+        """Return the standard deviations (nx,) of the last estimate: the roots of the diagonal of its covariance."""
         return np.asarray(np.sqrt(np.diag(self.covariance)))
 
     @property
     def nodes(self) -> int:
-        """Number of the nodes of the window that have been measured, 0 before the first sample."""
+        """Return the number of nodes of the window with measurements, 0 before the first sample."""
         if int(self._struct["samples"]) == 0:
             return 0
         return int(self._struct["window"]) + 1 if self.estimation.kind == "mhe" else 1
 
     @property
     def window(self) -> Array:
-        """Estimates (nodes, nx) at the samples of the window, the present one last."""
+        """Return the estimates (nodes, nx) at the samples of the window, the present one last."""
         return self.x[: self.nodes].copy()
 
     def diagnose(self) -> str:
-        """Why the last call was not OK; a line."""
+        """Explain in one line why the last call was not OK."""
         found = self.status
         if found == Status.OK:
             return str(found)
@@ -211,7 +215,7 @@ class Observer(Setters):
         return f"{found.name}: {found.text}; the estimate is the filter's"
 
     def integrate(self, x: ArrayLike, u: ArrayLike, dt: float) -> Array:
-        """Not of an estimator: integrate(x, u, dt) is that of its controller.
+        """Raise ControllerError: an estimator has no integrator; call integrate(x, u, dt) of its controller.
 
         Raises:
             ControllerError: always.
@@ -230,7 +234,7 @@ class Observer(Setters):
         self._y[:] = self._stack("y", y, self.estimation.measurements)
 
     def _stack(self, what: str, given: Named, names: tuple[str, ...]) -> Array:
-        """The numbers of a vector; NaN where a mapping names none."""
+        """Return the numbers of a vector, with NaN for the names that a mapping leaves out."""
         if not isinstance(given, Mapping):
             return self._array(what, given, (len(names),), finite=False)
         found = np.full(len(names), np.nan, dtype=self._real)

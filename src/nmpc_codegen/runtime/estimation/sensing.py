@@ -1,4 +1,4 @@
-"""A closed loop that knows measurements only: what sensors and an estimator make of the plant's state.
+"""In a closed loop with an estimator, the controller receives estimates that are made from measurements.
 
 y_k = h(x_k, u_{k-1}, p) + noise,   xhat_k = step(y_k, u_{k-1});   the controller is given xhat_k and the parameters
 that the estimator finds
@@ -21,9 +21,10 @@ Array = NDArray[np.float64]
 
 
 class Sensing:
-    """What a controller is told of the plant, sample by sample, and its record.
+    """The sensors and the estimator of a closed loop, and a record of their samples.
 
-    ``truth``: a controller with the parameters of the plant; in ``ctrl`` the estimator overwrites those that it finds.
+    ``truth`` is a controller with the parameters of the plant; in ``ctrl`` the estimator overwrites those that it
+    estimates.
     """
 
     def __init__(
@@ -35,7 +36,7 @@ class Sensing:
         self._check(interval)
         theirs = truth.names.parameters
         self._places = [theirs.index(name) if name in theirs else -1 for name in ctrl.names.parameters]
-        if observer.nodes:  # samples of another loop
+        if observer.nodes:  # it has run in another loop
             observer.reset()
         found = observer.estimation
         self._std = np.array(found.noise_std)
@@ -56,7 +57,7 @@ class Sensing:
         self._status, self._time = np.zeros(steps, np.int64), np.zeros(steps, np.int64)
 
     def _check(self, interval: float) -> None:
-        """Raise ControllerError unless the estimator is one of this controller's plant."""
+        """Raise ControllerError unless the estimator belongs to the plant of this controller."""
         ctrl, observer, name = self._ctrl, self._observer, self._observer.description.name
         states, own = ctrl.names.states, observer.names.states[: ctrl.dims.nx]
         wanted = [i for n in observer.estimation.unknown for i in members(n, ctrl.names.parameters)]
@@ -71,7 +72,7 @@ class Sensing:
             raise ControllerError(f"{name} finds {', '.join(unknown)}, and the parameters of the controller are fixed")
 
     def look(self, k: int, x: Array, before: Array) -> Array:
-        """The estimate (nx,) of the state x of the plant at sample k, where the controls ``before`` act."""
+        """Return the estimate (nx,) of the plant's state ``x`` at sample k, while the controls ``before`` act."""
         observer, true = self._observer, start_parameters(self._truth)
         p = np.array(
             [true[i] if i >= 0 else own for i, own in zip(self._places, start_parameters(self._ctrl), strict=True)]
@@ -91,7 +92,7 @@ class Sensing:
         return self._x[k, : x.size]
 
     def record(self) -> Estimates:
-        """What the estimator has found."""
+        """Return the record of the estimator."""
         described, found = self._observer.description, self._observer.estimation
         unit = units(described.states, described.controls, described.algebraic, found.measured)
         estimated = tuple(Trace(name, unit[name]) for name in self._observer.names.states)
@@ -103,5 +104,5 @@ class Sensing:
 
 
 def _limits(signal: Signal) -> list[tuple[float, float]]:
-    """Between which the elements of a parameter may be set."""
+    """Return the limits between which the elements of a parameter may be set."""
     return list(zip(signal.low, signal.high, strict=True)) or [(-np.inf, np.inf)] * signal.size

@@ -1,1 +1,1 @@
-"""Closed loops of a controller and a plant, and what they are told at every sample."""
+"""A closed loop connects a controller with a plant and sets its data at every sample."""

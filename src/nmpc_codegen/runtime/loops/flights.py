@@ -1,4 +1,4 @@
-"""What has become of many closed loops, with their samples if they were recorded, and their summary."""
+"""Flights holds the results of many closed loops: samples, if they were recorded, and a summary."""
 
 from __future__ import annotations
 
@@ -21,24 +21,24 @@ Array = NDArray[Any]
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Flights(Flown):
-    """What has become of F flights, closed loops of the same number of samples.
+    """The results of F flights, which are closed loops with the same number of samples.
 
-    It has what is kept of each, the attributes of Flown: number, start, samples, ended, failed, broken, cost,
+    The attributes of Flown hold the results of each flight: number, start, samples, ended, failed, broken, cost,
     violation, last, seconds.
 
     Attributes:
-        name: of the package.
-        steps: samples of a flight.
-        dt: time between them.
+        name: name of the package.
+        steps: number of samples of a flight.
+        dt: time between samples.
         time_unit: its unit.
         controls: names of the elements of u.
         hard: (rows,), True for hard ones.
         units: name -> unit.
-        rounding: (rows,), up to which violations are rounding.
+        rounding: (rows,), violations up to these values are rounding.
         x: (F, steps + 1, nx), NaN after the end of a flight; None without record=True.
-        u: (F, steps, nu); the same.
-        status: (F, steps), -1 after the end; the same.
-        draws: the random numbers, as far as they can be drawn again.
+        u: (F, steps, nu), NaN after the end; None without record=True.
+        status: (F, steps), -1 after the end; None without record=True.
+        draws: the generator of the random numbers.
     """
 
     name: str
@@ -56,22 +56,22 @@ class Flights(Flown):
 
     @property
     def states(self) -> tuple[str, ...]:
-        """Names of the elements of x."""
+        """Return the names of the elements of x."""
         return self.labels.states
 
     @property
     def rows(self) -> tuple[str, ...]:
-        """Names of the rows of the whole path."""
+        """Return the names of the rows that hold along the whole path."""
         return self.labels.rows
 
     @property
     def status_counts(self) -> Array:
-        """(F, number of statuses), samples with each status."""
+        """Return the number of samples with each status, (F, number of statuses)."""
         return self.samples
 
     @property
     def lost(self) -> Array:
-        """(F,), the sample after which the state of the plant was not finite, where the flight has ended, or -1."""
+        """Return the sample after which the plant's state was not finite and the flight ended, (F,), or -1."""
         return self.broken
 
     def __repr__(self) -> str:
@@ -82,21 +82,20 @@ class Flights(Flown):
 
     @property
     def ok(self) -> NDArray[np.bool_]:
-        """(F,): True for flights of which every sample was OK."""
+        """Return True for each flight whose samples were all OK, (F,)."""
         return np.asarray(self.samples[:, Status.OK] == self.steps)
 
     @property
     def wrong(self) -> NDArray[np.bool_]:
-        """(F,): True for flights with a failure, a state that was not finite, or a hard row that is violated, or not
-        known."""
+        """Return True for each flight with a failure, a state that is not finite, or a violated or unknown hard row."""
         violated = np.any(~(self.violation <= self.rounding) & self.hard, axis=1)
         return np.asarray((self.failed >= 0) | (self.broken >= 0) | violated)
 
     def plot(self, file: str | os.PathLike[str] | None = None) -> Any:
-        """Figure of the paths of all flights, wrong ones in red on top; written to ``file`` if one is given.
+        """Plot the paths of all flights, wrong ones in red on top; write the figure to ``file`` if it is given.
 
         Raises:
-            ControllerError: the samples were not recorded, or there is none.
+            ControllerError: the samples were not recorded, or there is no flight.
             ExtraError: matplotlib is not installed.
         """
         from nmpc_codegen.pictures import paths
@@ -104,7 +103,7 @@ class Flights(Flown):
         return paths.draw([self], self.wrong, f"{len(self)} flights, {int(self.wrong.sum())} of them wrong", file)
 
     def summary(self) -> str:
-        """A few lines: flights, samples by status, failed and lost flights, cost, rows that were violated."""
+        """Return a few lines: flights, samples by status, failed and lost flights, cost, violated rows."""
         lines = [f"{self.name}: {len(self)} flights of {self.steps} samples, {self.dt:g} {self.time_unit} each"]
         lines.append(f"status of samples: {self._outcome()}")
         lines.append(
@@ -130,11 +129,11 @@ class Flights(Flown):
         return ", ".join(f"{Status(i).name} {n}" for i, n in enumerate(total) if n) or "none"
 
     def disturbance(self, i: int) -> Array:
-        """What was drawn and added to the state after every sample of flight i, (steps, nx)."""
+        """Return the random numbers added to the state after every sample of flight i, (steps, nx)."""
         return self.draws.of(self.draws.disturbance, self._number(i), self.steps)
 
     def noise(self, i: int) -> Array:
-        """What was drawn and added to the measured states of flight i, (steps, nx)."""
+        """Return the random numbers added to the measured states of flight i, (steps, nx)."""
         return self.draws.of(self.draws.noise, self._number(i), self.steps)
 
     def _number(self, i: int) -> int:

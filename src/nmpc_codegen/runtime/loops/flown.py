@@ -1,4 +1,4 @@
-"""What is kept of flights: arrays whose first axis is the flights."""
+"""The results of flights are arrays whose first axis is the number of the flight."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Array = NDArray[Any]
 
 @dataclass(frozen=True)
 class Labels:
-    """Names of the columns: states, rows that are judged, variables that are drawn."""
+    """The columns are named: states, rows that are judged, variables that are drawn."""
 
     states: tuple[str, ...]
     rows: tuple[str, ...]
@@ -29,21 +29,22 @@ class Labels:
 
 @dataclass(frozen=True, eq=False)
 class Flown:
-    """What is kept of F flights.
+    """The results of F flights.
 
     Attributes:
         labels: names of the columns.
         number: (F,), numbers of the flights.
         start: (F, nx), initial states.
-        drawn: (F, variables), what else was drawn for them.
-        samples: (F, statuses), samples by status.
-        ended: (F,), the status of the last one.
-        failed: (F,), the first failure, or -1.
+        drawn: (F, variables), other random variables of the flights.
+        samples: (F, statuses), number of samples with each status.
+        ended: (F,), status of the last sample.
+        failed: (F,), the first sample with a failure, or -1.
         broken: (F,), the sample after which the state was not finite, or -1.
-        cost: (F,), sum over the samples of the cost of a node at the state of the plant and its control, with the
-            references and weights of the sample; what is integrated or scaled with dt counts the length of a sample.
-        violation: (F, rows), largest violation of each row in its unit, 0 where it is kept, NaN where it is not known:
-            of a row with controls at every sample, of another one at every state but the first.
+        cost: (F,), cost of the closed loop: sum over the samples of the stage cost at the plant's state and control,
+            with the references and weights of the sample. Terms that are integrated or scaled with dt are multiplied by
+            the length of a sample.
+        violation: (F, rows), largest violation of each row in its unit, 0 if it is satisfied, NaN if it is unknown.
+            Rows with controls are evaluated at every sample, others at every state except the first.
         last: (F, nx), the last state.
         seconds: (F, 2), mean and longest time of a sample, NaN on a device.
     """
@@ -66,17 +67,17 @@ class Flown:
 
     @staticmethod
     def empty(labels: Labels, flights: int) -> Flown:
-        """Internal: room for so many flights."""
+        """Return zeroed arrays for this number of flights (internal)."""
         return Flown(labels, *(np.zeros((flights, *shape), kind) for kind, shape in layout(labels).values()))
 
     @property
     def columns(self) -> dict[str, Array]:
-        """Internal: name -> array."""
+        """Return {name: array} (internal)."""
         return {name: getattr(self, name) for name in layout(self.labels)}
 
     @property
     def table(self) -> list[Column]:
-        """Internal: every element of the columns, a row for each flight."""
+        """Return one column for each element of the arrays, with a row for each flight (internal)."""
         named, found = heads(self.labels), list[Column]()
         for name, column in self.columns.items():
             every = zip(named[name], column.T, strict=True) if name in named else [(name, column)]
@@ -84,8 +85,9 @@ class Flown:
         return found
 
     def to_dataframe(self) -> Any:
-        """A pandas DataFrame with a row for each flight and two levels of columns: ("start", "h"), ("samples", "OK"),
-        ("cost", ""), ... It needs the extra ``notebook``.
+        """Return a pandas DataFrame with a row for each flight; it needs the extra ``notebook``.
+
+        Its columns have two levels: ("start", "h"), ("samples", "OK"), ("cost", ""), ...
 
         Raises:
             ExtraError: pandas is not installed.
@@ -93,10 +95,10 @@ class Flown:
         return frames.to_dataframe(self.table[1:], self.number, "flight", f"{type(self).__name__}.to_dataframe()")
 
     def to_parquet(self, file: str | os.PathLike[str]) -> None:
-        """Write the same as a Parquet file, with the columns number, start.h, samples.OK, cost, ...
+        """Write the table of to_dataframe() as a Parquet file, with the columns number, start.h, samples.OK, cost, ...
 
         Args:
-            file: its path.
+            file: path of the file.
 
         Raises:
             ExtraError: pyarrow is not installed.
@@ -104,20 +106,20 @@ class Flown:
         frames.to_parquet(self.table, file, f"{type(self).__name__}.to_parquet()")
 
     def put(self, other: Flown, at: Array | slice) -> None:
-        """Internal: write the flights of another one to these places."""
+        """Copy the flights of ``other`` to the places ``at`` (internal)."""
         for name, column in self.columns.items():
             column[at] = getattr(other, name)
 
     def of_some(self, some: Any) -> Flown:
-        """Internal: those that a slice, a mask or places name."""
+        """Return the flights that a slice, a mask or places select (internal)."""
         return Flown(self.labels, *(column[some] for column in self.columns.values()))
 
     def final(self, state: str) -> Array:
-        """Last values (F,) of a state."""
+        """Return the last values (F,) of a state."""
         return np.asarray(self.last[:, self._place(state, self.labels.states, "state")])
 
     def violations(self, row: str) -> Array:
-        """Largest violations (F,) of a row."""
+        """Return the largest violations (F,) of a row."""
         return np.asarray(self.violation[:, self._place(row, self.labels.rows, "row")])
 
     def _place(self, name: str, known: Sequence[str], what: str) -> int:
@@ -127,7 +129,7 @@ class Flown:
 
 
 def layout(labels: Labels) -> dict[str, tuple[type, tuple[int, ...]]]:
-    """Column -> type, and shape behind the flights."""
+    """Return {column: (type, shape behind the axis of flights)}."""
     nx = (len(labels.states),)
     found: dict[str, tuple[type, tuple[int, ...]]] = {
         "number": (np.int64, ()),
@@ -147,7 +149,7 @@ def layout(labels: Labels) -> dict[str, tuple[type, tuple[int, ...]]]:
 
 
 def heads(labels: Labels) -> dict[str, tuple[str, ...]]:
-    """Column -> the names of its elements in a flat table."""
+    """Return {column: names of its elements in a flat table}."""
     return {
         "start": tuple(f"start.{name}" for name in labels.states),
         "drawn": labels.drawn,

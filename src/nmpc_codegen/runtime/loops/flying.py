@@ -1,4 +1,4 @@
-"""Closed loops of many controllers: they are flown block by block in compiled code, and summed up."""
+"""Closed loops of many controllers run block by block in compiled code, and their results are summarised."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ from nmpc_codegen.runtime.loops.loop_data import Loop
 
 Array = NDArray[Any]
 
-#: Bytes of the samples of a flight at most.
+#: Largest number of bytes that the samples of a flight may take.
 MOST = 2**30
 
 
 def fly(loop: Loop, record: bool = False) -> Flights:
-    """Fly closed loops; see Batch.simulate()."""
+    """Run closed loops; see Batch.simulate()."""
     batch, starts = loop.batch, loop.starts
     columns = sum((batch.dims.nx, batch.dims.nu, *(2 * n for n in (batch.dims.np, batch.dims.ny)), 2))
     bytes_of = 8 * columns * (loop.steps + 1)
@@ -38,8 +38,10 @@ def fly(loop: Loop, record: bool = False) -> Flights:
 
 
 def judge_paths(loop: Loop, paths: tuple[Array, Array, Array]) -> tuple[Array, Array]:
-    """Costs (F,) and largest violations (F, rows) of paths that something else has flown with these data: states
-    (F, steps + 1, nx), controls (F, steps, nu) and algebraic variables (F, steps, their number)."""
+    """Return the costs (F,) and largest violations (F, rows) of given paths with the data of this loop.
+
+    The paths are states (F, steps + 1, nx), controls (F, steps, nu) and algebraic variables (F, steps, their number).
+    """
     return loop.judge.judge(*paths, loop.samples(slice(0, len(loop.starts))))
 
 
@@ -58,7 +60,7 @@ class _Result:
         self._flown.start[...] = loop.starts
 
     def fly(self, shared: Any, block: slice) -> None:
-        """Fly a block and keep what is asked for."""
+        """Run the flights of a block and store their results."""
         loop = self._loop
         samples, count = loop.samples(block), block.stop - block.start
         x, u, status = (
@@ -70,7 +72,7 @@ class _Result:
         failed, lost = np.full(count, -1, np.int64), np.full(count, -1, np.int64)
         into = Into(x, u, z, status, failed, lost, self._flown.seconds[block])
         refused = loop.batch.fly(shared, block, into, loop.rows)
-        if refused < 0:  # stopped, because of an error or interrupt that is raised
+        if refused < 0:  # stopped by an error or interrupt, which is raised
             return
         if refused:
             raise ControllerError(f"{loop.batch.description.name}: data of the samples: {Status(refused)}")
@@ -88,7 +90,7 @@ class _Result:
         found.cost[block], found.violation[block] = self._loop.judge.judge(x, u, z, samples)
 
     def flights(self) -> Flights:
-        """The result."""
+        """Return the results as Flights."""
         loop, described = self._loop, self._loop.batch.description
         x, u, status = self._record or (None, None, None)
         return Flights(

@@ -1,5 +1,4 @@
-"""Tables over the samples of closed loops: parameters, bounds and references that are known beforehand, as forecasts,
-tariffs, trajectories and limits are. They are checked here, and built as the compiled loop reads them.
+"""Tables over the samples of closed loops hold data known in advance: forecasts, tariffs, trajectories, limits.
 
 A table has a row for each sample, and before that an axis of flights if they differ:
 
@@ -29,7 +28,7 @@ Tables = Mapping[str, ArrayLike]
 Bounds = Mapping[str, tuple[ArrayLike, ArrayLike]]
 
 
-#: Setter -> the kind of its data.
+#: Setter -> kind of its data.
 _KINDS: dict[str, Kind] = {
     "PARAMETER": "parameter",
     "REFERENCE": "reference",
@@ -40,7 +39,7 @@ _KINDS: dict[str, Kind] = {
 
 @dataclass(frozen=True, eq=False)
 class TableColumn:
-    """Values of one element: (1 or flights, n)."""
+    """The values of one element over the samples: (1 or flights, n)."""
 
     place: int
     values: Array
@@ -48,8 +47,10 @@ class TableColumn:
 
 @dataclass(frozen=True, eq=False)
 class SetterData:
-    """Columns of one setter: of parameter or row ``number``, or of references; ``offset``: column where its own begin;
-    of bounds: the lower one, then the upper one."""
+    """The columns of one setter: of parameter or row ``number``, or of references.
+
+    ``offset`` is the number of the first column. Bounds have two columns, the lower and the upper one.
+    """
 
     setter: str
     number: int
@@ -60,7 +61,7 @@ class SetterData:
 
 
 def parameter_data(where: Addressing, tables: Tables | None, flights: int, what: str) -> list[SetterData]:
-    """Tables of parameters by name, as data; see above."""
+    """Return tables of parameters, given by name, as setter data."""
     if tables is None:
         return []
     found: dict[int, SetterData] = {}
@@ -82,7 +83,7 @@ def parameter_data(where: Addressing, tables: Tables | None, flights: int, what:
 
 
 def reference_data(where: Addressing, references: ArrayLike | Tables | None, flights: int) -> list[SetterData]:
-    """Tables of references: by the names of residuals, or of the whole path residual; see above."""
+    """Return tables of references, given by the names of residuals or for the whole path residual, as setter data."""
     if references is None:
         return []
     where._lengths("reference", "references", None)
@@ -103,7 +104,7 @@ def reference_data(where: Addressing, references: ArrayLike | Tables | None, fli
 
 
 def bounds_data(where: Addressing, bounds: Bounds | None, flights: int) -> list[SetterData]:
-    """Tables of bounds by the names of rows, each (lower, upper); see above."""
+    """Return tables of bounds, given by the names of rows as (lower, upper), as setter data."""
     found: list[SetterData] = []
     for name, value in mapping("bounds", {} if bounds is None else bounds).items():
         groups = where._rows_of(name)
@@ -124,7 +125,7 @@ def bounds_data(where: Addressing, bounds: Bounds | None, flights: int) -> list[
 
 
 def replace_in(base: list[SetterData], new: list[SetterData]) -> list[SetterData]:
-    """Parameters with those of ``new`` in the place of theirs."""
+    """Return the parameters in ``base`` with those in ``new`` replacing or added to them."""
     found = {data.number: data for data in new}
     for data in base:
         if data.setter == "PARAMETER":
@@ -135,14 +136,14 @@ def replace_in(base: list[SetterData], new: list[SetterData]) -> list[SetterData
 
 
 def _append(data: SetterData, column: TableColumn, what: str) -> None:
-    """Add a column; ControllerError if its element has one."""
+    """Append a column; raise ControllerError if its element already has one."""
     if any(column.place == other.place for other in data.columns):
         raise ControllerError(f"{what} is given twice")
     data.columns.append(column)
 
 
 def in_c(batch: Structs, where: Addressing, data: list[SetterData], ahead: NDArray[np.int64], keep: list[Any]) -> Any:
-    """The data as batch_data_t[]; ``keep`` holds what they point to."""
+    """Return the data as batch_data_t[]; ``keep`` receives the arrays that it points to."""
     driver = batch.driver
     found = driver.ffi.new("batch_data_t[]", max(1, len(data)))
     itemsize = where._real.itemsize
@@ -171,7 +172,7 @@ def in_c(batch: Structs, where: Addressing, data: list[SetterData], ahead: NDArr
 
 
 def at_samples(data: list[SetterData], flights: slice, steps: int, stored: Array) -> Array:
-    """Data of node 0 at every sample: (flights, steps, width) from stored (flights, width), with those of tables."""
+    """Return the data of node 0 at every sample, (flights, steps, width): the tables where given, else ``stored``."""
     found = np.repeat(stored[:, None, :], steps, axis=1).astype(np.float64)
     for one in data:
         for column in one.columns:
@@ -180,8 +181,10 @@ def at_samples(data: list[SetterData], flights: slice, steps: int, stored: Array
 
 
 def bounds_at(data: list[SetterData], side: int, flights: slice, steps: int, stored: Array) -> Array:
-    """Bounds of rows at every sample: (flights, steps, rows) from stored (flights, 1, rows), with those of tables;
-    ``side``: 0, the lower ones, or 1."""
+    """Return the bounds of rows at every sample, (flights, steps, rows): the tables where given, else ``stored``.
+
+    ``side`` is 0 for lower and 1 for upper bounds; ``stored`` has the shape (flights, 1, rows).
+    """
     found = np.repeat(stored, steps, axis=1)
     for one in data:
         found[:, :, one.number] = _over_samples(one.columns[side], flights, steps)
@@ -189,12 +192,12 @@ def bounds_at(data: list[SetterData], side: int, flights: slice, steps: int, sto
 
 
 def _over_samples(column: TableColumn, flights: slice, steps: int) -> Array:
-    """The values of a column at every sample, (1 or flights, steps)."""
+    """Return the values of a column at every sample, (1 or flights, steps)."""
     return _first_rows(column.values if len(column.values) == 1 else column.values[flights], steps)
 
 
 def _first_rows(table: Array, n: int) -> Array:
-    """The rows of the first n samples of a table (flights, rows, ...), whose last one holds from there on."""
+    """Return the rows of the first n samples of a table (flights, rows, ...); its last row holds for later samples."""
     return np.asarray(table[:, np.minimum(np.arange(n), table.shape[1] - 1)])
 
 
@@ -207,7 +210,7 @@ def _table(
     vector: bool = False,
     finite: bool = True,
 ) -> list[Array]:
-    """Columns (1 or flights, n) of the elements; ``vector``: even one element has an axis of elements."""
+    """Return the columns (1 or flights, n) of the elements; if ``vector``, one element also has an axis of elements."""
     shape = np.shape(value) if given.ndim(value) >= 0 else ()
     vector = vector or size > 1
     if not vector and flights == 1 and len(shape) == 2 and shape[1] == 1:  # a column
@@ -226,7 +229,7 @@ def _table(
 
 
 def mapping(what: str, value: Any) -> Mapping[str, Any]:
-    """The mapping that a value has to be."""
+    """Return ``value`` if it is a mapping, else raise ControllerError."""
     if not isinstance(value, Mapping):
         raise ControllerError(f"{what} is {type(value).__name__}; expected {{name: table over the samples}}")
     return value

@@ -1,4 +1,4 @@
-"""Costs of closed loops, and the largest violation of every row, from states, controls and data of the samples."""
+"""Costs of closed loops and the largest violation of every row are computed from states, controls and data."""
 
 from __future__ import annotations
 
@@ -20,7 +20,10 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Judge:
-    """Evaluates samples of length dt. ``rows``: those that hold all along the path."""
+    """A judge evaluates samples of length ``dt``.
+
+    The rows with the numbers in ``rows`` hold along the whole path.
+    """
 
     description: PackageDescription
     rows: tuple[int, ...]
@@ -28,17 +31,20 @@ class Judge:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the rows."""
+        """Return the names of the rows."""
         return tuple(self.description.rows[i].name for i in self.rows)
 
     @property
     def rounding(self) -> Array:
-        """Violations of the rows up to which they are rounding."""
+        """Return for each row the violation up to which it is rounding."""
         return NEGLIGIBLE * np.array([self.description.row_scales[i] for i in self.rows])
 
     @cached_property
     def _with_controls(self) -> list[bool]:
-        """For every step of the program, True if it depends on controls, or on what Newton's method finds with them."""
+        """Return, for every step of the program, True if it depends on controls.
+
+        Results of Newton's method depend on controls as well.
+        """
         program, np_ = self.description.program, self.description.sizes["NP"]
         found: list[bool] = []
         for name, first, second, _ in program.steps:
@@ -49,9 +55,16 @@ class Judge:
         return found
 
     def judge(self, x: Array, u: Array, z: Array, data: Samples) -> tuple[Array, Array]:
-        """Costs (flights,) and largest violations (flights, rows), 0 where a row is kept, of states x (flights, steps +
-        1, nx), controls u (flights, steps, nu) and algebraic variables z (flights, steps, their number). Samples after
-        the end of a flight do not count; NaN in one of the others is NaN here."""
+        """Return the costs (flights,) and the largest violations (flights, rows), 0 where a row is satisfied.
+
+        Args:
+            x: states (flights, steps + 1, nx).
+            u: controls (flights, steps, nu).
+            z: algebraic variables (flights, steps, their number).
+            data: data of the samples.
+
+        Samples after the end of a flight do not count; NaN in any other sample makes the result NaN.
+        """
         flights, steps, nu = u.shape
         if not steps or not flights:
             return np.zeros(flights), np.zeros((flights, len(self.rows)))
@@ -69,7 +82,7 @@ class Judge:
         return cost, np.array(amounts).reshape(len(self.rows), flights).T
 
     def _added_states(self, u: Array, data: Samples) -> Array:
-        """States behind those of the user at every sample: time, then controls of the sample before."""
+        """Return the states added to the user's at every sample: time, then the controls of the sample before."""
         found = self.description.augmentation
         flights, steps, _ = u.shape
         parts = []
@@ -81,7 +94,7 @@ class Judge:
         return np.concatenate(parts, axis=2) if parts else np.zeros((flights, steps + 1, 0))
 
     def _cost(self, values: list[Array], data: Samples, flown: NDArray[np.bool_]) -> Array:
-        """Sum over the samples of 1/2 (y - yref)' W (y - yref) + the general cost + the integrated one times dt."""
+        """Sum 1/2 (y - yref)' W (y - yref) + the general cost + the integrated cost times dt over the samples."""
         program = self.description.program
         total = np.zeros(flown.shape)
         if program.residuals:
@@ -97,7 +110,10 @@ class Judge:
     def _violation(
         self, i: int, x: Array, u: Array, values: list[Array], data: Samples, flown: NDArray[np.bool_]
     ) -> Array:
-        """Largest violation (flights,) of a row: one without controls at all states but the first, which is given."""
+        """Return the largest violation (flights,) of a row.
+
+        Without controls, the first state does not count, as it is given.
+        """
         row, nx = self.description.rows[i], self.description.dims.nx
         place, step = row.variable(nx), self.description.program.rows[i][0]
         of_controls = place >= nx if place is not None else self._with_controls[step]
@@ -115,9 +131,12 @@ class Judge:
 
 @dataclass(frozen=True, eq=False)
 class Samples:
-    """Data of flights: parameters (flights, steps + 1, np and those behind them), references (flights, steps, ny),
-    weights (flights, ny) or (flights, ny, ny), bounds (flights, 1 or steps + 1, rows); time (flights, 1) of the first
-    sample and controls (flights, nu) before it."""
+    """The data of flights.
+
+    p: parameters with added ones (flights, steps + 1, np + added); yref: references (flights, steps, ny); W: weights
+    (flights, ny) or (flights, ny, ny); lower, upper: bounds (flights, 1 or steps + 1, rows); time: that of the first
+    sample (flights, 1); previous: controls before it (flights, nu).
+    """
 
     p: Array
     yref: Array
@@ -129,14 +148,14 @@ class Samples:
 
 
 def judge_of(description: PackageDescription, dt: float) -> Judge:
-    """The judge of a package for samples of length dt."""
+    """Return the judge of a package for samples of length ``dt``."""
     resets, N = description.program.resets, description.dims.N
     rows = (i for i, row in enumerate(description.rows) if i not in resets and _is_of_path(row, N))
     return Judge(description, tuple(rows), dt)
 
 
 def _is_of_path(row: Row, N: int) -> bool:
-    """True if a row holds at all nodes of the path, whether or not at the first one, whose state is given."""
+    """Return True if a row holds at all nodes of the path; the first node may be excepted, as its state is given."""
     if row.is_coupled or (row.is_general and row.index < 0):
         return False
     path = {k for k in row.nodes if k < N}
@@ -145,25 +164,25 @@ def _is_of_path(row: Row, N: int) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class HeldData:
-    """What structs hold before the flights, member by member: views, of which a flight changes those of its own."""
+    """The data that structs hold before the flights, as views by member; a flight changes only its own."""
 
     members: Mapping[str, Array]
 
     def of(self, name: str, flights: slice, declared: Array) -> Array:
-        """Data of node 0 (flights or 1, ...); the declared ones if they are fixed or missing."""
+        """Return the data of node 0 (flights or 1, ...); the declared ones if they are fixed or missing."""
         found = self.members[name]
         if not found.size:
             return declared[None]
         return np.asarray((found if len(found) == 1 else found[flights])[:, 0], dtype=np.float64)
 
     def whole(self, name: str, flights: slice) -> Array:
-        """A member (flights or 1, size)."""
+        """Return a member as (flights or 1, size)."""
         found = self.members[name]
         rows = np.array(found if len(found) == 1 else found[flights], dtype=np.float64)
         return rows.reshape(len(rows), math.prod(rows.shape[1:]))
 
     def bounds(self, description: PackageDescription, flights: slice) -> tuple[Array, Array]:
-        """Smallest lower and largest upper bounds (flights or 1, rows) over the nodes before the end."""
+        """Return the smallest lower and largest upper bounds (flights or 1, rows) over the nodes before the end."""
         rows, N = description.rows, description.dims.N
         if description.online["bounds"] == "fixed" or not rows:
             return np.array([[row.lower for row in rows]]), np.array([[row.upper for row in rows]])
@@ -178,6 +197,6 @@ class HeldData:
 
 
 def held_data(structs: Structs) -> HeldData:
-    """The members of structs that a summary needs."""
+    """Return the members of structs that a summary needs."""
     names = ("p", "yref", "W", "lower", "upper", "time", "previous")
     return HeldData({name: structs.fetch(name) for name in names})

@@ -1,8 +1,8 @@
-"""What closed loops are stated by, checked once: what is drawn, known, measured, applied and judged.
+"""A Loop states closed loops with all their data, which are checked once.
 
-u_k = step(x_k + noise_k),   x_{k+1} = plant(x_k, u_k, dt) + disturbance_k
+    u_k = step(x_k + noise_k),   x_{k+1} = plant(x_k, u_k, dt) + disturbance_k
 
-simulate() flies one of them, Batch.simulate() and campaigns many, replays one of many again.
+simulate() runs one closed loop; Batch.simulate() and campaigns run many; a replay runs one of many again.
 """
 
 from __future__ import annotations
@@ -38,33 +38,35 @@ from nmpc_codegen.runtime.loops.sampling import integrations, interval_of, sampl
 
 Array = NDArray[Any]
 
-#: Random numbers of the states: their distribution, or standard deviations alone, of all or by name.
+#: Random numbers of the states: a distribution, or bare standard deviations, for all states or by name.
 Drawn = Random | ArrayLike | Mapping[str, ArrayLike]
 
-#: Bits of the statuses that are failures.
+#: Bit mask of the statuses that are failures.
 FAILURES = sum(1 << status for status in Status if status.is_failure)
 
 
 @dataclass(frozen=True, eq=False)
 class Loop:
-    """Closed loops of the same number of samples, from ``starts`` (F, nx); the structs of the controllers are one for
-    each, or one for all."""
+    """Closed loops with the same number of samples, which begin at ``starts`` (F, nx).
+
+    Each controller has a struct of its own, or all flights begin with a copy of one struct.
+    """
 
     batch: Structs
-    plant: Structs | None  # None: the controllers are their own
-    plant_is_true: bool  # rows and costs are those of the plant's parameters
+    plant: Structs | None  # None: each controller is its own plant
+    plant_is_true: bool  # rows and costs are evaluated with the plant's parameters
     starts: Array
     steps: int
     interval: float
-    data: list[SetterData]  # of the controllers, and of plants that are theirs
+    data: list[SetterData]  # for the controllers, and for plants that are copies of them
     plant_data: list[SetterData]
     draws: Draws
     added: Array | None  # (1 or F, steps, nx)
     judge: Judge
-    keep: list[Any]  # what C points to
+    keep: list[Any]  # objects to which C points
 
     def in_c(self) -> Any:
-        """batch_flights_t without what a block writes to."""
+        """Return a batch_flights_t without outputs."""
         batch, driver, described = self.batch, self.batch.driver, self.batch.description
         plant = self.batch if self.plant is None else self.plant
         ahead = samples_ahead(described, self.interval)
@@ -95,12 +97,12 @@ class Loop:
 
     @property
     def tells_known(self) -> bool:
-        """True if plants of their own are told what a controller knows of the sample before."""
+        """Return True if the plants are separate structs, which need the controller's previous control and time."""
         return self.plant is not None and self.plant._package is self.batch._package
 
     @property
     def rows(self) -> int:
-        """Numbers that a setter is given at most."""
+        """Return the largest number of values that a setter is given."""
         most = max(structs.dims.N for structs in (self.batch, self.plant or self.batch))
         return (most + 2) * max((d.width for d in (*self.data, *self.plant_data)), default=0)
 
@@ -111,7 +113,7 @@ class Loop:
         c.data, c.count = in_c(self.batch, structs, data, ahead, self.keep), len(data)
 
     def samples(self, block: slice) -> Samples:
-        """Data of a block as they are before the first sample, with those of the tables."""
+        """Return the data of a block of flights: the tables where given, else the data stored before the flights."""
         described, count = self.batch.description, block.stop - block.start
         truth, data = (self.of_plant, self.plant_data) if self.plant_is_true else (self.before, self.data)
 
@@ -139,12 +141,12 @@ class Loop:
 
     @cached_property
     def before(self) -> HeldData:
-        """What the controllers hold."""
+        """Return the data that the controllers hold."""
         return held_data(self.batch)
 
     @cached_property
     def of_plant(self) -> HeldData:
-        """What the plants hold."""
+        """Return the data that the plants hold."""
         return held_data(self.batch if self.plant is None else self.plant)
 
 
@@ -163,10 +165,10 @@ def state_loop(
     seed: int | None,
     first: int = 0,
 ) -> Loop:
-    """Check the arguments of Batch.simulate(); ``drawn``: disturbance and noise.
+    """Check the arguments of Batch.simulate(); ``drawn`` holds disturbance and noise.
 
     Raises:
-        ControllerError: a shape or a number is wrong, or the plant is none for these controllers.
+        ControllerError: a shape or a number is wrong, or the plant does not fit these controllers.
     """
     seed = 0 if seed is None and all(of is None for of in drawn) else seed
     numbers: dict[str, tuple[Any, int]] = {
@@ -207,7 +209,7 @@ def state_loop(
 
 
 def _disturbances(value: ArrayLike, flights: int, steps: int, nx: int) -> Array:
-    """Given disturbances (1 or flights, steps, nx)."""
+    """Return the given disturbances as (1 or flights, steps, nx)."""
     shape = np.shape(value) if given.ndim(value) >= 0 else ()
     allowed = [(steps, nx), (1, steps, nx), (flights, steps, nx)]
     expected = shape if shape in allowed else allowed[-1]
@@ -216,7 +218,7 @@ def _disturbances(value: ArrayLike, flights: int, steps: int, nx: int) -> Array:
 
 
 def _check_plant(batch: Structs, plant: Structs, flights: int, interval: float) -> None:
-    """ControllerError unless the plant has the states, controls and samples of the controller."""
+    """Raise ControllerError unless the plant has the states, controls and samples of the controller."""
     own, other = batch.description, plant.description
     for what in ("states", "controls"):
         ours, theirs = getattr(batch.names, what), getattr(plant.names, what)
@@ -238,7 +240,7 @@ def _check_plant(batch: Structs, plant: Structs, flights: int, interval: float) 
 
 
 def _starts(X0: ArrayLike, nx: int, count: int) -> Array:
-    """Initial states (F, nx): as many as controllers, or any number if there is one controller."""
+    """Return the initial states (F, nx): one for each controller, or any number if there is one controller."""
     many = "any number" if count == 1 else f"{count}"
     if given.ndim(X0) != 2 or np.shape(X0)[1] != nx or (count > 1 and len(np.asarray(X0)) != count):
         raise ControllerError(f"X0 has shape {np.shape(X0)}; expected ({many}, {nx}), a state for each flight")

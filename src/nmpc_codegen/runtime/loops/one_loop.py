@@ -1,4 +1,4 @@
-"""One closed loop, sample by sample, with its log: in compiled code, or in Python where Python takes part."""
+"""One closed loop runs sample by sample and is logged: in compiled code, or in Python if Python functions take part."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ from nmpc_codegen.runtime.records.notes import Notes
 Array = NDArray[np.float64]
 Before = Callable[[int, Controller], Any]
 Disturbance = Callable[[int, Array], ArrayLike]
-#: What computes a sample: (measured state, number) -> control, and its time (ns).
+#: A function that takes a sample: (measured state, number) -> control, computing time (ns).
 Sample = Callable[[Array, int], tuple[Array, int]]
 Law = Literal["step", "solve"] | Sample
 
 
 @dataclass(frozen=True, eq=False)
 class Conduct:
-    """How Python takes part in a loop; see simulate()."""
+    """The Python functions that take part in a loop; see simulate()."""
 
     plant: Plant | None = None
     disturbance: Disturbance | None = None
@@ -43,15 +43,15 @@ class Conduct:
 
     @property
     def is_compiled(self) -> bool:
-        """True if nothing is left to Python."""
+        """Return True if no Python function takes part."""
         functions = (self.plant, self.disturbance, self.noise, self.before, self.estimator)
         return self.law == "step" and all(function is None for function in functions)
 
 
 def run(loop: Loop, ctrl: Controller, conduct: Conduct, every: int, warm_start: bool = False) -> Log:
-    """The log of the only flight of a loop, by ``ctrl``, on whose struct the loop is stated.
+    """Run the only flight of a loop with ``ctrl``, whose struct the loop uses, and return the log.
 
-    ``every``: samples from one plan that is kept to the next.
+    ``every`` is the number of samples from one logged plan to the next.
     """
     notes = Notes(ctrl, loop.steps, loop.interval, every)
     notes.x[0] = loop.starts[0]
@@ -66,7 +66,7 @@ def run(loop: Loop, ctrl: Controller, conduct: Conduct, every: int, warm_start: 
 
 
 class _Flight:
-    """What both kinds have: the compiled loop, aimed at the arrays of the log, and its telling of data."""
+    """A base class with the compiled loop, whose outputs are the arrays of the log."""
 
     sensing: Sensing | None = None
 
@@ -82,30 +82,33 @@ class _Flight:
         self._keep = [into, *keep]
 
     def take(self, k: int) -> None:
-        """Take sample k and note it."""
+        """Take sample k and log it."""
         raise NotImplementedError
 
     def solve_first(self) -> None:
-        """Iterate to convergence with the data of the first sample; a plan that has not converged is a start as well.
-        Once it is prepared, the first sample takes it as it is, whatever it measures."""
+        """Iterate to convergence with the data of the first sample.
+
+        A plan that has not converged is a start as well. After prepare(), the first sample uses this plan for any
+        measured state.
+        """
         self._tell(0)
         self._ctrl.solve(self._notes.x[0])
         if self._ctrl.description.has_phases:
             self._ctrl.prepare()
 
     def _tell(self, k: int) -> None:
-        """Set the data of sample k, then what the user sets."""
+        """Set the tabulated data of sample k, then call the user's function."""
         self._accept(self._lib.batch_tell_sample(self._c, k))
         if self._conduct.before is not None:
             self._conduct.before(k, self._ctrl)
 
     def _accept(self, refused: int) -> None:
-        """ControllerError if a setter has refused data."""
+        """Raise ControllerError if a setter has refused data."""
         if refused:
             raise ControllerError(f"{self._ctrl.description.name}: data of the samples: {Status(refused)}")
 
     def _check_move(self, value: ArrayLike, k: int) -> Array:
-        """The checked state after sample k; an error says from where the plant has moved, and why."""
+        """Return the checked state after sample k; an error names the state and controls before it, and the reason."""
         notes, names = self._notes, self._ctrl.names
 
         def say() -> str:
@@ -120,7 +123,7 @@ class _Flight:
 
 
 class _Compiled(_Flight):
-    """Every sample is that of a flight of a batch."""
+    """A loop in compiled code, as in a flight of a batch."""
 
     def take(self, k: int) -> None:
         self._seconds[:] = 0.0
@@ -129,13 +132,13 @@ class _Compiled(_Flight):
         u = self._u[k, : self._ctrl.dims.nu]
         self._ctrl.note_sample(u, round(1e9 * self._seconds[0]))
         self._notes.take(k, u, self._ctrl.time_ns)
-        if self._lost[0] >= 0:  # maybe in an integration before the last one of the sample
+        if self._lost[0] >= 0:  # possibly before the last integration of the sample
             end = self._notes.x[k + 1]
             self._check_move(np.full_like(end, np.nan) if np.isfinite(end).all() else end, k)
 
 
 class _InPython(_Flight):
-    """The same samples, phase by phase."""
+    """A loop in Python with the same samples, phase by phase."""
 
     def __init__(self, loop: Loop, ctrl: Controller, conduct: Conduct, notes: Notes) -> None:
         super().__init__(loop, ctrl, conduct, notes)
@@ -164,7 +167,7 @@ class _InPython(_Flight):
             x[k + 1] += checked_state(conduct.disturbance(k, x[k].copy()), x.shape[1], f"the disturbance of sample {k}")
 
     def _look(self, k: int) -> Array:
-        """What the controller is told of the state of sample k."""
+        """Return the state that the controller receives at sample k."""
         x, u = self._notes.x[k], self._notes.u
         if self.sensing is not None:
             return self.sensing.look(k, x, u[k - 1] if k else np.zeros(u.shape[1]))
@@ -173,7 +176,10 @@ class _InPython(_Flight):
         return x if self._noise is None else np.asarray(x + self._noise[k])
 
     def _sample_by(self, law: Law) -> Sample:
-        """What computes the control of a sample. solve() leaves nothing to the next sample, so it is said here."""
+        """Return the function that takes a sample.
+
+        solve() does not shift the plan for the next sample, so this function does.
+        """
         ctrl, added = self._ctrl, self._ctrl.description.augmentation
 
         def step(x: Array, k: int) -> tuple[Array, int]:
@@ -197,7 +203,7 @@ class _InPython(_Flight):
 
 
 def checked_state(value: ArrayLike, nx: int, what: str, say: Callable[[], str] = str) -> Array:
-    """A finite state (nx,); ``say``: what else the error says."""
+    """Return a finite state (nx,); ``say`` returns words to add to an error."""
     try:
         array = np.asarray(value, dtype=np.float64)
     except (TypeError, ValueError) as error:

@@ -1,4 +1,4 @@
-"""How far a long run has come: a bar on a terminal and in a notebook, else a line now and then."""
+"""The progress of a long run is shown by a bar on a terminal and in a notebook, else by lines now and then."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from importlib.util import find_spec
 from types import TracebackType
 from typing import Any, TextIO
 
-#: Seconds between lines; they need no terminal.
+#: Seconds between lines, where no bar can be shown.
 PERIOD = 10.0
 
 #: Number of samples or flights from which a bar is shown.
@@ -16,10 +16,10 @@ LONG_RUN = 200
 
 
 class Progress:
-    """Says how many of ``total`` samples or flights are done; ``done``: before this run.
+    """A display of how many of ``total`` samples or flights are done; ``done`` were finished before this run.
 
-    ``shown``: None: a bar on a terminal, and in a notebook with ipywidgets, if there are many; elsewhere a line every
-    ten seconds; False: nothing.
+    With ``shown=None`` it is a bar, if there are many and the stream is a terminal or a notebook with ipywidgets;
+    otherwise it is a line every ten seconds. With ``shown=False`` nothing is shown.
     """
 
     def __init__(
@@ -34,7 +34,7 @@ class Progress:
             self._open_bar(stream is None)
 
     def _open_bar(self, to_errors: bool) -> None:
-        """A bar, if the stream is a terminal or a notebook that can show one."""
+        """Open a bar if the stream is a terminal or a notebook that can show one."""
         from rich.console import Console
         from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
         from rich.progress import Progress as Bar
@@ -56,7 +56,7 @@ class Progress:
             self._bar.stop()
 
     def add(self, count: int = 1, more: str = "") -> None:
-        """So many more are done; ``more``: what else is said of the run."""
+        """Add ``count`` finished samples or flights; ``more`` is text shown beside them."""
         self._done += count
         now = time.monotonic()
         if now - self._said < (PERIOD if self._bar is None else 0.1) or not self._shown:

@@ -1,4 +1,4 @@
-"""Samples of a closed loop: their length, and the plant that the package itself is."""
+"""The length of the samples of a closed loop is determined here, and the package's integrator as its plant."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ STEP_SLACK = 1e-9  # relative tolerance: dt = 3 intervals, computed as a sum of 
 
 
 def interval_of(described: PackageDescription, dt: float | None) -> float:
-    """Length of a sample: dt, or by default that of the controller, or its first interval if any will do.
+    """Return the length of a sample: dt, else that of the controller, else its first interval.
 
     Raises:
-        ControllerError: dt is none, or the controller is made for another one.
+        ControllerError: dt is no positive number, or the controller is made for another sampling time.
     """
     own, sampled, unit = described.dt[0], described.sampling_time, described.time_unit
     if dt is None:
@@ -41,19 +41,19 @@ def interval_of(described: PackageDescription, dt: float | None) -> float:
 
 
 def samples_ahead(described: PackageDescription, interval: float) -> NDArray[np.int64]:
-    """For every node, (N+1,), the samples from the present one to the last one at or before its time."""
+    """Return for every node, (N+1,), how many samples ahead the last sample at or before its time is."""
     times = np.append(0.0, np.cumsum(described.dt))
     return np.floor(times / interval + SAME_TIME).astype(np.int64)
 
 
 def integrations(described: PackageDescription, dt: float) -> int:
-    """Equal integrations that a sample of length dt takes, none longer than the first interval."""
-    whole = described.augmentation.count or "integrator_jump" in described.report.operations  # what a sample does once
+    """Return the number of equal integrations in a sample of length dt, none longer than the first interval."""
+    whole = described.augmentation.count or "integrator_jump" in described.report.operations  # jumps occur once
     return 1 if whole else max(1, math.ceil(dt / described.dt[0] * (1.0 - STEP_SLACK)))
 
 
 def own_plant(ctrl: Controller) -> Plant:
-    """The integrator of the package."""
+    """Return the integrator of the package as a plant."""
 
     def integrate(x: Array, u: Array, dt: float) -> Array:
         count = integrations(ctrl.description, dt)

@@ -1,4 +1,4 @@
-"""simulate(): reads the arguments of a single closed loop and flies it, see one_loop.py."""
+"""simulate() reads the arguments of a single closed loop and runs it with one_loop.py."""
 
 from __future__ import annotations
 
@@ -47,32 +47,34 @@ def simulate(
     seed: int | None = 0,
     plans: int | None = None,
 ) -> Log:
-    """Run a controller in closed loop. The controller is left in its last state; copy() it to keep the initial one.
+    """Run a controller in closed loop and return the log.
 
-    The loop is that of Batch.simulate(), in compiled code. With ``before``, law="solve", an estimator, or a plant,
-    disturbance or noise that is a function, its samples are taken in Python, with the same bits.
+    The controller is left in its last state; copy() it to keep the initial one. The loop runs in compiled code, as that
+    of Batch.simulate(). With ``before``, law="solve", an estimator, or a function as plant, disturbance or noise, its
+    samples are taken in Python, with the same bits.
 
     Args:
         ctrl: the controller.
-        x0: initial state of the plant, (nx,), or {name of a state or vector: value}; others as declared.
+        x0: initial state of the plant, (nx,), or {name of a state or vector: value}; others begin as declared.
         steps: number of samples, >= 0.
         dt: sampling time (s, or the OCP's unit); None: that of the controller or, with shift=None, its first interval.
-        plant: plant(x, u, dt) -> next x, or a controller, whose integrator moves it; None: the controller's own.
-        disturbance: disturbance(k, x) -> value added to the state after sample k, x: before it; or random numbers:
-            Normal(std), Uniform(half width), or standard deviations, of all states or by name.
-        before: before(k, ctrl), called before sample k, and before solve() of ``warm_start``, to set further data.
+        plant: plant(x, u, dt) -> next x, or a controller whose integrator advances the state; None: ``ctrl``'s own.
+        disturbance: disturbance(k, x) -> value added to the state after sample k, which began at x; or random numbers:
+            Normal(std), Uniform(half_width), or standard deviations, for all states or by name.
+        before: before(k, ctrl), called before sample k, and before the solve() of ``warm_start``, to set further data.
         warm_start: call solve(x0) before the first sample: a cold start with hard rows may need more iterations.
-        law: "step": step(x) at every sample; "solve": solve(x), from the plan of the sample before, moved as in step().
-        noise: noise(k, x) -> value added to the state that the controller is told; or random numbers.
-        parameters: {name: table over the samples}: a number, (n,), or (n, size) for a vector. A node has the row of the
-            sample at its time, or of the present one where all nodes share it; the last row holds from there on.
-        bounds: {name of a row: (lower, upper)}, each a table; of a vector of rows (n, rows).
+        law: "step": step(x) at every sample; "solve": solve(x) from the shifted plan of the sample before.
+        noise: noise(k, x) -> value added to the state that the controller receives; or random numbers.
+        parameters: {name: table over the samples}: a number, (n,), or (n, size) for a vector. A node reads the row of
+            the sample at its time, or of the present sample if all nodes share it; the last row holds on.
+        bounds: {name of a row: (lower, upper)}, each a table; (n, rows) for a vector of rows.
         references: {name of a residual: table}, or (n, ny) for the path residual.
-        added: (steps, nx), added to the state after every sample, too.
-        plant_parameters: tables of a plant alone that is a controller: ``plant``, or a copy of this one.
-        estimator: build(ocp.estimator(...)), which tells the controller the state. Parameters it finds are the plant's.
-        seed: of the random numbers, and of the noise of measurements; None: measurements have no noise.
-        plans: the plan of every so many samples is logged; 0: none; None: all plans, but at most 1000 and 64 MiB.
+        added: (steps, nx), added to the state after every sample, besides ``disturbance``.
+        plant_parameters: tables for the plant only, which is then a controller: ``plant``, or a copy of ``ctrl``.
+        estimator: build(ocp.estimator(...)); the controller receives its estimate of the state. Parameters that it
+            estimates have their true values in the plant.
+        seed: seed of the random numbers and of the measurement noise; None: measurements have no noise.
+        plans: number of samples from one logged plan to the next; 0: none; None: all, but at most 1000 and 64 MiB.
 
     Raises:
         ControllerError: shapes or numbers are wrong, a log cannot hold the steps, or the plant's state is not finite.
@@ -80,21 +82,24 @@ def simulate(
     conduct = Conduct(_function(plant), _function(disturbance), _function(noise), before, law, estimator, seed)
     own, drawn = _check(conduct, plant, disturbance, noise, plant_parameters)
     start, data = _start(x0, steps, _controller(ctrl)), (parameters, bounds, references)
-    of_plant = plant_parameters  # with an estimator of a copy of the controller, in which it changes nothing
+    of_plant = plant_parameters  # with an estimator, the plant is a copy of the controller
     of_plant = {} if estimator is not None and own is None and of_plant is None else of_plant
     loop = state_loop(single(ctrl), start, own, steps, dt, *data, drawn, added, of_plant, seed)
     return run(loop, ctrl, conduct, _every(plans, ctrl, steps), warm_start)
 
 
 def _function(value: Any) -> Any:
-    """A function; None in the place of anything else."""
+    """Return ``value`` if it is a function, else None."""
     return value if callable(value) else None
 
 
 def _check(
     conduct: Conduct, plant: Any, disturbance: Any, noise: Any, plant_parameters: Tables | None
 ) -> tuple[Structs | None, tuple[Drawn | None, Drawn | None]]:
-    """A plant that is a controller, copied, and random numbers; ControllerError where what is stated contradicts."""
+    """Return the plant, if it is a controller, as a copy, and random numbers.
+
+    Raise ControllerError if arguments conflict.
+    """
     if conduct.before is not None and not callable(conduct.before):
         raise ControllerError(f"before is {conduct.before!r}; expected a function (k, ctrl)")
     if plant is not None and conduct.plant is None and not isinstance(plant, Controller):
@@ -108,7 +113,10 @@ def _check(
 
 
 def _start(x0: ArrayLike | Mapping[str, ArrayLike], steps: object, ctrl: Controller) -> Array:
-    """The initial state (1, nx), which may be given by name; ControllerError also for a wrong number of steps."""
+    """Return the initial state (1, nx), which may be given by name.
+
+    Raise ControllerError for a wrong number of steps, too.
+    """
     _check_steps(steps, ctrl)
     given = x0
     if isinstance(x0, Mapping):
@@ -118,7 +126,7 @@ def _start(x0: ArrayLike | Mapping[str, ArrayLike], steps: object, ctrl: Control
 
 
 def _controller(ctrl: Controller) -> Controller:
-    """ControllerError unless it is one."""
+    """Return ``ctrl``; raise ControllerError if it is an estimator."""
     if isinstance(ctrl, Observer):
         raise ControllerError(f"{ctrl.description.name} is an estimator; expected a controller, and estimator=")
     return ctrl
@@ -133,7 +141,7 @@ def _check_steps(steps: object, ctrl: Controller) -> None:
 
 
 def _every(plans: object, ctrl: Controller, steps: int) -> int:
-    """Samples from one plan that the log keeps to the next; 0: none."""
+    """Return the number of samples from one logged plan to the next; 0: no plan is logged."""
     if plans is None:
         return spacing(ctrl, steps)
     if not is_integer(plans) or int(plans) < 0:  # type: ignore[call-overload]

@@ -1,1 +1,1 @@
-"""Records of closed loops and of solve(): logs, recordings, replays of dumps, their tables and files."""
+"""Closed loops and solve() leave records: logs, recordings, replays of dumps, with their tables and files."""

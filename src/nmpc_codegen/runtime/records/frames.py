@@ -1,4 +1,4 @@
-"""Logs, flights and campaigns as tables: of pandas, xarray and Parquet."""
+"""Logs, flights and campaigns are converted to tables of pandas, xarray and Parquet."""
 
 from __future__ import annotations
 
@@ -12,14 +12,17 @@ from nmpc_codegen.package.status import Status
 from nmpc_codegen.runtime.extras import extra
 from nmpc_codegen.runtime.records.trace import COLUMNS, Record
 
-#: Array of a log -> the name of the dimension of its columns.
+#: Array of a log -> name of the dimension of its columns.
 DIMENSIONS = {"x": "state", "u": "control", "z": "algebraic", "h": "row", "p": "parameter", "y": "residual"}
 PER_SAMPLE = ("cost", "time_ns")
 
 
 @dataclass(frozen=True, eq=False)
 class Column:
-    """Values (n,) of a table: what they are, of which quantity, and its unit. Behind the last one they are unknown."""
+    """A column (n,) of a table, with the kind, name and unit of its quantity.
+
+    Later rows of the table, if there are more, have no value in this column.
+    """
 
     kind: str
     name: str = ""
@@ -28,7 +31,7 @@ class Column:
 
 
 def of_log(log: Record) -> list[Column]:
-    """The quantities of a log, a row for each sample and one for its end."""
+    """Return the quantities of a log as columns, with a row for each sample and one for its end."""
     groups = [(array, getattr(log, kind), getattr(log, array)) for array, kind in COLUMNS.items()]
     if (found := log.estimates) is not None:
         groups += [("xhat", found.states, found.x), ("std", found.states, found.std)]
@@ -41,7 +44,7 @@ def of_log(log: Record) -> list[Column]:
 
 
 def to_dataframe(columns: Sequence[Column], index: Any, name: str, user: str) -> Any:
-    """A DataFrame with the columns (kind, name); attrs["units"] has their units."""
+    """Return a DataFrame with the columns (kind, name); attrs["units"] has their units."""
     pandas = extra("pandas", user)
     rows = pandas.Index(index, name=name)
     series = {(c.kind, c.name): pandas.Series(c.values, rows[: len(c.values)]) for c in columns}
@@ -51,7 +54,7 @@ def to_dataframe(columns: Sequence[Column], index: Any, name: str, user: str) ->
 
 
 def to_parquet(columns: Sequence[Column], file: Any, user: str) -> None:
-    """Write columns kind.name, with their units as metadata, to a file, or what pyarrow takes for one."""
+    """Write the columns as kind.name, with units as metadata, to a file or file object."""
     arrow, parquet = extra("pyarrow", user), extra("pyarrow.parquet", user)
     rows, arrays, fields = max((len(c.values) for c in columns), default=0), [], []
     for c in columns:
@@ -63,7 +66,7 @@ def to_parquet(columns: Sequence[Column], file: Any, user: str) -> None:
 
 
 def to_xarray(log: Record) -> Any:
-    """See Log.to_xarray()."""
+    """Convert a log; see Log.to_xarray()."""
     xarray = extra("xarray", "Log.to_xarray()")
     coordinates: dict[str, Any] = {"time": ("time", log.t, {"units": log.time_unit})}
     variables: dict[str, Any] = {"status": ("time", np.array([*_statuses(log), ""], dtype=np.str_))}
@@ -79,7 +82,7 @@ def to_xarray(log: Record) -> Any:
 
 
 def _pad(values: Any) -> Any:
-    """Values per sample and NaN for the end of the loop."""
+    """Append NaN for the end of the loop to values per sample."""
     return np.append(values, np.full((1, *values.shape[1:]), np.nan), axis=0)
 
 

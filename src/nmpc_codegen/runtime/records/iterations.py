@@ -1,4 +1,4 @@
-"""The iterations of solve() as a table."""
+"""The iterations of solve() are shown as a table."""
 
 from __future__ import annotations
 
@@ -14,10 +14,14 @@ from nmpc_codegen.package.status import Kkt
 class Iteration:
     """One SQP iteration.
 
-    kkt: residuals at its end, absolute by parts and relative; cost: at its end; length: of its step, 1 for the full
-    one; shift: what was added to the Hessian, in units of each variable, 0 if it was convex; qp_iterations: of its last
-    QP; active: number of bounds and rows with a multiplier; restoring: its step only had to reduce the violation of
-    constraints.
+    Attributes:
+        kkt: residuals at its end, absolute by parts and relative.
+        length: length of its step, 1 for a full step.
+        qp_iterations: iterations of its last QP.
+        active: number of bounds and rows with a multiplier.
+        restoring: True if the step only had to reduce the violation of constraints.
+        cost: cost at its end.
+        shift: number added to the diagonal of the scaled Hessian, 0 if it was convex.
     """
 
     kkt: Kkt
@@ -30,7 +34,7 @@ class Iteration:
 
 
 def rows(log: Sequence[Iteration]) -> list[dict[str, float | int]]:
-    """One row per iteration: its number, cost, residuals, length, shift, QP iterations, active bounds, restoring."""
+    """Return one row per iteration: number, cost, residuals, length, shift, QP iterations, active bounds, restoring."""
     return [
         {
             "iteration": number,
@@ -48,7 +52,7 @@ def rows(log: Sequence[Iteration]) -> list[dict[str, float | int]]:
 
 
 def table(log: Sequence[Iteration]) -> str:
-    """The rows in aligned columns."""
+    """Return the rows as text in aligned columns."""
     found = rows(log)
     if not found:
         return "no iterations"
@@ -64,7 +68,7 @@ def _short(key: str, value: float) -> str:
 
 
 def write_csv(log: Sequence[Iteration]) -> str:
-    """The rows with all digits as comma-separated values, with a line of names."""
+    """Return the rows as comma-separated values with all digits, below a line of names."""
     found, text = rows(log), io.StringIO()
     writer = csv.DictWriter(text, list(found[0]) if found else ["iteration"], lineterminator="\n")
     writer.writeheader()

@@ -1,4 +1,4 @@
-"""Log: the record of a closed loop, which says, draws, tabulates and saves what happened."""
+"""A Log is the record of a closed loop, which can be summarised, plotted, tabulated and saved."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ from nmpc_codegen.runtime.records.trace import File, Record
 
 Array = NDArray[np.float64]
 
-MOST_RANGES = 4  # of samples with a status that the summary names
+MOST_RANGES = 4  # largest number of ranges of samples that the summary lists for a status
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Log(Record):
-    """The record of a closed loop, which says, draws and saves what happened.
+    """The record of a closed loop, which can be summarised, plotted, tabulated and saved.
 
-    simulate() and open_recording() make one; print(log) is its summary.
+    simulate() and open_recording() return a Log; print(log) prints its summary.
 
     Examples:
         >>> from nmpc_codegen import OCP, build, simulate
@@ -55,31 +55,31 @@ class Log(Record):
 
     @property
     def ok(self) -> bool:
-        """True if every sample was solved."""
+        """Return True if every sample was solved."""
         return bool(np.all(self.status == Status.OK))
 
     @property
     def failure(self) -> str:
-        """What diagnose() said at the first sample that was not OK; "" if all were."""
+        """Return the text of diagnose() at the first sample that was not OK; "" if all samples were."""
         bad = [Status(s) for s in self.status if s != Status.OK]
         return self.reasons[bad[0]] if bad else ""
 
     @property
     def failures(self) -> int:
-        """Number of samples whose status is a failure: neither OK nor NOT_CONVERGED."""
+        """Return the number of samples that failed: their status is neither OK nor NOT_CONVERGED."""
         return sum(Status(s).is_failure for s in self.status)
 
     @property
     def first_failure(self) -> str:
-        """When, where and why a sample failed first; "" if none did."""
+        """Return when, where and why a sample failed first; "" if none did."""
         return next((self._first(status) for status in self._in_order() if status.is_failure), "")
 
     def _in_order(self) -> list[Status]:
-        """The statuses that occur, in the order of their first samples."""
+        """Return the statuses that occur, in the order of their first samples."""
         return sorted(map(Status, self.reasons), key=lambda s: int(np.argmax(self.status == s)))
 
     def _first(self, status: Status) -> str:
-        """The first sample with a status: its number, its time and what diagnose() said."""
+        """Return the number, the time and the diagnosis of the first sample with a status."""
         first = int(np.argmax(self.status == status))
         why = self.reasons[status].removeprefix(f"{status.name}: ")
         when = f"sample {self.number(first)}, t = {self.t[first]:g} {self.time_unit}"
@@ -98,8 +98,10 @@ class Log(Record):
         return ", ".join(found) or "none"
 
     def summary(self) -> str:
-        """A summary in a few lines: length, statuses, when and why the first sample with each of them other than OK was
-        not OK, times, last state."""
+        """Return a summary in a few lines: length, statuses, computing times, last state.
+
+        For each status other than OK it says when and why it occurred first.
+        """
         lines = [f"{self.name}: {self._length()}", f"status: {self._outcome()}"]
         reasons = "\n".join(self._first(status) for status in self._in_order() if status != Status.OK).splitlines()
         lines += [line for i, line in enumerate(reasons) if WARNED not in line or line not in reasons[:i]]
@@ -119,16 +121,16 @@ class Log(Record):
         return "\n".join(lines)
 
     def bounds(self, name: str) -> tuple[Array, Array]:
-        """Lower and upper bounds of a state, control or row as they were, (steps,) each.
+        """Return the lower and upper bounds of a state, control or row at every sample, (steps,) each.
 
-        Of a signal the tightest of the rows in ``limits`` that bound it, which hold at several nodes or at the first
-        one; inf without one.
+        For a signal these are the tightest bounds of the rows in ``limits`` on it; inf without such a row. These rows
+        hold at several nodes or at the first one.
 
         Args:
-            name: of the signal or row.
+            name: name of the signal or row.
 
         Raises:
-            ControllerError: there is no such quantity, or there are two.
+            ControllerError: no quantity, or more than one, has this name.
         """
         groups = {"x": self.states, "u": self.controls, "h": self.rows}
         places = [(array, i) for array, traces in groups.items() for i, t in enumerate(traces) if t.name == name]
@@ -143,18 +145,18 @@ class Log(Record):
         return lower.max(axis=1, initial=-np.inf), upper.min(axis=1, initial=np.inf)
 
     def plot(self, file: File = None) -> Any:
-        """Plot states, controls, rows, changing parameters and computing times over time. Extra ``plot``.
+        """Plot states, controls, rows, changing parameters and computing times over time; it needs the extra ``plot``.
 
-        Hard bounds are dashed and soft ones dotted, as they were at every sample, where a curve comes near or violates
-        them. References of bare states and controls are thin lines. With an estimator there are also estimates with
-        two standard deviations, measurements, and axes of what is estimated besides states. Marks at the lower edge:
-        samples that are RELAXED or NOT_CONVERGED, orange, and all others that are not OK, red.
+        Hard bounds are dashed and soft ones dotted; they are shown where a curve comes near or violates them.
+        References of single states and controls are thin lines. With an estimator, the plot also shows estimates with
+        two standard deviations, measurements, and estimated parameters. Marks at the lower edge show samples that are
+        RELAXED or NOT_CONVERGED (orange) or have another status than OK (red).
 
         Args:
             file: file for the picture (.png, .pdf, .svg); None: only return the figure, for plt.show().
 
         Returns:
-            The matplotlib figure. The other pictures have the same argument, result and error.
+            The matplotlib figure. The other plots have the same argument, result and error.
 
         Raises:
             ExtraError: matplotlib is not installed.
@@ -164,11 +166,11 @@ class Log(Record):
         return over_time.draw(self, file)
 
     def plot_plans(self, every: int = 5, file: File = None) -> Any:
-        """Plot states and controls with the plan of some samples: what was predicted, and what happened.
+        """Plot states and controls together with the plans of some samples, to compare prediction and outcome.
 
         Args:
-            every: of so many samples one.
-            file: where the figure is written; None: nowhere.
+            every: number of samples from one plotted plan to the next.
+            file: as in plot().
 
         Raises:
             ControllerError: the log has no plans.
@@ -178,11 +180,12 @@ class Log(Record):
         return plans.draw(self, every, file)
 
     def plot_rows(self, rows: Sequence[str] | str | None = None, file: File = None) -> Any:
-        """Plot, for every row of the problem, the least distance of the plans from its bounds over the horizon, with
-        marks where it is active, and its largest multiplier beside it.
+        """Plot for each row the least distance of the plans from its bounds, and its largest multiplier.
+
+        Minimum and maximum are taken over the horizon; marks show samples in which the row is active.
 
         Args:
-            rows: name of a row, or names; None: those that come nearest, at most twelve.
+            rows: name of a row, or names; None: the rows nearest to their bounds, at most twelve.
             file: as in plot().
 
         Raises:
@@ -193,7 +196,9 @@ class Log(Record):
         return row_distances.draw(self, rows, file)
 
     def plot_times(self, dt: float | None = None, file: File = None) -> Any:
-        """Plot how many samples took how long, with median, worst case and deadline; of a recording also the periods.
+        """Plot the distribution of computing times with median, worst case and deadline.
+
+        For a recording also the periods.
 
         Args:
             dt: deadline, in the unit of time of the problem; None: the sampling time.
@@ -204,14 +209,14 @@ class Log(Record):
         return times.draw(self, dt, file)
 
     def plot_xy(self, x: str, y: str, rows: bool = True, every: int = 0, file: File = None) -> Any:
-        """Plot one state over another, with what the rows forbid there.
+        """Plot one state over another, with the region that the rows forbid.
 
         Args:
             x: name of a state.
             y: name of another one.
-            rows: shade where a row is violated that depends on these two states and on parameters alone, such as an
-                obstacle; if parameters change, at its first, middle and last place.
-            every: draw the plan of every so many samples; 0: of none.
+            rows: shade the region where a row is violated, if it depends only on these two states and on parameters, as
+                an obstacle does; if parameters change, at their first, middle and last values.
+            every: number of samples from one drawn plan to the next; 0: draw no plan.
             file: as in plot().
 
         Raises:
@@ -227,7 +232,7 @@ class Log(Record):
         Args:
             other: the other log.
             names: of the two, for the legend.
-            file: where the figure is written; None: nowhere.
+            file: as in plot().
 
         Raises:
             ControllerError: the logs have other units of time.
@@ -239,14 +244,14 @@ class Log(Record):
     def animate(
         self, file: File = None, xy: tuple[str, str] | None = None, every: int = 1, fps: float | None = None
     ) -> Any:
-        """A film of the loop with the plan of every sample: over time, or of one state over another.
+        """Animate the loop with the plan of every sample, over time or as one state over another.
 
         Args:
             file: .gif, or .mp4 if ffmpeg is installed; None: only return the animation, which a
                 notebook plays.
             xy: names of two states, as in plot_xy(); None: all states and controls over time.
-            every: samples from picture to picture.
-            fps: pictures per second, > 0; None: as in life, but 5 at least and 30 at most.
+            every: number of samples from one picture to the next.
+            fps: pictures per second, > 0; None: real time, but at least 5 and at most 30.
 
         Returns:
             The animation of matplotlib.
@@ -259,10 +264,10 @@ class Log(Record):
         return film.draw(self, file, xy, every, fps)
 
     def to_dataframe(self) -> Any:
-        """A pandas DataFrame over time with two levels of columns: ("x", "p"), ("u", "a"), ("status", ""), ...
+        """Return a pandas DataFrame over time; it needs the extra ``notebook``.
 
-        The last row is the end of the loop, where only x is known; ``attrs["units"]`` has the units. It needs the extra
-        ``notebook``.
+        Its columns have two levels: ("x", "p"), ("u", "a"), ("status", ""), ... The last row is the end of the loop,
+        where only x is known; ``attrs["units"]`` has the units.
 
         Raises:
             ExtraError: pandas is not installed.
@@ -270,10 +275,10 @@ class Log(Record):
         return frames.to_dataframe(frames.of_log(self), self.t, f"time [{self.time_unit}]", "Log.to_dataframe()")
 
     def to_xarray(self) -> Any:
-        """An xarray Dataset over time with x (time, state), u (time, control), z, h, p, y, as far as they have columns,
-        status, cost, time_ns, and with units.
+        """Return an xarray Dataset over time, with units; it needs the extra ``notebook``.
 
-        At the end of the loop only x is known; the others are NaN there. It needs the extra ``notebook``.
+        It contains x (time, state), u (time, control), z, h, p, y, unless they have no columns, status, cost and
+        time_ns. At the end of the loop only x is known; all others are NaN there.
 
         Raises:
             ExtraError: xarray is not installed.
@@ -284,7 +289,7 @@ class Log(Record):
         """Write the table of to_dataframe() as a Parquet file, with the columns time, x.p, u.a, status, ...
 
         Args:
-            file: its path.
+            file: path of the file.
 
         Raises:
             ExtraError: pyarrow is not installed.
@@ -303,7 +308,7 @@ class Log(Record):
 
     @classmethod
     def load(cls, file: str | os.PathLike[str] | IO[bytes]) -> Self:
-        """The log that save() has written.
+        """Return the log that save() has written.
 
         Raises:
             ControllerError: the file is no log.
@@ -312,7 +317,7 @@ class Log(Record):
 
 
 def _ranges(samples: Sequence[int]) -> str:
-    """Numbers in ascending order as ranges, "3..7, 12", of many the first ones."""
+    """Return ascending numbers as ranges, "3..7, 12"; of many ranges only the first ones."""
     ends = [i for i in range(len(samples)) if i + 1 == len(samples) or samples[i + 1] != samples[i] + 1]
     begins = [0, *(i + 1 for i in ends[:-1])]
     found = [f"{samples[i]}..{samples[j]}" if j > i else str(samples[i]) for i, j in zip(begins, ends, strict=True)]

@@ -1,4 +1,4 @@
-"""Logs as .npz archives: arrays as they are, everything else as one text in JSON."""
+"""Logs are stored as .npz archives: arrays as arrays, everything else in one JSON text."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ from nmpc_codegen.runtime.records.trace import Estimates, Plans, Record
 
 FORMAT = "nmpc_codegen log 5"
 
-#: Parts of a log with arrays of their own, whose names begin with that of the part in the archive.
+#: Parts of a log that have arrays; in the archive, the names of these arrays begin with that of the part.
 PARTS: dict[str, type[Plans | Estimates]] = {"plans": Plans, "estimates": Estimates}
 
-#: What files that are no archives make NumPy raise.
+#: Errors of NumPy for files that are no archives.
 BROKEN = (zipfile.BadZipFile, zlib.error, EOFError, msgspec.ValidationError)
 
 
@@ -40,7 +40,7 @@ def write(log: Record, file: str | os.PathLike[str] | IO[bytes]) -> None:
 
 
 def _split(kind: Any, record: Any, prefix: str, content: dict[str, NDArray[Any]]) -> dict[str, Any]:
-    """What is no array, for JSON; the arrays are added to ``content``."""
+    """Return the fields that are no arrays, for JSON; the arrays are added to ``content``."""
     text: dict[str, Any] = {}
     for name in (field.name for field in fields(kind)):
         value = getattr(record, name)
@@ -65,7 +65,7 @@ def write_arrays(
 
 
 def read(file: str | os.PathLike[str] | IO[bytes]) -> dict[str, Any]:
-    """The fields of a Record.
+    """Return the fields of a Record.
 
     Raises:
         ControllerError: the file is no log.
@@ -87,7 +87,7 @@ def read(file: str | os.PathLike[str] | IO[bytes]) -> dict[str, Any]:
 
 
 def _join(kind: Any, prefix: str, found: Mapping[str, Any], text: Mapping[str, Any]) -> dict[str, Any]:
-    """The fields of a record, or of a part of it."""
+    """Return the fields of a record, or of a part of it."""
     hints, fields_of = get_type_hints(kind), {}
     for name in (field.name for field in fields(kind)):
         if name in kind.AXES:
@@ -101,7 +101,10 @@ def _join(kind: Any, prefix: str, found: Mapping[str, Any], text: Mapping[str, A
 
 
 def _check(log: Mapping[str, Any]) -> None:
-    """ValueError unless lengths and numbers of columns fit together, and what refers to something finds it."""
+    """Raise ValueError unless lengths and numbers of columns are consistent.
+
+    References from one part to another must lead to existing entries.
+    """
     samples, program, limits, plans = len(log["u"]), log["program"], log["limits"], log["plans"]
     counts = {name: len(value) for name, value in log.items() if isinstance(value, tuple)}
     counts |= {"samples": samples, "ends": samples + 1, "recorded": samples if len(log["began_ns"]) else 0}
@@ -125,7 +128,7 @@ def _check(log: Mapping[str, Any]) -> None:
 
 
 def _check_shapes(kind: Any, arrays: Mapping[str, Any], counts: Mapping[str, int]) -> None:
-    """ValueError unless every array has its axes; one whose length nobody else knows may have any."""
+    """Raise ValueError unless every array has its axes; an axis without a known length may have any."""
     for name, axes in kind.AXES.items():
         shape = arrays[name].shape
         expected = tuple(counts.get(axis, n) for axis, n in zip(axes, shape, strict=False))

@@ -1,4 +1,4 @@
-"""What a log takes from a controller, sample by sample, of a simulation or of a recording."""
+"""Notes collects the entries of a log from a controller, sample by sample, in a simulation or from a recording."""
 
 from __future__ import annotations
 
@@ -26,24 +26,27 @@ from nmpc_codegen.runtime.records.trace import Estimates, Limit, Plans, Record, 
 Array = NDArray[np.float64]
 
 LOG_COLUMNS = 5  # status, cost, time, residual and t
-#: Plans that a log keeps where nobody says how many, and the bytes that they may take.
+#: Default limits of a log: number of plans, and bytes that they may take.
 MOST_PLANS, PLAN_BYTES = 1000, 2**26
 REAL: int = np.dtype(np.float64).itemsize
-#: Arrays of integers.
+#: Arrays of a log with integers.
 INTEGERS: dict[str, Any] = dict.fromkeys(("status", "time_ns", "began_ns"), np.int64)
 
 
 @dataclass(frozen=True)
 class Logged:
-    """Rows that a log shows, by their numbers: ``general``, in h, and ``limits``, whose bounds are kept."""
+    """The numbers of the rows that a log shows: general rows, in h, and rows in ``limits``, whose bounds are logged."""
 
     general: list[int]
     limits: list[int]
 
     @classmethod
     def of(cls, ctrl: Controller) -> Logged:
-        """General rows that hold at node 0 or at several nodes before the end, bounds of controls, and those of states
-        that hold at several nodes."""
+        """Select the rows that a log of this controller shows.
+
+        They are general rows and bounds of states that hold at several nodes before the end, general rows at node 0,
+        and bounds of controls.
+        """
         general, limits = [], []
         for i, row in enumerate(ctrl.description.rows):
             path = [k for k in row.nodes if k < ctrl.dims.N]
@@ -56,20 +59,20 @@ class Logged:
 
 
 def columns_of_log(ctrl: Controller) -> int:
-    """Numbers that a log takes for every sample, besides plans."""
+    """Return how many numbers a log stores for every sample, besides plans."""
     logged, d = Logged.of(ctrl), ctrl.dims
     return d.nx + d.nu + d.np + d.ny + len(logged.general) + 2 * len(logged.limits) + LOG_COLUMNS
 
 
 def spacing(ctrl: Controller, steps: int) -> int:
-    """Every how many samples a plan is kept, so that all take at most PLAN_BYTES, and are at most MOST_PLANS."""
+    """Return the number of samples between logged plans so that they respect PLAN_BYTES and MOST_PLANS."""
     N, d = ctrl.dims.N, ctrl.dims
     size = REAL * (N + 1) * int(ctrl.whole_x.shape[1] + d.nu + d.np + 3 * d.nr)
     return max(1, math.ceil(steps / MOST_PLANS), math.ceil(steps * size / PLAN_BYTES))
 
 
 class Notes:
-    """The samples of a loop while it runs. ``every``: samples from one plan that is kept to the next; 0: none."""
+    """The entries of a log while the loop runs; ``every`` samples lie between two logged plans, 0: none."""
 
     def __init__(self, ctrl: Controller, steps: int, interval: float, every: int) -> None:
         d, described = ctrl.dims, ctrl.description
@@ -94,8 +97,11 @@ class Notes:
         self._first = [imposed_nodes(row)[0] for row in rows]
 
     def take(self, k: int, u: Array, time_ns: int, planned: bool = True, keep: bool | None = None) -> None:
-        """Note sample k, whose state is in ``x``, from the controller as the sample has left it; unless ``planned`` it
-        has another plan than that of the sample. ``keep``: whether its plan is kept; None: that of every so many."""
+        """Log sample k, whose state is in ``x``, from the controller after the sample.
+
+        If ``planned`` is false, the controller does not hold the plan of this sample. ``keep`` says whether the plan is
+        logged; None: if its turn has come.
+        """
         ctrl, bounds, status = self._ctrl, self._reader.bounds(self._ctrl), self._ctrl.status
         if status not in self._reasons:
             self._reasons[status] = ctrl.diagnose() if status else ""
@@ -113,7 +119,7 @@ class Notes:
     def finish(
         self, estimates: Estimates | None = None, t: Array | None = None, began_ns: NDArray[np.int64] | None = None
     ) -> Log:
-        """The log; ``t``: times of the samples and of the end, by default from 0 on."""
+        """Return the log; ``t`` holds the times of the samples and of the end, by default from 0 on."""
         ctrl, arrays, described = self._ctrl, self._arrays, self._ctrl.description
         behind = np.tile(whole_parameters(ctrl)[:1, ctrl.dims.np :], (len(self.u), 1))
         x, p = np.hstack([self.x[:-1], self._known]), np.hstack([arrays["p"], behind])
@@ -135,8 +141,10 @@ class Notes:
         )
 
     def _find_axes(self) -> tuple[list[int], tuple[Trace, ...], tuple[Limit, ...]]:
-        """Columns of h with an axis of their own, their traces, and what all rows limit; the other columns are bare
-        states or controls, which have their bounds."""
+        """Return the columns of h that get an axis, their traces, and the limits of all rows.
+
+        The other columns of h are single states or controls, on whose axes their bounds are shown.
+        """
         described, names = self._ctrl.description, self._ctrl.names
         signals = {n: ("x", i) for i, n in enumerate(names.states)} | {
             n: ("u", j) for j, n in enumerate(names.controls)
@@ -161,7 +169,7 @@ class Notes:
         return own, tuple(rows), tuple(limits)
 
     def _keep_plans(self) -> Plans | None:
-        """The plans with what their rows are, node by node, in short."""
+        """Return the logged plans with a summary of their rows over the nodes."""
         if not self._plans:
             return None
         ctrl, found = self._ctrl, self._reader.evaluate(self._ctrl, self._plans)
@@ -185,12 +193,12 @@ class Notes:
 
 
 def _least(distance: Array) -> Array:
-    """The least of all nodes, NaN where a row holds at none."""
+    """Return the least distance over all nodes, NaN for a row that holds at none."""
     known = np.where(np.isnan(distance), np.inf, distance).min(axis=1)
     return np.where(np.isnan(distance).all(axis=1), np.nan, known)
 
 
 def _largest(multiplier: Array) -> Array:
-    """The multiplier of largest size over the nodes."""
+    """Return the multiplier with the largest absolute value over the nodes."""
     place = np.argmax(np.abs(np.nan_to_num(multiplier)), axis=1)
     return np.take_along_axis(multiplier, place[:, None, :], axis=1)[:, 0, :]

@@ -1,4 +1,4 @@
-"""One plan with all that its picture shows: bounds, references and rows node by node."""
+"""One plan is stored with everything that its picture shows: bounds, references and rows, node by node."""
 
 from __future__ import annotations
 
@@ -16,9 +16,11 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """A plan over its nodes. ``h``: general rows, NaN where one does not hold; ``y``: references of the residuals in
-    ``references``, of the intervals; ``lower``, ``upper``: bounds of the rows in ``limits``, NaN where they do not
-    hold."""
+    """A plan over its nodes.
+
+    ``h`` holds general rows, NaN where one does not hold; ``y`` references of the residuals in ``references`` over the
+    intervals; ``lower`` and ``upper`` bounds of the rows in ``limits``, NaN where they do not hold.
+    """
 
     name: str
     time_unit: str
@@ -39,7 +41,7 @@ class Plan:
 
 
 def take_plan(ctrl: Memory) -> Plan:
-    """The present plan of a controller."""
+    """Return the present plan of a controller."""
     described, d = ctrl.description, ctrl.dims
     reader = PlanReader(ctrl)
     data = reader.copy(ctrl, reader.bounds(ctrl))
@@ -69,7 +71,7 @@ def take_plan(ctrl: Memory) -> Plan:
 
 
 def _references(ctrl: Memory) -> Array:
-    """References of the path residual at all nodes before the end, (N, ny)."""
+    """Return the references of the path residual at all nodes before the end, (N, ny)."""
     d, described = ctrl.dims, ctrl.description
     if not d.ny:
         return np.zeros((d.N, 0))

@@ -1,4 +1,4 @@
-"""Record a controller in a real loop: what it was told, what it did and when, with plans and data."""
+"""A Recorder records a controller in a real loop: measurements, controls, times, plans and data."""
 
 from __future__ import annotations
 
@@ -30,17 +30,17 @@ from nmpc_codegen.runtime.records.timing import LATE, NANOSECONDS
 
 Array = NDArray[Any]
 
-STAMPS = struct.Struct("<qqq")  # number of the sample, when it began, how long it took (ns)
-MEMORY = 2**26  # bytes of samples that are kept in memory
-SECONDS = 4.0  # of a loop whose samples fit into memory before they are written
+STAMPS = struct.Struct("<qqq")  # number of the sample, its begin (ns), its computing time (ns)
+MEMORY = 2**26  # largest number of bytes of samples in memory
+SECONDS = 4.0  # length of a loop that the memory can hold until samples are written
 USUAL_SLOTS, LEAST_SLOTS = 256, 2
-PADDING = 8  # bytes between two members of a struct, at most
+PADDING = 8  # largest number of bytes between two members of a struct
 
 
 class Layout:
-    """The bytes of a sample: its stamps, the measured state, the control, and members of the solver struct.
+    """The layout of a recorded sample: stamps, measured state, control, and members of the solver struct.
 
-    ``plan``, ``rest``: (first, last) bytes of the struct with the iterate, and with settings and results.
+    ``plan`` and ``rest`` are ranges (first, last) of bytes of the struct: the iterate; settings and results.
     """
 
     def __init__(self, ctrl: Controller) -> None:
@@ -62,13 +62,13 @@ class Layout:
 
 
 def _places(ctrl: Controller) -> dict[str, tuple[int, int]]:
-    """First byte of every member of the solver struct, and the one behind it."""
+    """Return the first byte of every member of the solver struct, and the byte behind it."""
     fields: Any = ctrl._struct.dtype.fields
     return {name: (entry[1], entry[1] + entry[0].itemsize) for name, entry in fields.items()}
 
 
 def _join(spans: list[tuple[int, int]]) -> list[tuple[int, int]]:
-    """Spans in order, those that touch each other in one."""
+    """Return the ranges in order, with adjacent ones merged."""
     found: list[tuple[int, int]] = []
     for first, last in sorted(spans):
         if found and first - found[-1][1] <= PADDING:
@@ -80,7 +80,7 @@ def _join(spans: list[tuple[int, int]]) -> list[tuple[int, int]]:
 
 @dataclass
 class SampleCounts:
-    """Samples that took too long, that began late, and that were left out; when the last one began."""
+    """Numbers of samples that took too long, began late, or were left out, and the begin of the last sample."""
 
     missed: int = 0
     late: int = 0
@@ -96,8 +96,10 @@ def prepare_copy(
     writer: stream.Writer | None,
     limits: tuple[float, int],
 ) -> Callable[[int], None]:
-    """The function that copies a sample, which has begun at a time, into the ring. It is made once, with all that it
-    needs as its own variables: in a loop at rest between samples that takes half of the time of attributes."""
+    """Return the function that copies a sample, which began at a given time, into the ring.
+
+    The function is made once, and all its data are local variables, which takes half the time of attributes.
+    """
     memory, buffer, target = ctrl._memory.data, ring.buffer, memoryview(ring.buffer)
     measured, control = (memoryview(a.view(np.uint8).data) for a in (ctrl._xhat, ctrl._u0))
     place = _places(ctrl)["status"][0]
@@ -135,8 +137,10 @@ def prepare_copy(
 
 
 def make_room(ring: stream.Ring, writer: stream.Writer, began: int, deadline: float) -> bool:
-    """Write the samples of a loop that runs faster than real time; False in a loop that must not wait, and where they
-    cannot be written."""
+    """Write samples to make room in the ring for a loop that runs faster than real time.
+
+    Return False in a loop that must not wait, and if the samples cannot be written.
+    """
     oldest = STAMPS.unpack_from(ring.buffer, ring.tail % ring.slots * ring.size)[1]
     if began - oldest > 0.5 * deadline * ring.slots:
         return False
@@ -145,20 +149,20 @@ def make_room(ring: stream.Ring, writer: stream.Writer, began: int, deadline: fl
 
 
 class Recorder:
-    """Records the samples of a controller; ``with Recorder(controller, dt=0.01, file="run.rec") as r: u = r.step(x)``.
+    """A recorder of the samples of a controller: ``with Recorder(controller, file="run.rec") as r: u = r.step(x)``.
 
-    Set data and read the plan at the controller itself. A sample takes about two microseconds more. A thread writes
-    four times a second, so that a program that is killed loses less than a second. If the disk cannot follow for
-    seconds, samples are left out rather than late.
+    Set data and read the plan at the controller itself. A sample takes about two microseconds longer. A thread writes
+    to the file four times a second, so that a killed program loses less than a second. If the disk is too slow for
+    several seconds, samples are left out rather than delayed.
 
     Args:
         controller: the controller; it may have taken samples before.
-        dt: time between samples, in the unit of time of the problem, which is their deadline, too; None: that of the
+        dt: time between samples, which is also their deadline, in the problem's unit of time; None: that of the
             controller.
-        file: a new file, which open_recording() reads; None: the last samples remain in memory.
-        keep: without a file, how many samples; None: as many as 64 MiB hold.
-        plans: the plan of every so many samples is recorded, and of those that are not OK; 0: only of the latter. If
-            states behind those of the user are known from the plan alone, it is that of every sample.
+        file: path of a new file, which open_recording() reads; None: keep the last samples in memory.
+        keep: number of samples that are kept without a file; None: as many as fit into 64 MiB.
+        plans: number of samples from one recorded plan to the next; plans of samples that are not OK are always
+            recorded; 0: only these. Every plan is recorded if only the plan holds the values of added states.
 
     Raises:
         ControllerError: an argument is wrong, or the file exists or cannot be written.
@@ -228,38 +232,38 @@ class Recorder:
         }
 
     def _limits(self) -> tuple[float, int]:
-        """Deadline in nanoseconds, inf if there is none, and samples from one plan to the next."""
+        """Return the deadline (ns), inf without one, and the number of samples from one recorded plan to the next."""
         return self._deadline or math.inf, self._every
 
     @property
     def samples(self) -> int:
-        """Number of samples so far."""
+        """Return the number of samples so far."""
         return self._ring.head + self._counts.dropped
 
     @property
     def missed(self) -> int:
-        """Number of samples that took longer than ``dt``."""
+        """Return the number of samples that took longer than ``dt``."""
         return self._counts.missed
 
     @property
     def late(self) -> int:
-        """Number of samples that began more than half of ``dt`` after their time, seen from the sample before."""
+        """Return the number of samples that began more than 1.5 ``dt`` after the sample before."""
         return self._counts.late
 
     @property
     def error(self) -> str:
-        """Why samples could not be written at the last attempt, as where the disk is full; "" if they were."""
+        """Return why the last attempt to write samples failed, as on a full disk; "" if it succeeded."""
         return "" if self._writer is None or self._writer.error is None else str(self._writer.error)
 
     @property
     def dropped(self) -> int:
-        """Number of samples that were left out, as the disk could not follow."""
+        """Return the number of samples that were left out because the disk was too slow."""
         return self._counts.dropped
 
     # -- samples ------------------------------------------------------------------------------------------------------
 
     def step(self, x: ArrayLike, on_failure: OnFailure = "status") -> Array:
-        """A sample, as Controller.step() takes it, and recorded. What the controller refuses is none.
+        """Take a sample with Controller.step() and record it; a call that raises an error is not recorded.
 
         Args:
             x: measured state (nx,).
@@ -276,7 +280,15 @@ class Recorder:
         return u
 
     def feedback(self, x: ArrayLike, on_failure: OnFailure = "status") -> Array:
-        """The second phase of a sample, after prepare() of the controller, and recorded; x, on_failure as in step()."""
+        """Run the feedback phase after the controller's prepare(), and record the sample.
+
+        Args:
+            x: measured state (nx,).
+            on_failure: as in Controller.step().
+
+        Returns:
+            Control to apply (nu,).
+        """
         began = perf_counter_ns()
         u = self._feedback(x)
         self._take(began)
@@ -287,7 +299,7 @@ class Recorder:
     # -- what is recorded ---------------------------------------------------------------------------------------------
 
     def log(self) -> Log:
-        """The samples so far; without a file those that are kept."""
+        """Return the samples so far; without a file, those that are still in memory."""
         if self._writer is not None and not self._writer.is_ours:
             raise ControllerError(f"log(): {self._file} belongs to the process from which this one was forked")
         if self._writer is not None:
@@ -299,14 +311,14 @@ class Recorder:
         if self._file is None:
             return log_of(self._ctrl, rest, self.dt)
         written = stream.read(self._file)[1]
-        already = len(written) - first  # the thread may have written more since
+        already = len(written) - first  # the thread may have written more since then
         return log_of(self._ctrl, np.concatenate([written, rest[max(0, already) :]]), self.dt)
 
     def close(self) -> None:
-        """Write the rest and close the file.
+        """Write the remaining samples and close the file.
 
         Raises:
-            ControllerError: samples could not be written; also when it is called again.
+            ControllerError: samples could not be written; a second call raises it again.
         """
         self._step = self._feedback = _refuse
         if self._writer is None:
@@ -336,7 +348,7 @@ class Recorder:
 
 
 def _refuse(x: ArrayLike) -> Array:
-    """In the place of step() after close()."""
+    """Raise ControllerError; it replaces step() after close()."""
     raise ControllerError("the recorder is closed; go on with the controller, or with a new recorder")
 
 
@@ -346,17 +358,17 @@ def _close(writer: stream.Writer | None) -> None:
 
 
 def open_recording(file: str | os.PathLike[str], package: Controller | str | Path) -> Log:
-    """The log of a recording, also of a program that was killed.
+    """Return the log of a recording; the program that wrote it may have been killed.
 
-    ``x`` are the states that the controller was told; that after the last sample is NaN. ``z`` belongs to them. Of many
-    plans some are kept, as in simulate(). ``cost`` is NaN where no plan was recorded.
+    ``x`` holds the states that the controller received; the one after the last sample is NaN. ``z`` belongs to them. If
+    there are many plans, only some are logged, as in simulate(). ``cost`` is NaN where no plan was recorded.
 
     Args:
-        file: of a Recorder.
-        package: the controller, or the folder of its package, which is compiled.
+        file: path of the file that a Recorder has written.
+        package: the controller, or the folder of its package, which is then compiled.
 
     Raises:
-        ControllerError: the file is no recording, one of another package, or no sample of it is whole.
+        ControllerError: the file is no recording, it belongs to another package, or it contains no complete sample.
 
     Examples:
         >>> from nmpc_codegen import build
@@ -379,7 +391,10 @@ def open_recording(file: str | os.PathLike[str], package: Controller | str | Pat
 
 
 def log_of(ctrl: Controller, data: NDArray[np.uint8], dt: float, remarks: tuple[str, ...] = ()) -> Log:
-    """The log of samples (n, size), each of which a copy of the controller is set to; ``remarks``: on their file."""
+    """Return the log of recorded samples ``data`` (n, size), made by restoring each one in a copy of the controller.
+
+    ``remarks`` are remarks on the file, which the log keeps.
+    """
     layout, twin, steps = Layout(ctrl), ctrl.copy(), len(data)
     stamps = data[:, : STAMPS.size].copy().view("<i8").reshape(steps, 3)
     numbers = np.where(stamps[:, 0] < 0, ~stamps[:, 0], stamps[:, 0])

@@ -1,4 +1,4 @@
-"""Replay the memory of a target on a computer: the same samples, to the bit, with names and plans."""
+"""A replay takes the samples of a target again on a computer, with the same bits, and adds names and plans."""
 
 from __future__ import annotations
 
@@ -29,18 +29,18 @@ NOT_ENDED, NOT_READ = -1, -2
 
 @dataclass(frozen=True, eq=False)
 class ReplayedSample:
-    """A sample of a dump, and the same taken again.
+    """A sample of a dump, and the result of taking it again.
 
     Attributes:
-        number: of the sample since init.
-        status: of the target, None of a sample that it did not end; of the copy of a solver what it holds, or of its
-            next sample.
-        u: (nu,), control of the target; None with ``status``.
-        x: (nx,), the measured state; None if it is not known.
-        again: status of the replay; None if there was none.
-        same: equal status, and controls to the bit; None: there is nothing to compare.
-        difference: the largest one of the controls.
-        controller: as the sample left it.
+        number: number of the sample since init().
+        status: status on the target, None if the sample was not finished; for the copy of a solver, its stored status,
+            or that of its next sample.
+        u: (nu,), control of the target; None if ``status`` is None.
+        x: (nx,), the measured state; None if it is unknown.
+        again: status of the replay; None if the sample was not replayed.
+        same: True if status and controls are equal, to the bit; None: there is nothing to compare.
+        difference: largest difference of the controls.
+        controller: the controller after the sample.
     """
 
     number: int
@@ -54,17 +54,17 @@ class ReplayedSample:
 
     @property
     def row(self) -> str | None:
-        """Name of the hard row that is violated most, after INFEASIBLE or RELAXED; else None."""
+        """Return the name of the hard row that is violated most, after INFEASIBLE or RELAXED; else None."""
         return self.controller.stats.violated_row
 
     @property
     def node(self) -> int | None:
-        """Its node."""
+        """Return the node of the hard row that is violated most, or None."""
         return self.controller.stats.violated_node
 
     @property
     def wrong(self) -> bool:
-        """True unless the status is OK."""
+        """Return True unless the status is OK."""
         return self.status is not Status.OK
 
     def __str__(self) -> str:
@@ -73,7 +73,7 @@ class ReplayedSample:
 
     @property
     def name(self) -> str:
-        """Its status in a word."""
+        """Return the status in words."""
         return "the target did not end it" if self.status is None else self.status.name
 
     def _controls(self) -> str:
@@ -96,11 +96,11 @@ class Replay:
     """The samples of a dump, the oldest one first.
 
     Attributes:
-        name: of the package.
-        samples: all of them.
-        status: of ``sample``.
-        row: of ``sample``.
-        node: of ``sample``.
+        name: name of the package.
+        samples: all samples.
+        status: status of ``sample``.
+        row: row of ``sample``.
+        node: node of ``sample``.
     """
 
     name: str
@@ -108,7 +108,7 @@ class Replay:
 
     @property
     def sample(self) -> ReplayedSample:
-        """The last sample that was not OK, or the last one if all were."""
+        """Return the last sample that was not OK, or the last one if all were."""
         return next((s for s in reversed(self.samples) if s.wrong), self.samples[-1])
 
     @property
@@ -125,19 +125,19 @@ class Replay:
 
     @property
     def controller(self) -> Controller:
-        """The controller as that sample left it; copy() it to go on from there."""
+        """Return the controller after ``sample``; copy() it to continue from there."""
         return self.sample.controller
 
     @property
     def same(self) -> bool:
-        """True if all samples that could be taken again had the same status and control, to the bit."""
+        """Return True if all samples that could be replayed had the same status and control, to the bit."""
         return all(sample.same is not False for sample in self.samples)
 
     def __str__(self) -> str:
         return "\n".join([f"{self.name}: {len(self.samples)} samples", *map(str, self.samples), self._why()])
 
     def _why(self) -> str:
-        """What diagnose() says of the sample, or where to look for what it does not see."""
+        """Return the diagnosis of ``sample``, or where to look for a cause that diagnose() cannot see."""
         sample = self.sample
         if sample.status is None:
             ended = "the solver was not initialised" if sample.again is None else f"here it ends, {sample.again.name}"
@@ -150,10 +150,10 @@ class Replay:
         return f"<Replay of {self.name}: {len(self.samples)} samples; {self.sample.number}: {self.sample.name}>"
 
     def plot(self, number: int | None = None, file: str | os.PathLike[str] | None = None) -> Any:
-        """Figure of the plan that a sample left, with bounds and references.
+        """Plot the plan after a sample, with bounds and references.
 
         Args:
-            number: of the sample; None: ``sample``.
+            number: number of the sample; None: ``sample``.
             file: file for the picture; None: only return the figure.
 
         Raises:
@@ -176,11 +176,12 @@ def replay(
     """Take the samples of a dump again.
 
     Args:
-        dump: the bytes, or a file with them, of a <name>_dumps_t, see export(..., dumps=), or of a <name>_solver_t.
-        package: the folder of the package that ran on the target, or its controller. Of a folder it is compiled in the
-            profile "verify", without contraction; a target that fuses a * b + c may differ in last bits.
-        xhat: for the copy of a solver: the measured state (nx,) of the next sample, which is taken; None: the solver is
-            only read.
+        dump: the bytes of a <name>_dumps_t (see export(..., dumps=)) or of a <name>_solver_t, or a file with these
+            bytes.
+        package: the folder of the package that ran on the target, or its controller. A folder is compiled in the
+            profile "verify", without contraction; a target that fuses a * b + c may differ in the last bits.
+        xhat: measured state (nx,) of the next sample, which the copy of a solver then takes; None: the copy is only
+            read.
 
     Raises:
         ControllerError: the bytes are no dump of this package.
@@ -209,7 +210,7 @@ def _bytes_of(dump: bytes | str | os.PathLike[str] | Array) -> bytes:
 
 
 def _load(ctrl: Controller, solver: bytes) -> tuple[Controller, bool]:
-    """A controller in the state of these bytes, and whether they are those of an initialised solver."""
+    """Return a controller in the state that the bytes hold, and True if they belong to an initialised solver."""
     twin, members = ctrl.copy(), ctrl.description.members("solver")
     twin.reset()
     magic = int(twin.view("magic")) if "magic" in members else 0
@@ -220,7 +221,7 @@ def _load(ctrl: Controller, solver: bytes) -> tuple[Controller, bool]:
 
 
 def _read_solver(ctrl: Controller, data: bytes, xhat: ArrayLike | None) -> ReplayedSample:
-    """The solver as it is, or after the sample that xhat begins."""
+    """Return the state of the solver, or the sample that it takes from xhat."""
     twin, ready = _load(ctrl, data)
     if not ready:
         raise ControllerError(f"replay: the bytes are no initialised {ctrl.description.name}_solver_t of this package")
@@ -231,7 +232,7 @@ def _read_solver(ctrl: Controller, data: bytes, xhat: ArrayLike | None) -> Repla
 
 
 def _read_ring(ctrl: Controller, data: bytes) -> Iterator[ReplayedSample]:
-    """The samples of a ring, from the oldest on, each taken again."""
+    """Take the samples of a ring again, from the oldest on."""
     described, d = ctrl.description, ctrl.dims
     layout = [("before", ctrl._struct.dtype), ("x", described.real, (d.nx,)), ("u", described.real, (d.nu,))]
     slot = np.dtype([*layout, ("status", "<i4"), ("sample", "<u4")], align=True)
@@ -248,7 +249,7 @@ def _read_ring(ctrl: Controller, data: bytes) -> Iterator[ReplayedSample]:
 
 
 def _check_head(ctrl: Controller, head: Any, slot: int, size: int) -> None:
-    """ControllerError unless a ring of this package follows, whole."""
+    """Raise ControllerError unless a complete ring of this package follows."""
     name = ctrl.description.name
     ours = package_of(ctrl._package.files[f"{name}.c"])
     theirs = ascii(bytes(head["package"]).decode("latin-1"))
@@ -266,7 +267,7 @@ def _check_head(ctrl: Controller, head: Any, slot: int, size: int) -> None:
 
 
 def _take_again(ctrl: Controller, entry: Any) -> ReplayedSample:
-    """One slot. A solver that was not initialised, or whose state was not read, is only read."""
+    """Take the sample of one slot again; if the solver was not initialised or its state not read, only read it."""
     twin, ready = _load(ctrl, entry["before"].tobytes())
     number, recorded = int(entry["sample"]), np.array(entry["u"])
     x: Array | None = np.array(entry["x"], dtype=np.float64)

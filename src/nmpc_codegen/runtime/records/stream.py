@@ -1,11 +1,11 @@
-"""Recordings as files to which samples are added while they come.
+"""A recording is a file to which samples are added while the loop runs.
 
     line "nmpc_codegen recording 1", length and text of a description (JSON, zlib)
     then parts: "PART", number of samples, bytes, CRC-32 (little endian, 32 bits each), and the samples (zlib)
-    at the end, if there was one: "DONE"
+    at the end, if the recorder was closed: "DONE"
 
-A part is complete or it is not there: whatever ends the program, all parts before remain readable. What the samples
-consist of follows from the package, see recorder.Layout.
+A part is complete or missing: if the program is killed, all earlier parts remain readable. The package determines the
+layout of a sample, see recorder.Layout.
 """
 
 from __future__ import annotations
@@ -34,15 +34,17 @@ PERIOD = 0.25
 
 
 class Ring:
-    """Memory for ``slots`` samples of ``size`` bytes; ``head``: number of samples so far, ``tail``: of those that are
-    written."""
+    """Memory for ``slots`` samples of ``size`` bytes.
+
+    ``head`` is the number of samples so far, ``tail`` the number of those that are written.
+    """
 
     def __init__(self, slots: int, size: int) -> None:
         self.slots, self.size, self.head, self.tail = slots, size, 0, 0
         self.buffer = bytearray(slots * size)
 
     def bytes_of(self, first: int, last: int) -> bytes:
-        """Samples first .. last - 1, which are still there."""
+        """Return the bytes of samples first .. last - 1, which must still be in the ring."""
         begin, end = first % self.slots, (last - 1) % self.slots + 1
         view = memoryview(self.buffer)
         if begin < end:
@@ -51,9 +53,9 @@ class Ring:
 
 
 class Writer:
-    """Writes what is in a ring to a file, in a thread of its own: four times a second, when asked to, and at the end.
+    """A thread that writes the samples in a ring to a file: four times a second, on demand, and at the end.
 
-    ``error``: of the last attempt; the samples are still in the ring, and the next attempt begins at the same place.
+    ``error`` is that of the last attempt; its samples stay in the ring, and the next attempt writes to the same place.
     """
 
     def __init__(self, file: str | os.PathLike[str], ring: Ring, description: Mapping[str, Any]) -> None:
@@ -92,7 +94,7 @@ class Writer:
         self._file.close()
 
     def _add(self) -> None:
-        """Write the samples that are in the ring as a part, behind the last whole one."""
+        """Write the samples that are in the ring as a part, behind the last complete one."""
         ring, last = self._ring, self._ring.head
         if last == ring.tail:
             return
@@ -104,14 +106,14 @@ class Writer:
         self._end, ring.tail = self._file.tell(), last
 
     def _write(self, data: bytes) -> None:
-        """All of the data; a file may take a part of them at once."""
+        """Write all data; a file may accept only a part of them in one call."""
         view = memoryview(data)
         while view:
             view = view[self._file.write(view) :]
 
     @property
     def is_ours(self) -> bool:
-        """False in a process that was forked: the file belongs to its parent, whose locks may be taken for ever."""
+        """Return False in a forked process: the file belongs to its parent, and its locks may be held for ever."""
         return os.getpid() == self._process
 
     def flush(self) -> None:
@@ -119,13 +121,13 @@ class Writer:
         if not self.is_ours:
             return
         with self._tried:
-            until = self._attempts + 2  # the present attempt may have begun before
+            until = self._attempts + 2  # the present attempt may have begun before this call
             while self._thread.is_alive() and self._attempts < until and self._ring.tail < self._ring.head:
                 self._wanted.set()
                 self._tried.wait(PERIOD)
 
     def close(self) -> None:
-        """Write the rest and close the file; again after an interrupt."""
+        """Write the remaining samples and close the file; after an interrupt it can be called again."""
         if not self.is_ours:
             return
         self._stop.set()
@@ -135,17 +137,18 @@ class Writer:
 
 
 def is_recording(file: str | os.PathLike[str]) -> bool:
-    """True if the file begins as one."""
+    """Return True if the file begins as a recording."""
     with Path(file).open("rb") as stream:
         return stream.read(len(MAGIC)) == MAGIC
 
 
 def read(file: str | os.PathLike[str]) -> tuple[dict[str, Any], NDArray[np.uint8], tuple[str, ...]]:
-    """Description and samples, (n, size), of a recording, and what is to be said of the file; what a killed program has
-    left of a part, and damaged parts, are passed over.
+    """Return the description and samples (n, size) of a recording, and remarks on the file.
+
+    Incomplete and damaged parts are skipped.
 
     Raises:
-        ControllerError: the file is no recording, or no sample of it is whole.
+        ControllerError: the file is no recording, or it contains no complete sample.
     """
     data = Path(file).read_bytes()
     try:
@@ -174,7 +177,7 @@ def read(file: str | os.PathLike[str]) -> tuple[dict[str, Any], NDArray[np.uint8
 
 
 def _parts(data: bytes, place: int) -> Iterator[tuple[int, int, bytes]]:
-    """Place, number of samples and compressed bytes of every part; one that is damaged is passed over."""
+    """Yield place, number of samples and compressed bytes of every part; a damaged part is skipped."""
     while (place := data.find(WORD, place)) >= 0 and place + PART.size <= len(data):
         _, count, length, check = PART.unpack_from(data, place)
         part = data[place + PART.size : place + PART.size + length]
@@ -186,7 +189,7 @@ def _parts(data: bytes, place: int) -> Iterator[tuple[int, int, bytes]]:
 
 
 def _remarks(data: bytes, place: int, parts: Sequence[tuple[int, int, bytes]]) -> Iterator[str]:
-    """Whether bytes between parts are damaged, and whether the recording was closed."""
+    """Yield remarks: bytes between parts that are damaged, and a recording that was not closed."""
     for begin, _, part in parts:
         if begin != place:
             yield f"{begin - place} bytes of the recording are damaged"

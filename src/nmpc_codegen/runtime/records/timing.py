@@ -1,4 +1,4 @@
-"""Computing times, deadlines and periods of a log, in numbers and words."""
+"""Computing times, deadlines and periods of a log are given in numbers and words."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from nmpc_codegen.errors import ControllerError
 from nmpc_codegen.runtime.given import is_positive
 from nmpc_codegen.runtime.records.trace import Record
 
-#: Nanoseconds of the units of time that are times.
+#: Unit of time -> nanoseconds; other units, such as "samples", are no times.
 NANOSECONDS = {
     **dict.fromkeys(("s", "sec", "seconds"), 1e9),
     **dict.fromkeys(("min", "minutes"), 60e9),
@@ -22,13 +22,13 @@ NANOSECONDS = {
     "d": 86400e9,
     "days": 86400e9,
 }
-#: Units in which times are shown, in nanoseconds.
+#: Unit in which times are shown -> nanoseconds.
 SHOWN = {"h": 3600e9, "min": 60e9, "s": 1e9, "ms": 1e6, "µs": 1e3, "ns": 1.0}
-LATE = 1.5  # periods after which a sample counts as one that began late
+LATE = 1.5  # periods after the sample before, from which a sample counts as late
 
 
 def nanoseconds(log: Record, dt: float | None) -> float | None:
-    """A deadline, by default the sampling time, in nanoseconds; None if the unit of time of the problem is no time."""
+    """Return a deadline, by default the sampling time, in nanoseconds; None if the problem's unit is no time."""
     if dt is not None and not is_positive(dt):
         raise ControllerError(f"plot_times(): dt is {dt!r}; expected a positive number ({log.time_unit})")
     unit = NANOSECONDS.get(log.time_unit)
@@ -38,7 +38,7 @@ def nanoseconds(log: Record, dt: float | None) -> float | None:
 
 
 def in_words(log: Record, dt: float | None = None) -> list[str]:
-    """Median and worst time with the deadline, and the periods of a recording, each in a line."""
+    """Return lines with median and worst time, the deadline, and the periods of a recording."""
     deadline = nanoseconds(log, dt)
     slowest = log.number(int(np.argmax(log.time_ns)))
     median, worst = short_time(np.median(log.time_ns)), short_time(np.max(log.time_ns))
@@ -58,7 +58,7 @@ def in_words(log: Record, dt: float | None = None) -> list[str]:
 
 
 def late_starts(log: Record) -> NDArray[np.int64]:
-    """Samples of a recording, by their places in the log, that began more than half of a period late."""
+    """Return the samples of a recording, by their index in the log, that began more than half a period late."""
     period = nanoseconds(log, None)
     if period is None or len(log.began_ns) < 2:
         return np.zeros(0, np.int64)
@@ -66,11 +66,11 @@ def late_starts(log: Record) -> NDArray[np.int64]:
 
 
 def unit_of(nanoseconds: Any) -> str:
-    """The largest unit of SHOWN in which a time is at least 1."""
+    """Return the largest unit of SHOWN in which a time is at least 1."""
     return next((unit for unit in SHOWN if nanoseconds >= SHOWN[unit]), "ns")
 
 
 def short_time(nanoseconds: Any) -> str:
-    """A time in that unit."""
+    """Return a time as text, in the largest unit in which it is at least 1."""
     unit = unit_of(nanoseconds)
     return f"{nanoseconds / SHOWN[unit]:.4g} {unit}"

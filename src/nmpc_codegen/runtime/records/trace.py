@@ -1,4 +1,4 @@
-"""Record: the arrays of a log with their axes, and its quantities with names, units and bounds."""
+"""A Record holds the arrays of a log with their axes, and its quantities with names, units and bounds."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from nmpc_codegen.package.signals import units
 from nmpc_codegen.package.status import Status
 
 Array = NDArray[np.float64]
-#: Where a picture is written; None: nowhere.
+#: File for a picture; None: no file.
 File = str | os.PathLike[str] | None
 
 SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
 def with_unit(name: str, unit: str) -> str:
-    """Name and unit for an axis, with powers as superscripts: ``a [m/s²]``."""
+    """Return name and unit for an axis, with powers as superscripts: ``a [m/s²]``."""
     text = re.sub(r"\^(-?\d+)", lambda power: power[1].translate(SUPERSCRIPTS), unit)
     return f"{name} [{text}]" if text else name
 
@@ -34,9 +34,9 @@ class Trace:
     """A quantity of a log.
 
     Attributes:
-        name: its name.
-        unit: its unit, "" for none.
-        signal: the state or control that a residual is, "" for another expression.
+        name: name of the quantity.
+        unit: unit of the quantity, "" for none.
+        signal: the state or control, if a residual is a single one; else "".
     """
 
     name: str
@@ -45,12 +45,12 @@ class Trace:
 
     @property
     def label(self) -> str:
-        """Label of its axis."""
+        """Return the label of its axis."""
         return with_unit(self.name, self.unit)
 
 
 def traces_of(described: PackageDescription) -> dict[str, Any]:
-    """Names and units of states, controls, algebraic variables, parameters and references, by these words."""
+    """Return names and units of states, controls, algebraic variables, parameters and references, by these words."""
     kinds = ("states", "controls", "algebraic", "parameters")
     unit = units(*(getattr(described, kind) for kind in kinds))
     found = {kind: tuple(Trace(name, unit[name]) for name in getattr(described.names, kind)) for kind in kinds}
@@ -62,12 +62,12 @@ class Limit:
     """A row that bounds a column of a log.
 
     Attributes:
-        name: of the row.
-        array: what it bounds, of "x", "u" or "h".
-        column: the column of this array.
-        row: its place in the program of the rows.
-        soft: it may be violated at a cost.
-        delay: time of the first node where it holds, at which the bound of a sample is.
+        name: name of the row.
+        array: the bounded array, "x", "u" or "h".
+        column: the bounded column of this array.
+        row: index of the row in the program.
+        soft: True if it may be violated at a cost.
+        delay: time of the first node where the row holds; bounds of a sample apply at this time after it.
     """
 
     name: str
@@ -80,19 +80,20 @@ class Limit:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Plans:
-    """Plans that a log has kept, of n samples, with the rows of the problem along each.
+    """The plans of n samples in a log, with the rows of the problem along each.
 
     Attributes:
         sample: (n,), numbers of the samples.
         t: (N+1,), time of every node after the sample.
         x: (n, N+1, nx), states.
         u: (n, N, nu), controls.
-        distance: (n, rows), the least of all nodes to the nearer bound, negative where a row is violated, and NaN of
-            coupled rows.
-        multiplier: (n, rows), the one of largest size, positive at an upper bound, NaN if the algorithm has none.
-        active: (n, rows), at how many nodes the row is active.
-        rounding: (rows,), violations that are none.
-        rows: names of these columns.
+        distance: (n, rows), least distance to the nearer bound over all nodes, negative where a row is violated, NaN
+            for coupled rows.
+        multiplier: (n, rows), multiplier of largest absolute value over the nodes, positive at an upper bound, NaN if
+            the algorithm has none.
+        active: (n, rows), number of nodes at which the row is active.
+        rounding: (rows,), violations up to these values are rounding.
+        rows: names of the rows.
     """
 
     AXES: ClassVar[Mapping[str, tuple[str, ...]]] = {
@@ -121,17 +122,17 @@ class Plans:
 
 @dataclass(frozen=True, eq=False)
 class Estimates:
-    """What an estimator has found in a loop, one entry per sample.
+    """The results of an estimator in a loop, one entry per sample.
 
     Attributes:
-        x: (steps, nx + unknown parameters), estimates, the parameters behind the states.
-        std: their standard deviations.
+        x: (steps, nx + unknown parameters), estimates of the states, then of the parameters.
+        std: standard deviations of the estimates.
         y: (steps, ny), measurements, NaN where one was missing.
         p: (steps, unknown parameters), the true values.
         status: (steps,), values of Status.
-        time_ns: (steps,), times of computing (ns).
+        time_ns: (steps,), computing times (ns).
         states: names and units of the columns of x.
-        sensors: of the columns of y; ``signal``: the state that it shows.
+        sensors: names and units of the columns of y; ``signal`` is the state that a sensor measures.
     """
 
     AXES: ClassVar[Mapping[str, tuple[str, ...]]] = {
@@ -156,37 +157,36 @@ class Record:
     """The record of a closed loop, one entry per sample; t and x have one more for its end.
 
     Attributes:
-        name: of the package.
-        time_unit: of t; "samples" for a discrete map.
+        name: name of the package.
+        time_unit: unit of t; "samples" for a discrete map.
         t: (steps+1,), times.
         x: (steps+1, nx), states of the plant.
         u: (steps, nu), controls.
         z: (steps, number), algebraic variables at x[k], u[k].
-        h: (steps, number), values of the general path rows there, those that hold at node 0 or at several nodes before
-            the end.
+        h: (steps, number), values at x[k], u[k] of the general rows that hold at node 0 or at several nodes before the
+            end.
         p: (steps, np), parameters at node 0.
         y: (steps, ny), reference of the path residual at node 0.
         status: (steps,), values of Status.
-        cost: (steps,), of the plan of every sample.
-        time_ns: (steps,), of prepare and feedback together (ns).
-        lower: (steps, number of ``limits``), bounds of these rows, each at the first node where it holds.
-        upper: the same.
-        residual: (steps,), how far the plan was from the model and its rows, see Stats; NaN where the algorithm has
-            none.
+        cost: (steps,), cost of the plan of every sample.
+        time_ns: (steps,), computing time of prepare and feedback together (ns).
+        lower: (steps, number of ``limits``), lower bounds of these rows, each at the first node where it holds.
+        upper: (steps, number of ``limits``), upper bounds at the same nodes.
+        residual: (steps,), violation of the model and the rows by the plan, see Stats; NaN if the algorithm has none.
         states: names and units of the columns of x.
-        controls: of the columns of u.
-        algebraic: of the columns of z.
-        rows: of the columns of h.
-        parameters: of the columns of p.
-        references: of the columns of y.
-        reasons: what Controller.diagnose() said at the first sample with each status.
+        controls: names and units of the columns of u.
+        algebraic: names and units of the columns of z.
+        rows: names and units of the columns of h.
+        parameters: names and units of the columns of p.
+        references: names and units of the columns of y.
+        reasons: text of Controller.diagnose() at the first sample with each status.
         limits: rows that bound columns of x, u and h.
         program: the rows as functions of states, controls and parameters.
-        dt: the time between samples that was meant.
-        plans: those that were kept; None: none.
-        estimates: of a loop with an estimator; else None.
-        began_ns: of a recording, when each sample began, by a clock that only runs forward (ns); else empty.
-        remarks: on the file of a recording.
+        dt: nominal time between samples.
+        plans: logged plans, or None.
+        estimates: results of the estimator, or None.
+        began_ns: begin of each sample of a recording on a monotonic clock (ns); else empty.
+        remarks: remarks on the file of a recording.
     """
 
     AXES: ClassVar[Mapping[str, tuple[str, ...]]] = {
@@ -232,9 +232,9 @@ class Record:
     remarks: tuple[str, ...] = ()
 
     def number(self, k: int) -> int:
-        """Number of the k-th sample of the log: of a recording that of the recorder, from 0 on."""
+        """Return the number of the k-th sample of the log; in a recording, that of the recorder, counted from 0."""
         return round(self.t[k] / self.dt) if len(self.began_ns) else k
 
 
-#: Array of a log -> its field with the traces of the columns.
+#: Array of a log -> field with the traces of its columns.
 COLUMNS = {name: axes[1] for name, axes in Record.AXES.items() if len(axes) > 1 and axes[1] != "limits"}

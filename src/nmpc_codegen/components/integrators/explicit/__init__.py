@@ -1,1 +1,1 @@
-"""Explicit Runge-Kutta schemes: sweeps over steps and stages, which are printed as straight-line code or as loops."""
+"""Explicit Runge-Kutta schemes are sweeps over steps and stages, printed as straight-line code or as loops."""

@@ -1,4 +1,4 @@
-"""Derivatives of a right-hand side as leaves of sweeps, with their structural zeros and constants.
+"""Derivatives of a right-hand side are leaves of sweeps, with structural zeros and constants.
 
     F = (f, l)(x, u, p): the dynamics, followed by the rate of an integrated cost, if there is one
     F_z = dF / d(x, u),   H(kappa) = d2 (kappa' F) / d(x, u)^2, lower triangle
@@ -30,7 +30,7 @@ class IntervalDerivatives:
     """F, F_z and H of one problem with their sparsity patterns.
 
     Attributes:
-        nF: rows of F, nx or nx + 1.
+        nF: number of rows of F, nx or nx + 1.
         jacobian: nonzeros (i, j) of F_z, in the order of its values.
         hessian: nonzeros (r, c), r >= c, of H -> position of the value among ``values`` distinct ones.
         curved: rows of F that are nonlinear in (x, u).
@@ -63,7 +63,7 @@ class IntervalDerivatives:
         self._split()
 
     def _cheapest(self, z: Expression) -> tuple[Expression, Kernel]:
-        """H as that one of three expressions whose program, together with f and F_z, has the fewest operations."""
+        """Return the one of three expressions of H whose program, together with f and F_z, has fewest operations."""
         L = ca.dot(self._kappa, self.F)
         terms = [self._kappa[i] * ca.tril(ca.hessian(self.F[i], z)[0]) for i in range(self.nF)]
         forward = ca.jacobian(ca.jacobian(self.F, z).T @ self._kappa, z)
@@ -93,11 +93,11 @@ class IntervalDerivatives:
 
     @property
     def keeps_tape(self) -> bool:
-        """True if the tape of every stage is stored, False if it is evaluated again from the stage point."""
+        """Return True if the tape of every stage is stored, False if it is evaluated again from the stage point."""
         return self.tape <= TAPE_PER_COMPONENT * self.nz
 
     def _values(self, inputs: Sequence[Expression], preset: dict[int, Expression]) -> Values:
-        """A lookup of the values of the program for the given inputs, evaluated on demand."""
+        """Return a lookup of the values of the program for the given inputs, evaluated on demand."""
         k, known = self._kernel, dict(preset)
 
         def value(index: int) -> Expression:
@@ -120,11 +120,11 @@ class IntervalDerivatives:
     # Leaves ----------------------------------------------------------------------------------------------------------
 
     def leaf_value(self) -> Function:
-        """K = f(X, u, p)."""
+        """Return the leaf K = f(X, u, p)."""
         return ca.Function("f", [self.x, self.u, self.p], [self.F[: self.nx]], ["x", "u", "p"], ["K"])
 
     def leaf_tape(self, length: int, value: bool = True) -> Function:
-        """(K,) tape[:length] at a stage point."""
+        """Return the leaf of (K,) tape[:length] at a stage point."""
         entry = self._values([self.x, self.u, self.p], {})
         tape = _column([entry(v) for v in self._kept[:length]])
         if value:
@@ -134,7 +134,7 @@ class IntervalDerivatives:
 
     @cached_property
     def functions(self) -> list[int]:
-        """Calls of math.h functions that the tape depends on, which compilers do not vectorise."""
+        """Return the calls of math.h functions in the tape, which compilers do not vectorise."""
         found, todo = set(), list(self._kept)
         while todo:
             index = todo.pop()
@@ -145,13 +145,13 @@ class IntervalDerivatives:
         return sorted(v for v in found if _is_call(self._kernel.instructions[v].opcode))
 
     def leaf_value_and_functions(self) -> Function:
-        """K, and the values of ``functions``."""
+        """Return the leaf of K and of the values of ``functions``."""
         entry = self._values([self.x, self.u, self.p], {})
         values = _column([entry(v) for v in self.functions])
         return ca.Function("f", [self.x, self.u, self.p], [self._K(entry), values], ["x", "u", "p"], ["K", "m"])
 
     def leaf_tape_of_functions(self) -> Function:
-        """The tape, computed from the values of ``functions`` by arithmetic alone."""
+        """Return the leaf of the tape, computed from the values of ``functions`` by arithmetic only."""
         values = ca.SX.sym("m", len(self.functions))
         preset = {v: values[n] for n, v in enumerate(self.functions)}
         entry = self._values([self.x, self.u, self.p], preset)
@@ -166,7 +166,7 @@ class IntervalDerivatives:
         return K
 
     def Fz(self, tape: Expression) -> Expression:
-        """F_z as an SX matrix in the symbols of a tape; constant entries are numbers."""
+        """Return F_z as an SX matrix in the symbols of a tape; constant entries are numbers."""
         stored = iter([v for o, _, v in self._kernel.stores if o == 1])
         where = {v: tape[n] for n, v in enumerate(self._kept[: self.slopes])}
         matrix = ca.SX(self.nF, self.nz)
@@ -175,7 +175,7 @@ class IntervalDerivatives:
         return matrix
 
     def leaf_hessian(self) -> Function:
-        """The values of H from the stage point, its tape, and kappa of the curved rows."""
+        """Return the leaf of the values of H from the stage point, its tape, and kappa of the curved rows."""
         tape, kappa = ca.SX.sym("t", self.tape), ca.SX.sym("kappa", len(self.curved))
         full = ca.SX.zeros(self.nF)
         for n, i in enumerate(self.curved):
@@ -190,21 +190,21 @@ class IntervalDerivatives:
 
     @cached_property
     def needed(self) -> list[int]:
-        """States that F depends on."""
+        """Return the states on which F depends."""
         return sorted({j for _, j in self.jacobian if j < self.nx})
 
     @cached_property
     def curved_states(self) -> list[int]:
-        """States in which F is nonlinear, which are rows of H."""
+        """Return the states in which F is nonlinear, which are rows of H."""
         return sorted({j for e in self.hessian for j in e if j < self.nx})
 
     @cached_property
     def curved_controls(self) -> list[int]:
-        """Controls (0 .. nu - 1) in which F is nonlinear."""
+        """Return the controls (0 .. nu - 1) in which F is nonlinear."""
         return sorted({j - self.nx for e in self.hessian for j in e if j >= self.nx})
 
     def depends_on_time_alone(self, column: int) -> bool:
-        """True if this column of d x(t) / d(x, u) depends on time alone.
+        """Return True if this column of d x(t) / d(x, u) depends only on time.
 
         This is the case if all states that it reaches enter F linearly with constant coefficients. A column that
         reaches more than CLOSED_STATES of them is treated as one that does not.

@@ -1,10 +1,10 @@
-"""Products of the derivatives of one interval with vectors, which store no transition matrix.
+"""Products of the derivatives of one interval with vectors are computed without storing a transition matrix.
 
 forward:  dx_next = A dx + B du:   dX_i = dx + h sum_j a_ij dK_j,  dK_i = f_x dX_i + f_u du,  dx += h sum_i b_i dK_i
 adjoint:  g = [A B]' adj, the exact discrete adjoint of the scheme:
           kappa_i = h b_i adj + h sum_j a_ji Xbar_j,  (Xbar_i, ubar_i) = [f_x f_u]' kappa_i,  adj += sum_i Xbar_i
 
-A and B are evaluated at (x, u), whose stage points are computed again.
+A and B are evaluated at (x, u); the stage points are computed again.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ class Directional:
         self.f = problem.dynamics(self.x, self.u, self.p)
 
     def forward(self) -> Sweep:
-        """(x, u, p, dt, dx, du) -> dx_next."""
+        """Return the sweep (x, u, p, dt, dx, du) -> dx_next."""
         rk, nx, s = self.rk, self.nx, self.stages
         point, moved, du = Slice("Xi", nx), Slice("dXi", nx), Slice("du", self.nu)
         leaf = rk.slope_and_tangent(self.f, self.x, self.u, self.p)
@@ -61,7 +61,7 @@ class Directional:
         )
 
     def adjoint(self) -> Sweep:
-        """(x, u, p, dt, adj) -> g."""
+        """Return the sweep (x, u, p, dt, adj) -> g."""
         nx, nu, s = self.nx, self.nu, self.stages
         leaf = ca.Function("f", [self.x, self.u, self.p], [self.f])
         first: list[Node] = []
@@ -103,7 +103,7 @@ class Directional:
         return Slice("Xbar", self.nx, Affine(stage * self.nx))
 
     def _backward(self, stage: int, lam: Slice, controls: Slice) -> Call:
-        """Xbar_i, and the adjoint of the controls += ubar_i."""
+        """Return the call that computes Xbar_i and adds ubar_i to the adjoint of the controls."""
         sym, nx = ca.SX.sym, self.nx
         adj, h, g = sym("lam", nx), sym("h"), sym("g", self.nu)
         bars = {j: sym(f"Xbar{j}", nx) for j in self.rk.later(stage)}

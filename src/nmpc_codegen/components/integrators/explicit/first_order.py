@@ -1,4 +1,4 @@
-"""States and forward sensitivities of one interval.
+"""One sweep computes the states and forward sensitivities of an interval.
 
 K_i' = f_x(X_i) S_i + [0 f_u(X_i)], S_i = S + h sum_j a_ij K_j', S+ = S + h sum_i b_i K_i',  S = [I 0] at the start
 """
@@ -18,7 +18,7 @@ from nmpc_codegen.ir.tuning import PANEL
 
 
 def step_sweep(problem: Problem, tableau: ButcherTableau) -> Sweep:
-    """x_next = one Runge-Kutta step of length h."""
+    """Return the sweep of x_next = one Runge-Kutta step of length h."""
     rk = RungeKutta(problem, tableau)
     nx, x = rk.nx, Slice("x", rk.nx)
     f = SchemeDynamics(problem).leaf_f()
@@ -43,7 +43,7 @@ def step_sweep(problem: Problem, tableau: ButcherTableau) -> Sweep:
 
 
 class SchemeDynamics:
-    """f and its derivatives as leaves of sweeps."""
+    """The right-hand side f and its derivatives as leaves of sweeps."""
 
     def __init__(self, problem: Problem) -> None:
         self.x, self.u, self.p = problem.path.x, problem.path.u, problem.path.p
@@ -54,11 +54,11 @@ class SchemeDynamics:
         self.fu_rows = sorted(set(self.fu.sparsity().row()))
 
     def leaf_f(self) -> Function:
-        """K = f(X, u, p)."""
+        """Return the leaf K = f(X, u, p)."""
         return ca.Function("f", [self.x, self.u, self.p], [self.f], ["x", "u", "p"], ["K"])
 
     def leaf_f_and_jacobian(self, ld: int) -> Function:
-        """K = f, the nonzeros of f_x, and the nonzero rows of [0 f_u], ld columns each."""
+        """Return the leaf of K = f, the nonzeros of f_x, and the nonzero rows of [0 f_u], ld columns each."""
         values = ca.vertcat(ca.SX(0, 1), *nonzeros(self.fx))
         padded = ca.horzcat(ca.SX(self.nx, self.nx), self.fu, ca.SX(self.nx, ld - self.nx - self.nu))
         rows = ca.vertcat(ca.SX(0, 1), *(padded[i, :].T for i in self.fu_rows))
@@ -66,7 +66,7 @@ class SchemeDynamics:
         return ca.Function("linearize_f", inputs, [self.f, values, rows], ["x", "u", "p"], ["K", "fx", "Fu"])
 
     def leaf_slope(self, stage: int, tableau: ButcherTableau) -> Function:
-        """One column of K_i' = f_x (S + h sum_j a_ij K_j') + [0 f_u]."""
+        """Return the leaf of one column of K_i' = f_x (S + h sum_j a_ij K_j') + [0 f_u]."""
         coefficients = tableau.a[stage]
         values, column, h = ca.SX.sym("fx", self.fx.nnz()), ca.SX.sym("s", self.nx), ca.SX.sym("h")
         fu = ca.SX.sym("Fu", len(self.fu_rows))
@@ -81,7 +81,7 @@ class SchemeDynamics:
 
 
 class Sensitivities:
-    """x_next = Phi(x, u, p) over one interval and S = d x_next / d(x, u), [nx][nx + nu] row-major.
+    """The sweep of x_next = Phi(x, u, p) and S = d x_next / d(x, u), [nx][nx + nu] row-major, over one interval.
 
     Local sensitivities are row-major with rows padded to PANEL columns, so that the loops over columns vectorise.
     """
@@ -92,7 +92,7 @@ class Sensitivities:
         self.ld = -(-self.nz // PANEL) * PANEL
 
     def sweep(self, name: str = "integrator_interval", steps: int | None = None) -> Sweep:
-        """(x, u, p, dt) -> x_next, S; ``steps``: only so many of the steps."""
+        """Return the sweep (x, u, p, dt) -> x_next, S; ``steps`` limits the number of steps."""
         passes = self.rk.steps if steps is None else steps
         rk, nx, nz, ld = self.rk, self.rk.nx, self.nz, self.ld
         start = ca.SX.zeros(nx * ld)
@@ -131,14 +131,14 @@ class Sensitivities:
         )
 
     def _column(self, buffer: str, rows: int, block: int = 0) -> Slice:
-        """Column c of a matrix with padded rows."""
+        """Return column c of a matrix with padded rows."""
         return Slice(buffer, rows, Affine(block * rows * self.ld, (("c", 1),)), self.ld)
 
     def _slope(self, stage: int) -> Slice:
         return self._column("Ks", self.rk.nx, stage)
 
     def _step(self) -> list[Node]:
-        """One step of X and Sx in place; K and Ks hold the slopes of the stages."""
+        """Return one step of X and Sx in place; K and Ks hold the slopes of the stages."""
         rk, f, ld = self.rk, self.f, self.ld
         S, h = self._column("Sx", rk.nx), Slice("h", 1)
         nodes: list[Node] = []

@@ -1,8 +1,9 @@
-"""Forward over adjoint (Quirynen et al., CDC 2014, algorithm 1): the sensitivities of all stages are stored, and the
-derivative of the adjoint recursion is propagated backward without using its symmetry.
+"""Forward over adjoint propagates the derivative of the adjoint recursion backward, without using its symmetry.
 
     Kbar_i' = h b_i lam' + h sum_j a_ji Xbar_j',   Xbar_i' = F_x' Kbar_i' + H_x Z_i,   lam' += sum_i Xbar_i',
     ubar' += F_u' Kbar_i' + H_u Z_i,   Z_i = [S_i; 0 I];   the result is [lam'; ubar'].
+
+The sensitivities of all stages are stored (Quirynen et al., CDC 2014, algorithm 1).
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ class AdjointSweep(Builder):
     """Forward mode over the adjoint of an interval; ThreeSweeps gives the same result with less memory."""
 
     def body(self) -> list[Node]:
-        """All nodes, which compute x_next and S from x, u, p, dt, lam and add to g and Q."""
+        """Return all nodes, which compute x_next and S from x, u, p, dt, lam and add to g and Q."""
         nodes = self.start()
         first = [node for i in range(self.stages) for node in (*self.evaluate(i), *self._slope(i))]
         nodes.append(For("step", 0, self.steps, (*first, self.rk.update_state(), self.update_columns())))
@@ -38,17 +39,17 @@ class AdjointSweep(Builder):
         return [*nodes, *add_notes(self._results(), "results")]
 
     def _curved_column(self, stage: int) -> Slice:
-        """Column c of the curved rows of Z, stored for every stage of every step."""
+        """Return column c of the curved rows of Z, stored for every stage of every step."""
         size = len(self.d.curved_states) * self.ld
         terms = (("step", self.stages * size), ("c", 1))
         return Slice("Zs", len(self.d.curved_states), Affine(stage * size, terms), self.ld)
 
     def _slope(self, stage: int) -> list[Node]:
-        """The columns of K_i' in the first sweep."""
+        """Return the columns of K_i' in the first sweep."""
         return [*self.again(stage, self.d.slopes), self.slope(stage, self.d.curved_states, self._curved_column(stage))]
 
     def _second(self, stage: int) -> list[Node]:
-        """kappa_i, H_i, and the columns of Xbar_i' and ubar'."""
+        """Return kappa_i, H_i, and the columns of Xbar_i' and ubar'."""
         needed, later = len(self.d.needed), self.rk.later(stage)
         nodes = [*self.again(stage, self.d.tape), self.curvature(stage)]
         ins = [self.tape(stage, self.d.slopes), Slice("h", 1), Slice("Hs", self.d.values), self._curved_column(stage)]
@@ -76,13 +77,13 @@ class AdjointSweep(Builder):
         return ca.Function(f"bar_{stage}", arguments, outputs, names, ["Xbar", "next"])
 
     def _update(self) -> For:
-        """lam' += sum_i Xbar_i'."""
+        """Return the loop lam' += sum_i Xbar_i'."""
         n = len(self.d.needed)
         update = self.rk.update_adjoint("update_bars", self.column("adjS", n), lambda i: self.column("XbarS", n, i))
         return self.columnwise(replace(update, note="second derivatives of the step"))
 
     def _results(self) -> list[Node]:
-        """Q += [lam'; ubar'], rows up to their diagonal."""
+        """Return Q += [lam'; ubar'], rows up to their diagonal."""
         nodes: list[Node] = []
         for a, j, n in self.runs:
             buffer = "adjS" if j < self.nx else "ubarS"
@@ -92,7 +93,7 @@ class AdjointSweep(Builder):
         return nodes
 
     def buffers(self) -> tuple[Local, ...]:
-        """All local buffers."""
+        """Return all local buffers."""
         needed = len(self.d.needed) * self.ld
         return (
             *self.locals(),

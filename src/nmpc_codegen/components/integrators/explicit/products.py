@@ -1,4 +1,4 @@
-"""Products of the Jacobians A = d Phi / dx, B = d Phi / du of one interval with vectors, without forming the Jacobians.
+"""Products of the Jacobians A = d Phi / dx, B = d Phi / du of one interval with vectors do not form the Jacobians.
 
     value:   x_next = Phi(x, u, p)
     adjoint: lam_x = A' lam, lam_u = B' lam, the exact adjoint of the scheme:
@@ -35,7 +35,7 @@ class IntervalSweeps:
         self.steps, self.stages = steps, tableau.stages
 
     def value(self) -> Sweep:
-        """(x, u, p, dt) -> x_next."""
+        """Return the sweep (x, u, p, dt) -> x_next."""
         nx, rk = self.nx, self.rk
         step = self._stages(lambda i: Slice("Xi", nx))
         body: list[Node] = [
@@ -57,7 +57,7 @@ class IntervalSweeps:
         )
 
     def adjoint(self) -> Sweep:
-        """(x, u, p, dt, lam) -> lam_x, lam_u."""
+        """Return the sweep (x, u, p, dt, lam) -> lam_x, lam_u."""
         nx, nu, rk, s = self.nx, self.nu, self.rk, self.stages
         forward = self._stages(self._stage_point)
         backward = [self._backward(i) for i in reversed(range(s))]
@@ -87,7 +87,10 @@ class IntervalSweeps:
         )
 
     def columns(self, forced: bool) -> Sweep:
-        """forced: (x, u, p, dt) -> x_next, S_next = B; else (x, u, p, dt, S) -> x_next, S_next = A S; [nx][nu]."""
+        """Return the sweep (x, u, p, dt) -> x_next, S_next = B, or with S as an input S_next = A S unless ``forced``.
+
+        S and S_next are [nx][nu].
+        """
         nx, nu, rk, s = self.nx, self.nu, self.rk, self.stages
         first = (
             Call(ca.Function("clear", [], [ca.SX.zeros(nx * nu)]), (), (Slice("V", nx * nu),))
@@ -127,18 +130,18 @@ class IntervalSweeps:
         return self.rk.slope(stage)
 
     def _stage_point(self, stage: int) -> Slice:
-        """The stage point of a step, kept for the backward sweep."""
+        """Return the stage point of a step, kept for the backward sweep."""
         return Slice("Xs", self.nx, Affine(stage * self.nx, (("step", self.stages * self.nx),)))
 
     def _bar(self, stage: int) -> Slice:
         return Slice("Xbar", self.nx, Affine(stage * self.nx))
 
     def _column(self, buffer: str, block: int = 0) -> Slice:
-        """Column c of a matrix [nx][nu]."""
+        """Return column c of a matrix [nx][nu]."""
         return Slice(buffer, self.nx, Affine(block * self.nx * self.nu, (("c", 1),)), self.nu)
 
     def _stages(self, point: Callable[[int], Slice]) -> list[Node]:
-        """The points and slopes of all stages."""
+        """Return the points and slopes of all stages."""
         nodes: list[Node] = []
         for i in range(self.stages):
             slope = Call(self.f.leaf_f(), (point(i), *self.rk.up), (self._slope(i),))
@@ -146,7 +149,7 @@ class IntervalSweeps:
         return nodes
 
     def _backward(self, stage: int) -> Call:
-        """Xbar_i = f_x' kappa_i, and lam_u += f_u' kappa_i."""
+        """Return the call that computes Xbar_i = f_x' kappa_i and adds f_u' kappa_i to lam_u."""
         sym, nx, f = ca.SX.sym, self.nx, self.f
         adj, h, total = sym("adj", nx), sym("h"), sym("lam_u", self.nu)
         bars = {j: sym(f"Xbar{j}", nx) for j in self.rk.later(stage)}
@@ -160,7 +163,7 @@ class IntervalSweeps:
         return Call(leaf, tuple(ins), (self._bar(stage), here), note=f"adjoint of stage {stage + 1}")
 
     def _column_stage(self, stage: int, forced: bool) -> list[Node]:
-        """K_i, then K_i' column by column."""
+        """Return K_i, then K_i' column by column."""
         rk, f, coefficients = self.rk, self.f, self.rk.tableau.a[stage]
         point = Slice("Xi", self.nx) if any(coefficients) else rk.state
         nodes: list[Node] = [rk.point(stage, point)] if any(coefficients) else []
@@ -173,14 +176,14 @@ class IntervalSweeps:
         return add_notes(nodes, f"stage {stage + 1}", stage)
 
     def _leaf_linearize(self, forced: bool) -> Function:
-        """K = f, the nonzeros of f_x, and f_u row by row if it is needed."""
+        """Return the leaf of K = f, the nonzeros of f_x, and f_u row by row if it is needed."""
         f = self.f
         values = ca.vertcat(ca.SX(0, 1), *nonzeros(f.fx))
         results = [f.f, values, *([ca.densify(ca.vec(f.fu.T))] if forced else [])]
         return ca.Function("linearize_f", [f.x, f.u, f.p], results)
 
     def _leaf_slope(self, stage: int, forced: bool) -> Function:
-        """One column of K_i' = f_x (S + h sum_j a_ij K_j') (+ f_u)."""
+        """Return the leaf of one column of K_i' = f_x (S + h sum_j a_ij K_j') (+ f_u)."""
         coefficients, f, nx = self.rk.tableau.a[stage], self.f, self.nx
         values, column, h = ca.SX.sym("fx", f.fx.nnz()), ca.SX.sym("s", nx), ca.SX.sym("h")
         forcing = [ca.SX.sym("Fu", nx)] if forced else []

@@ -1,4 +1,4 @@
-"""Integral of a cost rate over an interval, by the scheme of the dynamics: value, adjoint gradient, and products.
+"""The integral of a cost rate over an interval uses the scheme of the dynamics: value, adjoint gradient, products.
 
 q = h sum over steps and stages of b_i rate(X_i, u, p)
 dq / d(x, u): kappa_i = (h b_i lam + h sum_j a_ji Xbar_j; h b_i), (Xbar_i; ubar_i) = F_z' kappa_i, lam = 0 at the end
@@ -33,7 +33,7 @@ class Quadrature:
         self.rate = ca.SX(0) if stage.cost_rate is None else stage.cost_rate
 
     def value(self, name: str, doc: str, start: Call, more: tuple[Port, ...]) -> Sweep:
-        """(x, u, p, dt, more) -> l."""
+        """Return the sweep (x, u, p, dt, more) -> l."""
         body: list[Node] = [start, *self.rk.start()]
         step = [node for i in range(self.stages) for node in self._stage(i, Slice("Xi", self.nx))]
         q = ca.SX.sym("q")
@@ -52,7 +52,7 @@ class Quadrature:
         )
 
     def gradient(self, name: str, doc: str, start: Call, more: tuple[Port, ...]) -> Sweep:
-        """(x, u, p, dt, more) -> g."""
+        """Return the sweep (x, u, p, dt, more) -> g."""
         nx, nu, s = self.nx, self.nu, self.stages
         body: list[Node] = [start, *self.rk.start()]
         first = [node for i in range(s) for node in self._stage(i, self._point(i), rate=False)]
@@ -80,7 +80,7 @@ class Quadrature:
         )
 
     def product(self, name: str, doc: str, start: Call, more: tuple[Port, ...]) -> Sweep:
-        """(x, u, p, dt, more) -> w; ``more`` ends with the direction d = (dx, du)."""
+        """Return the sweep (x, u, p, dt, more) -> w; ``more`` ends with the direction d = (dx, du)."""
         nx, nu, s, rk = self.nx, self.nu, self.stages, self.rk
         adj, w, dx, du = Slice("adj", nx), Slice("w", nx), Slice("d", nx), Slice("d", nu, Affine(nx))
         leaf = rk.slope_and_tangent(self.f, self.x, self.u, self.p)
@@ -127,7 +127,7 @@ class Quadrature:
         return Slice("Xbar", self.nx, Affine(stage * self.nx))
 
     def _stage(self, stage: int, point: Slice, rate: bool = True) -> list[Node]:
-        """The stage point, and K_i and the rate at it."""
+        """Return the stage point, and K_i and the rate at it."""
         leaf = ca.Function("f_and_rate", [self.x, self.u, self.p], [self.f, self.rate])
         outs: tuple[Slice, ...] = (self.rk.slope(stage), Slice("L", 1, Affine(stage)))
         if not rate:
@@ -143,7 +143,10 @@ class Quadrature:
         return Call(leaf, (Slice("l", 1), LENGTH, Slice("L", self.stages)), (Slice("l", 1),))
 
     def _backward(self, stage: int, target: str, direction: Mapping[str, Slice] | None = None) -> Call:
-        """Xbar_i, and ``target``_u += ubar_i: of the rate or, for a product, of its derivative along (dX_i, du)."""
+        """Return the call that computes Xbar_i and adds ubar_i to ``target``_u.
+
+        They belong to the rate or, for a product, to its derivative along (dX_i, du).
+        """
         sym, nx = ca.SX.sym, self.nx
         adj, h, g = sym("adj", nx), sym("h"), sym("g", self.nu)
         bars = {j: sym(f"Xbar{j}", nx) for j in self.rk.later(stage)}

@@ -1,4 +1,4 @@
-"""Building blocks of all Runge-Kutta sweeps: steps of any vector by one tableau, and the adjoint of a step.
+"""All Runge-Kutta sweeps consist of steps of vectors by one tableau, and of the adjoint of a step.
 
     y = x + h sum_j c_j K_j;   kappa_i = h b_i lam + h sum_j a_ji Xbar_j over later stages j;   lam += sum_i Xbar_i
 
@@ -22,7 +22,8 @@ from nmpc_codegen.ir.sweep import NEXT_STEP, Affine, Call, Slice
 #: Length of a step.
 LENGTH = Slice("h", 1)
 
-#: Buffer -> what it holds. In names of matrices, columns are those of (x, u) that do not depend on time alone.
+#: Buffer -> its content. In names of matrices, columns belong to those elements of (x, u) whose column does not depend
+#: only on time.
 MEANINGS: Mapping[str, str] = {
     "h": "length of a step",
     "X": "state at the beginning of a step, then at its end",
@@ -67,21 +68,21 @@ class RungeKutta:
 
     @property
     def steps_over_dt(self) -> str:
-        """``2 RK4 steps over dt``."""
+        """Return ``2 RK4 steps over dt``."""
         return f"{self.steps} {self.tableau.name} step{'s' if self.steps > 1 else ''} over dt"
 
     @property
     def columns(self) -> dict[str, int]:
-        """Lengths of the rows of the buffers that hold stages one after the other."""
+        """Return the row lengths of the buffers that hold stages one after the other."""
         return dict.fromkeys(("K", "Xs", "Xbar", "dK", "dXs"), self.nx)
 
     @property
     def ports(self) -> tuple[Port, ...]:
-        """The input ports of an interval."""
+        """Return the input ports of an interval."""
         return Port("x", self.nx), Port("u", self.nu), Port("p", self.np), Port("dt", 1)
 
     def start(self) -> list[Call]:
-        """h = dt / steps, X = x."""
+        """Return the calls h = dt / steps, X = x."""
         dt = ca.SX.sym("dt")
         length = ca.Function("step_length", [dt], [dt / self.steps], ["dt"], ["h"])
         return [
@@ -90,13 +91,13 @@ class RungeKutta:
         ]
 
     def slope(self, stage: int) -> Slice:
-        """K of a stage."""
+        """Return K of a stage."""
         return Slice("K", self.nx, Affine(stage * self.nx))
 
     def combine(
         self, name: str, coefficients: Sequence[Coefficient], x: Slice, slope: Callable[[int], Slice], y: Slice
     ) -> Call:
-        """y = x + h sum_j c_j K_j over the nonzero c_j; equal coefficients share one product."""
+        """Return y = x + h sum_j c_j K_j over the nonzero c_j; equal coefficients share one product."""
         value, h = ca.SX.sym("x", x.size), ca.SX.sym("h")
         used = [j for j, c in enumerate(coefficients) if c]
         slopes = [ca.SX.sym(f"K{j}", x.size) for j in used]
@@ -105,38 +106,38 @@ class RungeKutta:
         return Call(leaf, (x, LENGTH, *(slope(j) for j in used)), (y,))
 
     def point(self, stage: int, target: Slice, name: str = "point") -> Call:
-        """Stage point X + h sum_j a_ij K_j."""
+        """Return the stage point X + h sum_j a_ij K_j."""
         return self.combine(f"{name}_{stage}", self.tableau.a[stage], self.state, self.slope, target)
 
     def update(self, name: str, x: Slice, slope: Callable[[int], Slice], target: Slice | None = None) -> Call:
-        """target = x + h sum_i b_i K_i; without a target, x is updated in place."""
+        """Return target = x + h sum_i b_i K_i; without a target, x is updated in place."""
         return self.combine(name, self.tableau.b, x, slope, target or x)
 
     def update_state(self, target: Slice | None = None) -> Call:
-        """X + h sum_i b_i K_i."""
+        """Return the update X + h sum_i b_i K_i."""
         return replace(self.update("update", self.state, self.slope, target), note="end", stage=NEXT_STEP)
 
     # Directions ------------------------------------------------------------------------------------------------------
 
     @property
     def moved(self) -> Slice:
-        """dX, the derivative of the state along a direction."""
+        """Return dX, the derivative of the state along a direction."""
         return Slice("dX", self.nx)
 
     def tangent(self, stage: int) -> Slice:
-        """dK of a stage."""
+        """Return dK of a stage."""
         return Slice("dK", self.nx, Affine(stage * self.nx))
 
     def move(self, stage: int, target: Slice) -> Call:
-        """dX_i = dX + h sum_j a_ij dK_j."""
+        """Return dX_i = dX + h sum_j a_ij dK_j."""
         return self.combine(f"moved_{stage}", self.tableau.a[stage], self.moved, self.tangent, target)
 
     def slopes(self, stage: int, leaf: Function, point: Slice, moved: Slice, du: Slice) -> Call:
-        """K_i and dK_i at a stage point, by slope_and_tangent()."""
+        """Return the call of K_i and dK_i at a stage point, by slope_and_tangent()."""
         return Call(leaf, (point, *self.up, moved, du), (self.slope(stage), self.tangent(stage)))
 
     def slope_and_tangent(self, f: Expression, x: Expression, u: Expression, p: Expression) -> Function:
-        """(x, u, p, dx, du) -> f and f_x dx + f_u du."""
+        """Return the leaf (x, u, p, dx, du) -> f and f_x dx + f_u du."""
         dx, du = ca.SX.sym("dx", self.nx), ca.SX.sym("du", self.nu)
         tangent = ca.jtimes(f, x, dx) + ca.jtimes(f, u, du)
         return ca.Function("f_and_tangent", [x, u, p, dx, du], [f, tangent])
@@ -144,20 +145,20 @@ class RungeKutta:
     # Adjoints --------------------------------------------------------------------------------------------------------
 
     def later(self, stage: int) -> list[int]:
-        """Stages whose point depends on K_stage."""
+        """Return the stages whose point depends on K_stage."""
         return [j for j in range(stage + 1, self.stages) if self.tableau.a[j][stage]]
 
     def adjoint_of_slope(
         self, stage: int, value: Expression, h: Expression, bars: Mapping[int, Expression]
     ) -> Expression:
-        """h b_i value + h sum_j a_ji Xbar_j over later stages j."""
+        """Return h b_i value + h sum_j a_ji Xbar_j over later stages j."""
         later = [j for j in self.later(stage) if j in bars]
         coefficients = (self.tableau.b[stage], *(self.tableau.a[j][stage] for j in later))
         slopes = [value, *(bars[j] for j in later)][0 if coefficients[0] else 1 :]
         return combine(ca.SX.zeros(*value.shape), h, slopes, coefficients)
 
     def update_adjoint(self, name: str, adjoint: Slice, bar: Callable[[int], Slice], down: bool = False) -> Call:
-        """adjoint += sum_i Xbar_i, added from the last stage ``down`` or from the first one up."""
+        """Return adjoint += sum_i Xbar_i, summed from the last stage ``down`` or from the first one up."""
         value = ca.SX.sym("adj", adjoint.size)
         stages = range(self.stages)[:: -1 if down else 1]
         bars = [ca.SX.sym(f"Xbar{i}", adjoint.size) for i in stages]

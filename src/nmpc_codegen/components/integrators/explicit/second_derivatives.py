@@ -1,11 +1,11 @@
-"""Common parts of the schemes for second-order sensitivities of explicit Runge-Kutta methods.
+"""The schemes for second-order sensitivities of explicit Runge-Kutta methods share slices, leaves and results.
 
     H = d2 (lam' Phi + integral of the cost rate) / d(x, u)^2
 
-They add to buffers Q (nz x nz, lower triangle) and g (nz), which the cost of the node has initialised, and also compute
-x_next and S = d x_next / d(x, u). Stage i of a step has the adjoint kappa_i = h b_i lam + h sum_j a_ji Xbar_j,
-Xbar_i = F_x' kappa_i, and each step performs lam += sum_i Xbar_i. Columns of S that depend on time alone are written in
-closed form; the others are stored packed, in rows whose length is a multiple of PANEL.
+They add H and the gradient to buffers Q (nz x nz, lower triangle) and g (nz), which the cost of the node has
+initialised, and also compute x_next and S = d x_next / d(x, u). Stage i of a step has the adjoint kappa_i = h b_i lam +
+h sum_j a_ji Xbar_j, Xbar_i = F_x' kappa_i, and each step performs lam += sum_i Xbar_i. Columns of S that depend only on
+time are written in closed form; the others are stored packed, in rows whose length is a multiple of PANEL.
 """
 
 from __future__ import annotations
@@ -56,11 +56,11 @@ class Builder:
 
     @property
     def wide(self) -> bool:
-        """True if the stages of a step are interleaved in memory, so that tapes and curvatures are vectorised."""
+        """Return True if the stages of a step are interleaved in memory, so that tapes and curvatures vectorise."""
         return False
 
     def stage_slice(self, buffer: str, stage: int, size: int, kept: bool = True, length: int | None = None) -> Slice:
-        """The data of one stage of one step, in a buffer over all steps if ``kept``, else in one that is reused."""
+        """Return the data of one stage, in a buffer over all steps if ``kept``, else in a buffer that is reused."""
         if self.wide:
             offset = Affine(stage, (("step", self.stages * size),) if kept else ())
             return Slice(buffer, size if length is None else length, offset, self.stages)
@@ -69,20 +69,20 @@ class Builder:
         return Slice(buffer, length or size, Affine(stage * size, (("step", self.stages * size),)))
 
     def point(self, stage: int) -> Slice:
-        """Stage point."""
+        """Return the stage point."""
         return self.stage_slice("Xs", stage, self.nx, self.keeps_points)
 
     def tape(self, stage: int, length: int | None = None) -> Slice:
-        """Tape of a stage."""
+        """Return the tape of a stage."""
         return self.stage_slice("tape", stage, self.d.tape, self.d.keeps_tape, length)
 
     @property
     def keeps_kappa(self) -> bool:
-        """True if the adjoints of all stages are stored, because a later sweep uses them."""
+        """Return True if the adjoints of all stages are stored, because a later sweep uses them."""
         return False
 
     def kappa(self, stage: int) -> Slice:
-        """Adjoints of the curved rows of a stage."""
+        """Return the adjoints of the curved rows of a stage."""
         size = len(self.d.curved)
         if self.wide:
             return self.stage_slice("kappa", stage, size, self.keeps_kappa)
@@ -90,15 +90,15 @@ class Builder:
         return Slice("kappa", size, Affine(stage * size, terms))
 
     def column(self, buffer: str, rows: int, block: int = 0, index: str = "c") -> Slice:
-        """Column ``index`` of a matrix of packed columns; ``block`` selects one of several matrices in the buffer."""
+        """Return column ``index`` of a matrix of packed columns; ``block`` selects a matrix in the buffer."""
         return Slice(buffer, rows, Affine(block * rows * self.ld, ((index, 1),)), self.ld)
 
     def columnwise(self, call: Call) -> For:
-        """A loop over the packed columns."""
+        """Return a loop over the packed columns."""
         return For("c", 0, self.ld, (replace(call, inline=True),))
 
     def locals(self) -> tuple[Local, ...]:
-        """The buffers that both schemes use."""
+        """Return the buffers that both schemes use."""
         n, d, s = self.steps * self.stages, self.d, self.stages
         once, points = s if self.wide else 1, self.nx if self.wide else 0
         return (
@@ -113,7 +113,10 @@ class Builder:
     # Leaves ----------------------------------------------------------------------------------------------------------
 
     def leaf_backward(self, stage: int) -> Function:
-        """kappa_i of the curved rows and Xbar_i = F_x' kappa_i; kappa of an integrated cost is h b_i."""
+        """Return the leaf of kappa_i of the curved rows and Xbar_i = F_x' kappa_i.
+
+        Kappa of an integrated cost is h b_i.
+        """
         d, h, adj = self.d, ca.SX.sym("h"), ca.SX.sym("adj", self.nx)
         tape = ca.SX.sym("t", d.slopes)
         bars = {j: ca.SX.sym(f"Xbar{j}", self.nx) for j in self.rk.later(stage)}
@@ -127,11 +130,11 @@ class Builder:
 
     @property
     def forcing_varies(self) -> bool:
-        """True if F_u depends on the stage point."""
+        """Return True if F_u depends on the stage point."""
         return any(j >= self.nx and not c for (_, j), c in zip(self.d.jacobian, self.d.constants, strict=True))
 
     def linear_forcing(self) -> Expression:
-        """Constant entries of [0 F_u], in the rows ``forced`` and the packed columns (none in closed form)."""
+        """Return the constant entries of [0 F_u], in the rows ``forced`` and the packed columns."""
         rows = ca.SX.zeros(len(self.forced), self.ld)
         for (i, j), constant, value in zip(self.d.jacobian, self.d.constants, self.d.Fz_values, strict=True):
             if j in self.controls and constant:
@@ -139,7 +142,7 @@ class Builder:
         return ca.vec(rows.T)
 
     def forcing(self, Fu: Expression, tape: Expression, units: Expression) -> Expression:
-        """One column of [0 F_u]: constant entries are read from a table, others multiply unit rows of the controls."""
+        """Return one column of [0 F_u]: constants come from a table, other entries multiply unit rows of controls."""
         column = ca.SX(self.nF, 1)
         for n, i in enumerate(self.forced):
             column[i] = Fu[n]
@@ -155,7 +158,7 @@ class Builder:
         return column
 
     def curvature_forcing(self, H: Expression, units: Expression) -> Expression:
-        """One column of [0 H_u], in the rows of H."""
+        """Return one column of [0 H_u], in the rows of H."""
         terms: dict[tuple[int, int], Expression] = {}
         for (r, c), n in self.d.hessian.items():
             for row, j in {(r, c), (c, r)}:
@@ -168,7 +171,7 @@ class Builder:
         return column
 
     def full_hessian(self, values: Expression) -> Expression:
-        """H as a symmetric matrix, from its distinct values."""
+        """Return H as a symmetric matrix, from its distinct values."""
         full = ca.SX(self.nz, self.nz)
         for (r, c), n in self.d.hessian.items():
             full[r, c] = full[c, r] = values[n]
@@ -195,7 +198,7 @@ class Builder:
         return add_notes(nodes, "start")
 
     def evaluate(self, stage: int) -> list[Node]:
-        """The stage point and K_i, and the tape if it is stored."""
+        """Return the stage point and K_i, and the tape if it is stored."""
         point, K = Slice("Xi", self.nx) if self.wide else self.point(stage), self.rk.slope(stage)
         start = Call(copy("copy_x", self.nx), (self.rk.state,), (point,))
         nodes: list[Node] = [self.rk.point(stage, point) if any(self.tableau.a[stage]) else start]
@@ -212,7 +215,7 @@ class Builder:
         return add_notes(nodes, f"stage {stage + 1}", stage)
 
     def row_lengths(self) -> dict[str, int]:
-        """Columns of the buffers that are matrices."""
+        """Return the row lengths of the buffers that are matrices."""
         stages = dict.fromkeys(("Xs", "tape", "kappa", "M", "Hs"), self.stages)
         if not self.wide:
             stages = {"tape": self.d.tape, "kappa": len(self.d.curved)}
@@ -220,7 +223,7 @@ class Builder:
         return self.rk.columns | stages | dict.fromkeys(packed, self.ld)
 
     def slope(self, stage: int, rows: list[int], target: Slice) -> For:
-        """Columns of K_i' = F_x Z + [0 F_u]; the given rows of Z are stored in ``target``."""
+        """Return the columns of K_i' = F_x Z + [0 F_u]; the given rows of Z are stored in ``target``."""
         d, coefficients = self.d, self.tableau.a[stage]
         tape, s, h = ca.SX.sym("t", d.slopes), ca.SX.sym("s", self.nF), ca.SX.sym("h")
         Fu, units = ca.SX.sym("Fu", len(self.forced)), ca.SX.sym("E", len(self.controls))
@@ -236,7 +239,7 @@ class Builder:
         return self.columnwise(Call(leaf, tuple(ins), outs, note=f"sensitivities of stage {stage + 1}"))
 
     def update_columns(self) -> For:
-        """S += h sum_i b_i K_i'."""
+        """Return S += h sum_i b_i K_i'."""
         update = self.rk.update("update_columns", self.column("Sx", self.nF), lambda j: self.column("Ks", self.nF, j))
         return self.columnwise(replace(update, note="sensitivities of the step"))
 
@@ -249,7 +252,7 @@ class Builder:
         ]
 
     def backward(self) -> list[Node]:
-        """One step of the adjoint: kappa_i of all stages, adj += sum_i Xbar_i."""
+        """Return one step of the adjoint: kappa_i of all stages, adj += sum_i Xbar_i."""
         nodes: list[Node] = []
         for i in reversed(range(self.stages)):
             stage = [*self.again(i, self.d.slopes), self._backward_stage(i)]
@@ -257,7 +260,7 @@ class Builder:
         return [*nodes, self.rk.update_adjoint("update_adjoint", Slice("adj", self.nx), self._bar, down=True)]
 
     def _backward_stage(self, stage: int) -> Call:
-        """kappa_i and Xbar_i."""
+        """Return the call of kappa_i and Xbar_i."""
         ins = (Slice("adj", self.nx), LENGTH, self.tape(stage, self.d.slopes), *map(self._bar, self.rk.later(stage)))
         return Call(self.leaf_backward(stage), ins, (self.kappa(stage), self._bar(stage)))
 
@@ -265,11 +268,11 @@ class Builder:
         return Slice("Xbar", self.nx, Affine(stage * self.nx))
 
     def stagewise(self, call: Call) -> For:
-        """A loop over the stages of a step."""
+        """Return a loop over the stages of a step."""
         return For("s", 0, self.stages, (replace(call, inline=True),))
 
     def lane(self, buffer: str, size: int, kept: bool = True) -> Slice:
-        """The data of stage s, the loop index."""
+        """Return the data of stage s, the loop index."""
         terms = (("s", 1), ("step", self.stages * size)) if kept else (("s", 1),)
         return Slice(buffer, size, Affine(0, terms), self.stages)
 
@@ -291,7 +294,7 @@ class Builder:
         return self.stagewise(call)
 
     def hessian_values(self, stage: int) -> Slice:
-        """The values of H_i."""
+        """Return the values of H_i."""
         return self.stage_slice("Hs", stage, self.d.values, kept=False)
 
     def curvature(self, stage: int) -> Call:
@@ -302,14 +305,17 @@ class Builder:
         return Call(d.leaf_hessian(), ins, (H,), note=f"curvature of stage {stage + 1}")
 
     def loop(self, nodes: Iterable[Node], down: bool = False) -> For:
-        """A loop over steps."""
+        """Return a loop over steps."""
         return For("step", 0, self.steps, tuple(nodes), down)
 
     # Results ---------------------------------------------------------------------------------------------------------
 
     @property
     def runs(self) -> list[tuple[int, int, int]]:
-        """(packed column, column, length) of runs of adjacent columns; states and controls are in separate runs."""
+        """Return (packed column, column, length) of runs of adjacent columns.
+
+        States and controls are in separate runs.
+        """
         found: list[list[int]] = []
         for c, j in enumerate(self.columns):
             if found and found[-1][1] + found[-1][2] == j and j != self.nx:
@@ -342,12 +348,12 @@ class Builder:
         return add_notes(nodes, "results")
 
     def _add_gradient(self, j: int, value: Expression) -> Call:
-        """Component j of the gradient of an integrated cost, a function of h alone."""
+        """Return component j of the gradient of an integrated cost, a function of h only."""
         g, here = ca.SX.sym("g"), Slice("g", 1, Affine(j))
         return Call(ca.Function(f"gradient_{j}", [g, self._h], [g + value]), (here, LENGTH), (here,))
 
     def _closed_column(self, j: int) -> Expression:
-        """Column j of S and of the gradient, a function of h alone."""
+        """Return column j of S and of the gradient, a function of h only."""
         Fx = self.d.Fz(ca.SX.sym("t", self.d.slopes))[:, : self.nx]
         forcing = ca.SX(self.nF, 1) if j < self.nx else self.d.Fz(ca.SX.sym("t", self.d.slopes))[:, j]
         s = ca.SX.zeros(self.nF)
@@ -363,7 +369,7 @@ class Builder:
         return s
 
     def add_block(self, buffer: str, row: int, run_rows: tuple[int, int], columns: tuple[int, int, int]) -> Node:
-        """Q[j + i][columns] += buffer[row + i][columns], i < n, for a run of n rows (first row j of Q)."""
+        """Return Q[j + i][columns] += buffer[row + i][columns], i < n, for a run of n rows from row j of Q."""
         j, n = run_rows
         c, k, m = columns
         target = Slice("Q", 1, Affine(j * self.nz + k, (("i", self.nz), ("c", 1))))
@@ -377,7 +383,7 @@ def _row(buffer: str, n: int, offset: int, ld: int) -> Slice:
 
 
 def _constants_only(Fx: Expression, s: Expression) -> Expression:
-    """Fx s, where the columns of Fx that meet nonzeros of s are constant."""
+    """Return Fx s, where the columns of Fx that multiply nonzeros of s are constant."""
     total = ca.SX.zeros(Fx.shape[0])
     for j in range(int(s.numel())):
         if not s[j].is_zero():
@@ -386,11 +392,11 @@ def _constants_only(Fx: Expression, s: Expression) -> Expression:
 
 
 def constant(name: str, value: Expression) -> Function:
-    """y = value."""
+    """Return the leaf y = value."""
     return ca.Function(name, [], [value], [], ["y"])
 
 
 def addition(n: int) -> Function:
-    """y = x + a."""
+    """Return the leaf y = x + a."""
     x, a = ca.SX.sym("x", n), ca.SX.sym("a", n)
     return ca.Function(f"add_{n}", [x, a], [x + a], ["x", "a"], ["y"])

@@ -1,7 +1,8 @@
-"""Three sweeps with a symmetric third one (Quirynen et al., CDC 2014, algorithm 2): only the lower triangle is formed,
-and no matrix of size nz x nz is stored per stage.
+"""Three sweeps with a symmetric third one form only the lower triangle of the Hessian.
 
     H = sum over stages of Z_i' d2(kappa_i' F) Z_i,   Z_i = [S_i; 0 I]
+
+No matrix of size nz x nz is stored per stage (Quirynen et al., CDC 2014, algorithm 2).
 """
 
 from __future__ import annotations
@@ -15,31 +16,31 @@ from nmpc_codegen.ir.tuning import FACTORS, LONGEST_TAPE, PANEL, TAPE_PER_COMPON
 
 
 class ThreeSweeps(Builder):
-    """Stage points forward, adjoints backward, sensitivities and Hessian forward.
+    """The three sweeps compute stage points forward, adjoints backward, then sensitivities and Hessian forward.
 
-    If S has few curved rows, the first sweep propagates S too and stores these rows for all stages; the rest of the
-    third sweep is then merged into the second, since the terms of H can be summed in any order. Tape and H of a stage
-    do not depend on other stages: for tapes of medium length those of a step are evaluated in one loop over its stages,
-    which compilers vectorise like the loops over columns.
+    If S has few curved rows, the first sweep also propagates S and stores these rows for all stages. The rest of the
+    third sweep is then merged into the second, because the terms of H can be summed in any order. Tape and H of a stage
+    do not depend on other stages. For tapes of medium length, those of a step are therefore evaluated in one loop over
+    its stages, which compilers vectorise like the loops over columns.
     """
 
     @property
     def wide(self) -> bool:
-        """True if the terms of the sum that belong to one step, which are independent, are evaluated together."""
+        """Return True if the terms of one step, which are independent, are evaluated together."""
         return self.d.keeps_tape and self.nz < self.d.tape <= LONGEST_TAPE
 
     @property
     def merged(self) -> bool:
-        """True if there are two sweeps, which store the curved rows of Z."""
+        """Return True if there are two sweeps, which store the curved rows of Z."""
         return self.d.keeps_tape and len(self.d.curved_states) * self.ld <= TAPE_PER_COMPONENT * self.nz
 
     @property
     def keeps_kappa(self) -> bool:
-        """True if the adjoints of all stages are stored for the third sweep."""
+        """Return True if the adjoints of all stages are stored for the third sweep."""
         return not self.merged
 
     def body(self) -> list[Node]:
-        """All nodes, which compute x_next and S from x, u, p, dt, lam and add to g and Q."""
+        """Return all nodes, which compute x_next and S from x, u, p, dt, lam and add to g and Q."""
         loops = self._two() if self.merged else self._three()
         nodes = [*self.start(), *loops, *self.results()]
         if self.rows:
@@ -68,11 +69,11 @@ class ThreeSweeps(Builder):
         return [*nodes, self.loop([*third, self.update_columns()])]
 
     def _points(self) -> list[Node]:
-        """Stage points and slopes, and the update of the state."""
+        """Return stage points and slopes, and the update of the state."""
         return [*(node for i in range(self.stages) for node in self.evaluate(i)), self.rk.update_state()]
 
     def _clear(self) -> list[Node]:
-        """adj = lam, H = 0."""
+        """Return the calls adj = lam, H = 0."""
         size = self.ld**2
         return [
             Call(copy("copy_x", self.nx), (Slice("lam", self.nx),), (Slice("adj", self.nx),), note="adjoints"),
@@ -80,7 +81,7 @@ class ThreeSweeps(Builder):
         ]
 
     def _curved_column(self, stage: int, column: tuple[tuple[str, int], ...] = (("c", 1),)) -> Slice:
-        """A column of the curved rows of Z."""
+        """Return a column of the curved rows of Z."""
         size = len(self.d.curved_states) * self.ld
         if not self.merged:
             return Slice("Z", len(self.d.curved_states), Affine(stage % self.group * size, column), self.ld)
@@ -91,7 +92,7 @@ class ThreeSweeps(Builder):
         return self.slope(stage, self.d.curved_states, self._curved_column(stage))
 
     def _bend(self, stage: int) -> list[Node]:
-        """HZ = H [Z; 0 I], curved rows; once its group of stages is complete, their terms are added to the result."""
+        """Return HZ = H [Z; 0 I], curved rows; a complete group of stages then adds its terms to the result."""
         d = self.d
         H, Z, units = ca.SX.sym("H", d.values), ca.SX.sym("Z", len(d.curved_states)), ca.SX.sym("E", len(self.controls))
         value = self.full_hessian(H)[self.rows, d.curved_states] @ Z + self.curvature_forcing(H, units)
@@ -106,11 +107,11 @@ class ThreeSweeps(Builder):
 
     @property
     def group(self) -> int:
-        """Number of stages whose terms are summed together: as many as have factors that fit into registers."""
+        """Return the number of stages whose terms are summed together: their factors must fit into registers."""
         return max(1, min(self.stages, FACTORS // max(1, len(self.d.curved_states))))
 
     def _accumulate(self, stages: range) -> list[Node]:
-        """H += sum_i Z_i' (HZ)_i, each row in panels of PANEL columns up to the diagonal; then rows of the controls."""
+        """Return H += sum_i Z_i' (HZ)_i, rows in panels of PANEL columns up to the diagonal, then control rows."""
         states, n = len(self.d.curved_states), len(stages)
         nodes: list[Node] = []
         if states:
@@ -141,7 +142,7 @@ class ThreeSweeps(Builder):
         return nodes
 
     def buffers(self) -> tuple[Local, ...]:
-        """All local buffers."""
+        """Return all local buffers."""
         n = self.steps * self.stages
         return (
             *self.locals(),

@@ -1,1 +1,1 @@
-"""Implicit Runge-Kutta schemes: the component, its kernels, the functions of an interval and their operations."""
+"""Implicit Runge-Kutta schemes consist of a component, its kernels, the functions of an interval and their counts."""

@@ -1,6 +1,6 @@
-"""The functions of an interval as sweeps, each one call of a function of templates/integrators/implicit.
+"""The functions of an interval are sweeps with one call of a function of templates/integrators/implicit each.
 
-A result that is added to g, w, l or Q follows the call that initialises it.
+A function that adds to g, w, l or Q is called after the call that initialises the result.
 """
 
 from __future__ import annotations
@@ -17,15 +17,15 @@ from nmpc_codegen.ir.kernel import Port
 from nmpc_codegen.ir.sweep import Affine, Call, LoopedRoutine, Node, Slice, Sweep, Written, lift_loops
 from nmpc_codegen.package.opcount import OpCount
 
-#: Steps of Newton's method per stage, and what the last correction of a stage changes.
+#: Names of the number of Newton steps per stage, and of the last corrections of the stages.
 NEWTON, LEFT = "newton", "left"
 
-#: Where Newton's method of algebraic variables starts at the beginning of an interval.
+#: Name of the start of Newton's method for algebraic variables at the beginning of an interval.
 START = "z"
 
 
 class Intervals:
-    """The routines of one problem, scheme, number of steps per interval and of Newton's method per stage."""
+    """The routines of one problem, scheme, number of steps per interval and of Newton steps per stage."""
 
     def __init__(self, problem: Problem, tableau: ButcherTableau, steps: int, newton: int) -> None:
         self.problem, self.kernels = problem, stage_kernels(problem)
@@ -41,7 +41,7 @@ class Intervals:
     # Parts -----------------------------------------------------------------------------------------------------------
 
     def _ports(self, length: str, body: tuple[Node, ...]) -> tuple[Port, ...]:
-        """The inputs; calls that start with the terms of a node read more than parameters."""
+        """Return the inputs; calls that begin with the terms of a node read more than parameters."""
         more = self.problem.solved if any(isinstance(node, Call) for node in body) else 0
         sizes = (("x", self.nx), ("u", self.nu), ("p", self.problem.np + more), (length, 1))
         start = (Port(START, self.na),) if self.na else ()
@@ -75,7 +75,7 @@ class Intervals:
 
     @property
     def _S(self) -> Mapping[str, frozenset[int]]:
-        """Elements of S that may be nonzero."""
+        """Return the elements of S that may be nonzero."""
         return {"S": frozenset(i * self.nz + j for i, j in self.kernels.reached)}
 
     @property
@@ -85,20 +85,20 @@ class Intervals:
     # Routines --------------------------------------------------------------------------------------------------------
 
     def interval(self) -> LoopedRoutine:
-        """(x, u, p, dt, newton) -> x_next, S, left."""
+        """Return the routine (x, u, p, dt, newton) -> x_next, S, left."""
         call = self._call("interval", (), self._results, self.count.columns(self.nz), nonzeros=self._S)
         outputs = (Port("x_next", self.nx), Port("S", self.nx, self.nz), Port(LEFT, self.nx))
         return self._routine("integrator_interval", f"{self.phi}; S = d x_next / d(x, u)", (call,), outputs)
 
     def step(self) -> LoopedRoutine:
-        """(x, u, p, h, newton) -> x_next, without the maps of states that are constant along an interval."""
+        """Return the routine (x, u, p, h, newton) -> x_next, without the maps of discrete states."""
         out = Slice("x_next", self.nx)
         call = self._call("step", (), (out,), self.count.step, "h")
         doc = f"x_next = one {self.count.tableau.name} step of length h from x"
         return self._routine("integrator_step", doc, (call,), (Port("x_next", self.nx),), length="h", jumps=False)
 
     def value(self, leaving: bool = False, jumps: bool = True) -> LoopedRoutine:
-        """(x, u, p, dt, newton) -> x_next, left; without ``leaving`` left is no output."""
+        """Return the routine (x, u, p, dt, newton) -> x_next, left; ``left`` is an output only if ``leaving``."""
         outs = (Slice("x_next", self.nx), Slice(LEFT, self.nx))
         call = self._call("value", (), outs, self.count.value)
         end, rest = Port("x_next", self.nx), Port(LEFT, self.nx)
@@ -107,13 +107,13 @@ class Intervals:
         return self._routine("integrator_value", self.phi, (call,), outputs, jumps=jumps, scratch=scratch)
 
     def failure(self) -> LoopedRoutine:
-        """(x, u, p, dt, newton) -> failure: reason, step and stage, see implicit_failure()."""
+        """Return the routine (x, u, p, dt, newton) -> failure: reason, step and stage, see implicit_failure()."""
         call = self._call("failure", (), (Slice("failure", 3),), self.count.value)
         doc = "failure = reason, step, stage of the first stage that cannot be solved; reason -1: none"
         return self._routine("integrator_failure", doc, (call,), (Port("failure", 3),), jumps=False)
 
     def adjoint(self) -> LoopedRoutine:
-        """(x, u, p, dt, newton, lam) -> lam_x, lam_u."""
+        """Return the routine (x, u, p, dt, newton, lam) -> lam_x, lam_u."""
         outs = (Slice("lam_x", self.nx), Slice("lam_u", self.nu))
         call = self._call("adjoint", (Slice("lam", self.nx),), outs, self.count.adjoint)
         outputs = (Port("lam_x", self.nx), Port("lam_u", self.nu))
@@ -121,7 +121,10 @@ class Intervals:
         return self._routine("integrator_adjoint", doc, (call,), outputs, (Port("lam", self.nx),))
 
     def columns(self, forced: bool) -> LoopedRoutine:
-        """forced: (x, u, p, dt, newton) -> x_next, S_next = B; else S is an input and S_next = A S; [nx][nu]."""
+        """Return the routine (x, u, p, dt, newton) -> x_next, S_next = B if ``forced``.
+
+        Otherwise S is an input and S_next = A S; both are [nx][nu].
+        """
         name, size = "forced" if forced else "free", self.nx * self.nu
         more = () if forced else (Slice("S", size),)
         outs = (Slice("x_next", self.nx), Slice("S_next", size))
@@ -132,7 +135,7 @@ class Intervals:
         return self._routine(f"integrator_{name}", doc, (call,), outputs, ports)
 
     def directional(self) -> tuple[LoopedRoutine, LoopedRoutine]:
-        """(x, u, p, dt, newton, dx, du) -> dx_next, and (x, u, p, dt, newton, adj) -> g."""
+        """Return the routines (x, u, p, dt, newton, dx, du) -> dx_next and (x, u, p, dt, newton, adj) -> g."""
         directions = (Port("dx", self.nx), Port("du", self.nu))
         slices = (Slice("dx", self.nx), Slice("du", self.nu))
         out = (Slice("dx_next", self.nx),)
@@ -144,7 +147,7 @@ class Intervals:
         return forward, adjoint
 
     def hessian(self, scheme: str, name: str, start: Call, more: tuple[Port, ...]) -> LoopedRoutine:
-        """(x, u, p, dt, newton, more, lam) -> x_next, S, g, Q, left."""
+        """Return the routine (x, u, p, dt, newton, more, lam) -> x_next, S, g, Q, left."""
         nx, nz, count = self.nx, self.nz, self.count
         added = (Slice("g", nz), Slice("Q", nz * nz))
         counts = {"symmetric": count.symmetric, "forward_over_adjoint": count.forward_over_adjoint}
@@ -160,24 +163,24 @@ class Intervals:
         return self._routine(name, doc, (start, call), outputs, (*more, Port("lam", nx)))
 
     def integral(self, name: str, start: Call, more: tuple[Port, ...]) -> LoopedRoutine:
-        """(x, u, p, dt, newton, more) -> l."""
+        """Return the routine (x, u, p, dt, newton, more) -> l."""
         call = self._call("integral", (), (Slice("l", 1),), self.count.integral)
         doc = "l = cost of the node + integral of the cost rate over dt"
         return self._routine(name, doc, (start, call), (Port("l", 1),), more, jumps=False)
 
     def gradient(self, name: str, start: Call, more: tuple[Port, ...]) -> LoopedRoutine:
-        """(x, u, p, dt, newton, more) -> g."""
+        """Return the routine (x, u, p, dt, newton, more) -> g."""
         call = self._call("integral_gradient", (), (Slice("g", self.nz),), self.count.integral_gradient)
         doc = "g = d (cost of the node + integral of the cost rate over dt) / d(x, u)"
         return self._routine(name, doc, (start, call), (Port("g", self.nz),), more, jumps=False)
 
     def product(self, name: str, start: Call, more: tuple[Port, ...]) -> LoopedRoutine:
-        """(x, u, p, dt, newton, more) -> w; ``more`` ends with the direction d = (dx, du)."""
+        """Return the routine (x, u, p, dt, newton, more) -> w; ``more`` ends with the direction d = (dx, du)."""
         direction, out = (Slice("d", self.nz),), (Slice("w", self.nz),)
         call = self._call("integral_product", direction, out, self.count.integral_product)
         doc = "w = (Hessian of the cost of the node + Gauss-Newton Hessian of the integral of the cost rate over dt) d"
         return self._routine(name, doc, (start, call), (Port("w", self.nz),), more, jumps=False)
 
 
-#: The number of Newton steps as an argument: it is passed by value.
+#: The number of Newton steps is an argument that is passed by value.
 NEWTON_ARGUMENT = Slice(NEWTON, 1)

@@ -1,6 +1,6 @@
-"""Functions of a node that contain algebraic variables: z and W = -(dg/dz)^-1 are found first, behind the parameters.
+"""Functions of a node with algebraic variables first compute z and W = -(dg/dz)^-1, stored after the parameters.
 
-At node N, which has no control, the equations have the controls of the node before, which are states there.
+Node N has no control; there the equations use the controls of the node before, which are states.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ from nmpc_codegen.ir.model import ModelFunctions, StageModel
 from nmpc_codegen.ir.sweep import Call, LoopedRoutine, Node, Routine, Slice, Sweep, Written, calls
 from nmpc_codegen.package.opcount import OpCount
 
-#: The buffer of parameters, z and W; the leaf that reads it; Newton steps that are counted, as many as data need.
+#: The buffer of parameters, z and W; the leaf that reads it; the number of Newton steps in operation counts.
 DATA, LEAF, STEPS = "data", "of_data", 2
 
 R = TypeVar("R", Routine, Routine | None)
 
 
 def with_node_data(functions: ModelFunctions, problem: Problem) -> ModelFunctions:
-    """The functions of a package with z and W where they read them."""
+    """Return the functions of a package, with z and W computed where they are read."""
     complete = _Completion(problem)
 
     def stage(model: StageModel) -> StageModel:
@@ -50,7 +50,7 @@ def with_node_data(functions: ModelFunctions, problem: Problem) -> ModelFunction
 
 
 def algebraic_kernel(problem: Problem) -> Kernel | None:
-    """stage_algebraic(x, u, p -> z): all algebraic variables of a point, (x, those that Newton's method solves for)."""
+    """Return stage_algebraic(x, u, p -> z): all algebraic variables of a point (x, variables of Newton's method)."""
     algebra = problem.algebra
     if algebra is None or not algebra.signals:
         return None
@@ -73,7 +73,10 @@ class _Completion:
         self.reads = {port.name for port in self.equation.reads}
 
     def __call__(self, routine: R) -> R:
-        """The routine with the parameters of the node as input and, if it reads more, with what finds that."""
+        """Return the routine with the parameters of the node as input.
+
+        If it reads z or W, the call that computes them comes first.
+        """
         if routine is None or all(port.name != "p" for port in routine.inputs):
             return routine
         inputs = tuple(Port("p", self.problem.np) if port.name == "p" else port for port in routine.inputs)
@@ -90,13 +93,13 @@ class _Completion:
         return self._around(routine, inputs, numbers)
 
     def _numbers(self, kernel: Kernel, buffers: list[str]) -> int:
-        """Of how many parameters, with z and W behind them, it reads some."""
+        """Return how many of the parameters, z and W the kernel reads, up to the last one."""
         places = {i for i, buffer in enumerate(buffers) if buffer == "p"}
         loads = (i.args for i in kernel.instructions if i.opcode == ca.OP_INPUT)
         return max((element + 1 for port, element in loads if port in places), default=0)
 
     def _around(self, routine: LoopedRoutine, inputs: tuple[Port, ...], numbers: int) -> LoopedRoutine:
-        """The routine behind the call that finds z and W; its own calls read them with the parameters."""
+        """Return the routine after the call that computes z and W; its own calls read them with the parameters."""
         problem, sweep, leaves = self.problem, routine.sweep, dict(routine.leaves)
         known = {port.name for port in inputs}
         inputs = inputs if START in known else (*inputs, Port(START, self.kernels.na))
@@ -122,14 +125,14 @@ class _Completion:
         )
 
     def count(self, slopes: bool) -> OpCount:
-        """Return the count of the algebraic variables of a node, and of W with ``slopes``."""
+        """Count the operations for the algebraic variables of a node, and for W with ``slopes``."""
         n = self.kernels.na
         step = self.equation.count + factors_of(n) + solution_of(n, 1)
         return step * STEPS + (solution_of(n, n) if slopes else OpCount())
 
 
 def _with_leaf(kernel: Kernel) -> LoopedRoutine:
-    """A kernel as a routine that calls it."""
+    """Return a kernel as a routine that calls it."""
     leaf = replace(
         kernel,
         name=f"{kernel.name}_of_data",
@@ -141,7 +144,7 @@ def _with_leaf(kernel: Kernel) -> LoopedRoutine:
 
 
 def _controls_before(problem: Problem) -> Function:
-    """(x) -> the controls of the node before, of those that the problem remembers."""
+    """Return the function (x) -> controls of the node before, as far as the problem stores them."""
     x = ca.SX.sym("x", problem.nx)
     u = ca.SX(ca.vertcat(*problem.controls_before(elements(x))))
     return ca.Function("controls_before", [x], [ca.densify(u)])

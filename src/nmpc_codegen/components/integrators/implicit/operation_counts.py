@@ -1,6 +1,6 @@
-"""Operations of the functions of templates/integrators/implicit, in the order of their text.
+"""The operations of the functions of templates/integrators/implicit are counted in the order of their text.
 
-A sample takes so many steps of Newton's method per stage; with more of them the counts grow.
+The counts are for a given number of Newton steps per stage, as in a sample.
 """
 
 from __future__ import annotations
@@ -16,13 +16,13 @@ NONE = OpCount()
 
 
 def _sums(n: int) -> OpCount:
-    """Return the count of n products that are added up."""
+    """Count n products that are added up."""
     return OpCount(add=n, mul=n)
 
 
 @dataclass(frozen=True, eq=False)
 class ImplicitCounts:
-    """The counts for one problem, scheme, number of steps per interval and of Newton's method per stage."""
+    """The counts for one problem, scheme, number of steps per interval and of Newton steps per stage."""
 
     kernels: StageKernels
     tableau: ButcherTableau
@@ -35,7 +35,7 @@ class ImplicitCounts:
 
     @property
     def nv(self) -> int:
-        """Variables of a stage."""
+        """Return the number of variables of a stage."""
         return self.kernels.nv
 
     @property
@@ -44,12 +44,12 @@ class ImplicitCounts:
 
     @property
     def together(self) -> int:
-        """Stages of a block."""
+        """Return the number of stages of a block."""
         return self.tableau.block
 
     @property
     def size(self) -> int:
-        """Variables of a block."""
+        """Return the number of variables of a block."""
         return self.together * self.nv
 
     @property
@@ -67,25 +67,25 @@ class ImplicitCounts:
 
     @property
     def factorize(self) -> OpCount:
-        """Return the count of the factors of M at the points of a block, with the kernel of f and its derivatives."""
+        """Count the factors of M at the points of a block, with the kernel of f and its derivatives."""
         n, s = self.size, self.together
         form = _sums(s * s * self.n * self.nv) + OpCount(other=s * (self.nv - self.n) * self.nv)
         return count_of(self.kernels.slopes) * s + form + factors_of(n)
 
     def solve(self, columns: int) -> OpCount:
-        """Return the count of M^-1 or M'^-1 times so many columns."""
+        """Count the product of M^-1 or M'^-1 with this number of columns."""
         return solution_of(self.size, columns)
 
     @property
     def correct(self) -> OpCount:
-        """Return the count of one correction of the points of a block with given slopes."""
+        """Count one correction of the points of a block with given slopes."""
         s, n = self.together, self.n
         rest = OpCount(add=s * n, other=s * (self.nv - n)) + _sums(s * s * n)
         return self.solve(1) + rest + OpCount(add=self.size)
 
     @property
     def newton_steps(self) -> OpCount:
-        """Return the count of a block behind its bases."""
+        """Count the Newton steps of a block after its bases."""
         left = self.together * self.n
         evaluated = count_of(self.kernels.slope) * self.together + self.correct + OpCount(add=left, other=left)
         return (self.factorize + self.correct) * self.newton + evaluated
@@ -96,13 +96,13 @@ class ImplicitCounts:
         return _sums(self.together * block * self.together * self.n * columns)
 
     def stage(self, block: int) -> OpCount:
-        """Return the count of the points and the increments of a block."""
+        """Count the points and the increments of a block."""
         if self._is_explicit(block):
             return self._bases(block, 1) + count_of(self.kernels.slopes) + OpCount(mul=self.n)
         return self._bases(block, 1) + self._lengths + self.newton_steps + OpCount(add=self.together * self.n)
 
     def end(self, columns: int) -> OpCount:
-        """Return the count of the end of a step along so many columns."""
+        """Count the end of a step along this number of columns."""
         return _sums(self.tableau.stages * self.n * columns)
 
     @property
@@ -118,7 +118,7 @@ class ImplicitCounts:
         return OpCount(mul=entries) + _sums(entries * columns)
 
     def stage_columns(self, block: int, columns: int) -> OpCount:
-        """Return the count of the derivatives of a block along so many columns."""
+        """Count the derivatives of a block along this number of columns."""
         n, s = self.n, self.together
         if self._is_explicit(block):
             own = OpCount(mul=n * n) + _sums(n * n * columns)
@@ -128,11 +128,11 @@ class ImplicitCounts:
         return found + self.solve(columns) + OpCount(add=s * n * columns)
 
     def all_columns(self, columns: int) -> OpCount:
-        """Return the count of the derivatives of all stages of a step and of its end."""
+        """Count the derivatives of all stages of a step and of its end."""
         return sum((self.stage_columns(b, columns) for b in self.blocks), self.end(columns))
 
     def columns(self, columns: int) -> OpCount:
-        """Return the count of an interval along so many columns."""
+        """Count an interval along this number of columns."""
         return OpCount(div=1) + (self.step + self.all_columns(columns)) * self.steps
 
     # adjoint.c -------------------------------------------------------------------------------------------------------
@@ -142,7 +142,7 @@ class ImplicitCounts:
         return self.step * self.steps
 
     def pull_stage(self, block: int, columns: int) -> OpCount:
-        """Return the count of the adjoint of a block and of its controls."""
+        """Count the adjoint of a block and of its controls."""
         n, s = self.n, self.together
         later = self.tableau.stages - (block + 1) * s
         found = OpCount(mul=s * n * columns) + _sums(s * later * n * columns)
@@ -155,7 +155,7 @@ class ImplicitCounts:
         return found + controls * s
 
     def pull(self, columns: int) -> OpCount:
-        """Return the count of a step backward."""
+        """Count a step backward."""
         end = OpCount(add=self.tableau.stages * self.n * columns)
         return sum((self.pull_stage(b, columns) for b in self.blocks), end)
 
@@ -172,7 +172,7 @@ class ImplicitCounts:
 
     @property
     def rate_gradients(self) -> OpCount:
-        """Return the count of the gradients of the rate at the stages of a step."""
+        """Count the gradients of the rate at the stages of a step."""
         return (count_of(self.kernels.rate_gradient) + OpCount(mul=1 + self.nv + self.kernels.nu)) * self.tableau.stages
 
     @property
@@ -190,13 +190,13 @@ class ImplicitCounts:
 
     @property
     def _products(self) -> OpCount:
-        """Return the count of H, and H Z, of a stage."""
+        """Count H, and H Z, of a stage."""
         weight = OpCount(mul=any(port.name == "weight" for port in self.kernels.curvature.reads))
         return count_of(self.kernels.curvature) + weight + _sums(len(self.kernels.curved) ** 2 * self.nz)
 
     @property
     def _rates(self) -> tuple[OpCount, OpCount]:
-        """Return the counts of the gradients of the rate in a step, and of what they add to g."""
+        """Count the gradients of the rate in a step, and their addition to g."""
         if self.kernels.rate_gradient is None:
             return NONE, NONE
         return self.rate_gradients, _sums((self.nv + self.kernels.nu) * self.nz) * self.tableau.stages
@@ -217,13 +217,13 @@ class ImplicitCounts:
 
 
 def factors_of(n: int) -> OpCount:
-    """Return the count of the factors of a matrix of n rows."""
+    """Count the factorisation of a matrix of n rows."""
     pairs, inner = n * (n - 1) // 2, (n - 1) * n * (2 * n - 1) // 6
     return OpCount(div=n, mul=2 * pairs + 2 * n, other=2 * pairs + 3 * n) + _sums(inner)
 
 
 def solution_of(n: int, columns: int) -> OpCount:
-    """Return the count of n equations with given factors and so many right sides."""
+    """Count the solution of n equations with given factors and this number of right-hand sides."""
     return _sums(columns * n * (n - 1)) + OpCount(mul=columns * n)
 
 

@@ -1,4 +1,4 @@
-"""What the stages of implicit schemes evaluate, lifted from CasADi: f, its derivatives, and those of a cost rate.
+"""Stages of implicit schemes evaluate kernels lifted from CasADi: f, its derivatives, and those of a cost rate.
 
 stage_slope(x, u, p -> f);   stage_slopes(x, u, p -> f, J = [f_x f_u]);   stage_equation(x, u, p -> g, J = g_z)
 stage_rate(x, u, p -> l);    stage_rate_gradient(x, u, p -> rho = dl / d(x, u))
@@ -22,10 +22,9 @@ Pattern = frozenset[tuple[int, int]]
 
 
 class StageKernels:
-    """The kernels of one problem, and the patterns of what is computed with them.
+    """The kernels of one problem, and the sparsity patterns of their results.
 
-    With algebraic variables z that Newton's method solves for, the point of a stage is (x, z), and their equations
-    follow f.
+    If Newton's method solves for algebraic variables z, the point of a stage is (x, z), and their equations follow f.
     """
 
     def __init__(self, problem: Problem) -> None:
@@ -49,12 +48,12 @@ class StageKernels:
 
     @property
     def nv(self) -> int:
-        """Number of variables of a stage, (x, z)."""
+        """Return the number of variables of a stage, (x, z)."""
         return self.nx + self.na
 
     @property
     def all(self) -> tuple[Kernel, ...]:
-        """Those that compute something, whether functions of the package call them or not."""
+        """Return the kernels that compute something, whether or not functions of the package call them."""
         found = (
             *(self.slope, self.slopes, self.equation),
             *(self.rate, self.rate_gradient, self.rate_product, self.curvature),
@@ -62,7 +61,7 @@ class StageKernels:
         return tuple(kernel for kernel in found if kernel is not None and kernel.writes)
 
     def of(self, function: str) -> tuple[Kernel, ...]:
-        """Those that a function of an interval evaluates."""
+        """Return the kernels that a function of an interval evaluates."""
         more: dict[str, tuple[Kernel | None, ...]] = {
             "integral": (self.rate,),
             "integral_gradient": (self.rate_gradient,),
@@ -126,13 +125,13 @@ class StageKernels:
 
     @cached_property
     def curved(self) -> tuple[int, ...]:
-        """Variables (x, z, u) in which f or l is nonlinear."""
+        """Return the variables (x, z, u) in which f or l is nonlinear."""
         nz = self.nv + self.nu
         return tuple(sorted({i for _, e, _ in self.curvature.stores for i in divmod(e, nz)}))
 
     @cached_property
     def equation(self) -> Kernel | None:
-        """The algebraic equations of a node; None if there are none that Newton's method solves."""
+        """Return the algebraic equations of a node; None if Newton's method solves none."""
         if not self.na:
             return None
         outputs = [Port("f", self.na), Port("J", self.na, self.na)]
@@ -141,7 +140,7 @@ class StageKernels:
 
     @cached_property
     def _along(self) -> dict[int, set[int]]:
-        """Variable of a stage, a control among them -> variables (x, u) of the start that it depends on."""
+        """Return {variable of a stage or control: variables (x, u) of the start on which it depends}."""
         nz = self.nv + self.nu
         output = next(i for i, port in enumerate(self.slopes.outputs) if port.name == "J")
         slopes = {divmod(e, nz) for o, e, _ in self.slopes.stores if o == output}
@@ -161,12 +160,12 @@ class StageKernels:
 
     @cached_property
     def reached(self) -> Pattern:
-        """(state, variable): the end of an interval depends on this variable at its start."""
+        """Return (state, variable) if the end of an interval depends on this variable at its start."""
         return frozenset((i, j) for i in range(self.nx) for j in self._along[i])
 
     @cached_property
     def bent(self) -> Pattern:
-        """(row, column), row >= column, of second derivatives of the end and of the integral of an interval."""
+        """Return (row, column), row >= column, of second derivatives of the end and of the integral of an interval."""
         pairs = {divmod(e, self.nv + self.nu) for _, e, _ in self.curvature.stores}
         both = {(i, j) for r, c in pairs for i in self._along[r] for j in self._along[c]}
         return frozenset((max(pair), min(pair)) for pair in both)
@@ -176,7 +175,7 @@ _KERNELS: WeakKeyDictionary[Problem, StageKernels] = WeakKeyDictionary()
 
 
 def stage_kernels(problem: Problem) -> StageKernels:
-    """The kernels of a problem, which are made once for its trials and its functions."""
+    """Return the kernels of a problem, which are made once for its trials and its functions."""
     if problem not in _KERNELS:
         _KERNELS[problem] = StageKernels(problem)
     return _KERNELS[problem]

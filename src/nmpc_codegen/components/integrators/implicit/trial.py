@@ -1,6 +1,7 @@
-"""An implicit scheme in NumPy: what it does at points of the problem, before any C is written.
+"""An implicit scheme is tried in NumPy at points of the problem, before any C is written.
 
-The same Newton steps from the same start as in templates/integrators/implicit, with f and its derivatives by CasADi.
+It takes the same Newton steps from the same start as templates/integrators/implicit, with f and its derivatives by
+CasADi.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from nmpc_codegen.components.integrators.implicit.stage_kernels import stage_ker
 from nmpc_codegen.components.integrators.tableau import ButcherTableau
 from nmpc_codegen.frontend.problem import Array, Problem
 
-#: Size of a correction that is rounding.
+#: Corrections up to this size are rounding.
 ROUNDING = 1e-13
 
 
@@ -27,7 +28,7 @@ class End(NamedTuple):
 
 
 class Trial:
-    """A scheme for one problem; ``size`` (nx,): scales of the states."""
+    """A scheme for one problem; ``size`` (nx,) holds scales of the states."""
 
     def __init__(self, problem: Problem, size: Array, tableau: ButcherTableau) -> None:
         kernels = stage_kernels(problem)
@@ -40,7 +41,7 @@ class Trial:
         self.a, self.b, self.block = np.array(tableau.a, float), np.array(tableau.b, float), tableau.block
 
     def interval(self, x: Array, u: Array, p: Array, dt: float, steps: int, newton: int) -> End:
-        """Integrate over dt; NaN where a stage cannot be solved."""
+        """Integrate over dt; the result is NaN if a stage cannot be solved."""
         nx, nz = self.nx, self.nx + self.problem.nu
         start, x, S, left = x, np.array(x, dtype=float), np.eye(nx, nz), np.zeros(nx)
         point = np.concatenate([x, self.start])
@@ -83,7 +84,7 @@ class Trial:
         return x + h * self.b @ K, S + h * np.tensordot(self.b, columns, 1), point, left
 
     def _columns(self, Js: Array, M: Array, A: Array, moved: Array) -> Array:
-        """Derivatives of the slopes of a block."""
+        """Return the derivatives of the slopes of a block."""
         nx, nv, block = self.nx, self.nv, self.block
         rest = np.zeros((block, nv, moved.shape[-1]))
         rest[:, :nx] = moved
@@ -99,7 +100,7 @@ class Trial:
     def _solve(
         self, X: Array, bases: Array, u: Array, p: Array, A: Array, newton: int
     ) -> tuple[Array, Array, Array, Array]:
-        """The points of a block, derivatives and Newton matrix at the points before, and the last corrections."""
+        """Return the points of a block, derivatives and Newton matrix at the points before, and last corrections."""
         nx, nv, block = self.nx, self.nv, self.block
 
         def rest(f: Array) -> Array:
@@ -123,7 +124,7 @@ class Trial:
 
 
 def _solve(M: Array, b: Array) -> Array:
-    """M^-1 b; NaN if M is singular."""
+    """Return M^-1 b; NaN if M is singular."""
     try:
         return np.asarray(np.linalg.solve(M, b), dtype=np.float64)
     except np.linalg.LinAlgError:
