@@ -1,6 +1,6 @@
-/* Component "algorithm". Contract: algorithm_reset, API(step) and the other functions of the interface.
- * Here: single shooting. The controls inside their bounds are the only variables, the states follow by simulation, and
- * derivatives by adjoint and forward sweeps that recompute A_k and B_k at every interval. */
+/* Component "algorithm". Contract: algorithm_reset, API(step) and the other functions of the interface. Here: single
+ * shooting. The controls inside their bounds are the only variables, the states follow by simulation, and adjoint and
+ * forward sweeps that recompute A_k and B_k at every interval give the derivatives. */
 
 #include "generated/hooks.c"
 
@@ -32,7 +32,7 @@
 #include "algorithms/shared/saddle.c"
 #endif
 
-/* Brings the terms closer to the rows. Returns 0 if they are as close as they may be. */
+/* Makes the terms approximate the rows more closely. Returns 0 if they are at their limit. */
 static int sharpen(solver_t *s)
 {
     if (!sharpen_terms(s)) {
@@ -59,8 +59,8 @@ static void forget_plan(solver_t *s)
     forget_past(s);
 }
 
-/* A plan that does not converge: its controls are forgotten if less is paid for their references, and its past unless
- * that is what brings a plan which violates rows back to them. */
+/* Restarts a plan that does not converge. Its controls are replaced by their references if those cost less. Its past is
+ * forgotten unless that past brings a plan that violates rows back to them. */
 static void start_anew(solver_t *s)
 {
     const real_t before = merit(s), violation = s->stats.violation;
@@ -75,7 +75,7 @@ static void start_anew(solver_t *s)
     }
 }
 
-/* Multipliers that are not finite are forgotten at once. */
+/* Forgets multipliers that are not finite at once. */
 static status_t keep_finite(solver_t *s, status_t status)
 {
     if (NG > 0 && !all_finite(s->row, NG)) {
@@ -87,7 +87,7 @@ static status_t keep_finite(solver_t *s, status_t status)
 
 #include "algorithms/shared/watch.c"
 
-/* Every state of the plan at x_0. */
+/* Sets every state of the plan to x_0. */
 static void hold_states(solver_t *s)
 {
     for (int k = 0; k < N; k++) {
@@ -126,7 +126,7 @@ static void algorithm_reset(solver_t *s)
     }
 }
 
-/* x_0 = xhat in what is measured. Returns 0, and leaves x_0 as it is, if a measured entry is not finite. */
+/* Sets the measured entries of x_0 to xhat. Returns 0, and leaves x_0 as it is, if a measured entry is not finite. */
 static int take_state(solver_t *s, const real_t *xhat)
 {
     if (!ACCUMULATORS) {
@@ -155,7 +155,8 @@ static int take_state(solver_t *s, const real_t *xhat)
     return 1;
 }
 
-/* Simulates the plan from x_0; from the references of the controls if its own controls lead to no finite state. */
+/* Simulates the plan from x_0. If its controls lead to a state that is not finite, the reference controls replace
+ * them. */
 static status_t start_sample(solver_t *s)
 {
     for (int k = 0; k < N; k++) {
@@ -177,15 +178,15 @@ static status_t start_sample(solver_t *s)
     return OK;
 }
 
-/* ITERATIONS steps from the measured x_0, then one update of the multipliers of the rows. NOT_CONVERGED if the last
- * step should have moved the first control. */
+/* Takes ITERATIONS steps from the measured x_0, then updates the multipliers of the rows once. Returns NOT_CONVERGED if
+ * the last step should have moved the first control. */
 static status_t run_sample(solver_t *s)
 {
     status_t status = start_sample(s);
     int moved = MOVED;
     before_steps(s);
     for (int n = 0; n < ITERATIONS + REPAIRS && status != NUMERICAL_FAILURE; n++) {
-        /* one more while the last one is long and was not taken as a whole */
+        /* continues while the last step is long and was not taken in full */
         if (n >= ITERATIONS && (moved == MOVED || !step_is_long(s, N))) {
             break;
         }

@@ -1,7 +1,7 @@
-/* Component "algorithm". Contract: algorithm_reset, API(prepare) and the other functions of the interface.
- * Here: ITERATIONS trust-region Newton iterations on the bound-constrained augmented Lagrangian, then one update of the
- * multipliers, per sample. Gaps, the initial condition and all rows are relaxed, except bounds of controls and hard
- * bounds of states. */
+/* Component "algorithm". Contract: algorithm_reset, API(prepare) and the other functions of the interface. Here:
+ * ITERATIONS trust-region Newton iterations on the bound-constrained augmented Lagrangian, then one update of the
+ * multipliers, per sample. Gaps, the initial condition and all rows are relaxed; only bounds of controls and hard
+ * bounds of states are not. */
 
 #include "generated/hooks.c"
 
@@ -9,7 +9,7 @@
 
 #include "algorithms/shared/forget_sizes.c"
 
-/* Penalty and trust region as at the start. */
+/* Resets penalty and trust region to their first values. */
 static void reset_search(solver_t *s)
 {
     s->auglag.penalty = FACTOR_AUGMENTED_FIRST_PENALTY * penalty_weight[0];
@@ -38,7 +38,7 @@ static void algorithm_reset(solver_t *s)
 
 #include "algorithms/shared/linearize.c"
 
-/* Values of renewal: whether data have changed since prepare, which linearises again then. */
+/* Values of renewal: the data are those of prepare; references have changed; the linearisation has to be renewed. */
 enum { UP_TO_DATE, REFERENCE_CHANGED, HELD };
 
 static void hold_gradients(solver_t *s)
@@ -87,7 +87,7 @@ status_t API(prepare)(solver_t *s)
     return finish(s, prepare_at_plan(s));
 }
 
-/* The status of a sample. */
+/* Returns the status of a sample. */
 static status_t judge(solver_t *s, status_t status)
 {
     if (IMPLICIT) {
@@ -104,10 +104,10 @@ static status_t judge(solver_t *s, status_t status)
     return status;
 }
 
-/* Feedback phase for the measured state s->xhat. */
+/* Runs the feedback phase for the measured state s->xhat. */
 static status_t feedback_here(solver_t *s)
 {
-    int renewed = project_plan(s); /* it may have been left, or its bounds changed, since prepare */
+    int renewed = project_plan(s); /* the plan or its bounds may have changed since prepare */
     evaluate_ends(s);
     estimate_multipliers(s);
     COUPLED_ROWS(s, s->coupled.r, s->coupled.J_0, s->coupled.J_N);

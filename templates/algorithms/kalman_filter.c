@@ -11,7 +11,7 @@
 
 #include "algorithms/estimation/innovation.c"
 
-/* Begins with the state that the filter has. */
+/* Starts with the present state of the filter. */
 static void begin_filter(solver_t *s)
 {
     s->samples = 0;
@@ -23,14 +23,14 @@ static void begin_filter(solver_t *s)
     forget_controls(s, 0);
 }
 
-/* Begins with the declared initial state. */
+/* Starts with the declared initial state. */
 static void algorithm_reset(solver_t *s)
 {
     restart_filter(&s->filter);
     begin_filter(s);
 }
 
-/* Moves the filter to the present sample. The estimate before is known to be one from which that is possible. */
+/* Moves the filter to the present sample; its last estimate can be integrated. */
 static void follow_model(solver_t *s)
 {
     (void)memcpy(s->x[0], s->filter.mean, sizeof s->x[0]);
@@ -42,7 +42,7 @@ static void follow_model(solver_t *s)
     forget_measurements(s, 0);
 }
 
-/* A sample whose controls have been put in their place, if they are known. */
+/* Runs a sample whose controls, if they are known, have been stored. */
 static status_t take_sample(solver_t *s, const real_t *y, int known, real_t *xhat)
 {
     filter_t *f = &s->filter, expected;

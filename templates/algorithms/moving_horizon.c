@@ -1,6 +1,6 @@
-/* Component "algorithm". Contract: algorithm_reset, API(estimate), _correct, _covariance, _restart.
- * Here: moving horizon estimation. A sample moves the window by one node, linearises it at the last estimate and solves
- * a QP, or a few while that moves far. */
+/* Component "algorithm". Contract: algorithm_reset, API(estimate), _correct, _covariance, _restart. Here: moving
+ * horizon estimation. A sample moves the window by one node, linearises it at the last estimate and solves a QP, and
+ * further ones while the estimate still moves far. */
 
 #include "generated/hooks.c"
 
@@ -30,7 +30,7 @@
 
 #include "algorithms/estimation/window.c"
 
-/* Begins with the declared initial state. */
+/* Starts with the declared initial state. */
 static void algorithm_reset(solver_t *s)
 {
     forget_plan(s);
@@ -42,7 +42,7 @@ static void algorithm_reset(solver_t *s)
     restart_window(s);
 }
 
-/* One step towards the estimate with the data of the window. */
+/* Takes one step towards the estimate with the data of the window. */
 static status_t improve_estimate(solver_t *s)
 {
     status_t status;
@@ -60,7 +60,7 @@ static status_t improve_estimate(solver_t *s)
     return status;
 }
 
-/* The present state with the data of the window. */
+/* Computes the present state from the data of the window. */
 static status_t estimate_here(solver_t *s, real_t *xhat)
 {
     status_t status = OK;
@@ -86,7 +86,7 @@ static status_t estimate_here(solver_t *s, real_t *xhat)
     return finish(s, judge_innovation(s, status));
 }
 
-/* A sample whose controls have been put in their place, if they are known. */
+/* Runs a sample whose controls, if they are known, have been stored. */
 static status_t take_sample(solver_t *s, const real_t *y, int known, real_t *xhat)
 {
     status_t status;

@@ -1,6 +1,6 @@
-/* Component "algorithm". Contract: algorithm_reset, API(prepare) and the other functions of the interface.
- * Here: real-time iteration, one QP and one full step per sample. What else happens stands in functions that are named
- * after it and the place of the call. */
+/* Component "algorithm". Contract: algorithm_reset, API(prepare) and the other functions of the interface. Here:
+ * real-time iteration, one QP and one full step per sample. Further behaviour stands in hooks: functions named after
+ * the behaviour and the point at which they are called. */
 
 #include "generated/hooks.c"
 
@@ -12,9 +12,9 @@
 
 #include "algorithms/shared/watch.c"
 
-/* Values of renewal: gradients of the linearisation compared with references, weights and parameters. Weights and
- * parameters act at the next prepare; once one of them has changed, so do further references, as gradients that mix new
- * weights with the old linearisation would belong to no problem. */
+/* Values of renewal: the gradients belong to the present data; references have changed; further changes are held until
+ * the next prepare. Weights and parameters act at the next prepare. Once one of them has changed, so do further
+ * references, as gradients that mix new weights with the old linearisation would belong to no problem. */
 enum { UP_TO_DATE, REFERENCE_CHANGED, HELD };
 
 /* Resets the plan: every state at its declared initial value, controls at their references, multipliers 0. */
@@ -55,7 +55,7 @@ static void evaluate_here(solver_t *s)
     s->renewal = UP_TO_DATE;
 }
 
-/* Q += diag(proximal), by which a step of a control without curvature is limited; it vanishes at the solution. */
+/* Q += diag(proximal). It limits the step of a control without curvature and vanishes at the solution. */
 static void add_proximal(solver_t *s)
 {
     for (int k = 0; k < NQ; k++) {
@@ -77,7 +77,7 @@ static status_t prepare_here(solver_t *s)
 
 #include "algorithms/real_time_iteration/curvature_at.c"
 
-/* Preparation phase. */
+/* Runs the preparation phase. */
 status_t API(prepare)(solver_t *s)
 {
     status_t status;
@@ -100,17 +100,17 @@ status_t API(prepare)(solver_t *s)
 
 #include "algorithms/real_time_iteration/apply.c"
 
-/* The status of a sample, by the plan that it leaves. */
+/* Returns the status of a sample, judged by the plan after its step. */
 static status_t judge(solver_t *s, status_t status)
 {
     status = after_feedback(s, status);
     if (NALG) {
         require_algebraic(s);
     }
-    if (EXACT_QP && status == OK) { /* whose solution has no gaps */
+    if (EXACT_QP && status == OK) { /* its solution has no gaps */
         s->stats.residual = R(0);
     }
-    if (SADDLES && !ITERATES && (status == OK || status == RELAXED)) { /* nothing else is known of a plan after a probe */
+    if (SADDLES && !ITERATES && (status == OK || status == RELAXED)) { /* nothing else measures a plan after a probe */
         enlarge(&s->stats.residual, s->saddle.saved);
     }
     status = judge_residual(status, s->stats.residual);

@@ -1,5 +1,6 @@
 /* SQP to convergence: the steps of the real-time iteration, globalised by a filter line search (Waechter and Biegler
- * 2005, algorithm A). An iteration: Hessian, QP, search; after a search that has failed, another start. */
+ * 2005, algorithm A). An iteration computes the Hessian, solves the QP and searches along its step; after a search that
+ * has failed, another start follows. */
 
 #include "algorithms/solve/measures.c"
 
@@ -32,7 +33,7 @@ static void evaluate_for_sample(solver_t *s)
 
 #include "algorithms/solve/restart.c"
 
-/* One globalised iteration at a point that has been linearised. */
+/* Runs one globalised iteration at a point that has been linearised. */
 static status_t sqp_iteration(solver_t *s)
 {
     sqp_t *q = &s->sqp;
@@ -72,8 +73,8 @@ static status_t sqp_iteration(solver_t *s)
     return status;
 }
 
-/* After an iteration of a sample with its own Hessian, which has left this status: the exact one takes over where the
- * full step was not taken, or has brought the plan little nearer. Returns the status of the search. */
+/* Replaces the Hessian of the sample by the exact one after an iteration that did not take the full step, or that
+ * brought the plan little nearer to a solution. Returns the status of the search. */
 static status_t take_exact_hessian(solver_t *s, status_t status)
 {
     if (CURVED && ITERATES) {
@@ -104,7 +105,7 @@ static int starts_at_measured(const solver_t *s)
 #include "algorithms/solve/saddles.c"
 #endif
 
-/* Iterations until stats.sqp_iterations = last. */
+/* Iterates until stats.sqp_iterations = last. */
 static status_t iterate(solver_t *s, real_t tol, int last)
 {
     for (;; s->stats.sqp_iterations++) {
@@ -166,7 +167,7 @@ static status_t solve_here(solver_t *s, real_t tol, int last)
 }
 
 #if SOLVE
-/* Starts from the plan, of which it gives up what is not finite, or resumes the last search. */
+/* Solves from the plan, without its entries that are not finite, or resumes the last search. */
 status_t API(solve)(solver_t *s, const real_t xhat[NXHAT], real_t tol, int max_iterations)
 {
     status_t status;

@@ -2,7 +2,7 @@
  *   condense_init      once: constant parts
  *   condense_prepare   preparation: all computations that depend neither on xhat nor on the final bounds, including the
  *                      factorisation of the QP
- *   condense_gradient  called if only gradients of the nodes have changed
+ *   condense_gradient  called when only gradients of the nodes have changed
  *   condense_rows      called if gaps b and values of the rows have changed, but no matrix
  *   condense_solve     feedback: solves the QP for step.dx[0] and the present bounds; result in step
  *   condense_shift     shifts the predicted working set of the controls by one interval
@@ -31,7 +31,7 @@ static inline real_t condense_sum(real_t sum, const real_t *a, const real_t *x)
     return sum;
 }
 
-/* Variable of the QP that is control j of node k; -1: none, as no block begins there. */
+/* Returns the index of control j of node k among the variables of the QP; -1 if no block begins there. */
 static inline int condense_variable(int k, int j)
 {
     if (NHELD > 0) {
@@ -40,7 +40,7 @@ static inline int condense_variable(int k, int j)
     return k * NU + j;
 }
 
-/* First node k at which a column in a panel of G_k is nonzero: 0 for dx_0, k + 1 for du_k. */
+/* Returns the first node k at which a column in a panel of G_k is nonzero: 0 for dx_0, k + 1 for du_k. */
 static inline int condense_first_node(int column)
 {
     if (NHELD > 0) {
@@ -79,8 +79,8 @@ static inline void condense_enter(columns_t *p, const node_t *node, int k, int c
     }
 }
 
-/* Panel of G_k from its first node on: G_0 = [I 0], G_{k+1} = [A_k G_k, B_k at du_k]. It is set to zero at the
- * preceding node. */
+/* Computes a panel of G_k from its first node on: G_0 = [I 0], G_{k+1} = [A_k G_k, B_k at du_k]. The panel is zero at
+ * the node before. */
 static void condense_propagate(solver_t *s, int column)
 {
     columns_t *p = &s->qp.work.columns;
@@ -101,7 +101,7 @@ static void condense_propagate(solver_t *s, int column)
     }
 }
 
-/* Columns of dx_0 in a panel that has du_0, too, and those of the last panel that H has. */
+/* Columns of dx_0 in a panel that also contains du_0, and columns of H in the last panel. */
 enum { BORDER = NXC % COLUMNS, LAST = (LDH + NXC < LDG) ? LDH + NXC + COLUMNS - LDG : COLUMNS };
 
 /* Stores a panel of a row of (Hx, H) or (Ax, A). Entries of H beyond its diagonal are not read. */
@@ -134,7 +134,7 @@ static void condense_store_rows(solver_t *s, int k, int column)
     }
 }
 
-/* Coupling of du_k to the controls of the node before in dx_0: they act on node 0 alone. */
+/* Adds the coupling of du_k to the controls of the node before that are in dx_0; these act on node 0 only. */
 static void condense_couple_band(solver_t *s, int k, real_t (*Q)[NZ])
 {
     for (int j = 0; j < NU; ++j) {
@@ -144,8 +144,8 @@ static void condense_couple_band(solver_t *s, int k, real_t (*Q)[NZ])
     }
 }
 
-/* Adds what controls of the node before node k contribute to the condensed Hessian: products of those of one node, and
- * with the controls of node k. */
+/* Adds the contribution of controls of the node before node k to the condensed Hessian: products of those of one node,
+ * and products with the controls of node k. */
 static void condense_add_band(solver_t *s, int k, real_t (*Q)[NZ])
 {
     for (int i = 0; k > 0 && i < NBAND; ++i) {
@@ -159,7 +159,7 @@ static void condense_add_band(solver_t *s, int k, real_t (*Q)[NZ])
     }
 }
 
-/* The same of node N. */
+/* Adds the contribution of controls of the node before node N. */
 static void condense_add_last_band(solver_t *s, real_t (*Q)[NX])
 {
     const int last = (N - 1) * NU;
@@ -191,7 +191,7 @@ static void condense_add_curvature(solver_t *s)
     }
 }
 
-/* Where the Hessian is dense, the rows of W of controls of the node before go to those controls: T += later. */
+/* Adds the rows of W of controls of the node before to those controls, for a dense Hessian: T += later. */
 static void condense_pull_back(columns_t *p, real_t (*later)[COLUMNS])
 {
     for (int i = 0; i < NBAND; ++i) {
@@ -202,7 +202,8 @@ static void condense_pull_back(columns_t *p, real_t (*later)[COLUMNS])
     }
 }
 
-/* W of node k where controls follow those of the node before, v: their tie c^2/2 (u - v)^2 vanishes, as du = dv. */
+/* Computes W of node k where controls follow those v of the node before. The term c^2/2 (u - v)^2 vanishes, as du =
+ * dv. */
 static void condense_follow(solver_t *s, int k)
 {
     columns_t *p = &s->qp.work.columns;
@@ -220,7 +221,7 @@ static void condense_follow(solver_t *s, int k)
     }
 }
 
-/* Panel of the condensed Hessian without R_k: its block rows T from the last to the first. */
+/* Computes a panel of the condensed Hessian without R_k: its block rows T from the last to the first. */
 static void condense_hessian(solver_t *s, int column)
 {
     columns_t *p = &s->qp.work.columns;
@@ -265,7 +266,7 @@ static void condense_hessian(solver_t *s, int column)
     }
 }
 
-/* Hessian rows of the free components of dx_0, taken from the coupling to dx_0. */
+/* Copies the Hessian rows of the free components of dx_0 from the coupling to dx_0. */
 static void condense_store_free(solver_t *s)
 {
     for (int f = 0; f < NF; ++f) {
@@ -279,20 +280,20 @@ static void condense_store_free(solver_t *s)
     }
 }
 
-/* Panel of J_x G_k + J_u at du_k for row m, which is no bound. */
+/* Adds the panel of J_x G_k + J_u at du_k for row m, which is no bound. */
 static void condense_add_row(const solver_t *s, int m, int column, real_t *sum)
 {
     const int k = row_node(m), entering = NXC + k * NU - column;
     const real_t *J = row_gradient(s, m);
     const int last = (k + 1 >= condense_first_node(column)) ? NX : 0;
     if (row_is_coupled(m)) {
-        /* it contains J_0 dx_0 as well */
+        /* The row also contains J_0 dx_0. */
         for (int i = column; i < NXC && i < column + COLUMNS; ++i) {
             sum[i - column] = s->coupled.J_0[row_index(m)][i];
         }
     }
     for (int i = 0; i < last; ++i) {
-        if (J[i] != R(0)) { /* a row depends on few states: its other entries are exactly 0 */
+        if (J[i] != R(0)) { /* a row depends on few states; its other entries are exactly 0 */
             for (int l = 0; l < COLUMNS; ++l) {
                 sum[l] += J[i] * s->qp.work.columns.G[k][i][l];
             }
@@ -312,7 +313,7 @@ static void condense_add_row(const solver_t *s, int m, int column, real_t *sum)
     }
 }
 
-/* Panel of the state row m, which is a row of G_k; zero before its first node. */
+/* Returns the panel of the state row m, which is a row of G_k; zero before its first node. */
 static inline const real_t *condense_state_row(const solver_t *s, int m, int column)
 {
     static const real_t zero[COLUMNS] = {R(0)};
@@ -320,7 +321,7 @@ static inline const real_t *condense_state_row(const solver_t *s, int m, int col
     return reached ? s->qp.work.columns.G[row_node(m)][row_index(m)] : zero;
 }
 
-/* Panel of row m of the QP: A = J_x G_k + J_u at du_k; a bound of a state has J_x = e_i. */
+/* Computes the panel of row m of the QP: A = J_x G_k + J_u at du_k; a bound of a state has J_x = e_i. */
 static void condense_row(solver_t *s, int m, int column)
 {
     real_t sum[COLUMNS] = {R(0)};
@@ -338,7 +339,7 @@ static void condense_row(solver_t *s, int m, int column)
     }
 }
 
-/* Entries of the rows at the free components of dx_0. */
+/* Copies the entries of the rows at the free components of dx_0. */
 static void condense_store_others(solver_t *s)
 {
     for (int m = 0; m < NG; ++m) {
@@ -353,7 +354,7 @@ static void condense_add_bands(solver_t *s)
 {
     for (int k = 0; k < N; ++k) {
         if (CURVED) {
-            if (s->curved.in_solve) { /* the panels have all products but those with dx_0 */
+            if (s->curved.in_solve) { /* the panels contain all products except those with dx_0 */
                 condense_couple_band(s, k, s->curved.Q[k]);
                 continue;
             }
@@ -371,7 +372,7 @@ static void condense_add_bands(solver_t *s)
     }
 }
 
-/* Hessian and rows of the QP, one panel of columns after the other. */
+/* Computes Hessian and rows of the QP, panel by panel. */
 static void condense_matrices(solver_t *s)
 {
     for (int column = 0; column < LDG; column += COLUMNS) {
@@ -426,7 +427,7 @@ static void condense_gradient(solver_t *s)
     }
 }
 
-/* Gradient and bounds of the free components of dx_0, which are zero in dx0. */
+/* Sets gradient and bounds of the free components of dx_0, which are zero in dx0. */
 static void condense_embed_free(solver_t *s, const real_t *dx0)
 {
     for (int row = NVU; row < NVU + NF; ++row) {
@@ -436,9 +437,9 @@ static void condense_embed_free(solver_t *s, const real_t *dx0)
     }
 }
 
-/* A row with a quadratic penalty has a slack sigma, a variable of the QP: lower <= row - sigma <= upper, cost
- * l2/2 sigma^2, and sigma = 0 as an elastic bound with penalty l1. The QP solver knows where slacks occur: neither the
- * Hessian nor the rows have entries for them. Sets their gradient, bounds, curvatures and penalties. */
+/* Sets gradient, bounds, curvatures and penalties of the slacks. A row with a quadratic penalty has a slack sigma, a
+ * variable of the QP: lower <= row - sigma <= upper, cost l2/2 sigma^2, and sigma = 0 as an elastic bound with penalty
+ * l1. The QP solver knows where slacks occur; neither the Hessian nor the rows have entries for them. */
 static void condense_embed_slacks(solver_t *s)
 {
     for (int m = 0; m < NG; ++m) {
@@ -454,8 +455,8 @@ static void condense_embed_slacks(solver_t *s)
     }
 }
 
-/* Bounds of the rows relative to their values at du = 0, and the costs of their violation. The sum of the magnitudes
- * has a loop of its own: GCC 12 compiles both sums in one wrongly at -O3 for AVX-512. */
+/* Sets the bounds of the rows relative to their values at du = 0, and the costs of their violation. The sum of the
+ * magnitudes has a loop of its own: GCC 12 compiles both sums in one wrongly at -O3 for AVX-512. */
 static void condense_embed_rows(solver_t *s, const real_t *dx0)
 {
     for (int m = 0; m < NG; ++m) {
@@ -499,9 +500,9 @@ static void condense_embed(solver_t *s)
     }
 }
 
-/* Value of the row m at du = 0, dx_0 = 0, v = row + J_x c_k, and the magnitude of its terms, where a state counts with
- * its largest magnitude, because its rounding errors travel along the horizon; at least a part of the scale of the
- * row. */
+/* Computes the value of row m at du = 0, dx_0 = 0, v = row + J_x c_k, and the magnitude of its terms. A state counts
+ * with its largest magnitude, because its rounding errors travel along the horizon; the sum is at least a fraction of
+ * the scale of the row. */
 static void condense_value(solver_t *s, int m, const real_t *size)
 {
     const real_t *c = s->condensed.c[row_node(m)];
@@ -513,7 +514,7 @@ static void condense_value(solver_t *s, int m, const real_t *size)
     s->condensed.v[m] = row_constant(s, m) + condense_sum(R(0), row_gradient(s, m), c);
 }
 
-/* Gradients, and the values of the rows at du = 0, dx_0 = 0. */
+/* Computes the gradients, and the values of the rows at du = 0, dx_0 = 0. */
 static void condense_rows(solver_t *s)
 {
     condense_gradient(s);
@@ -543,7 +544,7 @@ static status_t condense_prepare(solver_t *s)
     return condense_factorize(s);
 }
 
-/* Controls that begin no block move with those of the node before. */
+/* Copies du of controls that begin no block from the node before. */
 static void condense_expand_held(step_t *d, int k)
 {
     for (int i = 0; i < NMEM; ++i) {
@@ -553,7 +554,7 @@ static void condense_expand_held(step_t *d, int k)
     }
 }
 
-/* du and the multipliers from the QP; dx_{k+1} = A_k dx_k + B_k du_k + b_k. */
+/* Copies du and the multipliers from the QP; dx_{k+1} = A_k dx_k + B_k du_k + b_k. */
 static void condense_expand(solver_t *s)
 {
     step_t *d = &s->step;

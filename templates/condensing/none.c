@@ -45,7 +45,7 @@ static inline real_t (*stage_Q(solver_t *s, int k))[NZ]
     return s->hessian.Q[k];
 }
 
-/* The Hessian of the last stage, lower triangle. */
+/* Returns the Hessian of the last stage, lower triangle. */
 static inline real_t (*stage_Q_N(solver_t *s))[NX]
 {
     if (CURVED) {
@@ -61,7 +61,7 @@ static void condense_init(solver_t *s)
     qp_init(s);
 }
 
-/* Bounds of the rows relative to the present iterate, and the costs of their violation. */
+/* Sets the bounds of the rows relative to the present iterate, and the costs of their violation. */
 static void condense_embed_rows(solver_t *s)
 {
     for (int m = 0; m < NG; ++m) {
@@ -78,7 +78,7 @@ static void condense_embed_rows(solver_t *s)
     }
 }
 
-/* Bounds of the controls and rows relative to the present iterate. */
+/* Sets the bounds of the controls and rows relative to the present iterate. */
 static void condense_embed(solver_t *s)
 {
     for (int k = 0; k < N; ++k) {
@@ -117,7 +117,7 @@ static void condense_expand(solver_t *s)
     }
 }
 
-/* The QP yields it when it checks its solution. */
+/* Returns the multiplier, which the QP computes when it checks its solution. */
 static inline const real_t *condense_multiplier(const solver_t *s, int k)
 {
     return s->riccati.work.vectors.rhs.g[k];

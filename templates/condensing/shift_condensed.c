@@ -3,7 +3,7 @@ static void condense_shift(solver_t *s)
     qp_shift_controls(&s->qp, NU);
 }
 
-/* The rows move as `source` says. */
+/* Moves the predicted side of row source[m] to row m. */
 static void condense_shift_rows(solver_t *s, const int *source)
 {
     for (int m = 0; m < NG; ++m) {

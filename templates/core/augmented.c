@@ -1,5 +1,5 @@
-/* States behind the measured ones, from NXHAT on, which a node has from the one before it and from the grid: the struct
- * names them. Their maps are exact, so that a plan has no gaps in them. Sets them in x_0. */
+/* Sets the added states in x_0. Added states follow the measured ones, from index NXHAT on, and depend on the node
+ * before and the grid only; the struct names them. Their maps are exact, so that a plan has no gaps in them. */
 static void take_augmented(const solver_t *s, real_t *x)
 {
     if (TIMED) {
@@ -10,7 +10,7 @@ static void take_augmented(const solver_t *s, real_t *x)
     }
 }
 
-/* Sets the states behind the measured ones to what they were in x_0 of the last sample. */
+/* Sets the added states to their values in x_0 of the last sample. */
 static inline void recall_augmented(const solver_t *s, real_t *x)
 {
 #if NODES
@@ -23,7 +23,7 @@ static inline void recall_augmented(const solver_t *s, real_t *x)
     }
 }
 
-/* Sets the states behind the measured ones at all nodes of the plan. */
+/* Sets the added states at all nodes of the plan. */
 static void follow_augmented(solver_t *s)
 {
     take_augmented(s, s->x[0]);
@@ -44,7 +44,7 @@ static void follow_augmented(solver_t *s)
     }
 }
 
-/* The first sample is at time 0, after the first control of the plan. */
+/* Resets the added states. The first sample is at time 0, and its previous control is the first control of the plan. */
 static void reset_augmented(solver_t *s)
 {
     if (PREVIOUS) {
@@ -62,7 +62,7 @@ static void reset_augmented(solver_t *s)
     follow_augmented(s);
 }
 
-/* What a sample leaves to the next one: its control, and time, whose rounding errors are carried along. */
+/* Saves what the next sample needs: the control, and the time with its rounding error. */
 static void keep_sample(solver_t *s, const real_t *u0)
 {
     if (PREVIOUS) {

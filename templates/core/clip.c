@@ -1,4 +1,4 @@
-/* The nearest number in [lower, upper]; NaN stays NaN. */
+/* Returns the nearest number in [lower, upper]; NaN stays NaN. */
 static real_t clip(real_t value, real_t lower, real_t upper)
 {
     if (value < lower) {

@@ -7,7 +7,7 @@ static real_t nodal_cost(const solver_t *s)
     real_t total = R(0);
     TERMINAL_COST(s, &total);
     if (HAS_START_COST) {
-        /* of x_0 alone */
+        /* the cost of x_0 */
         real_t l_0;
         START_COST(s, &l_0);
         total += l_0;
@@ -22,13 +22,13 @@ static real_t nodal_cost(const solver_t *s)
     return total;
 }
 
-/* Penalty l1 v + l2/2 v^2 of a violation v >= 0 of the soft row m. */
+/* Returns the penalty l1 v + l2/2 v^2 of a violation v >= 0 of the soft row m. */
 static real_t soft_penalty(const solver_t *s, int m, real_t v)
 {
     return row_l1(s, m) * v + R(0.5) * row_l2(s, m) * v * v;
 }
 
-/* Sum of the penalties of all soft rows at the present iterate. */
+/* Returns the sum of the penalties of all soft rows at the present iterate. */
 static real_t soft_penalties(const solver_t *s)
 {
     real_t value[NG], total = R(0);

@@ -1,5 +1,5 @@
-/* Rows (constraints other than the control bounds), sorted by node: bounds of states, then rows h, then those that read
- * both ends. */
+/* Rows are the constraints other than control bounds, sorted by node: bounds of states, then rows h, then rows that
+ * read both ends. */
 
 #include "generated/rows.c"
 
@@ -33,7 +33,7 @@ static inline real_t control_upper(const solver_t *s, int k, int j)
     return PATH_UPPER(s, k, control_row[j]);
 }
 
-/* What control j is compared with in the cost, or 0. */
+/* Returns the reference of control j in the cost, or 0. */
 static inline real_t reference_of_control(const solver_t *s, int k, int j)
 {
     if (HAS_CONTROL_START) {
@@ -47,7 +47,7 @@ static inline real_t reference_of_control(const solver_t *s, int k, int j)
     return YREF(s, k)[control_reference[j]];
 }
 
-/* Value of row m at the linearisation point. */
+/* Returns the value of row m at the linearisation point. */
 static inline real_t row_constant(const solver_t *s, int m)
 {
     if (row_is_state(m)) {
@@ -62,7 +62,8 @@ static inline real_t row_constant(const solver_t *s, int m)
     return s->node[row_node(m)].h[row_index(m)];
 }
 
-/* Stored gradient of row m, which is no bound: NZ entries at a path node, at the terminal node those of x_N. */
+/* Returns the stored gradient of row m, which is no bound: NZ entries at a path node, the entries of x_N at the
+ * terminal node. */
 static inline const real_t *row_gradient(const solver_t *s, int m)
 {
     if (NE > 0 && (NH + NH_N == 0 || row_is_coupled(m))) {
@@ -74,7 +75,7 @@ static inline const real_t *row_gradient(const solver_t *s, int m)
     return s->node[row_node(m)].J[row_index(m)];
 }
 
-/* Gradient of any row m, in all NZ variables of a path node. */
+/* Copies the gradient of any row m, in all NZ variables of a path node. */
 static void copy_row_gradient(const solver_t *s, int m, real_t *a)
 {
     (void)memset(a, 0, NZ * sizeof *a);
@@ -85,7 +86,7 @@ static void copy_row_gradient(const solver_t *s, int m, real_t *a)
     (void)memcpy(a, row_gradient(s, m), (size_t)nz_at(row_node(m)) * sizeof *a);
 }
 
-/* mu of the general rows at path node k, 0 where one does not hold. */
+/* Writes mu of the general rows at path node k, 0 where one does not hold. */
 static void path_multipliers(const solver_t *s, int k, real_t *mu)
 {
     (void)memset(mu, 0, NH * sizeof *mu);
@@ -96,7 +97,8 @@ static void path_multipliers(const solver_t *s, int k, real_t *mu)
     }
 }
 
-/* Factor of the penalties of soft row i at a node: the length of its interval, at the end of the last one, or 1. */
+/* Returns the factor of the penalties of soft row i at a node: the length of its interval, at node N that of the last
+ * interval, or 1. */
 static inline real_t penalty_factor(int i, int k)
 {
     if (SCALED_PENALTIES == 0) {
@@ -105,7 +107,7 @@ static inline real_t penalty_factor(int i, int k)
     return penalty_scaled[i] ? interval_length[(k < N) ? k : N - 1] : R(1);
 }
 
-/* Penalty l1 v of a violation v of row m; infinite for a hard row. */
+/* Returns l1 of the penalty l1 v of a violation v of row m; infinite for a hard row. */
 static inline real_t row_l1(const solver_t *s, int m)
 {
     if (SOFT_ROWS == 0) {
@@ -118,7 +120,7 @@ static inline real_t row_l1(const solver_t *s, int m)
     return SOFT_L1(s, k)[i] * penalty_factor(i, k);
 }
 
-/* Its quadratic part, l2/2 v^2. */
+/* Returns l2 of the quadratic part l2/2 v^2 of the penalty of row m. */
 static inline real_t row_l2(const solver_t *s, int m)
 {
     if (SOFT_ROWS == 0) {
@@ -131,7 +133,7 @@ static inline real_t row_l2(const solver_t *s, int m)
     return SOFT_L2(s, k)[i] * penalty_factor(i, k);
 }
 
-/* From here on the penalties that have been set are those of the rows. */
+/* Takes over the penalties that have been set. */
 static void take_penalties(solver_t *s)
 {
     if (TAKES_PENALTIES) {
@@ -151,7 +153,8 @@ static inline int row_is_soft(const solver_t *s, int m)
     return row_l1(s, m) < INF;
 }
 
-/* What a violation of row m costs by its node: the way back may lead through larger ones of rows on states alone. */
+/* Returns the factor of the price of a violation of row m at its node. Rows on states only may be cheaper at early
+ * nodes, because the way back may lead through larger violations. */
 static inline real_t relaxed_price(const solver_t *s, int m)
 {
     if (PRICED_ROWS) {
@@ -160,7 +163,8 @@ static inline real_t relaxed_price(const solver_t *s, int m)
     return R(1);
 }
 
-/* Penalty of row m in a sample. That of a relaxed hard row is the price of a violation by the scale of the row. */
+/* Returns the penalty of row m in a sample. For a relaxed hard row it is the price of a violation by the scale of the
+ * row. */
 static inline real_t row_penalty(const solver_t *s, int m)
 {
     if (SOFT_ROWS > 0 && (RELAXATION == 0 || row_is_soft(s, m))) {
@@ -176,13 +180,13 @@ static inline real_t row_penalty(const solver_t *s, int m)
     return (scale > R(0)) ? price / scale : price;
 }
 
-/* How far a value of row m is outside of its bounds. */
+/* Returns the distance of a value of row m from its bounds, 0 inside them. */
 static inline real_t outside(const solver_t *s, int m, real_t value)
 {
     return FABS(value - clip(value, row_lower(s, m), row_upper(s, m)));
 }
 
-/* Values of all rows at the present iterate. */
+/* Evaluates all rows at the present iterate. */
 static void evaluate_rows(const solver_t *s, real_t *value)
 {
     for (int m = 0; m < NG; m++) {
@@ -217,7 +221,7 @@ static void evaluate_rows(const solver_t *s, real_t *value)
     }
 }
 
-/* Sum of the magnitudes of the terms of row m, where size[] holds those of (dx, du). */
+/* Returns the sum of the magnitudes of the terms of row m, where size[] holds those of (dx, du). */
 static real_t row_terms(const solver_t *s, int m, const real_t *size)
 {
     const real_t constant = FABS(row_constant(s, m));

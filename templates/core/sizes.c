@@ -1,15 +1,15 @@
-/* Contract of this part: what is much and what is little. The scales of states, controls and rows, of the cost and of
- * its gradient follow from what is declared, never from the data of a sample: rounding errors are no size. A value far
- * below its scale is no size; a residual near the rounding of its scale is what rounding leaves, however small the
- * terms at hand are. */
+/* Contract of this part: scales, and what is negligible beside them. The scales of states, controls and rows, of the
+ * cost and of its gradient follow from declared data, never from the data of a sample, because data at rest may be
+ * rounding errors. A value far below its scale does not count as a size, and a residual near the rounding error of its
+ * scale counts as zero, however small its terms are. */
 
-/* Number of components of (x, u) at node k. */
+/* Returns the number of components of (x, u) at node k. */
 static inline int nz_at(int k)
 {
     return (k < N) ? NZ : NX;
 }
 
-/* The first component of (x, u) that may be idle. */
+/* Returns the first component of (x, u) that may be idle. */
 static inline int first_idle(void)
 {
     if (IDLE_STATES) {
@@ -18,20 +18,20 @@ static inline int first_idle(void)
     return NX;
 }
 
-/* A size that was found in data, or the scale where that is a zero. */
+/* Returns a size found in data, or the scale where that size is a zero. */
 static inline real_t size_or(real_t size, real_t scale)
 {
     return (size > TOL_ZERO * scale) ? size : scale;
 }
 
-/* A value of component i of (x, u), or 0 where it is far below all rounding errors of its scale: in a plant at rest,
- * values would decay to denormal numbers, which are slow and have no relative accuracy. NaN stays. */
+/* Returns a value of component i of (x, u), or 0 if it is far below all rounding errors of its scale. In a plant at
+ * rest, values would otherwise decay to denormal numbers, which are slow and have no relative accuracy. NaN stays. */
 static inline real_t or_zero(real_t value, int i)
 {
     return (FABS(value) <= TOL_UNIT * TOL_UNIT * z_scale[i]) ? R(0) : value;
 }
 
-/* Least size in which a cost is measured: that of variables at the zero tolerance. */
+/* Returns the least size in which a cost is measured: that of variables at the zero tolerance. */
 static inline real_t least_cost(void)
 {
     return TOL_ZERO * TOL_ZERO * cost_size[0];

@@ -1,4 +1,4 @@
-/* Finiteness and magnitudes of vectors, four numbers at a time: compilers hold them in vector registers. */
+/* Finiteness and magnitudes of vectors, four numbers at a time, which compilers hold in vector registers. */
 
 /* Returns 1 if all n numbers are finite: then their products with 0 are 0. */
 static int all_finite(const real_t *v, int n)

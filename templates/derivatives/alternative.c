@@ -1,7 +1,7 @@
-/* Alternative integration, Algorithms 6.8 to 6.10: the response S_n = dx_n / du_k of all states to one control,
- * integrated over n = k + 1, ..., N together with the states, without the NX x NX transition matrices. */
+/* Alternative integration, Algorithms 6.8 to 6.10, integrates the response S_n = dx_n / du_k of all states to one
+ * control over n = k + 1, ..., N together with the states. It needs no NX x NX transition matrices. */
 
-/* x_n and S_n, k < n <= end, from x_k */
+/* Computes x_n and S_n, k < n <= end, from x_k. */
 static void respond(const data_t *d, int k, int end, response_t *s)
 {
     real_t(*x)[NX] = s->nodes.x;
@@ -11,7 +11,7 @@ static void respond(const data_t *d, int k, int end, response_t *s)
     }
 }
 
-/* Algorithm 6.8 for one k: S_n = dx_n / du_k, zero for n <= k. */
+/* Algorithm 6.8 for one k: computes S_n = dx_n / du_k, zero for n <= k. */
 status_t API(sensitivities_alternative)(const data_t *d, int k, response_t *s)
 {
     if (k < 0 || k >= N) {

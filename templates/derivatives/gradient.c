@@ -1,6 +1,7 @@
 /* Gradient of J with respect to all controls, g[k][j] = dJ / du_k[j]. */
 
-/* The node's control with u_j increased; returns the increase, step max(1, |u_j|), as it is after rounding. */
+/* Writes the control of node k with u_j increased by step max(1, |u_j|); returns the increase as it is after
+ * rounding. */
 static real_t perturb_control(const data_t *d, int k, int j, real_t step, real_t *u)
 {
     for (int i = 0; i < NU; i++) {
@@ -10,7 +11,7 @@ static real_t perturb_control(const data_t *d, int k, int j, real_t step, real_t
     return u[j] - d->u[k][j];
 }
 
-/* Algorithm 6.1: J with one control changed, by simulation from its node on; N NU + 1 simulations. */
+/* Algorithm 6.1: simulates J with one control changed, from its node on; N NU + 1 simulations. */
 status_t API(gradient_finite_differences)(const data_t *d, real_t step, trajectory_t *t, real_t g[N][NU])
 {
     real_t u[NU], x[NX];

@@ -1,7 +1,7 @@
 /* Impulse response matrix Xi[n * NOUT + i][k][j] = dz_n[i] / du_k[j]: D_n on the block diagonal,
  * C_n A_{n-1} ... A_{k+1} B_k below it, 0 above it; G_n = [C_n D_n]. */
 
-/* G_n of all nodes */
+/* Computes G_n of all nodes. */
 static void output_jacobians(const data_t *d, nodes_t *nodes)
 {
     for (int n = 0; n < N; n++) {
@@ -9,7 +9,7 @@ static void output_jacobians(const data_t *d, nodes_t *nodes)
     }
 }
 
-/* Block (k, k) of Xi: D_k */
+/* Writes block (k, k) of Xi, D_k. */
 static void set_diagonal_block(const nodes_t *nodes, int k, real_t (*Xi)[N][NU])
 {
     for (int i = 0; i < NOUT; i++) {
@@ -19,7 +19,7 @@ static void set_diagonal_block(const nodes_t *nodes, int k, real_t (*Xi)[N][NU])
     }
 }
 
-/* Block (n, k) of Xi, which is zero: += C_n S */
+/* Adds C_n S to block (n, k) of Xi. */
 static void add_block(const nodes_t *nodes, int n, int k, const real_t *S, real_t (*Xi)[N][NU])
 {
     for (int i = 0; i < NOUT; i++) {
@@ -27,7 +27,7 @@ static void add_block(const nodes_t *nodes, int n, int k, const real_t *S, real_
     }
 }
 
-/* Algorithm 6.4: outputs with one control changed, by simulation from its node on. */
+/* Algorithm 6.4: simulates the outputs with one control changed, from its node on. */
 status_t API(impulse_response_finite_differences)(const data_t *d, real_t step, trajectory_t *t, real_t (*Xi)[N][NU])
 {
     real_t u[NU], x[NX], z[NOUT];
@@ -79,7 +79,7 @@ status_t API(impulse_response_forward)(const data_t *d, linearization_t *m, real
     return finite_or(&Xi[0][0][0], N * NOUT * N * NU);
 }
 
-/* 1 if there are rows or none, and every one is one of n * NOUT + i, n < N, i < NOUT */
+/* Returns 1 if n_rows >= 0 and every row is a number n * NOUT + i with n < N, i < NOUT. */
 static int rows_exist(const int *rows, int n_rows)
 {
     if (n_rows < 0) {
@@ -93,7 +93,7 @@ static int rows_exist(const int *rows, int n_rows)
     return 1;
 }
 
-/* The last block of a row and where its adjoint starts: D_n, lam = C_n */
+/* Writes the last block of a row, D_n, and the start of its adjoint, lam = C_n. */
 static int start_row(const nodes_t *nodes, int row, real_t *lam, real_t (*xi)[NU])
 {
     const int n = row / NOUT, i = row % NOUT;

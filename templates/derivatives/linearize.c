@@ -1,7 +1,7 @@
 /* The linear time-varying model along the trajectory: dx_{k+1} = A_k dx_k + B_k du_k, dl_k = (q_k, r_k)'(dx_k, du_k),
- * dl_N = q_N' dx_N; g_k = (q_k, r_k), S_k = [A_k B_k] */
+ * dl_N = q_N' dx_N; g_k = (q_k, r_k), S_k = [A_k B_k]. */
 
-/* Gradients of the costs of all nodes. */
+/* Computes the gradients of the costs of all nodes. */
 static void cost_gradients(const data_t *d, nodes_t *n)
 {
     for (int k = 0; k < N; k++) {

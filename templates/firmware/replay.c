@@ -1,5 +1,5 @@
-/* Replays a recorded closed loop and writes, for every call, what the host needs to judge it.
- * Contract: recording.h holds the inputs. Every line begins with a letter; all numbers are hexadecimal words:
+/* Replays a recorded closed loop and writes ticks, stack and results of every call for the host. Contract: recording.h
+ * holds the inputs. Every line begins with a letter; all numbers are hexadecimal words:
  *     E ticks stack                        a call of a function that does nothing
  *     I ticks stack status                 init()
  *     S ticks stack status ticks stack status u0...   prepare(), feedback() of a sample; u0 in words, low word first
@@ -46,7 +46,7 @@ INSIDE uint32_t written_bytes(void)
     return (uint32_t)((uintptr_t)end - (uintptr_t)word);
 }
 
-/* A function that measures one call; inlined parts leave the stack pointer as it is at the call. */
+/* Defines a function that measures one call; inlined parts leave the stack pointer as it is at the call. */
 #define MEASURED(name, call)                                                                                           \
     ALONE static cost_t measured_##name(void)                                                                          \
     {                                                                                                                  \

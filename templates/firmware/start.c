@@ -1,6 +1,6 @@
-/* Start of a bare-metal program on a Cortex-M, and its way out: vector table, memory, floating-point unit, UART, exit.
- * Contract: the linker script defines the image_* symbols; the program defines main(). image_put() writes a character
- * to the UART of the board, image_exit() ends the emulation by semihosting. On a chip of your own replace these two. */
+/* Start and exit of a bare-metal program on a Cortex-M: vector table, memory, floating-point unit, UART. Contract: the
+ * linker script defines the image_* symbols; the program defines main(). image_put() writes a character to the UART of
+ * the board, image_exit() ends the emulation by semihosting. Replace these two functions on another chip. */
 #include "start.h"
 
 #include <stdint.h>
@@ -21,7 +21,7 @@ void image_tick(void) __attribute__((weak));
 
 typedef void (*handler_t)(void);
 
-/* SysTick: image_tick(), if the program defines it. */
+/* Handles SysTick: calls image_tick(), if the program defines it. */
 static void image_systick(void)
 {
     if (image_tick != 0) {
@@ -31,7 +31,7 @@ static void image_systick(void)
     }
 }
 
-/* Initial stack pointer, reset, the exceptions that a program can meet, and SysTick. */
+/* Initial stack pointer, reset, the exceptions that a program can raise, and SysTick. */
 __attribute__((section(".vectors"), used)) static const handler_t vectors[16] = {(handler_t)image_stack_top,
     image_start, image_fault, image_fault, image_fault, image_fault, image_fault, 0, 0, 0, 0, image_fault, image_fault,
     0, image_fault, image_systick};
@@ -42,7 +42,7 @@ void image_put(char c)
     UART_DATA = (uint32_t)(unsigned char)c;
 }
 
-/* SYS_EXIT_EXTENDED with the reason ADP_Stopped_ApplicationExit and the exit code. */
+/* Exits by SYS_EXIT_EXTENDED with the reason ADP_Stopped_ApplicationExit and the exit code. */
 void image_exit(int code)
 {
     const uint32_t block[2] = {0x20026u, (uint32_t)code};

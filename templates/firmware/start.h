@@ -1,20 +1,20 @@
-/* What start.c offers a bare-metal program: output, exit, a clock, and the limits of the stack. */
+/* Functions of start.c for a bare-metal program: output, exit, a clock, and the limits of the stack. */
 #ifndef IMAGE_START_H
 #define IMAGE_START_H
 
 #include <stdint.h>
 
-extern uint32_t image_stack_limit[], image_stack_top[]; /* of the linker script */
+extern uint32_t image_stack_limit[], image_stack_top[]; /* defined by the linker script */
 
 int main(void);
-void image_tick(void); /* of the program, if it starts the SysTick timer of a Cortex-M */
+void image_tick(void); /* defined by the program if it starts the SysTick timer of a Cortex-M */
 void image_put(char c);
 void image_exit(int code) __attribute__((noreturn));
 
 #if defined(__riscv)
 #define IMAGE_MOVE "mv"
 
-/* Instructions so far. */
+/* Returns the number of instructions so far. */
 static inline uint32_t image_clock(void)
 {
     uint32_t count;
@@ -26,7 +26,7 @@ static inline uint32_t image_clock(void)
 #define IMAGE_TIMER 0x40000000u /* CMSDK timer 0 of the boards mps2-an385, an386 and an500 */
 #define IMAGE_UART 0x40004000u /* CMSDK UART 0 */
 
-/* Ticks of the board's timer, which counts down from 2^32 - 1. */
+/* Returns the ticks of the board's timer, which counts down from 2^32 - 1. */
 static inline uint32_t image_clock(void)
 {
     return 0xFFFFFFFFu - *(volatile uint32_t *)(IMAGE_TIMER + 0x04u);

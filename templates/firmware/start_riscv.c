@@ -1,6 +1,6 @@
-/* Start of a bare-metal program on a 32-bit RISC-V core, and its way out: memory, UART, exit.
- * Contract: the linker script defines the image_* symbols; the program defines main(). image_put() writes a character
- * to the UART of the board "virt", image_exit() ends the emulation. On a chip of your own replace these two. */
+/* Start and exit of a bare-metal program on a 32-bit RISC-V core: memory, UART. Contract: the linker script defines the
+ * image_* symbols; the program defines main(). image_put() writes a character to the UART of the board "virt",
+ * image_exit() ends the emulation. Replace these two functions on another chip. */
 #include "start.h"
 
 #include <stdint.h>
@@ -29,7 +29,7 @@ void image_exit(int code)
     for (;;) {}
 }
 
-/* Where exceptions go. */
+/* Handles exceptions. */
 __attribute__((aligned(4))) void image_fault(void)
 {
     for (const char *c = "fault\n"; *c != '\0'; c++) {
@@ -50,8 +50,8 @@ void image_begin(void)
     image_exit(main());
 }
 
-/* The first instructions: stack, data of the only thread, exceptions. Assemblers that want an extension of -march for
- * "csrw mtvec, t0" take its encoding. */
+/* The first instructions set the stack, copy the data and set the exception handler, on the only hardware thread.
+ * Assemblers that want an extension of -march for "csrw mtvec, t0" accept its encoding. */
 __attribute__((section(".vectors"), naked, used)) void image_start(void)
 {
     __asm volatile("la sp, image_stack_top\n\t"

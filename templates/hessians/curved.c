@@ -1,5 +1,5 @@
-/* In a search, s->curved holds the Hessian as full symmetric blocks and s->hessian is zero: products with
- * the nonzeros of s->hessian are completed by dense ones. */
+/* In a search, s->curved holds the Hessian as full symmetric blocks and s->hessian is zero; the dense products below
+ * are added to products with the nonzeros of s->hessian. */
 
 /* w += Q_k (dx, du). */
 static void add_curvature(const solver_t *s, int k, const real_t *dx, const real_t *du, real_t *w)

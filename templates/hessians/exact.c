@@ -11,7 +11,8 @@
 
 #include "hessians/first_multipliers.c"
 
-/* Before the first node: are multipliers computed, and Q without what a regularisation has written. */
+/* Prepares the first node: decides whether multipliers are computed, and clears what a regularisation has written to
+ * Q. */
 static inline void start_expansion(solver_t *s)
 {
     s->hessian.adjoint = !has_multipliers(s);

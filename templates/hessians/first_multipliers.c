@@ -24,6 +24,6 @@ static void adjoint_node(solver_t *s, int k)
         s->lam[k][i] = sum;
     }
     for (int f = 0; k == 0 && f < NF; f++) {
-        s->lam[0][free_state[f]] = R(0); /* nothing imposes it */
+        s->lam[0][free_state[f]] = R(0); /* no initial condition fixes it */
     }
 }

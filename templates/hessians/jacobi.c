@@ -1,9 +1,9 @@
 /* Eigenvalues of LANES symmetric matrices of n rows at once, by Jacobi rotations. Element (i, j) of all matrices is
  * stored at [i * n + j][lane], so that every loop over lanes vectorises. */
 
-/* cos and sin of the rotations that annihilate the elements a_pq, with the smaller of the two angles: t = tan = 2 a_pq
- * / (d + sign(d) sqrt(d^2 + 4 a_pq^2)), d = a_qq - a_pp. Returns 0 if all elements a_pq are negligible. Entries are at
- * most 1 in magnitude. */
+/* Computes cos and sin of the rotations that annihilate the elements a_pq, with the smaller of the two angles: t = tan
+ * = 2 a_pq / (d + sign(d) sqrt(d^2 + 4 a_pq^2)), d = a_qq - a_pp. Returns 0 if all elements a_pq are negligible.
+ * Entries are at most 1 in magnitude. */
 static int jacobi_angle(const real_t *app, const real_t *aqq, const real_t *apq, real_t *t, real_t *c, real_t *s)
 {
     real_t tangent[LANES], cosine[LANES];

@@ -17,7 +17,7 @@ static void compose(real_t (*H)[LDV], int n, const real_t *d, real_t (*work)[LDV
     }
 }
 
-/* unit[j]: curvature that is typical of variable j, from the diagonal of H and from entries beside it that exceed
+/* Computes unit[j], the typical curvature of variable j, from the diagonal of H and from entries beside it that exceed
  * it. */
 static void condensed_units(real_t (*H)[LDV], int n, real_t terms, real_t *unit)
 {
@@ -30,9 +30,9 @@ static void condensed_units(real_t (*H)[LDV], int n, real_t terms, real_t *unit)
 }
 
 /* Replaces H (lower triangle of n rows) by r V f(Lambda) V' r, where r^-1 H r^-1 = V Lambda V' in units r_i^2 of the
- * curvature; f = max(Lambda, floor) or, if MIRROR, |Lambda| plus a share of the largest |Lambda| below zero where
- * Lambda is negative, so that small ones do not lead to large steps. The floor is relative to the largest |Lambda|, at
- * least 1. Returns 0, with H unchanged, if H is zero or not finite. `work` has the size of H. */
+ * curvature; f = max(Lambda, floor) or, if MIRROR, |Lambda|. Where Lambda is negative, a share of the most negative one
+ * is added, so that small ones do not lead to large steps. The floor is relative to the largest |Lambda|, at least 1.
+ * Returns 0, with H unchanged, if H is zero or not finite. `work` has the size of H. */
 static int regularize_reduced(real_t (*H)[LDV], int n, real_t terms, real_t share, real_t (*work)[LDV])
 {
     real_t d[LDV], e[LDV], r[LDV], probe = R(0), least = R(0), smallest = R(1);
@@ -67,7 +67,8 @@ static int regularize_reduced(real_t (*H)[LDV], int n, real_t terms, real_t shar
     return 1;
 }
 
-/* Magnitude of the terms that the condensed Hessian sums: largest |R_jj| + sum_i B_ij^2 |Q_ii of the next node|. */
+/* Returns the magnitude of the terms that the condensed Hessian sums: largest |R_jj| + sum_i B_ij^2 |Q_ii of the next
+ * node|. */
 static real_t condensed_terms(const solver_t *s)
 {
     real_t largest = R(0);
@@ -103,7 +104,7 @@ static void hold_row(solver_t *s, int m, int n, const real_t *unit, real_t hold)
     }
 }
 
-/* Rows that are held: equations, and hard rows of the predicted working set. */
+/* Returns 1 if row m is held: an equation, or a hard row of the predicted working set. */
 static int is_held(const solver_t *s, int m)
 {
     if (row_is_soft(s, m)) {
@@ -112,8 +113,8 @@ static int is_held(const solver_t *s, int m)
     return s->qp.side[NV + m] != 0 || row_lower(s, m) >= row_upper(s, m);
 }
 
-/* Adds terms for the predicted working set to the Hessian, which make it convex if the Hessian on the null space of
- * that set is (Finsler's lemma). Near a solution they do not change the step. */
+/* Adds terms for the predicted working set to the Hessian. They make it convex if the Hessian on the null space of that
+ * set is (Finsler's lemma), and do not change the step near a solution. */
 static void hold_working_set(solver_t *s, real_t terms, real_t hold)
 {
     const int n = NV - NSL;
@@ -131,7 +132,7 @@ static void hold_working_set(solver_t *s, real_t terms, real_t hold)
 
 #include "hessians/linear_curvature.c"
 
-/* Adds to the diagonal a small curvature in place of that which linear costs lack. */
+/* Adds to the diagonal a small curvature for variables with a linear cost. */
 static void add_linear_units(solver_t *s)
 {
     for (int c = 0; c < NVU; c++) {
@@ -140,8 +141,8 @@ static void add_linear_units(solver_t *s)
     }
 }
 
-/* If the condensed Hessian is not positive definite, it is formed again and the predicted working set is held, at first
- * weakly. If that is not sufficient, it is regularised. */
+/* Factorises the condensed Hessian. If it is not positive definite, it is formed again and the predicted working set is
+ * held, at first weakly. If that is not sufficient, it is regularised. */
 static status_t condense_factorize(solver_t *s)
 {
     int32_t predicted[NV + NG]; /* a failure clears the working set */
@@ -173,7 +174,7 @@ static status_t condense_factorize(solver_t *s)
     return status;
 }
 
-/* Multiplier of row m; for a row at its bound without what the Hessian owes to it. */
+/* Returns the multiplier of row m; for a row at its bound without the part that its term in the Hessian adds. */
 static real_t released_multiplier(const solver_t *s, int m)
 {
     const real_t before = s->qp.mult[NV + m];

@@ -40,7 +40,7 @@ static void gather_block(
     }
 }
 
-/* Entry (i, j) of A - shift I = L D L': W holds L D in its lower triangle and L above its diagonal. */
+/* Computes entry (i, j) of A - shift I = L D L'; W holds L D in its lower triangle and L above its diagonal. */
 static inline void test_entry(real_t (*A)[LANES], real_t (*W)[LANES], int n, int i, int j, const real_t *shift)
 {
     real_t sum[LANES];
@@ -120,7 +120,7 @@ static void scatter_block(real_t (*A)[LANES], real_t *Q, int stride, int ld, int
     }
 }
 
-/* floor_value of every lane from the eigenvalues of all its blocks. */
+/* Computes floor_value of every lane from the eigenvalues of all its blocks. */
 static void block_floors(real_t (*A)[LANES], const int *first, int blocks, real_t *floor_value)
 {
     real_t largest[LANES] = {0};

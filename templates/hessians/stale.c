@@ -1,4 +1,4 @@
-/* Whether data that were set differ from those to which a constant Hessian belongs. */
+/* Detects data that differ from those for which a constant Hessian was computed. */
 
 /* Returns 1 if one of n numbers differs from the declared one. */
 static int numbers_differ(const real_t *values, const real_t *declared, int n)
@@ -11,7 +11,7 @@ static int numbers_differ(const real_t *values, const real_t *declared, int n)
     return 0;
 }
 
-/* Returns 1 if a bound of one of the copies is one to which M does not belong. */
+/* Returns 1 if a bound of one of the copies differs from that for which M was computed. */
 static int bounds_differ(const real_t lower[NR], const real_t upper[NR])
 {
     for (int i = 0; i < NR; i++) {

@@ -1,8 +1,8 @@
-/* Rows of single shooting as logarithmic barriers. */
+/* Single shooting treats its rows as logarithmic barriers. */
 
-/* -log t above the margin, below it the parabola with the same value, slope and curvature there: a plan outside has
- * finite terms, too. Value; the derivatives with respect to v, t = distance * unit with the sign of dt / dv, are
- * added. */
+/* Returns -log t above the margin and, below it, the parabola with the same value, slope and curvature there, so that a
+ * plan outside has finite terms, too. The derivatives with respect to v are added, t = distance * unit with the sign of
+ * dt / dv. */
 static real_t barrier(real_t t, real_t margin, real_t unit, real_t weight, real_t *slope, real_t *curvature)
 {
     const int above = t > margin;
@@ -12,7 +12,7 @@ static real_t barrier(real_t t, real_t margin, real_t unit, real_t weight, real_
     return weight * (above ? -LOG(t) : R(0.5) * (z * z - R(1)) - LOG(margin));
 }
 
-/* Distance from a bound, in the scale of the row, at which the parabola begins. */
+/* Returns the distance from a bound, in the scale of the row, at which the parabola begins. */
 static real_t row_margin(const solver_t *s)
 {
     return barrier_margin[0] * penalty_of_rows(s) / barrier_weight[0];
@@ -35,7 +35,7 @@ static real_t row_term(const solver_t *s, int m, real_t v, real_t *slope, real_t
     return value;
 }
 
-/* Recentres the barriers: psi_m' = 0 where the plan ends, so that the rest at a set point is not displaced. The centre
+/* Recentres the barriers: psi_m' = 0 at the end of the plan, so that a plant at rest stays at its set point. The centre
  * of row m is its value at the last node that has it, moved inside the margins. */
 static void barrier_rows_before_steps(solver_t *s)
 {
@@ -54,13 +54,13 @@ static void barrier_rows_before_steps(solver_t *s)
     }
 }
 
-/* Multiplier of row m after an update; the slope of a barrier is bounded by its margin. */
+/* Returns the multiplier of row m after an update; the margin of a barrier limits its slope. */
 static real_t updated_multiplier(const solver_t *s, int m, real_t slope, real_t most)
 {
     return clip(slope, (row_lower(s, m) > -INF) ? -INF : R(0), (row_upper(s, m) < INF) ? INF : R(0));
 }
 
-/* Returns 1 if the weight may decrease, which it then does. */
+/* Decreases the weight. Returns 0 if it is at its limit. */
 static int sharpen_terms(solver_t *s)
 {
     if (!(s->shooting.penalty > barrier_weight[2])) {
@@ -70,7 +70,7 @@ static int sharpen_terms(solver_t *s)
     return 1;
 }
 
-/* The update of multipliers in solve(). */
+/* Updates the multipliers in solve(). */
 static int update_terms(solver_t *s, real_t tol, real_t *violation)
 {
     *violation = s->stats.violation;
@@ -88,7 +88,7 @@ static void barrier_rows_before_solve(solver_t *s)
     (void)memset(s->shooting.tilt, 0, sizeof s->shooting.tilt);
 }
 
-/* The terms come closer to the rows after an easy sample, and retreat otherwise. */
+/* Makes the terms approximate the rows more closely after an easy sample, and less closely otherwise. */
 static void barrier_rows_follow_terms(solver_t *s, int easy)
 {
     s->shooting.penalty = clip(s->shooting.penalty / (easy ? FACTOR_ROWS_APPROACH : FACTOR_ROWS_RETREAT),

@@ -1,11 +1,11 @@
-/* What the step left behind of hard rows that are not linear. */
+/* Nonlinear hard rows: violations that the step leaves. */
 
 static void bent_rows_on_success(solver_t *s, status_t status)
 {
     s->row_residual = row_residual(s, R(1));
 }
 
-/* What the values of rows were is forgotten by one half in every sample, down to the scale of their terms. */
+/* Halves the remembered values of rows in every sample, down to the scale of their terms. */
 static status_t bent_rows_after_feedback(solver_t *s, status_t status)
 {
     if (status == OK) {

@@ -1,4 +1,4 @@
-/* Rows of single shooting as terms of an augmented Lagrangian. */
+/* Single shooting treats its rows as terms of an augmented Lagrangian. */
 
 /* psi_m(v) = min_y P_m(y) + mu_m (v - y) + rho_m / 2 (v - y)^2, where P_m is 0 between the bounds of row m and,
  * outside, its penalty or infinite. psi_m' is the first-order estimate of the multiplier. */
@@ -27,14 +27,15 @@ static real_t row_term(const solver_t *s, int m, real_t v, real_t *slope, real_t
     return penalty + (mu + R(0.5) * weight * (v - y)) * (v - y);
 }
 
-/* Multiplier of row m after an update: the slope of its term, in size at most `most` of its units more than before. */
+/* Returns the multiplier of row m after an update: the slope of its term, in magnitude at most `most` units more than
+ * before. */
 static real_t updated_multiplier(const solver_t *s, int m, real_t slope, real_t most)
 {
     const real_t size = FABS(s->row[m]) + most * multiplier_unit(s, m);
     return clip(slope, -size, size);
 }
 
-/* Returns 1 if the penalty may grow, which it then does. */
+/* Increases the penalty. Returns 0 if it is at its limit. */
 static int sharpen_terms(solver_t *s)
 {
     if (!(s->shooting.penalty < MOST_PENALTY)) {
@@ -44,8 +45,8 @@ static int sharpen_terms(solver_t *s)
     return 1;
 }
 
-/* Largest |v_m - y_m| in the scale of a row, where y_m minimises psi_m: the violation of a hard row that is active, and
- * for others what the next update of its multiplier would change. */
+/* Returns the largest |v_m - y_m| in the scale of a row, where y_m minimises psi_m. This is the violation of an active
+ * hard row, and for other rows what the next update of the multiplier would change. */
 static real_t dual_residual(const solver_t *s)
 {
     real_t value[NG], most = s->stats.violation, slope, curvature;
@@ -60,7 +61,7 @@ static real_t dual_residual(const solver_t *s)
     return most;
 }
 
-/* The update of multipliers in solve(). *violation: what is left of the rows, before and after it. */
+/* Updates the multipliers in solve(). *violation: the residual of the rows, before and after the update. */
 static int update_terms(solver_t *s, real_t tol, real_t *violation)
 {
     const real_t now = dual_residual(s);

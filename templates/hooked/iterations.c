@@ -1,7 +1,7 @@
-/* A sample goes on until its plan is near a solution: after a QP that has failed, and after a step that has left much,
- * a search follows, from the better one of the plans before and after the step. */
+/* A sample continues until its plan is near a solution. After a QP that has failed, and after a step that has left
+ * large residuals, a search follows from the better one of the plans before and after the step. */
 
-/* The plan and the one that is kept change places. */
+/* Exchanges the plan and the saved plan. */
 static void exchange_plans(solver_t *s)
 {
     trial_t *kept = &s->trial;
@@ -15,7 +15,7 @@ static void exchange_plans(solver_t *s)
     }
 }
 
-/* a moves from b towards its own value, by this part of the way. */
+/* a = b + length (a - b), n numbers. */
 static void shorten(real_t *a, const real_t *b, int n, real_t length)
 {
     for (int i = 0; i < n; i++) {
@@ -23,8 +23,8 @@ static void shorten(real_t *a, const real_t *b, int n, real_t length)
     }
 }
 
-/* The plan, and with it its multipliers if the Hessian may depend on them, goes back towards the one that was kept
- * before the step, by one half. */
+/* Halves the distance between the plan and the saved plan before the step. Multipliers move as well if the Hessian may
+ * depend on them. */
 static void halve_step(solver_t *s)
 {
     const trial_t *kept = &s->trial;
@@ -39,7 +39,7 @@ static void halve_step(solver_t *s)
     }
 }
 
-/* The measures of the plan before the step. */
+/* Computes the measures of the saved plan before the step. */
 static measures_t measure_kept(solver_t *s)
 {
     exchange_plans(s);
@@ -48,7 +48,7 @@ static measures_t measure_kept(solver_t *s)
     return at;
 }
 
-/* Shortens the step of the sample until the filter accepts it. Returns 1 if all of it is left. */
+/* Shortens the step of the sample until the filter accepts it. Returns 1 if the full step remains. */
 static int shorten_step(solver_t *s)
 {
     sqp_t *q = &s->sqp;
@@ -73,7 +73,7 @@ static int shorten_step(solver_t *s)
     return 0;
 }
 
-/* Moves the plan back by one interval: it is again that of the sample before, but for x_0. */
+/* Moves the plan back by one interval: it is that of the previous sample again, except for x_0. */
 static void shift_back(solver_t *s)
 {
     for (int k = N; k > 0; k--) {
@@ -91,8 +91,8 @@ static void shift_back(solver_t *s)
     }
 }
 
-/* Where the end that a shift has added is a bad guess, the plan of the sample before is a better one: takes it if it
- * costs less and does not violate much. */
+/* Takes the plan of the previous sample if it costs less and does not violate much more. This helps where the last
+ * interval, which a shift has added, is a bad guess. */
 static void reconsider_shift(solver_t *s)
 {
     const measures_t shifted = measure(s);
@@ -106,7 +106,7 @@ static void reconsider_shift(solver_t *s)
     }
 }
 
-/* The search begins at the plan. It takes the Hessian of the sample if the whole step was taken. */
+/* Begins the search at the plan. It takes the Hessian of the sample if the full step was taken. */
 static void begin_search(solver_t *s, int whole)
 {
     if (SHIFTS_BACK && !whole && s->samples > 0) {
@@ -124,7 +124,7 @@ static void begin_search(solver_t *s, int whole)
     s->sqp.hasty = 1;
 }
 
-/* Largest violation of a hard row that is no bound of a state, in the scale of the row. */
+/* Returns the largest violation of a hard row that is no bound of a state, in the scale of the row. */
 static real_t rows_outside(solver_t *s)
 {
     real_t value[NG], most = R(0);
@@ -137,7 +137,8 @@ static real_t rows_outside(solver_t *s)
     return most;
 }
 
-/* The status of a sample after its search, which tells how near the plan is, whatever its own status was. */
+/* Returns the status of a sample after its search, which measures how near the plan is to a solution, whatever the
+ * status before the search. */
 static status_t status_after_search(solver_t *s, status_t status, int stepped)
 {
     real_t size[NX];
@@ -157,8 +158,8 @@ static status_t status_after_search(solver_t *s, status_t status, int stepped)
     return (stepped || (s->stats.sqp_iterations > 0 && isfinite(s->stats.residual))) ? NOT_CONVERGED : status;
 }
 
-/* Returns 1 if a sample with this status needs no more: its plan is near a solution, or what it leaves of hard rows is
- * given up for good. */
+/* Returns 1 if a sample with this status needs no search: its plan is near a solution, or its violation of hard rows
+ * cannot be reduced. */
 static int sample_is_done(const solver_t *s, status_t status)
 {
     if (status == OK) {

@@ -1,13 +1,13 @@
-/* How near the plan of a sample is to a solution. A step leaves gaps, and a gradient of the Lagrangian, that grow with
- * its square: one that is about as long as those of late leaves about what they did. After any other step the plan is
- * linearised anew, which tells. */
+/* Distance of the plan of a sample from a solution. A step leaves gaps, and a gradient of the Lagrangian, that grow
+ * with its square, so that a step about as long as recent ones leaves about what they left. After any longer step the
+ * plan is linearised again, which measures both. */
 
 static void nearness_on_reset(solver_t *s)
 {
     (void)memset(&s->near, 0, sizeof s->near);
 }
 
-/* Now and then a linearisation tells whether the plan is optimal, too, however short its steps are. */
+/* Requires a linearisation at regular intervals, which also measures optimality, however short the steps are. */
 static void doubt_plan(solver_t *s)
 {
     s->near.doubted = 0;
@@ -19,7 +19,7 @@ static void doubt_plan(solver_t *s)
     }
 }
 
-/* The gaps of the plan that has been linearised are what the last step has left. */
+/* Records the gaps of the linearised plan as those that the last step has left. */
 static status_t nearness_after_prepare(solver_t *s, status_t status)
 {
     near_t *near = &s->near;
@@ -36,8 +36,8 @@ static status_t nearness_after_prepare(solver_t *s, status_t status)
     return status;
 }
 
-/* Length of the step of the QP, which is finite: the largest component of dx_0 and the du_k in the scale of its
- * variable, which cause all others. */
+/* Returns the length of the step of the QP, which is finite: the largest component of dx_0 and the du_k in the scale of
+ * its variable, which cause all others. */
 static real_t length_of_step(const solver_t *s)
 {
     real_t size[NZ] = {R(0)}, length = R(0);
@@ -55,7 +55,7 @@ static real_t length_of_step(const solver_t *s)
     return length;
 }
 
-/* Returns 1 if a step of this length leaves little by all that is known. The first steps close gaps besides. */
+/* Returns 1 if a step of this length is predicted to leave small residuals. The first steps also close gaps. */
 static int leaves_little(const near_t *near, real_t length)
 {
     if (length <= FACTOR_NEAR_SHORT_STEP) {
@@ -68,12 +68,12 @@ static int leaves_little(const near_t *near, real_t length)
     return near->left * ratio * ratio <= FACTOR_NEAR_TRUSTED * residual_tolerance[0];
 }
 
-/* A step whose outcome is not known may have to be taken back. */
+/* Saves the plan before a step with an unknown outcome, which may have to be undone. */
 static void nearness_before_step(solver_t *s, status_t status)
 {
     s->near.length = length_of_step(s);
-    s->near.trusted = status == OK && !is_far(s->stats.residual) && leaves_little(&s->near, s->near.length) &&
-        !s->near.doubted;
+    s->near.trusted =
+        status == OK && !is_far(s->stats.residual) && leaves_little(&s->near, s->near.length) && !s->near.doubted;
     if (ITERATES) {
         if (!s->near.trusted) {
             keep_plan(s);
@@ -84,8 +84,8 @@ static void nearness_before_step(solver_t *s, status_t status)
     }
 }
 
-/* Largest gap of the plan that has been linearised, relative to how far its state moves along the horizon: what a step
- * leaves matters where that is not far more, whatever the value at which the plant works. */
+/* Returns the largest gap of the linearised plan relative to the range of its state along the horizon. What a step
+ * leaves matters where that range is not far larger, whatever the operating point. */
 static real_t gaps_in_motion(const solver_t *s)
 {
     real_t most = R(0);
@@ -100,8 +100,8 @@ static real_t gaps_in_motion(const solver_t *s)
     return most;
 }
 
-/* The plan after a step whose outcome is not known: the largest of its gaps, of what it leaves of hard rows, and of its
- * relative KKT residual. */
+/* Measures the plan after a step with an unknown outcome: the largest of its gaps, of its violations of hard rows, and
+ * of its relative KKT residual. */
 static status_t nearness_after_feedback(solver_t *s, status_t status)
 {
     if ((status != OK && status != RELAXED) || s->near.trusted) {

@@ -14,7 +14,7 @@ static void renew_gradients(solver_t *s)
     s->renewal = UP_TO_DATE;
 }
 
-/* Called before a weight or parameter changes: references that have changed before take effect with the old values. */
+/* Applies references that have changed before a weight or parameter changes, with the old weights and parameters. */
 static void hold_gradients(solver_t *s)
 {
     if (s->prepared && s->renewal == REFERENCE_CHANGED) {

@@ -1,6 +1,6 @@
-/* Hard rows of a QP without a solution are relaxed. */
+/* The relaxation: hard rows of a QP without a solution get a penalty. */
 
-/* How much the cost may change in the scales of its variables: the largest slope and curvature of a variable. */
+/* Returns how much the cost may change in the scales of its variables, by their largest slope and curvature. */
 static real_t cost_scale(const solver_t *s, const real_t *size)
 {
     real_t most = R(0);
@@ -17,7 +17,7 @@ static real_t cost_scale(const solver_t *s, const real_t *size)
     return size_or(most, cost_size[0]);
 }
 
-/* Scales of states and controls, and those of the rows, which follow from them. */
+/* Computes the scales of states and controls, and from them those of the rows. */
 static void scale_rows(solver_t *s, real_t *size)
 {
     state_scales(s, size);
@@ -42,7 +42,7 @@ static int hard_rows_hold(const solver_t *s)
     return 1;
 }
 
-/* Hard rows cost their price. */
+/* Sets the prices of the hard rows. */
 static void price_rows(solver_t *s)
 {
     real_t size[NZ];
@@ -65,7 +65,7 @@ static status_t relax_rows(solver_t *s, status_t why)
     return (status == OK) ? RELAXED : status;
 }
 
-/* The price of rows on states at node N, and by `ratio` less at every node before. */
+/* Sets the price of rows on states: its full value at node N, less by `ratio` at every node before. */
 static void set_price(solver_t *s, real_t ratio)
 {
     s->price[N] = R(1);
@@ -88,7 +88,7 @@ static void relaxation_before_solve(solver_t *s)
     relaxation_on_reset(s);
 }
 
-/* Largest violation of a hard row of node 1, to which the plant comes next, relative to its scale. */
+/* Returns the largest violation of a hard row of node 1, which the plant reaches next, relative to its scale. */
 static real_t next_violation(const solver_t *s)
 {
     real_t most = R(0);
@@ -100,7 +100,7 @@ static real_t next_violation(const solver_t *s)
     return most;
 }
 
-/* The price at early nodes falls, or rises again after that. */
+/* Lowers the price at early nodes, then raises it again. */
 static void sweep_price(solver_t *s)
 {
     const real_t ratio = s->price[N - 1];
@@ -108,10 +108,11 @@ static void sweep_price(solver_t *s)
     s->rises = s->rises ? s->price[N - 1] < R(1) : s->price[N - 1] <= least_price[0];
 }
 
-/* While samples stay RELAXED and the violation does not fall, violations at early nodes become cheaper, then dearer
- * again: the way back inside may lead through larger ones, and the least sum of them over a short horizon may be to
- * stay outside for ever; where they are cheap, a plan may rest outside by choice. At the last node the price stays. A
- * relaxed QP that is given up may have a solution at another price: equal ones let its vertices coincide. */
+/* Changes prices while samples stay RELAXED and the violation does not fall: violations at early nodes become cheaper,
+ * then more expensive again. The way back inside may lead through larger violations, and the least sum of them over a
+ * short horizon may be to stay outside for ever; where early violations are cheap, a plan may rest outside although it
+ * need not. The price at the last node stays. A relaxed QP that has been given up may have a solution at another price,
+ * as equal prices make its vertices coincide. */
 static status_t relaxation_after_feedback(solver_t *s, status_t status)
 {
     if (PRICED_ROWS) {

@@ -1,4 +1,4 @@
-/* The plan moves before it is prepared again. */
+/* Shifts the plan before it is prepared again. */
 
 static void shift_before_prepare(solver_t *s)
 {
@@ -12,7 +12,7 @@ static void shift_before_prepare(solver_t *s)
             (void)memcpy(s->first_control, s->u[0], sizeof s->first_control);
         }
         (void)API(shift)(s); /* it refuses only a solver that is not initialised */
-        if (s->failures >= SECOND_FAILURE) { /* states that the shift integrates may be as far off as the failed plan */
+        if (s->failures >= SECOND_FAILURE) { /* states that the shift integrates may be as wrong as the failed plan */
             start_at_measured(s);
         }
     }

@@ -1,6 +1,7 @@
-/* Rows of single shooting as exact penalties with a smooth max, each on its own or lumped to one row. */
+/* Single shooting treats its rows as exact penalties with a smooth max, each separately or lumped into one row. */
 
-/* max(x, 0) + log(1 + exp(-a |x|)) / a, a smooth max(x, 0); its first and second derivatives times factor are added. */
+/* Returns max(x, 0) + log(1 + exp(-a |x|)) / a, a smooth max(x, 0); its first and second derivatives times factor are
+ * added. */
 static real_t smooth_excess(real_t x, real_t a, real_t factor, real_t *slope, real_t *curvature)
 {
     const real_t e = EXP(-a * FABS(x)), part = ((x > R(0)) ? R(1) : e) / (R(1) + e);
@@ -9,7 +10,7 @@ static real_t smooth_excess(real_t x, real_t a, real_t factor, real_t *slope, re
     return ((x > R(0)) ? x : R(0)) + LOG1P(e) / a;
 }
 
-/* Weight of a hard row in its scale, which is exact if no multiplier is larger. */
+/* Returns the weight of a hard row in its scale, which is exact if no multiplier is larger. */
 static real_t hard_weight(const solver_t *s)
 {
     if (LUMPED_ROWS) {
@@ -46,14 +47,15 @@ static real_t row_term(const solver_t *s, int m, real_t v, real_t *slope, real_t
     return value;
 }
 
-/* Multiplier of row m after an update: the slope of its term, in size at most `most` of its units more than before. */
+/* Returns the multiplier of row m after an update: the slope of its term, in magnitude at most `most` units more than
+ * before. */
 static real_t updated_multiplier(const solver_t *s, int m, real_t slope, real_t most)
 {
     const real_t size = FABS(s->row[m]) + most * multiplier_unit(s, m);
     return clip(slope, -size, size);
 }
 
-/* Returns 1 if the smooth max may become sharper, which it then does. */
+/* Sharpens the smooth max. Returns 0 if it is at its limit. */
 static int sharpen_terms(solver_t *s)
 {
     if (!(s->shooting.sharpness < smooth_sharpness[2])) {
@@ -63,7 +65,7 @@ static int sharpen_terms(solver_t *s)
     return 1;
 }
 
-/* The update of multipliers in solve(); the weight of a lumped row grows while it does not reduce the violation. */
+/* Updates the multipliers in solve(); the weight of a lumped row grows while it does not reduce the violation. */
 static int update_terms(solver_t *s, real_t tol, real_t *violation)
 {
     const real_t now = s->stats.violation;
@@ -83,7 +85,7 @@ static void smooth_rows_place_terms(solver_t *s, int closest)
     s->shooting.sharpness = smooth_sharpness[closest];
 }
 
-/* The terms come closer to the rows after an easy sample, and retreat otherwise. */
+/* Makes the terms approximate the rows more closely after an easy sample, and less closely otherwise. */
 static void smooth_rows_follow_terms(solver_t *s, int easy)
 {
     const real_t sharpness = (easy ? FACTOR_ROWS_APPROACH : FACTOR_ROWS_RETREAT) * s->shooting.sharpness;

@@ -1,4 +1,4 @@
-/* The row that makes a QP infeasible is reported. */
+/* Reports the row that makes a QP infeasible. */
 
 static status_t violation_after_qp(solver_t *s, status_t status)
 {

@@ -1,11 +1,11 @@
 /* Component "integrator". Contract:
  *   interval_value   only x_next of interval k, of which a kernel also gives the derivatives
  *   API(integrate)   x_next = x(dt), NaN if the solver is not initialised or an argument is not finite
- * Here: a discrete map, whose sampling time is fixed; an argument dt has no effect. */
+ * Here: a discrete map. Its sampling time is fixed, and an argument dt has no effect. */
 
 static void interval_value(const solver_t *s, int k, real_t *x_next)
 {
-    INTEGRATOR_STEP(s, k, s->x[k], s->u[k], 0, s->newton, x_next); /* a discrete map does not read the step length */
+    INTEGRATOR_STEP(s, k, s->x[k], s->u[k], 0, s->newton, x_next); /* A discrete map does not read the step length. */
 }
 
 #if !ESTIMATOR

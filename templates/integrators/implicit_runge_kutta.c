@@ -3,7 +3,7 @@
 
 #include "integrators/noise.c"
 
-/* x_next of interval k, and what Newton's method leaves of its stages. */
+/* Computes x_next of interval k, and the residual of Newton's method in its stages. */
 static void interval_leaving(const solver_t *s, int k, real_t *x_next, real_t *left)
 {
     INTEGRATOR_VALUE(s, k, x_next, left);
@@ -20,7 +20,7 @@ static void interval_value(const solver_t *s, int k, real_t *x_next)
 }
 
 #if NALG
-/* The algebraic variables at the declared start. */
+/* Sets the algebraic variables to their declared values. */
 static void forget_algebraic(solver_t *s)
 {
     for (int k = 0; k <= N; k++) {
@@ -28,7 +28,8 @@ static void forget_algebraic(solver_t *s)
     }
 }
 
-/* The algebraic variables of node k at (x, u), in the point (x, z). Returns -1, or why Newton's method fails. */
+/* Computes the algebraic variables of node k at (x, u), in the point (x, z). Returns -1, or the reason why Newton's
+ * method fails. */
 static int algebraic_of_node(const solver_t *s, int k, const real_t *x, const real_t *u, real_t *point)
 {
     real_t M[NALG][NALG];
@@ -37,7 +38,7 @@ static int algebraic_of_node(const solver_t *s, int k, const real_t *x, const re
     return find_algebraic(point, s->z[k], u, (k < N) ? PARAM(s, k) : PARAM_N(s), M, order);
 }
 
-/* The algebraic variables follow the plan: Newton's method starts there in what is evaluated next. */
+/* Updates the algebraic variables along the plan, where Newton's method starts next. */
 static void follow_algebraic(solver_t *s)
 {
     for (int k = 0; k <= N; k++) {
@@ -47,7 +48,7 @@ static void follow_algebraic(solver_t *s)
     }
 }
 
-/* The plan of a sample whose equations have no solution at its first node is far from the model. */
+/* Marks the plan of a sample as far from the model if the equations have no solution at its first node. */
 static void require_algebraic(solver_t *s)
 {
     real_t point[NXA];
@@ -56,7 +57,7 @@ static void require_algebraic(solver_t *s)
     }
 }
 
-/* Names the first of these nodes at which the equations have no solution. Returns 1 if there is one. */
+/* Records the first of the nodes first .. last at which the equations have no solution. Returns 1 if there is one. */
 static int name_failed_node(solver_t *s, int first, int last)
 {
     for (int k = first; k <= last; k++) {
@@ -72,9 +73,9 @@ static int name_failed_node(solver_t *s, int first, int last)
 }
 #endif
 
-/* Names the stages at which an evaluation of the plan fails: interval, step, group of stages (both -1 for equations of
- * a node), and the variable whose column of the Newton matrix has no pivot or, with NXA added, the one that does not
- * converge; -1: none fails. */
+/* Records the stages at which an evaluation of the plan fails: interval, step, group of stages (both -1 for equations
+ * of a node), and the variable whose column of the Newton matrix has no pivot or, with NXA added, the variable that
+ * does not converge; -1 if none fails. */
 static void name_failed_stage(solver_t *s, status_t status)
 {
     s->failed_interval = -1;
@@ -104,7 +105,8 @@ static void name_failed_stage(solver_t *s, status_t status)
     }
 }
 
-/* What Newton's method leaves of the stages along the plan, for algorithms whose samples do not linearise it. */
+/* Returns the residual of Newton's method in the stages along the plan, for algorithms whose samples do not linearise
+ * it. */
 static real_t stage_residual(const solver_t *s)
 {
     real_t most = R(0);

@@ -1,11 +1,11 @@
-/* Number of integration steps for the time dt. */
+/* Returns the number of integration steps for the time dt. */
 static int steps_for(real_t dt)
 {
     const real_t count = CEIL(dt / step_length[0] - TOL_STEP_COUNT);
     return (count >= R(1)) ? ((count < (real_t)MANY) ? (int)count : MANY) : 1;
 }
 
-/* The same for a part of the plan. */
+/* Returns the number of integration steps for a time dt of the plan. */
 static inline int plan_steps(real_t dt)
 {
     const int wanted = steps_for(dt);

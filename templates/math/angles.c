@@ -1,4 +1,4 @@
-/* r = x - n pi / 2,  |r| <= pi / 4, and its rest. The first differences are exact but for what lost takes up. */
+/* r = x - n pi / 2,  |r| <= pi / 4, and its rest. The first differences are exact except for the error in `lost`. */
 static inline real_t own_reduce_moderate(real_t x, real_t *rest, bits_t *quadrant)
 {
     const real_t shifted = x * TWO_OVER_PI + ROUNDER, n = shifted - ROUNDER;
@@ -76,7 +76,7 @@ static real_t own_cos(real_t x)
     return own_turn(r, quadrant + 1);
 }
 
-/* sin / cos or -cos / sin of the reduced angle, both as a number and a rest. */
+/* Computes sin / cos or -cos / sin of the reduced angle, both as a number and a rest. */
 static real_t own_tan(real_t x)
 {
     bits_t quadrant;

@@ -16,8 +16,8 @@ static inline real_t own_atan_curve(real_t z)
 #endif
 }
 
-/* atan of a number that is not negative: a multiple of 1/2 (or infinity) is subtracted from the tangent, its angle (a
- * number and a rest) added. */
+/* Returns atan of a number that is not negative: the tangent of a tabulated angle (or infinity) is subtracted, and the
+ * angle, a number and a rest, is added. */
 static inline real_t own_atan_positive(real_t x)
 {
 #if SINGLE
@@ -57,7 +57,7 @@ static real_t own_atan(real_t x)
     return own_copysign(own_atan_positive(own_fabs(x)), x);
 }
 
-/* The angle of the point (x, y), with the special cases of math.h. */
+/* Returns the angle of the point (x, y), with the special cases of math.h. */
 static real_t own_atan2(real_t y, real_t x)
 {
     const real_t above = own_fabs(y), below = own_fabs(x), zero = own_all(R(0));

@@ -24,22 +24,22 @@ typedef uint64_t bits_t;
 #define SIGN_BIT 0x8000000000000000U
 #endif
 
-/* All bits but those of the lower half of the digits: products of two such numbers are exact. */
+/* Mask of all bits except the lower half of the digits: products of two masked numbers are exact. */
 #if SINGLE
 #define UPPER_HALF 0xFFFFF000U
 #else
 #define UPPER_HALF 0xFFFFFFFFF8000000U
 #endif
 
-/* Numbers from here on are integers. */
+/* All numbers from this magnitude on are integers. */
 #if SINGLE
 #define FIRST_INTEGER 8388608.0F
 #else
 #define FIRST_INTEGER 4503599627370496.0
 #endif
 
-/* ln 2 is the sum of a number with so few digits that its products with the integers that occur are exact, and a
- * rest. */
+/* ln 2 is the sum of a number and a rest. The number has so few digits that its products with the integers that occur
+ * are exact. */
 #if SINGLE
 #define LOG2_E 1.442695040888963407F
 #define LN_2_HIGH 0.693115234375F
@@ -50,7 +50,7 @@ typedef uint64_t bits_t;
 #define LN_2_LOW 1.9082149292705877e-10
 #endif
 
-/* Arguments beyond these give the same results: zero, infinity. */
+/* Larger arguments give the same results: zero, infinity. */
 #if SINGLE
 #define LEAST_EXPONENT (-104.0F)
 #define LARGEST_EXPONENT 91.0F
@@ -76,7 +76,7 @@ typedef uint64_t bits_t;
 #define LARGEST_ANGLE 1.5e6
 #endif
 
-/* Below this magnitude the odd functions are their argument. */
+/* Below this magnitude an odd function equals its argument. */
 #if SINGLE
 #define TINY_ARGUMENT 0.0001220703125F
 #else

@@ -1,4 +1,4 @@
-/* 2^n for the exponents of normal numbers. */
+/* Returns 2^n for the exponents of normal numbers. */
 static inline real_t own_power_of_two(bits_t n)
 {
     return own_number((n + BIAS) << MANTISSA);
@@ -62,7 +62,7 @@ static inline real_t own_expm1_half(real_t x, real_t *rest)
     return value;
 }
 
-/* exp(x) - 1; for small x the argument itself. */
+/* Returns exp(x) - 1; for small x the argument itself. */
 static real_t own_expm1(real_t x)
 {
     const real_t least = own_all(R(-40)), most = own_all(R(60));

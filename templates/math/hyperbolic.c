@@ -1,4 +1,4 @@
-/* Arguments of own_expm1_half(): larger ones give the same results. */
+/* Limits an argument of own_expm1_half(); larger ones give the same results. */
 static inline real_t own_at_most(real_t x, real_t most)
 {
     return own_select(x > most, most, x);

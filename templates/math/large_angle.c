@@ -10,8 +10,9 @@ static const uint32_t two_over_pi[38] = {0x00000000U, 0xA2F9836EU, 0x4E441529U, 
     0x3D0739F7U, 0x8A5292EAU, 0x6BFB5FB1U, 0x1F8D5D08U, 0x56033046U};
 #endif
 
-/* y, 4 numbers of 32 digits, = mantissa 2^exponent 2 / pi modulo 4; its first two digits are the integer part. Elements
- * of 2 / pi whose products are multiples of 4 are left out, so are those far behind the digits that matter. */
+/* Computes y, 4 numbers of 32 digits, = mantissa 2^exponent 2 / pi modulo 4; its first two digits are the integer part.
+ * Elements of 2 / pi whose products are multiples of 4 are left out, and so are those far beyond the digits that
+ * matter. */
 static void large_product(uint64_t mantissa, int exponent, uint32_t *y)
 {
     const int first = (exponent + 30) / 32, shift = 62 + exponent - 32 * first;
@@ -37,15 +38,15 @@ static void large_product(uint64_t mantissa, int exponent, uint32_t *y)
     }
 }
 
-/* The upper half of a product, less at most 2. */
+/* Returns the upper half of a product, less at most 2. */
 static uint64_t upper_product(uint64_t a, uint64_t b)
 {
     const uint64_t a_low = a & 0xFFFFFFFFU, a_high = a >> 32, b_low = b & 0xFFFFFFFFU, b_high = b >> 32;
     return a_high * b_high + ((a_high * b_low) >> 32) + ((a_low * b_high) >> 32);
 }
 
-/* r = x - n pi / 2 of a large number without error that matters, by the digits of 2 / pi (Payne and Hanek): the
- * integers n and the fraction f of x 2 / pi, r = f pi / 2. Returns r and its rest; NaN if x is not finite. */
+/* Reduces a large angle, r = x - n pi / 2, with a negligible error by the digits of 2 / pi (Payne and Hanek): n is the
+ * integer part and f the fraction of x 2 / pi, r = f pi / 2. Returns r and its rest; NaN if x is not finite. */
 static real_t large_angle(real_t x, real_t *rest, bits_t *n)
 {
     bits_t bits, scale_bits;

@@ -1,4 +1,4 @@
-/* x = 2^e (1 + f),  1 + f between sqrt(1/2) and sqrt(2); returns f. Any value if x is not positive and finite. */
+/* x = 2^e (1 + f),  1 + f between sqrt(1/2) and sqrt(2). Returns f; any value if x is not positive and finite. */
 static inline real_t own_split(real_t x, real_t *e)
 {
 #if SINGLE
@@ -48,7 +48,8 @@ static real_t own_log(real_t x)
     return own_log_sum(x, own_all(R(0)));
 }
 
-/* log(1 + x + y) for a y that is small beside x: log(u) + c / u, where u = 1 + x rounded and c is what is missing. */
+/* log(1 + x + y) for a y that is small beside x: log(u) + c / u, where u = 1 + x rounded and c is its rounding
+ * error. */
 static inline real_t own_log1p_sum(real_t x, real_t y)
 {
     const real_t u = x + R(1), back = u - R(1), c = ((R(1) - (u - back)) + (x - back)) + y;

@@ -1,4 +1,4 @@
-/* The upper half of the digits. */
+/* Returns the upper half of the digits. */
 static inline real_t own_upper(real_t x)
 {
     return own_number(own_bits(x) & UPPER_HALF);
@@ -19,7 +19,7 @@ static inline real_t own_log_curve(real_t z)
 #endif
 }
 
-/* log(x) = the value + rest, exact to ten bits more than a number has. Upper halves carry what must not be rounded. */
+/* log(x) = the value + rest, with ten bits more than a number has. Upper halves carry what must not be rounded. */
 static inline real_t own_log_pair(real_t x, real_t *rest)
 {
 #if SINGLE
@@ -41,7 +41,7 @@ static inline real_t own_log_pair(real_t x, real_t *rest)
     return value;
 }
 
-/* x^y for x >= 0 and y other than 0; exponents beyond those to which y is cut give the same results. */
+/* x^y for x >= 0 and y other than 0. Exponents beyond the limit to which y is clipped give the same results. */
 static inline real_t own_pow_magnitude(real_t x, real_t y)
 {
     const real_t infinite = own_all(INF), zero = own_all(R(0));

@@ -1,4 +1,4 @@
-/* The digits of a positive number without its exponent, the first of them at the place MANTISSA. */
+/* Returns the digits of a positive number without its exponent; the first digit has the index MANTISSA. */
 static bits_t own_digits(bits_t bits, int *exponent)
 {
     const bits_t unit = (bits_t)1 << MANTISSA;
@@ -15,7 +15,7 @@ static bits_t own_digits(bits_t bits, int *exponent)
     return bits;
 }
 
-/* x - n y with the sign of x, n = x / y rounded towards zero: exact, digit by digit as on paper. */
+/* x - n y with the sign of x, n = x / y rounded towards zero: exact, by long division. */
 static real_t own_fmod(real_t x, real_t y)
 {
     const bits_t unit = (bits_t)1 << MANTISSA, sign = own_bits(x) & SIGN_BIT;

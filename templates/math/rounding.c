@@ -8,7 +8,7 @@ static inline real_t own_copysign(real_t x, real_t sign)
     return own_number((own_bits(x) & ~SIGN_BIT) | (own_bits(sign) & SIGN_BIT));
 }
 
-/* The nearest integer of a smaller number than FIRST_INTEGER. */
+/* Returns the nearest integer of a number smaller than FIRST_INTEGER. */
 static inline real_t own_nearest(real_t x)
 {
     return own_copysign((own_fabs(x) + FIRST_INTEGER) - FIRST_INTEGER, x);
@@ -27,19 +27,20 @@ static real_t own_ceil(real_t x)
     return own_select(own_fabs(x) < FIRST_INTEGER, up, x);
 }
 
-/* The other operand if one is NaN, as in math.h. */
+/* Returns the other operand if one is NaN, as in math.h. */
 static real_t own_fmin(real_t a, real_t b)
 {
     return own_select(a < b, a, own_select(b <= b, b, a));
 }
 
-/* The other operand if one is NaN, as in math.h. */
+/* Returns the other operand if one is NaN, as in math.h. */
 static real_t own_fmax(real_t a, real_t b)
 {
     return own_select(a > b, a, own_select(b <= b, b, a));
 }
 
-/* sqrt(x^2 + y^2), scaled by a power of two where squares leave the range; infinite if one is, even beside NaN. */
+/* sqrt(x^2 + y^2), scaled by a power of two where squares overflow or underflow; infinite if one operand is, even
+ * beside NaN. */
 static real_t own_hypot(real_t x, real_t y)
 {
 #if SINGLE

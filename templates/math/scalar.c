@@ -1,4 +1,4 @@
-/* 1 where a condition holds. */
+/* The type of a condition: 1 where it holds. */
 typedef int truth_t;
 
 static inline bits_t own_bits(real_t x)
@@ -20,7 +20,7 @@ static inline real_t own_all(real_t value)
     return value;
 }
 
-/* Only the number that is chosen is computed. */
+/* Computes only the number that is chosen. */
 #define own_select(where, a, b) ((where) ? (a) : (b))
 
 static inline bits_t own_pick(truth_t where, bits_t a, bits_t b)
@@ -33,8 +33,8 @@ static inline real_t own_sqrt(real_t x)
     return SQRT(x);
 }
 
-/* r = x - n pi / 2,  |r| <= pi / 4, its rest, and n in the lowest bits. The argument itself is what the general formula
- * gives for the smallest angles. */
+/* r = x - n pi / 2,  |r| <= pi / 4, its rest, and n in the lowest bits. For the smallest angles the general formula
+ * gives the argument itself. */
 static inline real_t own_reduce_moderate(real_t x, real_t *rest, bits_t *quadrant);
 static inline real_t own_reduce(real_t x, real_t *rest, bits_t *n)
 {

@@ -61,7 +61,7 @@ static void qp_init(qp_t *q)
 }
 
 /* Adds the predicted members to the working set, either the equalities or the inequalities; again: only equalities that
- * have not been taken. Returns the number of rows that it does not take, or -1 if one is not finite. */
+ * are not in it yet. Returns the number of rows that it leaves out, or -1 if one is not finite. */
 static int qp_predict(qp_t *q, int equality, int again, real_t fraction)
 {
     int waiting = 0;
@@ -108,9 +108,9 @@ static status_t qp_factorize(qp_t *q)
     return q->factorized ? OK : qp_fail(q, status);
 }
 
-/* An answer that is not accepted is computed again with a smaller tolerance for rounding errors. The rows contradict
- * one another if both attempts with a smaller tolerance prove that; if one of them does, rounding decides, and the QP
- * is given up. */
+/* Solves the QP. An answer that is not accepted is computed again with a smaller tolerance for rounding errors. The
+ * rows contradict one another if both attempts with a smaller tolerance prove it; if only one of them does, rounding
+ * decides, and the QP is given up. */
 static status_t qp_solve(qp_t *q)
 {
     int proofs = 0;
@@ -136,4 +136,3 @@ static status_t qp_solve(qp_t *q)
 }
 
 #include "qp/dense_active_set_shift.c"
-

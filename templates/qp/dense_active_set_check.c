@@ -28,7 +28,7 @@ static inline void add_multiple(real_t *y, real_t *size, const real_t *a, real_t
     }
 }
 
-/* r = H x, where H = L D L' - E, and size = |L| D |L'| |x| + a small multiple of sqrt(D) (|y0| + |y|), for y may be a
+/* r = H x, where H = L D L' - E, and size = |L| D |L'| |x| + a small multiple of sqrt(D) (|y0| + |y|), as y may be a
  * small difference. */
 static void qp_multiply_hessian(const qp_t *q, real_t *r, real_t *size)
 {
@@ -77,8 +77,8 @@ static void qp_stationarity(const qp_t *q, real_t *r, real_t *size)
     }
 }
 
-/* Violation of row c by x, in both directions if the row is a member; of a saturated row the distance from its bound
- * towards the inside. Positive above the bound. */
+/* Returns the violation of row c by x, in both directions if the row is a member; for a saturated row the distance from
+ * its bound towards the inside. Positive above the bound. */
 static real_t qp_excess(const qp_t *q, int c)
 {
     real_t over, under;
@@ -107,7 +107,7 @@ static int qp_is_optimal(const qp_t *q, real_t *r)
     return optimal;
 }
 
-/* One step of iterative refinement on the working set: x and lam take the corrections for the gradient r and for the
+/* Takes one step of iterative refinement on the working set: x and lam are corrected for the gradient r and for the
  * residuals of the members. */
 static void qp_refine(qp_t *q, real_t *r)
 {
@@ -128,7 +128,8 @@ static void qp_refine(qp_t *q, real_t *r)
     }
 }
 
-/* Writes the result; what fails its conditions is refined up to twice. Returns 0 if they still do not hold. */
+/* Writes the result; a result that violates its conditions is refined up to twice. Returns 0 if they still do not
+ * hold. */
 static int qp_accept(qp_t *q)
 {
     real_t r[LDV];

@@ -1,8 +1,8 @@
-/* Contract of this part: elastic rows. A row c with a finite penalty[c] >= 0 has the cost penalty[c] (violation of the
- * row) in place of the row, so that |mult| <= penalty. A row whose multiplier is at the limit is saturated (side +-2)
- * and may be violated; `relaxed` is the number of violated ones. Without crossed bounds and hard rows the result is
- * never INFEASIBLE. A saturated row belongs to the cost: y0 = -C^{-1} (g + sum_saturated mult_c a_c). The multipliers
- * of the dual problem are then between 0 and the penalty, and every step increases its objective as before. */
+/* Contract of this part: elastic rows. A finite penalty[c] >= 0 replaces row c by the cost penalty[c] (violation of the
+ * row), so that |mult| <= penalty. A row whose multiplier is at the limit is saturated (side +-2) and may be violated;
+ * `relaxed` is the number of violated ones. Without crossed bounds and hard rows the result is never INFEASIBLE. A
+ * saturated row belongs to the cost: y0 = -C^{-1} (g + sum_saturated mult_c a_c). The multipliers of the dual problem
+ * are then between 0 and the penalty, and every step increases its objective as before. */
 
 enum { SATURATED_LOWER = -2, SATURATED_UPPER = 2 };
 
@@ -23,7 +23,7 @@ static void qp_add_row(const qp_t *q, int c, real_t t, real_t *y)
     }
 }
 
-/* Multiplier of row c, which is not a member. */
+/* Returns the multiplier of row c, which is not a member. */
 static real_t qp_outside_multiplier(const qp_t *q, int c)
 {
     return q->side[c] == INACTIVE ? R(0) : q->side[c] > 0 ? q->penalty[c] : -q->penalty[c];
@@ -112,7 +112,7 @@ static void qp_take_penalties(qp_t *q, int elastic)
     q->elastic = elastic;
 }
 
-/* Violation of row c, which is saturated, or whose violation is a variable that moves. */
+/* Returns the violation of row c, which is saturated, or whose violation is a variable that moves. */
 static real_t qp_relaxation(const qp_t *q, int c)
 {
     if (NSL) {

@@ -1,13 +1,13 @@
 /* Contract of this part: H = L D L' = C C' and the substitutions with its factors. */
 
-/* A pivot may be zero if it is below this fraction of the diagonal entry. */
+/* Returns the fraction of the diagonal entry below which a pivot may be zero. */
 static inline real_t qp_zero_pivot(void)
 {
     const real_t root = SQRT(TOL_UNIT / 256), least = 4096 * TOL_UNIT;
     return least < root ? least : root;
 }
 
-/* Weight of the proximal term as a fraction of the diagonal entry. */
+/* Returns the weight of the proximal term as a fraction of the diagonal entry. */
 static inline real_t qp_proximal_share(void)
 {
     return SQRT(SQRT(TOL_UNIT / 65536));
@@ -39,7 +39,7 @@ static void qp_backward(const qp_t *q, const real_t *y, real_t *z)
     solve_unit_upper(q->H, z, LDH);
 }
 
-/* Median of the positive numbers in v; 1 if there is none. */
+/* Returns the median of the positive numbers in v; 1 if there is none. */
 static real_t qp_median(const real_t *v)
 {
     real_t middle = R(0);
@@ -57,7 +57,8 @@ static real_t qp_median(const real_t *v)
     return middle > R(0) && isfinite(middle) ? middle : R(1);
 }
 
-/* Smallest positive distance between the bounds of variable i and of the rows that contain it; 1 if there is none. */
+/* Returns the smallest positive distance between the bounds of variable i and of the rows that contain it; 1 if there
+ * is none. */
 static real_t qp_length(const qp_t *q, int i)
 {
     const real_t width = q->upper[i] - q->lower[i];
@@ -89,7 +90,7 @@ static int qp_add_proximal_term(qp_t *q, const real_t *reference)
         q->proximal[i] = known ? qp_proximal_share() * reference[i] : R(1.0 / 64) * other;
         q->H[i][i] += q->proximal[i];
         valid &= reference[i] >= R(0);
-        cost[i] = known ? -R(1) : qp_zero_pivot() * other; /* from here on a limit to entries beside the diagonal */
+        cost[i] = known ? -R(1) : qp_zero_pivot() * other; /* now a limit for the entries beside the diagonal */
         for (int j = 0; j < i; ++j) {
             const real_t square = q->H[i][j] * q->H[i][j];
             valid &= cost[i] < R(0) || square <= cost[i] * reference[j];
@@ -108,7 +109,7 @@ static inline real_t qp_pivot(qp_t *q, int k, real_t pivot, const real_t *refere
     return q->inverse[k];
 }
 
-/* L D L' of the diagonal panel b, with X = L D; L is stored below and above the diagonal. */
+/* Factorises the diagonal panel b as L D L', with X = L D; L is stored below and above the diagonal. */
 static void qp_factorize_diagonal(qp_t *q, int b, const real_t *reference)
 {
     real_t *h0 = q->H[b] + b, *h1 = q->H[b + 1] + b, *h2 = q->H[b + 2] + b, *h3 = q->H[b + 3] + b;
@@ -133,7 +134,7 @@ static void qp_factorize_diagonal(qp_t *q, int b, const real_t *reference)
     h2[3] = l32;
 }
 
-/* Columns of panel b of X = L D and of L, then the trailing lower triangle: H_ij -= sum_k X_ik L_jk. */
+/* Computes the columns of panel b of X = L D and of L, then the trailing lower triangle: H_ij -= sum_k X_ik L_jk. */
 static void qp_factorize_panel(qp_t *q, int b)
 {
     const qp_t *known = q;
@@ -164,13 +165,13 @@ static int qp_factorize_panels(qp_t *q, const real_t *reference)
     return isfinite(q->inverse[LDH - 1]);
 }
 
-/* Curvature of variable i, a slack or padding. */
+/* Returns the curvature of variable i, a slack or padding. */
 static real_t qp_curvature(const qp_t *q, int i)
 {
     return i < NV ? q->curvature[i - (NV - NSL)] : R(1);
 }
 
-/* H + diag(proximal) = L D L' in place, inverse = D^{-1/2}. Rows behind those of H complete the last panel. If a pivot
+/* H + diag(proximal) = L D L' in place, inverse = D^{-1/2}. Rows after those of H complete the last panel. If a pivot
  * of H may be zero, H is restored from a copy, and the proximal term is added. */
 static status_t qp_factorize_hessian(qp_t *q)
 {

@@ -1,7 +1,7 @@
 /* Contract of this part: dual iterations from a predicted working set to the solution or a certificate. */
 
-/* Member with the largest violation of the sign condition, lam outside [0, limit] (equality: [-limit, limit]) by more
- * than rounding, excess |m| > tolerance (|y0| + |y|). Returns -1 if there is none. */
+/* Returns the member with the largest violation of the sign condition, lam outside [0, limit] (equality: [-limit,
+ * limit]) by more than rounding, excess |m| > tolerance (|y0| + |y|); -1 if there is none. */
 static int qp_wrong_multiplier(const qp_t *q)
 {
     int worst = -1;
@@ -46,9 +46,9 @@ static status_t qp_restore_dual_feasibility(qp_t *q)
     }
 }
 
-/* Amounts by which the value of row c, which is not a member, exceeds its upper bound and falls below its lower bound;
- * of a saturated row, the distance from the bound towards the inside, where its multiplier has to move back. Returns
- * the value. */
+/* Computes the amounts by which the value of row c, which is not a member, exceeds its upper bound and falls below its
+ * lower bound; for a saturated row, the distance from the bound towards the inside, where its multiplier has to move
+ * back. Returns the value. */
 static inline real_t qp_violations(const qp_t *q, int c, const real_t *z, real_t *over, real_t *under)
 {
     const real_t value = qp_value(q, c, z);
@@ -66,9 +66,9 @@ static inline real_t qp_violations(const qp_t *q, int c, const real_t *z, real_t
     return value;
 }
 
-/* Row with the largest violation, scaled by 1 / |D^{-1/2} a_c|, its side and its violation. Returns -1 if there is
- * none, -2 if a value is not finite. Tolerated are the rounding error of a_c'z and violations that qp_enforce has
- * accepted. */
+/* Returns the row with the largest violation, scaled by 1 / |D^{-1/2} a_c|, with its side and its violation; -1 if
+ * there is none, -2 if a value is not finite. Tolerated are the rounding error of a_c'z and violations that qp_enforce
+ * has accepted. */
 static int qp_most_violated(const qp_t *q, int *side, real_t *violation)
 {
     int worst = -1;
@@ -101,7 +101,7 @@ static int qp_falls(const qp_t *q, const real_t *r, int k, int side)
     return ((q->side[q->row[k]] > 0) == (side > 0)) == (r[k] > R(0));
 }
 
-/* Distance that the multiplier of member k may move: down to 0 (equality: -limit), or up to its limit. */
+/* Returns the distance that the multiplier of member k may move: down to 0 (equality: -limit), or up to its limit. */
 static real_t qp_room(const qp_t *q, int k, int falls)
 {
     const int c = q->row[k];
@@ -122,8 +122,8 @@ static int qp_takes_part(const qp_t *q, const real_t *r, int k, real_t mm)
     return r[k] * r[k] * qp_square(q, k) > TOL_QP_DEPENDENT * TOL_QP_DEPENDENT * mm;
 }
 
-/* First member whose multiplier lam - side step r, r = R^{-1} d, reaches an end of its range when that of the entering
- * row increases on the given side, which shortens the step. Returns -1 if there is none within the step. */
+/* Returns the first member whose multiplier lam - side step r, r = R^{-1} d, reaches an end of its range when that of
+ * the entering row increases on the given side, which shortens the step; -1 if there is none within the step. */
 static int qp_blocking(const qp_t *q, const real_t *r, int side, real_t mm, real_t *step)
 {
     int first = -1;
@@ -148,11 +148,11 @@ static void qp_move(qp_t *q, const real_t *r, real_t step, int primal)
     }
 }
 
-/* Violation of row c, with normal m = Q'R r + v, that is regarded as rounding error. The part of the members is a
- * multiple of size = |bound| + |t|'|r| + |m| (|y| / 4 + a small fraction of |y0|), where a bound t_k counts with the
+/* Returns the violation of row c, with normal m = Q'R r + v, that counts as rounding error. The part of the members is
+ * a multiple of size = |bound| + |t|'|r| + |m| (|y| / 4 + a small fraction of |y0|), where a bound t_k counts with the
  * terms that it sums up. As entering would move y by violation / |v|, the multiple grows with |m| / |v| up to that of a
  * row that cannot enter. The part of v'y, which y0 dominates, is a multiple of |v| |y0|. If this has led to a residual
- * that is too large, the terms of the row itself count in place of |m| |y|. */
+ * that is too large, the terms of the row itself count instead of |m| |y|. */
 static real_t qp_rounding(const qp_t *q, int c, const real_t *r, int side, real_t mm, real_t vv)
 {
     const real_t most = TOL_QP_REDUNDANT, least = TOL_QP_FEASIBILITY;
@@ -169,8 +169,8 @@ static real_t qp_rounding(const qp_t *q, int c, const real_t *r, int side, real_
     return size + TOL_UNIT * SQRT(vv) * q->scale;
 }
 
-/* Certificate of the contradiction between row c and the rows of the working set: f = side (e_c - sum_k r_k e_k),
- * normalised to |f| <= 1, without entries that are rounding errors. With a_c the gradients of the rows,
+/* Writes the certificate of the contradiction between row c and the rows of the working set: f = side (e_c - sum_k r_k
+ * e_k), normalised to |f| <= 1, without entries that are rounding errors. With a_c the gradients of the rows,
  *
  *     sum_c f_c a_c = 0   and   sum_c f_c (upper_c if f_c > 0, lower_c if f_c < 0) < 0; f = 0 if bounds cross. */
 static void qp_certify(qp_t *q, int c, int side, const real_t *r, real_t mm)
@@ -189,7 +189,7 @@ static void qp_certify(qp_t *q, int c, int side, const real_t *r, real_t mm)
     }
 }
 
-/* Length of the full step, violation / v'v; infinite if the normal lies in the span of the working set. */
+/* Returns the length of the full step, violation / v'v; infinite if the normal lies in the span of the working set. */
 static real_t qp_full_step(real_t violation, real_t mm, real_t vv)
 {
     if (!(vv > TOL_QP_DEPENDENT * TOL_QP_DEPENDENT * mm)) {
@@ -288,7 +288,7 @@ static status_t qp_take_bounds(qp_t *q)
     int valid = 1, ordered = 1;
     int elastic = 0;
     for (int c = 0; c < NV + NG; ++c) {
-        const real_t width = q->upper[c] - q->lower[c]; /* not a number if both are the same infinity */
+        const real_t width = q->upper[c] - q->lower[c]; /* NaN if both are the same infinity */
         valid &= width > -INF;
         ordered &= width >= R(0);
         if (ELASTIC) {

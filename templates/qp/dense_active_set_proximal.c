@@ -26,7 +26,7 @@ static real_t qp_weighted_square(const qp_t *q, const real_t *s)
     return sum;
 }
 
-/* Largest t for which z + t p crosses no bound of a row that is not a member. */
+/* Returns the largest t for which z + t p crosses no bound of a row that is not a member. */
 static real_t qp_distance(const qp_t *q, const real_t *z, const real_t *p)
 {
     real_t over, under, most = INF;
@@ -71,7 +71,7 @@ static real_t qp_conjugate_step(qp_t *q, const real_t *s, real_t total)
 
 /* Moves the centre after the proximal step s = x - center. Returns OK if s is at rounding level, so that x is the
  * minimiser; ITERATION_LIMIT if the centre has moved; NUMERICAL_FAILURE if the cost is unbounded below. x replaces the
- * centre after a shorter step, which a row ends that x violates by a rounding error. */
+ * centre after a shorter step if the row that ends the step is violated only by a rounding error. */
 static status_t qp_move_center(qp_t *q)
 {
     real_t s[LDV], u[LDV], e[LDV];
@@ -96,8 +96,8 @@ static status_t qp_move_center(qp_t *q)
     return t < INF ? ITERATION_LIMIT : NUMERICAL_FAILURE;
 }
 
-/* Minimiser for a Hessian that is only semidefinite, by the proximal point method: z_{j+1} minimises the cost plus 1/2
- * (z - z_j)'E(z - z_j), starting from the working set of z_j. */
+/* Computes the minimiser for a Hessian that is only semidefinite, by the proximal point method: z_{j+1} minimises the
+ * cost plus 1/2 (z - z_j)'E(z - z_j), starting from the working set of z_j. */
 static status_t qp_iterate_proximal(qp_t *q)
 {
     status_t status = ITERATION_LIMIT;

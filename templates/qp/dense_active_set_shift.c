@@ -1,5 +1,5 @@
-/* Warm start of a shifted problem: control i takes the predicted side of control i + n; the last n controls keep
- * theirs. */
+/* Prepares the warm start of a shifted problem: control i takes the predicted side of control i + n; the last n
+ * controls keep theirs. */
 static void qp_shift_controls(qp_t *q, int n)
 {
     for (int i = 0; i + n < NVU; ++i) {
@@ -7,7 +7,7 @@ static void qp_shift_controls(qp_t *q, int n)
     }
 }
 
-/* General row j takes the predicted side of row source[j] >= j. */
+/* Moves the predicted side of row source[j] >= j to general row j. */
 static void qp_shift_rows(qp_t *q, const int *source)
 {
     for (int j = 0; j < NG; ++j) {

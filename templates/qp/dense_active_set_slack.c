@@ -3,19 +3,19 @@
  * the multiplier of the row is below the penalty, its slack is fixed: it is zero, neither its coordinate nor its bound
  * occurs in the working set, its side is INACTIVE, and the row has the penalty in its place. */
 
-/* Slack variable of general row c, or -1. */
+/* Returns the slack variable of general row c, or -1. */
 static inline int qp_slack(int c)
 {
     return row_slack[c - NV];
 }
 
-/* Slack variable of general row c if it is not fixed, or -1. */
+/* Returns the slack variable of general row c if it is not fixed, or -1. */
 static inline int qp_moving_slack(const qp_t *q, int c)
 {
     return qp_slack(c) >= 0 && q->side[qp_slack(c)] != INACTIVE ? qp_slack(c) : -1;
 }
 
-/* Part of |m|^2 that the slack of general row c adds: 1 / curvature, or 0. */
+/* Returns the part of |m|^2 that the slack of general row c adds: 1 / curvature, or 0. */
 static real_t qp_compliance(const qp_t *q, int c)
 {
     const int slack = qp_moving_slack(q, c);

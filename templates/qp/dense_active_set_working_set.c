@@ -18,7 +18,7 @@ static inline int qp_is_slack(int c)
     return NV - NSL <= c && c < NV;
 }
 
-/* Bound of row c on its side. */
+/* Returns the bound of row c on its side. */
 static real_t qp_bound(const qp_t *q, int c)
 {
     return q->side[c] > 0 ? q->upper[c] : q->lower[c];
@@ -41,7 +41,7 @@ static inline real_t qp_value(const qp_t *q, int c, const real_t *z)
     }
 }
 
-/* Magnitude of the bound of row c on the given side and of the terms that it sums up. */
+/* Returns the magnitude of the bound of row c on the given side and of the terms that it sums up. */
 static inline real_t qp_bound_size(const qp_t *q, int c, int side)
 {
     const real_t bound = FABS(side > 0 ? q->upper[c] : q->lower[c]);
@@ -52,7 +52,7 @@ static inline real_t qp_bound_size(const qp_t *q, int c, int side)
     }
 }
 
-/* |D^{-1/2} a_c|, an estimate of |m|, where D^{1/2} is the diagonal of C. */
+/* Returns |D^{-1/2} a_c|, an estimate of |m|, where D^{1/2} is the diagonal of C. */
 static real_t qp_row_norm(const qp_t *q, int c)
 {
     if (NG) {
@@ -71,7 +71,7 @@ static real_t qp_row_norm(const qp_t *q, int c)
     return q->inverse[c];
 }
 
-/* Magnitude of the terms of a_c'x and of the bounds, a lower bound. */
+/* Returns a lower bound of the magnitude of the terms of a_c'x and of the bounds. */
 static real_t qp_row_size(const qp_t *q, int c)
 {
     if (NG) {
@@ -90,13 +90,13 @@ static real_t qp_row_size(const qp_t *q, int c)
     return FABS(q->x[c]) + q->inverse[c] * FABS(q->work.basis.y[c]);
 }
 
-/* Number of members of the working set, rounded up to whole panels. */
+/* Returns the number of members of the working set, rounded up to whole panels. */
 static int qp_panel_count(const qp_t *q)
 {
     return (q->nw + 3) / 4 * 4;
 }
 
-/* Squared norm of the normal of member k. */
+/* Returns the squared norm of the normal of member k. */
 static real_t qp_square(const qp_t *q, int k)
 {
     return dot(q->work.basis.R[k], q->work.basis.R[k], qp_panel_count(q));
@@ -125,7 +125,7 @@ static void qp_solve_triangle(const qp_t *q, real_t *r)
     solve_upper(q->work.basis.R, q->R_inverse, r, q->nw);
 }
 
-/* m = a_c of a general row. */
+/* Loads m = a_c of a general row. */
 static void qp_take_row(const qp_t *q, int c, real_t *m)
 {
     clear(m);
@@ -135,7 +135,7 @@ static void qp_take_row(const qp_t *q, int c, real_t *m)
     }
 }
 
-/* Normal of row c in the coordinates y: m = C^{-1} a_c. Returns m'm. */
+/* Computes the normal of row c in the coordinates y, m = C^{-1} a_c. Returns m'm. */
 static real_t qp_normal(qp_t *q, int c)
 {
     /* 0 <= c <= NV + NG - 1 */
@@ -215,7 +215,7 @@ static inline void rotate(real_t c, real_t s, real_t *u, real_t *v)
     *v = c * *v - s * old;
 }
 
-/* Givens rotation of the rows k, k+1 of R (columns of its transpose) and of Q that restores R_{k+1,k} = 0. */
+/* Rotates the rows k, k+1 of R (columns of its transpose) and of Q so that R_{k+1,k} = 0 again (Givens). */
 static void qp_rotate(qp_t *q, int k)
 {
     basis_t *w = &q->work.basis;
@@ -306,8 +306,8 @@ static void qp_solve_transposed(const qp_t *q, real_t *w)
     }
 }
 
-/* y and lam on the working set, where t are the active bounds: R'w = t, c = Q y0 - w, y = y0 - Q'c, lam = R^{-1} c.
- * After cancellation a second pass, with y in place of y0, restores Q y = w. */
+/* Computes y and lam on the working set, where t are the active bounds: R'w = t, c = Q y0 - w, y = y0 - Q'c, lam =
+ * R^{-1} c. After cancellation a second pass, with y instead of y0, restores Q y = w. */
 static void qp_minimize_on_working_set(qp_t *q)
 {
     real_t w[LDV];

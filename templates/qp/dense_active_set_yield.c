@@ -34,7 +34,7 @@ static int qp_yields(qp_t *q, int c, int side, real_t *mm, real_t *left)
     return 1;
 }
 
-/* Member k, whose multiplier is at the limit of the given side, stays in the working set, but its slack moves. The
+/* Keeps member k, whose multiplier is at the limit of the given side, in the working set, but lets its slack move. The
  * normal m of another row is kept. */
 static void qp_yield(qp_t *q, int k, int side)
 {
@@ -63,7 +63,7 @@ static void qp_fix_slacks(qp_t *q)
     }
 }
 
-/* Every row with a slack has the penalty of the slack while that is fixed, and is hard otherwise. */
+/* Gives every row with a fixed slack the penalty of the slack; a row whose slack moves is hard. */
 static void qp_share_penalties(qp_t *q)
 {
     for (int c = NV; c < NV + NG; ++c) {

@@ -21,7 +21,7 @@ static real_t norm(const real_t *a)
     return SQRT(dot(a, a, LDV));
 }
 
-/* y = 0. A loop is faster than a call of memset. */
+/* y = 0, in a loop, which is faster than a call of memset. */
 static inline void clear(real_t *y)
 {
     for (int j = 0; j < LDV; ++j) {
@@ -53,7 +53,7 @@ static inline void subtract_panel(real_t *y, const real_t (*A)[LDV], const real_
     }
 }
 #else
-/* y = x. A loop is used because memcpy writes halves of a vector register, which would stall the next read. */
+/* y = x, in a loop, because memcpy writes halves of a vector register, which would stall the next read. */
 static inline void copy(real_t *y, const real_t *x)
 {
     for (int j = 0; j < LDV; j += 4) {

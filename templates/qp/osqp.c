@@ -4,8 +4,8 @@
  * Here: OSQP, third-party code in the folder osqp/ with one static workspace. Copies of the solver struct share this
  * workspace, so that solves must not overlap. All data are loaded again for every solve. */
 
-/* Defined in osqp/API(osqp).c. Returns the status of OSQP, or 0 if OSQP rejects the data. Infinite bounds become
- * OSQP_INFTY. */
+/* Solves the QP; defined in osqp/API(osqp).c. Returns the status of OSQP, or 0 if OSQP rejects the data. Infinite
+ * bounds become OSQP_INFTY. */
 int API(osqp_solve)(const double *P, const double *A, const double *g, const double *lower, const double *upper,
     double *z, double *mult, double *certificate, int *iterations);
 

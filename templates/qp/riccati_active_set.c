@@ -71,7 +71,8 @@ static void qp_init(solver_t *s)
     }
 }
 
-/* The last stage with a member of the working set, or -1. The factors of later stages are those without members. */
+/* Returns the last stage with a member of the working set, or -1. The factors of later stages are those without
+ * members. */
 static int qp_last_member(const qp_t *q)
 {
     int last = -1;
@@ -83,7 +84,7 @@ static int qp_last_member(const qp_t *q)
     return last;
 }
 
-/* The last stage with a row that has a weight, or `last` if that is later. */
+/* Returns the last stage with a row that has a weight, or `last` if that is later. */
 static int qp_last_weight(const solver_t *s, int last)
 {
     int found = last; /* -1 <= found <= N */
@@ -158,7 +159,7 @@ static int qp_needs_scales(const qp_t *q)
     return q->scaled != SCALES_OWN && q->refined && q->residual <= TOL_RICCATI_ROUNDING;
 }
 
-/* Active-set iterations with rows as equations. If they fail, members have weights from now on. */
+/* Iterates with rows as equations. If that fails, members have weights from now on. */
 static status_t qp_settle_with_complement(solver_t *s)
 {
     const status_t status = qp_settle(s, QP_MAX_POLISH);
@@ -168,7 +169,7 @@ static status_t qp_settle_with_complement(solver_t *s)
     return status;
 }
 
-/* Active-set iterations from the present working set with the scales of this QP. */
+/* Iterates from the present working set with the scales of this QP. */
 static status_t qp_settle_in_own_scales(solver_t *s)
 {
     qp_scale_rows(s);
@@ -176,7 +177,7 @@ static status_t qp_settle_in_own_scales(solver_t *s)
     return qp_settle(s, QP_MAX_POLISH);
 }
 
-/* Active-set iterations from the predicted working set, then the fallback. */
+/* Iterates from the predicted working set, and falls back if that fails. */
 static status_t qp_search(solver_t *s)
 {
     qp_t *q = &s->qp;
@@ -228,4 +229,3 @@ static status_t qp_solve(solver_t *s)
 }
 
 #include "qp/shift_on_stages.c"
-

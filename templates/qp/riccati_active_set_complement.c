@@ -57,7 +57,7 @@ static int schur_list(solver_t *s)
     return 1;
 }
 
-/* w = gradient of member i in the variables of its stage. */
+/* Loads the gradient w of member i in the variables of its stage. */
 static inline void schur_load(const solver_t *s, int i, real_t *w)
 {
     const int m = s->schur.member[i];
@@ -68,7 +68,7 @@ static inline void schur_load(const solver_t *s, int i, real_t *w)
     w[row_index(m)] = R(1);
 }
 
-/* push and pull of member i from stage k + 1 to stage k. */
+/* Moves push and pull of member i from stage k + 1 to stage k. */
 static inline void schur_sweep_stage(solver_t *s, int k, int i)
 {
     const riccati_t *r = &s->riccati;
@@ -179,7 +179,7 @@ static void schur_decompose(schur_t *c)
     }
 }
 
-/* push, pull, C and its factors. Returns 0 if the method does not apply. */
+/* Computes push, pull, C and its factors. Returns 0 if the method does not apply. */
 static int schur_renew(solver_t *s)
 {
     schur_t *c = &s->schur;
@@ -214,7 +214,7 @@ static void schur_update(solver_t *s)
     }
 }
 
-/* Values of the members for dx_0 = 0, after a backward substitution. */
+/* Computes the values of the members for dx_0 = 0, after a backward substitution. */
 static void schur_set_origin(solver_t *s)
 {
     schur_t *c = &s->schur;
@@ -271,7 +271,7 @@ static void schur_correct(solver_t *s, real_t *distance)
     c->shifted = 1;
 }
 
-/* Distances of the members from their bounds for dx_0 = step.dx[0]. */
+/* Computes the distances of the members from their bounds for dx_0 = step.dx[0]. */
 static void schur_distances(const solver_t *s, real_t *distance)
 {
     const schur_t *c = &s->schur;

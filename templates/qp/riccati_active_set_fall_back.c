@@ -25,7 +25,7 @@ static void qp_take_back(solver_t *s)
     q->exact = 0;
 }
 
-/* Active-set iterations from the working set that the interior point iterate indicates. If they fail, that iterate is
+/* Iterates from the working set that the interior point iterate indicates. If that fails, the interior point iterate is
  * the result. */
 static status_t qp_polish(solver_t *s)
 {
@@ -39,8 +39,8 @@ static status_t qp_polish(solver_t *s)
     return status;
 }
 
-/* The interior point method, which ends as soon as it indicates a working set, and continues if this set is not the one
- * of the solution. The scales of the rows become those of this QP. */
+/* Runs the interior point method, which ends as soon as it indicates a working set, and continues if this set is not
+ * the one of the solution. The scales of the rows become those of this QP. */
 static status_t qp_cross_over(solver_t *s)
 {
     status_t status;
@@ -62,8 +62,8 @@ static status_t qp_cross_over(solver_t *s)
     return status;
 }
 
-/* The interior point method; if it finds neither a solution nor a contradiction, active-set iterations from the empty
- * working set. */
+/* Runs the interior point method; if it finds neither a solution nor a contradiction, iterates from the empty working
+ * set. */
 static status_t qp_fall_back(solver_t *s)
 {
     qp_t *q = &s->qp;

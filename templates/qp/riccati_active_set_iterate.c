@@ -1,14 +1,15 @@
 /* Contract of this part: the step from one working set to the next, with all changes at once (primal-dual active
  * set). */
 
-/* Tolerance for rounding errors: `exact`, or a multiple of sqrt(machine epsilon) while the minimiser is not refined. */
+/* Returns the tolerance for rounding errors: `exact`, or a multiple of sqrt(machine epsilon) while the minimiser is not
+ * refined. */
 static inline real_t qp_tolerance(const qp_t *q, real_t exact)
 {
     return q->rough ? FACTOR_RICCATI_UNREFINED * SQRT(TOL_UNIT) : exact;
 }
 
-/* Side of c, which is not a member, from its value v and its bounds; `size`: magnitude of the terms of v, and its
- * scale. */
+/* Returns the side of row c, which is not a member, from its value v and its bounds; `size`: magnitude of the terms of
+ * v, and its scale. */
 static inline int qp_side_of_value(const qp_t *q, int c, real_t v, real_t size)
 {
     const real_t tolerance = qp_tolerance(q, TOL_RICCATI_FEASIBILITY);
@@ -18,7 +19,8 @@ static inline int qp_side_of_value(const qp_t *q, int c, real_t v, real_t size)
     return (q->lower[c] - v > tolerance * (size + FABS(q->lower[c]))) ? AT_LOWER : INACTIVE;
 }
 
-/* New side of control j of stage k. A member leaves if its multiplier has the wrong sign by more than rounding. */
+/* Returns the new side of control j of stage k. A member leaves if its multiplier has the wrong sign by more than
+ * rounding. */
 static int qp_side_of_control(const solver_t *s, int k, int j)
 {
     const qp_t *q = &s->qp;
@@ -57,7 +59,7 @@ static largest_t qp_largest_multipliers(const qp_t *q)
     return largest;
 }
 
-/* New side of the member row m from its multiplier: it leaves if the sign is wrong. */
+/* Returns the new side of the member row m from its multiplier: it leaves if the sign is wrong. */
 static int qp_side_of_member(const qp_t *q, int m, real_t rounding)
 {
     const int c = NV + m, side = q->side[c];
@@ -77,7 +79,7 @@ static int qp_side_of_member(const qp_t *q, int m, real_t rounding)
     return side;
 }
 
-/* New side of row m; a violated row becomes a member once its violation vanishes. */
+/* Returns the new side of row m; a violated row becomes a member once its violation vanishes. */
 static int qp_side_of_row(const solver_t *s, int m, const largest_t *largest)
 {
     const qp_t *q = &s->qp;
@@ -97,7 +99,7 @@ static int qp_side_of_row(const solver_t *s, int m, const largest_t *largest)
     return qp_side_of_member(q, m, qp_tolerance(q, TOL_RICCATI_SIGN) * (terms + stiff));
 }
 
-/* Violation of row m, which is not a member, relative to the terms of its value and its bound. */
+/* Returns the violation of row m, which is not a member, relative to the terms of its value and its bound. */
 static real_t qp_violation(const solver_t *s, int m)
 {
     const qp_t *q = &s->qp;
@@ -201,8 +203,8 @@ static int qp_raise_weights(solver_t *s)
     return raised;
 }
 
-/* The minimiser on the working set, refined if the working set would otherwise remain unchanged. `changed` is the
- * number of sides that the minimiser changes. */
+/* Computes the minimiser on the working set, refined if the working set would otherwise remain unchanged. `changed` is
+ * the number of sides that the minimiser changes. */
 static status_t qp_minimize(solver_t *s, int *changed)
 {
     qp_t *q = &s->qp;
@@ -237,7 +239,7 @@ static status_t qp_minimize(solver_t *s, int *changed)
     return status;
 }
 
-/* A residual that refinement does not reduce is rounding, or the weights are too small. */
+/* Judges a residual that refinement does not reduce: it is rounding, or the weights are too small. */
 static status_t qp_at_rest(const qp_t *q)
 {
     if (NG) {
@@ -248,8 +250,8 @@ static status_t qp_at_rest(const qp_t *q)
     return q->residual <= TOL_RICCATI_ROUNDING ? OK : STALLED;
 }
 
-/* Active-set iterations until the working set does not change. Returns OK; STALLED if a working set repeats itself, its
- * members contradict one another, or the number of changes does not fall and the interior point method can take over;
+/* Iterates until the working set does not change. Returns OK; STALLED if a working set repeats itself, its members
+ * contradict one another, or the number of changes does not fall and the interior point method can take over;
  * ITERATION_LIMIT; NUMERICAL_FAILURE. */
 static status_t qp_iterate(solver_t *s, int most)
 {
@@ -298,7 +300,7 @@ static inline int qp_wrong_sign(const qp_t *q, int c)
     return q->side[c] > 0 ? q->mult[c] < R(0) : q->mult[c] > R(0);
 }
 
-/* Clips the controls to their bounds, sets multipliers of the wrong sign to 0. */
+/* Clips the controls to their bounds and sets multipliers of the wrong sign to 0. */
 static void qp_finish(qp_t *q)
 {
     for (int c = 0; c < NV; c++) {
@@ -315,7 +317,7 @@ static void qp_finish(qp_t *q)
     }
 }
 
-/* The same, with the result completed and checked. Returns STALLED if it is not a solution of the original QP. */
+/* Iterates, completes and checks the result. Returns STALLED if it is not a solution of the original QP. */
 static status_t qp_settle(solver_t *s, int most)
 {
     const status_t status = qp_iterate(s, most);

@@ -60,7 +60,7 @@ static void qp_take_sizes(solver_t *s, int k, real_t *size)
     }
 }
 
-/* Largest entry of the gradient relative to the magnitude of its terms, at least that of zeros. */
+/* Returns the largest entry of the gradient relative to the magnitude of its terms, which is at least that of zeros. */
 static real_t qp_gradient_size(solver_t *s)
 {
     real_t *size = s->qp.size, worst = R(0);
@@ -84,15 +84,15 @@ static real_t qp_gradient_size(solver_t *s)
     return worst;
 }
 
-/* Distance of the value of member m from its bound. */
+/* Returns the distance of the value of member m from its bound. */
 static inline real_t qp_offset(const qp_t *q, int m)
 {
     return q->value[m] - q->target[m];
 }
 
-/* Step length for the correction (dx, du) that minimises (d + times change)'W(d + times change), where d are the
- * distances of the members from their bounds. If members are nearly dependent, the method of multipliers takes short
- * steps in one direction. */
+/* Returns the step length for the correction (dx, du) that minimises (d + times change)'W(d + times change), where d
+ * are the distances of the members from their bounds. If members are nearly dependent, the method of multipliers takes
+ * short steps in one direction. */
 static real_t qp_stretch(const solver_t *s)
 {
     const qp_t *q = &s->qp;
@@ -126,14 +126,15 @@ static void qp_correct_rows(solver_t *s, real_t times)
 }
 
 #if END_EQUATIONS
-/* Magnitude of the terms of member m, and of the value of the row in the plan, of which the bound is a difference. */
+/* Returns the magnitude of the terms of member m, and of the value of the row in the plan; the bound is a difference of
+ * these. */
 static real_t qp_member_size(const solver_t *s, int m)
 {
     return qp_row_size(s, m) + FABS(s->qp.target[m]) + FABS(row_constant(s, m));
 }
 
 /* Returns the largest distance of a member from its bound, relative to qp_member_size(). Terminal equations are members
- * at every sample. Near a steady state their terms are rounding errors, so that a distance is negligible, too, if its
+ * at every sample. Near a steady state their terms are rounding errors, so that a distance is also negligible if its
  * cost is negligible beside that of the largest member. */
 static real_t qp_distance(const solver_t *s)
 {
@@ -153,7 +154,7 @@ static real_t qp_distance(const solver_t *s)
     return largest;
 }
 #else
-/* Largest relative distance of a member from its bound. */
+/* Returns the largest relative distance of a member from its bound. */
 static real_t qp_distance(const solver_t *s)
 {
     const qp_t *q = &s->qp;
@@ -196,8 +197,8 @@ static void qp_add_correction(solver_t *s, real_t times)
     qp_correct_rows(s, times);
 }
 
-/* Correction of (x, z, lam, mult) for the residuals in the right-hand sides, to which weight (a'z - t) a of the members
- * is added. */
+/* Computes the correction of (x, z, lam, mult) for the residuals in the right-hand sides, to which weight (a'z - t) a
+ * of the members is added. */
 static void qp_direction(solver_t *s)
 {
     direction_t *d = &s->riccati.work.vectors.rhs.direction;
@@ -230,7 +231,7 @@ static int qp_take_residuals(solver_t *s, int *at_members)
 }
 
 /* Corrects until the residuals are at rounding level. If convergence is slow near that level, every other correction is
- * stretched. Returns OK; STALLED if the residuals stop decreasing, as when members contradict one another;
+ * stretched. Returns OK; STALLED if the residuals stop decreasing, as they do when members contradict one another;
  * NUMERICAL_FAILURE. */
 static status_t qp_refine(solver_t *s)
 {

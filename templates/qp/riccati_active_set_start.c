@@ -1,4 +1,4 @@
-/* Contract of this part: the recursion for the working set with which the iterations start, and the scales of rows. */
+/* Contract of this part: the recursion for the first working set of the iterations, and the scales of rows. */
 
 /* Passes the working set, corrected for the present bounds, to the recursion and marks all factors and vectors as
  * stale. */
@@ -31,9 +31,9 @@ static void qp_dissolve(solver_t *s)
     qp_enter(s);
 }
 
-/* Moving a row by one costs at least root^2 / 2. The weight of a member is root^2 / sqrt(machine epsilon): one
- * correction then removes the error of the weighting, and the rounding error due to the weight is no larger than
- * that. */
+/* Sets the units of the rows, in which a move by one costs at least root^2 / 2. The weight of a member is root^2 /
+ * sqrt(machine epsilon): one correction then removes the error of the weighting, and the rounding error due to the
+ * weight is no larger than that. */
 static void qp_set_units(solver_t *s)
 {
     qp_t *q = &s->qp;
@@ -46,7 +46,7 @@ static void qp_set_units(solver_t *s)
     q->scaled = SCALES_OWN;
 }
 
-/* Scales of the rows, from the recursion without members. */
+/* Computes the scales of the rows, from the recursion without members. */
 static void qp_scale_rows(solver_t *s)
 {
     riccati_t *r = &s->riccati;

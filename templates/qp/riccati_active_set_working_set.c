@@ -17,8 +17,8 @@ static inline int qp_is_member(int side)
     return side == AT_LOWER || side == AT_UPPER;
 }
 
-/* Bound |a|'|z| of the terms of row m, with the largest magnitude of every component of z over all stages, at least
- * that of zeros. */
+/* Returns the bound |a|'|z| of the terms of row m, with the largest magnitude of every component of z over all stages,
+ * at least that of zeros. */
 static real_t qp_row_size(const solver_t *s, int m)
 {
     const real_t *scale = s->qp.scale;
@@ -62,7 +62,7 @@ static void qp_set_control(solver_t *s, int k, int j, int side)
     }
 }
 
-/* Weight of a a' in the Hessian that row m adds. */
+/* Returns the weight of a a' in the Hessian that row m adds. */
 static inline real_t qp_weight(const solver_t *s, int m, int side)
 {
     if (side == INACTIVE || (s->schur.active && qp_is_member(side))) {
@@ -102,7 +102,7 @@ static inline int qp_admissible_side(const qp_t *q, int c, int side)
     return allowed;
 }
 
-/* The same for row m: a hard row has no violated side. */
+/* Returns `side`, corrected for row m: a hard row has no violated side. */
 static inline int qp_allowed_row(const qp_t *q, int m, int side)
 {
     const int allowed = qp_admissible_side(q, NV + m, side);
@@ -147,7 +147,7 @@ static void qp_load_rows(solver_t *s, int k)
     }
 }
 
-/* Right-hand sides of the stages with stale vectors. */
+/* Computes the right-hand sides of the stages with stale vectors. */
 static void qp_load(solver_t *s)
 {
     const qp_t *q = &s->qp;
@@ -164,7 +164,7 @@ static void qp_load(solver_t *s)
     }
 }
 
-/* Largest magnitude of every component of x and z over the stages. Returns 0 if a number is not finite. */
+/* Computes the largest magnitude of every component of x and z over the stages. Returns 0 if a number is not finite. */
 static int qp_measure(qp_t *q)
 {
     (void)memset(q->scale, 0, sizeof q->scale);
@@ -172,7 +172,8 @@ static int qp_measure(qp_t *q)
     return all_finite(q->x[0], (N + 1) * NX) && all_finite(q->z, NV);
 }
 
-/* Multipliers at the minimiser on the working set. Returns 0 if a multiplier or the value of a row is not finite. */
+/* Computes the multipliers at the minimiser on the working set. Returns 0 if a multiplier or the value of a row is not
+ * finite. */
 static int qp_take_multipliers(solver_t *s)
 {
     qp_t *q = &s->qp;

@@ -8,17 +8,17 @@ static inline void ipm_adjoint_step(solver_t *s, int k, const real_t *lam, real_
     riccati_combine(w, lam, stage_S(s, k)[0], NZ, NX, NZ);
 }
 
-/* Sum of the absolute values of the terms of entry i of the gradient at stage k, from cost and rows but without the
- * dynamics. */
+/* Returns the sum of the absolute values of the terms of entry i of the gradient at stage k, from cost and rows but
+ * without the dynamics. */
 static inline real_t ipm_gradient_terms(solver_t *s, int k, int i)
 {
     const real_t g = stage_g(s, k)[i], cost = s->ipm.gradient[k][i];
     return FABS(g) + FABS(cost - g) + FABS(s->riccati.work.vectors.rhs.g[k][i] - cost);
 }
 
-/* size[j]: sum of the absolute values of the terms of the gradient of control j at stage k; next[]: the same for the
- * entries of lam. The terms of lam may cancel, for instance if a row holds a state, so that lam itself does not show
- * its rounding error. */
+/* Computes size[j], the sum of the absolute values of the terms of the gradient of control j at stage k, and next[],
+ * the same for the entries of lam. The terms of lam may cancel, for instance if a row holds a state, so that lam itself
+ * does not show its rounding error. */
 static void ipm_term_sizes(solver_t *s, int k, const real_t *next, real_t *size)
 {
     for (int j = 0; j < NU; j++) {
@@ -41,7 +41,7 @@ static inline void ipm_take_gradient(real_t rest, real_t terms, real_t unit, slo
     largest->terms = (terms * unit > largest->terms) ? terms * unit : largest->terms;
 }
 
-/* Takes the gradient w of the controls of stage k and the sums of its terms in `size`; fixed controls get their
+/* Records the gradient w of the controls of stage k and the sums of its terms in `size`; fixed controls get their
  * multipliers. */
 static void ipm_take_controls(solver_t *s, int k, const real_t *w, const real_t *size, slope_t *largest)
 {
@@ -55,9 +55,9 @@ static void ipm_take_controls(solver_t *s, int k, const real_t *w, const real_t 
     }
 }
 
-/* Gradient of the Lagrangian with respect to the free controls and components of x_0, relative to the largest sum of
- * its terms, both scaled by the reach. It is evaluated under the feedback u = K x + v, so that rounding errors do not
- * grow along an unstable horizon. Fixed controls get their multipliers. */
+/* Returns the gradient of the Lagrangian with respect to the free controls and components of x_0, relative to the
+ * largest sum of its terms, both scaled by the reach. It is evaluated under the feedback u = K x + v, so that rounding
+ * errors do not grow along an unstable horizon. Fixed controls get their multipliers. */
 static real_t ipm_stationarity(solver_t *s)
 {
     real_t(*g)[NZ] = s->riccati.work.vectors.rhs.g;
@@ -86,7 +86,7 @@ static real_t ipm_stationarity(solver_t *s)
     return (largest.rest > R(0)) ? largest.rest / largest.terms : R(0);
 }
 
-/* f B for a row with weight f, where B is its upper bound for f > 0 and its lower bound for f < 0. */
+/* Returns f B for a row with weight f, where B is its upper bound for f > 0 and its lower bound for f < 0. */
 static inline real_t ipm_support(const qp_t *q, int c, real_t f)
 {
     if (f > R(0)) {
@@ -95,7 +95,7 @@ static inline real_t ipm_support(const qp_t *q, int c, real_t f)
     return (f < R(0)) ? f * q->lower[c] : R(0);
 }
 
-/* Largest |weight| of the certificate. */
+/* Returns the largest |weight| of the certificate. */
 static real_t ipm_largest_weight(const qp_t *q)
 {
     real_t most = R(0);
@@ -105,7 +105,7 @@ static real_t ipm_largest_weight(const qp_t *q)
     return most;
 }
 
-/* Sum of the absolute values of the terms of component j of w = S_k'nu + g_k at stage k. */
+/* Returns the sum of the absolute values of the terms of component j of w = S_k'nu + g_k at stage k. */
 static real_t ipm_ray_terms(solver_t *s, int k, int j, const real_t *nu)
 {
     real_t size = FABS(s->riccati.work.vectors.rhs.g[k][j]);
@@ -121,9 +121,9 @@ static inline int ipm_vanishes(solver_t *s, int k, int j, const real_t *nu, real
     return FABS(w) <= TOL_IPM_RAY * ipm_ray_terms(s, k, j, nu);
 }
 
-/* The weights f of the rows leave sum_c f_c a_c = w for the controls and free states of stage k. The bound of control j
- * takes the weight -w_j if it is finite on that side; otherwise w_j must be zero up to rounding, and |w_j u_j| at the
- * iterate is added to `rest`. Returns 0 if it is not. */
+/* Balances the weights f of the rows, which leave sum_c f_c a_c = w for the controls and free states of stage k. The
+ * bound of control j takes the weight -w_j if it is finite on that side; otherwise w_j must be zero up to rounding, and
+ * |w_j u_j| at the iterate is added to `rest`. Returns 0 if it is not. */
 static int ipm_balance(solver_t *s, int k, const real_t *nu, const real_t *w, real_t *rest)
 {
     for (int j = 0; j < NU; j++) {

@@ -92,8 +92,8 @@ static status_t ipm_prepare(solver_t *s, int plain)
     return OK;
 }
 
-/* The first point is the solution if it satisfies all rows, once equations are exact and fixed controls have their
- * multipliers. Returns 1 if it is the solution or if the iterations for the equations fail. */
+/* Tests whether the first point is the solution: it satisfies all rows, once equations are exact and fixed controls
+ * have their multipliers. Returns 1 if it does, or if the iterations for the equations fail. */
 static int ipm_run_without_sides(solver_t *s, status_t *status)
 {
     ipm_t *q = &s->ipm;
@@ -151,8 +151,8 @@ static status_t ipm_attempt(solver_t *s)
 }
 
 #if !IPM_CROSSOVER
-/* An attempt from the multipliers of the previous QP. If it has not converged after a quarter of the iterations, a cold
- * start replaces it. */
+/* Attempts to solve from the multipliers of the previous QP. If that has not converged after a quarter of the
+ * iterations, a cold start replaces it. */
 static status_t ipm_attempts(solver_t *s)
 {
     ipm_t *q = &s->ipm;

@@ -1,6 +1,6 @@
 /* Contract of this part: predictor-corrector iterations from the initial sides to the solution. */
 
-/* Multiplier of a soft row that no control moves; 0 for any other row. */
+/* Returns the multiplier of a soft row that no control moves; 0 for any other row. */
 static real_t ipm_constant_multiplier(const solver_t *s, int c)
 {
     const qp_t *q = &s->qp;
@@ -15,7 +15,7 @@ static real_t ipm_constant_multiplier(const solver_t *s, int c)
     return R(0);
 }
 
-/* Multipliers of the rows, except those of fixed controls. */
+/* Computes the multipliers of the rows, except those of fixed controls. */
 static void ipm_net_multipliers(solver_t *s)
 {
     const ipm_t *q = &s->ipm;
@@ -29,9 +29,10 @@ static void ipm_net_multipliers(solver_t *s)
     }
 }
 
-/* Unit of the complementarity: the cost of the inequalities, 1/2 sum_c mult_c (v_c at the first point - v_c), at most
- * the largest (mult reach)^2 of a row. As active inequalities may have no cost, it is at least a small fraction of the
- * largest (value / reach)^2 of a control; at rest it is as large as keeps its square from underflow. */
+/* Returns the unit of the complementarity: the cost of the inequalities, 1/2 sum_c mult_c (v_c at the first point -
+ * v_c), at most the largest (mult reach)^2 of a row. As active inequalities may have no cost, the unit is at least a
+ * small fraction of the largest (value / reach)^2 of a control; at rest it is so large that its square does not
+ * underflow. */
 static real_t ipm_cost_unit(const solver_t *s)
 {
     const ipm_t *q = &s->ipm;
@@ -51,7 +52,7 @@ static real_t ipm_cost_unit(const solver_t *s)
     return (most > way * way) ? most : way * way;
 }
 
-/* sum |a_i| |z_i| of row c, the scale of the rounding error of its value. */
+/* Returns sum |a_i| |z_i| of row c, the scale of the rounding error of its value. */
 static real_t ipm_terms(const solver_t *s, int c)
 {
     if (NG && (GENERAL_ROWS || NE)) {
@@ -84,7 +85,7 @@ static void ipm_take_residual(solver_t *s, int c, real_t bound, real_t residual,
     }
 }
 
-/* Multipliers, residuals and unit of cost at the iterate. */
+/* Computes multipliers, residuals and unit of cost at the iterate. */
 static void ipm_measure(solver_t *s)
 {
     ipm_t *q = &s->ipm;
@@ -107,8 +108,8 @@ static void ipm_measure(solver_t *s)
     }
 }
 
-/* Due to the regularisation a full step does not satisfy the rows exactly. If the remaining residual decreases too
- * slowly, as when rows leave little room to one another, the regularisation is reduced. Returns 1 if it is. */
+/* Reduces the regularisation if the residual of the rows decreases too slowly, as when rows leave little room to one
+ * another. Due to the regularisation a full step does not satisfy the rows exactly. Returns 1 if it is reduced. */
 static int ipm_increase_stiffening(ipm_t *q, real_t before)
 {
     if (q->step > FACTOR_IPM_FULL_STEP && q->primal > R(2) * TOL_IPM_PRIMAL &&
@@ -145,7 +146,7 @@ static real_t ipm_inverse_step(const ipm_t *q)
     return most;
 }
 
-/* Mean of t lam and e kappa after a step of the given length, relative to the present mean. */
+/* Returns the mean of t lam and e kappa after a step of the given length, relative to the present mean. */
 static real_t ipm_reduction(const ipm_t *q, real_t step)
 {
     real_t now = R(0), then = R(0);
@@ -169,7 +170,7 @@ static void ipm_correct_nothing(ipm_t *q)
     (void)memset(q->dkappa, 0, sizeof q->dkappa);
 }
 
-/* Second-order correction and centring of the products t lam and e kappa: extra = (target - share dt dlam) / lam
+/* Sets second-order correction and centring of the products t lam and e kappa: extra = (target - share dt dlam) / lam
  * replaces dt, and likewise for e. If only a short step along the affine direction is possible, its full correction
  * would be harmful: share < 1. */
 static void ipm_correct(ipm_t *q, real_t target, real_t share)
@@ -221,9 +222,9 @@ static void ipm_move(solver_t *s, real_t step)
     }
 }
 
-/* Fraction of the distance to the boundary that is kept: small, and smaller near the solution. An iteration that is
- * still far from the solution after many steps, or takes short ones, cycles close to the boundary; a larger fraction
- * ends the cycle. */
+/* Returns the fraction of the distance to the boundary that is kept: small, and smaller near the solution. An iteration
+ * that is still far from the solution after many steps, or takes short ones, cycles close to the boundary; a larger
+ * fraction ends the cycle. */
 static real_t ipm_setback(const solver_t *s)
 {
     const real_t gap = s->ipm.mu / s->ipm.unit;
@@ -235,9 +236,9 @@ static real_t ipm_setback(const solver_t *s)
                                         : FACTOR_IPM_SETBACK_SHARE * gap;
 }
 
-/* Step length d'W d / -d'W dv for a direction, where d is the residual of the equations: the step of steepest ascent of
- * the dual function. If equations are nearly dependent, the method of multipliers takes short steps in one
- * direction. */
+/* Returns the step length d'W d / -d'W dv for a direction, where d is the residual of the equations: the step of
+ * steepest ascent of the dual function. If equations are nearly dependent, the method of multipliers takes short steps
+ * in one direction. */
 static real_t ipm_length_of_ascent(const solver_t *s)
 {
     const ipm_t *q = &s->ipm;
@@ -255,7 +256,8 @@ static real_t ipm_length_of_ascent(const solver_t *s)
     return (gain < FACTOR_IPM_LONGEST_ASCENT * size) ? gain / size : FACTOR_IPM_LONGEST_ASCENT;
 }
 
-/* Mehrotra (1992): affine direction, centring according to its success, corrected direction. */
+/* Takes a step of Mehrotra's method (1992): affine direction, centring according to its success, corrected
+ * direction. */
 static void ipm_step(solver_t *s)
 {
     ipm_t *q = &s->ipm;
@@ -287,8 +289,8 @@ static void ipm_step(solver_t *s)
     ipm_move(s, q->step);
 }
 
-/* Gaps b = S_k z_k + b_k - x_{k+1} at the iterate, where rounding errors accumulate over the iterations. Returns the
- * largest gap relative to the largest value of that state. */
+/* Computes the gaps b = S_k z_k + b_k - x_{k+1} at the iterate, where rounding errors accumulate over the iterations.
+ * Returns the largest gap relative to the largest value of that state. */
 static real_t ipm_gaps(solver_t *s)
 {
     real_t most = R(0), size[NX] = {0};
@@ -314,8 +316,8 @@ static inline int ipm_small_residuals(const ipm_t *q)
     return q->merit <= FACTOR_IPM_ACCEPTED_ROWS && q->slope <= FACTOR_IPM_ACCEPTED_GRADIENT;
 }
 
-/* Returns 1 if all residuals are within their tolerance, or small and not decreasing: large weights may cause rounding
- * errors in the gradient. In that case the gaps of the dynamics are closed first. */
+/* Returns 1 if all residuals are within their tolerance, or small and not decreasing, as large weights may cause
+ * rounding errors in the gradient. In that case the gaps of the dynamics are closed first. */
 static int ipm_has_converged(solver_t *s)
 {
     ipm_t *q = &s->ipm;
@@ -340,16 +342,16 @@ static int ipm_has_converged(solver_t *s)
     return 1;
 }
 
-/* Returns 1 if the result is a solution. Rows are not exact: what moves the cost by no more than rounding of its unit
- * is negligible, even if the bounds, and with them all terms of a row, vanish. */
+/* Returns 1 if the result is a solution. Rows are not exact: a violation that moves the cost by no more than rounding
+ * of its unit is negligible, even if the bounds, and with them all terms of a row, vanish. */
 static int ipm_is_solution(solver_t *s)
 {
     s->qp.least = FACTOR_IPM_NEGLIGIBLE_ROW * TOL_UNIT / TOL_QP_ACCEPTED * SQRT(s->ipm.unit);
     return qp_is_solution(s);
 }
 
-/* Returns 1 if the iterate is good enough to end the iterations: without curvature, or after many of them, rounding
- * errors may keep it from the tolerances that the iterations aim at. As long as they still come closer, they go on. */
+/* Returns 1 if the iterate is good enough to end the iterations. Without curvature, or after many iterations, rounding
+ * errors may keep it from the tolerances at which they aim; they continue as long as the residuals decrease. */
 static int ipm_suffices(solver_t *s, real_t merit_before)
 {
     ipm_t *q = &s->ipm;
@@ -367,8 +369,8 @@ static int ipm_suffices(solver_t *s, real_t merit_before)
     return ipm_is_solution(s);
 }
 
-/* Stiff rows may cover the gradient with rounding errors. If that persists, the stiffening is reset and limited to a
- * lower value for the rest of the solve. Returns 1 if it is. */
+/* Resets the stiffening and limits it to a lower value for the rest of the solve, if the rounding errors of stiff rows
+ * have covered the gradient for several iterations. Returns 1 if it does. */
 static int ipm_limit_stiffening(ipm_t *q, real_t gradient_before)
 {
     if (q->stiffening > ipm_least_stiffening(q) && q->slope < INF && q->slope > FACTOR_IPM_ACCEPTED_GRADIENT &&
@@ -380,8 +382,8 @@ static int ipm_limit_stiffening(ipm_t *q, real_t gradient_before)
     return 0;
 }
 
-/* Proximal point steps are short along directions of little curvature. If the gradient decreases too slowly, the
- * proximal term is reduced as far as rounding permits. Returns 1 if it is. */
+/* Reduces the proximal term as far as rounding permits if the gradient decreases too slowly, because proximal point
+ * steps are short along directions of little curvature. Returns 1 if it does. */
 static int ipm_reduce_proximal(ipm_t *q, real_t gradient_before)
 {
     if (q->damping > R(0) && q->slope < INF && q->slope > R(1) && q->slope > R(0.5) * gradient_before &&
@@ -395,8 +397,8 @@ static int ipm_reduce_proximal(ipm_t *q, real_t gradient_before)
     return 0;
 }
 
-/* The recursion may fail if rows are too stiff; it is then repeated with the initial regularisation. Returns 0 if that
- * fails, too. */
+/* Runs the recursion with the present weights. It may fail if rows are too stiff; it is then repeated with the initial
+ * regularisation. Returns 0 if that fails, too. */
 static int ipm_weigh_and_factorize(solver_t *s)
 {
     ipm_weigh(s);
@@ -462,11 +464,12 @@ static inline int ipm_stagnates(const ipm_t *q, real_t before)
     return q->primal > TOL_IPM_PRIMAL && (q->step < R(0.5) || q->primal > R(0.5) * before);
 }
 
-/* Values of crossing: iterations until the solution; until a working set is indicated; they ended so. */
+/* Values of crossing: iterate to the solution; iterate until a working set is indicated; the iterations have ended
+ * so. */
 enum { TO_THE_END = 0, CROSS_OVER = 1, HANDED_OVER = 2 };
 
-/* Returns 1 if the iterate is so close to the solution that it indicates the working set, and the iterations are to end
- * then. */
+/* Returns 1 if the iterate is so close to the solution that it indicates the working set, and if the iterations are to
+ * end then. */
 static int ipm_hands_over(ipm_t *q)
 {
     if (q->crossing == TO_THE_END || q->sides == 0 || q->mu > FACTOR_IPM_HAND_OVER * q->unit ||
@@ -477,7 +480,7 @@ static int ipm_hands_over(ipm_t *q)
     return 1;
 }
 
-/* Judges the present point, whose measures are known, and adapts the regularisations; changed states whether one has
+/* Judges the present point, whose measures are known, and adapts the regularisations; `changed` becomes 1 if one has
  * changed. Returns 1 if the iterations end here. */
 static int ipm_ends_here(solver_t *s, real_t before, real_t gradient_before, int *changed)
 {
@@ -502,7 +505,7 @@ static int ipm_ends_here(solver_t *s, real_t before, real_t gradient_before, int
     return done || ipm_suffices(s, merit_before);
 }
 
-/* Iterations from the present point. Returns OK, ITERATION_LIMIT, INFEASIBLE or NUMERICAL_FAILURE. */
+/* Iterates from the present point. Returns OK, ITERATION_LIMIT, INFEASIBLE or NUMERICAL_FAILURE. */
 static status_t ipm_iterate(solver_t *s)
 {
     ipm_t *q = &s->ipm;

@@ -4,7 +4,7 @@
 /* Kind of a row: an inequality or an unbounded row; an equation; a control that is fixed by equal bounds. */
 enum { INEQUALITY = 0, EQUATION = 1, GIVEN_CONTROL = 2 };
 
-/* Values of all rows at the iterate. */
+/* Computes the values of all rows at the iterate. */
 static void ipm_values(solver_t *s)
 {
     (void)memcpy(s->ipm.v, s->qp.z, sizeof s->qp.z);
@@ -13,7 +13,7 @@ static void ipm_values(solver_t *s)
     }
 }
 
-/* Changes of all rows along the direction. */
+/* Computes the changes of all rows along the direction. */
 static void ipm_changes(solver_t *s)
 {
     (void)memcpy(s->ipm.dv, s->riccati.work.vectors.rhs.direction.du, sizeof s->qp.z);
@@ -49,7 +49,7 @@ static void ipm_load_gradient(solver_t *s)
     (void)memcpy(s->riccati.work.vectors.rhs.g, s->ipm.gradient, sizeof s->ipm.gradient);
 }
 
-/* Kind of row c. */
+/* Returns the kind of row c. */
 static inline int ipm_row_kind(const qp_t *q, int c)
 {
     if (!(q->lower[c] >= q->upper[c])) {
@@ -91,7 +91,7 @@ static int ipm_take_kinds(solver_t *s)
     return changed;
 }
 
-/* Row of side i; 1 if it is the upper side; sign of the side, 1 for the upper and -1 for the lower one. */
+/* Returns the row of side i; upper: 1 for its upper side; sign: 1 for the upper and -1 for the lower side. */
 static inline int ipm_row(const ipm_t *q, int i)
 {
     return q->place[i] / 2;
@@ -113,7 +113,7 @@ static inline real_t ipm_bound(const solver_t *s, int i)
     return ipm_is_upper(&s->ipm, i) ? s->qp.upper[c] : s->qp.lower[c];
 }
 
-/* Distance of the value of the row from the bound of side i; negative if the bound is violated. */
+/* Returns the distance of the value of the row from the bound of side i; negative if the bound is violated. */
 static inline real_t ipm_distance(const solver_t *s, int i)
 {
     return ipm_sign(&s->ipm, i) * (ipm_bound(s, i) - s->ipm.v[ipm_row(&s->ipm, i)]);
@@ -173,7 +173,8 @@ static void ipm_set_weights(solver_t *s)
     (void)memcpy(r->weight, q->weight + NV, sizeof r->weight);
 }
 
-/* Residuals of the sides, r = distance + e - t and r_e = l1 + l2 e - lam - kappa, and the mean of t lam and e kappa. */
+/* Computes the residuals of the sides, r = distance + e - t and r_e = l1 + l2 e - lam - kappa, and the mean of t lam
+ * and e kappa. */
 static void ipm_side_residuals(solver_t *s)
 {
     ipm_t *q = &s->ipm;
@@ -195,21 +196,21 @@ static void ipm_side_residuals(solver_t *s)
     q->mu = (pairs > 0) ? sum / (real_t)pairs : R(0);
 }
 
-/* Regularisation of row c: its compliance beside that of its sides. */
+/* Returns the regularisation of row c: its compliance in addition to that of its sides. */
 static inline real_t ipm_regularization(const solver_t *s, int c)
 {
     const real_t reach = s->units.reach[c];
     return TOL_IPM_DUAL_REGULARIZATION / s->ipm.stiffening * reach * reach;
 }
 
-/* Number of sides of the row of side i, which is the first of them: sides of one row are neighbours. */
+/* Returns the number of sides of the row of side i, which is the first of them, as sides of one row are neighbours. */
 static inline int ipm_sides_of_row(const ipm_t *q, int i)
 {
     return (i + 1 < q->sides && ipm_row(q, i) == ipm_row(q, i + 1)) ? 2 : 1;
 }
 
-/* omega = 1 / (t / lam + 1 / (l2 + kappa / e)) of every side, and the weights of the rows,
- * 1 / (regularization + 1 / sum omega). */
+/* Computes omega = 1 / (t / lam + 1 / (l2 + kappa / e)) of every side, and the weights of the rows, 1 / (regularization
+ * + 1 / sum omega). */
 static void ipm_weigh(solver_t *s)
 {
     ipm_t *q = &s->ipm;
@@ -238,7 +239,7 @@ static void ipm_weigh(solver_t *s)
     ipm_set_weights(s);
 }
 
-/* Mean of sign rho over the n sides of a row from side i on, with the weights omega. */
+/* Returns the mean of sign rho over the n sides of a row from side i on, with the weights omega. */
 static inline real_t ipm_mean(const ipm_t *q, int i, int n)
 {
     real_t sum = R(0), total = R(0);
@@ -249,12 +250,13 @@ static inline real_t ipm_mean(const ipm_t *q, int i, int n)
     return sum / total;
 }
 
-/* With c_1 = -t lam + lam extra, c_2 = -kappa e + e extra_e the linearised conditions of a side
+/* Computes the forces of the sides. With c_1 = -t lam + lam extra, c_2 = -kappa e + e extra_e the linearised conditions
+ * of a side
  *     dt = r - sign dw + de,   dw = dv - regularization sum_sides sign dlam,   lam dt + t dlam = c_1,
  *     l2 de - dlam - dkappa = -r_e,   kappa de + e dkappa = c_2
  * give dlam = omega (sign dw + rho),  rho = extra - t - r - (extra_e - kappa - r_e) compliance. The sides of a row
- * share its regularisation, so that it delays their difference, not their sum.
- * On entry dt holds extra and dkappa holds extra_e; on return dlam holds rho, and force the multipliers for dv = 0. */
+ * share its regularisation, so that it delays their difference, not their sum. On entry dt holds extra and dkappa holds
+ * extra_e; on return dlam holds rho, and force the multipliers for dv = 0. */
 static void ipm_forces(solver_t *s)
 {
     ipm_t *q = &s->ipm;
@@ -281,8 +283,8 @@ static void ipm_forces(solver_t *s)
     }
 }
 
-/* Directions of lam and t from those of the rows. The sum of sign dlam over the sides of a row is
- * dy = weight (dv + mean of sign rho), hence dlam = sign omega / (sum omega) dy + (rho_1 + rho_2) / (sum 1 / omega). */
+/* Computes the directions of lam and t from those of the rows. The sum of sign dlam over the sides of a row is dy =
+ * weight (dv + mean of sign rho), hence dlam = sign omega / (sum omega) dy + (rho_1 + rho_2) / (sum 1 / omega). */
 static void ipm_recover_sides(solver_t *s)
 {
     ipm_t *q = &s->ipm;
@@ -302,7 +304,7 @@ static void ipm_recover_sides(solver_t *s)
     }
 }
 
-/* Direction of all unknowns for the present extra and extra_e, by one substitution. */
+/* Computes the direction of all unknowns for the present extra and extra_e, by one substitution. */
 static void ipm_direction(solver_t *s)
 {
     ipm_t *q = &s->ipm;

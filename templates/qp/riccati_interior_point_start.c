@@ -1,8 +1,8 @@
 /* Contract of this part: how far the values of rows can move, and the first iterate. Both start from the minimiser
  * subject to the equations alone. */
 
-/* The recursion with the present weights. If a pivot may be zero, a term is added to it, which is increased until the
- * factorisation succeeds. */
+/* Runs the recursion with the present weights. If a pivot may be zero, a term is added to it, which is increased until
+ * the factorisation succeeds. */
 static int ipm_factorize(solver_t *s)
 {
     riccati_t *r = &s->riccati;
@@ -22,8 +22,8 @@ static int ipm_factorize(solver_t *s)
     return 0;
 }
 
-/* Damping of the bounded rows of a QP whose Hessian is singular without them: the largest of Q_jj d^2 and |g_j| d over
- * the controls with two finite bounds, where d is the distance between the bounds. */
+/* Returns the damping of the bounded rows of a QP whose Hessian is singular without them: the largest of Q_jj d^2 and
+ * |g_j| d over the controls with two finite bounds, where d is the distance between the bounds. */
 static real_t ipm_damping_cost(solver_t *s)
 {
     real_t most = R(0);
@@ -39,8 +39,8 @@ static real_t ipm_damping_cost(solver_t *s)
     return (most > R(0)) ? most : R(1);
 }
 
-/* If the Hessian is singular, proximal point steps prevent rounding errors from moving the iterate along its null
- * space. The proximal term is a small fraction of the largest diagonal entry of each variable. */
+/* Sets the proximal term, a small fraction of the largest diagonal entry of each variable. If the Hessian is singular,
+ * proximal point steps prevent rounding errors from moving the iterate along its null space. */
 static void ipm_set_proximal(solver_t *s)
 {
     ipm_t *q = &s->ipm;
@@ -54,15 +54,16 @@ static void ipm_set_proximal(solver_t *s)
     }
 }
 
-/* Least stiffening: a damped problem, whose Hessian is small next to the weights of its rows, has them reduced. */
+/* Returns the least stiffening. A damped problem, whose Hessian is small beside the weights of its rows, has them
+ * reduced. */
 static inline real_t ipm_least_stiffening(const ipm_t *q)
 {
     const real_t least = FACTOR_IPM_LEAST_STIFFENING * TOL_IPM_DUAL_REGULARIZATION / SQRT(TOL_UNIT);
     return (q->damping > R(0) && least < R(1)) ? least : R(1);
 }
 
-/* Distance between the bounds of row c, or a fraction of their magnitude if they are closer than that; 0 if one is
- * infinite. */
+/* Returns the distance between the bounds of row c, or a fraction of their magnitude if they are closer than that; 0 if
+ * one is infinite. */
 static real_t ipm_range(const qp_t *q, int c)
 {
     const real_t d = q->upper[c] - q->lower[c], size = FACTOR_IPM_RANGE * (FABS(q->lower[c]) + FABS(q->upper[c]));
@@ -72,7 +73,7 @@ static real_t ipm_range(const qp_t *q, int c)
     return (d > size) ? d : size;
 }
 
-/* Weights for the first factorisation: equations and, if it is damped, the rows with two bounds. */
+/* Sets the weights for the first factorisation: of equations and, if it is damped, of the rows with two bounds. */
 static void ipm_first_weights(solver_t *s)
 {
     ipm_t *q = &s->ipm;
@@ -89,8 +90,8 @@ static void ipm_first_weights(solver_t *s)
     ipm_set_weights(s);
 }
 
-/* Stiffness of the equations: one step satisfies an equation up to a small fraction of reach^2 times the multiplier.
- * Returns 1 if there is an equation. */
+/* Sets the stiffness of the equations: one step satisfies an equation up to a small fraction of reach^2 times the
+ * multiplier. Returns 1 if there is an equation. */
 static int ipm_set_stiffness(solver_t *s)
 {
     ipm_t *q = &s->ipm;
@@ -104,7 +105,7 @@ static int ipm_set_stiffness(solver_t *s)
     return any;
 }
 
-/* The reach of the rows, and the factorisation with the equations if there are any. */
+/* Computes the reach of the rows, and the factorisation with the equations if there are any. */
 static int ipm_add_equations(solver_t *s)
 {
     riccati_set_reach(s);
@@ -115,7 +116,7 @@ static int ipm_add_equations(solver_t *s)
     return 1;
 }
 
-/* First factorisation with damped rows, for a Hessian that is singular or vanishes next to the gradient. */
+/* Runs the first factorisation with damped rows, for a Hessian that is singular or vanishes beside the gradient. */
 static int ipm_damped_factorization(solver_t *s)
 {
     ipm_t *q = &s->ipm;
@@ -127,7 +128,7 @@ static int ipm_damped_factorization(solver_t *s)
     return ipm_factorize(s) && ipm_add_equations(s);
 }
 
-/* Factorisation of the problem with equations only, and the reach of the rows. plain: as in ipm_prepare(). */
+/* Factorises the problem with equations only, and computes the reach of the rows. plain: as in ipm_prepare(). */
 static int ipm_first_factorization(solver_t *s, int plain)
 {
     ipm_t *q = &s->ipm;
@@ -145,8 +146,8 @@ static int ipm_first_factorization(solver_t *s, int plain)
     return (stands || riccati_factorize(s, N)) ? ipm_add_equations(s) : ipm_damped_factorization(s);
 }
 
-/* Multipliers of the weighted rows at v = 0, from which the first point is computed, and the values of the fixed
- * controls. Returns 1 if one of them has changed. */
+/* Computes the multipliers of the weighted rows at v = 0, from which the first point is computed, and the values of the
+ * fixed controls. Returns 1 if one of them has changed. */
 static int ipm_first_forces(solver_t *s)
 {
     ipm_t *q = &s->ipm;
@@ -165,7 +166,7 @@ static int ipm_first_forces(solver_t *s)
     return changed;
 }
 
-/* Backward substitution, which does not depend on dx_0. */
+/* Runs the backward substitution, which does not depend on dx_0. */
 static void ipm_first_backward(solver_t *s)
 {
     riccati_t *r = &s->riccati;
@@ -206,7 +207,7 @@ static int ipm_first_point(solver_t *s)
     return isfinite(probe) != 0;
 }
 
-/* Violation of the bounds of row c, which has no multiplier yet, beyond rounding. */
+/* Returns the violation of the bounds of row c, which has no multiplier yet, beyond rounding. */
 static real_t ipm_violation(const solver_t *s, int c)
 {
     const real_t v = s->ipm.v[c], over = v - s->qp.upper[c], under = s->qp.lower[c] - v;
@@ -226,8 +227,8 @@ static int ipm_is_far(const solver_t *s)
     return far;
 }
 
-/* The first point; it is computed again with damped rows if it is far from the bounds, as with a nearly linear cost.
- * Returns 0 if it is not finite. */
+/* Computes the first point, again with damped rows if it is far from the bounds, as with a nearly linear cost. Returns
+ * 0 if it is not finite. */
 static int ipm_near_point(solver_t *s)
 {
     if (!ipm_first_point(s)) {
@@ -244,7 +245,7 @@ static int ipm_near_point(solver_t *s)
     return ipm_first_point(s);
 }
 
-/* Cost of the violations, sum of (violation / reach)^2, and their number. */
+/* Returns the cost of the violations, sum of (violation / reach)^2; `count` is their number. */
 static real_t ipm_violation_cost(const solver_t *s, int *count)
 {
     real_t sum = R(0);
@@ -286,8 +287,8 @@ static void ipm_start_violated_side(solver_t *s, int i, real_t mu)
     q->t[i] = mu / q->lam[i];
 }
 
-/* Starts slack and multiplier of a soft side: with the multiplier below the penalty, unless the side was violated in
- * the previous QP. */
+/* Starts slack and multiplier of a soft side, the multiplier below the penalty unless the side was violated in the
+ * previous QP. */
 static void ipm_start_soft_side(solver_t *s, int i, real_t mu)
 {
     ipm_t *q = &s->ipm;
@@ -310,7 +311,7 @@ static void ipm_start_soft_side(solver_t *s, int i, real_t mu)
     q->e[j] = mu / q->kappa[j];
 }
 
-/* Distance t of side i from its multiplier in the previous QP: t lam = mu,
+/* Computes the distance t of side i from its multiplier in the previous QP: t lam = mu,
  *     t - reach^2 lam = distance - reach^2 |previous multiplier|,
  * where the distance of a violated bound counts as 0. The multiplier is limited to `most`, which is derived from the
  * present cost of the violations, most^2 / 16. Returns 0 if there was no multiplier. */
@@ -329,8 +330,8 @@ static real_t ipm_warm_distance(const solver_t *s, int i, real_t mu, real_t most
     return (force > R(0)) ? R(2) * mu * reach / (root + force) : R(0.5) * (root - force) * reach;
 }
 
-/* Distance t of side i without a multiplier: that of the value moved inside the bounds, sqrt(mu) reach from each of
- * them or in the middle, so that the distances of a row sum up to the one between its bounds. */
+/* Returns the distance t of side i without a multiplier: that of the value moved inside the bounds, sqrt(mu) reach from
+ * each of them or in the middle, so that the distances of a row sum up to the one between its bounds. */
 static real_t ipm_cold_distance(const solver_t *s, int i, real_t root_mu)
 {
     const int c = ipm_row(&s->ipm, i);
@@ -351,7 +352,7 @@ static void ipm_match_sides(ipm_t *q, int i, real_t d)
     q->t[other] = d - q->t[least];
 }
 
-/* Initial t and lam = mu / t of every side. */
+/* Sets the initial t and lam = mu / t of every side. */
 static void ipm_start_sides(solver_t *s, real_t mu)
 {
     ipm_t *q = &s->ipm;

@@ -1,5 +1,5 @@
-/* Warm start of a shifted problem: control c takes the predicted side of control c + n; the last n controls keep
- * theirs. */
+/* Prepares the warm start of a shifted problem: control c takes the predicted side of control c + n; the last n
+ * controls keep theirs. */
 static void qp_shift_controls(solver_t *s, int n)
 {
     qp_t *q = &s->qp;
@@ -9,7 +9,7 @@ static void qp_shift_controls(solver_t *s, int n)
     }
 }
 
-/* Row m takes the predicted side of row source[m] >= m. */
+/* Moves the predicted side of row source[m] >= m to row m. */
 static void qp_shift_rows(solver_t *s, const int *source)
 {
     qp_t *q = &s->qp;

@@ -1,8 +1,8 @@
 /* Contract of this part: the check before OK. The result (x, z, mult) must satisfy the hard rows and the stationarity
  * of the original QP, whatever the solver has concluded from its own, perturbed, conditions. */
 
-/* size[]: largest magnitude of every component of x and z over the stages; full: also of the sum of the terms of a
- * state in the dynamics, which may cancel. */
+/* Computes size[], the largest magnitude of every component of x and z over the stages; full: also of the sum of the
+ * terms of a state in the dynamics, which may cancel. */
 static void qp_component_sizes(solver_t *s, int full, real_t *size)
 {
     const qp_t *q = &s->qp;
@@ -37,7 +37,7 @@ static int qp_row_holds(qp_t *q, int c, int hard, real_t v, real_t size, real_t 
     return holds;
 }
 
-/* Magnitude that row c has in any case: near a plan that is a solution, everything else may vanish. */
+/* Returns the least magnitude of row c: near a plan that is a solution, all its terms may vanish. */
 static inline real_t qp_least_size(const solver_t *s, int c, int full)
 {
     return full ? s->qp.least * s->units.reach[c] : R(0);
@@ -92,7 +92,7 @@ static void qp_check_stage(solver_t *s, int k, int full, const real_t *lam, real
     }
 }
 
-/* Magnitude of the terms of the cost at stage k, where y is the gradient: |g'z| and |y'z|. */
+/* Returns the magnitude of the terms of the cost at stage k, |g'z| and |y'z|, where y is the gradient. */
 static real_t qp_cost_terms(solver_t *s, int k, const real_t *y)
 {
     real_t sum = R(0);
@@ -120,9 +120,10 @@ static int qp_is_negligible(solver_t *s, int j, real_t gradient, real_t noise, r
         (gradient <= TOL_QP_NOISE * noise && gradient <= TOL_QP_ACCEPTED * reach);
 }
 
-/* noise[]: all that the gradient with respect to the states of stage k sums up, from the noise of stage k + 1; most[]:
- * the largest of the controls. size[]: magnitudes of the components of x and z. All terms of a part of a QP that falls
- * into parts may be rounding errors of another part, and lam may be the rest of a sum that vanishes. */
+/* Computes noise[], the magnitude of all terms of the gradient with respect to the states of stage k, from the noise of
+ * stage k + 1; most[]: the largest of the controls; size[]: magnitudes of the components of x and z. In a QP that
+ * decouples into parts, all terms of one part may be rounding errors of another, and lam may be the rest of a sum that
+ * vanishes. */
 static void qp_spread_noise(solver_t *s, int k, const real_t *y, const real_t *size, real_t *noise, real_t *most)
 {
     const int n = (k < N) ? NZ : NX;
@@ -140,7 +141,7 @@ static void qp_spread_noise(solver_t *s, int k, const real_t *y, const real_t *s
     }
 }
 
-/* Returns 1 if the gradient with respect to the free components of x_0 vanishes, where y is that of stage 0 alone. */
+/* Returns 1 if the gradient with respect to the free components of x_0 vanishes, where y is the part of stage 0. */
 static int qp_free_is_stationary(solver_t *s, const real_t *y, const real_t *noise)
 {
     const real_t *g = stage_g(s, 0);
@@ -158,8 +159,8 @@ static int qp_free_is_stationary(solver_t *s, const real_t *y, const real_t *noi
     return holds;
 }
 
-/* The gradients of cost and rows of all stages before their products with the dynamics: vectors that load what scalars
- * have just stored would wait. */
+/* Computes the gradients of cost and rows of all stages before their products with the dynamics, because vector loads
+ * stall on scalars that have just been stored. */
 static void qp_start_check(solver_t *s)
 {
     for (int k = 0; k <= N; k++) {
@@ -214,8 +215,8 @@ static int qp_is_stationary(solver_t *s, int full)
     return holds;
 }
 
-/* Returns 1 if the result is a solution: first by less than the sums of the terms, which are cheaper to compute.
- * Otherwise multipliers of rows that are not at their bounds become 0. */
+/* Returns 1 if the result is a solution. The test is first made with sums of fewer terms, which are cheaper to compute;
+ * if it fails, multipliers of rows that are not at their bounds become 0. */
 static int qp_is_solution(solver_t *s)
 {
     int solution = 0;

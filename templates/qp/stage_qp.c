@@ -15,7 +15,7 @@ static inline int qp_is_soft(const qp_t *q, int m)
     return q->penalty[m] < INF;
 }
 
-/* a'z of the general row m, z = (x, u) at its stage; the last stage has no controls. */
+/* Returns a'z of the general row m, z = (x, u) at its stage; the last stage has no controls. */
 static real_t qp_product(const solver_t *s, int m, const real_t *x, const real_t *u)
 {
     const real_t *a = row_gradient(s, m);
@@ -26,13 +26,13 @@ static real_t qp_product(const solver_t *s, int m, const real_t *x, const real_t
     return sum;
 }
 
-/* u of stage k. */
+/* Returns u of stage k. */
 static inline const real_t *qp_stage_controls(const qp_t *q, int k)
 {
     return q->z + k * NU;
 }
 
-/* Value of row m at the present point (x, z). */
+/* Returns the value of row m at the present point (x, z). */
 static inline real_t qp_row_value(const solver_t *s, int m)
 {
     const int k = row_node(m);
@@ -42,7 +42,7 @@ static inline real_t qp_row_value(const solver_t *s, int m)
     return qp_product(s, m, s->qp.x[k], qp_stage_controls(&s->qp, k));
 }
 
-/* Change of the value of row m along the direction. */
+/* Returns the change of the value of row m along the direction. */
 static inline real_t qp_row_change(const solver_t *s, int m)
 {
     const direction_t *d = &s->riccati.work.vectors.rhs.direction;
@@ -70,7 +70,7 @@ static inline void qp_add_row(solver_t *s, int m, real_t f)
     qp_add_gradient(s, m, f, s->riccati.work.vectors.rhs.g[row_node(m)]);
 }
 
-/* size[] = its maximum with the magnitudes of every component of x and z over the stages. */
+/* Enlarges size[] to the largest magnitude of every component of x and z over the stages. */
 static void qp_enlarge(const qp_t *q, real_t *size)
 {
     for (int k = 0; k < N; k++) {
@@ -80,7 +80,7 @@ static void qp_enlarge(const qp_t *q, real_t *size)
     enlarge_all(size, q->x[N], NX);
 }
 
-/* z = (x, u) of stage k. */
+/* Copies z = (x, u) of stage k. */
 static inline void qp_stage_point(const qp_t *q, int k, real_t *z)
 {
     (void)memcpy(z, q->x[k], sizeof q->x[0]);
@@ -101,7 +101,7 @@ static void qp_dense_gradient(solver_t *s, int k, real_t *y)
     }
 }
 
-/* The same over the nonzeros of the Hessian where they are few. */
+/* y = g_k + Q_k z_k at the present point, over the nonzeros of the Hessian where they are few. */
 static void qp_quadratic_gradient(solver_t *s, int k, real_t *y)
 {
     if (CURVED) {
@@ -126,7 +126,7 @@ static void qp_quadratic_gradient(solver_t *s, int k, real_t *y)
 }
 
 #if NG && REGULARIZE_REDUCED
-/* The same with the rows that belong to the Hessian. */
+/* y = g_k + Q_k z_k at the present point, with the rows that belong to the Hessian. */
 static void qp_cost_gradient(solver_t *s, int k, real_t *y)
 {
     qp_quadratic_gradient(s, k, y);
@@ -143,8 +143,8 @@ static void qp_cost_gradient(solver_t *s, int k, real_t *y)
 }
 #endif
 
-/* Multiplier of row m. For a row at its bound without what the Hessian owes to it; 0 if that has the other sign,
- * because the row would leave then. */
+/* Returns the multiplier of row m. For a row at its bound it lacks the part that the term of the row in the Hessian
+ * adds; it is 0 if it then has the other sign, because the row would leave. */
 static real_t qp_multiplier(const solver_t *s, int m)
 {
     const real_t before = s->qp.mult[NV + m];

@@ -9,7 +9,7 @@ static void riccati_adjoint(const riccati_t *r, int k, const real_t *x, real_t *
     }
 }
 
-/* h_j + M_j z at stage k, where M_j is the row of control j. */
+/* Returns h_j + M_j z at stage k, where M_j is the row of control j. */
 static real_t riccati_control_gradient(const riccati_t *r, int k, int j, const real_t *x, const real_t *u)
 {
     real_t sum = r->h[k][j] + riccati_dot(r->M[k][j], x, NX);

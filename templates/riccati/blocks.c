@@ -1,4 +1,4 @@
-/* Four rows of a matrix product: c[r][j] += sum_{l<n} a[l][r] b[l][j],  r < 4, j < width <= BLOCK_WIDTH. */
+/* c[r][j] += sum_{l<n} a[l][r] b[l][j],  r < 4, j < width <= BLOCK_WIDTH: four rows of a matrix product. */
 static inline void riccati_block(
     real_t *c, int ldc, const real_t *a, int lda, const real_t *b, int ldb, int n, const int width)
 {

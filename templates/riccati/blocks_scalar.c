@@ -1,6 +1,6 @@
-/* Products for processors without a vector unit: sums are variables of their own, which compilers hold in registers. */
+/* Products for processors without a vector unit. The sums are separate variables, which compilers hold in registers. */
 
-/* A block of a matrix product: c[r][j] += sum_{l<n} a[l][r] b[l][j], r < 4, j < 4. */
+/* c[r][j] += sum_{l<n} a[l][r] b[l][j], r < 4, j < 4: a block of a matrix product. */
 static inline void riccati_block(real_t *c, int ldc, const real_t *a, int lda, const real_t *b, int ldb, int n)
 {
     real_t s00 = R(0), s01 = R(0), s02 = R(0), s03 = R(0);

@@ -13,7 +13,7 @@ static inline void riccati_combine_strip(real_t *y, const real_t *a, const real_
     }
 }
 
-/* The same for any width. */
+/* y[j] += sum_{l<n} a[l] rows[l][j],  j < width, for any width. */
 static inline void riccati_combine(real_t *y, const real_t *a, const real_t *rows, int ld, int n, int width)
 {
     const int whole = width / BLOCK_WIDTH * BLOCK_WIDTH, fours = width / 4 * 4;

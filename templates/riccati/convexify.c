@@ -9,8 +9,8 @@
  * is added to the diagonal of what is free. The multipliers lam are not affected: lam contains what held rows add, and
  * the diagonal belongs to variables that have no multiplier lam. */
 
-/* Scale of component j of z: the maximum over the stages of |Q_jj| + sum_i S_ij^2 |Q_ii of the next stage|. Returns 0
- * if it is not finite. */
+/* Computes the scale of component j of z: the maximum over the stages of |Q_jj| + sum_i S_ij^2 |Q_ii of the next
+ * stage|. Returns 0 if it is not finite. */
 static int riccati_units(solver_t *s, real_t *unit)
 {
     real_t largest = R(0), probe = R(0);
@@ -38,7 +38,7 @@ static int riccati_units(solver_t *s, real_t *unit)
 
 #include "hessians/linear_curvature.c"
 
-/* Units are at least the curvature of linear costs. */
+/* Raises the units to at least the curvature of linear costs. */
 static void riccati_raise_units(solver_t *s, real_t *unit)
 {
     for (int c = 0; c < N * NU; c++) {
@@ -50,7 +50,7 @@ static void riccati_raise_units(solver_t *s, real_t *unit)
     }
 }
 
-/* Weight of row m that gives its direction the curvature hold, in units of the variables. */
+/* Returns the weight of row m that gives its direction the curvature `hold`, in units of the variables. */
 static real_t riccati_row_hold(const solver_t *s, int m, real_t hold)
 {
     const real_t *unit = s->riccati.unit;
@@ -66,15 +66,15 @@ static real_t riccati_row_hold(const solver_t *s, int m, real_t hold)
     return hold * sum;
 }
 
-/* Equations and the rows of the predicted working set. */
+/* Returns 1 for equations and rows of the predicted working set. */
 static int riccati_is_held(const qp_t *q, int m)
 {
     const int c = NV + m;
     return !(q->penalty[m] < INF) && (q->lower[c] >= q->upper[c] || q->side[c] != 0);
 }
 
-/* The recursion with the predicted working set held, and all variables without multiplier shifted. Returns 0 if a pivot
- * is not positive. */
+/* Runs the recursion with the predicted working set held, and all variables without multiplier shifted. Returns 0 if a
+ * pivot is not positive. */
 static int riccati_try(solver_t *s, real_t hold, real_t shift)
 {
     riccati_t *r = &s->riccati;
@@ -93,9 +93,9 @@ static int riccati_try(solver_t *s, real_t hold, real_t shift)
     return riccati_factorize(s, N);
 }
 
-/* The recursion with the smallest shift, up to a factor of four, for which it succeeds, and with a margin on it: a full
- * step with a smaller one may be too long. The search starts at the shift of the previous QP. Returns 0 if there is
- * none. */
+/* Finds the smallest shift, up to a factor of four, for which the recursion succeeds, and runs it with a margin,
+ * because a full step with a smaller shift may be too long. The search starts at the shift of the previous QP. Returns
+ * 0 if there is none. */
 static int riccati_shift(solver_t *s, real_t hold)
 {
     const real_t least = FACTOR_HESSIAN_FLOOR, before = s->riccati.shift;
@@ -119,7 +119,7 @@ static int riccati_shift(solver_t *s, real_t hold)
     }
     s->riccati.shift = high;
     if (MIRROR) {
-        /* as if the negative eigenvalue changed its sign */
+        /* this mirrors the negative eigenvalue */
         return riccati_try(s, hold, R(2) * high);
     }
     return riccati_try(s, hold, FACTOR_SHIFT_MARGIN * high);

@@ -8,7 +8,7 @@ static inline void riccati_clear_padding(real_t (*P)[LDX])
     }
 }
 
-/* P_k (lower triangle) and M_u before the cost to go is added: Q_k, and `diagonal` for the controls. */
+/* Loads P_k (lower triangle) and M_u before the cost to go is added: Q_k, and `diagonal` for the controls. */
 static void riccati_load_stage(solver_t *s, int k)
 {
     riccati_t *r = &s->riccati;
@@ -61,7 +61,7 @@ static inline void riccati_update_controls(riccati_t *r, int k, const real_t *A,
     }
 }
 
-/* Weight of a a' for row m. */
+/* Returns the weight of a a' for row m. */
 static inline real_t riccati_weight(const riccati_t *r, int m)
 {
     if (REGULARIZE_REDUCED) {
@@ -71,7 +71,7 @@ static inline real_t riccati_weight(const riccati_t *r, int m)
     }
 }
 
-/* Writes the general row m to position n of a group. */
+/* Writes the general row m to index n of a group. */
 static inline void riccati_collect_row(solver_t *s, int m, int n)
 {
     recursion_t *work = &s->riccati.work.recursion;
@@ -178,8 +178,8 @@ static inline real_t riccati_pivot(const riccati_t *r, real_t d, real_t referenc
 #if TILES
 #include "riccati/factorize_lanes.c"
 #else
-/* M_uu = L D L' with 1 / D stored on the diagonal of L, V = L^{-1} M_ux, -D^{-1} V in W below the states. Returns 0 if
- * a pivot is not positive. */
+/* Eliminates the controls: M_uu = L D L' with 1 / D stored on the diagonal of L, V = L^{-1} M_ux, -D^{-1} V in W below
+ * the states. Returns 0 if a pivot is not positive. */
 static int riccati_eliminate_controls(riccati_t *r, int k)
 {
     real_t(*L)[NU] = r->L[k];
@@ -258,7 +258,8 @@ static int riccati_stage(solver_t *s, int k)
 }
 
 #endif
-/* L D L' of the block of P_0 that belongs to the free components of x_0; small pivots are treated as above. */
+/* Factorises the block of P_0 that belongs to the free components of x_0 as L D L'; small pivots are treated as
+ * above. */
 static int riccati_factorize_free(riccati_t *r)
 {
     r->raised[N] = 0;
@@ -286,7 +287,7 @@ static int riccati_factorize_free(riccati_t *r)
     return 1;
 }
 
-/* The recursion from stage `last` down to stage 0; last = N: all stages and P_N. */
+/* Runs the recursion from stage `last` down to stage 0; last = N: all stages and P_N. */
 static int riccati_factorize(solver_t *s, int last)
 {
     if (last == N) {

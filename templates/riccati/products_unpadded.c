@@ -1,4 +1,5 @@
-/* Products of matrices without padding: whole blocks of four rows and columns, the other entries one by one. */
+/* Products of matrices without padding. Whole blocks have four rows and columns; the other entries are computed one by
+ * one. */
 
 /* c[r][j] += sum_{l<n} a[l][r] b[l][j],  r < rows, from <= j < to. */
 static void riccati_entries(
@@ -28,7 +29,7 @@ static void riccati_product(
     riccati_entries(c + last, ldc, a + whole, lda, b, ldb, n, rows - whole, 0, width);
 }
 
-/* The same for a square matrix c: its lower triangle, and some entries above its diagonal. */
+/* Computes the product for a square matrix c: its lower triangle, and some entries above its diagonal. */
 static void riccati_lower(real_t *c, int ldc, const real_t *a, int lda, const real_t *b, int ldb, int n, int rows)
 {
     const int whole = rows / 4 * 4, last = whole * ldc;

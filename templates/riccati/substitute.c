@@ -14,7 +14,7 @@ static inline void riccati_solve_controls(const riccati_t *r, int k, real_t *y)
     }
 }
 
-/* Entry (i, j) of the control block of M_k, from its lower triangle. */
+/* Returns entry (i, j) of the control block of M_k, from its lower triangle. */
 static inline real_t riccati_control_entry(const riccati_t *r, int k, int i, int j)
 {
     const int row = (i < j) ? j : i, column = (i < j) ? i : j;
@@ -69,7 +69,7 @@ static void riccati_backward_stage(solver_t *s, int k)
 static void riccati_backward_stage(solver_t *s, int k);
 
 #endif
-/* p, feed and h of the stages last .. 0; last = N: all stages and p_N. */
+/* Computes p, feed and h of the stages last .. 0; last = N: all stages and p_N. */
 static void riccati_backward(solver_t *s, int last)
 {
     riccati_t *r = &s->riccati;
@@ -81,7 +81,7 @@ static void riccati_backward(solver_t *s, int last)
     }
 }
 
-/* Free components f of x_0: P_ff x_f = -(p_f + P_fm x_m), where m are the other components. */
+/* Solves for the free components f of x_0: P_ff x_f = -(p_f + P_fm x_m), where m are the other components. */
 static void riccati_solve_free(const riccati_t *r, real_t *x)
 {
     real_t y[NX];

@@ -1,7 +1,7 @@
-/* Contract of this part: the reach of the rows, that is the distance by which half a unit of cost moves their values,
- * from the factors of the recursion. */
+/* Contract of this part: the reach of the rows, the distance by which half a unit of cost moves their values, from the
+ * factors of the recursion. */
 
-/* Term added to a zero pivot that has no scale of its own. */
+/* Returns the term added to a zero pivot that has no scale of its own. */
 static real_t riccati_least_pivot(solver_t *s)
 {
     real_t diagonal[NZ] = {0}, most = R(0);
@@ -21,8 +21,8 @@ static real_t riccati_least_pivot(solver_t *s)
     return SQRT(TOL_UNIT) * ((most > R(0) && isfinite(most)) ? most : R(1));
 }
 
-/* Stage k under u = K x + G xi, where xi has unit covariance: G' in `gain` (columns of fixed controls 0,
- * G G' = M_uu^{-1}), (A + B K)' in `closed`, (B G)' in `push`. */
+/* Computes stage k under u = K x + G xi, where xi has unit covariance: G' in `gain` (columns of fixed controls 0, G G'
+ * = M_uu^{-1}), (A + B K)' in `closed`, (B G)' in `push`. */
 static void riccati_closed_loop(solver_t *s, int k)
 {
     const riccati_t *r = &s->riccati;
@@ -57,7 +57,7 @@ static void riccati_closed_loop(solver_t *s, int k)
     }
 }
 
-/* Covariance of x_{k+1}: closed' C closed + push' push. */
+/* Computes the covariance of x_{k+1}: closed' C closed + push' push. */
 static void riccati_propagate_covariance(noise_t *q)
 {
     (void)memset(q->product, 0, sizeof q->product);
@@ -85,7 +85,7 @@ static void riccati_propagate_covariance(noise_t *q)
     }
 }
 
-/* (a' Cov(x, u) a)^{1/2} at stage k: c' C c + |G'a_u|^2, c = a_x + K'a_u. */
+/* Returns (a' Cov(x, u) a)^{1/2} at stage k: c' C c + |G'a_u|^2, c = a_x + K'a_u. */
 static real_t riccati_reach(const riccati_t *r, int k, const real_t *a_x, const real_t *a_u)
 {
     const noise_t *q = &r->work.noise;
@@ -101,7 +101,7 @@ static real_t riccati_reach(const riccati_t *r, int k, const real_t *a_x, const 
     return (sum > R(0)) ? SQRT(sum) : R(0);
 }
 
-/* Reach of the rows of stage k. */
+/* Computes the reach of the rows of stage k. */
 static void riccati_rows_reach(solver_t *s, int k)
 {
     const noise_t *q = &s->riccati.work.noise;
@@ -118,7 +118,7 @@ static void riccati_rows_reach(solver_t *s, int k)
     }
 }
 
-/* Reach of the controls of stage k. */
+/* Computes the reach of the controls of stage k. */
 static void riccati_controls_reach(solver_t *s, int k)
 {
     for (int j = 0; j < NU; j++) {

@@ -11,10 +11,11 @@ golden_status_t golden_prepare(golden_solver_t *s);
 /* Feedback phase: compute u0 for the measured xhat; u0 is finite and inside its bounds on every return. */
 golden_status_t golden_feedback(golden_solver_t *s, const golden_real xhat[GOLDEN_NX], golden_real u0[GOLDEN_NU]);
 
-/* Call prepare and feedback. */
+/* Call prepare, then feedback. */
 golden_status_t golden_step(golden_solver_t *s, const golden_real xhat[GOLDEN_NX], golden_real u0[GOLDEN_NU]);
 
-/* Move the plan by one interval. Every sample but the first does so by itself: a call moves the plan once more. */
+/* Move the plan by one interval. Every sample except the first does this itself, so that a call moves the plan once
+ * more. */
 golden_status_t golden_shift(golden_solver_t *s);
 
 /* Iterate from the present plan, with globalisation, until the relative KKT residual, kkt.relative, is at most tol or
@@ -24,7 +25,7 @@ golden_status_t golden_solve(
 
 /* Data that can be changed.
  *   reference: k is 0 .. N - 1, or GOLDEN_ALL.
- *   weight: k is GOLDEN_ALL: all nodes have the same.
+ *   weight: k must be GOLDEN_ALL, as all nodes share one value.
  *   parameter: k is 0 .. N, or GOLDEN_ALL.
  *   bounds: k is N if the row holds there, or GOLDEN_ALL for all of its nodes.
  * A function for a range of nodes, first .. first + count - 1, takes a row of numbers for each of them.
@@ -40,8 +41,9 @@ golden_status_t golden_set_parameter(golden_solver_t *s, int param, int k, const
 golden_status_t golden_set_parameter_range(golden_solver_t *s, int param, int first, int count, const golden_real *values);
 golden_status_t golden_set_bounds(golden_solver_t *s, int row, int k, golden_real lower, golden_real upper);
 
-/* integrate: plant model over a time dt >= 0 in s, x_next may be x. cost: of the present plan; kkt: its KKT residuals.
- * Before init, they give NaN and an infinite residual. */
+/* integrate: simulate the plant model over a time dt >= 0 in s; x_next may be x.
+ * cost: return the cost of the present plan. kkt: compute its KKT residuals.
+ * Before init, the results are NaN and an infinite residual. */
 void golden_integrate(const golden_solver_t *s, const golden_real x[GOLDEN_NX], const golden_real u[GOLDEN_NU],
     golden_real dt, golden_real x_next[GOLDEN_NX]);
 golden_real golden_cost(const golden_solver_t *s);

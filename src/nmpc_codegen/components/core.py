@@ -33,7 +33,7 @@ def _node(dims: Dims) -> Struct:
             Field("b", (dims.nx,), "gap Phi(x_k, u_k) - x_{k+1}", "data"),
             Field("g", (dims.nz,), "gradient (q_k, r_k)", "data"),
             Field("h", (dims.nh,), "general rows", "data"),
-            Field("J", (dims.nh, dims.nz), "their Jacobian [C_k D_k]", "data"),
+            Field("J", (dims.nh, dims.nz), "Jacobian [C_k D_k] of the general rows", "data"),
         ),
         shape=(dims.N,),
     )
@@ -46,7 +46,7 @@ def _terminal(dims: Dims) -> Struct:
         (
             Field("g", (dims.nx,), "gradient q_N", "data"),
             Field("h", (dims.nh_N,), "general rows", "data"),
-            Field("J", (dims.nh_N, dims.nx), "their Jacobian C_N", "data"),
+            Field("J", (dims.nh_N, dims.nx), "Jacobian C_N of the general rows", "data"),
         ),
     )
 
@@ -108,7 +108,7 @@ SIZES_OF_OTHERS = (
     ("MIRROR", 0, "no Hessian"),
     ("MAX_SHIFTS", 0, "no shifts of a Hessian"),
 )
-TABLES_OF_OTHERS = (Table("is_measured", "int", (), "of x_0 where it is the measured state"),)
+TABLES_OF_OTHERS = (Table("is_measured", "int", (), "1: x_0 is the measured state"),)
 
 
 #: Members of packages whose integrator solves stages.

@@ -137,42 +137,42 @@ _LAM = Argument("lam", "real", ("N * NX",))
 _ROWS = (Argument("rows", "int", ("",)), Argument("n_rows", "int"))
 
 _GRADIENT = (
-    EntryPoint("simulate", "States, outputs and cost of the controls.", (_DATA,), (_T,)),
-    EntryPoint("sensitivities", "States and [A B] of every interval, Algorithm 6.7.", (_DATA,), (_M,)),
+    EntryPoint("simulate", "Simulate states, outputs and cost of the controls.", (_DATA,), (_T,)),
+    EntryPoint("sensitivities", "Compute states and [A B] of every interval, Algorithm 6.7.", (_DATA,), (_M,)),
     EntryPoint(
         "sensitivities_alternative",
-        "dx_n / du_k of all n for one k, Algorithm 6.8; BAD_INDEX unless 0 <= k < N.",
+        "Compute dx_n / du_k of all n for one k, Algorithm 6.8; BAD_INDEX unless 0 <= k < N.",
         (_DATA, Argument("k", "int")),
         (_S,),
     ),
     EntryPoint(
         "gradient_finite_differences",
-        "g[k][j] = dJ / du_k[j] by simulations with u_k[j] + step max(1, |u_k[j]|), Algorithm 6.1; t gets the "
-        "simulation of the controls themselves. BAD_ARGUMENT for a step below the machine epsilon.",
+        "Compute g[k][j] = dJ / du_k[j] by simulations with u_k[j] + step max(1, |u_k[j]|), Algorithm 6.1; "
+        "t receives the simulation of the given controls. BAD_ARGUMENT for a step below the machine epsilon.",
         (_DATA, _STEP),
         (_T, _OUT),
     ),
     EntryPoint(
         "gradient_forward",
-        "g by the forward method, Algorithm 6.2; m is the result of sensitivities.",
+        "Compute g by the forward method, Algorithm 6.2; m is the result of sensitivities.",
         (_DATA,),
         (_M, _OUT),
     ),
     EntryPoint(
         "gradient_adjoint",
-        "g by the adjoint method, Algorithm 6.3 with products in place of matrices; nodes is work memory.",
+        "Compute g by the adjoint method, Algorithm 6.3 with products instead of matrices; nodes is work memory.",
         (_DATA,),
         (_NODES, _OUT),
     ),
     EntryPoint(
         "gradient_adjoint_matrices",
-        "g by the adjoint method, Algorithm 6.3 with matrices; m is the result of sensitivities.",
+        "Compute g by the adjoint method, Algorithm 6.3 with matrices; m is the result of sensitivities.",
         (_DATA,),
         (_M, _OUT),
     ),
     EntryPoint(
         "gradient_alternative",
-        "g by the alternative integration, Algorithms 6.8 and 6.9; s is work memory.",
+        "Compute g by the alternative integration, Algorithms 6.8 and 6.9; s is work memory.",
         (_DATA,),
         (_S, _OUT),
     ),
@@ -180,32 +180,33 @@ _GRADIENT = (
 _IMPULSE_RESPONSE = (
     EntryPoint(
         "impulse_response_finite_differences",
-        "Xi[n * NOUT + i][k][j] = dz_n[i] / du_k[j] by simulations, Algorithm 6.4; see gradient_finite_differences.",
+        "Compute Xi[n * NOUT + i][k][j] = dz_n[i] / du_k[j] by simulations, Algorithm 6.4; see "
+        "gradient_finite_differences.",
         (_DATA, _STEP),
         (_T, _XI),
     ),
     EntryPoint(
         "impulse_response_forward",
-        "Xi by the forward method, Algorithm 6.5; m is the result of sensitivities.",
+        "Compute Xi by the forward method, Algorithm 6.5; m is the result of sensitivities.",
         (_DATA,),
         (_M, _XI),
     ),
     EntryPoint(
         "impulse_response_adjoint",
-        "n_rows rows of Xi by the adjoint method, Algorithm 6.6 with products in place of matrices; nodes is work "
-        "memory. Each of rows is n * NOUT + i, else BAD_INDEX.",
+        "Compute n_rows rows of Xi by the adjoint method, Algorithm 6.6 with products instead of matrices; nodes is "
+        "work memory. Each of rows is n * NOUT + i, else BAD_INDEX.",
         (_DATA, *_ROWS),
         (_NODES, _XI),
     ),
     EntryPoint(
         "impulse_response_adjoint_matrices",
-        "n_rows rows of Xi by the adjoint method, Algorithm 6.6 with matrices; m is the result of sensitivities.",
+        "Compute n_rows rows of Xi by the adjoint method, Algorithm 6.6 with matrices; m is as for gradient_forward.",
         (_DATA, *_ROWS),
         (_M, _XI),
     ),
     EntryPoint(
         "impulse_response_alternative",
-        "Xi by the alternative integration, Algorithms 6.8 and 6.10; s is work memory.",
+        "Compute Xi by the alternative integration, Algorithms 6.8 and 6.10; s is work memory.",
         (_DATA,),
         (_S, _XI),
     ),
@@ -213,14 +214,14 @@ _IMPULSE_RESPONSE = (
 _HESSIANS = (
     EntryPoint(
         "hessians_symmetric",
-        "h->H[k] = d2 (lam_k' Phi(x_k, u_k, p_k)) / d(x, u)^2, lam_k = lam[k * NX], with states and [A B]: three "
-        "symmetric sweeps over every interval.",
+        "Compute h->H[k] = d2 (lam_k' Phi(x_k, u_k, p_k)) / d(x, u)^2, lam_k = lam[k * NX], with states and "
+        "[A B], by three symmetric sweeps over every interval.",
         (_DATA, _LAM),
         (_H,),
     ),
     EntryPoint(
         "hessians_forward_over_adjoint",
-        "h->H, states and [A B] as hessians_symmetric gives them, by the forward mode over the adjoint.",
+        "Compute h->H, states and [A B] like hessians_symmetric, by the forward mode over the adjoint.",
         (_DATA, _LAM),
         (_H,),
     ),

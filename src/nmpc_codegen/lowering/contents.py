@@ -27,11 +27,11 @@ def lines_by_section(unit: str) -> dict[str, int]:
 def shorter(features: Features) -> Iterator[tuple[str, str]]:
     """Yield (option, what it removes) for the options that would shorten this package."""
     if features.solve:
-        yield "solve=False", "solve() and what only it needs: about a fifth of the lines"
+        yield "solve=False", "solve() and the functions that only it needs, about a fifth of the lines"
     if features.has_qp and features.iterates:
-        yield "algorithm.iterations=1", "what takes more than one QP in a sample: a twentieth"
+        yield "algorithm.iterations=1", "the search after the first QP of a sample, about a twentieth of the lines"
     if features.relax and features.relaxation:
-        yield "algorithm.relaxation=None", "what relaxes hard rows where a QP is infeasible: about 100 lines"
+        yield "algorithm.relaxation=None", "the relaxation of hard rows in an infeasible QP, about 100 lines"
     if not features.small:
-        second = ", and a second method for QPs" if features.has_qp else ""
-        yield "goal=size", f"straight-line code{second}: a fifth to two fifths of the lines; samples take longer"
+        second = " and a second method for QPs" if features.has_qp else ""
+        yield "goal=size", f"straight-line code{second}, a fifth to two fifths of the lines, but samples take longer"

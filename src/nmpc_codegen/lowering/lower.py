@@ -167,7 +167,7 @@ def _macros(model: Model, dims: Dims, entries: Iterable[EntryPoint], whole: bool
         *data.macros(problem),
         *probes.macros(problem.saddles),
         *algebra.macros(problem),
-        Macro("PULLS", PULLS, "moves of a control back onto rows, at most"),
+        Macro("PULLS", PULLS, "most moves of a control back onto rows"),
         number,
         *sizes,
         *(Macro(name, int(n), doc) for part in parts.components for name, n, doc in part.sizes(dims)),
@@ -175,7 +175,7 @@ def _macros(model: Model, dims: Dims, entries: Iterable[EntryPoint], whole: bool
     reach = parts.algorithm.reach(problem) / parts.integrator.longest_step(problem)
     if reach or whole:
         steps = math.ceil(reach + ROUNDING_OF_STEPS)
-        macros.append(Macro("PLAN_STEPS", steps, "integration steps from a node of the plan to a new one, at most"))
+        macros.append(Macro("PLAN_STEPS", steps, "most integration steps from a node of the plan to a new one"))
     macros.append(Macro("MANY", MANY, "most integration steps of one call, and largest count of samples"))
     macros.append(Macro("MAGIC", MAGIC, "marks a struct that init has initialised"))
     if whole:

@@ -163,10 +163,10 @@ def _page(module: CModule) -> dict[str, Any]:
     period = "every sample" if d.discrete else f"every {d.sampling_time or d.dt[0]:g} {d.time_unit}"
     files = {
         f"{name}.h": "the interface: sizes, names, the solver struct, all functions with their arguments",
-        f"{name}.c": "the solver, one translation unit",
+        f"{name}.c": "the solver in one translation unit",
         f"{name}.json": "sizes, names, units, options and report, for open_package() in Python and for other tools",
-        "main.c": "an example: a loop on the computer, the only file that uses stdio",
-        "CMakeLists.txt": f"the library {name}::{name}, its installation, the example",
+        "main.c": "an example that runs a loop on the computer; only this file uses stdio",
+        "CMakeLists.txt": f"builds and installs the library {name}::{name}, and builds the example",
         "README.md": "this page",
         **{f"{folder}/": "code of another generator" for folder in module.folders},
     }
@@ -176,7 +176,7 @@ def _page(module: CModule) -> dict[str, Any]:
         *((e, s.unit, f"u[{places['U'][i]}]", "control") for i, e, s, _ in _elements(d.controls)),
     ]
     signals += [
-        (e, s.unit, f"z[{places['Z'][i]}]", f"algebraic variable, at first about {v:g}")
+        (e, s.unit, f"z[{places['Z'][i]}]", f"algebraic variable, initially about {v:g}")
         for i, e, s, v in _elements(d.algebraic)
     ]
     for s, constant in zip(d.parameters, d.parameter_constants, strict=True):

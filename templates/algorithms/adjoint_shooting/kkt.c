@@ -1,7 +1,7 @@
-/* KKT residuals of the plan: as they are and, the largest of them all, divided by the scale of what they belong to plus
- * the magnitudes of the terms that are summed up. The dynamics hold because the states are simulated. The multipliers
- * are those of the rows or, as `what` says, their estimates, those of the control bounds follow from the
- * gradient. */
+/* KKT residuals of the plan: the absolute ones, and the largest relative one. A residual is divided by the scale of its
+ * variable or row plus the sum of the magnitudes of its terms. The dynamics hold because the states are simulated. The
+ * argument `what` selects the multipliers of the rows or their estimates; the multipliers of the control bounds follow
+ * from the gradient. */
 
 #include "algorithms/shared/kkt_terms.c"
 
@@ -13,7 +13,7 @@ static void kkt_soft_row(const solver_t *s, int m, real_t value, real_t mu, kkt_
     kkt_soft_side(kkt, row_lower(s, m) - value, (mu < R(0)) ? -mu : R(0), l1, l2, value, scale);
 }
 
-/* Violation and complementarity of all rows. */
+/* Evaluates violation and complementarity of all rows. */
 static void kkt_rows(const solver_t *s, int what, kkt_t *kkt)
 {
     real_t value[NG];
@@ -28,7 +28,7 @@ static void kkt_rows(const solver_t *s, int what, kkt_t *kkt)
     }
 }
 
-/* Gradient with respect to control j at node k: stationarity, unless a bound holds it. */
+/* Evaluates stationarity with respect to control j at node k, whose gradient a bound may hold. */
 static void kkt_control(const solver_t *s, int k, int j, real_t pulled, real_t own, kkt_t *kkt)
 {
     const real_t u = s->u[k][j], lower = control_lower(s, k, j), upper = control_upper(s, k, j), g = pulled + own;
@@ -37,7 +37,7 @@ static void kkt_control(const solver_t *s, int k, int j, real_t pulled, real_t o
     kkt_note(kkt, &kkt->stationarity, holds ? R(0) : g, FABS(pulled) + FABS(own), force_size[NX + j]);
 }
 
-/* Returns the relative stationarity. */
+/* Returns the largest relative stationarity. */
 static real_t residual_of(const solver_t *s, int what, kkt_t *kkt)
 {
     real_t lam[NX], g[NZ], own[NZ], stationarity;

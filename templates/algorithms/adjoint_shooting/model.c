@@ -14,7 +14,7 @@ static void add_multiple(real_t *y, real_t factor, const real_t *x)
     }
 }
 
-/* (dx_k, du_k) of the direction p. */
+/* Loads (dx_k, du_k) of the direction p. */
 static void load_direction(const solver_t *s, int k, real_t *d)
 {
     const shooting_t *a = &s->shooting;
@@ -26,7 +26,7 @@ static void load_direction(const solver_t *s, int k, real_t *d)
     }
 }
 
-/* Part of node k, with n variables, in the change of the lumped row along d, times its factor. */
+/* Returns what node k, with n variables, adds to the change of the lumped row along d, times its factor. */
 static real_t lumped_change(const solver_t *s, int k, int n, const real_t *d)
 {
     real_t g[NZ] = {R(0)}, sum = R(0);
@@ -72,7 +72,7 @@ static void multiply(solver_t *s)
     }
 }
 
-/* The gradient with respect to x_N of terminal row t, and its value. */
+/* Computes the gradient of terminal row t with respect to x_N; returns the value of the row. */
 static real_t terminal_slope(const solver_t *s, int t, real_t *lam)
 {
     const int m = terminal_row[t];
@@ -92,7 +92,7 @@ static real_t terminal_slope(const solver_t *s, int t, real_t *lam)
     return h[place_of_row(m)];
 }
 
-/* c_t = distance of terminal row t from the bound that it is held at; 0 and no weight if it is held at none. */
+/* c_t = distance of terminal row t from the bound at which it is held; 0, and weight 0, if no bound holds it. */
 static int set_target(solver_t *s, int t, real_t v)
 {
     const int m = terminal_row[t];
@@ -107,8 +107,8 @@ static int set_target(solver_t *s, int t, real_t v)
     return 1;
 }
 
-/* The rows of Xi by one adjoint sweep each, and Omega = curvature / (compliance |Xi_t|^2), where the curvature is that
- * of H along the sum of the unit vectors Xi_t / |Xi_t|. */
+/* Computes the rows of Xi by one adjoint sweep each, and Omega = curvature / (compliance |Xi_t|^2), where the curvature
+ * is that of H along the sum of the unit vectors Xi_t / |Xi_t|. */
 static void impulse_rows(solver_t *s)
 {
     shooting_t *a = &s->shooting;
@@ -156,7 +156,7 @@ static real_t overlap(const shooting_t *a, int t, int q)
     return sum;
 }
 
-/* S = L L' = curvature Omega^-1 + Xi Xi' over the free controls; the inverse of the diagonal of L on the diagonal. Rows
+/* S = L L' = curvature Omega^-1 + Xi Xi' over the free controls. The diagonal of L is stored as its inverse; rows
  * without weight are those of the identity. */
 static void factorize_rows(shooting_t *a)
 {
@@ -191,8 +191,8 @@ static void substitute_rows(const shooting_t *a, real_t *y)
     }
 }
 
-/* w = (I + Xi' Omega Xi / curvature)^-1 r over the free controls, by Woodbury's formula with the Schur complement S;
- * 0 at the others. Returns r' w. */
+/* w = (I + Xi' Omega Xi / curvature)^-1 r over the free controls, by Woodbury's formula with the Schur complement S; w
+ * = 0 at the held controls. Returns r' w. */
 static real_t precondition(shooting_t *a)
 {
     for (int k = 0; k < N; k++) {

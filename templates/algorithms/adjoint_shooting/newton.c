@@ -1,8 +1,8 @@
 /* Contract of this part: improve() takes the step d of the controls that minimises the model inside the bounds, by
- * conjugate gradients on a face of the box: the controls at a bound are held, a bound that is reached is added, and
+ * conjugate gradients on a face of the box. Controls at a bound are held, a bound that the iterates reach is added, and
  * bounds with multipliers of the wrong sign are released where the gradient on the face has become small. */
 
-/* Products of a step at most, and the square of the relative residual of conjugate gradients. */
+/* Most products of a step, and the square of the relative residual at which conjugate gradients end. */
 static int most_products(const solver_t *s)
 {
     if (SOLVE) {
@@ -31,7 +31,7 @@ static real_t to_upper(const solver_t *s, int k, int j)
     return (control_upper(s, k, j) - s->u[k][j]) / control_scale[j] - s->shooting.d[k][j];
 }
 
-/* d = 0; held = -1 for controls at the lower bound, 1 for those at the upper one. */
+/* d = 0; held = -1 for controls at the lower bound, 1 for controls at the upper bound, 0 for the others. */
 static void hold_bounds(solver_t *s)
 {
     shooting_t *a = &s->shooting;
@@ -44,7 +44,7 @@ static void hold_bounds(solver_t *s)
     }
 }
 
-/* The longest step along p inside the box, at most ``most``. */
+/* Returns the longest step along p inside the box, at most ``most``. */
 static real_t longest_step(const solver_t *s, real_t most)
 {
     real_t longest = most;
@@ -60,7 +60,7 @@ static real_t longest_step(const solver_t *s, real_t most)
     return (longest > R(0)) ? longest : R(0);
 }
 
-/* Holds the controls that the step along p has brought to a bound. */
+/* Holds the controls that the step along p has moved to a bound. */
 static void hold_reached(solver_t *s)
 {
     shooting_t *a = &s->shooting;
@@ -77,7 +77,7 @@ static void hold_reached(solver_t *s)
     }
 }
 
-/* Releases held controls whose gradient points inward by more than the square root of least; returns their number. */
+/* Releases held controls whose gradient points inward by more than sqrt(least); returns their number. */
 static int release(solver_t *s, real_t least)
 {
     shooting_t *a = &s->shooting;
@@ -94,8 +94,8 @@ static int release(solver_t *s, real_t least)
     return released;
 }
 
-/* After a step that ended at a bound: if the rest of it would reach several more, its projection on the box becomes the
- * direction p, and the minimum of the model along it the next d. */
+/* Bends a step that ended at a bound. If the remaining step would reach several more bounds, its projection on the box
+ * becomes the direction p, and d moves to the minimum of the model along it. */
 static void bend_step(solver_t *s, real_t rest)
 {
     shooting_t *a = &s->shooting;
@@ -121,7 +121,7 @@ static void bend_step(solver_t *s, real_t rest)
     hold_reached(s);
 }
 
-/* One step along p. Returns 1 if it ends at a bound or along a direction without curvature. */
+/* Takes one step along p. Returns 1 if it ends at a bound or along a direction without curvature. */
 static int step_along(solver_t *s, real_t descent)
 {
     shooting_t *a = &s->shooting;
@@ -146,8 +146,8 @@ static int step_along(solver_t *s, real_t descent)
     return !curved;
 }
 
-/* Runs conjugate gradients on a face until r' M r is at most precision^2 times its largest value since the step to the
- * terminal rows, which comes first. Returns 1 if a bound was reached. */
+/* Runs conjugate gradients on a face until r' M r is at most precision^2 times its largest value since the first step,
+ * which goes to the terminal rows. Returns 1 if a bound was reached. */
 static int solve_face(solver_t *s, real_t *largest)
 {
     shooting_t *a = &s->shooting;
@@ -177,7 +177,7 @@ static int solve_face(solver_t *s, real_t *largest)
     return 0;
 }
 
-/* What the step leaves of terminal row t, c_t + (Xi d)_t. */
+/* Returns the residual of terminal row t after the step, c_t + (Xi d)_t. */
 static real_t left_of(const shooting_t *a, int t)
 {
     return a->gap[t] + ((a->omega[t] > R(0)) ? inner(a->Xi[t][0], a->d[0]) : R(0));
@@ -189,8 +189,8 @@ static int is_met(const shooting_t *a, int t, real_t left)
     return unit * FABS(left) <= TOL_TERMINAL_GAP * (R(1) + unit * FABS(a->gap[t]));
 }
 
-/* A step of the method of multipliers, mu += Omega (c + Xi d), if a row is not met and what is left of all of them may
- * be due to their compliance, and not to the bounds. Returns 1 if it is taken. */
+/* Takes a step of the method of multipliers, mu += Omega (c + Xi d), if a row is not met and the residuals of all rows
+ * may be due to their compliance rather than to the bounds. Returns 1 if it takes the step. */
 static int tighten_rows(solver_t *s)
 {
     shooting_t *a = &s->shooting;
@@ -211,11 +211,11 @@ static int tighten_rows(solver_t *s)
     return !met;
 }
 
-/* Takes the terminal rows out of the slope of the model along d, updates their multipliers, and adds the rows as they
- * are in the merit function. The multipliers take the last of the steps above if all rows are met. Otherwise the forces
- * of the rows on one another say nothing, and they are those before the step of the controls. The rows weigh so much
- * that the step, which goes to them, decreases the merit function: multipliers are rough where products have run
- * out. */
+/* Prepares the merit function for the step d. The terminal rows leave the slope of the model along d, their multipliers
+ * are updated, and the rows enter as they are in the merit function. The multipliers are those of the last step of the
+ * method of multipliers if all rows are met, and otherwise those before the step of the controls, because rows that
+ * counteract one another then spoil the new ones. The weights of the rows are so large that the step decreases the
+ * merit function although multipliers are inaccurate where the products ran out. */
 static int update_terminal(solver_t *s, const real_t *before, real_t *slope)
 {
     const shooting_t *a = &s->shooting;
@@ -247,7 +247,7 @@ static int direction_is_finite(const solver_t *s)
     return all_finite(s->shooting.d[0], N * NU);
 }
 
-/* |r|^2 over the free controls. */
+/* Returns |r|^2 over the free controls. */
 static real_t free_size(const shooting_t *a)
 {
     real_t sum = R(0);
@@ -259,7 +259,7 @@ static real_t free_size(const shooting_t *a)
     return sum;
 }
 
-/* The minimiser of the model. Returns 0 if products or faces run out. */
+/* Minimises the model. Returns 0 if products or faces run out. */
 static int solve_model(solver_t *s, real_t *largest)
 {
     int rounds = MAX_ROUNDS;
@@ -278,8 +278,8 @@ static int solve_model(solver_t *s, real_t *largest)
     return 0;
 }
 
-/* One step: the model at the plan, its minimiser, and the search. Returns ITERATION_LIMIT or INFEASIBLE if the step
- * does not meet the terminal rows because its products are used up, or because the bounds do not allow it. */
+/* Takes one step: forms the model at the plan, minimises it, and searches along the step. Returns ITERATION_LIMIT if
+ * the step does not meet the terminal rows because its products ran out, INFEASIBLE if the bounds do not allow it. */
 static status_t improve(solver_t *s, int trials, int *moved)
 {
     shooting_t *a = &s->shooting;

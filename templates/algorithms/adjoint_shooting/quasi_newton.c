@@ -1,13 +1,14 @@
 /* Contract of this part: improve() takes a step of a projected quasi-Newton method with limited memory. The controls at
- * a bound whose gradient points outward are held. In the subspace of the others d = -B r with the inverse B of the last
- * pairs, restricted to it,
+ * a bound whose gradient points outward are held. In the subspace of the others d = -B r, where the inverse Hessian B
+ * is built from the last pairs,
  *
  *     y = change of the gradient, z = change of the controls,   B <- (I - z y'/y'z) B (I - y z'/y'z) + z z'/y'z,
  *
- * that starts from a diagonal D, whose inverse takes the diagonal of the same update (Gilbert and Lemarechal, Math.
- * Programming 45, 1989): the first controls of an unstable plant bend the cost much more than the last ones. */
+ * starting from a diagonal D. The inverse of D is updated with the diagonal of the same formula (Gilbert and
+ * Lemarechal, Math. Programming 45, 1989), because the first controls of an unstable plant have far more curvature than
+ * the last ones. */
 
-/* D after the pair y, z, which has the curvature y'z = bend; y'z / y'y after the first one. */
+/* Updates D with the pair (y, z) of curvature y'z = bend; D = y'z / y'y after the first pair. */
 static void scale_directions(shooting_t *a, int n, real_t bend)
 {
     const real_t first = bend / inner(a->Y[n][0], a->Y[n][0]);
@@ -64,7 +65,7 @@ static void hold_outward(solver_t *s)
     }
 }
 
-/* sum over free controls */
+/* Returns sum x_kj y_kj over the free controls. */
 static real_t free_inner(const shooting_t *a, real_t (*x)[NU], real_t (*y)[NU])
 {
     real_t sum = R(0);
@@ -76,7 +77,7 @@ static real_t free_inner(const shooting_t *a, real_t (*x)[NU], real_t (*y)[NU])
     return sum;
 }
 
-/* d += factor x over free controls */
+/* d += factor x over the free controls. */
 static void add_free(shooting_t *a, real_t factor, real_t (*x)[NU])
 {
     for (int k = 0; k < N; k++) {
@@ -86,8 +87,8 @@ static void add_free(shooting_t *a, real_t factor, real_t (*x)[NU])
     }
 }
 
-/* d = B d by the two loops over the pairs, from the last to the first and back; pairs without curvature in the subspace
- * of the free controls are left out. */
+/* d = B d by two loops over the pairs, from the last to the first and back. Pairs without curvature in the subspace of
+ * the free controls are left out. */
 static void apply_memory(shooting_t *a)
 {
     real_t part[MEMORY] = {R(0)}, bend[MEMORY] = {R(0)};
@@ -114,7 +115,7 @@ static void apply_memory(shooting_t *a)
     }
 }
 
-/* The direction along the gradient; it is at most one scale long. */
+/* Sets d to the direction of steepest descent, limited to the length of one scale. */
 static void descend_steepest(solver_t *s)
 {
     shooting_t *a = &s->shooting;
@@ -127,7 +128,7 @@ static void descend_steepest(solver_t *s)
     }
 }
 
-/* One step. Its pairs are forgotten if they yield no descent. */
+/* Takes one step. The pairs are forgotten if they yield no descent direction. */
 static status_t improve(solver_t *s, int trials, int *moved)
 {
     shooting_t *a = &s->shooting;

@@ -1,10 +1,10 @@
-/* Contract of this part: the rows as terms psi_m(v_m) that are added to the cost, v_m = value of row m. */
+/* Contract of this part: row m adds a term psi_m(v_m) to the cost, where v_m is its value. */
 
-/* What add_rows() adds for the row m with gradient J_m: psi_m' J_m, mu_m J_m, psi_m'' J_m (J_m' d), or, for a hard row,
- * psi_m' J_m. */
+/* Kinds of terms that add_rows() adds for row m with gradient J_m: psi_m' J_m; mu_m J_m; psi_m'' J_m (J_m' d); and
+ * psi_m' J_m of a hard row. */
 enum { ESTIMATE, MULTIPLIER, PRODUCT, HARD };
 
-/* Weight of a row in its scale: the constant of a sample, or what a continuation has made of it. */
+/* Returns the weight of a row in its scale: a constant in a sample, a growing number in a continuation. */
 static real_t penalty_of_rows(const solver_t *s)
 {
     if (SOLVE || BARRIER_ROWS) {
@@ -13,7 +13,7 @@ static real_t penalty_of_rows(const solver_t *s)
     return penalty_weight[0];
 }
 
-/* The weights of the terminal rows in the merit function: those of other rows, times ``factor``. */
+/* Sets the weights of the terminal rows in the merit function to those of the other rows times ``factor``. */
 static void weigh_terminal(solver_t *s, real_t factor)
 {
     for (int t = 0; t < NT; t++) {
@@ -21,13 +21,13 @@ static void weigh_terminal(solver_t *s, real_t factor)
     }
 }
 
-/* By the file of the rows: psi_m(v) with its slope and curvature; updates of multipliers and weights. */
+/* Implemented by the file of the rows: returns psi_m(v) with its slope and curvature. */
 static real_t row_term(const solver_t *s, int m, real_t v, real_t *slope, real_t *curvature);
 static real_t updated_multiplier(const solver_t *s, int m, real_t slope, real_t most);
 static int sharpen_terms(solver_t *s);
 static int update_terms(solver_t *s, real_t tol, real_t *violation);
 
-/* Values and gradients of the rows of node k that are no bounds; structural zeros are not stored. */
+/* Evaluates the rows of node k that are no bounds, and their gradients; structural zeros are not stored. */
 static void evaluate_nodal_rows(const solver_t *s, int k, real_t *h, real_t *J)
 {
     if (k < N) {
@@ -40,7 +40,7 @@ static void evaluate_nodal_rows(const solver_t *s, int k, real_t *h, real_t *J)
     }
 }
 
-/* Place of row m among those of its node that are no bounds. */
+/* Returns the index of row m among the rows of its node that are no bounds. */
 static inline int place_of_row(int m)
 {
     if (row_is_coupled(m)) {
@@ -49,14 +49,14 @@ static inline int place_of_row(int m)
     return row_index(m);
 }
 
-/* Gradient of row m, which is no bound, with respect to the variables of its node. */
+/* Returns the gradient of row m, which is no bound, with respect to the variables of its node. */
 static const real_t *gradient_of_row(int m, const real_t *J)
 {
     const int first = place_of_row(m) * nz_at(row_node(m));
     return J + first;
 }
 
-/* The factor of J_m; moved = J_m' d. */
+/* Returns the factor of J_m in the term of the given kind; moved = J_m' d. */
 static real_t row_factor(const solver_t *s, int m, real_t v, int what, real_t moved)
 {
     real_t slope, curvature;
@@ -77,7 +77,7 @@ static real_t row_factor(const solver_t *s, int m, real_t v, int what, real_t mo
     return (what == PRODUCT) ? curvature * moved : slope;
 }
 
-/* Adds the terms of the rows of node k to g, NZ entries, NX at node N. */
+/* Adds the terms of the rows of node k to g, which has NZ entries, NX at node N. */
 static void add_rows(const solver_t *s, int k, int what, const real_t *d, real_t *g)
 {
     if (row_first[k] >= row_first[k + 1]) {
@@ -103,7 +103,7 @@ static void add_rows(const solver_t *s, int k, int what, const real_t *d, real_t
     }
 }
 
-/* Multiplier of the lumped row. */
+/* Returns the multiplier of the lumped row. */
 static real_t lump_multiplier(const solver_t *s)
 {
     if (SOLVE) {
@@ -112,7 +112,7 @@ static real_t lump_multiplier(const solver_t *s)
     return penalty_of_rows(s);
 }
 
-/* Sum of the terms, and the largest violation of a hard row in its scale. */
+/* Returns the sum of the terms, and writes the largest violation of a hard row in its scale. */
 static real_t row_terms_of_plan(solver_t *s, real_t *violation)
 {
     real_t value[NG], sum = R(0), lump = R(0), slope, curvature;
@@ -139,14 +139,14 @@ static real_t row_terms_of_plan(solver_t *s, real_t *violation)
     return sum;
 }
 
-/* What a violation of one scale of row m costs by its penalty: the unit of its multiplier. */
+/* Returns the penalty of a violation of row m by its scale, the unit of its multiplier. */
 static real_t multiplier_unit(const solver_t *s, int m)
 {
     return penalty_of_rows(s) * SQRT(row_weight[m]);
 }
 
-/* The dual update: mu_m = psi_m'(v_m), in size at most ``most`` of its units more than before, so that no single sample
- * has a lasting effect. Terminal rows whose multipliers the model yields keep them. */
+/* Updates the multipliers, mu_m = psi_m'(v_m). A magnitude grows by at most ``most`` units, so that no single sample
+ * has a lasting effect. Terminal rows whose multipliers come from the model keep them. */
 static void update_rows(solver_t *s, real_t most)
 {
     real_t value[NG], slope, curvature;

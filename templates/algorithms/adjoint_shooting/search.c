@@ -1,13 +1,13 @@
-/* Contract of this part: move() takes a part of the step d that decreases cost and terms of the rows. */
+/* Contract of this part: move() takes a fraction of the step d that decreases the sum of cost and row terms. */
 
-/* 1 if the control is free, 0 if it is held. As a factor, and not as a condition: GCC 12 with AVX loads two registers
- * of x with the mask of the first one in loops of the form y[i] = flag[i] ? 0 : x[i]. */
+/* Returns 1 if the control is free, 0 if it is held. It is a factor and not a condition, because GCC 12 with AVX loads
+ * two registers of x with the mask of the first one in loops of the form y[i] = flag[i] ? 0 : x[i]. */
 static inline real_t if_free(const shooting_t *a, int k, int j)
 {
     return R(a->held[k][j] == 0);
 }
 
-/* Cost of the plan and the terms of its rows. */
+/* Returns the cost of the plan plus the terms of its rows. */
 static real_t merit(solver_t *s)
 {
     if (NG) {
@@ -17,8 +17,8 @@ static real_t merit(solver_t *s)
     }
 }
 
-/* u = base + length scale d inside the bounds; after the full step, held controls are exactly at their bounds. Returns
- * the change of the linear model of the merit function. */
+/* u = base + length scale d, clipped to the bounds; after a full step, held controls are exactly at their bounds.
+ * Returns the change of the linear model of the merit function. */
 static real_t place_controls(solver_t *s, real_t length, real_t slope)
 {
     shooting_t *a = &s->shooting;
@@ -43,12 +43,13 @@ static real_t place_controls(solver_t *s, real_t length, real_t slope)
     return slope;
 }
 
-/* Whether a step is taken: not at all, in part, as a whole. */
+/* Outcome of a step: rejected, shortened, taken in full. */
 enum { STAYED, SHORTENED, MOVED };
 
-/* Takes quarters of the step until the merit function decreases by a part of what its slope promises. If it does not in
- * ``trials`` simulations, the plan is the one before, simulated again. The next step begins with four times the length
- * that was found, at most 1, so that a sample goes on where the last one ended. */
+/* Takes a quarter of the step, a quarter of that, and so on, until the merit function decreases by a fraction of what
+ * its slope predicts. If it does not within ``trials`` simulations, the plan before the step is simulated again. The
+ * next step begins with four times the accepted length, at most 1, so that a sample continues where the last one
+ * ended. */
 static int move(solver_t *s, real_t slope, int trials)
 {
     const real_t before = merit(s);
@@ -73,7 +74,7 @@ static int move(solver_t *s, real_t slope, int trials)
     return STAYED;
 }
 
-/* Returns 1 if the last step is longer than the tolerance in the scale of a control of the first ``nodes`` nodes. */
+/* Returns 1 if the last step exceeds the tolerance, in the scale of a control, at one of the first ``nodes`` nodes. */
 static int step_is_long(const solver_t *s, int nodes)
 {
     int is_long = 0;

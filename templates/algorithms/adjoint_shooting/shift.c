@@ -1,6 +1,6 @@
-/* Contract of this part: shift_plan() moves controls, states and multipliers of the rows to the next sample. */
+/* Contract of this part: shift_plan() moves controls, states and row multipliers to the next sample. */
 
-/* A row of node k takes the multiplier of the same row at node k + 1, if it is imposed there too. */
+/* Moves the multiplier of each row from node k + 1 to node k, if the row is imposed at both. */
 static void shift_rows(solver_t *s)
 {
     for (int m = 0; m < NG; m++) {
@@ -17,8 +17,8 @@ static void shift_rows(solver_t *s)
 #if SHIFT_RESAMPLE
 #include "algorithms/shared/mean_control.c"
 
-/* Evaluates the old plan one sampling time later: x_0 by integration, controls as their mean over the moved intervals,
- * the other states by simulation. Multipliers are kept. */
+/* Evaluates the old plan one sampling time later: x_0 by integration, controls as means of the old controls over the
+ * new intervals, the other states by simulation. Multipliers are kept. */
 static void shift_plan(solver_t *s)
 {
     real_t first[NX];
@@ -39,8 +39,8 @@ static void shift_plan(solver_t *s)
     }
 }
 #else
-/* Node k takes the data of node k + 1. The last control is repeated or, if the plan is periodic, the first one; the
- * last interval is integrated. */
+/* Moves the data of node k + 1 to node k. The last control is repeated, or replaced by the first one if the plan is
+ * periodic; the last interval is integrated. */
 static void shift_plan(solver_t *s)
 {
     real_t first[NU];

@@ -1,8 +1,8 @@
-/* solve(): the steps of a sample to convergence. Where rows have terms, each time the projected gradient is small
- * compared with their violation, their multipliers are updated, and the penalty or the sharpness of the smooth max
- * grows, or the weight of the barriers decreases, where the violation has not become much smaller. */
+/* solve(): repeats the steps of a sample until they converge. When the projected gradient is small compared with the
+ * violation of the rows, the multipliers of the rows are updated. If the violation has not become much smaller by then,
+ * the penalty or the sharpness of the smooth max grows, or the weight of the barriers decreases. */
 
-/* The multipliers of a plan that is no solution: what one sample could have made of them. */
+/* Limits the multipliers of a plan that is no solution to values that one sample could have reached. */
 static void limit_rows(solver_t *s)
 {
     for (int m = 0; m < NG; m++) {
@@ -11,14 +11,14 @@ static void limit_rows(solver_t *s)
     }
 }
 
-/* What iterations remember: the violation at the last dual update, the stationarity at which the next one takes place,
- * and how often neither a step nor an update has changed anything. */
+/* State of the iterations: the violation at the last multiplier update, the stationarity at which the next update takes
+ * place, and the number of consecutive iterations without a step or an update. */
 typedef struct {
     real_t violation, accuracy;
     int failed;
 } progress_t;
 
-/* The dual update, if its time has come. */
+/* Updates the multipliers if their update is due. */
 static void follow(solver_t *s, real_t tol, real_t stationarity, int moved, progress_t *progress)
 {
     if (NG == NT) {
@@ -36,7 +36,7 @@ static void follow(solver_t *s, real_t tol, real_t stationarity, int moved, prog
     }
 }
 
-/* The status of a plan that is not a solution to the tolerance. */
+/* Returns the status of a plan that is not a solution to the tolerance. */
 static status_t status_without_solution(status_t of_step, status_t otherwise)
 {
     return (of_step == INFEASIBLE) ? INFEASIBLE : otherwise;
@@ -116,7 +116,7 @@ status_t API(solve)(solver_t *s, const real_t xhat[NXHAT], real_t tol, int max_i
     if (PULLED_ROWS && status != OK) {
         pull_plan_back(s);
     }
-    s->shooting.pairs = 0; /* of other terms and penalties */
+    s->shooting.pairs = 0; /* they belong to other terms and penalties */
     s->solved = 1;
     return finish(s, keep_finite(s, status));
 }

@@ -1,7 +1,7 @@
-/* Contract of this part: sweeps over the horizon. Only the states are stored; the derivatives [A_k B_k] of an interval
- * exist as their products with vectors alone. Controls are divided by control_scale. */
+/* Contract of this part: sweeps over the horizon. Only the states are stored; of the derivatives [A_k B_k] of an
+ * interval only products with vectors are computed. Controls are divided by control_scale. */
 
-/* The states of the plan from x_0 and its controls. Returns 0 if one of them is not finite. */
+/* Simulates the plan from x_0 with its controls. Returns 0 if a state is not finite. */
 static int simulate_plan(solver_t *s)
 {
     for (int k = 0; k < N; k++) {
@@ -11,7 +11,7 @@ static int simulate_plan(solver_t *s)
     return all_finite(s->x[0], (N + 1) * NX);
 }
 
-/* own = gradient of the cost and the rows of node k, g = [A_k B_k]' lam, lam := state part of their sum. */
+/* own = gradient of the cost and the rows of node k, g = [A_k B_k]' lam, and lam becomes the state part of own + g. */
 static void carry_back(const solver_t *s, int k, int what, real_t *lam, real_t *g, real_t *own)
 {
     for (int i = 0; i < NZ; i++) {
@@ -48,7 +48,7 @@ static void differentiate(solver_t *s)
     }
 }
 
-/* sum_kj a_kj b_kj */
+/* Returns sum_kj a_kj b_kj. */
 static real_t inner(const real_t *a, const real_t *b)
 {
     real_t sum = R(0);

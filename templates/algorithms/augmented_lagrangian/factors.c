@@ -1,9 +1,9 @@
 /* Contract of this part: the preconditioner, a factorisation of H + shift scale^-2 over the free variables, from the
  * last node to the first. A_k = L_k' D_k L_k with unit lower triangular L_k, so that the controls of a node are
  * eliminated before its states, W_k = L_{k+1}^{-T} B_k, and A_k loses W_k' D_{k+1}^{-1} W_k. The diagonal of a block
- * holds D_k^{-1}; what is above it has no meaning. */
+ * holds D_k^{-1}; entries above it have no meaning. */
 
-/* to = factor from, a row of LDZ entries; `open` masks it. */
+/* to = factor from, for a row of LDZ entries; entries where `open` is 0 become 0. */
 static inline void mask_row(real_t *to, real_t factor, const real_t *from, const real_t *open)
 {
     for (int j = 0; j < LDZ; j += 4) {
@@ -17,7 +17,7 @@ static inline void mask_row(real_t *to, real_t factor, const real_t *from, const
     }
 }
 
-/* W_k, and A_k -= W_k' D_{k+1}^{-1} W_k. */
+/* Computes W_k and subtracts: A_k -= W_k' D_{k+1}^{-1} W_k. */
 static void eliminate_successor(auglag_t *a, int k)
 {
     real_t(*L)[LDZ] = a->L[k + 1], (*W)[LDZ] = a->W[k], scaled[NX][LDZ];
@@ -61,7 +61,7 @@ static int factorize_block(auglag_t *a, int k)
     return 1;
 }
 
-/* Blocks `from` to 0, where those after `from` are still valid. Returns 0 if a pivot is not positive. */
+/* Factorises the blocks `from` to 0; the blocks after `from` are still valid. Returns 0 if a pivot is not positive. */
 static int factorize_with(solver_t *s, real_t shift, int from)
 {
     auglag_t *a = &s->auglag;
@@ -80,7 +80,7 @@ static int factorize_with(solver_t *s, real_t shift, int from)
     return 1;
 }
 
-/* Largest diagonal entry of the Hessian in scaled variables. */
+/* Returns the largest diagonal entry of the Hessian in scaled variables. */
 static real_t largest_curvature(const auglag_t *a)
 {
     real_t largest = R(0);
@@ -93,8 +93,8 @@ static real_t largest_curvature(const auglag_t *a)
     return largest;
 }
 
-/* Factorises after a change of the face at the nodes up to `from`, with the shift of the last factorisation or, if that
- * fails, with larger ones: at most MAX_SHIFTS in an iteration. Returns 0 if none succeeds. */
+/* Factorises after the face has changed at the nodes up to `from`, with the shift of the last factorisation or, if that
+ * fails, with larger ones, at most MAX_SHIFTS in an iteration. Returns 0 if none succeeds. */
 static int factorize(solver_t *s, int from)
 {
     auglag_t *a = &s->auglag;
@@ -131,7 +131,7 @@ static void substitute_node(const auglag_t *a, int k, real_t *y)
     }
 }
 
-/* y = (preconditioner) y over the free variables: the factors or, where there are none, scale^2 / largest. */
+/* y = (preconditioner) y over the free variables, by the factors or, where there are none, as scale^2 / largest y. */
 static void precondition(const auglag_t *a, real_t (*y)[LDZ])
 {
     if (!a->factorized) {

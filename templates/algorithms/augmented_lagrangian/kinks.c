@@ -1,9 +1,9 @@
-/* Contract of this part: the relaxed rows along a step. In the model their terms psi_m are parabolas at the present
- * plan, but the step may reach where a row begins or ceases to act. There the model takes the parabola of the other
- * side: its gradient at d is then that of cost, gaps and psi_m(v_m + J_m d), with v_m and J_m from the
+/* Contract of this part: the relaxed rows along a step. In the model the terms psi_m are parabolas at the present plan,
+ * but the step may reach a point where a row begins or ceases to act. The model then takes the parabola of the other
+ * side, so that its gradient at d is that of the cost, the gaps and psi_m(v_m + J_m d), with v_m and J_m from the
  * linearisation. */
 
-/* J_m d_k of a relaxed row. */
+/* Returns J_m d_k of a relaxed row. */
 static real_t row_change(const solver_t *s, int m, real_t (*d)[LDZ])
 {
     const int k = row_node(m);
@@ -22,7 +22,8 @@ static real_t row_change(const solver_t *s, int m, real_t (*d)[LDZ])
     }
 }
 
-/* How far the slope of the term of row m at d is from that of its parabola, `move` = J_m d; 0 if that is rounding. */
+/* Returns the slope of the term of row m at d minus the slope of its parabola, where `move` = J_m d; 0 if the
+ * difference is rounding. */
 static real_t miss_of_parabola(const solver_t *s, int m, real_t move, real_t *term, real_t *curvature)
 {
     const auglag_t *a = &s->auglag;
@@ -34,7 +35,7 @@ static real_t miss_of_parabola(const solver_t *s, int m, real_t move, real_t *te
     return (FABS(miss) > SQRT(TOL_UNIT) * terms) ? miss : R(0);
 }
 
-/* What the terms of the rows are at d beyond their parabolas; 0 if no row has left its own. */
+/* Returns the sum of the row terms at d minus their parabolas; 0 if no row has left its parabola. */
 static real_t beyond_parabolas(solver_t *s)
 {
     auglag_t *a = &s->auglag;
@@ -51,7 +52,7 @@ static real_t beyond_parabolas(solver_t *s)
     return sum;
 }
 
-/* Takes the parabolas at d. Returns the last node with a row that has left its own, -1 if there is none. */
+/* Takes the parabolas at d. Returns the last node with a row that has left its parabola, -1 if there is none. */
 static int take_parabolas(solver_t *s)
 {
     auglag_t *a = &s->auglag;

@@ -54,7 +54,7 @@ static void add_multiple(real_t (*y)[LDZ], real_t factor, real_t (*x)[LDZ])
     riccati_add(y[0], factor, x[0], VARIABLES);
 }
 
-/* rho_i at node 0: what is not measured has no gap. */
+/* Returns rho_i at node 0; unmeasured states have no gap, and 0. */
 static inline real_t start_weight(const solver_t *s, int i)
 {
     return s->auglag.penalty * initial_weight[i];
@@ -83,8 +83,8 @@ static void change_row(solver_t *s, int m, real_t slope, real_t force, real_t cu
     }
 }
 
-/* B_k, g_k and the lower triangle of S_k' rho S_k of a path node; W_k serves as a copy of -S_k. The padding is written
- * anew, so that numbers that are not finite do not stay in it. */
+/* Computes B_k, g_k and the lower triangle of S_k' rho S_k of a path node; W_k serves as a copy of -S_k. The padding is
+ * written again, so that numbers that are not finite do not remain in it. */
 static void assemble_dynamics(solver_t *s, int k)
 {
     auglag_t *a = &s->auglag;
@@ -111,7 +111,7 @@ static void assemble_dynamics(solver_t *s, int k)
     }
 }
 
-/* Gradient and Hessian from the linearisation and the estimates of the multipliers. */
+/* Computes gradient and Hessian from the linearisation and the estimates of the multipliers. */
 static void assemble(solver_t *s)
 {
     auglag_t *a = &s->auglag;
@@ -165,7 +165,8 @@ static void multiply(const solver_t *s, real_t (*v)[LDZ], real_t (*y)[LDZ])
     add_panels(y[N], v[N], a->H[N][0], NX);
 }
 
-/* The box of the steps: bounds of controls and hard bounds of states, and the trust region |d_i| <= radius scale_i. */
+/* Sets the box of the steps: bounds of controls, hard bounds of states, and the trust region |d_i| <= radius
+ * scale_i. */
 static void set_box(solver_t *s)
 {
     auglag_t *a = &s->auglag;
@@ -204,7 +205,7 @@ static int project_plan(solver_t *s)
     for (int k = 0; k < N; k++) {
         for (int j = 0; j < NU; j++) {
             const real_t u = safe_value(s, k, j);
-            left |= (s->u[k][j] != u); /* exactly: what is inside stays as it is */
+            left |= (s->u[k][j] != u); /* exact comparison: a point inside is unchanged */
             s->u[k][j] = u;
         }
     }
@@ -212,7 +213,7 @@ static int project_plan(solver_t *s)
         if (!row_relaxed[m]) {
             real_t *x = &s->x[row_node(m)][row_index(m)];
             const real_t inside = clip(*x, row_lower(s, m), row_upper(s, m));
-            left |= (*x != inside); /* exactly, as above */
+            left |= (*x != inside); /* exact comparison, as above */
             *x = inside;
         }
     }

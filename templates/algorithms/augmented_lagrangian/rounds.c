@@ -1,7 +1,7 @@
 /* Contract of this part: a round of a sample, ITERATIONS steps of the trust-region method and one dual update, and the
  * rounds that repair a plan before a sample. The plan changes only if it stays finite. */
 
-/* The multipliers of the bounds: minus the gradient of the augmented Lagrangian, where a bound holds it. */
+/* Sets the multipliers of the bounds to minus the gradient of the augmented Lagrangian where a bound holds it. */
 static void set_bound_multipliers(solver_t *s)
 {
     auglag_t *a = &s->auglag;
@@ -22,7 +22,7 @@ static void set_bound_multipliers(solver_t *s)
     }
 }
 
-/* The estimates become the multipliers of the plan. */
+/* Makes the estimates the multipliers of the plan. */
 static void finish_multipliers(solver_t *s)
 {
     set_bound_multipliers(s);
@@ -39,7 +39,7 @@ static void enlarge_by_rows(const solver_t *s, real_t *most)
     }
 }
 
-/* Largest gap in these scales of the states, and violation of a relaxed row in its own. */
+/* Returns the largest gap in the given scales of the states, or violation of a relaxed row in its own scale. */
 static real_t violation_in(const solver_t *s, const real_t *size)
 {
     const auglag_t *a = &s->auglag;
@@ -56,7 +56,7 @@ static real_t violation_in(const solver_t *s, const real_t *size)
     return most;
 }
 
-/* The same in the scales of the variables. */
+/* Returns the largest gap in the scales of the variables, or violation of a relaxed row in its own scale. */
 static real_t violation_of(const solver_t *s)
 {
     return violation_in(s, variable_scale);
@@ -64,7 +64,8 @@ static real_t violation_of(const solver_t *s)
 
 #include "algorithms/shared/scales.c"
 
-/* The residual of the plan: the same in the scales that its states have. */
+/* Returns the residual of the plan: the largest gap in the state scales, or violation of a relaxed row in its own
+ * scale. */
 static real_t plan_residual(const solver_t *s)
 {
     real_t size[NX];
@@ -72,8 +73,8 @@ static real_t plan_residual(const solver_t *s)
     return violation_in(s, size);
 }
 
-/* Linearises the plan, evaluated. Second derivatives belong to the estimates of the multipliers or, where gaps are
- * large and with them the estimates, to the multipliers of the last update. */
+/* Linearises the plan, which has been evaluated. Second derivatives take the estimates of the multipliers or, where
+ * gaps are large and make the estimates large, the multipliers of the last update. */
 static void linearize_plan(solver_t *s)
 {
     int far = 0;
@@ -105,7 +106,7 @@ static status_t prepare_here(solver_t *s)
     return isfinite(merit(s)) ? OK : NUMERICAL_FAILURE;
 }
 
-/* A larger penalty, up to its limit. */
+/* Increases the penalty, up to its limit. */
 static void stiffen(solver_t *s)
 {
     const real_t more = FACTOR_PENALTY_RATIO * s->auglag.penalty,
@@ -113,9 +114,9 @@ static void stiffen(solver_t *s)
     s->auglag.penalty = (more < most) ? more : most;
 }
 
-/* After a round: the dual update, unless no step was accepted or gaps and rows are large and have hardly become smaller
- * than `before`; then the multipliers stay as they were. The penalty grows from its first value to that of later
- * samples and, where accepted steps have not reduced the residual, beyond it; it returns when the residual is small. */
+/* Ends a round with the multiplier update. The multipliers stay as they are if no step was accepted, or if gaps and
+ * rows are large and hardly smaller than `before`. The penalty grows from its first value to that of later samples, and
+ * beyond it where accepted steps have not reduced the residual; it returns once the residual is small. */
 static void close_round(solver_t *s, real_t before, int accepted)
 {
     auglag_t *a = &s->auglag;
@@ -143,8 +144,8 @@ static void close_round(solver_t *s, real_t before, int accepted)
     }
 }
 
-/* A round from the evaluated and linearised plan: ITERATIONS steps of the trust-region method and, where it is due, the
- * dual update. The plan changes only if it stays finite. */
+/* Runs a round from the evaluated and linearised plan: ITERATIONS steps of the trust-region method and, where it is
+ * due, the multiplier update. The plan changes only if it stays finite. */
 static status_t run_round(solver_t *s)
 {
     auglag_t *a = &s->auglag;
@@ -184,7 +185,7 @@ static status_t prepare_at_plan(solver_t *s)
     measure_plan(s, measured);
     status = prepare_here(s);
     if (REPAIR) {
-        /* A plan that is new, has failed or was NOT_CONVERGED is repaired, until steps do what their model promises and
+        /* A plan that is new, has failed or was NOT_CONVERGED is repaired until steps do what their model predicts and
          * gaps are small. */
         int wanted = s->samples == 0 || s->failures > NO_FAILURE || s->unconverged > 0;
         for (int n = 0; n < REPAIRS && status == OK && wanted; n++) {
@@ -200,8 +201,8 @@ static status_t prepare_at_plan(solver_t *s)
     return status;
 }
 
-/* For a plan that is still far from the model: if it is farther than one that knows nothing, it starts anew at the
- * measured state, as a bad measurement may have spoilt it. Its gaps are known. */
+/* Reconsiders a plan that is still far from the model. If it is farther than a plan at rest at the measured state, it
+ * is replaced by that one, as a bad measurement may have spoilt it. Its gaps are known. */
 static status_t reconsider(solver_t *s)
 {
     const real_t present = violation_of(s);
@@ -223,12 +224,12 @@ static status_t reconsider(solver_t *s)
     return OK;
 }
 
-/* Returns 1 if all states of the plan are the declared ones. */
+/* Returns 1 if all states of the plan have their declared values. */
 static int is_untouched(const solver_t *s)
 {
     for (int k = 0; k <= N; k++) {
         for (int i = 0; i < NX; i++) {
-            if (s->x[k][i] != initial_state[i]) { /* exactly: as it was initialised */
+            if (s->x[k][i] != initial_state[i]) { /* exact comparison: still as initialised */
                 return 0;
             }
         }

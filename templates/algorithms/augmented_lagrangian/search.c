@@ -3,7 +3,8 @@
  * variables by conjugate gradients with projected searches, and accepts the step by the ratio of actual and predicted
  * reduction. All lengths are those of the scaled variables. */
 
-/* d = the point of the box next to from + t direction. Returns 1 if that is from + t direction itself. */
+/* Sets d to the point of the box that is nearest to from + t direction. Returns 1 if from + t direction is inside the
+ * box. */
 static int project_step(const auglag_t *a, real_t (*d)[LDZ], real_t (*from)[LDZ], real_t t, real_t (*direction)[LDZ])
 {
     const real_t *start = from[0], *p = direction[0], *lower = a->lower[0], *upper = a->upper[0];
@@ -17,7 +18,8 @@ static int project_step(const auglag_t *a, real_t (*d)[LDZ], real_t (*from)[LDZ]
     return inside;
 }
 
-/* Direction -scale^2 g of steepest descent in p, without components that leave the box. Returns its slope -p'g. */
+/* Sets p to the direction -scale^2 g of steepest descent, without components that leave the box. Returns its slope
+ * -p'g. */
 static real_t steepest_descent(auglag_t *a)
 {
     (void)memset(a->p, 0, sizeof a->p);
@@ -31,7 +33,7 @@ static real_t steepest_descent(auglag_t *a)
     return -inner(a->p, a->g);
 }
 
-/* d: the Cauchy point, Hd: H d. Returns the value of the model there, 0 if there is no descent. */
+/* Computes the Cauchy point d and Hd = H d. Returns the value of the model there, 0 if there is no descent. */
 static real_t cauchy_point(solver_t *s)
 {
     auglag_t *a = &s->auglag;
@@ -104,7 +106,7 @@ static real_t update_residual(auglag_t *a, real_t factor)
     return (sum[0] + sum[2]) + (sum[1] + sum[3]);
 }
 
-/* p'(H + r scale^-2) p, where Hp = H p. */
+/* Returns p'(H + r scale^-2) p, where Hp = H p. */
 static real_t curvature_along(const auglag_t *a)
 {
     real_t sum[4] = {R(0)};
@@ -119,7 +121,7 @@ static real_t curvature_along(const auglag_t *a)
     return (sum[0] + sum[2]) + (sum[1] + sum[3]);
 }
 
-/* Largest t <= most for which from + t p is in the box; 0 if `from` is not. */
+/* Returns the largest t <= most for which from + t p is in the box; 0 if `from` is not. */
 static real_t longest_move(const auglag_t *a, real_t (*from)[LDZ], real_t (*p)[LDZ], real_t most)
 {
     for (int k = 0; k <= N; k++) {
@@ -133,7 +135,7 @@ static real_t longest_move(const auglag_t *a, real_t (*from)[LDZ], real_t (*p)[L
     return most;
 }
 
-/* Adds to w the direction p of negative curvature as far as the box reaches. */
+/* Moves w along the direction p of negative curvature to the boundary of the box. */
 static void follow(auglag_t *a)
 {
     real_t move;
@@ -144,9 +146,10 @@ static void follow(auglag_t *a)
     add_multiple(a->Hw, move, a->Hp);
 }
 
-/* w: approximate minimiser of the model plus proximal term along the free variables, from d, and Hw = H w; stops at
- * directions of negative curvature, which it follows. `residual` holds minus the gradient. Where the factors are those
- * of the matrix itself, one iteration leaves a residual of rounding errors, seen without another substitution. */
+/* Approximates the minimiser w of the model plus proximal term along the free variables, from d, and computes Hw = H w.
+ * The iterations stop at directions of negative curvature, which they follow. `residual` holds minus the gradient.
+ * Where the factors are those of the matrix itself, one iteration reduces the residual to rounding errors, which is
+ * detected without another substitution. */
 static void conjugate_gradients(solver_t *s)
 {
     auglag_t *a = &s->auglag;
@@ -181,7 +184,7 @@ static void conjugate_gradients(solver_t *s)
     }
 }
 
-/* Moves d along w, projected to the box, so far that the model decreases sufficiently. Returns 0 if it does not. */
+/* Moves d along w, projected to the box, until the model decreases sufficiently. Returns 0 if it does not. */
 static int projected_search(solver_t *s, real_t *value)
 {
     auglag_t *a = &s->auglag;
@@ -220,14 +223,14 @@ static void set_residual(auglag_t *a)
     }
 }
 
-/* Value of the model at d, with the rows where d is. */
+/* Returns the value of the model at d, where rows that have left their parabola count with their term. */
 static real_t value_at_step(solver_t *s)
 {
     auglag_t *a = &s->auglag;
     return inner(a->g, a->d) + R(0.5) * inner(a->d, a->Hd) + a->offset + beyond_parabolas(s);
 }
 
-/* Moves d back towards the point `kept` before it until rows that it reaches leave a value of at most `most`. Returns
+/* Moves d back towards the previous point `kept` until rows that it reaches leave a value of at most `most`. Returns
  * the value of the model, that of `kept` if there is no such point. */
 static real_t shorten(solver_t *s, real_t most)
 {
@@ -250,8 +253,8 @@ static real_t shorten(solver_t *s, real_t most)
     return value;
 }
 
-/* The next face: the last node where it is smaller or, in the model, a row has left its parabola; -1 if there is
- * none. */
+/* Moves to the next face. Returns the last node where the face is smaller or a row has left its parabola; -1 if there
+ * is none. */
 static int next_face(solver_t *s, real_t *value)
 {
     auglag_t *a = &s->auglag;
@@ -308,7 +311,7 @@ static real_t refine(solver_t *s, int faces)
     }
 }
 
-/* Keeps the plan with its gaps, rows and cost aside. */
+/* Saves the plan with its gaps, rows and cost. */
 static void keep_plan(solver_t *s)
 {
     auglag_t *a = &s->auglag;
@@ -319,7 +322,7 @@ static void keep_plan(solver_t *s)
     a->kept_cost = a->cost;
 }
 
-/* Moves the plan by d, into its bounds exactly. */
+/* Moves the plan by d; bounds hold exactly afterwards. */
 static void move_plan(solver_t *s)
 {
     const auglag_t *a = &s->auglag;
@@ -334,7 +337,7 @@ static void move_plan(solver_t *s)
     (void)project_plan(s);
 }
 
-/* The plan that was kept aside. */
+/* Restores the saved plan. */
 static void return_plan(solver_t *s)
 {
     auglag_t *a = &s->auglag;
@@ -345,7 +348,7 @@ static void return_plan(solver_t *s)
     a->cost = a->kept_cost;
 }
 
-/* Largest |d_i| / scale_i */
+/* Returns the largest |d_i| / scale_i. */
 static real_t step_length_of(const auglag_t *a)
 {
     real_t most = R(0);
@@ -358,7 +361,7 @@ static real_t step_length_of(const auglag_t *a)
     return most;
 }
 
-/* Rounding errors of L: of its terms, and of what rounding of a variable changes in gaps and cost. */
+/* Returns the rounding error of L: of its terms, and of gaps and cost due to the rounding of the variables. */
 static real_t rounding_of_merit(const solver_t *s, real_t value)
 {
     const auglag_t *a = &s->auglag;
@@ -375,8 +378,8 @@ static real_t rounding_of_merit(const solver_t *s, real_t value)
     return TOL_MERIT_ROUNDING * (FABS(value) + TOL_MERIT_ROUNDING * bends) + TOL_UNIT * forces + least_cost();
 }
 
-/* One iteration from the model of the plan, assembled. Returns 1 if the plan has moved, and then gaps, rows, cost and
- * the estimates of the multipliers belong to the new one; else only the radius is smaller. */
+/* Makes one iteration from the assembled model of the plan. Returns 1 if the plan has moved; gaps, rows, cost and the
+ * estimates of the multipliers then belong to the new plan. Otherwise only the radius is smaller. */
 static int descend(solver_t *s, int faces)
 {
     auglag_t *a = &s->auglag;

@@ -2,7 +2,7 @@
  * gradient is small compared with the violation of gaps and rows; then the multipliers are updated, and the penalty
  * grows where the violation has not become much smaller. */
 
-/* Largest component of the projected gradient, in scaled variables. */
+/* Returns the largest component of the projected gradient, in scaled variables. */
 static real_t projected_gradient(auglag_t *a)
 {
     real_t most = R(0);
@@ -15,7 +15,7 @@ static real_t projected_gradient(auglag_t *a)
     return most;
 }
 
-/* The multipliers of the plan for the KKT residuals, which are written to s->kkt; then the estimates again. */
+/* Writes the KKT residuals of the plan with its own multipliers to s->kkt, then restores the estimates. */
 static real_t residual_of(solver_t *s)
 {
     (void)memset(s->auglag.Hd, 0, sizeof s->auglag.Hd);
@@ -25,7 +25,7 @@ static real_t residual_of(solver_t *s)
     return s->kkt.relative;
 }
 
-/* The dual update; the penalty grows if the violation has hardly decreased since the last one. */
+/* Updates the multipliers; the penalty grows if the violation has hardly decreased since the last update. */
 static void advance_multipliers(solver_t *s, real_t tol, real_t *violation)
 {
     auglag_t *a = &s->auglag;
@@ -39,8 +39,8 @@ static void advance_multipliers(solver_t *s, real_t tol, real_t *violation)
     a->radius = (a->radius > FACTOR_AUGMENTED_FIRST_RADIUS) ? a->radius : FACTOR_AUGMENTED_FIRST_RADIUS;
 }
 
-/* Iterates from the evaluated and linearised plan. A plan with small residuals has one more dual update and one more
- * iteration, because gaps that are left change the cost by their multipliers. */
+/* Iterates from the evaluated and linearised plan. A plan with small residuals gets one more multiplier update and one
+ * more iteration, because the remaining gaps change the cost by their multipliers. */
 static status_t iterate(solver_t *s, real_t tol, int max_iterations)
 {
     auglag_t *a = &s->auglag;

@@ -6,7 +6,7 @@
  * where P_m is 0 between the bounds of row m and, outside, its penalty or infinite. The derivatives of L are those of
  * the Lagrangian with the multipliers lam_i + rho_i c_i and psi_m'(v_m), the first-order estimates. */
 
-/* c_{k+1} and the cost of the nodes. */
+/* Evaluates the gaps c_{k+1} and the cost of the nodes. */
 static void evaluate_path(solver_t *s)
 {
     auglag_t *a = &s->auglag;
@@ -19,7 +19,7 @@ static void evaluate_path(solver_t *s)
     a->cost = nodal_cost(s);
 }
 
-/* Evaluates what depends on xhat: the gap c_0 = xhat - x_0 of what is measured, and the rows. */
+/* Evaluates what depends on xhat: the gap c_0 = xhat - x_0 of the measured states, and the rows. */
 static void evaluate_ends(solver_t *s)
 {
     auglag_t *a = &s->auglag;
@@ -32,13 +32,13 @@ static void evaluate_ends(solver_t *s)
     evaluate_rows(s, a->value);
 }
 
-/* rho_i of component i of the gap at a node. */
+/* Returns rho_i, the penalty of component i of the gap at a node. */
 static inline real_t gap_weight(const solver_t *s, int i)
 {
     return s->auglag.penalty * variable_weight[i];
 }
 
-/* psi_m(v), its derivative and its second derivative. */
+/* Returns psi_m(v) with its first and second derivative. */
 static real_t row_term(const solver_t *s, int m, real_t v, real_t *slope, real_t *curvature)
 {
     const real_t lower = row_lower(s, m), upper = row_upper(s, m);
@@ -63,7 +63,7 @@ static real_t row_term(const solver_t *s, int m, real_t v, real_t *slope, real_t
     return penalty + (mu + R(0.5) * weight * (v - y)) * (v - y);
 }
 
-/* L, with the multipliers of the last update. */
+/* Returns L with the multipliers of the last update. */
 static real_t merit(const solver_t *s)
 {
     const auglag_t *a = &s->auglag;
@@ -96,7 +96,7 @@ static void estimate_multipliers(solver_t *s)
     }
 }
 
-/* The dual update: the estimates become the multipliers. */
+/* Makes the estimates the multipliers. */
 static void update_multipliers(solver_t *s)
 {
     auglag_t *a = &s->auglag;
@@ -112,8 +112,8 @@ static void update_multipliers(solver_t *s)
     }
 }
 
-/* lam_0 += sign E_0' eta: L reads xhat where coupled rows read x_0, so that its own multiplier of the initial condition
- * is lam_0 - E_0' eta. */
+/* lam_0 += sign E_0' eta. L reads xhat where coupled rows read x_0, so that its multiplier of the initial condition is
+ * lam_0 - E_0' eta. */
 static void couple_start(solver_t *s, real_t sign)
 {
     for (int j = 0; j < NE; j++) {
@@ -123,7 +123,7 @@ static void couple_start(solver_t *s, real_t sign)
     }
 }
 
-/* The multipliers of the plan, as they were before the estimates. */
+/* Restores the multipliers of the plan from before the estimates. */
 static void restore_multipliers(solver_t *s)
 {
     auglag_t *a = &s->auglag;

@@ -1,7 +1,7 @@
-/* Contract of this part: API(measure), and the data of a node that the sample knows: controls, measurements and their
+/* Contract of this part: API(measure), and the data of a sample at its node: controls, measurements and their
  * accuracy. */
 
-/* The measurements y that are finite take their place at node k. */
+/* Stores the measurements y at node k; those that are not finite are missing. */
 static void put_measurements(solver_t *s, int k, const real_t *y)
 {
     for (int m = 0; m < NM; m++) {
@@ -12,7 +12,7 @@ static void put_measurements(solver_t *s, int k, const real_t *y)
     }
 }
 
-/* What is declared to be inside of bounds is. */
+/* Clips states with declared bounds to them. */
 static void clip_to_bounds(const solver_t *s, real_t *x)
 {
     for (int r = 0; r < NR; r++) {
@@ -23,7 +23,7 @@ static void clip_to_bounds(const solver_t *s, real_t *x)
     }
 }
 
-/* The parameters of the user at node k are those that hold from the present sample on. */
+/* Stores the user's parameters at node k, which hold from the present sample on. */
 static void put_parameters(solver_t *s, int k)
 {
     for (int i = 0; i < AT_U; i++) {
@@ -31,7 +31,7 @@ static void put_parameters(solver_t *s, int k)
     }
 }
 
-/* The controls at node k have their declared values. */
+/* Sets the controls at node k to their declared values. */
 static void forget_controls(solver_t *s, int k)
 {
     for (int j = 0; j < NIN; j++) {
@@ -39,7 +39,7 @@ static void forget_controls(solver_t *s, int k)
     }
 }
 
-/* Nothing is measured at node k. */
+/* Marks all measurements at node k as missing. */
 static void forget_measurements(solver_t *s, int k)
 {
     for (int m = 0; m < NM; m++) {
@@ -48,7 +48,7 @@ static void forget_measurements(solver_t *s, int k)
     }
 }
 
-/* The controls u that have acted since node k. Returns 0 if one is not finite; then those before are kept. */
+/* Stores the controls u that have acted since node k. Returns 0, and keeps the previous ones, if one is not finite. */
 static int put_controls(solver_t *s, int k, const real_t *u)
 {
     if (!all_finite(u, NIN)) {
@@ -60,7 +60,7 @@ static int put_controls(solver_t *s, int k, const real_t *u)
     return 1;
 }
 
-/* Node k knows the controls of the interval before it, which its own data still have. */
+/* Copies the controls of the interval before node k, which its own data still hold, to node k. */
 static void keep_controls(solver_t *s, int k)
 {
     for (int j = 0; HAS_BEFORE && j < NIN; j++) {
@@ -68,7 +68,7 @@ static void keep_controls(solver_t *s, int k)
     }
 }
 
-/* p, filled with the parameters of the next sample, and the controls u where sensors see them. */
+/* Fills p with the parameters of the next sample, and with the controls u if sensors depend on them; returns p. */
 static const real_t *seen_parameters(const solver_t *s, const real_t *u, real_t *p)
 {
     for (int i = 0; i < AT_U; i++) {
@@ -80,7 +80,8 @@ static const real_t *seen_parameters(const solver_t *s, const real_t *u, real_t 
     return p;
 }
 
-/* What sensors without noise tell of x, where the controls u act, if there are any. They read no data of a sample. */
+/* Computes the measurements of sensors without noise at the state x and, if sensors depend on them, the controls u.
+ * Data of a sample are not read. */
 static status_t tell_measurements(const solver_t *s, const real_t *x, const real_t *u, real_t *y)
 {
     real_t p[NP] = {R(0)}, H[NM][NX];
@@ -106,7 +107,7 @@ status_t API(measure)(solver_t *s, const real_t x[NX], real_t y[NM])
 }
 #endif
 
-/* Without init() the estimate is the declared initial state. */
+/* Returns the declared initial state as the estimate when init() has not been called. */
 static status_t refuse(real_t *xhat)
 {
     (void)memcpy(xhat, initial_state, sizeof initial_state);
@@ -114,14 +115,15 @@ static status_t refuse(real_t *xhat)
 }
 
 #if HUBER
-/* The accuracy of a measurement with an error of so many standard deviations, and its weight in Huber's loss. */
+/* Returns the accuracy of a measurement whose error is `deviations` standard deviations, by its weight in Huber's
+ * loss. */
 static real_t accuracy_with(int m, real_t deviations)
 {
     const real_t most = threshold[m], size = FABS(deviations);
     return (most > R(0) && size > most) ? accuracy[m] * SQRT(most / size) : accuracy[m];
 }
 
-/* Outliers are what the filter does not expect. */
+/* Reduces the accuracy of measurements that the filter does not expect. */
 static void weigh_by_filter(solver_t *s, int k, const filter_t *f)
 {
     real_t y[NM], H[NM][NX] = {{R(0)}};

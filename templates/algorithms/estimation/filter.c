@@ -1,7 +1,7 @@
 /* Contract of this part: the square-root Kalman filter. The covariance is L L'. Model and measurements are linearised
- * at the state x[k] and the noise u[k] of the plan, which need not be the mean. */
+ * at the state x[k] and the noise u[k] of the plan, which may differ from the mean. */
 
-/* Returns 1 if all numbers are finite and no state has run away from its scale. */
+/* Returns 1 if all numbers are finite and no state exceeds its scale by far. */
 static int filter_is_sane(const filter_t *f)
 {
     const real_t most = R(1) / (SQRT(TOL_UNIT) * SQRT(SQRT(TOL_UNIT)));
@@ -12,7 +12,7 @@ static int filter_is_sane(const filter_t *f)
     return sane;
 }
 
-/* f = L' h', with which h P h' = f'f. */
+/* projected = f = L' h, with h P h' = f'f. */
 static void project(const filter_t *f, const real_t *h, real_t *projected)
 {
     (void)memset(projected, 0, NX * sizeof *projected);
@@ -32,7 +32,8 @@ static real_t square_sum(const real_t *v, int n)
     return sum;
 }
 
-/* Standard deviation of what is expected of a measurement with the slope h and the standard deviation `own`. */
+/* Returns the standard deviation of the predicted measurement with slope h, plus the noise of standard deviation
+ * `own`. */
 static real_t expected_deviation(const filter_t *f, const real_t *h, real_t own)
 {
     real_t projected[NX];
@@ -40,7 +41,7 @@ static real_t expected_deviation(const filter_t *f, const real_t *h, real_t own)
     return SQRT(own * own + square_sum(projected, NX));
 }
 
-/* What the mean of the filter leaves of an error at x, by the slope h of the measurement. */
+/* Returns the error of a measurement at the mean of the filter from its error at x, by its slope h. */
 static real_t error_at_mean(const filter_t *f, const real_t *x, const real_t *h, real_t error)
 {
     for (int i = 0; i < NX; i++) {
@@ -49,7 +50,8 @@ static real_t error_at_mean(const filter_t *f, const real_t *x, const real_t *h,
     return error;
 }
 
-/* One measurement with the slope h and the variance `own`, `error` above what the mean gives (Potter). */
+/* Updates the filter with one measurement of slope h and variance `own`, which is `error` above its prediction
+ * (Potter). */
 static void take_measurement(filter_t *f, const real_t *h, real_t error, real_t own)
 {
     real_t p[NX];
@@ -67,7 +69,7 @@ static void take_measurement(filter_t *f, const real_t *h, real_t error, real_t 
     }
 }
 
-/* Takes the measurements of node k that are not missing into account. */
+/* Updates the filter with the measurements of node k that are not missing. */
 static void update_filter(const solver_t *s, int k, filter_t *f)
 {
     const real_t *p = PARAM(s, k);
@@ -82,7 +84,8 @@ static void update_filter(const solver_t *s, int k, filter_t *f)
     }
 }
 
-/* The first NX columns of M become lower triangular and the others 0 by reflections from the right; M M' stays. */
+/* Reduces the first NX columns of M to lower triangular form, and the others to 0, by reflections from the right that
+ * keep M M'. */
 static void triangulate(real_t M[NX][NZ])
 {
     for (int i = 0; i < NX; i++) {
@@ -132,7 +135,7 @@ static void predict_filter(const solver_t *s, int k, filter_t *f)
     }
 }
 
-/* The declared initial state and its standard deviations. */
+/* Sets the filter to the declared initial state and its standard deviations. */
 static void restart_filter(filter_t *f)
 {
     (void)memset(f, 0, sizeof *f);
@@ -142,7 +145,8 @@ static void restart_filter(filter_t *f)
     }
 }
 
-/* The factor of a covariance: L L' = P. Returns 0 if P is not symmetric and positive semidefinite, up to rounding. */
+/* Computes the factor L of a covariance, L L' = P. Returns 0 if P is not symmetric and positive semidefinite, up to
+ * rounding. */
 static int factorize_covariance(const real_t *P, real_t L[NX][NX])
 {
     for (int i = 0; i < NX; i++) {

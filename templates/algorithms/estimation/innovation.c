@@ -1,8 +1,8 @@
-/* Contract of this part: judge_measurements() compares the measurements of a sample with what a filter expects,
- * is_lost() tells that they have left it for good, renew_filter() begins it anew, and judge_innovation() is the status
- * of all this. An innovation is the error of a measurement in standard deviations of what is expected of it. */
+/* Contract of this part: the innovation is the error of a measurement in standard deviations of its prediction.
+ * judge_measurements() compares the measurements of a sample with the prediction, is_lost() detects that the filter has
+ * diverged, renew_filter() restarts it, and judge_innovation() gives the status. */
 
-/* Nothing has been compared yet. */
+/* Clears all innovations. */
 static void forget_innovations(solver_t *s)
 {
     s->stats.innovation = R(0);
@@ -10,14 +10,14 @@ static void forget_innovations(solver_t *s)
     s->stats.measurement = -1;
 }
 
-/* The first sample is still to come. */
+/* Starts the counters before the first sample. */
 static void begin_watch(solver_t *s)
 {
     (void)memset(&s->watch, 0, sizeof s->watch);
     forget_innovations(s);
 }
 
-/* The sum of the squares of so many normal numbers is larger once in 3e5 (Wilson and Hilferty). */
+/* Returns the sum of `count` squared normal numbers that is exceeded once in 3e5 samples (Wilson and Hilferty). */
 static real_t largest_sum(real_t count)
 {
     const real_t width = FACTOR_INNOVATION_CUBE_ROOT / count;
@@ -25,8 +25,8 @@ static real_t largest_sum(real_t count)
     return count * root * root * root;
 }
 
-/* The magnitude of an innovation with this unexpected error, of the standard deviation `size`; that of measurement m is
- * kept if it is the largest one. */
+/* Returns the magnitude of the innovation with this error and standard deviation `size`; records measurement m if it is
+ * the largest one. */
 static real_t note_innovation(solver_t *s, int m, real_t error, real_t size)
 {
     const real_t found = FABS(error) / size;
@@ -39,7 +39,7 @@ static real_t note_innovation(solver_t *s, int m, real_t error, real_t size)
     return magnitude;
 }
 
-/* A sample in which a measurement has been taken: its innovation, not far from what is expected, or at that limit. */
+/* Records the innovation of a sample that has taken measurement m, limited to the accepted range. */
 static void keep_innovation(watch_t *w, int m, real_t innovation)
 {
     const real_t memory = FACTOR_INNOVATION_MEMORY_OF_SIGNS;
@@ -49,7 +49,7 @@ static void keep_innovation(watch_t *w, int m, real_t innovation)
     w->variance[m] = memory * memory * w->variance[m] + R(1);
 }
 
-/* Returns 1 if neither the squares of the innovations nor their sums are larger than noise explains. */
+/* Returns 1 if neither the squared innovations nor their sums are larger than noise explains. */
 static int is_expected(const watch_t *w)
 {
     int expected = w->surprise <= largest_sum(w->count);
@@ -59,8 +59,9 @@ static int is_expected(const watch_t *w)
     return expected;
 }
 
-/* Counts samples in a row that are as expected, or are not. Behind several that are not, the estimate is on trial. The
- * first samples are not judged: they tell where the plant is, and models bend on the way there. */
+/* Counts consecutive samples that are as expected, or that are not. After several unexpected ones, the estimate is in
+ * doubt. The first samples are not counted, because the filter still converges through states where the model is
+ * nonlinear. */
 static void count_sample(watch_t *w, int left_out, int taken)
 {
     w->seen += (taken && w->seen < EXPECTED_SAMPLES);
@@ -75,8 +76,8 @@ static void count_sample(watch_t *w, int left_out, int taken)
     }
 }
 
-/* Compares the measurements of node k with the prediction f of the state x[k], and f takes them. One that is far from
- * what is expected counts as missing as long as those before were as expected; one that is absurd always does. */
+/* Compares the measurements of node k with the prediction f of the state x[k], and updates f with them. A measurement
+ * far from its prediction counts as missing while those before it were as expected; an absurd one always does. */
 static void judge_measurements(solver_t *s, int k, filter_t *f)
 {
     watch_t *w = &s->watch;
@@ -108,14 +109,14 @@ static void judge_measurements(solver_t *s, int k, filter_t *f)
     count_sample(w, left_out, taken);
 }
 
-/* Returns 1 if measurements have not been what is expected for so long that the estimate must be wrong. Each time that
- * a new beginning has not helped it takes twice as long. */
+/* Returns 1 if measurements have been unexpected for so long that the estimate must be wrong. The limit doubles after
+ * each restart that has not helped. */
 static int is_lost(const solver_t *s)
 {
     return (s->watch.doubted >> s->watch.restarts) >= DOUBTED_SAMPLES;
 }
 
-/* What was found so far is of an estimate that has been given up; the next one is on trial. */
+/* Clears the counters after the estimate has been discarded; the next estimate is in doubt. */
 static void watch_again(solver_t *s)
 {
     const int32_t restarts = s->watch.restarts;
@@ -124,7 +125,7 @@ static void watch_again(solver_t *s)
     s->watch.trial = TRIAL_SAMPLES;
 }
 
-/* The filter begins anew at node k with the measurements y: at x or, if that has not helped, at the declared initial
+/* Restarts the filter at node k with the measurements y: at x or, if that has not helped, at the declared initial
  * state, with the declared covariance or a larger one that explains them. */
 static void renew_filter(solver_t *s, int k, const real_t *x, const real_t *y, filter_t *f)
 {
@@ -148,7 +149,7 @@ static void renew_filter(solver_t *s, int k, const real_t *x, const real_t *y, f
     }
 }
 
-/* The status of a sample: NOT_CONVERGED instead of OK while its estimate is in doubt. */
+/* Returns NOT_CONVERGED instead of OK while the estimate is in doubt. */
 static status_t judge_innovation(const solver_t *s, status_t status)
 {
     const watch_t *w = &s->watch;

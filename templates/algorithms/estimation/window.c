@@ -1,7 +1,8 @@
-/* Contract of this part: the window of the last N intervals. Node `window` is that of the present sample; nodes behind
- * it, of samples to come, have no part. */
+/* Contract of this part: the window of the last N intervals. Node `window` is that of the present sample; later nodes
+ * belong to samples to come and are not used. */
 
-/* information = (L L')^-1 of the arrival cost; what rounding errors alone tell of a state is not taken for knowledge. */
+/* Computes information = (L L')^-1 of the arrival cost; directions that only rounding errors determine get no
+ * information. */
 static void weigh_arrival(solver_t *s)
 {
     real_t V[NX][NX] = {{R(0)}};
@@ -29,7 +30,7 @@ static void weigh_arrival(solver_t *s)
     }
 }
 
-/* The window begins at its first node, of which the arrival cost is all that is known. */
+/* Restarts the window at its first node, with the arrival cost as its only data. */
 static void restart_window(solver_t *s)
 {
     s->window = 0;
@@ -47,7 +48,7 @@ static void restart_window(solver_t *s)
     weigh_arrival(s);
 }
 
-/* What is declared to be inside of bounds is, in the whole window. */
+/* Clips states with declared bounds to them in the whole window. */
 static void clip_window(solver_t *s)
 {
     for (int k = 0; k <= N; k++) {
@@ -55,7 +56,7 @@ static void clip_window(solver_t *s)
     }
 }
 
-/* What leaves the window is kept in the arrival cost. */
+/* Updates the arrival cost with the node that leaves the window. */
 static void keep_arrival(solver_t *s)
 {
     filter_t *f = &s->arrival;
@@ -69,7 +70,7 @@ static void keep_arrival(solver_t *s)
     weigh_arrival(s);
 }
 
-/* Node k begins as the end of the interval before it, without noise there, and without measurements. */
+/* Starts node k at the end of the interval before it, without noise and without measurements. */
 static void begin_node(solver_t *s, int k)
 {
     filter_t *f = &s->expected;
@@ -85,7 +86,7 @@ static void begin_node(solver_t *s, int k)
     forget_measurements(s, k);
 }
 
-/* Makes room for the present sample, which follows its last one by an interval. */
+/* Moves the window to the present sample, which is one interval later. */
 static void move_window(solver_t *s)
 {
     if (s->window == N) {
@@ -100,7 +101,7 @@ static void move_window(solver_t *s)
     begin_node(s, s->window);
 }
 
-/* Intervals behind the window do not move the states at their ends. */
+/* Holds the states after the window at the ends of their intervals. */
 static void hold_future(solver_t *s)
 {
     for (int k = s->window; k < N; k++) {
@@ -109,7 +110,7 @@ static void hold_future(solver_t *s)
     }
 }
 
-/* Largest gap of the window in the size of its state. */
+/* Returns the largest gap of the window in the size of its state. */
 static real_t gap_of_window(const solver_t *s, const real_t *size)
 {
     real_t most = R(0);
@@ -123,7 +124,7 @@ static real_t gap_of_window(const solver_t *s, const real_t *size)
     return most;
 }
 
-/* Largest change of the present estimate by the last step, in the size of its state. */
+/* Returns the largest change of the present estimate by the last step, in the size of its state. */
 static real_t change_of_estimate(const solver_t *s, const real_t *size)
 {
     real_t most = R(0);
@@ -134,7 +135,7 @@ static real_t change_of_estimate(const solver_t *s, const real_t *size)
 }
 
 #if HUBER
-/* Outliers are what the window does not fit. */
+/* Reduces the accuracy of measurements that the window does not fit. */
 static void weigh_by_window(solver_t *s)
 {
     for (int k = 0; k <= s->window; k++) {
@@ -149,7 +150,7 @@ static void weigh_by_window(solver_t *s)
 }
 #endif
 
-/* The window consists of the present sample alone, of which the arrival cost tells. */
+/* Restarts the window with the present sample as its only node, described by the arrival cost. */
 static void begin_window(solver_t *s)
 {
     s->window = 0;
@@ -158,7 +159,7 @@ static void begin_window(solver_t *s)
     start_at(s, s->arrival.mean);
 }
 
-/* The first node has the data of the present sample, without its measurements. */
+/* Moves the data of the present sample to the first node, without its measurements. */
 static void keep_present_data(solver_t *s)
 {
     if (s->window > 0) {
@@ -167,7 +168,8 @@ static void keep_present_data(solver_t *s)
     forget_measurements(s, 0);
 }
 
-/* Data that lead nowhere are given up, the present ones too: the window begins anew at the last estimate that was OK. */
+/* Discards all data after a failure, also the present ones, and restarts the window at the last estimate that was
+ * OK. */
 static void forget_window(solver_t *s)
 {
     keep_present_data(s);
@@ -177,7 +179,7 @@ static void forget_window(solver_t *s)
     begin_window(s);
 }
 
-/* Data that have left what is expected for good are given up, but for the present measurements y. */
+/* Discards all data but the present measurements y after the estimate has diverged. */
 static void renew_window(solver_t *s, const real_t *y)
 {
     keep_present_data(s);
@@ -187,7 +189,7 @@ static void renew_window(solver_t *s, const real_t *y)
     forget_multipliers(s);
 }
 
-/* The filter from the arrival cost along the window takes the place of a plan that has failed. */
+/* Replaces a failed plan by the filter, run from the arrival cost along the window. */
 static void filter_window(solver_t *s)
 {
     filter_t f = s->arrival;

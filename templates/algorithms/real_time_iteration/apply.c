@@ -1,6 +1,6 @@
 /* Contract of this part: feedback_here() solves the QP that has been prepared for s->xhat and takes its full step. */
 
-/* The multipliers of the QP become those of the plan. */
+/* Copies the multipliers of the QP to the plan. */
 static void copy_multipliers(solver_t *s)
 {
     (void)memcpy(s->mu_u, s->step.mult_u, sizeof s->mu_u);
@@ -44,7 +44,7 @@ static status_t run_qp(solver_t *s)
     return status;
 }
 
-/* The QP of a sample. */
+/* Solves the QP of a sample. */
 static status_t run_sample_qp(solver_t *s)
 {
     status_t status;
@@ -70,8 +70,8 @@ static status_t run_sample_qp(solver_t *s)
 #include "algorithms/real_time_iteration/multipliers_of_stages.c"
 #endif
 
-/* The multipliers of the dynamics in the QP become those of the plan. Returns 0 if the gradient with respect to the
- * controls is known not to vanish. */
+/* Copies the multipliers of the dynamics in the QP to the plan. Returns 0 if the gradient with respect to the controls
+ * is known not to vanish. */
 static int recover_multipliers(solver_t *s)
 {
     return multipliers_of_qp(s, s->lam, 1);
@@ -90,7 +90,7 @@ static status_t feedback_here(solver_t *s)
     }
     before_step(s, status);
     copy_multipliers(s);
-    if (!recover_multipliers(s) && status == OK) { /* those of relaxed rows drown the gradient in their rounding */
+    if (!recover_multipliers(s) && status == OK) { /* multipliers of relaxed rows hide the gradient in rounding */
         return NUMERICAL_FAILURE;
     }
     take_step(s);

@@ -1,8 +1,8 @@
 /* Contract of this part: the check before OK of a QP whose states were eliminated. Its solution must satisfy the hard
- * rows of the QP with all states, and stationarity. Rounding errors of the elimination show there. */
+ * rows of the QP with all states, and stationarity. Rounding errors of the elimination appear in these conditions. */
 
-/* size[], which is 0: largest magnitude of every component of (dx, du) over the horizon, and of the gaps of the states.
- * Returns 1 if the step is finite. */
+/* Writes to size[], which is 0, the largest magnitude of every component of (dx, du) over the horizon, and of the gaps
+ * of the states. Returns 1 if the step is finite. */
 static int step_sizes(const solver_t *s, real_t *size)
 {
     widen(size, s->step.dx[N], NX);
@@ -14,7 +14,7 @@ static int step_sizes(const solver_t *s, real_t *size)
     return all_finite(size, NZ);
 }
 
-/* Returns 1 if all hard rows hold after the step up to rounding of their terms, and those with a multiplier are at its
+/* Returns 1 if all hard rows hold after the step up to rounding of their terms, and rows with a multiplier are at its
  * bound. Control bounds are bounds of the QP. */
 static int rows_hold(const solver_t *s, const real_t *size)
 {
@@ -44,7 +44,8 @@ static int step_holds(const solver_t *s, status_t status)
     return 1;
 }
 
-/* Sum of the magnitudes of the terms of the cost of the step, at least what zeros cost. */
+/* Returns the sum of the magnitudes of the terms of the cost of the step, at least the rounding error of a cost at its
+ * scale. */
 static real_t cost_terms(const solver_t *s)
 {
     real_t sum = least_cost();
@@ -57,9 +58,9 @@ static real_t cost_terms(const solver_t *s)
     return sum;
 }
 
-/* Returns 1 if the gradient with respect to the controls of node k vanishes, where w holds that of the cost and
- * dynamics: relative to its terms and its scale, or because it moves the cost by less than `least` squared, as its
- * terms may all be rounding errors of others. *least = 0: not known yet. If a term is not finite, `over` is not,
+/* Returns 1 if the gradient with respect to the controls of node k vanishes, where w holds that of cost and dynamics.
+ * It vanishes relative to its terms and its scale, or because it changes the cost by less than `least` squared, as its
+ * terms may all be rounding errors of others. *least = 0: not computed yet. If a term is not finite, `over` is not,
  * either. */
 static int controls_hold(const solver_t *s, int k, const real_t *w, real_t *least)
 {

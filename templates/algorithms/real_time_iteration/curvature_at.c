@@ -1,4 +1,4 @@
-/* Diagonal entry i of the Hessian of node k that the QP of the sample has. */
+/* Returns diagonal entry i of the Hessian of node k in the QP of the sample. */
 static inline real_t curvature_at(const solver_t *s, int k, int i)
 {
     if (k < N) {

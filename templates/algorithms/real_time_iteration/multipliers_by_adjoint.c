@@ -17,9 +17,9 @@ static void add_row_forces(const solver_t *s, int k, real_t *w)
     }
 }
 
-/* The multipliers of the dynamics in the QP:
- * lam_N = q_N + Q_N dx_N + (rows)_N,  lam_k = q_k + Q_k dx_k + S_k' du_k + A_k' lam_{k+1} + (rows)_k.
- * Returns 0 if the gradient with respect to the controls is to be checked and does not vanish. */
+/* Computes the multipliers of the dynamics in the QP: lam_N = q_N + Q_N dx_N + (rows)_N,  lam_k = q_k + Q_k dx_k + S_k'
+ * du_k + A_k' lam_{k+1} + (rows)_k. Returns 0 if `checked` is set and the gradient with respect to the controls does
+ * not vanish. */
 static int multipliers_of_qp(solver_t *s, real_t (*lam)[NX], int checked)
 {
     int held = 1;

@@ -4,7 +4,7 @@ static void multiplier_of_qp(const solver_t *s, int k, real_t *lam)
     (void)memcpy(lam, condense_multiplier(s, k), NX * sizeof *lam);
     for (int m = 0; k == 0 && m < NG; m++) {
         if (row_is_coupled(m)) {
-            /* The QP has no x_0 in coupled rows: their share is added. */
+            /* The QP has no x_0 in coupled rows, so their contribution is added. */
             for (int i = 0; i < NX; i++) {
                 lam[i] += s->coupled.J_0[row_index(m)][i] * s->step.mult[m];
             }
@@ -15,7 +15,7 @@ static void multiplier_of_qp(const solver_t *s, int k, real_t *lam)
     }
 }
 
-/* The multipliers of the dynamics in the QP, which its solver has checked. */
+/* Copies the multipliers of the dynamics from the QP, whose solver has checked them. */
 static int multipliers_of_qp(solver_t *s, real_t (*lam)[NX], int checked)
 {
     for (int k = 0; k <= N; k++) {

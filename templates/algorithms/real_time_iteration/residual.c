@@ -1,12 +1,12 @@
-/* Contract of this part: how far the plan at which a QP is linearised is from the model. The residual is the largest
- * gap in the scale of its state. What has changed since the last step (measured state, bounds, references) and the end
- * that a shift adds do not count. */
+/* Contract of this part: the residual of a plan, the distance between the model and the plan at which a QP is
+ * linearised. It is the largest gap in the scale of its state. Changes since the last step (measured state, bounds,
+ * references) and the last interval, which a shift adds, do not count. */
 
 #include "algorithms/shared/scales.c"
 
-/* Rows count as well, by what they violate beyond what the last step predicted for them.
- * Scale of row m: its finite bounds or, if they are 0, its value, at least 1/1000 of what that was lately; the constant
- * part of a row belongs to its bounds. It is at least a small part of the scale of its terms. */
+/* Rows count by the violation beyond that which the last step predicted for them. The scale of row m is the magnitude
+ * of its finite bounds or, if they are 0, its value, at least 1/1000 of recent values; the constant part of a row
+ * belongs to its bounds. The scale is at least a small fraction of the scale of its terms. */
 static real_t scale_of_row(solver_t *s, int m, real_t value)
 {
     const real_t offset = row_offset[row_id(m)];
@@ -23,8 +23,8 @@ static real_t scale_of_row(solver_t *s, int m, real_t value)
     return scale;
 }
 
-/* Largest violation of a hard row at the present point beyond that of the solution of the QP, of whose step the plan
- * took `length`. */
+/* Returns the largest violation of a hard row at the present point beyond that in the solution of the QP, of whose step
+ * the plan took the fraction `length`. */
 static real_t row_residual(solver_t *s, real_t length)
 {
     real_t value[NG], most = R(0);
@@ -40,7 +40,7 @@ static real_t row_residual(solver_t *s, real_t length)
     return most;
 }
 
-/* Largest gap of the plan in the size of its state, without derivatives. */
+/* Returns the largest gap of the plan in the size of its state, without derivatives. */
 static real_t largest_gap(const solver_t *s, const real_t *size)
 {
     real_t most = R(0);
@@ -54,7 +54,8 @@ static real_t largest_gap(const solver_t *s, const real_t *size)
     return most;
 }
 
-/* What the plan that has just been linearised leaves of hard rows: bounds of states by its gaps, in their scales. */
+/* Returns the largest violation of hard rows by the plan that has just been linearised, in their scales; bounds of
+ * states count by its gaps. */
 static real_t rows_left(solver_t *s)
 {
     real_t most = R(0);
@@ -72,7 +73,7 @@ static real_t rows_left(solver_t *s)
     return most;
 }
 
-/* The residual of the plan that has just been linearised. */
+/* Computes the residual of the plan that has just been linearised. */
 static void measure_residual(solver_t *s)
 {
     real_t size[NX], gap[NX] = {R(0)}, most = R(0);

@@ -1,12 +1,12 @@
-/* Steps of a QP that are tried at several lengths from a base, and what becomes of the multipliers. */
+/* Steps of a QP at several trial lengths from a base, and the multipliers after them. */
 
-/* Component i of (dx, du) at node k. */
+/* Returns the address of component i of (dx, du) at node k. */
 static inline real_t *step_at(step_t *d, int k, int i)
 {
     return (i < NX) ? &d->dx[k][i] : &d->du[k][i - NX];
 }
 
-/* Keeps the plan: its states, controls and multipliers. */
+/* Saves the plan: its states, controls and multipliers. */
 static void keep_plan(solver_t *s)
 {
     trial_t *kept = &s->trial;
@@ -19,7 +19,7 @@ static void keep_plan(solver_t *s)
     }
 }
 
-/* Takes the multipliers of the plan that is kept, if the Hessian may depend on them. */
+/* Restores the saved multipliers, if the Hessian may depend on them. */
 static void return_multipliers(solver_t *s)
 {
     const trial_t *kept = &s->trial;
@@ -37,7 +37,7 @@ static void move_back(solver_t *s)
     (void)memcpy(s->u, s->trial.u, sizeof s->u);
 }
 
-/* (x, u) = base + length (dx, du); step becomes what has been added. */
+/* (x, u) = base + length (dx, du); step becomes the difference from the base. */
 static void move_to_trial(solver_t *s)
 {
     trial_t *q = &s->trial;
@@ -59,23 +59,24 @@ static void put_step_aside(solver_t *s)
     }
 }
 
-/* Moves a multiplier towards that of the QP, all the way if it is not finite. */
+/* Moves a multiplier by the fraction `length` towards that of the QP, completely if it is not finite. */
 static inline void approach(real_t *a, real_t b, real_t length)
 {
     *a = (length < R(1) && isfinite(*a)) ? *a + length * (b - *a) : b;
 }
 
-/* Multipliers after a step. */
+/* Updates the multipliers after a step. */
 static void take_multipliers(solver_t *s)
 {
     if (HARD_ROWS) {
-        if (s->trial.elastic) { /* those of an elastic QP are those of its penalty: nothing is known */
+        if (s->trial.elastic) { /* multipliers of an elastic QP are those of its penalty */
             forget_multipliers(s);
             return;
         }
     }
     if (CURVED || LAGRANGIAN || STAGE_MULTIPLIERS) {
-        /* They move towards those of the QP as far as the step went: behind a short one, these may be as far off. */
+        /* They move towards those of the QP by the fraction that the step took, because after a short step the QP's
+         * multipliers may be far off. */
         const trial_t *q = &s->trial;
         for (int k = 0; k < N; k++) {
             for (int j = 0; j < NU; j++) {

@@ -7,13 +7,13 @@ static void forget_violation(solver_t *s)
     s->stats.violation = R(0);
 }
 
-/* Returns 1 if a QP with relaxed rows may have a solution where this one has none. */
+/* Returns 1 if a QP failed with a status after which its relaxation may still have a solution. */
 static inline int is_given_up(status_t status)
 {
     return status == INFEASIBLE || status == ITERATION_LIMIT || status == STALLED;
 }
 
-/* Change of row m due to the step. */
+/* Returns the change of row m due to the step. */
 static real_t row_change(const solver_t *s, int m)
 {
     const int k = row_node(m);

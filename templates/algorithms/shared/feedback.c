@@ -47,7 +47,7 @@ status_t API(feedback)(solver_t *s, const real_t xhat[NXHAT], real_t u0[NU])
 #include "algorithms/shared/solved.c"
 #endif
 
-/* If prepare fails, feedback returns its status. */
+/* Prepares and feeds back. If prepare fails, feedback returns its status. */
 status_t API(step)(solver_t *s, const real_t xhat[NXHAT], real_t u0[NU])
 {
     if (SOLVE && SHIFT) {

@@ -1,4 +1,4 @@
-/* The control returned if no new one could be computed: that of the plan or, if it is not finite, its reference,
+/* Computes the control to return if there is no new one: that of the plan or, if it is not finite, its reference,
  * clipped to the bounds. */
 static void safe_control(const solver_t *s, real_t *u0)
 {
@@ -11,13 +11,13 @@ static void safe_control(const solver_t *s, real_t *u0)
 #include "algorithms/shared/pull_back.c"
 #endif
 
-/* The end of a call. */
+/* Ends a call. */
 static status_t finish(solver_t *s, status_t status)
 {
     if (IMPLICIT) {
         name_failed_stage(s, status);
     }
-    s->newton = NEWTON_LIMIT; /* outside of samples, stages are solved to rounding errors */
+    s->newton = NEWTON_LIMIT; /* outside samples, stages are solved to rounding errors */
     s->status = (int32_t)status;
     return status;
 }

@@ -1,4 +1,4 @@
-/* No plan was OK yet. */
+/* Forgets the sizes learnt from plans, as before the first plan that is OK. */
 static void forget_sizes(solver_t *s)
 {
     for (int i = 0; i < NX; i++) {

@@ -1,5 +1,6 @@
-/* KKT residuals of the present iterate: as they are and, the largest of them all, divided by the scale of what they
- * belong to plus the magnitudes of the terms that are summed up, so that a tolerance means the same in all units. */
+/* KKT residuals of the present iterate: the absolute ones, and the largest relative one. A residual is divided by the
+ * scale of its variable or row plus the sum of the magnitudes of its terms, so that a tolerance means the same in all
+ * units. */
 
 #include "algorithms/shared/kkt_terms.c"
 
@@ -11,7 +12,7 @@ static void kkt_soft_row(const solver_t *s, int m, real_t value, kkt_t *kkt)
     kkt_soft_side(kkt, row_lower(s, m) - value, (mu < R(0)) ? -mu : R(0), l1, l2, value, scale);
 }
 
-/* Violation and complementarity of all rows and control bounds. */
+/* Evaluates violation and complementarity of all rows and control bounds. */
 static void kkt_rows(const solver_t *s, kkt_t *kkt)
 {
     real_t value[NG];
@@ -61,7 +62,8 @@ static void add_coupled_forces(const solver_t *s, int k, real_t *sum, real_t *te
     }
 }
 
-/* Node k: gradient of the Lagrangian (q, r) + [A B]' lam_{k+1} - (lam_k, 0) + (0, mu_u) + J' mult, and the gap. */
+/* Evaluates node k: the gradient of the Lagrangian (q, r) + [A B]' lam_{k+1} - (lam_k, 0) + (0, mu_u) + J' mult, and
+ * the gap. */
 static void kkt_node(const solver_t *s, int k, const node_t *node, kkt_t *kkt)
 {
     real_t sum[NZ] = {0}, terms[NZ] = {0}, mu[NH];
@@ -88,7 +90,7 @@ static void kkt_node(const solver_t *s, int k, const node_t *node, kkt_t *kkt)
     }
 }
 
-/* The terminal node: gradient of the Lagrangian, and residual of the initial condition. */
+/* Evaluates the terminal node: the gradient of the Lagrangian, and the residual of the initial condition. */
 static void kkt_terminal(const solver_t *s, const terminal_t *terminal, kkt_t *kkt)
 {
     real_t sum[NX] = {0}, terms[NX] = {0};
@@ -110,7 +112,7 @@ static void kkt_terminal(const solver_t *s, const terminal_t *terminal, kkt_t *k
     }
 }
 
-/* KKT residuals from the present linearisation. Returns 1 if all are at most tol, relative to their
+/* Computes the KKT residuals from the present linearisation. Returns 1 if all are at most tol, relative to their
  * terms. */
 static int kkt_is_within(solver_t *s, real_t tol)
 {
@@ -124,7 +126,7 @@ static int kkt_is_within(solver_t *s, real_t tol)
     return kkt->relative <= tol;
 }
 
-/* KKT residuals of the present iterate from a new linearisation, one node at a time on the stack. */
+/* Computes the KKT residuals of the present iterate from a new linearisation, one node at a time on the stack. */
 void API(kkt)(const solver_t *s, kkt_t *out)
 {
     node_t node;

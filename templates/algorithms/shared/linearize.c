@@ -1,4 +1,4 @@
-/* Gap b_k = Phi(x_k, u_k) - x_{k+1} of node k, and its rows. */
+/* Computes the gap b_k = Phi(x_k, u_k) - x_{k+1} of node k, and its rows. */
 static void complete_node(const solver_t *s, int k, const real_t *x_next, node_t *node)
 {
     for (int i = 0; i < NX; i++) {
@@ -21,7 +21,7 @@ static void add_start_gradient(const solver_t *s, real_t *q)
     }
 }
 
-/* Linearises all nodes, from the last to the first. The same evaluations provide the data that the Hessian needs. */
+/* Linearises all nodes, from the last to the first. The same evaluations give the data that the Hessian needs. */
 static void linearize(solver_t *s)
 {
     real_t x_next[NX];

@@ -1,4 +1,4 @@
-/* Mean of control j of the old plan over [from, to], which begins at or after node k. */
+/* Returns the mean of control j of the old plan over [from, to], which begins at or after node k. */
 static real_t mean_control(const solver_t *s, int k, int j, real_t from, real_t to)
 {
     real_t sum = R(0);

@@ -34,7 +34,7 @@ static void start_at_measured(solver_t *s)
     start_at(s, all_finite(s->xhat, NX) ? s->xhat : initial_state);
 }
 
-/* Sets the controls of the plan to their references, and what is free at its start to declared values. */
+/* Sets the controls of the plan to their references, and states that are free at its start to declared values. */
 static void forget_plan(solver_t *s)
 {
     refer_controls(s);
@@ -46,14 +46,14 @@ static void forget_plan(solver_t *s)
     }
 }
 
-/* Nothing of the plan is kept. */
+/* Restarts the whole plan. */
 static void start_anew(solver_t *s)
 {
     forget_plan(s);
     start_at_measured(s);
 }
 
-/* Sets the controls of the plan to the middle of their bounds, where they have two. */
+/* Sets controls of the plan with two bounds to the middle between them. */
 static void center_controls(solver_t *s)
 {
     for (int k = 0; k < N; k++) {
@@ -69,7 +69,7 @@ static int plan_is_finite(const solver_t *s)
     return all_finite(s->x[0], (N + 1) * NX) && all_finite(s->u[0], N * NU);
 }
 
-/* What follows is as if x_0 of the plan had been measured, until xhat takes the measured state again. */
+/* Copies x_0 of the plan to xhat, as if it had been measured; `measured` keeps the measured state. */
 static void measure_plan(solver_t *s, real_t *measured)
 {
     (void)memcpy(measured, s->xhat, sizeof s->xhat);

@@ -1,8 +1,8 @@
-/* Hard rows that depend on no state: the first control can keep them whatever the state is, as it keeps its bounds. A
- * step may leave those that bend, a relaxed QP gives them up, and a sample may fail. */
+/* Hard rows that depend on no state. The first control can satisfy them in every state, as it satisfies its bounds. The
+ * step may violate nonlinear ones, a relaxed QP may give them up, and a sample may fail. */
 
-/* Row of these that the first control violates most, relative to its scale, or -1; by how much, and that in its scale;
- * values and gradients of all rows of its node. */
+/* Returns the index of the row that the first control violates most, relative to its scale, or -1; writes the
+ * violation, also in that scale, and values and gradients of all rows of its node. */
 static int most_broken_row(const solver_t *s, real_t *h, real_t (*J)[NZ], real_t *excess, real_t *relative)
 {
     int worst = -1;
@@ -24,7 +24,7 @@ static int most_broken_row(const solver_t *s, real_t *h, real_t (*J)[NZ], real_t
     return worst;
 }
 
-/* Moves the first control of the plan back onto these rows: along the gradient of the row that it violates most, in the
+/* Moves the first control of the plan back onto these rows, along the gradient of the row that it violates most, in the
  * scales of the controls. Restores the control if the largest violation does not fall. */
 static void pull_back(solver_t *s)
 {
@@ -54,7 +54,7 @@ static void pull_back(solver_t *s)
     }
 }
 
-/* Moves a control that is returned in place of that of the plan back onto these rows; the plan stays as it is. */
+/* Moves a control that is returned instead of that of the plan back onto these rows; the plan stays as it is. */
 static void pull_control_back(solver_t *s, real_t *u0)
 {
     real_t kept[NU], start[NX];
@@ -70,7 +70,7 @@ static void pull_control_back(solver_t *s, real_t *u0)
     (void)memcpy(s->x[0], start, sizeof start);
 }
 
-/* The same for the first control of a plan that solve() has not brought to a solution. */
+/* Moves the first control of a plan back onto these rows if solve() has not reached a solution. */
 static void pull_plan_back(solver_t *s)
 {
     real_t u0[NU];

@@ -1,13 +1,14 @@
-/* Saddles. Where the slope of the dynamics with respect to a control vanishes (u^2 at 0), no step of an iteration moves
- * it, and a plan may satisfy the conditions of optimality although its cost falls to both sides. A probe leaves such a
- * plan: idle controls take, node by node, the value among a few with the least Hamiltonian
+/* Saddles. Where the slope of the dynamics with respect to a control vanishes (u^2 at 0), the control is idle: no step
+ * of an iteration moves it, and a plan may satisfy the conditions of optimality although its cost falls to both sides.
+ * A probe leaves such a plan. At each node it sets idle controls to the one of a few values with the least Hamiltonian
  *
  *     l_k(x_k, u) + lam_{k+1}' Phi(x_k, u),
  *
- * and the plan goes as far towards them as lowers its cost. */
+ * and the plan moves towards them as far as its cost falls. */
 
 #if HAS_QP
-/* Returns 1 if component i of (x, u) at node k moves next to nothing else, by the last linearisation. */
+/* Returns 1 if component i of (x, u) at node k has almost no effect on the other variables, by the last
+ * linearisation. */
 static int is_idle(const solver_t *s, int k, int i)
 {
     if (!(FABS((i < NX) ? s->step.dx[k][i] : s->step.du[k][i - NX]) <= FACTOR_IDLE_STEP * z_scale[i])) {
@@ -21,7 +22,7 @@ static int is_idle(const solver_t *s, int k, int i)
     return 1;
 }
 #else
-/* Returns 1 if component i of (x, u) at node k moves next to nothing else, by a small change of it. */
+/* Returns 1 if component i of (x, u) at node k has almost no effect on the other variables, by a small change of it. */
 static int is_idle(solver_t *s, int k, int i)
 {
     real_t here[NX], there[NX], *z = (i < NX) ? &s->x[k][i] : &s->u[k][i - NX];
@@ -39,8 +40,8 @@ static int is_idle(solver_t *s, int k, int i)
 }
 #endif
 
-/* Returns 1 if component i is idle somewhere and the states that a finite change of it moves are worth it, beyond
- * rounding. */
+/* Returns 1 if component i is idle at some node and a finite change of it would lower the cost beyond rounding, by the
+ * multipliers of the states that it moves. */
 static int is_wanted(const real_t *lam, int i)
 {
     real_t worth = R(0);
@@ -65,7 +66,7 @@ static real_t hamiltonian(const solver_t *s, int k, const real_t *lam)
     return sum;
 }
 
-/* Moves the controls of node k along a direction, in their scales, to where the Hamiltonian is least. */
+/* Moves the controls of node k along a direction, in their scales, to the least Hamiltonian. */
 static void probe_along(solver_t *s, int k, const real_t *lam, const real_t *direction)
 {
     real_t from[NU], best[NU], least = hamiltonian(s, k, lam);
@@ -100,7 +101,7 @@ static int state_asks(solver_t *s, int k, int i, const real_t *lam)
     return asks;
 }
 
-/* Notes whether an idle state of node k, to which plans lead, asks for another value. */
+/* Records whether the Hamiltonian of node k falls with an idle state that the controls reach. */
 static void ask_states(solver_t *s, int k, const real_t *lam)
 {
     for (int i = 0; i < NX && k > 0 && !s->saddle.asked; i++) {
@@ -109,7 +110,7 @@ static void ask_states(solver_t *s, int k, const real_t *lam)
 }
 #endif
 
-/* Moves the idle controls of node k that the cost wants to be moved. */
+/* Moves the idle controls of node k to a lower cost. */
 static void probe_node(solver_t *s, int k, const real_t *lam)
 {
     int idle[NU];
@@ -124,7 +125,7 @@ static void probe_node(solver_t *s, int k, const real_t *lam)
         direction[j] = R(1);
         probe_along(s, k, lam, direction);
         if (PARTNERS) {
-            if (idle_partner[j] >= 0) { /* together with the control that it is multiplied by */
+            if (idle_partner[j] >= 0) { /* together with the control by which it is multiplied */
                 direction[idle_partner[j]] = R(1);
                 probe_along(s, k, lam, direction);
                 direction[idle_partner[j]] = -R(1);
@@ -140,7 +141,7 @@ static void probe_node(solver_t *s, int k, const real_t *lam)
 }
 
 #if HAS_QP
-/* Returns 1 if something is idle that the cost wants to be moved. */
+/* Returns 1 if a component is idle whose change would lower the cost. */
 static int may_be_at_saddle(const solver_t *s)
 {
     for (int k = 0; k < N; k++) {
@@ -183,7 +184,7 @@ static void probe_plan(solver_t *s)
 #endif
 
 #if HAS_QP
-/* The states to which the controls lead from x_0, less the gaps that the plan before the probe has. */
+/* Simulates the states from x_0 with the new controls, less the gaps that the plan had before the probe. */
 static void follow_controls(solver_t *s)
 {
     const saddle_t *q = &s->saddle;
@@ -206,7 +207,7 @@ static void follow_controls(solver_t *s)
     }
 }
 #else
-/* The states to which the controls lead from x_0. */
+/* Simulates the states from x_0 with the new controls. */
 static void follow_controls(solver_t *s)
 {
     if (AUGMENTED) {
@@ -219,7 +220,7 @@ static void follow_controls(solver_t *s)
 #endif
 
 #if HARD_ROWS
-/* Sum of the violations of hard rows, in the scales of their terms. */
+/* Returns the sum of the violations of hard rows, in the scales of their terms. */
 static real_t hard_violation(const solver_t *s)
 {
     real_t value[NG], sum = R(0);
@@ -241,8 +242,8 @@ static real_t cost_of_plan(const solver_t *s)
     return nodal_cost(s);
 }
 
-/* Returns 1 if the plan costs less than the best one, by this much, and violates no more, or if it violates less: it is
- * the best one now. */
+/* Returns 1, and records the plan as the best one, if it costs less than the best one by `gain` and violates no more,
+ * or if it violates less. */
 static int is_better(solver_t *s, real_t gain)
 {
     saddle_t *q = &s->saddle;
@@ -258,7 +259,7 @@ static int is_better(solver_t *s, real_t gain)
     return better;
 }
 
-/* The controls move away from those before the probe, or towards them, by this factor. */
+/* Multiplies the difference between the controls and those before the probe by a factor. */
 static void stretch_probe(solver_t *s, real_t factor)
 {
     for (int k = 0; k < N; k++) {
@@ -271,7 +272,7 @@ static void stretch_probe(solver_t *s, real_t factor)
     follow_controls(s);
 }
 
-/* Takes the part 1, 1/2, 1/4, ... of the probe with the best plan. Returns 0 if none is better than the plan before
+/* Takes the fraction 1, 1/2, 1/4, ... of the probe with the best plan. Returns 0 if none is better than the plan before
  * it. */
 static int take_probe(solver_t *s)
 {
@@ -300,15 +301,15 @@ static int has_moved(const solver_t *s)
     int moved = 0;
     for (int k = 0; k < N; k++) {
         for (int j = 0; j < NU; j++) {
-            moved |= s->u[k][j] != s->saddle.u[k][j]; /* exactly: the probe has found another value */
+            moved |= s->u[k][j] != s->saddle.u[k][j]; /* exact comparison: the probe has found another value */
         }
     }
     return moved;
 }
 
 #if IDLE_STATES
-/* Where a state that controls drive is idle, such as the speed of a propeller at rest, all nodes of these controls are
- * pushed to one side, from the plan before the probe: control `pushed`, or all of them (NU). */
+/* Shifts control `pushed`, or all of them (NU), to one side at all nodes, from the plan before the probe. This serves a
+ * state that controls drive and that is idle, such as the speed of a propeller at rest. */
 static void push_control(solver_t *s, int pushed, real_t size)
 {
     for (int k = 0; k < N; k++) {
@@ -320,7 +321,7 @@ static void push_control(solver_t *s, int pushed, real_t size)
     }
 }
 
-/* Takes the first push that leads to a better plan: of one control, or of all, to either side. */
+/* Takes the first push that leads to a better plan: of one control or of all, to either side. */
 static int take_push(solver_t *s)
 {
     for (int pushed = NU; pushed >= 0; pushed--) {
@@ -346,7 +347,7 @@ static int leave_saddle(solver_t *s)
     (void)memcpy(q->x, s->x, sizeof q->x);
     (void)memcpy(q->u, s->u, sizeof q->u);
     if (!HAS_QP) {
-        /* whose plan may have large gaps */
+        /* its plan may have large gaps */
         follow_controls(s);
     }
     const real_t cost = cost_of_plan(s);
@@ -364,6 +365,6 @@ static int leave_saddle(solver_t *s)
         (void)memcpy(s->u, q->u, sizeof q->u);
         return 0;
     }
-    q->saved = (q->cost < cost) ? (cost - q->cost) / FABS(cost) : R(1); /* 1: it violates less */
+    q->saved = (q->cost < cost) ? (cost - q->cost) / FABS(cost) : R(1); /* 1: the plan violates less */
     return 1;
 }

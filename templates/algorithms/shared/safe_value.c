@@ -1,4 +1,4 @@
-/* Control j at node k, replaced by its reference if it is not finite, clipped to its bounds. */
+/* Returns control j at node k, replaced by its reference if it is not finite, clipped to its bounds. */
 static real_t safe_value(const solver_t *s, int k, int j)
 {
     const real_t u = s->u[k][j];

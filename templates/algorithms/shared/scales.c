@@ -16,9 +16,9 @@ static void enlarge_by_bounds(const solver_t *s, int k, real_t *size)
     }
 }
 
-/* Sizes in which gaps of the states are measured: the plan, the measured state, half the width of bounds. They are at
- * least a part of the scales, so that a plan at rest is not measured in rounding errors. A plan that escapes is not
- * measured in its own size: it counts as a multiple of the last one that was OK. */
+/* Computes the sizes in which gaps of the states are measured: magnitudes of the plan, the measured state, half the
+ * width of bounds. They are at least a fraction of the scales, so that a plan at rest is not measured in rounding
+ * errors. A plan that diverges is measured in the sizes of the last plan that was OK. */
 static void state_scales(const solver_t *s, real_t *size)
 {
     (void)memset(size, 0, NX * sizeof *size);
@@ -35,7 +35,7 @@ static void state_scales(const solver_t *s, real_t *size)
     enlarge_by_bounds(s, N, size);
 }
 
-/* The plan of a sample with this status tells sizes if it was OK. */
+/* Learns sizes from the plan of a sample with status OK. */
 static void learn_sizes(solver_t *s, status_t status)
 {
     if (status == OK) {
@@ -46,7 +46,7 @@ static void learn_sizes(solver_t *s, status_t status)
     }
 }
 
-/* Sizes of the controls: largest magnitudes in the plan, or half the width of their bounds. */
+/* Computes the sizes of the controls: largest magnitudes in the plan, or half the width of their bounds. */
 static void control_sizes(const solver_t *s, real_t *size)
 {
     for (int j = 0; j < NU; j++) {

@@ -1,5 +1,5 @@
-/* A row of node k takes the multiplier and, for a QP solver, the predicted side of the same row at node k + 1, if it is
- * imposed there too. A row that begins at node k + 1 leaves nothing at node k. */
+/* Moves to each row of node k the multiplier and, for a QP solver, the predicted side of the same row at node k + 1, if
+ * it is imposed there. A row that begins at node k + 1 leaves nothing at node k. */
 static void shift_rows(solver_t *s)
 {
     int source[NG];
@@ -9,7 +9,7 @@ static void shift_rows(solver_t *s)
             if (row_node(n) > row_node(m) && row_id(n) == row_id(m)) {
                 source[m] = n;
             }
-            if (IDLE_END && row_node(n) == N - 1 && !row_is_state(n)) { /* its multiplier is as idle as its control */
+            if (IDLE_END && row_node(n) == N - 1 && !row_is_state(n)) { /* its multiplier belongs to an idle control */
                 source[m] = m;
             }
         }
@@ -20,8 +20,8 @@ static void shift_rows(solver_t *s)
     }
 }
 
-/* Node k takes the data of node k + 1; the last node and the last interval keep their own, and so does the control
- * before an idle one, which influences nothing but its own terms: it would be no guess of a control that does. */
+/* Moves the data of node k + 1 to node k. The last node and the last interval keep their own. So does the control
+ * before an idle one, because the idle control affects only its own terms and is no guess for a control that acts. */
 static void shift_by_one(solver_t *s)
 {
     for (int k = 0; k < N; k++) {

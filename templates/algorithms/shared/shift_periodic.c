@@ -1,4 +1,4 @@
-/* Moves a periodic plan by one interval: its first control becomes its last one, and the states are integrated
+/* Moves a periodic plan by one interval: the first control becomes the last one, and the states are integrated
  * again. */
 static void shift_plan(solver_t *s)
 {

@@ -1,5 +1,5 @@
 /* Moves the plan by one interval: x_k <- x_{k+1}, u_k <- u_{k+1}; the last control is repeated and the last interval
- * integrated (x_N is kept if that overflows). Multipliers and working set are moved along. */
+ * integrated (x_N is kept if that overflows). Multipliers and working set move as well. */
 static void shift_plan(solver_t *s)
 {
     real_t tail[NX];

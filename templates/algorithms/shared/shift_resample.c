@@ -5,7 +5,7 @@
 
 #include "algorithms/shared/mean_control.c"
 
-/* The interval of the plan that contains the time t, from interval n on. */
+/* Returns the interval of the plan that contains the time t, from interval n on. */
 static inline int interval_at(real_t t, int n)
 {
     while (n + 1 < N && node_time[n + 1] <= t) { /* at most N + N passes in shift_plan */

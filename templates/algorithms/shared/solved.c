@@ -1,5 +1,5 @@
-/* solve() leaves the plan at the time of its state. A sample at the same state, up to rounding, is at that time, too: it
- * takes the plan as it is. Otherwise time has passed, and the plan is shifted as after a sample. */
+/* Decides whether the plan of solve() is shifted. A sample at the state of solve(), up to rounding, is at the same time
+ * and takes the plan as it is. Otherwise time has passed, and the plan is shifted as after a sample. */
 static void compare_solved(solver_t *s, const real_t *xhat)
 {
 #if NODES

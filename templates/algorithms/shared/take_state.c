@@ -14,8 +14,8 @@ static int take_state(solver_t *s, const real_t *xhat)
     return 1;
 }
 #else
-/* s->xhat = xhat where it is measured, 0 where cost accumulates, x_0 of the plan elsewhere. Returns 0 if a measured
- * entry is not finite. */
+/* Sets s->xhat: measured entries from xhat, accumulated costs to 0, the others from x_0 of the plan. Returns 0 if a
+ * measured entry is not finite. */
 static int take_state(solver_t *s, const real_t *xhat)
 {
     for (int i = 0; i < NXHAT; i++) {

@@ -1,6 +1,6 @@
-/* The watch on plans: what samples on end say of one, and how much of it is given up. failures: failures on end; the
- * third one is lasting, and so is one on probation. probation: successes that a plan which has failed twice on end still
- * has to show. */
+/* The watch on plans decides from consecutive samples how much of a plan is discarded. failures: consecutive failures;
+ * the third one is lasting, and so is one on probation. probation: successes still required of a plan that has failed
+ * twice in a row. */
 enum { NO_FAILURE = 0, SECOND_FAILURE = 2, LASTING_FAILURE = 3 };
 
 static void reset_watch(solver_t *s)
@@ -13,8 +13,9 @@ static void reset_watch(solver_t *s)
 }
 
 #if LAGRANGIAN && HAS_QP
-/* Returns 1 if the step of the QP moves no state or control by more than 1 / 4096 of its largest value, beyond zeros:
- * the plan stands at a solution, and multipliers that change there are not unique (as many active rows as controls). */
+/* Returns 1 if the step of the QP moves no state or control by more than 1 / 4096 of its largest value, beyond zeros.
+ * The plan is then at a solution, and multipliers that change there are not unique (as many active rows as
+ * controls). */
 static int is_stationary(const solver_t *s)
 {
     for (int i = 0; i < NZ; i++) {
@@ -35,9 +36,9 @@ static int is_stationary(const solver_t *s)
     return 1;
 }
 
-/* unsettled: a Hessian that depends on multipliers which do not converge belongs to no problem, and every QP may be
- * solved all the same: counts the samples in which the lam have changed by more than half their size, node by node,
- * although the plan moves. */
+/* Counts in unsettled the samples in which lam has changed by more than half its size, node by node, although the plan
+ * moves. A Hessian that depends on multipliers which do not converge belongs to no problem, although every QP may be
+ * solved. */
 static void watch_multipliers(solver_t *s)
 {
     real_t change = R(0), size = R(0);
@@ -54,13 +55,13 @@ static void watch_multipliers(solver_t *s)
 #endif
 
 #if NODES
-/* Gives up as much of the plan as failures on end say: after the second one all states restart at the measured one,
- * after a lasting one nothing is kept. */
+/* Discards as much of the plan as the consecutive failures require: after the second one all states restart at the
+ * measured one, after a lasting one nothing is kept. */
 static void give_up(solver_t *s, status_t status)
 {
     if (s->failures == LASTING_FAILURE) {
         forget_plan(s);
-        if (ITERATES && s->samples % 2 == 0) { /* no failure may come back with its plan for ever */
+        if (ITERATES && s->samples % 2 == 0) { /* no failure may recur for ever with its plan */
             center_controls(s);
         }
     }
@@ -74,7 +75,7 @@ static void give_up(solver_t *s, status_t status)
     }
 }
 #else
-/* Gives up the plan if its simulation fails for good, and the past of steps if something else does. */
+/* Discards the plan if its simulation fails for good, and the past of steps if anything else fails. */
 static void give_up(solver_t *s, status_t status)
 {
     if (s->failures == LASTING_FAILURE) {
@@ -114,10 +115,10 @@ static void note_failure(solver_t *s, int broken)
     }
 }
 
-/* After a sample with this status: counts it, and gives up what follows from a failure. */
+/* Counts a sample with this status, and discards what its failure requires. */
 static void watch(solver_t *s, status_t status, int broken)
 {
-    if (status == NOT_FINITE || status == NOT_PREPARED) { /* they say nothing of the plan */
+    if (status == NOT_FINITE || status == NOT_PREPARED) { /* these failures do not depend on the plan */
         return;
     }
     s->unconverged = (status == NOT_CONVERGED) ? s->unconverged + 1 : 0;
@@ -132,12 +133,12 @@ static void watch(solver_t *s, status_t status, int broken)
     give_up(s, status);
 }
 
-/* Before a sample: gives up what follows from samples that did not fail. */
+/* Discards, before a sample, what samples that did not fail require. */
 static void restart_doubtful_plan(solver_t *s)
 {
     int given_up = 0;
     if (REPAIR > 0 || ITERATES || !HAS_QP) {
-        /* unconverged: samples on end that were NOT_CONVERGED */
+        /* unconverged: consecutive samples that were NOT_CONVERGED */
         given_up |= s->unconverged >= RESTART_SAMPLES;
     }
     if (LAGRANGIAN && HAS_QP) {

@@ -46,7 +46,7 @@ static void evaluate_iterate(solver_t *s)
     }
 }
 
-/* Row `i` of the Hessian of node k. */
+/* Returns row `i` of the Hessian of node k. */
 static inline real_t *curved_row(curved_t *c, int k, int i)
 {
     return (k < N) ? c->Q[k][i] : c->Q_N[i];
@@ -140,8 +140,8 @@ static int is_convex(solver_t *s, real_t shift)
     }
 }
 
-/* unit = max(unit, C / size^2), where C is the most that the gradient says of a move by the size of a variable: a
- * linear cost has a curvature of this kind. */
+/* unit = max(unit, C / size^2), where C is the largest change of the cost, by its gradient, for a move by the size of a
+ * variable. A linear cost has a curvature of this kind. */
 static void raise_units(const solver_t *s, real_t *unit)
 {
     real_t size[NZ], most = R(0);
@@ -160,8 +160,8 @@ static void raise_units(const solver_t *s, real_t *unit)
     }
 }
 
-/* Curvature that is typical of each variable: the largest |Q_jj| + sum_i S_ij^2 |Q_ii of the next node|, more for one
- * with more curvature beside the diagonal than on it, and at least what the gradient tells. */
+/* Computes the curvature that is typical of each variable: the largest |Q_jj| + sum_i S_ij^2 |Q_ii of the next node|,
+ * more for a variable with more curvature beside the diagonal than on it, and at least C / size^2 of raise_units(). */
 static void find_units(solver_t *s)
 {
     curved_t *c = &s->curved;
@@ -181,13 +181,13 @@ static void find_units(solver_t *s)
     }
 }
 
-/* The bound to which a multiplier belongs. */
+/* Returns the bound to which a multiplier belongs. */
 static inline real_t bound_of(real_t lower, real_t upper, real_t mult)
 {
     return (mult > R(0)) ? upper : lower;
 }
 
-/* Whether row m is held: an equation, or a row with a multiplier. */
+/* Returns 1 if row m is held: an equation, or a row with a multiplier. */
 static int row_is_held(const solver_t *s, int m)
 {
     const real_t mult = FABS(s->trial.step.mult[m]);
@@ -198,7 +198,8 @@ static int row_is_held(const solver_t *s, int m)
     return mult > R(0) || row_lower(s, m) >= row_upper(s, m);
 }
 
-/* Weight with which row m of gradient a has the curvature of the units of its variables; 0 if it is not held. */
+/* Returns the weight with which row m of gradient a has the curvature of the units of its variables; 0 if it is not
+ * held. */
 static real_t row_weight(const solver_t *s, int m, const real_t *a)
 {
     real_t sum = R(0);
@@ -253,7 +254,7 @@ static void push_rows(solver_t *s)
     }
 }
 
-/* Which bounds and rows are held, and where: those with a multiplier in the last QP. */
+/* Predicts which bounds and rows are held, and where: those with a multiplier in the last QP. */
 static void predict_active(solver_t *s)
 {
     curved_t *c = &s->curved;
@@ -273,7 +274,7 @@ static void predict_active(solver_t *s)
     }
 }
 
-/* Gives the held rows and controls the weight `hold`, in units of their variables, in place of the present weight. */
+/* Gives the held rows and controls the weight `hold`, in units of their variables, instead of their present weight. */
 static void hold_active(solver_t *s, real_t hold)
 {
     curved_t *c = &s->curved;
@@ -286,7 +287,7 @@ static void hold_active(solver_t *s, real_t hold)
     c->hold = hold;
 }
 
-/* Adds to the gradients what is held; restore_gradients() takes it away. */
+/* Adds the gradients of the held rows and bounds; restore_gradients() subtracts them. */
 static void push_to_bounds(solver_t *s)
 {
     curved_t *c = &s->curved;
@@ -318,8 +319,8 @@ static void restore_gradients(solver_t *s)
     (void)memcpy(s->terminal.g, s->curved.g[N], sizeof s->terminal.g);
 }
 
-/* The smallest shift for which the QP is convex, up to a factor of 4 to the power of 2^-BISECTIONS; infinite if none is
- * found. The search starts at the last one. */
+/* Returns the smallest shift for which the QP is convex, up to a factor of 4 to the power of 2^-BISECTIONS; infinite if
+ * none is found. The search starts at the last one. */
 static real_t smallest_shift(solver_t *s)
 {
     real_t high = (s->curved.shift > FACTOR_SHIFT_RESTART) ? s->curved.shift : FACTOR_SHIFT_FIRST;
@@ -345,8 +346,8 @@ static real_t smallest_shift(solver_t *s)
     return high;
 }
 
-/* What is idle, whose columns of [A B] are next to none, has the curvature of its own entry alone: it is made
- * positive. */
+/* Makes the curvature of idle components positive; it is their diagonal entry, as their columns of [A B] almost
+ * vanish. */
 static void mirror_idle(solver_t *s)
 {
     curved_t *c = &s->curved;
@@ -359,8 +360,8 @@ static void mirror_idle(solver_t *s)
     }
 }
 
-/* Makes the Hessian convex: as it is, with little or much of the predicted active set held, with the proximal shift, or
- * with the smallest shift. Returns 0 if that is impossible. */
+/* Makes the Hessian convex: unchanged if possible, then with little or much weight on the predicted active set, with
+ * the proximal shift, or with the smallest shift. Returns 0 if that is impossible. */
 static int convexify(solver_t *s)
 {
     curved_t *c = &s->curved;
@@ -399,7 +400,7 @@ static int convexify(solver_t *s)
     return 1;
 }
 
-/* The QP of the present linearisation. */
+/* Forms the QP of the present linearisation. */
 static status_t form_qp(solver_t *s)
 {
     if (ITERATES && !s->curved.in_solve) {
@@ -412,7 +413,8 @@ static status_t form_qp(solver_t *s)
     return condense_prepare(s);
 }
 
-/* After a QP without a solution: more curvature, with which it may have one. Returns 0 if there is much already. */
+/* Increases the curvature after a QP without a solution, which may have one then. Returns 0 if the curvature is already
+ * large. */
 static int damp_qp(solver_t *s)
 {
     curved_t *c = &s->curved;
@@ -431,8 +433,8 @@ static int damp_qp(solver_t *s)
     return 1;
 }
 
-/* The shift of the next Hessian: more after a step that had to be shortened. Returns 1 if the same point may be tried
- * again with more of it. */
+/* Adapts the shift of the next Hessian: it grows after a step that had to be shortened. Returns 1 if the same point may
+ * be tried again with a larger shift. */
 static int adapt_shifts(solver_t *s, status_t status)
 {
     curved_t *c = &s->curved;
@@ -451,13 +453,13 @@ static int adapt_shifts(solver_t *s, status_t status)
     return status == STALLED && c->damping < FACTOR_SQP_MOST_DAMPING;
 }
 
-/* Returns 1 if steps that become ever shorter lead nowhere: another start may. */
+/* Returns 1 if steps have become so short that only another start may help. */
 static int is_damped_for_ever(const solver_t *s)
 {
     return !(s->curved.damping < FACTOR_SQP_LAST_DAMPING);
 }
 
-/* Away from feasibility, multipliers beyond what the cost can explain are scaled down: their Hessian would hide the
+/* Scales down multipliers that exceed what the cost can explain, far from feasibility. Their Hessian would hide the
  * cost from the next QP, whose multipliers would be larger still. */
 static void bound_multipliers(solver_t *s)
 {

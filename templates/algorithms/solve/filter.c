@@ -1,6 +1,7 @@
-/* The filter: pairs of measures, of which a point has to improve one (Waechter and Biegler 2005, algorithm A). */
+/* The filter holds pairs of measures; a new point has to improve one of each pair (Waechter and Biegler 2005, algorithm
+ * A). */
 
-/* Returns 1 if a point is no worse than the filter allows. */
+/* Returns 1 if the filter accepts a point. */
 static int passes_filter(const sqp_t *q, const measures_t *at)
 {
     int ok = at->violation <= q->most_violation && at->cost < INF;
@@ -10,8 +11,9 @@ static int passes_filter(const sqp_t *q, const measures_t *at)
     return ok;
 }
 
-/* The filter rejects from now on what is not better than the base, up to rounding of the violation. Entries that it
- * rejects leave; if there are FILTER others, the one with the largest violation gives way. */
+/* Extends the filter: points that are not better than the base, up to rounding of the violation, are rejected from now
+ * on. Entries that the new one dominates leave; if there are FILTER others, the one with the largest violation is
+ * replaced. */
 static void extend_filter(sqp_t *q)
 {
     const measures_t added = {(R(1) - FACTOR_FILTER_SHARE) * q->base.violation + TOL_MERIT_ROUNDING,
@@ -29,9 +31,9 @@ static void extend_filter(sqp_t *q)
 }
 
 /* Returns 1 if the present point is accepted after the step. While feasibility is restored, the violation has to
- * decrease by its share of `gain`, what the linearised rows and gaps promise. Otherwise the filter has to be passed,
- * the violation must not become more than ten times as large, and the cost has to fall if the step is expected to
- * reduce it by more than it violates. */
+ * decrease by a fraction of `gain`, the decrease that the linearised rows and gaps predict. Otherwise the filter has to
+ * accept the point, the violation must not become more than ten times as large, and the cost has to fall if the step is
+ * expected to reduce it by more than it violates. */
 static int accepts(solver_t *s)
 {
     sqp_t *q = &s->sqp;

@@ -1,5 +1,5 @@
-/* Hard rows in a search: the rows of a linearisation that has no solution are relaxed with the penalty row_weight (elastic
- * QP), which grows while that is so. */
+/* Hard rows in a search: the rows of a linearisation without a solution are relaxed with the penalty row_weight
+ * (elastic QP), which grows as long as the linearisations have none. */
 
 /* Solves the QP with its rows relaxed. */
 static status_t run_relaxed_qp(solver_t *s)
@@ -18,13 +18,13 @@ static status_t solve_qp(solver_t *s)
     return s->trial.elastic ? run_relaxed_qp(s) : status;
 }
 
-/* The same QP with other constraints. */
+/* Solves the same QP with other constraints. */
 static status_t solve_again(solver_t *s)
 {
     return s->trial.elastic ? run_relaxed_qp(s) : run_qp(s);
 }
 
-/* By how much the full step reduces the violation according to the linearisation. */
+/* Returns the reduction of the violation by the full step, according to the linearisation. */
 static real_t gain_of(const solver_t *s)
 {
     real_t gain = s->sqp.base.violation;
@@ -37,7 +37,7 @@ static real_t gain_of(const solver_t *s)
     return gain;
 }
 
-/* After an iteration: an elastic QP that does not lead on gets a larger penalty, up to a limit. */
+/* Raises the penalty, up to a limit, after an iteration whose elastic QP made no progress. */
 static status_t raise_row_weight(solver_t *s, status_t status)
 {
     const int slow = !(s->sqp.gain > FACTOR_SQP_LITTLE_PROGRESS * s->sqp.base.violation);

@@ -1,4 +1,4 @@
-/* A search with the Hessian of the samples, which is convex. */
+/* The search takes the Hessian of the samples, which is convex. */
 
 /* Linearises the present point, and evaluates the Hessian. */
 static void evaluate_iterate(solver_t *s)
@@ -6,7 +6,7 @@ static void evaluate_iterate(solver_t *s)
     evaluate_for_sample(s);
 }
 
-/* The QP of the present linearisation. */
+/* Forms the QP of the present linearisation. */
 static status_t form_qp(solver_t *s)
 {
     return condense_prepare(s);

@@ -1,15 +1,15 @@
-/* Two measures of a point, and the scales that they are in:
+/* Two measures of a point, and their scales:
  *
  *     violation = sum of gaps, of the residual of x_0 and of row violations, each in the scale of its state or row,
  *     cost      = cost of the nodes, and the penalties of violated rows that have one. */
 
-/* The same component of the plan. */
+/* Returns the same component of the plan. */
 static inline real_t point_at(const solver_t *s, int k, int i)
 {
     return (i < NX) ? s->x[k][i] : s->u[k][i - NX];
 }
 
-/* Measures of the present iterate, without derivatives. */
+/* Computes the measures of the present iterate, without derivatives. */
 static measures_t measure(solver_t *s)
 {
     const sqp_t *q = &s->sqp;
@@ -57,7 +57,7 @@ static inline real_t *gradient_of(solver_t *s, int k)
 }
 
 /* Enlarges the sizes of the states. The size of a state is at least what a control changes in an interval, and what a
- * hard bound demands: the value and the step of a state near 0 may be rounding errors. */
+ * hard bound demands, because the value and the step of a state near 0 may be rounding errors. */
 static void enlarge_by_reach(const solver_t *s, real_t *size)
 {
     real_t u[NU];
@@ -76,8 +76,8 @@ static void enlarge_by_reach(const solver_t *s, real_t *size)
     }
 }
 
-/* Scales of the hard rows: the largest magnitude of the terms of a linearised row and of its finite bounds. Returns 1
- * if one of them changes. */
+/* Updates the scales of the hard rows: the largest magnitude of the terms of a linearised row and of its finite bounds.
+ * Returns 1 if one of them changes. */
 static int update_row_scales(solver_t *s, const real_t *size)
 {
     int grew = 0;
@@ -93,9 +93,10 @@ static int update_row_scales(solver_t *s, const real_t *size)
     return grew;
 }
 
-/* Scales of states and rows: largest magnitudes over the horizon at the present point and of the present step. They
- * only grow; if one does, the measures of earlier points are not comparable any more, and the filter is cleared.
- * cost_unit is how much the cost may change along the horizon: the largest |g_i| |z_i|, at least that of its scale. */
+/* Updates the scales of states and rows: largest magnitudes over the horizon at the present point and of the present
+ * step. They only grow; if one does, the measures of earlier points are no longer comparable, and the filter is
+ * cleared. cost_unit is how much the cost may change along the horizon: the largest |g_i| |z_i|, at least that of its
+ * scale. */
 static void update_scales(solver_t *s)
 {
     sqp_t *q = &s->sqp;

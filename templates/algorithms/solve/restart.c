@@ -1,4 +1,5 @@
-/* Starts of a search: the plan, and after a search that has failed where the constraints cannot be satisfied, others. */
+/* Starts of a search: from the plan, and from other points after a search that has ended where the constraints cannot
+ * be satisfied. */
 
 /* Starts from the plan with an empty filter and unknown scales. */
 static void start_search(solver_t *s, int attempts)
@@ -22,7 +23,7 @@ static void start_search(solver_t *s, int attempts)
     s->sqp.row_weight = FACTOR_SQP_ELASTIC_WEIGHT;
 }
 
-/* Returns 1 if the cost falls without limit: far beyond its scale, along a variable that is far beyond its own. */
+/* Returns 1 if the cost is unbounded below: far beyond its scale, along a variable far beyond its own. */
 static int cost_is_unbounded(const solver_t *s)
 {
     if (!(s->sqp.base.cost < -FACTOR_SQP_UNBOUNDED * cost_size[0])) {
@@ -48,7 +49,7 @@ static int is_escaping(const solver_t *s, const real_t *x)
     return escapes;
 }
 
-/* Where a plan from x_0 may end: x_0 inside the bounds of node N. Returns 0 if that is x_0 itself. */
+/* Finds a possible end of a plan from x_0: x_0 clipped to the bounds of node N. Returns 0 if that is x_0 itself. */
 static int find_end(const solver_t *s, real_t *end)
 {
     int moved = 0;
@@ -62,10 +63,10 @@ static int find_end(const solver_t *s, real_t *end)
     return moved;
 }
 
-/* A new start after a search that has ended where the constraints cannot be satisfied, which says nothing of other
- * places. The first time: the straight line to where bounds of node N are met, with the reference controls or, if they
- * are met, the states to which the controls of the plan lead. Then: the states to which the reference controls lead.
- * From where they escape, the measured state. */
+/* Starts again after a search that has ended where the constraints cannot be satisfied, which does not exclude a
+ * solution elsewhere. The first time the states lie on the straight line to where the bounds of node N are met, with
+ * the reference controls; if x_0 meets them, the states follow from the controls of the plan. Later the states follow
+ * from the reference controls. States that diverge are replaced by the measured state. */
 static void restart_search(solver_t *s)
 {
     real_t end[NX];
@@ -102,7 +103,7 @@ static int multipliers_are_finite(solver_t *s)
     return all_finite(s->lam[0], (N + 1) * NX);
 }
 
-/* Bounds of controls may have moved, and steps keep controls inside them. */
+/* Clips the controls to their bounds, which may have moved, because steps keep controls inside them. */
 static void clip_controls(solver_t *s)
 {
     for (int k = 0; k < N; k++) {
@@ -112,7 +113,7 @@ static void clip_controls(solver_t *s)
     }
 }
 
-/* Begins with the plan and this state. Returns 0 if the state is not finite. */
+/* Starts with the plan and this state. Returns 0 if the state is not finite. */
 static int take_over(solver_t *s, const real_t xhat[NXHAT])
 {
     s->stats.sqp_iterations = 0;

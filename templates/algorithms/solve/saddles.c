@@ -1,7 +1,7 @@
-/* A search at saddles. */
+/* The search leaves saddles. */
 
 #if SOLVE
-/* Keeps the plan at the saddle, with its multipliers. */
+/* Saves the plan at the saddle, with its multipliers. */
 static void keep_saddle(solver_t *s)
 {
     saddle_t *q = &s->saddle;
@@ -23,9 +23,9 @@ static void return_to_saddle(solver_t *s)
     (void)memcpy(s->mult, q->mult, sizeof q->mult);
 }
 
-/* Where a probe of the idle controls alone leads to no better plan, as the others would have to follow, they move by
- * `part` of their probe, states stay, and the search goes on; its result is compared with the plan at the saddle.
- * Returns 0 if the probe moves none. */
+/* Departs from a saddle where no probe of the idle controls leads to a better plan, because the other variables would
+ * have to follow. The idle controls move by `part` of their probe, the states stay, and the search continues; its
+ * result is compared with the plan at the saddle. Returns 0 if the probe moves no control. */
 static int depart(solver_t *s, real_t part)
 {
     saddle_t *q = &s->saddle;
@@ -51,7 +51,7 @@ static int depart(solver_t *s, real_t part)
     return moved;
 }
 
-/* The end of a departure, at a solution or not. Where the plan is not a better one, it is that at the saddle again. */
+/* Ends a departure, at a solution or not. The plan at the saddle is restored if it is the better one. */
 static void end_departure(solver_t *s, int solved)
 {
     saddle_t *q = &s->saddle;
@@ -61,11 +61,11 @@ static void end_departure(solver_t *s, int solved)
     }
     return_to_saddle(s);
     evaluate_iterate(s);
-    (void)kkt_is_within(s, R(1)); /* it was solved */
+    (void)kkt_is_within(s, R(1)); /* the saddle was solved */
     s->sqp.departures++;
 }
 
-/* Departs from a saddle, by less the second time. Samples have no time for that. */
+/* Departs from a saddle, the second time by less. Samples have no time for that. */
 static int departs(solver_t *s)
 {
     if (ITERATES) {
@@ -84,7 +84,7 @@ static int departs(solver_t *s)
 }
 #endif
 
-/* What becomes of the plan of an iteration: it is no solution yet; it is one; it was at a saddle and is another one. */
+/* State of the plan after an iteration: not yet a solution; a solution; moved away from a saddle. */
 enum { GOES_ON, IS_SOLVED, HAS_LEFT };
 
 static int look_for_saddle(solver_t *s, int solved)

@@ -1,7 +1,8 @@
 /* Line search with the filter. A full step that is rejected gets one second-order correction. */
 
-/* Second-order correction: the constraints of the QP take the values at base + step, where s is. As the step satisfies
- * A dx + B du + b = dx_{k+1}, the b are the sums of both gaps; rows are h(x + dx, u + du) - J (dx, du). */
+/* Second-order correction: the constraints of the QP take their values at base + step, the present point of s. As the
+ * step satisfies A dx + B du + b = dx_{k+1}, the b are the sums of both gaps; rows are h(x + dx, u + du) - J (dx,
+ * du). */
 static void correct_constraints(solver_t *s)
 {
     for (int k = 0; k < N; k++) {
@@ -55,7 +56,7 @@ static int accepts_corrected(solver_t *s)
     return accepted;
 }
 
-/* Backtracking. If the full step is rejected, one second-order correction is tried. */
+/* Backtracks. If the full step is rejected, one second-order correction is tried. */
 static status_t line_search(solver_t *s)
 {
     trial_t *q = &s->trial;
@@ -64,7 +65,7 @@ static status_t line_search(solver_t *s)
         if (accepts(s)) {
             return OK;
         }
-        if (q->length == R(1) && accepts_corrected(s)) { /* exactly, as powers of 2 are */
+        if (q->length == R(1) && accepts_corrected(s)) { /* exact comparison, as lengths are powers of 2 */
             return OK;
         }
         q->length *= R(0.5);
@@ -73,7 +74,7 @@ static status_t line_search(solver_t *s)
     return STALLED;
 }
 
-/* Directional derivative g' (dx, du) of the cost along the step. */
+/* Returns the directional derivative g' (dx, du) of the cost along the step. */
 static real_t slope_of(solver_t *s)
 {
     real_t slope = R(0);
@@ -96,8 +97,8 @@ static real_t slope_of(solver_t *s)
     return slope;
 }
 
-/* The line search; if no step passes the filter, feasibility is restored: until the filter is passed again, steps have
- * to reduce the violation alone. */
+/* Runs the line search. If no step passes the filter, feasibility is restored: until the filter accepts a point again,
+ * steps have to reduce the violation only. */
 static status_t search(solver_t *s)
 {
     sqp_t *q = &s->sqp;

@@ -7,7 +7,7 @@
  *     bar_i = nu_i - kappa_i      (explicit: mu_i = h kappa_i, bar_i = f_x' mu_i + rho_x)
  *     g_u += f_u' mu_i + rho_u,   lam += sum_i bar_i */
 
-/* Stages of all steps; x becomes the end. */
+/* Computes the stages of all steps; x becomes the end. */
 static void record_stages(real_t *x, const real_t *z, const real_t *u, const real_t *p, real_t h, int newton,
     stage_t (*stage)[GROUPS], real_t *left)
 {
@@ -21,7 +21,7 @@ static void record_stages(real_t *x, const real_t *z, const real_t *u, const rea
     }
 }
 
-/* kappa_i of the stages of group b along n columns. */
+/* Computes kappa_i of the stages of group b along n columns. */
 static inline void adjoint_of_increment(const real_t *lam, int b, real_t (*bar)[NX * NZ], int n, real_t *kappa)
 {
     for (int i = 0; i < GROUP; i++) {
@@ -36,7 +36,7 @@ static inline void adjoint_of_increment(const real_t *lam, int b, real_t (*bar)[
     }
 }
 
-/* mu and bar of an explicit stage along n columns. rho: NXAU rows of n numbers. */
+/* Computes mu and bar of an explicit stage along n columns. rho: NXAU rows of n numbers. */
 static inline void pull_explicit_stage(
     const stage_t *t, real_t h, const real_t *kappa, const real_t *rho, int n, real_t *mu, real_t *bar)
 {
@@ -53,7 +53,7 @@ static inline void pull_explicit_stage(
     }
 }
 
-/* mu_j of all stages of a group from nu, along n columns. */
+/* Computes mu_j of all stages of a group from nu, along n columns. */
 static inline void weigh_multipliers(const real_t *ha, const real_t *nu, int n, real_t *mu)
 {
     for (int j = 0; j < GROUP; j++) {
@@ -71,7 +71,8 @@ static inline void weigh_multipliers(const real_t *ha, const real_t *nu, int n, 
     }
 }
 
-/* mu and bar of the stages of group b along n columns: NXAU rows of rho and NXA rows of mu for each of its stages. */
+/* Computes mu and bar of the stages of group b along n columns: NXAU rows of rho and NXA rows of mu for each of its
+ * stages. */
 static inline void pull_stage(const stage_t *t, int b, real_t h, const real_t *kappa, const real_t *rho, int n,
     real_t *mu, real_t (*bar)[NX * NZ])
 {
@@ -126,7 +127,7 @@ static inline void end_pulled_step(real_t *lam, real_t (*bar)[NX * NZ], int n)
     }
 }
 
-/* A step backward: lam, mu_i of its stages, g_u. */
+/* Follows a step backward: lam, mu_i of its stages, g_u. */
 static void pull_step(const stage_t *stage, real_t h, real_t (*rho)[NXAU], real_t *lam, real_t (*mu)[NXA], real_t *g_u)
 {
     real_t bar[STAGES][NX * NZ], kappa[GROUP * NX];

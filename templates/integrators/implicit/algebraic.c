@@ -1,8 +1,8 @@
 /* Algebraic variables of a point (x, z): 0 = g(x, z, u, p), by Newton's method. A step is halved until the next one with
  * the same factors is shorter. */
 
-/* z from that in the point, and the factors of dg/dz. Returns -1, the variable whose column has no pivot, or NALG plus
- * the one that does not converge. */
+/* Computes z from its value in the point, and the factors of dg/dz. Returns -1, the variable whose column has no pivot,
+ * or NALG plus the one that does not converge. */
 static int solve_algebraic(real_t *point, const real_t *u, const real_t *p, real_t (*M)[NALG], int *order)
 {
     real_t *z = point + NX, from[NALG], g[NALG], J[NALG][NALG], d[NALG], next[NALG], size = INF, length = R(1);
@@ -14,7 +14,7 @@ static int solve_algebraic(real_t *point, const real_t *u, const real_t *p, real
         if (n > 0 && halved < HALVINGS) {
             lu_solve(M[0], order, NALG, g, next, 1);
             const real_t shorter = size_of_correction(next, from, state_unit + NX, NALG, &worst);
-            if (!(shorter <= (R(1) - R(0.5) * length) * size)) { /* NaN, too */
+            if (!(shorter <= (R(1) - R(0.5) * length) * size)) { /* also true for NaN */
                 length *= R(0.5);
                 halved++;
                 for (int i = 0; i < NALG; i++) {
@@ -44,7 +44,7 @@ static int solve_algebraic(real_t *point, const real_t *u, const real_t *p, real
     return NALG + worst;
 }
 
-/* The same from `start`, and from the declared values if that fails; NaN if both do. */
+/* Computes z from `start`, and from the declared values if that fails; z is NaN if both fail. */
 static int find_algebraic(
     real_t *point, const real_t *start, const real_t *u, const real_t *p, real_t (*M)[NALG], int *order)
 {
@@ -60,9 +60,9 @@ static int find_algebraic(
     return reason;
 }
 
-/* What functions of a node read: the parameters and z. Returns -1, or why there is no z. */
-static int fill_node(const real_t *x, const real_t *z, const real_t *u, const real_t *p, real_t *data,
-    real_t (*M)[NALG], int *order)
+/* Fills the data that functions of a node read: the parameters and z. Returns -1, or the reason why there is no z. */
+static int fill_node(
+    const real_t *x, const real_t *z, const real_t *u, const real_t *p, real_t *data, real_t (*M)[NALG], int *order)
 {
     real_t point[NXA];
     (void)memcpy(point, x, NX * sizeof *x);
@@ -74,17 +74,15 @@ static int fill_node(const real_t *x, const real_t *z, const real_t *u, const re
     return reason;
 }
 
-static void implicit_node_point(
-    const real_t *x, const real_t *z, const real_t *u, const real_t *p, real_t *data)
+static void implicit_node_point(const real_t *x, const real_t *z, const real_t *u, const real_t *p, real_t *data)
 {
     real_t M[NALG][NALG];
     int order[NALG];
     (void)fill_node(x, z, u, p, data, M, order);
 }
 
-/* The same, and W = -(dg/dz)^-1 row by row. */
-static void implicit_node_data(
-    const real_t *x, const real_t *z, const real_t *u, const real_t *p, real_t *data)
+/* Fills the data of a node, and W = -(dg/dz)^-1 row by row. */
+static void implicit_node_data(const real_t *x, const real_t *z, const real_t *u, const real_t *p, real_t *data)
 {
     real_t M[NALG][NALG], minus[NALG * NALG] = {R(0)}, *W = data + NP + NALG;
     int order[NALG];

@@ -5,13 +5,14 @@
  * where the first NXA rows of Z_i are the derivatives of the stage with respect to (x, u), the others U, the unit rows
  * of the controls. Only the variables in bent_variable[] have second derivatives. */
 
-/* The row of Z_i that belongs to a variable. */
+/* Returns the row of Z_i that belongs to a variable. */
 static inline const real_t *row_of_stage(const real_t *Z, const real_t *U, int variable)
 {
     return (variable < NXA) ? &Z[variable * NZ] : &U[(variable - NXA) * NZ];
 }
 
-/* W = H_i Z_i, NZ columns, rows of bent variables; H holds the lower triangle of H_i, and all of it afterwards. */
+/* W = H_i Z_i, NZ columns, rows of variables with second derivatives; H holds the lower triangle of H_i, and all of it
+ * afterwards. */
 static void multiply_curvature(real_t (*H)[NXAU], const real_t *Z, const real_t *U, real_t *W)
 {
     for (int i = 0; i < NXAU; i++) {
@@ -48,7 +49,7 @@ static void add_curvature_of_stage(const real_t *Z, const real_t *U, const real_
     }
 }
 
-/* The gradients of the cost of all stages, 0 without a cost rate. */
+/* Computes the gradients of the cost of all stages, 0 without a cost rate. */
 static void all_rate_gradients(
     stage_t (*stage)[GROUPS], const real_t *u, const real_t *p, real_t h, real_t (*rho)[STAGES][NXAU])
 {
@@ -69,7 +70,7 @@ static void add_gradient_of_stage(const real_t *Z, const real_t *U, const real_t
     }
 }
 
-/* Second derivatives of the stages of a group, with the first of their multipliers and cost gradients: Q and g. */
+/* Adds the second derivatives of the stages of a group to Q and g; mult and rho begin with those of its first stage. */
 static void add_group(const stage_t *t, int b, const real_t *u, const real_t *p, real_t h, const real_t *Z,
     const real_t *U, real_t (*mu)[NXA], real_t (*rho)[NXAU], real_t *g, real_t *Q)
 {
@@ -85,7 +86,7 @@ static void add_group(const stage_t *t, int b, const real_t *u, const real_t *p,
     }
 }
 
-/* Three sweeps: stages forward, their multipliers backward, sensitivities and Q forward. */
+/* Computes Q in three sweeps: stages forward, their multipliers backward, sensitivities and Q forward. */
 static void implicit_symmetric(const real_t *x, const real_t *z, const real_t *u, const real_t *p, const real_t *dt,
     int newton, const real_t *lam, real_t *x_next, real_t *S, real_t *left, real_t *g, real_t *Q)
 {
@@ -113,7 +114,7 @@ static void implicit_symmetric(const real_t *x, const real_t *z, const real_t *u
     (void)memcpy(x_next, end, sizeof end);
 }
 
-/* The derivatives of a step backward: adjS of lam, controlS of g_u, NZ columns. */
+/* Follows the derivatives of a step backward: adjS of lam, controlS of g_u, NZ columns. */
 static void pull_columns(const stage_t *stage, const real_t *u, const real_t *p, real_t h, real_t (*mu)[NXA],
     real_t (*Z)[NB * NZ], const real_t *U, real_t *adjS, real_t *controlS)
 {
@@ -132,7 +133,7 @@ static void pull_columns(const stage_t *stage, const real_t *u, const real_t *p,
     end_pulled_step(adjS, bar, NZ);
 }
 
-/* Forward over adjoint: stages and sensitivities forward, the derivatives of the adjoint backward. */
+/* Computes Q by forward over adjoint: stages and sensitivities forward, the derivatives of the adjoint backward. */
 static void implicit_forward_over_adjoint(const real_t *x, const real_t *z, const real_t *u, const real_t *p,
     const real_t *dt, int newton, const real_t *lam, real_t *x_next, real_t *S, real_t *left, real_t *g, real_t *Q)
 {

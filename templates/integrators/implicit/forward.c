@@ -1,6 +1,6 @@
 /* Stages and steps, and their derivatives along n columns of directions (V, U) = d(x, u). */
 
-/* base_i of the stages of group b. */
+/* Computes base_i of the stages of group b. */
 static void stage_base(const real_t *x, int b, real_t (*D)[NX], real_t *base)
 {
     for (int i = 0; i < GROUP; i++) {
@@ -15,7 +15,7 @@ static void stage_base(const real_t *x, int b, real_t (*D)[NX], real_t *base)
     }
 }
 
-/* h A of the stages of group b. */
+/* Computes h A of the stages of group b. */
 static inline void stage_lengths(real_t h, int b, real_t *ha)
 {
     for (int i = 0; i < GROUP * GROUP; i++) {
@@ -23,9 +23,9 @@ static inline void stage_lengths(real_t h, int b, real_t *ha)
     }
 }
 
-/* Points, increments and derivatives of the stages of group b of a step from x. Newton's method starts at `point`, the
- * last point before, where fast states have settled, while their slopes lead away; the last one of these stages takes
- * its place. Returns why it fails, or -1. */
+/* Computes points, increments and derivatives of the stages of group b of a step from x. Newton's method starts at
+ * `point`, the last point before, where fast states have settled; extrapolation by their slopes would diverge. The last
+ * one of these stages replaces it. Returns the reason of a failure, or -1. */
 static int run_stage(stage_t *t, real_t *point, real_t (*D)[NX], int b, const real_t *x, const real_t *u,
     const real_t *p, real_t h, int newton, real_t *left)
 {
@@ -59,7 +59,7 @@ static int run_stage(stage_t *t, real_t *point, real_t (*D)[NX], int b, const re
     return failed;
 }
 
-/* x += sum_i increment_b[i] D_i; `point` takes the place of its state. */
+/* x += sum_i increment_b[i] D_i; the state of `point` becomes x. */
 static void end_step(real_t *x, real_t (*D)[NX], real_t *point)
 {
     for (int i = 0; i < STAGES; i++) {
@@ -70,7 +70,7 @@ static void end_step(real_t *x, real_t (*D)[NX], real_t *point)
     (void)memcpy(point, x, NX * sizeof *x);
 }
 
-/* The point where an interval starts: x, and what is known of z. */
+/* Sets the point at the start of an interval: x, and the known values of z. */
 static inline void start_point(real_t *point, const real_t *x, const real_t *z)
 {
     (void)memcpy(point, x, NX * sizeof *x);
@@ -79,9 +79,9 @@ static inline void start_point(real_t *point, const real_t *x, const real_t *z)
     }
 }
 
-/* One step of length h in place. Returns why the group of stages `failing` fails, or -1. */
-static int step_in_place(real_t *x, real_t *point, const real_t *u, const real_t *p, real_t h, int newton, int *failing,
-    real_t *left)
+/* Takes one step of length h in place. Returns the reason why the group of stages `failing` fails, or -1. */
+static int step_in_place(
+    real_t *x, real_t *point, const real_t *u, const real_t *p, real_t h, int newton, int *failing, real_t *left)
 {
     stage_t stage;
     real_t D[STAGES][NX];
@@ -100,8 +100,8 @@ static int step_in_place(real_t *x, real_t *point, const real_t *u, const real_t
 }
 
 /* x_next = one step of length h from x. */
-static void implicit_step(const real_t *x, const real_t *z, const real_t *u, const real_t *p, const real_t *h,
-    int newton, real_t *x_next)
+static void implicit_step(
+    const real_t *x, const real_t *z, const real_t *u, const real_t *p, const real_t *h, int newton, real_t *x_next)
 {
     real_t end[NX], left[NX] = {R(0)}, point[NXA];
     int failing;
@@ -111,7 +111,7 @@ static void implicit_step(const real_t *x, const real_t *z, const real_t *u, con
     (void)memcpy(x_next, end, sizeof end);
 }
 
-/* x_next = STEPS steps over dt from x, and what Newton's method leaves of the stages. */
+/* x_next = STEPS steps over dt from x; `left` is the residual of Newton's method in the stages. */
 static void implicit_value(const real_t *x, const real_t *z, const real_t *u, const real_t *p, const real_t *dt,
     int newton, real_t *x_next, real_t *left)
 {
@@ -126,9 +126,10 @@ static void implicit_value(const real_t *x, const real_t *z, const real_t *u, co
     (void)memcpy(x_next, end, sizeof end);
 }
 
-/* The first stages of STEPS steps that cannot be solved: reason, step, group of stages; reason -1: there are none. */
-static void implicit_failure(const real_t *x, const real_t *z, const real_t *u, const real_t *p, const real_t *dt,
-    int newton, real_t *failure)
+/* Finds the first stages of STEPS steps that cannot be solved: reason, step, group of stages; reason -1 if there are
+ * none. */
+static void implicit_failure(
+    const real_t *x, const real_t *z, const real_t *u, const real_t *p, const real_t *dt, int newton, real_t *failure)
 {
     real_t end[NX], left[NX] = {R(0)}, point[NXA];
     int reason = -1, failing = 0;
@@ -157,7 +158,7 @@ static inline void add_forcing(
     }
 }
 
-/* The same of an explicit stage: Z = base, DV = h (f_x Z + f_u U). */
+/* Computes the columns of an explicit stage: Z = base, DV = h (f_x Z + f_u U). */
 static inline void explicit_columns(
     const stage_t *t, real_t h, const real_t *V, const real_t *U, int n, real_t *DV, real_t *Z)
 {
@@ -178,7 +179,7 @@ static inline void explicit_columns(
     add_forcing(t, 0, 0, NX, h, U, n, DV);
 }
 
-/* Derivatives of the bases of group b along n columns. */
+/* Computes the derivatives of the bases of group b along n columns. */
 static inline void base_columns(const real_t *V, int b, int n, real_t (*DV)[NX * NZ], real_t *base)
 {
     for (int i = 0; i < GROUP; i++) {
@@ -193,8 +194,8 @@ static inline void base_columns(const real_t *V, int b, int n, real_t (*DV)[NX *
     }
 }
 
-/* Derivatives of the points of group b, Z, and of their increments, DV, along n <= NZ columns:
- * Z = M^-1 (base + h A f_u U; g_u U), DV = Z - base. */
+/* Computes the derivatives of the points of group b, Z, and of their increments, DV, along n <= NZ columns: Z = M^-1
+ * (base + h A f_u U; g_u U), DV = Z - base. */
 static inline void stage_columns(
     const stage_t *t, int b, real_t h, const real_t *V, const real_t *U, int n, real_t (*DV)[NX * NZ], real_t *Z)
 {
@@ -236,8 +237,8 @@ static inline void end_step_of_columns(real_t *V, real_t (*DV)[NX * NZ], int n)
     }
 }
 
-/* STEPS steps over dt from x, which becomes their end, and along n <= NZ columns (V, U), of which V is followed. What
- * Newton's method leaves of the stages is added to `left`. */
+/* Takes STEPS steps over dt from x, which becomes their end, and their derivatives along n <= NZ columns (V, U); V
+ * becomes the derivatives of the end. The residual of Newton's method is added to `left`. */
 static inline void implicit_columns(real_t *x, const real_t *z, const real_t *u, const real_t *p, real_t dt, int newton,
     real_t *V, const real_t *U, int n, real_t *left)
 {
@@ -268,9 +269,9 @@ static void unit_columns(real_t *V, real_t *U)
     }
 }
 
-/* x_next, S = d x_next / d(x, u), what Newton's method leaves. */
-static void implicit_interval(const real_t *x, const real_t *z, const real_t *u, const real_t *p, const real_t *dt, int newton,
-    real_t *x_next, real_t *S, real_t *left)
+/* Computes x_next, S = d x_next / d(x, u), and the residual of Newton's method. */
+static void implicit_interval(const real_t *x, const real_t *z, const real_t *u, const real_t *p, const real_t *dt,
+    int newton, real_t *x_next, real_t *S, real_t *left)
 {
     real_t end[NX], U[NU * NZ];
     (void)memcpy(end, x, sizeof end);
@@ -280,9 +281,9 @@ static void implicit_interval(const real_t *x, const real_t *z, const real_t *u,
     (void)memcpy(x_next, end, sizeof end);
 }
 
-/* x_next, S_next = d x_next / du. */
-static void implicit_forced(
-    const real_t *x, const real_t *z, const real_t *u, const real_t *p, const real_t *dt, int newton, real_t *x_next, real_t *S_next)
+/* Computes x_next and S_next = d x_next / du. */
+static void implicit_forced(const real_t *x, const real_t *z, const real_t *u, const real_t *p, const real_t *dt,
+    int newton, real_t *x_next, real_t *S_next)
 {
     real_t end[NX], U[NU * NU] = {R(0)}, left[NX] = {R(0)};
     (void)memcpy(end, x, sizeof end);
@@ -294,9 +295,9 @@ static void implicit_forced(
     (void)memcpy(x_next, end, sizeof end);
 }
 
-/* x_next, S_next = (d x_next / dx) S. */
-static void implicit_free(const real_t *x, const real_t *z, const real_t *u, const real_t *p, const real_t *dt, int newton,
-    const real_t *S, real_t *x_next, real_t *S_next)
+/* Computes x_next and S_next = (d x_next / dx) S. */
+static void implicit_free(const real_t *x, const real_t *z, const real_t *u, const real_t *p, const real_t *dt,
+    int newton, const real_t *S, real_t *x_next, real_t *S_next)
 {
     real_t end[NX], U[NU * NU] = {R(0)}, left[NX] = {R(0)};
     (void)memcpy(end, x, sizeof end);
@@ -306,8 +307,8 @@ static void implicit_free(const real_t *x, const real_t *z, const real_t *u, con
 }
 
 /* dx_next = A dx + B du. */
-static void implicit_forward(const real_t *x, const real_t *z, const real_t *u, const real_t *p, const real_t *dt, int newton,
-    const real_t *dx, const real_t *du, real_t *dx_next)
+static void implicit_forward(const real_t *x, const real_t *z, const real_t *u, const real_t *p, const real_t *dt,
+    int newton, const real_t *dx, const real_t *du, real_t *dx_next)
 {
     real_t end[NX], V[NX], left[NX] = {R(0)};
     (void)memcpy(end, x, sizeof end);

@@ -17,6 +17,6 @@
 
 #include "integrators/implicit/curvature.c"
 
-/* The functions of an interval. */
+/* The functions of an interval follow. */
 
 #include "generated/intervals.c"

@@ -1,4 +1,4 @@
-/* Factors M = P' L U of matrices of n rows, with the order of their rows in `order`. */
+/* Factorises matrices of n rows, M = P' L U; `order` holds the order of their rows. */
 
 static void lu_exchange(real_t *M, int *order, int n, int i, int j)
 {
@@ -12,7 +12,7 @@ static void lu_exchange(real_t *M, int *order, int n, int i, int j)
     }
 }
 
-/* M = P' L U with row exchanges; pivots are compared in the scales of their variables, and the diagonal of U is stored
+/* M = P' L U with row exchanges. Pivots are compared in the scales of their variables, and the diagonal of U is stored
  * as its inverse. Returns the variable whose column has no pivot above rounding errors, or -1. */
 static inline int lu_factorize(real_t *M, int *order, const real_t *unit, int n)
 {
@@ -100,14 +100,14 @@ static inline void lu_solve_transposed(
     }
 }
 
-/* Largest entry of a step d of n variables v, in the size of each; `worst` is its number. */
+/* Returns the largest entry of a step d of n variables v, in the size of each; `worst` is its index. */
 static inline real_t size_of_correction(const real_t *d, const real_t *v, const real_t *unit, int n, int *worst)
 {
     real_t most = R(0);
     *worst = 0;
     for (int i = 0; i < n; i++) {
         const real_t size = FABS(d[i]) * unit[i] / (FABS(v[i]) * unit[i] + R(1));
-        if (!(size <= most)) { /* NaN, too */
+        if (!(size <= most)) { /* also true for NaN */
             most = size;
             *worst = i;
         }

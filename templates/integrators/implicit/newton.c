@@ -8,8 +8,8 @@
  * No number is divided by h, and M^-1 damps the rounding errors of f; M is the derivative of X - base - h a f, and of
  * -g. An explicit first stage (a_ii = 0) has X_i = base_i and D_i = h f. */
 
-/* Stages that are solved together: their points (x, z), the derivatives J there with respect to (x, z, u), and the
- * factors of M with the order of their rows. */
+/* A group of stages that are solved together: their points (x, z), the derivatives J there with respect to (x, z, u),
+ * and the factors of M with the order of their rows. */
 typedef struct {
     real_t X[NB], J[GROUP][NXA][NXAU], M[NB][NB];
     int order[NB];
@@ -51,7 +51,7 @@ static void correct_point(stage_t *t, const real_t *base, const real_t *ha, cons
     }
 }
 
-/* Stages that cannot be solved: their points and factors are NaN, so that all results are. Returns the reason. */
+/* Sets points and factors of stages that cannot be solved to NaN, so that all results are NaN. Returns the reason. */
 static int fail_stage(stage_t *t, int reason)
 {
     for (int i = 0; i < NB; i++) {
@@ -64,7 +64,7 @@ static int fail_stage(stage_t *t, int reason)
     return reason;
 }
 
-/* Rows of M that belong to stage i. */
+/* Computes the rows of M that belong to stage i. */
 static void form_rows(stage_t *t, const real_t *ha, int i)
 {
     for (int j = 0; j < GROUP; j++) {
@@ -82,7 +82,8 @@ static void form_rows(stage_t *t, const real_t *ha, int i)
     }
 }
 
-/* Derivatives at the points, and the factors of M. Returns the variable whose column has no pivot, or -1. */
+/* Computes the derivatives at the points, and the factors of M. Returns the variable whose column has no pivot, or
+ * -1. */
 static int factorize_at_point(stage_t *t, const real_t *u, const real_t *p, const real_t *ha, real_t *f)
 {
     for (int i = 0; i < GROUP; i++) {
@@ -94,7 +95,7 @@ static int factorize_at_point(stage_t *t, const real_t *u, const real_t *p, cons
     return lu_factorize(t->M[0], t->order, state_unit, NB);
 }
 
-/* NXA plus the first variable whose number is not finite, or -1. */
+/* Returns NXA plus the index of the first number that is not finite, or -1. */
 static int first_not_finite(const real_t *values)
 {
     for (int i = 0; i < NB; i++) {
@@ -105,10 +106,9 @@ static int first_not_finite(const real_t *values)
     return -1;
 }
 
-/* One Newton step. Returns -1, the variable whose column of M has no pivot, or NXA plus one whose slope is not
+/* Takes one Newton step. Returns -1, the variable whose column of M has no pivot, or NXA plus one whose slope is not
  * finite. */
-static int newton_step(
-    stage_t *t, const real_t *base, const real_t *u, const real_t *p, const real_t *ha, real_t *d)
+static int newton_step(stage_t *t, const real_t *base, const real_t *u, const real_t *p, const real_t *ha, real_t *d)
 {
     real_t f[NB];
     const int singular = factorize_at_point(t, u, p, ha, f), undefined = first_not_finite(f);
@@ -119,8 +119,8 @@ static int newton_step(
     return -1;
 }
 
-/* Newton steps from the points in X until they are rounding errors. Returns -1, the variable whose column of M has no
- * pivot, or NXA plus the variable that does not converge. */
+/* Takes Newton steps from the points in X until they are rounding errors. Returns -1, the variable whose column of M
+ * has no pivot, or NXA plus the variable that does not converge. */
 static int iterate_stage(stage_t *t, const real_t *base, const real_t *u, const real_t *p, const real_t *ha)
 {
     real_t d[NB], size = INF;
@@ -139,9 +139,9 @@ static int iterate_stage(stage_t *t, const real_t *base, const real_t *u, const 
     return NXA + worst % NXA;
 }
 
-/* `newton` Newton steps from the points in X. Returns the same. */
-static int sample_stage(
-    stage_t *t, const real_t *base, const real_t *u, const real_t *p, const real_t *ha, int newton)
+/* Takes `newton` Newton steps from the points in X. Returns -1, the variable whose column of M has no pivot, or NXA
+ * plus one whose slope is not finite. */
+static int sample_stage(stage_t *t, const real_t *base, const real_t *u, const real_t *p, const real_t *ha, int newton)
 {
     real_t d[NB];
     for (int n = 0; n < newton; n++) {
@@ -153,9 +153,9 @@ static int sample_stage(
     return -1;
 }
 
-/* Implicit stages, from the points in X: `newton` Newton steps, or as many as rounding errors allow if there are
- * NEWTON_LIMIT, and one more with the factors of the last, whose magnitude is added to `left`. Returns why it fails, or
- * -1. */
+/* Solves implicit stages from the points in X by `newton` Newton steps, or to rounding errors if there are
+ * NEWTON_LIMIT. One more step with the last factors measures the residual, which is added to `left`. Returns the reason
+ * of a failure, or -1. */
 static int solve_stage(
     stage_t *t, const real_t *base, const real_t *u, const real_t *p, const real_t *ha, int newton, real_t *left)
 {

@@ -1,8 +1,8 @@
 /* The integral of a cost rate l by the scheme: h sum over steps and stages of weight_i l(X_i, u, p). */
 
 /* l += integral over dt. */
-static void implicit_integral(const real_t *x, const real_t *z, const real_t *u, const real_t *p, const real_t *dt,
-    int newton, real_t *l)
+static void implicit_integral(
+    const real_t *x, const real_t *z, const real_t *u, const real_t *p, const real_t *dt, int newton, real_t *l)
 {
     const real_t h = *dt / (real_t)STEPS;
     real_t end[NX], left[NX] = {R(0)}, D[STAGES][NX], point[NXA], rate;
@@ -35,8 +35,8 @@ static void rate_gradients(const stage_t *stage, const real_t *u, const real_t *
 }
 
 /* g += gradient of the integral over dt. */
-static void implicit_integral_gradient(const real_t *x, const real_t *z, const real_t *u, const real_t *p,
-    const real_t *dt, int newton, real_t *g)
+static void implicit_integral_gradient(
+    const real_t *x, const real_t *z, const real_t *u, const real_t *p, const real_t *dt, int newton, real_t *g)
 {
     const real_t h = *dt / (real_t)STEPS;
     real_t end[NX], left[NX] = {R(0)}, lam[NX] = {R(0)}, rho[STAGES][NXAU], mu[STAGES][NXA];

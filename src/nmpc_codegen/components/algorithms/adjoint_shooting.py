@@ -226,19 +226,19 @@ class AdjointShooting(Algorithm):
             Table("penalty_weight", "real", (self._penalty(problem),), "weight of the rows in their scales"),
             tolerance_table(self.tolerance),
             Table("row_weight", "real", tuple(weights), "1 / scale^2 of row m"),
-            Table("terminal_row", "int", terminal, "row m that is terminal row t of the model"),
-            Table("terminal_index", "int", tuple(positions), "number t of row m, or -1"),
-            Table("model_precision", "real", PRECISION, "relative residual of conjugate gradients: in a sample, last"),
-            Table("smooth_sharpness", "real", SHARPNESS, "of the smooth max in the scale of a row: first to last"),
+            Table("terminal_row", "int", terminal, "row m of terminal row t in the model"),
+            Table("terminal_index", "int", tuple(positions), "terminal row t of row m, or -1"),
+            Table("model_precision", "real", PRECISION, "relative residual of conjugate gradients: first, last"),
+            Table("smooth_sharpness", "real", SHARPNESS, "sharpness of the smooth max in the scale of a row"),
             Table("barrier_margin", "real", (MARGIN,), "distance from a bound where the barrier becomes a parabola"),
             Table(
                 "barrier_weight",
                 "real",
                 tuple(part * self._penalty(problem) for part in WEIGHTS),
-                "weight of the barriers: first, least of a sample, least of all",
+                "weight of the barriers: first, least in a sample, least in solve()",
             ),
-            Table("shortest_length", "real", (SHORTEST,), "shortest part of a step that a later one tries first"),
-            Table("armijo_part", "real", (ARMIJO,), "part of the decrease that the slope promises"),
+            Table("shortest_length", "real", (SHORTEST,), "least fraction of a step in a first trial"),
+            Table("armijo_part", "real", (ARMIJO,), "fraction of the decrease that the slope predicts"),
             *resample_tables(self.shift, self.sampling_time, problem),
         )
 
@@ -327,7 +327,7 @@ class AdjointShooting(Algorithm):
             Field(
                 "lump",
                 (),
-                "weight of the hard rows: of the lumped row at the plan",
+                "weight of the lumped hard rows at the plan",
                 "scratch",
                 only=lambda f: has and lumped,
             ),
@@ -341,7 +341,7 @@ class AdjointShooting(Algorithm):
         def real(name: str, shape: tuple[Size, ...], doc: str) -> Field:
             return Field(name, shape, doc, "scratch")
 
-        sharpness = Field("sharpness", (), "of the smooth max, in the scale of a row", "keep")
+        sharpness = Field("sharpness", (), "sharpness of the smooth max, in the scale of a row", "keep")
         change = real("lump_change", (), "its change along a direction")
         terms = {
             "smooth_l1": (sharpness,),
@@ -364,15 +364,13 @@ class AdjointShooting(Algorithm):
             real("omega", (terminal,), "their weights in the model and then in the merit function"),
             real("model", (), "change of the model by the step"),
             Field("solving", (), "1 during solve()", "scratch", "int32", only=lambda f: f.solve and not f.quasi_newton),
-            Field("left", (), "products that are left", "scratch", "int32"),
+            Field("left", (), "products that remain", "scratch", "int32"),
         )
         memory = (
             real("Y", (pairs, *controls), "changes of the gradient"),
             real("Z", (pairs, *controls), "changes of the controls"),
             real("D", controls, "diagonal of the inverse Hessian without pairs"),
-            Field(
-                "pairs", (), "pairs since the memory was empty; MEMORY .. 2 MEMORY - 1 if it is full", "keep", "int32"
-            ),
+            Field("pairs", (), "pairs since reset; MEMORY .. 2 MEMORY - 1 once the memory is full", "keep", "int32"),
             Field("paired", (), "1: the last step belongs to the present problem", "scratch", "int32"),
         )
         return Struct(
@@ -382,7 +380,7 @@ class AdjointShooting(Algorithm):
                 *self._growing(dims),
                 *chosen,
                 *only_if(False, *(member for member in terms["lumped"] if member.name not in names)),
-                Field("length", (), "part of the step that is tried first", "keep"),
+                Field("length", (), "fraction of the step for the first trial", "keep"),
                 real("r", controls, "gradient in scaled controls"),
                 real("d", controls, "step"),
                 real("p", controls, "direction; controls before the step"),

@@ -19,24 +19,25 @@ _Y, _U, _XHAT = (Argument("y", "real", ("NM",)), Argument("u", "real", ("NIN",))
 _Y_OUT = Argument("y", "real", ("NM",))
 _P = Argument("P", "real", ("NX * NX",))
 _ESTIMATE = (
-    "A sample: xhat, the state at the time of the measurements y, of which NaN is a missing one; {of_u}xhat is finite "
-    "on every return. After a failure of the window it is that of the filter, after one of the filter an earlier one. "
-    "NOT_CONVERGED while measurements are not what is expected: stats.innovation. An outlier is left out."
+    "Compute xhat, the state at the time of the measurements y, where NaN is a missing one. {of_u}xhat is finite on "
+    "every return: after a failure of the window it is the estimate of the filter, after a failure of the filter an "
+    "earlier one. The status is NOT_CONVERGED while measurements are unexpected, see stats.innovation. Outliers "
+    "are left out."
 )
-_OF_U = "u: the controls since the last sample, in the first one for measurements that contain them. "
+_OF_U = "u are the controls since the last sample; the first sample uses them only in measurements that contain them. "
 CORRECT = EntryPoint(
     "correct",
-    "Measurements that come late: those that are not NaN take the place of those of `age` samples ago, and xhat is the "
-    "present state with them. BAD_INDEX if the window does not reach back so far.",
+    "Replace the measurements of `age` samples ago by those in y that are not NaN, which come late, and compute the "
+    "present state xhat again. The status is BAD_INDEX if the window does not reach back so far.",
     (_Y, Argument("age", "int")),
     (_XHAT,),
 )
-COVARIANCE = EntryPoint("covariance", "Covariance P of the error of the last estimate.", (), (_P,))
-_MEASURE = "What sensors without noise tell of the state x, with the parameters of the present sample"
+COVARIANCE = EntryPoint("covariance", "Compute the covariance P of the error of the last estimate.", (), (_P,))
+_MEASURE = "Compute what sensors without noise measure at the state x, with the parameters of the present sample"
 RESTART = EntryPoint(
     "restart",
-    "Forget all measurements: the next sample begins at x0 with the covariance P0, symmetric and positive "
-    "semidefinite; BAD_ARGUMENT if it is not.",
+    "Forget all measurements. The next sample begins at x0 with the covariance P0, which must be symmetric and "
+    "positive semidefinite; the status is BAD_ARGUMENT if it is not.",
     (Argument("x0", "real", ("NX",)), Argument("P0", "real", ("NX * NX",))),
 )
 
@@ -76,11 +77,11 @@ def tables(problem: Problem) -> tuple[Table, ...]:
     assert e is not None
     return (
         Table("process_std", "real", e.process_std, "standard deviations of the noise"),
-        Table("initial_std", "real", e.initial_std, "and of the initial state"),
+        Table("initial_std", "real", e.initial_std, "standard deviations of the initial state"),
         Table("accuracy", "real", tuple(1.0 / v for v in e.noise_std), "1 / standard deviation of a measurement"),
-        Table("threshold", "real", e.thresholds, "errors beyond so many of them are outliers; 0: none are"),
+        Table("threshold", "real", e.thresholds, "smallest outlier, in standard deviations; 0: none is one"),
         Table(
-            "clipped", "int", tuple(_clip_of(e, row) for row in problem.rows), "state that never leaves a row, or -1"
+            "clipped", "int", tuple(_clip_of(e, row) for row in problem.rows), "state that is clipped to a row, or -1"
         ),
     )
 
@@ -118,17 +119,17 @@ def sizes(dims: Dims) -> tuple[tuple[str, int, str], ...]:
 def own_fields(dims: Dims) -> tuple[Field, ...]:
     """Return the members for a restart of the estimator, and for the watch on its innovations."""
     return (
-        Field("known", (dims.nx,), "an estimate that was OK", "keep"),
+        Field("known", (dims.nx,), "last estimate that was OK", "keep"),
         Field("samples", (), "samples since init, reset or restart", "keep", "int32"),
-        Field("watch", (), "of the innovations", "keep", "watch"),
+        Field("watch", (), "counters of the innovations", "keep", "watch"),
     )
 
 
 #: Statistics on the measurements of a sample.
 INNOVATION = (
-    Field("innovation", (), "largest error of a measurement, in standard deviations of what is expected", "result"),
-    Field("error", (), "this error, in the unit of the measurement", "result"),
-    Field("measurement", (), "the measurement that has it, or -1", "result", "int32"),
+    Field("innovation", (), "largest error of a measurement, in standard deviations of its prediction", "result"),
+    Field("error", (), "error of that measurement, in its unit", "result"),
+    Field("measurement", (), "index of that measurement, or -1", "result", "int32"),
 )
 
 
@@ -144,17 +145,17 @@ def structs(dims: Dims) -> tuple[Struct, ...]:
             "square-root Kalman filter",
             (
                 Field("mean", (dims.nx,), "expected state", "keep"),
-                Field("L", (dims.nx, dims.nx), "factor of its covariance L L'", "keep"),
+                Field("L", (dims.nx, dims.nx), "factor of the covariance L L'", "keep"),
             ),
         ),
         Struct(
             "watch",
-            "innovations of the last samples",
+            "innovations of the recent samples",
             (
-                Field("surprise", (), "sum of their squares", "keep"),
-                Field("count", (), "of how many", "keep"),
-                Field("sum", (dims.nm,), "sums of the last innovations of a measurement", "keep"),
-                Field("variance", (dims.nm,), "of these", "keep"),
+                Field("surprise", (), "sum of the squared innovations", "keep"),
+                Field("count", (), "number of innovations in the sum", "keep"),
+                Field("sum", (dims.nm,), "sums of the recent innovations of a measurement", "keep"),
+                Field("variance", (dims.nm,), "variances of these sums", "keep"),
                 count("seen", "samples since the beginning, up to those that are not judged"),
                 count("expected", "samples in a row that are as expected"),
                 count("doubted", "samples in a row that are not"),

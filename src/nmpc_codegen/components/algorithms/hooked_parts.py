@@ -12,17 +12,17 @@ def watch_fields(dims: Dims) -> tuple[Field, ...]:
     nodes = dims.nodes
     return (
         Field("failures", (), "failures in a row, at most 3", "keep", "int32"),
-        Field("probation", (), "successes that a plan which has failed twice still has to show", "keep", "int32"),
+        Field("probation", (), "successes still required of a plan that has failed twice", "keep", "int32"),
         Field(
             *("unconverged", (), "samples on end that were NOT_CONVERGED", "keep", "int32"),
             only=lambda f: f.repair or f.iterates or not f.has_qp,
         ),
-        Field("first_control", (dims.nu,), "of the plan before its shift", "keep", only=lambda f: f.shifts_back),
+        Field("first_control", (dims.nu,), "first control before the shift", "keep", only=lambda f: f.shifts_back),
         Field(
             *("unsettled", (), "samples on end in which lam changed by half its size", "keep", "int32"),
             only=_has_settling_multipliers,
         ),
-        Field("lam_before", (nodes, dims.nx), "lam after the sample before", "keep", only=_has_settling_multipliers),
+        Field("lam_before", (nodes, dims.nx), "lam after the previous sample", "keep", only=_has_settling_multipliers),
     )
 
 
@@ -34,13 +34,13 @@ def _left(dims: Dims) -> tuple[Struct, ...]:
     """Return the struct for the remaining gaps and the remaining KKT residual after steps."""
     members = (
         Field("length", (), "length of the last step, in the scales of its variables", "keep"),
-        Field("longest", (), "longest one of the recent steps", "keep"),
-        Field("left", (), "largest residual after one of the recent steps", "keep"),
+        Field("longest", (), "longest recent step", "keep"),
+        Field("left", (), "largest residual that a recent step left", "keep"),
         Field("slope", (), "slope of the cost along the last step", "keep", only=lambda f: f.iterates),
         Field("doubted", (), "1: the plan before the last step was not optimal", "keep", "int32"),
-        Field("trusted", (), "1: the last step leaves a small residual, by all that is known", "keep", "int32"),
+        Field("trusted", (), "1: the last step is predicted to leave a small residual", "keep", "int32"),
     )
-    return (Struct("near", "lengths and residuals of the recent steps, to judge how near the plan is", members),)
+    return (Struct("near", "lengths and residuals of recent steps, which predict the residual of the plan", members),)
 
 
 def _price(dims: Dims) -> tuple[Struct, ...]:

@@ -56,6 +56,6 @@ class KalmanFilter(Algorithm):
 
     def structs(self, dims: Dims) -> tuple[Struct, ...]:
         """Return the structs of the filter."""
-        stats = Struct("stats", "of the last sample", measuring.INNOVATION)
-        own = (*measuring.own_fields(dims), Field("stats", (), "of the last sample", "result", "stats"))
+        stats = Struct("stats", "results of the last sample", measuring.INNOVATION)
+        own = (*measuring.own_fields(dims), Field("stats", (), "results of the last sample", "result", "stats"))
         return (*measuring.structs(dims), stats, Struct("solver", "", own))

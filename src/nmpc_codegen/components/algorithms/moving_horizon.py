@@ -109,9 +109,9 @@ class MovingHorizon(Algorithm):
     def structs(self, dims: Dims) -> tuple[Struct, ...]:
         """Return the structs of an iteration, and those of the window and its arrival cost."""
         members = (
-            Field("arrival", (), "what is known of x_0 before the window", "keep", "filter"),
-            Field("information", (dims.nx, dims.nx), "the inverse of its covariance", "keep"),
-            Field("expected", (), "what the measurements are compared with", "keep", "filter"),
+            Field("arrival", (), "mean and covariance of x_0 before the window", "keep", "filter"),
+            Field("information", (dims.nx, dims.nx), "inverse of that covariance", "keep"),
+            Field("expected", (), "predicted measurements", "keep", "filter"),
             Field("window", (), "node of the present sample", "keep", "int32"),
             *measuring.own_fields(dims),
         )

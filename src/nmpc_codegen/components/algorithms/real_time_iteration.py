@@ -56,7 +56,7 @@ SAMPLE = (
         (_XHAT,),
         (_U0,),
     ),
-    EntryPoint("step", "Call prepare and feedback.", (_XHAT,), (_U0,)),
+    EntryPoint("step", "Call prepare, then feedback.", (_XHAT,), (_U0,)),
 )
 SOLVE = EntryPoint(
     "solve",
@@ -74,7 +74,7 @@ def _prepare(moves: bool) -> EntryPoint:
 
 def shift_entry(shift: str | None) -> EntryPoint:
     """Return the entry point that shifts the plan; if ``shift`` is not None, samples shift the plan as well."""
-    again = " Every sample but the first does so by itself: a call moves the plan once more." if shift else ""
+    again = " Every sample except the first does this itself, so that a call moves the plan once more." if shift else ""
     return EntryPoint("shift", f"Move the plan by one interval.{again}")
 
 
@@ -94,13 +94,13 @@ LEAST_PRICE, RELAXED_SAMPLES = 1e-6, 10
 #: Factor by which the price recovers more slowly in samples that are OK.
 SLOWER = 4
 #: A mark that no time has passed since solve().
-SOLVED = Field("solved", (), "1: the plan is that of solve(), at the time of its state", "keep", "int32")
+SOLVED = Field("solved", (), "1: the plan is that of the last solve(), not yet shifted", "keep", "int32")
 SAMPLES = Field("samples", (), "feedbacks since init or reset", "keep", "int32")
 
 
 def state_size(dims: Dims) -> Field:
     """Return the member with the largest states of the last plan that was OK."""
-    return Field("state_size", (dims.nx,), "largest states in the last plan that was OK", "keep")
+    return Field("state_size", (dims.nx,), "largest states of the last plan that was OK", "keep")
 
 
 @dataclass(frozen=True)
@@ -319,7 +319,7 @@ def _stats() -> Struct:
             count("violated_row", "hard row that is infeasible (INFEASIBLE) or relaxed (RELAXED), or -1"),
             count("violated_node", "its node, or -1"),
             Field("violation", (), "violation of violated_row by the last step of the QP", "result"),
-            Field("residual", (), "of the plan: scaled gaps, hard rows, relative KKT residual", "result"),
+            Field("residual", (), "residual of the plan: scaled gaps, hard rows, relative KKT residual", "result"),
         ),
     )
 
@@ -345,8 +345,8 @@ def _measures() -> Struct:
         "measures",
         "measures of a point",
         (
-            Field("violation", (), "of gaps, initial condition and rows, in their scales", "scratch"),
-            Field("cost", (), "with the penalties of the soft rows", "scratch"),
+            Field("violation", (), "violation of gaps, initial condition and rows, in their scales", "scratch"),
+            Field("cost", (), "cost with the penalties of the soft rows", "scratch"),
         ),
         only=lambda f: f.search,
     )
@@ -361,21 +361,21 @@ def _hessian_struct(dims: Dims) -> Struct:
         (
             Field("Q", (dims.N, dims.nz, dims.nz), "path blocks", "scratch"),
             Field("Q_N", (dims.nx, dims.nx), "terminal block", "scratch"),
-            Field("g", (nodes, dims.nz), "gradients without what is held", "scratch"),
+            Field("g", (nodes, dims.nz), "gradients without the terms of held rows", "scratch"),
             Field("P", (dims.nx, dims.nx), "cost to go", "scratch"),
             Field("M", (dims.nz, dims.nz), "cost to go of a stage", "scratch"),
             Field("T", (dims.nx, dims.nz), "P [A B]", "scratch"),
             Field("unit", (dims.nz,), "curvature that is typical of each variable", "scratch"),
-            Field("weight_u", (dims.N, dims.nu), "of the controls that are held, else 0", "scratch"),
-            Field("target_u", (dims.N, dims.nu), "their bounds", "scratch"),
-            Field("weight", (dims.ng,), "of the rows that are held, else 0", "scratch"),
-            Field("target", (dims.ng,), "their bounds", "scratch"),
+            Field("weight_u", (dims.N, dims.nu), "weight of the controls that are held, else 0", "scratch"),
+            Field("target_u", (dims.N, dims.nu), "bounds at which they are held", "scratch"),
+            Field("weight", (dims.ng,), "weight of the rows that are held, else 0", "scratch"),
+            Field("target", (dims.ng,), "bounds at which they are held", "scratch"),
             Field("hold", (), "factor of the weights", "scratch"),
-            Field("shift", (), "smallest one that made the last indefinite Hessian convex", "scratch"),
+            Field("shift", (), "smallest shift that made the last indefinite Hessian convex", "scratch"),
             Field("used", (), "shift of the last QP", "scratch"),
             Field("proximal", (), "shift of a Hessian that is only semidefinite", "scratch"),
             Field("damping", (), "shift of every Hessian while steps are short", "scratch"),
-            Field("in_solve", (), "1: it is the Hessian of the QP", "scratch", "int32"),
+            Field("in_solve", (), "1: this is the Hessian of the QP", "scratch", "int32"),
         ),
         only=lambda f: f.curved,
     )
@@ -391,7 +391,7 @@ def _trial(dims: Dims) -> Struct:
             Field("x", (nodes, dims.nx), "states before the step", "scratch"),
             Field("u", (dims.N, dims.nu), "controls before the step", "scratch"),
             Field("step", (), "the step at its full length", "scratch", "step"),
-            Field("lam", (nodes, dims.nx), "multipliers of its QP", "scratch", only=lambda f: f.keeps_multipliers),
+            Field("lam", (nodes, dims.nx), "multipliers of the QP", "scratch", only=lambda f: f.keeps_multipliers),
             Field("length", (), "length of the last step", "scratch"),
             Field("elastic", (), "1: the last QP was infeasible and relaxed", "scratch", "int32"),
         ),
@@ -412,17 +412,17 @@ def _search(dims: Dims) -> Struct:
         (
             Field("state_scale", (dims.nx,), "scales of the states", "scratch"),
             Field("row_weight", (), weight, "scratch", only=lambda f: f.hard_rows),
-            Field("filter", (Size("FILTER", FILTER),), "pairs that the filter rejects", "scratch", "measures"),
+            Field("filter", (Size("FILTER", FILTER),), "pairs of the filter", "scratch", "measures"),
             Field("entries", (), "entries of the filter", "scratch", "int32"),
             Field("restoring", (), "1: steps only have to reduce the violation", "scratch", "int32"),
             Field("base", (), "measures before the step", "scratch", "measures"),
-            Field("slope", (), "of the cost along the step", "scratch"),
-            Field("gain", (), "reduction of the violation that the step promises", "scratch"),
+            Field("slope", (), "slope of the cost along the step", "scratch"),
+            Field("gain", (), "predicted reduction of the violation by the step", "scratch"),
             Field("cost_unit", (), "how much the cost may change", "scratch"),
             Field("cost_scale", (), "largest slope of the cost", "scratch"),
             Field("most_violation", (), "violation that is never accepted", "scratch"),
-            Field("attempts", (), "new starts", "scratch", "int32"),
-            Field("departures", (), "of them without a better plan", "scratch", "int32", only=_departs),
+            Field("attempts", (), "number of new starts", "scratch", "int32"),
+            Field("departures", (), "departures that found no better plan", "scratch", "int32", only=_departs),
             Field("probes", (), "saddles that have been left", "scratch", "int32", only=lambda f: f.saddles),
             Field(
                 "hasty", (), "1: in a sample, which has few iterations", "scratch", "int32", only=lambda f: f.iterates

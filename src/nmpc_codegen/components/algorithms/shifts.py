@@ -132,8 +132,8 @@ def resample_tables(shift: str | None, sampling_time: float | None, problem: Pro
     if shift != "resample":
         return ()
     return (
-        Table("node_time", "real", _node_times(problem), "t_k"),
-        Table("sampling_time", "real", (float(sampling_time or 0.0),), "shift of the plan in time"),
+        Table("node_time", "real", _node_times(problem), "time t_k of node k"),
+        Table("sampling_time", "real", (float(sampling_time or 0.0),), "time by which a sample shifts the plan"),
     )
 
 

@@ -64,8 +64,8 @@ class FullCondensing(Condensing):
         places = tuple(variables.index(at) if at in variables else -1 for at in controls)
         return (
             Table("row_slack", "int", slacks, "slack variable of QP row m, or -1"),
-            Table("control_variable", "int", places, "variable of the QP that is control j of node k, or -1"),
-            Table("variable_node", "int", tuple(k for k, _ in variables), "node of a control of the QP"),
+            Table("control_variable", "int", places, "QP variable of control j of node k, or -1"),
+            Table("variable_node", "int", tuple(k for k, _ in variables), "node of a control in the QP"),
         )
 
     def sizes(self, dims: Dims) -> tuple[tuple[str, int, str], ...]:
@@ -115,7 +115,7 @@ class FullCondensing(Condensing):
                     Field(
                         "regularized",
                         (),
-                        "1: the Hessian was changed",
+                        "1: the Hessian has been regularised",
                         "data",
                         "int32",
                         only=lambda f: f.regularize_reduced,

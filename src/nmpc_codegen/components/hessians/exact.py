@@ -194,15 +194,15 @@ class ExactHessian(Hessian):
         )
         scratch: tuple[Field, ...] = (
             Field("adjoint", (), "1: lam comes from an adjoint pass", "scratch", "int32"),
-            Field("changed", (), "1: entries of Q beyond its pattern are nonzero", "scratch", "int32"),
+            Field("changed", (), "1: entries of Q outside its pattern are nonzero", "scratch", "int32"),
         )
         if self.level == "stage":
             nodes, lanes = dims.nodes, Size("LANES", _lanes(dims.nz))
             square = Size("NZ * NZ", dims.nz**2)
             scratch += (
                 Field("scale", (nodes,), "largest absolute entry of the block", "scratch"),
-                Field("A", (square, lanes), "blocks of one size, one per lane; then diagonal", "scratch"),
-                Field("V", (square, lanes), "their eigenvectors", "scratch"),
+                Field("A", (square, lanes), "blocks of one size, one in each lane; diagonalised in place", "scratch"),
+                Field("V", (square, lanes), "eigenvectors of the blocks", "scratch"),
             )
         return (Struct("hessian", "Hessian blocks, lower triangles, z = (x, u)", (*blocks, *scratch)),)
 

@@ -191,9 +191,9 @@ class ImplicitRungeKutta(Integrator):
             Table("stage_a", "real", together, "a_ij of stages that are solved together"),
             Table("stage_weight", "real", tuple(map(float, scheme.b)), "b_i"),
             Table("increment_a", "real", tuple(map(float, a.ravel())), "coefficients of increments in later stages"),
-            Table("increment_b", "real", tuple(map(float, b)), "and in x_next"),
+            Table("increment_b", "real", tuple(map(float, b)), "coefficients of increments in x_next"),
             Table("bent_variable", "int", curved, "variables of a stage and controls in which it is nonlinear"),
-            Table("bent_count", "int", (len(curved),), "their number"),
+            Table("bent_count", "int", (len(curved),), "number of these variables"),
             *_start_table(problem),
             *noise_tables(problem),
         )
@@ -227,7 +227,7 @@ class ImplicitRungeKutta(Integrator):
             Struct(
                 "node",
                 "linearisation of a path node",
-                (Field("left", (dims.nx,), "last corrections of the stages", "data"),),
+                (Field("left", (dims.nx,), "residuals of Newton's method in the stages", "data"),),
                 shape=(dims.N,),
                 only=lambda f: f.nodes,
             ),

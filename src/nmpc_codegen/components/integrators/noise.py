@@ -34,8 +34,8 @@ def noise_tables(problem: Problem) -> tuple[Table, ...]:
     """Return the tables of the pairs (i, j)."""
     states, controls = zip(*problem.noise, strict=True) if problem.noise else ((), ())
     return (
-        Table("noise_state", "int", states, "states with noise at the end of an interval"),
-        Table("noise_control", "int", controls, "and the controls that are this noise"),
+        Table("noise_state", "int", states, "states with process noise at the end of an interval"),
+        Table("noise_control", "int", controls, "controls that are this noise"),
     )
 
 

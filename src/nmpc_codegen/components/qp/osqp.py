@@ -66,7 +66,7 @@ class Osqp(QpSolver):
         rows = dims.constraints
         entries = {name: Size(name, value) for name, value, _ in self.sizes(dims)}
         return (
-            Struct("basis", "memory lent to the caller", (Field("Q", (ld, ld), "as large as H", "scratch"),)),
+            Struct("basis", "memory lent to the caller", (Field("Q", (ld, ld), "a work matrix", "scratch"),)),
             Struct(
                 "work",
                 "memory of phases that do not overlap",
@@ -87,7 +87,7 @@ class Osqp(QpSolver):
                     Field(
                         "terms", (ng,), "not used: magnitude of the terms that the bounds of a row sum up", "scratch"
                     ),
-                    *only_if(False, Field("curvature", (dims.qp.nsl,), "it has no slacks", "scratch")),
+                    *only_if(False, Field("curvature", (dims.qp.nsl,), "not used: OSQP has no slacks", "scratch")),
                     Field("z", (nv,), "minimiser", "result"),
                     Field("mult", (rows,), "multipliers, > 0 at the upper bound, < 0 at the lower", "result"),
                     Field("certificate", (rows,), "if INFEASIBLE: weights of a contradiction", "result"),

@@ -38,7 +38,7 @@ def interior_point_struct(dims: Dims, crossover: bool) -> Struct:
     rows, sides = _rows_and_sides(dims)
     soft = Size(f"2 * {ng.text}", 2 * ng)
     nodes = dims.nodes
-    before = Field("before", (rows,), "multipliers of the previous QP", "scratch")
+    before = Field("before", (rows,), "multipliers of the rows in the previous QP", "scratch")
     return Struct(
         "ipm",
         "interior point iterate of the stage QP",
@@ -46,15 +46,15 @@ def interior_point_struct(dims: Dims, crossover: bool) -> Struct:
             Field("gradient", (nodes, dims.nz), "g + Q z of the stages", "scratch"),
             Field("v", (rows,), "values of the rows", "scratch"),
             Field("origin", (rows,), "values of the rows at the first point", "scratch"),
-            Field("dv", (rows,), "their direction", "scratch"),
+            Field("dv", (rows,), "direction of v", "scratch"),
             *only_if(not crossover, before),
             Field("y", (ng,), "multipliers of equations", "scratch"),
             Field("stiffness", (ng,), "weights of equations", "scratch"),
             Field("weight", (rows,), "weights of the rows", "scratch"),
-            Field("proximal", (dims.nz,), "share of the diagonal of a singular Hessian that is added to it", "scratch"),
+            Field("proximal", (dims.nz,), "term added to the diagonal of a singular Hessian", "scratch"),
             Field("force", (rows,), "multipliers after a step that leaves v unchanged", "scratch"),
             Field("t", (sides,), "distance to the bound", "scratch"),
-            Field("lam", (sides,), "multiplier", "scratch"),
+            Field("lam", (sides,), "multiplier of a side", "scratch"),
             Field("r", (sides,), "residual of the distance", "scratch"),
             Field("omega", (sides,), "weight", "scratch"),
             Field("dt", (sides,), "correction of the products t lam, later the direction of t", "scratch"),
@@ -66,9 +66,7 @@ def interior_point_struct(dims: Dims, crossover: bool) -> Struct:
             Field("de", (soft,), "direction of e", "scratch"),
             Field("dkappa", (soft,), "correction of the products e kappa, later the direction of kappa", "scratch"),
             *_progress(dims, not crossover),
-            *only_if(
-                crossover, Field("crossing", (), "whether and when another method takes over", "scratch", "int32")
-            ),
+            *only_if(crossover, Field("crossing", (), "TO_THE_END, CROSS_OVER or HANDED_OVER", "scratch", "int32")),
         ),
     )
 
@@ -88,16 +86,16 @@ def _progress(dims: Dims, warm: bool) -> tuple[Field, ...]:
         Field("merit", (), "residuals of the rows and products, relative to their tolerance", "scratch"),
         Field("slope", (), "gradient of the Lagrangian, relative to its tolerance", "scratch"),
         Field("step", (), "length of the last step", "scratch"),
-        *only_if(dims.ng, Field("slow", (), "primal when the last step was stretched", "scratch")),
+        *only_if(dims.ng, Field("slow", (), "value of primal when the last step was stretched", "scratch")),
         Field("stiffening", (), "divisor of the regularisation of the rows", "scratch"),
         Field("stiffest", (), "upper limit of stiffening", "scratch"),
         Field("damping", (), "cost of moving a row across its range in the first factorisation", "scratch"),
         Field("proximity", (), "factor by which the proximal term has been reduced", "scratch"),
         Field("least_pivot", (), "value added to pivots that are zero", "scratch"),
-        Field("place", (sides,), "twice the row of a side, plus 1 if it is the upper one", "scratch", "int32"),
+        Field("place", (sides,), "twice the row of a side, plus 1 for an upper side", "scratch", "int32"),
         Field("kind", (rows,), "inequality, equation or given control", "scratch", "int32"),
         Field("sides", (), "number of finite bounds of inequalities", "scratch", "int32"),
-        Field("hard", (), "number of hard ones among them, which come first", "scratch", "int32"),
+        Field("hard", (), "number of hard sides, which come first", "scratch", "int32"),
         *only_if(
             warm,
             Field("warm", (), "1: the multipliers of the previous QP are used", "scratch", "int32"),

@@ -20,19 +20,19 @@ def enums(problem: CompleteProblem) -> tuple[Enum, ...]:
     of_algebra = _units(problem.algebra.signals) if problem.algebra else []
     of_parameters = [[u] for u in _units(parameters)]
     found = (
-        _enum("X", problem.state_names[: problem.measured], "states: places in x", states),
-        _enum("U", problem.control_names, "controls: places in u", controls),
-        _enum("Z", problem.algebraic_names, "algebraic variables: places in z", [[unit] for unit in of_algebra]),
-        _enum("P", [e for s in parameters for e in s.elements], "parameters: places in p", of_parameters),
-        _residuals("Y", problem.path, "residuals: places in yref, and in W"),
-        _residuals("Y_N", problem.terminal, "terminal residuals: places in yref_N, and in W_N"),
+        _enum("X", problem.state_names[: problem.measured], "indices of the states in x", states),
+        _enum("U", problem.control_names, "indices of the controls in u", controls),
+        _enum("Z", problem.algebraic_names, "indices of the algebraic variables in z", [[unit] for unit in of_algebra]),
+        _enum("P", [e for s in parameters for e in s.elements], "indices of the parameters in p", of_parameters),
+        _residuals("Y", problem.path, "indices of the residuals in yref and W"),
+        _residuals("Y_N", problem.terminal, "indices of the terminal residuals in yref_N and W_N"),
         _enum(
             "ROW",
             [r.name for r in problem.rows],
-            f"scalar rows, for set_bounds{' and set_soft' if any(r.soft for r in problem.rows) else ''}",
+            f"argument row of set_bounds{' and set_soft' if any(r.soft for r in problem.rows) else ''}",
             map(_row, problem.rows),
         ),
-        _enum("PARAM", [s.name for s in parameters], "parameters, for set_parameter", map(_value, parameters)),
+        _enum("PARAM", [s.name for s in parameters], "argument param of set_parameter", map(_value, parameters)),
     )
     return tuple(enum for enum in found if enum.names)
 

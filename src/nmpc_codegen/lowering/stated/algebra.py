@@ -9,8 +9,8 @@ from nmpc_codegen.package.signals import Argument, EntryPoint
 #: The function that computes the algebraic variables of a state.
 ALGEBRAIC = EntryPoint(
     "algebraic",
-    "Algebraic variables at the state x and the controls u, with the parameters of node k; x[k] and u[k] of the plan "
-    "have those of the plan, x[N] with u[N - 1].",
+    "Compute the algebraic variables at the state x and the controls u, with the parameters of node k; x[k] and u[k] "
+    "of the plan give those of the plan, x[N] with u[N - 1].",
     (Argument("k", "int"), Argument("x", "real", ("NX",)), Argument("u", "real", ("NU",))),
     (Argument("z", "real", ("ALGEBRAIC",)),),
 )

@@ -16,13 +16,13 @@ from nmpc_codegen.package.struct_layout import Field, Size
 
 SET_PREVIOUS = EntryPoint(
     "set_previous",
-    "The control that the actuator applied last, where it is not the one that was returned; for the next sample, or "
-    "the present one between prepare and feedback.",
+    "Set the control that the actuator applied last, if it differs from the one that was returned. It holds for the "
+    "next sample, or for the present one between prepare and feedback.",
     (Argument("u", "real", ("NU",)),),
 )
 SET_TIME = EntryPoint(
     "set_time",
-    "Time of the next sample; every sample moves it on by DT.",
+    "Set the time of the next sample, to which every sample adds DT.",
     (Argument("time", "real"),),
 )
 
@@ -37,10 +37,10 @@ def macros(model: Model) -> tuple[Macro, ...]:
     """Return the sizes of added states and parameters."""
     added = model.problem.augmentation
     return (
-        Macro("NBAND", model.products.banded, "the last states, which act on no other one"),
-        Macro("NMEM", len(added.previous), "controls that a node knows of the node before"),
-        Macro("NHELD", len(added.held), "controls with blocks"),
-        Macro("NDATA", added.data, "parameters behind those of the user"),
+        Macro("NBAND", model.products.banded, "number of the last states, which act on no other state"),
+        Macro("NMEM", len(added.previous), "controls of the node before that a node remembers"),
+        Macro("NHELD", len(added.held), "controls that are held over blocks of nodes"),
+        Macro("NDATA", added.data, "parameters added to those of the user"),
     )
 
 
@@ -53,9 +53,9 @@ def in_header(size: Size, problem: Problem) -> int | None:
 def members(dims: Dims) -> list[Field]:
     """Return the members that keep data of the sample before."""
     return [
-        Field("previous", (dims.nu,), "controls applied last", "keep", only=lambda f: f.previous),
+        Field("previous", (dims.nu,), "controls that were applied last", "keep", only=lambda f: f.previous),
         Field("time", (), "time of the next sample", "keep", only=lambda f: f.timed),
-        Field("time_rest", (), "its rounding error", "keep", only=lambda f: f.timed),
+        Field("time_rest", (), "rounding error of that time", "keep", only=lambda f: f.timed),
     ]
 
 
@@ -73,13 +73,13 @@ def tables(model: Model) -> tuple[Table, ...]:
     period = sampling_period(algorithm.shift, algorithm.sampling_time, p) or p.dt[0]
     times = tuple(math.fsum(p.dt[:k]) for k in range(p.N + 1))
     return (
-        Table("remembered", "int", added.previous, "controls that a node knows of the node before"),
-        Table("held_control", "int", added.held, "controls with blocks"),
+        Table("remembered", "int", added.previous, "controls of the node before that a node remembers"),
+        Table("held_control", "int", added.held, "controls that are held over blocks of nodes"),
         Table("block_start", "int", starts, "1: a block begins at node k"),
         Table("block_node", "int", _block_nodes(p), "first node of the block of control j at node k"),
-        Table("node_data", "real", tuple(map(float, data.ravel())), "parameters behind those of the user"),
+        Table("node_data", "real", tuple(map(float, data.ravel())), "parameters added to those of the user"),
         Table("node_time", "real", times, "t_k"),
-        Table("sampling_time", "real", (float(period),), "between samples"),
+        Table("sampling_time", "real", (float(period),), "time between samples"),
     )
 
 

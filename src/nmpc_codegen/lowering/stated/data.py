@@ -12,14 +12,14 @@ from nmpc_codegen.package.signals import Kind, Layout, c_constants
 from nmpc_codegen.package.struct_layout import Field, Size
 
 #: Description of the node k of a setter, for every kind of data.
-_NONE = "is {all}: all nodes have the same"
+_NONE = "must be {all}, as all nodes share one value"
 _PATH = "is 0 .. N - 1, or {all}"
 _END = "is N if the row holds there, or {all} for all of its nodes"
 _ROW = "is a node of the row, or {all} for all of them"
 _NODES: Mapping[Kind, Mapping[Layout, str]] = {
     "reference": {"shared": _NONE, "node": _PATH},
     "weight": {"shared": _NONE, "node": _PATH},
-    "parameter": {"shared": "is N for the terminal node alone, or {all} for all nodes", "node": "is 0 .. N, or {all}"},
+    "parameter": {"shared": "is N for the terminal node only, or {all} for all nodes", "node": "is 0 .. N, or {all}"},
     "bounds": {"shared": _END, "node": _ROW},
     "soft": {"shared": _END, "node": _ROW},
 }
@@ -55,9 +55,9 @@ def macros(problem: Problem) -> tuple[Macro, ...]:
     soft = [row for row in problem.rows if row.soft is not None]
     scaled, bounded = any(row.scaled for row in soft), any(s.low for s in problem.own_parameters)
     return (
-        Macro("SOFT_ROWS", len(soft), "rows with a penalty"),
-        Macro("NOISES", len(problem.noise), "controls that are noise at the end of an interval"),
-        Macro("SCALED_PENALTIES", int(scaled), "1: penalties of a row are times dt_k"),
+        Macro("SOFT_ROWS", len(soft), "soft rows, which have a penalty"),
+        Macro("NOISES", len(problem.noise), "controls that are process noise at the end of an interval"),
+        Macro("SCALED_PENALTIES", int(scaled), "1: penalties of a row are multiplied by dt_k"),
         Macro("BOUNDED_PARAMETERS", int(bounded), "1: some parameters have bounds"),
     )
 
@@ -67,7 +67,7 @@ def parameter_macros(problem: Problem) -> tuple[Macro, ...]:
     parameters = problem.own_parameters
     names = c_constants([s.name for s in parameters])
     sizes = (Macro(f"SIZE_{c}", s.size, f"elements of {s.name}") for c, s in zip(names, parameters, strict=True))
-    return (Macro("PARAMS", len(parameters), "parameters by name"), *sizes)
+    return (Macro("PARAMS", len(parameters), "number of named parameters"), *sizes)
 
 
 def settings(model: Model, dims: Dims, whole: bool) -> tuple[Setting, ...]:
@@ -127,7 +127,7 @@ def _scaling_note(p: Problem) -> str:
     if not names:
         return ""
     which = "" if len(names) == p.path.ny else f" of {', '.join(names)}"
-    return f"; that{which} is multiplied by dt_k in use"
+    return f"; that{which} is multiplied by dt_k where it is used"
 
 
 def penalties_in_use(found: Iterable[Setting]) -> list[Field]:
@@ -136,7 +136,7 @@ def penalties_in_use(found: Iterable[Setting]) -> list[Field]:
         Field(
             f"penalty_{name}",
             setting.field.shape,
-            "the same in the prepared QP",
+            "penalty in the prepared QP",
             "keep",
             only=lambda f: f.takes_penalties,
         )

@@ -14,8 +14,8 @@ def macros(saddles: Saddles) -> tuple[Macro, ...]:
     """Return the sizes of probes of idle controls."""
     partners = any(partner >= 0 for partner in saddles.partners)
     return (
-        Macro("PROBES", len(PROBE_SIZES), "sizes of a move of an idle control that are tried"),
-        Macro("PROBE_PARTS", PROBE_PARTS, "halvings of a probe, at most"),
+        Macro("PROBES", len(PROBE_SIZES), "number of sizes of a probe"),
+        Macro("PROBE_PARTS", PROBE_PARTS, "most halvings of a probe"),
         Macro("PARTNERS", int(partners), "1: some controls act by a product"),
     )
 
@@ -38,18 +38,18 @@ def plan_at_saddle(dims: Dims) -> Struct:
         "saddle",
         "plan at a saddle, before idle controls move",
         (
-            Field("x", (nodes, dims.nx), "its states", "scratch"),
-            Field("u", (dims.N, dims.nu), "its controls", "scratch"),
-            Field("lam", (nodes, dims.nx), "its multipliers of the dynamics", "scratch", only=_departs),
-            Field("mu_u", (dims.N, dims.nu), "its multipliers of the control bounds", "scratch", only=_departs),
-            Field("mult", (dims.ng,), "its multipliers of the other rows", "scratch", only=_departs),
-            Field("cost", (), "of the best plan", "scratch"),
-            Field("violation", (), "of its hard rows, in their scales", "scratch", only=lambda f: f.hard_rows),
-            Field("departed", (), "iterations of a departure from it that are left", "scratch", "int32", only=_departs),
+            Field("x", (nodes, dims.nx), "states of the plan at the saddle", "scratch"),
+            Field("u", (dims.N, dims.nu), "controls of that plan", "scratch"),
+            Field("lam", (nodes, dims.nx), "multipliers of the dynamics", "scratch", only=_departs),
+            Field("mu_u", (dims.N, dims.nu), "multipliers of the control bounds", "scratch", only=_departs),
+            Field("mult", (dims.ng,), "multipliers of the other rows", "scratch", only=_departs),
+            Field("cost", (), "cost of the best plan", "scratch"),
+            Field("violation", (), "violation of its hard rows, scaled", "scratch", only=lambda f: f.hard_rows),
+            Field("departed", (), "remaining iterations of a departure", "scratch", "int32", only=_departs),
             Field(
-                "asked", (), "1: an idle state asks for another value", "scratch", "int32", only=lambda f: f.idle_states
+                "asked", (), "1: another idle state would cost less", "scratch", "int32", only=lambda f: f.idle_states
             ),
-            Field("saved", (), "part of its cost by which the last probe has lowered that of the plan", "scratch"),
+            Field("saved", (), "fraction by which the last probe has lowered the cost of the plan", "scratch"),
         ),
         only=lambda f: f.saddles,
     )

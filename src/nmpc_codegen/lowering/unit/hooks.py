@@ -44,7 +44,7 @@ def check_hooks(algorithm: str, hooked_parts: Sequence[str]) -> None:
 def hook_prototypes(hooked_parts: Iterable[str]) -> str:
     """Return declarations of the functions that hooked parts define for hooks."""
     heads = [f"{head_of(hook.text)};" for part in hooked_parts for hook in _hooks(part).values()]
-    return "\n".join(["/* What else happens in a sample, at the hooks of the algorithm. */", *heads]) if heads else ""
+    return "\n".join(["/* Functions that the algorithm calls at its hooks. */", *heads]) if heads else ""
 
 
 def call_hooks(item: Item, hooked_parts: tuple[str, ...]) -> Item:
